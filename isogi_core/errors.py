@@ -1,0 +1,33 @@
+"""Every error that the domain raises on purpose. Each speaks to a person in one sentence."""
+
+
+class IsogiError(Exception):
+    """Base of all errors that say what is wrong, where, and what to do about it."""
+
+
+class VolumeError(IsogiError):
+    """A volume is missing, damaged, lying about itself, or of a kind that cannot be rendered."""
+
+
+class LightError(IsogiError):
+    """A light is missing, damaged or has no meaning (negative, not finite, no pixels)."""
+
+
+class SceneError(IsogiError):
+    """A scene file does not parse, or one of its settings has no meaning."""
+
+
+class ViewError(IsogiError):
+    """A view (isovalue, camera, light rotation, size) is outside what the scene allows."""
+
+
+class StoreError(IsogiError):
+    """The cache's store cannot be read or written, or holds another scene's light."""
+
+
+class DamagedChunkError(StoreError):
+    """A chunk's bytes are not what was written: cut, flipped, or another scene's."""
+
+
+class Cancelled(IsogiError):
+    """Nobody waits for this frame any more; work on it stopped between two tiles."""

@@ -1,0 +1,1 @@
+"""What is rendered: volume, lights, scene, view and plan, as plain immutable data."""

@@ -1,0 +1,130 @@
+"""A view: what one frame shows. Camera, isovalue, light rotation, picture size and shading."""
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from isogi_core.errors import ViewError
+
+Vec3 = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
+
+SHADINGS = (
+    "gi",
+    "vicinity",
+    "lambert",
+    "lambert_shadow",
+    "lambert_fog",
+    "phong",
+    "phong_shadow",
+    "path_traced",
+)
+IDENTITY: Quaternion = (1.0, 0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole camera in world space (voxel index × spacing, z up).
+
+    ``fov`` is the vertical field of view in degrees. Raises ViewError where the frame of
+    reference degenerates: eye at the target, ``up`` along the view, fov outside (0, 180).
+    """
+
+    eye: Vec3
+    target: Vec3
+    up: Vec3 = (0.0, 0.0, 1.0)
+    fov: float = 30.0
+
+    def __post_init__(self) -> None:
+        if not np.isfinite([*self.eye, *self.target, *self.up, self.fov]).all():
+            raise ViewError("The camera has a number that is not finite: give finite eye, target, up and fov.")
+        if not 0.0 < self.fov < 180.0:
+            raise ViewError(f"fov {self.fov:g} is not between 0 and 180 degrees.")
+        forward = np.subtract(self.target, self.eye)
+        length = float(np.linalg.norm(forward))
+        if length == 0.0:
+            raise ViewError("The camera's eye and target are the same point: move one of them.")
+        lift = float(np.linalg.norm(self.up))
+        if lift == 0.0 or np.linalg.norm(np.cross(forward / length, np.divide(self.up, lift))) < 1e-9:
+            raise ViewError("The camera's up is zero or along the view direction: give another up.")
+
+    def basis(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Unit vectors (right, up, forward), right-handed, each of shape (3,), float64."""
+        forward = np.subtract(self.target, self.eye)
+        forward = forward / np.linalg.norm(forward)
+        right = np.cross(forward, self.up)
+        right = right / np.linalg.norm(right)
+        return right, np.cross(right, forward), forward
+
+
+def orbit(centre: Vec3, radius: float, azimuth: float, elevation: float, distance: float, fov: float) -> Camera:
+    """Camera on a sphere about ``centre``; angles in degrees, ``distance`` in units of ``radius``.
+
+    Azimuth 0 looks from +x, 90 from +y; elevation 90 looks straight down (up is then along the azimuth).
+    """
+    a, e = math.radians(azimuth), math.radians(elevation)
+    out = (math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), math.sin(e))
+    up = (-math.sin(e) * math.cos(a), -math.sin(e) * math.sin(a), math.cos(e))
+    x, y, z = (c + distance * radius * o for c, o in zip(centre, out, strict=True))
+    return Camera((x, y, z), centre, up, fov)
+
+
+def quaternion_from_angles(yaw: float, pitch: float, roll: float) -> Quaternion:
+    """Unit quaternion (w, x, y, z) of intrinsic yaw about z, then pitch about y, then roll about x, degrees."""
+    cy, sy = math.cos(math.radians(yaw) / 2), math.sin(math.radians(yaw) / 2)
+    cp, sp = math.cos(math.radians(pitch) / 2), math.sin(math.radians(pitch) / 2)
+    cr, sr = math.cos(math.radians(roll) / 2), math.sin(math.radians(roll) / 2)
+    return (
+        cy * cp * cr + sy * sp * sr,
+        cy * cp * sr - sy * sp * cr,
+        cy * sp * cr + sy * cp * sr,
+        sy * cp * cr - cy * sp * sr,
+    )
+
+
+def unit_quaternion(values: Quaternion) -> Quaternion:
+    """The quaternion scaled to unit length; ViewError where its length is not within [1e-3, 1e3]."""
+    norm = math.sqrt(sum(v * v for v in values))
+    if not 1e-3 <= norm <= 1e3:
+        raise ViewError("The light's quaternion w,x,y,z must have a length between 0.001 and 1000.")
+    w, x, y, z = (v / norm for v in values)
+    return (w, x, y, z)
+
+
+def rotation_matrix(q: Quaternion) -> np.ndarray:
+    """The 3×3 float64 matrix that turns a vector by the unit quaternion ``q`` = (w, x, y, z)."""
+    w, x, y, z = q
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+@dataclass(frozen=True)
+class View:
+    """One frame's question. ``isovalue`` is in the volume's own units; ``light`` turns the environment.
+
+    ``samples`` is the number of paths per pixel and is read by ``path_traced`` alone.
+    """
+
+    isovalue: float
+    camera: Camera
+    light: Quaternion = IDENTITY
+    width: int = 512
+    height: int = 512
+    shading: str = "gi"
+    samples: int = field(default=16)
+
+    def __post_init__(self) -> None:
+        if not math.isfinite(self.isovalue):
+            raise ViewError("The isovalue is not a finite number.")
+        if self.width < 1 or self.height < 1:
+            raise ViewError(f"A picture of {self.width} × {self.height} pixels holds nothing: ask for at least 1 × 1.")
+        if self.shading not in SHADINGS:
+            raise ViewError(f"There is no shading '{self.shading}': choose one of {', '.join(SHADINGS)}.")
+        if self.samples < 1:
+            raise ViewError("At least one sample per pixel is needed.")
