@@ -1,9 +1,16 @@
 """Fixtures that several rooms share."""
 
 import os
+import threading
+import time
+from collections.abc import Iterator
 from pathlib import Path
 
+import httpx
+import nrrd
+import numpy as np
 import pytest
+import uvicorn
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -15,3 +22,73 @@ def shared_data() -> Path:
     if not folder.is_dir():
         pytest.skip(f"no real volumes at {folder}: set ISOGI_SHARED_DATA to a folder that has them")
     return folder
+
+
+SMALL_SCENE = """\
+volume = "small.nrrd"
+isovalue = 0.5
+isovalues = [0.2, 0.8]
+bounces = 1
+lattice = 0.5
+target_error = 0.5
+[[lights]]
+type = "constant"
+radiance = 0.5
+[[lights]]
+type = "sky"
+sun_azimuth = 30
+sun_elevation = 50
+"""
+
+
+@pytest.fixture(scope="session")
+def small_scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A scene file whose light bakes in seconds: two balls that touch, 24 × 20 × 16 voxels."""
+    folder = tmp_path_factory.mktemp("scene")
+    z, y, x = np.mgrid[:16, :20, :24]
+    balls = [np.exp(-(((x - cx) / 5) ** 2) - ((y - 9.5) / 5) ** 2 - ((z - 7.5) / 4) ** 2) for cx in (8, 16)]
+    nrrd.write(str(folder / "small.nrrd"), sum(balls).astype(np.float32), index_order="C")
+    (folder / "small.toml").write_text(SMALL_SCENE)
+    return folder / "small.toml"
+
+
+@pytest.fixture(scope="session")
+def live_store(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder that ``live_server`` bakes into."""
+    return tmp_path_factory.mktemp("store")
+
+
+@pytest.fixture(scope="session")
+def live_server(small_scene: Path, live_store: Path) -> Iterator[str]:
+    """Base URL of a ready isogi on a real socket, with one worker and the scene ``small``."""
+    from server.studio import Studio
+
+    from isogi_core.model.scene import load_scene
+    from server.app import create_app
+    from server.serve import address, listen
+    from server.settings import Settings
+
+    listener = listen("127.0.0.1", 0)
+    app = create_app(Studio([load_scene(small_scene)], str(live_store), workers=1), Settings())
+    server = uvicorn.Server(uvicorn.Config(app, log_level="warning"))
+    thread = threading.Thread(target=server.run, args=([listener],))
+    thread.start()
+    url = address(listener).rstrip("/")
+    try:
+        wait_until_ready(url, thread)
+        yield url
+    finally:
+        server.should_exit = True
+        thread.join()
+        listener.close()
+
+
+def wait_until_ready(url: str, thread: threading.Thread, seconds: float = 300) -> None:
+    """Ask /readyz until it says yes."""
+    deadline = time.monotonic() + seconds
+    answer = httpx.get(f"{url}/readyz", timeout=30)
+    while answer.status_code != 200:
+        assert thread.is_alive(), "the server ended while it started"
+        assert time.monotonic() < deadline, answer.text
+        time.sleep(0.2)
+        answer = httpx.get(f"{url}/readyz", timeout=30)

@@ -13,7 +13,7 @@ from typing import Any
 
 import llvmlite.binding as llvm
 import numba
-from numba import njit
+from numba import njit, types
 
 # Not the whole of fastmath: `nnan` would make isnan() False, and the kernels ask.
 FASTMATH = {"nsz", "contract"}
@@ -51,3 +51,8 @@ def kernel(signature: Any = None) -> Callable[[Callable[..., Any]], Any]:
     if signature is None:
         return njit(**options)
     return njit(signature, cache=True, **options)
+
+
+def record(cls: type, *members: Any) -> Any:
+    """Numba's type of the NamedTuple ``cls`` whose members have the types ``members``."""
+    return types.BaseTuple.from_types(members, cls)

@@ -1,0 +1,42 @@
+"""How wrong a texel's light still is, and when it is good enough."""
+
+import numpy as np
+
+from isogi_core.bake.light import Light
+from isogi_core.bake.recipe import Recipe
+
+FLOOR = 0.5
+"""Texels darker than this share of unoccluded light are held to its error, not to their own small light's."""
+
+MOST_SAMPLES = 16384
+"""A texel with this many samples is final: what noise it has left is told, not chased."""
+
+
+def band_of(order: int) -> np.ndarray:
+    """The band l of each coefficient i < order²; (n²,) int."""
+    return np.repeat(np.arange(order), 2 * np.arange(order) + 1)
+
+
+def relative_error(light: Light, recipe: Recipe) -> np.ndarray:
+    """Standard error of each texel's luminance over the luminance, as a mean over all rotations of the light; (texels,).
+
+    For a light turned at random, E[(s·Dℓ)²] = Σ_l |s_l|² |ℓ_l|² / (2l + 1). The mean square of a
+    band's coefficients is pooled with its neighbour bands': two randomisations alone say too little.
+    """
+    order = recipe.scene.plan.order
+    belongs = band_of(order)[None, :] == np.arange(order)[:, None]
+    near = np.abs(np.arange(order)[:, None] - np.arange(order)[None, :]) <= 1
+    pooled = (near @ belongs) / (near @ belongs).sum(axis=1, keepdims=True)
+    power = (recipe.luminance_light**2) @ belongs.T
+    variance = np.einsum("tcn,bn,cb->t", light.spread.astype(np.float64) ** 2, pooled, power)
+    mean = np.einsum("tc,c->t", light.transfer[:, :, 0].astype(np.float64), recipe.luminance_light[:, 0])
+    unoccluded = recipe.luminance_light[:, 0].sum() / np.sqrt(4.0 * np.pi)
+    level = np.maximum(mean, FLOOR * max(unoccluded, 1e-30))
+    return np.sqrt(variance) / level
+
+
+def finished(light: Light, recipe: Recipe, target: float) -> np.ndarray:
+    """Whether each texel is final: its error within ``target``, its samples spent, or void; (texels,) bool."""
+    void = light.samples < 0
+    lit = light.samples > 0
+    return void | (lit & ((relative_error(light, recipe) <= target) | (light.samples >= MOST_SAMPLES)))

@@ -1,0 +1,86 @@
+"""The recipe of a bake: all that the kernels need to light a texel of a scene, worked out once."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from isogi_core.kernels.field import Field
+from isogi_core.kernels.harmonics import project
+from isogi_core.kernels.lattice import CHUNK, Lattice
+from isogi_core.kernels.macrocells import fill_macrocells, macrocell_shape
+from isogi_core.model.environment import Environment
+from isogi_core.model.scene import LUMINANCE, Scene
+from isogi_core.model.volume import Volume
+
+Index = tuple[int, int, int]
+"""Position of a chunk in the lattice, in chunks along z, y, x."""
+
+
+@dataclass(frozen=True, eq=False)
+class Recipe:
+    """A scene as its bake sees it."""
+
+    scene: Scene
+
+    @cached_property
+    def field(self) -> Field:
+        """The volume with its macrocells."""
+        return make_field(self.scene.volume)
+
+    @cached_property
+    def shape(self) -> tuple[int, int, int]:
+        """Texels along z, y, x: ``lattice`` per voxel, the outermost on the outermost voxels, at least 2."""
+        z, y, x = (max(round((n - 1) * self.scene.lattice) + 1, 2) for n in self.scene.volume.shape)
+        return z, y, x
+
+    @cached_property
+    def step(self) -> np.ndarray:
+        """Voxels per texel along x, y, z; (3,) float64."""
+        return np.array([(n - 1) / (t - 1) for n, t in zip(self.scene.volume.size, self.shape[::-1], strict=True)])
+
+    @cached_property
+    def lattice(self) -> Lattice:
+        """The lattice as the kernels take it."""
+        x, y, z = (1.0 / self.step).tolist()
+        return Lattice(self.shape, (x, y, z))
+
+    @property
+    def chunks(self) -> tuple[int, int, int]:
+        """Chunks along z, y, x."""
+        z, y, x = (-(-n // CHUNK) for n in self.shape)
+        return z, y, x
+
+    @cached_property
+    def weights(self) -> np.ndarray:
+        """R^k for k = 0 … bounces, per channel of the transfer; (bounces + 1, channels) float64."""
+        albedo = np.array(self.scene.albedo[: self.scene.plan.channels])
+        return np.ascontiguousarray(albedo[None, :] ** np.arange(self.scene.bounces + 1)[:, None])
+
+    @cached_property
+    def light(self) -> np.ndarray:
+        """The unrotated environment's coefficients ℓ, linear RGB; (3, n²) float64. Source: S1, eq. 7."""
+        return project_environment(self.scene.environment, self.scene.plan.order)
+
+    @cached_property
+    def luminance_light(self) -> np.ndarray:
+        """Luminance of ``light`` times the albedo, split over the channels of the transfer; (channels, n²)."""
+        weighted = (LUMINANCE * np.array(self.scene.albedo))[:, None] * self.light
+        return weighted if self.scene.plan.channels == 3 else weighted.sum(axis=0, keepdims=True)
+
+
+def make_field(volume: Volume) -> Field:
+    """The volume's voxels with the macrocells that serve every isovalue."""
+    shape = macrocell_shape(volume.shape)
+    low, high = np.empty(shape, np.float32), np.empty(shape, np.float32)
+    fill_macrocells(volume.voxels, low, high)
+    return Field(volume.voxels, low, high, volume.spacing)
+
+
+def project_environment(environment: Environment, order: int) -> np.ndarray:
+    """SH coefficients of an environment, linear RGB, (3, n²) float64: the constant exactly, the image by quadrature."""
+    coefficients = np.zeros((3, order**2))
+    if environment.image.any():
+        project(order, environment.image, coefficients)
+    coefficients[:, 0] += environment.constant * np.sqrt(4.0 * np.pi)
+    return coefficients

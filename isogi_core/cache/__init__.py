@@ -1,0 +1,1 @@
+"""The illumination cache: chunks of baked light in a Zarr store, and the pool of those in memory."""

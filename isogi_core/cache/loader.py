@@ -1,0 +1,52 @@
+"""The loader: brings the chunks that a view reads from the store into the page pool."""
+
+import threading
+import time
+from collections.abc import Sequence
+
+from isogi_core.bake.recipe import Index
+from isogi_core.cache.pages import PagePool
+from isogi_core.cache.store import ChunkStore, version_of
+from isogi_core.errors import DamagedChunkError
+
+ASK_AGAIN = 1.0
+"""Seconds after which an absent chunk is asked for again: another machine may have baked it."""
+
+
+class Loader:
+    """Keeps the page pool in step with the store. Safe to use from many threads."""
+
+    def __init__(self, store: ChunkStore, pool: PagePool) -> None:
+        """Load from ``store`` into ``pool``."""
+        self.store = store
+        self.pool = pool
+        self._absent: dict[Index, float] = {}
+        self._lock = threading.Lock()
+
+    def ensure(self, chunks: Sequence[Index]) -> tuple[str, ...]:
+        """Bring the newest light of ``chunks`` into the pool; their versions, "" where there is no light yet."""
+        return tuple(self._ensure(index) for index in chunks)
+
+    def refresh(self, index: Index) -> None:
+        """Say that the store has new light of a chunk."""
+        self.pool.outdate(index)
+        with self._lock:
+            self._absent.pop(index, None)
+
+    def _ensure(self, index: Index) -> str:
+        version = self.pool.version(index)
+        if version is not None:
+            return version
+        with self._lock:
+            if time.monotonic() - self._absent.get(index, -ASK_AGAIN) < ASK_AGAIN:
+                return ""
+        stored = self.store.read(index)
+        if stored is not None:
+            try:
+                self.pool.insert(self.store.decode(index, stored), version_of(stored))
+                return version_of(stored)
+            except DamagedChunkError:
+                pass
+        with self._lock:
+            self._absent[index] = time.monotonic()
+        return ""

@@ -1,0 +1,125 @@
+"""The page pool: light of decoded chunks in arrays of fixed size that kernels read through a table.
+
+Rows of light live in pages of PAGE rows; ``table`` leads from (slot of a chunk, texel) to a row.
+A frame holds the chunks that it reads, so that what it points to is not given away under it.
+"""
+
+import threading
+from collections import OrderedDict
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import numpy as np
+
+from isogi_core.bake.noise import relative_error
+from isogi_core.bake.recipe import Index, Recipe
+from isogi_core.cache.chunk import TEXELS, Chunk
+from isogi_core.errors import StoreError
+from isogi_core.kernels.lattice import UNLIT, VOID_ROW
+
+PAGE = 64
+"""Rows of a page."""
+
+
+@dataclass(eq=False)
+class Entry:
+    """A chunk in the pool: its ``slot`` in the table, its pages, the ``version`` it has, and who holds it."""
+
+    slot: int
+    pages: np.ndarray
+    version: str
+    held: int = 0
+    stale: bool = False
+
+
+class PagePool:
+    """Light in memory, at most ``budget`` bytes. Safe to use from many threads."""
+
+    def __init__(self, recipe: Recipe, budget: int) -> None:
+        """Set the arrays aside; memory is taken by the system as they fill."""
+        n, channels = recipe.scene.plan.order**2, recipe.scene.plan.channels
+        pages = max(budget // (PAGE * 4 * (2 * channels * n + 3)), 1)
+        slots = max(pages // 2, 8)
+        self.recipe = recipe
+        self.transfer = np.empty((pages * PAGE, channels, n), np.float32)
+        self.spread = np.empty((pages * PAGE, channels, n), np.float32)
+        self.vicinity = np.empty((pages * PAGE, 1, 1), np.float32)
+        self.error = np.empty(pages * PAGE, np.float32)
+        self.samples = np.empty(pages * PAGE, np.float32)
+        self.table = np.full((slots, TEXELS), UNLIT, np.int32)
+        self._free_pages = list(range(pages))
+        self._free_slots = list(range(slots))
+        self._entries: OrderedDict[Index, Entry] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def version(self, index: Index) -> str | None:
+        """The version of a chunk in the pool; None where it is not there or known to be outdated."""
+        with self._lock:
+            entry = self._entries.get(index)
+            return None if entry is None or entry.stale else entry.version
+
+    def outdate(self, index: Index) -> None:
+        """Say that the store has newer light of a chunk. What is here may be shown until it is read."""
+        with self._lock:
+            if index in self._entries:
+                self._entries[index].stale = True
+
+    def insert(self, chunk: Chunk, version: str) -> None:
+        """Put a decoded chunk into the pool in place of what was there. StoreError when the budget cannot hold it."""
+        error = relative_error(chunk.light, self.recipe)
+        with self._lock:
+            entry = self._allocate(-(-len(chunk.offsets) // PAGE), version)
+            rows = (entry.pages[:, None] * PAGE + np.arange(PAGE)).ravel()[: len(chunk.offsets)]
+            self.transfer[rows] = chunk.light.transfer
+            self.spread[rows] = chunk.light.spread
+            self.vicinity[rows, 0, 0] = chunk.light.direct[:, 0]
+            self.error[rows] = error
+            self.samples[rows] = chunk.light.samples
+            self.table[entry.slot] = UNLIT
+            self.table[entry.slot, chunk.offsets] = np.where(chunk.light.samples < 0, VOID_ROW, rows)
+            former = self._entries.pop(chunk.index, None)
+            self._entries[chunk.index] = entry
+            if former is not None:
+                self._release(former)
+
+    @contextmanager
+    def hold(self, indices: Iterable[Index]) -> Iterator[np.ndarray]:
+        """Slots (n,) int32 of the chunks, -1 where absent; they and their rows stay while the block runs."""
+        with self._lock:
+            found = [self._entries.get(index) for index in indices]
+            for index, entry in zip(indices, found, strict=True):
+                if entry is not None:
+                    entry.held += 1
+                    self._entries.move_to_end(index)
+        try:
+            yield np.array([-1 if entry is None else entry.slot for entry in found], np.int32)
+        finally:
+            with self._lock:
+                for entry in found:
+                    if entry is not None:
+                        entry.held -= 1
+                        self._give_back(entry)
+
+    def _allocate(self, pages: int, version: str) -> Entry:
+        """A new entry with so many pages, taken from the longest unused chunks where need be."""
+        for index in [i for i, e in self._entries.items() if not e.held]:
+            if len(self._free_pages) >= pages and self._free_slots:
+                break
+            self._release(self._entries.pop(index))
+        if len(self._free_pages) < pages or not self._free_slots:
+            rows = len(self.samples)
+            raise StoreError(f"The light of this view does not fit the {rows} texels kept in memory: give it more.")
+        taken = np.array([self._free_pages.pop() for _ in range(pages)], np.int64)
+        return Entry(self._free_slots.pop(), taken, version)
+
+    def _release(self, entry: Entry) -> None:
+        """Let go of an entry that the pool no longer lists; its pages are free when nobody holds it."""
+        entry.version = ""
+        self._give_back(entry)
+
+    def _give_back(self, entry: Entry) -> None:
+        if entry.held == 0 and entry.version == "" and entry.slot >= 0:
+            self._free_pages.extend(entry.pages.tolist())
+            self._free_slots.append(entry.slot)
+            entry.slot = -1

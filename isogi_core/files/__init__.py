@@ -1,0 +1,1 @@
+"""Readers and writers of the file formats that the domain itself speaks: volumes and light probes."""

@@ -1,0 +1,192 @@
+"""NRRD volumes: headers by pynrrd, voxels read here, never past what the header promises.
+
+Format: https://teem.sourceforge.net/nrrd/format.html. The voxels are not left to pynrrd because it inflates
+whole files before it looks at the sizes, and follows a header's data file anywhere on the disk.
+"""
+
+import bz2
+import gzip
+import math
+import zlib
+from collections.abc import Iterator
+from pathlib import Path, PurePath
+from typing import IO, Any
+
+import nrrd
+import numpy as np
+
+from isogi_core.errors import VolumeError
+
+Spacing = tuple[float, float, float]
+_Stream = IO[bytes] | gzip.GzipFile | bz2.BZ2File
+
+MAX_VOXELS = 2**33
+"""Sizes beyond this are taken for a damaged header (32 GiB as float32)."""
+
+_SPELLINGS = {
+    "i1": "signed char, int8, int8_t",
+    "u1": "uchar, unsigned char, uint8, uint8_t",
+    "i2": "short, short int, signed short, signed short int, int16, int16_t",
+    "u2": "ushort, unsigned short, unsigned short int, uint16, uint16_t",
+    "i4": "int, signed int, int32, int32_t",
+    "u4": "uint, unsigned int, uint32, uint32_t",
+    "i8": "longlong, long long, long long int, signed long long, signed long long int, int64, int64_t",
+    "u8": "ulonglong, unsigned long long, unsigned long long int, uint64, uint64_t",
+    "f4": "float",
+    "f8": "double",
+}
+_TYPES = {name: code for code, names in _SPELLINGS.items() for name in names.split(", ")}
+_GZIP, _BZIP2 = ("gzip", "gz"), ("bzip2", "bz2")
+_SCALAR_KINDS = {"domain", "space", "time", "none", "???"}
+_BLOCK = 1 << 24
+
+
+def read_nrrd(path: Path) -> tuple[np.ndarray, Spacing]:
+    """Read one scalar volume: the array (z, y, x) in the file's own type, and spacing (x, y, z).
+
+    Attached or detached (the data file at or below the header's folder); raw, gzip or bzip2; every integer
+    and float type, both byte orders. Spacing is the length of each space direction, else ``spacings``, else
+    1; it is returned as the file says, even where it is not positive. Raises VolumeError where the file is
+    missing, not NRRD, not one 3-D scalar field, or does not hold exactly the voxels that it promises.
+    """
+    try:
+        with open(path, "rb") as file:
+            header = _read_header(path, file)
+            sizes, dtype = _sizes(path, header), _dtype(path, header)
+            data = _read_voxels(path, header, file, math.prod(sizes) * dtype.itemsize)
+    except FileNotFoundError as error:
+        raise VolumeError(f"There is no file '{error.filename}': check the volume's path.") from error
+    except (OSError, ValueError) as error:  # ValueError: a data file's name that no system can hold
+        raise VolumeError(f"The volume '{path}' cannot be read ({error}): check the file.") from error
+    return np.frombuffer(data, dtype).reshape(sizes[::-1]), _spacing(path, header)
+
+
+def _read_header(path: Path, file: IO[bytes]) -> dict[str, Any]:
+    """The header's fields, ``file`` left at the byte after it."""
+    if file.read(4) != b"NRRD":
+        raise VolumeError(f"'{path}' is not a NRRD file: give an .nrrd or .nhdr volume.")
+    file.seek(0)
+    try:
+        header: dict[str, Any] = nrrd.read_header(file)
+    except Exception as error:  # pynrrd raises some twenty kinds on damaged headers
+        raise VolumeError(
+            f"The NRRD header of '{path}' is damaged ({error}): write the file again."
+        ) from error
+    missing = [field for field in ("dimension", "type", "encoding", "sizes") if field not in header]
+    if missing:
+        raise VolumeError(f"The NRRD header of '{path}' has no {missing[0]}: write the file again.")
+    return header
+
+
+def _sizes(path: Path, header: dict[str, Any]) -> tuple[int, int, int]:
+    """Voxels along x, y, z, where the header speaks of one 3-D scalar field of a size that can be."""
+    sizes = [int(n) for n in header["sizes"]]
+    if header["dimension"] != 3 or len(sizes) != 3:
+        raise VolumeError(
+            f"'{path}' has {header['dimension']} dimensions, not 3: save one scalar field of it."
+        )
+    others = [kind for kind in header.get("kinds", ()) if kind.lower() not in _SCALAR_KINDS]
+    if others:
+        raise VolumeError(f"'{path}' has an axis of kind '{others[0]}': save one scalar field of it.")
+    if min(sizes) < 1 or math.prod(sizes) > MAX_VOXELS:
+        raise VolumeError(f"'{path}' claims sizes {sizes}, which cannot be: mend its header.")
+    x, y, z = sizes
+    return x, y, z
+
+
+def _dtype(path: Path, header: dict[str, Any]) -> np.dtype[Any]:
+    """NumPy's name of the header's type and byte order."""
+    code = _TYPES.get(header["type"])
+    if code is None:
+        raise VolumeError(f"'{path}' holds type '{header['type']}': save it as an integer or float type.")
+    order = {"little": "<", "big": ">"}.get(header.get("endian", ""))
+    if order is None and code[1] != "1":
+        raise VolumeError(
+            f"'{path}' does not say its byte order: add 'endian: little' or 'big' to its header."
+        )
+    return np.dtype((order or "|") + code)
+
+
+def _read_voxels(path: Path, header: dict[str, Any], file: IO[bytes], size: int) -> bytearray:
+    """Exactly ``size`` bytes of voxels, from ``file`` or from the data file that the header names."""
+    name = header.get("data file", header.get("datafile"))
+    if name is None:
+        return _read_encoded(path, header, file, size)
+    where = PurePath(name)
+    if where.is_absolute() or ".." in where.parts:
+        raise VolumeError(f"'{path}' points at '{name}' outside its folder: put the data beside the header.")
+    if name.split()[:1] == ["LIST"] or "%" in name:
+        raise VolumeError(f"'{path}' spreads its data over several files: save it as one file.")
+    with open(path.parent / where, "rb") as data:
+        return _read_encoded(path, header, data, size)
+
+
+def _read_encoded(path: Path, header: dict[str, Any], file: IO[bytes], size: int) -> bytearray:
+    """``size`` bytes after line skip, decoding and byte skip; VolumeError where there are fewer or more."""
+    encoding = header["encoding"].lower()
+    if encoding not in ("raw", *_GZIP, *_BZIP2):
+        raise VolumeError(f"'{path}' has encoding '{encoding}': save it as raw, gzip or bzip2.")
+    skip = _skip_lines(path, header, file, size)
+    try:
+        stream = _decoded(encoding, file)
+        for _ in _blocks(stream, skip):
+            pass
+        data = bytearray()
+        for block in _blocks(stream, size + 1):
+            data += block
+    except (OSError, EOFError, zlib.error) as error:
+        raise VolumeError(
+            f"The voxels of '{path}' are damaged or cut short ({error}): copy it again."
+        ) from error
+    if len(data) != size:
+        less = "fewer" if len(data) < size else "more"
+        raise VolumeError(f"'{path}' holds {less} than the {size} bytes that its sizes need: copy it again.")
+    return data
+
+
+def _decoded(encoding: str, file: IO[bytes]) -> _Stream:
+    """The stream of bare voxel bytes in ``file``."""
+    if encoding in _GZIP:
+        return gzip.GzipFile(fileobj=file)
+    if encoding in _BZIP2:
+        return bz2.BZ2File(file)
+    return file
+
+
+def _skip_lines(path: Path, header: dict[str, Any], file: IO[bytes], size: int) -> int:
+    """Step over the header's line skip; how many decoded bytes are then still to skip.
+
+    A byte skip of -1 (raw data only) means that the voxels are the file's last ``size`` bytes.
+    """
+    lines = header.get("line skip", header.get("lineskip", 0))
+    skip: int = header.get("byte skip", header.get("byteskip", 0))
+    from_end = skip == -1 and header["encoding"] == "raw"
+    if lines < 0 or (skip < 0 and not from_end):
+        raise VolumeError(f"'{path}' skips {lines} lines and {skip} bytes, which cannot be: mend its header.")
+    while lines > 0 and file.readline():
+        lines -= 1
+    if not from_end:
+        return skip
+    start = file.tell()
+    skip = max(0, file.seek(0, 2) - size - start)
+    file.seek(start)
+    return skip
+
+
+def _blocks(stream: _Stream, size: int) -> Iterator[bytes]:
+    """The next ``size`` bytes, or what there is of them, in blocks: nothing is set aside for a promise."""
+    while size > 0 and (block := stream.read(min(size, _BLOCK))):
+        size -= len(block)
+        yield block
+
+
+def _spacing(path: Path, header: dict[str, Any]) -> Spacing:
+    """Lengths of the space directions (one row per axis), else ``spacings``, else 1."""
+    if "space directions" in header:
+        rows = np.asarray(header["space directions"], np.float64)
+        steps = [math.hypot(*row) for row in rows] if rows.ndim == 2 else []
+    else:
+        steps = [float(step) for step in header.get("spacings", (1.0, 1.0, 1.0))]
+    if len(steps) != 3:
+        raise VolumeError(f"'{path}' gives {len(steps)} spacings for 3 axes: mend its header.")
+    return steps[0], steps[1], steps[2]

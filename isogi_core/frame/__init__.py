@@ -1,0 +1,1 @@
+"""Frames: camera → G-buffer → texels → light → tone curve."""

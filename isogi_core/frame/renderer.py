@@ -1,0 +1,122 @@
+"""The renderer: answers views at once with the light that is there, and says what is missing."""
+
+import hashlib
+import threading
+import time
+from collections import OrderedDict
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+
+from isogi_core.bake.recipe import Recipe
+from isogi_core.cache.loader import Loader
+from isogi_core.frame.frame import Frame
+from isogi_core.frame.gbuffer import GBuffer, trace
+from isogi_core.frame.shader import Shaded, Shader
+from isogi_core.frame.texels import ViewTexels, find_texels
+from isogi_core.frame.tiles import Tiles
+from isogi_core.model.view import View
+
+K = TypeVar("K")
+V = TypeVar("V")
+
+KEPT = 12
+"""Views whose G-buffers are kept for turning light and for asking again."""
+
+
+@dataclass(eq=False)
+class Stopwatch:
+    """Seconds of each stage of one frame, in order."""
+
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Time the block as stage ``name``."""
+        begun = time.perf_counter()
+        yield
+        self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - begun
+
+
+class Kept(Generic[K, V]):
+    """The newest few results of a costly function; two threads that want the same one make it once."""
+
+    def __init__(self, most: int) -> None:
+        """Keep at most ``most`` results."""
+        self._most = most
+        self._lock = threading.Lock()
+        self._made: OrderedDict[K, tuple[threading.Lock, list[V]]] = OrderedDict()
+
+    def get(self, key: K, make: Callable[[], V]) -> V:
+        """The result for ``key``, made by ``make`` when it is not kept."""
+        with self._lock:
+            lock, cell = self._made.setdefault(key, (threading.Lock(), []))
+            self._made.move_to_end(key)
+            while len(self._made) > self._most:
+                self._made.popitem(last=False)
+        with lock:
+            if not cell:
+                cell.append(make())
+        return cell[0]
+
+
+class Renderer:
+    """Renders views of one scene. Frames may be asked for from several threads."""
+
+    def __init__(self, recipe: Recipe, loader: Loader, tiles: Tiles) -> None:
+        """Render with the light that ``loader`` brings, on the threads of ``tiles``."""
+        self.recipe = recipe
+        self.loader = loader
+        self.tiles = tiles
+        self._gbuffers: Kept[Any, GBuffer] = Kept(KEPT)
+        self._texels: Kept[Any, ViewTexels] = Kept(KEPT)
+
+    def render(self, view: View, target: float | None = None, cancelled: threading.Event | None = None) -> Frame:
+        """The frame of ``view`` with the light that is there now.
+
+        ``target`` is the relative error at which light counts as final, the scene's own by default.
+        Raises Cancelled when ``cancelled`` is set on the way.
+        """
+        watch = Stopwatch()
+        with watch.stage("primary"):
+            gbuffer = self.gbuffer(view, cancelled)
+        shader = Shader(self, view, gbuffer, watch, cancelled)
+        shaded = shader.shade(target or self.recipe.scene.target_error)
+        with watch.stage("compose"):
+            return self._compose(view, gbuffer, shaded, watch)
+
+    def gbuffer(self, view: View, cancelled: threading.Event | None = None) -> GBuffer:
+        """The G-buffer of a view, kept for the next frames that share camera, isovalue and size."""
+        return self._gbuffers.get(surface_key(view), lambda: trace(view, self.recipe, self.tiles, cancelled))
+
+    def texels(self, view: View, gbuffer: GBuffer) -> ViewTexels:
+        """The texels under a view, kept with its G-buffer."""
+        return self._texels.get(surface_key(view), lambda: find_texels(gbuffer, self.recipe))
+
+    def _compose(self, view: View, gbuffer: GBuffer, shaded: Shaded, watch: Stopwatch) -> Frame:
+        spacing = np.array(self.recipe.scene.volume.spacing, np.float32)
+        return Frame(
+            view=view,
+            radiance=gbuffer.scatter(shaded.radiance),
+            state=gbuffer.scatter(shaded.state),
+            error=gbuffer.scatter(shaded.error),
+            position=gbuffer.scatter(gbuffer.points * spacing),
+            chunks_needed=shaded.chunks_needed,
+            chunks_final=shaded.chunks_final,
+            demands=shaded.demands,
+            version=version_of(self.recipe.scene.digest, view, shaded.versions),
+            seconds=watch.seconds,
+        )
+
+
+def surface_key(view: View) -> tuple[Any, ...]:
+    """What the surface in a picture depends on."""
+    return view.isovalue, view.camera, view.width, view.height
+
+
+def version_of(scene: str, view: View, chunks: tuple[str, ...]) -> str:
+    """Hex digest of all that a picture was made of: scene, view, and the versions of the chunks it read."""
+    return hashlib.blake2b(repr((scene, view, chunks)).encode(), digest_size=12).hexdigest()

@@ -1,0 +1,114 @@
+"""The light around a view: the environment turned, as coefficients, as a picture, and as one key light."""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from isogi_core.bake.recipe import Recipe
+from isogi_core.kernels.harmonics import cosine_lobe_factors, rotate
+from isogi_core.kernels.lattice import Sky
+from isogi_core.kernels.shading import LocalModel, Surroundings
+from isogi_core.bake.noise import band_of
+from isogi_core.model.scene import LUMINANCE
+from isogi_core.model.view import Camera, View, rotation_matrix
+
+KEY_SHARE = 0.1
+"""An environment whose first band carries less than this share of its mean has no key light of its own."""
+
+SHINE, EXPONENT = 0.3, 32.0
+"""Phong's highlight: strength and exponent."""
+
+
+@dataclass(frozen=True, eq=False)
+class Turned:
+    """The environment of a scene, turned for one view."""
+
+    recipe: Recipe
+    view: View
+
+    @cached_property
+    def matrix(self) -> np.ndarray:
+        """The light's rotation, (3, 3) float64."""
+        return rotation_matrix(self.view.light)
+
+    @cached_property
+    def light(self) -> np.ndarray:
+        """ℓ of the turned environment, always from the unturned one; (3, n²) float64 linear RGB."""
+        turned = np.empty_like(self.recipe.light)
+        rotate(self.recipe.scene.plan.order, self.matrix, self.recipe.light, turned)
+        return turned
+
+    @property
+    def albedo(self) -> np.ndarray:
+        """The scene's albedo, (3,)."""
+        return np.array(self.recipe.scene.albedo)
+
+    @cached_property
+    def reflected(self) -> np.ndarray:
+        """``light`` times the albedo: τ·ℓ is the radiance that leaves the surface; (3, n²) float64."""
+        return self.albedo[:, None] * self.light
+
+    @cached_property
+    def sky(self) -> Sky:
+        """Unshadowed environment light, which stands in for what is not baked."""
+        order = self.recipe.scene.plan.order
+        lobe = cosine_lobe_factors(order)[band_of(order)] / math.pi
+        return Sky(order, lobe, self.reflected)
+
+    @cached_property
+    def surroundings(self) -> Surroundings:
+        """The environment itself, for the path tracer."""
+        environment = self.recipe.scene.environment
+        return Surroundings(environment.constant, environment.image, self.matrix)
+
+    @property
+    def mean(self) -> np.ndarray:
+        """Mean radiance of the environment, (3,) linear RGB."""
+        return self.light[:, 0] / math.sqrt(4.0 * math.pi)
+
+    def local_model(self, shading: str, depths: tuple[float, float]) -> LocalModel:
+        """The constants of a local model under this environment: one key light and an ambient rest."""
+        key, sun, ambient = self.key_light()
+        near, far = depths if shading.endswith("fog") else (0.0, 0.0)
+        return LocalModel(
+            key=key,
+            sun=triple(self.albedo * sun),
+            ambient=triple(self.albedo * ambient),
+            shine=SHINE if shading.startswith("phong") else 0.0,
+            exponent=EXPONENT,
+            shadow=shading.endswith("shadow"),
+            fog_near=near,
+            fog_far=far,
+        )
+
+    def key_light(self) -> tuple[tuple[float, float, float], np.ndarray, np.ndarray]:
+        """Direction towards the key light, its irradiance over π, and the ambient radiance; both (3,) linear RGB.
+
+        The directional light and constant with the same bands 0 and 1 as the environment: D·Y_1 = ℓ_1,
+        at most what band 0 holds. Without a direction of its own, a light over the camera's shoulder
+        carries six tenths of the mean.
+        """
+        first = np.array([self.light[:, 3], self.light[:, 1], self.light[:, 2]])
+        pull = first @ LUMINANCE
+        strength = float(np.linalg.norm(pull)) * math.sqrt(4.0 * math.pi / 3.0)
+        mean = float(self.mean @ LUMINANCE)
+        if strength < KEY_SHARE * 4.0 * math.pi * mean:
+            return shoulder_light(self.view.camera), 0.6 * self.mean, 0.4 * self.mean
+        share = min(strength / (4.0 * math.pi * mean), 0.9)
+        towards = pull / np.linalg.norm(pull)
+        return triple(towards), 4.0 * share * self.mean, (1.0 - share) * self.mean
+
+
+def shoulder_light(camera: Camera) -> tuple[float, float, float]:
+    """Unit direction towards a light above and to the left of the viewer."""
+    right, up, forward = camera.basis()
+    towards = -forward + 0.5 * up - 0.4 * right
+    return triple(towards / np.linalg.norm(towards))
+
+
+def triple(v: np.ndarray) -> tuple[float, float, float]:
+    """Three floats, as the kernels take vectors."""
+    x, y, z = (float(a) for a in v)
+    return x, y, z

@@ -1,0 +1,144 @@
+"""Lights that a scene may name: a constant, an analytic sky, a probe. All infinitely far away."""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import MISSING, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+from isogi_core.errors import LightError, SceneError
+
+Colour = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class ConstantLight:
+    """The same linear RGB radiance from everywhere. LightError where it is negative or not finite."""
+
+    radiance: Colour = (1.0, 1.0, 1.0)
+
+    def __post_init__(self) -> None:
+        _check_range("radiance", self.radiance)
+
+    @property
+    def name(self) -> str:
+        """What the light is, for a person."""
+        return "constant"
+
+
+@dataclass(frozen=True)
+class SkyLight:
+    """Clear daylight after Preetham et al. 1999, with a sun disc over a diffuse ground.
+
+    ``sun_azimuth`` in degrees from +x towards +y, ``sun_elevation`` in degrees above the horizon (0 to 90),
+    ``turbidity`` (haze) from 1.9 to 10, ``ground`` the albedo of the lower half. ``scale`` is the mean
+    luminance over the sphere: with 1, a scene is about as bright as under a constant light of radiance 1.
+    """
+
+    sun_azimuth: float = 135.0
+    sun_elevation: float = 45.0
+    turbidity: float = 3.0
+    ground: Colour = (0.2, 0.2, 0.2)
+    scale: float = 1.0
+
+    def __post_init__(self) -> None:
+        _check_range("sun_azimuth", (self.sun_azimuth,), low=-math.inf)
+        _check_range("sun_elevation", (self.sun_elevation,), high=90.0)
+        _check_range("turbidity", (self.turbidity,), 1.9, 10.0)
+        _check_range("ground", self.ground, high=1.0)
+        _check_range("scale", (self.scale,))
+
+    @property
+    def name(self) -> str:
+        """What the light is, for a person."""
+        return "sky"
+
+
+@dataclass(frozen=True)
+class ProbeLight:
+    """A lat-long Radiance picture of the light around, times ``scale``."""
+
+    file: Path
+    scale: float = 1.0
+
+    def __post_init__(self) -> None:
+        _check_range("scale", (self.scale,))
+
+    @property
+    def name(self) -> str:
+        """What the light is, for a person."""
+        return f"probe {self.file.name}"
+
+
+Light = ConstantLight | SkyLight | ProbeLight
+
+
+def light_from_mapping(mapping: Mapping[str, Any], base: Path) -> Light:
+    """The light that one ``[[lights]]`` table of a scene describes; its files are relative to ``base``.
+
+    Raises SceneError where the type or a key is unknown, missing or of the wrong kind, and LightError where
+    a value has no meaning.
+    """
+    kind = mapping.get("type")
+    if not isinstance(kind, str) or kind not in _KINDS:
+        raise SceneError(f"A light has type {kind!r}: choose one of {', '.join(_KINDS)}.")
+    light, readers = _KINDS[kind]
+    unknown = [key for key in mapping if key not in readers and key != "type"]
+    if unknown:
+        raise SceneError(f"A {kind} light has no '{unknown[0]}': choose from {', '.join(readers)}.")
+    missing = [f.name for f in fields(light) if f.default is MISSING and f.name not in mapping]
+    if missing:
+        raise SceneError(f"A {kind} light lacks its '{missing[0]}': add it to the scene.")
+    given = {key: read(key, mapping[key]) for key, read in readers.items() if key in mapping}
+    if "file" in given:
+        given["file"] = base / given["file"]
+    return light(**given)
+
+
+def _number(key: str, value: object) -> float:
+    """A TOML integer or float; SceneError for anything else."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise SceneError(f"A light's {key} is {value!r}: give a number.")
+    return float(value)
+
+
+def _colour(key: str, value: object) -> Colour:
+    """A number for all three channels, or ``[r, g, b]``."""
+    if not isinstance(value, list):
+        grey = _number(key, value)
+        return grey, grey, grey
+    if len(value) != 3:
+        raise SceneError(f"A light's {key} is {value!r}: give a number or [r, g, b].")
+    r, g, b = (_number(key, channel) for channel in value)
+    return r, g, b
+
+
+def _path(key: str, value: object) -> Path:
+    """A file name that is not empty."""
+    if not isinstance(value, str) or not value:
+        raise SceneError(f"A light's {key} is {value!r}: give the name of a file.")
+    return Path(value)
+
+
+def _check_range(name: str, values: tuple[float, ...], low: float = 0.0, high: float = math.inf) -> None:
+    """LightError where a value is not finite or outside [low, high]."""
+    if not all(math.isfinite(value) and low <= value <= high for value in values):
+        given = ", ".join(f"{value:g}" for value in values)
+        wanted = f"from {low:g} to {high:g}" if math.isfinite(high) else f"finite and at least {low:g}"
+        raise LightError(f"A light's {name} is {given}: it must be {wanted}.")
+
+
+_KINDS: dict[str, tuple[type[Light], dict[str, Callable[[str, object], Any]]]] = {
+    "constant": (ConstantLight, {"radiance": _colour}),
+    "sky": (
+        SkyLight,
+        {
+            "sun_azimuth": _number,
+            "sun_elevation": _number,
+            "turbidity": _number,
+            "ground": _colour,
+            "scale": _number,
+        },
+    ),
+    "probe": (ProbeLight, {"file": _path, "scale": _number}),
+}

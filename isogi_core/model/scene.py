@@ -1,0 +1,160 @@
+"""A scene: a volume, its lights, its material and what may be asked of it; read from TOML or a bare volume."""
+
+import hashlib
+import json
+import re
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from isogi_core.errors import SceneError, VolumeError
+from isogi_core.files.nrrd import read_nrrd
+from isogi_core.kernels.harmonics import MAX_ORDER
+from isogi_core.model.demo import DEMOS, demo_volume
+from isogi_core.model.environment import Environment, environment
+from isogi_core.model.lights import Light, light_from_mapping
+from isogi_core.model.plan import ScenePlan, plan_scene
+from isogi_core.model.settings import Settings
+from isogi_core.model.source import DEFAULT_DEMO, SceneSource, find_source
+from isogi_core.model.view import Camera, orbit
+from isogi_core.model.volume import Volume, make_volume
+
+BAKE_FORMAT = 1
+"""Counts up when what a chunk holds, or how its light is computed, changes."""
+
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """What can be rendered. ``isovalue`` and the range ``isovalues`` are in the volume's own units.
+
+    ``albedo`` is linear RGB, ``lattice`` texels per voxel along each axis, ``target_error`` the
+    relative error at which a texel counts as final, ``rotating`` whether the light may be turned.
+    """
+
+    id: str
+    source: SceneSource
+    volume: Volume
+    lights: tuple[Light, ...]
+    environment: Environment
+    isovalue: float
+    isovalues: tuple[float, float]
+    albedo: tuple[float, float, float]
+    lattice: float
+    target_error: float
+    rotating: bool
+    plan: ScenePlan
+
+    @property
+    def name(self) -> str:
+        """The name that a person reads."""
+        return self.source.name
+
+    @property
+    def bounces(self) -> int:
+        """Surface hits after the first that light paths may take."""
+        return self.plan.bounces
+
+    @property
+    def solid(self) -> str:
+        """Which side of the isovalue is solid, "above" or "below"."""
+        return self.volume.solid
+
+    @cached_property
+    def default_exposure(self) -> float:
+        """The exposure at which a surface under the mean of the environment shows its own albedo."""
+        mean = float(self.environment.mean() @ LUMINANCE)
+        return 1.0 / mean if mean > 0.0 else 1.0
+
+    @cached_property
+    def bake_digest(self) -> str:
+        """Hex name of everything that baked transfer depends on; light is not among it (S1, eq. 6)."""
+        recipe = [BAKE_FORMAT, self.volume.digest, self.lattice, self.albedo, self.bounces, self.plan.order]
+        return hashlib.blake2b(json.dumps(recipe).encode(), digest_size=10).hexdigest()
+
+    @cached_property
+    def digest(self) -> str:
+        """Hex name of everything that a frame of this scene depends on besides its view."""
+        parts = [self.bake_digest, self.environment.digest, self.target_error]
+        return hashlib.blake2b(json.dumps(parts).encode(), digest_size=10).hexdigest()
+
+    def camera(self, azimuth: float, elevation: float, distance: float, fov: float) -> Camera:
+        """Camera around the middle of the volume's box; degrees, and distance in its bounding radii."""
+        return orbit(self.volume.centre, self.volume.radius, azimuth, elevation, distance, fov)
+
+
+def load_scene(target: str | Path | None = None, **overrides: Any) -> Scene:
+    """Load a scene file (.toml), a volume (.nrrd, .nhdr) or a demo ("demo:casting", also the default).
+
+    ``overrides`` replace settings of the scene, by the names they have in a scene file. Raises
+    SceneError, VolumeError or LightError.
+    """
+    return build_scene(find_source(target, overrides))
+
+
+def build_scene(source: SceneSource) -> Scene:
+    """Open the volume and the lights of ``source`` and check every setting."""
+    settings = Settings(source)
+    volume = open_volume(settings, source.base)
+    lights = tuple(light_from_mapping(entry, source.base) for entry in settings.lights())
+    isovalues = settings.interval("isovalues", volume.value_range)
+    fallback = min(max(default_isovalue(settings, volume), isovalues[0]), isovalues[1])
+    isovalue = settings.number("isovalue", fallback, *isovalues)
+    albedo = settings.colour("albedo", 0.7)
+    target_error = settings.number("target_error", 0.02, 1e-4, 1.0)
+    plan = plan_scene(albedo, target_error, settings.count("bounces", 1000), settings.count("order", MAX_ORDER, 1))
+    scene = Scene(
+        id=re.sub(r"[^a-z0-9_-]+", "-", source.name.lower()).strip("-")[:64] or "scene",
+        source=source,
+        volume=volume,
+        lights=lights,
+        environment=environment(lights),
+        isovalue=isovalue,
+        isovalues=isovalues,
+        albedo=albedo,
+        lattice=settings.number("lattice", 1.0, 0.125, 4.0),
+        target_error=target_error,
+        rotating=settings.flag("rotating", True),
+        plan=plan,
+    )
+    settings.refuse_unknown()
+    return scene
+
+
+def open_volume(settings: Settings, base: Path) -> Volume:
+    """The volume that the scene names: a demo or a file, with the spacing and the solid side that it asks for."""
+    name = settings.text("volume", DEFAULT_DEMO)
+    solid = settings.text("solid", "above")
+    spacing = settings.numbers("spacing", 3)
+    if not name.startswith("demo:"):
+        array, steps = read_nrrd(base / name)
+        return make_volume(array, spacing or steps, solid, Path(name).stem)
+    if name.removeprefix("demo:") not in DEMOS:
+        raise VolumeError(f"There is no {name}: choose one of {', '.join('demo:' + key for key in DEMOS)}.")
+    if spacing or solid != "above":
+        raise SceneError(f"{name} is made with spacing 1 and solid above: leave out 'spacing' and 'solid'.")
+    return demo_volume(name.removeprefix("demo:"))
+
+
+def default_isovalue(settings: Settings, volume: Volume) -> float:
+    """Where a view starts when the scene does not say: the demo's own isovalue, or Otsu's threshold."""
+    name = settings.text("volume", DEFAULT_DEMO)
+    if name.startswith("demo:"):
+        return float(DEMOS[name.removeprefix("demo:")][1])
+    return otsu(*volume.histogram())
+
+
+def otsu(counts: np.ndarray, edges: np.ndarray) -> float:
+    """The edge that parts a histogram into the two classes farthest apart (Otsu 1979)."""
+    middles = (edges[1:] + edges[:-1]) / 2
+    below = np.cumsum(counts)[:-1]
+    above = counts.sum() - below
+    mass = np.cumsum(counts * middles)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        apart = (mass[-1] - mass[:-1]) / above - mass[:-1] / below
+        between = np.nan_to_num(below.astype(float) * above * apart**2)
+    return float(edges[1 + int(np.argmax(between))])

@@ -1,0 +1,160 @@
+"""The ``isogi`` command. What is heavy is imported by the command that needs it, so that help is quick."""
+
+import json
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from isogi_core.errors import IsogiError, LightError, SceneError, ViewError, VolumeError
+
+if TYPE_CHECKING:
+    from server.settings import Settings
+
+BAD_INPUT = (SceneError, VolumeError, LightError, ViewError)
+VIEW_OPTIONS = {
+    "isovalue": "In the volume's own units; default: the scene's.",
+    "azimuth": "Degrees; 0 looks from +x, 90 from +y.",
+    "elevation": "Degrees above the xy plane.",
+    "distance": "From the volume's centre, in radii of its bounding sphere.",
+    "fov": "Vertical field of view, degrees.",
+    "eye": "World x,y,z, instead of azimuth, elevation and distance.",
+    "target": "World x,y,z that the eye looks at.",
+    "up": "World x,y,z.",
+    "yaw": "Turns the light about z, degrees.",
+    "pitch": "Then about y, degrees.",
+    "roll": "Then about x, degrees.",
+    "light": "Quaternion w,x,y,z that turns the light, instead of yaw, pitch and roll.",
+    "width": "Pixels.",
+    "height": "Pixels.",
+    "shading": "gi, vicinity, lambert[_shadow|_fog], phong[_shadow] or path_traced.",
+    "exposure": "Factor on radiance before the tone curve.",
+    "samples": "Paths per pixel, for path_traced.",
+}
+WORK_OPTIONS = {
+    "workers": "Baking processes; default: one per core.",
+    "store": "Path or URL of the cache; default: the user's cache folder.",
+    "scheduler": "Address of a Dask scheduler to bake on, instead of own workers.",
+}
+Command = Callable[..., Any]
+
+
+def main() -> None:
+    """Run the command line and leave with its exit status."""
+    sys.exit(run(sys.argv[1:]))
+
+
+def run(arguments: Sequence[str]) -> int:
+    """Run one command: 0 done, 1 failed at work, 2 wrong use or bad input. Errors are one line on stderr."""
+    try:
+        return int(cli.main(list(arguments), "isogi", standalone_mode=False) or 0)
+    except click.Abort:
+        return complain("stopped", 1)
+    except click.ClickException as error:
+        return complain(error.format_message(), error.exit_code)
+    except BAD_INPUT as error:
+        return complain(str(error), 2)
+    except (IsogiError, OSError) as error:
+        return complain(str(error), 1)
+    except Exception as error:
+        return complain(f"unexpected {type(error).__name__}: {error}", 1)
+
+
+def complain(message: str, status: int) -> int:
+    """Say on stderr, in one line, what is wrong; gives the exit status back."""
+    click.echo(f"isogi: {' '.join(message.split())}", err=True)
+    return status
+
+
+def options(table: dict[str, str]) -> Callable[[Command], Command]:
+    """Decorator: one text option per row; they are checked where they are read, as HTTP's are."""
+
+    def decorate(command: Command) -> Command:
+        for name, text in reversed(table.items()):
+            command = click.option(f"--{name}", help=text)(command)
+        return command
+
+    return decorate
+
+
+def number(low: float, high: float) -> Callable[[click.Context, click.Parameter, str | None], float | None]:
+    """Callback of an option that is a number from ``low`` to ``high``."""
+
+    def check(_: click.Context, __: click.Parameter, value: str | None) -> float | None:
+        from server.values import Span  # noqa: PLC0415
+
+        try:
+            return None if value is None else Span(low, high).read(value)
+        except ValueError as error:
+            raise click.BadParameter(str(error)) from None
+
+    return check
+
+
+def settings_from(**given: Any) -> "Settings":
+    """The settings: options first, then the environment; UsageError names what is wrong."""
+    from pydantic import ValidationError  # noqa: PLC0415
+
+    from server.settings import Settings  # noqa: PLC0415
+
+    try:
+        return Settings(**{name: value for name, value in given.items() if value is not None})
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        raise click.UsageError(f"{first['loc'][0]}: {first['msg']}, not {first['input']!r}.") from None
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(package_name="isogi")
+def cli() -> None:
+    """Isosurfaces of volumes with global illumination, baked lazily."""
+
+
+@cli.command()
+@click.argument("target", required=False)
+@click.option("--host", help="Address to listen on; default: 127.0.0.1.")
+@click.option("--port", help="Port to listen on; default: 8000; 0 takes a free one.")
+@options(WORK_OPTIONS)
+def serve(target: str | None, **given: str | None) -> None:
+    """Serve TARGET, a scene (.toml) or a volume (.nrrd, .nhdr); with neither, a demo."""
+    settings = settings_from(**given)
+    from server.serve import serve as serve_scene  # noqa: PLC0415
+
+    serve_scene(target, settings)
+
+
+@cli.command()
+@click.argument("scene", metavar="TARGET")
+@click.option("-o", "--output", required=True, type=click.Path(path_type=Path, dir_okay=False))
+@options(VIEW_OPTIONS)
+@click.option("--target-error", callback=number(0.0001, 1), help="Relative error at which a pixel is final.")
+@click.option("--time", "seconds", callback=number(0, 1e6), help="Stop baking after so many seconds.")
+@options(WORK_OPTIONS)
+@click.option("--json", "as_json", is_flag=True, help="Print the facts as JSON.")
+def render(
+    scene: str, output: Path, target_error: float | None, seconds: float | None, as_json: bool, **given: Any
+) -> None:
+    """Write a picture of TARGET; the suffix of the output chooses png, jpeg, webp or npy."""
+    settings = settings_from(**{name: given.pop(name) for name in WORK_OPTIONS})
+    from server.render import render as render_view  # noqa: PLC0415
+
+    knobs = {name: value for name, value in {**given, "max_error": target_error}.items() if value is not None}
+    facts = render_view(scene, output, knobs, settings, seconds)
+    state = "provisional" if facts["provisional"] else "final"
+    line = f"{output}: {facts['width']} × {facts['height']}, {state}, estimated error {facts['error']:.4f}"
+    click.echo(json.dumps(facts, allow_nan=False) if as_json else line)
+
+
+@cli.command()
+@click.argument("target")
+@click.option("--json", "as_json", is_flag=True, help="Print the facts as JSON.")
+def inspect(target: str, as_json: bool) -> None:
+    """Tell what is in TARGET, a volume or a scene, and what will be baked for it."""
+    from isogi_core.model.scene import load_scene  # noqa: PLC0415
+    from server.facts import scene_facts  # noqa: PLC0415
+    from server.inspect import report  # noqa: PLC0415
+
+    scene = load_scene(target)
+    click.echo(scene_facts(scene).model_dump_json(indent=2) if as_json else report(scene))

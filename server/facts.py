@@ -1,0 +1,213 @@
+"""What isogi tells about a scene and a frame, as documents: for the API and for ``isogi inspect``."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from pydantic import BaseModel
+
+from isogi_core.model.lights import Light
+from isogi_core.model.scene import Scene
+from isogi_core.model.view import SHADINGS
+from server.params import FrameParams
+from server.values import Span
+
+if TYPE_CHECKING:
+    from isogi_core.frame.frame import Frame
+
+Triple = tuple[float, float, float]
+DEFAULTS = (
+    *("azimuth", "elevation", "distance", "fov", "yaw", "pitch", "roll"),
+    *("width", "height", "shading"),
+)
+
+
+class SceneLink(BaseModel):
+    """One scene in the list of scenes."""
+
+    id: str
+    name: str
+    href: str
+
+
+class SceneList(BaseModel):
+    """All scenes that this server shows."""
+
+    scenes: list[SceneLink]
+
+
+class VolumeFacts(BaseModel):
+    """A volume: voxels and spacing along x, y, z; holes are voxels that are not finite."""
+
+    name: str
+    size: tuple[int, int, int]
+    spacing: Triple
+    dtype: str
+    value_range: tuple[float, float]
+    holes: int
+
+
+class Histogram(BaseModel):
+    """Voxels per bin, and the bins' edges in the volume's own units (one more than counts)."""
+
+    counts: list[int]
+    edges: list[float]
+
+
+class Range(BaseModel):
+    """What a parameter may be, both ends included."""
+
+    min: float
+    max: float
+
+
+class LightFacts(BaseModel):
+    """One light of a scene."""
+
+    type: str
+    name: str
+
+
+class Omission(BaseModel):
+    """Something that this scene does not need, and why."""
+
+    what: str
+    why: str
+
+
+class PlanFacts(BaseModel):
+    """What is stored per texel for this scene, and what was left out."""
+
+    representation: str
+    order: int
+    channels: int
+    bounces: int
+    bytes_per_texel: int
+    left_out: list[Omission]
+
+
+class SceneFacts(BaseModel):
+    """What a client needs to show a scene: facts, histogram, defaults and ranges of every knob, plan."""
+
+    id: str
+    name: str
+    volume: VolumeFacts
+    histogram: Histogram
+    defaults: dict[str, float | str]
+    ranges: dict[str, Range]
+    shadings: list[str]
+    lights: list[LightFacts]
+    albedo: Triple
+    bounces: int
+    solid: str
+    target_error: float
+    rotating: bool
+    plan: PlanFacts
+
+
+class ChunkCounts(BaseModel):
+    """Chunks that the view reads, and how many of them are final."""
+
+    needed: int
+    final: int
+
+
+class PixelCounts(BaseModel):
+    """Pixels on the surface, by state."""
+
+    surface: int
+    final: int
+    converging: int
+    provisional: int
+
+
+class Shares(BaseModel):
+    """Shares of the surface pixels, by state."""
+
+    final: float
+    converging: float
+    provisional: float
+
+
+class Coverage(BaseModel):
+    """How far a view is: chunks, pixels by state, estimated relative RMSE of the frame."""
+
+    chunks: ChunkCounts
+    pixels: PixelCounts
+    coverage: Shares
+    error: float
+    provisional: bool
+
+
+def scene_facts(scene: Scene) -> SceneFacts:
+    """The document of one scene."""
+    counts, edges = scene.volume.histogram()
+    return SceneFacts(
+        id=scene.id,
+        name=scene.name,
+        volume=volume_facts(scene),
+        histogram=Histogram(counts=counts.tolist(), edges=edges.tolist()),
+        defaults=defaults(scene),
+        ranges=ranges(scene),
+        shadings=list(SHADINGS),
+        lights=[light_facts(light) for light in scene.lights],
+        albedo=scene.albedo,
+        bounces=scene.bounces,
+        solid=scene.solid,
+        target_error=scene.target_error,
+        rotating=scene.rotating,
+        plan=plan_facts(scene),
+    )
+
+
+def volume_facts(scene: Scene) -> VolumeFacts:
+    """The facts of a scene's volume."""
+    volume = scene.volume
+    names = ("name", "size", "spacing", "dtype", "value_range", "holes")
+    return VolumeFacts(**{name: getattr(volume, name) for name in names})
+
+
+def light_facts(light: Light) -> LightFacts:
+    """One light: its type as in a scene file, and its name for a person."""
+    return LightFacts(type=type(light).__name__.removesuffix("Light").lower(), name=light.name)
+
+
+def plan_facts(scene: Scene) -> PlanFacts:
+    """The scene's plan."""
+    plan = scene.plan
+    return PlanFacts(
+        representation=plan.representation,
+        order=plan.order,
+        channels=plan.channels,
+        bounces=plan.bounces,
+        bytes_per_texel=plan.bytes_per_texel,
+        left_out=[Omission(what=each.what, why=each.why) for each in plan.left_out],
+    )
+
+
+def defaults(scene: Scene) -> dict[str, float | str]:
+    """What each parameter is where it is left out."""
+    fixed: dict[str, Any] = {name: FrameParams.model_fields[name].default for name in DEFAULTS}
+    return {"isovalue": scene.isovalue, **fixed, "exposure": scene.default_exposure}
+
+
+def ranges(scene: Scene) -> dict[str, Range]:
+    """What each number may be."""
+    spans = {
+        name: Range(min=span.low, max=span.high)
+        for name, field in FrameParams.model_fields.items()
+        for span in field.metadata
+        if isinstance(span, Span)
+    }
+    return {"isovalue": Range(min=scene.isovalues[0], max=scene.isovalues[1]), **spans}
+
+
+def coverage_facts(frame: Frame) -> Coverage:
+    """How far the frame is."""
+    return Coverage(
+        chunks=ChunkCounts(needed=frame.chunks_needed, final=frame.chunks_final),
+        pixels=PixelCounts(surface=frame.surface, **frame.counts),
+        coverage=Shares(**frame.coverage),
+        error=frame.estimated_error,
+        provisional=frame.provisional,
+    )

@@ -1,0 +1,145 @@
+"""The parameters of a view and of a frame.
+
+HTTP and the command line read the same models. What a query does not read is refused, never ignored.
+"""
+
+from collections.abc import Iterable, Mapping
+from typing import Annotated, Any, Self, TypeVar
+
+from fastapi import Depends, Request
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, WithJsonSchema, model_validator
+
+from isogi_core.model.view import SHADINGS, Quaternion, Vec3
+from server.errors import ParameterError
+from server.values import Choice, Row, Span
+
+FORMATS = ("png", "jpeg", "webp", "npy")
+LONGEST_SIDE = 16383  # WebP's own limit
+POINTS = ("eye", "target", "up")
+ORBIT = ("azimuth", "elevation", "distance")
+ANGLES = ("yaw", "pitch", "roll")
+XYZ = Row(("x", "y", "z"))
+TURN = Span(-360, 360)
+
+
+class NoParams(BaseModel):
+    """A resource that reads no parameters."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class ViewParams(NoParams):
+    """What to look at, from where and in which light; what is left out takes the scene's defaults."""
+
+    isovalue: Annotated[float | str | None, WithJsonSchema({"type": "number"})] = Field(
+        None, description="In the volume's own units, within the scene's range; default: the scene's."
+    )
+    azimuth: Annotated[float, TURN] = Field(30.0, description="Degrees; 0 looks from +x, 90 from +y.")
+    elevation: Annotated[float, Span(-90, 90)] = Field(20.0, description="Degrees above the xy plane.")
+    distance: Annotated[float, Span(0.01, 1000)] = Field(
+        3.4, description="From the volume's centre, in radii of its bounding sphere."
+    )
+    fov: Annotated[float, Span(0.1, 170)] = Field(30.0, description="Vertical field of view, degrees.")
+    eye: Annotated[Vec3 | None, XYZ] = Field(
+        None, description="Instead of azimuth, elevation, distance: world x,y,z."
+    )
+    target: Annotated[Vec3 | None, XYZ] = Field(
+        None, description="World x,y,z; default: the volume's centre."
+    )
+    up: Annotated[Vec3 | None, XYZ] = Field(None, description="World x,y,z; default: 0,0,1.")
+    light: Annotated[Quaternion | None, Row(("w", "x", "y", "z"))] = Field(
+        None, description="Quaternion w,x,y,z that turns the light; instead of yaw, pitch, roll."
+    )
+    yaw: Annotated[float, TURN] = Field(0.0, description="Turns the light about z, degrees.")
+    pitch: Annotated[float, TURN] = Field(0.0, description="Then about y, degrees.")
+    roll: Annotated[float, TURN] = Field(0.0, description="Then about x, degrees.")
+    width: Annotated[int, Span(1, LONGEST_SIDE, whole=True)] = Field(512, description="Pixels.")
+    height: Annotated[int, Span(1, LONGEST_SIDE, whole=True)] = Field(512, description="Pixels.")
+    shading: Annotated[str, Choice(SHADINGS)] = Field("gi", description="How the surface is lit.")
+    samples: Annotated[int, Span(1, 4096, whole=True)] = Field(
+        16, description="Paths per pixel; path_traced alone."
+    )
+    wait_ms: Annotated[int, Span(0, 10_000, whole=True)] = Field(0, description="Longest wait for baking.")
+    max_error: Annotated[float | None, Span(0.0001, 1)] = Field(
+        None, description="Relative error at which a pixel is final; default: the scene's target_error."
+    )
+
+    @model_validator(mode="after")
+    def one_of_each(self) -> Self:
+        """Refuses two ways of saying the same thing, and samples that nothing reads."""
+        given = self.model_fields_set
+        self._exclusive(sorted(given & set(POINTS)), sorted(given & set(ORBIT)), "camera")
+        self._exclusive(sorted(given & {"light"}), sorted(given & set(ANGLES)), "light rotation")
+        if "samples" in given and self.shading != "path_traced":
+            raise ValueError(
+                f"samples is for shading=path_traced, {self.shading} does not read it: leave it out."
+            )
+        return self
+
+    @staticmethod
+    def _exclusive(some: list[str], others: list[str], what: str) -> None:
+        if some and others:
+            one, other = ", ".join(some), ", ".join(others)
+            raise ValueError(f"The {what} is given twice, by {one} and by {other}: keep one.")
+
+
+class FrameParams(ViewParams):
+    """A view and the picture to make of it."""
+
+    f: Annotated[str | None, Choice(FORMATS)] = Field(
+        None, description="Picture format; default: by Accept, else png."
+    )
+    overlay: Annotated[str, Choice(("none", "provisional"))] = Field("none", description="Marks to draw.")
+    exposure: Annotated[float | None, Span(1e-9, 1e9)] = Field(
+        None, description="Factor on radiance before the tone curve; default: the scene's."
+    )
+
+
+Model = TypeVar("Model", bound=NoParams)
+
+
+def read(model: type[Model], pairs: Iterable[tuple[str, Any]]) -> Model:
+    """The parameters as ``model``; ParameterError, in one sentence, on the first thing that is wrong."""
+    values: dict[str, Any] = {}
+    for name, value in pairs:
+        if name in values:
+            raise ParameterError(f"{name} is given more than once: give it once.", name)
+        values[name] = value
+    try:
+        return model.model_validate(values)
+    except ValidationError as error:
+        raise complaint(model, error) from None
+
+
+def complaint(model: type[BaseModel], error: ValidationError) -> ParameterError:
+    """The first finding of pydantic as one sentence about one parameter."""
+    first = error.errors(include_url=False)[0]
+    name = str(first["loc"][0]) if first["loc"] else ""
+    if first["type"] == "extra_forbidden":
+        known = ", ".join(model.model_fields) or "none"
+        return ParameterError(f"There is no parameter '{name[:40]}' here; the parameters are: {known}.", name)
+    reason = first["msg"].removeprefix("Value error, ")
+    return ParameterError(f"{name} {reason}".strip(), name)
+
+
+def documented(model: type[BaseModel]) -> dict[str, Any]:
+    """The model's fields as query parameters of an OpenAPI operation."""
+    described: Mapping[str, dict[str, Any]] = model.model_json_schema()["properties"]
+    return {
+        "parameters": [
+            {"name": name, "in": "query", "description": schema.pop("description"), "schema": schema}
+            for name, schema in described.items()
+        ]
+    }
+
+
+def _reader(model: type[Model]) -> Any:
+    def query(request: Request) -> Model:
+        return read(model, request.query_params.multi_items())
+
+    return Depends(query)
+
+
+NoParamsDep = _reader(NoParams)
+ViewParamsDep = Annotated[ViewParams, _reader(ViewParams)]
+FrameParamsDep = Annotated[FrameParams, _reader(FrameParams)]

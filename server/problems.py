@@ -1,0 +1,124 @@
+"""Errors as RFC 9457 problem documents; the one table from a class of error to a status."""
+
+from collections.abc import Mapping
+from http import HTTPStatus
+from typing import Any
+
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from pydantic import BaseModel
+from starlette.exceptions import HTTPException
+from starlette.responses import JSONResponse
+
+from isogi_core.errors import (
+    Cancelled,
+    IsogiError,
+    LightError,
+    SceneError,
+    StoreError,
+    ViewError,
+    VolumeError,
+)
+from server.errors import (
+    BusyError,
+    NotAcceptableError,
+    ParameterError,
+    StartingError,
+    UnknownSceneError,
+)
+
+STATUS: Mapping[type[Exception], int] = {
+    ViewError: 422,
+    VolumeError: 422,
+    LightError: 422,
+    SceneError: 422,
+    UnknownSceneError: 404,
+    NotAcceptableError: 406,
+    BusyError: 429,
+    StartingError: 503,
+    StoreError: 503,
+    Cancelled: 503,
+    IsogiError: 500,
+}
+RETRY = {429: "1", 503: "1"}
+SENTENCES = {
+    404: "There is nothing at {path}: see /docs for what there is.",
+    405: "{path} does not take {method}: see /docs for what it takes.",
+    500: "The server failed on this request; its log says why.",
+}
+
+
+class Problem(BaseModel):
+    """An RFC 9457 problem; ``detail`` is a sentence that a person can act on."""
+
+    type: str
+    title: str
+    status: int
+    detail: str
+    instance: str
+
+
+def documented_problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
+    """These statuses as OpenAPI responses of an operation."""
+    content = {"application/problem+json": {"schema": Problem.model_json_schema()}}
+    return {status: {"description": HTTPStatus(status).phrase, "content": content} for status in statuses}
+
+
+def status_of(error: Exception) -> int:
+    """The status of the nearest class in the table; 500 where there is none."""
+    return next((STATUS[kind] for kind in type(error).__mro__ if kind in STATUS), 500)
+
+
+def problem(status: int, detail: str, instance: str, **more: Any) -> JSONResponse:
+    """A problem document; ``more`` are its extension members."""
+    body = {
+        "type": "about:blank",
+        "title": HTTPStatus(status).phrase,
+        "status": status,
+        "detail": detail,
+        "instance": instance,
+        **more,
+    }
+    headers = {"X-Content-Type-Options": "nosniff"} | (
+        {"Retry-After": RETRY[status]} if status in RETRY else {}
+    )
+    return JSONResponse(body, status, headers, "application/problem+json")
+
+
+async def domain_problem(request: Request, error: Exception) -> JSONResponse:
+    """A domain error as a problem; a parameter's error names the parameter."""
+    more = {"parameter": error.parameter} if isinstance(error, ParameterError) and error.parameter else {}
+    return problem(status_of(error), str(error), request.url.path, **more)
+
+
+async def http_problem(request: Request, error: Exception) -> JSONResponse:
+    """The framework's own 404, 405, … as a problem; headers such as Allow are kept."""
+    assert isinstance(error, HTTPException)
+    status, path = error.status_code, request.url.path
+    sentence = (
+        SENTENCES[status].format(path=path, method=request.method) if status in SENTENCES else error.detail
+    )
+    answer = problem(status, sentence, path)
+    answer.headers.update(error.headers or {})
+    return answer
+
+
+async def validation_problem(request: Request, error: Exception) -> JSONResponse:
+    """The framework's list of findings as one sentence about the first."""
+    assert isinstance(error, RequestValidationError)
+    first = error.errors()[0]
+    name = str(first["loc"][-1])
+    return problem(422, f"{name}: {first['msg']}.", request.url.path, parameter=name)
+
+
+async def failure(request: Request, error: Exception) -> JSONResponse:
+    """Anything else: the traceback goes to the log, never to the client."""
+    return problem(500, SENTENCES[500], request.url.path)
+
+
+def install(app: FastAPI) -> None:
+    """Make the app answer every error with a problem document."""
+    app.add_exception_handler(IsogiError, domain_problem)
+    app.add_exception_handler(HTTPException, http_problem)
+    app.add_exception_handler(RequestValidationError, validation_problem)
+    app.add_exception_handler(Exception, failure)

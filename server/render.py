@@ -1,0 +1,94 @@
+"""``isogi render``: bake what one view needs, then write its picture."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Mapping
+from contextlib import closing
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from tqdm import tqdm
+
+from isogi_core.errors import ViewError
+from isogi_core.model.scene import load_scene
+from isogi_core.model.view import View
+from server.facts import coverage_facts
+from server.params import FrameParams, read
+from server.pictures import SUFFIXES, encode, format_for
+from server.settings import Settings
+from server.views import view_of
+
+if TYPE_CHECKING:
+    from isogi_core.frame.frame import Frame
+    from server.studio import Studio
+
+STEP = 2.0
+"""Seconds between two looks at how far the baking is."""
+
+
+def render(
+    target: str,
+    output: Path,
+    knobs: Mapping[str, str],
+    settings: Settings,
+    seconds: float | None = None,
+) -> dict[str, Any]:
+    """Write the picture of a view, named by ``knobs``, and tell how good it is.
+
+    Ends when every pixel is final, or after ``seconds`` of baking. Raises SceneError, VolumeError,
+    LightError and ViewError before anything is begun, StoreError and OSError later.
+    """
+    started = time.monotonic()
+    form = format_of(output)
+    scene = load_scene(target)
+    params = read(FrameParams, [*knobs.items(), ("f", form)])
+    format_for(params, None)
+    view = view_of(scene, params, settings)
+    from server.studio import Studio  # noqa: PLC0415 (kernels: bad input is told before they are compiled)
+
+    with closing(Studio([scene], settings.store, settings.workers, settings.scheduler)) as studio:
+        studio.start()
+        frame = refine(studio, scene.id, view, params.max_error, seconds)
+    exposure = scene.default_exposure if params.exposure is None else params.exposure
+    write(output, encode(frame, form, exposure))
+    return {"file": str(output), "format": form, **frame_facts(frame), "seconds": time.monotonic() - started}
+
+
+def frame_facts(frame: Frame) -> dict[str, Any]:
+    """Size, quality and version of a frame."""
+    size = {"width": frame.view.width, "height": frame.view.height}
+    return {**size, **coverage_facts(frame).model_dump(), "version": frame.version}
+
+
+def format_of(output: Path) -> str:
+    """The format that the file's suffix names; ViewError for others and where the folder is missing."""
+    if output.suffix.lower() not in SUFFIXES:
+        raise ViewError(f"{output} names no picture format: end it in {', '.join(SUFFIXES)}.")
+    if not output.parent.is_dir():
+        raise ViewError(f"There is no folder {output.parent} for {output.name}: make it first.")
+    return SUFFIXES[output.suffix.lower()]
+
+
+def refine(studio: Studio, scene: str, view: View, max_error: float | None, seconds: float | None) -> Frame:
+    """The frame once it is final or the time is spent; chunks are counted on a bar meanwhile."""
+    deadline = time.monotonic() + seconds if seconds is not None else float("inf")
+    with tqdm(desc="baking", unit="chunk", total=0) as bar:
+        while True:
+            left = max(0.0, deadline - time.monotonic())
+            frame = studio.frame(scene, view, max_error=max_error, wait=min(STEP, left))
+            bar.total, bar.n = frame.chunks_needed, frame.chunks_final
+            bar.refresh()
+            if not frame.provisional or time.monotonic() >= deadline:
+                return frame
+
+
+def write(path: Path, data: bytes) -> None:
+    """Write the file whole or not at all."""
+    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    try:
+        partial.write_bytes(data)
+        os.replace(partial, path)
+    finally:
+        partial.unlink(missing_ok=True)

@@ -1,0 +1,98 @@
+"""What the routes share: the studio and its start, the settings, the threads that render."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Annotated, TypeVar
+
+from fastapi import Depends, Request
+
+from isogi_core.model.scene import Scene
+from server.errors import StartingError, UnknownSceneError
+from server.params import ViewParams
+from server.renders import Renders
+from server.settings import Settings
+from server.views import view_of
+
+if TYPE_CHECKING:
+    from isogi_core.frame.frame import Frame
+
+    from server.studio import Studio
+
+Result = TypeVar("Result")
+
+
+class Service:
+    """One studio behind HTTP. It starts beside the event loop, so that the socket answers meanwhile."""
+
+    def __init__(self, studio: Studio, settings: Settings) -> None:
+        self.studio = studio
+        self.settings = settings
+        self.settled = asyncio.Event()
+        self.failure: Exception | None = None
+        self._renders = Renders(settings.render_threads, settings.render_queue)
+
+    async def start(self) -> None:
+        """Start the studio; ``settled`` is set when it is up, or when ``failure`` says why it is not."""
+        try:
+            await asyncio.to_thread(self.studio.start)
+        except Exception as error:
+            self.failure = error
+        self.settled.set()
+
+    async def close(self) -> None:
+        """Drop waiting work and close the studio, once its start has ended."""
+        await self.settled.wait()
+        self._renders.close()
+        await asyncio.to_thread(self.studio.close)
+
+    def reasons(self) -> list[str]:
+        """Why the service is not ready; empty when it is."""
+        if not self.settled.is_set():
+            return ["isogi is starting: kernels and workers are not up yet."]
+        return [f"isogi did not start: {self.failure}"] if self.failure else self.studio.unready()
+
+    def scene(self, name: str) -> Scene:
+        """The scene with this id; UnknownSceneError where there is none."""
+        if name not in self.studio.scenes:
+            raise UnknownSceneError(f"There is no scene '{name[:64]}': /v1/scenes lists those there are.")
+        return self.studio.scenes[name]
+
+    async def render(
+        self, request: Request, scene: Scene, params: ViewParams, finish: Callable[[Frame], Result]
+    ) -> Result:
+        """``finish`` of the frame that the parameters ask for, both off the event loop.
+
+        Raises ViewError, BusyError, StoreError, and StartingError until the studio is up.
+        """
+        view = view_of(scene, params, self.settings)
+        if not self.settled.is_set() or self.failure:
+            raise StartingError(self.reasons()[0])
+
+        def work(cancelled: threading.Event) -> Result:
+            wait = params.wait_ms / 1000
+            frame = self.studio.frame(
+                scene.id, view, max_error=params.max_error, wait=wait, cancelled=cancelled
+            )
+            return finish(frame)
+
+        return await self._renders.run(request, work)
+
+
+def service_of(request: Request) -> Service:
+    """The service of the app that the request came to."""
+    service: Service = request.app.state.service
+    return service
+
+
+ServiceDep = Annotated[Service, Depends(service_of)]
+
+
+def scene_of(scene: str, service: ServiceDep) -> Scene:
+    """The scene that the path names."""
+    return service.scene(scene)
+
+
+SceneDep = Annotated[Scene, Depends(scene_of)]

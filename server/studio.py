@@ -1,0 +1,135 @@
+"""The studio: scenes with their caches, one set of workers, and frames of any of them."""
+
+import logging
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from isogi_core.bake.recipe import Recipe
+from isogi_core.cache.loader import Loader
+from isogi_core.cache.pages import PagePool
+from isogi_core.cache.store import ChunkStore, default_store
+from isogi_core.errors import IsogiError
+from isogi_core.frame.frame import Frame
+from isogi_core.frame.renderer import Renderer
+from isogi_core.frame.tiles import Tiles
+from isogi_core.model.scene import Scene
+from isogi_core.model.view import View
+from worker.baker import Bake, Baker
+from worker.pool import WorkerPool
+
+log = logging.getLogger("isogi.server")
+
+MEMORY = 512 << 20
+"""Bytes of decoded light that a scene may keep in memory."""
+
+
+@dataclass(frozen=True, eq=False)
+class Stage:
+    """One scene, ready to be rendered."""
+
+    scene: Scene
+    recipe: Recipe
+    loader: Loader
+    renderer: Renderer
+
+
+class Studio:
+    """Renders frames of its scenes and has the workers bake what they lack. Safe to use from many threads."""
+
+    def __init__(
+        self,
+        scenes: Sequence[Scene],
+        store: str | None = None,
+        workers: int = 1,
+        scheduler: str | None = None,
+        memory: int = MEMORY,
+    ) -> None:
+        """Take on ``scenes``; ``store`` is a folder or URL for light, ``scheduler`` a cluster to join."""
+        self.scenes = {scene.id: scene for scene in scenes}
+        self.store = str(store or default_store())
+        self._workers = workers
+        self._scheduler = scheduler
+        self._memory = memory
+        self._tiles = Tiles()
+        self._baker = Baker()
+        self._pool: WorkerPool | None = None
+        self._stages: dict[str, Stage] = {}
+        self._hiring: threading.Thread | None = None
+        self._trouble: IsogiError | None = None
+
+    def start(self) -> None:
+        """Open the stores, then have the workers come while frames can already be rendered.
+
+        Raises StoreError. The kernels are compiled by now: importing this module did it.
+        """
+        for scene in self.scenes.values():
+            self._stages[scene.id] = self._open(scene)
+        self._hiring = threading.Thread(target=self._hire, name="hiring", daemon=True)
+        self._hiring.start()
+
+    def frame(
+        self,
+        scene: str,
+        view: View,
+        *,
+        max_error: float | None = None,
+        wait: float = 0.0,
+        cancelled: threading.Event | None = None,
+    ) -> Frame:
+        """The frame of a view with the light that there is, after at most ``wait`` seconds of baking more.
+
+        ``max_error`` is the relative error at which light is final, the scene's target by default.
+        Raises ViewError, StoreError, and Cancelled once ``cancelled`` is set.
+        """
+        stage = self._stages[scene]
+        deadline = time.monotonic() + wait
+        target = max_error or stage.scene.target_error
+        frame = stage.renderer.render(view, target, cancelled)
+        while frame.demands:
+            self._baker.want(scene, frame.demands, target)
+            left = deadline - time.monotonic()
+            if left <= 0.0:
+                break
+            self._baker.wait(scene, [demand.index for demand in frame.demands], left)
+            frame = stage.renderer.render(view, target, cancelled)
+        return frame
+
+    def unready(self) -> list[str]:
+        """Reasons why frames would not become final; none when all is well."""
+        if self._trouble is not None:
+            return [str(self._trouble)]
+        return [] if self._pool is not None else ["The workers are starting."]
+
+    def close(self) -> None:
+        """Stop the workers; what they were at is baked again when it is next asked for."""
+        self._baker.stop()
+        if self._hiring is not None:
+            self._hiring.join()
+        if self._pool is not None:
+            self._pool.close()
+        self._tiles.close()
+
+    def _open(self, scene: Scene) -> Stage:
+        recipe = Recipe(scene)
+        store = ChunkStore(self.store, recipe)
+        loader = Loader(store, PagePool(recipe, self._memory))
+        recipe.field, store.array, recipe.light  # noqa: B018 (worked out now, not in the first frame)
+        self._baker.add(scene.id, Bake(scene.source, absolute(self.store), loader.refresh))
+        return Stage(scene, recipe, loader, Renderer(recipe, loader, self._tiles))
+
+    def _hire(self) -> None:
+        try:
+            self._pool = WorkerPool(self._workers, self._scheduler)
+        except IsogiError as error:
+            self._trouble = error
+            log.error("%s", error)
+            return
+        self._baker.employ(self._pool)
+
+
+def absolute(store: str) -> str:
+    """A store's folder as an absolute path, a URL as it is: workers may stand elsewhere."""
+    return store if "://" in store else str(Path(store).resolve())

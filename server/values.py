@@ -1,0 +1,91 @@
+"""Values written as text: numbers in a range, triples and quadruples of numbers, one of a few words.
+
+Each is a group of pydantic annotations. It reads strictly (no ``1_0``, ``nan``, blanks or other
+alphabets' digits), and its complaint says what is allowed and what was given.
+"""
+
+import math
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from annotated_types import Ge, GroupedMetadata, Le
+from pydantic import BeforeValidator, WithJsonSchema
+
+NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+WHOLE = re.compile(r"[+-]?\d+", re.ASCII)
+FURTHEST = 1e12
+
+
+def shown(value: object) -> str:
+    """What was given, as a quotation short enough for a sentence."""
+    text = str(value)
+    return f"'{text}'" if len(text) <= 40 else f"'{text[:39]}…'"
+
+
+def finite(value: object) -> float:
+    """The number that ``value`` is or spells; NaN for anything else."""
+    if isinstance(value, str):
+        return float(value) if len(value) <= 64 and NUMBER.fullmatch(value) else math.nan
+    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else math.nan
+
+
+@dataclass(frozen=True)
+class Span(GroupedMetadata):
+    """A number from ``low`` to ``high``, both included; a whole number where ``whole`` is set."""
+
+    low: float
+    high: float
+    whole: bool = False
+
+    def __iter__(self) -> Iterator[Any]:
+        yield BeforeValidator(self.read)
+        yield Ge(self.low)
+        yield Le(self.high)
+
+    def read(self, value: object) -> float:
+        """The number in ``value``; ValueError where it is none or out of range."""
+        number = finite(value)
+        spelt = not self.whole or WHOLE.fullmatch(str(value)) is not None
+        if not (spelt and self.low <= number <= self.high):
+            kind = "a whole number" if self.whole else "a number"
+            raise ValueError(f"must be {kind} from {self.low:.10g} to {self.high:.10g}, not {shown(value)}.")
+        return int(number) if self.whole else number
+
+
+@dataclass(frozen=True)
+class Row(GroupedMetadata):
+    """Several finite numbers with commas between them, such as ``eye=1,2,3``."""
+
+    names: tuple[str, ...]
+
+    def __iter__(self) -> Iterator[Any]:
+        yield BeforeValidator(self.read)
+        yield WithJsonSchema({"type": "string", "example": ",".join("0" for _ in self.names)})
+
+    def read(self, value: object) -> tuple[float, ...]:
+        """The numbers in ``value``, a text or a sequence; ValueError where they are not these."""
+        parts = value.split(",") if isinstance(value, str) else value
+        numbers = tuple(map(finite, parts)) if isinstance(parts, list | tuple) else ()
+        if len(numbers) != len(self.names) or not all(abs(number) <= FURTHEST for number in numbers):
+            wanted = f"{len(self.names)} finite numbers {','.join(self.names)}"
+            raise ValueError(f"must be {wanted} (each at most {FURTHEST:g} in size), not {shown(value)}.")
+        return numbers
+
+
+@dataclass(frozen=True)
+class Choice(GroupedMetadata):
+    """One of a few words."""
+
+    words: tuple[str, ...]
+
+    def __iter__(self) -> Iterator[Any]:
+        yield BeforeValidator(self.read)
+        yield WithJsonSchema({"type": "string", "enum": list(self.words)})
+
+    def read(self, value: object) -> object:
+        """``value`` where it is one of the words; ValueError else."""
+        if value not in self.words:
+            raise ValueError(f"must be one of {', '.join(self.words)}, not {shown(value)}.")
+        return value

@@ -1,0 +1,213 @@
+"""NRRD: every type, order and encoding as written by pynrrd, the real volumes, and damaged files."""
+
+import gzip
+import hashlib
+import re
+from pathlib import Path
+
+import nrrd
+import numpy as np
+import pytest
+
+from isogi_core.errors import VolumeError
+from isogi_core.files.nrrd import read_nrrd
+from isogi_core.model.volume import make_volume
+
+RAMP = np.arange(24).reshape(2, 3, 4)
+TYPES = ["i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8", "f4", "f8"]
+PLAIN = "type: uint8\ndimension: 3\nsizes: 4 3 2\nencoding: raw\n"
+
+
+def write(folder: Path, fields: str = PLAIN, body: bytes = bytes(range(24)), name: str = "v.nrrd") -> Path:
+    """An attached NRRD file of these header lines and bytes."""
+    path = folder / name
+    path.write_bytes(f"NRRD0004\n{fields}\n".encode() + body)
+    return path
+
+
+@pytest.mark.parametrize("encoding", ["raw", "gzip", "bzip2"])
+@pytest.mark.parametrize("suffix", ["nrrd", "nhdr"])
+@pytest.mark.parametrize("order", "<>")
+@pytest.mark.parametrize("kind", TYPES)
+def test_reads_what_pynrrd_wrote(tmp_path: Path, kind: str, order: str, suffix: str, encoding: str) -> None:
+    values = RAMP.astype(np.dtype(kind).newbyteorder(order))
+    header = {"encoding": encoding, "endian": "little" if order == "<" else "big"}
+    path = tmp_path / f"v.{suffix}"
+    nrrd.write(str(path), values, header, index_order="C")
+    array, spacing = read_nrrd(path)
+    assert array.dtype.newbyteorder("=") == np.dtype(kind)
+    np.testing.assert_array_equal(array, RAMP)
+    assert spacing == (1.0, 1.0, 1.0)
+
+
+@pytest.mark.parametrize("value", [2**53 + 1, 2**64 - 1])
+def test_wide_integers_are_exact(tmp_path: Path, value: int) -> None:
+    values = np.array([0, value] * 4, np.uint64).reshape(2, 2, 2)
+    nrrd.write(str(tmp_path / "v.nrrd"), values, index_order="C")
+    assert read_nrrd(tmp_path / "v.nrrd")[0].max() == value
+
+
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [
+        ("spacings: 0.5 1 2.25\n", (0.5, 1.0, 2.25)),
+        ("space dimension: 3\nspace directions: (0.5,0,0) (0,1,0) (0,0,2.25)\n", (0.5, 1.0, 2.25)),
+        ("space: left-posterior-superior\nspace directions: (0,-3,4) (2,0,0) (0,0,-1)\n", (5.0, 2.0, 1.0)),
+        ("kinds: domain domain domain\n", (1.0, 1.0, 1.0)),
+    ],
+)
+def test_spacing(tmp_path: Path, line: str, expected: tuple[float, float, float]) -> None:
+    array, spacing = read_nrrd(write(tmp_path, PLAIN + line))
+    np.testing.assert_array_equal(array, RAMP)
+    assert spacing == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("line", ["spacings: nan 1 1\n", "space directions: none (0,1,0) (0,0,1)\n"])
+def test_unknown_spacing_is_left_to_the_scene(tmp_path: Path, line: str) -> None:
+    array, spacing = read_nrrd(write(tmp_path, PLAIN + line))
+    with pytest.raises(VolumeError, match="set spacing"):
+        make_volume(array, spacing)
+    assert make_volume(array, (1.0, 1.0, 1.0)).size == (4, 3, 2)
+
+
+@pytest.mark.parametrize(
+    ("line", "before"),
+    [
+        ("byte skip: 5\n", b"12345"),
+        ("line skip: 2\n", b"a\nbcd\n"),
+        ("byte skip: -1\n", b"any number of bytes"),
+    ],
+)
+def test_skips(tmp_path: Path, line: str, before: bytes) -> None:
+    array, _ = read_nrrd(write(tmp_path, PLAIN + line, before + bytes(range(24))))
+    np.testing.assert_array_equal(array, RAMP)
+
+
+def test_byte_skip_counts_decoded_bytes(tmp_path: Path) -> None:
+    fields = PLAIN.replace("raw", "gzip") + "byte skip: 5\n"
+    array, _ = read_nrrd(write(tmp_path, fields, gzip.compress(b"12345" + bytes(range(24)))))
+    np.testing.assert_array_equal(array, RAMP)
+
+
+def test_gzip_of_several_members(tmp_path: Path) -> None:
+    body = gzip.compress(bytes(range(10))) + gzip.compress(bytes(range(10, 24)))
+    array, _ = read_nrrd(write(tmp_path, PLAIN.replace("raw", "gzip"), body))
+    np.testing.assert_array_equal(array, RAMP)
+
+
+SQUEEZED = gzip.compress(bytes(range(24)))
+GZIP = PLAIN.replace("raw", "gzip")
+DAMAGES = {
+    "not NRRD": (None, b"P5 4 3 255 " + bytes(24), "not a NRRD file"),
+    "empty": (None, b"", "not a NRRD file"),
+    "no version": (None, b"NRRDxyz\n\n", "header"),
+    "no colon": (PLAIN + "nonsense\n", b"", "damaged"),
+    "word for a size": (PLAIN.replace("4 3 2", "4 three 2"), b"", "damaged"),
+    "huge size": (PLAIN.replace("4 3 2", f"4 3 {10**30}"), b"", "damaged"),
+    "duplicate": (PLAIN + "type: uint8\n", b"", "damaged"),
+    "no type": (PLAIN.replace("type: uint8\n", ""), bytes(24), "no type"),
+    "no encoding": (PLAIN.replace("encoding: raw\n", ""), bytes(24), "no encoding"),
+    "unknown type": (PLAIN.replace("uint8", "quad"), bytes(24), "quad"),
+    "block": (PLAIN.replace("uint8", "block"), bytes(24), "block"),
+    "no byte order": (PLAIN.replace("uint8", "int16"), bytes(48), "byte order"),
+    "2-D": (PLAIN.replace(": 3", ": 2").replace("4 3 2", "8 3"), bytes(24), "2 dimensions"),
+    "4-D": (PLAIN.replace(": 3", ": 4").replace("4 3 2", "1 4 3 2"), bytes(24), "4 dimensions"),
+    "dimension lies": (PLAIN.replace("4 3 2", "4 3 2 1"), bytes(24), "dimensions"),
+    "colour axis": (PLAIN + "kinds: RGB-color domain domain\n", bytes(24), "RGB-color"),
+    "zero size": (PLAIN.replace("4 3 2", "4 0 2"), b"", "cannot be"),
+    "negative size": (PLAIN.replace("4 3 2", "4 -3 -2"), bytes(24), "cannot be"),
+    "absurd product": (PLAIN.replace("4 3 2", "4000000 3000000 2000000"), bytes(24), "cannot be"),
+    "large promise": (PLAIN.replace("4 3 2", "2000 2000 2000"), bytes(24), "fewer"),
+    "too short": (PLAIN, bytes(23), "fewer"),
+    "too long": (PLAIN, bytes(25), "more"),
+    "bomb": (GZIP, gzip.compress(bytes(1 << 20)), "more"),
+    "gzip cut": (GZIP, SQUEEZED[:-12], "cut short"),
+    "gzip flipped": (GZIP, SQUEEZED[:-6] + b"\0\0" + SQUEEZED[-4:], "damaged"),
+    "not gzip": (GZIP, bytes(24), "damaged"),
+    "not bzip2": (PLAIN.replace("raw", "bzip2"), b"BZh9 no more", "damaged"),
+    "text": (PLAIN.replace("raw", "ascii"), b"1 2 3", "ascii"),
+    "negative skip": (PLAIN + "byte skip: -2\n", bytes(24), "skips"),
+    "skip past the end": (PLAIN + f"byte skip: {10**18}\n", bytes(24), "fewer"),
+    "lines past the end": (PLAIN + f"line skip: {10**18}\n", bytes(24), "fewer"),
+    "two spacings": (PLAIN + "spacings: 1 1\n", bytes(24), "2 spacings"),
+    "missing data": (PLAIN + "data file: absent.raw\n", b"", "no file"),
+    "data elsewhere": (PLAIN + "data file: ../secret.raw\n", b"", "outside"),
+    "data anywhere": (PLAIN + "data file: /anywhere/v.raw\n", b"", "outside"),
+    "data unnamed": (PLAIN + "data file:\n", b"", "cannot be read"),
+    "data unnameable": (PLAIN + "data file: a\0b\n", b"", "cannot be read"),
+    "data list": (PLAIN + "data file: LIST\n", b"", "several files"),
+    "data pattern": (PLAIN + "data file: slice%03d.raw 1 2 1\n", b"", "several files"),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_damaged_files_are_refused_in_a_sentence(tmp_path: Path, damage: str) -> None:
+    fields, body, words = DAMAGES[damage]
+    path = tmp_path / "v.nrrd"
+    if fields is None:
+        path.write_bytes(body)
+    else:
+        write(tmp_path, fields, body)
+    with pytest.raises(VolumeError, match=re.escape(words)) as caught:
+        read_nrrd(path)
+    assert str(tmp_path) in str(caught.value) and str(caught.value).endswith(".")
+
+
+def test_missing_file_and_folder(tmp_path: Path) -> None:
+    with pytest.raises(VolumeError, match="no file"):
+        read_nrrd(tmp_path / "absent.nrrd")
+    with pytest.raises(VolumeError, match="cannot be read"):
+        read_nrrd(tmp_path)
+
+
+@pytest.mark.parametrize("detached", [False, True])
+def test_every_flipped_byte_is_read_or_refused(tmp_path: Path, detached: bool) -> None:
+    (tmp_path / "data.gz").write_bytes(SQUEEZED)
+    fields = GZIP + "spacings: 1 1 2\n" + "data file: data.gz\n" * detached
+    good = write(tmp_path, fields, b"" if detached else SQUEEZED).read_bytes()
+    path = tmp_path / "bad.nrrd"
+    random = np.random.default_rng(11)
+    refused = 0
+    for at in range(len(good)):
+        for byte in (*random.integers(0, 256, 6), 0, 255):
+            path.write_bytes(good[:at] + bytes([int(byte)]) + good[at + 1 :])
+            try:
+                array, _ = read_nrrd(path)
+            except VolumeError:
+                refused += 1
+            else:
+                assert array.ndim == 3
+    assert refused > 3 * len(good)
+
+
+def listed(folder: Path) -> dict[str, dict[str, str]]:
+    """What the README of the shared data says of each volume: shape, type, spacing, range, digest, hist5."""
+    facts: dict[str, dict[str, str]] = {}
+    for line in (folder / "README.md").read_text(encoding="utf-8").splitlines():
+        cells = [cell.strip() for cell in line.strip("|").split("|")]
+        name = cells[0].strip("`").removesuffix(".raw.gz")
+        if not cells[0].endswith(".raw.gz`"):
+            continue
+        if len(cells) == 5:
+            facts[name] |= {"digest": cells[3].strip("`"), "hist5": cells[4]}
+        else:
+            facts[name] = dict(zip(("shape", "dtype", "spacing", "range"), cells[2:6], strict=True))
+    return facts
+
+
+@pytest.mark.data
+def test_real_volumes_are_what_their_list_says(shared_data: Path) -> None:
+    facts = listed(shared_data)
+    headers = sorted(shared_data.glob("*.nhdr"))
+    assert {header.stem for header in headers} == set(facts)
+    for header in headers:
+        said = facts[header.stem]
+        array, spacing = read_nrrd(header)
+        assert array.shape[::-1] == tuple(int(n) for n in said["shape"].split(" × "))
+        assert array.dtype.name == said["dtype"]
+        assert spacing == tuple(float(step) for step in said["spacing"].split(","))
+        assert hashlib.sha256(array.tobytes()).hexdigest() == said["digest"]
+        low, high = (float(end) for end in said["range"].split("…"))
+        assert (float(array.min()), float(array.max())) == pytest.approx((low, high), rel=1e-5)
+        counts, _ = make_volume(array, spacing).histogram(5)
+        assert counts.tolist() == [int(count) for count in said["hist5"].split(",")]

@@ -1,0 +1,242 @@
+"""Spherical harmonics against SciPy, exact quadrature and closed forms."""
+
+import math
+
+import numpy as np
+import pytest
+from numba import config, njit
+from scipy.spatial.transform import Rotation
+from scipy.special import eval_legendre, sph_harm_y
+
+from isogi_core.kernels import harmonics
+from isogi_core.kernels.harmonics import MAX_ORDER
+
+COUNT = MAX_ORDER * MAX_ORDER
+AXES = np.array([sign * row for row in np.eye(3) for sign in (1.0, -1.0)])
+NEAR_POLES = np.array([[1e-9, 0.0, 1.0], [0.0, -1e-12, -1.0], [1e-300, 1e-300, 1.0]])
+
+
+@njit
+def basis(order, directions):
+    """Y_i at unit directions (n, 3): (n, order²)."""
+    out = np.empty((len(directions), order * order))
+    for k in range(len(directions)):
+        harmonics.evaluate(order, directions[k, 0], directions[k, 1], directions[k, 2], out[k])
+    return out
+
+
+def units(seed, count):
+    """Random unit vectors (count, 3)."""
+    vectors = np.random.default_rng(seed).normal(size=(count, 3))
+    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+
+
+def scipy_basis(order, directions):
+    """The same from SciPy's complex harmonics; its Condon-Shortley phase is taken out."""
+    x, y, z = directions.T
+    theta, phi = np.arctan2(np.hypot(x, y), z), np.arctan2(y, x)
+    out = np.empty((len(directions), order * order))
+    for l in range(order):
+        for m in range(l + 1):
+            value = (-1) ** m * sph_harm_y(l, m, theta, phi) * math.sqrt(2.0 if m else 1.0)
+            out[:, l * (l + 1) - m], out[:, l * (l + 1) + m] = value.imag, value.real
+            if m == 0:
+                out[:, l * (l + 1)] = value.real
+    return out
+
+
+def quadrature(bands=MAX_ORDER):
+    """Directions (n, 3) and weights (n,) exact for products of two functions of that many bands."""
+    z, weights = np.polynomial.legendre.leggauss(bands)
+    phi = np.arange(2 * bands) * math.pi / bands
+    z, phi = (grid.ravel() for grid in np.meshgrid(z, phi, indexing="ij"))
+    r = np.sqrt(1.0 - z * z)
+    directions = np.stack([r * np.cos(phi), r * np.sin(phi), z], axis=1)
+    return directions, np.repeat(weights * math.pi / bands, 2 * bands)
+
+
+def rotation_matrix(matrix, order=MAX_ORDER):
+    """The whole D of a rotation: rotated coefficients are D c."""
+    out = np.empty((order * order, order * order))
+    harmonics.rotate(order, np.ascontiguousarray(matrix), np.eye(order * order), out)
+    return out.T
+
+
+def rotations(count):
+    """Rotation matrices: random ones, half turns, turns about the axes, poles swapped, and tiny ones."""
+    half = Rotation.from_rotvec(math.pi * np.concatenate([AXES[::2], NEAR_POLES[:2], units(1, 40)]))
+    turns = Rotation.from_rotvec(np.concatenate([AXES * angle for angle in (math.pi / 2, 1.0, 1e-3, 1e-9)]))
+    special = np.concatenate([half.as_matrix(), turns.as_matrix()])
+    return np.concatenate([special, Rotation.random(count - len(special), rng=2).as_matrix()])
+
+
+@pytest.mark.parametrize("order", [1, 2, 5, MAX_ORDER])
+def test_basis_matches_scipy(order):
+    directions = np.concatenate([AXES, NEAR_POLES, units(3, 500 if config.DISABLE_JIT else 10_000)])
+    np.testing.assert_allclose(basis(order, directions), scipy_basis(order, directions), rtol=0, atol=1e-12)
+
+
+def test_band_one_is_y_z_x():
+    d = units(4, 5)
+    c = math.sqrt(3.0 / (4.0 * math.pi))
+    np.testing.assert_allclose(basis(2, d)[:, 1:], c * d[:, [1, 2, 0]], rtol=1e-15, atol=1e-16)
+
+
+def test_basis_is_orthonormal():
+    directions, weights = quadrature()
+    table = basis(MAX_ORDER, directions)
+    np.testing.assert_allclose(table.T @ (weights[:, None] * table), np.eye(COUNT), atol=2e-14)
+
+
+@pytest.mark.parametrize("order", range(1, MAX_ORDER + 1))
+def test_accumulate_adds_weighted_bands_and_touches_no_more(order):
+    out = np.full(COUNT, 7.0)
+    x, y, z = units(5, 1)[0]
+    harmonics.accumulate(order, x, y, z, 0.25, out)
+    expected = 7.0 + 0.25 * basis(MAX_ORDER, np.array([[x, y, z]]))[0]
+    expected[order * order :] = 7.0
+    np.testing.assert_allclose(out, expected, rtol=1e-15)
+
+
+def test_kernels_match_their_python():
+    out, twin = np.empty(COUNT), np.empty(COUNT)
+    harmonics.evaluate(MAX_ORDER, 0.48, -0.6, 0.64, out)
+    getattr(harmonics.evaluate, "py_func", harmonics.evaluate)(MAX_ORDER, 0.48, -0.6, 0.64, twin)
+    np.testing.assert_allclose(out, twin, rtol=1e-13, atol=1e-15)
+
+
+@pytest.mark.parametrize("kernel", [harmonics.rotate, harmonics.project], ids=lambda k: k.__name__)
+@pytest.mark.skipif(config.DISABLE_JIT, reason="Numba is switched off: nothing is compiled")
+def test_entry_kernels_have_one_signature(kernel):
+    assert len(kernel.signatures) == 1
+
+
+def test_rotation_matches_reprojection():
+    """D against ∫ Y_i(ω) Y_j(Q⁻¹ω) dω by exact quadrature."""
+    directions, weights = quadrature()
+    weighted = (basis(MAX_ORDER, directions) * weights[:, None]).T
+    for matrix in rotations(100 if config.DISABLE_JIT else 1_000):
+        expected = weighted @ basis(MAX_ORDER, directions @ matrix)
+        np.testing.assert_allclose(rotation_matrix(matrix), expected, rtol=0, atol=1e-10)
+
+
+def test_rotation_is_orthogonal_and_composes():
+    matrices = rotations(100 if config.DISABLE_JIT else 1_000)
+    for a, b in zip(matrices, matrices[::-1], strict=True):
+        da, db, dab = rotation_matrix(a), rotation_matrix(b), rotation_matrix(a @ b)
+        np.testing.assert_allclose(da @ da.T, np.eye(COUNT), rtol=0, atol=1e-12)
+        np.testing.assert_allclose(da @ db, dab, rtol=0, atol=1e-12)
+
+
+def test_identity_is_exact():
+    assert (rotation_matrix(np.eye(3)) == np.eye(COUNT)).all()
+
+
+@pytest.mark.parametrize("order", range(1, MAX_ORDER + 1))
+def test_rotation_at_every_order_and_any_number_of_channels(order):
+    matrix = Rotation.from_euler("ZYX", [20, 40, 60], degrees=True).as_matrix()
+    coefficients = np.random.default_rng(6).normal(size=(4, order * order))
+    out = np.full_like(coefficients, np.nan)
+    harmonics.rotate(order, matrix, coefficients, out)
+    d = units(7, 50)
+    np.testing.assert_allclose(
+        basis(order, d) @ out.T, basis(order, d @ matrix) @ coefficients.T, rtol=0, atol=1e-12
+    )
+
+
+def test_cosine_lobe_factors():
+    """A_l = 2π ∫₀¹ P_l(z) z dz; the first are π, 2π/3, π/4, 0, -π/24."""
+    z, weights = np.polynomial.legendre.leggauss(20)
+    z, weights = (z + 1.0) / 2.0, weights / 2.0
+    integrals = [2.0 * math.pi * np.sum(weights * z * eval_legendre(l, z)) for l in range(MAX_ORDER)]
+    factors = harmonics.cosine_lobe_factors(MAX_ORDER)
+    np.testing.assert_allclose(factors, integrals, rtol=0, atol=1e-14)
+    first = math.pi * np.array([1, 2 / 3, 1 / 4, 0, -1 / 24])
+    np.testing.assert_allclose(harmonics.cosine_lobe_factors(5), first, rtol=1e-15, atol=0)
+    assert harmonics.cosine_lobe_factors(1).shape == (1,)
+
+
+def project(image, order=MAX_ORDER):
+    """Coefficients (3, order²) of an image, from an array full of NaN."""
+    out = np.full((3, order * order), np.nan)
+    harmonics.project(order, np.ascontiguousarray(image, np.float32), out)
+    return out
+
+
+def pixel_directions(height, width, subdivision=1):
+    """Centres of the (subdivided) pixels of a lat-long image: (h, w, 3)."""
+    theta = (np.arange(height * subdivision) + 0.5) * math.pi / (height * subdivision)
+    phi = (np.arange(width * subdivision) + 0.5) * 2.0 * math.pi / (width * subdivision)
+    theta, phi = np.meshgrid(theta, phi, indexing="ij")
+    return np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 7), (5, 1), (16, 32), (33, 65)])
+def test_projection_of_a_constant_is_one_number(shape):
+    radiance = np.array([1.0, 0.5, 1e6])
+    expected = np.outer(radiance, np.eye(COUNT)[0]) * math.sqrt(4.0 * math.pi)
+    np.testing.assert_allclose(
+        project(np.broadcast_to(radiance, (*shape, 3))), expected, rtol=1e-13, atol=1e-8
+    )
+    np.testing.assert_allclose(project(np.ones((*shape, 3)))[0], expected[0], rtol=0, atol=2e-14)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 3), (4, 1), (3, 5)])
+def test_projection_is_the_integral_of_the_pixels(shape):
+    """Against Gauss quadrature of Y_i within every pixel, one by one."""
+    height, width = shape
+    image = np.random.default_rng(8).random((*shape, 3)).astype(np.float32)
+    nodes, weights = np.polynomial.legendre.leggauss(40)
+    expected = np.zeros((3, COUNT))
+    for i, j in np.ndindex(shape):
+        theta = math.pi * (i + (nodes[:, None] + 1.0) / 2.0) / height + 0.0 * nodes
+        phi = 2.0 * math.pi * (j + (nodes + 1.0) / 2.0) / width + 0.0 * nodes[:, None]
+        sine = np.sin(theta)
+        directions = np.stack([sine * np.cos(phi), sine * np.sin(phi), np.cos(theta)], axis=-1)
+        area = np.outer(weights, weights) / 4.0 * sine * (math.pi / height) * (2.0 * math.pi / width)
+        integral = area.ravel() @ basis(MAX_ORDER, directions.reshape(-1, 3))
+        expected += image[i, j].astype(float)[:, None] * integral
+    np.testing.assert_allclose(project(image), expected, rtol=0, atol=1e-13)
+
+
+def test_projection_finds_the_coefficients_of_an_image():
+    """A band-limited image comes back, up to the pixels' size, channel by channel."""
+    coefficients = np.random.default_rng(9).normal(size=(3, 25))
+    directions = pixel_directions(128, 256).reshape(-1, 3)
+    image = (basis(5, directions) @ coefficients.T).reshape(128, 256, 3)
+    np.testing.assert_allclose(project(image, 5), coefficients, rtol=0, atol=2e-3)
+
+
+@pytest.mark.parametrize("axis", [(0.0, 0.0, 1.0), (0.0, 0.0, -1.0), (0.6, -0.64, 0.48)])
+def test_projection_of_a_cosine_lobe(axis):
+    """max(ω·n, 0) has the coefficients A_l Y_lm(n)."""
+    lobe = np.maximum(pixel_directions(128, 256) @ axis, 0.0)
+    degrees = np.repeat(np.arange(5), 2 * np.arange(5) + 1)
+    expected = harmonics.cosine_lobe_factors(5)[degrees] * basis(5, np.array([axis]))[0]
+    np.testing.assert_allclose(project(lobe[..., None].repeat(3, axis=2), 5)[1], expected, rtol=0, atol=1e-3)
+
+
+def test_projection_of_one_pixel_of_a_million():
+    """A filament in the dark: every coefficient is its energy times Y_i, and dark pixels add nothing."""
+    image = np.zeros((64, 128, 3), np.float32)
+    image[20, 90] = 1e6
+    edges = np.cos(np.array([20, 21]) * math.pi / 64)
+    energy = 1e6 * (edges[0] - edges[1]) * 2.0 * math.pi / 128
+    direction = pixel_directions(64, 128)[20, 90]
+    np.testing.assert_allclose(project(image, 3)[2], energy * basis(3, direction[None])[0], rtol=5e-3)
+
+
+def test_projection_and_rotation_agree():
+    """Turning an image by whole columns is turning its coefficients about z."""
+    image = np.random.default_rng(10).random((8, 16, 3))
+    turn = Rotation.from_rotvec([0.0, 0.0, 3 * 2.0 * math.pi / 16]).as_matrix()
+    turned = project(image) @ rotation_matrix(turn).T
+    np.testing.assert_allclose(project(np.roll(image, 3, axis=1)), turned, rtol=0, atol=1e-13)
+
+
+def test_projection_reads_images_that_are_locked():
+    image = np.ones((2, 4, 3), np.float32)
+    image.flags.writeable = False
+    out = np.empty((3, 1))
+    harmonics.project(1, image, out)
+    np.testing.assert_allclose(out[:, 0], math.sqrt(4.0 * math.pi), rtol=1e-14)

@@ -1,0 +1,21 @@
+"""Asking an app without a socket."""
+
+import asyncio
+from collections.abc import Callable
+from typing import Any
+
+import httpx
+import pytest
+from fastapi import FastAPI
+
+
+@pytest.fixture(scope="session")
+def ask() -> Callable[..., httpx.Response]:
+    """``ask(app, method, path, **more)``: one answer of an ASGI app, its lifespan not begun."""
+
+    async def answer(app: FastAPI, method: str, path: str, more: dict[str, Any]) -> httpx.Response:
+        transport = httpx.ASGITransport(app, raise_app_exceptions=False)
+        async with httpx.AsyncClient(transport=transport, base_url="http://localhost") as client:
+            return await client.request(method, path, **more)
+
+    return lambda app, method, path, **more: asyncio.run(answer(app, method, path, more))

@@ -1,0 +1,59 @@
+"""The pages for people, over a real socket."""
+
+import re
+
+import httpx
+import pytest
+
+
+def test_the_viewer_and_its_files(live_server: str) -> None:
+    page = httpx.get(f"{live_server}/")
+    assert page.headers["content-type"].startswith("text/html")
+    assert "script-src 'self'" in page.headers["content-security-policy"]
+    files = re.findall(r'(?:src|href)="(web/[^"]+)"', page.text)
+    assert files
+    for file in files:
+        assert httpx.get(f"{live_server}/{file}").status_code == 200, file
+
+
+@pytest.mark.parametrize(
+    "path", ["/web/../pyproject.toml", "/web/%2e%2e/pyproject.toml", "/web/none.js", "/nothing"]
+)
+def test_nothing_else_is_served(live_server: str, path: str) -> None:
+    answer = httpx.get(f"{live_server}{path}")
+    assert answer.status_code == 404
+    assert answer.headers["content-type"] == "application/problem+json"
+
+
+def test_the_documentation_needs_nothing_from_elsewhere(live_server: str) -> None:
+    page = httpx.get(f"{live_server}/docs")
+    assert page.status_code == 200
+    assert "http://" not in page.text
+    assert "https://" not in page.text
+    assert "<script" not in page.text
+
+
+def test_every_route_and_parameter_is_documented(live_server: str) -> None:
+    page, api = httpx.get(f"{live_server}/docs").text, httpx.get(f"{live_server}/openapi.json").json()
+    assert {"/v1/scenes", "/v1/scenes/{scene}/frame", "/readyz"} <= api["paths"].keys()
+    for path, methods in api["paths"].items():
+        for method, facts in methods.items():
+            assert f"{method.upper()} {path}<" in page
+            assert facts["description"]
+            assert all(f"<code>{each['name']}</code>" in page for each in facts.get("parameters", []))
+
+
+def test_head_is_where_get_is(live_server: str) -> None:
+    for path in (
+        "/",
+        "/docs",
+        "/openapi.json",
+        "/web/style.css",
+        "/v1/scenes",
+        "/v1/scenes/small",
+        "/livez",
+        "/readyz",
+    ):
+        head, get = httpx.head(f"{live_server}{path}"), httpx.get(f"{live_server}{path}")
+        assert (head.status_code, head.content) == (200, b""), path
+        assert head.headers["content-length"] == get.headers["content-length"], path

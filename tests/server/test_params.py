@@ -1,0 +1,94 @@
+"""The parameters of a frame: what is read, what is refused, and with which sentence."""
+
+import pytest
+
+from server.errors import ParameterError
+from server.params import FrameParams, NoParams, ViewParams, documented, read
+
+NUMBERS = [
+    *("azimuth", "elevation", "distance", "fov", "yaw", "pitch", "roll"),
+    *("width", "height", "wait_ms", "max_error", "exposure"),
+]
+
+
+def refusal(*pairs: tuple[str, str]) -> ParameterError:
+    with pytest.raises(ParameterError) as caught:
+        read(FrameParams, pairs)
+    return caught.value
+
+
+def test_nothing_given_takes_the_defaults() -> None:
+    params = read(FrameParams, [])
+    assert (params.width, params.height, params.shading, params.wait_ms) == (512, 512, "gi", 0)
+    assert not params.model_fields_set
+
+
+def test_everything_is_read() -> None:
+    text = "eye=1,2,3 light=1,0,0,0 width=7 shading=path_traced samples=3 f=npy max_error=0.1"
+    params = read(FrameParams, (pair.split("=") for pair in text.split()))
+    assert params.eye == (1, 2, 3)
+    assert params.light == (1, 0, 0, 0)
+    assert (params.width, params.samples, params.f, params.max_error) == (7, 3, "npy", 0.1)
+
+
+@pytest.mark.parametrize("name", NUMBERS)
+@pytest.mark.parametrize("text", ["nan", "inf", "-inf", "1e999", "1_0", "", "x", "-1e6"])
+def test_hostile_numbers_name_parameter_range_and_value(name: str, text: str) -> None:
+    error = refusal((name, text))
+    assert error.parameter == name
+    assert str(error).startswith(f"{name} must be a")
+    assert " from " in str(error)
+    assert str(error).endswith(f"not '{text}'.")
+
+
+def test_zero_size() -> None:
+    assert str(refusal(("width", "0"))) == "width must be a whole number from 1 to 16383, not '0'."
+
+
+def test_an_unknown_parameter_is_named_and_the_known_ones_listed() -> None:
+    error = refusal(("isovalu", "1"))
+    assert error.parameter == "isovalu"
+    assert "'isovalu'" in str(error)
+    assert "isovalue, azimuth" in str(error)
+
+
+def test_a_resource_without_parameters() -> None:
+    with pytest.raises(ParameterError, match="the parameters are: none"):
+        read(NoParams, [("x", "1")])
+
+
+def test_a_repeated_parameter() -> None:
+    assert str(refusal(("width", "5"), ("width", "5"))) == "width is given more than once: give it once."
+
+
+@pytest.mark.parametrize(
+    "pairs",
+    [
+        [("eye", "1,2,3"), ("azimuth", "0")],
+        [("target", "1,2,3"), ("distance", "2")],
+        [("up", "0,0,1"), ("elevation", "0")],
+        [("light", "1,0,0,0"), ("yaw", "0")],
+        [("light", "1,0,0,0"), ("roll", "5"), ("pitch", "1")],
+    ],
+)
+def test_two_ways_of_saying_one_thing(pairs: list[tuple[str, str]]) -> None:
+    sentence = str(refusal(*pairs))
+    assert "is given twice" in sentence
+    assert all(name in sentence for name, _ in pairs)
+
+
+def test_samples_are_for_path_tracing() -> None:
+    assert "shading=path_traced" in str(refusal(("samples", "4")))
+    assert read(FrameParams, [("samples", "4"), ("shading", "path_traced")]).samples == 4
+
+
+@pytest.mark.parametrize("name", ["f", "overlay", "exposure"])
+def test_coverage_does_not_read_what_only_a_picture_reads(name: str) -> None:
+    with pytest.raises(ParameterError, match=f"There is no parameter '{name}'"):
+        read(ViewParams, [(name, "png")])
+
+
+def test_every_parameter_is_documented() -> None:
+    listed = documented(FrameParams)["parameters"]
+    assert [each["name"] for each in listed] == list(FrameParams.model_fields)
+    assert all(each["description"] and each["in"] == "query" for each in listed)

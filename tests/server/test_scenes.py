@@ -1,0 +1,64 @@
+"""The list of scenes and one scene's document, over a real socket."""
+
+import httpx
+import pytest
+
+from isogi_core.model.view import SHADINGS
+
+
+@pytest.fixture(scope="module")
+def scene(live_server: str) -> dict[str, object]:
+    answer = httpx.get(f"{live_server}/v1/scenes/small")
+    assert answer.status_code == 200
+    document: dict[str, object] = answer.json()
+    return document
+
+
+def test_the_list(live_server: str) -> None:
+    answer = httpx.get(f"{live_server}/v1/scenes")
+    assert answer.json() == {"scenes": [{"id": "small", "name": "small", "href": "/v1/scenes/small"}]}
+    assert answer.headers["x-content-type-options"] == "nosniff"
+
+
+def test_the_volume(scene: dict[str, dict[str, object]]) -> None:
+    assert scene["volume"]["size"] == [24, 20, 16]
+    assert scene["volume"]["spacing"] == [1, 1, 1]
+    assert scene["volume"]["dtype"] == "float32"
+    assert scene["volume"]["holes"] == 0
+
+
+def test_the_histogram_counts_every_voxel(scene: dict[str, dict[str, list[float]]]) -> None:
+    counts, edges = scene["histogram"]["counts"], scene["histogram"]["edges"]
+    assert sum(counts) == 24 * 20 * 16
+    assert len(edges) == len(counts) + 1
+    assert [edges[0], edges[-1]] == pytest.approx(scene["volume"]["value_range"])
+
+
+def test_defaults_are_in_their_ranges_and_make_a_frame(
+    live_server: str, scene: dict[str, dict[str, object]]
+) -> None:
+    defaults, ranges = scene["defaults"], scene["ranges"]
+    assert ranges["isovalue"] == {"min": 0.2, "max": 0.8}
+    for name in ranges.keys() & defaults.keys():
+        assert ranges[name]["min"] <= defaults[name] <= ranges[name]["max"]  # type: ignore[index]
+    small = {**defaults, "width": 8, "height": 8}
+    assert httpx.get(f"{live_server}/v1/scenes/small/frame", params=small).status_code == 200
+
+
+def test_what_the_scene_says_of_itself(scene: dict[str, object]) -> None:
+    assert scene["shadings"] == list(SHADINGS)
+    assert [light["type"] for light in scene["lights"]] == ["constant", "sky"]  # type: ignore[attr-defined]
+    assert (scene["albedo"], scene["bounces"], scene["solid"]) == ([0.7, 0.7, 0.7], 1, "above")
+    assert (scene["target_error"], scene["rotating"]) == (0.5, True)
+
+
+def test_the_plan_says_what_is_left_out_and_why(scene: dict[str, dict[str, object]]) -> None:
+    plan = scene["plan"]
+    assert plan["bounces"] == 1
+    assert plan["bytes_per_texel"] > 0  # type: ignore[operator]
+    assert all(each["what"] and each["why"] for each in plan["left_out"])  # type: ignore[attr-defined]
+
+
+def test_unknown_parameters_are_refused(live_server: str) -> None:
+    for path in ("/v1/scenes", "/v1/scenes/small"):
+        assert httpx.get(f"{live_server}{path}?verbose=1").status_code == 422

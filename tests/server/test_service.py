@@ -1,0 +1,223 @@
+"""The service around a studio that does as the test says: starting, failing, full, deserted."""
+
+import asyncio
+import threading
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import httpx
+import numpy as np
+import pytest
+from fastapi import FastAPI
+
+from isogi_core.errors import Cancelled, StoreError
+from isogi_core.frame.frame import Frame
+from isogi_core.model.scene import Scene, load_scene
+from isogi_core.model.view import View
+from server.app import create_app
+from server.settings import Settings
+
+FRAME = "/v1/scenes/orbital/frame"
+
+
+class FakeStudio:
+    """A studio whose frames are grey squares; ``doing`` is called in the middle of each."""
+
+    def __init__(self, scene: Scene, doing: Callable[[threading.Event], None]) -> None:
+        self.scenes = {scene.id: scene}
+        self.doing = doing
+        self.views: list[tuple[View, float | None, float]] = []
+        self.startable: Exception | None = None
+        self.closed = False
+
+    def start(self) -> None:
+        if self.startable:
+            raise self.startable
+
+    def close(self) -> None:
+        self.closed = True
+
+    def unready(self) -> list[str]:
+        return ["No worker is alive."]
+
+    def frame(
+        self, scene: str, view: View, *, max_error: float | None, wait: float, cancelled: threading.Event
+    ) -> Frame:
+        self.views.append((view, max_error, wait))
+        self.doing(cancelled)
+        shape = (view.height, view.width)
+        colour, ones = np.full((*shape, 3), 0.5, np.float32), np.ones(shape, np.float32)
+        return Frame(view, colour, ones.astype(np.uint8), ones, colour, 3, 1, (), "v1", {"primary": 0.001})
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return load_scene("demo:orbital", lights=[{"type": "constant"}], rotating=False)
+
+
+@pytest.fixture
+def studio(scene: Scene) -> FakeStudio:
+    return FakeStudio(scene, lambda _: None)
+
+
+@pytest.fixture
+def settings() -> Settings:
+    return Settings(render_threads=2, render_queue=1)
+
+
+@pytest.fixture
+def app(studio: FakeStudio, settings: Settings) -> Iterator[FastAPI]:
+    app = create_app(studio, settings)  # type: ignore[arg-type]
+    yield app
+    app.state.service._renders.close()
+
+
+def started(app: FastAPI, *queries: dict[str, Any]) -> list[httpx.Response]:
+    """Answers to frame requests sent at the same time, once the studio has started."""
+
+    async def gather() -> list[httpx.Response]:
+        await app.state.service.start()
+        transport = httpx.ASGITransport(app, raise_app_exceptions=False)
+        async with httpx.AsyncClient(transport=transport, base_url="http://localhost") as client:
+            return await asyncio.gather(*(client.get(FRAME, params={"width": 4, **q}) for q in queries))
+
+    return asyncio.run(gather())
+
+
+def test_until_the_studio_is_up_frames_are_503_and_scenes_are_there(
+    ask: Callable[..., httpx.Response], app: FastAPI
+) -> None:
+    answer = ask(app, "GET", FRAME)
+    assert answer.status_code == 503
+    assert answer.headers["retry-after"] == "1"
+    assert "is starting" in answer.json()["detail"]
+    assert ask(app, "GET", "/readyz").json()["reasons"] == [answer.json()["detail"]]
+    assert ask(app, "GET", "/livez").status_code == 200
+    assert ask(app, "GET", "/v1/scenes").json()["scenes"][0]["id"] == "orbital"
+
+
+def test_a_studio_that_does_not_start_is_told_and_never_asked(studio: FakeStudio, app: FastAPI) -> None:
+    studio.startable = StoreError("The store is full.")
+    (answer,) = started(app, {})
+    assert answer.status_code == 503
+    assert answer.json()["detail"] == "isogi did not start: The store is full."
+    assert not studio.views
+
+
+def test_what_the_studio_misses_is_told(ask: Callable[..., httpx.Response], app: FastAPI) -> None:
+    asyncio.run(app.state.service.start())
+    answer = ask(app, "GET", "/readyz")
+    assert (answer.status_code, answer.json()["detail"]) == (503, "No worker is alive.")
+
+
+def test_a_frame_reaches_the_studio_as_a_view(studio: FakeStudio, app: FastAPI) -> None:
+    (answer,) = started(app, {"height": 3, "isovalue": 0.3, "wait_ms": 250, "max_error": 0.1, "f": "npy"})
+    assert answer.status_code == 200, answer.text
+    view, max_error, wait = studio.views[0]
+    assert (view.width, view.height, view.isovalue, max_error, wait) == (4, 3, 0.3, 0.1, 0.25)
+    assert answer.headers["isogi-provisional"] == "?1"
+    assert answer.headers["isogi-chunks"] == "needed=3, final=1"
+    assert answer.headers["isogi-coverage"] == "final=0.000, converging=0.000, provisional=1.000"
+    assert answer.headers["cache-control"] == "no-cache"
+
+
+def test_the_overlay_marks_what_is_provisional(app: FastAPI) -> None:
+    plain, marked = started(app, {}, {"overlay": "provisional"})
+    assert plain.content != marked.content
+    assert plain.headers["etag"] != marked.headers["etag"]
+
+
+@pytest.mark.parametrize(
+    "query",
+    [{"isovalue": "nan"}, {"width": 0}, {"colour": 1}, {"yaw": 5}, {"light": "0,1,0,0"}, {"up": "0,0,0"}],
+)
+def test_a_refused_view_never_reaches_the_studio(
+    studio: FakeStudio, app: FastAPI, query: dict[str, Any]
+) -> None:
+    (answer,) = started(app, query)
+    assert answer.status_code == 422, answer.text
+    assert not studio.views
+
+
+def test_a_light_that_does_not_turn_may_be_told_so(studio: FakeStudio, app: FastAPI) -> None:
+    (answer,) = started(app, {"yaw": 0, "pitch": 0, "roll": 360})
+    assert answer.status_code == 200, answer.text
+    assert studio.views[0][0].light == (1, 0, 0, 0)
+
+
+def test_errors_at_work_are_problems(studio: FakeStudio, app: FastAPI) -> None:
+    def fail(_: threading.Event) -> None:
+        raise StoreError("The store does not answer.")
+
+    studio.doing = fail
+    (answer,) = started(app, {})
+    assert (answer.status_code, answer.json()["detail"]) == (503, "The store does not answer.")
+
+
+def test_beyond_the_queue_is_429_and_the_rest_is_served(studio: FakeStudio, app: FastAPI) -> None:
+    release = threading.Event()
+    studio.doing = lambda _: None if release.wait(10) else pytest.fail("nobody was refused")
+    answers = asyncio.run(crowd(app, 9, release))
+    assert [answer.status_code for answer in answers] == [429] * 6 + [200] * 3
+    assert answers[0].headers["retry-after"] == "1"
+
+
+async def crowd(app: FastAPI, clients: int, release: threading.Event) -> list[httpx.Response]:
+    """Answers to so many clients at once, in the order they came; frames are held until the 6th."""
+    await app.state.service.start()
+    transport = httpx.ASGITransport(app)
+    async with httpx.AsyncClient(transport=transport, base_url="http://localhost") as client:
+        answers: list[httpx.Response] = []
+        for answer in asyncio.as_completed([client.get(FRAME, params={"width": 4}) for _ in range(clients)]):
+            answers.append(await answer)
+            if len(answers) == 6:
+                release.set()
+        return answers
+
+
+def test_a_client_that_leaves_stops_its_frame(studio: FakeStudio, app: FastAPI) -> None:
+    begun, seen = threading.Event(), threading.Event()
+
+    def work(cancelled: threading.Event) -> None:
+        begun.set()
+        if cancelled.wait(10):
+            seen.set()
+            raise Cancelled("Nobody waits.")
+
+    studio.doing = work
+    asyncio.run(leave(app, begun))
+    assert seen.is_set()
+
+
+async def leave(app: FastAPI, begun: threading.Event) -> None:
+    """Ask for a frame and disconnect once its work has begun."""
+    await app.state.service.start()
+
+    async def receive() -> dict[str, Any]:
+        await asyncio.to_thread(begun.wait, 10)
+        return {"type": "http.disconnect"}
+
+    async def send(message: Any) -> None:
+        pass
+
+    scope = {
+        **{"type": "http", "http_version": "1.1", "method": "GET", "path": FRAME, "raw_path": FRAME.encode()},
+        **{
+            "query_string": b"width=4",
+            "headers": [(b"host", b"localhost")],
+            "scheme": "http",
+            "root_path": "",
+        },
+        **{"server": ("localhost", 80), "client": ("localhost", 1)},
+    }
+    await app(scope, receive, send)  # type: ignore[arg-type]
+
+
+def test_the_lifespan_starts_and_closes_the_studio(studio: FakeStudio, app: FastAPI) -> None:
+    async def live() -> bool:
+        async with app.router.lifespan_context(app):
+            await asyncio.wait_for(app.state.service.settled.wait(), 10)
+            return studio.closed
+
+    assert asyncio.run(live()) is False
+    assert studio.closed

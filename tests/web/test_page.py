@@ -1,0 +1,388 @@
+"""The page in a real browser, against the real server: what a person does, and what they then see."""
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Literal
+from urllib.parse import parse_qs, urlsplit
+
+import numpy as np
+import pytest
+from playwright.sync_api import Browser, Page, expect, sync_playwright
+
+CHROMIUM = Path("/usr/bin/chromium")
+FLAGS = [
+    *("--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"),
+    *("--disable-background-networking", "--disable-component-update", "--disable-sync"),
+]
+SHOTS = Path(__file__).resolve().parents[2] / "test-results" / "page"
+FINAL_MS = 180_000  # baking a view for the first time on a small machine
+ROLES = "slider|combobox|switch|button|spinbutton|progressbar"
+KNOBS = ("isovalue", "azimuth", "elevation", "distance", "yaw", "pitch", "roll")
+
+pytestmark = [
+    pytest.mark.browser,
+    pytest.mark.slow,
+    pytest.mark.skipif(not CHROMIUM.exists(), reason=f"no Chromium at {CHROMIUM}: install Debian's chromium"),
+]
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with sync_playwright() as playwright:
+        chromium = playwright.chromium.launch(executable_path=str(CHROMIUM), args=FLAGS)
+        yield chromium
+        chromium.close()
+
+
+@pytest.fixture
+def page(browser: Browser) -> Iterator[Page]:
+    """A page whose console must stay free of errors, and that talks to nobody but the server."""
+    context = browser.new_context(viewport={"width": 900, "height": 640})
+    page = context.new_page()
+    page.set_default_timeout(30_000)
+    complaints: list[str] = []
+    page.on("pageerror", lambda error: complaints.append(str(error)))
+    page.on("console", lambda message: complaints.append(message.text) if message.type == "error" else None)
+    yield page
+    context.close()
+    cut_by_the_test = "net::ERR_FAILED"
+    assert [text for text in complaints if cut_by_the_test not in text] == []
+
+
+@pytest.fixture
+def shown(page: Page, live_server: str) -> Page:
+    """The page at the scene's defaults, its picture final."""
+    return open_final(page, live_server)
+
+
+def open_final(page: Page, address: str) -> Page:
+    page.goto(address)
+    return wait_final(page)
+
+
+def wait_final(page: Page) -> Page:
+    """Wait until the view rests, its picture is final, and the browser has it on the screen."""
+    page.wait_for_timeout(400)  # the page itself waits 200 ms before it calls a view at rest
+    page.wait_for_selector("#stage[data-state=final]:not([data-busy])", timeout=FINAL_MS)
+    page.wait_for_timeout(200)
+    return page
+
+
+def pixels(page: Page) -> np.ndarray:
+    """The picture on the stage, scaled to 96 × 96, as float RGB (96, 96, 3) within 0..255."""
+    flat = page.evaluate(
+        """() => {
+          const canvas = document.createElement("canvas");
+          canvas.width = canvas.height = 96;
+          const paint = canvas.getContext("2d");
+          paint.drawImage(document.querySelector("#picture"), 0, 0, 96, 96);
+          return Array.from(paint.getImageData(0, 0, 96, 96).data);
+        }"""
+    )
+    return np.array(flat, dtype=float).reshape(96, 96, 4)[..., :3]
+
+
+def difference(a: np.ndarray, b: np.ndarray) -> float:
+    return float(np.abs(a - b).mean())
+
+
+def address_of(page: Page) -> dict[str, str]:
+    """The knobs in the address bar."""
+    page.wait_for_timeout(400)  # it is written after a short pause
+    return {name: values[0] for name, values in parse_qs(urlsplit(page.url).query).items()}
+
+
+def numbers_of(page: Page) -> dict[str, float]:
+    return {name: float(value) for name, value in address_of(page).items() if name in KNOBS}
+
+
+def slide(page: Page, knob: str, share: float) -> None:
+    """Put a slider at a share of its range, as a hand would."""
+    page.eval_on_selector(
+        f"input[name={knob}]",
+        """(slider, share) => {
+          slider.value = Number(slider.min) + share * (Number(slider.max) - Number(slider.min));
+          slider.dispatchEvent(new Event("input", { bubbles: true }));
+        }""",
+        share,
+    )
+
+
+def drag(page: Page, right: int, down: int, button: Literal["left", "right"] = "left") -> None:
+    box = page.locator("#stage").bounding_box()
+    assert box is not None
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    page.mouse.move(x, y)
+    page.mouse.down(button=button)
+    page.mouse.move(x + right, y + down, steps=8)
+    page.mouse.up(button=button)
+
+
+def turned(after: float, before: float) -> float:
+    """Degrees from ``before`` to ``after``, within ±180."""
+    return (after - before + 180.0) % 360.0 - 180.0
+
+
+def scene_of(page: Page, base: str) -> dict[str, Any]:
+    """What the server says about its first scene, which is the one that the page opens."""
+    scenes = page.request.get(f"{base}/v1/scenes").json()["scenes"]
+    facts: dict[str, Any] = page.request.get(f"{base}/v1/scenes/{scenes[0]['id']}").json()
+    return facts
+
+
+def test_becomes_final_without_a_reload(page: Page, live_server: str) -> None:
+    loads: list[str] = []
+    page.on("framenavigated", lambda frame: loads.append(frame.url))
+    open_final(page, live_server)
+    assert len(loads) == 1
+    expect(page.locator("#status-line")).to_have_text(re.compile(r"^final"))
+    expect(page.locator("#progress")).to_have_attribute("aria-valuenow", "100")
+    expect(page.locator("#badge")).to_be_hidden()
+    assert pixels(page).std() > 5.0, "the picture shows nothing"
+    SHOTS.mkdir(parents=True, exist_ok=True)
+    page.screenshot(path=SHOTS / "final.png")
+
+
+def test_asks_nobody_but_the_server(page: Page, live_server: str) -> None:
+    asked: list[str] = []
+    page.on("request", lambda request: asked.append(request.url))
+    open_final(page, live_server)
+    here = urlsplit(live_server).netloc
+    assert asked
+    assert {urlsplit(url).netloc for url in asked if not url.startswith(("blob:", "data:"))} == {here}
+
+
+def test_says_what_the_scene_needs_and_what_was_left_out(shown: Page, live_server: str) -> None:
+    scene = scene_of(shown, live_server)
+    shown.click("#plan summary")
+    facts = shown.inner_text("#plan")
+    assert scene["plan"]["representation"] in facts
+    assert all(item["what"] in facts and item["why"] in facts for item in scene["plan"]["left_out"])
+    shown.click("#volume summary")
+    assert " × ".join(str(side) for side in scene["volume"]["size"]) in shown.inner_text("#volume")
+
+
+def test_isovalue_slider_changes_picture_and_address(shown: Page) -> None:
+    before = pixels(shown)
+    slide(shown, "isovalue", 0.35)
+    low = numbers_of(shown)["isovalue"]
+    slide(shown, "isovalue", 0.6)
+    high = numbers_of(shown)["isovalue"]
+    assert high > low
+    assert float(shown.input_value("#isovalue-number")) == pytest.approx(high)
+    wait_final(shown)
+    assert difference(pixels(shown), before) > 0.5
+
+
+def test_isovalue_can_be_typed(shown: Page) -> None:
+    least, most = (float(shown.get_attribute("#isovalue", limit) or "nan") for limit in ("min", "max"))
+    wanted = round(least + 0.4 * (most - least), 3)
+    shown.fill("#isovalue-number", str(wanted))
+    shown.press("#isovalue-number", "Enter")
+    assert numbers_of(shown)["isovalue"] == wanted
+
+
+def test_drag_turns_the_object_as_if_held(shown: Page) -> None:
+    before, start = pixels(shown), scene_angles(shown)
+    drag(shown, 90, 40)
+    after = numbers_of(shown)
+    assert -90.0 < turned(after["azimuth"], start["azimuth"]) < -5.0
+    assert after["elevation"] > start["elevation"]
+    wait_final(shown)
+    assert difference(pixels(shown), before) > 0.5
+
+
+def test_wheel_zooms(shown: Page) -> None:
+    start = scene_angles(shown)
+    shown.hover("#stage")
+    shown.mouse.wheel(0, -240)
+    near = numbers_of(shown)["distance"]
+    shown.mouse.wheel(0, 480)
+    far = numbers_of(shown)["distance"]
+    assert near < start["distance"] < far
+
+
+def test_keys(shown: Page) -> None:
+    start = scene_angles(shown)
+    shown.focus("#stage")
+    for key in ("ArrowRight", "ArrowDown", "+", "]", "Shift+ArrowRight", "o"):
+        shown.keyboard.press(key)
+    after = numbers_of(shown)
+    assert turned(after["azimuth"], start["azimuth"]) == pytest.approx(-5.0, abs=0.02)
+    assert after["elevation"] == pytest.approx(start["elevation"] + 5.0, abs=0.02)
+    assert after["distance"] < start["distance"]
+    assert after["isovalue"] > start["isovalue"]
+    assert turned(after["yaw"], start["yaw"]) == pytest.approx(10.0, abs=0.02)
+    assert address_of(shown)["overlay"] == "provisional"
+    shown.keyboard.press("0")
+    assert numbers_of(shown) == pytest.approx(start, rel=1e-3, abs=0.01)
+    shown.keyboard.press("?")
+    expect(shown.locator("#help")).to_be_visible()
+    shown.keyboard.press("Escape")
+    expect(shown.locator("#help")).to_be_hidden()
+
+
+def test_arrows_in_a_slider_belong_to_the_slider(shown: Page) -> None:
+    start = scene_angles(shown)
+    shown.focus("#isovalue")
+    shown.keyboard.press("ArrowRight")
+    after = numbers_of(shown)
+    assert after["azimuth"] == pytest.approx(start["azimuth"], abs=0.01)
+    assert after["isovalue"] > start["isovalue"]
+
+
+@pytest.mark.parametrize("hand", ["right button", "shift", "slider", "ball"])
+def test_light_can_be_turned(shown: Page, hand: str) -> None:
+    before = pixels(shown)
+    turn_light(shown, hand)
+    after = address_of(shown)
+    assert abs(float(after["yaw"])) > 5.0
+    wait_final(shown)
+    assert difference(pixels(shown), before) > 0.3
+
+
+def test_shading_choice(shown: Page, live_server: str) -> None:
+    before = pixels(shown)
+    offered = shown.eval_on_selector_all("#shading option", "options => options.map(o => o.value)")
+    assert offered == scene_of(shown, live_server)["shadings"]
+    shown.select_option("#shading", "lambert")
+    assert address_of(shown)["shading"] == "lambert"
+    wait_final(shown)
+    assert difference(pixels(shown), before) > 0.3
+
+
+def test_exposure_brightens(shown: Page) -> None:
+    before = pixels(shown).mean()
+    slide(shown, "exposure", 0.7)
+    wait_final(shown)
+    assert pixels(shown).mean() > before + 2.0
+
+
+def test_overlay_marks_what_is_provisional(page: Page, live_server: str) -> None:
+    page.goto(f"{live_server}/?overlay=provisional&azimuth=211&elevation=-17")
+    page.wait_for_selector("#stage[data-state=provisional], #stage[data-state=final]", timeout=FINAL_MS)
+    assert page.is_checked("#overlay")
+    with page.expect_request(lambda request: "overlay=none" in request.url):
+        page.click("#overlay")
+    assert "overlay" not in address_of(page)
+    with page.expect_request(lambda request: "overlay=provisional" in request.url):
+        page.click("#overlay")
+
+
+def test_moving_asks_for_small_jpeg_and_rest_for_the_full_picture(shown: Page) -> None:
+    asked: list[dict[str, list[str]]] = []
+    shown.on("request", lambda request: asked.append(parse_qs(urlsplit(request.url).query)))
+    drag(shown, 60, 0)
+    wait_final(shown)
+    frames = [query for query in asked if "isovalue" in query]
+    assert frames[0]["f"] == ["jpeg"]
+    assert frames[-1]["f"] == ["png"]
+    assert int(frames[0]["width"][0]) < int(frames[-1]["width"][0])
+    box = shown.locator("#stage").bounding_box()
+    assert box is not None
+    assert int(frames[-1]["width"][0]) == pytest.approx(box["width"], abs=1)
+
+
+def test_reload_restores_the_view(shown: Page) -> None:
+    slide(shown, "isovalue", 0.45)
+    drag(shown, -70, -25)
+    drag(shown, 50, 30, button="right")
+    shown.select_option("#shading", "lambert")
+    wait_final(shown)
+    address, before = address_of(shown), pixels(shown)
+    shown.reload()
+    wait_final(shown)
+    assert difference(pixels(shown), before) == 0.0
+    assert float(shown.input_value("#isovalue-number")) == pytest.approx(float(address["isovalue"]))
+    assert shown.input_value("#shading") == "lambert"
+
+
+def test_address_without_meaning_is_put_right(page: Page, live_server: str) -> None:
+    open_final(page, f"{live_server}/?isovalue=1e300&azimuth=765&pitch=abc&shading=none&scene=nothing")
+    assert page.input_value("#isovalue") == page.get_attribute("#isovalue", "max")
+    assert float(page.input_value("#azimuth")) == 45.0
+    expect(page.locator("#trouble")).to_be_hidden()
+
+
+@pytest.mark.parametrize("width", [320, 390, 768])
+def test_narrow_screens_scroll_only_down(browser: Browser, live_server: str, width: int) -> None:
+    context = browser.new_context(viewport={"width": width, "height": 844}, has_touch=True)
+    page = open_final(context.new_page(), live_server)
+    stage, controls = page.locator("#stage").bounding_box(), page.locator("#controls").bounding_box()
+    assert stage is not None
+    assert controls is not None
+    assert stage["y"] + stage["height"] <= controls["y"]
+    for summary in page.locator("summary").all():
+        summary.click()
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    SHOTS.mkdir(parents=True, exist_ok=True)
+    page.screenshot(path=SHOTS / f"width-{width}.png", full_page=True)
+    context.close()
+
+
+def test_dark_scheme(browser: Browser, live_server: str) -> None:
+    context = browser.new_context(viewport={"width": 1280, "height": 800}, color_scheme="dark")
+    page = open_final(context.new_page(), live_server)
+    ink, paper = (
+        page.evaluate(f"getComputedStyle(document.body).{what}") for what in ("color", "backgroundColor")
+    )
+    assert brightness(ink) > 200
+    assert brightness(paper) < 60
+    SHOTS.mkdir(parents=True, exist_ok=True)
+    page.screenshot(path=SHOTS / "dark.png")
+    context.close()
+
+
+def test_server_gone_and_back(shown: Page) -> None:
+    shown.route("**/frame?*", lambda route: route.abort())
+    shown.focus("#stage")
+    shown.keyboard.press("ArrowLeft")
+    expect(shown.locator("#trouble")).to_be_visible()
+    expect(shown.locator("#trouble h2")).to_have_text("The server does not answer")
+    SHOTS.mkdir(parents=True, exist_ok=True)
+    shown.screenshot(path=SHOTS / "gone.png")
+    shown.unroute("**/frame?*")
+    expect(shown.locator("#trouble")).to_be_hidden(timeout=FINAL_MS)
+    wait_final(shown)
+
+
+def test_server_away_at_the_start(page: Page, live_server: str) -> None:
+    page.route("**/v1/**", lambda route: route.abort())
+    page.goto(live_server)
+    expect(page.locator("#trouble h2")).to_have_text("The server does not answer")
+    page.unroute("**/v1/**")
+    wait_final(page)
+    expect(page.locator("#trouble")).to_be_hidden()
+
+
+def test_every_control_has_a_name(shown: Page) -> None:
+    tree = shown.locator("body").aria_snapshot()
+    assert re.findall(rf'^\s*- (?:{ROLES}) "', tree, re.MULTILINE)
+    assert re.findall(rf"^\s*- (?:{ROLES})(?! \").*$", tree, re.MULTILINE) == []
+    expect(shown.locator("#picture")).to_have_attribute("alt", re.compile("^Isosurface of "))
+
+
+def scene_angles(page: Page) -> dict[str, float]:
+    """The knobs of the scene's defaults, asked of the server that the page came from."""
+    parts = urlsplit(page.url)
+    defaults = scene_of(page, f"{parts.scheme}://{parts.netloc}")["defaults"]
+    return {name: float(defaults[name]) for name in KNOBS}
+
+
+def turn_light(page: Page, hand: str) -> None:
+    if hand == "slider":
+        slide(page, "yaw", 0.8)
+    elif hand == "ball":
+        page.locator("#globe").drag_to(page.locator("#light label").first, source_position={"x": 40, "y": 58})
+    elif hand == "shift":
+        page.keyboard.down("Shift")
+        drag(page, 120, 0)
+        page.keyboard.up("Shift")
+    else:
+        drag(page, 120, 0, button="right")
+
+
+def brightness(colour: str) -> float:
+    """Mean of the three channels of ``rgb(r, g, b)``."""
+    return float(np.mean([int(part) for part in re.findall(r"\d+", colour)[:3]]))

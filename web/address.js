@@ -1,0 +1,51 @@
+/** The view in the address bar: read on load, written shortly after a change, so a link shows the same picture. */
+
+import { NUMBERS } from "./view.js";
+
+/**
+ * Read knobs from an address. What is no number is left out; the view then takes the scene's default.
+ * @param {string} search the part of the address from `?` on
+ * @returns {{scene: string|null, start: object}}
+ */
+export function readAddress(search) {
+  const query = new URLSearchParams(search);
+  const numbers = NUMBERS.filter((name) => query.get(name)?.trim()).map((name) => [name, Number(query.get(name))]);
+  const start = Object.fromEntries(numbers.filter(([, value]) => Number.isFinite(value)));
+  if (query.has("shading")) start.shading = query.get("shading");
+  if (query.has("overlay")) start.overlay = query.get("overlay") === "provisional";
+  return { scene: query.get("scene"), start };
+}
+
+/**
+ * The address query of a view. The names are those of the frame request.
+ * @param {object} scene answer of `readScene`
+ * @param {object} values knobs of the view
+ * @returns {string}
+ */
+export function writeAddress(scene, values) {
+  const query = new URLSearchParams({ scene: scene.id });
+  for (const name of NUMBERS.filter((each) => each in values)) query.set(name, values[name]);
+  query.set("shading", values.shading);
+  if (values.overlay) query.set("overlay", "provisional");
+  return `?${query}`;
+}
+
+/**
+ * Keep the address bar up with the view; browsers limit how often, so it waits for a short pause.
+ * @param {object} scene answer of `readScene`
+ * @param {import("./view.js").ViewModel} view
+ * @returns {() => string} writes what is due, at once, and gives the whole address
+ */
+export function followAddress(scene, view) {
+  let timer = 0;
+  const write = () => {
+    clearTimeout(timer);
+    history.replaceState(null, "", writeAddress(scene, view.values));
+    return location.href;
+  };
+  view.subscribe(() => {
+    clearTimeout(timer);
+    timer = setTimeout(write, 150);
+  });
+  return write;
+}

@@ -1,0 +1,95 @@
+"""The baker: keeps the workers busy with what the queue says, and tells when light has come."""
+
+import logging
+import threading
+import time
+from collections.abc import Callable, Hashable, Iterable
+from dataclasses import dataclass
+
+from isogi_core.bake.recipe import Index
+from isogi_core.frame.texels import Demand
+from isogi_core.model.source import SceneSource
+from worker.pool import WorkerPool
+from worker.queue import BakeQueue, Want
+from worker.tasks import BakeResult, BakeTask
+
+log = logging.getLogger("isogi.worker")
+
+
+@dataclass(frozen=True, eq=False)
+class Bake:
+    """Where a scene's light goes: its ``source``, its ``store``, and who is told of each new chunk."""
+
+    source: SceneSource
+    store: str
+    arrived: Callable[[Index], None]
+
+
+class Baker:
+    """One queue and one pool for all scenes. Safe to use from many threads."""
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        """Begin without workers: what is wanted waits until ``employ``."""
+        self._queue = BakeQueue(clock)
+        self._bakes: dict[str, Bake] = {}
+        self._pool: WorkerPool | None = None
+        self._flying = 0
+        self._changed = threading.Condition()
+
+    def add(self, scene: str, bake: Bake) -> None:
+        """Take on the bake of a scene."""
+        self._bakes[scene] = bake
+
+    def employ(self, pool: WorkerPool) -> None:
+        """Begin to work with ``pool``."""
+        with self._changed:
+            self._pool = pool
+            self._feed()
+
+    def want(self, scene: str, demands: Iterable[Demand], target: float) -> None:
+        """Ask for the light that the newest view lacks."""
+        with self._changed:
+            self._queue.want([((scene, demand.index), demand) for demand in demands], target)
+            self._feed()
+
+    def wait(self, scene: str, indices: Iterable[Index], seconds: float) -> None:
+        """Block until no light is wanted of these chunks any more, at most ``seconds``."""
+        keys: list[Hashable] = [(scene, index) for index in indices]
+        with self._changed:
+            self._changed.wait_for(lambda: not self._queue.open(keys), seconds)
+
+    def stop(self) -> None:
+        """Hand out no more tasks."""
+        with self._changed:
+            self._pool = None
+            self._changed.notify_all()
+
+    def _feed(self) -> None:
+        """Hand tasks over while there is room for them; the caller holds the lock."""
+        while self._pool is not None and self._flying < self._pool.room:
+            want = self._queue.take()
+            if want is None:
+                return
+            self._flying += 1
+            self._submit(self._pool, want)
+
+    def _submit(self, pool: WorkerPool, want: Want) -> None:
+        scene, index = want.key  # type: ignore[misc]
+        bake = self._bakes[scene]
+        task = BakeTask(bake.source, bake.store, index, want.offsets, want.goal, want.target)
+        pool.submit(task, lambda result, error: self._done(scene, task, result, error))
+
+    def _done(self, scene: str, task: BakeTask, result: BakeResult | None, error: BaseException | None) -> None:
+        key = (scene, task.index)
+        if result is not None:
+            self._bakes[scene].arrived(task.index)
+        with self._changed:
+            self._flying -= 1
+            if result is not None:
+                self._queue.finish(key, task.offsets, task.target, result)
+            elif self._pool is not None:
+                log.warning("baking chunk %s of %s failed: %s", task.index, scene, error)
+                if self._queue.fail(key):
+                    log.error("chunk %s of %s is given up after too many failures", task.index, scene)
+            self._changed.notify_all()
+            self._feed()

@@ -1,0 +1,95 @@
+"""The worker processes: a Dask cluster, of this machine's own or joined by its address."""
+
+import os
+from collections.abc import Callable
+from typing import Any
+
+import dask.config
+from distributed import Client, Future, LocalCluster, WorkerPlugin
+
+from worker.errors import WorkersError
+from worker.tasks import BakeResult, BakeTask, bake
+
+NICENESS = 10
+"""How far the workers stand behind the server when both want a core."""
+
+AHEAD = 2
+"""Tasks in flight per worker: a task handed over can be neither re-ordered nor stopped, so few are."""
+
+SETTINGS = {
+    "distributed.admin.low-level-log-length": 100,
+    "distributed.scheduler.allowed-failures": 10,
+    "distributed.worker.memory.target": False,
+    "distributed.worker.memory.spill": False,
+    "distributed.worker.memory.pause": False,
+    "distributed.worker.memory.terminate": False,
+}
+
+Done = Callable[[BakeResult | None, BaseException | None], None]
+
+
+class Nice(WorkerPlugin):  # type: ignore[misc]
+    """Sets a worker process behind the server."""
+
+    name = "nice"
+
+    def setup(self, worker: Any) -> None:
+        """Lower the process's priority to NICENESS, once."""
+        os.setpriority(os.PRIO_PROCESS, 0, NICENESS)
+
+
+class WorkerPool:
+    """Processes that bake. Kernels must be compiled before it is made, so that workers only load them."""
+
+    def __init__(self, workers: int, scheduler: str | None = None) -> None:
+        """Start ``workers`` processes of one thread each, or join the ``scheduler``. Raises WorkersError."""
+        self._cluster: LocalCluster | None = None
+        try:
+            with dask.config.set(SETTINGS):
+                if scheduler is None:
+                    self._cluster = start_cluster(workers)
+                self._client = Client(self._cluster or scheduler, timeout="30s", set_as_default=False)
+                self._client.register_plugin(Nice())
+        except Exception as error:
+            raise WorkersError(f"Cannot start or reach the workers: {error}") from error
+
+    @property
+    def room(self) -> int:
+        """How many tasks may be in flight."""
+        return AHEAD * max(len(self._client.scheduler_info(n_workers=-1)["workers"]), 1)
+
+    def submit(self, task: BakeTask, done: Done) -> None:
+        """Hand a task over; ``done`` is called from another thread with its result or its error."""
+        future = self._client.submit(bake, task, pure=False)
+        future.add_done_callback(lambda ended: report(ended, done))
+
+    def pids(self) -> list[int]:
+        """Process ids of the workers."""
+        return list(self._client.run(os.getpid).values())
+
+    def close(self) -> None:
+        """Stop the workers that were started here, and leave those that were joined."""
+        self._client.close()
+        if self._cluster is not None:
+            self._cluster.close()
+
+
+def start_cluster(workers: int) -> LocalCluster:
+    """Worker processes on the loopback interface, started afresh and not forked, without a dashboard."""
+    return LocalCluster(
+        n_workers=workers,
+        threads_per_worker=1,
+        processes=True,
+        host="127.0.0.1",
+        dashboard_address=None,
+        memory_limit=None,
+        silence_logs=50,
+    )
+
+
+def report(ended: Future, done: Done) -> None:
+    """Tell ``done`` how a future ended."""
+    if ended.status == "finished":
+        done(ended.result(), None)
+    else:
+        done(None, ended.exception() if ended.status == "error" else WorkersError("The workers were stopped."))

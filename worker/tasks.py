@@ -1,0 +1,68 @@
+"""A task: more light for texels of one chunk. What a worker process runs."""
+
+import time
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from isogi_core.bake.noise import finished
+from isogi_core.bake.recipe import Index, Recipe
+from isogi_core.bake.refine import FIRST_RUNG, refine
+from isogi_core.cache.store import ChunkStore
+from isogi_core.model.scene import build_scene
+from isogi_core.model.source import SceneSource
+
+
+@dataclass(frozen=True, eq=False)
+class BakeTask:
+    """Bring the texels at ``offsets`` of a chunk to the relative error ``target``, or to ``until`` samples each."""
+
+    source: SceneSource
+    store: str
+    index: Index
+    offsets: np.ndarray
+    until: int
+    target: float
+
+
+@dataclass(frozen=True)
+class BakeResult:
+    """What a task left: texels not final yet, the fewest samples among them, and the seconds it took."""
+
+    unfinished: int
+    fewest: int
+    seconds: float
+
+
+@lru_cache(maxsize=4)
+def opened(source: SceneSource, store: str) -> tuple[Recipe, ChunkStore]:
+    """The scene and its store, opened once a process."""
+    recipe = Recipe(build_scene(source))
+    return recipe, ChunkStore(store, recipe)
+
+
+def bake(task: BakeTask) -> BakeResult:
+    """Do a task: read the chunk, add samples, write it back as one object.
+
+    The outcome depends on the texels and their sample counts alone, so a task that is done twice,
+    or done again after a kill, leaves the same bytes.
+    """
+    begun = time.perf_counter()
+    recipe, store = opened(task.source, task.store)
+    chunk = store.load(task.index).with_texels(task.offsets)
+    rows = chunk.rows_of(task.offsets)
+    light = chunk.light.rows(rows)
+    refine(light, chunk.positions(task.offsets), recipe, task.until, task.target)
+    chunk.light.planes[rows] = light.planes
+    store.save(chunk)
+    waiting = ~finished(light, recipe, task.target)
+    fewest = int(light.samples[waiting].min()) if waiting.any() else 0
+    return BakeResult(int(waiting.sum()), fewest, time.perf_counter() - begun)
+
+
+def next_goal(fewest: int) -> int:
+    """The sample count that a chunk is taken to next: quickly up to where the light is of use, then by doubling."""
+    if fewest < FIRST_RUNG:
+        return FIRST_RUNG
+    return 4 * fewest if fewest < 256 else 2 * fewest
