@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
@@ -24,16 +25,22 @@ OTHER_POLICY = "default-src 'none'; frame-ancestors 'none'"
 
 def frame_headers(frame: Frame, tag: str) -> dict[str, str]:
     """The headers of a frame's response, a 304 included."""
-    coverage = frame.coverage
     return {
         "Isogi-Provisional": "?1" if frame.provisional else "?0",
-        "Isogi-Coverage": ", ".join(f"{state}={coverage[state]:.3f}" for state in STATES),
+        "Isogi-Coverage": coverage_header(frame.coverage),
         "Isogi-Error": f"{frame.estimated_error:.5f}",
         "Isogi-Chunks": f"needed={frame.chunks_needed}, final={frame.chunks_final}",
         "ETag": tag,
         "Cache-Control": "no-cache",
         "Vary": "Accept",
     }
+
+
+def coverage_header(shares: Mapping[str, float]) -> str:
+    """Shares to three digits; what is final is rounded down and the rest up, so that 1.000 means all."""
+    final, *others = (1000 * shares[state] for state in STATES)
+    thousandths = (math.floor(final), *map(math.ceil, others))
+    return ", ".join(f"{state}={n / 1000:.3f}" for state, n in zip(STATES, thousandths, strict=True))
 
 
 def entity_tag(frame: Frame, *representation: object) -> str:
@@ -104,11 +111,7 @@ class KnownHosts:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass the request on where its Host header is allowed; 421 else."""
-        if (
-            scope["type"] not in ("http", "websocket")
-            or self.hosts is None
-            or self.knows(Headers(scope=scope))
-        ):
+        if scope["type"] not in ("http", "websocket") or self.hosts is None or self.knows(Headers(scope=scope)):
             await self.app(scope, receive, send)
             return
         detail = "This host name is not served here: use a loopback name, or set ISOGI_ALLOWED_HOSTS."

@@ -40,12 +40,8 @@ class ViewParams(NoParams):
         3.4, description="From the volume's centre, in radii of its bounding sphere."
     )
     fov: Annotated[float, Span(0.1, 170)] = Field(30.0, description="Vertical field of view, degrees.")
-    eye: Annotated[Vec3 | None, XYZ] = Field(
-        None, description="Instead of azimuth, elevation, distance: world x,y,z."
-    )
-    target: Annotated[Vec3 | None, XYZ] = Field(
-        None, description="World x,y,z; default: the volume's centre."
-    )
+    eye: Annotated[Vec3 | None, XYZ] = Field(None, description="Instead of azimuth, elevation, distance: world x,y,z.")
+    target: Annotated[Vec3 | None, XYZ] = Field(None, description="World x,y,z; default: the volume's centre.")
     up: Annotated[Vec3 | None, XYZ] = Field(None, description="World x,y,z; default: 0,0,1.")
     light: Annotated[Quaternion | None, Row(("w", "x", "y", "z"))] = Field(
         None, description="Quaternion w,x,y,z that turns the light; instead of yaw, pitch, roll."
@@ -56,9 +52,7 @@ class ViewParams(NoParams):
     width: Annotated[int, Span(1, LONGEST_SIDE, whole=True)] = Field(512, description="Pixels.")
     height: Annotated[int, Span(1, LONGEST_SIDE, whole=True)] = Field(512, description="Pixels.")
     shading: Annotated[str, Choice(SHADINGS)] = Field("gi", description="How the surface is lit.")
-    samples: Annotated[int, Span(1, 4096, whole=True)] = Field(
-        16, description="Paths per pixel; path_traced alone."
-    )
+    samples: Annotated[int, Span(1, 4096, whole=True)] = Field(16, description="Paths per pixel; path_traced alone.")
     wait_ms: Annotated[int, Span(0, 10_000, whole=True)] = Field(0, description="Longest wait for baking.")
     max_error: Annotated[float | None, Span(0.0001, 1)] = Field(
         None, description="Relative error at which a pixel is final; default: the scene's target_error."
@@ -71,9 +65,7 @@ class ViewParams(NoParams):
         self._exclusive(sorted(given & set(POINTS)), sorted(given & set(ORBIT)), "camera")
         self._exclusive(sorted(given & {"light"}), sorted(given & set(ANGLES)), "light rotation")
         if "samples" in given and self.shading != "path_traced":
-            raise ValueError(
-                f"samples is for shading=path_traced, {self.shading} does not read it: leave it out."
-            )
+            raise ValueError(f"samples is for shading=path_traced, {self.shading} does not read it: leave it out.")
         return self
 
     @staticmethod
@@ -86,9 +78,7 @@ class ViewParams(NoParams):
 class FrameParams(ViewParams):
     """A view and the picture to make of it."""
 
-    f: Annotated[str | None, Choice(FORMATS)] = Field(
-        None, description="Picture format; default: by Accept, else png."
-    )
+    f: Annotated[str | None, Choice(FORMATS)] = Field(None, description="Picture format; default: by Accept, else png.")
     overlay: Annotated[str, Choice(("none", "provisional"))] = Field("none", description="Marks to draw.")
     exposure: Annotated[float | None, Span(1e-9, 1e9)] = Field(
         None, description="Factor on radiance before the tone curve; default: the scene's."

@@ -34,9 +34,7 @@ def format_for(params: FrameParams, accept: str | None) -> str:
     unread = sorted(params.model_fields_set & {"exposure", "overlay"})
     if chosen == "npy" and unread:
         names = " and ".join(unread)
-        raise ParameterError(
-            f"npy holds linear radiance and does not read {names}: leave that out.", unread[0]
-        )
+        raise ParameterError(f"npy holds linear radiance and does not read {names}: leave that out.", unread[0])
     return chosen
 
 
@@ -46,9 +44,7 @@ def negotiate(accept: str | None) -> str:
     best = max(FORMATS, key=lambda name: quality(MEDIA_TYPES[name], ranges))
     if quality(MEDIA_TYPES[best], ranges) <= 0:
         offered = ", ".join(MEDIA_TYPES.values())
-        raise NotAcceptableError(
-            f"No picture format fits the Accept header; there are {offered}: or name one by f=."
-        )
+        raise NotAcceptableError(f"No picture format fits the Accept header; there are {offered}: or name one by f=.")
     return best
 
 

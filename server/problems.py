@@ -26,6 +26,7 @@ from server.errors import (
     StartingError,
     UnknownSceneError,
 )
+from worker.errors import WorkersError
 
 STATUS: Mapping[type[Exception], int] = {
     ViewError: 422,
@@ -37,6 +38,7 @@ STATUS: Mapping[type[Exception], int] = {
     BusyError: 429,
     StartingError: 503,
     StoreError: 503,
+    WorkersError: 503,
     Cancelled: 503,
     IsogiError: 500,
 }
@@ -79,9 +81,7 @@ def problem(status: int, detail: str, instance: str, **more: Any) -> JSONRespons
         "instance": instance,
         **more,
     }
-    headers = {"X-Content-Type-Options": "nosniff"} | (
-        {"Retry-After": RETRY[status]} if status in RETRY else {}
-    )
+    headers = {"X-Content-Type-Options": "nosniff"} | ({"Retry-After": RETRY[status]} if status in RETRY else {})
     return JSONResponse(body, status, headers, "application/problem+json")
 
 
@@ -95,9 +95,7 @@ async def http_problem(request: Request, error: Exception) -> JSONResponse:
     """The framework's own 404, 405, … as a problem; headers such as Allow are kept."""
     assert isinstance(error, HTTPException)
     status, path = error.status_code, request.url.path
-    sentence = (
-        SENTENCES[status].format(path=path, method=request.method) if status in SENTENCES else error.detail
-    )
+    sentence = SENTENCES[status].format(path=path, method=request.method) if status in SENTENCES else error.detail
     answer = problem(status, sentence, path)
     answer.headers.update(error.headers or {})
     return answer

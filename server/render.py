@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import time
 from collections.abc import Mapping
@@ -19,6 +20,7 @@ from server.params import FrameParams, read
 from server.pictures import SUFFIXES, encode, format_for
 from server.settings import Settings
 from server.views import view_of
+from worker.errors import WorkersError
 
 if TYPE_CHECKING:
     from isogi_core.frame.frame import Frame
@@ -26,6 +28,9 @@ if TYPE_CHECKING:
 
 STEP = 2.0
 """Seconds between two looks at how far the baking is."""
+
+PATIENCE = 120.0
+"""Seconds without anything new after which the workers are taken for broken."""
 
 
 def render(
@@ -38,7 +43,7 @@ def render(
     """Write the picture of a view, named by ``knobs``, and tell how good it is.
 
     Ends when every pixel is final, or after ``seconds`` of baking. Raises SceneError, VolumeError,
-    LightError and ViewError before anything is begun, StoreError and OSError later.
+    LightError and ViewError before anything is begun, StoreError, WorkersError and OSError later.
     """
     started = time.monotonic()
     form = format_of(output)
@@ -72,16 +77,32 @@ def format_of(output: Path) -> str:
 
 
 def refine(studio: Studio, scene: str, view: View, max_error: float | None, seconds: float | None) -> Frame:
-    """The frame once it is final or the time is spent; chunks are counted on a bar meanwhile."""
-    deadline = time.monotonic() + seconds if seconds is not None else float("inf")
+    """The frame once it is final or the time is spent; chunks are counted on a bar meanwhile.
+
+    Raises WorkersError where nothing has changed for PATIENCE seconds.
+    """
+    changed = time.monotonic()
+    deadline = changed + seconds if seconds is not None else math.inf
+    version = ""
     with tqdm(desc="baking", unit="chunk", total=0) as bar:
         while True:
             left = max(0.0, deadline - time.monotonic())
             frame = studio.frame(scene, view, max_error=max_error, wait=min(STEP, left))
-            bar.total, bar.n = frame.chunks_needed, frame.chunks_final
-            bar.refresh()
-            if not frame.provisional or time.monotonic() >= deadline:
+            show(bar, frame)
+            now = time.monotonic()
+            if not frame.provisional or now >= deadline:
                 return frame
+            if frame.version != version:
+                version, changed = frame.version, now
+            elif now - changed > PATIENCE:
+                why = " ".join(studio.unready()) or "The workers bake nothing new."
+                raise WorkersError(f"No light came for {PATIENCE:g} seconds. {why}")
+
+
+def show(bar: Any, frame: Frame) -> None:
+    """Put a frame's chunks on the bar."""
+    bar.total, bar.n = frame.chunks_needed, frame.chunks_final
+    bar.refresh()
 
 
 def write(path: Path, data: bytes) -> None:

@@ -1,6 +1,7 @@
 """``isogi serve``: the socket first, so that a browser learns that isogi is starting; then the studio."""
 
 import asyncio
+import os
 import signal
 import socket
 from typing import Any
@@ -32,7 +33,9 @@ def listen(host: str, port: int) -> socket.socket:
     try:
         return socket.create_server((host, port), family=family, backlog=128)
     except OSError as error:
-        raise IsogiError(f"Cannot listen on {host} port {port}: {error.strerror or error}.") from error
+        raise IsogiError(
+            f"Cannot listen on {host} port {port}: {os.strerror(error.errno) if error.errno else error}."
+        ) from error
 
 
 async def run(app: FastAPI, listener: socket.socket, settings: Settings) -> None:
@@ -42,12 +45,13 @@ async def run(app: FastAPI, listener: socket.socket, settings: Settings) -> None
     stop_on_signals(server)
     service: Service = app.state.service
     serving = asyncio.create_task(server.serve([listener]))
-    settled = asyncio.create_task(service.settled.wait())
-    await asyncio.wait({serving, settled}, return_when=asyncio.FIRST_COMPLETED)
+    watching = asyncio.create_task(service.ready())
+    await asyncio.wait({serving, watching}, return_when=asyncio.FIRST_COMPLETED)
     if service.failure:
         server.should_exit = True
-    elif service.settled.is_set():
+    elif watching.done():
         click.echo(f"isogi is ready at {address(listener)}")
+    watching.cancel()
     await serving
     if service.failure:
         raise service.failure

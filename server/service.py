@@ -18,10 +18,12 @@ from server.views import view_of
 
 if TYPE_CHECKING:
     from isogi_core.frame.frame import Frame
-
     from server.studio import Studio
 
 Result = TypeVar("Result")
+
+LOOK = 0.1
+"""Seconds between two looks at whether the service is ready."""
 
 
 class Service:
@@ -54,6 +56,11 @@ class Service:
             return ["isogi is starting: kernels and workers are not up yet."]
         return [f"isogi did not start: {self.failure}"] if self.failure else self.studio.unready()
 
+    async def ready(self) -> None:
+        """Returns once the service is ready, or has failed to start."""
+        while not self.failure and await asyncio.to_thread(self.reasons) != []:
+            await asyncio.sleep(LOOK)
+
     def scene(self, name: str) -> Scene:
         """The scene with this id; UnknownSceneError where there is none."""
         if name not in self.studio.scenes:
@@ -73,9 +80,7 @@ class Service:
 
         def work(cancelled: threading.Event) -> Result:
             wait = params.wait_ms / 1000
-            frame = self.studio.frame(
-                scene.id, view, max_error=params.max_error, wait=wait, cancelled=cancelled
-            )
+            frame = self.studio.frame(scene.id, view, max_error=params.max_error, wait=wait, cancelled=cancelled)
             return finish(frame)
 
         return await self._renders.run(request, work)

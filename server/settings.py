@@ -21,9 +21,7 @@ class Settings(BaseSettings):
 
     host: str = Field("127.0.0.1", description="Address to listen on.")
     port: int = Field(8000, ge=0, le=65535, description="Port to listen on; 0 takes a free one.")
-    workers: int = Field(
-        default_factory=cores, ge=1, le=1024, description="Baking processes; default: one per core."
-    )
+    workers: int = Field(default_factory=cores, ge=1, le=1024, description="Baking processes; default: one per core.")
     store: str | None = Field(None, description="Path or URL of the cache; default: the user's cache folder.")
     scheduler: str | None = Field(None, description="Address of a Dask scheduler instead of own workers.")
     allowed_hosts: Annotated[tuple[str, ...] | None, NoDecode] = Field(
@@ -32,9 +30,7 @@ class Settings(BaseSettings):
         " listening on loopback (a defence against DNS rebinding), else any.",
     )
     max_pixels: int = Field(4096 * 4096, ge=1, description="Most pixels in one picture.")
-    max_paths: int = Field(
-        2**26, ge=1, description="Most paths (pixels × samples) in one path-traced picture."
-    )
+    max_paths: int = Field(2**26, ge=1, description="Most paths (pixels × samples) in one path-traced picture.")
     render_threads: int = Field(
         default_factory=lambda: max(4, 2 * cores()),
         ge=1,

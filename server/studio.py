@@ -88,8 +88,7 @@ class Studio:
         deadline = time.monotonic() + wait
         target = max_error or stage.scene.target_error
         frame = stage.renderer.render(view, target, cancelled)
-        while frame.demands:
-            self._baker.want(scene, frame.demands, target)
+        while frame.demands and self._baker.want(scene, frame.demands, target):
             left = deadline - time.monotonic()
             if left <= 0.0:
                 break
@@ -97,10 +96,14 @@ class Studio:
             frame = stage.renderer.render(view, target, cancelled)
         return frame
 
+    def trouble(self) -> str:
+        """Why light is not baked: the workers cannot be had, or gave a chunk up; empty when all is well."""
+        return str(self._trouble) if self._trouble is not None else self._baker.trouble()
+
     def unready(self) -> list[str]:
         """Reasons why frames would not become final; none when all is well."""
-        if self._trouble is not None:
-            return [str(self._trouble)]
+        if self.trouble():
+            return [self.trouble()]
         return [] if self._pool is not None else ["The workers are starting."]
 
     def close(self) -> None:
@@ -117,7 +120,7 @@ class Studio:
         store = ChunkStore(self.store, recipe)
         loader = Loader(store, PagePool(recipe, self._memory))
         recipe.field, store.array, recipe.light  # noqa: B018 (worked out now, not in the first frame)
-        self._baker.add(scene.id, Bake(scene.source, absolute(self.store), loader.refresh))
+        self._baker.add(scene.id, Bake(scene.source, scene.bake_digest, absolute(self.store), loader.refresh))
         return Stage(scene, recipe, loader, Renderer(recipe, loader, self._tiles))
 
     def _hire(self) -> None:

@@ -60,7 +60,5 @@ def light_of(scene: Scene, params: ViewParams) -> Quaternion:
     else:
         turn = quaternion_from_angles(params.yaw, params.pitch, params.roll)
     if not scene.rotating and abs(turn[0]) < 1 - 1e-12:
-        raise ViewError(
-            "This scene's light does not turn (rotating = false): leave light and its angles out."
-        )
+        raise ViewError("This scene's light does not turn (rotating = false): leave light and its angles out.")
     return turn if scene.rotating else IDENTITY

@@ -61,12 +61,11 @@ def live_store(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="session")
 def live_server(small_scene: Path, live_store: Path) -> Iterator[str]:
     """Base URL of a ready isogi on a real socket, with one worker and the scene ``small``."""
-    from server.studio import Studio
-
     from isogi_core.model.scene import load_scene
     from server.app import create_app
     from server.serve import address, listen
     from server.settings import Settings
+    from server.studio import Studio
 
     listener = listen("127.0.0.1", 0)
     app = create_app(Studio([load_scene(small_scene)], str(live_store), workers=1), Settings())
@@ -83,7 +82,7 @@ def live_server(small_scene: Path, live_store: Path) -> Iterator[str]:
         listener.close()
 
 
-def wait_until_ready(url: str, thread: threading.Thread, seconds: float = 300) -> None:
+def wait_until_ready(url: str, thread: threading.Thread, seconds: float = 120) -> None:
     """Ask /readyz until it says yes."""
     deadline = time.monotonic() + seconds
     answer = httpx.get(f"{url}/readyz", timeout=30)

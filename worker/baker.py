@@ -3,14 +3,14 @@
 import logging
 import threading
 import time
-from collections.abc import Callable, Hashable, Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 from isogi_core.bake.recipe import Index
 from isogi_core.frame.texels import Demand
 from isogi_core.model.source import SceneSource
 from worker.pool import WorkerPool
-from worker.queue import BakeQueue, Want
+from worker.queue import BakeQueue, Key, Want
 from worker.tasks import BakeResult, BakeTask
 
 log = logging.getLogger("isogi.worker")
@@ -18,9 +18,10 @@ log = logging.getLogger("isogi.worker")
 
 @dataclass(frozen=True, eq=False)
 class Bake:
-    """Where a scene's light goes: its ``source``, its ``store``, and who is told of each new chunk."""
+    """A scene's ``source`` and the ``digest`` of its bake, its ``store``, and who is told of each new chunk."""
 
     source: SceneSource
+    digest: str
     store: str
     arrived: Callable[[Index], None]
 
@@ -46,17 +47,24 @@ class Baker:
             self._pool = pool
             self._feed()
 
-    def want(self, scene: str, demands: Iterable[Demand], target: float) -> None:
-        """Ask for the light that the newest view lacks."""
+    def want(self, scene: str, demands: Iterable[Demand], target: float) -> bool:
+        """Ask for the light that the newest view lacks. Returns whether any of it is going to be baked."""
+        wanted: list[tuple[Key, Demand]] = [((scene, demand.index), demand) for demand in demands]
         with self._changed:
-            self._queue.want([((scene, demand.index), demand) for demand in demands], target)
+            self._queue.want(wanted, target)
             self._feed()
+            return self._queue.open(key for key, _ in wanted) > 0
 
     def wait(self, scene: str, indices: Iterable[Index], seconds: float) -> None:
-        """Block until no light is wanted of these chunks any more, at most ``seconds``."""
-        keys: list[Hashable] = [(scene, index) for index in indices]
+        """Block until all light wanted of these chunks is baked or given up, at most ``seconds``."""
+        keys: list[Key] = [(scene, index) for index in indices]
         with self._changed:
             self._changed.wait_for(lambda: not self._queue.open(keys), seconds)
+
+    def trouble(self) -> str:
+        """Why light that was asked for is not baked; empty when all of it is."""
+        with self._changed:
+            return self._queue.trouble()
 
     def stop(self) -> None:
         """Hand out no more tasks."""
@@ -74,9 +82,9 @@ class Baker:
             self._submit(self._pool, want)
 
     def _submit(self, pool: WorkerPool, want: Want) -> None:
-        scene, index = want.key  # type: ignore[misc]
+        scene, index = want.key
         bake = self._bakes[scene]
-        task = BakeTask(bake.source, bake.store, index, want.offsets, want.goal, want.target)
+        task = BakeTask(bake.source, bake.digest, bake.store, index, want.offsets, want.goal, want.target)
         pool.submit(task, lambda result, error: self._done(scene, task, result, error))
 
     def _done(self, scene: str, task: BakeTask, result: BakeResult | None, error: BaseException | None) -> None:
@@ -89,7 +97,7 @@ class Baker:
                 self._queue.finish(key, task.offsets, task.target, result)
             elif self._pool is not None:
                 log.warning("baking chunk %s of %s failed: %s", task.index, scene, error)
-                if self._queue.fail(key):
-                    log.error("chunk %s of %s is given up after too many failures", task.index, scene)
+                if self._queue.fail(key, f"Chunk {task.index} of {scene} cannot be baked: {error}"):
+                    log.error("chunk %s of %s is given up for a while", task.index, scene)
             self._changed.notify_all()
             self._feed()

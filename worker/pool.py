@@ -28,14 +28,18 @@ SETTINGS = {
 Done = Callable[[BakeResult | None, BaseException | None], None]
 
 
-class Nice(WorkerPlugin):  # type: ignore[misc]
+class Nice(WorkerPlugin):
     """Sets a worker process behind the server."""
 
     name = "nice"
 
+    def __init__(self) -> None:
+        """Take the priority of this process, the server, as the one to stay behind."""
+        self.niceness = min(os.getpriority(os.PRIO_PROCESS, 0) + NICENESS, 19)
+
     def setup(self, worker: Any) -> None:
-        """Lower the process's priority to NICENESS, once."""
-        os.setpriority(os.PRIO_PROCESS, 0, NICENESS)
+        """Lower the process's priority, unless it is as low already."""
+        os.setpriority(os.PRIO_PROCESS, 0, max(self.niceness, os.getpriority(os.PRIO_PROCESS, 0)))
 
 
 class WorkerPool:
@@ -50,18 +54,20 @@ class WorkerPool:
                     self._cluster = start_cluster(workers)
                 self._client = Client(self._cluster or scheduler, timeout="30s", set_as_default=False)
                 self._client.register_plugin(Nice())
+                self._workers = self._count()
         except Exception as error:
+            if self._cluster is not None:
+                self._cluster.close()
             raise WorkersError(f"Cannot start or reach the workers: {error}") from error
 
     @property
     def room(self) -> int:
         """How many tasks may be in flight."""
-        return AHEAD * max(len(self._client.scheduler_info(n_workers=-1)["workers"]), 1)
+        return AHEAD * self._workers
 
     def submit(self, task: BakeTask, done: Done) -> None:
         """Hand a task over; ``done`` is called from another thread with its result or its error."""
-        future = self._client.submit(bake, task, pure=False)
-        future.add_done_callback(lambda ended: report(ended, done))
+        self._client.submit(bake, task, pure=False).add_done_callback(lambda ended: self._ended(ended, done))
 
     def pids(self) -> list[int]:
         """Process ids of the workers."""
@@ -73,21 +79,35 @@ class WorkerPool:
         if self._cluster is not None:
             self._cluster.close()
 
+    def _ended(self, future: "Future[Any]", done: Done) -> None:
+        """Pass on how a task ended; workers may have come or gone meanwhile."""
+        report(future, done)
+        if self._client.status == "running":
+            self._workers = self._count()
+
+    def _count(self) -> int:
+        """The workers that there are, at least 1: tasks wait for the first to come. A round trip."""
+        return max(len(self._client.scheduler_info(n_workers=-1)["workers"]), 1)
+
 
 def start_cluster(workers: int) -> LocalCluster:
-    """Worker processes on the loopback interface, started afresh and not forked, without a dashboard."""
+    """Worker processes on the loopback interface, started afresh and not forked, without a dashboard.
+
+    Dask serves its health pages all the same: on a free port, for two servers must not quarrel over one.
+    """
     return LocalCluster(
         n_workers=workers,
         threads_per_worker=1,
         processes=True,
         host="127.0.0.1",
-        dashboard_address=None,
+        dashboard_address="127.0.0.1:0",
+        scheduler_kwargs={"dashboard": False},
         memory_limit=None,
         silence_logs=50,
     )
 
 
-def report(ended: Future, done: Done) -> None:
+def report(ended: "Future[Any]", done: Done) -> None:
     """Tell ``done`` how a future ended."""
     if ended.status == "finished":
         done(ended.result(), None)

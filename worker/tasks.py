@@ -10,15 +10,20 @@ from isogi_core.bake.noise import finished
 from isogi_core.bake.recipe import Index, Recipe
 from isogi_core.bake.refine import FIRST_RUNG, refine
 from isogi_core.cache.store import ChunkStore
+from isogi_core.errors import SceneError
 from isogi_core.model.scene import build_scene
 from isogi_core.model.source import SceneSource
 
 
 @dataclass(frozen=True, eq=False)
 class BakeTask:
-    """Bring the texels at ``offsets`` of a chunk to the relative error ``target``, or to ``until`` samples each."""
+    """Bring the texels at ``offsets`` of a chunk to the relative error ``target``, or to ``until`` samples each.
+
+    ``digest`` names the bake that the server means: the scene's files may have changed since it read them.
+    """
 
     source: SceneSource
+    digest: str
     store: str
     index: Index
     offsets: np.ndarray
@@ -36,9 +41,11 @@ class BakeResult:
 
 
 @lru_cache(maxsize=4)
-def opened(source: SceneSource, store: str) -> tuple[Recipe, ChunkStore]:
-    """The scene and its store, opened once a process."""
+def opened(source: SceneSource, digest: str, store: str) -> tuple[Recipe, ChunkStore]:
+    """The scene and its store, opened once a process; SceneError where its files are not those of ``digest``."""
     recipe = Recipe(build_scene(source))
+    if recipe.scene.bake_digest != digest:
+        raise SceneError(f"The files of the scene '{source.name}' have changed since the server began: restart it.")
     return recipe, ChunkStore(store, recipe)
 
 
@@ -49,7 +56,7 @@ def bake(task: BakeTask) -> BakeResult:
     or done again after a kill, leaves the same bytes.
     """
     begun = time.perf_counter()
-    recipe, store = opened(task.source, task.store)
+    recipe, store = opened(task.source, task.digest, task.store)
     chunk = store.load(task.index).with_texels(task.offsets)
     rows = chunk.rows_of(task.offsets)
     light = chunk.light.rows(rows)

@@ -49,7 +49,7 @@ class Light:
 
     @property
     def spread(self) -> np.ndarray:
-        """Half the difference of the two randomisations of direct + indirect: its square is the variance of their mean."""
+        """Half the difference of the two randomisations of direct + indirect; squared, the variance of their mean."""
         return self._coloured(1)
 
     @property

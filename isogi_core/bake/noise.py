@@ -17,19 +17,25 @@ def band_of(order: int) -> np.ndarray:
     return np.repeat(np.arange(order), 2 * np.arange(order) + 1)
 
 
-def relative_error(light: Light, recipe: Recipe) -> np.ndarray:
-    """Standard error of each texel's luminance over the luminance, as a mean over all rotations of the light; (texels,).
+def noise_weights(luminance_light: np.ndarray, order: int) -> np.ndarray:
+    """Weights w (channels, n²): Σ w · spread² is the variance of a texel's luminance, a mean over turns of the light.
 
     For a light turned at random, E[(s·Dℓ)²] = Σ_l |s_l|² |ℓ_l|² / (2l + 1). The mean square of a
     band's coefficients is pooled with its neighbour bands': two randomisations alone say too little.
     """
-    order = recipe.scene.plan.order
-    belongs = band_of(order)[None, :] == np.arange(order)[:, None]
-    near = np.abs(np.arange(order)[:, None] - np.arange(order)[None, :]) <= 1
-    pooled = (near @ belongs) / (near @ belongs).sum(axis=1, keepdims=True)
-    power = (recipe.luminance_light**2) @ belongs.T
-    variance = np.einsum("tcn,bn,cb->t", light.spread.astype(np.float64) ** 2, pooled, power)
-    mean = np.einsum("tc,c->t", light.transfer[:, :, 0].astype(np.float64), recipe.luminance_light[:, 0])
+    bands = np.arange(order)
+    belongs = (band_of(order)[None, :] == bands[:, None]).astype(float)
+    near = np.abs(bands[:, None] - bands[None, :]) <= 1
+    pooled = near @ belongs
+    power = luminance_light**2 @ belongs.T
+    return power @ (pooled / pooled.sum(axis=1, keepdims=True))
+
+
+def relative_error(light: Light, recipe: Recipe) -> np.ndarray:
+    """Standard error of each texel's luminance over the luminance, a mean over all turns of the light; (texels,)."""
+    weights = noise_weights(recipe.luminance_light, recipe.scene.plan.order)
+    variance = np.tensordot(light.spread.astype(np.float64) ** 2, weights, 2)
+    mean = light.transfer[:, :, 0].astype(np.float64) @ recipe.luminance_light[:, 0]
     unoccluded = recipe.luminance_light[:, 0].sum() / np.sqrt(4.0 * np.pi)
     level = np.maximum(mean, FLOOR * max(unoccluded, 1e-30))
     return np.sqrt(variance) / level

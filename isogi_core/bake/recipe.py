@@ -10,7 +10,8 @@ from isogi_core.kernels.harmonics import project
 from isogi_core.kernels.lattice import CHUNK, Lattice
 from isogi_core.kernels.macrocells import fill_macrocells, macrocell_shape
 from isogi_core.model.environment import Environment
-from isogi_core.model.scene import LUMINANCE, Scene
+from isogi_core.model.scene import Scene
+from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.volume import Volume
 
 Index = tuple[int, int, int]

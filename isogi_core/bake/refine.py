@@ -40,7 +40,8 @@ def climb(light: Light, chosen: np.ndarray, texels: np.ndarray, recipe: Recipe, 
     isovalues, void = np.empty(m), np.empty(m, np.bool_)
     places = np.ascontiguousarray(texels[chosen], np.int32)
     first, count = samples // 2, (total - samples) // 2
-    bake_texels(recipe.field, recipe.step, places, first, count, recipe.weights, order, direct, indirect, isovalues, void)
+    path = (first, count, recipe.weights, order)
+    bake_texels(recipe.field, recipe.step, places, *path, direct, indirect, isovalues, void)
     whole = direct[:, :, None, :] + indirect
     light.direct[chosen] = add_to_mean(light.direct[chosen], samples, direct.sum(axis=1), total)
     light.indirect[chosen] = add_to_mean(light.indirect[chosen], samples, indirect.sum(axis=1), total)

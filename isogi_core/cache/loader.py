@@ -1,5 +1,6 @@
 """The loader: brings the chunks that a view reads from the store into the page pool."""
 
+import logging
 import threading
 import time
 from collections.abc import Sequence
@@ -8,6 +9,8 @@ from isogi_core.bake.recipe import Index
 from isogi_core.cache.pages import PagePool
 from isogi_core.cache.store import ChunkStore, version_of
 from isogi_core.errors import DamagedChunkError
+
+log = logging.getLogger("isogi.cache")
 
 ASK_AGAIN = 1.0
 """Seconds after which an absent chunk is asked for again: another machine may have baked it."""
@@ -24,8 +27,12 @@ class Loader:
         self._lock = threading.Lock()
 
     def ensure(self, chunks: Sequence[Index]) -> tuple[str, ...]:
-        """Bring the newest light of ``chunks`` into the pool; their versions, "" where there is no light yet."""
-        return tuple(self._ensure(index) for index in chunks)
+        """Bring the newest light of ``chunks`` into the pool; their versions, "" where there is no light yet.
+
+        Raises StoreError when the store cannot be read, or the pool cannot hold them all at once.
+        """
+        together = frozenset(chunks)
+        return tuple(self._ensure(index, together) for index in chunks)
 
     def refresh(self, index: Index) -> None:
         """Say that the store has new light of a chunk."""
@@ -33,7 +40,7 @@ class Loader:
         with self._lock:
             self._absent.pop(index, None)
 
-    def _ensure(self, index: Index) -> str:
+    def _ensure(self, index: Index, together: frozenset[Index]) -> str:
         version = self.pool.version(index)
         if version is not None:
             return version
@@ -43,10 +50,10 @@ class Loader:
         stored = self.store.read(index)
         if stored is not None:
             try:
-                self.pool.insert(self.store.decode(index, stored), version_of(stored))
+                self.pool.insert(self.store.decode(index, stored), version_of(stored), together)
                 return version_of(stored)
-            except DamagedChunkError:
-                pass
+            except DamagedChunkError as error:
+                log.warning("%s", error)
         with self._lock:
             self._absent[index] = time.monotonic()
         return ""

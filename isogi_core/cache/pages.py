@@ -6,7 +6,7 @@ A frame holds the chunks that it reads, so that what it points to is not given a
 
 import threading
 from collections import OrderedDict
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 
@@ -20,6 +20,12 @@ from isogi_core.kernels.lattice import UNLIT, VOID_ROW
 
 PAGE = 64
 """Rows of a page."""
+
+PAGES_PER_CHUNK = 4
+"""Pages that a chunk of a surface takes at least: the table has room for so many chunks as that makes."""
+
+FEWEST_CHUNKS = 8
+"""Chunks that the table has room for however small the budget is."""
 
 
 @dataclass(eq=False)
@@ -39,15 +45,16 @@ class PagePool:
     def __init__(self, recipe: Recipe, budget: int) -> None:
         """Set the arrays aside; memory is taken by the system as they fill."""
         n, channels = recipe.scene.plan.order**2, recipe.scene.plan.channels
-        pages = max(budget // (PAGE * 4 * (2 * channels * n + 3)), 1)
-        slots = max(pages // 2, 8)
+        page_bytes = PAGE * 4 * (2 * channels * n + 3) + TEXELS * 4 // PAGES_PER_CHUNK
+        pages = max(budget // page_bytes, 1)
+        slots = max(pages // PAGES_PER_CHUNK, FEWEST_CHUNKS)
         self.recipe = recipe
         self.transfer = np.empty((pages * PAGE, channels, n), np.float32)
         self.spread = np.empty((pages * PAGE, channels, n), np.float32)
         self.vicinity = np.empty((pages * PAGE, 1, 1), np.float32)
         self.error = np.empty(pages * PAGE, np.float32)
         self.samples = np.empty(pages * PAGE, np.float32)
-        self.table = np.full((slots, TEXELS), UNLIT, np.int32)
+        self.table = np.empty((slots, TEXELS), np.int32)
         self._free_pages = list(range(pages))
         self._free_slots = list(range(slots))
         self._entries: OrderedDict[Index, Entry] = OrderedDict()
@@ -65,11 +72,14 @@ class PagePool:
             if index in self._entries:
                 self._entries[index].stale = True
 
-    def insert(self, chunk: Chunk, version: str) -> None:
-        """Put a decoded chunk into the pool in place of what was there. StoreError when the budget cannot hold it."""
+    def insert(self, chunk: Chunk, version: str, keep: Collection[Index] = ()) -> None:
+        """Put a decoded chunk into the pool in place of what was there; the chunks ``keep`` do not make room for it.
+
+        Raises StoreError when the budget cannot hold it.
+        """
         error = relative_error(chunk.light, self.recipe)
         with self._lock:
-            entry = self._allocate(-(-len(chunk.offsets) // PAGE), version)
+            entry = self._allocate(-(-len(chunk.offsets) // PAGE), version, {*keep} - {chunk.index})
             rows = (entry.pages[:, None] * PAGE + np.arange(PAGE)).ravel()[: len(chunk.offsets)]
             self.transfer[rows] = chunk.light.transfer
             self.spread[rows] = chunk.light.spread
@@ -84,7 +94,7 @@ class PagePool:
                 self._release(former)
 
     @contextmanager
-    def hold(self, indices: Iterable[Index]) -> Iterator[np.ndarray]:
+    def hold(self, indices: Sequence[Index]) -> Iterator[np.ndarray]:
         """Slots (n,) int32 of the chunks, -1 where absent; they and their rows stay while the block runs."""
         with self._lock:
             found = [self._entries.get(index) for index in indices]
@@ -101,17 +111,26 @@ class PagePool:
                         entry.held -= 1
                         self._give_back(entry)
 
-    def _allocate(self, pages: int, version: str) -> Entry:
-        """A new entry with so many pages, taken from the longest unused chunks where need be."""
-        for index in [i for i, e in self._entries.items() if not e.held]:
-            if len(self._free_pages) >= pages and self._free_slots:
-                break
-            self._release(self._entries.pop(index))
-        if len(self._free_pages) < pages or not self._free_slots:
-            rows = len(self.samples)
-            raise StoreError(f"The light of this view does not fit the {rows} texels kept in memory: give it more.")
+    def _allocate(self, pages: int, version: str, keep: Collection[Index]) -> Entry:
+        """A new entry with so many pages, taken from the longest unused chunks but ``keep`` where need be."""
+        if not self._has_room(pages):
+            self._make_room(pages, [i for i, e in self._entries.items() if not e.held and i not in keep])
         taken = np.array([self._free_pages.pop() for _ in range(pages)], np.int64)
         return Entry(self._free_slots.pop(), taken, version)
+
+    def _has_room(self, pages: int) -> bool:
+        return len(self._free_pages) >= pages and bool(self._free_slots)
+
+    def _make_room(self, pages: int, spare: Sequence[Index]) -> None:
+        """Drop chunks of ``spare``, in this order, until so many pages are free."""
+        for index in spare:
+            self._release(self._entries.pop(index))
+            if self._has_room(pages):
+                return
+        raise StoreError(
+            f"The light of this view does not fit the memory for {len(self.samples)} texels:"
+            " ask for a closer view or fewer pixels, or give light more memory."
+        )
 
     def _release(self, entry: Entry) -> None:
         """Let go of an entry that the pool no longer lists; its pages are free when nobody holds it."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from isogi_core.frame.texels import Demand
 from isogi_core.kernels.lattice import CONVERGING, FINAL, PROVISIONAL
-from isogi_core.model.scene import LUMINANCE
+from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import View
 
 STATES = {"final": FINAL, "converging": CONVERGING, "provisional": PROVISIONAL}

@@ -62,6 +62,11 @@ class Kept(Generic[K, V]):
                 cell.append(make())
         return cell[0]
 
+    def clear(self) -> None:
+        """Keep nothing."""
+        with self._lock:
+            self._made.clear()
+
 
 class Renderer:
     """Renders views of one scene. Frames may be asked for from several threads."""
@@ -92,9 +97,15 @@ class Renderer:
         """The G-buffer of a view, kept for the next frames that share camera, isovalue and size."""
         return self._gbuffers.get(surface_key(view), lambda: trace(view, self.recipe, self.tiles, cancelled))
 
-    def texels(self, view: View, gbuffer: GBuffer) -> ViewTexels:
-        """The texels under a view, kept with its G-buffer."""
-        return self._texels.get(surface_key(view), lambda: find_texels(gbuffer, self.recipe))
+    def texels(self, view: View, gbuffer: GBuffer, cancelled: threading.Event | None = None) -> ViewTexels:
+        """The texels under a view, kept as its G-buffer is."""
+        key = surface_key(view)
+        return self._texels.get(key, lambda: find_texels(gbuffer, self.recipe, self.tiles, cancelled))
+
+    def forget_views(self) -> None:
+        """Drop the kept G-buffers and their texels, as if every view were new."""
+        self._gbuffers.clear()
+        self._texels.clear()
 
     def _compose(self, view: View, gbuffer: GBuffer, shaded: Shaded, watch: Stopwatch) -> Frame:
         spacing = np.array(self.recipe.scene.volume.spacing, np.float32)

@@ -14,7 +14,7 @@ from isogi_core.frame.texels import Demand, ViewTexels
 from isogi_core.frame.tiles import Piece
 from isogi_core.kernels.lattice import CONVERGING, FINAL, UNLIT, VOID_ROW, carry_light, light_texels
 from isogi_core.kernels.shading import shade_local, trace_points
-from isogi_core.model.scene import LUMINANCE
+from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import View
 
 if TYPE_CHECKING:
@@ -131,7 +131,7 @@ class Shader:
         """Global illumination, or vicinity shading, out of the illumination cache (S1, section 4.2)."""
         loader = self.renderer.loader
         with self.watch.stage("texels"):
-            texels = self.renderer.texels(self.view, self.gbuffer)
+            texels = self.renderer.texels(self.view, self.gbuffer, self.cancelled)
         with self.watch.stage("load"):
             versions = loader.ensure(texels.chunks)
         with loader.pool.hold(texels.chunks) as slots:

@@ -6,12 +6,12 @@ from functools import cached_property
 
 import numpy as np
 
+from isogi_core.bake.noise import band_of
 from isogi_core.bake.recipe import Recipe
 from isogi_core.kernels.harmonics import cosine_lobe_factors, rotate
 from isogi_core.kernels.lattice import Sky
 from isogi_core.kernels.shading import LocalModel, Surroundings
-from isogi_core.bake.noise import band_of
-from isogi_core.model.scene import LUMINANCE
+from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import Camera, View, rotation_matrix
 
 KEY_SHARE = 0.1

@@ -60,43 +60,105 @@ def inner(z, y, x):
     return ((z % CHUNK) * CHUNK + y % CHUNK) * CHUNK + x % CHUNK
 
 
-@kernel(types.void(LATTICE, POINTS, types.float32[::1], types.float32[:, :, ::1]))
-def count_pixels(lattice, points, weights, area):
-    """Add to ``area`` (chunks z, y, x) the ``weights`` (m,) of the points that read each chunk: its share of the screen."""
+@kernel(types.void(LATTICE, POINTS, types.boolean[:, :, ::1]))
+def touch_chunks(lattice, points, touched):
+    """Set ``touched`` (chunks z, y, x) for each chunk that a point reads."""
     for m in range(points.shape[0]):
         z, y, x, _, _, _ = base_texel(lattice, points, m)
-        for k in range(z // CHUNK, (z + 1) // CHUNK + 1):
-            for j in range(y // CHUNK, (y + 1) // CHUNK + 1):
-                for i in range(x // CHUNK, (x + 1) // CHUNK + 1):
-                    area[k, j, i] += weights[m]
-
-
-@kernel(types.void(LATTICE, POINTS, types.int32[:, :, ::1], types.boolean[:, ::1]))
-def mark_texels(lattice, points, slots, read):
-    """Set ``read`` (slots, CHUNK³) for each texel that a point reads; ``slots`` (chunks z, y, x) numbers the chunks."""
-    for m in range(points.shape[0]):
-        z, y, x, _, _, _ = base_texel(lattice, points, m)
-        for c in range(8):
-            k, j, i = z + (c >> 2), y + ((c >> 1) & 1), x + (c & 1)
-            read[slots[k // CHUNK, j // CHUNK, i // CHUNK], inner(k, j, i)] = True
-
-
-@kernel(types.void(LATTICE, POINTS, types.int32[:, :, ::1], types.int32[:, ::1], types.int32[:, ::1]))
-def find_corners(lattice, points, slots, numbers, corners):
-    """Fill ``corners`` (points, 8), x fastest, with the view's own texel ``numbers`` (slots, CHUNK³)."""
-    for m in range(points.shape[0]):
-        z, y, x, _, _, _ = base_texel(lattice, points, m)
-        for c in range(8):
-            k, j, i = z + (c >> 2), y + ((c >> 1) & 1), x + (c & 1)
-            corners[m, c] = numbers[slots[k // CHUNK, j // CHUNK, i // CHUNK], inner(k, j, i)]
+        k, j, i = z // CHUNK, y // CHUNK, x // CHUNK
+        touched[k, j, i] = True
+        if (z + 1) // CHUNK > k or (y + 1) // CHUNK > j or (x + 1) // CHUNK > i:
+            for c in range(1, 8):
+                touched[(z + (c >> 2)) // CHUNK, (y + ((c >> 1) & 1)) // CHUNK, (x + (c & 1)) // CHUNK] = True
 
 
 @kernel()
-def band_dot(coefficients, light, c):
-    """Dot product τ·ℓ of a row of coefficients and channel ``c`` of the light. Source: S1, eq. 9."""
+def corner(slots, z, y, x, c):
+    """Place of corner ``c`` of the lattice cell at (z, y, x) among the texels of the touched chunks."""
+    k, j, i = z + (c >> 2), y + ((c >> 1) & 1), x + (c & 1)
+    return slots[k // CHUNK, j // CHUNK, i // CHUNK] * CHUNK**3 + inner(k, j, i)
+
+
+@kernel()
+def inside_chunk(z, y, x):
+    """Whether all eight corners of the lattice cell at (z, y, x) lie in one chunk."""
+    return z % CHUNK < CHUNK - 1 and y % CHUNK < CHUNK - 1 and x % CHUNK < CHUNK - 1
+
+
+@kernel(types.void(LATTICE, POINTS, types.int32[:, :, ::1], types.boolean[::1]))
+def mark_texels(lattice, points, slots, read):
+    """Set ``read`` (slots · CHUNK³,) for each texel that a point reads; ``slots`` (z, y, x) numbers the chunks."""
+    for m in range(points.shape[0]):
+        z, y, x, _, _, _ = base_texel(lattice, points, m)
+        first = corner(slots, z, y, x, 0)
+        single = inside_chunk(z, y, x)
+        for c in range(8):
+            read[first + inner(c >> 2, (c >> 1) & 1, c & 1) if single else corner(slots, z, y, x, c)] = True
+
+
+@kernel("int64(boolean[::1], int32[::1], int32[::1])")
+def number_texels(read, numbers, places):
+    """Number the texels that are ``read``: ``numbers`` gets 0, 1, 2, …, ``places`` the inverse; returns how many."""
+    count = 0
+    for place in range(read.shape[0]):
+        if read[place]:
+            numbers[place] = count
+            places[count] = place
+            count += 1
+    return count
+
+
+@kernel(types.void(LATTICE, POINTS, types.int32[:, :, ::1], types.int32[::1], types.int32[:, ::1]))
+def find_corners(lattice, points, slots, numbers, corners):
+    """Fill ``corners`` (points, 8), x fastest, with the view's own ``numbers`` (slots · CHUNK³,) of the texels."""
+    for m in range(points.shape[0]):
+        z, y, x, _, _, _ = base_texel(lattice, points, m)
+        first = corner(slots, z, y, x, 0)
+        single = inside_chunk(z, y, x)
+        for c in range(8):
+            place = first + inner(c >> 2, (c >> 1) & 1, c & 1) if single else corner(slots, z, y, x, c)
+            corners[m, c] = numbers[place]
+
+
+@kernel(types.void(types.int32[:, ::1], types.int32[::1], types.float32[::1], types.float32[::1]))
+def weigh_chunks(corners, chunk, weights, area):
+    """Add to ``area`` (chunks,) the ``weights`` (points,) of the points that read each chunk: its share of the screen.
+
+    ``chunk`` (texels,) is the chunk of each texel that ``corners`` numbers.
+    """
+    for m in range(corners.shape[0]):
+        last = -1
+        for c in range(8):
+            k = chunk[corners[m, c]]
+            if k != last:
+                area[k] += weights[m]
+            last = k
+
+
+@kernel()
+def dot_light(transfer, light):
+    """τ·ℓ per channel of ``light`` (3, n), linear RGB; ``transfer`` is (1, n) or (3, n). Source: S1, eq. 9."""
+    grey = transfer.shape[0] == 1
+    r, g, b = 0.0, 0.0, 0.0
+    for i in range(transfer.shape[1]):
+        r += transfer[0, i] * light[0, i]
+        g += transfer[0 if grey else 1, i] * light[1, i]
+        b += transfer[0 if grey else 2, i] * light[2, i]
+    return r, g, b
+
+
+@kernel()
+def dot_noise(spread, light):
+    """Σ spread · light over channels and coefficients, both (channels, n)."""
     total = 0.0
-    for i in range(coefficients.shape[0]):
-        total += coefficients[i] * light[c, i]
+    for c in range(spread.shape[0]):
+        even, odd = 0.0, 0.0
+        for i in range(0, spread.shape[1] - 1, 2):
+            even += spread[c, i] * light[c, i]
+            odd += spread[c, i + 1] * light[c, i + 1]
+        if spread.shape[1] % 2:
+            even += spread[c, -1] * light[c, -1]
+        total += even + odd
     return total
 
 
@@ -117,17 +179,12 @@ def light_texels(rows, transfer, spread, light, spread_light, lit):
     randomisations; ``light`` (3, n) is the turned environment times the albedo, ``spread_light``
     (channels, n) the same weighted to luminance. Negative sums of coefficients are cut to 0.
     """
-    channels = transfer.shape[1]
     for m in range(rows.shape[0]):
         row = rows[m]
-        if row < 0:
-            continue
-        for c in range(3):
-            lit[m, c] = max(band_dot(transfer[row, c if channels == 3 else 0], light, c), 0.0)
-        error = 0.0
-        for c in range(spread.shape[1]):
-            error += band_dot(spread[row, c], spread_light, c)
-        lit[m, 3] = abs(error)
+        if row >= 0:
+            r, g, b = dot_light(transfer[row], light)
+            lit[m, 0], lit[m, 1], lit[m, 2] = max(r, 0.0), max(g, 0.0), max(b, 0.0)
+            lit[m, 3] = abs(dot_noise(spread[row], spread_light))
 
 
 class Sky(NamedTuple):

@@ -52,6 +52,6 @@ def unshadowed(order, lobe, light, n, basis):
 
 @kernel()
 def fog(depth, near, far):
-    """How much of the surface is seen through fog that begins at ``near``: exp(-(2 u)²), u = (depth - near)/(far - near)."""
+    """Share of the surface seen through fog that begins at ``near``: exp(-(2u)²), u = (depth - near)/(far - near)."""
     u = max(depth - near, 0.0) / max(far - near, 1e-30)
     return math.exp(-4.0 * u * u)

@@ -13,7 +13,7 @@ import numpy as np
 from isogi_core.errors import LightError
 from isogi_core.files.radiance import read_hdr
 from isogi_core.model.lights import ConstantLight, Light, ProbeLight, SkyLight
-from isogi_core.model.sky import sky_image
+from isogi_core.model.sky import LUMINANCE, sky_image
 
 SKY_SIZE = (512, 1024)
 """Rows and columns of the grid on which a sky is laid out."""
@@ -44,6 +44,15 @@ class Environment:
     def mean(self) -> np.ndarray:
         """Mean radiance (3,) over the sphere."""
         return np.asarray(self.constant + mean_radiance(self.image))
+
+    def brightest(self) -> float:
+        """Irradiance over π, in luminance, of an unoccluded surface turned to the light: mean + 2 |mean of L·ω|.
+
+        From bands 0 and 1 alone, which hold nearly all of it; 1 under a constant light of 1.
+        """
+        height, width = self.image.shape[:2]
+        flux = (self.image @ LUMINANCE)[..., None] * pixel_directions(height, width)
+        return float(self.mean() @ LUMINANCE) + 2.0 * float(np.linalg.norm(mean_radiance(flux)))
 
 
 def environment(lights: Sequence[Light]) -> Environment:

@@ -25,7 +25,6 @@ from isogi_core.model.volume import Volume, make_volume
 BAKE_FORMAT = 1
 """Counts up when what a chunk holds, or how its light is computed, changes."""
 
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,9 +65,9 @@ class Scene:
 
     @cached_property
     def default_exposure(self) -> float:
-        """The exposure at which a surface under the mean of the environment shows its own albedo."""
-        mean = float(self.environment.mean() @ LUMINANCE)
-        return 1.0 / mean if mean > 0.0 else 1.0
+        """The exposure at which a surface turned to the light shows its own albedo."""
+        brightest = self.environment.brightest()
+        return 1.0 / brightest if brightest > 0.0 else 1.0
 
     @cached_property
     def bake_digest(self) -> str:

@@ -30,9 +30,7 @@ ANSWERS: dict[int | str, dict[str, Any]] = {
     openapi_extra=documented(FrameParams),
     responses=ANSWERS | documented_problems(404, 406, 422, 429, 503),
 )
-async def read_frame(
-    request: Request, scene: SceneDep, params: FrameParamsDep, service: ServiceDep
-) -> Response:
+async def read_frame(request: Request, scene: SceneDep, params: FrameParamsDep, service: ServiceDep) -> Response:
     """A picture at once, with what is baked so far; the headers say how good it is."""
     form = format_for(params, request.headers.get("accept"))
     exposure = scene.default_exposure if params.exposure is None else params.exposure
@@ -41,9 +39,7 @@ async def read_frame(
         tag = entity_tag(frame, form, exposure, params.overlay, params.max_error)
         headers = frame_headers(frame, tag)
         if matches(request.headers.get("if-none-match"), tag):
-            return Response(
-                status_code=304, headers=headers | {"Server-Timing": server_timing(frame.seconds)}
-            )
+            return Response(status_code=304, headers=headers | {"Server-Timing": server_timing(frame.seconds)})
         started = time.perf_counter()
         body = encode(frame, form, exposure, params.overlay == "provisional")
         seconds = {**frame.seconds, "encode": time.perf_counter() - started}
@@ -57,8 +53,6 @@ async def read_frame(
     openapi_extra=documented(ViewParams),
     responses=documented_problems(404, 422, 429, 503),
 )
-async def read_coverage(
-    request: Request, scene: SceneDep, params: ViewParamsDep, service: ServiceDep
-) -> Coverage:
+async def read_coverage(request: Request, scene: SceneDep, params: ViewParamsDep, service: ServiceDep) -> Coverage:
     """How far the same view is baked: chunks, pixels by state, and the estimated error."""
     return await service.render(request, scene, params, coverage_facts)

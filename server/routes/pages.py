@@ -42,9 +42,7 @@ def documentation(api: dict[str, Any]) -> str:
     """The whole page."""
     title = f"{escape(api['info']['title'])} {escape(api['info']['version'])}"
     sections = "".join(
-        operation(method, path, facts)
-        for path, methods in api["paths"].items()
-        for method, facts in methods.items()
+        operation(method, path, facts) for path, methods in api["paths"].items() for method, facts in methods.items()
     )
     return (
         f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{title}</title>'

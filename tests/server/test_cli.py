@@ -64,9 +64,7 @@ def test_wrong_use(capsys: pytest.CaptureFixture[str], arguments: list[str]) -> 
 
 @pytest.mark.parametrize("command", ["inspect", "render", "serve"])
 @pytest.mark.parametrize("target", ["none.nrrd", "none.nhdr", "none.toml", "demo:none", "folder"])
-def test_a_missing_target(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, command: str, target: str
-) -> None:
+def test_a_missing_target(capsys: pytest.CaptureFixture[str], tmp_path: Path, command: str, target: str) -> None:
     (tmp_path / "folder").mkdir()
     path = target if target.startswith("demo:") else str(tmp_path / target)
     more = ["-o", str(tmp_path / "a.png")] if command == "render" else []
@@ -81,9 +79,7 @@ HEADER = "NRRD0004\ntype: uint8\ndimension: 3\nsizes: {sizes}\nencoding: raw\n\n
     ("sizes", "held"),
     [("8 8 8", 100), ("8 8 8", 0), ("100000 100000 100000", 512), ("0 8 8", 0), ("-8 8 8", 512)],
 )
-def test_a_truncated_or_lying_volume(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, sizes: str, held: int
-) -> None:
+def test_a_truncated_or_lying_volume(capsys: pytest.CaptureFixture[str], tmp_path: Path, sizes: str, held: int) -> None:
     volume = tmp_path / "lie.nrrd"
     volume.write_bytes(HEADER.format(sizes=sizes).encode() + b"\x07" * held)
     assert "lie.nrrd" in refused(capsys, "inspect", volume)
@@ -110,9 +106,7 @@ def test_bad_options_write_nothing(
 
 
 @pytest.mark.parametrize("name", ["a.gif", "a", "none/a.png"])
-def test_bad_outputs(
-    capsys: pytest.CaptureFixture[str], small_scene: Path, tmp_path: Path, name: str
-) -> None:
+def test_bad_outputs(capsys: pytest.CaptureFixture[str], small_scene: Path, tmp_path: Path, name: str) -> None:
     assert name.rpartition("/")[2] in refused(capsys, "render", small_scene, "-o", tmp_path / name)
 
 
@@ -123,14 +117,10 @@ def test_a_bad_setting_in_the_environment(
     assert "port" in refused(capsys, "serve", small_scene)
 
 
-def test_a_port_in_use_is_a_failure(
-    capsys: pytest.CaptureFixture[str], small_scene: Path, live_server: str
-) -> None:
+def test_a_port_in_use_is_a_failure(capsys: pytest.CaptureFixture[str], small_scene: Path, live_server: str) -> None:
     port = live_server.rpartition(":")[2]
     assert run(["serve", str(small_scene), "--port", port]) == 1
-    assert (
-        capsys.readouterr().err == f"isogi: Cannot listen on 127.0.0.1 port {port}: Address already in use.\n"
-    )
+    assert capsys.readouterr().err == f"isogi: Cannot listen on 127.0.0.1 port {port}: Address already in use.\n"
 
 
 def test_inspect(capsys: pytest.CaptureFixture[str], small_scene: Path) -> None:

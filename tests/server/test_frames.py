@@ -2,6 +2,7 @@
 
 import io
 import time
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -15,8 +16,9 @@ ACCEPTED = {"png": "image/png", "jpeg": "image/jpeg", "webp": "image/webp", "npy
 
 
 @pytest.fixture(scope="module")
-def client(live_server: str) -> httpx.Client:
-    return httpx.Client(base_url=live_server, timeout=60)
+def client(live_server: str) -> Iterator[httpx.Client]:
+    with httpx.Client(base_url=live_server, timeout=60) as client:
+        yield client
 
 
 def frame(client: httpx.Client, headers: dict[str, str] | None = None, **more: str | float) -> httpx.Response:
@@ -52,11 +54,23 @@ def test_a_frame_becomes_final_and_the_store_holds_its_chunks(client: httpx.Clie
     assert len(chunks(live_store)) >= final
 
 
+def quiet(store: Path) -> dict[str, bytes]:
+    """The store's chunks once the workers have nothing left to do from earlier views."""
+    before: dict[str, bytes] = {}
+    deadline = time.monotonic() + 120
+    while (now := chunks(store)) != before:
+        assert time.monotonic() < deadline
+        before = now
+        time.sleep(1.5)
+    return now
+
+
 def test_a_final_frame_writes_nothing_more_and_stays_the_same(client: httpx.Client, live_store: Path) -> None:
-    before, stored = final_frame(client), chunks(live_store)
-    again = frame(client)
-    assert again.content == before.content
-    assert again.headers["etag"] == before.headers["etag"]
+    final_frame(client)
+    stored = quiet(live_store)
+    first, second = frame(client), frame(client)
+    assert first.content == second.content
+    assert first.headers["etag"] == second.headers["etag"]
     assert chunks(live_store) == stored
 
 
@@ -118,17 +132,9 @@ def test_an_unchanged_frame_is_304_with_its_headers(client: httpx.Client) -> Non
     assert "encode;dur=" in full.headers["server-timing"]
 
 
-def test_the_etag_tells_representations_apart(client: httpx.Client) -> None:
-    final_frame(client)
-    variants: list[dict[str, str | float]] = [
-        {},
-        {"f": "jpeg"},
-        {"exposure": 0.5},
-        {"overlay": "provisional"},
-    ]
-    tags = {frame(client, **more).headers["etag"] for more in [*variants, {"isovalue": 0.51}, {"yaw": 20}]}
-    assert len(tags) == 6
-    assert frame(client, f="png").headers["etag"] in tags
+def test_the_etag_tells_views_apart(client: httpx.Client) -> None:
+    tags = [frame(client, **more).headers["etag"] for more in ({}, {"isovalue": 0.51}, {"yaw": 20}, {"azimuth": 41})]
+    assert len(set(tags)) == 4
 
 
 def test_head_has_the_headers_and_no_body(client: httpx.Client) -> None:
@@ -243,9 +249,7 @@ def test_a_repeated_parameter(client: httpx.Client) -> None:
     assert (answer.status_code, answer.json()["parameter"]) == (422, "width")
 
 
-@pytest.mark.parametrize(
-    "name", ["other", "..", "%2e%2e%2fsmall", "SMALL", "small%00", "http:%2f%2fexample.org"]
-)
+@pytest.mark.parametrize("name", ["other", "..", "%2e%2e%2fsmall", "SMALL", "small%00", "http:%2f%2fexample.org"])
 def test_an_unknown_scene_is_404(client: httpx.Client, name: str) -> None:
     answer = client.get(f"/v1/scenes/{name}/frame")
     assert answer.status_code == 404

@@ -8,7 +8,7 @@ from fastapi import FastAPI
 from starlette.datastructures import Headers
 from starlette.responses import HTMLResponse, JSONResponse, Response
 
-from server.headers import HeadAsGet, KnownHosts, SafeHeaders, matches, server_timing
+from server.headers import HeadAsGet, KnownHosts, SafeHeaders, coverage_header, matches, server_timing
 from server.settings import LOOPBACK
 
 
@@ -40,13 +40,23 @@ def test_if_none_match(header: str | None, matched: bool) -> None:
     assert matches(header, '"a"') is matched
 
 
+@pytest.mark.parametrize(
+    ("final", "provisional", "text"),
+    [
+        (1.0, 0.0, "final=1.000, converging=0.000, provisional=0.000"),
+        (0.99999, 0.00001, "final=0.999, converging=0.000, provisional=0.001"),
+        (0.25, 0.75, "final=0.250, converging=0.000, provisional=0.750"),
+    ],
+)
+def test_coverage_never_says_all_where_some_is_missing(final: float, provisional: float, text: str) -> None:
+    assert coverage_header({"provisional": provisional, "final": final, "converging": 0.0}) == text
+
+
 def test_server_timing_is_in_milliseconds() -> None:
     assert server_timing({"primary": 0.0125, "encode": 1}) == "primary;dur=12.50, encode;dur=1000.00"
 
 
-@pytest.mark.parametrize(
-    "host", ["127.0.0.1", "127.0.0.1:80", "localhost:8000", "LOCALHOST", "[::1]", "[::1]:8000"]
-)
+@pytest.mark.parametrize("host", ["127.0.0.1", "127.0.0.1:80", "localhost:8000", "LOCALHOST", "[::1]", "[::1]:8000"])
 def test_loopback_names_are_known(host: str) -> None:
     assert KnownHosts(Response(), LOOPBACK).knows(Headers({"host": host}))
 
@@ -85,9 +95,7 @@ def test_a_page_may_load_its_own_files_only(ask: Callable[..., httpx.Response], 
     assert headers["cache-control"] == "no-cache"
 
 
-def test_data_may_load_nothing_and_keeps_its_own_caching(
-    ask: Callable[..., httpx.Response], app: FastAPI
-) -> None:
+def test_data_may_load_nothing_and_keeps_its_own_caching(ask: Callable[..., httpx.Response], app: FastAPI) -> None:
     headers = ask(app, "GET", "/data").headers
     assert headers["content-security-policy"].startswith("default-src 'none';")
     assert headers["cache-control"] == "max-age=5"

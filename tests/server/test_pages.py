@@ -16,9 +16,7 @@ def test_the_viewer_and_its_files(live_server: str) -> None:
         assert httpx.get(f"{live_server}/{file}").status_code == 200, file
 
 
-@pytest.mark.parametrize(
-    "path", ["/web/../pyproject.toml", "/web/%2e%2e/pyproject.toml", "/web/none.js", "/nothing"]
-)
+@pytest.mark.parametrize("path", ["/web/../pyproject.toml", "/web/%2e%2e/pyproject.toml", "/web/none.js", "/nothing"])
 def test_nothing_else_is_served(live_server: str, path: str) -> None:
     answer = httpx.get(f"{live_server}{path}")
     assert answer.status_code == 404

@@ -30,9 +30,7 @@ def test_accept(accept: str | None, form: str) -> None:
     assert negotiate(accept) == form
 
 
-@pytest.mark.parametrize(
-    "accept", ["text/html", "image/avif", "image/png;q=0", "image/png;q=x", "png", ";;,,"]
-)
+@pytest.mark.parametrize("accept", ["text/html", "image/avif", "image/png;q=0", "image/png;q=x", "png", ";;,,"])
 def test_nothing_fits(accept: str) -> None:
     with pytest.raises(NotAcceptableError, match="image/png, image/jpeg, image/webp, application/x-npy"):
         negotiate(accept)

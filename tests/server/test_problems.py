@@ -13,6 +13,7 @@ from starlette.requests import Request
 from isogi_core import errors as domain
 from server import errors as service
 from server.problems import domain_problem, install, status_of
+from worker import errors as workers
 
 
 class NewError(domain.ViewError):
@@ -39,7 +40,7 @@ def test_the_table_goes_by_the_nearest_class(error: Exception, status: int) -> N
 
 
 def test_every_error_of_the_domain_has_a_status() -> None:
-    classes = {c for module in (domain, service) for c in vars(module).values() if isinstance(c, type)}
+    classes = {c for module in (domain, workers, service) for c in vars(module).values() if isinstance(c, type)}
     for error in classes - {domain.IsogiError}:
         assert status_of(error("x")) != 500, error
 

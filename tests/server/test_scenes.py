@@ -34,9 +34,7 @@ def test_the_histogram_counts_every_voxel(scene: dict[str, dict[str, list[float]
     assert [edges[0], edges[-1]] == pytest.approx(scene["volume"]["value_range"])
 
 
-def test_defaults_are_in_their_ranges_and_make_a_frame(
-    live_server: str, scene: dict[str, dict[str, object]]
-) -> None:
+def test_defaults_are_in_their_ranges_and_make_a_frame(live_server: str, scene: dict[str, dict[str, object]]) -> None:
     defaults, ranges = scene["defaults"], scene["ranges"]
     assert ranges["isovalue"] == {"min": 0.2, "max": 0.8}
     for name in ranges.keys() & defaults.keys():

@@ -62,7 +62,7 @@ def studio(scene: Scene) -> FakeStudio:
 
 @pytest.fixture
 def settings() -> Settings:
-    return Settings(render_threads=2, render_queue=1)
+    return Settings(render_threads=2, render_queue=6)
 
 
 @pytest.fixture
@@ -131,9 +131,7 @@ def test_the_overlay_marks_what_is_provisional(app: FastAPI) -> None:
     "query",
     [{"isovalue": "nan"}, {"width": 0}, {"colour": 1}, {"yaw": 5}, {"light": "0,1,0,0"}, {"up": "0,0,0"}],
 )
-def test_a_refused_view_never_reaches_the_studio(
-    studio: FakeStudio, app: FastAPI, query: dict[str, Any]
-) -> None:
+def test_a_refused_view_never_reaches_the_studio(studio: FakeStudio, app: FastAPI, query: dict[str, Any]) -> None:
     (answer,) = started(app, query)
     assert answer.status_code == 422, answer.text
     assert not studio.views
@@ -157,8 +155,8 @@ def test_errors_at_work_are_problems(studio: FakeStudio, app: FastAPI) -> None:
 def test_beyond_the_queue_is_429_and_the_rest_is_served(studio: FakeStudio, app: FastAPI) -> None:
     release = threading.Event()
     studio.doing = lambda _: None if release.wait(10) else pytest.fail("nobody was refused")
-    answers = asyncio.run(crowd(app, 9, release))
-    assert [answer.status_code for answer in answers] == [429] * 6 + [200] * 3
+    answers = asyncio.run(crowd(app, 14, release))
+    assert [answer.status_code for answer in answers] == [429] * 6 + [200] * 8
     assert answers[0].headers["retry-after"] == "1"
 
 

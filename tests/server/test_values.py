@@ -28,9 +28,7 @@ def test_other_things_are_no_number(value: object) -> None:
     assert math.isnan(finite(value))
 
 
-@pytest.mark.parametrize(
-    ("text", "number"), [("1", 1), ("-.5", -0.5), ("+2.", 2), ("1e-3", 0.001), ("0010", 10)]
-)
+@pytest.mark.parametrize(("text", "number"), [("1", 1), ("-.5", -0.5), ("+2.", 2), ("1e-3", 0.001), ("0010", 10)])
 def test_plain_numbers(text: str, number: float) -> None:
     assert Span(-10, 10).read(text) == number
 
@@ -64,9 +62,7 @@ def test_a_row_of_numbers() -> None:
     assert Row(("x", "y", "z")).read([1, -2.5, 300]) == (1.0, -2.5, 300.0)
 
 
-@pytest.mark.parametrize(
-    "text", ["", "1,2", "1,2,3,4", "1,2,", "1, 2,3", "1,nan,3", "1,2,inf", "1,2,1e13", None, 5]
-)
+@pytest.mark.parametrize("text", ["", "1,2", "1,2,3,4", "1,2,", "1, 2,3", "1,nan,3", "1,2,inf", "1,2,1e13", None, 5])
 def test_a_row_that_is_none(text: object) -> None:
     with pytest.raises(ValueError, match="must be 3 finite numbers x,y,z"):
         Row(("x", "y", "z")).read(text)

@@ -1,0 +1,143 @@
+"""The first view of a scene, from the start of the server to final light, and again after a restart.
+
+    python -m benchmarks.first_view [SCENE.toml] [--size 512] [--workers 2] [--error 0.02] [--json]
+
+Starts `isogi serve` on an empty store, asks for one view until its estimated error is reached and
+until it is final, stops the server, starts it again and compares the picture byte for byte.
+"""
+
+import hashlib
+import json
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import click
+import httpx
+
+from benchmarks.common import ENGINE, GRACE, shared_data, show
+
+VIEW = {"azimuth": 40, "elevation": 30, "distance": 3, "fov": 30, "f": "npy"}
+
+
+@click.command()
+@click.argument("target", required=False)
+@click.option("--size", default=512, show_default=True, help="Pixels along each side.")
+@click.option("--workers", default=2, show_default=True, help="Worker processes.")
+@click.option("--error", default=0.02, show_default=True, help="Estimated error of the frame to wait for.")
+@click.option("--most", default=900.0, show_default=True, help="Seconds after which it stops waiting for final light.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+def main(target: str | None, size: int, workers: int, error: float, most: float, as_json: bool) -> None:
+    """Time a first view."""
+    with tempfile.TemporaryDirectory() as folder:
+        scene = target or write_scene(Path(folder))
+        knobs = {**VIEW, "width": size, "height": size}
+        with served(scene, f"{folder}/light", workers) as client:
+            figures = watch(client, knobs, error, most)
+            figures["chunk bytes"] = digest(Path(folder, "light"))
+        with served(scene, f"{folder}/light", workers) as client:
+            figures |= again(client, knobs, figures)
+    if as_json:
+        click.echo(json.dumps(figures))
+    else:
+        show(f"{scene}, {size} × {size}, {workers} workers", figures)
+
+
+def write_scene(folder: Path) -> str:
+    """The engine block at 70 under grace as a scene file, or the casting where the data is not at hand."""
+    data = shared_data()
+    if data is None:
+        return "demo:casting"
+    light = f'[[lights]]\ntype = "probe"\nfile = "{data / GRACE}"\n'
+    scene = folder / "engine.toml"
+    scene.write_text(f'volume = "{data / ENGINE}"\nisovalue = 70\nbounces = 4\n{light}', encoding="utf-8")
+    return str(scene)
+
+
+@contextmanager
+def served(scene: str, store: str, workers: int) -> Iterator[httpx.Client]:
+    """A server process, ready, and a client whose ``ready`` header tells how many seconds that took."""
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    command = [sys.executable, "-m", "server", "serve", scene, "--port", str(port), "--store", store]
+    begun = time.perf_counter()
+    process = subprocess.Popen([*command, "--workers", str(workers)], stdout=subprocess.DEVNULL)
+    try:
+        with httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=60.0) as client:
+            while not ready(client):
+                time.sleep(0.05)
+            client.headers["x-ready-after"] = f"{time.perf_counter() - begun:.3f}"
+            yield client
+    finally:
+        process.send_signal(signal.SIGTERM)
+        process.wait(30)
+
+
+def ready(client: httpx.Client) -> bool:
+    """Whether the server says that it is ready."""
+    try:
+        return client.get("/readyz").status_code == 200
+    except httpx.TransportError:
+        return False
+
+
+def frame(client: httpx.Client, knobs: dict[str, Any], wait: float = 0.0) -> httpx.Response:
+    """One frame of the only scene."""
+    (scene,) = client.get("/v1/scenes").json()["scenes"]
+    answer = client.get(f"/v1/scenes/{scene['id']}/frame", params={**knobs, "wait_ms": int(1000 * wait)})
+    return answer.raise_for_status()
+
+
+def watch(client: httpx.Client, knobs: dict[str, Any], error: float, most: float) -> dict[str, Any]:
+    """Ask for the view until it is final, and note when it got how good."""
+    begun = time.perf_counter()
+    answer = frame(client, knobs)
+    figures: dict[str, Any] = {
+        "ready after, s": float(client.headers["x-ready-after"]),
+        "first frame, s": time.perf_counter() - begun,
+        "first frame provisional": answer.headers["isogi-provisional"] == "?1",
+    }
+    while answer.headers["isogi-provisional"] == "?1" and time.perf_counter() - begun < most:
+        answer = frame(client, knobs, wait=1.0)
+        passed = time.perf_counter() - begun
+        if "provisional=0.000" in answer.headers["isogi-coverage"]:
+            figures.setdefault("no part provisional, s", passed)
+        if float(answer.headers["isogi-error"]) <= error:
+            figures.setdefault(f"estimated error {error:g}, s", passed)
+    figures["final, s"] = time.perf_counter() - begun
+    figures["final"] = answer.headers["isogi-provisional"] == "?0"
+    figures["estimated error at the end"] = float(answer.headers["isogi-error"])
+    figures["picture"] = hashlib.sha256(answer.content).hexdigest()[:16]
+    return figures
+
+
+def again(client: httpx.Client, knobs: dict[str, Any], before: dict[str, Any]) -> dict[str, Any]:
+    """The same view from a server that was just started."""
+    begun = time.perf_counter()
+    answer = frame(client, knobs)
+    return {
+        "restart: ready after, s": float(client.headers["x-ready-after"]),
+        "restart: first frame, s": time.perf_counter() - begun,
+        "restart: final at once": answer.headers["isogi-provisional"] == "?0",
+        "restart: same bytes": hashlib.sha256(answer.content).hexdigest()[:16] == before["picture"],
+    }
+
+
+def digest(store: Path) -> str:
+    """SHA-256 over all chunk objects of a store, in the order of their names."""
+    total = hashlib.sha256()
+    for path in sorted(p for p in store.rglob("*") if p.is_file() and "/c/" in p.as_posix()):
+        total.update(path.relative_to(store).as_posix().encode())
+        total.update(path.read_bytes())
+    return total.hexdigest()[:16]
+
+
+if __name__ == "__main__":
+    main()

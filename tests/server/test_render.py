@@ -1,0 +1,65 @@
+"""Refining until a frame is final, with a studio that does as the test says."""
+
+from collections.abc import Iterator
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from isogi_core.model.view import Camera, View
+from server import render
+from worker.errors import WorkersError
+
+VIEW = View(0.5, Camera((5.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
+
+
+class Script:
+    """A studio whose frames are the versions of a script; the last stays."""
+
+    def __init__(self, *versions: str) -> None:
+        self.versions = list(versions)
+        self.asked: list[dict[str, Any]] = []
+
+    def frame(self, scene: str, view: View, **more: Any) -> SimpleNamespace:
+        self.asked.append(more)
+        version = self.versions.pop(0) if len(self.versions) > 1 else self.versions[0]
+        return SimpleNamespace(version=version, provisional=version != "final", chunks_needed=2, chunks_final=1)
+
+    def unready(self) -> list[str]:
+        return ["No worker is alive."]
+
+
+@pytest.fixture(autouse=True)
+def clock(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """A clock that moves on by one second with each look at it."""
+    ticks = iter(range(10**6))
+    monkeypatch.setattr(render, "time", SimpleNamespace(monotonic=lambda: float(next(ticks))))
+    yield
+
+
+def refine(studio: Script, max_error: float | None = None, seconds: float | None = None) -> Any:
+    return render.refine(studio, "scene", VIEW, max_error, seconds)  # type: ignore[arg-type]
+
+
+def test_it_asks_until_the_frame_is_final(capsys: pytest.CaptureFixture[str]) -> None:
+    studio = Script("a", "b", "c", "final")
+    assert refine(studio, max_error=0.1).version == "final"
+    assert studio.asked == [{"max_error": 0.1, "wait": render.STEP}] * 4
+    assert "baking" in capsys.readouterr().err
+
+
+def test_it_ends_when_the_time_is_spent() -> None:
+    studio = Script("a")
+    assert refine(studio, seconds=9).version == "a"
+    assert studio.asked[-1]["wait"] < render.STEP
+
+
+def test_it_asks_once_where_there_is_no_time() -> None:
+    studio = Script("a", "final")
+    assert refine(studio, seconds=0).version == "a"
+    assert studio.asked == [{"max_error": None, "wait": 0.0}]
+
+
+def test_it_gives_up_where_nothing_changes() -> None:
+    with pytest.raises(WorkersError, match=r"^No light came for 120 seconds. No worker is alive\.$"):
+        refine(Script("a", "b"))
