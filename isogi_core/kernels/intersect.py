@@ -9,7 +9,7 @@ surface is told its side, it does not ask the value.
 import math
 
 from isogi_core.kernels._jit import kernel
-from isogi_core.kernels.field import clamp_cell, value
+from isogi_core.kernels.field import clamp_cell
 from isogi_core.kernels.macrocells import SIZE
 from isogi_core.kernels.vec import madd
 
@@ -17,6 +17,9 @@ OUTSIDE = 1
 SOLID = -1
 UNKNOWN = 0
 REFINEMENTS = 48
+
+SLIVER = 1e-8
+"""Way through a cell, in voxels, below which values are rounding: more than a root's own error."""
 
 
 @kernel()
@@ -126,8 +129,8 @@ def refine(q, lo, hi, side):
         else:
             hi = t
         slope = (3.0 * q[0] * t + 2.0 * q[1]) * t + q[2]
-        step = t - f / slope if slope != 0.0 else lo
-        following = step if lo < step < hi else 0.5 * (lo + hi)
+        step = t - f / slope if slope != 0.0 else math.inf
+        following = step if lo <= step <= hi else 0.5 * (lo + hi)
         if abs(following - t) < 1e-9:
             return following
         t = following
@@ -174,7 +177,12 @@ def corners(voxels, i, j, k, iso):
 
 @kernel()
 def cross_cell(voxels, iso, o, d, cell, near, far, side):
-    """First crossing in ``cell`` between ``near`` and ``far``: (t, side it came from), or (inf, side at the exit)."""
+    """First crossing in ``cell`` between ``near`` and ``far``: (t, side it came from), or (inf, side at the exit).
+
+    The sliver of a cell that a ray cuts off at an edge says nothing: the side is carried past it.
+    """
+    if (far - near) * max(abs(d[0]), abs(d[1]), abs(d[2])) < SLIVER:
+        return math.inf, side
     c = corners(voxels, cell[0], cell[1], cell[2], iso)
     if math.isnan(c[0] + c[1] + c[2] + c[3] + c[4] + c[5] + c[6] + c[7]):
         return math.inf, UNKNOWN
@@ -233,8 +241,8 @@ def cast(field, iso, o, d, side):
     mz, my, mx = field.low.shape
     p = madd(o, near, d)
     i, j, k = clamp_cell(p[0], nx) // SIZE, clamp_cell(p[1], ny) // SIZE, clamp_cell(p[2], nz) // SIZE
-    if side == UNKNOWN or near > 0.0:
-        side = SOLID if value(field.voxels, p) > iso else OUTSIDE
+    if near > 0.0:
+        side = UNKNOWN
     inv = (reciprocal(d[0]), reciprocal(d[1]), reciprocal(d[2]))
     while 0 <= i < mx and 0 <= j < my and 0 <= k < mz:
         face, si, sj, sk = leave_block(o, inv, (i, j, k), SIZE)
