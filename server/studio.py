@@ -113,6 +113,8 @@ class Studio:
             self._hiring.join()
         if self._pool is not None:
             self._pool.close()
+        for stage in self._stages.values():
+            stage.loader.close()
         self._tiles.close()
 
     def _open(self, scene: Scene) -> Stage:

@@ -19,6 +19,8 @@ AHEAD = 2
 SETTINGS = {
     "distributed.admin.low-level-log-length": 100,
     "distributed.scheduler.allowed-failures": 10,
+    "distributed.scheduler.http.routes": ["distributed.http.health"],
+    "distributed.worker.http.routes": ["distributed.http.health"],
     "distributed.worker.memory.target": False,
     "distributed.worker.memory.spill": False,
     "distributed.worker.memory.pause": False,
@@ -93,7 +95,7 @@ class WorkerPool:
 def start_cluster(workers: int) -> LocalCluster:
     """Worker processes on the loopback interface, started afresh and not forked, without a dashboard.
 
-    Dask serves its health pages all the same: on a free port, for two servers must not quarrel over one.
+    Dask serves a health page all the same: on a free port, for two servers must not quarrel over one.
     """
     return LocalCluster(
         n_workers=workers,

@@ -12,29 +12,9 @@ MOST_SAMPLES = 16384
 """A texel with this many samples is final: what noise it has left is told, not chased."""
 
 
-def band_of(order: int) -> np.ndarray:
-    """The band l of each coefficient i < order²; (n²,) int."""
-    return np.repeat(np.arange(order), 2 * np.arange(order) + 1)
-
-
-def noise_weights(luminance_light: np.ndarray, order: int) -> np.ndarray:
-    """Weights w (channels, n²): Σ w · spread² is the variance of a texel's luminance, a mean over turns of the light.
-
-    For a light turned at random, E[(s·Dℓ)²] = Σ_l |s_l|² |ℓ_l|² / (2l + 1). The mean square of a
-    band's coefficients is pooled with its neighbour bands': two randomisations alone say too little.
-    """
-    bands = np.arange(order)
-    belongs = (band_of(order)[None, :] == bands[:, None]).astype(float)
-    near = np.abs(bands[:, None] - bands[None, :]) <= 1
-    pooled = near @ belongs
-    power = luminance_light**2 @ belongs.T
-    return power @ (pooled / pooled.sum(axis=1, keepdims=True))
-
-
 def relative_error(light: Light, recipe: Recipe) -> np.ndarray:
     """Standard error of each texel's luminance over the luminance, a mean over all turns of the light; (texels,)."""
-    weights = noise_weights(recipe.luminance_light, recipe.scene.plan.order)
-    variance = np.tensordot(light.spread.astype(np.float64) ** 2, weights, 2)
+    variance = np.tensordot(light.spread.astype(np.float64) ** 2, recipe.noise_weights, 2)
     mean = light.transfer[:, :, 0].astype(np.float64) @ recipe.luminance_light[:, 0]
     unoccluded = recipe.luminance_light[:, 0].sum() / np.sqrt(4.0 * np.pi)
     level = np.maximum(mean, FLOOR * max(unoccluded, 1e-30))

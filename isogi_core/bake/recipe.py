@@ -69,6 +69,11 @@ class Recipe:
         weighted = (LUMINANCE * np.array(self.scene.albedo))[:, None] * self.light
         return weighted if self.scene.plan.channels == 3 else weighted.sum(axis=0, keepdims=True)
 
+    @cached_property
+    def noise_weights(self) -> np.ndarray:
+        """See the function of the same name; (channels, n²) float64."""
+        return noise_weights(self.luminance_light, self.scene.plan.order)
+
 
 def make_field(volume: Volume) -> Field:
     """The volume's voxels with the macrocells that serve every isovalue."""
@@ -85,3 +90,22 @@ def project_environment(environment: Environment, order: int) -> np.ndarray:
         project(order, environment.image, coefficients)
     coefficients[:, 0] += environment.constant * np.sqrt(4.0 * np.pi)
     return coefficients
+
+
+def band_of(order: int) -> np.ndarray:
+    """The band l of each coefficient i < order²; (n²,) int."""
+    return np.repeat(np.arange(order), 2 * np.arange(order) + 1)
+
+
+def noise_weights(luminance_light: np.ndarray, order: int) -> np.ndarray:
+    """Weights w (channels, n²): Σ w · spread² is the variance of a texel's luminance, a mean over turns of the light.
+
+    For a light turned at random, E[(s·Dℓ)²] = Σ_l |s_l|² |ℓ_l|² / (2l + 1). The mean square of a
+    band's coefficients is pooled with its neighbour bands': two randomisations alone say too little.
+    """
+    bands = np.arange(order)
+    belongs = (band_of(order)[None, :] == bands[:, None]).astype(float)
+    near = np.abs(bands[:, None] - bands[None, :]) <= 1
+    pooled = near @ belongs
+    power = luminance_light**2 @ belongs.T
+    return power @ (pooled / pooled.sum(axis=1, keepdims=True))

@@ -4,6 +4,7 @@ import logging
 import threading
 import time
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 
 from isogi_core.bake.recipe import Index
 from isogi_core.cache.pages import PagePool
@@ -11,6 +12,9 @@ from isogi_core.cache.store import ChunkStore, version_of
 from isogi_core.errors import DamagedChunkError
 
 log = logging.getLogger("isogi.cache")
+
+READERS = 2
+"""Chunks that are read and decoded at a time."""
 
 ASK_AGAIN = 1.0
 """Seconds after which an absent chunk is asked for again: another machine may have baked it."""
@@ -25,6 +29,7 @@ class Loader:
         self.pool = pool
         self._absent: dict[Index, float] = {}
         self._lock = threading.Lock()
+        self._readers = ThreadPoolExecutor(READERS, "reader")
 
     def ensure(self, chunks: Sequence[Index]) -> tuple[str, ...]:
         """Bring the newest light of ``chunks`` into the pool; their versions, "" where there is no light yet.
@@ -32,13 +37,19 @@ class Loader:
         Raises StoreError when the store cannot be read, or the pool cannot hold them all at once.
         """
         together = frozenset(chunks)
-        return tuple(self._ensure(index, together) for index in chunks)
+        missing = [index for index in chunks if self.pool.version(index) is None]
+        found = dict(zip(missing, self._readers.map(lambda index: self._ensure(index, together), missing), strict=True))
+        return tuple(found[index] if index in found else self._ensure(index, together) for index in chunks)
 
     def refresh(self, index: Index) -> None:
         """Say that the store has new light of a chunk."""
         self.pool.outdate(index)
         with self._lock:
             self._absent.pop(index, None)
+
+    def close(self) -> None:
+        """End the threads that read."""
+        self._readers.shutdown()
 
     def _ensure(self, index: Index, together: frozenset[Index]) -> str:
         version = self.pool.version(index)

@@ -15,8 +15,10 @@ import numpy as np
 import zarr
 from numcodecs.zstd import Zstd
 from zarr.codecs import BytesCodec, Crc32cCodec, ZstdCodec
-from zarr.core.buffer import default_buffer_prototype
+from zarr.core.array_spec import ArrayConfigParams
+from zarr.core.buffer import Buffer, default_buffer_prototype
 from zarr.core.sync import sync
+from zarr.storage import LocalStore
 
 from isogi_core.bake.recipe import Index, Recipe
 from isogi_core.cache.chunk import Chunk
@@ -28,6 +30,9 @@ CODECS = (BytesCodec, ZstdCodec, Crc32cCodec)
 """What a chunk goes through on its way to the store; the checksum is last, so that it covers all of it."""
 
 CRC_BYTES = 4
+
+CONFIG: ArrayConfigParams = {"write_empty_chunks": True}
+"""A chunk that looks like none is written too: that it is there says that it was baked."""
 
 MOVE_AWAY = "move that folder away, and the light is baked again."
 
@@ -57,14 +62,14 @@ class ChunkStore:
 
     def _open(self) -> "zarr.Array[Any]":
         try:
-            array = zarr.open_array(self.path, mode="r+", zarr_format=3, config={"write_empty_chunks": True})
+            array = zarr.open_array(self.path, mode="r+", zarr_format=3)
         except FileNotFoundError:
             return self._create()
         except Exception as error:
             raise StoreError(f"Cannot open the light at {self.path}: {one_line(error)}; {MOVE_AWAY}") from error
         if not self._is_ours(array):
             raise StoreError(f"What is kept at {self.path} is not this scene's light; {MOVE_AWAY}")
-        return array
+        return array.with_config(CONFIG)
 
     def _is_ours(self, array: "zarr.Array[Any]") -> bool:
         planes = self.recipe.scene.plan.planes
@@ -90,7 +95,7 @@ class ChunkStore:
                 serializer=BytesCodec(endian="little"),
                 compressors=[ZstdCodec(level=1), Crc32cCodec()],
                 attributes={"isogi": self._facts()},
-                config={"write_empty_chunks": True},
+                config=CONFIG,
                 zarr_format=3,
                 overwrite=False,
             )
@@ -120,10 +125,17 @@ class ChunkStore:
     def _metadata_key(self) -> str:
         return f"{self.array.path}/zarr.json".lstrip("/")
 
+    def _get(self, key: str) -> Buffer | None:
+        """An object by its key; a local one without the detour over Zarr's event loop."""
+        store = self.array.store
+        return (
+            store.get_sync(key) if isinstance(store, LocalStore) else sync(store.get(key, default_buffer_prototype()))
+        )
+
     def read(self, index: Index) -> bytes | None:
         """The object of a chunk as it is stored, or None where there is none."""
         try:
-            stored = sync(self.array.store.get(self._key(index), default_buffer_prototype()))
+            stored = self._get(self._key(index))
         except Exception as error:
             raise StoreError(f"Cannot read chunk {index} of the light at {self.path}: {one_line(error)}.") from error
         return None if stored is None else stored.to_bytes()
@@ -160,7 +172,7 @@ class ChunkStore:
     def save(self, chunk: Chunk) -> None:
         """Write a chunk as one object, atomically; the array is made again where somebody deleted it."""
         try:
-            if sync(self.array.store.get(self._metadata_key, default_buffer_prototype())) is None:
+            if self._get(self._metadata_key) is None:
                 del self.array
             self.array.set_block_selection((*chunk.index, 0), self._inside(chunk))
         except StoreError:

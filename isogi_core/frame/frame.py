@@ -61,11 +61,12 @@ class Frame:
     def estimated_error(self) -> float:
         """Estimated relative RMSE of the frame: root mean square of the pixels' errors over the mean, in luminance.
 
-        A provisional pixel counts as wrong by all of its light.
+        A provisional pixel counts as wrong by all of its light; the whole is at most 1.
         """
         if not self.surface:
             return 0.0
         light = self.radiance[self.state > 0] @ LUMINANCE
         wrong = light * self.error[self.state > 0]
         mean = float(light.mean())
-        return float(np.sqrt((wrong.astype(np.float64) ** 2).mean())) / mean if mean > 0.0 else 0.0
+        rms = float(np.sqrt((wrong.astype(np.float64) ** 2).mean()))
+        return min(rms / mean, 1.0) if mean > 0.0 else 0.0

@@ -45,10 +45,10 @@ class GBuffer:
             if self._normals is None:
                 normals = np.empty_like(self.points)
 
-                def piece(a: int, b: int) -> None:
+                def _piece(a: int, b: int) -> None:
                     find_normals(recipe.field, self.points[a:b], self.eye, normals[a:b])
 
-                tiles.run(piece, len(self.points), POINTS, cancelled)
+                tiles.run(_piece, len(self.points), POINTS, cancelled)
                 self._normals = normals
             return self._normals
 
@@ -86,10 +86,10 @@ def trace(view: View, recipe: Recipe, tiles: Tiles, cancelled: threading.Event |
     depth = np.empty((view.height, view.width), np.float32)
     position = np.empty((view.height, view.width, 3), np.float32)
 
-    def piece(a: int, b: int) -> None:
+    def _piece(a: int, b: int) -> None:
         trace_rows(recipe.field, isovalue, camera, a, depth[a:b], position[a:b])
 
-    tiles.run(piece, view.height, ROWS, cancelled)
+    tiles.run(_piece, view.height, ROWS, cancelled)
     pixels = np.flatnonzero(np.isfinite(depth))
     points = position.reshape(-1, 3)[pixels]
     return GBuffer(depth.shape, camera.eye, isovalue, pixels, points, depth.ravel()[pixels])

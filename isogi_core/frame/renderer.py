@@ -2,12 +2,7 @@
 
 import hashlib
 import threading
-import time
-from collections import OrderedDict
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, field
-from typing import Any, Generic, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -15,57 +10,15 @@ from isogi_core.bake.recipe import Recipe
 from isogi_core.cache.loader import Loader
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import GBuffer, trace
+from isogi_core.frame.kept import Kept
 from isogi_core.frame.shader import Shaded, Shader
+from isogi_core.frame.stopwatch import Stopwatch
 from isogi_core.frame.texels import ViewTexels, find_texels
 from isogi_core.frame.tiles import Tiles
 from isogi_core.model.view import View
 
-K = TypeVar("K")
-V = TypeVar("V")
-
 KEPT = 12
 """Views whose G-buffers are kept for turning light and for asking again."""
-
-
-@dataclass(eq=False)
-class Stopwatch:
-    """Seconds of each stage of one frame, in order."""
-
-    seconds: dict[str, float] = field(default_factory=dict)
-
-    @contextmanager
-    def stage(self, name: str) -> Iterator[None]:
-        """Time the block as stage ``name``."""
-        begun = time.perf_counter()
-        yield
-        self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - begun
-
-
-class Kept(Generic[K, V]):
-    """The newest few results of a costly function; two threads that want the same one make it once."""
-
-    def __init__(self, most: int) -> None:
-        """Keep at most ``most`` results."""
-        self._most = most
-        self._lock = threading.Lock()
-        self._made: OrderedDict[K, tuple[threading.Lock, list[V]]] = OrderedDict()
-
-    def get(self, key: K, make: Callable[[], V]) -> V:
-        """The result for ``key``, made by ``make`` when it is not kept."""
-        with self._lock:
-            lock, cell = self._made.setdefault(key, (threading.Lock(), []))
-            self._made.move_to_end(key)
-            while len(self._made) > self._most:
-                self._made.popitem(last=False)
-        with lock:
-            if not cell:
-                cell.append(make())
-        return cell[0]
-
-    def clear(self) -> None:
-        """Keep nothing."""
-        with self._lock:
-            self._made.clear()
 
 
 class Renderer:
@@ -88,7 +41,16 @@ class Renderer:
         watch = Stopwatch()
         with watch.stage("primary"):
             gbuffer = self.gbuffer(view, cancelled)
-        shader = Shader(self, view, gbuffer, watch, cancelled)
+        shader = Shader(
+            recipe=self.recipe,
+            loader=self.loader,
+            tiles=self.tiles,
+            view=view,
+            gbuffer=gbuffer,
+            find_texels=lambda: self.texels(view, gbuffer, cancelled),
+            watch=watch,
+            cancelled=cancelled,
+        )
         shaded = shader.shade(target or self.recipe.scene.target_error)
         with watch.stage("compose"):
             return self._compose(view, gbuffer, shaded, watch)

@@ -1,24 +1,28 @@
 """Shading: the light that leaves each surface point of a view, by the model that the view asks for."""
 
 import threading
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from functools import cached_property
 
 import numpy as np
 
 from isogi_core.bake.noise import MOST_SAMPLES
+from isogi_core.bake.recipe import Recipe
+from isogi_core.cache.loader import Loader
 from isogi_core.cache.pages import PagePool
 from isogi_core.frame.gbuffer import POINTS, GBuffer
+from isogi_core.frame.stopwatch import Stopwatch
 from isogi_core.frame.surroundings import Turned
 from isogi_core.frame.texels import Demand, ViewTexels
-from isogi_core.frame.tiles import Piece
+from isogi_core.frame.tiles import Piece, Tiles
 from isogi_core.kernels.lattice import CONVERGING, FINAL, UNLIT, VOID_ROW, carry_light, light_texels
 from isogi_core.kernels.shading import shade_local, trace_points
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import View
 
-if TYPE_CHECKING:
-    from isogi_core.frame.renderer import Renderer, Stopwatch
+PATH_POINTS = 256
+"""Surface points of a tile when each of them sends paths."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,25 +38,23 @@ class Shaded:
     versions: tuple[str, ...] = ()
 
 
+@dataclass(frozen=True, eq=False)
 class Shader:
-    """Shades one view."""
+    """Shades one view: its surface points are in ``gbuffer``, and ``find_texels`` tells which texels those read."""
 
-    def __init__(
-        self,
-        renderer: "Renderer",
-        view: View,
-        gbuffer: GBuffer,
-        watch: "Stopwatch",
-        cancelled: threading.Event | None,
-    ) -> None:
-        """Gather what the models share."""
-        self.renderer = renderer
-        self.recipe = renderer.recipe
-        self.view = view
-        self.gbuffer = gbuffer
-        self.watch = watch
-        self.cancelled = cancelled
-        self.turned = Turned(renderer.recipe, view)
+    recipe: Recipe
+    loader: Loader
+    tiles: Tiles
+    view: View
+    gbuffer: GBuffer
+    find_texels: Callable[[], ViewTexels]
+    watch: Stopwatch
+    cancelled: threading.Event | None
+
+    @cached_property
+    def turned(self) -> Turned:
+        """The environment turned for the view."""
+        return Turned(self.recipe, self.view)
 
     def shade(self, target: float) -> Shaded:
         """Shade by the view's own model; light is final at the relative error ``target``."""
@@ -63,11 +65,11 @@ class Shader:
         return self._local()
 
     def _run(self, piece: Piece, total: int, size: int = POINTS) -> None:
-        self.renderer.tiles.run(piece, total, size, self.cancelled)
+        self.tiles.run(piece, total, size, self.cancelled)
 
     def _normals(self) -> np.ndarray:
         with self.watch.stage("normals"):
-            return self.gbuffer.normals(self.recipe, self.renderer.tiles, self.cancelled)
+            return self.gbuffer.normals(self.recipe, self.tiles, self.cancelled)
 
     def _local(self) -> Shaded:
         """Lambert and Phong, with or without shadow and fog."""
@@ -75,19 +77,11 @@ class Shader:
         model = self.turned.local_model(self.view.shading, self._depths())
         radiance = np.empty_like(points)
 
-        def piece(a: int, b: int) -> None:
-            shade_local(
-                self.recipe.field,
-                self.gbuffer.isovalue,
-                points[a:b],
-                normals[a:b],
-                self.gbuffer.eye,
-                model,
-                radiance[a:b],
-            )
-
+        surface, eye = (self.recipe.field, self.gbuffer.isovalue), self.gbuffer.eye
         with self.watch.stage("shade"):
-            self._run(piece, len(points))
+            self._run(
+                lambda a, b: shade_local(*surface, points[a:b], normals[a:b], eye, model, radiance[a:b]), len(points)
+            )
         return Shaded(radiance, np.full(len(points), FINAL, np.uint8), np.zeros(len(points), np.float32))
 
     def _depths(self) -> tuple[float, float]:
@@ -104,22 +98,14 @@ class Shader:
         sums = np.zeros((len(points), 2, 3))
         half = max(self.view.samples // 2, 1)
 
-        def piece(a: int, b: int) -> None:
-            trace_points(
-                self.recipe.field,
-                self.gbuffer.isovalue,
-                points[a:b],
-                normals[a:b],
-                self.gbuffer.pixels[a:b],
-                self.turned.surroundings,
-                weights,
-                0,
-                half,
-                sums[a:b],
-            )
+        surface, light = (self.recipe.field, self.gbuffer.isovalue), self.turned.surroundings
+
+        def _piece(a: int, b: int) -> None:
+            seeds = self.gbuffer.pixels[a:b]
+            trace_points(*surface, points[a:b], normals[a:b], seeds, light, weights, 0, half, sums[a:b])
 
         with self.watch.stage("paths"):
-            self._run(piece, len(points), 256)
+            self._run(_piece, len(points), PATH_POINTS)
         means = sums / half
         radiance = means.mean(axis=1)
         noise = np.abs((means[:, 0] - means[:, 1]) @ LUMINANCE) / 2.0
@@ -129,16 +115,16 @@ class Shader:
 
     def _from_cache(self, target: float) -> Shaded:
         """Global illumination, or vicinity shading, out of the illumination cache (S1, section 4.2)."""
-        loader = self.renderer.loader
+        pool = self.loader.pool
         with self.watch.stage("texels"):
-            texels = self.renderer.texels(self.view, self.gbuffer, self.cancelled)
+            texels = self.find_texels()
         with self.watch.stage("load"):
-            versions = loader.ensure(texels.chunks)
-        with loader.pool.hold(texels.chunks) as slots:
+            versions = self.loader.ensure(texels.chunks)
+        with pool.hold(texels.chunks) as slots:
             with self.watch.stage("light"):
-                rows = rows_of(texels, slots, loader.pool)
-                grade = grade_rows(rows, loader.pool, target)
-                lit = self._light_texels(rows, loader.pool)
+                rows = rows_of(texels, slots, pool)
+                grade = grade_rows(rows, pool, target)
+                lit = self._light_texels(rows, pool)
             with self.watch.stage("shade"):
                 radiance, state, error = self._carry(texels, rows, grade, lit)
         needed, done, demands = sort_demands(texels, rows, grade)
@@ -149,10 +135,9 @@ class Shader:
         transfer, light, noise_light = self._light(pool)
         lit = np.zeros((len(rows), 4), np.float32)
 
-        def piece(a: int, b: int) -> None:
-            light_texels(rows[a:b], transfer, pool.spread, light, noise_light, lit[a:b])
-
-        self._run(piece, len(rows))
+        self._run(
+            lambda a, b: light_texels(rows[a:b], transfer, pool.spread, light, noise_light, lit[a:b]), len(rows)
+        )
         return lit
 
     def _light(self, pool: PagePool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -176,22 +161,13 @@ class Shader:
         radiance = np.empty_like(points)
         state, error = np.empty(len(points), np.uint8), np.empty(len(points), np.float32)
 
-        def piece(a: int, b: int) -> None:
-            carry_light(
-                self.recipe.lattice,
-                points[a:b],
-                texels.corners[a:b],
-                rows,
-                grade,
-                lit,
-                normals[a:b],
-                self.turned.sky,
-                radiance[a:b],
-                state[a:b],
-                error[a:b],
-            )
+        lattice, sky = self.recipe.lattice, self.turned.sky
 
-        self._run(piece, len(points))
+        def _piece(a: int, b: int) -> None:
+            out = (radiance[a:b], state[a:b], error[a:b])
+            carry_light(lattice, points[a:b], texels.corners[a:b], rows, grade, lit, normals[a:b], sky, *out)
+
+        self._run(_piece, len(points))
         return radiance, state, error
 
 

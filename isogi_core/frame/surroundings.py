@@ -6,8 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from isogi_core.bake.noise import band_of
-from isogi_core.bake.recipe import Recipe
+from isogi_core.bake.recipe import Recipe, band_of
 from isogi_core.kernels.harmonics import cosine_lobe_factors, rotate
 from isogi_core.kernels.lattice import Sky
 from isogi_core.kernels.shading import LocalModel, Surroundings

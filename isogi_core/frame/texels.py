@@ -54,16 +54,16 @@ def find_texels(gbuffer: GBuffer, recipe: Recipe, tiles: Tiles, cancelled: threa
     """Collect the texels around every surface point of ``gbuffer``."""
     points, lattice = gbuffer.points, recipe.lattice
 
-    def over_points(kernel: Callable[..., None], *arguments: Any) -> None:
+    def _over_points(kernel: Callable[..., None], *arguments: Any) -> None:
         tiles.run(lambda a, b: kernel(lattice, points[a:b], *arguments), len(points), POINTS, cancelled)
 
     touched = np.zeros(recipe.chunks, np.bool_)
-    over_points(touch_chunks, touched)
+    _over_points(touch_chunks, touched)
     indices = np.argwhere(touched)
     slots = np.full(recipe.chunks, -1, np.int32)
     slots[touched] = np.arange(len(indices))
     read = np.zeros(len(indices) * TEXELS, np.bool_)
-    over_points(mark_texels, slots, read)
+    _over_points(mark_texels, slots, read)
     numbers, places = np.empty(read.shape, np.int32), np.empty(read.shape, np.int32)
     places = places[: number_texels(read, numbers, places)]
     corners = np.empty((len(points), 8), np.int32)

@@ -65,7 +65,7 @@ def develop_rows(radiance, state, first, exposure, colours, overlay, curve, pict
     top = curve.shape[0] - 1
     for y in range(rows):
         for x in range(width):
-            peak = exposure * max(radiance[y, x, 0], radiance[y, x, 1], radiance[y, x, 2])
+            peak = exposure * float(max(radiance[y, x, 0], radiance[y, x, 1], radiance[y, x, 2]))
             gain = exposure * shoulder(peak) / peak if peak > 0.0 else 0.0
             veil = mark(state[y, x], x, y + first) if overlay else 0.0
             for c in range(3):

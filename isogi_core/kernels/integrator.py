@@ -6,6 +6,7 @@ and 8), the reference looks the environment up in that direction.
 
 import math
 
+import numpy as np
 from numba import types
 
 from isogi_core.kernels._jit import kernel
@@ -125,13 +126,13 @@ def bake_texels(field, step, texels, first, count, weights, order, direct, indir
 
     ``texels`` (m, 3) int32 lattice indices z, y, x; ``step`` (3,) voxels per texel along x, y, z;
     ``weights`` (bounces + 1, channels) R^k. Adds to ``direct`` (m, 2, n²) and ``indirect``
-    (m, 2, channels, n²); writes the voxel-space isovalue each texel is lit on (its own value) and
+    (m, 2, channels, n²); writes the voxel-space isovalue each texel is lit on (its own value, a float32) and
     whether it is void (no gradient there, or no number). Source: S1, section 4.1, "for all texels".
     """
     for m in range(texels.shape[0]):
         z, y, x = texels[m, 0], texels[m, 1], texels[m, 2]
         p = (x * step[0], y * step[1], z * step[2])
-        iso = value(field.voxels, p)
+        iso = float(np.float32(value(field.voxels, p)))  # on a plateau exactly its value, which is not solid
         n = normal(field, p)
         isovalues[m] = iso
         void[m] = math.isnan(iso) or (n[0] == 0.0 and n[1] == 0.0 and n[2] == 0.0)

@@ -48,9 +48,9 @@ def axis_texel(p, density, n):
 @kernel()
 def base_texel(lattice, points, m):
     """Lowest corner (z, y, x) of the lattice cell around point ``m``, and the fractions (z, y, x) inside it."""
-    z, fz = axis_texel(points[m, 2], lattice.density[2], lattice.shape[0])
-    y, fy = axis_texel(points[m, 1], lattice.density[1], lattice.shape[1])
-    x, fx = axis_texel(points[m, 0], lattice.density[0], lattice.shape[2])
+    z, fz = axis_texel(float(points[m, 2]), lattice.density[2], lattice.shape[0])
+    y, fy = axis_texel(float(points[m, 1]), lattice.density[1], lattice.shape[1])
+    x, fx = axis_texel(float(points[m, 0]), lattice.density[0], lattice.shape[2])
     return z, y, x, fz, fy, fx
 
 
@@ -127,12 +127,13 @@ def weigh_chunks(corners, chunk, weights, area):
     ``chunk`` (texels,) is the chunk of each texel that ``corners`` numbers.
     """
     for m in range(corners.shape[0]):
-        last = -1
+        first, crossed = chunk[corners[m, 0]], 0
+        for axis in (1, 2, 4):
+            if chunk[corners[m, axis]] != first:
+                crossed |= axis
         for c in range(8):
-            k = chunk[corners[m, c]]
-            if k != last:
-                area[k] += weights[m]
-            last = k
+            if c & crossed == c:
+                area[chunk[corners[m, c]]] += weights[m]
 
 
 @kernel()

@@ -115,15 +115,17 @@ def test_the_isovalue_plane_is_the_field(store: ChunkStore, recipe: Recipe) -> N
     chunk = baked(recipe, EDGE)
     places = chunk.positions(chunk.offsets) * recipe.step[::-1]
     twin = [value(recipe.scene.volume.voxels, (float(x), float(y), float(z))) for z, y, x in places]
-    np.testing.assert_allclose(values_at(recipe.scene.volume.voxels, places), twin, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(values_at(recipe.scene.volume.voxels, places), twin, rtol=0, atol=1e-7)
     np.testing.assert_array_equal(chunk.light.isovalue, np.float32(twin))
 
 
 @pytest.mark.parametrize("index", [INNER, EDGE])
 def test_dark_chunks_and_empty_ones_are_written_too(store: ChunkStore, recipe: Recipe, index: Index) -> None:
-    store.save(Chunk.empty(index, recipe.scene.plan))
-    assert store.read(index) is not None
-    assert store.load(index).offsets.size == 0
+    for used in (store, ChunkStore(store.root, recipe)):
+        used.save(Chunk.empty(index, recipe.scene.plan))
+        assert used.read(index) is not None
+        assert used.load(index).offsets.size == 0
+        file_of(used, index).unlink()
 
 
 def test_default_store_is_in_the_users_cache(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -389,7 +391,6 @@ def save_chunks(root: Path, indices: list[Index]) -> None:
         store.save(baked(recipe, index, seed=sum(index)))
 
 
-@pytest.mark.slow
 def test_two_processes_with_different_chunks_lose_none(tmp_path: Path, recipe: Recipe) -> None:
     indices = list(product(range(3), repeat=3))
     spawn = multiprocessing.get_context("spawn")

@@ -91,9 +91,7 @@ def test_every_coding_gives_the_same_pixels(
 
 @pytest.mark.parametrize("encode", [flat, old_runs])
 @pytest.mark.parametrize("width", [1, 7, 40000])
-def test_widths_that_new_coding_cannot_hold(
-    tmp_path: Path, encode: Callable[[np.ndarray], bytes], width: int
-) -> None:
+def test_widths_that_new_coding_cannot_hold(tmp_path: Path, encode: Callable[[np.ndarray], bytes], width: int) -> None:
     rgbe = quads(2, width)
     picture = read_hdr(write(tmp_path, 2, width, encode(rgbe)))
     np.testing.assert_array_equal(picture, radiance_of(rgbe).astype(np.float32))

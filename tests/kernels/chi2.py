@@ -55,9 +55,7 @@ class ChiSquare:
     def p_value(self) -> float:
         """Chance of counts at least this far from the expected ones; cells that expect < 5 are pooled."""
         observed, expected = self.observed(), self.expected()
-        np.testing.assert_allclose(
-            expected.sum(), len(self.points), rtol=1e-6, err_msg="no density: its integral"
-        )
+        np.testing.assert_allclose(expected.sum(), len(self.points), rtol=1e-6, err_msg="no density: its integral")
         if observed[expected < 1e-9].any():
             return 0.0
         order = np.argsort(-expected)

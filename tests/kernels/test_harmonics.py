@@ -139,9 +139,7 @@ def test_rotation_at_every_order_and_any_number_of_channels(order):
     out = np.full_like(coefficients, np.nan)
     harmonics.rotate(order, matrix, coefficients, out)
     d = units(7, 50)
-    np.testing.assert_allclose(
-        basis(order, d) @ out.T, basis(order, d @ matrix) @ coefficients.T, rtol=0, atol=1e-12
-    )
+    np.testing.assert_allclose(basis(order, d) @ out.T, basis(order, d @ matrix) @ coefficients.T, rtol=0, atol=1e-12)
 
 
 def test_cosine_lobe_factors():
@@ -175,9 +173,7 @@ def pixel_directions(height, width, subdivision=1):
 def test_projection_of_a_constant_is_one_number(shape):
     radiance = np.array([1.0, 0.5, 1e6])
     expected = np.outer(radiance, np.eye(COUNT)[0]) * math.sqrt(4.0 * math.pi)
-    np.testing.assert_allclose(
-        project(np.broadcast_to(radiance, (*shape, 3))), expected, rtol=1e-13, atol=1e-8
-    )
+    np.testing.assert_allclose(project(np.broadcast_to(radiance, (*shape, 3))), expected, rtol=1e-13, atol=1e-8)
     np.testing.assert_allclose(project(np.ones((*shape, 3)))[0], expected[0], rtol=0, atol=2e-14)
 
 

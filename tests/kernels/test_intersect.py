@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from numba import config, njit
 from scipy.ndimage import map_coordinates
-from test_macrocells import field_of
 
 from isogi_core.kernels import intersect
 from isogi_core.kernels.integrator import launch
 from isogi_core.kernels.intersect import OUTSIDE, SOLID, UNKNOWN
 from isogi_core.kernels.vec import orthonormal_basis
+from tests.kernels.test_macrocells import field_of
 
 PYTHON = bool(config.DISABLE_JIT)
 MOST_CROSSINGS = 200
@@ -99,7 +99,7 @@ def test_turning_points_are_the_roots_of_the_slope():
 
 @pytest.mark.parametrize("side", [OUTSIDE, SOLID])
 def test_first_crossing_against_numpys_roots(side):
-    """1e5 cubics that begin on `side`, less those whose roots nearly meet or lie on an end: there both answers are right."""
+    """1e5 cubics that begin on `side`, less those whose roots nearly meet or lie on an end: both answers are right."""
     rng = np.random.default_rng(3)
     cubics = rng.normal(size=(many(100_000), 4)) * 10.0 ** rng.uniform(-3, 3, (many(100_000), 4))
     cubics[:, 3] = -side * np.abs(cubics[:, 3])
@@ -134,7 +134,7 @@ def test_double_roots_end_and_never_come_and_go(where, lean):
     assert (last == OUTSIDE).all()
 
 
-@pytest.mark.parametrize("scale", 10.0 ** np.array([0.0, -8, -16, -30, -100, -300]))
+@pytest.mark.parametrize("scale", [1.0, 1e-8, 1e-16, 1e-30, 1e-100, 1e-300])
 @pytest.mark.parametrize(
     ("rest", "root"),
     [((2.0, 0.0, -0.5), 0.5), ((0.0, 1.0, -0.25), 0.25), ((-1.0, 2.0, -0.75), 0.5), ((0.0, 0.0, -1.0), math.inf)],
@@ -247,7 +247,7 @@ CLOSED = {
 
 
 def inner_rays(rng, count):
-    """Origins well inside the closed surfaces, half of them on lattice points; integer, axis-aligned, any directions."""
+    """Origins well inside the closed surfaces, half on lattice points; integer, axis-aligned and any directions."""
     origins = 20.0 + rng.uniform(-1.7, 1.7, (count, 3))
     origins[::2] = np.rint(origins[::2])
     directions = rng.normal(size=(count, 3))
@@ -260,9 +260,7 @@ def inner_rays(rng, count):
     return origins, directions[order]
 
 
-@pytest.mark.parametrize(
-    ("name", "iso"), [(name, iso) for name, (_, isovalues) in CLOSED.items() for iso in isovalues]
-)
+@pytest.mark.parametrize(("name", "iso"), [(name, iso) for name, (_, isovalues) in CLOSED.items() for iso in isovalues])
 def test_no_ray_leaks_out_of_a_closed_surface(name, iso):
     """Sixteen cases of 65,000 rays: more than a million. Crossings are odd; one where the field is convex."""
     origins, directions = inner_rays(np.random.default_rng(7), many(65_000))
@@ -294,13 +292,15 @@ def all_round(rng, normal, count):
     return (r * np.cos(phi))[:, None] * s + (r * np.sin(phi))[:, None] * t + lift[:, None] * normal
 
 
-@pytest.mark.parametrize("towards", [(0, 0, 1), (1, 0, 0), (1, 2, 2), (-2, 3, 6), (0.31, -0.77, 0.52)])
-@pytest.mark.parametrize("offset", [True, False])
+PLANES = [(0, 0, 1), (1, 0, 0), (1, 2, 2), (-2, 3, 6)]
+
+
+@pytest.mark.parametrize(
+    ("towards", "offset"),
+    [*((p, offset) for p in PLANES for offset in (True, False)), ((0.31, -0.77, 0.52), True)],
+)
 def test_rays_that_leave_a_plane_never_hit_it(towards, offset):
-    """3e5 rays in all. Without an offset only planes that float32 can hold are flat enough to be judged."""
-    exact = all(isinstance(c, int) for c in towards)
-    if not offset and not exact:
-        pytest.skip("float32 rounding makes this plane bumpy: rays without an offset may graze the bumps")
+    """3.6e5 rays in all. Without an offset only planes that float32 can hold are flat enough to be judged."""
     rng, count = np.random.default_rng(9), many(40_000)
     normal = np.array(towards) / np.linalg.norm(towards)
     plane = field_of(-(towards[0] * X + towards[1] * Y + towards[2] * Z))
@@ -350,9 +350,9 @@ def test_a_hole_takes_the_surface_of_its_eight_cells_and_of_no_other(hole):
     voxels[z, y, x] = np.nan
     pierced = field_of(voxels)
     rng = np.random.default_rng(12)
-    origins = rng.normal(size=(many(50_000), 3))
+    origins = (np.array(hole) - 20.0) / 12.0 + 0.5 * rng.normal(size=(many(50_000), 3))
     origins = 20.0 + 19.0 * origins / np.linalg.norm(origins, axis=1, keepdims=True)
-    directions = np.array(hole) + rng.normal(size=origins.shape) * 2.0 - origins
+    directions = np.array(hole) + 0.7 * rng.normal(size=origins.shape) - origins
     before, _ = cast_rays(whole, 0.0, origins, directions, UNKNOWN)
     after, _ = cast_rays(pierced, 0.0, origins, directions, UNKNOWN)
 
@@ -361,11 +361,11 @@ def test_a_hole_takes_the_surface_of_its_eight_cells_and_of_no_other(hole):
         return np.isfinite(t) & (np.abs(at - hole) < 1.0 - 1e-6).all(axis=1)
 
     gone = beside_hole(before)
-    assert gone.sum() > len(gone) / 50
+    assert gone.mean() > 0.02
     assert not beside_hole(after).any()
-    edge = np.abs(before - after) > 1e-9
+    changed = ~np.isclose(before, after, rtol=0, atol=1e-9)
     at = origins + np.where(np.isfinite(before), before, 0.0)[:, None] * directions
-    assert (np.abs(at[edge & ~gone] - hole).max(axis=1) < 1.0 + 1e-6).all(), "another cell lost its surface"
+    assert (np.abs(at[changed & ~gone] - hole).max(axis=1) < 1.0 + 1e-6).all(), "another cell lost its surface"
 
 
 def test_nothing_but_holes_is_an_empty_picture():

@@ -75,9 +75,7 @@ def test_chi_square_tells_right_from_wrong():
 def test_chi_square_has_its_level():
     """Of 400 right sets about 1 % fail, though half of the cells expect less than 5 and are pooled."""
     sets = (squares(1000 + i, 2000) ** [0.5, 1.0] for i in range(400))
-    p = np.array(
-        [ChiSquare(points, lambda s, t: 2.0 * s + 0.0 * t, cells=(40, 10)).p_value() for points in sets]
-    )
+    p = np.array([ChiSquare(points, lambda s, t: 2.0 * s + 0.0 * t, cells=(40, 10)).p_value() for points in sets])
     assert 0 < np.sum(p < 0.01) <= 12
     assert 0.45 < np.mean(p) < 0.55
 
@@ -230,9 +228,7 @@ def test_latlong_inverts():
         back = sampling.direction_to_latlong(sampling.latlong_to_direction(row, column))
         np.testing.assert_allclose(back, (row, column), atol=1e-12)
     for d in AXES:
-        np.testing.assert_allclose(
-            sampling.latlong_to_direction(*sampling.direction_to_latlong(d)), d, atol=3e-16
-        )
+        np.testing.assert_allclose(sampling.latlong_to_direction(*sampling.direction_to_latlong(d)), d, atol=3e-16)
 
 
 def test_latlong_jacobian_is_the_area_of_a_small_patch():

@@ -70,9 +70,7 @@ def euler_characteristic(mask: np.ndarray) -> int:
         cells = padded
         for axis in range(3):
             if axes >> axis & 1:
-                cells = cells.take(range(1, cells.shape[axis]), axis) | cells.take(
-                    range(cells.shape[axis] - 1), axis
-                )
+                cells = cells.take(range(1, cells.shape[axis]), axis) | cells.take(range(cells.shape[axis] - 1), axis)
         total += (-1) ** (3 - axes.bit_count()) * int(cells.sum())
     return total
 

@@ -96,9 +96,7 @@ def test_constant_lights_add_up_without_an_image() -> None:
     light = environment([ConstantLight((1.0, 0.0, 0.5)), ConstantLight((0.25, 0.25, 0.25))])
     np.testing.assert_array_equal(light.constant, (1.25, 0.25, 0.75))
     assert light.image.shape == (1, 1, 3) and not light.image.any()
-    np.testing.assert_array_equal(
-        light.radiance(RANDOM.normal(size=(5, 7, 3))), np.full((5, 7, 3), light.constant)
-    )
+    np.testing.assert_array_equal(light.radiance(RANDOM.normal(size=(5, 7, 3))), np.full((5, 7, 3), light.constant))
     np.testing.assert_array_equal(light.mean(), light.constant)
 
 

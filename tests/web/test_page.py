@@ -324,9 +324,7 @@ def test_narrow_screens_scroll_only_down(browser: Browser, live_server: str, wid
 def test_dark_scheme(browser: Browser, live_server: str) -> None:
     context = browser.new_context(viewport={"width": 1280, "height": 800}, color_scheme="dark")
     page = open_final(context.new_page(), live_server)
-    ink, paper = (
-        page.evaluate(f"getComputedStyle(document.body).{what}") for what in ("color", "backgroundColor")
-    )
+    ink, paper = (page.evaluate(f"getComputedStyle(document.body).{what}") for what in ("color", "backgroundColor"))
     assert brightness(ink) > 200
     assert brightness(paper) < 60
     SHOTS.mkdir(parents=True, exist_ok=True)

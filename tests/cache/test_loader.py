@@ -1,0 +1,155 @@
+import logging
+import shutil
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from isogi_core.bake.recipe import Index, Recipe
+from isogi_core.bake.refine import refine
+from isogi_core.cache import loader as loading
+from isogi_core.cache.loader import ASK_AGAIN, Loader
+from isogi_core.cache.pages import PagePool
+from isogi_core.cache.store import ChunkStore, version_of
+from isogi_core.errors import StoreError
+from isogi_core.model.scene import load_scene
+
+A, B, C = (0, 1, 1), (1, 1, 1), (2, 1, 1)
+
+
+class Clock:
+    """Seconds that pass when the test says so."""
+
+    def __init__(self) -> None:
+        self.now = 100.0
+
+    def monotonic(self) -> float:
+        return self.now
+
+
+@pytest.fixture(scope="module")
+def recipe() -> Recipe:
+    return Recipe(load_scene("demo:orbital", order=2, lattice=0.4, bounces=1, target_error=0.5))
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    clock = Clock()
+    monkeypatch.setattr(loading, "time", clock)
+    return clock
+
+
+@pytest.fixture
+def loader(tmp_path: Path, recipe: Recipe, clock: Clock) -> Iterator[Loader]:
+    with closing(Loader(ChunkStore(tmp_path, recipe), PagePool(recipe, 1 << 22))) as loader:
+        yield loader
+
+
+def bake(loader: Loader, index: Index, texels: int = 20, samples: int = 16) -> str:
+    """Do as a worker does; the version of what is stored."""
+    chunk = loader.store.load(index).with_texels(np.arange(texels, dtype=np.int32))
+    refine(chunk.light, chunk.positions(chunk.offsets), loader.store.recipe, samples, 1e-4)
+    loader.store.save(chunk)
+    return version_of(loader.store.read(index) or b"")
+
+
+def transfer(loader: Loader, index: Index) -> np.ndarray | None:
+    """What a frame would read of a chunk."""
+    with loader.pool.hold([index]) as slots:
+        rows = loader.pool.table[slots[0]]
+        return loader.pool.transfer[rows[rows >= 0]].copy() if slots[0] >= 0 else None
+
+
+def test_light_comes_from_the_store(loader: Loader) -> None:
+    versions = bake(loader, A), bake(loader, B)
+    assert loader.ensure([A, C, B]) == (versions[0], "", versions[1])
+    chunk = loader.store.load(B)
+    np.testing.assert_array_equal(transfer(loader, B), chunk.light.transfer)
+    assert transfer(loader, C) is None
+
+
+def test_what_is_in_memory_is_not_read_again(loader: Loader, monkeypatch: pytest.MonkeyPatch) -> None:
+    version = bake(loader, A)
+    loader.ensure([A])
+    monkeypatch.setattr(loader.store, "read", lambda index: pytest.fail("the store was asked"))
+    assert loader.ensure([A]) == (version,)
+
+
+def test_an_absent_chunk_is_asked_for_again_after_a_while(loader: Loader, clock: Clock) -> None:
+    assert loader.ensure([A]) == ("",)
+    version = bake(loader, A)
+    clock.now += ASK_AGAIN / 2
+    assert loader.ensure([A]) == ("",)
+    clock.now += ASK_AGAIN / 2
+    assert loader.ensure([A]) == (version,)
+
+
+def test_new_light_is_read_as_soon_as_it_is_told(loader: Loader) -> None:
+    assert loader.ensure([A]) == ("",)
+    first = bake(loader, A)
+    loader.refresh(A)
+    assert loader.ensure([A]) == (first,)
+    second = bake(loader, A, samples=64)
+    assert loader.ensure([A]) == (first,)
+    loader.refresh(A)
+    assert loader.ensure([A]) == (second,)
+    assert second != first
+    np.testing.assert_array_equal(transfer(loader, A), loader.store.load(A).light.transfer)
+
+
+def test_damage_is_absence_and_is_told(loader: Loader, clock: Clock, caplog: pytest.LogCaptureFixture) -> None:
+    version = bake(loader, A)
+    path = Path(loader.store.path, "c", *map(str, A), "0")
+    whole = path.read_bytes()
+    path.write_bytes(whole[:-1])
+    with caplog.at_level(logging.WARNING, "isogi.cache"):
+        assert loader.ensure([A]) == ("",)
+    assert "checksum" in caplog.text
+    assert transfer(loader, A) is None
+    assert bake(loader, A) == version
+    loader.refresh(A)
+    assert loader.ensure([A]) == (version,)
+    assert path.read_bytes() == whole
+
+
+def test_a_chunk_under_another_name_is_absent(loader: Loader) -> None:
+    bake(loader, A)
+    bake(loader, C)
+    folder = Path(loader.store.path, "c")
+    shutil.copyfile(folder.joinpath(*map(str, C), "0"), folder.joinpath(*map(str, A), "0"))
+    assert loader.ensure([A]) == ("",)
+    assert transfer(loader, A) is None
+
+
+def test_a_deleted_store_reads_as_absent_and_never_as_zeros(loader: Loader) -> None:
+    kept = bake(loader, A)
+    loader.ensure([A])
+    shutil.rmtree(loader.store.root)
+    assert loader.ensure([A, B]) == (kept, "")
+    assert transfer(loader, B) is None
+    assert bake(loader, B)
+    loader.refresh(B)
+    loader.refresh(A)
+    assert loader.ensure([A, B])[0] == ""
+    np.testing.assert_array_equal(transfer(loader, B), loader.store.load(B).light.transfer)
+
+
+def test_a_view_that_does_not_fit_the_memory_is_an_error(tmp_path: Path, recipe: Recipe, clock: Clock) -> None:
+    with closing(Loader(ChunkStore(tmp_path, recipe), PagePool(recipe, 0))) as small:
+        bake(small, A, texels=40)
+        bake(small, B, texels=40)
+        assert all(small.ensure([A]))
+        assert all(small.ensure([B]))
+        with pytest.raises(StoreError, match="does not fit"):
+            small.ensure([A, B])
+
+
+def test_a_store_that_cannot_be_read_is_an_error(loader: Loader) -> None:
+    bake(loader, A)
+    Path(loader.store.path, "zarr.json").write_text("{")
+    recipe = loader.store.recipe
+    again = Loader(ChunkStore(loader.store.root, recipe), PagePool(recipe, 1 << 22))
+    with closing(again), pytest.raises(StoreError, match="move that folder away"):
+        again.ensure([A])

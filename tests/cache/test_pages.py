@@ -1,0 +1,235 @@
+import threading
+from contextlib import ExitStack
+
+import numpy as np
+import pytest
+
+from isogi_core.bake.light import SAMPLES, VOID
+from isogi_core.bake.noise import relative_error
+from isogi_core.bake.recipe import Index, Recipe
+from isogi_core.cache.chunk import TEXELS, Chunk
+from isogi_core.cache.pages import FEWEST_CHUNKS, PAGE, PagePool
+from isogi_core.errors import StoreError
+from isogi_core.kernels.lattice import UNLIT, VOID_ROW
+from isogi_core.model.scene import load_scene
+
+
+@pytest.fixture(scope="module")
+def recipe() -> Recipe:
+    return Recipe(load_scene("demo:orbital", order=2, lattice=0.4, bounces=1, target_error=0.5))
+
+
+def chunk_of(recipe: Recipe, index: Index, level: float, texels: int = 3 * PAGE) -> Chunk:
+    """A chunk whose every number is ``level``, but for the 16 samples of each texel."""
+    offsets = np.sort(np.random.default_rng(int(level)).choice(TEXELS, texels, replace=False))
+    chunk = Chunk.empty(index, recipe.scene.plan).with_texels(offsets)
+    chunk.light.planes[:] = level
+    chunk.light.samples[:] = 16.0
+    return chunk
+
+
+def pool_of(recipe: Recipe, pages: int) -> PagePool:
+    """A pool with room for so many pages."""
+    budget = 0
+    while len((pool := PagePool(recipe, budget)).samples) < pages * PAGE:
+        budget += 1024
+    assert len(pool.samples) == pages * PAGE
+    return pool
+
+
+def rows_of(pool: PagePool, slot: int) -> np.ndarray:
+    rows = pool.table[slot]
+    return rows[rows >= 0]
+
+
+def levels(pool: PagePool, slot: int) -> set[float]:
+    """The different numbers that a reader of a slot finds."""
+    rows = rows_of(pool, slot)
+    return {*pool.spread[rows].ravel().tolist(), *(pool.transfer[rows] / 2.0).ravel().tolist()}
+
+
+def test_the_table_leads_each_texel_to_its_light(recipe: Recipe) -> None:
+    pool = PagePool(recipe, 1 << 22)
+    chunk = chunk_of(recipe, (1, 0, 2), 1.0, texels=150)
+    chunk.light.planes[:, SAMPLES + 1 :] = np.random.default_rng(0).random((150, chunk.light.planes.shape[1] - 1))
+    chunk.light.samples[[3, 77]] = VOID
+    pool.insert(chunk, "v1")
+    with pool.hold([(1, 0, 2)]) as slots:
+        table = pool.table[slots[0]]
+        assert (table[np.setdiff1d(np.arange(TEXELS), chunk.offsets)] == UNLIT).all()
+        assert table[chunk.offsets[[3, 77]]].tolist() == [VOID_ROW, VOID_ROW]
+        lit = np.flatnonzero(chunk.light.samples > 0)
+        rows = table[chunk.offsets[lit]]
+        assert len(set(rows.tolist())) == 148
+        np.testing.assert_array_equal(pool.transfer[rows], chunk.light.transfer[lit])
+        np.testing.assert_array_equal(pool.spread[rows], chunk.light.spread[lit])
+        np.testing.assert_array_equal(pool.vicinity[rows, 0, 0], chunk.light.direct[lit, 0])
+        np.testing.assert_array_equal(pool.samples[rows], 16.0)
+        np.testing.assert_array_equal(pool.error[rows], np.float32(relative_error(chunk.light, recipe)[lit]))
+
+
+def test_an_absent_chunk_has_no_slot(recipe: Recipe) -> None:
+    pool = PagePool(recipe, 1 << 22)
+    pool.insert(chunk_of(recipe, (0, 0, 1), 1.0), "v1")
+    with pool.hold([(0, 0, 0), (0, 0, 1)]) as slots:
+        assert slots.dtype == np.int32
+        assert slots[0] == -1
+        assert slots[1] >= 0
+
+
+def test_an_empty_chunk_is_unlit_everywhere(recipe: Recipe) -> None:
+    pool = PagePool(recipe, 1 << 22)
+    pool.insert(Chunk.empty((0, 0, 0), recipe.scene.plan), "v1")
+    with pool.hold([(0, 0, 0)]) as slots:
+        assert (pool.table[slots[0]] == UNLIT).all()
+
+
+@pytest.mark.parametrize("order", [2, 5])
+@pytest.mark.parametrize("budget", [1 << 21, 10_000_000, 1 << 26])
+def test_the_arrays_stay_within_the_budget(order: int, budget: int) -> None:
+    recipe = Recipe(load_scene("demo:orbital", order=order, lattice=0.25))
+    pool = PagePool(recipe, budget)
+    arrays = (pool.transfer, pool.spread, pool.vicinity, pool.error, pool.samples, pool.table)
+    assert 0.9 * budget < sum(array.nbytes for array in arrays) <= budget
+
+
+def test_versions(recipe: Recipe) -> None:
+    pool = PagePool(recipe, 1 << 22)
+    assert pool.version((0, 0, 0)) is None
+    pool.outdate((0, 0, 0))
+    pool.insert(chunk_of(recipe, (0, 0, 0), 1.0), "v1")
+    assert pool.version((0, 0, 0)) == "v1"
+    pool.outdate((0, 0, 0))
+    assert pool.version((0, 0, 0)) is None
+    with pool.hold([(0, 0, 0)]) as slots:
+        assert levels(pool, slots[0]) == {1.0}
+    pool.insert(chunk_of(recipe, (0, 0, 0), 2.0), "v2")
+    assert pool.version((0, 0, 0)) == "v2"
+    with pool.hold([(0, 0, 0)]) as slots:
+        assert levels(pool, slots[0]) == {2.0}
+
+
+def test_the_longest_unused_chunk_makes_room(recipe: Recipe) -> None:
+    pool = pool_of(recipe, 9)
+    for i in range(3):
+        pool.insert(chunk_of(recipe, (0, 0, i), i), f"v{i}")
+    with pool.hold([(0, 0, 0)]):
+        pass
+    pool.insert(chunk_of(recipe, (1, 1, 1), 9.0), "v9")
+    assert [pool.version((0, 0, i)) for i in range(3)] == ["v0", None, "v2"]
+
+
+def test_few_slots_are_shared_too(recipe: Recipe) -> None:
+    pool = pool_of(recipe, 9)
+    for i in range(FEWEST_CHUNKS + 1):
+        pool.insert(Chunk.empty((0, 0, i), recipe.scene.plan), f"v{i}")
+    assert pool.version((0, 0, 0)) is None
+    assert all(pool.version((0, 0, i)) == f"v{i}" for i in range(1, FEWEST_CHUNKS + 1))
+
+
+def test_held_chunks_are_not_evicted(recipe: Recipe) -> None:
+    pool = pool_of(recipe, 9)
+    for i in range(3):
+        pool.insert(chunk_of(recipe, (0, 0, i), i), f"v{i}")
+    with pool.hold([(0, 0, 0), (0, 0, 2)]) as slots:
+        for i in range(3, 8):
+            pool.insert(chunk_of(recipe, (0, 0, i), i), f"v{i}")
+        assert levels(pool, slots[0]) == {0.0}
+        assert levels(pool, slots[1]) == {2.0}
+        assert pool.version((0, 0, 0)) == "v0"
+    assert pool.version((0, 0, 1)) is None
+
+
+def test_holding_pins_the_rows_while_newer_versions_come(recipe: Recipe) -> None:
+    pool = pool_of(recipe, 9)
+    pool.insert(chunk_of(recipe, (0, 0, 0), 1.0), "v1")
+    with pool.hold([(0, 0, 0)]) as first:
+        rows = rows_of(pool, first[0])
+        for level in range(2, 20):
+            pool.insert(chunk_of(recipe, (0, 0, 0), level), f"v{level}")
+        assert levels(pool, first[0]) == {1.0}
+        np.testing.assert_array_equal(rows_of(pool, first[0]), rows)
+        with pool.hold([(0, 0, 0)]) as second:
+            assert levels(pool, second[0]) == {19.0}
+    pool.insert(chunk_of(recipe, (1, 1, 1), 5.0, texels=6 * PAGE), "v5")
+    assert pool.version((0, 0, 0)) == "v19"
+
+
+def test_held_twice_is_freed_once(recipe: Recipe) -> None:
+    pool = pool_of(recipe, 4)
+    pool.insert(chunk_of(recipe, (0, 0, 0), 1.0, texels=2 * PAGE), "v1")
+    with pool.hold([(0, 0, 0)]) as outer:
+        with pool.hold([(0, 0, 0)]):
+            pool.insert(chunk_of(recipe, (0, 0, 0), 2.0, texels=2 * PAGE), "v2")
+        with pytest.raises(StoreError):
+            pool.insert(chunk_of(recipe, (1, 0, 0), 3.0, texels=4 * PAGE), "v3")
+        assert levels(pool, outer[0]) == {1.0}
+    pool.insert(chunk_of(recipe, (1, 0, 0), 4.0, texels=4 * PAGE), "v4")
+    assert pool.version((1, 0, 0)) == "v4"
+
+
+def test_a_view_that_cannot_fit_is_told_so(recipe: Recipe) -> None:
+    pool = pool_of(recipe, 6)
+    wanted: list[Index] = [(0, 0, 0), (0, 0, 1), (0, 0, 2)]
+    pool.insert(chunk_of(recipe, (2, 2, 2), 7.0), "v7")
+    pool.insert(chunk_of(recipe, wanted[0], 1.0), "v1", wanted)
+    pool.insert(chunk_of(recipe, wanted[1], 2.0), "v2", wanted)
+    assert pool.version((2, 2, 2)) is None
+    with pytest.raises(
+        StoreError, match=r"does not fit the memory for 384 texels: ask for .* or give light more memory\.$"
+    ):
+        pool.insert(chunk_of(recipe, wanted[2], 3.0), "v3", wanted)
+    assert [pool.version(index) for index in wanted] == ["v1", "v2", None]
+    pool.insert(chunk_of(recipe, wanted[1], 4.0), "v4", wanted)
+    assert pool.version(wanted[1]) == "v4"
+
+
+def test_a_chunk_larger_than_the_pool_is_refused_and_harms_nothing_held(recipe: Recipe) -> None:
+    pool = pool_of(recipe, 4)
+    pool.insert(chunk_of(recipe, (0, 0, 0), 1.0, texels=PAGE), "v1")
+    with pool.hold([(0, 0, 0)]) as slots:
+        with pytest.raises(StoreError):
+            pool.insert(chunk_of(recipe, (0, 0, 1), 2.0, texels=4 * PAGE), "v2")
+        assert levels(pool, slots[0]) == {1.0}
+
+
+def test_readers_among_writers_see_whole_versions(recipe: Recipe) -> None:
+    pool = pool_of(recipe, 64)
+    indices: list[Index] = [(0, 0, i) for i in range(6)]
+    versions = [chunk_of(recipe, (0, 0, 0), level, texels=PAGE) for level in range(1, 9)]
+    wrong: list[set[float]] = []
+    seen: set[float] = set()
+    stop = threading.Event()
+
+    def write(seed: int) -> None:
+        rng = np.random.default_rng(seed)
+        for _ in range(400):
+            chunk = versions[rng.integers(len(versions))]
+            pool.insert(Chunk(indices[rng.integers(6)], chunk.offsets, chunk.light), f"v{seed}")
+
+    def read(seed: int) -> None:
+        rng = np.random.default_rng(seed)
+        while not stop.is_set():
+            with pool.hold([indices[i] for i in rng.permutation(6)[:3]]) as slots:
+                for slot in slots[slots >= 0]:
+                    found = levels(pool, slot) | levels(pool, slot)
+                    if len(found) != 1 or len(rows_of(pool, slot)) != PAGE:
+                        wrong.append(found)
+                    seen.update(found)
+
+    readers = [threading.Thread(target=read, args=(10 + i,)) for i in range(3)]
+    writers = [threading.Thread(target=write, args=(i,)) for i in range(2)]
+    for thread in (*readers, *writers):
+        thread.start()
+    for thread in writers:
+        thread.join()
+    stop.set()
+    for thread in readers:
+        thread.join()
+    assert not wrong
+    assert len(seen) > 1
+    with ExitStack() as held:
+        pool.insert(chunk_of(recipe, (1, 1, 1), 3.0, texels=TEXELS), "all pages are free again")
+        held.enter_context(pool.hold([(1, 1, 1)]))
+        with pytest.raises(StoreError):
+            pool.insert(versions[0], "none is left")

@@ -1,0 +1,302 @@
+"""Light transport against closed forms: furnaces, cavities, half a sky, and the cosine lobe of an open surface."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numba import config
+
+from isogi_core.files.nrrd import read_nrrd
+from isogi_core.kernels import integrator
+from isogi_core.kernels.harmonics import cosine_lobe_factors, evaluate
+from isogi_core.kernels.integrator import bake_texels
+from isogi_core.kernels.intersect import OUTSIDE, SOLID, UNKNOWN
+from isogi_core.kernels.shading import Surroundings, find_normals, trace_points
+from tests.kernels.test_intersect import cast_rays
+from tests.kernels.test_macrocells import field_of
+
+COMPILED = pytest.mark.skipif(bool(config.DISABLE_JIT), reason="millions of path segments need compiled kernels")
+ENDLESS = 1000
+FACTOR = math.sqrt(4.0 * math.pi)
+DARK = np.zeros((1, 1, 3), np.float32)
+Z, Y, X = np.mgrid[:49, :49, :49] - 24.0
+BALL = 16.0 - np.sqrt(X * X + Y * Y + Z * Z)
+TORUS = 6.0 - np.hypot(np.hypot(X, Y) - 14.0, Z)
+
+
+def slope(towards):
+    """A half-space: solid behind the plane through the middle of the box with the normal `towards`."""
+    return -(X * towards[0] + Y * towards[1] + Z * towards[2])
+
+
+def bake(field, texels, count, weights, order=1, first=0, step=(1.0, 1.0, 1.0)):
+    """`bake_texels` from nothing: direct (m, 2, n²) and indirect (m, 2, channels, n²) sums, isovalues and void (m,)."""
+    texels = np.ascontiguousarray(texels, np.int32)
+    m, channels = len(texels), weights.shape[1]
+    direct, indirect = np.zeros((m, 2, order**2)), np.zeros((m, 2, channels, order**2))
+    isovalues, void = np.full(m, np.nan), np.zeros(m, np.bool_)
+    bake_texels(field, np.array(step), texels, first, count, weights, order, direct, indirect, isovalues, void)
+    return direct, indirect, isovalues, void
+
+
+def trace(field, iso, points, light, weights, count, image=DARK):
+    """Mean over the samples of `trace_points` from surface points; (m, 3)."""
+    points = np.ascontiguousarray(points, np.float32)
+    normals, sums = np.empty_like(points), np.zeros((len(points), 2, 3))
+    find_normals(field, points, (0.0, 0.0, 0.0), normals)
+    surroundings = Surroundings(np.full(3, float(light)), np.asarray(image, np.float32), np.eye(3))
+    trace_points(field, iso, points, normals, np.arange(len(points)), surroundings, weights, 0, count // 2, sums)
+    return sums.sum(axis=1) / (count // 2 * 2)
+
+
+def albedo_powers(albedos, bounces, extra=0):
+    """R^(k + extra) for k = 0 … bounces, one column for each albedo."""
+    return np.array(albedos, float)[None] ** (np.arange(bounces + 1)[:, None] + extra)
+
+
+def surface_points(field, iso, count, seed=1):
+    """Points where random rays from far away meet the surface from outside, (m, 3) float32."""
+    rng = np.random.default_rng(seed)
+    size = np.array(field.voxels.shape[::-1]) - 1.0
+    away = rng.normal(size=(count, 3))
+    away *= np.linalg.norm(size) / np.linalg.norm(away, axis=1, keepdims=True)
+    origins = rng.random((count, 3)) * size + away
+    t, came = cast_rays(field, iso, origins, -away, UNKNOWN)
+    hit = np.isfinite(t) & (came == OUTSIDE)
+    return (origins - t[:, None] * away)[hit].astype(np.float32)
+
+
+# --- furnaces ------------------------------------------------------------------------------------------------
+
+
+@COMPILED
+@pytest.mark.parametrize("body", [BALL, TORUS], ids=["ball", "torus"])
+def test_white_furnace_texels(body):
+    """Albedo 1 and no end of bounces: every path gets out, so a texel's whole transfer is that of open sky."""
+    texels = np.argwhere(np.abs(body) < 1.0)[::17]
+    direct, indirect, _, void = bake(field_of(body), texels, 64, np.ones((ENDLESS + 1, 1)))
+    whole = FACTOR * (direct[:, :, 0] + indirect[:, :, 0, 0]) / 64
+    assert not void.any() and len(texels) > 200
+    assert (indirect.sum() > 0.0) == (body is TORUS), "a torus sees itself"
+    assert abs(whole.mean() - 1.0) < 0.005
+    assert np.abs(whole - 1.0).max() < 0.05
+
+
+@COMPILED
+@pytest.mark.parametrize("body", [BALL, TORUS], ids=["ball", "torus"])
+def test_white_furnace_pixels(body):
+    field = field_of(body)
+    light = trace(field, 0.0, surface_points(field, 0.0, 2000), 2.5, np.ones((ENDLESS + 1, 3)), 32)
+    assert len(light) > 300
+    assert abs(light.mean() / 2.5 - 1.0) < 0.005
+
+
+@COMPILED
+@pytest.mark.data
+def test_white_furnace_engine(shared_data: Path):
+    """The engine at 70, seen from outside: bores and passages give their light back after many bounces."""
+    voxels, _ = read_nrrd(shared_data / "engine_256x256x128_uint8.nhdr")
+    field = field_of(voxels.astype(np.float32))
+    points = surface_points(field, 70.0, 3000)
+    pixels = trace(field, 70.0, points, 1.0, np.ones((ENDLESS + 1, 3)), 16)
+    assert abs(pixels.mean() - 1.0) < 0.005
+    texels = np.unique(np.rint(points).astype(int)[:, ::-1], axis=0)
+    direct, indirect, _, void = bake(field, texels, 8, np.ones((ENDLESS + 1, 1)))
+    whole = FACTOR * (direct[:, :, 0] + indirect[:, :, 0, 0])[~void] / 8
+    assert len(whole) > 300 and void.mean() < 0.01
+    assert abs(whole.mean() - 1.0) < 0.005
+
+
+# --- open surfaces -------------------------------------------------------------------------------------------
+
+TILTS = [0.0, 30.0, 60.0, 90.0, 120.0, 180.0]
+
+
+@pytest.mark.parametrize("tilt", TILTS)
+def test_half_lit_sky(tilt):
+    """A plane tilted by t under a sky of radiance 1 above the horizon: E/π = (1 + cos t)/2."""
+    towards = (math.sin(math.radians(tilt)), 0.0, math.cos(math.radians(tilt)))
+    sky = np.zeros((2, 1, 3))
+    sky[0] = 1.0
+    samples = 256 if config.DISABLE_JIT else 1 << 14
+    light = trace(field_of(slope(towards)), 0.0, [[24, 24, 24]], 0.0, albedo_powers([0.5, 0.7, 1], 3), samples, sky)
+    expected = (1.0 + math.cos(math.radians(tilt))) / 2.0
+    np.testing.assert_allclose(light[0], [expected] * 3, atol=20.0 / samples + 1e-9)
+
+
+def cosine_lobe(order, normal):
+    """A_l/π Y_lm(n): what an unoccluded surface passes on, closed form; (n²,)."""
+    basis = np.empty(order**2)
+    evaluate(order, *normal, basis)
+    return np.repeat(cosine_lobe_factors(order) / math.pi, 2 * np.arange(order) + 1) * basis
+
+
+@pytest.mark.parametrize("towards", [(0, 0, 1), (0, 0, -1), (1, 0, 0), (1, 2, 2), (-2, 3, 6)])
+def test_transfer_of_a_plane_is_the_cosine_lobe(towards):
+    order, count = 6, 128 if config.DISABLE_JIT else 4096
+    normal = np.array(towards) / np.linalg.norm(towards)
+    direct, indirect, isovalues, void = bake(
+        field_of(slope(towards)), [[24, 24, 24]], count, albedo_powers([0.9], 3), order
+    )
+    assert not indirect.any() and isovalues == [0.0] and not void.any()
+    for half in direct[0] / count:
+        np.testing.assert_allclose(half, cosine_lobe(order, normal), atol=6.0 / count)
+    assert (direct[0, 0] != direct[0, 1]).any(), "the two halves are independent"
+
+
+@COMPILED
+def test_transfer_of_a_ball_is_the_cosine_lobe():
+    """To the facets of a trilinear ball: its texels see a hundredth less than the open half."""
+    texels = np.argwhere(np.abs(BALL) < 1.0)[::97]
+    direct, indirect, _, _ = bake(field_of(BALL), texels, 2048, albedo_powers([0.0], 1), 5)
+    away = texels[:, ::-1] - 24.0
+    lobes = [cosine_lobe(5, n) for n in away / np.linalg.norm(away, axis=1, keepdims=True)]
+    assert not indirect.any()
+    assert np.abs(direct.mean(axis=1) / 2048 - lobes).max() < 0.015
+
+
+@COMPILED
+@pytest.mark.parametrize("body", [BALL, slope((1, 2, 2))], ids=["ball", "plane"])
+def test_convex_body_reflects_its_albedo_of_constant_light(body):
+    albedos = (0.3, 0.7, 1.0)
+    field = field_of(body)
+    points = surface_points(field, 0.0, 800)
+    points = points[(np.abs(points - 24.0) < 17).all(axis=1)]
+    light = trace(field, 0.0, points, 2.0, albedo_powers(albedos, 20, extra=1), 64).mean(axis=0)
+    np.testing.assert_allclose(light, 2.0 * np.array(albedos), rtol=0.005)
+
+
+# --- cavities ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("bounces", [0, 1, 30])
+def test_nothing_leaves_a_closed_cavity(bounces):
+    """A hollow ball: not one of the paths from its inner wall gets out, however far they go."""
+    shell = field_of(3.0 - np.abs(np.sqrt(X * X + Y * Y + Z * Z) - 16.0))
+    inward = np.random.default_rng(3).normal(size=(3 if config.DISABLE_JIT else 200, 3))
+    middle = np.full_like(inward, 24.0)
+    t, came = cast_rays(shell, 0.0, middle, inward, UNKNOWN)
+    assert (came == OUTSIDE).all()
+    count = 2 if config.DISABLE_JIT else 64
+    light = trace(shell, 0.0, middle + t[:, None] * inward, 1.0, np.ones((bounces + 1, 3)), count)
+    assert np.array_equal(light, np.zeros_like(light))
+
+
+@COMPILED
+@pytest.mark.parametrize("a", [30.0, 60.0])
+@pytest.mark.parametrize("cosine", [-1 / 3, 0.0, 1 / 3])
+def test_cavity_with_an_opening_is_an_integrating_sphere(a, cosine):
+    """The closed form of a spherical cavity whose cap above z = h is cut off by a plane.
+
+    From a point of a sphere's inner wall, cosine-distributed directions hit the sphere uniformly. So a path
+    leaves with the probability f = (1 - h/a)/2, the cap's share of the sphere, at its first step and, being
+    uniform over the rest of the wall again, at every later one: after k bounces with f (1 - f)^k. The plane
+    cuts the wall off too, so the opening has no depth and nothing is above it. Under constant light 1 the
+    direct transfer is f and the whole one, with albedo R, f / (1 - R (1 - f)). On a lattice the brim is
+    blunt by about a voxel and the opening as much too wide, which halves as the radius a doubles.
+    """
+    n = int(2 * a + 11)
+    middle = (n - 1) / 2
+    z, y, x = (axis - middle for axis in np.ogrid[:n, :n, :n])
+    wall = 1.5 - np.abs(np.sqrt(x * x + y * y + z * z) - a - 1.5)
+    cavity = field_of(np.minimum(wall, cosine * a - z))
+    outward = np.random.default_rng(4).normal(size=(3000, 3))
+    origins = np.full_like(outward, middle)
+    t, came = cast_rays(cavity, 0.0, origins, outward, UNKNOWN)
+    closed = np.isfinite(t)
+    assert (came[closed] == OUTSIDE).all()
+    points, albedos = (origins + t[:, None] * outward)[closed], np.array([0.0, 0.5, 0.9])
+    light = trace(cavity, 0.0, points, 1.0, albedo_powers(albedos, 300), 64).mean(axis=0)
+    share = (1.0 - cosine) / 2.0
+    np.testing.assert_allclose(light, share / (1.0 - albedos * (1.0 - share)), rtol=1.7 / a)
+    opening = light[0]
+    np.testing.assert_allclose(light, opening / (1.0 - albedos * (1.0 - opening)), rtol=0.004)
+
+
+# --- the parts -----------------------------------------------------------------------------------------------
+
+
+def test_about_turns_the_pole_to_the_normal_and_keeps_lengths():
+    rng = np.random.default_rng(5)
+    for n in [*np.eye(3), *-np.eye(3), *(v / np.linalg.norm(v) for v in rng.normal(size=(50, 3)))]:
+        assert integrator.about(tuple(n), (0.0, 0.0, 1.0)) == pytest.approx(tuple(n))
+        d = rng.normal(size=3)
+        turned = np.array(integrator.about(tuple(n), tuple(d)))
+        assert np.linalg.norm(turned) == pytest.approx(np.linalg.norm(d))
+        assert turned @ n == pytest.approx(d[2])
+
+
+def test_facing_normal_looks_to_the_side_that_the_ray_came_from():
+    ball, p, d = field_of(BALL), (40.0, 24.0, 24.0), (-2.0, 0.0, 0.0)
+    assert integrator.facing_normal(ball, p, OUTSIDE, d) == pytest.approx((1.0, 0.0, 0.0), abs=1e-6)
+    assert integrator.facing_normal(ball, p, SOLID, d) == pytest.approx((-1.0, 0.0, 0.0), abs=1e-6)
+    flat = field_of(np.ones((5, 5, 5)))
+    assert integrator.facing_normal(flat, (2.0, 2.0, 2.0), OUTSIDE, d) == (1.0, 0.0, 0.0)
+
+
+def test_plain_normal_is_that_of_the_cell():
+    p = (39.3, 25.1, 23.2)
+    away = np.array(p) - 24.0
+    found = integrator.plain_normal(field_of(BALL), p)
+    np.testing.assert_allclose(found, away / np.linalg.norm(away), atol=0.05)
+
+
+def test_to_index_divides_by_the_spacing():
+    assert integrator.to_index((1.0, 1.0, 1.0), (0.5, 2.0, 4.0)) == (2.0, 0.5, 0.25)
+
+
+def test_every_texel_and_half_has_a_sequence_of_its_own():
+    seeds = {int(integrator.texel_seed(z, y, x, h)) for z, y, x in np.ndindex(9, 9, 9) for h in (0, 1)}
+    assert len(seeds) == 2 * 9**3
+
+
+def test_launch_is_a_third_of_a_voxel_whatever_the_spacing():
+    field = field_of(slope((0, 0, 1)), (0.1, 1.0, 25.0))
+    for n in ((0.0, 0.0, 1.0), (0.6, 0.0, 0.8)):
+        start = np.array(integrator.launch(field, 0.0, (24.0, 24.0, 24.0), n, OUTSIDE))
+        assert np.linalg.norm(start - 24.0) == pytest.approx(integrator.OFFSET)
+
+
+def test_samples_go_on_where_they_stopped_bit_for_bit():
+    texels, weights = [[24, 24, 40], [24, 40, 24], [30, 30, 36]], albedo_powers([0.7], 3)
+    field, count = field_of(TORUS), 8 if config.DISABLE_JIT else 64
+    whole = bake(field, texels, 2 * count, weights, 4)
+    parts = [np.zeros_like(part) for part in whole]
+    for first in (0, count):
+        bake_texels(field, np.ones(3), np.array(texels, np.int32), first, count, weights, 4, *parts)
+    for one, other in zip(whole, parts, strict=True):
+        assert np.array_equal(one, other)
+
+
+def test_texels_are_lit_alike_in_any_company():
+    texels, weights = np.argwhere(np.abs(TORUS) < 0.2)[::60], albedo_powers([0.3, 0.5, 0.7], 2)
+    field, count = field_of(TORUS), 2 if config.DISABLE_JIT else 16
+    order = np.random.default_rng(6).permutation(len(texels))
+    together = bake(field, texels[order], count, weights, 3)
+    for place, texel in enumerate(texels):
+        alone = bake(field, texel[None], count, weights, 3)
+        for many, one in zip(together, alone, strict=True):
+            assert np.array_equal(many[order == place], one)
+
+
+def test_texels_without_a_surface_are_void_and_untouched():
+    voxels = np.zeros((16, 16, 16), np.float32)
+    voxels[:8] = 1.0
+    voxels[12, 3, 3] = np.nan
+    texels = [[8, 8, 8], [3, 8, 8], [14, 14, 14], [12, 3, 3], [11, 3, 3]]
+    direct, indirect, isovalues, void = bake(field_of(voxels), texels, 8, albedo_powers([0.5], 1))
+    assert void.tolist() == [False, True, True, True, True]
+    assert direct[0].all() and not direct[1:].any() and not indirect[1:].any()
+    assert isovalues[:3].tolist() == [0.0, 1.0, 0.0] and np.isnan(isovalues[3:]).all()
+
+
+@pytest.mark.parametrize("level", [0.1, 0.3, 0.7, 1.0])
+def test_texels_on_the_edge_of_a_plateau_agree_where_the_lattice_falls_between_voxels(level):
+    """The plateau's own isosurface has nothing above it: rounding of a texel's value must not make it solid."""
+    voxels = np.zeros((16, 16, 16), np.float32)
+    voxels[:8] = level
+    texels = [[9, y, x] for y in range(4, 18) for x in range(4, 18)]
+    direct, _, isovalues, void = bake(field_of(voxels), texels, 8, albedo_powers([0.5], 1), step=(5 / 7,) * 3)
+    assert (np.abs(isovalues - np.float32(level)) < 1e-7).all() and not void.any()
+    assert direct.min() * FACTOR == pytest.approx(8.0)

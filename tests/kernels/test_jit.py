@@ -1,0 +1,127 @@
+"""Compiled kernels: options, one signature each, and a cache that follows every edit of a source."""
+
+import ast
+import importlib
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from numba import config
+
+from isogi_core.kernels import _jit
+
+FOLDER = Path(_jit.__file__).parent
+COMPILED = pytest.mark.skipif(bool(config.DISABLE_JIT), reason="Numba is switched off: nothing is compiled")
+
+
+def kernel_names():
+    """Every kernel as (module, name, whether it is an entry kernel): entry kernels name their types."""
+    for path in sorted(FOLDER.glob("*.py")):
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.FunctionDef):
+                for mark in node.decorator_list:
+                    if isinstance(mark, ast.Call) and getattr(mark.func, "id", "") == "kernel":
+                        yield path.stem, node.name, bool(mark.args)
+
+
+KERNELS = list(kernel_names())
+ENTRIES = [(module, name) for module, name, entry in KERNELS if entry]
+
+
+def find(module, name):
+    """A kernel by its module and name."""
+    return getattr(importlib.import_module(f"isogi_core.kernels.{module}"), name)
+
+
+def test_kernels_were_found():
+    assert len(KERNELS) > 60 and len(ENTRIES) > 10
+
+
+@COMPILED
+@pytest.mark.parametrize(("module", "name"), ENTRIES)
+def test_an_entry_kernel_has_exactly_one_signature(module, name):
+    entry = find(module, name)
+    (signature,) = entry.signatures
+    with pytest.raises(TypeError, match="No matching definition"):
+        entry(*[None] * len(signature))
+
+
+@COMPILED
+@pytest.mark.parametrize(("module", "name", "entry"), KERNELS)
+def test_options_keep_threads_out_and_nan_in(module, name, entry):
+    options = find(module, name).targetoptions
+    assert options["nogil"] and options["error_model"] == "numpy"
+    assert not options.get("parallel", False)
+    assert options["fastmath"] == {"nsz", "contract"}, "more would make isnan() False"
+
+
+@COMPILED
+def test_the_cache_lies_in_the_folder_of_these_sources():
+    assert Path(config.CACHE_DIR) == _jit.cache_folder()
+    assert _jit.cache_folder().name == _jit.sources_digest()
+
+
+def test_the_cache_goes_where_it_is_told(monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "xdg"))
+    monkeypatch.delenv("ISOGI_KERNEL_CACHE", raising=False)
+    assert _jit.cache_folder().parent == tmp_path / "xdg" / "isogi" / "kernels"
+    monkeypatch.setenv("ISOGI_KERNEL_CACHE", str(tmp_path / "told"))
+    assert _jit.cache_folder().parent == tmp_path / "told"
+
+
+@pytest.mark.parametrize("edited", [path.name for path in sorted(FOLDER.glob("*.py"))])
+def test_editing_any_source_changes_the_digest(edited, monkeypatch, tmp_path):
+    shutil.copytree(FOLDER, tmp_path / "kernels", ignore=shutil.ignore_patterns("__pycache__"))
+    monkeypatch.setattr(_jit, "__file__", str(tmp_path / "kernels" / "_jit.py"))
+    before = _jit.sources_digest()
+    with (tmp_path / "kernels" / edited).open("a", encoding="utf-8") as source:
+        source.write("\n")
+    assert _jit.sources_digest() != before
+    (tmp_path / "kernels" / edited).rename(tmp_path / "kernels" / "renamed.py")
+    assert _jit.sources_digest() != before
+
+
+ENTRY = """\
+from isogi_core.kernels._jit import kernel
+from isogi_core.kernels.helper import shift
+
+@kernel("float64(float64)")
+def entry(x):
+    return shift(x)
+"""
+HELPER = """\
+from isogi_core.kernels._jit import kernel
+
+@kernel()
+def shift(x):
+    return x + {}
+"""
+ASK = """\
+import sys
+from isogi_core.kernels.entry import entry
+sys.stdout.write(f"{entry(1.0)} {sum(entry.stats.cache_hits.values())}")
+"""
+
+
+@COMPILED
+def test_an_edited_helper_is_compiled_anew_and_an_old_one_is_loaded(tmp_path):
+    """A house of two files, each run a fresh process: the entry kernel's own file never changes."""
+    kernels = tmp_path / "isogi_core" / "kernels"
+    kernels.mkdir(parents=True)
+    shutil.copy(FOLDER / "_jit.py", kernels)
+    (kernels.parent / "__init__.py").touch()
+    (kernels / "__init__.py").touch()
+    (kernels / "entry.py").write_text(ENTRY)
+    environment = {**os.environ, "ISOGI_KERNEL_CACHE": str(tmp_path / "cache"), "PYTHONPATH": str(tmp_path)}
+    answers = []
+    for step in (1.0, 1.0, 2.5, 1.0):
+        (kernels / "helper.py").write_text(HELPER.format(step))
+        done = subprocess.run(
+            [sys.executable, "-c", ASK], env=environment, cwd=tmp_path, capture_output=True, text=True, check=True
+        )
+        answers.append(done.stdout)
+    assert answers == ["2.0 0", "2.0 1", "3.5 0", "2.0 1"]
+    assert len(list((tmp_path / "cache").iterdir())) == 2

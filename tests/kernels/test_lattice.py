@@ -1,0 +1,272 @@
+"""The illumination lattice against plain NumPy: which texels a point reads, and light carried from them to it."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.ndimage import map_coordinates
+from scipy.special import sph_harm_y
+
+from isogi_core.kernels.harmonics import cosine_lobe_factors
+from isogi_core.kernels.lattice import (
+    CHUNK,
+    CONVERGING,
+    FINAL,
+    PROVISIONAL,
+    UNLIT,
+    VOID_ROW,
+    Lattice,
+    Sky,
+    base_texel,
+    carry_light,
+    find_corners,
+    inner,
+    light_texels,
+    luminance,
+    mark_texels,
+    number_texels,
+    touch_chunks,
+    trilinear,
+    weigh_chunks,
+)
+
+SHAPE = (20, 33, 18)
+STEP = np.array([1.5, 0.5, 1.0])
+RNG = np.random.default_rng(21)
+CHUNKS = tuple(-(-n // CHUNK) for n in SHAPE)
+
+
+def lattice():
+    """SHAPE texels (z, y, x), one every STEP voxels (x, y, z)."""
+    return Lattice(SHAPE, tuple((1.0 / STEP).tolist()))
+
+
+def some_points(count=300):
+    """Points (n, 3) float32 in voxels: anywhere, on texels, and on the last faces."""
+    last = (np.array(SHAPE[::-1]) - 1) * STEP
+    points = RNG.random((count, 3)) * last
+    points[::3] = np.rint(points[::3] / STEP) * STEP
+    points[::10] = last
+    return points.astype(np.float32)
+
+
+def lower_texels(points):
+    """Lower texel (n, 3; z, y, x) of each point's lattice cell, and the fractions in it, by NumPy."""
+    place = (points.astype(float) / STEP)[:, ::-1]
+    low = np.clip(np.floor(place).astype(int), 0, np.array(SHAPE) - 2)
+    return low, np.clip(place - low, 0.0, 1.0)
+
+
+def corner_texels(points):
+    """The eight texels (n, 8, 3; z, y, x) around each point, x fastest."""
+    return lower_texels(points)[0][:, None] + np.array(list(np.ndindex(2, 2, 2)))
+
+
+def view_of(points):
+    """The view's tables as `frame.texels` makes them: read (slots · CHUNK³,), places of the texels, corners (n, 8)."""
+    slots = np.arange(np.prod(CHUNKS), dtype=np.int32).reshape(CHUNKS)
+    read = np.zeros(slots.size * CHUNK**3, np.bool_)
+    mark_texels(lattice(), points, slots, read)
+    numbers, places = np.full((2, read.size), -1, np.int32)
+    count = number_texels(read, numbers, places)
+    assert count == read.sum() and np.array_equal(numbers[places[:count]], np.arange(count))
+    corners = np.empty((len(points), 8), np.int32)
+    find_corners(lattice(), points, slots, numbers, corners)
+    return read, places[:count], corners
+
+
+def test_base_texel_is_the_lower_corner_and_the_fractions_beyond_it():
+    points = some_points()
+    low, fractions = lower_texels(points)
+    found = np.array([base_texel(lattice(), points, m) for m in range(len(points))])
+    assert np.array_equal(found[:, :3], low)
+    np.testing.assert_allclose(found[:, 3:], fractions, atol=1e-6)
+
+
+def test_points_beyond_the_box_read_its_outermost_texels():
+    points = np.array([[-1.0, -1.0, -1.0], [1e6, 1e6, 1e6]], np.float32)
+    assert base_texel(lattice(), points, 0) == (0, 0, 0, 0.0, 0.0, 0.0)
+    assert base_texel(lattice(), points, 1) == (*(n - 2 for n in SHAPE), 1.0, 1.0, 1.0)
+
+
+def test_trilinear_weights_are_the_products_and_sum_to_one():
+    fz, fy, fx = 0.2, 0.7, 0.9
+    weights = [trilinear(c, fz, fy, fx) for c in range(8)]
+    outer = np.einsum("k,j,i->kji", [1 - fz, fz], [1 - fy, fy], [1 - fx, fx]).ravel()
+    assert weights == pytest.approx(outer.tolist())
+    assert sum(weights) == pytest.approx(1.0)
+
+
+def test_inner_counts_x_fastest():
+    places = RNG.integers(0, 100, (50, 3))
+    expected = [np.ravel_multi_index(tuple(p % CHUNK), (CHUNK,) * 3) for p in places]
+    assert [inner(*map(int, p)) for p in places] == expected
+
+
+def chunks_read(points):
+    """The set of chunks (z, y, x) that each point reads."""
+    return [{tuple(t // CHUNK) for t in texels} for texels in corner_texels(points)]
+
+
+def border_points():
+    """Points whose lattice cells lie on every border, edge and corner of the chunks, and some anywhere."""
+    sides = [np.unique(np.clip([0.3, CHUNK - 0.5, 2 * CHUNK - 0.5, n - 1.2], 0, n - 1)) for n in SHAPE[::-1]]
+    grid = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 3) * STEP
+    return np.concatenate([grid.astype(np.float32), some_points()])
+
+
+def test_touched_chunks_are_those_that_some_point_reads():
+    points = border_points()
+    assert max(map(len, chunks_read(points))) == 8
+    for some in (points, points[:7], points[10:11]):
+        touched = np.zeros(CHUNKS, np.bool_)
+        touch_chunks(lattice(), some, touched)
+        assert set(map(tuple, np.argwhere(touched))) == set().union(*chunks_read(some))
+
+
+def test_area_counts_each_point_once_in_every_chunk_that_it_reads():
+    points = border_points()
+    weights = RNG.random(len(points)).astype(np.float32)
+    _, places, corners = view_of(points)
+    area = np.zeros(np.prod(CHUNKS), np.float32)
+    weigh_chunks(corners, (places // CHUNK**3).astype(np.int32), weights, area)
+    expected = np.zeros(CHUNKS)
+    for chunks, weight in zip(chunks_read(points), weights, strict=True):
+        for chunk in chunks:
+            expected[chunk] += weight
+    np.testing.assert_allclose(area.reshape(CHUNKS), expected, rtol=1e-5)
+
+
+def test_marked_texels_are_the_corners_of_all_points_and_no_more():
+    points = border_points()
+    read, places, corners = view_of(points)
+    expected = np.zeros(tuple(c * CHUNK for c in CHUNKS), np.bool_)
+    expected[tuple(corner_texels(points).reshape(-1, 3).T)] = True
+    blocks = read.reshape(*CHUNKS, CHUNK, CHUNK, CHUNK).transpose(0, 3, 1, 4, 2, 5).reshape(expected.shape)
+    assert np.array_equal(blocks, expected)
+    z, y, x = np.moveaxis(corner_texels(points), -1, 0)
+    slot = np.ravel_multi_index((z // CHUNK, y // CHUNK, x // CHUNK), CHUNKS)
+    offset = np.ravel_multi_index((z % CHUNK, y % CHUNK, x % CHUNK), (CHUNK,) * 3)
+    assert np.array_equal(places[corners], slot * CHUNK**3 + offset)
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_light_of_a_texel_is_the_dot_product_of_transfer_and_light(channels):
+    transfer, spread = RNG.normal(size=(2, 40, channels, 25)).astype(np.float32)
+    light = RNG.normal(size=(3, 25)).astype(np.float32)
+    noise_light = RNG.normal(size=(channels, 25)).astype(np.float32)
+    rows = RNG.permutation(40)[:30].astype(np.int32)
+    rows[4:6] = UNLIT, VOID_ROW
+    lit = np.full((30, 4), -7.0, np.float32)
+    light_texels(rows, transfer, spread, light, noise_light, lit)
+    colour = np.einsum("mcn,cn->mc", np.broadcast_to(transfer[rows], (30, 3, 25)), light)
+    error = np.abs(np.einsum("mcn,cn->m", spread[rows], noise_light))
+    there = rows >= 0
+    assert (colour[there] < 0).any(), "some sums must be negative to see them cut"
+    np.testing.assert_allclose(lit[there, :3], np.maximum(colour, 0.0)[there], atol=1e-5)
+    np.testing.assert_allclose(lit[there, 3], error[there], atol=1e-5)
+    assert (lit[~there] == -7.0).all(), "texels without a row are left alone"
+
+
+def carry(points, rows, grade, lit, normals=None, order=3):
+    """`carry_light`: radiance (n, 3), state (n,), error (n,), and the sky it was given."""
+    sky = Sky(order, np.repeat(cosine_lobe_factors(order) / math.pi, 2 * np.arange(order) + 1), SKY_LIGHT)
+    _, _, corners = view_of(points)
+    radiance, state = np.empty((len(points), 3), np.float32), np.empty(len(points), np.uint8)
+    error = np.empty(len(points), np.float32)
+    normals = np.zeros_like(points) if normals is None else normals
+    carry_light(lattice(), points, corners, rows, grade, lit, normals, sky, radiance, state, error)
+    return radiance, state, error
+
+
+SKY_LIGHT = np.abs(RNG.normal(size=(3, 9))) * 0.05 + np.array([3.0] + [0.0] * 8)
+
+
+def lit_view(points, seed=1):
+    """Every texel of the view lit at random: rows, grades and light (m, 4)."""
+    count = len(view_of(points)[1])
+    rng = np.random.default_rng(seed)
+    lit = rng.random((count, 4)).astype(np.float32) + 0.1
+    return np.arange(count, dtype=np.int32), np.full(count, FINAL, np.uint8), lit
+
+
+def test_carried_light_is_scipys_linear_interpolation_of_the_texels():
+    points = border_points()
+    rows, grade, lit = lit_view(points)
+    grid = np.zeros((*(c * CHUNK for c in CHUNKS), 3))
+    slot, offset = np.divmod(view_of(points)[1], CHUNK**3)
+    inside = np.unravel_index(offset, (CHUNK,) * 3)
+    grid[tuple(c * CHUNK + i for c, i in zip(np.unravel_index(slot, CHUNKS), inside, strict=True))] = lit[:, :3]
+    place = (points.astype(float) / STEP)[:, ::-1].T
+    radiance, state, error = carry(points, rows, grade, lit)
+    expected = np.stack([map_coordinates(grid[..., c], place, order=1) for c in range(3)], axis=-1)
+    np.testing.assert_allclose(radiance, expected, atol=2e-5)
+    assert (state == FINAL).all()
+    assert (error < 1.0).any()
+
+
+def test_error_is_the_root_of_the_weighted_squares_over_the_luminance():
+    points = np.array([[3.4, 2.2, 5.7]], np.float32)
+    rows, grade, lit = lit_view(points)
+    radiance, _, error = carry(points, rows, grade, lit)
+    fz, fy, fx = lower_texels(points)[1][0]
+    weights = np.array([trilinear(c, fz, fy, fx) for c in range(8)])
+    own = lit[view_of(points)[2][0], 3]
+    assert error[0] == pytest.approx(np.sqrt(((weights * own) ** 2).sum()) / luminance(*radiance[0].astype(float)))
+
+
+def test_a_point_is_as_good_as_the_least_of_its_texels():
+    points = np.array([[3.4, 2.2, 5.7]], np.float32)
+    rows, grade, lit = lit_view(points)
+    grade[5] = CONVERGING
+    assert carry(points, rows, grade, lit)[1] == [CONVERGING]
+    rows[2], grade[2] = UNLIT, 0
+    _, state, error = carry(points, rows, grade, lit, np.array([[0, 0, 1]], np.float32))
+    assert state == [PROVISIONAL] and error == [1.0]
+
+
+def test_void_texels_are_left_out_of_the_mean():
+    points = np.array([[3.4, 2.2, 5.7]], np.float32)
+    rows, grade, lit = lit_view(points)
+    lit[:, :3] = 0.25
+    rows[[0, 3, 7]] = VOID_ROW
+    lit[[0, 3, 7]] = 1e9
+    radiance, state, _ = carry(points, rows, grade, lit)
+    assert radiance[0] == pytest.approx([0.25] * 3)
+    assert state == [FINAL]
+
+
+def irradiance_over_pi(n):
+    """E/π of SKY_LIGHT about the unit normal n by SciPy's harmonics: Σ A_l/π ℓ_lm Y_lm(n); (3,)."""
+    theta, phi = math.acos(n[2]), math.atan2(n[1], n[0])
+    total = np.zeros(3)
+    for l, lobe in enumerate((1.0, 2.0 / 3.0, 0.25)):
+        for m in range(-l, l + 1):
+            y = (-1) ** m * sph_harm_y(l, abs(m), theta, phi) * math.sqrt(2.0 if m else 1.0)
+            total += lobe * (y.imag if m < 0 else y.real) * SKY_LIGHT[:, l * (l + 1) + m]
+    return total
+
+
+@pytest.mark.parametrize("missing", [UNLIT, VOID_ROW])
+def test_without_any_lit_texel_unshadowed_light_stands_in(missing):
+    points = some_points(20)
+    normals = RNG.normal(size=points.shape)
+    normals = (normals / np.linalg.norm(normals, axis=1, keepdims=True)).astype(np.float32)
+    rows, grade, lit = lit_view(points)
+    rows[:] = missing
+    radiance, state, _ = carry(points, rows, grade, lit, normals)
+    np.testing.assert_allclose(radiance, [irradiance_over_pi(n.astype(float)) for n in normals], rtol=1e-5)
+    assert (radiance > 0.0).all() and (state == (PROVISIONAL if missing == UNLIT else FINAL)).all()
+
+
+def test_what_is_missing_is_filled_in_proportion():
+    points = np.array([[3.4, 2.2, 5.7]], np.float32)
+    rows, grade, lit = lit_view(points)
+    lit[:, :3] = 0.25
+    corners = view_of(points)[2][0]
+    rows[corners[[1, 6]]] = UNLIT
+    fz, fy, fx = lower_texels(points)[1][0]
+    share = trilinear(1, fz, fy, fx) + trilinear(6, fz, fy, fx)
+    radiance, _, _ = carry(points, rows, grade, lit, np.array([[0, 0, 1]], np.float32))
+    expected = (1 - share) * 0.25 + share * irradiance_over_pi((0.0, 0.0, 1.0))
+    np.testing.assert_allclose(radiance[0], expected, rtol=1e-5)

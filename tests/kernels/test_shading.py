@@ -1,0 +1,174 @@
+"""Local models and the path tracer against NumPy and closed forms."""
+
+import math
+
+import numpy as np
+import pytest
+from numba import config
+
+from isogi_core.kernels import shading
+from isogi_core.kernels.lights import fog
+from isogi_core.kernels.shading import LocalModel, Surroundings, find_normals, shade_local, trace_points
+from tests.kernels.test_macrocells import field_of
+
+COUNT = 60 if config.DISABLE_JIT else 2000
+Z, Y, X = np.mgrid[:41, :41, :41] - 20.0
+BALL = 12.0 - np.sqrt(X * X + Y * Y + Z * Z)
+EYE = (90.0, 35.0, 60.0)
+KEY = (0.36, 0.48, 0.8)
+SUN, AMBIENT = (0.9, 0.5, 0.2), (0.1, 0.2, 0.3)
+LAMBERT = LocalModel(KEY, SUN, AMBIENT, 0.0, 32.0, False, 0.0, 0.0)
+
+
+def ball_points(count=COUNT, spacing=(1.0, 1.0, 1.0)):
+    """Points (n, 3) float32 of the sphere, index space, and their exact unit normals in world space."""
+    u = np.random.default_rng(31).normal(size=(count, 3))
+    u /= np.linalg.norm(u, axis=1, keepdims=True)
+    n = u / spacing
+    return (20.0 + 12.0 * u).astype(np.float32), n / np.linalg.norm(n, axis=1, keepdims=True)
+
+
+def shade(model, points, normals, voxels=BALL, iso=0.0, spacing=(1.0, 1.0, 1.0)):
+    """`shade_local`: linear RGB (n, 3)."""
+    out = np.empty_like(points)
+    shade_local(field_of(voxels, spacing), iso, points, normals.astype(np.float32), EYE, model, out)
+    return out
+
+
+def twin(model, points, normals, seen=1.0, spacing=(1.0, 1.0, 1.0)):
+    """Lambert or Phong with fog, in NumPy."""
+    cosine = np.maximum(normals @ model.key, 0.0)
+    view = (np.array(EYE) - points) * spacing
+    depth = np.linalg.norm(view, axis=1)
+    mirror = 2.0 * (normals @ model.key)[:, None] * normals - model.key
+    shine = np.maximum((mirror * view).sum(axis=1) / depth, 0.0) ** model.exponent
+    lit = seen * (cosine + np.where(cosine > 0, model.shine * shine, 0.0))
+    clear = 1.0
+    if model.fog_far > model.fog_near:
+        far = np.maximum(depth - model.fog_near, 0.0) / (model.fog_far - model.fog_near)
+        clear = np.exp(-4.0 * far**2)[:, None]
+    return clear * (np.array(model.ambient) + lit[:, None] * model.sun)
+
+
+@pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), (0.5, 2.0, 1.0)])
+def test_normals_of_a_ball(spacing):
+    points, expected = ball_points(spacing=spacing)
+    normals = np.empty_like(points)
+    find_normals(field_of(BALL, spacing), points, EYE, normals)
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0, atol=1e-6)
+    assert (normals * expected).sum(axis=1).min() > math.cos(math.radians(1.0))
+
+
+def test_a_flat_place_faces_the_eye():
+    points = np.array([[20, 20, 20]], np.float32)
+    normals = np.empty_like(points)
+    find_normals(field_of(np.ones((41, 41, 41)), (1.0, 2.0, 1.0)), points, EYE, normals)
+    towards = (np.array(EYE) - 20.0) * (1.0, 2.0, 1.0)
+    np.testing.assert_allclose(normals[0], towards / np.linalg.norm(towards), rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "model",
+    [
+        LAMBERT,
+        LAMBERT._replace(shine=0.4),
+        LAMBERT._replace(shine=0.4, exponent=5.0),
+        LAMBERT._replace(fog_near=60.0, fog_far=110.0),
+        LAMBERT._replace(shine=0.3, fog_near=70.0, fog_far=71.0),
+    ],
+    ids=["lambert", "phong", "broad", "fog", "phong in fog"],
+)
+@pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), (0.5, 2.0, 1.0)])
+def test_local_models_are_those_of_numpy(model, spacing):
+    points, normals = ball_points(spacing=spacing)
+    normals = normals.astype(np.float32).astype(float)
+    expected = twin(model, points.astype(float), normals, spacing=spacing)
+    np.testing.assert_allclose(shade(model, points, normals, spacing=spacing), expected, atol=2e-6)
+
+
+def test_ambient_light_is_all_that_the_far_side_has():
+    points, normals = ball_points()
+    away = normals @ KEY < 0
+    assert away.mean() > 0.4
+    for model in (LAMBERT, LAMBERT._replace(shine=0.5), LAMBERT._replace(shadow=True)):
+        np.testing.assert_allclose(shade(model, points, normals)[away], np.broadcast_to(AMBIENT, (away.sum(), 3)))
+
+
+def test_a_convex_body_casts_no_shadow_on_itself():
+    points, normals = ball_points()
+    shadowed = LAMBERT._replace(shadow=True)
+    clear = np.abs(normals @ KEY) > 0.05
+    assert np.array_equal(shade(shadowed, points, normals)[clear], shade(LAMBERT, points, normals)[clear])
+
+
+def test_one_ball_casts_the_shadow_of_a_sphere_on_another():
+    """Two balls in line with the light: in shadow is what the cylinder behind the upper one holds."""
+    key = (0.0, 0.0, 1.0)
+    low, high = 9.0 - np.sqrt(X**2 + Y**2 + (Z + 10) ** 2), 5.0 - np.sqrt((X - 3) ** 2 + Y**2 + (Z - 10) ** 2)
+    u = np.random.default_rng(32).normal(size=(COUNT, 3))
+    u /= np.linalg.norm(u, axis=1, keepdims=True)
+    u[:, 2] = np.abs(u[:, 2])
+    points = (np.array([20.0, 20.0, 10.0]) + 9.0 * u).astype(np.float32)
+    aside = np.hypot(points[:, 0] - 23.0, points[:, 1] - 20.0)
+    clear = (np.abs(aside - 5.0) > 0.3) & (u[:, 2] > 0.1)
+    model = LAMBERT._replace(key=key, shadow=True)
+    expected = twin(model, points.astype(float), u, seen=(aside > 5.0) * 1.0)
+    assert 0.1 < (aside < 5.0).mean() < 0.9
+    np.testing.assert_allclose(shade(model, points, u, np.maximum(low, high))[clear], expected[clear], atol=2e-6)
+
+
+@pytest.mark.parametrize(
+    ("depth", "share"),
+    [(0.0, 1.0), (10.0, 1.0), (15.0, math.exp(-1.0)), (20.0, math.exp(-4.0)), (1e9, 0.0), (10.000001, 1.0)],
+)
+def test_fog_thickens_from_near_to_far(depth, share):
+    assert fog(depth, 10.0, 20.0) == pytest.approx(share, abs=1e-12)
+
+
+def test_highlight_is_one_in_the_mirror_direction():
+    n, key = (0.0, 0.0, 1.0), (0.6, 0.0, 0.8)
+    assert shading.highlight(n, key, (-0.6, 0.0, 0.8), 32.0) == pytest.approx(1.0)
+    assert shading.highlight(n, key, (0.8, 0.0, 0.6), 1.0) == pytest.approx(0.0, abs=1e-15)
+    assert shading.highlight(n, key, (0.6, 0.0, -0.8), 3.0) == 0.0
+
+
+def trace(points, normals, light, weights, first, count, pixels=None):
+    """Sums (n, 2, 3) of `trace_points` over the ball."""
+    sums = np.zeros((len(points), 2, 3))
+    pixels = np.arange(len(points)) if pixels is None else pixels
+    field = field_of(BALL)
+    trace_points(field, 0.0, points, normals.astype(np.float32), pixels, light, weights, first, count, sums)
+    return sums
+
+
+def half_sky(matrix):
+    """Radiance 1 from the upper half in red, the lower in green, a constant 0.25 in all, turned by `matrix`."""
+    image = np.zeros((2, 4, 3), np.float32)
+    image[0, :, 0] = image[1, :, 1] = 1.0
+    return Surroundings(np.full(3, 0.25), image, np.ascontiguousarray(matrix, float))
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_path_tracer_sees_the_turned_environment(axis):
+    """A ball's point of normal n under a half sky whose pole is p: E/π = (1 + n·p)/2."""
+    matrix = np.roll(np.eye(3), axis, axis=1)
+    pole = matrix @ np.array([0.0, 0.0, 1.0])
+    points, normals = ball_points(20)
+    count = 64 if config.DISABLE_JIT else 2048
+    light = trace(points, normals, half_sky(matrix), np.full((1, 3), 0.5), 0, count).sum(axis=1) / (2 * count)
+    up = (1.0 + normals @ pole) / 2.0
+    expected = 0.5 * (0.25 + np.stack([up, 1.0 - up, np.zeros_like(up)], axis=1))
+    np.testing.assert_allclose(light, expected, atol=0.03 if config.DISABLE_JIT else 0.01)
+
+
+def test_paths_belong_to_the_pixel_and_go_on_where_they_stopped():
+    points, normals = ball_points(6)
+    light, weights = half_sky(np.eye(3)), np.full((3, 3), 0.5)
+    whole = trace(points, normals, light, weights, 0, 12)
+    parts = trace(points, normals, light, weights, 0, 5) + trace(points, normals, light, weights, 5, 7)
+    np.testing.assert_allclose(parts, whole, rtol=1e-12)
+    turned = trace(points[::-1].copy(), normals[::-1], light, weights, 0, 12, np.arange(6)[::-1].copy())
+    assert np.array_equal(turned[::-1], whole)
+    others = trace(points, normals, light, weights, 0, 12, np.arange(6) + 100)
+    assert not np.array_equal(others, whole)
+    assert not np.array_equal(whole[:, 0], whole[:, 1]), "the halves are two randomisations"

@@ -1,0 +1,337 @@
+import errno
+import shutil
+import threading
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import closing
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from zarr.storage import LocalStore
+
+from isogi_core.errors import Cancelled, StoreError
+from isogi_core.frame.frame import Frame
+from isogi_core.model.scene import Scene, load_scene
+from isogi_core.model.view import View
+from server import studio as studios
+from server.studio import Studio, absolute
+from worker.errors import WorkersError
+from worker.pool import Done
+from worker.tasks import BakeResult, BakeTask, bake
+
+LONG = 60.0
+
+
+class InlinePool:
+    """Bakes on a thread of this process."""
+
+    room = 2
+
+    def __init__(self, workers: int, scheduler: str | None = None) -> None:
+        self._thread = ThreadPoolExecutor(1)
+
+    def submit(self, task: BakeTask, done: Done) -> None:
+        def ended(future: "Future[BakeResult]") -> None:
+            error = future.exception()
+            done(None if error else future.result(), error)
+
+        self._thread.submit(bake, task).add_done_callback(ended)
+
+    def close(self) -> None:
+        self._thread.shutdown()
+
+
+@pytest.fixture(autouse=True)
+def inline(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(studios, "WorkerPool", InlinePool)
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    light = {"type": "constant", "radiance": 0.5}
+    return load_scene("demo:orbital", order=2, lattice=0.5, bounces=1, target_error=0.3, lights=[light])
+
+
+Open = Callable[..., Studio]
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Path:
+    return tmp_path / "light"
+
+
+@pytest.fixture
+def begin(scene: Scene, store: Path) -> Iterator[Open]:
+    """Begins a studio on the store; it is closed when the test ends."""
+    begun: list[Studio] = []
+
+    def begin(**more: Any) -> Studio:
+        begun.append(Studio([scene], str(store), **more))
+        begun[-1].start()
+        return begun[-1]
+
+    yield begin
+    for studio in begun:
+        studio.close()
+
+
+def view_of(scene: Scene, azimuth: float = 30.0, isovalue: float | None = None) -> View:
+    camera = scene.camera(azimuth, 20.0, 3.0, 30.0)
+    return View(scene.isovalue if isovalue is None else isovalue, camera, width=40, height=40)
+
+
+def chunks_in(store: Path) -> dict[str, str]:
+    """The stored chunks by name, and the digest of each."""
+    files = [path for path in store.glob("*/c/**/*") if path.is_file()]
+    return {str(path.relative_to(store)): sha256(path.read_bytes()).hexdigest() for path in files}
+
+
+def assert_same(a: Frame, b: Frame) -> None:
+    assert a.version == b.version
+    assert_same_light(a, b)
+
+
+def assert_same_light(a: Frame, b: Frame) -> None:
+    assert a.radiance.tobytes() == b.radiance.tobytes()
+    assert a.state.tobytes() == b.state.tobytes()
+    assert a.error.tobytes() == b.error.tobytes()
+
+
+def assert_unlit(frame: Frame) -> None:
+    """All of the frame stands in for light that is not there; none of it is black."""
+    assert frame.coverage["provisional"] == 1.0
+    assert (frame.radiance[frame.state > 0] > 0.0).all()
+
+
+def test_a_frame_comes_at_once_and_becomes_final(begin: Open, scene: Scene) -> None:
+    studio = begin()
+    first = studio.frame(scene.id, view_of(scene))
+    assert first.surface > 100
+    assert_unlit(first)
+    assert len(first.demands) == first.chunks_needed > 4
+    final = studio.frame(scene.id, view_of(scene), wait=LONG)
+    assert final.coverage["final"] == 1.0
+    assert (final.demands, final.chunks_final) == ((), final.chunks_needed)
+    assert final.version != first.version
+    assert (final.radiance[final.state > 0] > 0.0).all()
+    assert 0.0 < final.estimated_error < 0.3
+
+
+def test_asking_again_and_again_is_enough(begin: Open, scene: Scene) -> None:
+    studio = begin()
+    deadline = time.monotonic() + LONG
+    while (frame := studio.frame(scene.id, view_of(scene))).provisional:
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    assert not frame.demands
+
+
+def test_workers_come_after_the_start(begin: Open, scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    come = threading.Event()
+
+    def hire(workers: int, scheduler: str | None) -> InlinePool:
+        assert come.wait(LONG)
+        return InlinePool(workers)
+
+    monkeypatch.setattr(studios, "WorkerPool", hire)
+    studio = begin()
+    assert studio.unready() == ["The workers are starting."]
+    assert_unlit(studio.frame(scene.id, view_of(scene)))
+    come.set()
+    assert not studio.frame(scene.id, view_of(scene), wait=LONG).provisional
+    assert studio.unready() == []
+
+
+def test_workers_that_cannot_be_had_are_told(begin: Open, scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(workers: int, scheduler: str | None) -> None:
+        raise WorkersError("No workers today.")
+
+    monkeypatch.setattr(studios, "WorkerPool", refuse)
+    studio = begin()
+    assert_unlit(studio.frame(scene.id, view_of(scene), wait=0.1))
+    assert studio.unready() == [studio.trouble()] == ["No workers today."]
+
+
+def test_after_a_restart_the_same_view_is_final_at_once(begin: Open, scene: Scene, store: Path) -> None:
+    before = begin().frame(scene.id, view_of(scene), wait=LONG)
+    kept = chunks_in(store)
+    after = begin().frame(scene.id, view_of(scene))
+    assert not after.provisional
+    assert_same(after, before)
+    assert chunks_in(store) == kept
+
+
+def test_the_order_of_views_does_not_matter(begin: Open, scene: Scene, store: Path) -> None:
+    views = [view_of(scene, azimuth, isovalue) for azimuth in (0.0, 130.0) for isovalue in (0.03, 0.06)]
+    studio = begin()
+    frames = [studio.frame(scene.id, view, wait=LONG) for view in views]
+    first = chunks_in(store)
+    shutil.rmtree(store)
+    studio = begin()
+    for view in reversed(views):
+        studio.frame(scene.id, view)
+        studio.frame(scene.id, view, wait=LONG)
+    assert chunks_in(store) == first
+    for view, frame in zip(views, frames, strict=True):
+        assert_same_light(studio.frame(scene.id, view), frame)
+
+
+def test_a_stricter_error_is_worked_for(begin: Open, scene: Scene) -> None:
+    studio = begin()
+    loose = studio.frame(scene.id, view_of(scene), wait=LONG)
+    strict = studio.frame(scene.id, view_of(scene), max_error=0.05)
+    assert strict.provisional
+    assert strict.demands
+    strict = studio.frame(scene.id, view_of(scene), max_error=0.05, wait=LONG)
+    assert not strict.provisional
+    assert strict.estimated_error < loose.estimated_error
+
+
+DAMAGES: list[Callable[[bytes], bytes]] = [lambda b: b"", lambda b: b[:-1], lambda b: bytes(len(b)), lambda b: b + b"!"]
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_damage_on_disk_heals_to_the_same_bytes(
+    begin: Open, scene: Scene, store: Path, damage: Callable[[bytes], bytes]
+) -> None:
+    whole = begin().frame(scene.id, view_of(scene), wait=LONG)
+    kept = chunks_in(store)
+    for name in kept:
+        (store / name).write_bytes(damage((store / name).read_bytes()))
+    studio = begin()
+    assert_unlit(studio.frame(scene.id, view_of(scene)))
+    assert_same(studio.frame(scene.id, view_of(scene), wait=LONG), whole)
+    assert chunks_in(store) == kept
+
+
+def test_swapped_chunks_heal(begin: Open, scene: Scene, store: Path) -> None:
+    whole = begin().frame(scene.id, view_of(scene), wait=LONG)
+    kept = chunks_in(store)
+    names = sorted(kept)
+    contents = [(store / name).read_bytes() for name in names]
+    for name, content in zip(names, contents[1:] + contents[:1], strict=True):
+        (store / name).write_bytes(content)
+    assert_same(begin().frame(scene.id, view_of(scene), wait=LONG), whole)
+    assert chunks_in(store) == kept
+
+
+def test_a_store_deleted_while_running_is_baked_again(begin: Open, scene: Scene, store: Path) -> None:
+    studio = begin()
+    views = view_of(scene), view_of(scene, isovalue=0.06)
+    frames = [studio.frame(scene.id, view, wait=LONG) for view in views]
+    kept = chunks_in(store)
+    studio.close()
+    studio = begin()
+    assert_same_light(studio.frame(scene.id, views[0]), frames[0])
+    shutil.rmtree(store)
+    assert_same_light(studio.frame(scene.id, views[0]), frames[0])
+    again = studio.frame(scene.id, views[1], wait=LONG)
+    assert not again.provisional
+    assert_same_light(again, frames[1])
+    fresh = begin()
+    for view, frame in zip(views, frames, strict=True):
+        assert_same_light(fresh.frame(scene.id, view, wait=LONG), frame)
+    assert chunks_in(store) == kept
+
+
+def test_a_chunk_deleted_while_running_is_baked_again(begin: Open, scene: Scene, store: Path) -> None:
+    whole = begin().frame(scene.id, view_of(scene), wait=LONG)
+    kept = chunks_in(store)
+    studio = begin()
+    lost = sorted(kept)[:3]
+    for name in lost:
+        (store / name).unlink()
+    part = studio.frame(scene.id, view_of(scene))
+    assert part.chunks_final == part.chunks_needed - len(lost)
+    assert 0.0 < part.coverage["provisional"] < 1.0
+    assert (part.radiance[part.state > 0] > 0.0).all()
+    assert_same(studio.frame(scene.id, view_of(scene), wait=LONG), whole)
+    assert chunks_in(store) == kept
+
+
+def test_cut_metadata_stops_the_start(begin: Open, store: Path) -> None:
+    begin()
+    metadata = next(store.glob("*/zarr.json"))
+    metadata.write_text(metadata.read_text()[:100])
+    with pytest.raises(StoreError, match=r"^Cannot open the light at .*; move that folder away, .*\.$"):
+        begin()
+
+
+def test_a_full_disk_leaves_frames_provisional_and_is_told(
+    begin: Open, scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kept = begin().frame(scene.id, view_of(scene), wait=LONG)
+    whole_set = LocalStore.set
+
+    async def full(self: LocalStore, key: str, value: Any) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(LocalStore, "set", full)
+    studio = begin()
+    other = view_of(scene, isovalue=0.06)
+    assert_same(studio.frame(scene.id, view_of(scene)), kept)
+    frame = studio.frame(scene.id, other, wait=LONG)
+    assert frame.provisional
+    assert (frame.radiance[frame.state > 0] > 0.0).all()
+    assert "No space left on device" in studio.trouble()
+    assert studio.unready() == [studio.trouble()]
+    monkeypatch.setattr(LocalStore, "set", whole_set)
+    assert studio.frame(scene.id, other, wait=LONG).provisional
+    monkeypatch.setattr("worker.queue.FORGET_AFTER", 0.0)
+    time.sleep(0.01)
+    assert studio.trouble() == ""
+    monkeypatch.setattr("worker.queue.FORGET_AFTER", LONG)
+    assert not studio.frame(scene.id, other, wait=LONG).provisional
+
+
+def test_a_view_that_does_not_fit_the_memory_is_an_error(begin: Open, scene: Scene) -> None:
+    studio = begin(memory=20_000)
+    with pytest.raises(StoreError, match="does not fit the memory"):
+        studio.frame(scene.id, view_of(scene), wait=LONG)
+
+
+def test_little_memory_serves_one_view_after_the_other(begin: Open, scene: Scene) -> None:
+    views = [view_of(scene, isovalue=isovalue) for isovalue in (0.03, 0.3, 0.5)]
+    studio = begin()
+    frames = [studio.frame(scene.id, view, wait=LONG) for view in views]
+    little = begin(memory=600_000)
+    for view, frame in [*zip(views, frames, strict=True)] * 2:
+        assert_same_light(little.frame(scene.id, view), frame)
+
+
+def test_views_from_many_threads(begin: Open, scene: Scene) -> None:
+    views = [view_of(scene, azimuth) for azimuth in range(0, 360, 60)]
+    studio = begin()
+    with ThreadPoolExecutor(len(views)) as threads:
+        frames = list(threads.map(lambda view: studio.frame(scene.id, view, wait=LONG), views))
+    assert not any(frame.provisional for frame in frames)
+    again = begin()
+    for view, frame in zip(views, frames, strict=True):
+        expected = again.frame(scene.id, view)
+        assert not expected.provisional
+        final = studio.frame(scene.id, view)
+        assert_same(final, expected)
+        np.testing.assert_array_equal(frame.state, expected.state)
+
+
+def test_nobody_waits_for_a_cancelled_frame(begin: Open, scene: Scene) -> None:
+    cancelled = threading.Event()
+    cancelled.set()
+    with pytest.raises(Cancelled):
+        begin().frame(scene.id, view_of(scene), cancelled=cancelled)
+
+
+def test_a_studio_can_be_closed_before_it_began(scene: Scene, store: Path) -> None:
+    with closing(Studio([scene], str(store))):
+        pass
+    assert not store.exists()
+
+
+def test_workers_are_told_absolute_paths(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert absolute("light") == str(tmp_path / "light")
+    assert absolute("s3://bucket/light") == "s3://bucket/light"

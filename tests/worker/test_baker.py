@@ -1,0 +1,193 @@
+import logging
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from isogi_core.bake.recipe import Index
+from isogi_core.errors import StoreError
+from isogi_core.frame.texels import Demand
+from isogi_core.model.source import SceneSource
+from worker.baker import Bake, Baker
+from worker.pool import Done
+from worker.queue import FORGET_AFTER, MOST_FAILURES
+from worker.tasks import BakeResult, BakeTask
+
+SOURCE = SceneSource("scene", {"volume": "demo:orbital"}, Path())
+DONE = BakeResult(0, 0, 0.1)
+
+
+class FakePool:
+    """Takes tasks and ends them when the test says so."""
+
+    def __init__(self, room: int) -> None:
+        self.room = room
+        self.flying: list[tuple[BakeTask, Done]] = []
+
+    def submit(self, task: BakeTask, done: Done) -> None:
+        self.flying.append((task, done))
+
+    def end(self, result: BakeResult | None = DONE, error: BaseException | None = None) -> BakeTask:
+        task, done = self.flying.pop(0)
+        done(result, error)
+        return task
+
+    def tasks(self) -> list[int]:
+        return [task.index[2] for task, _ in self.flying]
+
+
+class Bench:
+    """A baker with one scene, a clock that stands still, and a note of the chunks that arrived."""
+
+    def __init__(self) -> None:
+        self.now = 0.0
+        self.arrived: list[Index] = []
+        self.baker = Baker(lambda: self.now)
+        self.baker.add("scene", Bake(SOURCE, "digest", "store", self.arrived.append))
+
+    def want(self, *chunks: int, scene: str = "scene") -> bool:
+        texels = np.array([1, 2], np.int32)
+        return self.baker.want(scene, [Demand((0, 0, x), texels, 10.0 - x) for x in chunks], 0.1)
+
+    def employ(self, room: int) -> FakePool:
+        pool = FakePool(room)
+        self.baker.employ(pool)  # type: ignore[arg-type]
+        return pool
+
+
+@pytest.fixture
+def bench() -> Bench:
+    return Bench()
+
+
+def test_what_is_wanted_waits_for_workers(bench: Bench) -> None:
+    assert bench.want(1, 2)
+    assert bench.employ(4).tasks() == [1, 2]
+
+
+def test_a_task_holds_all_that_a_worker_must_know(bench: Bench) -> None:
+    pool = bench.employ(1)
+    bench.want(3)
+    task = pool.flying[0][0]
+    assert (task.source, task.digest, task.store) == (SOURCE, "digest", "store")
+    assert (task.index, task.offsets.tolist(), task.until, task.target) == ((0, 0, 3), [1, 2], 16, 0.1)
+
+
+def test_few_tasks_fly_and_the_newest_view_is_next(bench: Bench) -> None:
+    pool = bench.employ(2)
+    bench.want(1, 2, 3)
+    assert pool.tasks() == [1, 2]
+    bench.want(9)
+    pool.end()
+    assert pool.tasks() == [2, 9]
+    pool.end()
+    assert pool.tasks() == [9, 3]
+
+
+def test_each_chunk_is_told_as_it_arrives_and_taken_on_until_final(bench: Bench) -> None:
+    pool = bench.employ(1)
+    bench.want(1)
+    assert pool.end(BakeResult(2, 16, 0.1)).until == 16
+    assert bench.arrived == [(0, 0, 1)]
+    assert pool.end().until == 64
+    assert bench.arrived == [(0, 0, 1)] * 2
+    assert pool.tasks() == []
+
+
+def test_scenes_share_the_workers(bench: Bench) -> None:
+    others: list[Index] = []
+    bench.baker.add("other", Bake(SOURCE, "other digest", "store", others.append))
+    pool = bench.employ(4)
+    bench.want(1)
+    bench.want(1, scene="other")
+    assert [task.digest for task, _ in pool.flying] == ["digest", "other digest"]
+    pool.end()
+    assert (bench.arrived, others) == ([(0, 0, 1)], [])
+    pool.end()
+    assert others == [(0, 0, 1)]
+
+
+def test_waiting_ends_when_the_light_is_there(bench: Bench) -> None:
+    pool = bench.employ(4)
+    bench.want(1, 2, 7)
+    waiting = threading.Thread(target=bench.baker.wait, args=("scene", [(0, 0, 1), (0, 0, 2)], 60.0))
+    waiting.start()
+    pool.end()
+    pool.end()
+    waiting.join(30.0)
+    assert not waiting.is_alive()
+    assert pool.tasks() == [7]
+
+
+def test_waiting_ends_with_its_time(bench: Bench) -> None:
+    bench.employ(1)
+    bench.want(1)
+    bench.baker.wait("scene", [(0, 0, 1)], 0.01)
+    assert bench.arrived == []
+
+
+def fail(bench: Bench, pool: FakePool, times: int) -> None:
+    for _ in range(times):
+        pool.end(None, StoreError("No space left."))
+
+
+def test_failed_tasks_are_tried_again(bench: Bench, caplog: pytest.LogCaptureFixture) -> None:
+    pool = bench.employ(1)
+    bench.want(1)
+    with caplog.at_level(logging.WARNING, "isogi.worker"):
+        fail(bench, pool, MOST_FAILURES - 1)
+    assert "No space left." in caplog.text
+    assert pool.tasks() == [1]
+    pool.end()
+    assert bench.arrived == [(0, 0, 1)]
+    assert bench.baker.trouble() == ""
+
+
+def test_a_chunk_that_fails_too_often_is_given_up_and_the_others_go_on(bench: Bench) -> None:
+    pool = bench.employ(1)
+    bench.want(1, 2)
+    fail(bench, pool, MOST_FAILURES)
+    assert pool.tasks() == [2]
+    assert bench.baker.trouble() == "Chunk (0, 0, 1) of scene cannot be baked: No space left."
+    bench.baker.wait("scene", [(0, 0, 1)], 60.0)
+    assert not bench.want(1)
+    assert bench.want(1, 2)
+    pool.end()
+    assert bench.arrived == [(0, 0, 2)]
+    bench.now += FORGET_AFTER + 1.0
+    assert bench.baker.trouble() == ""
+    assert bench.want(1)
+    assert pool.tasks() == [1]
+
+
+def test_a_stopped_baker_hands_out_nothing(bench: Bench) -> None:
+    pool = bench.employ(1)
+    bench.want(1, 2)
+    bench.baker.stop()
+    pool.end(None, StoreError("The workers were stopped."))
+    bench.want(3)
+    assert pool.tasks() == []
+    assert bench.baker.trouble() == ""
+
+
+def test_light_that_comes_after_the_stop_is_still_told(bench: Bench) -> None:
+    pool = bench.employ(1)
+    bench.want(1)
+    bench.baker.stop()
+    pool.end()
+    assert bench.arrived == [(0, 0, 1)]
+
+
+def test_many_threads_may_want_at_once(bench: Bench) -> None:
+    pool = bench.employ(10_000)
+    threads = [threading.Thread(target=bench.want, args=range(i, i + 50)) for i in range(20)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert sorted(pool.tasks()) == list(range(69))
+    while pool.flying:
+        pool.end()
+    assert len(bench.arrived) >= 69
+    bench.baker.wait("scene", [(0, 0, x) for x in range(69)], 60.0)

@@ -1,0 +1,184 @@
+import os
+import queue
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, field
+from hashlib import sha256
+from pathlib import Path
+
+import httpx
+import psutil
+import pytest
+
+from isogi_core.bake.recipe import Recipe
+from isogi_core.cache.store import ChunkStore
+from isogi_core.frame.frame import Frame
+from isogi_core.model.scene import Scene, load_scene
+from isogi_core.model.view import View
+from server.studio import Studio
+
+pytestmark = pytest.mark.slow
+ROOT = Path(__file__).parent.parent.parent
+LONG = 120.0
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return load_scene("demo:orbital", lattice=0.7, bounces=3, target_error=0.06)
+
+
+@pytest.fixture(scope="module")
+def views(scene: Scene) -> list[View]:
+    """Three views that share chunks and texels."""
+    looks = (20.0, 0.03), (140.0, 0.03), (20.0, 0.05)
+    return [View(isovalue, scene.camera(azimuth, 15.0, 3.0, 30.0), width=64, height=64) for azimuth, isovalue in looks]
+
+
+def light_in(store: Path) -> dict[str, str]:
+    """SHA-256 of each object in a store, by its key."""
+    files = [path for path in store.rglob("*") if path.is_file() and path.suffix != ".partial"]
+    return {str(path.relative_to(store)): sha256(path.read_bytes()).hexdigest() for path in files}
+
+
+def worker_pids() -> set[int]:
+    """The workers of this process, whoever in it they work for."""
+    family = psutil.Process().children(recursive=True)
+    return {child.pid for child in family if "spawn_main" in " ".join(child.cmdline())}
+
+
+def bake_views(
+    scene: Scene, store: Path, views: Sequence[View], workers: int, killings: Sequence["Killing"] = ()
+) -> list[Frame]:
+    """Final frames of the views, one after the other; meanwhile the ``killings`` are done in turn."""
+    others = worker_pids()
+    with closing(Studio([scene], str(store), workers)) as studio:
+        studio.start()
+        killer = threading.Thread(target=lambda: [killing.do(store, others) for killing in killings])
+        killer.start()
+        frames = [studio.frame(scene.id, view, wait=LONG) for view in views]
+        killer.join()
+    assert not any(frame.provisional for frame in frames)
+    return frames
+
+
+@dataclass
+class Killing:
+    """A worker is killed when ``chunks`` are in the store; ``light`` is what was there then."""
+
+    chunks: int
+    light: dict[str, str] = field(default_factory=dict)
+
+    def do(self, store: Path, others: set[int]) -> None:
+        while len(self.light) < self.chunks or not worker_pids() - others:
+            time.sleep(0.005)
+            self.light = light_in(store)
+        os.kill(min(worker_pids() - others), signal.SIGKILL)
+
+
+@pytest.fixture(scope="module")
+def expected(
+    tmp_path_factory: pytest.TempPathFactory, scene: Scene, views: list[View]
+) -> tuple[dict[str, str], list[Frame]]:
+    """The light and the frames that one worker makes, undisturbed."""
+    store = tmp_path_factory.mktemp("undisturbed")
+    frames = bake_views(scene, store, views, workers=1)
+    light = light_in(store)
+    assert len(light) > 10
+    return light, frames
+
+
+def assert_same_light(frames: list[Frame], expected: list[Frame]) -> None:
+    for a, b in zip(frames, expected, strict=True):
+        assert a.radiance.tobytes() == b.radiance.tobytes()
+
+
+Expected = tuple[dict[str, str], list[Frame]]
+
+
+def test_two_workers_leave_the_same_bytes(tmp_path: Path, scene: Scene, views: list[View], expected: Expected) -> None:
+    frames = bake_views(scene, tmp_path, views, workers=2)
+    assert light_in(tmp_path) == expected[0]
+    assert_same_light(frames, expected[1])
+
+
+def test_another_order_of_views_leaves_the_same_bytes(
+    tmp_path: Path, scene: Scene, views: list[View], expected: Expected
+) -> None:
+    frames = bake_views(scene, tmp_path, views[::-1], workers=2)
+    assert light_in(tmp_path) == expected[0]
+    assert_same_light(frames[::-1], expected[1])
+
+
+def test_killed_workers_cost_time_and_nothing_else(
+    tmp_path: Path, scene: Scene, views: list[View], expected: Expected
+) -> None:
+    killings = [Killing(chunks) for chunks in (2, 6, 12)]
+    frames = bake_views(scene, tmp_path, views, 2, killings)
+    assert all(killing.light != expected[0] for killing in killings)
+    assert light_in(tmp_path) == expected[0]
+    assert_same_light(frames, expected[1])
+
+
+def test_after_a_restart_the_same_view_is_final_at_once(
+    tmp_path: Path, scene: Scene, views: list[View], expected: Expected
+) -> None:
+    before = bake_views(scene, tmp_path, views[:1], workers=2)[0]
+    light = light_in(tmp_path)
+    with closing(Studio([scene], str(tmp_path), workers=1)) as studio:
+        studio.start()
+        after = studio.frame(scene.id, views[0])
+    assert not after.provisional
+    assert after.version == before.version
+    assert after.radiance.tobytes() == before.radiance.tobytes() == expected[1][0].radiance.tobytes()
+    assert light_in(tmp_path) == light
+
+
+@contextmanager
+def serving(store: Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """``isogi serve`` as a process, and the URL that it tells."""
+    command = [sys.executable, "-m", "server", "serve", "demo:orbital", "--port", "0", "--workers", "2"]
+    process = subprocess.Popen([*command, "--store", str(store)], cwd=ROOT, stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    lines: queue.Queue[str] = queue.Queue()
+    reader = threading.Thread(target=lambda: [lines.put(line) for line in process.stdout or ()])
+    reader.start()
+    try:
+        yield process, lines.get(timeout=LONG).split()[-1].rstrip("/")
+    finally:
+        process.kill()
+        process.wait()
+        reader.join()
+        process.stdout.close()
+
+
+def wait_for(condition: object, seconds: float) -> bool:
+    """Whether the condition came true in time."""
+    deadline = time.monotonic() + seconds
+    while not condition():  # type: ignore[operator]
+        if time.monotonic() > deadline:
+            return False
+        time.sleep(0.05)
+    return True
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
+def test_no_worker_outlives_its_server(tmp_path: Path, number: signal.Signals) -> None:
+    with serving(tmp_path) as (process, url):
+        assert wait_for(lambda: httpx.get(f"{url}/readyz").status_code == 200, LONG)
+        assert httpx.get(f"{url}/v1/scenes/orbital/frame?width=256&height=256", timeout=LONG).status_code == 200
+        family = psutil.Process(process.pid).children(recursive=True)
+        assert sum("spawn_main" in " ".join(child.cmdline()) for child in family) >= 2
+        assert wait_for(lambda: len(list(tmp_path.glob("*/c/*/*/*/0"))) > 2, LONG)
+        process.send_signal(number)
+        assert process.wait(LONG) == (-number if number == signal.SIGKILL else 0)
+        assert psutil.wait_procs(family, timeout=5.0)[1] == []
+    store = ChunkStore(tmp_path, Recipe(load_scene("demo:orbital")))
+    found = [tuple(map(int, path.parts[-4:-1])) for path in tmp_path.glob("*/c/*/*/*/0")]
+    assert found
+    for z, y, x in found:
+        assert store.decode((z, y, x), store.read((z, y, x)) or b"").offsets.size > 0

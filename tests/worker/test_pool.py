@@ -1,0 +1,170 @@
+import os
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import httpx
+import numba
+import numpy as np
+import psutil
+import pytest
+
+from isogi_core.cache.store import ChunkStore
+from isogi_core.model.scene import load_scene
+from worker.errors import WorkersError
+from worker.pool import AHEAD, NICENESS, WorkerPool
+from worker.tasks import BakeResult, BakeTask, opened
+
+SCENE = load_scene("demo:orbital", order=2, lattice=0.4, bounces=1, target_error=0.5)
+TEXELS = np.arange(0, 4096, 40, dtype=np.int32)
+WORKERS = 2
+
+
+def kernel_cache() -> dict[str, tuple[int, int]]:
+    folder = Path(numba.config.CACHE_DIR)
+    return {path.name: (path.stat().st_size, path.stat().st_mtime_ns) for path in folder.rglob("*.nb*")}
+
+
+@pytest.fixture(scope="module")
+def compiled() -> dict[str, tuple[int, int]]:
+    """The kernels that were compiled before there were workers."""
+    return kernel_cache()
+
+
+@pytest.fixture(scope="module")
+def pool(compiled: dict[str, tuple[int, int]]) -> Iterator[WorkerPool]:
+    pool = WorkerPool(WORKERS)
+    yield pool
+    pids = pool.pids()
+    pool.close()
+    assert not psutil.wait_procs([psutil.Process(pid) for pid in pids if psutil.pid_exists(pid)], timeout=10)[1]
+
+
+def bake_all(pool: WorkerPool, tasks: list[BakeTask]) -> list[BakeResult]:
+    """Results of the tasks, handed over together."""
+    results: list[BakeResult] = []
+    errors: list[BaseException | None] = []
+    ended = threading.Semaphore(0)
+
+    def done(result: BakeResult | None, error: BaseException | None) -> None:
+        results.append(result) if result is not None else errors.append(error)
+        ended.release()
+
+    for task in tasks:
+        pool.submit(task, done)
+    for _ in tasks:
+        assert ended.acquire(timeout=60)
+    if errors:
+        raise errors[0] or AssertionError("a task ended without a result and without an error")
+    return results
+
+
+def tasks_for(store: Path, digest: str = SCENE.bake_digest) -> list[BakeTask]:
+    indices = [(z, y, 0) for z in (0, 1) for y in (0, 1)]
+    return [BakeTask(SCENE.source, digest, str(store), index, TEXELS, 64, 0.5) for index in indices]
+
+
+def test_workers_are_processes_of_their_own(pool: WorkerPool) -> None:
+    pids = pool.pids()
+    assert len(set(pids)) == WORKERS
+    assert os.getpid() not in pids
+    children = {child.pid for child in psutil.Process().children(recursive=True)}
+    assert children.issuperset(pids)
+    assert pool.room == AHEAD * WORKERS
+
+
+def test_tasks_leave_their_chunks_in_the_store(pool: WorkerPool, tmp_path: Path) -> None:
+    tasks = tasks_for(tmp_path)
+    results = bake_all(pool, tasks)
+    assert all(result.seconds > 0 for result in results)
+    store: ChunkStore = opened(SCENE.source, SCENE.bake_digest, str(tmp_path))[1]
+    for task in tasks:
+        np.testing.assert_array_equal(store.load(task.index).offsets, TEXELS)
+
+
+def test_a_task_that_fails_gives_its_own_error(pool: WorkerPool, tmp_path: Path) -> None:
+    with pytest.raises(Exception, match="have changed since the server began") as caught:
+        bake_all(pool, tasks_for(tmp_path, digest="another"))
+    assert type(caught.value).__name__ == "SceneError"
+
+
+def test_baking_stands_behind_the_server(pool: WorkerPool) -> None:
+    expected = min(os.getpriority(os.PRIO_PROCESS, 0) + NICENESS, 19)
+    assert NICENESS == 10
+    assert [psutil.Process(pid).nice() for pid in pool.pids()] == [expected] * WORKERS
+    where_tasks_run = pool._client.submit(lambda: os.getpriority(os.PRIO_PROCESS, 0), pure=False)
+    assert where_tasks_run.result() == expected
+    assert os.getpriority(os.PRIO_PROCESS, 0) == expected - NICENESS
+
+
+def test_all_listen_on_loopback_only(pool: WorkerPool) -> None:
+    listening = [
+        connection.laddr.ip
+        for pid in (os.getpid(), *pool.pids())
+        for connection in psutil.Process(pid).net_connections("inet")
+        if connection.status == psutil.CONN_LISTEN
+    ]
+    assert len(listening) >= WORKERS
+    assert set(listening) == {"127.0.0.1"}
+
+
+def test_nothing_but_health_is_served(pool: WorkerPool) -> None:
+    assert pool._cluster is not None
+    workers = pool._client.scheduler_info(n_workers=-1)["workers"].values()
+    ports = [pool._cluster.scheduler.http_server.port, *(worker["services"]["dashboard"] for worker in workers)]
+    assert len(ports) == 1 + WORKERS
+    for port in ports:
+        assert httpx.get(f"http://127.0.0.1:{port}/health").text == "ok"
+        for path in ("/status", "/info/main/workers.html", "/json/counts.json", "/metrics"):
+            assert httpx.get(f"http://127.0.0.1:{port}{path}").status_code == 404
+
+
+def test_kernels_are_loaded_and_not_compiled_again(
+    compiled: dict[str, tuple[int, int]], pool: WorkerPool, tmp_path: Path
+) -> None:
+    bake_all(pool, tasks_for(tmp_path))
+
+    def loads() -> tuple[int, int]:
+        """How often this process has loaded a kernel, and how often it had to compile one."""
+        import sys
+
+        modules = [module for name, module in sys.modules.items() if name.startswith("isogi_core.kernels.")]
+        kernels = {id(x): x for module in modules for x in vars(module).values() if getattr(x, "stats", None)}
+        stats = [kernel.stats for kernel in kernels.values()]
+        return sum(sum(s.cache_hits.values()) for s in stats), sum(sum(s.cache_misses.values()) for s in stats)
+
+    for hits, misses in pool._client.run(loads).values():
+        assert hits > 0
+        assert misses == 0
+    assert compiled
+    after = kernel_cache()
+    assert {name: after[name] for name in compiled} == compiled
+
+
+@pytest.mark.slow
+def test_a_killed_worker_is_replaced_and_its_task_done_again(pool: WorkerPool, tmp_path: Path) -> None:
+    before = pool.pids()
+    psutil.Process(before[0]).kill()
+    assert len(bake_all(pool, tasks_for(tmp_path))) == 4
+    deadline = time.monotonic() + 30
+    while len(pids := pool.pids()) < WORKERS and time.monotonic() < deadline:
+        time.sleep(0.1)
+    assert len(set(pids) - set(before)) == 1
+
+
+@pytest.mark.slow
+def test_workers_of_others_are_joined_and_left_alone(pool: WorkerPool, tmp_path: Path) -> None:
+    assert pool._cluster is not None
+    joined = WorkerPool(1, pool._cluster.scheduler_address)
+    assert sorted(joined.pids()) == sorted(pool.pids())
+    assert joined.room == AHEAD * WORKERS
+    assert len(bake_all(joined, tasks_for(tmp_path))) == 4
+    joined.close()
+    assert len(bake_all(pool, tasks_for(tmp_path))) == 4
+
+
+@pytest.mark.parametrize("address", ["carrier-pigeon://somewhere", "tcp://127.0.0.1:notaport"])
+def test_a_scheduler_that_cannot_be_reached_is_told(address: str) -> None:
+    with pytest.raises(WorkersError, match="Cannot start or reach the workers"):
+        WorkerPool(1, address)

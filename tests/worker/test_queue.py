@@ -1,0 +1,213 @@
+import numpy as np
+import pytest
+
+from isogi_core.frame.texels import Demand
+from worker.queue import FORGET_AFTER, MOST_FAILURES, BakeQueue, Key
+from worker.tasks import BakeResult, next_goal
+
+DONE = BakeResult(0, 0, 0.1)
+
+
+class Clock:
+    """Seconds that pass when the test says so."""
+
+    def __init__(self) -> None:
+        self.now = 1000.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+@pytest.fixture
+def clock() -> Clock:
+    return Clock()
+
+
+@pytest.fixture
+def queue(clock: Clock) -> BakeQueue:
+    return BakeQueue(clock)
+
+
+def key(x: int) -> Key:
+    return "scene", (0, 0, x)
+
+
+def want(
+    queue: BakeQueue, *demands: tuple[int, float], texels: tuple[int, ...] = (1, 2, 3), target: float = 0.1
+) -> None:
+    """One view that demands chunks (x, area)."""
+    offsets = np.array(texels, np.int32)
+    queue.want([(key(x), Demand((0, 0, x), offsets, area)) for x, area in demands], target)
+
+
+def take(queue: BakeQueue) -> int | None:
+    """The x of the chunk that is next."""
+    taken = queue.take()
+    return None if taken is None else taken.key[1][2]
+
+
+def end(queue: BakeQueue, x: int, result: BakeResult) -> None:
+    """End the task of a chunk that was just taken, for all that was wanted of it."""
+    taken = queue.wants[key(x)]
+    queue.finish(key(x), taken.offsets, taken.target, result)
+
+
+def test_nothing_wanted_nothing_taken(queue: BakeQueue) -> None:
+    assert queue.take() is None
+
+
+def test_the_chunk_with_the_largest_area_comes_first(queue: BakeQueue) -> None:
+    want(queue, (1, 5.0), (2, 50.0), (3, 20.0))
+    assert [take(queue) for _ in range(4)] == [2, 3, 1, None]
+
+
+def test_the_newest_view_comes_first(queue: BakeQueue) -> None:
+    want(queue, (1, 500.0), (2, 400.0))
+    want(queue, (3, 1.0), (4, 2.0))
+    assert [take(queue) for _ in range(4)] == [4, 3, 1, 2]
+
+
+def test_a_chunk_asked_for_again_belongs_to_the_newest_view(queue: BakeQueue) -> None:
+    want(queue, (1, 500.0), (2, 400.0))
+    want(queue, (2, 1.0))
+    assert [take(queue) for _ in range(2)] == [2, 1]
+
+
+def test_the_fewest_samples_come_first(queue: BakeQueue) -> None:
+    want(queue, (1, 500.0), (2, 1.0))
+    assert take(queue) == 1
+    end(queue, 1, BakeResult(3, 16, 0.1))
+    assert [take(queue) for _ in range(2)] == [2, 1]
+
+
+def test_goals_climb_until_the_chunk_is_final(queue: BakeQueue) -> None:
+    want(queue, (1, 1.0))
+    goals = []
+    for fewest in (16, 64, 256, 512):
+        taken = queue.take()
+        assert taken is not None
+        goals.append(taken.goal)
+        end(queue, 1, BakeResult(2, fewest, 0.1))
+    assert goals == [16, 64, 256, 512]
+    assert next_goal(512) == 1024
+    assert take(queue) == 1
+    end(queue, 1, DONE)
+    assert queue.take() is None
+    assert queue.open([key(1)]) == 0
+
+
+def test_what_flies_is_not_taken_twice(queue: BakeQueue) -> None:
+    want(queue, (1, 1.0))
+    assert take(queue) == 1
+    want(queue, (1, 1.0))
+    assert take(queue) is None
+    assert queue.open([key(1), key(2)]) == 1
+
+
+def test_texels_and_targets_of_several_views_are_merged(queue: BakeQueue) -> None:
+    want(queue, (1, 1.0), texels=(5, 9), target=0.1)
+    want(queue, (1, 7.0), texels=(2, 9, 11), target=0.3)
+    want(queue, (1, 3.0), texels=(2,), target=0.05)
+    taken = queue.take()
+    assert taken is not None
+    assert taken.offsets.tolist() == [2, 5, 9, 11]
+    assert (taken.target, taken.area) == (0.05, 3.0)
+
+
+def test_new_texels_start_from_the_first_rung(queue: BakeQueue) -> None:
+    want(queue, (1, 1.0), texels=(1, 2))
+    take(queue)
+    end(queue, 1, BakeResult(1, 64, 0.1))
+    want(queue, (1, 1.0), texels=(1,))
+    assert queue.wants[key(1)].goal == next_goal(64)
+    want(queue, (1, 1.0), texels=(1, 3))
+    assert queue.wants[key(1)].goal == next_goal(0)
+
+
+def test_a_stricter_target_starts_from_the_first_rung(queue: BakeQueue) -> None:
+    want(queue, (1, 1.0), target=0.1)
+    take(queue)
+    end(queue, 1, BakeResult(1, 64, 0.1))
+    want(queue, (1, 1.0), target=0.01)
+    assert queue.wants[key(1)].goal == next_goal(0)
+
+
+@pytest.mark.parametrize(("texels", "target"), [((1, 2, 3, 4), 0.1), ((7,), 0.1), ((1, 2, 3), 0.01)])
+def test_what_grew_while_flying_stays_wanted(queue: BakeQueue, texels: tuple[int, ...], target: float) -> None:
+    want(queue, (1, 1.0))
+    flown = queue.take()
+    assert flown is not None
+    offsets, former = flown.offsets, flown.target
+    want(queue, (1, 1.0), texels=texels, target=target)
+    queue.finish(key(1), offsets, former, DONE)
+    again = queue.take()
+    assert again is not None
+    assert set(again.offsets.tolist()) == {1, 2, 3, *texels}
+    assert again.target == min(0.1, target)
+    assert again.goal == next_goal(0)
+
+
+def test_what_did_not_grow_while_flying_is_done(queue: BakeQueue) -> None:
+    want(queue, (1, 1.0))
+    take(queue)
+    want(queue, (1, 1.0), texels=(2,), target=0.5)
+    queue.finish(key(1), np.array([1, 2, 3], np.int32), 0.1, DONE)
+    assert queue.open([key(1)]) == 0
+
+
+def test_failures_are_tried_again_and_then_given_up(queue: BakeQueue) -> None:
+    want(queue, (1, 9.0), (2, 1.0))
+    for failure in range(1, MOST_FAILURES + 1):
+        assert take(queue) == 1
+        assert queue.open([key(1)]) == 1
+        assert queue.fail(key(1), f"failure {failure}") == (failure == MOST_FAILURES)
+    assert MOST_FAILURES == 3
+    assert queue.open([key(1)]) == 0
+    assert queue.trouble() == "failure 3"
+    assert [take(queue) for _ in range(2)] == [2, None]
+
+
+def test_success_forgives_failures(queue: BakeQueue) -> None:
+    want(queue, (1, 1.0))
+    for _ in range(3 * MOST_FAILURES):
+        assert take(queue) == 1
+        assert not queue.fail(key(1), "once")
+        assert take(queue) == 1
+        end(queue, 1, BakeResult(1, 16, 0.1))
+    assert queue.trouble() == ""
+
+
+def test_what_was_given_up_is_tried_afresh_after_a_while(queue: BakeQueue, clock: Clock) -> None:
+    want(queue, (1, 1.0))
+    for _ in range(MOST_FAILURES):
+        take(queue)
+        queue.fail(key(1), "no space")
+    clock.now += FORGET_AFTER
+    want(queue, (1, 1.0), texels=(1, 2, 3, 4))
+    assert take(queue) is None
+    assert queue.trouble() == "no space"
+    clock.now += 0.1
+    assert queue.trouble() == ""
+    want(queue, (1, 1.0))
+    assert take(queue) == 1
+
+
+def test_light_that_nobody_asks_for_any_more_is_forgotten(queue: BakeQueue, clock: Clock) -> None:
+    want(queue, (1, 1.0), (2, 1.0))
+    clock.now += FORGET_AFTER / 2
+    want(queue, (2, 1.0))
+    clock.now += FORGET_AFTER / 2
+    assert queue.open([key(1), key(2)]) == 2
+    clock.now += 0.1
+    assert [take(queue) for _ in range(2)] == [2, None]
+    assert queue.open([key(1)]) == 0
+
+
+def test_what_flies_is_not_forgotten(queue: BakeQueue, clock: Clock) -> None:
+    want(queue, (1, 1.0))
+    assert take(queue) == 1
+    clock.now += 10 * FORGET_AFTER
+    assert take(queue) is None
+    end(queue, 1, BakeResult(1, 16, 0.1))
+    assert take(queue) is None
+    assert queue.open([key(1)]) == 0

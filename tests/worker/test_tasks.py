@@ -1,0 +1,126 @@
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from isogi_core.bake.light import SAMPLES
+from isogi_core.bake.noise import MOST_SAMPLES, finished
+from isogi_core.cache.store import ChunkStore
+from isogi_core.errors import SceneError, StoreError
+from isogi_core.model.scene import load_scene
+from worker.tasks import BakeResult, BakeTask, bake, next_goal, opened
+
+INDEX = (1, 1, 2)
+TEXELS = np.arange(5, 3000, 41, dtype=np.int32)
+TEXELS = TEXELS[TEXELS % 16 < 7]  # the last chunk along x is 7 texels wide
+SCENE = load_scene("demo:orbital", order=2, lattice=0.4, bounces=2, target_error=0.05)
+
+
+def do(root: Path, texels: np.ndarray = TEXELS, until: int = MOST_SAMPLES, target: float = 0.05) -> BakeResult:
+    return bake(BakeTask(SCENE.source, SCENE.bake_digest, str(root), INDEX, texels, until, target))
+
+
+def store_of(root: Path) -> ChunkStore:
+    return opened(SCENE.source, SCENE.bake_digest, str(root))[1]
+
+
+def stored(root: Path) -> bytes:
+    return store_of(root).read(INDEX) or b""
+
+
+def test_a_task_leaves_light_of_just_its_texels(tmp_path: Path) -> None:
+    result = do(tmp_path, until=16)
+    chunk = store_of(tmp_path).load(INDEX)
+    np.testing.assert_array_equal(chunk.offsets, TEXELS)
+    assert set(chunk.light.samples.tolist()) == {16.0}
+    waiting = ~finished(chunk.light, store_of(tmp_path).recipe, 0.05)
+    assert (result.unfinished, result.fewest) == (waiting.sum(), 16)
+    assert result.seconds > 0.0
+    assert waiting.any()
+
+
+def test_a_finished_task_says_so(tmp_path: Path) -> None:
+    result = do(tmp_path)
+    assert (result.unfinished, result.fewest) == (0, 0)
+    chunk = store_of(tmp_path).load(INDEX)
+    assert finished(chunk.light, store_of(tmp_path).recipe, 0.05).all()
+    assert len(set(chunk.light.samples.tolist())) > 1
+
+
+def test_the_same_task_leaves_the_same_bytes(tmp_path: Path) -> None:
+    do(tmp_path / "a")
+    do(tmp_path / "b")
+    assert stored(tmp_path / "a") == stored(tmp_path / "b")
+    do(tmp_path / "b")
+    assert stored(tmp_path / "a") == stored(tmp_path / "b")
+
+
+def test_in_one_go_or_in_many_is_the_same(tmp_path: Path) -> None:
+    do(tmp_path / "a")
+    goal = 0
+    while do(tmp_path / "b", until=(goal := next_goal(goal))).unfinished:
+        assert goal <= MOST_SAMPLES
+    assert goal > 64
+    assert stored(tmp_path / "a") == stored(tmp_path / "b")
+
+
+def test_the_order_of_views_does_not_matter(tmp_path: Path) -> None:
+    parts = TEXELS[:20], TEXELS[10:40], TEXELS[35:]
+    for part in parts:
+        do(tmp_path / "a", part)
+    for part in reversed(parts):
+        do(tmp_path / "b", part, until=64)
+    for part in parts:
+        do(tmp_path / "b", part)
+    do(tmp_path / "c")
+    assert stored(tmp_path / "a") == stored(tmp_path / "b") == stored(tmp_path / "c")
+
+
+def test_texels_that_are_not_asked_for_stay_as_they_are(tmp_path: Path) -> None:
+    do(tmp_path, TEXELS[:10], until=16)
+    before = store_of(tmp_path).load(INDEX)
+    do(tmp_path, TEXELS[10:20])
+    after = store_of(tmp_path).load(INDEX)
+    np.testing.assert_array_equal(after.light.planes[:10], before.light.planes)
+    assert (after.light.planes[10:, SAMPLES] >= 16).all()
+
+
+DAMAGES: list[Callable[[bytes], bytes]] = [
+    lambda b: b"",
+    lambda b: b[: len(b) // 2],
+    lambda b: b[:-1],
+    lambda b: bytes(len(b)),
+    lambda b: b[:40] + bytes([b[40] ^ 1]) + b[41:],
+    lambda b: b + b"more",
+]
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_a_damaged_chunk_heals_to_the_same_bytes(tmp_path: Path, damage: Callable[[bytes], bytes]) -> None:
+    do(tmp_path)
+    path = Path(store_of(tmp_path).path, "c", *map(str, INDEX), "0")
+    whole = path.read_bytes()
+    path.write_bytes(damage(whole))
+    do(tmp_path)
+    assert path.read_bytes() == whole
+
+
+def test_a_scene_whose_files_changed_is_refused(tmp_path: Path) -> None:
+    task = BakeTask(SCENE.source, "0" * 20, str(tmp_path), INDEX, TEXELS, 16, 0.05)
+    with pytest.raises(SceneError, match=r"'orbital' have changed since the server began: restart it\.$"):
+        bake(task)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_store_that_cannot_be_written_is_an_error(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("not a folder")
+    with pytest.raises(StoreError, match="Cannot"):
+        do(tmp_path / "file")
+
+
+def test_goals_climb() -> None:
+    goals = [0]
+    while goals[-1] < MOST_SAMPLES:
+        goals.append(next_goal(goals[-1]))
+    assert goals == [0, 16, 64, 256, 512, 1024, 2048, 4096, 8192, 16384]
