@@ -4,7 +4,6 @@ import logging
 import threading
 import time
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 
 from isogi_core.bake.recipe import Index
 from isogi_core.cache.pages import PagePool
@@ -12,9 +11,6 @@ from isogi_core.cache.store import ChunkStore, version_of
 from isogi_core.errors import DamagedChunkError
 
 log = logging.getLogger("isogi.cache")
-
-READERS = 2
-"""Chunks that are read and decoded at a time."""
 
 ASK_AGAIN = 1.0
 """Seconds after which an absent chunk is asked for again: another machine may have baked it."""
@@ -29,7 +25,6 @@ class Loader:
         self.pool = pool
         self._absent: dict[Index, float] = {}
         self._lock = threading.Lock()
-        self._readers = ThreadPoolExecutor(READERS, "reader")
 
     def ensure(self, chunks: Sequence[Index]) -> tuple[str, ...]:
         """Bring the newest light of ``chunks`` into the pool; their versions, "" where there is no light yet.
@@ -37,9 +32,7 @@ class Loader:
         Raises StoreError when the store cannot be read, or the pool cannot hold them all at once.
         """
         together = frozenset(chunks)
-        missing = [index for index in chunks if self.pool.version(index) is None]
-        found = dict(zip(missing, self._readers.map(lambda index: self._ensure(index, together), missing), strict=True))
-        return tuple(found[index] if index in found else self._ensure(index, together) for index in chunks)
+        return tuple(self._ensure(index, together) for index in chunks)
 
     def refresh(self, index: Index) -> None:
         """Say that the store has new light of a chunk."""
