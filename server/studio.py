@@ -104,7 +104,9 @@ class Studio:
         """Reasons why frames would not become final; none when all is well."""
         if self.trouble():
             return [self.trouble()]
-        return [] if self._pool is not None else ["The workers are starting."]
+        if self._pool is None:
+            return ["The workers are starting."]
+        return [] if self._pool.connected else ["The workers cannot be reached at the moment."]
 
     def close(self) -> None:
         """Stop the workers; what they were at is baked again when it is next asked for."""
@@ -113,8 +115,6 @@ class Studio:
             self._hiring.join()
         if self._pool is not None:
             self._pool.close()
-        for stage in self._stages.values():
-            stage.loader.close()
         self._tiles.close()
 
     def _open(self, scene: Scene) -> Stage:

@@ -67,6 +67,11 @@ class WorkerPool:
         """How many tasks may be in flight."""
         return AHEAD * self._workers
 
+    @property
+    def connected(self) -> bool:
+        """Whether the scheduler can be reached; when it is lost, tasks wait until it is there again."""
+        return bool(self._client.status == "running")
+
     def submit(self, task: BakeTask, done: Done) -> None:
         """Hand a task over; ``done`` is called from another thread with its result or its error."""
         self._client.submit(bake, task, pure=False).add_done_callback(lambda ended: self._ended(ended, done))
@@ -84,7 +89,7 @@ class WorkerPool:
     def _ended(self, future: "Future[Any]", done: Done) -> None:
         """Pass on how a task ended; workers may have come or gone meanwhile."""
         report(future, done)
-        if self._client.status == "running":
+        if self.connected:
             self._workers = self._count()
 
     def _count(self) -> int:

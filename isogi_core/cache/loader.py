@@ -40,10 +40,6 @@ class Loader:
         with self._lock:
             self._absent.pop(index, None)
 
-    def close(self) -> None:
-        """End the threads that read."""
-        self._readers.shutdown()
-
     def _ensure(self, index: Index, together: frozenset[Index]) -> str:
         version = self.pool.version(index)
         if version is not None:

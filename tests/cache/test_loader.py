@@ -1,7 +1,5 @@
 import logging
 import shutil
-from collections.abc import Iterator
-from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -42,9 +40,8 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
 
 
 @pytest.fixture
-def loader(tmp_path: Path, recipe: Recipe, clock: Clock) -> Iterator[Loader]:
-    with closing(Loader(ChunkStore(tmp_path, recipe), PagePool(recipe, 1 << 22))) as loader:
-        yield loader
+def loader(tmp_path: Path, recipe: Recipe, clock: Clock) -> Loader:
+    return Loader(ChunkStore(tmp_path, recipe), PagePool(recipe, 1 << 22))
 
 
 def bake(loader: Loader, index: Index, texels: int = 20, samples: int = 16) -> str:
@@ -137,13 +134,13 @@ def test_a_deleted_store_reads_as_absent_and_never_as_zeros(loader: Loader) -> N
 
 
 def test_a_view_that_does_not_fit_the_memory_is_an_error(tmp_path: Path, recipe: Recipe, clock: Clock) -> None:
-    with closing(Loader(ChunkStore(tmp_path, recipe), PagePool(recipe, 0))) as small:
-        bake(small, A, texels=40)
-        bake(small, B, texels=40)
-        assert all(small.ensure([A]))
-        assert all(small.ensure([B]))
-        with pytest.raises(StoreError, match="does not fit"):
-            small.ensure([A, B])
+    small = Loader(ChunkStore(tmp_path, recipe), PagePool(recipe, 0))
+    bake(small, A, texels=40)
+    bake(small, B, texels=40)
+    assert all(small.ensure([A]))
+    assert all(small.ensure([B]))
+    with pytest.raises(StoreError, match="does not fit"):
+        small.ensure([A, B])
 
 
 def test_a_store_that_cannot_be_read_is_an_error(loader: Loader) -> None:
@@ -151,5 +148,5 @@ def test_a_store_that_cannot_be_read_is_an_error(loader: Loader) -> None:
     Path(loader.store.path, "zarr.json").write_text("{")
     recipe = loader.store.recipe
     again = Loader(ChunkStore(loader.store.root, recipe), PagePool(recipe, 1 << 22))
-    with closing(again), pytest.raises(StoreError, match="move that folder away"):
+    with pytest.raises(StoreError, match="move that folder away"):
         again.ensure([A])

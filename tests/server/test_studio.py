@@ -30,6 +30,7 @@ class InlinePool:
     """Bakes on a thread of this process."""
 
     room = 2
+    connected = True
 
     def __init__(self, workers: int, scheduler: str | None = None) -> None:
         self._thread = ThreadPoolExecutor(1)
@@ -154,6 +155,13 @@ def test_workers_that_cannot_be_had_are_told(begin: Open, scene: Scene, monkeypa
     studio = begin()
     assert_unlit(studio.frame(scene.id, view_of(scene), wait=0.1))
     assert studio.unready() == [studio.trouble()] == ["No workers today."]
+
+
+def test_workers_that_are_lost_are_told(begin: Open, scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    studio = begin()
+    assert not studio.frame(scene.id, view_of(scene), wait=LONG).provisional
+    monkeypatch.setattr(InlinePool, "connected", False)
+    assert studio.unready() == ["The workers cannot be reached at the moment."]
 
 
 def test_after_a_restart_the_same_view_is_final_at_once(begin: Open, scene: Scene, store: Path) -> None:

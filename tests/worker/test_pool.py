@@ -159,8 +159,10 @@ def test_workers_of_others_are_joined_and_left_alone(pool: WorkerPool, tmp_path:
     joined = WorkerPool(1, pool._cluster.scheduler_address)
     assert sorted(joined.pids()) == sorted(pool.pids())
     assert joined.room == AHEAD * WORKERS
+    assert joined.connected
     assert len(bake_all(joined, tasks_for(tmp_path))) == 4
     joined.close()
+    assert not joined.connected
     assert len(bake_all(pool, tasks_for(tmp_path))) == 4
 
 

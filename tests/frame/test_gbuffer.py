@@ -1,0 +1,159 @@
+"""The G-buffer: the conventions of the camera, and surfaces that two volumes must share."""
+
+import threading
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from isogi_core.bake.recipe import Recipe
+from isogi_core.errors import Cancelled
+from isogi_core.frame.gbuffer import GBuffer, pinhole, trace
+from isogi_core.frame.tiles import Tiles
+from isogi_core.model.view import Camera, View
+from isogi_core.model.volume import Volume, make_volume
+from tests.frame.conftest import Workbench, ball, scene_of
+
+TILES = Tiles(2)
+
+
+def marks() -> Volume:
+    """Three small balls, 12 voxels from the middle along +x (radius 2), +y (radius 3) and +z (radius 4)."""
+    z, y, x = np.mgrid[:41, :41, :41] - 20.0
+    parts = [
+        radius - np.sqrt((x - cx) ** 2 + (y - cy) ** 2 + (z - cz) ** 2)
+        for radius, cx, cy, cz in ((2, 12, 0, 0), (3, 0, 12, 0), (4, 0, 0, 12))
+    ]
+    return make_volume(np.maximum.reduce(parts))
+
+
+def seen(volume: Volume, isovalue: float, azimuth: float, elevation: float = 0.0, size: int = 96) -> GBuffer:
+    """The G-buffer of an orbit view round the middle."""
+    scene = scene_of(volume, isovalue)
+    view = View(isovalue, scene.camera(azimuth, elevation, 3.0, 30.0), width=size, height=size)
+    return trace(view, Recipe(scene), TILES, None)
+
+
+def middles(gbuffer: GBuffer) -> dict[str, tuple[float, float]]:
+    """Where the three marks are in the picture: (to the right, up) of its middle, by the axis each is on."""
+    y, x = np.divmod(gbuffer.pixels, gbuffer.shape[1])
+    axis = np.abs(gbuffer.points - 20.0).argmax(axis=1)
+    half = gbuffer.shape[0] / 2
+    return {
+        name: (float((x + 0.5)[axis == a].mean() - half), float(half - (y + 0.5)[axis == a].mean()))
+        for a, name in enumerate("xyz")
+    }
+
+
+@pytest.mark.parametrize(
+    ("azimuth", "right", "left", "middle"),
+    [(0, "y", "", "x"), (90, "", "x", "y"), (180, "", "y", "x"), (270, "x", "", "y")],
+)
+def test_azimuth_0_looks_from_x_and_90_from_y_with_z_up(azimuth: float, right: str, left: str, middle: str) -> None:
+    places = middles(seen(marks(), 0.0, azimuth))
+    assert places["z"][1] > 10 and abs(places["z"][0]) < 1, "+z is at the top, row 0 above it"
+    assert abs(places[middle][0]) < 1 and abs(places[middle][1]) < 1
+    for name in right:
+        assert places[name][0] > 10
+    for name in left:
+        assert places[name][0] < -10
+
+
+def test_elevation_90_looks_down_with_the_azimuth_up() -> None:
+    places = middles(seen(marks(), 0.0, 0.0, 90.0))
+    assert abs(places["z"][0]) < 1 and abs(places["z"][1]) < 1
+    assert places["x"][1] < -10, "+x, where azimuth 0 looks from, is at the bottom"
+    assert places["y"][0] > 10
+
+
+def test_pinhole_rays_in_world_space() -> None:
+    camera = Camera((10.0, 20.0, 30.0), (1.0, 2.0, 3.0), fov=50.0)
+    spacing = (0.5, 2.0, 3.0)
+    hole = pinhole(camera, 8, 4, spacing)
+    right, up, forward = camera.basis()
+    corner, step_right, step_down = (np.array(v) * spacing for v in (hole.corner, hole.right, hole.down))
+    np.testing.assert_allclose(corner + 4 * step_right + 2 * step_down, forward, atol=1e-12)
+    edge = corner + 4 * step_right
+    assert edge @ up / (edge @ forward) == pytest.approx(np.tan(np.radians(25.0)))
+    assert step_right @ right == pytest.approx(-step_down @ up), "pixels are square"
+    np.testing.assert_allclose(np.array(hole.eye) * spacing, camera.eye)
+
+
+def test_points_depths_and_normals_belong_together() -> None:
+    gbuffer = seen(ball(), 0.0, 40.0, 30.0)
+    recipe = Recipe(scene_of(ball(), 0.0))
+    normals = gbuffer.normals(recipe, TILES, None)
+    assert gbuffer.normals(recipe, TILES, None) is normals, "found once"
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0, atol=1e-5)
+    away = (gbuffer.points - 20.0) / np.linalg.norm(gbuffer.points - 20.0, axis=1, keepdims=True)
+    assert (away * normals).sum(axis=1).min() > 0.999
+    forward = (20.0 - np.array(gbuffer.eye)) / np.linalg.norm(20.0 - np.array(gbuffer.eye))
+    np.testing.assert_allclose((gbuffer.points - gbuffer.eye) @ forward, gbuffer.depth, rtol=1e-5)
+    assert gbuffer.depth_range == (gbuffer.depth.min(), gbuffer.depth.max())
+
+
+def test_scatter_puts_points_back_into_the_picture() -> None:
+    gbuffer = seen(ball(), 0.0, 0.0, size=32)
+    assert (np.diff(gbuffer.pixels) > 0).all()
+    picture = gbuffer.scatter(gbuffer.points)
+    assert picture.shape == (32, 32, 3)
+    assert np.array_equal(picture.reshape(-1, 3)[gbuffer.pixels], gbuffer.points)
+    assert (picture.any(axis=-1)).sum() == len(gbuffer.pixels)
+
+
+def test_a_picture_of_nothing_has_no_points_and_no_depth() -> None:
+    gbuffer = seen(ball(), 11.999, 0.0, size=1)
+    empty = seen(make_volume(np.zeros((5, 5, 5))), 0.0, 0.0, size=8)
+    assert len(gbuffer.pixels) <= 1
+    assert len(empty.pixels) == 0 and empty.depth_range == (0.0, 0.0)
+    assert not empty.scatter(empty.points).any()
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_threads_change_no_bit(threads: int) -> None:
+    scene = scene_of(marks(), 0.0)
+    view = View(0.0, scene.camera(30.0, 20.0, 2.5, 30.0), width=50, height=37)
+    one, other = (trace(view, Recipe(scene), tiles, None) for tiles in (TILES, Tiles(threads)))
+    for name in ("pixels", "points", "depth"):
+        assert np.array_equal(getattr(one, name), getattr(other, name))
+
+
+def test_nobody_waits_for_a_cancelled_trace() -> None:
+    scene, cancelled = scene_of(ball(), 0.0), threading.Event()
+    cancelled.set()
+    with pytest.raises(Cancelled):
+        trace(View(0.0, scene.camera(0, 0, 3, 30)), Recipe(scene), TILES, cancelled)
+
+
+@pytest.mark.parametrize("isovalue", [0.0, 3.25])
+def test_solid_below_is_the_negated_volume(isovalue: float) -> None:
+    rng = np.random.default_rng(1)
+    voxels = (ball().voxels * 40.0 - 16.0 + rng.normal(size=(41, 41, 41)) * 0.2).astype(np.float32)
+    below = seen(make_volume(-voxels, solid="below"), -isovalue, 25.0, 10.0)
+    above = seen(make_volume(voxels), isovalue, 25.0, 10.0)
+    assert len(above.pixels) > 500
+    for name in ("pixels", "points", "depth"):
+        assert np.array_equal(getattr(below, name), getattr(above, name))
+
+
+@pytest.mark.parametrize("spacing", [(1.0, 1.0, 3.0), (3.0, 1.0, 1.0), (0.5, 1.5, 1.0)])
+def test_a_ball_sampled_unevenly_looks_the_same(
+    spacing: tuple[float, float, float], workbench: Callable[..., Workbench]
+) -> None:
+    """To what three times coarser steps lose: the rim moves by less than a pixel, the light by a few per cent."""
+    size = 42
+    even, uneven = (workbench(scene_of(ball(size, 15.0, steps), 0.0)) for steps in ((1.0, 1.0, 1.0), spacing))
+    frames = [bench.renderer.render(bench.view(20.0, 30.0, 80, shading="phong")) for bench in (even, uneven)]
+    both = (frames[0].state > 0) & (frames[1].state > 0)
+    assert ((frames[0].state > 0) != (frames[1].state > 0)).sum() < 0.03 * both.sum()
+    apart = np.linalg.norm(frames[0].position - frames[1].position, axis=-1)[both]
+    assert np.quantile(apart, 0.95) < 0.35 and np.median(apart) < 0.15
+    light = [frame.radiance[both].astype(float) for frame in frames]
+    assert np.sqrt(((light[0] - light[1]) ** 2).mean()) / light[0].mean() < 0.04
+
+
+def test_positions_are_world_units_and_depths_too() -> None:
+    gbuffer = seen(ball(42, 15.0, (1.0, 1.0, 3.0)), 0.0, 0.0)
+    world = gbuffer.points * (1.0, 1.0, 3.0)
+    assert np.abs(np.linalg.norm(world - 21.0, axis=1) - 15.0).max() < 0.6
+    assert gbuffer.depth.min() == pytest.approx(gbuffer.eye[0] - 36.0, abs=0.1)

@@ -1,0 +1,149 @@
+"""The light around a view: turned from the unturned light each time, and boiled down to one key light."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from isogi_core.bake.recipe import Recipe
+from isogi_core.files.radiance import write_hdr
+from isogi_core.frame.surroundings import KEY_SHARE, Turned, shoulder_light
+from isogi_core.kernels.harmonics import cosine_lobe_factors, evaluate
+from isogi_core.model.environment import pixel_directions, solid_angles
+from isogi_core.model.scene import load_scene
+from isogi_core.model.sky import LUMINANCE
+from isogi_core.model.view import IDENTITY, Camera, Quaternion, View, quaternion_from_angles
+from tests.frame.conftest import CONSTANT, SKY
+
+CAMERA = Camera((10.0, 3.0, 4.0), (0.0, 0.0, 0.0))
+QUARTER = quaternion_from_angles(90.0, 0.0, 0.0)
+ODD = quaternion_from_angles(33.0, -20.0, 71.0)
+
+
+def around(lights: list[Any], turn: Quaternion = IDENTITY, **settings: Any) -> Turned:
+    """The light of a scene, turned."""
+    recipe = Recipe(load_scene("demo:orbital", lights=lights, **settings))
+    return Turned(recipe, View(0.03, CAMERA, turn))
+
+
+def spot(folder: Path, direction: tuple[float, float, float], glow: float = 0.0) -> dict[str, Any]:
+    """A probe that is bright in the pixels within 12 degrees of a direction, and glows all over."""
+    directions = pixel_directions(64, 128)
+    image = np.where((directions @ np.array(direction) > math.cos(math.radians(12)))[..., None], 50.0, glow)
+    write_hdr(folder / "spot.hdr", np.broadcast_to(image, (64, 128, 3)).astype(np.float32))
+    return {"type": "probe", "file": str(folder / "spot.hdr")}
+
+
+def test_light_is_turned_as_its_directions_are(tmp_path: Path) -> None:
+    """ℓ of the turned light against the sum over the probe's own pixels in turned directions."""
+    turned = around([spot(tmp_path, (0.6, 0.0, 0.8), 0.2), CONSTANT], ODD)
+    matrix = Rotation.from_quat(ODD, scalar_first=True).as_matrix()
+    np.testing.assert_allclose(turned.matrix, matrix, atol=1e-12)
+    image = turned.recipe.scene.environment.image
+    expected, basis = np.zeros((3, 25)), np.empty(25)
+    for light, area, d in zip(
+        image.reshape(-1, 3),
+        solid_angles(*image.shape[:2]).ravel(),
+        (pixel_directions(*image.shape[:2]) @ matrix.T).reshape(-1, 3),
+        strict=True,
+    ):
+        evaluate(5, *map(float, d), basis)
+        expected += area * light[:, None] * basis
+    expected[:, 0] += math.sqrt(4 * math.pi)
+    np.testing.assert_allclose(turned.light, expected, atol=0.01 * expected[0, 0])
+
+
+def test_turning_keeps_the_mean_and_the_power_of_each_band() -> None:
+    plain, odd = around([SKY]), around([SKY], ODD)
+    assert np.array_equal(plain.light, plain.recipe.light)
+    np.testing.assert_allclose(odd.mean, plain.recipe.scene.environment.mean(), rtol=1e-3)
+    for l in range(5):
+        band = slice(l * l, (l + 1) ** 2)
+        np.testing.assert_allclose((odd.light[:, band] ** 2).sum(), (plain.light[:, band] ** 2).sum(), rtol=1e-9)
+
+
+def test_constant_light_does_not_turn() -> None:
+    np.testing.assert_allclose(around([CONSTANT], ODD).light, around([CONSTANT]).light, atol=1e-12)
+
+
+def test_reflected_light_is_tinted_by_the_albedo() -> None:
+    turned = around([SKY], albedo=[0.2, 0.5, 1.0])
+    np.testing.assert_allclose(turned.reflected, turned.light * np.array([[0.2], [0.5], [1.0]]))
+    assert turned.albedo.tolist() == [0.2, 0.5, 1.0]
+
+
+def test_sky_holds_the_cosine_lobe_of_each_coefficient() -> None:
+    sky = around([SKY]).sky
+    assert sky.order == 5
+    bands = [l for l in range(5) for _ in range(2 * l + 1)]
+    np.testing.assert_allclose(sky.lobe, cosine_lobe_factors(5)[bands] / math.pi)
+
+
+def test_surroundings_are_the_environment_itself_and_the_turn() -> None:
+    turned = around([SKY, CONSTANT], QUARTER)
+    environment = turned.recipe.scene.environment
+    assert turned.surroundings.image is environment.image
+    assert turned.surroundings.constant.tolist() == [1.0, 1.0, 1.0]
+    np.testing.assert_allclose(turned.surroundings.matrix @ (1, 0, 0), (0, 1, 0), atol=1e-12)
+
+
+@pytest.mark.parametrize("direction", [(0.0, 0.6, 0.8), (-0.6, 0.8, 0.0), (0.0, 0.0, -1.0)])
+def test_key_light_comes_from_the_brightest_side(tmp_path: Path, direction: tuple[float, float, float]) -> None:
+    key, _, _ = around([spot(tmp_path, direction)]).key_light()
+    assert np.dot(key, direction) > 0.999
+    key, _, _ = around([spot(tmp_path, direction)], QUARTER).key_light()
+    x, y, z = direction
+    assert np.dot(key, (-y, x, z)) > 0.999
+
+
+def test_key_and_ambient_light_have_the_environments_bands_0_and_1(tmp_path: Path) -> None:
+    """A directional light of irradiance E over a constant A: band 0 is √4π (A + E/4π), band 1 is E Y_1(key)."""
+    turned = around([spot(tmp_path, (0.6, 0.0, 0.8), glow=0.5)], ODD)
+    key, sun, ambient = turned.key_light()
+    flux = math.pi * sun
+    np.testing.assert_allclose(ambient + flux / (4 * math.pi), turned.mean, rtol=1e-9)
+    basis = np.empty(4)
+    evaluate(2, *key, basis)
+    expected = LUMINANCE @ turned.light[:, 1:4]
+    np.testing.assert_allclose((LUMINANCE @ flux) * basis[1:], expected, rtol=1e-6, atol=1e-9)
+
+
+def test_light_without_a_direction_has_its_key_over_the_shoulder() -> None:
+    turned = around([CONSTANT])
+    key, sun, ambient = turned.key_light()
+    assert key == shoulder_light(CAMERA)
+    np.testing.assert_allclose(sun, [0.6] * 3, rtol=1e-9)
+    np.testing.assert_allclose(ambient, [0.4] * 3, rtol=1e-9)
+    right, up, forward = CAMERA.basis()
+    assert np.dot(key, forward) < 0 < np.dot(key, up) and np.dot(key, right) < 0
+    assert 0 < KEY_SHARE < 1
+
+
+@pytest.mark.xfail(raises=ZeroDivisionError, reason="key_light compares 0 < 0 and divides by the mean: it needs <=")
+def test_no_light_at_all_has_a_key_light_that_is_dark() -> None:
+    key, sun, ambient = around([{"type": "constant", "radiance": 0.0}]).key_light()
+    assert np.linalg.norm(key) == pytest.approx(1.0)
+    assert not sun.any() and not ambient.any()
+
+
+@pytest.mark.parametrize(
+    ("shading", "shine", "shadow", "fog"),
+    [
+        ("lambert", False, False, False),
+        ("lambert_shadow", False, True, False),
+        ("lambert_fog", False, False, True),
+        ("phong", True, False, False),
+        ("phong_shadow", True, True, False),
+    ],
+)
+def test_each_local_model_has_what_its_name_says(shading: str, shine: bool, shadow: bool, fog: bool) -> None:
+    turned = around([SKY], albedo=0.5)
+    model = turned.local_model(shading, (10.0, 30.0))
+    key, sun, ambient = turned.key_light()
+    assert (model.shine > 0, model.shadow, model.fog_far > model.fog_near) == (shine, shadow, fog)
+    assert model.key == key
+    np.testing.assert_allclose(model.sun, 0.5 * sun)
+    np.testing.assert_allclose(model.ambient, 0.5 * ambient)

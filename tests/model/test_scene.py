@@ -1,0 +1,196 @@
+"""Scenes: read from TOML, from a bare volume, or built in; their defaults, their names, and what they refuse."""
+
+from pathlib import Path
+from typing import Any
+
+import nrrd
+import numpy as np
+import pytest
+
+from isogi_core.errors import IsogiError, LightError, SceneError, VolumeError
+from isogi_core.model.lights import ConstantLight, SkyLight
+from isogi_core.model.scene import Scene, load_scene, otsu
+
+RAMP = np.arange(120, dtype=np.float32).reshape(6, 5, 4)
+ORBITAL = "demo:orbital"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the volume ramp.nrrd: 4 × 5 × 6 voxels with the values 0 … 119."""
+    where = tmp_path_factory.mktemp("scenes")
+    nrrd.write(str(where / "ramp.nrrd"), RAMP, {"spacings": [1.0, 2.0, 0.5]}, index_order="C")
+    return where
+
+
+def scene_of(folder: Path, text: str, **overrides: Any) -> Scene:
+    """The scene of this TOML, in the folder of the volume."""
+    (folder / "My Scene, 1.toml").write_text(text)
+    return load_scene(folder / "My Scene, 1.toml", **overrides)
+
+
+def test_a_scene_file_says_everything(folder: Path) -> None:
+    scene = scene_of(
+        folder,
+        """
+        volume = "ramp.nrrd"
+        spacing = [1, 1, 3]
+        isovalue = 70
+        isovalues = [40, 100.5]
+        albedo = [0.7, 0.6, 0.5]
+        bounces = 4
+        order = 3
+        solid = "below"
+        lattice = 0.5
+        target_error = 0.05
+        rotating = false
+        [[lights]]
+        type = "constant"
+        radiance = [1.0, 2.0, 3.0]
+        [[lights]]
+        type = "sky"
+        """,
+    )
+    assert (scene.id, scene.name) == ("my-scene-1", "My Scene, 1")
+    assert (scene.isovalue, scene.isovalues, scene.albedo) == (70.0, (40.0, 100.5), (0.7, 0.6, 0.5))
+    assert (scene.bounces, scene.plan.order, scene.plan.channels) == (4, 3, 3)
+    assert (scene.solid, scene.lattice, scene.target_error, scene.rotating) == ("below", 0.5, 0.05, False)
+    assert scene.volume.shape == (6, 5, 4) and scene.volume.spacing == (1.0, 1.0, 3.0)
+    assert [type(light) for light in scene.lights] == [ConstantLight, SkyLight]
+    assert scene.environment.constant.tolist() == [1.0, 2.0, 3.0]
+
+
+def test_a_bare_volume_is_a_scene_with_defaults(folder: Path) -> None:
+    scene = load_scene(folder / "ramp.nrrd")
+    assert scene.id == scene.name == "ramp"
+    assert scene.volume.spacing == (1.0, 2.0, 0.5)
+    assert scene.isovalues == (0.0, 119.0) and 50.0 < scene.isovalue < 70.0, "Otsu's threshold halves a ramp"
+    assert scene.albedo == (0.7, 0.7, 0.7) and scene.lattice == 1.0 and scene.target_error == 0.02
+    assert scene.rotating and scene.solid == "above" and scene.bounces == 12
+    assert scene.lights == (SkyLight(),)
+
+
+def test_without_a_target_there_is_a_demo() -> None:
+    scene = load_scene()
+    assert scene.id == "casting" and scene.isovalue == 127.5
+    assert scene.bake_digest == load_scene("demo:casting").bake_digest
+
+
+def test_overrides_replace_settings(folder: Path) -> None:
+    text = 'volume = "ramp.nrrd"\nalbedo = 0.5\n'
+    assert scene_of(folder, text, albedo=0.25, isovalue=10).albedo == (0.25,) * 3
+    assert load_scene(ORBITAL, isovalue=0.2).isovalue == 0.2
+
+
+def test_isovalue_falls_into_the_range_that_views_may_ask_for(folder: Path) -> None:
+    assert scene_of(folder, 'volume = "ramp.nrrd"\nisovalues = [100, 110]').isovalue == 100.0
+
+
+@pytest.mark.parametrize(
+    ("line", "word"),
+    [
+        ("isovalue = 500", "isovalue"),
+        ("isovalue = nan", "isovalue"),
+        ("isovalue = true", "isovalue"),
+        ("isovalues = [90, 10]", "isovalues"),
+        ("isovalues = [0, 500]", "isovalues"),
+        ("isovalues = [1, 2, 3]", "isovalues"),
+        ("albedo = 1.5", "albedo"),
+        ("albedo = [0.1, 0.2]", "albedo"),
+        ("albedo = [0.1, 0.2, -0.1]", "albedo"),
+        ('albedo = "grey"', "albedo"),
+        ("bounces = -1", "bounces"),
+        ("bounces = 1.5", "bounces"),
+        ("bounces = true", "bounces"),
+        ("bounces = 1001", "bounces"),
+        ("order = 0", "order"),
+        ("order = 99", "order"),
+        ("lattice = 0", "lattice"),
+        ("lattice = 8", "lattice"),
+        ("lattice = inf", "lattice"),
+        ("target_error = 0", "target_error"),
+        ("target_error = 2", "target_error"),
+        ("rotating = 1", "rotating"),
+        ("solid = 3", "solid"),
+        ("spacing = [1, 1]", "spacing"),
+        ("lights = []", "lights"),
+        ("lights = 3", "lights"),
+        ("isovlaue = 3", "isovlaue"),
+        ("[light]\ntype = 'sky'", "light"),
+    ],
+)
+def test_settings_without_meaning_are_refused_by_name(folder: Path, line: str, word: str) -> None:
+    with pytest.raises(SceneError, match=word):
+        scene_of(folder, f'volume = "ramp.nrrd"\n{line}\n')
+
+
+@pytest.mark.parametrize(
+    ("text", "error", "word"),
+    [
+        ("isovalue = = 3", SceneError, "TOML"),
+        ('volume = "demo:nothing"', VolumeError, "casting"),
+        ('volume = "demo:casting"\nsolid = "below"', SceneError, "solid"),
+        ('volume = "demo:casting"\nspacing = [1, 1, 2]', SceneError, "spacing"),
+        ('volume = "ramp.nrrd"\nsolid = "sideways"', VolumeError, "sideways"),
+        ('volume = "ramp.nrrd"\nspacing = [1, 0, 1]', VolumeError, "spacing"),
+        ('volume = "gone.nrrd"', VolumeError, "gone.nrrd"),
+        ('volume = "ramp.nrrd"\n[[lights]]\ntype = "lamp"', SceneError, "lamp"),
+        ('volume = "ramp.nrrd"\n[[lights]]\ntype = "constant"\nradiance = -1', LightError, "radiance"),
+    ],
+)
+def test_what_cannot_be_built_says_why(folder: Path, text: str, error: type[IsogiError], word: str) -> None:
+    with pytest.raises(error, match=word):
+        scene_of(folder, text)
+
+
+def test_missing_and_unreadable_scenes_say_so(folder: Path) -> None:
+    with pytest.raises(SceneError, match="Cannot read"):
+        load_scene(folder / "gone.toml")
+    (folder / "latin.toml").write_bytes(b'volume = "\xff"')
+    with pytest.raises(SceneError, match="TOML"):
+        load_scene(folder / "latin.toml")
+
+
+def test_baked_light_has_a_name_of_its_own_for_all_it_depends_on() -> None:
+    changes = [{}, {"albedo": 0.5}, {"bounces": 2}, {"order": 3}, {"lattice": 0.5}]
+    names = [load_scene(ORBITAL, **change).bake_digest for change in changes]
+    assert len(set(names)) == len(changes)
+    assert load_scene("demo:casting").bake_digest not in names
+
+
+def test_light_and_target_change_the_frame_and_not_the_bake() -> None:
+    plain = load_scene(ORBITAL)
+    others = [
+        load_scene(ORBITAL, lights=[{"type": "constant", "radiance": 2.0}]),
+        load_scene(ORBITAL, target_error=0.3, bounces=plain.bounces),
+    ]
+    for other in others:
+        assert other.bake_digest == plain.bake_digest and other.digest != plain.digest
+    assert load_scene(ORBITAL, isovalue=0.1, rotating=False).digest == plain.digest
+
+
+@pytest.mark.parametrize(("radiance", "exposure"), [(2.0, 0.5), (0.0, 1.0), ([1.0, 1.0, 1.0], 1.0)])
+def test_default_exposure_shows_the_albedo(radiance: Any, exposure: float) -> None:
+    scene = load_scene(ORBITAL, lights=[{"type": "constant", "radiance": radiance}])
+    assert scene.default_exposure == pytest.approx(exposure)
+
+
+def test_camera_goes_round_the_middle_of_the_box(folder: Path) -> None:
+    scene = load_scene(folder / "ramp.nrrd")
+    camera = scene.camera(90.0, 0.0, 2.0, 35.0)
+    assert camera.target == scene.volume.centre == (1.5, 4.0, 1.25)
+    radius = np.linalg.norm([3.0, 8.0, 2.5]) / 2
+    np.testing.assert_allclose(camera.eye, (1.5, 4.0 + 2.0 * radius, 1.25), atol=1e-12)
+
+
+def test_otsu_parts_two_heaps() -> None:
+    rng = np.random.default_rng(1)
+    values = np.concatenate([rng.normal(20, 3, 5000), rng.normal(80, 5, 1000)])
+    assert 30 < otsu(*np.histogram(values, 256)) < 65
+
+
+def test_otsu_of_one_value_is_within_its_range() -> None:
+    counts = np.zeros(256, np.int64)
+    counts[0] = 9
+    edges = np.linspace(-0.5, 0.5, 257)
+    assert edges[0] <= otsu(counts, edges) <= edges[-1]
