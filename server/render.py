@@ -53,7 +53,8 @@ def render(
     view = view_of(scene, params, settings)
     from server.studio import Studio  # noqa: PLC0415 (kernels: bad input is told before they are compiled)
 
-    with closing(Studio([scene], settings.store, settings.workers, settings.scheduler)) as studio:
+    place, memory = (settings.store, settings.workers, settings.scheduler), settings.memory_mb << 20
+    with closing(Studio([scene], *place, memory)) as studio:
         studio.start()
         frame = refine(studio, scene.id, view, params.max_error, seconds)
     exposure = scene.default_exposure if params.exposure is None else params.exposure
@@ -79,7 +80,7 @@ def format_of(output: Path) -> str:
 def refine(studio: Studio, scene: str, view: View, max_error: float | None, seconds: float | None) -> Frame:
     """The frame once it is final or the time is spent; chunks are counted on a bar meanwhile.
 
-    Raises WorkersError where nothing has changed for PATIENCE seconds.
+    Raises WorkersError where the workers fail, or nothing has changed for PATIENCE seconds.
     """
     changed = time.monotonic()
     deadline = changed + seconds if seconds is not None else math.inf
@@ -92,6 +93,8 @@ def refine(studio: Studio, scene: str, view: View, max_error: float | None, seco
             now = time.monotonic()
             if not frame.provisional or now >= deadline:
                 return frame
+            if studio.trouble():
+                raise WorkersError(studio.trouble())
             if frame.version != version:
                 version, changed = frame.version, now
             elif now - changed > PATIENCE:

@@ -23,7 +23,7 @@ def serve(target: str | None, settings: Settings) -> None:
     with listen(settings.host, settings.port) as listener:
         from server.studio import Studio  # noqa: PLC0415 (kernels: bad input is told before they are compiled)
 
-        studio = Studio([scene], settings.store, settings.workers, settings.scheduler)
+        studio = Studio([scene], settings.store, settings.workers, settings.scheduler, settings.memory_mb << 20)
         asyncio.run(run(create_app(studio, settings), listener, settings))
 
 

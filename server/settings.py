@@ -23,6 +23,7 @@ class Settings(BaseSettings):
     port: int = Field(8000, ge=0, le=65535, description="Port to listen on; 0 takes a free one.")
     workers: int = Field(default_factory=cores, ge=1, le=1024, description="Baking processes; default: one per core.")
     store: str | None = Field(None, description="Path or URL of the cache; default: the user's cache folder.")
+    memory_mb: int = Field(512, ge=1, le=1 << 20, description="Megabytes of light that a scene keeps in memory.")
     scheduler: str | None = Field(None, description="Address of a Dask scheduler instead of own workers.")
     allowed_hosts: Annotated[tuple[str, ...] | None, NoDecode] = Field(
         None,

@@ -80,7 +80,7 @@ class Renderer:
             chunks_needed=shaded.chunks_needed,
             chunks_final=shaded.chunks_final,
             demands=shaded.demands,
-            version=version_of(self.recipe.scene.digest, view, shaded.versions),
+            version=version_of(self.recipe.scene.digest, view, shaded.version),
             seconds=watch.seconds,
         )
 
@@ -90,6 +90,6 @@ def surface_key(view: View) -> tuple[Any, ...]:
     return view.isovalue, view.camera, view.width, view.height
 
 
-def version_of(scene: str, view: View, chunks: tuple[str, ...]) -> str:
-    """Hex digest of all that a picture was made of: scene, view, and the versions of the chunks it read."""
-    return hashlib.blake2b(repr((scene, view, chunks)).encode(), digest_size=12).hexdigest()
+def version_of(scene: str, view: View, light: bytes) -> str:
+    """Hex digest of all that a picture was made of: scene, view, and how far the light it read is baked."""
+    return hashlib.blake2b(repr((scene, view, light)).encode(), digest_size=12).hexdigest()

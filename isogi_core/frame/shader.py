@@ -1,5 +1,6 @@
 """Shading: the light that leaves each surface point of a view, by the model that the view asks for."""
 
+import hashlib
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -35,7 +36,7 @@ class Shaded:
     chunks_needed: int = 0
     chunks_final: int = 0
     demands: tuple[Demand, ...] = ()
-    versions: tuple[str, ...] = ()
+    version: bytes = b""
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +120,7 @@ class Shader:
         with self.watch.stage("texels"):
             texels = self.find_texels()
         with self.watch.stage("load"):
-            versions = self.loader.ensure(texels.chunks)
+            self.loader.ensure(texels.chunks)
         with pool.hold(texels.chunks) as slots:
             with self.watch.stage("light"):
                 rows = rows_of(texels, slots, pool)
@@ -127,8 +128,9 @@ class Shader:
                 lit = self._light_texels(rows, pool)
             with self.watch.stage("shade"):
                 radiance, state, error = self._carry(texels, rows, grade, lit)
+            version = version_of(rows, pool)
         needed, done, demands = sort_demands(texels, rows, grade)
-        return Shaded(radiance, state, error, needed, done, demands, versions)
+        return Shaded(radiance, state, error, needed, done, demands, version)
 
     def _light_texels(self, rows: np.ndarray, pool: PagePool) -> np.ndarray:
         """Linear RGB and standard error of each texel's light, (texels, 4)."""
@@ -189,6 +191,12 @@ def grade_rows(rows: np.ndarray, pool: PagePool, target: float) -> np.ndarray:
     grade[rows == VOID_ROW] = FINAL
     grade[rows == UNLIT] = 0
     return grade.astype(np.uint8)
+
+
+def version_of(rows: np.ndarray, pool: PagePool) -> bytes:
+    """Digest of how far each texel of a view is baked: a texel's light follows from its number of samples."""
+    samples = np.where(rows >= 0, pool.samples[rows], rows.astype(np.float32))
+    return hashlib.blake2b(samples.tobytes(), digest_size=16).digest()
 
 
 def sort_demands(

@@ -7,6 +7,7 @@ isovalue is solid, so that the outward normal is minus the gradient.
 import math
 from typing import Any, NamedTuple
 
+import numpy as np
 from numba import types
 
 from isogi_core.kernels._jit import kernel, record
@@ -48,7 +49,7 @@ def value(voxels, p):
         wz = z if c else 1.0 - z
         for b in range(2):
             wy = y if b else 1.0 - y
-            v0, v1 = float(voxels[k + c, j + b, i]), float(voxels[k + c, j + b, i + 1])
+            v0, v1 = np.float64(voxels[k + c, j + b, i]), np.float64(voxels[k + c, j + b, i + 1])
             total += wz * wy * (v0 + x * (v1 - v0))
     return total
 
@@ -64,7 +65,7 @@ def gradient(voxels, p):
         wz, sz = (z, 1.0) if c else (1.0 - z, -1.0)
         for b in range(2):
             wy, sy = (y, 1.0) if b else (1.0 - y, -1.0)
-            v0, v1 = float(voxels[k + c, j + b, i]), float(voxels[k + c, j + b, i + 1])
+            v0, v1 = np.float64(voxels[k + c, j + b, i]), np.float64(voxels[k + c, j + b, i + 1])
             along = v0 + x * (v1 - v0)
             gx += wz * wy * (v1 - v0)
             gy += wz * sy * along
@@ -108,7 +109,7 @@ def smooth_gradient(voxels, p):
         px, py, pz = 0.0, 0.0, 0.0
         for b in range(4):
             row = slab[min(max(j + b - 1, 0), ny - 1)]
-            v0, v1, v2, v3 = float(row[i0]), float(row[i]), float(row[i + 1]), float(row[i3])
+            v0, v1, v2, v3 = np.float64(row[i0]), np.float64(row[i]), np.float64(row[i + 1]), np.float64(row[i3])
             along = wx[0] * v0 + wx[1] * v1 + wx[2] * v2 + wx[3] * v3
             px += wy[b] * (sx[0] * v0 + sx[1] * v1 + sx[2] * v2 + sx[3] * v3)
             py += sy[b] * along

@@ -2,6 +2,7 @@
 
 import math
 
+import numpy as np
 from numba import types
 
 from isogi_core.kernels._jit import kernel
@@ -65,7 +66,7 @@ def develop_rows(radiance, state, first, exposure, colours, overlay, curve, pict
     top = curve.shape[0] - 1
     for y in range(rows):
         for x in range(width):
-            peak = exposure * float(max(radiance[y, x, 0], radiance[y, x, 1], radiance[y, x, 2]))
+            peak = exposure * np.float64(max(radiance[y, x, 0], radiance[y, x, 1], radiance[y, x, 2]))
             gain = exposure * shoulder(peak) / peak if peak > 0.0 else 0.0
             veil = mark(state[y, x], x, y + first) if overlay else 0.0
             for c in range(3):

@@ -8,6 +8,8 @@ surface is told its side, it does not ask the value.
 
 import math
 
+import numpy as np
+
 from isogi_core.kernels._jit import kernel
 from isogi_core.kernels.field import clamp_cell
 from isogi_core.kernels.macrocells import SIZE
@@ -164,14 +166,14 @@ def first_crossing(q, side):
 def corners(voxels, i, j, k, iso):
     """The eight corner values of cell (i, j, k) less the isovalue, float64, x fastest."""
     return (
-        float(voxels[k, j, i]) - iso,
-        float(voxels[k, j, i + 1]) - iso,
-        float(voxels[k, j + 1, i]) - iso,
-        float(voxels[k, j + 1, i + 1]) - iso,
-        float(voxels[k + 1, j, i]) - iso,
-        float(voxels[k + 1, j, i + 1]) - iso,
-        float(voxels[k + 1, j + 1, i]) - iso,
-        float(voxels[k + 1, j + 1, i + 1]) - iso,
+        np.float64(voxels[k, j, i]) - iso,
+        np.float64(voxels[k, j, i + 1]) - iso,
+        np.float64(voxels[k, j + 1, i]) - iso,
+        np.float64(voxels[k, j + 1, i + 1]) - iso,
+        np.float64(voxels[k + 1, j, i]) - iso,
+        np.float64(voxels[k + 1, j, i + 1]) - iso,
+        np.float64(voxels[k + 1, j + 1, i]) - iso,
+        np.float64(voxels[k + 1, j + 1, i + 1]) - iso,
     )
 
 

@@ -48,9 +48,9 @@ def axis_texel(p, density, n):
 @kernel()
 def base_texel(lattice, points, m):
     """Lowest corner (z, y, x) of the lattice cell around point ``m``, and the fractions (z, y, x) inside it."""
-    z, fz = axis_texel(float(points[m, 2]), lattice.density[2], lattice.shape[0])
-    y, fy = axis_texel(float(points[m, 1]), lattice.density[1], lattice.shape[1])
-    x, fx = axis_texel(float(points[m, 0]), lattice.density[0], lattice.shape[2])
+    z, fz = axis_texel(np.float64(points[m, 2]), lattice.density[2], lattice.shape[0])
+    y, fy = axis_texel(np.float64(points[m, 1]), lattice.density[1], lattice.shape[1])
+    x, fx = axis_texel(np.float64(points[m, 0]), lattice.density[0], lattice.shape[2])
     return z, y, x, fz, fy, fx
 
 
@@ -259,7 +259,7 @@ def carry_light(lattice, points, corners, rows, grade, lit, normals, sky, radian
         if not weight > 0.0:
             unlit = 1.0
         if unlit > 0.0:
-            n = (float(normals[m, 0]), float(normals[m, 1]), float(normals[m, 2]))
+            n = (np.float64(normals[m, 0]), np.float64(normals[m, 1]), np.float64(normals[m, 2]))
             bare = unshadowed(sky.order, sky.lobe, sky.light, n, basis)
             r, g, b, weight = r + unlit * bare[0], g + unlit * bare[1], b + unlit * bare[2], weight + unlit
         radiance[m, 0], radiance[m, 1], radiance[m, 2] = r / weight, g / weight, b / weight

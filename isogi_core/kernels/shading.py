@@ -3,6 +3,7 @@
 import math
 from typing import Any, NamedTuple
 
+import numpy as np
 from numba import types
 
 from isogi_core.kernels._jit import kernel, record
@@ -48,7 +49,7 @@ def to_world(v, spacing):
 def find_normals(field, points, eye, normals):
     """Fill ``normals`` (m, 3), world, outward, of the ``points`` (index space); towards the ``eye`` where flat."""
     for m in range(points.shape[0]):
-        p = (float(points[m, 0]), float(points[m, 1]), float(points[m, 2]))
+        p = (np.float64(points[m, 0]), np.float64(points[m, 1]), np.float64(points[m, 2]))
         n = normal(field, p)
         if n[0] == 0.0 and n[1] == 0.0 and n[2] == 0.0:
             n = normalize(to_world(sub(eye, p), field.spacing))
@@ -77,8 +78,8 @@ def shade_local(field, iso, points, normals, eye, model, out):
     A surface seen from its solid side shows its outer side's light, as the cache does.
     """
     for m in range(points.shape[0]):
-        p = (float(points[m, 0]), float(points[m, 1]), float(points[m, 2]))
-        n = (float(normals[m, 0]), float(normals[m, 1]), float(normals[m, 2]))
+        p = (np.float64(points[m, 0]), np.float64(points[m, 1]), np.float64(points[m, 2]))
+        n = (np.float64(normals[m, 0]), np.float64(normals[m, 1]), np.float64(normals[m, 2]))
         cosine = max(dot(n, model.key), 0.0)
         seen = lit_by(field, iso, p, n, model.key) if model.shadow and cosine > 0.0 else 1.0
         v = to_world(sub(eye, p), field.spacing)
@@ -125,8 +126,8 @@ def trace_points(field, iso, points, normals, pixels, light, weights, first, cou
     """
     bounces = weights.shape[0] - 1
     for m in range(points.shape[0]):
-        p = (float(points[m, 0]), float(points[m, 1]), float(points[m, 2]))
-        n = (float(normals[m, 0]), float(normals[m, 1]), float(normals[m, 2]))
+        p = (np.float64(points[m, 0]), np.float64(points[m, 1]), np.float64(points[m, 2]))
+        n = (np.float64(normals[m, 0]), np.float64(normals[m, 1]), np.float64(normals[m, 2]))
         for half in range(2):
             seed = mix(pixels[m], half)
             for index in range(first, first + count):

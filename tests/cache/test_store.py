@@ -15,6 +15,7 @@ import nrrd
 import numpy as np
 import pytest
 import zarr
+from numcodecs.zstd import Zstd
 
 from isogi_core.bake.light import SAMPLES, VOID
 from isogi_core.bake.recipe import Index, Recipe
@@ -65,9 +66,6 @@ def assert_equal(a: Chunk, b: Chunk) -> None:
     assert a.index == b.index
     np.testing.assert_array_equal(a.offsets, b.offsets)
     np.testing.assert_array_equal(a.light.planes, b.light.planes)
-
-
-# What is on disk
 
 
 def test_the_metadata_keeps_the_promises(store: ChunkStore, recipe: Recipe) -> None:
@@ -133,9 +131,6 @@ def test_default_store_is_in_the_users_cache(monkeypatch: pytest.MonkeyPatch, tm
     assert default_store() == tmp_path / "isogi" / "light"
 
 
-# One suite for every store
-
-
 @pytest.fixture(params=["folder", "file://", "memory://"])
 def anywhere(request: pytest.FixtureRequest, tmp_path: Path, recipe: Recipe) -> ChunkStore:
     roots = {"folder": str(tmp_path), "file://": f"file://{tmp_path}/light/"}
@@ -162,8 +157,6 @@ def test_every_store_is_found_again(anywhere: ChunkStore, recipe: Recipe) -> Non
     anywhere.save(chunk)
     assert_equal(ChunkStore(anywhere.root, recipe).load(INNER), chunk)
 
-
-# Damage
 
 Damage = Callable[[bytes], bytes]
 DAMAGES: dict[str, Damage] = {
@@ -244,8 +237,6 @@ def test_texels_beyond_the_lattice_are_found(store: ChunkStore, recipe: Recipe) 
 
 
 def packed(block: np.ndarray) -> bytes:
-    from numcodecs.zstd import Zstd
-
     body = bytes(Zstd(1).encode(block))
     return body + google_crc32c.value(body).to_bytes(4, "little")
 
@@ -265,9 +256,6 @@ def test_void_texels_in_holes_are_at_home(tmp_path: Path) -> None:
     assert 0 < (chunk.light.samples == VOID).sum() < TEXELS
     store.save(chunk)
     assert_equal(store.load((0, 0, 0)), chunk)
-
-
-# What others do to the store
 
 
 def test_left_over_partial_files_are_ignored(store: ChunkStore, recipe: Recipe) -> None:

@@ -16,10 +16,12 @@ from isogi_core.bake.refine import FIRST_RUNG, refine
 from isogi_core.cache.loader import Loader
 from isogi_core.cache.pages import PagePool
 from isogi_core.cache.store import ChunkStore
+from isogi_core.files.radiance import write_hdr
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.texels import Demand
 from isogi_core.frame.tiles import Tiles
+from isogi_core.model.environment import pixel_directions
 from isogi_core.model.scene import Scene, load_scene
 from isogi_core.model.view import View
 from isogi_core.model.volume import Volume, make_volume
@@ -68,6 +70,13 @@ class Workbench:
 def workbench(tmp_path: Path) -> Callable[[Scene], Workbench]:
     """Make the workbench of a scene, with nothing baked yet."""
     return lambda scene: Workbench(scene, tmp_path / scene.bake_digest)
+
+
+def soft_probe(folder: Path) -> dict[str, Any]:
+    """A probe of radiance 1 + ω·a, twice as bright as the mean at its pole a and black opposite: no lamp to miss."""
+    falling = 1.0 + pixel_directions(32, 64) @ np.array([0.48, 0.6, 0.64])
+    write_hdr(folder / "soft.hdr", np.repeat(falling[..., None], 3, axis=-1).astype(np.float32))
+    return {"type": "probe", "file": str(folder / "soft.hdr")}
 
 
 def scene_of(volume: Volume, isovalue: float, **settings: Any) -> Scene:

@@ -131,7 +131,7 @@ def test_solid_below_is_the_negated_volume(isovalue: float) -> None:
     voxels = (ball().voxels * 40.0 - 16.0 + rng.normal(size=(41, 41, 41)) * 0.2).astype(np.float32)
     below = seen(make_volume(-voxels, solid="below"), -isovalue, 25.0, 10.0)
     above = seen(make_volume(voxels), isovalue, 25.0, 10.0)
-    assert len(above.pixels) > 500
+    assert len(above.pixels) > 100
     for name in ("pixels", "points", "depth"):
         assert np.array_equal(getattr(below, name), getattr(above, name))
 

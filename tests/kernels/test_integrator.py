@@ -84,9 +84,12 @@ def test_white_furnace_texels(body):
 
 
 @COMPILED
-@pytest.mark.parametrize("body", [BALL, TORUS], ids=["ball", "torus"])
-def test_white_furnace_pixels(body):
-    field = field_of(body)
+@pytest.mark.parametrize("name", ["ball", "torus", "step", "lumps", "noise"])
+def test_white_furnace_pixels(name):
+    rough = np.random.default_rng(7).normal(size=BALL.shape)
+    bodies = {"ball": BALL, "torus": TORUS, "noise": BALL + 2.0 * rough}
+    bodies |= {"step": (BALL > 0) - 0.5, "lumps": ((BALL > 0) & (rough > -0.5)) - 0.5}
+    field = field_of(bodies[name])
     light = trace(field, 0.0, surface_points(field, 0.0, 2000), 2.5, np.ones((ENDLESS + 1, 3)), 32)
     assert len(light) > 300
     assert abs(light.mean() / 2.5 - 1.0) < 0.005
@@ -147,13 +150,13 @@ def test_transfer_of_a_plane_is_the_cosine_lobe(towards):
 
 @COMPILED
 def test_transfer_of_a_ball_is_the_cosine_lobe():
-    """To the facets of a trilinear ball: its texels see a hundredth less than the open half."""
+    """Each texel is lit on the isosurface through itself, and its rays start above the facets of a trilinear ball."""
     texels = np.argwhere(np.abs(BALL) < 1.0)[::97]
     direct, indirect, _, _ = bake(field_of(BALL), texels, 2048, albedo_powers([0.0], 1), 5)
     away = texels[:, ::-1] - 24.0
     lobes = [cosine_lobe(5, n) for n in away / np.linalg.norm(away, axis=1, keepdims=True)]
     assert not indirect.any()
-    assert np.abs(direct.mean(axis=1) / 2048 - lobes).max() < 0.015
+    assert np.abs(direct.mean(axis=1) / 2048 - lobes).max() < 0.002
 
 
 @COMPILED
