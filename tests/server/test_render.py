@@ -19,11 +19,15 @@ class Script:
     def __init__(self, *versions: str) -> None:
         self.versions = list(versions)
         self.asked: list[dict[str, Any]] = []
+        self.failing = ""
 
     def frame(self, scene: str, view: View, **more: Any) -> SimpleNamespace:
         self.asked.append(more)
         version = self.versions.pop(0) if len(self.versions) > 1 else self.versions[0]
         return SimpleNamespace(version=version, provisional=version != "final", chunks_needed=2, chunks_final=1)
+
+    def trouble(self) -> str:
+        return self.failing if len(self.versions) == 1 else ""
 
     def unready(self) -> list[str]:
         return ["No worker is alive."]
@@ -63,3 +67,11 @@ def test_it_asks_once_where_there_is_no_time() -> None:
 def test_it_gives_up_where_nothing_changes() -> None:
     with pytest.raises(WorkersError, match=r"^No light came for 120 seconds. No worker is alive\.$"):
         refine(Script("a", "b"))
+
+
+def test_it_ends_at_once_where_the_workers_fail() -> None:
+    studio = Script("a", "b")
+    studio.failing = "The disk is full."
+    with pytest.raises(WorkersError, match=r"^The disk is full\.$"):
+        refine(studio)
+    assert len(studio.asked) == 1
