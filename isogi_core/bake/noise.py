@@ -1,5 +1,7 @@
 """How wrong a texel's light still is, and when it is good enough."""
 
+import math
+
 import numpy as np
 
 from isogi_core.bake.light import Light
@@ -8,8 +10,18 @@ from isogi_core.bake.recipe import Recipe
 FLOOR = 0.5
 """Texels darker than this share of unoccluded light are held to its error, not to their own small light's."""
 
-MOST_SAMPLES = 16384
-"""A texel with this many samples is final: what noise it has left is told, not chased."""
+FEWEST, MOST = 256, 1 << 20
+"""Bounds of what any target error is worth in samples."""
+
+
+def most_samples(target: float) -> int:
+    """The samples that the relative error ``target`` is worth: 4096 at 2 %, a power of two growing as target^-3/2.
+
+    A texel that has taken them is final: what noise it has left is told, not chased. The stratified
+    points' error falls about as n^-2/3, so a target that most texels reach leaves few behind.
+    """
+    worth = 4096.0 * (0.02 / max(target, 1e-6)) ** 1.5
+    return min(max(1 << round(math.log2(worth)), FEWEST), MOST)
 
 
 def relative_error(light: Light, recipe: Recipe) -> np.ndarray:
@@ -25,4 +37,4 @@ def finished(light: Light, recipe: Recipe, target: float) -> np.ndarray:
     """Whether each texel is final: its error within ``target``, its samples spent, or void; (texels,) bool."""
     void = light.samples < 0
     lit = light.samples > 0
-    return void | (lit & ((relative_error(light, recipe) <= target) | (light.samples >= MOST_SAMPLES)))
+    return void | (lit & ((relative_error(light, recipe) <= target) | (light.samples >= most_samples(target))))

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from isogi_core.bake.noise import MOST_SAMPLES
+from isogi_core.bake.noise import most_samples
 from isogi_core.bake.recipe import Recipe
 from isogi_core.cache.loader import Loader
 from isogi_core.cache.pages import PagePool
@@ -186,7 +186,7 @@ def rows_of(texels: ViewTexels, slots: np.ndarray, pool: PagePool) -> np.ndarray
 
 def grade_rows(rows: np.ndarray, pool: PagePool, target: float) -> np.ndarray:
     """FINAL or CONVERGING for each row; void texels are final, unlit ones 0. (texels,) uint8."""
-    done = (pool.error[rows] <= target) | (pool.samples[rows] >= MOST_SAMPLES)
+    done = (pool.error[rows] <= target) | (pool.samples[rows] >= most_samples(target))
     grade = np.where(done, FINAL, CONVERGING)
     grade[rows == VOID_ROW] = FINAL
     grade[rows == UNLIT] = 0

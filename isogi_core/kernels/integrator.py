@@ -132,7 +132,7 @@ def bake_texels(field, step, texels, first, count, weights, order, direct, indir
     for m in range(texels.shape[0]):
         z, y, x = texels[m, 0], texels[m, 1], texels[m, 2]
         p = (x * step[0], y * step[1], z * step[2])
-        iso = float(np.float32(value(field.voxels, p)))  # on a plateau exactly its value, which is not solid
+        iso = np.float64(np.float32(value(field.voxels, p)))  # on a plateau exactly its value, which is not solid
         n = normal(field, p)
         isovalues[m] = iso
         void[m] = math.isnan(iso) or (n[0] == 0.0 and n[1] == 0.0 and n[2] == 0.0)

@@ -188,8 +188,9 @@ def cross_cell(voxels, iso, o, d, cell, near, far, side):
     c = corners(voxels, cell[0], cell[1], cell[2], iso)
     if math.isnan(c[0] + c[1] + c[2] + c[3] + c[4] + c[5] + c[6] + c[7]):
         return math.inf, UNKNOWN
-    solid = (c[0] > 0.0) + (c[1] > 0.0) + (c[2] > 0.0) + (c[3] > 0.0)
-    solid += (c[4] > 0.0) + (c[5] > 0.0) + (c[6] > 0.0) + (c[7] > 0.0)
+    solid = 0
+    for corner in c:
+        solid += corner > 0.0
     if solid == 0 or solid == 8:
         return settle(near, side, SOLID if solid else OUTSIDE)
     a = madd(o, near, d)

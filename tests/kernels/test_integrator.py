@@ -250,7 +250,7 @@ def test_to_index_divides_by_the_spacing():
 
 
 def test_every_texel_and_half_has_a_sequence_of_its_own():
-    seeds = {int(integrator.texel_seed(z, y, x, h)) for z, y, x in np.ndindex(9, 9, 9) for h in (0, 1)}
+    seeds = {int(integrator.texel_seed(*map(np.uint64, place))) for place in np.ndindex(9, 9, 9, 2)}
     assert len(seeds) == 2 * 9**3
 
 

@@ -5,19 +5,20 @@ import numpy as np
 import pytest
 
 from isogi_core.bake.light import SAMPLES
-from isogi_core.bake.noise import MOST_SAMPLES, finished
+from isogi_core.bake.noise import finished, most_samples
 from isogi_core.cache.store import ChunkStore
 from isogi_core.errors import SceneError, StoreError
 from isogi_core.model.scene import load_scene
 from worker.tasks import BakeResult, BakeTask, bake, next_goal, opened
 
 INDEX = (1, 1, 2)
+UNTIL = most_samples(0.05)
 TEXELS = np.arange(5, 3000, 41, dtype=np.int32)
 TEXELS = TEXELS[TEXELS % 16 < 7]  # the last chunk along x is 7 texels wide
 SCENE = load_scene("demo:orbital", order=2, lattice=0.4, bounces=2, target_error=0.05)
 
 
-def do(root: Path, texels: np.ndarray = TEXELS, until: int = MOST_SAMPLES, target: float = 0.05) -> BakeResult:
+def do(root: Path, texels: np.ndarray = TEXELS, until: int = UNTIL, target: float = 0.05) -> BakeResult:
     return bake(BakeTask(SCENE.source, SCENE.bake_digest, str(root), INDEX, texels, until, target))
 
 
@@ -60,7 +61,7 @@ def test_in_one_go_or_in_many_is_the_same(tmp_path: Path) -> None:
     do(tmp_path / "a")
     goal = 0
     while do(tmp_path / "b", until=(goal := next_goal(goal))).unfinished:
-        assert goal <= MOST_SAMPLES
+        assert goal <= UNTIL
     assert goal > 64
     assert stored(tmp_path / "a") == stored(tmp_path / "b")
 
@@ -121,6 +122,6 @@ def test_a_store_that_cannot_be_written_is_an_error(tmp_path: Path) -> None:
 
 def test_goals_climb() -> None:
     goals = [0]
-    while goals[-1] < MOST_SAMPLES:
+    while goals[-1] < 16384:
         goals.append(next_goal(goals[-1]))
     assert goals == [0, 16, 64, 256, 512, 1024, 2048, 4096, 8192, 16384]
