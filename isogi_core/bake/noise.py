@@ -10,8 +10,8 @@ from isogi_core.bake.recipe import Recipe
 FLOOR = 0.5
 """Texels darker than this share of unoccluded light are held to its error, not to their own small light's."""
 
-FEWEST, MOST = 256, 1 << 20
-"""Bounds of what any target error is worth in samples."""
+FEWEST, MOST = 64, 1 << 20
+"""Bounds of what any target error is worth in samples. With fewer, a dark texel may have met no light at all."""
 
 
 def most_samples(target: float) -> int:
@@ -36,5 +36,5 @@ def relative_error(light: Light, recipe: Recipe) -> np.ndarray:
 def finished(light: Light, recipe: Recipe, target: float) -> np.ndarray:
     """Whether each texel is final: its error within ``target``, its samples spent, or void; (texels,) bool."""
     void = light.samples < 0
-    lit = light.samples > 0
-    return void | (lit & ((relative_error(light, recipe) <= target) | (light.samples >= most_samples(target))))
+    told = (relative_error(light, recipe) <= target) & (light.samples >= FEWEST)
+    return void | told | (light.samples >= most_samples(target))

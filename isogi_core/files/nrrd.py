@@ -41,7 +41,7 @@ _SCALAR_KINDS = {"domain", "space", "time", "none", "???"}
 _BLOCK = 1 << 24
 
 
-def read_nrrd(path: Path) -> tuple[np.ndarray, Spacing]:
+def read_nrrd(path: str | Path) -> tuple[np.ndarray, Spacing]:
     """Read one scalar volume: the array (z, y, x) in the file's own type, and spacing (x, y, z).
 
     Attached or detached (the data file at or below the header's folder); raw, gzip or bzip2; every integer
@@ -49,6 +49,7 @@ def read_nrrd(path: Path) -> tuple[np.ndarray, Spacing]:
     1; it is returned as the file says, even where it is not positive. Raises VolumeError where the file is
     missing, not NRRD, not one 3-D scalar field, or does not hold exactly the voxels that it promises.
     """
+    path = Path(path)
     try:
         with open(path, "rb") as file:
             header = _read_header(path, file)
@@ -69,9 +70,7 @@ def _read_header(path: Path, file: IO[bytes]) -> dict[str, Any]:
     try:
         header: dict[str, Any] = nrrd.read_header(file)
     except Exception as error:  # pynrrd raises some twenty kinds on damaged headers
-        raise VolumeError(
-            f"The NRRD header of '{path}' is damaged ({error}): write the file again."
-        ) from error
+        raise VolumeError(f"The NRRD header of '{path}' is damaged ({error}): write the file again.") from error
     missing = [field for field in ("dimension", "type", "encoding", "sizes") if field not in header]
     if missing:
         raise VolumeError(f"The NRRD header of '{path}' has no {missing[0]}: write the file again.")
@@ -82,9 +81,7 @@ def _sizes(path: Path, header: dict[str, Any]) -> tuple[int, int, int]:
     """Voxels along x, y, z, where the header speaks of one 3-D scalar field of a size that can be."""
     sizes = [int(n) for n in header["sizes"]]
     if header["dimension"] != 3 or len(sizes) != 3:
-        raise VolumeError(
-            f"'{path}' has {header['dimension']} dimensions, not 3: save one scalar field of it."
-        )
+        raise VolumeError(f"'{path}' has {header['dimension']} dimensions, not 3: save one scalar field of it.")
     others = [kind for kind in header.get("kinds", ()) if kind.lower() not in _SCALAR_KINDS]
     if others:
         raise VolumeError(f"'{path}' has an axis of kind '{others[0]}': save one scalar field of it.")
@@ -101,9 +98,7 @@ def _dtype(path: Path, header: dict[str, Any]) -> np.dtype[Any]:
         raise VolumeError(f"'{path}' holds type '{header['type']}': save it as an integer or float type.")
     order = {"little": "<", "big": ">"}.get(header.get("endian", ""))
     if order is None and code[1] != "1":
-        raise VolumeError(
-            f"'{path}' does not say its byte order: add 'endian: little' or 'big' to its header."
-        )
+        raise VolumeError(f"'{path}' does not say its byte order: add 'endian: little' or 'big' to its header.")
     return np.dtype((order or "|") + code)
 
 
@@ -135,9 +130,7 @@ def _read_encoded(path: Path, header: dict[str, Any], file: IO[bytes], size: int
         for block in _blocks(stream, size + 1):
             data += block
     except (OSError, EOFError, zlib.error) as error:
-        raise VolumeError(
-            f"The voxels of '{path}' are damaged or cut short ({error}): copy it again."
-        ) from error
+        raise VolumeError(f"The voxels of '{path}' are damaged or cut short ({error}): copy it again.") from error
     if len(data) != size:
         less = "fewer" if len(data) < size else "more"
         raise VolumeError(f"'{path}' holds {less} than the {size} bytes that its sizes need: copy it again.")

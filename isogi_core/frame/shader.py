@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from isogi_core.bake.noise import most_samples
+from isogi_core.bake.noise import FEWEST, most_samples
 from isogi_core.bake.recipe import Recipe
 from isogi_core.cache.loader import Loader
 from isogi_core.cache.pages import PagePool
@@ -137,9 +137,7 @@ class Shader:
         transfer, light, noise_light = self._light(pool)
         lit = np.zeros((len(rows), 4), np.float32)
 
-        self._run(
-            lambda a, b: light_texels(rows[a:b], transfer, pool.spread, light, noise_light, lit[a:b]), len(rows)
-        )
+        self._run(lambda a, b: light_texels(rows[a:b], transfer, pool.spread, light, noise_light, lit[a:b]), len(rows))
         return lit
 
     def _light(self, pool: PagePool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -186,7 +184,8 @@ def rows_of(texels: ViewTexels, slots: np.ndarray, pool: PagePool) -> np.ndarray
 
 def grade_rows(rows: np.ndarray, pool: PagePool, target: float) -> np.ndarray:
     """FINAL or CONVERGING for each row; void texels are final, unlit ones 0. (texels,) uint8."""
-    done = (pool.error[rows] <= target) | (pool.samples[rows] >= most_samples(target))
+    samples = pool.samples[rows]
+    done = (pool.error[rows] <= target) & (samples >= FEWEST) | (samples >= most_samples(target))
     grade = np.where(done, FINAL, CONVERGING)
     grade[rows == VOID_ROW] = FINAL
     grade[rows == UNLIT] = 0
@@ -199,11 +198,8 @@ def version_of(rows: np.ndarray, pool: PagePool) -> bytes:
     return hashlib.blake2b(samples.tobytes(), digest_size=16).digest()
 
 
-def sort_demands(
-    texels: ViewTexels, rows: np.ndarray, grade: np.ndarray
-) -> tuple[int, int, tuple[Demand, ...]]:
+def sort_demands(texels: ViewTexels, rows: np.ndarray, grade: np.ndarray) -> tuple[int, int, tuple[Demand, ...]]:
     """Chunks that a view needs, how many are final, and the demands of the rest."""
     short = np.bincount(texels.chunk, grade < FINAL, minlength=len(texels.chunks)) > 0
     demands = tuple(d for d, missing in zip(texels.demands, short, strict=True) if missing)
     return len(texels.chunks), len(texels.chunks) - len(demands), demands
-

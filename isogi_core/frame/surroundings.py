@@ -93,7 +93,7 @@ class Turned:
         pull = first @ LUMINANCE
         strength = float(np.linalg.norm(pull)) * math.sqrt(4.0 * math.pi / 3.0)
         mean = float(self.mean @ LUMINANCE)
-        if strength < KEY_SHARE * 4.0 * math.pi * mean:
+        if strength <= KEY_SHARE * 4.0 * math.pi * mean:
             return shoulder_light(self.view.camera), 0.6 * self.mean, 0.4 * self.mean
         share = min(strength / (4.0 * math.pi * mean), 0.9)
         towards = pull / np.linalg.norm(pull)

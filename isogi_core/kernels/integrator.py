@@ -10,7 +10,7 @@ import numpy as np
 from numba import types
 
 from isogi_core.kernels._jit import kernel
-from isogi_core.kernels.field import FIELD, gradient, normal, to_world_normal, value
+from isogi_core.kernels.field import FIELD, normal, value
 from isogi_core.kernels.harmonics import accumulate
 from isogi_core.kernels.intersect import OUTSIDE, SOLID, cast
 from isogi_core.kernels.rng import mix, point_2d
@@ -140,9 +140,3 @@ def bake_texels(field, step, texels, first, count, weights, order, direct, indir
             for half in range(2):
                 seed = texel_seed(z, y, x, half)
                 transfer_half(field, iso, p, n, seed, first, count, weights, order, direct[m, half], indirect[m, half])
-
-
-@kernel()
-def plain_normal(field, p):
-    """Unit outward world normal from the plain trilinear gradient, for comparison (S1, figure 5)."""
-    return to_world_normal(gradient(field.voxels, p), field.spacing)

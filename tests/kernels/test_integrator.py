@@ -238,13 +238,6 @@ def test_facing_normal_looks_to_the_side_that_the_ray_came_from():
     assert integrator.facing_normal(flat, (2.0, 2.0, 2.0), OUTSIDE, d) == (1.0, 0.0, 0.0)
 
 
-def test_plain_normal_is_that_of_the_cell():
-    p = (39.3, 25.1, 23.2)
-    away = np.array(p) - 24.0
-    found = integrator.plain_normal(field_of(BALL), p)
-    np.testing.assert_allclose(found, away / np.linalg.norm(away), atol=0.05)
-
-
 def test_to_index_divides_by_the_spacing():
     assert integrator.to_index((1.0, 1.0, 1.0), (0.5, 2.0, 4.0)) == (2.0, 0.5, 0.25)
 
