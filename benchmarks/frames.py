@@ -7,6 +7,7 @@ interleaved, and ratios are of medians (S1, table 2 has SH at 1.45 × Lambert an
 """
 
 import json
+import math
 import statistics
 import tempfile
 import time
@@ -34,8 +35,10 @@ def main(target: str | None, size: int, repeats: int, as_json: bool) -> None:
     with tempfile.TemporaryDirectory() as store:
         renderer = make_renderer(scene, store)
         view = view_of(scene, size)
-        bake_view(renderer, view, SAMPLES, 1e-9)
+        frame = bake_view(renderer, view, SAMPLES, 1e-9)
+        texels = sum(len(demand.offsets) for demand in frame.demands)
         figures = summarise(measure(renderer, view, repeats))
+        figures["lattice / texels of this view"] = math.prod(renderer.recipe.shape) / texels
     if as_json:
         click.echo(json.dumps(figures))
     else:

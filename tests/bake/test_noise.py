@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from isogi_core.bake.light import VOID, Light
-from isogi_core.bake.noise import FLOOR, finished, most_samples, relative_error
+from isogi_core.bake.noise import FEWEST, FLOOR, finished, most_samples, relative_error
 from isogi_core.bake.recipe import Recipe, band_of, noise_weights
 from isogi_core.kernels.harmonics import rotate
 from isogi_core.model.scene import load_scene
@@ -77,10 +77,12 @@ def test_a_texel_is_done_when_good_enough_spent_or_void() -> None:
     recipe = orbital_recipe()
     light = light_of(recipe, np.ones((5, 25)), np.ones((5, 1, 25)))
     light.spread[1] = 0.0
-    light.planes[:, 0] = [16, 16, most_samples(0.01), VOID, 0]
+    light.planes[:, 0] = [FEWEST, FEWEST, most_samples(0.01), VOID, 0]
     assert finished(light, recipe, 0.01).tolist() == [False, True, True, True, False]
     light.spread[:] = 0.0
     assert finished(light, recipe, 0.01).tolist() == [True, True, True, True, False], "unlit is never done"
+    light.planes[0, 0] = FEWEST / 2
+    assert not finished(light, recipe, 0.01)[0], "few paths that all died say nothing"
 
 
 def test_a_stricter_target_is_worth_more_samples() -> None:

@@ -246,8 +246,8 @@ def test_shading_choice(shown: Page, live_server: str) -> None:
     before = pixels(shown)
     offered = shown.eval_on_selector_all("#shading option", "options => options.map(o => o.value)")
     assert offered == scene_of(shown, live_server)["shadings"]
-    shown.select_option("#shading", "lambert")
-    assert address_of(shown)["shading"] == "lambert"
+    shown.select_option("#shading", "lambert_fog")
+    assert address_of(shown)["shading"] == "lambert_fog"
     wait_final(shown)
     assert difference(pixels(shown), before) > 0.3
 
