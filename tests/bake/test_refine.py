@@ -9,7 +9,7 @@ from numba import config
 from isogi_core.bake.light import ERROR, VOID, Light
 from isogi_core.bake.noise import FEWEST, most_samples, relative_error
 from isogi_core.bake.recipe import Recipe
-from isogi_core.bake.refine import FIRST_RUNG, add_to_mean, next_rung, refine
+from isogi_core.bake.refine import add_to_mean, next_rung, refine
 from isogi_core.kernels.integrator import bake_texels
 from isogi_core.model.scene import load_scene
 
