@@ -31,8 +31,8 @@ test: check
 
 # Every picture in the README and in docs/ is made by this.
 pictures: install
-	$(BIN)/isogi render demo:casting -o docs/casting.png --azimuth 35 --elevation 28 --width 960 --height 600
-	$(BIN)/isogi render demo:orbital -o docs/orbital.png --azimuth 40 --elevation 20 --width 480 --height 300
+	$(BIN)/isogi render demo:casting -o docs/casting.png --azimuth 35 --elevation 28 --distance 3 \
+	  --width 960 --height 600 --target-error 0.03
 
 # The figures that the README and the notes state.
 figures: $(BIN)/.tools

@@ -31,6 +31,7 @@ class GBuffer:
     """
 
     shape: tuple[int, int]
+    spacing: Vector
     eye: Vector
     isovalue: float
     pixels: np.ndarray
@@ -53,9 +54,9 @@ class GBuffer:
             return self._normals
 
     @cached_property
-    def depth_range(self) -> tuple[float, float]:
-        """Nearest and farthest depth of the surface; (0, 0) where it is not in the picture."""
-        return (float(self.depth.min()), float(self.depth.max())) if len(self.depth) else (0.0, 0.0)
+    def position(self) -> np.ndarray:
+        """World coordinates of the surface in each pixel, zero off the surface; (h, w, 3) float32."""
+        return self.scatter(self.points * np.array(self.spacing, np.float32))
 
     def scatter(self, values: np.ndarray) -> np.ndarray:
         """A picture (h, w, …) of per-point ``values`` (m, …), zero off the surface."""
@@ -92,4 +93,4 @@ def trace(view: View, recipe: Recipe, tiles: Tiles, cancelled: threading.Event |
     tiles.run(_piece, view.height, ROWS, cancelled)
     pixels = np.flatnonzero(np.isfinite(depth))
     points = position.reshape(-1, 3)[pixels]
-    return GBuffer(depth.shape, camera.eye, isovalue, pixels, points, depth.ravel()[pixels])
+    return GBuffer(depth.shape, volume.spacing, camera.eye, isovalue, pixels, points, depth.ravel()[pixels])

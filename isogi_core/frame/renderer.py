@@ -4,8 +4,6 @@ import hashlib
 import threading
 from typing import Any
 
-import numpy as np
-
 from isogi_core.bake.recipe import Recipe
 from isogi_core.cache.loader import Loader
 from isogi_core.frame.frame import Frame
@@ -70,13 +68,12 @@ class Renderer:
         self._texels.clear()
 
     def _compose(self, view: View, gbuffer: GBuffer, shaded: Shaded, watch: Stopwatch) -> Frame:
-        spacing = np.array(self.recipe.scene.volume.spacing, np.float32)
         return Frame(
             view=view,
             radiance=gbuffer.scatter(shaded.radiance),
             state=gbuffer.scatter(shaded.state),
             error=gbuffer.scatter(shaded.error),
-            position=gbuffer.scatter(gbuffer.points * spacing),
+            position=gbuffer.position,
             chunks_needed=shaded.chunks_needed,
             chunks_final=shaded.chunks_final,
             demands=shaded.demands,
