@@ -18,6 +18,12 @@ BRICK = 4
 FAR = 63
 """Longest leap, in bricks."""
 
+LEAP = 16
+"""The bit of a word at which the leap begins."""
+
+CELLS = (1 << LEAP) - 1
+"""The bits of a word that stand for cells."""
+
 POSITION_ERROR = 2.0**-20
 """How far a float32 ray strays from the true one, over the volume's longest side; twice what is derived in ``packets``."""
 
@@ -30,18 +36,17 @@ FLAT = types.float32[::1]
 class Bricks(NamedTuple):
     """The bricks of one volume for one range of isovalues; arrays are flat, x fastest.
 
-    ``masks`` int32 (2 · bricks): bit (z % 4 * 4 + y % 4) * 4 + x % 4 of a cell, the upper two z in the
-    second word; ``leaps`` uint8 (bricks): 0 where a bit is set; ``margins`` float32 (bricks): values
-    nearer to zero than this have no certain sign; ``shape`` bricks along z, y, x.
+    ``words`` int32 (4 · bricks), one for each layer of a brick along z: bit y % 4 * 4 + x % 4 of a cell,
+    and the brick's leap from bit 16 on; ``margins`` float32 (bricks): values nearer to zero than this have
+    no certain sign; ``shape`` bricks along z, y, x.
     """
 
-    masks: Any
-    leaps: Any
+    words: Any
     margins: Any
     shape: tuple[int, int, int]
 
 
-BRICKS = record(Bricks, types.int32[::1], types.uint8[::1], FLAT, types.UniTuple(types.int64, 3))
+BRICKS = record(Bricks, types.int32[::1], FLAT, types.UniTuple(types.int64, 3))
 
 
 def brick_shape(shape):
@@ -92,24 +97,33 @@ def certain_rows(voxels, i0, j, k, level, sign):
 
 
 @kernel()
-def certain_cells(voxels, i0, j0, k0, level, sign):
-    """Bits of the 64 cells of a brick with all corners beyond ``level`` on the side ``sign``: two words of 32."""
-    nz, ny, _ = voxels.shape
-    below = 0
-    low, high = 0, 0
-    for k in range(BRICK + 1):
-        plane, before = 0, 0
-        for j in range(BRICK + 1):
-            word = certain_rows(voxels, i0, min(j0 + j, ny - 1), min(k0 + k, nz - 1), level, sign)
-            if j > 0:
-                plane |= (word & before) << (BRICK * (j - 1))
-            before = word
-        if k == 1 or k == 2:
-            low |= (plane & below) << (16 * (k - 1))
-        elif k > 2:
-            high |= (plane & below) << (16 * (k - 3))
-        below = plane
-    return low, high
+def certain_layer(voxels, i0, j0, k, level, sign):
+    """Bits of the 16 cells of a brick that lie along plane ``k`` with all corners in it beyond ``level``."""
+    ny = voxels.shape[1]
+    word = 0
+    before = certain_rows(voxels, i0, min(j0, ny - 1), k, level, sign)
+    for j in range(BRICK):
+        row = certain_rows(voxels, i0, min(j0 + j + 1, ny - 1), k, level, sign)
+        word |= (row & before) << (BRICK * j)
+        before = row
+    return word
+
+
+@kernel()
+def mark_brick(voxels, i0, j0, k0, outside, solid, words, b):
+    """Write the masks of brick ``b``: cells with not all corners above ``solid`` or all below ``outside``."""
+    nz = voxels.shape[0]
+    above = certain_layer(voxels, i0, j0, k0, solid, 1.0)
+    below = certain_layer(voxels, i0, j0, k0, outside, -1.0)
+    empty = True
+    for k in range(BRICK):
+        plane = min(k0 + k + 1, nz - 1)
+        upper, lower = certain_layer(voxels, i0, j0, plane, solid, 1.0), certain_layer(voxels, i0, j0, plane, outside, -1.0)
+        word = CELLS & ~((above & upper) | (below & lower))
+        words[BRICK * b + k] = word
+        empty &= word == 0
+        above, below = upper, lower
+    return empty
 
 
 @kernel()
@@ -149,27 +163,25 @@ def sweep(leaps, shape, way, nearest):
                 row[i] = left
 
 
-@kernel(
-    types.void(VOXELS, FLAT, FLAT, FLAT, types.float64, types.float64, types.int32[::1], types.uint8[::1])
-)  # fmt: skip
-def fill_bricks(voxels, low, high, margins, iso_low, iso_high, masks, leaps):
-    """Fill ``masks`` and ``leaps`` for isovalues ``iso_low`` … ``iso_high``; the rest is from ``fill_ranges``."""
+@kernel(types.void(VOXELS, FLAT, FLAT, FLAT, types.float64, types.float64, types.int32[::1]))
+def fill_bricks(voxels, low, high, margins, iso_low, iso_high, words):
+    """Fill ``words`` for isovalues ``iso_low`` … ``iso_high``; the rest is from ``fill_ranges``."""
     nz, ny, nx = voxels.shape
     bz, by, bx = -(-(nz - 1) // BRICK), -(-(ny - 1) // BRICK), -(-(nx - 1) // BRICK)
-    everything = (1 << 32) - 1
+    leaps = np.empty(bz * by * bx, np.uint8)
+    words[:] = 0
     for k in range(bz):
         for j in range(by):
             for i in range(bx):
                 b = (k * by + j) * bx + i
-                first, second = 0, 0
                 solid, outside = iso_high + margins[b], iso_low - margins[b]
-                if not (low[b] > solid or high[b] < outside):
-                    i0, j0, k0 = i * BRICK, j * BRICK, k * BRICK
-                    one = certain_cells(voxels, i0, j0, k0, solid, 1.0)
-                    two = certain_cells(voxels, i0, j0, k0, outside, -1.0)
-                    first, second = everything ^ (one[0] | two[0]), everything ^ (one[1] | two[1])
-                masks[2 * b], masks[2 * b + 1] = np.int32(np.uint32(first)), np.int32(np.uint32(second))
-                leaps[b] = 0 if first | second else FAR
+                empty = low[b] > solid or high[b] < outside
+                if not empty:
+                    empty = mark_brick(voxels, i * BRICK, j * BRICK, k * BRICK, outside, solid, words, b)
+                leaps[b] = FAR if empty else 0
     nearest = np.empty(bx, np.uint8)
     sweep(leaps, (bz, by, bx), 1, nearest)
     sweep(leaps, (bz, by, bx), -1, nearest)
+    for b in range(leaps.size):
+        for k in range(BRICK):
+            words[BRICK * b + k] |= int(leaps[b]) << LEAP

@@ -235,6 +235,7 @@ def _rank(builder: ir.IRBuilder, mask: ir.Value) -> ir.Value:
 
 # --- memory -------------------------------------------------------------------------------------------------
 
+GATHER_UNDEF = False
 KINDS = {types.float32: FLOATS, types.int32: INTS, types.uint32: INTS, types.uint8: INTS}
 
 
@@ -261,14 +262,22 @@ def define_access(function: Any, typer: Callable[..., Any]) -> Callable[[Any], A
 
 @define_access(gather, lambda array, index: signature(KINDS[array.dtype], array, INTS))
 def _gather(context: Any, builder: ir.IRBuilder, dtype: Any, base: ir.Value, index: ir.Value) -> ir.Value:
-    vector = ir.Constant(KINDS[dtype].vector, ir.Undefined)
-    for lane in range(COUNT):
-        place = builder.sext(builder.extract_element(index, WORD(lane)), ir.IntType(64))
-        value = builder.load(builder.gep(base, [place]))
-        if dtype == types.uint8:
-            value = builder.zext(value, WORD)
-        vector = builder.insert_element(vector, value, WORD(lane))
-    return vector
+    """The processor's own gather; bytes are the lowest of four, so an array of them needs three more at its end."""
+    vector = KINDS[dtype].vector
+    scale = dtype.bitwidth // 8
+    nothing = ir.Constant(vector, ir.Undefined if GATHER_UNDEF else None)
+    pointer = builder.bitcast(base, ir.IntType(8).as_pointer())
+    if COUNT == 16:
+        name = "llvm.x86.avx512.mask.gather.dp" + ("s" if vector == FLOATS.vector else "i") + ".512"
+        every = ir.Constant(MASK.vector, [1] * COUNT)
+        found = call(builder, name, vector, nothing, pointer, index, every, WORD(scale))
+    else:
+        name = "llvm.x86.avx2.gather.d." + ("ps" if vector == FLOATS.vector else "d") + ".256"
+        every = builder.bitcast(ir.Constant(INTS.vector, [-1] * COUNT), vector)
+        found = call(builder, name, vector, nothing, pointer, index, every, ir.IntType(8)(scale))
+    if scale == 1:
+        found = builder.and_(found, ir.Constant(vector, [255] * COUNT))
+    return found
 
 
 def _whole(builder: ir.IRBuilder, base: ir.Value, place: ir.Value, kind: Lanes) -> ir.Value:

@@ -21,7 +21,7 @@ import numpy as np
 from numba import types
 
 from isogi_core.kernels._jit import kernel
-from isogi_core.kernels.bricks import BRICK, BRICKS
+from isogi_core.kernels.bricks import BRICK, BRICKS, LEAP
 from isogi_core.kernels.field import FIELD
 from isogi_core.kernels.intersect import OUTSIDE, SOLID, UNKNOWN, cast, clip_box, cross_cell, reciprocal
 from isogi_core.kernels.lanes import (
@@ -128,11 +128,12 @@ def strides_of(mirror, y, z, last):
 
 
 @kernel()
-def marked(bricks, brick, c, flip):
-    """Whether the bit of cell ``c`` in ``brick`` is set."""
-    bit = ((c[0] & 3) | ((c[1] & 3) << 2) | ((c[2] & 3) << 4)) ^ flip
-    word = gather(bricks.masks, (brick << 1) + (bit >> 5))
-    return ((word >> (bit & 31)) & 1) != 0
+def look(bricks, c, flip, stride, base):
+    """The leap from cells ``c``, in bricks, and whether their bits are set."""
+    layer = ((c[2] ^ (flip >> 4)) & 3) + (linear((c[0] >> 2, c[1] >> 2, c[2] >> 2), stride, base) << 2)
+    word = gather(bricks.words, layer)
+    bit = ((c[0] & 3) | ((c[1] & 3) << 2)) ^ (flip & 15)
+    return word >> LEAP, ((word >> bit) & 1) != 0
 
 
 @kernel()
@@ -269,8 +270,7 @@ def scout(flat, shape, bricks, rays, count, busy_enough, found):
             corner = least_node(c, mirror, shape)
             value = gather(flat, corner)
             here = select(value > iso, floats(1.0), -1.0)
-            brick = linear((c[0] >> 2, c[1] >> 2, c[2] >> 2), stride, base)
-            doubtful = marked(bricks, brick, c, flip)
+            _, doubtful = look(bricks, c, flip, stride, base)
             lost = fresh & ((doubtful & (told == 0.0)) | (~doubtful & (told + here == 0.0)))
             mark(found, owner, ASK, lost)
             sign = select(fresh, select(told == 0.0, here, told), sign)
@@ -285,10 +285,9 @@ def scout(flat, shape, bricks, rays, count, busy_enough, found):
                 break
             if following < count and ahead + popcount(waiting) < busy_enough:
                 break
-            brick = linear((c[0] >> 2, c[1] >> 2, c[2] >> 2), stride, base)
-            leap = gather(bricks.leaps, brick)
+            leap, stops = look(bricks, c, flip, stride, base)
             near = leap == 0
-            stops = marked(bricks, brick, c, flip) & near & walking
+            stops = stops & walking
             waiting = waiting | stops
             walking = walking & ~stops
             keep = select(near, ints(-1), ints(-BRICK))
