@@ -185,3 +185,18 @@ def fill_bricks(voxels, low, high, margins, iso_low, iso_high, words):
     for b in range(leaps.size):
         for k in range(BRICK):
             words[BRICK * b + k] |= int(leaps[b]) << LEAP
+
+
+def brick_ranges(voxels):
+    """Smallest and largest voxel in and around each brick, and the margins: what serves every isovalue."""
+    low, high, margins = np.empty((3, math.prod(brick_shape(voxels.shape))), np.float32)
+    fill_ranges(voxels, low, high, margins)
+    return low, high, margins
+
+
+def make_bricks(voxels, ranges, lowest, highest):
+    """The Bricks of isovalues from ``lowest`` to ``highest``; ``ranges`` are the volume's ``brick_ranges``."""
+    low, high, margins = ranges
+    words = np.empty(BRICK * len(margins), np.int32)
+    fill_bricks(voxels, low, high, margins, lowest, highest, words)
+    return Bricks(words, margins, brick_shape(voxels.shape))

@@ -42,8 +42,9 @@ def clip_box(voxels, o, d):
 
 @kernel()
 def reciprocal(d):
-    """1 / d of a ray direction's component, 0 where the component is 0."""
-    return 1.0 / d if d != 0.0 else 0.0
+    """1 / d of a ray direction's component, 0 where the component is 0 or too small to leave a cell by."""
+    inverse = 1.0 / d if d != 0.0 else 0.0
+    return inverse if abs(inverse) < math.inf else 0.0
 
 
 @kernel()
@@ -118,10 +119,13 @@ def turning_points(q):
 def refine(q, lo, hi, side):
     """The crossing of the cubic ``q`` in [lo, hi], where it is monotone and leaves ``side``.
 
-    Newton's method kept inside a shrinking bracket, so it ends even where the values at the ends
-    do not change sign (a root lost to rounding is at ``lo`` then).
+    Newton's method from the chord's root, kept inside a shrinking bracket, so it ends even where the
+    values at the ends do not change sign (a root lost to rounding is at ``lo`` then).
     """
-    t = 0.5 * (lo + hi)
+    first, last = horner(q, lo), horner(q, hi)
+    t = lo + (hi - lo) * (first / (first - last))
+    if not lo < t < hi:
+        t = 0.5 * (lo + hi)
     for _ in range(REFINEMENTS):
         f = horner(q, t)
         if (f > 0.0) == (side == SOLID):

@@ -26,6 +26,7 @@ from isogi_core.kernels.field import FIELD
 from isogi_core.kernels.intersect import OUTSIDE, SOLID, UNKNOWN, cast, clip_box, cross_cell, reciprocal
 from isogi_core.kernels.lanes import (
     COUNT,
+    WIDTH,
     bits,
     floats,
     fma,
@@ -45,14 +46,28 @@ from isogi_core.kernels.vec import madd
 BATCH = 4096
 """Rays that are prepared and scouted together: their records stay in the second-level cache."""
 
-WAITING = 6
+BUSY = COUNT // 2
+"""Fewer lanes than these at work, and the others take the next rays."""
+
+WAITING = max(COUNT // 3, 1)
 """Lanes at a cell that may hold the surface before these cells are looked at."""
 
 CLEAR, ASK = -1, -2
 """What a scout found where it is not a cell: nothing, or that ``cast`` must be asked."""
 
+LANES = WIDTH is not None
+
+MOST_VOXELS = 2**30
+"""Volumes with more voxels are too large for the scouts' words of 32 bits."""
+
 FIELDS = 10
 """Numbers of a prepared ray: origin, direction (x, y, z, mirrored), way to the exit, isovalue, sign, mirror."""
+
+HUGE = 1e30
+"""Stands for 1/0: times nothing it is nothing."""
+
+STRAY = 8
+"""The bit of a mirror that says: no ray to follow, ask ``cast``."""
 
 ORIGINS = types.float64[:, ::1]
 SIDES = types.int8[::1]
@@ -79,10 +94,9 @@ def prepare(field, shape, isovalues, origins, directions, sides, first, last, ra
             p = madd(o, near, d)
             longest = max(abs(d[0]), abs(d[1]), abs(d[2]))
             shrink = 1.0 / longest
-            mirror = 0
+            mirror = 0 if shrink < math.inf and far < math.inf else STRAY
             for a in range(3):
-                step = d[a] * shrink
-                here = p[a]
+                step, here = (d[a] * shrink, p[a]) if mirror < STRAY else (1.0, 0.0)
                 if step < 0.0:
                     here = BRICK * shape[2 - a] - here
                     mirror |= 1 << a
@@ -229,7 +243,7 @@ def mark(found, owner, word, lanes):
 
 
 @kernel()
-def scout(flat, shape, bricks, rays, count, busy_enough, found):
+def scout(flat, shape, bricks, rays, count, found):
     """Write to ``found`` (count,) what each prepared ray meets: CLEAR, ASK, or 2 · cell + (1 from a solid side)."""
     nz, ny, nx = shape
     bz, by, bx = bricks.shape
@@ -246,7 +260,7 @@ def scout(flat, shape, bricks, rays, count, busy_enough, found):
     following = 0
     while True:
         idle = ~(walking | waiting)
-        if following < count and popcount(idle) > COUNT - busy_enough:
+        if following < count and popcount(idle) > COUNT - BUSY:
             next_ray = rank(idle) + following
             fresh = idle & (next_ray < count)
             following = min(count, following + popcount(idle))
@@ -254,8 +268,8 @@ def scout(flat, shape, bricks, rays, count, busy_enough, found):
             owner = ray
             o = gather(o0, ray), gather(o1, ray), gather(o2, ray)
             d = gather(d0, ray), gather(d1, ray), gather(d2, ray)
-            one = floats(1.0)
-            inv = one / d[0], one / d[1], one / d[2]
+            one, huge = floats(1.0), floats(HUGE)
+            inv = least(one / d[0], huge), least(one / d[1], huge), least(one / d[2], huge)
             end, iso = gather(way, ray), gather(levels, ray)
             told = gather(signs, ray)
             mirror = ints(gather(mirrors, ray))
@@ -271,7 +285,7 @@ def scout(flat, shape, bricks, rays, count, busy_enough, found):
             value = gather(flat, corner)
             here = select(value > iso, floats(1.0), -1.0)
             _, doubtful = look(bricks, c, flip, stride, base)
-            lost = fresh & ((doubtful & (told == 0.0)) | (~doubtful & (told + here == 0.0)))
+            lost = fresh & ((mirror >= STRAY) | (doubtful & (told == 0.0)) | (~doubtful & (told + here == 0.0)))
             mark(found, owner, ASK, lost)
             sign = select(fresh, select(told == 0.0, here, told), sign)
             walking = walking | (fresh & ~lost)
@@ -283,7 +297,7 @@ def scout(flat, shape, bricks, rays, count, busy_enough, found):
             ahead = popcount(walking)
             if ahead == 0 or popcount(waiting) >= WAITING:
                 break
-            if following < count and ahead + popcount(waiting) < busy_enough:
+            if following < count and ahead + popcount(waiting) < BUSY:
                 break
             leap, stops = look(bricks, c, flip, stride, base)
             near = leap == 0
@@ -347,11 +361,12 @@ def unmirror(c, mirrored, n):
 
 
 @kernel()
-def settle_ray(field, iso, o, d, side, span, word):
-    """The hit of a ray of which a scout said ``word``: (t, side), exactly as ``cast`` says."""
+def settle_ray(field, iso, ray, span, word):
+    """The hit of a ``ray`` (o, d, side) of which a scout said ``word``: (t, side), exactly as ``cast`` says."""
     nz, ny, nx = field.voxels.shape
     if word == CLEAR:
         return math.inf, UNKNOWN
+    o, d, side = ray
     if word >= 0:
         place = word >> 1
         cell = place % nx, place // nx % ny, place // (nx * ny)
@@ -363,14 +378,9 @@ def settle_ray(field, iso, o, d, side, span, word):
     return cast(field, iso, o, d, side)
 
 
-@kernel(types.void(FIELD, BRICKS, VECTOR, ORIGINS, ORIGINS, SIDES, types.int64, VECTOR, SIDES))
-def cast_packets(field, bricks, isovalues, origins, directions, sides, busy_enough, t, came):
-    """First crossings of rays ``origins`` + t · ``directions`` (n, 3), as ``intersect.cast`` gives them, to the bit.
-
-    ``isovalues`` (n,) within the range of ``bricks``; ``sides`` (n,) OUTSIDE, SOLID or UNKNOWN; writes
-    ``t`` (n,), inf where there is none, and ``came`` (n,). Lanes are refilled when fewer than
-    ``busy_enough`` are at work: about 12 of 16 for rays that scatter, 1 for rays side by side.
-    """
+@kernel()
+def cast_by_lanes(field, bricks, isovalues, origins, directions, sides, t, came):
+    """``cast_batch`` by scouts in lanes."""
     rays, owners = np.zeros((FIELDS, BATCH + COUNT), np.float32), np.empty(BATCH, np.int64)
     spans, found = np.empty((BATCH, 2)), np.empty(BATCH, np.int32)
     flat = field.voxels.reshape(field.voxels.size)
@@ -378,15 +388,45 @@ def cast_packets(field, bricks, isovalues, origins, directions, sides, busy_enou
         last = min(first + BATCH, origins.shape[0])
         t[first:last] = math.inf
         came[first:last] = UNKNOWN
-        count = prepare(
-            field, bricks.shape, isovalues, origins, directions, sides, first, last, rays, owners, spans
-        )
+        count = prepare(field, bricks.shape, isovalues, origins, directions, sides, first, last, rays, owners, spans)
         found[:count] = CLEAR
-        scout(flat, field.voxels.shape, bricks, rays, count, busy_enough, found)
+        scout(flat, field.voxels.shape, bricks, rays, count, found)
         for i in range(count):
             m = owners[i]
-            span = spans[i, 0], spans[i, 1]
-            side = int(sides[m])
-            t[m], came[m] = settle_ray(
-                field, isovalues[m], row(origins, m), row(directions, m), side, span, found[i]
-            )
+            ray = row(origins, m), row(directions, m), int(sides[m])
+            t[m], came[m] = settle_ray(field, isovalues[m], ray, (spans[i, 0], spans[i, 1]), found[i])
+
+
+@kernel()
+def cast_one_by_one(field, bricks, isovalues, origins, directions, sides, t, came):
+    """``cast_batch`` where there are no lanes."""
+    for m in range(origins.shape[0]):
+        t[m], came[m] = cast(field, isovalues[m], row(origins, m), row(directions, m), int(sides[m]))
+
+
+@kernel()
+def cast_batch(field, bricks, isovalues, origins, directions, sides, t, came):
+    """First crossings of rays ``origins`` + t · ``directions`` (n, 3), as ``intersect.cast`` gives them, to the bit.
+
+    ``isovalues`` (n,) within the range of ``bricks``; ``sides`` (n,) OUTSIDE, SOLID or UNKNOWN; writes
+    ``t`` (n,), inf where there is none, and ``came`` (n,). Rays need no order; neighbours side by side are faster.
+    """
+    if LANES and field.voxels.size < MOST_VOXELS:
+        cast_by_lanes(field, bricks, isovalues, origins, directions, sides, t, came)
+    else:
+        cast_one_by_one(field, bricks, isovalues, origins, directions, sides, t, came)
+
+
+RAYS = types.void(FIELD, BRICKS, VECTOR, ORIGINS, ORIGINS, SIDES, VECTOR, SIDES)
+
+
+@kernel(RAYS)
+def cast_rays(field, bricks, isovalues, origins, directions, sides, t, came):
+    """``cast_batch`` for callers outside compiled code."""
+    cast_batch(field, bricks, isovalues, origins, directions, sides, t, came)
+
+
+@kernel(RAYS)
+def cast_rays_one_by_one(field, bricks, isovalues, origins, directions, sides, t, came):
+    """``cast_rays`` by the scalar kernel: the reference, and what there is without lanes."""
+    cast_one_by_one(field, bricks, isovalues, origins, directions, sides, t, came)
