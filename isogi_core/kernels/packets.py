@@ -3,7 +3,7 @@
 A scout walks the bricks of ``bricks`` and stops at the first cell in which the field's sign, along the
 ray and anywhere a float32 ray may be wrong about, is not certain to stay. Everything before that cell
 is certain, so that the scalar ``cross_cell`` of that one cell gives the very hit that ``intersect.cast``
-finds; where it finds none (a grazed surface, noise about the isovalue) or where a scout cannot tell,
+finds, when the ray enters it no later than the scout did; where it finds none (a grazed surface, noise about the isovalue) or where a scout cannot tell,
 ``cast`` itself is asked. So both agree in every bit.
 
 Lanes are persistent: one whose ray has ended takes the next ray. Rays are mirrored so that no component
@@ -21,9 +21,9 @@ import numpy as np
 from numba import types
 
 from isogi_core.kernels._jit import kernel
-from isogi_core.kernels.bricks import BRICK, BRICKS, LEAP
-from isogi_core.kernels.field import FIELD
-from isogi_core.kernels.intersect import OUTSIDE, SOLID, UNKNOWN, cast, clip_box, cross_cell, reciprocal
+from isogi_core.kernels.bricks import BRICK, BRICKS, LEAP, POSITION_ERROR
+from isogi_core.kernels.field import FIELD, clamp_cell
+from isogi_core.kernels.intersect import OUTSIDE, SOLID, UNKNOWN, cast, clip_box, cross_cell, cut_cell, reciprocal
 from isogi_core.kernels.lanes import (
     COUNT,
     WIDTH,
@@ -218,14 +218,15 @@ def certain(flat, bricks, place, stride, brick, c, o, d, t, out, iso, sign):
 
 
 @kernel()
-def report(found, owner, cell, sign, lanes):
-    """Write cell · 2 + (1 where solid) of the chosen lanes to ``found`` at their rays."""
+def report(found, entries, owner, cell, sign, t, lanes):
+    """Write cell · 2 + (1 where solid) of the chosen lanes to ``found`` at their rays, and ``t`` to ``entries``."""
     word = cell * 2 + select(sign > 0.0, ints(1), ints(0))
     chosen = bits(lanes)
     lane = 0
     while chosen != 0:
         if chosen & 1:
-            found[pick(owner, lane)] = pick(word, lane)
+            m = pick(owner, lane)
+            found[m], entries[m] = pick(word, lane), pick(t, lane)
         chosen >>= 1
         lane += 1
 
@@ -243,8 +244,11 @@ def mark(found, owner, word, lanes):
 
 
 @kernel()
-def scout(flat, shape, bricks, rays, count, found):
-    """Write to ``found`` (count,) what each prepared ray meets: CLEAR, ASK, or 2 · cell + (1 from a solid side)."""
+def scout(flat, shape, bricks, rays, count, found, entries):
+    """Write to ``found`` (count,) what each prepared ray meets: CLEAR, ASK, or 2 · cell + (1 from a solid side).
+
+    ``entries`` (count,) is the way, in steps of the direction's largest component, to that cell.
+    """
     nz, ny, nx = shape
     bz, by, bx = bricks.shape
     o0, o1, o2 = rays[0], rays[1], rays[2]
@@ -319,7 +323,7 @@ def scout(flat, shape, bricks, rays, count, found):
             safe = choose(waiting, vs, (nought, nought, nought))
             out, after = leave(o, d, inv, c, c, ints(1))
             passed = certain(flat, bricks, place, safe, brick, c, o, d, t, out, iso, sign) & waiting
-            report(found, owner, least_node(c, mirror, shape), sign, waiting & ~passed)
+            report(found, entries, owner, least_node(c, mirror, shape), sign, t, waiting & ~passed)
             gone = passed & ((after[0] >= limit[0]) | (after[1] >= limit[1]) | (after[2] >= limit[2]))
             mark(found, owner, ASK, gone & (out < end - 1e-4))
             passed = passed & ~gone
@@ -361,7 +365,7 @@ def unmirror(c, mirrored, n):
 
 
 @kernel()
-def settle_ray(field, iso, ray, span, word):
+def settle_ray(field, iso, ray, span, word, entry):
     """The hit of a ``ray`` (o, d, side) of which a scout said ``word``: (t, side), exactly as ``cast`` says."""
     nz, ny, nx = field.voxels.shape
     if word == CLEAR:
@@ -371,10 +375,17 @@ def settle_ray(field, iso, ray, span, word):
         place = word >> 1
         cell = place % nx, place // nx % ny, place // (nx * ny)
         inv = reciprocal(d[0]), reciprocal(d[1]), reciprocal(d[2])
-        from_side = SOLID if word & 1 else OUTSIDE
-        t, came = cross_cell(field.voxels, iso, o, d, inv, cell, span[0], span[1], from_side)
-        if t < math.inf:
-            return t, came
+        near, far = cut_cell(o, inv, cell, span[0], span[1])
+        longest = max(abs(d[0]), abs(d[1]), abs(d[2]))
+        late = (near - span[0]) * longest - entry
+        middle = madd(o, 0.5 * (near + far), d)
+        home = clamp_cell(middle[0], nx) == cell[0] and clamp_cell(middle[1], ny) == cell[1]
+        home &= clamp_cell(middle[2], nz) == cell[2]
+        if home and late <= 0.5 * POSITION_ERROR * max(nx, ny, nz):
+            from_side = SOLID if word & 1 else OUTSIDE
+            t, came = cross_cell(field.voxels, iso, o, d, inv, cell, span[0], span[1], from_side)
+            if t < math.inf:
+                return t, came
     return cast(field, iso, o, d, side)
 
 
@@ -383,6 +394,7 @@ def cast_by_lanes(field, bricks, isovalues, origins, directions, sides, t, came)
     """``cast_batch`` by scouts in lanes."""
     rays, owners = np.zeros((FIELDS, BATCH + COUNT), np.float32), np.empty(BATCH, np.int64)
     spans, found = np.empty((BATCH, 2)), np.empty(BATCH, np.int32)
+    entries = np.empty(BATCH, np.float32)
     flat = field.voxels.reshape(field.voxels.size)
     for first in range(0, origins.shape[0], BATCH):
         last = min(first + BATCH, origins.shape[0])
@@ -390,11 +402,11 @@ def cast_by_lanes(field, bricks, isovalues, origins, directions, sides, t, came)
         came[first:last] = UNKNOWN
         count = prepare(field, bricks.shape, isovalues, origins, directions, sides, first, last, rays, owners, spans)
         found[:count] = CLEAR
-        scout(flat, field.voxels.shape, bricks, rays, count, found)
+        scout(flat, field.voxels.shape, bricks, rays, count, found, entries)
         for i in range(count):
             m = owners[i]
             ray = row(origins, m), row(directions, m), int(sides[m])
-            t[m], came[m] = settle_ray(field, isovalues[m], ray, (spans[i, 0], spans[i, 1]), found[i])
+            t[m], came[m] = settle_ray(field, isovalues[m], ray, (spans[i, 0], spans[i, 1]), found[i], entries[i])
 
 
 @kernel()
