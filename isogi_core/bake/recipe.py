@@ -16,7 +16,7 @@ from isogi_core.model.scene import Scene
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.volume import Volume
 
-MAPS = 8
+MAPS = 40
 """Maps of isovalues that a recipe keeps (16 bytes for each 64 cells)."""
 
 Index = tuple[int, int, int]

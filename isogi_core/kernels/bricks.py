@@ -118,7 +118,10 @@ def mark_brick(voxels, i0, j0, k0, outside, solid, words, b):
     empty = True
     for k in range(BRICK):
         plane = min(k0 + k + 1, nz - 1)
-        upper, lower = certain_layer(voxels, i0, j0, plane, solid, 1.0), certain_layer(voxels, i0, j0, plane, outside, -1.0)
+        upper, lower = (
+            certain_layer(voxels, i0, j0, plane, solid, 1.0),
+            certain_layer(voxels, i0, j0, plane, outside, -1.0),
+        )
         word = CELLS & ~((above & upper) | (below & lower))
         words[BRICK * b + k] = word
         empty &= word == 0

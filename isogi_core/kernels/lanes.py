@@ -265,7 +265,9 @@ def define_access(function: Any, typer: Callable[..., Any]) -> Callable[[Any], A
 @define_access(gather, lambda array, index: signature(KINDS[array.dtype], array, INTS))
 def _gather(context: Any, builder: ir.IRBuilder, dtype: Any, base: ir.Value, index: ir.Value) -> ir.Value:
     if REGISTER == 16:
-        halves = [_gather_half(builder, KINDS[dtype].element, base, index, first) for first in range(0, COUNT, REGISTER)]
+        halves = [
+            _gather_half(builder, KINDS[dtype].element, base, index, first) for first in range(0, COUNT, REGISTER)
+        ]
         return builder.shuffle_vector(*halves, _numbers(0, COUNT))
     vector = ir.Constant(KINDS[dtype].vector, ir.Undefined)
     for lane in range(COUNT):

@@ -82,9 +82,9 @@ def row(vectors, m):
 
 @kernel()
 def prepare(field, shape, isovalues, origins, directions, sides, first, last, rays, owners, spans):
-    """Write records of rays first … last that meet the box to ``rays`` (FIELDS, BATCH + COUNT); returns how many.
+    """Write records of rays first … last that meet the box to ``rays`` (FIELDS, BATCH); returns how many.
 
-    ``owners`` (BATCH + COUNT) are their numbers; ``spans`` (BATCH, 2) what ``clip_box`` gives for them.
+    ``owners`` (BATCH,) are their numbers; ``spans`` (BATCH, 2) what ``clip_box`` gives for them.
     """
     count = 0
     for m in range(first, last):
@@ -392,7 +392,7 @@ def settle_ray(field, iso, ray, span, word, entry):
 @kernel()
 def cast_by_lanes(field, bricks, isovalues, origins, directions, sides, t, came):
     """``cast_batch`` by scouts in lanes."""
-    rays, owners = np.zeros((FIELDS, BATCH + COUNT), np.float32), np.empty(BATCH, np.int64)
+    rays, owners = np.empty((FIELDS, BATCH), np.float32), np.empty(BATCH, np.int64)
     spans, found = np.empty((BATCH, 2)), np.empty(BATCH, np.int32)
     entries = np.empty(BATCH, np.float32)
     flat = field.voxels.reshape(field.voxels.size)

@@ -86,7 +86,17 @@ def test_arithmetic_of_ints_is_numpys():
 @njit
 def comparisons(a, b, out):
     x, y = load(a, 0), load(b, 0)
-    masks = (x < y, x <= y, x > y, x >= y, x == y, x != y, (x < y) | (x > 1.0), (x < y) & ~(x < 0.0), (x < y) ^ (x < 0.0))
+    masks = (
+        x < y,
+        x <= y,
+        x > y,
+        x >= y,
+        x == y,
+        x != y,
+        (x < y) | (x > 1.0),
+        (x < y) & ~(x < 0.0),
+        (x < y) ^ (x < 0.0),
+    )
     for i, mask in enumerate(masks):
         out[i] = bits(mask)
     out[9], out[10], out[11] = popcount(x < y), bits(mask_of(True)), bits(mask_of(False))

@@ -145,7 +145,9 @@ def cast_nothing():
     volume = make_volume(BALL)
     bricks = make_bricks(volume.voxels, brick_ranges(volume.voxels), 0.5, 0.5)
     none = np.empty((0, 3))
-    cast_rays(make_field(volume), bricks, np.empty(0), none, none, np.empty(0, np.int8), np.empty(0), np.empty(0, np.int8))
+    cast_rays(
+        make_field(volume), bricks, np.empty(0), none, none, np.empty(0, np.int8), np.empty(0), np.empty(0, np.int8)
+    )
 
 
 @pytest.mark.data
@@ -174,7 +176,9 @@ def test_marked_cells_are_those_that_hold_the_surface_and_few_more(shape):
     voxels = np.random.default_rng(15).normal(size=shape).astype(np.float32)
     low, high = 1.5, 1.6
     bricks = make_bricks(voxels, brick_ranges(voxels), low, high)
-    corners = [voxels[c : shape[0] - 1 + c, b : shape[1] - 1 + b, a : shape[2] - 1 + a] for c, b, a in np.ndindex(2, 2, 2)]
+    corners = [
+        voxels[c : shape[0] - 1 + c, b : shape[1] - 1 + b, a : shape[2] - 1 + a] for c, b, a in np.ndindex(2, 2, 2)
+    ]
     least, most = np.minimum.reduce(corners), np.maximum.reduce(corners)
     marked, leaps = masks_and_leaps(bricks)
     cells = marked[: shape[0] - 1, : shape[1] - 1, : shape[2] - 1]
