@@ -1,10 +1,12 @@
 """The recipe of a bake: all that the kernels need to light a texel of a scene, worked out once."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
+from isogi_core.kernels.bricks import Bricks, brick_ranges, make_bricks
 from isogi_core.kernels.field import Field
 from isogi_core.kernels.harmonics import project
 from isogi_core.kernels.lattice import CHUNK, Lattice
@@ -13,6 +15,9 @@ from isogi_core.model.environment import Environment
 from isogi_core.model.scene import Scene
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.volume import Volume
+
+MAPS = 40
+"""Maps of isovalues that a recipe keeps (16 bytes for each 64 cells)."""
 
 Index = tuple[int, int, int]
 """Position of a chunk in the lattice, in chunks along z, y, x."""
@@ -28,6 +33,13 @@ class Recipe:
     def field(self) -> Field:
         """The volume with its macrocells."""
         return make_field(self.scene.volume)
+
+    @cached_property
+    def bricks(self) -> Callable[[float, float], Bricks]:
+        """The map of the cells that may hold isosurfaces from one normalised isovalue to another; a few are kept."""
+        voxels = self.scene.volume.voxels
+        ranges = brick_ranges(voxels)
+        return lru_cache(MAPS)(lambda lowest, highest: make_bricks(voxels, ranges, lowest, highest))
 
     @cached_property
     def shape(self) -> tuple[int, int, int]:

@@ -4,14 +4,20 @@ Sample counts climb one ladder (16, 32, 64, …) and the means are rounded to wh
 after each rung, so that a texel with n samples has the same bits whoever sent them, in how many goes.
 """
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from isogi_core.bake.light import ERROR, ISOVALUE, SAMPLES, VOID, Light
 from isogi_core.bake.noise import finished
 from isogi_core.bake.recipe import Recipe
-from isogi_core.kernels.integrator import bake_texels
+from isogi_core.kernels.bricks import Bricks
+from isogi_core.kernels.integrator import bake_texels, locate_texels
 
 FIRST_RUNG = 16
+
+GROUPS = 32
+"""Groups of isovalues over the volume's range; one map of its cells serves the texels of one group."""
 
 
 def next_rung(samples: int) -> int:
@@ -38,10 +44,11 @@ def climb(light: Light, chosen: np.ndarray, texels: np.ndarray, recipe: Recipe, 
     order, channels, m = recipe.scene.plan.order, recipe.scene.plan.channels, len(chosen)
     direct, indirect = np.zeros((m, 2, order**2)), np.zeros((m, 2, channels, order**2))
     isovalues, void = np.empty(m), np.empty(m, np.bool_)
-    places = np.ascontiguousarray(texels[chosen], np.int32)
-    first, count = samples // 2, (total - samples) // 2
-    path = (first, count, recipe.weights, order)
-    bake_texels(recipe.field, recipe.step, places, *path, direct, indirect, isovalues, void)
+    place = (np.ascontiguousarray(texels[chosen], np.int32), np.empty((m, 3)), np.empty((m, 3)), isovalues)
+    locate_texels(recipe.field, recipe.step, *place, void)
+    path = (samples // 2, (total - samples) // 2, recipe.weights, order)
+    for bricks, rows in by_isovalue(isovalues, void, recipe):
+        bake_texels(recipe.field, bricks, place, rows, *path, direct, indirect)
     whole = direct[:, :, None, :] + indirect
     light.direct[chosen] = add_to_mean(light.direct[chosen], samples, direct.sum(axis=1), total)
     light.indirect[chosen] = add_to_mean(light.indirect[chosen], samples, indirect.sum(axis=1), total)
@@ -49,6 +56,17 @@ def climb(light: Light, chosen: np.ndarray, texels: np.ndarray, recipe: Recipe, 
     light.planes[chosen, ERROR] = np.sqrt((light.spread[chosen].astype(np.float64) ** 2).sum(axis=(1, 2)))
     light.planes[chosen, ISOVALUE] = np.nan_to_num(isovalues)
     light.planes[chosen, SAMPLES] = np.where(void, VOID, total)
+
+
+def by_isovalue(isovalues: np.ndarray, void: np.ndarray, recipe: Recipe) -> Iterator[tuple[Bricks, np.ndarray]]:
+    """The rows that are not void in groups of near isovalues, each with the map of its isosurfaces."""
+    groups = np.floor(np.where(void, -1.0, isovalues) * GROUPS).astype(np.int64)
+    order = np.argsort(groups, kind="stable")
+    order = order[~void[order]]
+    for rows in np.split(order, np.flatnonzero(np.diff(groups[order])) + 1):
+        if len(rows):
+            lowest = float(groups[rows[0]]) / GROUPS
+            yield recipe.bricks(lowest, lowest + 1.0 / GROUPS), rows
 
 
 def add_to_mean(mean: np.ndarray, samples: int, added: np.ndarray, total: int) -> np.ndarray:

@@ -17,6 +17,7 @@ from numba import njit, types
 
 # Not the whole of fastmath: `nnan` would make isnan() False, and the kernels ask.
 FASTMATH = {"nsz", "contract"}
+EXACT = {"nsz"}
 
 
 def sources_digest() -> str:
@@ -41,13 +42,14 @@ def cache_folder() -> Path:
 numba.config.CACHE_DIR = str(cache_folder())
 
 
-def kernel(signature: Any = None) -> Callable[[Callable[..., Any]], Any]:
+def kernel(signature: Any = None, exact: bool = False) -> Callable[[Callable[..., Any]], Any]:
     """Decorator: compile with the house's options.
 
     Without a signature the function is a helper, compiled where it is called; with one it is an
-    entry kernel, compiled (or loaded) when its module is imported, and only for these types.
+    entry kernel, compiled (or loaded) when its module is imported, and only for these types. What is
+    ``exact`` gives the same bits wherever it is inlined: no product is fused with a sum.
     """
-    options = {"nogil": True, "error_model": "numpy", "fastmath": FASTMATH}
+    options = {"nogil": True, "error_model": "numpy", "fastmath": EXACT if exact else FASTMATH}
     if signature is None:
         return njit(**options)
     return njit(signature, cache=True, **options)

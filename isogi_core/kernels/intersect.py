@@ -44,8 +44,9 @@ def clip_box(voxels, o, d):
 
 @kernel()
 def reciprocal(d):
-    """1 / d of a ray direction's component, 0 where the component is 0."""
-    return 1.0 / d if d != 0.0 else 0.0
+    """1 / d of a ray direction's component, 0 where the component is 0 or too small to leave a cell by."""
+    inverse = 1.0 / d if d != 0.0 else 0.0
+    return inverse if abs(inverse) < math.inf else 0.0
 
 
 @kernel()
@@ -74,7 +75,7 @@ def leave_block(o, inv, block, size):
     return tz, 0, 0, 1 if inv[2] > 0.0 else -1
 
 
-@kernel()
+@kernel(exact=True)
 def cubic_along(c, a, d):
     """Coefficients (A, B, C, D) of f(t) = A t³ + B t² + C t + D along a + t·d in the unit cell.
 
@@ -93,13 +94,13 @@ def cubic_along(c, a, d):
     return A, B, C, D
 
 
-@kernel()
+@kernel(exact=True)
 def horner(q, t):
     """Value of the cubic ``q`` = (A, B, C, D) at ``t``."""
     return ((q[0] * t + q[1]) * t + q[2]) * t + q[3]
 
 
-@kernel()
+@kernel(exact=True)
 def turning_points(q):
     """Where the cubic's slope 3A t² + 2B t + C vanishes, ascending, clamped to [0, 1]; (1, 1) where it does not.
 
@@ -116,14 +117,17 @@ def turning_points(q):
     return min(r1, r2), max(r1, r2)
 
 
-@kernel()
+@kernel(exact=True)
 def refine(q, lo, hi, side):
     """The crossing of the cubic ``q`` in [lo, hi], where it is monotone and leaves ``side``.
 
-    Newton's method kept inside a shrinking bracket, so it ends even where the values at the ends
-    do not change sign (a root lost to rounding is at ``lo`` then).
+    Newton's method from the chord's root, kept inside a shrinking bracket, so it ends even where the
+    values at the ends do not change sign (a root lost to rounding is at ``lo`` then).
     """
-    t = 0.5 * (lo + hi)
+    first, last = horner(q, lo), horner(q, hi)
+    t = lo + (hi - lo) * (first / (first - last))
+    if not lo < t < hi:
+        t = 0.5 * (lo + hi)
     for _ in range(REFINEMENTS):
         f = horner(q, t)
         if (f > 0.0) == (side == SOLID):
@@ -139,7 +143,7 @@ def refine(q, lo, hi, side):
     return t
 
 
-@kernel()
+@kernel(exact=True)
 def first_crossing(q, side):
     """Smallest t in [0, 1] at which the cubic leaves ``side``, and the side at t = 1: (t or inf, side)."""
     last = SOLID if q[0] + q[1] + q[2] + q[3] > 0.0 else OUTSIDE
@@ -162,7 +166,7 @@ def first_crossing(q, side):
     return math.inf, last
 
 
-@kernel()
+@kernel(exact=True)
 def corners(voxels, i, j, k, iso):
     """The eight corner values of cell (i, j, k) less the isovalue, float64, x fastest."""
     return (
@@ -177,13 +181,32 @@ def corners(voxels, i, j, k, iso):
     )
 
 
-@kernel()
-def cross_cell(voxels, iso, o, d, cell, near, far, side):
-    """First crossing in ``cell`` between ``near`` and ``far``: (t, side it came from), or (inf, side at the exit).
+@kernel(exact=True)
+def cut_slab(o, inv, i, near, far):
+    """Part of [near, far] in which the ray is within cell ``i`` along one axis."""
+    if inv == 0.0:
+        return near, far
+    a, b = (i - o) * inv, (i + 1 - o) * inv
+    return max(near, min(a, b)), min(far, max(a, b))
 
-    The sliver of a cell that a ray cuts off at an edge says nothing: the side is carried past it.
+
+@kernel(exact=True)
+def cut_cell(o, inv, cell, near, far):
+    """Part of [near, far] in which the ray is within ``cell``: the same bits however the ray got there."""
+    near, far = cut_slab(o[0], inv[0], cell[0], near, far)
+    near, far = cut_slab(o[1], inv[1], cell[1], near, far)
+    return cut_slab(o[2], inv[2], cell[2], near, far)
+
+
+@kernel(exact=True)
+def cross_cell(voxels, iso, o, d, inv, cell, near, far, side):
+    """First crossing in ``cell`` by a ray that is in the box from ``near`` to ``far``.
+
+    (t, side it came from), or (inf, side at the exit). The sliver of a cell that a ray cuts off at an
+    edge says nothing: the side is carried past it.
     """
-    if (far - near) * max(abs(d[0]), abs(d[1]), abs(d[2])) < SLIVER:
+    near, far = cut_cell(o, inv, cell, near, far)
+    if not (far - near) * max(abs(d[0]), abs(d[1]), abs(d[2])) >= SLIVER:
         return math.inf, side
     c = corners(voxels, cell[0], cell[1], cell[2], iso)
     if math.isnan(c[0] + c[1] + c[2] + c[3] + c[4] + c[5] + c[6] + c[7]):
@@ -193,8 +216,7 @@ def cross_cell(voxels, iso, o, d, cell, near, far, side):
         solid += corner > 0.0
     if solid == 0 or solid == 8:
         return settle(near, side, SOLID if solid else OUTSIDE)
-    a = madd(o, near, d)
-    a = (a[0] - cell[0], a[1] - cell[1], a[2] - cell[2])
+    a = (o[0] + near * d[0] - cell[0], o[1] + near * d[1] - cell[1], o[2] + near * d[2] - cell[2])
     span = far - near
     q = cubic_along(c, a, (d[0] * span, d[1] * span, d[2] * span))
     if side == UNKNOWN:
@@ -210,8 +232,11 @@ def settle(near, side, agreed):
 
 
 @kernel()
-def cross_macrocell(voxels, iso, o, d, inv, block, near, far, side):
-    """Walk the cells of macrocell ``block`` from ``near`` to ``far``; returns as ``cross_cell`` does."""
+def cross_macrocell(voxels, iso, o, d, inv, block, box, near, far, side):
+    """Walk the cells of macrocell ``block`` from ``near`` to ``far``; returns as ``cross_cell`` does.
+
+    ``box`` is the part of the ray inside the volume's box.
+    """
     nz, ny, nx = voxels.shape
     p = madd(o, near, d)
     i0, j0, k0 = block[0] * SIZE, block[1] * SIZE, block[2] * SIZE
@@ -222,7 +247,7 @@ def cross_macrocell(voxels, iso, o, d, inv, block, near, far, side):
     while i0 <= i < i1 and j0 <= j < j1 and k0 <= k < k1:
         face, si, sj, sk = leave_block(o, inv, (i, j, k), 1)
         leave = max(near, min(face, far))
-        t, side = cross_cell(voxels, iso, o, d, (i, j, k), near, leave, side)
+        t, side = cross_cell(voxels, iso, o, d, inv, (i, j, k), box[0], box[1], side)
         if t < math.inf or leave >= far:
             return t, side
         i, j, k, near = i + si, j + sj, k + sk, leave
@@ -237,9 +262,10 @@ def cast(field, iso, o, d, side):
     start is known (a ray that leaves a surface), UNKNOWN where the value at the start decides.
     Macrocells whose voxels all lie on one side are leapt over.
     """
-    near, far = clip_box(field.voxels, o, d)
-    if not near < far:
+    near0, far = clip_box(field.voxels, o, d)
+    if not near0 < far:
         return math.inf, UNKNOWN
+    near = near0
     nz, ny, nx = field.voxels.shape
     mz, my, mx = field.low.shape
     p = madd(o, near, d)
@@ -255,7 +281,7 @@ def cast(field, iso, o, d, side):
         elif field.high[k, j, i] <= iso:
             t, side = settle(near, side, OUTSIDE)
         else:
-            t, side = cross_macrocell(field.voxels, iso, o, d, inv, (i, j, k), near, leave, side)
+            t, side = cross_macrocell(field.voxels, iso, o, d, inv, (i, j, k), (near0, far), near, leave, side)
         if t < math.inf:
             return t, side
         if leave >= far:

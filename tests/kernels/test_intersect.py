@@ -157,7 +157,7 @@ def test_a_root_lost_to_rounding_is_at_the_entry():
 def test_a_cell_whose_corners_agree_has_no_surface_unless_one_was_lost():
     for level, side in ((0.0, OUTSIDE), (2.0, SOLID)):
         voxels = np.full((2, 2, 2), level, np.float32)
-        ray = ((0.2, 0.3, 0.4), (0.1, 0.2, 0.3), (0, 0, 0), 0.5, 1.5)
+        ray = ((0.2, 0.3, 0.4), (0.1, 0.2, 0.4), (10.0, 5.0, 2.5), (0, 0, 0), 0.5, 1.5)
         assert intersect.cross_cell(voxels, 1.0, *ray, side) == (math.inf, side)
         assert intersect.cross_cell(voxels, 1.0, *ray, UNKNOWN) == (math.inf, side)
         assert intersect.cross_cell(voxels, 1.0, *ray, -side) == (0.5, -side)

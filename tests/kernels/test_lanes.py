@@ -1,0 +1,175 @@
+"""Lanes against NumPy, operation by operation, in the width that this processor has and in AVX2's."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numba import config, njit
+
+from isogi_core.kernels import lanes
+from isogi_core.kernels.lanes import (
+    COUNT,
+    WIDTH,
+    bits,
+    floats,
+    fma,
+    gather,
+    ints,
+    lane_numbers,
+    least,
+    load,
+    magnitude,
+    mask_of,
+    most,
+    pick,
+    popcount,
+    rank,
+    select,
+    store,
+)
+
+needs_lanes = pytest.mark.skipif(WIDTH is None, reason="this processor, or Numba switched off, has no lanes")
+AVX2 = {"NUMBA_CPU_NAME": "haswell"}
+
+
+def numbers(seed):
+    """Floats for one vector, with ones that are equal, infinite and not a number among them."""
+    values = np.random.default_rng(seed).normal(size=COUNT).astype(np.float32)
+    values[:4] = 0.5, np.inf, -np.inf, np.nan
+    return values
+
+
+@njit
+def arithmetic(a, b, c, out):
+    x, y, z = load(a, 0), load(b, 0), load(c, 0)
+    results = (x + y, x - y, x * y, x / y, -x, fma(x, y, z), least(x, y), most(x, y), magnitude(x), 2.0 - x, x * 0.5)
+    for i, result in enumerate(results):
+        store(out[i], 0, result)
+
+
+@needs_lanes
+def test_arithmetic_of_floats_is_numpys():
+    a, b, c = numbers(1), numbers(2), numbers(3)
+    a[5] = b[5]
+    out = np.empty((11, COUNT), np.float32)
+    arithmetic(a, b, c, out)
+    half, two = np.float32(0.5), np.float32(2)
+    with np.errstate(invalid="ignore"):
+        exact = (a.astype(float) * b + c).astype(np.float32)
+        smaller, larger = np.where(a < b, a, b), np.where(a > b, a, b)
+        expected = (a + b, a - b, a * b, a / b, -a, exact, smaller, larger, np.abs(a), two - a, a * half)
+    for i, (found, right) in enumerate(zip(out, expected, strict=True)):
+        np.testing.assert_allclose(found, right, rtol=0 if i != 5 else 1e-6, err_msg=f"operation {i}")
+
+
+@njit
+def whole(a, b, out):
+    x, y = load(a, 0), load(b, 0)
+    results = (x + y, x - y, x * y, x & y, x | y, x ^ y, x << 3, x >> 2, most(x, y), lane_numbers(), ints(7), 1 + x)
+    for i, result in enumerate(results):
+        store(out[i], 0, result)
+
+
+@needs_lanes
+def test_arithmetic_of_ints_is_numpys():
+    a, b = np.random.default_rng(4).integers(-(2**31), 2**31, (2, COUNT)).astype(np.int32)
+    out = np.empty((12, COUNT), np.int32)
+    whole(a, b, out)
+    expected = (a + b, a - b, a * b, a & b, a | b, a ^ b, a << 3, a >> 2, np.maximum(a, b), np.arange(COUNT), 7, 1 + a)
+    for i, (found, right) in enumerate(zip(out, expected, strict=True)):
+        assert np.array_equal(found, np.broadcast_to(right, COUNT)), f"operation {i}"
+
+
+@njit
+def comparisons(a, b, out):
+    x, y = load(a, 0), load(b, 0)
+    masks = (
+        x < y,
+        x <= y,
+        x > y,
+        x >= y,
+        x == y,
+        x != y,
+        (x < y) | (x > 1.0),
+        (x < y) & ~(x < 0.0),
+        (x < y) ^ (x < 0.0),
+    )
+    for i, mask in enumerate(masks):
+        out[i] = bits(mask)
+    out[9], out[10], out[11] = popcount(x < y), bits(mask_of(True)), bits(mask_of(False))
+
+
+@needs_lanes
+def test_masks_are_numpys():
+    a, b = numbers(5), numbers(6)
+    a[6] = b[6]
+    out = np.zeros(12, np.int64)
+    comparisons(a, b, out)
+    less = a < b
+    masks = (less, a <= b, a > b, a >= b, a == b, a != b, less | (a > 1), less & ~(a < 0), less ^ (a < 0))
+    assert out[:9].tolist() == [sum(1 << i for i in np.flatnonzero(mask).tolist()) for mask in masks]
+    assert out[9:].tolist() == [less.sum(), 2**COUNT - 1, 0]
+
+
+@njit
+def moves(values, index, threshold, whole_numbers, real_numbers, picked):
+    found = gather(values, load(index, 0))
+    chosen = found > threshold
+    store(real_numbers[0], 0, found)
+    store(real_numbers[1], 0, select(chosen, found, -1.0))
+    store(real_numbers[2], 0, floats(load(index, 0)))
+    store(whole_numbers[0], 0, rank(chosen))
+    store(whole_numbers[1], 0, ints(found * 100.0))
+    store(whole_numbers[2], 0, gather(index, lane_numbers() ^ 1))
+    for lane in range(COUNT):
+        picked[lane] = pick(found, lane)
+
+
+@needs_lanes
+def test_gather_select_rank_and_pick():
+    rng = np.random.default_rng(7)
+    values, index = rng.random(1000).astype(np.float32), rng.integers(0, 1000, COUNT).astype(np.int32)
+    whole_numbers, real_numbers = np.empty((3, COUNT), np.int32), np.empty((3, COUNT), np.float32)
+    picked = np.empty(COUNT, np.float32)
+    moves(values, index, 0.5, whole_numbers, real_numbers, picked)
+    found = values[index]
+    assert np.array_equal(real_numbers, [found, np.where(found > 0.5, found, -1), index])
+    before = np.cumsum(found > 0.5) - (found > 0.5)
+    swapped = index[np.arange(COUNT) ^ 1]
+    assert np.array_equal(whole_numbers, [before, (found * np.float32(100)).astype(np.int32), swapped])
+    assert np.array_equal(picked, found)
+
+
+def test_width_follows_the_processor(monkeypatch):
+    monkeypatch.setattr(config, "DISABLE_JIT", 0)
+    for name, features, width in (
+        ("skylake-avx512", None, 16),
+        ("haswell", None, 8),
+        ("generic", None, None),
+        ("generic", "+sse2,+avx2", 8),
+        ("generic", "+avx512f,+avx2", 16),
+    ):
+        monkeypatch.setattr(config, "CPU_NAME", name)
+        monkeypatch.setattr(config, "CPU_FEATURES", features)
+        assert lanes.register_lanes() == width, (name, features)
+    monkeypatch.setattr(config, "DISABLE_JIT", 1)
+    assert lanes.register_lanes() is None
+
+
+def test_lanes_do_not_exist_outside_compiled_code():
+    with pytest.raises(NotImplementedError, match="compiled code"):
+        fma(1.0, 2.0, 3.0)
+
+
+@pytest.mark.slow
+@needs_lanes
+@pytest.mark.skipif("NUMBA_CPU_NAME" in os.environ, reason="this is the run for another processor")
+@pytest.mark.parametrize("module", ["test_lanes", "test_packets"])
+def test_all_of_it_again_compiled_for_avx2(module):
+    here = Path(__file__).parent
+    command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", str(here / f"{module}.py")]
+    run = subprocess.run(command, env={**os.environ, **AVX2}, cwd=here.parents[1], capture_output=True, text=True)
+    assert run.returncode == 0, run.stdout + run.stderr

@@ -1,0 +1,201 @@
+"""Packets of rays against the scalar kernel: the same bits, on smooth, noisy, flat, holed and real volumes."""
+
+import math
+
+import numpy as np
+import pytest
+from numba import config
+
+from isogi_core.bake.recipe import make_field
+from isogi_core.files.nrrd import read_nrrd
+from isogi_core.kernels.bricks import BRICK, CELLS, LEAP, brick_ranges, brick_shape, make_bricks
+from isogi_core.kernels.intersect import OUTSIDE, SOLID, UNKNOWN
+from isogi_core.kernels.packets import cast_rays, cast_rays_one_by_one
+from isogi_core.model.volume import make_volume
+
+COUNT = 200 if config.DISABLE_JIT else 20_000
+BALL = 12.0 - np.linalg.norm(np.indices((41, 41, 41)) - 20.0, axis=0)
+
+
+def cast_both(voxels, isovalues, origins, directions, sides, spread=0.0):
+    """(t, came) by lanes and one by one; the map covers ``spread`` more than the isovalues on each side."""
+    volume = make_volume(voxels)
+    scale = np.array([volume.normalise_isovalue(v) for v in np.atleast_1d(isovalues)])
+    isovalues = np.broadcast_to(scale, len(origins)).copy()
+    field = make_field(volume)
+    ranges = brick_ranges(volume.voxels)
+    bricks = make_bricks(volume.voxels, ranges, isovalues.min() - spread, isovalues.max() + spread)
+    sides = np.broadcast_to(np.asarray(sides, np.int8), len(origins)).copy()
+    results = []
+    for kernel in (cast_rays, cast_rays_one_by_one):
+        t, came = np.full(len(origins), -1.0), np.full(len(origins), 99, np.int8)
+        kernel(field, bricks, isovalues, origins, directions, sides, t, came)
+        results.append((t, came))
+    return results
+
+
+def assert_same(*arguments, **options):
+    """Both casts agree in every bit; returns the share of rays that hit."""
+    (t, came), (t_one, came_one) = cast_both(*arguments, **options)
+    assert np.array_equal(t, t_one)
+    assert np.array_equal(came, came_one)
+    return np.isfinite(t).mean()
+
+
+def rays_about(shape, seed, count=COUNT):
+    """Rays from in and around a volume to points in it."""
+    rng = np.random.default_rng(seed)
+    size = np.array(shape[::-1]) - 1.0
+    origins = (rng.random((count, 3)) * 2.0 - 0.5) * size
+    return origins, rng.random((count, 3)) * size - origins
+
+
+FIELDS = {
+    "ball": (BALL, 0.0),
+    "noise": (np.random.default_rng(1).normal(size=(19, 23, 30)), 0.3),
+    "steps": (np.random.default_rng(2).integers(0, 3, (18, 21, 17)).astype(np.uint8), 1),
+    "between steps": (np.random.default_rng(2).integers(0, 3, (18, 21, 17)).astype(np.uint8), 0.5),
+    "binary": ((BALL > 0).astype(np.uint8), 0.5),
+    "plateau": (np.clip(np.round(BALL), -3, 3), 2.0),
+    "thin": (np.random.default_rng(3).normal(size=(2, 40, 5)), 0.0),
+    "least": (np.random.default_rng(4).normal(size=(2, 2, 2)), 0.0),
+    "long": (np.sin(np.indices((9, 5, 700)).sum(axis=0) * 0.3), 0.5),
+    "spike": (np.where(np.indices((20, 20, 20)).sum(axis=0) == 30, 1e6, BALL[:20, :20, :20]), -3.0),
+}
+
+
+@pytest.mark.parametrize("name", FIELDS)
+@pytest.mark.parametrize("side", [UNKNOWN, OUTSIDE, SOLID])
+def test_the_same_bits_as_the_scalar_kernel(name, side):
+    voxels, iso = FIELDS[name]
+    origins, directions = rays_about(voxels.shape, 5)
+    hits = assert_same(voxels, iso, origins, directions, side)
+    assert hits > 0.1, "the rays say little"
+
+
+@pytest.mark.parametrize("spread", [0.0, 0.01, 0.2])
+def test_one_map_serves_a_range_of_isovalues(spread):
+    origins, directions = rays_about(BALL.shape, 6)
+    isovalues = np.random.default_rng(6).uniform(-2.0, 4.0, len(origins))
+    assert assert_same(BALL, isovalues, origins, directions, UNKNOWN, spread=spread) > 0.3
+
+
+def test_axis_aligned_rays_on_and_off_lattice_planes():
+    rng = np.random.default_rng(7)
+    origins = rng.integers(0, 41, (COUNT, 3)) + rng.choice([0.0, 0.5, 1e-9, -1e-9, 1e-5], (COUNT, 3))
+    directions = np.zeros_like(origins)
+    axis, sign = rng.integers(0, 3, COUNT), rng.choice([-1.0, 1.0], COUNT)
+    directions[np.arange(COUNT), axis] = sign
+    directions += rng.choice([0.0, -0.0, 1e-300, -1e-9, 1e-4], directions.shape)
+    for voxels, iso in (FIELDS["ball"], FIELDS["binary"], FIELDS["plateau"]):
+        assert assert_same(voxels, iso, origins, directions, UNKNOWN) > 0.1
+
+
+def test_rays_through_lattice_points_and_along_diagonals():
+    rng = np.random.default_rng(8)
+    origins = rng.integers(-5, 46, (COUNT, 3)).astype(float)
+    directions = rng.integers(-2, 3, (COUNT, 3)).astype(float)
+    directions[~directions.any(axis=1)] = 1.0
+    for voxels, iso in (FIELDS["ball"], FIELDS["binary"], FIELDS["plateau"]):
+        assert assert_same(voxels, iso, origins, directions, UNKNOWN) > 0.02
+
+
+@pytest.mark.parametrize("length", [1e-12, 1.0, 1e12])
+@pytest.mark.parametrize("distance", [1.0, 1e4, 1e8])
+def test_any_length_of_direction_from_any_distance(length, distance):
+    rng = np.random.default_rng(9)
+    directions = rng.normal(size=(COUNT, 3))
+    origins = 20.0 + rng.uniform(-10, 10, directions.shape) - 30.0 * distance * directions
+    assert assert_same(BALL, 0.0, origins, directions * length, UNKNOWN) > 0.1
+
+
+@pytest.mark.parametrize("share", [1e-4, 0.02, 1.0])
+def test_holes_are_the_scalar_kernels(share):
+    rng = np.random.default_rng(10)
+    voxels = np.where(rng.random(BALL.shape) < share, np.nan, BALL)
+    voxels[0, 0, 0] = -20.0
+    origins, directions = rays_about(voxels.shape, 11)
+    assert_same(voxels, 0.0, origins, directions, UNKNOWN)
+
+
+def test_rays_that_say_nothing_hit_nothing():
+    directions = np.zeros((5, 3))
+    directions[1:] = [[np.nan, 0, 1], [0, np.inf, 0], [np.nan] * 3, [-np.inf, np.inf, 1]]
+    (t, came), (t_one, came_one) = cast_both(BALL, 0.0, np.full((5, 3), 20.0), directions, SOLID)
+    assert np.array_equal(t, t_one) and np.array_equal(came, came_one)
+
+
+def test_from_inside_a_closed_surface_every_ray_comes_out():
+    rng = np.random.default_rng(12)
+    directions = rng.normal(size=(COUNT, 3))
+    origins = 20.0 + rng.uniform(-6, 6, directions.shape)
+    (t, came), _ = cast_both(BALL, 0.0, origins, directions, UNKNOWN)
+    assert np.isfinite(t).all() and (came == SOLID).all()
+    away = np.linalg.norm(origins + t[:, None] * directions - 20.0, axis=1)
+    assert np.abs(away - 12.0).max() < 0.1
+
+
+@pytest.mark.parametrize("count", [0, 1, 31, 4096, 4097])
+def test_batches_of_any_size(count):
+    origins, directions = rays_about(BALL.shape, 13, count)
+    assert_same(BALL, np.zeros(1), origins, directions, UNKNOWN) if count else cast_nothing()
+
+
+def cast_nothing():
+    volume = make_volume(BALL)
+    bricks = make_bricks(volume.voxels, brick_ranges(volume.voxels), 0.5, 0.5)
+    none = np.empty((0, 3))
+    cast_rays(
+        make_field(volume), bricks, np.empty(0), none, none, np.empty(0, np.int8), np.empty(0), np.empty(0, np.int8)
+    )
+
+
+@pytest.mark.data
+def test_the_engine(shared_data):
+    voxels, _ = read_nrrd(shared_data / "engine_256x256x128_uint8.nhdr")
+    for iso in (70, 180.5):
+        origins, directions = rays_about(voxels.shape, 14, 5 * COUNT)
+        assert assert_same(voxels, iso, origins, directions, UNKNOWN) > 0.2
+
+
+# --- the map -------------------------------------------------------------------------------------------------
+
+
+def masks_and_leaps(bricks):
+    """Which cells are marked (z, y, x, bricks filled up), and the leap of each brick."""
+    words = bricks.words.reshape(*bricks.shape, BRICK)
+    bits = (words[..., None, None] >> np.arange(16).reshape(4, 4)) & 1
+    z, y, x = (n * BRICK for n in bricks.shape)
+    leaps = words >> LEAP
+    assert (leaps == leaps[..., :1]).all()
+    return bits.transpose(0, 3, 1, 4, 2, 5).reshape(z, y, x).astype(bool), leaps[..., 0]
+
+
+@pytest.mark.parametrize("shape", [(2, 2, 2), (5, 9, 17), (21, 18, 30)])
+def test_marked_cells_are_those_that_hold_the_surface_and_few_more(shape):
+    voxels = np.random.default_rng(15).normal(size=shape).astype(np.float32)
+    low, high = 1.5, 1.6
+    bricks = make_bricks(voxels, brick_ranges(voxels), low, high)
+    corners = [
+        voxels[c : shape[0] - 1 + c, b : shape[1] - 1 + b, a : shape[2] - 1 + a] for c, b, a in np.ndindex(2, 2, 2)
+    ]
+    least, most = np.minimum.reduce(corners), np.maximum.reduce(corners)
+    marked, leaps = masks_and_leaps(bricks)
+    cells = marked[: shape[0] - 1, : shape[1] - 1, : shape[2] - 1]
+    holds = (least <= high) & (most > low)
+    assert not (holds & ~cells).any()
+    assert (cells & ~holds).sum() <= 0.01 * holds.sum() + 1
+    bricked = marked.reshape(bricks.shape[0], 4, bricks.shape[1], 4, bricks.shape[2], 4).any(axis=(1, 3, 5))
+    assert np.array_equal(leaps == 0, bricked)
+
+
+def test_leaps_are_chebyshev_distances():
+    voxels = np.zeros((70, 50, 90), np.float32)
+    voxels[10, 40, 7] = voxels[60, 5, 80] = 1.0
+    bricks = make_bricks(voxels, brick_ranges(voxels), 0.5, 0.5)
+    marked, leaps = masks_and_leaps(bricks)
+    places = np.argwhere(leaps == 0)
+    grid = np.moveaxis(np.indices(bricks.shape), 0, -1)
+    assert len(places) and bricks.shape == brick_shape(voxels.shape)
+    assert np.array_equal(leaps, np.abs(grid[..., None, :] - places).max(axis=-1).min(axis=-1))
+    assert math.log2(CELLS + 1) == LEAP
