@@ -65,7 +65,7 @@ def wide_range(voxels, i0, j0, k0):
         for j in range(max(j0 - 1, 0), min(j0 + BRICK + 2, ny)):
             for i in range(max(i0 - 1, 0), min(i0 + BRICK + 2, nx)):
                 v = float(voxels[k, j, i])
-                whole &= v == v
+                whole &= not math.isnan(v)
                 low, high = min(low, v), max(high, v)
     return (low, high) if whole else (-math.inf, math.inf)
 

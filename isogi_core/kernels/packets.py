@@ -3,8 +3,8 @@
 A scout walks the bricks of ``bricks`` and stops at the first cell in which the field's sign, along the
 ray and anywhere a float32 ray may be wrong about, is not certain to stay. Everything before that cell
 is certain, so that the scalar ``cross_cell`` of that one cell gives the very hit that ``intersect.cast``
-finds, when the ray enters it no later than the scout did; where it finds none (a grazed surface, noise about the isovalue) or where a scout cannot tell,
-``cast`` itself is asked. So both agree in every bit.
+finds, when the ray enters it no later than the scout did; where it finds none (a grazed surface, noise
+about the isovalue) or where a scout cannot tell, ``cast`` itself is asked. So both agree in every bit.
 
 Lanes are persistent: one whose ray has ended takes the next ray. Rays are mirrored so that no component
 of their direction is negative, and cells that may hold the surface wait until there are several.

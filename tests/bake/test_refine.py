@@ -10,7 +10,7 @@ from isogi_core.bake.light import ERROR, VOID, Light
 from isogi_core.bake.noise import FEWEST, most_samples, relative_error
 from isogi_core.bake.recipe import Recipe
 from isogi_core.bake.refine import add_to_mean, next_rung, refine
-from isogi_core.kernels.integrator import bake_texels
+from isogi_core.kernels.integrator import bake_texels, locate_texels
 from isogi_core.model.scene import load_scene
 
 NEVER = -1.0
@@ -105,8 +105,11 @@ def test_means_are_those_of_the_kernels_sums() -> None:
     plan, texels, half = recipe.scene.plan, surface_texels(recipe, 20), 32
     direct, indirect = np.zeros((20, 2, 25)), np.zeros((20, 2, 3, 25))
     isovalues, void = np.empty(20), np.empty(20, np.bool_)
+    place = (texels, np.empty((20, 3)), np.empty((20, 3)), isovalues)
+    locate_texels(recipe.field, recipe.step, *place, void)
+    bricks = recipe.bricks(float(isovalues.min()), float(isovalues.max()))
     path = (0, half, recipe.weights, plan.order)
-    bake_texels(recipe.field, recipe.step, texels, *path, direct, indirect, isovalues, void)
+    bake_texels(recipe.field, bricks, place, np.arange(20), *path, direct, indirect)
     light = Light(plan, baked(recipe, texels, 2 * half))
     np.testing.assert_allclose(light.direct, direct.mean(axis=1) / half, atol=1e-6)
     np.testing.assert_allclose(light.indirect, indirect.mean(axis=1) / half, atol=1e-6)
