@@ -25,7 +25,7 @@ CELLS = (1 << LEAP) - 1
 """The bits of a word that stand for cells."""
 
 POSITION_ERROR = 2.0**-20
-"""How far a float32 ray strays from the true one, over the volume's longest side; twice what is derived in ``packets``."""
+"""How far a float32 ray strays from the true one, over the longest side; twice what ``packets`` derives."""
 
 VALUE_ERROR = 2.0**-19
 """Rounding of a float32 trilinear value, over the largest magnitude in it."""
