@@ -69,7 +69,9 @@ def _read_header(path: Path, file: IO[bytes]) -> dict[str, Any]:
     try:
         header: dict[str, Any] = nrrd.read_header(file)
     except Exception as error:  # pynrrd raises some twenty kinds on damaged headers
-        raise VolumeError(f"The NRRD header of '{path}' is damaged ({error}): write the file again.") from error
+        raise VolumeError(
+            f"The NRRD header of '{path}' is damaged ({error}): write the file again."
+        ) from error
     missing = [field for field in ("dimension", "type", "encoding", "sizes") if field not in header]
     if missing:
         raise VolumeError(f"The NRRD header of '{path}' has no {missing[0]}: write the file again.")
@@ -80,7 +82,9 @@ def _sizes(path: Path, header: dict[str, Any]) -> tuple[int, int, int]:
     """Voxels along x, y, z, where the header speaks of one 3-D scalar field of a size that can be."""
     sizes = [int(n) for n in header["sizes"]]
     if header["dimension"] != 3 or len(sizes) != 3:
-        raise VolumeError(f"'{path}' has {header['dimension']} dimensions, not 3: save one scalar field of it.")
+        raise VolumeError(
+            f"'{path}' has {header['dimension']} dimensions, not 3: save one scalar field of it."
+        )
     others = [kind for kind in header.get("kinds", ()) if kind.lower() not in _SCALAR_KINDS]
     if others:
         raise VolumeError(f"'{path}' has an axis of kind '{others[0]}': save one scalar field of it.")
@@ -97,7 +101,9 @@ def _dtype(path: Path, header: dict[str, Any]) -> np.dtype[Any]:
         raise VolumeError(f"'{path}' holds type '{header['type']}': save it as an integer or float type.")
     order = {"little": "<", "big": ">"}.get(header.get("endian", ""))
     if order is None and code[1] != "1":
-        raise VolumeError(f"'{path}' does not say its byte order: add 'endian: little' or 'big' to its header.")
+        raise VolumeError(
+            f"'{path}' does not say its byte order: add 'endian: little' or 'big' to its header."
+        )
     return np.dtype((order or "|") + code)
 
 
@@ -129,7 +135,9 @@ def _read_encoded(path: Path, header: dict[str, Any], file: IO[bytes], size: int
         for block in _blocks(stream, size + 1):
             data += block
     except (OSError, EOFError, zlib.error) as error:
-        raise VolumeError(f"The voxels of '{path}' are damaged or cut short ({error}): copy it again.") from error
+        raise VolumeError(
+            f"The voxels of '{path}' are damaged or cut short ({error}): copy it again."
+        ) from error
     if len(data) != size:
         less = "fewer" if len(data) < size else "more"
         raise VolumeError(f"'{path}' holds {less} than the {size} bytes that its sizes need: copy it again.")

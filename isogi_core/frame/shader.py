@@ -215,8 +215,11 @@ def grade_rows(rows: np.ndarray, pool: PagePool, target: float) -> np.ndarray:
     return grade.astype(np.uint8)
 
 
-def sort_demands(texels: ViewTexels, rows: np.ndarray, grade: np.ndarray) -> tuple[int, int, tuple[Demand, ...]]:
+def sort_demands(
+    texels: ViewTexels, rows: np.ndarray, grade: np.ndarray
+) -> tuple[int, int, tuple[Demand, ...]]:
     """Chunks that a view needs, how many are final, and the demands of the rest."""
     short = np.bincount(texels.chunk, grade < FINAL, minlength=len(texels.chunks)) > 0
     demands = tuple(d for d, missing in zip(texels.demands, short, strict=True) if missing)
     return len(texels.chunks), len(texels.chunks) - len(demands), demands
+

@@ -25,7 +25,7 @@ CELLS = (1 << LEAP) - 1
 """The bits of a word that stand for cells."""
 
 POSITION_ERROR = 2.0**-20
-"""How far a float32 ray strays from the true one, over the volume's longest side; twice what is derived in ``packets``."""
+"""How far a float32 ray strays from the true one, over the volume's longest side; see ``scouts``."""
 
 VALUE_ERROR = 2.0**-19
 """Rounding of a float32 trilinear value, over the largest magnitude in it."""
@@ -65,7 +65,7 @@ def wide_range(voxels, i0, j0, k0):
         for j in range(max(j0 - 1, 0), min(j0 + BRICK + 2, ny)):
             for i in range(max(i0 - 1, 0), min(i0 + BRICK + 2, nx)):
                 v = float(voxels[k, j, i])
-                whole &= v == v
+                whole &= not math.isnan(v)
                 low, high = min(low, v), max(high, v)
     return (low, high) if whole else (-math.inf, math.inf)
 

@@ -105,7 +105,9 @@ def resample(image: np.ndarray, height: int, width: int) -> np.ndarray:
     """The image averaged by solid angle over the pixels of another grid, (height, width, 3) float64."""
     if image.shape[:2] == (height, width):
         return np.asarray(image, np.float64)
-    rows = _overlap(-np.cos(np.linspace(0, np.pi, height + 1)), -np.cos(np.linspace(0, np.pi, len(image) + 1)))
+    rows = _overlap(
+        -np.cos(np.linspace(0, np.pi, height + 1)), -np.cos(np.linspace(0, np.pi, len(image) + 1))
+    )
     columns = _overlap(np.linspace(0, 1, width + 1), np.linspace(0, 1, image.shape[1] + 1))
     wide = np.asarray(image, np.float64)
     return np.asarray(np.einsum("ij,jkc,lk->ilc", rows, wide, columns, optimize=True))

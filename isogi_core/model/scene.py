@@ -26,6 +26,7 @@ BAKE_FORMAT = 2
 """Counts up when what a chunk holds, or how its light is computed, changes."""
 
 
+
 @dataclass(frozen=True, eq=False)
 class Scene:
     """What can be rendered. ``isovalue`` and the range ``isovalues`` are in the volume's own units.

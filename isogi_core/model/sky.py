@@ -108,7 +108,9 @@ def _sky_radiance(light: SkyLight, directions: np.ndarray) -> np.ndarray:
 
 def _chromaticity(table: np.ndarray, turbidity: float, theta: float) -> float:
     """CIE x or y of the zenith, for the sun at zenith angle ``theta``."""
-    return float(np.array([turbidity**2, turbidity, 1.0]) @ table @ np.array([theta**3, theta**2, theta, 1.0]))
+    return float(
+        np.array([turbidity**2, turbidity, 1.0]) @ table @ np.array([theta**3, theta**2, theta, 1.0])
+    )
 
 
 def _perez(table: np.ndarray, turbidity: float, cos_theta: np.ndarray, cos_gamma: np.ndarray) -> np.ndarray:

@@ -171,5 +171,7 @@ def test_lanes_do_not_exist_outside_compiled_code():
 def test_all_of_it_again_compiled_for_avx2(module):
     here = Path(__file__).parent
     command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", str(here / f"{module}.py")]
-    run = subprocess.run(command, env={**os.environ, **AVX2}, cwd=here.parents[1], capture_output=True, text=True)
+    run = subprocess.run(
+        command, check=False, env={**os.environ, **AVX2}, cwd=here.parents[1], capture_output=True, text=True
+    )
     assert run.returncode == 0, run.stdout + run.stderr

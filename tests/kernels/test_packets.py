@@ -193,7 +193,7 @@ def test_leaps_are_chebyshev_distances():
     voxels = np.zeros((70, 50, 90), np.float32)
     voxels[10, 40, 7] = voxels[60, 5, 80] = 1.0
     bricks = make_bricks(voxels, brick_ranges(voxels), 0.5, 0.5)
-    marked, leaps = masks_and_leaps(bricks)
+    _, leaps = masks_and_leaps(bricks)
     places = np.argwhere(leaps == 0)
     grid = np.moveaxis(np.indices(bricks.shape), 0, -1)
     assert len(places) and bricks.shape == brick_shape(voxels.shape)
