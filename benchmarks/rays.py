@@ -25,9 +25,9 @@ from isogi_core.kernels.field import FIELD
 from isogi_core.kernels.integrator import about, facing_normal, launch, to_index
 from isogi_core.kernels.intersect import UNKNOWN
 from isogi_core.kernels.lanes import WIDTH
-from isogi_core.kernels.packets import ORIGINS, SIDES, VECTOR, cast_rays, cast_rays_one_by_one, row
+from isogi_core.kernels.packets import ORIGINS, SIDES, VECTOR, cast_rays, cast_rays_one_by_one
 from isogi_core.kernels.sampling import sample_cosine_hemisphere
-from isogi_core.kernels.vec import madd
+from isogi_core.kernels.vec import madd, row
 
 Rays = tuple[np.ndarray, np.ndarray, np.ndarray]
 """Origins and directions (n, 3) in index space, and the sides they start on (n,)."""

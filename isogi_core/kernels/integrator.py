@@ -14,10 +14,10 @@ from isogi_core.kernels.bricks import BRICKS
 from isogi_core.kernels.field import FIELD, normal, value
 from isogi_core.kernels.harmonics import accumulate
 from isogi_core.kernels.intersect import OUTSIDE, SOLID, cast
-from isogi_core.kernels.packets import cast_batch, row
+from isogi_core.kernels.packets import cast_batch
 from isogi_core.kernels.rng import mix, point_2d
 from isogi_core.kernels.sampling import sample_cosine_hemisphere
-from isogi_core.kernels.vec import length, madd, orthonormal_basis, scale
+from isogi_core.kernels.vec import length, madd, orthonormal_basis, row, scale
 
 VECTOR = types.float64[::1]
 POINTS = types.float64[:, ::1]

@@ -4,7 +4,7 @@ Three Numba types, ``FLOATS`` (float32), ``INTS`` (int32) and ``MASK`` (one bit 
 operators of numbers, numbers of Python next to them being spread over all lanes. Kernels are then
 written as arithmetic: ``select(t < far, near + t * d, far)``. Each operation is one instruction of
 LLVM on a vector type. A vector fills two registers, so that one half computes while the other waits
-for memory (1.3 times faster than one, with AVX-512 and with AVX2).
+for memory (up to 1.2 times faster than one, with AVX-512).
 
 ``WIDTH`` is 32 with AVX-512, 16 with AVX2, and None elsewhere and without Numba: callers then use the
 scalar kernel. Lanes cannot leave compiled code.

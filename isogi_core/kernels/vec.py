@@ -74,3 +74,9 @@ def orthonormal_basis(n):
     a = -1.0 / (sign + n[2])
     b = n[0] * n[1] * a
     return (1.0 + sign * n[0] * n[0] * a, sign * b, -sign * n[0]), (b, sign + n[1] * n[1] * a, -n[1])
+
+
+@kernel()
+def row(vectors, m):
+    """Row ``m`` of an (n, 3) array as a tuple."""
+    return vectors[m, 0], vectors[m, 1], vectors[m, 2]

@@ -10,7 +10,7 @@ from isogi_core.bake.refine import refine
 from isogi_core.kernels.bricks import brick_ranges, make_bricks
 from isogi_core.kernels.integrator import trace_path, walk_paths
 from isogi_core.kernels.intersect import OUTSIDE
-from isogi_core.kernels.packets import row
+from isogi_core.kernels.vec import row
 from isogi_core.model.scene import load_scene
 from isogi_core.model.volume import make_volume
 

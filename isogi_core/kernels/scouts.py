@@ -1,0 +1,334 @@
+"""Scouts: rays in lanes, followed in float32 to the first cell that may hold the surface.
+
+Lanes are persistent: one whose ray has ended takes the next ray. Rays are mirrored so that no component
+of their direction is negative, and cells that may hold the surface wait until there are several.
+
+How wrong is a float32 ray? With N the longest side, u = 2⁻²⁴: its origin in the box by N·u, a face's
+parameter by 3·u·N along the axis of that face, a point by 2·u·N more: 6·u·N voxels and less than
+POSITION_ERROR · N. In a brick with all cells around it the field changes by at most 3 × its range per
+voxel's length along the ray; margins hold that much.
+"""
+
+import math
+
+from isogi_core.kernels._jit import kernel
+from isogi_core.kernels.bricks import BRICK, LEAP
+from isogi_core.kernels.intersect import UNKNOWN, clip_box
+from isogi_core.kernels.lanes import (
+    COUNT,
+    bits,
+    floats,
+    fma,
+    gather,
+    ints,
+    least,
+    mask_of,
+    most,
+    pick,
+    popcount,
+    rank,
+    select,
+)
+from isogi_core.kernels.vec import madd, row
+
+BUSY = COUNT // 2
+"""Fewer lanes than these at work, and the others take the next rays."""
+
+WAITING = max(COUNT // 3, 1)
+"""Lanes at a cell that may hold the surface before these cells are looked at."""
+
+CLEAR, ASK = -1, -2
+"""What a scout found where it is not a cell: nothing, or that ``cast`` must be asked."""
+
+FIELDS = 10
+"""Numbers of a prepared ray: origin, direction (x, y, z, mirrored), way to the exit, isovalue, sign, mirror."""
+
+HUGE = 1e30
+"""Stands for 1/0: times nothing it is nothing."""
+
+STRAY = 8
+"""The bit of a mirror that says: no ray to follow, ask ``cast``."""
+
+
+@kernel()
+def prepare(field, shape, isovalues, origins, directions, sides, first, last, rays, owners, spans):
+    """Write records of rays first … last that meet the box to ``rays`` (FIELDS, n); returns how many.
+
+    ``owners`` (n,) are their numbers; ``spans`` (n, 2) what ``clip_box`` gives for them.
+    """
+    count = 0
+    for m in range(first, last):
+        o, d = row(origins, m), row(directions, m)
+        near, far = clip_box(field.voxels, o, d)
+        if near < far:
+            p = madd(o, near, d)
+            longest = max(abs(d[0]), abs(d[1]), abs(d[2]))
+            shrink = 1.0 / longest
+            mirror = 0 if shrink < math.inf and far < math.inf else STRAY
+            for a in range(3):
+                step, here = (d[a] * shrink, p[a]) if mirror < STRAY else (1.0, 0.0)
+                if step < 0.0:
+                    here = BRICK * shape[2 - a] - here
+                    mirror |= 1 << a
+                rays[a, count], rays[3 + a, count] = here, abs(step)
+            rays[6, count] = (far - near) * longest
+            rays[7, count] = isovalues[m]
+            rays[8, count] = -sides[m] if near == 0.0 else UNKNOWN
+            rays[9, count] = mirror
+            owners[count] = m
+            spans[count, 0], spans[count, 1] = near, far
+            count += 1
+    return count
+
+
+@kernel()
+def along(p, t, d):
+    """The points p + t·d of lanes."""
+    return fma(t, d[0], p[0]), fma(t, d[1], p[1]), fma(t, d[2], p[2])
+
+
+@kernel()
+def choose(mask, a, b):
+    """The vectors a where the mask is set, else b."""
+    return select(mask, a[0], b[0]), select(mask, a[1], b[1]), select(mask, a[2], b[2])
+
+
+@kernel()
+def linear(c, stride, base):
+    """Place of cell or brick c in a flat array."""
+    return c[0] * stride[0] + c[1] * stride[1] + c[2] * stride[2] + base
+
+
+@kernel()
+def strides_of(mirror, y, z, last):
+    """Strides (x, y, z) and base in a flat array with rows of ``y`` and planes of ``z``, for mirrored lanes.
+
+    ``last`` is the index of the last element along x, y, z.
+    """
+    mx, my, mz = (mirror & 1) != 0, (mirror & 2) != 0, (mirror & 4) != 0
+    stride = select(mx, ints(-1), ints(1)), select(my, ints(-y), ints(y)), select(mz, ints(-z), ints(z))
+    base = select(mx, ints(last[0]), ints(0)) + select(my, ints(last[1] * y), ints(0))
+    return stride, base + select(mz, ints(last[2] * z), ints(0))
+
+
+@kernel()
+def look(bricks, c, flip, stride, base):
+    """The leap from cells ``c``, in bricks, and whether their bits are set."""
+    layer = ((c[2] ^ (flip >> 4)) & 3) + (linear((c[0] >> 2, c[1] >> 2, c[2] >> 2), stride, base) << 2)
+    word = gather(bricks.words, layer)
+    bit = ((c[0] & 3) | ((c[1] & 3) << 2)) ^ (flip & 15)
+    return word >> LEAP, ((word >> bit) & 1) != 0
+
+
+@kernel()
+def leave(o, d, inv, c, low, size):
+    """Where lanes leave a cube of cells with corner ``low``: (t, cell they enter then)."""
+    n = low[0] + size, low[1] + size, low[2] + size
+    tx = (floats(n[0]) - o[0]) * inv[0]
+    ty = (floats(n[1]) - o[1]) * inv[1]
+    tz = (floats(n[2]) - o[2]) * inv[2]
+    t = least(least(tx, ty), tz)
+    p = along(o, t, d)
+    x = select(tx <= t, n[0], most(c[0], ints(p[0])))
+    y = select(ty <= t, n[1], most(c[1], ints(p[1])))
+    z = select(tz <= t, n[2], most(c[2], ints(p[2])))
+    return t, (x, y, z)
+
+
+@kernel()
+def lerp(a, b, t):
+    """a + t (b - a)."""
+    return fma(t, b - a, a)
+
+
+@kernel()
+def bernstein(v, a, b):
+    """Bernstein coefficients of the trilinear field from ``a`` to ``b`` in the unit cell; ``v`` its corners.
+
+    By the field's blossom: its values at the corners of the box between a and b, averaged.
+    """
+    x0, x1, x2, x3 = lerp(v[0], v[1], a[0]), lerp(v[2], v[3], a[0]), lerp(v[4], v[5], a[0]), lerp(v[6], v[7], a[0])
+    y0, y1, y2, y3 = lerp(v[0], v[1], b[0]), lerp(v[2], v[3], b[0]), lerp(v[4], v[5], b[0]), lerp(v[6], v[7], b[0])
+    aa0, aa1 = lerp(x0, x1, a[1]), lerp(x2, x3, a[1])
+    ab0, ab1 = lerp(x0, x1, b[1]), lerp(x2, x3, b[1])
+    ba0, ba1 = lerp(y0, y1, a[1]), lerp(y2, y3, a[1])
+    bb0, bb1 = lerp(y0, y1, b[1]), lerp(y2, y3, b[1])
+    third = 1.0 / 3.0
+    one = (lerp(aa0, aa1, b[2]) + lerp(ab0, ab1, a[2]) + lerp(ba0, ba1, a[2])) * third
+    two = (lerp(bb0, bb1, a[2]) + lerp(ba0, ba1, b[2]) + lerp(ab0, ab1, b[2])) * third
+    return lerp(aa0, aa1, a[2]), one, two, lerp(bb0, bb1, b[2])
+
+
+@kernel()
+def corner_values(flat, place, stride, iso):
+    """The eight corner values less the isovalue of the cells whose first corner is at ``place``."""
+    up = place + stride[2]
+    return (
+        gather(flat, place) - iso,
+        gather(flat, place + stride[0]) - iso,
+        gather(flat, place + stride[1]) - iso,
+        gather(flat, place + stride[1] + stride[0]) - iso,
+        gather(flat, up) - iso,
+        gather(flat, up + stride[0]) - iso,
+        gather(flat, up + stride[1]) - iso,
+        gather(flat, up + stride[1] + stride[0]) - iso,
+    )
+
+
+@kernel()
+def certain(flat, bricks, place, stride, brick, c, o, d, t, out, iso, sign):
+    """Whether the field has ``sign`` for certain in cell ``c`` from ``t`` to ``out``."""
+    v = corner_values(flat, place, stride, iso)
+    corner = floats(c[0]), floats(c[1]), floats(c[2])
+    p = o[0] - corner[0], o[1] - corner[1], o[2] - corner[2]
+    b = bernstein(v, along(p, t, d), along(p, out, d))
+    margin = gather(bricks.margins, brick)
+    inner = (b[0] * sign > margin) & (b[1] * sign > margin)
+    return inner & (b[2] * sign > margin) & (b[3] * sign > margin)
+
+
+@kernel()
+def report(found, entries, owner, cell, sign, t, lanes):
+    """Write cell · 2 + (1 where solid) of the chosen lanes to ``found`` at their rays, and ``t`` to ``entries``."""
+    word = cell * 2 + select(sign > 0.0, ints(1), ints(0))
+    chosen = bits(lanes)
+    lane = 0
+    while chosen != 0:
+        if chosen & 1:
+            m = pick(owner, lane)
+            found[m], entries[m] = pick(word, lane), pick(t, lane)
+        chosen >>= 1
+        lane += 1
+
+
+@kernel()
+def mark(found, owner, word, lanes):
+    """Write ``word`` of the chosen lanes to ``found`` at their rays."""
+    chosen = bits(lanes)
+    lane = 0
+    while chosen != 0:
+        if chosen & 1:
+            found[pick(owner, lane)] = word
+        chosen >>= 1
+        lane += 1
+
+
+@kernel()
+def scout(flat, shape, bricks, rays, count, found, entries):
+    """Write to ``found`` (count,) what each prepared ray meets: CLEAR, ASK, or 2 · cell + (1 from a solid side).
+
+    ``entries`` (count,) is the way, in steps of the direction's largest component, to that cell.
+    """
+    nz, ny, nx = shape
+    bz, by, bx = bricks.shape
+    o0, o1, o2 = rays[0], rays[1], rays[2]
+    d0, d1, d2 = rays[3], rays[4], rays[5]
+    way, levels, signs, mirrors = rays[6], rays[7], rays[8], rays[9]
+    zero, nought = floats(0.0), ints(0)
+    o, d, inv = (zero, zero, zero), (zero, zero, zero), (zero, zero, zero)
+    c, stride, limit = (nought, nought, nought), (nought, nought, nought), (nought, nought, nought)
+    base, owner, mirror, flip = nought, nought, nought, nought
+    t, end, iso, sign = zero, zero, zero, zero
+    none = mask_of(False)
+    walking, waiting = none, none
+    following = 0
+    while True:
+        idle = ~(walking | waiting)
+        if following < count and popcount(idle) > COUNT - BUSY:
+            next_ray = rank(idle) + following
+            fresh = idle & (next_ray < count)
+            following = min(count, following + popcount(idle))
+            ray = select(fresh, next_ray, owner)
+            owner = ray
+            o = gather(o0, ray), gather(o1, ray), gather(o2, ray)
+            d = gather(d0, ray), gather(d1, ray), gather(d2, ray)
+            one, huge = floats(1.0), floats(HUGE)
+            inv = least(one / d[0], huge), least(one / d[1], huge), least(one / d[2], huge)
+            end, iso = gather(way, ray), gather(levels, ray)
+            told = gather(signs, ray)
+            mirror = ints(gather(mirrors, ray))
+            flip = ((mirror & 1) * 3) | ((mirror & 2) * 6) | ((mirror & 4) * 12)
+            stride, base = strides_of(mirror, bx, bx * by, (bx - 1, by - 1, bz - 1))
+            x, x_end = enter_box(o[0], (mirror & 1) != 0, nx)
+            y, y_end = enter_box(o[1], (mirror & 2) != 0, ny)
+            z, z_end = enter_box(o[2], (mirror & 4) != 0, nz)
+            start, limit = (x, y, z), (x_end, y_end, z_end)
+            c = choose(fresh, start, c)
+            t = select(fresh, 0.0, t)
+            corner = least_node(c, mirror, shape)
+            value = gather(flat, corner)
+            here = select(value > iso, floats(1.0), -1.0)
+            _, doubtful = look(bricks, c, flip, stride, base)
+            lost = fresh & ((mirror >= STRAY) | (doubtful & (told == 0.0)) | (~doubtful & (told + here == 0.0)))
+            mark(found, owner, ASK, lost)
+            sign = select(fresh, select(told == 0.0, here, told), sign)
+            walking = walking | (fresh & ~lost)
+        if popcount(walking | waiting) == 0:
+            if following >= count:
+                return
+            continue
+        while True:
+            ahead = popcount(walking)
+            if ahead == 0 or popcount(waiting) >= WAITING:
+                break
+            if following < count and ahead + popcount(waiting) < BUSY:
+                break
+            leap, stops = look(bricks, c, flip, stride, base)
+            near = leap == 0
+            stops = stops & walking
+            waiting = waiting | stops
+            walking = walking & ~stops
+            keep = select(near, ints(-1), ints(-BRICK))
+            size = select(near, ints(1), leap << 2)
+            out, after = leave(o, d, inv, c, (c[0] & keep, c[1] & keep, c[2] & keep), size)
+            gone = walking & ((after[0] >= limit[0]) | (after[1] >= limit[1]) | (after[2] >= limit[2]))
+            mark(found, owner, ASK, gone & (out < end - 1e-4))
+            walking = walking & ~gone
+            t = select(walking, out, t)
+            c = choose(walking, after, c)
+        if popcount(waiting) >= WAITING or popcount(walking) == 0:
+            vs, vb = strides_of(mirror, nx, nx * ny, (BRICK * bx, BRICK * by, BRICK * bz))
+            brick = linear((c[0] >> 2, c[1] >> 2, c[2] >> 2), stride, base)
+            place = select(waiting, linear(c, vs, vb), nought)
+            safe = choose(waiting, vs, (nought, nought, nought))
+            out, after = leave(o, d, inv, c, c, ints(1))
+            passed = certain(flat, bricks, place, safe, brick, c, o, d, t, out, iso, sign) & waiting
+            report(found, entries, owner, least_node(c, mirror, shape), sign, t, waiting & ~passed)
+            gone = passed & ((after[0] >= limit[0]) | (after[1] >= limit[1]) | (after[2] >= limit[2]))
+            mark(found, owner, ASK, gone & (out < end - 1e-4))
+            passed = passed & ~gone
+            t = select(passed, out, t)
+            c = choose(passed, after, c)
+            walking = walking | passed
+            waiting = none
+
+
+@kernel()
+def least_node(c, mirror, shape):
+    """Flat index of the corner of the lanes' cells that is lowest in the volume, which names the cell.
+
+    Cells that stand beyond the last one, to fill up a brick, get the last one's name.
+    """
+    nz, ny, nx = shape
+    x = unmirror(c[0], (mirror & 1) != 0, nx)
+    y = unmirror(c[1], (mirror & 2) != 0, ny)
+    z = unmirror(c[2], (mirror & 4) != 0, nz)
+    return (z * ny + y) * nx + x
+
+
+@kernel()
+def enter_box(x, mirrored, n):
+    """The cell of mirrored coordinate ``x`` along an axis of ``n`` voxels, and the cell behind the last one."""
+    padded = (n - 1 + BRICK - 1) // BRICK * BRICK
+    lowest = select(mirrored, ints(padded - (n - 1)), ints(0))
+    end = select(mirrored, ints(padded), ints(n - 1))
+    i = most(ints(x), lowest)
+    return select(i < end, i, end - 1), end
+
+
+@kernel()
+def unmirror(c, mirrored, n):
+    """Cell index in the volume along an axis of ``n`` voxels."""
+    cells = (n - 1 + BRICK - 1) // BRICK * BRICK
+    c = select(mirrored, ints(cells - 1) - c, c)
+    return select(c > n - 2, ints(n - 2), c)
