@@ -87,10 +87,8 @@ def trace(view: View, recipe: Recipe, tiles: Tiles, cancelled: threading.Event |
     depth = np.empty((view.height, view.width), np.float32)
     position = np.empty((view.height, view.width, 3), np.float32)
 
-    bricks = recipe.bricks(isovalue, isovalue)
-
     def _piece(a: int, b: int) -> None:
-        trace_rows(recipe.field, bricks, isovalue, camera, a, depth[a:b], position[a:b])
+        trace_rows(recipe.field, isovalue, camera, a, depth[a:b], position[a:b])
 
     tiles.run(_piece, view.height, ROWS, cancelled)
     pixels = np.flatnonzero(np.isfinite(depth))

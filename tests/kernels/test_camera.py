@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from numba import config
 
-from isogi_core.kernels.bricks import brick_ranges, make_bricks
 from isogi_core.kernels.camera import Pinhole, pixel_ray, trace_rows
 from tests.kernels.test_macrocells import field_of
 
@@ -32,12 +31,11 @@ def look_down(eye, fov=40.0, width=SIDE, height=SIDE, spacing=(1.0, 1.0, 1.0)):
 def picture(voxels, iso, camera, width=SIDE, height=SIDE, tile=None, spacing=(1.0, 1.0, 1.0)):
     """Depth (h, w) and position (h, w, 3) of a whole picture, traced in tiles of so many rows."""
     field = field_of(voxels, spacing)
-    bricks = make_bricks(field.voxels, brick_ranges(field.voxels), iso, iso)
     depth = np.full((height, width), np.nan, np.float32)
     position = np.full((height, width, 3), np.nan, np.float32)
     for first in range(0, height, tile or height):
         rows = slice(first, first + (tile or height))
-        trace_rows(field, bricks, iso, camera, first, depth[rows], position[rows])
+        trace_rows(field, iso, camera, first, depth[rows], position[rows])
     return depth, position
 
 
