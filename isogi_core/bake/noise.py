@@ -35,6 +35,9 @@ def relative_error(light: Light, recipe: Recipe) -> np.ndarray:
 
 def finished(light: Light, recipe: Recipe, target: float) -> np.ndarray:
     """Whether each texel is final: its error within ``target``, its samples spent, or void; (texels,) bool."""
-    void = light.samples < 0
-    told = (relative_error(light, recipe) <= target) & (light.samples >= FEWEST)
-    return void | told | (light.samples >= most_samples(target))
+    return (light.samples < 0) | good_enough(relative_error(light, recipe), light.samples, target)
+
+
+def good_enough(error: np.ndarray, samples: np.ndarray, target: float) -> np.ndarray:
+    """Whether texels of this relative ``error`` after so many ``samples`` are final for ``target``; bool."""
+    return (error <= target) & (samples >= FEWEST) | (samples >= most_samples(target))

@@ -78,13 +78,18 @@ class Recipe:
     @cached_property
     def luminance_light(self) -> np.ndarray:
         """Luminance of ``light`` times the albedo, split over the channels of the transfer; (channels, n²)."""
-        weighted = (LUMINANCE * np.array(self.scene.albedo))[:, None] * self.light
-        return weighted if self.scene.plan.channels == 3 else weighted.sum(axis=0, keepdims=True)
+        return to_luminance(self.light, self.scene.albedo, self.scene.plan.channels)
 
     @cached_property
     def noise_weights(self) -> np.ndarray:
         """See the function of the same name; (channels, n²) float64."""
         return noise_weights(self.luminance_light, self.scene.plan.order)
+
+
+def to_luminance(light: np.ndarray, albedo: tuple[float, float, float], channels: int) -> np.ndarray:
+    """Luminance of the reflected ``light`` (3, n²), split over the channels of the transfer; (channels, n²)."""
+    weighted = (LUMINANCE * np.array(albedo))[:, None] * light
+    return weighted if channels == 3 else weighted.sum(axis=0, keepdims=True)
 
 
 def make_field(volume: Volume) -> Field:

@@ -8,8 +8,8 @@ from functools import cached_property
 
 import numpy as np
 
-from isogi_core.bake.noise import FEWEST, most_samples
-from isogi_core.bake.recipe import Recipe
+from isogi_core.bake.noise import good_enough
+from isogi_core.bake.recipe import Recipe, to_luminance
 from isogi_core.cache.loader import Loader
 from isogi_core.cache.pages import PagePool
 from isogi_core.frame.gbuffer import POINTS, GBuffer
@@ -148,8 +148,7 @@ class Shader:
             noise = np.zeros((channels, n))
             noise[:, 0] = LUMINANCE @ light[:, 0] / channels
             return pool.vicinity, as_kernel(light), as_kernel(noise)
-        weighted = LUMINANCE[:, None] * self.turned.reflected
-        noise = weighted if channels == 3 else weighted.sum(axis=0, keepdims=True)
+        noise = to_luminance(self.turned.light, self.recipe.scene.albedo, channels)
         return pool.transfer, as_kernel(self.turned.reflected), as_kernel(noise)
 
     def _carry(
@@ -184,8 +183,7 @@ def rows_of(texels: ViewTexels, slots: np.ndarray, pool: PagePool) -> np.ndarray
 
 def grade_rows(rows: np.ndarray, pool: PagePool, target: float) -> np.ndarray:
     """FINAL or CONVERGING for each row; void texels are final, unlit ones 0. (texels,) uint8."""
-    samples = pool.samples[rows]
-    done = (pool.error[rows] <= target) & (samples >= FEWEST) | (samples >= most_samples(target))
+    done = good_enough(pool.error[rows], pool.samples[rows], target)
     grade = np.where(done, FINAL, CONVERGING)
     grade[rows == VOID_ROW] = FINAL
     grade[rows == UNLIT] = 0
