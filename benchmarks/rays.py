@@ -27,22 +27,22 @@ from isogi_core.kernels.intersect import UNKNOWN
 from isogi_core.kernels.lanes import WIDTH
 from isogi_core.kernels.packets import ORIGINS, SIDES, VECTOR, cast_rays, cast_rays_one_by_one
 from isogi_core.kernels.sampling import sample_cosine_hemisphere
-from isogi_core.kernels.vec import madd, row
+from isogi_core.kernels.vec import column, madd, put_column
 
 Rays = tuple[np.ndarray, np.ndarray, np.ndarray]
-"""Origins and directions (n, 3) in index space, and the sides they start on (n,)."""
+"""Origins and directions (3, n) in index space, and the sides they start on (n,)."""
 
 
 @kernel(types.void(FIELD, types.float64, ORIGINS, ORIGINS, VECTOR, SIDES, ORIGINS))
 def scatter(field, iso, origins, directions, t, came, numbers):
     """Turn rays that hit, in place, into cosine rays from where they hit; ``numbers`` (n, 3) in [0, 1)."""
-    for m in range(origins.shape[0]):
-        d = row(directions, m)
-        p = madd(row(origins, m), t[m], d)
+    for m in range(origins.shape[1]):
+        d = column(directions, m)
+        p = madd(column(origins, m), t[m], d)
         n = facing_normal(field, p, int(came[m]), d)
         w = about(n, sample_cosine_hemisphere(numbers[m, 0], numbers[m, 1]))
-        origins[m, 0], origins[m, 1], origins[m, 2] = launch(field, iso, p, n, int(came[m]))
-        directions[m, 0], directions[m, 1], directions[m, 2] = to_index(w, field.spacing)
+        put_column(origins, m, launch(field, iso, p, n, int(came[m])))
+        put_column(directions, m, to_index(w, field.spacing))
 
 
 class Casts:
@@ -56,7 +56,7 @@ class Casts:
 
     def run(self, cast: Callable[..., Any], rays: Rays) -> tuple[np.ndarray, np.ndarray]:
         """(t, came) of ``rays``."""
-        t, came = np.empty(len(rays[0])), np.empty(len(rays[0]), np.int8)
+        t, came = np.empty(rays[0].shape[1]), np.empty(rays[0].shape[1], np.int8)
         cast(self.recipe.field, self.bricks, np.full(len(t), self.isovalue), *rays, t, came)
         return t, came
 
@@ -67,7 +67,7 @@ class Casts:
             "scalar": lambda: self.run(cast_rays_one_by_one, rays),
         }
         if self.embree is not None:
-            origins, directions = rays[0].astype(np.float32), rays[1].astype(np.float32)
+            origins, directions = (np.ascontiguousarray(v.T, np.float32) for v in rays[:2])
             found["embree"] = lambda: self.embree.run(origins, directions)
         return found
 
@@ -75,8 +75,8 @@ class Casts:
         """Cosine rays from where ``rays`` hit."""
         t, came = self.run(cast_rays_one_by_one, rays)
         hit = np.isfinite(t)
-        origins, directions, came = rays[0][hit], rays[1][hit], came[hit]
-        scatter(self.recipe.field, self.isovalue, origins, directions, t[hit], came, rng.random(origins.shape))
+        origins, directions, came = rays[0][:, hit], rays[1][:, hit], came[hit]
+        scatter(self.recipe.field, self.isovalue, origins, directions, t[hit], came, rng.random((len(came), 3)))
         return origins, directions, came
 
 
@@ -97,10 +97,10 @@ def embree_scene(voxels: np.ndarray, isovalue: float) -> Any:
 def primary_rays(recipe: Recipe, size: int) -> Rays:
     """The rays of the benchmarks' view."""
     camera = pinhole(view_of(recipe.scene, size).camera, size, size, recipe.scene.volume.spacing)
-    y, x = (np.mgrid[:size, :size] + 0.5).reshape(2, -1, 1)
-    directions = np.array(camera.corner) + x * np.array(camera.right) + y * np.array(camera.down)
-    origins = np.broadcast_to(np.array(camera.eye), directions.shape).copy()
-    return origins, directions, np.full(len(origins), UNKNOWN, np.int8)
+    y, x = (np.mgrid[:size, :size] + 0.5).reshape(2, -1)
+    corner, right, down, eye = (np.array(v)[:, None] for v in (camera.corner, camera.right, camera.down, camera.eye))
+    directions = corner + x * right + y * down
+    return np.repeat(eye, len(x), axis=1), directions, np.full(len(x), UNKNOWN, np.int8)
 
 
 def measure(casts: Casts, rays: Rays, repeats: int) -> dict[str, float]:
@@ -131,8 +131,8 @@ def main(target: str | None, isovalue: float | None, size: int, repeats: int, as
     for kind in ("primary", "bounce1", "bounce2"):
         seconds = measure(casts, rays, repeats)
         lanes = seconds.pop("lanes")
-        figures[f"{kind}: rays"] = len(rays[0])
-        figures[f"{kind}: Mrays/s"] = len(rays[0]) / lanes / 1e6
+        figures[f"{kind}: rays"] = rays[0].shape[1]
+        figures[f"{kind}: Mrays/s"] = rays[0].shape[1] / lanes / 1e6
         figures |= {f"{kind}: lanes / {name}": taken / lanes for name, taken in seconds.items()}
         rays = casts.bounce(rays, rng)
     if as_json:

@@ -17,7 +17,7 @@ from isogi_core.kernels.intersect import OUTSIDE, SOLID, cast
 from isogi_core.kernels.packets import cast_batch
 from isogi_core.kernels.rng import mix, point_2d
 from isogi_core.kernels.sampling import sample_cosine_hemisphere
-from isogi_core.kernels.vec import length, madd, orthonormal_basis, row, scale
+from isogi_core.kernels.vec import column, length, madd, orthonormal_basis, put_column, row, scale
 
 VECTOR = types.float64[::1]
 POINTS = types.float64[:, ::1]
@@ -123,27 +123,27 @@ def walk_paths(field, bricks, isovalues, points, normals, seeds, samples, bounce
     left[:] = -1
     alive, count = np.arange(total), total
     sides = np.full(total, OUTSIDE, np.int8)
-    origins, directions, levels = np.empty((total, 3)), np.empty((total, 3)), np.empty(total)
+    room, levels = np.empty(6 * total), np.empty(total)
     t, came = np.empty(total), np.empty(total, np.int8)
     for bounce in range(bounces + 1):
+        origins, directions = room[: 3 * count].reshape(3, count), room[3 * count : 6 * count].reshape(3, count)
         for i in range(count):
             m = alive[i]
             o, w = aim(
                 field, isovalues[m], row(points, m), row(normals, m), int(sides[i]), seeds[m], samples[m], bounce
             )
             put(ways, m, w)
-            put(origins, i, o)
-            put(directions, i, to_index(w, field.spacing))
+            put_column(origins, i, o)
+            put_column(directions, i, to_index(w, field.spacing))
             levels[i] = isovalues[m]
-        rays = origins[:count], directions[:count], sides[:count]
-        cast_batch(field, bricks, levels[:count], rays[0], rays[1], rays[2], t, came)
+        cast_batch(field, bricks, levels[:count], origins, directions, sides[:count], t[:count], came[:count])
         hits = 0
         for i in range(count):
             m = alive[i]
             if not t[i] < math.inf:
                 left[m] = bounce
             elif bounce < bounces:
-                p = madd(row(origins, i), t[i], row(directions, i))
+                p = madd(column(origins, i), t[i], column(directions, i))
                 put(points, m, p)
                 put(normals, m, facing_normal(field, p, int(came[i]), row(ways, m)))
                 alive[hits], sides[hits] = m, came[i]

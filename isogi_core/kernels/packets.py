@@ -18,7 +18,7 @@ from isogi_core.kernels.field import FIELD, clamp_cell
 from isogi_core.kernels.intersect import OUTSIDE, SOLID, UNKNOWN, cast, cross_cell, cut_cell, reciprocal
 from isogi_core.kernels.lanes import WIDTH
 from isogi_core.kernels.scouts import CLEAR, FIELDS, prepare, scout
-from isogi_core.kernels.vec import madd, row
+from isogi_core.kernels.vec import column, madd
 
 BATCH = 4096
 """Rays that are prepared and scouted together: their records stay in the second-level cache."""
@@ -65,8 +65,8 @@ def cast_by_lanes(field, bricks, isovalues, origins, directions, sides, t, came)
     spans, found = np.empty((BATCH, 2)), np.empty(BATCH, np.int32)
     entries = np.empty(BATCH, np.float32)
     flat = field.voxels.reshape(field.voxels.size)
-    for first in range(0, origins.shape[0], BATCH):
-        last = min(first + BATCH, origins.shape[0])
+    for first in range(0, t.shape[0], BATCH):
+        last = min(first + BATCH, t.shape[0])
         t[first:last] = math.inf
         came[first:last] = UNKNOWN
         count = prepare(field, bricks.shape, isovalues, origins, directions, sides, first, last, rays, owners, spans)
@@ -74,20 +74,20 @@ def cast_by_lanes(field, bricks, isovalues, origins, directions, sides, t, came)
         scout(flat, field.voxels.shape, bricks, rays, count, found, entries)
         for i in range(count):
             m = owners[i]
-            ray = row(origins, m), row(directions, m), int(sides[m])
+            ray = column(origins, m), column(directions, m), int(sides[m])
             t[m], came[m] = settle_ray(field, isovalues[m], ray, (spans[i, 0], spans[i, 1]), found[i], entries[i])
 
 
 @kernel()
 def cast_one_by_one(field, bricks, isovalues, origins, directions, sides, t, came):
     """``cast_batch`` where there are no lanes."""
-    for m in range(origins.shape[0]):
-        t[m], came[m] = cast(field, isovalues[m], row(origins, m), row(directions, m), int(sides[m]))
+    for m in range(t.shape[0]):
+        t[m], came[m] = cast(field, isovalues[m], column(origins, m), column(directions, m), int(sides[m]))
 
 
 @kernel()
 def cast_batch(field, bricks, isovalues, origins, directions, sides, t, came):
-    """First crossings of rays ``origins`` + t · ``directions`` (n, 3), as ``intersect.cast`` gives them, to the bit.
+    """First crossings of rays ``origins`` + t · ``directions`` (3, n), as ``intersect.cast`` gives them, to the bit.
 
     ``isovalues`` (n,) within the range of ``bricks``; ``sides`` (n,) OUTSIDE, SOLID or UNKNOWN; writes
     ``t`` (n,), inf where there is none, and ``came`` (n,). Rays need no order; neighbours side by side are faster.

@@ -29,7 +29,7 @@ from isogi_core.kernels.lanes import (
     rank,
     select,
 )
-from isogi_core.kernels.vec import madd, row
+from isogi_core.kernels.vec import column, madd
 
 BUSY = COUNT // 2
 """Fewer lanes than these at work, and the others take the next rays."""
@@ -58,7 +58,7 @@ def prepare(field, shape, isovalues, origins, directions, sides, first, last, ra
     """
     count = 0
     for m in range(first, last):
-        o, d = row(origins, m), row(directions, m)
+        o, d = column(origins, m), column(directions, m)
         near, far = clip_box(field.voxels, o, d)
         if near < far:
             p = madd(o, near, d)

@@ -80,3 +80,15 @@ def orthonormal_basis(n):
 def row(vectors, m):
     """Row ``m`` of an (n, 3) array as a tuple."""
     return vectors[m, 0], vectors[m, 1], vectors[m, 2]
+
+
+@kernel()
+def column(vectors, m):
+    """Column ``m`` of a (3, n) array as a tuple."""
+    return vectors[0, m], vectors[1, m], vectors[2, m]
+
+
+@kernel()
+def put_column(vectors, m, v):
+    """Write the vector ``v`` to column ``m`` of a (3, n) array."""
+    vectors[0, m], vectors[1, m], vectors[2, m] = v

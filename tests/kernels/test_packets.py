@@ -29,9 +29,14 @@ def cast_both(voxels, isovalues, origins, directions, sides, spread=0.0):
     results = []
     for kernel in (cast_rays, cast_rays_one_by_one):
         t, came = np.full(len(origins), -1.0), np.full(len(origins), 99, np.int8)
-        kernel(field, bricks, isovalues, origins, directions, sides, t, came)
+        kernel(field, bricks, isovalues, *along(origins, directions), sides, t, came)
         results.append((t, came))
     return results
+
+
+def along(*vectors):
+    """Vectors (n, 3) as the kernels take them, (3, n)."""
+    return [np.ascontiguousarray(v.T) for v in vectors]
 
 
 def assert_same(*arguments, **options):
@@ -144,7 +149,7 @@ def test_batches_of_any_size(count):
 def cast_nothing():
     volume = make_volume(BALL)
     bricks = make_bricks(volume.voxels, brick_ranges(volume.voxels), 0.5, 0.5)
-    none = np.empty((0, 3))
+    none = np.empty((3, 0))
     cast_rays(
         make_field(volume), bricks, np.empty(0), none, none, np.empty(0, np.int8), np.empty(0), np.empty(0, np.int8)
     )
