@@ -75,7 +75,8 @@ class Casts:
         """Cosine rays from where ``rays`` hit."""
         t, came = self.run(cast_rays_one_by_one, rays)
         hit = np.isfinite(t)
-        origins, directions, came = rays[0][:, hit], rays[1][:, hit], came[hit]
+        origins, directions = (np.compress(hit, v, axis=1) for v in rays[:2])
+        came = came[hit]
         scatter(self.recipe.field, self.isovalue, origins, directions, t[hit], came, rng.random((len(came), 3)))
         return origins, directions, came
 

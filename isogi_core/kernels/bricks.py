@@ -1,7 +1,7 @@
 """Bricks: for a range of isovalues, which cells may hold the surface, and how far it is from anywhere.
 
-A brick is 4 × 4 × 4 cells. Its mask has a bit per cell; its leap is the Chebyshev distance, in bricks,
-to the nearest brick with a bit set. A cell's bit is clear only where the field's sign is certain in the
+A brick is 4 × 4 × 4 cells. Its mask has a bit per cell; a brick without one has leaps over the empty
+bricks around it, one for each octant of directions. A cell's bit is clear only where the field's sign is certain in the
 cell and a little around it: rays may then be followed in float32 (see ``packets``).
 """
 
@@ -13,15 +13,10 @@ from numba import types
 
 from isogi_core.kernels._jit import kernel, record
 from isogi_core.kernels.field import VOXELS
+from isogi_core.kernels.leaps import fill_leaps
 
 BRICK = 4
-FAR = 63
-"""Longest leap, in bricks."""
-
-LEAP = 16
-"""The bit of a word at which the leap begins."""
-
-CELLS = (1 << LEAP) - 1
+CELLS = (1 << 16) - 1
 """The bits of a word that stand for cells."""
 
 POSITION_ERROR = 2.0**-20
@@ -36,17 +31,21 @@ FLAT = types.float32[::1]
 class Bricks(NamedTuple):
     """The bricks of one volume for one range of isovalues; arrays are flat, x fastest.
 
-    ``words`` int32 (4 · bricks), one for each layer of a brick along z: bit y % 4 * 4 + x % 4 of a cell,
-    and the brick's leap from bit 16 on; ``margins`` float32 (bricks): values nearer to zero than this have
-    no certain sign; ``shape`` bricks along z, y, x.
+    ``tops`` int32 (bricks): where cells are marked the brick's place in ``cells`` / BRICK, less than
+    2²⁸; else its leaps (see ``leaps``). ``cells`` int32, one for each layer of a marked brick along z:
+    bit i = y % 4 * 4 + x % 4 for a marked cell, and bit 16 + i where any cell of its aligned 2³ block is
+    marked. ``margins`` float32 (bricks): values nearer to zero than this have no certain sign;
+    ``shape`` bricks along z, y, x.
     """
 
-    words: Any
+    tops: Any
+    cells: Any
     margins: Any
     shape: tuple[int, int, int]
 
 
-BRICKS = record(Bricks, types.int32[::1], FLAT, types.UniTuple(types.int64, 3))
+WORDS = types.int32[::1]
+BRICKS = record(Bricks, WORDS, WORDS, FLAT, types.UniTuple(types.int64, 3))
 
 
 def brick_shape(shape):
@@ -110,8 +109,11 @@ def certain_layer(voxels, i0, j0, k, level, sign):
 
 
 @kernel()
-def mark_brick(voxels, i0, j0, k0, outside, solid, words, b):
-    """Write the masks of brick ``b``: cells with not all corners above ``solid`` or all below ``outside``."""
+def mark_brick(voxels, i0, j0, k0, outside, solid, cells, place):
+    """Write the masks of a brick to ``place``: cells with not all corners above ``solid`` or all below ``outside``.
+
+    Returns whether there are none.
+    """
     nz = voxels.shape[0]
     above = certain_layer(voxels, i0, j0, k0, solid, 1.0)
     below = certain_layer(voxels, i0, j0, k0, outside, -1.0)
@@ -123,71 +125,49 @@ def mark_brick(voxels, i0, j0, k0, outside, solid, words, b):
             certain_layer(voxels, i0, j0, plane, outside, -1.0),
         )
         word = CELLS & ~((above & upper) | (below & lower))
-        words[BRICK * b + k] = word
+        cells[BRICK * place + k] = word
         empty &= word == 0
         above, below = upper, lower
     return empty
 
 
 @kernel()
-def relax(leaps, shape, j, k, dj, dk, nearest):
-    """Take into ``nearest`` (row of x) the leaps of the row (j + dj, k + dk) and of its neighbours along x."""
-    bz, by, bx = shape
-    if not (0 <= j + dj < by and 0 <= k + dk < bz):
-        return
-    first = ((k + dk) * by + j + dj) * bx
-    row = leaps[first : first + bx]
-    for i in range(bx):
-        nearest[i] = min(nearest[i], row[i])
-    for i in range(1, bx):
-        nearest[i] = min(nearest[i], row[i - 1])
-    for i in range(bx - 1):
-        nearest[i] = min(nearest[i], row[i + 1])
+def mark_blocks(cells, first):
+    """Add the bits of 2³ blocks to the words of the brick at ``first``."""
+    for k in range(0, BRICK, 2):
+        pair = cells[first + k] | cells[first + k + 1]
+        along_x = (pair | pair >> 1) & 0x5555
+        both = (along_x | along_x >> BRICK) & 0x0505
+        block = both | both << 1
+        block |= block << BRICK
+        cells[first + k] |= block << 16
+        cells[first + k + 1] |= block << 16
 
 
-@kernel()
-def sweep(leaps, shape, way, nearest):
-    """One of the two sweeps of the chessboard distance (Rosenfeld and Pfaltz 1968): ``way`` 1 forth, -1 back."""
-    bz, by, bx = shape
-    for kk in range(bz):
-        k = kk if way > 0 else bz - 1 - kk
-        for jj in range(by):
-            j = jj if way > 0 else by - 1 - jj
-            nearest[:] = FAR
-            for dj in range(-1, 2):
-                relax(leaps, shape, j, k, dj, -way, nearest)
-            relax(leaps, shape, j, k, -way, 0, nearest)
-            first = (k * by + j) * bx
-            row = leaps[first : first + bx]
-            left = FAR
-            for ii in range(bx):
-                i = ii if way > 0 else bx - 1 - ii
-                left = min(int(row[i]), min(int(nearest[i]), left) + 1)
-                row[i] = left
+@kernel(types.int64(VOXELS, FLAT, FLAT, FLAT, types.float64, types.float64, WORDS, WORDS))
+def fill_bricks(voxels, low, high, margins, iso_low, iso_high, tops, cells):
+    """Fill ``tops`` and ``cells`` for isovalues ``iso_low`` … ``iso_high``; the rest is from ``fill_ranges``.
 
-
-@kernel(types.void(VOXELS, FLAT, FLAT, FLAT, types.float64, types.float64, types.int32[::1]))
-def fill_bricks(voxels, low, high, margins, iso_low, iso_high, words):
-    """Fill ``words`` for isovalues ``iso_low`` … ``iso_high``; the rest is from ``fill_ranges``."""
+    Returns how many bricks are marked; ``cells`` has room for all that their range may let be.
+    """
     nz, ny, nx = voxels.shape
     bz, by, bx = -(-(nz - 1) // BRICK), -(-(ny - 1) // BRICK), -(-(nx - 1) // BRICK)
-    leaps = np.empty(bz * by * bx, np.uint8)
-    words[:] = 0
+    empty = np.ones((bz, by, bx), np.bool_)
+    marked = 0
     for k in range(bz):
         for j in range(by):
             for i in range(bx):
                 b = (k * by + j) * bx + i
                 solid, outside = iso_high + margins[b], iso_low - margins[b]
-                empty = low[b] > solid or high[b] < outside
-                if not empty:
-                    empty = mark_brick(voxels, i * BRICK, j * BRICK, k * BRICK, outside, solid, words, b)
-                leaps[b] = FAR if empty else 0
-    nearest = np.empty(bx, np.uint8)
-    sweep(leaps, (bz, by, bx), 1, nearest)
-    sweep(leaps, (bz, by, bx), -1, nearest)
-    for b in range(leaps.size):
-        for k in range(BRICK):
-            words[BRICK * b + k] |= int(leaps[b]) << LEAP
+                if low[b] > solid or high[b] < outside:
+                    continue
+                empty[k, j, i] = mark_brick(voxels, i * BRICK, j * BRICK, k * BRICK, outside, solid, cells, marked)
+                if not empty[k, j, i]:
+                    mark_blocks(cells, BRICK * marked)
+                    tops[b] = marked
+                    marked += 1
+    fill_leaps(empty, tops)
+    return marked
 
 
 def brick_ranges(voxels):
@@ -200,6 +180,8 @@ def brick_ranges(voxels):
 def make_bricks(voxels, ranges, lowest, highest):
     """The Bricks of isovalues from ``lowest`` to ``highest``; ``ranges`` are the volume's ``brick_ranges``."""
     low, high, margins = ranges
-    words = np.empty(BRICK * len(margins), np.int32)
-    fill_bricks(voxels, low, high, margins, lowest, highest, words)
-    return Bricks(words, margins, brick_shape(voxels.shape))
+    tops = np.empty(len(margins), np.int32)
+    room = np.count_nonzero((low <= highest + margins) & (high >= lowest - margins)) + 1
+    cells = np.empty(BRICK * room, np.int32)
+    marked = fill_bricks(voxels, low, high, margins, lowest, highest, tops, cells)
+    return Bricks(tops, cells[: BRICK * max(marked, 1)].copy(), margins, brick_shape(voxels.shape))

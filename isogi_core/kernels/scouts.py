@@ -12,7 +12,7 @@ voxel's length along the ray; margins hold that much.
 import math
 
 from isogi_core.kernels._jit import kernel
-from isogi_core.kernels.bricks import BRICK, LEAP
+from isogi_core.kernels.bricks import BRICK
 from isogi_core.kernels.intersect import UNKNOWN, clip_box
 from isogi_core.kernels.lanes import (
     COUNT,
@@ -112,12 +112,17 @@ def strides_of(mirror, y, z, last):
 
 
 @kernel()
-def look(bricks, c, flip, stride, base):
-    """The leap from cells ``c``, in bricks, and whether their bits are set."""
-    layer = ((c[2] ^ (flip >> 4)) & 3) + (linear((c[0] >> 2, c[1] >> 2, c[2] >> 2), stride, base) << 2)
-    word = gather(bricks.words, layer)
-    bit = ((c[0] & 3) | ((c[1] & 3) << 2)) ^ (flip & 15)
-    return word >> LEAP, ((word >> bit) & 1) != 0
+def look(bricks, c, octant, flip, stride, base):
+    """What the map says of cells ``c``: (marked, cells' corner & this, side of the empty cube from that corner)."""
+    top = gather(bricks.tops, linear((c[0] >> 2, c[1] >> 2, c[2] >> 2), stride, base))
+    near = (top >> 28) == 0
+    layer = (top << 2) + ((c[2] ^ (flip >> 4)) & 3)
+    word = gather(bricks.cells, select(near, layer, 0))
+    word = word >> (((c[0] & 3) | ((c[1] & 3) << 2)) ^ (flip & 15))
+    close = near & ((word & 0x10000) != 0)
+    size = select(near, select(close, ints(1), ints(2)), ((top >> octant) & 15) << 2)
+    keep = select(near, select(close, ints(-1), ints(-2)), ints(-4))
+    return near & ((word & 1) != 0), keep, size
 
 
 @kernel()
@@ -227,7 +232,7 @@ def scout(flat, shape, bricks, rays, count, found, entries):
     zero, nought = floats(0.0), ints(0)
     o, d, inv = (zero, zero, zero), (zero, zero, zero), (zero, zero, zero)
     c, stride, limit = (nought, nought, nought), (nought, nought, nought), (nought, nought, nought)
-    base, owner, mirror, flip = nought, nought, nought, nought
+    base, owner, mirror, flip, octant = nought, nought, nought, nought, nought
     t, end, iso, sign = zero, zero, zero, zero
     none = mask_of(False)
     walking, waiting = none, none
@@ -247,6 +252,7 @@ def scout(flat, shape, bricks, rays, count, found, entries):
             end, iso = gather(way, ray), gather(levels, ray)
             told = gather(signs, ray)
             mirror = ints(gather(mirrors, ray))
+            octant = (mirror & 7) << 2
             flip = ((mirror & 1) * 3) | ((mirror & 2) * 6) | ((mirror & 4) * 12)
             stride, base = strides_of(mirror, bx, bx * by, (bx - 1, by - 1, bz - 1))
             x, x_end = enter_box(o[0], (mirror & 1) != 0, nx)
@@ -258,7 +264,7 @@ def scout(flat, shape, bricks, rays, count, found, entries):
             corner = least_node(c, mirror, shape)
             value = gather(flat, corner)
             here = select(value > iso, floats(1.0), -1.0)
-            _, doubtful = look(bricks, c, flip, stride, base)
+            doubtful, _, _ = look(bricks, c, octant, flip, stride, base)
             lost = fresh & ((mirror >= STRAY) | (doubtful & (told == 0.0)) | (~doubtful & (told + here == 0.0)))
             mark(found, owner, ASK, lost)
             sign = select(fresh, select(told == 0.0, here, told), sign)
@@ -273,13 +279,10 @@ def scout(flat, shape, bricks, rays, count, found, entries):
                 break
             if following < count and ahead + popcount(waiting) < BUSY:
                 break
-            leap, stops = look(bricks, c, flip, stride, base)
-            near = leap == 0
+            stops, keep, size = look(bricks, c, octant, flip, stride, base)
             stops = stops & walking
             waiting = waiting | stops
             walking = walking & ~stops
-            keep = select(near, ints(-1), ints(-BRICK))
-            size = select(near, ints(1), leap << 2)
             out, after = leave(o, d, inv, c, (c[0] & keep, c[1] & keep, c[2] & keep), size)
             gone = walking & ((after[0] >= limit[0]) | (after[1] >= limit[1]) | (after[2] >= limit[2]))
             mark(found, owner, ASK, gone & (out < end - 1e-4))

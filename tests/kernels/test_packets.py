@@ -1,15 +1,14 @@
 """Packets of rays against the scalar kernel: the same bits, on smooth, noisy, flat, holed and real volumes."""
 
-import math
-
 import numpy as np
 import pytest
 from numba import config
 
 from isogi_core.bake.recipe import make_field
 from isogi_core.files.nrrd import read_nrrd
-from isogi_core.kernels.bricks import BRICK, CELLS, LEAP, brick_ranges, brick_shape, make_bricks
+from isogi_core.kernels.bricks import BRICK, brick_ranges, brick_shape, make_bricks
 from isogi_core.kernels.intersect import OUTSIDE, SOLID, UNKNOWN
+from isogi_core.kernels.leaps import BITS, LONGEST
 from isogi_core.kernels.packets import cast_rays, cast_rays_one_by_one
 from isogi_core.model.volume import make_volume
 
@@ -166,14 +165,14 @@ def test_the_engine(shared_data):
 # --- the map -------------------------------------------------------------------------------------------------
 
 
-def masks_and_leaps(bricks):
-    """Which cells are marked (z, y, x, bricks filled up), and the leap of each brick."""
-    words = bricks.words.reshape(*bricks.shape, BRICK)
-    bits = (words[..., None, None] >> np.arange(16).reshape(4, 4)) & 1
+def marked_cells(bricks):
+    """Which cells are marked and which lie in a 2³ block with a marked one; (z, y, x, bricks filled up) each."""
+    near = (bricks.tops >> 28) == 0
+    words = np.zeros((len(near), BRICK), np.int32)
+    words[near] = bricks.cells.reshape(-1, BRICK)[bricks.tops[near]]
+    bits = (words.reshape(*bricks.shape, BRICK)[..., None, None] >> np.arange(32).reshape(2, 1, 1, 1, 1, 4, 4)) & 1
     z, y, x = (n * BRICK for n in bricks.shape)
-    leaps = words >> LEAP
-    assert (leaps == leaps[..., :1]).all()
-    return bits.transpose(0, 3, 1, 4, 2, 5).reshape(z, y, x).astype(bool), leaps[..., 0]
+    return bits.transpose(0, 1, 4, 2, 5, 3, 6).reshape(2, z, y, x).astype(bool)
 
 
 @pytest.mark.parametrize("shape", [(2, 2, 2), (5, 9, 17), (21, 18, 30)])
@@ -185,22 +184,36 @@ def test_marked_cells_are_those_that_hold_the_surface_and_few_more(shape):
         voxels[c : shape[0] - 1 + c, b : shape[1] - 1 + b, a : shape[2] - 1 + a] for c, b, a in np.ndindex(2, 2, 2)
     ]
     least, most = np.minimum.reduce(corners), np.maximum.reduce(corners)
-    marked, leaps = masks_and_leaps(bricks)
+    marked, blocks = marked_cells(bricks)
     cells = marked[: shape[0] - 1, : shape[1] - 1, : shape[2] - 1]
     holds = (least <= high) & (most > low)
     assert not (holds & ~cells).any()
     assert (cells & ~holds).sum() <= 0.01 * holds.sum() + 1
+    pairs = marked.reshape(-1, 2, marked.shape[1] // 2, 2, marked.shape[2] // 2, 2).any(axis=(1, 3, 5))
     bricked = marked.reshape(bricks.shape[0], 4, bricks.shape[1], 4, bricks.shape[2], 4).any(axis=(1, 3, 5))
-    assert np.array_equal(leaps == 0, bricked)
+    assert np.array_equal(blocks, pairs.repeat(2, 0).repeat(2, 1).repeat(2, 2))
+    assert np.array_equal((bricks.tops >> 28) == 0, bricked.ravel())
 
 
-def test_leaps_are_chebyshev_distances():
+def largest_cube(marked, corner, way):
+    """Side of the largest cube with no marked brick that goes from ``corner`` in the directions ``way``."""
+    for side in range(1, LONGEST + 1):
+        spans = []
+        for c, w in zip(corner, way, strict=True):
+            spans.append(slice(c, c + side) if w > 0 else slice(max(c - side + 1, 0), c + 1))
+        if marked[tuple(spans)].any():
+            return side - 1
+    return LONGEST
+
+
+def test_leaps_are_the_largest_empty_cubes_ahead():
     voxels = np.zeros((70, 50, 90), np.float32)
     voxels[10, 40, 7] = voxels[60, 5, 80] = 1.0
     bricks = make_bricks(voxels, brick_ranges(voxels), 0.5, 0.5)
-    _, leaps = masks_and_leaps(bricks)
-    places = np.argwhere(leaps == 0)
-    grid = np.moveaxis(np.indices(bricks.shape), 0, -1)
-    assert len(places) and bricks.shape == brick_shape(voxels.shape)
-    assert np.array_equal(leaps, np.abs(grid[..., None, :] - places).max(axis=-1).min(axis=-1))
-    assert math.log2(CELLS + 1) == LEAP
+    assert bricks.shape == brick_shape(voxels.shape)
+    marked = ((bricks.tops >> 28) == 0).reshape(bricks.shape)
+    assert marked.any()
+    for octant, (x, y, z) in enumerate((1 - 2 * (o & 1), 1 - (o & 2), 1 - (o & 4) // 2) for o in range(8)):
+        leaps = (bricks.tops.reshape(bricks.shape) >> (BITS * octant)) & 15
+        for corner in np.argwhere(~marked):
+            assert leaps[tuple(corner)] == largest_cube(marked, corner, (z, y, x))
