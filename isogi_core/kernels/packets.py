@@ -14,11 +14,13 @@ from numba import types
 
 from isogi_core.kernels._jit import kernel
 from isogi_core.kernels.bricks import BRICKS, POSITION_ERROR
-from isogi_core.kernels.field import FIELD, clamp_cell
-from isogi_core.kernels.intersect import OUTSIDE, SOLID, UNKNOWN, cast, cross_cell, cut_cell, reciprocal
-from isogi_core.kernels.lanes import WIDTH
+from isogi_core.kernels.crossings import cross_cells, longest_of
+from isogi_core.kernels.field import FIELD
+from isogi_core.kernels.intersect import OUTSIDE, SOLID, UNKNOWN, cast
+from isogi_core.kernels.lane_memory import gather, load, scatter
+from isogi_core.kernels.lanes import COUNT, WIDTH, bits, doubles, ints, select
 from isogi_core.kernels.scouts import CLEAR, FIELDS, prepare, scout
-from isogi_core.kernels.vec import column, madd
+from isogi_core.kernels.vec import column
 
 BATCH = 4096
 """Rays that are prepared and scouted together: their records stay in the second-level cache."""
@@ -34,48 +36,71 @@ VECTOR = types.float64[::1]
 
 
 @kernel()
-def settle_ray(field, iso, ray, span, word, entry):
-    """The hit of a ``ray`` (o, d, side) of which a scout said ``word``: (t, side), exactly as ``cast`` says."""
-    nz, ny, nx = field.voxels.shape
-    if word == CLEAR:
-        return math.inf, UNKNOWN
-    o, d, side = ray
-    if word >= 0:
-        place = word >> 1
-        cell = place % nx, place // nx % ny, place // (nx * ny)
-        inv = reciprocal(d[0]), reciprocal(d[1]), reciprocal(d[2])
-        near, far = cut_cell(o, inv, cell, span[0], span[1])
-        longest = max(abs(d[0]), abs(d[1]), abs(d[2]))
-        late = (near - span[0]) * longest - entry
-        middle = madd(o, 0.5 * (near + far), d)
-        home = clamp_cell(middle[0], nx) == cell[0] and clamp_cell(middle[1], ny) == cell[1]
-        home &= clamp_cell(middle[2], nz) == cell[2]
-        if home and late <= 0.5 * POSITION_ERROR * max(nx, ny, nz):
-            from_side = SOLID if word & 1 else OUTSIDE
-            t, came = cross_cell(field.voxels, iso, o, d, inv, cell, span[0], span[1], from_side)
-            if t < math.inf:
-                return t, came
-    return cast(field, iso, o, d, side)
+def settle_lanes(flat, shape, rays, first, columns, found, entries, spans, t, came):
+    """Settle COUNT rays, ``columns`` of the batch that begins with ray ``first``.
+
+    Returns, as bits, those for which ``cast`` must be asked.
+    """
+    isovalues, origins, directions, _ = rays
+    nz, ny, nx = shape
+    word = gather(found, columns)
+    known = word >= 0
+    span = gather(spans[0], columns), gather(spans[1], columns)
+    m = columns + first
+    o = gather(origins[0], m), gather(origins[1], m), gather(origins[2], m)
+    d = gather(directions[0], m), gather(directions[1], m), gather(directions[2], m)
+    solid = (word & 1) != 0
+    place = select(known, word >> 1, 0)
+    hit, near, sure = cross_cells(flat, shape, o, d, place, span, gather(isovalues, m), solid)
+    late = (near - span[0]) * longest_of(d) - doubles(gather(entries, columns))
+    sure = sure & known & (late <= 0.5 * POSITION_ERROR * max(nx, ny, nz))
+    scatter(t, m, hit, sure)
+    scatter(came, m, select(solid, ints(SOLID), OUTSIDE), sure)
+    return bits(~sure)
+
+
+@kernel()
+def settle(field, flat, rays, first, queue, count, found, entries, spans, t, came):
+    """Write the hits of a batch's rays, of which scouts said ``found``, to ``t`` and ``came``: as ``cast`` gives them.
+
+    ``queue`` (count,) are the columns that were scouted; it is overwritten.
+    """
+    isovalues, origins, directions, sides = rays
+    hits = 0
+    for i in range(count):
+        column_ = queue[i]
+        queue[hits] = column_
+        hits += found[column_] != CLEAR
+    padded = -(-hits // COUNT) * COUNT
+    queue[hits:padded] = queue[0]
+    for i in range(0, padded, COUNT):
+        asked = settle_lanes(flat, field.voxels.shape, rays, first, load(queue, i), found, entries, spans, t, came)
+        lane = i
+        while asked != 0 and lane < hits:
+            if asked & 1:
+                m = first + queue[lane]
+                t[m], came[m] = cast(field, isovalues[m], column(origins, m), column(directions, m), int(sides[m]))
+            asked >>= 1
+            lane += 1
 
 
 @kernel()
 def cast_by_lanes(field, bricks, isovalues, origins, directions, sides, t, came):
-    """``cast_batch`` by scouts in lanes."""
-    rays, owners = np.empty((FIELDS, BATCH), np.float32), np.empty(BATCH, np.int64)
-    spans, found = np.empty((BATCH, 2)), np.empty(BATCH, np.int32)
+    """``cast_batch`` by scouts in lanes; at least COUNT rays."""
+    records, spans = np.empty((FIELDS, BATCH), np.float32), np.empty((2, BATCH))
+    queue, found = np.empty(BATCH, np.int32), np.empty(BATCH, np.int32)
     entries = np.empty(BATCH, np.float32)
-    flat = field.voxels.reshape(field.voxels.size)
-    for first in range(0, t.shape[0], BATCH):
-        last = min(first + BATCH, t.shape[0])
-        t[first:last] = math.inf
-        came[first:last] = UNKNOWN
-        count = prepare(field, bricks.shape, isovalues, origins, directions, sides, first, last, rays, owners, spans)
-        found[:count] = CLEAR
-        scout(flat, field.voxels.shape, bricks, rays, count, found, entries)
-        for i in range(count):
-            m = owners[i]
-            ray = column(origins, m), column(directions, m), int(sides[m])
-            t[m], came[m] = settle_ray(field, isovalues[m], ray, (spans[i, 0], spans[i, 1]), found[i], entries[i])
+    flat, shape = field.voxels.reshape(field.voxels.size), field.voxels.shape
+    t[:] = math.inf
+    came[:] = UNKNOWN
+    for begin in range(0, t.shape[0], BATCH):
+        last = min(begin + BATCH, t.shape[0])
+        first = min(begin, last - COUNT)
+        count = prepare(shape, bricks.shape, isovalues, origins, directions, sides, first, last, records, spans, queue)
+        found[:] = CLEAR
+        scout(flat, shape, bricks, records, queue, count, found, entries)
+        rays = isovalues, origins, directions, sides
+        settle(field, flat, rays, first, queue, count, found, entries, spans, t, came)
 
 
 @kernel()
@@ -92,7 +117,7 @@ def cast_batch(field, bricks, isovalues, origins, directions, sides, t, came):
     ``isovalues`` (n,) within the range of ``bricks``; ``sides`` (n,) OUTSIDE, SOLID or UNKNOWN; writes
     ``t`` (n,), inf where there is none, and ``came`` (n,). Rays need no order; neighbours side by side are faster.
     """
-    if LANES and field.voxels.size < MOST_VOXELS:
+    if LANES and field.voxels.size < MOST_VOXELS and t.shape[0] >= COUNT:
         cast_by_lanes(field, bricks, isovalues, origins, directions, sides, t, came)
     else:
         cast_one_by_one(field, bricks, isovalues, origins, directions, sides, t, came)

@@ -13,15 +13,17 @@ import math
 
 from isogi_core.kernels._jit import kernel
 from isogi_core.kernels.bricks import BRICK
-from isogi_core.kernels.intersect import UNKNOWN, clip_box
+from isogi_core.kernels.crossings import clip_box_lanes, longest_of
+from isogi_core.kernels.intersect import UNKNOWN
+from isogi_core.kernels.lane_memory import gather, load, store
 from isogi_core.kernels.lanes import (
     COUNT,
     bits,
     floats,
     fma,
-    gather,
     ints,
     least,
+    magnitude,
     mask_of,
     most,
     pick,
@@ -29,7 +31,6 @@ from isogi_core.kernels.lanes import (
     rank,
     select,
 )
-from isogi_core.kernels.vec import column, madd
 
 BUSY = COUNT // 2
 """Fewer lanes than these at work, and the others take the next rays."""
@@ -51,33 +52,58 @@ STRAY = 8
 
 
 @kernel()
-def prepare(field, shape, isovalues, origins, directions, sides, first, last, rays, owners, spans):
-    """Write records of rays first … last that meet the box to ``rays`` (FIELDS, n); returns how many.
+def mirrored(d, here, size):
+    """A direction's component and a place along an axis of ``size``, mirrored where descending: (d, place, mask)."""
+    descends = d < 0.0
+    return floats(magnitude(d)), floats(select(descends, size - here, here)), descends
 
-    ``owners`` (n,) are their numbers; ``spans`` (n, 2) what ``clip_box`` gives for them.
+
+@kernel()
+def prepare_lanes(shape, bricks_shape, isovalues, origins, directions, sides, m, rays, spans, r):
+    """Write the records of COUNT rays from ray ``m`` on to column ``r`` of ``rays`` and ``spans``.
+
+    Returns, as bits, which of them meet the box.
+    """
+    o = load(origins[0], m), load(origins[1], m), load(origins[2], m)
+    d = load(directions[0], m), load(directions[1], m), load(directions[2], m)
+    near, far = clip_box_lanes(shape, o, d)
+    longest = longest_of(d)
+    shrink = 1.0 / longest
+    sound = (shrink < math.inf) & (far < math.inf)
+    mirror = select(sound, ints(0), STRAY)
+    for a in range(3):
+        step, here = select(sound, d[a] * shrink, 1.0), select(sound, o[a] + near * d[a], 0.0)
+        step, here, descends = mirrored(step, here, float(BRICK * bricks_shape[2 - a]))
+        mirror = mirror + select(descends, ints(1 << a), 0)
+        store(rays[a], r, here)
+        store(rays[3 + a], r, step)
+    side = floats(load(sides, m))
+    store(rays[6], r, floats((far - near) * longest))
+    store(rays[7], r, floats(load(isovalues, m)))
+    store(rays[8], r, select(near == 0.0, -side, float(UNKNOWN)))
+    store(rays[9], r, floats(mirror))
+    store(spans[0], r, near)
+    store(spans[1], r, far)
+    return bits(near < far)
+
+
+@kernel()
+def prepare(shape, bricks_shape, isovalues, origins, directions, sides, first, last, rays, spans, queue):
+    """Write records of rays first … last, at least COUNT of them, to ``rays`` (FIELDS, n).
+
+    ``spans`` (2, n) gets what ``clip_box`` gives for them and ``queue`` the columns of those that meet the
+    box; returns how many that are.
     """
     count = 0
-    for m in range(first, last):
-        o, d = column(origins, m), column(directions, m)
-        near, far = clip_box(field.voxels, o, d)
-        if near < far:
-            p = madd(o, near, d)
-            longest = max(abs(d[0]), abs(d[1]), abs(d[2]))
-            shrink = 1.0 / longest
-            mirror = 0 if shrink < math.inf and far < math.inf else STRAY
-            for a in range(3):
-                step, here = (d[a] * shrink, p[a]) if mirror < STRAY else (1.0, 0.0)
-                if step < 0.0:
-                    here = BRICK * shape[2 - a] - here
-                    mirror |= 1 << a
-                rays[a, count], rays[3 + a, count] = here, abs(step)
-            rays[6, count] = (far - near) * longest
-            rays[7, count] = isovalues[m]
-            rays[8, count] = -sides[m] if near == 0.0 else UNKNOWN
-            rays[9, count] = mirror
-            owners[count] = m
-            spans[count, 0], spans[count, 1] = near, far
-            count += 1
+    for i in range(first, last, COUNT):
+        m = min(i, last - COUNT)
+        met = prepare_lanes(shape, bricks_shape, isovalues, origins, directions, sides, m, rays, spans, m - first) >> (
+            i - m
+        )
+        for column in range(i - first, m - first + COUNT):
+            queue[count] = column
+            count += met & 1
+            met >>= 1
     return count
 
 
@@ -219,10 +245,11 @@ def mark(found, owner, word, lanes):
 
 
 @kernel()
-def scout(flat, shape, bricks, rays, count, found, entries):
-    """Write to ``found`` (count,) what each prepared ray meets: CLEAR, ASK, or 2 · cell + (1 from a solid side).
+def scout(flat, shape, bricks, rays, queue, count, found, entries):
+    """Write to ``found`` what each ray in the ``queue`` of ``count`` meets: ASK, or 2 · cell + (1 from a solid side).
 
-    ``entries`` (count,) is the way, in steps of the direction's largest component, to that cell.
+    Rays that meet nothing keep what was there. ``entries`` is the way to that cell, in steps of the
+    direction's largest component.
     """
     nz, ny, nx = shape
     bz, by, bx = bricks.shape
@@ -240,10 +267,10 @@ def scout(flat, shape, bricks, rays, count, found, entries):
     while True:
         idle = ~(walking | waiting)
         if following < count and popcount(idle) > COUNT - BUSY:
-            next_ray = rank(idle) + following
-            fresh = idle & (next_ray < count)
+            turn = rank(idle) + following
+            fresh = idle & (turn < count)
             following = min(count, following + popcount(idle))
-            ray = select(fresh, next_ray, owner)
+            ray = select(fresh, gather(queue, select(fresh, turn, 0)), owner)
             owner = ray
             o = gather(o0, ray), gather(o1, ray), gather(o2, ray)
             d = gather(d0, ray), gather(d1, ray), gather(d2, ray)

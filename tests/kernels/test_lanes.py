@@ -10,25 +10,25 @@ import pytest
 from numba import config, njit
 
 from isogi_core.kernels import lanes
+from isogi_core.kernels.lane_memory import gather, load, scatter, store
 from isogi_core.kernels.lanes import (
     COUNT,
     WIDTH,
     bits,
+    copysign,
+    doubles,
     floats,
     fma,
-    gather,
     ints,
-    lane_numbers,
     least,
-    load,
     magnitude,
     mask_of,
     most,
     pick,
     popcount,
     rank,
+    root,
     select,
-    store,
 )
 
 needs_lanes = pytest.mark.skipif(WIDTH is None, reason="this processor, or Numba switched off, has no lanes")
@@ -59,7 +59,7 @@ def test_arithmetic_of_floats_is_numpys():
     half, two = np.float32(0.5), np.float32(2)
     with np.errstate(invalid="ignore"):
         exact = (a.astype(float) * b + c).astype(np.float32)
-        smaller, larger = np.where(a < b, a, b), np.where(a > b, a, b)
+        smaller, larger = np.where(b < a, b, a), np.where(b > a, b, a)
         expected = (a + b, a - b, a * b, a / b, -a, exact, smaller, larger, np.abs(a), two - a, a * half)
     for i, (found, right) in enumerate(zip(out, expected, strict=True)):
         np.testing.assert_allclose(found, right, rtol=0 if i != 5 else 1e-6, err_msg=f"operation {i}")
@@ -68,7 +68,7 @@ def test_arithmetic_of_floats_is_numpys():
 @njit
 def whole(a, b, out):
     x, y = load(a, 0), load(b, 0)
-    results = (x + y, x - y, x * y, x & y, x | y, x ^ y, x << 3, x >> 2, most(x, y), lane_numbers(), ints(7), 1 + x)
+    results = (x + y, x - y, x * y, x & y, x | y, x ^ y, x << 3, x >> 2, most(x, y), least(x, 5), ints(7), 1 + x)
     for i, result in enumerate(results):
         store(out[i], 0, result)
 
@@ -78,7 +78,7 @@ def test_arithmetic_of_ints_is_numpys():
     a, b = np.random.default_rng(4).integers(-(2**31), 2**31, (2, COUNT)).astype(np.int32)
     out = np.empty((12, COUNT), np.int32)
     whole(a, b, out)
-    expected = (a + b, a - b, a * b, a & b, a | b, a ^ b, a << 3, a >> 2, np.maximum(a, b), np.arange(COUNT), 7, 1 + a)
+    expected = (a + b, a - b, a * b, a & b, a | b, a ^ b, a << 3, a >> 2, np.maximum(a, b), np.minimum(a, 5), 7, 1 + a)
     for i, (found, right) in enumerate(zip(out, expected, strict=True)):
         assert np.array_equal(found, np.broadcast_to(right, COUNT)), f"operation {i}"
 
@@ -115,7 +115,7 @@ def test_masks_are_numpys():
 
 
 @njit
-def moves(values, index, threshold, whole_numbers, real_numbers, picked):
+def moves(values, index, order, threshold, whole_numbers, real_numbers, picked):
     found = gather(values, load(index, 0))
     chosen = found > threshold
     store(real_numbers[0], 0, found)
@@ -123,7 +123,7 @@ def moves(values, index, threshold, whole_numbers, real_numbers, picked):
     store(real_numbers[2], 0, floats(load(index, 0)))
     store(whole_numbers[0], 0, rank(chosen))
     store(whole_numbers[1], 0, ints(found * 100.0))
-    store(whole_numbers[2], 0, gather(index, lane_numbers() ^ 1))
+    store(whole_numbers[2], 0, gather(index, load(order, 0)))
     for lane in range(COUNT):
         picked[lane] = pick(found, lane)
 
@@ -134,13 +134,64 @@ def test_gather_select_rank_and_pick():
     values, index = rng.random(1000).astype(np.float32), rng.integers(0, 1000, COUNT).astype(np.int32)
     whole_numbers, real_numbers = np.empty((3, COUNT), np.int32), np.empty((3, COUNT), np.float32)
     picked = np.empty(COUNT, np.float32)
-    moves(values, index, 0.5, whole_numbers, real_numbers, picked)
+    order = (np.arange(COUNT) ^ 1).astype(np.int32)
+    moves(values, index, order, 0.5, whole_numbers, real_numbers, picked)
     found = values[index]
     assert np.array_equal(real_numbers, [found, np.where(found > 0.5, found, -1), index])
     before = np.cumsum(found > 0.5) - (found > 0.5)
-    swapped = index[np.arange(COUNT) ^ 1]
+    swapped = index[order]
     assert np.array_equal(whole_numbers, [before, (found * np.float32(100)).astype(np.int32), swapped])
     assert np.array_equal(picked, found)
+
+
+@njit
+def in_doubles(a, b, whole, single, out, cut):
+    x, y = load(a, 0), load(b, 0)
+    results = (x + y, x - y, x * y, x / y, -x, root(magnitude(x)), copysign(x, y), least(x, y), most(x, 0.5))
+    for i, result in enumerate(results):
+        store(out[i], 0, result)
+    total = x * y
+    total += x
+    store(out[9], 0, total)
+    store(out[10], 0, select(x < y, doubles(load(whole, 0)), doubles(load(single, 0))))
+    store(cut[0], 0, ints(x * 10.0))
+    store(single, 0, floats(x))
+
+
+@needs_lanes
+def test_doubles_are_numpys_to_the_bit():
+    rng = np.random.default_rng(8)
+    a, b = rng.normal(size=(2, COUNT))
+    whole, single = rng.integers(-9, 9, COUNT).astype(np.int32), rng.random(COUNT).astype(np.float32)
+    mixed = np.where(a < b, whole, single.astype(float))
+    out, cut = np.empty((11, COUNT)), np.empty((1, COUNT), np.int32)
+    in_doubles(a, b, whole, single, out, cut)
+    expected = (
+        a + b, a - b, a * b, a / b, -a, np.sqrt(np.abs(a)), np.copysign(a, b), np.minimum(a, b), np.maximum(a, 0.5),
+        a * b + a, mixed,
+    )  # fmt: skip
+    assert np.array_equal(out, expected)
+    assert np.array_equal(cut[0], (a * 10).astype(np.int32))
+    assert np.array_equal(single, a.astype(np.float32))
+
+
+@njit
+def scatter_some(values, index, limit, array, signs):
+    lanes_ = load(values, 0)
+    scatter(array, load(index, 0), lanes_, lanes_ > limit)
+    scatter(signs, load(index, 0), ints(lanes_), lanes_ > limit)
+
+
+@needs_lanes
+def test_scatter_writes_where_the_mask_is_set():
+    rng = np.random.default_rng(9)
+    values, index = rng.normal(size=COUNT) * 50, rng.permutation(100)[:COUNT].astype(np.int32)
+    array, signs = np.zeros(100), np.zeros(100, np.int8)
+    scatter_some(values, index, 0.0, array, signs)
+    expected = np.zeros(100)
+    expected[index] = np.where(values > 0, values, 0)
+    assert np.array_equal(array, expected)
+    assert np.array_equal(signs, expected.astype(np.int8))
 
 
 def test_width_follows_the_processor(monkeypatch):
