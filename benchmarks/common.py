@@ -1,26 +1,18 @@
-"""What the benchmarks share: the scene they run on, baking it in this process, and tables."""
+"""What the benchmarks share: the scenes they run on, their options, and how they print figures."""
 
+import json
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import click
 
-from isogi_core.bake.recipe import Recipe
-from isogi_core.bake.refine import refine
-from isogi_core.cache.loader import Loader
-from isogi_core.cache.pages import PagePool
-from isogi_core.cache.store import ChunkStore
-from isogi_core.frame.frame import Frame
-from isogi_core.frame.renderer import Renderer
-from isogi_core.frame.tiles import Tiles
 from isogi_core.model.scene import Scene, load_scene
-from isogi_core.model.view import View
 
-MEMORY = 1 << 30
 ENGINE = "engine_256x256x128_uint8.nhdr"
 GRACE = "probe_grace_256x128.hdr"
+Figures = Mapping[str, Any]
 
 
 def shared_data() -> Path | None:
@@ -39,32 +31,26 @@ def benchmark_scene(target: str | None, light: str = "probe", **overrides: Any) 
     return load_scene(target, **overrides)
 
 
-def view_of(scene: Scene, size: int, **knobs: Any) -> View:
-    """The benchmarks' view: azimuth 40, elevation 30, three radii away, 30 degrees wide."""
-    return View(scene.isovalue, scene.camera(40.0, 30.0, 3.0, 30.0), width=size, height=size, **knobs)
+def options(size: int = 512, repeats: int = 9) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Decorator: the options that all benchmarks have, with their defaults."""
+
+    def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
+        for option in (
+            click.option("--json", "as_json", is_flag=True, help="Print JSON."),
+            click.option("--repeats", type=click.IntRange(1), default=repeats, show_default=True, help="Timed rounds."),
+            click.option("--size", type=click.IntRange(1), default=size, show_default=True, help="Pixels a side."),
+        ):
+            command = option(command)
+        return command
+
+    return decorate
 
 
-def make_renderer(scene: Scene, store: str, threads: int | None = None) -> Renderer:
-    """A renderer over a store, with nothing else around it."""
-    recipe = Recipe(scene)
-    return Renderer(recipe, Loader(ChunkStore(store, recipe), PagePool(recipe, MEMORY)), Tiles(threads))
-
-
-def bake_view(renderer: Renderer, view: View, until: int, target: float) -> Frame:
-    """Bake in this process what ``view`` lacks, up to ``until`` samples, and render it."""
-    frame = renderer.render(view, target)
-    store = renderer.loader.store
-    with click.progressbar(frame.demands, label="baking", file=click.get_text_stream("stderr")) as demands:
-        for demand in demands:
-            chunk = store.load(demand.index).with_texels(demand.offsets)
-            refine(chunk.light, chunk.positions(chunk.offsets), renderer.recipe, until, target)
-            store.save(chunk)
-            renderer.loader.refresh(demand.index)
-    return renderer.render(view, target)
-
-
-def show(title: str, figures: Mapping[str, Any]) -> None:
-    """Print a table of figures, one a line."""
+def show(title: str, figures: Figures, as_json: bool) -> None:
+    """Print figures: as JSON, or as a table with one a line."""
+    if as_json:
+        click.echo(json.dumps(figures, allow_nan=False))
+        return
     click.echo(f"\n{title}")
     width = max(map(len, figures))
     for name, value in figures.items():

@@ -7,7 +7,6 @@ until it is final, stops the server, starts it again and compares the picture by
 """
 
 import hashlib
-import json
 import signal
 import socket
 import subprocess
@@ -44,10 +43,7 @@ def main(target: str | None, size: int, workers: int, error: float, most: float,
             figures["chunk bytes"] = digest(Path(folder, "light"))
         with served(scene, f"{folder}/light", workers) as client:
             figures |= again(client, knobs, figures)
-    if as_json:
-        click.echo(json.dumps(figures))
-    else:
-        show(f"{scene}, {size} × {size}, {workers} workers", figures)
+    show(f"{scene}, {size} × {size}, {workers} workers", figures, as_json)
 
 
 def write_scene(folder: Path) -> str:

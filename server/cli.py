@@ -158,3 +158,18 @@ def inspect(target: str, as_json: bool) -> None:
 
     scene = load_scene(target)
     click.echo(scene_facts(scene).model_dump_json(indent=2) if as_json else report(scene))
+
+
+@cli.command()
+@click.argument("target", required=False)
+@click.option("--isovalue", type=float, help="In the volume's own units; default: the scene's.")
+@click.option("--size", type=click.IntRange(1, 4096), default=512, show_default=True, help="Pixels along each side.")
+@click.option("--repeats", type=click.IntRange(1), default=5, show_default=True, help="Rounds that are timed.")
+@click.option("--json", "as_json", is_flag=True, help="Print the figures as JSON.")
+def bench(target: str | None, isovalue: float | None, size: int, repeats: int, as_json: bool) -> None:
+    """Measure this machine with TARGET, a scene or a volume; with neither, a demo."""
+    from server.bench import bench as measure  # noqa: PLC0415
+    from server.bench import table  # noqa: PLC0415
+
+    figures = measure(target, isovalue, size, repeats)
+    click.echo(json.dumps(figures, allow_nan=False) if as_json else table(figures))

@@ -1,0 +1,150 @@
+"""Embree's C interface, out of the library that the package ``embreex`` brings, called from compiled loops.
+
+Layouts and constants are those of Embree 4's ``rtcore_ray.h``, ``rtcore_common.h`` and ``rtcore_buffer.h``.
+"""
+
+import ctypes
+import importlib.util
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+MEDIUM, LOW = 1, 0
+"""Build qualities: Embree's default, and its Morton-order builder."""
+
+TRIANGLE, INDEX, VERTEX, UINT3, FLOAT3 = 0, 0, 1, 0x5003, 0x9003
+PACKET = 16
+Trace = Callable[..., None]
+
+
+def installed() -> bool:
+    """Whether the package is there."""
+    return importlib.util.find_spec("embreex") is not None
+
+
+def library() -> ctypes.CDLL:
+    """The shared library inside the package ``embreex``, with the types of what is called."""
+    package = importlib.util.find_spec("embreex")
+    assert package is not None and package.origin is not None
+    folder = Path(package.origin).parents[1] / "embreex.libs"
+    for helper in folder.glob("libtbb*"):
+        ctypes.CDLL(str(helper), ctypes.RTLD_GLOBAL)
+    (path,) = folder.glob("libembree4*")
+    lib, pointer, size = ctypes.CDLL(str(path)), ctypes.c_void_p, ctypes.c_size_t
+    for name in ("rtcNewDevice", "rtcNewScene", "rtcNewGeometry"):
+        getattr(lib, name).restype = pointer
+    lib.rtcNewDevice.argtypes = [ctypes.c_char_p]
+    lib.rtcNewScene.argtypes = [pointer]
+    lib.rtcNewGeometry.argtypes = [pointer, ctypes.c_int]
+    lib.rtcSetSharedGeometryBuffer.argtypes = [pointer, *[ctypes.c_int] * 2, ctypes.c_int, pointer, size, size, size]
+    lib.rtcSetSceneBuildQuality.argtypes = [pointer, ctypes.c_int]
+    lib.rtcAttachGeometry.argtypes = [pointer, pointer]
+    lib.rtcSetDeviceMemoryMonitorFunction.argtypes = [pointer, MONITOR, pointer]
+    for name in ("rtcCommitGeometry", "rtcReleaseGeometry", "rtcCommitScene", "rtcReleaseScene", "rtcReleaseDevice"):
+        getattr(lib, name).argtypes = [pointer]
+    lib.rtcIntersect1.argtypes, lib.rtcIntersect1.restype = [size] * 3, None
+    lib.rtcIntersect16.argtypes, lib.rtcIntersect16.restype = [size] * 4, None
+    return lib
+
+
+MONITOR = ctypes.CFUNCTYPE(ctypes.c_bool, ctypes.c_void_p, ctypes.c_ssize_t, ctypes.c_bool)
+
+
+class Device:
+    """Embree on so many threads; ``bytes`` is what its trees take now."""
+
+    def __init__(self, threads: int) -> None:
+        """Start the library."""
+        self.lib, self.bytes = library(), 0
+        self.handle = self.lib.rtcNewDevice(f"threads={threads},user_threads={threads}".encode())
+        self._monitor = MONITOR(self._count)
+        self.lib.rtcSetDeviceMemoryMonitorFunction(self.handle, self._monitor, None)
+        self.one, self.sixteen = trace_one(self.lib.rtcIntersect1), trace_packets(self.lib.rtcIntersect16)
+
+    def _count(self, _: Any, added: int, __: bool) -> bool:
+        self.bytes += added
+        return True
+
+
+class Tree:
+    """A tree over a mesh: ``points`` (n, 3) float32 and ``triangles`` (m, 3) uint32, which it keeps but does not copy."""
+
+    def __init__(self, device: Device, points: np.ndarray, triangles: np.ndarray, quality: int = MEDIUM) -> None:
+        """Build it; ``bytes`` is what it takes besides the mesh."""
+        lib, before = device.lib, device.bytes
+        self.device, self.triangles = device, np.ascontiguousarray(triangles, np.uint32)
+        self.points = np.empty((len(points) + 1, 3), np.float32)  # Embree reads 16 bytes of the last point
+        self.points[:-1], self.points[-1] = points, 0.0
+        self.handle = lib.rtcNewScene(device.handle)
+        geometry = lib.rtcNewGeometry(device.handle, TRIANGLE)
+        for kind, form, array in ((INDEX, UINT3, self.triangles), (VERTEX, FLOAT3, self.points)):
+            lib.rtcSetSharedGeometryBuffer(geometry, kind, 0, form, array.ctypes.data, 0, 12, len(array))
+        lib.rtcCommitGeometry(geometry)
+        lib.rtcAttachGeometry(self.handle, geometry)
+        lib.rtcReleaseGeometry(geometry)
+        lib.rtcSetSceneBuildQuality(self.handle, quality)
+        lib.rtcCommitScene(self.handle)
+        self.bytes = device.bytes - before
+
+    def trace(self, by: Trace, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        """First hits of rays (3, n) float32, on this thread: rows t (inf where none), Ng x, y, z; (4, n) float32."""
+        hits = np.empty((4, origins.shape[1]), np.float32)
+        by(self.handle, room(), origins, directions, hits)
+        return hits
+
+    def close(self) -> None:
+        """Give its memory back."""
+        self.device.lib.rtcReleaseScene(self.handle)
+
+
+def room() -> np.ndarray:
+    """Memory of one ray packet with its hits, aligned as Embree wants it."""
+    words = np.zeros(21 * PACKET + 16, np.float32)
+    first = -words.ctypes.data % 64 // 4
+    return words[first : first + 21 * PACKET]
+
+
+def trace_one(intersect: Any) -> Trace:
+    """The compiled loop over ``rtcIntersect1``."""
+
+    @njit(nogil=True)
+    def trace(scene, ray, origins, directions, hits):  # type: ignore[no-untyped-def]
+        bits = ray.view(np.int32)
+        for m in range(origins.shape[1]):
+            for axis in range(3):
+                ray[axis], ray[4 + axis] = origins[axis, m], directions[axis, m]
+            ray[3], ray[7], ray[8] = 0.0, 0.0, np.inf
+            bits[9], bits[11], bits[18] = -1, 0, -1
+            intersect(scene, ray.ctypes.data, 0)
+            hits[0, m] = ray[8] if bits[18] != -1 else np.inf
+            for axis in range(3):
+                hits[1 + axis, m] = ray[12 + axis]
+
+    return trace
+
+
+def trace_packets(intersect: Any) -> Trace:
+    """The compiled loop over ``rtcIntersect16``."""
+
+    @njit(nogil=True)
+    def trace(scene, rays, origins, directions, hits):  # type: ignore[no-untyped-def]
+        valid, bits, fields = np.empty(PACKET, np.int32), rays.view(np.int32), rays.reshape(21, PACKET)
+        total = origins.shape[1]
+        for first in range(0, total, PACKET):
+            for lane in range(PACKET):
+                m = min(first + lane, total - 1)
+                valid[lane] = -1 if first + lane < total else 0
+                for axis in range(3):
+                    fields[axis, lane], fields[4 + axis, lane] = origins[axis, m], directions[axis, m]
+                fields[3, lane], fields[7, lane], fields[8, lane] = 0.0, 0.0, np.inf
+                bits[9 * PACKET + lane], bits[11 * PACKET + lane], bits[18 * PACKET + lane] = -1, 0, -1
+            intersect(valid.ctypes.data, scene, rays.ctypes.data, 0)
+            for lane in range(min(PACKET, total - first)):
+                hits[0, first + lane] = fields[8, lane] if bits[18 * PACKET + lane] != -1 else np.inf
+                for axis in range(3):
+                    hits[1 + axis, first + lane] = fields[12 + axis, lane]
+
+    return trace

@@ -1,0 +1,208 @@
+"""How frame time grows with the volume, the picture and the threads, and what a second thread is worth.
+
+    python -m benchmarks.growth [TARGET] [--largest 512] [--size 512] [--repeats 7] [--json]
+
+Volumes: one shape, resampled to 64³, 128³, … voxels, seen from the same place; light is baked at one texel
+per voxel. Pictures: 256², 512², … pixels of TARGET. Threads: frames and diffuse rays on one thread and on two,
+and on two processes of one thread each that start at the same time and know nothing of each other; "two
+threads / two processes" compares their rates. `gi` and `lambert` cast their primary rays anew in every frame.
+"""
+
+import multiprocessing
+import tempfile
+from collections.abc import Callable, Iterable
+from contextlib import ExitStack, closing
+from dataclasses import replace
+from multiprocessing.connection import Connection
+from typing import Any
+
+import click
+import numpy as np
+
+from benchmarks.common import benchmark_scene, options, show
+from isogi_core.frame.renderer import Renderer
+from isogi_core.model.scene import Scene
+from isogi_core.model.view import View
+from isogi_core.model.volume import Volume, make_volume
+from server.measure import (
+    Candidate,
+    bake_view,
+    bounce,
+    cast,
+    make_renderer,
+    medians,
+    primary_rays,
+    seconds,
+    view_of,
+)
+
+SHADINGS = ("gi", "lambert")
+KINDS = (*SHADINGS, "rays")
+SAMPLES = 16
+SMALLEST = 64
+PIECE = 8192
+"""Rays that a thread casts before it takes the next."""
+
+Work = Callable[[], float]
+"""Does something, and tells how many seconds it took."""
+
+
+def resample(volume: Volume, side: int) -> Volume:
+    """The volume at ``side``³ voxels between the same outermost voxels, by trilinear interpolation."""
+    voxels = volume.voxels
+    for axis, n in enumerate(volume.shape):
+        place = np.linspace(0.0, n - 1.0, side)
+        low = np.minimum(place.astype(int), n - 2)
+        part = np.expand_dims(np.float32(place - low), tuple({0, 1, 2} - {axis}))
+        voxels = voxels.take(low, axis) * (1 - part) + voxels.take(low + 1, axis) * part
+    x, y, z = (length / (side - 1) for length in volume.extent)
+    return make_volume(voxels * np.float32(volume.scale) + np.float32(volume.offset), (x, y, z), volume.solid)
+
+
+def frame_work(renderer: Renderer, view: View) -> Candidate:
+    """A frame from a camera that is new to the renderer."""
+
+    def render(_: int) -> float:
+        renderer.forget_views()
+        return seconds(lambda: renderer.render(view))
+
+    return render
+
+
+def baked(scene: Scene, store: str, sizes: Iterable[int], threads: int | None = None) -> Renderer:
+    """A renderer with the light of the view at all ``sizes`` baked."""
+    renderer = make_renderer(scene, store, threads)
+    for size in sizes:
+        bake_view(renderer, view_of(scene, size), SAMPLES)
+    return renderer
+
+
+def by_volume(scene: Scene, sides: list[int], size: int, repeats: int) -> dict[str, float]:
+    """Frame times of the same shape at different resolutions."""
+    works: dict[str, Candidate] = {}
+    with ExitStack() as stack:
+        for side in sides:
+            store = stack.enter_context(tempfile.TemporaryDirectory())
+            renderer = baked(replace(scene, volume=resample(scene.volume, side)), store, [size])
+            view = view_of(scene, size)
+            works |= {f"{side}³: {s}": frame_work(renderer, replace(view, shading=s)) for s in SHADINGS}
+        taken = medians(works, repeats)
+    ratios = {f"{sides[-1]}³ / {sides[0]}³: {s}": grown(taken, sides, "³", s) for s in SHADINGS}
+    return {**milliseconds(taken), **ratios}
+
+
+def by_picture(renderer: Renderer, sizes: list[int], repeats: int) -> dict[str, float]:
+    """Frame times of one scene at different picture sizes."""
+    scene = renderer.recipe.scene
+    works = {f"{size}²: {s}": frame_work(renderer, view_of(scene, size, shading=s)) for size in sizes for s in SHADINGS}
+    taken = medians(works, repeats)
+    ratios = {f"{sizes[-1]}² / {sizes[0]}²: {s}": grown(taken, sizes, "²", s) for s in SHADINGS}
+    return {**milliseconds(taken), **ratios}
+
+
+def grown(taken: dict[str, float], steps: list[int], sign: str, shading: str) -> float:
+    """How many times longer the last step takes than the first."""
+    return taken[f"{steps[-1]}{sign}: {shading}"] / taken[f"{steps[0]}{sign}: {shading}"]
+
+
+def milliseconds(taken: dict[str, float]) -> dict[str, float]:
+    """Seconds as figures in milliseconds."""
+    return {f"{name}_ms": 1000.0 * value for name, value in taken.items()}
+
+
+def works_of(renderer: Renderer, size: int) -> dict[str, Work]:
+    """A frame of each shading, and diffuse rays in pieces of PIECE."""
+    recipe = renderer.recipe
+    rays = bounce(recipe, primary_rays(recipe, size), np.random.default_rng(1))
+    parts = [rays.part(slice(first, first + PIECE)) for first in range(0, len(rays), PIECE)]
+
+    def piece(a: int, b: int) -> None:
+        for part in parts[a:b]:
+            cast(recipe, part)
+
+    frames = {s: frame_work(renderer, view_of(recipe.scene, size, shading=s)) for s in SHADINGS}
+    works: dict[str, Work] = {s: (lambda f=frame: f(0)) for s, frame in frames.items()}
+    works["rays"] = lambda: seconds(lambda: renderer.tiles.run(piece, len(parts), 1))
+    return works
+
+
+def serve(pipe: Connection, target: str | None, store: str, size: int) -> None:
+    """What an independent process does: the work that is named, as often as is told, and the seconds that took."""
+    works = works_of(make_renderer(benchmark_scene(target), store, 1), size)
+    pipe.send("ready")
+    while name := pipe.recv():
+        pipe.send([works[name]() for _ in range(4)])
+
+
+class Pair:
+    """Two processes that do the same thing at the same time."""
+
+    def __init__(self, target: str | None, store: str, size: int) -> None:
+        """Start them, and wait until both are ready."""
+        context = multiprocessing.get_context("spawn")
+        pipes = [context.Pipe() for _ in range(2)]
+        self.pipes = [mine for mine, _ in pipes]
+        self.processes = [context.Process(target=serve, args=(its, target, store, size)) for _, its in pipes]
+        for process in self.processes:
+            process.start()
+        assert all(pipe.recv() == "ready" for pipe in self.pipes)
+
+    def work(self, name: str) -> float:
+        """Seconds for one piece of work a process, a mean of those at which both were busy."""
+        for pipe in self.pipes:
+            pipe.send(name)
+        return float(np.mean([pipe.recv()[1:-1] for pipe in self.pipes]))
+
+    def close(self) -> None:
+        """End them."""
+        for pipe, process in zip(self.pipes, self.processes, strict=True):
+            pipe.send("")
+            process.join()
+
+
+def by_threads(target: str | None, store: str, size: int, repeats: int) -> dict[str, float]:
+    """One thread, two threads and two processes, over the light that is in ``store``."""
+    scene = benchmark_scene(target)
+    one, two = (works_of(make_renderer(scene, store, threads), size) for threads in (1, 2))
+    with closing(Pair(target, store, size)) as pair:
+        works: dict[str, Candidate] = {}
+        for kind in KINDS:
+            works[f"one thread: {kind}"] = lambda _, k=kind: one[k]()
+            works[f"two threads: {kind}"] = lambda _, k=kind: two[k]()
+            works[f"two processes: {kind}"] = lambda _, k=kind: pair.work(k)
+        taken = medians(works, repeats)
+    figures = milliseconds(taken)
+    for kind in KINDS:
+        single, threads, processes = (taken[f"{n}: {kind}"] for n in ("one thread", "two threads", "two processes"))
+        figures[f"two threads / one: {kind}"] = single / threads
+        figures[f"two processes / one: {kind}"] = 2.0 * single / processes
+        figures[f"two threads / two processes: {kind}"] = processes / (2.0 * threads)
+    return figures
+
+
+def doubling(first: int, last: int) -> list[int]:
+    """Powers of two times ``first``, up to ``last``."""
+    steps = [first]
+    while 2 * steps[-1] <= last:
+        steps.append(2 * steps[-1])
+    return steps
+
+
+@click.command()
+@click.argument("target", required=False)
+@click.option("--largest", type=click.IntRange(2), default=512, show_default=True, help="Voxels a side of the largest.")
+@options(repeats=7)
+def main(target: str | None, largest: int, size: int, repeats: int, as_json: bool) -> None:
+    """Time growth; --size is the picture of the volumes and threads, and the middle one of the pictures."""
+    shape = benchmark_scene("demo:casting", lights=[{"type": "sky"}])
+    figures: dict[str, Any] = by_volume(shape, doubling(min(SMALLEST, largest), largest), size, repeats)
+    scene = benchmark_scene(target)
+    with tempfile.TemporaryDirectory() as store:
+        sizes = [max(size // 2, 1), size, 2 * size]
+        figures |= by_picture(baked(scene, store, sizes), sizes, repeats)
+        figures |= by_threads(target, store, size, repeats)
+    show(f"the casting resampled, and {scene.name} at {scene.isovalue:g}", figures, as_json)
+
+
+if __name__ == "__main__":
+    main()

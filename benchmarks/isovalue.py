@@ -1,0 +1,117 @@
+"""From a new isovalue to a lit picture: ours, light baked, against VTK and against flying edges with Embree.
+
+    python -m benchmarks.isovalue [TARGET] [--threads 2] [--size 512] [--repeats 9] [--json] [--pictures FOLDER]
+
+In each round all candidates go to the same isovalue, which none has seen in this process, and end with a
+picture of eight bits in memory. `gi` is lit by light that was baked before and is in memory, `lambert` by a
+directional light. VTK: flying edges with normals, drawn by Mesa's llvmpipe; by its own Phong, with a shadow
+map of 1024², with ambient occlusion of 32 samples. Embree: flying edges without normals, a tree of default
+quality, and of low quality, by its C interface, 16 rays together, made beforehand, and triangles' own normals.
+"""
+
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+from PIL import Image
+
+from benchmarks import embree, vtk_scene
+from benchmarks.common import benchmark_scene, options, show
+from benchmarks.embree_frame import EmbreeFrame
+from isogi_core.bake.recipe import Recipe
+from isogi_core.frame.film import develop
+from isogi_core.frame.renderer import Renderer
+from isogi_core.frame.surroundings import Turned
+from isogi_core.frame.tiles import Tiles
+from isogi_core.model.scene import Scene
+from server.measure import bake_view, isovalues_near, make_renderer, medians, primary_rays, seconds, view_of
+
+SAMPLES = 16
+Painter = Callable[[float], np.ndarray]
+"""Makes the picture at an isovalue."""
+
+
+def lit_renderer(scene: Scene, size: int, levels: list[float], store: str, threads: int) -> Renderer:
+    """A renderer that has seen no isovalue, with the light of all ``levels`` in memory."""
+    renderer = make_renderer(scene, store, threads)
+    chunks = {d.index for v in levels for d in bake_view(renderer, view_of(scene, size, isovalue=v), SAMPLES).demands}
+    fresh = make_renderer(scene, store, threads)
+    fresh.loader.ensure(sorted(chunks))
+    return fresh
+
+
+def own(renderer: Renderer, size: int, shading: str) -> Painter:
+    """Ours."""
+    scene = renderer.recipe.scene
+
+    def paint(isovalue: float) -> np.ndarray:
+        frame = renderer.render(view_of(scene, size, isovalue=isovalue, shading=shading))
+        return develop(frame, scene.default_exposure)
+
+    return paint
+
+
+def peers(scene: Scene, size: int, threads: int) -> dict[str, Painter]:
+    """Those of the others that are installed."""
+    if not vtk_scene.installed():
+        return {}
+    vtk_scene.use_threads(threads)
+    data, view = vtk_scene.image(scene.volume), view_of(scene, size)
+    towards, _, _ = Turned(Recipe(scene), view).key_light()
+    found: dict[str, Painter] = {
+        f"vtk {by}": vtk_scene.Window(data, view, towards, by).picture for by in vtk_scene.PASSES
+    }
+    return found | (by_embree(scene, size, np.array(towards), Tiles(threads)) if embree.installed() else {})
+
+
+def by_embree(scene: Scene, size: int, towards: np.ndarray, tiles: Tiles) -> dict[str, Painter]:
+    """Flying edges with Embree's tree of default and of low quality."""
+    rays, step = primary_rays(Recipe(scene), size), np.array(scene.volume.spacing)[:, None]
+    frame = EmbreeFrame(*((v * step).astype(np.float32) for v in (rays.origins, rays.directions)), towards, tiles)
+    edges = vtk_scene.Edges(vtk_scene.image(scene.volume), normals=False)
+
+    def painter(quality: int) -> Painter:
+        return lambda isovalue: frame.picture(edges.mesh(isovalue), quality).reshape(size, size, 3)
+
+    return {"embree": painter(embree.MEDIUM), "embree low": painter(embree.LOW)}
+
+
+def summarise(taken: dict[str, float]) -> dict[str, Any]:
+    """Milliseconds, and how many times longer the others take than our Lambert and our light."""
+    figures: dict[str, Any] = {f"{name}_ms": 1000.0 * value for name, value in taken.items()}
+    others = [name for name in taken if name not in ("gi", "lambert")]
+    figures |= {f"{name} / {mine}": taken[name] / taken[mine] for mine in ("lambert", "gi") for name in others}
+    missing = {"vtk": vtk_scene.installed(), "embree": embree.installed() and vtk_scene.installed()}
+    return figures | {name: "not installed" for name, there in missing.items() if not there}
+
+
+@click.command()
+@click.argument("target", required=False)
+@click.option("--threads", default=2, show_default=True, help="Threads of every candidate.")
+@click.option("--pictures", type=click.Path(path_type=Path, file_okay=False), help="Write the last pictures there.")
+@options()
+def main(target: str | None, threads: int, pictures: Path | None, size: int, repeats: int, as_json: bool) -> None:
+    """Time new isovalues."""
+    scene = benchmark_scene(target)
+    levels = isovalues_near(scene, repeats + 1)
+    with tempfile.TemporaryDirectory() as store:
+        painters = {
+            "gi": own(lit_renderer(scene, size, levels, store, threads), size, "gi"),
+            "lambert": own(make_renderer(scene, store, threads), size, "lambert"),
+            **peers(scene, size, threads),
+        }
+        taken = medians(
+            {name: (lambda turn, p=p: seconds(lambda: p(levels[turn]))) for name, p in painters.items()}, repeats
+        )
+        if pictures is not None:
+            pictures.mkdir(exist_ok=True)
+            for name, paint in painters.items():
+                Image.fromarray(paint(levels[-1])).save(pictures / f"{name}.png")
+    show(f"{scene.name} near {scene.isovalue:g}, {size} × {size}, {threads} threads", summarise(taken), as_json)
+
+
+if __name__ == "__main__":
+    main()
