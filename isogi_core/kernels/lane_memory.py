@@ -20,6 +20,7 @@ from isogi_core.kernels.lanes import (
     WORD,
     Lanes,
     call,
+    rank_in,
     stub,
 )
 
@@ -27,6 +28,8 @@ KINDS = {types.float32: FLOATS, types.float64: DOUBLES, types.int32: INTS, types
 """Lanes of an array's elements."""
 
 gather = stub("gather", "array[index] of a flat array; every lane's index must be in it.", __name__)
+gather_pair = stub("gather_pair", "array[index] and array[index + 1] of a flat array of floats.", __name__)
+take = stub("take", "array[first], array[first + 1] … for the lanes that the mask has set, in turn.", __name__)
 load = stub("load", "COUNT elements of a flat array from place i on.", __name__)
 store = stub("store", "Write lanes to COUNT elements of a flat array from place i on.", __name__)
 scatter = stub("scatter", "array[index] = lanes where the mask is set, lane by lane.", __name__)
@@ -67,9 +70,54 @@ def _gather(context: Any, builder: ir.IRBuilder, dtype: Any, base: ir.Value, ind
     return vector
 
 
-def _numbers(first: int, last: int) -> ir.Constant:
-    """The vector first, first + 1, … last - 1, to shuffle by."""
-    return ir.Constant(ir.VectorType(WORD, last - first), list(range(first, last)))
+@define_access(gather_pair, lambda array, index: signature(types.UniTuple(FLOATS, 2), array, INTS))
+def _gather_pair(context: Any, builder: ir.IRBuilder, dtype: Any, base: ir.Value, index: ir.Value) -> ir.Value:
+    width = REGISTER // 2
+    pairs = [_pairs(builder, base, index, first, width) for first in range(0, COUNT, width)]
+    sides = [
+        _join(builder, [builder.shuffle_vector(p, p, _numbers(side, 2 * width, 2)) for p in pairs]) for side in (0, 1)
+    ]
+    return context.make_tuple(builder, types.UniTuple(FLOATS, 2), sides)
+
+
+def _pairs(builder: ir.IRBuilder, base: ir.Value, index: ir.Value, first: int, width: int) -> ir.Value:
+    """Two neighbours for each of ``width`` lanes from lane ``first`` on, side by side in one register of floats."""
+    vector = ir.VectorType(DOUBLES.element, width)
+    if REGISTER == 16:
+        name = "llvm.x86.avx512.mask.gather.dpd.512"
+        every = ir.Constant(ir.VectorType(BIT, width), [1] * width)
+        places = builder.shuffle_vector(index, index, _numbers(first, first + width))
+        pointer = builder.bitcast(base, ir.IntType(8).as_pointer())
+        pairs = call(builder, name, vector, ir.Constant(vector, None), pointer, places, every, WORD(4))
+    else:
+        pairs = ir.Constant(vector, ir.Undefined)
+        for lane in range(width):
+            place = builder.sext(builder.extract_element(index, WORD(first + lane)), ir.IntType(64))
+            pointer = builder.bitcast(builder.gep(base, [place]), DOUBLES.element.as_pointer())
+            pairs = builder.insert_element(pairs, builder.load(pointer, align=4), WORD(lane))
+    return builder.bitcast(pairs, ir.VectorType(FLOATS.element, 2 * width))
+
+
+@define_access(take, lambda array, first, mask: signature(KINDS[array.dtype], array, WHOLE, MASK))
+def _take(context: Any, builder: ir.IRBuilder, dtype: Any, base: ir.Value, place: ir.Value, mask: ir.Value) -> ir.Value:
+    kind, parts = KINDS[dtype], []
+    name = {16: "llvm.x86.avx512.permvar.s{}.512", 8: "llvm.x86.avx2.perm{}"}[REGISTER]
+    name = name.format({16: "fi", 8: ("ps", "d")}[REGISTER][kind is INTS])
+    part = ir.VectorType(kind.element, REGISTER)
+    for first in range(0, COUNT, REGISTER):
+        own = builder.shuffle_vector(mask, mask, _numbers(first, first + REGISTER))
+        word = builder.zext(builder.bitcast(own, ir.IntType(REGISTER)), WORD)
+        pointer = builder.bitcast(builder.gep(base, [place]), part.as_pointer())
+        parts.append(call(builder, name, part, builder.load(pointer, align=4), rank_in(builder, word, REGISTER)))
+        taken = call(builder, "llvm.ctpop.i32", WORD, word)
+        place = builder.add(place, builder.zext(taken, place.type))
+    return _join(builder, parts)
+
+
+def _numbers(first: int, last: int, step: int = 1) -> ir.Constant:
+    """The vector first, first + step, … below ``last``, to shuffle by."""
+    numbers = list(range(first, last, step))
+    return ir.Constant(ir.VectorType(WORD, len(numbers)), numbers)
 
 
 def _join(builder: ir.IRBuilder, parts: list[ir.Value]) -> ir.Value:

@@ -76,11 +76,11 @@ class LanesModel(models.PrimitiveModel):
 Build = Callable[..., ir.Value]
 
 
-def repeat(builder: ir.IRBuilder, value: ir.Value) -> ir.Value:
-    """A vector with ``value`` in every lane."""
-    vector = ir.VectorType(value.type, COUNT)
+def repeat(builder: ir.IRBuilder, value: ir.Value, width: int = COUNT) -> ir.Value:
+    """A vector with ``value`` in each of ``width`` lanes."""
+    vector = ir.VectorType(value.type, width)
     first = builder.insert_element(ir.Constant(vector, ir.Undefined), value, WORD(0))
-    zeros = ir.Constant(ir.VectorType(WORD, COUNT), [0] * COUNT)
+    zeros = ir.Constant(ir.VectorType(WORD, width), [0] * width)
     return builder.shuffle_vector(first, ir.Constant(vector, ir.Undefined), zeros)
 
 
@@ -185,6 +185,7 @@ ints = stub("ints", "Floats or doubles cut to ints (they must fit), or a number 
 mask_of = stub("mask_of", "The truth in all lanes.")
 popcount = stub("popcount", "How many lanes of the mask are set.")
 bits = stub("bits", "The mask as an integer, bit i for lane i.")
+lane_numbers = stub("lane_numbers", "0, 1, 2 … as ints.")
 rank = stub("rank", "How many lanes before it are set in the mask, for each lane.")
 pick = stub("pick", "The number in one lane.")
 
@@ -251,8 +252,18 @@ def _popcount(builder: ir.IRBuilder, mask: ir.Value) -> ir.Value:
     return call(builder, "llvm.ctpop.i64", ir.IntType(64), _bits(builder, mask))
 
 
+@define(lane_numbers, INTS)
+def _lane_numbers(builder: ir.IRBuilder) -> ir.Value:
+    return ir.Constant(INTS.vector, list(range(COUNT)))
+
+
+def rank_in(builder: ir.IRBuilder, word: ir.Value, width: int) -> ir.Value:
+    """How many bits below it are set in a word of 32 bits, for each of ``width`` lanes."""
+    before = ir.Constant(ir.VectorType(WORD, width), [(1 << lane) - 1 for lane in range(width)])
+    below = builder.and_(repeat(builder, word, width), before)
+    return call(builder, f"llvm.ctpop.v{width}i32", before.type, below)
+
+
 @define(rank, INTS, MASK)
 def _rank(builder: ir.IRBuilder, mask: ir.Value) -> ir.Value:
-    spread_bits = repeat(builder, builder.trunc(_bits(builder, mask), WORD))
-    before = ir.Constant(INTS.vector, [(1 << lane) - 1 for lane in range(COUNT)])
-    return call(builder, f"llvm.ctpop.v{COUNT}i32", INTS.vector, builder.and_(spread_bits, before))
+    return rank_in(builder, builder.trunc(_bits(builder, mask), WORD), COUNT)

@@ -36,17 +36,13 @@ VECTOR = types.float64[::1]
 
 
 @kernel()
-def settle_lanes(flat, shape, rays, first, columns, found, entries, spans, t, came):
-    """Settle COUNT rays, ``columns`` of the batch that begins with ray ``first``.
-
-    Returns, as bits, those for which ``cast`` must be asked.
-    """
+def settle_lanes(flat, shape, rays, columns, owners, found, entries, spans, t, came):
+    """Settle COUNT scouted rays, which stand in ``columns``; returns, as bits, those that ``cast`` must be asked."""
     isovalues, origins, directions, _ = rays
     nz, ny, nx = shape
-    word = gather(found, columns)
+    word, m = gather(found, columns), gather(owners, columns)
     known = word >= 0
     span = gather(spans[0], columns), gather(spans[1], columns)
-    m = columns + first
     o = gather(origins[0], m), gather(origins[1], m), gather(origins[2], m)
     d = gather(directions[0], m), gather(directions[1], m), gather(directions[2], m)
     solid = (word & 1) != 0
@@ -60,25 +56,20 @@ def settle_lanes(flat, shape, rays, first, columns, found, entries, spans, t, ca
 
 
 @kernel()
-def settle(field, flat, rays, first, queue, count, found, entries, spans, t, came):
-    """Write the hits of a batch's rays, of which scouts said ``found``, to ``t`` and ``came``: as ``cast`` gives them.
-
-    ``queue`` (count,) are the columns that were scouted; it is overwritten.
-    """
+def settle(field, flat, rays, count, owners, found, entries, spans, t, came):
+    """Write the hits of ``count`` scouted rays to ``t`` and ``came`` at their ``owners``: as ``cast`` gives them."""
     isovalues, origins, directions, sides = rays
-    hits = 0
+    met, hits = np.empty(BATCH + COUNT, np.int32), 0
     for i in range(count):
-        column_ = queue[i]
-        queue[hits] = column_
-        hits += found[column_] != CLEAR
-    padded = -(-hits // COUNT) * COUNT
-    queue[hits:padded] = queue[0]
-    for i in range(0, padded, COUNT):
-        asked = settle_lanes(flat, field.voxels.shape, rays, first, load(queue, i), found, entries, spans, t, came)
+        met[hits] = i
+        hits += found[i] != CLEAR
+    met[hits : hits + COUNT] = met[0]
+    for i in range(0, hits, COUNT):
+        asked = settle_lanes(flat, field.voxels.shape, rays, load(met, i), owners, found, entries, spans, t, came)
         lane = i
         while asked != 0 and lane < hits:
             if asked & 1:
-                m = first + queue[lane]
+                m = owners[met[lane]]
                 t[m], came[m] = cast(field, isovalues[m], column(origins, m), column(directions, m), int(sides[m]))
             asked >>= 1
             lane += 1
@@ -87,20 +78,19 @@ def settle(field, flat, rays, first, queue, count, found, entries, spans, t, cam
 @kernel()
 def cast_by_lanes(field, bricks, isovalues, origins, directions, sides, t, came):
     """``cast_batch`` by scouts in lanes; at least COUNT rays."""
-    records, spans = np.empty((FIELDS, BATCH), np.float32), np.empty((2, BATCH))
-    queue, found = np.empty(BATCH, np.int32), np.empty(BATCH, np.int32)
-    entries = np.empty(BATCH, np.float32)
+    room = BATCH + COUNT
+    records, spans, entries = np.empty((FIELDS, room), np.float32), np.empty((2, room)), np.empty(room, np.float32)
+    owners, found = np.empty(room, np.int32), np.empty(room, np.int32)
     flat, shape = field.voxels.reshape(field.voxels.size), field.voxels.shape
+    rays = isovalues, origins, directions, sides
     t[:] = math.inf
     came[:] = UNKNOWN
-    for begin in range(0, t.shape[0], BATCH):
-        last = min(begin + BATCH, t.shape[0])
-        first = min(begin, last - COUNT)
-        count = prepare(shape, bricks.shape, isovalues, origins, directions, sides, first, last, records, spans, queue)
-        found[:] = CLEAR
-        scout(flat, shape, bricks, records, queue, count, found, entries)
-        rays = isovalues, origins, directions, sides
-        settle(field, flat, rays, first, queue, count, found, entries, spans, t, came)
+    for first in range(0, t.shape[0], BATCH):
+        last = min(first + BATCH, t.shape[0])
+        count = prepare(shape, bricks.shape, isovalues, origins, directions, sides, first, last, records, spans, owners)
+        found[:count] = CLEAR
+        scout(flat, shape, bricks, records, count, found, entries)
+        settle(field, flat, rays, count, owners, found, entries, spans, t, came)
 
 
 @kernel()

@@ -15,13 +15,14 @@ from isogi_core.kernels._jit import kernel
 from isogi_core.kernels.bricks import BRICK
 from isogi_core.kernels.crossings import clip_box_lanes, longest_of
 from isogi_core.kernels.intersect import UNKNOWN
-from isogi_core.kernels.lane_memory import gather, load, store
+from isogi_core.kernels.lane_memory import gather, gather_pair, load, store, take
 from isogi_core.kernels.lanes import (
     COUNT,
     bits,
     floats,
     fma,
     ints,
+    lane_numbers,
     least,
     magnitude,
     mask_of,
@@ -43,6 +44,9 @@ CLEAR, ASK = -1, -2
 
 FIELDS = 10
 """Numbers of a prepared ray: origin, direction (x, y, z, mirrored), way to the exit, isovalue, sign, mirror."""
+
+EVERY = (1 << COUNT) - 1
+"""The bits of all lanes."""
 
 HUGE = 1e30
 """Stands for 1/0: times nothing it is nothing."""
@@ -88,22 +92,32 @@ def prepare_lanes(shape, bricks_shape, isovalues, origins, directions, sides, m,
 
 
 @kernel()
-def prepare(shape, bricks_shape, isovalues, origins, directions, sides, first, last, rays, spans, queue):
-    """Write records of rays first … last, at least COUNT of them, to ``rays`` (FIELDS, n).
+def close_ranks(rays, spans, owners, r, met):
+    """Move those of the COUNT columns from ``r`` on whose bit is set in ``met`` together; returns their end."""
+    for column in range(r, r + COUNT):
+        if met & 1:
+            for field in range(FIELDS):
+                rays[field, r] = rays[field, column]
+            spans[0, r], spans[1, r], owners[r] = spans[0, column], spans[1, column], owners[column]
+            r += 1
+        met >>= 1
+    return r
 
-    ``spans`` (2, n) gets what ``clip_box`` gives for them and ``queue`` the columns of those that meet the
-    box; returns how many that are.
+
+@kernel()
+def prepare(shape, bricks_shape, isovalues, origins, directions, sides, first, last, rays, spans, owners):
+    """Write the records of those rays first … last that meet the box to ``rays`` (FIELDS, n); returns how many.
+
+    ``owners`` (n,) gets their numbers, ``spans`` (2, n) what ``clip_box`` gives for them. There are COUNT rays
+    or more from 0 on, and room for COUNT records more.
     """
     count = 0
     for i in range(first, last, COUNT):
-        m = min(i, last - COUNT)
-        met = prepare_lanes(shape, bricks_shape, isovalues, origins, directions, sides, m, rays, spans, m - first) >> (
-            i - m
-        )
-        for column in range(i - first, m - first + COUNT):
-            queue[count] = column
-            count += met & 1
-            met >>= 1
+        m = max(min(i, last - COUNT), 0)
+        met = prepare_lanes(shape, bricks_shape, isovalues, origins, directions, sides, m, rays, spans, count)
+        store(owners, count, lane_numbers() + m)
+        met &= EVERY << (i - m)
+        count = count + COUNT if met == EVERY else close_ranks(rays, spans, owners, count, met)
     return count
 
 
@@ -191,25 +205,32 @@ def bernstein(v, a, b):
 
 
 @kernel()
-def corner_values(flat, place, stride, iso):
-    """The eight corner values less the isovalue of the cells whose first corner is at ``place``."""
-    up = place + stride[2]
+def corner_values(flat, place, turned, sy, sz, iso):
+    """The eight corner values less the isovalue of cells whose lowest x and first y, z corner is at ``place``.
+
+    ``turned`` where x is mirrored; ``sy`` and ``sz`` lead to the second corner along y and z.
+    """
+    a, b = gather_pair(flat, place)
+    c, d = gather_pair(flat, place + sy)
+    e, f = gather_pair(flat, place + sz)
+    g, h = gather_pair(flat, place + (sy + sz))
     return (
-        gather(flat, place) - iso,
-        gather(flat, place + stride[0]) - iso,
-        gather(flat, place + stride[1]) - iso,
-        gather(flat, place + stride[1] + stride[0]) - iso,
-        gather(flat, up) - iso,
-        gather(flat, up + stride[0]) - iso,
-        gather(flat, up + stride[1]) - iso,
-        gather(flat, up + stride[1] + stride[0]) - iso,
+        select(turned, b, a) - iso,
+        select(turned, a, b) - iso,
+        select(turned, d, c) - iso,
+        select(turned, c, d) - iso,
+        select(turned, f, e) - iso,
+        select(turned, e, f) - iso,
+        select(turned, h, g) - iso,
+        select(turned, g, h) - iso,
     )
 
 
 @kernel()
 def certain(flat, bricks, place, stride, brick, c, o, d, t, out, iso, sign):
     """Whether the field has ``sign`` for certain in cell ``c`` from ``t`` to ``out``."""
-    v = corner_values(flat, place, stride, iso)
+    turned = stride[0] < 0
+    v = corner_values(flat, place + select(turned, ints(-1), 0), turned, stride[1], stride[2], iso)
     corner = floats(c[0]), floats(c[1]), floats(c[2])
     p = o[0] - corner[0], o[1] - corner[1], o[2] - corner[2]
     b = bernstein(v, along(p, t, d), along(p, out, d))
@@ -245,8 +266,8 @@ def mark(found, owner, word, lanes):
 
 
 @kernel()
-def scout(flat, shape, bricks, rays, queue, count, found, entries):
-    """Write to ``found`` what each ray in the ``queue`` of ``count`` meets: ASK, or 2 · cell + (1 from a solid side).
+def scout(flat, shape, bricks, rays, count, found, entries):
+    """Write to ``found`` what each of ``count`` prepared rays meets: ASK, or 2 · cell + (1 from a solid side).
 
     Rays that meet nothing keep what was there. ``entries`` is the way to that cell, in steps of the
     direction's largest component.
@@ -269,16 +290,18 @@ def scout(flat, shape, bricks, rays, queue, count, found, entries):
         if following < count and popcount(idle) > COUNT - BUSY:
             turn = rank(idle) + following
             fresh = idle & (turn < count)
-            following = min(count, following + popcount(idle))
-            ray = select(fresh, gather(queue, select(fresh, turn, 0)), owner)
-            owner = ray
-            o = gather(o0, ray), gather(o1, ray), gather(o2, ray)
-            d = gather(d0, ray), gather(d1, ray), gather(d2, ray)
+            owner = select(fresh, turn, owner)
+            o = choose(fresh, (take(o0, following, fresh), take(o1, following, fresh), take(o2, following, fresh)), o)
+            d = choose(fresh, (take(d0, following, fresh), take(d1, following, fresh), take(d2, following, fresh)), d)
             one, huge = floats(1.0), floats(HUGE)
             inv = least(one / d[0], huge), least(one / d[1], huge), least(one / d[2], huge)
-            end, iso = gather(way, ray), gather(levels, ray)
-            told = gather(signs, ray)
-            mirror = ints(gather(mirrors, ray))
+            end, iso = (
+                select(fresh, take(way, following, fresh), end),
+                select(fresh, take(levels, following, fresh), iso),
+            )
+            told = take(signs, following, fresh)
+            mirror = select(fresh, ints(take(mirrors, following, fresh)), mirror)
+            following = min(count, following + popcount(idle))
             octant = (mirror & 7) << 2
             flip = ((mirror & 1) * 3) | ((mirror & 2) * 6) | ((mirror & 4) * 12)
             stride, base = strides_of(mirror, bx, bx * by, (bx - 1, by - 1, bz - 1))
