@@ -10,7 +10,7 @@ import numpy as np
 
 from isogi_core.kernels._jit import kernel
 from isogi_core.kernels.intersect import REFINEMENTS, SLIVER, cubic_along, horner
-from isogi_core.kernels.lane_memory import gather
+from isogi_core.kernels.lane_memory import gather_pair
 from isogi_core.kernels.lanes import (
     bits,
     copysign,
@@ -70,16 +70,12 @@ def cut_cell_lanes(o, d, cell, near, far):
 def corners_of(flat, place, stride, iso):
     """The eight corner values less the isovalue, x fastest, of cells whose lowest corner is at ``place``."""
     sy, sz = stride
-    return (
-        doubles(gather(flat, place)) - iso,
-        doubles(gather(flat, place + 1)) - iso,
-        doubles(gather(flat, place + sy)) - iso,
-        doubles(gather(flat, place + (sy + 1))) - iso,
-        doubles(gather(flat, place + sz)) - iso,
-        doubles(gather(flat, place + (sz + 1))) - iso,
-        doubles(gather(flat, place + (sz + sy))) - iso,
-        doubles(gather(flat, place + (sz + sy + 1))) - iso,
-    )
+    a, b = gather_pair(flat, place)
+    c, d = gather_pair(flat, place + sy)
+    e, f = gather_pair(flat, place + sz)
+    g, h = gather_pair(flat, place + (sy + sz))
+    near = doubles(a) - iso, doubles(b) - iso, doubles(c) - iso, doubles(d) - iso
+    return (*near, doubles(e) - iso, doubles(f) - iso, doubles(g) - iso, doubles(h) - iso)
 
 
 @kernel()
