@@ -20,19 +20,25 @@ PACKET = 16
 Trace = Callable[..., None]
 
 
+def libraries() -> list[Path]:
+    """Embree 4 and then what it needs, beside the package ``embreex`` of a Linux wheel; empty where there is none."""
+    package = importlib.util.find_spec("embreex")
+    if package is None or package.origin is None:
+        return []
+    folder = Path(package.origin).parents[1] / "embreex.libs"
+    return [*folder.glob("libembree4*"), *folder.glob("libtbb*")]
+
+
 def installed() -> bool:
-    """Whether the package is there."""
-    return importlib.util.find_spec("embreex") is not None
+    """Whether the package is there, with the library."""
+    return bool(libraries())
 
 
 def library() -> ctypes.CDLL:
-    """The shared library inside the package ``embreex``, with the types of what is called."""
-    package = importlib.util.find_spec("embreex")
-    assert package is not None and package.origin is not None
-    folder = Path(package.origin).parents[1] / "embreex.libs"
-    for helper in folder.glob("libtbb*"):
+    """The library, with the types of what is called."""
+    path, *needed = libraries()
+    for helper in needed:
         ctypes.CDLL(str(helper), ctypes.RTLD_GLOBAL)
-    (path,) = folder.glob("libembree4*")
     lib, pointer, size = ctypes.CDLL(str(path)), ctypes.c_void_p, ctypes.c_size_t
     for name in ("rtcNewDevice", "rtcNewScene", "rtcNewGeometry"):
         getattr(lib, name).restype = pointer
@@ -70,7 +76,7 @@ class Device:
 
 
 class Tree:
-    """A tree over a mesh: ``points`` (n, 3) float32 and ``triangles`` (m, 3) uint32, which it keeps but does not copy."""
+    """A tree over a mesh: ``points`` (n, 3) float32 and ``triangles`` (m, 3) uint32."""
 
     def __init__(self, device: Device, points: np.ndarray, triangles: np.ndarray, quality: int = MEDIUM) -> None:
         """Build it; ``bytes`` is what it takes besides the mesh."""

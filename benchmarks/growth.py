@@ -10,9 +10,10 @@ threads / two processes" compares their rates. `gi` and `lambert` cast their pri
 
 import multiprocessing
 import tempfile
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from contextlib import ExitStack, closing
 from dataclasses import replace
+from functools import partial
 from multiprocessing.connection import Connection
 from typing import Any
 
@@ -33,6 +34,7 @@ from server.measure import (
     medians,
     primary_rays,
     seconds,
+    timed,
     view_of,
 )
 
@@ -42,9 +44,6 @@ SAMPLES = 16
 SMALLEST = 64
 PIECE = 8192
 """Rays that a thread casts before it takes the next."""
-
-Work = Callable[[], float]
-"""Does something, and tells how many seconds it took."""
 
 
 def resample(volume: Volume, side: int) -> Volume:
@@ -110,7 +109,7 @@ def milliseconds(taken: dict[str, float]) -> dict[str, float]:
     return {f"{name}_ms": 1000.0 * value for name, value in taken.items()}
 
 
-def works_of(renderer: Renderer, size: int) -> dict[str, Work]:
+def works_of(renderer: Renderer, size: int) -> dict[str, Candidate]:
     """A frame of each shading, and diffuse rays in pieces of PIECE."""
     recipe = renderer.recipe
     rays = bounce(recipe, primary_rays(recipe, size), np.random.default_rng(1))
@@ -120,10 +119,8 @@ def works_of(renderer: Renderer, size: int) -> dict[str, Work]:
         for part in parts[a:b]:
             cast(recipe, part)
 
-    frames = {s: frame_work(renderer, view_of(recipe.scene, size, shading=s)) for s in SHADINGS}
-    works: dict[str, Work] = {s: (lambda f=frame: f(0)) for s, frame in frames.items()}
-    works["rays"] = lambda: seconds(lambda: renderer.tiles.run(piece, len(parts), 1))
-    return works
+    works = {s: frame_work(renderer, view_of(recipe.scene, size, shading=s)) for s in SHADINGS}
+    return {**works, "rays": timed(partial(renderer.tiles.run, piece, len(parts), 1))}
 
 
 def serve(pipe: Connection, target: str | None, store: str, size: int) -> None:
@@ -131,7 +128,7 @@ def serve(pipe: Connection, target: str | None, store: str, size: int) -> None:
     works = works_of(make_renderer(benchmark_scene(target), store, 1), size)
     pipe.send("ready")
     while name := pipe.recv():
-        pipe.send([works[name]() for _ in range(4)])
+        pipe.send([works[name](turn) for turn in range(4)])
 
 
 class Pair:
@@ -147,11 +144,15 @@ class Pair:
             process.start()
         assert all(pipe.recv() == "ready" for pipe in self.pipes)
 
-    def work(self, name: str) -> float:
+    def candidate(self, name: str) -> Candidate:
         """Seconds for one piece of work a process, a mean of those at which both were busy."""
-        for pipe in self.pipes:
-            pipe.send(name)
-        return float(np.mean([pipe.recv()[1:-1] for pipe in self.pipes]))
+
+        def work(_: int) -> float:
+            for pipe in self.pipes:
+                pipe.send(name)
+            return float(np.mean([pipe.recv()[1:-1] for pipe in self.pipes]))
+
+        return work
 
     def close(self) -> None:
         """End them."""
@@ -167,9 +168,9 @@ def by_threads(target: str | None, store: str, size: int, repeats: int) -> dict[
     with closing(Pair(target, store, size)) as pair:
         works: dict[str, Candidate] = {}
         for kind in KINDS:
-            works[f"one thread: {kind}"] = lambda _, k=kind: one[k]()
-            works[f"two threads: {kind}"] = lambda _, k=kind: two[k]()
-            works[f"two processes: {kind}"] = lambda _, k=kind: pair.work(k)
+            works[f"one thread: {kind}"] = one[kind]
+            works[f"two threads: {kind}"] = two[kind]
+            works[f"two processes: {kind}"] = pair.candidate(kind)
         taken = medians(works, repeats)
     figures = milliseconds(taken)
     for kind in KINDS:

@@ -11,6 +11,7 @@ quality, and of low quality, by its C interface, 16 rays together, made beforeha
 
 import tempfile
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,7 @@ from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.surroundings import Turned
 from isogi_core.frame.tiles import Tiles
 from isogi_core.model.scene import Scene
-from server.measure import bake_view, isovalues_near, make_renderer, medians, primary_rays, seconds, view_of
+from server.measure import Candidate, bake_view, isovalues_near, make_renderer, medians, primary_rays, seconds, view_of
 
 SAMPLES = 16
 Painter = Callable[[float], np.ndarray]
@@ -54,6 +55,11 @@ def own(renderer: Renderer, size: int, shading: str) -> Painter:
     return paint
 
 
+def painting(paint: Painter, levels: list[float]) -> Candidate:
+    """Goes to another of ``levels`` in each round."""
+    return lambda turn: seconds(partial(paint, levels[turn]))
+
+
 def peers(scene: Scene, size: int, threads: int) -> dict[str, Painter]:
     """Those of the others that are installed."""
     if not vtk_scene.installed():
@@ -61,16 +67,15 @@ def peers(scene: Scene, size: int, threads: int) -> dict[str, Painter]:
     vtk_scene.use_threads(threads)
     data, view = vtk_scene.image(scene.volume), view_of(scene, size)
     towards, _, _ = Turned(Recipe(scene), view).key_light()
-    found: dict[str, Painter] = {
-        f"vtk {by}": vtk_scene.Window(data, view, towards, by).picture for by in vtk_scene.PASSES
-    }
+    found = {f"vtk {by}": vtk_scene.Window(data, view, towards, by).picture for by in vtk_scene.PASSES}
     return found | (by_embree(scene, size, np.array(towards), Tiles(threads)) if embree.installed() else {})
 
 
 def by_embree(scene: Scene, size: int, towards: np.ndarray, tiles: Tiles) -> dict[str, Painter]:
     """Flying edges with Embree's tree of default and of low quality."""
     rays, step = primary_rays(Recipe(scene), size), np.array(scene.volume.spacing)[:, None]
-    frame = EmbreeFrame(*((v * step).astype(np.float32) for v in (rays.origins, rays.directions)), towards, tiles)
+    origins, directions = ((v * step).astype(np.float32) for v in (rays.origins, rays.directions))
+    frame = EmbreeFrame(origins, directions, towards, tiles)
     edges = vtk_scene.Edges(vtk_scene.image(scene.volume), normals=False)
 
     def painter(quality: int) -> Painter:
@@ -103,9 +108,7 @@ def main(target: str | None, threads: int, pictures: Path | None, size: int, rep
             "lambert": own(make_renderer(scene, store, threads), size, "lambert"),
             **peers(scene, size, threads),
         }
-        taken = medians(
-            {name: (lambda turn, p=p: seconds(lambda: p(levels[turn]))) for name, p in painters.items()}, repeats
-        )
+        taken = medians({name: painting(paint, levels) for name, paint in painters.items()}, repeats)
         if pictures is not None:
             pictures.mkdir(exist_ok=True)
             for name, paint in painters.items():

@@ -61,10 +61,10 @@ class PathTracer:
         parameters.update()
         return shape
 
-    def picture(self, samples: int, seed: int, threads: int) -> np.ndarray:
+    def picture(self, samples: int, threads: int) -> np.ndarray:
         """The picture, (h, w, 3) float32, of so many paths per pixel on so many threads."""
         import drjit  # noqa: PLC0415
 
         self.mitsuba.set_variant(self.variant)
         drjit.set_thread_count(threads)
-        return np.array(self.mitsuba.render(self.scene, integrator=self.integrator, spp=samples, seed=seed))
+        return np.array(self.mitsuba.render(self.scene, integrator=self.integrator, spp=samples))

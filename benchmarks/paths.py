@@ -8,13 +8,14 @@ view reads, 64 each; a texel keeps one coefficient, as Mitsuba's pixels keep one
 picture at depth one, the segment from the eye alone, is taken off; paths are those of pixels that show the
 surface. No path of either ends by chance. Mitsuba joins each hit to the light as well (it cannot be told not
 to), and its mesh is diffuse on both sides, as an isosurface is. That both do the same work is seen in the
-segments per path (texels lie in deeper places than pixels see, so that ours are longer by as much), and in the
-light: ours walks from the same pixels. Figures are on one thread and on two.
+segments per path (texels lie in deeper places than pixels see, so that ours are longer: "segments" is the ratio of
+segments a second), and in the light: ours walks from the same pixels. Figures are on one thread and on two.
 """
 
 import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import click
@@ -38,7 +39,7 @@ from server.measure import (
     make_renderer,
     medians,
     primary_rays,
-    seconds,
+    timed,
     view_of,
 )
 
@@ -91,14 +92,7 @@ def mitsuba_jobs(scene: Scene, view: View, surface: int) -> Iterator[tuple[str, 
         if mitsuba_scene.usable(variant):
             long, short = (mitsuba_scene.PathTracer(variant, world, view, ALBEDO, n) for n in (SEGMENTS + 1, 1))
             spp = SPP[name]
-            yield (
-                name,
-                Job(
-                    surface * spp,
-                    lambda threads, t=long, n=spp: t.picture(n, 1, threads),
-                    lambda threads, t=short, n=spp: t.picture(n, 1, threads),
-                ),
-            )
+            yield name, Job(surface * spp, partial(long.picture, spp), partial(short.picture, spp))
 
 
 def timers(jobs: dict[str, Job]) -> dict[str, Candidate]:
@@ -106,14 +100,14 @@ def timers(jobs: dict[str, Job]) -> dict[str, Candidate]:
     found: dict[str, Candidate] = {}
     for name, job in jobs.items():
         for threads in THREADS:
-            found[f"{name} {threads}"] = lambda _, j=job, n=threads: seconds(lambda: j.run(n))
+            found[f"{name} {threads}"] = timed(partial(job.run, threads))
             if job.rest is not None:
-                found[f"{name} {threads} rest"] = lambda _, r=job.rest, n=threads: seconds(lambda: r(n))
+                found[f"{name} {threads} rest"] = timed(partial(job.rest, threads))
     return found
 
 
-def summarise(jobs: dict[str, Job], taken: dict[str, float]) -> dict[str, float]:
-    """Mpaths/s of each job, and ratios of ours to each of the others."""
+def summarise(jobs: dict[str, Job], taken: dict[str, float], longer: float) -> dict[str, float]:
+    """Mpaths/s of each job, and ratios of ours to each of the others; our paths are ``longer`` by so much."""
     rates = {}
     for name, job in jobs.items():
         for threads in THREADS:
@@ -123,6 +117,10 @@ def summarise(jobs: dict[str, Job], taken: dict[str, float]) -> dict[str, float]
     for name in jobs:
         if name.startswith("mitsuba"):
             figures |= {f"isogi / {name}, {text}": rates["isogi", n] / rates[name, n] for n, text in THREADS.items()}
+            figures |= {
+                f"isogi / {name}, segments, {text}": longer * rates["isogi", n] / rates[name, n]
+                for n, text in THREADS.items()
+            }
     return figures
 
 
@@ -176,8 +174,9 @@ def main(target: str | None, size: int, repeats: int, as_json: bool) -> None:
     surface = len(bounce(Recipe(one), primary_rays(Recipe(one), size), np.random.default_rng(1)))
     jobs = {"isogi": bake_job(one, texels), "isogi order 5": bake_job(many, texels)}
     jobs |= dict(mitsuba_jobs(one, view_of(one, size), surface))
-    figures: dict[str, Any] = summarise(jobs, medians(timers(jobs), repeats))
-    figures |= equals(one, texels, size, jobs)
+    same = equals(one, texels, size, jobs)
+    longer = same["segments per path: texels"] / same["segments per path: pixels"]
+    figures: dict[str, Any] = summarise(jobs, medians(timers(jobs), repeats), longer) | same
     figures |= {name: "not installed" for name in VARIANTS if name not in jobs}
     show(f"{one.name} at {one.isovalue:g}, {SEGMENTS} segments", figures, as_json)
 

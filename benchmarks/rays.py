@@ -6,12 +6,13 @@ Primary rays of the benchmarks' view, cosine rays from what they hit, cosine ray
 on one thread; `--four` takes the engine block, a bonsai, a heptane jet and a head. All candidates take the
 same rays in turn in one process; figures are ratios of medians. Embree traces the marching-cubes mesh: by
 the Python calls of `embreex` ("embree") and by its C interface ("embree C", rays one by one or 16 together,
-whichever is faster). Memory is all that is kept for the isosurface besides the volume, in megabytes.
+whichever is faster). Memory is all that is kept for the isosurface besides the volume, in megabytes. What a
+processor without AVX-512 gets is told where `NUMBA_CPU_NAME=haswell` is set.
 """
 
 import tracemalloc
 from collections.abc import Callable, Iterator
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import click
@@ -23,7 +24,7 @@ from isogi_core.bake.recipe import Recipe
 from isogi_core.kernels.lanes import WIDTH
 from isogi_core.kernels.packets import cast_rays_one_by_one
 from isogi_core.model.scene import Scene
-from server.measure import Candidate, Rays, bounce, cast, medians, primary_rays, seconds
+from server.measure import Candidate, Rays, bounce, cast, medians, primary_rays, timed
 
 FOUR = (
     "engine_256x256x128_uint8.nhdr@70",
@@ -68,17 +69,17 @@ class Casts:
     def candidates(self, rays: Rays) -> dict[str, Candidate]:
         """What to time on ``rays``."""
         found: dict[str, Callable[[], Any]] = {
-            "lanes": lambda: cast(self.recipe, rays),
-            "scalar": lambda: cast(self.recipe, rays, cast_rays_one_by_one),
+            "lanes": partial(cast, self.recipe, rays),
+            "scalar": partial(cast, self.recipe, rays, cast_rays_one_by_one),
         }
         if embree.installed() and mesh.installed():
             origins, directions = (v.astype(np.float32) for v in (rays.origins, rays.directions))
             pairs = [np.ascontiguousarray(v.T) for v in (origins, directions)]
             device = self.tree.device
-            found["embree"] = lambda: self.embreex.run(*pairs)
-            found["embree one"] = lambda: self.tree.trace(device.one, origins, directions)
-            found["embree sixteen"] = lambda: self.tree.trace(device.sixteen, origins, directions)
-        return {name: (lambda _, work=work: seconds(work)) for name, work in found.items()}
+            found["embree"] = partial(self.embreex.run, *pairs)
+            found["embree one"] = partial(self.tree.trace, device.one, origins, directions)
+            found["embree sixteen"] = partial(self.tree.trace, device.sixteen, origins, directions)
+        return {name: timed(work) for name, work in found.items()}
 
     def memory(self) -> dict[str, float]:
         """Megabytes for the isosurface."""
@@ -122,7 +123,8 @@ def scenes(targets: tuple[str, ...], four: bool) -> Iterator[Scene]:
         yield benchmark_scene(None)
     for name in names:
         target, at, isovalue = name.partition("@")
-        yield benchmark_scene(target, **({"isovalue": float(isovalue)} if at else {}))
+        overrides: dict[str, Any] = {"isovalue": float(isovalue)} if at else {}
+        yield benchmark_scene(target, **overrides)
 
 
 @click.command()

@@ -113,7 +113,8 @@ class Window:
         width, height = self.window.GetSize()
         pixels = vtk.vtkUnsignedCharArray()
         self.window.GetPixelData(0, 0, width - 1, height - 1, 1, pixels, 0)
-        return vtk_to_numpy(pixels).reshape(height, width, 3)[::-1]
+        picture: np.ndarray = vtk_to_numpy(pixels).reshape(height, width, 3)[::-1]
+        return picture
 
 
 def render_pass(by: str, length: float) -> Any:

@@ -8,7 +8,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -25,7 +25,6 @@ from isogi_core.model.scene import Scene, load_scene
 from isogi_core.model.view import SHADINGS, View, quaternion_from_angles
 from server.measure import (
     Candidate,
-    Rays,
     bake_texels,
     bake_view,
     bounce,
@@ -35,6 +34,7 @@ from server.measure import (
     medians,
     primary_rays,
     seconds,
+    timed,
     view_of,
 )
 from server.params import FORMATS
@@ -137,10 +137,12 @@ class Bench:
     def encodings(self) -> Figures:
         """``encode_ms``, by format: a frame's tone curve and its bytes."""
 
-        def encoder(form: str) -> Candidate:
-            return lambda _: seconds(lambda: encode(self.frame, form, self.scene.default_exposure))
-
-        return {"encode_ms": milliseconds({form: encoder(form) for form in FORMATS if form != "npy"}, self.repeats)}
+        candidates = {
+            form: timed(partial(encode, self.frame, form, self.scene.default_exposure))
+            for form in FORMATS
+            if form != "npy"
+        }
+        return {"encode_ms": milliseconds(candidates, self.repeats)}
 
     def rays(self) -> Figures:
         """Millions of rays a second and core: of the view, and cosine rays from what they hit."""
@@ -148,10 +150,7 @@ class Bench:
         primary = primary_rays(recipe, self.size)
         rays = {"primary": primary, "diffuse": bounce(recipe, primary, np.random.default_rng(1))}
 
-        def caster(those: Rays) -> Candidate:
-            return lambda _: seconds(lambda: cast(recipe, those))
-
-        taken = medians({name: caster(those) for name, those in rays.items()}, self.repeats)
+        taken = medians({name: timed(partial(cast, recipe, those)) for name, those in rays.items()}, self.repeats)
         return {f"{name}_mrays_per_core": len(rays[name]) / taken[name] / 1e6 for name in rays}
 
     def bakes(self) -> Figures:
@@ -159,17 +158,12 @@ class Bench:
         recipe, pieces = self.renderer.recipe, list(self._texels())
         paths = sum(int(np.maximum(bake_texels(recipe, piece, SAMPLES).samples, 0).sum()) for piece in pieces)
 
-        def one(_: int) -> float:
-            return seconds(lambda: [bake_texels(recipe, piece, SAMPLES) for piece in pieces])
-
         def bake(a: int, b: int) -> None:
             for piece in pieces[a:b]:
                 bake_texels(recipe, piece, SAMPLES)
 
-        def every(_: int) -> float:
-            return seconds(lambda: self.renderer.tiles.run(bake, len(pieces), 1))
-
-        taken = medians({"one": one, "all": every}, self.repeats)
+        ways = {"one": partial(bake, 0, len(pieces)), "all": partial(self.renderer.tiles.run, bake, len(pieces), 1)}
+        taken = medians({name: timed(way) for name, way in ways.items()}, self.repeats)
         return {
             "bake_mpaths_per_core": paths / taken["one"] / 1e6,
             "bake_texels_per_s": sum(map(len, pieces)) / taken["all"],

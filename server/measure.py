@@ -62,6 +62,11 @@ def seconds(work: Callable[[], object]) -> float:
     return time.perf_counter() - begun
 
 
+def timed(work: Callable[[], object]) -> Candidate:
+    """A candidate that does the same in every round."""
+    return lambda _: seconds(work)
+
+
 def take_turns(candidates: Mapping[str, Candidate], repeats: int) -> dict[str, list[float]]:
     """Seconds of each candidate in ``repeats`` rounds; all of them work in each round, and round 0 is not counted."""
     times: dict[str, list[float]] = {name: [] for name in candidates}
