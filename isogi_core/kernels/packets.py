@@ -19,7 +19,8 @@ from isogi_core.kernels.field import FIELD
 from isogi_core.kernels.intersect import OUTSIDE, SOLID, UNKNOWN, cast
 from isogi_core.kernels.lane_memory import gather, load, scatter
 from isogi_core.kernels.lanes import COUNT, WIDTH, bits, doubles, ints, select
-from isogi_core.kernels.scouts import CLEAR, FIELDS, prepare, scout
+from isogi_core.kernels.records import FIELDS, prepare
+from isogi_core.kernels.scouts import CLEAR, scout
 from isogi_core.kernels.vec import column
 
 BATCH = 4096

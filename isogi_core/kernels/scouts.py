@@ -9,22 +9,18 @@ POSITION_ERROR · N. In a brick with all cells around it the field changes by at
 voxel's length along the ray; margins hold that much.
 """
 
-import math
+from typing import Any, NamedTuple
 
 from isogi_core.kernels._jit import kernel
 from isogi_core.kernels.bricks import BRICK
-from isogi_core.kernels.crossings import clip_box_lanes, longest_of
-from isogi_core.kernels.intersect import UNKNOWN
-from isogi_core.kernels.lane_memory import gather, gather_pair, load, store, take
+from isogi_core.kernels.lane_memory import gather, gather_pair, take
 from isogi_core.kernels.lanes import (
     COUNT,
     bits,
     floats,
     fma,
     ints,
-    lane_numbers,
     least,
-    magnitude,
     mask_of,
     most,
     pick,
@@ -32,6 +28,7 @@ from isogi_core.kernels.lanes import (
     rank,
     select,
 )
+from isogi_core.kernels.records import STRAY
 
 BUSY = COUNT // 2
 """Fewer lanes than these at work, and the others take the next rays."""
@@ -42,83 +39,31 @@ WAITING = max(COUNT // 3, 1)
 CLEAR, ASK = -1, -2
 """What a scout found where it is not a cell: nothing, or that ``cast`` must be asked."""
 
-FIELDS = 10
-"""Numbers of a prepared ray: origin, direction (x, y, z, mirrored), way to the exit, isovalue, sign, mirror."""
-
-EVERY = (1 << COUNT) - 1
-"""The bits of all lanes."""
-
 HUGE = 1e30
 """Stands for 1/0: times nothing it is nothing."""
 
-STRAY = 8
-"""The bit of a mirror that says: no ray to follow, ask ``cast``."""
 
+class Ray(NamedTuple):
+    """What stays the same while lanes follow their rays; all mirrored.
 
-@kernel()
-def mirrored(d, here, size):
-    """A direction's component and a place along an axis of ``size``, mirrored where descending: (d, place, mask)."""
-    descends = d < 0.0
-    return floats(magnitude(d)), floats(select(descends, size - here, here)), descends
-
-
-@kernel()
-def prepare_lanes(shape, bricks_shape, isovalues, origins, directions, sides, m, rays, spans, r):
-    """Write the records of COUNT rays from ray ``m`` on to column ``r`` of ``rays`` and ``spans``.
-
-    Returns, as bits, which of them meet the box.
+    ``owner`` the record; ``o``, ``d`` origin and direction, ``inv`` its reciprocals; ``end`` the way to the
+    exit, ``iso`` the isovalue; ``mirror`` the record's; ``octant`` where the leaps of the direction's octant
+    begin in a word, ``flip`` turns a cell's place in its brick back; ``stride`` and ``base`` lead to bricks
+    (see ``linear``); ``limit`` the cells behind the last ones.
     """
-    o = load(origins[0], m), load(origins[1], m), load(origins[2], m)
-    d = load(directions[0], m), load(directions[1], m), load(directions[2], m)
-    near, far = clip_box_lanes(shape, o, d)
-    longest = longest_of(d)
-    shrink = 1.0 / longest
-    sound = (shrink < math.inf) & (far < math.inf)
-    mirror = select(sound, ints(0), STRAY)
-    for a in range(3):
-        step, here = select(sound, d[a] * shrink, 1.0), select(sound, o[a] + near * d[a], 0.0)
-        step, here, descends = mirrored(step, here, float(BRICK * bricks_shape[2 - a]))
-        mirror = mirror + select(descends, ints(1 << a), 0)
-        store(rays[a], r, here)
-        store(rays[3 + a], r, step)
-    side = floats(load(sides, m))
-    store(rays[6], r, floats((far - near) * longest))
-    store(rays[7], r, floats(load(isovalues, m)))
-    store(rays[8], r, select(near == 0.0, -side, float(UNKNOWN)))
-    store(rays[9], r, floats(mirror))
-    store(spans[0], r, near)
-    store(spans[1], r, far)
-    return bits(near < far)
 
-
-@kernel()
-def close_ranks(rays, spans, owners, r, met):
-    """Move those of the COUNT columns from ``r`` on whose bit is set in ``met`` together; returns their end."""
-    for column in range(r, r + COUNT):
-        if met & 1:
-            for field in range(FIELDS):
-                rays[field, r] = rays[field, column]
-            spans[0, r], spans[1, r], owners[r] = spans[0, column], spans[1, column], owners[column]
-            r += 1
-        met >>= 1
-    return r
-
-
-@kernel()
-def prepare(shape, bricks_shape, isovalues, origins, directions, sides, first, last, rays, spans, owners):
-    """Write the records of those rays first … last that meet the box to ``rays`` (FIELDS, n); returns how many.
-
-    ``owners`` (n,) gets their numbers, ``spans`` (2, n) what ``clip_box`` gives for them. There are COUNT rays
-    or more from 0 on, and room for COUNT records more.
-    """
-    count = 0
-    for i in range(first, last, COUNT):
-        m = max(min(i, last - COUNT), 0)
-        met = prepare_lanes(shape, bricks_shape, isovalues, origins, directions, sides, m, rays, spans, count)
-        store(owners, count, lane_numbers() + m)
-        met &= EVERY << (i - m)
-        count = count + COUNT if met == EVERY else close_ranks(rays, spans, owners, count, met)
-    return count
+    owner: Any
+    o: Any
+    d: Any
+    inv: Any
+    end: Any
+    iso: Any
+    mirror: Any
+    octant: Any
+    flip: Any
+    stride: Any
+    base: Any
+    limit: Any
 
 
 @kernel()
@@ -152,32 +97,68 @@ def strides_of(mirror, y, z, last):
 
 
 @kernel()
-def look(bricks, c, octant, flip, stride, base):
-    """What the map says of cells ``c``: (marked, cells' corner & this, side of the empty cube from that corner)."""
-    top = gather(bricks.tops, linear((c[0] >> 2, c[1] >> 2, c[2] >> 2), stride, base))
+def filled(n):
+    """Cells along an axis of ``n`` voxels when the last brick is filled up."""
+    return (n - 1 + BRICK - 1) // BRICK * BRICK
+
+
+@kernel()
+def last_cell(descends, n):
+    """The cell behind the last one along a mirrored axis of ``n`` voxels; ``descends`` is not 0 where it is turned."""
+    return select(descends != 0, ints(filled(n)), n - 1)
+
+
+@kernel()
+def first_cell(x, descends, limit, n):
+    """The cell of mirrored coordinate ``x`` along an axis of ``n`` voxels that ends before ``limit``."""
+    lowest = select(descends != 0, ints(filled(n) - (n - 1)), 0)
+    return least(most(ints(x), lowest), limit - 1)
+
+
+@kernel()
+def unmirror(c, descends, n):
+    """Cell index in the volume along an axis of ``n`` voxels."""
+    return least(select(descends != 0, filled(n) - 1 - c, c), n - 2)
+
+
+@kernel()
+def least_node(c, mirror, shape):
+    """Flat index of the corner of the lanes' cells that is lowest in the volume, which names the cell.
+
+    Cells that stand beyond the last one, to fill up a brick, get the last one's name.
+    """
+    nz, ny, nx = shape
+    x, y, z = unmirror(c[0], mirror & 1, nx), unmirror(c[1], mirror & 2, ny), unmirror(c[2], mirror & 4, nz)
+    return (z * ny + y) * nx + x
+
+
+@kernel()
+def look(bricks, c, ray):
+    """What the map says of cells ``c``: (marked, corner's bits of c, side of the empty cube from that corner)."""
+    top = gather(bricks.tops, linear((c[0] >> 2, c[1] >> 2, c[2] >> 2), ray.stride, ray.base))
     near = (top >> 28) == 0
-    layer = (top << 2) + ((c[2] ^ (flip >> 4)) & 3)
+    layer = (top << 2) + ((c[2] ^ (ray.flip >> 4)) & 3)
     word = gather(bricks.cells, select(near, layer, 0))
-    word = word >> (((c[0] & 3) | ((c[1] & 3) << 2)) ^ (flip & 15))
+    word = word >> (((c[0] & 3) | ((c[1] & 3) << 2)) ^ (ray.flip & 15))
     close = near & ((word & 0x10000) != 0)
-    size = select(near, select(close, ints(1), ints(2)), ((top >> octant) & 15) << 2)
+    size = select(near, select(close, ints(1), ints(2)), ((top >> ray.octant) & 15) << 2)
     keep = select(near, select(close, ints(-1), ints(-2)), ints(-4))
     return near & ((word & 1) != 0), keep, size
 
 
 @kernel()
-def leave(o, d, inv, c, low, size):
-    """Where lanes leave a cube of cells with corner ``low``: (t, cell they enter then)."""
+def leave(ray, c, low, size):
+    """Where lanes leave a cube of cells with corner ``low``: (t, cell they enter then, whether that is outside)."""
     n = low[0] + size, low[1] + size, low[2] + size
-    tx = (floats(n[0]) - o[0]) * inv[0]
-    ty = (floats(n[1]) - o[1]) * inv[1]
-    tz = (floats(n[2]) - o[2]) * inv[2]
+    tx = (floats(n[0]) - ray.o[0]) * ray.inv[0]
+    ty = (floats(n[1]) - ray.o[1]) * ray.inv[1]
+    tz = (floats(n[2]) - ray.o[2]) * ray.inv[2]
     t = least(least(tx, ty), tz)
-    p = along(o, t, d)
+    p = along(ray.o, t, ray.d)
     x = select(tx <= t, n[0], most(c[0], ints(p[0])))
     y = select(ty <= t, n[1], most(c[1], ints(p[1])))
     z = select(tz <= t, n[2], most(c[2], ints(p[2])))
-    return t, (x, y, z)
+    return t, (x, y, z), (x >= ray.limit[0]) | (y >= ray.limit[1]) | (z >= ray.limit[2])
 
 
 @kernel()
@@ -227,16 +208,21 @@ def corner_values(flat, place, turned, sy, sz, iso):
 
 
 @kernel()
-def certain(flat, bricks, place, stride, brick, c, o, d, t, out, iso, sign):
-    """Whether the field has ``sign`` for certain in cell ``c`` from ``t`` to ``out``."""
+def certain(flat, shape, bricks, ray, c, t, out, sign, lanes):
+    """Whether the field has ``sign`` for certain in cells ``c`` of the chosen ``lanes``, from ``t`` to ``out``."""
+    nz, ny, nx = shape
+    bz, by, bx = bricks.shape
+    stride, base = strides_of(ray.mirror, nx, nx * ny, (BRICK * bx, BRICK * by, BRICK * bz))
     turned = stride[0] < 0
-    v = corner_values(flat, place + select(turned, ints(-1), 0), turned, stride[1], stride[2], iso)
+    place = linear(c, stride, base) + select(turned, ints(-1), 0)
+    sy, sz = select(lanes, stride[1], 0), select(lanes, stride[2], 0)
+    v = corner_values(flat, select(lanes, place, 0), turned, sy, sz, ray.iso)
     corner = floats(c[0]), floats(c[1]), floats(c[2])
-    p = o[0] - corner[0], o[1] - corner[1], o[2] - corner[2]
-    b = bernstein(v, along(p, t, d), along(p, out, d))
-    margin = gather(bricks.margins, brick)
+    p = ray.o[0] - corner[0], ray.o[1] - corner[1], ray.o[2] - corner[2]
+    b = bernstein(v, along(p, t, ray.d), along(p, out, ray.d))
+    margin = gather(bricks.margins, linear((c[0] >> 2, c[1] >> 2, c[2] >> 2), ray.stride, ray.base))
     inner = (b[0] * sign > margin) & (b[1] * sign > margin)
-    return inner & (b[2] * sign > margin) & (b[3] * sign > margin)
+    return lanes & inner & (b[2] * sign > margin) & (b[3] * sign > margin)
 
 
 @kernel()
@@ -266,59 +252,67 @@ def mark(found, owner, word, lanes):
 
 
 @kernel()
-def scout(flat, shape, bricks, rays, count, found, entries):
-    """Write to ``found`` what each of ``count`` prepared rays meets: ASK, or 2 · cell + (1 from a solid side).
+def no_ray():
+    """Lanes that follow nothing yet."""
+    zero, nought = floats(0.0), ints(0)
+    point, cell = (zero, zero, zero), (nought, nought, nought)
+    return Ray(nought, point, point, point, zero, zero, nought, nought, nought, cell, nought, cell)
 
-    Rays that meet nothing keep what was there. ``entries`` is the way to that cell, in steps of the
-    direction's largest component.
-    """
+
+@kernel()
+def enlist(records, following, turn, fresh, ray, shape, bricks):
+    """The ``ray`` with the records from ``following`` on in the ``fresh`` lanes; ``turn`` numbers them."""
     nz, ny, nx = shape
     bz, by, bx = bricks.shape
-    o0, o1, o2 = rays[0], rays[1], rays[2]
-    d0, d1, d2 = rays[3], rays[4], rays[5]
-    way, levels, signs, mirrors = rays[6], rays[7], rays[8], rays[9]
-    zero, nought = floats(0.0), ints(0)
-    o, d, inv = (zero, zero, zero), (zero, zero, zero), (zero, zero, zero)
-    c, stride, limit = (nought, nought, nought), (nought, nought, nought), (nought, nought, nought)
-    base, owner, mirror, flip, octant = nought, nought, nought, nought, nought
-    t, end, iso, sign = zero, zero, zero, zero
-    none = mask_of(False)
-    walking, waiting = none, none
+    x, y, z = take(records[0], following, fresh), take(records[1], following, fresh), take(records[2], following, fresh)
+    u, v, w = take(records[3], following, fresh), take(records[4], following, fresh), take(records[5], following, fresh)
+    o, d = choose(fresh, (x, y, z), ray.o), choose(fresh, (u, v, w), ray.d)
+    inv = least(1.0 / d[0], HUGE), least(1.0 / d[1], HUGE), least(1.0 / d[2], HUGE)
+    end = select(fresh, take(records[6], following, fresh), ray.end)
+    iso = select(fresh, take(records[7], following, fresh), ray.iso)
+    mirror = select(fresh, ints(take(records[9], following, fresh)), ray.mirror)
+    flip = ((mirror & 1) * 3) | ((mirror & 2) * 6) | ((mirror & 4) * 12)
+    stride, base = strides_of(mirror, bx, bx * by, (bx - 1, by - 1, bz - 1))
+    limit = last_cell(mirror & 1, nx), last_cell(mirror & 2, ny), last_cell(mirror & 4, nz)
+    owner = select(fresh, turn, ray.owner)
+    return Ray(owner, o, d, inv, end, iso, mirror, (mirror & 7) << 2, flip, stride, base, limit)
+
+
+@kernel()
+def enter(flat, shape, bricks, ray, told):
+    """Where rays begin: (cell, the field's sign there, whether that is in doubt); ``told`` the sign, or 0."""
+    nz, ny, nx = shape
+    mirror, limit = ray.mirror, ray.limit
+    x = first_cell(ray.o[0], mirror & 1, limit[0], nx)
+    y = first_cell(ray.o[1], mirror & 2, limit[1], ny)
+    z = first_cell(ray.o[2], mirror & 4, limit[2], nz)
+    here = select(gather(flat, least_node((x, y, z), mirror, shape)) > ray.iso, floats(1.0), -1.0)
+    marked, _, _ = look(bricks, (x, y, z), ray)
+    doubtful = (mirror >= STRAY) | (marked & (told == 0.0)) | (~marked & (told + here == 0.0))
+    return (x, y, z), select(told == 0.0, here, told), doubtful
+
+
+@kernel()
+def scout(flat, shape, bricks, records, count, found, entries):
+    """Write to ``found`` what each of ``count`` rays meets: ASK, or 2 · cell + (1 from a solid side).
+
+    ``records`` (FIELDS, n) are those of ``prepare``. Rays that meet nothing keep what was there. ``entries``
+    is the way to that cell, in steps of the direction's largest component.
+    """
+    ray, c, t, sign = no_ray(), (ints(0), ints(0), ints(0)), floats(0.0), floats(0.0)
+    walking, waiting = mask_of(False), mask_of(False)
     following = 0
     while True:
         idle = ~(walking | waiting)
         if following < count and popcount(idle) > COUNT - BUSY:
             turn = rank(idle) + following
             fresh = idle & (turn < count)
-            owner = select(fresh, turn, owner)
-            o = choose(fresh, (take(o0, following, fresh), take(o1, following, fresh), take(o2, following, fresh)), o)
-            d = choose(fresh, (take(d0, following, fresh), take(d1, following, fresh), take(d2, following, fresh)), d)
-            one, huge = floats(1.0), floats(HUGE)
-            inv = least(one / d[0], huge), least(one / d[1], huge), least(one / d[2], huge)
-            end, iso = (
-                select(fresh, take(way, following, fresh), end),
-                select(fresh, take(levels, following, fresh), iso),
-            )
-            told = take(signs, following, fresh)
-            mirror = select(fresh, ints(take(mirrors, following, fresh)), mirror)
+            ray = enlist(records, following, turn, fresh, ray, shape, bricks)
+            start, first, doubtful = enter(flat, shape, bricks, ray, take(records[8], following, fresh))
+            mark(found, ray.owner, ASK, fresh & doubtful)
+            c, t, sign = choose(fresh, start, c), select(fresh, 0.0, t), select(fresh, first, sign)
+            walking = walking | (fresh & ~doubtful)
             following = min(count, following + popcount(idle))
-            octant = (mirror & 7) << 2
-            flip = ((mirror & 1) * 3) | ((mirror & 2) * 6) | ((mirror & 4) * 12)
-            stride, base = strides_of(mirror, bx, bx * by, (bx - 1, by - 1, bz - 1))
-            x, x_end = enter_box(o[0], (mirror & 1) != 0, nx)
-            y, y_end = enter_box(o[1], (mirror & 2) != 0, ny)
-            z, z_end = enter_box(o[2], (mirror & 4) != 0, nz)
-            start, limit = (x, y, z), (x_end, y_end, z_end)
-            c = choose(fresh, start, c)
-            t = select(fresh, 0.0, t)
-            corner = least_node(c, mirror, shape)
-            value = gather(flat, corner)
-            here = select(value > iso, floats(1.0), -1.0)
-            doubtful, _, _ = look(bricks, c, octant, flip, stride, base)
-            lost = fresh & ((mirror >= STRAY) | (doubtful & (told == 0.0)) | (~doubtful & (told + here == 0.0)))
-            mark(found, owner, ASK, lost)
-            sign = select(fresh, select(told == 0.0, here, told), sign)
-            walking = walking | (fresh & ~lost)
         if popcount(walking | waiting) == 0:
             if following >= count:
                 return
@@ -329,59 +323,18 @@ def scout(flat, shape, bricks, rays, count, found, entries):
                 break
             if following < count and ahead + popcount(waiting) < BUSY:
                 break
-            stops, keep, size = look(bricks, c, octant, flip, stride, base)
-            stops = stops & walking
-            waiting = waiting | stops
+            stops, keep, size = look(bricks, c, ray)
+            waiting = waiting | (stops & walking)
             walking = walking & ~stops
-            out, after = leave(o, d, inv, c, (c[0] & keep, c[1] & keep, c[2] & keep), size)
-            gone = walking & ((after[0] >= limit[0]) | (after[1] >= limit[1]) | (after[2] >= limit[2]))
-            mark(found, owner, ASK, gone & (out < end - 1e-4))
-            walking = walking & ~gone
-            t = select(walking, out, t)
-            c = choose(walking, after, c)
+            out, after, outside = leave(ray, c, (c[0] & keep, c[1] & keep, c[2] & keep), size)
+            mark(found, ray.owner, ASK, walking & outside & (out < ray.end - 1e-4))
+            walking = walking & ~outside
+            t, c = select(walking, out, t), choose(walking, after, c)
         if popcount(waiting) >= WAITING or popcount(walking) == 0:
-            vs, vb = strides_of(mirror, nx, nx * ny, (BRICK * bx, BRICK * by, BRICK * bz))
-            brick = linear((c[0] >> 2, c[1] >> 2, c[2] >> 2), stride, base)
-            place = select(waiting, linear(c, vs, vb), nought)
-            safe = choose(waiting, vs, (nought, nought, nought))
-            out, after = leave(o, d, inv, c, c, ints(1))
-            passed = certain(flat, bricks, place, safe, brick, c, o, d, t, out, iso, sign) & waiting
-            report(found, entries, owner, least_node(c, mirror, shape), sign, t, waiting & ~passed)
-            gone = passed & ((after[0] >= limit[0]) | (after[1] >= limit[1]) | (after[2] >= limit[2]))
-            mark(found, owner, ASK, gone & (out < end - 1e-4))
-            passed = passed & ~gone
-            t = select(passed, out, t)
-            c = choose(passed, after, c)
-            walking = walking | passed
-            waiting = none
-
-
-@kernel()
-def least_node(c, mirror, shape):
-    """Flat index of the corner of the lanes' cells that is lowest in the volume, which names the cell.
-
-    Cells that stand beyond the last one, to fill up a brick, get the last one's name.
-    """
-    nz, ny, nx = shape
-    x = unmirror(c[0], (mirror & 1) != 0, nx)
-    y = unmirror(c[1], (mirror & 2) != 0, ny)
-    z = unmirror(c[2], (mirror & 4) != 0, nz)
-    return (z * ny + y) * nx + x
-
-
-@kernel()
-def enter_box(x, mirrored, n):
-    """The cell of mirrored coordinate ``x`` along an axis of ``n`` voxels, and the cell behind the last one."""
-    padded = (n - 1 + BRICK - 1) // BRICK * BRICK
-    lowest = select(mirrored, ints(padded - (n - 1)), ints(0))
-    end = select(mirrored, ints(padded), ints(n - 1))
-    i = most(ints(x), lowest)
-    return select(i < end, i, end - 1), end
-
-
-@kernel()
-def unmirror(c, mirrored, n):
-    """Cell index in the volume along an axis of ``n`` voxels."""
-    cells = (n - 1 + BRICK - 1) // BRICK * BRICK
-    c = select(mirrored, ints(cells - 1) - c, c)
-    return select(c > n - 2, ints(n - 2), c)
+            out, after, outside = leave(ray, c, c, ints(1))
+            passed = certain(flat, shape, bricks, ray, c, t, out, sign, waiting)
+            report(found, entries, ray.owner, least_node(c, ray.mirror, shape), sign, t, waiting & ~passed)
+            mark(found, ray.owner, ASK, passed & outside & (out < ray.end - 1e-4))
+            passed = passed & ~outside
+            t, c = select(passed, out, t), choose(passed, after, c)
+            walking, waiting = walking | passed, mask_of(False)
