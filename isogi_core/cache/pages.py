@@ -66,7 +66,7 @@ class PagePool:
         self.error = np.empty(pages * PAGE, np.float32)
         self.samples = np.empty(pages * PAGE, np.float32)
         self.table = np.empty((slots, TEXELS), np.int32)
-        self._free_pages = list(range(pages))
+        self._free_pages = list(range(pages))[::-1]
         self._free_slots = list(range(slots))
         self._entries: OrderedDict[Index, Entry] = OrderedDict()
         self._age = 0

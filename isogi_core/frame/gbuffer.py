@@ -25,7 +25,7 @@ Vector = tuple[float, float, float]
 class GBuffer:
     """Surface points of one camera and isovalue.
 
-    ``shape`` (height, width) of the picture; ``pixels`` (m,) int32 are the picture indices that show
+    ``shape`` (height, width) of the picture; ``pixels`` (m,) uint32 are the picture indices that show
     the surface, ascending; ``points`` (m, 3) float32 where they meet it, in index space.
     """
 
@@ -87,7 +87,7 @@ def trace(view: View, recipe: Recipe, tiles: Tiles, cancelled: threading.Event |
     found: dict[int, tuple[np.ndarray, np.ndarray]] = {}
 
     def _piece(a: int, b: int) -> None:
-        pixels, points = np.empty(b - a, np.int32), np.empty((b - a, 3), np.float32)
+        pixels, points = np.empty(b - a, np.uint32), np.empty((b - a, 3), np.float32)
         count = trace_pixels(*surface, camera, a, view.width, pixels, points)
         found[a] = pixels[:count], points[:count]
 

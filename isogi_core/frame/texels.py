@@ -49,7 +49,7 @@ class ViewTexels:
         area = np.zeros(len(self.chunks))
         height, width = self.gbuffer.shape
         weigh_chunks(self.corners, self.places, self.gbuffer.pixels, width, height, area)
-        offsets = np.split(self.places % np.int32(TEXELS), self.bounds[1:-1])
+        offsets = np.split((self.places % TEXELS).astype(np.int32), self.bounds[1:-1])
         return tuple(map(Demand, self.chunks, offsets, area.tolist()))
 
 
@@ -69,10 +69,10 @@ def find_texels(gbuffer: GBuffer, recipe: Recipe, tiles: Tiles, cancelled: threa
     marks = np.zeros((-(-len(points) // size), len(indices) * ROWS), np.uint16)
     _over_points(mark_texels, lambda a, b: (slots, marks[a // size]))
     read = np.bitwise_or.reduce(marks, axis=0)
-    first = np.zeros(len(read) + 1, np.int32)
+    first = np.zeros(len(read) + 1, np.uint32)
     np.cumsum(np.bitwise_count(read), out=first[1:])
-    places = np.empty(first[-1], np.int32)
+    places = np.empty(first[-1], np.uint32)
     tiles.run(lambda a, b: find_places(a, b, read, first, places), len(read), tiles.even(len(read)), cancelled)
-    corners = np.empty((len(points), 8), np.int32)
+    corners = np.empty((len(points), 8), np.uint32)
     _over_points(find_corners, lambda a, b: (slots, read, first, corners[a:b]))
     return ViewTexels(gbuffer, tuple(map(tuple, indices.tolist())), places, first[::ROWS].copy(), corners)

@@ -38,7 +38,7 @@ def pixel_ray(camera, x, y):
 
 @kernel(
     types.int64(
-        FIELD, BRICKS, types.float64, PINHOLE, types.int64, types.int64, types.int32[::1], types.float32[:, ::1]
+        FIELD, BRICKS, types.float64, PINHOLE, types.int64, types.int64, types.uint32[::1], types.float32[:, ::1]
     )
 )
 def trace_pixels(field, bricks, iso, camera, first, width, pixels, points):

@@ -24,6 +24,10 @@ UNLIT = -1
 VOID_ROW = -2
 """Row of a texel that can hold no light (see integrator.VOID)."""
 
+DARK = np.float32(0.0)
+DARKEST = np.float32(1e-30)
+ONE = np.float32(1.0)
+
 VOID = 4
 """Grade of a void texel: above FINAL, since it takes nothing from a point's state."""
 
@@ -43,16 +47,22 @@ class Lattice(NamedTuple):
 
 LATTICE = record(Lattice, types.UniTuple(types.int64, 3), types.UniTuple(types.float64, 3))
 POINTS = types.float32[:, ::1]
+CORNERS = types.uint32[:, ::1]
+PLACES = types.uint32[::1]
+PIXELS = types.uint32[::1]
 SLOTS = types.int32[:, :, ::1]
 BITS = types.uint16[::1]
 
 
 @kernel()
 def axis_texel(p, density, n):
-    """The lower of the two texels along one axis around coordinate ``p`` (voxels), and the fraction beyond it."""
+    """The lower of the two texels along one axis around coordinate ``p`` (voxels), and the fraction beyond it.
+
+    Texels are unsigned: places that are made of them are then known not to count from an array's end.
+    """
     q = p * density
     t = min(max(int(math.floor(q)), 0), n - 2)
-    return t, min(max(q - t, 0.0), 1.0)
+    return np.uint32(t), min(max(q - t, 0.0), 1.0)
 
 
 @kernel()
@@ -108,7 +118,7 @@ def ones(word):
     return count
 
 
-@kernel(types.void(LATTICE, POINTS, SLOTS, BITS, types.int32[::1], types.int32[:, ::1]))
+@kernel(types.void(LATTICE, POINTS, SLOTS, BITS, PLACES, CORNERS))
 def find_corners(lattice, points, slots, read, first, corners):
     """Fill ``corners`` (points, 8), x fastest, with the view's own numbers of the texels.
 
@@ -126,7 +136,7 @@ def find_corners(lattice, points, slots, read, first, corners):
             corners[m, 2 * c + 1] = near + 1 if i < CHUNK - 1 else first[row_of(slots, k, j, x + 1)]
 
 
-@kernel(types.void(types.int64, types.int64, BITS, types.int32[::1], types.int32[::1]))
+@kernel(types.void(types.int64, types.int64, BITS, PLACES, PLACES))
 def find_places(begin, end, read, first, places):
     """Write to ``places`` (texels,) where the texels of the rows ``begin`` … ``end`` are: slot · CHUNK³ + offset."""
     for r in range(begin, end):
@@ -139,15 +149,11 @@ def find_places(begin, end, read, first, places):
             place += 1
 
 
-@kernel(
-    types.void(
-        types.int32[:, ::1], types.int32[::1], types.int32[::1], types.int64, types.int64, types.float64[::1]
-    )
-)
+@kernel(types.void(CORNERS, PLACES, PIXELS, types.int64, types.int64, types.float64[::1]))
 def weigh_chunks(corners, places, pixels, width, height, area):
     """Add to ``area`` (chunks,) the points that read each chunk: 2 in the middle of the picture, 1 at its corners."""
     for m in range(corners.shape[0]):
-        y, x = divmod(pixels[m], width)
+        y, x = divmod(np.int64(pixels[m]), width)
         weight = 2.0 - 0.5 * (((2 * x + 1) / width - 1.0) ** 2 + ((2 * y + 1) / height - 1.0) ** 2)
         first, crossed = places[corners[m, 0]] // CHUNK**3, 0
         for axis in (1, 2, 4):
@@ -160,7 +166,7 @@ def weigh_chunks(corners, places, pixels, width, height, area):
 
 @kernel(
     types.void(
-        types.int32[::1],
+        PLACES,
         types.int32[::1],
         types.int32[:, ::1],
         types.float32[::1],
@@ -184,24 +190,6 @@ def find_rows(places, slots, table, error, samples, rows, own_error, own_samples
         own_samples[t] = samples[row] if row >= 0 else row
 
 
-@kernel(any_order=True)
-def dot(a, b):
-    """Σ aᵢ bᵢ of two rows of float32."""
-    total = np.float32(0.0)
-    for i in range(a.shape[0]):
-        total += a[i] * b[i]
-    return total
-
-
-@kernel()
-def dot_noise(spread, light):
-    """Σ spread · light over channels and coefficients, both (channels, n)."""
-    total = np.float32(0.0)
-    for c in range(spread.shape[0]):
-        total += dot(spread[c], light[c])
-    return total
-
-
 @kernel(
     types.void(
         types.int32[::1],
@@ -210,7 +198,8 @@ def dot_noise(spread, light):
         types.float32[:, ::1],
         types.float32[:, ::1],
         types.float32[:, ::1],
-    )
+    ),
+    any_order=True,
 )
 def light_texels(rows, transfer, spread, light, spread_light, lit):
     """Fill ``lit`` (m, 4): linear RGB radiance and absolute standard error of its luminance, per texel.
@@ -218,14 +207,23 @@ def light_texels(rows, transfer, spread, light, spread_light, lit):
     ``transfer`` and ``spread`` (row, channels, n) hold τ and half the difference of its two
     randomisations; ``light`` (3, n) is the turned environment times the albedo, ``spread_light``
     (channels, n) the same weighted to luminance. Radiance is τ·ℓ (S1, eq. 9), cut to 0 where negative.
+    The sums are written out here, so that they run in vectors.
     """
-    coloured = transfer.shape[1] == 3
+    blue = transfer.shape[1] - 1
+    green = min(blue, 1)
     for m in range(rows.shape[0]):
-        row = rows[m]
-        if row >= 0:
-            for c in range(3):
-                lit[m, c] = max(dot(transfer[row, c if coloured else 0], light[c]), np.float32(0.0))
-            lit[m, 3] = abs(dot_noise(spread[row], spread_light))
+        row = np.uint32(rows[m])
+        if rows[m] < 0:
+            continue
+        r = g = b = noise = DARK
+        for i in range(transfer.shape[2]):
+            r += transfer[row, 0, i] * light[0, i]
+            g += transfer[row, green, i] * light[1, i]
+            b += transfer[row, blue, i] * light[2, i]
+        for c in range(spread.shape[1]):
+            for i in range(spread.shape[2]):
+                noise += spread[row, c, i] * spread_light[c, i]
+        lit[m, 0], lit[m, 1], lit[m, 2], lit[m, 3] = max(r, DARK), max(g, DARK), max(b, DARK), abs(noise)
 
 
 class Sky(NamedTuple):
@@ -246,23 +244,24 @@ def trilinear(c, fz, fy, fx):
 
 
 @kernel()
-def blend(corners, lit, fz, fy, fx):
-    """Weighted sums over a point's eight texels, all of which are lit: (r, g, b, variance), float32."""
+def blend(corners, m, lit, fz, fy, fx):
+    """Weighted sums over the eight texels of point ``m``, all of which are lit: (r, g, b, variance), float32."""
+    z, y, x = np.float32(fz), np.float32(fy), np.float32(fx)
     r = g = b = variance = np.float32(0.0)
     for c in range(8):
-        t = corners[c]
-        w = np.float32(trilinear(c, fz, fy, fx))
+        t = corners[m, c]
+        w = (z if c & 4 else ONE - z) * (y if c & 2 else ONE - y) * (x if c & 1 else ONE - x)
         noise = w * lit[t, 3]
         r, g, b, variance = r + w * lit[t, 0], g + w * lit[t, 1], b + w * lit[t, 2], variance + noise * noise
     return r, g, b, variance
 
 
 @kernel()
-def blend_some(corners, grade, lit, fz, fy, fx):
+def blend_some(corners, m, grade, lit, fz, fy, fx):
     """``blend`` where texels may be missing: (r, g, b, variance, lit weight, unlit weight), float64."""
     r, g, b, variance, weight, unlit = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for c in range(8):
-        t = corners[c]
+        t = corners[m, c]
         w = trilinear(c, fz, fy, fx)
         if grade[t] == CONVERGING or grade[t] == FINAL:
             r, g, b = r + w * lit[t, 0], g + w * lit[t, 1], b + w * lit[t, 2]
@@ -292,11 +291,11 @@ def fill_in(some, n, sky, basis):
 
 
 @kernel()
-def span_of(grade, corners):
-    """Least and greatest grade of a point's eight texels."""
-    least, most = VOID, 0
+def span_of(grade, corners, m):
+    """Least and greatest grade of the eight texels of point ``m``."""
+    least, most = np.uint8(VOID), np.uint8(0)
     for c in range(8):
-        own = int(grade[corners[c]])
+        own = grade[corners[m, c]]
         least, most = min(least, own), max(most, own)
     return least, most
 
@@ -305,8 +304,8 @@ def span_of(grade, corners):
     types.void(
         LATTICE,
         POINTS,
-        types.int32[::1],
-        types.int32[:, ::1],
+        PIXELS,
+        CORNERS,
         types.uint8[::1],
         types.float32[:, ::1],
         POINTS,
@@ -325,12 +324,12 @@ def carry_light(lattice, points, pixels, corners, grade, lit, normals, sky, plan
     basis = np.empty(sky.order * sky.order)
     for m in range(points.shape[0]):
         _, _, _, fz, fy, fx = base_texel(lattice, points, m)
-        least, most = span_of(grade, corners[m])
+        least, most = span_of(grade, corners, m)
         if least > PROVISIONAL and most < VOID:
-            r, g, b, variance = blend(corners[m], lit, fz, fy, fx)
+            r, g, b, variance = blend(corners, m, lit, fz, fy, fx)
         else:
             n = (np.float64(normals[m, 0]), np.float64(normals[m, 1]), np.float64(normals[m, 2]))
-            r, g, b, variance = fill_in(blend_some(corners[m], grade, lit, fz, fy, fx), n, sky, basis)
-        noise = math.sqrt(variance) / max(luminance(r, g, b), 1e-30)
-        error = 1.0 if least == PROVISIONAL else min(noise, 1.0)
+            r, g, b, variance = fill_in(blend_some(corners, m, grade, lit, fz, fy, fx), n, sky, basis)
+        noise = min(math.sqrt(variance) / max(luminance(r, g, b), DARKEST), ONE)
+        error = ONE if least == PROVISIONAL else noise
         put_pixel(planes, pixels[m], (r, g, b), min(least, FINAL), error)

@@ -10,6 +10,8 @@ from isogi_core.kernels._jit import kernel, record
 PROVISIONAL, CONVERGING, FINAL = 1, 2, 3
 """States of a pixel that shows the surface; 0 where none is seen."""
 
+RED, GREEN, BLUE = np.float32(0.2126), np.float32(0.7152), np.float32(0.0722)
+
 
 class Planes(NamedTuple):
     """Flat planes: ``radiance`` (pixels, 3) linear RGB, ``state`` (pixels,), relative ``error`` (pixels,)."""
@@ -25,7 +27,7 @@ PLANES = record(Planes, types.float32[:, ::1], types.uint8[::1], types.float32[:
 @kernel()
 def luminance(r, g, b):
     """Relative luminance of linear RGB (ITU-R BT.709)."""
-    return 0.2126 * r + 0.7152 * g + 0.0722 * b
+    return RED * r + GREEN * g + BLUE * b
 
 
 @kernel()
@@ -42,6 +44,6 @@ def tally(planes, counts, sums):
     for i in range(planes.state.shape[0]):
         counts[planes.state[i]] += 1
         if planes.state[i]:
-            light = luminance(planes.radiance[i, 0], planes.radiance[i, 1], planes.radiance[i, 2])
+            light = np.float64(luminance(planes.radiance[i, 0], planes.radiance[i, 1], planes.radiance[i, 2]))
             sums[0] += light
-            sums[1] += (light * np.float64(planes.error[i])) ** 2
+            sums[1] += (light * planes.error[i]) ** 2

@@ -11,7 +11,7 @@ from isogi_core.kernels.bricks import BRICKS
 from isogi_core.kernels.field import FIELD, normal
 from isogi_core.kernels.integrator import WAVE, launch, put, to_index, walk_paths
 from isogi_core.kernels.intersect import OUTSIDE
-from isogi_core.kernels.lattice import POINTS
+from isogi_core.kernels.lattice import PIXELS, POINTS
 from isogi_core.kernels.lights import fog, radiance
 from isogi_core.kernels.packets import cast_batch
 from isogi_core.kernels.planes import FINAL, PLANES, put_pixel
@@ -110,7 +110,7 @@ def shade_point(p, n, eye, spacing, model, seen):
     return scale(madd(model.ambient, seen * cosine + shine, model.sun), clear)
 
 
-@kernel(types.void(POINTS, POINTS, types.boolean[::1], VECTOR, VECTOR, LOCAL_MODEL, types.int32[::1], PLANES))
+@kernel(types.void(POINTS, POINTS, types.boolean[::1], VECTOR, VECTOR, LOCAL_MODEL, PIXELS, PLANES))
 def shade_local(points, normals, seen, eye, spacing, model, pixels, planes):
     """Lambert or Phong, with or without hard shadow and fog, at the points' ``pixels`` (m,) (S1, table 2).
 
@@ -161,7 +161,7 @@ def trace_wave(field, bricks, iso, points, normals, pixels, light, weights, firs
         types.float64,
         POINTS,
         POINTS,
-        types.int32[::1],
+        PIXELS,
         SURROUNDINGS,
         types.float64[:, ::1],
         types.int64,
