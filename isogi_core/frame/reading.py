@@ -45,7 +45,7 @@ class Reading:
 
 
 def read_texels(texels: ViewTexels, slots: np.ndarray, pool: PagePool, target: float, tiles: Tiles) -> Reading:
-    """Look a view's texels up in the pool; ``slots`` are those of its chunks, ``target`` is the error of final light."""
+    """Look a view's texels up in the pool; ``slots`` are those of its chunks, ``target`` is final light's error."""
     places = texels.places
     rows, error, samples = np.empty(len(places), np.int32), *np.empty((2, len(places)), np.float32)
 

@@ -4,6 +4,7 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -49,8 +50,9 @@ class ViewTexels:
         area = np.zeros(len(self.chunks))
         height, width = self.gbuffer.shape
         weigh_chunks(self.corners, self.places, self.gbuffer.pixels, width, height, area)
-        offsets = np.split((self.places % TEXELS).astype(np.int32), self.bounds[1:-1])
-        return tuple(map(Demand, self.chunks, offsets, area.tolist()))
+        offsets = (self.places % TEXELS).astype(np.int32)
+        own = (offsets[a:b] for a, b in pairwise(self.bounds.tolist()))
+        return tuple(map(Demand, self.chunks, own, area.tolist()))
 
 
 def find_texels(gbuffer: GBuffer, recipe: Recipe, tiles: Tiles, cancelled: threading.Event | None) -> ViewTexels:
@@ -75,4 +77,5 @@ def find_texels(gbuffer: GBuffer, recipe: Recipe, tiles: Tiles, cancelled: threa
     tiles.run(lambda a, b: find_places(a, b, read, first, places), len(read), tiles.even(len(read)), cancelled)
     corners = np.empty((len(points), 8), np.uint32)
     _over_points(find_corners, lambda a, b: (slots, read, first, corners[a:b]))
-    return ViewTexels(gbuffer, tuple(map(tuple, indices.tolist())), places, first[::ROWS].copy(), corners)
+    chunks = tuple((z, y, x) for z, y, x in indices.tolist())
+    return ViewTexels(gbuffer, chunks, places, first[::ROWS].copy(), corners)

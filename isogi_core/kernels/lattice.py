@@ -243,7 +243,7 @@ def trilinear(c, fz, fy, fx):
     return (fz if c & 4 else 1.0 - fz) * (fy if c & 2 else 1.0 - fy) * (fx if c & 1 else 1.0 - fx)
 
 
-@kernel()
+@kernel(inline=True)
 def blend(corners, m, lit, fz, fy, fx):
     """Weighted sums over the eight texels of point ``m``, all of which are lit: (r, g, b, variance), float32."""
     z, y, x = np.float32(fz), np.float32(fy), np.float32(fx)
