@@ -26,13 +26,15 @@ class Loader:
         self._absent: dict[Index, float] = {}
         self._lock = threading.Lock()
 
-    def ensure(self, chunks: Sequence[Index]) -> tuple[str, ...]:
-        """Bring the newest light of ``chunks`` into the pool; their versions, "" where there is no light yet.
+    def ensure(self, chunks: Sequence[Index]) -> None:
+        """Bring the newest light of ``chunks`` into the pool.
 
         Raises StoreError when the store cannot be read, or the pool cannot hold them all at once.
         """
-        together = frozenset(chunks)
-        return tuple(self._ensure(index, together) for index in chunks)
+        missing = self.pool.missing(chunks)
+        together = frozenset(chunks) if missing else frozenset()
+        for index in missing:
+            self._load(index, together)
 
     def refresh(self, index: Index) -> None:
         """Say that the store has new light of a chunk."""
@@ -40,20 +42,16 @@ class Loader:
         with self._lock:
             self._absent.pop(index, None)
 
-    def _ensure(self, index: Index, together: frozenset[Index]) -> str:
-        version = self.pool.version(index)
-        if version is not None:
-            return version
+    def _load(self, index: Index, together: frozenset[Index]) -> None:
         with self._lock:
             if time.monotonic() - self._absent.get(index, -ASK_AGAIN) < ASK_AGAIN:
-                return ""
+                return
         stored = self.store.read(index)
         if stored is not None:
             try:
                 self.pool.insert(self.store.decode(index, stored), version_of(stored), together)
-                return version_of(stored)
+                return
             except DamagedChunkError as error:
                 log.warning("%s", error)
         with self._lock:
             self._absent[index] = time.monotonic()
-        return ""

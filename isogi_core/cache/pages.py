@@ -9,6 +9,7 @@ from collections import OrderedDict
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -39,6 +40,16 @@ class Entry:
     stale: bool = False
 
 
+class Held(NamedTuple):
+    """Chunks that stay: their ``slots`` (n,) int32, -1 where absent, and the ``age`` of the pool they were found in.
+
+    Where the age is the same, so is what the slots lead to.
+    """
+
+    slots: np.ndarray
+    age: int
+
+
 class PagePool:
     """Light in memory, at most ``budget`` bytes. Safe to use from many threads."""
 
@@ -55,9 +66,10 @@ class PagePool:
         self.error = np.empty(pages * PAGE, np.float32)
         self.samples = np.empty(pages * PAGE, np.float32)
         self.table = np.empty((slots, TEXELS), np.int32)
-        self._free_pages = list(range(pages))
+        self._free_pages = list(range(pages))[::-1]
         self._free_slots = list(range(slots))
         self._entries: OrderedDict[Index, Entry] = OrderedDict()
+        self._age = 0
         self._lock = threading.Lock()
 
     def version(self, index: Index) -> str | None:
@@ -65,6 +77,12 @@ class PagePool:
         with self._lock:
             entry = self._entries.get(index)
             return None if entry is None or entry.stale else entry.version
+
+    def missing(self, indices: Sequence[Index]) -> list[Index]:
+        """Those of the chunks that are not in the pool or known to be outdated."""
+        with self._lock:
+            found = map(self._entries.get, indices)
+            return [index for index, entry in zip(indices, found, strict=True) if entry is None or entry.stale]
 
     def outdate(self, index: Index) -> None:
         """Say that the store has newer light of a chunk. What is here may be shown until it is read."""
@@ -79,6 +97,7 @@ class PagePool:
         """
         error = relative_error(chunk.light, self.recipe)
         with self._lock:
+            self._age += 1
             entry = self._allocate(-(-len(chunk.offsets) // PAGE), version, {*keep} - {chunk.index})
             rows = (entry.pages[:, None] * PAGE + np.arange(PAGE)).ravel()[: len(chunk.offsets)]
             self.transfer[rows] = chunk.light.transfer
@@ -94,16 +113,17 @@ class PagePool:
                 self._release(former)
 
     @contextmanager
-    def hold(self, indices: Sequence[Index]) -> Iterator[np.ndarray]:
-        """Slots (n,) int32 of the chunks, -1 where absent; they and their rows stay while the block runs."""
+    def hold(self, indices: Sequence[Index]) -> Iterator[Held]:
+        """Where the chunks are; they and their rows stay while the block runs."""
         with self._lock:
+            age = self._age
             found = [self._entries.get(index) for index in indices]
             for index, entry in zip(indices, found, strict=True):
                 if entry is not None:
                     entry.held += 1
                     self._entries.move_to_end(index)
         try:
-            yield np.array([-1 if entry is None else entry.slot for entry in found], np.int32)
+            yield Held(np.array([-1 if entry is None else entry.slot for entry in found], np.int32), age)
         finally:
             with self._lock:
                 for entry in found:

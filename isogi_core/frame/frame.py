@@ -1,14 +1,15 @@
 """A frame: the answer to a view, with what is known of its own quality."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
+from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.texels import Demand
-from isogi_core.kernels.lattice import CONVERGING, FINAL, PROVISIONAL
-from isogi_core.model.sky import LUMINANCE
+from isogi_core.kernels.planes import CONVERGING, FINAL, PROVISIONAL, Planes, tally
 from isogi_core.model.view import View
 
 STATES = {"final": FINAL, "converging": CONVERGING, "provisional": PROVISIONAL}
@@ -19,26 +20,38 @@ class Frame:
     """A rendered view. Planes are zero off the surface.
 
     ``radiance`` (h, w, 3) float32 linear RGB; ``state`` (h, w) uint8, 0 none, 1 provisional,
-    2 converging, 3 final; ``error`` (h, w) float32 relative standard error; ``position`` (h, w, 3)
-    float32 world. ``version`` is equal for equal pictures, also after a restart. ``demands`` is the
-    light that was not final, ``seconds`` the time of each stage.
+    2 converging, 3 final; ``error`` (h, w) float32 relative standard error; ``gbuffer`` the surface.
+    ``version`` is equal for equal pictures, also after a restart. ``demands`` is the light that was
+    not final, ``seconds`` the time of each stage.
     """
 
     view: View
     radiance: np.ndarray
     state: np.ndarray
     error: np.ndarray
-    position: np.ndarray
+    gbuffer: GBuffer
     chunks_needed: int
     chunks_final: int
     demands: tuple[Demand, ...]
     version: str
     seconds: Mapping[str, float]
 
+    @property
+    def position(self) -> np.ndarray:
+        """World coordinates of the surface in each pixel; (h, w, 3) float32."""
+        return self.gbuffer.position
+
     @cached_property
+    def _tally(self) -> tuple[np.ndarray, np.ndarray]:
+        """Pixels in each state, (4,); sums of luminance and of (luminance · error)² over the surface, (2,)."""
+        counts, sums = np.zeros(4, np.int64), np.zeros(2)
+        tally(Planes(self.radiance.reshape(-1, 3), self.state.ravel(), self.error.ravel()), counts, sums)
+        return counts, sums
+
+    @property
     def counts(self) -> dict[str, int]:
         """Surface pixels in each state."""
-        return {name: int((self.state == value).sum()) for name, value in STATES.items()}
+        return {name: int(self._tally[0][state]) for name, state in STATES.items()}
 
     @property
     def surface(self) -> int:
@@ -63,10 +76,5 @@ class Frame:
 
         A provisional pixel counts as wrong by all of its light; the whole is at most 1.
         """
-        if not self.surface:
-            return 0.0
-        light = self.radiance[self.state > 0] @ LUMINANCE
-        wrong = light * self.error[self.state > 0]
-        mean = float(light.mean())
-        rms = float(np.sqrt((wrong.astype(np.float64) ** 2).mean()))
-        return min(rms / mean, 1.0) if mean > 0.0 else 0.0
+        light, wrong = self._tally[1].tolist()
+        return min(math.sqrt(wrong * self.surface) / light, 1.0) if light > 0.0 else 0.0

@@ -3,18 +3,17 @@
 import math
 import threading
 from dataclasses import dataclass, field
-from functools import cached_property
 
 import numpy as np
 
 from isogi_core.bake.recipe import Recipe
 from isogi_core.frame.tiles import Tiles
-from isogi_core.kernels.camera import Pinhole, trace_rows
+from isogi_core.kernels.camera import Pinhole, trace_pixels
 from isogi_core.kernels.shading import find_normals
 from isogi_core.model.view import Camera, View
 
-ROWS = 16
-"""Picture rows of a tile."""
+RAYS = 4096
+"""Primary rays of a tile: as many as are cast together."""
 
 POINTS = 4096
 """Surface points of a tile."""
@@ -26,8 +25,8 @@ Vector = tuple[float, float, float]
 class GBuffer:
     """Surface points of one camera and isovalue.
 
-    ``pixels`` (m,) int64 are the picture indices that show the surface, ascending; ``points`` (m, 3)
-    float32 where they meet it, in index space; ``depth`` (m,) float32 along the view axis, world units.
+    ``shape`` (height, width) of the picture; ``pixels`` (m,) uint32 are the picture indices that show
+    the surface, ascending; ``points`` (m, 3) float32 where they meet it, in index space.
     """
 
     shape: tuple[int, int]
@@ -36,7 +35,6 @@ class GBuffer:
     isovalue: float
     pixels: np.ndarray
     points: np.ndarray
-    depth: np.ndarray
     _normals: np.ndarray | None = field(default=None, repr=False)
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
 
@@ -53,16 +51,17 @@ class GBuffer:
                 self._normals = normals
             return self._normals
 
-    @cached_property
+    @property
+    def nbytes(self) -> int:
+        """Bytes that it takes; normals are counted before they are found."""
+        return self.pixels.nbytes + 2 * self.points.nbytes
+
+    @property
     def position(self) -> np.ndarray:
         """World coordinates of the surface in each pixel, zero off the surface; (h, w, 3) float32."""
-        return self.scatter(self.points * np.array(self.spacing, np.float32))
-
-    def scatter(self, values: np.ndarray) -> np.ndarray:
-        """A picture (h, w, …) of per-point ``values`` (m, …), zero off the surface."""
-        picture = np.zeros((self.shape[0] * self.shape[1], *values.shape[1:]), values.dtype)
-        picture[self.pixels] = values
-        return picture.reshape(*self.shape, *values.shape[1:])
+        picture = np.zeros((self.shape[0] * self.shape[1], 3), np.float32)
+        picture[self.pixels] = self.points * np.array(self.spacing, np.float32)
+        return picture.reshape(*self.shape, 3)
 
 
 def pinhole(camera: Camera, width: int, height: int, spacing: Vector) -> Pinhole:
@@ -84,13 +83,14 @@ def trace(view: View, recipe: Recipe, tiles: Tiles, cancelled: threading.Event |
     volume = recipe.scene.volume
     isovalue = volume.normalise_isovalue(view.isovalue)
     camera = pinhole(view.camera, view.width, view.height, volume.spacing)
-    depth = np.empty((view.height, view.width), np.float32)
-    position = np.empty((view.height, view.width, 3), np.float32)
+    surface = recipe.field, recipe.bricks(isovalue, isovalue), isovalue
+    found: dict[int, tuple[np.ndarray, np.ndarray]] = {}
 
     def _piece(a: int, b: int) -> None:
-        trace_rows(recipe.field, isovalue, camera, a, depth[a:b], position[a:b])
+        pixels, points = np.empty(b - a, np.uint32), np.empty((b - a, 3), np.float32)
+        count = trace_pixels(*surface, camera, a, view.width, pixels, points)
+        found[a] = pixels[:count], points[:count]
 
-    tiles.run(_piece, view.height, ROWS, cancelled)
-    pixels = np.flatnonzero(np.isfinite(depth))
-    points = position.reshape(-1, 3)[pixels]
-    return GBuffer(depth.shape, volume.spacing, camera.eye, isovalue, pixels, points, depth.ravel()[pixels])
+    tiles.run(_piece, view.width * view.height, RAYS, cancelled)
+    pixels, points = (np.concatenate(parts) for parts in zip(*(found[a] for a in sorted(found)), strict=True))
+    return GBuffer((view.height, view.width), volume.spacing, camera.eye, isovalue, pixels, points)

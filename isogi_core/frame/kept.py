@@ -3,17 +3,27 @@
 import threading
 from collections import OrderedDict
 from collections.abc import Callable
-from typing import Generic, TypeVar
+from typing import Generic, Protocol, TypeVar
+
+
+class Sized(Protocol):
+    """What knows how much memory it takes."""
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes, at this moment."""
+        ...
+
 
 K = TypeVar("K")
-V = TypeVar("V")
+V = TypeVar("V", bound=Sized)
 
 
 class Kept(Generic[K, V]):
-    """The newest few results of a costly function; two threads that want the same one make it once."""
+    """The newest results of a costly function; two threads that want the same one make it once."""
 
     def __init__(self, most: int) -> None:
-        """Keep at most ``most`` results."""
+        """Keep at most ``most`` bytes, the newest result in any case."""
         self._most = most
         self._lock = threading.Lock()
         self._made: OrderedDict[K, tuple[threading.Lock, list[V]]] = OrderedDict()
@@ -23,14 +33,24 @@ class Kept(Generic[K, V]):
         with self._lock:
             lock, cell = self._made.setdefault(key, (threading.Lock(), []))
             self._made.move_to_end(key)
-            while len(self._made) > self._most:
-                self._made.popitem(last=False)
         with lock:
             if not cell:
                 cell.append(make())
+        self._forget()
         return cell[0]
 
     def clear(self) -> None:
         """Keep nothing."""
         with self._lock:
             self._made.clear()
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all that is kept."""
+        return sum(value.nbytes for _, cell in self._made.values() for value in cell)
+
+    def _forget(self) -> None:
+        """Let go of the oldest results until the rest fits."""
+        with self._lock:
+            while self.nbytes > self._most and len(self._made) > 1:
+                self._made.popitem(last=False)

@@ -6,17 +6,22 @@ from typing import Any
 
 from isogi_core.bake.recipe import Recipe
 from isogi_core.cache.loader import Loader
+from isogi_core.cache.pages import Held
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import GBuffer, trace
 from isogi_core.frame.kept import Kept
+from isogi_core.frame.reading import Reading, read_texels
 from isogi_core.frame.shader import Shaded, Shader
 from isogi_core.frame.stopwatch import Stopwatch
 from isogi_core.frame.texels import ViewTexels, find_texels
 from isogi_core.frame.tiles import Tiles
 from isogi_core.model.view import View
 
-KEPT = 12
-"""Views whose G-buffers are kept for turning light and for asking again."""
+KEPT = 128 << 20
+"""Bytes of G-buffers, and as many again of their texels, kept for turning light and for asking again."""
+
+KEPT_READINGS = 16 << 20
+"""Bytes of what was read of the pool for those views."""
 
 
 class Renderer:
@@ -29,6 +34,7 @@ class Renderer:
         self.tiles = tiles
         self._gbuffers: Kept[Any, GBuffer] = Kept(KEPT)
         self._texels: Kept[Any, ViewTexels] = Kept(KEPT)
+        self._readings: Kept[Any, Reading] = Kept(KEPT_READINGS)
 
     def render(self, view: View, target: float | None = None, cancelled: threading.Event | None = None) -> Frame:
         """The frame of ``view`` with the light that is there now.
@@ -46,12 +52,12 @@ class Renderer:
             view=view,
             gbuffer=gbuffer,
             find_texels=lambda: self.texels(view, gbuffer, cancelled),
+            read=lambda texels, held, target: self._read(view, texels, held, target),
             watch=watch,
             cancelled=cancelled,
         )
         shaded = shader.shade(target or self.recipe.scene.target_error)
-        with watch.stage("compose"):
-            return self._compose(view, gbuffer, shaded, watch)
+        return self._compose(view, gbuffer, shaded, watch)
 
     def gbuffer(self, view: View, cancelled: threading.Event | None = None) -> GBuffer:
         """The G-buffer of a view, kept for the next frames that share camera, isovalue and size."""
@@ -66,14 +72,20 @@ class Renderer:
         """Drop the kept G-buffers and their texels, as if every view were new."""
         self._gbuffers.clear()
         self._texels.clear()
+        self._readings.clear()
+
+    def _read(self, view: View, texels: ViewTexels, held: Held, target: float) -> Reading:
+        """What the pool has of a view's texels, looked up anew when it has changed."""
+        key = (surface_key(view), held.age, target)
+        return self._readings.get(key, lambda: read_texels(texels, held.slots, self.loader.pool, target, self.tiles))
 
     def _compose(self, view: View, gbuffer: GBuffer, shaded: Shaded, watch: Stopwatch) -> Frame:
         return Frame(
             view=view,
-            radiance=gbuffer.scatter(shaded.radiance),
-            state=gbuffer.scatter(shaded.state),
-            error=gbuffer.scatter(shaded.error),
-            position=gbuffer.position,
+            radiance=shaded.planes.radiance.reshape(*gbuffer.shape, 3),
+            state=shaded.planes.state.reshape(gbuffer.shape),
+            error=shaded.planes.error.reshape(gbuffer.shape),
+            gbuffer=gbuffer,
             chunks_needed=shaded.chunks_needed,
             chunks_final=shaded.chunks_final,
             demands=shaded.demands,

@@ -18,6 +18,7 @@ from numba import njit, types
 # Not the whole of fastmath: `nnan` would make isnan() False, and the kernels ask.
 FASTMATH = {"nsz", "contract"}
 EXACT = {"nsz"}
+ANY_ORDER = FASTMATH | {"reassoc"}
 
 
 def sources_digest() -> str:
@@ -42,16 +43,21 @@ def cache_folder() -> Path:
 numba.config.CACHE_DIR = str(cache_folder())
 
 
-def kernel(signature: Any = None, exact: bool = False) -> Callable[[Callable[..., Any]], Any]:
+def kernel(
+    signature: Any = None, exact: bool = False, any_order: bool = False, inline: bool = False
+) -> Callable[[Callable[..., Any]], Any]:
     """Decorator: compile with the house's options.
 
     Without a signature the function is a helper, compiled where it is called; with one it is an
     entry kernel, compiled (or loaded) when its module is imported, and only for these types. What is
-    ``exact`` gives the same bits wherever it is inlined: no product is fused with a sum.
+    ``exact`` gives the same bits wherever it is inlined: no product is fused with a sum. Sums in
+    ``any_order`` fill vectors: their bits belong to the processor, and to nothing else. What is
+    ``inline`` becomes part of its callers however long it is.
     """
-    options = {"nogil": True, "error_model": "numpy", "fastmath": EXACT if exact else FASTMATH}
+    fastmath = EXACT if exact else ANY_ORDER if any_order else FASTMATH
+    options = {"nogil": True, "error_model": "numpy", "fastmath": fastmath}
     if signature is None:
-        return njit(**options)
+        return njit(forceinline=inline, **options)
     return njit(signature, cache=True, **options)
 
 

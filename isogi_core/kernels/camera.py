@@ -3,12 +3,15 @@
 import math
 from typing import NamedTuple
 
+import numpy as np
 from numba import types
 
 from isogi_core.kernels._jit import kernel, record
+from isogi_core.kernels.bricks import BRICKS
 from isogi_core.kernels.field import FIELD
-from isogi_core.kernels.intersect import UNKNOWN, cast
-from isogi_core.kernels.vec import madd
+from isogi_core.kernels.intersect import UNKNOWN
+from isogi_core.kernels.packets import cast_batch
+from isogi_core.kernels.vec import column, madd, put_column
 
 
 class Pinhole(NamedTuple):
@@ -33,18 +36,29 @@ def pixel_ray(camera, x, y):
     return madd(madd(camera.corner, x, camera.right), y, camera.down)
 
 
-@kernel(types.void(FIELD, types.float64, PINHOLE, types.int64, types.float32[:, ::1], types.float32[:, :, ::1]))
-def trace_rows(field, iso, camera, first, depth, position):
-    """Fill rows first … of the G-buffer: ``depth`` (rows, w), inf off the surface; ``position`` (rows, w, 3).
+@kernel(
+    types.int64(
+        FIELD, BRICKS, types.float64, PINHOLE, types.int64, types.int64, types.uint32[::1], types.float32[:, ::1]
+    )
+)
+def trace_pixels(field, bricks, iso, camera, first, width, pixels, points):
+    """Cast the rays of the picture's pixels ``first`` … first + n, row by row; returns how many show the surface.
 
-    Positions are in index space. ``depth`` and ``position`` are the tile's own rows.
+    Their picture indices are written to ``pixels`` (n,), ascending, and where the surface is there, in
+    index space, to ``points`` (n, 3). ``iso`` is within the range of ``bricks``.
     """
-    rows, width = depth.shape
-    for y in range(rows):
-        for x in range(width):
-            d = pixel_ray(camera, x + 0.5, first + y + 0.5)
-            t, _ = cast(field, iso, camera.eye, d, UNKNOWN)
-            depth[y, x] = t
-            if t < math.inf:
-                p = madd(camera.eye, t, d)
-                position[y, x, 0], position[y, x, 1], position[y, x, 2] = p
+    count = pixels.shape[0]
+    origins, directions = np.empty((3, count)), np.empty((3, count))
+    for i in range(count):
+        y, x = divmod(first + i, width)
+        put_column(origins, i, camera.eye)
+        put_column(directions, i, pixel_ray(camera, x + 0.5, y + 0.5))
+    t, came = np.empty(count), np.empty(count, np.int8)
+    cast_batch(field, bricks, np.full(count, iso), origins, directions, np.full(count, UNKNOWN, np.int8), t, came)
+    hits = 0
+    for i in range(count):
+        if t[i] < math.inf:
+            pixels[hits] = first + i
+            points[hits, 0], points[hits, 1], points[hits, 2] = madd(camera.eye, t[i], column(directions, i))
+            hits += 1
+    return hits

@@ -6,7 +6,7 @@ import numpy as np
 from numba import types
 
 from isogi_core.kernels._jit import kernel
-from isogi_core.kernels.lattice import CONVERGING, PROVISIONAL
+from isogi_core.kernels.planes import CONVERGING, PROVISIONAL
 
 SHOULDER = 0.7
 """Where the tone curve leaves the straight line: brighter light is bent towards 1 and never clipped."""

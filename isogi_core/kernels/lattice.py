@@ -13,6 +13,7 @@ from numba import types
 
 from isogi_core.kernels._jit import kernel, record
 from isogi_core.kernels.lights import unshadowed
+from isogi_core.kernels.planes import CONVERGING, FINAL, PLANES, PROVISIONAL, luminance, put_pixel
 
 CHUNK = 16
 """Texels along each side of a chunk."""
@@ -23,7 +24,18 @@ UNLIT = -1
 VOID_ROW = -2
 """Row of a texel that can hold no light (see integrator.VOID)."""
 
-PROVISIONAL, CONVERGING, FINAL = 1, 2, 3
+DARK = np.float32(0.0)
+DARKEST = np.float32(1e-30)
+ONE = np.float32(1.0)
+
+VOID = 4
+"""Grade of a void texel: above FINAL, since it takes nothing from a point's state."""
+
+ROWS = CHUNK**2
+"""Rows of a chunk."""
+
+WHOLE_ROW = (1 << CHUNK) - 1
+"""Bits of the texels of a row."""
 
 
 class Lattice(NamedTuple):
@@ -35,14 +47,22 @@ class Lattice(NamedTuple):
 
 LATTICE = record(Lattice, types.UniTuple(types.int64, 3), types.UniTuple(types.float64, 3))
 POINTS = types.float32[:, ::1]
+CORNERS = types.uint32[:, ::1]
+PLACES = types.uint32[::1]
+PIXELS = types.uint32[::1]
+SLOTS = types.int32[:, :, ::1]
+BITS = types.uint16[::1]
 
 
 @kernel()
 def axis_texel(p, density, n):
-    """The lower of the two texels along one axis around coordinate ``p`` (voxels), and the fraction beyond it."""
+    """The lower of the two texels along one axis around coordinate ``p`` (voxels), and the fraction beyond it.
+
+    Texels are unsigned: places that are made of them are then known not to count from an array's end.
+    """
     q = p * density
     t = min(max(int(math.floor(q)), 0), n - 2)
-    return t, min(max(q - t, 0.0), 1.0)
+    return np.uint32(t), min(max(q - t, 0.0), 1.0)
 
 
 @kernel()
@@ -52,12 +72,6 @@ def base_texel(lattice, points, m):
     y, fy = axis_texel(np.float64(points[m, 1]), lattice.density[1], lattice.shape[1])
     x, fx = axis_texel(np.float64(points[m, 0]), lattice.density[0], lattice.shape[2])
     return z, y, x, fz, fy, fx
-
-
-@kernel()
-def inner(z, y, x):
-    """Offset of a texel inside its chunk."""
-    return ((z % CHUNK) * CHUNK + y % CHUNK) * CHUNK + x % CHUNK
 
 
 @kernel(types.void(LATTICE, POINTS, types.boolean[:, :, ::1]))
@@ -73,94 +87,107 @@ def touch_chunks(lattice, points, touched):
 
 
 @kernel()
-def corner(slots, z, y, x, c):
-    """Place of corner ``c`` of the lattice cell at (z, y, x) among the texels of the touched chunks."""
-    k, j, i = z + (c >> 2), y + ((c >> 1) & 1), x + (c & 1)
-    return slots[k // CHUNK, j // CHUNK, i // CHUNK] * CHUNK**3 + inner(k, j, i)
+def row_of(slots, z, y, x):
+    """Place of a texel's row of CHUNK texels along x, among the rows of all touched chunks."""
+    return slots[z // CHUNK, y // CHUNK, x // CHUNK] * ROWS + (z % CHUNK) * CHUNK + y % CHUNK
+
+
+@kernel(types.void(LATTICE, POINTS, SLOTS, BITS))
+def mark_texels(lattice, points, slots, read):
+    """Set in ``read`` (slots · ROWS,), a bit for each texel of a row, those that a point reads.
+
+    ``slots`` (z, y, x) numbers the touched chunks. Threads each need a ``read`` of their own.
+    """
+    for m in range(points.shape[0]):
+        z, y, x, _, _, _ = base_texel(lattice, points, m)
+        i = x % CHUNK
+        for c in range(4):
+            k, j = z + (c >> 1), y + (c & 1)
+            read[row_of(slots, k, j, x)] |= (3 << i) & WHOLE_ROW
+            if i == CHUNK - 1:
+                read[row_of(slots, k, j, x + 1)] |= 1
 
 
 @kernel()
-def inside_chunk(z, y, x):
-    """Whether all eight corners of the lattice cell at (z, y, x) lie in one chunk."""
-    return z % CHUNK < CHUNK - 1 and y % CHUNK < CHUNK - 1 and x % CHUNK < CHUNK - 1
-
-
-@kernel(types.void(LATTICE, POINTS, types.int32[:, :, ::1], types.boolean[::1]))
-def mark_texels(lattice, points, slots, read):
-    """Set ``read`` (slots · CHUNK³,) for each texel that a point reads; ``slots`` (z, y, x) numbers the chunks."""
-    for m in range(points.shape[0]):
-        z, y, x, _, _, _ = base_texel(lattice, points, m)
-        first = corner(slots, z, y, x, 0)
-        single = inside_chunk(z, y, x)
-        for c in range(8):
-            read[first + inner(c >> 2, (c >> 1) & 1, c & 1) if single else corner(slots, z, y, x, c)] = True
-
-
-@kernel("int64(boolean[::1], int32[::1], int32[::1])")
-def number_texels(read, numbers, places):
-    """Number the texels that are ``read``: ``numbers`` gets 0, 1, 2, …, ``places`` the inverse; returns how many."""
+def ones(word):
+    """Bits that are set in a non-negative number."""
     count = 0
-    for place in range(read.shape[0]):
-        if read[place]:
-            numbers[place] = count
-            places[count] = place
-            count += 1
+    while word:
+        word &= word - 1
+        count += 1
     return count
 
 
-@kernel(types.void(LATTICE, POINTS, types.int32[:, :, ::1], types.int32[::1], types.int32[:, ::1]))
-def find_corners(lattice, points, slots, numbers, corners):
-    """Fill ``corners`` (points, 8), x fastest, with the view's own ``numbers`` (slots · CHUNK³,) of the texels."""
+@kernel(types.void(LATTICE, POINTS, SLOTS, BITS, PLACES, CORNERS))
+def find_corners(lattice, points, slots, read, first, corners):
+    """Fill ``corners`` (points, 8), x fastest, with the view's own numbers of the texels.
+
+    Texels are numbered row by row as ``mark_texels`` left them in ``read``; ``first`` (slots · ROWS,)
+    is the number of each row's first.
+    """
     for m in range(points.shape[0]):
         z, y, x, _, _, _ = base_texel(lattice, points, m)
-        first = corner(slots, z, y, x, 0)
-        single = inside_chunk(z, y, x)
-        for c in range(8):
-            place = first + inner(c >> 2, (c >> 1) & 1, c & 1) if single else corner(slots, z, y, x, c)
-            corners[m, c] = numbers[place]
+        i = x % CHUNK
+        for c in range(4):
+            k, j = z + (c >> 1), y + (c & 1)
+            r = row_of(slots, k, j, x)
+            near = first[r] + ones(int(read[r]) & ((1 << i) - 1))
+            corners[m, 2 * c] = near
+            corners[m, 2 * c + 1] = near + 1 if i < CHUNK - 1 else first[row_of(slots, k, j, x + 1)]
 
 
-@kernel(types.void(types.int32[:, ::1], types.int32[::1], types.float32[::1], types.float32[::1]))
-def weigh_chunks(corners, chunk, weights, area):
-    """Add to ``area`` (chunks,) the ``weights`` (points,) of the points that read each chunk: its share of the screen.
+@kernel(types.void(types.int64, types.int64, BITS, PLACES, PLACES))
+def find_places(begin, end, read, first, places):
+    """Write to ``places`` (texels,) where the texels of the rows ``begin`` … ``end`` are: slot · CHUNK³ + offset."""
+    for r in range(begin, end):
+        word, place, number = int(read[r]), r * CHUNK, first[r]
+        while word:
+            if word & 1:
+                places[number] = place
+                number += 1
+            word >>= 1
+            place += 1
 
-    ``chunk`` (texels,) is the chunk of each texel that ``corners`` numbers.
-    """
+
+@kernel(types.void(CORNERS, PLACES, PIXELS, types.int64, types.int64, types.float64[::1]))
+def weigh_chunks(corners, places, pixels, width, height, area):
+    """Add to ``area`` (chunks,) the points that read each chunk: 2 in the middle of the picture, 1 at its corners."""
     for m in range(corners.shape[0]):
-        first, crossed = chunk[corners[m, 0]], 0
+        y, x = divmod(np.int64(pixels[m]), width)
+        weight = 2.0 - 0.5 * (((2 * x + 1) / width - 1.0) ** 2 + ((2 * y + 1) / height - 1.0) ** 2)
+        first, crossed = places[corners[m, 0]] // CHUNK**3, 0
         for axis in (1, 2, 4):
-            if chunk[corners[m, axis]] != first:
+            if places[corners[m, axis]] // CHUNK**3 != first:
                 crossed |= axis
         for c in range(8):
             if c & crossed == c:
-                area[chunk[corners[m, c]]] += weights[m]
+                area[places[corners[m, c]] // CHUNK**3] += weight
 
 
-@kernel()
-def dot_light(transfer, light):
-    """τ·ℓ per channel of ``light`` (3, n), linear RGB; ``transfer`` is (1, n) or (3, n). Source: S1, eq. 9."""
-    grey = transfer.shape[0] == 1
-    r, g, b = 0.0, 0.0, 0.0
-    for i in range(transfer.shape[1]):
-        r += transfer[0, i] * light[0, i]
-        g += transfer[0 if grey else 1, i] * light[1, i]
-        b += transfer[0 if grey else 2, i] * light[2, i]
-    return r, g, b
+@kernel(
+    types.void(
+        PLACES,
+        types.int32[::1],
+        types.int32[:, ::1],
+        types.float32[::1],
+        types.float32[::1],
+        types.int32[::1],
+        types.float32[::1],
+        types.float32[::1],
+    )
+)
+def find_rows(places, slots, table, error, samples, rows, own_error, own_samples):
+    """Where the light of the texels at ``places`` is kept, and how far it is baked; all outputs (texels,).
 
-
-@kernel()
-def dot_noise(spread, light):
-    """Σ spread · light over channels and coefficients, both (channels, n)."""
-    total = 0.0
-    for c in range(spread.shape[0]):
-        even, odd = 0.0, 0.0
-        for i in range(0, spread.shape[1] - 1, 2):
-            even += spread[c, i] * light[c, i]
-            odd += spread[c, i + 1] * light[c, i + 1]
-        if spread.shape[1] % 2:
-            even += spread[c, -1] * light[c, -1]
-        total += even + odd
-    return total
+    ``slots`` (chunks of the view,) leads to rows of the ``table``, -1 where a chunk is absent; texels
+    without light get UNLIT or VOID_ROW for their ``rows`` and their ``own_samples``.
+    """
+    for t in range(places.shape[0]):
+        slot = slots[places[t] // CHUNK**3]
+        row = table[slot, places[t] % CHUNK**3] if slot >= 0 else UNLIT
+        rows[t] = row
+        own_error[t] = error[row] if row >= 0 else 0.0
+        own_samples[t] = samples[row] if row >= 0 else row
 
 
 @kernel(
@@ -171,21 +198,32 @@ def dot_noise(spread, light):
         types.float32[:, ::1],
         types.float32[:, ::1],
         types.float32[:, ::1],
-    )
+    ),
+    any_order=True,
 )
 def light_texels(rows, transfer, spread, light, spread_light, lit):
     """Fill ``lit`` (m, 4): linear RGB radiance and absolute standard error of its luminance, per texel.
 
     ``transfer`` and ``spread`` (row, channels, n) hold τ and half the difference of its two
     randomisations; ``light`` (3, n) is the turned environment times the albedo, ``spread_light``
-    (channels, n) the same weighted to luminance. Negative sums of coefficients are cut to 0.
+    (channels, n) the same weighted to luminance. Radiance is τ·ℓ (S1, eq. 9), cut to 0 where negative.
+    The sums are written out here, so that they run in vectors.
     """
+    blue = transfer.shape[1] - 1
+    green = min(blue, 1)
     for m in range(rows.shape[0]):
-        row = rows[m]
-        if row >= 0:
-            r, g, b = dot_light(transfer[row], light)
-            lit[m, 0], lit[m, 1], lit[m, 2] = max(r, 0.0), max(g, 0.0), max(b, 0.0)
-            lit[m, 3] = abs(dot_noise(spread[row], spread_light))
+        row = np.uint32(rows[m])
+        if rows[m] < 0:
+            continue
+        r = g = b = noise = DARK
+        for i in range(transfer.shape[2]):
+            r += transfer[row, 0, i] * light[0, i]
+            g += transfer[row, green, i] * light[1, i]
+            b += transfer[row, blue, i] * light[2, i]
+        for c in range(spread.shape[1]):
+            for i in range(spread.shape[2]):
+                noise += spread[row, c, i] * spread_light[c, i]
+        lit[m, 0], lit[m, 1], lit[m, 2], lit[m, 3] = max(r, DARK), max(g, DARK), max(b, DARK), abs(noise)
 
 
 class Sky(NamedTuple):
@@ -200,69 +238,98 @@ SKY = record(Sky, types.int64, types.float64[::1], types.float64[:, ::1])
 
 
 @kernel()
-def luminance(r, g, b):
-    """Relative luminance of linear RGB (ITU-R BT.709)."""
-    return 0.2126 * r + 0.7152 * g + 0.0722 * b
-
-
-@kernel()
 def trilinear(c, fz, fy, fx):
     """Weight of corner ``c`` (bit 0 is x, bit 1 is y, bit 2 is z) of a cell at the fractions (z, y, x)."""
     return (fz if c & 4 else 1.0 - fz) * (fy if c & 2 else 1.0 - fy) * (fx if c & 1 else 1.0 - fx)
 
 
-@kernel()
-def gather(corners, rows, grade, lit, fz, fy, fx):
-    """Weighted sums over a point's eight texels: (r, g, b, variance, lit weight, unlit weight, least grade)."""
-    r, g, b, variance, weight, unlit, least = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, FINAL
+@kernel(inline=True)
+def blend(corners, m, lit, fz, fy, fx):
+    """Weighted sums over the eight texels of point ``m``, all of which are lit: (r, g, b, variance), float32."""
+    z, y, x = np.float32(fz), np.float32(fy), np.float32(fx)
+    r = g = b = variance = np.float32(0.0)
     for c in range(8):
-        t = corners[c]
+        t = corners[m, c]
+        w = (z if c & 4 else ONE - z) * (y if c & 2 else ONE - y) * (x if c & 1 else ONE - x)
+        noise = w * lit[t, 3]
+        r, g, b, variance = r + w * lit[t, 0], g + w * lit[t, 1], b + w * lit[t, 2], variance + noise * noise
+    return r, g, b, variance
+
+
+@kernel()
+def blend_some(corners, m, grade, lit, fz, fy, fx):
+    """``blend`` where texels may be missing: (r, g, b, variance, lit weight, unlit weight), float64."""
+    r, g, b, variance, weight, unlit = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for c in range(8):
+        t = corners[m, c]
         w = trilinear(c, fz, fy, fx)
-        if rows[t] >= 0:
+        if grade[t] == CONVERGING or grade[t] == FINAL:
             r, g, b = r + w * lit[t, 0], g + w * lit[t, 1], b + w * lit[t, 2]
             variance += (w * lit[t, 3]) ** 2
             weight += w
-            least = min(least, int(grade[t]))
-        elif rows[t] == UNLIT:
+        elif grade[t] == PROVISIONAL:
             unlit += w
-            least = PROVISIONAL
-    return r, g, b, variance, weight, unlit, least
+    return r, g, b, variance, weight, unlit
+
+
+@kernel()
+def fill_in(some, n, sky, basis):
+    """What ``blend_some`` found, made whole by unshadowed light about the normal ``n``: (r, g, b, variance)."""
+    r, g, b, variance, weight, unlit = some
+    if not weight > 0.0:
+        unlit = 1.0
+    if unlit > 0.0:
+        bare = unshadowed(sky.order, sky.lobe, sky.light, n, basis)
+        r, g, b, weight = r + unlit * bare[0], g + unlit * bare[1], b + unlit * bare[2], weight + unlit
+    whole = 1.0 / weight
+    return (
+        np.float32(r * whole),
+        np.float32(g * whole),
+        np.float32(b * whole),
+        np.float32(variance * whole * whole),
+    )
+
+
+@kernel()
+def span_of(grade, corners, m):
+    """Least and greatest grade of the eight texels of point ``m``."""
+    least, most = np.uint8(VOID), np.uint8(0)
+    for c in range(8):
+        own = grade[corners[m, c]]
+        least, most = min(least, own), max(most, own)
+    return least, most
 
 
 @kernel(
     types.void(
         LATTICE,
         POINTS,
-        types.int32[:, ::1],
-        types.int32[::1],
+        PIXELS,
+        CORNERS,
         types.uint8[::1],
         types.float32[:, ::1],
         POINTS,
         SKY,
-        POINTS,
-        types.uint8[::1],
-        types.float32[::1],
+        PLANES,
     )
 )
-def carry_light(lattice, points, corners, rows, grade, lit, normals, sky, radiance, state, error):
-    """Carry the texels' light to the points: ``radiance`` (m, 3), ``state`` (m,), relative ``error`` (m,).
+def carry_light(lattice, points, pixels, corners, grade, lit, normals, sky, planes):
+    """Carry the texels' light ``lit`` (texels, 4) to the ``planes`` at the points' ``pixels`` (m,).
 
     Trilinear (S1, section 4.2) over the texels that hold light; void ones are left out, and what is
-    not baked yet stands in as unshadowed light about the point's normal (``normals`` (m, 3); may
-    hold no rows where no texel is missing). ``grade`` (texels,) is CONVERGING or FINAL; a point is
-    as good as the least of its texels.
+    not baked yet stands in as unshadowed light about the point's normal (``normals`` (m, 3); read
+    only where a texel is missing). ``grade`` (texels,) is PROVISIONAL where a texel is not baked,
+    CONVERGING, FINAL or VOID; a point is as good as the least of its texels.
     """
     basis = np.empty(sky.order * sky.order)
     for m in range(points.shape[0]):
         _, _, _, fz, fy, fx = base_texel(lattice, points, m)
-        r, g, b, variance, weight, unlit, least = gather(corners[m], rows, grade, lit, fz, fy, fx)
-        if not weight > 0.0:
-            unlit = 1.0
-        if unlit > 0.0:
+        least, most = span_of(grade, corners, m)
+        if least > PROVISIONAL and most < VOID:
+            r, g, b, variance = blend(corners, m, lit, fz, fy, fx)
+        else:
             n = (np.float64(normals[m, 0]), np.float64(normals[m, 1]), np.float64(normals[m, 2]))
-            bare = unshadowed(sky.order, sky.lobe, sky.light, n, basis)
-            r, g, b, weight = r + unlit * bare[0], g + unlit * bare[1], b + unlit * bare[2], weight + unlit
-        radiance[m, 0], radiance[m, 1], radiance[m, 2] = r / weight, g / weight, b / weight
-        state[m] = least
-        noise = math.sqrt(variance) / max(luminance(r, g, b), 1e-30)
-        error[m] = 1.0 if least == PROVISIONAL else min(noise, 1.0)
+            r, g, b, variance = fill_in(blend_some(corners, m, grade, lit, fz, fy, fx), n, sky, basis)
+        noise = min(math.sqrt(variance) / max(luminance(r, g, b), DARKEST), ONE)
+        error = ONE if least == PROVISIONAL else noise
+        put_pixel(planes, pixels[m], (r, g, b), min(least, FINAL), error)

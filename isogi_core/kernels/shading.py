@@ -7,13 +7,16 @@ import numpy as np
 from numba import types
 
 from isogi_core.kernels._jit import kernel, record
+from isogi_core.kernels.bricks import BRICKS
 from isogi_core.kernels.field import FIELD, normal
-from isogi_core.kernels.integrator import launch, to_index, trace_path
-from isogi_core.kernels.intersect import OUTSIDE, cast
-from isogi_core.kernels.lattice import POINTS
+from isogi_core.kernels.integrator import WAVE, launch, put, to_index, walk_paths
+from isogi_core.kernels.intersect import OUTSIDE
+from isogi_core.kernels.lattice import PIXELS, POINTS
 from isogi_core.kernels.lights import fog, radiance
+from isogi_core.kernels.packets import cast_batch
+from isogi_core.kernels.planes import FINAL, PLANES, put_pixel
 from isogi_core.kernels.rng import mix
-from isogi_core.kernels.vec import dot, length, madd, normalize, scale, sub
+from isogi_core.kernels.vec import dot, length, madd, normalize, put_column, row, scale, sub
 
 
 class LocalModel(NamedTuple):
@@ -45,23 +48,45 @@ def to_world(v, spacing):
     return (v[0] * spacing[0], v[1] * spacing[1], v[2] * spacing[2])
 
 
+@kernel()
+def single(vectors, m):
+    """Row ``m`` of a float32 (n, 3) array as a tuple of float64."""
+    return np.float64(vectors[m, 0]), np.float64(vectors[m, 1]), np.float64(vectors[m, 2])
+
+
 @kernel(types.void(FIELD, POINTS, VECTOR, POINTS))
 def find_normals(field, points, eye, normals):
     """Fill ``normals`` (m, 3), world, outward, of the ``points`` (index space); towards the ``eye`` where flat."""
     for m in range(points.shape[0]):
-        p = (np.float64(points[m, 0]), np.float64(points[m, 1]), np.float64(points[m, 2]))
+        p = single(points, m)
         n = normal(field, p)
         if n[0] == 0.0 and n[1] == 0.0 and n[2] == 0.0:
             n = normalize(to_world(sub(eye, p), field.spacing))
         normals[m, 0], normals[m, 1], normals[m, 2] = n
 
 
-@kernel()
-def lit_by(field, iso, p, n, key):
-    """1 where the key light reaches ``p``, 0 where the isosurface is in its way (one hard shadow ray)."""
-    o = launch(field, iso, p, n, OUTSIDE)
-    t, _ = cast(field, iso, o, to_index(key, field.spacing), OUTSIDE)
-    return 0.0 if t < math.inf else 1.0
+@kernel(types.void(FIELD, BRICKS, types.float64, POINTS, POINTS, VECTOR, types.boolean[::1]))
+def find_shadows(field, bricks, iso, points, normals, key, seen):
+    """Fill ``seen`` (m,): whether the key light reaches each point past the isosurface, by one hard shadow ray.
+
+    Points that are turned away from the light count as unseen; ``iso`` is within the range of ``bricks``.
+    """
+    owners, count = np.empty(points.shape[0], np.int64), 0
+    for m in range(points.shape[0]):
+        seen[m] = dot(single(normals, m), key) > 0.0
+        if seen[m]:
+            owners[count] = m
+            count += 1
+    origins, directions = np.empty((3, count)), np.empty((3, count))
+    towards = to_index(key, field.spacing)
+    for i in range(count):
+        m = owners[i]
+        put_column(origins, i, launch(field, iso, single(points, m), single(normals, m), OUTSIDE))
+        put_column(directions, i, towards)
+    t, came = np.empty(count), np.empty(count, np.int8)
+    cast_batch(field, bricks, np.full(count, iso), origins, directions, np.full(count, OUTSIDE, np.int8), t, came)
+    for i in range(count):
+        seen[owners[i]] = not t[i] < math.inf
 
 
 @kernel()
@@ -71,26 +96,31 @@ def highlight(n, key, view, exponent):
     return max(dot(r, view), 0.0) ** exponent
 
 
-@kernel(types.void(FIELD, types.float64, POINTS, POINTS, VECTOR, LOCAL_MODEL, POINTS))
-def shade_local(field, iso, points, normals, eye, model, out):
-    """Fill ``out`` (m, 3) linear RGB with Lambert or Phong, with or without hard shadow and fog (S1, table 2).
+@kernel()
+def shade_point(p, n, eye, spacing, model, seen):
+    """Linear RGB of one point by a local ``model``; ``seen`` is 1 where the key light reaches it, else 0."""
+    cosine = max(dot(n, model.key), 0.0)
+    v = to_world(sub(eye, p), spacing)
+    shine = 0.0
+    if model.shine > 0.0 and cosine > 0.0:
+        shine = seen * model.shine * highlight(n, model.key, normalize(v), model.exponent)
+    clear = 1.0
+    if model.fog_far > model.fog_near:
+        clear = fog(length(v), model.fog_near, model.fog_far)
+    return scale(madd(model.ambient, seen * cosine + shine, model.sun), clear)
 
-    A surface seen from its solid side shows its outer side's light, as the cache does.
+
+@kernel(types.void(POINTS, POINTS, types.boolean[::1], VECTOR, VECTOR, LOCAL_MODEL, PIXELS, PLANES))
+def shade_local(points, normals, seen, eye, spacing, model, pixels, planes):
+    """Lambert or Phong, with or without hard shadow and fog, at the points' ``pixels`` (m,) (S1, table 2).
+
+    ``seen`` (m,) is what ``find_shadows`` says; it may hold no rows for a model without shadow. A
+    surface seen from its solid side shows its outer side's light, as the cache does.
     """
     for m in range(points.shape[0]):
-        p = (np.float64(points[m, 0]), np.float64(points[m, 1]), np.float64(points[m, 2]))
-        n = (np.float64(normals[m, 0]), np.float64(normals[m, 1]), np.float64(normals[m, 2]))
-        cosine = max(dot(n, model.key), 0.0)
-        seen = lit_by(field, iso, p, n, model.key) if model.shadow and cosine > 0.0 else 1.0
-        v = to_world(sub(eye, p), field.spacing)
-        shine = 0.0
-        if model.shine > 0.0 and cosine > 0.0:
-            shine = seen * model.shine * highlight(n, model.key, normalize(v), model.exponent)
-        clear = 1.0
-        if model.fog_far > model.fog_near:
-            clear = fog(length(v), model.fog_near, model.fog_far)
-        for c in range(3):
-            out[m, c] = clear * (model.ambient[c] + (seen * cosine + shine) * model.sun[c])
+        reached = 1.0 if not model.shadow or seen[m] else 0.0
+        light = shade_point(single(points, m), single(normals, m), eye, spacing, model, reached)
+        put_pixel(planes, pixels[m], light, FINAL, 0.0)
 
 
 class Surroundings(NamedTuple):
@@ -104,13 +134,34 @@ class Surroundings(NamedTuple):
 SURROUNDINGS = record(Surroundings, types.float64[::1], types.float32[:, :, ::1], types.float64[:, ::1])
 
 
+@kernel()
+def trace_wave(field, bricks, iso, points, normals, pixels, light, weights, first, count, sums):
+    """``trace_points`` for a few points whose paths go together."""
+    paths = pixels.shape[0] * 2 * count
+    starts, facing, ways = np.empty((paths, 3)), np.empty((paths, 3)), np.empty((paths, 3))
+    seeds, samples, left = np.empty(paths, np.uint64), np.empty(paths, np.int64), np.empty(paths, np.int64)
+    for i in range(paths):
+        m, half = i // (2 * count), i // count % 2
+        put(starts, i, single(points, m))
+        put(facing, i, single(normals, m))
+        seeds[i], samples[i] = mix(np.int64(pixels[m]), half), first + i % count
+    walk_paths(field, bricks, np.full(paths, iso), starts, facing, seeds, samples, weights.shape[0] - 1, left, ways)
+    for i in range(paths):
+        m, half = i // (2 * count), i // count % 2
+        if left[i] >= 0:
+            arriving = radiance(light.constant, light.image, light.matrix, row(ways, i))
+            for c in range(3):
+                sums[m, half, c] += weights[left[i], c] * arriving[c]
+
+
 @kernel(
     types.void(
         FIELD,
+        BRICKS,
         types.float64,
         POINTS,
         POINTS,
-        types.int64[::1],
+        PIXELS,
         SURROUNDINGS,
         types.float64[:, ::1],
         types.int64,
@@ -118,21 +169,18 @@ SURROUNDINGS = record(Surroundings, types.float64[::1], types.float32[:, :, ::1]
         types.float64[:, :, ::1],
     )
 )
-def trace_points(field, iso, points, normals, pixels, light, weights, first, count, sums):
+def trace_points(field, bricks, iso, points, normals, pixels, light, weights, first, count, sums):
     """Path-trace the points: add samples first … first + count of both halves to ``sums`` (m, 2, 3).
 
     ``pixels`` (m,) are picture indices, which own the random numbers; ``weights`` (bounces + 1, 3)
-    is R^(k+1) per channel. Source: S1, figure 2; the reference of figures 7 and 11.
+    is R^(k+1) per channel; ``iso`` is within the range of ``bricks``. Source: S1, figure 2; the
+    reference of figures 7 and 11.
     """
-    bounces = weights.shape[0] - 1
-    for m in range(points.shape[0]):
-        p = (np.float64(points[m, 0]), np.float64(points[m, 1]), np.float64(points[m, 2]))
-        n = (np.float64(normals[m, 0]), np.float64(normals[m, 1]), np.float64(normals[m, 2]))
-        for half in range(2):
-            seed = mix(pixels[m], half)
-            for index in range(first, first + count):
-                k, w = trace_path(field, iso, p, n, OUTSIDE, seed, index, bounces)
-                if k >= 0:
-                    arriving = radiance(light.constant, light.image, light.matrix, w)
-                    for c in range(3):
-                        sums[m, half, c] += weights[k, c] * arriving[c]
+    together, samples = max(WAVE // (2 * count), 1), min(count, WAVE // 2)
+    for a in range(0, pixels.shape[0], together):
+        b = min(a + together, pixels.shape[0])
+        for begin in range(first, first + count, samples):
+            some = min(samples, first + count - begin)
+            trace_wave(
+                field, bricks, iso, points[a:b], normals[a:b], pixels[a:b], light, weights, begin, some, sums[a:b]
+            )

@@ -54,7 +54,7 @@ def test_the_table_leads_each_texel_to_its_light(recipe: Recipe) -> None:
     chunk.light.planes[:, SAMPLES + 1 :] = np.random.default_rng(0).random((150, chunk.light.planes.shape[1] - 1))
     chunk.light.samples[[3, 77]] = VOID
     pool.insert(chunk, "v1")
-    with pool.hold([(1, 0, 2)]) as slots:
+    with pool.hold([(1, 0, 2)]) as (slots, _):
         table = pool.table[slots[0]]
         assert (table[np.setdiff1d(np.arange(TEXELS), chunk.offsets)] == UNLIT).all()
         assert table[chunk.offsets[[3, 77]]].tolist() == [VOID_ROW, VOID_ROW]
@@ -71,7 +71,7 @@ def test_the_table_leads_each_texel_to_its_light(recipe: Recipe) -> None:
 def test_an_absent_chunk_has_no_slot(recipe: Recipe) -> None:
     pool = PagePool(recipe, 1 << 22)
     pool.insert(chunk_of(recipe, (0, 0, 1), 1.0), "v1")
-    with pool.hold([(0, 0, 0), (0, 0, 1)]) as slots:
+    with pool.hold([(0, 0, 0), (0, 0, 1)]) as (slots, _):
         assert slots.dtype == np.int32
         assert slots[0] == -1
         assert slots[1] >= 0
@@ -80,7 +80,7 @@ def test_an_absent_chunk_has_no_slot(recipe: Recipe) -> None:
 def test_an_empty_chunk_is_unlit_everywhere(recipe: Recipe) -> None:
     pool = PagePool(recipe, 1 << 22)
     pool.insert(Chunk.empty((0, 0, 0), recipe.scene.plan), "v1")
-    with pool.hold([(0, 0, 0)]) as slots:
+    with pool.hold([(0, 0, 0)]) as (slots, _):
         assert (pool.table[slots[0]] == UNLIT).all()
 
 
@@ -101,11 +101,11 @@ def test_versions(recipe: Recipe) -> None:
     assert pool.version((0, 0, 0)) == "v1"
     pool.outdate((0, 0, 0))
     assert pool.version((0, 0, 0)) is None
-    with pool.hold([(0, 0, 0)]) as slots:
+    with pool.hold([(0, 0, 0)]) as (slots, _):
         assert levels(pool, slots[0]) == {1.0}
     pool.insert(chunk_of(recipe, (0, 0, 0), 2.0), "v2")
     assert pool.version((0, 0, 0)) == "v2"
-    with pool.hold([(0, 0, 0)]) as slots:
+    with pool.hold([(0, 0, 0)]) as (slots, _):
         assert levels(pool, slots[0]) == {2.0}
 
 
@@ -131,7 +131,7 @@ def test_held_chunks_are_not_evicted(recipe: Recipe) -> None:
     pool = pool_of(recipe, 9)
     for i in range(3):
         pool.insert(chunk_of(recipe, (0, 0, i), i), f"v{i}")
-    with pool.hold([(0, 0, 0), (0, 0, 2)]) as slots:
+    with pool.hold([(0, 0, 0), (0, 0, 2)]) as (slots, _):
         for i in range(3, 8):
             pool.insert(chunk_of(recipe, (0, 0, i), i), f"v{i}")
         assert levels(pool, slots[0]) == {0.0}
@@ -143,13 +143,13 @@ def test_held_chunks_are_not_evicted(recipe: Recipe) -> None:
 def test_holding_pins_the_rows_while_newer_versions_come(recipe: Recipe) -> None:
     pool = pool_of(recipe, 9)
     pool.insert(chunk_of(recipe, (0, 0, 0), 1.0), "v1")
-    with pool.hold([(0, 0, 0)]) as first:
+    with pool.hold([(0, 0, 0)]) as (first, _):
         rows = rows_of(pool, first[0])
         for level in range(2, 20):
             pool.insert(chunk_of(recipe, (0, 0, 0), level), f"v{level}")
         assert levels(pool, first[0]) == {1.0}
         np.testing.assert_array_equal(rows_of(pool, first[0]), rows)
-        with pool.hold([(0, 0, 0)]) as second:
+        with pool.hold([(0, 0, 0)]) as (second, _):
             assert levels(pool, second[0]) == {19.0}
     pool.insert(chunk_of(recipe, (1, 1, 1), 5.0, texels=6 * PAGE), "v5")
     assert pool.version((0, 0, 0)) == "v19"
@@ -158,7 +158,7 @@ def test_holding_pins_the_rows_while_newer_versions_come(recipe: Recipe) -> None
 def test_held_twice_is_freed_once(recipe: Recipe) -> None:
     pool = pool_of(recipe, 4)
     pool.insert(chunk_of(recipe, (0, 0, 0), 1.0, texels=2 * PAGE), "v1")
-    with pool.hold([(0, 0, 0)]) as outer:
+    with pool.hold([(0, 0, 0)]) as (outer, _):
         with pool.hold([(0, 0, 0)]):
             pool.insert(chunk_of(recipe, (0, 0, 0), 2.0, texels=2 * PAGE), "v2")
         with pytest.raises(StoreError):
@@ -187,7 +187,7 @@ def test_a_view_that_cannot_fit_is_told_so(recipe: Recipe) -> None:
 def test_a_chunk_larger_than_the_pool_is_refused_and_harms_nothing_held(recipe: Recipe) -> None:
     pool = pool_of(recipe, 4)
     pool.insert(chunk_of(recipe, (0, 0, 0), 1.0, texels=PAGE), "v1")
-    with pool.hold([(0, 0, 0)]) as slots:
+    with pool.hold([(0, 0, 0)]) as (slots, _):
         with pytest.raises(StoreError):
             pool.insert(chunk_of(recipe, (0, 0, 1), 2.0, texels=4 * PAGE), "v2")
         assert levels(pool, slots[0]) == {1.0}
@@ -210,7 +210,7 @@ def test_readers_among_writers_see_whole_versions(recipe: Recipe) -> None:
     def read(seed: int) -> None:
         rng = np.random.default_rng(seed)
         while not stop.is_set():
-            with pool.hold([indices[i] for i in rng.permutation(6)[:3]]) as slots:
+            with pool.hold([indices[i] for i in rng.permutation(6)[:3]]) as (slots, _):
                 for slot in slots[slots >= 0]:
                     found = levels(pool, slot) | levels(pool, slot)
                     if len(found) != 1 or len(rows_of(pool, slot)) != PAGE:
@@ -233,3 +233,19 @@ def test_readers_among_writers_see_whole_versions(recipe: Recipe) -> None:
         held.enter_context(pool.hold([(1, 1, 1)]))
         with pytest.raises(StoreError):
             pool.insert(versions[0], "none is left")
+
+
+def test_the_age_tells_when_what_was_looked_up_may_have_changed(recipe: Recipe) -> None:
+    pool = PagePool(recipe, 1 << 22)
+    index = (0, 0, 0)
+    assert pool.missing([index]) == [index]
+    ages = []
+    for version in ("one", "one", "two"):
+        if version != pool.version(index):
+            pool.insert(Chunk.empty(index, recipe.scene.plan), version)
+        with pool.hold([index]) as held:
+            ages.append(held.age)
+    assert ages[0] == ages[1] < ages[2]
+    assert pool.missing([index, (0, 0, 1)]) == [(0, 0, 1)]
+    pool.outdate(index)
+    assert pool.missing([index]) == [index]

@@ -79,7 +79,7 @@ def test_pinhole_rays_in_world_space() -> None:
     np.testing.assert_allclose(np.array(hole.eye) * spacing, camera.eye)
 
 
-def test_points_depths_and_normals_belong_together() -> None:
+def test_points_and_normals_belong_together() -> None:
     gbuffer = seen(ball(), 0.0, 40.0, 30.0)
     recipe = Recipe(scene_of(ball(), 0.0))
     normals = gbuffer.normals(recipe, TILES, None)
@@ -87,25 +87,34 @@ def test_points_depths_and_normals_belong_together() -> None:
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0, atol=1e-5)
     away = (gbuffer.points - 20.0) / np.linalg.norm(gbuffer.points - 20.0, axis=1, keepdims=True)
     assert (away * normals).sum(axis=1).min() > 0.999
-    forward = (20.0 - np.array(gbuffer.eye)) / np.linalg.norm(20.0 - np.array(gbuffer.eye))
-    np.testing.assert_allclose((gbuffer.points - gbuffer.eye) @ forward, gbuffer.depth, rtol=1e-5)
+    towards = gbuffer.eye - gbuffer.points
+    assert (towards * normals).sum(axis=1).min() > -0.2 * np.linalg.norm(towards, axis=1).max(), "none is behind"
 
 
-def test_scatter_puts_points_back_into_the_picture() -> None:
-    gbuffer = seen(ball(), 0.0, 0.0, size=32)
-    assert (np.diff(gbuffer.pixels) > 0).all()
-    picture = gbuffer.scatter(gbuffer.points)
-    assert picture.shape == (32, 32, 3)
-    assert np.array_equal(picture.reshape(-1, 3)[gbuffer.pixels], gbuffer.points)
-    assert (picture.any(axis=-1)).sum() == len(gbuffer.pixels)
+def test_positions_are_points_put_back_into_the_picture_in_world_units() -> None:
+    gbuffer = seen(ball(42, 15.0, (1.0, 1.0, 3.0)), 0.0, 0.0, size=64)
+    assert (np.diff(gbuffer.pixels.astype(int)) > 0).all()
+    position = gbuffer.position
+    assert position.shape == (64, 64, 3)
+    assert np.array_equal(position.reshape(-1, 3)[gbuffer.pixels], gbuffer.points * np.array([1, 1, 3], np.float32))
+    on = position.any(axis=-1)
+    assert on.sum() == len(gbuffer.pixels)
+    assert np.abs(np.linalg.norm(position[on] - 21.0, axis=1) - 15.0).max() < 0.6
 
 
-def test_a_picture_of_nothing_has_no_points_and_no_depth() -> None:
+def test_a_picture_of_nothing_has_no_points() -> None:
     gbuffer = seen(ball(), 11.999, 0.0, size=1)
     empty = seen(make_volume(np.zeros((5, 5, 5))), 0.0, 0.0, size=8)
     assert len(gbuffer.pixels) <= 1
     assert len(empty.pixels) == 0
-    assert not empty.scatter(empty.points).any()
+    assert not empty.position.any()
+
+
+def test_memory_is_that_of_the_points_with_their_normals() -> None:
+    gbuffer = seen(ball(), 0.0, 0.0, size=64)
+    before = gbuffer.nbytes
+    gbuffer.normals(Recipe(scene_of(ball(), 0.0)), TILES, None)
+    assert gbuffer.nbytes == before == len(gbuffer.pixels) * (4 + 12 + 12)
 
 
 @pytest.mark.parametrize("threads", [1, 3])
@@ -113,7 +122,7 @@ def test_threads_change_no_bit(threads: int) -> None:
     scene = scene_of(marks(), 0.0)
     view = View(0.0, scene.camera(30.0, 20.0, 2.5, 30.0), width=50, height=37)
     one, other = (trace(view, Recipe(scene), tiles, None) for tiles in (TILES, Tiles(threads)))
-    for name in ("pixels", "points", "depth"):
+    for name in ("pixels", "points"):
         assert np.array_equal(getattr(one, name), getattr(other, name))
 
 
@@ -131,7 +140,7 @@ def test_solid_below_is_the_negated_volume(isovalue: float) -> None:
     below = seen(make_volume(-voxels, solid="below"), -isovalue, 25.0, 10.0)
     above = seen(make_volume(voxels), isovalue, 25.0, 10.0)
     assert len(above.pixels) > 100
-    for name in ("pixels", "points", "depth"):
+    for name in ("pixels", "points"):
         assert np.array_equal(getattr(below, name), getattr(above, name))
 
 
@@ -149,10 +158,3 @@ def test_a_ball_sampled_unevenly_looks_the_same(
     assert np.quantile(apart, 0.95) < 0.35 and np.median(apart) < 0.15
     light = [frame.radiance[both].astype(float) for frame in frames]
     assert np.sqrt(((light[0] - light[1]) ** 2).mean()) / light[0].mean() < 0.04
-
-
-def test_positions_are_world_units_and_depths_too() -> None:
-    gbuffer = seen(ball(42, 15.0, (1.0, 1.0, 3.0)), 0.0, 0.0)
-    world = gbuffer.points * (1.0, 1.0, 3.0)
-    assert np.abs(np.linalg.norm(world - 21.0, axis=1) - 15.0).max() < 0.6
-    assert gbuffer.depth.min() == pytest.approx(gbuffer.eye[0] - 36.0, abs=0.1)

@@ -11,8 +11,11 @@ import pytest
 
 from isogi_core.errors import Cancelled
 from isogi_core.frame import gbuffer as gbuffer_module
+from isogi_core.frame import renderer as renderer_module
 from isogi_core.frame.frame import Frame
-from isogi_core.kernels.lattice import CONVERGING, FINAL, PROVISIONAL
+from isogi_core.frame.renderer import Renderer
+from isogi_core.frame.tiles import Tiles
+from isogi_core.kernels.planes import CONVERGING, FINAL, PROVISIONAL
 from isogi_core.model.scene import load_scene
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import IDENTITY, SHADINGS, View, quaternion_from_angles
@@ -94,6 +97,14 @@ def test_half_baked_light_is_converging(workbench: Make) -> None:
     assert bench.renderer.render(view, target=1.0).coverage["final"] == 1.0
 
 
+def test_the_estimated_error_is_the_rms_of_the_pixels_errors_over_the_mean(orbital: Workbench) -> None:
+    frame = orbital.renderer.render(orbital.view())
+    wrong = luminance(frame) * frame.error[frame.state > 0]
+    assert frame.estimated_error == pytest.approx(np.sqrt((wrong**2).mean()) / luminance(frame).mean(), rel=1e-5)
+    assert 0.0 < frame.estimated_error < 0.5
+    assert frame.surface == (frame.state > 0).sum() == sum(frame.counts.values())
+
+
 def test_baking_one_view_leaves_the_others_rest_provisional(orbital: Workbench) -> None:
     frame = orbital.renderer.render(orbital.view(azimuth=110.0))
     assert 0.0 < frame.coverage["provisional"] < 1.0
@@ -130,13 +141,13 @@ def test_one_pixel_is_a_picture(orbital: Workbench) -> None:
 
 def test_turning_the_light_casts_no_primary_ray(orbital: Workbench, monkeypatch: pytest.MonkeyPatch) -> None:
     casts: list[int] = []
-    trace_rows = gbuffer_module.trace_rows
+    trace_pixels = gbuffer_module.trace_pixels
 
-    def counting(*arguments: Any) -> None:
+    def counting(*arguments: Any) -> int:
         casts.append(1)
-        trace_rows(*arguments)
+        return int(trace_pixels(*arguments))
 
-    monkeypatch.setattr(gbuffer_module, "trace_rows", counting)
+    monkeypatch.setattr(gbuffer_module, "trace_pixels", counting)
     bench = orbital.again()
     view = bench.view()
     first = bench.renderer.render(view)
@@ -175,6 +186,38 @@ def test_path_tracer_and_cache_turn_the_light_alike(workbench: Make, tmp_path: P
     flipped = bench.renderer.render(replace(view, light=quaternion_from_angles(-70.0, 20.0, -10.0)))
     assert relative_rmse(frame, reference) < 0.02
     assert relative_rmse(flipped, reference) > 0.1
+
+
+def test_the_pool_is_looked_through_once_for_a_view_until_it_changes(
+    workbench: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench = workbench(scene_of(ball(), 0.0, bounces=0, target_error=0.5))
+    view = bench.view(size=24)
+    bench.bake(view)
+    read = renderer_module.read_texels
+    readings: list[Any] = []
+
+    def counting(*arguments: Any) -> Any:
+        readings.append(read(*arguments))
+        return readings[-1]
+
+    monkeypatch.setattr(renderer_module, "read_texels", counting)
+    versions = {bench.renderer.render(replace(view, light=turn)).version for turn in (IDENTITY, TURN, IDENTITY)}
+    assert len(versions) == 2 and not readings, "the last frame of the bake read it"
+    bench.renderer.render(view, 0.001)
+    assert len(readings) == 1, "another target is another reading"
+    bench.bake(view, 0.002)
+    assert len(readings) > 1 and len({reading.version for reading in readings}) > 1
+
+
+def test_pictures_do_not_depend_on_the_number_of_threads(orbital: Workbench) -> None:
+    other = Renderer(orbital.recipe, orbital.loader, Tiles(5))
+    for shading in ("gi", "vicinity", "phong_shadow", "path_traced"):
+        view = orbital.view(shading=shading, samples=4)
+        frames = [renderer.render(view) for renderer in (orbital.renderer, other)]
+        assert frames[0].version == frames[1].version
+        for plane in ("radiance", "state", "error", "position"):
+            assert np.array_equal(getattr(frames[0], plane), getattr(frames[1], plane))
 
 
 # --- one store, one picture ---------------------------------------------------------------------------------------

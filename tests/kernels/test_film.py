@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from isogi_core.kernels import film
-from isogi_core.kernels.lattice import CONVERGING, FINAL, PROVISIONAL
+from isogi_core.kernels.planes import CONVERGING, FINAL, PROVISIONAL
 
 LEVELS = 4096
 BACKGROUND, MARK = (0.01, 0.02, 0.03), (0.9, 0.4, 0.1)

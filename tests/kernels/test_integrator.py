@@ -59,7 +59,9 @@ def trace(field, iso, points, light, weights, count, image=DARK):
     normals, sums = np.empty_like(points), np.zeros((len(points), 2, 3))
     find_normals(field, points, (0.0, 0.0, 0.0), normals)
     surroundings = Surroundings(np.full(3, float(light)), np.asarray(image, np.float32), np.eye(3))
-    trace_points(field, iso, points, normals, np.arange(len(points)), surroundings, weights, 0, count // 2, sums)
+    bricks = make_bricks(field.voxels, brick_ranges(field.voxels), iso, iso)
+    pixels = np.arange(len(points), dtype=np.uint32)
+    trace_points(field, bricks, iso, points, normals, pixels, surroundings, weights, 0, count // 2, sums)
     return sums.sum(axis=1) / (count // 2 * 2)
 
 

@@ -10,25 +10,26 @@ from scipy.special import sph_harm_y
 from isogi_core.kernels.harmonics import cosine_lobe_factors
 from isogi_core.kernels.lattice import (
     CHUNK,
-    CONVERGING,
-    FINAL,
-    PROVISIONAL,
+    ROWS,
     UNLIT,
+    VOID,
     VOID_ROW,
+    WHOLE_ROW,
     Lattice,
     Sky,
     base_texel,
     carry_light,
     find_corners,
-    inner,
+    find_places,
+    find_rows,
     light_texels,
-    luminance,
     mark_texels,
-    number_texels,
+    ones,
     touch_chunks,
     trilinear,
     weigh_chunks,
 )
+from isogi_core.kernels.planes import CONVERGING, FINAL, PROVISIONAL, Planes, luminance
 
 SHAPE = (20, 33, 18)
 STEP = np.array([1.5, 0.5, 1.0])
@@ -62,17 +63,18 @@ def corner_texels(points):
     return lower_texels(points)[0][:, None] + np.array(list(np.ndindex(2, 2, 2)))
 
 
-def view_of(points):
-    """The view's tables as `frame.texels` makes them: read (slots · CHUNK³,), places of the texels, corners (n, 8)."""
+def view_of(points, pieces=1):
+    """The view's tables as `frame.texels` makes them: read (slots · ROWS,), places of the texels, corners (n, 8)."""
     slots = np.arange(np.prod(CHUNKS), dtype=np.int32).reshape(CHUNKS)
-    read = np.zeros(slots.size * CHUNK**3, np.bool_)
-    mark_texels(lattice(), points, slots, read)
-    numbers, places = np.full((2, read.size), -1, np.int32)
-    count = number_texels(read, numbers, places)
-    assert count == read.sum() and np.array_equal(numbers[places[:count]], np.arange(count))
-    corners = np.empty((len(points), 8), np.int32)
-    find_corners(lattice(), points, slots, numbers, corners)
-    return read, places[:count], corners
+    read = np.zeros(slots.size * ROWS, np.uint16)
+    for piece in np.array_split(points, pieces):
+        mark_texels(lattice(), piece, slots, read)
+    first = np.concatenate([[0], np.cumsum(np.bitwise_count(read), dtype=np.uint32)]).astype(np.uint32)
+    places, corners = np.full(first[-1], 2**32 - 1, np.uint32), np.empty((len(points), 8), np.uint32)
+    for begin in range(0, read.size, 1000):
+        find_places(begin, min(begin + 1000, read.size), read, first, places)
+    find_corners(lattice(), points, slots, read, first, corners)
+    return read, places.astype(int), corners
 
 
 def test_base_texel_is_the_lower_corner_and_the_fractions_beyond_it():
@@ -97,12 +99,6 @@ def test_trilinear_weights_are_the_products_and_sum_to_one():
     assert sum(weights) == pytest.approx(1.0)
 
 
-def test_inner_counts_x_fastest():
-    places = RNG.integers(0, 100, (50, 3))
-    expected = [np.ravel_multi_index(tuple(p % CHUNK), (CHUNK,) * 3) for p in places]
-    assert [inner(*map(int, p)) for p in places] == expected
-
-
 def chunks_read(points):
     """The set of chunks (z, y, x) that each point reads."""
     return [{tuple(t // CHUNK) for t in texels} for texels in corner_texels(points)]
@@ -124,12 +120,16 @@ def test_touched_chunks_are_those_that_some_point_reads():
         assert set(map(tuple, np.argwhere(touched))) == set().union(*chunks_read(some))
 
 
-def test_area_counts_each_point_once_in_every_chunk_that_it_reads():
+def test_area_counts_each_point_once_in_every_chunk_that_it_reads_and_the_middle_twice_as_much_as_the_corners():
     points = border_points()
-    weights = RNG.random(len(points)).astype(np.float32)
+    width, height = 40, len(points) // 40 + 3
+    pixels = np.arange(len(points), dtype=np.uint32) + 17
+    y, x = np.divmod(pixels.astype(float), width)
+    aside = ((2 * x + 1) / width - 1) ** 2 + ((2 * y + 1) / height - 1) ** 2
+    weights = 2 - aside / 2
     _, places, corners = view_of(points)
-    area = np.zeros(np.prod(CHUNKS), np.float32)
-    weigh_chunks(corners, (places // CHUNK**3).astype(np.int32), weights, area)
+    area = np.zeros(np.prod(CHUNKS))
+    weigh_chunks(corners, places.astype(np.uint32), pixels, width, height, area)
     expected = np.zeros(CHUNKS)
     for chunks, weight in zip(chunks_read(points), weights, strict=True):
         for chunk in chunks:
@@ -137,17 +137,36 @@ def test_area_counts_each_point_once_in_every_chunk_that_it_reads():
     np.testing.assert_allclose(area.reshape(CHUNKS), expected, rtol=1e-5)
 
 
-def test_marked_texels_are_the_corners_of_all_points_and_no_more():
+@pytest.mark.parametrize("pieces", [1, 3])
+def test_marked_texels_are_the_corners_of_all_points_and_no_more(pieces):
     points = border_points()
-    read, places, corners = view_of(points)
+    _, places, corners = view_of(points, pieces)
     expected = np.zeros(tuple(c * CHUNK for c in CHUNKS), np.bool_)
     expected[tuple(corner_texels(points).reshape(-1, 3).T)] = True
-    blocks = read.reshape(*CHUNKS, CHUNK, CHUNK, CHUNK).transpose(0, 3, 1, 4, 2, 5).reshape(expected.shape)
-    assert np.array_equal(blocks, expected)
+    blocks = expected.reshape(*(n for c in CHUNKS for n in (c, CHUNK))).transpose(0, 2, 4, 1, 3, 5)
+    assert np.array_equal(places, np.flatnonzero(blocks)), "numbered chunk by chunk, x fastest"
     z, y, x = np.moveaxis(corner_texels(points), -1, 0)
     slot = np.ravel_multi_index((z // CHUNK, y // CHUNK, x // CHUNK), CHUNKS)
     offset = np.ravel_multi_index((z % CHUNK, y % CHUNK, x % CHUNK), (CHUNK,) * 3)
     assert np.array_equal(places[corners], slot * CHUNK**3 + offset)
+
+
+def test_ones_counts_bits():
+    for word in (0, 1, 0b1011, WHOLE_ROW, 1 << 15):
+        assert ones(word) == word.bit_count()
+
+
+def test_rows_are_looked_up_chunk_by_chunk():
+    """Two chunks of a view, of which one is in the pool: texels get its rows, their errors and their samples."""
+    table = np.full((3, CHUNK**3), UNLIT, np.int32)
+    table[2, [5, 9, 700]] = 4, VOID_ROW, 1
+    pool_error, pool_samples = RNG.random((2, 6)).astype(np.float32)
+    places = np.array([5, 6, 9, 700, CHUNK**3 + 5], np.uint32)
+    rows, error, samples = np.zeros(5, np.int32), *np.zeros((2, 5), np.float32)
+    find_rows(places, np.array([2, -1], np.int32), table, pool_error, pool_samples, rows, error, samples)
+    assert rows.tolist() == [4, UNLIT, VOID_ROW, 1, UNLIT]
+    assert error[[0, 3]].tolist() == pool_error[[4, 1]].tolist()
+    assert samples.tolist() == [pool_samples[4], UNLIT, VOID_ROW, pool_samples[1], UNLIT]
 
 
 @pytest.mark.parametrize("channels", [1, 3])
@@ -168,37 +187,39 @@ def test_light_of_a_texel_is_the_dot_product_of_transfer_and_light(channels):
     assert (lit[~there] == -7.0).all(), "texels without a row are left alone"
 
 
-def carry(points, rows, grade, lit, normals=None, order=3):
+def carry(points, grade, lit, normals=None, order=3):
     """`carry_light`: radiance (n, 3), state (n,), error (n,), and the sky it was given."""
     sky = Sky(order, np.repeat(cosine_lobe_factors(order) / math.pi, 2 * np.arange(order) + 1), SKY_LIGHT)
     _, _, corners = view_of(points)
-    radiance, state = np.empty((len(points), 3), np.float32), np.empty(len(points), np.uint8)
-    error = np.empty(len(points), np.float32)
+    size = 3 * len(points)
+    planes = Planes(np.zeros((size, 3), np.float32), np.zeros(size, np.uint8), np.zeros(size, np.float32))
+    pixels = np.arange(1, size, 3, dtype=np.uint32)
     normals = np.zeros_like(points) if normals is None else normals
-    carry_light(lattice(), points, corners, rows, grade, lit, normals, sky, radiance, state, error)
-    return radiance, state, error
+    carry_light(lattice(), points, pixels, corners, grade, lit, normals, sky, planes)
+    assert not planes.state[::3].any() and not planes.radiance[2::3].any(), "other pixels are left alone"
+    return tuple(plane[pixels] for plane in planes)
 
 
 SKY_LIGHT = np.abs(RNG.normal(size=(3, 9))) * 0.05 + np.array([3.0] + [0.0] * 8)
 
 
 def lit_view(points, seed=1):
-    """Every texel of the view lit at random: rows, grades and light (m, 4)."""
+    """Every texel of the view lit at random: grades and light (m, 4)."""
     count = len(view_of(points)[1])
     rng = np.random.default_rng(seed)
     lit = rng.random((count, 4)).astype(np.float32) + 0.1
-    return np.arange(count, dtype=np.int32), np.full(count, FINAL, np.uint8), lit
+    return np.full(count, FINAL, np.uint8), lit
 
 
 def test_carried_light_is_scipys_linear_interpolation_of_the_texels():
     points = border_points()
-    rows, grade, lit = lit_view(points)
+    grade, lit = lit_view(points)
     grid = np.zeros((*(c * CHUNK for c in CHUNKS), 3))
     slot, offset = np.divmod(view_of(points)[1], CHUNK**3)
     inside = np.unravel_index(offset, (CHUNK,) * 3)
     grid[tuple(c * CHUNK + i for c, i in zip(np.unravel_index(slot, CHUNKS), inside, strict=True))] = lit[:, :3]
     place = (points.astype(float) / STEP)[:, ::-1].T
-    radiance, state, error = carry(points, rows, grade, lit)
+    radiance, state, error = carry(points, grade, lit)
     expected = np.stack([map_coordinates(grid[..., c], place, order=1) for c in range(3)], axis=-1)
     np.testing.assert_allclose(radiance, expected, atol=2e-5)
     assert (state == FINAL).all()
@@ -207,8 +228,8 @@ def test_carried_light_is_scipys_linear_interpolation_of_the_texels():
 
 def test_error_is_the_root_of_the_weighted_squares_over_the_luminance():
     points = np.array([[3.4, 2.2, 5.7]], np.float32)
-    rows, grade, lit = lit_view(points)
-    radiance, _, error = carry(points, rows, grade, lit)
+    grade, lit = lit_view(points)
+    radiance, _, error = carry(points, grade, lit)
     fz, fy, fx = lower_texels(points)[1][0]
     weights = np.array([trilinear(c, fz, fy, fx) for c in range(8)])
     own = lit[view_of(points)[2][0], 3]
@@ -217,21 +238,21 @@ def test_error_is_the_root_of_the_weighted_squares_over_the_luminance():
 
 def test_a_point_is_as_good_as_the_least_of_its_texels():
     points = np.array([[3.4, 2.2, 5.7]], np.float32)
-    rows, grade, lit = lit_view(points)
+    grade, lit = lit_view(points)
     grade[5] = CONVERGING
-    assert carry(points, rows, grade, lit)[1] == [CONVERGING]
-    rows[2], grade[2] = UNLIT, 0
-    _, state, error = carry(points, rows, grade, lit, np.array([[0, 0, 1]], np.float32))
+    assert carry(points, grade, lit)[1] == [CONVERGING]
+    grade[2] = PROVISIONAL
+    _, state, error = carry(points, grade, lit, np.array([[0, 0, 1]], np.float32))
     assert state == [PROVISIONAL] and error == [1.0]
 
 
 def test_void_texels_are_left_out_of_the_mean():
     points = np.array([[3.4, 2.2, 5.7]], np.float32)
-    rows, grade, lit = lit_view(points)
+    grade, lit = lit_view(points)
     lit[:, :3] = 0.25
-    rows[[0, 3, 7]] = VOID_ROW
+    grade[[0, 3, 7]] = VOID
     lit[[0, 3, 7]] = 1e9
-    radiance, state, _ = carry(points, rows, grade, lit)
+    radiance, state, _ = carry(points, grade, lit)
     assert radiance[0] == pytest.approx([0.25] * 3)
     assert state == [FINAL]
 
@@ -247,26 +268,27 @@ def irradiance_over_pi(n):
     return total
 
 
-@pytest.mark.parametrize("missing", [UNLIT, VOID_ROW])
+@pytest.mark.parametrize("missing", [PROVISIONAL, VOID])
 def test_without_any_lit_texel_unshadowed_light_stands_in(missing):
     points = some_points(20)
     normals = RNG.normal(size=points.shape)
     normals = (normals / np.linalg.norm(normals, axis=1, keepdims=True)).astype(np.float32)
-    rows, grade, lit = lit_view(points)
-    rows[:] = missing
-    radiance, state, _ = carry(points, rows, grade, lit, normals)
+    grade, lit = lit_view(points)
+    grade[:] = missing
+    lit[:] = np.nan
+    radiance, state, _ = carry(points, grade, lit, normals)
     np.testing.assert_allclose(radiance, [irradiance_over_pi(n.astype(float)) for n in normals], rtol=1e-5)
-    assert (radiance > 0.0).all() and (state == (PROVISIONAL if missing == UNLIT else FINAL)).all()
+    assert (radiance > 0.0).all() and (state == (PROVISIONAL if missing == PROVISIONAL else FINAL)).all()
 
 
 def test_what_is_missing_is_filled_in_proportion():
     points = np.array([[3.4, 2.2, 5.7]], np.float32)
-    rows, grade, lit = lit_view(points)
+    grade, lit = lit_view(points)
     lit[:, :3] = 0.25
     corners = view_of(points)[2][0]
-    rows[corners[[1, 6]]] = UNLIT
+    grade[corners[[1, 6]]] = PROVISIONAL
     fz, fy, fx = lower_texels(points)[1][0]
     share = trilinear(1, fz, fy, fx) + trilinear(6, fz, fy, fx)
-    radiance, _, _ = carry(points, rows, grade, lit, np.array([[0, 0, 1]], np.float32))
+    radiance, _, _ = carry(points, grade, lit, np.array([[0, 0, 1]], np.float32))
     expected = (1 - share) * 0.25 + share * irradiance_over_pi((0.0, 0.0, 1.0))
     np.testing.assert_allclose(radiance[0], expected, rtol=1e-5)

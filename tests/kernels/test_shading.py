@@ -4,11 +4,25 @@ import math
 
 import numpy as np
 import pytest
-from numba import config
+from numba import config, njit
 
 from isogi_core.kernels import shading
-from isogi_core.kernels.lights import fog
-from isogi_core.kernels.shading import LocalModel, Surroundings, find_normals, shade_local, trace_points
+from isogi_core.kernels._jit import kernel
+from isogi_core.kernels.bricks import brick_ranges, make_bricks
+from isogi_core.kernels.integrator import WAVE, launch, to_index, trace_path
+from isogi_core.kernels.intersect import OUTSIDE, cast
+from isogi_core.kernels.lights import fog, radiance
+from isogi_core.kernels.planes import FINAL, Planes
+from isogi_core.kernels.rng import mix
+from isogi_core.kernels.shading import (
+    LocalModel,
+    Surroundings,
+    find_normals,
+    find_shadows,
+    shade_local,
+    single,
+    trace_points,
+)
 from tests.kernels.test_macrocells import field_of
 
 COUNT = 60 if config.DISABLE_JIT else 2000
@@ -29,10 +43,22 @@ def ball_points(count=COUNT, spacing=(1.0, 1.0, 1.0)):
 
 
 def shade(model, points, normals, voxels=BALL, iso=0.0, spacing=(1.0, 1.0, 1.0)):
-    """`shade_local`: linear RGB (n, 3)."""
-    out = np.empty_like(points)
-    shade_local(field_of(voxels, spacing), iso, points, normals.astype(np.float32), EYE, model, out)
-    return out
+    """`shade_local` after `find_shadows`: linear RGB (n, 3)."""
+    field, normals = field_of(voxels, spacing), normals.astype(np.float32)
+    seen = np.zeros(len(points), np.bool_)
+    if model.shadow:
+        find_shadows(field, bricks_of(field, iso), iso, points, normals, model.key, seen)
+    size = 2 * len(points)
+    planes = Planes(np.zeros((size, 3), np.float32), np.zeros(size, np.uint8), np.full(size, 7.0, np.float32))
+    pixels = np.arange(1, size, 2, dtype=np.uint32)
+    shade_local(points, normals, seen, EYE, spacing, model, pixels, planes)
+    assert not planes.radiance[::2].any() and (planes.state[pixels] == FINAL).all() and not planes.error[pixels].any()
+    return planes.radiance[pixels]
+
+
+def bricks_of(field, iso):
+    """The map of one isovalue."""
+    return make_bricks(field.voxels, brick_ranges(field.voxels), iso, iso)
 
 
 def twin(model, points, normals, seen=1.0, spacing=(1.0, 1.0, 1.0)):
@@ -117,6 +143,29 @@ def test_one_ball_casts_the_shadow_of_a_sphere_on_another():
     np.testing.assert_allclose(shade(model, points, u, np.maximum(low, high))[clear], expected[clear], atol=2e-6)
 
 
+NOISY = BALL + np.random.default_rng(7).normal(size=BALL.shape) * 2.0
+
+
+@njit
+def shadows_one_by_one(field, iso, points, normals, key, seen):
+    for m in range(len(points)):
+        p, n = single(points, m), single(normals, m)
+        o = launch(field, iso, p, n, OUTSIDE)
+        t, _ = cast(field, iso, o, to_index(key, field.spacing), OUTSIDE)
+        seen[m] = n[0] * key[0] + n[1] * key[1] + n[2] * key[2] > 0.0 and not t < np.inf
+
+
+@pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), (0.5, 2.0, 1.0)])
+def test_shadows_in_packets_are_those_of_single_rays(spacing):
+    points, normals = ball_points(spacing=spacing)
+    field, normals = field_of(NOISY, spacing), normals.astype(np.float32)
+    seen = np.zeros((2, len(points)), np.bool_)
+    find_shadows(field, bricks_of(field, 0.0), 0.0, points, normals, KEY, seen[0])
+    shadows_one_by_one(field, 0.0, points, normals, KEY, seen[1])
+    assert np.array_equal(*seen)
+    assert 0.05 < seen[0].mean() < 0.45
+
+
 @pytest.mark.parametrize(
     ("depth", "share"),
     [(0.0, 1.0), (10.0, 1.0), (15.0, math.exp(-1.0)), (20.0, math.exp(-4.0)), (1e9, 0.0), (10.000001, 1.0)],
@@ -135,9 +184,10 @@ def test_highlight_is_one_in_the_mirror_direction():
 def trace(points, normals, light, weights, first, count, pixels=None):
     """Sums (n, 2, 3) of `trace_points` over the ball."""
     sums = np.zeros((len(points), 2, 3))
-    pixels = np.arange(len(points)) if pixels is None else pixels
-    field = field_of(BALL)
-    trace_points(field, 0.0, points, normals.astype(np.float32), pixels, light, weights, first, count, sums)
+    pixels = (np.arange(len(points)) if pixels is None else pixels).astype(np.uint32)
+    field, normals = field_of(BALL), normals.astype(np.float32)
+    bricks = bricks_of(field, 0.0)
+    trace_points(field, bricks, 0.0, points, normals, pixels, light, weights, first, count, sums)
     return sums
 
 
@@ -172,3 +222,32 @@ def test_paths_belong_to_the_pixel_and_go_on_where_they_stopped():
     others = trace(points, normals, light, weights, 0, 12, np.arange(6) + 100)
     assert not np.array_equal(others, whole)
     assert not np.array_equal(whole[:, 0], whole[:, 1]), "the halves are two randomisations"
+
+
+@kernel()
+def paths_one_by_one(field, iso, points, normals, pixels, light, weights, first, count, sums):
+    for m in range(len(points)):
+        for half in range(2):
+            seed = mix(np.int64(pixels[m]), half)
+            for index in range(first, first + count):
+                p, n = single(points, m), single(normals, m)
+                k, w = trace_path(field, iso, p, n, OUTSIDE, seed, index, weights.shape[0] - 1)
+                if k >= 0:
+                    arriving = radiance(light.constant, light.image, light.matrix, w)
+                    for c in range(3):
+                        sums[m, half, c] += weights[k, c] * arriving[c]
+
+
+@pytest.mark.parametrize(("count", "points"), [(3, 300), (WAVE // 2 + 5, 2)])
+def test_paths_in_waves_are_those_one_by_one(count, points):
+    """To the last bit of their sums, also where one point alone has more paths than a wave."""
+    if config.DISABLE_JIT:
+        count, points = min(count, 3), min(points, 20)
+    points, normals = ball_points(points)
+    field, normals = field_of(NOISY), normals.astype(np.float32)
+    pixels, weights = np.arange(len(points), dtype=np.uint32) + 11, 0.7 ** np.arange(1.0, 5.0)[:, None] * np.ones(3)
+    sums = np.zeros((2, len(points), 2, 3))
+    place, light = (points, normals, pixels), half_sky(np.eye(3))
+    trace_points(field, bricks_of(field, 0.0), 0.0, *place, light, weights, 2, count, sums[0])
+    paths_one_by_one(field, 0.0, *place, light, weights, 2, count, sums[1])
+    assert sums[0].any(axis=(1, 2)).mean() > 0.9 and np.array_equal(*sums)

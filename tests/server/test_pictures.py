@@ -1,10 +1,14 @@
-"""Which format a request gets."""
+"""Which format a request gets, and what the encoders make of its picture."""
 
+import io
+
+import numpy as np
 import pytest
+from PIL import Image
 
 from server.errors import NotAcceptableError, ParameterError
 from server.params import FrameParams, read
-from server.pictures import format_for, media_range, negotiate
+from server.pictures import ENCODER_OPTIONS, format_for, media_range, negotiate
 
 CHROMIUM = "image/avif,image/webp,image/apng,image/svg+xml,image/*,*/*;q=0.8"
 
@@ -60,3 +64,14 @@ def test_npy_does_not_read_what_makes_eight_bits(name: str) -> None:
     assert format_for(params, "image/png") == "png"
     with pytest.raises(ParameterError, match=f"does not read {name}"):
         format_for(params, "application/x-npy")
+
+
+@pytest.mark.parametrize("form", ["png", "jpeg", "webp"])
+def test_encoders_keep_the_picture(form: str) -> None:
+    """PNG to the bit; the others to what the eye lets pass."""
+    y, x = np.mgrid[:64, :80]
+    picture = np.stack([3 * y, 255 - 2 * x, (x + y)], axis=-1).astype(np.uint8)
+    buffer = io.BytesIO()
+    Image.fromarray(picture).save(buffer, form, **ENCODER_OPTIONS[form])
+    back = np.asarray(Image.open(buffer).convert("RGB")).astype(int)
+    assert np.abs(back - picture).max() <= (0 if form == "png" else 12)

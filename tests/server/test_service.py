@@ -12,6 +12,7 @@ from fastapi import FastAPI
 
 from isogi_core.errors import Cancelled, StoreError
 from isogi_core.frame.frame import Frame
+from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.model.scene import Scene, load_scene
 from isogi_core.model.view import View
 from server.app import create_app
@@ -47,7 +48,9 @@ class FakeStudio:
         self.doing(cancelled)
         shape = (view.height, view.width)
         colour, ones = np.full((*shape, 3), 0.5, np.float32), np.ones(shape, np.float32)
-        return Frame(view, colour, ones.astype(np.uint8), ones, colour, 3, 1, (), "v1", {"primary": 0.001})
+        pixels = np.arange(ones.size, dtype=np.uint32)
+        surface = GBuffer(shape, (1.0, 1.0, 1.0), (9.0, 0.0, 0.0), 0.5, pixels, colour.reshape(-1, 3))
+        return Frame(view, colour, ones.astype(np.uint8), ones, surface, 3, 1, (), "v1", {"primary": 0.001})
 
 
 @pytest.fixture(scope="module")

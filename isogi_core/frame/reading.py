@@ -1,0 +1,68 @@
+"""A reading of the cache: where the light of a view's texels is in the pool now, and how good it is."""
+
+import hashlib
+from dataclasses import dataclass
+
+import numpy as np
+
+from isogi_core.bake.noise import good_enough
+from isogi_core.cache.pages import PagePool
+from isogi_core.frame.texels import Demand, ViewTexels
+from isogi_core.frame.tiles import Tiles
+from isogi_core.kernels.lattice import UNLIT, VOID, VOID_ROW, find_rows
+from isogi_core.kernels.planes import CONVERGING, FINAL, PROVISIONAL
+
+
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """What a view's texels hold, (texels,) each; it is good until the pool changes.
+
+    ``rows`` int32 are those of the pool, negative where there is no light; ``grade`` uint8 is
+    PROVISIONAL, CONVERGING, FINAL or VOID. ``version`` tells how far each texel is baked: a texel's
+    light follows from its number of samples. ``short`` (chunks,) says which chunks are not final.
+    """
+
+    rows: np.ndarray
+    grade: np.ndarray
+    version: bytes
+    short: np.ndarray
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that it takes."""
+        return self.rows.nbytes + self.grade.nbytes + self.short.nbytes
+
+    @property
+    def whole(self) -> bool:
+        """Whether every texel holds light."""
+        return not (self.rows < 0).any()
+
+    def demands(self, texels: ViewTexels) -> tuple[Demand, ...]:
+        """What the view still wants."""
+        if not self.short.any():
+            return ()
+        return tuple(demand for demand, wanted in zip(texels.demands, self.short, strict=True) if wanted)
+
+
+def read_texels(texels: ViewTexels, slots: np.ndarray, pool: PagePool, target: float, tiles: Tiles) -> Reading:
+    """Look a view's texels up in the pool; ``slots`` are those of its chunks, ``target`` is final light's error."""
+    places = texels.places
+    rows, error, samples = np.empty(len(places), np.int32), *np.empty((2, len(places)), np.float32)
+
+    def _piece(a: int, b: int) -> None:
+        find_rows(places[a:b], slots, pool.table, pool.error, pool.samples, rows[a:b], error[a:b], samples[a:b])
+
+    tiles.run(_piece, len(places), tiles.even(len(places)))
+    grade = grade_rows(rows, error, samples, target)
+    short = np.minimum.reduceat(grade, texels.bounds[:-1]) < FINAL if len(grade) else np.zeros(0, np.bool_)
+    return Reading(rows, grade, hashlib.sha256(samples.data).digest(), short)
+
+
+def grade_rows(rows: np.ndarray, error: np.ndarray, samples: np.ndarray, target: float) -> np.ndarray:
+    """How good the light in each row is: PROVISIONAL without light, CONVERGING, FINAL, or VOID; (texels,) uint8."""
+    grade = good_enough(error, samples, target).view(np.uint8)
+    grade += CONVERGING
+    if (rows < 0).any():
+        grade[rows == UNLIT] = PROVISIONAL
+        grade[rows == VOID_ROW] = VOID
+    return grade

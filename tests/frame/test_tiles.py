@@ -1,0 +1,84 @@
+"""Tiles: every piece once, on several threads, and none that nobody waits for."""
+
+import threading
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+
+from isogi_core.errors import Cancelled
+from isogi_core.frame.tiles import Tiles
+
+
+@pytest.mark.parametrize("threads", [1, 2, 5])
+@pytest.mark.parametrize(("total", "size"), [(0, 4), (1, 4), (4, 4), (37, 4), (3, 100)])
+def test_every_place_is_in_one_piece(threads: int, total: int, size: int) -> None:
+    tiles, pieces = Tiles(threads), []
+    tiles.run(lambda a, b: pieces.append((a, b)), total, size)
+    places = [place for a, b in sorted(pieces) for place in range(a, b)]
+    assert places == list(range(total)) and all(0 < b - a <= size for a, b in pieces)
+    tiles.close()
+
+
+@pytest.mark.parametrize("threads", [1, 2, 3])
+def test_so_many_threads_work_at_once_and_the_callers_is_one(threads: int) -> None:
+    tiles, workers = Tiles(threads), set()
+    together = threading.Barrier(threads)
+
+    def piece(a: int, b: int) -> None:
+        workers.add(threading.get_ident())
+        together.wait(10)
+
+    tiles.run(piece, 4 * threads, 1)
+    assert len(workers) == threads and threading.get_ident() in workers
+
+
+def test_a_busy_helper_is_not_waited_for() -> None:
+    tiles, go = Tiles(2), threading.Event()
+    begun = threading.Barrier(3)
+
+    def hold(a: int, b: int) -> None:
+        begun.wait(10)
+        go.wait(10)
+
+    with ThreadPoolExecutor(1) as other:
+        held = other.submit(tiles.run, hold, 2, 1)
+        begun.wait(10)
+        pieces: list[int] = []
+        tiles.run(lambda a, b: pieces.append(a), 5, 1)
+        assert sorted(pieces) == [0, 1, 2, 3, 4]
+        go.set()
+        held.result(10)
+
+
+def test_what_a_piece_raises_comes_out_after_the_others_have_ended() -> None:
+    tiles, ended = Tiles(3), []
+
+    def piece(a: int, b: int) -> None:
+        if a == 0:
+            raise ValueError("the first")
+        ended.append(a)
+
+    with pytest.raises(ValueError, match="the first"):
+        tiles.run(piece, 6, 1)
+    before = list(ended)
+    tiles.run(lambda a, b: None, 3, 1)
+    assert ended == before
+
+
+def test_cancelled_work_stops_between_pieces() -> None:
+    tiles, cancelled, pieces = Tiles(1), threading.Event(), []
+
+    def piece(a: int, b: int) -> None:
+        pieces.append(a)
+        if a == 2:
+            cancelled.set()
+
+    with pytest.raises(Cancelled):
+        tiles.run(piece, 9, 1, cancelled)
+    assert pieces == [0, 1, 2]
+
+
+@pytest.mark.parametrize("total", [0, 1, 7, 1000])
+def test_even_pieces_are_as_many_as_asked_for(total: int) -> None:
+    size = Tiles(2).even(total, 3)
+    assert size >= 1 and -(-total // size) <= 6
