@@ -12,7 +12,7 @@ from isogi_core.bake.light import ERROR, ISOVALUE, SAMPLES, VOID, Light
 from isogi_core.bake.noise import finished
 from isogi_core.bake.recipe import Recipe
 from isogi_core.kernels.bricks import Bricks
-from isogi_core.kernels.integrator import bake_texels, locate_texels
+from isogi_core.kernels.transfer import bake_texels, locate_texels
 
 FIRST_RUNG = 16
 
@@ -44,7 +44,7 @@ def climb(light: Light, chosen: np.ndarray, texels: np.ndarray, recipe: Recipe, 
     order, channels, m = recipe.scene.plan.order, recipe.scene.plan.channels, len(chosen)
     direct, indirect = np.zeros((m, 2, order**2)), np.zeros((m, 2, channels, order**2))
     isovalues, void = np.empty(m), np.empty(m, np.bool_)
-    place = (np.ascontiguousarray(texels[chosen], np.int32), np.empty((m, 3)), np.empty((m, 3)), isovalues)
+    place = (np.ascontiguousarray(texels[chosen], np.int32), np.empty((3, m)), np.empty((3, m)), isovalues)
     locate_texels(recipe.field, recipe.step, *place, void)
     path = (samples // 2, (total - samples) // 2, recipe.weights, order)
     for bricks, rows in by_isovalue(isovalues, void, recipe):

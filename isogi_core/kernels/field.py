@@ -11,9 +11,11 @@ import numpy as np
 from numba import types
 
 from isogi_core.kernels._jit import kernel, record
-from isogi_core.kernels.vec import length, scale
+from isogi_core.kernels.reals import ABREAST, fetch, floor_within, four, where, write
+from isogi_core.kernels.vec import put_column, read_columns
 
 VOXELS = types.float32[:, :, ::1]
+SIXTH = 1.0 / 6.0
 
 
 class Field(NamedTuple):
@@ -35,23 +37,28 @@ FIELD = record(Field, VOXELS, VOXELS, VOXELS, types.UniTuple(types.float64, 3))
 @kernel()
 def clamp_cell(x, n):
     """Index of the cell along one axis of ``n`` voxels that holds coordinate ``x``; the last face belongs to it."""
-    return min(max(int(math.floor(x)), 0), n - 2)
+    return floor_within(x, n - 2)
 
 
-@kernel()
+@kernel(exact=True)
+def row_value(voxels, k, j, i, x):
+    """Linear value at ``x`` between voxels i and i + 1 of row (k, j)."""
+    v0, v1 = fetch(voxels, k, j, i), fetch(voxels, k, j, i + 1)
+    return v0 + x * (v1 - v0)
+
+
+@kernel(exact=True)
 def value(voxels, p):
-    """Trilinear value at ``p`` (index space), float64. Source: S1, section 4.1, the field ρ(x)."""
+    """Trilinear value at ``p`` (index space), float64. Source: S1, section 4.1, the field ρ(x).
+
+    Takes points side by side too (see ``reals``).
+    """
     nz, ny, nx = voxels.shape
-    i, j, k = clamp_cell(p[0], nx), clamp_cell(p[1], ny), clamp_cell(p[2], nz)
+    i, j, k = floor_within(p[0], nx - 2), floor_within(p[1], ny - 2), floor_within(p[2], nz - 2)
     x, y, z = p[0] - i, p[1] - j, p[2] - k
-    total = 0.0
-    for c in range(2):
-        wz = z if c else 1.0 - z
-        for b in range(2):
-            wy = y if b else 1.0 - y
-            v0, v1 = np.float64(voxels[k + c, j + b, i]), np.float64(voxels[k + c, j + b, i + 1])
-            total += wz * wy * (v0 + x * (v1 - v0))
-    return total
+    near = (1.0 - z) * (1.0 - y) * row_value(voxels, k, j, i, x) + (1.0 - z) * y * row_value(voxels, k, j + 1, i, x)
+    far = z * (1.0 - y) * row_value(voxels, k + 1, j, i, x) + z * y * row_value(voxels, k + 1, j + 1, i, x)
+    return near + far
 
 
 @kernel()
@@ -73,26 +80,57 @@ def gradient(voxels, p):
     return (gx, gy, gz)
 
 
-@kernel()
+@kernel(exact=True)
 def bspline(f):
     """The four cubic B-spline weights at fraction ``f`` in [0, 1], for voxels -1, 0, 1, 2. They sum to 1."""
     g = 1.0 - f
     return (
-        g * g * g / 6.0,
-        (4.0 + f * f * (3.0 * f - 6.0)) / 6.0,
-        (4.0 + g * g * (3.0 * g - 6.0)) / 6.0,
-        f * f * f / 6.0,
+        SIXTH * (g * g * g),
+        SIXTH * (4.0 + f * f * (3.0 * f - 6.0)),
+        SIXTH * (4.0 + g * g * (3.0 * g - 6.0)),
+        SIXTH * (f * f * f),
     )
 
 
-@kernel()
+@kernel(exact=True)
 def bspline_slope(f):
     """Derivatives of the four cubic B-spline weights at fraction ``f``. They sum to 0."""
     g = 1.0 - f
     return (-0.5 * g * g, f * (1.5 * f - 2.0), -g * (1.5 * g - 2.0), 0.5 * f * f)
 
 
-@kernel()
+@kernel(exact=True)
+def blend(w, a, b, c, d):
+    """The sum of four numbers, or fours of them, with weights ``w``."""
+    return w[0] * a + w[1] * b + (w[2] * c + w[3] * d)
+
+
+@kernel(exact=True)
+def blend_cube(voxels, i, j, k, wx, wy, wz, sx, sy, sz):
+    """Σ over 4×4×4 voxels about cell (i, j, k) with weights ``w``, and slopes ``s`` along x, along y, along z.
+
+    Voxels beyond the border repeat the border's.
+    """
+    nz, ny, _ = voxels.shape
+    j0, j2, j3 = max(j - 1, 0), j + 1, min(j + 2, ny - 1)
+    k0, k2, k3 = max(k - 1, 0), k + 1, min(k + 2, nz - 1)
+    a, b, c, d = four(voxels, k0, j0, i), four(voxels, k0, j, i), four(voxels, k0, j2, i), four(voxels, k0, j3, i)
+    v0, s0 = blend(wy, a, b, c, d), blend(sy, a, b, c, d)
+    a, b, c, d = four(voxels, k, j0, i), four(voxels, k, j, i), four(voxels, k, j2, i), four(voxels, k, j3, i)
+    v1, s1 = blend(wy, a, b, c, d), blend(sy, a, b, c, d)
+    a, b, c, d = four(voxels, k2, j0, i), four(voxels, k2, j, i), four(voxels, k2, j2, i), four(voxels, k2, j3, i)
+    v2, s2 = blend(wy, a, b, c, d), blend(sy, a, b, c, d)
+    a, b, c, d = four(voxels, k3, j0, i), four(voxels, k3, j, i), four(voxels, k3, j2, i), four(voxels, k3, j3, i)
+    v3, s3 = blend(wy, a, b, c, d), blend(sy, a, b, c, d)
+    x, y, z = blend(wz, v0, v1, v2, v3), blend(wz, s0, s1, s2, s3), blend(sz, v0, v1, v2, v3)
+    return (
+        blend(sx, x[0], x[1], x[2], x[3]),
+        blend(wx, y[0], y[1], y[2], y[3]),
+        blend(wx, z[0], z[1], z[2], z[3]),
+    )
+
+
+@kernel(exact=True)
 def smooth_gradient(voxels, p):
     """Gradient of the field smoothed with the tricubic B-spline over 4×4×4 voxels, per voxel step.
 
@@ -100,34 +138,56 @@ def smooth_gradient(voxels, p):
     """
     nz, ny, nx = voxels.shape
     i, j, k = clamp_cell(p[0], nx), clamp_cell(p[1], ny), clamp_cell(p[2], nz)
-    wx, wy, wz = bspline(p[0] - i), bspline(p[1] - j), bspline(p[2] - k)
-    sx, sy, sz = bspline_slope(p[0] - i), bspline_slope(p[1] - j), bspline_slope(p[2] - k)
-    i0, i3 = max(i - 1, 0), min(i + 2, nx - 1)
-    gx, gy, gz = 0.0, 0.0, 0.0
-    for c in range(4):
-        slab = voxels[min(max(k + c - 1, 0), nz - 1)]
-        px, py, pz = 0.0, 0.0, 0.0
-        for b in range(4):
-            row = slab[min(max(j + b - 1, 0), ny - 1)]
-            v0, v1, v2, v3 = np.float64(row[i0]), np.float64(row[i]), np.float64(row[i + 1]), np.float64(row[i3])
-            along = wx[0] * v0 + wx[1] * v1 + wx[2] * v2 + wx[3] * v3
-            px += wy[b] * (sx[0] * v0 + sx[1] * v1 + sx[2] * v2 + sx[3] * v3)
-            py += sy[b] * along
-            pz += wy[b] * along
-        gx += wz[c] * px
-        gy += wz[c] * py
-        gz += sz[c] * pz
-    return (gx, gy, gz)
+    x, y, z = p[0] - i, p[1] - j, p[2] - k
+    weights, slopes = (bspline(x), bspline(y), bspline(z)), (bspline_slope(x), bspline_slope(y), bspline_slope(z))
+    return blend_cube(voxels, i, j, k, weights[0], weights[1], weights[2], slopes[0], slopes[1], slopes[2])
+
+
+@kernel(exact=True)
+def put_weights(p, n, cells, weights):
+    """Write the cells of coordinates ``p`` side by side, and the B-spline's weights and slopes in them."""
+    i = floor_within(p, n - 2)
+    write(cells, 0, i)
+    for a, w in enumerate(bspline(p - i)):
+        write(weights[a], 0, w)
+    for a, s in enumerate(bspline_slope(p - i)):
+        write(weights[4 + a], 0, s)
 
 
 @kernel()
+def four_at(rows, first, lane):
+    """Element ``lane`` of four rows."""
+    return rows[first, lane], rows[first + 1, lane], rows[first + 2, lane], rows[first + 3, lane]
+
+
+@kernel()
+def smooth_gradients(voxels, points, count, out):
+    """``smooth_gradient`` at the first ``count`` columns of ``points``, to ``out``; both (3, whole vectors)."""
+    nz, ny, nx = voxels.shape
+    cells, w = np.empty((3, ABREAST)), np.empty((3, 8, ABREAST))
+    for first in range(0, count, ABREAST):
+        p = read_columns(points, first)
+        put_weights(p[0], nx, cells[0], w[0])
+        put_weights(p[1], ny, cells[1], w[1])
+        put_weights(p[2], nz, cells[2], w[2])
+        for lane in range(min(ABREAST, count - first)):
+            i, j, k = int(cells[0, lane]), int(cells[1, lane]), int(cells[2, lane])
+            wx, wy, wz = four_at(w[0], 0, lane), four_at(w[1], 0, lane), four_at(w[2], 0, lane)
+            sx, sy, sz = four_at(w[0], 4, lane), four_at(w[1], 4, lane), four_at(w[2], 4, lane)
+            put_column(out, first + lane, blend_cube(voxels, i, j, k, wx, wy, wz, sx, sy, sz))
+
+
+@kernel(exact=True)
 def to_world_normal(g, spacing):
-    """Unit outward normal of a gradient given per voxel step; (0, 0, 0) where the gradient says nothing."""
-    n = (-g[0] / spacing[0], -g[1] / spacing[1], -g[2] / spacing[2])
-    size = length(n)
-    if not (size > 0.0 and size < math.inf):
-        return (0.0, 0.0, 0.0)
-    return scale(n, 1.0 / size)
+    """Unit outward normal of a gradient given per voxel step; (0, 0, 0) where the gradient says nothing.
+
+    Takes gradients side by side too (see ``reals``).
+    """
+    x, y, z = -g[0] / spacing[0], -g[1] / spacing[1], -g[2] / spacing[2]
+    size = math.sqrt(x * x + y * y + z * z)
+    told = (size > 0.0) & (size < math.inf)
+    share = 1.0 / where(told, size, 1.0)
+    return where(told, x * share, 0.0), where(told, y * share, 0.0), where(told, z * share, 0.0)
 
 
 @kernel()

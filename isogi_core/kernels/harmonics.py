@@ -12,6 +12,7 @@ import numpy as np
 from numba import types
 
 from isogi_core.kernels._jit import kernel
+from isogi_core.kernels.reals import add_to
 
 MAX_ORDER = 10
 IMAGE = types.Array(types.float32, 3, "C", readonly=True)
@@ -44,19 +45,22 @@ SLOPE, OFFSET = _recurrence()
 NODES, WEIGHTS = (0.5 * (g + shift) for g, shift in zip(np.polynomial.legendre.leggauss(24), (1.0, 0.0)))
 
 
-@kernel()
+@kernel(exact=True)
 def accumulate(order, x, y, z, weight, out):
     """Add weight · Y_i(x, y, z) to out[i] for all i < order²; (x, y, z) is a unit vector, out float64.
 
-    `order` <= MAX_ORDER; the recurrence runs in l for each m, the powers (x + iy)^m along with it.
+    `order` <= MAX_ORDER; the recurrence runs in l for each m, the powers (x + iy)^m along with it. With
+    directions and weights side by side (see ``reals``) each lane has sums of its own, out[ABREAST i + lane].
     """
-    cosine, sine = weight, 0.0
+    nothing = 0.0 * weight
+    cosine, sine = weight, nothing
     for m in range(order):
-        before, q = 0.0, DIAGONAL[m]
+        before, q = nothing, nothing + DIAGONAL[m]
         for l in range(m, order):
             middle = l * (l + 1)
-            out[middle - m] += sine * q
-            out[middle + m] += cosine * q
+            if m > 0:
+                add_to(out, middle - m, sine * q)
+            add_to(out, middle + m, cosine * q)
             before, q = q, SLOPE[l + 1, m] * z * q - OFFSET[l + 1, m] * before
         cosine, sine = x * cosine - y * sine, x * sine + y * cosine
 

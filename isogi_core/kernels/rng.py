@@ -1,18 +1,19 @@
 """Random numbers that belong to (seed, index, dimension), not to a thread: hashes and scrambled Sobol points.
 
 All words are 32 bits wide and are carried in uint64 under a mask: products of two words then fit,
-so compiled code and plain Python agree bit for bit and nothing ever overflows.
+so compiled code and plain Python agree bit for bit and nothing ever overflows. Words side by side (see
+``reals``), which need no mask, go through the same functions to the same bits.
 """
 
 import numpy as np
 
 from isogi_core.kernels._jit import kernel
+from isogi_core.kernels.reals import fraction
 
 WORD = np.uint64(0xFFFFFFFF)
 ONE = np.uint64(1)
 HALF_WORD = np.uint64(16)
 WORD_BITS = np.uint64(32)
-TO_UNIT = 2.0**-32
 
 # Multiplier and increment of the generator behind PCG4D (Numerical Recipes' "quick and dirty" one).
 MULTIPLIER = np.uint64(1664525)
@@ -80,10 +81,10 @@ def pascal_bits(word):
     The binomial C(j, i) is odd when the binary digits of i are among those of j (Lucas), so the
     matrix is a fivefold Kronecker product and five steps of a butterfly apply it.
     """
-    word ^= (word >> STEP_1) & PLACES_1
-    word ^= (word >> STEP_2) & PLACES_2
-    word ^= (word >> STEP_4) & PLACES_4
-    word ^= (word >> STEP_8) & PLACES_8
+    word = word ^ ((word >> STEP_1) & PLACES_1)
+    word = word ^ ((word >> STEP_2) & PLACES_2)
+    word = word ^ ((word >> STEP_4) & PLACES_4)
+    word = word ^ ((word >> STEP_8) & PLACES_8)
     return word ^ ((word >> STEP_16) & PLACES_16)
 
 
@@ -103,10 +104,10 @@ def laine_karras(word, seed):
 
     Laine and Karras, "Stratified sampling for stochastic transparency", EGSR 2011; constants by Vegdahl 2021.
     """
-    word ^= (word * LK_FIRST) & WORD
+    word = word ^ ((word * LK_FIRST) & WORD)
     word = (word + seed) & WORD
     word = (word * ((seed >> HALF_WORD) | ONE)) & WORD
-    word ^= (word * LK_SECOND) & WORD
+    word = word ^ ((word * LK_SECOND) & WORD)
     return word ^ ((word * LK_THIRD) & WORD)
 
 
@@ -120,6 +121,16 @@ def nested_uniform_scramble(word, seed):
 
 
 @kernel()
+def point_of_words(low, high, index, dimension):
+    """``point_2d`` where each argument is a word, or words side by side; ``low`` and ``high`` make the seed."""
+    shuffle, first, second, _ = pcg4d(low, high, dimension, dimension | WORD)
+    place = nested_uniform_scramble(index, shuffle)
+    u = reverse_bits(laine_karras(place, first))
+    v = reverse_bits(laine_karras(pascal_bits(place), second))
+    return fraction(u), fraction(v)
+
+
+@kernel()
 def point_2d(seed, index, dimension):
     """Point (u, v) in [0, 1)² number 0 <= index < 2³² of a pair of dimensions; doubles with 32 bits.
 
@@ -128,8 +139,4 @@ def point_2d(seed, index, dimension):
     (padding, Burley 2020, section 4). Seeds have up to 64 bits and need no mixing.
     """
     seed = np.uint64(seed)
-    shuffle, first, second, _ = pcg4d(seed & WORD, seed >> WORD_BITS, np.uint64(dimension) & WORD, WORD)
-    place = nested_uniform_scramble(np.uint64(index) & WORD, shuffle)
-    u = reverse_bits(laine_karras(place, first))
-    v = reverse_bits(laine_karras(pascal_bits(place), second))
-    return u * TO_UNIT, v * TO_UNIT
+    return point_of_words(seed & WORD, seed >> WORD_BITS, np.uint64(index) & WORD, np.uint64(dimension) & WORD)

@@ -2,29 +2,53 @@
 
 Uniform numbers come in as arguments, so sampling is a pure function; `invert_x` gives them back.
 Local directions have z along the normal. Densities are per steradian, or per unit area of the square.
+What has no branch takes numbers side by side too (see ``reals``).
 """
 
 import math
 
 from isogi_core.kernels._jit import kernel
+from isogi_core.kernels.reals import where
 
 BELOW_ONE = 1.0 - 2.0**-53
 
+# Minimax polynomials in x² of cos and sin on [-π/4, π/4], lowest term first (fdlibm's k_cos.c and k_sin.c).
+COSINE = (
+    4.16666666666666019037e-02, -1.38888888888741095749e-03, 2.48015872894767294178e-05,
+    -2.75573143513906633035e-07, 2.08757232129817482790e-09, -1.13596475577881948265e-11,
+)  # fmt: skip
+SINE = (
+    -1.66666666666666324348e-01, 8.33333333332248946124e-03, -1.98412698298579493134e-04,
+    2.75573137070700676789e-06, -2.50507602534068634195e-08, 1.58969099521155010221e-10,
+)  # fmt: skip
 
-@kernel()
+
+@kernel(exact=True)
+def polynomial(a, x):
+    """a₀ + a₁ x + … + a₅ x⁵."""
+    return a[0] + x * (a[1] + x * (a[2] + x * (a[3] + x * (a[4] + x * a[5]))))
+
+
+@kernel(exact=True)
+def cosine_and_sine(angle):
+    """(cos, sin) of an angle in [-π/4, π/4], to the last bit or the one next to it."""
+    square = angle * angle
+    cosine = 1.0 - (0.5 * square - square * square * polynomial(COSINE, square))
+    return cosine, angle + angle * square * polynomial(SINE, square)
+
+
+@kernel(exact=True)
 def sample_disc(u, v):
     """Point (x, y) of the unit disc, uniform, from (u, v) in [0, 1)², keeping strata whole.
 
     Shirley and Chiu, "A Low Distortion Map Between Disk and Square", 1997.
     """
     a, b = 2.0 * u - 1.0, 2.0 * v - 1.0
-    if a == 0.0 and b == 0.0:
-        return 0.0, 0.0
-    if abs(a) > abs(b):
-        radius, angle = a, 0.25 * math.pi * (b / a)
-    else:
-        radius, angle = b, 0.5 * math.pi - 0.25 * math.pi * (a / b)
-    return radius * math.cos(angle), radius * math.sin(angle)
+    wide = abs(a) > abs(b)
+    radius, other = where(wide, a, b), where(wide, b, a)
+    cosine, sine = cosine_and_sine(0.25 * math.pi * (other / where(radius != 0.0, radius, 1.0)))
+    along, across = radius * cosine, radius * sine
+    return where(wide, along, across), where(wide, across, along)
 
 
 @kernel()
@@ -48,11 +72,12 @@ def invert_disc(x, y):
     return 0.5 * (a + 1.0), 0.5 * (b + 1.0)
 
 
-@kernel()
+@kernel(exact=True)
 def sample_cosine_hemisphere(u, v):
     """Unit direction about +z with density cosθ/π from (u, v) in [0, 1)²: a disc point, lifted (Malley)."""
     x, y = sample_disc(u, v)
-    return x, y, math.sqrt(max(0.0, 1.0 - x * x - y * y))
+    height = 1.0 - x * x - y * y
+    return x, y, math.sqrt(where(height > 0.0, height, 0.0))
 
 
 @kernel()

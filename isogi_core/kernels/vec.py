@@ -3,6 +3,7 @@
 import math
 
 from isogi_core.kernels._jit import kernel
+from isogi_core.kernels.reals import read, write
 
 SMALLEST = 2.0**-1022
 
@@ -63,7 +64,7 @@ def normalize(a):
     return x / size, y / size, z / size
 
 
-@kernel()
+@kernel(exact=True)
 def orthonormal_basis(n):
     """Tangents (s, t) that make (s, t, n) right-handed and orthonormal; n is a unit vector.
 
@@ -92,3 +93,17 @@ def column(vectors, m):
 def put_column(vectors, m, v):
     """Write the vector ``v`` to column ``m`` of a (3, n) array."""
     vectors[0, m], vectors[1, m], vectors[2, m] = v
+
+
+@kernel()
+def read_columns(vectors, m):
+    """Columns of a (3, n) array from ``m`` on, side by side (see ``reals``)."""
+    return read(vectors[0], m), read(vectors[1], m), read(vectors[2], m)
+
+
+@kernel()
+def write_columns(vectors, m, v):
+    """Write vectors side by side to the columns of a (3, n) array from ``m`` on."""
+    write(vectors[0], m, v[0])
+    write(vectors[1], m, v[1])
+    write(vectors[2], m, v[2])

@@ -22,7 +22,7 @@ from isogi_core.model.source import DEFAULT_DEMO, SceneSource, find_source
 from isogi_core.model.view import Camera, orbit
 from isogi_core.model.volume import Volume, make_volume
 
-BAKE_FORMAT = 2
+BAKE_FORMAT = 3
 """Counts up when what a chunk holds, or how its light is computed, changes."""
 
 

@@ -10,7 +10,7 @@ from isogi_core.bake.light import ERROR, VOID, Light
 from isogi_core.bake.noise import FEWEST, most_samples, relative_error
 from isogi_core.bake.recipe import Recipe
 from isogi_core.bake.refine import add_to_mean, next_rung, refine
-from isogi_core.kernels.integrator import bake_texels, locate_texels
+from isogi_core.kernels.transfer import bake_texels, locate_texels
 from isogi_core.model.scene import load_scene
 
 NEVER = -1.0
@@ -105,7 +105,7 @@ def test_means_are_those_of_the_kernels_sums() -> None:
     plan, texels, half = recipe.scene.plan, surface_texels(recipe, 20), 32
     direct, indirect = np.zeros((20, 2, 25)), np.zeros((20, 2, 3, 25))
     isovalues, void = np.empty(20), np.empty(20, np.bool_)
-    place = (texels, np.empty((20, 3)), np.empty((20, 3)), isovalues)
+    place = (texels, np.empty((3, 20)), np.empty((3, 20)), isovalues)
     locate_texels(recipe.field, recipe.step, *place, void)
     bricks = recipe.bricks(float(isovalues.min()), float(isovalues.max()))
     path = (0, half, recipe.weights, plan.order)

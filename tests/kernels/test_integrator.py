@@ -8,12 +8,12 @@ import pytest
 from numba import config
 
 from isogi_core.files.nrrd import read_nrrd
-from isogi_core.kernels import integrator
+from isogi_core.kernels import integrator, transfer
 from isogi_core.kernels.bricks import brick_ranges, make_bricks
 from isogi_core.kernels.harmonics import cosine_lobe_factors, evaluate
-from isogi_core.kernels.integrator import bake_texels, locate_texels
 from isogi_core.kernels.intersect import OUTSIDE, SOLID, UNKNOWN
 from isogi_core.kernels.shading import Surroundings, find_normals, trace_points
+from isogi_core.kernels.transfer import bake_texels, locate_texels
 from tests.kernels.test_intersect import cast_rays
 from tests.kernels.test_macrocells import field_of
 
@@ -43,7 +43,7 @@ def bake_more(field, texels, first, count, weights, order, direct, indirect, ste
     """Add samples to the sums of texels; isovalues and void (m,)."""
     m = len(texels)
     isovalues, void = np.full(m, np.nan), np.zeros(m, np.bool_)
-    place = (np.ascontiguousarray(texels, np.int32), np.empty((m, 3)), np.empty((m, 3)), isovalues)
+    place = (np.ascontiguousarray(texels, np.int32), np.empty((3, m)), np.empty((3, m)), isovalues)
     locate_texels(field, np.array(step), *place, void)
     rows = np.flatnonzero(~void)
     if len(rows):
@@ -258,7 +258,7 @@ def test_to_index_divides_by_the_spacing():
 
 
 def test_every_texel_and_half_has_a_sequence_of_its_own():
-    seeds = {int(integrator.texel_seed(*map(np.uint64, place))) for place in np.ndindex(9, 9, 9, 2)}
+    seeds = {int(transfer.texel_seed(*map(np.uint64, place))) for place in np.ndindex(9, 9, 9, 2)}
     assert len(seeds) == 2 * 9**3
 
 

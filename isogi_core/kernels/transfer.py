@@ -1,0 +1,139 @@
+"""Radiance transfer of texels: the ends of their paths, projected onto spherical harmonics (S1, eqs. 6 and 8)."""
+
+import math
+
+import numpy as np
+from numba import types
+
+from isogi_core.kernels._jit import kernel
+from isogi_core.kernels.bricks import BRICKS
+from isogi_core.kernels.field import FIELD, normal, value
+from isogi_core.kernels.harmonics import accumulate
+from isogi_core.kernels.reals import ABREAST, read
+from isogi_core.kernels.rng import mix
+from isogi_core.kernels.vec import column, put_column
+from isogi_core.kernels.waves import WAVE, walk_paths, whole
+
+VECTOR = types.float64[::1]
+COLUMNS = types.float64[:, ::1]
+TEXELS = types.int32[:, ::1]
+
+
+@kernel()
+def texel_seed(z, y, x, half):
+    """The sequence of a lattice texel and one of its two independent randomisations (half = 0 or 1)."""
+    return mix(mix(mix(z, y), x), half)
+
+
+@kernel(types.void(FIELD, VECTOR, TEXELS, COLUMNS, COLUMNS, VECTOR, types.boolean[::1]))
+def locate_texels(field, step, texels, points, normals, isovalues, void):
+    """Where ``texels`` (m, 3; z, y, x) are, ``points`` (3, m), and the surface through each of them.
+
+    ``step`` (3,) voxels per texel along x, y, z. Writes ``normals`` (3, m), the voxel-space isovalue each
+    texel is lit on (its own value, a float32) and whether it is void (no gradient there, or no number).
+    """
+    for m in range(texels.shape[0]):
+        p = (texels[m, 2] * step[0], texels[m, 1] * step[1], texels[m, 0] * step[2])
+        n = normal(field, p)
+        put_column(points, m, p)
+        put_column(normals, m, n)
+        isovalues[m] = np.float32(value(field.voxels, p))  # on a plateau exactly its value, which is not solid
+        void[m] = math.isnan(isovalues[m]) or (n[0] == 0.0 and n[1] == 0.0 and n[2] == 0.0)
+
+
+@kernel()
+def shares_of(weights):
+    """What a path counts that left after k bounces, or never (k = -1): (1 + channels, bounces + 2), at k + 1.
+
+    Row 0 is of direct light, the others of the channels of indirect light, R^k.
+    """
+    shares = np.zeros((1 + weights.shape[1], weights.shape[0] + 1))
+    shares[0, 1] = 1.0
+    shares[1:, 2:] = weights[1:].T
+    return shares
+
+
+@kernel()
+def gather_light(left, ways, shares, order, starts, count, sums):
+    """Add the ends of ``walk_paths`` from ``starts`` starts, ``count`` samples each, to sums of their own.
+
+    Lane i % ABREAST of ``sums`` (1 + channels, i // ABREAST, n² ABREAST) is of start i, and takes its samples
+    in their order: the company of a start changes no bit. Source: S1, eq. 8 with cosine sampling,
+    τ_i = Σ R^k Y_i(ω) / N.
+    """
+    weights = np.zeros(starts * count + ABREAST)
+    for c in range(sums.shape[0]):
+        for m in range(starts * count):
+            weights[m] = shares[c, left[m] + 1]
+        for block in range(sums.shape[1]):
+            for s in range(count):
+                m = s * starts + block * ABREAST
+                x, y, z = read(ways[0], m), read(ways[1], m), read(ways[2], m)
+                accumulate(order, x, y, z, read(weights, m), sums[c, block])
+
+
+@kernel()
+def exchange(sums, rows, direct, indirect, store):
+    """Copy between ``sums`` (see ``gather_light``) and ``direct`` and ``indirect`` (see ``bake_texels``)."""
+    for i in range(2 * rows.shape[0]):
+        r, half, block, lane = rows[i // 2], i % 2, i // ABREAST, i % ABREAST
+        for c in range(sums.shape[0]):
+            outside = direct[r, half] if c == 0 else indirect[r, half, c - 1]
+            inside = sums[c, block, lane::ABREAST]
+            if store:
+                outside[:] = inside
+            else:
+                inside[:] = outside
+
+
+@kernel()
+def bake_together(field, bricks, place, rows, first, count, weights, order, direct, indirect):
+    """``bake_texels`` for a few texels whose paths go together."""
+    texels, points, normals, isovalues = place
+    starts, channels = 2 * rows.shape[0], weights.shape[1]
+    here, facing, levels, seeds = (
+        np.empty((3, starts)),
+        np.empty((3, starts)),
+        np.empty(starts),
+        np.empty(starts, np.uint64),
+    )
+    for i in range(starts):
+        r = rows[i // 2]
+        put_column(here, i, column(points, r))
+        put_column(facing, i, column(normals, r))
+        levels[i], seeds[i] = isovalues[r], texel_seed(texels[r, 0], texels[r, 1], texels[r, 2], i % 2)
+    step, shares = max(WAVE // starts, 1), shares_of(weights)
+    left, ways = np.zeros(starts * step, np.int64), np.zeros((3, starts * step + ABREAST))
+    sums = np.zeros((1 + channels, whole(starts) // ABREAST, order * order * ABREAST))
+    exchange(sums, rows, direct, indirect, False)
+    for begin in range(first, first + count, step):
+        samples = min(step, first + count - begin)
+        walk_paths(field, bricks, levels, here, facing, seeds, begin, samples, weights.shape[0] - 1, left, ways)
+        gather_light(left, ways, shares, order, starts, samples, sums)
+    exchange(sums, rows, direct, indirect, True)
+
+
+@kernel(
+    types.void(
+        FIELD,
+        BRICKS,
+        types.Tuple((TEXELS, COLUMNS, COLUMNS, VECTOR)),
+        types.int64[::1],
+        types.int64,
+        types.int64,
+        types.float64[:, ::1],
+        types.int64,
+        types.float64[:, :, ::1],
+        types.float64[:, :, :, ::1],
+    )
+)
+def bake_texels(field, bricks, place, rows, first, count, weights, order, direct, indirect):
+    """Sums of ``count`` samples, from sample ``first`` on, for the ``rows`` and each of their two halves.
+
+    ``place`` is what ``locate_texels`` took and wrote: texels, points, normals, isovalues, the latter
+    within the range of ``bricks``; ``weights`` (bounces + 1, channels) R^k. Adds to ``direct``
+    (m, 2, n²) and ``indirect`` (m, 2, channels, n²). Source: S1, section 4.1, "for all texels".
+    """
+    together = max(WAVE // (2 * count), ABREAST)
+    for i in range(0, rows.shape[0], together):
+        bake_together(field, bricks, place, rows[i : i + together], first, count, weights, order, direct, indirect)
