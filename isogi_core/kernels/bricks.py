@@ -5,7 +5,6 @@ to the nearest brick with a bit set. A cell's bit is clear only where the field'
 cell and a little around it: rays may then be followed in float32 (see ``packets``).
 """
 
-import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,11 +12,11 @@ from numba import types
 
 from isogi_core.kernels._jit import kernel, record
 from isogi_core.kernels.field import VOXELS
+from isogi_core.kernels.leaps import FAR, spread_leaps
+from isogi_core.kernels.macrocells import INFINITE, RANGES, find_ranges
+from isogi_core.kernels.memory import fetch
 
 BRICK = 4
-FAR = 63
-"""Longest leap, in bricks."""
-
 LEAP = 16
 """The bit of a word at which the leap begins."""
 
@@ -31,6 +30,8 @@ VALUE_ERROR = 2.0**-19
 """Rounding of a float32 trilinear value, over the largest magnitude in it."""
 
 FLAT = types.float32[::1]
+WORDS = types.int32[::1]
+LEAPS = types.uint8[::1]
 
 
 class Bricks(NamedTuple):
@@ -45,161 +46,192 @@ class Bricks(NamedTuple):
     margins: Any
     shape: tuple[int, int, int]
 
+    @property
+    def nbytes(self) -> int:
+        """Bytes that belong to these isovalues alone."""
+        return self.words.nbytes
+
 
 BRICKS = record(Bricks, types.int32[::1], FLAT, types.UniTuple(types.int64, 3))
 
 
+@kernel()
 def brick_shape(shape):
     """Bricks along (z, y, x) for a volume of ``shape`` voxels."""
     nz, ny, nx = shape
     return (-(-(nz - 1) // BRICK), -(-(ny - 1) // BRICK), -(-(nx - 1) // BRICK))
 
 
-@kernel()
-def wide_range(voxels, i0, j0, k0):
-    """Smallest and largest voxel of a brick's cells and of the cells around it; (-inf, inf) with a NaN among them."""
-    nz, ny, nx = voxels.shape
-    low, high = math.inf, -math.inf
-    whole = True
-    for k in range(max(k0 - 1, 0), min(k0 + BRICK + 2, nz)):
-        for j in range(max(j0 - 1, 0), min(j0 + BRICK + 2, ny)):
-            for i in range(max(i0 - 1, 0), min(i0 + BRICK + 2, nx)):
-                v = float(voxels[k, j, i])
-                whole &= not math.isnan(v)
-                low, high = min(low, v), max(high, v)
-    return (low, high) if whole else (-math.inf, math.inf)
-
-
-@kernel(types.void(VOXELS, FLAT, FLAT, FLAT))
+@kernel(types.void(VOXELS, RANGES, RANGES, RANGES))
 def fill_ranges(voxels, low, high, margins):
-    """Fill ``low``, ``high`` and ``margins`` (bricks,), which serve every isovalue of the volume."""
+    """Fill ``low``, ``high`` and ``margins`` (bricks along z, y, x), which serve every isovalue of the volume."""
     nz, ny, nx = voxels.shape
-    bz, by, bx = -(-(nz - 1) // BRICK), -(-(ny - 1) // BRICK), -(-(nx - 1) // BRICK)
     stray = 3.0 * POSITION_ERROR * max(nx, ny, nz)
-    for k in range(bz):
-        for j in range(by):
-            for i in range(bx):
-                b = (k * by + j) * bx + i
-                low[b], high[b] = wide_range(voxels, i * BRICK, j * BRICK, k * BRICK)
-                largest = max(abs(low[b]), abs(high[b]))
-                margins[b] = stray * (high[b] - low[b]) + VALUE_ERROR * largest
+    find_ranges(voxels, BRICK, 1, low, high)
+    least, most, margin = low.reshape(low.size), high.reshape(high.size), margins.reshape(margins.size)
+    for b in range(margin.shape[0]):
+        largest = max(abs(least[b]), abs(most[b]))
+        margin[b] = stray * (most[b] - least[b]) + VALUE_ERROR * largest
+
+
+GROUP = 4
+"""Bricks along x that are marked together, in loops of fixed length that compilers turn into vectors."""
+
+ROW = GROUP * BRICK
+"""Cells along x in a group."""
 
 
 @kernel()
-def certain_rows(voxels, i0, j, k, level, sign):
-    """Bits of the cells along x in row (j, k) of voxels whose both ends are beyond ``level`` on the side ``sign``."""
-    nx = voxels.shape[2]
-    row = voxels[k, j]
-    word = 0
-    for i in range(BRICK + 1):
-        word |= (sign * float(row[min(i0 + i, nx - 1)]) > sign * level) << i
-    return word & (word >> 1) & 15
+def below(level):
+    """The largest float32 that is not above ``level``."""
+    near = np.float32(level)
+    return np.nextafter(near, -INFINITE) if near > level else near
 
 
 @kernel()
-def certain_layer(voxels, i0, j0, k, level, sign):
-    """Bits of the 16 cells of a brick that lie along plane ``k`` with all corners in it beyond ``level``."""
-    ny = voxels.shape[1]
-    word = 0
-    before = certain_rows(voxels, i0, min(j0, ny - 1), k, level, sign)
-    for j in range(BRICK):
-        row = certain_rows(voxels, i0, min(j0 + j + 1, ny - 1), k, level, sign)
-        word |= (row & before) << (BRICK * j)
-        before = row
-    return word
-
-
-@kernel()
-def mark_brick(voxels, i0, j0, k0, outside, solid, words, b):
-    """Write the masks of brick ``b``: cells with not all corners above ``solid`` or all below ``outside``."""
-    nz = voxels.shape[0]
-    above = certain_layer(voxels, i0, j0, k0, solid, 1.0)
-    below = certain_layer(voxels, i0, j0, k0, outside, -1.0)
-    empty = True
-    for k in range(BRICK):
-        plane = min(k0 + k + 1, nz - 1)
-        upper, lower = (
-            certain_layer(voxels, i0, j0, plane, solid, 1.0),
-            certain_layer(voxels, i0, j0, plane, outside, -1.0),
-        )
-        word = CELLS & ~((above & upper) | (below & lower))
-        words[BRICK * b + k] = word
-        empty &= word == 0
-        above, below = upper, lower
-    return empty
-
-
-@kernel()
-def relax(leaps, shape, j, k, dj, dk, nearest):
-    """Take into ``nearest`` (row of x) the leaps of the row (j + dj, k + dk) and of its neighbours along x."""
-    bz, by, bx = shape
-    if not (0 <= j + dj < by and 0 <= k + dk < bz):
-        return
-    first = ((k + dk) * by + j + dj) * bx
-    row = leaps[first : first + bx]
-    for i in range(bx):
-        nearest[i] = min(nearest[i], row[i])
-    for i in range(1, bx):
-        nearest[i] = min(nearest[i], row[i - 1])
-    for i in range(bx - 1):
-        nearest[i] = min(nearest[i], row[i + 1])
-
-
-@kernel()
-def sweep(leaps, shape, way, nearest):
-    """One of the two sweeps of the chessboard distance (Rosenfeld and Pfaltz 1968): ``way`` 1 forth, -1 back."""
-    bz, by, bx = shape
-    for kk in range(bz):
-        k = kk if way > 0 else bz - 1 - kk
-        for jj in range(by):
-            j = jj if way > 0 else by - 1 - jj
-            nearest[:] = FAR
-            for dj in range(-1, 2):
-                relax(leaps, shape, j, k, dj, -way, nearest)
-            relax(leaps, shape, j, k, -way, 0, nearest)
-            first = (k * by + j) * bx
-            row = leaps[first : first + bx]
-            left = FAR
-            for ii in range(bx):
-                i = ii if way > 0 else bx - 1 - ii
-                left = min(int(row[i]), min(int(nearest[i]), left) + 1)
-                row[i] = left
-
-
-@kernel(types.void(VOXELS, FLAT, FLAT, FLAT, types.float64, types.float64, types.int32[::1]))
-def fill_bricks(voxels, low, high, margins, iso_low, iso_high, words):
-    """Fill ``words`` for isovalues ``iso_low`` … ``iso_high``; the rest is from ``fill_ranges``."""
+def copy_voxels(voxels, i0, j0, k0, block):
+    """Copy the voxels of a group's cells into the flat ``block``, the volume's faces repeated."""
     nz, ny, nx = voxels.shape
-    bz, by, bx = -(-(nz - 1) // BRICK), -(-(ny - 1) // BRICK), -(-(nx - 1) // BRICK)
-    leaps = np.empty(bz * by * bx, np.uint8)
-    words[:] = 0
-    for k in range(bz):
-        for j in range(by):
-            for i in range(bx):
-                b = (k * by + j) * bx + i
-                solid, outside = iso_high + margins[b], iso_low - margins[b]
-                empty = low[b] > solid or high[b] < outside
-                if not empty:
-                    empty = mark_brick(voxels, i * BRICK, j * BRICK, k * BRICK, outside, solid, words, b)
-                leaps[b] = FAR if empty else 0
-    nearest = np.empty(bx, np.uint8)
-    sweep(leaps, (bz, by, bx), 1, nearest)
-    sweep(leaps, (bz, by, bx), -1, nearest)
-    for b in range(leaps.size):
-        for k in range(BRICK):
-            words[BRICK * b + k] |= int(leaps[b]) << LEAP
+    place = 0
+    for c in range(BRICK + 1):
+        for r in range(BRICK + 1):
+            for i in range(ROW + 1):
+                block[place] = voxels[min(k0 + c, nz - 1), min(j0 + r, ny - 1), min(i0 + i, nx - 1)]
+                place += 1
+
+
+@kernel()
+def at(flat, place):
+    """``flat[place]``; that it does not count from the end need not be asked."""
+    return flat[np.uint64(place)]
+
+
+@kernel()
+def mark_layer(flat, place, row, plane, levels, marks):
+    """Write the ``marks`` (ROW,) of a layer of cells; their first voxel is ``flat[place]``.
+
+    ``row`` and ``plane`` are the steps to the next voxel along y and z. A mark has bit 4 y + x % 4 of a
+    cell that has not all corners above ``levels[0]`` or all below ``levels[1]``.
+    """
+    marks[:] = 0
+    for r in range(BRICK):
+        for i in range(ROW):
+            p = place + r * row + i
+            q = p + plane
+            a, b, c, d = at(flat, p), at(flat, p + 1), at(flat, p + row), at(flat, p + row + 1)
+            e, f, g, h = at(flat, q), at(flat, q + 1), at(flat, q + row), at(flat, q + row + 1)
+            least, most = min(a, b, c, d, e, f, g, h), max(a, b, c, d, e, f, g, h)
+            certain = (least > levels[0, i]) | (most < levels[1, i])
+            marks[i] |= np.int32(0 if certain else 1) << np.int32(BRICK * r + i % BRICK)
+
+
+@kernel()
+def mark_group(flat, place, row, plane, levels, marks, words, leaps, b, count):
+    """Write words and leaps (0 or FAR) of the ``count`` bricks from ``b`` on; see ``mark_layer``."""
+    for c in range(BRICK):
+        mark_layer(flat, place + c * plane, row, plane, levels, marks)
+        for g in range(count):
+            first = BRICK * g
+            word = marks[first] | marks[first + 1] | marks[first + 2] | marks[first + 3]
+            words[BRICK * (b + g) + c] = word
+            if word:
+                leaps[b + g] = 0
+
+
+@kernel()
+def set_levels(margins, b, count, iso_low, iso_high, levels):
+    """Write, for each cell along a group, the ``levels`` above and below which a voxel's side is certain."""
+    for g in range(count):
+        solid, outside = below(iso_high + margins[b + g]), -below(margins[b + g] - iso_low)
+        for i in range(BRICK * g, BRICK * g + BRICK):
+            levels[0, i], levels[1, i] = solid, outside
+
+
+@kernel()
+def find_groups(low, high, margins, iso_low, iso_high, first, shape, groups):
+    """List in ``groups`` the first bricks (j * bx + i) of the groups of a layer that may hold the surface.
+
+    The layer's first brick is ``first``. Returns how many there are.
+    """
+    _, by, bx = shape
+    count = 0
+    for j in range(by):
+        for i in range(0, bx, GROUP):
+            holds = False
+            for b in range(first + j * bx + i, first + j * bx + min(i + GROUP, bx)):
+                holds |= (low[b] <= iso_high + margins[b]) & (high[b] >= iso_low - margins[b])
+            groups[count] = j * bx + i
+            count += holds
+    groups[count] = 0
+    return count
+
+
+@kernel()
+def fetch_group(flat, place, row, plane):
+    """Have the voxels of a group come nearer, the first at ``place``."""
+    last = flat.shape[0] - 1
+    for c in range(BRICK + 1):
+        for r in range(BRICK + 1):
+            p = place + c * plane + r * row
+            fetch(flat, min(p, last))
+            fetch(flat, min(p + ROW, last))
+
+
+@kernel(types.void(VOXELS, FLAT, FLAT, FLAT, types.float64, types.float64, types.int64, types.int64, WORDS, LEAPS))
+def mark_bricks(voxels, low, high, margins, iso_low, iso_high, first, last, words, leaps):
+    """Write the words and the leaps (0 or FAR) of bricks in layers ``first`` … ``last`` - 1 along z.
+
+    Only bricks whose ranges hold isovalues ``iso_low`` … ``iso_high`` are looked into; the words of others stay.
+    """
+    nz, ny, nx = voxels.shape
+    bz, by, bx = brick_shape(voxels.shape)
+    flat, block = voxels.reshape(voxels.size), np.empty((BRICK + 1) ** 2 * (ROW + 1), np.float32)
+    levels, marks = np.empty((2, ROW), np.float32), np.empty(ROW, np.int32)
+    groups = np.empty(by * (bx // GROUP + 1) + 1, np.int64)
+    for k in range(first, last):
+        layer = k * by * bx
+        leaps[layer : layer + by * bx] = FAR
+        for n in range(find_groups(low, high, margins, iso_low, iso_high, layer, (bz, by, bx), groups)):
+            j, i = groups[n] // bx, groups[n] % bx
+            i0, j0, k0, b, count = i * BRICK, j * BRICK, k * BRICK, layer + groups[n], min(GROUP, bx - i)
+            ahead = groups[n + 1]
+            fetch_group(flat, (k0 * ny + ahead // bx * BRICK) * nx + ahead % bx * BRICK, nx, ny * nx)
+            set_levels(margins, b, count, iso_low, iso_high, levels)
+            if i0 + ROW < nx and j0 + BRICK < ny and k0 + BRICK < nz:
+                mark_group(flat, (k0 * ny + j0) * nx + i0, nx, ny * nx, levels, marks, words, leaps, b, count)
+            else:
+                copy_voxels(voxels, i0, j0, k0, block)
+                mark_group(block, 0, ROW + 1, (BRICK + 1) * (ROW + 1), levels, marks, words, leaps, b, count)
+
+
+@kernel(types.void(LEAPS, types.UniTuple(types.int64, 3), WORDS))
+def fill_leaps(leaps, shape, words):
+    """Make the marks ``leaps`` (0, else FAR) distances to the nearest 0, and write them into ``words``."""
+    spread_leaps(leaps.reshape(shape))
+    for b in range(leaps.shape[0]):
+        for c in range(BRICK):
+            words[BRICK * b + c] |= np.int32(leaps[b]) << np.int32(LEAP)
 
 
 def brick_ranges(voxels):
     """Smallest and largest voxel in and around each brick, and the margins: what serves every isovalue."""
-    low, high, margins = np.empty((3, math.prod(brick_shape(voxels.shape))), np.float32)
+    low, high, margins = np.empty((3, *brick_shape(voxels.shape)), np.float32)
     fill_ranges(voxels, low, high, margins)
-    return low, high, margins
+    return low.ravel(), high.ravel(), margins.ravel()
 
 
-def make_bricks(voxels, ranges, lowest, highest):
-    """The Bricks of isovalues from ``lowest`` to ``highest``; ``ranges`` are the volume's ``brick_ranges``."""
+def make_bricks(voxels, ranges, lowest, highest, run=None):
+    """The Bricks of isovalues from ``lowest`` to ``highest``; ``ranges`` are the volume's ``brick_ranges``.
+
+    ``run(piece, total)`` may call ``piece(first, last)`` for parts of the whole on many threads.
+    """
     low, high, margins = ranges
-    words = np.empty(BRICK * len(margins), np.int32)
-    fill_bricks(voxels, low, high, margins, lowest, highest, words)
-    return Bricks(words, margins, brick_shape(voxels.shape))
+    shape = brick_shape(voxels.shape)
+    words, leaps = np.zeros(BRICK * len(margins), np.int32), np.empty(len(margins), np.uint8)
+
+    def mark(first, last):
+        mark_bricks(voxels, low, high, margins, lowest, highest, first, last, words, leaps)
+
+    run(mark, shape[0]) if run else mark(0, shape[0])
+    fill_leaps(leaps, shape, words)
+    return Bricks(words, margins, shape)

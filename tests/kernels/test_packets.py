@@ -194,6 +194,31 @@ def test_marked_cells_are_those_that_hold_the_surface_and_few_more(shape):
     assert np.array_equal(leaps == 0, bricked)
 
 
+@pytest.mark.parametrize("holes", [0.0, 0.002])
+@pytest.mark.parametrize("shape", [(2, 2, 2), (5, 9, 17), (21, 18, 38)])
+def test_ranges_are_those_of_the_cells_in_and_around_a_brick(shape, holes):
+    rng = np.random.default_rng(16)
+    voxels = rng.normal(size=shape).astype(np.float32)
+    voxels[rng.random(shape) < holes] = np.nan
+    low, high, margins = (values.reshape(brick_shape(shape)) for values in brick_ranges(voxels))
+    for index in np.ndindex(low.shape):
+        around = voxels[tuple(slice(max(BRICK * i - 1, 0), BRICK * i + BRICK + 2) for i in index)]
+        hole = np.isnan(around).any()
+        assert (low[index], high[index]) == ((-np.inf, np.inf) if hole else (around.min(), around.max()))
+        assert margins[index] == np.inf if hole else 0 < margins[index] < 1e-4 * max(shape) * np.abs(around).max()
+
+
+def test_pieces_make_the_same_map():
+    ranges = brick_ranges(BALL.astype(np.float32))
+    whole = make_bricks(BALL.astype(np.float32), ranges, 0.0, 1.0)
+
+    def run(piece, total):
+        for first in reversed(range(total)):
+            piece(first, first + 1)
+
+    assert np.array_equal(make_bricks(BALL.astype(np.float32), ranges, 0.0, 1.0, run).words, whole.words)
+
+
 def test_leaps_are_chebyshev_distances():
     voxels = np.zeros((70, 50, 90), np.float32)
     voxels[10, 40, 7] = voxels[60, 5, 80] = 1.0

@@ -17,8 +17,8 @@ from isogi_core.errors import Cancelled, StoreError
 from isogi_core.frame.frame import Frame
 from isogi_core.model.scene import Scene, load_scene
 from isogi_core.model.view import View
-from server import studio as studios
 from server.studio import Studio, absolute
+from worker import pool
 from worker.errors import WorkersError
 from worker.pool import Done
 from worker.tasks import BakeResult, BakeTask, bake
@@ -48,7 +48,7 @@ class InlinePool:
 
 @pytest.fixture(autouse=True)
 def inline(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(studios, "WorkerPool", InlinePool)
+    monkeypatch.setattr(pool, "WorkerPool", InlinePool)
 
 
 @pytest.fixture(scope="module")
@@ -138,7 +138,7 @@ def test_workers_come_after_the_start(begin: Open, scene: Scene, monkeypatch: py
         assert come.wait(LONG)
         return InlinePool(workers)
 
-    monkeypatch.setattr(studios, "WorkerPool", hire)
+    monkeypatch.setattr(pool, "WorkerPool", hire)
     studio = begin()
     assert studio.unready() == ["The workers are starting."]
     assert_unlit(studio.frame(scene.id, view_of(scene)))
@@ -151,7 +151,7 @@ def test_workers_that_cannot_be_had_are_told(begin: Open, scene: Scene, monkeypa
     def refuse(workers: int, scheduler: str | None) -> None:
         raise WorkersError("No workers today.")
 
-    monkeypatch.setattr(studios, "WorkerPool", refuse)
+    monkeypatch.setattr(pool, "WorkerPool", refuse)
     studio = begin()
     assert_unlit(studio.frame(scene.id, view_of(scene), wait=0.1))
     assert studio.unready() == [studio.trouble()] == ["No workers today."]
