@@ -17,10 +17,14 @@ Prepare = Callable[[float, threading.Event], object]
 class Foresight:
     """Watches the isovalues of the frames that are asked for. Safe to use from many threads."""
 
-    def __init__(self, prepare: Prepare, step: float) -> None:
-        """``prepare(isovalue, cancelled)`` makes ready what serves an isovalue and those less than ``step`` away."""
+    def __init__(self, prepare: Prepare, step: float, span: tuple[float, float]) -> None:
+        """``prepare(isovalue, cancelled)`` makes ready what serves an isovalue and those less than ``step`` away.
+
+        ``span`` are the lowest and the highest isovalue that may be asked for.
+        """
         self._prepare = prepare
         self._step = step
+        self._span = span
         self._thread = ThreadPoolExecutor(1, "foresight")
         self._lock = threading.Lock()
         self._open = 0
@@ -52,7 +56,8 @@ class Foresight:
     def _note(self, isovalue: float) -> None:
         """Where the slider goes, if it moved."""
         if self._last is not None and isovalue != self._last:
-            self._coming = next_values(self._last, isovalue, self._step)
+            lowest, highest = self._span
+            self._coming = [v for v in next_values(self._last, isovalue, self._step) if lowest <= v <= highest]
         self._last = isovalue
 
     def _work(self, cancelled: threading.Event) -> None:

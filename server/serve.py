@@ -4,6 +4,8 @@ import asyncio
 import os
 import signal
 import socket
+import threading
+from importlib import import_module
 from typing import Any
 
 import click
@@ -17,7 +19,12 @@ from server.settings import Settings
 
 
 def serve(target: str | None, settings: Settings) -> None:
-    """Serve one scene until SIGTERM or SIGINT; IsogiError where the scene, the port or the studio fails."""
+    """Serve one scene until SIGTERM or SIGINT; IsogiError where the scene, the port or the studio fails.
+
+    What takes long stands side by side: the scheduler's library is imported while the scene is read, and
+    the workers come, as processes, while the rest is imported and the kernels are loaded.
+    """
+    threading.Thread(target=import_module, args=["distributed"], daemon=True).start()
     scene = load_scene(target)
     with listen(settings.host, settings.port) as listener:
         from server.studio import Studio  # noqa: PLC0415 (bad input is told before the rest is imported)

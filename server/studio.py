@@ -145,7 +145,8 @@ class Studio:
         store = ChunkStore(self.store, recipe)
         loader = Loader(store, PagePool(recipe, self._memory))
         recipe.field, recipe.maps, store.array, recipe.light  # noqa: B018 (worked out now, not in the first frame)
-        foresight = Foresight(lambda isovalue, cancelled: recipe.bricks(isovalue, isovalue, cancelled), STEP)
+        lowest, highest = sorted(map(scene.volume.normalise_isovalue, scene.isovalues))
+        foresight = Foresight(lambda v, cancelled: recipe.bricks(v, v, cancelled), STEP, (lowest, highest))
         self._baker.add(scene.id, Bake(scene.source, scene.bake_digest, absolute(self.store), loader.refresh))
         return Stage(scene, recipe, loader, Renderer(recipe, loader, self._tiles), foresight)
 

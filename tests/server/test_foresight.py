@@ -55,16 +55,26 @@ def test_next_values_go_on_in_the_direction_and_at_the_pace_of_the_slider(before
 
 def test_a_slider_that_moves_is_prepared_for() -> None:
     prepare = Preparing()
-    foresight = Foresight(prepare, STEP)
+    foresight = Foresight(prepare, STEP, (0.0, 1.0))
     show(foresight, 0.5, 0.51)
     prepare.wait_for(lambda: len(prepare.done) == AHEAD)
     foresight.close()
     assert prepare.done == next_values(0.5, 0.51, STEP)
 
 
+def test_values_that_cannot_be_asked_for_are_left_out() -> None:
+    prepare = Preparing()
+    foresight = Foresight(prepare, STEP, (0.0, 0.54))
+    show(foresight, 0.5, 0.51)
+    prepare.wait_for(lambda: len(prepare.done) == 1)
+    show(foresight, 0.54)
+    foresight.close()
+    assert prepare.done == [pytest.approx(0.53)]
+
+
 def test_one_that_stands_is_not() -> None:
     prepare = Preparing()
-    foresight = Foresight(prepare, STEP)
+    foresight = Foresight(prepare, STEP, (0.0, 1.0))
     show(foresight, 0.5, 0.5, 0.5)
     foresight.close()
     assert not prepare.begun
@@ -72,7 +82,7 @@ def test_one_that_stands_is_not() -> None:
 
 def test_nothing_is_prepared_while_a_frame_is_worked_on() -> None:
     prepare = Preparing()
-    foresight = Foresight(prepare, STEP)
+    foresight = Foresight(prepare, STEP, (0.0, 1.0))
     with foresight.frame(0.4):
         show(foresight, 0.5, 0.51)
         assert not prepare.begun
@@ -82,7 +92,7 @@ def test_nothing_is_prepared_while_a_frame_is_worked_on() -> None:
 
 def test_a_frame_drops_what_is_prepared_and_it_is_taken_up_again() -> None:
     prepare = Preparing(halting=True)
-    foresight = Foresight(prepare, STEP)
+    foresight = Foresight(prepare, STEP, (0.0, 1.0))
     show(foresight, 0.5, 0.51)
     first, second = next_values(0.5, 0.51, STEP)
     prepare.wait_for(lambda: prepare.begun == [first])
@@ -96,7 +106,7 @@ def test_a_frame_drops_what_is_prepared_and_it_is_taken_up_again() -> None:
 
 def test_a_turn_of_the_slider_changes_what_is_coming() -> None:
     prepare = Preparing(halting=True)
-    foresight = Foresight(prepare, STEP)
+    foresight = Foresight(prepare, STEP, (0.0, 1.0))
     show(foresight, 0.5, 0.51)
     prepare.wait_for(lambda: len(prepare.begun) == 1)
     show(foresight, 0.505)
@@ -108,7 +118,7 @@ def test_a_turn_of_the_slider_changes_what_is_coming() -> None:
 
 def test_closing_drops_what_is_prepared() -> None:
     prepare = Preparing(halting=True)
-    foresight = Foresight(prepare, STEP)
+    foresight = Foresight(prepare, STEP, (0.0, 1.0))
     show(foresight, 0.5, 0.51)
     prepare.wait_for(lambda: len(prepare.begun) == 1)
     foresight.close()
