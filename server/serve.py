@@ -4,6 +4,8 @@ import asyncio
 import os
 import signal
 import socket
+import threading
+from importlib import import_module
 from typing import Any
 
 import click
@@ -12,18 +14,25 @@ from fastapi import FastAPI
 
 from isogi_core.errors import IsogiError
 from isogi_core.model.scene import load_scene
-from server.app import create_app
 from server.service import Service
 from server.settings import Settings
 
 
 def serve(target: str | None, settings: Settings) -> None:
-    """Serve one scene until SIGTERM or SIGINT; IsogiError where the scene, the port or the studio fails."""
+    """Serve one scene until SIGTERM or SIGINT; IsogiError where the scene, the port or the studio fails.
+
+    What takes long stands side by side: the scheduler's library is imported while the scene is read, and
+    the workers come, as processes, while the rest is imported and the kernels are loaded.
+    """
+    threading.Thread(target=import_module, args=["distributed"], daemon=True).start()
     scene = load_scene(target)
     with listen(settings.host, settings.port) as listener:
-        from server.studio import Studio  # noqa: PLC0415 (kernels: bad input is told before they are compiled)
+        from server.studio import Studio  # noqa: PLC0415 (bad input is told before the rest is imported)
 
         studio = Studio([scene], settings.store, settings.workers, settings.scheduler, settings.memory_mb << 20)
+        studio.hire()
+        from server.app import create_app  # noqa: PLC0415 (the workers come meanwhile)
+
         asyncio.run(run(create_app(studio, settings), listener, settings))
 
 

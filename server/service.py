@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 Result = TypeVar("Result")
 
-LOOK = 0.1
+LOOK = 0.02
 """Seconds between two looks at whether the service is ready."""
 
 

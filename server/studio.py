@@ -6,19 +6,28 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+from isogi_core.bake.maps import STEP
 from isogi_core.bake.recipe import Recipe
 from isogi_core.cache.loader import Loader
 from isogi_core.cache.pages import PagePool
 from isogi_core.cache.store import ChunkStore, default_store
 from isogi_core.errors import IsogiError
 from isogi_core.frame.frame import Frame
+from isogi_core.frame.kernels import FRAME
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.tiles import Tiles
+from isogi_core.kernels._folder import prune
+from isogi_core.kernels._jit import FOLDER
+from isogi_core.kernels.warm import warm
 from isogi_core.model.scene import Scene
 from isogi_core.model.view import View
+from server.foresight import Foresight
 from worker.baker import Bake, Baker
-from worker.pool import WorkerPool
+
+if TYPE_CHECKING:
+    from worker.pool import WorkerPool
 
 log = logging.getLogger("isogi.server")
 
@@ -34,6 +43,7 @@ class Stage:
     recipe: Recipe
     loader: Loader
     renderer: Renderer
+    foresight: Foresight
 
 
 class Studio:
@@ -61,14 +71,21 @@ class Studio:
         self._trouble: IsogiError | None = None
 
     def start(self) -> None:
-        """Open the stores, then have the workers come while frames can already be rendered.
+        """Have the workers come while the stores are opened and the kernels of frames loaded, or compiled once.
 
-        Raises StoreError. The kernels are compiled by now: importing this module did it.
+        Raises StoreError.
         """
+        self.hire()
+        warm(FRAME)
         for scene in self.scenes.values():
             self._stages[scene.id] = self._open(scene)
-        self._hiring = threading.Thread(target=self._hire, name="hiring", daemon=True)
-        self._hiring.start()
+        prune(FOLDER)
+
+    def hire(self) -> None:
+        """Have the workers come, beside whatever else there is to do."""
+        if self._hiring is None:
+            self._hiring = threading.Thread(target=self._hire, name="hiring", daemon=True)
+            self._hiring.start()
 
     def frame(
         self,
@@ -87,13 +104,13 @@ class Studio:
         stage = self._stages[scene]
         deadline = time.monotonic() + wait
         target = max_error or stage.scene.target_error
-        frame = stage.renderer.render(view, target, cancelled)
+        frame = self._render(stage, view, target, cancelled)
         while frame.demands and self._baker.want(scene, frame.demands, target):
             left = deadline - time.monotonic()
             if left <= 0.0:
                 break
             self._baker.wait(scene, [demand.index for demand in frame.demands], left)
-            frame = stage.renderer.render(view, target, cancelled)
+            frame = self._render(stage, view, target, cancelled)
         return frame
 
     def trouble(self) -> str:
@@ -115,17 +132,27 @@ class Studio:
             self._hiring.join()
         if self._pool is not None:
             self._pool.close()
+        for stage in self._stages.values():
+            stage.foresight.close()
         self._tiles.close()
 
+    def _render(self, stage: Stage, view: View, target: float, cancelled: threading.Event | None) -> Frame:
+        with stage.foresight.frame(stage.scene.volume.normalise_isovalue(view.isovalue)):
+            return stage.renderer.render(view, target, cancelled)
+
     def _open(self, scene: Scene) -> Stage:
-        recipe = Recipe(scene)
+        recipe = Recipe(scene, self._tiles.run)
         store = ChunkStore(self.store, recipe)
         loader = Loader(store, PagePool(recipe, self._memory))
-        recipe.field, store.array, recipe.light  # noqa: B018 (worked out now, not in the first frame)
+        recipe.field, recipe.maps, store.array, recipe.light  # noqa: B018 (worked out now, not in the first frame)
+        lowest, highest = sorted(map(scene.volume.normalise_isovalue, scene.isovalues))
+        foresight = Foresight(lambda v, cancelled: recipe.bricks(v, v, cancelled), STEP, (lowest, highest))
         self._baker.add(scene.id, Bake(scene.source, scene.bake_digest, absolute(self.store), loader.refresh))
-        return Stage(scene, recipe, loader, Renderer(recipe, loader, self._tiles))
+        return Stage(scene, recipe, loader, Renderer(recipe, loader, self._tiles), foresight)
 
     def _hire(self) -> None:
+        from worker.pool import WorkerPool  # noqa: PLC0415 (a fifth of a second, beside other work)
+
         try:
             self._pool = WorkerPool(self._workers, self._scheduler)
         except IsogiError as error:

@@ -5,13 +5,16 @@ import threading
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from isogi_core.bake.recipe import Index
 from isogi_core.frame.texels import Demand
 from isogi_core.model.source import SceneSource
-from worker.pool import WorkerPool
 from worker.queue import BakeQueue, Key, Want
 from worker.tasks import BakeResult, BakeTask
+
+if TYPE_CHECKING:
+    from worker.pool import WorkerPool
 
 log = logging.getLogger("isogi.worker")
 
@@ -41,7 +44,7 @@ class Baker:
         """Take on the bake of a scene."""
         self._bakes[scene] = bake
 
-    def employ(self, pool: WorkerPool) -> None:
+    def employ(self, pool: "WorkerPool") -> None:
         """Begin to work with ``pool``."""
         with self._changed:
             self._pool = pool
@@ -81,7 +84,7 @@ class Baker:
             self._flying += 1
             self._submit(self._pool, want)
 
-    def _submit(self, pool: WorkerPool, want: Want) -> None:
+    def _submit(self, pool: "WorkerPool", want: Want) -> None:
         scene, index = want.key
         bake = self._bakes[scene]
         task = BakeTask(bake.source, bake.digest, bake.store, index, want.offsets, want.goal, want.target)

@@ -5,13 +5,11 @@ from collections.abc import Callable
 from typing import Any
 
 import dask.config
-from distributed import Client, Future, LocalCluster, WorkerPlugin
+from distributed import Client, Future, LocalCluster, fire_and_forget
 
 from worker.errors import WorkersError
-from worker.tasks import BakeResult, BakeTask, bake
-
-NICENESS = 10
-"""How far the workers stand behind the server when both want a core."""
+from worker.nice import Nice
+from worker.tasks import BakeResult, BakeTask, bake, kernels_missing, load_kernels
 
 AHEAD = 2
 """Tasks in flight per worker: a task handed over can be neither re-ordered nor stopped, so few are."""
@@ -30,22 +28,8 @@ SETTINGS = {
 Done = Callable[[BakeResult | None, BaseException | None], None]
 
 
-class Nice(WorkerPlugin):
-    """Sets a worker process behind the server."""
-
-    name = "nice"
-
-    def __init__(self) -> None:
-        """Take the priority of this process, the server, as the one to stay behind."""
-        self.niceness = min(os.getpriority(os.PRIO_PROCESS, 0) + NICENESS, 19)
-
-    def setup(self, worker: Any) -> None:
-        """Lower the process's priority, unless it is as low already."""
-        os.setpriority(os.PRIO_PROCESS, 0, max(self.niceness, os.getpriority(os.PRIO_PROCESS, 0)))
-
-
 class WorkerPool:
-    """Processes that bake. Kernels must be compiled before it is made, so that workers only load them."""
+    """Processes that bake. They load the kernels of the bake with their first task."""
 
     def __init__(self, workers: int, scheduler: str | None = None) -> None:
         """Start ``workers`` processes of one thread each, or join the ``scheduler``. Raises WorkersError."""
@@ -57,6 +41,8 @@ class WorkerPool:
                 self._client = Client(self._cluster or scheduler, timeout="30s", set_as_default=False)
                 self._client.register_plugin(Nice())
                 self._workers = self._count()
+                if kernels_missing():
+                    fire_and_forget(self._client.submit(load_kernels, pure=False))
         except Exception as error:
             if self._cluster is not None:
                 self._cluster.close()

@@ -11,8 +11,13 @@ from isogi_core.bake.recipe import Index, Recipe
 from isogi_core.bake.refine import FIRST_RUNG, refine
 from isogi_core.cache.store import ChunkStore
 from isogi_core.errors import SceneError
+from isogi_core.kernels._jit import Entry
+from isogi_core.kernels.transfer import bake_texels, locate_texels
 from isogi_core.model.scene import build_scene
 from isogi_core.model.source import SceneSource
+
+BAKE = (bake_texels, locate_texels)
+"""The entry kernels that baking takes besides those that open a scene."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +71,18 @@ def bake(task: BakeTask) -> BakeResult:
     waiting = ~finished(light, recipe, task.target)
     fewest = int(light.samples[waiting].min()) if waiting.any() else 0
     return BakeResult(int(waiting.sum()), fewest, time.perf_counter() - begun)
+
+
+def kernels_missing() -> bool:
+    """Whether the kernels of the bake are yet to be compiled."""
+    return any(isinstance(kernel, Entry) and not kernel.stored for kernel in BAKE)
+
+
+def load_kernels() -> None:
+    """Compile or load the kernels of the bake, before there is anything to bake."""
+    for kernel in BAKE:
+        if isinstance(kernel, Entry):
+            kernel.ready  # noqa: B018
 
 
 def next_goal(fewest: int) -> int:

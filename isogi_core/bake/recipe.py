@@ -1,12 +1,13 @@
 """The recipe of a bake: all that the kernels need to light a texel of a scene, worked out once."""
 
-from collections.abc import Callable
+import threading
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import numpy as np
 
-from isogi_core.kernels.bricks import Bricks, brick_ranges, make_bricks
+from isogi_core.bake.maps import Maps, Run, serially
+from isogi_core.kernels.bricks import Bricks
 from isogi_core.kernels.field import Field
 from isogi_core.kernels.harmonics import project
 from isogi_core.kernels.lattice import CHUNK, Lattice
@@ -16,18 +17,16 @@ from isogi_core.model.scene import Scene
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.volume import Volume
 
-MAPS = 40
-"""Maps of isovalues that a recipe keeps (16 bytes for each 64 cells)."""
-
 Index = tuple[int, int, int]
 """Position of a chunk in the lattice, in chunks along z, y, x."""
 
 
 @dataclass(frozen=True, eq=False)
 class Recipe:
-    """A scene as its bake sees it."""
+    """A scene as its bake sees it. ``run`` is who works on what can be done in pieces."""
 
     scene: Scene
+    run: Run = serially
 
     @cached_property
     def field(self) -> Field:
@@ -35,11 +34,13 @@ class Recipe:
         return make_field(self.scene.volume)
 
     @cached_property
-    def bricks(self) -> Callable[[float, float], Bricks]:
-        """The map of the cells that may hold isosurfaces from one normalised isovalue to another; a few are kept."""
-        voxels = self.scene.volume.voxels
-        ranges = brick_ranges(voxels)
-        return lru_cache(MAPS)(lambda lowest, highest: make_bricks(voxels, ranges, lowest, highest))
+    def maps(self) -> Maps:
+        """The maps of the volume's isosurfaces."""
+        return Maps(self.scene.volume.voxels, self.run)
+
+    def bricks(self, lowest: float, highest: float, cancelled: threading.Event | None = None) -> Bricks:
+        """The map of the cells that may hold isosurfaces from one normalised isovalue to another; see ``Maps.get``."""
+        return self.maps.get(lowest, highest, cancelled)
 
     @cached_property
     def shape(self) -> tuple[int, int, int]:

@@ -1,46 +1,63 @@
-"""The one place that owns Numba's options and the folder of compiled kernels.
+"""The one place that owns Numba's options: helpers are compiled where they are called, entry kernels when they are."""
 
-Numba's own cache looks at the file of a function alone: an edit of a helper in another file leaves
-old machine code in use. Here the folder is named after a digest of all kernel sources, of Numba's
-version and of the processor, so that what is loaded is always what is written.
-"""
-
-import hashlib
-import os
 from collections.abc import Callable
-from pathlib import Path
+from functools import update_wrapper
 from typing import Any
 
-import llvmlite.binding as llvm
 import numba
 from numba import njit, types
+
+from isogi_core.kernels._folder import cache_folder, hold, locked
 
 # Not the whole of fastmath: `nnan` would make isnan() False, and the kernels ask.
 FASTMATH = {"nsz", "contract"}
 EXACT = {"nsz"}
 ANY_ORDER = FASTMATH | {"reassoc"}
 
+FOLDER = cache_folder()
+USED = hold(FOLDER)
 
-def sources_digest() -> str:
-    """Digest of every kernel source, Numba's version and the processor's name and features, as hex."""
-    digest = hashlib.blake2b(digest_size=8)
-    for path in sorted(Path(__file__).parent.glob("*.py")):
-        digest.update(path.name.encode())
-        digest.update(path.read_bytes())
-    cpu = numba.config.CPU_NAME or llvm.get_host_cpu_name()
-    features = numba.config.CPU_FEATURES or llvm.get_host_cpu_features().flatten()
-    digest.update(f"{numba.__version__} {cpu} {features}".encode())
-    return digest.hexdigest()
+numba.config.CACHE_DIR = str(FOLDER)
 
 
-def cache_folder() -> Path:
-    """Where compiled kernels are kept: ``$ISOGI_KERNEL_CACHE`` or the user's cache folder."""
-    root = os.environ.get("ISOGI_KERNEL_CACHE")
-    base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    return (Path(root) if root else base / "isogi" / "kernels") / sources_digest()
+class Entry:
+    """An entry kernel, called from outside compiled code.
 
+    It is compiled once for all processes, or loaded, when it is first called, and only for the types of
+    its signature. Any thread may call it.
+    """
 
-numba.config.CACHE_DIR = str(cache_folder())
+    def __init__(self, function: Callable[..., Any], signature: Any, options: dict[str, Any]) -> None:
+        """Take on a Python ``function``; nothing is compiled yet."""
+        update_wrapper(self, function)
+        self.name = f"{function.__module__}.{function.__qualname__}"
+        self.targetoptions = options
+        self._signature = signature
+        self._ready: Any = None
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Run the kernel; TypeError where the arguments are of other types."""
+        return self.ready(*arguments)
+
+    @property
+    def ready(self) -> Any:
+        """Numba's compiled function. Asking for it compiles or loads it."""
+        if self._ready is None:
+            with locked(FOLDER / f"{self.name}.lock"):
+                if self._ready is None:
+                    self._ready = njit(self._signature, cache=True, **self.targetoptions)(self.__wrapped__)
+        return self._ready
+
+    @property
+    def loaded(self) -> bool:
+        """Whether this process has it."""
+        return self._ready is not None
+
+    @property
+    def stored(self) -> bool:
+        """Whether the folder of compiled kernels has it."""
+        module, name = self.name.split(".")[-2:]
+        return any(FOLDER.glob(f"*/{module}.{name}-*.nbi"))
 
 
 def kernel(
@@ -48,17 +65,16 @@ def kernel(
 ) -> Callable[[Callable[..., Any]], Any]:
     """Decorator: compile with the house's options.
 
-    Without a signature the function is a helper, compiled where it is called; with one it is an
-    entry kernel, compiled (or loaded) when its module is imported, and only for these types. What is
-    ``exact`` gives the same bits wherever it is inlined: no product is fused with a sum. Sums in
+    Without a signature the function is a helper, compiled where it is called; with one it is an ``Entry``.
+    What is ``exact`` gives the same bits wherever it is inlined: no product is fused with a sum. Sums in
     ``any_order`` fill vectors: their bits belong to the processor, and to nothing else. What is
     ``inline`` becomes part of its callers however long it is.
     """
     fastmath = EXACT if exact else ANY_ORDER if any_order else FASTMATH
     options = {"nogil": True, "error_model": "numpy", "fastmath": fastmath}
-    if signature is None:
+    if signature is None or numba.config.DISABLE_JIT:
         return njit(forceinline=inline, **options)
-    return njit(signature, cache=True, **options)
+    return lambda function: Entry(function, signature, options)
 
 
 def record(cls: type, *members: Any) -> Any:

@@ -1,11 +1,10 @@
-"""Bricks: for a range of isovalues, which cells may hold the surface, and how far it is from anywhere.
+"""Bricks: for a range of isovalues, which cells may hold the surface, and how far rays may leap.
 
 A brick is 4 × 4 × 4 cells. Its mask has a bit per cell; a brick without one has leaps over the empty
 bricks around it, one for each octant of directions. A cell's bit is clear only where the field's sign is certain in the
 cell and a little around it: rays may then be followed in float32 (see ``packets``).
 """
 
-import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,11 +13,10 @@ from numba import types
 from isogi_core.kernels._jit import kernel, record
 from isogi_core.kernels.field import VOXELS
 from isogi_core.kernels.leaps import fill_leaps
+from isogi_core.kernels.macrocells import INFINITE, RANGES, find_ranges
+from isogi_core.kernels.memory import fetch
 
 BRICK = 4
-CELLS = (1 << 16) - 1
-"""The bits of a word that stand for cells."""
-
 POSITION_ERROR = 2.0**-20
 """How far a float32 ray strays from the true one, over the longest side; twice what ``packets`` derives."""
 
@@ -26,6 +24,8 @@ VALUE_ERROR = 2.0**-19
 """Rounding of a float32 trilinear value, over the largest magnitude in it."""
 
 FLAT = types.float32[::1]
+WORDS = types.int32[::1]
+EMPTY = types.boolean[::1]
 
 
 class Bricks(NamedTuple):
@@ -43,92 +43,162 @@ class Bricks(NamedTuple):
     margins: Any
     shape: tuple[int, int, int]
 
+    @property
+    def nbytes(self) -> int:
+        """Bytes that belong to these isovalues alone."""
+        return self.tops.nbytes + self.cells.nbytes
 
-WORDS = types.int32[::1]
+
 BRICKS = record(Bricks, WORDS, WORDS, FLAT, types.UniTuple(types.int64, 3))
 
 
+@kernel()
 def brick_shape(shape):
     """Bricks along (z, y, x) for a volume of ``shape`` voxels."""
     nz, ny, nx = shape
     return (-(-(nz - 1) // BRICK), -(-(ny - 1) // BRICK), -(-(nx - 1) // BRICK))
 
 
-@kernel()
-def wide_range(voxels, i0, j0, k0):
-    """Smallest and largest voxel of a brick's cells and of the cells around it; (-inf, inf) with a NaN among them."""
-    nz, ny, nx = voxels.shape
-    low, high = math.inf, -math.inf
-    whole = True
-    for k in range(max(k0 - 1, 0), min(k0 + BRICK + 2, nz)):
-        for j in range(max(j0 - 1, 0), min(j0 + BRICK + 2, ny)):
-            for i in range(max(i0 - 1, 0), min(i0 + BRICK + 2, nx)):
-                v = float(voxels[k, j, i])
-                whole &= not math.isnan(v)
-                low, high = min(low, v), max(high, v)
-    return (low, high) if whole else (-math.inf, math.inf)
-
-
-@kernel(types.void(VOXELS, FLAT, FLAT, FLAT))
+@kernel(types.void(VOXELS, RANGES, RANGES, RANGES))
 def fill_ranges(voxels, low, high, margins):
-    """Fill ``low``, ``high`` and ``margins`` (bricks,), which serve every isovalue of the volume."""
+    """Fill ``low``, ``high`` and ``margins`` (bricks along z, y, x), which serve every isovalue of the volume."""
     nz, ny, nx = voxels.shape
-    bz, by, bx = -(-(nz - 1) // BRICK), -(-(ny - 1) // BRICK), -(-(nx - 1) // BRICK)
     stray = 3.0 * POSITION_ERROR * max(nx, ny, nz)
-    for k in range(bz):
-        for j in range(by):
-            for i in range(bx):
-                b = (k * by + j) * bx + i
-                low[b], high[b] = wide_range(voxels, i * BRICK, j * BRICK, k * BRICK)
-                largest = max(abs(low[b]), abs(high[b]))
-                margins[b] = stray * (high[b] - low[b]) + VALUE_ERROR * largest
+    find_ranges(voxels, BRICK, 1, low, high)
+    least, most, margin = low.reshape(low.size), high.reshape(high.size), margins.reshape(margins.size)
+    for b in range(margin.shape[0]):
+        largest = max(abs(least[b]), abs(most[b]))
+        margin[b] = stray * (most[b] - least[b]) + VALUE_ERROR * largest
+
+
+GROUP = 4
+"""Bricks along x that are marked together, in loops of fixed length that compilers turn into vectors."""
+
+ROW = GROUP * BRICK
+"""Cells along x in a group."""
 
 
 @kernel()
-def certain_rows(voxels, i0, j, k, level, sign):
-    """Bits of the cells along x in row (j, k) of voxels whose both ends are beyond ``level`` on the side ``sign``."""
-    nx = voxels.shape[2]
-    row = voxels[k, j]
-    word = 0
-    for i in range(BRICK + 1):
-        word |= (sign * float(row[min(i0 + i, nx - 1)]) > sign * level) << i
-    return word & (word >> 1) & 15
+def below(level):
+    """The largest float32 that is not above ``level``."""
+    near = np.float32(level)
+    return np.nextafter(near, -INFINITE) if near > level else near
 
 
 @kernel()
-def certain_layer(voxels, i0, j0, k, level, sign):
-    """Bits of the 16 cells of a brick that lie along plane ``k`` with all corners in it beyond ``level``."""
-    ny = voxels.shape[1]
-    word = 0
-    before = certain_rows(voxels, i0, min(j0, ny - 1), k, level, sign)
-    for j in range(BRICK):
-        row = certain_rows(voxels, i0, min(j0 + j + 1, ny - 1), k, level, sign)
-        word |= (row & before) << (BRICK * j)
-        before = row
-    return word
+def copy_voxels(voxels, i0, j0, k0, block):
+    """Copy the voxels of a group's cells into the flat ``block``, the volume's faces repeated."""
+    nz, ny, nx = voxels.shape
+    place = 0
+    for c in range(BRICK + 1):
+        for r in range(BRICK + 1):
+            for i in range(ROW + 1):
+                block[place] = voxels[min(k0 + c, nz - 1), min(j0 + r, ny - 1), min(i0 + i, nx - 1)]
+                place += 1
 
 
 @kernel()
-def mark_brick(voxels, i0, j0, k0, outside, solid, cells, place):
-    """Write the masks of a brick to ``place``: cells with not all corners above ``solid`` or all below ``outside``.
+def at(flat, place):
+    """``flat[place]``; that it does not count from the end need not be asked."""
+    return flat[np.uint64(place)]
 
-    Returns whether there are none.
+
+@kernel()
+def mark_layer(flat, place, row, plane, levels, marks):
+    """Write the ``marks`` (ROW,) of a layer of cells; their first voxel is ``flat[place]``.
+
+    ``row`` and ``plane`` are the steps to the next voxel along y and z. A mark has bit 4 y + x % 4 of a
+    cell that has not all corners above ``levels[0]`` or all below ``levels[1]``.
     """
-    nz = voxels.shape[0]
-    above = certain_layer(voxels, i0, j0, k0, solid, 1.0)
-    below = certain_layer(voxels, i0, j0, k0, outside, -1.0)
-    empty = True
-    for k in range(BRICK):
-        plane = min(k0 + k + 1, nz - 1)
-        upper, lower = (
-            certain_layer(voxels, i0, j0, plane, solid, 1.0),
-            certain_layer(voxels, i0, j0, plane, outside, -1.0),
-        )
-        word = CELLS & ~((above & upper) | (below & lower))
-        cells[BRICK * place + k] = word
-        empty &= word == 0
-        above, below = upper, lower
-    return empty
+    marks[:] = 0
+    for r in range(BRICK):
+        for i in range(ROW):
+            p = place + r * row + i
+            q = p + plane
+            a, b, c, d = at(flat, p), at(flat, p + 1), at(flat, p + row), at(flat, p + row + 1)
+            e, f, g, h = at(flat, q), at(flat, q + 1), at(flat, q + row), at(flat, q + row + 1)
+            least, most = min(a, b, c, d, e, f, g, h), max(a, b, c, d, e, f, g, h)
+            certain = (least > levels[0, i]) | (most < levels[1, i])
+            marks[i] |= np.int32(0 if certain else 1) << np.int32(BRICK * r + i % BRICK)
+
+
+@kernel()
+def mark_group(flat, place, row, plane, levels, marks, words, empty, b, count):
+    """Write words of the ``count`` bricks from ``b`` on, and which are ``empty``; see ``mark_layer``."""
+    for c in range(BRICK):
+        mark_layer(flat, place + c * plane, row, plane, levels, marks)
+        for g in range(count):
+            first = BRICK * g
+            word = marks[first] | marks[first + 1] | marks[first + 2] | marks[first + 3]
+            words[BRICK * (b + g) + c] = word
+            if word:
+                empty[b + g] = False
+
+
+@kernel()
+def set_levels(margins, b, count, iso_low, iso_high, levels):
+    """Write, for each cell along a group, the ``levels`` above and below which a voxel's side is certain."""
+    for g in range(count):
+        solid, outside = below(iso_high + margins[b + g]), -below(margins[b + g] - iso_low)
+        for i in range(BRICK * g, BRICK * g + BRICK):
+            levels[0, i], levels[1, i] = solid, outside
+
+
+@kernel()
+def find_groups(low, high, margins, iso_low, iso_high, first, shape, groups):
+    """List in ``groups`` the first bricks (j * bx + i) of the groups of a layer that may hold the surface.
+
+    The layer's first brick is ``first``. Returns how many there are.
+    """
+    _, by, bx = shape
+    count = 0
+    for j in range(by):
+        for i in range(0, bx, GROUP):
+            holds = False
+            for b in range(first + j * bx + i, first + j * bx + min(i + GROUP, bx)):
+                holds |= (low[b] <= iso_high + margins[b]) & (high[b] >= iso_low - margins[b])
+            groups[count] = j * bx + i
+            count += holds
+    groups[count] = 0
+    return count
+
+
+@kernel()
+def fetch_group(flat, place, row, plane):
+    """Have the voxels of a group come nearer, the first at ``place``."""
+    last = flat.shape[0] - 1
+    for c in range(BRICK + 1):
+        for r in range(BRICK + 1):
+            p = place + c * plane + r * row
+            fetch(flat, min(p, last))
+            fetch(flat, min(p + ROW, last))
+
+
+@kernel(types.void(VOXELS, FLAT, FLAT, FLAT, types.float64, types.float64, types.int64, types.int64, WORDS, EMPTY))
+def mark_bricks(voxels, low, high, margins, iso_low, iso_high, first, last, words, empty):
+    """Write the words of bricks, and which are ``empty``, in layers ``first`` … ``last`` - 1 along z.
+
+    Only bricks whose ranges hold isovalues ``iso_low`` … ``iso_high`` are looked into; the words of others stay.
+    """
+    nz, ny, nx = voxels.shape
+    bz, by, bx = brick_shape(voxels.shape)
+    flat, block = voxels.reshape(voxels.size), np.empty((BRICK + 1) ** 2 * (ROW + 1), np.float32)
+    levels, marks = np.empty((2, ROW), np.float32), np.empty(ROW, np.int32)
+    groups = np.empty(by * (bx // GROUP + 1) + 1, np.int64)
+    for k in range(first, last):
+        layer = k * by * bx
+        empty[layer : layer + by * bx] = True
+        for n in range(find_groups(low, high, margins, iso_low, iso_high, layer, (bz, by, bx), groups)):
+            j, i = groups[n] // bx, groups[n] % bx
+            i0, j0, k0, b, count = i * BRICK, j * BRICK, k * BRICK, layer + groups[n], min(GROUP, bx - i)
+            ahead = groups[n + 1]
+            fetch_group(flat, (k0 * ny + ahead // bx * BRICK) * nx + ahead % bx * BRICK, nx, ny * nx)
+            set_levels(margins, b, count, iso_low, iso_high, levels)
+            if i0 + ROW < nx and j0 + BRICK < ny and k0 + BRICK < nz:
+                mark_group(flat, (k0 * ny + j0) * nx + i0, nx, ny * nx, levels, marks, words, empty, b, count)
+            else:
+                copy_voxels(voxels, i0, j0, k0, block)
+                mark_group(block, 0, ROW + 1, (BRICK + 1) * (ROW + 1), levels, marks, words, empty, b, count)
 
 
 @kernel()
@@ -144,44 +214,41 @@ def mark_blocks(cells, first):
         cells[first + k + 1] |= block << 16
 
 
-@kernel(types.int64(VOXELS, FLAT, FLAT, FLAT, types.float64, types.float64, WORDS, WORDS))
-def fill_bricks(voxels, low, high, margins, iso_low, iso_high, tops, cells):
-    """Fill ``tops`` and ``cells`` for isovalues ``iso_low`` … ``iso_high``; the rest is from ``fill_ranges``.
-
-    Returns how many bricks are marked; ``cells`` has room for all that their range may let be.
-    """
-    nz, ny, nx = voxels.shape
-    bz, by, bx = -(-(nz - 1) // BRICK), -(-(ny - 1) // BRICK), -(-(nx - 1) // BRICK)
-    empty = np.ones((bz, by, bx), np.bool_)
+@kernel(types.void(WORDS, EMPTY, types.UniTuple(types.int64, 3), WORDS, WORDS))
+def pack_bricks(words, empty, shape, tops, cells):
+    """Put the ``words`` of bricks that are not ``empty`` together in ``cells``, and places and leaps in ``tops``."""
     marked = 0
-    for k in range(bz):
-        for j in range(by):
-            for i in range(bx):
-                b = (k * by + j) * bx + i
-                solid, outside = iso_high + margins[b], iso_low - margins[b]
-                if low[b] > solid or high[b] < outside:
-                    continue
-                empty[k, j, i] = mark_brick(voxels, i * BRICK, j * BRICK, k * BRICK, outside, solid, cells, marked)
-                if not empty[k, j, i]:
-                    mark_blocks(cells, BRICK * marked)
-                    tops[b] = marked
-                    marked += 1
-    fill_leaps(empty, tops)
-    return marked
+    for b in range(empty.shape[0]):
+        if not empty[b]:
+            first = BRICK * marked
+            cells[first : first + BRICK] = words[BRICK * b : BRICK * (b + 1)]
+            mark_blocks(cells, first)
+            tops[b] = marked
+            marked += 1
+    fill_leaps(empty.reshape(shape), tops)
 
 
 def brick_ranges(voxels):
     """Smallest and largest voxel in and around each brick, and the margins: what serves every isovalue."""
-    low, high, margins = np.empty((3, math.prod(brick_shape(voxels.shape))), np.float32)
+    low, high, margins = np.empty((3, *brick_shape(voxels.shape)), np.float32)
     fill_ranges(voxels, low, high, margins)
-    return low, high, margins
+    return low.ravel(), high.ravel(), margins.ravel()
 
 
-def make_bricks(voxels, ranges, lowest, highest):
-    """The Bricks of isovalues from ``lowest`` to ``highest``; ``ranges`` are the volume's ``brick_ranges``."""
+def make_bricks(voxels, ranges, lowest, highest, run=None):
+    """The Bricks of isovalues from ``lowest`` to ``highest``; ``ranges`` are the volume's ``brick_ranges``.
+
+    ``run(piece, total)`` may call ``piece(first, last)`` for parts of the whole on many threads.
+    """
     low, high, margins = ranges
+    shape = brick_shape(voxels.shape)
+    words, empty = np.zeros(BRICK * len(margins), np.int32), np.empty(len(margins), np.bool_)
+
+    def mark(first, last):
+        mark_bricks(voxels, low, high, margins, lowest, highest, first, last, words, empty)
+
+    run(mark, shape[0]) if run else mark(0, shape[0])
     tops = np.empty(len(margins), np.int32)
-    room = np.count_nonzero((low <= highest + margins) & (high >= lowest - margins)) + 1
-    cells = np.empty(BRICK * room, np.int32)
-    marked = fill_bricks(voxels, low, high, margins, lowest, highest, tops, cells)
-    return Bricks(tops, cells[: BRICK * max(marked, 1)].copy(), margins, brick_shape(voxels.shape))
+    cells = np.zeros(BRICK * max(len(margins) - np.count_nonzero(empty), 1), np.int32)
+    pack_bricks(words, empty, shape, tops, cells)
+    return Bricks(tops, cells, margins, shape)

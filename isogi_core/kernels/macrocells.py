@@ -3,41 +3,84 @@
 They hold no isovalue, so one set serves every isosurface of the volume (Parker et al. 1998).
 """
 
-import math
+import numpy as np
+from numba import types
 
 from isogi_core.kernels._jit import kernel
 
 SIZE = 8
 """Cells along each side of a macrocell."""
 
+INFINITE = np.float32(np.inf)
+
+RANGES = types.float32[:, :, ::1]
+
 
 @kernel()
-def block_range(voxels, i0, j0, k0):
-    """Smallest and largest voxel of the macrocell that begins at voxel (i0, j0, k0)."""
+def take_planes(voxels, first, last, low, high):
+    """Fill ``low`` and ``high`` (ny, nx) with the range of the voxels in planes ``first`` … ``last`` - 1.
+
+    A NaN among them opens the range to (-inf, inf).
+    """
+    _, ny, nx = voxels.shape
+    for j in range(ny):
+        least, most = low[j], high[j]
+        least[:], most[:] = INFINITE, -INFINITE
+        for k in range(first, last):
+            row = voxels[k, j]
+            for i in range(nx):
+                whole = row[i] == row[i]
+                v, w = row[i] if whole else -INFINITE, row[i] if whole else INFINITE
+                least[i] = v if v < least[i] else least[i]
+                most[i] = w if w > most[i] else most[i]
+
+
+@kernel()
+def take_rows(low, high, first, last, least, most):
+    """Fill ``least`` and ``most`` (nx,) with the range of rows ``first`` … ``last`` - 1 of ``low`` and ``high``."""
+    least[:], most[:] = INFINITE, -INFINITE
+    for j in range(first, last):
+        v, w = low[j], high[j]
+        for i in range(least.shape[0]):
+            least[i] = v[i] if v[i] < least[i] else least[i]
+            most[i] = w[i] if w[i] > most[i] else most[i]
+
+
+@kernel()
+def window(block, size, apron, n):
+    """First and one past the last of ``n`` voxels along an axis in the cells of a block and ``apron`` cells around."""
+    return max(block * size - apron, 0), min((block + 1) * size + apron + 1, n)
+
+
+@kernel()
+def find_ranges(voxels, size, apron, low, high):
+    """Fill ``low`` and ``high`` (blocks along z, y, x): the range of the voxels of each block of ``size``³ cells.
+
+    ``apron`` cells around the block are taken in too. A block with a NaN gets (-inf, inf).
+    """
     nz, ny, nx = voxels.shape
-    low, high = math.inf, -math.inf
-    for k in range(k0, min(k0 + SIZE + 1, nz)):
-        for j in range(j0, min(j0 + SIZE + 1, ny)):
-            for i in range(i0, min(i0 + SIZE + 1, nx)):
-                v = voxels[k, j, i]
-                if math.isnan(v):
-                    return -math.inf, math.inf
-                low, high = min(low, v), max(high, v)
-    return low, high
+    planes = np.empty((2, ny, nx), np.float32)
+    rows = np.empty((2, nx), np.float32)
+    for k in range(low.shape[0]):
+        first, last = window(k, size, apron, nz)
+        take_planes(voxels, first, last, planes[0], planes[1])
+        for j in range(low.shape[1]):
+            first, last = window(j, size, apron, ny)
+            take_rows(planes[0], planes[1], first, last, rows[0], rows[1])
+            for i in range(low.shape[2]):
+                first, last = window(i, size, apron, nx)
+                low[k, j, i] = rows[0, first:last].min()
+                high[k, j, i] = rows[1, first:last].max()
 
 
-@kernel("void(float32[:, :, ::1], float32[:, :, ::1], float32[:, :, ::1])")
+@kernel(types.void(RANGES, RANGES, RANGES))
 def fill_macrocells(voxels, low, high):
     """Fill ``low`` and ``high`` (mz, my, mx) from ``voxels`` (nz, ny, nx), mz = ceil((nz - 1) / SIZE) and so on.
 
     A macrocell takes in the voxels on all its faces, shared ones too. One with a NaN in it gets
     (-inf, +inf), so that it is never leapt over: its cells decide one by one.
     """
-    nz, ny, nx = voxels.shape
-    for k in range(low.shape[0]):
-        for j in range(low.shape[1]):
-            for i in range(low.shape[2]):
-                low[k, j, i], high[k, j, i] = block_range(voxels, i * SIZE, j * SIZE, k * SIZE)
+    find_ranges(voxels, SIZE, 0, low, high)
 
 
 def macrocell_shape(shape):

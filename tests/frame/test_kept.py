@@ -5,7 +5,7 @@ import threading
 import numpy as np
 import pytest
 
-from isogi_core.frame.kept import Kept
+from isogi_core.kept import Kept
 
 
 def made(kept: Kept[str, np.ndarray], *names: str) -> list[str]:

@@ -6,12 +6,14 @@ import os
 import shutil
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import numba
 import pytest
 from numba import config
 
-from isogi_core.kernels import _jit
+from isogi_core.kernels import _folder, _jit
 
 FOLDER = Path(_jit.__file__).parent
 COMPILED = pytest.mark.skipif(bool(config.DISABLE_JIT), reason="Numba is switched off: nothing is compiled")
@@ -44,7 +46,7 @@ def test_kernels_were_found():
 @pytest.mark.parametrize(("module", "name"), ENTRIES)
 def test_an_entry_kernel_has_exactly_one_signature(module, name):
     entry = find(module, name)
-    (signature,) = entry.signatures
+    (signature,) = entry.ready.signatures
     with pytest.raises(TypeError, match="No matching definition"):
         entry(*[None] * len(signature))
 
@@ -62,28 +64,28 @@ def test_options_keep_threads_out_and_nan_in(module, name, entry):
 
 @COMPILED
 def test_the_cache_lies_in_the_folder_of_these_sources():
-    assert Path(config.CACHE_DIR) == _jit.cache_folder()
-    assert _jit.cache_folder().name == _jit.sources_digest()
+    assert Path(config.CACHE_DIR) == _jit.FOLDER
+    assert _jit.FOLDER.name == _folder.sources_digest()
 
 
 def test_the_cache_goes_where_it_is_told(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "xdg"))
     monkeypatch.delenv("ISOGI_KERNEL_CACHE", raising=False)
-    assert _jit.cache_folder().parent == tmp_path / "xdg" / "isogi" / "kernels"
+    assert _folder.cache_folder().parent == tmp_path / "xdg" / "isogi" / "kernels"
     monkeypatch.setenv("ISOGI_KERNEL_CACHE", str(tmp_path / "told"))
-    assert _jit.cache_folder().parent == tmp_path / "told"
+    assert _folder.cache_folder().parent == tmp_path / "told"
 
 
 @pytest.mark.parametrize("edited", [path.name for path in sorted(FOLDER.glob("*.py"))])
 def test_editing_any_source_changes_the_digest(edited, monkeypatch, tmp_path):
     shutil.copytree(FOLDER, tmp_path / "kernels", ignore=shutil.ignore_patterns("__pycache__"))
-    monkeypatch.setattr(_jit, "__file__", str(tmp_path / "kernels" / "_jit.py"))
-    before = _jit.sources_digest()
+    monkeypatch.setattr(_folder, "__file__", str(tmp_path / "kernels" / "_folder.py"))
+    before = _folder.sources_digest()
     with (tmp_path / "kernels" / edited).open("a", encoding="utf-8") as source:
         source.write("\n")
-    assert _jit.sources_digest() != before
+    assert _folder.sources_digest() != before
     (tmp_path / "kernels" / edited).rename(tmp_path / "kernels" / "renamed.py")
-    assert _jit.sources_digest() != before
+    assert _folder.sources_digest() != before
 
 
 ENTRY = """\
@@ -104,7 +106,8 @@ def shift(x):
 ASK = """\
 import sys
 from isogi_core.kernels.entry import entry
-sys.stdout.write(f"{entry(1.0)} {sum(entry.stats.cache_hits.values())}")
+assert not entry.loaded
+sys.stdout.write(f"{entry(1.0)} {sum(entry.ready.stats.cache_hits.values())}")
 """
 
 
@@ -113,7 +116,8 @@ def test_an_edited_helper_is_compiled_anew_and_an_old_one_is_loaded(tmp_path):
     """A house of two files, each run a fresh process: the entry kernel's own file never changes."""
     kernels = tmp_path / "isogi_core" / "kernels"
     kernels.mkdir(parents=True)
-    shutil.copy(FOLDER / "_jit.py", kernels)
+    for name in ("_jit.py", "_folder.py"):
+        shutil.copy(FOLDER / name, kernels)
     (kernels.parent / "__init__.py").touch()
     (kernels / "__init__.py").touch()
     (kernels / "entry.py").write_text(ENTRY)
@@ -127,3 +131,21 @@ def test_an_edited_helper_is_compiled_anew_and_an_old_one_is_loaded(tmp_path):
         answers.append(done.stdout)
     assert answers == ["2.0 0", "2.0 1", "3.5 0", "2.0 1"]
     assert len(list((tmp_path / "cache").iterdir())) == 2
+
+
+@COMPILED
+def test_threads_that_call_a_kernel_together_wait_for_one_compilation(tmp_path, monkeypatch):
+    monkeypatch.setattr(_jit, "FOLDER", tmp_path)
+    made = []
+
+    def compile_here(signature, cache, **options):
+        made.append(signature)
+        return numba.njit(signature, **options)
+
+    monkeypatch.setattr(_jit, "njit", compile_here)
+    entry = _jit.Entry(lambda x: x + 1.0, "float64(float64)", {"nogil": True})
+    assert not entry.loaded
+    with ThreadPoolExecutor(4) as threads:
+        assert list(threads.map(entry, [1.0, 2.0, 3.0, 4.0])) == [2.0, 3.0, 4.0, 5.0]
+    assert entry.loaded
+    assert made == ["float64(float64)"]

@@ -195,6 +195,33 @@ def test_marked_cells_are_those_that_hold_the_surface_and_few_more(shape):
     assert np.array_equal((bricks.tops >> 28) == 0, bricked.ravel())
 
 
+@pytest.mark.parametrize("holes", [0.0, 0.002])
+@pytest.mark.parametrize("shape", [(2, 2, 2), (5, 9, 17), (21, 18, 38)])
+def test_ranges_are_those_of_the_cells_in_and_around_a_brick(shape, holes):
+    rng = np.random.default_rng(16)
+    voxels = rng.normal(size=shape).astype(np.float32)
+    voxels[rng.random(shape) < holes] = np.nan
+    low, high, margins = (values.reshape(brick_shape(shape)) for values in brick_ranges(voxels))
+    for index in np.ndindex(low.shape):
+        around = voxels[tuple(slice(max(BRICK * i - 1, 0), BRICK * i + BRICK + 2) for i in index)]
+        hole = np.isnan(around).any()
+        assert (low[index], high[index]) == ((-np.inf, np.inf) if hole else (around.min(), around.max()))
+        assert margins[index] == np.inf if hole else 0 < margins[index] < 1e-4 * max(shape) * np.abs(around).max()
+
+
+def test_pieces_make_the_same_map():
+    ranges = brick_ranges(BALL.astype(np.float32))
+    whole = make_bricks(BALL.astype(np.float32), ranges, 0.0, 1.0)
+
+    def run(piece, total):
+        for first in reversed(range(total)):
+            piece(first, first + 1)
+
+    pieces = make_bricks(BALL.astype(np.float32), ranges, 0.0, 1.0, run)
+    assert np.array_equal(pieces.tops, whole.tops)
+    assert np.array_equal(pieces.cells, whole.cells)
+
+
 def largest_cube(marked, corner, way):
     """Side of the largest cube with no marked brick that goes from ``corner`` in the directions ``way``."""
     for side in range(1, LONGEST + 1):

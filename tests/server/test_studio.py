@@ -7,18 +7,22 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
 from hashlib import sha256
 from pathlib import Path
+from queue import Queue
 from typing import Any
 
 import numpy as np
 import pytest
 from zarr.storage import LocalStore
 
+from isogi_core.bake.maps import STEP, Maps
 from isogi_core.errors import Cancelled, StoreError
 from isogi_core.frame.frame import Frame
+from isogi_core.kernels.bricks import Bricks
 from isogi_core.model.scene import Scene, load_scene
 from isogi_core.model.view import View
-from server import studio as studios
+from server.foresight import next_values
 from server.studio import Studio, absolute
+from worker import pool
 from worker.errors import WorkersError
 from worker.pool import Done
 from worker.tasks import BakeResult, BakeTask, bake
@@ -48,7 +52,7 @@ class InlinePool:
 
 @pytest.fixture(autouse=True)
 def inline(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(studios, "WorkerPool", InlinePool)
+    monkeypatch.setattr(pool, "WorkerPool", InlinePool)
 
 
 @pytest.fixture(scope="module")
@@ -138,7 +142,7 @@ def test_workers_come_after_the_start(begin: Open, scene: Scene, monkeypatch: py
         assert come.wait(LONG)
         return InlinePool(workers)
 
-    monkeypatch.setattr(studios, "WorkerPool", hire)
+    monkeypatch.setattr(pool, "WorkerPool", hire)
     studio = begin()
     assert studio.unready() == ["The workers are starting."]
     assert_unlit(studio.frame(scene.id, view_of(scene)))
@@ -147,11 +151,45 @@ def test_workers_come_after_the_start(begin: Open, scene: Scene, monkeypatch: py
     assert studio.unready() == []
 
 
+def test_workers_are_hired_once(begin: Open, scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    hired = []
+
+    def hire(workers: int, scheduler: str | None) -> InlinePool:
+        hired.append(InlinePool(workers))
+        return hired[0]
+
+    monkeypatch.setattr(pool, "WorkerPool", hire)
+    studio = begin()
+    studio.hire()
+    assert not studio.frame(scene.id, view_of(scene), wait=LONG).provisional
+    assert len(hired) == 1
+
+
+def test_maps_of_the_next_isovalues_are_made_while_nobody_waits(
+    begin: Open, scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: Queue[float] = Queue()
+    get = Maps.get
+
+    def noted(self: Maps, lowest: float, highest: float, cancelled: threading.Event | None = None) -> Bricks:
+        bricks = get(self, lowest, highest, cancelled)
+        if cancelled is not None and threading.current_thread().name.startswith("foresight"):
+            made.put(lowest)
+        return bricks
+
+    monkeypatch.setattr(Maps, "get", noted)
+    studio = begin()
+    for isovalue in (0.3, 0.31):
+        studio.frame(scene.id, view_of(scene, isovalue=isovalue))
+    before, now = (scene.volume.normalise_isovalue(v) for v in (0.3, 0.31))
+    assert [made.get(timeout=LONG) for _ in range(2)] == next_values(before, now, STEP)
+
+
 def test_workers_that_cannot_be_had_are_told(begin: Open, scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(workers: int, scheduler: str | None) -> None:
         raise WorkersError("No workers today.")
 
-    monkeypatch.setattr(studios, "WorkerPool", refuse)
+    monkeypatch.setattr(pool, "WorkerPool", refuse)
     studio = begin()
     assert_unlit(studio.frame(scene.id, view_of(scene), wait=0.1))
     assert studio.unready() == [studio.trouble()] == ["No workers today."]

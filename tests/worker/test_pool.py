@@ -11,14 +11,20 @@ import psutil
 import pytest
 
 from isogi_core.cache.store import ChunkStore
+from isogi_core.kernels.bricks import fill_leaps, fill_ranges, mark_bricks
+from isogi_core.kernels.harmonics import project
+from isogi_core.kernels.macrocells import fill_macrocells
+from isogi_core.kernels.warm import warm
 from isogi_core.model.scene import load_scene
 from worker.errors import WorkersError
-from worker.pool import AHEAD, NICENESS, WorkerPool
-from worker.tasks import BakeResult, BakeTask, opened
+from worker.nice import NICENESS
+from worker.pool import AHEAD, WorkerPool
+from worker.tasks import BAKE, BakeResult, BakeTask, opened
 
 SCENE = load_scene("demo:orbital", order=2, lattice=0.4, bounces=1, target_error=0.5)
 TEXELS = np.arange(0, 4096, 40, dtype=np.int32)
 WORKERS = 2
+OPENING = (fill_ranges, mark_bricks, fill_leaps, fill_macrocells, project)
 
 
 def kernel_cache() -> dict[str, tuple[int, int]]:
@@ -28,7 +34,8 @@ def kernel_cache() -> dict[str, tuple[int, int]]:
 
 @pytest.fixture(scope="module")
 def compiled() -> dict[str, tuple[int, int]]:
-    """The kernels that were compiled before there were workers."""
+    """The kernels that were compiled before there were workers: all that baking takes."""
+    warm((*BAKE, *OPENING))
     return kernel_cache()
 
 
@@ -120,26 +127,54 @@ def test_nothing_but_health_is_served(pool: WorkerPool) -> None:
             assert httpx.get(f"http://127.0.0.1:{port}{path}").status_code == 404
 
 
+def kernels_of_this_process() -> dict[str, bool]:
+    """The entry kernels that this process has loaded, by name, and whether it had to compile them."""
+    import sys
+
+    from isogi_core.kernels._jit import Entry
+
+    modules = [module for name, module in sys.modules.items() if name.startswith("isogi_core.kernels.")]
+    entries = {x.name: x for module in modules for x in vars(module).values() if isinstance(x, Entry)}
+    return {name: bool(x.ready.stats.cache_misses) for name, x in entries.items() if x.loaded}
+
+
+def test_workers_load_nothing_before_they_bake(compiled: dict[str, tuple[int, int]]) -> None:
+    def rooms() -> set[str]:
+        """What the process has imported of the house, and of what takes long to import."""
+        import sys
+
+        return {name.split(".")[0] for name in sys.modules} & {"isogi_core", "numba", "zarr"}
+
+    fresh = WorkerPool(1)
+    try:
+        assert list(fresh._client.run(rooms).values()) == [set()]
+    finally:
+        fresh.close()
+
+
 def test_kernels_are_loaded_and_not_compiled_again(
     compiled: dict[str, tuple[int, int]], pool: WorkerPool, tmp_path: Path
 ) -> None:
     bake_all(pool, tasks_for(tmp_path))
-
-    def loads() -> tuple[int, int]:
-        """How often this process has loaded a kernel, and how often it had to compile one."""
-        import sys
-
-        modules = [module for name, module in sys.modules.items() if name.startswith("isogi_core.kernels.")]
-        kernels = {id(x): x for module in modules for x in vars(module).values() if getattr(x, "stats", None)}
-        stats = [kernel.stats for kernel in kernels.values()]
-        return sum(sum(s.cache_hits.values()) for s in stats), sum(sum(s.cache_misses.values()) for s in stats)
-
-    for hits, misses in pool._client.run(loads).values():
-        assert hits > 0
-        assert misses == 0
+    for kernels in pool._client.run(kernels_of_this_process).values():
+        assert set(kernels) == {kernel.name for kernel in (*BAKE, *OPENING)}
+        assert not any(kernels.values())
     assert compiled
     after = kernel_cache()
     assert {name: after[name] for name in compiled} == compiled
+
+
+def test_kernels_that_are_missing_are_compiled_by_a_worker(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("worker.pool.kernels_missing", lambda: True)
+    fresh = WorkerPool(1)
+    try:
+        deadline = time.monotonic() + 60
+        while not (kernels := next(iter(fresh._client.run(kernels_of_this_process).values()))):
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+    finally:
+        fresh.close()
+    assert set(kernels) <= {kernel.name for kernel in BAKE}
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""Results that are kept for the next frames."""
+"""Results that are kept for the next time they are asked for."""
 
 import threading
 from collections import OrderedDict

@@ -1,0 +1,93 @@
+"""The folder of compiled kernels: named after their sources, and pruned when those have changed often.
+
+Numba's own cache looks at the file of a function alone: an edit of a helper in another file leaves
+old machine code in use. Here the folder is named after a digest of all kernel sources, of Numba's
+version and of the processor, so that what is loaded is always what is written.
+"""
+
+import fcntl
+import hashlib
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import llvmlite.binding as llvm
+import numba
+
+KEPT = 8
+"""Folders of other sources that are kept besides the own one, those used last."""
+
+IN_USE = "in-use"
+"""File in a folder that its users hold a shared lock on."""
+
+
+def sources_digest() -> str:
+    """Digest of every kernel source, Numba's version and the processor's name and features, as hex."""
+    digest = hashlib.blake2b(digest_size=8)
+    for path in sorted(Path(__file__).parent.glob("*.py")):
+        digest.update(path.name.encode())
+        digest.update(path.read_bytes())
+    cpu = numba.config.CPU_NAME or llvm.get_host_cpu_name()
+    features = numba.config.CPU_FEATURES or llvm.get_host_cpu_features().flatten()
+    digest.update(f"{numba.__version__} {cpu} {features}".encode())
+    return digest.hexdigest()
+
+
+def cache_folder() -> Path:
+    """Where compiled kernels are kept: ``$ISOGI_KERNEL_CACHE`` or the user's cache folder."""
+    root = os.environ.get("ISOGI_KERNEL_CACHE")
+    base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    return (Path(root) if root else base / "isogi" / "kernels") / sources_digest()
+
+
+def hold(folder: Path) -> int:
+    """Mark ``folder``, which is made where it is missing, as used now and until this process ends.
+
+    Returns the open file that the mark hangs on.
+    """
+    while True:
+        folder.mkdir(parents=True, exist_ok=True)
+        mark = os.open(folder / IN_USE, os.O_CREAT | os.O_RDWR, 0o666)
+        fcntl.flock(mark, fcntl.LOCK_SH)
+        if is_at(mark, folder / IN_USE):
+            os.utime(folder / IN_USE)
+            return mark
+        os.close(mark)
+
+
+def prune(folder: Path) -> None:
+    """Remove the siblings of ``folder`` but the ``KEPT`` used last, and those that a process holds."""
+    others = [each for each in folder.parent.iterdir() if each != folder and each.is_dir()]
+    for old in sorted(others, key=last_used)[: max(len(others) - KEPT, 0)]:
+        with locked(old / IN_USE, wait=False) as ours:
+            if ours:
+                shutil.rmtree(old, ignore_errors=True)
+
+
+@contextmanager
+def locked(path: Path, wait: bool = True) -> Iterator[bool]:
+    """Be the only one, of all threads and processes, who has the lock on the file ``path``; tells whether it is so."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("a") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            yield False
+        else:
+            yield True
+
+
+def last_used(folder: Path) -> float:
+    """When a process began to use ``folder``, in seconds; where none has said so, when it was made."""
+    mark = folder / IN_USE
+    return (mark if mark.exists() else folder).stat().st_mtime
+
+
+def is_at(file: int, path: Path) -> bool:
+    """Whether the open ``file`` is the one at ``path``: it may have been removed, and made again, since."""
+    try:
+        return os.path.samestat(os.fstat(file), path.stat())
+    except FileNotFoundError:
+        return False

@@ -1,0 +1,62 @@
+"""Warming up: in a house of two small kernels, each compiled once, in processes of their own."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from numba import config
+
+from isogi_core.kernels import _jit
+
+pytestmark = pytest.mark.skipif(bool(config.DISABLE_JIT), reason="Numba is switched off: nothing is compiled")
+
+FOLDER = Path(_jit.__file__).parent
+SMALL = """\
+from isogi_core.kernels._jit import kernel
+
+@kernel("float64(float64)")
+def one(x):
+    return x + 1.0
+
+@kernel("float64(float64)")
+def two(x):
+    return x + 2.0
+
+@kernel("float64(float64)")
+def never(x):
+    return x
+"""
+ASK = """\
+import sys
+from isogi_core.kernels.small import never, one, two
+from isogi_core.kernels.warm import warm
+if __name__ == "__main__":
+    was = one.stored, two.stored
+    warm((one, two))
+    hits = [sum(each.ready.stats.cache_hits.values()) for each in (one, two)]
+    sys.stdout.write(f"{was} {one.loaded} {two.loaded} {hits} {one(1.0)} {two(1.0)} {never.loaded} {never.stored}")
+"""
+
+
+def test_what_is_missing_is_compiled_by_others_and_loaded_here(tmp_path):
+    kernels = tmp_path / "isogi_core" / "kernels"
+    kernels.mkdir(parents=True)
+    for name in ("_jit.py", "_folder.py", "warm.py"):
+        shutil.copy(FOLDER / name, kernels)
+    (kernels.parent / "__init__.py").touch()
+    (kernels / "__init__.py").touch()
+    (kernels / "small.py").write_text(SMALL)
+    (tmp_path / "ask.py").write_text(ASK)
+    environment = {**os.environ, "ISOGI_KERNEL_CACHE": str(tmp_path / "cache"), "PYTHONPATH": str(tmp_path)}
+    answers = [
+        subprocess.run(
+            [sys.executable, "ask.py"], env=environment, cwd=tmp_path, capture_output=True, text=True, check=True
+        ).stdout
+        for _ in range(2)
+    ]
+    hits = "[1, 1]" if len(os.sched_getaffinity(0)) > 1 else "[0, 0]"
+    assert answers[0] == f"(False, False) True True {hits} 2.0 3.0 False False"
+    assert answers[1] == "(True, True) True True [1, 1] 2.0 3.0 False False"

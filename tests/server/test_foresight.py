@@ -1,0 +1,126 @@
+import threading
+from collections.abc import Callable
+
+import pytest
+
+from isogi_core.errors import Cancelled
+from server.foresight import AHEAD, Foresight, next_values
+
+STEP = 0.02
+LONG = 30.0
+
+
+class Preparing:
+    """Prepares values at once, or waits at each until it is told to go on or is cancelled."""
+
+    def __init__(self, halting: bool = False) -> None:
+        self.halting = halting
+        self.begun: list[float] = []
+        self.done: list[float] = []
+        self.dropped: list[float] = []
+        self.go = threading.Event()
+        self.changed = threading.Condition()
+
+    def __call__(self, isovalue: float, cancelled: threading.Event) -> None:
+        self._add(self.begun, isovalue)
+        while self.halting and not self.go.wait(0.001):
+            if cancelled.is_set():
+                self._add(self.dropped, isovalue)
+                raise Cancelled("Nobody waits for this any more.")
+        self._add(self.done, isovalue)
+
+    def wait_for(self, condition: Callable[[], bool]) -> None:
+        with self.changed:
+            assert self.changed.wait_for(condition, LONG)
+
+    def _add(self, values: list[float], value: float) -> None:
+        with self.changed:
+            values.append(value)
+            self.changed.notify_all()
+
+
+def show(foresight: Foresight, *isovalues: float) -> None:
+    for isovalue in isovalues:
+        with foresight.frame(isovalue):
+            pass
+
+
+@pytest.mark.parametrize(("before", "now"), [(0.5, 0.501), (0.5, 0.52), (0.5, 0.58), (0.5, 0.499), (0.5, 0.3)])
+def test_next_values_go_on_in_the_direction_and_at_the_pace_of_the_slider(before: float, now: float) -> None:
+    first, second = next_values(before, now, STEP)
+    assert (first - now) * (now - before) > 0
+    assert abs(first - now) == pytest.approx(max(abs(now - before), STEP))
+    assert second - first == pytest.approx(first - now)
+
+
+def test_a_slider_that_moves_is_prepared_for() -> None:
+    prepare = Preparing()
+    foresight = Foresight(prepare, STEP, (0.0, 1.0))
+    show(foresight, 0.5, 0.51)
+    prepare.wait_for(lambda: len(prepare.done) == AHEAD)
+    foresight.close()
+    assert prepare.done == next_values(0.5, 0.51, STEP)
+
+
+def test_values_that_cannot_be_asked_for_are_left_out() -> None:
+    prepare = Preparing()
+    foresight = Foresight(prepare, STEP, (0.0, 0.54))
+    show(foresight, 0.5, 0.51)
+    prepare.wait_for(lambda: len(prepare.done) == 1)
+    show(foresight, 0.54)
+    foresight.close()
+    assert prepare.done == [pytest.approx(0.53)]
+
+
+def test_one_that_stands_is_not() -> None:
+    prepare = Preparing()
+    foresight = Foresight(prepare, STEP, (0.0, 1.0))
+    show(foresight, 0.5, 0.5, 0.5)
+    foresight.close()
+    assert not prepare.begun
+
+
+def test_nothing_is_prepared_while_a_frame_is_worked_on() -> None:
+    prepare = Preparing()
+    foresight = Foresight(prepare, STEP, (0.0, 1.0))
+    with foresight.frame(0.4):
+        show(foresight, 0.5, 0.51)
+        assert not prepare.begun
+    prepare.wait_for(lambda: len(prepare.done) == AHEAD)
+    foresight.close()
+
+
+def test_a_frame_drops_what_is_prepared_and_it_is_taken_up_again() -> None:
+    prepare = Preparing(halting=True)
+    foresight = Foresight(prepare, STEP, (0.0, 1.0))
+    show(foresight, 0.5, 0.51)
+    first, second = next_values(0.5, 0.51, STEP)
+    prepare.wait_for(lambda: prepare.begun == [first])
+    with foresight.frame(0.51):
+        prepare.wait_for(lambda: prepare.dropped == [first])
+    prepare.wait_for(lambda: prepare.begun == [first, first])
+    prepare.go.set()
+    prepare.wait_for(lambda: prepare.done == [first, second])
+    foresight.close()
+
+
+def test_a_turn_of_the_slider_changes_what_is_coming() -> None:
+    prepare = Preparing(halting=True)
+    foresight = Foresight(prepare, STEP, (0.0, 1.0))
+    show(foresight, 0.5, 0.51)
+    prepare.wait_for(lambda: len(prepare.begun) == 1)
+    show(foresight, 0.505)
+    prepare.go.set()
+    expected = next_values(0.51, 0.505, STEP)
+    prepare.wait_for(lambda: prepare.done[-2:] == expected)
+    foresight.close()
+
+
+def test_closing_drops_what_is_prepared() -> None:
+    prepare = Preparing(halting=True)
+    foresight = Foresight(prepare, STEP, (0.0, 1.0))
+    show(foresight, 0.5, 0.51)
+    prepare.wait_for(lambda: len(prepare.begun) == 1)
+    foresight.close()
+    assert len(prepare.dropped) == 1
+    assert not prepare.done
