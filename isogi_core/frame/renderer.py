@@ -9,12 +9,12 @@ from isogi_core.cache.loader import Loader
 from isogi_core.cache.pages import Held
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import GBuffer, trace
-from isogi_core.kept import Kept
 from isogi_core.frame.reading import Reading, read_texels
 from isogi_core.frame.shader import Shaded, Shader
 from isogi_core.frame.stopwatch import Stopwatch
 from isogi_core.frame.texels import ViewTexels, find_texels
 from isogi_core.frame.tiles import Tiles
+from isogi_core.kept import Kept
 from isogi_core.model.view import View
 
 KEPT = 128 << 20

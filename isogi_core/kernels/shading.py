@@ -9,14 +9,15 @@ from numba import types
 from isogi_core.kernels._jit import kernel, record
 from isogi_core.kernels.bricks import BRICKS
 from isogi_core.kernels.field import FIELD, normal
-from isogi_core.kernels.integrator import WAVE, launch, put, to_index, walk_paths
+from isogi_core.kernels.integrator import launch, to_index
 from isogi_core.kernels.intersect import OUTSIDE
 from isogi_core.kernels.lattice import PIXELS, POINTS
 from isogi_core.kernels.lights import fog, radiance
 from isogi_core.kernels.packets import cast_batch
 from isogi_core.kernels.planes import FINAL, PLANES, put_pixel
 from isogi_core.kernels.rng import mix
-from isogi_core.kernels.vec import dot, length, madd, normalize, put_column, row, scale, sub
+from isogi_core.kernels.vec import column, dot, length, madd, normalize, put_column, scale, sub
+from isogi_core.kernels.waves import WAVE, walk_paths
 
 
 class LocalModel(NamedTuple):
@@ -135,23 +136,22 @@ SURROUNDINGS = record(Surroundings, types.float64[::1], types.float32[:, :, ::1]
 
 
 @kernel()
-def trace_wave(field, bricks, iso, points, normals, pixels, light, weights, first, count, sums):
+def trace_together(field, bricks, iso, points, normals, pixels, light, weights, first, count, sums):
     """``trace_points`` for a few points whose paths go together."""
-    paths = pixels.shape[0] * 2 * count
-    starts, facing, ways = np.empty((paths, 3)), np.empty((paths, 3)), np.empty((paths, 3))
-    seeds, samples, left = np.empty(paths, np.uint64), np.empty(paths, np.int64), np.empty(paths, np.int64)
-    for i in range(paths):
-        m, half = i // (2 * count), i // count % 2
-        put(starts, i, single(points, m))
-        put(facing, i, single(normals, m))
-        seeds[i], samples[i] = mix(np.int64(pixels[m]), half), first + i % count
-    walk_paths(field, bricks, np.full(paths, iso), starts, facing, seeds, samples, weights.shape[0] - 1, left, ways)
-    for i in range(paths):
-        m, half = i // (2 * count), i // count % 2
-        if left[i] >= 0:
-            arriving = radiance(light.constant, light.image, light.matrix, row(ways, i))
+    starts = 2 * pixels.shape[0]
+    here, facing, seeds = np.empty((3, starts)), np.empty((3, starts)), np.empty(starts, np.uint64)
+    for i in range(starts):
+        put_column(here, i, single(points, i // 2))
+        put_column(facing, i, single(normals, i // 2))
+        seeds[i] = mix(np.int64(pixels[i // 2]), i % 2)
+    levels, bounces = np.full(starts, iso), weights.shape[0] - 1
+    left, ways = np.empty(starts * count, np.int64), np.empty((3, starts * count))
+    walk_paths(field, bricks, levels, here, facing, seeds, first, count, bounces, left, ways)
+    for m in range(starts * count):
+        if left[m] >= 0:
+            arriving = radiance(light.constant, light.image, light.matrix, column(ways, m))
             for c in range(3):
-                sums[m, half, c] += weights[left[i], c] * arriving[c]
+                sums[m % starts // 2, m % 2, c] += weights[left[m], c] * arriving[c]
 
 
 @kernel(
@@ -181,6 +181,5 @@ def trace_points(field, bricks, iso, points, normals, pixels, light, weights, fi
         b = min(a + together, pixels.shape[0])
         for begin in range(first, first + count, samples):
             some = min(samples, first + count - begin)
-            trace_wave(
-                field, bricks, iso, points[a:b], normals[a:b], pixels[a:b], light, weights, begin, some, sums[a:b]
-            )
+            part = points[a:b], normals[a:b], pixels[a:b]
+            trace_together(field, bricks, iso, *part, light, weights, begin, some, sums[a:b])
