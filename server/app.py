@@ -51,5 +51,6 @@ async def lifespan(app: FastAPI) -> AsyncIterator[None]:
     service: Service = app.state.service
     start = asyncio.create_task(service.start())
     yield
+    service.studio.stop()
     await start
     await service.close()

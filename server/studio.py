@@ -68,6 +68,7 @@ class Studio:
         self._pool: WorkerPool | None = None
         self._stages: dict[str, Stage] = {}
         self._hiring: threading.Thread | None = None
+        self._stopped = threading.Event()
         self._trouble: IsogiError | None = None
 
     def start(self) -> None:
@@ -76,10 +77,16 @@ class Studio:
         Raises StoreError.
         """
         self.hire()
-        warm(FRAME)
+        warm(FRAME, self._stopped)
+        if self._stopped.is_set():
+            return
         for scene in self.scenes.values():
             self._stages[scene.id] = self._open(scene)
         prune(FOLDER)
+
+    def stop(self) -> None:
+        """Have ``start``, if it is at work in another thread, return without a studio that can be used."""
+        self._stopped.set()
 
     def hire(self) -> None:
         """Have the workers come, beside whatever else there is to do."""

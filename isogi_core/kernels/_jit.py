@@ -45,8 +45,14 @@ class Entry:
         if self._ready is None:
             with locked(FOLDER / f"{self.name}.lock"):
                 if self._ready is None:
-                    self._ready = njit(self._signature, cache=True, **self.targetoptions)(self.__wrapped__)
+                    self._compile()
         return self._ready
+
+    def offer(self) -> None:
+        """Compile it, unless that is done or somebody is at it."""
+        with locked(FOLDER / f"{self.name}.lock", wait=False) as ours:
+            if ours and not self.stored:
+                self._compile()
 
     @property
     def loaded(self) -> bool:
@@ -58,6 +64,9 @@ class Entry:
         """Whether the folder of compiled kernels has it."""
         module, name = self.name.split(".")[-2:]
         return any(FOLDER.glob(f"*/{module}.{name}-*.nbi"))
+
+    def _compile(self) -> None:
+        self._ready = njit(self._signature, cache=True, **self.targetoptions)(self.__wrapped__)
 
 
 def kernel(

@@ -194,11 +194,11 @@ def mark_bricks(voxels, low, high, margins, iso_low, iso_high, first, last, word
             ahead = groups[n + 1]
             fetch_group(flat, (k0 * ny + ahead // bx * BRICK) * nx + ahead % bx * BRICK, nx, ny * nx)
             set_levels(margins, b, count, iso_low, iso_high, levels)
-            if i0 + ROW < nx and j0 + BRICK < ny and k0 + BRICK < nz:
-                mark_group(flat, (k0 * ny + j0) * nx + i0, nx, ny * nx, levels, marks, words, empty, b, count)
-            else:
+            source, place, row, plane = flat, (k0 * ny + j0) * nx + i0, nx, ny * nx
+            if i0 + ROW >= nx or j0 + BRICK >= ny or k0 + BRICK >= nz:
                 copy_voxels(voxels, i0, j0, k0, block)
-                mark_group(block, 0, ROW + 1, (BRICK + 1) * (ROW + 1), levels, marks, words, empty, b, count)
+                source, place, row, plane = block, 0, ROW + 1, (BRICK + 1) * (ROW + 1)
+            mark_group(source, place, row, plane, levels, marks, words, empty, b, count)
 
 
 @kernel()

@@ -69,8 +69,10 @@ def find_ranges(voxels, size, apron, low, high):
             take_rows(planes[0], planes[1], first, last, rows[0], rows[1])
             for i in range(low.shape[2]):
                 first, last = window(i, size, apron, nx)
-                low[k, j, i] = rows[0, first:last].min()
-                high[k, j, i] = rows[1, first:last].max()
+                least, most = INFINITE, -INFINITE
+                for x in range(first, last):
+                    least, most = min(least, rows[0, x]), max(most, rows[1, x])
+                low[k, j, i], high[k, j, i] = least, most
 
 
 @kernel(types.void(RANGES, RANGES, RANGES))

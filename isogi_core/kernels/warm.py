@@ -1,34 +1,51 @@
 """Warming up: having entry kernels ready before they are called."""
 
-import os
+import signal
+import threading
 from collections.abc import Iterable
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import suppress
 from importlib import import_module
 from multiprocessing import get_context
 
+import numba
+
 from isogi_core.kernels._jit import Entry
 
+LOOK = 0.02
+"""Seconds between two looks at whether the wait for a compilation is given up."""
 
-def warm(kernels: Iterable[Entry]) -> None:
-    """Load ``kernels``; those that were never compiled are compiled first, on all cores, in the order given."""
+
+def warm(kernels: Iterable[Entry], stopped: threading.Event | None = None) -> None:
+    """Load ``kernels``; those that were never compiled are compiled first, on all cores, in the order given.
+
+    Once ``stopped`` is set it returns as soon as it can.
+    """
+    stopped = stopped or threading.Event()
     entries = [entry for entry in kernels if isinstance(entry, Entry)]
-    compile_beside(entries)
+    compile_beside([entry.name for entry in entries if not entry.stored], stopped)
     for entry in entries:
-        entry.ready  # noqa: B018
+        if not stopped.is_set():
+            entry.ready  # noqa: B018
 
 
-def compile_beside(entries: Iterable[Entry]) -> None:
-    """Compile what is not stored yet in processes of their own: within one, Numba compiles one thing at a time."""
-    missing = [entry.name for entry in entries if not entry.stored]
-    processes = min(len(os.sched_getaffinity(0)), len(missing))
-    if processes > 1:
-        with suppress(BrokenProcessPool), ProcessPoolExecutor(processes, get_context("spawn")) as pool:
-            list(pool.map(compile_one, missing))
+def compile_beside(names: list[str], stopped: threading.Event) -> None:
+    """Compile kernels in processes of their own: within one, Numba compiles one thing at a time."""
+    processes = min(numba.config.NUMBA_DEFAULT_NUM_THREADS, len(names))
+    if processes < 2:
+        return
+    spawn = get_context("spawn")
+    helpers = [spawn.Process(target=compile_named, args=[names], daemon=True) for _ in range(processes)]
+    for helper in helpers:
+        helper.start()
+    for helper in helpers:
+        while helper.is_alive() and not stopped.is_set():
+            helper.join(LOOK)
+        helper.terminate()
+        helper.join()
 
 
-def compile_one(name: str) -> None:
-    """Compile the kernel that ``name`` says, with its module."""
-    module, _, function = name.rpartition(".")
-    getattr(import_module(module), function).ready  # noqa: B018
+def compile_named(names: list[str]) -> None:
+    """Compile those kernels that are not stored yet and that no other process is at."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for name in names:
+        module, _, function = name.rpartition(".")
+        getattr(import_module(module), function).offer()

@@ -149,3 +149,15 @@ def test_threads_that_call_a_kernel_together_wait_for_one_compilation(tmp_path, 
         assert list(threads.map(entry, [1.0, 2.0, 3.0, 4.0])) == [2.0, 3.0, 4.0, 5.0]
     assert entry.loaded
     assert made == ["float64(float64)"]
+
+
+@COMPILED
+def test_a_kernel_that_somebody_is_at_is_left_to_them(tmp_path, monkeypatch):
+    monkeypatch.setattr(_jit, "FOLDER", tmp_path)
+    monkeypatch.setattr(_jit, "njit", lambda signature, **options: lambda function: function)
+    entry = _jit.Entry(lambda x: x, "float64(float64)", {})
+    with _folder.locked(tmp_path / f"{entry.name}.lock"):
+        entry.offer()
+    assert not entry.loaded
+    entry.offer()
+    assert entry.loaded

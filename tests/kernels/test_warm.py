@@ -4,12 +4,14 @@ import os
 import shutil
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import pytest
 from numba import config
 
 from isogi_core.kernels import _jit
+from isogi_core.kernels.warm import warm
 
 pytestmark = pytest.mark.skipif(bool(config.DISABLE_JIT), reason="Numba is switched off: nothing is compiled")
 
@@ -41,6 +43,15 @@ if __name__ == "__main__":
 """
 
 
+def test_once_it_is_stopped_nothing_is_loaded(tmp_path, monkeypatch):
+    monkeypatch.setattr(_jit, "FOLDER", tmp_path)
+    entries = [_jit.Entry(lambda x: x, "float64(float64)", {}) for _ in range(2)]
+    stopped = threading.Event()
+    stopped.set()
+    warm(entries, stopped)
+    assert not any(entry.loaded or entry.stored for entry in entries)
+
+
 def test_what_is_missing_is_compiled_by_others_and_loaded_here(tmp_path):
     kernels = tmp_path / "isogi_core" / "kernels"
     kernels.mkdir(parents=True)
@@ -57,6 +68,6 @@ def test_what_is_missing_is_compiled_by_others_and_loaded_here(tmp_path):
         ).stdout
         for _ in range(2)
     ]
-    hits = "[1, 1]" if len(os.sched_getaffinity(0)) > 1 else "[0, 0]"
+    hits = "[1, 1]" if config.NUMBA_DEFAULT_NUM_THREADS > 1 else "[0, 0]"
     assert answers[0] == f"(False, False) True True {hits} 2.0 3.0 False False"
     assert answers[1] == "(True, True) True True [1, 1] 2.0 3.0 False False"

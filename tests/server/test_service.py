@@ -29,13 +29,18 @@ class FakeStudio:
         self.doing = doing
         self.views: list[tuple[View, float | None, float]] = []
         self.startable: Exception | None = None
+        self.stopped = False
         self.closed = False
 
     def start(self) -> None:
         if self.startable:
             raise self.startable
 
+    def stop(self) -> None:
+        self.stopped = True
+
     def close(self) -> None:
+        assert self.stopped
         self.closed = True
 
     def unready(self) -> list[str]:

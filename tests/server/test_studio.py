@@ -20,6 +20,7 @@ from isogi_core.frame.frame import Frame
 from isogi_core.kernels.bricks import Bricks
 from isogi_core.model.scene import Scene, load_scene
 from isogi_core.model.view import View
+from server import studio as studios
 from server.foresight import next_values
 from server.studio import Studio, absolute
 from worker import pool
@@ -374,6 +375,22 @@ def test_nobody_waits_for_a_cancelled_frame(begin: Open, scene: Scene) -> None:
 def test_a_studio_can_be_closed_before_it_began(scene: Scene, store: Path) -> None:
     with closing(Studio([scene], str(store))):
         pass
+    assert not store.exists()
+
+
+def test_a_start_can_be_given_up(scene: Scene, store: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    compiling = threading.Event()
+
+    def compile_for_long(kernels: Any, stopped: threading.Event) -> None:
+        compiling.set()
+        assert stopped.wait(LONG)
+
+    monkeypatch.setattr(studios, "warm", compile_for_long)
+    with closing(Studio([scene], str(store))) as studio, ThreadPoolExecutor(1) as thread:
+        start = thread.submit(studio.start)
+        assert compiling.wait(LONG)
+        studio.stop()
+        start.result(LONG)
     assert not store.exists()
 
 
