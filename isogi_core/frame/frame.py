@@ -1,7 +1,7 @@
 """A frame: the answer to a view, with what is known of its own quality."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -22,7 +22,7 @@ class Frame:
     ``radiance`` (h, w, 3) float32 linear RGB; ``state`` (h, w) uint8, 0 none, 1 provisional,
     2 converging, 3 final; ``error`` (h, w) float32 relative standard error; ``gbuffer`` the surface.
     ``version`` is equal for equal pictures, also after a restart. ``demands`` is the light that was
-    not final, ``seconds`` the time of each stage.
+    not final, told by ``lacks`` when it is asked for; ``seconds`` the time of each stage.
     """
 
     view: View
@@ -32,9 +32,14 @@ class Frame:
     gbuffer: GBuffer
     chunks_needed: int
     chunks_final: int
-    demands: tuple[Demand, ...]
+    lacks: Callable[[], tuple[Demand, ...]]
     version: str
     seconds: Mapping[str, float]
+
+    @cached_property
+    def demands(self) -> tuple[Demand, ...]:
+        """The light that was not final, chunk by chunk."""
+        return self.lacks()
 
     @property
     def position(self) -> np.ndarray:

@@ -12,6 +12,9 @@ from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.lattice import UNLIT, VOID, VOID_ROW, find_rows
 from isogi_core.kernels.planes import CONVERGING, FINAL, PROVISIONAL
 
+PIECE = 16384
+"""Texels that are looked up, and digested, together; the same on any number of threads."""
+
 
 @dataclass(frozen=True, eq=False)
 class Reading:
@@ -47,15 +50,18 @@ class Reading:
 def read_texels(texels: ViewTexels, slots: np.ndarray, pool: PagePool, target: float, tiles: Tiles) -> Reading:
     """Look a view's texels up in the pool; ``slots`` are those of its chunks, ``target`` is final light's error."""
     places = texels.places
-    rows, error, samples = np.empty(len(places), np.int32), *np.empty((2, len(places)), np.float32)
+    rows, grade = np.empty(len(places), np.int32), np.empty(len(places), np.uint8)
+    digests: dict[int, bytes] = {}
 
     def _piece(a: int, b: int) -> None:
-        find_rows(places[a:b], slots, pool.table, pool.error, pool.samples, rows[a:b], error[a:b], samples[a:b])
+        error, samples = np.empty((2, b - a), np.float32)
+        find_rows(places[a:b], slots, pool.table, pool.error, pool.samples, rows[a:b], error, samples)
+        grade[a:b] = grade_rows(rows[a:b], error, samples, target)
+        digests[a] = hashlib.sha256(samples.data).digest()
 
-    tiles.run(_piece, len(places), tiles.even(len(places)))
-    grade = grade_rows(rows, error, samples, target)
+    tiles.run(_piece, len(places), PIECE)
     short = np.minimum.reduceat(grade, texels.bounds[:-1]) < FINAL if len(grade) else np.zeros(0, np.bool_)
-    return Reading(rows, grade, hashlib.sha256(samples.data).digest(), short)
+    return Reading(rows, grade, b"".join(digests[a] for a in sorted(digests)), short)
 
 
 def grade_rows(rows: np.ndarray, error: np.ndarray, samples: np.ndarray, target: float) -> np.ndarray:

@@ -88,7 +88,7 @@ class Renderer:
             gbuffer=gbuffer,
             chunks_needed=shaded.chunks_needed,
             chunks_final=shaded.chunks_final,
-            demands=shaded.demands,
+            lacks=shaded.lacks,
             version=version_of(self.recipe.scene.digest, view, shaded.version),
             seconds=watch.seconds,
         )

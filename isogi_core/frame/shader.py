@@ -35,7 +35,7 @@ class Shaded:
     planes: Planes
     chunks_needed: int = 0
     chunks_final: int = 0
-    demands: tuple[Demand, ...] = ()
+    lacks: Callable[[], tuple[Demand, ...]] = tuple
     version: bytes = b""
 
 
@@ -149,7 +149,7 @@ class Shader:
         with self.watch.stage("shade"):
             self._carry(texels, reading, lit)
         needed, short = len(texels.chunks), int(reading.short.sum())
-        return Shaded(self.planes, needed, needed - short, reading.demands(texels), reading.version)
+        return Shaded(self.planes, needed, needed - short, lambda: reading.demands(texels), reading.version)
 
     def _light_texels(self, rows: np.ndarray, pool: PagePool) -> np.ndarray:
         """Linear RGB and standard error of each texel's light, (texels, 4); undefined where there is no light."""

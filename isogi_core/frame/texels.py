@@ -58,24 +58,24 @@ class ViewTexels:
 def find_texels(gbuffer: GBuffer, recipe: Recipe, tiles: Tiles, cancelled: threading.Event | None) -> ViewTexels:
     """Collect the texels around every surface point of ``gbuffer``."""
     points, lattice = gbuffer.points, recipe.lattice
-    size = tiles.even(len(points), 1)
+    piece, share = tiles.even(len(points)), tiles.even(len(points), 1)
 
-    def _over_points(kernel: Callable[..., None], each: Callable[[int, int], tuple[Any, ...]]) -> None:
+    def _over_points(kernel: Callable[..., None], size: int, each: Callable[[int, int], tuple[Any, ...]]) -> None:
         tiles.run(lambda a, b: kernel(lattice, points[a:b], *each(a, b)), len(points), size, cancelled)
 
     touched = np.zeros(recipe.chunks, np.bool_)
-    _over_points(touch_chunks, lambda a, b: (touched,))
+    _over_points(touch_chunks, piece, lambda a, b: (touched,))
     indices = np.argwhere(touched)
     slots = np.full(recipe.chunks, -1, np.int32)
     slots[touched] = np.arange(len(indices))
-    marks = np.zeros((-(-len(points) // size), len(indices) * ROWS), np.uint16)
-    _over_points(mark_texels, lambda a, b: (slots, marks[a // size]))
+    marks = np.zeros((-(-len(points) // share), len(indices) * ROWS), np.uint16)
+    _over_points(mark_texels, share, lambda a, b: (slots, marks[a // share]))
     read = np.bitwise_or.reduce(marks, axis=0)
     first = np.zeros(len(read) + 1, np.uint32)
     np.cumsum(np.bitwise_count(read), out=first[1:])
     places = np.empty(first[-1], np.uint32)
     tiles.run(lambda a, b: find_places(a, b, read, first, places), len(read), tiles.even(len(read)), cancelled)
     corners = np.empty((len(points), 8), np.uint32)
-    _over_points(find_corners, lambda a, b: (slots, read, first, corners[a:b]))
+    _over_points(find_corners, piece, lambda a, b: (slots, read, first, corners[a:b]))
     chunks = tuple((z, y, x) for z, y, x in indices.tolist())
     return ViewTexels(gbuffer, chunks, places, first[::ROWS].copy(), corners)

@@ -92,6 +92,15 @@ def row_of(slots, z, y, x):
     return slots[z // CHUNK, y // CHUNK, x // CHUNK] * ROWS + (z % CHUNK) * CHUNK + y % CHUNK
 
 
+@kernel()
+def rows_around(slots, z, y, x):
+    """``row_of`` the four rows of a lattice cell, y faster than z: from its own chunk where all are in that."""
+    r = row_of(slots, z, y, x)
+    if z % CHUNK < CHUNK - 1 and y % CHUNK < CHUNK - 1:
+        return r, r + 1, r + CHUNK, r + CHUNK + 1
+    return r, row_of(slots, z, y + 1, x), row_of(slots, z + 1, y, x), row_of(slots, z + 1, y + 1, x)
+
+
 @kernel(types.void(LATTICE, POINTS, SLOTS, BITS))
 def mark_texels(lattice, points, slots, read):
     """Set in ``read`` (slots · ROWS,), a bit for each texel of a row, those that a point reads.
@@ -101,11 +110,11 @@ def mark_texels(lattice, points, slots, read):
     for m in range(points.shape[0]):
         z, y, x, _, _, _ = base_texel(lattice, points, m)
         i = x % CHUNK
-        for c in range(4):
-            k, j = z + (c >> 1), y + (c & 1)
-            read[row_of(slots, k, j, x)] |= (3 << i) & WHOLE_ROW
-            if i == CHUNK - 1:
-                read[row_of(slots, k, j, x + 1)] |= 1
+        for r in rows_around(slots, z, y, x):
+            read[r] |= (3 << i) & WHOLE_ROW
+        if i == CHUNK - 1:
+            for r in rows_around(slots, z, y, x + 1):
+                read[r] |= 1
 
 
 @kernel()
@@ -128,12 +137,12 @@ def find_corners(lattice, points, slots, read, first, corners):
     for m in range(points.shape[0]):
         z, y, x, _, _, _ = base_texel(lattice, points, m)
         i = x % CHUNK
-        for c in range(4):
-            k, j = z + (c >> 1), y + (c & 1)
-            r = row_of(slots, k, j, x)
-            near = first[r] + ones(int(read[r]) & ((1 << i) - 1))
-            corners[m, 2 * c] = near
-            corners[m, 2 * c + 1] = near + 1 if i < CHUNK - 1 else first[row_of(slots, k, j, x + 1)]
+        for c, r in enumerate(rows_around(slots, z, y, x)):
+            number = first[r] + ones(int(read[r]) & ((1 << i) - 1))
+            corners[m, 2 * c], corners[m, 2 * c + 1] = number, number + 1
+        if i == CHUNK - 1:
+            for c, r in enumerate(rows_around(slots, z, y, x + 1)):
+                corners[m, 2 * c + 1] = first[r]
 
 
 @kernel(types.void(types.int64, types.int64, BITS, PLACES, PLACES))
@@ -149,16 +158,20 @@ def find_places(begin, end, read, first, places):
             place += 1
 
 
+@kernel()
+def borders(place):
+    """Along which axes (bit 0 is x, bit 1 is y, bit 2 is z) a texel is the last of its chunk."""
+    x, y, z = place % CHUNK, place // CHUNK % CHUNK, place // CHUNK**2 % CHUNK
+    return int(x == CHUNK - 1) | int(y == CHUNK - 1) << 1 | int(z == CHUNK - 1) << 2
+
+
 @kernel(types.void(CORNERS, PLACES, PIXELS, types.int64, types.int64, types.float64[::1]))
 def weigh_chunks(corners, places, pixels, width, height, area):
     """Add to ``area`` (chunks,) the points that read each chunk: 2 in the middle of the picture, 1 at its corners."""
     for m in range(corners.shape[0]):
         y, x = divmod(np.int64(pixels[m]), width)
         weight = 2.0 - 0.5 * (((2 * x + 1) / width - 1.0) ** 2 + ((2 * y + 1) / height - 1.0) ** 2)
-        first, crossed = places[corners[m, 0]] // CHUNK**3, 0
-        for axis in (1, 2, 4):
-            if places[corners[m, axis]] // CHUNK**3 != first:
-                crossed |= axis
+        crossed = borders(places[corners[m, 0]])
         for c in range(8):
             if c & crossed == c:
                 area[places[corners[m, c]] // CHUNK**3] += weight

@@ -55,7 +55,7 @@ class FakeStudio:
         colour, ones = np.full((*shape, 3), 0.5, np.float32), np.ones(shape, np.float32)
         pixels = np.arange(ones.size, dtype=np.uint32)
         surface = GBuffer(shape, (1.0, 1.0, 1.0), (9.0, 0.0, 0.0), 0.5, pixels, colour.reshape(-1, 3))
-        return Frame(view, colour, ones.astype(np.uint8), ones, surface, 3, 1, (), "v1", {"primary": 0.001})
+        return Frame(view, colour, ones.astype(np.uint8), ones, surface, 3, 1, tuple, "v1", {"primary": 0.001})
 
 
 @pytest.fixture(scope="module")
