@@ -144,14 +144,14 @@ def smooth_gradient(voxels, p):
 
 
 @kernel(exact=True)
-def put_weights(p, n, cells, weights):
-    """Write the cells of coordinates ``p`` side by side, and the B-spline's weights and slopes in them."""
+def put_weights(p, n, out):
+    """Write the B-spline's weights, its slopes and the cells of coordinates ``p`` side by side to ``out``."""
     i = floor_within(p, n - 2)
-    write(cells, 0, i)
     for a, w in enumerate(bspline(p - i)):
-        write(weights[a], 0, w)
+        write(out[a], 0, w)
     for a, s in enumerate(bspline_slope(p - i)):
-        write(weights[4 + a], 0, s)
+        write(out[4 + a], 0, s)
+    write(out[8], 0, i)
 
 
 @kernel()
@@ -161,20 +161,21 @@ def four_at(rows, first, lane):
 
 
 @kernel()
-def smooth_gradients(voxels, points, count, out):
-    """``smooth_gradient`` at the first ``count`` columns of ``points``, to ``out``; both (3, whole vectors)."""
+def smooth_gradients(voxels, points, first, lanes, w, out):
+    """``smooth_gradient`` at ``lanes`` columns of ``points`` (3, n) from ``first`` on, to those of ``out``.
+
+    n is whole vectors; ``w`` (3, 9, ABREAST) is room for cells, weights and slopes.
+    """
     nz, ny, nx = voxels.shape
-    cells, w = np.empty((3, ABREAST)), np.empty((3, 8, ABREAST))
-    for first in range(0, count, ABREAST):
-        p = read_columns(points, first)
-        put_weights(p[0], nx, cells[0], w[0])
-        put_weights(p[1], ny, cells[1], w[1])
-        put_weights(p[2], nz, cells[2], w[2])
-        for lane in range(min(ABREAST, count - first)):
-            i, j, k = int(cells[0, lane]), int(cells[1, lane]), int(cells[2, lane])
-            wx, wy, wz = four_at(w[0], 0, lane), four_at(w[1], 0, lane), four_at(w[2], 0, lane)
-            sx, sy, sz = four_at(w[0], 4, lane), four_at(w[1], 4, lane), four_at(w[2], 4, lane)
-            put_column(out, first + lane, blend_cube(voxels, i, j, k, wx, wy, wz, sx, sy, sz))
+    p = read_columns(points, first)
+    put_weights(p[0], nx, w[0])
+    put_weights(p[1], ny, w[1])
+    put_weights(p[2], nz, w[2])
+    for lane in range(lanes):
+        i, j, k = int(w[0, 8, lane]), int(w[1, 8, lane]), int(w[2, 8, lane])
+        wx, wy, wz = four_at(w[0], 0, lane), four_at(w[1], 0, lane), four_at(w[2], 0, lane)
+        sx, sy, sz = four_at(w[0], 4, lane), four_at(w[1], 4, lane), four_at(w[2], 4, lane)
+        put_column(out, first + lane, blend_cube(voxels, i, j, k, wx, wy, wz, sx, sy, sz))
 
 
 @kernel(exact=True)
