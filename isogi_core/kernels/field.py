@@ -11,7 +11,7 @@ import numpy as np
 from numba import types
 
 from isogi_core.kernels._jit import kernel, record
-from isogi_core.kernels.reals import ABREAST, fetch, floor_within, four, where, write
+from isogi_core.kernels.reals import fetch, floor_within, four, where, write
 from isogi_core.kernels.vec import put_column, read_columns
 
 VOXELS = types.float32[:, :, ::1]

@@ -27,11 +27,10 @@ class Wave(NamedTuple):
     """The paths of a wave that go on, in the first places of arrays (n,), and room for columns (3 n,).
 
     ``owners`` are their numbers; ``low``, ``high``, ``samples`` the words that own their random numbers;
-    ``levels`` their isovalues, ``sides`` where their next rays start, ``signs`` the same as reals, ``t`` and
-    ``came`` what these meet;
-    ``hits`` and ``gone`` the places of those that meet something and of those that do not; ``directions``
-    are in index space, ``ways`` in the world; ``weights`` are room for ``smooth_gradients``. Apart from it goes a pair of columns: where rays start, and
-    the normals there.
+    ``levels`` their isovalues, ``sides`` where their next rays start, ``signs`` the same as reals; ``t`` and
+    ``came`` what these meet; ``hits`` and ``gone`` the places of those that meet something and of those that
+    do not; ``directions`` are in index space, ``ways`` in the world; ``weights`` are room for
+    ``smooth_gradients``. Apart from it goes a pair of columns: where rays start, and the normals there.
     """
 
     owners: Any
