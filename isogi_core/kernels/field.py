@@ -11,7 +11,7 @@ import numpy as np
 from numba import types
 
 from isogi_core.kernels._jit import kernel, record
-from isogi_core.kernels.reals import fetch, floor_within, four, where, write
+from isogi_core.kernels.reals import cube, floor_within, four, where, write
 from isogi_core.kernels.vec import put_column, read_columns
 
 VOXELS = types.float32[:, :, ::1]
@@ -41,13 +41,6 @@ def clamp_cell(x, n):
 
 
 @kernel(exact=True)
-def row_value(voxels, k, j, i, x):
-    """Linear value at ``x`` between voxels i and i + 1 of row (k, j)."""
-    v0, v1 = fetch(voxels, k, j, i), fetch(voxels, k, j, i + 1)
-    return v0 + x * (v1 - v0)
-
-
-@kernel(exact=True)
 def value(voxels, p):
     """Trilinear value at ``p`` (index space), float64. Source: S1, section 4.1, the field ρ(x).
 
@@ -56,8 +49,9 @@ def value(voxels, p):
     nz, ny, nx = voxels.shape
     i, j, k = floor_within(p[0], nx - 2), floor_within(p[1], ny - 2), floor_within(p[2], nz - 2)
     x, y, z = p[0] - i, p[1] - j, p[2] - k
-    near = (1.0 - z) * (1.0 - y) * row_value(voxels, k, j, i, x) + (1.0 - z) * y * row_value(voxels, k, j + 1, i, x)
-    far = z * (1.0 - y) * row_value(voxels, k + 1, j, i, x) + z * y * row_value(voxels, k + 1, j + 1, i, x)
+    c = cube(voxels, k, j, i)
+    near = (1.0 - z) * (1.0 - y) * (c[0] + x * (c[1] - c[0])) + (1.0 - z) * y * (c[2] + x * (c[3] - c[2]))
+    far = z * (1.0 - y) * (c[4] + x * (c[5] - c[4])) + z * y * (c[6] + x * (c[7] - c[6]))
     return near + far
 
 
