@@ -11,7 +11,7 @@ import numpy as np
 from numba import types
 
 from isogi_core.kernels._jit import kernel, record
-from isogi_core.kernels.reals import ABREAST, fetch, floor_within, four, where, write
+from isogi_core.kernels.reals import cube, floor_within, four, where, write
 from isogi_core.kernels.vec import put_column, read_columns
 
 VOXELS = types.float32[:, :, ::1]
@@ -41,13 +41,6 @@ def clamp_cell(x, n):
 
 
 @kernel(exact=True)
-def row_value(voxels, k, j, i, x):
-    """Linear value at ``x`` between voxels i and i + 1 of row (k, j)."""
-    v0, v1 = fetch(voxels, k, j, i), fetch(voxels, k, j, i + 1)
-    return v0 + x * (v1 - v0)
-
-
-@kernel(exact=True)
 def value(voxels, p):
     """Trilinear value at ``p`` (index space), float64. Source: S1, section 4.1, the field ρ(x).
 
@@ -56,8 +49,9 @@ def value(voxels, p):
     nz, ny, nx = voxels.shape
     i, j, k = floor_within(p[0], nx - 2), floor_within(p[1], ny - 2), floor_within(p[2], nz - 2)
     x, y, z = p[0] - i, p[1] - j, p[2] - k
-    near = (1.0 - z) * (1.0 - y) * row_value(voxels, k, j, i, x) + (1.0 - z) * y * row_value(voxels, k, j + 1, i, x)
-    far = z * (1.0 - y) * row_value(voxels, k + 1, j, i, x) + z * y * row_value(voxels, k + 1, j + 1, i, x)
+    c = cube(voxels, k, j, i)
+    near = (1.0 - z) * (1.0 - y) * (c[0] + x * (c[1] - c[0])) + (1.0 - z) * y * (c[2] + x * (c[3] - c[2]))
+    far = z * (1.0 - y) * (c[4] + x * (c[5] - c[4])) + z * y * (c[6] + x * (c[7] - c[6]))
     return near + far
 
 
@@ -144,14 +138,14 @@ def smooth_gradient(voxels, p):
 
 
 @kernel(exact=True)
-def put_weights(p, n, cells, weights):
-    """Write the cells of coordinates ``p`` side by side, and the B-spline's weights and slopes in them."""
+def put_weights(p, n, out):
+    """Write the B-spline's weights, its slopes and the cells of coordinates ``p`` side by side to ``out``."""
     i = floor_within(p, n - 2)
-    write(cells, 0, i)
     for a, w in enumerate(bspline(p - i)):
-        write(weights[a], 0, w)
+        write(out[a], 0, w)
     for a, s in enumerate(bspline_slope(p - i)):
-        write(weights[4 + a], 0, s)
+        write(out[4 + a], 0, s)
+    write(out[8], 0, i)
 
 
 @kernel()
@@ -161,20 +155,21 @@ def four_at(rows, first, lane):
 
 
 @kernel()
-def smooth_gradients(voxels, points, count, out):
-    """``smooth_gradient`` at the first ``count`` columns of ``points``, to ``out``; both (3, whole vectors)."""
+def smooth_gradients(voxels, points, first, lanes, w, out):
+    """``smooth_gradient`` at ``lanes`` columns of ``points`` (3, n) from ``first`` on, to those of ``out``.
+
+    n is whole vectors; ``w`` (3, 9, ABREAST) is room for cells, weights and slopes.
+    """
     nz, ny, nx = voxels.shape
-    cells, w = np.empty((3, ABREAST)), np.empty((3, 8, ABREAST))
-    for first in range(0, count, ABREAST):
-        p = read_columns(points, first)
-        put_weights(p[0], nx, cells[0], w[0])
-        put_weights(p[1], ny, cells[1], w[1])
-        put_weights(p[2], nz, cells[2], w[2])
-        for lane in range(min(ABREAST, count - first)):
-            i, j, k = int(cells[0, lane]), int(cells[1, lane]), int(cells[2, lane])
-            wx, wy, wz = four_at(w[0], 0, lane), four_at(w[1], 0, lane), four_at(w[2], 0, lane)
-            sx, sy, sz = four_at(w[0], 4, lane), four_at(w[1], 4, lane), four_at(w[2], 4, lane)
-            put_column(out, first + lane, blend_cube(voxels, i, j, k, wx, wy, wz, sx, sy, sz))
+    p = read_columns(points, first)
+    put_weights(p[0], nx, w[0])
+    put_weights(p[1], ny, w[1])
+    put_weights(p[2], nz, w[2])
+    for lane in range(lanes):
+        i, j, k = int(w[0, 8, lane]), int(w[1, 8, lane]), int(w[2, 8, lane])
+        wx, wy, wz = four_at(w[0], 0, lane), four_at(w[1], 0, lane), four_at(w[2], 0, lane)
+        sx, sy, sz = four_at(w[0], 4, lane), four_at(w[1], 4, lane), four_at(w[2], 4, lane)
+        put_column(out, first + lane, blend_cube(voxels, i, j, k, wx, wy, wz, sx, sy, sz))
 
 
 @kernel(exact=True)

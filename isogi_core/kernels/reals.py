@@ -38,7 +38,8 @@ class Abreast(Lanes):
 
 
 REALS, WORDS = Abreast("float64", DOUBLE, ABREAST), Abreast("uint32", WORD, ABREAST)
-TRUTHS, FOUR = Abreast("bit", BIT, ABREAST), Abreast("quad of float64", DOUBLE, 4)
+WHOLES, TRUTHS = Abreast("int64", ir.IntType(64), ABREAST), Abreast("bit", BIT, ABREAST)
+FOUR = Abreast("quad of float64", DOUBLE, 4)
 register_model(Abreast)(LanesModel)
 
 Build = Callable[..., ir.Value]
@@ -241,40 +242,61 @@ def _overload_add_to(array: Any, i: Any, value: Any) -> Any:
 # --- voxels --------------------------------------------------------------------------------------------------
 
 
-def voxel_place(context: Any, builder: ir.IRBuilder, kind: Any, values: Any) -> ir.Value:
-    """Pointer to element [k, j, i] of a 3-D array; ``values`` the array, k, j and i."""
-    array, k, j, i = values
-    array = context.make_array(kind)(context, builder, array)
+def open_voxels(context: Any, builder: ir.IRBuilder, kind: Any, voxels: ir.Value) -> tuple[ir.Value, ...]:
+    """Pointer to the first element of a 3-D array, elements of a slab and of a row."""
+    array = context.make_array(kind)(context, builder, voxels)
     _, ny, nx = cgutils.unpack_tuple(builder, array.shape, 3)
-    row = builder.add(builder.mul(k, ny), j)
-    return builder.gep(array.data, [builder.add(builder.mul(row, nx), i)])
+    return array.data, builder.mul(ny, nx), nx
 
 
-def fetch(voxels: Any, k: Any, j: Any, i: Any) -> Any:
-    """Voxel [k, j, i] as float64; of lanes, the voxels at whole reals that must be within."""
-    return np.float64(voxels[k, j, i])
+def cube(voxels: Any, k: Any, j: Any, i: Any) -> Any:
+    """The corners of cell (k, j, i), x fastest, as float64; of lanes, those of cells at whole reals."""
+    near = np.float64(voxels[k, j, i]), np.float64(voxels[k, j, i + 1])
+    near += np.float64(voxels[k, j + 1, i]), np.float64(voxels[k, j + 1, i + 1])
+    far = np.float64(voxels[k + 1, j, i]), np.float64(voxels[k + 1, j, i + 1])
+    return near + far + (np.float64(voxels[k + 1, j + 1, i]), np.float64(voxels[k + 1, j + 1, i + 1]))
+
+
+def load_pairs(builder: ir.IRBuilder, data: ir.Value, places: ir.Value) -> list[ir.Value]:
+    """Two float32 at each of the ``places``: the first ones and the second ones, as reals."""
+    pairs = ir.Constant(ir.VectorType(DOUBLE, ABREAST), ir.Undefined)
+    for lane in range(ABREAST):
+        pair = builder.bitcast(builder.gep(data, [builder.extract_element(places, WORD(lane))]), DOUBLE.as_pointer())
+        pairs = builder.insert_element(pairs, builder.load(pair, align=4), WORD(lane))
+    singles = builder.bitcast(pairs, ir.VectorType(FLOAT, 2 * ABREAST))
+    halves = [ir.Constant(ir.VectorType(WORD, ABREAST), list(range(odd, 2 * ABREAST, 2))) for odd in (0, 1)]
+    return [builder.fpext(builder.shuffle_vector(singles, singles, half), REALS.vector) for half in halves]
 
 
 @intrinsic
-def _fetch(typing: Any, voxels: Any, k: Any, j: Any, i: Any) -> Any:
+def _cube(typing: Any, voxels: Any, k: Any, j: Any, i: Any) -> Any:
+    result = types.UniTuple(REALS, 8)
+
     def build(context: Any, builder: ir.IRBuilder, sig: Any, values: Any) -> ir.Value:
-        found, whole = ir.Constant(ir.VectorType(FLOAT, ABREAST), ir.Undefined), ir.IntType(64)
-        for lane in range(ABREAST):
-            index = [builder.fptosi(builder.extract_element(value, WORD(lane)), whole) for value in values[1:]]
-            voxel = builder.load(voxel_place(context, builder, sig.args[0], (values[0], *index)))
-            found = builder.insert_element(found, voxel, WORD(lane))
-        return builder.fpext(found, REALS.vector)
+        data, slab, row = open_voxels(context, builder, sig.args[0], values[0])
+        whole = ir.VectorType(row.type, ABREAST)
+        cell = [builder.fptosi(value, whole) for value in values[1:]]
+        along = [builder.mul(c, spread(builder, step, WHOLES)) for c, step in zip(cell, (slab, row), strict=False)]
+        first = builder.add(builder.add(along[0], along[1]), cell[2])
+        corners = []
+        for step in (row.type(0), row, slab, builder.add(slab, row)):
+            corners += load_pairs(builder, builder.gep(data, [step]), first)
+        return context.make_tuple(builder, result, corners)
 
-    return REALS(voxels, REALS, REALS, REALS), build
+    return result(voxels, REALS, REALS, REALS), build
 
 
-@overload(fetch)
-def _overload_fetch(voxels: Any, k: Any, j: Any, i: Any) -> Any:
+@overload(cube)
+def _overload_cube(voxels: Any, k: Any, j: Any, i: Any) -> Any:
     def of_number(voxels: Any, k: Any, j: Any, i: Any) -> Any:
-        return np.float64(voxels[k, j, i])
+        below = np.float64(voxels[k, j, i]), np.float64(voxels[k, j, i + 1])
+        behind = np.float64(voxels[k, j + 1, i]), np.float64(voxels[k, j + 1, i + 1])
+        above = np.float64(voxels[k + 1, j, i]), np.float64(voxels[k + 1, j, i + 1])
+        last = np.float64(voxels[k + 1, j + 1, i]), np.float64(voxels[k + 1, j + 1, i + 1])
+        return below + behind + above + last
 
     def of_lanes(voxels: Any, k: Any, j: Any, i: Any) -> Any:
-        return _fetch(voxels, k, j, i)
+        return _cube(voxels, k, j, i)
 
     return of_lanes if i is REALS else of_number
 
@@ -287,8 +309,10 @@ def four(voxels: Any, k: int, j: int, i: int) -> Any:
 @intrinsic
 def _four_together(typing: Any, voxels: Any, k: Any, j: Any, i: Any) -> Any:
     def build(context: Any, builder: ir.IRBuilder, sig: Any, values: Any) -> ir.Value:
-        first = voxel_place(context, builder, sig.args[0], values)
-        narrow = builder.load(builder.bitcast(first, ir.VectorType(FLOAT, 4).as_pointer()), align=4)
+        data, slab, row = open_voxels(context, builder, sig.args[0], values[0])
+        place = builder.add(builder.mul(values[1], slab), builder.add(builder.mul(values[2], row), values[3]))
+        first = builder.bitcast(builder.gep(data, [place]), ir.VectorType(FLOAT, 4).as_pointer())
+        narrow = builder.load(first, align=4)
         return builder.fpext(narrow, FOUR.vector)
 
     return FOUR(voxels, types.int64, types.int64, types.int64), build

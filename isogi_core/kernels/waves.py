@@ -27,11 +27,10 @@ class Wave(NamedTuple):
     """The paths of a wave that go on, in the first places of arrays (n,), and room for columns (3 n,).
 
     ``owners`` are their numbers; ``low``, ``high``, ``samples`` the words that own their random numbers;
-    ``levels`` their isovalues, ``sides`` where their next rays start, ``signs`` the same as reals, ``t`` and
-    ``came`` what these meet;
-    ``hits`` and ``gone`` the places of those that meet something and of those that do not; ``directions``
-    are in index space, ``ways`` in the world. Apart from it goes a pair of columns: where rays start, and
-    the normals there.
+    ``levels`` their isovalues, ``sides`` where their next rays start, ``signs`` the same as reals; ``t`` and
+    ``came`` what these meet; ``hits`` and ``gone`` the places of those that meet something and of those that
+    do not; ``directions`` are in index space, ``ways`` in the world; ``weights`` are room for
+    ``smooth_gradients``. Apart from it goes a pair of columns: where rays start, and the normals there.
     """
 
     owners: Any
@@ -47,6 +46,7 @@ class Wave(NamedTuple):
     gone: Any
     directions: Any
     ways: Any
+    weights: Any
 
 
 @kernel()
@@ -74,6 +74,7 @@ def make_wave(n):
         places[2],
         np.empty(3 * n),
         np.empty(3 * n),
+        np.empty((3, 9, ABREAST)),
     )
 
 
@@ -165,26 +166,25 @@ def close_ranks(wave, pair, count, hits, following):
 
 
 @kernel()
-def face(field, wave, count, hits, pair):
-    """Find the normals at the points of a pair, towards the rays that hit there: ``facing_normal``."""
-    points, normals, ways = columns(pair[0], hits), columns(pair[1], hits), columns(wave.ways, count)
-    smooth_gradients(field.voxels, points, hits, normals)
-    for i in range(0, hits, ABREAST):
-        n, sign = to_world_normal(read_columns(normals, i), field.spacing), read(wave.signs, i)
-        write_columns(normals, i, (n[0] * sign, n[1] * sign, n[2] * sign))
-    for h in range(hits):
+def mend_normals(field, wave, first, last, points, normals, ways):
+    """Turn normals of a flat field, of paths first … last, against the ray that hit there: ``facing_normal``."""
+    for h in range(first, last):
         if normals[0, h] == 0.0 and normals[1, h] == 0.0 and normals[2, h] == 0.0:
             way = column(ways, wave.hits[h])
             put_column(normals, h, facing_normal(field, column(points, h), int(wave.sides[h]), way))
 
 
 @kernel()
-def lift(field, wave, hits, pair):
-    """Move the points of a pair to where their next rays start: ``launch``."""
-    points, normals = columns(pair[0], hits), columns(pair[1], hits)
+def rise(field, wave, count, hits, pair):
+    """Find the normals at a pair's points, ``facing_normal``, and move these to where rays start, ``launch``."""
+    points, normals, ways = columns(pair[0], hits), columns(pair[1], hits), columns(wave.ways, count)
     for i in range(0, hits, ABREAST):
-        p, n = read_columns(points, i), read_columns(normals, i)
-        write_columns(points, i, launch(field, read(wave.levels, i), p, n, read(wave.signs, i)))
+        last, sign, p = min(i + ABREAST, hits), read(wave.signs, i), read_columns(points, i)
+        smooth_gradients(field.voxels, points, i, last - i, wave.weights, normals)
+        n = to_world_normal(read_columns(normals, i), field.spacing)
+        write_columns(normals, i, (n[0] * sign, n[1] * sign, n[2] * sign))
+        mend_normals(field, wave, i, last, points, normals, ways)
+        write_columns(points, i, launch(field, read(wave.levels, i), p, read_columns(normals, i), sign))
 
 
 @kernel()
@@ -208,8 +208,7 @@ def walk_wave(field, bricks, wave, pair, spare, count, bounces, left, ways):
         if hits == 0 or bounce == bounces:
             return
         close_ranks(wave, pair, count, hits, spare)
-        face(field, wave, count, hits, spare)
-        lift(field, wave, hits, spare)
+        rise(field, wave, count, hits, spare)
         pair, spare, count = spare, pair, hits
 
 

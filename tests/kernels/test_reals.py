@@ -1,0 +1,208 @@
+"""Numbers side by side against NumPy and against one number at a time: the same bits, on every processor."""
+
+import math
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numba import config, njit
+
+from isogi_core.kernels.field import bspline, bspline_slope, smooth_gradient, smooth_gradients, value
+from isogi_core.kernels.harmonics import accumulate
+from isogi_core.kernels.reals import ABREAST, add_to, floor_within, four, fraction, read, where, words, write
+from isogi_core.kernels.rng import point_2d, point_of_words
+from isogi_core.kernels.sampling import cosine_and_sine, sample_cosine_hemisphere
+from isogi_core.kernels.vec import column, orthonormal_basis, put_column, read_columns, write_columns
+
+RNG = np.random.default_rng(1)
+COUNT = 16 * ABREAST
+VOXELS = RNG.random((5, 6, 7), np.float32)
+
+
+@njit
+def arithmetic(a, b, out):
+    for i in range(0, len(a), ABREAST):
+        x, y = read(a, i), read(b, i)
+        results = (
+            x + y, x - y, x * y, x / y, -x, 2.0 - x, x * 0.5, abs(x), math.sqrt(abs(x)), math.copysign(1.0, x),
+            where(x < y, x, y), where((x > 0.5) & (y <= 0.5), 1.0, 0.0), where(x != 0.0, x, 7.0), where(x >= y, 3.0, y),
+        )  # fmt: skip
+        for k, result in enumerate(results):
+            write(out[k], i, result)
+
+
+def test_arithmetic_of_reals_is_numpys():
+    a, b = RNG.normal(size=(2, COUNT))
+    a[:3], b[3:5] = (0.0, -0.0, 0.5), (np.inf, -np.inf)
+    out = np.empty((14, COUNT))
+    arithmetic(a, b, out)
+    expected = (
+        a + b, a - b, a * b, a / b, -a, 2.0 - a, a * 0.5, np.abs(a), np.sqrt(np.abs(a)), np.copysign(1.0, a),
+        np.minimum(a, b), (a > 0.5) & (b <= 0.5), np.where(a != 0.0, a, 7.0), np.where(a >= b, 3.0, b),
+    )  # fmt: skip
+    for k, right in enumerate(expected):
+        assert np.array_equal(out[k], right), f"operation {k}"
+
+
+@njit
+def wordwise(a, b, out, fractions):
+    mask, three = np.uint64(0xFFFFFFFF), np.uint64(3)
+    for i in range(0, len(a), ABREAST):
+        x, y = read(a, i), read(b, i)
+        results = ((x + y) & mask, (x * y) & mask, x ^ y, x & y, x | y, (x << three) & mask, x >> three, words(7))
+        for k, result in enumerate(results):
+            write(out[k], i, result)
+        write(fractions, i, fraction(x))
+
+
+def test_arithmetic_of_words_is_numpys():
+    a, b = RNG.integers(0, 2**32, (2, COUNT), dtype=np.uint64)
+    a[0] = 2**32 - 1
+    out, fractions = np.empty((8, COUNT), np.uint32), np.empty(COUNT)
+    if config.DISABLE_JIT:
+        wordwise(a, b, out, fractions)
+    else:
+        wordwise(a.astype(np.uint32), b.astype(np.uint32), out, fractions)
+    expected = (a + b, a * b, a ^ b, a & b, a | b, a << np.uint64(3), a >> np.uint64(3), np.full_like(a, 7))
+    for k, right in enumerate(expected):
+        assert np.array_equal(out[k], (right & np.uint64(2**32 - 1)).astype(np.uint32)), f"operation {k}"
+    assert np.array_equal(fractions, a / 2.0**32) and fractions.max() < 1.0
+
+
+@njit
+def sums(values, out):
+    for i in range(0, len(values), ABREAST):
+        add_to(out, 0, read(values, i))
+        add_to(out, 1, read(values, i) * 2.0)
+
+
+def test_add_to_keeps_a_sum_for_each_lane():
+    values, out = RNG.random(COUNT), np.zeros(2 * ABREAST)
+    sums(values, out)
+    lanes = values.reshape(-1, ABREAST).cumsum(axis=0)[-1]
+    np.testing.assert_allclose(out, np.concatenate([lanes, 2 * lanes]), rtol=1e-14)
+
+
+@njit
+def floors(x, last, out):
+    for i in range(0, len(x), ABREAST):
+        write(out, i, floor_within(read(x, i), last))
+
+
+def test_floor_within_is_the_scalars():
+    x = np.concatenate([RNG.uniform(-2.0, 8.0, COUNT - 6), [-0.0, 0.0, 5.0, 4.999999999, 6.0, 1e9]])
+    out = np.empty(COUNT)
+    floors(x, 5, out)
+    assert out.tolist() == [floor_within(v, 5) for v in x.tolist()]
+
+
+@njit
+def neighbours(voxels, k, j, i):
+    q = four(voxels, k, j, i)
+    q = q * 2.0 + q
+    return q[0], q[1], q[2], q[3]
+
+
+@pytest.mark.parametrize("width", [2, 3, 4, 7])
+def test_four_repeats_the_ends(width):
+    voxels = VOXELS[:, :, :width].copy()
+    for i in range(width - 1):
+        expected = np.pad(voxels[2, 3], 2, mode="edge")[i + 1 : i + 5].astype(float) * 3.0
+        np.testing.assert_allclose(neighbours(voxels, 2, 3, i), expected, rtol=1e-15)
+
+
+@njit
+def together(seeds, samples, normals, voxels, points, draws, values, gradients):
+    weights = np.empty((3, 9, ABREAST))
+    low, high = (seeds & np.uint64(0xFFFFFFFF)).astype(np.uint32), (seeds >> np.uint64(32)).astype(np.uint32)
+    for i in range(0, len(seeds), ABREAST):
+        u, v = point_of_words(read(low, i), read(high, i), read(samples, i), words(2))
+        write_columns(draws[0], i, sample_cosine_hemisphere(u, v))
+        s, t = orthonormal_basis(read_columns(normals, i))
+        write_columns(draws[1], i, s)
+        write_columns(draws[2], i, t)
+        write(values, i, value(voxels, read_columns(points, i)))
+        smooth_gradients(voxels, points, i, ABREAST, weights, gradients)
+
+
+@njit
+def apart(seeds, samples, normals, voxels, points, draws, values, gradients):
+    for m in range(len(seeds)):
+        u, v = point_2d(seeds[m], samples[m], 2)
+        put_column(draws[0], m, sample_cosine_hemisphere(u, v))
+        s, t = orthonormal_basis(column(normals, m))
+        put_column(draws[1], m, s)
+        put_column(draws[2], m, t)
+        values[m] = value(voxels, column(points, m))
+        put_column(gradients, m, smooth_gradient(voxels, column(points, m)))
+
+
+@pytest.mark.parametrize("shape", [(5, 6, 7), (2, 2, 2), (9, 3, 3)])
+def test_side_by_side_is_one_at_a_time(shape):
+    voxels = RNG.random(shape, np.float32)
+    seeds, samples = RNG.integers(0, 2**63, COUNT).astype(np.uint64), np.arange(COUNT, dtype=np.uint32)
+    normals = RNG.normal(size=(3, COUNT))
+    normals /= np.linalg.norm(normals, axis=0)
+    points = RNG.random((3, COUNT)) * (np.array(shape[::-1])[:, None] - 1)
+    points[:, :9] = np.rint(points[:, :9])
+    found = [(np.empty((3, 3, COUNT)), np.empty(COUNT), np.empty((3, COUNT))) for _ in range(2)]
+    together(seeds, samples, normals, voxels, points, *found[0])
+    apart(seeds, samples, normals, voxels, points, *found[1])
+    for one, other in zip(*found, strict=True):
+        assert np.array_equal(one, other)
+
+
+@njit
+def harmonics_together(order, ways, weights, out):
+    for i in range(0, len(weights), ABREAST):
+        x, y, z = read_columns(ways, i)
+        accumulate(order, x, y, z, read(weights, i), out)
+
+
+@njit
+def harmonics_apart(order, ways, weights, out):
+    for m in range(len(weights)):
+        x, y, z = column(ways, m)
+        accumulate(order, x, y, z, weights[m], out[m % ABREAST])
+
+
+@pytest.mark.parametrize("order", [1, 2, 5, 10])
+def test_harmonics_side_by_side_are_one_at_a_time(order):
+    ways = RNG.normal(size=(3, COUNT))
+    ways /= np.linalg.norm(ways, axis=0)
+    weights = np.where(RNG.random(COUNT) < 0.5, 0.0, RNG.random(COUNT))
+    together_, apart_ = np.zeros(order**2 * ABREAST), np.zeros((ABREAST, order**2))
+    harmonics_together(order, ways, weights, together_)
+    harmonics_apart(order, ways, weights, apart_)
+    assert np.array_equal(together_.reshape(-1, ABREAST).T, apart_)
+
+
+def test_cosine_and_sine_are_libms_to_the_next_bit():
+    for angle in [0.0, *np.linspace(-math.pi / 4, math.pi / 4, 2001).tolist()]:
+        cosine, sine = cosine_and_sine(angle)
+        assert abs(cosine - math.cos(angle)) <= 2.0**-53
+        assert abs(sine - math.sin(angle)) <= math.ulp(sine)
+
+
+def test_weights_of_the_spline_sum_up():
+    for f in np.linspace(0.0, 1.0, 33).tolist():
+        assert sum(bspline(f)) == pytest.approx(1.0, abs=1e-15)
+        assert sum(bspline_slope(f)) == pytest.approx(0.0, abs=1e-15)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif("NUMBA_CPU_NAME" in os.environ or bool(config.DISABLE_JIT), reason="this is the other run")
+@pytest.mark.parametrize("processor", ["haswell", "nehalem"])
+def test_all_of_it_again_for_other_processors(processor):
+    """Eight lanes with AVX2, four without it."""
+    here = Path(__file__).parent
+    files = [str(here / f"{module}.py") for module in ("test_reals", "test_waves")]
+    command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *files]
+    environment = {**os.environ, "NUMBA_CPU_NAME": processor}
+    if processor == "nehalem":
+        environment["NUMBA_CPU_FEATURES"] = "+sse4.2"
+    run = subprocess.run(command, env=environment, cwd=here.parents[1], capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stdout + run.stderr
