@@ -9,7 +9,7 @@ from numba import config, njit
 from isogi_core.kernels import shading
 from isogi_core.kernels._jit import kernel
 from isogi_core.kernels.bricks import brick_ranges, make_bricks
-from isogi_core.kernels.waves import WAVE, launch, to_index, trace_path
+from isogi_core.kernels.integrator import launch, to_index, trace_path
 from isogi_core.kernels.intersect import OUTSIDE, cast
 from isogi_core.kernels.lights import fog, radiance
 from isogi_core.kernels.planes import FINAL, Planes
@@ -23,6 +23,7 @@ from isogi_core.kernels.shading import (
     single,
     trace_points,
 )
+from isogi_core.kernels.waves import WAVE
 from tests.kernels.test_macrocells import field_of
 
 COUNT = 60 if config.DISABLE_JIT else 2000
