@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from isogi_core.bake.recipe import Index
 from isogi_core.cache.pages import PagePool
-from isogi_core.cache.store import ChunkStore, version_of
+from isogi_core.cache.store import ChunkStore
 from isogi_core.errors import DamagedChunkError
 
 log = logging.getLogger("isogi.cache")
@@ -49,7 +49,7 @@ class Loader:
         stored = self.store.read(index)
         if stored is not None:
             try:
-                self.pool.insert(self.store.decode(index, stored), version_of(stored), together)
+                self.pool.insert(self.store.decode(index, stored), together)
                 return
             except DamagedChunkError as error:
                 log.warning("%s", error)

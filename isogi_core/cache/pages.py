@@ -31,13 +31,13 @@ FEWEST_CHUNKS = 8
 
 @dataclass(eq=False)
 class Entry:
-    """A chunk in the pool: its ``slot`` in the table, its pages, the ``version`` it has, and who holds it."""
+    """A chunk in the pool: its ``slot`` in the table, its pages, how many hold it, and whether it is still listed."""
 
     slot: int
     pages: np.ndarray
-    version: str
     held: int = 0
     stale: bool = False
+    listed: bool = True
 
 
 class Held(NamedTuple):
@@ -72,12 +72,6 @@ class PagePool:
         self._age = 0
         self._lock = threading.Lock()
 
-    def version(self, index: Index) -> str | None:
-        """The version of a chunk in the pool; None where it is not there or known to be outdated."""
-        with self._lock:
-            entry = self._entries.get(index)
-            return None if entry is None or entry.stale else entry.version
-
     def missing(self, indices: Sequence[Index]) -> list[Index]:
         """Those of the chunks that are not in the pool or known to be outdated."""
         with self._lock:
@@ -90,7 +84,7 @@ class PagePool:
             if index in self._entries:
                 self._entries[index].stale = True
 
-    def insert(self, chunk: Chunk, version: str, keep: Collection[Index] = ()) -> None:
+    def insert(self, chunk: Chunk, keep: Collection[Index] = ()) -> None:
         """Put a decoded chunk into the pool in place of what was there; the chunks ``keep`` do not make room for it.
 
         Raises StoreError when the budget cannot hold it.
@@ -98,7 +92,7 @@ class PagePool:
         error = relative_error(chunk.light, self.recipe)
         with self._lock:
             self._age += 1
-            entry = self._allocate(-(-len(chunk.offsets) // PAGE), version, {*keep} - {chunk.index})
+            entry = self._allocate(-(-len(chunk.offsets) // PAGE), {*keep} - {chunk.index})
             rows = (entry.pages[:, None] * PAGE + np.arange(PAGE)).ravel()[: len(chunk.offsets)]
             self.transfer[rows] = chunk.light.transfer
             self.spread[rows] = chunk.light.spread
@@ -131,12 +125,12 @@ class PagePool:
                         entry.held -= 1
                         self._give_back(entry)
 
-    def _allocate(self, pages: int, version: str, keep: Collection[Index]) -> Entry:
+    def _allocate(self, pages: int, keep: Collection[Index]) -> Entry:
         """A new entry with so many pages, taken from the longest unused chunks but ``keep`` where need be."""
         if not self._has_room(pages):
             self._make_room(pages, [i for i, e in self._entries.items() if not e.held and i not in keep])
         taken = np.array([self._free_pages.pop() for _ in range(pages)], np.int64)
-        return Entry(self._free_slots.pop(), taken, version)
+        return Entry(self._free_slots.pop(), taken)
 
     def _has_room(self, pages: int) -> bool:
         return len(self._free_pages) >= pages and bool(self._free_slots)
@@ -154,11 +148,12 @@ class PagePool:
 
     def _release(self, entry: Entry) -> None:
         """Let go of an entry that the pool no longer lists; its pages are free when nobody holds it."""
-        entry.version = ""
+        entry.listed = False
         self._give_back(entry)
 
     def _give_back(self, entry: Entry) -> None:
-        if entry.held == 0 and entry.version == "" and entry.slot >= 0:
-            self._free_pages.extend(entry.pages.tolist())
+        """Free an entry's pages, the last first: they are taken upwards again, as memory is read fastest."""
+        if entry.held == 0 and not entry.listed and entry.slot >= 0:
+            self._free_pages.extend(entry.pages[::-1].tolist())
             self._free_slots.append(entry.slot)
             entry.slot = -1

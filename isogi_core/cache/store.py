@@ -186,11 +186,6 @@ class ChunkStore:
         return chunk.block()[:z, :y, :x]
 
 
-def version_of(stored: bytes) -> str:
-    """The version of a stored chunk: its checksum, as hex. Equal light has equal versions."""
-    return stored[-CRC_BYTES:].hex()
-
-
 def one_line(error: Exception) -> str:
     """What an error of somebody else's says, on one line and without a full stop."""
     return " ".join(str(error).split()).rstrip(".") or type(error).__name__

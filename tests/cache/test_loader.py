@@ -1,3 +1,4 @@
+import hashlib
 import logging
 import shutil
 from pathlib import Path
@@ -10,7 +11,7 @@ from isogi_core.bake.refine import refine
 from isogi_core.cache import loader as loading
 from isogi_core.cache.loader import ASK_AGAIN, Loader
 from isogi_core.cache.pages import PagePool
-from isogi_core.cache.store import ChunkStore, version_of
+from isogi_core.cache.store import ChunkStore
 from isogi_core.errors import StoreError
 from isogi_core.model.scene import load_scene
 
@@ -45,11 +46,16 @@ def loader(tmp_path: Path, recipe: Recipe, clock: Clock) -> Loader:
 
 
 def bake(loader: Loader, index: Index, texels: int = 20, samples: int = 16) -> str:
-    """Do as a worker does; the version of what is stored."""
+    """Do as a worker does; the mark of what is stored."""
     chunk = loader.store.load(index).with_texels(np.arange(texels, dtype=np.int32))
     refine(chunk.light, chunk.positions(chunk.offsets), loader.store.recipe, samples, 1e-4)
     loader.store.save(chunk)
-    return version_of(loader.store.read(index) or b"")
+    return mark(loader.store.load(index).light.transfer)
+
+
+def mark(light: np.ndarray) -> str:
+    """What tells light from other light."""
+    return hashlib.sha256(light.tobytes()).hexdigest()
 
 
 def transfer(loader: Loader, index: Index) -> np.ndarray | None:
@@ -60,33 +66,34 @@ def transfer(loader: Loader, index: Index) -> np.ndarray | None:
 
 
 def brought(loader: Loader, *chunks: Index) -> tuple[str, ...]:
-    """Versions of the chunks in memory after they were asked for together, "" where there is no light."""
+    """Marks of the chunks' light in memory after they were asked for together, "" where there is none."""
     loader.ensure(chunks)
-    return tuple(loader.pool.version(index) or "" for index in chunks)
+    found = (transfer(loader, index) for index in chunks)
+    return tuple("" if light is None else mark(light) for light in found)
 
 
 def test_light_comes_from_the_store(loader: Loader) -> None:
-    versions = bake(loader, A), bake(loader, B)
-    assert brought(loader, A, C, B) == (versions[0], "", versions[1])
+    marks = bake(loader, A), bake(loader, B)
+    assert brought(loader, A, C, B) == (marks[0], "", marks[1])
     chunk = loader.store.load(B)
     np.testing.assert_array_equal(transfer(loader, B), chunk.light.transfer)
     assert transfer(loader, C) is None
 
 
 def test_what_is_in_memory_is_not_read_again(loader: Loader, monkeypatch: pytest.MonkeyPatch) -> None:
-    version = bake(loader, A)
+    light = bake(loader, A)
     loader.ensure([A])
     monkeypatch.setattr(loader.store, "read", lambda index: pytest.fail("the store was asked"))
-    assert brought(loader, A) == (version,)
+    assert brought(loader, A) == (light,)
 
 
 def test_an_absent_chunk_is_asked_for_again_after_a_while(loader: Loader, clock: Clock) -> None:
     assert brought(loader, A) == ("",)
-    version = bake(loader, A)
+    light = bake(loader, A)
     clock.now += ASK_AGAIN / 2
     assert brought(loader, A) == ("",)
     clock.now += ASK_AGAIN / 2
-    assert brought(loader, A) == (version,)
+    assert brought(loader, A) == (light,)
 
 
 def test_new_light_is_read_as_soon_as_it_is_told(loader: Loader) -> None:
@@ -103,7 +110,7 @@ def test_new_light_is_read_as_soon_as_it_is_told(loader: Loader) -> None:
 
 
 def test_damage_is_absence_and_is_told(loader: Loader, clock: Clock, caplog: pytest.LogCaptureFixture) -> None:
-    version = bake(loader, A)
+    light = bake(loader, A)
     path = Path(loader.store.path, "c", *map(str, A), "0")
     whole = path.read_bytes()
     path.write_bytes(whole[:-1])
@@ -111,9 +118,9 @@ def test_damage_is_absence_and_is_told(loader: Loader, clock: Clock, caplog: pyt
         assert brought(loader, A) == ("",)
     assert "checksum" in caplog.text
     assert transfer(loader, A) is None
-    assert bake(loader, A) == version
+    assert bake(loader, A) == light
     loader.refresh(A)
-    assert brought(loader, A) == (version,)
+    assert brought(loader, A) == (light,)
     assert path.read_bytes() == whole
 
 
@@ -135,7 +142,8 @@ def test_a_deleted_store_reads_as_absent_and_never_as_zeros(loader: Loader) -> N
     assert bake(loader, B)
     loader.refresh(B)
     loader.refresh(A)
-    assert brought(loader, A, B)[0] == ""
+    loader.ensure([A, B])
+    assert loader.pool.missing([A, B]) == [A], "what is in memory is shown, and known to be outdated"
     np.testing.assert_array_equal(transfer(loader, B), loader.store.load(B).light.transfer)
 
 

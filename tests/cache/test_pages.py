@@ -53,7 +53,7 @@ def test_the_table_leads_each_texel_to_its_light(recipe: Recipe) -> None:
     chunk = chunk_of(recipe, (1, 0, 2), 1.0, texels=150)
     chunk.light.planes[:, SAMPLES + 1 :] = np.random.default_rng(0).random((150, chunk.light.planes.shape[1] - 1))
     chunk.light.samples[[3, 77]] = VOID
-    pool.insert(chunk, "v1")
+    pool.insert(chunk)
     with pool.hold([(1, 0, 2)]) as (slots, _):
         table = pool.table[slots[0]]
         assert (table[np.setdiff1d(np.arange(TEXELS), chunk.offsets)] == UNLIT).all()
@@ -70,7 +70,7 @@ def test_the_table_leads_each_texel_to_its_light(recipe: Recipe) -> None:
 
 def test_an_absent_chunk_has_no_slot(recipe: Recipe) -> None:
     pool = PagePool(recipe, 1 << 22)
-    pool.insert(chunk_of(recipe, (0, 0, 1), 1.0), "v1")
+    pool.insert(chunk_of(recipe, (0, 0, 1), 1.0))
     with pool.hold([(0, 0, 0), (0, 0, 1)]) as (slots, _):
         assert slots.dtype == np.int32
         assert slots[0] == -1
@@ -79,7 +79,7 @@ def test_an_absent_chunk_has_no_slot(recipe: Recipe) -> None:
 
 def test_an_empty_chunk_is_unlit_everywhere(recipe: Recipe) -> None:
     pool = PagePool(recipe, 1 << 22)
-    pool.insert(Chunk.empty((0, 0, 0), recipe.scene.plan), "v1")
+    pool.insert(Chunk.empty((0, 0, 0), recipe.scene.plan))
     with pool.hold([(0, 0, 0)]) as (slots, _):
         assert (pool.table[slots[0]] == UNLIT).all()
 
@@ -93,103 +93,112 @@ def test_the_arrays_stay_within_the_budget(order: int, budget: int) -> None:
     assert 0.9 * budget < sum(array.nbytes for array in arrays) <= budget
 
 
-def test_versions(recipe: Recipe) -> None:
+def test_a_chunk_is_missing_until_it_is_there_and_when_it_is_outdated(recipe: Recipe) -> None:
     pool = PagePool(recipe, 1 << 22)
-    assert pool.version((0, 0, 0)) is None
+    assert pool.missing([(0, 0, 0)])
     pool.outdate((0, 0, 0))
-    pool.insert(chunk_of(recipe, (0, 0, 0), 1.0), "v1")
-    assert pool.version((0, 0, 0)) == "v1"
+    pool.insert(chunk_of(recipe, (0, 0, 0), 1.0))
+    assert not pool.missing([(0, 0, 0)])
     pool.outdate((0, 0, 0))
-    assert pool.version((0, 0, 0)) is None
+    assert pool.missing([(0, 0, 0)])
     with pool.hold([(0, 0, 0)]) as (slots, _):
         assert levels(pool, slots[0]) == {1.0}
-    pool.insert(chunk_of(recipe, (0, 0, 0), 2.0), "v2")
-    assert pool.version((0, 0, 0)) == "v2"
+    pool.insert(chunk_of(recipe, (0, 0, 0), 2.0))
+    assert not pool.missing([(0, 0, 0)])
     with pool.hold([(0, 0, 0)]) as (slots, _):
         assert levels(pool, slots[0]) == {2.0}
+
+
+def test_pages_are_filled_upwards_also_when_they_are_used_again(recipe: Recipe) -> None:
+    pool = PagePool(recipe, 1 << 22)
+    for level in range(5):
+        pool.insert(chunk_of(recipe, (0, 0, 0), level))
+        pool.insert(chunk_of(recipe, (0, 0, 1), level))
+        with pool.hold([(0, 0, 0), (0, 0, 1)]) as (slots, _):
+            assert all((np.diff(rows_of(pool, slot)) == 1).all() for slot in slots)
 
 
 def test_the_longest_unused_chunk_makes_room(recipe: Recipe) -> None:
     pool = pool_of(recipe, 9)
     for i in range(3):
-        pool.insert(chunk_of(recipe, (0, 0, i), i), f"v{i}")
+        pool.insert(chunk_of(recipe, (0, 0, i), i))
     with pool.hold([(0, 0, 0)]):
         pass
-    pool.insert(chunk_of(recipe, (1, 1, 1), 9.0), "v9")
-    assert [pool.version((0, 0, i)) for i in range(3)] == ["v0", None, "v2"]
+    pool.insert(chunk_of(recipe, (1, 1, 1), 9.0))
+    assert pool.missing([(0, 0, i) for i in range(3)]) == [(0, 0, 1)]
 
 
 def test_few_slots_are_shared_too(recipe: Recipe) -> None:
     pool = pool_of(recipe, 9)
     for i in range(FEWEST_CHUNKS + 1):
-        pool.insert(Chunk.empty((0, 0, i), recipe.scene.plan), f"v{i}")
-    assert pool.version((0, 0, 0)) is None
-    assert all(pool.version((0, 0, i)) == f"v{i}" for i in range(1, FEWEST_CHUNKS + 1))
+        pool.insert(Chunk.empty((0, 0, i), recipe.scene.plan))
+    assert pool.missing([(0, 0, 0)])
+    assert not pool.missing([(0, 0, i) for i in range(1, FEWEST_CHUNKS + 1)])
 
 
 def test_held_chunks_are_not_evicted(recipe: Recipe) -> None:
     pool = pool_of(recipe, 9)
     for i in range(3):
-        pool.insert(chunk_of(recipe, (0, 0, i), i), f"v{i}")
+        pool.insert(chunk_of(recipe, (0, 0, i), i))
     with pool.hold([(0, 0, 0), (0, 0, 2)]) as (slots, _):
         for i in range(3, 8):
-            pool.insert(chunk_of(recipe, (0, 0, i), i), f"v{i}")
+            pool.insert(chunk_of(recipe, (0, 0, i), i))
         assert levels(pool, slots[0]) == {0.0}
         assert levels(pool, slots[1]) == {2.0}
-        assert pool.version((0, 0, 0)) == "v0"
-    assert pool.version((0, 0, 1)) is None
+        assert not pool.missing([(0, 0, 0)])
+    assert pool.missing([(0, 0, 1)])
 
 
 def test_holding_pins_the_rows_while_newer_versions_come(recipe: Recipe) -> None:
     pool = pool_of(recipe, 9)
-    pool.insert(chunk_of(recipe, (0, 0, 0), 1.0), "v1")
+    pool.insert(chunk_of(recipe, (0, 0, 0), 1.0))
     with pool.hold([(0, 0, 0)]) as (first, _):
         rows = rows_of(pool, first[0])
         for level in range(2, 20):
-            pool.insert(chunk_of(recipe, (0, 0, 0), level), f"v{level}")
+            pool.insert(chunk_of(recipe, (0, 0, 0), level))
         assert levels(pool, first[0]) == {1.0}
         np.testing.assert_array_equal(rows_of(pool, first[0]), rows)
         with pool.hold([(0, 0, 0)]) as (second, _):
             assert levels(pool, second[0]) == {19.0}
-    pool.insert(chunk_of(recipe, (1, 1, 1), 5.0, texels=6 * PAGE), "v5")
-    assert pool.version((0, 0, 0)) == "v19"
+    pool.insert(chunk_of(recipe, (1, 1, 1), 5.0, texels=6 * PAGE))
+    assert not pool.missing([(0, 0, 0)])
 
 
 def test_held_twice_is_freed_once(recipe: Recipe) -> None:
     pool = pool_of(recipe, 4)
-    pool.insert(chunk_of(recipe, (0, 0, 0), 1.0, texels=2 * PAGE), "v1")
+    pool.insert(chunk_of(recipe, (0, 0, 0), 1.0, texels=2 * PAGE))
     with pool.hold([(0, 0, 0)]) as (outer, _):
         with pool.hold([(0, 0, 0)]):
-            pool.insert(chunk_of(recipe, (0, 0, 0), 2.0, texels=2 * PAGE), "v2")
+            pool.insert(chunk_of(recipe, (0, 0, 0), 2.0, texels=2 * PAGE))
         with pytest.raises(StoreError):
-            pool.insert(chunk_of(recipe, (1, 0, 0), 3.0, texels=4 * PAGE), "v3")
+            pool.insert(chunk_of(recipe, (1, 0, 0), 3.0, texels=4 * PAGE))
         assert levels(pool, outer[0]) == {1.0}
-    pool.insert(chunk_of(recipe, (1, 0, 0), 4.0, texels=4 * PAGE), "v4")
-    assert pool.version((1, 0, 0)) == "v4"
+    pool.insert(chunk_of(recipe, (1, 0, 0), 4.0, texels=4 * PAGE))
+    assert not pool.missing([(1, 0, 0)])
 
 
 def test_a_view_that_cannot_fit_is_told_so(recipe: Recipe) -> None:
     pool = pool_of(recipe, 6)
     wanted: list[Index] = [(0, 0, 0), (0, 0, 1), (0, 0, 2)]
-    pool.insert(chunk_of(recipe, (2, 2, 2), 7.0), "v7")
-    pool.insert(chunk_of(recipe, wanted[0], 1.0), "v1", wanted)
-    pool.insert(chunk_of(recipe, wanted[1], 2.0), "v2", wanted)
-    assert pool.version((2, 2, 2)) is None
+    pool.insert(chunk_of(recipe, (2, 2, 2), 7.0))
+    pool.insert(chunk_of(recipe, wanted[0], 1.0), wanted)
+    pool.insert(chunk_of(recipe, wanted[1], 2.0), wanted)
+    assert pool.missing([(2, 2, 2)])
     with pytest.raises(
         StoreError, match=r"does not fit the memory for 384 texels: ask for .* or give light more memory\.$"
     ):
-        pool.insert(chunk_of(recipe, wanted[2], 3.0), "v3", wanted)
-    assert [pool.version(index) for index in wanted] == ["v1", "v2", None]
-    pool.insert(chunk_of(recipe, wanted[1], 4.0), "v4", wanted)
-    assert pool.version(wanted[1]) == "v4"
+        pool.insert(chunk_of(recipe, wanted[2], 3.0), wanted)
+    assert pool.missing(wanted) == [wanted[2]]
+    pool.insert(chunk_of(recipe, wanted[1], 4.0), wanted)
+    assert not pool.missing([wanted[1]])
 
 
 def test_a_chunk_larger_than_the_pool_is_refused_and_harms_nothing_held(recipe: Recipe) -> None:
     pool = pool_of(recipe, 4)
-    pool.insert(chunk_of(recipe, (0, 0, 0), 1.0, texels=PAGE), "v1")
+    pool.insert(chunk_of(recipe, (0, 0, 0), 1.0, texels=PAGE))
     with pool.hold([(0, 0, 0)]) as (slots, _):
         with pytest.raises(StoreError):
-            pool.insert(chunk_of(recipe, (0, 0, 1), 2.0, texels=4 * PAGE), "v2")
+            pool.insert(chunk_of(recipe, (0, 0, 1), 2.0, texels=4 * PAGE))
         assert levels(pool, slots[0]) == {1.0}
 
 
@@ -205,7 +214,7 @@ def test_readers_among_writers_see_whole_versions(recipe: Recipe) -> None:
         rng = np.random.default_rng(seed)
         for _ in range(400):
             chunk = versions[rng.integers(len(versions))]
-            pool.insert(Chunk(indices[rng.integers(6)], chunk.offsets, chunk.light), f"v{seed}")
+            pool.insert(Chunk(indices[rng.integers(6)], chunk.offsets, chunk.light))
 
     def read(seed: int) -> None:
         rng = np.random.default_rng(seed)
@@ -229,10 +238,10 @@ def test_readers_among_writers_see_whole_versions(recipe: Recipe) -> None:
     assert not wrong
     assert len(seen) > 1
     with ExitStack() as held:
-        pool.insert(chunk_of(recipe, (1, 1, 1), 3.0, texels=TEXELS), "all pages are free again")
+        pool.insert(chunk_of(recipe, (1, 1, 1), 3.0, texels=TEXELS))  # all pages are free again
         held.enter_context(pool.hold([(1, 1, 1)]))
         with pytest.raises(StoreError):
-            pool.insert(versions[0], "none is left")
+            pool.insert(versions[0])
 
 
 def test_the_age_tells_when_what_was_looked_up_may_have_changed(recipe: Recipe) -> None:
@@ -240,9 +249,9 @@ def test_the_age_tells_when_what_was_looked_up_may_have_changed(recipe: Recipe) 
     index = (0, 0, 0)
     assert pool.missing([index]) == [index]
     ages = []
-    for version in ("one", "one", "two"):
-        if version != pool.version(index):
-            pool.insert(Chunk.empty(index, recipe.scene.plan), version)
+    for changed in (True, False, True):
+        if changed:
+            pool.insert(Chunk.empty(index, recipe.scene.plan))
         with pool.hold([index]) as held:
             ages.append(held.age)
     assert ages[0] == ages[1] < ages[2]

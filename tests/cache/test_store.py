@@ -22,7 +22,7 @@ from isogi_core.bake.recipe import Index, Recipe
 from isogi_core.bake.refine import refine
 from isogi_core.cache.chunk import TEXELS, Chunk
 from isogi_core.cache.origin import values_at
-from isogi_core.cache.store import ChunkStore, default_store, version_of
+from isogi_core.cache.store import ChunkStore, default_store
 from isogi_core.errors import DamagedChunkError, StoreError
 from isogi_core.kernels.field import value
 from isogi_core.kernels.lattice import CHUNK
@@ -149,7 +149,7 @@ def test_every_store_keeps_chunks(anywhere: ChunkStore, recipe: Recipe) -> None:
     anywhere.save(chunk)
     assert anywhere.read(EDGE) == stored
     anywhere.save(baked(recipe, EDGE, seed=1))
-    assert version_of(anywhere.read(EDGE) or b"") != version_of(stored)
+    assert (anywhere.read(EDGE) or b"")[-4:] != stored[-4:]
 
 
 def test_every_store_is_found_again(anywhere: ChunkStore, recipe: Recipe) -> None:
