@@ -109,7 +109,7 @@ def test_the_search_for_forbidden_options_finds_them(text: str) -> None:
 
 def test_the_one_decorator_asks_for_what_is_allowed() -> None:
     from isogi_core.kernels import _jit
-    from isogi_core.kernels.integrator import bake_texels
+    from isogi_core.kernels.transfer import bake_texels
 
     assert not {"nnan", "ninf", "fast"} & _jit.FASTMATH
     options = bake_texels.targetoptions

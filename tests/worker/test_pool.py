@@ -11,7 +11,7 @@ import psutil
 import pytest
 
 from isogi_core.cache.store import ChunkStore
-from isogi_core.kernels.bricks import fill_leaps, fill_ranges, mark_bricks
+from isogi_core.kernels.bricks import pack_bricks, fill_ranges, mark_bricks
 from isogi_core.kernels.harmonics import project
 from isogi_core.kernels.macrocells import fill_macrocells
 from isogi_core.kernels.warm import warm
@@ -24,7 +24,7 @@ from worker.tasks import BAKE, BakeResult, BakeTask, opened
 SCENE = load_scene("demo:orbital", order=2, lattice=0.4, bounces=1, target_error=0.5)
 TEXELS = np.arange(0, 4096, 40, dtype=np.int32)
 WORKERS = 2
-OPENING = (fill_ranges, mark_bricks, fill_leaps, fill_macrocells, project)
+OPENING = (fill_ranges, mark_bricks, pack_bricks, fill_macrocells, project)
 
 
 def kernel_cache() -> dict[str, tuple[int, int]]:
