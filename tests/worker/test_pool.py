@@ -11,7 +11,7 @@ import psutil
 import pytest
 
 from isogi_core.cache.store import ChunkStore
-from isogi_core.kernels.bricks import pack_bricks, fill_ranges, mark_bricks
+from isogi_core.kernels.bricks import fill_ranges, mark_bricks, pack_bricks
 from isogi_core.kernels.harmonics import project
 from isogi_core.kernels.macrocells import fill_macrocells
 from isogi_core.kernels.warm import warm
