@@ -101,22 +101,19 @@ def _sqrt(builder: ir.IRBuilder, a: ir.Value) -> ir.Value:
     return call(builder, f"llvm.sqrt.v{ABREAST}f64", a.type, a)
 
 
-def floor_within(x: Any, last: int) -> Any:
+def floor_within(x: Any, last: Any) -> Any:
     """The whole number at or below ``x``, within 0 … ``last``; of lanes, reals that are whole."""
     return min(max(int(math.floor(x)), 0), last)
 
 
 @overload(floor_within)
 def _overload_floor_within(x: Any, last: Any) -> Any:
-    def of_number(x: Any, last: Any) -> Any:
-        return min(max(int(math.floor(x)), 0), last)
-
     def of_lanes(x: Any, last: Any) -> Any:
         whole = _floor(x)
         whole = where(whole > 0.0, whole, 0.0)
         return where(whole < last, whole, last)
 
-    return of_lanes if x is REALS else of_number
+    return of_lanes if x is REALS else floor_within
 
 
 @intrinsic
@@ -182,7 +179,7 @@ def write(array: Any, i: int, lanes: Any) -> None:
     array[i] = lanes
 
 
-def add_to(array: Any, i: int, value: Any) -> None:
+def add_to(array: Any, i: Any, value: Any) -> Any:
     """Add a number to element ``i`` of a flat array, or lanes to its ABREAST elements from ABREAST · i on."""
     array[i] += value
 
@@ -230,13 +227,10 @@ def _overload_write(array: Any, i: Any, lanes: Any) -> Any:
 
 @overload(add_to)
 def _overload_add_to(array: Any, i: Any, value: Any) -> Any:
-    def add_lanes(array: Any, i: Any, value: Any) -> None:
+    def add_lanes(array: Any, i: Any, value: Any) -> Any:
         _write(array, ABREAST * i, _read(array, ABREAST * i) + value)
 
-    def add_number(array: Any, i: Any, value: Any) -> None:
-        array[i] += value
-
-    return add_lanes if value is REALS else add_number
+    return add_lanes if value is REALS else add_to
 
 
 # --- voxels --------------------------------------------------------------------------------------------------
@@ -251,10 +245,11 @@ def open_voxels(context: Any, builder: ir.IRBuilder, kind: Any, voxels: ir.Value
 
 def cube(voxels: Any, k: Any, j: Any, i: Any) -> Any:
     """The corners of cell (k, j, i), x fastest, as float64; of lanes, those of cells at whole reals."""
-    near = np.float64(voxels[k, j, i]), np.float64(voxels[k, j, i + 1])
-    near += np.float64(voxels[k, j + 1, i]), np.float64(voxels[k, j + 1, i + 1])
-    far = np.float64(voxels[k + 1, j, i]), np.float64(voxels[k + 1, j, i + 1])
-    return near + far + (np.float64(voxels[k + 1, j + 1, i]), np.float64(voxels[k + 1, j + 1, i + 1]))
+    below = np.float64(voxels[k, j, i]), np.float64(voxels[k, j, i + 1])
+    behind = np.float64(voxels[k, j + 1, i]), np.float64(voxels[k, j + 1, i + 1])
+    above = np.float64(voxels[k + 1, j, i]), np.float64(voxels[k + 1, j, i + 1])
+    last = np.float64(voxels[k + 1, j + 1, i]), np.float64(voxels[k + 1, j + 1, i + 1])
+    return below + behind + above + last
 
 
 def load_pairs(builder: ir.IRBuilder, data: ir.Value, places: ir.Value) -> list[ir.Value]:
@@ -288,17 +283,10 @@ def _cube(typing: Any, voxels: Any, k: Any, j: Any, i: Any) -> Any:
 
 @overload(cube)
 def _overload_cube(voxels: Any, k: Any, j: Any, i: Any) -> Any:
-    def of_number(voxels: Any, k: Any, j: Any, i: Any) -> Any:
-        below = np.float64(voxels[k, j, i]), np.float64(voxels[k, j, i + 1])
-        behind = np.float64(voxels[k, j + 1, i]), np.float64(voxels[k, j + 1, i + 1])
-        above = np.float64(voxels[k + 1, j, i]), np.float64(voxels[k + 1, j, i + 1])
-        last = np.float64(voxels[k + 1, j + 1, i]), np.float64(voxels[k + 1, j + 1, i + 1])
-        return below + behind + above + last
-
     def of_lanes(voxels: Any, k: Any, j: Any, i: Any) -> Any:
         return _cube(voxels, k, j, i)
 
-    return of_lanes if i is REALS else of_number
+    return of_lanes if i is REALS else cube
 
 
 def four(voxels: Any, k: int, j: int, i: int) -> Any:

@@ -78,12 +78,6 @@ def orthonormal_basis(n):
 
 
 @kernel()
-def row(vectors, m):
-    """Row ``m`` of an (n, 3) array as a tuple."""
-    return vectors[m, 0], vectors[m, 1], vectors[m, 2]
-
-
-@kernel()
 def column(vectors, m):
     """Column ``m`` of a (3, n) array as a tuple."""
     return vectors[0, m], vectors[1, m], vectors[2, m]
