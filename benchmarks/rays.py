@@ -39,8 +39,9 @@ class Casts:
     """The candidates, for one isosurface; ``bytes`` is what ours keeps besides the volume."""
 
     def __init__(self, scene: Scene) -> None:
-        """Build the map."""
+        """Build the map, a first time to have the kernels loaded."""
         self.recipe, self.level = Recipe(scene), scene.volume.normalise_isovalue(scene.isovalue)
+        assert Recipe(scene).field and Recipe(scene).bricks(self.level, self.level)
         tracemalloc.start()
         assert self.recipe.field and self.recipe.bricks(self.level, self.level)
         self.bytes, _ = tracemalloc.get_traced_memory()

@@ -34,9 +34,11 @@ class Kept(Generic[K, V]):
             lock, cell = self._made.setdefault(key, (threading.Lock(), []))
             self._made.move_to_end(key)
         with lock:
-            if not cell:
+            new = not cell
+            if new:
                 cell.append(make())
-        self._forget()
+        if new:
+            self._forget()
         return cell[0]
 
     def clear(self) -> None:

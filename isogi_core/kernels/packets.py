@@ -60,7 +60,7 @@ def settle_lanes(flat, shape, rays, columns, owners, found, entries, spans, t, c
 def settle(field, flat, rays, count, owners, found, entries, spans, t, came):
     """Write the hits of ``count`` scouted rays to ``t`` and ``came`` at their ``owners``: as ``cast`` gives them."""
     isovalues, origins, directions, sides = rays
-    met, hits = np.empty(BATCH + COUNT, np.int32), 0
+    met, hits = np.empty(count + COUNT, np.int32), 0
     for i in range(count):
         met[hits] = i
         hits += found[i] != CLEAR
@@ -79,7 +79,7 @@ def settle(field, flat, rays, count, owners, found, entries, spans, t, came):
 @kernel()
 def cast_by_lanes(field, bricks, isovalues, origins, directions, sides, t, came):
     """``cast_batch`` by scouts in lanes; at least COUNT rays."""
-    room = BATCH + COUNT
+    room = min(BATCH, t.shape[0]) + COUNT
     records, spans, entries = np.empty((FIELDS, room), np.float32), np.empty((2, room)), np.empty(room, np.float32)
     owners, found = np.empty(room, np.int32), np.empty(room, np.int32)
     flat, shape = field.voxels.reshape(field.voxels.size), field.voxels.shape
