@@ -52,13 +52,12 @@ REAL, WHOLE, TRUTH = types.float64, types.int64, types.boolean
 
 
 class Lanes(types.Type):
-    """Numba's type of a vector of COUNT numbers, of LLVM type ``element`` and Numba type ``number``."""
+    """Numba's type of a vector of ``count`` numbers, of LLVM type ``element`` and Numba type ``number``."""
 
-    def __init__(self, number: Any, element: ir.Type) -> None:
-        self.number = number
-        self.element = element
-        self.vector = ir.VectorType(element, COUNT)
-        super().__init__(f"lanes({number} x {COUNT})")
+    def __init__(self, number: Any, element: ir.Type, count: int = COUNT, name: str = "lanes") -> None:
+        self.number, self.element, self.count = number, element, count
+        self.vector = ir.VectorType(element, count)
+        super().__init__(f"{name}({number} x {count})")
 
 
 FLOATS, DOUBLES = Lanes(types.float32, FLOAT), Lanes(types.float64, DOUBLE)
@@ -84,14 +83,16 @@ def repeat(builder: ir.IRBuilder, value: ir.Value, width: int = COUNT) -> ir.Val
     return builder.shuffle_vector(first, ir.Constant(vector, ir.Undefined), zeros)
 
 
-def spread(builder: ir.IRBuilder, value: ir.Value, kind: Any, lanes: Lanes) -> ir.Value:
-    """Numbers of Python as ``lanes``: float64 cut to float32 where those are, int64 to int32; lanes as they are."""
-    if kind == REAL:
-        return repeat(builder, builder.fptrunc(value, FLOAT) if lanes is FLOATS else value)
-    return repeat(builder, builder.trunc(value, WORD)) if kind == WHOLE else value
+def spread(builder: ir.IRBuilder, value: ir.Value, kind: Lanes) -> ir.Value:
+    """A number in every lane of a ``kind``, cut to the size of its elements; lanes as they are."""
+    if isinstance(value.type, ir.VectorType):
+        return value
+    if value.type != kind.element:
+        value = builder.fptrunc(value, FLOAT) if kind.element == FLOAT else builder.trunc(value, kind.element)
+    return repeat(builder, value, kind.count)
 
 
-def define(function: Any, result: Any, *arguments: Any, widen: Any = None) -> Callable[[Build], Build]:
+def define(function: Any, result: Any, *arguments: Any, widen: Lanes | None = None) -> Callable[[Build], Build]:
     """Decorator: ``build(builder, *values)`` makes the code of ``function`` for these types of arguments.
 
     With ``widen`` numbers are spread over lanes of that type first.
@@ -104,8 +105,7 @@ def define(function: Any, result: Any, *arguments: Any, widen: Any = None) -> Ca
 
         @lower_builtin(function, *arguments)
         def lower(context: Any, builder: ir.IRBuilder, sig: Any, values: Any) -> ir.Value:
-            kinds = sig.args if widen else (None,) * len(values)
-            return build(builder, *(spread(builder, v, k, widen) for v, k in zip(values, kinds, strict=True)))
+            return build(builder, *(values if widen is None else [spread(builder, v, widen) for v in values]))
 
         return build
 
@@ -133,10 +133,13 @@ def call(builder: ir.IRBuilder, name: str, result: ir.Type, *values: ir.Value) -
 # --- arithmetic ---------------------------------------------------------------------------------------------
 
 
-def define_operator(function: Any, kind: Lanes, number: Any, result: Lanes, build: Build) -> None:
-    """Define a binary operator for lanes with lanes, lanes with a number and a number with lanes."""
+def define_operator(function: Any, kind: Lanes, number: Any, result: Any, build: Build, *leading: Any) -> None:
+    """Define a binary operator for lanes with lanes, lanes with a number and a number with lanes.
+
+    Types of other arguments may lead; they are lanes.
+    """
     for left, right in ((kind, kind), (kind, number), (number, kind)):
-        define(function, result, left, right, widen=kind)(build)
+        define(function, result, *leading, left, right, widen=kind)(build)
 
 
 def define_arithmetic(name: str, kind: Lanes, number: Any, build: Build) -> None:
@@ -224,8 +227,7 @@ define_operator(least, INTS, WHOLE, INTS, _choose("icmp_signed", "<"))
 define_operator(most, INTS, WHOLE, INTS, _choose("icmp_signed", ">"))
 
 for _kind, _number in ((FLOATS, REAL), (DOUBLES, REAL), (INTS, WHOLE)):
-    for _arguments in ((_kind, _kind), (_kind, _number), (_number, _kind)):
-        define(select, _kind, MASK, *_arguments, widen=_kind)(method("select"))
+    define_operator(select, _kind, _number, _kind, method("select"), MASK)
     define(pick, _kind.number, _kind, WHOLE)(method("extract_element"))
 define(select, MASK, MASK, MASK, MASK)(method("select"))
 

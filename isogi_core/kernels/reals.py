@@ -8,7 +8,6 @@ lanes and numbers give the same bits. Two registers hold one vector of reals. Wi
 
 import math
 import operator
-from collections.abc import Callable
 from typing import Any
 
 import numba
@@ -16,72 +15,48 @@ import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
-from numba.extending import intrinsic, overload, register_model
+from numba.extending import intrinsic, overload
 
-from isogi_core.kernels.lanes import BIT, FLOAT, REAL, REGISTER, TRUTH, WORD, Lanes, LanesModel, call, define
+from isogi_core.kernels.lanes import (
+    BIT,
+    DOUBLE,
+    FLOAT,
+    REAL,
+    REGISTER,
+    TRUTH,
+    WORD,
+    Lanes,
+    call,
+    define,
+    define_operator,
+    method,
+    spread,
+)
 
 ABREAST = 1 if numba.config.DISABLE_JIT else REGISTER or 4
 """Lanes of a vector: 16 with AVX-512, 8 with AVX2."""
 
-DOUBLE = ir.DoubleType()
 NUMBER = types.uint64
 TO_UNIT = 2.0**-32
 
-
-class Abreast(Lanes):
-    """Numba's type of a vector of ``count`` numbers of LLVM type ``element``."""
-
-    def __init__(self, name: str, element: ir.Type, count: int) -> None:
-        self.element, self.count = element, count
-        self.vector = ir.VectorType(element, count)
-        types.Type.__init__(self, f"abreast({name} x {count})")
-
-
-REALS, WORDS = Abreast("float64", DOUBLE, ABREAST), Abreast("uint32", WORD, ABREAST)
-WHOLES, TRUTHS = Abreast("int64", ir.IntType(64), ABREAST), Abreast("bit", BIT, ABREAST)
-FOUR = Abreast("quad of float64", DOUBLE, 4)
-register_model(Abreast)(LanesModel)
-
-Build = Callable[..., ir.Value]
-
-
-def spread(builder: ir.IRBuilder, value: ir.Value, kind: Abreast) -> ir.Value:
-    """A number in every lane of a ``kind``, cut to 32 bits for words; lanes as they are."""
-    if isinstance(value.type, ir.VectorType):
-        return value
-    if kind is WORDS:
-        value = builder.trunc(value, WORD)
-    empty = ir.Constant(kind.vector, ir.Undefined)
-    zeros = ir.Constant(ir.VectorType(WORD, kind.count), [0] * kind.count)
-    return builder.shuffle_vector(builder.insert_element(empty, value, WORD(0)), empty, zeros)
-
-
-def define_for(kind: Abreast, number: Any, function: Any, result: Any, build: Build, *leading: Any) -> None:
-    """Define ``function`` for lanes with lanes, lanes with a number and a number with lanes."""
-
-    def spread_all(builder: ir.IRBuilder, *values: ir.Value) -> ir.Value:
-        first, rest = values[: len(leading)], values[len(leading) :]
-        return build(builder, *first, *(spread(builder, value, kind) for value in rest))
-
-    for arguments in ((kind, kind), (kind, number), (number, kind)):
-        define(function, result, *leading, *arguments)(spread_all)
-
-
-def method(name: str, *leading: Any) -> Build:
-    """The builder's method ``name`` as a Build, ``leading`` arguments first."""
-    return lambda builder, *values: getattr(builder, name)(*leading, *values)
+REALS, WORDS = Lanes(types.float64, DOUBLE, ABREAST, "abreast"), Lanes(types.uint32, WORD, ABREAST, "abreast")
+WHOLES, TRUTHS = (
+    Lanes(types.int64, ir.IntType(64), ABREAST, "abreast"),
+    Lanes(types.boolean, BIT, ABREAST, "abreast"),
+)
+FOUR = Lanes(types.float64, DOUBLE, 4, "row")
 
 
 for _name, _method in (("add", "fadd"), ("sub", "fsub"), ("mul", "fmul"), ("truediv", "fdiv")):
-    define_for(REALS, REAL, getattr(operator, _name), REALS, method(_method))
+    define_operator(getattr(operator, _name), REALS, REAL, REALS, method(_method))
 for _name, _method in (("add", "fadd"), ("mul", "fmul")):
-    define_for(FOUR, REAL, getattr(operator, _name), FOUR, method(_method))
+    define_operator(getattr(operator, _name), FOUR, REAL, FOUR, method(_method))
 for _name, _method in (("add", "add"), ("mul", "mul"), ("and_", "and_"), ("or_", "or_"), ("xor", "xor"),
                        ("lshift", "shl"), ("rshift", "lshr")):  # fmt: skip
-    define_for(WORDS, NUMBER, getattr(operator, _name), WORDS, method(_method))
+    define_operator(getattr(operator, _name), WORDS, NUMBER, WORDS, method(_method))
 for _name, _sign in (("lt", "<"), ("le", "<="), ("gt", ">"), ("ge", ">="), ("ne", "!=")):
     _ordered = "fcmp_unordered" if _sign == "!=" else "fcmp_ordered"
-    define_for(REALS, REAL, getattr(operator, _name), TRUTHS, method(_ordered, _sign))
+    define_operator(getattr(operator, _name), REALS, REAL, TRUTHS, method(_ordered, _sign))
 define(operator.neg, REALS, REALS)(method("fneg"))
 define(operator.and_, TRUTHS, TRUTHS, TRUTHS)(method("and_"))
 
@@ -135,7 +110,7 @@ def where(truth: Any, a: Any, b: Any) -> Any:
 
 
 define(where, REAL, TRUTH, REAL, REAL)(method("select"))
-define_for(REALS, REAL, where, REALS, method("select"), TRUTHS)
+define_operator(where, REALS, REAL, REALS, method("select"), TRUTHS)
 
 
 @define(where, REALS, TRUTHS, REAL, REAL)
