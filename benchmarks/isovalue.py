@@ -2,11 +2,12 @@
 
     python -m benchmarks.isovalue [TARGET] [--threads 2] [--size 512] [--repeats 9] [--json] [--pictures FOLDER]
 
-In each round all candidates go to the same isovalue, which none has seen in this process, and end with a
-picture of eight bits in memory. `gi` is lit by light that was baked before and is in memory, `lambert` by a
-directional light. VTK: flying edges with normals, drawn by Mesa's llvmpipe; by its own Phong, with a shadow
-map of 1024², with ambient occlusion of 32 samples. Embree: flying edges without normals, a tree of default
-quality, and of low quality, by its C interface, 16 rays together, made beforehand, and triangles' own normals.
+In each round all candidates go to the same isovalue, which none has seen in this process, ours without a
+map that would serve it, and end with a picture of eight bits in memory. `gi` is lit by light that was baked
+before and is in memory, `lambert` by a directional light. VTK: flying edges with normals, drawn by Mesa's
+llvmpipe; by its own Phong, with a shadow map of 1024², with ambient occlusion of 32 samples. Embree: flying
+edges without normals, a tree of default quality, and of low quality, by its C interface, 16 rays together,
+made beforehand, and triangles' own normals.
 """
 
 import tempfile
@@ -55,9 +56,15 @@ def own(renderer: Renderer, size: int, shading: str) -> Painter:
     return paint
 
 
-def painting(paint: Painter, levels: list[float]) -> Candidate:
-    """Goes to another of ``levels`` in each round."""
-    return lambda turn: seconds(partial(paint, levels[turn]))
+def painting(paint: Painter, levels: list[float], renderer: Renderer | None) -> Candidate:
+    """Goes to another of ``levels`` in each round; ``renderer``, where it is ours, has forgotten its maps."""
+
+    def work(turn: int) -> float:
+        if renderer is not None:
+            renderer.recipe.maps.forget()
+        return seconds(partial(paint, levels[turn]))
+
+    return work
 
 
 def peers(scene: Scene, size: int, threads: int) -> dict[str, Painter]:
@@ -103,12 +110,13 @@ def main(target: str | None, threads: int, pictures: Path | None, size: int, rep
     scene = benchmark_scene(target)
     levels = isovalues_near(scene, repeats + 1)
     with tempfile.TemporaryDirectory() as store:
-        painters = {
-            "gi": own(lit_renderer(scene, size, levels, store, threads), size, "gi"),
-            "lambert": own(make_renderer(scene, store, threads), size, "lambert"),
-            **peers(scene, size, threads),
+        ours = {
+            "gi": lit_renderer(scene, size, levels, store, threads),
+            "lambert": make_renderer(scene, store, threads),
         }
-        taken = medians({name: painting(paint, levels) for name, paint in painters.items()}, repeats)
+        painters = {name: own(renderer, size, name) for name, renderer in ours.items()} | peers(scene, size, threads)
+        candidates = {name: painting(paint, levels, ours.get(name)) for name, paint in painters.items()}
+        taken = medians(candidates, repeats)
         if pictures is not None:
             pictures.mkdir(exist_ok=True)
             for name, paint in painters.items():

@@ -26,8 +26,8 @@ from benchmarks.common import benchmark_scene, options, show
 from isogi_core.bake.recipe import Recipe
 from isogi_core.cache.chunk import Chunk
 from isogi_core.frame.tiles import Tiles
+from isogi_core.kernels.bounces import bounce_rays
 from isogi_core.kernels.intersect import OUTSIDE
-from isogi_core.kernels.scatter import scatter
 from isogi_core.model.scene import Scene
 from isogi_core.model.view import View
 from server.measure import (
@@ -130,7 +130,7 @@ def texel_rays(recipe: Recipe, texels: np.ndarray, rng: np.random.Generator) -> 
     origins, down = np.ascontiguousarray(texels[:, ::-1].T, np.float64), np.zeros((3, len(texels)))
     down[2] = -1.0
     sides = np.full(len(texels), OUTSIDE, np.int8)
-    scatter(recipe.field, levels, origins, down, np.zeros(len(texels)), sides, rng.random((2, len(texels))))
+    bounce_rays(recipe.field, levels, origins, down, np.zeros(len(texels)), sides, rng.random((2, len(texels))))
     return Rays(origins, down, levels, sides)
 
 

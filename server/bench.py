@@ -125,11 +125,12 @@ class Bench:
         return seconds(lambda: self.renderer.render(turned))
 
     def isovalues(self) -> Figures:
-        """``isovalue_ms``: from an isovalue never asked for before to its picture, lit by Lambert's law."""
+        """``isovalue_ms``: from an isovalue to its picture, its map made anew, lit by Lambert's law."""
         levels = isovalues_near(self.scene, self.repeats + 1)
 
         def show(turn: int) -> float:
             view = replace(self.view, shading="lambert", isovalue=levels[turn])
+            self.renderer.recipe.maps.forget()
             return seconds(lambda: develop(self.renderer.render(view), self.scene.default_exposure))
 
         return {"isovalue_ms": milliseconds({"": show}, self.repeats)[""]}

@@ -20,9 +20,9 @@ from isogi_core.frame.gbuffer import pinhole
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.texels import Demand
 from isogi_core.frame.tiles import Tiles
+from isogi_core.kernels.bounces import bounce_rays
 from isogi_core.kernels.intersect import UNKNOWN
 from isogi_core.kernels.packets import cast_rays
-from isogi_core.kernels.scatter import scatter
 from isogi_core.model.scene import Scene
 from isogi_core.model.view import View
 
@@ -89,14 +89,17 @@ def view_of(scene: Scene, size: int, **knobs: Any) -> View:
 def isovalues_near(scene: Scene, count: int) -> list[float]:
     """Isovalues that differ, farther and farther to both sides of the scene's, within a tenth of its range."""
     low, high = scene.isovalues
-    reach = 0.1 * min(scene.isovalue - low, high - scene.isovalue)
-    return [scene.isovalue + (-1) ** i * reach * (i + 1) / count for i in range(count)]
+    down, up = scene.isovalue - low, high - scene.isovalue
+    reach = 0.1 * (min(down, up) or max(down, up))
+    ways = (1.0 if up else -1.0, -1.0 if down else 1.0)
+    return [scene.isovalue + ways[i % 2] * reach * (i + 1) / count for i in range(count)]
 
 
 def make_renderer(scene: Scene, store: str, threads: int | None = None) -> Renderer:
     """A renderer over a store, with nothing else around it."""
-    recipe = Recipe(scene)
-    return Renderer(recipe, Loader(ChunkStore(store, recipe), PagePool(recipe, MEMORY)), Tiles(threads))
+    tiles = Tiles(threads)
+    recipe = Recipe(scene, tiles.run)
+    return Renderer(recipe, Loader(ChunkStore(store, recipe), PagePool(recipe, MEMORY)), tiles)
 
 
 def bake_view(renderer: Renderer, view: View, until: int) -> Frame:
@@ -153,5 +156,5 @@ def bounce(recipe: Recipe, rays: Rays, rng: np.random.Generator) -> Rays:
     t, came = cast(recipe, rays)
     hit = np.isfinite(t)
     on = rays.part(hit)
-    scatter(recipe.field, on.levels, on.origins, on.directions, t[hit], came[hit], rng.random((2, len(on))))
+    bounce_rays(recipe.field, on.levels, on.origins, on.directions, t[hit], came[hit], rng.random((2, len(on))))
     return Rays(on.origins, on.directions, on.levels, came[hit])

@@ -25,6 +25,7 @@ from isogi_core.model.scene import Scene
 from isogi_core.model.view import View
 from server.foresight import Foresight
 from worker.baker import Bake, Baker
+from worker.errors import WorkersError
 
 if TYPE_CHECKING:
     from worker.pool import WorkerPool
@@ -158,15 +159,17 @@ class Studio:
         return Stage(scene, recipe, loader, Renderer(recipe, loader, self._tiles), foresight)
 
     def _hire(self) -> None:
-        from worker.pool import WorkerPool  # noqa: PLC0415 (a fifth of a second, beside other work)
-
         try:
+            from worker.pool import WorkerPool  # noqa: PLC0415 (a fifth of a second, beside other work)
+
             self._pool = WorkerPool(self._workers, self._scheduler)
+            self._baker.employ(self._pool)
         except IsogiError as error:
             self._trouble = error
             log.error("%s", error)
-            return
-        self._baker.employ(self._pool)
+        except Exception as error:
+            self._trouble = WorkersError(f"Cannot start the workers: {error}")
+            log.exception("%s", self._trouble)
 
 
 def absolute(store: str) -> str:

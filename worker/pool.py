@@ -29,7 +29,10 @@ Done = Callable[[BakeResult | None, BaseException | None], None]
 
 
 class WorkerPool:
-    """Processes that bake. They load the kernels of the bake with their first task."""
+    """Processes that bake. Those started here load the kernels of the bake with their first task.
+
+    Those joined may stand on other machines, and load them when they start: see ``worker.tasks.dask_setup``.
+    """
 
     def __init__(self, workers: int, scheduler: str | None = None) -> None:
         """Start ``workers`` processes of one thread each, or join the ``scheduler``. Raises WorkersError."""
@@ -41,7 +44,7 @@ class WorkerPool:
                 self._client = Client(self._cluster or scheduler, timeout="30s", set_as_default=False)
                 self._client.register_plugin(Nice())
                 self._workers = self._count()
-                if kernels_missing():
+                if scheduler is None and kernels_missing():
                     fire_and_forget(self._client.submit(load_kernels, pure=False))
         except Exception as error:
             if self._cluster is not None:

@@ -1,8 +1,10 @@
 """A task: more light for texels of one chunk. What a worker process runs."""
 
+import asyncio
 import time
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -74,7 +76,7 @@ def bake(task: BakeTask) -> BakeResult:
 
 
 def kernels_missing() -> bool:
-    """Whether the kernels of the bake are yet to be compiled."""
+    """Whether the kernels of the bake are yet to be compiled on this machine."""
     return any(isinstance(kernel, Entry) and not kernel.stored for kernel in BAKE)
 
 
@@ -83,6 +85,11 @@ def load_kernels() -> None:
     for kernel in BAKE:
         if isinstance(kernel, Entry):
             kernel.ready  # noqa: B018
+
+
+async def dask_setup(worker: Any) -> None:
+    """Have a ``worker`` started with ``--preload worker.tasks`` load the kernels of the bake, and then come."""
+    await asyncio.to_thread(load_kernels)
 
 
 def next_goal(fewest: int) -> int:

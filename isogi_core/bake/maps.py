@@ -62,6 +62,10 @@ class Maps:
         last = max(math.ceil(highest / STEP), first + 1)
         return self._kept.get((first, last), lambda: self._make(first * STEP, last * STEP, cancelled))
 
+    def forget(self) -> None:
+        """Keep no map, as if every isovalue were new."""
+        self._kept.clear()
+
     def _make(self, lowest: float, highest: float, cancelled: threading.Event | None) -> Bricks:
         def run(piece: Piece, total: int) -> None:
             self._run(piece, total, LAYERS, cancelled)

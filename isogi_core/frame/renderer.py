@@ -15,6 +15,7 @@ from isogi_core.frame.stopwatch import Stopwatch
 from isogi_core.frame.texels import ViewTexels, find_texels
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kept import Kept
+from isogi_core.kernels.lanes import REGISTER
 from isogi_core.model.view import View
 
 KEPT = 128 << 20
@@ -100,5 +101,8 @@ def surface_key(view: View) -> tuple[Any, ...]:
 
 
 def version_of(scene: str, view: View, light: bytes) -> str:
-    """Hex digest of all that a picture was made of: scene, view, and how far the light it read is baked."""
-    return hashlib.blake2b(repr((scene, view, light)).encode(), digest_size=12).hexdigest()
+    """Hex digest of all that a picture was made of: scene, view, how far the light it read is baked, and by what.
+
+    Light is summed in the order that fills the processor's registers, whose width is part of it.
+    """
+    return hashlib.blake2b(repr((scene, view, light, REGISTER)).encode(), digest_size=12).hexdigest()

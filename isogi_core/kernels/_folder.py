@@ -2,7 +2,9 @@
 
 Numba's own cache looks at the file of a function alone: an edit of a helper in another file leaves
 old machine code in use. Here the folder is named after a digest of all kernel sources, of Numba's
-version and of the processor, so that what is loaded is always what is written.
+version and of the processor, so that what is loaded is always what is written. Numba also takes
+no file that was compiled from another path, or before its source was touched: the digest knows
+both, so that what the folder has is what can be loaded.
 """
 
 import fcntl
@@ -10,7 +12,7 @@ import hashlib
 import os
 import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import llvmlite.binding as llvm
@@ -24,10 +26,10 @@ IN_USE = "in-use"
 
 
 def sources_digest() -> str:
-    """Digest of every kernel source, Numba's version and the processor's name and features, as hex."""
+    """Digest of every kernel source, where and from when it is, Numba's version and the processor, as hex."""
     digest = hashlib.blake2b(digest_size=8)
     for path in sorted(Path(__file__).parent.glob("*.py")):
-        digest.update(path.name.encode())
+        digest.update(f"{path} {path.stat().st_mtime_ns}".encode())
         digest.update(path.read_bytes())
     cpu = numba.config.CPU_NAME or llvm.get_host_cpu_name()
     features = numba.config.CPU_FEATURES or llvm.get_host_cpu_features().flatten()
@@ -58,10 +60,13 @@ def hold(folder: Path) -> int:
 
 
 def prune(folder: Path) -> None:
-    """Remove the siblings of ``folder`` but the ``KEPT`` used last, and those that a process holds."""
+    """Remove the siblings of ``folder`` but the ``KEPT`` used last, and those that a process holds.
+
+    What another process removes meanwhile, or another user owns, is passed over.
+    """
     others = [each for each in folder.parent.iterdir() if each != folder and each.is_dir()]
     for old in sorted(others, key=last_used)[: max(len(others) - KEPT, 0)]:
-        with locked(old / IN_USE, wait=False) as ours:
+        with suppress(OSError), locked(old / IN_USE, wait=False) as ours:
             if ours:
                 shutil.rmtree(old, ignore_errors=True)
 
@@ -80,9 +85,11 @@ def locked(path: Path, wait: bool = True) -> Iterator[bool]:
 
 
 def last_used(folder: Path) -> float:
-    """When a process began to use ``folder``, in seconds; where none has said so, when it was made."""
-    mark = folder / IN_USE
-    return (mark if mark.exists() else folder).stat().st_mtime
+    """When a process began to use ``folder``, in seconds; where none has said so, when it was made; 0 if it is gone."""
+    for path in (folder / IN_USE, folder):
+        with suppress(OSError):
+            return path.stat().st_mtime
+    return 0.0
 
 
 def is_at(file: int, path: Path) -> bool:

@@ -27,6 +27,9 @@ from isogi_core.kernels.lanes import (
 KINDS = {types.float32: FLOATS, types.float64: DOUBLES, types.int32: INTS, types.int8: INTS}
 """Lanes of an array's elements."""
 
+SINGLE = {types.float32, types.int32}
+"""Elements as large as a lane of a float."""
+
 gather = stub("gather", "array[index] of a flat array; every lane's index must be in it.", __name__)
 gather_pair = stub("gather_pair", "array[index] and array[index + 1] of a flat array of floats.", __name__)
 take = stub("take", "array[first], array[first + 1] … for the lanes that the mask has set, in turn.", __name__)
@@ -35,11 +38,14 @@ store = stub("store", "Write lanes to COUNT elements of a flat array from place 
 scatter = stub("scatter", "array[index] = lanes where the mask is set, lane by lane.", __name__)
 
 
-def define_access(function: Any, typer: Callable[..., Any]) -> Callable[[Any], Any]:
-    """Decorator: ``build(context, builder, array type, base pointer, *values)`` for a function on flat arrays."""
+def define_access(function: Any, numbers: set[Any], typer: Callable[..., Any]) -> Callable[[Any], Any]:
+    """Decorator: ``build(context, builder, array type, base pointer, *values)`` for a function on flat arrays.
+
+    ``numbers`` are the types of elements that it is made for.
+    """
 
     def generic(self: Any, args: Any, kws: Any) -> Any:
-        if isinstance(args[0], types.Array) and args[0].layout == "C" and args[0].dtype in KINDS:
+        if isinstance(args[0], types.Array) and args[0].layout == "C" and args[0].dtype in numbers:
             return typer(*args)
         return None
 
@@ -56,7 +62,7 @@ def define_access(function: Any, typer: Callable[..., Any]) -> Callable[[Any], A
     return register
 
 
-@define_access(gather, lambda array, index: signature(KINDS[array.dtype], array, INTS))
+@define_access(gather, SINGLE | {types.float64}, lambda array, index: signature(KINDS[array.dtype], array, INTS))
 def _gather(context: Any, builder: ir.IRBuilder, dtype: Any, base: ir.Value, index: ir.Value) -> ir.Value:
     kind = KINDS[dtype]
     if REGISTER == 16:
@@ -70,7 +76,7 @@ def _gather(context: Any, builder: ir.IRBuilder, dtype: Any, base: ir.Value, ind
     return vector
 
 
-@define_access(gather_pair, lambda array, index: signature(types.UniTuple(FLOATS, 2), array, INTS))
+@define_access(gather_pair, {types.float32}, lambda array, index: signature(types.UniTuple(FLOATS, 2), array, INTS))
 def _gather_pair(context: Any, builder: ir.IRBuilder, dtype: Any, base: ir.Value, index: ir.Value) -> ir.Value:
     width = REGISTER // 2
     pairs = [_pairs(builder, base, index, first, width) for first in range(0, COUNT, width)]
@@ -98,7 +104,7 @@ def _pairs(builder: ir.IRBuilder, base: ir.Value, index: ir.Value, first: int, w
     return builder.bitcast(pairs, ir.VectorType(FLOATS.element, 2 * width))
 
 
-@define_access(take, lambda array, first, mask: signature(KINDS[array.dtype], array, WHOLE, MASK))
+@define_access(take, SINGLE, lambda array, first, mask: signature(KINDS[array.dtype], array, WHOLE, MASK))
 def _take(context: Any, builder: ir.IRBuilder, dtype: Any, base: ir.Value, place: ir.Value, mask: ir.Value) -> ir.Value:
     kind, parts = KINDS[dtype], []
     name = {16: "llvm.x86.avx512.permvar.s{}.512", 8: "llvm.x86.avx2.perm{}"}[REGISTER]
@@ -147,20 +153,22 @@ def _whole(builder: ir.IRBuilder, base: ir.Value, place: ir.Value) -> ir.Value:
     return builder.bitcast(first, ir.VectorType(base.type.pointee, COUNT).as_pointer())
 
 
-@define_access(load, lambda array, i: signature(KINDS[array.dtype], array, WHOLE))
+@define_access(load, set(KINDS), lambda array, i: signature(KINDS[array.dtype], array, WHOLE))
 def _load(context: Any, builder: ir.IRBuilder, dtype: Any, base: ir.Value, place: ir.Value) -> ir.Value:
     vector = builder.load(_whole(builder, base, place), align=dtype.bitwidth // 8)
     return builder.sext(vector, INTS.vector) if dtype == types.int8 else vector
 
 
-@define_access(store, lambda array, i, lanes: signature(types.none, array, WHOLE, KINDS[array.dtype]))
+@define_access(store, set(KINDS), lambda array, i, lanes: signature(types.none, array, WHOLE, KINDS[array.dtype]))
 def _store(context: Any, builder: ir.IRBuilder, dtype: Any, base: ir.Value, place: ir.Value, value: Any) -> ir.Value:
     vector = builder.trunc(value, ir.VectorType(base.type.pointee, COUNT)) if dtype == types.int8 else value
     builder.store(vector, _whole(builder, base, place), align=dtype.bitwidth // 8)
     return context.get_dummy_value()
 
 
-@define_access(scatter, lambda array, index, lanes, mask: signature(types.none, array, INTS, KINDS[array.dtype], MASK))
+@define_access(
+    scatter, set(KINDS), lambda array, index, lanes, mask: signature(types.none, array, INTS, KINDS[array.dtype], MASK)
+)
 def _scatter(
     context: Any, builder: ir.IRBuilder, dtype: Any, base: ir.Value, index: ir.Value, value: Any, mask: ir.Value
 ) -> ir.Value:

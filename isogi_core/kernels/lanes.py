@@ -153,6 +153,7 @@ def method(name: str, *leading: Any, **options: Any) -> Build:
     return lambda builder, *values: getattr(builder, name)(*leading, *values, **options)
 
 
+# An operation without a flag is given those of its kernel, products would be fused with sums.
 LOOSE, EXACT = {"flags": ("contract", "nsz")}, {"flags": ("nsz",)}
 for _operator, _name in (("add", "fadd"), ("sub", "fsub"), ("mul", "fmul"), ("truediv", "fdiv")):
     define_arithmetic(_operator, FLOATS, REAL, method(_name, **LOOSE))

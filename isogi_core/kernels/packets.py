@@ -28,8 +28,8 @@ BATCH = 4096
 
 LANES = WIDTH is not None
 
-MOST_VOXELS = 2**30
-"""Volumes with more voxels are too large for the scouts' words of 32 bits."""
+MOST_VOXELS, LONGEST_SIDE = 2**30, 2**18
+"""Volumes that are larger are too large for the scouts' words of 32 bits, or for what they prove in float32."""
 
 ORIGINS = types.float64[:, ::1]
 SIDES = types.int8[::1]
@@ -108,7 +108,8 @@ def cast_batch(field, bricks, isovalues, origins, directions, sides, t, came):
     ``isovalues`` (n,) within the range of ``bricks``; ``sides`` (n,) OUTSIDE, SOLID or UNKNOWN; writes
     ``t`` (n,), inf where there is none, and ``came`` (n,). Rays need no order; neighbours side by side are faster.
     """
-    if LANES and field.voxels.size < MOST_VOXELS and t.shape[0] >= COUNT:
+    fits = field.voxels.size < MOST_VOXELS and max(field.voxels.shape) < LONGEST_SIDE
+    if LANES and fits and t.shape[0] >= COUNT:
         cast_by_lanes(field, bricks, isovalues, origins, directions, sides, t, came)
     else:
         cast_one_by_one(field, bricks, isovalues, origins, directions, sides, t, came)

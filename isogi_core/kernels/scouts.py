@@ -6,13 +6,14 @@ of their direction is negative, and cells that may hold the surface wait until t
 How wrong is a float32 ray? With N the longest side, u = 2⁻²⁴: its origin in the box by N·u, a face's
 parameter by 3·u·N along the axis of that face, a point by 2·u·N more: 6·u·N voxels and less than
 POSITION_ERROR · N. In a brick with all cells around it the field changes by at most 3 × its range per
-voxel's length along the ray; margins hold that much.
+voxel's length along the ray; margins hold that much. A ray that leaves the cells that far before its exit,
+or less, has been proven to its end.
 """
 
 from typing import Any, NamedTuple
 
 from isogi_core.kernels._jit import kernel
-from isogi_core.kernels.bricks import BRICK
+from isogi_core.kernels.bricks import BRICK, POSITION_ERROR
 from isogi_core.kernels.lane_memory import gather, gather_pair, take
 from isogi_core.kernels.lanes import (
     COUNT,
@@ -301,7 +302,7 @@ def scout(flat, shape, bricks, records, count, found, entries):
     """
     ray, c, t, sign = no_ray(), (ints(0), ints(0), ints(0)), floats(0.0), floats(0.0)
     walking, waiting = mask_of(False), mask_of(False)
-    following = 0
+    following, slack = 0, POSITION_ERROR * max(shape)
     while True:
         idle = ~(walking | waiting)
         if following < count and popcount(idle) > COUNT - BUSY:
@@ -327,14 +328,14 @@ def scout(flat, shape, bricks, records, count, found, entries):
             waiting = waiting | (stops & walking)
             walking = walking & ~stops
             out, after, outside = leave(ray, c, (c[0] & keep, c[1] & keep, c[2] & keep), size)
-            mark(found, ray.owner, ASK, walking & outside & (out < ray.end - 1e-4))
+            mark(found, ray.owner, ASK, walking & outside & (out < ray.end - slack))
             walking = walking & ~outside
             t, c = select(walking, out, t), choose(walking, after, c)
         if popcount(waiting) >= WAITING or popcount(walking) == 0:
             out, after, outside = leave(ray, c, c, ints(1))
             passed = certain(flat, shape, bricks, ray, c, t, out, sign, waiting)
             report(found, entries, ray.owner, least_node(c, ray.mirror, shape), sign, t, waiting & ~passed)
-            mark(found, ray.owner, ASK, passed & outside & (out < ray.end - 1e-4))
+            mark(found, ray.owner, ASK, passed & outside & (out < ray.end - slack))
             passed = passed & ~outside
             t, c = select(passed, out, t), choose(passed, after, c)
             walking, waiting = walking | passed, mask_of(False)

@@ -1,6 +1,7 @@
 """The folder of compiled kernels: who is using it, and which old ones go."""
 
 import os
+import shutil
 import subprocess
 import sys
 
@@ -80,6 +81,34 @@ def test_a_folder_that_is_removed_while_it_is_taken_is_made_again(tmp_path, monk
     monkeypatch.setattr(_folder, "is_at", removed_once)
     os.close(_folder.hold(tmp_path / "own"))
     assert (tmp_path / "own" / _folder.IN_USE).exists()
+
+
+def test_a_folder_that_goes_while_the_old_are_looked_for_is_passed_over(folders, monkeypatch):
+    list_all = type(folders).iterdir
+
+    def gone_once_listed(folder):
+        yield from list_all(folder)
+        shutil.rmtree(folders / "03")
+
+    monkeypatch.setattr(type(folders), "iterdir", gone_once_listed)
+    monkeypatch.setattr(type(folders), "is_dir", lambda folder: True)
+    _folder.prune(folders / "10")
+    monkeypatch.undo()
+    assert names(folders) == ["01", "02", *(f"{n:02}" for n in range(4, 11))]
+
+
+def test_a_folder_of_another_user_is_passed_over(folders, monkeypatch):
+    lock = _folder.locked
+
+    def refused(path, wait=True):
+        if path.parent.name == "00":
+            raise PermissionError(path)
+        return lock(path, wait)
+
+    monkeypatch.setattr(_folder, "KEPT", _folder.KEPT - 1)
+    monkeypatch.setattr(_folder, "locked", refused)
+    _folder.prune(folders / "10")
+    assert names(folders)[:2] == ["00", "03"]
 
 
 def test_only_one_has_a_lock(tmp_path):

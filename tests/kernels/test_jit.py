@@ -88,6 +88,20 @@ def test_editing_any_source_changes_the_digest(edited, monkeypatch, tmp_path):
     assert _folder.sources_digest() != before
 
 
+def test_another_checkout_and_a_touched_source_have_digests_of_their_own(monkeypatch, tmp_path):
+    """Numba loads nothing that was compiled from another path, or before its source was touched."""
+    digests = []
+    for name in ("here", "there"):
+        shutil.copytree(FOLDER, tmp_path / name, ignore=shutil.ignore_patterns("__pycache__"))
+        monkeypatch.setattr(_folder, "__file__", str(tmp_path / name / "_folder.py"))
+        digests += [_folder.sources_digest(), _folder.sources_digest()]
+    os.utime(tmp_path / "there" / "_jit.py", (1, 1))
+    digests.append(_folder.sources_digest())
+    here, here_again, there, there_again, touched = digests
+    assert (here, there) == (here_again, there_again)
+    assert len({here, there, touched}) == 3
+
+
 ENTRY = """\
 from isogi_core.kernels._jit import kernel
 from isogi_core.kernels.helper import shift
@@ -125,6 +139,7 @@ def test_an_edited_helper_is_compiled_anew_and_an_old_one_is_loaded(tmp_path):
     answers = []
     for step in (1.0, 1.0, 2.5, 1.0):
         (kernels / "helper.py").write_text(HELPER.format(step))
+        os.utime(kernels / "helper.py", (step, step))
         done = subprocess.run(
             [sys.executable, "-c", ASK], env=environment, cwd=tmp_path, capture_output=True, text=True, check=True
         )

@@ -41,7 +41,11 @@ def plateaus(values):
 
 
 @pytest.mark.parametrize("starts, count", [(1, 1), (2, 40), (17, 3), (700, 5), (10, 1200), (5000, 2)])
-@pytest.mark.parametrize("body", [BUMPS, plateaus(BUMPS), BUMPS[:, :, 16:19]], ids=["bumps", "plateaus", "thin"])
+@pytest.mark.parametrize(
+    "body",
+    [BUMPS, plateaus(BUMPS), BUMPS[:, :, 16:19], np.repeat(BUMPS[16:17], len(BUMPS), axis=0)],
+    ids=["bumps", "plateaus", "thin", "a column, whose normals have no z"],
+)
 def test_waves_are_the_paths_one_by_one(starts, count, body):
     if config.DISABLE_JIT and starts * count > 100:
         pytest.skip("so many paths need compiled kernels")

@@ -1,6 +1,7 @@
 """``isogi bench``: the figures it promises, and what it leaves alone."""
 
 import json
+from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -102,6 +103,15 @@ def test_isovalues_near_differ_and_stay_in_the_range() -> None:
     assert len(set(levels)) == 9
     assert all(abs(level - scene.isovalue) <= 12.75 for level in levels)
     assert np.ptp(levels) > 20
+
+
+@pytest.mark.parametrize("end", [0, 1])
+def test_isovalues_near_an_end_of_the_range_go_inside(end: int) -> None:
+    scene = load_scene("demo:casting")
+    low, high = scene.isovalues
+    levels = isovalues_near(replace(scene, isovalue=(low, high)[end]), 9)
+    assert len(set(levels)) == 9
+    assert all(low <= level <= high for level in levels)
 
 
 def test_rays_bounce_off_the_surface_into_the_open_half(small_scene: Path) -> None:

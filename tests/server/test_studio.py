@@ -1,5 +1,6 @@
 import errno
 import shutil
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -194,6 +195,29 @@ def test_workers_that_cannot_be_had_are_told(begin: Open, scene: Scene, monkeypa
     studio = begin()
     assert_unlit(studio.frame(scene.id, view_of(scene), wait=0.1))
     assert studio.unready() == [studio.trouble()] == ["No workers today."]
+
+
+@pytest.mark.parametrize("error", [ImportError("No module named 'distributed'"), OSError("No such file")])
+def test_anything_that_keeps_workers_from_coming_is_told(
+    begin: Open, scene: Scene, monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
+    def fail(workers: int, scheduler: str | None) -> None:
+        raise error
+
+    monkeypatch.setattr(pool, "WorkerPool", fail)
+    studio = begin()
+    assert_unlit(studio.frame(scene.id, view_of(scene), wait=0.1))
+    assert studio.unready() == [f"Cannot start the workers: {error}"]
+
+
+def test_a_module_that_is_missing_is_told(begin: Open, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "worker.pool", None)
+    studio = begin()
+    deadline = time.monotonic() + LONG
+    while studio.unready() == ["The workers are starting."]:
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    assert studio.trouble().startswith("Cannot start the workers: ")
 
 
 def test_workers_that_are_lost_are_told(begin: Open, scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:

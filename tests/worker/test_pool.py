@@ -1,14 +1,17 @@
 import os
+import re
 import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import httpx
 import numba
 import numpy as np
 import psutil
 import pytest
+from distributed import LocalCluster
 
 from isogi_core.cache.store import ChunkStore
 from isogi_core.kernels.bricks import fill_ranges, mark_bricks, pack_bricks
@@ -24,6 +27,7 @@ from worker.tasks import BAKE, BakeResult, BakeTask, opened
 SCENE = load_scene("demo:orbital", order=2, lattice=0.4, bounces=1, target_error=0.5)
 TEXELS = np.arange(0, 4096, 40, dtype=np.int32)
 WORKERS = 2
+ROOT = Path(__file__).resolve().parent.parent.parent
 OPENING = (fill_ranges, mark_bricks, pack_bricks, fill_macrocells, project)
 
 
@@ -175,6 +179,21 @@ def test_kernels_that_are_missing_are_compiled_by_a_worker(monkeypatch: pytest.M
     finally:
         fresh.close()
     assert set(kernels) <= {kernel.name for kernel in BAKE}
+
+
+def test_workers_that_are_joined_have_loaded_their_kernels(
+    compiled: dict[str, tuple[int, int]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Started with the preload of docker-compose.yml; nothing is sent to one of them."""
+    preload = re.findall(r'"--preload", "([\w.]+)"', (ROOT / "docker-compose.yml").read_text())
+    monkeypatch.setattr("worker.pool.kernels_missing", lambda: True)
+    monkeypatch.setattr("worker.pool.fire_and_forget", lambda future: pytest.fail("a job was sent"))
+    kwargs: dict[str, Any] = {"host": "127.0.0.1", "dashboard_address": "127.0.0.1:0", "preload": preload}
+    with LocalCluster(n_workers=WORKERS, threads_per_worker=1, processes=True, silence_logs=50, **kwargs) as others:
+        joined = WorkerPool(1, others.scheduler_address)
+        kernels = list(joined._client.run(kernels_of_this_process).values())
+        joined.close()
+    assert kernels == [{kernel.name: False for kernel in BAKE}] * WORKERS
 
 
 @pytest.mark.slow

@@ -1,3 +1,5 @@
+import asyncio
+import threading
 from collections.abc import Callable
 from pathlib import Path
 
@@ -9,7 +11,7 @@ from isogi_core.bake.noise import finished, most_samples
 from isogi_core.cache.store import ChunkStore
 from isogi_core.errors import SceneError, StoreError
 from isogi_core.model.scene import load_scene
-from worker.tasks import BakeResult, BakeTask, bake, next_goal, opened
+from worker.tasks import BakeResult, BakeTask, bake, dask_setup, next_goal, opened
 
 INDEX = (1, 1, 2)
 UNTIL = most_samples(0.05)
@@ -118,6 +120,19 @@ def test_a_store_that_cannot_be_written_is_an_error(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("not a folder")
     with pytest.raises(StoreError, match="Cannot"):
         do(tmp_path / "file")
+
+
+def test_a_worker_answers_while_it_loads_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
+    answered = threading.Event()
+    loaded: list[bool] = []
+    monkeypatch.setattr("worker.tasks.load_kernels", lambda: loaded.append(answered.wait(5)))
+
+    async def start() -> None:
+        asyncio.get_running_loop().call_soon(answered.set)
+        await dask_setup(None)
+
+    asyncio.run(start())
+    assert loaded == [True]
 
 
 def test_goals_climb() -> None:

@@ -11,7 +11,7 @@ from isogi_core.kernels.vec import column, madd, put_column
 
 
 @kernel(types.void(FIELD, VECTOR, ORIGINS, ORIGINS, VECTOR, SIDES, ORIGINS))
-def scatter(field, isovalues, origins, directions, t, came, numbers):
+def bounce_rays(field, isovalues, origins, directions, t, came, numbers):
     """Turn rays ``origins`` + t · ``directions`` (3, n) that hit, in place, into cosine rays from there.
 
     ``isovalues`` (n,) of the surfaces; ``t`` and ``came`` (n,) as ``cast_rays`` writes them; ``numbers``
