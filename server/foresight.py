@@ -18,7 +18,7 @@ class Foresight:
     """Watches the isovalues of the frames that are asked for. Safe to use from many threads."""
 
     def __init__(self, prepare: Prepare, step: float, span: tuple[float, float]) -> None:
-        """``prepare(isovalue, cancelled)`` makes ready what serves an isovalue and those less than ``step`` away.
+        """``prepare(isovalue, cancelled)`` makes ready what serves all isovalues of a whole ``step``.
 
         ``span`` are the lowest and the highest isovalue that may be asked for.
         """
@@ -30,27 +30,36 @@ class Foresight:
         self._open = 0
         self._last: float | None = None
         self._coming: list[float] = []
+        self._preparing: float | None = None
+        self._closed = False
         self._cancelled = threading.Event()
+        self._cancelled.set()  # as it is whenever nothing is at work
 
     @contextmanager
     def frame(self, isovalue: float) -> Iterator[None]:
-        """Around the work on a frame: preparations stop when it begins, and go on when none is worked on."""
+        """Around the work on a frame: preparations stop when it begins, and go on when none is worked on.
+
+        What serves this very frame is made to its end.
+        """
         with self._lock:
             self._open += 1
-            self._cancelled.set()
+            if not self._serves(isovalue):
+                self._cancelled.set()
         try:
             yield
         finally:
             with self._lock:
                 self._open -= 1
                 self._note(isovalue)
-                if self._coming and not self._open:
+                if self._coming and not self._open and self._cancelled.is_set() and not self._closed:
                     self._cancelled = threading.Event()
                     self._thread.submit(self._work, self._cancelled)
 
     def close(self) -> None:
         """Stop, and wait until it has."""
-        self._cancelled.set()
+        with self._lock:
+            self._closed = True
+            self._cancelled.set()
         self._thread.shutdown(cancel_futures=True)
 
     def _note(self, isovalue: float) -> None:
@@ -60,20 +69,29 @@ class Foresight:
             self._coming = [v for v in next_values(self._last, isovalue, self._step) if lowest <= v <= highest]
         self._last = isovalue
 
+    def _serves(self, isovalue: float) -> bool:
+        """Whether what is being prepared is for the same step."""
+        now = self._preparing
+        return now is not None and math.floor(now / self._step) == math.floor(isovalue / self._step)
+
     def _work(self, cancelled: threading.Event) -> None:
         """Prepare what is coming until a frame is asked for."""
-        while not cancelled.is_set():
-            with self._lock:
-                coming = self._coming[:1]
-            if not coming:
-                return
+        while (isovalue := self._begin(cancelled)) is not None:
             try:
-                self._prepare(coming[0], cancelled)
+                self._prepare(isovalue, cancelled)
             except Cancelled:
                 return
             with self._lock:
-                if self._coming[:1] == coming:
+                if self._coming[:1] == [isovalue]:
                     del self._coming[0]
+
+    def _begin(self, cancelled: threading.Event) -> float | None:
+        """What to prepare next; none, and the work ends, where nothing is coming or a frame is worked on."""
+        with self._lock:
+            if self._open or not self._coming:
+                cancelled.set()
+            self._preparing = None if cancelled.is_set() else self._coming[0]
+            return self._preparing
 
 
 def next_values(before: float, now: float, step: float) -> list[float]:

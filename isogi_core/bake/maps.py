@@ -20,7 +20,7 @@ byte in such a step, for which one map is made.
 """
 
 KEPT = 256 << 20
-"""Bytes of maps that are kept (16 bytes for each 64 cells and map)."""
+"""Bytes of maps that are kept (for each 64 cells and map 4 bytes, and 16 more where any of them is marked)."""
 
 LAYERS = 4
 """Layers of bricks that are marked in one go."""

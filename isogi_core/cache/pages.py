@@ -136,15 +136,20 @@ class PagePool:
         return len(self._free_pages) >= pages and bool(self._free_slots)
 
     def _make_room(self, pages: int, spare: Sequence[Index]) -> None:
-        """Drop chunks of ``spare``, in this order, until so many pages are free."""
+        """Drop chunks of ``spare``, in this order, until so many pages are free.
+
+        Raises StoreError, and drops none, where all of them are too few.
+        """
+        most = len(self._free_pages) + sum(len(self._entries[index].pages) for index in spare)
+        if most < pages or not (spare or self._free_slots):
+            raise StoreError(
+                f"The light of this view does not fit the memory for {len(self.samples)} texels:"
+                " ask for a closer view or fewer pixels, or give light more memory."
+            )
         for index in spare:
-            self._release(self._entries.pop(index))
             if self._has_room(pages):
                 return
-        raise StoreError(
-            f"The light of this view does not fit the memory for {len(self.samples)} texels:"
-            " ask for a closer view or fewer pixels, or give light more memory."
-        )
+            self._release(self._entries.pop(index))
 
     def _release(self, entry: Entry) -> None:
         """Let go of an entry that the pool no longer lists; its pages are free when nobody holds it."""

@@ -83,7 +83,7 @@ def trace(view: View, recipe: Recipe, tiles: Tiles, cancelled: threading.Event |
     volume = recipe.scene.volume
     isovalue = volume.normalise_isovalue(view.isovalue)
     camera = pinhole(view.camera, view.width, view.height, volume.spacing)
-    surface = recipe.field, recipe.bricks(isovalue, isovalue), isovalue
+    surface = recipe.field, recipe.bricks(isovalue, isovalue, cancelled), isovalue
     found: dict[int, tuple[np.ndarray, np.ndarray]] = {}
 
     def _piece(a: int, b: int) -> None:

@@ -103,7 +103,7 @@ class Shader:
     def _surface(self) -> tuple[Field, Bricks, float]:
         """What rays meet."""
         isovalue = self.gbuffer.isovalue
-        return self.recipe.field, self.recipe.bricks(isovalue, isovalue), isovalue
+        return self.recipe.field, self.recipe.bricks(isovalue, isovalue, self.cancelled), isovalue
 
     def _depths(self) -> tuple[float, float]:
         """World distances from the eye between which fog thickens: the volume's own nearest and farthest."""

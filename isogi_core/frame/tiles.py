@@ -3,7 +3,7 @@
 import os
 import threading
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 
 from isogi_core.errors import Cancelled
 
@@ -26,23 +26,28 @@ class Tiles:
         """Call ``piece(first, last)`` for consecutive ranges of at most ``size`` until ``total`` is covered.
 
         A thread that has done its range takes the next one. Raises Cancelled, after the pieces at
-        work have ended, once ``cancelled`` is set.
+        work have ended, once ``cancelled`` is set; so it does with what a piece raises, and begins no more.
         """
-        starts = iter(range(0, total, size))
+        starts, failed = iter(range(0, total, size)), threading.Event()
 
         def work() -> None:
             for first in starts:
-                if cancelled is not None and cancelled.is_set():
+                if failed.is_set() or (cancelled is not None and cancelled.is_set()):
                     return
-                piece(first, min(first + size, total))
+                try:
+                    piece(first, min(first + size, total))
+                except BaseException:
+                    failed.set()
+                    raise
 
         helpers = [self._helpers.submit(work) for _ in range(min(self.threads, -(-total // size)) - 1)]
         try:
             work()
         finally:
             late = [helper for helper in helpers if not helper.cancel()]
-            for helper in late:
-                helper.result()
+            wait(late)
+        for helper in late:
+            helper.result()
         if cancelled is not None and cancelled.is_set():
             raise Cancelled("Nobody waits for this frame any more.")
 

@@ -8,6 +8,7 @@ from isogi_core.bake import maps as module
 from isogi_core.bake.maps import LAYERS, STEP, Maps, Piece, serially
 from isogi_core.errors import Cancelled
 from isogi_core.frame.tiles import Tiles
+from isogi_core.kept import OVERHEAD
 from isogi_core.kernels.bricks import Bricks, brick_ranges, make_bricks
 
 VOXELS = np.random.default_rng(1).random((70, 21, 34)).astype(np.float32)
@@ -62,7 +63,7 @@ def test_near_isovalues_share_a_map(made: list[tuple[float, float]]) -> None:
 def test_maps_are_kept_up_to_their_bytes(made: list[tuple[float, float]]) -> None:
     size = Maps(VOXELS).get(0.5, 0.5).nbytes
     made.clear()
-    maps = Maps(VOXELS, most=2 * size)
+    maps = Maps(VOXELS, most=2 * (size + OVERHEAD))
     for isovalue in (0.1, 0.5, 0.1, 0.9, 0.1, 0.5):
         maps.get(isovalue, isovalue)
     assert [round(lowest, 1) for lowest, _ in made] == [0.1, 0.5, 0.9, 0.5]

@@ -202,6 +202,16 @@ def test_a_chunk_larger_than_the_pool_is_refused_and_harms_nothing_held(recipe: 
         assert levels(pool, slots[0]) == {1.0}
 
 
+def test_a_chunk_that_cannot_fit_drops_nothing(recipe: Recipe) -> None:
+    pool = pool_of(recipe, 6)
+    spare: list[Index] = [(0, 0, 0), (0, 0, 1)]
+    for index in spare:
+        pool.insert(chunk_of(recipe, index, 1.0, texels=PAGE))
+    with pytest.raises(StoreError):
+        pool.insert(chunk_of(recipe, (1, 1, 1), 2.0, texels=7 * PAGE))
+    assert not pool.missing(spare)
+
+
 def test_readers_among_writers_see_whole_versions(recipe: Recipe) -> None:
     pool = pool_of(recipe, 64)
     indices: list[Index] = [(0, 0, i) for i in range(6)]

@@ -129,8 +129,11 @@ def test_threads_change_no_bit(threads: int) -> None:
 def test_nobody_waits_for_a_cancelled_trace() -> None:
     scene, cancelled = scene_of(ball(), 0.0), threading.Event()
     cancelled.set()
+    recipe, isovalue = Recipe(scene), scene.volume.normalise_isovalue(0.0)
     with pytest.raises(Cancelled):
-        trace(View(0.0, scene.camera(0, 0, 3, 30)), Recipe(scene), TILES, cancelled)
+        trace(View(0.0, scene.camera(0, 0, 3, 30)), recipe, TILES, cancelled)
+    with pytest.raises(Cancelled):
+        recipe.bricks(isovalue, isovalue, cancelled)  # it made no map
 
 
 @pytest.mark.parametrize("isovalue", [0.0, 3.25])

@@ -1,6 +1,7 @@
 """Tiles: every piece once, on several threads, and none that nobody waits for."""
 
 import threading
+import time
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
@@ -63,6 +64,37 @@ def test_what_a_piece_raises_comes_out_after_the_others_have_ended() -> None:
     before = list(ended)
     tiles.run(lambda a, b: None, 3, 1)
     assert ended == before
+
+
+@pytest.mark.parametrize("failing", ["tile_0", "tile_1"])
+def test_what_a_helper_raises_comes_out_after_the_others_have_ended(failing: str) -> None:
+    tiles, together, ended = Tiles(3), threading.Barrier(3), []
+
+    def piece(a: int, b: int) -> None:
+        together.wait(10)
+        if (name := threading.current_thread().name) == failing:
+            raise ValueError(name)
+        time.sleep(0.1)
+        ended.append(a)
+
+    with pytest.raises(ValueError, match=failing):
+        tiles.run(piece, 3, 1)
+    assert len(ended) == 2
+
+
+def test_no_piece_is_begun_after_one_has_failed() -> None:
+    tiles, together, begun = Tiles(2), threading.Barrier(2), []
+
+    def piece(a: int, b: int) -> None:
+        begun.append(a)
+        together.wait(10)
+        if a == 0:
+            raise ValueError("the first")
+        time.sleep(0.1)
+
+    with pytest.raises(ValueError, match="the first"):
+        tiles.run(piece, 9, 1)
+    assert sorted(begun) == [0, 1]
 
 
 def test_cancelled_work_stops_between_pieces() -> None:

@@ -1,4 +1,5 @@
 import threading
+import time
 from collections.abc import Callable
 
 import pytest
@@ -124,3 +125,36 @@ def test_closing_drops_what_is_prepared() -> None:
     foresight.close()
     assert len(prepare.dropped) == 1
     assert not prepare.done
+
+
+def test_what_serves_the_frame_is_prepared_to_its_end_and_nothing_else_meanwhile() -> None:
+    prepare = Preparing(halting=True)
+    foresight = Foresight(prepare, STEP, (0.0, 1.0))
+    show(foresight, 0.5, 0.51)
+    prepare.wait_for(lambda: len(prepare.begun) == 1)
+    with foresight.frame(0.535):
+        time.sleep(0.05)  # long enough to be dropped
+        prepare.go.set()
+        prepare.wait_for(lambda: len(prepare.done) == 1)
+        assert not prepare.dropped
+    expected = next_values(0.51, 0.535, STEP)
+    prepare.wait_for(lambda: prepare.done[-2:] == expected)
+    foresight.close()
+
+
+def test_what_was_kept_going_is_still_dropped_by_a_later_frame() -> None:
+    prepare = Preparing(halting=True)
+    foresight = Foresight(prepare, STEP, (0.0, 1.0))
+    show(foresight, 0.5, 0.51)
+    prepare.wait_for(lambda: len(prepare.begun) == 1)
+    show(foresight, 0.535)
+    with foresight.frame(0.9):
+        prepare.wait_for(lambda: len(prepare.dropped) == 1)
+    foresight.close()
+
+
+def test_a_frame_that_ends_after_closing_keeps_its_own_result() -> None:
+    foresight = Foresight(Preparing(), STEP, (0.0, 1.0))
+    show(foresight, 0.5)
+    with foresight.frame(0.51):
+        foresight.close()
