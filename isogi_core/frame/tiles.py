@@ -3,7 +3,7 @@
 import os
 import threading
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor, wait
+from concurrent.futures import ThreadPoolExecutor
 
 from isogi_core.errors import Cancelled
 
@@ -44,10 +44,9 @@ class Tiles:
         try:
             work()
         finally:
-            late = [helper for helper in helpers if not helper.cancel()]
-            wait(late)
-        for helper in late:
-            helper.result()
+            troubles = [helper.exception() for helper in helpers if not helper.cancel()]
+        for trouble in filter(None, troubles):
+            raise trouble
         if cancelled is not None and cancelled.is_set():
             raise Cancelled("Nobody waits for this frame any more.")
 
