@@ -46,6 +46,11 @@ def options(size: int = 512, repeats: int = 9) -> Callable[[Callable[..., Any]],
     return decorate
 
 
+def milliseconds(taken: Mapping[str, float]) -> dict[str, float]:
+    """Seconds as figures in milliseconds."""
+    return {f"{name}_ms": 1000.0 * value for name, value in taken.items()}
+
+
 def show(title: str, figures: Figures, as_json: bool) -> None:
     """Print figures: as JSON, or as a table with one a line."""
     if as_json:

@@ -12,14 +12,24 @@ from dataclasses import replace
 
 import click
 
-from benchmarks.common import benchmark_scene, options, show
+from benchmarks.common import benchmark_scene, milliseconds, options, show
+from isogi_core.bake.refine import FIRST_RUNG
 from isogi_core.frame.film import develop
 from isogi_core.frame.renderer import Renderer
-from isogi_core.model.view import View, quaternion_from_angles
-from server.measure import Candidate, bake_view, make_renderer, medians, seconds, view_of
+from isogi_core.model.view import View
+from server.measure import (
+    Candidate,
+    bake_view,
+    make_renderer,
+    medians,
+    new_camera,
+    relight,
+    seconds,
+    turned,
+    view_of,
+)
 
 SHADINGS = ("gi", "lambert", "lambert_shadow", "lambert_fog", "phong", "phong_shadow")
-SAMPLES = 16
 
 
 @click.command()
@@ -31,7 +41,7 @@ def main(target: str | None, size: int, repeats: int, as_json: bool) -> None:
     with tempfile.TemporaryDirectory() as store:
         renderer = make_renderer(scene, store)
         view = view_of(scene, size)
-        frame = bake_view(renderer, view, SAMPLES)
+        frame = bake_view(renderer, view, FIRST_RUNG)
         texels = sum(len(demand.offsets) for demand in frame.demands)
         figures = summarise(medians(candidates(renderer, view), repeats))
         figures["lattice / texels of this view"] = math.prod(renderer.recipe.shape) / texels
@@ -42,31 +52,18 @@ def candidates(renderer: Renderer, view: View) -> dict[str, Candidate]:
     """A frame by each shading, "relight", the light turned and nothing else, and "develop", the tone curve."""
     exposure = renderer.recipe.scene.default_exposure
 
-    def frame(shading: str) -> Candidate:
-        def render(_: int) -> float:
-            renderer.forget_views()
-            return seconds(lambda: renderer.render(replace(view, shading=shading)))
-
-        return render
-
-    def turned(turn: int) -> View:
-        return replace(view, light=quaternion_from_angles(7.0 * turn + 3.0, 5.0, 2.0))
-
-    def relight(turn: int) -> float:
-        renderer.render(view)
-        return seconds(lambda: renderer.render(turned(turn)))
-
     def tone(turn: int) -> float:
-        lit = renderer.render(turned(turn))
+        lit = renderer.render(turned(view, turn))
         return seconds(lambda: develop(lit, exposure))
 
-    return {**{shading: frame(shading) for shading in SHADINGS}, "relight": relight, "develop": tone}
+    frames = {shading: new_camera(renderer, replace(view, shading=shading)) for shading in SHADINGS}
+    return {**frames, "relight": relight(renderer, view), "develop": tone}
 
 
 def summarise(median: dict[str, float]) -> dict[str, float]:
     """Medians in milliseconds, and the ratios that are asked for."""
     return {
-        **{f"{name}_ms": 1000.0 * taken for name, taken in median.items()},
+        **milliseconds(median),
         "gi / lambert": median["gi"] / median["lambert"],
         "gi / lambert_shadow": median["gi"] / median["lambert_shadow"],
         "relight / gi": median["relight"] / median["gi"],

@@ -20,10 +20,10 @@ from typing import Any
 import click
 import numpy as np
 
-from benchmarks.common import benchmark_scene, options, show
+from benchmarks.common import benchmark_scene, milliseconds, options, show
+from isogi_core.bake.refine import FIRST_RUNG
 from isogi_core.frame.renderer import Renderer
 from isogi_core.model.scene import Scene
-from isogi_core.model.view import View
 from isogi_core.model.volume import Volume, make_volume
 from server.measure import (
     Candidate,
@@ -32,15 +32,14 @@ from server.measure import (
     cast,
     make_renderer,
     medians,
+    new_camera,
     primary_rays,
-    seconds,
     timed,
     view_of,
 )
 
 SHADINGS = ("gi", "lambert")
 KINDS = (*SHADINGS, "rays")
-SAMPLES = 16
 SMALLEST = 64
 PIECE = 8192
 """Rays that a thread casts before it takes the next."""
@@ -58,21 +57,11 @@ def resample(volume: Volume, side: int) -> Volume:
     return make_volume(voxels * np.float32(volume.scale) + np.float32(volume.offset), (x, y, z), volume.solid)
 
 
-def frame_work(renderer: Renderer, view: View) -> Candidate:
-    """A frame from a camera that is new to the renderer."""
-
-    def render(_: int) -> float:
-        renderer.forget_views()
-        return seconds(lambda: renderer.render(view))
-
-    return render
-
-
 def baked(scene: Scene, store: str, sizes: Iterable[int], threads: int | None = None) -> Renderer:
     """A renderer with the light of the view at all ``sizes`` baked."""
     renderer = make_renderer(scene, store, threads)
     for size in sizes:
-        bake_view(renderer, view_of(scene, size), SAMPLES)
+        bake_view(renderer, view_of(scene, size), FIRST_RUNG)
     return renderer
 
 
@@ -84,7 +73,7 @@ def by_volume(scene: Scene, sides: list[int], size: int, repeats: int) -> dict[s
             store = stack.enter_context(tempfile.TemporaryDirectory())
             renderer = baked(replace(scene, volume=resample(scene.volume, side)), store, [size])
             view = view_of(scene, size)
-            works |= {f"{side}³: {s}": frame_work(renderer, replace(view, shading=s)) for s in SHADINGS}
+            works |= {f"{side}³: {s}": new_camera(renderer, replace(view, shading=s)) for s in SHADINGS}
         taken = medians(works, repeats)
     ratios = {f"{sides[-1]}³ / {sides[0]}³: {s}": grown(taken, sides, "³", s) for s in SHADINGS}
     return {**milliseconds(taken), **ratios}
@@ -93,7 +82,7 @@ def by_volume(scene: Scene, sides: list[int], size: int, repeats: int) -> dict[s
 def by_picture(renderer: Renderer, sizes: list[int], repeats: int) -> dict[str, float]:
     """Frame times of one scene at different picture sizes."""
     scene = renderer.recipe.scene
-    works = {f"{size}²: {s}": frame_work(renderer, view_of(scene, size, shading=s)) for size in sizes for s in SHADINGS}
+    works = {f"{size}²: {s}": new_camera(renderer, view_of(scene, size, shading=s)) for size in sizes for s in SHADINGS}
     taken = medians(works, repeats)
     ratios = {f"{sizes[-1]}² / {sizes[0]}²: {s}": grown(taken, sizes, "²", s) for s in SHADINGS}
     return {**milliseconds(taken), **ratios}
@@ -102,11 +91,6 @@ def by_picture(renderer: Renderer, sizes: list[int], repeats: int) -> dict[str, 
 def grown(taken: dict[str, float], steps: list[int], sign: str, shading: str) -> float:
     """How many times longer the last step takes than the first."""
     return taken[f"{steps[-1]}{sign}: {shading}"] / taken[f"{steps[0]}{sign}: {shading}"]
-
-
-def milliseconds(taken: dict[str, float]) -> dict[str, float]:
-    """Seconds as figures in milliseconds."""
-    return {f"{name}_ms": 1000.0 * value for name, value in taken.items()}
 
 
 def works_of(renderer: Renderer, size: int) -> dict[str, Candidate]:
@@ -119,7 +103,7 @@ def works_of(renderer: Renderer, size: int) -> dict[str, Candidate]:
         for part in parts[a:b]:
             cast(recipe, part)
 
-    works = {s: frame_work(renderer, view_of(recipe.scene, size, shading=s)) for s in SHADINGS}
+    works = {s: new_camera(renderer, view_of(recipe.scene, size, shading=s)) for s in SHADINGS}
     return {**works, "rays": timed(partial(renderer.tiles.run, piece, len(parts), 1))}
 
 

@@ -21,9 +21,10 @@ import numpy as np
 from PIL import Image
 
 from benchmarks import embree, vtk_scene
-from benchmarks.common import benchmark_scene, options, show
+from benchmarks.common import benchmark_scene, milliseconds, options, show
 from benchmarks.embree_frame import EmbreeFrame
 from isogi_core.bake.recipe import Recipe
+from isogi_core.bake.refine import FIRST_RUNG
 from isogi_core.frame.film import develop
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.surroundings import Turned
@@ -31,7 +32,6 @@ from isogi_core.frame.tiles import Tiles
 from isogi_core.model.scene import Scene
 from server.measure import Candidate, bake_view, isovalues_near, make_renderer, medians, primary_rays, seconds, view_of
 
-SAMPLES = 16
 Painter = Callable[[float], np.ndarray]
 """Makes the picture at an isovalue."""
 
@@ -39,7 +39,9 @@ Painter = Callable[[float], np.ndarray]
 def lit_renderer(scene: Scene, size: int, levels: list[float], store: str, threads: int) -> Renderer:
     """A renderer that has seen no isovalue, with the light of all ``levels`` in memory."""
     renderer = make_renderer(scene, store, threads)
-    chunks = {d.index for v in levels for d in bake_view(renderer, view_of(scene, size, isovalue=v), SAMPLES).demands}
+    chunks = {
+        d.index for v in levels for d in bake_view(renderer, view_of(scene, size, isovalue=v), FIRST_RUNG).demands
+    }
     fresh = make_renderer(scene, store, threads)
     fresh.loader.ensure(sorted(chunks))
     return fresh
@@ -93,7 +95,7 @@ def by_embree(scene: Scene, size: int, towards: np.ndarray, tiles: Tiles) -> dic
 
 def summarise(taken: dict[str, float]) -> dict[str, Any]:
     """Milliseconds, and how many times longer the others take than our Lambert and our light."""
-    figures: dict[str, Any] = {f"{name}_ms": 1000.0 * value for name, value in taken.items()}
+    figures: dict[str, Any] = dict(milliseconds(taken))
     others = [name for name in taken if name not in ("gi", "lambert")]
     figures |= {f"{name} / {mine}": taken[name] / taken[mine] for mine in ("lambert", "gi") for name in others}
     missing = {"vtk": vtk_scene.installed(), "embree": embree.installed() and vtk_scene.installed()}

@@ -34,7 +34,7 @@ from server.measure import (
     NEVER,
     Candidate,
     Rays,
-    bake_texels,
+    bake_pieces,
     bounce,
     make_renderer,
     medians,
@@ -70,16 +70,8 @@ def view_texels(scene: Scene, size: int) -> list[np.ndarray]:
 def bake_job(scene: Scene, texels: list[np.ndarray]) -> Job:
     """Ours: chunks of texels, one after the other or two at once."""
     recipe, tiles = Recipe(scene), {threads: Tiles(threads) for threads in THREADS}
-    paths = sum(int(np.maximum(bake_texels(recipe, piece, SAMPLES).samples, 0).sum()) for piece in texels)
-
-    def run(threads: int) -> None:
-        def piece(a: int, b: int) -> None:
-            for i in range(a, b):
-                bake_texels(recipe, texels[i], SAMPLES)
-
-        tiles[threads].run(piece, len(texels), 1)
-
-    return Job(paths, run)
+    bake = partial(bake_pieces, recipe, texels, SAMPLES)
+    return Job(bake(), lambda threads: bake(tiles[threads].run))
 
 
 def mitsuba_jobs(scene: Scene, view: View, surface: int) -> Iterator[tuple[str, Job]]:

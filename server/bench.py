@@ -22,17 +22,19 @@ from isogi_core.frame.frame import Frame
 from isogi_core.frame.renderer import Renderer
 from isogi_core.kernels.lanes import WIDTH
 from isogi_core.model.scene import Scene, load_scene
-from isogi_core.model.view import SHADINGS, View, quaternion_from_angles
+from isogi_core.model.view import SHADINGS, View
 from server.measure import (
     Candidate,
-    bake_texels,
+    bake_pieces,
     bake_view,
     bounce,
     cast,
     isovalues_near,
     make_renderer,
     medians,
+    new_camera,
     primary_rays,
+    relight,
     seconds,
     timed,
     view_of,
@@ -108,21 +110,9 @@ class Bench:
 
     def frames(self) -> Figures:
         """``frame_ms``, by shading, of a camera that is new, light baked; ``relight_ms``: only the light is turned."""
-        candidates = {name: self._new_camera(replace(self.view, shading=name)) for name in QUICK}
-        taken = milliseconds({**candidates, "relight": self._relight}, self.repeats)
+        candidates = {name: new_camera(self.renderer, replace(self.view, shading=name)) for name in QUICK}
+        taken = milliseconds({**candidates, "relight": relight(self.renderer, self.view)}, self.repeats)
         return {"relight_ms": taken.pop("relight"), "frame_ms": taken}
-
-    def _new_camera(self, view: View) -> Candidate:
-        def render(_: int) -> float:
-            self.renderer.forget_views()
-            return seconds(lambda: self.renderer.render(view))
-
-        return render
-
-    def _relight(self, turn: int) -> float:
-        self.renderer.render(self.view)
-        turned = replace(self.view, light=quaternion_from_angles(7.0 * turn + 3.0, 5.0, 2.0))
-        return seconds(lambda: self.renderer.render(turned))
 
     def isovalues(self) -> Figures:
         """``isovalue_ms``: from an isovalue to its picture, its map made anew, lit by Lambert's law."""
@@ -157,14 +147,9 @@ class Bench:
     def bakes(self) -> Figures:
         """Millions of paths a second on one core, and texels of 64 samples a second on all cores together."""
         recipe, pieces = self.renderer.recipe, list(self._texels())
-        paths = sum(int(np.maximum(bake_texels(recipe, piece, SAMPLES).samples, 0).sum()) for piece in pieces)
-
-        def bake(a: int, b: int) -> None:
-            for piece in pieces[a:b]:
-                bake_texels(recipe, piece, SAMPLES)
-
-        ways = {"one": partial(bake, 0, len(pieces)), "all": partial(self.renderer.tiles.run, bake, len(pieces), 1)}
-        taken = medians({name: timed(way) for name, way in ways.items()}, self.repeats)
+        bake = partial(bake_pieces, recipe, pieces, SAMPLES)
+        paths = bake()
+        taken = medians({"one": timed(bake), "all": timed(partial(bake, self.renderer.tiles.run))}, self.repeats)
         return {
             "bake_mpaths_per_core": paths / taken["one"] / 1e6,
             "bake_texels_per_s": sum(map(len, pieces)) / taken["all"],

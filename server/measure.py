@@ -2,14 +2,15 @@
 
 import statistics
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from tqdm import tqdm
 
 from isogi_core.bake.light import Light
+from isogi_core.bake.maps import Run, serially
 from isogi_core.bake.recipe import Recipe
 from isogi_core.bake.refine import refine
 from isogi_core.cache.loader import Loader
@@ -24,7 +25,7 @@ from isogi_core.kernels.bounces import bounce_rays
 from isogi_core.kernels.intersect import UNKNOWN
 from isogi_core.kernels.packets import cast_rays
 from isogi_core.model.scene import Scene
-from isogi_core.model.view import View
+from isogi_core.model.view import View, quaternion_from_angles
 
 MEMORY = 1 << 30
 """Bytes of light that a measured renderer may hold."""
@@ -102,6 +103,31 @@ def make_renderer(scene: Scene, store: str, threads: int | None = None) -> Rende
     return Renderer(recipe, Loader(ChunkStore(store, recipe), PagePool(recipe, MEMORY)), tiles)
 
 
+def new_camera(renderer: Renderer, view: View) -> Candidate:
+    """A frame of ``view`` from a camera that is new to the renderer."""
+
+    def render(_: int) -> float:
+        renderer.forget_views()
+        return seconds(lambda: renderer.render(view))
+
+    return render
+
+
+def turned(view: View, turn: int) -> View:
+    """The view under a light that is turned otherwise in each round."""
+    return replace(view, light=quaternion_from_angles(7.0 * turn + 3.0, 5.0, 2.0))
+
+
+def relight(renderer: Renderer, view: View) -> Candidate:
+    """A frame that differs from the last one by its light's rotation alone."""
+
+    def render(turn: int) -> float:
+        renderer.render(view)
+        return seconds(lambda: renderer.render(turned(view, turn)))
+
+    return render
+
+
 def bake_view(renderer: Renderer, view: View, until: int) -> Frame:
     """Bake in this process what ``view`` lacks, to ``until`` samples a texel, and render it."""
     demands = renderer.render(view, NEVER).demands
@@ -130,6 +156,18 @@ def bake_texels(recipe: Recipe, texels: np.ndarray, until: int) -> Light:
     light = Light.dark(recipe.scene.plan, len(texels))
     refine(light, texels, recipe, until, NEVER)
     return light
+
+
+def bake_pieces(recipe: Recipe, pieces: Sequence[np.ndarray], until: int, run: Run = serially) -> int:
+    """Bake ``pieces`` of texels one by one, by means of ``run``; the paths that were taken."""
+    paths: list[int] = []
+
+    def bake(a: int, b: int) -> None:
+        for piece in pieces[a:b]:
+            paths.append(int(np.maximum(bake_texels(recipe, piece, until).samples, 0).sum()))
+
+    run(bake, len(pieces), 1)
+    return sum(paths)
 
 
 def primary_rays(recipe: Recipe, size: int) -> Rays:
