@@ -1,61 +1,89 @@
 """Refinement: more samples for texels that need them, added to what is there.
 
-Sample counts climb one ladder (16, 32, 64, …) and the means are rounded to what the store keeps
-after each rung, so that a texel with n samples has the same bits whoever sent them, in how many goes.
+Sample counts climb one ladder (16, 32, 64, …) and all that is kept is rounded to what the store keeps after
+each rung, so that a texel with n samples has the same bits whoever sent them, in how many goes. Which part of
+a texel climbs next follows from what is kept of it alone.
 """
 
 from collections.abc import Iterator
 
 import numpy as np
 
-from isogi_core.bake.light import ERROR, ISOVALUE, SAMPLES, VOID, Light
-from isogi_core.bake.noise import finished
+from isogi_core.bake.light import Light, Part
+from isogi_core.bake.look import Look
+from isogi_core.bake.noise import blend_noise, finished, next_part, noise_of_halves
+from isogi_core.bake.precision import VOID, next_rung, noise_codes, noise_of, round_light
 from isogi_core.bake.recipe import Recipe
 from isogi_core.kernels.bricks import Bricks
 from isogi_core.kernels.transfer import bake_texels, locate_texels
 
-FIRST_RUNG = 16
-
 GROUPS = 32
 """Groups of isovalues over the volume's range; one map of its cells serves the texels of one group."""
 
+NOISE_ORDER = 2
+"""The least order that paths are projected to, for what it tells of the noise."""
 
-def next_rung(samples: int) -> int:
-    """The sample count that follows ``samples`` on the ladder."""
-    return FIRST_RUNG if samples < FIRST_RUNG else 2 * samples
+Place = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+"""Texels (m, 3; z, y, x) int32, their points and normals (3, m) and isovalues (m,): see ``locate_texels``."""
 
 
-def refine(light: Light, texels: np.ndarray, recipe: Recipe, until: int, target: float) -> None:
+def refine(light: Light, texels: np.ndarray, look: Look, until: int, target: float) -> None:
     """Bring ``light`` of the ``texels`` (m, 3; z, y, x) up to ``until`` samples each, in place.
 
-    A texel that has reached the relative error ``target`` is left as it is.
+    A texel that has reached the relative error ``target`` is left as it is; one whose next part
+    to climb has ``until`` samples waits.
     """
     while True:
-        waiting = ~finished(light, recipe, target) & (light.samples < until)
-        if not waiting.any():
+        waiting = next_samples(light, look, target)
+        climbing = (waiting >= 0) & (waiting < until)
+        if not climbing.any():
             return
-        fewest = int(light.samples[waiting].min())
-        climb(light, np.flatnonzero(waiting & (light.samples == fewest)), texels, recipe, fewest)
+        fewest = int(waiting[climbing].min())
+        rows = np.flatnonzero(climbing & (waiting == fewest))
+        which = next_part(light.rows(rows), look, target)
+        for number, part in enumerate(light.parts):
+            if (which == number).any():
+                climb(part, rows[which == number], texels, look)
 
 
-def climb(light: Light, chosen: np.ndarray, texels: np.ndarray, recipe: Recipe, samples: int) -> None:
-    """Take the ``chosen`` rows, all at ``samples``, to the next rung."""
+def next_samples(light: Light, look: Look, target: float) -> np.ndarray:
+    """Samples of the part of each texel that climbs next; -1 where the texel is finished; (texels,) int."""
+    samples = np.array([part.samples for part in light.parts])
+    own = np.take_along_axis(samples, next_part(light, look, target)[None], axis=0)[0]
+    return np.where(finished(light, look, target), -1, own)
+
+
+def climb(part: Part, rows: np.ndarray, texels: np.ndarray, look: Look) -> None:
+    """Take ``rows`` of a part, all with as many samples, to the next rung."""
+    samples = int(part.samples[rows[0]])
     total = next_rung(samples)
-    order, channels, m = recipe.scene.plan.order, recipe.scene.plan.channels, len(chosen)
-    direct, indirect = np.zeros((m, 2, order**2)), np.zeros((m, 2, channels, order**2))
-    isovalues, void = np.empty(m), np.empty(m, np.bool_)
-    place = (np.ascontiguousarray(texels[chosen], np.int32), np.empty((3, m)), np.empty((3, m)), isovalues)
+    place, void = locate(texels[rows], look.recipe)
+    halves = sample(part, place, void, look, samples, total - samples)
+    added = halves.sum(axis=1)[:, :, : part.layer.order**2]
+    noise = noise_of_halves(halves, total - samples, part.layer.order)
+    noise = blend_noise(part.noise[rows], samples, noise)
+    part.coefficients[rows] = round_light(add_to_mean(part.coefficients[rows], samples, added, total), part.layer)
+    part.noise[rows] = noise_of(noise_codes(noise, part.layer.scale), part.layer.scale)
+    part.samples[rows] = np.where(void, VOID, total)
+
+
+def locate(texels: np.ndarray, recipe: Recipe) -> tuple[Place, np.ndarray]:
+    """Where texels lie, and which of them are void (m,)."""
+    m = len(texels)
+    void = np.empty(m, np.bool_)
+    place = (np.ascontiguousarray(texels, np.int32), np.empty((3, m)), np.empty((3, m)), np.empty(m))
     locate_texels(recipe.field, recipe.step, *place, void)
-    path = (samples // 2, (total - samples) // 2, recipe.weights, order)
-    for bricks, rows in by_isovalue(isovalues, void, recipe):
-        bake_texels(recipe.field, bricks, place, rows, *path, direct, indirect)
-    whole = direct[:, :, None, :] + indirect
-    light.direct[chosen] = add_to_mean(light.direct[chosen], samples, direct.sum(axis=1), total)
-    light.indirect[chosen] = add_to_mean(light.indirect[chosen], samples, indirect.sum(axis=1), total)
-    light.spread[chosen] = add_to_mean(light.spread[chosen], samples, whole[:, 0] - whole[:, 1], total)
-    light.planes[chosen, ERROR] = np.sqrt((light.spread[chosen].astype(np.float64) ** 2).sum(axis=(1, 2)))
-    light.planes[chosen, ISOVALUE] = np.nan_to_num(isovalues)
-    light.planes[chosen, SAMPLES] = np.where(void, VOID, total)
+    return place, void
+
+
+def sample(part: Part, place: Place, void: np.ndarray, look: Look, samples: int, count: int) -> np.ndarray:
+    """Sums over ``count`` further samples, half of them each; (m, 2, channels, N²) float64, N >= NOISE_ORDER."""
+    order = max(part.layer.order, NOISE_ORDER)
+    sums = np.zeros((len(void), 2, part.layer.channels, order**2))
+    for bricks, rows in by_isovalue(place[3], void, look.recipe):
+        paths = (rows, samples // 2, count // 2, look.shares(part.layer), order)
+        bake_texels(look.recipe.field, bricks, place, *paths, sums)
+    return sums
 
 
 def by_isovalue(isovalues: np.ndarray, void: np.ndarray, recipe: Recipe) -> Iterator[tuple[Bricks, np.ndarray]]:

@@ -3,7 +3,7 @@
 import hashlib
 import json
 import re
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -16,13 +16,14 @@ from isogi_core.kernels.harmonics import MAX_ORDER
 from isogi_core.model.demo import DEMOS, demo_volume
 from isogi_core.model.environment import Environment, environment
 from isogi_core.model.lights import Light, light_from_mapping
-from isogi_core.model.plan import ScenePlan, plan_scene
+from isogi_core.model.plan import REPRESENTATIONS, Layer, ScenePlan
 from isogi_core.model.settings import Settings
 from isogi_core.model.source import DEFAULT_DEMO, SceneSource, find_source
 from isogi_core.model.view import Camera, orbit
 from isogi_core.model.volume import Volume, make_volume
+from isogi_core.plan.planner import Needs, Told, plan_scene
 
-BAKE_FORMAT = 3
+BAKE_FORMAT = 4
 """Counts up when what a chunk holds, or how its light is computed, changes."""
 
 
@@ -68,21 +69,37 @@ class Scene:
         brightest = self.environment.brightest()
         return 1.0 / brightest if brightest > 0.0 else 1.0
 
+    def layer_digest(self, layer: Layer) -> str:
+        """Hex name of everything that a layer's light depends on, and of nothing else.
+
+        The scene's lights are among it for irradiance alone (S1, eq. 6), albedo and bounces for reflected light.
+        """
+        parts = [BAKE_FORMAT, self.volume.digest, self.lattice, *astuple(layer)]
+        if layer.reflected:
+            parts += [self.albedo[: layer.channels], self.bounces]
+        if layer.kind == "irradiance":
+            parts += [self.environment.digest, self.albedo]
+        return digest_of(parts)
+
     @cached_property
     def bake_digest(self) -> str:
-        """Hex name of everything that baked transfer depends on; light is not among it (S1, eq. 6)."""
-        recipe = [BAKE_FORMAT, self.volume.digest, self.lattice, self.albedo, self.bounces, self.plan.order]
-        return hashlib.blake2b(json.dumps(recipe).encode(), digest_size=10).hexdigest()
+        """Hex name of all layers of the plan."""
+        return digest_of([self.layer_digest(layer) for layer in self.plan.layers])
 
     @cached_property
     def digest(self) -> str:
         """Hex name of everything that a frame of this scene depends on besides its view."""
-        parts = [self.bake_digest, self.environment.digest, self.target_error]
-        return hashlib.blake2b(json.dumps(parts).encode(), digest_size=10).hexdigest()
+        lit = [self.environment.digest, self.albedo, self.plan.window]
+        return digest_of([self.bake_digest, *lit, self.target_error])
 
     def camera(self, azimuth: float, elevation: float, distance: float, fov: float) -> Camera:
         """Camera around the middle of the volume's box; degrees, and distance in its bounding radii."""
         return orbit(self.volume.centre, self.volume.radius, azimuth, elevation, distance, fov)
+
+
+def digest_of(parts: list[Any]) -> str:
+    """Hex name of numbers and words."""
+    return hashlib.blake2b(json.dumps(parts).encode(), digest_size=10).hexdigest()
 
 
 def load_scene(target: str | Path | None = None, **overrides: Any) -> Scene:
@@ -104,23 +121,35 @@ def build_scene(source: SceneSource) -> Scene:
     isovalue = settings.number("isovalue", fallback, *isovalues)
     albedo = settings.colour("albedo", 0.7)
     target_error = settings.number("target_error", 0.02, 1e-4, 1.0)
-    plan = plan_scene(albedo, target_error, settings.count("bounces", 1000), settings.count("order", MAX_ORDER, 1))
+    light, rotating = environment(lights), settings.flag("rotating", True)
+    plan = plan_scene(Needs(light, rotating, albedo, target_error), told_by(settings))
     scene = Scene(
         id=re.sub(r"[^a-z0-9_-]+", "-", source.name.lower()).strip("-")[:64] or "scene",
         source=source,
         volume=volume,
         lights=lights,
-        environment=environment(lights),
+        environment=light,
         isovalue=isovalue,
         isovalues=isovalues,
         albedo=albedo,
         lattice=settings.number("lattice", 1.0, 0.125, 4.0),
         target_error=target_error,
-        rotating=settings.flag("rotating", True),
+        rotating=rotating,
         plan=plan,
     )
     settings.refuse_unknown()
     return scene
+
+
+def told_by(settings: Settings) -> Told:
+    """What the scene says of its own plan."""
+    return Told(
+        representation=settings.choice("representation", REPRESENTATIONS),
+        order=settings.count("order", MAX_ORDER, 1),
+        indirect_order=settings.count("indirect_order", MAX_ORDER, 1),
+        bounces=settings.count("bounces", 1000),
+        precision=settings.choice("precision", ("half", "single")),
+    )
 
 
 def open_volume(settings: Settings, base: Path) -> Volume:

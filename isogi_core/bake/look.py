@@ -1,0 +1,90 @@
+"""A look: one way to light a scene, the layers that its texels keep and the light that these are put under."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from isogi_core.bake.recipe import Recipe
+from isogi_core.model.plan import Layer, ScenePlan
+from isogi_core.model.sky import LUMINANCE
+from isogi_core.plan.planner import vicinity_plan
+from isogi_core.plan.projection import project_environment
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """A scene's ``recipe``, and the ``plan`` by which it is lit: the scene's own, or that of vicinity shading."""
+
+    recipe: Recipe
+    plan: ScenePlan
+
+    @property
+    def order(self) -> int:
+        """The order of the light, and so of the coefficients that frames read; 1 where no harmonics are kept."""
+        return len(self.plan.window)
+
+    @property
+    def channels(self) -> int:
+        """The channels that light is kept in."""
+        return self.plan.channels
+
+    @cached_property
+    def light(self) -> np.ndarray:
+        """What coefficients are multiplied by, linear RGB, (3, n²) float64: ℓ of the unturned light, windowed.
+
+        Irradiance has met its light already, so that this is 1. Source: S1, eq. 7.
+        """
+        if self.plan.representation == "irradiance":
+            return np.ones((3, 1))
+        return project_environment(self.recipe.scene.environment, self.order) * np.array(self.plan.window)[band_of(self.order)]
+
+    @cached_property
+    def luminance_light(self) -> np.ndarray:
+        """Luminance of ``light`` times the albedo, split over the channels; (channels, n²) float64."""
+        return to_luminance(self.light, self.recipe.scene.albedo, self.channels)
+
+    @cached_property
+    def unoccluded(self) -> float:
+        """Luminance that leaves a surface which sees all of the light, a mean over its turns."""
+        mean = project_environment(self.recipe.scene.environment, 1)[:, 0] / np.sqrt(4.0 * np.pi)
+        return float(mean * self.recipe.scene.albedo @ LUMINANCE)
+
+    def gains(self, layer: Layer) -> np.ndarray:
+        """What the noises of a ``layer`` count in a texel's luminance, a mean over turns of the light; (noises,).
+
+        For a light turned at random E[(s·Dℓ)²] = Σ_l |s_l|² |ℓ_l|² / (2l + 1), with a variance e² of each
+        coefficient of band l, |s_l|² = (2l + 1) e². Channels are of the same paths, and so are their errors.
+        """
+        light = self.luminance_light.sum(axis=0)[: layer.order**2]
+        return np.array([abs(light[0]), np.sqrt((light[1:] ** 2).sum())])[: layer.noises]
+
+    def shares(self, layer: Layer) -> np.ndarray:
+        """What a path counts in a ``layer`` that never left, or left after k = 0, 1, … bounces: R^k, or 0.
+
+        (channels, bounces + 2) float64, k at k + 1.
+        """
+        bounces = self.plan.bounces if layer.reflected else 0
+        albedo = np.array(self.recipe.scene.albedo[: layer.channels])
+        shares = np.zeros((layer.channels, bounces + 2))
+        shares[:, 1:] = albedo[:, None] ** np.arange(bounces + 1)
+        if layer.kind == "indirect":
+            shares[:, 1] = 0.0
+        return shares
+
+
+def look_for(recipe: Recipe, shading: str) -> Look:
+    """The look that a view's ``shading`` reads: vicinity shading has one of its own."""
+    plan = recipe.scene.plan
+    return Look(recipe, vicinity_plan(plan) if shading == "vicinity" else plan)
+
+
+def to_luminance(light: np.ndarray, albedo: tuple[float, float, float], channels: int) -> np.ndarray:
+    """Luminance of the reflected ``light`` (3, n²), split over the channels of the transfer; (channels, n²)."""
+    weighted = (LUMINANCE * np.array(albedo))[:, None] * light
+    return weighted if channels == 3 else weighted.sum(axis=0, keepdims=True)
+
+
+def band_of(order: int) -> np.ndarray:
+    """The band l of each coefficient i < order²; (n²,) int."""
+    return np.repeat(np.arange(order), 2 * np.arange(order) + 1)
