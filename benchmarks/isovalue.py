@@ -24,7 +24,7 @@ from benchmarks import embree, vtk_scene
 from benchmarks.common import benchmark_scene, milliseconds, options, show
 from benchmarks.embree_frame import EmbreeFrame
 from isogi_core.bake.recipe import Recipe
-from isogi_core.bake.refine import FIRST_RUNG
+from isogi_core.bake.precision import FIRST_RUNG
 from isogi_core.frame.film import develop
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.surroundings import Turned
@@ -43,7 +43,7 @@ def lit_renderer(scene: Scene, size: int, levels: list[float], store: str, threa
         d.index for v in levels for d in bake_view(renderer, view_of(scene, size, isovalue=v), FIRST_RUNG).demands
     }
     fresh = make_renderer(scene, store, threads)
-    fresh.loader.ensure(sorted(chunks))
+    fresh.caches.of("gi").ensure(sorted(chunks))
     return fresh
 
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from isogi_core.bake.refine import FIRST_RUNG
+from isogi_core.bake.precision import FIRST_RUNG
 from isogi_core.cache.chunk import Chunk
 from isogi_core.errors import ViewError
 from isogi_core.frame.film import develop

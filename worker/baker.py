@@ -21,9 +21,10 @@ log = logging.getLogger("isogi.worker")
 
 @dataclass(frozen=True, eq=False)
 class Bake:
-    """A scene's ``source`` and the ``digest`` of its bake, its ``store``, and who is told of each new chunk."""
+    """A ``look`` of the scene in ``source``, the ``digest`` of its light, its ``store``, and who hears of new chunks."""
 
     source: SceneSource
+    look: str
     digest: str
     store: str
     arrived: Callable[[Index], None]
@@ -87,7 +88,7 @@ class Baker:
     def _submit(self, pool: "WorkerPool", want: Want) -> None:
         scene, index = want.key
         bake = self._bakes[scene]
-        task = BakeTask(bake.source, bake.digest, bake.store, index, want.offsets, want.goal, want.target)
+        task = BakeTask(bake.source, bake.look, bake.digest, bake.store, index, want.offsets, want.goal, want.target)
         pool.submit(task, lambda result, error: self._done(scene, task, result, error))
 
     def _done(self, scene: str, task: BakeTask, result: BakeResult | None, error: BaseException | None) -> None:

@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from isogi_core.bake.noise import finished
+from isogi_core.bake.look import Look, look_for
+from isogi_core.bake.precision import FIRST_RUNG
 from isogi_core.bake.recipe import Index, Recipe
-from isogi_core.bake.refine import FIRST_RUNG, refine
+from isogi_core.bake.refine import next_samples, refine
 from isogi_core.cache.store import ChunkStore
 from isogi_core.errors import SceneError
 from isogi_core.kernels._jit import Entry
@@ -26,10 +27,11 @@ BAKE = (bake_texels, locate_texels)
 class BakeTask:
     """Bring the texels at ``offsets`` of a chunk to the relative error ``target``, or to ``until`` samples each.
 
-    ``digest`` names the bake that the server means: the scene's files may have changed since it read them.
+    ``look`` names the look; ``digest`` the light that the server means: the scene's files may have changed since.
     """
 
     source: SceneSource
+    look: str
     digest: str
     store: str
     index: Index
@@ -48,12 +50,21 @@ class BakeResult:
 
 
 @lru_cache(maxsize=4)
-def opened(source: SceneSource, digest: str, store: str) -> tuple[Recipe, ChunkStore]:
-    """The scene and its store, opened once a process; SceneError where its files are not those of ``digest``."""
-    recipe = Recipe(build_scene(source))
-    if recipe.scene.bake_digest != digest:
+def recipe_of(source: SceneSource) -> Recipe:
+    """The scene, opened once a process for all of its looks."""
+    return Recipe(build_scene(source))
+
+
+@lru_cache(maxsize=4)
+def opened(source: SceneSource, look: str, digest: str, store: str) -> tuple[Look, ChunkStore]:
+    """A look and its store, opened once a process; SceneError where the scene's files are not those of ``digest``."""
+    found = look_for(recipe_of(source), look)
+    if found.digest != digest:
+        recipe_of.cache_clear()
+        found = look_for(recipe_of(source), look)
+    if found.digest != digest:
         raise SceneError(f"The files of the scene '{source.name}' have changed since the server began: restart it.")
-    return recipe, ChunkStore(store, recipe)
+    return found, ChunkStore(store, found)
 
 
 def bake(task: BakeTask) -> BakeResult:
@@ -63,16 +74,18 @@ def bake(task: BakeTask) -> BakeResult:
     or done again after a kill, leaves the same bytes.
     """
     begun = time.perf_counter()
-    recipe, store = opened(task.source, task.digest, task.store)
+    look, store = opened(task.source, task.look, task.digest, task.store)
     chunk = store.load(task.index).with_texels(task.offsets)
     rows = chunk.rows_of(task.offsets)
     light = chunk.light.rows(rows)
-    refine(light, chunk.positions(task.offsets), recipe, task.until, task.target)
-    chunk.light.planes[rows] = light.planes
-    store.save(chunk)
-    waiting = ~finished(light, recipe, task.target)
-    fewest = int(light.samples[waiting].min()) if waiting.any() else 0
-    return BakeResult(int(waiting.sum()), fewest, time.perf_counter() - begun)
+    before = [part.samples.copy() for part in light.parts]
+    refine(light, chunk.positions(task.offsets), look, task.until, task.target)
+    chunk.light.put(rows, light)
+    store.save(chunk, [not np.array_equal(part.samples, old) for part, old in zip(light.parts, before, strict=True)])
+    waiting = next_samples(light, look, task.target)
+    waiting = waiting[waiting >= 0]
+    fewest = int(waiting.min()) if len(waiting) else 0
+    return BakeResult(len(waiting), fewest, time.perf_counter() - begun)
 
 
 def kernels_missing() -> bool:

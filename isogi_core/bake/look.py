@@ -7,9 +7,14 @@ import numpy as np
 
 from isogi_core.bake.recipe import Recipe
 from isogi_core.model.plan import Layer, ScenePlan
+from isogi_core.model.scene import digest_of
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.plan.planner import vicinity_plan
 from isogi_core.plan.projection import project_environment
+
+
+LOOKS = ("gi", "vicinity")
+"""Names of the looks of a scene."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,6 +23,11 @@ class Look:
 
     recipe: Recipe
     plan: ScenePlan
+
+    @cached_property
+    def digest(self) -> str:
+        """Hex name of everything that the look's light in the store depends on."""
+        return digest_of([self.recipe.scene.layer_digest(layer) for layer in self.plan.layers])
 
     @property
     def order(self) -> int:
@@ -37,7 +47,8 @@ class Look:
         """
         if self.plan.representation == "irradiance":
             return np.ones((3, 1))
-        return project_environment(self.recipe.scene.environment, self.order) * np.array(self.plan.window)[band_of(self.order)]
+        light = project_environment(self.recipe.scene.environment, self.order)
+        return light * np.array(self.plan.window)[band_of(self.order)]
 
     @cached_property
     def luminance_light(self) -> np.ndarray:
@@ -47,7 +58,7 @@ class Look:
     @cached_property
     def unoccluded(self) -> float:
         """Luminance that leaves a surface which sees all of the light, a mean over its turns."""
-        mean = project_environment(self.recipe.scene.environment, 1)[:, 0] / np.sqrt(4.0 * np.pi)
+        mean = self.recipe.around[:, 0] / np.sqrt(4.0 * np.pi)
         return float(mean * self.recipe.scene.albedo @ LUMINANCE)
 
     def gains(self, layer: Layer) -> np.ndarray:
@@ -73,10 +84,15 @@ class Look:
         return shares
 
 
+def look_name(shading: str) -> str:
+    """The name of the look that views of a ``shading`` read: vicinity shading has one of its own."""
+    return "vicinity" if shading == "vicinity" else "gi"
+
+
 def look_for(recipe: Recipe, shading: str) -> Look:
-    """The look that a view's ``shading`` reads: vicinity shading has one of its own."""
+    """The look that views of a ``shading``, or of a look's name, read."""
     plan = recipe.scene.plan
-    return Look(recipe, vicinity_plan(plan) if shading == "vicinity" else plan)
+    return Look(recipe, vicinity_plan(plan) if look_name(shading) == "vicinity" else plan)
 
 
 def to_luminance(light: np.ndarray, albedo: tuple[float, float, float], channels: int) -> np.ndarray:

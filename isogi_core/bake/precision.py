@@ -41,7 +41,7 @@ def noise_codes(noise: np.ndarray, scale: float) -> np.ndarray:
 
 def noise_of(codes: np.ndarray, scale: float) -> np.ndarray:
     """The noise that bytes stand for, float32."""
-    return np.where(codes == SILENT, 0.0, NOISIEST * scale * 2.0 ** (-codes / STEPS)).astype(np.float32)
+    return np.where(codes == SILENT, 0.0, NOISIEST * scale * 2.0 ** (codes / -STEPS)).astype(np.float32)
 
 
 def rung_codes(samples: np.ndarray) -> np.ndarray:

@@ -13,6 +13,10 @@ from isogi_core.kernels.lattice import CHUNK, Lattice
 from isogi_core.kernels.macrocells import fill_macrocells, macrocell_shape
 from isogi_core.model.scene import Scene
 from isogi_core.model.volume import Volume
+from isogi_core.plan.projection import project_environment
+
+AROUND = 3
+"""The harmonics' order of unshadowed light: the cosine lobe keeps 99 % of any light in it (Ramamoorthi, Hanrahan)."""
 
 Index = tuple[int, int, int]
 """Position of a chunk in the lattice, in chunks along z, y, x."""
@@ -61,6 +65,15 @@ class Recipe:
         """Chunks along z, y, x."""
         z, y, x = (-(-n // CHUNK) for n in self.shape)
         return z, y, x
+
+    @cached_property
+    def around(self) -> np.ndarray:
+        """ℓ of the unturned lights as a surface without shadows has them, linear RGB, (3, n²) float64.
+
+        Of order AROUND, and 1 for constant light.
+        """
+        environment = self.scene.environment
+        return project_environment(environment, AROUND if environment.image.any() else 1)
 
 
 def make_field(volume: Volume) -> Field:

@@ -4,9 +4,9 @@ import hashlib
 import threading
 from typing import Any
 
-from isogi_core.bake.recipe import Recipe
-from isogi_core.cache.loader import Loader
-from isogi_core.cache.pages import Held
+from isogi_core.bake.look import look_for, look_name
+from isogi_core.cache.caches import Caches
+from isogi_core.cache.pages import Held, PagePool
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import GBuffer, trace
 from isogi_core.frame.reading import Reading, read_texels
@@ -28,10 +28,10 @@ KEPT_READINGS = 16 << 20
 class Renderer:
     """Renders views of one scene. Frames may be asked for from several threads."""
 
-    def __init__(self, recipe: Recipe, loader: Loader, tiles: Tiles) -> None:
-        """Render with the light that ``loader`` brings, on the threads of ``tiles``."""
-        self.recipe = recipe
-        self.loader = loader
+    def __init__(self, caches: Caches, tiles: Tiles) -> None:
+        """Render with the light that ``caches`` bring, on the threads of ``tiles``."""
+        self.recipe = caches.recipe
+        self.caches = caches
         self.tiles = tiles
         self._gbuffers: Kept[Any, GBuffer] = Kept(KEPT)
         self._texels: Kept[Any, ViewTexels] = Kept(KEPT)
@@ -47,13 +47,13 @@ class Renderer:
         with watch.stage("primary"):
             gbuffer = self.gbuffer(view, cancelled)
         shader = Shader(
-            recipe=self.recipe,
-            loader=self.loader,
+            look=look_for(self.recipe, view.shading),
+            loader=lambda: self.caches.of(view.shading),
             tiles=self.tiles,
             view=view,
             gbuffer=gbuffer,
             find_texels=lambda: self.texels(view, gbuffer, cancelled),
-            read=lambda texels, held, target: self._read(view, texels, held, target),
+            read=lambda texels, pool, held, target: self._read(view, texels, pool, held, target),
             watch=watch,
             cancelled=cancelled,
         )
@@ -75,10 +75,10 @@ class Renderer:
         self._texels.clear()
         self._readings.clear()
 
-    def _read(self, view: View, texels: ViewTexels, held: Held, target: float) -> Reading:
-        """What the pool has of a view's texels, looked up anew when it has changed."""
-        key = (surface_key(view), held.age, target)
-        return self._readings.get(key, lambda: read_texels(texels, held.slots, self.loader.pool, target, self.tiles))
+    def _read(self, view: View, texels: ViewTexels, pool: PagePool, held: Held, target: float) -> Reading:
+        """What the ``pool`` has of a view's texels, looked up anew when it has changed."""
+        key = (surface_key(view), look_name(view.shading), held.age, target)
+        return self._readings.get(key, lambda: read_texels(texels, held.slots, pool, target, self.tiles))
 
     def _compose(self, view: View, gbuffer: GBuffer, shaded: Shaded, watch: Stopwatch) -> Frame:
         return Frame(

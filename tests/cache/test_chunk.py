@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 
 from isogi_core.bake.light import SAMPLES, VOID, Light
-from isogi_core.cache.chunk import TEXELS, Chunk
+from isogi_core.cache.chunk import Chunk
+from isogi_core.cache.record import TEXELS
 from isogi_core.kernels.lattice import CHUNK
 from isogi_core.model.plan import ScenePlan
 

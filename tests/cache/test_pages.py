@@ -7,7 +7,8 @@ import pytest
 from isogi_core.bake.light import SAMPLES, VOID
 from isogi_core.bake.noise import relative_error
 from isogi_core.bake.recipe import Index, Recipe
-from isogi_core.cache.chunk import TEXELS, Chunk
+from isogi_core.cache.chunk import Chunk
+from isogi_core.cache.record import TEXELS
 from isogi_core.cache.pages import FEWEST_CHUNKS, PAGE, PagePool
 from isogi_core.errors import StoreError
 from isogi_core.kernels.lattice import UNLIT, VOID_ROW

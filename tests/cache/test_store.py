@@ -20,7 +20,8 @@ from numcodecs.zstd import Zstd
 from isogi_core.bake.light import SAMPLES, VOID
 from isogi_core.bake.recipe import Index, Recipe
 from isogi_core.bake.refine import refine
-from isogi_core.cache.chunk import TEXELS, Chunk
+from isogi_core.cache.chunk import Chunk
+from isogi_core.cache.record import TEXELS
 from isogi_core.cache.origin import values_at
 from isogi_core.cache.store import ChunkStore, default_store
 from isogi_core.errors import DamagedChunkError, StoreError
