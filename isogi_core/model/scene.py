@@ -15,6 +15,7 @@ from isogi_core.files.nrrd import read_nrrd
 from isogi_core.kernels.harmonics import MAX_ORDER
 from isogi_core.model.demo import DEMOS, demo_volume
 from isogi_core.model.environment import Environment, environment
+from isogi_core.model.lamps import Lamps, gather_lamps
 from isogi_core.model.lights import Light, light_from_mapping
 from isogi_core.model.plan import ScenePlan, plan_scene
 from isogi_core.model.settings import Settings
@@ -39,6 +40,7 @@ class Scene:
     volume: Volume
     lights: tuple[Light, ...]
     environment: Environment
+    lamps: Lamps
     isovalue: float
     isovalues: tuple[float, float]
     albedo: tuple[float, float, float]
@@ -65,7 +67,7 @@ class Scene:
     @cached_property
     def default_exposure(self) -> float:
         """The exposure at which a surface turned to the light shows its own albedo."""
-        brightest = self.environment.brightest()
+        brightest = self.environment.brightest() + self.lamps.brightest(self.volume.centre)
         return 1.0 / brightest if brightest > 0.0 else 1.0
 
     @cached_property
@@ -77,7 +79,7 @@ class Scene:
     @cached_property
     def digest(self) -> str:
         """Hex name of everything that a frame of this scene depends on besides its view."""
-        parts = [self.bake_digest, self.environment.digest, self.target_error]
+        parts = [self.bake_digest, self.environment.digest, self.lamps.digest, self.target_error]
         return hashlib.blake2b(json.dumps(parts).encode(), digest_size=10).hexdigest()
 
     def camera(self, azimuth: float, elevation: float, distance: float, fov: float) -> Camera:
@@ -99,6 +101,7 @@ def build_scene(source: SceneSource) -> Scene:
     settings = Settings(source)
     volume = open_volume(settings, source.base)
     lights = tuple(light_from_mapping(entry, source.base) for entry in settings.lights())
+    lamps = gather_lamps(lights)
     isovalues = settings.interval("isovalues", volume.value_range)
     fallback = min(max(default_isovalue(settings, volume), isovalues[0]), isovalues[1])
     isovalue = settings.number("isovalue", fallback, *isovalues)
@@ -111,16 +114,25 @@ def build_scene(source: SceneSource) -> Scene:
         volume=volume,
         lights=lights,
         environment=environment(lights),
+        lamps=lamps,
         isovalue=isovalue,
         isovalues=isovalues,
         albedo=albedo,
         lattice=settings.number("lattice", 1.0, 0.125, 4.0),
         target_error=target_error,
-        rotating=settings.flag("rotating", True),
+        rotating=may_rotate(settings, lamps),
         plan=plan,
     )
     settings.refuse_unknown()
     return scene
+
+
+def may_rotate(settings: Settings, lamps: Lamps) -> bool:
+    """Whether the light may be turned: by default where there are no lamps, and never where there are."""
+    rotating = settings.flag("rotating", not lamps.any)
+    if rotating and lamps.any:
+        raise SceneError("Lamps stay where they are: leave out rotating = true, or the lamps.")
+    return rotating
 
 
 def open_volume(settings: Settings, base: Path) -> Volume:
