@@ -69,15 +69,20 @@ class Look:
         light = self.luminance_light.sum(axis=0)[: layer.order**2]
         return np.array([abs(light[0]), np.sqrt((light[1:] ** 2).sum())])[: layer.noises]
 
+    def weights(self, layer: Layer) -> np.ndarray:
+        """R^k for k = 0 … bounces, and the layer's channels; (bounces + 1, channels) float64."""
+        albedo = np.array(self.recipe.scene.albedo[: layer.channels])
+        bounces = self.plan.bounces if layer.reflected else 0
+        return np.asarray(albedo ** np.arange(bounces + 1)[:, None])
+
     def shares(self, layer: Layer) -> np.ndarray:
         """What a path counts in a ``layer`` that never left, or left after k = 0, 1, … bounces: R^k, or 0.
 
         (channels, bounces + 2) float64, k at k + 1.
         """
-        bounces = self.plan.bounces if layer.reflected else 0
-        albedo = np.array(self.recipe.scene.albedo[: layer.channels])
-        shares = np.zeros((layer.channels, bounces + 2))
-        shares[:, 1:] = albedo[:, None] ** np.arange(bounces + 1)
+        weights = self.weights(layer)
+        shares = np.zeros((layer.channels, len(weights) + 1))
+        shares[:, 1:] = weights.T
         if layer.kind == "indirect":
             shares[:, 1] = 0.0
         return shares

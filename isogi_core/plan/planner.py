@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 from isogi_core.errors import SceneError
 from isogi_core.model.environment import Environment
+from isogi_core.model.lamps import Lamps
 from isogi_core.model.plan import Layer, ScenePlan, most_samples
 
 DEFAULT_ORDER = 5
@@ -30,9 +31,15 @@ class Needs:
     """What a plan is made for: the lights and whether they may turn, the albedo, the relative error aimed at."""
 
     environment: Environment
+    lamps: Lamps
     rotating: bool
     albedo: tuple[float, float, float]
     target_error: float
+
+    @property
+    def constant(self) -> bool:
+        """Whether light is the same from everywhere."""
+        return not (self.lamps.any or self.environment.image.any())
 
     @property
     def grey(self) -> bool:
@@ -55,14 +62,14 @@ def plan_scene(needs: Needs, told: Told) -> ScenePlan:
 
 def choose(needs: Needs, bounces: int) -> str:
     """The representation that keeps least."""
-    if not needs.environment.image.any():
+    if needs.constant:
         return "constant" if bounces else "vicinity"
     return "transfer" if needs.rotating else "irradiance"
 
 
 def check(representation: str, needs: Needs) -> None:
     """Raise SceneError where a representation cannot show the scene's light."""
-    if representation in ("vicinity", "constant") and needs.environment.image.any():
+    if representation in ("vicinity", "constant") and not needs.constant:
         raise SceneError(f"representation = '{representation}' shows constant light alone: leave it out.")
     if representation == "irradiance" and needs.rotating:
         raise SceneError("representation = 'irradiance' is of light that does not turn: set rotating = false.")
