@@ -9,13 +9,12 @@ import numpy as np
 from isogi_core.bake.maps import Maps, Run, serially
 from isogi_core.kernels.bricks import Bricks
 from isogi_core.kernels.field import Field
-from isogi_core.kernels.harmonics import project
 from isogi_core.kernels.lattice import CHUNK, Lattice
 from isogi_core.kernels.macrocells import fill_macrocells, macrocell_shape
-from isogi_core.model.environment import Environment
 from isogi_core.model.scene import Scene
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.volume import Volume
+from isogi_core.plan.projection import project_environment
 
 Index = tuple[int, int, int]
 """Position of a chunk in the lattice, in chunks along z, y, x."""
@@ -99,15 +98,6 @@ def make_field(volume: Volume) -> Field:
     low, high = np.empty(shape, np.float32), np.empty(shape, np.float32)
     fill_macrocells(volume.voxels, low, high)
     return Field(volume.voxels, low, high, volume.spacing)
-
-
-def project_environment(environment: Environment, order: int) -> np.ndarray:
-    """SH coefficients of an environment, linear RGB, (3, n²) float64: the constant exactly, the image by quadrature."""
-    coefficients = np.zeros((3, order**2))
-    if environment.image.any():
-        project(order, environment.image, coefficients)
-    coefficients[:, 0] += environment.constant * np.sqrt(4.0 * np.pi)
-    return coefficients
 
 
 def band_of(order: int) -> np.ndarray:
