@@ -1,1 +1,1 @@
-"""What a scene needs: how a light is projected, how many harmonics it asks for, and what keeps it from ringing."""
+"""What a light needs: its harmonics, and how many of them a surface shows."""

@@ -4,6 +4,13 @@ Under a light turned at random, the luminance that band l carries to a texel has
 the power of the texel's transfer in the band and B_l the light's (rotations are orthogonal). The squared
 error of order n is the sum from l = n on. The light is known; the transfer is that of surfaces measured
 before, so that an order is chosen before anything is baked.
+
+Bands are cut off sharply, without a window on the light (Sloan, "Stupid Spherical Harmonics Tricks", 2008). Light
+that rings below zero is cut to zero at the texel, which errs less: with the least window 1/(1 + λ l²(l+1)²) that
+keeps unshadowed irradiance from falling below zero, the error of those surfaces rises from 0.33 to 0.42 (uffizi,
+order 2), from 0.48 to 0.54 (noon_grass, order 2) and from 0.35 to 0.88 (one sun in the dark, order 5). From order
+3 on these probes need none: no light's unshadowed irradiance falls below -16 % of its mean, and at most
+1.4 % of what views see is cut to zero.
 """
 
 import math

@@ -138,7 +138,7 @@ def test_orders_of_indirect_light_under_real_probes(shared_data: Path, probe: st
 @COMPILED
 @pytest.mark.parametrize("order", [1, 2, 3])
 def test_the_error_is_that_of_a_baked_surface(order: int) -> None:
-    """Within a factor 2 on a demo, texels counted by how much of them views see; two randomisations part the noise."""
+    """Within 1.4 on a demo, texels counted by how much of them views see; the randomisations part the noise."""
     recipe = Recipe(load_scene("demo:casting", lights=[SKY], order=MAX_ORDER, bounces=0))
     texels = surface_texels(recipe, 150)
     light = Light.dark(recipe.scene.plan, len(texels))
@@ -149,4 +149,4 @@ def test_the_error_is_that_of_a_baked_surface(order: int) -> None:
     each = np.repeat(energy / (2 * BANDS + 1), 2 * BANDS + 1)
     lost = seen @ power[:, order**2 :] @ each[order**2 :]
     measured = math.sqrt(lost / energy[0]) / float(seen @ light.direct[:, 0])
-    assert 0.5 < truncation_error(energy, order, "direct") / measured < 2.0
+    assert 0.7 < truncation_error(energy, order, "direct") / measured < 1.4
