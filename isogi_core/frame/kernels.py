@@ -3,7 +3,7 @@
 from isogi_core.kernels.bricks import fill_ranges, mark_bricks, pack_bricks
 from isogi_core.kernels.camera import trace_pixels
 from isogi_core.kernels.film import develop_rows, fill_curve
-from isogi_core.kernels.harmonics import project, rotate
+from isogi_core.kernels.harmonics import rotate
 from isogi_core.kernels.lattice import (
     carry_light,
     find_corners,
@@ -23,7 +23,6 @@ FRAME = (
     mark_bricks,
     carry_light,
     rotate,
-    project,
     fill_ranges,
     find_normals,
     mark_texels,

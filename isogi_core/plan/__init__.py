@@ -1,1 +1,1 @@
-"""Planning: the least that a scene must keep for its picture, and what that leaves out."""
+"""What a light needs: its harmonics, and how many of them a surface shows."""

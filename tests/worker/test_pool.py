@@ -15,7 +15,6 @@ from distributed import LocalCluster
 
 from isogi_core.cache.store import ChunkStore
 from isogi_core.kernels.bricks import fill_ranges, mark_bricks, pack_bricks
-from isogi_core.kernels.harmonics import project
 from isogi_core.kernels.macrocells import fill_macrocells
 from isogi_core.kernels.warm import warm
 from isogi_core.model.scene import load_scene
@@ -28,7 +27,7 @@ SCENE = load_scene("demo:orbital", order=2, lattice=0.4, bounces=1, target_error
 TEXELS = np.arange(0, 4096, 40, dtype=np.int32)
 WORKERS = 2
 ROOT = Path(__file__).resolve().parent.parent.parent
-OPENING = (fill_ranges, mark_bricks, pack_bricks, fill_macrocells, project)
+OPENING = (fill_ranges, mark_bricks, pack_bricks, fill_macrocells)
 
 
 def kernel_cache() -> dict[str, tuple[int, int]]:
