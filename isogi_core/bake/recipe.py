@@ -14,12 +14,9 @@ from isogi_core.kernels.macrocells import fill_macrocells, macrocell_shape
 from isogi_core.model.scene import Scene
 from isogi_core.model.volume import Volume
 from isogi_core.plan.projection import project_environment
-<<<<<<< HEAD
 
 AROUND = 3
 """The harmonics' order of unshadowed light: the cosine lobe keeps 99 % of any light in it (Ramamoorthi, Hanrahan)."""
-=======
->>>>>>> bands
 
 Index = tuple[int, int, int]
 """Position of a chunk in the lattice, in chunks along z, y, x."""
@@ -85,25 +82,3 @@ def make_field(volume: Volume) -> Field:
     low, high = np.empty(shape, np.float32), np.empty(shape, np.float32)
     fill_macrocells(volume.voxels, low, high)
     return Field(volume.voxels, low, high, volume.spacing)
-<<<<<<< HEAD
-=======
-
-
-def band_of(order: int) -> np.ndarray:
-    """The band l of each coefficient i < order²; (n²,) int."""
-    return np.repeat(np.arange(order), 2 * np.arange(order) + 1)
-
-
-def noise_weights(luminance_light: np.ndarray, order: int) -> np.ndarray:
-    """Weights w (channels, n²): Σ w · spread² is the variance of a texel's luminance, a mean over turns of the light.
-
-    For a light turned at random, E[(s·Dℓ)²] = Σ_l |s_l|² |ℓ_l|² / (2l + 1). The mean square of a
-    band's coefficients is pooled with its neighbour bands': two randomisations alone say too little.
-    """
-    bands = np.arange(order)
-    belongs = (band_of(order)[None, :] == bands[:, None]).astype(float)
-    near = np.abs(bands[:, None] - bands[None, :]) <= 1
-    pooled = near @ belongs
-    power = luminance_light**2 @ belongs.T
-    return power @ (pooled / pooled.sum(axis=1, keepdims=True))
->>>>>>> bands
