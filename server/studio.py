@@ -151,7 +151,7 @@ class Studio:
     def _open(self, scene: Scene) -> Stage:
         recipe = Recipe(scene, self._tiles.run)
         caches = Caches(recipe, self.store, self._memory)
-        recipe.field, recipe.maps, caches.of("gi")  # noqa: B018 (worked out now, not in the first frame)
+        recipe.field, recipe.maps, caches.of("gi")
         lowest, highest = sorted(map(scene.volume.normalise_isovalue, scene.isovalues))
         foresight = Foresight(lambda v, cancelled: recipe.bricks(v, v, cancelled), STEP, (lowest, highest))
         for look in LOOKS:

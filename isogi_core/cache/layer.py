@@ -59,6 +59,14 @@ class LayerStore:
         """The folder or URL of this layer: the root and the digest of all that its light depends on."""
         return f"{self.root.rstrip('/')}/{self.digest}"
 
+    @property
+    def exists(self) -> bool:
+        """Whether the store has this layer."""
+        try:
+            return self._is_ours(zarr.open_array(self.path, mode="r", zarr_format=3))
+        except Exception:
+            return False
+
     def _open(self) -> "zarr.Array[Any]":
         try:
             array = zarr.open_array(self.path, mode="r+", zarr_format=3)

@@ -42,7 +42,7 @@ class Loader:
         with self._lock:
             if time.monotonic() - self._absent.get(index, -ASK_AGAIN) < ASK_AGAIN:
                 return
-        chunk = self.store.read(index)
+        chunk = self.store.show(index)
         if chunk is not None:
             self.pool.insert(chunk, together)
             return
