@@ -9,8 +9,8 @@ Bands are cut off sharply, without a window on the light (Sloan, "Stupid Spheric
 that rings below zero is cut to zero at the texel, which errs less: with the least window 1/(1 + λ l²(l+1)²) that
 keeps unshadowed irradiance from falling below zero, the error of those surfaces rises from 0.33 to 0.42 (uffizi,
 order 2), from 0.48 to 0.54 (noon_grass, order 2) and from 0.35 to 0.88 (one sun in the dark, order 5). From order
-3 on these probes need none: no light's unshadowed irradiance falls below -16 % of its mean, and at most
-1.4 % of what views see is cut to zero.
+3 on these probes need none: no light's unshadowed irradiance falls below -16 % of its mean, and under them at
+most 1.4 % of what views see is cut to zero.
 """
 
 import math
