@@ -73,7 +73,8 @@ class ScenePlan:
     """What is baked for a scene, and how it is lit with it.
 
     ``bounces`` counts surface hits after the first; ``window`` holds a factor for each band of the light;
-    ``samples`` are the most that a texel takes; ``errors`` names relative errors that the plan expects.
+    ``samples`` are the most that a texel takes; ``errors`` names relative errors that the plan expects, by
+    what is cut off; ``notes`` are sentences on those that stay above the target.
     """
 
     representation: str
@@ -82,6 +83,7 @@ class ScenePlan:
     window: tuple[float, ...]
     samples: int
     errors: tuple[tuple[str, float], ...] = ()
+    notes: tuple[str, ...] = ()
     left_out: tuple[LeftOut, ...] = ()
 
     @property
@@ -93,6 +95,11 @@ class ScenePlan:
     def channels(self) -> int:
         """The channels that light is kept in: the most of any layer."""
         return max(layer.channels for layer in self.layers)
+
+    @property
+    def half(self) -> bool:
+        """Whether coefficients are kept as half floats."""
+        return all(layer.half for layer in self.layers)
 
     @property
     def bytes_per_texel(self) -> int:

@@ -21,7 +21,8 @@ from isogi_core.model.settings import Settings
 from isogi_core.model.source import DEFAULT_DEMO, SceneSource, find_source
 from isogi_core.model.view import Camera, orbit
 from isogi_core.model.volume import Volume, make_volume
-from isogi_core.plan.planner import Needs, Told, plan_scene
+from isogi_core.plan.needs import Needs, Told
+from isogi_core.plan.planner import plan_scene
 
 BAKE_FORMAT = 4
 """Counts up when what a chunk holds, or how its light is computed, changes."""
