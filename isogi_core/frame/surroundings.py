@@ -9,7 +9,8 @@ import numpy as np
 from isogi_core.bake.look import Look, band_of
 from isogi_core.kernels.harmonics import cosine_lobe_factors, rotate
 from isogi_core.kernels.lattice import Sky
-from isogi_core.kernels.shading import LocalModel, Surroundings
+from isogi_core.kernels.lit import Surroundings
+from isogi_core.kernels.shading import LocalModel
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import Camera, View, rotation_matrix
 
@@ -61,9 +62,9 @@ class Turned:
 
     @cached_property
     def surroundings(self) -> Surroundings:
-        """The environment itself, for the path tracer."""
-        environment = self.look.recipe.scene.environment
-        return Surroundings(environment.constant, environment.image, self.matrix)
+        """All light as it is, for the path tracer."""
+        environment, lamps = self.look.recipe.scene.environment, self.look.recipe.scene.lamps
+        return Surroundings(environment.constant, environment.image, self.matrix, environment.table, lamps.arrays)
 
     @property
     def mean(self) -> np.ndarray:
@@ -88,10 +89,17 @@ class Turned:
     def key_light(self) -> tuple[tuple[float, float, float], np.ndarray, np.ndarray]:
         """Direction towards the key light, its irradiance over π, and the ambient radiance; both (3,) linear RGB.
 
-        The directional light and constant with the same bands 0 and 1 as the environment: D·Y_1 = ℓ_1,
+        The strongest lamp as the middle of the volume sees it, and all else as ambient light. Without one,
+        the directional light and constant with the same bands 0 and 1 as the environment: D·Y_1 = ℓ_1,
         at most what band 0 holds. Without a direction of its own, a light over the camera's shoulder
         carries six tenths of the mean.
         """
+        directions, irradiances = self.look.recipe.scene.lamps.seen_from(self.look.recipe.scene.volume.centre)
+        strengths = irradiances @ LUMINANCE
+        if strengths.any():
+            best = int(strengths.argmax())
+            rest = (irradiances.sum(axis=0) - irradiances[best]) / (4.0 * math.pi)
+            return triple(directions[best]), irradiances[best] / math.pi, self.mean + rest
         first = np.array([self.around[:, i] if i < self.around.shape[1] else np.zeros(3) for i in (3, 1, 2)])
         pull = first @ LUMINANCE
         strength = float(np.linalg.norm(pull)) * math.sqrt(4.0 * math.pi / 3.0)

@@ -15,6 +15,7 @@ from isogi_core.files.nrrd import read_nrrd
 from isogi_core.kernels.harmonics import MAX_ORDER
 from isogi_core.model.demo import DEMOS, demo_volume
 from isogi_core.model.environment import Environment, environment
+from isogi_core.model.lamps import Lamps, gather_lamps
 from isogi_core.model.lights import Light, light_from_mapping
 from isogi_core.model.plan import REPRESENTATIONS, Layer, ScenePlan
 from isogi_core.model.settings import Settings
@@ -41,6 +42,7 @@ class Scene:
     volume: Volume
     lights: tuple[Light, ...]
     environment: Environment
+    lamps: Lamps
     isovalue: float
     isovalues: tuple[float, float]
     albedo: tuple[float, float, float]
@@ -67,7 +69,7 @@ class Scene:
     @cached_property
     def default_exposure(self) -> float:
         """The exposure at which a surface turned to the light shows its own albedo."""
-        brightest = self.environment.brightest()
+        brightest = self.environment.brightest() + self.lamps.brightest(self.volume.centre)
         return 1.0 / brightest if brightest > 0.0 else 1.0
 
     def layer_digest(self, layer: Layer) -> str:
@@ -79,7 +81,7 @@ class Scene:
         if layer.reflected:
             parts += [self.albedo[: layer.channels], self.bounces]
         if layer.kind == "irradiance":
-            parts += [self.environment.digest, self.albedo]
+            parts += [self.environment.digest, self.lamps.digest, self.albedo]
         return digest_of(parts)
 
     @cached_property
@@ -90,8 +92,8 @@ class Scene:
     @cached_property
     def digest(self) -> str:
         """Hex name of everything that a frame of this scene depends on besides its view."""
-        lit = [self.environment.digest, self.albedo, self.plan.window]
-        return digest_of([self.bake_digest, *lit, self.target_error])
+        lights = [self.environment.digest, self.lamps.digest]
+        return digest_of([self.bake_digest, *lights, self.albedo, self.plan.window, self.target_error])
 
     def camera(self, azimuth: float, elevation: float, distance: float, fov: float) -> Camera:
         """Camera around the middle of the volume's box; degrees, and distance in its bounding radii."""
@@ -117,19 +119,22 @@ def build_scene(source: SceneSource) -> Scene:
     settings = Settings(source)
     volume = open_volume(settings, source.base)
     lights = tuple(light_from_mapping(entry, source.base) for entry in settings.lights())
+    lamps = gather_lamps(lights)
     isovalues = settings.interval("isovalues", volume.value_range)
     fallback = min(max(default_isovalue(settings, volume), isovalues[0]), isovalues[1])
     isovalue = settings.number("isovalue", fallback, *isovalues)
     albedo = settings.colour("albedo", 0.7)
     target_error = settings.number("target_error", 0.02, 1e-4, 1.0)
-    light, rotating = environment(lights), settings.flag("rotating", True)
-    plan = plan_scene(Needs(light, rotating, albedo, target_error), told_by(settings))
+    light, rotating = environment(lights), may_rotate(settings, lamps)
+    needs = Needs(light, lamps, volume.centre, rotating, albedo, target_error)
+    plan = plan_scene(needs, told_by(settings))
     scene = Scene(
         id=re.sub(r"[^a-z0-9_-]+", "-", source.name.lower()).strip("-")[:64] or "scene",
         source=source,
         volume=volume,
         lights=lights,
         environment=light,
+        lamps=lamps,
         isovalue=isovalue,
         isovalues=isovalues,
         albedo=albedo,
@@ -151,6 +156,14 @@ def told_by(settings: Settings) -> Told:
         bounces=settings.count("bounces", 1000),
         precision=settings.choice("precision", ("half", "single")),
     )
+
+
+def may_rotate(settings: Settings, lamps: Lamps) -> bool:
+    """Whether the light may be turned: by default where there are no lamps, and never where there are."""
+    rotating = settings.flag("rotating", not lamps.any)
+    if rotating and lamps.any:
+        raise SceneError("Lamps stay where they are: leave out rotating = true, or the lamps.")
+    return rotating
 
 
 def open_volume(settings: Settings, base: Path) -> Volume:

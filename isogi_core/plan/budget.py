@@ -67,7 +67,7 @@ def tail_of_bounces(albedo: Colour, bounces: int) -> float:
 
 def even(needs: Needs) -> bool:
     """Whether the light may be taken for the same from all sides."""
-    return truncation_error(needs.energy, 1, "direct") <= EVEN * needs.target_error
+    return not needs.lamps.any and truncation_error(needs.energy, 1, "direct") <= EVEN * needs.target_error
 
 
 def harmonics_error(layers: tuple[Layer, ...], needs: Needs) -> float:

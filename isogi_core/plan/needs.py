@@ -7,6 +7,8 @@ import numpy as np
 
 from isogi_core.kernels.harmonics import MAX_ORDER
 from isogi_core.model.environment import Environment
+from isogi_core.model.lamps import Lamps
+from isogi_core.model.lights import Vector
 from isogi_core.plan.bands import band_energy
 from isogi_core.plan.projection import project_environment
 
@@ -26,9 +28,14 @@ class Told:
 
 @dataclass(frozen=True)
 class Needs:
-    """What a plan is made for: the lights and whether they may turn, the albedo, the relative error aimed at."""
+    """What a plan is made for: the lights and whether they may turn, the albedo, the relative error aimed at.
+
+    ``centre`` is the volume's, in the world.
+    """
 
     environment: Environment
+    lamps: Lamps
+    centre: Vector
     rotating: bool
     albedo: Colour
     target_error: float
@@ -41,14 +48,18 @@ class Needs:
     @cached_property
     def grey_light(self) -> bool:
         """Whether all lights are grey."""
-        image = self.environment.image
-        same = (image[..., 1:] == image[..., :1]).all()
-        return bool(same and np.ptp(self.environment.constant) == 0.0)
+        lights = (self.environment.image, self.environment.constant, self.lamps.arrays.colours)
+        return all(bool((light[..., 1:] == light[..., :1]).all()) for light in lights)
 
     @cached_property
     def constant(self) -> bool:
         """Whether the light is told to be the same from all sides."""
-        return not self.environment.image.any()
+        return not self.lamps.any and not self.environment.image.any()
+
+    @property
+    def brightest(self) -> float:
+        """Irradiance over π, in luminance, of an unshadowed surface at the centre turned to the light, at most."""
+        return self.environment.brightest() + self.lamps.brightest(self.centre)
 
     @cached_property
     def energy(self) -> np.ndarray:

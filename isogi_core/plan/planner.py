@@ -74,8 +74,7 @@ def unit_of(needs: Needs) -> float:
 
     One for the whole layer: a texel's bits may not depend on which others are in its chunk.
     """
-    brightest = needs.environment.brightest()
-    return 2.0 ** math.floor(math.log2(brightest)) if brightest > 0.0 else 1.0
+    return 2.0 ** math.floor(math.log2(needs.brightest)) if needs.brightest > 0.0 else 1.0
 
 
 def rounded(layers: tuple[Layer, ...], needs: Needs, told: Told) -> tuple[Layer, ...]:

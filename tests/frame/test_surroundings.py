@@ -1,6 +1,7 @@
 """The light around a view: turned from the unturned light each time, and boiled down to one key light."""
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +14,12 @@ from isogi_core.files.radiance import write_hdr
 from isogi_core.frame.surroundings import KEY_SHARE, Turned, shoulder_light
 from isogi_core.kernels.harmonics import cosine_lobe_factors, evaluate
 from isogi_core.model.environment import pixel_directions, solid_angles
-from isogi_core.model.scene import load_scene
+from isogi_core.model.scene import Scene, load_scene
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import IDENTITY, Camera, Quaternion, View, quaternion_from_angles
-from tests.frame.conftest import CONSTANT, SKY
+from tests.frame.conftest import CONSTANT, SKY, Workbench
 
+LAMP = {"type": "directional", "azimuth": 90.0, "elevation": 30.0, "irradiance": [2.0, 1.0, 0.5]}
 CAMERA = Camera((10.0, 3.0, 4.0), (0.0, 0.0, 0.0))
 QUARTER = quaternion_from_angles(90.0, 0.0, 0.0)
 ODD = quaternion_from_angles(33.0, -20.0, 71.0)
@@ -90,6 +92,14 @@ def test_surroundings_are_the_environment_itself_and_the_turn() -> None:
     np.testing.assert_allclose(turned.surroundings.matrix @ (1, 0, 0), (0, 1, 0), atol=1e-12)
 
 
+def test_surroundings_have_the_table_of_a_sharp_environment_and_the_lamps() -> None:
+    turned = around([SKY, LAMP])
+    assert turned.surroundings.table is turned.recipe.scene.environment.table
+    assert turned.surroundings.table[0].shape == (513,) and turned.surroundings.table[1].shape == (512, 1025)
+    assert turned.surroundings.lamps is turned.recipe.scene.lamps.arrays
+    assert around([CONSTANT]).surroundings.table[0].shape == (0,)
+
+
 @pytest.mark.parametrize("direction", [(0.0, 0.6, 0.8), (-0.6, 0.8, 0.0), (0.0, 0.0, -1.0)])
 def test_key_light_comes_from_the_brightest_side(tmp_path: Path, direction: tuple[float, float, float]) -> None:
     key, _, _ = around([spot(tmp_path, direction)]).key_light()
@@ -126,6 +136,38 @@ def test_no_light_at_all_has_a_key_light_that_is_dark() -> None:
     key, sun, ambient = around([{"type": "constant", "radiance": 0.0}]).key_light()
     assert np.linalg.norm(key) == pytest.approx(1.0)
     assert not sun.any() and not ambient.any()
+
+
+def test_the_strongest_lamp_is_the_key_light() -> None:
+    """As the volume's middle sees it; the other lamps' irradiance E is a radiance of E/4π from all around."""
+    scene = load_scene("demo:orbital")
+    x, y, z = scene.volume.centre
+    bulb = {"type": "point", "position": [x, y - 20.0, z], "intensity": [4000.0, 2000.0, 0.0]}
+    turned = around([CONSTANT, LAMP, bulb])
+    key, sun, ambient = turned.key_light()
+    np.testing.assert_allclose(key, (0.0, -1.0, 0.0), atol=1e-12)
+    np.testing.assert_allclose(sun, np.array([10.0, 5.0, 0.0]) / math.pi)
+    np.testing.assert_allclose(ambient, 1.0 + np.array([2.0, 1.0, 0.5]) / (4 * math.pi), rtol=1e-12)
+    key, sun, _ = around([SKY, LAMP]).key_light()
+    np.testing.assert_allclose(key, (0.0, math.sqrt(0.75), 0.5), atol=1e-12)
+    np.testing.assert_allclose(sun, np.array([2.0, 1.0, 0.5]) / math.pi)
+
+
+def test_a_dark_lamp_is_no_key_light() -> None:
+    dark = {"type": "directional", "irradiance": 0.0}
+    assert around([SKY, dark]).key_light()[0] == around([SKY]).key_light()[0]
+
+
+def test_path_traced_shadows_of_a_lamp_are_those_of_shadow_rays(workbench: Callable[[Scene], Workbench]) -> None:
+    """Without bounces, a lamp alone makes the reference the local model with a hard shadow, pixel by pixel."""
+    bench = workbench(load_scene("demo:casting", lights=[{**LAMP, "elevation": 50.0}], bounces=0))
+    traced, local, open_air = (
+        bench.renderer.render(bench.view(shading=shading)).radiance
+        for shading in ("path_traced", "lambert_shadow", "lambert")
+    )
+    shadow = (local == 0.0) & (open_air > 0.0)
+    assert shadow.any(axis=-1).sum() > 100 and local.any(axis=-1).sum() > 300
+    np.testing.assert_allclose(traced, local, rtol=1e-5, atol=1e-7)
 
 
 @pytest.mark.parametrize(

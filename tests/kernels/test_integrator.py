@@ -12,7 +12,8 @@ from isogi_core.kernels import integrator, transfer
 from isogi_core.kernels.bricks import brick_ranges, make_bricks
 from isogi_core.kernels.harmonics import cosine_lobe_factors, evaluate
 from isogi_core.kernels.intersect import OUTSIDE, SOLID, UNKNOWN
-from isogi_core.kernels.shading import Surroundings, find_normals, trace_points
+from isogi_core.kernels.lit import Surroundings
+from isogi_core.kernels.shading import find_normals, trace_points
 from isogi_core.kernels.transfer import bake_texels, locate_texels
 from tests.kernels.test_intersect import cast_rays
 from tests.kernels.test_macrocells import field_of

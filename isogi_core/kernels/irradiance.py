@@ -1,0 +1,75 @@
+"""Irradiance of texels under a light that stays where it is: one colour per texel, and no harmonics."""
+
+import numpy as np
+from numba import types
+
+from isogi_core.kernels._jit import kernel
+from isogi_core.kernels.bricks import BRICKS
+from isogi_core.kernels.field import FIELD
+from isogi_core.kernels.lit import SURROUNDINGS, light_paths
+from isogi_core.kernels.reals import ABREAST
+from isogi_core.kernels.transfer import COLUMNS, TEXELS, VECTOR, texel_seed
+from isogi_core.kernels.vec import column, put_column
+from isogi_core.kernels.waves import WAVE
+
+
+@kernel()
+def start_halves(place, rows):
+    """Starts of the ``rows`` and each of their halves: isovalues, points, normals and seeds; see ``walk_paths``."""
+    texels, points, normals, isovalues = place
+    starts = 2 * rows.shape[0]
+    here, facing = np.empty((3, starts)), np.empty((3, starts))
+    levels, seeds = np.empty(starts), np.empty(starts, np.uint64)
+    for i in range(starts):
+        r = rows[i // 2]
+        put_column(here, i, column(points, r))
+        put_column(facing, i, column(normals, r))
+        levels[i], seeds[i] = isovalues[r], texel_seed(texels[r, 0], texels[r, 1], texels[r, 2], i % 2)
+    return levels, here, facing, seeds
+
+
+@kernel()
+def add_gathered(gathered, starts, count, rows, sums):
+    """Add what ``light_paths`` gathered, sample by sample, to ``sums`` (m, 2, 3) of the ``rows``' halves."""
+    for i in range(starts):
+        for s in range(count):
+            for c in range(3):
+                sums[rows[i // 2], i % 2, c] += gathered[c, s * starts + i]
+
+
+@kernel()
+def light_together(field, bricks, place, rows, first, count, weights, light, sums):
+    """``bake_irradiance`` for a few texels whose paths go together."""
+    starts = 2 * rows.shape[0]
+    levels, here, facing, seeds = start_halves(place, rows)
+    step = max(WAVE // starts, 1)
+    gathered = np.empty((3, starts * step))
+    for begin in range(first, first + count, step):
+        samples = min(step, first + count - begin)
+        light_paths(field, bricks, levels, here, facing, seeds, begin, samples, weights, light, gathered)
+        add_gathered(gathered, starts, samples, rows, sums)
+
+
+@kernel(
+    types.void(
+        FIELD,
+        BRICKS,
+        types.Tuple((TEXELS, COLUMNS, COLUMNS, VECTOR)),
+        types.int64[::1],
+        types.int64,
+        types.int64,
+        types.float64[:, ::1],
+        SURROUNDINGS,
+        types.float64[:, :, ::1],
+    )
+)
+def bake_irradiance(field, bricks, place, rows, first, count, weights, light, sums):
+    """Sums of ``count`` samples of E/π, from sample ``first`` on, for the ``rows`` and each of their two halves.
+
+    ``place`` is what ``locate_texels`` took and wrote, as for ``bake_texels``, whose random numbers these
+    are; ``weights`` (bounces + 1, 3) R^k; ``light`` the Surroundings. Adds linear RGB, with all bounces, to
+    ``sums`` (m, 2, 3): times the albedo it is the radiance that leaves the surface.
+    """
+    together = max(WAVE // (2 * count), ABREAST)
+    for i in range(0, rows.shape[0], together):
+        light_together(field, bricks, place, rows[i : i + together], first, count, weights, light, sums)
