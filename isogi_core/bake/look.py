@@ -31,7 +31,7 @@ class Look:
     @property
     def order(self) -> int:
         """The order of the light, and so of the coefficients that frames read; 1 where no harmonics are kept."""
-        return len(self.plan.window)
+        return self.plan.order
 
     @property
     def channels(self) -> int:
@@ -40,14 +40,13 @@ class Look:
 
     @cached_property
     def light(self) -> np.ndarray:
-        """What coefficients are multiplied by, linear RGB, (3, n²) float64: ℓ of the unturned light, windowed.
+        """What coefficients are multiplied by, linear RGB, (3, n²) float64: ℓ of the unturned light.
 
         Irradiance has met its light already, so that this is 1. Source: S1, eq. 7.
         """
         if self.plan.representation == "irradiance":
             return np.ones((3, 1))
-        light = project_environment(self.recipe.scene.environment, self.order)
-        return light * np.array(self.plan.window)[band_of(self.order)]
+        return project_environment(self.recipe.scene.environment, self.order)
 
     @cached_property
     def luminance_light(self) -> np.ndarray:

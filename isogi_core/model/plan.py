@@ -80,27 +80,30 @@ class LeftOut:
 class ScenePlan:
     """What is baked for a scene, and how it is lit with it.
 
-    ``bounces`` counts surface hits after the first; ``window`` holds a factor for each band of the light;
-    ``samples`` are the most that a texel takes; ``errors`` names relative errors that the plan expects.
+    ``order`` is that of the light which texels are put under, 1 where they keep no harmonics; a layer may have more.
+    ``bounces`` counts surface hits after the first;
+    ``samples`` are the most that a texel takes; ``errors`` names relative errors that the plan expects, by
+    what is cut off; ``notes`` are sentences on those that stay above the target.
     """
 
     representation: str
     layers: tuple[Layer, ...]
+    order: int
     bounces: int
-    window: tuple[float, ...]
     samples: int
     errors: tuple[tuple[str, float], ...] = ()
+    notes: tuple[str, ...] = ()
     left_out: tuple[LeftOut, ...] = ()
-
-    @property
-    def order(self) -> int:
-        """The harmonics' order: the highest of any layer."""
-        return max(layer.order for layer in self.layers)
 
     @property
     def channels(self) -> int:
         """The channels that light is kept in: the most of any layer."""
         return max(layer.channels for layer in self.layers)
+
+    @property
+    def half(self) -> bool:
+        """Whether coefficients are kept as half floats."""
+        return all(layer.half for layer in self.layers)
 
     @property
     def bytes_per_texel(self) -> int:

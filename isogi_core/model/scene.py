@@ -22,7 +22,8 @@ from isogi_core.model.settings import Settings
 from isogi_core.model.source import DEFAULT_DEMO, SceneSource, find_source
 from isogi_core.model.view import Camera, orbit
 from isogi_core.model.volume import Volume, make_volume
-from isogi_core.plan.planner import Needs, Told, plan_scene
+from isogi_core.plan.needs import Needs, Told
+from isogi_core.plan.planner import plan_scene
 
 BAKE_FORMAT = 4
 """Counts up when what a chunk holds, or how its light is computed, changes."""
@@ -91,8 +92,8 @@ class Scene:
     @cached_property
     def digest(self) -> str:
         """Hex name of everything that a frame of this scene depends on besides its view."""
-        lit = [self.environment.digest, self.lamps.digest, self.albedo, self.plan.window]
-        return digest_of([self.bake_digest, *lit, self.target_error])
+        lights = [self.environment.digest, self.lamps.digest]
+        return digest_of([self.bake_digest, *lights, self.albedo, self.plan.order, self.target_error])
 
     def camera(self, azimuth: float, elevation: float, distance: float, fov: float) -> Camera:
         """Camera around the middle of the volume's box; degrees, and distance in its bounding radii."""
@@ -124,9 +125,9 @@ def build_scene(source: SceneSource) -> Scene:
     isovalue = settings.number("isovalue", fallback, *isovalues)
     albedo = settings.colour("albedo", 0.7)
     target_error = settings.number("target_error", 0.02, 1e-4, 1.0)
-    light = environment(lights)
-    rotating = may_rotate(settings, lamps)
-    plan = plan_scene(Needs(light, lamps, rotating, albedo, target_error), told_by(settings))
+    light, rotating = environment(lights), may_rotate(settings, lamps)
+    needs = Needs(light, lamps, volume.centre, rotating, albedo, target_error)
+    plan = plan_scene(needs, told_by(settings))
     scene = Scene(
         id=re.sub(r"[^a-z0-9_-]+", "-", source.name.lower()).strip("-")[:64] or "scene",
         source=source,
@@ -153,7 +154,7 @@ def told_by(settings: Settings) -> Told:
         order=settings.count("order", MAX_ORDER, 1),
         indirect_order=settings.count("indirect_order", MAX_ORDER, 1),
         bounces=settings.count("bounces", 1000),
-        precision=settings.choice("precision", ("half", "single")),
+        precision=settings.choice("precision", ("bytes", "half", "single")),
     )
 
 

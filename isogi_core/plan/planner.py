@@ -1,78 +1,50 @@
 """The planner: from a scene's lights, albedo and target error to the least that its texels must keep."""
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import replace
 
-from isogi_core.errors import SceneError
-from isogi_core.model.environment import Environment
-from isogi_core.model.lamps import Lamps
 from isogi_core.model.plan import Layer, ScenePlan, most_samples
+from isogi_core.plan.bands import choose_order, truncation_error
+from isogi_core.plan.budget import (
+    HARMONICS,
+    ROUNDING,
+    bounces_for,
+    even,
+    harmonics_error,
+    rounding_error,
+    tail_of_bounces,
+)
+from isogi_core.plan.needs import Needs, Told
+from isogi_core.plan.refusals import refuse_idle
+from isogi_core.plan.savings import left_out
 
-DEFAULT_ORDER = 5
-LONGEST_PATH = 64
+LOWEST_BYTES = 2
+"""The lowest band of direct light that bytes may hold."""
 
-HALF_ERROR = 0.002
-"""Target errors below this keep single floats."""
-
-
-@dataclass(frozen=True)
-class Told:
-    """What a scene settles itself; None leaves it to the planner."""
-
-    representation: str | None = None
-    order: int | None = None
-    indirect_order: int | None = None
-    bounces: int | None = None
-    precision: str | None = None
-
-
-@dataclass(frozen=True)
-class Needs:
-    """What a plan is made for: the lights and whether they may turn, the albedo, the relative error aimed at."""
-
-    environment: Environment
-    lamps: Lamps
-    rotating: bool
-    albedo: tuple[float, float, float]
-    target_error: float
-
-    @property
-    def constant(self) -> bool:
-        """Whether light is the same from everywhere."""
-        return not (self.lamps.any or self.environment.image.any())
-
-    @property
-    def grey(self) -> bool:
-        """Whether reflected light keeps its colour."""
-        return self.albedo[0] == self.albedo[1] == self.albedo[2]
+MOST_BANDS = 6
+"""Orders beyond this are for a scene to tell: bytes grow as n², while the error under a sun falls as 1 / √n."""
 
 
 def plan_scene(needs: Needs, told: Told) -> ScenePlan:
-    """Derive the plan. Raises SceneError where what is told does not fit the scene's lights."""
+    """Derive the plan. Raises SceneError where what is told does not fit the scene's lights, or does nothing."""
     bounces = bounces_for(needs.albedo, needs.target_error) if told.bounces is None else told.bounces
-    representation = told.representation or choose(needs, bounces)
-    check(representation, needs)
-    if representation == "vicinity":
+    if told.representation == "vicinity" or max(needs.albedo) == 0.0:
         bounces = 0
-    half = (told.precision or ("half" if needs.target_error >= HALF_ERROR else "single")) == "half"
-    layers = tuple(replace(layer, half=half) for layer in layers_of(representation, needs, told, bounces))
+    representation = told.representation or choose(needs, told, bounces)
+    refuse_idle(representation, bounces, needs, told)
+    layers = rounded(layers_of(representation, needs, told, bounces), needs, told)
     order = max(layer.order for layer in layers)
-    return ScenePlan(representation, layers, bounces, (1.0,) * order, most_samples(needs.target_error))
+    plan = ScenePlan(representation, layers, order, bounces, most_samples(needs.target_error))
+    plan = replace(plan, errors=errors_of(plan, needs))
+    return replace(plan, notes=notes_on(plan, needs), left_out=left_out(plan, needs))
 
 
-def choose(needs: Needs, bounces: int) -> str:
+def choose(needs: Needs, told: Told, bounces: int) -> str:
     """The representation that keeps least."""
-    if needs.constant:
+    if even(needs) and (told.order is None or needs.constant):
         return "constant" if bounces else "vicinity"
     return "transfer" if needs.rotating else "irradiance"
-
-
-def check(representation: str, needs: Needs) -> None:
-    """Raise SceneError where a representation cannot show the scene's light."""
-    if representation in ("vicinity", "constant") and not needs.constant:
-        raise SceneError(f"representation = '{representation}' shows constant light alone: leave it out.")
-    if representation == "irradiance" and needs.rotating:
-        raise SceneError("representation = 'irradiance' is of light that does not turn: set rotating = false.")
 
 
 def layers_of(representation: str, needs: Needs, told: Told, bounces: int) -> tuple[Layer, ...]:
@@ -83,25 +55,82 @@ def layers_of(representation: str, needs: Needs, told: Told, bounces: int) -> tu
     if representation == "constant":
         return (Layer("whole", channels=channels),)
     if representation == "irradiance":
-        return (Layer("irradiance", channels=3),)
-    order = told.order or DEFAULT_ORDER
-    direct = Layer("direct", order)
+        return (Layer("irradiance", channels=1 if needs.grey and needs.grey_light else 3, scale=unit_of(needs)),)
+    direct = Layer("direct", told.order or direct_order(needs))
     if not bounces:
         return (direct,)
-    return direct, Layer("indirect", min(told.indirect_order or order, order), channels)
+    return direct, Layer("indirect", told.indirect_order or indirect_order(needs, direct.order), channels)
+
+
+def direct_order(needs: Needs) -> int:
+    """The order of light that arrives unreflected: the least whose error is within its share of the target."""
+    return choose_order(needs.energy, HARMONICS * needs.target_error, "direct", MOST_BANDS)[0]
+
+
+def indirect_order(needs: Needs, direct: int) -> int:
+    """The order of reflected light: the least that errs no more than direct light does, or than its share."""
+    error = max(truncation_error(needs.energy, direct, "direct"), HARMONICS * needs.target_error)
+    return choose_order(needs.energy, error, "indirect", direct, max(needs.albedo))[0]
+
+
+def unit_of(needs: Needs) -> float:
+    """What irradiance is kept in multiples of: a power of two, so that the brightest unshadowed has 1 to 2 of it.
+
+    One for the whole layer: a texel's bits may not depend on which others are in its chunk.
+    """
+    return 2.0 ** math.floor(math.log2(needs.brightest)) if needs.brightest > 0.0 else 1.0
+
+
+def rounded(layers: tuple[Layer, ...], needs: Needs, told: Told) -> tuple[Layer, ...]:
+    """The layers in the least precision whose error is within its share of the target, or in that told."""
+    if told.precision is None:
+        return next(kept for kept in precisions(layers) if fits(kept, needs))
+    if told.precision == "bytes":
+        return next(kept for kept in precisions(layers) if all(layer.coarse for layer in kept))
+    return tuple(replace(layer, half=told.precision == "half") for layer in layers)
+
+
+def precisions(layers: tuple[Layer, ...]) -> Iterator[tuple[Layer, ...]]:
+    """The layers with their higher bands in bytes, from as low a band as is of use on; as half and as single floats."""
+    for band in range(LOWEST_BYTES, max(layer.order for layer in layers)):
+        yield tuple(in_bytes(layer, band) for layer in layers)
+    yield tuple(replace(layer, half=True) for layer in layers)
+    yield tuple(replace(layer, half=False) for layer in layers)
+
+
+def in_bytes(layer: Layer, band: int) -> Layer:
+    """The layer with its bands from ``band`` on in bytes, reflected light's one band earlier: it is softer."""
+    first = band - 1 if layer.kind == "indirect" else band
+    return replace(layer, half=True, coarse=first if first < layer.order else None)
+
+
+def fits(layers: tuple[Layer, ...], needs: Needs) -> bool:
+    """Whether rounding errs within its share of the target; nothing is rounded less than to single floats."""
+    return not layers[0].half or rounding_error(layers, needs) <= ROUNDING * needs.target_error
+
+
+def errors_of(plan: ScenePlan, needs: Needs) -> tuple[tuple[str, float], ...]:
+    """Relative errors that the plan expects by what is cut off; bounces have a bound. Those that are 0 are left."""
+    errors = (
+        ("harmonics", harmonics_error(plan.layers, needs)),
+        ("bounces", tail_of_bounces(needs.albedo, plan.bounces)),
+        ("rounding", rounding_error(plan.layers, needs)),
+    )
+    return tuple((cause, error) for cause, error in errors if error > 0.0)
+
+
+def notes_on(plan: ScenePlan, needs: Needs) -> tuple[str, ...]:
+    """Sentences on what stays above the target."""
+    error = dict(plan.errors).get("harmonics", 0.0)
+    if error <= needs.target_error:
+        return ()
+    return (
+        f"The light is too sharp for harmonics of order {plan.order}: expect an error of {error:.1%}, more than the"
+        f" target of {needs.target_error:.1%}. Where it need not turn, rotating = false bakes the light as it is.",
+    )
 
 
 def vicinity_plan(plan: ScenePlan) -> ScenePlan:
     """The plan of vicinity shading in a scene: band 0 of direct light, out of a layer that is kept anyway if it may."""
-    direct = next((layer for layer in plan.layers if layer.kind == "direct"), Layer("direct"))
-    return ScenePlan("vicinity", (direct,), 0, (1.0,), plan.samples)
-
-
-def bounces_for(albedo: tuple[float, float, float], target_error: float) -> int:
-    """Fewest bounces after which what is cut off, at most R^(bounces + 1) of the light, is half the target error."""
-    brightest = max(albedo)
-    if brightest <= 0.0:
-        return 0
-    if brightest >= 1.0:
-        return LONGEST_PATH
-    return min(max(math.ceil(math.log(target_error / 2) / math.log(brightest)) - 1, 0), LONGEST_PATH)
+    direct = next((layer for layer in plan.layers if layer.kind == "direct"), Layer("direct", half=plan.half))
+    return ScenePlan("vicinity", (direct,), 1, 0, plan.samples)
