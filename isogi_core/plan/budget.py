@@ -77,7 +77,8 @@ def harmonics_error(layers: tuple[Layer, ...], needs: Needs) -> float:
     """
     brightest = max(needs.albedo)
     squares = [
-        truncation_error(needs.energy, layer.order, "indirect" if layer.kind == "indirect" else "direct", brightest) ** 2
+        truncation_error(needs.energy, layer.order, "indirect" if layer.kind == "indirect" else "direct", brightest)
+        ** 2
         for layer in layers
         if layer.kind != "irradiance"
     ]

@@ -18,6 +18,9 @@ from isogi_core.plan.needs import Needs, Told
 from isogi_core.plan.refusals import refuse_idle
 from isogi_core.plan.savings import left_out
 
+DIRECTED = 2
+"""The least order of reflected light that turns with the light."""
+
 MOST_BANDS = 5
 """Orders beyond this are for a scene to tell: bytes grow as n², while the error under a sun falls as 1 / √n."""
 
@@ -32,7 +35,7 @@ def plan_scene(needs: Needs, told: Told) -> ScenePlan:
     layers = rounded(layers_of(representation, needs, told, bounces), needs, told)
     window = (1.0,) * max(layer.order for layer in layers)
     plan = ScenePlan(representation, layers, bounces, window, most_samples(needs.target_error))
-    plan = replace(plan, errors=errors_of(plan, needs))
+    plan = replace(plan, errors=errors_of(plan, needs, told))
     return replace(plan, notes=notes_on(plan, needs), left_out=left_out(plan, needs))
 
 
@@ -64,9 +67,17 @@ def direct_order(needs: Needs) -> int:
 
 
 def indirect_order(needs: Needs, direct: int) -> int:
-    """The order of reflected light: the least that errs no more than direct light does, or than its share."""
-    error = max(truncation_error(needs.energy, direct, "direct"), HARMONICS * needs.target_error)
-    return choose_order(needs.energy, error, "indirect", direct, max(needs.albedo))[0]
+    """The order of reflected light: the least with which both kinds are within the target.
+
+    Where direct light errs more than that, the least that errs no more than direct light does, and still turns
+    with the light: to keep more gains little. Under uffizi orders 5 and 2 err by 6.0 %, 5 and 3 by 4.7 %, 5 and
+    5 by 4.5 %, in 64, 74 and 106 bytes.
+    """
+    target, error = needs.target_error, truncation_error(needs.energy, direct, "direct")
+    within = error < target
+    allowed = math.sqrt(target**2 - error**2) if within else error
+    order, _ = choose_order(needs.energy, allowed, "indirect", direct, max(needs.albedo))
+    return order if within else max(order, DIRECTED)
 
 
 def unit_of(needs: Needs) -> float:
@@ -84,11 +95,15 @@ def rounded(layers: tuple[Layer, ...], needs: Needs, told: Told) -> tuple[Layer,
     return tuple(replace(layer, half=half) for layer in layers)
 
 
-def errors_of(plan: ScenePlan, needs: Needs) -> tuple[tuple[str, float], ...]:
-    """Relative errors that the plan expects by what is cut off; bounces have a bound. Those that are 0 are left."""
+def errors_of(plan: ScenePlan, needs: Needs, told: Told) -> tuple[tuple[str, float], ...]:
+    """Relative errors that the plan expects by what is cut off; of bounces, where it chose them, the most.
+
+    Those that are 0 are left.
+    """
+    chosen = told.bounces is None and plan.representation != "vicinity"
     errors = (
         ("harmonics", harmonics_error(plan.layers, needs)),
-        ("bounces", tail_of_bounces(needs.albedo, plan.bounces)),
+        ("bounces", tail_of_bounces(needs.albedo, plan.bounces) if chosen else 0.0),
         ("rounding", rounding_error(plan.layers)),
     )
     return tuple((cause, error) for cause, error in errors if error > 0.0)

@@ -27,6 +27,8 @@ def refuse_orders(representation: str, bounces: int, told: Told) -> None:
         if order is not None and representation != "transfer":
             raise SceneError(f"{name} = {order} is of harmonics, and this light needs none: leave it out.")
     if told.indirect_order is not None and not bounces:
-        raise SceneError(f"indirect_order = {told.indirect_order} is of reflected light, and there is none: leave it out.")
+        raise SceneError(
+            f"indirect_order = {told.indirect_order} is of reflected light, and there is none: leave it out."
+        )
     if told.order is not None and told.indirect_order is not None and told.indirect_order > told.order:
         raise SceneError(f"indirect_order = {told.indirect_order} is above order = {told.order}: take at most that.")
