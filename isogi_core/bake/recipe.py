@@ -44,11 +44,10 @@ class Recipe:
         """The map of the cells that may hold isosurfaces from one normalised isovalue to another; see ``Maps.get``."""
         return self.maps.get(lowest, highest, cancelled)
 
-    @cached_property
+    @property
     def shape(self) -> tuple[int, int, int]:
-        """Texels along z, y, x: ``lattice`` per voxel, the outermost on the outermost voxels, at least 2."""
-        z, y, x = (max(round((n - 1) * self.scene.lattice) + 1, 2) for n in self.scene.volume.shape)
-        return z, y, x
+        """Texels along z, y, x."""
+        return self.scene.lattice_shape
 
     @cached_property
     def step(self) -> np.ndarray:

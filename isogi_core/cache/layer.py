@@ -162,7 +162,10 @@ class LayerStore:
 
 
 def facts_of(layer: Layer, recipe: Recipe) -> dict[str, Any]:
-    """What a layer's array says of itself: whose light it is, how it was made, and how its records are read."""
+    """What a layer's array says of itself: whose light it is, how it was made, and how its records are read.
+
+    ``plan`` is that of the scene which it was first baked for; others may share the layer.
+    """
     scene = recipe.scene
     return {
         "volume": scene.volume.name,
@@ -175,6 +178,7 @@ def facts_of(layer: Layer, recipe: Recipe) -> dict[str, Any]:
         "bounces": scene.bounces if layer.reflected else 0,
         "albedo": list(scene.albedo) if layer.reflected else None,
         "lights": [light.name for light in scene.lights] if layer.kind == "irradiance" else None,
+        "plan": asdict(scene.plan),
         "record": [[name, kind.base.str, list(kind.shape)] for name, kind in fields_of(record_type(layer))],
     }
 

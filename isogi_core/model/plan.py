@@ -53,6 +53,11 @@ class Layer:
         return (2 if self.half else 4) * fine + self.coefficients - fine + self.noises + 1
 
     @property
+    def precision(self) -> str:
+        """How coefficients are kept, "half" or "single"."""
+        return "half" if self.half else "single"
+
+    @property
     def reflected(self) -> bool:
         """Whether it holds light that was reflected, and so depends on albedo and bounces."""
         return self.kind != "direct"
@@ -101,9 +106,19 @@ class ScenePlan:
         return max(layer.channels for layer in self.layers)
 
     @property
+    def indirect_order(self) -> int | None:
+        """The order of reflected light where that is a layer of its own."""
+        return next((layer.order for layer in self.layers if layer.kind == "indirect"), None)
+
+    @property
     def half(self) -> bool:
         """Whether coefficients are kept as half floats."""
         return all(layer.half for layer in self.layers)
+
+    @property
+    def precision(self) -> str:
+        """How coefficients are kept, "half" or "single"."""
+        return "half" if self.half else "single"
 
     @property
     def bytes_per_texel(self) -> int:

@@ -13,17 +13,20 @@ import numpy as np
 from isogi_core.errors import SceneError, VolumeError
 from isogi_core.files.nrrd import read_nrrd
 from isogi_core.kernels.harmonics import MAX_ORDER
+from isogi_core.kernels.lattice import CHUNK
 from isogi_core.model.demo import DEMOS, demo_volume
 from isogi_core.model.environment import Environment, environment
 from isogi_core.model.lamps import Lamps, gather_lamps
 from isogi_core.model.lights import Light, light_from_mapping
-from isogi_core.model.plan import REPRESENTATIONS, Layer, ScenePlan
+from isogi_core.model.plan import REPRESENTATIONS, Layer, LeftOut, ScenePlan
 from isogi_core.model.settings import Settings
 from isogi_core.model.source import DEFAULT_DEMO, SceneSource, find_source
 from isogi_core.model.view import Camera, orbit
 from isogi_core.model.volume import Volume, make_volume
 from isogi_core.plan.needs import Needs, Told
 from isogi_core.plan.planner import plan_scene
+from isogi_core.plan.savings import unseen
+from isogi_core.plan.texels import TexelCount, count_texels
 
 BAKE_FORMAT = 4
 """Counts up when what a chunk holds, or how its light is computed, changes."""
@@ -66,11 +69,28 @@ class Scene:
         """Which side of the isovalue is solid, "above" or "below"."""
         return self.volume.solid
 
+    @property
+    def lattice_shape(self) -> tuple[int, int, int]:
+        """Texels along z, y, x: ``lattice`` per voxel, the outermost on the outermost voxels, at least 2."""
+        z, y, x = (max(round((n - 1) * self.lattice) + 1, 2) for n in self.volume.shape)
+        return z, y, x
+
     @cached_property
     def default_exposure(self) -> float:
         """The exposure at which a surface turned to the light shows its own albedo."""
         brightest = self.environment.brightest() + self.lamps.brightest(self.volume.centre)
         return 1.0 / brightest if brightest > 0.0 else 1.0
+
+    @cached_property
+    def texels(self) -> TexelCount:
+        """How many texels the lattice has, and how many of them views can show; found when first asked for."""
+        lowest, highest = sorted(map(self.volume.normalise_isovalue, self.isovalues))
+        return count_texels(self.volume.voxels, self.lattice_shape, lowest, highest, CHUNK)
+
+    @cached_property
+    def left_out(self) -> tuple[LeftOut, ...]:
+        """What the scene does without: what its plan leaves out, and texels that are never lit."""
+        return (*self.plan.left_out, *unseen(self.texels, self.plan))
 
     def layer_digest(self, layer: Layer) -> str:
         """Hex name of everything that a layer's light depends on, and of nothing else.

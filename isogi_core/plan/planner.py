@@ -19,6 +19,9 @@ from isogi_core.plan.needs import Needs, Told
 from isogi_core.plan.refusals import refuse_idle
 from isogi_core.plan.savings import left_out
 
+DIRECTED = 2
+"""The least order of reflected light that turns with the light."""
+
 LOWEST_BYTES = 2
 """The lowest band of direct light that bytes may hold."""
 
@@ -36,7 +39,7 @@ def plan_scene(needs: Needs, told: Told) -> ScenePlan:
     layers = rounded(layers_of(representation, needs, told, bounces), needs, told)
     order = max(layer.order for layer in layers)
     plan = ScenePlan(representation, layers, order, bounces, most_samples(needs.target_error))
-    plan = replace(plan, errors=errors_of(plan, needs))
+    plan = replace(plan, errors=errors_of(plan, needs, told))
     return replace(plan, notes=notes_on(plan, needs), left_out=left_out(plan, needs))
 
 
@@ -68,9 +71,17 @@ def direct_order(needs: Needs) -> int:
 
 
 def indirect_order(needs: Needs, direct: int) -> int:
-    """The order of reflected light: the least that errs no more than direct light does, or than its share."""
-    error = max(truncation_error(needs.energy, direct, "direct"), HARMONICS * needs.target_error)
-    return choose_order(needs.energy, error, "indirect", direct, max(needs.albedo))[0]
+    """The order of reflected light: the least with which both kinds are within the target.
+
+    Where direct light errs more than that, the least that errs by half as much and still turns with the light:
+    both together then err by an eighth more than direct light alone. Under uffizi orders 6 and 2 err by 5.1 %, 6
+    and 3 by 3.5 %, 6 and 4 by 3.3 %, in 57, 64 and 71 bytes.
+    """
+    target, error = needs.target_error, truncation_error(needs.energy, direct, "direct")
+    within = error < target
+    allowed = math.sqrt(target**2 - error**2) if within else error / 2.0
+    order, _ = choose_order(needs.energy, allowed, "indirect", direct, max(needs.albedo))
+    return order if within else max(order, DIRECTED)
 
 
 def unit_of(needs: Needs) -> float:
@@ -109,11 +120,15 @@ def fits(layers: tuple[Layer, ...], needs: Needs) -> bool:
     return not layers[0].half or rounding_error(layers, needs) <= ROUNDING * needs.target_error
 
 
-def errors_of(plan: ScenePlan, needs: Needs) -> tuple[tuple[str, float], ...]:
-    """Relative errors that the plan expects by what is cut off; bounces have a bound. Those that are 0 are left."""
+def errors_of(plan: ScenePlan, needs: Needs, told: Told) -> tuple[tuple[str, float], ...]:
+    """Relative errors that the plan expects by what is cut off; of bounces, where it chose them, the most.
+
+    Those that are 0 are left.
+    """
+    chosen = told.bounces is None and plan.representation != "vicinity"
     errors = (
         ("harmonics", harmonics_error(plan.layers, needs)),
-        ("bounces", tail_of_bounces(needs.albedo, plan.bounces)),
+        ("bounces", tail_of_bounces(needs.albedo, plan.bounces) if chosen else 0.0),
         ("rounding", rounding_error(plan.layers, needs)),
     )
     return tuple((cause, error) for cause, error in errors if error > 0.0)
