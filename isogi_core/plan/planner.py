@@ -75,7 +75,7 @@ def indirect_order(needs: Needs, direct: int) -> int:
 
     Where direct light errs more than that, the least that errs by half as much and still turns with the light:
     both together then err by an eighth more than direct light alone. Under uffizi orders 6 and 2 err by 5.1 %, 6
-    and 3 by 3.5 %, 6 and 4 by 3.3 %, in 57, 64 and 71 bytes.
+    and 3 by 3.5 %, 6 and 4 by 3.3 %, in 59, 64 and 71 bytes.
     """
     target, error = needs.target_error, truncation_error(needs.energy, direct, "direct")
     within = error < target
