@@ -3,9 +3,11 @@ import shutil
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+import tracemalloc
+from collections.abc import Callable, Collection, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
+from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
 from queue import Queue
@@ -38,7 +40,7 @@ class InlinePool:
     room = 2
     connected = True
 
-    def __init__(self, workers: int, scheduler: str | None = None) -> None:
+    def __init__(self, workers: int, scheduler: str | None = None, kinds: Collection[str] = ()) -> None:
         self._thread = ThreadPoolExecutor(1)
 
     def submit(self, task: BakeTask, done: Done) -> None:
@@ -59,7 +61,8 @@ def inline(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(scope="module")
 def scene() -> Scene:
-    light = {"type": "constant", "radiance": 0.5}
+    """A scene whose texels keep two layers."""
+    light = {"type": "sky", "sun_azimuth": 30.0, "sun_elevation": 50.0}
     return load_scene("demo:orbital", order=2, lattice=0.5, bounces=1, target_error=0.3, lights=[light])
 
 
@@ -120,6 +123,7 @@ def test_a_frame_comes_at_once_and_becomes_final(begin: Open, scene: Scene) -> N
     assert first.surface > 100
     assert_unlit(first)
     assert len(first.demands) == first.chunks_needed > 4
+    assert len(scene.plan.layers) == 2
     final = studio.frame(scene.id, view_of(scene), wait=LONG)
     assert final.coverage["final"] == 1.0
     assert (final.demands, final.chunks_final) == ((), final.chunks_needed)
@@ -140,7 +144,7 @@ def test_asking_again_and_again_is_enough(begin: Open, scene: Scene) -> None:
 def test_workers_come_after_the_start(begin: Open, scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     come = threading.Event()
 
-    def hire(workers: int, scheduler: str | None) -> InlinePool:
+    def hire(workers: int, scheduler: str | None, kinds: Collection[str]) -> InlinePool:
         assert come.wait(LONG)
         return InlinePool(workers)
 
@@ -156,7 +160,7 @@ def test_workers_come_after_the_start(begin: Open, scene: Scene, monkeypatch: py
 def test_workers_are_hired_once(begin: Open, scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     hired = []
 
-    def hire(workers: int, scheduler: str | None) -> InlinePool:
+    def hire(workers: int, scheduler: str | None, kinds: Collection[str]) -> InlinePool:
         hired.append(InlinePool(workers))
         return hired[0]
 
@@ -188,7 +192,7 @@ def test_maps_of_the_next_isovalues_are_made_while_nobody_waits(
 
 
 def test_workers_that_cannot_be_had_are_told(begin: Open, scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(workers: int, scheduler: str | None) -> None:
+    def refuse(workers: int, scheduler: str | None, kinds: Collection[str]) -> None:
         raise WorkersError("No workers today.")
 
     monkeypatch.setattr(pool, "WorkerPool", refuse)
@@ -201,7 +205,7 @@ def test_workers_that_cannot_be_had_are_told(begin: Open, scene: Scene, monkeypa
 def test_anything_that_keeps_workers_from_coming_is_told(
     begin: Open, scene: Scene, monkeypatch: pytest.MonkeyPatch, error: Exception
 ) -> None:
-    def fail(workers: int, scheduler: str | None) -> None:
+    def fail(workers: int, scheduler: str | None, kinds: Collection[str]) -> None:
         raise error
 
     monkeypatch.setattr(pool, "WorkerPool", fail)
@@ -387,6 +391,23 @@ def test_views_from_many_threads(begin: Open, scene: Scene) -> None:
         final = studio.frame(scene.id, view)
         assert_same(final, expected)
         np.testing.assert_array_equal(frame.state, expected.state)
+
+
+def test_memory_is_set_aside_for_what_requests_read_alone(
+    begin: Open, scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(InlinePool, "submit", lambda *_: None)
+    budget, shadings = 64 << 20, ("lambert", "phong_shadow", "vicinity", "gi")
+    views = [replace(view_of(scene), shading=shading) for shading in shadings]
+    for view in views:
+        begin().frame(scene.id, view)
+    tracemalloc.start()
+    studio, taken = begin(memory=budget), []
+    for view in views:
+        studio.frame(scene.id, view)
+        taken.append(tracemalloc.get_traced_memory()[0] / budget)
+    tracemalloc.stop()
+    assert taken == pytest.approx([0.1, 0.1, 1.1, 2.1], abs=0.1)
 
 
 def test_nobody_waits_for_a_cancelled_frame(begin: Open, scene: Scene) -> None:

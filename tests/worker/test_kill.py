@@ -15,6 +15,7 @@ import httpx
 import psutil
 import pytest
 
+from isogi_core.bake.look import look_for
 from isogi_core.bake.recipe import Recipe
 from isogi_core.cache.store import ChunkStore
 from isogi_core.frame.frame import Frame
@@ -177,8 +178,10 @@ def test_no_worker_outlives_its_server(tmp_path: Path, number: signal.Signals) -
         process.send_signal(number)
         assert process.wait(LONG) == (-number if number == signal.SIGKILL else 0)
         assert psutil.wait_procs(family, timeout=5.0)[1] == []
-    store = ChunkStore(tmp_path, Recipe(load_scene("demo:orbital")))
-    found = [tuple(map(int, path.parts[-4:-1])) for path in tmp_path.glob("*/c/*/*/*/0")]
-    assert found
-    for z, y, x in found:
-        assert store.decode((z, y, x), store.read((z, y, x)) or b"").offsets.size > 0
+    layers = ChunkStore(tmp_path, look_for(Recipe(load_scene("demo:orbital")), "gi")).layers
+    assert len(layers) == 2
+    for layer in layers:
+        found = [tuple(map(int, path.parts[-4:-1])) for path in Path(layer.path).glob("c/*/*/*/0")]
+        assert found
+        for z, y, x in found:
+            assert len(layer.decode((z, y, x), layer.read((z, y, x)) or b"")[0]) > 0
