@@ -1,5 +1,8 @@
 import errno
+import json
+import os
 import shutil
+import subprocess
 import sys
 import threading
 import time
@@ -15,12 +18,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numba import config
 from zarr.storage import LocalStore
 
 from isogi_core.bake.maps import STEP, Maps
 from isogi_core.errors import Cancelled, StoreError
 from isogi_core.frame.frame import Frame
+from isogi_core.frame.kernels import FRAME
 from isogi_core.kernels.bricks import Bricks
+from isogi_core.kernels.harmonics import project, rotate
 from isogi_core.model.scene import Scene, load_scene
 from isogi_core.model.view import View
 from server import studio as studios
@@ -32,6 +38,7 @@ from worker.pool import Done
 from worker.tasks import BakeResult, BakeTask, bake
 
 LONG = 60.0
+ROOT = Path(__file__).resolve().parent.parent.parent
 
 
 class InlinePool:
@@ -437,6 +444,49 @@ def test_a_start_can_be_given_up(scene: Scene, store: Path, monkeypatch: pytest.
         studio.stop()
         start.result(LONG)
     assert not store.exists()
+
+
+START = """\
+import json, sys
+from contextlib import closing
+from isogi_core.model.scene import load_scene
+from isogi_core.model.view import View, quaternion_from_angles
+from server.studio import Studio
+from worker import pool
+
+class Idle:
+    room, connected = 0, True
+    def __init__(self, *_): pass
+    def close(self): pass
+
+if __name__ == "__main__":
+    pool.WorkerPool = Idle
+    scene = load_scene("demo:orbital", lattice=0.4, **json.loads(sys.argv[1]))
+    with closing(Studio([scene], sys.argv[2])) as studio:
+        studio.start()
+        turned = quaternion_from_angles(30.0, 0.0, 0.0)
+        view = View(scene.isovalue, scene.camera(30, 20, 3, 30), width=20, height=20, light=turned)
+        assert studio.frame(scene.id, view).provisional
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(bool(config.DISABLE_JIT), reason="Numba is switched off: nothing is compiled")
+def test_kernels_that_a_scene_never_calls_are_never_compiled(tmp_path: Path) -> None:
+    (tmp_path / "start.py").write_text(START)
+
+    def compiled(**settings: Any) -> set[str]:
+        """The kernels there are once a studio has shown a scene with these ``settings``."""
+        command = [sys.executable, str(tmp_path / "start.py"), json.dumps(settings), str(tmp_path / "light")]
+        environment = {**os.environ, "ISOGI_KERNEL_CACHE": str(tmp_path / "kernels"), "PYTHONPATH": str(ROOT)}
+        subprocess.run(command, env=environment, check=True)
+        files = (tmp_path / "kernels").rglob("*.nbi")
+        return {f"isogi_core.kernels.{path.name.split('-')[0]}" for path in files}
+
+    of_light = {rotate.name, project.name}
+    every = {kernel.name for kernel in FRAME}
+    assert compiled(lights=[{"type": "constant"}]) == every - of_light
+    assert compiled(lights=[{"type": "sky"}]) == every
 
 
 def test_workers_are_told_absolute_paths(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
