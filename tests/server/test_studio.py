@@ -449,6 +449,7 @@ def test_a_start_can_be_given_up(scene: Scene, store: Path, monkeypatch: pytest.
 START = """\
 import json, sys
 from contextlib import closing
+from numba.core.event import install_recorder
 from isogi_core.model.scene import load_scene
 from isogi_core.model.view import View, quaternion_from_angles
 from server.studio import Studio
@@ -462,11 +463,12 @@ class Idle:
 if __name__ == "__main__":
     pool.WorkerPool = Idle
     scene = load_scene("demo:orbital", lattice=0.4, **json.loads(sys.argv[1]))
-    with closing(Studio([scene], sys.argv[2])) as studio:
+    with closing(Studio([scene], sys.argv[2])) as studio, install_recorder("numba:compile") as compiled:
         studio.start()
         turned = quaternion_from_angles(30.0, 0.0, 0.0)
         view = View(scene.isovalue, scene.camera(30, 20, 3, 30), width=20, height=20, light=turned)
         assert studio.frame(scene.id, view).provisional
+    print(len(compiled.buffer))
 """
 
 
@@ -475,18 +477,19 @@ if __name__ == "__main__":
 def test_kernels_that_a_scene_never_calls_are_never_compiled(tmp_path: Path) -> None:
     (tmp_path / "start.py").write_text(START)
 
-    def compiled(**settings: Any) -> set[str]:
-        """The kernels there are once a studio has shown a scene with these ``settings``."""
-        command = [sys.executable, str(tmp_path / "start.py"), json.dumps(settings), str(tmp_path / "light")]
+    def start(light: str) -> tuple[set[str], int]:
+        """Kernels there are once a studio has shown a scene under a ``light``, and what its process compiled itself."""
+        settings = json.dumps({"lights": [{"type": light}]})
+        command = [sys.executable, str(tmp_path / "start.py"), settings, str(tmp_path / "light")]
         environment = {**os.environ, "ISOGI_KERNEL_CACHE": str(tmp_path / "kernels"), "PYTHONPATH": str(ROOT)}
-        subprocess.run(command, env=environment, check=True)
+        done = subprocess.run(command, env=environment, check=True, capture_output=True, text=True)
         files = (tmp_path / "kernels").rglob("*.nbi")
-        return {f"isogi_core.kernels.{path.name.split('-')[0]}" for path in files}
+        return {f"isogi_core.kernels.{path.name.split('-')[0]}" for path in files}, int(done.stdout)
 
-    of_light = {rotate.name, project.name}
     every = {kernel.name for kernel in FRAME}
-    assert compiled(lights=[{"type": "constant"}]) == every - of_light
-    assert compiled(lights=[{"type": "sky"}]) == every
+    assert start("constant")[0] == every - {rotate.name, project.name}
+    assert start("sky")[0] == every
+    assert start("sky") == (every, 0)
 
 
 def test_workers_are_told_absolute_paths(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
