@@ -12,7 +12,6 @@ from isogi_core.model.sky import LUMINANCE
 from isogi_core.plan.planner import vicinity_plan
 from isogi_core.plan.projection import project_environment
 
-
 LOOKS = ("gi", "vicinity")
 """Names of the looks of a scene."""
 
