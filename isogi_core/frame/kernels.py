@@ -52,7 +52,5 @@ def frame_kernels(scenes: Iterable[Scene]) -> tuple[Any, ...]:
 
 
 def spared_by(scene: Scene) -> set[Any]:
-    """Those that frames of a ``scene`` never call: a constant light has no harmonics, and many lights never turn."""
-    if not scene.environment.image.any():
-        return {project, rotate}
-    return set() if scene.rotating else {rotate}
+    """Those that frames of a ``scene`` never call: constant light, and light that stays in place, are not turned."""
+    return set() if scene.rotating and scene.environment.image.any() else {rotate}
