@@ -156,10 +156,16 @@ class Studio:
         lowest, highest = sorted(map(scene.volume.normalise_isovalue, scene.isovalues))
         foresight = Foresight(lambda v, cancelled: recipe.bricks(v, v, cancelled), STEP, (lowest, highest))
         for look in LOOKS:
-            digest, store = look_for(recipe, look).digest, absolute(self.store)
-            bake = Bake(scene.source, look, digest, store, partial(refresh, caches, look))
-            self._baker.add(bake_name(scene.id, look), bake)
+            self._baker.add(bake_name(scene.id, look), self._bake(caches, look))
         return Stage(scene, Renderer(caches, self._tiles), foresight)
+
+    def _bake(self, caches: Caches, name: str) -> Bake:
+        """The bake of a look, by its name."""
+        look = look_for(caches.recipe, name)
+        scene = look.recipe.scene
+        layers = frozenset(scene.layer_digest(layer) for layer in look.plan.layers)
+        arrived = partial(refresh, caches, name)
+        return Bake(scene.source, name, look.digest, layers, absolute(self.store), arrived)
 
     def _hire(self) -> None:
         try:

@@ -21,11 +21,15 @@ log = logging.getLogger("isogi.worker")
 
 @dataclass(frozen=True, eq=False)
 class Bake:
-    """A ``look`` of the scene in ``source``, the ``digest`` and the ``store`` of its light, and who hears of it."""
+    """A ``look`` of the scene in ``source``, the ``digest`` and the ``store`` of its light, and who hears of it.
+
+    ``layers`` are the digests of the layers that it writes.
+    """
 
     source: SceneSource
     look: str
     digest: str
+    layers: frozenset[str]
     store: str
     arrived: Callable[[Index], None]
 
@@ -35,7 +39,7 @@ class Baker:
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         """Begin without workers: what is wanted waits until ``employ``."""
-        self._queue = BakeQueue(clock)
+        self._queue = BakeQueue(clock, self._shared)
         self._bakes: dict[str, Bake] = {}
         self._pool: WorkerPool | None = None
         self._flying = 0
@@ -75,6 +79,10 @@ class Baker:
         with self._changed:
             self._pool = None
             self._changed.notify_all()
+
+    def _shared(self, one: str, other: str) -> bool:
+        """Whether two bakes write to a layer that is the same."""
+        return not self._bakes[one].layers.isdisjoint(self._bakes[other].layers)
 
     def _feed(self) -> None:
         """Hand tasks over while there is room for them; the caller holds the lock."""
