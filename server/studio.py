@@ -4,12 +4,12 @@ import logging
 import threading
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from isogi_core.bake.look import LOOKS, look_for, look_name
+from isogi_core.bake.look import LOOKS, look_name
 from isogi_core.bake.maps import STEP
 from isogi_core.bake.recipe import Index, Recipe
 from isogi_core.cache.caches import Caches
@@ -80,7 +80,7 @@ class Studio:
         warm(frame_kernels(self.scenes.values()), self._stopped)
         if self._stopped.is_set():
             return
-        for scene in self.scenes.values():
+        for scene in list(self.scenes.values()):
             self._stages[scene.id] = self._open(scene)
         prune(FOLDER)
 
@@ -152,7 +152,8 @@ class Studio:
         recipe = Recipe(scene, self._tiles.run)
         caches = Caches(recipe, self.store, self._memory)
         recipe.field, recipe.maps  # noqa: B018 (worked out now, not in the first frame)
-        ChunkStore(self.store, look_for(recipe, "gi")).open()
+        ChunkStore(self.store, caches.look("gi")).open()
+        self.scenes[scene.id] = replace(scene, plan=caches.look("gi").plan)
         lowest, highest = sorted(map(scene.volume.normalise_isovalue, scene.isovalues))
         foresight = Foresight(lambda v, cancelled: recipe.bricks(v, v, cancelled), STEP, (lowest, highest))
         for look in LOOKS:
@@ -161,11 +162,11 @@ class Studio:
 
     def _bake(self, caches: Caches, name: str) -> Bake:
         """The bake of a look, by its name."""
-        look = look_for(caches.recipe, name)
-        scene = look.recipe.scene
-        layers = frozenset(scene.layer_digest(layer) for layer in look.plan.layers)
+        look = caches.look(name)
+        scene, plan = look.recipe.scene, replace(look.plan, left_out=(), notes=())
+        layers = frozenset(scene.layer_digest(layer) for layer in plan.layers)
         arrived = partial(refresh, caches, name)
-        return Bake(scene.source, name, look.digest, layers, absolute(self.store), arrived)
+        return Bake(scene.source, plan, look.digest, layers, absolute(self.store), arrived)
 
     def _hire(self) -> None:
         try:

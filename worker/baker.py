@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from isogi_core.bake.recipe import Index
 from isogi_core.frame.texels import Demand
+from isogi_core.model.plan import ScenePlan
 from isogi_core.model.source import SceneSource
 from worker.queue import BakeQueue, Key, Want
 from worker.tasks import BakeResult, BakeTask
@@ -21,13 +22,13 @@ log = logging.getLogger("isogi.worker")
 
 @dataclass(frozen=True, eq=False)
 class Bake:
-    """A ``look`` of the scene in ``source``, the ``digest`` and the ``store`` of its light, and who hears of it.
+    """A ``plan`` for the scene in ``source``, the ``digest`` and the ``store`` of its light, and who hears of it.
 
     ``layers`` are the digests of the layers that it writes.
     """
 
     source: SceneSource
-    look: str
+    plan: ScenePlan
     digest: str
     layers: frozenset[str]
     store: str
@@ -96,7 +97,7 @@ class Baker:
     def _submit(self, pool: "WorkerPool", want: Want) -> None:
         scene, index = want.key
         bake = self._bakes[scene]
-        task = BakeTask(bake.source, bake.look, bake.digest, bake.store, index, want.offsets, want.goal, want.target)
+        task = BakeTask(bake.source, bake.plan, bake.digest, bake.store, index, want.offsets, want.goal, want.target)
         pool.submit(task, lambda result, error: self._done(scene, task, result, error))
 
     def _done(self, scene: str, task: BakeTask, result: BakeResult | None, error: BaseException | None) -> None:
