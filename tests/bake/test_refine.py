@@ -143,7 +143,18 @@ def kernels_sums(look: Look, texels: np.ndarray, number: int, first: int, count:
     place = (texels, np.empty((3, m)), np.empty((3, m)), isovalues)
     locate_texels(recipe.field, recipe.step, *place, void)
     bricks = recipe.bricks(float(isovalues.min()), float(isovalues.max()))
-    bake_texels(recipe.field, bricks, place, np.arange(m), first, count, look.shares(layer), layer.order, sums)
+    bake_texels(
+        recipe.field,
+        bricks,
+        place,
+        np.arange(m),
+        first,
+        count,
+        look.shares(layer),
+        look.plan.survival,
+        layer.order,
+        sums,
+    )
     return sums
 
 
