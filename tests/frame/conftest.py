@@ -11,12 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from isogi_core.bake.recipe import Recipe
 from isogi_core.bake.precision import FIRST_RUNG
+from isogi_core.bake.recipe import Recipe
 from isogi_core.bake.refine import refine
+from isogi_core.cache.caches import Caches
 from isogi_core.cache.loader import Loader
-from isogi_core.cache.pages import PagePool
-from isogi_core.cache.store import ChunkStore
 from isogi_core.files.radiance import write_hdr
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.renderer import Renderer
@@ -32,15 +31,14 @@ SKY = {"type": "sky", "sun_azimuth": 30.0, "sun_elevation": 50.0}
 
 
 class Workbench:
-    """One scene, the store of its light in a folder, and a renderer that reads it."""
+    """One scene, the caches of its light in a folder, and a renderer that reads them."""
 
     def __init__(self, scene: Scene, folder: Path) -> None:
         self.scene = scene
         self.folder = folder
         self.recipe = Recipe(scene)
-        self.store = ChunkStore(folder, self.recipe)
-        self.loader = Loader(self.store, PagePool(self.recipe, 1 << 28))
-        self.renderer = Renderer(self.recipe, self.loader, Tiles())
+        self.caches = Caches(self.recipe, folder, 1 << 28)
+        self.renderer = Renderer(self.caches, Tiles())
 
     def again(self) -> "Workbench":
         """Everything built anew over the same store, as after a restart."""
@@ -56,15 +54,27 @@ class Workbench:
         rung, frame = FIRST_RUNG, self.renderer.render(view, target)
         with ThreadPoolExecutor(os.cpu_count()) as threads:
             while frame.demands:
-                list(threads.map(partial(self._refine, rung, target or self.scene.target_error), frame.demands))
+                loader = self.caches.of(view.shading)
+                list(threads.map(partial(refine_chunk, loader, rung, target or self.scene.target_error), frame.demands))
                 rung, frame = 2 * rung, self.renderer.render(view, target)
         return frame
 
-    def _refine(self, rung: int, target: float, demand: Demand) -> None:
-        chunk = self.store.load(demand.index).with_texels(demand.offsets)
-        refine(chunk.light, chunk.positions(chunk.offsets), self.recipe, rung, target)
-        self.store.save(chunk)
-        self.loader.refresh(demand.index)
+    @property
+    def layers(self) -> set[str]:
+        """Folders of the layers that were baked."""
+        return {path.parent.name for path in self.folder.glob("*/c")}
+
+
+def refine_chunk(loader: Loader, rung: int, target: float, demand: Demand) -> None:
+    """Do as a worker does."""
+    store = loader.store
+    chunk = store.load(demand.index).with_texels(demand.offsets)
+    rows = chunk.rows_of(demand.offsets)
+    light = chunk.light.rows(rows)
+    refine(light, chunk.positions(demand.offsets), store.look, rung, target)
+    chunk.light.put(rows, light)
+    store.save(chunk)
+    loader.refresh(demand.index)
 
 
 @pytest.fixture

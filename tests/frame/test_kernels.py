@@ -7,9 +7,7 @@ from numba import config
 RENDER = """\
 import sys, tempfile
 from isogi_core.bake.recipe import Recipe
-from isogi_core.cache.loader import Loader
-from isogi_core.cache.pages import PagePool
-from isogi_core.cache.store import ChunkStore
+from isogi_core.cache.caches import Caches
 from isogi_core.frame.film import develop
 from isogi_core.frame.kernels import FRAME
 from isogi_core.frame.renderer import Renderer
@@ -24,7 +22,7 @@ assert not any(kernel.loaded for kernel in entries.values())
 scene = load_scene("demo:orbital", lattice=0.4, lights=[{"type": "sky"}])
 recipe = Recipe(scene)
 with tempfile.TemporaryDirectory() as store:
-    renderer = Renderer(recipe, Loader(ChunkStore(store, recipe), PagePool(recipe, 1 << 26)), Tiles())
+    renderer = Renderer(Caches(recipe, store, 1 << 26), Tiles())
     view = View(scene.isovalue, scene.camera(30, 20, 3, 30), width=20, height=20)
     frame = renderer.render(view)
     assert frame.provisional and frame.demands
