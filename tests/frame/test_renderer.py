@@ -367,12 +367,12 @@ def test_a_ball_sampled_unevenly_is_lit_the_same(spacing: tuple[float, float, fl
 # --- vicinity shading -----------------------------------------------------------------------------------------------
 
 
-def test_vicinity_of_a_transfer_scene_reads_the_direct_layer_that_is_there(calm: Workbench) -> None:
-    before = calm.layers
+def test_vicinity_of_a_transfer_scene_reads_the_direct_layer_that_is_there(orbital: Workbench) -> None:
+    before = orbital.layers
     assert len(before) == 2
-    bench = calm.again()
-    frame = bench.renderer.render(bench.view(shading="vicinity"), 2.0 * LOOSE)
-    assert frame.coverage["final"] == 1.0 and frame.demands == () and calm.layers == before
+    bench = orbital.again()
+    frame = bench.renderer.render(bench.view(shading="vicinity"))
+    assert frame.coverage["final"] == 1.0 and frame.demands == () and orbital.layers == before
     direct = bench.caches.of("gi").store.layers[0]
     assert [layer.path for layer in bench.caches.of("vicinity").store.layers] == [direct.path]
 
