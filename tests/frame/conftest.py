@@ -23,11 +23,14 @@ from isogi_core.frame.texels import Demand
 from isogi_core.frame.tiles import Tiles
 from isogi_core.model.environment import pixel_directions
 from isogi_core.model.scene import Scene, load_scene
+from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import View
 from isogi_core.model.volume import Volume, make_volume
 
 CONSTANT = {"type": "constant", "radiance": 1.0}
 SKY = {"type": "sky", "sun_azimuth": 30.0, "sun_elevation": 50.0}
+LOOSE = 0.1
+"""Target error of scenes that must bake fast."""
 
 
 class Workbench:
@@ -77,6 +80,29 @@ def refine_chunk(loader: Loader, rung: int, target: float, demand: Demand) -> No
     loader.refresh(demand.index)
 
 
+@pytest.fixture(scope="session")
+def orbital(tmp_path_factory: pytest.TempPathFactory) -> Workbench:
+    """The orbital under a sky; `view()` is baked to a tenth."""
+    bench = Workbench(
+        load_scene("demo:orbital", lights=[SKY], albedo=[0.8, 0.6, 0.4], bounces=2, target_error=LOOSE),
+        tmp_path_factory.mktemp("orbital"),
+    )
+    bench.bake(bench.view())
+    return bench
+
+
+@pytest.fixture(scope="session")
+def calm(tmp_path_factory: pytest.TempPathFactory) -> Workbench:
+    """The orbital under constant light, white as snow, its direct and indirect light apart; `view()` is baked."""
+    kept = {"representation": "transfer", "order": 1}
+    bench = Workbench(
+        load_scene("demo:orbital", lights=[CONSTANT], albedo=0.9, bounces=3, target_error=LOOSE, **kept),
+        tmp_path_factory.mktemp("calm"),
+    )
+    bench.bake(bench.view())
+    return bench
+
+
 @pytest.fixture
 def workbench(tmp_path: Path) -> Callable[[Scene], Workbench]:
     """Make the workbench of a scene, with nothing baked yet."""
@@ -101,3 +127,15 @@ def ball(size: int = 40, radius: float = 12.0, spacing: tuple[float, float, floa
     x, y, z = (np.arange(round(size / step) + 1) * step - size / 2 for step in spacing)
     away = np.sqrt(x[None, None, :] ** 2 + y[None, :, None] ** 2 + z[:, None, None] ** 2)
     return make_volume((radius - away).astype(np.float32), spacing, name="ball")
+
+
+def luminance(frame: Frame) -> np.ndarray:
+    """Luminance of the surface pixels, float64."""
+    return frame.radiance[frame.state > 0].astype(np.float64) @ LUMINANCE
+
+
+def relative_rmse(frame: Frame, reference: Frame) -> float:
+    """RMSE of the luminance over the surface pixels, over the reference's mean."""
+    assert np.array_equal(frame.state > 0, reference.state > 0)
+    wrong = luminance(frame) - luminance(reference)
+    return float(np.sqrt((wrong**2).mean()) / luminance(reference).mean())
