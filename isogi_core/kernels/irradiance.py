@@ -52,7 +52,8 @@ def bake_irradiance(field, bricks, place, rows, first, count, weights, survival,
     """Sums of ``count`` samples of E/π, from sample ``first`` on, for the ``rows`` and each of their two halves.
 
     ``place`` is what ``locate_texels`` took and wrote, as for ``bake_texels``, whose random numbers these
-    are; ``weights`` (bounces + 1, 3) R^k, over the chance to get there (see ``spin``); ``light`` the Surroundings. Adds linear RGB, with all bounces, to
+    are; ``weights`` (bounces + 1, 3) R^k, over the chance to get there (see ``spin``); ``light`` the
+    Surroundings. Adds linear RGB, with all bounces, to
     ``sums`` (m, 2, 3): times the albedo it is the radiance that leaves the surface.
     """
     together = max(WAVE // (2 * count), ABREAST)

@@ -181,6 +181,17 @@ def test_direct_and_indirect_light_are_the_whole() -> None:
 
 
 @COMPILED
+@pytest.mark.parametrize("settings", [{"sky": False}, {"indirect_order": 1}])
+def test_white_furnace(settings: dict[str, object]) -> None:
+    """Albedo 1 and no end of bounces: every path gets out, and each texel sees all of a constant light."""
+    look = orbital(1.0, **{"bounces": 1000, **settings})  # type: ignore[arg-type]
+    light = climbed(look, surface_texels(look, 200), 64)
+    whole = np.sqrt(4.0 * np.pi) * light.transfer[:, 0, 0]
+    assert all(part.coefficients.any() for part in light.parts)
+    assert np.abs(whole - 1.0).max() < 0.002, "but for half floats"
+
+
+@COMPILED
 def test_coloured_albedo_is_three_grey_bakes() -> None:
     albedos = (0.25, 0.5, 0.75)
     coloured = orbital(albedos)
