@@ -17,7 +17,7 @@ from benchmarks.paths import view_texels
 from isogi_core.bake.recipe import Recipe
 from isogi_core.bake.refine import by_isovalue, locate
 from isogi_core.kernels.transfer import bake_texels
-from isogi_core.plan.planner import LONGEST_PATH, bounces_for
+from isogi_core.plan.budget import LONGEST_PATH, bounces_for
 
 ALBEDOS = (0.1, 0.2, 0.3, 0.5, 0.7, 0.9, 0.95, 0.99)
 SAMPLES = 1024

@@ -52,12 +52,12 @@ function rows(facts) {
 function omission({ what, why, saves }) {
   const node = document.createElement("li");
   node.append(textNode("b", what), ` — ${why}`);
-  if (saves.length) node.append(textNode("span", `saves ${saves.map(amount).join(", ")}`));
+  if (saves.length) node.append(textNode("span", `saves ${saves.map(savingInWords).join(", ")}`));
   return node;
 }
 
-function amount({ amount: saved, unit, measured }) {
-  const digits = saved >= 100 ? Math.round(saved) : Number(saved.toPrecision(3));
+function savingInWords({ amount, unit, measured }) {
+  const digits = amount >= 100 ? Math.round(amount) : Number(amount.toPrecision(3));
   return `${grouped(digits)} ${unit}${measured ? " (measured)" : ""}`;
 }
 
