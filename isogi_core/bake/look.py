@@ -31,7 +31,7 @@ class Look:
     @property
     def order(self) -> int:
         """The order of the light, and so of the coefficients that frames read; 1 where no harmonics are kept."""
-        return len(self.plan.window)
+        return self.plan.order
 
     @property
     def channels(self) -> int:
@@ -40,14 +40,13 @@ class Look:
 
     @cached_property
     def light(self) -> np.ndarray:
-        """What coefficients are multiplied by, linear RGB, (3, n²) float64: ℓ of the unturned light, windowed.
+        """What coefficients are multiplied by, linear RGB, (3, n²) float64: ℓ of the unturned light.
 
         Irradiance has met its light already, so that this is 1. Source: S1, eq. 7.
         """
         if self.plan.representation == "irradiance":
             return np.ones((3, 1))
-        light = project_environment(self.recipe.scene.environment, self.order)
-        return light * np.array(self.plan.window)[band_of(self.order)]
+        return project_environment(self.recipe.scene.environment, self.order)
 
     @cached_property
     def luminance_light(self) -> np.ndarray:
@@ -69,15 +68,20 @@ class Look:
         light = self.luminance_light.sum(axis=0)[: layer.order**2]
         return np.array([abs(light[0]), np.sqrt((light[1:] ** 2).sum())])[: layer.noises]
 
+    def weights(self, layer: Layer) -> np.ndarray:
+        """R^k for k = 0 … bounces, and the layer's channels; (bounces + 1, channels) float64."""
+        albedo = np.array(self.recipe.scene.albedo[: layer.channels])
+        bounces = self.plan.bounces if layer.reflected else 0
+        return np.asarray(albedo ** np.arange(bounces + 1)[:, None])
+
     def shares(self, layer: Layer) -> np.ndarray:
         """What a path counts in a ``layer`` that never left, or left after k = 0, 1, … bounces: R^k, or 0.
 
         (channels, bounces + 2) float64, k at k + 1.
         """
-        bounces = self.plan.bounces if layer.reflected else 0
-        albedo = np.array(self.recipe.scene.albedo[: layer.channels])
-        shares = np.zeros((layer.channels, bounces + 2))
-        shares[:, 1:] = albedo[:, None] ** np.arange(bounces + 1)
+        weights = self.weights(layer)
+        shares = np.zeros((layer.channels, len(weights) + 1))
+        shares[:, 1:] = weights.T
         if layer.kind == "indirect":
             shares[:, 1] = 0.0
         return shares

@@ -1,4 +1,4 @@
-"""What is rounded on its way to the store: light to half floats, noise to a byte, sample counts to rungs of a ladder.
+"""What is rounded on its way to the store: light to half floats or bytes, noise to bytes, samples to rungs of a ladder.
 
 Light in memory is rounded too, after each rung, so that a texel has the same bits whether it was read or just baked.
 """
@@ -19,17 +19,45 @@ NOISIEST = 16.0
 """The noise, in units of a layer's scale, that code 0 stands for."""
 
 STEPS = 8
-"""Codes of noise that halve it: 9 % apart."""
+"""Codes that halve a number: 9 % apart."""
+
+NEGATIVE, SMALLEST = 0x80, 0x7F
+"""The sign of a coefficient that is kept as a byte, and the code of the smallest: 2^-15.75 of the scale."""
 
 SILENT = 255
 """The code of no noise."""
 
 
 def round_light(light: np.ndarray, layer: Layer) -> np.ndarray:
-    """``light`` as the layer keeps it, float32."""
-    if not layer.half:
-        return np.asarray(light, np.float32)
-    return (light / layer.scale).astype(np.float16).astype(np.float32) * np.float32(layer.scale)
+    """``light`` (…, n²) as the layer keeps it, float32."""
+    fine = light[..., : layer.floats] / layer.scale
+    fine = fine.astype(np.float16 if layer.half else np.float32).astype(np.float32)
+    coarse = light_of(light_codes(light[..., layer.floats :] / layer.scale))
+    return np.concatenate([fine, coarse], axis=-1) * np.float32(layer.scale)
+
+
+def light_codes(light: np.ndarray) -> np.ndarray:
+    """Bytes of coefficients within ±1: a sign, and 1 + the steps from 1 down, to the nearest; 0 is none; uint8."""
+    size = np.abs(np.asarray(light, np.float64))
+    with np.errstate(divide="ignore"):
+        codes = 1.0 + np.rint(-STEPS * np.log2(size))
+    codes = np.where(codes > SMALLEST, 0.0, np.maximum(codes, 1.0)).astype(np.uint8)
+    return np.where((light < 0.0) & (codes > 0), codes | NEGATIVE, codes).astype(np.uint8)
+
+
+def light_of(codes: np.ndarray) -> np.ndarray:
+    """The coefficients that bytes stand for, float32."""
+    return LIGHT_OF[codes]
+
+
+def _light_table() -> np.ndarray:
+    """What each byte of ``light_codes`` stands for; (256,) float32."""
+    steps = (np.arange(256) & SMALLEST) - 1.0
+    size = np.where(steps < 0.0, 0.0, 2.0 ** (-steps / STEPS))
+    return np.where(np.arange(256) & NEGATIVE, -size, size).astype(np.float32)
+
+
+LIGHT_OF = _light_table()
 
 
 def noise_codes(noise: np.ndarray, scale: float) -> np.ndarray:

@@ -10,6 +10,7 @@ from isogi_core.bake.maps import Maps, Run, serially
 from isogi_core.kernels.bricks import Bricks
 from isogi_core.kernels.field import Field
 from isogi_core.kernels.lattice import CHUNK, Lattice
+from isogi_core.kernels.lit import Surroundings
 from isogi_core.kernels.macrocells import fill_macrocells, macrocell_shape
 from isogi_core.model.scene import Scene
 from isogi_core.model.volume import Volume
@@ -71,8 +72,15 @@ class Recipe:
 
         Of order AROUND, and 1 for constant light.
         """
+        environment, lamps = self.scene.environment, self.scene.lamps
+        order = AROUND if lamps.any or environment.image.any() else 1
+        return project_environment(environment, order) + lamps.approximate(order, self.scene.volume.centre)
+
+    def surroundings(self, matrix: np.ndarray) -> Surroundings:
+        """All light as it is, for paths that meet it; the environment turned by ``matrix`` (3, 3)."""
         environment = self.scene.environment
-        return project_environment(environment, AROUND if environment.image.any() else 1)
+        arrays = self.scene.lamps.arrays
+        return Surroundings(environment.constant, environment.image, matrix, environment.table, arrays)
 
 
 def make_field(volume: Volume) -> Field:

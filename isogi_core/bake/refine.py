@@ -15,7 +15,9 @@ from isogi_core.bake.noise import blend_noise, finished, next_part, noise_of_hal
 from isogi_core.bake.precision import VOID, next_rung, noise_codes, noise_of, round_light
 from isogi_core.bake.recipe import Recipe
 from isogi_core.kernels.bricks import Bricks
+from isogi_core.kernels.irradiance import bake_irradiance
 from isogi_core.kernels.transfer import bake_texels, locate_texels
+from isogi_core.model.plan import Layer
 
 GROUPS = 32
 """Groups of isovalues over the volume's range; one map of its cells serves the texels of one group."""
@@ -58,7 +60,7 @@ def climb(part: Part, rows: np.ndarray, texels: np.ndarray, look: Look) -> None:
     samples = int(part.samples[rows[0]])
     total = next_rung(samples)
     place, void = locate(texels[rows], look.recipe)
-    halves = sample(part, place, void, look, samples, total - samples)
+    halves = sample(part.layer, place, void, look, samples, total - samples)
     added = halves.sum(axis=1)[:, :, : part.layer.order**2]
     noise = noise_of_halves(halves, total - samples, part.layer.order)
     noise = blend_noise(part.noise[rows], samples, noise)
@@ -76,14 +78,28 @@ def locate(texels: np.ndarray, recipe: Recipe) -> tuple[Place, np.ndarray]:
     return place, void
 
 
-def sample(part: Part, place: Place, void: np.ndarray, look: Look, samples: int, count: int) -> np.ndarray:
-    """Sums over ``count`` further samples, half of them each; (m, 2, channels, N²) float64, N >= NOISE_ORDER."""
-    order = max(part.layer.order, NOISE_ORDER)
-    sums = np.zeros((len(void), 2, part.layer.channels, order**2))
+def sample(layer: Layer, place: Place, void: np.ndarray, look: Look, samples: int, count: int) -> np.ndarray:
+    """Sums over ``count`` further samples, half of them each; (m, 2, channels, N²) float64, N² >= n²."""
+    light = sample_irradiance if layer.kind == "irradiance" else sample_transfer
+    return light(layer, place, void, look, (samples // 2, count // 2))
+
+
+def sample_transfer(layer: Layer, place: Place, void: np.ndarray, look: Look, paths: tuple[int, int]) -> np.ndarray:
+    """``sample`` by harmonics of the ways that paths leave; ``paths`` are the first of each half, and how many."""
+    order, shares = max(layer.order, NOISE_ORDER), look.shares(layer)
+    sums = np.zeros((len(void), 2, layer.channels, order**2))
     for bricks, rows in by_isovalue(place[3], void, look.recipe):
-        paths = (rows, samples // 2, count // 2, look.shares(part.layer), order)
-        bake_texels(look.recipe.field, bricks, place, *paths, sums)
+        bake_texels(look.recipe.field, bricks, place, rows, *paths, shares, order, sums)
     return sums
+
+
+def sample_irradiance(layer: Layer, place: Place, void: np.ndarray, look: Look, paths: tuple[int, int]) -> np.ndarray:
+    """``sample`` of the light that paths meet; where one channel is kept, all three are alike."""
+    sums, surroundings = np.zeros((len(void), 2, 3)), look.recipe.surroundings(np.eye(3))
+    weights = np.broadcast_to(look.weights(layer), (look.plan.bounces + 1, 3)).copy()
+    for bricks, rows in by_isovalue(place[3], void, look.recipe):
+        bake_irradiance(look.recipe.field, bricks, place, rows, *paths, weights, surroundings, sums)
+    return sums[:, :, : layer.channels, None]
 
 
 def by_isovalue(isovalues: np.ndarray, void: np.ndarray, recipe: Recipe) -> Iterator[tuple[Bricks, np.ndarray]]:

@@ -6,6 +6,7 @@ the same. A larger layer serves in place of a smaller one; a smaller one is show
 
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 from isogi_core.bake.recipe import Recipe
@@ -37,10 +38,11 @@ def former(layer: Layer, recipe: Recipe, root: str | Path) -> LayerStore | None:
 def larger(layer: Layer) -> Iterator[Layer]:
     """Layers that hold all that ``layer`` holds, and more."""
     orders = range(layer.order, MAX_ORDER + 1) if layer.kind in ("direct", "indirect") else (layer.order,)
-    for order in orders:
-        for half in {layer.half, False}:
-            if (order, half) != (layer.order, layer.half):
-                yield replace(layer, order=order, half=half)
+    precisions = {(layer.half, layer.coarse), (layer.half, None), (False, None)}
+    for order, (half, coarse) in product(orders, precisions):
+        kin = replace(layer, order=order, half=half, coarse=coarse)
+        if kin != layer:
+            yield kin
 
 
 def smaller(layer: Layer) -> Iterator[Layer]:

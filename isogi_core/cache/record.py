@@ -7,7 +7,7 @@ attributes name gives the planes.
 import numpy as np
 
 from isogi_core.bake.light import Part
-from isogi_core.bake.precision import noise_codes, noise_of, rung_codes, samples_of
+from isogi_core.bake.precision import light_codes, light_of, noise_codes, noise_of, rung_codes, samples_of
 from isogi_core.bake.recipe import Index
 from isogi_core.kernels.lattice import CHUNK
 from isogi_core.model.plan import Layer
@@ -20,8 +20,8 @@ def record_type(layer: Layer) -> np.dtype[np.void]:
     """The NumPy type of a chunk's record, packed.
 
     ``bake`` is the layer's digest and ``index`` (z, y, x) the chunk's place; ``scale`` what the numbers in
-    ``light`` (channels, n², texels) are multiples of; ``rung`` and ``noise`` (texels, z slowest) are codes: see
-    ``bake.precision``.
+    ``light`` (channels, coefficients, texels) are multiples of, and those in ``high``, the coefficients of the
+    higher bands as bytes; ``high``, ``rung`` and ``noise`` are codes: see ``bake.precision``. Of texels z is slowest.
     """
     return np.dtype(
         [
@@ -30,7 +30,8 @@ def record_type(layer: Layer) -> np.dtype[np.void]:
             ("scale", "<f4"),
             ("rung", "u1", (TEXELS,)),
             ("noise", "u1", (layer.noises, TEXELS)),
-            ("light", "<f2" if layer.half else "<f4", (layer.channels, layer.order**2, TEXELS)),
+            ("light", "<f2" if layer.half else "<f4", (layer.channels, layer.floats, TEXELS)),
+            ("high", "u1", (layer.channels, layer.order**2 - layer.floats, TEXELS)),
         ]
     )
 
@@ -44,7 +45,9 @@ def pack(part: Part, offsets: np.ndarray, bake: str, index: Index) -> np.ndarray
     rows = part.rows(lit)
     record["rung"][offsets[lit]] = rung_codes(rows.samples)
     record["noise"][:, offsets[lit]] = noise_codes(rows.noise, layer.scale).T
-    record["light"][:, :, offsets[lit]] = np.moveaxis(rows.coefficients / np.float32(layer.scale), 0, -1)
+    light = np.moveaxis(rows.coefficients / np.float32(layer.scale), 0, -1)
+    record["light"][:, :, offsets[lit]] = light[:, : layer.floats]
+    record["high"][:, :, offsets[lit]] = light_codes(light[:, layer.floats :])
     return record.reshape(1).view(np.uint8)
 
 
@@ -54,6 +57,7 @@ def unpack(data: np.ndarray, layer: Layer, bake: str, index: Index) -> tuple[np.
     if record["bake"] != bake.encode() or record["index"].tolist() != list(index):
         return None
     offsets = np.flatnonzero(record["rung"]).astype(np.int32)
-    light = np.moveaxis(record["light"][:, :, offsets], -1, 0).astype(np.float32) * record["scale"]
+    planes = record["light"][:, :, offsets].astype(np.float32), light_of(record["high"][:, :, offsets])
+    light = np.moveaxis(np.concatenate(planes, axis=1), -1, 0) * record["scale"]
     noise = noise_of(record["noise"][:, offsets].T, float(record["scale"]))
     return offsets, Part(layer, samples_of(record["rung"][offsets]), noise, np.ascontiguousarray(light))

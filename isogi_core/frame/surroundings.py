@@ -63,8 +63,7 @@ class Turned:
     @cached_property
     def surroundings(self) -> Surroundings:
         """All light as it is, for the path tracer."""
-        environment, lamps = self.look.recipe.scene.environment, self.look.recipe.scene.lamps
-        return Surroundings(environment.constant, environment.image, self.matrix, environment.table, lamps.arrays)
+        return self.look.recipe.surroundings(self.matrix)
 
     @property
     def mean(self) -> np.ndarray:
@@ -94,12 +93,13 @@ class Turned:
         at most what band 0 holds. Without a direction of its own, a light over the camera's shoulder
         carries six tenths of the mean.
         """
-        directions, irradiances = self.look.recipe.scene.lamps.seen_from(self.look.recipe.scene.volume.centre)
+        scene = self.look.recipe.scene
+        directions, irradiances = scene.lamps.seen_from(scene.volume.centre)
         strengths = irradiances @ LUMINANCE
         if strengths.any():
             best = int(strengths.argmax())
             rest = (irradiances.sum(axis=0) - irradiances[best]) / (4.0 * math.pi)
-            return triple(directions[best]), irradiances[best] / math.pi, self.mean + rest
+            return triple(directions[best]), irradiances[best] / math.pi, scene.environment.mean() + rest
         first = np.array([self.around[:, i] if i < self.around.shape[1] else np.zeros(3) for i in (3, 1, 2)])
         pull = first @ LUMINANCE
         strength = float(np.linalg.norm(pull)) * math.sqrt(4.0 * math.pi / 3.0)

@@ -20,19 +20,26 @@ class Layer:
 
     ``kind`` is "direct" (light that arrives unreflected), "indirect" (reflected light), "whole" (both), or
     "irradiance" (both, under the scene's own lights). ``order``² coefficients for each of the ``channels``, as half
-    floats where ``half``; what they are multiples of, ``scale``, is a power of two.
+    floats where ``half``, and from band ``coarse`` on, if told, as bytes; what they are multiples of, ``scale``, is a
+    power of two.
     """
 
     kind: str
     order: int = 1
     channels: int = 1
     half: bool = True
+    coarse: int | None = None
     scale: float = 1.0
 
     @property
     def coefficients(self) -> int:
         """Numbers that a texel keeps for all channels."""
         return self.channels * self.order**2
+
+    @property
+    def floats(self) -> int:
+        """Coefficients of a channel that are kept as floats; the others follow them, as bytes."""
+        return self.order**2 if self.coarse is None else min(self.coarse, self.order) ** 2
 
     @property
     def noises(self) -> int:
@@ -42,7 +49,8 @@ class Layer:
     @property
     def bytes_per_texel(self) -> int:
         """Bytes of a texel: coefficients, a byte for each noise, and one for the samples taken."""
-        return (2 if self.half else 4) * self.coefficients + self.noises + 1
+        fine = self.channels * self.floats
+        return (2 if self.half else 4) * fine + self.coefficients - fine + self.noises + 1
 
     @property
     def precision(self) -> str:
@@ -77,24 +85,20 @@ class LeftOut:
 class ScenePlan:
     """What is baked for a scene, and how it is lit with it.
 
-    ``bounces`` counts surface hits after the first; ``window`` holds a factor for each band of the light;
+    ``order`` is that of the light which texels are put under, 1 where they keep no harmonics; a layer may have more.
+    ``bounces`` counts surface hits after the first;
     ``samples`` are the most that a texel takes; ``errors`` names relative errors that the plan expects, by
     what is cut off; ``notes`` are sentences on those that stay above the target.
     """
 
     representation: str
     layers: tuple[Layer, ...]
+    order: int
     bounces: int
-    window: tuple[float, ...]
     samples: int
     errors: tuple[tuple[str, float], ...] = ()
     notes: tuple[str, ...] = ()
     left_out: tuple[LeftOut, ...] = ()
-
-    @property
-    def order(self) -> int:
-        """The harmonics' order: the highest of any layer."""
-        return max(layer.order for layer in self.layers)
 
     @property
     def channels(self) -> int:

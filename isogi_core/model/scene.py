@@ -113,7 +113,7 @@ class Scene:
     def digest(self) -> str:
         """Hex name of everything that a frame of this scene depends on besides its view."""
         lights = [self.environment.digest, self.lamps.digest]
-        return digest_of([self.bake_digest, *lights, self.albedo, self.plan.window, self.target_error])
+        return digest_of([self.bake_digest, *lights, self.albedo, self.plan.order, self.target_error])
 
     def camera(self, azimuth: float, elevation: float, distance: float, fov: float) -> Camera:
         """Camera around the middle of the volume's box; degrees, and distance in its bounding radii."""
@@ -174,7 +174,7 @@ def told_by(settings: Settings) -> Told:
         order=settings.count("order", MAX_ORDER, 1),
         indirect_order=settings.count("indirect_order", MAX_ORDER, 1),
         bounces=settings.count("bounces", 1000),
-        precision=settings.choice("precision", ("half", "single")),
+        precision=settings.choice("precision", ("bytes", "half", "single")),
     )
 
 

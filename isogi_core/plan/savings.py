@@ -103,7 +103,7 @@ def unreflected(plan: ScenePlan, needs: Needs) -> Iterator[Saving]:
 def halves(plan: ScenePlan, needs: Needs) -> Iterator[LeftOut]:
     """The second half of each float."""
     if plan.half:
-        error = rounding_error(plan.layers)
+        error = rounding_error(plan.layers, needs)
         why = f"Half floats err by {error:.2%}, beside a target of {needs.target_error:.2%}."
         saved = sum(added(layer, replace(layer, half=False)).amount for layer in plan.layers)
         yield LeftOut("half of each float", why, (Saving(saved, "bytes per texel"),))
