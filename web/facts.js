@@ -26,9 +26,10 @@ function planFacts({ plan, target_error: target }) {
   };
 }
 
-function layerInWords({ order, channels, precision }) {
+function layerInWords({ order, channels, precision, coarse }) {
   const numbers = order > 1 ? `SH order ${order}` : "one number";
-  return `${numbers}${channels > 1 ? `, ${channels} channels` : ""}, ${precision} floats`;
+  const kept = coarse === null ? `${precision} floats` : `half floats, bytes from band ${coarse} on`;
+  return `${numbers}${channels > 1 ? ` in ${channels} channels` : ""}, ${kept}`;
 }
 
 function volumeFacts({ volume, lights, albedo }) {

@@ -16,7 +16,7 @@ from isogi_core.plan.budget import (
     tail_of_bounces,
 )
 from isogi_core.plan.needs import Needs, Told
-from isogi_core.plan.refusals import refuse_idle
+from isogi_core.plan.refusals import refuse_idle, refuse_no_bytes
 from isogi_core.plan.savings import left_out
 
 DIRECTED = 2
@@ -97,7 +97,7 @@ def rounded(layers: tuple[Layer, ...], needs: Needs, told: Told) -> tuple[Layer,
     if told.precision is None:
         return next(kept for kept in precisions(layers) if fits(kept, needs))
     if told.precision == "bytes":
-        return next(kept for kept in precisions(layers) if all(layer.coarse for layer in kept))
+        return refuse_no_bytes(next(precisions(layers)))
     return tuple(replace(layer, half=told.precision == "half") for layer in layers)
 
 
