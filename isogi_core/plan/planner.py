@@ -81,7 +81,7 @@ def indirect_order(needs: Needs, direct: int) -> int:
     within = error < target
     allowed = math.sqrt(target**2 - error**2) if within else error / 2.0
     order, _ = choose_order(needs.energy, allowed, "indirect", direct, max(needs.albedo))
-    return order if within else max(order, DIRECTED)
+    return order if within else min(max(order, DIRECTED), direct)
 
 
 def unit_of(needs: Needs) -> float:
