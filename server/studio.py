@@ -13,10 +13,10 @@ from isogi_core.bake.look import LOOKS, look_for, look_name
 from isogi_core.bake.maps import STEP
 from isogi_core.bake.recipe import Index, Recipe
 from isogi_core.cache.caches import Caches
-from isogi_core.cache.store import default_store
+from isogi_core.cache.store import ChunkStore, default_store
 from isogi_core.errors import IsogiError
 from isogi_core.frame.frame import Frame
-from isogi_core.frame.kernels import FRAME
+from isogi_core.frame.kernels import frame_kernels
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels._folder import prune
@@ -77,7 +77,7 @@ class Studio:
         Raises StoreError.
         """
         self.hire()
-        warm(FRAME, self._stopped)
+        warm(frame_kernels(self.scenes.values()), self._stopped)
         if self._stopped.is_set():
             return
         for scene in self.scenes.values():
@@ -151,7 +151,8 @@ class Studio:
     def _open(self, scene: Scene) -> Stage:
         recipe = Recipe(scene, self._tiles.run)
         caches = Caches(recipe, self.store, self._memory)
-        recipe.field, recipe.maps, caches.of("gi")
+        recipe.field, recipe.maps  # noqa: B018 (worked out now, not in the first frame)
+        ChunkStore(self.store, look_for(recipe, "gi")).open()
         lowest, highest = sorted(map(scene.volume.normalise_isovalue, scene.isovalues))
         foresight = Foresight(lambda v, cancelled: recipe.bricks(v, v, cancelled), STEP, (lowest, highest))
         for look in LOOKS:
@@ -164,7 +165,8 @@ class Studio:
         try:
             from worker.pool import WorkerPool  # noqa: PLC0415 (a fifth of a second, beside other work)
 
-            self._pool = WorkerPool(self._workers, self._scheduler)
+            kinds = {layer.kind for scene in self.scenes.values() for layer in scene.plan.layers}
+            self._pool = WorkerPool(self._workers, self._scheduler, kinds)
             self._baker.employ(self._pool)
         except IsogiError as error:
             self._trouble = error

@@ -21,7 +21,7 @@ log = logging.getLogger("isogi.worker")
 
 @dataclass(frozen=True, eq=False)
 class Bake:
-    """A ``look`` of the scene in ``source``, the ``digest`` of its light, its ``store``, and who hears of new chunks."""
+    """A ``look`` of the scene in ``source``, the ``digest`` and the ``store`` of its light, and who hears of it."""
 
     source: SceneSource
     look: str

@@ -2,6 +2,7 @@
 
 import asyncio
 import time
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -14,13 +15,16 @@ from isogi_core.bake.recipe import Index, Recipe
 from isogi_core.bake.refine import next_samples, refine
 from isogi_core.cache.store import ChunkStore
 from isogi_core.errors import SceneError
-from isogi_core.kernels._jit import Entry
 from isogi_core.kernels.transfer import bake_texels, locate_texels
+from isogi_core.kernels.warm import entries_of, load
 from isogi_core.model.scene import build_scene
 from isogi_core.model.source import SceneSource
 
-BAKE = (bake_texels, locate_texels)
-"""The entry kernels that baking takes besides those that open a scene."""
+PATHS = {"direct": bake_texels, "indirect": bake_texels, "whole": bake_texels}
+"""The entry kernel that bakes layers of a kind."""
+
+KINDS = tuple(PATHS)
+"""The kinds of layers that can be baked."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,21 +92,24 @@ def bake(task: BakeTask) -> BakeResult:
     return BakeResult(len(waiting), fewest, time.perf_counter() - begun)
 
 
-def kernels_missing() -> bool:
-    """Whether the kernels of the bake are yet to be compiled on this machine."""
-    return any(isinstance(kernel, Entry) and not kernel.stored for kernel in BAKE)
+def bake_kernels(kinds: Iterable[str]) -> tuple[Any, ...]:
+    """The entry kernels that baking layers of these ``kinds`` takes, besides those that open a scene."""
+    return (*{PATHS[kind] for kind in kinds if kind in PATHS}, locate_texels)
 
 
-def load_kernels() -> None:
-    """Compile or load the kernels of the bake, before there is anything to bake."""
-    for kernel in BAKE:
-        if isinstance(kernel, Entry):
-            kernel.ready  # noqa: B018
+def kernels_missing(kinds: Iterable[str]) -> bool:
+    """Whether kernels that bake layers of these ``kinds`` are yet to be compiled on this machine."""
+    return any(not entry.stored for entry in entries_of(bake_kernels(kinds)))
+
+
+def load_kernels(kinds: Iterable[str]) -> None:
+    """Compile or load the kernels that bake layers of these ``kinds``, before there is anything to bake."""
+    load(bake_kernels(kinds))
 
 
 async def dask_setup(worker: Any) -> None:
-    """Have a ``worker`` started with ``--preload worker.tasks`` load the kernels of the bake, and then come."""
-    await asyncio.to_thread(load_kernels)
+    """Have a ``worker`` started with ``--preload worker.tasks`` load the kernels of all bakes, and then come."""
+    await asyncio.to_thread(load_kernels, KINDS)
 
 
 def next_goal(fewest: int) -> int:

@@ -135,11 +135,12 @@ class LayerStore:
         body, checksum = stored[:-CRC_BYTES], stored[-CRC_BYTES:]
         if len(stored) <= CRC_BYTES or google_crc32c.value(body).to_bytes(CRC_BYTES, "little") != checksum:
             raise self._damaged(index, "its checksum is wrong")
-        record = np.empty(self.size, np.uint8)
         try:
-            Zstd().decode(body, out=record)
+            record = np.frombuffer(Zstd().decode(body), np.uint8)
         except (RuntimeError, ValueError) as error:
             raise self._damaged(index, "it does not unpack") from error
+        if len(record) != self.size:
+            raise self._damaged(index, "it does not unpack to a record")
         found = unpack(record, self.layer, self.digest, index)
         if found is None:
             raise self._damaged(index, "it was baked for another place")

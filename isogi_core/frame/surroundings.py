@@ -113,7 +113,7 @@ class Turned:
 
 def turn(light: np.ndarray, matrix: np.ndarray) -> np.ndarray:
     """Coefficients (3, n²) of a light turned by ``matrix`` (3, 3), always from the unturned one."""
-    if light.shape[1] == 1:
+    if light.shape[1] == 1 or np.array_equal(matrix, np.eye(3)):
         return light
     turned = np.empty_like(light)
     rotate(math.isqrt(light.shape[1]), matrix, light, turned)

@@ -62,7 +62,7 @@ class Environment:
         """Where to draw rays from: see ``cumulative``. Two empty arrays where the environment is not ``sharp``.
 
         Only what is brighter than the mean is drawn; the rest is left to the rays that the surface draws.
-        Source: Karlík et al., "MIS Compensation", SIGGRAPH Asia 2019, section 5.1.
+        Source: Karlík et al., "MIS Compensation", ACM Transactions on Graphics 38(6), 2019.
         """
         if not self.sharp:
             return np.zeros(0), np.zeros((0, 0))

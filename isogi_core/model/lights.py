@@ -1,12 +1,10 @@
 """Lights that a scene may name: a constant, an analytic sky and a probe around it, and lamps, which stay in place."""
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import MISSING, dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-from isogi_core.errors import LightError, SceneError
+from isogi_core.errors import LightError
 
 Colour = tuple[float, float, float]
 Vector = tuple[float, float, float]
@@ -143,64 +141,9 @@ Lamp = DirectionalLight | PointLight | AreaLight
 Light = ConstantLight | SkyLight | ProbeLight | Lamp
 
 
-def light_from_mapping(mapping: Mapping[str, Any], base: Path) -> Light:
-    """The light that one ``[[lights]]`` table of a scene describes; its files are relative to ``base``.
-
-    Raises SceneError where the type or a key is unknown, missing or of the wrong kind, and LightError where
-    a value has no meaning.
-    """
-    kind = mapping.get("type")
-    if not isinstance(kind, str) or kind not in _KINDS:
-        raise SceneError(f"A light has type {kind!r}: choose one of {', '.join(_KINDS)}.")
-    light, readers = _KINDS[kind]
-    unknown = [key for key in mapping if key not in readers and key != "type"]
-    if unknown:
-        raise SceneError(f"A {kind} light has no '{unknown[0]}': choose from {', '.join(readers)}.")
-    missing = [f.name for f in fields(light) if f.default is MISSING and f.name not in mapping]
-    if missing:
-        raise SceneError(f"A {kind} light lacks its '{missing[0]}': add it to the scene.")
-    given = {key: read(key, mapping[key]) for key, read in readers.items() if key in mapping}
-    if "file" in given:
-        given["file"] = base / given["file"]
-    return light(**given)
-
-
-def _number(key: str, value: object) -> float:
-    """A TOML integer or float; SceneError for anything else."""
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise SceneError(f"A light's {key} is {value!r}: give a number.")
-    return float(value)
-
-
-def _colour(key: str, value: object) -> Colour:
-    """A number for all three channels, or ``[r, g, b]``."""
-    if not isinstance(value, list):
-        grey = _number(key, value)
-        return grey, grey, grey
-    if len(value) != 3:
-        raise SceneError(f"A light's {key} is {value!r}: give a number or [r, g, b].")
-    r, g, b = (_number(key, channel) for channel in value)
-    return r, g, b
-
-
-def _vector(key: str, value: object) -> Vector:
-    """``[x, y, z]``."""
-    if not isinstance(value, list) or len(value) != 3:
-        raise SceneError(f"A light's {key} is {value!r}: give [x, y, z].")
-    x, y, z = (_number(key, component) for component in value)
-    return x, y, z
-
-
 def _cross(a: Vector, b: Vector) -> Vector:
     """The vector product a × b."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
-
-
-def _path(key: str, value: object) -> Path:
-    """A file name that is not empty."""
-    if not isinstance(value, str) or not value:
-        raise SceneError(f"A light's {key} is {value!r}: give the name of a file.")
-    return Path(value)
 
 
 def _check_range(name: str, values: tuple[float, ...], low: float = 0.0, high: float = math.inf) -> None:
@@ -210,25 +153,3 @@ def _check_range(name: str, values: tuple[float, ...], low: float = 0.0, high: f
         least = f"finite and at least {low:g}" if math.isfinite(low) else "finite"
         wanted = f"from {low:g} to {high:g}" if math.isfinite(high) else least
         raise LightError(f"A light's {name} is {given}: it must be {wanted}.")
-
-
-_KINDS: dict[str, tuple[type[Light], dict[str, Callable[[str, object], Any]]]] = {
-    "constant": (ConstantLight, {"radiance": _colour}),
-    "sky": (
-        SkyLight,
-        {
-            "sun_azimuth": _number,
-            "sun_elevation": _number,
-            "turbidity": _number,
-            "ground": _colour,
-            "scale": _number,
-        },
-    ),
-    "probe": (ProbeLight, {"file": _path, "scale": _number}),
-    "directional": (
-        DirectionalLight,
-        {"azimuth": _number, "elevation": _number, "irradiance": _colour, "angle": _number},
-    ),
-    "point": (PointLight, {"position": _vector, "intensity": _colour}),
-    "area": (AreaLight, {"corner": _vector, "u": _vector, "v": _vector, "radiance": _colour}),
-}

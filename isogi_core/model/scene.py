@@ -17,7 +17,8 @@ from isogi_core.kernels.lattice import CHUNK
 from isogi_core.model.demo import DEMOS, demo_volume
 from isogi_core.model.environment import Environment, environment
 from isogi_core.model.lamps import Lamps, gather_lamps
-from isogi_core.model.lights import Light, light_from_mapping
+from isogi_core.model.light_tables import light_from_mapping
+from isogi_core.model.lights import Light
 from isogi_core.model.plan import REPRESENTATIONS, Layer, LeftOut, ScenePlan
 from isogi_core.model.settings import Settings
 from isogi_core.model.source import DEFAULT_DEMO, SceneSource, find_source

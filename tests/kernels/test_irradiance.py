@@ -11,7 +11,7 @@ from isogi_core.kernels.integrator import OFFSET
 from isogi_core.kernels.irradiance import bake_irradiance
 from isogi_core.kernels.lamps import DIRECTIONAL, POINT
 from isogi_core.kernels.transfer import bake_texels, locate_texels
-from tests.kernels.test_lit import BALL, LIGHTS, PLANE, lamps, surroundings
+from tests.kernels.test_lit import BALL, COMPILED, LIGHTS, PLANE, lamps, surroundings
 from tests.kernels.test_macrocells import field_of
 
 Z, Y, X = np.mgrid[:41, :41, :41] - 20.0
@@ -85,6 +85,7 @@ def test_a_ball_under_lamps():
     np.testing.assert_allclose(found[clear], expected[clear], atol=0.03)
 
 
+@COMPILED
 def test_bounces_add_what_the_weights_say(texels):
     """Weights of vertices are taken as they are: the sum over single vertices is the whole."""
     light = LIGHTS["all"]

@@ -86,6 +86,23 @@ def test_an_area_adds_up_to_the_integral_over_it():
     np.testing.assert_allclose(light.mean(axis=0), facing.mean() * COLOUR, atol=4.0 * noise)
 
 
+def test_lamps_far_away_or_small_are_one_another():
+    """A point at distance D of intensity E D² is a directional lamp; a small area L A facing the point is a point."""
+    d, p = np.array([0.36, 0.48, 0.8]), (3.0, -2.0, 1.0)
+    _, _, sun = illuminated(lamp(DIRECTIONAL, d), p, count=1)
+    for far in (1e6, 1e30, 1e140):
+        point = lamp(POINT, far * d)
+        _, distances, light = illuminated(point._replace(colours=point.colours * far**2), p, count=1)
+        np.testing.assert_allclose(light, sun, rtol=1e-5)
+        np.testing.assert_allclose(distances, far, rtol=1e-5)
+    for size in (1e-3, 1e-12):
+        edges = size * np.array([(0.0, 0.6, -0.36), (0.8, 0.0, -0.36)])
+        area = abs(np.cross(*edges) @ d)
+        _, _, point = illuminated(lamp(POINT, p + 5.0 * d), p, count=1)
+        both = [illuminated(lamp(AREA, p + 5.0 * d, e), p, count=9)[2] for e in (edges, edges[::-1])]
+        np.testing.assert_allclose(sum(both), area * np.repeat(point, 9, axis=0), rtol=1e-3)
+
+
 def test_harmonics_of_lamps_are_those_of_their_directions():
     d = np.array([(0.0, 0.0, 1.0), (0.36, -0.48, 0.8)])
     irradiances, found, basis = np.array([COLOUR, (0.5, 0.0, 4.0)]), np.ones((3, 25)), np.empty((2, 25))

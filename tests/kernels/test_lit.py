@@ -132,7 +132,7 @@ LIGHTS = {
 @pytest.mark.parametrize("name", LIGHTS)
 @pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), (0.5, 1.0, 2.0)])
 def test_waves_gather_what_paths_one_by_one_do(name, spacing):
-    starts, count = (5, 2) if config.DISABLE_JIT else (300, 20)
+    starts, count = (20, 2) if config.DISABLE_JIT else (300, 20)
     points, normals = on_ball(starts)
     weights = np.array([0.9, 0.7, 0.5]) ** np.arange(5.0)[:, None]
     light, field = LIGHTS[name], field_of(NOISY, spacing)
@@ -142,7 +142,7 @@ def test_waves_gather_what_paths_one_by_one_do(name, spacing):
     found = gather(NOISY, points, normals, light, weights, count, 3, seeds, spacing)
     expected = expected.T.reshape(count, starts, 3).swapaxes(0, 1)
     np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-14)
-    assert (found > 0.0).mean() > 0.3
+    assert (found > 0.0).mean() > 0.2
 
 
 def test_a_path_gathers_the_same_bits_in_any_company():
@@ -220,7 +220,7 @@ def test_a_rectangle_over_its_corner_has_its_form_factor(a, b, h):
     s, t = math.hypot(a, h), math.hypot(b, h)
     form = (a / s * math.atan(b / s) + b / t * math.atan(a / t)) / (2.0 * math.pi)
     edges = np.array([(0.0, b, 0.0), (a, 0.0, 0.0)])
-    count = 100 if config.DISABLE_JIT else 4096
+    count = 1000 if config.DISABLE_JIT else 4096
     for turned in (False, True):
         light = surroundings(lamps=lamps((AREA, corner, edges[::-1] if turned else edges, np.ones(3) / math.pi)))
         found = gather(PLANE, MIDDLE, UP, light, np.ones((1, 3)), count).mean(axis=1)

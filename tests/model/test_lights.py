@@ -18,6 +18,7 @@ from isogi_core.model.environment import (
     resample,
     solid_angles,
 )
+from isogi_core.model.light_tables import light_from_mapping
 from isogi_core.model.lights import (
     AreaLight,
     ConstantLight,
@@ -25,7 +26,6 @@ from isogi_core.model.lights import (
     PointLight,
     ProbeLight,
     SkyLight,
-    light_from_mapping,
 )
 from isogi_core.model.sky import LUMINANCE, SUN_ILLUMINANCE, sky_image, sun_direction
 

@@ -44,7 +44,7 @@ class Bench:
         self.now = 0.0
         self.arrived: list[Index] = []
         self.baker = Baker(lambda: self.now)
-        self.baker.add("scene", Bake(SOURCE, "digest", "store", self.arrived.append))
+        self.baker.add("scene", Bake(SOURCE, "gi", "digest", "store", self.arrived.append))
 
     def want(self, *chunks: int, scene: str = "scene") -> bool:
         texels = np.array([1, 2], np.int32)
@@ -70,7 +70,7 @@ def test_a_task_holds_all_that_a_worker_must_know(bench: Bench) -> None:
     pool = bench.employ(1)
     bench.want(3)
     task = pool.flying[0][0]
-    assert (task.source, task.digest, task.store) == (SOURCE, "digest", "store")
+    assert (task.source, task.look, task.digest, task.store) == (SOURCE, "gi", "digest", "store")
     assert (task.index, task.offsets.tolist(), task.until, task.target) == ((0, 0, 3), [1, 2], 16, 0.1)
 
 
@@ -97,7 +97,7 @@ def test_each_chunk_is_told_as_it_arrives_and_taken_on_until_final(bench: Bench)
 
 def test_scenes_share_the_workers(bench: Bench) -> None:
     others: list[Index] = []
-    bench.baker.add("other", Bake(SOURCE, "other digest", "store", others.append))
+    bench.baker.add("other", Bake(SOURCE, "gi", "other digest", "store", others.append))
     pool = bench.employ(4)
     bench.want(1)
     bench.want(1, scene="other")
