@@ -41,24 +41,22 @@ def bands(plan: ScenePlan, needs: Needs) -> Iterator[LeftOut]:
     """Bands of direct light that S1 keeps, and bands of reflected light that direct light keeps."""
     if plan.representation != "transfer":
         return
-    direct = plan.layers[0]
+    direct, *reflected = plan.layers
     if direct.order < BANDS:
         error = truncation_error(needs.energy, direct.order, "direct")
-        yield cut(direct, BANDS, f"The light has little in them: without them the lit surface errs by {error:.2%}.")
-    for layer in plan.layers[1:]:
+        yield cut(direct, BANDS, error, needs)
+    for layer in reflected:
         if layer.order < direct.order:
             error = truncation_error(needs.energy, layer.order, "indirect", max(needs.albedo))
-            yield cut(
-                layer, direct.order, f"Reflected light is soft: without them the lit surface errs by {error:.2%}."
-            )
+            yield cut(layer, direct.order, error, needs)
 
 
-def cut(layer: Layer, order: int, why: str) -> LeftOut:
-    """The bands of a layer below ``order`` that it does not keep."""
+def cut(layer: Layer, order: int, error: float, needs: Needs) -> LeftOut:
+    """The bands of a layer below ``order`` that it does not keep, and the relative ``error`` that is expected of it."""
+    names = f"bands {layer.order} to {order - 1}" if layer.order < order - 1 else f"band {layer.order}"
     kind = "reflected" if layer.kind == "indirect" else "direct"
-    return LeftOut(
-        f"bands {layer.order} to {order - 1} of {kind} light", why, (added(layer, replace(layer, order=order)),)
-    )
+    why = f"Without them the lit surface errs by {error:.2%}, beside a target of {needs.target_error:.2%}."
+    return LeftOut(f"{names} of {kind} light", why, (added(layer, replace(layer, order=order)),))
 
 
 def channels(plan: ScenePlan, _: Needs) -> Iterator[LeftOut]:

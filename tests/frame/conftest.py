@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from isogi_core.bake.recipe import Recipe
 from isogi_core.bake.precision import FIRST_RUNG
+from isogi_core.bake.recipe import Recipe
 from isogi_core.bake.refine import refine
 from isogi_core.cache.loader import Loader
 from isogi_core.cache.pages import PagePool

@@ -100,8 +100,8 @@ def test_what_channels_save_is_what_the_coloured_scene_takes_more() -> None:
 
 def test_bands_are_left_out_of_soft_light_alone() -> None:
     soft, sharp = plan_of([SKY], target=0.4), plan_of([SKY])
-    assert any("of direct light" in what and what.startswith("bands") for what in found(soft))
-    assert not any("of direct light" in what and what.startswith("bands") for what in found(sharp))
+    assert any("of direct light" in what and what.startswith("band") for what in found(soft))
+    assert not any("of direct light" in what and what.startswith("band") for what in found(sharp))
     order = soft.layers[0].order
     told = plan_of([SKY], Told(order=5, indirect_order=soft.indirect_order, precision="half"))
     lean = plan_of([SKY], Told(order=order, indirect_order=soft.indirect_order, precision="half"))
@@ -113,7 +113,7 @@ def test_bands_of_reflected_light_are_counted_up_to_those_of_direct_light() -> N
     plans = [plan_of([SKY], Told(order=5, indirect_order=n, precision="half")) for n in (2, 5)]
     (saved,) = found(plans[0])["bands 2 to 4 of reflected light"].saves
     assert saved.amount == bytes_of(plans[1].layers) - bytes_of(plans[0].layers) == 42
-    assert not any(what.endswith("of reflected light") and "bands" in what for what in found(plans[1]))
+    assert not any(what.endswith("of reflected light") and "band" in what for what in found(plans[1]))
 
 
 def test_precision_is_left_out_where_it_is_not_kept() -> None:
