@@ -7,6 +7,8 @@ from dataclasses import asdict
 import numpy as np
 import pytest
 
+from isogi_core.bake.recipe import Recipe
+from isogi_core.cache.layer import facts_of
 from isogi_core.cache.record import record_type
 from isogi_core.kernels.lattice import CHUNK
 from isogi_core.model.lights import ConstantLight, DirectionalLight, Light, SkyLight
@@ -172,3 +174,12 @@ def test_a_scene_leaves_out_what_its_plan_does_and_texels_that_its_isovalues_do_
     assert one.texels.shown < wide.texels.shown <= wide.texels.total == np.prod(wide.lattice_shape)
     (texels, _) = {each.what: each.saves for each in one.left_out}["unseen texels"]
     assert texels.amount == one.texels.total - one.texels.shown
+
+
+def test_a_bake_says_what_plan_it_was_made_by() -> None:
+    scene = load_scene("demo:orbital")
+    for layer in scene.plan.layers:
+        plan = json.loads(json.dumps(facts_of(layer, Recipe(scene)), allow_nan=False))["plan"]
+        assert (plan["representation"], plan["bounces"]) == ("transfer", scene.bounces)
+        assert [kept["kind"] for kept in plan["layers"]] == ["direct", "indirect"]
+        assert [each["what"] for each in plan["left_out"]] == [each.what for each in scene.plan.left_out]
