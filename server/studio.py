@@ -4,12 +4,12 @@ import logging
 import threading
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from isogi_core.bake.look import LOOKS, look_for, look_name
+from isogi_core.bake.look import LOOKS, look_name
 from isogi_core.bake.maps import STEP
 from isogi_core.bake.recipe import Index, Recipe
 from isogi_core.cache.caches import Caches
@@ -80,7 +80,7 @@ class Studio:
         warm(frame_kernels(self.scenes.values()), self._stopped)
         if self._stopped.is_set():
             return
-        for scene in self.scenes.values():
+        for scene in list(self.scenes.values()):
             self._stages[scene.id] = self._open(scene)
         prune(FOLDER)
 
@@ -152,14 +152,21 @@ class Studio:
         recipe = Recipe(scene, self._tiles.run)
         caches = Caches(recipe, self.store, self._memory)
         recipe.field, recipe.maps  # noqa: B018 (worked out now, not in the first frame)
-        ChunkStore(self.store, look_for(recipe, "gi")).open()
+        ChunkStore(self.store, caches.look("gi")).open()
+        self.scenes[scene.id] = replace(scene, plan=caches.look("gi").plan)
         lowest, highest = sorted(map(scene.volume.normalise_isovalue, scene.isovalues))
         foresight = Foresight(lambda v, cancelled: recipe.bricks(v, v, cancelled), STEP, (lowest, highest))
         for look in LOOKS:
-            digest, store = look_for(recipe, look).digest, absolute(self.store)
-            bake = Bake(scene.source, look, digest, store, partial(refresh, caches, look))
-            self._baker.add(bake_name(scene.id, look), bake)
+            self._baker.add(bake_name(scene.id, look), self._bake(caches, look))
         return Stage(scene, Renderer(caches, self._tiles), foresight)
+
+    def _bake(self, caches: Caches, name: str) -> Bake:
+        """The bake of a look, by its name."""
+        look = caches.look(name)
+        scene, plan = look.recipe.scene, replace(look.plan, left_out=(), notes=())
+        layers = frozenset(scene.layer_digest(layer) for layer in plan.layers)
+        arrived = partial(refresh, caches, name)
+        return Bake(scene.source, plan, look.digest, layers, absolute(self.store), arrived)
 
     def _hire(self) -> None:
         try:

@@ -9,18 +9,20 @@ from typing import Any
 
 import numpy as np
 
-from isogi_core.bake.look import Look, look_for
+from isogi_core.bake.look import Look
 from isogi_core.bake.precision import FIRST_RUNG
 from isogi_core.bake.recipe import Index, Recipe
 from isogi_core.bake.refine import next_samples, refine
 from isogi_core.cache.store import ChunkStore
 from isogi_core.errors import SceneError
+from isogi_core.kernels.irradiance import bake_irradiance
 from isogi_core.kernels.transfer import bake_texels, locate_texels
 from isogi_core.kernels.warm import entries_of, load
+from isogi_core.model.plan import ScenePlan
 from isogi_core.model.scene import build_scene
 from isogi_core.model.source import SceneSource
 
-PATHS = {"direct": bake_texels, "indirect": bake_texels, "whole": bake_texels}
+PATHS = {"direct": bake_texels, "indirect": bake_texels, "whole": bake_texels, "irradiance": bake_irradiance}
 """The entry kernel that bakes layers of a kind."""
 
 KINDS = tuple(PATHS)
@@ -31,11 +33,11 @@ KINDS = tuple(PATHS)
 class BakeTask:
     """Bring the texels at ``offsets`` of a chunk to the relative error ``target``, or to ``until`` samples each.
 
-    ``look`` names the look; ``digest`` the light that the server means: the scene's files may have changed since.
+    ``plan`` says what is baked; ``digest`` names the light that the server means: the files may have changed since.
     """
 
     source: SceneSource
-    look: str
+    plan: ScenePlan
     digest: str
     store: str
     index: Index
@@ -60,12 +62,12 @@ def recipe_of(source: SceneSource) -> Recipe:
 
 
 @lru_cache(maxsize=4)
-def opened(source: SceneSource, look: str, digest: str, store: str) -> tuple[Look, ChunkStore]:
+def opened(source: SceneSource, plan: ScenePlan, digest: str, store: str) -> tuple[Look, ChunkStore]:
     """A look and its store, opened once a process; SceneError where the scene's files are not those of ``digest``."""
-    found = look_for(recipe_of(source), look)
+    found = Look(recipe_of(source), plan)
     if found.digest != digest:
         recipe_of.cache_clear()
-        found = look_for(recipe_of(source), look)
+        found = Look(recipe_of(source), plan)
     if found.digest != digest:
         raise SceneError(f"The files of the scene '{source.name}' have changed since the server began: restart it.")
     return found, ChunkStore(store, found)
@@ -78,7 +80,7 @@ def bake(task: BakeTask) -> BakeResult:
     or done again after a kill, leaves the same bytes.
     """
     begun = time.perf_counter()
-    look, store = opened(task.source, task.look, task.digest, task.store)
+    look, store = opened(task.source, task.plan, task.digest, task.store)
     chunk = store.load(task.index).with_texels(task.offsets)
     rows = chunk.rows_of(task.offsets)
     light = chunk.light.rows(rows)
@@ -94,7 +96,7 @@ def bake(task: BakeTask) -> BakeResult:
 
 def bake_kernels(kinds: Iterable[str]) -> tuple[Any, ...]:
     """The entry kernels that baking layers of these ``kinds`` takes, besides those that open a scene."""
-    return (*{PATHS[kind] for kind in kinds if kind in PATHS}, locate_texels)
+    return (*{PATHS[kind] for kind in kinds}, locate_texels)
 
 
 def kernels_missing(kinds: Iterable[str]) -> bool:

@@ -1,10 +1,12 @@
 """The illumination caches of a scene, one for each of its looks, opened when a frame first reads it."""
 
 import threading
+from dataclasses import replace
 from pathlib import Path
 
-from isogi_core.bake.look import look_for, look_name
+from isogi_core.bake.look import Look, look_for, look_name
 from isogi_core.bake.recipe import Recipe
+from isogi_core.cache.kin import adopt
 from isogi_core.cache.loader import Loader
 from isogi_core.cache.pages import PagePool
 from isogi_core.cache.store import ChunkStore
@@ -21,16 +23,25 @@ class Caches:
         self.recipe = recipe
         self.root = root
         self.budget = budget
+        self._looks: dict[str, Look] = {}
         self._open: dict[str, Loader] = {}
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()
+
+    def look(self, shading: str) -> Look:
+        """The look that views of this ``shading`` have, with larger layers where the store has these already."""
+        name = look_name(shading)
+        with self._lock:
+            if name not in self._looks:
+                look = look_for(self.recipe, name)
+                self._looks[name] = replace(look, plan=adopt(look.plan, self.recipe, self.root))
+            return self._looks[name]
 
     def of(self, shading: str) -> Loader:
         """The cache that views of this ``shading`` read. Raises StoreError."""
         name = look_name(shading)
         with self._lock:
             if name not in self._open:
-                look = look_for(self.recipe, shading)
-                store = ChunkStore(self.root, look)
+                store = ChunkStore(self.root, self.look(name))
                 store.open()
-                self._open[name] = Loader(store, PagePool(look, self.budget))
+                self._open[name] = Loader(store, PagePool(store.look, self.budget))
             return self._open[name]

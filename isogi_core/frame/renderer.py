@@ -4,7 +4,7 @@ import hashlib
 import threading
 from typing import Any
 
-from isogi_core.bake.look import look_for, look_name
+from isogi_core.bake.look import look_name
 from isogi_core.cache.caches import Caches
 from isogi_core.cache.pages import Held, PagePool
 from isogi_core.frame.frame import Frame
@@ -47,7 +47,7 @@ class Renderer:
         with watch.stage("primary"):
             gbuffer = self.gbuffer(view, cancelled)
         shader = Shader(
-            look=look_for(self.recipe, view.shading),
+            look=self.caches.look(view.shading),
             loader=lambda: self.caches.of(view.shading),
             tiles=self.tiles,
             view=view,
@@ -90,7 +90,7 @@ class Renderer:
             chunks_needed=shaded.chunks_needed,
             chunks_final=shaded.chunks_final,
             lacks=shaded.lacks,
-            version=version_of(self.recipe.scene.digest, view, shaded.version),
+            version=version_of(self.recipe.scene.digest, self.caches.look(view.shading).digest, view, shaded.version),
             seconds=watch.seconds,
         )
 
@@ -100,9 +100,9 @@ def surface_key(view: View) -> tuple[Any, ...]:
     return view.isovalue, view.camera, view.width, view.height
 
 
-def version_of(scene: str, view: View, light: bytes) -> str:
-    """Hex digest of all that a picture was made of: scene, view, how far the light it read is baked, and by what.
+def version_of(scene: str, look: str, view: View, light: bytes) -> str:
+    """Hex digest of all that a picture was made of: scene, look, view, how far the light it read is baked, and by what.
 
     Light is summed in the order that fills the processor's registers, whose width is part of it.
     """
-    return hashlib.blake2b(repr((scene, view, light, REGISTER)).encode(), digest_size=12).hexdigest()
+    return hashlib.blake2b(repr((scene, look, view, light, REGISTER)).encode(), digest_size=12).hexdigest()

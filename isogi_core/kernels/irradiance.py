@@ -8,24 +8,8 @@ from isogi_core.kernels.bricks import BRICKS
 from isogi_core.kernels.field import FIELD
 from isogi_core.kernels.lit import SURROUNDINGS, light_paths
 from isogi_core.kernels.reals import ABREAST
-from isogi_core.kernels.transfer import COLUMNS, TEXELS, VECTOR, texel_seed
-from isogi_core.kernels.vec import column, put_column
+from isogi_core.kernels.transfer import COLUMNS, TEXELS, VECTOR, start_halves
 from isogi_core.kernels.waves import WAVE
-
-
-@kernel()
-def start_halves(place, rows):
-    """Starts of the ``rows`` and each of their halves: isovalues, points, normals and seeds; see ``walk_paths``."""
-    texels, points, normals, isovalues = place
-    starts = 2 * rows.shape[0]
-    here, facing = np.empty((3, starts)), np.empty((3, starts))
-    levels, seeds = np.empty(starts), np.empty(starts, np.uint64)
-    for i in range(starts):
-        r = rows[i // 2]
-        put_column(here, i, column(points, r))
-        put_column(facing, i, column(normals, r))
-        levels[i], seeds[i] = isovalues[r], texel_seed(texels[r, 0], texels[r, 1], texels[r, 2], i % 2)
-    return levels, here, facing, seeds
 
 
 @kernel()

@@ -74,21 +74,25 @@ def exchange(sums, rows, outside, store):
 
 
 @kernel()
-def bake_together(field, bricks, place, rows, first, count, shares, order, out):
-    """``bake_texels`` for a few texels whose paths go together."""
+def start_halves(place, rows):
+    """Starts of the ``rows`` and each of their halves: isovalues, points, normals and seeds; see ``walk_paths``."""
     texels, points, normals, isovalues = place
-    starts, bounces = 2 * rows.shape[0], shares.shape[1] - 2
-    here, facing, levels, seeds = (
-        np.empty((3, starts)),
-        np.empty((3, starts)),
-        np.empty(starts),
-        np.empty(starts, np.uint64),
-    )
+    starts = 2 * rows.shape[0]
+    here, facing = np.empty((3, starts)), np.empty((3, starts))
+    levels, seeds = np.empty(starts), np.empty(starts, np.uint64)
     for i in range(starts):
         r = rows[i // 2]
         put_column(here, i, column(points, r))
         put_column(facing, i, column(normals, r))
         levels[i], seeds[i] = isovalues[r], texel_seed(texels[r, 0], texels[r, 1], texels[r, 2], i % 2)
+    return levels, here, facing, seeds
+
+
+@kernel()
+def bake_together(field, bricks, place, rows, first, count, shares, order, out):
+    """``bake_texels`` for a few texels whose paths go together."""
+    starts, bounces = 2 * rows.shape[0], shares.shape[1] - 2
+    levels, here, facing, seeds = start_halves(place, rows)
     step = max(WAVE // starts, 1)
     left, ways = np.zeros(starts * step, np.int64), np.zeros((3, starts * step + ABREAST))
     sums = np.zeros((shares.shape[0], whole(starts) // ABREAST, order * order * ABREAST))

@@ -246,11 +246,11 @@ def test_a_lamp_in_a_hollow_ball(bounces):
 @COMPILED
 @pytest.mark.parametrize("voxels", [BALL, NOISY], ids=["ball", "noisy ball"])
 def test_rays_towards_bright_parts_change_the_noise_and_not_the_mean(voxels):
-    """Against cosine rays alone, under a spread sun: each start's mean within its own noise, at far less of it."""
+    """Against cosine rays alone, under a turned, broad sun: each start's mean within its noise, at far less of it."""
     points, normals = on_ball(40)
     weights, image = np.array([0.8, 0.6, 0.4]) ** np.arange(3.0)[:, None], sunny(radiance=60.0)
-    plain = gather(voxels, points, normals, surroundings(image, 0.1), weights, 20_000)
-    drawn = gather(voxels, points, normals, surroundings(image, 0.1, table=True), weights, 20_000)
+    plain = gather(voxels, points, normals, surroundings(image, 0.1, matrix=TURN), weights, 20_000)
+    drawn = gather(voxels, points, normals, surroundings(image, 0.1, table=True, matrix=TURN), weights, 20_000)
     noise = np.sqrt((plain.var(axis=1) + drawn.var(axis=1)) / 20_000)
     z = (plain.mean(axis=1) - drawn.mean(axis=1)) / noise
     assert np.abs(z).max() < 4.5 and abs(z[:, 1].mean()) < 4.0 / len(z) ** 0.5

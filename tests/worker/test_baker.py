@@ -44,7 +44,8 @@ class Bench:
         self.now = 0.0
         self.arrived: list[Index] = []
         self.baker = Baker(lambda: self.now)
-        self.baker.add("scene", Bake(SOURCE, "gi", "digest", "store", self.arrived.append))
+        layers = frozenset({"direct", "indirect"})
+        self.baker.add("scene", Bake(SOURCE, "gi", "digest", layers, "store", self.arrived.append))
 
     def want(self, *chunks: int, scene: str = "scene") -> bool:
         texels = np.array([1, 2], np.int32)
@@ -97,7 +98,7 @@ def test_each_chunk_is_told_as_it_arrives_and_taken_on_until_final(bench: Bench)
 
 def test_scenes_share_the_workers(bench: Bench) -> None:
     others: list[Index] = []
-    bench.baker.add("other", Bake(SOURCE, "gi", "other digest", "store", others.append))
+    bench.baker.add("other", Bake(SOURCE, "gi", "other digest", frozenset({"whole"}), "store", others.append))
     pool = bench.employ(4)
     bench.want(1)
     bench.want(1, scene="other")
@@ -106,6 +107,19 @@ def test_scenes_share_the_workers(bench: Bench) -> None:
     assert (bench.arrived, others) == ([(0, 0, 1)], [])
     pool.end()
     assert others == [(0, 0, 1)]
+
+
+def test_bakes_that_share_a_layer_are_at_a_chunk_one_after_the_other(bench: Bench) -> None:
+    bench.baker.add("near", Bake(SOURCE, "vicinity", "near digest", frozenset({"direct"}), "store", lambda _: None))
+    pool = bench.employ(8)
+    bench.want(1, 2)
+    bench.want(2, 3, scene="near")
+    flying = [("gi", 1), ("gi", 2), ("vicinity", 3), ("vicinity", 2)]
+    assert [(task.look, task.index[2]) for task, _ in pool.flying] == flying[:3]
+    pool.end()
+    assert [(task.look, task.index[2]) for task, _ in pool.flying] == flying[1:3]
+    pool.end()
+    assert [(task.look, task.index[2]) for task, _ in pool.flying] == flying[2:]
 
 
 def test_waiting_ends_when_the_light_is_there(bench: Bench) -> None:
