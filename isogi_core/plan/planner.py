@@ -17,7 +17,7 @@ from isogi_core.plan.budget import (
     tail_of_bounces,
 )
 from isogi_core.plan.needs import Needs, Told
-from isogi_core.plan.refusals import refuse_idle
+from isogi_core.plan.refusals import refuse_idle, refuse_no_bytes
 from isogi_core.plan.savings import left_out
 
 DIRECTED = 2
@@ -83,7 +83,7 @@ def indirect_order(needs: Needs, direct: int) -> int:
     within = error < target
     allowed = math.sqrt(target**2 - error**2) if within else error / 2.0
     order, _ = choose_order(needs.energy, allowed, "indirect", direct, max(needs.albedo))
-    return order if within else max(order, DIRECTED)
+    return order if within else min(max(order, DIRECTED), direct)
 
 
 def unit_of(needs: Needs) -> float:
@@ -99,7 +99,7 @@ def rounded(layers: tuple[Layer, ...], needs: Needs, told: Told) -> tuple[Layer,
     if told.precision is None:
         return next(kept for kept in precisions(layers) if fits(kept, needs))
     if told.precision == "bytes":
-        return next(kept for kept in precisions(layers) if all(layer.coarse for layer in kept))
+        return refuse_no_bytes(next(precisions(layers)))
     return tuple(replace(layer, half=told.precision == "half") for layer in layers)
 
 
