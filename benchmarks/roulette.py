@@ -17,7 +17,7 @@ from benchmarks.paths import view_texels
 from isogi_core.bake.recipe import Recipe
 from isogi_core.bake.refine import by_isovalue, locate
 from isogi_core.kernels.transfer import bake_texels
-from isogi_core.plan.planner import LONGEST_PATH, bounces_for
+from isogi_core.plan.budget import LONGEST_PATH, bounces_for
 
 ALBEDOS = (0.1, 0.2, 0.3, 0.5, 0.7, 0.9, 0.95, 0.99)
 SAMPLES = 1024
@@ -47,7 +47,7 @@ def left_after(recipe: Recipe, texels: np.ndarray, samples: int) -> np.ndarray:
     sums = np.zeros((len(texels), 2, count, 1))
     shares = np.eye(count, count + 1, 1) * np.sqrt(4.0 * np.pi)
     for bricks, rows in by_isovalue(place[3], void, recipe):
-        bake_texels(recipe.field, bricks, place, rows, 0, samples // 2, shares, 1, sums)
+        bake_texels(recipe.field, bricks, place, rows, 0, samples // 2, shares, 1.0, 1, sums)
     return np.asarray(sums.sum(axis=(1, 3))[~void] / samples)
 
 

@@ -88,12 +88,16 @@ class Omission(BaseModel):
 
 
 class LayerFacts(BaseModel):
-    """One kind of light that each texel keeps: order² numbers for each channel, in multiples of the scale."""
+    """One kind of light that each texel keeps: order² numbers for each channel, in multiples of the scale.
+
+    Bands from ``coarse`` on are bytes, where it is not null.
+    """
 
     kind: str
     order: int
     channels: int
     precision: str
+    coarse: int | None
     scale: float
     bytes_per_texel: int
 
@@ -241,7 +245,7 @@ def plan_facts(scene: Scene) -> PlanFacts:
 
 def layer_facts(layer: Layer) -> LayerFacts:
     """One layer of a plan."""
-    names = ("kind", "order", "channels", "precision", "scale", "bytes_per_texel")
+    names = ("kind", "order", "channels", "precision", "coarse", "scale", "bytes_per_texel")
     return LayerFacts(**{name: getattr(layer, name) for name in names})
 
 

@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterator
 
 from isogi_core.model.scene import Scene
-from server.facts import Omission, PlanFacts, SavingFacts, SceneFacts, scene_facts
+from server.facts import LayerFacts, Omission, PlanFacts, SavingFacts, SceneFacts, scene_facts
 
 BINS = 24
 BAR = 48
@@ -36,7 +36,7 @@ def plan_rows(plan: PlanFacts) -> Iterator[tuple[str, str]]:
     """Name and text of each fact of a plan."""
     yield "plan", f"{plan.representation}, {plan.bounces} bounces, at most {plan.samples} samples"
     for layer in plan.layers:
-        numbers = f"order {layer.order}, {layer.channels} channel(s) of {layer.precision} floats"
+        numbers = f"order {layer.order}, {layer.channels} channel(s), {kept_as(layer)}"
         yield "layer", f"{layer.kind}: {numbers}, {layer.bytes_per_texel} bytes"
     yield "texel", f"{plan.bytes_per_texel} bytes, beside {plan.full_bytes_per_texel} for any scene in S1"
     yield (
@@ -47,6 +47,13 @@ def plan_rows(plan: PlanFacts) -> Iterator[tuple[str, str]]:
     if plan.errors:
         yield "errors", ", ".join(f"{cause} {error:.2%}" for cause, error in plan.errors.items())
     yield from (("note", note) for note in plan.notes)
+
+
+def kept_as(layer: LayerFacts) -> str:
+    """How a layer's numbers are kept, for a person."""
+    if layer.coarse is None:
+        return f"{layer.precision} floats"
+    return f"half floats, and bytes from band {layer.coarse} on"
 
 
 def omission(left_out: Omission) -> Iterator[str]:

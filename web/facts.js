@@ -26,9 +26,10 @@ function planFacts({ plan, target_error: target }) {
   };
 }
 
-function layerInWords({ order, channels, precision }) {
+function layerInWords({ order, channels, precision, coarse }) {
   const numbers = order > 1 ? `SH order ${order}` : "one number";
-  return `${numbers}${channels > 1 ? `, ${channels} channels` : ""}, ${precision} floats`;
+  const kept = coarse === null ? `${precision} floats` : `half floats, bytes from band ${coarse} on`;
+  return `${numbers}${channels > 1 ? ` in ${channels} channels` : ""}, ${kept}`;
 }
 
 function volumeFacts({ volume, lights, albedo }) {
@@ -52,12 +53,12 @@ function rows(facts) {
 function omission({ what, why, saves }) {
   const node = document.createElement("li");
   node.append(textNode("b", what), ` — ${why}`);
-  if (saves.length) node.append(textNode("span", `saves ${saves.map(amount).join(", ")}`));
+  if (saves.length) node.append(textNode("span", `saves ${saves.map(savingInWords).join(", ")}`));
   return node;
 }
 
-function amount({ amount: saved, unit, measured }) {
-  const digits = saved >= 100 ? Math.round(saved) : Number(saved.toPrecision(3));
+function savingInWords({ amount, unit, measured }) {
+  const digits = amount >= 100 ? Math.round(amount) : Number(amount.toPrecision(3));
   return `${grouped(digits)} ${unit}${measured ? " (measured)" : ""}`;
 }
 

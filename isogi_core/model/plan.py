@@ -54,8 +54,8 @@ class Layer:
 
     @property
     def precision(self) -> str:
-        """How coefficients are kept, "half" or "single"."""
-        return "half" if self.half else "single"
+        """How coefficients are kept: "single", "half", or higher bands in "bytes"."""
+        return "single" if not self.half else "half" if self.coarse is None else "bytes"
 
     @property
     def reflected(self) -> bool:
@@ -86,15 +86,16 @@ class ScenePlan:
     """What is baked for a scene, and how it is lit with it.
 
     ``order`` is that of the light which texels are put under, 1 where they keep no harmonics; a layer may have more.
-    ``bounces`` counts surface hits after the first;
+    ``bounces`` counts surface hits after the first; from the second on a path goes on with the chance ``survival``.
     ``samples`` are the most that a texel takes; ``errors`` names relative errors that the plan expects, by
-    what is cut off; ``notes`` are sentences on those that stay above the target.
+    what is cut off; ``notes`` are sentences on those above the target.
     """
 
     representation: str
     layers: tuple[Layer, ...]
     order: int
     bounces: int
+    survival: float
     samples: int
     errors: tuple[tuple[str, float], ...] = ()
     notes: tuple[str, ...] = ()
@@ -117,8 +118,8 @@ class ScenePlan:
 
     @property
     def precision(self) -> str:
-        """How coefficients are kept, "half" or "single"."""
-        return "half" if self.half else "single"
+        """How coefficients are kept: "bytes" where the higher bands of any layer are, or else "half" or "single"."""
+        return min(layer.precision for layer in self.layers)
 
     @property
     def bytes_per_texel(self) -> int:

@@ -13,10 +13,11 @@ from isogi_core.plan.budget import (
     even,
     harmonics_error,
     rounding_error,
+    survival_for,
     tail_of_bounces,
 )
 from isogi_core.plan.needs import Needs, Told
-from isogi_core.plan.refusals import refuse_idle
+from isogi_core.plan.refusals import refuse_idle, refuse_no_bytes
 from isogi_core.plan.savings import left_out
 
 DIRECTED = 2
@@ -38,7 +39,8 @@ def plan_scene(needs: Needs, told: Told) -> ScenePlan:
     refuse_idle(representation, bounces, needs, told)
     layers = rounded(layers_of(representation, needs, told, bounces), needs, told)
     order = max(layer.order for layer in layers)
-    plan = ScenePlan(representation, layers, order, bounces, most_samples(needs.target_error))
+    survival = survival_for(needs.albedo, bounces)
+    plan = ScenePlan(representation, layers, order, bounces, survival, most_samples(needs.target_error))
     plan = replace(plan, errors=errors_of(plan, needs, told))
     return replace(plan, notes=notes_on(plan, needs), left_out=left_out(plan, needs))
 
@@ -81,7 +83,7 @@ def indirect_order(needs: Needs, direct: int) -> int:
     within = error < target
     allowed = math.sqrt(target**2 - error**2) if within else error / 2.0
     order, _ = choose_order(needs.energy, allowed, "indirect", direct, max(needs.albedo))
-    return order if within else max(order, DIRECTED)
+    return order if within else min(max(order, DIRECTED), direct)
 
 
 def unit_of(needs: Needs) -> float:
@@ -97,7 +99,7 @@ def rounded(layers: tuple[Layer, ...], needs: Needs, told: Told) -> tuple[Layer,
     if told.precision is None:
         return next(kept for kept in precisions(layers) if fits(kept, needs))
     if told.precision == "bytes":
-        return next(kept for kept in precisions(layers) if all(layer.coarse for layer in kept))
+        return refuse_no_bytes(next(precisions(layers)))
     return tuple(replace(layer, half=told.precision == "half") for layer in layers)
 
 
@@ -148,4 +150,4 @@ def notes_on(plan: ScenePlan, needs: Needs) -> tuple[str, ...]:
 def vicinity_plan(plan: ScenePlan) -> ScenePlan:
     """The plan of vicinity shading in a scene: band 0 of direct light, out of a layer that is kept anyway if it may."""
     direct = next((layer for layer in plan.layers if layer.kind == "direct"), Layer("direct", half=plan.half))
-    return ScenePlan("vicinity", (direct,), 1, 0, plan.samples)
+    return ScenePlan("vicinity", (direct,), 1, 0, 1.0, plan.samples)

@@ -1,6 +1,7 @@
 """What a scene may not tell the planner: settings that contradict its lights, and settings that would do nothing."""
 
 from isogi_core.errors import SceneError
+from isogi_core.model.plan import Layer
 from isogi_core.plan.budget import even
 from isogi_core.plan.needs import Needs, Told
 
@@ -17,6 +18,8 @@ def refuse_lights(representation: str, needs: Needs) -> None:
     """Raise SceneError where a representation that was told cannot show the lights."""
     if representation in ("vicinity", "constant") and not even(needs):
         raise SceneError(f"representation = '{representation}' shows constant light alone: leave it out.")
+    if representation == "transfer" and needs.lamps.any:
+        raise SceneError("representation = 'transfer' is of light from far away, and lamps are near: leave it out.")
     if representation == "irradiance" and needs.rotating:
         raise SceneError("representation = 'irradiance' is of light that does not turn: set rotating = false.")
 
@@ -32,3 +35,10 @@ def refuse_orders(representation: str, bounces: int, told: Told) -> None:
         )
     if told.order is not None and told.indirect_order is not None and told.indirect_order > told.order:
         raise SceneError(f"indirect_order = {told.indirect_order} is above order = {told.order}: take at most that.")
+
+
+def refuse_no_bytes(layers: tuple[Layer, ...]) -> tuple[Layer, ...]:
+    """The layers; SceneError where none of them has a band that is kept in bytes."""
+    if all(layer.coarse is None for layer in layers):
+        raise SceneError("precision = 'bytes' is of higher bands of harmonics, and there are none: leave it out.")
+    return layers

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from isogi_core.model.plan import Layer, LeftOut, Saving, ScenePlan
 from isogi_core.plan.bands import truncation_error
-from isogi_core.plan.budget import LONGEST_PATH, rounding_error, tail_of_bounces
+from isogi_core.plan.budget import LONGEST_PATH, ROULETTE_RAYS, rounding_error, tail_of_bounces
 from isogi_core.plan.needs import Needs
 from isogi_core.plan.texels import TexelCount
 
@@ -41,24 +41,22 @@ def bands(plan: ScenePlan, needs: Needs) -> Iterator[LeftOut]:
     """Bands of direct light that S1 keeps, and bands of reflected light that direct light keeps."""
     if plan.representation != "transfer":
         return
-    direct = plan.layers[0]
+    direct, *reflected = plan.layers
     if direct.order < BANDS:
         error = truncation_error(needs.energy, direct.order, "direct")
-        yield cut(direct, BANDS, f"The light has little in them: without them the lit surface errs by {error:.2%}.")
-    for layer in plan.layers[1:]:
+        yield cut(direct, BANDS, error, needs)
+    for layer in reflected:
         if layer.order < direct.order:
             error = truncation_error(needs.energy, layer.order, "indirect", max(needs.albedo))
-            yield cut(
-                layer, direct.order, f"Reflected light is soft: without them the lit surface errs by {error:.2%}."
-            )
+            yield cut(layer, direct.order, error, needs)
 
 
-def cut(layer: Layer, order: int, why: str) -> LeftOut:
-    """The bands of a layer below ``order`` that it does not keep."""
+def cut(layer: Layer, order: int, error: float, needs: Needs) -> LeftOut:
+    """The bands of a layer below ``order`` that it does not keep, and the relative ``error`` that is expected of it."""
+    names = f"bands {layer.order} to {order - 1}" if layer.order < order - 1 else f"band {layer.order}"
     kind = "reflected" if layer.kind == "indirect" else "direct"
-    return LeftOut(
-        f"bands {layer.order} to {order - 1} of {kind} light", why, (added(layer, replace(layer, order=order)),)
-    )
+    why = f"Without them the lit surface errs by {error:.2%}, beside a target of {needs.target_error:.2%}."
+    return LeftOut(f"{names} of {kind} light", why, (added(layer, replace(layer, order=order)),))
 
 
 def channels(plan: ScenePlan, _: Needs) -> Iterator[LeftOut]:
@@ -93,6 +91,15 @@ def reflections(plan: ScenePlan, needs: Needs) -> Iterator[LeftOut]:
         yield LeftOut(f"bounces after number {plan.bounces}", why, (longer,))
 
 
+def ends(plan: ScenePlan, _: Needs) -> Iterator[LeftOut]:
+    """What paths would go on to, had they not ended by chance."""
+    if plan.survival < 1.0:
+        why = (
+            f"From its second hit on a path goes on with the chance {plan.survival:.2g}, and stands for those that end."
+        )
+        yield LeftOut("the rest of paths that end by chance", why, (Saving(ROULETTE_RAYS, "percent of rays", True),))
+
+
 def unreflected(plan: ScenePlan, needs: Needs) -> Iterator[Saving]:
     """The bytes of the layer that holds reflected light, where it would be one of its own."""
     if plan.representation == "transfer":
@@ -101,12 +108,18 @@ def unreflected(plan: ScenePlan, needs: Needs) -> Iterator[Saving]:
 
 
 def halves(plan: ScenePlan, needs: Needs) -> Iterator[LeftOut]:
-    """The second half of each float."""
-    if plan.half:
+    """The second half of each float, and the second byte of what is kept in bytes."""
+    if not plan.half:
+        return
+    halved = tuple(replace(layer, coarse=None) for layer in plan.layers)
+    saved = sum(added(layer, replace(layer, half=False)).amount for layer in plan.layers)
+    why = f"Half floats err by {rounding_error(halved, needs):.2%}, beside a target of {needs.target_error:.2%}."
+    yield LeftOut("half of each float", why, (Saving(saved, "bytes per texel"),))
+    if plan.layers != halved:
+        saved = sum(added(*pair).amount for pair in zip(plan.layers, halved, strict=True))
         error = rounding_error(plan.layers, needs)
-        why = f"Half floats err by {error:.2%}, beside a target of {needs.target_error:.2%}."
-        saved = sum(added(layer, replace(layer, half=False)).amount for layer in plan.layers)
-        yield LeftOut("half of each float", why, (Saving(saved, "bytes per texel"),))
+        why = f"Higher bands carry little: with them in bytes, rounding errs by {error:.2%} in all."
+        yield LeftOut("second bytes of higher bands", why, (Saving(saved, "bytes per texel"),))
 
 
 def records(plan: ScenePlan, _: Needs) -> Iterator[LeftOut]:
@@ -180,7 +193,7 @@ def added(layer: Layer, larger: Layer) -> Saving:
 
 
 FINDERS: tuple[Callable[[ScenePlan, Needs], Iterator[LeftOut]], ...] = (
-    *(harmonics, bands, channels, reflections, halves, records),
+    *(harmonics, bands, channels, reflections, ends, halves, records),
     *(turning, shadow_rays, kernels),
 )
 """Each finds what a plan leaves out of one sort."""

@@ -112,14 +112,15 @@ def gradient(
     """Σ over voxels from ``start`` on about ``cells``, with the slopes of one axis and the weights of the others.
 
     ``filters`` hold weights and slopes (taps, m) of each axis; (3, m) float64. Voxels beyond the border repeat
-    the border's.
+    the border's. Values are taken from that of the cell's own voxel, so that a plateau has no gradient at all.
     """
+    level = voxels[tuple(cells)].astype(np.float64)
     total = np.zeros((3, len(cells[0])))
     for taps in np.ndindex(*(len(weights) for weights, _ in filters)):
         at = tuple(
             np.clip(cell + start + tap, 0, n - 1) for cell, tap, n in zip(cells, taps, voxels.shape, strict=True)
         )
-        value = voxels[at].astype(np.float64)
+        value = voxels[at] - level
         for axis in range(3):
             factors = [own[axis == a][tap] for a, (own, tap) in enumerate(zip(filters, taps, strict=True))]
             total[axis] += factors[0] * factors[1] * factors[2] * value
