@@ -69,10 +69,10 @@ class Look:
         return np.array([abs(light[0]), np.sqrt((light[1:] ** 2).sum())])[: layer.noises]
 
     def weights(self, layer: Layer) -> np.ndarray:
-        """R^k for k = 0 … bounces, and the layer's channels; (bounces + 1, channels) float64."""
+        """R^k for k = 0 … bounces, over the chance to get there, of the layer's channels; (bounces + 1, channels)."""
         albedo = np.array(self.recipe.scene.albedo[: layer.channels])
-        bounces = self.plan.bounces if layer.reflected else 0
-        return np.asarray(albedo ** np.arange(bounces + 1)[:, None])
+        k = np.arange(self.plan.bounces + 1 if layer.reflected else 1)[:, None]
+        return np.asarray(albedo**k / self.plan.survival ** np.maximum(k - 1, 0))
 
     def shares(self, layer: Layer) -> np.ndarray:
         """What a path counts in a ``layer`` that never left, or left after k = 0, 1, … bounces: R^k, or 0.

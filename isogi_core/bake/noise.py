@@ -12,6 +12,15 @@ FLOOR = 0.5
 DECAY = 2.0 ** (-4.0 / 3.0)
 """What twice the samples do to the variance of a texel: its points are stratified."""
 
+BAND_0 = np.array([0.75, 1 / 12, 1 / 12, 1 / 12])
+"""What the coefficients of bands 0 and 1 count in the variance of band 0.
+
+Band 0's own difference of two halves is one number, and would say too little; band 1 is of the same paths, but
+up to ten times the variance where light is reflected often. Under constant light errors at a target of 2 % were
+told as 1.39 % and were 1.34 %, after 216 samples (of equal weights 1.52 %, 1.09 %, 306; of band 0 alone
+1.13 %, 1.74 %, 154: 800 texels of the orbital, albedo 0.7, 3 bounces).
+"""
+
 SEGMENTS = {"direct": 1.0}
 """Rays of a path by the kind of its layer; LONG for others."""
 
@@ -72,12 +81,12 @@ def noise_of_halves(halves: np.ndarray, samples: int, order: int) -> np.ndarray:
     """Standard errors of coefficients, in band 0 and above it, told from two independent randomisations.
 
     ``halves`` (m, 2, channels, N²) are sums over half of ``samples`` each, with the bands below ``order`` in
-    front. Band 0 is judged with its neighbour, whose paths are the same: one number would say too little. In
-    the bands above a band counts 1 / l, as if light had 1 / l of its energy there. (m, 1 or 2) float64.
+    front. Band 0 is judged with its neighbour, see BAND_0. In the bands above a band counts 1 / l, as if light
+    had 1 / l of its energy there. (m, 1 or 2) float64.
     """
     spread = (halves[:, 0] - halves[:, 1]) / samples
     squares = (spread**2).mean(axis=1)
-    low = squares[:, :4].mean(axis=1)
+    low = squares[:, :4] @ BAND_0
     if order == 1:
         return np.sqrt(low[:, None])
     band = band_of(order)[1:]

@@ -89,7 +89,7 @@ def sample_transfer(layer: Layer, place: Place, void: np.ndarray, look: Look, pa
     order, shares = max(layer.order, NOISE_ORDER), look.shares(layer)
     sums = np.zeros((len(void), 2, layer.channels, order**2))
     for bricks, rows in by_isovalue(place[3], void, look.recipe):
-        bake_texels(look.recipe.field, bricks, place, rows, *paths, shares, order, sums)
+        bake_texels(look.recipe.field, bricks, place, rows, *paths, shares, look.plan.survival, order, sums)
     return sums
 
 
@@ -98,7 +98,7 @@ def sample_irradiance(layer: Layer, place: Place, void: np.ndarray, look: Look, 
     sums, surroundings = np.zeros((len(void), 2, 3)), look.recipe.surroundings(np.eye(3))
     weights = np.broadcast_to(look.weights(layer), (look.plan.bounces + 1, 3)).copy()
     for bricks, rows in by_isovalue(place[3], void, look.recipe):
-        bake_irradiance(look.recipe.field, bricks, place, rows, *paths, weights, surroundings, sums)
+        bake_irradiance(look.recipe.field, bricks, place, rows, *paths, weights, look.plan.survival, surroundings, sums)
     return sums[:, :, : layer.channels, None]
 
 

@@ -22,7 +22,7 @@ def add_gathered(gathered, starts, count, rows, sums):
 
 
 @kernel()
-def light_together(field, bricks, place, rows, first, count, weights, light, sums):
+def light_together(field, bricks, place, rows, first, count, weights, survival, light, sums):
     """``bake_irradiance`` for a few texels whose paths go together."""
     starts = 2 * rows.shape[0]
     levels, here, facing, seeds = start_halves(place, rows)
@@ -30,7 +30,7 @@ def light_together(field, bricks, place, rows, first, count, weights, light, sum
     gathered = np.empty((3, starts * step))
     for begin in range(first, first + count, step):
         samples = min(step, first + count - begin)
-        light_paths(field, bricks, levels, here, facing, seeds, begin, samples, weights, light, gathered)
+        light_paths(field, bricks, levels, here, facing, seeds, begin, samples, weights, survival, light, gathered)
         add_gathered(gathered, starts, samples, rows, sums)
 
 
@@ -43,17 +43,19 @@ def light_together(field, bricks, place, rows, first, count, weights, light, sum
         types.int64,
         types.int64,
         types.float64[:, ::1],
+        types.float64,
         SURROUNDINGS,
         types.float64[:, :, ::1],
     )
 )
-def bake_irradiance(field, bricks, place, rows, first, count, weights, light, sums):
+def bake_irradiance(field, bricks, place, rows, first, count, weights, survival, light, sums):
     """Sums of ``count`` samples of E/π, from sample ``first`` on, for the ``rows`` and each of their two halves.
 
     ``place`` is what ``locate_texels`` took and wrote, as for ``bake_texels``, whose random numbers these
-    are; ``weights`` (bounces + 1, 3) R^k; ``light`` the Surroundings. Adds linear RGB, with all bounces, to
+    are; ``weights`` (bounces + 1, 3) R^k, over the chance to get there (see ``spin``); ``light`` the
+    Surroundings. Adds linear RGB, with all bounces, to
     ``sums`` (m, 2, 3): times the albedo it is the radiance that leaves the surface.
     """
     together = max(WAVE // (2 * count), ABREAST)
     for i in range(0, rows.shape[0], together):
-        light_together(field, bricks, place, rows[i : i + together], first, count, weights, light, sums)
+        light_together(field, bricks, place, rows[i : i + together], first, count, weights, survival, light, sums)

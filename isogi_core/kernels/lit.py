@@ -15,7 +15,7 @@ from isogi_core.kernels._jit import kernel, record
 from isogi_core.kernels.integrator import to_index
 from isogi_core.kernels.lamps import LAMPS, NO_LAMPS, NOTHING, illuminate
 from isogi_core.kernels.lights import arriving, draw_bright
-from isogi_core.kernels.rng import point_of_words
+from isogi_core.kernels.rng import PAIRS, point_of_words
 from isogi_core.kernels.vec import column, dot, put_column
 from isogi_core.kernels.waves import (
     WAVE,
@@ -28,11 +28,9 @@ from isogi_core.kernels.waves import (
     rise,
     shoot,
     sift,
+    spin,
     whole,
 )
-
-PAIRS = 1 << 16
-"""Pairs of random numbers for one purpose, one for each vertex: first the paths' directions, then each source."""
 
 FAR = (math.inf, math.inf, math.inf)
 """Where rays start that are not to meet anything."""
@@ -109,7 +107,7 @@ def aim_beams(wave, beams, pair, count, bounce, light, source, spacing):
         columns(wave.directions, count),
     )
     directions[:, count:] = 1.0
-    dimension = np.uint64((1 + source) * PAIRS + bounce)
+    dimension = np.uint64((1 + source) * PAIRS + bounce)  # after the directions
     for i in range(count):
         low, high, sample = np.uint64(wave.low[i]), np.uint64(wave.high[i]), np.uint64(wave.samples[i])
         u, v = point_of_words(low, high, sample, dimension)
@@ -151,7 +149,7 @@ def gather_ends(wave, pair, count, gone, bounce, weights, light, gathered):
 
 
 @kernel()
-def light_wave(field, bricks, wave, beams, pair, spare, count, weights, light, gathered):
+def light_wave(field, bricks, wave, beams, pair, spare, count, weights, survival, light, gathered):
     """Walk the ``count`` paths of a wave to their ends, as ``walk_wave`` does, and gather light on the way."""
     last = weights.shape[0] - 1
     for bounce in range(last + 1):
@@ -160,6 +158,7 @@ def light_wave(field, bricks, wave, beams, pair, spare, count, weights, light, g
         shoot(field, bricks, wave, pair, count)
         hits = sift(wave, count)
         gather_ends(wave, pair, count, count - hits, bounce, weights, light, gathered)
+        hits = spin(wave, hits, bounce, survival)
         if hits == 0 or bounce == last:
             return
         close_ranks(wave, pair, count, hits, spare)
@@ -168,12 +167,13 @@ def light_wave(field, bricks, wave, beams, pair, spare, count, weights, light, g
 
 
 @kernel()
-def light_paths(field, bricks, isovalues, points, normals, seeds, first, count, weights, light, gathered):
+def light_paths(field, bricks, isovalues, points, normals, seeds, first, count, weights, survival, light, gathered):
     """Samples ``first`` … ``first + count`` of E/π at each of g starts, with all light that is reflected there.
 
     Starts and their order are those of ``walk_paths``. Writes linear RGB to ``gathered`` (3, at least
     g · count): Σ_k weights[k] (E/π at vertex k, of the light that comes straight from its sources), where
-    ``weights`` (bounces + 1, 3) is R^k and ``light`` are the Surroundings. Light arrives at where rays start, a
+    ``weights`` (bounces + 1, 3) is R^k, over the chance to get there (see ``spin``), and ``light`` are the
+    Surroundings. Light arrives at where rays start, a
     little above the surface. Source: Kajiya 1986; DESIGN section 3.
     """
     total = isovalues.shape[0] * count
@@ -185,4 +185,4 @@ def light_paths(field, bricks, isovalues, points, normals, seeds, first, count, 
     for begin in range(0, total, WAVE):
         together = min(WAVE, total - begin)
         muster(wave, pair, isovalues, origins, normals, seeds, first, begin, together)
-        light_wave(field, bricks, wave, beams, pair, spare, together, weights, light, gathered)
+        light_wave(field, bricks, wave, beams, pair, spare, together, weights, survival, light, gathered)

@@ -129,7 +129,7 @@ def trace_together(field, bricks, iso, points, normals, pixels, light, weights, 
         put_column(facing, i, single(normals, i // 2))
         seeds[i] = mix(np.int64(pixels[i // 2]), i % 2)
     levels, gathered = np.full(starts, iso), np.empty((3, starts * count))
-    light_paths(field, bricks, levels, here, facing, seeds, first, count, weights, light, gathered)
+    light_paths(field, bricks, levels, here, facing, seeds, first, count, weights, 1.0, light, gathered)
     for m in range(starts * count):
         for c in range(3):
             sums[m % starts // 2, m % 2, c] += gathered[c, m]

@@ -89,7 +89,7 @@ def start_halves(place, rows):
 
 
 @kernel()
-def bake_together(field, bricks, place, rows, first, count, shares, order, out):
+def bake_together(field, bricks, place, rows, first, count, shares, survival, order, out):
     """``bake_texels`` for a few texels whose paths go together."""
     starts, bounces = 2 * rows.shape[0], shares.shape[1] - 2
     levels, here, facing, seeds = start_halves(place, rows)
@@ -99,7 +99,7 @@ def bake_together(field, bricks, place, rows, first, count, shares, order, out):
     exchange(sums, rows, out, False)
     for begin in range(first, first + count, step):
         samples = min(step, first + count - begin)
-        walk_paths(field, bricks, levels, here, facing, seeds, begin, samples, bounces, left, ways)
+        walk_paths(field, bricks, levels, here, facing, seeds, begin, samples, bounces, survival, left, ways)
         gather_light(left, ways, shares, order, starts, samples, sums)
     exchange(sums, rows, out, True)
 
@@ -113,18 +113,19 @@ def bake_together(field, bricks, place, rows, first, count, shares, order, out):
         types.int64,
         types.int64,
         types.float64[:, ::1],
+        types.float64,
         types.int64,
         types.float64[:, :, :, ::1],
     )
 )
-def bake_texels(field, bricks, place, rows, first, count, shares, order, sums):
+def bake_texels(field, bricks, place, rows, first, count, shares, survival, order, sums):
     """Sums of ``count`` samples, from sample ``first`` on, for the ``rows`` and each of their two halves.
 
     ``place`` is what ``locate_texels`` took and wrote: texels, points, normals, isovalues, the latter
     within the range of ``bricks``. ``shares`` (channels, bounces + 2) are what a path counts that left after
-    k bounces, at k + 1, or never, at 0. Adds to ``sums`` (m, 2, channels, n²). Source: S1, section 4.1,
+    k bounces, at k + 1, or never, at 0; of those that hit twice a share ``survival`` goes on: see ``spin``. Adds to ``sums`` (m, 2, channels, n²). Source: S1, section 4.1,
     "for all texels".
     """
     together = max(WAVE // (2 * count), ABREAST)
     for i in range(0, rows.shape[0], together):
-        bake_together(field, bricks, place, rows[i : i + together], first, count, shares, order, sums)
+        bake_together(field, bricks, place, rows[i : i + together], first, count, shares, survival, order, sums)

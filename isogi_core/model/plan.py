@@ -86,14 +86,16 @@ class ScenePlan:
     """What is baked for a scene, and how it is lit with it.
 
     ``order`` is that of the light which texels are put under, 1 where they keep no harmonics; a layer may have more.
-    ``bounces`` counts surface hits after the first; ``samples`` are the most that a texel takes; ``errors`` names
-    relative errors that the plan expects, by what is cut off; ``notes`` are sentences on those above the target.
+    ``bounces`` counts surface hits after the first; from the second on a path goes on with the chance ``survival``;
+    ``samples`` are the most that a texel takes; ``errors`` names relative errors that the plan expects, by what is
+    cut off; ``notes`` are sentences on those above the target.
     """
 
     representation: str
     layers: tuple[Layer, ...]
     order: int
     bounces: int
+    survival: float
     samples: int
     errors: tuple[tuple[str, float], ...] = ()
     notes: tuple[str, ...] = ()

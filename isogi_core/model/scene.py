@@ -100,7 +100,7 @@ class Scene:
         """
         parts = [BAKE_FORMAT, self.volume.digest, self.lattice, *astuple(layer)]
         if layer.reflected:
-            parts += [self.albedo[: layer.channels], self.bounces]
+            parts += [self.albedo[: layer.channels], self.bounces, self.plan.survival]
         if layer.kind == "irradiance":
             parts += [self.environment.digest, self.lamps.digest, self.albedo]
         return digest_of(parts)

@@ -13,6 +13,7 @@ from isogi_core.plan.budget import (
     even,
     harmonics_error,
     rounding_error,
+    survival_for,
     tail_of_bounces,
 )
 from isogi_core.plan.needs import Needs, Told
@@ -38,7 +39,8 @@ def plan_scene(needs: Needs, told: Told) -> ScenePlan:
     refuse_idle(representation, bounces, needs, told)
     layers = rounded(layers_of(representation, needs, told, bounces), needs, told)
     order = max(layer.order for layer in layers)
-    plan = ScenePlan(representation, layers, order, bounces, most_samples(needs.target_error))
+    survival = survival_for(needs.albedo, bounces)
+    plan = ScenePlan(representation, layers, order, bounces, survival, most_samples(needs.target_error))
     plan = replace(plan, errors=errors_of(plan, needs, told))
     return replace(plan, notes=notes_on(plan, needs), left_out=left_out(plan, needs))
 
@@ -148,4 +150,4 @@ def notes_on(plan: ScenePlan, needs: Needs) -> tuple[str, ...]:
 def vicinity_plan(plan: ScenePlan) -> ScenePlan:
     """The plan of vicinity shading in a scene: band 0 of direct light, out of a layer that is kept anyway if it may."""
     direct = next((layer for layer in plan.layers if layer.kind == "direct"), Layer("direct", half=plan.half))
-    return ScenePlan("vicinity", (direct,), 1, 0, plan.samples)
+    return ScenePlan("vicinity", (direct,), 1, 0, 1.0, plan.samples)

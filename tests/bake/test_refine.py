@@ -143,7 +143,18 @@ def kernels_sums(look: Look, texels: np.ndarray, number: int, first: int, count:
     place = (texels, np.empty((3, m)), np.empty((3, m)), isovalues)
     locate_texels(recipe.field, recipe.step, *place, void)
     bricks = recipe.bricks(float(isovalues.min()), float(isovalues.max()))
-    bake_texels(recipe.field, bricks, place, np.arange(m), first, count, look.shares(layer), layer.order, sums)
+    bake_texels(
+        recipe.field,
+        bricks,
+        place,
+        np.arange(m),
+        first,
+        count,
+        look.shares(layer),
+        look.plan.survival,
+        layer.order,
+        sums,
+    )
     return sums
 
 
@@ -167,6 +178,17 @@ def test_direct_and_indirect_light_are_the_whole() -> None:
     texels = surface_texels(apart, 40)
     sum_of = climbed(apart, texels, 64).transfer[:, 0, 0]
     np.testing.assert_allclose(climbed(whole, texels, 64).transfer[:, 0, 0], sum_of, atol=1e-6)
+
+
+@COMPILED
+@pytest.mark.parametrize("settings", [{"sky": False}, {"indirect_order": 1}])
+def test_white_furnace(settings: dict[str, object]) -> None:
+    """Albedo 1 and no end of bounces: every path gets out, and each texel sees all of a constant light."""
+    look = orbital(1.0, **{"bounces": 1000, **settings})  # type: ignore[arg-type]
+    light = climbed(look, surface_texels(look, 200), 64)
+    whole = np.sqrt(4.0 * np.pi) * light.transfer[:, 0, 0]
+    assert all(part.coefficients.any() for part in light.parts)
+    assert np.abs(whole - 1.0).max() < 0.002, "but for half floats"
 
 
 @COMPILED

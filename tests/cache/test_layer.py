@@ -103,14 +103,15 @@ def test_plain_numpy_reads_what_the_attributes_describe(tmp_path: Path, settings
     part = chunk.light.parts[INDIRECT]
     assert (record["bake"].decode(), record["index"].tolist()) == (layer.digest, list(EDGE))
     assert np.flatnonzero(record["rung"]).tolist() == chunk.offsets.tolist()
-    samples = 8 << record["rung"][chunk.offsets].astype(int)
-    assert np.array_equal(samples, part.samples)
+    codes, rungs = facts["codes"], record["rung"][chunk.offsets].astype(int)
+    assert (rungs != codes["void"]).all()
+    assert np.array_equal(codes["first_rung"] << (rungs - 1), part.samples)
     light = record["light"][:, :, chunk.offsets].astype(np.float32) * record["scale"]
     assert light.shape == (facts["channels"], facts["order"] ** 2, 40)
     assert np.array_equal(np.moveaxis(light, -1, 0), part.coefficients)
-    noise = 16.0 * record["scale"] * 2.0 ** (record["noise"][:, chunk.offsets].T / -8.0)
-    heard = part.noise > 0.0
-    np.testing.assert_allclose(noise[heard], part.noise[heard], rtol=1e-6)
+    quiet = record["noise"][:, chunk.offsets].T
+    noise = codes["noisiest"] * record["scale"] * 2.0 ** (quiet / -codes["steps"])
+    np.testing.assert_allclose(np.where(quiet == codes["silent"], 0.0, noise), part.noise, rtol=1e-6)
 
 
 @pytest.mark.parametrize("index", [INNER, EDGE])

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from isogi_core.bake.recipe import Recipe
+from isogi_core.bake.look import look_for
+from isogi_core.bake.recipe import AROUND, Recipe
 from isogi_core.files.radiance import write_hdr
 from isogi_core.frame.surroundings import KEY_SHARE, Turned, shoulder_light
 from isogi_core.kernels.harmonics import cosine_lobe_factors, evaluate
@@ -28,7 +29,7 @@ ODD = quaternion_from_angles(33.0, -20.0, 71.0)
 def around(lights: list[Any], turn: Quaternion = IDENTITY, **settings: Any) -> Turned:
     """The light of a scene, turned."""
     recipe = Recipe(load_scene("demo:orbital", lights=lights, **settings))
-    return Turned(recipe, View(0.03, CAMERA, turn))
+    return Turned(look_for(recipe, "gi"), View(0.03, CAMERA, turn))
 
 
 def spot(folder: Path, direction: tuple[float, float, float], glow: float = 0.0) -> dict[str, Any]:
@@ -44,7 +45,7 @@ def test_light_is_turned_as_its_directions_are(tmp_path: Path) -> None:
     turned = around([spot(tmp_path, (0.6, 0.0, 0.8), 0.2), CONSTANT], ODD)
     matrix = Rotation.from_quat(ODD, scalar_first=True).as_matrix()
     np.testing.assert_allclose(turned.matrix, matrix, atol=1e-12)
-    image = turned.recipe.scene.environment.image
+    image = turned.look.recipe.scene.environment.image
     expected, basis = np.zeros((3, 25)), np.empty(25)
     for light, area, d in zip(
         image.reshape(-1, 3),
@@ -60,11 +61,17 @@ def test_light_is_turned_as_its_directions_are(tmp_path: Path) -> None:
 
 def test_turning_keeps_the_mean_and_the_power_of_each_band() -> None:
     plain, odd = around([SKY]), around([SKY], ODD)
-    assert np.array_equal(plain.light, plain.recipe.light)
-    np.testing.assert_allclose(odd.mean, plain.recipe.scene.environment.mean(), rtol=1e-3)
+    assert np.array_equal(plain.light, plain.look.light)
+    np.testing.assert_allclose(odd.mean, plain.look.recipe.scene.environment.mean(), rtol=1e-3)
     for l in range(5):
         band = slice(l * l, (l + 1) ** 2)
         np.testing.assert_allclose((odd.light[:, band] ** 2).sum(), (plain.light[:, band] ** 2).sum(), rtol=1e-9)
+
+
+def test_constant_light_has_band_0_alone() -> None:
+    turned = around([CONSTANT], ODD)
+    np.testing.assert_allclose(turned.light, [[math.sqrt(4 * math.pi)]] * 3)
+    assert turned.sky.order == 1
 
 
 def test_constant_light_does_not_turn() -> None:
@@ -78,15 +85,23 @@ def test_reflected_light_is_tinted_by_the_albedo() -> None:
 
 
 def test_sky_holds_the_cosine_lobe_of_each_coefficient() -> None:
-    sky = around([SKY]).sky
-    assert sky.order == 5
-    bands = [l for l in range(5) for _ in range(2 * l + 1)]
-    np.testing.assert_allclose(sky.lobe, cosine_lobe_factors(5)[bands] / math.pi)
+    turned = around([SKY], ODD, albedo=[0.2, 0.5, 1.0])
+    assert turned.sky.order == AROUND
+    bands = [l for l in range(AROUND) for _ in range(2 * l + 1)]
+    np.testing.assert_allclose(turned.sky.lobe, cosine_lobe_factors(AROUND)[bands] / math.pi)
+    np.testing.assert_allclose(turned.sky.light, turned.light[:, : AROUND**2] * np.array([[0.2], [0.5], [1.0]]))
+
+
+@pytest.mark.parametrize("settings", [{"representation": "irradiance", "rotating": False}, {"order": 2}])
+def test_unshadowed_light_does_not_depend_on_what_texels_keep(settings: dict[str, Any]) -> None:
+    own, other = around([SKY], **settings).sky, around([SKY]).sky
+    assert own.order == other.order
+    np.testing.assert_allclose(own.light, other.light)
 
 
 def test_surroundings_are_the_environment_itself_and_the_turn() -> None:
     turned = around([SKY, CONSTANT], QUARTER)
-    environment = turned.recipe.scene.environment
+    environment = turned.look.recipe.scene.environment
     assert turned.surroundings.image is environment.image
     assert turned.surroundings.constant.tolist() == [1.0, 1.0, 1.0]
     np.testing.assert_allclose(turned.surroundings.matrix @ (1, 0, 0), (0, 1, 0), atol=1e-12)

@@ -32,14 +32,14 @@ def slope(towards):
     return -(X * towards[0] + Y * towards[1] + Z * towards[2])
 
 
-def bake(field, texels, count, shares, order=1, first=0, step=(1.0, 1.0, 1.0)):
+def bake(field, texels, count, shares, order=1, first=0, step=(1.0, 1.0, 1.0), survival=1.0):
     """`bake_texels` from nothing: sums (m, 2, channels, n²), isovalues and void (m,)."""
     sums = np.zeros((len(texels), 2, len(shares), order**2))
-    isovalues, void = bake_more(field, texels, first, count, shares, order, sums, step)
+    isovalues, void = bake_more(field, texels, first, count, shares, order, sums, step, survival)
     return sums, isovalues, void
 
 
-def bake_more(field, texels, first, count, shares, order, sums, step=(1.0, 1.0, 1.0)):
+def bake_more(field, texels, first, count, shares, order, sums, step=(1.0, 1.0, 1.0), survival=1.0):
     """Add samples to the sums of texels; isovalues and void (m,)."""
     m = len(texels)
     isovalues, void = np.full(m, np.nan), np.zeros(m, np.bool_)
@@ -49,7 +49,7 @@ def bake_more(field, texels, first, count, shares, order, sums, step=(1.0, 1.0, 
     if len(rows):
         lowest, highest = float(isovalues[rows].min()), float(isovalues[rows].max())
         bricks = make_bricks(field.voxels, brick_ranges(field.voxels), lowest, highest)
-        bake_texels(field, bricks, place, rows, first, count, shares, order, sums)
+        bake_texels(field, bricks, place, rows, first, count, shares, survival, order, sums)
     return isovalues, void
 
 
@@ -284,6 +284,22 @@ def test_samples_go_on_where_they_stopped_bit_for_bit():
     for first in (0, count):
         bake_more(field, texels, first, count, shares, 4, parts)
     assert np.array_equal(whole, parts)
+
+
+@COMPILED
+def test_roulette_ends_paths_and_keeps_their_light():
+    """Each path that goes on stands for those that do not: the same means from fewer paths that leave."""
+    texels = np.argwhere(np.abs(TORUS) < 0.3)[::40].astype(np.int32)
+    k, albedo, survival, count = np.arange(9), 0.9, 0.6, 2048
+    carried = albedo**k / survival ** np.maximum(k - 1, 0)
+    shares, ends = np.hstack([[0.0], albedo**k])[None], np.hstack([[0.0, 0.0], np.ones(8)])[None]
+    field = field_of(TORUS)
+    whole = bake(field, texels, count, shares)[0].mean(axis=1).ravel() * FACTOR / count
+    spun = bake(field, texels, count, np.hstack([[0.0], carried])[None], survival=survival)[0] * FACTOR / count
+    assert abs((spun.mean(axis=1).ravel() - whole).mean()) < 1e-3 * whole.mean()
+    assert np.abs(spun.mean(axis=1).ravel() / whole - 1.0).max() < 0.05
+    reflected = [bake(field, texels, count, ends, survival=chance)[0].sum() for chance in (1.0, survival)]
+    assert reflected[1] < 0.95 * reflected[0]
 
 
 def test_shares_say_what_each_path_counts():

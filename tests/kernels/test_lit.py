@@ -68,7 +68,7 @@ def one_by_one(field, isovalues, points, normals, seeds, first, count, weights, 
 
 @njit
 def in_waves(field, bricks, isovalues, points, normals, seeds, first, count, weights, light, gathered):
-    light_paths(field, bricks, isovalues, points, normals, seeds, first, count, weights, light, gathered)
+    light_paths(field, bricks, isovalues, points, normals, seeds, first, count, weights, 1.0, light, gathered)
 
 
 def lamps(*rows):

@@ -22,18 +22,18 @@ BOUNCES = 4
 
 
 @njit
-def one_by_one(field, isovalues, points, normals, seeds, first, count, left, ways):
+def one_by_one(field, isovalues, points, normals, seeds, first, count, survival, left, ways):
     starts = len(isovalues)
     for m in range(starts * count):
         i, sample = m % starts, first + m // starts
         p, n = column(points, i), column(normals, i)
-        left[m], w = trace_path(field, isovalues[i], p, n, OUTSIDE, seeds[i], sample, BOUNCES)
+        left[m], w = trace_path(field, isovalues[i], p, n, OUTSIDE, seeds[i], sample, BOUNCES, survival)
         put_column(ways, m, w)
 
 
 @njit
-def in_waves(field, bricks, isovalues, points, normals, seeds, first, count, left, ways):
-    walk_paths(field, bricks, isovalues, points, normals, seeds, first, count, BOUNCES, left, ways)
+def in_waves(field, bricks, isovalues, points, normals, seeds, first, count, survival, left, ways):
+    walk_paths(field, bricks, isovalues, points, normals, seeds, first, count, BOUNCES, survival, left, ways)
 
 
 def plateaus(values):
@@ -41,13 +41,14 @@ def plateaus(values):
     return np.clip(values, -0.4, 0.4)
 
 
+@pytest.mark.parametrize("survival", [1.0, 0.6])
 @pytest.mark.parametrize("starts, count", [(1, 1), (2, 40), (17, 3), (700, 5), (10, 1200), (5000, 2)])
 @pytest.mark.parametrize(
     "body",
     [BUMPS, plateaus(BUMPS), BUMPS[:, :, 16:19], np.repeat(BUMPS[16:17], len(BUMPS), axis=0)],
     ids=["bumps", "plateaus", "thin", "a column, whose normals have no z"],
 )
-def test_waves_are_the_paths_one_by_one(starts, count, body):
+def test_waves_are_the_paths_one_by_one(starts, count, body, survival):
     if config.DISABLE_JIT and starts * count > 100:
         pytest.skip("so many paths need compiled kernels")
     volume = make_volume(body, (0.5, 1.0, 2.0))
@@ -61,8 +62,8 @@ def test_waves_are_the_paths_one_by_one(starts, count, body):
     bricks = make_bricks(volume.voxels, brick_ranges(volume.voxels), isovalues.min(), isovalues.max())
     total = starts * count
     left, ways = np.empty((2, total), np.int64), np.empty((2, 3, total))
-    one_by_one(field, isovalues, points, normals, seeds, 3, count, left[0], ways[0])
-    in_waves(field, bricks, isovalues, points, normals, seeds, 3, count, left[1], ways[1])
+    one_by_one(field, isovalues, points, normals, seeds, 3, count, survival, left[0], ways[0])
+    in_waves(field, bricks, isovalues, points, normals, seeds, 3, count, survival, left[1], ways[1])
     assert np.array_equal(left[0], left[1])
     assert np.array_equal(ways[0], ways[1])
     assert total < 1000 or (left[0] > 0).mean() > 0.02

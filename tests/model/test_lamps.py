@@ -11,6 +11,7 @@ from isogi_core.errors import SceneError
 from isogi_core.kernels.lamps import AREA, DIRECTIONAL, POINT
 from isogi_core.model.lamps import gather_lamps
 from isogi_core.model.lights import AreaLight, ConstantLight, DirectionalLight, Lamp, PointLight
+from isogi_core.model.plan import Layer
 from isogi_core.model.scene import load_scene
 
 SUN = DirectionalLight(90.0, 30.0, (3.0, 2.0, 1.0), 60.0)
@@ -101,10 +102,11 @@ def scene(*lights: dict[str, Any], **settings: Any) -> Any:
     return load_scene("demo:orbital", lights=list(lights), **settings)
 
 
-def test_lamps_change_the_frame_and_not_the_transfer() -> None:
-    plain, lit = scene({"type": "constant"}), scene({"type": "constant"}, LAMP)
+def test_lamps_change_the_frame_and_irradiance_alone() -> None:
+    plain, lit = (scene({"type": "sky"}, *lamps, rotating=False) for lamps in ((), (LAMP,)))
     assert lit.lamps.any and not plain.lamps.any
-    assert lit.digest != plain.digest and lit.bake_digest == plain.bake_digest
+    assert lit.digest != plain.digest and lit.bake_digest != plain.bake_digest
+    assert lit.layer_digest(Layer("direct", 3)) == plain.layer_digest(Layer("direct", 3))
 
 
 def test_lamps_do_not_turn() -> None:
