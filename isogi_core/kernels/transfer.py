@@ -123,8 +123,8 @@ def bake_texels(field, bricks, place, rows, first, count, shares, survival, orde
 
     ``place`` is what ``locate_texels`` took and wrote: texels, points, normals, isovalues, the latter
     within the range of ``bricks``. ``shares`` (channels, bounces + 2) are what a path counts that left after
-    k bounces, at k + 1, or never, at 0; of those that hit twice a share ``survival`` goes on: see ``spin``. Adds to ``sums`` (m, 2, channels, n²). Source: S1, section 4.1,
-    "for all texels".
+    k bounces, at k + 1, or never, at 0; of those that hit twice a share ``survival`` goes on: see ``spin``.
+    Adds to ``sums`` (m, 2, channels, n²). Source: S1, section 4.1, "for all texels".
     """
     together = max(WAVE // (2 * count), ABREAST)
     for i in range(0, rows.shape[0], together):

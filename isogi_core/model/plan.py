@@ -86,9 +86,9 @@ class ScenePlan:
     """What is baked for a scene, and how it is lit with it.
 
     ``order`` is that of the light which texels are put under, 1 where they keep no harmonics; a layer may have more.
-    ``bounces`` counts surface hits after the first; from the second on a path goes on with the chance ``survival``;
-    ``samples`` are the most that a texel takes; ``errors`` names relative errors that the plan expects, by what is
-    cut off; ``notes`` are sentences on those above the target.
+    ``bounces`` counts surface hits after the first; from the second on a path goes on with the chance ``survival``.
+    ``samples`` are the most that a texel takes; ``errors`` names relative errors that the plan expects, by
+    what is cut off; ``notes`` are sentences on those above the target.
     """
 
     representation: str

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from isogi_core.model.plan import Layer, LeftOut, Saving, ScenePlan
 from isogi_core.plan.bands import truncation_error
-from isogi_core.plan.budget import LONGEST_PATH, rounding_error, tail_of_bounces
+from isogi_core.plan.budget import LONGEST_PATH, ROULETTE_RAYS, rounding_error, tail_of_bounces
 from isogi_core.plan.needs import Needs
 from isogi_core.plan.texels import TexelCount
 
@@ -89,6 +89,15 @@ def reflections(plan: ScenePlan, needs: Needs) -> Iterator[LeftOut]:
         why = f"They would bring at most {tail:.2%} of the light."
         longer = Saving(LONGEST_PATH - plan.bounces, "rays per path, at most")
         yield LeftOut(f"bounces after number {plan.bounces}", why, (longer,))
+
+
+def ends(plan: ScenePlan, _: Needs) -> Iterator[LeftOut]:
+    """What paths would go on to, had they not ended by chance."""
+    if plan.survival < 1.0:
+        why = (
+            f"From its second hit on a path goes on with the chance {plan.survival:.2g}, and stands for those that end."
+        )
+        yield LeftOut("the rest of paths that end by chance", why, (Saving(ROULETTE_RAYS, "percent of rays", True),))
 
 
 def unreflected(plan: ScenePlan, needs: Needs) -> Iterator[Saving]:
@@ -184,7 +193,7 @@ def added(layer: Layer, larger: Layer) -> Saving:
 
 
 FINDERS: tuple[Callable[[ScenePlan, Needs], Iterator[LeftOut]], ...] = (
-    *(harmonics, bands, channels, reflections, halves, records),
+    *(harmonics, bands, channels, reflections, ends, halves, records),
     *(turning, shadow_rays, kernels),
 )
 """Each finds what a plan leaves out of one sort."""

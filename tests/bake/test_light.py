@@ -5,7 +5,7 @@ from isogi_core.bake.precision import VOID
 from isogi_core.model.plan import Layer, ScenePlan
 from tests.bake.texels import same
 
-PLAN = ScenePlan("transfer", (Layer("direct", 3), Layer("indirect", 2, 3)), 2, (1.0,) * 3, 4096)
+PLAN = ScenePlan("transfer", (Layer("direct", 3), Layer("indirect", 2, 3)), 3, 2, 1.0, 4096)
 
 
 def some_light(texels: int, seed: int = 1) -> Light:

@@ -32,7 +32,7 @@ def look_of(plan: ScenePlan, **settings: Any) -> Look:
 
 def plan_of(*layers: Layer, representation: str = "transfer", bounces: int = 3) -> ScenePlan:
     order = max(layer.order for layer in layers)
-    return ScenePlan(representation, layers, bounces, (1.0,) * order, 4096)
+    return ScenePlan(representation, layers, order, bounces, 1.0, 4096)
 
 
 def test_bands_of_coefficients() -> None:
@@ -67,12 +67,13 @@ def test_a_black_surface_reflects_nothing_and_still_sees_the_light() -> None:
 # --- the light --------------------------------------------------------------------------------------------------
 
 
-def test_the_window_weakens_each_band_of_the_light() -> None:
+def test_a_larger_layer_is_put_under_the_light_of_its_plan() -> None:
     plain = look_of(plan_of(Layer("direct", 3)))
-    weakened = Look(plain.recipe, ScenePlan("transfer", plain.plan.layers, 0, (1.0, 0.75, 0.25), 4096))
-    factors = np.array([1.0, *[0.75] * 3, *[0.25] * 5])
-    np.testing.assert_allclose(weakened.light, plain.light * factors)
+    smaller = Look(plain.recipe, ScenePlan("transfer", plain.plan.layers, 2, 0, 1.0, 4096))
+    assert np.array_equal(smaller.light, plain.light[:, :4])
     assert plain.light.shape == (3, 9) and plain.order == 3
+    gains = smaller.gains(Layer("direct", 3)), plain.gains(Layer("direct", 2))
+    assert np.array_equal(*gains)
 
 
 def test_irradiance_has_met_its_light_already() -> None:

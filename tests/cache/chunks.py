@@ -21,7 +21,7 @@ CONSTANT = {"type": "constant", "radiance": 1.0}
 SETTINGS: dict[str, Any] = {"order": 2, "lattice": 0.4, "bounces": 1, "target_error": 0.5, "lights": [SKY]}
 """39³ texels in 3³ chunks: the last along each axis is 7 texels wide, and texels lie between voxels."""
 
-PLAN = ScenePlan("transfer", (Layer("direct", 3), Layer("indirect", 2, 3, half=False)), 2, (1.0,) * 3, 4096)
+PLAN = ScenePlan("transfer", (Layer("direct", 3), Layer("indirect", 2, 3, half=False)), 3, 2, 1.0, 4096)
 """A plan of two layers that differ in all that they can."""
 
 

@@ -47,5 +47,5 @@ def test_buried_are_texels_from_which_no_path_of_any_part_left() -> None:
 
 def test_dark_irradiance_is_not_buried() -> None:
     """Lights that do not move may leave a side of the surface black, which light would reach."""
-    plan = ScenePlan("irradiance", (Layer("irradiance"),), 2, (1.0,), 4096)
+    plan = ScenePlan("irradiance", (Layer("irradiance"),), 1, 2, 1.0, 4096)
     assert marks_of(light_of([[FEWEST, VOID]], plan)).tolist() == [0, VOID_ROW]

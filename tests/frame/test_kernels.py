@@ -7,7 +7,7 @@ import pytest
 from numba import config
 
 from isogi_core.frame.kernels import FRAME, frame_kernels
-from isogi_core.kernels.harmonics import project, rotate
+from isogi_core.kernels.harmonics import rotate
 from isogi_core.model.scene import Scene, load_scene
 
 CONSTANT = {"lights": [{"type": "constant"}]}
@@ -57,7 +57,7 @@ def test_the_kernels_of_a_frame_are_those_that_are_called(settings: dict[str, An
 
 def test_harmonics_are_for_lights_that_have_some_and_turn() -> None:
     constant, fixed, turning = (set(FRAME) - {*frame_kernels([scene_of(s)])} for s in (CONSTANT, FIXED, TURNING))
-    assert (constant, fixed, turning) == ({project, rotate}, {rotate}, set())
+    assert (constant, fixed, turning) == ({rotate}, {rotate}, set())
 
 
 def test_scenes_together_need_what_any_of_them_needs() -> None:

@@ -26,7 +26,7 @@ from isogi_core.errors import Cancelled, StoreError
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.kernels import FRAME
 from isogi_core.kernels.bricks import Bricks
-from isogi_core.kernels.harmonics import project, rotate
+from isogi_core.kernels.harmonics import rotate
 from isogi_core.model.scene import Scene, load_scene
 from isogi_core.model.view import View
 from server import studio as studios
@@ -487,7 +487,7 @@ def test_kernels_that_a_scene_never_calls_are_never_compiled(tmp_path: Path) -> 
         return {f"isogi_core.kernels.{path.name.split('-')[0]}" for path in files}, int(done.stdout)
 
     every = {kernel.name for kernel in FRAME}
-    assert start("constant")[0] == every - {rotate.name, project.name}
+    assert start("constant")[0] == every - {rotate.name}
     assert start("sky")[0] == every
     assert start("sky") == (every, 0)
 

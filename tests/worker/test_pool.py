@@ -26,12 +26,13 @@ from worker.pool import AHEAD, WorkerPool
 from worker.tasks import KINDS, BakeResult, BakeTask, bake_kernels, opened
 
 SCENE = load_scene("demo:orbital", order=2, lattice=0.4, bounces=1, target_error=0.5)
-DIGEST = look_for(Recipe(SCENE), "gi").digest
+LOOK = look_for(Recipe(SCENE), "gi")
 BAKE = bake_kernels(KINDS)
 TEXELS = np.arange(0, 4096, 40, dtype=np.int32)
 WORKERS = 2
 ROOT = Path(__file__).resolve().parent.parent.parent
 OPENING = (fill_ranges, mark_bricks, pack_bricks, fill_macrocells)
+CALLED = (*bake_kernels(["direct", "indirect"]), *OPENING)
 
 
 def kernel_cache() -> dict[str, tuple[int, int]]:
@@ -74,9 +75,9 @@ def bake_all(pool: WorkerPool, tasks: list[BakeTask]) -> list[BakeResult]:
     return results
 
 
-def tasks_for(store: Path, digest: str = DIGEST) -> list[BakeTask]:
+def tasks_for(store: Path, digest: str = LOOK.digest) -> list[BakeTask]:
     indices = [(z, y, 0) for z in (0, 1) for y in (0, 1)]
-    return [BakeTask(SCENE.source, "gi", digest, str(store), index, TEXELS, 64, 0.5) for index in indices]
+    return [BakeTask(SCENE.source, LOOK.plan, digest, str(store), index, TEXELS, 64, 0.5) for index in indices]
 
 
 def test_workers_are_processes_of_their_own(pool: WorkerPool) -> None:
@@ -92,7 +93,7 @@ def test_tasks_leave_their_chunks_in_the_store(pool: WorkerPool, tmp_path: Path)
     tasks = tasks_for(tmp_path)
     results = bake_all(pool, tasks)
     assert all(result.seconds > 0 for result in results)
-    store: ChunkStore = opened(SCENE.source, "gi", DIGEST, str(tmp_path))[1]
+    store: ChunkStore = opened(SCENE.source, LOOK.plan, LOOK.digest, str(tmp_path))[1]
     for task in tasks:
         np.testing.assert_array_equal(store.load(task.index).offsets, TEXELS)
 
@@ -164,7 +165,7 @@ def test_kernels_are_loaded_and_not_compiled_again(
 ) -> None:
     bake_all(pool, tasks_for(tmp_path))
     for kernels in pool._client.run(kernels_of_this_process).values():
-        assert set(kernels) == {kernel.name for kernel in (*BAKE, *OPENING)}
+        assert set(kernels) == {kernel.name for kernel in CALLED}
         assert not any(kernels.values())
     assert compiled
     after = kernel_cache()

@@ -12,6 +12,7 @@ from isogi_core.bake.recipe import Recipe
 from isogi_core.bake.refine import refine
 from isogi_core.cache.store import ChunkStore
 from isogi_core.errors import SceneError, StoreError
+from isogi_core.kernels.irradiance import bake_irradiance
 from isogi_core.kernels.transfer import bake_texels, locate_texels
 from isogi_core.model.plan import most_samples
 from isogi_core.model.scene import load_scene
@@ -22,16 +23,16 @@ UNTIL = most_samples(0.05)
 TEXELS = np.arange(5, 3000, 41, dtype=np.int32)
 TEXELS = TEXELS[TEXELS % 16 < 7]  # the last chunk along x is 7 texels wide
 SCENE = load_scene("demo:orbital", order=2, lattice=0.4, bounces=2, target_error=0.05)
-DIGEST = look_for(Recipe(SCENE), "gi").digest
-VICINITY = look_for(Recipe(SCENE), "vicinity").digest
+LOOK = look_for(Recipe(SCENE), "gi")
+VICINITY = look_for(Recipe(SCENE), "vicinity")
 
 
 def do(root: Path, texels: np.ndarray = TEXELS, until: int = UNTIL, target: float = 0.05) -> BakeResult:
-    return bake(BakeTask(SCENE.source, "gi", DIGEST, str(root), INDEX, texels, until, target))
+    return bake(BakeTask(SCENE.source, LOOK.plan, LOOK.digest, str(root), INDEX, texels, until, target))
 
 
 def store_of(root: Path) -> ChunkStore:
-    return opened(SCENE.source, "gi", DIGEST, str(root))[1]
+    return opened(SCENE.source, LOOK.plan, LOOK.digest, str(root))[1]
 
 
 def stored(root: Path) -> list[bytes | None]:
@@ -113,10 +114,10 @@ def test_texels_that_are_not_asked_for_stay_as_they_are(tmp_path: Path) -> None:
 def test_vicinity_shading_takes_its_light_from_the_layer_that_is_there(tmp_path: Path) -> None:
     do(tmp_path)
     before = stored(tmp_path)
-    result = bake(BakeTask(SCENE.source, "vicinity", VICINITY, str(tmp_path), INDEX, TEXELS, 64, 0.5))
+    result = bake(BakeTask(SCENE.source, VICINITY.plan, VICINITY.digest, str(tmp_path), INDEX, TEXELS, 64, 0.5))
     assert result.unfinished == 0
     assert stored(tmp_path) == before
-    light = opened(SCENE.source, "vicinity", VICINITY, str(tmp_path))[1].load(INDEX).light
+    light = opened(SCENE.source, VICINITY.plan, VICINITY.digest, str(tmp_path))[1].load(INDEX).light
     assert [part.layer for part in light.parts] == [SCENE.plan.layers[0]]
     assert (light.samples >= 64).all()
 
@@ -143,7 +144,7 @@ def test_a_damaged_chunk_heals_to_the_same_bytes(tmp_path: Path, damage: Callabl
 
 
 def test_a_scene_whose_files_changed_is_refused(tmp_path: Path) -> None:
-    task = BakeTask(SCENE.source, "gi", "0" * 20, str(tmp_path), INDEX, TEXELS, 16, 0.05)
+    task = BakeTask(SCENE.source, LOOK.plan, "0" * 20, str(tmp_path), INDEX, TEXELS, 16, 0.05)
     with pytest.raises(SceneError, match=r"'orbital' have changed since the server began: restart it\.$"):
         bake(task)
     assert not list(tmp_path.iterdir())
@@ -171,7 +172,8 @@ def test_a_worker_answers_while_it_loads_kernels(monkeypatch: pytest.MonkeyPatch
 def test_layers_need_the_kernels_of_their_kinds_alone() -> None:
     assert set(bake_kernels(["direct", "indirect"])) == {bake_texels, locate_texels}
     assert set(bake_kernels(["whole"])) == {bake_texels, locate_texels}
-    assert set(bake_kernels(["irradiance"])) == {locate_texels}
+    assert set(bake_kernels(["irradiance"])) == {bake_irradiance, locate_texels}
+    assert set(bake_kernels(KINDS)) == {bake_texels, bake_irradiance, locate_texels}
 
 
 def test_goals_climb() -> None:
