@@ -1,12 +1,12 @@
 """Kin of a layer: the same light to another order, or of another precision, that an earlier plan left in the store.
 
-What is true of a texel's first bands stays true when a plan asks for more of them or for fewer, for its paths are
-the same. A larger layer serves in place of a smaller one; a smaller one is shown until the larger is baked.
+What is true of a texel's first bands stays true when a plan asks for more of them or for fewer, or more or less
+precisely, for its paths are the same. A larger layer serves in place of a smaller one; a smaller one is shown
+until the larger is baked.
 """
 
 from collections.abc import Iterator
 from dataclasses import replace
-from itertools import product
 from pathlib import Path
 
 from isogi_core.bake.recipe import Recipe
@@ -38,14 +38,24 @@ def former(layer: Layer, recipe: Recipe, root: str | Path) -> LayerStore | None:
 def larger(layer: Layer) -> Iterator[Layer]:
     """Layers that hold all that ``layer`` holds, and more."""
     orders = range(layer.order, MAX_ORDER + 1) if layer.kind in ("direct", "indirect") else (layer.order,)
-    precisions = {(layer.half, layer.coarse), (layer.half, None), (False, None)}
-    for order, (half, coarse) in product(orders, precisions):
-        kin = replace(layer, order=order, half=half, coarse=coarse)
-        if kin != layer:
-            yield kin
+    kin = (kin for order in orders for kin in precisions(layer, order))
+    return (other for other in kin if other != layer and holds(other, layer))
 
 
 def smaller(layer: Layer) -> Iterator[Layer]:
-    """Layers that hold the first bands of ``layer``, the most of them first."""
-    for order in range(layer.order - 1, DIRECTED - 1, -1):
-        yield replace(layer, order=order)
+    """Layers that hold the first bands of ``layer``, or all of them less precisely; the most bands first."""
+    lower = range(layer.order - 1, DIRECTED - 1, -1)
+    kin = (kin for order in (layer.order, *lower) for kin in precisions(layer, order))
+    return (other for other in kin if not (other.order == layer.order and holds(other, layer)))
+
+
+def precisions(layer: Layer, order: int) -> Iterator[Layer]:
+    """The layer to another ``order``, in every precision; the most precise first."""
+    yield replace(layer, order=order, half=False, coarse=None)
+    for coarse in (None, *range(order - 1, 0, -1)):
+        yield replace(layer, order=order, half=True, coarse=coarse)
+
+
+def holds(kin: Layer, layer: Layer) -> bool:
+    """Whether ``kin``, of no lower order, keeps each coefficient of ``layer`` as precisely, or more so."""
+    return kin.floats >= layer.floats and (layer.half or not kin.half)

@@ -10,6 +10,7 @@ import numpy as np
 
 from isogi_core.bake.light import Part
 from isogi_core.bake.look import Look
+from isogi_core.bake.precision import VOID
 from isogi_core.bake.recipe import Index
 from isogi_core.cache.chunk import Chunk
 from isogi_core.cache.kin import former
@@ -82,10 +83,11 @@ class ChunkStore:
 
 
 def completed(offsets: np.ndarray, part: Part, others: np.ndarray, kin: Part, layer: Layer) -> tuple[np.ndarray, Part]:
-    """A ``part`` of texels at ``offsets``, and what ``kin`` of fewer bands says of others; these have no samples."""
-    lacking = ~np.isin(others, offsets) & (kin.samples > 0)
+    """A ``part`` of texels at ``offsets``, and what ``kin`` says of others; these are void, or have no samples."""
+    lacking = ~np.isin(others, offsets)
     union = np.union1d(offsets, others[lacking]).astype(np.int32)
-    whole = Part.dark(layer, len(union))
-    whole.coefficients[np.searchsorted(union, others[lacking]), :, : kin.layer.order**2] = kin.coefficients[lacking]
+    whole, rows = Part.dark(layer, len(union)), np.searchsorted(union, others[lacking])
+    whole.coefficients[rows, :, : kin.layer.order**2] = kin.coefficients[lacking]
+    whole.samples[rows] = np.where(kin.samples[lacking] == VOID, VOID, 0)
     whole.put(np.searchsorted(union, offsets), part)
     return union, whole

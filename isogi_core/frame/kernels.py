@@ -7,6 +7,7 @@ from isogi_core.kernels.bricks import fill_ranges, mark_bricks, pack_bricks
 from isogi_core.kernels.camera import trace_pixels
 from isogi_core.kernels.film import develop_rows, fill_curve
 from isogi_core.kernels.harmonics import rotate
+from isogi_core.kernels.lamps import project_lamps
 from isogi_core.kernels.lattice import (
     carry_light,
     find_corners,
@@ -32,6 +33,7 @@ FRAME = (
     mark_texels,
     light_texels,
     find_rows,
+    project_lamps,
     develop_rows,
     touch_chunks,
     pack_bricks,
@@ -53,4 +55,5 @@ def frame_kernels(scenes: Iterable[Scene]) -> tuple[Any, ...]:
 
 def spared_by(scene: Scene) -> set[Any]:
     """Those that frames of a ``scene`` never call: constant light, and light that stays in place, are not turned."""
-    return set() if scene.rotating and scene.environment.image.any() else {rotate}
+    turns = scene.rotating and scene.environment.image.any()
+    return {kernel for kernel, called in ((rotate, turns), (project_lamps, scene.lamps.any)) if not called}

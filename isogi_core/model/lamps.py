@@ -44,7 +44,8 @@ class Lamps:
     def approximate(self, order: int, centre: Vector) -> np.ndarray:
         """SH coefficients (3, n²) float64 of the lamps as if each were infinitely far from ``centre``: Σ E Y_i(d)."""
         coefficients = np.zeros((3, order**2))
-        project_lamps(order, *self.seen_from(centre), coefficients)
+        if self.any:
+            project_lamps(order, *self.seen_from(centre), coefficients)
         return coefficients
 
     def brightest(self, centre: Vector) -> float:

@@ -8,11 +8,13 @@ from numba import config
 
 from isogi_core.frame.kernels import FRAME, frame_kernels
 from isogi_core.kernels.harmonics import rotate
+from isogi_core.kernels.lamps import project_lamps
 from isogi_core.model.scene import Scene, load_scene
 
 CONSTANT = {"lights": [{"type": "constant"}]}
 FIXED = {"lights": [{"type": "sky"}], "rotating": False, "representation": "transfer"}
 TURNING = {"lights": [{"type": "sky"}]}
+LAMP = {"lights": [{"type": "constant"}, {"type": "directional", "azimuth": 30.0, "elevation": 50.0}]}
 RENDER = """\
 import json, sys, tempfile
 from isogi_core.bake.recipe import Recipe
@@ -22,6 +24,7 @@ from isogi_core.frame.kernels import frame_kernels
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels._jit import Entry
+from isogi_core.kernels.lamps import project_lamps
 from isogi_core.model.scene import load_scene
 from isogi_core.model.view import View, quaternion_from_angles
 
@@ -47,7 +50,7 @@ def scene_of(settings: dict[str, Any]) -> Scene:
 
 
 @pytest.mark.skipif(bool(config.DISABLE_JIT), reason="Numba is switched off: nothing is compiled")
-@pytest.mark.parametrize("settings", [CONSTANT, FIXED, TURNING], ids=["constant", "fixed", "turning"])
+@pytest.mark.parametrize("settings", [CONSTANT, FIXED, TURNING, LAMP], ids=["constant", "fixed", "turning", "lamp"])
 def test_the_kernels_of_a_frame_are_those_that_are_called(settings: dict[str, Any]) -> None:
     """In a process of its own, which has loaded no kernel yet."""
     command = [sys.executable, "-c", RENDER, json.dumps(settings)]
@@ -55,12 +58,12 @@ def test_the_kernels_of_a_frame_are_those_that_are_called(settings: dict[str, An
     assert done.stderr.splitlines()[-1] == "called but not listed: set(), listed but not called: set()", done.stderr
 
 
-def test_harmonics_are_for_lights_that_have_some_and_turn() -> None:
-    constant, fixed, turning = (set(FRAME) - {*frame_kernels([scene_of(s)])} for s in (CONSTANT, FIXED, TURNING))
-    assert (constant, fixed, turning) == ({rotate}, {rotate}, set())
+def test_harmonics_are_for_lights_that_have_some_and_turn_and_for_lamps() -> None:
+    spared = [set(FRAME) - {*frame_kernels([scene_of(settings)])} for settings in (CONSTANT, FIXED, TURNING, LAMP)]
+    assert spared == [{rotate, project_lamps}, {rotate, project_lamps}, {project_lamps}, {rotate}]
 
 
 def test_scenes_together_need_what_any_of_them_needs() -> None:
-    assert frame_kernels([scene_of(CONSTANT), scene_of(TURNING)]) == FRAME
+    assert frame_kernels([scene_of(LAMP), scene_of(TURNING)]) == FRAME
     assert rotate not in frame_kernels([scene_of(CONSTANT), scene_of(FIXED)])
     assert frame_kernels([]) == ()

@@ -102,11 +102,13 @@ def scene(*lights: dict[str, Any], **settings: Any) -> Any:
     return load_scene("demo:orbital", lights=list(lights), **settings)
 
 
-def test_lamps_change_the_frame_and_irradiance_alone() -> None:
-    plain, lit = (scene({"type": "sky"}, *lamps, rotating=False) for lamps in ((), (LAMP,)))
+def test_lamps_change_the_irradiance_and_not_the_transfer() -> None:
+    plain, lit = scene({"type": "constant"}), scene({"type": "constant"}, LAMP)
     assert lit.lamps.any and not plain.lamps.any
-    assert lit.digest != plain.digest and lit.bake_digest != plain.bake_digest
-    assert lit.layer_digest(Layer("direct", 3)) == plain.layer_digest(Layer("direct", 3))
+    assert lit.plan.representation == "irradiance" and lit.digest != plain.digest
+    brighter = scene({"type": "constant"}, {**LAMP, "intensity": 60.0})
+    for layer, same in ((Layer("irradiance"), False), (Layer("direct", 5), True)):
+        assert (lit.layer_digest(layer) == brighter.layer_digest(layer)) == same
 
 
 def test_lamps_do_not_turn() -> None:

@@ -8,10 +8,9 @@ import threading
 import time
 import tracemalloc
 from collections.abc import Callable, Collection, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import replace
-from hashlib import sha256
 from pathlib import Path
 from queue import Queue
 from typing import Any
@@ -27,38 +26,16 @@ from isogi_core.frame.frame import Frame
 from isogi_core.frame.kernels import FRAME
 from isogi_core.kernels.bricks import Bricks
 from isogi_core.kernels.harmonics import rotate
+from isogi_core.kernels.lamps import project_lamps
 from isogi_core.model.scene import Scene, load_scene
-from isogi_core.model.view import View
 from server import studio as studios
 from server.foresight import next_values
 from server.studio import Studio, absolute
+from tests.server.inline import LONG, InlinePool, chunks_in, view_of
 from worker import pool
 from worker.errors import WorkersError
-from worker.pool import Done
-from worker.tasks import BakeResult, BakeTask, bake
 
-LONG = 60.0
 ROOT = Path(__file__).resolve().parent.parent.parent
-
-
-class InlinePool:
-    """Bakes on a thread of this process."""
-
-    room = 2
-    connected = True
-
-    def __init__(self, workers: int, scheduler: str | None = None, kinds: Collection[str] = ()) -> None:
-        self._thread = ThreadPoolExecutor(1)
-
-    def submit(self, task: BakeTask, done: Done) -> None:
-        def ended(future: "Future[BakeResult]") -> None:
-            error = future.exception()
-            done(None if error else future.result(), error)
-
-        self._thread.submit(bake, task).add_done_callback(ended)
-
-    def close(self) -> None:
-        self._thread.shutdown()
 
 
 @pytest.fixture(autouse=True)
@@ -94,17 +71,6 @@ def begin(scene: Scene, store: Path) -> Iterator[Open]:
     yield begin
     for studio in begun:
         studio.close()
-
-
-def view_of(scene: Scene, azimuth: float = 30.0, isovalue: float | None = None) -> View:
-    camera = scene.camera(azimuth, 20.0, 3.0, 30.0)
-    return View(scene.isovalue if isovalue is None else isovalue, camera, width=40, height=40)
-
-
-def chunks_in(store: Path) -> dict[str, str]:
-    """The stored chunks by name, and the digest of each."""
-    files = [path for path in store.glob("*/c/**/*") if path.is_file()]
-    return {str(path.relative_to(store)): sha256(path.read_bytes()).hexdigest() for path in files}
 
 
 def assert_same(a: Frame, b: Frame) -> None:
@@ -453,6 +419,7 @@ from numba.core.event import install_recorder
 from isogi_core.model.scene import load_scene
 from isogi_core.model.view import View, quaternion_from_angles
 from server.studio import Studio
+from tests.server.inline import LONG, InlinePool, chunks_in, view_of
 from worker import pool
 
 class Idle:
@@ -486,7 +453,7 @@ def test_kernels_that_a_scene_never_calls_are_never_compiled(tmp_path: Path) -> 
         files = (tmp_path / "kernels").rglob("*.nbi")
         return {f"isogi_core.kernels.{path.name.split('-')[0]}" for path in files}, int(done.stdout)
 
-    every = {kernel.name for kernel in FRAME}
+    every = {kernel.name for kernel in FRAME} - {project_lamps.name}
     assert start("constant")[0] == every - {rotate.name}
     assert start("sky")[0] == every
     assert start("sky") == (every, 0)
