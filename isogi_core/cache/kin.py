@@ -15,7 +15,7 @@ from isogi_core.kernels.harmonics import MAX_ORDER
 from isogi_core.model.plan import Layer, ScenePlan
 
 DIRECTED = 2
-"""The least order of a layer that is shown in place of a larger one: band 0 alone has no direction."""
+"""The least order of direct light that is shown in place of more: band 0 alone has no direction."""
 
 
 def adopt(plan: ScenePlan, recipe: Recipe, root: str | Path) -> ScenePlan:
@@ -44,7 +44,8 @@ def larger(layer: Layer) -> Iterator[Layer]:
 
 def smaller(layer: Layer) -> Iterator[Layer]:
     """Layers that hold the first bands of ``layer``, or all of them less precisely; the most bands first."""
-    lower = range(layer.order - 1, DIRECTED - 1, -1)
+    least = DIRECTED if layer.kind == "direct" else 1
+    lower = range(layer.order - 1, least - 1, -1)
     kin = (kin for order in (layer.order, *lower) for kin in precisions(layer, order))
     return (other for other in kin if not (other.order == layer.order and holds(other, layer)))
 

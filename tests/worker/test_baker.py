@@ -16,8 +16,8 @@ from worker.queue import FORGET_AFTER, MOST_FAILURES
 from worker.tasks import BakeResult, BakeTask
 
 SOURCE = SceneSource("scene", {"volume": "demo:orbital"}, Path())
-PLAN = ScenePlan("transfer", (Layer("direct", 5), Layer("indirect", 3)), 5, 4, 4096)
-NEAR = ScenePlan("vicinity", (Layer("direct", 5),), 1, 0, 4096)
+PLAN = ScenePlan("transfer", (Layer("direct", 5), Layer("indirect", 3)), 5, 4, 1.0, 4096)
+NEAR = ScenePlan("vicinity", (Layer("direct", 5),), 1, 0, 1.0, 4096)
 DONE = BakeResult(0, 0, 0.1)
 
 
