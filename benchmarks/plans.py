@@ -7,10 +7,10 @@ All texels of one view are baked to the target error twice: by the scene's plan,
 channel as floats, with as many bounces. Errors are those of the view's frame, relative RMSE of the luminance over
 surface pixels, against paths from each pixel, with more bounces where there are any.
 
-Seconds are of the processor, all threads together, so that other work on the machine hardly counts; kernels are
-compiled before. Megabytes of a view are those of its files; of the lattice they are computed, before compression:
-texels that some isovalue shows by the plan's bytes, and all texels by S1's. A dash is for S1 under lamps, which
-harmonics do not hold, and for errors of a black picture.
+Seconds are of the processor, all threads together, in one run, so that other work on the machine counts little;
+kernels are compiled before. Megabytes of a view are those of its files, in which equal channels take little more than
+one. Those of the lattice are computed, before compression: texels that some isovalue shows by the plan's bytes, and
+all texels by S1's. A dash is for S1 under lamps, which harmonics do not hold, and for errors of a black picture.
 """
 
 import json
@@ -105,7 +105,7 @@ def measure(name: str, scene: Scene, size: int) -> Row:
         shown=scene.texels.shown,
         total=scene.texels.total,
         by_plan=baked(scene, size, best),
-        by_s1=s1 and baked(s1, size, best),
+        by_s1=baked(s1, size, best) if s1 else None,
         reference_noise=best.estimated_error,
     )
 
@@ -158,11 +158,11 @@ def relative_rmse(frame: Frame, best: Frame) -> float | None:
 
 
 def describe(layer: Layer) -> str:
-    """Kind, order above 1, channels and precision of a layer."""
-    order = f" of order {layer.order}" if layer.order > 1 else ""
-    colour = " in RGB" if layer.channels == 3 else ""
-    coarse = "" if layer.coarse is None else f", bytes from band {layer.coarse}"
-    return f"{layer.kind}{order}{colour}, {layer.precision}{coarse}"
+    """Kind, order n above 1, channels and precision of a layer, and the band l from which on it is of bytes."""
+    order = f" n = {layer.order}" if layer.order > 1 else ""
+    colour = " RGB" if layer.channels == 3 else ""
+    coarse = "" if layer.coarse is None else f", bytes from l = {layer.coarse}"
+    return f"{layer.kind}{order}{colour} ({layer.precision}{coarse})"
 
 
 def table(rows: Sequence[Row]) -> str:
@@ -177,9 +177,9 @@ def cells(row: Row) -> list[str]:
     return [
         *(row.scene, row.representation, row.layers, str(row.bytes_per_texel), f"{row.shown / row.total:.1%}"),
         pair("{:,.1f}", row.shown * row.bytes_per_texel / 1e6, row.total * S1_BYTES / 1e6),
-        pair("{:.1f}", plan.seconds, s1 and s1.seconds),
-        pair("{:.2f}", plan.megabytes, s1 and s1.megabytes),
-        pair("{:.1%}", plan.error, s1 and s1.error),
+        pair("{:.1f}", plan.seconds, s1.seconds if s1 else None),
+        pair("{:.2f}", plan.megabytes, s1.megabytes if s1 else None),
+        pair("{:.1%}", plan.error, s1.error if s1 else None),
     ]
 
 

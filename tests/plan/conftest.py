@@ -1,6 +1,6 @@
 """Frames with a fixed number of paths from each texel: what two plans keep is then of the same paths."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from tempfile import mkdtemp
@@ -46,7 +46,7 @@ def frame_of(tmp_path: Path) -> Frames:
         demands = renderer.render(view).demands
         if demands:
             loader = renderer.caches.of(view.shading)
-            renderer.tiles.run(lambda a, b: [bake(loader, each, samples) for each in demands[a:b]], len(demands), 1)
+            renderer.tiles.run(lambda a, b: bake(loader, demands[a:b], samples), len(demands), 1)
         return renderer.render(view)
 
     return make
@@ -64,12 +64,13 @@ def lobe(tmp_path: Path) -> Callable[[float], dict[str, Any]]:
     return make
 
 
-def bake(loader: Loader, demand: Demand, samples: int) -> None:
-    """Take all that is demanded of a chunk to ``samples`` paths in each layer."""
-    chunk = loader.store.load(demand.index).with_texels(demand.offsets)
-    climb_to(chunk.light, chunk.positions(chunk.offsets), loader.store.look, samples)
-    loader.store.save(chunk)
-    loader.refresh(demand.index)
+def bake(loader: Loader, demands: Sequence[Demand], samples: int) -> None:
+    """Take all that is demanded to ``samples`` paths in each layer."""
+    for demand in demands:
+        chunk = loader.store.load(demand.index).with_texels(demand.offsets)
+        climb_to(chunk.light, chunk.positions(chunk.offsets), loader.store.look, samples)
+        loader.store.save(chunk)
+        loader.refresh(demand.index)
 
 
 def climb_to(light: Light, texels: np.ndarray, look: Look, samples: int) -> None:
