@@ -28,9 +28,13 @@ from isogi_core.model.view import View
 from isogi_core.model.volume import Volume, make_volume
 
 Frames = Callable[..., Frame]
+Lobe = Callable[[float], dict[str, Any]]
 TARGET = 0.05
 CONSTANT = {"type": "constant", "radiance": 1.0}
 SUN = {"type": "sky", "sun_azimuth": 80.0, "sun_elevation": 50.0}
+WIDE = 2.0
+"""Sharpness of a light from a wide window."""
+
 SIDE = 40
 """Pixels along each side of a frame."""
 
@@ -53,7 +57,7 @@ def frame_of(tmp_path: Path) -> Frames:
 
 
 @pytest.fixture
-def lobe(tmp_path: Path) -> Callable[[float], dict[str, Any]]:
+def lobe(tmp_path: Path) -> Lobe:
     """Makes probes e^(sharpness (ω·a - 1)): brightest from a, and the softer the less their sharpness."""
 
     def make(sharpness: float) -> dict[str, Any]:
@@ -105,6 +109,11 @@ def scene_of(volume: Volume, isovalues: tuple[float, float] | None = None, **set
     """A scene of a volume that is in no file, at isovalue 0, under constant light unless told."""
     scene = load_scene("demo:orbital", **{"lights": [CONSTANT], "target_error": TARGET, **settings})
     return replace(scene, volume=volume, isovalue=0.0, isovalues=isovalues or volume.value_range)
+
+
+def in_bowl(**settings: Any) -> Scene:
+    """A scene of the bowl."""
+    return scene_of(bowl(), **settings)
 
 
 def with_layers(scene: Scene, *layers: Layer, **plan: Any) -> Scene:
