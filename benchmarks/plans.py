@@ -30,7 +30,7 @@ from isogi_core.bake.refine import refine
 from isogi_core.cache.loader import Loader
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.texels import Demand
-from isogi_core.model.plan import Layer, ScenePlan, most_samples
+from isogi_core.model.plan import Layer, most_samples
 from isogi_core.model.scene import Scene
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.plan.savings import BANDS, S1_BYTES
@@ -115,7 +115,7 @@ def as_s1(scene: Scene) -> Scene | None:
     if scene.lamps.any:
         return None
     whole = Layer("whole", BANDS, 3, half=False)
-    return replace(scene, plan=ScenePlan("transfer", (whole,), BANDS, scene.bounces, scene.plan.samples))
+    return replace(scene, plan=replace(scene.plan, representation="transfer", layers=(whole,), order=BANDS))
 
 
 def traced(scene: Scene, size: int, paths: int) -> Frame:
@@ -162,7 +162,7 @@ def describe(layer: Layer) -> str:
     order = f" n = {layer.order}" if layer.order > 1 else ""
     colour = " RGB" if layer.channels == 3 else ""
     coarse = "" if layer.coarse is None else f", bytes from l = {layer.coarse}"
-    return f"{layer.kind}{order}{colour} ({layer.precision}{coarse})"
+    return f"{layer.kind}{order}{colour} ({'half' if layer.half else 'single'}{coarse})"
 
 
 def table(rows: Sequence[Row]) -> str:

@@ -24,7 +24,7 @@ from isogi_core.model.environment import pixel_directions
 from isogi_core.model.plan import Layer
 from isogi_core.model.scene import Scene, load_scene
 from isogi_core.model.sky import LUMINANCE
-from isogi_core.model.view import View
+from isogi_core.model.view import View, quaternion_from_angles
 from isogi_core.model.volume import Volume, make_volume
 
 Frames = Callable[..., Frame]
@@ -35,6 +35,7 @@ SUN = {"type": "sky", "sun_azimuth": 80.0, "sun_elevation": 50.0}
 WIDE = 2.0
 """Sharpness of a light from a wide window."""
 
+TURN = quaternion_from_angles(60.0, 0.0, 0.0)
 SIDE = 40
 """Pixels along each side of a frame."""
 

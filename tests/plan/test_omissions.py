@@ -5,13 +5,11 @@ from dataclasses import replace
 import numpy as np
 
 from isogi_core.model.plan import Layer
-from isogi_core.model.view import quaternion_from_angles
-from tests.plan.conftest import SUN, TARGET, WIDE, Frames, Lobe, apart, in_bowl, with_layers
+from tests.plan.conftest import SUN, TARGET, TURN, WIDE, Frames, Lobe, apart, in_bowl, with_layers
 
 SOFT = 0.3
 """Sharpness of a light that is nearly the same from all sides."""
 
-TURN = quaternion_from_angles(60.0, 0.0, 0.0)
 VICINITY = {"representation": "vicinity", "bounces": 0}
 
 
