@@ -56,7 +56,7 @@ class Needs:
         """Whether the light is told to be the same from all sides."""
         return not self.lamps.any and not self.environment.image.any()
 
-    @property
+    @cached_property
     def brightest(self) -> float:
         """Irradiance over π, in luminance, of an unshadowed surface at the centre turned to the light, at most."""
         return self.environment.brightest() + self.lamps.brightest(self.centre)

@@ -158,11 +158,11 @@ def shadow_rays(plan: ScenePlan, needs: Needs) -> Iterator[LeftOut]:
 
 
 def kernels(plan: ScenePlan, needs: Needs) -> Iterator[LeftOut]:
-    """Kernels that neither frames nor the bake of the scene call."""
+    """Kernels that neither frames nor the bake of the scene's global illumination call."""
     idle = ["bake_texels" if plan.representation == "irradiance" else "bake_irradiance"]
     if needs.constant or not needs.rotating:
         idle.append("rotate")
-    why = "Neither frames nor the bake of this scene call them, and so they are not compiled."
+    why = "Neither frames nor the bake of its global illumination call them, and so they are not compiled for it."
     yield LeftOut(f"kernels {' and '.join(idle)}", why, (Saving(len(idle), "kernel" if len(idle) == 1 else "kernels"),))
 
 

@@ -37,7 +37,7 @@ def test_only_direct_light_does_not_depend_on_the_albedo() -> None:
 
 def test_a_plan_is_as_large_as_its_layers_are_together() -> None:
     plan = ScenePlan("transfer", (Layer("direct", 5), Layer("indirect", 3, 3)), 5, 4, 1.0, 4096)
-    assert (plan.order, plan.channels) == (5, 3)
+    assert (plan.order, plan.indirect_order, plan.channels, plan.precision) == (5, 3, 3, "half")
     assert plan.bytes_per_texel == 53 + 57
 
 

@@ -10,6 +10,8 @@ import pytest
 from isogi_core.bake.recipe import Recipe
 from isogi_core.cache.layer import facts_of
 from isogi_core.cache.record import record_type
+from isogi_core.frame.kernels import frame_kernels
+from isogi_core.kernels.harmonics import rotate
 from isogi_core.kernels.lattice import CHUNK
 from isogi_core.model.lights import ConstantLight, DirectionalLight, Light, SkyLight
 from isogi_core.model.plan import Layer, LeftOut, ScenePlan
@@ -183,3 +185,12 @@ def test_a_bake_says_what_plan_it_was_made_by() -> None:
         assert (plan["representation"], plan["bounces"]) == ("transfer", scene.bounces)
         assert [kept["kind"] for kept in plan["layers"]] == ["direct", "indirect"]
         assert [each["what"] for each in plan["left_out"]] == [each.what for each in scene.plan.left_out]
+
+
+@pytest.mark.parametrize(("lights", "rotating"), [([WHITE], True), ([SKY], True), ([SKY], False)])
+def test_kernels_that_are_left_out_are_not_made_ready(lights: list[Light], rotating: bool) -> None:
+    """A server that shows the scene alone neither loads nor compiles them."""
+    kinds = [{"type": type(light).__name__.removesuffix("Light").lower()} for light in lights]
+    scene = load_scene("demo:orbital", lights=kinds, rotating=rotating)
+    idle = [each.what for each in scene.left_out if each.what.startswith("kernels ")]
+    assert ("rotate" in idle[0]) == (rotate not in frame_kernels([scene]))

@@ -10,6 +10,7 @@ import pytest
 
 from isogi_core.model.scene import load_scene
 from isogi_core.model.view import SHADINGS
+from server.facts import scene_facts
 
 
 @pytest.fixture(scope="module")
@@ -76,6 +77,12 @@ def test_the_plan_says_what_is_left_out_why_and_what_that_saves(small_scene: Pat
     assert len({each["what"] for each in left_out}) == len(left_out) > 5
     for saved in (saved for each in left_out for saved in each["saves"]):
         assert saved["amount"] > 0 and saved["unit"] and saved["measured"] in (True, False)
+
+
+def test_a_scene_of_one_isovalue_is_a_scene_with_fewer_texels(small_scene: Path, scene: dict[str, Any]) -> None:
+    one = scene_facts(load_scene(small_scene, isovalues=[0.5, 0.5]))
+    assert (one.ranges["isovalue"].min, one.ranges["isovalue"].max, one.defaults["isovalue"]) == (0.5, 0.5, 0.5)
+    assert 0 < one.plan.texels.shown < scene["plan"]["texels"]["shown"]
 
 
 def test_the_document_has_no_number_that_json_lacks(live_server: str) -> None:
