@@ -190,7 +190,7 @@ def test_an_object_under_another_chunks_key_is_refused(layer: LayerStore, look: 
     [
         {"target": "demo:casting"},
         {"lattice": 0.8},
-        {"order": 3},
+        {"order": 3, "indirect_order": 3},
         {"albedo": 0.5},
         {"albedo": [0.2, 0.3, 0.4]},
         {"bounces": 2},

@@ -101,10 +101,14 @@ def scene(*lights: dict[str, Any], **settings: Any) -> Any:
     return load_scene("demo:orbital", lights=list(lights), **settings)
 
 
-def test_lamps_change_the_frame_and_not_the_transfer() -> None:
-    plain, lit = scene({"type": "constant"}), scene({"type": "constant"}, LAMP)
-    assert lit.lamps.any and not plain.lamps.any
-    assert lit.digest != plain.digest and lit.bake_digest == plain.bake_digest
+def test_lamps_are_baked_and_name_what_is_baked() -> None:
+    """Light that stays is kept as irradiance, which has met it."""
+    elsewhere = {**LAMP, "position": [9, 9, 1]}
+    plain, lit, moved = (scene({"type": "constant"}, *lamps) for lamps in ([], [LAMP], [elsewhere]))
+    assert not plain.lamps.any and plain.plan.representation == "constant"
+    assert lit.lamps.any and lit.plan.representation == "irradiance"
+    for names in ([each.digest for each in (plain, lit, moved)], [each.bake_digest for each in (plain, lit, moved)]):
+        assert len(set(names)) == 3
 
 
 def test_lamps_do_not_turn() -> None:
