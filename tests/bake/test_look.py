@@ -1,5 +1,6 @@
 """Looks: what their paths count, the light that texels are put under, and what noise counts in it."""
 
+import math
 from typing import Any
 
 import numpy as np
@@ -18,10 +19,10 @@ ALBEDO = (0.3, 0.6, 0.9)
 
 
 def turned(light: np.ndarray, count: int, seed: int = 1) -> np.ndarray:
-    """The light (channels, 25) under so many random rotations, (count, channels, 25)."""
-    out = np.empty((count, *light.shape))
+    """The light (channels, n²) under so many random rotations, (count, channels, n²)."""
+    order, out = math.isqrt(light.shape[1]), np.empty((count, *light.shape))
     for matrix, place in zip(Rotation.random(count, rng=seed).as_matrix(), out, strict=True):
-        rotate(5, np.ascontiguousarray(matrix), light, place)
+        rotate(order, np.ascontiguousarray(matrix), light, place)
     return out
 
 

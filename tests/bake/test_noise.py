@@ -47,7 +47,7 @@ def test_luminance_is_a_mean_over_turns_of_the_light() -> None:
     look = orbital((0.3, 0.6, 0.9))
     light = light_of(look, [[64] * 20, [64] * 20])
     lights = turned(look.luminance_light, 3000)
-    seen = np.einsum("mcn,tcn->m", np.broadcast_to(light.transfer, (20, 3, 25)), lights) / len(lights)
+    seen = np.einsum("mcn,tcn->m", np.broadcast_to(light.transfer, (20, 3, look.order**2)), lights) / len(lights)
     np.testing.assert_allclose(luminance(light, look), seen, rtol=0.05)
 
 
