@@ -163,7 +163,7 @@ def main(target: str | None, size: int, repeats: int, as_json: bool) -> None:
     """Time paths."""
     fixed: dict[str, Any] = {"albedo": ALBEDO, "bounces": SEGMENTS - 1, "lattice": 1, "lights": [{"type": "constant"}]}
     one = benchmark_scene(target, "constant", **fixed)
-    many = replace(one, plan=replace(one.plan, layers=(Layer("whole", ORDER),), window=(1.0,) * ORDER))
+    many = replace(one, plan=replace(one.plan, layers=(Layer("whole", ORDER),), order=ORDER))
     texels = view_texels(one, size)
     surface = len(bounce(Recipe(one), primary_rays(Recipe(one), size), np.random.default_rng(1)))
     jobs = {"isogi": bake_job(one, texels), "isogi order 5": bake_job(many, texels)}
