@@ -7,7 +7,7 @@ import pytest
 
 from isogi_core.bake.light import Light
 from isogi_core.bake.look import Look
-from isogi_core.bake.noise import DECAY, finished, most_samples, next_part, noise_of_halves, relative_error
+from isogi_core.bake.noise import DECAY, finished, most_samples, noise_of_halves, relative_error
 from isogi_core.bake.precision import VOID, noise_codes, noise_of, round_light
 from isogi_core.bake.recipe import Recipe
 from isogi_core.bake.refine import add_to_mean, next_samples, refine
@@ -109,15 +109,24 @@ def test_what_has_reached_the_target_is_left_alone() -> None:
 
 
 @COMPILED
-def test_texels_wait_whose_next_part_has_the_samples_asked_for() -> None:
+def test_parts_with_fewer_samples_catch_up_and_then_climb_together() -> None:
+    look, target = orbital(), 0.001
+    texels = surface_texels(look, 60)
+    far, near = climbed(look, texels, 128), climbed(look, texels, 16)
+    light = Light((far.parts[0].rows(np.arange(60)), near.parts[1]))
+    assert (next_samples(light, look, target) == 16).all()
+    refine(light, texels, look, 64, target)
+    assert same(Light(light.parts[:1]), Light(far.parts[:1])) and (light.parts[1].samples == 64).all()
+    refine(light, texels, look, 512, target)
+    assert (light.parts[0].samples == 512).all() and same(light, climbed(look, texels, 512))
+
+
+@COMPILED
+def test_texels_wait_that_have_the_samples_asked_for() -> None:
     look, target, until = orbital(), 0.005, 128
     light = baked(look, surface_texels(look, 60), until, target=target)
-    waiting = next_samples(light, look, target)
-    done = finished(light, look, target)
-    assert (waiting[done] == -1).all() and (waiting[~done] >= until).all() and not done.all()
-    own = np.array([part.samples for part in light.parts])[next_part(light, look, target), np.arange(60)]
-    assert np.array_equal(waiting[~done], own[~done])
-    assert min(int(part.samples.min()) for part in light.parts) >= FEWEST
+    waiting, done = next_samples(light, look, target), finished(light, look, target)
+    assert (waiting[done] == -1).all() and (waiting[~done] == until).all() and not done.all()
 
 
 @COMPILED
@@ -126,7 +135,7 @@ def test_a_layer_that_was_lost_is_baked_again_and_the_other_kept() -> None:
     texels = surface_texels(look, 60)
     whole = baked(look, texels, most_samples(target), target=target)
     light = Light((whole.parts[0].rows(np.arange(60)), Light.dark(look.plan, 60).parts[1]))
-    assert (next_part(light, look, target) == 1).all()
+    assert not next_samples(light, look, target).any()
     refine(light, texels, look, most_samples(target), target)
     assert finished(light, look, target).all()
     alike = np.flatnonzero(light.parts[0].samples == whole.parts[0].samples)
@@ -152,9 +161,9 @@ def kernels_sums(look: Look, texels: np.ndarray, number: int, first: int, count:
         np.arange(m),
         first,
         count,
-        look.shares(layer),
+        look.shares([layer]),
         look.plan.survival,
-        layer.order,
+        np.full(layer.channels, layer.order),
         sums,
     )
     return sums
