@@ -115,7 +115,8 @@ def as_s1(scene: Scene) -> Scene | None:
     if scene.lamps.any:
         return None
     whole = Layer("whole", BANDS, 3, half=False)
-    return replace(scene, plan=replace(scene.plan, representation="transfer", layers=(whole,), order=BANDS))
+    plan = replace(scene.plan, representation="transfer", layers=(whole,), order=BANDS, survival=1.0)
+    return replace(scene, plan=plan)
 
 
 def traced(scene: Scene, size: int, paths: int) -> Frame:

@@ -47,7 +47,7 @@ def left_after(recipe: Recipe, texels: np.ndarray, samples: int) -> np.ndarray:
     sums = np.zeros((len(texels), 2, count, 1))
     shares = np.eye(count, count + 1, 1) * np.sqrt(4.0 * np.pi)
     for bricks, rows in by_isovalue(place[3], void, recipe):
-        bake_texels(recipe.field, bricks, place, rows, 0, samples // 2, shares, 1.0, 1, sums)
+        bake_texels(recipe.field, bricks, place, rows, 0, samples // 2, shares, 1.0, np.ones(count, np.int64), sums)
     return np.asarray(sums.sum(axis=(1, 3))[~void] / samples)
 
 

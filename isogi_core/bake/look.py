@@ -1,5 +1,6 @@
 """A look: one way to light a scene, the layers that its texels keep and the light that these are put under."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -74,11 +75,16 @@ class Look:
         k = np.arange(self.plan.bounces + 1 if layer.reflected else 1)[:, None]
         return np.asarray(albedo**k / self.plan.survival ** np.maximum(k - 1, 0))
 
-    def shares(self, layer: Layer) -> np.ndarray:
-        """What a path counts in a ``layer`` that never left, or left after k = 0, 1, … bounces: R^k, or 0.
+    def shares(self, layers: Sequence[Layer]) -> np.ndarray:
+        """What a path counts in ``layers`` that never left, or left after k = 0, 1, … bounces: R^k, or 0.
 
-        (channels, bounces + 2) float64, k at k + 1.
+        (all channels of all layers, bounces + 2) float64, k at k + 1; no longer than the longest path of these.
         """
+        own = [self._shares(layer) for layer in layers]
+        longest = max(shares.shape[1] for shares in own)
+        return np.vstack([np.pad(shares, ((0, 0), (0, longest - shares.shape[1]))) for shares in own])
+
+    def _shares(self, layer: Layer) -> np.ndarray:
         weights = self.weights(layer)
         shares = np.zeros((layer.channels, len(weights) + 1))
         shares[:, 1:] = weights.T

@@ -1,17 +1,17 @@
 """Refinement: more samples for texels that need them, added to what is there.
 
 Sample counts climb one ladder (16, 32, 64, …) and all that is kept is rounded to what the store keeps after
-each rung, so that a texel with n samples has the same bits whoever sent them, in how many goes. Which part of
-a texel climbs next follows from what is kept of it alone.
+each rung, so that a texel with n samples has the same bits whoever sent them, in how many goes. Which parts of
+a texel climb next follows from what is kept of it alone.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from isogi_core.bake.light import Light, Part
 from isogi_core.bake.look import Look
-from isogi_core.bake.noise import blend_noise, finished, next_part, noise_of_halves
+from isogi_core.bake.noise import blend_noise, finished, noise_of_halves
 from isogi_core.bake.precision import VOID, next_rung, noise_codes, noise_of, round_light
 from isogi_core.bake.recipe import Recipe
 from isogi_core.kernels.bricks import Bricks
@@ -32,41 +32,46 @@ Place = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 def refine(light: Light, texels: np.ndarray, look: Look, until: int, target: float) -> None:
     """Bring ``light`` of the ``texels`` (m, 3; z, y, x) up to ``until`` samples each, in place.
 
-    A texel that has reached the relative error ``target`` is left as it is; one whose next part
-    to climb has ``until`` samples waits.
+    A texel that has reached the relative error ``target`` is left as it is. Of the others those parts climb that
+    have the fewest samples: parts on one rung do so together, since the same paths serve them.
     """
     while True:
         waiting = next_samples(light, look, target)
         climbing = (waiting >= 0) & (waiting < until)
         if not climbing.any():
             return
-        fewest = int(waiting[climbing].min())
-        rows = np.flatnonzero(climbing & (waiting == fewest))
-        which = next_part(light.rows(rows), look, target)
-        for number, part in enumerate(light.parts):
-            if (which == number).any():
-                climb(part, rows[which == number], texels, look)
+        rows = np.flatnonzero(climbing & (waiting == waiting[climbing].min()))
+        level = np.array([part.samples[rows] == waiting[rows] for part in light.parts])
+        for pattern in np.unique(level, axis=1).T:
+            parts = tuple(part for part, climbs in zip(light.parts, pattern, strict=True) if climbs)
+            climb(parts, rows[(level == pattern[:, None]).all(axis=0)], texels, look)
 
 
 def next_samples(light: Light, look: Look, target: float) -> np.ndarray:
-    """Samples of the part of each texel that climbs next; -1 where the texel is finished; (texels,) int."""
-    samples = np.array([part.samples for part in light.parts])
-    own = np.take_along_axis(samples, next_part(light, look, target)[None], axis=0)[0]
-    return np.where(finished(light, look, target), -1, own)
+    """Samples of the parts of each texel that climb next; -1 where the texel is finished; (texels,) int."""
+    return np.where(finished(light, look, target), -1, light.samples)
 
 
-def climb(part: Part, rows: np.ndarray, texels: np.ndarray, look: Look) -> None:
-    """Take ``rows`` of a part, all with as many samples, to the next rung."""
-    samples = int(part.samples[rows[0]])
+def climb(parts: Sequence[Part], rows: np.ndarray, texels: np.ndarray, look: Look) -> None:
+    """Take ``rows`` of some parts, all with as many samples, to the next rung."""
+    samples = int(parts[0].samples[rows[0]])
     total = next_rung(samples)
     place, void = locate(texels[rows], look.recipe)
-    halves = sample(part.layer, place, void, look, samples, total - samples)
-    added = halves.sum(axis=1)[:, :, : part.layer.order**2]
-    noise = noise_of_halves(halves, total - samples, part.layer.order)
+    sample = sample_irradiance if parts[0].layer.kind == "irradiance" else sample_transfer
+    layers = [part.layer for part in parts]
+    for part, halves in zip(parts, sample(layers, place, void, look, samples, total - samples), strict=True):
+        add(part, rows, halves, total)
+        part.samples[rows] = np.where(void, VOID, total)
+
+
+def add(part: Part, rows: np.ndarray, halves: np.ndarray, total: int) -> None:
+    """Add sums over new samples (m, 2, channels, N²; N² >= n²) to ``rows``, which then have ``total`` samples."""
+    layer, samples = part.layer, int(part.samples[rows[0]])
+    added = halves.sum(axis=1)[:, :, : layer.order**2]
+    noise = noise_of_halves(halves, total - samples, layer.order)
     noise = blend_noise(part.noise[rows], samples, noise)
-    part.coefficients[rows] = round_light(add_to_mean(part.coefficients[rows], samples, added, total), part.layer)
-    part.noise[rows] = noise_of(noise_codes(noise, part.layer.scale), part.layer.scale)
-    part.samples[rows] = np.where(void, VOID, total)
+    part.coefficients[rows] = round_light(add_to_mean(part.coefficients[rows], samples, added, total), layer)
+    part.noise[rows] = noise_of(noise_codes(noise, layer.scale), layer.scale)
 
 
 def locate(texels: np.ndarray, recipe: Recipe) -> tuple[Place, np.ndarray]:
@@ -78,28 +83,36 @@ def locate(texels: np.ndarray, recipe: Recipe) -> tuple[Place, np.ndarray]:
     return place, void
 
 
-def sample(layer: Layer, place: Place, void: np.ndarray, look: Look, samples: int, count: int) -> np.ndarray:
-    """Sums over ``count`` further samples, half of them each; (m, 2, channels, N²) float64, N² >= n²."""
-    light = sample_irradiance if layer.kind == "irradiance" else sample_transfer
-    return light(layer, place, void, look, (samples // 2, count // 2))
+def sample_transfer(
+    layers: Sequence[Layer], place: Place, void: np.ndarray, look: Look, samples: int, count: int
+) -> Iterator[np.ndarray]:
+    """Sums over ``count`` samples after the first ``samples``, of the same paths for all ``layers``.
 
-
-def sample_transfer(layer: Layer, place: Place, void: np.ndarray, look: Look, paths: tuple[int, int]) -> np.ndarray:
-    """``sample`` by harmonics of the ways that paths leave; ``paths`` are the first of each half, and how many."""
-    order, shares = max(layer.order, NOISE_ORDER), look.shares(layer)
-    sums = np.zeros((len(void), 2, layer.channels, order**2))
+    Harmonics of the ways that paths leave: for each layer, and each half of them, (m, 2, channels, N²) float64.
+    """
+    shares = look.shares(layers)
+    orders = np.repeat([max(layer.order, NOISE_ORDER) for layer in layers], [layer.channels for layer in layers])
+    sums = np.zeros((len(void), 2, len(orders), int(orders.max()) ** 2))
     for bricks, rows in by_isovalue(place[3], void, look.recipe):
-        bake_texels(look.recipe.field, bricks, place, rows, *paths, shares, look.plan.survival, order, sums)
-    return sums
+        paths = (samples // 2, count // 2, shares, look.plan.survival, orders)
+        bake_texels(look.recipe.field, bricks, place, rows, *paths, sums)
+    first = 0
+    for layer in layers:
+        yield sums[:, :, first : first + layer.channels, : max(layer.order, NOISE_ORDER) ** 2]
+        first += layer.channels
 
 
-def sample_irradiance(layer: Layer, place: Place, void: np.ndarray, look: Look, paths: tuple[int, int]) -> np.ndarray:
-    """``sample`` of the light that paths meet; where one channel is kept, all three are alike."""
+def sample_irradiance(
+    layers: Sequence[Layer], place: Place, void: np.ndarray, look: Look, samples: int, count: int
+) -> Iterator[np.ndarray]:
+    """The same of the light that paths meet; where a layer keeps one channel, all three are alike."""
     sums, surroundings = np.zeros((len(void), 2, 3)), look.recipe.surroundings(np.eye(3))
-    weights = np.broadcast_to(look.weights(layer), (look.plan.bounces + 1, 3)).copy()
+    weights = np.broadcast_to(look.weights(layers[0]), (look.plan.bounces + 1, 3)).copy()
     for bricks, rows in by_isovalue(place[3], void, look.recipe):
-        bake_irradiance(look.recipe.field, bricks, place, rows, *paths, weights, look.plan.survival, surroundings, sums)
-    return sums[:, :, : layer.channels, None]
+        paths = (samples // 2, count // 2, weights, look.plan.survival, surroundings)
+        bake_irradiance(look.recipe.field, bricks, place, rows, *paths, sums)
+    for layer in layers:
+        yield sums[:, :, : layer.channels, None]
 
 
 def by_isovalue(isovalues: np.ndarray, void: np.ndarray, recipe: Recipe) -> Iterator[tuple[Bricks, np.ndarray]]:

@@ -22,7 +22,7 @@ from zarr.core.sync import sync
 from zarr.storage import LocalStore
 
 from isogi_core.bake.light import Part
-from isogi_core.bake.precision import FIRST_RUNG, NOISIEST, SILENT, STEPS, VOID_CODE
+from isogi_core.bake.precision import FIRST_RUNG, NEGATIVE, NOISIEST, SILENT, STEPS, VOID_CODE
 from isogi_core.bake.recipe import Index, Recipe
 from isogi_core.cache.record import pack, record_type, unpack
 from isogi_core.errors import DamagedChunkError, StoreError
@@ -32,6 +32,16 @@ CODECS = (BytesCodec, ZstdCodec, Crc32cCodec)
 """What a chunk goes through on its way to the store; the checksum is last, so that it covers all of it."""
 
 CRC_BYTES = 4
+
+CODES = {
+    "first_rung": FIRST_RUNG,
+    "void": VOID_CODE,
+    "noisiest": NOISIEST,
+    "steps": STEPS,
+    "silent": SILENT,
+    "negative": NEGATIVE,
+}
+"""What a reader without isogi needs to know of the bytes in a record."""
 
 CONFIG: ArrayConfigParams = {"write_empty_chunks": True}
 """A chunk that looks like none is written too: that it is there says that it was baked."""
@@ -181,7 +191,7 @@ def facts_of(layer: Layer, recipe: Recipe) -> dict[str, Any]:
         "albedo": list(scene.albedo) if layer.reflected else None,
         "lights": [light.name for light in scene.lights] if layer.kind == "irradiance" else None,
         "plan": asdict(scene.plan),
-        "codes": {"first_rung": FIRST_RUNG, "void": VOID_CODE, "noisiest": NOISIEST, "steps": STEPS, "silent": SILENT},
+        "codes": CODES,
         "record": [[name, kind.base.str, list(kind.shape)] for name, kind in fields_of(record_type(layer))],
     }
 

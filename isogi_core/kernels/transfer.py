@@ -42,7 +42,7 @@ def locate_texels(field, step, texels, points, normals, isovalues, void):
 
 
 @kernel()
-def gather_light(left, ways, shares, order, starts, count, sums):
+def gather_light(left, ways, shares, orders, starts, count, sums):
     """Add the ends of ``walk_paths`` from ``starts`` starts, ``count`` samples each, to sums of their own.
 
     Lane i % ABREAST of ``sums`` (channels, i // ABREAST, n² ABREAST) is of start i, and takes its samples
@@ -57,7 +57,7 @@ def gather_light(left, ways, shares, order, starts, count, sums):
             for s in range(count):
                 m = s * starts + block * ABREAST
                 x, y, z = read(ways[0], m), read(ways[1], m), read(ways[2], m)
-                accumulate(order, x, y, z, read(weights, m), sums[c, block])
+                accumulate(orders[c], x, y, z, read(weights, m), sums[c, block])
 
 
 @kernel()
@@ -89,18 +89,18 @@ def start_halves(place, rows):
 
 
 @kernel()
-def bake_together(field, bricks, place, rows, first, count, shares, survival, order, out):
+def bake_together(field, bricks, place, rows, first, count, shares, survival, orders, out):
     """``bake_texels`` for a few texels whose paths go together."""
     starts, bounces = 2 * rows.shape[0], shares.shape[1] - 2
     levels, here, facing, seeds = start_halves(place, rows)
-    step = max(WAVE // starts, 1)
+    step, most = max(WAVE // starts, 1), orders.max()
     left, ways = np.zeros(starts * step, np.int64), np.zeros((3, starts * step + ABREAST))
-    sums = np.zeros((shares.shape[0], whole(starts) // ABREAST, order * order * ABREAST))
+    sums = np.zeros((shares.shape[0], whole(starts) // ABREAST, most * most * ABREAST))
     exchange(sums, rows, out, False)
     for begin in range(first, first + count, step):
         samples = min(step, first + count - begin)
         walk_paths(field, bricks, levels, here, facing, seeds, begin, samples, bounces, survival, left, ways)
-        gather_light(left, ways, shares, order, starts, samples, sums)
+        gather_light(left, ways, shares, orders, starts, samples, sums)
     exchange(sums, rows, out, True)
 
 
@@ -114,18 +114,19 @@ def bake_together(field, bricks, place, rows, first, count, shares, survival, or
         types.int64,
         types.float64[:, ::1],
         types.float64,
-        types.int64,
+        types.int64[::1],
         types.float64[:, :, :, ::1],
     )
 )
-def bake_texels(field, bricks, place, rows, first, count, shares, survival, order, sums):
+def bake_texels(field, bricks, place, rows, first, count, shares, survival, orders, sums):
     """Sums of ``count`` samples, from sample ``first`` on, for the ``rows`` and each of their two halves.
 
     ``place`` is what ``locate_texels`` took and wrote: texels, points, normals, isovalues, the latter
     within the range of ``bricks``. ``shares`` (channels, bounces + 2) are what a path counts that left after
     k bounces, at k + 1, or never, at 0; of those that hit twice a share ``survival`` goes on: see ``spin``.
-    Adds to ``sums`` (m, 2, channels, n²). Source: S1, section 4.1, "for all texels".
+    Adds to ``sums`` (m, 2, channels, n²), n the greatest of the channels' ``orders``. Source: S1, section 4.1,
+    "for all texels".
     """
     together = max(WAVE // (2 * count), ABREAST)
     for i in range(0, rows.shape[0], together):
-        bake_together(field, bricks, place, rows[i : i + together], first, count, shares, survival, order, sums)
+        bake_together(field, bricks, place, rows[i : i + together], first, count, shares, survival, orders, sums)

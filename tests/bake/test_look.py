@@ -1,5 +1,6 @@
 """Looks: what their paths count, the light that texels are put under, and what noise counts in it."""
 
+import math
 from typing import Any
 
 import numpy as np
@@ -18,10 +19,10 @@ ALBEDO = (0.3, 0.6, 0.9)
 
 
 def turned(light: np.ndarray, count: int, seed: int = 1) -> np.ndarray:
-    """The light (channels, 25) under so many random rotations, (count, channels, 25)."""
-    out = np.empty((count, *light.shape))
+    """The light (channels, n²) under so many random rotations, (count, channels, n²)."""
+    order, out = math.isqrt(light.shape[1]), np.empty((count, *light.shape))
     for matrix, place in zip(Rotation.random(count, rng=seed).as_matrix(), out, strict=True):
-        rotate(5, np.ascontiguousarray(matrix), light, place)
+        rotate(order, np.ascontiguousarray(matrix), light, place)
     return out
 
 
@@ -45,23 +46,23 @@ def test_bands_of_coefficients() -> None:
 def test_shares_are_the_albedo_to_the_power_of_the_bounces() -> None:
     r, g, b = ALBEDO
     look = look_of(plan_of(Layer("direct", 5), Layer("indirect", 3, 3)))
-    assert look.shares(Layer("direct", 5)).tolist() == [[0.0, 1.0]], "paths end where they met a surface"
+    assert look.shares([Layer("direct", 5)]).tolist() == [[0.0, 1.0]], "paths end where they met a surface"
     expected = [[0.0, 0.0, a, a**2, a**3] for a in (r, g, b)]
-    np.testing.assert_allclose(look.shares(Layer("indirect", 3, 3)), expected)
-    np.testing.assert_allclose(look.shares(Layer("whole", 1, 3))[:, 1], 1.0)
-    np.testing.assert_allclose(look.shares(Layer("whole", 1, 3))[:, 2:], np.array(expected)[:, 2:])
-    np.testing.assert_allclose(look.shares(Layer("whole")), [[0.0, 1.0, r, r**2, r**3]])
+    np.testing.assert_allclose(look.shares([Layer("indirect", 3, 3)]), expected)
+    np.testing.assert_allclose(look.shares([Layer("whole", 1, 3)])[:, 1], 1.0)
+    np.testing.assert_allclose(look.shares([Layer("whole", 1, 3)])[:, 2:], np.array(expected)[:, 2:])
+    np.testing.assert_allclose(look.shares([Layer("whole")]), [[0.0, 1.0, r, r**2, r**3]])
 
 
 def test_direct_and_indirect_light_are_the_whole() -> None:
     look = look_of(plan_of(Layer("direct", 5), Layer("indirect", 5)))
-    direct = np.pad(look.shares(Layer("direct")), ((0, 0), (0, 3)))
-    assert np.array_equal(direct + look.shares(Layer("indirect")), look.shares(Layer("whole")))
+    direct = np.pad(look.shares([Layer("direct")]), ((0, 0), (0, 3)))
+    assert np.array_equal(direct + look.shares([Layer("indirect")]), look.shares([Layer("whole")]))
 
 
 def test_a_black_surface_reflects_nothing_and_still_sees_the_light() -> None:
     look = look_of(plan_of(Layer("whole")), albedo=0.0)
-    assert look.shares(Layer("whole")).tolist() == [[0.0, 1.0, 0.0, 0.0, 0.0]]
+    assert look.shares([Layer("whole")]).tolist() == [[0.0, 1.0, 0.0, 0.0, 0.0]]
 
 
 # --- the light --------------------------------------------------------------------------------------------------

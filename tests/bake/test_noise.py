@@ -14,7 +14,6 @@ from isogi_core.bake.noise import (
     finished,
     good_enough,
     luminance,
-    next_part,
     noise_of_halves,
     relative_error,
 )
@@ -47,7 +46,7 @@ def test_luminance_is_a_mean_over_turns_of_the_light() -> None:
     look = orbital((0.3, 0.6, 0.9))
     light = light_of(look, [[64] * 20, [64] * 20])
     lights = turned(look.luminance_light, 3000)
-    seen = np.einsum("mcn,tcn->m", np.broadcast_to(light.transfer, (20, 3, 25)), lights) / len(lights)
+    seen = np.einsum("mcn,tcn->m", np.broadcast_to(light.transfer, (20, 3, look.order**2)), lights) / len(lights)
     np.testing.assert_allclose(luminance(light, look), seen, rtol=0.05)
 
 
@@ -104,44 +103,6 @@ def test_the_frame_and_the_bake_agree_about_what_is_final() -> None:
     final = good_enough(errors, samples, target)
     assert 0 < final.sum() < 201
     assert good_enough(errors.astype(np.float32), samples, target)[final].all()
-
-
-def next_of_one(samples: list[int], deviation: list[float], target: float) -> int:
-    """`next_part` of a texel with direct and indirect light, in words."""
-    if min(samples) < FEWEST:
-        return 0 if samples[0] <= samples[1] else 1
-    gains = [
-        -1.0 if own >= most_samples(target) else error**2 / (rays * own)
-        for own, error, rays in zip(samples, deviation, (1.0, 2.0), strict=True)
-    ]
-    return 0 if gains[0] >= gains[1] else 1
-
-
-@pytest.mark.parametrize("target", [0.2, 0.01])
-def test_next_is_the_part_whose_variance_falls_most_for_each_ray(target: float) -> None:
-    rng = np.random.default_rng(4)
-    ladder = np.array([0, 16, 32, FEWEST, 2 * FEWEST, 8 * FEWEST, most_samples(target)])
-    samples = ladder[rng.integers(0, len(ladder), (2, 300))].tolist()
-    look = orbital()
-    light = light_of(look, samples, noise=0.1)
-    told = next_part(light, look, target).tolist()
-    both = deviations(light, look).T.tolist()
-    pairs = list(zip(*samples, strict=True))
-    assert told == [next_of_one(list(own), error, target) for own, error in zip(pairs, both, strict=True)]
-    assert 0 < sum(told) < 300
-
-
-def test_what_is_next_follows_from_the_texel_alone() -> None:
-    look = orbital()
-    light = light_of(look, [[64, 128, 64, 0, 256], [64, 64, 128, 16, 64]])
-    together = next_part(light, look, 0.01)
-    assert [int(next_part(light.rows(np.array([row])), look, 0.01)[0]) for row in range(5)] == together.tolist()
-    assert np.array_equal(next_part(light, look, 0.01), together)
-
-
-def test_the_only_part_is_always_next() -> None:
-    look = orbital(sky=False)
-    assert not next_part(light_of(look, [[0, 16, 64, most_samples(0.01), VOID]]), look, 0.01).any()
 
 
 # --- noise told from halves -----------------------------------------------------------------------------------------

@@ -7,11 +7,15 @@ import pytest
 
 from isogi_core.bake.precision import (
     FIRST_RUNG,
+    NEGATIVE,
     NOISIEST,
     SILENT,
+    SMALLEST,
     STEPS,
     VOID,
     VOID_CODE,
+    light_codes,
+    light_of,
     next_rung,
     noise_codes,
     noise_of,
@@ -71,15 +75,43 @@ def half(number: float) -> float:
 def test_halves_are_the_nearest_there_are_and_rounded_once(scale: float) -> None:
     layer = Layer("direct", 5, scale=scale)
     rng = np.random.default_rng(2)
-    light = rng.normal(size=400) * scale * 10.0 ** rng.uniform(-9, 2, 400)
+    light = rng.normal(size=(16, 25)) * scale * 10.0 ** rng.uniform(-9, 2, (16, 25))
     rounded = round_light(light, layer)
     assert rounded.dtype == np.float32
-    assert rounded.tolist() == [half(number / scale) * scale for number in light]
+    assert rounded.ravel().tolist() == [half(number / scale) * scale for number in light.ravel()]
     assert np.array_equal(round_light(rounded, layer), rounded)
     kept = np.abs(light) > 2.0**-14 * scale
     assert np.abs(rounded / light - 1.0)[kept].max() <= 2.0**-11
 
 
 def test_single_floats_are_kept_as_they_are() -> None:
-    light = np.random.default_rng(3).normal(size=100)
+    light = np.random.default_rng(3).normal(size=(100, 1))
     assert np.array_equal(round_light(light, Layer("direct", half=False)), light.astype(np.float32))
+
+
+def test_each_byte_of_light_stands_for_a_number_that_has_this_byte() -> None:
+    used = CODES[CODES != NEGATIVE]
+    light = light_of(used)
+    assert light.dtype == np.float32 and len(set(light.tolist())) == len(used)
+    assert np.array_equal(light_codes(light), used)
+    assert light_of(light_codes(np.array([0.0, -0.0, 1.0, -1.0]))).tolist() == [0.0, 0.0, 1.0, -1.0]
+
+
+def test_bytes_keep_light_to_half_a_step_and_its_sign() -> None:
+    smallest = float(light_of(np.uint8(SMALLEST)))
+    size = np.random.default_rng(4).uniform(np.log2(smallest), 0.0, 5000)
+    for sign in (1.0, -1.0):
+        kept = light_of(light_codes(sign * 2.0**size))
+        assert (sign * kept > 0.0).all()
+        assert np.abs(np.log2(np.abs(kept)) - size).max() <= 0.5 / STEPS + 1e-6
+    assert not light_of(light_codes(np.array([0.9, -0.9]) * smallest * 2.0 ** (-0.5 / STEPS))).any()
+
+
+@pytest.mark.parametrize("scale", SCALES)
+def test_only_the_higher_bands_are_bytes(scale: float) -> None:
+    layer = Layer("direct", 5, coarse=2, scale=scale)
+    light = 0.2 * scale * np.random.default_rng(5).normal(size=(30, 1, 25))
+    rounded = round_light(light, layer)
+    assert np.array_equal(rounded[..., :4], round_light(light[..., :4], Layer("direct", 2, scale=scale)))
+    assert np.array_equal(rounded[..., 4:], light_of(light_codes(light[..., 4:] / scale)) * np.float32(scale))
+    assert np.array_equal(round_light(rounded, layer), rounded)

@@ -18,8 +18,11 @@ from tests.bake.texels import same
 
 SKY = {"type": "sky"}
 CONSTANT = {"type": "constant", "radiance": 1.0}
-SETTINGS: dict[str, Any] = {"order": 2, "lattice": 0.4, "bounces": 1, "target_error": 0.5, "lights": [SKY]}
+SETTINGS: dict[str, Any] = {"lattice": 0.4, "bounces": 1, "target_error": 0.5, "lights": [SKY]}
 """39³ texels in 3³ chunks: the last along each axis is 7 texels wide, and texels lie between voxels."""
+
+ORDERS = {"order": 2, "indirect_order": 2}
+"""What makes layers of as many bytes of direct and indirect light; of no use to constant light."""
 
 PLAN = ScenePlan("transfer", (Layer("direct", 3), Layer("indirect", 2, 3, half=False)), 3, 2, 1.0, 4096)
 """A plan of two layers that differ in all that they can."""
@@ -27,7 +30,8 @@ PLAN = ScenePlan("transfer", (Layer("direct", 3), Layer("indirect", 2, 3, half=F
 
 def look_of(target: str | Path = "demo:orbital", shading: str = "gi", **settings: Any) -> Look:
     """A look at a small scene of two layers, direct and indirect light of order 2, unless told otherwise."""
-    return look_for(Recipe(load_scene(target, **{**SETTINGS, **settings})), shading)
+    orders = {} if settings.get("lights") == [CONSTANT] else ORDERS
+    return look_for(Recipe(load_scene(target, **{**SETTINGS, **orders, **settings})), shading)
 
 
 def baked(look: Look, index: Index, texels: int = 40, seed: int = 0, samples: int = 16) -> Chunk:

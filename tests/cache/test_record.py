@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from isogi_core.bake.light import Part
-from isogi_core.bake.precision import VOID, VOID_CODE
+from isogi_core.bake.precision import VOID, VOID_CODE, round_light
 from isogi_core.cache.record import TEXELS, pack, record_type, unpack
 from isogi_core.model.plan import Layer
 from tests.bake.texels import COLUMNS
@@ -17,6 +17,8 @@ LAYERS = (
     Layer("whole", channels=3),
     Layer("indirect", 3, 3, scale=2.0**-7),
     Layer("direct", 5, half=False, scale=4.0),
+    Layer("direct", 6, coarse=3),
+    Layer("indirect", 3, 3, coarse=1, scale=2.0**-7),
 )
 
 
@@ -26,8 +28,7 @@ def part_of(layer: Layer, texels: int, seed: int = 1) -> Part:
     part = Part.dark(layer, texels)
     part.samples[:] = 16 << rng.integers(0, 9, texels)
     part.noise[:] = layer.scale * 2.0 ** rng.integers(-20, 4, part.noise.shape)
-    light = rng.normal(size=part.coefficients.shape).astype(np.float16 if layer.half else np.float32)
-    part.coefficients[:] = light.astype(np.float32) * np.float32(layer.scale)
+    part.coefficients[:] = round_light(0.3 * layer.scale * rng.normal(size=part.coefficients.shape), layer)
     return part
 
 

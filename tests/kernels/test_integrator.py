@@ -49,7 +49,7 @@ def bake_more(field, texels, first, count, shares, order, sums, step=(1.0, 1.0, 
     if len(rows):
         lowest, highest = float(isovalues[rows].min()), float(isovalues[rows].max())
         bricks = make_bricks(field.voxels, brick_ranges(field.voxels), lowest, highest)
-        bake_texels(field, bricks, place, rows, first, count, shares, survival, order, sums)
+        bake_texels(field, bricks, place, rows, first, count, shares, survival, np.full(len(shares), order), sums)
     return isovalues, void
 
 

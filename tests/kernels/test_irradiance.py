@@ -51,7 +51,7 @@ def test_under_constant_light_it_is_the_first_coefficient_of_the_transfer(texels
     field, m = field_of(TORUS), len(texels)
     place, bricks = place_of(field, texels)
     sums, shares = np.zeros((m, 2, 3, 1)), np.ascontiguousarray(np.hstack([np.zeros((3, 1)), WEIGHTS.T]))
-    bake_texels(field, bricks, place, np.arange(m), 5, COUNT, shares, 1.0, 1, sums)
+    bake_texels(field, bricks, place, np.arange(m), 5, COUNT, shares, 1.0, np.ones(3, np.int64), sums)
     expected = math.sqrt(4.0 * math.pi) * sums[..., 0]
     assert expected.any()
     np.testing.assert_allclose(bake(TORUS, texels, surroundings(constant=1.0), first=5), expected, rtol=1e-9)

@@ -100,6 +100,20 @@ def test_bounces_are_kept_where_the_albedo_is_high(frame_of: Frames) -> None:
     assert apart(frame_of(in_bowl(albedo=0.9, bounces=few)), frame_of(scene)) > TARGET
 
 
+def test_paths_end_by_chance_where_that_adds_little_noise(frame_of: Frames) -> None:
+    scene = in_bowl(albedo=0.9)
+    assert scene.plan.survival < 1.0
+    kept = replace(scene, plan=replace(scene.plan, survival=1.0))
+    assert apart(frame_of(scene), frame_of(kept)) < TARGET
+
+
+def test_paths_are_kept_as_often_as_the_albedo_asks(frame_of: Frames) -> None:
+    scene = in_bowl(albedo=0.9)
+    hasty = replace(scene, plan=replace(scene.plan, survival=in_bowl(albedo=0.5).plan.survival))
+    assert hasty.plan.survival < scene.plan.survival
+    assert apart(frame_of(hasty), frame_of(scene, 256)) > TARGET
+
+
 def test_reflected_light_is_left_out_of_black_and_nearly_black_surfaces(frame_of: Frames) -> None:
     black, dark = in_bowl(albedo=0.0), in_bowl(albedo=0.02)
     assert black.plan.representation == dark.plan.representation == "vicinity"
