@@ -162,7 +162,8 @@ def equals(scene: Scene, texels: list[np.ndarray], size: int, jobs: dict[str, Jo
 def main(target: str | None, size: int, repeats: int, as_json: bool) -> None:
     """Time paths."""
     fixed: dict[str, Any] = {"albedo": ALBEDO, "bounces": SEGMENTS - 1, "lattice": 1, "lights": [{"type": "constant"}]}
-    one = benchmark_scene(target, "constant", **fixed)
+    planned = benchmark_scene(target, "constant", **fixed)
+    one = replace(planned, plan=replace(planned.plan, survival=1.0))
     many = replace(one, plan=replace(one.plan, layers=(Layer("whole", ORDER),), order=ORDER))
     texels = view_texels(one, size)
     surface = len(bounce(Recipe(one), primary_rays(Recipe(one), size), np.random.default_rng(1)))

@@ -104,6 +104,7 @@ class Bench:
             "isovalue": self.scene.isovalue,
             "size": self.size,
             "bounces": self.scene.bounces,
+            "survival": self.scene.plan.survival,
             "threads": self.renderer.tiles.threads,
             "lanes": WIDTH or 0,
             "surface_pixels": self.frame.surface,
