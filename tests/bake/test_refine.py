@@ -10,7 +10,7 @@ from isogi_core.bake.look import Look
 from isogi_core.bake.noise import DECAY, finished, most_samples, noise_of_halves, relative_error
 from isogi_core.bake.precision import VOID, noise_codes, noise_of, round_light
 from isogi_core.bake.recipe import Recipe
-from isogi_core.bake.refine import add_to_mean, next_samples, refine
+from isogi_core.bake.refine import add_to_mean, climb, next_samples, refine
 from isogi_core.kernels.transfer import bake_texels, locate_texels
 from isogi_core.model.plan import FEWEST
 from tests.bake.texels import COLUMNS, COMPILED, NEVER, baked, climbed, orbital, same, surface_texels
@@ -46,7 +46,7 @@ def test_in_one_go_or_in_many_small_ones_is_the_same(settings: dict[str, object]
 def test_a_part_has_the_bits_of_its_samples_whatever_the_others_have() -> None:
     look = orbital()
     texels = surface_texels(look, 60)
-    light = Light(tuple(map(Part.dark, look.plan.layers, (60, 60))))
+    light = Light.dark(look.plan, 60)
     light.put(np.arange(30), climbed(look, texels[:30], 128))
     climb(light.parts[:1], np.arange(30), texels, look)
     refine(light, texels, look, 1024, 0.02)
