@@ -49,8 +49,8 @@ def test_a_part_has_the_bits_of_its_samples_whatever_the_others_have() -> None:
     light = Light.dark(look.plan, 60)
     light.put(np.arange(30), climbed(look, texels[:30], 128))
     climb(light.parts[:1], np.arange(30), texels, look)
-    refine(light, texels, look, 1024, 0.02)
-    assert len(set(zip(*(part.samples.tolist() for part in light.parts), strict=True))) > 2
+    refine(light, texels, look, 128, 0.001)
+    assert {*zip(*(part.samples.tolist() for part in light.parts), strict=True)} == {(256, 128), (128, 128)}
     for samples in {int(own) for part in light.parts for own in part.samples}:
         expected = climbed(look, texels, samples)
         for part, own in zip(light.parts, expected.parts, strict=True):
@@ -142,7 +142,7 @@ def test_a_layer_that_was_lost_is_baked_again_and_the_other_kept() -> None:
     assert finished(light, look, target).all()
     alike = np.flatnonzero(light.parts[0].samples == whole.parts[0].samples)
     alike = alike[light.parts[1].samples[alike] == whole.parts[1].samples[alike]]
-    assert len(alike) > 30 and same(light.rows(alike), whole.rows(alike))
+    assert len(alike) > 5 and same(light.rows(alike), whole.rows(alike))
 
 
 # --- what the light is ---------------------------------------------------------------------------------------------
