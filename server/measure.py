@@ -157,12 +157,12 @@ def bake_texels(recipe: Recipe, texels: np.ndarray, until: int) -> Light:
 
 
 def bake_pieces(recipe: Recipe, pieces: Sequence[np.ndarray], until: int, run: Run = serially) -> int:
-    """Bake ``pieces`` of texels one by one, by means of ``run``; the paths that were taken, for all layers together."""
+    """Bake ``pieces`` of texels one by one, by means of ``run``; the paths that were taken."""
     paths: list[int] = []
 
     def bake(a: int, b: int) -> None:
         for piece in pieces[a:b]:
-            paths.extend(int(np.maximum(part.samples, 0).sum()) for part in bake_texels(recipe, piece, until).parts)
+            paths.append(int(np.maximum(bake_texels(recipe, piece, until).samples, 0).sum()))
 
     run(bake, len(pieces), 1)
     return sum(paths)

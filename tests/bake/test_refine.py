@@ -10,7 +10,7 @@ from isogi_core.bake.look import Look
 from isogi_core.bake.noise import DECAY, finished, most_samples, noise_of_halves, relative_error
 from isogi_core.bake.precision import VOID, noise_codes, noise_of, round_light
 from isogi_core.bake.recipe import Recipe
-from isogi_core.bake.refine import add_to_mean, next_samples, refine
+from isogi_core.bake.refine import add_to_mean, climb, next_samples, refine
 from isogi_core.kernels.transfer import bake_texels, locate_texels
 from isogi_core.model.plan import FEWEST
 from tests.bake.texels import COLUMNS, COMPILED, NEVER, baked, climbed, orbital, same, surface_texels
@@ -46,10 +46,12 @@ def test_in_one_go_or_in_many_small_ones_is_the_same(settings: dict[str, object]
 def test_a_part_has_the_bits_of_its_samples_whatever_the_others_have() -> None:
     look = orbital()
     texels = surface_texels(look, 60)
-    light = baked(look, texels, 1024, target=0.02)
-    pairs = set(zip(*(part.samples.tolist() for part in light.parts), strict=True))
-    assert len(pairs) > 3 and any(direct != indirect for direct, indirect in pairs)
-    for samples in {each for pair in pairs for each in pair}:
+    light = Light.dark(look.plan, 60)
+    light.put(np.arange(30), climbed(look, texels[:30], 128))
+    climb(light.parts[:1], np.arange(30), texels, look)
+    refine(light, texels, look, 128, 0.001)
+    assert {*zip(*(part.samples.tolist() for part in light.parts), strict=True)} == {(256, 128), (128, 128)}
+    for samples in {int(own) for part in light.parts for own in part.samples}:
         expected = climbed(look, texels, samples)
         for part, own in zip(light.parts, expected.parts, strict=True):
             rows = np.flatnonzero(part.samples == samples)
@@ -140,7 +142,7 @@ def test_a_layer_that_was_lost_is_baked_again_and_the_other_kept() -> None:
     assert finished(light, look, target).all()
     alike = np.flatnonzero(light.parts[0].samples == whole.parts[0].samples)
     alike = alike[light.parts[1].samples[alike] == whole.parts[1].samples[alike]]
-    assert len(alike) > 30 and same(light.rows(alike), whole.rows(alike))
+    assert len(alike) > 5 and same(light.rows(alike), whole.rows(alike))
 
 
 # --- what the light is ---------------------------------------------------------------------------------------------

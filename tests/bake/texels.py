@@ -53,7 +53,7 @@ def climbed(look: Look, texels: np.ndarray, samples: int) -> Light:
     light = Light.dark(look.plan, len(texels))
     for part in light.parts:
         while part.samples.max() < samples:
-            climb(part, np.arange(len(texels)), texels, look)
+            climb([part], np.arange(len(texels)), texels, look)
     return light
 
 

@@ -131,7 +131,7 @@ def test_what_is_lost_of_one_layer_is_dark_and_the_other_stays(
     kept = 1 - lost
     assert same(Light((found.light.parts[kept],)), Light((chunk.light.parts[kept],)))
     assert not found.light.parts[lost].samples.any() and not found.light.parts[lost].coefficients.any()
-    climb(found.light.parts[lost], np.arange(40), found.positions(found.offsets), look)
+    climb([found.light.parts[lost]], np.arange(40), found.positions(found.offsets), look)
     store.save(found, [lost == DIRECT, lost == INDIRECT])
     assert_equal(store.load(INNER), chunk)
 

@@ -82,7 +82,7 @@ def climb_to(light: Light, texels: np.ndarray, look: Look, samples: int) -> None
     """Take every part of texels that have no light yet, and are not void, to ``samples``."""
     for part in light.parts:
         while len(rows := np.flatnonzero((part.samples >= 0) & (part.samples < samples))):
-            climb(part, rows, texels, look)
+            climb([part], rows, texels, look)
 
 
 def view_of(scene: Scene, azimuth: float = 40.0, elevation: float = 55.0, **settings: Any) -> View:
