@@ -44,15 +44,16 @@ def count_texels(voxels: np.ndarray, shape: Shape, lowest: float, highest: float
 
 
 def surface_cells(voxels: np.ndarray, lowest: float, highest: float) -> np.ndarray:
-    """Whether each cell of ``voxels`` holds a surface of some isovalue from ``lowest`` to ``highest``; bool.
+    """Whether each cell of ``voxels`` may show a surface of some isovalue from ``lowest`` to ``highest``; bool.
 
-    It does where a corner is solid, above the isovalue, and another is not. A cell with a NaN holds none.
+    It does where the isovalue lies between its least and greatest corner, both included: a hit on a face may be
+    rounded into the cell beyond. A cell with a NaN shows none.
     """
     cells = np.empty(tuple(n - 1 for n in voxels.shape), np.bool_)
     for first in range(0, len(cells), SLAB):
         slab = voxels[first : first + SLAB + 1]
         low, high = corners(slab, np.minimum), corners(slab, np.maximum)
-        cells[first : first + SLAB] = (low <= highest) & (high > lowest) & (low < high)
+        cells[first : first + SLAB] = (low <= highest) & (high >= lowest) & (low < high)
     return cells
 
 
