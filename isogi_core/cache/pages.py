@@ -185,11 +185,14 @@ def fewest_samples(stamps: np.ndarray, parts: int) -> np.ndarray:
 
 
 def marks_of(light: Light) -> np.ndarray:
-    """BURIED_ROW or VOID_ROW for texels of that kind, else 0; (texels,) int32.
+    """BURIED_ROW, VOID_ROW or UNLIT for texels of that kind, else 0; (texels,) int32.
 
-    Buried are those from which no path of any part ever left; of irradiance, dark says nothing of that.
+    Buried are those from which no path of any part ever left; of irradiance, dark says nothing of that. Unlit are
+    those of which reflected light alone is known: that is no light to be shown.
     """
-    dark = np.all([~part.coefficients.any(axis=(1, 2)) for part in light.parts], axis=0)
-    dark &= all(part.layer.kind != "irradiance" for part in light.parts)
+    none = np.array([~part.coefficients.any(axis=(1, 2)) for part in light.parts])
+    straight = np.array([part.layer.kind != "indirect" for part in light.parts])
+    unlit = (none & [part.samples == 0 for part in light.parts])[straight].any(axis=0)
+    dark = none.all(axis=0) & all(part.layer.kind != "irradiance" for part in light.parts)
     buried = np.where(dark & (light.samples >= FEWEST), BURIED_ROW, 0)
-    return np.where(light.void, VOID_ROW, buried).astype(np.int32)
+    return np.where(light.void, VOID_ROW, np.where(unlit, UNLIT, buried)).astype(np.int32)

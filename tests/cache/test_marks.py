@@ -49,3 +49,11 @@ def test_dark_irradiance_is_not_buried() -> None:
     """Lights that do not move may leave a side of the surface black, which light would reach."""
     plan = ScenePlan("irradiance", (Layer("irradiance"),), 1, 2, 1.0, 4096)
     assert marks_of(light_of([[FEWEST, VOID]], plan)).tolist() == [0, VOID_ROW]
+
+
+def test_reflected_light_alone_is_not_shown() -> None:
+    """Direct light may be known of another layer, and then has no samples here."""
+    light = light_of([[0, 0, FEWEST, FEWEST], [FEWEST, FEWEST, 0, FEWEST]])
+    for part, lit in zip(light.parts, ([1, 2, 3], [0, 1, 3]), strict=True):
+        part.coefficients[lit, 0, 0] = 0.5
+    assert marks_of(light).tolist() == [UNLIT, 0, 0, 0]

@@ -63,11 +63,8 @@ def alike(one: Frame, other: Frame, error: float = 1e-5) -> np.ndarray:
 
 
 def shown_meanwhile(first: Frame, former: Frame) -> bool:
-    """Whether a frame is provisional and lit as the former was, or darker at the few texels that are buried."""
-    on = first.state > 0
-    same = alike(first, former)
-    darker = (first.radiance <= former.radiance).all(axis=-1)[on]
-    return bool((first.state[on] == PROVISIONAL).all() and same.mean() > 0.95 and (same | darker).all())
+    """Whether a frame is provisional and lit as the former was, but at the few texels that are buried."""
+    return bool((first.state[first.state > 0] == PROVISIONAL).all() and alike(first, former).mean() > 0.95)
 
 
 def same_light(one: Frame, other: Frame) -> bool:
