@@ -17,7 +17,7 @@ from isogi_core.bake.recipe import Recipe
 from isogi_core.kernels.bricks import Bricks
 from isogi_core.kernels.irradiance import bake_irradiance
 from isogi_core.kernels.transfer import bake_texels, locate_texels
-from isogi_core.model.plan import Layer
+from isogi_core.model.plan import Layer, most_samples
 
 GROUPS = 32
 """Groups of isovalues over the volume's range; one map of its cells serves the texels of one group."""
@@ -32,8 +32,8 @@ Place = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 def refine(light: Light, texels: np.ndarray, look: Look, until: int, target: float) -> None:
     """Bring ``light`` of the ``texels`` (m, 3; z, y, x) up to ``until`` samples each, in place.
 
-    A texel that has reached the relative error ``target`` is left as it is. Of the others those parts climb that
-    have the fewest samples: parts on one rung do so together, since the same paths serve them.
+    A texel that has reached the relative error ``target``, and whose parts are level, is left as it is. Of the others
+    those parts climb that have the fewest samples: parts on one rung do so together, since the same paths serve them.
     """
     while True:
         waiting = next_samples(light, look, target)
@@ -48,8 +48,13 @@ def refine(light: Light, texels: np.ndarray, look: Look, until: int, target: flo
 
 
 def next_samples(light: Light, look: Look, target: float) -> np.ndarray:
-    """Samples of the parts of each texel that climb next; -1 where the texel is finished; (texels,) int."""
-    return np.where(finished(light, look, target), -1, light.samples)
+    """Samples of the parts of each texel that climb next; -1 where the texel is finished and none lags; (texels,) int.
+
+    A part that was lost, or not written before a kill, catches up with the others, and so has the samples it had.
+    """
+    most = np.max([part.samples for part in light.parts], axis=0)
+    lags = ~light.void & (light.samples < np.minimum(most, most_samples(target)))
+    return np.where(finished(light, look, target) & ~lags, -1, light.samples)
 
 
 def climb(parts: Sequence[Part], rows: np.ndarray, texels: np.ndarray, look: Look) -> None:

@@ -139,10 +139,16 @@ def test_a_layer_that_was_lost_is_baked_again_and_the_other_kept() -> None:
     light = Light((whole.parts[0].rows(np.arange(60)), Light.dark(look.plan, 60).parts[1]))
     assert not next_samples(light, look, target).any()
     refine(light, texels, look, most_samples(target), target)
-    assert finished(light, look, target).all()
-    alike = np.flatnonzero(light.parts[0].samples == whole.parts[0].samples)
-    alike = alike[light.parts[1].samples[alike] == whole.parts[1].samples[alike]]
-    assert len(alike) > 5 and same(light.rows(alike), whole.rows(alike))
+    assert finished(light, look, target).all() and same(light, whole)
+
+
+@COMPILED
+def test_a_layer_far_ahead_is_followed_as_far_as_the_target_is_worth() -> None:
+    look, loose = orbital(), 0.2
+    texels = surface_texels(look, 30)
+    light = Light((climbed(look, texels, 1024).parts[0], Light.dark(look.plan, 30).parts[1]))
+    refine(light, texels, look, 1024, loose)
+    assert (light.parts[0].samples == 1024).all() and (light.parts[1].samples == most_samples(loose)).all()
 
 
 # --- what the light is ---------------------------------------------------------------------------------------------

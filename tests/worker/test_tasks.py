@@ -9,7 +9,6 @@ import pytest
 from isogi_core.bake.look import look_for
 from isogi_core.bake.noise import finished
 from isogi_core.bake.recipe import Recipe
-from isogi_core.bake.refine import refine
 from isogi_core.cache.store import ChunkStore
 from isogi_core.errors import SceneError, StoreError
 from isogi_core.kernels.irradiance import bake_irradiance
@@ -61,13 +60,14 @@ def test_a_finished_task_says_so(tmp_path: Path) -> None:
 
 def test_a_layer_that_takes_no_samples_is_not_written_again(tmp_path: Path) -> None:
     do(tmp_path, until=64)
-    chunk, before = store_of(tmp_path).load(INDEX), stored(tmp_path)
-    refine(chunk.light, chunk.positions(TEXELS), store_of(tmp_path).look, 65, 0.05)
-    direct, indirect = (part.samples for part in chunk.light.parts)
-    alone = TEXELS[(direct > 64) & (indirect == 64)]
-    assert len(alone) > 0
-    do(tmp_path, alone, until=65)
-    assert [now == old for now, old in zip(stored(tmp_path), before, strict=True)] == [False, True]
+    before = stored(tmp_path)
+    bake(BakeTask(SCENE.source, VICINITY.plan, VICINITY.digest, str(tmp_path), INDEX, TEXELS, 256, 1e-4))
+    ahead = stored(tmp_path)
+    assert [now == old for now, old in zip(ahead, before, strict=True)] == [False, True]
+    do(tmp_path, until=256, target=1e-4)
+    assert [now == old for now, old in zip(stored(tmp_path), ahead, strict=True)] == [True, False]
+    do(tmp_path / "together", until=256, target=1e-4)
+    assert stored(tmp_path) == stored(tmp_path / "together")
 
 
 def test_the_same_task_leaves_the_same_bytes(tmp_path: Path) -> None:
