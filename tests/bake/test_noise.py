@@ -1,5 +1,7 @@
 """The error estimate: its parts, its calibration against a long bake, and what is to be done about it."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -171,17 +173,23 @@ LOOKS = {
 }
 
 
+@cache
+def referred(name: str) -> tuple[Look, np.ndarray, Light]:
+    """One of LOOKS, 500 texels of the orbital, and their light after 8192 samples."""
+    look = orbital(**LOOKS[name])  # type: ignore[arg-type]
+    texels = surface_texels(look, 500)
+    assert len(texels) == 500
+    return look, texels, climbed(look, texels, 8192)
+
+
 @pytest.mark.slow
 @COMPILED
-@pytest.mark.parametrize("settings", LOOKS.values(), ids=LOOKS)
+@pytest.mark.parametrize("name", LOOKS)
 @pytest.mark.parametrize("samples", [64, 256])
-def test_the_estimate_is_calibrated(settings: dict[str, object], samples: int) -> None:
-    """500 texels of the orbital: what each layer is wrong by, against 8192 samples, is what it says."""
-    look = orbital(**settings)  # type: ignore[arg-type]
-    texels = surface_texels(look, 500)
-    estimate, reference = (climbed(look, texels, n) for n in (samples, 8192))
-    assert len(texels) == 500
-    for part, exact in zip(estimate.parts, reference.parts, strict=True):
+def test_the_estimate_is_calibrated(name: str, samples: int) -> None:
+    """What each layer is wrong by is what it says."""
+    look, texels, reference = referred(name)
+    for part, exact in zip(climbed(look, texels, samples).parts, reference.parts, strict=True):
         seen = np.sqrt((wrongness(part, exact, look) ** 2).mean())
         told = np.sqrt((deviation(part, look) ** 2).mean())
         assert 0.75 < seen / told < 1.33, (part.layer.kind, seen / told)
@@ -189,12 +197,11 @@ def test_the_estimate_is_calibrated(settings: dict[str, object], samples: int) -
 
 @pytest.mark.slow
 @COMPILED
-@pytest.mark.parametrize("settings", LOOKS.values(), ids=LOOKS)
-def test_texels_that_are_final_are_as_good_as_they_say(settings: dict[str, object]) -> None:
+@pytest.mark.parametrize("name", LOOKS)
+def test_texels_that_are_final_are_as_good_as_they_say(name: str) -> None:
     """Those that stop early are those whose halves agreed by chance: the error is told too low, but not by much."""
-    look, target = orbital(**settings), 0.02  # type: ignore[arg-type]
-    texels = surface_texels(look, 500)
-    light, reference = baked(look, texels, most_samples(target), target=target), climbed(look, texels, 8192)
+    (look, texels, reference), target = referred(name), 0.02
+    light = baked(look, texels, most_samples(target), target=target)
     parts = zip(light.parts, reference.parts, strict=True)
     wrong = sum(wrongness(part, exact, look) for part, exact in parts)
     level = np.maximum(luminance(reference, look), FLOOR * look.unoccluded)
