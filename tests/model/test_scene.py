@@ -1,5 +1,6 @@
 """Scenes: read from TOML, from a bare volume, or built in; their defaults, their names, and what they refuse."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -193,6 +194,13 @@ def test_a_layer_is_named_by_what_it_depends_on_and_by_nothing_else(change: dict
     plain, other = load_scene(ORBITAL, bounces=5), load_scene(ORBITAL, **{"bounces": 5, **change})
     known = {plain.layer_digest(layer) for layer in plain.plan.layers}
     assert [layer.kind for layer in other.plan.layers if other.layer_digest(layer) in known] == kinds
+
+
+def test_reflected_light_is_named_by_the_chance_that_its_paths_go_on() -> None:
+    plain = load_scene("demo:orbital")
+    patient = replace(plain, plan=replace(plain.plan, survival=1.0))
+    direct, indirect = (plain.layer_digest(layer) == patient.layer_digest(layer) for layer in plain.plan.layers)
+    assert plain.plan.survival < 1.0 and direct and not indirect
 
 
 def test_irradiance_is_named_by_its_lights_too() -> None:
