@@ -13,7 +13,7 @@ from dataclasses import replace
 import click
 
 from benchmarks.common import benchmark_scene, milliseconds, options, show
-from isogi_core.bake.refine import FIRST_RUNG
+from isogi_core.bake.precision import FIRST_RUNG
 from isogi_core.frame.film import develop
 from isogi_core.frame.renderer import Renderer
 from isogi_core.model.view import View

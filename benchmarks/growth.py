@@ -21,7 +21,7 @@ import click
 import numpy as np
 
 from benchmarks.common import benchmark_scene, milliseconds, options, show
-from isogi_core.bake.refine import FIRST_RUNG
+from isogi_core.bake.precision import FIRST_RUNG
 from isogi_core.frame.renderer import Renderer
 from isogi_core.model.scene import Scene
 from isogi_core.model.volume import Volume, make_volume

@@ -23,8 +23,9 @@ from PIL import Image
 from benchmarks import embree, vtk_scene
 from benchmarks.common import benchmark_scene, milliseconds, options, show
 from benchmarks.embree_frame import EmbreeFrame
+from isogi_core.bake.look import look_for
+from isogi_core.bake.precision import FIRST_RUNG
 from isogi_core.bake.recipe import Recipe
-from isogi_core.bake.refine import FIRST_RUNG
 from isogi_core.frame.film import develop
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.surroundings import Turned
@@ -43,7 +44,7 @@ def lit_renderer(scene: Scene, size: int, levels: list[float], store: str, threa
         d.index for v in levels for d in bake_view(renderer, view_of(scene, size, isovalue=v), FIRST_RUNG).demands
     }
     fresh = make_renderer(scene, store, threads)
-    fresh.loader.ensure(sorted(chunks))
+    fresh.caches.of("gi").ensure(sorted(chunks))
     return fresh
 
 
@@ -75,7 +76,7 @@ def peers(scene: Scene, size: int, threads: int) -> dict[str, Painter]:
         return {}
     vtk_scene.use_threads(threads)
     data, view = vtk_scene.image(scene.volume), view_of(scene, size)
-    towards, _, _ = Turned(Recipe(scene), view).key_light()
+    towards, _, _ = Turned(look_for(Recipe(scene), "gi"), view).key_light()
     found = {f"vtk {by}": vtk_scene.Window(data, view, towards, by).picture for by in vtk_scene.PASSES}
     return found | (by_embree(scene, size, np.array(towards), Tiles(threads)) if embree.installed() else {})
 

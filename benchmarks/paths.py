@@ -14,7 +14,7 @@ segments a second), and in the light: ours walks from the same pixels. Figures a
 
 import tempfile
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -28,6 +28,7 @@ from isogi_core.cache.chunk import Chunk
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.bounces import bounce_rays
 from isogi_core.kernels.intersect import OUTSIDE
+from isogi_core.model.plan import Layer
 from isogi_core.model.scene import Scene
 from isogi_core.model.view import View
 from server.measure import (
@@ -43,7 +44,7 @@ from server.measure import (
     view_of,
 )
 
-ALBEDO, SEGMENTS = 0.7, 5
+ALBEDO, SEGMENTS, ORDER = 0.7, 5, 5
 TEXELS, SAMPLES = 16384, 64
 VARIANTS = {"mitsuba llvm": "llvm_ad_rgb", "mitsuba scalar": "scalar_rgb"}
 SPP = {"mitsuba llvm": 8, "mitsuba scalar": 2}
@@ -161,7 +162,9 @@ def equals(scene: Scene, texels: list[np.ndarray], size: int, jobs: dict[str, Jo
 def main(target: str | None, size: int, repeats: int, as_json: bool) -> None:
     """Time paths."""
     fixed: dict[str, Any] = {"albedo": ALBEDO, "bounces": SEGMENTS - 1, "lattice": 1, "lights": [{"type": "constant"}]}
-    one, many = (benchmark_scene(target, "constant", **fixed, order=order) for order in (1, 5))
+    planned = benchmark_scene(target, "constant", **fixed)
+    one = replace(planned, plan=replace(planned.plan, survival=1.0))
+    many = replace(one, plan=replace(one.plan, layers=(Layer("whole", ORDER),), order=ORDER))
     texels = view_texels(one, size)
     surface = len(bounce(Recipe(one), primary_rays(Recipe(one), size), np.random.default_rng(1)))
     jobs = {"isogi": bake_job(one, texels), "isogi order 5": bake_job(many, texels)}

@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from isogi_core.bake.refine import FIRST_RUNG
+from isogi_core.bake.look import LOOKS
+from isogi_core.bake.precision import FIRST_RUNG
 from isogi_core.cache.chunk import Chunk
 from isogi_core.errors import ViewError
 from isogi_core.frame.film import develop
@@ -103,6 +104,7 @@ class Bench:
             "isovalue": self.scene.isovalue,
             "size": self.size,
             "bounces": self.scene.bounces,
+            "survival": self.scene.plan.survival,
             "threads": self.renderer.tiles.threads,
             "lanes": WIDTH or 0,
             "surface_pixels": self.frame.surface,
@@ -110,7 +112,10 @@ class Bench:
 
     def frames(self) -> Figures:
         """``frame_ms``, by shading, of a camera that is new, light baked; ``relight_ms``: only the light is turned."""
-        candidates = {name: new_camera(self.renderer, replace(self.view, shading=name)) for name in QUICK}
+        views = {name: replace(self.view, shading=name) for name in QUICK}
+        for look in LOOKS:
+            bake_view(self.renderer, views[look], FIRST_RUNG)
+        candidates = {name: new_camera(self.renderer, view) for name, view in views.items()}
         taken = milliseconds({**candidates, "relight": relight(self.renderer, self.view)}, self.repeats)
         return {"relight_ms": taken.pop("relight"), "frame_ms": taken}
 

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from pydantic import BaseModel
 
 from isogi_core.model.lights import Light
+from isogi_core.model.plan import Layer
 from isogi_core.model.scene import Scene
 from isogi_core.model.view import SHADINGS
+from isogi_core.plan.savings import S1_BYTES
 from server.params import FrameParams
 from server.values import Span
 
@@ -68,21 +71,68 @@ class LightFacts(BaseModel):
     name: str
 
 
+class SavingFacts(BaseModel):
+    """What was saved: an amount of a unit, measured or else computed."""
+
+    amount: float
+    unit: str
+    measured: bool
+
+
 class Omission(BaseModel):
-    """Something that this scene does not need, and why."""
+    """Something that this scene does not need, why, and what that saves beside the same plan with it."""
 
     what: str
     why: str
+    saves: list[SavingFacts]
+
+
+class LayerFacts(BaseModel):
+    """One kind of light that each texel keeps: order² numbers for each channel, in multiples of the scale.
+
+    Bands from ``coarse`` on are bytes, where it is not null.
+    """
+
+    kind: str
+    order: int
+    channels: int
+    precision: str
+    coarse: int | None
+    scale: float
+    bytes_per_texel: int
+
+
+class TexelFacts(BaseModel):
+    """Texels and chunks of the lattice, those that some view can show, and shown ones that can hold no light."""
+
+    total: int
+    shown: int
+    void: int
+    chunks: int
+    shown_chunks: int
 
 
 class PlanFacts(BaseModel):
-    """What is stored per texel for this scene, and what was left out."""
+    """What is stored per texel for this scene, the errors that are expected of it, and what was left out.
+
+    ``indirect_order`` is that of reflected light, null where that has no harmonics of its own; ``samples``
+    are the most that a texel takes; ``errors`` are relative, by what is cut off. ``full_bytes_per_texel`` is
+    what S1 keeps for any scene.
+    """
 
     representation: str
     order: int
+    indirect_order: int | None
     channels: int
     bounces: int
     bytes_per_texel: int
+    full_bytes_per_texel: int
+    precision: str
+    samples: int
+    layers: list[LayerFacts]
+    errors: dict[str, float]
+    notes: list[str]
+    texels: TexelFacts
     left_out: list[Omission]
 
 
@@ -173,16 +223,30 @@ def light_facts(light: Light) -> LightFacts:
 
 
 def plan_facts(scene: Scene) -> PlanFacts:
-    """The scene's plan."""
+    """The scene's plan, and which of its texels are ever lit."""
     plan = scene.plan
     return PlanFacts(
         representation=plan.representation,
         order=plan.order,
+        indirect_order=plan.indirect_order,
         channels=plan.channels,
         bounces=plan.bounces,
         bytes_per_texel=plan.bytes_per_texel,
-        left_out=[Omission(what=each.what, why=each.why) for each in plan.left_out],
+        full_bytes_per_texel=S1_BYTES,
+        precision=plan.precision,
+        samples=plan.samples,
+        layers=[layer_facts(layer) for layer in plan.layers],
+        errors=dict(plan.errors),
+        notes=list(plan.notes),
+        texels=TexelFacts(**asdict(scene.texels)),
+        left_out=[Omission(**asdict(each)) for each in scene.left_out],
     )
+
+
+def layer_facts(layer: Layer) -> LayerFacts:
+    """One layer of a plan."""
+    names = ("kind", "order", "channels", "precision", "coarse", "scale", "bytes_per_texel")
+    return LayerFacts(**{name: getattr(layer, name) for name in names})
 
 
 def defaults(scene: Scene) -> dict[str, float | str]:

@@ -10,12 +10,11 @@ import numpy as np
 from tqdm import tqdm
 
 from isogi_core.bake.light import Light
+from isogi_core.bake.look import look_for
 from isogi_core.bake.maps import Run, serially
 from isogi_core.bake.recipe import Recipe
 from isogi_core.bake.refine import refine
-from isogi_core.cache.loader import Loader
-from isogi_core.cache.pages import PagePool
-from isogi_core.cache.store import ChunkStore
+from isogi_core.cache.caches import Caches
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import pinhole
 from isogi_core.frame.renderer import Renderer
@@ -99,8 +98,7 @@ def isovalues_near(scene: Scene, count: int) -> list[float]:
 def make_renderer(scene: Scene, store: str, threads: int | None = None) -> Renderer:
     """A renderer over a store, with nothing else around it."""
     tiles = Tiles(threads)
-    recipe = Recipe(scene, tiles.run)
-    return Renderer(recipe, Loader(ChunkStore(store, recipe), PagePool(recipe, MEMORY)), tiles)
+    return Renderer(Caches(Recipe(scene, tiles.run), store, MEMORY), tiles)
 
 
 def new_camera(renderer: Renderer, view: View) -> Candidate:
@@ -135,26 +133,26 @@ def bake_view(renderer: Renderer, view: View, until: int) -> Frame:
 
         def piece(a: int, b: int) -> None:
             for demand in demands[a:b]:
-                bake_chunk(renderer, demand, until)
+                bake_chunk(renderer, view.shading, demand, until)
                 bar.update()
 
         renderer.tiles.run(piece, len(demands), 1)
     return renderer.render(view, NEVER)
 
 
-def bake_chunk(renderer: Renderer, demand: Demand, until: int) -> None:
-    """Bake what is demanded of a chunk and keep it in the store."""
-    store = renderer.loader.store
-    chunk = store.load(demand.index).with_texels(demand.offsets)
-    refine(chunk.light, chunk.positions(chunk.offsets), renderer.recipe, until, NEVER)
-    store.save(chunk)
-    renderer.loader.refresh(demand.index)
+def bake_chunk(renderer: Renderer, shading: str, demand: Demand, until: int) -> None:
+    """Bake what is demanded of a chunk by a view of this ``shading``, and keep it in the store."""
+    loader = renderer.caches.of(shading)
+    chunk = loader.store.load(demand.index).with_texels(demand.offsets)
+    refine(chunk.light, chunk.positions(chunk.offsets), loader.store.look, until, NEVER)
+    loader.store.save(chunk)
+    loader.refresh(demand.index)
 
 
 def bake_texels(recipe: Recipe, texels: np.ndarray, until: int) -> Light:
     """The light of ``texels`` (m, 3; z, y, x) after ``until`` samples each."""
     light = Light.dark(recipe.scene.plan, len(texels))
-    refine(light, texels, recipe, until, NEVER)
+    refine(light, texels, look_for(recipe, "gi"), until, NEVER)
     return light
 
 

@@ -4,18 +4,19 @@ import logging
 import threading
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from isogi_core.bake.look import LOOKS, look_name
 from isogi_core.bake.maps import STEP
-from isogi_core.bake.recipe import Recipe
-from isogi_core.cache.loader import Loader
-from isogi_core.cache.pages import PagePool
+from isogi_core.bake.recipe import Index, Recipe
+from isogi_core.cache.caches import Caches
 from isogi_core.cache.store import ChunkStore, default_store
 from isogi_core.errors import IsogiError
 from isogi_core.frame.frame import Frame
-from isogi_core.frame.kernels import FRAME
+from isogi_core.frame.kernels import frame_kernels
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels._folder import prune
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
 log = logging.getLogger("isogi.server")
 
 MEMORY = 512 << 20
-"""Bytes of decoded light that a scene may keep in memory."""
+"""Bytes of decoded light that a look of a scene may keep in memory."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,8 +42,6 @@ class Stage:
     """One scene, ready to be rendered."""
 
     scene: Scene
-    recipe: Recipe
-    loader: Loader
     renderer: Renderer
     foresight: Foresight
 
@@ -78,10 +77,10 @@ class Studio:
         Raises StoreError.
         """
         self.hire()
-        warm(FRAME, self._stopped)
+        warm(frame_kernels(self.scenes.values()), self._stopped)
         if self._stopped.is_set():
             return
-        for scene in self.scenes.values():
+        for scene in list(self.scenes.values()):
             self._stages[scene.id] = self._open(scene)
         prune(FOLDER)
 
@@ -113,11 +112,12 @@ class Studio:
         deadline = time.monotonic() + wait
         target = max_error or stage.scene.target_error
         frame = self._render(stage, view, target, cancelled)
-        while frame.demands and self._baker.want(scene, frame.demands, target):
+        bake = bake_name(scene, look_name(view.shading))
+        while frame.demands and self._baker.want(bake, frame.demands, target):
             left = deadline - time.monotonic()
             if left <= 0.0:
                 break
-            self._baker.wait(scene, [demand.index for demand in frame.demands], left)
+            self._baker.wait(bake, [demand.index for demand in frame.demands], left)
             frame = self._render(stage, view, target, cancelled)
         return frame
 
@@ -150,19 +150,30 @@ class Studio:
 
     def _open(self, scene: Scene) -> Stage:
         recipe = Recipe(scene, self._tiles.run)
-        store = ChunkStore(self.store, recipe)
-        loader = Loader(store, PagePool(recipe, self._memory))
-        recipe.field, recipe.maps, store.array, recipe.light  # noqa: B018 (worked out now, not in the first frame)
+        caches = Caches(recipe, self.store, self._memory)
+        recipe.field, recipe.maps  # noqa: B018 (worked out now, not in the first frame)
+        ChunkStore(self.store, caches.look("gi")).open()
+        self.scenes[scene.id] = replace(scene, plan=caches.look("gi").plan)
         lowest, highest = sorted(map(scene.volume.normalise_isovalue, scene.isovalues))
         foresight = Foresight(lambda v, cancelled: recipe.bricks(v, v, cancelled), STEP, (lowest, highest))
-        self._baker.add(scene.id, Bake(scene.source, scene.bake_digest, absolute(self.store), loader.refresh))
-        return Stage(scene, recipe, loader, Renderer(recipe, loader, self._tiles), foresight)
+        for look in LOOKS:
+            self._baker.add(bake_name(scene.id, look), self._bake(caches, look))
+        return Stage(scene, Renderer(caches, self._tiles), foresight)
+
+    def _bake(self, caches: Caches, name: str) -> Bake:
+        """The bake of a look, by its name."""
+        look = caches.look(name)
+        scene, plan = look.recipe.scene, replace(look.plan, left_out=(), notes=())
+        layers = frozenset(scene.layer_digest(layer) for layer in plan.layers)
+        arrived = partial(refresh, caches, name)
+        return Bake(scene.source, plan, look.digest, layers, absolute(self.store), arrived)
 
     def _hire(self) -> None:
         try:
             from worker.pool import WorkerPool  # noqa: PLC0415 (a fifth of a second, beside other work)
 
-            self._pool = WorkerPool(self._workers, self._scheduler)
+            kinds = {layer.kind for scene in self.scenes.values() for layer in scene.plan.layers}
+            self._pool = WorkerPool(self._workers, self._scheduler, kinds)
             self._baker.employ(self._pool)
         except IsogiError as error:
             self._trouble = error
@@ -170,6 +181,16 @@ class Studio:
         except Exception as error:
             self._trouble = WorkersError(f"Cannot start the workers: {error}")
             log.exception("%s", self._trouble)
+
+
+def bake_name(scene: str, look: str) -> str:
+    """The name of a look of a scene among all bakes; the scene's own where it is its own."""
+    return scene if look == "gi" else f"{scene} ({look})"
+
+
+def refresh(caches: Caches, look: str, index: Index) -> None:
+    """Say that the store has new light of a chunk in a look."""
+    caches.of(look).refresh(index)
 
 
 def absolute(store: str) -> str:

@@ -82,7 +82,7 @@ def live_server(small_scene: Path, live_store: Path) -> Iterator[str]:
         listener.close()
 
 
-def wait_until_ready(url: str, thread: threading.Thread, seconds: float = 120) -> None:
+def wait_until_ready(url: str, thread: threading.Thread, seconds: float = 300) -> None:
     """Ask /readyz until it says yes."""
     deadline = time.monotonic() + seconds
     answer = httpx.get(f"{url}/readyz", timeout=30)

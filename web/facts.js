@@ -1,26 +1,35 @@
-/** The scene in words: its plan, what was left out and why, its volume and its lights. */
+/** The scene in words: its plan, what was left out, why and what that saves, its volume and its lights. */
 
 /**
  * Fill the two folded lists with what the server says about the scene.
- * @param {HTMLElement} root holds `#plan-facts`, `#plan-left-out` and `#volume-facts`
+ * @param {HTMLElement} root holds `#plan-facts`, `#plan-notes`, `#plan-left-out` and `#volume-facts`
  * @param {object} scene answer of `readScene`
  */
 export function showFacts(root, scene) {
   root.querySelector("#plan-facts").replaceChildren(...rows(planFacts(scene)));
   root.querySelector("#volume-facts").replaceChildren(...rows(volumeFacts(scene)));
-  const leftOut = scene.plan.left_out.map(({ what, why }) => item(what, why));
-  root.querySelector("#plan-left-out").replaceChildren(...(leftOut.length ? leftOut : [item("Nothing", "this scene needs it all")]));
+  root.querySelector("#plan-notes").replaceChildren(...scene.plan.notes.map((note) => textNode("p", note)));
+  const leftOut = scene.plan.left_out.map(omission);
+  root.querySelector("#plan-left-out").replaceChildren(...(leftOut.length ? leftOut : [textNode("li", "Nothing: this scene needs it all.")]));
 }
 
 function planFacts({ plan, target_error: target }) {
   return {
     Light: plan.representation,
-    "SH order": plan.order,
-    Channels: plan.channels,
+    ...Object.fromEntries(plan.layers.map((layer) => [capital(layer.kind), layerInWords(layer)])),
+    "Bytes per texel": `${plan.bytes_per_texel}, instead of ${plan.full_bytes_per_texel}`,
+    "Texels shown": `${grouped(plan.texels.shown)} of ${grouped(plan.texels.total)}`,
     Bounces: plan.bounces,
-    "Bytes per texel": plan.bytes_per_texel,
+    "Samples, at most": grouped(plan.samples),
     "Final means": Number.isFinite(target) ? `noise below ${percent(target)}` : null,
+    ...Object.fromEntries(Object.entries(plan.errors).map(([cause, error]) => [`Error of ${cause}`, percent(error)])),
   };
+}
+
+function layerInWords({ order, channels, precision, coarse }) {
+  const numbers = order > 1 ? `SH order ${order}` : "one number";
+  const kept = coarse === null ? `${precision} floats` : `half floats, bytes from band ${coarse} on`;
+  return `${numbers}${channels > 1 ? ` in ${channels} channels` : ""}, ${kept}`;
 }
 
 function volumeFacts({ volume, lights, albedo }) {
@@ -41,10 +50,16 @@ function rows(facts) {
     .flatMap(([name, value]) => [textNode("dt", name), textNode("dd", value)]);
 }
 
-function item(what, why) {
+function omission({ what, why, saves }) {
   const node = document.createElement("li");
   node.append(textNode("b", what), ` — ${why}`);
+  if (saves.length) node.append(textNode("span", `saves ${saves.map(savingInWords).join(", ")}`));
   return node;
+}
+
+function savingInWords({ amount, unit, measured }) {
+  const digits = amount >= 100 ? Math.round(amount) : Number(amount.toPrecision(3));
+  return `${grouped(digits)} ${unit}${measured ? " (measured)" : ""}`;
 }
 
 function textNode(tag, text) {
@@ -53,4 +68,12 @@ function textNode(tag, text) {
 
 function percent(share) {
   return `${Number((100 * share).toPrecision(3))} %`;
+}
+
+function grouped(number) {
+  return number.toLocaleString("en").replaceAll(",", "\u202f");
+}
+
+function capital(word) {
+  return word[0].toUpperCase() + word.slice(1);
 }

@@ -7,16 +7,19 @@ const NAMESPACE = "http://www.w3.org/2000/svg";
 const [WIDTH, HEIGHT] = [1000, 100];
 
 /**
- * Draw the histogram and tie slider and number field to the view's isovalue, both ways.
+ * Draw the histogram and tie slider and number field to the view's isovalue, both ways; a single one is locked.
  * @param {HTMLFormElement} form holds `#isovalue`, `#isovalue-number` and `#histogram`
  * @param {object} scene answer of `readScene`
  * @param {import("./view.js").ViewModel} view
  */
 export function attachHistogram(form, scene, view) {
-  const { min, max } = sliderRange(scene, "isovalue");
+  const allowed = sliderRange(scene, "isovalue");
+  const single = allowed.min === allowed.max;
+  const [min, max] = single ? scene.volume.value_range : [allowed.min, allowed.max];
   const [slider, number, svg] = ["#isovalue", "#isovalue-number", "#histogram"].map((id) => form.querySelector(id));
   setLimits(slider, min, max);
   Object.assign(number, { min, max });
+  slider.disabled = number.disabled = single;
   form.querySelector("#isovalue-min").textContent = showNumber(min, niceStep(max - min));
   form.querySelector("#isovalue-max").textContent = showNumber(max, niceStep(max - min));
   slider.addEventListener("input", () => view.set({ isovalue: slider.valueAsNumber }));

@@ -41,7 +41,7 @@ export function niceStep(span) {
  * @returns {string}
  */
 export function showNumber(value, step) {
-  if (Math.abs(value) < step * 1e-6) return "0";
+  if (Math.abs(value) <= step * 1e-6) return "0";
   const digits = Math.ceil(Math.log10(Math.abs(value) / step) + 1e-9) + 2;
   return String(Number(value.toPrecision(Math.min(17, Math.max(1, digits)))));
 }

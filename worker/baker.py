@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from isogi_core.bake.recipe import Index
 from isogi_core.frame.texels import Demand
+from isogi_core.model.plan import ScenePlan
 from isogi_core.model.source import SceneSource
 from worker.queue import BakeQueue, Key, Want
 from worker.tasks import BakeResult, BakeTask
@@ -21,10 +22,15 @@ log = logging.getLogger("isogi.worker")
 
 @dataclass(frozen=True, eq=False)
 class Bake:
-    """A scene's ``source`` and the ``digest`` of its bake, its ``store``, and who is told of each new chunk."""
+    """A ``plan`` for the scene in ``source``, the ``digest`` and the ``store`` of its light, and who hears of it.
+
+    ``layers`` are the digests of the layers that it writes.
+    """
 
     source: SceneSource
+    plan: ScenePlan
     digest: str
+    layers: frozenset[str]
     store: str
     arrived: Callable[[Index], None]
 
@@ -34,7 +40,7 @@ class Baker:
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         """Begin without workers: what is wanted waits until ``employ``."""
-        self._queue = BakeQueue(clock)
+        self._queue = BakeQueue(clock, self._shared)
         self._bakes: dict[str, Bake] = {}
         self._pool: WorkerPool | None = None
         self._flying = 0
@@ -75,6 +81,10 @@ class Baker:
             self._pool = None
             self._changed.notify_all()
 
+    def _shared(self, one: str, other: str) -> bool:
+        """Whether two bakes write to a layer that is the same."""
+        return not self._bakes[one].layers.isdisjoint(self._bakes[other].layers)
+
     def _feed(self) -> None:
         """Hand tasks over while there is room for them; the caller holds the lock."""
         while self._pool is not None and self._flying < self._pool.room:
@@ -87,7 +97,7 @@ class Baker:
     def _submit(self, pool: "WorkerPool", want: Want) -> None:
         scene, index = want.key
         bake = self._bakes[scene]
-        task = BakeTask(bake.source, bake.digest, bake.store, index, want.offsets, want.goal, want.target)
+        task = BakeTask(bake.source, bake.plan, bake.digest, bake.store, index, want.offsets, want.goal, want.target)
         pool.submit(task, lambda result, error: self._done(scene, task, result, error))
 
     def _done(self, scene: str, task: BakeTask, result: BakeResult | None, error: BaseException | None) -> None:

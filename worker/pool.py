@@ -1,7 +1,7 @@
 """The worker processes: a Dask cluster, of this machine's own or joined by its address."""
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Any
 
 import dask.config
@@ -9,7 +9,7 @@ from distributed import Client, Future, LocalCluster, fire_and_forget
 
 from worker.errors import WorkersError
 from worker.nice import Nice
-from worker.tasks import BakeResult, BakeTask, bake, kernels_missing, load_kernels
+from worker.tasks import KINDS, BakeResult, BakeTask, bake, kernels_missing, load_kernels
 
 AHEAD = 2
 """Tasks in flight per worker: a task handed over can be neither re-ordered nor stopped, so few are."""
@@ -34,8 +34,11 @@ class WorkerPool:
     Those joined may stand on other machines, and load them when they start: see ``worker.tasks.dask_setup``.
     """
 
-    def __init__(self, workers: int, scheduler: str | None = None) -> None:
-        """Start ``workers`` processes of one thread each, or join the ``scheduler``. Raises WorkersError."""
+    def __init__(self, workers: int, scheduler: str | None = None, kinds: Collection[str] = KINDS) -> None:
+        """Start ``workers`` processes of one thread each, or join the ``scheduler``. Raises WorkersError.
+
+        Kernels that bake layers of these ``kinds`` are compiled at once where they are missing.
+        """
         self._cluster: LocalCluster | None = None
         try:
             with dask.config.set(SETTINGS):
@@ -44,8 +47,8 @@ class WorkerPool:
                 self._client = Client(self._cluster or scheduler, timeout="30s", set_as_default=False)
                 self._client.register_plugin(Nice())
                 self._workers = self._count()
-                if scheduler is None and kernels_missing():
-                    fire_and_forget(self._client.submit(load_kernels, pure=False))
+                if scheduler is None and kernels_missing(kinds):
+                    fire_and_forget(self._client.submit(load_kernels, tuple(kinds), pure=False))
         except Exception as error:
             if self._cluster is not None:
                 self._cluster.close()

@@ -4,6 +4,7 @@ Newest view first; within a view the chunks with the fewest samples, and among t
 cover most of the picture, its centre counting double. Pure data: no threads, no clock of its own.
 """
 
+import operator
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
@@ -14,7 +15,7 @@ from isogi_core.frame.texels import Demand
 from worker.tasks import BakeResult, next_goal
 
 Key = tuple[str, Index]
-"""A chunk of a scene."""
+"""A chunk of a bake, by its name."""
 
 FORGET_AFTER = 60.0
 """Seconds after which light that nobody has asked for again is no longer baked."""
@@ -64,9 +65,14 @@ class Want:
 
 @dataclass(eq=False)
 class BakeQueue:
-    """Wants by chunk. Call under one lock when several threads use it."""
+    """Wants by chunk. Call under one lock when several threads use it.
+
+    ``shared`` says whether two bakes have a layer in common: of those, one at a time works on a chunk, for the
+    one that wrote last would undo what the other has added.
+    """
 
     clock: Callable[[], float]
+    shared: Callable[[str, str], bool] = operator.eq
     wants: dict[Key, Want] = field(default_factory=dict)
     views: int = 0
 
@@ -85,7 +91,8 @@ class BakeQueue:
     def take(self) -> Want | None:
         """The next chunk to work on, marked as flying; None where there is nothing to do."""
         self._forget()
-        waiting = [want for want in self.wants.values() if not want.flying and not want.given_up]
+        flying = [want.key for want in self.wants.values() if want.flying]
+        waiting = [want for want in self.wants.values() if not want.given_up and not self._busy(want.key, flying)]
         if not waiting:
             return None
         best = min(waiting, key=lambda want: want.rank)
@@ -118,6 +125,10 @@ class BakeQueue:
         self._forget()
         given_up = [want for want in self.wants.values() if want.given_up]
         return max(given_up, key=lambda want: want.asked).trouble if given_up else ""
+
+    def _busy(self, key: Key, flying: list[Key]) -> bool:
+        """Whether a task is at the light of this chunk."""
+        return any(index == key[1] and self.shared(bake, key[0]) for bake, index in flying)
 
     def _forget(self) -> None:
         horizon = self.clock() - FORGET_AFTER

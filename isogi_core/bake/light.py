@@ -1,63 +1,81 @@
-"""The light of a set of texels, as a table with one row each: the planes that a chunk keeps."""
+"""The light of a set of texels: for each layer of a plan a table with one row per texel."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from isogi_core.model.plan import ScenePlan
+from isogi_core.bake.precision import VOID
+from isogi_core.model.plan import Layer, ScenePlan
 
-SAMPLES, ISOVALUE, ERROR, COEFFICIENTS = 0, 1, 2, 3
-VOID = -1.0
-"""Number of samples that marks a texel which can hold no light."""
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """What texels keep of one ``layer``, one row each.
+
+    ``samples`` (m,) int32 are the paths taken, both randomisations together, or VOID; ``noise`` (m, noises) float32
+    is the standard error of a coefficient in band 0, and above it; ``coefficients`` (m, channels, n²) float32.
+    """
+
+    layer: Layer
+    samples: np.ndarray
+    noise: np.ndarray
+    coefficients: np.ndarray
+
+    @classmethod
+    def dark(cls, layer: Layer, texels: int) -> "Part":
+        """Texels that no path has been sent from yet."""
+        coefficients = np.zeros((texels, layer.channels, layer.order**2), np.float32)
+        return cls(layer, np.zeros(texels, np.int32), np.zeros((texels, layer.noises), np.float32), coefficients)
+
+    def rows(self, which: np.ndarray) -> "Part":
+        """A copy of some rows."""
+        return Part(self.layer, self.samples[which], self.noise[which], self.coefficients[which])
+
+    def put(self, which: np.ndarray, part: "Part") -> None:
+        """Write the rows of ``part`` to some rows of this."""
+        self.samples[which] = part.samples
+        self.noise[which] = part.noise
+        self.coefficients[which] = part.coefficients
 
 
 @dataclass(frozen=True, eq=False)
 class Light:
-    """``planes`` (texels, planes) float32, in the order of ``ScenePlan.planes``; the properties are views into it."""
+    """The ``parts`` of texels' light, in the order of the plan's layers."""
 
-    plan: ScenePlan
-    planes: np.ndarray
+    parts: tuple[Part, ...]
 
     @classmethod
     def dark(cls, plan: ScenePlan, texels: int) -> "Light":
         """Texels that no path has been sent from yet."""
-        return cls(plan, np.zeros((texels, len(plan.planes)), np.float32))
+        return cls(tuple(Part.dark(layer, texels) for layer in plan.layers))
+
+    def __len__(self) -> int:
+        return len(self.parts[0].samples)
 
     def rows(self, which: np.ndarray) -> "Light":
         """A copy of some rows."""
-        return Light(self.plan, self.planes[which])
+        return Light(tuple(part.rows(which) for part in self.parts))
+
+    def put(self, which: np.ndarray, light: "Light") -> None:
+        """Write the rows of ``light`` to some rows of this."""
+        for mine, part in zip(self.parts, light.parts, strict=True):
+            mine.put(which, part)
 
     @property
     def samples(self) -> np.ndarray:
-        """Paths taken, both randomisations together; VOID where there is no surface."""
-        return self.planes[:, SAMPLES]
+        """The fewest samples of any part, VOID where a texel can hold no light; (m,) int32."""
+        return np.min([part.samples for part in self.parts], axis=0)
 
     @property
-    def isovalue(self) -> np.ndarray:
-        """The isovalue (normalised) of the surface that each texel was lit on."""
-        return self.planes[:, ISOVALUE]
-
-    @property
-    def direct(self) -> np.ndarray:
-        """τ of paths that leave at once; (texels, n²)."""
-        return self.planes[:, COEFFICIENTS : COEFFICIENTS + self.plan.order**2]
-
-    @property
-    def indirect(self) -> np.ndarray:
-        """τ of paths that were reflected, times R^k; (texels, channels, n²)."""
-        return self._coloured(0)
-
-    @property
-    def spread(self) -> np.ndarray:
-        """Half the difference of the two randomisations of direct + indirect; squared, the variance of their mean."""
-        return self._coloured(1)
+    def void(self) -> np.ndarray:
+        """Whether each texel can hold no light; (m,) bool."""
+        return np.any([part.samples == VOID for part in self.parts], axis=0)
 
     @property
     def transfer(self) -> np.ndarray:
-        """τ = direct + indirect; (texels, channels, n²)."""
-        return self.direct[:, None, :] + self.indirect
-
-    def _coloured(self, which: int) -> np.ndarray:
-        n, channels = self.plan.order**2, self.plan.channels
-        start = COEFFICIENTS + n + which * channels * n
-        return self.planes[:, start : start + channels * n].reshape(-1, channels, n)
+        """The parts' sum; (m, channels, n²) float32 with the most channels and the highest order of any."""
+        channels, n = (max(part.coefficients.shape[axis] for part in self.parts) for axis in (1, 2))
+        total = np.zeros((len(self), channels, n), np.float32)
+        for part in self.parts:
+            total[:, :, : part.coefficients.shape[2]] += part.coefficients
+        return total

@@ -1,4 +1,4 @@
-"""The recipe of a bake: all that the kernels need to light a texel of a scene, worked out once."""
+"""The recipe of a bake: where the texels of a scene lie, and what their paths meet, worked out once."""
 
 import threading
 from dataclasses import dataclass
@@ -9,13 +9,15 @@ import numpy as np
 from isogi_core.bake.maps import Maps, Run, serially
 from isogi_core.kernels.bricks import Bricks
 from isogi_core.kernels.field import Field
-from isogi_core.kernels.harmonics import project
 from isogi_core.kernels.lattice import CHUNK, Lattice
+from isogi_core.kernels.lit import Surroundings
 from isogi_core.kernels.macrocells import fill_macrocells, macrocell_shape
-from isogi_core.model.environment import Environment
 from isogi_core.model.scene import Scene
-from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.volume import Volume
+from isogi_core.plan.projection import project_environment
+
+AROUND = 3
+"""The harmonics' order of unshadowed light: the cosine lobe keeps 99 % of any light in it (Ramamoorthi, Hanrahan)."""
 
 Index = tuple[int, int, int]
 """Position of a chunk in the lattice, in chunks along z, y, x."""
@@ -42,11 +44,10 @@ class Recipe:
         """The map of the cells that may hold isosurfaces from one normalised isovalue to another; see ``Maps.get``."""
         return self.maps.get(lowest, highest, cancelled)
 
-    @cached_property
+    @property
     def shape(self) -> tuple[int, int, int]:
-        """Texels along z, y, x: ``lattice`` per voxel, the outermost on the outermost voxels, at least 2."""
-        z, y, x = (max(round((n - 1) * self.scene.lattice) + 1, 2) for n in self.scene.volume.shape)
-        return z, y, x
+        """Texels along z, y, x."""
+        return self.scene.lattice_shape
 
     @cached_property
     def step(self) -> np.ndarray:
@@ -66,31 +67,20 @@ class Recipe:
         return z, y, x
 
     @cached_property
-    def weights(self) -> np.ndarray:
-        """R^k for k = 0 … bounces, per channel of the transfer; (bounces + 1, channels) float64."""
-        albedo = np.array(self.scene.albedo[: self.scene.plan.channels])
-        return np.ascontiguousarray(albedo[None, :] ** np.arange(self.scene.bounces + 1)[:, None])
+    def around(self) -> np.ndarray:
+        """ℓ of the unturned lights as a surface without shadows has them, linear RGB, (3, n²) float64.
 
-    @cached_property
-    def light(self) -> np.ndarray:
-        """The unrotated environment's coefficients ℓ, linear RGB; (3, n²) float64. Source: S1, eq. 7."""
-        return project_environment(self.scene.environment, self.scene.plan.order)
+        Of order AROUND, and 1 for constant light.
+        """
+        environment, lamps = self.scene.environment, self.scene.lamps
+        order = AROUND if lamps.any or environment.image.any() else 1
+        return project_environment(environment, order) + lamps.approximate(order, self.scene.volume.centre)
 
-    @cached_property
-    def luminance_light(self) -> np.ndarray:
-        """Luminance of ``light`` times the albedo, split over the channels of the transfer; (channels, n²)."""
-        return to_luminance(self.light, self.scene.albedo, self.scene.plan.channels)
-
-    @cached_property
-    def noise_weights(self) -> np.ndarray:
-        """See the function of the same name; (channels, n²) float64."""
-        return noise_weights(self.luminance_light, self.scene.plan.order)
-
-
-def to_luminance(light: np.ndarray, albedo: tuple[float, float, float], channels: int) -> np.ndarray:
-    """Luminance of the reflected ``light`` (3, n²), split over the channels of the transfer; (channels, n²)."""
-    weighted = (LUMINANCE * np.array(albedo))[:, None] * light
-    return weighted if channels == 3 else weighted.sum(axis=0, keepdims=True)
+    def surroundings(self, matrix: np.ndarray) -> Surroundings:
+        """All light as it is, for paths that meet it; the environment turned by ``matrix`` (3, 3)."""
+        environment = self.scene.environment
+        arrays = self.scene.lamps.arrays
+        return Surroundings(environment.constant, environment.image, matrix, environment.table, arrays)
 
 
 def make_field(volume: Volume) -> Field:
@@ -99,31 +89,3 @@ def make_field(volume: Volume) -> Field:
     low, high = np.empty(shape, np.float32), np.empty(shape, np.float32)
     fill_macrocells(volume.voxels, low, high)
     return Field(volume.voxels, low, high, volume.spacing)
-
-
-def project_environment(environment: Environment, order: int) -> np.ndarray:
-    """SH coefficients of an environment, linear RGB, (3, n²) float64: the constant exactly, the image by quadrature."""
-    coefficients = np.zeros((3, order**2))
-    if environment.image.any():
-        project(order, environment.image, coefficients)
-    coefficients[:, 0] += environment.constant * np.sqrt(4.0 * np.pi)
-    return coefficients
-
-
-def band_of(order: int) -> np.ndarray:
-    """The band l of each coefficient i < order²; (n²,) int."""
-    return np.repeat(np.arange(order), 2 * np.arange(order) + 1)
-
-
-def noise_weights(luminance_light: np.ndarray, order: int) -> np.ndarray:
-    """Weights w (channels, n²): Σ w · spread² is the variance of a texel's luminance, a mean over turns of the light.
-
-    For a light turned at random, E[(s·Dℓ)²] = Σ_l |s_l|² |ℓ_l|² / (2l + 1). The mean square of a
-    band's coefficients is pooled with its neighbour bands': two randomisations alone say too little.
-    """
-    bands = np.arange(order)
-    belongs = (band_of(order)[None, :] == bands[:, None]).astype(float)
-    near = np.abs(bands[:, None] - bands[None, :]) <= 1
-    pooled = near @ belongs
-    power = luminance_light**2 @ belongs.T
-    return power @ (pooled / pooled.sum(axis=1, keepdims=True))

@@ -1,61 +1,123 @@
 """Refinement: more samples for texels that need them, added to what is there.
 
-Sample counts climb one ladder (16, 32, 64, …) and the means are rounded to what the store keeps
-after each rung, so that a texel with n samples has the same bits whoever sent them, in how many goes.
+Sample counts climb one ladder (16, 32, 64, …) and all that is kept is rounded to what the store keeps after
+each rung, so that a texel with n samples has the same bits whoever sent them, in how many goes. Which parts of
+a texel climb next follows from what is kept of it alone.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from isogi_core.bake.light import ERROR, ISOVALUE, SAMPLES, VOID, Light
-from isogi_core.bake.noise import finished
+from isogi_core.bake.light import Light, Part
+from isogi_core.bake.look import Look
+from isogi_core.bake.noise import blend_noise, finished, noise_of_halves
+from isogi_core.bake.precision import VOID, next_rung, noise_codes, noise_of, round_light
 from isogi_core.bake.recipe import Recipe
 from isogi_core.kernels.bricks import Bricks
+from isogi_core.kernels.irradiance import bake_irradiance
 from isogi_core.kernels.transfer import bake_texels, locate_texels
-
-FIRST_RUNG = 16
+from isogi_core.model.plan import Layer, most_samples
 
 GROUPS = 32
 """Groups of isovalues over the volume's range; one map of its cells serves the texels of one group."""
 
+NOISE_ORDER = 2
+"""The least order that paths are projected to, for what it tells of the noise."""
 
-def next_rung(samples: int) -> int:
-    """The sample count that follows ``samples`` on the ladder."""
-    return FIRST_RUNG if samples < FIRST_RUNG else 2 * samples
+Place = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+"""Texels (m, 3; z, y, x) int32, their points and normals (3, m) and isovalues (m,): see ``locate_texels``."""
 
 
-def refine(light: Light, texels: np.ndarray, recipe: Recipe, until: int, target: float) -> None:
+def refine(light: Light, texels: np.ndarray, look: Look, until: int, target: float) -> None:
     """Bring ``light`` of the ``texels`` (m, 3; z, y, x) up to ``until`` samples each, in place.
 
-    A texel that has reached the relative error ``target`` is left as it is.
+    A texel that has reached the relative error ``target``, and whose parts are level, is left as it is. Of the others
+    those parts climb that have the fewest samples: parts on one rung do so together, since the same paths serve them.
     """
     while True:
-        waiting = ~finished(light, recipe, target) & (light.samples < until)
-        if not waiting.any():
+        waiting = next_samples(light, look, target)
+        climbing = (waiting >= 0) & (waiting < until)
+        if not climbing.any():
             return
-        fewest = int(light.samples[waiting].min())
-        climb(light, np.flatnonzero(waiting & (light.samples == fewest)), texels, recipe, fewest)
+        rows = np.flatnonzero(climbing & (waiting == waiting[climbing].min()))
+        level = np.array([part.samples[rows] == waiting[rows] for part in light.parts])
+        for pattern in np.unique(level, axis=1).T:
+            parts = tuple(part for part, climbs in zip(light.parts, pattern, strict=True) if climbs)
+            climb(parts, rows[(level == pattern[:, None]).all(axis=0)], texels, look)
 
 
-def climb(light: Light, chosen: np.ndarray, texels: np.ndarray, recipe: Recipe, samples: int) -> None:
-    """Take the ``chosen`` rows, all at ``samples``, to the next rung."""
+def next_samples(light: Light, look: Look, target: float) -> np.ndarray:
+    """Samples of the parts of each texel that climb next; -1 where the texel is finished and none lags; (texels,) int.
+
+    A part that was lost, or not written before a kill, catches up with the others, and so has the samples it had.
+    """
+    most = np.max([part.samples for part in light.parts], axis=0)
+    lags = ~light.void & (light.samples < np.minimum(most, most_samples(target)))
+    return np.where(finished(light, look, target) & ~lags, -1, light.samples)
+
+
+def climb(parts: Sequence[Part], rows: np.ndarray, texels: np.ndarray, look: Look) -> None:
+    """Take ``rows`` of some parts, all with as many samples, to the next rung."""
+    samples = int(parts[0].samples[rows[0]])
     total = next_rung(samples)
-    order, channels, m = recipe.scene.plan.order, recipe.scene.plan.channels, len(chosen)
-    direct, indirect = np.zeros((m, 2, order**2)), np.zeros((m, 2, channels, order**2))
-    isovalues, void = np.empty(m), np.empty(m, np.bool_)
-    place = (np.ascontiguousarray(texels[chosen], np.int32), np.empty((3, m)), np.empty((3, m)), isovalues)
+    place, void = locate(texels[rows], look.recipe)
+    sample = sample_irradiance if parts[0].layer.kind == "irradiance" else sample_transfer
+    layers = [part.layer for part in parts]
+    for part, halves in zip(parts, sample(layers, place, void, look, samples, total - samples), strict=True):
+        add(part, rows, halves, total)
+        part.samples[rows] = np.where(void, VOID, total)
+
+
+def add(part: Part, rows: np.ndarray, halves: np.ndarray, total: int) -> None:
+    """Add sums over new samples (m, 2, channels, N²; N² >= n²) to ``rows``, which then have ``total`` samples."""
+    layer, samples = part.layer, int(part.samples[rows[0]])
+    added = halves.sum(axis=1)[:, :, : layer.order**2]
+    noise = noise_of_halves(halves, total - samples, layer.order)
+    noise = blend_noise(part.noise[rows], samples, noise)
+    part.coefficients[rows] = round_light(add_to_mean(part.coefficients[rows], samples, added, total), layer)
+    part.noise[rows] = noise_of(noise_codes(noise, layer.scale), layer.scale)
+
+
+def locate(texels: np.ndarray, recipe: Recipe) -> tuple[Place, np.ndarray]:
+    """Where texels lie, and which of them are void (m,)."""
+    m = len(texels)
+    void = np.empty(m, np.bool_)
+    place = (np.ascontiguousarray(texels, np.int32), np.empty((3, m)), np.empty((3, m)), np.empty(m))
     locate_texels(recipe.field, recipe.step, *place, void)
-    path = (samples // 2, (total - samples) // 2, recipe.weights, order)
-    for bricks, rows in by_isovalue(isovalues, void, recipe):
-        bake_texels(recipe.field, bricks, place, rows, *path, direct, indirect)
-    whole = direct[:, :, None, :] + indirect
-    light.direct[chosen] = add_to_mean(light.direct[chosen], samples, direct.sum(axis=1), total)
-    light.indirect[chosen] = add_to_mean(light.indirect[chosen], samples, indirect.sum(axis=1), total)
-    light.spread[chosen] = add_to_mean(light.spread[chosen], samples, whole[:, 0] - whole[:, 1], total)
-    light.planes[chosen, ERROR] = np.sqrt((light.spread[chosen].astype(np.float64) ** 2).sum(axis=(1, 2)))
-    light.planes[chosen, ISOVALUE] = np.nan_to_num(isovalues)
-    light.planes[chosen, SAMPLES] = np.where(void, VOID, total)
+    return place, void
+
+
+def sample_transfer(
+    layers: Sequence[Layer], place: Place, void: np.ndarray, look: Look, samples: int, count: int
+) -> Iterator[np.ndarray]:
+    """Sums over ``count`` samples after the first ``samples``, of the same paths for all ``layers``.
+
+    Harmonics of the ways that paths leave: for each layer, and each half of them, (m, 2, channels, N²) float64.
+    """
+    shares = look.shares(layers)
+    orders = np.repeat([max(layer.order, NOISE_ORDER) for layer in layers], [layer.channels for layer in layers])
+    sums = np.zeros((len(void), 2, len(orders), int(orders.max()) ** 2))
+    for bricks, rows in by_isovalue(place[3], void, look.recipe):
+        paths = (samples // 2, count // 2, shares, look.plan.survival, orders)
+        bake_texels(look.recipe.field, bricks, place, rows, *paths, sums)
+    first = 0
+    for layer in layers:
+        yield sums[:, :, first : first + layer.channels, : max(layer.order, NOISE_ORDER) ** 2]
+        first += layer.channels
+
+
+def sample_irradiance(
+    layers: Sequence[Layer], place: Place, void: np.ndarray, look: Look, samples: int, count: int
+) -> Iterator[np.ndarray]:
+    """The same of the light that paths meet; where a layer keeps one channel, all three are alike."""
+    sums, surroundings = np.zeros((len(void), 2, 3)), look.recipe.surroundings(np.eye(3))
+    weights = np.broadcast_to(look.weights(layers[0]), (look.plan.bounces + 1, 3)).copy()
+    for bricks, rows in by_isovalue(place[3], void, look.recipe):
+        paths = (samples // 2, count // 2, weights, look.plan.survival, surroundings)
+        bake_irradiance(look.recipe.field, bricks, place, rows, *paths, sums)
+    for layer in layers:
+        yield sums[:, :, : layer.channels, None]
 
 
 def by_isovalue(isovalues: np.ndarray, void: np.ndarray, recipe: Recipe) -> Iterator[tuple[Bricks, np.ndarray]]:

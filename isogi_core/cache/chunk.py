@@ -1,21 +1,20 @@
 """One chunk of the cache: which of its texels are baked, and their light."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import reduce
 
 import numpy as np
 
-from isogi_core.bake.light import SAMPLES, Light
+from isogi_core.bake.light import Light, Part
 from isogi_core.bake.recipe import Index
 from isogi_core.kernels.lattice import CHUNK
-from isogi_core.model.plan import ScenePlan
-
-TEXELS = CHUNK**3
-"""Texels of a whole chunk."""
+from isogi_core.model.plan import Layer, ScenePlan
 
 
 @dataclass(frozen=True, eq=False)
 class Chunk:
-    """Baked texels of one chunk: ``offsets`` (m,) int32 ascending, inside the chunk; ``light`` has a row for each."""
+    """Texels of one chunk: ``offsets`` (m,) int32 ascending, inside the chunk; ``light`` has a row for each."""
 
     index: Index
     offsets: np.ndarray
@@ -27,23 +26,19 @@ class Chunk:
         return cls(index, np.empty(0, np.int32), Light.dark(plan, 0))
 
     @classmethod
-    def from_block(cls, index: Index, plan: ScenePlan, block: np.ndarray) -> "Chunk":
-        """The baked texels of a full ``block`` (CHUNK, CHUNK, CHUNK, planes), in which NaN marks the others."""
-        flat = block.reshape(TEXELS, -1)
-        offsets = np.flatnonzero(~np.isnan(flat[:, SAMPLES])).astype(np.int32)
-        return cls(index, offsets, Light(plan, flat[offsets]))
-
-    def block(self) -> np.ndarray:
-        """The chunk as it is stored: (CHUNK, CHUNK, CHUNK, planes) float32, NaN where nothing is baked."""
-        flat = np.full((TEXELS, self.light.planes.shape[1]), np.nan, np.float32)
-        flat[self.offsets] = self.light.planes
-        return flat.reshape(CHUNK, CHUNK, CHUNK, -1)
+    def of_parts(cls, index: Index, layers: Sequence[Layer], found: Sequence[tuple[np.ndarray, Part]]) -> "Chunk":
+        """The chunk of what was ``found`` in each layer: offsets and their part."""
+        offsets = reduce(np.union1d, [own for own, _ in found]).astype(np.int32)
+        parts = [Part.dark(layer, len(offsets)) for layer in layers]
+        for part, (own, baked) in zip(parts, found, strict=True):
+            part.put(np.searchsorted(offsets, own), baked)
+        return cls(index, offsets, Light(tuple(parts)))
 
     def with_texels(self, offsets: np.ndarray) -> "Chunk":
         """This chunk and, dark as yet, the texels at ``offsets`` that it does not have."""
         union = np.union1d(self.offsets, offsets).astype(np.int32)
-        light = Light.dark(self.light.plan, len(union))
-        light.planes[np.searchsorted(union, self.offsets)] = self.light.planes
+        light = Light(tuple(Part.dark(part.layer, len(union)) for part in self.light.parts))
+        light.put(np.searchsorted(union, self.offsets), self.light)
         return Chunk(self.index, union, light)
 
     def rows_of(self, offsets: np.ndarray) -> np.ndarray:

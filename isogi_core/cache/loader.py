@@ -1,6 +1,5 @@
 """The loader: brings the chunks that a view reads from the store into the page pool."""
 
-import logging
 import threading
 import time
 from collections.abc import Sequence
@@ -8,9 +7,6 @@ from collections.abc import Sequence
 from isogi_core.bake.recipe import Index
 from isogi_core.cache.pages import PagePool
 from isogi_core.cache.store import ChunkStore
-from isogi_core.errors import DamagedChunkError
-
-log = logging.getLogger("isogi.cache")
 
 ASK_AGAIN = 1.0
 """Seconds after which an absent chunk is asked for again: another machine may have baked it."""
@@ -46,12 +42,9 @@ class Loader:
         with self._lock:
             if time.monotonic() - self._absent.get(index, -ASK_AGAIN) < ASK_AGAIN:
                 return
-        stored = self.store.read(index)
-        if stored is not None:
-            try:
-                self.pool.insert(self.store.decode(index, stored), together)
-                return
-            except DamagedChunkError as error:
-                log.warning("%s", error)
+        chunk = self.store.show(index)
+        if chunk is not None:
+            self.pool.insert(chunk, together)
+            return
         with self._lock:
             self._absent[index] = time.monotonic()

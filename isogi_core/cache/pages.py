@@ -13,17 +13,25 @@ from typing import NamedTuple
 
 import numpy as np
 
-from isogi_core.bake.noise import relative_error
-from isogi_core.bake.recipe import Index, Recipe
-from isogi_core.cache.chunk import TEXELS, Chunk
+from isogi_core.bake.light import Light
+from isogi_core.bake.look import Look
+from isogi_core.bake.noise import deviations, relative_error
+from isogi_core.bake.precision import rung_codes, samples_of
+from isogi_core.bake.recipe import Index
+from isogi_core.cache.chunk import Chunk
+from isogi_core.cache.record import TEXELS
 from isogi_core.errors import StoreError
-from isogi_core.kernels.lattice import UNLIT, VOID_ROW
+from isogi_core.kernels.lattice import BURIED_ROW, UNLIT, VOID_ROW
+from isogi_core.model.plan import FEWEST
 
 PAGE = 64
 """Rows of a page."""
 
 PAGES_PER_CHUNK = 4
 """Pages that a chunk of a surface takes at least: the table has room for so many chunks as that makes."""
+
+RUNGS = 32
+"""More than the rungs of the ladder of sample counts."""
 
 FEWEST_CHUNKS = 8
 """Chunks that the table has room for however small the budget is."""
@@ -53,18 +61,17 @@ class Held(NamedTuple):
 class PagePool:
     """Light in memory, at most ``budget`` bytes. Safe to use from many threads."""
 
-    def __init__(self, recipe: Recipe, budget: int) -> None:
-        """Set the arrays aside; memory is taken by the system as they fill."""
-        n, channels = recipe.scene.plan.order**2, recipe.scene.plan.channels
-        page_bytes = PAGE * 4 * (2 * channels * n + 3) + TEXELS * 4 // PAGES_PER_CHUNK
+    def __init__(self, look: Look, budget: int) -> None:
+        """Set the arrays aside, for what frames of ``look`` read and no more; memory is taken as they fill."""
+        n, channels = look.order**2, look.channels
+        page_bytes = PAGE * 4 * (channels * n + 3) + TEXELS * 4 // PAGES_PER_CHUNK
         pages = max(budget // page_bytes, 1)
         slots = max(pages // PAGES_PER_CHUNK, FEWEST_CHUNKS)
-        self.recipe = recipe
+        self.look = look
         self.transfer = np.empty((pages * PAGE, channels, n), np.float32)
-        self.spread = np.empty((pages * PAGE, channels, n), np.float32)
-        self.vicinity = np.empty((pages * PAGE, 1, 1), np.float32)
+        self.noise = np.empty(pages * PAGE, np.float32)
         self.error = np.empty(pages * PAGE, np.float32)
-        self.samples = np.empty(pages * PAGE, np.float32)
+        self.stamp = np.empty(pages * PAGE, np.float32)
         self.table = np.empty((slots, TEXELS), np.int32)
         self._free_pages = list(range(pages))[::-1]
         self._free_slots = list(range(slots))
@@ -89,18 +96,19 @@ class PagePool:
 
         Raises StoreError when the budget cannot hold it.
         """
-        error = relative_error(chunk.light, self.recipe)
+        light = chunk.light
+        rows_of_light = light.transfer[:, :, : self.look.order**2]
+        noise = np.sqrt((deviations(light, self.look) ** 2).sum(axis=0))
+        error = relative_error(light, self.look)
+        stamps, marks = stamps_of(light), marks_of(light)
         with self._lock:
             self._age += 1
             entry = self._allocate(-(-len(chunk.offsets) // PAGE), {*keep} - {chunk.index})
             rows = (entry.pages[:, None] * PAGE + np.arange(PAGE)).ravel()[: len(chunk.offsets)]
-            self.transfer[rows] = chunk.light.transfer
-            self.spread[rows] = chunk.light.spread
-            self.vicinity[rows, 0, 0] = chunk.light.direct[:, 0]
-            self.error[rows] = error
-            self.samples[rows] = chunk.light.samples
+            self.transfer[rows] = rows_of_light
+            self.noise[rows], self.error[rows], self.stamp[rows] = noise, error, stamps
             self.table[entry.slot] = UNLIT
-            self.table[entry.slot, chunk.offsets] = np.where(chunk.light.samples < 0, VOID_ROW, rows)
+            self.table[entry.slot, chunk.offsets] = np.where(marks < 0, marks, rows)
             former = self._entries.pop(chunk.index, None)
             self._entries[chunk.index] = entry
             if former is not None:
@@ -143,7 +151,7 @@ class PagePool:
         most = len(self._free_pages) + sum(len(self._entries[index].pages) for index in spare)
         if most < pages or not (spare or self._free_slots):
             raise StoreError(
-                f"The light of this view does not fit the memory for {len(self.samples)} texels:"
+                f"The light of this view does not fit the memory for {len(self.noise)} texels:"
                 " ask for a closer view or fewer pixels, or give light more memory."
             )
         for index in spare:
@@ -162,3 +170,29 @@ class PagePool:
             self._free_pages.extend(entry.pages[::-1].tolist())
             self._free_slots.append(entry.slot)
             entry.slot = -1
+
+
+def stamps_of(light: Light) -> np.ndarray:
+    """How far each texel is baked, as one number: RUNGS^p times the rung of each part p, summed; (texels,) float32."""
+    weights = RUNGS ** np.arange(len(light.parts))
+    return np.asarray(weights @ [rung_codes(part.samples) for part in light.parts], np.float32)
+
+
+def fewest_samples(stamps: np.ndarray, parts: int) -> np.ndarray:
+    """The fewest samples of any part of texels with these ``stamps``, 0 where one is not baked; (texels,) int32."""
+    rungs = np.maximum(stamps, 0).astype(np.int64)[None] // RUNGS ** np.arange(parts)[:, None] % RUNGS
+    return samples_of(rungs.min(axis=0).astype(np.uint8))
+
+
+def marks_of(light: Light) -> np.ndarray:
+    """BURIED_ROW, VOID_ROW or UNLIT for texels of that kind, else 0; (texels,) int32.
+
+    Buried are those from which no path of any part ever left; of irradiance, dark says nothing of that. Unlit are
+    those of which reflected light alone is known: that is no light to be shown.
+    """
+    none = np.array([~part.coefficients.any(axis=(1, 2)) for part in light.parts])
+    straight = np.array([part.layer.kind != "indirect" for part in light.parts])
+    unlit = (none & [part.samples == 0 for part in light.parts])[straight].any(axis=0)
+    dark = none.all(axis=0) & all(part.layer.kind != "irradiance" for part in light.parts)
+    buried = np.where(dark & (light.samples >= FEWEST), BURIED_ROW, 0)
+    return np.where(light.void, VOID_ROW, np.where(unlit, UNLIT, buried)).astype(np.int32)

@@ -1,9 +1,13 @@
-"""The entry kernels that a frame under global illumination calls, those that take longest to compile first."""
+"""The entry kernels that frames of a scene under global illumination call."""
+
+from collections.abc import Iterable
+from typing import Any
 
 from isogi_core.kernels.bricks import fill_ranges, mark_bricks, pack_bricks
 from isogi_core.kernels.camera import trace_pixels
 from isogi_core.kernels.film import develop_rows, fill_curve
-from isogi_core.kernels.harmonics import project, rotate
+from isogi_core.kernels.harmonics import rotate
+from isogi_core.kernels.lamps import project_lamps
 from isogi_core.kernels.lattice import (
     carry_light,
     find_corners,
@@ -17,18 +21,19 @@ from isogi_core.kernels.lattice import (
 from isogi_core.kernels.macrocells import fill_macrocells
 from isogi_core.kernels.planes import tally
 from isogi_core.kernels.shading import find_normals
+from isogi_core.model.scene import Scene
 
 FRAME = (
     trace_pixels,
     mark_bricks,
     carry_light,
     rotate,
-    project,
     fill_ranges,
     find_normals,
     mark_texels,
     light_texels,
     find_rows,
+    project_lamps,
     develop_rows,
     touch_chunks,
     pack_bricks,
@@ -39,3 +44,16 @@ FRAME = (
     find_places,
     tally,
 )
+"""All of them, those that take longest to compile first."""
+
+
+def frame_kernels(scenes: Iterable[Scene]) -> tuple[Any, ...]:
+    """Those that frames of any of the ``scenes`` call, in the order of FRAME."""
+    spared = set.intersection({*FRAME}, *map(spared_by, scenes))
+    return tuple(kernel for kernel in FRAME if kernel not in spared)
+
+
+def spared_by(scene: Scene) -> set[Any]:
+    """Those that frames of a ``scene`` never call: constant light, and light that stays in place, are not turned."""
+    turns = scene.rotating and scene.environment.image.any()
+    return {kernel for kernel, called in ((rotate, turns), (project_lamps, scene.lamps.any)) if not called}

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from isogi_core.bake.noise import good_enough
-from isogi_core.cache.pages import PagePool
+from isogi_core.cache.pages import PagePool, fewest_samples
 from isogi_core.frame.texels import Demand, ViewTexels
 from isogi_core.frame.tiles import Tiles
-from isogi_core.kernels.lattice import UNLIT, VOID, VOID_ROW, find_rows
-from isogi_core.kernels.planes import CONVERGING, FINAL, PROVISIONAL
+from isogi_core.kernels.lattice import BURIED, BURIED_ROW, PARTIAL, UNBAKED, UNLIT, VOID, VOID_ROW, find_rows
+from isogi_core.kernels.planes import CONVERGING, FINAL
 
 PIECE = 16384
 """Texels that are looked up, and digested, together; the same on any number of threads."""
@@ -21,8 +21,8 @@ class Reading:
     """What a view's texels hold, (texels,) each; it is good until the pool changes.
 
     ``rows`` int32 are those of the pool, negative where there is no light; ``grade`` uint8 is
-    PROVISIONAL, CONVERGING, FINAL or VOID. ``version`` tells how far each texel is baked: a texel's
-    light follows from its number of samples. ``short`` (chunks,) says which chunks are not final.
+    UNBAKED, PARTIAL, CONVERGING, FINAL, BURIED or VOID. ``version`` tells how far each texel is baked: a
+    texel's light follows from its numbers of samples. ``short`` (chunks,) says which chunks are not final.
     """
 
     rows: np.ndarray
@@ -54,21 +54,26 @@ def read_texels(texels: ViewTexels, slots: np.ndarray, pool: PagePool, target: f
     digests: dict[int, bytes] = {}
 
     def _piece(a: int, b: int) -> None:
-        error, samples = np.empty((2, b - a), np.float32)
-        find_rows(places[a:b], slots, pool.table, pool.error, pool.samples, rows[a:b], error, samples)
-        grade[a:b] = grade_rows(rows[a:b], error, samples, target)
-        digests[a] = hashlib.sha256(samples.data).digest()
+        error, stamp = np.empty((2, b - a), np.float32)
+        find_rows(places[a:b], slots, pool.table, pool.error, pool.stamp, rows[a:b], error, stamp)
+        grade[a:b] = grade_rows(rows[a:b], error, fewest_samples(stamp, len(pool.look.plan.layers)), target)
+        digests[a] = hashlib.sha256(stamp.data).digest()
 
     tiles.run(_piece, len(places), PIECE)
     short = np.minimum.reduceat(grade, texels.bounds[:-1]) < FINAL if len(grade) else np.zeros(0, np.bool_)
     return Reading(rows, grade, b"".join(digests[a] for a in sorted(digests)), short)
 
 
+GRADES = {UNLIT: UNBAKED, VOID_ROW: VOID, BURIED_ROW: BURIED}
+"""Grades of texels that have no row of light."""
+
+
 def grade_rows(rows: np.ndarray, error: np.ndarray, samples: np.ndarray, target: float) -> np.ndarray:
-    """How good the light in each row is: PROVISIONAL without light, CONVERGING, FINAL, or VOID; (texels,) uint8."""
+    """How good the light in each row is, after at least so many ``samples`` in each part; (texels,) uint8."""
     grade = good_enough(error, samples, target).view(np.uint8)
     grade += CONVERGING
+    grade[samples == 0] = PARTIAL
     if (rows < 0).any():
-        grade[rows == UNLIT] = PROVISIONAL
-        grade[rows == VOID_ROW] = VOID
+        for row, own in GRADES.items():
+            grade[rows == row] = own
     return grade

@@ -4,9 +4,9 @@ import hashlib
 import threading
 from typing import Any
 
-from isogi_core.bake.recipe import Recipe
-from isogi_core.cache.loader import Loader
-from isogi_core.cache.pages import Held
+from isogi_core.bake.look import look_name
+from isogi_core.cache.caches import Caches
+from isogi_core.cache.pages import Held, PagePool
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import GBuffer, trace
 from isogi_core.frame.reading import Reading, read_texels
@@ -28,10 +28,10 @@ KEPT_READINGS = 16 << 20
 class Renderer:
     """Renders views of one scene. Frames may be asked for from several threads."""
 
-    def __init__(self, recipe: Recipe, loader: Loader, tiles: Tiles) -> None:
-        """Render with the light that ``loader`` brings, on the threads of ``tiles``."""
-        self.recipe = recipe
-        self.loader = loader
+    def __init__(self, caches: Caches, tiles: Tiles) -> None:
+        """Render with the light that ``caches`` bring, on the threads of ``tiles``."""
+        self.recipe = caches.recipe
+        self.caches = caches
         self.tiles = tiles
         self._gbuffers: Kept[Any, GBuffer] = Kept(KEPT)
         self._texels: Kept[Any, ViewTexels] = Kept(KEPT)
@@ -47,13 +47,13 @@ class Renderer:
         with watch.stage("primary"):
             gbuffer = self.gbuffer(view, cancelled)
         shader = Shader(
-            recipe=self.recipe,
-            loader=self.loader,
+            look=self.caches.look(view.shading),
+            loader=lambda: self.caches.of(view.shading),
             tiles=self.tiles,
             view=view,
             gbuffer=gbuffer,
             find_texels=lambda: self.texels(view, gbuffer, cancelled),
-            read=lambda texels, held, target: self._read(view, texels, held, target),
+            read=lambda texels, pool, held, target: self._read(view, texels, pool, held, target),
             watch=watch,
             cancelled=cancelled,
         )
@@ -75,10 +75,10 @@ class Renderer:
         self._texels.clear()
         self._readings.clear()
 
-    def _read(self, view: View, texels: ViewTexels, held: Held, target: float) -> Reading:
-        """What the pool has of a view's texels, looked up anew when it has changed."""
-        key = (surface_key(view), held.age, target)
-        return self._readings.get(key, lambda: read_texels(texels, held.slots, self.loader.pool, target, self.tiles))
+    def _read(self, view: View, texels: ViewTexels, pool: PagePool, held: Held, target: float) -> Reading:
+        """What the ``pool`` has of a view's texels, looked up anew when it has changed."""
+        key = (surface_key(view), look_name(view.shading), held.age, target)
+        return self._readings.get(key, lambda: read_texels(texels, held.slots, pool, target, self.tiles))
 
     def _compose(self, view: View, gbuffer: GBuffer, shaded: Shaded, watch: Stopwatch) -> Frame:
         return Frame(
@@ -90,7 +90,7 @@ class Renderer:
             chunks_needed=shaded.chunks_needed,
             chunks_final=shaded.chunks_final,
             lacks=shaded.lacks,
-            version=version_of(self.recipe.scene.digest, view, shaded.version),
+            version=version_of(self.recipe.scene.digest, self.caches.look(view.shading).digest, view, shaded.version),
             seconds=watch.seconds,
         )
 
@@ -100,9 +100,9 @@ def surface_key(view: View) -> tuple[Any, ...]:
     return view.isovalue, view.camera, view.width, view.height
 
 
-def version_of(scene: str, view: View, light: bytes) -> str:
-    """Hex digest of all that a picture was made of: scene, view, how far the light it read is baked, and by what.
+def version_of(scene: str, look: str, view: View, light: bytes) -> str:
+    """Hex digest of all that a picture was made of: scene, look, view, how far the light it read is baked, and by what.
 
     Light is summed in the order that fills the processor's registers, whose width is part of it.
     """
-    return hashlib.blake2b(repr((scene, view, light, REGISTER)).encode(), digest_size=12).hexdigest()
+    return hashlib.blake2b(repr((scene, look, view, light, REGISTER)).encode(), digest_size=12).hexdigest()

@@ -7,7 +7,8 @@ from functools import cached_property
 
 import numpy as np
 
-from isogi_core.bake.recipe import Recipe, to_luminance
+from isogi_core.bake.look import Look
+from isogi_core.bake.recipe import Recipe
 from isogi_core.cache.loader import Loader
 from isogi_core.cache.pages import Held, PagePool
 from isogi_core.frame.gbuffer import POINTS, GBuffer
@@ -43,24 +44,29 @@ class Shaded:
 class Shader:
     """Shades one view.
 
-    Its surface points are in ``gbuffer``; ``find_texels`` tells which texels those read, and ``read``
-    what the pool has of them at a target error.
+    Its surface points are in ``gbuffer``; ``loader`` opens the cache of its look; ``find_texels`` tells which
+    texels those read, and ``read`` what a pool has of them at a target error.
     """
 
-    recipe: Recipe
-    loader: Loader
+    look: Look
+    loader: Callable[[], Loader]
     tiles: Tiles
     view: View
     gbuffer: GBuffer
     find_texels: Callable[[], ViewTexels]
-    read: Callable[[ViewTexels, Held, float], Reading]
+    read: Callable[[ViewTexels, PagePool, Held, float], Reading]
     watch: Stopwatch
     cancelled: threading.Event | None
 
     @cached_property
     def turned(self) -> Turned:
-        """The environment turned for the view."""
-        return Turned(self.recipe, self.view)
+        """The lights turned for the view."""
+        return Turned(self.look, self.view)
+
+    @property
+    def recipe(self) -> Recipe:
+        """Where texels and surfaces lie."""
+        return self.look.recipe
 
     def shade(self, target: float) -> Shaded:
         """Shade by the view's own model; light is final at the relative error ``target``."""
@@ -136,14 +142,15 @@ class Shader:
 
     def _from_cache(self, target: float) -> Shaded:
         """Global illumination, or vicinity shading, out of the illumination cache (S1, section 4.2)."""
-        pool = self.loader.pool
+        loader = self.loader()
+        pool = loader.pool
         with self.watch.stage("texels"):
             texels = self.find_texels()
         with self.watch.stage("load"):
-            self.loader.ensure(texels.chunks)
+            loader.ensure(texels.chunks)
         with pool.hold(texels.chunks) as held:
             with self.watch.stage("read"):
-                reading = self.read(texels, held, target)
+                reading = self.read(texels, pool, held, target)
             with self.watch.stage("light"):
                 lit = self._light_texels(reading.rows, pool)
         with self.watch.stage("shade"):
@@ -153,25 +160,14 @@ class Shader:
 
     def _light_texels(self, rows: np.ndarray, pool: PagePool) -> np.ndarray:
         """Linear RGB and standard error of each texel's light, (texels, 4); undefined where there is no light."""
-        transfer, light, noise_light = self._light(pool)
+        light = np.ascontiguousarray(self.turned.reflected, np.float32)
         lit = np.empty((len(rows), 4), np.float32)
 
         def _piece(a: int, b: int) -> None:
-            light_texels(rows[a:b], transfer, pool.spread, light, noise_light, lit[a:b])
+            light_texels(rows[a:b], pool.transfer, pool.noise, light, lit[a:b])
 
         self._run(_piece, len(rows), self.tiles.even(len(rows)))
         return lit
-
-    def _light(self, pool: PagePool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Which transfer is lit, by which light, and the light that its noise is judged by."""
-        channels, n = pool.spread.shape[1:]
-        if self.view.shading == "vicinity":
-            light = (self.turned.albedo * self.turned.light[:, 0])[:, None]
-            noise = np.zeros((channels, n))
-            noise[:, 0] = LUMINANCE @ light[:, 0] / channels
-            return pool.vicinity, as_kernel(light), as_kernel(noise)
-        noise = to_luminance(self.turned.light, self.recipe.scene.albedo, channels)
-        return pool.transfer, as_kernel(self.turned.reflected), as_kernel(noise)
 
     def _carry(self, texels: ViewTexels, reading: Reading, lit: np.ndarray) -> None:
         """Bring the texels' light to the picture."""
@@ -184,8 +180,3 @@ class Shader:
             carry_light(*place, reading.grade, lit, normals[a:b], sky, planes)
 
         self._run(_piece, len(points), self.tiles.even(len(points)))
-
-
-def as_kernel(light: np.ndarray) -> np.ndarray:
-    """Coefficients as the kernels take them: float32, C-contiguous."""
-    return np.ascontiguousarray(light, np.float32)

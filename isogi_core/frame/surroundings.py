@@ -6,10 +6,11 @@ from functools import cached_property
 
 import numpy as np
 
-from isogi_core.bake.recipe import Recipe, band_of
+from isogi_core.bake.look import Look, band_of
 from isogi_core.kernels.harmonics import cosine_lobe_factors, rotate
 from isogi_core.kernels.lattice import Sky
-from isogi_core.kernels.shading import LocalModel, Surroundings
+from isogi_core.kernels.lit import Surroundings
+from isogi_core.kernels.shading import LocalModel
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import Camera, View, rotation_matrix
 
@@ -22,9 +23,9 @@ SHINE, EXPONENT = 0.3, 32.0
 
 @dataclass(frozen=True, eq=False)
 class Turned:
-    """The environment of a scene, turned for one view."""
+    """The lights of a ``look``, turned for one view."""
 
-    recipe: Recipe
+    look: Look
     view: View
 
     @cached_property
@@ -34,15 +35,18 @@ class Turned:
 
     @cached_property
     def light(self) -> np.ndarray:
-        """ℓ of the turned environment, always from the unturned one; (3, n²) float64 linear RGB."""
-        turned = np.empty_like(self.recipe.light)
-        rotate(self.recipe.scene.plan.order, self.matrix, self.recipe.light, turned)
-        return turned
+        """What texels' coefficients are multiplied by, the look's light turned; (3, n²) float64 linear RGB."""
+        return turn(self.look.light, self.matrix)
+
+    @cached_property
+    def around(self) -> np.ndarray:
+        """ℓ of the turned lights as a surface without shadows has them; (3, n²) float64 linear RGB."""
+        return turn(self.look.recipe.around, self.matrix)
 
     @property
     def albedo(self) -> np.ndarray:
         """The scene's albedo, (3,)."""
-        return np.array(self.recipe.scene.albedo)
+        return np.array(self.look.recipe.scene.albedo)
 
     @cached_property
     def reflected(self) -> np.ndarray:
@@ -51,21 +55,20 @@ class Turned:
 
     @cached_property
     def sky(self) -> Sky:
-        """Unshadowed environment light, which stands in for what is not baked."""
-        order = self.recipe.scene.plan.order
+        """Unshadowed light, which stands in for what is not baked."""
+        order = math.isqrt(self.around.shape[1])
         lobe = cosine_lobe_factors(order)[band_of(order)] / math.pi
-        return Sky(order, lobe, self.reflected)
+        return Sky(order, lobe, self.albedo[:, None] * self.around)
 
     @cached_property
     def surroundings(self) -> Surroundings:
-        """The environment itself, for the path tracer."""
-        environment = self.recipe.scene.environment
-        return Surroundings(environment.constant, environment.image, self.matrix)
+        """All light as it is, for the path tracer."""
+        return self.look.recipe.surroundings(self.matrix)
 
     @property
     def mean(self) -> np.ndarray:
         """Mean radiance of the environment, (3,) linear RGB."""
-        return self.light[:, 0] / math.sqrt(4.0 * math.pi)
+        return self.around[:, 0] / math.sqrt(4.0 * math.pi)
 
     def local_model(self, shading: str, depths: tuple[float, float]) -> LocalModel:
         """The constants of a local model under this environment: one key light and an ambient rest."""
@@ -85,11 +88,19 @@ class Turned:
     def key_light(self) -> tuple[tuple[float, float, float], np.ndarray, np.ndarray]:
         """Direction towards the key light, its irradiance over π, and the ambient radiance; both (3,) linear RGB.
 
-        The directional light and constant with the same bands 0 and 1 as the environment: D·Y_1 = ℓ_1,
+        The strongest lamp as the middle of the volume sees it, and all else as ambient light. Without one,
+        the directional light and constant with the same bands 0 and 1 as the environment: D·Y_1 = ℓ_1,
         at most what band 0 holds. Without a direction of its own, a light over the camera's shoulder
         carries six tenths of the mean.
         """
-        first = np.array([self.light[:, 3], self.light[:, 1], self.light[:, 2]])
+        scene = self.look.recipe.scene
+        directions, irradiances = scene.lamps.seen_from(scene.volume.centre)
+        strengths = irradiances @ LUMINANCE
+        if strengths.any():
+            best = int(strengths.argmax())
+            rest = (irradiances.sum(axis=0) - irradiances[best]) / (4.0 * math.pi)
+            return triple(directions[best]), irradiances[best] / math.pi, scene.environment.mean() + rest
+        first = np.array([self.around[:, i] if i < self.around.shape[1] else np.zeros(3) for i in (3, 1, 2)])
         pull = first @ LUMINANCE
         strength = float(np.linalg.norm(pull)) * math.sqrt(4.0 * math.pi / 3.0)
         mean = float(self.mean @ LUMINANCE)
@@ -98,6 +109,15 @@ class Turned:
         share = min(strength / (4.0 * math.pi * mean), 0.9)
         towards = pull / np.linalg.norm(pull)
         return triple(towards), 4.0 * share * self.mean, (1.0 - share) * self.mean
+
+
+def turn(light: np.ndarray, matrix: np.ndarray) -> np.ndarray:
+    """Coefficients (3, n²) of a light turned by ``matrix`` (3, 3), always from the unturned one."""
+    if light.shape[1] == 1 or np.array_equal(matrix, np.eye(3)):
+        return light
+    turned = np.empty_like(light)
+    rotate(math.isqrt(light.shape[1]), matrix, light, turned)
+    return turned
 
 
 def shoulder_light(camera: Camera) -> tuple[float, float, float]:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from isogi_core.bake.recipe import Index, Recipe
-from isogi_core.cache.chunk import TEXELS
+from isogi_core.cache.record import TEXELS
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.lattice import ROWS, find_corners, find_places, mark_texels, touch_chunks, weigh_chunks

@@ -6,6 +6,7 @@ from typing import Any
 
 import numba
 from numba import njit, types
+from numba.extending import register_jitable
 
 from isogi_core.kernels._folder import cache_folder, hold, locked
 
@@ -84,6 +85,11 @@ def kernel(
     if signature is None or numba.config.DISABLE_JIT:
         return njit(forceinline=inline, **options)
     return lambda function: Entry(function, signature, options)
+
+
+def plain(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Decorator: a function for kernels and for Python alike, which runs it as it stands and compiles nothing."""
+    return function if numba.config.DISABLE_JIT else register_jitable(error_model="numpy")(function)
 
 
 def record(cls: type, *members: Any) -> Any:

@@ -10,10 +10,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import types
 
-from isogi_core.kernels._jit import kernel, record
+from isogi_core.kernels._jit import kernel, plain, record
 from isogi_core.kernels.field import VOXELS
 from isogi_core.kernels.leaps import fill_leaps
-from isogi_core.kernels.macrocells import INFINITE, RANGES, find_ranges
+from isogi_core.kernels.macrocells import INFINITE, RANGES, blocks_along, find_ranges
 from isogi_core.kernels.memory import fetch
 
 BRICK = 4
@@ -52,11 +52,10 @@ class Bricks(NamedTuple):
 BRICKS = record(Bricks, WORDS, WORDS, FLAT, types.UniTuple(types.int64, 3))
 
 
-@kernel()
+@plain
 def brick_shape(shape):
     """Bricks along (z, y, x) for a volume of ``shape`` voxels."""
-    nz, ny, nx = shape
-    return (-(-(nz - 1) // BRICK), -(-(ny - 1) // BRICK), -(-(nx - 1) // BRICK))
+    return blocks_along(shape, BRICK)
 
 
 @kernel(types.void(VOXELS, RANGES, RANGES, RANGES))

@@ -1,4 +1,4 @@
-"""Real spherical harmonics: basis, rotation and projection.
+"""Real spherical harmonics: basis and rotation.
 
 Y_lm are orthonormal over the sphere, without the Condon-Shortley phase, so that band 1 is
 √(3/4π) (y, z, x). Coefficient (l, m) has index i = l(l + 1) + m; order n means the bands 0 … n-1, n² numbers.
@@ -15,7 +15,6 @@ from isogi_core.kernels._jit import kernel
 from isogi_core.kernels.reals import add_to
 
 MAX_ORDER = 10
-IMAGE = types.Array(types.float32, 3, "C", readonly=True)
 MATRIX = types.Array(types.float64, 2, "C", readonly=True)
 
 
@@ -41,8 +40,6 @@ def _recurrence() -> tuple[np.ndarray, np.ndarray]:
 
 DIAGONAL = _diagonal()
 SLOPE, OFFSET = _recurrence()
-# Gauss nodes and weights on [0, 1]: exact to rounding up to MAX_ORDER, even over a whole meridian.
-NODES, WEIGHTS = (0.5 * (g + shift) for g, shift in zip(np.polynomial.legendre.leggauss(24), (1.0, 0.0)))
 
 
 @kernel(exact=True)
@@ -172,58 +169,3 @@ def rotate(order, matrix, coefficients, out):
             before, band = band, before
             band_rotation(l, first, before, band)
         _apply_band(l, band, coefficients, out)
-
-
-@kernel()
-def _row_profile(order, top, bottom, profile):
-    """∫ Y_lm(θ, 0) sinθ dθ from `top` to `bottom` (radians) into profile[l(l+1)+m], m >= 0; 0 for m < 0."""
-    profile[:] = 0.0
-    for k in range(NODES.shape[0]):
-        theta = top + (bottom - top) * NODES[k]
-        weight = WEIGHTS[k] * (bottom - top) * math.sin(theta)
-        accumulate(order, math.sin(theta), 0.0, math.cos(theta), weight, profile)
-
-
-@kernel()
-def _waves(order, width):
-    """∫ cos mφ dφ and ∫ sin mφ dφ over each of `width` pixels of a row: two arrays (order, width)."""
-    cosines, sines = np.empty((order, width)), np.empty((order, width))
-    half = math.pi / width
-    for m in range(order):
-        share = 2.0 * half if m == 0 else 2.0 * math.sin(m * half) / m
-        for j in range(width):
-            angle = m * half * (2 * j + 1)
-            cosines[m, j], sines[m, j] = share * math.cos(angle), share * math.sin(angle)
-    return cosines, sines
-
-
-@kernel()
-def _add_row(order, row, cosines, sines, profile, out):
-    """Add one image row (w, 3): its Fourier moments in φ times its profile in θ."""
-    for m in range(order):
-        c0 = c1 = c2 = s0 = s1 = s2 = 0.0
-        for j in range(row.shape[0]):
-            c, s = cosines[m, j], sines[m, j]
-            c0, c1, c2 = c0 + c * row[j, 0], c1 + c * row[j, 1], c2 + c * row[j, 2]
-            s0, s1, s2 = s0 + s * row[j, 0], s1 + s * row[j, 1], s2 + s * row[j, 2]
-        for l in range(m, order):
-            middle = l * (l + 1)
-            for channel, (even, odd) in enumerate(((c0, s0), (c1, s1), (c2, s2))):
-                out[channel, middle - m] += odd * profile[middle + m]
-                out[channel, middle + m] += even * profile[middle + m]
-
-
-@kernel((types.int64, IMAGE, types.float64[:, ::1]))
-def project(order, image, out):
-    """Coefficients ∫ L Y_i dω of a lat-long image (h, w, 3) float32, written to out (3, order²) float64.
-
-    Exact for the image as it is looked up, constant over each pixel: the integral over a pixel is one in
-    θ times one in φ, so pixel solid angles are exact too. Sums in float64, row by row.
-    """
-    height = image.shape[0]
-    cosines, sines = _waves(order, image.shape[1])
-    profile = np.empty(order * order)
-    out[:] = 0.0
-    for i in range(height):
-        _row_profile(order, math.pi * i / height, math.pi * (i + 1) / height, profile)
-        _add_row(order, image[i], cosines, sines, profile, out)

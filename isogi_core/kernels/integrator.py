@@ -10,7 +10,7 @@ from isogi_core.kernels._jit import kernel
 from isogi_core.kernels.field import normal, value
 from isogi_core.kernels.intersect import OUTSIDE, SOLID, cast
 from isogi_core.kernels.reals import where
-from isogi_core.kernels.rng import point_2d
+from isogi_core.kernels.rng import PAIRS, point_2d
 from isogi_core.kernels.sampling import sample_cosine_hemisphere
 from isogi_core.kernels.vec import length, madd, orthonormal_basis, scale
 
@@ -62,13 +62,18 @@ def facing_normal(field, p, side, d):
     return n if side == OUTSIDE else scale(n, -1.0)
 
 
+ROULETTE = 0x7FFF * PAIRS
+"""The first of the pairs of random numbers that decide which paths go on."""
+
+
 @kernel()
-def trace_path(field, iso, p, n, side, seed, index, bounces):
+def trace_path(field, iso, p, n, side, seed, index, bounces, survival):
     """One diffuse path from the surface point ``p``: (bounces before it left, world direction in which it left).
 
     Cosine-weighted directions, so that every path carries the same weight R^k; bounce b draws the
     pair b of sample ``index`` of the sequence ``seed``. Returns -1 bounces when after ``bounces``
-    surface hits the path is still inside. Source: S1, section 4.1; DESIGN section 3.
+    surface hits the path is still inside, or has ended by chance: from the second on it goes on from a
+    hit with the chance ``survival``. Source: S1, section 4.1; DESIGN section 3.
     """
     for bounce in range(bounces + 1):
         u, v = point_2d(seed, index, bounce)
@@ -78,6 +83,8 @@ def trace_path(field, iso, p, n, side, seed, index, bounces):
         t, side = cast(field, iso, o, d, side)
         if not t < math.inf:
             return bounce, w
+        if bounce > 0 and not point_2d(seed, index, ROULETTE + bounce)[0] < survival:
+            return -1, (0.0, 0.0, 0.0)
         p = madd(o, t, d)
         n = facing_normal(field, p, side, w)
     return -1, (0.0, 0.0, 0.0)

@@ -13,7 +13,7 @@ from numba import types
 
 from isogi_core.kernels._jit import kernel, record
 from isogi_core.kernels.lights import unshadowed
-from isogi_core.kernels.planes import CONVERGING, FINAL, PLANES, PROVISIONAL, luminance, put_pixel
+from isogi_core.kernels.planes import FINAL, PLANES, PROVISIONAL, luminance, put_pixel
 
 CHUNK = 16
 """Texels along each side of a chunk."""
@@ -22,14 +22,20 @@ UNLIT = -1
 """Row of a texel that is not baked yet."""
 
 VOID_ROW = -2
-"""Row of a texel that can hold no light (see integrator.VOID)."""
+"""Row of a texel that can hold no light (see bake.precision.VOID)."""
+
+BURIED_ROW = -3
+"""Row of a texel that no light ever reaches, inside a solid or a closed hollow."""
 
 DARK = np.float32(0.0)
 DARKEST = np.float32(1e-30)
 ONE = np.float32(1.0)
 
-VOID = 4
-"""Grade of a void texel: above FINAL, since it takes nothing from a point's state."""
+UNBAKED, PARTIAL, BURIED, VOID = 0, PROVISIONAL, FINAL + 1, FINAL + 2
+"""Grades of texels besides CONVERGING and FINAL: nothing baked, not all layers baked, buried, void.
+
+The latter two take nothing from a point's state.
+"""
 
 ROWS = CHUNK**2
 """Rows of a chunk."""
@@ -189,38 +195,36 @@ def weigh_chunks(corners, places, pixels, width, height, area):
         types.float32[::1],
     )
 )
-def find_rows(places, slots, table, error, samples, rows, own_error, own_samples):
+def find_rows(places, slots, table, error, stamp, rows, own_error, own_stamp):
     """Where the light of the texels at ``places`` is kept, and how far it is baked; all outputs (texels,).
 
     ``slots`` (chunks of the view,) leads to rows of the ``table``, -1 where a chunk is absent; texels
-    without light get UNLIT or VOID_ROW for their ``rows`` and their ``own_samples``.
+    without light get UNLIT, VOID_ROW or BURIED_ROW for their ``rows`` and their ``own_stamp``.
     """
     for t in range(places.shape[0]):
         slot = slots[places[t] // CHUNK**3]
         row = table[slot, places[t] % CHUNK**3] if slot >= 0 else UNLIT
         rows[t] = row
         own_error[t] = error[row] if row >= 0 else 0.0
-        own_samples[t] = samples[row] if row >= 0 else row
+        own_stamp[t] = stamp[row] if row >= 0 else row
 
 
 @kernel(
     types.void(
         types.int32[::1],
         types.float32[:, :, ::1],
-        types.float32[:, :, ::1],
-        types.float32[:, ::1],
+        types.float32[::1],
         types.float32[:, ::1],
         types.float32[:, ::1],
     ),
     any_order=True,
 )
-def light_texels(rows, transfer, spread, light, spread_light, lit):
-    """Fill ``lit`` (m, 4): linear RGB radiance and absolute standard error of its luminance, per texel.
+def light_texels(rows, transfer, noise, light, lit):
+    """Fill ``lit`` (m, 4): linear RGB radiance and standard error of its luminance, per texel.
 
-    ``transfer`` and ``spread`` (row, channels, n) hold τ and half the difference of its two
-    randomisations; ``light`` (3, n) is the turned environment times the albedo, ``spread_light``
-    (channels, n) the same weighted to luminance. Radiance is τ·ℓ (S1, eq. 9), cut to 0 where negative.
-    The sums are written out here, so that they run in vectors.
+    ``transfer`` (row, channels, n) holds τ, ``noise`` (row,) the standard error; ``light`` (3, n) is the turned
+    environment times the albedo. Radiance is τ·ℓ (S1, eq. 9), cut to 0 where negative. The sums are written
+    out here, so that they run in vectors.
     """
     blue = transfer.shape[1] - 1
     green = min(blue, 1)
@@ -228,15 +232,12 @@ def light_texels(rows, transfer, spread, light, spread_light, lit):
         row = np.uint32(rows[m])
         if rows[m] < 0:
             continue
-        r = g = b = noise = DARK
+        r = g = b = DARK
         for i in range(transfer.shape[2]):
             r += transfer[row, 0, i] * light[0, i]
             g += transfer[row, green, i] * light[1, i]
             b += transfer[row, blue, i] * light[2, i]
-        for c in range(spread.shape[1]):
-            for i in range(spread.shape[2]):
-                noise += spread[row, c, i] * spread_light[c, i]
-        lit[m, 0], lit[m, 1], lit[m, 2], lit[m, 3] = max(r, DARK), max(g, DARK), max(b, DARK), abs(noise)
+        lit[m, 0], lit[m, 1], lit[m, 2], lit[m, 3] = max(r, DARK), max(g, DARK), max(b, DARK), noise[row]
 
 
 class Sky(NamedTuple):
@@ -271,29 +272,34 @@ def blend(corners, m, lit, fz, fy, fx):
 
 @kernel()
 def blend_some(corners, m, grade, lit, fz, fy, fx):
-    """``blend`` where texels may be missing: (r, g, b, variance, lit weight, unlit weight), float64."""
-    r, g, b, variance, weight, unlit = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    """``blend`` where texels may be missing: (r, g, b, variance, weights of lit, unbaked, buried texels), float64."""
+    r, g, b, variance, weight, unbaked, buried = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for c in range(8):
         t = corners[m, c]
         w = trilinear(c, fz, fy, fx)
-        if grade[t] == CONVERGING or grade[t] == FINAL:
+        if PARTIAL <= grade[t] <= FINAL:
             r, g, b = r + w * lit[t, 0], g + w * lit[t, 1], b + w * lit[t, 2]
             variance += (w * lit[t, 3]) ** 2
             weight += w
-        elif grade[t] == PROVISIONAL:
-            unlit += w
-    return r, g, b, variance, weight, unlit
+        elif grade[t] == UNBAKED:
+            unbaked += w
+        elif grade[t] == BURIED:
+            buried += w
+    return r, g, b, variance, weight, unbaked, buried
 
 
 @kernel()
 def fill_in(some, n, sky, basis):
-    """What ``blend_some`` found, made whole by unshadowed light about the normal ``n``: (r, g, b, variance)."""
-    r, g, b, variance, weight, unlit = some
-    if not weight > 0.0:
-        unlit = 1.0
-    if unlit > 0.0:
+    """What ``blend_some`` found, made whole by unshadowed light about the normal ``n``: (r, g, b, variance).
+
+    Buried texels count, as dark ones, where there are no others.
+    """
+    r, g, b, variance, weight, unbaked, buried = some
+    if not weight + unbaked > 0.0:
+        weight, unbaked = buried, 0.0 if buried > 0.0 else 1.0
+    if unbaked > 0.0:
         bare = unshadowed(sky.order, sky.lobe, sky.light, n, basis)
-        r, g, b, weight = r + unlit * bare[0], g + unlit * bare[1], b + unlit * bare[2], weight + unlit
+        r, g, b, weight = r + unbaked * bare[0], g + unbaked * bare[1], b + unbaked * bare[2], weight + unbaked
     whole = 1.0 / weight
     return (
         np.float32(r * whole),
@@ -329,20 +335,20 @@ def span_of(grade, corners, m):
 def carry_light(lattice, points, pixels, corners, grade, lit, normals, sky, planes):
     """Carry the texels' light ``lit`` (texels, 4) to the ``planes`` at the points' ``pixels`` (m,).
 
-    Trilinear (S1, section 4.2) over the texels that hold light; void ones are left out, and what is
-    not baked yet stands in as unshadowed light about the point's normal (``normals`` (m, 3); read
-    only where a texel is missing). ``grade`` (texels,) is PROVISIONAL where a texel is not baked,
-    CONVERGING, FINAL or VOID; a point is as good as the least of its texels.
+    Trilinear (S1, section 4.2) over the texels that hold light; void and buried ones are left out, and what
+    is not baked yet stands in as unshadowed light about the point's normal (``normals`` (m, 3); read
+    only where a texel is missing). ``grade`` (texels,) is UNBAKED, PARTIAL, CONVERGING, FINAL, BURIED or
+    VOID; a point is as good as the least of its texels.
     """
     basis = np.empty(sky.order * sky.order)
     for m in range(points.shape[0]):
         _, _, _, fz, fy, fx = base_texel(lattice, points, m)
         least, most = span_of(grade, corners, m)
-        if least > PROVISIONAL and most < VOID:
+        if PARTIAL <= least and most <= FINAL:
             r, g, b, variance = blend(corners, m, lit, fz, fy, fx)
         else:
             n = (np.float64(normals[m, 0]), np.float64(normals[m, 1]), np.float64(normals[m, 2]))
             r, g, b, variance = fill_in(blend_some(corners, m, grade, lit, fz, fy, fx), n, sky, basis)
         noise = min(math.sqrt(variance) / max(luminance(r, g, b), DARKEST), ONE)
-        error = ONE if least == PROVISIONAL else noise
-        put_pixel(planes, pixels[m], (r, g, b), min(least, FINAL), error)
+        error = ONE if least <= PARTIAL else noise
+        put_pixel(planes, pixels[m], (r, g, b), min(max(least, PROVISIONAL), FINAL), error)

@@ -4,7 +4,15 @@ import math
 
 from isogi_core.kernels._jit import kernel
 from isogi_core.kernels.harmonics import evaluate
-from isogi_core.kernels.sampling import direction_to_latlong
+from isogi_core.kernels.sampling import (
+    cosine_hemisphere_pdf,
+    direction_to_latlong,
+    latlong_jacobian,
+    latlong_to_direction,
+    piecewise_2d_pdf,
+    sample_piecewise_2d,
+)
+from isogi_core.kernels.vec import SMALLEST, scale
 
 
 @kernel()
@@ -18,12 +26,61 @@ def turn_back(matrix, w):
 
 
 @kernel()
-def radiance(constant, image, matrix, w):
-    """Linear RGB radiance that arrives from world direction ``w``; ``image`` (h, w, 3) is turned by ``matrix``."""
-    row, column = direction_to_latlong(turn_back(matrix, w))
+def turn(matrix, d):
+    """The world direction of what a light turned by ``matrix`` (3, 3) sees in direction ``d``: the matrix times d."""
+    return (
+        matrix[0, 0] * d[0] + matrix[0, 1] * d[1] + matrix[0, 2] * d[2],
+        matrix[1, 0] * d[0] + matrix[1, 1] * d[1] + matrix[1, 2] * d[2],
+        matrix[2, 0] * d[0] + matrix[2, 1] * d[1] + matrix[2, 2] * d[2],
+    )
+
+
+@kernel()
+def glow(constant, image, row, column):
+    """Linear RGB radiance of a constant and an image (h, w, 3) at a place in fractions of its height and width."""
     y = min(int(row * image.shape[0]), image.shape[0] - 1)
     x = min(int(column * image.shape[1]), image.shape[1] - 1)
     return (constant[0] + image[y, x, 0], constant[1] + image[y, x, 1], constant[2] + image[y, x, 2])
+
+
+@kernel()
+def radiance(constant, image, matrix, w):
+    """Linear RGB radiance that arrives from world direction ``w``; ``image`` (h, w, 3) is turned by ``matrix``."""
+    row, column = direction_to_latlong(turn_back(matrix, w))
+    return glow(constant, image, row, column)
+
+
+@kernel()
+def draw_bright(table, matrix, u, v):
+    """A world direction towards the bright parts of a turned environment, from (u, v) in [0, 1)².
+
+    ``table`` is the two cumulative arrays of ``sample_piecewise_2d`` over its image.
+    """
+    row, column = sample_piecewise_2d(table[0], table[1], u, v)
+    return turn(matrix, latlong_to_direction(row, column))
+
+
+@kernel()
+def balance(table, row, column, cosine):
+    """Share p_c/(p_c + p_e) of a direction, at a place of the image, between the two ways in which it is drawn.
+
+    p_c is the density of cosine sampling, p_e that of ``draw_bright``. The same share of the radiance is
+    what a ray of either sort adds to E/π. Source: Veach and Guibas 1995, the balance heuristic.
+    """
+    drawn = piecewise_2d_pdf(table[0], table[1], row, column) / max(latlong_jacobian(row), SMALLEST)
+    by_cosine = cosine_hemisphere_pdf(cosine)
+    return by_cosine / max(by_cosine + drawn, SMALLEST)
+
+
+@kernel()
+def arriving(constant, image, matrix, table, w, cosine):
+    """What a ray in world direction ``w``, at ``cosine`` to the normal, adds to E/π by the environment it reaches.
+
+    The radiance, and with a ``table`` that is not empty its share by ``balance``.
+    """
+    row, column = direction_to_latlong(turn_back(matrix, w))
+    light = glow(constant, image, row, column)
+    return scale(light, balance(table, row, column, cosine)) if table[0].shape[0] > 0 else light
 
 
 @kernel()

@@ -6,7 +6,7 @@ They hold no isovalue, so one set serves every isosurface of the volume (Parker 
 import numpy as np
 from numba import types
 
-from isogi_core.kernels._jit import kernel
+from isogi_core.kernels._jit import kernel, plain
 
 SIZE = 8
 """Cells along each side of a macrocell."""
@@ -14,6 +14,13 @@ SIZE = 8
 INFINITE = np.float32(np.inf)
 
 RANGES = types.float32[:, :, ::1]
+
+
+@plain
+def blocks_along(shape, size):
+    """Blocks of ``size``³ cells along (z, y, x) for a volume of ``shape`` voxels."""
+    nz, ny, nx = shape
+    return (-(-(nz - 1) // size), -(-(ny - 1) // size), -(-(nx - 1) // size))
 
 
 @kernel()
@@ -87,5 +94,4 @@ def fill_macrocells(voxels, low, high):
 
 def macrocell_shape(shape):
     """Macrocells along (z, y, x) for a volume of ``shape`` voxels."""
-    nz, ny, nx = shape
-    return (-(-(nz - 1) // SIZE), -(-(ny - 1) // SIZE), -(-(nx - 1) // SIZE))
+    return blocks_along(shape, SIZE)

@@ -1,7 +1,7 @@
 """The local models that S1 compares with, hard shadows, and the per-pixel path tracer that is the reference."""
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numba import types
@@ -12,12 +12,13 @@ from isogi_core.kernels.field import FIELD, normal
 from isogi_core.kernels.integrator import launch, to_index
 from isogi_core.kernels.intersect import OUTSIDE
 from isogi_core.kernels.lattice import PIXELS, POINTS
-from isogi_core.kernels.lights import fog, radiance
+from isogi_core.kernels.lights import fog
+from isogi_core.kernels.lit import SURROUNDINGS, light_paths, to_world
 from isogi_core.kernels.packets import cast_batch
 from isogi_core.kernels.planes import FINAL, PLANES, put_pixel
 from isogi_core.kernels.rng import mix
-from isogi_core.kernels.vec import column, dot, length, madd, normalize, put_column, scale, sub
-from isogi_core.kernels.waves import WAVE, walk_paths
+from isogi_core.kernels.vec import dot, length, madd, normalize, put_column, scale, sub
+from isogi_core.kernels.waves import WAVE
 
 
 class LocalModel(NamedTuple):
@@ -41,12 +42,6 @@ class LocalModel(NamedTuple):
 VECTOR = types.UniTuple(types.float64, 3)
 REAL = types.float64
 LOCAL_MODEL = record(LocalModel, VECTOR, VECTOR, VECTOR, REAL, REAL, types.boolean, REAL, REAL)
-
-
-@kernel()
-def to_world(v, spacing):
-    """An index-space vector in world space."""
-    return (v[0] * spacing[0], v[1] * spacing[1], v[2] * spacing[2])
 
 
 @kernel()
@@ -124,17 +119,6 @@ def shade_local(points, normals, seen, eye, spacing, model, pixels, planes):
         put_pixel(planes, pixels[m], light, FINAL, 0.0)
 
 
-class Surroundings(NamedTuple):
-    """The environment for lookups: ``constant`` (3,), ``image`` (h, w, 3), turned by ``matrix`` (3, 3)."""
-
-    constant: Any
-    image: Any
-    matrix: Any
-
-
-SURROUNDINGS = record(Surroundings, types.float64[::1], types.float32[:, :, ::1], types.float64[:, ::1])
-
-
 @kernel()
 def trace_together(field, bricks, iso, points, normals, pixels, light, weights, first, count, sums):
     """``trace_points`` for a few points whose paths go together."""
@@ -144,14 +128,11 @@ def trace_together(field, bricks, iso, points, normals, pixels, light, weights, 
         put_column(here, i, single(points, i // 2))
         put_column(facing, i, single(normals, i // 2))
         seeds[i] = mix(np.int64(pixels[i // 2]), i % 2)
-    levels, bounces = np.full(starts, iso), weights.shape[0] - 1
-    left, ways = np.empty(starts * count, np.int64), np.empty((3, starts * count))
-    walk_paths(field, bricks, levels, here, facing, seeds, first, count, bounces, left, ways)
+    levels, gathered = np.full(starts, iso), np.empty((3, starts * count))
+    light_paths(field, bricks, levels, here, facing, seeds, first, count, weights, 1.0, light, gathered)
     for m in range(starts * count):
-        if left[m] >= 0:
-            arriving = radiance(light.constant, light.image, light.matrix, column(ways, m))
-            for c in range(3):
-                sums[m % starts // 2, m % 2, c] += weights[left[m], c] * arriving[c]
+        for c in range(3):
+            sums[m % starts // 2, m % 2, c] += gathered[c, m]
 
 
 @kernel(
@@ -172,9 +153,9 @@ def trace_together(field, bricks, iso, points, normals, pixels, light, weights, 
 def trace_points(field, bricks, iso, points, normals, pixels, light, weights, first, count, sums):
     """Path-trace the points: add samples first … first + count of both halves to ``sums`` (m, 2, 3).
 
-    ``pixels`` (m,) are picture indices, which own the random numbers; ``weights`` (bounces + 1, 3)
-    is R^(k+1) per channel; ``iso`` is within the range of ``bricks``. Source: S1, figure 2; the
-    reference of figures 7 and 11.
+    ``pixels`` (m,) are picture indices, which own the random numbers; ``light`` the Surroundings;
+    ``weights`` (bounces + 1, 3) is R^(k+1) per channel; ``iso`` is within the range of ``bricks``.
+    Source: S1, figure 2; the reference of figures 7 and 11.
     """
     together, samples = max(WAVE // (2 * count), 1), min(count, WAVE // 2)
     for a in range(0, pixels.shape[0], together):

@@ -42,24 +42,12 @@ def locate_texels(field, step, texels, points, normals, isovalues, void):
 
 
 @kernel()
-def shares_of(weights):
-    """What a path counts that left after k bounces, or never (k = -1): (1 + channels, bounces + 2), at k + 1.
-
-    Row 0 is of direct light, the others of the channels of indirect light, R^k.
-    """
-    shares = np.zeros((1 + weights.shape[1], weights.shape[0] + 1))
-    shares[0, 1] = 1.0
-    shares[1:, 2:] = weights[1:].T
-    return shares
-
-
-@kernel()
-def gather_light(left, ways, shares, order, starts, count, sums):
+def gather_light(left, ways, shares, orders, starts, count, sums):
     """Add the ends of ``walk_paths`` from ``starts`` starts, ``count`` samples each, to sums of their own.
 
-    Lane i % ABREAST of ``sums`` (1 + channels, i // ABREAST, n² ABREAST) is of start i, and takes its samples
-    in their order: the company of a start changes no bit. Source: S1, eq. 8 with cosine sampling,
-    τ_i = Σ R^k Y_i(ω) / N.
+    Lane i % ABREAST of ``sums`` (channels, i // ABREAST, n² ABREAST) is of start i, and takes its samples
+    in their order: the company of a start changes no bit. ``shares`` are those of ``bake_texels``.
+    Source: S1, eq. 8 with cosine sampling, τ_i = Σ R^k Y_i(ω) / N.
     """
     weights = np.zeros(starts * count + ABREAST)
     for c in range(sums.shape[0]):
@@ -69,48 +57,51 @@ def gather_light(left, ways, shares, order, starts, count, sums):
             for s in range(count):
                 m = s * starts + block * ABREAST
                 x, y, z = read(ways[0], m), read(ways[1], m), read(ways[2], m)
-                accumulate(order, x, y, z, read(weights, m), sums[c, block])
+                accumulate(orders[c], x, y, z, read(weights, m), sums[c, block])
 
 
 @kernel()
-def exchange(sums, rows, direct, indirect, store):
-    """Copy between ``sums`` (see ``gather_light``) and ``direct`` and ``indirect`` (see ``bake_texels``)."""
+def exchange(sums, rows, outside, store):
+    """Copy between ``sums`` (see ``gather_light``) and those of ``bake_texels``, ``outside``."""
     for i in range(2 * rows.shape[0]):
-        r, half, block, lane = rows[i // 2], i % 2, i // ABREAST, i % ABREAST
+        block, lane = i // ABREAST, i % ABREAST
         for c in range(sums.shape[0]):
-            outside = direct[r, half] if c == 0 else indirect[r, half, c - 1]
-            inside = sums[c, block, lane::ABREAST]
+            there, here = outside[rows[i // 2], i % 2, c], sums[c, block, lane::ABREAST]
             if store:
-                outside[:] = inside
+                there[:] = here
             else:
-                inside[:] = outside
+                here[:] = there
 
 
 @kernel()
-def bake_together(field, bricks, place, rows, first, count, weights, order, direct, indirect):
-    """``bake_texels`` for a few texels whose paths go together."""
+def start_halves(place, rows):
+    """Starts of the ``rows`` and each of their halves: isovalues, points, normals and seeds; see ``walk_paths``."""
     texels, points, normals, isovalues = place
-    starts, channels = 2 * rows.shape[0], weights.shape[1]
-    here, facing, levels, seeds = (
-        np.empty((3, starts)),
-        np.empty((3, starts)),
-        np.empty(starts),
-        np.empty(starts, np.uint64),
-    )
+    starts = 2 * rows.shape[0]
+    here, facing = np.empty((3, starts)), np.empty((3, starts))
+    levels, seeds = np.empty(starts), np.empty(starts, np.uint64)
     for i in range(starts):
         r = rows[i // 2]
         put_column(here, i, column(points, r))
         put_column(facing, i, column(normals, r))
         levels[i], seeds[i] = isovalues[r], texel_seed(texels[r, 0], texels[r, 1], texels[r, 2], i % 2)
-    step, shares = max(WAVE // starts, 1), shares_of(weights)
+    return levels, here, facing, seeds
+
+
+@kernel()
+def bake_together(field, bricks, place, rows, first, count, shares, survival, orders, out):
+    """``bake_texels`` for a few texels whose paths go together."""
+    starts, bounces = 2 * rows.shape[0], shares.shape[1] - 2
+    levels, here, facing, seeds = start_halves(place, rows)
+    step, most = max(WAVE // starts, 1), orders.max()
     left, ways = np.zeros(starts * step, np.int64), np.zeros((3, starts * step + ABREAST))
-    sums = np.zeros((1 + channels, whole(starts) // ABREAST, order * order * ABREAST))
-    exchange(sums, rows, direct, indirect, False)
+    sums = np.zeros((shares.shape[0], whole(starts) // ABREAST, most * most * ABREAST))
+    exchange(sums, rows, out, False)
     for begin in range(first, first + count, step):
         samples = min(step, first + count - begin)
-        walk_paths(field, bricks, levels, here, facing, seeds, begin, samples, weights.shape[0] - 1, left, ways)
-        gather_light(left, ways, shares, order, starts, samples, sums)
-    exchange(sums, rows, direct, indirect, True)
+        walk_paths(field, bricks, levels, here, facing, seeds, begin, samples, bounces, survival, left, ways)
+        gather_light(left, ways, shares, orders, starts, samples, sums)
+    exchange(sums, rows, out, True)
 
 
 @kernel(
@@ -122,18 +113,20 @@ def bake_together(field, bricks, place, rows, first, count, weights, order, dire
         types.int64,
         types.int64,
         types.float64[:, ::1],
-        types.int64,
-        types.float64[:, :, ::1],
+        types.float64,
+        types.int64[::1],
         types.float64[:, :, :, ::1],
     )
 )
-def bake_texels(field, bricks, place, rows, first, count, weights, order, direct, indirect):
+def bake_texels(field, bricks, place, rows, first, count, shares, survival, orders, sums):
     """Sums of ``count`` samples, from sample ``first`` on, for the ``rows`` and each of their two halves.
 
     ``place`` is what ``locate_texels`` took and wrote: texels, points, normals, isovalues, the latter
-    within the range of ``bricks``; ``weights`` (bounces + 1, channels) R^k. Adds to ``direct``
-    (m, 2, n²) and ``indirect`` (m, 2, channels, n²). Source: S1, section 4.1, "for all texels".
+    within the range of ``bricks``. ``shares`` (channels, bounces + 2) are what a path counts that left after
+    k bounces, at k + 1, or never, at 0; of those that hit twice a share ``survival`` goes on: see ``spin``.
+    Adds to ``sums`` (m, 2, channels, n²), n the greatest of the channels' ``orders``. Source: S1, section 4.1,
+    "for all texels".
     """
     together = max(WAVE // (2 * count), ABREAST)
     for i in range(0, rows.shape[0], together):
-        bake_together(field, bricks, place, rows[i : i + together], first, count, weights, order, direct, indirect)
+        bake_together(field, bricks, place, rows[i : i + together], first, count, shares, survival, orders, sums)

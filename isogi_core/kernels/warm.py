@@ -5,6 +5,7 @@ import threading
 from collections.abc import Iterable
 from importlib import import_module
 from multiprocessing import get_context
+from typing import Any
 
 import numba
 
@@ -14,17 +15,27 @@ LOOK = 0.02
 """Seconds between two looks at whether the wait for a compilation is given up."""
 
 
-def warm(kernels: Iterable[Entry], stopped: threading.Event | None = None) -> None:
+def warm(kernels: Iterable[Any], stopped: threading.Event | None = None) -> None:
     """Load ``kernels``; those that were never compiled are compiled first, on all cores, in the order given.
 
     Once ``stopped`` is set it returns as soon as it can.
     """
     stopped = stopped or threading.Event()
-    entries = [entry for entry in kernels if isinstance(entry, Entry)]
+    entries = entries_of(kernels)
     compile_beside([entry.name for entry in entries if not entry.stored], stopped)
-    for entry in entries:
-        if not stopped.is_set():
+    load(entries, stopped)
+
+
+def load(kernels: Iterable[Any], stopped: threading.Event | None = None) -> None:
+    """Have ``kernels`` in this process, which compiles those that it must. Ends between two once ``stopped`` is set."""
+    for entry in entries_of(kernels):
+        if stopped is None or not stopped.is_set():
             entry.ready  # noqa: B018
+
+
+def entries_of(kernels: Iterable[Any]) -> list[Entry]:
+    """The entry kernels among ``kernels``; none where Numba is switched off: they are plain functions then."""
+    return [kernel for kernel in kernels if isinstance(kernel, Entry)]
 
 
 def compile_beside(names: list[str], stopped: threading.Event) -> None:

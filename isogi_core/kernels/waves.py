@@ -11,7 +11,7 @@ import numpy as np
 
 from isogi_core.kernels._jit import kernel
 from isogi_core.kernels.field import smooth_gradients, to_world_normal
-from isogi_core.kernels.integrator import about, facing_normal, launch, to_index
+from isogi_core.kernels.integrator import ROULETTE, about, facing_normal, launch, to_index
 from isogi_core.kernels.intersect import OUTSIDE
 from isogi_core.kernels.packets import cast_batch
 from isogi_core.kernels.reals import ABREAST, read, words
@@ -144,6 +144,24 @@ def sift(wave, count):
 
 
 @kernel()
+def spin(wave, hits, bounce, survival):
+    """Russian roulette: of paths that hit something, but the first time, a share ``survival`` goes on.
+
+    Each stands for those that do not: its light counts over its chance. Returns how many go on. Source: Arvo
+    and Kirk, "Particle Transport and Image Synthesis", 1990.
+    """
+    if bounce == 0 or survival >= 1.0:
+        return hits
+    staying, dimension = 0, np.uint64(ROULETTE + bounce)
+    for h in range(hits):
+        i = wave.hits[h]
+        u, _ = point_of_words(np.uint64(wave.low[i]), np.uint64(wave.high[i]), np.uint64(wave.samples[i]), dimension)
+        wave.hits[staying] = i
+        staying += u < survival
+    return staying
+
+
+@kernel()
 def release(wave, count, gone, bounce, left, ways):
     """Write the ends of the ``gone`` paths among ``count``."""
     last = columns(wave.ways, count)
@@ -198,13 +216,14 @@ def launch_all(field, isovalues, points, normals):
 
 
 @kernel()
-def walk_wave(field, bricks, wave, pair, spare, count, bounces, left, ways):
+def walk_wave(field, bricks, wave, pair, spare, count, bounces, survival, left, ways):
     """Walk the ``count`` paths of a wave to their ends; ``spare`` is room for a second pair."""
     for bounce in range(bounces + 1):
         aim(wave, pair, count, bounce, field.spacing)
         shoot(field, bricks, wave, pair, count)
         hits = sift(wave, count)
         release(wave, count, count - hits, bounce, left, ways)
+        hits = spin(wave, hits, bounce, survival)
         if hits == 0 or bounce == bounces:
             return
         close_ranks(wave, pair, count, hits, spare)
@@ -213,7 +232,7 @@ def walk_wave(field, bricks, wave, pair, spare, count, bounces, left, ways):
 
 
 @kernel()
-def walk_paths(field, bricks, isovalues, points, normals, seeds, first, count, bounces, left, ways):
+def walk_paths(field, bricks, isovalues, points, normals, seeds, first, count, bounces, survival, left, ways):
     """``trace_path`` of samples ``first`` … ``first + count`` from each of g starts, to the same bits.
 
     A start is a point and a normal (3, g), an isovalue (g,) within the range of ``bricks`` and the seed
@@ -230,4 +249,4 @@ def walk_paths(field, bricks, isovalues, points, normals, seeds, first, count, b
     for begin in range(0, total, WAVE):
         together = min(WAVE, total - begin)
         muster(wave, pair, isovalues, origins, normals, seeds, first, begin, together)
-        walk_wave(field, bricks, wave, pair, spare, together, bounces, left, ways)
+        walk_wave(field, bricks, wave, pair, spare, together, bounces, survival, left, ways)

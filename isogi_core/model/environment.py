@@ -7,16 +7,25 @@ centres lie at half-integers, and a pixel has one radiance over the whole of its
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from isogi_core.errors import LightError
 from isogi_core.files.radiance import read_hdr
-from isogi_core.model.lights import ConstantLight, Light, ProbeLight, SkyLight
+from isogi_core.model.lights import ConstantLight, Lamp, Light, ProbeLight, SkyLight
 from isogi_core.model.sky import LUMINANCE, sky_image
 
 SKY_SIZE = (512, 1024)
 """Rows and columns of the grid on which a sky is laid out."""
+
+SHARP = 1.0
+"""Relative variance of the luminance over the sphere from which shadow rays towards its bright parts pay.
+
+At equal time they make the variance of texels' irradiance smaller by 0.9 for half a sky (whose variance is 1), 1.4
+for a lobe cos² (2.6), 3.5 for pisa (2.4), 4.4 for uffizi (7.7), and by 6000 and more for grace and all with a sun
+(3700 and more); measured on the engine, with 2 × 512 samples and 4 bounces.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +50,30 @@ class Environment:
         j = np.minimum(column.astype(np.int64), width - 1)
         return np.asarray(self.constant + self.image[i, j])
 
+    @cached_property
+    def sharp(self) -> bool:
+        """Whether rays towards its bright parts are worth their time: see ``SHARP``."""
+        seen, shares = self._luminance, solid_angles(*self.image.shape[:2]) / (4.0 * np.pi)
+        mean = float((shares * seen).sum())
+        return float((shares * seen**2).sum()) > (1.0 + SHARP) * mean**2
+
+    @cached_property
+    def table(self) -> tuple[np.ndarray, np.ndarray]:
+        """Where to draw rays from: see ``cumulative``. Two empty arrays where the environment is not ``sharp``.
+
+        Only what is brighter than the mean is drawn; the rest is left to the rays that the surface draws.
+        Source: Karlík et al., "MIS Compensation", ACM Transactions on Graphics 38(6), 2019.
+        """
+        if not self.sharp:
+            return np.zeros(0), np.zeros((0, 0))
+        excess = np.maximum(self._luminance - self.mean() @ LUMINANCE, 0.0)
+        return cumulative(excess * solid_angles(*excess.shape))
+
+    @property
+    def _luminance(self) -> np.ndarray:
+        """Luminance (h, w) float64 of all light, constant and image."""
+        return np.asarray(self.image @ LUMINANCE + self.constant @ LUMINANCE)
+
     def mean(self) -> np.ndarray:
         """Mean radiance (3,) over the sphere."""
         return np.asarray(self.constant + mean_radiance(self.image))
@@ -56,13 +89,14 @@ class Environment:
 
 
 def environment(lights: Sequence[Light]) -> Environment:
-    """The sum of the lights. Images are brought to the largest grid without change of energy.
+    """The sum of the lights that are no lamps. Images are brought to the largest grid without change of energy.
 
     Raises LightError where a probe cannot be read or holds a negative or non-finite radiance.
     """
     constant = np.zeros(3)
     images = []
-    for light in lights:
+    around = [light for light in lights if not isinstance(light, Lamp)]
+    for light in around:
         if isinstance(light, ConstantLight):
             constant += light.radiance
         else:
@@ -76,8 +110,19 @@ def environment(lights: Sequence[Light]) -> Environment:
         total = _checked(total.astype(np.float32), "The sum of all lights")
     digest = hashlib.blake2b(f"{constant.tolist()} {total.shape}".encode(), digest_size=16)
     digest.update(total.data)
-    name = " + ".join(light.name for light in lights) or "no light"
+    name = " + ".join(light.name for light in around) or "no light"
     return Environment(constant, total, digest.hexdigest(), name)
+
+
+def cumulative(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Shares of pixel weights (h, w), summed up: over the rows (h + 1,), and within each row (h, w + 1); float64.
+
+    As ``kernels.sampling.sample_piecewise_2d`` takes them. A row without weight is even, and is never drawn.
+    """
+    rows = weights.sum(axis=1)
+    within = np.where(rows[:, None] > 0.0, weights, 1.0).cumsum(axis=1)
+    over = np.append(0.0, rows.cumsum())
+    return over / over[-1], np.pad(within / within[:, -1:], ((0, 0), (1, 0)))
 
 
 def solid_angles(height: int, width: int) -> np.ndarray:

@@ -1,14 +1,13 @@
-"""Lights that a scene may name: a constant, an analytic sky, a probe. All infinitely far away."""
+"""Lights that a scene may name: a constant, an analytic sky and a probe around it, and lamps, which stay in place."""
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import MISSING, dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-from isogi_core.errors import LightError, SceneError
+from isogi_core.errors import LightError
 
 Colour = tuple[float, float, float]
+Vector = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -70,75 +69,87 @@ class ProbeLight:
         return f"probe {self.file.name}"
 
 
-Light = ConstantLight | SkyLight | ProbeLight
+@dataclass(frozen=True)
+class DirectionalLight:
+    """A lamp as far away as the sun: the same light, from the same direction, everywhere.
 
-
-def light_from_mapping(mapping: Mapping[str, Any], base: Path) -> Light:
-    """The light that one ``[[lights]]`` table of a scene describes; its files are relative to ``base``.
-
-    Raises SceneError where the type or a key is unknown, missing or of the wrong kind, and LightError where
-    a value has no meaning.
+    ``azimuth`` in degrees from +x towards +y, ``elevation`` in degrees above the horizon, both towards the
+    light; ``irradiance`` is what a surface that faces it receives: with π that surface has the radiance R.
+    ``angle`` is the apparent diameter in degrees (0 to 90) of a disc of even radiance; 0 makes hard shadows.
     """
-    kind = mapping.get("type")
-    if not isinstance(kind, str) or kind not in _KINDS:
-        raise SceneError(f"A light has type {kind!r}: choose one of {', '.join(_KINDS)}.")
-    light, readers = _KINDS[kind]
-    unknown = [key for key in mapping if key not in readers and key != "type"]
-    if unknown:
-        raise SceneError(f"A {kind} light has no '{unknown[0]}': choose from {', '.join(readers)}.")
-    missing = [f.name for f in fields(light) if f.default is MISSING and f.name not in mapping]
-    if missing:
-        raise SceneError(f"A {kind} light lacks its '{missing[0]}': add it to the scene.")
-    given = {key: read(key, mapping[key]) for key, read in readers.items() if key in mapping}
-    if "file" in given:
-        given["file"] = base / given["file"]
-    return light(**given)
+
+    azimuth: float = 135.0
+    elevation: float = 45.0
+    irradiance: Colour = (math.pi, math.pi, math.pi)
+    angle: float = 0.0
+
+    def __post_init__(self) -> None:
+        _check_range("azimuth", (self.azimuth,), low=-math.inf)
+        _check_range("elevation", (self.elevation,), -90.0, 90.0)
+        _check_range("irradiance", self.irradiance)
+        _check_range("angle", (self.angle,), high=90.0)
+
+    @property
+    def name(self) -> str:
+        """What the light is, for a person."""
+        return "directional"
 
 
-def _number(key: str, value: object) -> float:
-    """A TOML integer or float; SceneError for anything else."""
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise SceneError(f"A light's {key} is {value!r}: give a number.")
-    return float(value)
+@dataclass(frozen=True)
+class PointLight:
+    """A lamp without size at the world ``position``; a surface that faces it at distance r receives intensity/r²."""
+
+    position: Vector
+    intensity: Colour
+
+    def __post_init__(self) -> None:
+        _check_range("position", self.position, low=-math.inf)
+        _check_range("intensity", self.intensity)
+
+    @property
+    def name(self) -> str:
+        """What the light is, for a person."""
+        return "point"
 
 
-def _colour(key: str, value: object) -> Colour:
-    """A number for all three channels, or ``[r, g, b]``."""
-    if not isinstance(value, list):
-        grey = _number(key, value)
-        return grey, grey, grey
-    if len(value) != 3:
-        raise SceneError(f"A light's {key} is {value!r}: give a number or [r, g, b].")
-    r, g, b = (_number(key, channel) for channel in value)
-    return r, g, b
+@dataclass(frozen=True)
+class AreaLight:
+    """A parallelogram that emits ``radiance`` evenly from the side that u × v points to; its back is black.
+
+    Its corners are ``corner``, and that plus ``u``, ``v`` and both, in the world. Rays pass through it.
+    """
+
+    corner: Vector
+    u: Vector
+    v: Vector
+    radiance: Colour = (1.0, 1.0, 1.0)
+
+    def __post_init__(self) -> None:
+        for name in ("corner", "u", "v"):
+            _check_range(name, getattr(self, name), low=-math.inf)
+        _check_range("radiance", self.radiance)
+        if not any(_cross(self.u, self.v)):
+            raise LightError("An area light's u and v span no area: give two edges that are not parallel.")
+
+    @property
+    def name(self) -> str:
+        """What the light is, for a person."""
+        return "area"
 
 
-def _path(key: str, value: object) -> Path:
-    """A file name that is not empty."""
-    if not isinstance(value, str) or not value:
-        raise SceneError(f"A light's {key} is {value!r}: give the name of a file.")
-    return Path(value)
+Lamp = DirectionalLight | PointLight | AreaLight
+Light = ConstantLight | SkyLight | ProbeLight | Lamp
+
+
+def _cross(a: Vector, b: Vector) -> Vector:
+    """The vector product a × b."""
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 def _check_range(name: str, values: tuple[float, ...], low: float = 0.0, high: float = math.inf) -> None:
     """LightError where a value is not finite or outside [low, high]."""
     if not all(math.isfinite(value) and low <= value <= high for value in values):
         given = ", ".join(f"{value:g}" for value in values)
-        wanted = f"from {low:g} to {high:g}" if math.isfinite(high) else f"finite and at least {low:g}"
+        least = f"finite and at least {low:g}" if math.isfinite(low) else "finite"
+        wanted = f"from {low:g} to {high:g}" if math.isfinite(high) else least
         raise LightError(f"A light's {name} is {given}: it must be {wanted}.")
-
-
-_KINDS: dict[str, tuple[type[Light], dict[str, Callable[[str, object], Any]]]] = {
-    "constant": (ConstantLight, {"radiance": _colour}),
-    "sky": (
-        SkyLight,
-        {
-            "sun_azimuth": _number,
-            "sun_elevation": _number,
-            "turbidity": _number,
-            "ground": _colour,
-            "scale": _number,
-        },
-    ),
-    "probe": (ProbeLight, {"file": _path, "scale": _number}),
-}

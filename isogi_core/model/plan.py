@@ -1,73 +1,137 @@
-"""The scene plan: what a scene needs, and what is left out and why."""
+"""The scene plan: what is baked for a scene, and what is left out, why, and what that saves."""
 
 import math
 from dataclasses import dataclass
 
-DEFAULT_ORDER = 5
-LONGEST_PATH = 64
+FEWEST, MOST = 64, 1 << 20
+"""Bounds of what any target error is worth in samples. With fewer, a dark texel may have met no light at all."""
+
+REPRESENTATIONS = ("vicinity", "constant", "irradiance", "transfer")
+"""What a texel may keep, the least first.
+
+``vicinity``: the share of a constant light that arrives unreflected. ``constant``: the same with
+reflected light. ``irradiance``: of lights that do not move. ``transfer``: harmonics, for lights that turn.
+"""
+
+
+@dataclass(frozen=True)
+class Layer:
+    """One kind of light that each texel keeps: an array of its own in the store.
+
+    ``kind`` is "direct" (light that arrives unreflected), "indirect" (reflected light), "whole" (both), or
+    "irradiance" (both, under the scene's own lights). ``order``² coefficients for each of the ``channels``, as half
+    floats where ``half``, and from band ``coarse`` on, if told, as bytes; what they are multiples of, ``scale``, is a
+    power of two.
+    """
+
+    kind: str
+    order: int = 1
+    channels: int = 1
+    half: bool = True
+    coarse: int | None = None
+    scale: float = 1.0
+
+    @property
+    def coefficients(self) -> int:
+        """Numbers that a texel keeps for all channels."""
+        return self.channels * self.order**2
+
+    @property
+    def floats(self) -> int:
+        """Coefficients of a channel that are kept as floats; the others follow them, as bytes."""
+        return self.order**2 if self.coarse is None else min(self.coarse, self.order) ** 2
+
+    @property
+    def noises(self) -> int:
+        """Numbers that tell a texel's noise: of band 0, and of the bands above where there are any."""
+        return 1 if self.order == 1 else 2
+
+    @property
+    def bytes_per_texel(self) -> int:
+        """Bytes of a texel: coefficients, a byte for each noise, and one for the samples taken."""
+        fine = self.channels * self.floats
+        return (2 if self.half else 4) * fine + self.coefficients - fine + self.noises + 1
+
+    @property
+    def precision(self) -> str:
+        """How coefficients are kept: "single", "half", or higher bands in "bytes"."""
+        return "single" if not self.half else "half" if self.coarse is None else "bytes"
+
+    @property
+    def reflected(self) -> bool:
+        """Whether it holds light that was reflected, and so depends on albedo and bounces."""
+        return self.kind != "direct"
+
+
+@dataclass(frozen=True)
+class Saving:
+    """What was saved: an ``amount`` of a ``unit``; ``measured``, or else computed."""
+
+    amount: float
+    unit: str
+    measured: bool = False
 
 
 @dataclass(frozen=True)
 class LeftOut:
-    """One thing that a scene does without, and the reason in one sentence."""
+    """One thing that a scene does without, the reason in one sentence, and what that saves."""
 
     what: str
     why: str
+    saves: tuple[Saving, ...] = ()
 
 
 @dataclass(frozen=True)
 class ScenePlan:
-    """What is baked per texel: ``order``² SH coefficients of direct and of indirect transfer.
+    """What is baked for a scene, and how it is lit with it.
 
-    ``channels`` is 1 where the albedo is grey, else 3; ``bounces`` counts surface hits after the first.
+    ``order`` is that of the light which texels are put under, 1 where they keep no harmonics; a layer may have more.
+    ``bounces`` counts surface hits after the first; from the second on a path goes on with the chance ``survival``.
+    ``samples`` are the most that a texel takes; ``errors`` names relative errors that the plan expects, by
+    what is cut off; ``notes`` are sentences on those above the target.
     """
 
+    representation: str
+    layers: tuple[Layer, ...]
     order: int
-    channels: int
     bounces: int
+    survival: float
+    samples: int
+    errors: tuple[tuple[str, float], ...] = ()
+    notes: tuple[str, ...] = ()
     left_out: tuple[LeftOut, ...] = ()
-    representation: str = "transfer"
 
     @property
-    def planes(self) -> tuple[str, ...]:
-        """Names of the float32 numbers kept per texel, in their order in a chunk."""
-        n = self.order**2
-        colours = ("",) if self.channels == 1 else ("_r", "_g", "_b")
-        return (
-            "samples",
-            "isovalue",
-            "error",
-            *(f"direct_{i}" for i in range(n)),
-            *(f"indirect{c}_{i}" for c in colours for i in range(n)),
-            *(f"spread{c}_{i}" for c in colours for i in range(n)),
-        )
+    def channels(self) -> int:
+        """The channels that light is kept in: the most of any layer."""
+        return max(layer.channels for layer in self.layers)
+
+    @property
+    def indirect_order(self) -> int | None:
+        """The order of reflected light where that is a layer of its own."""
+        return next((layer.order for layer in self.layers if layer.kind == "indirect"), None)
+
+    @property
+    def half(self) -> bool:
+        """Whether coefficients are kept as half floats."""
+        return all(layer.half for layer in self.layers)
+
+    @property
+    def precision(self) -> str:
+        """How coefficients are kept: "bytes" where the higher bands of any layer are, or else "half" or "single"."""
+        return min(layer.precision for layer in self.layers)
 
     @property
     def bytes_per_texel(self) -> int:
         """Bytes that one texel takes in the store before compression."""
-        return 4 * len(self.planes)
+        return sum(layer.bytes_per_texel for layer in self.layers)
 
 
-def bounces_for(albedo: tuple[float, float, float], target_error: float) -> int:
-    """Fewest bounces after which what is cut off, at most R^(bounces + 1) of the light, is half the target error."""
-    brightest = max(albedo)
-    if brightest <= 0.0:
-        return 0
-    if brightest >= 1.0:
-        return LONGEST_PATH
-    return min(max(math.ceil(math.log(target_error / 2) / math.log(brightest)) - 1, 0), LONGEST_PATH)
+def most_samples(target: float) -> int:
+    """The samples that the relative error ``target`` is worth: 4096 at 2 %, a power of two growing as target^-3/2.
 
-
-def plan_scene(
-    albedo: tuple[float, float, float], target_error: float, bounces: int | None, order: int | None
-) -> ScenePlan:
-    """Derive the plan from the albedo and the target; ``bounces`` and ``order`` are taken where they are told."""
-    grey = albedo[0] == albedo[1] == albedo[2]
-    left_out = []
-    if grey:
-        left_out.append(LeftOut("two of three colour channels", "the albedo is grey, so transfer has no colour"))
-    if bounces is None:
-        bounces = bounces_for(albedo, target_error)
-        why = "no light is reflected at albedo 0" if bounces == 0 else f"less than half of {target_error:g} is cut off"
-        left_out.append(LeftOut(f"bounces after number {bounces}", why))
-    return ScenePlan(order or DEFAULT_ORDER, 1 if grey else 3, bounces, tuple(left_out))
+    A texel that has taken them is final: what noise it has left is told, not chased. The stratified
+    points' error falls about as n^-2/3, so a target that most texels reach leaves few behind.
+    """
+    worth = 4096.0 * (0.02 / max(target, 1e-6)) ** 1.5
+    return min(max(1 << round(math.log2(worth)), FEWEST), MOST)

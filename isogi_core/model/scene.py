@@ -3,7 +3,7 @@
 import hashlib
 import json
 import re
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -13,16 +13,23 @@ import numpy as np
 from isogi_core.errors import SceneError, VolumeError
 from isogi_core.files.nrrd import read_nrrd
 from isogi_core.kernels.harmonics import MAX_ORDER
+from isogi_core.kernels.lattice import CHUNK
 from isogi_core.model.demo import DEMOS, demo_volume
 from isogi_core.model.environment import Environment, environment
-from isogi_core.model.lights import Light, light_from_mapping
-from isogi_core.model.plan import ScenePlan, plan_scene
+from isogi_core.model.lamps import Lamps, gather_lamps
+from isogi_core.model.light_tables import light_from_mapping
+from isogi_core.model.lights import Light
+from isogi_core.model.plan import REPRESENTATIONS, Layer, LeftOut, ScenePlan
 from isogi_core.model.settings import Settings
 from isogi_core.model.source import DEFAULT_DEMO, SceneSource, find_source
 from isogi_core.model.view import Camera, orbit
 from isogi_core.model.volume import Volume, make_volume
+from isogi_core.plan.needs import Needs, Told
+from isogi_core.plan.planner import plan_scene
+from isogi_core.plan.savings import unseen
+from isogi_core.plan.texels import TexelCount, count_texels
 
-BAKE_FORMAT = 3
+BAKE_FORMAT = 4
 """Counts up when what a chunk holds, or how its light is computed, changes."""
 
 
@@ -39,6 +46,7 @@ class Scene:
     volume: Volume
     lights: tuple[Light, ...]
     environment: Environment
+    lamps: Lamps
     isovalue: float
     isovalues: tuple[float, float]
     albedo: tuple[float, float, float]
@@ -62,27 +70,60 @@ class Scene:
         """Which side of the isovalue is solid, "above" or "below"."""
         return self.volume.solid
 
+    @property
+    def lattice_shape(self) -> tuple[int, int, int]:
+        """Texels along z, y, x: ``lattice`` per voxel, the outermost on the outermost voxels, at least 2."""
+        z, y, x = (max(round((n - 1) * self.lattice) + 1, 2) for n in self.volume.shape)
+        return z, y, x
+
     @cached_property
     def default_exposure(self) -> float:
         """The exposure at which a surface turned to the light shows its own albedo."""
-        brightest = self.environment.brightest()
+        brightest = self.environment.brightest() + self.lamps.brightest(self.volume.centre)
         return 1.0 / brightest if brightest > 0.0 else 1.0
 
     @cached_property
+    def texels(self) -> TexelCount:
+        """How many texels the lattice has, and how many of them views can show; found when first asked for."""
+        lowest, highest = sorted(map(self.volume.normalise_isovalue, self.isovalues))
+        return count_texels(self.volume.voxels, self.lattice_shape, lowest, highest, CHUNK)
+
+    @cached_property
+    def left_out(self) -> tuple[LeftOut, ...]:
+        """What the scene does without: what its plan leaves out, and texels that are never lit."""
+        return (*self.plan.left_out, *unseen(self.texels, self.plan))
+
+    def layer_digest(self, layer: Layer) -> str:
+        """Hex name of everything that a layer's light depends on, and of nothing else.
+
+        The scene's lights are among it for irradiance alone (S1, eq. 6), albedo and bounces for reflected light.
+        """
+        parts = [BAKE_FORMAT, self.volume.digest, self.lattice, *astuple(layer)]
+        if layer.reflected:
+            parts += [self.albedo[: layer.channels], self.bounces, self.plan.survival]
+        if layer.kind == "irradiance":
+            parts += [self.environment.digest, self.lamps.digest, self.albedo]
+        return digest_of(parts)
+
+    @cached_property
     def bake_digest(self) -> str:
-        """Hex name of everything that baked transfer depends on; light is not among it (S1, eq. 6)."""
-        recipe = [BAKE_FORMAT, self.volume.digest, self.lattice, self.albedo, self.bounces, self.plan.order]
-        return hashlib.blake2b(json.dumps(recipe).encode(), digest_size=10).hexdigest()
+        """Hex name of all layers of the plan."""
+        return digest_of([self.layer_digest(layer) for layer in self.plan.layers])
 
     @cached_property
     def digest(self) -> str:
         """Hex name of everything that a frame of this scene depends on besides its view."""
-        parts = [self.bake_digest, self.environment.digest, self.target_error]
-        return hashlib.blake2b(json.dumps(parts).encode(), digest_size=10).hexdigest()
+        lights = [self.environment.digest, self.lamps.digest]
+        return digest_of([self.bake_digest, *lights, self.albedo, self.plan.order, self.target_error])
 
     def camera(self, azimuth: float, elevation: float, distance: float, fov: float) -> Camera:
         """Camera around the middle of the volume's box; degrees, and distance in its bounding radii."""
         return orbit(self.volume.centre, self.volume.radius, azimuth, elevation, distance, fov)
+
+
+def digest_of(parts: list[Any]) -> str:
+    """Hex name of numbers and words."""
+    return hashlib.blake2b(json.dumps(parts).encode(), digest_size=10).hexdigest()
 
 
 def load_scene(target: str | Path | None = None, **overrides: Any) -> Scene:
@@ -99,28 +140,51 @@ def build_scene(source: SceneSource) -> Scene:
     settings = Settings(source)
     volume = open_volume(settings, source.base)
     lights = tuple(light_from_mapping(entry, source.base) for entry in settings.lights())
+    lamps = gather_lamps(lights)
     isovalues = settings.interval("isovalues", volume.value_range)
     fallback = min(max(default_isovalue(settings, volume), isovalues[0]), isovalues[1])
     isovalue = settings.number("isovalue", fallback, *isovalues)
     albedo = settings.colour("albedo", 0.7)
     target_error = settings.number("target_error", 0.02, 1e-4, 1.0)
-    plan = plan_scene(albedo, target_error, settings.count("bounces", 1000), settings.count("order", MAX_ORDER, 1))
+    light, rotating = environment(lights), may_rotate(settings, lamps)
+    needs = Needs(light, lamps, volume.centre, rotating, albedo, target_error)
+    plan = plan_scene(needs, told_by(settings))
     scene = Scene(
         id=re.sub(r"[^a-z0-9_-]+", "-", source.name.lower()).strip("-")[:64] or "scene",
         source=source,
         volume=volume,
         lights=lights,
-        environment=environment(lights),
+        environment=light,
+        lamps=lamps,
         isovalue=isovalue,
         isovalues=isovalues,
         albedo=albedo,
         lattice=settings.number("lattice", 1.0, 0.125, 4.0),
         target_error=target_error,
-        rotating=settings.flag("rotating", True),
+        rotating=rotating,
         plan=plan,
     )
     settings.refuse_unknown()
     return scene
+
+
+def told_by(settings: Settings) -> Told:
+    """What the scene says of its own plan."""
+    return Told(
+        representation=settings.choice("representation", REPRESENTATIONS),
+        order=settings.count("order", MAX_ORDER, 1),
+        indirect_order=settings.count("indirect_order", MAX_ORDER, 1),
+        bounces=settings.count("bounces", 1000),
+        precision=settings.choice("precision", ("bytes", "half", "single")),
+    )
+
+
+def may_rotate(settings: Settings, lamps: Lamps) -> bool:
+    """Whether the light may be turned: by default where there are no lamps, and never where there are."""
+    rotating = settings.flag("rotating", not lamps.any)
+    if rotating and lamps.any:
+        raise SceneError("Lamps stay where they are: leave out rotating = true, or the lamps.")
+    return rotating
 
 
 def open_volume(settings: Settings, base: Path) -> Volume:

@@ -1,7 +1,7 @@
 """The settings of a scene document, checked one by one as they are asked for."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from isogi_core.errors import SceneError
@@ -32,6 +32,13 @@ class Settings:
         if not isinstance(value, str):
             raise self._wrong(key, "a string")
         return value
+
+    def choice(self, key: str, among: Sequence[str]) -> str | None:
+        """One of some words, or None where the scene leaves it to the plan."""
+        value = self._get(key)
+        if value is not None and value not in among:
+            raise self._wrong(key, f"one of {', '.join(among)}")
+        return None if value is None else str(value)
 
     def flag(self, key: str, fallback: bool) -> bool:
         """True or false."""

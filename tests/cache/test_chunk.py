@@ -1,66 +1,65 @@
 import numpy as np
-import pytest
 
-from isogi_core.bake.light import SAMPLES, VOID, Light
-from isogi_core.cache.chunk import TEXELS, Chunk
+from isogi_core.bake.light import Light, Part
+from isogi_core.bake.precision import VOID
+from isogi_core.cache.chunk import Chunk
+from isogi_core.cache.record import TEXELS
 from isogi_core.kernels.lattice import CHUNK
-from isogi_core.model.plan import ScenePlan
-
-PLANS = (ScenePlan(2, 1, 1), ScenePlan(3, 3, 0))
-
-
-def filled(plan: ScenePlan, offsets: np.ndarray) -> Chunk:
-    planes = np.random.default_rng(1).random((len(offsets), len(plan.planes)), np.float32)
-    planes[:, SAMPLES] = 16.0
-    return Chunk((1, 0, 2), offsets.astype(np.int32), Light(plan, planes))
+from tests.bake.texels import same
+from tests.cache.chunks import PLAN
 
 
-@pytest.mark.parametrize("plan", PLANS)
-@pytest.mark.parametrize("offsets", [[], [0], [TEXELS - 1], [3, 17, 255, 256, 4095], range(TEXELS)])
-def test_a_block_gives_back_the_chunk_that_it_was_made_of(plan: ScenePlan, offsets: list[int]) -> None:
-    chunk = filled(plan, np.array(offsets, np.int32))
-    again = Chunk.from_block(chunk.index, plan, chunk.block())
-    assert again.index == (1, 0, 2)
-    np.testing.assert_array_equal(again.offsets, chunk.offsets)
-    np.testing.assert_array_equal(again.light.planes, chunk.light.planes)
-
-
-def test_a_block_is_nan_but_where_a_texel_is_baked() -> None:
-    chunk = filled(PLANS[0], np.array([5, 300]))
-    block = chunk.block()
-    assert block.shape == (CHUNK, CHUNK, CHUNK, len(PLANS[0].planes))
-    assert block.dtype == np.float32
-    baked = ~np.isnan(block).any(axis=-1)
-    assert np.argwhere(baked).tolist() == [[0, 0, 5], [1, 2, 12]]
-    assert np.isnan(block[~baked]).all()
-
-
-def test_dark_and_void_texels_are_baked_texels() -> None:
-    chunk = filled(PLANS[0], np.array([7, 8]))
-    chunk.light.planes[0] = 0.0
-    chunk.light.samples[1] = VOID
-    again = Chunk.from_block(chunk.index, PLANS[0], chunk.block())
-    assert again.offsets.tolist() == [7, 8]
-    assert again.light.samples.tolist() == [0.0, VOID]
+def filled(offsets: list[int]) -> Chunk:
+    """A chunk of random light, 16 samples a texel."""
+    rng = np.random.default_rng(1)
+    light = Light.dark(PLAN, len(offsets))
+    for part in light.parts:
+        part.samples[:] = 16
+        part.noise[:] = rng.random(part.noise.shape)
+        part.coefficients[:] = rng.random(part.coefficients.shape)
+    return Chunk((1, 0, 2), np.array(offsets, np.int32), light)
 
 
 def test_new_texels_come_dark_beside_the_old_ones() -> None:
-    chunk = filled(PLANS[0], np.array([10, 20, 30]))
+    chunk = filled([10, 20, 30])
     grown = chunk.with_texels(np.array([20, 5, 40], np.int32))
+    assert grown.index == chunk.index
     assert grown.offsets.tolist() == [5, 10, 20, 30, 40]
     assert grown.offsets.dtype == np.int32
-    np.testing.assert_array_equal(grown.light.planes[[1, 2, 3]], chunk.light.planes)
-    assert not grown.light.planes[[0, 4]].any()
+    assert same(grown.light.rows(np.array([1, 2, 3])), chunk.light)
+    assert same(grown.light.rows(np.array([0, 4])), Light.dark(PLAN, 2))
     assert chunk.offsets.tolist() == [10, 20, 30]
 
 
+def test_layers_meet_texel_by_texel() -> None:
+    """Each layer has texels of its own; where one lacks a texel, it is dark in that."""
+    direct, indirect = filled([3, 8, 11]).light.parts
+    indirect.samples[1] = VOID
+    found = [(np.array([3, 8, 11]), direct), (np.array([2, 8, 40]), indirect)]
+    chunk = Chunk.of_parts((0, 1, 2), PLAN.layers, found)
+    assert chunk.index == (0, 1, 2) and chunk.offsets.tolist() == [2, 3, 8, 11, 40] and chunk.offsets.dtype == np.int32
+    for (own, part), whole in zip(found, chunk.light.parts, strict=True):
+        rows = chunk.rows_of(own)
+        assert same(Light((whole.rows(rows),)), Light((part,)))
+        others = np.setdiff1d(np.arange(5), rows)
+        assert same(Light((whole.rows(others),)), Light((Part.dark(part.layer, 2),)))
+    assert chunk.light.samples.tolist() == [0, 0, VOID, 0, 0]
+
+
+def test_layers_without_texels_make_an_empty_chunk() -> None:
+    nothing = np.empty(0, np.int32)
+    found = [(nothing, part) for part in Light.dark(PLAN, 0).parts]
+    chunk = Chunk.of_parts((0, 0, 0), PLAN.layers, found)
+    assert chunk.offsets.size == 0 and len(chunk.light) == 0
+    assert same(chunk.light, Chunk.empty((0, 0, 0), PLAN).light)
+
+
 def test_rows_are_found_by_offset() -> None:
-    chunk = filled(PLANS[0], np.array([2, 9, 11, 4000]))
-    assert chunk.rows_of(np.array([4000, 2])).tolist() == [3, 0]
+    assert filled([2, 9, 11, 4000]).rows_of(np.array([4000, 2])).tolist() == [3, 0]
 
 
 def test_positions_are_lattice_indices() -> None:
-    chunk = Chunk.empty((2, 0, 1), PLANS[0])
+    chunk = Chunk.empty((2, 0, 1), PLAN)
     offsets = np.array([0, 1, CHUNK, CHUNK * CHUNK, TEXELS - 1])
     expected = [[32, 0, 16], [32, 0, 17], [32, 1, 16], [33, 0, 16], [47, 15, 31]]
     assert chunk.positions(offsets).tolist() == expected

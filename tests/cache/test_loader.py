@@ -6,14 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from isogi_core.bake.recipe import Index, Recipe
+from isogi_core.bake.look import Look
+from isogi_core.bake.recipe import Index
 from isogi_core.bake.refine import refine
 from isogi_core.cache import loader as loading
 from isogi_core.cache.loader import ASK_AGAIN, Loader
 from isogi_core.cache.pages import PagePool
 from isogi_core.cache.store import ChunkStore
 from isogi_core.errors import StoreError
-from isogi_core.model.scene import load_scene
+from tests.cache.chunks import file_of, look_of
 
 A, B, C = (0, 1, 1), (1, 1, 1), (2, 1, 1)
 
@@ -29,8 +30,8 @@ class Clock:
 
 
 @pytest.fixture(scope="module")
-def recipe() -> Recipe:
-    return Recipe(load_scene("demo:orbital", order=2, lattice=0.4, bounces=1, target_error=0.5))
+def look() -> Look:
+    return look_of()
 
 
 @pytest.fixture
@@ -41,14 +42,14 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
 
 
 @pytest.fixture
-def loader(tmp_path: Path, recipe: Recipe, clock: Clock) -> Loader:
-    return Loader(ChunkStore(tmp_path, recipe), PagePool(recipe, 1 << 22))
+def loader(tmp_path: Path, look: Look, clock: Clock) -> Loader:
+    return Loader(ChunkStore(tmp_path, look), PagePool(look, 1 << 22))
 
 
 def bake(loader: Loader, index: Index, texels: int = 20, samples: int = 16) -> str:
     """Do as a worker does; the mark of what is stored."""
     chunk = loader.store.load(index).with_texels(np.arange(texels, dtype=np.int32))
-    refine(chunk.light, chunk.positions(chunk.offsets), loader.store.recipe, samples, 1e-4)
+    refine(chunk.light, chunk.positions(chunk.offsets), loader.store.look, samples, 1e-4)
     loader.store.save(chunk)
     return mark(loader.store.load(index).light.transfer)
 
@@ -111,24 +112,34 @@ def test_new_light_is_read_as_soon_as_it_is_told(loader: Loader) -> None:
 
 def test_damage_is_absence_and_is_told(loader: Loader, clock: Clock, caplog: pytest.LogCaptureFixture) -> None:
     light = bake(loader, A)
-    path = Path(loader.store.path, "c", *map(str, A), "0")
-    whole = path.read_bytes()
-    path.write_bytes(whole[:-1])
+    paths = [file_of(layer, A) for layer in loader.store.layers]
+    whole = [path.read_bytes() for path in paths]
+    for path in paths:
+        path.write_bytes(path.read_bytes()[:-1])
     with caplog.at_level(logging.WARNING, "isogi.cache"):
         assert brought(loader, A) == ("",)
-    assert "checksum" in caplog.text
+    assert caplog.text.count("checksum") == 2
     assert transfer(loader, A) is None
     assert bake(loader, A) == light
     loader.refresh(A)
     assert brought(loader, A) == (light,)
-    assert path.read_bytes() == whole
+    assert [path.read_bytes() for path in paths] == whole
+
+
+def test_light_of_the_layers_that_are_there_is_shown(loader: Loader) -> None:
+    bake(loader, A)
+    file_of(loader.store.layers[1], A).unlink()
+    loader.ensure([A])
+    direct, indirect = loader.store.load(A).light.parts
+    assert direct.coefficients.any() and not indirect.samples.any()
+    np.testing.assert_array_equal(transfer(loader, A), direct.coefficients)
 
 
 def test_a_chunk_under_another_name_is_absent(loader: Loader) -> None:
     bake(loader, A)
     bake(loader, C)
-    folder = Path(loader.store.path, "c")
-    shutil.copyfile(folder.joinpath(*map(str, C), "0"), folder.joinpath(*map(str, A), "0"))
+    for layer in loader.store.layers:
+        shutil.copyfile(file_of(layer, C), file_of(layer, A))
     assert brought(loader, A) == ("",)
     assert transfer(loader, A) is None
 
@@ -136,7 +147,7 @@ def test_a_chunk_under_another_name_is_absent(loader: Loader) -> None:
 def test_a_deleted_store_reads_as_absent_and_never_as_zeros(loader: Loader) -> None:
     kept = bake(loader, A)
     loader.ensure([A])
-    shutil.rmtree(loader.store.root)
+    shutil.rmtree(loader.store.layers[0].root)
     assert brought(loader, A, B) == (kept, "")
     assert transfer(loader, B) is None
     assert bake(loader, B)
@@ -147,8 +158,8 @@ def test_a_deleted_store_reads_as_absent_and_never_as_zeros(loader: Loader) -> N
     np.testing.assert_array_equal(transfer(loader, B), loader.store.load(B).light.transfer)
 
 
-def test_a_view_that_does_not_fit_the_memory_is_an_error(tmp_path: Path, recipe: Recipe, clock: Clock) -> None:
-    small = Loader(ChunkStore(tmp_path, recipe), PagePool(recipe, 0))
+def test_a_view_that_does_not_fit_the_memory_is_an_error(tmp_path: Path, look: Look, clock: Clock) -> None:
+    small = Loader(ChunkStore(tmp_path, look), PagePool(look, 0))
     bake(small, A, texels=40)
     bake(small, B, texels=40)
     assert all(brought(small, A))
@@ -159,8 +170,9 @@ def test_a_view_that_does_not_fit_the_memory_is_an_error(tmp_path: Path, recipe:
 
 def test_a_store_that_cannot_be_read_is_an_error(loader: Loader) -> None:
     bake(loader, A)
-    Path(loader.store.path, "zarr.json").write_text("{")
-    recipe = loader.store.recipe
-    again = Loader(ChunkStore(loader.store.root, recipe), PagePool(recipe, 1 << 22))
+    layer = loader.store.layers[1]
+    Path(layer.path, "zarr.json").write_text("{")
+    look = loader.store.look
+    again = Loader(ChunkStore(layer.root, look), PagePool(look, 1 << 22))
     with pytest.raises(StoreError, match="move that folder away"):
         again.ensure([A])

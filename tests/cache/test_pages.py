@@ -1,39 +1,45 @@
 import threading
 from contextlib import ExitStack
+from typing import Any
 
 import numpy as np
 import pytest
 
-from isogi_core.bake.light import SAMPLES, VOID
-from isogi_core.bake.noise import relative_error
-from isogi_core.bake.recipe import Index, Recipe
-from isogi_core.cache.chunk import TEXELS, Chunk
-from isogi_core.cache.pages import FEWEST_CHUNKS, PAGE, PagePool
+from isogi_core.bake.look import Look
+from isogi_core.bake.noise import deviations, relative_error
+from isogi_core.bake.precision import VOID
+from isogi_core.bake.recipe import Index
+from isogi_core.cache.chunk import Chunk
+from isogi_core.cache.pages import FEWEST_CHUNKS, PAGE, PagePool, fewest_samples
+from isogi_core.cache.record import TEXELS
 from isogi_core.errors import StoreError
-from isogi_core.kernels.lattice import UNLIT, VOID_ROW
-from isogi_core.model.scene import load_scene
+from isogi_core.kernels.lattice import BURIED_ROW, UNLIT, VOID_ROW
+from isogi_core.model.plan import FEWEST
+from tests.cache.chunks import CONSTANT, look_of
 
 
 @pytest.fixture(scope="module")
-def recipe() -> Recipe:
-    return Recipe(load_scene("demo:orbital", order=2, lattice=0.4, bounces=1, target_error=0.5))
+def look() -> Look:
+    return look_of()
 
 
-def chunk_of(recipe: Recipe, index: Index, level: float, texels: int = 3 * PAGE) -> Chunk:
-    """A chunk whose every number is ``level``, but for the 16 samples of each texel."""
+def chunk_of(look: Look, index: Index, level: float, texels: int = 3 * PAGE) -> Chunk:
+    """A chunk whose every number is ``level``, but for the 16 samples of each texel and layer."""
     offsets = np.sort(np.random.default_rng(int(level)).choice(TEXELS, texels, replace=False))
-    chunk = Chunk.empty(index, recipe.scene.plan).with_texels(offsets)
-    chunk.light.planes[:] = level
-    chunk.light.samples[:] = 16.0
+    chunk = Chunk.empty(index, look.plan).with_texels(offsets)
+    for part in chunk.light.parts:
+        part.samples[:] = 16
+        part.noise[:] = level
+        part.coefficients[:] = level
     return chunk
 
 
-def pool_of(recipe: Recipe, pages: int) -> PagePool:
+def pool_of(look: Look, pages: int) -> PagePool:
     """A pool with room for so many pages."""
     budget = 0
-    while len((pool := PagePool(recipe, budget)).samples) < pages * PAGE:
+    while len((pool := PagePool(look, budget)).stamp) < pages * PAGE:
         budget += 1024
-    assert len(pool.samples) == pages * PAGE
+    assert len(pool.stamp) == pages * PAGE
     return pool
 
 
@@ -43,43 +49,74 @@ def rows_of(pool: PagePool, slot: int) -> np.ndarray:
 
 
 def levels(pool: PagePool, slot: int) -> set[float]:
-    """The different numbers that a reader of a slot finds."""
-    rows = rows_of(pool, slot)
-    return {*pool.spread[rows].ravel().tolist(), *(pool.transfer[rows] / 2.0).ravel().tolist()}
+    """The different levels that a reader of a slot finds."""
+    rows, layers = rows_of(pool, slot), pool.look.plan.layers
+    unit = np.sqrt(sum((pool.look.gains(layer) ** 2).sum() for layer in layers))
+    light, noise = pool.transfer[rows] / len(layers), np.round(pool.noise[rows] / unit, 3)
+    return {*light.ravel().tolist(), *noise.tolist()}
 
 
-def test_the_table_leads_each_texel_to_its_light(recipe: Recipe) -> None:
-    pool = PagePool(recipe, 1 << 22)
-    chunk = chunk_of(recipe, (1, 0, 2), 1.0, texels=150)
-    chunk.light.planes[:, SAMPLES + 1 :] = np.random.default_rng(0).random((150, chunk.light.planes.shape[1] - 1))
-    chunk.light.samples[[3, 77]] = VOID
+def test_the_table_leads_each_texel_to_its_light(look: Look) -> None:
+    pool = PagePool(look, 1 << 22)
+    chunk = chunk_of(look, (1, 0, 2), 1.0, texels=150)
+    rng = np.random.default_rng(0)
+    for part in chunk.light.parts:
+        part.noise[:] = rng.random(part.noise.shape)
+        part.coefficients[:] = rng.random(part.coefficients.shape)
+        part.samples[[3, 77]] = VOID
+    for part in chunk.light.parts:
+        part.samples[50], part.coefficients[50] = FEWEST, 0.0
     pool.insert(chunk)
     with pool.hold([(1, 0, 2)]) as (slots, _):
         table = pool.table[slots[0]]
         assert (table[np.setdiff1d(np.arange(TEXELS), chunk.offsets)] == UNLIT).all()
-        assert table[chunk.offsets[[3, 77]]].tolist() == [VOID_ROW, VOID_ROW]
-        lit = np.flatnonzero(chunk.light.samples > 0)
+        assert table[chunk.offsets[[3, 50, 77]]].tolist() == [VOID_ROW, BURIED_ROW, VOID_ROW]
+        lit = np.setdiff1d(np.arange(150), [3, 50, 77])
         rows = table[chunk.offsets[lit]]
-        assert len(set(rows.tolist())) == 148
+        assert len(set(rows.tolist())) == 147
         np.testing.assert_array_equal(pool.transfer[rows], chunk.light.transfer[lit])
-        np.testing.assert_array_equal(pool.spread[rows], chunk.light.spread[lit])
-        np.testing.assert_array_equal(pool.vicinity[rows, 0, 0], chunk.light.direct[lit, 0])
-        np.testing.assert_array_equal(pool.samples[rows], 16.0)
-        np.testing.assert_array_equal(pool.error[rows], np.float32(relative_error(chunk.light, recipe)[lit]))
+        noise = np.sqrt((deviations(chunk.light, look) ** 2).sum(axis=0))
+        np.testing.assert_array_equal(pool.noise[rows], np.float32(noise[lit]))
+        np.testing.assert_array_equal(pool.error[rows], np.float32(relative_error(chunk.light, look)[lit]))
+        assert (fewest_samples(pool.stamp[rows], 2) == 16).all()
 
 
-def test_an_absent_chunk_has_no_slot(recipe: Recipe) -> None:
-    pool = PagePool(recipe, 1 << 22)
-    pool.insert(chunk_of(recipe, (0, 0, 1), 1.0))
+@pytest.mark.parametrize(
+    ("settings", "shape"),
+    [
+        ({}, (1, 4)),
+        ({"albedo": [0.1, 0.2, 0.3]}, (3, 4)),
+        ({"lights": [CONSTANT]}, (1, 1)),
+        ({"shading": "vicinity"}, (1, 1)),
+    ],
+)
+def test_a_pool_keeps_what_frames_of_its_look_read_and_no_more(
+    settings: dict[str, Any], shape: tuple[int, int]
+) -> None:
+    """Vicinity shading reads band 0 alone, out of a layer that has more."""
+    look = look_of(**settings)
+    pool = PagePool(look, 1 << 22)
+    chunk = chunk_of(look, (0, 0, 0), 1.0, texels=20)
+    for part in chunk.light.parts:
+        part.coefficients[:] = np.random.default_rng(1).random(part.coefficients.shape)
+    pool.insert(chunk)
+    assert pool.transfer.shape[1:] == shape
+    with pool.hold([(0, 0, 0)]) as (slots, _):
+        np.testing.assert_array_equal(pool.transfer[rows_of(pool, slots[0])], chunk.light.transfer[:, :, : shape[1]])
+
+
+def test_an_absent_chunk_has_no_slot(look: Look) -> None:
+    pool = PagePool(look, 1 << 22)
+    pool.insert(chunk_of(look, (0, 0, 1), 1.0))
     with pool.hold([(0, 0, 0), (0, 0, 1)]) as (slots, _):
         assert slots.dtype == np.int32
         assert slots[0] == -1
         assert slots[1] >= 0
 
 
-def test_an_empty_chunk_is_unlit_everywhere(recipe: Recipe) -> None:
-    pool = PagePool(recipe, 1 << 22)
-    pool.insert(Chunk.empty((0, 0, 0), recipe.scene.plan))
+def test_an_empty_chunk_is_unlit_everywhere(look: Look) -> None:
+    pool = PagePool(look, 1 << 22)
+    pool.insert(Chunk.empty((0, 0, 0), look.plan))
     with pool.hold([(0, 0, 0)]) as (slots, _):
         assert (pool.table[slots[0]] == UNLIT).all()
 
@@ -87,135 +124,134 @@ def test_an_empty_chunk_is_unlit_everywhere(recipe: Recipe) -> None:
 @pytest.mark.parametrize("order", [2, 5])
 @pytest.mark.parametrize("budget", [1 << 21, 10_000_000, 1 << 26])
 def test_the_arrays_stay_within_the_budget(order: int, budget: int) -> None:
-    recipe = Recipe(load_scene("demo:orbital", order=order, lattice=0.25))
-    pool = PagePool(recipe, budget)
-    arrays = (pool.transfer, pool.spread, pool.vicinity, pool.error, pool.samples, pool.table)
+    pool = PagePool(look_of(order=order, lattice=0.25), budget)
+    arrays = (pool.transfer, pool.noise, pool.error, pool.stamp, pool.table)
     assert 0.9 * budget < sum(array.nbytes for array in arrays) <= budget
 
 
-def test_a_chunk_is_missing_until_it_is_there_and_when_it_is_outdated(recipe: Recipe) -> None:
-    pool = PagePool(recipe, 1 << 22)
+def test_a_chunk_is_missing_until_it_is_there_and_when_it_is_outdated(look: Look) -> None:
+    pool = PagePool(look, 1 << 22)
     assert pool.missing([(0, 0, 0)])
     pool.outdate((0, 0, 0))
-    pool.insert(chunk_of(recipe, (0, 0, 0), 1.0))
+    pool.insert(chunk_of(look, (0, 0, 0), 1.0))
     assert not pool.missing([(0, 0, 0)])
     pool.outdate((0, 0, 0))
     assert pool.missing([(0, 0, 0)])
     with pool.hold([(0, 0, 0)]) as (slots, _):
         assert levels(pool, slots[0]) == {1.0}
-    pool.insert(chunk_of(recipe, (0, 0, 0), 2.0))
+    pool.insert(chunk_of(look, (0, 0, 0), 2.0))
     assert not pool.missing([(0, 0, 0)])
     with pool.hold([(0, 0, 0)]) as (slots, _):
         assert levels(pool, slots[0]) == {2.0}
 
 
-def test_pages_are_filled_upwards_also_when_they_are_used_again(recipe: Recipe) -> None:
-    pool = PagePool(recipe, 1 << 22)
+def test_pages_are_filled_upwards_also_when_they_are_used_again(look: Look) -> None:
+    pool = PagePool(look, 1 << 22)
     for level in range(5):
-        pool.insert(chunk_of(recipe, (0, 0, 0), level))
-        pool.insert(chunk_of(recipe, (0, 0, 1), level))
+        pool.insert(chunk_of(look, (0, 0, 0), level))
+        pool.insert(chunk_of(look, (0, 0, 1), level))
         with pool.hold([(0, 0, 0), (0, 0, 1)]) as (slots, _):
             assert all((np.diff(rows_of(pool, slot)) == 1).all() for slot in slots)
 
 
-def test_the_longest_unused_chunk_makes_room(recipe: Recipe) -> None:
-    pool = pool_of(recipe, 9)
+def test_the_longest_unused_chunk_makes_room(look: Look) -> None:
+    pool = pool_of(look, 9)
     for i in range(3):
-        pool.insert(chunk_of(recipe, (0, 0, i), i))
+        pool.insert(chunk_of(look, (0, 0, i), i))
     with pool.hold([(0, 0, 0)]):
         pass
-    pool.insert(chunk_of(recipe, (1, 1, 1), 9.0))
+    pool.insert(chunk_of(look, (1, 1, 1), 9.0))
     assert pool.missing([(0, 0, i) for i in range(3)]) == [(0, 0, 1)]
 
 
-def test_few_slots_are_shared_too(recipe: Recipe) -> None:
-    pool = pool_of(recipe, 9)
+def test_few_slots_are_shared_too(look: Look) -> None:
+    pool = pool_of(look, 9)
     for i in range(FEWEST_CHUNKS + 1):
-        pool.insert(Chunk.empty((0, 0, i), recipe.scene.plan))
+        pool.insert(Chunk.empty((0, 0, i), look.plan))
     assert pool.missing([(0, 0, 0)])
     assert not pool.missing([(0, 0, i) for i in range(1, FEWEST_CHUNKS + 1)])
 
 
-def test_held_chunks_are_not_evicted(recipe: Recipe) -> None:
-    pool = pool_of(recipe, 9)
+def test_held_chunks_are_not_evicted(look: Look) -> None:
+    pool = pool_of(look, 9)
     for i in range(3):
-        pool.insert(chunk_of(recipe, (0, 0, i), i))
+        pool.insert(chunk_of(look, (0, 0, i), i))
     with pool.hold([(0, 0, 0), (0, 0, 2)]) as (slots, _):
         for i in range(3, 8):
-            pool.insert(chunk_of(recipe, (0, 0, i), i))
+            pool.insert(chunk_of(look, (0, 0, i), i))
         assert levels(pool, slots[0]) == {0.0}
         assert levels(pool, slots[1]) == {2.0}
         assert not pool.missing([(0, 0, 0)])
     assert pool.missing([(0, 0, 1)])
 
 
-def test_holding_pins_the_rows_while_newer_versions_come(recipe: Recipe) -> None:
-    pool = pool_of(recipe, 9)
-    pool.insert(chunk_of(recipe, (0, 0, 0), 1.0))
+def test_holding_pins_the_rows_while_newer_versions_come(look: Look) -> None:
+    pool = pool_of(look, 9)
+    pool.insert(chunk_of(look, (0, 0, 0), 1.0))
     with pool.hold([(0, 0, 0)]) as (first, _):
         rows = rows_of(pool, first[0])
         for level in range(2, 20):
-            pool.insert(chunk_of(recipe, (0, 0, 0), level))
+            pool.insert(chunk_of(look, (0, 0, 0), level))
         assert levels(pool, first[0]) == {1.0}
         np.testing.assert_array_equal(rows_of(pool, first[0]), rows)
         with pool.hold([(0, 0, 0)]) as (second, _):
             assert levels(pool, second[0]) == {19.0}
-    pool.insert(chunk_of(recipe, (1, 1, 1), 5.0, texels=6 * PAGE))
+    pool.insert(chunk_of(look, (1, 1, 1), 5.0, texels=6 * PAGE))
     assert not pool.missing([(0, 0, 0)])
 
 
-def test_held_twice_is_freed_once(recipe: Recipe) -> None:
-    pool = pool_of(recipe, 4)
-    pool.insert(chunk_of(recipe, (0, 0, 0), 1.0, texels=2 * PAGE))
+def test_held_twice_is_freed_once(look: Look) -> None:
+    pool = pool_of(look, 4)
+    pool.insert(chunk_of(look, (0, 0, 0), 1.0, texels=2 * PAGE))
     with pool.hold([(0, 0, 0)]) as (outer, _):
         with pool.hold([(0, 0, 0)]):
-            pool.insert(chunk_of(recipe, (0, 0, 0), 2.0, texels=2 * PAGE))
+            pool.insert(chunk_of(look, (0, 0, 0), 2.0, texels=2 * PAGE))
         with pytest.raises(StoreError):
-            pool.insert(chunk_of(recipe, (1, 0, 0), 3.0, texels=4 * PAGE))
+            pool.insert(chunk_of(look, (1, 0, 0), 3.0, texels=4 * PAGE))
         assert levels(pool, outer[0]) == {1.0}
-    pool.insert(chunk_of(recipe, (1, 0, 0), 4.0, texels=4 * PAGE))
+    pool.insert(chunk_of(look, (1, 0, 0), 4.0, texels=4 * PAGE))
     assert not pool.missing([(1, 0, 0)])
 
 
-def test_a_view_that_cannot_fit_is_told_so(recipe: Recipe) -> None:
-    pool = pool_of(recipe, 6)
+def test_a_view_that_cannot_fit_is_told_so(look: Look) -> None:
+    pool = pool_of(look, 6)
     wanted: list[Index] = [(0, 0, 0), (0, 0, 1), (0, 0, 2)]
-    pool.insert(chunk_of(recipe, (2, 2, 2), 7.0))
-    pool.insert(chunk_of(recipe, wanted[0], 1.0), wanted)
-    pool.insert(chunk_of(recipe, wanted[1], 2.0), wanted)
+    pool.insert(chunk_of(look, (2, 2, 2), 7.0))
+    pool.insert(chunk_of(look, wanted[0], 1.0), wanted)
+    pool.insert(chunk_of(look, wanted[1], 2.0), wanted)
     assert pool.missing([(2, 2, 2)])
     with pytest.raises(
         StoreError, match=r"does not fit the memory for 384 texels: ask for .* or give light more memory\.$"
     ):
-        pool.insert(chunk_of(recipe, wanted[2], 3.0), wanted)
+        pool.insert(chunk_of(look, wanted[2], 3.0), wanted)
     assert pool.missing(wanted) == [wanted[2]]
-    pool.insert(chunk_of(recipe, wanted[1], 4.0), wanted)
+    pool.insert(chunk_of(look, wanted[1], 4.0), wanted)
     assert not pool.missing([wanted[1]])
 
 
-def test_a_chunk_larger_than_the_pool_is_refused_and_harms_nothing_held(recipe: Recipe) -> None:
-    pool = pool_of(recipe, 4)
-    pool.insert(chunk_of(recipe, (0, 0, 0), 1.0, texels=PAGE))
+def test_a_chunk_larger_than_the_pool_is_refused_and_harms_nothing_held(look: Look) -> None:
+    pool = pool_of(look, 4)
+    pool.insert(chunk_of(look, (0, 0, 0), 1.0, texels=PAGE))
     with pool.hold([(0, 0, 0)]) as (slots, _):
         with pytest.raises(StoreError):
-            pool.insert(chunk_of(recipe, (0, 0, 1), 2.0, texels=4 * PAGE))
+            pool.insert(chunk_of(look, (0, 0, 1), 2.0, texels=4 * PAGE))
         assert levels(pool, slots[0]) == {1.0}
 
 
-def test_a_chunk_that_cannot_fit_drops_nothing(recipe: Recipe) -> None:
-    pool = pool_of(recipe, 6)
+def test_a_chunk_that_cannot_fit_drops_nothing(look: Look) -> None:
+    pool = pool_of(look, 6)
     spare: list[Index] = [(0, 0, 0), (0, 0, 1)]
     for index in spare:
-        pool.insert(chunk_of(recipe, index, 1.0, texels=PAGE))
+        pool.insert(chunk_of(look, index, 1.0, texels=PAGE))
     with pytest.raises(StoreError):
-        pool.insert(chunk_of(recipe, (1, 1, 1), 2.0, texels=7 * PAGE))
+        pool.insert(chunk_of(look, (1, 1, 1), 2.0, texels=7 * PAGE))
     assert not pool.missing(spare)
 
 
-def test_readers_among_writers_see_whole_versions(recipe: Recipe) -> None:
-    pool = pool_of(recipe, 64)
+def test_readers_among_writers_see_whole_versions(look: Look) -> None:
+    pool = pool_of(look, 64)
     indices: list[Index] = [(0, 0, i) for i in range(6)]
-    versions = [chunk_of(recipe, (0, 0, 0), level, texels=PAGE) for level in range(1, 9)]
+    versions = [chunk_of(look, (0, 0, 0), level, texels=PAGE) for level in range(1, 9)]
     wrong: list[set[float]] = []
     seen: set[float] = set()
     stop = threading.Event()
@@ -248,20 +284,20 @@ def test_readers_among_writers_see_whole_versions(recipe: Recipe) -> None:
     assert not wrong
     assert len(seen) > 1
     with ExitStack() as held:
-        pool.insert(chunk_of(recipe, (1, 1, 1), 3.0, texels=TEXELS))  # all pages are free again
+        pool.insert(chunk_of(look, (1, 1, 1), 3.0, texels=TEXELS))  # all pages are free again
         held.enter_context(pool.hold([(1, 1, 1)]))
         with pytest.raises(StoreError):
             pool.insert(versions[0])
 
 
-def test_the_age_tells_when_what_was_looked_up_may_have_changed(recipe: Recipe) -> None:
-    pool = PagePool(recipe, 1 << 22)
+def test_the_age_tells_when_what_was_looked_up_may_have_changed(look: Look) -> None:
+    pool = PagePool(look, 1 << 22)
     index = (0, 0, 0)
     assert pool.missing([index]) == [index]
     ages = []
     for changed in (True, False, True):
         if changed:
-            pool.insert(Chunk.empty(index, recipe.scene.plan))
+            pool.insert(Chunk.empty(index, look.plan))
         with pool.hold([index]) as held:
             ages.append(held.age)
     assert ages[0] == ages[1] < ages[2]

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from isogi_core.bake.precision import FIRST_RUNG
 from isogi_core.bake.recipe import Recipe
-from isogi_core.bake.refine import FIRST_RUNG, refine
+from isogi_core.bake.refine import refine
+from isogi_core.cache.caches import Caches
 from isogi_core.cache.loader import Loader
-from isogi_core.cache.pages import PagePool
-from isogi_core.cache.store import ChunkStore
 from isogi_core.files.radiance import write_hdr
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.renderer import Renderer
@@ -23,23 +23,25 @@ from isogi_core.frame.texels import Demand
 from isogi_core.frame.tiles import Tiles
 from isogi_core.model.environment import pixel_directions
 from isogi_core.model.scene import Scene, load_scene
+from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import View
 from isogi_core.model.volume import Volume, make_volume
 
 CONSTANT = {"type": "constant", "radiance": 1.0}
 SKY = {"type": "sky", "sun_azimuth": 30.0, "sun_elevation": 50.0}
+LOOSE = 0.1
+"""Target error of scenes that must bake fast."""
 
 
 class Workbench:
-    """One scene, the store of its light in a folder, and a renderer that reads it."""
+    """One scene, the caches of its light in a folder, and a renderer that reads them."""
 
     def __init__(self, scene: Scene, folder: Path) -> None:
         self.scene = scene
         self.folder = folder
         self.recipe = Recipe(scene)
-        self.store = ChunkStore(folder, self.recipe)
-        self.loader = Loader(self.store, PagePool(self.recipe, 1 << 28))
-        self.renderer = Renderer(self.recipe, self.loader, Tiles())
+        self.caches = Caches(self.recipe, folder, 1 << 28)
+        self.renderer = Renderer(self.caches, Tiles())
 
     def again(self) -> "Workbench":
         """Everything built anew over the same store, as after a restart."""
@@ -55,15 +57,50 @@ class Workbench:
         rung, frame = FIRST_RUNG, self.renderer.render(view, target)
         with ThreadPoolExecutor(os.cpu_count()) as threads:
             while frame.demands:
-                list(threads.map(partial(self._refine, rung, target or self.scene.target_error), frame.demands))
+                loader = self.caches.of(view.shading)
+                list(threads.map(partial(refine_chunk, loader, rung, target or self.scene.target_error), frame.demands))
                 rung, frame = 2 * rung, self.renderer.render(view, target)
         return frame
 
-    def _refine(self, rung: int, target: float, demand: Demand) -> None:
-        chunk = self.store.load(demand.index).with_texels(demand.offsets)
-        refine(chunk.light, chunk.positions(chunk.offsets), self.recipe, rung, target)
-        self.store.save(chunk)
-        self.loader.refresh(demand.index)
+    @property
+    def layers(self) -> set[str]:
+        """Folders of the layers that were baked."""
+        return {path.parent.name for path in self.folder.glob("*/c")}
+
+
+def refine_chunk(loader: Loader, rung: int, target: float, demand: Demand) -> None:
+    """Do as a worker does."""
+    store = loader.store
+    chunk = store.load(demand.index).with_texels(demand.offsets)
+    rows = chunk.rows_of(demand.offsets)
+    light = chunk.light.rows(rows)
+    refine(light, chunk.positions(demand.offsets), store.look, rung, target)
+    chunk.light.put(rows, light)
+    store.save(chunk)
+    loader.refresh(demand.index)
+
+
+@pytest.fixture(scope="session")
+def orbital(tmp_path_factory: pytest.TempPathFactory) -> Workbench:
+    """The orbital under a sky; `view()` is baked to a tenth."""
+    bench = Workbench(
+        load_scene("demo:orbital", lights=[SKY], albedo=[0.8, 0.6, 0.4], bounces=2, target_error=LOOSE),
+        tmp_path_factory.mktemp("orbital"),
+    )
+    bench.bake(bench.view())
+    return bench
+
+
+@pytest.fixture(scope="session")
+def calm(tmp_path_factory: pytest.TempPathFactory) -> Workbench:
+    """The orbital under constant light, white as snow, its direct and indirect light apart; `view()` is baked."""
+    kept = {"representation": "transfer", "order": 1}
+    bench = Workbench(
+        load_scene("demo:orbital", lights=[CONSTANT], albedo=0.9, bounces=3, target_error=LOOSE, **kept),
+        tmp_path_factory.mktemp("calm"),
+    )
+    bench.bake(bench.view())
+    return bench
 
 
 @pytest.fixture
@@ -90,3 +127,15 @@ def ball(size: int = 40, radius: float = 12.0, spacing: tuple[float, float, floa
     x, y, z = (np.arange(round(size / step) + 1) * step - size / 2 for step in spacing)
     away = np.sqrt(x[None, None, :] ** 2 + y[None, :, None] ** 2 + z[:, None, None] ** 2)
     return make_volume((radius - away).astype(np.float32), spacing, name="ball")
+
+
+def luminance(frame: Frame) -> np.ndarray:
+    """Luminance of the surface pixels, float64."""
+    return frame.radiance[frame.state > 0].astype(np.float64) @ LUMINANCE
+
+
+def relative_rmse(frame: Frame, reference: Frame) -> float:
+    """RMSE of the luminance over the surface pixels, over the reference's mean."""
+    assert np.array_equal(frame.state > 0, reference.state > 0)
+    wrong = luminance(frame) - luminance(reference)
+    return float(np.sqrt((wrong**2).mean()) / luminance(reference).mean())

@@ -1,43 +1,69 @@
+import json
 import subprocess
 import sys
+from typing import Any
 
 import pytest
 from numba import config
 
+from isogi_core.frame.kernels import FRAME, frame_kernels
+from isogi_core.kernels.harmonics import rotate
+from isogi_core.kernels.lamps import project_lamps
+from isogi_core.model.scene import Scene, load_scene
+
+CONSTANT = {"lights": [{"type": "constant"}]}
+FIXED = {"lights": [{"type": "sky"}], "rotating": False, "representation": "transfer"}
+TURNING = {"lights": [{"type": "sky"}]}
+LAMP = {"lights": [{"type": "constant"}, {"type": "directional", "azimuth": 30.0, "elevation": 50.0}]}
 RENDER = """\
-import sys, tempfile
+import json, sys, tempfile
 from isogi_core.bake.recipe import Recipe
-from isogi_core.cache.loader import Loader
-from isogi_core.cache.pages import PagePool
-from isogi_core.cache.store import ChunkStore
+from isogi_core.cache.caches import Caches
 from isogi_core.frame.film import develop
-from isogi_core.frame.kernels import FRAME
+from isogi_core.frame.kernels import frame_kernels
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels._jit import Entry
+from isogi_core.kernels.lamps import project_lamps
 from isogi_core.model.scene import load_scene
-from isogi_core.model.view import View
+from isogi_core.model.view import View, quaternion_from_angles
 
 modules = [module for name, module in sys.modules.items() if name.startswith("isogi_core.kernels.")]
 entries = {kernel.name: kernel for module in modules for kernel in vars(module).values() if isinstance(kernel, Entry)}
 assert not any(kernel.loaded for kernel in entries.values())
-scene = load_scene("demo:orbital", lattice=0.4, lights=[{"type": "sky"}])
-recipe = Recipe(scene)
+scene = load_scene("demo:orbital", lattice=0.4, **json.loads(sys.argv[1]))
+light = quaternion_from_angles(30.0, 0.0, 0.0) if scene.rotating else (1.0, 0.0, 0.0, 0.0)
 with tempfile.TemporaryDirectory() as store:
-    renderer = Renderer(recipe, Loader(ChunkStore(store, recipe), PagePool(recipe, 1 << 26)), Tiles())
-    view = View(scene.isovalue, scene.camera(30, 20, 3, 30), width=20, height=20)
+    renderer = Renderer(Caches(Recipe(scene), store, 1 << 26), Tiles())
+    view = View(scene.isovalue, scene.camera(30, 20, 3, 30), width=20, height=20, light=light)
     frame = renderer.render(view)
     assert frame.provisional and frame.demands
     develop(frame, 1.0)
-    recipe.bricks(0.5, 0.5)
 called = {name for name, kernel in entries.items() if kernel.loaded}
-listed = {kernel.name for kernel in FRAME}
+listed = {kernel.name for kernel in frame_kernels([scene])}
 sys.exit(f"called but not listed: {called - listed}, listed but not called: {listed - called}")
 """
 
 
+def scene_of(settings: dict[str, Any]) -> Scene:
+    return load_scene("demo:orbital", **settings)
+
+
 @pytest.mark.skipif(bool(config.DISABLE_JIT), reason="Numba is switched off: nothing is compiled")
-def test_the_kernels_of_a_frame_are_those_that_are_called() -> None:
+@pytest.mark.parametrize("settings", [CONSTANT, FIXED, TURNING, LAMP], ids=["constant", "fixed", "turning", "lamp"])
+def test_the_kernels_of_a_frame_are_those_that_are_called(settings: dict[str, Any]) -> None:
     """In a process of its own, which has loaded no kernel yet."""
-    done = subprocess.run([sys.executable, "-c", RENDER], capture_output=True, text=True, check=False)
+    command = [sys.executable, "-c", RENDER, json.dumps(settings)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.stderr.splitlines()[-1] == "called but not listed: set(), listed but not called: set()", done.stderr
+
+
+def test_harmonics_are_for_lights_that_have_some_and_turn_and_for_lamps() -> None:
+    spared = [set(FRAME) - {*frame_kernels([scene_of(settings)])} for settings in (CONSTANT, FIXED, TURNING, LAMP)]
+    assert spared == [{rotate, project_lamps}, {rotate, project_lamps}, {project_lamps}, {rotate}]
+
+
+def test_scenes_together_need_what_any_of_them_needs() -> None:
+    assert frame_kernels([scene_of(LAMP), scene_of(TURNING)]) == FRAME
+    assert rotate not in frame_kernels([scene_of(CONSTANT), scene_of(FIXED)])
+    assert frame_kernels([]) == ()

@@ -1,5 +1,6 @@
-"""Frames: served at once, provisional until their light is baked, and then as good as the path tracer."""
+"""Frames: served at once, provisional until their light is baked, and then one picture for one store."""
 
+import shutil
 import threading
 from collections.abc import Callable
 from dataclasses import replace
@@ -9,56 +10,20 @@ from typing import Any
 import numpy as np
 import pytest
 
+from isogi_core.cache.chunk import Chunk
 from isogi_core.errors import Cancelled
 from isogi_core.frame import gbuffer as gbuffer_module
 from isogi_core.frame import renderer as renderer_module
-from isogi_core.frame.frame import Frame
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.planes import CONVERGING, FINAL, PROVISIONAL
 from isogi_core.model.scene import load_scene
-from isogi_core.model.sky import LUMINANCE
-from isogi_core.model.view import IDENTITY, SHADINGS, View, quaternion_from_angles
+from isogi_core.model.view import IDENTITY, SHADINGS, quaternion_from_angles
 from isogi_core.model.volume import make_volume
-from tests.frame.conftest import CONSTANT, SKY, Workbench, ball, scene_of, soft_probe
+from tests.frame.conftest import LOOSE, SKY, Workbench, ball, luminance, relative_rmse, scene_of, soft_probe
 
 Make = Callable[..., Workbench]
 TURN = quaternion_from_angles(70.0, 20.0, -10.0)
-LOOSE = 0.1
-
-
-def luminance(frame: Frame) -> np.ndarray:
-    """Luminance of the surface pixels, float64."""
-    return frame.radiance[frame.state > 0].astype(np.float64) @ LUMINANCE
-
-
-def relative_rmse(frame: Frame, reference: Frame) -> float:
-    """RMSE of the luminance over the surface pixels, over the reference's mean."""
-    assert np.array_equal(frame.state > 0, reference.state > 0)
-    wrong = luminance(frame) - luminance(reference)
-    return float(np.sqrt((wrong**2).mean()) / luminance(reference).mean())
-
-
-@pytest.fixture(scope="module")
-def orbital(tmp_path_factory: pytest.TempPathFactory) -> Workbench:
-    """The orbital under a sky; `view()` is baked to a tenth."""
-    bench = Workbench(
-        load_scene("demo:orbital", lights=[SKY], albedo=[0.8, 0.6, 0.4], bounces=2, target_error=LOOSE),
-        tmp_path_factory.mktemp("orbital"),
-    )
-    bench.bake(bench.view())
-    return bench
-
-
-@pytest.fixture(scope="module")
-def calm(tmp_path_factory: pytest.TempPathFactory) -> Workbench:
-    """The orbital under constant light, white as snow; `view()` is baked."""
-    bench = Workbench(
-        load_scene("demo:orbital", lights=[CONSTANT], albedo=0.9, bounces=3, target_error=LOOSE),
-        tmp_path_factory.mktemp("calm"),
-    )
-    bench.bake(bench.view())
-    return bench
 
 
 # --- provisional, final -----------------------------------------------------------------------------------------
@@ -73,7 +38,7 @@ def test_before_the_bake_a_frame_is_provisional_and_never_black(workbench: Make)
     assert frame.provisional and frame.coverage == {"final": 0.0, "converging": 0.0, "provisional": 1.0}
     assert (frame.error[on] == 1.0).all() and frame.estimated_error == 1.0
     assert frame.chunks_final == 0 < frame.chunks_needed == len(frame.demands)
-    assert bench.store.read(frame.demands[0].index) is None, "a frame bakes nothing"
+    assert bench.layers == set(), "a frame bakes nothing"
 
 
 def test_after_the_bake_a_frame_is_final(orbital: Workbench) -> None:
@@ -115,12 +80,34 @@ def test_demands_name_the_texels_that_pixels_read_most_seen_first_known(workbenc
     bench = workbench(scene_of(ball(), 0.0, bounces=0))
     view = bench.view(size=48)
     frame = bench.renderer.render(view)
-    places = np.concatenate([bench.store.load(d.index).positions(d.offsets) for d in frame.demands])
+    places = np.concatenate([Chunk.empty(d.index, bench.scene.plan).positions(d.offsets) for d in frame.demands])
     assert len(np.unique(places, axis=0)) == len(places)
     points = bench.renderer.gbuffer(view).points
     corners = np.floor(points).astype(int)[:, ::-1][:, None] + np.array(list(np.ndindex(2, 2, 2)))
     assert set(map(tuple, places)) == set(map(tuple, corners.reshape(-1, 3)))
     assert all(demand.area > 0.0 for demand in frame.demands)
+
+
+def test_light_of_one_layer_is_shown_and_provisional(workbench: Make) -> None:
+    """The indirect layer is lost: the frame is that of direct light alone, and wants the rest."""
+    settings = {"lights": [SKY], "target_error": LOOSE}
+    bench = workbench(load_scene("demo:orbital", bounces=2, **settings))
+    view = bench.view(size=32)
+    whole = bench.bake(view)
+    direct, indirect = bench.caches.of("gi").store.layers
+    shutil.rmtree(Path(indirect.path, "c"))
+    frame = bench.again().renderer.render(view)
+    on = frame.state > 0
+    assert (frame.state[on] == PROVISIONAL).all() and (frame.error[on] == 1.0).all()
+    assert len(frame.demands) == frame.chunks_needed and frame.version != whole.version
+    alone = Workbench(load_scene("demo:orbital", bounces=0, **settings), bench.folder)
+    assert [layer.path for layer in alone.caches.of("gi").store.layers] == [direct.path]
+    direct_light = alone.renderer.render(view).radiance
+    assert (frame.radiance <= direct_light).all(), "where no path left, more of them may: not buried yet"
+    assert (frame.radiance[on] == direct_light[on]).mean() > 0.9
+    assert luminance(frame).sum() < 0.99 * luminance(whole).sum()
+    again = bench.again()
+    assert not again.bake(view).provisional and again.layers == bench.layers
 
 
 def test_a_picture_without_surface_is_final_and_empty(workbench: Make) -> None:
@@ -211,7 +198,7 @@ def test_the_pool_is_looked_through_once_for_a_view_until_it_changes(
 
 
 def test_pictures_do_not_depend_on_the_number_of_threads(orbital: Workbench) -> None:
-    other = Renderer(orbital.recipe, orbital.loader, Tiles(5))
+    other = Renderer(orbital.caches, Tiles(5))
     for shading in ("gi", "vicinity", "phong_shadow", "path_traced"):
         view = orbital.view(shading=shading, samples=4)
         frames = [renderer.render(view) for renderer in (orbital.renderer, other)]
@@ -259,114 +246,3 @@ def test_nobody_waits_for_a_cancelled_frame(orbital: Workbench) -> None:
         with pytest.raises(Cancelled):
             orbital.again().renderer.render(orbital.view(shading=shading), cancelled=cancelled)
     assert orbital.renderer.render(orbital.view()).coverage["final"] == 1.0
-
-
-# --- what the light is ----------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("albedo", [0.3, [0.9, 0.5, 0.1]])
-@pytest.mark.parametrize("shading", ["gi", "vicinity", "path_traced"])
-def test_a_convex_surface_under_constant_light_shows_its_albedo(shading: str, albedo: Any, workbench: Make) -> None:
-    bench = workbench(scene_of(ball(), 0.0, albedo=albedo, bounces=3))
-    view = bench.view(size=40, shading=shading, samples=64)
-    frame = bench.bake(view)
-    on = frame.state > 0
-    np.testing.assert_allclose(frame.radiance[on].mean(axis=0), np.broadcast_to(albedo, 3), rtol=0.005)
-    np.testing.assert_allclose(frame.radiance[on], np.broadcast_to(albedo, (on.sum(), 3)), rtol=0.05)
-
-
-def test_provisional_light_of_a_convex_surface_is_already_right(workbench: Make) -> None:
-    bench = workbench(scene_of(ball(), 0.0, albedo=0.4))
-    frame = bench.renderer.render(bench.view(size=40))
-    np.testing.assert_allclose(frame.radiance[frame.state > 0], 0.4, rtol=1e-5)
-
-
-def test_reflected_light_only_adds(calm: Workbench) -> None:
-    """Under constant light of 1: 0 <= vicinity <= gi <= albedo, and the difference is what bounces."""
-    gi, vicinity = (calm.renderer.render(calm.view(shading=s)).radiance for s in ("gi", "vicinity"))
-    assert (vicinity >= 0.0).all() and (vicinity <= gi + 1e-6).all() and (gi <= 0.9 + 1e-5).all()
-    assert gi.sum() > 1.02 * vicinity.sum()
-
-
-def test_vicinity_does_not_turn(orbital: Workbench) -> None:
-    plain, turned = (orbital.renderer.render(orbital.view(shading="vicinity", light=q)) for q in (IDENTITY, TURN))
-    np.testing.assert_allclose(plain.radiance, turned.radiance, rtol=1e-5)
-
-
-@pytest.mark.parametrize("shading", [s for s in SHADINGS if s.startswith(("lambert", "phong"))])
-def test_local_models_need_no_light_from_the_cache(shading: str, workbench: Make) -> None:
-    bench = workbench(load_scene("demo:orbital", lights=[SKY]))
-    frame = bench.renderer.render(bench.view(shading=shading))
-    assert not frame.provisional and frame.chunks_needed == 0 and frame.demands == ()
-    assert np.isfinite(frame.radiance).all() and frame.radiance[frame.state > 0].max() > 0.05
-
-
-def test_shadow_and_fog_only_take_light_away(workbench: Make) -> None:
-    bench = workbench(load_scene("demo:casting", lights=[SKY]))
-    bare, shadow, fog = (
-        bench.renderer.render(bench.view(shading=s)).radiance for s in ("lambert", "lambert_shadow", "lambert_fog")
-    )
-    for less in (shadow, fog):
-        assert (less <= bare + 1e-6).all() and less.sum() < 0.95 * bare.sum()
-
-
-def test_solid_below_is_the_picture_of_the_negated_volume(workbench: Make) -> None:
-    rng = np.random.default_rng(1)
-    voxels = (ball(24, 8.0).voxels * 40.0 + rng.normal(size=(25, 25, 25)) * 0.1).astype(np.float32)
-    middle = float(np.median(voxels)) + 4.0
-    frames = []
-    for volume, isovalue in ((make_volume(voxels), middle), (make_volume(-voxels, solid="below"), -middle)):
-        bench = workbench(scene_of(volume, isovalue, lights=[SKY], target_error=0.3, bounces=1))
-        frames.append(bench.bake(bench.view(size=24)))
-    assert (frames[0].state > 0).sum() > 50
-    assert np.array_equal(frames[0].state, frames[1].state)
-    assert np.array_equal(frames[0].radiance, frames[1].radiance)
-
-
-@pytest.mark.parametrize("spacing", [(1.0, 1.0, 3.0), (3.0, 1.5, 1.0)])
-def test_a_ball_sampled_unevenly_is_lit_the_same(spacing: tuple[float, float, float], workbench: Make) -> None:
-    frames = []
-    for steps in ((1.0, 1.0, 1.0), spacing):
-        bench = workbench(scene_of(ball(42, 15.0, steps), 0.0, lights=[SKY], target_error=0.05, bounces=1))
-        frames.append(bench.bake(bench.view(20.0, 30.0, 32)))
-    both = (frames[0].state > 0) & (frames[1].state > 0)
-    even, uneven = (frame.radiance[both].astype(float) @ LUMINANCE for frame in frames)
-    assert np.sqrt(((even - uneven) ** 2).mean()) / even.mean() < 0.08
-    assert uneven.mean() == pytest.approx(even.mean(), rel=0.02)
-
-
-# --- against the path tracer ----------------------------------------------------------------------------------------
-
-
-def against_path_tracer(bench: Workbench, samples: int, size: int = 192) -> tuple[float, Frame]:
-    """Relative RMSE of the baked `gi` picture against the path tracer with so many samples, and the `gi` frame."""
-    view: View = bench.view(size=size)
-    frame = bench.bake(view)
-    reference = bench.renderer.render(replace(view, shading="path_traced", samples=samples))
-    return relative_rmse(frame, reference), frame
-
-
-CALM = {"lights": [CONSTANT], "albedo": 0.7, "bounces": 4, "target_error": 0.02}
-
-
-def test_gi_of_the_orbital_is_the_path_tracers(workbench: Make) -> None:
-    error, frame = against_path_tracer(workbench(load_scene("demo:orbital", **CALM)), 256, 96)
-    assert error < 0.02
-    assert frame.estimated_error < 0.02
-
-
-@pytest.mark.slow
-def test_gi_of_the_casting_is_the_path_tracers(workbench: Make) -> None:
-    """Thin fins and webs of one or two voxels: light differs most from texel to texel here."""
-    error, frame = against_path_tracer(workbench(load_scene("demo:casting", **CALM)), 256, 128)
-    assert error < 0.03
-    assert frame.estimated_error < 0.02
-
-
-@pytest.mark.slow
-@pytest.mark.data
-def test_gi_of_the_engine_is_the_path_tracers(shared_data: Path, workbench: Make) -> None:
-    scene = load_scene(shared_data / "engine_256x256x128_uint8.nhdr", isovalue=70, **CALM)
-    error, frame = against_path_tracer(workbench(scene), 256)
-    assert error < 0.02
-    assert frame.estimated_error < 0.02

@@ -1,6 +1,7 @@
 """The light around a view: turned from the unturned light each time, and boiled down to one key light."""
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -8,16 +9,18 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from isogi_core.bake.recipe import Recipe
+from isogi_core.bake.look import look_for
+from isogi_core.bake.recipe import AROUND, Recipe
 from isogi_core.files.radiance import write_hdr
 from isogi_core.frame.surroundings import KEY_SHARE, Turned, shoulder_light
 from isogi_core.kernels.harmonics import cosine_lobe_factors, evaluate
 from isogi_core.model.environment import pixel_directions, solid_angles
-from isogi_core.model.scene import load_scene
+from isogi_core.model.scene import Scene, load_scene
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import IDENTITY, Camera, Quaternion, View, quaternion_from_angles
-from tests.frame.conftest import CONSTANT, SKY
+from tests.frame.conftest import CONSTANT, SKY, Workbench
 
+LAMP = {"type": "directional", "azimuth": 90.0, "elevation": 30.0, "irradiance": [2.0, 1.0, 0.5]}
 CAMERA = Camera((10.0, 3.0, 4.0), (0.0, 0.0, 0.0))
 QUARTER = quaternion_from_angles(90.0, 0.0, 0.0)
 ODD = quaternion_from_angles(33.0, -20.0, 71.0)
@@ -26,7 +29,7 @@ ODD = quaternion_from_angles(33.0, -20.0, 71.0)
 def around(lights: list[Any], turn: Quaternion = IDENTITY, **settings: Any) -> Turned:
     """The light of a scene, turned."""
     recipe = Recipe(load_scene("demo:orbital", lights=lights, **settings))
-    return Turned(recipe, View(0.03, CAMERA, turn))
+    return Turned(look_for(recipe, "gi"), View(0.03, CAMERA, turn))
 
 
 def spot(folder: Path, direction: tuple[float, float, float], glow: float = 0.0) -> dict[str, Any]:
@@ -39,10 +42,10 @@ def spot(folder: Path, direction: tuple[float, float, float], glow: float = 0.0)
 
 def test_light_is_turned_as_its_directions_are(tmp_path: Path) -> None:
     """ℓ of the turned light against the sum over the probe's own pixels in turned directions."""
-    turned = around([spot(tmp_path, (0.6, 0.0, 0.8), 0.2), CONSTANT], ODD)
+    turned = around([spot(tmp_path, (0.6, 0.0, 0.8), 0.2), CONSTANT], ODD, order=5)
     matrix = Rotation.from_quat(ODD, scalar_first=True).as_matrix()
     np.testing.assert_allclose(turned.matrix, matrix, atol=1e-12)
-    image = turned.recipe.scene.environment.image
+    image = turned.look.recipe.scene.environment.image
     expected, basis = np.zeros((3, 25)), np.empty(25)
     for light, area, d in zip(
         image.reshape(-1, 3),
@@ -58,11 +61,17 @@ def test_light_is_turned_as_its_directions_are(tmp_path: Path) -> None:
 
 def test_turning_keeps_the_mean_and_the_power_of_each_band() -> None:
     plain, odd = around([SKY]), around([SKY], ODD)
-    assert np.array_equal(plain.light, plain.recipe.light)
-    np.testing.assert_allclose(odd.mean, plain.recipe.scene.environment.mean(), rtol=1e-3)
-    for l in range(5):
+    assert np.array_equal(plain.light, plain.look.light)
+    np.testing.assert_allclose(odd.mean, plain.look.recipe.scene.environment.mean(), rtol=1e-3)
+    for l in range(plain.look.order):
         band = slice(l * l, (l + 1) ** 2)
         np.testing.assert_allclose((odd.light[:, band] ** 2).sum(), (plain.light[:, band] ** 2).sum(), rtol=1e-9)
+
+
+def test_constant_light_has_band_0_alone() -> None:
+    turned = around([CONSTANT], ODD)
+    np.testing.assert_allclose(turned.light, [[math.sqrt(4 * math.pi)]] * 3)
+    assert turned.sky.order == 1
 
 
 def test_constant_light_does_not_turn() -> None:
@@ -76,18 +85,35 @@ def test_reflected_light_is_tinted_by_the_albedo() -> None:
 
 
 def test_sky_holds_the_cosine_lobe_of_each_coefficient() -> None:
-    sky = around([SKY]).sky
-    assert sky.order == 5
-    bands = [l for l in range(5) for _ in range(2 * l + 1)]
-    np.testing.assert_allclose(sky.lobe, cosine_lobe_factors(5)[bands] / math.pi)
+    turned = around([SKY], ODD, albedo=[0.2, 0.5, 1.0])
+    assert turned.sky.order == AROUND
+    bands = [l for l in range(AROUND) for _ in range(2 * l + 1)]
+    np.testing.assert_allclose(turned.sky.lobe, cosine_lobe_factors(AROUND)[bands] / math.pi)
+    np.testing.assert_allclose(turned.sky.light, turned.light[:, : AROUND**2] * np.array([[0.2], [0.5], [1.0]]))
+
+
+@pytest.mark.parametrize("settings", [{"representation": "irradiance", "rotating": False}, {"order": 2}])
+def test_unshadowed_light_does_not_depend_on_what_texels_keep(settings: dict[str, Any]) -> None:
+    own, other = around([SKY], **settings).sky, around([SKY]).sky
+    assert own.order == other.order
+    np.testing.assert_allclose(own.light, other.light)
 
 
 def test_surroundings_are_the_environment_itself_and_the_turn() -> None:
     turned = around([SKY, CONSTANT], QUARTER)
-    environment = turned.recipe.scene.environment
+    environment = turned.look.recipe.scene.environment
     assert turned.surroundings.image is environment.image
     assert turned.surroundings.constant.tolist() == [1.0, 1.0, 1.0]
     np.testing.assert_allclose(turned.surroundings.matrix @ (1, 0, 0), (0, 1, 0), atol=1e-12)
+
+
+def test_surroundings_have_the_table_of_a_sharp_environment_and_the_lamps() -> None:
+    turned = around([SKY, LAMP])
+    scene = turned.look.recipe.scene
+    assert turned.surroundings.table is scene.environment.table
+    assert turned.surroundings.table[0].shape == (513,) and turned.surroundings.table[1].shape == (512, 1025)
+    assert turned.surroundings.lamps is scene.lamps.arrays
+    assert around([CONSTANT]).surroundings.table[0].shape == (0,)
 
 
 @pytest.mark.parametrize("direction", [(0.0, 0.6, 0.8), (-0.6, 0.8, 0.0), (0.0, 0.0, -1.0)])
@@ -126,6 +152,38 @@ def test_no_light_at_all_has_a_key_light_that_is_dark() -> None:
     key, sun, ambient = around([{"type": "constant", "radiance": 0.0}]).key_light()
     assert np.linalg.norm(key) == pytest.approx(1.0)
     assert not sun.any() and not ambient.any()
+
+
+def test_the_strongest_lamp_is_the_key_light() -> None:
+    """As the volume's middle sees it; the other lamps' irradiance E is a radiance of E/4π from all around."""
+    scene = load_scene("demo:orbital")
+    x, y, z = scene.volume.centre
+    bulb = {"type": "point", "position": [x, y - 20.0, z], "intensity": [4000.0, 2000.0, 0.0]}
+    turned = around([CONSTANT, LAMP, bulb])
+    key, sun, ambient = turned.key_light()
+    np.testing.assert_allclose(key, (0.0, -1.0, 0.0), atol=1e-12)
+    np.testing.assert_allclose(sun, np.array([10.0, 5.0, 0.0]) / math.pi)
+    np.testing.assert_allclose(ambient, 1.0 + np.array([2.0, 1.0, 0.5]) / (4 * math.pi), rtol=1e-12)
+    key, sun, _ = around([SKY, LAMP]).key_light()
+    np.testing.assert_allclose(key, (0.0, math.sqrt(0.75), 0.5), atol=1e-12)
+    np.testing.assert_allclose(sun, np.array([2.0, 1.0, 0.5]) / math.pi)
+
+
+def test_a_dark_lamp_is_no_key_light() -> None:
+    dark = {"type": "directional", "irradiance": 0.0}
+    assert around([SKY, dark]).key_light()[0] == around([SKY]).key_light()[0]
+
+
+def test_path_traced_shadows_of_a_lamp_are_those_of_shadow_rays(workbench: Callable[[Scene], Workbench]) -> None:
+    """Without bounces, a lamp alone makes the reference the local model with a hard shadow, pixel by pixel."""
+    bench = workbench(load_scene("demo:casting", lights=[{**LAMP, "elevation": 50.0}], bounces=0))
+    traced, local, open_air = (
+        bench.renderer.render(bench.view(shading=shading)).radiance
+        for shading in ("path_traced", "lambert_shadow", "lambert")
+    )
+    shadow = (local == 0.0) & (open_air > 0.0)
+    assert shadow.any(axis=-1).sum() > 100 and local.any(axis=-1).sum() > 300
+    np.testing.assert_allclose(traced, local, rtol=1e-5, atol=1e-7)
 
 
 @pytest.mark.parametrize(

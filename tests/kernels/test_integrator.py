@@ -12,7 +12,8 @@ from isogi_core.kernels import integrator, transfer
 from isogi_core.kernels.bricks import brick_ranges, make_bricks
 from isogi_core.kernels.harmonics import cosine_lobe_factors, evaluate
 from isogi_core.kernels.intersect import OUTSIDE, SOLID, UNKNOWN
-from isogi_core.kernels.shading import Surroundings, find_normals, trace_points
+from isogi_core.kernels.lit import Surroundings
+from isogi_core.kernels.shading import find_normals, trace_points
 from isogi_core.kernels.transfer import bake_texels, locate_texels
 from tests.kernels.test_intersect import cast_rays
 from tests.kernels.test_macrocells import field_of
@@ -31,15 +32,14 @@ def slope(towards):
     return -(X * towards[0] + Y * towards[1] + Z * towards[2])
 
 
-def bake(field, texels, count, weights, order=1, first=0, step=(1.0, 1.0, 1.0)):
-    """`bake_texels` from nothing: direct (m, 2, n²) and indirect (m, 2, channels, n²) sums, isovalues and void (m,)."""
-    m, channels = len(texels), weights.shape[1]
-    direct, indirect = np.zeros((m, 2, order**2)), np.zeros((m, 2, channels, order**2))
-    isovalues, void = bake_more(field, texels, first, count, weights, order, direct, indirect, step)
-    return direct, indirect, isovalues, void
+def bake(field, texels, count, shares, order=1, first=0, step=(1.0, 1.0, 1.0), survival=1.0):
+    """`bake_texels` from nothing: sums (m, 2, channels, n²), isovalues and void (m,)."""
+    sums = np.zeros((len(texels), 2, len(shares), order**2))
+    isovalues, void = bake_more(field, texels, first, count, shares, order, sums, step, survival)
+    return sums, isovalues, void
 
 
-def bake_more(field, texels, first, count, weights, order, direct, indirect, step=(1.0, 1.0, 1.0)):
+def bake_more(field, texels, first, count, shares, order, sums, step=(1.0, 1.0, 1.0), survival=1.0):
     """Add samples to the sums of texels; isovalues and void (m,)."""
     m = len(texels)
     isovalues, void = np.full(m, np.nan), np.zeros(m, np.bool_)
@@ -49,7 +49,7 @@ def bake_more(field, texels, first, count, weights, order, direct, indirect, ste
     if len(rows):
         lowest, highest = float(isovalues[rows].min()), float(isovalues[rows].max())
         bricks = make_bricks(field.voxels, brick_ranges(field.voxels), lowest, highest)
-        bake_texels(field, bricks, place, rows, first, count, weights, order, direct, indirect)
+        bake_texels(field, bricks, place, rows, first, count, shares, survival, np.full(len(shares), order), sums)
     return isovalues, void
 
 
@@ -68,6 +68,13 @@ def trace(field, iso, points, light, weights, count, image=DARK):
 def albedo_powers(albedos, bounces, extra=0):
     """R^(k + extra) for k = 0 … bounces, one column for each albedo."""
     return np.array(albedos, float)[None] ** (np.arange(bounces + 1)[:, None] + extra)
+
+
+def shares_of(albedos, bounces, least=0):
+    """What a path counts, one row for each albedo: R^k after k = `least` … `bounces` bounces, or else nothing."""
+    shares = np.zeros((len(albedos), bounces + 2))
+    shares[:, 1 + least :] = np.array(albedos, float)[:, None] ** np.arange(least, bounces + 1)
+    return shares
 
 
 def surface_points(field, iso, count, seed=1):
@@ -90,10 +97,11 @@ def surface_points(field, iso, count, seed=1):
 def test_white_furnace_texels(body):
     """Albedo 1 and no end of bounces: every path gets out, so a texel's whole transfer is that of open sky."""
     texels = np.argwhere(np.abs(body) < 1.0)[::17]
-    direct, indirect, _, void = bake(field_of(body), texels, 64, np.ones((ENDLESS + 1, 1)))
-    whole = FACTOR * (direct[:, :, 0] + indirect[:, :, 0, 0]) / 64
+    sums, _, void = bake(field_of(body), texels, 64, shares_of([1.0], ENDLESS))
+    reflected, _, _ = bake(field_of(body), texels, 64, shares_of([1.0], ENDLESS, 1))
+    whole = FACTOR * sums[:, :, 0, 0] / 64
     assert not void.any() and len(texels) > 200
-    assert (indirect.sum() > 0.0) == (body is TORUS), "a torus sees itself"
+    assert reflected.any() == (body is TORUS), "a torus sees itself"
     assert abs(whole.mean() - 1.0) < 0.005
     assert np.abs(whole - 1.0).max() < 0.05
 
@@ -120,8 +128,8 @@ def test_white_furnace_engine(shared_data: Path):
     pixels = trace(field, 70.0, points, 1.0, np.ones((ENDLESS + 1, 3)), 16)
     assert abs(pixels.mean() - 1.0) < 0.005
     texels = np.unique(np.rint(points).astype(int)[:, ::-1], axis=0)
-    direct, indirect, _, void = bake(field, texels, 8, np.ones((ENDLESS + 1, 1)))
-    whole = FACTOR * (direct[:, :, 0] + indirect[:, :, 0, 0])[~void] / 8
+    sums, _, void = bake(field, texels, 8, shares_of([1.0], ENDLESS))
+    whole = FACTOR * sums[~void][:, :, 0, 0] / 8
     assert len(whole) > 300 and void.mean() < 0.01
     assert abs(whole.mean() - 1.0) < 0.005
 
@@ -154,24 +162,23 @@ def cosine_lobe(order, normal):
 def test_transfer_of_a_plane_is_the_cosine_lobe(towards):
     order, count = 6, 128 if config.DISABLE_JIT else 4096
     normal = np.array(towards) / np.linalg.norm(towards)
-    direct, indirect, isovalues, void = bake(
-        field_of(slope(towards)), [[24, 24, 24]], count, albedo_powers([0.9], 3), order
-    )
-    assert not indirect.any() and isovalues == [0.0] and not void.any()
-    for half in direct[0] / count:
+    plane = field_of(slope(towards)), [[24, 24, 24]], count
+    sums, isovalues, void = bake(*plane, shares_of([0.9], 3), order)
+    assert isovalues == [0.0] and not void.any()
+    for half in sums[0, :, 0] / count:
         np.testing.assert_allclose(half, cosine_lobe(order, normal), atol=6.0 / count)
-    assert (direct[0, 0] != direct[0, 1]).any(), "the two halves are independent"
+    assert (sums[0, 0] != sums[0, 1]).any(), "the two halves are independent"
+    assert not bake(*plane, shares_of([0.9], 3, 1), order)[0].any()
 
 
 @COMPILED
 def test_transfer_of_a_ball_is_the_cosine_lobe():
     """Each texel is lit on the isosurface through itself, and its rays start above the facets of a trilinear ball."""
     texels = np.argwhere(np.abs(BALL) < 1.0)[::97]
-    direct, indirect, _, _ = bake(field_of(BALL), texels, 2048, albedo_powers([0.0], 1), 5)
+    sums, _, _ = bake(field_of(BALL), texels, 2048, shares_of([0.0], 1), 5)
     away = texels[:, ::-1] - 24.0
     lobes = [cosine_lobe(5, n) for n in away / np.linalg.norm(away, axis=1, keepdims=True)]
-    assert not indirect.any()
-    assert np.abs(direct.mean(axis=1) / 2048 - lobes).max() < 0.002
+    assert np.abs(sums[:, :, 0].mean(axis=1) / 2048 - lobes).max() < 0.002
 
 
 @COMPILED
@@ -270,23 +277,52 @@ def test_launch_is_a_third_of_a_voxel_whatever_the_spacing():
 
 
 def test_samples_go_on_where_they_stopped_bit_for_bit():
-    texels, weights = [[24, 24, 40], [24, 40, 24], [30, 30, 36]], albedo_powers([0.7], 3)
+    texels, shares = [[24, 24, 40], [24, 40, 24], [30, 30, 36]], shares_of([0.7], 3)
     field, count = field_of(TORUS), 8 if config.DISABLE_JIT else 64
-    whole = bake(field, texels, 2 * count, weights, 4)
-    parts = [np.zeros_like(part) for part in whole[:2]]
+    whole, _, _ = bake(field, texels, 2 * count, shares, 4)
+    parts = np.zeros_like(whole)
     for first in (0, count):
-        bake_more(field, texels, first, count, weights, 4, *parts)
-    for one, other in zip(whole[:2], parts, strict=True):
-        assert np.array_equal(one, other)
+        bake_more(field, texels, first, count, shares, 4, parts)
+    assert np.array_equal(whole, parts)
+
+
+@COMPILED
+def test_roulette_ends_paths_and_keeps_their_light():
+    """Each path that goes on stands for those that do not: the same means from fewer paths that leave."""
+    texels = np.argwhere(np.abs(TORUS) < 0.3)[::40].astype(np.int32)
+    k, albedo, survival, count = np.arange(9), 0.9, 0.6, 2048
+    carried = albedo**k / survival ** np.maximum(k - 1, 0)
+    shares, ends = np.hstack([[0.0], albedo**k])[None], np.hstack([[0.0, 0.0], np.ones(8)])[None]
+    field = field_of(TORUS)
+    whole = bake(field, texels, count, shares)[0].mean(axis=1).ravel() * FACTOR / count
+    spun = bake(field, texels, count, np.hstack([[0.0], carried])[None], survival=survival)[0] * FACTOR / count
+    assert abs((spun.mean(axis=1).ravel() - whole).mean()) < 1e-3 * whole.mean()
+    assert np.abs(spun.mean(axis=1).ravel() / whole - 1.0).max() < 0.05
+    reflected = [bake(field, texels, count, ends, survival=chance)[0].sum() for chance in (1.0, survival)]
+    assert reflected[1] < 0.95 * reflected[0]
+
+
+def test_shares_say_what_each_path_counts():
+    """Paths by the number of their bounces, apart and together."""
+    texels = np.argwhere(np.abs(TORUS) < 0.2)[::60]
+    field, count = field_of(TORUS), 4 if config.DISABLE_JIT else 64
+    left = [bake(field, texels, count, np.eye(5)[None, k + 1], 3)[0] for k in range(4)]
+    assert all(part.any() for part in left[:2]), "a torus sees itself"
+    expected = sum(0.7**k * part for k, part in enumerate(left))
+    np.testing.assert_allclose(bake(field, texels, count, shares_of([0.7], 3), 3)[0], expected, atol=1e-9)
+    three = np.concatenate([shares_of([0.7], 3), shares_of([0.7], 3, 1), shares_of([0.2], 3)])
+    together, _, _ = bake(field, texels, count, three, 3)
+    for channel, shares in enumerate(three):
+        assert np.array_equal(together[:, :, channel : channel + 1], bake(field, texels, count, shares[None], 3)[0])
 
 
 def test_texels_are_lit_alike_in_any_company():
-    texels, weights = np.argwhere(np.abs(TORUS) < 0.2)[::60], albedo_powers([0.3, 0.5, 0.7], 2)
+    texels, shares = np.argwhere(np.abs(TORUS) < 0.2)[::60], shares_of([0.3, 0.5, 0.7], 2)
     field, count = field_of(TORUS), 2 if config.DISABLE_JIT else 16
     order = np.random.default_rng(6).permutation(len(texels))
-    together = bake(field, texels[order], count, weights, 3)
+    together = bake(field, texels[order], count, shares, 3)
     for place, texel in enumerate(texels):
-        alone = bake(field, texel[None], count, weights, 3)
+        alone = bake(field, texel[None], count, shares, 3)
         for many, one in zip(together, alone, strict=True):
             assert np.array_equal(many[order == place], one)
 
@@ -296,9 +332,9 @@ def test_texels_without_a_surface_are_void_and_untouched():
     voxels[:8] = 1.0
     voxels[12, 3, 3] = np.nan
     texels = [[8, 8, 8], [3, 8, 8], [14, 14, 14], [12, 3, 3], [11, 3, 3]]
-    direct, indirect, isovalues, void = bake(field_of(voxels), texels, 8, albedo_powers([0.5], 1))
+    sums, isovalues, void = bake(field_of(voxels), texels, 8, shares_of([0.5], 1))
     assert void.tolist() == [False, True, True, True, True]
-    assert direct[0].all() and not direct[1:].any() and not indirect[1:].any()
+    assert sums[0].all() and not sums[1:].any()
     assert isovalues[:3].tolist() == [0.0, 1.0, 0.0] and np.isnan(isovalues[3:]).all()
 
 
@@ -308,6 +344,6 @@ def test_texels_on_the_edge_of_a_plateau_agree_where_the_lattice_falls_between_v
     voxels = np.zeros((16, 16, 16), np.float32)
     voxels[:8] = level
     texels = [[9, y, x] for y in range(4, 18) for x in range(4, 18)]
-    direct, _, isovalues, void = bake(field_of(voxels), texels, 8, albedo_powers([0.5], 1), step=(5 / 7,) * 3)
+    sums, isovalues, void = bake(field_of(voxels), texels, 8, shares_of([0.5], 1), step=(5 / 7,) * 3)
     assert (np.abs(isovalues - np.float32(level)) < 1e-7).all() and not void.any()
-    assert direct.min() * FACTOR == pytest.approx(8.0)
+    assert sums.min() * FACTOR == pytest.approx(8.0)

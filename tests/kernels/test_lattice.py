@@ -9,8 +9,12 @@ from scipy.special import sph_harm_y
 
 from isogi_core.kernels.harmonics import cosine_lobe_factors
 from isogi_core.kernels.lattice import (
+    BURIED,
+    BURIED_ROW,
     CHUNK,
+    PARTIAL,
     ROWS,
+    UNBAKED,
     UNLIT,
     VOID,
     VOID_ROW,
@@ -157,33 +161,33 @@ def test_ones_counts_bits():
 
 
 def test_rows_are_looked_up_chunk_by_chunk():
-    """Two chunks of a view, of which one is in the pool: texels get its rows, their errors and their samples."""
+    """Two chunks of a view, of which one is in the pool: texels get its rows, their errors and their stamps."""
     table = np.full((3, CHUNK**3), UNLIT, np.int32)
-    table[2, [5, 9, 700]] = 4, VOID_ROW, 1
-    pool_error, pool_samples = RNG.random((2, 6)).astype(np.float32)
-    places = np.array([5, 6, 9, 700, CHUNK**3 + 5], np.uint32)
-    rows, error, samples = np.zeros(5, np.int32), *np.zeros((2, 5), np.float32)
-    find_rows(places, np.array([2, -1], np.int32), table, pool_error, pool_samples, rows, error, samples)
-    assert rows.tolist() == [4, UNLIT, VOID_ROW, 1, UNLIT]
-    assert error[[0, 3]].tolist() == pool_error[[4, 1]].tolist()
-    assert samples.tolist() == [pool_samples[4], UNLIT, VOID_ROW, pool_samples[1], UNLIT]
+    table[2, [5, 9, 11, 700]] = 4, VOID_ROW, BURIED_ROW, 1
+    pool_error, pool_stamp = RNG.random((2, 6)).astype(np.float32)
+    places = np.array([5, 6, 9, 11, 700, CHUNK**3 + 5], np.uint32)
+    rows, error, stamp = np.zeros(6, np.int32), *np.zeros((2, 6), np.float32)
+    find_rows(places, np.array([2, -1], np.int32), table, pool_error, pool_stamp, rows, error, stamp)
+    assert rows.tolist() == [4, UNLIT, VOID_ROW, BURIED_ROW, 1, UNLIT]
+    assert error.tolist() == [pool_error[4], 0.0, 0.0, 0.0, pool_error[1], 0.0]
+    assert stamp.tolist() == [pool_stamp[4], UNLIT, VOID_ROW, BURIED_ROW, pool_stamp[1], UNLIT]
 
 
 @pytest.mark.parametrize("channels", [1, 3])
-def test_light_of_a_texel_is_the_dot_product_of_transfer_and_light(channels):
-    transfer, spread = RNG.normal(size=(2, 40, channels, 25)).astype(np.float32)
-    light = RNG.normal(size=(3, 25)).astype(np.float32)
-    noise_light = RNG.normal(size=(channels, 25)).astype(np.float32)
+@pytest.mark.parametrize("order", [1, 5])
+def test_light_of_a_texel_is_the_dot_product_of_transfer_and_light(channels, order):
+    transfer = RNG.normal(size=(40, channels, order**2)).astype(np.float32)
+    noise = RNG.random(40).astype(np.float32)
+    light = RNG.normal(size=(3, order**2)).astype(np.float32)
     rows = RNG.permutation(40)[:30].astype(np.int32)
-    rows[4:6] = UNLIT, VOID_ROW
+    rows[4:7] = UNLIT, VOID_ROW, BURIED_ROW
     lit = np.full((30, 4), -7.0, np.float32)
-    light_texels(rows, transfer, spread, light, noise_light, lit)
-    colour = np.einsum("mcn,cn->mc", np.broadcast_to(transfer[rows], (30, 3, 25)), light)
-    error = np.abs(np.einsum("mcn,cn->m", spread[rows], noise_light))
+    light_texels(rows, transfer, noise, light, lit)
+    colour = np.einsum("mcn,cn->mc", np.broadcast_to(transfer[rows], (30, 3, order**2)), light)
     there = rows >= 0
     assert (colour[there] < 0).any(), "some sums must be negative to see them cut"
     np.testing.assert_allclose(lit[there, :3], np.maximum(colour, 0.0)[there], atol=1e-5)
-    np.testing.assert_allclose(lit[there, 3], error[there], atol=1e-5)
+    assert np.array_equal(lit[there, 3], noise[rows[there]])
     assert (lit[~there] == -7.0).all(), "texels without a row are left alone"
 
 
@@ -241,20 +245,56 @@ def test_a_point_is_as_good_as_the_least_of_its_texels():
     grade, lit = lit_view(points)
     grade[5] = CONVERGING
     assert carry(points, grade, lit)[1] == [CONVERGING]
-    grade[2] = PROVISIONAL
-    _, state, error = carry(points, grade, lit, np.array([[0, 0, 1]], np.float32))
-    assert state == [PROVISIONAL] and error == [1.0]
+    for grade[2] in (PARTIAL, UNBAKED):
+        _, state, error = carry(points, grade, lit, np.array([[0, 0, 1]], np.float32))
+        assert state == [PROVISIONAL] and error == [1.0]
 
 
-def test_void_texels_are_left_out_of_the_mean():
+def test_light_of_some_layers_is_shown_as_it_is():
+    points = some_points(40)
+    grade, lit = lit_view(points)
+    whole, _, _ = carry(points, grade, lit)
+    grade[::2] = PARTIAL
+    assert np.array_equal(carry(points, grade, lit)[0], whole)
+
+
+@pytest.mark.parametrize("left_out", [[VOID], [BURIED], [VOID, BURIED, VOID]])
+def test_void_and_buried_texels_are_left_out_of_the_mean(left_out):
     points = np.array([[3.4, 2.2, 5.7]], np.float32)
     grade, lit = lit_view(points)
-    lit[:, :3] = 0.25
-    grade[[0, 3, 7]] = VOID
-    lit[[0, 3, 7]] = 1e9
-    radiance, state, _ = carry(points, grade, lit)
-    assert radiance[0] == pytest.approx([0.25] * 3)
+    corners = view_of(points)[2][0]
+    grade[corners[[0, 3, 7]]] = left_out
+    kept = np.delete(np.arange(8), [0, 3, 7])
+    fz, fy, fx = lower_texels(points)[1][0]
+    weights = np.array([trilinear(c, fz, fy, fx) for c in kept])
+    expected = weights @ lit[corners[kept]] / weights.sum()
+    lit[corners[[0, 3, 7]]] = 1e9
+    radiance, state, error = carry(points, grade, lit)
+    np.testing.assert_allclose(radiance[0], expected[:3], rtol=1e-5)
+    noise = np.sqrt(((weights * lit[corners[kept], 3]) ** 2).sum()) / weights.sum()
+    assert error[0] == pytest.approx(min(noise / luminance(*expected[:3]), 1.0), rel=1e-5)
     assert state == [FINAL]
+
+
+def test_a_point_among_buried_texels_is_black_and_final():
+    """However many of the eight are void: somebody looked, and no light comes here."""
+    points = np.array([[3.4, 2.2, 5.7], [10.1, 9.9, 13.2]], np.float32)
+    grade, lit = lit_view(points)
+    lit[:] = np.nan
+    grade[:] = BURIED
+    grade[view_of(points)[2][1, :7]] = VOID
+    radiance, state, error = carry(points, grade, lit, np.full_like(points, 3**-0.5))
+    assert not radiance.any() and not error.any() and (state == FINAL).all()
+
+
+def test_buried_texels_beside_missing_ones_do_not_darken_what_stands_in():
+    points = np.array([[3.4, 2.2, 5.7]], np.float32)
+    grade, lit = lit_view(points)
+    grade[:] = BURIED
+    grade[view_of(points)[2][0, 6]] = UNBAKED
+    radiance, state, _ = carry(points, grade, lit, np.array([[0, 0, 1]], np.float32))
+    np.testing.assert_allclose(radiance[0], irradiance_over_pi((0.0, 0.0, 1.0)), rtol=1e-5)
+    assert state == [PROVISIONAL]
 
 
 def irradiance_over_pi(n):
@@ -268,7 +308,7 @@ def irradiance_over_pi(n):
     return total
 
 
-@pytest.mark.parametrize("missing", [PROVISIONAL, VOID])
+@pytest.mark.parametrize("missing", [UNBAKED, VOID])
 def test_without_any_lit_texel_unshadowed_light_stands_in(missing):
     points = some_points(20)
     normals = RNG.normal(size=points.shape)
@@ -278,7 +318,7 @@ def test_without_any_lit_texel_unshadowed_light_stands_in(missing):
     lit[:] = np.nan
     radiance, state, _ = carry(points, grade, lit, normals)
     np.testing.assert_allclose(radiance, [irradiance_over_pi(n.astype(float)) for n in normals], rtol=1e-5)
-    assert (radiance > 0.0).all() and (state == (PROVISIONAL if missing == PROVISIONAL else FINAL)).all()
+    assert (radiance > 0.0).all() and (state == (PROVISIONAL if missing == UNBAKED else FINAL)).all()
 
 
 def test_what_is_missing_is_filled_in_proportion():
@@ -286,7 +326,7 @@ def test_what_is_missing_is_filled_in_proportion():
     grade, lit = lit_view(points)
     lit[:, :3] = 0.25
     corners = view_of(points)[2][0]
-    grade[corners[[1, 6]]] = PROVISIONAL
+    grade[corners[[1, 6]]] = UNBAKED
     fz, fy, fx = lower_texels(points)[1][0]
     share = trilinear(1, fz, fy, fx) + trilinear(6, fz, fy, fx)
     radiance, _, _ = carry(points, grade, lit, np.array([[0, 0, 1]], np.float32))

@@ -9,14 +9,14 @@ from numba import config, njit
 from isogi_core.kernels import shading
 from isogi_core.kernels._jit import kernel
 from isogi_core.kernels.bricks import brick_ranges, make_bricks
-from isogi_core.kernels.integrator import launch, to_index, trace_path
+from isogi_core.kernels.integrator import launch, to_index
 from isogi_core.kernels.intersect import OUTSIDE, cast
-from isogi_core.kernels.lights import fog, radiance
+from isogi_core.kernels.lights import fog
+from isogi_core.kernels.lit import Surroundings
 from isogi_core.kernels.planes import FINAL, Planes
 from isogi_core.kernels.rng import mix
 from isogi_core.kernels.shading import (
     LocalModel,
-    Surroundings,
     find_normals,
     find_shadows,
     shade_local,
@@ -24,6 +24,7 @@ from isogi_core.kernels.shading import (
     trace_points,
 )
 from isogi_core.kernels.waves import WAVE
+from tests.kernels.test_lit import light_path
 from tests.kernels.test_macrocells import field_of
 
 COUNT = 60 if config.DISABLE_JIT else 2000
@@ -232,11 +233,7 @@ def paths_one_by_one(field, iso, points, normals, pixels, light, weights, first,
             seed = mix(np.int64(pixels[m]), half)
             for index in range(first, first + count):
                 p, n = single(points, m), single(normals, m)
-                k, w = trace_path(field, iso, p, n, OUTSIDE, seed, index, weights.shape[0] - 1)
-                if k >= 0:
-                    arriving = radiance(light.constant, light.image, light.matrix, w)
-                    for c in range(3):
-                        sums[m, half, c] += weights[k, c] * arriving[c]
+                sums[m, half] += np.array(light_path(field, iso, p, n, seed, index, weights, light))
 
 
 @pytest.mark.parametrize(("count", "points"), [(3, 300), (WAVE // 2 + 5, 2)])

@@ -11,7 +11,7 @@ import pytest
 from numba import config
 
 from isogi_core.kernels import _jit
-from isogi_core.kernels.warm import warm
+from isogi_core.kernels.warm import entries_of, load, warm
 
 pytestmark = pytest.mark.skipif(bool(config.DISABLE_JIT), reason="Numba is switched off: nothing is compiled")
 
@@ -50,6 +50,15 @@ def test_once_it_is_stopped_nothing_is_loaded(tmp_path, monkeypatch):
     stopped.set()
     warm(entries, stopped)
     assert not any(entry.loaded or entry.stored for entry in entries)
+
+
+def test_what_is_loaded_is_what_is_compiled_ahead(tmp_path, monkeypatch):
+    monkeypatch.setattr(_jit, "FOLDER", tmp_path)
+    monkeypatch.setattr(_jit.Entry, "_compile", lambda entry: setattr(entry, "_ready", entry.__wrapped__))
+    entries = [_jit.Entry(lambda x: x, "float64(float64)", {}) for _ in range(2)]
+    assert entries_of([entries[0], max, entries[1]]) == entries
+    load([max, entries[1]])
+    assert [entry.loaded for entry in entries] == [False, True]
 
 
 def test_what_is_missing_is_compiled_by_others_and_loaded_here(tmp_path):

@@ -5,6 +5,7 @@ import pytest
 from numba import config, njit
 
 from isogi_core.bake.light import Light
+from isogi_core.bake.look import look_for
 from isogi_core.bake.recipe import Recipe, make_field
 from isogi_core.bake.refine import refine
 from isogi_core.kernels.bricks import brick_ranges, make_bricks
@@ -21,18 +22,18 @@ BOUNCES = 4
 
 
 @njit
-def one_by_one(field, isovalues, points, normals, seeds, first, count, left, ways):
+def one_by_one(field, isovalues, points, normals, seeds, first, count, survival, left, ways):
     starts = len(isovalues)
     for m in range(starts * count):
         i, sample = m % starts, first + m // starts
         p, n = column(points, i), column(normals, i)
-        left[m], w = trace_path(field, isovalues[i], p, n, OUTSIDE, seeds[i], sample, BOUNCES)
+        left[m], w = trace_path(field, isovalues[i], p, n, OUTSIDE, seeds[i], sample, BOUNCES, survival)
         put_column(ways, m, w)
 
 
 @njit
-def in_waves(field, bricks, isovalues, points, normals, seeds, first, count, left, ways):
-    walk_paths(field, bricks, isovalues, points, normals, seeds, first, count, BOUNCES, left, ways)
+def in_waves(field, bricks, isovalues, points, normals, seeds, first, count, survival, left, ways):
+    walk_paths(field, bricks, isovalues, points, normals, seeds, first, count, BOUNCES, survival, left, ways)
 
 
 def plateaus(values):
@@ -40,13 +41,14 @@ def plateaus(values):
     return np.clip(values, -0.4, 0.4)
 
 
+@pytest.mark.parametrize("survival", [1.0, 0.6])
 @pytest.mark.parametrize("starts, count", [(1, 1), (2, 40), (17, 3), (700, 5), (10, 1200), (5000, 2)])
 @pytest.mark.parametrize(
     "body",
     [BUMPS, plateaus(BUMPS), BUMPS[:, :, 16:19], np.repeat(BUMPS[16:17], len(BUMPS), axis=0)],
     ids=["bumps", "plateaus", "thin", "a column, whose normals have no z"],
 )
-def test_waves_are_the_paths_one_by_one(starts, count, body):
+def test_waves_are_the_paths_one_by_one(starts, count, body, survival):
     if config.DISABLE_JIT and starts * count > 100:
         pytest.skip("so many paths need compiled kernels")
     volume = make_volume(body, (0.5, 1.0, 2.0))
@@ -60,8 +62,8 @@ def test_waves_are_the_paths_one_by_one(starts, count, body):
     bricks = make_bricks(volume.voxels, brick_ranges(volume.voxels), isovalues.min(), isovalues.max())
     total = starts * count
     left, ways = np.empty((2, total), np.int64), np.empty((2, 3, total))
-    one_by_one(field, isovalues, points, normals, seeds, 3, count, left[0], ways[0])
-    in_waves(field, bricks, isovalues, points, normals, seeds, 3, count, left[1], ways[1])
+    one_by_one(field, isovalues, points, normals, seeds, 3, count, survival, left[0], ways[0])
+    in_waves(field, bricks, isovalues, points, normals, seeds, 3, count, survival, left[1], ways[1])
     assert np.array_equal(left[0], left[1])
     assert np.array_equal(ways[0], ways[1])
     assert total < 1000 or (left[0] > 0).mean() > 0.02
@@ -69,13 +71,15 @@ def test_waves_are_the_paths_one_by_one(starts, count, body):
 
 @pytest.mark.parametrize("pieces", [2, 7])
 def test_texels_are_the_same_bits_in_any_company(pieces):
-    recipe = Recipe(load_scene("demo:orbital"))
+    look = look_for(Recipe(load_scene("demo:orbital", bounces=3)), "gi")
     rng = np.random.default_rng(2)
-    texels = np.stack([rng.integers(0, n, 60) for n in recipe.shape], axis=-1).astype(np.int32)
-    together = Light.dark(recipe.scene.plan, len(texels))
-    refine(together, texels, recipe, 64, 0.0)
+    texels = np.stack([rng.integers(0, n, 60) for n in look.recipe.shape], axis=-1).astype(np.int32)
+    together = Light.dark(look.plan, len(texels))
+    refine(together, texels, look, 64, 0.0)
     for piece in np.array_split(rng.permutation(len(texels)), pieces):
-        apart = Light.dark(recipe.scene.plan, len(piece))
-        refine(apart, texels[piece], recipe, 32, 0.0)
-        refine(apart, texels[piece], recipe, 64, 0.0)
-        assert np.array_equal(apart.planes, together.planes[piece])
+        apart = Light.dark(look.plan, len(piece))
+        refine(apart, texels[piece], look, 32, 0.0)
+        refine(apart, texels[piece], look, 64, 0.0)
+        for part, whole in zip(apart.parts, together.parts, strict=True):
+            for name in ("samples", "noise", "coefficients"):
+                assert np.array_equal(getattr(part, name), getattr(whole, name)[piece])

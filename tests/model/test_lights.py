@@ -1,6 +1,7 @@
 """Lights: what a scene may say of them, the environment that they sum to, and the analytic sky."""
 
 import itertools
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,13 +11,22 @@ import pytest
 from isogi_core.errors import LightError, SceneError
 from isogi_core.files.radiance import write_hdr
 from isogi_core.model.environment import (
+    cumulative,
     environment,
     mean_radiance,
     pixel_directions,
     resample,
     solid_angles,
 )
-from isogi_core.model.lights import ConstantLight, ProbeLight, SkyLight, light_from_mapping
+from isogi_core.model.light_tables import light_from_mapping
+from isogi_core.model.lights import (
+    AreaLight,
+    ConstantLight,
+    DirectionalLight,
+    PointLight,
+    ProbeLight,
+    SkyLight,
+)
 from isogi_core.model.sky import LUMINANCE, SUN_ILLUMINANCE, sky_image, sun_direction
 
 HERE = Path("scenes")
@@ -56,6 +66,19 @@ def small_sky(light: SkyLight, height: int = 128) -> tuple[np.ndarray, np.ndarra
             },
             SkyLight(-30.0, 20.0, 4.0, (0.1, 0.1, 0.1), 2.0),
         ),
+        ({"type": "directional"}, DirectionalLight(135.0, 45.0, (np.pi,) * 3, 0.0)),
+        (
+            {"type": "directional", "azimuth": -90, "elevation": -10, "irradiance": [1, 2, 3], "angle": 0.5},
+            DirectionalLight(-90.0, -10.0, (1.0, 2.0, 3.0), 0.5),
+        ),
+        (
+            {"type": "point", "position": [1, -2, 3.5], "intensity": 4},
+            PointLight((1.0, -2.0, 3.5), (4.0, 4.0, 4.0)),
+        ),
+        (
+            {"type": "area", "corner": [0, 0, 9], "u": [0, 2, 0], "v": [2, 0, 0], "radiance": [3, 2, 1]},
+            AreaLight((0.0, 0.0, 9.0), (0.0, 2.0, 0.0), (2.0, 0.0, 0.0), (3.0, 2.0, 1.0)),
+        ),
     ],
 )
 def test_lights_of_a_scene(mapping: dict[str, Any], expected: object) -> None:
@@ -85,6 +108,19 @@ def test_lights_of_a_scene(mapping: dict[str, Any], expected: object) -> None:
         ({"type": "sky", "sun_azimuth": float("inf")}, LightError, "sun_azimuth"),
         ({"type": "sky", "turbidity": 1}, LightError, "turbidity"),
         ({"type": "sky", "ground": 1.5}, LightError, "ground"),
+        ({"type": "directional", "elevation": 91}, LightError, "-90 to 90"),
+        ({"type": "directional", "angle": -1}, LightError, "angle"),
+        ({"type": "directional", "irradiance": -1}, LightError, "irradiance"),
+        ({"type": "directional", "azimuth": float("nan")}, LightError, "must be finite"),
+        ({"type": "point", "position": [0, 0, 0]}, SceneError, "intensity"),
+        ({"type": "point", "intensity": 1}, SceneError, "position"),
+        ({"type": "point", "intensity": 1, "position": [0, 0]}, SceneError, r"\[x, y, z\]"),
+        ({"type": "point", "intensity": 1, "position": 3}, SceneError, r"\[x, y, z\]"),
+        ({"type": "point", "intensity": 1, "position": [0, 0, "up"]}, SceneError, "up"),
+        ({"type": "point", "intensity": 1, "position": [0, 0, float("inf")]}, LightError, "position"),
+        ({"type": "area", "corner": [0, 0, 0], "u": [1, 0, 0]}, SceneError, "'v'"),
+        ({"type": "area", "corner": [0, 0, 0], "u": [1, 2, 0], "v": [2, 4, 0]}, LightError, "no area"),
+        ({"type": "area", "corner": [0, 0, 0], "u": [1, 0, 0], "v": [0, 1, 0], "radiance": -2}, LightError, "-2"),
     ],
 )
 def test_refusals_name_the_key(mapping: dict[str, Any], error: type[Exception], word: str) -> None:
@@ -205,6 +241,54 @@ def test_digest_names_the_light_and_nothing_else(tmp_path: Path) -> None:
     assert environment([probe(tmp_path, image, "b.hdr")]).digest == digests[3]
 
 
+def test_lamps_are_no_environment() -> None:
+    lamps = [DirectionalLight(), PointLight((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))]
+    assert environment([*lamps, ConstantLight()]).digest == environment([ConstantLight()]).digest
+    assert environment(lamps).name == "no light" and not environment(lamps).mean().any()
+
+
+def table_of(image: np.ndarray) -> tuple[bool, np.ndarray, np.ndarray]:
+    """Densities per pixel (h, w) that a table says, and the excess of the luminance over its mean by solid angle."""
+    light = replace(environment([]), image=image.astype(np.float32))
+    marginal, conditional = light.table
+    excess = np.maximum(light.image @ LUMINANCE - light.mean() @ LUMINANCE, 0.0) * solid_angles(*image.shape[:2])
+    return light.sharp, np.diff(marginal)[:, None] * np.diff(conditional, axis=1), excess / max(excess.sum(), 1e-300)
+
+
+def test_a_sharp_environment_draws_what_is_brighter_than_its_mean() -> None:
+    image = RANDOM.random((9, 16, 3)) ** 12
+    image[4] = 0.0
+    sharp, drawn, excess = table_of(image)
+    assert sharp and 0.0 < (drawn == 0.0).mean() < 1.0
+    np.testing.assert_allclose(drawn, excess, atol=1e-12)
+
+
+def test_cumulative_shares_begin_at_0_and_end_at_1() -> None:
+    weights = RANDOM.random((5, 7))
+    weights[2], weights[4] = 0.0, 0.0
+    marginal, conditional = cumulative(weights)
+    assert marginal.shape == (6,) and conditional.shape == (5, 8)
+    assert marginal[0] == 0.0 and marginal[-1] == 1.0 and (np.diff(marginal) >= 0.0).all()
+    assert not conditional[:, 0].any() and (conditional[:, -1] == 1.0).all()
+    shares = np.diff(marginal)[:, None] * np.diff(conditional, axis=1)
+    np.testing.assert_allclose(shares, weights / weights.sum(), atol=1e-15)
+
+
+@pytest.mark.parametrize("lobe", ["nothing", "constant", "gradient", "half"])
+def test_a_soft_environment_draws_nothing(lobe: str) -> None:
+    z = pixel_directions(32, 64)[..., 2:]
+    images = {"nothing": 0.0 * z, "constant": 0.0 * z + 3.0, "gradient": 1.0 + z, "half": 0.01 + (z > 0.0)}
+    light = replace(environment([]), image=(images[lobe] * np.ones(3)).astype(np.float32))
+    assert not light.sharp and all(part.size == 0 for part in light.table)
+
+
+def test_a_constant_softens_an_environment(tmp_path: Path) -> None:
+    image = np.zeros((8, 16, 3))
+    image[3, 4] = 64.0
+    assert environment([probe(tmp_path, image)]).sharp
+    assert not environment([probe(tmp_path, image), ConstantLight((8.0, 8.0, 8.0))]).sharp
+
+
 SKIES = [SkyLight(200.0, e, t) for e, t in itertools.product((0.0, 10.0, 45.0, 90.0), (2.0, 4.0, 10.0))]
 
 
@@ -284,3 +368,4 @@ def test_real_probes_have_the_light_that_their_list_says(shared_data: Path) -> N
         light = environment([ProbeLight(shared_data / f"probe_{name}.hdr")])
         assert light.mean() @ LUMINANCE == pytest.approx(mean, abs=0.005)
         assert (light.image @ LUMINANCE).max() == pytest.approx(peak, rel=1e-3)
+        assert light.sharp

@@ -1,58 +1,48 @@
-"""The scene plan: what a scene is found to need, and what it is said to do without."""
+"""What a scene plan is made of: what a texel takes by it, and the samples that an error is worth."""
 
 import pytest
 
-from isogi_core.model.plan import DEFAULT_ORDER, LONGEST_PATH, bounces_for, plan_scene
+from isogi_core.model.plan import FEWEST, MOST, Layer, ScenePlan, most_samples
 
-GREY, RED = (0.7, 0.7, 0.7), (0.8, 0.2, 0.2)
-
-
-@pytest.mark.parametrize("albedo", [0.05, 0.3, 0.5, 0.7, 0.9, 0.99])
-@pytest.mark.parametrize("target", [0.2, 0.02, 0.001])
-def test_bounces_are_the_fewest_that_cut_off_half_the_target(albedo: float, target: float) -> None:
-    bounces = bounces_for((albedo, 0.0, 0.0), target)
-    if bounces < LONGEST_PATH:
-        assert albedo ** (bounces + 1) <= target / 2 * (1 + 1e-12)
-    if bounces > 0:
-        assert albedo**bounces > target / 2
+SINGLE = {"half": False}
 
 
-@pytest.mark.parametrize(("albedo", "bounces"), [(0.0, 0), (1.0, LONGEST_PATH), (0.999, LONGEST_PATH), (0.7, 12)])
-def test_bounces_at_the_ends(albedo: float, bounces: int) -> None:
-    assert bounces_for((albedo,) * 3, 0.02) == bounces
+@pytest.mark.parametrize(
+    ("layer", "size"),
+    [
+        (Layer("direct"), 4),
+        (Layer("whole", channels=3), 8),
+        (Layer("direct", 5), 53),
+        (Layer("indirect", 3, 3), 57),
+        (Layer("direct", 1, 1, **SINGLE), 6),
+        (Layer("direct", 5, 3, **SINGLE), 303),
+    ],
+)
+def test_a_texel_takes_its_coefficients_and_a_byte_for_each_noise_and_the_rung(layer: Layer, size: int) -> None:
+    assert layer.bytes_per_texel == size
 
 
-def test_the_brightest_channel_decides() -> None:
-    assert bounces_for((0.1, 0.9, 0.1), 0.02) == bounces_for((0.9,) * 3, 0.02)
+def test_light_that_turns_has_two_noises_and_other_light_one() -> None:
+    assert [Layer("direct", order).noises for order in (1, 2, 5)] == [1, 2, 2]
 
 
-def test_a_grey_scene_needs_one_channel_and_says_so() -> None:
-    plan = plan_scene(GREY, 0.02, 4, None)
-    assert (plan.order, plan.channels, plan.bounces) == (DEFAULT_ORDER, 1, 4)
-    assert [left.what for left in plan.left_out] == ["two of three colour channels"]
+def test_only_direct_light_does_not_depend_on_the_albedo() -> None:
+    assert [Layer(kind).reflected for kind in ("direct", "indirect", "whole", "irradiance")] == [
+        False,
+        True,
+        True,
+        True,
+    ]
 
 
-def test_a_coloured_scene_that_says_its_bounces_leaves_nothing_out() -> None:
-    plan = plan_scene(RED, 0.02, 4, 7)
-    assert (plan.order, plan.channels, plan.bounces, plan.left_out) == (7, 3, 4, ())
+def test_a_plan_is_as_large_as_its_layers_are_together() -> None:
+    plan = ScenePlan("transfer", (Layer("direct", 5), Layer("indirect", 3, 3)), 5, 4, 1.0, 4096)
+    assert (plan.order, plan.indirect_order, plan.channels, plan.precision) == (5, 3, 3, "half")
+    assert plan.bytes_per_texel == 53 + 57
 
 
-def test_bounces_that_nobody_told_are_left_out_with_a_reason() -> None:
-    dark, bright = (plan_scene((a, a, a), 0.02, None, None) for a in (0.0, 0.7))
-    assert dark.bounces == 0 and "no light is reflected" in dark.left_out[-1].why
-    assert bright.bounces == 12
-    assert bright.left_out[-1].what == "bounces after number 12" and "0.02" in bright.left_out[-1].why
-
-
-def test_zero_bounces_are_taken_at_their_word() -> None:
-    assert plan_scene(GREY, 0.02, 0, None).bounces == 0
-
-
-@pytest.mark.parametrize(("albedo", "order", "planes"), [(GREY, 5, 3 + 75), (RED, 5, 3 + 175), (GREY, 1, 6)])
-def test_planes_have_names_of_their_own_and_four_bytes(
-    albedo: tuple[float, float, float], order: int, planes: int
-) -> None:
-    plan = plan_scene(albedo, 0.02, 4, order)
-    assert len(plan.planes) == len(set(plan.planes)) == planes
-    assert plan.planes[:3] == ("samples", "isovalue", "error")
-    assert plan.bytes_per_texel == 4 * planes
+def test_a_stricter_target_is_worth_more_samples() -> None:
+    worth = [most_samples(target) for target in (1.0, 0.05, 0.02, 0.01, 0.005, 1e-4)]
+    assert worth == sorted(worth) and worth[2] == 4096
+    assert all(n & (n - 1) == 0 for n in worth), "rungs of the ladder are powers of two"
+    assert (worth[0], most_samples(1e-9), most_samples(0.0)) == (FEWEST, MOST, MOST)

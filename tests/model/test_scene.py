@@ -1,5 +1,6 @@
 """Scenes: read from TOML, from a bare volume, or built in; their defaults, their names, and what they refuse."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,7 @@ import pytest
 
 from isogi_core.errors import IsogiError, LightError, SceneError, VolumeError
 from isogi_core.model.lights import ConstantLight, SkyLight
+from isogi_core.model.plan import Layer
 from isogi_core.model.scene import Scene, load_scene, otsu
 
 RAMP = np.arange(120, dtype=np.float32).reshape(6, 5, 4)
@@ -39,7 +41,6 @@ def test_a_scene_file_says_everything(folder: Path) -> None:
         isovalues = [40, 100.5]
         albedo = [0.7, 0.6, 0.5]
         bounces = 4
-        order = 3
         solid = "below"
         lattice = 0.5
         target_error = 0.05
@@ -53,7 +54,7 @@ def test_a_scene_file_says_everything(folder: Path) -> None:
     )
     assert (scene.id, scene.name) == ("my-scene-1", "My Scene, 1")
     assert (scene.isovalue, scene.isovalues, scene.albedo) == (70.0, (40.0, 100.5), (0.7, 0.6, 0.5))
-    assert (scene.bounces, scene.plan.order, scene.plan.channels) == (4, 3, 3)
+    assert (scene.bounces, scene.plan.representation, scene.plan.channels) == (4, "irradiance", 3)
     assert (scene.solid, scene.lattice, scene.target_error, scene.rotating) == ("below", 0.5, 0.05, False)
     assert scene.volume.shape == (6, 5, 4) and scene.volume.spacing == (1.0, 1.0, 3.0)
     assert [type(light) for light in scene.lights] == [ConstantLight, SkyLight]
@@ -105,6 +106,11 @@ def test_isovalue_falls_into_the_range_that_views_may_ask_for(folder: Path) -> N
         ("bounces = 1001", "bounces"),
         ("order = 0", "order"),
         ("order = 99", "order"),
+        ("indirect_order = 0", "indirect_order"),
+        ('precision = "double"', "precision"),
+        ('representation = "radiosity"', "representation"),
+        ('representation = "constant"', "representation"),
+        ('representation = "irradiance"', "representation"),
         ("lattice = 0", "lattice"),
         ("lattice = 8", "lattice"),
         ("lattice = inf", "lattice"),
@@ -158,15 +164,65 @@ def test_baked_light_has_a_name_of_its_own_for_all_it_depends_on() -> None:
     assert load_scene("demo:casting").bake_digest not in names
 
 
-def test_light_and_target_change_the_frame_and_not_the_bake() -> None:
-    plain = load_scene(ORBITAL)
-    others = [
-        load_scene(ORBITAL, lights=[{"type": "constant", "radiance": 2.0}]),
-        load_scene(ORBITAL, target_error=0.3, bounces=plain.bounces),
-    ]
-    for other in others:
+def test_light_and_target_change_the_frame_and_not_a_bake_of_the_same_layers() -> None:
+    same: dict[str, Any] = {"order": 3, "indirect_order": 2, "bounces": 4, "precision": "half"}
+    plain = load_scene(ORBITAL, **same)
+    for change in ({"lights": [{"type": "sky", "sun_elevation": 20.0}]}, {"target_error": 0.3}):
+        other = load_scene(ORBITAL, **same, **change)
         assert other.bake_digest == plain.bake_digest and other.digest != plain.digest
-    assert load_scene(ORBITAL, isovalue=0.1, rotating=False).digest == plain.digest
+    assert load_scene(ORBITAL, isovalue=0.1, **same).digest == plain.digest
+
+
+@pytest.mark.parametrize(
+    ("change", "kinds"),
+    [
+        ({}, ["direct", "indirect"]),
+        ({"albedo": 0.5}, ["direct"]),
+        ({"albedo": [0.7, 0.7, 0.5]}, ["direct"]),
+        ({"bounces": 2}, ["direct"]),
+        ({"indirect_order": 3}, ["direct"]),
+        ({"lights": [{"type": "sky", "sun_azimuth": 90.0}]}, ["direct", "indirect"]),
+        ({"target_error": 0.018, "bounces": 5}, ["direct", "indirect"]),
+        ({"precision": "single"}, []),
+        ({"lattice": 0.5}, []),
+        ({"order": 3}, ["indirect"]),
+        ({"rotating": False}, []),
+    ],
+)
+def test_a_layer_is_named_by_what_it_depends_on_and_by_nothing_else(change: dict[str, Any], kinds: list[str]) -> None:
+    """Of the layers of the changed scene, those that the plain one has baked too."""
+    plain, other = load_scene(ORBITAL, bounces=5), load_scene(ORBITAL, **{"bounces": 5, **change})
+    known = {plain.layer_digest(layer) for layer in plain.plan.layers}
+    assert [layer.kind for layer in other.plan.layers if other.layer_digest(layer) in known] == kinds
+
+
+def test_reflected_light_is_named_by_the_chance_that_its_paths_go_on() -> None:
+    plain = load_scene("demo:orbital")
+    patient = replace(plain, plan=replace(plain.plan, survival=1.0))
+    direct, indirect = (plain.layer_digest(layer) == patient.layer_digest(layer) for layer in plain.plan.layers)
+    assert plain.plan.survival < 1.0 and direct and not indirect
+
+
+def test_irradiance_is_named_by_its_lights_too() -> None:
+    fixed = load_scene(ORBITAL, rotating=False)
+    moved = load_scene(ORBITAL, rotating=False, lights=[{"type": "sky", "sun_azimuth": 90.0}])
+    assert [layer.kind for layer in fixed.plan.layers] == ["irradiance"]
+    assert fixed.bake_digest != moved.bake_digest
+
+
+def test_a_scene_may_settle_its_own_plan() -> None:
+    plan = load_scene(
+        ORBITAL,
+        representation="transfer",
+        order=4,
+        indirect_order=2,
+        precision="single",
+        bounces=3,
+        albedo=[0.5, 0.6, 0.7],
+        lights=[{"type": "constant", "radiance": 1.0}],
+    ).plan
+    assert (plan.representation, plan.bounces) == ("transfer", 3)
+    assert plan.layers == (Layer("direct", 4, half=False), Layer("indirect", 2, 3, half=False))
 
 
 @pytest.mark.parametrize(("radiance", "exposure"), [(2.0, 0.5), (0.0, 1.0), ([1.0, 1.0, 1.0], 1.0)])

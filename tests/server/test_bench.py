@@ -44,6 +44,7 @@ def test_the_figures_are_there_and_make_sense(capsys: pytest.CaptureFixture[str]
     assert np.isfinite(every).all()
     assert (every > 0).all()
     assert (figures["scene"], figures["isovalue"], figures["size"]) == ("small", 0.5, 32)
+    assert (figures["bounces"], figures["survival"]) == (1, 1.0)
 
 
 def test_it_takes_an_isovalue_and_leaves_the_store_alone(

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from isogi_core.model.scene import load_scene
 from server.cli import VIEW_OPTIONS, WORK_OPTIONS, run
 from server.params import FrameParams
 from server.render import write
@@ -128,6 +129,21 @@ def test_inspect(capsys: pytest.CaptureFixture[str], small_scene: Path) -> None:
     text = capsys.readouterr().out
     for fact in ("24 × 20 × 16 voxels of float32", "0.5, from 0.2 to 0.8", "constant, sky", "left out", "█"):
         assert fact in text
+
+
+def test_inspect_tells_the_plan_and_what_it_saves(capsys: pytest.CaptureFixture[str], small_scene: Path) -> None:
+    assert run(["inspect", str(small_scene)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    scene = load_scene(small_scene)
+    plan, texels = scene.plan, scene.texels
+    assert f"texel         {plan.bytes_per_texel} bytes, beside 300 for any scene in S1" in lines
+    assert sum(line.startswith("layer ") for line in lines) == len(plan.layers)
+    shown = f"{texels.shown:,} of {texels.total:,} can be shown"
+    assert any(line.startswith("texels ") and shown in line for line in lines)
+    for each in scene.left_out:
+        line = next(number for number, line in enumerate(lines) if line.startswith(f"  {each.what} "))
+        assert all(saved.unit in lines[line] for saved in each.saves)
+        assert lines[line + 1].strip() == each.why
 
 
 def test_inspect_as_json_is_what_http_says(

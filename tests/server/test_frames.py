@@ -17,7 +17,7 @@ ACCEPTED = {"png": "image/png", "jpeg": "image/jpeg", "webp": "image/webp", "npy
 
 @pytest.fixture(scope="module")
 def client(live_server: str) -> Iterator[httpx.Client]:
-    with httpx.Client(base_url=live_server, timeout=60) as client:
+    with httpx.Client(base_url=live_server, timeout=180) as client:
         yield client
 
 

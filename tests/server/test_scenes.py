@@ -1,9 +1,16 @@
 """The list of scenes and one scene's document, over a real socket."""
 
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
 import httpx
 import pytest
 
+from isogi_core.model.scene import load_scene
 from isogi_core.model.view import SHADINGS
+from server.facts import scene_facts
 
 
 @pytest.fixture(scope="module")
@@ -50,11 +57,39 @@ def test_what_the_scene_says_of_itself(scene: dict[str, object]) -> None:
     assert (scene["target_error"], scene["rotating"]) == (0.5, True)
 
 
-def test_the_plan_says_what_is_left_out_and_why(scene: dict[str, dict[str, object]]) -> None:
-    plan = scene["plan"]
-    assert plan["bounces"] == 1
-    assert plan["bytes_per_texel"] > 0  # type: ignore[operator]
-    assert all(each["what"] and each["why"] for each in plan["left_out"])  # type: ignore[attr-defined]
+def test_the_plan_is_that_of_the_scene(live_server: str, small_scene: Path) -> None:
+    """Every number of the document, beside the plan that the scene itself makes."""
+    answer = httpx.get(f"{live_server}/v1/scenes/small")
+    plan, own = answer.json()["plan"], load_scene(small_scene)
+    for name in ("representation", "order", "indirect_order", "channels", "bounces", "precision", "samples"):
+        assert plan[name] == getattr(own.plan, name)
+    assert plan["bytes_per_texel"] == sum(layer["bytes_per_texel"] for layer in plan["layers"]) < 300
+    assert plan["full_bytes_per_texel"] == 300
+    assert [layer["kind"] for layer in plan["layers"]] == [layer.kind for layer in own.plan.layers]
+    assert plan["errors"] == dict(own.plan.errors) and plan["notes"] == list(own.plan.notes)
+    assert plan["texels"] == asdict(own.texels)
+    assert 0 < plan["texels"]["shown"] <= plan["texels"]["total"] == 13 * 11 * 9
+
+
+def test_the_plan_says_what_is_left_out_why_and_what_that_saves(small_scene: Path, scene: dict[str, Any]) -> None:
+    left_out = scene["plan"]["left_out"]
+    assert left_out == json.loads(json.dumps([asdict(each) for each in load_scene(small_scene).left_out]))
+    assert len({each["what"] for each in left_out}) == len(left_out) > 5
+    for saved in (saved for each in left_out for saved in each["saves"]):
+        assert saved["amount"] > 0 and saved["unit"] and saved["measured"] in (True, False)
+
+
+def test_a_scene_of_one_isovalue_is_a_scene_with_fewer_texels(small_scene: Path, scene: dict[str, Any]) -> None:
+    one = scene_facts(load_scene(small_scene, isovalues=[0.5, 0.5]))
+    assert (one.ranges["isovalue"].min, one.ranges["isovalue"].max, one.defaults["isovalue"]) == (0.5, 0.5, 0.5)
+    assert 0 < one.plan.texels.shown < scene["plan"]["texels"]["shown"]
+
+
+def test_the_document_has_no_number_that_json_lacks(live_server: str) -> None:
+    def refuse(constant: str) -> float:
+        raise AssertionError(f"the document holds {constant}")
+
+    json.loads(httpx.get(f"{live_server}/v1/scenes/small").text, parse_constant=refuse)
 
 
 def test_unknown_parameters_are_refused(live_server: str) -> None:

@@ -1,55 +1,41 @@
 import errno
+import json
+import os
 import shutil
+import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+import tracemalloc
+from collections.abc import Callable, Collection, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
-from hashlib import sha256
+from dataclasses import replace
 from pathlib import Path
 from queue import Queue
 from typing import Any
 
 import numpy as np
 import pytest
+from numba import config
 from zarr.storage import LocalStore
 
 from isogi_core.bake.maps import STEP, Maps
 from isogi_core.errors import Cancelled, StoreError
 from isogi_core.frame.frame import Frame
+from isogi_core.frame.kernels import FRAME
 from isogi_core.kernels.bricks import Bricks
+from isogi_core.kernels.harmonics import rotate
+from isogi_core.kernels.lamps import project_lamps
 from isogi_core.model.scene import Scene, load_scene
-from isogi_core.model.view import View
 from server import studio as studios
 from server.foresight import next_values
 from server.studio import Studio, absolute
+from tests.server.inline import LONG, InlinePool, chunks_in, view_of
 from worker import pool
 from worker.errors import WorkersError
-from worker.pool import Done
-from worker.tasks import BakeResult, BakeTask, bake
 
-LONG = 60.0
-
-
-class InlinePool:
-    """Bakes on a thread of this process."""
-
-    room = 2
-    connected = True
-
-    def __init__(self, workers: int, scheduler: str | None = None) -> None:
-        self._thread = ThreadPoolExecutor(1)
-
-    def submit(self, task: BakeTask, done: Done) -> None:
-        def ended(future: "Future[BakeResult]") -> None:
-            error = future.exception()
-            done(None if error else future.result(), error)
-
-        self._thread.submit(bake, task).add_done_callback(ended)
-
-    def close(self) -> None:
-        self._thread.shutdown()
+ROOT = Path(__file__).resolve().parent.parent.parent
 
 
 @pytest.fixture(autouse=True)
@@ -59,7 +45,8 @@ def inline(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(scope="module")
 def scene() -> Scene:
-    light = {"type": "constant", "radiance": 0.5}
+    """A scene whose texels keep two layers."""
+    light = {"type": "sky", "sun_azimuth": 30.0, "sun_elevation": 50.0}
     return load_scene("demo:orbital", order=2, lattice=0.5, bounces=1, target_error=0.3, lights=[light])
 
 
@@ -86,17 +73,6 @@ def begin(scene: Scene, store: Path) -> Iterator[Open]:
         studio.close()
 
 
-def view_of(scene: Scene, azimuth: float = 30.0, isovalue: float | None = None) -> View:
-    camera = scene.camera(azimuth, 20.0, 3.0, 30.0)
-    return View(scene.isovalue if isovalue is None else isovalue, camera, width=40, height=40)
-
-
-def chunks_in(store: Path) -> dict[str, str]:
-    """The stored chunks by name, and the digest of each."""
-    files = [path for path in store.glob("*/c/**/*") if path.is_file()]
-    return {str(path.relative_to(store)): sha256(path.read_bytes()).hexdigest() for path in files}
-
-
 def assert_same(a: Frame, b: Frame) -> None:
     assert a.version == b.version
     assert_same_light(a, b)
@@ -120,6 +96,7 @@ def test_a_frame_comes_at_once_and_becomes_final(begin: Open, scene: Scene) -> N
     assert first.surface > 100
     assert_unlit(first)
     assert len(first.demands) == first.chunks_needed > 4
+    assert len(scene.plan.layers) == 2
     final = studio.frame(scene.id, view_of(scene), wait=LONG)
     assert final.coverage["final"] == 1.0
     assert (final.demands, final.chunks_final) == ((), final.chunks_needed)
@@ -140,7 +117,7 @@ def test_asking_again_and_again_is_enough(begin: Open, scene: Scene) -> None:
 def test_workers_come_after_the_start(begin: Open, scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     come = threading.Event()
 
-    def hire(workers: int, scheduler: str | None) -> InlinePool:
+    def hire(workers: int, scheduler: str | None, kinds: Collection[str]) -> InlinePool:
         assert come.wait(LONG)
         return InlinePool(workers)
 
@@ -156,7 +133,7 @@ def test_workers_come_after_the_start(begin: Open, scene: Scene, monkeypatch: py
 def test_workers_are_hired_once(begin: Open, scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     hired = []
 
-    def hire(workers: int, scheduler: str | None) -> InlinePool:
+    def hire(workers: int, scheduler: str | None, kinds: Collection[str]) -> InlinePool:
         hired.append(InlinePool(workers))
         return hired[0]
 
@@ -188,7 +165,7 @@ def test_maps_of_the_next_isovalues_are_made_while_nobody_waits(
 
 
 def test_workers_that_cannot_be_had_are_told(begin: Open, scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(workers: int, scheduler: str | None) -> None:
+    def refuse(workers: int, scheduler: str | None, kinds: Collection[str]) -> None:
         raise WorkersError("No workers today.")
 
     monkeypatch.setattr(pool, "WorkerPool", refuse)
@@ -201,7 +178,7 @@ def test_workers_that_cannot_be_had_are_told(begin: Open, scene: Scene, monkeypa
 def test_anything_that_keeps_workers_from_coming_is_told(
     begin: Open, scene: Scene, monkeypatch: pytest.MonkeyPatch, error: Exception
 ) -> None:
-    def fail(workers: int, scheduler: str | None) -> None:
+    def fail(workers: int, scheduler: str | None, kinds: Collection[str]) -> None:
         raise error
 
     monkeypatch.setattr(pool, "WorkerPool", fail)
@@ -389,6 +366,23 @@ def test_views_from_many_threads(begin: Open, scene: Scene) -> None:
         np.testing.assert_array_equal(frame.state, expected.state)
 
 
+def test_memory_is_set_aside_for_what_requests_read_alone(
+    begin: Open, scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(InlinePool, "submit", lambda *_: None)
+    budget, shadings = 64 << 20, ("lambert", "phong_shadow", "vicinity", "gi")
+    views = [replace(view_of(scene), shading=shading) for shading in shadings]
+    for view in views:
+        begin().frame(scene.id, view)
+    tracemalloc.start()
+    studio, taken = begin(memory=budget), []
+    for view in views:
+        studio.frame(scene.id, view)
+        taken.append(tracemalloc.get_traced_memory()[0] / budget)
+    tracemalloc.stop()
+    assert taken == pytest.approx([0.1, 0.1, 1.1, 2.1], abs=0.1)
+
+
 def test_nobody_waits_for_a_cancelled_frame(begin: Open, scene: Scene) -> None:
     cancelled = threading.Event()
     cancelled.set()
@@ -416,6 +410,53 @@ def test_a_start_can_be_given_up(scene: Scene, store: Path, monkeypatch: pytest.
         studio.stop()
         start.result(LONG)
     assert not store.exists()
+
+
+START = """\
+import json, sys
+from contextlib import closing
+from numba.core.event import install_recorder
+from isogi_core.model.scene import load_scene
+from isogi_core.model.view import View, quaternion_from_angles
+from server.studio import Studio
+from tests.server.inline import LONG, InlinePool, chunks_in, view_of
+from worker import pool
+
+class Idle:
+    room, connected = 0, True
+    def __init__(self, *_): pass
+    def close(self): pass
+
+if __name__ == "__main__":
+    pool.WorkerPool = Idle
+    scene = load_scene("demo:orbital", lattice=0.4, **json.loads(sys.argv[1]))
+    with closing(Studio([scene], sys.argv[2])) as studio, install_recorder("numba:compile") as compiled:
+        studio.start()
+        turned = quaternion_from_angles(30.0, 0.0, 0.0)
+        view = View(scene.isovalue, scene.camera(30, 20, 3, 30), width=20, height=20, light=turned)
+        assert studio.frame(scene.id, view).provisional
+    print(len(compiled.buffer))
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(bool(config.DISABLE_JIT), reason="Numba is switched off: nothing is compiled")
+def test_kernels_that_a_scene_never_calls_are_never_compiled(tmp_path: Path) -> None:
+    (tmp_path / "start.py").write_text(START)
+
+    def start(light: str) -> tuple[set[str], int]:
+        """Kernels there are once a studio has shown a scene under a ``light``, and what its process compiled itself."""
+        settings = json.dumps({"lights": [{"type": light}]})
+        command = [sys.executable, str(tmp_path / "start.py"), settings, str(tmp_path / "light")]
+        environment = {**os.environ, "ISOGI_KERNEL_CACHE": str(tmp_path / "kernels"), "PYTHONPATH": str(ROOT)}
+        done = subprocess.run(command, env=environment, check=True, capture_output=True, text=True)
+        files = (tmp_path / "kernels").rglob("*.nbi")
+        return {f"isogi_core.kernels.{path.name.split('-')[0]}" for path in files}, int(done.stdout)
+
+    every = {kernel.name for kernel in FRAME} - {project_lamps.name}
+    assert start("constant")[0] == every - {rotate.name}
+    assert start("sky")[0] == every
+    assert start("sky") == (every, 0)
 
 
 def test_workers_are_told_absolute_paths(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

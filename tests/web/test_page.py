@@ -8,7 +8,7 @@ from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
 import pytest
-from playwright.sync_api import Browser, Page, expect, sync_playwright
+from playwright.sync_api import Browser, Page, Route, expect, sync_playwright
 
 CHROMIUM = Path("/usr/bin/chromium")
 FLAGS = [
@@ -158,9 +158,31 @@ def test_says_what_the_scene_needs_and_what_was_left_out(shown: Page, live_serve
     shown.click("#plan summary")
     facts = shown.inner_text("#plan")
     assert scene["plan"]["representation"] in facts
-    assert all(item["what"] in facts and item["why"] in facts for item in scene["plan"]["left_out"])
+    assert f"{scene['plan']['bytes_per_texel']}, instead of 300" in facts
+    assert all(note in facts for note in scene["plan"]["notes"])
+    for item in scene["plan"]["left_out"]:
+        assert item["what"] in facts and item["why"] in facts
+        assert all(saved["unit"] in facts for saved in item["saves"])
+    assert shown.locator("#plan-left-out li").count() == len(scene["plan"]["left_out"])
+    assert shown.evaluate("document.documentElement.scrollWidth <= innerWidth"), "nothing sticks out"
+    shown.screenshot(path=SHOTS / "plan.png", full_page=True)
     shown.click("#volume summary")
     assert " × ".join(str(side) for side in scene["volume"]["size"]) in shown.inner_text("#volume")
+
+
+def test_a_scene_of_one_isovalue_locks_its_slider_and_shows_the_whole_histogram(page: Page, live_server: str) -> None:
+    def single(route: Route) -> None:
+        scene = route.fetch().json()
+        scene["ranges"]["isovalue"] = {"min": 0.5, "max": 0.5}
+        route.fulfill(json=scene)
+
+    page.route("**/v1/scenes/small", single)
+    open_final(page, live_server)
+    expect(page.locator("#isovalue")).to_be_disabled()
+    expect(page.locator("#isovalue-number")).to_be_disabled()
+    expect(page.locator("#isovalue-number")).to_have_value("0.5")
+    box = page.locator("#histogram .bars").first.bounding_box()
+    assert box is not None and box["width"] > 100
 
 
 def test_isovalue_slider_changes_picture_and_address(shown: Page) -> None:

@@ -8,6 +8,7 @@ import pytest
 from isogi_core.bake.recipe import Index
 from isogi_core.errors import StoreError
 from isogi_core.frame.texels import Demand
+from isogi_core.model.plan import Layer, ScenePlan
 from isogi_core.model.source import SceneSource
 from worker.baker import Bake, Baker
 from worker.pool import Done
@@ -15,6 +16,8 @@ from worker.queue import FORGET_AFTER, MOST_FAILURES
 from worker.tasks import BakeResult, BakeTask
 
 SOURCE = SceneSource("scene", {"volume": "demo:orbital"}, Path())
+PLAN = ScenePlan("transfer", (Layer("direct", 5), Layer("indirect", 3)), 5, 4, 1.0, 4096)
+NEAR = ScenePlan("vicinity", (Layer("direct", 5),), 1, 0, 1.0, 4096)
 DONE = BakeResult(0, 0, 0.1)
 
 
@@ -44,7 +47,8 @@ class Bench:
         self.now = 0.0
         self.arrived: list[Index] = []
         self.baker = Baker(lambda: self.now)
-        self.baker.add("scene", Bake(SOURCE, "digest", "store", self.arrived.append))
+        layers = frozenset({"direct", "indirect"})
+        self.baker.add("scene", Bake(SOURCE, PLAN, "digest", layers, "store", self.arrived.append))
 
     def want(self, *chunks: int, scene: str = "scene") -> bool:
         texels = np.array([1, 2], np.int32)
@@ -70,7 +74,7 @@ def test_a_task_holds_all_that_a_worker_must_know(bench: Bench) -> None:
     pool = bench.employ(1)
     bench.want(3)
     task = pool.flying[0][0]
-    assert (task.source, task.digest, task.store) == (SOURCE, "digest", "store")
+    assert (task.source, task.plan, task.digest, task.store) == (SOURCE, PLAN, "digest", "store")
     assert (task.index, task.offsets.tolist(), task.until, task.target) == ((0, 0, 3), [1, 2], 16, 0.1)
 
 
@@ -97,7 +101,7 @@ def test_each_chunk_is_told_as_it_arrives_and_taken_on_until_final(bench: Bench)
 
 def test_scenes_share_the_workers(bench: Bench) -> None:
     others: list[Index] = []
-    bench.baker.add("other", Bake(SOURCE, "other digest", "store", others.append))
+    bench.baker.add("other", Bake(SOURCE, PLAN, "other digest", frozenset({"whole"}), "store", others.append))
     pool = bench.employ(4)
     bench.want(1)
     bench.want(1, scene="other")
@@ -106,6 +110,19 @@ def test_scenes_share_the_workers(bench: Bench) -> None:
     assert (bench.arrived, others) == ([(0, 0, 1)], [])
     pool.end()
     assert others == [(0, 0, 1)]
+
+
+def test_bakes_that_share_a_layer_are_at_a_chunk_one_after_the_other(bench: Bench) -> None:
+    bench.baker.add("near", Bake(SOURCE, NEAR, "near digest", frozenset({"direct"}), "store", lambda _: None))
+    pool = bench.employ(8)
+    bench.want(1, 2)
+    bench.want(2, 3, scene="near")
+    flying = [(PLAN, 1), (PLAN, 2), (NEAR, 3), (NEAR, 2)]
+    assert [(task.plan, task.index[2]) for task, _ in pool.flying] == flying[:3]
+    pool.end()
+    assert [(task.plan, task.index[2]) for task, _ in pool.flying] == flying[1:3]
+    pool.end()
+    assert [(task.plan, task.index[2]) for task, _ in pool.flying] == flying[2:]
 
 
 def test_waiting_ends_when_the_light_is_there(bench: Bench) -> None:

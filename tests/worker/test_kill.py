@@ -15,6 +15,7 @@ import httpx
 import psutil
 import pytest
 
+from isogi_core.bake.look import look_for
 from isogi_core.bake.recipe import Recipe
 from isogi_core.cache.store import ChunkStore
 from isogi_core.frame.frame import Frame
@@ -74,7 +75,7 @@ class Killing:
     light: dict[str, str] = field(default_factory=dict)
 
     def do(self, store: Path, others: set[int]) -> None:
-        while len(self.light) < self.chunks or not worker_pids() - others:
+        while sum("/c/" in key for key in self.light) < self.chunks or not worker_pids() - others:
             time.sleep(0.005)
             self.light = light_in(store)
         os.kill(min(worker_pids() - others), signal.SIGKILL)
@@ -88,7 +89,8 @@ def expected(
     store = tmp_path_factory.mktemp("undisturbed")
     frames = bake_views(scene, store, views, workers=1)
     light = light_in(store)
-    assert len(light) > 10
+    assert all(any(f"{scene.layer_digest(layer)}/c/" in key for key in light) for layer in scene.plan.layers)
+    assert len(light) > 20
     return light, frames
 
 
@@ -177,8 +179,10 @@ def test_no_worker_outlives_its_server(tmp_path: Path, number: signal.Signals) -
         process.send_signal(number)
         assert process.wait(LONG) == (-number if number == signal.SIGKILL else 0)
         assert psutil.wait_procs(family, timeout=5.0)[1] == []
-    store = ChunkStore(tmp_path, Recipe(load_scene("demo:orbital")))
-    found = [tuple(map(int, path.parts[-4:-1])) for path in tmp_path.glob("*/c/*/*/*/0")]
-    assert found
-    for z, y, x in found:
-        assert store.decode((z, y, x), store.read((z, y, x)) or b"").offsets.size > 0
+    layers = ChunkStore(tmp_path, look_for(Recipe(load_scene("demo:orbital")), "gi")).layers
+    assert len(layers) == 2
+    for layer in layers:
+        found = [tuple(map(int, path.parts[-4:-1])) for path in Path(layer.path).glob("c/*/*/*/0")]
+        assert found
+        for z, y, x in found:
+            assert len(layer.decode((z, y, x), layer.read((z, y, x)) or b"")[0]) > 0

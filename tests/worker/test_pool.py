@@ -13,22 +13,26 @@ import psutil
 import pytest
 from distributed import LocalCluster
 
+from isogi_core.bake.look import look_for
+from isogi_core.bake.recipe import Recipe
 from isogi_core.cache.store import ChunkStore
 from isogi_core.kernels.bricks import fill_ranges, mark_bricks, pack_bricks
-from isogi_core.kernels.harmonics import project
 from isogi_core.kernels.macrocells import fill_macrocells
 from isogi_core.kernels.warm import warm
 from isogi_core.model.scene import load_scene
 from worker.errors import WorkersError
 from worker.nice import NICENESS
 from worker.pool import AHEAD, WorkerPool
-from worker.tasks import BAKE, BakeResult, BakeTask, opened
+from worker.tasks import KINDS, BakeResult, BakeTask, bake_kernels, opened
 
 SCENE = load_scene("demo:orbital", order=2, lattice=0.4, bounces=1, target_error=0.5)
+LOOK = look_for(Recipe(SCENE), "gi")
+BAKE = bake_kernels(KINDS)
 TEXELS = np.arange(0, 4096, 40, dtype=np.int32)
 WORKERS = 2
 ROOT = Path(__file__).resolve().parent.parent.parent
-OPENING = (fill_ranges, mark_bricks, pack_bricks, fill_macrocells, project)
+OPENING = (fill_ranges, mark_bricks, pack_bricks, fill_macrocells)
+CALLED = (*bake_kernels(["direct", "indirect"]), *OPENING)
 
 
 def kernel_cache() -> dict[str, tuple[int, int]]:
@@ -71,9 +75,9 @@ def bake_all(pool: WorkerPool, tasks: list[BakeTask]) -> list[BakeResult]:
     return results
 
 
-def tasks_for(store: Path, digest: str = SCENE.bake_digest) -> list[BakeTask]:
+def tasks_for(store: Path, digest: str = LOOK.digest) -> list[BakeTask]:
     indices = [(z, y, 0) for z in (0, 1) for y in (0, 1)]
-    return [BakeTask(SCENE.source, digest, str(store), index, TEXELS, 64, 0.5) for index in indices]
+    return [BakeTask(SCENE.source, LOOK.plan, digest, str(store), index, TEXELS, 64, 0.5) for index in indices]
 
 
 def test_workers_are_processes_of_their_own(pool: WorkerPool) -> None:
@@ -89,7 +93,7 @@ def test_tasks_leave_their_chunks_in_the_store(pool: WorkerPool, tmp_path: Path)
     tasks = tasks_for(tmp_path)
     results = bake_all(pool, tasks)
     assert all(result.seconds > 0 for result in results)
-    store: ChunkStore = opened(SCENE.source, SCENE.bake_digest, str(tmp_path))[1]
+    store: ChunkStore = opened(SCENE.source, LOOK.plan, LOOK.digest, str(tmp_path))[1]
     for task in tasks:
         np.testing.assert_array_equal(store.load(task.index).offsets, TEXELS)
 
@@ -161,7 +165,7 @@ def test_kernels_are_loaded_and_not_compiled_again(
 ) -> None:
     bake_all(pool, tasks_for(tmp_path))
     for kernels in pool._client.run(kernels_of_this_process).values():
-        assert set(kernels) == {kernel.name for kernel in (*BAKE, *OPENING)}
+        assert set(kernels) == {kernel.name for kernel in CALLED}
         assert not any(kernels.values())
     assert compiled
     after = kernel_cache()
@@ -169,7 +173,7 @@ def test_kernels_are_loaded_and_not_compiled_again(
 
 
 def test_kernels_that_are_missing_are_compiled_by_a_worker(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("worker.pool.kernels_missing", lambda: True)
+    monkeypatch.setattr("worker.pool.kernels_missing", lambda kinds: True)
     fresh = WorkerPool(1)
     try:
         deadline = time.monotonic() + 60
@@ -186,7 +190,7 @@ def test_workers_that_are_joined_have_loaded_their_kernels(
 ) -> None:
     """Started with the preload of docker-compose.yml; nothing is sent to one of them."""
     preload = re.findall(r'"--preload", "([\w.]+)"', (ROOT / "docker-compose.yml").read_text())
-    monkeypatch.setattr("worker.pool.kernels_missing", lambda: True)
+    monkeypatch.setattr("worker.pool.kernels_missing", lambda kinds: True)
     monkeypatch.setattr("worker.pool.fire_and_forget", lambda future: pytest.fail("a job was sent"))
     kwargs: dict[str, Any] = {"host": "127.0.0.1", "dashboard_address": "127.0.0.1:0", "preload": preload}
     with LocalCluster(n_workers=WORKERS, threads_per_worker=1, processes=True, silence_logs=50, **kwargs) as others:

@@ -6,38 +6,45 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from isogi_core.bake.light import SAMPLES
-from isogi_core.bake.noise import finished, most_samples
+from isogi_core.bake.look import look_for
+from isogi_core.bake.noise import finished
+from isogi_core.bake.recipe import Recipe
 from isogi_core.cache.store import ChunkStore
 from isogi_core.errors import SceneError, StoreError
+from isogi_core.kernels.irradiance import bake_irradiance
+from isogi_core.kernels.transfer import bake_texels, locate_texels
+from isogi_core.model.plan import most_samples
 from isogi_core.model.scene import load_scene
-from worker.tasks import BakeResult, BakeTask, bake, dask_setup, next_goal, opened
+from worker.tasks import KINDS, BakeResult, BakeTask, bake, bake_kernels, dask_setup, next_goal, opened
 
 INDEX = (1, 1, 2)
 UNTIL = most_samples(0.05)
 TEXELS = np.arange(5, 3000, 41, dtype=np.int32)
 TEXELS = TEXELS[TEXELS % 16 < 7]  # the last chunk along x is 7 texels wide
 SCENE = load_scene("demo:orbital", order=2, lattice=0.4, bounces=2, target_error=0.05)
+LOOK = look_for(Recipe(SCENE), "gi")
+VICINITY = look_for(Recipe(SCENE), "vicinity")
 
 
 def do(root: Path, texels: np.ndarray = TEXELS, until: int = UNTIL, target: float = 0.05) -> BakeResult:
-    return bake(BakeTask(SCENE.source, SCENE.bake_digest, str(root), INDEX, texels, until, target))
+    return bake(BakeTask(SCENE.source, LOOK.plan, LOOK.digest, str(root), INDEX, texels, until, target))
 
 
 def store_of(root: Path) -> ChunkStore:
-    return opened(SCENE.source, SCENE.bake_digest, str(root))[1]
+    return opened(SCENE.source, LOOK.plan, LOOK.digest, str(root))[1]
 
 
-def stored(root: Path) -> bytes:
-    return store_of(root).read(INDEX) or b""
+def stored(root: Path) -> list[bytes | None]:
+    """The chunk's object in each layer."""
+    return [layer.read(INDEX) for layer in store_of(root).layers]
 
 
 def test_a_task_leaves_light_of_just_its_texels(tmp_path: Path) -> None:
     result = do(tmp_path, until=16)
     chunk = store_of(tmp_path).load(INDEX)
     np.testing.assert_array_equal(chunk.offsets, TEXELS)
-    assert set(chunk.light.samples.tolist()) == {16.0}
-    waiting = ~finished(chunk.light, store_of(tmp_path).recipe, 0.05)
+    assert [set(part.samples.tolist()) for part in chunk.light.parts] == [{16}, {16}]
+    waiting = ~finished(chunk.light, store_of(tmp_path).look, 0.05)
     assert (result.unfinished, result.fewest) == (waiting.sum(), 16)
     assert result.seconds > 0.0
     assert waiting.any()
@@ -47,8 +54,20 @@ def test_a_finished_task_says_so(tmp_path: Path) -> None:
     result = do(tmp_path)
     assert (result.unfinished, result.fewest) == (0, 0)
     chunk = store_of(tmp_path).load(INDEX)
-    assert finished(chunk.light, store_of(tmp_path).recipe, 0.05).all()
-    assert len(set(chunk.light.samples.tolist())) > 1
+    assert finished(chunk.light, store_of(tmp_path).look, 0.05).all()
+    assert all(len(set(part.samples.tolist())) > 1 for part in chunk.light.parts)
+
+
+def test_a_layer_that_takes_no_samples_is_not_written_again(tmp_path: Path) -> None:
+    do(tmp_path, until=64)
+    before = stored(tmp_path)
+    bake(BakeTask(SCENE.source, VICINITY.plan, VICINITY.digest, str(tmp_path), INDEX, TEXELS, 256, 1e-4))
+    ahead = stored(tmp_path)
+    assert [now == old for now, old in zip(ahead, before, strict=True)] == [False, True]
+    do(tmp_path, until=256, target=1e-4)
+    assert [now == old for now, old in zip(stored(tmp_path), ahead, strict=True)] == [True, False]
+    do(tmp_path / "together", until=256, target=1e-4)
+    assert stored(tmp_path) == stored(tmp_path / "together")
 
 
 def test_the_same_task_leaves_the_same_bytes(tmp_path: Path) -> None:
@@ -85,8 +104,22 @@ def test_texels_that_are_not_asked_for_stay_as_they_are(tmp_path: Path) -> None:
     before = store_of(tmp_path).load(INDEX)
     do(tmp_path, TEXELS[10:20])
     after = store_of(tmp_path).load(INDEX)
-    np.testing.assert_array_equal(after.light.planes[:10], before.light.planes)
-    assert (after.light.planes[10:, SAMPLES] >= 16).all()
+    for old, new in zip(before.light.parts, after.light.parts, strict=True):
+        np.testing.assert_array_equal(new.samples[:10], old.samples)
+        np.testing.assert_array_equal(new.noise[:10], old.noise)
+        np.testing.assert_array_equal(new.coefficients[:10], old.coefficients)
+        assert (new.samples[10:] >= 16).all()
+
+
+def test_vicinity_shading_takes_its_light_from_the_layer_that_is_there(tmp_path: Path) -> None:
+    do(tmp_path)
+    before = stored(tmp_path)
+    result = bake(BakeTask(SCENE.source, VICINITY.plan, VICINITY.digest, str(tmp_path), INDEX, TEXELS, 64, 0.5))
+    assert result.unfinished == 0
+    assert stored(tmp_path) == before
+    light = opened(SCENE.source, VICINITY.plan, VICINITY.digest, str(tmp_path))[1].load(INDEX).light
+    assert [part.layer for part in light.parts] == [SCENE.plan.layers[0]]
+    assert (light.samples >= 64).all()
 
 
 DAMAGES: list[Callable[[bytes], bytes]] = [
@@ -99,18 +132,19 @@ DAMAGES: list[Callable[[bytes], bytes]] = [
 ]
 
 
+@pytest.mark.parametrize("layer", [0, 1])
 @pytest.mark.parametrize("damage", DAMAGES)
-def test_a_damaged_chunk_heals_to_the_same_bytes(tmp_path: Path, damage: Callable[[bytes], bytes]) -> None:
+def test_a_damaged_chunk_heals_to_the_same_bytes(tmp_path: Path, damage: Callable[[bytes], bytes], layer: int) -> None:
     do(tmp_path)
-    path = Path(store_of(tmp_path).path, "c", *map(str, INDEX), "0")
-    whole = path.read_bytes()
-    path.write_bytes(damage(whole))
+    path = Path(store_of(tmp_path).layers[layer].path, "c", *map(str, INDEX), "0")
+    whole = stored(tmp_path)
+    path.write_bytes(damage(whole[layer] or b""))
     do(tmp_path)
-    assert path.read_bytes() == whole
+    assert stored(tmp_path) == whole
 
 
 def test_a_scene_whose_files_changed_is_refused(tmp_path: Path) -> None:
-    task = BakeTask(SCENE.source, "0" * 20, str(tmp_path), INDEX, TEXELS, 16, 0.05)
+    task = BakeTask(SCENE.source, LOOK.plan, "0" * 20, str(tmp_path), INDEX, TEXELS, 16, 0.05)
     with pytest.raises(SceneError, match=r"'orbital' have changed since the server began: restart it\.$"):
         bake(task)
     assert not list(tmp_path.iterdir())
@@ -125,7 +159,7 @@ def test_a_store_that_cannot_be_written_is_an_error(tmp_path: Path) -> None:
 def test_a_worker_answers_while_it_loads_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
     answered = threading.Event()
     loaded: list[bool] = []
-    monkeypatch.setattr("worker.tasks.load_kernels", lambda: loaded.append(answered.wait(5)))
+    monkeypatch.setattr("worker.tasks.load_kernels", lambda kinds: loaded.append(kinds == KINDS and answered.wait(5)))
 
     async def start() -> None:
         asyncio.get_running_loop().call_soon(answered.set)
@@ -133,6 +167,13 @@ def test_a_worker_answers_while_it_loads_kernels(monkeypatch: pytest.MonkeyPatch
 
     asyncio.run(start())
     assert loaded == [True]
+
+
+def test_layers_need_the_kernels_of_their_kinds_alone() -> None:
+    assert set(bake_kernels(["direct", "indirect"])) == {bake_texels, locate_texels}
+    assert set(bake_kernels(["whole"])) == {bake_texels, locate_texels}
+    assert set(bake_kernels(["irradiance"])) == {bake_irradiance, locate_texels}
+    assert set(bake_kernels(KINDS)) == {bake_texels, bake_irradiance, locate_texels}
 
 
 def test_goals_climb() -> None:

@@ -1,0 +1,115 @@
+"""A look: one way to light a scene, the layers that its texels keep and the light that these are put under."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from isogi_core.bake.recipe import Recipe
+from isogi_core.model.plan import Layer, ScenePlan
+from isogi_core.model.scene import digest_of
+from isogi_core.model.sky import LUMINANCE
+from isogi_core.plan.planner import vicinity_plan
+from isogi_core.plan.projection import project_environment
+
+LOOKS = ("gi", "vicinity")
+"""Names of the looks of a scene."""
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """A scene's ``recipe``, and the ``plan`` by which it is lit: the scene's own, or that of vicinity shading."""
+
+    recipe: Recipe
+    plan: ScenePlan
+
+    @cached_property
+    def digest(self) -> str:
+        """Hex name of everything that the look's light in the store depends on."""
+        return digest_of([self.recipe.scene.layer_digest(layer) for layer in self.plan.layers])
+
+    @property
+    def order(self) -> int:
+        """The order of the light, and so of the coefficients that frames read; 1 where no harmonics are kept."""
+        return self.plan.order
+
+    @property
+    def channels(self) -> int:
+        """The channels that light is kept in."""
+        return self.plan.channels
+
+    @cached_property
+    def light(self) -> np.ndarray:
+        """What coefficients are multiplied by, linear RGB, (3, n²) float64: ℓ of the unturned light.
+
+        Irradiance has met its light already, so that this is 1. Source: S1, eq. 7.
+        """
+        if self.plan.representation == "irradiance":
+            return np.ones((3, 1))
+        return project_environment(self.recipe.scene.environment, self.order)
+
+    @cached_property
+    def luminance_light(self) -> np.ndarray:
+        """Luminance of ``light`` times the albedo, split over the channels; (channels, n²) float64."""
+        return to_luminance(self.light, self.recipe.scene.albedo, self.channels)
+
+    @cached_property
+    def unoccluded(self) -> float:
+        """Luminance that leaves a surface which sees all of the light, a mean over its turns."""
+        mean = self.recipe.around[:, 0] / np.sqrt(4.0 * np.pi)
+        return float(mean * self.recipe.scene.albedo @ LUMINANCE)
+
+    def gains(self, layer: Layer) -> np.ndarray:
+        """What the noises of a ``layer`` count in a texel's luminance, a mean over turns of the light; (noises,).
+
+        For a light turned at random E[(s·Dℓ)²] = Σ_l |s_l|² |ℓ_l|² / (2l + 1), with a variance e² of each
+        coefficient of band l, |s_l|² = (2l + 1) e². Channels are of the same paths, and so are their errors.
+        """
+        light = self.luminance_light.sum(axis=0)[: layer.order**2]
+        return np.array([abs(light[0]), np.sqrt((light[1:] ** 2).sum())])[: layer.noises]
+
+    def weights(self, layer: Layer) -> np.ndarray:
+        """R^k for k = 0 … bounces, over the chance to get there, of the layer's channels; (bounces + 1, channels)."""
+        albedo = np.array(self.recipe.scene.albedo[: layer.channels])
+        k = np.arange(self.plan.bounces + 1 if layer.reflected else 1)[:, None]
+        return np.asarray(albedo**k / self.plan.survival ** np.maximum(k - 1, 0))
+
+    def shares(self, layers: Sequence[Layer]) -> np.ndarray:
+        """What a path counts in ``layers`` that never left, or left after k = 0, 1, … bounces: R^k, or 0.
+
+        (all channels of all layers, bounces + 2) float64, k at k + 1; no longer than the longest path of these.
+        """
+        own = [self._shares(layer) for layer in layers]
+        longest = max(shares.shape[1] for shares in own)
+        return np.vstack([np.pad(shares, ((0, 0), (0, longest - shares.shape[1]))) for shares in own])
+
+    def _shares(self, layer: Layer) -> np.ndarray:
+        weights = self.weights(layer)
+        shares = np.zeros((layer.channels, len(weights) + 1))
+        shares[:, 1:] = weights.T
+        if layer.kind == "indirect":
+            shares[:, 1] = 0.0
+        return shares
+
+
+def look_name(shading: str) -> str:
+    """The name of the look that views of a ``shading`` read: vicinity shading has one of its own."""
+    return "vicinity" if shading == "vicinity" else "gi"
+
+
+def look_for(recipe: Recipe, shading: str) -> Look:
+    """The look that views of a ``shading``, or of a look's name, read."""
+    plan = recipe.scene.plan
+    return Look(recipe, vicinity_plan(plan) if look_name(shading) == "vicinity" else plan)
+
+
+def to_luminance(light: np.ndarray, albedo: tuple[float, float, float], channels: int) -> np.ndarray:
+    """Luminance of the reflected ``light`` (3, n²), split over the channels of the transfer; (channels, n²)."""
+    weighted = (LUMINANCE * np.array(albedo))[:, None] * light
+    return weighted if channels == 3 else weighted.sum(axis=0, keepdims=True)
+
+
+def band_of(order: int) -> np.ndarray:
+    """The band l of each coefficient i < order²; (n²,) int."""
+    return np.repeat(np.arange(order), 2 * np.arange(order) + 1)

@@ -1,0 +1,89 @@
+"""What is rounded on its way to the store: light to half floats or bytes, noise to bytes, samples to rungs of a ladder.
+
+Light in memory is rounded too, after each rung, so that a texel has the same bits whether it was read or just baked.
+"""
+
+import numpy as np
+
+from isogi_core.model.plan import Layer
+
+FIRST_RUNG = 16
+"""Samples of a texel's first rung; each further one doubles them."""
+
+VOID = -1
+"""Number of samples that marks a texel which can hold no light."""
+
+VOID_CODE = 255
+
+NOISIEST = 16.0
+"""The noise, in units of a layer's scale, that code 0 stands for."""
+
+STEPS = 8
+"""Codes that halve a number: 9 % apart."""
+
+NEGATIVE, SMALLEST = 0x80, 0x7F
+"""The sign of a coefficient that is kept as a byte, and the code of the smallest: 2^-15.75 of the scale."""
+
+SILENT = 255
+"""The code of no noise."""
+
+
+def round_light(light: np.ndarray, layer: Layer) -> np.ndarray:
+    """``light`` (…, n²) as the layer keeps it, float32."""
+    fine = light[..., : layer.floats] / layer.scale
+    fine = fine.astype(np.float16 if layer.half else np.float32).astype(np.float32)
+    coarse = light_of(light_codes(light[..., layer.floats :] / layer.scale))
+    return np.concatenate([fine, coarse], axis=-1) * np.float32(layer.scale)
+
+
+def light_codes(light: np.ndarray) -> np.ndarray:
+    """Bytes of coefficients within ±1: a sign, and 1 + the steps from 1 down, to the nearest; 0 is none; uint8."""
+    size = np.abs(np.asarray(light, np.float64))
+    with np.errstate(divide="ignore"):
+        codes = 1.0 + np.rint(-STEPS * np.log2(size))
+    codes = np.where(codes > SMALLEST, 0.0, np.maximum(codes, 1.0)).astype(np.uint8)
+    return np.where((light < 0.0) & (codes > 0), codes | NEGATIVE, codes).astype(np.uint8)
+
+
+def light_of(codes: np.ndarray) -> np.ndarray:
+    """The coefficients that bytes stand for, float32."""
+    return LIGHT_OF[codes]
+
+
+def _light_table() -> np.ndarray:
+    """What each byte of ``light_codes`` stands for; (256,) float32."""
+    steps = (np.arange(256) & SMALLEST) - 1.0
+    size = np.where(steps < 0.0, 0.0, 2.0 ** (-steps / STEPS))
+    return np.where(np.arange(256) & NEGATIVE, -size, size).astype(np.float32)
+
+
+LIGHT_OF = _light_table()
+
+
+def noise_codes(noise: np.ndarray, scale: float) -> np.ndarray:
+    """Bytes of ``noise``: NOISIEST · scale · 2^(-code / STEPS), to the nearest; uint8."""
+    with np.errstate(divide="ignore"):
+        codes = np.rint(-STEPS * np.log2(np.asarray(noise, np.float64) / (NOISIEST * scale)))
+    return np.clip(codes, 0, SILENT).astype(np.uint8)
+
+
+def noise_of(codes: np.ndarray, scale: float) -> np.ndarray:
+    """The noise that bytes stand for, float32."""
+    return np.where(codes == SILENT, 0.0, NOISIEST * scale * 2.0 ** (codes / -STEPS)).astype(np.float32)
+
+
+def rung_codes(samples: np.ndarray) -> np.ndarray:
+    """Bytes of sample counts on the ladder: 0 for none, k for FIRST_RUNG · 2^(k - 1), VOID_CODE for VOID; uint8."""
+    codes = np.log2(np.maximum(samples, FIRST_RUNG // 2) / (FIRST_RUNG // 2)).astype(np.uint8)
+    return np.where(samples == VOID, VOID_CODE, codes).astype(np.uint8)
+
+
+def samples_of(codes: np.ndarray) -> np.ndarray:
+    """The sample counts that bytes stand for, int32."""
+    climbed = (FIRST_RUNG // 2) << np.where(codes == VOID_CODE, 0, codes).astype(np.int32)
+    return np.where(codes == VOID_CODE, VOID, np.where(codes == 0, 0, climbed)).astype(np.int32)
+
+
+def next_rung(samples: int) -> int:
+    """The sample count that follows ``samples`` on the ladder."""
+    return FIRST_RUNG if samples < FIRST_RUNG else 2 * samples

@@ -1,0 +1,1 @@
+"""What a light needs: its harmonics, and how many of them a surface shows."""

@@ -1,0 +1,67 @@
+"""What a plan is made for, and what a scene settles itself."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from isogi_core.kernels.harmonics import MAX_ORDER
+from isogi_core.model.environment import Environment
+from isogi_core.model.lamps import Lamps
+from isogi_core.model.lights import Vector
+from isogi_core.plan.bands import band_energy
+from isogi_core.plan.projection import project_environment
+
+Colour = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Told:
+    """What a scene settles itself; None leaves it to the planner."""
+
+    representation: str | None = None
+    order: int | None = None
+    indirect_order: int | None = None
+    bounces: int | None = None
+    precision: str | None = None
+
+
+@dataclass(frozen=True)
+class Needs:
+    """What a plan is made for: the lights and whether they may turn, the albedo, the relative error aimed at.
+
+    ``centre`` is the volume's, in the world.
+    """
+
+    environment: Environment
+    lamps: Lamps
+    centre: Vector
+    rotating: bool
+    albedo: Colour
+    target_error: float
+
+    @property
+    def grey(self) -> bool:
+        """Whether reflected light keeps its colour."""
+        return self.albedo[0] == self.albedo[1] == self.albedo[2]
+
+    @cached_property
+    def grey_light(self) -> bool:
+        """Whether all lights are grey."""
+        lights = (self.environment.image, self.environment.constant, self.lamps.arrays.colours)
+        return all(bool((light[..., 1:] == light[..., :1]).all()) for light in lights)
+
+    @cached_property
+    def constant(self) -> bool:
+        """Whether the light is told to be the same from all sides."""
+        return not self.lamps.any and not self.environment.image.any()
+
+    @cached_property
+    def brightest(self) -> float:
+        """Irradiance over π, in luminance, of an unshadowed surface at the centre turned to the light, at most."""
+        return self.environment.brightest() + self.lamps.brightest(self.centre)
+
+    @cached_property
+    def energy(self) -> np.ndarray:
+        """Mean square luminance of the environment in each band; (MAX_ORDER,) float64."""
+        return band_energy(project_environment(self.environment, MAX_ORDER))

@@ -1,0 +1,44 @@
+"""What a scene may not tell the planner: settings that contradict its lights, and settings that would do nothing."""
+
+from isogi_core.errors import SceneError
+from isogi_core.model.plan import Layer
+from isogi_core.plan.budget import even
+from isogi_core.plan.needs import Needs, Told
+
+
+def refuse_idle(representation: str, bounces: int, needs: Needs, told: Told) -> None:
+    """Raise SceneError where what is told cannot show the scene's light, or changes nothing in its plan."""
+    refuse_lights(representation, needs)
+    refuse_orders(representation, bounces, told)
+    if representation == "vicinity" and told.representation and told.bounces:
+        raise SceneError("representation = 'vicinity' is of light before it is reflected: leave out 'bounces'.")
+
+
+def refuse_lights(representation: str, needs: Needs) -> None:
+    """Raise SceneError where a representation that was told cannot show the lights."""
+    if representation in ("vicinity", "constant") and not even(needs):
+        raise SceneError(f"representation = '{representation}' shows constant light alone: leave it out.")
+    if representation == "transfer" and needs.lamps.any:
+        raise SceneError("representation = 'transfer' is of light from far away, and lamps are near: leave it out.")
+    if representation == "irradiance" and needs.rotating:
+        raise SceneError("representation = 'irradiance' is of light that does not turn: set rotating = false.")
+
+
+def refuse_orders(representation: str, bounces: int, told: Told) -> None:
+    """Raise SceneError for orders of harmonics where none are kept."""
+    for name, order in (("order", told.order), ("indirect_order", told.indirect_order)):
+        if order is not None and representation != "transfer":
+            raise SceneError(f"{name} = {order} is of harmonics, and this light needs none: leave it out.")
+    if told.indirect_order is not None and not bounces:
+        raise SceneError(
+            f"indirect_order = {told.indirect_order} is of reflected light, and there is none: leave it out."
+        )
+    if told.order is not None and told.indirect_order is not None and told.indirect_order > told.order:
+        raise SceneError(f"indirect_order = {told.indirect_order} is above order = {told.order}: take at most that.")
+
+
+def refuse_no_bytes(layers: tuple[Layer, ...]) -> tuple[Layer, ...]:
+    """The layers; SceneError where none of them has a band that is kept in bytes."""
+    if all(layer.coarse is None for layer in layers):
+        raise SceneError("precision = 'bytes' is of higher bands of harmonics, and there are none: leave it out.")
+    return layers

@@ -1,0 +1,199 @@
+"""What a plan leaves out, why, and what that saves: each beside the same plan with that one thing put back."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+from isogi_core.model.plan import Layer, LeftOut, Saving, ScenePlan
+from isogi_core.plan.bands import truncation_error
+from isogi_core.plan.budget import LONGEST_PATH, ROULETTE_RAYS, rounding_error, tail_of_bounces
+from isogi_core.plan.needs import Needs
+from isogi_core.plan.texels import TexelCount
+
+BANDS = 5
+"""The order of the harmonics in S1."""
+
+S1_BYTES = 3 * BANDS**2 * 4
+"""Bytes of a texel in S1, whatever the light: 25 floats for each channel."""
+
+FLOAT = 4
+
+REASONS = {
+    "vicinity": "The light is the same from all sides: a texel keeps the share of it that arrives.",
+    "constant": "The light is the same from all sides: a texel keeps how much arrives, not from where.",
+    "irradiance": "The light stays where it is: a texel keeps how much arrives, not from where.",
+}
+"""Why a representation needs no harmonics."""
+
+
+def left_out(plan: ScenePlan, needs: Needs) -> tuple[LeftOut, ...]:
+    """Everything that a plan leaves out for the sake of the scene's lights, material and target error."""
+    return tuple(each for find in FINDERS for each in find(plan, needs))
+
+
+def harmonics(plan: ScenePlan, _: Needs) -> Iterator[LeftOut]:
+    """Harmonics, where a texel keeps none."""
+    if plan.representation in REASONS:
+        saved = Saving(S1_BYTES - plan.bytes_per_texel, "bytes per texel")
+        yield LeftOut("S1's harmonics in floats of three channels", REASONS[plan.representation], (saved,))
+
+
+def bands(plan: ScenePlan, needs: Needs) -> Iterator[LeftOut]:
+    """Bands of direct light that S1 keeps, and bands of reflected light that direct light keeps."""
+    if plan.representation != "transfer":
+        return
+    direct, *reflected = plan.layers
+    if direct.order < BANDS:
+        error = truncation_error(needs.energy, direct.order, "direct")
+        yield cut(direct, BANDS, error, needs)
+    for layer in reflected:
+        if layer.order < direct.order:
+            error = truncation_error(needs.energy, layer.order, "indirect", max(needs.albedo))
+            yield cut(layer, direct.order, error, needs)
+
+
+def cut(layer: Layer, order: int, error: float, needs: Needs) -> LeftOut:
+    """The bands of a layer below ``order`` that it does not keep, and the relative ``error`` that is expected of it."""
+    names = f"bands {layer.order} to {order - 1}" if layer.order < order - 1 else f"band {layer.order}"
+    kind = "reflected" if layer.kind == "indirect" else "direct"
+    why = f"Without them the lit surface errs by {error:.2%}, beside a target of {needs.target_error:.2%}."
+    return LeftOut(f"{names} of {kind} light", why, (added(layer, replace(layer, order=order)),))
+
+
+def channels(plan: ScenePlan, _: Needs) -> Iterator[LeftOut]:
+    """Colour channels that would all be the same."""
+    for layer in plan.layers:
+        if layer.channels == 1:
+            what, why = CHANNELS[layer.kind]
+            yield LeftOut(f"two of three channels of {what}", why, (added(layer, replace(layer, channels=3)),))
+
+
+CHANNELS = {
+    "direct": ("direct light", "What was not reflected yet has no colour of the surface."),
+    "indirect": ("reflected light", "The albedo is grey, so that reflected light keeps its colour."),
+    "whole": ("light", "The albedo is grey, so that reflected light keeps its colour."),
+    "irradiance": ("irradiance", "The albedo and all lights are grey."),
+}
+"""Light by the kind of its layer, and why one channel is enough."""
+
+
+def reflections(plan: ScenePlan, needs: Needs) -> Iterator[LeftOut]:
+    """Reflected light, or what paths of more bounces would bring of it."""
+    tail = tail_of_bounces(needs.albedo, plan.bounces)
+    if plan.bounces == 0:
+        why = "Nothing is reflected at albedo 0." if tail == 0.0 else f"It would be at most {tail:.2%} of the light."
+        why = why if tail <= needs.target_error else "The scene asks for light before it is reflected."
+        yield LeftOut(
+            "reflected light", why, (Saving(LONGEST_PATH, "rays per path, at most"), *unreflected(plan, needs))
+        )
+    elif plan.bounces < LONGEST_PATH:
+        why = f"They would bring at most {tail:.2%} of the light."
+        longer = Saving(LONGEST_PATH - plan.bounces, "rays per path, at most")
+        yield LeftOut(f"bounces after number {plan.bounces}", why, (longer,))
+
+
+def ends(plan: ScenePlan, _: Needs) -> Iterator[LeftOut]:
+    """What paths would go on to, had they not ended by chance."""
+    if plan.survival < 1.0:
+        why = (
+            f"From its second hit on a path goes on with the chance {plan.survival:.2g}, and stands for those that end."
+        )
+        yield LeftOut("the rest of paths that end by chance", why, (Saving(ROULETTE_RAYS, "percent of rays", True),))
+
+
+def unreflected(plan: ScenePlan, needs: Needs) -> Iterator[Saving]:
+    """The bytes of the layer that holds reflected light, where it would be one of its own."""
+    if plan.representation == "transfer":
+        layer = Layer("indirect", plan.order, 1 if needs.grey else 3, plan.half)
+        yield Saving(layer.bytes_per_texel, "bytes per texel")
+
+
+def halves(plan: ScenePlan, needs: Needs) -> Iterator[LeftOut]:
+    """The second half of each float, and the second byte of what is kept in bytes."""
+    if not plan.half:
+        return
+    halved = tuple(replace(layer, coarse=None) for layer in plan.layers)
+    saved = sum(added(layer, replace(layer, half=False)).amount for layer in plan.layers)
+    why = f"Half floats err by {rounding_error(halved, needs):.2%}, beside a target of {needs.target_error:.2%}."
+    yield LeftOut("half of each float", why, (Saving(saved, "bytes per texel"),))
+    if plan.layers != halved:
+        saved = sum(added(*pair).amount for pair in zip(plan.layers, halved, strict=True))
+        error = rounding_error(plan.layers, needs)
+        why = f"Higher bands carry little: with them in bytes, rounding errs by {error:.2%} in all."
+        yield LeftOut("second bytes of higher bands", why, (Saving(saved, "bytes per texel"),))
+
+
+def records(plan: ScenePlan, _: Needs) -> Iterator[LeftOut]:
+    """What may be told of a texel without being kept."""
+    why = "A texel lies on the surface of the volume's own value there."
+    yield LeftOut("isovalue of each texel", why, (Saving(FLOAT, "bytes per texel"),))
+    codes = sum(layer.noises + 1 for layer in plan.layers)
+    why = "A byte tells noise to 5 %, and sample counts, which climb a ladder, exactly."
+    yield LeftOut("noise and samples as floats", why, (Saving((FLOAT - 1) * codes, "bytes per texel"),))
+    spreads = sum(layer.coefficients - layer.noises for layer in plan.layers if layer.order > 1)
+    if spreads:
+        why = "The noise of band 0 and of the bands above tells that of the luminance."
+        yield LeftOut("noise of each coefficient", why, (Saving(FLOAT * spreads, "bytes per texel"),))
+
+
+def turning(plan: ScenePlan, needs: Needs) -> Iterator[LeftOut]:
+    """Turning the light."""
+    if plan.representation in ("vicinity", "constant"):
+        yield LeftOut("turning of the light", "It is the same from all sides, however it is turned.")
+    elif not needs.rotating:
+        yield LeftOut("turning of the light", "The scene's light does not turn.")
+
+
+def shadow_rays(plan: ScenePlan, needs: Needs) -> Iterator[LeftOut]:
+    """Rays towards what is bright, and the table that they are drawn from."""
+    if needs.environment.sharp:
+        return
+    if not needs.lamps.any:
+        why = "No light is sharp: the rays that the surface draws find it."
+        yield LeftOut("shadow rays", why, (Saving(1, "ray per hit"),))
+    height, width = needs.environment.image.shape[:2]
+    if height * width > 1:
+        table = 8 * (height + 1 + height * (width + 1))
+        why = "No ray is aimed at the environment, as it is not sharp."
+        yield LeftOut("sampling table of the environment", why, (Saving(table / 1e6, "megabytes"),))
+
+
+def kernels(plan: ScenePlan, needs: Needs) -> Iterator[LeftOut]:
+    """Kernels that neither frames nor the bake of the scene's global illumination call."""
+    idle = ["bake_texels" if plan.representation == "irradiance" else "bake_irradiance"]
+    if needs.constant or not needs.rotating:
+        idle.append("rotate")
+    why = "Neither frames nor the bake of its global illumination call them, and so they are not compiled for it."
+    yield LeftOut(f"kernels {' and '.join(idle)}", why, (Saving(len(idle), "kernel" if len(idle) == 1 else "kernels"),))
+
+
+def unseen(texels: TexelCount, plan: ScenePlan) -> tuple[LeftOut, ...]:
+    """Texels and chunks that no view ever reads or lights, where there are any."""
+    found = (
+        (texels.total - texels.shown, "No isovalue that may be asked for has a surface at them.", "unseen"),
+        (texels.void, "They have no gradient, and so no surface of their own that light could fall on.", "void"),
+    )
+    left = tuple(
+        LeftOut(f"{sort} texels", why, (Saving(count, "texels", sort == "void"), megabytes(count, plan)))
+        for count, why, sort in found
+        if count
+    )
+    empty = texels.chunks - texels.shown_chunks
+    why = "None of their texels is ever shown: they are neither asked for nor written."
+    return (*left, LeftOut("empty chunks", why, (Saving(empty, "chunks"),))) if empty else left
+
+
+def megabytes(texels: int, plan: ScenePlan) -> Saving:
+    """What so many texels would take before compression."""
+    return Saving(texels * plan.bytes_per_texel / 1e6, "megabytes")
+
+
+def added(layer: Layer, larger: Layer) -> Saving:
+    """Bytes that a larger layer takes more than this."""
+    return Saving(larger.bytes_per_texel - layer.bytes_per_texel, "bytes per texel")
+
+
+FINDERS: tuple[Callable[[ScenePlan, Needs], Iterator[LeftOut]], ...] = (
+    *(harmonics, bands, channels, reflections, ends, halves, records),
+    *(turning, shadow_rays, kernels),
+)
+"""Each finds what a plan leaves out of one sort."""

@@ -1,0 +1,168 @@
+"""Looks: what their paths count, the light that texels are put under, and what noise counts in it."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from isogi_core.bake.look import LOOKS, Look, band_of, look_for, look_name
+from isogi_core.bake.recipe import Recipe
+from isogi_core.kernels.harmonics import rotate
+from isogi_core.model.plan import Layer, ScenePlan
+from isogi_core.model.scene import load_scene
+from isogi_core.model.sky import LUMINANCE
+from tests.bake.texels import CONSTANT, SKY, orbital
+
+ALBEDO = (0.3, 0.6, 0.9)
+
+
+def turned(light: np.ndarray, count: int, seed: int = 1) -> np.ndarray:
+    """The light (channels, n²) under so many random rotations, (count, channels, n²)."""
+    order, out = math.isqrt(light.shape[1]), np.empty((count, *light.shape))
+    for matrix, place in zip(Rotation.random(count, rng=seed).as_matrix(), out, strict=True):
+        rotate(order, np.ascontiguousarray(matrix), light, place)
+    return out
+
+
+def look_of(plan: ScenePlan, **settings: Any) -> Look:
+    """The orbital under a sky, lit by a plan of the test's own."""
+    return Look(Recipe(load_scene("demo:orbital", **{"lights": [SKY], "albedo": list(ALBEDO), **settings})), plan)
+
+
+def plan_of(*layers: Layer, representation: str = "transfer", bounces: int = 3) -> ScenePlan:
+    order = max(layer.order for layer in layers)
+    return ScenePlan(representation, layers, order, bounces, 1.0, 4096)
+
+
+def test_bands_of_coefficients() -> None:
+    assert band_of(3).tolist() == [0, 1, 1, 1, 2, 2, 2, 2, 2]
+
+
+# --- what paths count -------------------------------------------------------------------------------------------
+
+
+def test_shares_are_the_albedo_to_the_power_of_the_bounces() -> None:
+    r, g, b = ALBEDO
+    look = look_of(plan_of(Layer("direct", 5), Layer("indirect", 3, 3)))
+    assert look.shares([Layer("direct", 5)]).tolist() == [[0.0, 1.0]], "paths end where they met a surface"
+    expected = [[0.0, 0.0, a, a**2, a**3] for a in (r, g, b)]
+    np.testing.assert_allclose(look.shares([Layer("indirect", 3, 3)]), expected)
+    np.testing.assert_allclose(look.shares([Layer("whole", 1, 3)])[:, 1], 1.0)
+    np.testing.assert_allclose(look.shares([Layer("whole", 1, 3)])[:, 2:], np.array(expected)[:, 2:])
+    np.testing.assert_allclose(look.shares([Layer("whole")]), [[0.0, 1.0, r, r**2, r**3]])
+
+
+def test_direct_and_indirect_light_are_the_whole() -> None:
+    look = look_of(plan_of(Layer("direct", 5), Layer("indirect", 5)))
+    direct = np.pad(look.shares([Layer("direct")]), ((0, 0), (0, 3)))
+    assert np.array_equal(direct + look.shares([Layer("indirect")]), look.shares([Layer("whole")]))
+
+
+def test_a_black_surface_reflects_nothing_and_still_sees_the_light() -> None:
+    look = look_of(plan_of(Layer("whole")), albedo=0.0)
+    assert look.shares([Layer("whole")]).tolist() == [[0.0, 1.0, 0.0, 0.0, 0.0]]
+
+
+# --- the light --------------------------------------------------------------------------------------------------
+
+
+def test_a_larger_layer_is_put_under_the_light_of_its_plan() -> None:
+    plain = look_of(plan_of(Layer("direct", 3)))
+    smaller = Look(plain.recipe, ScenePlan("transfer", plain.plan.layers, 2, 0, 1.0, 4096))
+    assert np.array_equal(smaller.light, plain.light[:, :4])
+    assert plain.light.shape == (3, 9) and plain.order == 3
+    gains = smaller.gains(Layer("direct", 3)), plain.gains(Layer("direct", 2))
+    assert np.array_equal(*gains)
+
+
+def test_irradiance_has_met_its_light_already() -> None:
+    look = look_of(plan_of(Layer("irradiance", channels=3), representation="irradiance"), rotating=False)
+    assert (look.order, look.channels) == (1, 3)
+    assert look.light.tolist() == [[1.0]] * 3
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_luminance_light_gives_the_luminance_of_what_is_reflected(channels: int) -> None:
+    look = look_of(plan_of(Layer("direct", 5), Layer("indirect", 5, channels)))
+    transfer = np.random.default_rng(1).normal(size=(channels, 25))
+    colour = np.array(ALBEDO) * np.einsum("cn,cn->c", np.broadcast_to(transfer, (3, 25)), look.light)
+    assert look.luminance_light.shape == (channels, 25)
+    assert (look.luminance_light * transfer).sum() == pytest.approx(LUMINANCE @ colour)
+
+
+@pytest.mark.parametrize("lights", [[CONSTANT], [SKY], [CONSTANT, SKY]])
+def test_unoccluded_light_is_the_environments_mean_times_the_albedo(lights: list[Any]) -> None:
+    look = look_of(plan_of(Layer("direct", 3)), lights=lights)
+    mean = look.recipe.scene.environment.mean()
+    assert look.unoccluded == pytest.approx(LUMINANCE @ (np.array(ALBEDO) * mean), rel=1e-3)
+
+
+# --- what noise counts ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("layer", [Layer("direct", 5), Layer("indirect", 3), Layer("indirect", 5, 3)])
+def test_gains_are_the_deviation_over_random_turns_of_the_light(layer: Layer) -> None:
+    """Errors of the same size in all coefficients above band 0, those of the channels being those of one path."""
+    look = look_of(plan_of(Layer("direct", 5), layer))
+    rng = np.random.default_rng(3)
+    noise = np.array([0.3, 0.2])
+    wrong = rng.normal(size=(500, 25)) * np.array([noise[0], *[noise[1]] * 24])
+    wrong[:, layer.order**2 :] = 0.0
+    lights = turned(look.luminance_light, 400)
+    seen = np.sqrt(((lights.sum(axis=1) @ wrong.T) ** 2).mean())
+    told = np.sqrt(noise**2 @ look.gains(layer) ** 2)
+    assert told == pytest.approx(seen, rel=0.05)
+
+
+def test_under_constant_light_noise_of_the_bands_above_counts_nothing() -> None:
+    look = look_of(plan_of(Layer("direct", 5), representation="transfer"), lights=[CONSTANT], albedo=1.0)
+    np.testing.assert_allclose(look.gains(Layer("direct", 5)), [np.sqrt(4.0 * np.pi), 0.0], atol=1e-12)
+
+
+def test_one_noise_has_one_gain() -> None:
+    look = orbital(sky=False)
+    assert look.plan.representation == "constant"
+    assert look.gains(look.plan.layers[0]).tolist() == pytest.approx([0.7 * np.sqrt(4.0 * np.pi)])
+
+
+# --- which look -------------------------------------------------------------------------------------------------
+
+
+def test_only_vicinity_shading_has_a_look_of_its_own() -> None:
+    assert [look_name(shading) for shading in ("gi", "vicinity", "path_traced", "phong")] == [
+        "gi",
+        "vicinity",
+        "gi",
+        "gi",
+    ]
+    assert [look_name(name) for name in LOOKS] == list(LOOKS)
+
+
+def test_vicinity_of_a_transfer_scene_is_band_0_of_its_direct_layer() -> None:
+    gi, vicinity = orbital(), orbital(shading="vicinity")
+    assert gi.plan.representation == "transfer"
+    assert vicinity.plan.layers == gi.plan.layers[:1]
+    assert (vicinity.order, vicinity.channels, vicinity.plan.bounces) == (1, 1, 0)
+    np.testing.assert_allclose(vicinity.light, gi.light[:, :1])
+    np.testing.assert_allclose(vicinity.gains(vicinity.plan.layers[0]), [gi.gains(gi.plan.layers[0])[0], 0.0])
+
+
+def test_vicinity_of_a_constant_scene_has_a_layer_of_its_own() -> None:
+    gi, vicinity = orbital(sky=False), orbital(sky=False, shading="vicinity")
+    assert [layer.kind for layer in gi.plan.layers] == ["whole"]
+    assert vicinity.plan.layers == (Layer("direct"),)
+    assert len({look.digest for look in (gi, vicinity)}) == 2
+
+
+def test_looks_are_told_apart_by_their_layers_and_not_by_their_light() -> None:
+    """Where the scene settles its plan, as another light may choose another order."""
+    settled = {"order": 5, "indirect_order": 2, "precision": "half", "bounces": 3}
+    recipe, other = (
+        Recipe(load_scene("demo:orbital", lights=lights, **settled)) for lights in ([SKY], [SKY, CONSTANT])
+    )
+    looks = [look_for(recipe, name) for name in LOOKS]
+    assert len({look.digest for look in looks}) == 2
+    assert [look_for(other, name).digest for name in LOOKS] == [look.digest for look in looks]
+    assert not np.array_equal(look_for(other, "gi").light, looks[0].light)

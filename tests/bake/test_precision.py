@@ -1,0 +1,117 @@
+"""What is rounded on its way to the store: codes that stand for one number each, and halves as the store's own."""
+
+import struct
+
+import numpy as np
+import pytest
+
+from isogi_core.bake.precision import (
+    FIRST_RUNG,
+    NEGATIVE,
+    NOISIEST,
+    SILENT,
+    SMALLEST,
+    STEPS,
+    VOID,
+    VOID_CODE,
+    light_codes,
+    light_of,
+    next_rung,
+    noise_codes,
+    noise_of,
+    round_light,
+    rung_codes,
+    samples_of,
+)
+from isogi_core.model.plan import MOST, Layer
+
+SCALES = (1.0, 2.0**-9, 2.0**6)
+CODES = np.arange(256, dtype=np.uint8)
+
+
+@pytest.mark.parametrize("scale", SCALES)
+def test_each_code_of_noise_stands_for_a_number_that_has_this_code(scale: float) -> None:
+    noise = noise_of(CODES, scale)
+    assert noise.dtype == np.float32 and (np.diff(noise) < 0.0).all() and noise[SILENT] == 0.0
+    assert np.array_equal(noise_codes(noise, scale), CODES)
+
+
+@pytest.mark.parametrize("scale", SCALES)
+def test_noise_is_kept_to_half_a_step(scale: float) -> None:
+    noise = scale * NOISIEST * 2.0 ** np.random.default_rng(1).uniform(-254 / STEPS, 0.0, 5000)
+    kept = noise_of(noise_codes(noise, scale), scale)
+    assert np.abs(np.log2(kept / noise)).max() <= 0.5 / STEPS + 1e-6
+
+
+def test_noise_beyond_the_codes_is_the_loudest_or_none() -> None:
+    noise = np.array([1e9, NOISIEST, 1e-30, 0.0])
+    assert noise_codes(noise, 1.0).tolist() == [0, 0, SILENT, SILENT]
+
+
+def test_the_ladder_doubles_from_its_first_rung() -> None:
+    rungs = [0]
+    while rungs[-1] < 1000:
+        rungs.append(next_rung(rungs[-1]))
+    assert rungs == [0, 16, 32, 64, 128, 256, 512, 1024]
+
+
+def test_every_rung_has_a_code_of_its_own() -> None:
+    ladder = [0]
+    while ladder[-1] < 64 * MOST:
+        ladder.append(next_rung(ladder[-1]))
+    codes = rung_codes(np.array([*ladder, VOID], np.int32))
+    assert codes.dtype == np.uint8
+    assert codes.tolist() == [*range(len(ladder)), VOID_CODE]
+    assert samples_of(codes).tolist() == [*ladder, VOID]
+    assert samples_of(codes).dtype == np.int32 and ladder[1] == FIRST_RUNG
+
+
+def half(number: float) -> float:
+    """The nearest IEEE half float, by Python's own packing."""
+    return float(struct.unpack("<e", struct.pack("<e", number))[0])
+
+
+@pytest.mark.parametrize("scale", SCALES)
+def test_halves_are_the_nearest_there_are_and_rounded_once(scale: float) -> None:
+    layer = Layer("direct", 5, scale=scale)
+    rng = np.random.default_rng(2)
+    light = rng.normal(size=(16, 25)) * scale * 10.0 ** rng.uniform(-9, 2, (16, 25))
+    rounded = round_light(light, layer)
+    assert rounded.dtype == np.float32
+    assert rounded.ravel().tolist() == [half(number / scale) * scale for number in light.ravel()]
+    assert np.array_equal(round_light(rounded, layer), rounded)
+    kept = np.abs(light) > 2.0**-14 * scale
+    assert np.abs(rounded / light - 1.0)[kept].max() <= 2.0**-11
+
+
+def test_single_floats_are_kept_as_they_are() -> None:
+    light = np.random.default_rng(3).normal(size=(100, 1))
+    assert np.array_equal(round_light(light, Layer("direct", half=False)), light.astype(np.float32))
+
+
+def test_each_byte_of_light_stands_for_a_number_that_has_this_byte() -> None:
+    used = CODES[CODES != NEGATIVE]
+    light = light_of(used)
+    assert light.dtype == np.float32 and len(set(light.tolist())) == len(used)
+    assert np.array_equal(light_codes(light), used)
+    assert light_of(light_codes(np.array([0.0, -0.0, 1.0, -1.0]))).tolist() == [0.0, 0.0, 1.0, -1.0]
+
+
+def test_bytes_keep_light_to_half_a_step_and_its_sign() -> None:
+    smallest = float(light_of(np.uint8(SMALLEST)))
+    size = np.random.default_rng(4).uniform(np.log2(smallest), 0.0, 5000)
+    for sign in (1.0, -1.0):
+        kept = light_of(light_codes(sign * 2.0**size))
+        assert (sign * kept > 0.0).all()
+        assert np.abs(np.log2(np.abs(kept)) - size).max() <= 0.5 / STEPS + 1e-6
+    assert not light_of(light_codes(np.array([0.9, -0.9]) * smallest * 2.0 ** (-0.5 / STEPS))).any()
+
+
+@pytest.mark.parametrize("scale", SCALES)
+def test_only_the_higher_bands_are_bytes(scale: float) -> None:
+    layer = Layer("direct", 5, coarse=2, scale=scale)
+    light = 0.2 * scale * np.random.default_rng(5).normal(size=(30, 1, 25))
+    rounded = round_light(light, layer)
+    assert np.array_equal(rounded[..., :4], round_light(light[..., :4], Layer("direct", 2, scale=scale)))
+    assert np.array_equal(rounded[..., 4:], light_of(light_codes(light[..., 4:] / scale)) * np.float32(scale))
+    assert np.array_equal(round_light(rounded, layer), rounded)

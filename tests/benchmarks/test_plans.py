@@ -1,0 +1,84 @@
+"""The table of plans, on the casting without the shared data and on pictures of few pixels."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner, Result
+
+from benchmarks import plans
+from benchmarks.plan_scenes import SCENES, load
+from benchmarks.plans import Bake, Row, main, table
+
+LAMP = "constant light and a lamp"
+
+
+@pytest.fixture(autouse=True)
+def bare(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """There are no shared data, and no time for many paths."""
+    monkeypatch.setenv("ISOGI_SHARED_DATA", str(tmp_path / "none"))
+    monkeypatch.setattr(plans, "PATHS", 64)
+
+
+def run(*names: str) -> Result:
+    """What the benchmark prints of scenes."""
+    chosen = [word for name in names for word in ("--scene", name)]
+    done = CliRunner().invoke(main, ["--size", "16", "--target", "0.5", *chosen, "--json"], catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    return done
+
+
+def test_rows_tell_what_a_plan_takes_beside_s1() -> None:
+    constant, lamp = json.loads(run("constant light, no bounces", LAMP).stdout)
+    assert (constant["representation"], constant["bytes_per_texel"]) == ("vicinity", 4)
+    assert (lamp["scene"], lamp["representation"], lamp["by_s1"]) == (LAMP, "irradiance", None)
+    assert constant["by_plan"]["megabytes"] < constant["by_s1"]["megabytes"] / 3
+    assert constant["by_plan"]["error"] == pytest.approx(constant["by_s1"]["error"], abs=0.02)
+    for bake in (constant["by_plan"], constant["by_s1"], lamp["by_plan"]):
+        assert bake["seconds"] > 0.0 and 0.0 < bake["error"] < 0.25
+
+
+def test_one_isovalue_shows_fewer_texels_than_a_range() -> None:
+    names = ("constant light, one isovalue", "constant light, a range of isovalues", "constant light")
+    one, some, every = (scene.texels for _, scene in load(names, 0.5))
+    assert 0 < one.shown < some.shown < every.shown <= every.total == one.total
+
+
+def test_scenes_under_probes_are_left_out_without_the_shared_data() -> None:
+    done = run("rotating grace")
+    assert json.loads(done.stdout) == []
+    assert "rotating grace: left out, as there are no shared data." in done.stderr
+
+
+@pytest.mark.data
+def test_all_scenes_are_there_with_the_shared_data(shared_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ISOGI_SHARED_DATA", str(shared_data))
+    scenes = dict(load(SCENES, 0.05))
+    assert list(scenes) == list(SCENES)
+    found: dict[str, set[str]] = {"vicinity": set(), "constant": set(), "irradiance": set(), "transfer": set()}
+    for name, scene in scenes.items():
+        found[scene.plan.representation].add(name)
+    assert all(name.startswith("rotating") for name in found["transfer"]) and len(found["transfer"]) == 5
+    assert found["irradiance"] == {LAMP, "fixed uffizi", "fixed uffizi, coloured albedo"}
+    assert found["vicinity"] == {"constant light, no bounces"}
+
+
+def test_the_table_is_markdown_with_a_dash_where_there_is_no_figure() -> None:
+    row: dict[str, Any] = {"representation": "irradiance", "layers": "irradiance (half)", "bytes_per_texel": 4}
+    rows = [
+        Row("lamp", **row, shown=500, total=10**6, by_plan=Bake(1.25, 0.5, 0.021), by_s1=None, reference_noise=0.01),
+        Row(
+            "black",
+            **row,
+            shown=500,
+            total=10**6,
+            by_plan=Bake(1.0, 0.5, None),
+            by_s1=Bake(2.0, 9.0, 0.1),
+            reference_noise=0.0,
+        ),
+    ]
+    head, rule, lamp, black = table(rows).splitlines()
+    assert {line.count("|") for line in (head, rule, lamp, black)} == {10}
+    assert lamp == "| lamp | irradiance | irradiance (half) | 4 | 0.1% | 0.0 / 300.0 | 1.2 / – | 0.50 / – | 2.1% / – |"
+    assert black.endswith("| 1.0 / 2.0 | 0.50 / 9.00 | – / 10.0% |")

@@ -1,0 +1,56 @@
+"""Chunks of light for the tests of the cache, and what is compared of them."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from isogi_core.bake.look import Look, look_for
+from isogi_core.bake.recipe import Index, Recipe
+from isogi_core.bake.refine import refine
+from isogi_core.cache.chunk import Chunk
+from isogi_core.cache.layer import LayerStore
+from isogi_core.cache.record import TEXELS
+from isogi_core.kernels.lattice import CHUNK
+from isogi_core.model.plan import Layer, ScenePlan
+from isogi_core.model.scene import load_scene
+from tests.bake.texels import same
+
+SKY = {"type": "sky"}
+CONSTANT = {"type": "constant", "radiance": 1.0}
+SETTINGS: dict[str, Any] = {"lattice": 0.4, "bounces": 1, "target_error": 0.5, "lights": [SKY]}
+"""39³ texels in 3³ chunks: the last along each axis is 7 texels wide, and texels lie between voxels."""
+
+ORDERS = {"order": 2, "indirect_order": 2}
+"""What makes layers of as many bytes of direct and indirect light; of no use to constant light."""
+
+PLAN = ScenePlan("transfer", (Layer("direct", 3), Layer("indirect", 2, 3, half=False)), 3, 2, 1.0, 4096)
+"""A plan of two layers that differ in all that they can."""
+
+
+def look_of(target: str | Path = "demo:orbital", shading: str = "gi", **settings: Any) -> Look:
+    """A look at a small scene of two layers, direct and indirect light of order 2, unless told otherwise."""
+    orders = {} if settings.get("lights") == [CONSTANT] else ORDERS
+    return look_for(Recipe(load_scene(target, **{**SETTINGS, **orders, **settings})), shading)
+
+
+def baked(look: Look, index: Index, texels: int = 40, seed: int = 0, samples: int = 16) -> Chunk:
+    """A chunk with real light in some of its texels."""
+    inside = np.stack(np.unravel_index(np.arange(TEXELS), (CHUNK,) * 3), axis=-1) + np.array(index) * CHUNK
+    offsets = np.flatnonzero((inside < look.recipe.shape).all(axis=1))
+    chosen = np.sort(np.random.default_rng(seed).choice(offsets, texels, replace=False))
+    chunk = Chunk.empty(index, look.plan).with_texels(chosen)
+    refine(chunk.light, chunk.positions(chunk.offsets), look, samples, 1e-3)
+    return chunk
+
+
+def file_of(layer: LayerStore, index: Index) -> Path:
+    """Where the object of a chunk is."""
+    return Path(layer.path, "c", *map(str, index), "0")
+
+
+def assert_equal(a: Chunk, b: Chunk) -> None:
+    """Two chunks are the same, bit by bit."""
+    assert a.index == b.index
+    np.testing.assert_array_equal(a.offsets, b.offsets)
+    assert same(a.light, b.light)

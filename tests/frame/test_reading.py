@@ -1,0 +1,70 @@
+"""Readings: how good the light of a view's texels is, and what of it is still wanted."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from isogi_core.frame.reading import Reading, grade_rows, read_texels
+from isogi_core.frame.tiles import Tiles
+from isogi_core.kernels.lattice import BURIED, BURIED_ROW, PARTIAL, UNBAKED, UNLIT, VOID, VOID_ROW
+from isogi_core.kernels.planes import CONVERGING, FINAL
+from isogi_core.model.plan import FEWEST, most_samples
+from isogi_core.model.scene import load_scene
+from isogi_core.model.view import View
+from tests.frame.conftest import CONSTANT, SKY, Workbench
+
+TARGET = 0.02
+
+
+def test_grades_tell_what_is_missing_from_what_is_rough_and_from_what_is_good() -> None:
+    expected = [
+        (0, 0.0, 0, PARTIAL),
+        (5, 0.01, FEWEST // 2, CONVERGING),
+        (1, 0.03, FEWEST, CONVERGING),
+        (2, 0.01, FEWEST, FINAL),
+        (3, 0.03, most_samples(TARGET), FINAL),
+        (UNLIT, 0.0, 0, UNBAKED),
+        (VOID_ROW, 0.0, 0, VOID),
+        (BURIED_ROW, 0.0, 0, BURIED),
+    ]
+    rows, error, samples, grades = (np.array(column) for column in zip(*expected, strict=True))
+    assert grade_rows(rows.astype(np.int32), error.astype(np.float32), samples, TARGET).tolist() == grades.tolist()
+
+
+def reading_of(bench: Workbench, view: View, tiles: Tiles) -> Reading:
+    """What the cache has of a view."""
+    texels = bench.renderer.texels(view, bench.renderer.gbuffer(view))
+    loader = bench.caches.of(view.shading)
+    loader.ensure(texels.chunks)
+    with loader.pool.hold(texels.chunks) as held:
+        return read_texels(texels, held.slots, loader.pool, bench.scene.target_error, tiles)
+
+
+def test_what_is_short_of_final_is_wanted_chunk_by_chunk(workbench: Callable[..., Workbench]) -> None:
+    bench = workbench(load_scene("demo:orbital", lights=[SKY], bounces=1, target_error=0.5))
+    view = bench.view(size=24)
+    texels = bench.renderer.texels(view, bench.renderer.gbuffer(view))
+    before = reading_of(bench, view, Tiles(1))
+    assert before.short.all() and not before.whole and (before.grade == UNBAKED).all()
+    assert before.demands(texels) == texels.demands
+    bench.bake(view)
+    after = reading_of(bench, view, Tiles(1))
+    assert not after.short.any() and after.demands(texels) == () and after.version != before.version
+    other = replace(view, width=40)
+    some = reading_of(bench, other, Tiles(1))
+    wider = bench.renderer.texels(other, bench.renderer.gbuffer(other))
+    own = [some.grade[a:b] for a, b in zip(wider.bounds[:-1], wider.bounds[1:], strict=True)]
+    assert some.short.tolist() == [bool((grade < FINAL).any()) for grade in own]
+    assert [demand.index for demand in some.demands(wider)] == [
+        index for index, short in zip(wider.chunks, some.short, strict=True) if short
+    ]
+
+
+def test_threads_change_no_reading(workbench: Callable[..., Workbench]) -> None:
+    bench = workbench(load_scene("demo:orbital", lights=[CONSTANT], bounces=1, target_error=0.5))
+    view = bench.view(size=24)
+    bench.bake(view)
+    one, other = (reading_of(bench, view, Tiles(threads)) for threads in (1, 3))
+    assert one.version == other.version
+    assert np.array_equal(one.rows, other.rows) and np.array_equal(one.grade, other.grade)

@@ -1,0 +1,269 @@
+"""Lit paths against closed forms, against paths one at a time, and by their statistics."""
+
+import math
+
+import numpy as np
+import pytest
+from numba import config, njit
+
+from isogi_core.kernels.bricks import brick_ranges, make_bricks
+from isogi_core.kernels.integrator import OFFSET, about, facing_normal, launch, to_index
+from isogi_core.kernels.intersect import OUTSIDE, cast
+from isogi_core.kernels.lamps import AREA, DIRECTIONAL, NO_LAMPS, POINT, LampArrays
+from isogi_core.kernels.lights import arriving
+from isogi_core.kernels.lit import PAIRS, Surroundings, beam, light_paths, to_world
+from isogi_core.kernels.rng import point_2d
+from isogi_core.kernels.sampling import sample_cosine_hemisphere
+from isogi_core.kernels.vec import column, dot, madd, put_column
+from isogi_core.model.environment import cumulative, pixel_directions, solid_angles
+from tests.kernels.test_macrocells import field_of
+
+COMPILED = pytest.mark.skipif(bool(config.DISABLE_JIT), reason="many paths need compiled kernels")
+Z, Y, X = np.mgrid[:41, :41, :41] - 20.0
+DISTANCE = np.sqrt(X * X + Y * Y + Z * Z)
+BALL = 12.0 - DISTANCE
+NOISY = BALL + np.random.default_rng(7).normal(size=BALL.shape) * 2.0
+PLANE = -Z
+SHELL = 3.0 - np.abs(DISTANCE - 16.0)
+DARK = np.zeros((1, 1, 3), np.float32)
+UP = np.array([[0.0], [0.0], [1.0]])
+MIDDLE = np.full((3, 1), 20.0)
+
+
+@njit
+def light_path(field, iso, p, n, seed, index, weights, light):
+    """One path, each of its rays cast by itself: what it gathers, linear RGB."""
+    r, g, b, side = 0.0, 0.0, 0.0, OUTSIDE
+    first = 0 if light.table[0].shape[0] > 0 else 1
+    for bounce in range(weights.shape[0]):
+        o = launch(field, iso, p, n, side)
+        x, y, z = weights[bounce]
+        for source in range(first, 1 + light.lamps.kinds.shape[0]):
+            u, v = point_2d(seed, index, (1 + source) * PAIRS + bounce)
+            w, reach, shine = beam(light, source, to_world(o, field.spacing), n, u, v)
+            if max(shine[0], shine[1], shine[2]) > 0.0:
+                t, _ = cast(field, iso, o, to_index(w, field.spacing), side)
+                if not t < reach:
+                    r, g, b = r + x * shine[0], g + y * shine[1], b + z * shine[2]
+        u, v = point_2d(seed, index, bounce)
+        w = about(n, sample_cosine_hemisphere(u, v))
+        d = to_index(w, field.spacing)
+        t, side = cast(field, iso, o, d, side)
+        if not t < math.inf:
+            end = arriving(light.constant, light.image, light.matrix, light.table, w, dot(n, w))
+            return r + x * end[0], g + y * end[1], b + z * end[2]
+        p = madd(o, t, d)
+        n = facing_normal(field, p, side, w)
+    return r, g, b
+
+
+@njit
+def one_by_one(field, isovalues, points, normals, seeds, first, count, weights, light, gathered):
+    starts = len(isovalues)
+    for m in range(starts * count):
+        i, sample = m % starts, first + m // starts
+        p, n = column(points, i), column(normals, i)
+        put_column(gathered, m, light_path(field, isovalues[i], p, n, seeds[i], sample, weights, light))
+
+
+@njit
+def in_waves(field, bricks, isovalues, points, normals, seeds, first, count, weights, light, gathered):
+    light_paths(field, bricks, isovalues, points, normals, seeds, first, count, weights, 1.0, light, gathered)
+
+
+def lamps(*rows):
+    """Lamps of (kind, place, edges, colour)."""
+    kinds, places, edges, colours = zip(*rows, strict=True)
+    edges = [np.zeros((2, 3)) if each is None else each for each in edges]
+    return LampArrays(np.array(kinds, np.int8), *(np.array(each, float) for each in (places, edges, colours)))
+
+
+def surroundings(image=DARK, constant=0.0, table=False, lamps=NO_LAMPS, matrix=None):
+    """Light of an image, with a table where it is to be drawn from."""
+    image = np.asarray(image, np.float32)
+    light = Surroundings(np.full(3, constant), image, np.eye(3) if matrix is None else matrix, lamps=lamps)
+    if not table:
+        return light
+    bright = np.maximum(image.sum(axis=2) - image.sum(axis=2).mean(), 0.0)
+    return light._replace(table=cumulative(bright * solid_angles(*image.shape[:2])))
+
+
+def gather(voxels, points, normals, light, weights, count, first=0, seeds=None, spacing=(1.0, 1.0, 1.0), iso=0.0):
+    """What paths from the starts gather, (starts, count, 3)."""
+    field, starts = field_of(voxels, spacing), points.shape[1]
+    bricks = make_bricks(field.voxels, brick_ranges(field.voxels), iso, iso)
+    seeds = np.arange(starts, dtype=np.uint64) + np.uint64(1) if seeds is None else seeds
+    gathered = np.empty((3, starts * count))
+    in_waves(field, bricks, np.full(starts, iso), points, normals, seeds, first, count, weights, light, gathered)
+    return gathered.T.reshape(count, starts, 3).swapaxes(0, 1)
+
+
+def on_ball(count, seed=3):
+    """Points (3, n) of the ball of radius 12, and their normals."""
+    n = np.random.default_rng(seed).normal(size=(3, count))
+    n /= np.linalg.norm(n, axis=0)
+    return 20.0 + 12.0 * n, n
+
+
+def sunny(height=32, sun=(0.36, 0.48, 0.8), radiance=400.0):
+    """A dim sky of two colours with a disc of 5 degrees in it."""
+    directions = pixel_directions(height, 2 * height)
+    image = np.where(directions[..., 2:] > 0.0, (0.3, 0.4, 0.6), (0.1, 0.1, 0.0))
+    image[directions @ sun > math.cos(math.radians(5.0))] = radiance
+    return image
+
+
+EVERY_LAMP = lamps(
+    (DIRECTIONAL, (0.0, 0.6, 0.8), None, (0.3, 0.2, 0.1)),
+    (DIRECTIONAL, (1.0, 0.0, 0.0), [(0.0, 0.1, 0.0), (0.0, 0.0, 0.1)], (0.1, 0.2, 0.3)),
+    (POINT, (30.0, 35.0, 38.0), None, (90.0, 10.0, 50.0)),
+    (AREA, (5.0, 5.0, 38.0), [(0.0, 20.0, 0.0), (20.0, 0.0, 0.0)], (0.5, 0.4, 0.3)),
+)
+TURN = np.array([[0.0, -1.0, 0.0], [0.6, 0.0, -0.8], [0.8, 0.0, 0.6]])
+LIGHTS = {
+    "constant": surroundings(constant=0.7),
+    "image": surroundings(sunny(), 0.2, matrix=TURN),
+    "table": surroundings(sunny(), 0.2, table=True, matrix=TURN),
+    "lamps": surroundings(lamps=EVERY_LAMP),
+    "all": surroundings(sunny(), 0.1, table=True, lamps=EVERY_LAMP, matrix=TURN),
+}
+
+
+@pytest.mark.parametrize("name", LIGHTS)
+@pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), (0.5, 1.0, 2.0)])
+def test_waves_gather_what_paths_one_by_one_do(name, spacing):
+    starts, count = (20, 2) if config.DISABLE_JIT else (300, 20)
+    points, normals = on_ball(starts)
+    weights = np.array([0.9, 0.7, 0.5]) ** np.arange(5.0)[:, None]
+    light, field = LIGHTS[name], field_of(NOISY, spacing)
+    seeds = np.random.default_rng(1).integers(0, 2**63, starts).astype(np.uint64)
+    expected = np.empty((3, starts * count))
+    one_by_one(field, np.zeros(starts), points, normals, seeds, 3, count, weights, light, expected)
+    found = gather(NOISY, points, normals, light, weights, count, 3, seeds, spacing)
+    expected = expected.T.reshape(count, starts, 3).swapaxes(0, 1)
+    np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-14)
+    assert (found > 0.0).mean() > 0.2
+
+
+def test_a_path_gathers_the_same_bits_in_any_company():
+    starts, count = (3, 2) if config.DISABLE_JIT else (700, 9)
+    points, normals = on_ball(starts)
+    weights, light = np.full((4, 3), 0.8), LIGHTS["all"]
+    seeds = np.arange(starts, dtype=np.uint64) * np.uint64(77)
+    together = gather(NOISY, points, normals, light, weights, count, seeds=seeds)
+    for some in np.array_split(np.random.default_rng(5).permutation(starts), 3):
+        late = gather(NOISY, points[:, some], normals[:, some], light, weights, count - 1, 1, seeds[some])
+        assert np.array_equal(late, together[some, 1:])
+
+
+# --- closed forms ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("table", [False, True])
+def test_furnace(table):
+    """A convex body under radiance 1 from everywhere receives π; the table may draw what it likes."""
+    image = np.ones((8, 16, 3), np.float32)
+    light = surroundings(image)
+    if table:
+        light = light._replace(table=cumulative(np.random.default_rng(2).random((8, 16)) ** 4))
+    count = 40 if config.DISABLE_JIT else 4096
+    found = gather(PLANE, MIDDLE, UP, light, np.ones((2, 3)), count).mean(axis=1)
+    np.testing.assert_allclose(found, 1.0, atol=6.0 / count**0.5 if table else 1e-6)
+
+
+@COMPILED
+@pytest.mark.parametrize("name", ["table", "lamps"])
+def test_no_light_is_made_or_lost_by_bounces_in_the_open(name):
+    points, normals = on_ball(50)
+    convex = [gather(BALL, points, normals, LIGHTS[name], np.ones((n, 3)), 64).mean(axis=1) for n in (1, 4)]
+    np.testing.assert_allclose(convex[1], convex[0], rtol=0.01, atol=1e-3)
+
+
+@pytest.mark.parametrize("degrees", [0.0, 30.0, 75.0, 120.0])
+@pytest.mark.parametrize("angle", [0.0, 20.0])
+def test_a_directional_lamp_over_a_plane(degrees, angle):
+    """E cosθ/π, for a disc that is whole above the plane too; nothing from below."""
+    sine, cosine = math.sin(math.radians(degrees)), math.cos(math.radians(degrees))
+    radius = math.sin(math.radians(angle / 2.0))
+    edges = radius * np.array([(0.0, 1.0, 0.0), (-cosine, 0.0, sine)])
+    light = surroundings(lamps=lamps((DIRECTIONAL, (sine, 0.0, cosine), edges, (3.0, 2.0, 1.0))))
+    count = 64 if config.DISABLE_JIT else 1024
+    found = gather(PLANE, MIDDLE, UP, light, np.full((1, 3), 0.5), count).mean(axis=1)
+    np.testing.assert_allclose(found[0], 0.5 * max(cosine, 0.0) * np.array([3.0, 2.0, 1.0]), rtol=2e-3)
+
+
+@pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), (0.5, 2.0, 3.0)])
+def test_a_point_lamp_over_a_plane_and_under_it(spacing):
+    """I cosθ/(π r²), above where rays start; a lamp below the plane is behind it."""
+    start = (np.array([20.0, 20.0, 20.0 + OFFSET])) * spacing
+    for away in np.array([(0.0, 0.0, 6.0), (4.0, -3.0, 5.0), (4.0, 3.0, -5.0)]):
+        light = surroundings(lamps=lamps((POINT, start + away, None, (1.0, 2.0, 3.0))))
+        found = gather(PLANE, MIDDLE, UP, light, np.ones((1, 3)), 1, spacing=spacing)[0, 0]
+        share = max(away[2], 0.0) / np.linalg.norm(away) ** 3
+        np.testing.assert_allclose(found, share * np.array([1.0, 2.0, 3.0]), rtol=1e-9)
+
+
+def test_a_lamp_is_hidden_by_what_is_nearer_and_not_by_what_is_farther():
+    """A floor under a slab: a lamp between the two is seen, one within or above the slab is not."""
+    slab = np.maximum(PLANE - 10.0, 2.0 - np.abs(Z - 5.0))
+    floor = np.array([[20.0], [20.0], [10.0]])
+    for height, seen in ((16.0, True), (22.9, True), (25.0, False), (39.0, False), (60.0, False)):
+        light = surroundings(lamps=lamps((POINT, (22.0, 20.0, height), None, (1.0, 1.0, 1.0))))
+        found = gather(slab, floor, UP, light, np.ones((1, 3)), 1)
+        assert (found > 0.0).all() == seen and found.any() == seen
+
+
+@pytest.mark.parametrize(("a", "b", "h"), [(4.0, 7.0, 5.0), (12.0, 12.0, 3.0)])
+def test_a_rectangle_over_its_corner_has_its_form_factor(a, b, h):
+    """E/π = L F of a parallel rectangle with a corner above the point (Howell's catalogue, C-11); its back is dark."""
+    corner = np.array([20.0, 20.0, 20.0 + OFFSET + h])
+    s, t = math.hypot(a, h), math.hypot(b, h)
+    form = (a / s * math.atan(b / s) + b / t * math.atan(a / t)) / (2.0 * math.pi)
+    edges = np.array([(0.0, b, 0.0), (a, 0.0, 0.0)])
+    count = 1000 if config.DISABLE_JIT else 4096
+    for turned in (False, True):
+        light = surroundings(lamps=lamps((AREA, corner, edges[::-1] if turned else edges, np.ones(3) / math.pi)))
+        found = gather(PLANE, MIDDLE, UP, light, np.ones((1, 3)), count).mean(axis=1)
+        np.testing.assert_allclose(found[0], 0.0 if turned else form, rtol=0.1 if config.DISABLE_JIT else 0.003)
+
+
+@COMPILED
+@pytest.mark.parametrize("bounces", [0, 1, 6])
+def test_a_lamp_in_a_hollow_ball(bounces):
+    """Its wall is lit evenly, also by what it reflects, I/(π a²) Σ R^k: a wall behind a lamp does not hide it."""
+    inward = np.random.default_rng(4).normal(size=(3, 200))
+    inward /= np.linalg.norm(inward, axis=0)
+    albedo = np.array([0.3, 0.6, 0.9])
+    weights = albedo ** np.arange(bounces + 1.0)[:, None]
+    light = surroundings(lamps=lamps((POINT, (20.0, 20.0, 20.0), None, (1.0, 1.0, 1.0))))
+    found = gather(SHELL, 20.0 - 13.0 * inward, inward, light, weights, 64).mean(axis=(0, 1))
+    np.testing.assert_allclose(found * (13.0 - OFFSET) ** 2, weights.sum(axis=0), rtol=0.02)
+
+
+# --- statistics ----------------------------------------------------------------------------------------------------
+
+
+@COMPILED
+@pytest.mark.parametrize("voxels", [BALL, NOISY], ids=["ball", "noisy ball"])
+def test_rays_towards_bright_parts_change_the_noise_and_not_the_mean(voxels):
+    """Against cosine rays alone, under a turned, broad sun: each start's mean within its noise, at far less of it."""
+    points, normals = on_ball(40)
+    weights, image = np.array([0.8, 0.6, 0.4]) ** np.arange(3.0)[:, None], sunny(radiance=60.0)
+    plain = gather(voxels, points, normals, surroundings(image, 0.1, matrix=TURN), weights, 20_000)
+    drawn = gather(voxels, points, normals, surroundings(image, 0.1, table=True, matrix=TURN), weights, 20_000)
+    noise = np.sqrt((plain.var(axis=1) + drawn.var(axis=1)) / 20_000)
+    z = (plain.mean(axis=1) - drawn.mean(axis=1)) / noise
+    assert np.abs(z).max() < 4.5 and abs(z[:, 1].mean()) < 4.0 / len(z) ** 0.5
+    assert drawn.var(axis=1).mean() < 0.1 * plain.var(axis=1).mean()
+
+
+@COMPILED
+def test_a_small_sun_is_found_by_few_samples():
+    """Irradiance of a plane under a dim sky and one pixel of 10⁻⁵ of it, against the sum over the pixels."""
+    image = np.full((256, 512, 3), 0.2)
+    image[60, 100] = 40_000.0
+    share = solid_angles(256, 512) * np.maximum(pixel_directions(256, 512)[..., 2], 0.0) / math.pi
+    expected = (share[..., None] * image).sum(axis=(0, 1))
+    assert expected[0] > 1.0
+    found = gather(PLANE, MIDDLE, UP, surroundings(image, table=True), np.ones((1, 3)), 256).mean(axis=1)
+    np.testing.assert_allclose(found[0], expected, rtol=0.01)

@@ -1,0 +1,131 @@
+"""Frames with a fixed number of paths from each texel: what two plans keep is then of the same paths."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from tempfile import mkdtemp
+from typing import Any
+
+import numpy as np
+import pytest
+
+from isogi_core.bake.light import Light
+from isogi_core.bake.look import Look
+from isogi_core.bake.recipe import Recipe
+from isogi_core.bake.refine import climb
+from isogi_core.cache.caches import Caches
+from isogi_core.cache.loader import Loader
+from isogi_core.files.radiance import write_hdr
+from isogi_core.frame.frame import Frame
+from isogi_core.frame.renderer import Renderer
+from isogi_core.frame.texels import Demand
+from isogi_core.frame.tiles import Tiles
+from isogi_core.model.environment import pixel_directions
+from isogi_core.model.plan import Layer
+from isogi_core.model.scene import Scene, load_scene
+from isogi_core.model.sky import LUMINANCE
+from isogi_core.model.view import View, quaternion_from_angles
+from isogi_core.model.volume import Volume, make_volume
+
+Frames = Callable[..., Frame]
+Lobe = Callable[[float], dict[str, Any]]
+TARGET = 0.05
+CONSTANT = {"type": "constant", "radiance": 1.0}
+SUN = {"type": "sky", "sun_azimuth": 80.0, "sun_elevation": 50.0}
+WIDE = 2.0
+"""Sharpness of a light from a wide window."""
+
+TURN = quaternion_from_angles(60.0, 0.0, 0.0)
+SIDE = 40
+"""Pixels along each side of a frame."""
+
+
+@pytest.fixture
+def frame_of(tmp_path: Path) -> Frames:
+    """Makes frames, each with light of its own."""
+
+    def make(scene: Scene, samples: int = 64, **settings: Any) -> Frame:
+        """A view, with ``samples`` paths from each texel in each layer, or from each pixel; whatever the error is."""
+        view = view_of(scene, samples=samples, **settings)
+        renderer = Renderer(Caches(Recipe(scene), mkdtemp(dir=tmp_path), 1 << 28), Tiles())
+        demands = renderer.render(view).demands
+        if demands:
+            loader = renderer.caches.of(view.shading)
+            renderer.tiles.run(lambda a, b: bake(loader, demands[a:b], samples), len(demands), 1)
+        return renderer.render(view)
+
+    return make
+
+
+@pytest.fixture
+def lobe(tmp_path: Path) -> Lobe:
+    """Makes probes e^(sharpness (ω·a - 1)): brightest from a, and the softer the less their sharpness."""
+
+    def make(sharpness: float) -> dict[str, Any]:
+        falling = np.exp(sharpness * (pixel_directions(32, 64) @ np.array([0.48, 0.6, 0.64]) - 1.0))
+        write_hdr(tmp_path / f"lobe{sharpness:g}.hdr", np.repeat(falling[..., None], 3, axis=-1).astype(np.float32))
+        return {"type": "probe", "file": str(tmp_path / f"lobe{sharpness:g}.hdr")}
+
+    return make
+
+
+def bake(loader: Loader, demands: Sequence[Demand], samples: int) -> None:
+    """Take all that is demanded to ``samples`` paths in each layer."""
+    for demand in demands:
+        chunk = loader.store.load(demand.index).with_texels(demand.offsets)
+        climb_to(chunk.light, chunk.positions(chunk.offsets), loader.store.look, samples)
+        loader.store.save(chunk)
+        loader.refresh(demand.index)
+
+
+def climb_to(light: Light, texels: np.ndarray, look: Look, samples: int) -> None:
+    """Take every part of texels that have no light yet, and are not void, to ``samples``."""
+    for part in light.parts:
+        while len(rows := np.flatnonzero((part.samples >= 0) & (part.samples < samples))):
+            climb([part], rows, texels, look)
+
+
+def view_of(scene: Scene, azimuth: float = 40.0, elevation: float = 55.0, **settings: Any) -> View:
+    """A square view round the middle of the volume, at the scene's own isovalue unless told."""
+    camera = scene.camera(azimuth, elevation, 2.5, 30.0)
+    return View(**{"isovalue": scene.isovalue, "camera": camera, "width": SIDE, "height": SIDE, **settings})
+
+
+def bowl(size: int = 32) -> Volume:
+    """A ball in a thick bowl, open to the top: the distance to their skin in voxels, positive inside."""
+    z, y, x = np.mgrid[:size, :size, :size] - (size - 1) / 2
+    away = np.sqrt(x**2 + y**2 + z**2)
+    shell = np.minimum(np.minimum(13.0 - away, away - 9.0), 5.0 - z)
+    ball = 4.0 - np.sqrt(x**2 + y**2 + (z + 4.0) ** 2)
+    return make_volume(np.maximum(shell, ball).astype(np.float32), name="bowl")
+
+
+def plated_ball(size: int = 24, radius: float = 8.0) -> Volume:
+    """Distance to a ball's skin, cut to ±½ voxel: plateaus inside and outside."""
+    z, y, x = np.mgrid[:size, :size, :size] - (size - 1) / 2
+    return make_volume(np.clip(radius - np.sqrt(x**2 + y**2 + z**2), -0.5, 0.5).astype(np.float32), name="plated")
+
+
+def scene_of(volume: Volume, isovalues: tuple[float, float] | None = None, **settings: Any) -> Scene:
+    """A scene of a volume that is in no file, at isovalue 0, under constant light unless told."""
+    scene = load_scene("demo:orbital", **{"lights": [CONSTANT], "target_error": TARGET, **settings})
+    return replace(scene, volume=volume, isovalue=0.0, isovalues=isovalues or volume.value_range)
+
+
+def in_bowl(**settings: Any) -> Scene:
+    """A scene of the bowl."""
+    return scene_of(bowl(), **settings)
+
+
+def with_layers(scene: Scene, *layers: Layer, **plan: Any) -> Scene:
+    """The scene with these layers in its plan, needed or not, and other things of its plan."""
+    order = max(layer.order for layer in layers)
+    return replace(scene, plan=replace(scene.plan, layers=layers, order=order, **plan))
+
+
+def apart(frame: Frame, other: Frame) -> float:
+    """How far two frames of one surface differ: RMSE over its pixels in luminance, over the mean of the other."""
+    on = other.state > 0
+    assert np.array_equal(frame.state > 0, on) and on.any()
+    wrong = (frame.radiance[on].astype(np.float64) - other.radiance[on]) @ LUMINANCE
+    return float(np.sqrt((wrong**2).mean()) / (other.radiance[on] @ LUMINANCE).mean())

@@ -1,0 +1,88 @@
+"""The error budget against measurements: texels of real volumes baked in each precision, under real probes."""
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from isogi_core.bake.light import Light
+from isogi_core.bake.look import look_for
+from isogi_core.bake.recipe import Recipe
+from isogi_core.frame.surroundings import turn
+from isogi_core.model.lights import ConstantLight, ProbeLight
+from isogi_core.model.scene import load_scene
+from isogi_core.model.sky import LUMINANCE
+from isogi_core.plan.budget import harmonics_error, rounding_error, tail_of_bounces
+from isogi_core.plan.needs import Told
+from isogi_core.plan.planner import plan_scene
+from isogi_core.plan.projection import project_environment
+from tests.bake.texels import COMPILED, climbed, surface_texels
+from tests.plan.test_planner import needs_of
+
+ORDERS = {"order": 6, "indirect_order": 3}
+SAMPLES = 512
+
+
+@cache
+def engine(folder: Path, precision: str) -> Light:
+    """The same texels of the engine with the same paths, kept in some precision."""
+    probe = {"type": "probe", "file": str(folder / "probe_uffizi_256x128.hdr")}
+    file = folder / "engine_256x256x128_uint8.nhdr"
+    scene = load_scene(file, isovalue=70, lights=[probe], bounces=4, precision=precision, **ORDERS)
+    look = look_for(Recipe(scene), "gi")
+    return climbed(look, surface_texels(look, 96), SAMPLES)
+
+
+def luminances(light: Light, lights: np.ndarray, order: int) -> np.ndarray:
+    """Luminance of each texel that holds light under each of the ``lights`` (k, n²), bands below ``order`` alone."""
+    return light.transfer[~light.void, 0, : order**2] @ lights[:, : order**2].T
+
+
+def rounding_of(rounded: Light, exact: Light, lights: np.ndarray, order: int) -> float:
+    """Difference of the luminances, a root mean square over texels and lights, over the mean."""
+    exactly, roughly = (luminances(light, lights, order) for light in (exact, rounded))
+    return float(np.sqrt(np.mean((roughly - exactly) ** 2)) / exactly.mean())
+
+
+@COMPILED
+@pytest.mark.data
+@pytest.mark.slow
+@pytest.mark.parametrize("probe", ["uffizi_256x128", "grace_256x128", "noon_grass_1024x512"])
+@pytest.mark.parametrize("precision", ["half", "bytes"])
+def test_rounding_errs_as_the_budget_says(shared_data: Path, probe: str, precision: str) -> None:
+    lights = [ProbeLight(shared_data / f"probe_{probe}.hdr")]
+    needs = needs_of(lights)
+    still = project_environment(needs.environment, 6)
+    turns = np.array([LUMINANCE @ turn(still, matrix) for matrix in Rotation.random(24, rng=3).as_matrix()])
+    measured = rounding_of(engine(shared_data, precision), engine(shared_data, "single"), turns, 6)
+    expected = rounding_error(plan_scene(needs, Told(**ORDERS, precision=precision)).layers, needs)
+    assert expected / 1.5 < measured < expected * 1.5
+
+
+@COMPILED
+@pytest.mark.data
+@pytest.mark.slow
+def test_one_number_errs_as_the_budget_says(shared_data: Path) -> None:
+    measured = rounding_of(engine(shared_data, "half"), engine(shared_data, "single"), np.ones((1, 1)), 1)
+    expected = rounding_error(plan_scene(needs_of([ConstantLight()]), Told()).layers, needs_of([ConstantLight()]))
+    assert measured == pytest.approx(expected, rel=0.2)
+
+
+def test_single_floats_do_not_err() -> None:
+    needs = needs_of([ConstantLight()])
+    assert rounding_error(plan_scene(needs, Told(precision="single")).layers, needs) == 0.0
+
+
+def test_constant_light_loses_nothing_to_harmonics() -> None:
+    needs = needs_of([ConstantLight()])
+    assert harmonics_error(plan_scene(needs, Told()).layers, needs) == 0.0
+
+
+@pytest.mark.parametrize("bounces", [0, 3, 12])
+def test_the_tail_of_bounces_bounds_what_a_closed_hollow_loses(bounces: int) -> None:
+    """In a furnace each bounce brings R times the last: of all light the rest is R^(b + 1)."""
+    albedo = 0.7
+    series = albedo ** np.arange(400)
+    assert tail_of_bounces((albedo, 0.1, 0.2), bounces) == pytest.approx(series[bounces + 1 :].sum() / series.sum())

@@ -1,0 +1,121 @@
+"""Rays, kernels and texels that plans leave out are not missed; where they would be, they are kept."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from isogi_core.bake import refine
+from isogi_core.bake.recipe import Recipe
+from isogi_core.frame import surroundings
+from isogi_core.frame.gbuffer import trace
+from isogi_core.frame.texels import find_texels
+from isogi_core.frame.tiles import Tiles
+from isogi_core.kernels.lattice import CHUNK
+from isogi_core.model.scene import Scene
+from isogi_core.model.view import IDENTITY
+from isogi_core.plan.texels import shown_texels, surface_cells
+from tests.plan.conftest import (
+    SUN,
+    TARGET,
+    TURN,
+    WIDE,
+    Frames,
+    Lobe,
+    apart,
+    bowl,
+    in_bowl,
+    plated_ball,
+    scene_of,
+    view_of,
+)
+
+KERNELS = {"bake_texels": refine, "bake_irradiance": refine, "rotate": surroundings}
+"""Kernels that some scenes do without, and the module that calls them."""
+
+
+@pytest.mark.parametrize("light", ["constant", "fixed", "rotating"])
+def test_kernels_are_called_but_for_those_left_out(
+    light: str, frame_of: Frames, lobe: Lobe, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    called: set[str] = set()
+    for name, module in KERNELS.items():
+        monkeypatch.setattr(module, name, recorded(name, getattr(module, name), called))
+    scene = in_bowl() if light == "constant" else in_bowl(lights=[lobe(WIDE)], rotating=light == "rotating")
+    frame_of(scene, light=TURN if light == "rotating" else IDENTITY)
+    (idle,) = [each.what for each in scene.left_out if each.what.startswith("kernels")]
+    assert called == {name for name in KERNELS if name not in idle}
+
+
+def recorded(name: str, kernel: Callable[..., None], called: set[str]) -> Callable[..., None]:
+    """The kernel, which notes that it was ``called``."""
+
+    def call(*arguments: Any) -> None:
+        called.add(name)
+        kernel(*arguments)
+
+    return call
+
+
+def aimed(scene: Scene, sharp: bool) -> Scene:
+    """The scene with shadow rays towards the bright parts of its environment, or without."""
+    around = replace(scene.environment)
+    vars(around)["sharp"] = sharp
+    return replace(scene, environment=around)
+
+
+def test_shadow_rays_and_their_table_are_left_out_under_soft_light(frame_of: Frames, lobe: Lobe) -> None:
+    scene = in_bowl(lights=[lobe(1.0)], rotating=False)
+    assert not scene.environment.table[0].size
+    kept = aimed(scene, True)
+    assert kept.environment.table[0].size
+    assert apart(frame_of(scene, 256), frame_of(kept, 256)) < TARGET / 3
+
+
+def test_shadow_rays_and_their_table_are_kept_under_the_sun(frame_of: Frames) -> None:
+    scene = in_bowl(lights=[SUN], rotating=False)
+    assert scene.environment.table[0].size
+    best = frame_of(scene, 1024)
+    assert apart(frame_of(scene, 256), best) < TARGET < apart(frame_of(aimed(scene, False), 256), best)
+
+
+def read_by(scene: Scene, isovalue: float, azimuth: float) -> np.ndarray:
+    """Which texels of the lattice a view reads; bool."""
+    recipe, tiles = Recipe(scene), Tiles()
+    gbuffer = trace(view_of(scene, azimuth, isovalue=isovalue), recipe, tiles, None)
+    marks = np.zeros(recipe.shape, np.bool_)
+    for demand in find_texels(gbuffer, recipe, tiles, None).demands:
+        inside = np.unravel_index(demand.offsets, (CHUNK,) * 3)
+        marks[tuple(at + CHUNK * chunk for at, chunk in zip(inside, demand.index, strict=True))] = True
+    return marks
+
+
+def test_texels_are_left_out_that_no_allowed_isovalue_shows() -> None:
+    scene = scene_of(bowl(), (-0.45, 0.45))
+    low, high = map(scene.volume.normalise_isovalue, scene.isovalues)
+    shown = shown_texels(surface_cells(scene.volume.voxels, low, high), scene.lattice_shape)
+    assert shown.sum() == scene.texels.shown < scene.texels.total / 2
+    for isovalue, azimuth in [(-0.45, 0.0), (-0.2, 100.0), (0.0, 200.0), (0.45, 300.0)]:
+        assert not (read_by(scene, isovalue, azimuth) & ~shown).any()
+
+
+def test_texels_are_kept_that_some_allowed_isovalue_shows() -> None:
+    one, more = scene_of(bowl(), (0.0, 0.0)), scene_of(bowl(), (0.0, 3.0))
+    at_zero = surface_cells(one.volume.voxels, *[one.volume.normalise_isovalue(0.0)] * 2)
+    assert (read_by(more, 3.0, 40.0) & ~shown_texels(at_zero, one.lattice_shape)).any()
+    assert more.texels.shown > one.texels.shown
+
+
+def test_texels_without_a_gradient_are_left_out_and_not_missed(frame_of: Frames) -> None:
+    """A ball lit from all sides is R everywhere; texels counted as black would show."""
+    scene = scene_of(plated_ball(), (-0.4, 0.4), lattice=0.5, bounces=0)
+    assert scene.texels.void > scene.texels.shown / 4
+    frame = frame_of(scene)
+    assert frame.coverage["provisional"] == 0.0
+    assert apart(frame, replace(frame, radiance=np.full_like(frame.radiance, scene.albedo[0]))) < TARGET
+
+
+def test_texels_with_a_gradient_are_kept() -> None:
+    assert scene_of(bowl(), (-0.4, 0.4)).texels.void == 0

@@ -1,0 +1,225 @@
+"""The planner: the least that gives the picture, for every sort of light, and what it refuses to be told."""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from isogi_core.errors import SceneError
+from isogi_core.files.radiance import write_hdr
+from isogi_core.kernels.harmonics import MAX_ORDER
+from isogi_core.model.environment import environment, pixel_directions
+from isogi_core.model.lamps import gather_lamps
+from isogi_core.model.lights import ConstantLight, DirectionalLight, Light, ProbeLight, SkyLight
+from isogi_core.model.plan import Layer, ScenePlan
+from isogi_core.plan.bands import truncation_error
+from isogi_core.plan.budget import BOUNCES, EVEN, LONGEST_PATH, ROUNDING, bounces_for, even, rounding_error
+from isogi_core.plan.needs import Needs, Told
+from isogi_core.plan.planner import MOST_BANDS, plan_scene, vicinity_plan
+
+GREY, RED = (0.7, 0.7, 0.7), (0.8, 0.2, 0.2)
+NOTHING = Told()
+WHITE, BLUE = ConstantLight(), ConstantLight((0.2, 0.3, 1.0))
+
+
+def needs_of(
+    lights: Sequence[Light], rotating: bool = True, albedo: float | Sequence[float] = 0.7, target: float = 0.02
+) -> Needs:
+    r, g, b = np.broadcast_to(albedo, 3).tolist()
+    return Needs(environment(lights), gather_lamps(lights), (0.0, 0.0, 0.0), rotating, (r, g, b), target)
+
+
+def plan_of(lights: Sequence[Light], told: Told = NOTHING, **settings: Any) -> ScenePlan:
+    return plan_scene(needs_of(lights, **settings), told)
+
+
+@pytest.fixture(scope="module")
+def soft(tmp_path_factory: pytest.TempPathFactory) -> ProbeLight:
+    """A grey probe with bands 0 and 1 alone: brighter from above."""
+    return probe(tmp_path_factory.mktemp("soft"), 0.8)
+
+
+def probe(folder: Path, slope: float) -> ProbeLight:
+    """A grey probe of radiance 1 + slope · z."""
+    image = 1.0 + slope * pixel_directions(32, 64)[..., 2:]
+    write_hdr(folder / "probe.hdr", np.repeat(image, 3, axis=-1).astype(np.float32))
+    return ProbeLight(folder / "probe.hdr")
+
+
+def kinds(plan: ScenePlan) -> list[tuple[str, int, int]]:
+    return [(layer.kind, layer.order, layer.channels) for layer in plan.layers]
+
+
+@pytest.mark.parametrize(
+    ("settings", "representation", "layers", "bounces"),
+    [
+        ({"albedo": 0.0}, "vicinity", [("direct", 1, 1)], 0),
+        ({"albedo": 0.7}, "constant", [("whole", 1, 1)], 12),
+        ({"albedo": RED}, "constant", [("whole", 1, 3)], 20),
+        ({"albedo": 0.7, "rotating": False}, "constant", [("whole", 1, 1)], 12),
+    ],
+)
+def test_constant_light_keeps_one_number_for_each_channel(
+    settings: dict[str, Any], representation: str, layers: list[tuple[str, int, int]], bounces: int
+) -> None:
+    for light in (WHITE, BLUE):
+        plan = plan_of([light], **settings)
+        assert (plan.representation, kinds(plan), plan.bounces, plan.order) == (representation, layers, bounces, 1)
+        assert plan.bytes_per_texel == (4 if plan.channels == 1 else 8)
+
+
+def test_light_that_stays_keeps_what_it_gives_in_as_many_channels_as_it_needs() -> None:
+    lamp = DirectionalLight(irradiance=(3.0, 3.0, 3.0))
+    for lights, albedo, channels in (
+        ([lamp], 0.7, 1),
+        ([lamp, BLUE], 0.7, 3),
+        ([lamp], RED, 3),
+        ([SkyLight()], 0.7, 3),
+    ):
+        plan = plan_of(lights, rotating=False, albedo=albedo)
+        assert (plan.representation, kinds(plan)) == ("irradiance", [("irradiance", 1, channels)])
+        assert plan.bytes_per_texel <= 10 and "harmonics" not in dict(plan.errors)
+
+
+@pytest.mark.parametrize("radiance", [1e-3, 0.4, 1.0, 3.9, 700.0])
+def test_irradiance_is_kept_in_a_unit_that_the_brightest_has_one_or_two_of(radiance: float) -> None:
+    lights = [DirectionalLight(irradiance=(math.pi * radiance,) * 3)]
+    (layer,) = plan_of(lights, rotating=False).layers
+    assert math.frexp(layer.scale)[0] == 0.5, "a power of two"
+    assert 1.0 <= radiance / layer.scale * (1 + 1e-12) < 2.0 + 1e-9
+
+
+def test_light_that_turns_keeps_harmonics_of_no_higher_order_than_it_needs(soft: ProbeLight) -> None:
+    plan = plan_of([soft])
+    assert plan.representation == "transfer"
+    direct, indirect = plan.layers
+    assert (direct.kind, direct.order, direct.channels) == ("direct", 2, 1), "bands 0 and 1 are all there is"
+    assert (indirect.kind, indirect.channels) == ("indirect", 1) and indirect.order <= 2
+    assert [layer.channels for layer in plan_of([soft], albedo=RED).layers] == [1, 3]
+    assert kinds(plan_of([soft], albedo=0.0)) == [("direct", 2, 1)]
+
+
+@pytest.mark.parametrize("target", [0.3, 0.1, 0.05, 0.02])
+def test_orders_are_the_least_within_the_target_or_say_that_they_are_not(target: float) -> None:
+    needs = needs_of([SkyLight()], target=target)
+    plan = plan_scene(needs, Told())
+    direct, indirect = (layer.order for layer in plan.layers)
+    error = math.hypot(
+        truncation_error(needs.energy, direct, "direct"), truncation_error(needs.energy, indirect, "indirect")
+    )
+    assert dict(plan.errors)["harmonics"] == pytest.approx(error)
+    assert (error > target) == bool(plan.notes)
+    if error > target:
+        assert direct == MOST_BANDS and f"{target:.1%}" in plan.notes[0]
+    else:
+        assert truncation_error(needs.energy, direct - 1, "direct") > math.sqrt(0.5) * target
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("name", ["uffizi_256x128", "grace_256x128", "noon_grass_1024x512"])
+def test_a_probe_that_turns_at_two_percent_takes_64_bytes_at_most(shared_data: Path, name: str) -> None:
+    plan = plan_of([ProbeLight(shared_data / f"probe_{name}.hdr")])
+    assert plan.representation == "transfer" and plan.bytes_per_texel <= 64
+    assert all(layer.order >= 2 for layer in plan.layers), "reflected light turns too"
+
+
+@pytest.mark.parametrize("slope", [0.0, 1e-4, 0.001, 0.01, 0.1])
+def test_a_probe_that_is_even_enough_is_constant_light(tmp_path: Path, slope: float) -> None:
+    needs = needs_of([probe(tmp_path, slope)])
+    error = truncation_error(needs.energy, 1, "direct")
+    assert even(needs) == (error <= EVEN * needs.target_error)
+    assert (plan_scene(needs, Told()).representation == "constant") == even(needs)
+    assert even(needs) == (slope <= 0.01)
+
+
+@pytest.mark.parametrize("albedo", [0.05, 0.3, 0.5, 0.7, 0.9, 0.99])
+@pytest.mark.parametrize("target", [0.2, 0.02, 0.001])
+def test_bounces_are_the_fewest_within_their_share(albedo: float, target: float) -> None:
+    bounces = bounces_for((albedo, 0.0, 0.0), target)
+    if bounces < LONGEST_PATH:
+        assert albedo ** (bounces + 1) <= BOUNCES * target * (1 + 1e-12)
+    if bounces > 0:
+        assert albedo**bounces > BOUNCES * target
+
+
+@pytest.mark.parametrize(("albedo", "bounces"), [(0.0, 0), (1.0, LONGEST_PATH), (0.999, LONGEST_PATH), (0.7, 12)])
+def test_bounces_at_the_ends(albedo: float, bounces: int) -> None:
+    assert plan_of([WHITE], albedo=albedo).bounces == bounces
+
+
+def test_nothing_is_reflected_at_albedo_0_whatever_is_told() -> None:
+    assert plan_of([WHITE], Told(bounces=4), albedo=0.0).bounces == 0
+
+
+def test_bounces_that_are_told_are_the_picture_and_no_error() -> None:
+    told, chosen = plan_of([WHITE], Told(bounces=1)), plan_of([WHITE])
+    assert told.bounces == 1 and "bounces" not in dict(told.errors)
+    assert dict(chosen.errors)["bounces"] == pytest.approx(0.7 ** (chosen.bounces + 1))
+
+
+@pytest.mark.parametrize("target", [0.3, 0.02, 0.005, 0.001, 0.0001])
+def test_the_coarsest_precision_whose_rounding_fits(soft: ProbeLight, target: float) -> None:
+    for lights in ([WHITE], [soft], [SkyLight()]):
+        needs = needs_of(lights, target=target)
+        plan = plan_scene(needs, Told())
+        if plan.half:
+            assert rounding_error(plan.layers, needs) <= ROUNDING * target
+        else:
+            halved = tuple(Layer(layer.kind, layer.order, layer.channels) for layer in plan.layers)
+            assert rounding_error(halved, needs) > ROUNDING * target
+
+
+@pytest.mark.parametrize("precision", ["bytes", "half", "single"])
+def test_precision_as_told(precision: str) -> None:
+    plan = plan_of([SkyLight()], Told(precision=precision))
+    assert plan.precision == precision
+
+
+@pytest.mark.parametrize(
+    ("lights", "rotating", "told", "word"),
+    [
+        ([WHITE], True, Told(order=3), "order = 3"),
+        ([WHITE], True, Told(indirect_order=3), "indirect_order"),
+        ([WHITE], True, Told(precision="bytes"), "precision"),
+        ([WHITE], True, Told(representation="irradiance"), "rotating = false"),
+        ([WHITE], True, Told(representation="vicinity", bounces=2), "bounces"),
+        ([SkyLight()], False, Told(order=3), "order = 3"),
+        ([SkyLight()], True, Told(representation="irradiance"), "rotating = false"),
+        ([SkyLight()], True, Told(representation="vicinity"), "vicinity"),
+        ([SkyLight()], True, Told(representation="constant"), "constant"),
+        ([SkyLight()], True, Told(bounces=0, indirect_order=2), "indirect_order = 2"),
+        ([SkyLight()], True, Told(order=2, indirect_order=3), "indirect_order = 3"),
+        ([SkyLight()], True, Told(order=2, precision="bytes"), "precision"),
+        ([DirectionalLight()], False, Told(representation="transfer"), "transfer"),
+        ([DirectionalLight()], False, Told(representation="constant"), "constant"),
+    ],
+)
+def test_what_would_do_nothing_or_show_something_else_is_refused(
+    lights: list[Light], rotating: bool, told: Told, word: str
+) -> None:
+    with pytest.raises(SceneError, match=word):
+        plan_of(lights, told, rotating=rotating)
+
+
+@pytest.mark.parametrize(("order", "indirect"), [(1, None), (3, 2), (MAX_ORDER, MAX_ORDER)])
+def test_orders_as_told(order: int, indirect: int | None) -> None:
+    plan = plan_of([SkyLight()], Told(order=order, indirect_order=indirect))
+    assert plan.layers[0].order == plan.order == order
+    assert indirect is None or plan.indirect_order == indirect
+
+
+def test_a_scene_in_the_dark_has_a_plan() -> None:
+    for rotating in (True, False):
+        plan = plan_of([ConstantLight((0.0, 0.0, 0.0))], rotating=rotating)
+        assert plan.representation == "constant"
+    assert plan_of([DirectionalLight(irradiance=(0.0, 0.0, 0.0))], rotating=False).layers[0].scale == 1.0
+
+
+def test_vicinity_shading_reads_direct_light_that_is_there() -> None:
+    transfer, constant = plan_of([SkyLight()]), plan_of([WHITE], Told(precision="single"))
+    assert vicinity_plan(transfer).layers == transfer.layers[:1]
+    assert vicinity_plan(constant).layers == (Layer("direct", half=False),)
+    assert vicinity_plan(constant).bounces == 0
