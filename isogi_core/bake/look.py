@@ -69,6 +69,17 @@ class Look:
         light = self.luminance_light.sum(axis=0)[: layer.order**2]
         return np.array([abs(light[0]), np.sqrt((light[1:] ** 2).sum())])[: layer.noises]
 
+    def judged(self, halves: np.ndarray, layer: Layer) -> np.ndarray:
+        """The sums (…, channels, n²) whose spread tells a layer's noise: of irradiance those of its luminance alone.
+
+        Colours of irradiance have errors of their own size, those of the lights that they met; mixed as luminance
+        mixes them, (…, 1, n²), they come to what ``gains`` counts.
+        """
+        if layer.kind != "irradiance" or layer.channels == 1:
+            return halves
+        mix = LUMINANCE * np.array(self.recipe.scene.albedo)
+        return np.einsum("...cn,c->...n", halves, mix / max(mix.sum(), 1e-30))[..., None, :]
+
     def weights(self, layer: Layer) -> np.ndarray:
         """R^k for k = 0 … bounces, over the chance to get there, of the layer's channels; (bounces + 1, channels)."""
         albedo = np.array(self.recipe.scene.albedo[: layer.channels])

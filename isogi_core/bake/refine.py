@@ -65,15 +65,15 @@ def climb(parts: Sequence[Part], rows: np.ndarray, texels: np.ndarray, look: Loo
     sample = sample_irradiance if parts[0].layer.kind == "irradiance" else sample_transfer
     layers = [part.layer for part in parts]
     for part, halves in zip(parts, sample(layers, place, void, look, samples, total - samples), strict=True):
-        add(part, rows, halves, total)
+        add(part, rows, halves, total, look)
         part.samples[rows] = np.where(void, VOID, total)
 
 
-def add(part: Part, rows: np.ndarray, halves: np.ndarray, total: int) -> None:
+def add(part: Part, rows: np.ndarray, halves: np.ndarray, total: int, look: Look) -> None:
     """Add sums over new samples (m, 2, channels, N²; N² >= n²) to ``rows``, which then have ``total`` samples."""
     layer, samples = part.layer, int(part.samples[rows[0]])
     added = halves.sum(axis=1)[:, :, : layer.order**2]
-    noise = noise_of_halves(halves, total - samples, layer.order)
+    noise = noise_of_halves(look.judged(halves, layer), total - samples, layer.order)
     noise = blend_noise(part.noise[rows], samples, noise)
     part.coefficients[rows] = round_light(add_to_mean(part.coefficients[rows], samples, added, total), layer)
     part.noise[rows] = noise_of(noise_codes(noise, layer.scale), layer.scale)

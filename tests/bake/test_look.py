@@ -7,8 +7,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from isogi_core.bake.light import Part
 from isogi_core.bake.look import LOOKS, Look, band_of, look_for, look_name
+from isogi_core.bake.noise import deviation
 from isogi_core.bake.recipe import Recipe
+from isogi_core.bake.refine import add
 from isogi_core.kernels.harmonics import rotate
 from isogi_core.model.plan import Layer, ScenePlan
 from isogi_core.model.scene import load_scene
@@ -125,6 +128,29 @@ def test_one_noise_has_one_gain() -> None:
     look = orbital(sky=False)
     assert look.plan.representation == "constant"
     assert look.gains(look.plan.layers[0]).tolist() == pytest.approx([0.7 * np.sqrt(4.0 * np.pi)])
+
+
+LAMP = {"type": "directional", "azimuth": 100.0, "elevation": 30.0}
+
+
+@pytest.mark.parametrize("colour", [(0.0, 0.0, 3.0), (0.0, 3.0, 0.0), (1.0, 2.0, 3.0)], ids=["blue", "green", "mixed"])
+@pytest.mark.parametrize("albedo", [list(ALBEDO), 0.0], ids=["coloured", "black"])
+def test_noise_of_irradiance_is_the_error_of_its_luminance(colour: tuple[float, ...], albedo: Any) -> None:
+    """Sums of two randomisations whose colours err apart: told is half the difference of their luminance."""
+    layer, count = Layer("irradiance", channels=3), 32
+    lamp = {**LAMP, "irradiance": list(colour)}
+    look = look_of(plan_of(layer, representation="irradiance"), lights=[lamp], albedo=albedo, rotating=False)
+    halves = np.random.default_rng(4).random((50, 2, 3, 1)) * np.array(colour)[:, None] * count / 2
+    part = Part.dark(layer, 50)
+    add(part, np.arange(50), halves, count, look)
+    luminance = (halves[..., 0] / (count / 2)) @ (LUMINANCE * np.array(look.recipe.scene.albedo))
+    np.testing.assert_allclose(deviation(part, look), abs(luminance[:, 0] - luminance[:, 1]) / 2, rtol=0.05)
+
+
+def test_colours_of_transfer_are_judged_each() -> None:
+    look = look_of(plan_of(Layer("direct", 5), Layer("indirect", 5, 3)))
+    halves = np.random.default_rng(5).normal(size=(10, 2, 3, 25))
+    assert look.judged(halves, Layer("indirect", 5, 3)) is halves
 
 
 # --- which look -------------------------------------------------------------------------------------------------
