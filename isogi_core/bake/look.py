@@ -43,10 +43,13 @@ class Look:
     def light(self) -> np.ndarray:
         """What coefficients are multiplied by, linear RGB, (3, n²) float64: ℓ of the unturned light.
 
-        Irradiance has met its light already, so that this is 1. Source: S1, eq. 7.
+        Irradiance has met its light already, so that this is 1. Source: S1, eq. 7. Vicinity shading is of light
+        that is the same from all sides: the mean of all, lamps among it.
         """
         if self.plan.representation == "irradiance":
             return np.ones((3, 1))
+        if self.plan.representation == "vicinity":
+            return self.recipe.around[:, :1]
         return project_environment(self.recipe.scene.environment, self.order)
 
     @cached_property

@@ -175,6 +175,15 @@ def test_vicinity_of_a_transfer_scene_is_band_0_of_its_direct_layer() -> None:
     np.testing.assert_allclose(vicinity.gains(vicinity.plan.layers[0]), [gi.gains(gi.plan.layers[0])[0], 0.0])
 
 
+def test_vicinity_is_under_the_mean_of_all_light_lamps_among_it() -> None:
+    """A lamp of irradiance E is as much light as a constant radiance of E / 4π."""
+    recipe = Recipe(load_scene("demo:orbital", lights=[{**LAMP, "irradiance": 3.0}, CONSTANT]))
+    radiance = look_for(recipe, "vicinity").light[:, 0] / math.sqrt(4.0 * math.pi)
+    np.testing.assert_allclose(radiance, 1.0 + 3.0 / (4.0 * math.pi))
+    constant = orbital(sky=False, shading="vicinity")
+    np.testing.assert_allclose(constant.light, np.full((3, 1), math.sqrt(4.0 * math.pi)))
+
+
 def test_vicinity_of_a_constant_scene_has_a_layer_of_its_own() -> None:
     gi, vicinity = orbital(sky=False), orbital(sky=False, shading="vicinity")
     assert [layer.kind for layer in gi.plan.layers] == ["whole"]

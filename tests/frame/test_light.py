@@ -1,5 +1,6 @@
 """The light in a frame: closed forms, vicinity shading, hollows and the path tracer."""
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -122,6 +123,15 @@ def test_vicinity_of_a_constant_scene_has_a_layer_of_its_own(workbench: Make) ->
     assert not bench.bake(replace(view, shading="vicinity")).provisional
     assert bench.layers == {whole, bench.caches.of("vicinity").store.layers[0].digest} and len(bench.layers) == 2
     assert not bench.again().renderer.render(view).provisional
+
+
+def test_vicinity_under_a_lamp_alone_is_that_under_its_mean(workbench: Make) -> None:
+    """A lamp of irradiance π is as much light as a constant radiance of a quarter."""
+    lights = {"type": "directional", "irradiance": math.pi}, {"type": "constant", "radiance": 0.25}
+    benches = [workbench(load_scene("demo:orbital", **{**CALM, "lights": [light]})) for light in lights]
+    lit, even = (bench.bake(bench.view(size=32, shading="vicinity")) for bench in benches)
+    assert luminance(lit).mean() > 0.05
+    np.testing.assert_allclose(luminance(lit).mean(), luminance(even).mean(), rtol=0.02)
 
 
 @pytest.mark.parametrize(("name", "most"), [("orbital", 0.012), ("casting", 0.04)])
