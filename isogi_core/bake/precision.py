@@ -18,6 +18,9 @@ VOID_CODE = 255
 NOISIEST = 16.0
 """The noise, in units of a layer's scale, that code 0 stands for."""
 
+LARGEST = 65504.0
+"""The largest half float. Light of a lamp next to the surface may be more, in units of a layer's scale."""
+
 STEPS = 8
 """Codes that halve a number: 9 % apart."""
 
@@ -30,10 +33,14 @@ SILENT = 255
 
 def round_light(light: np.ndarray, layer: Layer) -> np.ndarray:
     """``light`` (…, n²) as the layer keeps it, float32."""
-    fine = light[..., : layer.floats] / layer.scale
-    fine = fine.astype(np.float16 if layer.half else np.float32).astype(np.float32)
+    fine = light_floats(light[..., : layer.floats] / layer.scale, layer).astype(np.float32)
     coarse = light_of(light_codes(light[..., layer.floats :] / layer.scale))
     return np.concatenate([fine, coarse], axis=-1) * np.float32(layer.scale)
+
+
+def light_floats(light: np.ndarray, layer: Layer) -> np.ndarray:
+    """Coefficients, in units of the layer's scale, as the floats it keeps; what is beyond half floats is cut there."""
+    return np.clip(light, -LARGEST, LARGEST).astype(np.float16) if layer.half else light.astype(np.float32)
 
 
 def light_codes(light: np.ndarray) -> np.ndarray:

@@ -7,7 +7,7 @@ attributes name gives the planes.
 import numpy as np
 
 from isogi_core.bake.light import Part
-from isogi_core.bake.precision import light_codes, light_of, noise_codes, noise_of, rung_codes, samples_of
+from isogi_core.bake.precision import light_codes, light_floats, light_of, noise_codes, noise_of, rung_codes, samples_of
 from isogi_core.bake.recipe import Index
 from isogi_core.kernels.lattice import CHUNK
 from isogi_core.model.plan import Layer
@@ -46,7 +46,7 @@ def pack(part: Part, offsets: np.ndarray, bake: str, index: Index) -> np.ndarray
     record["rung"][offsets[lit]] = rung_codes(rows.samples)
     record["noise"][:, offsets[lit]] = noise_codes(rows.noise, layer.scale).T
     light = np.moveaxis(rows.coefficients / np.float32(layer.scale), 0, -1)
-    record["light"][:, :, offsets[lit]] = light[:, : layer.floats]
+    record["light"][:, :, offsets[lit]] = light_floats(light[:, : layer.floats], layer)
     record["high"][:, :, offsets[lit]] = light_codes(light[:, layer.floats :])
     return record.reshape(1).view(np.uint8)
 

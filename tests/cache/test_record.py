@@ -46,6 +46,18 @@ def test_a_record_gives_back_the_part_that_it_was_made_of(layer: Layer, offsets:
         np.testing.assert_array_equal(again, own)
 
 
+@pytest.mark.parametrize("rounded", [True, False])
+def test_light_beyond_half_floats_is_finite_and_the_same_in_memory_and_store(rounded: bool) -> None:
+    layer = Layer("irradiance", channels=3, scale=2.0**-7)
+    part = Part.dark(layer, 2)
+    part.samples[:] = 64
+    light = np.array([1e6, 511.9, -1e9, 0.5, 511.75, 511.74], np.float32).reshape(2, 3, 1)
+    part.coefficients[:] = round_light(light, layer) if rounded else light
+    found = unpack(pack(part, np.array([1, 5], np.int32), BAKE, INDEX), layer, BAKE, INDEX)
+    assert found is not None and np.isfinite(found[1].coefficients).all()
+    np.testing.assert_array_equal(found[1].coefficients, round_light(light, layer))
+
+
 @pytest.mark.parametrize("settings", [{}, {"precision": "single"}, {"albedo": [0.2, 0.5, 0.8], "order": 4}])
 def test_what_was_just_baked_is_read_back_bit_by_bit(settings: dict[str, object]) -> None:
     look = look_of(**settings)  # type: ignore[arg-type]
