@@ -24,13 +24,13 @@ def adopt(plan: ScenePlan, recipe: Recipe, root: str | Path) -> ScenePlan:
 
 
 def adopted(layer: Layer, recipe: Recipe, root: str | Path) -> Layer:
-    """The layer, or the least larger one where the store under ``root`` has that and not the layer itself."""
+    """The layer, or the least larger one where the store under ``root`` has light of that and none of the layer."""
     candidates = (layer, *sorted(larger(layer), key=lambda kin: kin.bytes_per_texel))
     return next((kin for kin in candidates if LayerStore(root, recipe, kin).exists), layer)
 
 
 def former(layer: Layer, recipe: Recipe, root: str | Path) -> LayerStore | None:
-    """The largest of the smaller layers that the store under ``root`` has."""
+    """The largest of the smaller layers that the store under ``root`` has light of."""
     stores = (LayerStore(root, recipe, kin) for kin in smaller(layer))
     return next((store for store in stores if store.exists), None)
 

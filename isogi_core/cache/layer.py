@@ -5,7 +5,7 @@ Whether a chunk is there is asked of the store by key and never read from values
 damaged on the way is caught by the checksum that is the last codec.
 """
 
-from collections.abc import Iterator
+from collections.abc import AsyncIterator, Iterator
 from dataclasses import asdict
 from functools import cached_property
 from pathlib import Path
@@ -18,6 +18,7 @@ from numcodecs.zstd import Zstd
 from zarr.codecs import BytesCodec, Crc32cCodec, ZstdCodec
 from zarr.core.array_spec import ArrayConfigParams
 from zarr.core.buffer import Buffer, default_buffer_prototype
+from zarr.core.common import AccessModeLiteral
 from zarr.core.sync import sync
 from zarr.storage import LocalStore
 
@@ -72,19 +73,30 @@ class LayerStore:
 
     @property
     def exists(self) -> bool:
-        """Whether the store has this layer."""
-        try:
-            return self._is_ours(zarr.open_array(self.path, mode="r", zarr_format=3))
-        except Exception:
-            return False
+        """Whether the store has light of this layer: an array that was made, and a chunk at least in it."""
+        array = self._find("r")
+        return array is not None and self._is_ours(array) and self._holds_any(array)
 
-    def _open(self) -> "zarr.Array[Any]":
+    def _holds_any(self, array: "zarr.Array[Any]") -> bool:
+        """Whether there is anything where chunks are kept; one folder is listed, however many chunks there are."""
         try:
-            array = zarr.open_array(self.path, mode="r+", zarr_format=3)
+            return sync(any_of(array.store.list_dir(f"{array.path}/c".lstrip("/"))))
+        except Exception as error:
+            raise StoreError(f"Cannot look for light at {self.path}: {one_line(error)}.") from error
+
+    def _find(self, mode: AccessModeLiteral) -> "zarr.Array[Any] | None":
+        """The Zarr array that is there, opened; None where there is none."""
+        try:
+            return zarr.open_array(self.path, mode=mode, zarr_format=3)
         except FileNotFoundError:
-            return self._create()
+            return None
         except Exception as error:
             raise StoreError(f"Cannot open the light at {self.path}: {one_line(error)}; {MOVE_AWAY}") from error
+
+    def _open(self) -> "zarr.Array[Any]":
+        array = self._find("r+")
+        if array is None:
+            return self._create()
         if not self._is_ours(array):
             raise StoreError(f"What is kept at {self.path} is not this scene's light; {MOVE_AWAY}")
         return array.with_config(CONFIG)
@@ -171,6 +183,13 @@ class LayerStore:
         except Exception as error:
             why = one_line(error)
             raise StoreError(f"Cannot write chunk {index} of the light at {self.path}: {why}.") from error
+
+
+async def any_of(names: AsyncIterator[str]) -> bool:
+    """Whether there is any of the ``names``; no more than the first is asked for."""
+    async for _ in names:
+        return True
+    return False
 
 
 def facts_of(layer: Layer, recipe: Recipe) -> dict[str, Any]:

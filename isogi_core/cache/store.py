@@ -36,9 +36,10 @@ class ChunkStore:
         self.layers = tuple(LayerStore(root, look.recipe, layer) for layer in look.plan.layers)
 
     def open(self) -> None:
-        """Open the layers' arrays, or make them, now and not with the first chunk."""
+        """Open the layers' arrays, or make them, and look for smaller ones, now and not with the first chunk."""
         for layer in self.layers:
             layer.array  # noqa: B018
+        self.formers  # noqa: B018
 
     def read(self, index: Index) -> Chunk | None:
         """The chunk; None where no layer has anything of it. What is damaged counts as absent, and is told."""

@@ -2,6 +2,7 @@
 
 import logging
 import shutil
+import uuid
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -9,13 +10,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from isogi_core.bake.light import Part
 from isogi_core.bake.look import Look, look_for
 from isogi_core.bake.precision import VOID
 from isogi_core.bake.recipe import Recipe
 from isogi_core.cache.kin import DIRECTED, adopt, former, larger, smaller
 from isogi_core.cache.layer import LayerStore
 from isogi_core.cache.store import ChunkStore
-from isogi_core.errors import DamagedChunkError
+from isogi_core.errors import DamagedChunkError, StoreError
 from isogi_core.kernels.harmonics import MAX_ORDER
 from isogi_core.model.plan import Layer
 from isogi_core.model.scene import load_scene
@@ -36,9 +38,9 @@ def planned(shading: str = "gi", **settings: Any) -> Look:
 
 
 def make(root: Path, look: Look, **changes: Any) -> Layer:
-    """Make the place of the look's direct layer, changed, and return that layer."""
+    """Put a chunk into the place of the look's direct layer, changed, and return that layer."""
     layer = replace(look.plan.layers[DIRECT], **changes)
-    LayerStore(root, look.recipe, layer).array  # noqa: B018
+    LayerStore(root, look.recipe, layer).save(INDEX, np.empty(0, np.int32), Part.dark(layer, 0))
     return layer
 
 
@@ -111,6 +113,47 @@ def test_the_least_larger_layer_that_is_there_is_taken_on(tmp_path: Path) -> Non
     assert adopted == replace(small.plan, layers=(replace(small.plan.layers[0], order=5), small.plan.layers[1]))
     make(tmp_path, small)
     assert adopt(small.plan, small.recipe, tmp_path) == small.plan
+
+
+@pytest.mark.parametrize("root", ["folder", "memory://"])
+def test_a_place_without_light_is_neither_taken_on_nor_shown(tmp_path: Path, root: str) -> None:
+    """An array is made when a scene is opened; until it is baked, what holds light is worth more."""
+    place = str(tmp_path) if root == "folder" else f"{root}{uuid.uuid4().hex}"
+    small, large = look(3), look(5)
+    for scene in (small, large):
+        ChunkStore(place, scene).open()
+    assert adopt(small.plan, small.recipe, place) == small.plan
+    assert former(large.plan.layers[DIRECT], large.recipe, place) is None
+    ChunkStore(place, large).save(baked(large, INDEX))
+    assert adopt(small.plan, small.recipe, place).layers[DIRECT] == large.plan.layers[DIRECT]
+    ChunkStore(place, small).save(baked(small, INDEX))
+    assert adopt(small.plan, small.recipe, place) == small.plan
+    assert former(large.plan.layers[DIRECT], large.recipe, place) is not None
+
+
+def test_a_store_that_cannot_be_read_is_told_and_not_taken_for_empty(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store = LayerStore(tmp_path, look(3).recipe, look(3).plan.layers[DIRECT])
+    assert not store.exists
+
+    def refuse(*arguments: Any, **named: Any) -> None:
+        raise PermissionError("Access denied.")
+
+    monkeypatch.setattr("zarr.open_array", refuse)
+    with pytest.raises(StoreError, match=r"Cannot open the light at .*: Access denied; move that folder away"):
+        adopt(look(3).plan, look(3).recipe, tmp_path)
+
+
+def test_smaller_layers_are_looked_for_once_when_the_store_is_opened(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    small, large = look(3), look(5)
+    ChunkStore(tmp_path, small).save(baked(small, INDEX))
+    store = ChunkStore(tmp_path, large)
+    store.open()
+    monkeypatch.setattr("isogi_core.cache.store.former", None)
+    assert store.show(INDEX) is not None
 
 
 def test_layers_in_bytes_serve_those_whose_bands_they_keep_as_floats(tmp_path: Path) -> None:
