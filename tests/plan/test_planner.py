@@ -29,7 +29,7 @@ def needs_of(
     lights: Sequence[Light], rotating: bool = True, albedo: float | Sequence[float] = 0.7, target: float = 0.02
 ) -> Needs:
     r, g, b = np.broadcast_to(albedo, 3).tolist()
-    return Needs(environment(lights), gather_lamps(lights), (0.0, 0.0, 0.0), rotating, (r, g, b), target)
+    return Needs(environment(lights), gather_lamps(lights), (0.0, 0.0, 0.0), 1.0, rotating, (r, g, b), target)
 
 
 def plan_of(lights: Sequence[Light], told: Told = NOTHING, **settings: Any) -> ScenePlan:
