@@ -24,6 +24,7 @@ from isogi_core.kernels._jit import FOLDER
 from isogi_core.kernels.warm import warm
 from isogi_core.model.scene import Scene
 from isogi_core.model.view import View
+from isogi_core.plan.planner import complete
 from server.foresight import Foresight
 from worker.baker import Bake, Baker
 from worker.errors import WorkersError
@@ -153,7 +154,7 @@ class Studio:
         caches = Caches(recipe, self.store, self._memory)
         recipe.field, recipe.maps  # noqa: B018 (worked out now, not in the first frame)
         ChunkStore(self.store, caches.look("gi")).open()
-        self.scenes[scene.id] = replace(scene, plan=caches.look("gi").plan)
+        self.scenes[scene.id] = replace(scene, plan=complete(caches.look("gi").plan, scene.needs, scene.told))
         lowest, highest = sorted(map(scene.volume.normalise_isovalue, scene.isovalues))
         foresight = Foresight(lambda v, cancelled: recipe.bricks(v, v, cancelled), STEP, (lowest, highest))
         for look in LOOKS:

@@ -72,9 +72,9 @@ class Recipe:
 
         Of order AROUND, and 1 for constant light.
         """
-        environment, lamps = self.scene.environment, self.scene.lamps
+        environment, lamps, volume = self.scene.environment, self.scene.lamps, self.scene.volume
         order = AROUND if lamps.any or environment.image.any() else 1
-        return project_environment(environment, order) + lamps.approximate(order, self.scene.volume.centre)
+        return project_environment(environment, order) + lamps.approximate(order, volume.centre, volume.radius)
 
     def surroundings(self, matrix: np.ndarray) -> Surroundings:
         """All light as it is, for paths that meet it; the environment turned by ``matrix`` (3, 3)."""

@@ -26,32 +26,46 @@ class Lamps:
         """Whether there is a lamp at all."""
         return len(self.arrays.kinds) > 0
 
-    def seen_from(self, point: Vector) -> tuple[np.ndarray, np.ndarray]:
+    def seen_from(self, point: Vector, least: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
         """Unit directions (k, 3) from a world point to the lamps, and the irradiance (k, 3) of what faces them there.
 
-        Unshadowed; an area light stands in its own middle, and is dark from behind.
+        Unshadowed; an area light stands in its own middle, and is dark from behind. A lamp within the distance
+        ``least`` counts as if it were that far and faced the point; one at the point itself has direction 0.
         """
         kinds, places, edges, colours = self.arrays
         near = kinds != DIRECTIONAL
         away = np.where(near[:, None], places + edges.sum(axis=1) / 2 - point, places)
         distance = np.linalg.norm(away, axis=1)
+        clamped = np.maximum(distance, least)
         with np.errstate(divide="ignore", invalid="ignore"):
             towards = np.nan_to_num(away / distance[:, None])
-            spread = np.where(near & (distance > 0.0), distance**-2.0, ~near)
-        facing = np.maximum(-(towards * np.cross(edges[:, 0], edges[:, 1])).sum(axis=1), 0.0)
+            spread = np.where(near & (clamped > 0.0), clamped**-2.0, ~near)
+        normals = np.cross(edges[:, 0], edges[:, 1])
+        facing = np.maximum(-(towards * normals).sum(axis=1), 0.0)
+        facing = np.where(distance < least, np.linalg.norm(normals, axis=1), facing)
         return towards, math.pi * colours * (spread * np.where(kinds == AREA, facing, 1.0))[:, None]
 
-    def approximate(self, order: int, centre: Vector) -> np.ndarray:
-        """SH coefficients (3, n²) float64 of the lamps as if each were infinitely far from ``centre``: Σ E Y_i(d)."""
+    def approximate(self, order: int, centre: Vector, radius: float) -> np.ndarray:
+        """SH coefficients (3, n²) float64 of the lamps as if each were infinitely far from ``centre``: Σ E Y_i(d).
+
+        Lamps within ``radius`` are taken as that far. One at the centre itself shines from all sides alike.
+        """
         coefficients = np.zeros((3, order**2))
         if self.any:
-            project_lamps(order, *self.seen_from(centre), coefficients)
+            directions, irradiances = self.seen_from(centre, radius)
+            beside = directions.any(axis=1)
+            project_lamps(order, directions[beside], irradiances[beside], coefficients)
+            coefficients[:, 0] += irradiances[~beside].sum(axis=0) / math.sqrt(4.0 * math.pi)
         return coefficients
 
-    def brightest(self, centre: Vector) -> float:
-        """Irradiance over π, in luminance, of an unshadowed surface at ``centre`` turned to the best of the lamps."""
-        directions, irradiances = self.seen_from(centre)
+    def brightest(self, centre: Vector, radius: float) -> float:
+        """Irradiance over π, in luminance, of an unshadowed surface at ``centre`` turned to the best of the lamps.
+
+        Lamps within ``radius`` are taken as that far: what is lit has that size, and most of it is farther away.
+        """
+        directions, irradiances = self.seen_from(centre, radius)
         facing = np.maximum(directions @ directions.T, 0.0)
+        np.fill_diagonal(facing, 1.0)
         return float((facing @ (irradiances @ LUMINANCE)).max(initial=0.0)) / math.pi
 
 

@@ -39,6 +39,7 @@ class Scene:
 
     ``albedo`` is linear RGB, ``lattice`` texels per voxel along each axis, ``target_error`` the
     relative error at which a texel counts as final, ``rotating`` whether the light may be turned.
+    ``plan`` was made for ``needs``, with what the scene has ``told``.
     """
 
     id: str
@@ -53,6 +54,8 @@ class Scene:
     lattice: float
     target_error: float
     rotating: bool
+    needs: Needs
+    told: Told
     plan: ScenePlan
 
     @property
@@ -79,8 +82,7 @@ class Scene:
     @cached_property
     def default_exposure(self) -> float:
         """The exposure at which a surface turned to the light shows its own albedo."""
-        brightest = self.environment.brightest() + self.lamps.brightest(self.volume.centre)
-        return 1.0 / brightest if brightest > 0.0 else 1.0
+        return 1.0 / self.needs.brightest if self.needs.brightest > 0.0 else 1.0
 
     @cached_property
     def texels(self) -> TexelCount:
@@ -147,8 +149,8 @@ def build_scene(source: SceneSource) -> Scene:
     albedo = settings.colour("albedo", 0.7)
     target_error = settings.number("target_error", 0.02, 1e-4, 1.0)
     light, rotating = environment(lights), may_rotate(settings, lamps)
-    needs = Needs(light, lamps, volume.centre, rotating, albedo, target_error)
-    plan = plan_scene(needs, told_by(settings))
+    needs = Needs(light, lamps, volume.centre, volume.radius, rotating, albedo, target_error)
+    told = told_by(settings)
     scene = Scene(
         id=re.sub(r"[^a-z0-9_-]+", "-", source.name.lower()).strip("-")[:64] or "scene",
         source=source,
@@ -162,7 +164,9 @@ def build_scene(source: SceneSource) -> Scene:
         lattice=settings.number("lattice", 1.0, 0.125, 4.0),
         target_error=target_error,
         rotating=rotating,
-        plan=plan,
+        needs=needs,
+        told=told,
+        plan=plan_scene(needs, told),
     )
     settings.refuse_unknown()
     return scene

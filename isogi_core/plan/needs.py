@@ -30,12 +30,13 @@ class Told:
 class Needs:
     """What a plan is made for: the lights and whether they may turn, the albedo, the relative error aimed at.
 
-    ``centre`` is the volume's, in the world.
+    ``centre`` and ``radius`` are those of the ball around the volume, in the world.
     """
 
     environment: Environment
     lamps: Lamps
     centre: Vector
+    radius: float
     rotating: bool
     albedo: Colour
     target_error: float
@@ -59,7 +60,7 @@ class Needs:
     @cached_property
     def brightest(self) -> float:
         """Irradiance over π, in luminance, of an unshadowed surface at the centre turned to the light, at most."""
-        return self.environment.brightest() + self.lamps.brightest(self.centre)
+        return self.environment.brightest() + self.lamps.brightest(self.centre, self.radius)
 
     @cached_property
     def energy(self) -> np.ndarray:

@@ -41,6 +41,11 @@ def plan_scene(needs: Needs, told: Told) -> ScenePlan:
     order = max(layer.order for layer in layers)
     survival = survival_for(needs.albedo, bounces)
     plan = ScenePlan(representation, layers, order, bounces, survival, most_samples(needs.target_error))
+    return complete(plan, needs, told)
+
+
+def complete(plan: ScenePlan, needs: Needs, told: Told) -> ScenePlan:
+    """The plan with what its layers mean: errors that are expected, notes on them, and what is left out."""
     plan = replace(plan, errors=errors_of(plan, needs, told))
     return replace(plan, notes=notes_on(plan, needs), left_out=left_out(plan, needs))
 
@@ -125,13 +130,14 @@ def fits(layers: tuple[Layer, ...], needs: Needs) -> bool:
 def errors_of(plan: ScenePlan, needs: Needs, told: Told) -> tuple[tuple[str, float], ...]:
     """Relative errors that the plan expects by what is cut off; of bounces, where it chose them, the most.
 
-    Those that are 0 are left.
+    Those that are 0 are left. Bands of a layer beyond the plan's order are kept and not read.
     """
     chosen = told.bounces is None and plan.representation != "vicinity"
+    read = tuple(replace(layer, order=min(layer.order, plan.order)) for layer in plan.layers)
     errors = (
-        ("harmonics", harmonics_error(plan.layers, needs)),
+        ("harmonics", harmonics_error(read, needs)),
         ("bounces", tail_of_bounces(needs.albedo, plan.bounces) if chosen else 0.0),
-        ("rounding", rounding_error(plan.layers, needs)),
+        ("rounding", rounding_error(read, needs)),
     )
     return tuple((cause, error) for cause, error in errors if error > 0.0)
 

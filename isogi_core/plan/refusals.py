@@ -10,8 +10,7 @@ def refuse_idle(representation: str, bounces: int, needs: Needs, told: Told) -> 
     """Raise SceneError where what is told cannot show the scene's light, or changes nothing in its plan."""
     refuse_lights(representation, needs)
     refuse_orders(representation, bounces, told)
-    if representation == "vicinity" and told.representation and told.bounces:
-        raise SceneError("representation = 'vicinity' is of light before it is reflected: leave out 'bounces'.")
+    refuse_reflections(bounces, needs, told)
 
 
 def refuse_lights(representation: str, needs: Needs) -> None:
@@ -35,6 +34,16 @@ def refuse_orders(representation: str, bounces: int, told: Told) -> None:
         )
     if told.order is not None and told.indirect_order is not None and told.indirect_order > told.order:
         raise SceneError(f"indirect_order = {told.indirect_order} is above order = {told.order}: take at most that.")
+
+
+def refuse_reflections(bounces: int, needs: Needs, told: Told) -> None:
+    """Raise SceneError where something is told of reflected light, and there is none."""
+    if told.representation == "vicinity" and told.bounces:
+        raise SceneError("representation = 'vicinity' is of light before it is reflected: leave out 'bounces'.")
+    if told.bounces and max(needs.albedo) == 0.0:
+        raise SceneError(f"bounces = {told.bounces} is of reflected light, and albedo 0 has none: leave it out.")
+    if told.representation == "constant" and not bounces:
+        raise SceneError("representation = 'constant' is of reflected light too, and there is none: leave it out.")
 
 
 def refuse_no_bytes(layers: tuple[Layer, ...]) -> tuple[Layer, ...]:

@@ -12,7 +12,8 @@ from isogi_core.kernels.lamps import AREA, DIRECTIONAL, POINT
 from isogi_core.model.lamps import gather_lamps
 from isogi_core.model.lights import AreaLight, ConstantLight, DirectionalLight, Lamp, PointLight
 from isogi_core.model.plan import Layer
-from isogi_core.model.scene import load_scene
+from isogi_core.model.scene import Scene, load_scene
+from isogi_core.model.sky import LUMINANCE
 
 SUN = DirectionalLight(90.0, 30.0, (3.0, 2.0, 1.0), 60.0)
 BULB = PointLight((1.0, 2.0, 8.0), (9.0, 0.0, 18.0))
@@ -40,7 +41,7 @@ def test_a_directional_lamp_has_a_disc_across_its_direction(elevation: float) ->
 def test_no_lamps() -> None:
     lamps = gather_lamps([ConstantLight()])
     assert not lamps.any and lamps.arrays.places.shape == (0, 3) and lamps.arrays.edges.shape == (0, 2, 3)
-    assert lamps.brightest(CENTRE) == 0.0 and not lamps.approximate(3, CENTRE).any()
+    assert lamps.brightest(CENTRE, 1.0) == 0.0 and not lamps.approximate(3, CENTRE, 1.0).any()
 
 
 def test_lamps_seen_from_a_point() -> None:
@@ -61,6 +62,23 @@ def test_a_lamp_is_dark_from_behind_and_from_within() -> None:
     assert np.isfinite(irradiances).all() and not irradiances.any()
 
 
+@pytest.mark.parametrize("away", [(0.0, 0.0, 0.0), (0.0, 0.0, 0.01), (1.0, 0.0, 0.0), (0.0, -2.9, 0.0)])
+def test_a_lamp_nearer_than_the_least_distance_counts_as_that_far(away: tuple[float, float, float]) -> None:
+    x, y, z = np.add(CENTRE, away)
+    behind = AreaLight((x - 1.0, y - 2.0, z), (2.0, 0.0, 0.0), (0.0, 4.0, 0.0), (0.5, 0.25, 1.0))
+    directions, irradiances = gather_lamps([PointLight((x, y, z), (9.0, 0.0, 18.0)), behind]).seen_from(CENTRE, 3.0)
+    np.testing.assert_allclose(directions, [np.array(away) / max(math.hypot(*away), 1e-9)] * 2, atol=1e-12)
+    np.testing.assert_allclose(irradiances, np.array([[9.0, 0.0, 18.0], [4.0, 2.0, 8.0]]) / 9.0, rtol=1e-12)
+
+
+def test_a_lamp_at_the_centre_shines_from_all_sides_alike() -> None:
+    lamps = gather_lamps([PointLight(CENTRE, (9.0, 0.0, 18.0))])
+    expected = np.zeros((3, 16))
+    expected[:, 0] = np.array([9.0, 0.0, 18.0]) / 9.0 / math.sqrt(4.0 * math.pi)
+    np.testing.assert_allclose(lamps.approximate(4, CENTRE, 3.0), expected)
+    assert lamps.brightest(CENTRE, 3.0) == pytest.approx(np.array([1.0, 0.0, 2.0]) @ LUMINANCE / math.pi)
+
+
 def harmonic(l: int, m: int, theta: float, phi: float) -> float:
     """Y_lm, real and without the Condon-Shortley phase, by SciPy."""
     y = (-1.0) ** m * sph_harm_y(l, abs(m), theta, phi)
@@ -69,7 +87,7 @@ def harmonic(l: int, m: int, theta: float, phi: float) -> float:
 
 def test_approximation_is_a_sum_of_directions() -> None:
     """Coefficient (l, m) of a distant light of irradiance E is E Y_lm of its direction."""
-    found = gather_lamps([SUN, BULB]).approximate(4, CENTRE)
+    found = gather_lamps([SUN, BULB]).approximate(4, CENTRE, 1.0)
     for l in range(4):
         for m in range(-l, l + 1):
             sun, bulb = harmonic(l, m, math.radians(60.0), math.pi / 2), harmonic(l, m, 0.0, 0.0)
@@ -86,7 +104,7 @@ def test_approximation_is_a_sum_of_directions() -> None:
     ],
 )
 def test_brightest_is_what_faces_the_best_lamp(lamps: list[Lamp], expected: float) -> None:
-    assert gather_lamps(lamps).brightest(CENTRE) == pytest.approx(expected)
+    assert gather_lamps(lamps).brightest(CENTRE, 1.0) == pytest.approx(expected)
 
 
 def test_digest_names_the_lamps_and_nothing_else() -> None:
@@ -98,7 +116,7 @@ def test_digest_names_the_lamps_and_nothing_else() -> None:
 # --- scenes ------------------------------------------------------------------------------------------------------
 
 
-def scene(*lights: dict[str, Any], **settings: Any) -> Any:
+def scene(*lights: dict[str, Any], **settings: Any) -> Scene:
     return load_scene("demo:orbital", lights=list(lights), **settings)
 
 
@@ -122,3 +140,22 @@ def test_exposure_knows_of_lamps() -> None:
     sun = {"type": "directional", "irradiance": 4.0 * math.pi}
     assert scene(sun).default_exposure == pytest.approx(0.25)
     assert scene({"type": "constant"}, sun).default_exposure == pytest.approx(0.2)
+
+
+def lit_from(kind: str, offset: float) -> Scene:
+    """A scene with one lamp ``offset`` radii of its volume beside the centre; an area light faces away from it."""
+    volume = scene(LAMP).volume
+    x, y, z = (float(c) for c in np.add(volume.centre, (offset * volume.radius, 0.0, 0.0)))
+    if kind == "point":
+        return scene({"type": "point", "position": [x, y, z], "intensity": 2000.0})
+    edges = {"u": [0.0, 4.0, 0.0], "v": [0.0, 0.0, 4.0]}
+    return scene({"type": "area", "corner": [x, y - 2.0, z - 2.0], **edges, "radiance": 100.0})
+
+
+@pytest.mark.parametrize("kind", ["point", "area"])
+@pytest.mark.parametrize("offset", [0.0, 1e-4, -1e-4, 0.3, -0.3])
+def test_exposure_and_unit_are_of_the_volumes_size_wherever_a_lamp_is_in_it(kind: str, offset: float) -> None:
+    """An area light on the side of -x faces the centre from the volume's radius, and others face away from it."""
+    here, there = lit_from(kind, offset), lit_from(kind, -1.0)
+    assert 0.25 <= here.default_exposure / there.default_exposure <= 4.0
+    assert 0.25 <= here.plan.layers[0].scale / there.plan.layers[0].scale <= 4.0

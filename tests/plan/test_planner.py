@@ -29,7 +29,7 @@ def needs_of(
     lights: Sequence[Light], rotating: bool = True, albedo: float | Sequence[float] = 0.7, target: float = 0.02
 ) -> Needs:
     r, g, b = np.broadcast_to(albedo, 3).tolist()
-    return Needs(environment(lights), gather_lamps(lights), (0.0, 0.0, 0.0), rotating, (r, g, b), target)
+    return Needs(environment(lights), gather_lamps(lights), (0.0, 0.0, 0.0), 1.0, rotating, (r, g, b), target)
 
 
 def plan_of(lights: Sequence[Light], told: Told = NOTHING, **settings: Any) -> ScenePlan:
@@ -150,8 +150,18 @@ def test_bounces_at_the_ends(albedo: float, bounces: int) -> None:
     assert plan_of([WHITE], albedo=albedo).bounces == bounces
 
 
-def test_nothing_is_reflected_at_albedo_0_whatever_is_told() -> None:
-    assert plan_of([WHITE], Told(bounces=4), albedo=0.0).bounces == 0
+@pytest.mark.parametrize("lights", [[WHITE], [SkyLight()]])
+def test_bounces_at_albedo_0_are_refused_and_no_bounces_are_not(lights: list[Light]) -> None:
+    with pytest.raises(SceneError, match=r"bounces = 4 .* albedo 0"):
+        plan_of(lights, Told(bounces=4), albedo=0.0)
+    assert plan_of(lights, Told(bounces=0), albedo=0.0) == plan_of(lights, albedo=0.0)
+
+
+@pytest.mark.parametrize(("bounces", "albedo"), [(0, 0.7), (None, 0.0), (0, 0.0)])
+def test_constant_light_that_is_not_reflected_needs_no_layer_for_both(bounces: int | None, albedo: float) -> None:
+    with pytest.raises(SceneError, match="representation = 'constant'"):
+        plan_of([WHITE], Told("constant", bounces=bounces), albedo=albedo)
+    assert plan_of([WHITE], Told(bounces=bounces), albedo=albedo).representation == "vicinity"
 
 
 def test_bounces_that_are_told_are_the_picture_and_no_error() -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from isogi_core.frame.frame import Frame
 from isogi_core.kernels.planes import PROVISIONAL
-from isogi_core.model.plan import FEWEST, most_samples
+from isogi_core.model.plan import FEWEST, ScenePlan, most_samples
 from isogi_core.model.scene import Scene, load_scene
 from server.studio import Studio
 from tests.server.inline import LONG, InlinePool, chunks_in, view_of
@@ -72,6 +72,11 @@ def same_light(one: Frame, other: Frame) -> bool:
     return one.radiance.tobytes() == other.radiance.tobytes() and one.state.tobytes() == other.state.tobytes()
 
 
+def omitted(plan: ScenePlan) -> set[str]:
+    """What a plan says that it leaves out."""
+    return {each.what for each in plan.left_out}
+
+
 def test_texels_take_as_many_samples_in_every_plan() -> None:
     assert most_samples(SETTINGS["target_error"]) == FEWEST
 
@@ -90,6 +95,8 @@ def test_fewer_bands_are_served_by_the_layers_that_are_there(turn: Turn, precisi
     large = turn(order=5, indirect_order=2, precision=precision)
     small = turn(order=3, indirect_order=2, precision=precision)
     assert (small.plan.order, small.digests) == (3, large.digests)
+    assert "bands 3 to 4 of direct light" in omitted(small.scene.plan) - omitted(small.plan)
+    assert dict(small.plan.errors)["harmonics"] == dict(small.scene.plan.errors)["harmonics"]
     assert not small.first.provisional and not small.written
     assert same_light(small.final, turn("fresh", order=3, indirect_order=2, precision=precision).final)
 
@@ -123,5 +130,7 @@ def test_single_floats_get_layers_of_their_own_and_then_serve_half_floats(turn: 
     alone = turn("other", order=3, precision="single")
     served = turn("other", order=3)
     assert served.digests == alone.digests and not served.written
+    assert omitted(served.scene.plan) - omitted(served.plan) == {"half of each float"}
+    assert "rounding" in dict(served.scene.plan.errors) and "rounding" not in dict(served.plan.errors)
     assert same_light(served.final, single.final)
     assert alike(served.final, half.final, 2e-3).all()
