@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
+from isogi_core.kernels.lattice import CHUNK
 from isogi_core.model.plan import Layer, LeftOut, Saving, ScenePlan
 from isogi_core.plan.bands import truncation_error
 from isogi_core.plan.budget import LONGEST_PATH, ROULETTE_RAYS, rounding_error, tail_of_bounces
@@ -168,23 +169,24 @@ def kernels(plan: ScenePlan, needs: Needs) -> Iterator[LeftOut]:
 
 def unseen(texels: TexelCount, plan: ScenePlan) -> tuple[LeftOut, ...]:
     """Texels and chunks that no view ever reads or lights, where there are any."""
-    found = (
-        (texels.total - texels.shown, "No isovalue that may be asked for has a surface at them.", "unseen"),
-        (texels.void, "They have no gradient, and so no surface of their own that light could fall on.", "void"),
-    )
-    left = tuple(
-        LeftOut(f"{sort} texels", why, (Saving(count, "texels", sort == "void"), megabytes(count, plan)))
-        for count, why, sort in found
-        if count
-    )
     empty = texels.chunks - texels.shown_chunks
-    why = "None of their texels is ever shown: they are neither asked for nor written."
-    return (*left, LeftOut("empty chunks", why, (Saving(empty, "chunks"),))) if empty else left
+    kept = Saving(lattice_bytes(empty, plan.bytes_per_texel) / 1e6, "megabytes before compression")
+    left = (
+        ("unseen", "No isovalue that may be asked for has a surface at them.", texels.total - texels.shown),
+        ("void", "They have no gradient, and so no surface of their own that light could fall on.", texels.void),
+    )
+    found = [
+        LeftOut(f"{sort} texels", why, (Saving(count, "texels", sort == "void"),)) for sort, why, count in left if count
+    ]
+    if empty:
+        why = "None of their texels is ever shown: they are neither asked for nor written."
+        found.append(LeftOut("empty chunks", why, (Saving(empty, "chunks"), kept)))
+    return tuple(found)
 
 
-def megabytes(texels: int, plan: ScenePlan) -> Saving:
-    """What so many texels would take before compression."""
-    return Saving(texels * plan.bytes_per_texel / 1e6, "megabytes")
+def lattice_bytes(chunks: int, bytes_per_texel: int) -> int:
+    """What so many chunks take before compression: one that is written has room for all of its texels."""
+    return chunks * CHUNK**3 * bytes_per_texel
 
 
 def added(layer: Layer, larger: Layer) -> Saving:

@@ -159,13 +159,16 @@ def test_shadow_rays_are_left_out_where_no_light_is_sharp() -> None:
         assert "shadow rays" not in found(plan_of([SKY], rotating=rotating)), "there is a sun in it"
 
 
-def test_unseen_texels_are_counted_with_their_megabytes() -> None:
+def test_chunks_that_are_never_written_save_megabytes_and_texels_of_others_none() -> None:
+    """A record has room for all texels of its chunk, whether or not they are shown."""
     plan = plan_of([SKY])
     left = {each.what: each.saves for each in unseen(TexelCount(1000, 300, 20, 40, 30), plan)}
-    size = bytes_of(plan.layers) / 1e6
-    assert [saved.amount for saved in left["unseen texels"]] == [700, pytest.approx(700 * size)]
-    assert [saved.amount for saved in left["void texels"]] == [20, pytest.approx(20 * size)]
-    assert [saved.amount for saved in left["empty chunks"]] == [10]
+    assert [(saved.amount, saved.unit) for saved in left["unseen texels"]] == [(700, "texels")]
+    assert [(saved.amount, saved.unit) for saved in left["void texels"]] == [(20, "texels")]
+    chunks, megabytes = left["empty chunks"]
+    heads = [record_type(layer)[name].itemsize for layer in plan.layers for name in ("bake", "index", "scale")]
+    records = sum(record_type(layer).itemsize for layer in plan.layers) - sum(heads)
+    assert (chunks.amount, megabytes.amount) == (10, pytest.approx(10 * records / 1e6))
     assert unseen(TexelCount(300, 300, 0, 30, 30), plan) == ()
 
 
@@ -174,7 +177,7 @@ def test_a_scene_leaves_out_what_its_plan_does_and_texels_that_its_isovalues_do_
     assert one.isovalue == 0.3
     assert one.left_out[: len(one.plan.left_out)] == one.plan.left_out
     assert one.texels.shown < wide.texels.shown <= wide.texels.total == np.prod(wide.lattice_shape)
-    (texels, _) = {each.what: each.saves for each in one.left_out}["unseen texels"]
+    (texels,) = {each.what: each.saves for each in one.left_out}["unseen texels"]
     assert texels.amount == one.texels.total - one.texels.shown
 
 
