@@ -14,7 +14,7 @@ from isogi_core.frame.kernels import frame_kernels
 from isogi_core.kernels.harmonics import rotate
 from isogi_core.kernels.lattice import CHUNK
 from isogi_core.model.lights import ConstantLight, DirectionalLight, Light, SkyLight
-from isogi_core.model.plan import Layer, LeftOut, ScenePlan
+from isogi_core.model.plan import Layer, LeftOut, Saving, ScenePlan
 from isogi_core.model.scene import load_scene
 from isogi_core.plan.budget import LONGEST_PATH
 from isogi_core.plan.needs import Told
@@ -137,7 +137,25 @@ def test_reflected_light_is_left_out_where_there_is_none() -> None:
     assert "reflected light" not in found(lit)
     saved = {each.unit: each.amount for each in found(lit)[f"bounces after number {lit.bounces}"].saves}
     assert saved == {"rays per path, at most": LONGEST_PATH - lit.bounces}
-    assert not any("bounces" in what for what in found(plan_of([SKY], albedo=1.0)))
+
+
+@pytest.mark.parametrize(("albedo", "told"), [(0.98, None), (1.0, None), (0.7, 1000)])
+def test_bounces_of_the_longest_paths_are_left_out_without_a_number_of_rays(albedo: float, told: int | None) -> None:
+    plan = plan_of([SKY], Told(bounces=told), albedo=albedo)
+    assert plan.bounces == (told or LONGEST_PATH)
+    left = found(plan)[f"bounces after number {plan.bounces}"]
+    assert left.saves == ()
+    assert left.why == f"They would bring at most {100 * albedo ** (plan.bounces + 1):.3g}% of the light."
+
+
+def test_what_roulette_saves_is_told_where_it_was_measured() -> None:
+    def saved(albedo: float, **told: int) -> tuple[Saving, ...]:
+        return found(plan_of([SKY], Told(**told), albedo=albedo))["the rest of paths that end by chance"].saves
+
+    measured = (Saving(21, "percent of rays", measured=True),)
+    assert saved(0.5) == saved(0.95) == saved(0.7, bounces=30) == measured
+    assert saved(0.96) == saved(0.7, bounces=3) == ()
+    assert not any("by chance" in what for what in found(plan_of([SKY], albedo=0.49)))
 
 
 def test_turning_is_left_out_where_it_shows_nothing() -> None:
