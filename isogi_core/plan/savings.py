@@ -1,4 +1,7 @@
-"""What a plan leaves out, why, and what that saves: each beside the same plan with that one thing put back."""
+"""What a plan leaves out, why, and what that saves: each beside the same plan with that one thing put back.
+
+Harmonics alone, where a texel keeps none, are counted beside S1, which keeps the same for any scene.
+"""
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -7,6 +10,7 @@ from isogi_core.kernels.lattice import CHUNK
 from isogi_core.model.plan import Layer, LeftOut, Saving, ScenePlan
 from isogi_core.plan.bands import truncation_error
 from isogi_core.plan.budget import LONGEST_PATH, ROULETTE_RAYS, bounces_for, rounding_error, tail_of_bounces
+from isogi_core.plan.kernels import uncalled
 from isogi_core.plan.needs import Needs
 from isogi_core.plan.texels import TexelCount
 
@@ -35,9 +39,9 @@ def left_out(plan: ScenePlan, needs: Needs) -> tuple[LeftOut, ...]:
 
 
 def harmonics(plan: ScenePlan, _: Needs) -> Iterator[LeftOut]:
-    """Harmonics, where a texel keeps none."""
+    """S1's harmonics, where a texel keeps none."""
     if plan.representation in REASONS:
-        saved = Saving(S1_BYTES - plan.bytes_per_texel, "bytes per texel")
+        saved = Saving(S1_BYTES - plan.bytes_per_texel, "bytes per texel beside S1")
         yield LeftOut("S1's harmonics in floats of three channels", REASONS[plan.representation], (saved,))
 
 
@@ -167,11 +171,13 @@ def shadow_rays(plan: ScenePlan, needs: Needs) -> Iterator[LeftOut]:
 
 def kernels(plan: ScenePlan, needs: Needs) -> Iterator[LeftOut]:
     """Kernels that neither frames nor the bake of the scene's global illumination call."""
-    idle = ["bake_texels" if plan.representation == "irradiance" else "bake_irradiance"]
-    if needs.constant or not needs.rotating:
-        idle.append("rotate")
-    why = "Neither frames nor the bake of its global illumination call them, and so they are not compiled for it."
-    yield LeftOut(f"kernels {' and '.join(idle)}", why, (Saving(len(idle), "kernel" if len(idle) == 1 else "kernels"),))
+    bake = "bake_texels" if plan.representation == "irradiance" else "bake_irradiance"
+    idle = (bake, *uncalled(needs.rotating, needs.environment, needs.lamps))
+    why = (
+        "Neither frames under global illumination nor their bake call them: a server of this scene alone does not"
+        " compile them for either."
+    )
+    yield LeftOut(f"kernels {', '.join(idle)}", why, (Saving(len(idle), "kernels"),))
 
 
 def unseen(texels: TexelCount, plan: ScenePlan) -> tuple[LeftOut, ...]:

@@ -12,6 +12,7 @@ from isogi_core.cache.layer import facts_of
 from isogi_core.cache.record import record_type
 from isogi_core.frame.kernels import frame_kernels
 from isogi_core.kernels.harmonics import rotate
+from isogi_core.kernels.lamps import project_lamps
 from isogi_core.kernels.lattice import CHUNK
 from isogi_core.model.lights import ConstantLight, DirectionalLight, Light, SkyLight
 from isogi_core.model.plan import Layer, LeftOut, Saving, ScenePlan
@@ -76,6 +77,7 @@ def test_what_keeps_no_harmonics_is_measured_by_the_paper(case: str) -> None:
     plan = plan_of(lights, **settings)
     (saved,) = found(plan)["S1's harmonics in floats of three channels"].saves
     assert saved.amount == S1_BYTES - bytes_of(plan.layers) and S1_BYTES == 300
+    assert saved.unit == "bytes per texel beside S1"
 
 
 def test_channels_are_left_out_where_they_would_be_the_same() -> None:
@@ -208,10 +210,13 @@ def test_a_bake_says_what_plan_it_was_made_by() -> None:
         assert [each["what"] for each in plan["left_out"]] == [each.what for each in scene.plan.left_out]
 
 
-@pytest.mark.parametrize(("lights", "rotating"), [([WHITE], True), ([SKY], True), ([SKY], False)])
+@pytest.mark.parametrize(
+    ("lights", "rotating"), [([WHITE], True), ([SKY], True), ([SKY], False), ([LAMP], False), ([WHITE, LAMP], False)]
+)
 def test_kernels_that_are_left_out_are_not_made_ready(lights: list[Light], rotating: bool) -> None:
     """A server that shows the scene alone neither loads nor compiles them."""
     kinds = [{"type": type(light).__name__.removesuffix("Light").lower()} for light in lights]
     scene = load_scene("demo:orbital", lights=kinds, rotating=rotating)
-    idle = [each.what for each in scene.left_out if each.what.startswith("kernels ")]
-    assert ("rotate" in idle[0]) == (rotate not in frame_kernels([scene]))
+    (idle,) = [each.what for each in scene.left_out if each.what.startswith("kernels ")]
+    for kernel in (rotate, project_lamps):
+        assert (kernel.__name__ in idle) == (kernel not in frame_kernels([scene]))
