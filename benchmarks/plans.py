@@ -9,8 +9,9 @@ surface pixels, against paths from each pixel, with more bounces where there are
 
 Seconds are of the processor, all threads together, in one run, so that other work on the machine counts little;
 kernels are compiled before. Megabytes of a view are those of its files, in which equal channels take little more than
-one. Those of the lattice are computed, before compression: texels that some isovalue shows by the plan's bytes, and
-all texels by S1's. A dash is for S1 under lamps, which harmonics do not hold, and for errors of a black picture.
+one. Those of the lattice are computed, before compression: all texels of the chunks that some isovalue shows by the
+plan's bytes, and of all chunks by S1's. A dash is for S1 under lamps, which harmonics do not hold, and for errors of a
+black picture.
 """
 
 import json
@@ -33,7 +34,8 @@ from isogi_core.frame.texels import Demand
 from isogi_core.model.plan import Layer, most_samples
 from isogi_core.model.scene import Scene
 from isogi_core.model.sky import LUMINANCE
-from isogi_core.plan.savings import BANDS, S1_BYTES
+from isogi_core.plan.savings import BANDS, S1_BYTES, lattice_bytes
+from isogi_core.plan.texels import TexelCount
 from server.measure import make_renderer, view_of
 
 PATHS = 1024
@@ -71,8 +73,7 @@ class Row:
     representation: str
     layers: str
     bytes_per_texel: int
-    shown: int
-    total: int
+    texels: TexelCount
     by_plan: Bake
     by_s1: Bake | None
     reference_noise: float
@@ -102,8 +103,7 @@ def measure(name: str, scene: Scene, size: int) -> Row:
         representation=scene.plan.representation,
         layers=" + ".join(map(describe, scene.plan.layers)),
         bytes_per_texel=scene.plan.bytes_per_texel,
-        shown=scene.texels.shown,
-        total=scene.texels.total,
+        texels=scene.texels,
         by_plan=baked(scene, size, best),
         by_s1=baked(s1, size, best) if s1 else None,
         reference_noise=best.estimated_error,
@@ -174,10 +174,11 @@ def table(rows: Sequence[Row]) -> str:
 
 def cells(row: Row) -> list[str]:
     """The text of each of a row's cells."""
-    plan, s1 = row.by_plan, row.by_s1
+    plan, s1, texels = row.by_plan, row.by_s1, row.texels
+    lattice = (lattice_bytes(texels.shown_chunks, row.bytes_per_texel), lattice_bytes(texels.chunks, S1_BYTES))
     return [
-        *(row.scene, row.representation, row.layers, str(row.bytes_per_texel), f"{row.shown / row.total:.1%}"),
-        pair("{:,.1f}", row.shown * row.bytes_per_texel / 1e6, row.total * S1_BYTES / 1e6),
+        *(row.scene, row.representation, row.layers, str(row.bytes_per_texel), f"{texels.shown / texels.total:.1%}"),
+        pair("{:,.1f}", *(size / 1e6 for size in lattice)),
         pair("{:.1f}", plan.seconds, s1.seconds if s1 else None),
         pair("{:.2f}", plan.megabytes, s1.megabytes if s1 else None),
         pair("{:.1%}", plan.error, s1.error if s1 else None),

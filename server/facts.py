@@ -80,7 +80,10 @@ class SavingFacts(BaseModel):
 
 
 class Omission(BaseModel):
-    """Something that this scene does not need, why, and what that saves beside the same plan with it."""
+    """Something that this scene does not need, why, and what that saves beside the same plan with it.
+
+    S1's harmonics, where a texel keeps none, are counted beside what S1 keeps for any scene.
+    """
 
     what: str
     why: str
@@ -137,7 +140,11 @@ class PlanFacts(BaseModel):
 
 
 class SceneFacts(BaseModel):
-    """What a client needs to show a scene: facts, histogram, defaults and ranges of every knob, plan."""
+    """What a client needs to show a scene: facts, histogram, defaults and ranges of every knob, plan.
+
+    ``rotating`` is whether the light may be turned, ``turns`` whether that shows: not where the light is the
+    same from all sides.
+    """
 
     id: str
     name: str
@@ -152,6 +159,7 @@ class SceneFacts(BaseModel):
     solid: str
     target_error: float
     rotating: bool
+    turns: bool
     plan: PlanFacts
 
 
@@ -206,6 +214,7 @@ def scene_facts(scene: Scene) -> SceneFacts:
         solid=scene.solid,
         target_error=scene.target_error,
         rotating=scene.rotating,
+        turns=scene.rotating and scene.plan.representation == "transfer",
         plan=plan_facts(scene),
     )
 

@@ -7,7 +7,7 @@ const POINTS = 36; // of half a circle
 const DEGREES_ACROSS = 180;
 
 /**
- * Draw the ball and tie it to the view. Where the light cannot be turned, say so instead.
+ * Draw the ball and tie it to the view. Where turning the light would show nothing, say so instead.
  * @param {HTMLElement} section holds `#globe` and `#light-note`
  * @param {object} scene answer of `readScene`
  * @param {import("./view.js").ViewModel} view
@@ -15,16 +15,16 @@ const DEGREES_ACROSS = 180;
  */
 export function attachLight(section, scene, view, onRest) {
   const globe = section.querySelector("#globe");
-  if (!scene.rotating) return explainFixed(section);
+  if (!scene.turns) return explainFixed(section, scene);
   const draw = (values) => drawGlobe(globe, values);
   draw(view.values);
   view.subscribe(draw);
   attachDrag(globe, view, onRest);
 }
 
-function explainFixed(section) {
+function explainFixed(section, { rotating }) {
   const note = section.querySelector("#light-note");
-  note.textContent = "The light of this scene is fixed.";
+  note.textContent = rotating ? "The light is the same from all sides." : "The light of this scene is fixed.";
   note.hidden = false;
   section.querySelector(".light").hidden = true;
 }

@@ -40,7 +40,7 @@ async function start() {
 function assemble(scene, knobs, trouble) {
   const view = new ViewModel(scene, knobs);
   const loop = startLoop(scene, view, trouble);
-  const options = { lightTurns: scene.rotating, onRest: () => loop.settle(), toggleHelp: () => $("help").togglePopover() };
+  const options = { lightTurns: scene.turns, onRest: () => loop.settle(), toggleHelp: () => $("help").togglePopover() };
   const form = $("controls");
   attachKnobs(form, scene, view);
   attachHistogram(form, scene, view);
@@ -80,7 +80,7 @@ function startLoop(scene, view, trouble) {
 }
 
 function frameQuery(scene, values, picture, { draft, scale, waitMs }) {
-  const numbers = NUMBERS.filter((name) => name in values && (scene.rotating || !LIGHT_KNOBS.has(name)));
+  const numbers = NUMBERS.filter((name) => name in values && (scene.turns || !LIGHT_KNOBS.has(name)));
   return {
     ...Object.fromEntries(numbers.map((name) => [name, values[name]])),
     ...picture.size(draft ? scale : 1),

@@ -1,1 +1,1 @@
-"""Baking: radiance transfer of texels, sample by sample, with the error it still has."""
+"""Baking: the layers of light that a texel keeps, sample by sample, with the error they still have."""

@@ -22,6 +22,7 @@ from isogi_core.kernels.macrocells import fill_macrocells
 from isogi_core.kernels.planes import tally
 from isogi_core.kernels.shading import find_normals
 from isogi_core.model.scene import Scene
+from isogi_core.plan.kernels import uncalled
 
 FRAME = (
     trace_pixels,
@@ -54,6 +55,6 @@ def frame_kernels(scenes: Iterable[Scene]) -> tuple[Any, ...]:
 
 
 def spared_by(scene: Scene) -> set[Any]:
-    """Those that frames of a ``scene`` never call: constant light, and light that stays in place, are not turned."""
-    turns = scene.rotating and scene.environment.image.any()
-    return {kernel for kernel, called in ((rotate, turns), (project_lamps, scene.lamps.any)) if not called}
+    """Those that frames of a ``scene`` never call."""
+    names = uncalled(scene.rotating, scene.environment, scene.lamps)
+    return {kernel for kernel in FRAME if kernel.__name__ in names}

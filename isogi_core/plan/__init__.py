@@ -1,1 +1,1 @@
-"""What a light needs: its harmonics, and how many of them a surface shows."""
+"""Plans: what each texel of a scene must keep, what may be left out, why, and what that saves."""

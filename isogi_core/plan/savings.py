@@ -1,11 +1,16 @@
-"""What a plan leaves out, why, and what that saves: each beside the same plan with that one thing put back."""
+"""What a plan leaves out, why, and what that saves: each beside the same plan with that one thing put back.
+
+Harmonics alone, where a texel keeps none, are counted beside S1, which keeps the same for any scene.
+"""
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
+from isogi_core.kernels.lattice import CHUNK
 from isogi_core.model.plan import Layer, LeftOut, Saving, ScenePlan
 from isogi_core.plan.bands import truncation_error
-from isogi_core.plan.budget import LONGEST_PATH, ROULETTE_RAYS, rounding_error, tail_of_bounces
+from isogi_core.plan.budget import LONGEST_PATH, ROULETTE_RAYS, bounces_for, rounding_error, tail_of_bounces
+from isogi_core.plan.kernels import uncalled
 from isogi_core.plan.needs import Needs
 from isogi_core.plan.texels import TexelCount
 
@@ -16,6 +21,9 @@ S1_BYTES = 3 * BANDS**2 * 4
 """Bytes of a texel in S1, whatever the light: 25 floats for each channel."""
 
 FLOAT = 4
+
+BRIGHTEST = 0.95
+"""The highest albedo that ROULETTE_RAYS was measured at, with as many bounces as the planner chooses, or more."""
 
 REASONS = {
     "vicinity": "The light is the same from all sides: a texel keeps the share of it that arrives.",
@@ -31,9 +39,9 @@ def left_out(plan: ScenePlan, needs: Needs) -> tuple[LeftOut, ...]:
 
 
 def harmonics(plan: ScenePlan, _: Needs) -> Iterator[LeftOut]:
-    """Harmonics, where a texel keeps none."""
+    """S1's harmonics, where a texel keeps none."""
     if plan.representation in REASONS:
-        saved = Saving(S1_BYTES - plan.bytes_per_texel, "bytes per texel")
+        saved = Saving(S1_BYTES - plan.bytes_per_texel, "bytes per texel beside S1")
         yield LeftOut("S1's harmonics in floats of three channels", REASONS[plan.representation], (saved,))
 
 
@@ -55,7 +63,7 @@ def cut(layer: Layer, order: int, error: float, needs: Needs) -> LeftOut:
     """The bands of a layer below ``order`` that it does not keep, and the relative ``error`` that is expected of it."""
     names = f"bands {layer.order} to {order - 1}" if layer.order < order - 1 else f"band {layer.order}"
     kind = "reflected" if layer.kind == "indirect" else "direct"
-    why = f"Without them the lit surface errs by {error:.2%}, beside a target of {needs.target_error:.2%}."
+    why = f"Without them the lit surface errs by {percent(error)}, beside a target of {percent(needs.target_error)}."
     return LeftOut(f"{names} of {kind} light", why, (added(layer, replace(layer, order=order)),))
 
 
@@ -80,24 +88,27 @@ def reflections(plan: ScenePlan, needs: Needs) -> Iterator[LeftOut]:
     """Reflected light, or what paths of more bounces would bring of it."""
     tail = tail_of_bounces(needs.albedo, plan.bounces)
     if plan.bounces == 0:
-        why = "Nothing is reflected at albedo 0." if tail == 0.0 else f"It would be at most {tail:.2%} of the light."
+        why = (
+            "Nothing is reflected at albedo 0." if tail == 0.0 else f"It would be at most {percent(tail)} of the light."
+        )
         why = why if tail <= needs.target_error else "The scene asks for light before it is reflected."
         yield LeftOut(
             "reflected light", why, (Saving(LONGEST_PATH, "rays per path, at most"), *unreflected(plan, needs))
         )
-    elif plan.bounces < LONGEST_PATH:
-        why = f"They would bring at most {tail:.2%} of the light."
+    else:
+        why = f"They would bring at most {percent(tail)} of the light."
         longer = Saving(LONGEST_PATH - plan.bounces, "rays per path, at most")
-        yield LeftOut(f"bounces after number {plan.bounces}", why, (longer,))
+        yield LeftOut(f"bounces after number {plan.bounces}", why, (longer,) if longer.amount > 0 else ())
 
 
-def ends(plan: ScenePlan, _: Needs) -> Iterator[LeftOut]:
-    """What paths would go on to, had they not ended by chance."""
-    if plan.survival < 1.0:
-        why = (
-            f"From its second hit on a path goes on with the chance {plan.survival:.2g}, and stands for those that end."
-        )
-        yield LeftOut("the rest of paths that end by chance", why, (Saving(ROULETTE_RAYS, "percent of rays", True),))
+def ends(plan: ScenePlan, needs: Needs) -> Iterator[LeftOut]:
+    """What paths would go on to, had they not ended by chance; the rays that this saves where they were measured."""
+    if plan.survival == 1.0:
+        return
+    why = f"From its second hit on a path goes on with the chance {plan.survival:.2g}, and stands for those that end."
+    long = plan.bounces >= bounces_for(needs.albedo, needs.target_error)
+    saved = (Saving(ROULETTE_RAYS, "percent of rays", True),) if long and max(needs.albedo) <= BRIGHTEST else ()
+    yield LeftOut("the rest of paths that end by chance", why, saved)
 
 
 def unreflected(plan: ScenePlan, needs: Needs) -> Iterator[Saving]:
@@ -113,12 +124,13 @@ def halves(plan: ScenePlan, needs: Needs) -> Iterator[LeftOut]:
         return
     halved = tuple(replace(layer, coarse=None) for layer in plan.layers)
     saved = sum(added(layer, replace(layer, half=False)).amount for layer in plan.layers)
-    why = f"Half floats err by {rounding_error(halved, needs):.2%}, beside a target of {needs.target_error:.2%}."
+    error, target = rounding_error(halved, needs), needs.target_error
+    why = f"Half floats err by {percent(error)}, beside a target of {percent(target)}."
     yield LeftOut("half of each float", why, (Saving(saved, "bytes per texel"),))
     if plan.layers != halved:
         saved = sum(added(*pair).amount for pair in zip(plan.layers, halved, strict=True))
         error = rounding_error(plan.layers, needs)
-        why = f"Higher bands carry little: with them in bytes, rounding errs by {error:.2%} in all."
+        why = f"Higher bands carry little: with them in bytes, rounding errs by {percent(error)} in all."
         yield LeftOut("second bytes of higher bands", why, (Saving(saved, "bytes per texel"),))
 
 
@@ -159,32 +171,40 @@ def shadow_rays(plan: ScenePlan, needs: Needs) -> Iterator[LeftOut]:
 
 def kernels(plan: ScenePlan, needs: Needs) -> Iterator[LeftOut]:
     """Kernels that neither frames nor the bake of the scene's global illumination call."""
-    idle = ["bake_texels" if plan.representation == "irradiance" else "bake_irradiance"]
-    if needs.constant or not needs.rotating:
-        idle.append("rotate")
-    why = "Neither frames nor the bake of its global illumination call them, and so they are not compiled for it."
-    yield LeftOut(f"kernels {' and '.join(idle)}", why, (Saving(len(idle), "kernel" if len(idle) == 1 else "kernels"),))
+    bake = "bake_texels" if plan.representation == "irradiance" else "bake_irradiance"
+    idle = (bake, *uncalled(needs.rotating, needs.environment, needs.lamps))
+    why = (
+        "Neither frames under global illumination nor their bake call them: a server of this scene alone does not"
+        " compile them for either."
+    )
+    yield LeftOut(f"kernels {', '.join(idle)}", why, (Saving(len(idle), "kernels"),))
 
 
 def unseen(texels: TexelCount, plan: ScenePlan) -> tuple[LeftOut, ...]:
     """Texels and chunks that no view ever reads or lights, where there are any."""
-    found = (
-        (texels.total - texels.shown, "No isovalue that may be asked for has a surface at them.", "unseen"),
-        (texels.void, "They have no gradient, and so no surface of their own that light could fall on.", "void"),
-    )
-    left = tuple(
-        LeftOut(f"{sort} texels", why, (Saving(count, "texels", sort == "void"), megabytes(count, plan)))
-        for count, why, sort in found
-        if count
-    )
     empty = texels.chunks - texels.shown_chunks
-    why = "None of their texels is ever shown: they are neither asked for nor written."
-    return (*left, LeftOut("empty chunks", why, (Saving(empty, "chunks"),))) if empty else left
+    kept = Saving(lattice_bytes(empty, plan.bytes_per_texel) / 1e6, "megabytes before compression")
+    left = (
+        ("unseen", "No isovalue that may be asked for has a surface at them.", texels.total - texels.shown),
+        ("void", "They have no gradient, and so no surface of their own that light could fall on.", texels.void),
+    )
+    found = [
+        LeftOut(f"{sort} texels", why, (Saving(count, "texels", sort == "void"),)) for sort, why, count in left if count
+    ]
+    if empty:
+        why = "None of their texels is ever shown: they are neither asked for nor written."
+        found.append(LeftOut("empty chunks", why, (Saving(empty, "chunks"), kept)))
+    return tuple(found)
 
 
-def megabytes(texels: int, plan: ScenePlan) -> Saving:
-    """What so many texels would take before compression."""
-    return Saving(texels * plan.bytes_per_texel / 1e6, "megabytes")
+def lattice_bytes(chunks: int, bytes_per_texel: int) -> int:
+    """What so many chunks take before compression: one that is written has room for all of its texels."""
+    return chunks * CHUNK**3 * bytes_per_texel
+
+
+def percent(share: float) -> str:
+    """A share with three digits, however small."""
+    return f"{100.0 * share:.3g}%"
 
 
 def added(layer: Layer, larger: Layer) -> Saving:

@@ -10,6 +10,7 @@ from click.testing import CliRunner, Result
 from benchmarks import plans
 from benchmarks.plan_scenes import SCENES, load
 from benchmarks.plans import Bake, Row, main, table
+from isogi_core.plan.texels import TexelCount
 
 LAMP = "constant light and a lamp"
 
@@ -66,13 +67,12 @@ def test_all_scenes_are_there_with_the_shared_data(shared_data: Path, monkeypatc
 
 def test_the_table_is_markdown_with_a_dash_where_there_is_no_figure() -> None:
     row: dict[str, Any] = {"representation": "irradiance", "layers": "irradiance (half)", "bytes_per_texel": 4}
+    row["texels"] = TexelCount(total=10**6, shown=500, void=0, chunks=245, shown_chunks=10)
     rows = [
-        Row("lamp", **row, shown=500, total=10**6, by_plan=Bake(1.25, 0.5, 0.021), by_s1=None, reference_noise=0.01),
+        Row("lamp", **row, by_plan=Bake(1.25, 0.5, 0.021), by_s1=None, reference_noise=0.01),
         Row(
             "black",
             **row,
-            shown=500,
-            total=10**6,
             by_plan=Bake(1.0, 0.5, None),
             by_s1=Bake(2.0, 9.0, 0.1),
             reference_noise=0.0,
@@ -80,5 +80,5 @@ def test_the_table_is_markdown_with_a_dash_where_there_is_no_figure() -> None:
     ]
     head, rule, lamp, black = table(rows).splitlines()
     assert {line.count("|") for line in (head, rule, lamp, black)} == {10}
-    assert lamp == "| lamp | irradiance | irradiance (half) | 4 | 0.1% | 0.0 / 300.0 | 1.2 / – | 0.50 / – | 2.1% / – |"
+    assert lamp == "| lamp | irradiance | irradiance (half) | 4 | 0.1% | 0.2 / 301.1 | 1.2 / – | 0.50 / – | 2.1% / – |"
     assert black.endswith("| 1.0 / 2.0 | 0.50 / 9.00 | – / 10.0% |")

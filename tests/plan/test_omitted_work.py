@@ -14,6 +14,7 @@ from isogi_core.frame.gbuffer import trace
 from isogi_core.frame.texels import find_texels
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.lattice import CHUNK
+from isogi_core.model import lamps
 from isogi_core.model.scene import Scene
 from isogi_core.model.view import IDENTITY
 from isogi_core.plan.texels import shown_texels, surface_cells
@@ -32,18 +33,19 @@ from tests.plan.conftest import (
     view_of,
 )
 
-KERNELS = {"bake_texels": refine, "bake_irradiance": refine, "rotate": surroundings}
+KERNELS = {"bake_texels": refine, "bake_irradiance": refine, "rotate": surroundings, "project_lamps": lamps}
 """Kernels that some scenes do without, and the module that calls them."""
 
 
-@pytest.mark.parametrize("light", ["constant", "fixed", "rotating"])
+@pytest.mark.parametrize("light", ["constant", "fixed", "rotating", "lamp"])
 def test_kernels_are_called_but_for_those_left_out(
     light: str, frame_of: Frames, lobe: Lobe, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     called: set[str] = set()
     for name, module in KERNELS.items():
         monkeypatch.setattr(module, name, recorded(name, getattr(module, name), called))
-    scene = in_bowl() if light == "constant" else in_bowl(lights=[lobe(WIDE)], rotating=light == "rotating")
+    lights = {"constant": [{"type": "constant"}], "lamp": [{"type": "directional"}]}.get(light, [lobe(WIDE)])
+    scene = in_bowl(lights=lights, rotating=light in ("constant", "rotating"))
     frame_of(scene, light=TURN if light == "rotating" else IDENTITY)
     (idle,) = [each.what for each in scene.left_out if each.what.startswith("kernels")]
     assert called == {name for name in KERNELS if name not in idle}

@@ -12,9 +12,10 @@ from isogi_core.cache.layer import facts_of
 from isogi_core.cache.record import record_type
 from isogi_core.frame.kernels import frame_kernels
 from isogi_core.kernels.harmonics import rotate
+from isogi_core.kernels.lamps import project_lamps
 from isogi_core.kernels.lattice import CHUNK
 from isogi_core.model.lights import ConstantLight, DirectionalLight, Light, SkyLight
-from isogi_core.model.plan import Layer, LeftOut, ScenePlan
+from isogi_core.model.plan import Layer, LeftOut, Saving, ScenePlan
 from isogi_core.model.scene import load_scene
 from isogi_core.plan.budget import LONGEST_PATH
 from isogi_core.plan.needs import Told
@@ -76,6 +77,7 @@ def test_what_keeps_no_harmonics_is_measured_by_the_paper(case: str) -> None:
     plan = plan_of(lights, **settings)
     (saved,) = found(plan)["S1's harmonics in floats of three channels"].saves
     assert saved.amount == S1_BYTES - bytes_of(plan.layers) and S1_BYTES == 300
+    assert saved.unit == "bytes per texel beside S1"
 
 
 def test_channels_are_left_out_where_they_would_be_the_same() -> None:
@@ -137,7 +139,25 @@ def test_reflected_light_is_left_out_where_there_is_none() -> None:
     assert "reflected light" not in found(lit)
     saved = {each.unit: each.amount for each in found(lit)[f"bounces after number {lit.bounces}"].saves}
     assert saved == {"rays per path, at most": LONGEST_PATH - lit.bounces}
-    assert not any("bounces" in what for what in found(plan_of([SKY], albedo=1.0)))
+
+
+@pytest.mark.parametrize(("albedo", "told"), [(0.98, None), (1.0, None), (0.7, 1000)])
+def test_bounces_of_the_longest_paths_are_left_out_without_a_number_of_rays(albedo: float, told: int | None) -> None:
+    plan = plan_of([SKY], Told(bounces=told), albedo=albedo)
+    assert plan.bounces == (told or LONGEST_PATH)
+    left = found(plan)[f"bounces after number {plan.bounces}"]
+    assert left.saves == ()
+    assert left.why == f"They would bring at most {100 * albedo ** (plan.bounces + 1):.3g}% of the light."
+
+
+def test_what_roulette_saves_is_told_where_it_was_measured() -> None:
+    def saved(albedo: float, **told: int) -> tuple[Saving, ...]:
+        return found(plan_of([SKY], Told(**told), albedo=albedo))["the rest of paths that end by chance"].saves
+
+    measured = (Saving(21, "percent of rays", measured=True),)
+    assert saved(0.5) == saved(0.95) == saved(0.7, bounces=30) == measured
+    assert saved(0.96) == saved(0.7, bounces=3) == ()
+    assert not any("by chance" in what for what in found(plan_of([SKY], albedo=0.49)))
 
 
 def test_turning_is_left_out_where_it_shows_nothing() -> None:
@@ -159,13 +179,16 @@ def test_shadow_rays_are_left_out_where_no_light_is_sharp() -> None:
         assert "shadow rays" not in found(plan_of([SKY], rotating=rotating)), "there is a sun in it"
 
 
-def test_unseen_texels_are_counted_with_their_megabytes() -> None:
+def test_chunks_that_are_never_written_save_megabytes_and_texels_of_others_none() -> None:
+    """A record has room for all texels of its chunk, whether or not they are shown."""
     plan = plan_of([SKY])
     left = {each.what: each.saves for each in unseen(TexelCount(1000, 300, 20, 40, 30), plan)}
-    size = bytes_of(plan.layers) / 1e6
-    assert [saved.amount for saved in left["unseen texels"]] == [700, pytest.approx(700 * size)]
-    assert [saved.amount for saved in left["void texels"]] == [20, pytest.approx(20 * size)]
-    assert [saved.amount for saved in left["empty chunks"]] == [10]
+    assert [(saved.amount, saved.unit) for saved in left["unseen texels"]] == [(700, "texels")]
+    assert [(saved.amount, saved.unit) for saved in left["void texels"]] == [(20, "texels")]
+    chunks, megabytes = left["empty chunks"]
+    heads = [record_type(layer)[name].itemsize for layer in plan.layers for name in ("bake", "index", "scale")]
+    records = sum(record_type(layer).itemsize for layer in plan.layers) - sum(heads)
+    assert (chunks.amount, megabytes.amount) == (10, pytest.approx(10 * records / 1e6))
     assert unseen(TexelCount(300, 300, 0, 30, 30), plan) == ()
 
 
@@ -174,7 +197,7 @@ def test_a_scene_leaves_out_what_its_plan_does_and_texels_that_its_isovalues_do_
     assert one.isovalue == 0.3
     assert one.left_out[: len(one.plan.left_out)] == one.plan.left_out
     assert one.texels.shown < wide.texels.shown <= wide.texels.total == np.prod(wide.lattice_shape)
-    (texels, _) = {each.what: each.saves for each in one.left_out}["unseen texels"]
+    (texels,) = {each.what: each.saves for each in one.left_out}["unseen texels"]
     assert texels.amount == one.texels.total - one.texels.shown
 
 
@@ -187,10 +210,13 @@ def test_a_bake_says_what_plan_it_was_made_by() -> None:
         assert [each["what"] for each in plan["left_out"]] == [each.what for each in scene.plan.left_out]
 
 
-@pytest.mark.parametrize(("lights", "rotating"), [([WHITE], True), ([SKY], True), ([SKY], False)])
+@pytest.mark.parametrize(
+    ("lights", "rotating"), [([WHITE], True), ([SKY], True), ([SKY], False), ([LAMP], False), ([WHITE, LAMP], False)]
+)
 def test_kernels_that_are_left_out_are_not_made_ready(lights: list[Light], rotating: bool) -> None:
     """A server that shows the scene alone neither loads nor compiles them."""
     kinds = [{"type": type(light).__name__.removesuffix("Light").lower()} for light in lights]
     scene = load_scene("demo:orbital", lights=kinds, rotating=rotating)
-    idle = [each.what for each in scene.left_out if each.what.startswith("kernels ")]
-    assert ("rotate" in idle[0]) == (rotate not in frame_kernels([scene]))
+    (idle,) = [each.what for each in scene.left_out if each.what.startswith("kernels ")]
+    for kernel in (rotate, project_lamps):
+        assert (kernel.__name__ in idle) == (kernel not in frame_kernels([scene]))

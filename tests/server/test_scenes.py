@@ -54,7 +54,17 @@ def test_what_the_scene_says_of_itself(scene: dict[str, object]) -> None:
     assert scene["shadings"] == list(SHADINGS)
     assert [light["type"] for light in scene["lights"]] == ["constant", "sky"]  # type: ignore[attr-defined]
     assert (scene["albedo"], scene["bounces"], scene["solid"]) == ([0.7, 0.7, 0.7], 1, "above")
-    assert (scene["target_error"], scene["rotating"]) == (0.5, True)
+    assert (scene["target_error"], scene["rotating"], scene["turns"]) == (0.5, True, True)
+
+
+@pytest.mark.parametrize(
+    ("light", "rotating", "turns"),
+    [("constant", True, False), ("constant", False, False), ("sky", True, True), ("sky", False, False)],
+)
+def test_turning_shows_where_the_light_may_turn_and_has_sides(light: str, rotating: bool, turns: bool) -> None:
+    facts = scene_facts(load_scene("demo:orbital", lights=[{"type": light}], rotating=rotating))
+    assert (facts.rotating, facts.turns) == (rotating, turns)
+    assert turns != ("turning of the light" in {each.what for each in facts.plan.left_out})
 
 
 def test_the_plan_is_that_of_the_scene(live_server: str, small_scene: Path) -> None:

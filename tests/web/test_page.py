@@ -264,6 +264,25 @@ def test_light_can_be_turned(shown: Page, hand: str) -> None:
     assert difference(pixels(shown), before) > 0.3
 
 
+@pytest.mark.parametrize(
+    ("rotating", "note"),
+    [(True, "The light is the same from all sides."), (False, "The light of this scene is fixed.")],
+)
+def test_light_that_turns_in_vain_has_no_ball(page: Page, live_server: str, rotating: bool, note: str) -> None:
+    def still(route: Route) -> None:
+        route.fulfill(json={**route.fetch().json(), "turns": False, "rotating": rotating})
+
+    page.route("**/v1/scenes/small", still)
+    open_final(page, live_server)
+    expect(page.locator("#light-note")).to_have_text(note)
+    expect(page.locator("#globe")).to_be_hidden()
+    before = pixels(page)
+    drag(page, 60, 20, "right")
+    wait_final(page)
+    assert difference(pixels(page), before) > 0.3, "the object turns instead"
+    assert float(address_of(page).get("yaw", 0.0)) == 0.0
+
+
 def test_shading_choice(shown: Page, live_server: str) -> None:
     before = pixels(shown)
     offered = shown.eval_on_selector_all("#shading option", "options => options.map(o => o.value)")

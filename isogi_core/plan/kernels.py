@@ -1,0 +1,10 @@
+"""Which kernels the frames of a scene do without."""
+
+from isogi_core.model.environment import Environment
+from isogi_core.model.lamps import Lamps
+
+
+def uncalled(rotating: bool, environment: Environment, lamps: Lamps) -> tuple[str, ...]:
+    """Names of those that no frame calls: constant light, and light that stays in place, are not turned."""
+    called = {"rotate": rotating and bool(environment.image.any()), "project_lamps": lamps.any}
+    return tuple(name for name, needed in called.items() if not needed)
