@@ -33,6 +33,8 @@ test: check
 pictures: install
 	$(BIN)/isogi render demo:casting -o docs/casting.png --azimuth 35 --elevation 28 --distance 3 \
 	  --width 960 --height 600 --target-error 0.03
+	$(BIN)/isogi render docs/lamp.toml -o docs/lamp.png --azimuth 35 --elevation 28 --distance 3 \
+	  --width 960 --height 600 --target-error 0.03
 
 # The figures that the README and the notes state.
 figures: $(BIN)/.tools
