@@ -61,7 +61,7 @@ def recipe_of(source: SceneSource) -> Recipe:
     return Recipe(build_scene(source))
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=16)
 def opened(source: SceneSource, plan: ScenePlan, digest: str, store: str) -> tuple[Look, ChunkStore]:
     """A look and its store, opened once a process; SceneError where the scene's files are not those of ``digest``."""
     found = Look(recipe_of(source), plan)

@@ -51,6 +51,7 @@ def next_samples(light: Light, look: Look, target: float) -> np.ndarray:
     """Samples of the parts of each texel that climb next; -1 where the texel is finished and none lags; (texels,) int.
 
     A part that was lost, or not written before a kill, catches up with the others, and so has the samples it had.
+    That costs all of its paths once more, which are of no use to the parts that did not lag.
     """
     most = np.max([part.samples for part in light.parts], axis=0)
     lags = ~light.void & (light.samples < np.minimum(most, most_samples(target)))

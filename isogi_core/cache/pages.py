@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from isogi_core.bake.light import Light
+from isogi_core.bake.light import Light, Part
 from isogi_core.bake.look import Look
 from isogi_core.bake.noise import deviations, relative_error
 from isogi_core.bake.precision import rung_codes, samples_of
@@ -32,6 +32,9 @@ PAGES_PER_CHUNK = 4
 
 RUNGS = 32
 """More than the rungs of the ladder of sample counts."""
+
+CHECKSUMS = 509
+"""Checksums of light that is only shown: with the rungs of three parts, all that single floats count exactly."""
 
 FEWEST_CHUNKS = 8
 """Chunks that the table has room for however small the budget is."""
@@ -173,9 +176,21 @@ class PagePool:
 
 
 def stamps_of(light: Light) -> np.ndarray:
-    """How far each texel is baked, as one number: RUNGS^p times the rung of each part p, summed; (texels,) float32."""
+    """How far each texel is baked, as one number: RUNGS^p times the rung of each part p, summed; (texels,) float32.
+
+    Above these stands a checksum of what is shown without samples, since an earlier plan's light may grow too.
+    """
     weights = RUNGS ** np.arange(len(light.parts))
-    return np.asarray(weights @ [rung_codes(part.samples) for part in light.parts], np.float32)
+    rungs = weights @ [rung_codes(part.samples) for part in light.parts]
+    shown = sum(shown_bits(part) for part in light.parts)
+    return np.asarray(rungs + RUNGS ** len(light.parts) * (shown % CHECKSUMS), np.float32)
+
+
+def shown_bits(part: Part) -> np.ndarray:
+    """The bits of coefficients as numbers, summed, of texels that have no samples; 0 of the others; (texels,) int64."""
+    sums, rows = np.zeros(len(part.samples), np.int64), np.flatnonzero(part.samples == 0)
+    sums[rows] = part.coefficients[rows].view(np.int32).sum(axis=(1, 2), dtype=np.int64)
+    return sums
 
 
 def fewest_samples(stamps: np.ndarray, parts: int) -> np.ndarray:

@@ -1,6 +1,6 @@
 """What the page pool notes of each texel: how far it is baked, and whether it is buried or void."""
 
-from itertools import product
+from itertools import pairwise, product
 
 import numpy as np
 
@@ -27,6 +27,19 @@ def test_stamps_tell_any_two_states_of_a_texel_apart() -> None:
     assert stamps.dtype == np.float32 and (stamps >= 0).all()
     assert len(set(stamps.tolist())) == len(ladder) ** 2
     assert np.array_equal(fewest_samples(stamps, 2), np.minimum(direct, indirect))
+
+
+def test_stamps_change_with_light_that_is_shown_without_samples() -> None:
+    """Frames of an earlier plan's light, which may grow, must not pass for the same."""
+    light = light_of([[0, 0, 0, 64], [64, 0, 0, 64]])
+    dark = stamps_of(light)
+    rng, seen = np.random.default_rng(1), [dark[:3]]
+    for part in light.parts * 10:
+        part.coefficients[:] = rng.normal(size=part.coefficients.shape).astype(np.float16)
+        seen.append(stamps_of(light)[:3])
+    assert all((one != other).any() for one, other in pairwise(seen)) and len(set(np.ravel(seen).tolist())) > 30
+    assert np.array_equal(fewest_samples(seen[-1], 2), [0, 0, 0]) and stamps_of(light)[3] == dark[3]
+    assert np.max(seen) < 2**24, "single floats count no further"
 
 
 def test_texels_without_a_row_have_no_samples() -> None:

@@ -39,6 +39,13 @@ def stored(root: Path) -> list[bytes | None]:
     return [layer.read(INDEX) for layer in store_of(root).layers]
 
 
+def test_a_worker_keeps_the_looks_of_several_scenes_open(tmp_path: Path) -> None:
+    first = store_of(tmp_path / "0")
+    for number in range(1, 16):
+        store_of(tmp_path / str(number))
+    assert store_of(tmp_path / "0") is first
+
+
 def test_a_task_leaves_light_of_just_its_texels(tmp_path: Path) -> None:
     result = do(tmp_path, until=16)
     chunk = store_of(tmp_path).load(INDEX)
