@@ -144,13 +144,21 @@ def errors_of(plan: ScenePlan, needs: Needs, told: Told) -> tuple[tuple[str, flo
 
 def notes_on(plan: ScenePlan, needs: Needs) -> tuple[str, ...]:
     """Sentences on what stays above the target."""
-    error = dict(plan.errors).get("harmonics", 0.0)
-    if error <= needs.target_error:
-        return ()
-    return (
-        f"The light is too sharp for harmonics of order {plan.order}: expect an error of {error:.1%}, more than the"
-        f" target of {needs.target_error:.1%}. Where it need not turn, rotating = false bakes the light as it is.",
-    )
+    above = {cause: percent(error) for cause, error in plan.errors if error > needs.target_error}
+    target = f"more than the target of {percent(needs.target_error)}."
+    notes = []
+    if "harmonics" in above:
+        advice = " Where it need not turn, rotating = false bakes the light as it is." if needs.rotating else ""
+        sharp = f"The light is too sharp for harmonics of order {plan.order}"
+        notes.append(f"{sharp}: expect an error of {above['harmonics']}, {target}{advice}")
+    if "bounces" in above:
+        notes.append(f"Paths end after {plan.bounces} bounces: what is lost is {above['bounces']} at most, {target}")
+    return tuple(notes)
+
+
+def percent(share: float) -> str:
+    """A share in percent, to three digits."""
+    return f"{100.0 * share:.3g}%"
 
 
 def vicinity_plan(plan: ScenePlan) -> ScenePlan:

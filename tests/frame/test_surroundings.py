@@ -18,7 +18,7 @@ from isogi_core.model.environment import pixel_directions, solid_angles
 from isogi_core.model.scene import Scene, load_scene
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import IDENTITY, Camera, Quaternion, View, quaternion_from_angles
-from tests.frame.conftest import CONSTANT, SKY, Workbench
+from tests.frame.conftest import CONSTANT, LOOSE, SKY, Workbench, luminance
 
 LAMP = {"type": "directional", "azimuth": 90.0, "elevation": 30.0, "irradiance": [2.0, 1.0, 0.5]}
 CAMERA = Camera((10.0, 3.0, 4.0), (0.0, 0.0, 0.0))
@@ -204,3 +204,18 @@ def test_each_local_model_has_what_its_name_says(shading: str, shine: bool, shad
     assert model.key == key
     np.testing.assert_allclose(model.sun, 0.5 * sun)
     np.testing.assert_allclose(model.ambient, 0.5 * ambient)
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.01])
+def test_a_lamp_in_the_middle_of_the_volume_lights_what_is_around_it(
+    offset: float, workbench: Callable[[Scene], Workbench]
+) -> None:
+    """What stands in for its light while that is baked is about as bright as the light, as the exposure is."""
+    x, y, z = load_scene("demo:orbital").volume.centre
+    lamp = {"type": "point", "position": [x + offset, y, z], "intensity": 5000.0}
+    bench = workbench(load_scene("demo:orbital", lights=[lamp], target_error=LOOSE, bounces=1, lattice=0.5))
+    view = bench.view(size=24)
+    frames = bench.renderer.render(view), bench.bake(view)
+    shown = [luminance(frame) * bench.scene.default_exposure for frame in frames]
+    assert all(np.isfinite(each).all() for each in shown)
+    assert all(0.01 < each.mean() < 2.0 for each in shown)

@@ -113,9 +113,30 @@ def test_orders_are_the_least_within_the_target_or_say_that_they_are_not(target:
     assert dict(plan.errors)["harmonics"] == pytest.approx(error)
     assert (error > target) == bool(plan.notes)
     if error > target:
-        assert direct == MOST_BANDS and f"{target:.1%}" in plan.notes[0]
+        assert direct == MOST_BANDS and f"target of {target:.0%}" in plan.notes[0]
     else:
         assert truncation_error(needs.energy, direct - 1, "direct") > math.sqrt(0.5) * target
+
+
+def test_notes_advise_light_that_stays_only_where_it_turns() -> None:
+    (turning,) = plan_of([SkyLight()]).notes
+    (fixed,) = plan_of([SkyLight()], Told("transfer"), rotating=False).notes
+    assert turning == f"{fixed} Where it need not turn, rotating = false bakes the light as it is."
+
+
+def test_notes_tell_small_targets_to_their_digits() -> None:
+    (note,) = plan_of([SkyLight()], target=1.25e-4).notes
+    assert note.count("target of 0.0125%.") == 1
+
+
+@pytest.mark.parametrize(
+    ("albedo", "lost"),
+    [(0.93, None), (0.95, "Paths end after 64 bounces: what is lost is 3.56% at most"), (1.0, "100%")],
+)
+def test_a_note_says_where_the_longest_paths_are_too_short(albedo: float, lost: str | None) -> None:
+    notes = plan_of([WHITE], albedo=albedo).notes
+    assert len(notes) == (lost is not None) and all(lost in note and "target of 2%" in note for note in notes if lost)
+    assert not plan_of([WHITE], Told(bounces=LONGEST_PATH), albedo=albedo).notes, "as told"
 
 
 @pytest.mark.data

@@ -1,6 +1,7 @@
 """Texels that isovalues can show, against loops over cells, real frames and the bake's own normals."""
 
 import time
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from isogi_core.frame.tiles import Tiles
 from isogi_core.model.scene import Scene, load_scene
 from isogi_core.model.view import View
 from isogi_core.model.volume import make_volume
-from isogi_core.plan.texels import SAMPLE, count_texels, shown_texels, surface_cells, void_texels
+from isogi_core.plan.texels import SAMPLE, count_texels, every, shown_texels, surface_cells, void_texels
 from tests.frame.conftest import scene_of
 
 CHUNK = 16
@@ -113,6 +114,24 @@ def test_void_texels_are_told_from_a_sample() -> None:
     assert count.shown == len(places) > 2 * SAMPLE
     exact = int(void_texels(voxels, shape, places).sum())
     assert exact > 0 and count.void == pytest.approx(exact, rel=0.1)
+
+
+@pytest.mark.parametrize("step", [1, 3, 40, 5000])
+def test_every_so_many_marks(step: int) -> None:
+    marks = np.random.default_rng(9).random((11, 12, 13)) < 0.4
+    marks[4:7] = False
+    np.testing.assert_array_equal(every(step, marks), np.flatnonzero(marks)[::step])
+    assert len(every(step, np.zeros((2, 3, 4), np.bool_))) == 0
+
+
+def test_counting_takes_little_memory_where_all_texels_are_shown() -> None:
+    """Marks take a byte a texel, and a few copies of them; eight for each place would be more than these."""
+    voxels = np.random.default_rng(4).random((160, 160, 160), np.float32)
+    tracemalloc.start()
+    count = count_texels(voxels, voxels.shape, 0.0, 1.0, CHUNK)
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert count.shown == count.total and most < 7 * count.total
 
 
 def test_a_constant_volume_shows_nothing() -> None:
