@@ -13,7 +13,7 @@ from isogi_core.bake.look import LOOKS, look_name
 from isogi_core.bake.maps import STEP
 from isogi_core.bake.recipe import Index, Recipe
 from isogi_core.cache.caches import Caches
-from isogi_core.cache.store import ChunkStore, default_store
+from isogi_core.cache.store import default_store
 from isogi_core.errors import IsogiError
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.kernels import frame_kernels
@@ -152,8 +152,7 @@ class Studio:
     def _open(self, scene: Scene) -> Stage:
         recipe = Recipe(scene, self._tiles.run)
         caches = Caches(recipe, self.store, self._memory)
-        recipe.field, recipe.maps  # noqa: B018 (worked out now, not in the first frame)
-        ChunkStore(self.store, caches.look("gi")).open()
+        recipe.field, recipe.maps, caches.store("gi")  # worked out now, not in the first frame
         self.scenes[scene.id] = replace(scene, plan=complete(caches.look("gi").plan, scene.needs, scene.told))
         lowest, highest = sorted(map(scene.volume.normalise_isovalue, scene.isovalues))
         foresight = Foresight(lambda v, cancelled: recipe.bricks(v, v, cancelled), STEP, (lowest, highest))

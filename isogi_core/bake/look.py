@@ -8,7 +8,6 @@ import numpy as np
 
 from isogi_core.bake.recipe import Recipe
 from isogi_core.model.plan import Layer, ScenePlan
-from isogi_core.model.scene import digest_of
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.plan.planner import vicinity_plan
 from isogi_core.plan.projection import project_environment
@@ -27,7 +26,7 @@ class Look:
     @cached_property
     def digest(self) -> str:
         """Hex name of everything that the look's light in the store depends on."""
-        return digest_of([self.recipe.scene.layer_digest(layer) for layer in self.plan.layers])
+        return self.recipe.scene.plan_digest(self.plan)
 
     @property
     def order(self) -> int:

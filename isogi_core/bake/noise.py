@@ -42,10 +42,19 @@ def luminance(light: Light, look: Look) -> np.ndarray:
     return total
 
 
+def standard_error(light: Light, look: Look) -> np.ndarray:
+    """Standard error of each texel's luminance, all parts together; (texels,) float64."""
+    return np.asarray(np.sqrt((deviations(light, look) ** 2).sum(axis=0)))
+
+
+def level(light: Light, look: Look) -> np.ndarray:
+    """The luminance that each texel's error is held against: its own, or that of FLOOR; (texels,) float64."""
+    return np.maximum(luminance(light, look), FLOOR * max(look.unoccluded, 1e-30))
+
+
 def relative_error(light: Light, look: Look) -> np.ndarray:
     """Standard error of each texel's luminance over the luminance, a mean over all turns of the light; (texels,)."""
-    level = np.maximum(luminance(light, look), FLOOR * max(look.unoccluded, 1e-30))
-    return np.asarray(np.sqrt((deviations(light, look) ** 2).sum(axis=0)) / level)
+    return np.asarray(standard_error(light, look) / level(light, look))
 
 
 def finished(light: Light, look: Look, target: float) -> np.ndarray:

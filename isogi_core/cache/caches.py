@@ -24,6 +24,7 @@ class Caches:
         self.root = root
         self.budget = budget
         self._looks: dict[str, Look] = {}
+        self._stores: dict[str, ChunkStore] = {}
         self._open: dict[str, Loader] = {}
         self._lock = threading.RLock()
 
@@ -36,12 +37,20 @@ class Caches:
                 self._looks[name] = replace(look, plan=adopt(look.plan, self.recipe, self.root))
             return self._looks[name]
 
+    def store(self, shading: str) -> ChunkStore:
+        """The store of the light that views of this ``shading`` read, its layers opened. Raises StoreError."""
+        name = look_name(shading)
+        with self._lock:
+            if name not in self._stores:
+                store = ChunkStore(self.root, self.look(name))
+                store.open()
+                self._stores[name] = store
+            return self._stores[name]
+
     def of(self, shading: str) -> Loader:
         """The cache that views of this ``shading`` read. Raises StoreError."""
         name = look_name(shading)
         with self._lock:
             if name not in self._open:
-                store = ChunkStore(self.root, self.look(name))
-                store.open()
-                self._open[name] = Loader(store, PagePool(store.look, self.budget))
+                self._open[name] = Loader(self.store(name), PagePool(self.look(name), self.budget))
             return self._open[name]

@@ -15,7 +15,7 @@ import numpy as np
 
 from isogi_core.bake.light import Light, Part
 from isogi_core.bake.look import Look
-from isogi_core.bake.noise import deviations, relative_error
+from isogi_core.bake.noise import level, standard_error
 from isogi_core.bake.precision import rung_codes, samples_of
 from isogi_core.bake.recipe import Index
 from isogi_core.cache.chunk import Chunk
@@ -101,8 +101,8 @@ class PagePool:
         """
         light = chunk.light
         rows_of_light = light.transfer[:, :, : self.look.order**2]
-        noise = np.sqrt((deviations(light, self.look) ** 2).sum(axis=0))
-        error = relative_error(light, self.look)
+        noise = standard_error(light, self.look)
+        error = noise / level(light, self.look)
         stamps, marks = stamps_of(light), marks_of(light)
         with self._lock:
             self._age += 1

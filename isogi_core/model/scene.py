@@ -107,10 +107,14 @@ class Scene:
             parts += [self.environment.digest, self.lamps.digest, self.albedo]
         return digest_of(parts)
 
+    def plan_digest(self, plan: ScenePlan) -> str:
+        """Hex name of all layers of a ``plan`` for this scene."""
+        return digest_of([self.layer_digest(layer) for layer in plan.layers])
+
     @cached_property
     def bake_digest(self) -> str:
         """Hex name of all layers of the plan."""
-        return digest_of([self.layer_digest(layer) for layer in self.plan.layers])
+        return self.plan_digest(self.plan)
 
     @cached_property
     def digest(self) -> str:

@@ -5,6 +5,7 @@ comes on top; the shares are chosen so that it stays beside the noise, or below 
 """
 
 import math
+from dataclasses import replace
 
 from isogi_core.model.plan import Layer
 from isogi_core.plan.bands import Kind, truncation_error
@@ -72,8 +73,7 @@ def byte_error(layer: Layer, needs: Needs) -> float:
     """The part of it that is of a layer's bytes: BYTE of what these bands carry."""
     if layer.coarse is None:
         return 0.0
-    kind: Kind = "indirect" if layer.kind == "indirect" else "direct"
-    below, above = (truncation_error(needs.energy, n, kind, max(needs.albedo)) for n in (layer.coarse, layer.order))
+    below, above = (cut_error(replace(layer, order=n), needs) for n in (layer.coarse, layer.order))
     return BYTE * math.sqrt(max(below**2 - above**2, 0.0))
 
 
@@ -108,11 +108,10 @@ def harmonics_error(layers: tuple[Layer, ...], needs: Needs) -> float:
 
     Errors of direct and of reflected light are taken as independent. Irradiance has met its light and cuts nothing.
     """
-    brightest = max(needs.albedo)
-    squares = [
-        truncation_error(needs.energy, layer.order, "indirect" if layer.kind == "indirect" else "direct", brightest)
-        ** 2
-        for layer in layers
-        if layer.kind != "irradiance"
-    ]
-    return math.sqrt(sum(squares))
+    return math.sqrt(sum(cut_error(layer, needs) ** 2 for layer in layers if layer.kind != "irradiance"))
+
+
+def cut_error(layer: Layer, needs: Needs) -> float:
+    """The part of it that is of one layer: of the bands from its order on."""
+    kind: Kind = "indirect" if layer.kind == "indirect" else "direct"
+    return truncation_error(needs.energy, layer.order, kind, max(needs.albedo))

@@ -18,7 +18,7 @@ from isogi_core.plan.budget import (
 )
 from isogi_core.plan.needs import Needs, Told
 from isogi_core.plan.refusals import refuse_idle, refuse_no_bytes
-from isogi_core.plan.savings import left_out
+from isogi_core.plan.savings import left_out, percent
 
 DIRECTED = 2
 """The least order of reflected light that turns with the light."""
@@ -154,11 +154,6 @@ def notes_on(plan: ScenePlan, needs: Needs) -> tuple[str, ...]:
     if "bounces" in above:
         notes.append(f"Paths end after {plan.bounces} bounces: what is lost is {above['bounces']} at most, {target}")
     return tuple(notes)
-
-
-def percent(share: float) -> str:
-    """A share in percent, to three digits."""
-    return f"{100.0 * share:.3g}%"
 
 
 def vicinity_plan(plan: ScenePlan) -> ScenePlan:

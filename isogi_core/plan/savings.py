@@ -203,7 +203,7 @@ def lattice_bytes(chunks: int, bytes_per_texel: int) -> int:
 
 
 def percent(share: float) -> str:
-    """A share with three digits, however small."""
+    """A share in percent with three digits, however small."""
     return f"{100.0 * share:.3g}%"
 
 
