@@ -53,8 +53,8 @@ def bake_irradiance(field, bricks, place, rows, first, count, weights, survival,
 
     ``place`` is what ``locate_texels`` took and wrote, as for ``bake_texels``, whose random numbers these
     are; ``weights`` (bounces + 1, 3) R^k, over the chance to get there (see ``spin``); ``light`` the
-    Surroundings. Adds linear RGB, with all bounces, to
-    ``sums`` (m, 2, 3): times the albedo it is the radiance that leaves the surface.
+    Surroundings. Adds linear RGB, with all bounces, to ``sums`` (m, 2, 3): times the albedo it is the
+    radiance that leaves the surface.
     """
     together = max(WAVE // (2 * count), ABREAST)
     for i in range(0, rows.shape[0], together):

@@ -173,8 +173,8 @@ def light_paths(field, bricks, isovalues, points, normals, seeds, first, count, 
     Starts and their order are those of ``walk_paths``. Writes linear RGB to ``gathered`` (3, at least
     g · count): Σ_k weights[k] (E/π at vertex k, of the light that comes straight from its sources), where
     ``weights`` (bounces + 1, 3) is R^k, over the chance to get there (see ``spin``), and ``light`` are the
-    Surroundings. Light arrives at where rays start, a
-    little above the surface. Source: Kajiya 1986; DESIGN section 3.
+    Surroundings. Light arrives at where rays start, a little above the surface. Source: Kajiya 1986; DESIGN
+    section 3.
     """
     total = isovalues.shape[0] * count
     gathered[:, :total] = 0.0

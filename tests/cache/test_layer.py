@@ -30,11 +30,6 @@ NOBODY = 65534
 DIRECT, INDIRECT = 0, 1
 
 
-@pytest.fixture(scope="module")
-def look() -> Look:
-    return look_of()
-
-
 @pytest.fixture
 def layer(tmp_path: Path, look: Look) -> LayerStore:
     """The store of indirect light: whose digest has all that any layer's has."""

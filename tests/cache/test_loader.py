@@ -14,7 +14,7 @@ from isogi_core.cache.loader import ASK_AGAIN, Loader
 from isogi_core.cache.pages import PagePool
 from isogi_core.cache.store import ChunkStore
 from isogi_core.errors import StoreError
-from tests.cache.chunks import file_of, look_of
+from tests.cache.chunks import file_of
 
 A, B, C = (0, 1, 1), (1, 1, 1), (2, 1, 1)
 
@@ -27,11 +27,6 @@ class Clock:
 
     def monotonic(self) -> float:
         return self.now
-
-
-@pytest.fixture(scope="module")
-def look() -> Look:
-    return look_of()
 
 
 @pytest.fixture

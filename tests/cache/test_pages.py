@@ -18,11 +18,6 @@ from isogi_core.model.plan import FEWEST
 from tests.cache.chunks import CONSTANT, look_of
 
 
-@pytest.fixture(scope="module")
-def look() -> Look:
-    return look_of()
-
-
 def chunk_of(look: Look, index: Index, level: float, texels: int = 3 * PAGE) -> Chunk:
     """A chunk whose every number is ``level``, but for the 16 samples of each texel and layer."""
     offsets = np.sort(np.random.default_rng(int(level)).choice(TEXELS, texels, replace=False))

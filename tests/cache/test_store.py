@@ -29,11 +29,6 @@ INNER, EDGE = (1, 1, 1), (2, 1, 2)
 DIRECT, INDIRECT = 0, 1
 
 
-@pytest.fixture(scope="module")
-def look() -> Look:
-    return look_of()
-
-
 @pytest.fixture
 def store(tmp_path: Path, look: Look) -> ChunkStore:
     return ChunkStore(tmp_path, look)
