@@ -43,9 +43,9 @@ figures: $(BIN)/.tools
 
 lock: $(BIN)/.tools
 	$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-emit-index-url --python-version 3.11 \
-	  pyproject.toml -o requirements.lock
+	  --extra report pyproject.toml -o requirements.lock
 	$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-emit-index-url --python-version 3.11 \
-	  --extra dev pyproject.toml -o requirements-dev.lock
+	  --extra report --extra dev pyproject.toml -o requirements-dev.lock
 
 format: $(BIN)/.tools
 	$(BIN)/ruff check --fix .

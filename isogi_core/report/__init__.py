@@ -1,0 +1,1 @@
+"""The report: what isogi's light costs and how wrong it is, measured against references, and split by cause."""
