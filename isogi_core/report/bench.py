@@ -18,9 +18,9 @@ from isogi_core.model.plan import ScenePlan, most_samples
 from isogi_core.model.scene import Scene
 from isogi_core.model.view import View
 from isogi_core.plan.budget import LONGEST_PATH
-from isogi_core.report.bake import Bake
+from isogi_core.report.bake import ViewBake
 from isogi_core.report.metrics import Score, score
-from isogi_core.report.reference import Reference, load_reference, save_reference, trace_reference
+from isogi_core.report.reference import Reference, trace_reference
 
 MEMORY = 256 << 20
 """Bytes of light that frames of one scene may hold."""
@@ -31,8 +31,8 @@ FIRST, MOST = 64, 16384
 FINE = 0.2
 """What a reference's noise may be of the error that it is to tell."""
 
-SHARE = 0.3
-"""What references may take of the time that is left."""
+SHARE = 0.2
+"""What growing a reference may take of the time that is left."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,44 +65,46 @@ class Bench:
         return self.once(("renderer", scene.digest, scene.bounces), make)
 
     @cached_property
-    def planned(self) -> Bake:
+    def planned(self) -> ViewBake:
         """The view's light as the scene's plan has it, baked to the target error. ViewError where nothing is seen."""
         renderer, target = self.renderer(self.scene), self.scene.target_error
         if not len(renderer.gbuffer(self.view).points):
             raise ViewError(f"Nothing is to be seen at isovalue {self.view.isovalue:g}: choose another view.")
-        bake = Bake(renderer, self.view)
+        bake = ViewBake(renderer, self.view)
         bake.grow(most_samples(target), target, self.cancelled)
         return bake
 
     @cached_property
     def best(self) -> Reference:
         """The view's reference, grown until its noise is a fifth of the plan's error, or time is short."""
-        frame, end = self.planned.frame(), time.monotonic() + SHARE * self.left
-        best = self.reference(FIRST)
-        while best.noise > FINE * self.score(frame.radiance, best).rmse and best.samples < MOST:
-            if time.monotonic() > end:
-                break
+        frame = self.planned.frame()
+        return self.grown(FINE * self.score(frame.radiance, self.reference(FIRST)).rmse)
+
+    def grown(self, noise: float) -> Reference:
+        """The view's reference, grown until its own ``noise`` is so small, or as far as the time left allows."""
+        best, end = self.reference(FIRST), time.monotonic() + SHARE * self.left
+        while best.noise > noise and best.samples < MOST and time.monotonic() < end:
             best = self.reference(2 * best.samples)
         return best
 
+    def smaller(self, size: int) -> "Bench":
+        """The bench of the same view in a picture of at most ``size`` pixels a side."""
+        shrink = min(size / max(self.view.width, self.view.height), 1.0)
+        width, height = (max(round(shrink * n), 1) for n in (self.view.width, self.view.height))
+        return replace(self, view=replace(self.view, width=width, height=height), _made={})
+
     def reference(self, samples: int, scene: Scene | None = None, bounces: int | None = None) -> Reference:
-        """Paths from the view's pixels, at least so many ``samples``, kept in the folder and grown from there.
+        """Paths from the view's pixels, at least so many ``samples``, grown from what there is.
 
         Of the ``scene`` told, with ``bounces``: by default, where its paths have any, as many as may matter.
         """
-        scene = longer(scene or self.scene, bounces)
-        renderer = self.renderer(scene)
-        file = self.folder / "references" / f"{scene.digest}-{scene.bounces}.npz"
-
-        def trace() -> Reference:
-            former = load_reference(file, scene, self.view) if file.exists() else None
-            if former is not None and former.samples >= samples:
-                return former
-            grown = trace_reference(renderer, self.view, samples, former, self.cancelled)
-            save_reference(file, grown)
-            return grown
-
-        return self.once(("reference", file, samples), trace)
+        renderer = self.renderer(longer(scene or self.scene, bounces))
+        key = "reference", renderer.recipe.scene.digest, renderer.recipe.scene.bounces
+        former: Reference | None = self._made.get(key)
+        if former is None or former.samples < samples:
+            self._made[key] = trace_reference(renderer, self.view, samples, former, self.cancelled)
+        found: Reference = self._made[key]
+        return found
 
     def score(self, radiance: Any, best: Reference | None = None) -> Score:
         """The score of a picture of the view, against its own reference unless another is told."""

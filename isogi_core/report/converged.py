@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from isogi_core.bake.light import Light
 from isogi_core.frame.frame import Frame
 from isogi_core.model.plan import Layer
-from isogi_core.report.bake import Bake
+from isogi_core.report.bake import ViewBake
 from isogi_core.report.bench import Bench
 
 TIMES = 4
@@ -30,10 +30,10 @@ def converged(bench: Bench) -> Converged:
 
 
 def converge(bench: Bench) -> Converged:
-    """Bake it. Raises Cancelled."""
+    """ViewBake it. Raises Cancelled."""
     layers = bench.scene.plan.layers
     twins = tuple(map(unrounded, layers))
-    both = Bake(bench.renderer(bench.scene), bench.view, layers + (() if twins == layers else twins))
+    both = ViewBake(bench.renderer(bench.scene), bench.view, layers + (() if twins == layers else twins))
     samples = rung_above(TIMES * bench.planned.samples)
     both.grow(samples, cancelled=bench.cancelled)
     kept, exact = (both.frame(Light(both.light.parts[a:][: len(layers)])) for a in (0, -len(layers)))

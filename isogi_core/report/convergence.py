@@ -1,12 +1,12 @@
 """Error against run time: light kept in several ways, and paths from each pixel (S1, table 1 and figure 7)."""
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 from isogi_core.model.scene import Scene
 from isogi_core.report import scores
-from isogi_core.report.bake import Bake
+from isogi_core.report.bake import ViewBake
 from isogi_core.report.bench import Bench, longer
 from isogi_core.report.metrics import Score
 from isogi_core.report.sections import Column, Curve, Plot, Section, Table
@@ -20,9 +20,6 @@ RUNGS = (16, 64, 256, 1024, 4096, 16384)
 
 SECONDS = 45.0
 """Seconds of the processor that the next point of a curve may take, by what the last one took."""
-
-PATHS = 16384
-"""Paths from each pixel of the reference."""
 
 ABOUT = """\
 Errors against the reference, of one view, as more samples are taken. Light of texels is baked once and serves all \
@@ -78,7 +75,29 @@ def curve(name: str, points: list[Point]) -> Curve:
 
 def baked(bench: Bench, scene: Scene) -> Iterator[Point]:
     """The points of light that is baked by a scene's plan."""
-    bake, best = Bake(bench.renderer(scene), bench.view), bench.reference(PATHS)
+    bake, best = ViewBake(bench.renderer(scene), bench.view), bench.grown(0.0)
     for samples in affordable(bench, lambda: bake.seconds):
         bake.grow(samples, cancelled=bench.cancelled)
         yield Point(samples, bake.seconds, bench.score(bake.frame().radiance, best))
+
+
+def traced(bench: Bench) -> Iterator[Point]:
+    """The points of paths from each pixel, each picture traced anew; with as many bounces as may matter."""
+    renderer, spent = bench.renderer(longer(bench.scene)), 0.0
+    view, best = replace(bench.view, shading="path_traced"), bench.grown(0.0)
+    renderer.render(replace(view, samples=1))
+    for samples in affordable(bench, lambda: spent):
+        begun = time.process_time()
+        frame = renderer.render(replace(view, samples=samples), cancelled=bench.cancelled)
+        spent = time.process_time() - begun
+        yield Point(samples, spent, bench.score(frame.radiance, best))
+
+
+def affordable(bench: Bench, spent: Callable[[], float]) -> Iterator[int]:
+    """RUNGS, until the next would take too long; ``spent`` tells the seconds that the curve's last point took."""
+    rate = 0.0
+    for samples in RUNGS:
+        if rate * samples > min(SECONDS, bench.left):
+            return
+        yield samples
+        rate = spent() / samples

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 from isogi_core.model.plan import most_samples
 from isogi_core.report import scores
-from isogi_core.report.bake import Bake
+from isogi_core.report.bake import ViewBake
 from isogi_core.report.bench import Bench
 from isogi_core.report.metrics import error_map, mean_of, spread_of
 from isogi_core.report.points import lit_by_frame, own_light
@@ -41,18 +41,18 @@ def study(bench: Bench) -> Section:
     return Section("lattices", "Density of the lattice", ABOUT, (table,), (), tuple(pictures))
 
 
-def lattice(bench: Bench, density: float) -> Bake:
+def lattice(bench: Bench, density: float) -> ViewBake:
     """The view's light on a lattice so many times as dense."""
     if density == 1.0:
         return bench.planned
     bench.check()
     scene, target = replace(bench.scene, lattice=density * bench.scene.lattice), bench.scene.target_error
-    bake = Bake(bench.renderer(scene), bench.view)
+    bake = ViewBake(bench.renderer(scene), bench.view)
     bake.grow(most_samples(target), target, bench.cancelled)
     return bake
 
 
-def row_of(bench: Bench, bake: Bake) -> tuple[Cell, ...]:
+def row_of(bench: Bench, bake: ViewBake) -> tuple[Cell, ...]:
     """A lattice's row of the table."""
     scene, frame, own = bake.look.recipe.scene, bake.frame(), own_light(bench)
     lit, z_y_x = lit_by_frame(frame), scene.lattice_shape

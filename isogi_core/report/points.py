@@ -9,8 +9,8 @@ from isogi_core.bake.refine import Place, sample_transfer
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.surroundings import Turned
-from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.scene import Scene
+from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import View
 from isogi_core.report.bench import Bench
 from isogi_core.report.metrics import luminance

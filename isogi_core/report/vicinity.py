@@ -4,7 +4,7 @@ from dataclasses import replace
 
 from isogi_core.model.plan import most_samples
 from isogi_core.report import scores
-from isogi_core.report.bake import Bake
+from isogi_core.report.bake import ViewBake
 from isogi_core.report.bench import Bench
 from isogi_core.report.metrics import error_map
 from isogi_core.report.sections import Column, Picture, Section, Table
@@ -30,12 +30,12 @@ def study(bench: Bench) -> Section:
     return Section("vicinity", "Vicinity shading", ABOUT, (table,), (), tuple(pictures))
 
 
-def vicinity(bench: Bench) -> Bake:
+def vicinity(bench: Bench) -> ViewBake:
     """The view's light as vicinity shading has it, baked to the target error."""
 
-    def bake() -> Bake:
+    def bake() -> ViewBake:
         target = bench.scene.target_error
-        light = Bake(bench.renderer(bench.scene), replace(bench.view, shading="vicinity"))
+        light = ViewBake(bench.renderer(bench.scene), replace(bench.view, shading="vicinity"))
         light.grow(most_samples(target), target, bench.cancelled)
         return light
 
