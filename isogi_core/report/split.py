@@ -53,12 +53,16 @@ class Split:
 def study(bench: Bench) -> Section:
     """The frame's error and its parts, as a table and as maps."""
     split = split_error(bench)
-    rows = [row_of(part, split) for part in (*split.parts, split.whole)]
-    rows.insert(-1, ("parts together", split.together, sum(split.spread(p).bias for p in split.parts), "root of sum"))
+    bias = sum(split.spread(part).bias for part in split.parts)
     told = bench.planned.frame().estimated_error
-    rows.append(("the frame's own estimate", told, None, "of Monte Carlo noise alone, told by the texels"))
+    rows = (
+        *(row_of(part, split) for part in split.parts),
+        ("parts together", split.together, bias, "root sum of squares, sum of biases"),
+        row_of(split.whole, split),
+        ("the frame's own estimate", told, None, "Monte Carlo noise alone, told by the texels"),
+    )
     pictures = tuple(map_of(part, split, bench) for part in (*split.parts, split.whole))
-    table = Table("Error of the plan's frame and its parts", COLUMNS, tuple(rows))
+    table = Table("Error of the plan's frame and its parts", COLUMNS, rows)
     return Section("split", "Where the error comes from", f"{ABOUT} {missing(bench)}".strip(), (table,), (), pictures)
 
 
