@@ -98,7 +98,7 @@ def from_sums(gbuffer: GBuffer, sums: np.ndarray, count: int, seconds: float, su
 
 def subject_of(scene: Scene, view: View) -> str:
     """Hex name of all that a reference's light depends on."""
-    world = [scene.volume.digest, scene.environment.digest, scene.lamps.digest, scene.albedo]
+    world = [scene.volume.digest, scene.environment.digest, scene.lamps.digest, scene.albedo, *scene.departures]
     camera = [view.camera.eye, view.camera.target, view.camera.up, view.camera.fov]
     picture = [view.isovalue, *camera, view.light, view.width, view.height]
     return digest_of([FORMAT, *world, scene.bounces, scene.plan.survival, *picture])
