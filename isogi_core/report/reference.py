@@ -1,9 +1,13 @@
 """References: a view path-traced from each pixel, with what is known of its own noise."""
 
+import json
+import os
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, fields, replace
+from pathlib import Path
+from zipfile import BadZipFile
 
 import numpy as np
 
@@ -15,12 +19,16 @@ from isogi_core.frame.surroundings import Turned
 from isogi_core.model.scene import Scene, digest_of
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import View
+from isogi_core.plan.budget import BOUNCES, bounces_for, survival_for
 
 REPLICAS = 8
 """Independent randomisations of a reference."""
 
 STREAM = 1 << 16
 """Number of the first of them: frames of the same view draw other random numbers."""
+
+CUT = 0.001
+"""Share of the light that the bounces which a reference leaves out may bring, at most."""
 
 FORMAT = 1
 """Counts up when paths of a reference, or what is kept of them, change."""
@@ -53,6 +61,10 @@ class Reference:
         """Relative standard error of the whole: root mean square over the surface, over the mean luminance."""
         light = float((self.mean[self.on] @ LUMINANCE).mean()) if self.on.any() else 0.0
         return float(np.sqrt(self.variance[self.on].mean(dtype=np.float64))) / light if light > 0.0 else 0.0
+
+
+KEPT = fields(Reference)
+"""What a file keeps."""
 
 
 def trace_reference(
@@ -96,9 +108,42 @@ def from_sums(gbuffer: GBuffer, sums: np.ndarray, count: int, seconds: float, su
     return Reference(*picture, count * REPLICAS, seconds, sums, subject)
 
 
+def with_bounces(scene: Scene, bounces: int | None = None) -> Scene:
+    """The scene with paths of so many ``bounces``; by default with so many that less than CUT of its light is cut."""
+    if bounces is None:
+        bounces = bounces_for(scene.albedo, CUT / BOUNCES)
+    return replace(scene, plan=replace(scene.plan, bounces=bounces, survival=survival_for(scene.albedo, bounces)))
+
+
 def subject_of(scene: Scene, view: View) -> str:
     """Hex name of all that a reference's light depends on."""
-    world = [scene.volume.digest, scene.environment.digest, scene.lamps.digest, scene.albedo]
+    world = [scene.volume.digest, scene.environment.digest, scene.lamps.digest, scene.albedo, *scene.departures]
     camera = [view.camera.eye, view.camera.target, view.camera.up, view.camera.fov]
     picture = [view.isovalue, *camera, view.light, view.width, view.height]
     return digest_of([FORMAT, *world, scene.bounces, scene.plan.survival, *picture])
+
+
+def save_reference(path: Path, reference: Reference, scene: Scene, view: View) -> None:
+    """Write a reference of ``view``, whole or not at all, as .npz; ``about`` in it is JSON that says what it is of."""
+    about = {"scene": scene.name, "bounces": scene.bounces, "view": asdict(view), "format": FORMAT}
+    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    try:
+        with partial.open("wb") as file:
+            np.savez(file, about=json.dumps(about), **{each.name: getattr(reference, each.name) for each in KEPT})
+        os.replace(partial, path)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def load_reference(path: Path, scene: Scene, view: View) -> Reference:
+    """The reference of ``view`` in a file; ReportError where that is damaged or of something else, or OSError."""
+    try:
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
+            kept = {each.name: file[each.name] for each in KEPT}
+            about = json.loads(str(file["about"]))
+    except (ValueError, KeyError, EOFError, BadZipFile) as error:
+        raise ReportError(f"{path} is no whole reference ({error}): remove it, or name another file.") from None
+    if kept["subject"] != subject_of(scene, view):
+        own = "{scene} at {isovalue:g}, {width} × {height} pixels, {bounces} bounces".format(**about, **about["view"])
+        raise ReportError(f"{path} is of another scene, view or number of bounces ({own}): name another file.")
+    return Reference(**{name: value if value.ndim else value.item() for name, value in kept.items()})

@@ -10,7 +10,7 @@ import pytest
 from isogi_core.errors import Cancelled, ReportError
 from isogi_core.model.scene import load_scene
 from isogi_core.model.sky import LUMINANCE
-from isogi_core.report.reference import trace_reference
+from isogi_core.report.reference import load_reference, save_reference, trace_reference, with_bounces
 from tests.frame.conftest import CONSTANT, SKY, Workbench, ball, scene_of
 
 
@@ -69,3 +69,43 @@ def test_cancelled_it_leaves_the_former_as_it_was(bench: Workbench) -> None:
     with pytest.raises(Cancelled):
         trace_reference(bench.renderer, view, 16, former, cancelled)
     assert np.array_equal(former.sums, sums)
+
+
+# --- its file ------------------------------------------------------------------------------------------------------
+
+
+def test_a_file_gives_back_what_was_saved_and_it_goes_on(bench: Workbench, tmp_path: Path) -> None:
+    view, path = bench.view(size=16), tmp_path / "a.npz"
+    saved = trace_reference(bench.renderer, view, 16)
+    save_reference(path, saved, bench.scene, view)
+    found = load_reference(path, bench.scene, view)
+    assert [each.name for each in tmp_path.iterdir()] == ["a.npz"]
+    assert (found.samples, found.seconds, found.subject) == (saved.samples, saved.seconds, saved.subject)
+    for name in ("mean", "variance", "on", "sums"):
+        assert np.array_equal(getattr(found, name), getattr(saved, name))
+    once, again = (trace_reference(bench.renderer, view, 32, former) for former in (None, found))
+    assert np.array_equal(once.mean, again.mean)
+
+
+def test_a_file_of_something_else_or_of_nothing_is_refused(bench: Workbench, tmp_path: Path) -> None:
+    view, path = bench.view(size=16), tmp_path / "a.npz"
+    save_reference(path, trace_reference(bench.renderer, view, 8), bench.scene, view)
+    for scene, other in (
+        (bench.scene, bench.view(size=16, azimuth=50.0)),
+        (with_bounces(bench.scene, 3), view),
+        (load_scene("demo:orbital", albedo=[0.8, 0.6, 0.4], bounces=2, normals="gradient", lights=[SKY]), view),
+    ):
+        with pytest.raises(ReportError, match=r"orbital at 0\.03, 16 × 16 pixels, 2 bounces"):
+            load_reference(path, scene, other)
+    whole = path.read_bytes()
+    for damaged in (b"", whole[: len(whole) // 2], b"PK" + bytes(1000)):
+        path.write_bytes(damaged)
+        with pytest.raises(ReportError, match=r"a\.npz is no whole reference"):
+            load_reference(path, bench.scene, view)
+
+
+@pytest.mark.parametrize(("albedo", "bounces"), [(0.7, 19), (0.0, 0), (1.0, 64), ([0.2, 0.5, 0.1], 9)])
+def test_by_default_less_than_a_thousandth_of_the_light_is_cut(albedo: object, bounces: int) -> None:
+    scene = with_bounces(load_scene("demo:orbital", albedo=albedo))
+    assert scene.bounces == bounces
+    assert max(scene.albedo) ** (bounces + 1) <= 0.001 or bounces == 64
