@@ -15,7 +15,7 @@ from isogi_core.report.sections import Column, Curve, Plot, Section, Table
 from isogi_core.report.ways import as_irradiance, as_s1
 
 SIZE = 32
-"""Pixels of the longer side of the picture, at most."""
+"""Pixels of the longer side of the picture."""
 
 RUNGS = (16, 64, 256, 1024, 4096, 16384)
 """Samples of a texel, or paths of a pixel, of the points of a curve."""
@@ -48,7 +48,7 @@ class Point:
 
 def study(bench: Bench) -> Section:
     """The curves, and their points as a table."""
-    small = bench.smaller(SIZE)
+    small = bench.sized(SIZE)
     found = {name: list(baked(small, scene)) for name, scene in ways(bench.scene).items()}
     found["path tracing from each pixel"] = list(traced(small))
     rows = tuple((name, p.samples, p.seconds, *scores.cells(p.score)) for name, own in found.items() for p in own)
