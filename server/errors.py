@@ -25,3 +25,7 @@ class BusyError(IsogiError):
 
 class StartingError(IsogiError):
     """The renderer is not up yet."""
+
+
+class ReportError(IsogiError):
+    """A report cannot be made here: its folder holds something else, or what draws it is not installed."""
