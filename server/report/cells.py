@@ -1,7 +1,8 @@
 """Cells of tables as text: each column in one unit, told in its head, with as many digits as its numbers are worth."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 from isogi_core.report.sections import Cell, Column, Table
 
@@ -30,12 +31,15 @@ def told(table: Table) -> tuple[Told, ...]:
 
 
 def column_told(column: Column, cells: Sequence[Cell]) -> Told:
-    """One column as text."""
-    numbers = [abs(cell) for cell in cells if isinstance(cell, int | float)]
-    name, size = scale_of(column.unit, max(numbers, default=0.0))
-    fine = column.unit == "share" and any(0.0 < number < 0.01 for number in numbers)
-    texts = tuple(cell_text(cell, column.unit, size, 2 if fine else 1) for cell in cells)
-    return Told(f"{column.name}, {name}" if name else column.name, texts, column.unit != "text")
+    """One column as text: words as they are, nothing as a dash, numbers alike."""
+    numbers = [float(cell) for cell in cells if isinstance(cell, int | float)]
+    name, size = scale_of(column.unit, max(map(abs, numbers), default=0.0))
+    write = writer(column.unit, [number / size for number in numbers])
+
+    def text(cell: Cell) -> str:
+        return NOTHING if cell is None else cell if isinstance(cell, str) else write(cell / size)
+
+    return Told(f"{column.name}, {name}" if name else column.name, tuple(map(text, cells)), column.unit != "text")
 
 
 def scale_of(unit: str, largest: float) -> tuple[str, float]:
@@ -46,22 +50,18 @@ def scale_of(unit: str, largest: float) -> tuple[str, float]:
     return next((step for step in reversed(steps) if largest >= step[1]), steps[0])
 
 
-def cell_text(cell: Cell, unit: str, size: float, decimals: int) -> str:
-    """One cell: words as they are, nothing as a dash, a number over ``size``; shares have ``decimals``."""
-    if cell is None:
-        return NOTHING
-    if isinstance(cell, str):
-        return cell
-    number = cell / size
+def writer(unit: str, numbers: Sequence[float]) -> Callable[[float], str]:
+    """What writes the ``numbers`` of a column: percents with the decimals that the smallest needs, 2 at most."""
     if unit == "share":
-        return tiny_or(number, decimals)
-    return signed(f"{number:,.0f}" if unit == "count" else digits(number))
+        return partial(decimal, decimals=2 if any(0.0 < abs(number) < 1.0 for number in numbers) else 1)
+    whole = all(number == round(number) for number in numbers)
+    return partial(decimal, decimals=0) if unit == "count" or whole else digits
 
 
-def tiny_or(number: float, decimals: int) -> str:
+def decimal(number: float, decimals: int) -> str:
     """A number with so many decimals; "< 0.01" where none of them would show it."""
     least = 10.0**-decimals
-    if 0.0 < abs(number) < least / 2:
+    if decimals and 0.0 < abs(number) < least / 2:
         return f"< {least:g}" if number > 0.0 else f"> −{least:g}"
     return signed(f"{number:,.{decimals}f}")
 
@@ -70,10 +70,8 @@ def digits(number: float) -> str:
     """A number with three digits; whole above a hundred, and with a power of ten where it is very small or large."""
     size = abs(number)
     if size >= 1e9 or 0.0 < size < 1e-4:
-        return f"{number:.2e}"
-    if size >= 100 or size == round(size):
-        return f"{number:,.0f}"
-    return f"{number:.3g}" if size < 0.1 else f"{number:.{2 if size < 10 else 1}f}"
+        return signed(f"{number:.2e}")
+    return signed(f"{number:,.0f}" if size >= 99.95 or not size else f"{number:#.3g}")
 
 
 def signed(text: str) -> str:

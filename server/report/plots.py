@@ -35,7 +35,6 @@ DASHES: tuple[tuple[float, ...], ...] = ((), (5, 2), (1.5, 1.5), (7, 2, 1.5, 2),
 
 STYLE: Any = {
     "svg.fonttype": "none",
-    "svg.hashsalt": "isogi",
     "font.size": 9.5,
     "axes.linewidth": 0.8,
     "text.color": INK,
@@ -80,7 +79,7 @@ def dashes_of(i: int) -> tuple[float, ...]:
 
 def draw(plot: Plot) -> str:
     """The plot as an ``svg`` element for a page that gives the names their colours; the same bytes each time."""
-    with mpl.rc_context(STYLE):
+    with mpl.rc_context({**STYLE, "svg.hashsalt": plot.caption}):
         figure = Figure(figsize=(WIDTH, HEIGHT), layout="constrained")
         fill(figure.add_subplot(), plot)
         file = io.BytesIO()
@@ -99,10 +98,9 @@ def named(svg: str) -> str:
     """matplotlib's file as an element: names for colours and fonts, nothing that a page holds once."""
     svg = svg[svg.index("<svg") :]
     svg = re.sub(r"<metadata>.*?</metadata>|<style.*?</style>|<!--.*?-->", "", svg, flags=re.DOTALL)
-    svg = re.sub(r'(<g) id="[a-zA-Z.]+_?[0-9]*"', r"\1", svg)
-    svg = re.sub(r"(font: [^;\"]*?px) [^;\"]*", r"\1 var(--text)", svg)
-    svg = re.sub(r'<svg ([^>]*?)width="[^"]*"', r"<svg \1", svg)
-    svg = re.sub(r'<svg ([^>]*?)height="[^"]*"', r"<svg \1", svg)
+    svg = re.sub(r'(<g) id="[^"]*"', r"\1", svg)
+    svg = re.sub(r"font-family: [^;\"]*", "font-family: var(--text)", svg)
+    svg = re.sub(r'(<svg [^>]*?) width="[^"]*" height="[^"]*"', r"\1", svg)
     for colour, name in NAMES.items():
         svg = svg.replace(colour, name)
     return svg.strip()
@@ -152,5 +150,5 @@ def tick(value: float, unit: str) -> str:
         return f"{100 * value:.6g} %"
     if unit in PREFIXES:
         step = next((step for step in reversed(PREFIXES[unit]) if abs(value) >= step[1]), PREFIXES[unit][0])
-        return f"{value / step[1]:.4g} {step[0]}"
+        return f"{value / step[1]:.3g} {step[0]}"
     return f"{value:,.6g}"
