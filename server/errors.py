@@ -28,4 +28,8 @@ class StartingError(IsogiError):
 
 
 class ReportError(IsogiError):
-    """A report cannot be made here: its folder holds something else, or what draws it is not installed."""
+    """A report is asked for in a folder that holds something else, or of a study that there is not."""
+
+
+class LibraryError(IsogiError):
+    """A library that a command needs is not installed."""

@@ -14,7 +14,7 @@ from server.report.documents import document_of, plain
 from server.report.heading import heading
 from server.report.journal import Entry
 from server.report.page import page
-from server.report.plots import draw, standalone
+from server.report.plots import standalone
 from server.report.prints import print_picture, scale_of
 from server.report.report import DATA, PAGE, Report, picture_name, plot_name
 
@@ -39,7 +39,7 @@ def drawings(report: Report) -> Iterator[tuple[str, bytes]]:
             yield picture_name(section, i), print_picture(picture, report.exposure, scale)
             yield picture_name(section, i, "npy"), array_bytes(picture)
         for i, plot in enumerate(section.plots):
-            yield plot_name(section, i), standalone(draw(plot)).encode()
+            yield plot_name(section, i), standalone(plot).encode()
 
 
 def array_bytes(picture: Picture) -> bytes:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from isogi_core.model.scene import Scene, load_scene
 from isogi_core.model.view import View
-from server.errors import ReportError
+from server.errors import LibraryError, ReportError
 from server.params import FrameParams, read
 from server.report.durations import span
 from server.settings import Settings
@@ -40,8 +40,8 @@ class Wishes:
 def report(target: str, knobs: Mapping[str, str], settings: Settings, wishes: Wishes) -> dict[str, Any]:
     """Measure the view of ``target`` that ``knobs`` name, write its page, and tell where that is and what it says.
 
-    Raises SceneError, VolumeError, LightError, ViewError and ReportError before anything is measured; StoreError
-    and OSError later.
+    Raises SceneError, VolumeError, LightError, ViewError, ReportError and LibraryError before anything is
+    measured; StoreError and OSError later.
     """
     begun = time.monotonic()
     require_libraries()
@@ -52,10 +52,10 @@ def report(target: str, knobs: Mapping[str, str], settings: Settings, wishes: Wi
 
 
 def require_libraries() -> None:
-    """ReportError where a library is missing that pages are drawn with."""
+    """LibraryError where a library is missing that pages are drawn with."""
     missing = [name for name in LIBRARIES if importlib.util.find_spec(name) is None]
     if missing:
-        raise ReportError(f"A report is drawn with {' and '.join(missing)}: pip install 'isogi[report]'.")
+        raise LibraryError(f"A report is drawn with {' and '.join(missing)}: pip install 'isogi[report]'.")
 
 
 def report_of(scene: Scene, view: View, exposure: float, wishes: Wishes, begun: float) -> dict[str, Any]:

@@ -6,6 +6,7 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from xml.sax.saxutils import escape
 
 import matplotlib as mpl
 from matplotlib.axes import Axes
@@ -18,6 +19,9 @@ from server.report.cells import PREFIXES
 
 WIDTH, HEIGHT = 4.6, 3.1
 """Inches of a plot, 72 units of SVG each."""
+
+ROW = 14.0
+"""Height of a line of the legend."""
 
 INK, SOFT, LINE = "#010101", "#020202", "#030303"
 CURVES = ("#040404", "#050505", "#060606", "#070707", "#080808", "#090909")
@@ -87,11 +91,23 @@ def draw(plot: Plot) -> str:
     return named(file.getvalue().decode())
 
 
-def standalone(svg: str) -> str:
-    """What ``draw`` made, as a file that has its own colours, light and dark."""
-    head, tag, rest = svg.partition(">")
+def standalone(plot: Plot) -> str:
+    """The plot as a file that has its own colours, light and dark, and its legend below the axes."""
+    entries = keys(plot) if len(plot.curves) > 1 else ()
+    width, height = 72 * WIDTH, 72 * HEIGHT
+    size = f'viewBox="0 0 {width:g} {height:g}"'
+    below = "".join(legend_line(key, height + ROW * (i + 0.5)) for i, key in enumerate(entries))
+    svg = draw(plot).replace(size, f'viewBox="0 0 {width:g} {height + ROW * len(entries):g}"', 1)
+    head, _, rest = svg.removesuffix("</svg>").partition(">")
     style = f"<style>{SCHEME}svg {{ background: var(--paper); }}</style>"
-    return f'<?xml version="1.0" encoding="utf-8"?>\n{head}{tag}{style}{rest}'
+    return f'<?xml version="1.0" encoding="utf-8"?>\n{head}>{style}{rest}{below}</svg>\n'
+
+
+def legend_line(key: Key, y: float) -> str:
+    """An entry of a legend, at height ``y``."""
+    line = f'<path d="M8 {y:g}h28" style="fill: none; stroke: {key.colour}; stroke-dasharray: {key.dashes}"/>'
+    text = f'<text x="44" y="{y + 3:g}" style="font: 9.5px var(--text); fill: var(--ink)">{escape(key.name)}</text>'
+    return f"{line}{text}"
 
 
 def named(svg: str) -> str:

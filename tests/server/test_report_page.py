@@ -169,6 +169,7 @@ def test_points_that_a_logarithm_does_not_have_are_left_out(plot: Plot) -> None:
 
 
 def test_a_plot_that_stands_alone_has_its_own_colours(plot: Plot) -> None:
-    file = standalone(draw(plot))
+    file = standalone(plot)
     assert ElementTree.fromstring(file).tag.endswith("svg")
+    assert "harmonics</text>" in file and 'viewBox="0 0 331.2 251.2"' in file
     assert "--curve-1: #" in file and "prefers-color-scheme: dark" in file
