@@ -78,8 +78,8 @@ def curves(reports: Mapping[str, Data], folders: Mapping[str, Path], pictures: P
     """Plots of error against run time."""
     yield "## Error against run time"
     for name in (name for name in CURVES if name in reports):
-        for plot in section(reports[name], "convergence").get("plots", ()):
-            file = copied(folders[name] / plot["svg"], pictures, name)
+        for i, plot in enumerate(section(reports[name], "convergence").get("plots", ())):
+            file = copied(folders[name] / plot["svg"], pictures, f"{name}-curves-{i + 1}")
             yield f"![{name}: {plot['caption']}]({file})"
             yield f"*{name}: {', '.join(curve['name'] for curve in plot['curves'])}.*"
 

@@ -86,12 +86,11 @@ def subject_of(scene: Scene, view: View) -> dict[str, Any]:
 
 def refuse_other(folder: Path, held: Mapping[str, Any], wanted: Mapping[str, Any]) -> None:
     """ReportError where the folder's report is of something else than what is ``wanted``."""
-    other = sorted(name for name in wanted if held.get(name) != wanted[name])
+    other = [name for name in wanted if held.get(name) != wanted[name]]
     if other:
-        what = f"{held.get('scene')} at {held.get('isovalue'):g}"
-        raise ReportError(
-            f"{folder} holds a report of {what} that differs in {', '.join(other)}: choose another folder."
-        )
+        what = "scene" if {"scene", "digest", "volume"} & set(other) else f"view (by its {' and '.join(other)})"
+        held_of = f"a report of {held.get('scene')} at {held.get('isovalue')}"
+        raise ReportError(f"{folder} holds {held_of}, which is another {what}: choose another folder.")
 
 
 def code_digest() -> str:

@@ -174,8 +174,9 @@ def test_a_folder_of_another_report_is_refused(
     assert report(small_scene, tmp_path / "a") == 0
     capsys.readouterr()
     assert report(small_scene, tmp_path / "a", "--isovalue", 0.6) == 2
-    assert "another report, of small at 0.5 (it differs in isovalue)" in capsys.readouterr().err
-    assert report("demo:orbital", tmp_path / "a") == 2  # type: ignore[arg-type]
+    assert "a report of small at 0.5, which is another view (by its isovalue)" in capsys.readouterr().err
+    assert report(Path("demo:orbital"), tmp_path / "a") == 2
+    assert "which is another scene: choose another folder" in capsys.readouterr().err
     assert ran == ["split", "none"]
 
 
@@ -210,7 +211,7 @@ def test_the_journal_keeps_sections_whole(small_scene: Path, tmp_path: Path) -> 
     for picture, kept in zip(section.pictures, found.section.pictures, strict=True):
         assert (picture.caption, picture.kind) == (kept.caption, kept.kind)
         assert np.array_equal(picture.pixels, kept.pixels, equal_nan=True)
-    with pytest.raises(ReportError, match="differs in size"):
+    with pytest.raises(ReportError, match=r"view \(by its size\)"):
         Journal(tmp_path / "a", {**subject, "size": [1, 1]})
 
 
