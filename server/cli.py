@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from isogi_core.errors import IsogiError, LightError, SceneError, ViewError, VolumeError
+from server.errors import ReportError
 
 if TYPE_CHECKING:
     from server.settings import Settings
 
-BAD_INPUT = (SceneError, VolumeError, LightError, ViewError)
+BAD_INPUT = (SceneError, VolumeError, LightError, ViewError, ReportError)
 VIEW_OPTIONS = {
     "isovalue": "In the volume's own units; default: the scene's.",
     "azimuth": "Degrees; 0 looks from +x, 90 from +y.",
@@ -91,6 +92,16 @@ def number(low: float, high: float) -> Callable[[click.Context, click.Parameter,
             raise click.BadParameter(str(error)) from None
 
     return check
+
+
+def duration(_: click.Context, __: click.Parameter, value: str | None) -> float | None:
+    """Callback of an option that is a span of time: seconds."""
+    from server.report.durations import seconds_of  # noqa: PLC0415
+
+    try:
+        return None if value is None else seconds_of(value)
+    except ValueError as error:
+        raise click.BadParameter(str(error)) from None
 
 
 def settings_from(**given: Any) -> "Settings":
@@ -179,6 +190,31 @@ def reference(
     line = f"{output}: {facts['width']} × {facts['height']}, {facts['samples']} paths per pixel, "
     line += f"noise {facts['noise']:.5f}, {facts['seconds']:.1f} seconds of the processor"
     click.echo(json.dumps(facts, allow_nan=False) if as_json else line)
+
+
+@cli.command()
+@click.argument("scene", metavar="TARGET")
+@click.option("-o", "--output", required=True, type=click.Path(path_type=Path, file_okay=False), help="Folder.")
+@click.option("--size", type=click.IntRange(8, 1024), default=112, show_default=True, help="Pixels along each side.")
+@options({name: text for name, text in VIEW_OPTIONS.items() if name not in ("width", "height", "shading", "samples")})
+@click.option("--deadline", callback=duration, help="Such as 90s, 10m or 1h: what does not fit is left out.")
+@click.option("--only", multiple=True, metavar="KEY", help="Run this study alone; may be told more than once.")
+@click.option("--json", "as_json", is_flag=True, help="Print the facts as JSON.")
+def report(
+    scene: str, output: Path, size: int, deadline: float | None, only: tuple[str, ...], as_json: bool, **given: Any
+) -> int:
+    """Measure how wrong the light of TARGET is, by cause, against what it costs, and write that as a page.
+
+    What was measured is kept in the folder: the same command goes on where it was stopped.
+    """
+    from server.report.command import Wishes, sentence  # noqa: PLC0415
+    from server.report.command import report as report_view  # noqa: PLC0415
+
+    knobs = {name: value for name, value in given.items() if value is not None}
+    square = {"width": str(size), "height": str(size)}
+    facts = report_view(scene, {**knobs, **square}, settings_from(), Wishes(output, deadline, only))
+    click.echo(json.dumps(facts, allow_nan=False) if as_json else sentence(facts))
+    return 1 if facts["stopped"] else 0
 
 
 @cli.command()
