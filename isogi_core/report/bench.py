@@ -20,7 +20,7 @@ from isogi_core.model.view import View
 from isogi_core.plan.budget import LONGEST_PATH
 from isogi_core.report.bake import ViewBake
 from isogi_core.report.metrics import Score, score
-from isogi_core.report.reference import Reference, trace_reference
+from isogi_core.report.reference import Reference, load_reference, save_reference, trace_reference
 
 MEMORY = 256 << 20
 """Bytes of light that frames of one scene may hold."""
@@ -87,22 +87,27 @@ class Bench:
             best = self.reference(2 * best.samples)
         return best
 
-    def smaller(self, size: int) -> "Bench":
-        """The bench of the same view in a picture of at most ``size`` pixels a side."""
-        shrink = min(size / max(self.view.width, self.view.height), 1.0)
-        width, height = (max(round(shrink * n), 1) for n in (self.view.width, self.view.height))
+    def sized(self, size: int) -> "Bench":
+        """The bench of the same view in a picture whose longer side has ``size`` pixels."""
+        scale = size / max(self.view.width, self.view.height)
+        width, height = (max(round(scale * n), 1) for n in (self.view.width, self.view.height))
         return replace(self, view=replace(self.view, width=width, height=height), _made={})
 
     def reference(self, samples: int, scene: Scene | None = None, bounces: int | None = None) -> Reference:
-        """Paths from the view's pixels, at least so many ``samples``, grown from what there is.
+        """Paths from the view's pixels, at least so many ``samples``, kept in the folder and grown from there.
 
         Of the ``scene`` told, with ``bounces``: by default, where its paths have any, as many as may matter.
         """
-        renderer = self.renderer(longer(scene or self.scene, bounces))
-        key = "reference", renderer.recipe.scene.digest, renderer.recipe.scene.bounces
+        scene = longer(scene or self.scene, bounces)
+        key = "reference", scene.digest, scene.bounces
+        file = self.folder / f"{scene.digest}-{scene.bounces}-{self.view.width}x{self.view.height}.npz"
+        if key not in self._made and file.exists():
+            self._made[key] = load_reference(file, scene, self.view)
         former: Reference | None = self._made.get(key)
         if former is None or former.samples < samples:
-            self._made[key] = trace_reference(renderer, self.view, samples, former, self.cancelled)
+            grown = trace_reference(self.renderer(scene), self.view, samples, former, self.cancelled)
+            save_reference(file, grown, scene, self.view)
+            self._made[key] = grown
         found: Reference = self._made[key]
         return found
 

@@ -4,21 +4,23 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
+from isogi_core.frame.frame import Frame
 from isogi_core.model.scene import Scene
 from isogi_core.report import scores
 from isogi_core.report.bake import ViewBake
 from isogi_core.report.bench import Bench, longer
 from isogi_core.report.metrics import Score
+from isogi_core.report.reference import Reference
 from isogi_core.report.sections import Column, Curve, Plot, Section, Table
 from isogi_core.report.ways import as_irradiance, as_s1
 
-SIZE = 40
-"""Pixels of the longer side of the picture, at most."""
+SIZE = 32
+"""Pixels of the longer side of the picture."""
 
 RUNGS = (16, 64, 256, 1024, 4096, 16384)
 """Samples of a texel, or paths of a pixel, of the points of a curve."""
 
-SECONDS = 45.0
+SECONDS = 25.0
 """Seconds of the processor that the next point of a curve may take, by what the last one took."""
 
 ABOUT = """\
@@ -46,11 +48,11 @@ class Point:
 
 def study(bench: Bench) -> Section:
     """The curves, and their points as a table."""
-    small = bench.smaller(SIZE)
+    small = bench.sized(SIZE)
     found = {name: list(baked(small, scene)) for name, scene in ways(bench.scene).items()}
     found["path tracing from each pixel"] = list(traced(small))
-    rows = tuple((name, p.samples, p.seconds, *scores.cells(p.score)) for name, points in found.items() for p in points)
-    curves = tuple(curve(name, points) for name, points in found.items())
+    rows = tuple((name, p.samples, p.seconds, *scores.cells(p.score)) for name, own in found.items() for p in own)
+    curves = tuple(curve(name, own) for name, own in found.items())
     size = f"{small.view.width} × {small.view.height} pixels"
     plot = Plot(f"Error against run time, {size}", Column("time", "seconds"), Column("error", "share"), curves)
     table = Table(f"Points of the curves, {size}", COLUMNS, rows)
@@ -68,36 +70,42 @@ def ways(scene: Scene) -> dict[str, Scene]:
     return found
 
 
-def curve(name: str, points: list[Point]) -> Curve:
-    """The points as a curve of the plot."""
-    return Curve(name, tuple(p.seconds for p in points), tuple(p.score.rmse for p in points))
+def curve(name: str, own: list[Point]) -> Curve:
+    """A way's ``own`` points as a curve of the plot."""
+    return Curve(name, tuple(p.seconds for p in own), tuple(p.score.rmse for p in own))
 
 
 def baked(bench: Bench, scene: Scene) -> Iterator[Point]:
     """The points of light that is baked by a scene's plan."""
     bake, best = ViewBake(bench.renderer(scene), bench.view), bench.grown(0.0)
-    for samples in affordable(bench, lambda: bake.seconds):
+
+    def frame(samples: int) -> tuple[Frame, float]:
         bake.grow(samples, cancelled=bench.cancelled)
-        yield Point(samples, bake.seconds, bench.score(bake.frame().radiance, best))
+        return bake.frame(), bake.seconds
+
+    return points(bench, best, frame)
 
 
 def traced(bench: Bench) -> Iterator[Point]:
     """The points of paths from each pixel, each picture traced anew; with as many bounces as may matter."""
-    renderer, spent = bench.renderer(longer(bench.scene)), 0.0
-    view, best = replace(bench.view, shading="path_traced"), bench.grown(0.0)
+    renderer, best = bench.renderer(longer(bench.scene)), bench.grown(0.0)
+    view = replace(bench.view, shading="path_traced")
     renderer.render(replace(view, samples=1))
-    for samples in affordable(bench, lambda: spent):
+
+    def frame(samples: int) -> tuple[Frame, float]:
         begun = time.process_time()
         frame = renderer.render(replace(view, samples=samples), cancelled=bench.cancelled)
-        spent = time.process_time() - begun
-        yield Point(samples, spent, bench.score(frame.radiance, best))
+        return frame, time.process_time() - begun
+
+    return points(bench, best, frame)
 
 
-def affordable(bench: Bench, spent: Callable[[], float]) -> Iterator[int]:
-    """RUNGS, until the next would take too long; ``spent`` tells the seconds that the curve's last point took."""
+def points(bench: Bench, best: Reference, frame: Callable[[int], tuple[Frame, float]]) -> Iterator[Point]:
+    """The points of ``frame``, which tells its seconds too, over RUNGS, until the next would take too long."""
     rate = 0.0
     for samples in RUNGS:
         if rate * samples > min(SECONDS, bench.left):
             return
-        yield samples
-        rate = spent() / samples
+        picture, seconds = frame(samples)
+        rate = seconds / samples
+        yield Point(samples, seconds, bench.score(picture.radiance, best))

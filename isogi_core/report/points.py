@@ -83,8 +83,8 @@ def place_of(pixels: np.ndarray, points: np.ndarray, normals: np.ndarray, isoval
     """Points (m, 3) of a picture's ``pixels`` as a bake takes texels."""
     numbers = np.full((len(pixels), 3), OUTSIDE, np.int32)
     numbers[:, 2] = pixels
-    columns = (np.ascontiguousarray(each.T, np.float64) for each in (points, normals))
-    return numbers, *columns, np.full(len(pixels), isovalue)
+    here, facing = (np.ascontiguousarray(each.T, np.float64) for each in (points, normals))
+    return numbers, here, facing, np.full(len(pixels), isovalue)
 
 
 def light_of_halves(look: Look, place: Place, reflected: np.ndarray, samples: int) -> np.ndarray:

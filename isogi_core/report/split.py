@@ -2,10 +2,11 @@
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from isogi_core.model.scene import Scene
 from isogi_core.report.bench import Bench
 from isogi_core.report.converged import converged
 from isogi_core.report.metrics import Spread, mean_of, spread_of
@@ -17,7 +18,8 @@ COLUMNS = (Column("part"), Column("relative RMSE", "share"), Column("bias", "sha
 ABOUT = """\
 Each part is the difference that remains when one ingredient of the frame gives way to its exact counterpart, one \
 after the other, so that biases add up to the total's. Noise that is known of either side is taken off. The parts' \
-root sum of squares equals the total where they are independent."""
+root sum of squares equals the total where they are independent. Normals and offset are the scene's own choice, and so \
+the reference's too: what they change is told apart."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,10 +36,15 @@ class Part:
 
 @dataclass(frozen=True, eq=False)
 class Split:
-    """The ``parts`` of a frame's error, and the whole of it; ``mean`` is the luminance that they are relative to."""
+    """The ``parts`` of a frame's error, and the ``whole`` of it; ``mean`` is the luminance that they are relative to.
+
+    ``surface`` is what the scene's normals and offset make of it, and ``beyond`` the whole with that.
+    """
 
     parts: tuple[Part, ...]
     whole: Part
+    surface: Part
+    beyond: Part
     mean: float
 
     def spread(self, part: Part) -> Spread:
@@ -53,12 +60,18 @@ class Split:
 def study(bench: Bench) -> Section:
     """The frame's error and its parts, as a table and as maps."""
     split = split_error(bench)
-    rows = [row_of(part, split) for part in (*split.parts, split.whole)]
-    rows.insert(-1, ("parts together", split.together, sum(split.spread(p).bias for p in split.parts), "root of sum"))
+    bias = sum(split.spread(part).bias for part in split.parts)
     told = bench.planned.frame().estimated_error
-    rows.append(("the frame's own estimate", told, None, "of Monte Carlo noise alone, told by the texels"))
-    pictures = tuple(map_of(part, split, bench) for part in (*split.parts, split.whole))
-    table = Table("Error of the plan's frame and its parts", COLUMNS, tuple(rows))
+    rows = (
+        *(row_of(part, split) for part in split.parts),
+        ("parts together", split.together, bias, "root sum of squares, sum of biases"),
+        row_of(split.whole, split),
+        ("the frame's own estimate", told, None, "Monte Carlo noise alone, told by the texels"),
+        row_of(split.surface, split),
+        row_of(split.beyond, split),
+    )
+    pictures = tuple(map_of(part, split, bench) for part in (*split.parts, split.whole, split.surface))
+    table = Table("Error of the plan's frame and its parts", COLUMNS, rows)
     return Section("split", "Where the error comes from", f"{ABOUT} {missing(bench)}".strip(), (table,), (), pictures)
 
 
@@ -67,7 +80,16 @@ def split_error(bench: Bench) -> Split:
     best = lit_by_paths(bench.best)
     planned = lit_by_frame(bench.planned.frame())
     whole = Part("total, measured", "the frame and the reference", planned.light - best.light, best.noise)
-    return Split(tuple(parts_of(bench, planned, best)), whole, mean_of(best.light))
+    true = lit_by_paths(bench.reference(bench.best.samples, true_surface(bench.scene)))
+    what = "the scene's normals and offset, and plain gradients with rays from the surface itself"
+    surface = Part("normals and offset", what, best.light - true.light, best.noise + true.noise)
+    beyond = Part("total with these", "the frame and such a reference", planned.light - true.light, true.noise)
+    return Split(tuple(parts_of(bench, planned, best)), whole, surface, beyond, mean_of(best.light))
+
+
+def true_surface(scene: Scene) -> Scene:
+    """The scene with the normals that its trilinear isosurface has, and rays that start on it."""
+    return replace(scene, normals="gradient", offset=0.0)
 
 
 def parts_of(bench: Bench, planned: Lit, best: Lit) -> Iterator[Part]:
