@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib.util
 import math
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,8 +19,8 @@ from server.settings import Settings
 from server.views import view_of
 
 if TYPE_CHECKING:
+    from isogi_core.report.sections import Section
     from isogi_core.report.studies import Study
-
     from server.report.measuring import Measured
     from server.report.report import Report
 
@@ -98,14 +98,14 @@ def notes(measured: Measured, deadline: float | None) -> Iterator[str]:
 
 
 def outcome(page: Path, drawn: Report, measured: Measured) -> dict[str, Any]:
-    """What the command tells of a report, as a document."""
-    sections = {entry.section.key: entry.seconds for entry in drawn.entries}
+    """What the command tells of a report, as a document; seconds of the processor, by section."""
     return {
         "page": str(page),
         "data": str(page.with_name("report.json")),
         "scene": drawn.scene.name,
         "isovalue": drawn.view.isovalue,
-        "sections": sections,
+        "headline": headline(entry.section for entry in drawn.entries),
+        "sections": {entry.section.key: entry.seconds for entry in drawn.entries},
         "found": measured.found,
         "missing": [study.key for study in (*measured.late, *measured.unasked)],
         "stopped": measured.stopped,
@@ -113,7 +113,16 @@ def outcome(page: Path, drawn: Report, measured: Measured) -> dict[str, Any]:
     }
 
 
+def headline(sections: Iterable[Section]) -> dict[str, Any]:
+    """The score of the scene's frame, by its columns' names: what the summary's first table says."""
+    tables = [table for section in sections if section.key == "summary" for table in section.tables[:1]]
+    cells = {column.name: cell for table in tables for column, cell in zip(table.columns, table.rows[0], strict=True)}
+    return {name: float(cell) for name, cell in cells.items() if isinstance(cell, int | float)}
+
+
 def sentence(facts: Mapping[str, Any]) -> str:
     """What the command tells of a report, for a person."""
-    kept = f", {facts['found']} of them measured before" if facts["found"] else ""
-    return " ".join([f"{facts['page']}: {len(facts['sections'])} sections{kept}.", *facts["notes"]])
+    score = ", ".join(f"{name} {cell:.3g}" for name, cell in facts["headline"].items())
+    before = f", {facts['found']} of them measured before" if facts["found"] else ""
+    said = f"{facts['page']}: {len(facts['sections'])} sections{before}."
+    return " ".join([said, *([f"The frame's {score}."] if score else []), *facts["notes"]])

@@ -3,7 +3,7 @@
 import signal
 import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 
@@ -41,18 +41,26 @@ def measure(studies: Sequence[Study], wanted: Sequence[Study], bench: Bench, jou
     done = {study.key: entry for study in studies if (entry := journal.find(study.key)) is not None}
     found, stop, bar = len(done), threading.Event(), progress_of(wanted, done, bench.left)
     with interruptible(bench, stop), limited(bench), ticking(bar):
-        for study in (each for each in wanted if each.key not in done):
-            bar.begin(study.title)
-            entry = run(study, bench)
-            if entry is not None:
-                done[study.key] = entry
-                bar.finish(study.weight)
-                if bench.left > 0.0:
-                    journal.keep(study.key, entry)
+        for study, entry in worked([each for each in wanted if each.key not in done], bench, bar):
+            done[study.key] = entry
+            if bench.left > 0.0:
+                journal.keep(study.key, entry)
     missing = [study for study in studies if study.key not in done]
     late, unasked = (tuple(each for each in missing if (each in wanted) is asked) for asked in (True, False))
     ordered = tuple(done[study.key] for study in studies if study.key in done)
     return Measured(ordered, late, unasked, found, stop.is_set())
+
+
+def worked(studies: Iterable[Study], bench: Bench, bar: Progress) -> Iterator[tuple[Study, Entry]]:
+    """The studies one after another, with what they found, until there is no time left or they are cancelled."""
+    for study in studies:
+        if bench.left <= 0.0 or bench.cancelled.is_set():
+            return
+        bar.begin(study.title)
+        entry = run(study, bench)
+        if entry is not None:
+            bar.finish(study.weight)
+            yield study, entry
 
 
 def progress_of(wanted: Sequence[Study], done: Mapping[str, Entry], limit: float) -> Progress:
@@ -62,9 +70,7 @@ def progress_of(wanted: Sequence[Study], done: Mapping[str, Entry], limit: float
 
 
 def run(study: Study, bench: Bench) -> Entry | None:
-    """The study's section and what it took; None where there was no time for it, or nobody waits any more."""
-    if bench.left <= 0.0 or bench.cancelled.is_set():
-        return None
+    """The study's section and what it took; None where it was cancelled."""
     begun = time.process_time()
     try:
         return Entry(study.run(bench), time.process_time() - begun)

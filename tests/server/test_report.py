@@ -200,6 +200,14 @@ def test_a_missing_library_is_told_before_any_work(
     assert not any(tmp_path.iterdir())
 
 
+def test_the_headline_is_the_summarys_first_row() -> None:
+    table = sections()[0].tables[0]
+    assert command.headline([replace(sections()[0], key="summary")]) == {
+        column.name: cell for column, cell in list(zip(table.columns, table.rows[0], strict=True))[1:]
+    }
+    assert command.headline(sections()) == {}
+
+
 def test_the_journal_keeps_sections_whole(small_scene: Path, tmp_path: Path) -> None:
     scene = load_scene(small_scene)
     subject = subject_of(scene, view_of(scene, 16))
