@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from isogi_core.model.scene import Scene, load_scene
 from isogi_core.model.view import View
-from server.errors import LibraryError, ReportError
+from server.errors import LibraryError, ParameterError
 from server.params import FrameParams, read
 from server.report.durations import span
 from server.settings import Settings
@@ -40,8 +40,8 @@ class Wishes:
 def report(target: str, knobs: Mapping[str, str], settings: Settings, wishes: Wishes) -> dict[str, Any]:
     """Measure the view of ``target`` that ``knobs`` name, write its page, and tell where that is and what it says.
 
-    Raises SceneError, VolumeError, LightError, ViewError, ReportError and LibraryError before anything is
-    measured; StoreError and OSError later.
+    Raises SceneError, VolumeError, LightError, ViewError, ReportError (the folder holds something else) and
+    LibraryError before anything is measured; StoreError and OSError later.
     """
     begun = time.monotonic()
     require_libraries()
@@ -71,18 +71,18 @@ def report_of(scene: Scene, view: View, exposure: float, wishes: Wishes, begun: 
     wanted = choose(STUDIES, wishes.only)
     journal = Journal(wishes.folder, subject_of(scene, view))
     deadline = math.inf if wishes.deadline is None else begun + wishes.deadline
-    bench = Bench(scene, view, wishes.folder / "work", deadline=deadline)
+    bench = Bench(scene, view, journal.workshop(), deadline=deadline)
     measured = measure(STUDIES, wanted, bench, journal)
     drawn = Report(scene, view, exposure, measured.done, tuple(notes(measured, wishes.deadline)))
     return outcome(write_report(wishes.folder, drawn), drawn, measured)
 
 
 def choose(studies: Sequence[Study], only: Sequence[str]) -> tuple[Study, ...]:
-    """The studies of these keys, all of them where none is told; ReportError on a key that there is not."""
+    """The studies of these keys, all of them where none is told; ParameterError on a key that there is not."""
     known = {study.key for study in studies}
     for key in only:
         if key not in known:
-            raise ReportError(f"There is no study '{key}': choose from {', '.join(study.key for study in studies)}.")
+            raise ParameterError(f"There is no study '{key}': choose from {', '.join(each.key for each in studies)}.")
     return tuple(study for study in studies if not only or study.key in only)
 
 
