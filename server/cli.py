@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from isogi_core.errors import IsogiError, LightError, SceneError, ViewError, VolumeError
-from server.errors import ReportError
 
 if TYPE_CHECKING:
     from server.settings import Settings
 
-BAD_INPUT = (SceneError, VolumeError, LightError, ViewError, ReportError)
+BAD_INPUT = (SceneError, VolumeError, LightError, ViewError)
 VIEW_OPTIONS = {
     "isovalue": "In the volume's own units; default: the scene's.",
     "azimuth": "Degrees; 0 looks from +x, 90 from +y.",

@@ -27,9 +27,5 @@ class StartingError(IsogiError):
     """The renderer is not up yet."""
 
 
-class ReportError(IsogiError):
-    """A report is asked for in a folder that holds something else, or of a study that there is not."""
-
-
 class LibraryError(IsogiError):
     """A library that a command needs is not installed."""

@@ -1,5 +1,6 @@
 """Cells of tables as text: each column in one unit, told in its head, with as many digits as its numbers are worth."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -51,11 +52,16 @@ def scale_of(unit: str, largest: float) -> tuple[str, float]:
 
 
 def writer(unit: str, numbers: Sequence[float]) -> Callable[[float], str]:
-    """What writes the ``numbers`` of a column: percents with the decimals that the smallest needs, 2 at most."""
+    """What writes the ``numbers`` of a column: percents with the decimals that the smallest needs, 2 at most.
+
+    Others have three digits each, or, below 1, the decimals that give the largest three.
+    """
     if unit == "share":
         return partial(decimal, decimals=2 if any(0.0 < abs(number) < 1.0 for number in numbers) else 1)
-    whole = all(number == round(number) for number in numbers)
-    return partial(decimal, decimals=0) if unit == "count" or whole else digits
+    largest = max(map(abs, numbers), default=0.0)
+    if unit == "count" or all(number == round(number) for number in numbers):
+        return partial(decimal, decimals=0)
+    return partial(decimal, decimals=2 - math.floor(math.log10(largest))) if 1e-4 < largest < 1.0 else digits
 
 
 def decimal(number: float, decimals: int) -> str:

@@ -7,6 +7,7 @@ pixels of its pictures beside it. What other code has measured does not count as
 import hashlib
 import io
 import json
+import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,15 +16,18 @@ from typing import Any
 import numpy as np
 
 import isogi_core
+from isogi_core.errors import ReportError
 from isogi_core.model.scene import Scene
 from isogi_core.model.view import View
 from isogi_core.report.sections import Section
-from server.errors import ReportError
 from server.render import write
 from server.report.documents import document_of, section_of
 
 FOLDER = "journal"
 SUBJECT = "report.json"
+
+WORK = "work"
+"""Beside the journal: light and references that studies share."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +52,14 @@ class Journal:
             raise ReportError(f"{folder} is there and holds no report: choose a new or an empty folder.")
         self.folder.mkdir(parents=True)
         write(path, json.dumps(subject, indent=2).encode())
+
+    def workshop(self) -> Path:
+        """A folder for the light and the references of this code, which goes on with them; that of other code goes."""
+        work = self.folder.with_name(WORK)
+        for other in work.glob("*"):
+            if other.name != self.code:
+                shutil.rmtree(other)
+        return work / self.code
 
     def find(self, key: str) -> Entry | None:
         """The section of this key, if this code has measured it."""

@@ -3,19 +3,16 @@
 import signal
 import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
 
 from isogi_core.report.studies import Study
-from tqdm import tqdm
 
 from isogi_core.errors import Cancelled
 from isogi_core.report.bench import Bench
 from server.report.journal import Entry, Journal
-
-BAR = "{desc}: {percentage:3.0f} %|{bar}| {elapsed}, {remaining} left"
+from server.report.progress import Progress, ticking
 
 GRACE = 0.1
 """What a study may take beyond its deadline, of the time that all of them had, before it is cancelled."""
@@ -42,26 +39,38 @@ def measure(studies: Sequence[Study], wanted: Sequence[Study], bench: Bench, jou
     A study that ends after the deadline is shown, but not kept: it may have left something out.
     """
     done = {study.key: entry for study in studies if (entry := journal.find(study.key)) is not None}
-    found, stop = len(done), threading.Event()
-    with interruptible(bench, stop), limited(bench), progress(wanted, done) as bar:
-        for study in (each for each in wanted if each.key not in done):
-            bar.set_description(study.title)
-            entry = run(study, bench)
-            if entry is not None:
-                done[study.key] = entry
-                bar.update(study.weight)
-                if bench.left > 0.0:
-                    journal.keep(study.key, entry)
+    found, stop, bar = len(done), threading.Event(), progress_of(wanted, done, bench.left)
+    with interruptible(bench, stop), limited(bench), ticking(bar):
+        for study, entry in worked([each for each in wanted if each.key not in done], bench, bar):
+            done[study.key] = entry
+            if bench.left > 0.0:
+                journal.keep(study.key, entry)
     missing = [study for study in studies if study.key not in done]
     late, unasked = (tuple(each for each in missing if (each in wanted) is asked) for asked in (True, False))
     ordered = tuple(done[study.key] for study in studies if study.key in done)
     return Measured(ordered, late, unasked, found, stop.is_set())
 
 
+def worked(studies: Iterable[Study], bench: Bench, bar: Progress) -> Iterator[tuple[Study, Entry]]:
+    """The studies one after another, with what they found, until there is no time left or they are cancelled."""
+    for study in studies:
+        if bench.left <= 0.0 or bench.cancelled.is_set():
+            return
+        bar.begin(study.title)
+        entry = run(study, bench)
+        if entry is not None:
+            bar.finish(study.weight)
+            yield study, entry
+
+
+def progress_of(wanted: Sequence[Study], done: Mapping[str, Entry], limit: float) -> Progress:
+    """The bar of the ``wanted`` studies; ``limit`` is the seconds that they have."""
+    total, before = (sum(each.weight for each in wanted if each.key in done or some) for some in (True, False))
+    return Progress(total, before, limit)
+
+
 def run(study: Study, bench: Bench) -> Entry | None:
-    """The study's section and what it took; None where there was no time for it, or nobody waits any more."""
-    if bench.left <= 0.0 or bench.cancelled.is_set():
-        return None
+    """The study's section and what it took; None where it was cancelled."""
     begun = time.process_time()
     try:
         return Entry(study.run(bench), time.process_time() - begun)
@@ -102,29 +111,3 @@ def limited(bench: Bench) -> Iterator[None]:
         yield
     finally:
         timer.cancel()
-
-
-@contextmanager
-def progress(studies: Sequence[Study], done: Mapping[str, Entry]) -> Iterator[Any]:
-    """A bar over the studies' weights, with the time left; what was found does not count as speed."""
-    total, before = sum(study.weight for study in studies), sum(each.weight for each in studies if each.key in done)
-    with tqdm(desc="report", total=total, initial=before, bar_format=BAR, mininterval=0.0) as bar, ticking(bar):
-        yield bar
-
-
-@contextmanager
-def ticking(bar: Any) -> Iterator[None]:
-    """Have the bar's clock go while a study is at work."""
-    ended = threading.Event()
-
-    def tick() -> None:
-        while not ended.wait(1.0):
-            bar.refresh()
-
-    thread = threading.Thread(target=tick, daemon=True)
-    thread.start()
-    try:
-        yield
-    finally:
-        ended.set()
-        thread.join()

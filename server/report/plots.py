@@ -4,6 +4,7 @@ import io
 import math
 import re
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import escape
@@ -81,6 +82,7 @@ def dashes_of(i: int) -> tuple[float, ...]:
     return DASHES[i % len(DASHES)]
 
 
+@lru_cache(64)
 def draw(plot: Plot) -> str:
     """The plot as an ``svg`` element for a page that gives the names their colours; the same bytes each time."""
     with mpl.rc_context({**STYLE, "svg.hashsalt": plot.caption}):

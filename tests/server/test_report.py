@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from isogi_core.report.studies import STUDIES, Study
 
+from isogi_core.errors import ReportError
 from isogi_core.model.scene import load_scene
 from isogi_core.report.bench import Bench
 from isogi_core.report.sections import Section
 from server.cli import run
-from server.errors import ReportError
 from server.measure import view_of
 from server.report import command
 from server.report.journal import Entry, Journal, subject_of
@@ -37,7 +37,8 @@ def ran(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
         return Study(section.key, section.title, work, 1.0)
 
-    monkeypatch.setattr("isogi_core.report.studies.STUDIES", tuple(map(study, sections())))
+    plotless = (replace(section, plots=()) for section in sections())
+    monkeypatch.setattr("isogi_core.report.studies.STUDIES", tuple(map(study, plotless)))
     return keys
 
 
@@ -173,9 +174,9 @@ def test_a_folder_of_another_report_is_refused(
 ) -> None:
     assert report(small_scene, tmp_path / "a") == 0
     capsys.readouterr()
-    assert report(small_scene, tmp_path / "a", "--isovalue", 0.6) == 2
+    assert report(small_scene, tmp_path / "a", "--isovalue", 0.6) == 1
     assert "a report of small at 0.5, which is another view (by its isovalue)" in capsys.readouterr().err
-    assert report(Path("demo:orbital"), tmp_path / "a") == 2
+    assert report(Path("demo:orbital"), tmp_path / "a") == 1
     assert "which is another scene: choose another folder" in capsys.readouterr().err
     assert ran == ["split", "none"]
 
@@ -184,7 +185,7 @@ def test_a_folder_of_something_else_is_refused(
     capsys: pytest.CaptureFixture[str], ran: list[str], small_scene: Path, tmp_path: Path
 ) -> None:
     (tmp_path / "index.html").write_text("mine")
-    assert report(small_scene, tmp_path) == 2
+    assert report(small_scene, tmp_path) == 1
     assert "holds no report: choose a new or an empty folder" in capsys.readouterr().err
     assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [("index.html", "mine")]
     assert ran == []
@@ -199,6 +200,14 @@ def test_a_missing_library_is_told_before_any_work(
     assert not any(tmp_path.iterdir())
 
 
+def test_the_headline_is_the_summarys_first_row() -> None:
+    table = sections()[0].tables[0]
+    assert command.headline([replace(sections()[0], key="summary")]) == {
+        column.name: cell for column, cell in list(zip(table.columns, table.rows[0], strict=True))[1:]
+    }
+    assert command.headline(sections()) == {}
+
+
 def test_the_journal_keeps_sections_whole(small_scene: Path, tmp_path: Path) -> None:
     scene = load_scene(small_scene)
     subject = subject_of(scene, view_of(scene, 16))
@@ -211,6 +220,9 @@ def test_the_journal_keeps_sections_whole(small_scene: Path, tmp_path: Path) -> 
     for picture, kept in zip(section.pictures, found.section.pictures, strict=True):
         assert (picture.caption, picture.kind) == (kept.caption, kept.kind)
         assert np.array_equal(picture.pixels, kept.pixels, equal_nan=True)
+    (again.workshop() / "light").mkdir(parents=True)
+    again.code = "other"
+    assert not again.workshop().exists() and list(again.workshop().parent.iterdir()) == []
     with pytest.raises(ReportError, match=r"view \(by its size\)"):
         Journal(tmp_path / "a", {**subject, "size": [1, 1]})
 
