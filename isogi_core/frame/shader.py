@@ -150,11 +150,11 @@ class Shader:
 
     def _light_texels(self, rows: np.ndarray, pool: PagePool) -> np.ndarray:
         """Linear RGB and standard error of each texel's light, (texels, 4); undefined where there is no light."""
-        light = np.ascontiguousarray(self.turned.reflected, np.float32)
+        light, square = (np.ascontiguousarray(a, np.float32) for a in (self.turned.reflected, self.turned.square))
         lit = np.empty((len(rows), 4), np.float32)
 
         def _piece(a: int, b: int) -> None:
-            light_texels(rows[a:b], pool.transfer, pool.noise, light, lit[a:b])
+            light_texels(rows[a:b], pool.transfer, pool.noise, light, square, lit[a:b])
 
         self._run(_piece, len(rows), self.tiles.even(len(rows)))
         return lit
