@@ -15,8 +15,8 @@ KEPT = 50
 APART = 0.5
 """Seconds between two predictions of one subject that are judged later."""
 
-JUDGED = 0.5
-"""Share of the predicted work that is done when a prediction is judged."""
+JUDGED = 0.25
+"""Share of the predicted work that is done when a prediction is judged; it is too once it is long overdue."""
 
 
 @dataclass(frozen=True)
@@ -59,8 +59,9 @@ class Outlook:
         return TimeLeft(low * work, statistics.median(self._outcomes) * work, high * work)
 
     def _judge(self, work: float, now: float) -> None:
-        """Note how long predictions took per second of their work, of which JUDGED at least is done."""
-        done = [each for each in self._open if work <= (1.0 - JUDGED) * each.work and now > each.made]
-        for each in done:
-            self._outcomes.append((now - each.made) / (each.work - work))
-            self._open.remove(each)
+        """Note how long predictions took per second of their work, of which JUDGED is taken to be done at least."""
+        for each in tuple(self._open):
+            elapsed, done = now - each.made, each.work - work
+            if elapsed > 0.0 and (done >= JUDGED * each.work or elapsed >= PRIOR[-1] * each.work):
+                self._outcomes.append(elapsed / max(done, JUDGED * each.work))
+                self._open.remove(each)

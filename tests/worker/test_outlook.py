@@ -46,7 +46,7 @@ def test_predictions_are_corrected_by_what_came_of_earlier_ones(outlook: Outlook
     first = watch(outlook, clock, "view", 40, 3.0)
     assert first[0].likely == 40.0
     assert first[-2].likely == pytest.approx(3.0)
-    assert 25.0 < outlook.tell("another", 10.0).low
+    assert outlook.tell("another", 10.0).low > 25.0
     for _ in range(2):
         watch(outlook, clock, "view", KEPT, 3.0)
     sure = outlook.tell("another", 10.0)
@@ -68,3 +68,10 @@ def test_a_view_that_was_left_is_not_judged(outlook: Outlook, clock: Clock) -> N
     clock.now += 1000.0
     outlook.tell("view", 1.0)
     assert outlook.tell("view", 10.0) == before
+
+
+def test_what_is_overdue_is_judged_before_it_is_done(outlook: Outlook, clock: Clock) -> None:
+    before = outlook.tell("view", 10.0)
+    clock.now += max(PRIOR) * 10.0
+    after = outlook.tell("view", 10.0)
+    assert after.likely > before.likely and after.high > 2.0 * before.high
