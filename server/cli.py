@@ -153,7 +153,8 @@ def render(
     knobs = {name: value for name, value in {**given, "max_error": target_error}.items() if value is not None}
     facts = render_view(scene, output, knobs, settings, seconds)
     state = "provisional" if facts["provisional"] else "final"
-    line = f"{output}: {facts['width']} × {facts['height']}, {state}, estimated error {facts['error']:.4f}"
+    quality = f"estimated error {facts['error']:.4f}, {facts['final']:.1%} of the surface at {facts['target_error']:g}"
+    line = f"{output}: {facts['width']} × {facts['height']}, {state}, {quality}"
     click.echo(json.dumps(facts, allow_nan=False) if as_json else line)
 
 
@@ -214,6 +215,36 @@ def report(
     facts = report_view(scene, {**knobs, **square}, settings_from(), Wishes(output, deadline, only))
     click.echo(json.dumps(facts, allow_nan=False) if as_json else sentence(facts))
     return 1 if facts["stopped"] else 0
+
+
+@cli.command()
+@click.argument("scene", metavar="TARGET")
+@click.option("--isovalue", "isovalues", multiple=True, help="One, or first:last:step; may be repeated.")
+@click.option("--views", type=click.IntRange(1, 10_000), default=12, show_default=True, help="Directions of each.")
+@options({name: VIEW_OPTIONS[name] for name in ("distance", "fov", "width", "height")})
+@click.option("--target-error", callback=number(0.0001, 1), help="Relative error at which a pixel is final.")
+@click.option("--time", "seconds", callback=number(0, 1e6), help="Stop baking after so many seconds.")
+@options(WORK_OPTIONS)
+@click.option("--dry-run", is_flag=True, help="Tell what there is to be baked, and bake nothing.")
+@click.option("--json", "as_json", is_flag=True, help="Print the facts as JSON.")
+def prewarm(
+    scene: str,
+    isovalues: tuple[str, ...],
+    views: int,
+    target_error: float | None,
+    seconds: float | None,
+    dry_run: bool,
+    as_json: bool,
+    **given: Any,
+) -> None:
+    """Bake what views of TARGET from all sides need, so that they are final at once later."""
+    settings = settings_from(**{name: given.pop(name) for name in WORK_OPTIONS})
+    from server.prewarm import prewarm as prewarm_views  # noqa: PLC0415
+    from server.prewarm import sentence  # noqa: PLC0415
+
+    knobs = {name: value for name, value in {**given, "max_error": target_error}.items() if value is not None}
+    facts = prewarm_views(scene, isovalues, views, knobs, settings, seconds, dry_run)
+    click.echo(json.dumps(facts, allow_nan=False) if as_json else sentence(facts))
 
 
 @cli.command()

@@ -3,7 +3,7 @@
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -146,7 +146,8 @@ class Shader:
         with self.watch.stage("shade"):
             self._carry(texels, reading, lit)
         needed, short = len(texels.chunks), int(reading.short.sum())
-        return Shaded(self.planes, needed, needed - short, lambda: reading.demands(texels), reading.version)
+        lacks = partial(reading.demands, texels, self.planes)
+        return Shaded(self.planes, needed, needed - short, lacks, reading.version)
 
     def _light_texels(self, rows: np.ndarray, pool: PagePool) -> np.ndarray:
         """Linear RGB and standard error of each texel's light, (texels, 4); undefined where there is no light."""
