@@ -60,9 +60,8 @@ def require_libraries() -> None:
 
 def report_of(scene: Scene, view: View, exposure: float, wishes: Wishes, begun: float) -> dict[str, Any]:
     """The report of a view; ``begun``, a time of ``time.monotonic``, is when its time began."""
-    from isogi_core.report.studies import STUDIES  # noqa: PLC0415
-
     from isogi_core.report.bench import Bench  # noqa: PLC0415 (kernels: bad input is told before they are compiled)
+    from isogi_core.report.studies import STUDIES  # noqa: PLC0415
     from server.report.bundle import write_report  # noqa: PLC0415
     from server.report.journal import Journal, subject_of  # noqa: PLC0415
     from server.report.measuring import measure  # noqa: PLC0415

@@ -7,10 +7,9 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 
-from isogi_core.report.studies import Study
-
 from isogi_core.errors import Cancelled
 from isogi_core.report.bench import Bench
+from isogi_core.report.studies import Study
 from server.report.journal import Entry, Journal
 from server.report.progress import Progress, ticking
 

@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from isogi_core.report.studies import STUDIES, Study
 
 from isogi_core.errors import ReportError
 from isogi_core.model.scene import load_scene
 from isogi_core.report.bench import Bench
 from isogi_core.report.sections import Section
+from isogi_core.report.studies import STUDIES, Study
 from server.cli import run
 from server.measure import view_of
 from server.report import command
