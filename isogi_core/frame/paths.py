@@ -16,6 +16,9 @@ from isogi_core.model.sky import LUMINANCE
 PATH_POINTS = 256
 """Surface points of a tile when each of them sends paths."""
 
+NEAR = np.array([1.0, 4.0, 6.0, 4.0, 1.0])
+"""What neighbours count along an axis, where variances are pooled."""
+
 
 @dataclass(frozen=True, eq=False)
 class Paths:
@@ -69,21 +72,26 @@ def variance_of_mean(means: np.ndarray) -> np.ndarray:
 
 
 def replicas_for(samples: int) -> int:
-    """How many replicas a frame of ``samples`` paths per pixel is made of."""
-    return 4 if samples >= 8 else 2
+    """How many replicas a frame of ``samples`` paths per pixel is made of.
+
+    More of them tell the error better, and make it larger, since each is a shorter sequence: at 256 paths eight have
+    1.1 times the error of four (engine under uffizi and grace, CT head under noon_grass).
+    """
+    return 2 if samples < 8 else 4 if samples < 256 else 8
 
 
 def pool(variance: np.ndarray, gbuffer: GBuffer) -> np.ndarray:
-    """Variances (m,) of the surface pixels, each a mean with its neighbours', by the weights 1, 2, 1 both ways.
+    """Variances (m,) of the surface pixels, each a mean with its neighbours', by the weights NEAR both ways.
 
-    A few replicas say too little of one pixel alone: with four, 1.96 standard deviations would hold 86 % of
-    Gaussian errors, with these about 93 %.
+    A few replicas say too little of one pixel alone: of four, 1.96 standard deviations would hold 86 % of Gaussian
+    errors, and none where all replicas met the same by chance. With these they held 91 to 96 % of the pixels
+    of frames of 8 to 256 paths (engine under uffizi and grace, CT head under noon_grass, MNI under constant light).
     """
     both = np.zeros((2, *gbuffer.shape))
     both.reshape(2, -1)[:, gbuffer.pixels] = variance, np.ones_like(variance)
     for axis in (1, 2):
-        padded = np.pad(both, [(0, 0) if a != axis else (1, 1) for a in range(3)])
-        before, here, after = (np.take(padded, np.arange(i, i + both.shape[axis]), axis) for i in range(3))
-        both = before + 2.0 * here + after
+        padded = np.pad(both, [(2 * int(a == axis),) * 2 for a in range(3)])
+        windows = np.lib.stride_tricks.sliding_window_view(padded, len(NEAR), axis)
+        both = windows @ NEAR
     total, weight = both.reshape(2, -1)[:, gbuffer.pixels]
     return np.asarray(total / weight)

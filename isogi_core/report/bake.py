@@ -79,8 +79,9 @@ class ViewBake(Bake):
 
     def _chunks(self, light: Light) -> Iterator[Chunk]:
         """The texels and their light, chunk by chunk."""
-        for demand, (a, b) in zip(self.shown.demands, pairwise(self.shown.bounds.tolist()), strict=True):
-            yield Chunk(demand.index, demand.offsets, light.rows(np.arange(a, b)))
+        shown = self.shown
+        for index, offsets, (a, b) in zip(shown.chunks, shown.offsets, pairwise(shown.bounds.tolist()), strict=True):
+            yield Chunk(index, offsets, light.rows(np.arange(a, b)))
 
 
 def texels_of(shown: ViewTexels) -> np.ndarray:

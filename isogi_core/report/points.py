@@ -91,7 +91,7 @@ def light_of_halves(look: Look, place: Place, reflected: np.ndarray, samples: in
     """Linear RGB (m, 2, 3) of each half of ``samples`` paths, under the turned light ``reflected`` (3, n²)."""
     layers, void = look.plan.layers, np.zeros(len(place[3]), np.bool_)
     halves = np.zeros((len(void), 2, 3))
-    for layer, sums in zip(layers, sample_transfer(layers, place, void, look, 0, samples), strict=True):
+    for layer, (sums, _) in zip(layers, sample_transfer(layers, place, void, look, 0, samples), strict=True):
         n = min(layer.order**2, reflected.shape[1])
         colours = np.broadcast_to(sums, (*sums.shape[:2], 3, sums.shape[3]))
         halves += np.einsum("mhcn,cn->mhc", colours[..., :n], reflected[:, :n]) / (samples // 2)
