@@ -28,7 +28,7 @@ MEMORY = 256 << 20
 FIRST, MOST = 64, 16384
 """Paths from each pixel of the shortest reference, and of the longest."""
 
-FINE = 0.2
+FINE = 0.1
 """What a reference's noise may be of the error that it is to tell."""
 
 SHARE = 0.2
@@ -76,7 +76,7 @@ class Bench:
 
     @cached_property
     def best(self) -> Reference:
-        """The view's reference, grown until its noise is a fifth of the plan's error, or time is short."""
+        """The view's reference, grown until its noise is a tenth of the plan's error, or time is short."""
         frame = self.planned.frame()
         return self.grown(FINE * self.score(frame.radiance, self.reference(FIRST)).rmse)
 
