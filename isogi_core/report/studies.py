@@ -29,14 +29,14 @@ class Study:
 
 
 STUDIES = (
-    Study("summary", "Summary", summary.study, 0.15),
-    Study("split", "Where the error comes from", split.study, 0.2),
-    Study("convergence", "Error against run time", convergence.study, 0.25),
+    Study("summary", "Summary", summary.study, 0.10),
+    Study("split", "Where the error comes from", split.study, 0.20),
+    Study("convergence", "Error against run time", convergence.study, 0.22),
     Study("tracing", "The frame and path tracing", tracing.study, 0.01),
-    Study("lattices", "Density of the lattice", lattices.study, 0.1),
-    Study("interpolation", "Interpolation", interpolation.study, 0.12),
-    Study("normals", "Normals and offset", normals.study, 0.07),
+    Study("lattices", "Density of the lattice", lattices.study, 0.18),
+    Study("interpolation", "Interpolation", interpolation.study, 0.18),
+    Study("normals", "Normals and offset", normals.study, 0.04),
     Study("vicinity", "Vicinity shading", vicinity.study, 0.02),
-    Study("models", "Frame times and memory", models.study, 0.08),
+    Study("models", "Frame times and memory", models.study, 0.05),
 )
 """All of them. What a study makes for itself, such as the reference, the next ones find on the bench."""
