@@ -3,7 +3,7 @@
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -146,15 +146,16 @@ class Shader:
         with self.watch.stage("shade"):
             self._carry(texels, reading, lit)
         needed, short = len(texels.chunks), int(reading.short.sum())
-        return Shaded(self.planes, needed, needed - short, lambda: reading.demands(texels), reading.version)
+        lacks = partial(reading.demands, texels, self.planes)
+        return Shaded(self.planes, needed, needed - short, lacks, reading.version)
 
     def _light_texels(self, rows: np.ndarray, pool: PagePool) -> np.ndarray:
         """Linear RGB and standard error of each texel's light, (texels, 4); undefined where there is no light."""
-        light = np.ascontiguousarray(self.turned.reflected, np.float32)
+        light, square = (np.ascontiguousarray(a, np.float32) for a in (self.turned.reflected, self.turned.square))
         lit = np.empty((len(rows), 4), np.float32)
 
         def _piece(a: int, b: int) -> None:
-            light_texels(rows[a:b], pool.transfer, pool.noise, light, lit[a:b])
+            light_texels(rows[a:b], pool.transfer, pool.noise, light, square, lit[a:b])
 
         self._run(_piece, len(rows), self.tiles.even(len(rows)))
         return lit

@@ -30,7 +30,7 @@ from isogi_core.plan.planner import plan_scene
 from isogi_core.plan.savings import unseen
 from isogi_core.plan.texels import TexelCount, count_texels
 
-BAKE_FORMAT = 4
+BAKE_FORMAT = 5
 """Counts up when what a chunk holds, or how its light is computed, changes."""
 
 NORMALS = ("bspline", "gradient")

@@ -63,7 +63,7 @@ def test_wrong_use(capsys: pytest.CaptureFixture[str], arguments: list[str]) -> 
     refused(capsys, *arguments)
 
 
-@pytest.mark.parametrize("command", ["inspect", "render", "serve", "reference"])
+@pytest.mark.parametrize("command", ["inspect", "prewarm", "render", "serve", "reference"])
 @pytest.mark.parametrize("target", ["none.nrrd", "none.nhdr", "none.toml", "demo:none", "folder"])
 def test_a_missing_target(capsys: pytest.CaptureFixture[str], tmp_path: Path, command: str, target: str) -> None:
     (tmp_path / "folder").mkdir()
@@ -175,6 +175,8 @@ def test_render_writes_a_final_picture_and_tells_so(small_scene: Path, store: Pa
     assert planes.shape == (20, 24, 9)
     surface = int((planes[..., 4] > 0).sum())
     assert facts["pixels"] == {"surface": surface, "final": surface, "converging": 0, "provisional": 0}
+    assert (facts["target_error"], facts["final"], facts["stopped"]) == (0.5, 1.0, "target")
+    assert facts["samples"] >= 64 and 0.0 < facts["error"] <= 0.5
     assert (facts["provisional"], facts["format"], facts["file"]) == (False, "npy", str(output))
     assert "100%" in done.stderr
     assert [each.name for each in tmp_path.iterdir()] == ["a.npy"]
@@ -188,6 +190,7 @@ def test_render_in_no_time_is_provisional_or_final_and_says_which(
     done = isogi("render", small_scene, "-o", output, *SIZE, "--time", 0, "--workers", 1, "--store", store)
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith(f"{output}: 24 × 20, ")
+    assert "of the surface at 0.5" in done.stdout
     assert Image.open(io.BytesIO(output.read_bytes())).format == "JPEG"
 
 
