@@ -17,6 +17,7 @@ from server.values import Span
 
 if TYPE_CHECKING:
     from isogi_core.frame.frame import Frame
+    from worker.outlook import TimeLeft
 
 Triple = tuple[float, float, float]
 DEFAULTS = (
@@ -187,14 +188,26 @@ class Shares(BaseModel):
     provisional: float
 
 
+class TimeLeftFacts(BaseModel):
+    """Seconds until all pixels are final: most likely, and the range that they are likely in."""
+
+    low: float
+    likely: float
+    high: float
+
+
 class Coverage(BaseModel):
-    """How far a view is: chunks, pixels by state, estimated relative RMSE of the frame."""
+    """How far a view is: chunks, pixels by state, estimated relative RMSE of the frame.
+
+    ``time_left`` is null where it is unknown, or nobody works on the view.
+    """
 
     chunks: ChunkCounts
     pixels: PixelCounts
     coverage: Shares
     error: float
     provisional: bool
+    time_left: TimeLeftFacts | None
 
 
 def scene_facts(scene: Scene) -> SceneFacts:
@@ -275,7 +288,7 @@ def ranges(scene: Scene) -> dict[str, Range]:
     return {"isovalue": Range(min=scene.isovalues[0], max=scene.isovalues[1]), **spans}
 
 
-def coverage_facts(frame: Frame) -> Coverage:
+def coverage_facts(frame: Frame, time_left: TimeLeft | None) -> Coverage:
     """How far the frame is."""
     return Coverage(
         chunks=ChunkCounts(needed=frame.chunks_needed, final=frame.chunks_final),
@@ -283,4 +296,5 @@ def coverage_facts(frame: Frame) -> Coverage:
         coverage=Shares(**frame.coverage),
         error=frame.estimated_error,
         provisional=frame.provisional,
+        time_left=None if time_left is None else TimeLeftFacts(**asdict(time_left)),
     )

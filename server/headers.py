@@ -14,18 +14,37 @@ from server.problems import problem
 
 if TYPE_CHECKING:
     from isogi_core.frame.frame import Frame
+    from isogi_core.frame.stopwatch import Stopwatch
+    from worker.outlook import TimeLeft
 
 PAGE_POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; connect-src 'self';"
     " base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
 STATES = ("final", "converging", "provisional")
+STAGES = {
+    "queue": "waiting for a thread",
+    "bake": "waiting for light",
+    "primary": "casting the camera's rays",
+    "texels": "finding the texels that the picture reads",
+    "load": "bringing light from the store",
+    "read": "looking the texels up",
+    "light": "putting the texels under the turned light",
+    "shade": "carrying their light to the picture",
+    "normals": "finding the surface's normals",
+    "paths": "tracing the pixels' paths",
+    "encode": "making the picture's bytes",
+    "total": "all of these and what is between them",
+}
+"""The stages of a request, as Server-Timing names them, and what is done in each. None counts what another does."""
+
 OTHER_POLICY = "default-src 'none'; frame-ancestors 'none'"
 
 
-def frame_headers(frame: Frame, tag: str) -> dict[str, str]:
+def frame_headers(frame: Frame, time_left: TimeLeft | None, tag: str) -> dict[str, str]:
     """The headers of a frame's response, a 304 included."""
-    return {
+    left = {"Isogi-Time-Left": time_left_header(time_left)} if time_left is not None and frame.provisional else {}
+    return left | {
         "Isogi-Provisional": "?1" if frame.provisional else "?0",
         "Isogi-Coverage": coverage_header(frame.coverage),
         "Isogi-Error": f"{frame.estimated_error:.5f}",
@@ -43,6 +62,11 @@ def coverage_header(shares: Mapping[str, float]) -> str:
     return ", ".join(f"{state}={n / 1000:.3f}" for state, n in zip(STATES, thousandths, strict=True))
 
 
+def time_left_header(left: TimeLeft) -> str:
+    """Seconds until the frame is final, and the range that they are likely in."""
+    return f"low={left.low:.1f}, likely={left.likely:.1f}, high={left.high:.1f}"
+
+
 def entity_tag(frame: Frame, *representation: object) -> str:
     """A strong ETag: equal where the frame's content and its representation (format, exposure, …) are."""
     text = repr((frame.version, *representation))
@@ -57,8 +81,9 @@ def matches(if_none_match: str | None, tag: str) -> bool:
     return tag in named or "*" in named
 
 
-def server_timing(seconds: Mapping[str, float]) -> str:
-    """A Server-Timing header of stages, in milliseconds."""
+def server_timing(watch: Stopwatch) -> str:
+    """A Server-Timing header: milliseconds of a request's stages so far and of their total; see STAGES."""
+    seconds = {**watch.seconds, "total": watch.elapsed}
     return ", ".join(f"{stage};dur={1000 * spent:.2f}" for stage, spent in seconds.items())
 
 

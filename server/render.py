@@ -10,14 +10,13 @@ from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tqdm import tqdm
-
 from isogi_core.errors import ViewError
 from isogi_core.model.scene import load_scene
 from isogi_core.model.view import View
 from server.facts import coverage_facts
 from server.params import FrameParams, read
 from server.pictures import SUFFIXES, encode, format_for
+from server.progress import progress_bar, show
 from server.settings import Settings
 from server.views import view_of
 from worker.errors import WorkersError
@@ -25,6 +24,7 @@ from worker.errors import WorkersError
 if TYPE_CHECKING:
     from isogi_core.frame.frame import Frame
     from server.studio import Studio
+    from worker.outlook import TimeLeft
 
 STEP = 2.0
 """Seconds between two looks at how far the baking is."""
@@ -40,7 +40,7 @@ def render(
     settings: Settings,
     seconds: float | None = None,
 ) -> dict[str, Any]:
-    """Write the picture of a view, named by ``knobs``, and tell how good it is.
+    """Write the picture of a view, named by ``knobs``, and tell how good it is and what it took.
 
     Ends when every pixel is final, or after ``seconds`` of baking. Raises SceneError, VolumeError,
     LightError and ViewError before anything is begun, StoreError, WorkersError and OSError later.
@@ -57,15 +57,25 @@ def render(
     with closing(Studio([scene], *place, memory)) as studio:
         studio.start()
         frame = refine(studio, scene.id, view, params.max_error, seconds)
+        left, paths = studio.time_left(scene.id, frame, params.max_error), studio.baker.paths
     exposure = scene.default_exposure if params.exposure is None else params.exposure
     write(output, encode(frame, form, exposure))
-    return {"file": str(output), "format": form, **frame_facts(frame), "seconds": time.monotonic() - started}
+    return {
+        "file": str(output),
+        "format": form,
+        **frame_facts(frame, left),
+        "target_error": params.max_error or scene.target_error,
+        "final": frame.coverage["final"],
+        "samples": paths,
+        "stopped": "time" if frame.provisional else "target",
+        "seconds": time.monotonic() - started,
+    }
 
 
-def frame_facts(frame: Frame) -> dict[str, Any]:
-    """Size, quality and version of a frame."""
+def frame_facts(frame: Frame, left: TimeLeft | None) -> dict[str, Any]:
+    """Size, quality and version of a frame, and the time until it would be final."""
     size = {"width": frame.view.width, "height": frame.view.height}
-    return {**size, **coverage_facts(frame).model_dump(), "version": frame.version}
+    return {**size, **coverage_facts(frame, left).model_dump(), "version": frame.version}
 
 
 def format_of(output: Path) -> str:
@@ -85,11 +95,11 @@ def refine(studio: Studio, scene: str, view: View, max_error: float | None, seco
     changed = time.monotonic()
     deadline = changed + seconds if seconds is not None else math.inf
     version = ""
-    with tqdm(desc="baking", unit="chunk", total=0) as bar:
+    with progress_bar("baking", "chunk") as bar:
         while True:
             left = max(0.0, deadline - time.monotonic())
             frame = studio.frame(scene, view, max_error=max_error, wait=min(STEP, left))
-            show(bar, frame)
+            show(bar, frame.chunks_final, frame.chunks_needed, studio.time_left(scene, frame, max_error))
             now = time.monotonic()
             if not frame.provisional or now >= deadline:
                 return frame
@@ -100,12 +110,6 @@ def refine(studio: Studio, scene: str, view: View, max_error: float | None, seco
             elif now - changed > PATIENCE:
                 why = " ".join(studio.unready()) or "The workers bake nothing new."
                 raise WorkersError(f"No light came for {PATIENCE:g} seconds. {why}")
-
-
-def show(bar: Any, frame: Frame) -> None:
-    """Put a frame's chunks on the bar."""
-    bar.total, bar.n = frame.chunks_needed, frame.chunks_final
-    bar.refresh()
 
 
 def write(path: Path, data: bytes) -> None:

@@ -5,10 +5,12 @@ from __future__ import annotations
 import asyncio
 import threading
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, TypeVar
 
 from fastapi import Depends, Request
 
+from isogi_core.frame.stopwatch import Stopwatch
 from isogi_core.model.scene import Scene
 from server.errors import StartingError, UnknownSceneError
 from server.params import ViewParams
@@ -19,11 +21,21 @@ from server.views import view_of
 if TYPE_CHECKING:
     from isogi_core.frame.frame import Frame
     from server.studio import Studio
+    from worker.outlook import TimeLeft
 
 Result = TypeVar("Result")
 
 LOOK = 0.02
 """Seconds between two looks at whether the service is ready."""
+
+
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """What a request is answered with: a ``frame``, the time until it is final, and the ``watch`` of its stages."""
+
+    frame: Frame
+    time_left: TimeLeft | None
+    watch: Stopwatch
 
 
 class Service:
@@ -68,20 +80,22 @@ class Service:
         return self.studio.scenes[name]
 
     async def render(
-        self, request: Request, scene: Scene, params: ViewParams, finish: Callable[[Frame], Result]
+        self, request: Request, scene: Scene, params: ViewParams, finish: Callable[[Shown], Result]
     ) -> Result:
-        """``finish`` of the frame that the parameters ask for, both off the event loop.
+        """``finish`` of what the parameters ask to be shown, both off the event loop.
 
         Raises ViewError, BusyError, StoreError, and StartingError until the studio is up.
         """
+        watch = Stopwatch()
         view = view_of(scene, params, self.settings)
         if not self.settled.is_set() or self.failure:
             raise StartingError(self.reasons()[0])
 
         def work(cancelled: threading.Event) -> Result:
-            wait = params.wait_ms / 1000
-            frame = self.studio.frame(scene.id, view, max_error=params.max_error, wait=wait, cancelled=cancelled)
-            return finish(frame)
+            watch.seconds["queue"] = watch.elapsed
+            wait, target = params.wait_ms / 1000, params.max_error
+            frame = self.studio.frame(scene.id, view, max_error=target, wait=wait, cancelled=cancelled, watch=watch)
+            return finish(Shown(frame, self.studio.time_left(scene.id, frame, target), watch))
 
         return await self._renders.run(request, work)
 

@@ -13,11 +13,13 @@ from isogi_core.bake.look import LOOKS, look_name
 from isogi_core.bake.maps import STEP
 from isogi_core.bake.recipe import Index, Recipe
 from isogi_core.cache.caches import Caches
+from isogi_core.cache.costs import Costs
 from isogi_core.cache.store import default_store
 from isogi_core.errors import IsogiError
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.kernels import frame_kernels
-from isogi_core.frame.renderer import Renderer
+from isogi_core.frame.renderer import Renderer, surface_key
+from isogi_core.frame.stopwatch import Stopwatch
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels._folder import prune
 from isogi_core.kernels._jit import FOLDER
@@ -28,6 +30,7 @@ from isogi_core.plan.planner import complete
 from server.foresight import Foresight
 from worker.baker import Bake, Baker
 from worker.errors import WorkersError
+from worker.outlook import TimeLeft
 
 if TYPE_CHECKING:
     from worker.pool import WorkerPool
@@ -65,19 +68,20 @@ class Studio:
         self._scheduler = scheduler
         self._memory = memory
         self._tiles = Tiles()
-        self._baker = Baker()
+        self.baker = Baker(workers=workers)
         self._pool: WorkerPool | None = None
         self._stages: dict[str, Stage] = {}
         self._hiring: threading.Thread | None = None
         self._stopped = threading.Event()
         self._trouble: IsogiError | None = None
 
-    def start(self) -> None:
+    def start(self, hire: bool = True) -> None:
         """Have the workers come while the stores are opened and the kernels of frames loaded, or compiled once.
 
-        Raises StoreError.
+        Without workers to ``hire`` nothing is baked. Raises StoreError.
         """
-        self.hire()
+        if hire:
+            self.hire()
         warm(frame_kernels(self.scenes.values()), self._stopped)
         if self._stopped.is_set():
             return
@@ -103,28 +107,44 @@ class Studio:
         max_error: float | None = None,
         wait: float = 0.0,
         cancelled: threading.Event | None = None,
+        watch: Stopwatch | None = None,
     ) -> Frame:
         """The frame of a view with the light that there is, after at most ``wait`` seconds of baking more.
 
-        ``max_error`` is the relative error at which light is final, the scene's target by default.
-        Raises ViewError, StoreError, and Cancelled once ``cancelled`` is set.
+        ``max_error`` is the relative error at which light is final, the scene's target by default; ``watch`` takes
+        the time of all stages. Raises ViewError, StoreError, and Cancelled once ``cancelled`` is set.
         """
+        watch = watch or Stopwatch()
         stage = self._stages[scene]
         deadline = time.monotonic() + wait
         target = max_error or stage.scene.target_error
-        frame = self._render(stage, view, target, cancelled)
+        frame = self._render(stage, view, target, cancelled, watch)
         bake = bake_name(scene, look_name(view.shading))
-        while frame.demands and self._baker.want(bake, frame.demands, target):
+        while frame.demands and self.baker.want(bake, frame.demands, target):
             left = deadline - time.monotonic()
             if left <= 0.0:
                 break
-            self._baker.wait(bake, [demand.index for demand in frame.demands], left)
-            frame = self._render(stage, view, target, cancelled)
+            with watch.stage("bake"):
+                self.baker.wait(bake, [demand.index for demand in frame.demands], left)
+            frame = self._render(stage, view, target, cancelled, watch)
         return frame
+
+    def survey(self, scene: str, view: View, target: float) -> Frame:
+        """The frame of a view with the light that there is; none that it lacks is asked for."""
+        return self._render(self._stages[scene], view, target, None, Stopwatch())
+
+    def time_left(self, scene: str, frame: Frame, max_error: float | None = None) -> TimeLeft | None:
+        """Seconds until the view of a ``frame`` is final; None where that is unknown, or nobody works on it."""
+        bake, target = bake_name(scene, look_name(frame.view.shading)), max_error or self.scenes[scene].target_error
+        subject = (bake, surface_key(frame.view), target)
+        left = self.baker.time_left(bake, subject, [demand.index for demand in frame.demands])
+        if not frame.provisional:
+            return TimeLeft(0.0, 0.0, 0.0)
+        return left if left is not None and left.high > 0.0 else None
 
     def trouble(self) -> str:
         """Why light is not baked: the workers cannot be had, or gave a chunk up; empty when all is well."""
-        return str(self._trouble) if self._trouble is not None else self._baker.trouble()
+        return str(self._trouble) if self._trouble is not None else self.baker.trouble()
 
     def unready(self) -> list[str]:
         """Reasons why frames would not become final; none when all is well."""
@@ -136,7 +156,7 @@ class Studio:
 
     def close(self) -> None:
         """Stop the workers; what they were at is baked again when it is next asked for."""
-        self._baker.stop()
+        self.baker.stop()
         if self._hiring is not None:
             self._hiring.join()
         if self._pool is not None:
@@ -145,9 +165,11 @@ class Studio:
             stage.foresight.close()
         self._tiles.close()
 
-    def _render(self, stage: Stage, view: View, target: float, cancelled: threading.Event | None) -> Frame:
+    def _render(
+        self, stage: Stage, view: View, target: float, cancelled: threading.Event | None, watch: Stopwatch
+    ) -> Frame:
         with stage.foresight.frame(stage.scene.volume.normalise_isovalue(view.isovalue)):
-            return stage.renderer.render(view, target, cancelled)
+            return stage.renderer.render(view, target, cancelled, watch)
 
     def _open(self, scene: Scene) -> Stage:
         recipe = Recipe(scene, self._tiles.run)
@@ -157,7 +179,7 @@ class Studio:
         lowest, highest = sorted(map(scene.volume.normalise_isovalue, scene.isovalues))
         foresight = Foresight(lambda v, cancelled: recipe.bricks(v, v, cancelled), STEP, (lowest, highest))
         for look in LOOKS:
-            self._baker.add(bake_name(scene.id, look), self._bake(caches, look))
+            self.baker.add(bake_name(scene.id, look), self._bake(caches, look))
         return Stage(scene, Renderer(caches, self._tiles), foresight)
 
     def _bake(self, caches: Caches, name: str) -> Bake:
@@ -166,7 +188,9 @@ class Studio:
         scene, plan = look.recipe.scene, replace(look.plan, left_out=(), notes=())
         layers = frozenset(scene.layer_digest(layer) for layer in plan.layers)
         arrived = partial(refresh, caches, name)
-        return Bake(scene.source, plan, look.digest, layers, absolute(self.store), arrived)
+        costs = Costs(self.store, look.digest)
+        costs.read()
+        return Bake(scene.source, plan, look.digest, layers, absolute(self.store), arrived, costs)
 
     def _hire(self) -> None:
         try:
@@ -174,7 +198,7 @@ class Studio:
 
             kinds = {layer.kind for scene in self.scenes.values() for layer in scene.plan.layers}
             self._pool = WorkerPool(self._workers, self._scheduler, kinds)
-            self._baker.employ(self._pool)
+            self.baker.employ(self._pool)
         except IsogiError as error:
             self._trouble = error
             log.error("%s", error)

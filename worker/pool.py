@@ -55,6 +55,11 @@ class WorkerPool:
             raise WorkersError(f"Cannot start or reach the workers: {error}") from error
 
     @property
+    def workers(self) -> int:
+        """How many workers there are."""
+        return self._workers
+
+    @property
     def room(self) -> int:
         """How many tasks may be in flight."""
         return AHEAD * self._workers

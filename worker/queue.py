@@ -1,7 +1,7 @@
-"""The queue: which chunk is baked next.
+"""The queue: which chunk is baked next, and how far.
 
-Newest view first; within a view the chunks with the fewest samples, and among those the ones that
-cover most of the picture, its centre counting double. Pure data: no threads, no clock of its own.
+Newest view first; within a view what has no light yet, and then where a second of work takes most visible error
+off the picture. Pure data: no threads, no clock of its own.
 """
 
 import operator
@@ -10,9 +10,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from isogi_core.bake.effort import Effort
+from isogi_core.bake.precision import FIRST_RUNG
 from isogi_core.bake.recipe import Index
 from isogi_core.frame.texels import Demand
-from worker.tasks import BakeResult, next_goal
+from isogi_core.model.plan import MOST
+from worker.tasks import BakeResult
 
 Key = tuple[str, Index]
 """A chunk of a bake, by its name."""
@@ -23,26 +26,36 @@ FORGET_AFTER = 60.0
 MOST_FAILURES = 3
 """Tries after which a chunk whose task fails is given up, until it is forgotten."""
 
+STEP = 0.5
+"""What a task brings the error of a chunk's texels down to, as a share of what it is."""
+
 
 @dataclass(eq=False)
 class Want:
-    """Light that somebody waits for: texels ``offsets`` of the chunk ``key``, until ``target``."""
+    """Light that somebody waits for: texels ``offsets`` of the chunk ``key``, until ``target``.
+
+    ``weight`` is the squared visible error that waits for it and ``effort`` what it takes, as far as is known.
+    ``level`` is the error that its texels are to reach next, None until each has its first light; ``error`` that
+    of those which are not final.
+    """
 
     key: Key
     offsets: np.ndarray
     target: float
-    area: float
+    weight: float
+    effort: Effort
     view: int
     asked: float
-    fewest: int = 0
+    level: float | None = None
+    error: float = 1.0
     failures: int = 0
     trouble: str = ""
     flying: bool = False
 
     @property
-    def goal(self) -> int:
-        """The sample count to take the chunk to next."""
-        return next_goal(self.fewest)
+    def until(self) -> int:
+        """The sample count beyond which no texel is taken next."""
+        return FIRST_RUNG if self.level is None else MOST
 
     @property
     def given_up(self) -> bool:
@@ -50,17 +63,27 @@ class Want:
         return self.failures >= MOST_FAILURES
 
     @property
-    def rank(self) -> tuple[int, int, float]:
-        """Order of work; the smallest comes first."""
-        return -self.view, self.goal, -self.area
+    def spent(self) -> float:
+        """The paths that its light is of, or those of its first.
+
+        The squared error falls with a power of the samples: what the next path takes off is the weight over these.
+        """
+        return self.effort.taken + FIRST_RUNG * self.effort.unlit or FIRST_RUNG
 
     def grow(self, demand: Demand, target: float, view: int, now: float) -> None:
         """Take in what a newer ``view`` demands of the same chunk."""
         if target < self.target or not np.isin(demand.offsets, self.offsets).all():
-            self.fewest = 0
+            self.level = None
         self.offsets = np.union1d(self.offsets, demand.offsets)
         self.target = min(self.target, target)
-        self.area, self.view, self.asked = demand.area, view, now
+        self.weight, self.effort, self.view, self.asked = demand.weight, demand.effort, view, now
+
+    def descend(self, result: BakeResult, grown: bool) -> None:
+        """Take in what a task left; the next one goes further down, or lights what has come to it."""
+        self.weight *= min(result.error / self.error, 1.0) ** 2
+        self.error, self.effort = max(result.error, self.target), result.effort
+        above = result.error if self.level is None else min(self.level, result.error)
+        self.level = None if grown else max(STEP * above, self.target)
 
 
 @dataclass(eq=False)
@@ -68,11 +91,12 @@ class BakeQueue:
     """Wants by chunk. Call under one lock when several threads use it.
 
     ``shared`` says whether two bakes have a layer in common: of those, one at a time works on a chunk, for the
-    one that wrote last would undo what the other has added.
+    one that wrote last would undo what the other has added. ``rate`` tells the seconds that a chunk's path takes.
     """
 
     clock: Callable[[], float]
     shared: Callable[[str, str], bool] = operator.eq
+    rate: Callable[[Key], float | None] = lambda _: None
     wants: dict[Key, Want] = field(default_factory=dict)
     views: int = 0
 
@@ -84,7 +108,7 @@ class BakeQueue:
         for key, demand in demands:
             want = self.wants.get(key)
             if want is None:
-                self.wants[key] = Want(key, demand.offsets, target, demand.area, self.views, now)
+                self.wants[key] = Want(key, demand.offsets, target, demand.weight, demand.effort, self.views, now)
             elif not want.given_up:
                 want.grow(demand, target, self.views, now)
 
@@ -95,9 +119,13 @@ class BakeQueue:
         waiting = [want for want in self.wants.values() if not want.given_up and not self._busy(want.key, flying)]
         if not waiting:
             return None
-        best = min(waiting, key=lambda want: want.rank)
+        best = min(waiting, key=self.rank)
         best.flying = True
         return best
+
+    def rank(self, want: Want) -> tuple[int, bool, float]:
+        """Order of work; the smallest comes first."""
+        return -want.view, not want.effort.unlit, -want.weight / (want.spent * (self.rate(want.key) or 1.0))
 
     def finish(self, key: Key, offsets: np.ndarray, target: float, result: BakeResult) -> None:
         """A task for ``offsets`` of a chunk is done: drop the want, or keep what is still open of it."""
@@ -107,7 +135,12 @@ class BakeQueue:
         if result.unfinished == 0 and not grown:
             del self.wants[key]
         else:
-            want.fewest = 0 if grown else result.fewest
+            want.descend(result, grown)
+
+    def renew(self, keys: Iterable[Key]) -> None:
+        """Say that light of ``keys`` is waited for as before."""
+        for want in self.open(keys):
+            want.asked = self.clock()
 
     def fail(self, key: Key, trouble: str) -> bool:
         """A task failed, and why: try again later, or give the chunk up. Returns whether it was given up."""
@@ -116,9 +149,10 @@ class BakeQueue:
         want.failures += 1
         return want.given_up
 
-    def open(self, keys: Iterable[Key]) -> int:
-        """How many of ``keys`` are still wanted, and not given up."""
-        return sum(key in self.wants and not self.wants[key].given_up for key in keys)
+    def open(self, keys: Iterable[Key]) -> list[Want]:
+        """What of ``keys`` is still wanted, and not given up."""
+        found = (self.wants[key] for key in keys if key in self.wants)
+        return [want for want in found if not want.given_up]
 
     def trouble(self) -> str:
         """Why a chunk was given up, the one asked for last; empty when none is."""

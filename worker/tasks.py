@@ -9,10 +9,13 @@ from typing import Any
 
 import numpy as np
 
+from isogi_core.bake.effort import Effort
+from isogi_core.bake.light import Light
 from isogi_core.bake.look import Look
-from isogi_core.bake.precision import FIRST_RUNG
+from isogi_core.bake.noise import relative_error
 from isogi_core.bake.recipe import Index, Recipe
 from isogi_core.bake.refine import next_samples, refine
+from isogi_core.cache.costs import Cost
 from isogi_core.cache.store import ChunkStore
 from isogi_core.errors import SceneError
 from isogi_core.kernels.irradiance import bake_irradiance
@@ -31,9 +34,10 @@ KINDS = tuple(PATHS)
 
 @dataclass(frozen=True, eq=False)
 class BakeTask:
-    """Bring the texels at ``offsets`` of a chunk to the relative error ``target``, or to ``until`` samples each.
+    """Bring the texels at ``offsets`` of a chunk to the relative error ``level``, or to ``until`` samples each.
 
-    ``plan`` says what is baked; ``digest`` names the light that the server means: the files may have changed since.
+    They are final at ``target``. ``plan`` says what is baked; ``digest`` names the light that the server means: the
+    files may have changed since.
     """
 
     source: SceneSource
@@ -43,16 +47,22 @@ class BakeTask:
     index: Index
     offsets: np.ndarray
     until: int
+    level: float
     target: float
 
 
 @dataclass(frozen=True)
 class BakeResult:
-    """What a task left: texels not final yet, the fewest samples among them, and the seconds it took."""
+    """What a task left and took.
+
+    ``unfinished`` texels are not final yet; ``error`` is theirs, a root mean square, and ``effort`` what they took
+    and will. ``cost`` is what the task itself took.
+    """
 
     unfinished: int
-    fewest: int
-    seconds: float
+    error: float
+    effort: Effort
+    cost: Cost
 
 
 @lru_cache(maxsize=4)
@@ -63,13 +73,17 @@ def recipe_of(source: SceneSource) -> Recipe:
 
 @lru_cache(maxsize=16)
 def opened(source: SceneSource, plan: ScenePlan, digest: str, store: str) -> tuple[Look, ChunkStore]:
-    """A look and its store, opened once a process; SceneError where the scene's files are not those of ``digest``."""
+    """A look and its store, opened once a process, and the kernels that its bake takes.
+
+    SceneError where the scene's files are not those of ``digest``.
+    """
     found = Look(recipe_of(source), plan)
     if found.digest != digest:
         recipe_of.cache_clear()
         found = Look(recipe_of(source), plan)
     if found.digest != digest:
         raise SceneError(f"The files of the scene '{source.name}' have changed since the server began: restart it.")
+    load_kernels({layer.kind for layer in plan.layers})
     return found, ChunkStore(store, found)
 
 
@@ -79,19 +93,31 @@ def bake(task: BakeTask) -> BakeResult:
     The outcome depends on the texels and their sample counts alone, so a task that is done twice,
     or done again after a kill, leaves the same bytes.
     """
-    begun = time.perf_counter()
     look, store = opened(task.source, task.plan, task.digest, task.store)
     chunk = store.load(task.index).with_texels(task.offsets)
     rows = chunk.rows_of(task.offsets)
     light = chunk.light.rows(rows)
-    before = [part.samples.copy() for part in light.parts]
-    refine(light, chunk.positions(task.offsets), look, task.until, task.target)
+    before, begun = chunk.light.rows(rows), time.process_time()
+    refine(light, chunk.positions(task.offsets), look, task.until, max(task.level, task.target))
+    seconds = time.process_time() - begun
     chunk.light.put(rows, light)
-    store.save(chunk, [not np.array_equal(part.samples, old) for part, old in zip(light.parts, before, strict=True)])
-    waiting = next_samples(light, look, task.target)
-    waiting = waiting[waiting >= 0]
-    fewest = int(waiting.min()) if len(waiting) else 0
-    return BakeResult(len(waiting), fewest, time.perf_counter() - begun)
+    pairs = zip(light.parts, before.parts, strict=True)
+    store.save(chunk, [not np.array_equal(part.samples, old.samples) for part, old in pairs])
+    return result_of(light, look, task.target, cost_of(light.samples, before.samples, seconds))
+
+
+def cost_of(samples: np.ndarray, before: np.ndarray, seconds: float) -> Cost:
+    """The cost of texels that had so many samples ``before``; parts that climb together are of the same paths."""
+    taken = np.maximum(samples, 0) - np.maximum(before, 0)
+    return Cost(seconds, int(taken.sum()), int(((before == 0) & (samples > 0)).sum()))
+
+
+def result_of(light: Light, look: Look, target: float, cost: Cost) -> BakeResult:
+    """What ``light`` still lacks of ``target``, and what was spent on it."""
+    waiting = next_samples(light, look, target) >= 0
+    error = relative_error(light, look)
+    mean = float(np.sqrt((error[waiting] ** 2).mean())) if waiting.any() else 0.0
+    return BakeResult(int(waiting.sum()), mean, Effort.of(error, light.samples, target), cost)
 
 
 def bake_kernels(kinds: Iterable[str]) -> tuple[Any, ...]:
@@ -112,10 +138,3 @@ def load_kernels(kinds: Iterable[str]) -> None:
 async def dask_setup(worker: Any) -> None:
     """Have a ``worker`` started with ``--preload worker.tasks`` load the kernels of all bakes, and then come."""
     await asyncio.to_thread(load_kernels, KINDS)
-
-
-def next_goal(fewest: int) -> int:
-    """The sample count that a chunk is taken to next: quickly up to where the light is of use, then by doubling."""
-    if fewest < FIRST_RUNG:
-        return FIRST_RUNG
-    return 4 * fewest if fewest < 256 else 2 * fewest

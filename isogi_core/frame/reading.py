@@ -5,12 +5,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from isogi_core.bake.effort import Effort, efforts
 from isogi_core.bake.noise import good_enough
 from isogi_core.cache.pages import PagePool, fewest_samples
+from isogi_core.cache.record import TEXELS
 from isogi_core.frame.texels import Demand, ViewTexels
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.lattice import BURIED, BURIED_ROW, PARTIAL, UNBAKED, UNLIT, VOID, VOID_ROW, find_rows
-from isogi_core.kernels.planes import CONVERGING, FINAL
+from isogi_core.kernels.planes import CONVERGING, FINAL, Planes
 
 PIECE = 16384
 """Texels that are looked up, and digested, together; the same on any number of threads."""
@@ -22,29 +24,35 @@ class Reading:
 
     ``rows`` int32 are those of the pool, negative where there is no light; ``grade`` uint8 is
     UNBAKED, PARTIAL, CONVERGING, FINAL, BURIED or VOID. ``version`` tells how far each texel is baked: a
-    texel's light follows from its numbers of samples. ``short`` (chunks,) says which chunks are not final.
+    texel's light follows from its numbers of samples. ``short`` (chunks,) says which chunks are not final, and
+    ``efforts`` (chunks, 3) what they have taken and will: see ``Effort``.
     """
 
     rows: np.ndarray
     grade: np.ndarray
     version: bytes
     short: np.ndarray
+    efforts: np.ndarray
 
     @property
     def nbytes(self) -> int:
         """Bytes that it takes."""
-        return self.rows.nbytes + self.grade.nbytes + self.short.nbytes
+        return self.rows.nbytes + self.grade.nbytes + self.short.nbytes + self.efforts.nbytes
 
     @property
     def whole(self) -> bool:
         """Whether every texel holds light."""
         return not (self.rows < 0).any()
 
-    def demands(self, texels: ViewTexels) -> tuple[Demand, ...]:
-        """What the view still wants."""
+    def demands(self, texels: ViewTexels, planes: Planes) -> tuple[Demand, ...]:
+        """What the view still wants, ``planes`` being its picture."""
         if not self.short.any():
             return ()
-        return tuple(demand for demand, wanted in zip(texels.demands, self.short, strict=True) if wanted)
+        weights = texels.weights(planes).tolist()
+        return tuple(
+            Demand(texels.chunks[i], texels.offsets[i], weights[i], Effort(*self.efforts[i].tolist()))
+            for i in np.flatnonzero(self.short)
+        )
 
 
 def read_texels(texels: ViewTexels, slots: np.ndarray, pool: PagePool, target: float, tiles: Tiles) -> Reading:
@@ -52,16 +60,28 @@ def read_texels(texels: ViewTexels, slots: np.ndarray, pool: PagePool, target: f
     places = texels.places
     rows, grade = np.empty(len(places), np.int32), np.empty(len(places), np.uint8)
     digests: dict[int, bytes] = {}
+    gathered: dict[int, np.ndarray] = {}
 
     def _piece(a: int, b: int) -> None:
         error, stamp = np.empty((2, b - a), np.float32)
         find_rows(places[a:b], slots, pool.table, pool.error, pool.stamp, rows[a:b], error, stamp)
-        grade[a:b] = grade_rows(rows[a:b], error, fewest_samples(stamp, len(pool.look.plan.layers)), target)
+        samples = fewest_samples(stamp, len(pool.look.plan.layers))
+        grade[a:b] = grade_rows(rows[a:b], error, samples, target)
+        gathered[a] = efforts_of(places[a:b], len(slots), grade[a:b], error, samples, target)
         digests[a] = hashlib.sha256(stamp.data).digest()
 
     tiles.run(_piece, len(places), PIECE)
     short = np.minimum.reduceat(grade, texels.bounds[:-1]) < FINAL if len(grade) else np.zeros(0, np.bool_)
-    return Reading(rows, grade, b"".join(digests[a] for a in sorted(digests)), short)
+    total = np.sum([gathered[a] for a in sorted(gathered)], axis=0) if gathered else np.zeros((0, 3))
+    return Reading(rows, grade, b"".join(digests[a] for a in sorted(digests)), short, total)
+
+
+def efforts_of(
+    places: np.ndarray, count: int, grade: np.ndarray, error: np.ndarray, samples: np.ndarray, target: float
+) -> np.ndarray:
+    """The efforts of ``count`` chunks for the texels at ``places`` that are not final, (count, 3) float64."""
+    short = np.flatnonzero(grade < FINAL)
+    return efforts(places[short] // TEXELS, count, error[short], samples[short], target)
 
 
 GRADES = {UNLIT: UNBAKED, VOID_ROW: VOID, BURIED_ROW: BURIED}

@@ -37,13 +37,19 @@ class Renderer:
         self._texels: Kept[Any, ViewTexels] = Kept(KEPT)
         self._readings: Kept[Any, Reading] = Kept(KEPT_READINGS)
 
-    def render(self, view: View, target: float | None = None, cancelled: threading.Event | None = None) -> Frame:
+    def render(
+        self,
+        view: View,
+        target: float | None = None,
+        cancelled: threading.Event | None = None,
+        watch: Stopwatch | None = None,
+    ) -> Frame:
         """The frame of ``view`` with the light that is there now.
 
-        ``target`` is the relative error at which light counts as final, the scene's own by default.
-        Raises Cancelled when ``cancelled`` is set on the way.
+        ``target`` is the relative error at which light counts as final, the scene's own by default; ``watch`` goes
+        on with this frame's stages. Raises Cancelled when ``cancelled`` is set on the way.
         """
-        watch = Stopwatch()
+        watch = watch or Stopwatch()
         with watch.stage("primary"):
             gbuffer = self.gbuffer(view, cancelled)
         shader = Shader(

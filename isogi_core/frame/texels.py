@@ -1,5 +1,6 @@
 """The texels under a view: which chunks it touches, which texels it reads, and what of it is not baked yet."""
 
+import math
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -9,20 +10,35 @@ from typing import Any
 
 import numpy as np
 
+from isogi_core.bake.effort import Effort
 from isogi_core.bake.recipe import Index, Recipe
 from isogi_core.cache.record import TEXELS
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.lattice import ROWS, find_corners, find_places, mark_texels, touch_chunks, weigh_chunks
+from isogi_core.kernels.planes import Planes
 
 
 @dataclass(frozen=True, eq=False)
 class Demand:
-    """What a view wants of one chunk: the texels at ``offsets``, seen by ``area`` pixels (centre ones count more)."""
+    """What a view wants of one chunk: the texels at ``offsets``, whose light is to become final.
+
+    ``weight`` is the squared visible error of the pixels that read it (centre ones count more), ``effort`` what its
+    texels have taken and will.
+    """
 
     index: Index
     offsets: np.ndarray
-    area: float
+    weight: float
+    effort: Effort
+
+    def joined(self, other: "Demand") -> "Demand":
+        """What this and ``other`` want of the chunk; texels of both are taken to be as those of one."""
+        offsets = np.union1d(self.offsets, other.offsets)
+        each = len(offsets) / (len(self.offsets) + len(other.offsets))
+        sums = (each * (mine + theirs) for mine, theirs in zip(self.effort, other.effort, strict=True))
+        unlit, taken, left = sums
+        return Demand(self.index, offsets, self.weight + other.weight, Effort(math.ceil(unlit), taken, left))
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,14 +61,17 @@ class ViewTexels:
         return self.places.nbytes + self.bounds.nbytes + self.corners.nbytes
 
     @cached_property
-    def demands(self) -> tuple[Demand, ...]:
-        """One demand for each chunk, of all texels that the view reads there."""
-        area = np.zeros(len(self.chunks))
-        height, width = self.gbuffer.shape
-        weigh_chunks(self.corners, self.places, self.gbuffer.pixels, width, height, area)
+    def offsets(self) -> tuple[np.ndarray, ...]:
+        """Where in its chunk each texel is, chunk by chunk; (m,) int32 each."""
         offsets = (self.places % TEXELS).astype(np.int32)
-        own = (offsets[a:b] for a, b in pairwise(self.bounds.tolist()))
-        return tuple(map(Demand, self.chunks, own, area.tolist()))
+        return tuple(offsets[a:b] for a, b in pairwise(self.bounds.tolist()))
+
+    def weights(self, planes: Planes) -> np.ndarray:
+        """The squared visible error that the pixels of a picture have left in each chunk, see ``weigh_chunks``."""
+        weight = np.zeros(len(self.chunks))
+        height, width = self.gbuffer.shape
+        weigh_chunks(self.corners, self.places, self.gbuffer.pixels, width, height, planes, weight)
+        return weight
 
 
 def find_texels(gbuffer: GBuffer, recipe: Recipe, tiles: Tiles, cancelled: threading.Event | None) -> ViewTexels:

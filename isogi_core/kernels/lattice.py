@@ -178,16 +178,31 @@ def borders(place):
     return int(x == CHUNK - 1) | int(y == CHUNK - 1) << 1 | int(z == CHUNK - 1) << 2
 
 
-@kernel(types.void(CORNERS, PLACES, PIXELS, types.int64, types.int64, types.float64[::1]))
-def weigh_chunks(corners, places, pixels, width, height, area):
-    """Add to ``area`` (chunks,) the points that read each chunk: 2 in the middle of the picture, 1 at its corners."""
+@kernel()
+def visible_error(planes, pixel):
+    """(luminance · error)² of a pixel, which is how wrong it looks; 0 where it is final."""
+    if planes.state[pixel] == FINAL:
+        return 0.0
+    light = (planes.radiance[pixel, 0], planes.radiance[pixel, 1], planes.radiance[pixel, 2])
+    return np.float64(luminance(*light) * planes.error[pixel]) ** 2
+
+
+@kernel(types.void(CORNERS, PLACES, PIXELS, types.int64, types.int64, PLANES, types.float64[::1]))
+def weigh_chunks(corners, places, pixels, width, height, planes, weight):
+    """Add to ``weight`` (chunks,) the ``visible_error`` of the points that read each chunk.
+
+    It counts twice in the middle of the picture, and once in its corners.
+    """
     for m in range(corners.shape[0]):
+        wrong = visible_error(planes, pixels[m])
+        if wrong == 0.0:
+            continue
         y, x = divmod(np.int64(pixels[m]), width)
-        weight = 2.0 - 0.5 * (((2 * x + 1) / width - 1.0) ** 2 + ((2 * y + 1) / height - 1.0) ** 2)
+        wrong *= 2.0 - 0.5 * (((2 * x + 1) / width - 1.0) ** 2 + ((2 * y + 1) / height - 1.0) ** 2)
         crossed = borders(places[corners[m, 0]])
         for c in range(8):
             if c & crossed == c:
-                area[places[corners[m, c]] // CHUNK**3] += weight
+                weight[places[corners[m, c]] // CHUNK**3] += wrong
 
 
 @kernel(

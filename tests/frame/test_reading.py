@@ -8,7 +8,7 @@ import numpy as np
 from isogi_core.frame.reading import Reading, grade_rows, read_texels
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.lattice import BURIED, BURIED_ROW, PARTIAL, UNBAKED, UNLIT, VOID, VOID_ROW
-from isogi_core.kernels.planes import CONVERGING, FINAL
+from isogi_core.kernels.planes import CONVERGING, FINAL, PROVISIONAL, Planes
 from isogi_core.model.plan import FEWEST, most_samples
 from isogi_core.model.scene import load_scene
 from isogi_core.model.view import View
@@ -41,22 +41,32 @@ def reading_of(bench: Workbench, view: View, tiles: Tiles) -> Reading:
         return read_texels(texels, held.slots, loader.pool, bench.scene.target_error, tiles)
 
 
+def planes_of(view: View, error: float) -> Planes:
+    """A white picture that is not final."""
+    pixels = view.width * view.height
+    light = np.ones((pixels, 3), np.float32)
+    return Planes(light, np.full(pixels, PROVISIONAL, np.uint8), np.full(pixels, error, np.float32))
+
+
 def test_what_is_short_of_final_is_wanted_chunk_by_chunk(workbench: Callable[..., Workbench]) -> None:
     bench = workbench(load_scene("demo:orbital", lights=[SKY], bounces=1, target_error=0.5))
     view = bench.view(size=24)
     texels = bench.renderer.texels(view, bench.renderer.gbuffer(view))
     before = reading_of(bench, view, Tiles(1))
     assert before.short.all() and not before.whole and (before.grade == UNBAKED).all()
-    assert before.demands(texels) == texels.demands
+    assert [unlit for unlit, _, _ in before.efforts] == np.diff(texels.bounds).tolist()
+    assert [demand.index for demand in before.demands(texels, planes_of(view, 1.0))] == list(texels.chunks)
     bench.bake(view)
     after = reading_of(bench, view, Tiles(1))
-    assert not after.short.any() and after.demands(texels) == () and after.version != before.version
+    assert (
+        not after.short.any() and after.demands(texels, planes_of(view, 0.0)) == () and after.version != before.version
+    )
     other = replace(view, width=40)
     some = reading_of(bench, other, Tiles(1))
     wider = bench.renderer.texels(other, bench.renderer.gbuffer(other))
     own = [some.grade[a:b] for a, b in zip(wider.bounds[:-1], wider.bounds[1:], strict=True)]
     assert some.short.tolist() == [bool((grade < FINAL).any()) for grade in own]
-    assert [demand.index for demand in some.demands(wider)] == [
+    assert [demand.index for demand in some.demands(wider, planes_of(other, 1.0))] == [
         index for index, short in zip(wider.chunks, some.short, strict=True) if short
     ]
 

@@ -85,7 +85,7 @@ def test_demands_name_the_texels_that_pixels_read_most_seen_first_known(workbenc
     points = bench.renderer.gbuffer(view).points
     corners = np.floor(points).astype(int)[:, ::-1][:, None] + np.array(list(np.ndindex(2, 2, 2)))
     assert set(map(tuple, places)) == set(map(tuple, corners.reshape(-1, 3)))
-    assert all(demand.area > 0.0 for demand in frame.demands)
+    assert all(demand.weight > 0.0 for demand in frame.demands)
 
 
 def test_light_of_one_layer_is_shown_and_provisional(workbench: Make) -> None:

@@ -125,21 +125,28 @@ def test_touched_chunks_are_those_that_some_point_reads():
         assert set(map(tuple, np.argwhere(touched))) == set().union(*chunks_read(some))
 
 
-def test_area_counts_each_point_once_in_every_chunk_that_it_reads_and_the_middle_twice_as_much_as_the_corners():
+def test_a_chunk_weighs_what_its_points_that_are_not_final_look_wrong_by_and_the_middle_twice_as_much_as_the_corners():
     points = border_points()
     width, height = 40, len(points) // 40 + 3
     pixels = np.arange(len(points), dtype=np.uint32) + 17
     y, x = np.divmod(pixels.astype(float), width)
     aside = ((2 * x + 1) / width - 1) ** 2 + ((2 * y + 1) / height - 1) ** 2
-    weights = 2 - aside / 2
+    planes = Planes(
+        RNG.random((width * height, 3)).astype(np.float32),
+        RNG.integers(PROVISIONAL, FINAL + 1, width * height, np.uint8),
+        RNG.random(width * height).astype(np.float32),
+    )
+    light = planes.radiance[pixels].astype(float) @ [0.2126, 0.7152, 0.0722]
+    wrong = np.where(planes.state[pixels] == FINAL, 0.0, (light * planes.error[pixels]) ** 2)
+    weights = (2 - aside / 2) * wrong
     _, places, corners = view_of(points)
-    area = np.zeros(np.prod(CHUNKS))
-    weigh_chunks(corners, places.astype(np.uint32), pixels, width, height, area)
+    weight = np.zeros(np.prod(CHUNKS))
+    weigh_chunks(corners, places.astype(np.uint32), pixels, width, height, planes, weight)
     expected = np.zeros(CHUNKS)
-    for chunks, weight in zip(chunks_read(points), weights, strict=True):
+    for chunks, own in zip(chunks_read(points), weights, strict=True):
         for chunk in chunks:
-            expected[chunk] += weight
-    np.testing.assert_allclose(area.reshape(CHUNKS), expected, rtol=1e-5)
+            expected[chunk] += own
+    np.testing.assert_allclose(weight.reshape(CHUNKS), expected, rtol=1e-5)
 
 
 @pytest.mark.parametrize("pieces", [1, 3])

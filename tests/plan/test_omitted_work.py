@@ -88,9 +88,10 @@ def read_by(scene: Scene, isovalue: float, azimuth: float) -> np.ndarray:
     recipe, tiles = Recipe(scene), Tiles()
     gbuffer = trace(view_of(scene, azimuth, isovalue=isovalue), recipe, tiles, None)
     marks = np.zeros(recipe.shape, np.bool_)
-    for demand in find_texels(gbuffer, recipe, tiles, None).demands:
-        inside = np.unravel_index(demand.offsets, (CHUNK,) * 3)
-        marks[tuple(at + CHUNK * chunk for at, chunk in zip(inside, demand.index, strict=True))] = True
+    texels = find_texels(gbuffer, recipe, tiles, None)
+    for index, offsets in zip(texels.chunks, texels.offsets, strict=True):
+        inside = np.unravel_index(offsets, (CHUNK,) * 3)
+        marks[tuple(at + CHUNK * chunk for at, chunk in zip(inside, index, strict=True))] = True
     return marks
 
 

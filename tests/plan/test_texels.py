@@ -89,9 +89,9 @@ def test_views_read_no_texel_that_counts_as_unseen(orbital: Scene, lattice: floa
     for azimuth in (0.0, 120.0, 240.0):
         view = View(scene.isovalue, scene.camera(azimuth, 30.0, 3.0, 30.0), width=48, height=48)
         texels = find_texels(trace(view, recipe, tiles, None), recipe, tiles, None)
-        assert texels.demands
-        for demand in texels.demands:
-            inside = np.stack(np.unravel_index(demand.offsets, (CHUNK,) * 3)) + np.array(demand.index)[:, None] * CHUNK
+        assert texels.chunks
+        for index, offsets in zip(texels.chunks, texels.offsets, strict=True):
+            inside = np.stack(np.unravel_index(offsets, (CHUNK,) * 3)) + np.array(index)[:, None] * CHUNK
             assert shown[tuple(inside)].all()
 
 

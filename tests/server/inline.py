@@ -18,7 +18,7 @@ LONG = 60.0
 class InlinePool:
     """Bakes on a thread of this process."""
 
-    room = 2
+    room, workers = 2, 1
     connected = True
 
     def __init__(self, workers: int, scheduler: str | None = None, kinds: Collection[str] = ()) -> None:

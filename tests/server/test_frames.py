@@ -1,6 +1,7 @@
 """Frames and coverage over a real socket: the response, and the store that it came from."""
 
 import io
+import re
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -12,6 +13,7 @@ import pytest
 from PIL import Image
 
 VIEW: dict[str, str | int | float] = {"width": 48, "height": 40, "azimuth": 40}
+TIMING = re.compile(r"(\w+);dur=([\d.]+)")
 ACCEPTED = {"png": "image/png", "jpeg": "image/jpeg", "webp": "image/webp", "npy": "application/x-npy"}
 
 
@@ -132,6 +134,29 @@ def test_an_unchanged_frame_is_304_with_its_headers(client: httpx.Client) -> Non
     assert "encode;dur=" in full.headers["server-timing"]
 
 
+def test_a_frame_that_is_not_final_tells_the_time_left(client: httpx.Client) -> None:
+    final_frame(client)
+    strict = {"isovalue": 0.35, "azimuth": 100, "max_error": 0.01}
+    answer = frame(client, **strict)
+    assert answer.headers["isogi-provisional"] == "?1"
+    low, likely, high = pairs(answer.headers["isogi-time-left"]).values()
+    assert 0.0 <= low <= likely <= high and high > 0.0
+    told = client.get("/v1/scenes/small/coverage", params={**VIEW, **strict}).json()
+    assert told["time_left"].keys() == {"low", "likely", "high"}
+    assert "isogi-time-left" not in final_frame(client).headers
+
+
+def test_no_stage_takes_longer_than_all_together(client: httpx.Client) -> None:
+    final_frame(client, shading="gi")
+    answer = frame(client, isovalue=0.55, azimuth=300, wait_ms=300)
+    seconds = {name: float(spent) for name, spent in TIMING.findall(answer.headers["server-timing"])}
+    total = seconds.pop("total")
+    stages = {"queue", "bake", "primary", "texels", "load", "read", "light", "shade", "normals", "encode"}
+    assert seconds.keys() == stages
+    assert 0.5 * total < sum(seconds.values()) <= total
+    assert 0.0 < seconds["bake"] < 400.0
+
+
 def test_the_etag_tells_views_apart(client: httpx.Client) -> None:
     tags = [frame(client, **more).headers["etag"] for more in ({}, {"isovalue": 0.51}, {"yaw": 20}, {"azimuth": 41})]
     assert len(set(tags)) == 4
@@ -173,6 +198,7 @@ def test_coverage_tells_what_the_frame_told(client: httpx.Client) -> None:
     assert answer["pixels"] == {"surface": surface, "final": surface, "converging": 0, "provisional": 0}
     assert answer["error"] == pytest.approx(float(headers["isogi-error"]), abs=1e-5)
     assert answer["provisional"] is False
+    assert answer["time_left"] == {"low": 0.0, "likely": 0.0, "high": 0.0}
 
 
 @pytest.mark.parametrize(

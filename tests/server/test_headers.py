@@ -1,5 +1,6 @@
 """ETags, host names, HEAD, and the headers that every response carries."""
 
+import time
 from collections.abc import Callable
 
 import httpx
@@ -8,8 +9,19 @@ from fastapi import FastAPI
 from starlette.datastructures import Headers
 from starlette.responses import HTMLResponse, JSONResponse, Response
 
-from server.headers import HeadAsGet, KnownHosts, SafeHeaders, coverage_header, matches, server_timing
+from isogi_core.frame.stopwatch import Stopwatch
+from server.headers import (
+    STAGES,
+    HeadAsGet,
+    KnownHosts,
+    SafeHeaders,
+    coverage_header,
+    matches,
+    server_timing,
+    time_left_header,
+)
 from server.settings import LOOPBACK
+from worker.outlook import TimeLeft
 
 
 @pytest.fixture
@@ -53,7 +65,15 @@ def test_coverage_never_says_all_where_some_is_missing(final: float, provisional
 
 
 def test_server_timing_is_in_milliseconds() -> None:
-    assert server_timing({"primary": 0.0125, "encode": 1}) == "primary;dur=12.50, encode;dur=1000.00"
+    watch = Stopwatch(time.perf_counter() - 2.0, {"primary": 0.0125, "encode": 1})
+    stages = dict(stage.split(";dur=") for stage in server_timing(watch).split(", "))
+    assert float(stages.pop("total")) == pytest.approx(2000.0, abs=100.0)
+    assert stages == {"primary": "12.50", "encode": "1000.00"}
+    assert stages.keys() < STAGES.keys()
+
+
+def test_time_left_is_in_seconds() -> None:
+    assert time_left_header(TimeLeft(1.26, 20.0, 41.04)) == "low=1.3, likely=20.0, high=41.0"
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "127.0.0.1:80", "localhost:8000", "LOCALHOST", "[::1]", "[::1]:8000"])

@@ -9,6 +9,7 @@ import pytest
 from isogi_core.model.view import Camera, View
 from server import render
 from worker.errors import WorkersError
+from worker.outlook import TimeLeft
 
 VIEW = View(0.5, Camera((5.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
 
@@ -28,6 +29,9 @@ class Script:
 
     def trouble(self) -> str:
         return self.failing if len(self.versions) == 1 else ""
+
+    def time_left(self, scene: str, frame: Any, max_error: float | None) -> TimeLeft:
+        return TimeLeft(61.0, 200.0, 7300.0)
 
     def unready(self) -> list[str]:
         return ["No worker is alive."]
@@ -49,7 +53,8 @@ def test_it_asks_until_the_frame_is_final(capsys: pytest.CaptureFixture[str]) ->
     studio = Script("a", "b", "c", "final")
     assert refine(studio, max_error=0.1).version == "final"
     assert studio.asked == [{"max_error": 0.1, "wait": render.STEP}] * 4
-    assert "baking" in capsys.readouterr().err
+    bar = capsys.readouterr().err
+    assert "baking" in bar and "about 3 min left (61 s to 2 h)" in bar
 
 
 def test_it_ends_when_the_time_is_spent() -> None:

@@ -13,10 +13,12 @@ from fastapi import FastAPI
 from isogi_core.errors import Cancelled, StoreError
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import GBuffer
+from isogi_core.frame.stopwatch import Stopwatch
 from isogi_core.model.scene import Scene, load_scene
 from isogi_core.model.view import View
 from server.app import create_app
 from server.settings import Settings
+from worker.outlook import TimeLeft
 
 FRAME = "/v1/scenes/orbital/frame"
 
@@ -47,7 +49,14 @@ class FakeStudio:
         return ["No worker is alive."]
 
     def frame(
-        self, scene: str, view: View, *, max_error: float | None, wait: float, cancelled: threading.Event
+        self,
+        scene: str,
+        view: View,
+        *,
+        max_error: float | None,
+        wait: float,
+        cancelled: threading.Event,
+        watch: Stopwatch,
     ) -> Frame:
         self.views.append((view, max_error, wait))
         self.doing(cancelled)
@@ -55,7 +64,10 @@ class FakeStudio:
         colour, ones = np.full((*shape, 3), 0.5, np.float32), np.ones(shape, np.float32)
         pixels = np.arange(ones.size, dtype=np.uint32)
         surface = GBuffer(shape, (1.0, 1.0, 1.0), (9.0, 0.0, 0.0), 0.5, pixels, colour.reshape(-1, 3))
-        return Frame(view, colour, ones.astype(np.uint8), ones, surface, 3, 1, tuple, "v1", {"primary": 0.001})
+        return Frame(view, colour, ones.astype(np.uint8), ones, surface, 3, 1, tuple, "v1", watch.seconds)
+
+    def time_left(self, scene: str, frame: Frame, max_error: float | None) -> TimeLeft:
+        return TimeLeft(1.0, 2.0, 3.25)
 
 
 @pytest.fixture(scope="module")
@@ -126,6 +138,8 @@ def test_a_frame_reaches_the_studio_as_a_view(studio: FakeStudio, app: FastAPI) 
     assert answer.headers["isogi-provisional"] == "?1"
     assert answer.headers["isogi-chunks"] == "needed=3, final=1"
     assert answer.headers["isogi-coverage"] == "final=0.000, converging=0.000, provisional=1.000"
+    assert answer.headers["isogi-time-left"] == "low=1.0, likely=2.0, high=3.2"
+    assert answer.headers["server-timing"].startswith("queue;dur=")
     assert answer.headers["cache-control"] == "no-cache"
 
 

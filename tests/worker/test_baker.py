@@ -5,12 +5,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from isogi_core.bake.effort import Effort
 from isogi_core.bake.recipe import Index
+from isogi_core.cache.costs import Cost, Costs
 from isogi_core.errors import StoreError
 from isogi_core.frame.texels import Demand
 from isogi_core.model.plan import Layer, ScenePlan
 from isogi_core.model.source import SceneSource
 from worker.baker import Bake, Baker
+from worker.outlook import TimeLeft
 from worker.pool import Done
 from worker.queue import FORGET_AFTER, MOST_FAILURES
 from worker.tasks import BakeResult, BakeTask
@@ -18,14 +21,21 @@ from worker.tasks import BakeResult, BakeTask
 SOURCE = SceneSource("scene", {"volume": "demo:orbital"}, Path())
 PLAN = ScenePlan("transfer", (Layer("direct", 5), Layer("indirect", 3)), 5, 4, 1.0, 4096)
 NEAR = ScenePlan("vicinity", (Layer("direct", 5),), 1, 0, 1.0, 4096)
-DONE = BakeResult(0, 0, 0.1)
+
+
+def left(unfinished: int, error: float, paths: float = 0.0) -> BakeResult:
+    """What a task leaves that took 2 seconds for the first 100 paths of 2 texels."""
+    return BakeResult(unfinished, error, Effort(0, 100.0, paths), Cost(2.0, 100, 2))
+
+
+DONE = left(0, 0.0)
 
 
 class FakePool:
     """Takes tasks and ends them when the test says so."""
 
     def __init__(self, room: int) -> None:
-        self.room = room
+        self.room, self.workers = room, 2
         self.flying: list[tuple[BakeTask, Done]] = []
 
     def submit(self, task: BakeTask, done: Done) -> None:
@@ -47,12 +57,13 @@ class Bench:
         self.now = 0.0
         self.arrived: list[Index] = []
         self.baker = Baker(lambda: self.now)
+        self.costs = Costs("memory://costs", "digest")
         layers = frozenset({"direct", "indirect"})
-        self.baker.add("scene", Bake(SOURCE, PLAN, "digest", layers, "store", self.arrived.append))
+        self.baker.add("scene", Bake(SOURCE, PLAN, "digest", layers, "store", self.arrived.append, self.costs))
 
     def want(self, *chunks: int, scene: str = "scene") -> bool:
         texels = np.array([1, 2], np.int32)
-        return self.baker.want(scene, [Demand((0, 0, x), texels, 10.0 - x) for x in chunks], 0.1)
+        return self.baker.want(scene, [Demand((0, 0, x), texels, 10.0 - x, Effort(2, 0.0, 0.0)) for x in chunks], 0.1)
 
     def employ(self, room: int) -> FakePool:
         pool = FakePool(room)
@@ -75,7 +86,7 @@ def test_a_task_holds_all_that_a_worker_must_know(bench: Bench) -> None:
     bench.want(3)
     task = pool.flying[0][0]
     assert (task.source, task.plan, task.digest, task.store) == (SOURCE, PLAN, "digest", "store")
-    assert (task.index, task.offsets.tolist(), task.until, task.target) == ((0, 0, 3), [1, 2], 16, 0.1)
+    assert (task.index, task.offsets.tolist(), task.until, task.level, task.target) == ((0, 0, 3), [1, 2], 16, 0.1, 0.1)
 
 
 def test_few_tasks_fly_and_the_newest_view_is_next(bench: Bench) -> None:
@@ -92,16 +103,21 @@ def test_few_tasks_fly_and_the_newest_view_is_next(bench: Bench) -> None:
 def test_each_chunk_is_told_as_it_arrives_and_taken_on_until_final(bench: Bench) -> None:
     pool = bench.employ(1)
     bench.want(1)
-    assert pool.end(BakeResult(2, 16, 0.1)).until == 16
+    assert pool.end(left(2, 0.8)).until == 16
     assert bench.arrived == [(0, 0, 1)]
-    assert pool.end().until == 64
+    assert pool.end().level == 0.4
     assert bench.arrived == [(0, 0, 1)] * 2
     assert pool.tasks() == []
 
 
 def test_scenes_share_the_workers(bench: Bench) -> None:
     others: list[Index] = []
-    bench.baker.add("other", Bake(SOURCE, PLAN, "other digest", frozenset({"whole"}), "store", others.append))
+    bench.baker.add(
+        "other",
+        Bake(
+            SOURCE, PLAN, "other digest", frozenset({"whole"}), "store", others.append, Costs("memory://costs", "other")
+        ),
+    )
     pool = bench.employ(4)
     bench.want(1)
     bench.want(1, scene="other")
@@ -113,7 +129,12 @@ def test_scenes_share_the_workers(bench: Bench) -> None:
 
 
 def test_bakes_that_share_a_layer_are_at_a_chunk_one_after_the_other(bench: Bench) -> None:
-    bench.baker.add("near", Bake(SOURCE, NEAR, "near digest", frozenset({"direct"}), "store", lambda _: None))
+    bench.baker.add(
+        "near",
+        Bake(
+            SOURCE, NEAR, "near digest", frozenset({"direct"}), "store", lambda _: None, Costs("memory://costs", "near")
+        ),
+    )
     pool = bench.employ(8)
     bench.want(1, 2)
     bench.want(2, 3, scene="near")
@@ -208,3 +229,28 @@ def test_many_threads_may_want_at_once(bench: Bench) -> None:
         pool.end()
     assert len(bench.arrived) >= 69
     bench.baker.wait("scene", [(0, 0, x) for x in range(69)], 60.0)
+
+
+def test_time_left_follows_from_what_the_bake_took(bench: Bench) -> None:
+    pool = bench.employ(1)
+    bench.want(1, 2, 3)
+    chunks = [(0, 0, x) for x in (1, 2, 3)]
+    assert bench.baker.time_left("scene", "view", chunks) is None
+    pool.end(left(2, 0.8, paths=300.0))
+    # 0.02 seconds a path: 300 paths here, and there of each texel as many as here, (100 + 300) / 2.
+    told = bench.baker.time_left("scene", "view", chunks)
+    assert told is not None
+    assert told.likely == pytest.approx(0.02 * (300 + 2 * 2 * 200) / 2)
+    assert told.low < told.likely / 2 and told.high > 2 * told.likely
+    assert bench.baker.time_left("scene", "view", [(0, 0, 9)]) == TimeLeft(0.0, 0.0, 0.0)
+    assert bench.baker.paths == 100
+
+
+def test_costs_are_kept_when_the_baker_stops(bench: Bench) -> None:
+    pool = bench.employ(1)
+    bench.want(1)
+    pool.end()
+    bench.baker.stop()
+    again = Costs("memory://costs", "digest")
+    again.read()
+    assert again.rate((0, 0, 1)) == 0.02

@@ -1,11 +1,25 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from isogi_core.bake.effort import Effort
+from isogi_core.bake.precision import FIRST_RUNG
+from isogi_core.cache.costs import Cost
 from isogi_core.frame.texels import Demand
+from isogi_core.model.plan import MOST
 from worker.queue import FORGET_AFTER, MOST_FAILURES, BakeQueue, Key
-from worker.tasks import BakeResult, next_goal
+from worker.tasks import BakeResult
 
-DONE = BakeResult(0, 0, 0.1)
+UNLIT = Effort(3, 0.0, 0.0)
+
+
+def left(unfinished: int, error: float, taken: float = 48.0) -> BakeResult:
+    """What a task leaves of a chunk whose texels are all lit."""
+    return BakeResult(unfinished, error, Effort(0, taken, taken), Cost(0.1, 48, 3))
+
+
+DONE = left(0, 0.0)
 
 
 class Clock:
@@ -33,11 +47,15 @@ def key(x: int) -> Key:
 
 
 def want(
-    queue: BakeQueue, *demands: tuple[int, float], texels: tuple[int, ...] = (1, 2, 3), target: float = 0.1
+    queue: BakeQueue,
+    *demands: tuple[int, float],
+    texels: tuple[int, ...] = (1, 2, 3),
+    target: float = 0.1,
+    effort: Effort = UNLIT,
 ) -> None:
-    """One view that demands chunks (x, area)."""
+    """One view that demands chunks (x, weight)."""
     offsets = np.array(texels, np.int32)
-    queue.want([(key(x), Demand((0, 0, x), offsets, area)) for x, area in demands], target)
+    queue.want([(key(x), Demand((0, 0, x), offsets, weight, effort)) for x, weight in demands], target)
 
 
 def take(queue: BakeQueue) -> int | None:
@@ -56,7 +74,7 @@ def test_nothing_wanted_nothing_taken(queue: BakeQueue) -> None:
     assert queue.take() is None
 
 
-def test_the_chunk_with_the_largest_area_comes_first(queue: BakeQueue) -> None:
+def test_the_chunk_that_looks_most_wrong_comes_first(queue: BakeQueue) -> None:
     want(queue, (1, 5.0), (2, 50.0), (3, 20.0))
     assert [take(queue) for _ in range(4)] == [2, 3, 1, None]
 
@@ -73,27 +91,43 @@ def test_a_chunk_asked_for_again_belongs_to_the_newest_view(queue: BakeQueue) ->
     assert [take(queue) for _ in range(2)] == [2, 1]
 
 
-def test_the_fewest_samples_come_first(queue: BakeQueue) -> None:
+def test_what_has_no_light_comes_first(queue: BakeQueue) -> None:
     want(queue, (1, 500.0), (2, 1.0))
     assert take(queue) == 1
-    end(queue, 1, BakeResult(3, 16, 0.1))
+    end(queue, 1, left(3, 0.9))
     assert [take(queue) for _ in range(2)] == [2, 1]
 
 
-def test_goals_climb_until_the_chunk_is_final(queue: BakeQueue) -> None:
-    want(queue, (1, 1.0))
-    goals = []
-    for fewest in (16, 64, 256, 512):
+def test_a_second_is_spent_where_it_takes_most_error_off(clock: Clock) -> None:
+    seconds = {key(1): 1.0, key(2): 1.0, key(3): 4.0}
+    queue = BakeQueue(clock, rate=seconds.get)
+    want(queue, (1, 10.0), effort=Effort(0, 100.0, 0.0))
+    want(queue, (1, 10.0), (3, 10.0), effort=Effort(0, 100.0, 0.0))
+    queue.wants[key(2)] = replace(queue.wants[key(1)], key=key(2), effort=Effort(0, 50.0, 0.0))
+    assert [take(queue) for _ in range(3)] == [2, 1, 3]
+
+
+def test_what_has_calmed_down_waits_for_what_has_not(queue: BakeQueue) -> None:
+    want(queue, (1, 10.0), (2, 9.0), effort=Effort(0, 48.0, 0.0))
+    assert take(queue) == 1
+    end(queue, 1, left(3, 0.5))
+    assert [take(queue) for _ in range(2)] == [2, 1]
+
+
+def test_errors_fall_by_halves_until_the_chunk_is_final(queue: BakeQueue) -> None:
+    want(queue, (1, 1.0), target=0.1)
+    levels = []
+    for error in (0.9, 0.5, 0.45, 0.12):
         taken = queue.take()
         assert taken is not None
-        goals.append(taken.goal)
-        end(queue, 1, BakeResult(2, fewest, 0.1))
-    assert goals == [16, 64, 256, 512]
-    assert next_goal(512) == 1024
+        levels.append((taken.until, taken.level))
+        end(queue, 1, left(2, error))
+    assert levels == [(FIRST_RUNG, None), (MOST, 0.45), (MOST, 0.225), (MOST, 0.1125)]
+    assert queue.wants[key(1)].level == 0.1
     assert take(queue) == 1
     end(queue, 1, DONE)
     assert queue.take() is None
-    assert queue.open([key(1)]) == 0
+    assert queue.open([key(1)]) == []
 
 
 def test_what_flies_is_not_taken_twice(queue: BakeQueue) -> None:
@@ -101,7 +135,7 @@ def test_what_flies_is_not_taken_twice(queue: BakeQueue) -> None:
     assert take(queue) == 1
     want(queue, (1, 1.0))
     assert take(queue) is None
-    assert queue.open([key(1), key(2)]) == 1
+    assert len(queue.open([key(1), key(2)])) == 1
 
 
 def test_texels_and_targets_of_several_views_are_merged(queue: BakeQueue) -> None:
@@ -111,25 +145,25 @@ def test_texels_and_targets_of_several_views_are_merged(queue: BakeQueue) -> Non
     taken = queue.take()
     assert taken is not None
     assert taken.offsets.tolist() == [2, 5, 9, 11]
-    assert (taken.target, taken.area) == (0.05, 3.0)
+    assert (taken.target, taken.weight) == (0.05, 3.0)
 
 
 def test_new_texels_start_from_the_first_rung(queue: BakeQueue) -> None:
     want(queue, (1, 1.0), texels=(1, 2))
     take(queue)
-    end(queue, 1, BakeResult(1, 64, 0.1))
+    end(queue, 1, left(1, 0.6))
     want(queue, (1, 1.0), texels=(1,))
-    assert queue.wants[key(1)].goal == next_goal(64)
+    assert queue.wants[key(1)].level == 0.3
     want(queue, (1, 1.0), texels=(1, 3))
-    assert queue.wants[key(1)].goal == next_goal(0)
+    assert queue.wants[key(1)].level is None
 
 
 def test_a_stricter_target_starts_from_the_first_rung(queue: BakeQueue) -> None:
     want(queue, (1, 1.0), target=0.1)
     take(queue)
-    end(queue, 1, BakeResult(1, 64, 0.1))
+    end(queue, 1, left(1, 0.6))
     want(queue, (1, 1.0), target=0.01)
-    assert queue.wants[key(1)].goal == next_goal(0)
+    assert queue.wants[key(1)].level is None
 
 
 @pytest.mark.parametrize(("texels", "target"), [((1, 2, 3, 4), 0.1), ((7,), 0.1), ((1, 2, 3), 0.01)])
@@ -144,7 +178,7 @@ def test_what_grew_while_flying_stays_wanted(queue: BakeQueue, texels: tuple[int
     assert again is not None
     assert set(again.offsets.tolist()) == {1, 2, 3, *texels}
     assert again.target == min(0.1, target)
-    assert again.goal == next_goal(0)
+    assert again.level is None
 
 
 def test_what_did_not_grow_while_flying_is_done(queue: BakeQueue) -> None:
@@ -152,17 +186,17 @@ def test_what_did_not_grow_while_flying_is_done(queue: BakeQueue) -> None:
     take(queue)
     want(queue, (1, 1.0), texels=(2,), target=0.5)
     queue.finish(key(1), np.array([1, 2, 3], np.int32), 0.1, DONE)
-    assert queue.open([key(1)]) == 0
+    assert queue.open([key(1)]) == []
 
 
 def test_failures_are_tried_again_and_then_given_up(queue: BakeQueue) -> None:
     want(queue, (1, 9.0), (2, 1.0))
     for failure in range(1, MOST_FAILURES + 1):
         assert take(queue) == 1
-        assert queue.open([key(1)]) == 1
+        assert len(queue.open([key(1)])) == 1
         assert queue.fail(key(1), f"failure {failure}") == (failure == MOST_FAILURES)
     assert MOST_FAILURES == 3
-    assert queue.open([key(1)]) == 0
+    assert queue.open([key(1)]) == []
     assert queue.trouble() == "failure 3"
     assert [take(queue) for _ in range(2)] == [2, None]
 
@@ -173,7 +207,7 @@ def test_success_forgives_failures(queue: BakeQueue) -> None:
         assert take(queue) == 1
         assert not queue.fail(key(1), "once")
         assert take(queue) == 1
-        end(queue, 1, BakeResult(1, 16, 0.1))
+        end(queue, 1, left(1, 0.9))
     assert queue.trouble() == ""
 
 
@@ -197,10 +231,18 @@ def test_light_that_nobody_asks_for_any_more_is_forgotten(queue: BakeQueue, cloc
     clock.now += FORGET_AFTER / 2
     want(queue, (2, 1.0))
     clock.now += FORGET_AFTER / 2
-    assert queue.open([key(1), key(2)]) == 2
+    assert len(queue.open([key(1), key(2)])) == 2
     clock.now += 0.1
     assert [take(queue) for _ in range(2)] == [2, None]
-    assert queue.open([key(1)]) == 0
+    assert queue.open([key(1)]) == []
+
+
+def test_light_is_not_forgotten_while_somebody_waits_for_it(queue: BakeQueue, clock: Clock) -> None:
+    want(queue, (1, 1.0), (2, 1.0))
+    clock.now += FORGET_AFTER
+    queue.renew([key(2), key(3)])
+    clock.now += 0.1
+    assert [take(queue) for _ in range(2)] == [2, None]
 
 
 def test_what_flies_is_not_forgotten(queue: BakeQueue, clock: Clock) -> None:
@@ -208,6 +250,6 @@ def test_what_flies_is_not_forgotten(queue: BakeQueue, clock: Clock) -> None:
     assert take(queue) == 1
     clock.now += 10 * FORGET_AFTER
     assert take(queue) is None
-    end(queue, 1, BakeResult(1, 16, 0.1))
+    end(queue, 1, left(1, 0.9))
     assert take(queue) is None
-    assert queue.open([key(1)]) == 0
+    assert queue.open([key(1)]) == []

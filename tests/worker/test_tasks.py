@@ -1,21 +1,23 @@
 import asyncio
 import threading
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from isogi_core.bake.effort import Effort
 from isogi_core.bake.look import look_for
-from isogi_core.bake.noise import finished
+from isogi_core.bake.noise import finished, relative_error
 from isogi_core.bake.recipe import Recipe
 from isogi_core.cache.store import ChunkStore
 from isogi_core.errors import SceneError, StoreError
 from isogi_core.kernels.irradiance import bake_irradiance
 from isogi_core.kernels.transfer import bake_texels, locate_texels
-from isogi_core.model.plan import most_samples
+from isogi_core.model.plan import FEWEST, most_samples
 from isogi_core.model.scene import load_scene
-from worker.tasks import KINDS, BakeResult, BakeTask, bake, bake_kernels, dask_setup, next_goal, opened
+from worker.tasks import KINDS, BakeResult, BakeTask, bake, bake_kernels, dask_setup, opened
 
 INDEX = (1, 1, 2)
 UNTIL = most_samples(0.05)
@@ -27,7 +29,7 @@ VICINITY = look_for(Recipe(SCENE), "vicinity")
 
 
 def do(root: Path, texels: np.ndarray = TEXELS, until: int = UNTIL, target: float = 0.05) -> BakeResult:
-    return bake(BakeTask(SCENE.source, LOOK.plan, LOOK.digest, str(root), INDEX, texels, until, target))
+    return bake(BakeTask(SCENE.source, LOOK.plan, LOOK.digest, str(root), INDEX, texels, until, target, target))
 
 
 def store_of(root: Path) -> ChunkStore:
@@ -52,15 +54,20 @@ def test_a_task_leaves_light_of_just_its_texels(tmp_path: Path) -> None:
     np.testing.assert_array_equal(chunk.offsets, TEXELS)
     assert [set(part.samples.tolist()) for part in chunk.light.parts] == [{16}, {16}]
     waiting = ~finished(chunk.light, store_of(tmp_path).look, 0.05)
-    assert (result.unfinished, result.fewest) == (waiting.sum(), 16)
-    assert result.seconds > 0.0
-    assert waiting.any()
+    error = relative_error(chunk.light, store_of(tmp_path).look)[waiting]
+    assert result.unfinished == waiting.sum() > 0
+    assert result.error == pytest.approx(np.sqrt((error**2).mean()))
+    assert result.effort == Effort.of(error, np.full(len(error), 16), 0.05)
+    assert result.cost[1:] == (16 * len(TEXELS), len(TEXELS))
+    assert result.cost.seconds > 0.0
 
 
 def test_a_finished_task_says_so(tmp_path: Path) -> None:
     result = do(tmp_path)
-    assert (result.unfinished, result.fewest) == (0, 0)
+    assert (result.unfinished, result.error, result.effort) == (0, 0.0, Effort(0, 0.0, 0.0))
     chunk = store_of(tmp_path).load(INDEX)
+    assert result.cost.paths == chunk.light.samples[~chunk.light.void].sum()
+    assert do(tmp_path).cost[1:] == (0, 0)
     assert finished(chunk.light, store_of(tmp_path).look, 0.05).all()
     assert all(len(set(part.samples.tolist())) > 1 for part in chunk.light.parts)
 
@@ -68,7 +75,7 @@ def test_a_finished_task_says_so(tmp_path: Path) -> None:
 def test_a_layer_that_takes_no_samples_is_not_written_again(tmp_path: Path) -> None:
     do(tmp_path, until=64)
     before = stored(tmp_path)
-    bake(BakeTask(SCENE.source, VICINITY.plan, VICINITY.digest, str(tmp_path), INDEX, TEXELS, 256, 1e-4))
+    bake(BakeTask(SCENE.source, VICINITY.plan, VICINITY.digest, str(tmp_path), INDEX, TEXELS, 256, 1e-4, 1e-4))
     ahead = stored(tmp_path)
     assert [now == old for now, old in zip(ahead, before, strict=True)] == [False, True]
     do(tmp_path, until=256, target=1e-4)
@@ -87,11 +94,22 @@ def test_the_same_task_leaves_the_same_bytes(tmp_path: Path) -> None:
 
 def test_in_one_go_or_in_many_is_the_same(tmp_path: Path) -> None:
     do(tmp_path / "a")
-    goal = 0
-    while do(tmp_path / "b", until=(goal := next_goal(goal))).unfinished:
-        assert goal <= UNTIL
-    assert goal > 64
+    task = BakeTask(SCENE.source, LOOK.plan, LOOK.digest, str(tmp_path / "b"), INDEX, TEXELS, 16, 0.05, 0.05)
+    steps, result = 1, bake(task)
+    while result.unfinished:
+        level = max(result.error / 2, 0.05)
+        result, steps = bake(replace(task, until=UNTIL, level=level)), steps + 1
+    assert steps > 2
     assert stored(tmp_path / "a") == stored(tmp_path / "b")
+
+
+def test_a_task_takes_texels_to_its_level_and_calm_ones_no_further(tmp_path: Path) -> None:
+    task = BakeTask(SCENE.source, LOOK.plan, LOOK.digest, str(tmp_path), INDEX, TEXELS, UNTIL, 0.2, 0.05)
+    result, look = bake(task), store_of(tmp_path).look
+    light = store_of(tmp_path).load(INDEX).light
+    assert finished(light, look, 0.2).all() and not finished(light, look, 0.05).all()
+    assert result.unfinished == (~finished(light, look, 0.05)).sum()
+    assert light.samples[~light.void].min() == FEWEST
 
 
 def test_the_order_of_views_does_not_matter(tmp_path: Path) -> None:
@@ -121,7 +139,7 @@ def test_texels_that_are_not_asked_for_stay_as_they_are(tmp_path: Path) -> None:
 def test_vicinity_shading_takes_its_light_from_the_layer_that_is_there(tmp_path: Path) -> None:
     do(tmp_path)
     before = stored(tmp_path)
-    result = bake(BakeTask(SCENE.source, VICINITY.plan, VICINITY.digest, str(tmp_path), INDEX, TEXELS, 64, 0.5))
+    result = bake(BakeTask(SCENE.source, VICINITY.plan, VICINITY.digest, str(tmp_path), INDEX, TEXELS, 64, 0.5, 0.5))
     assert result.unfinished == 0
     assert stored(tmp_path) == before
     light = opened(SCENE.source, VICINITY.plan, VICINITY.digest, str(tmp_path))[1].load(INDEX).light
@@ -151,7 +169,7 @@ def test_a_damaged_chunk_heals_to_the_same_bytes(tmp_path: Path, damage: Callabl
 
 
 def test_a_scene_whose_files_changed_is_refused(tmp_path: Path) -> None:
-    task = BakeTask(SCENE.source, LOOK.plan, "0" * 20, str(tmp_path), INDEX, TEXELS, 16, 0.05)
+    task = BakeTask(SCENE.source, LOOK.plan, "0" * 20, str(tmp_path), INDEX, TEXELS, 16, 0.05, 0.05)
     with pytest.raises(SceneError, match=r"'orbital' have changed since the server began: restart it\.$"):
         bake(task)
     assert not list(tmp_path.iterdir())
@@ -181,10 +199,3 @@ def test_layers_need_the_kernels_of_their_kinds_alone() -> None:
     assert set(bake_kernels(["whole"])) == {bake_texels, locate_texels}
     assert set(bake_kernels(["irradiance"])) == {bake_irradiance, locate_texels}
     assert set(bake_kernels(KINDS)) == {bake_texels, bake_irradiance, locate_texels}
-
-
-def test_goals_climb() -> None:
-    goals = [0]
-    while goals[-1] < 16384:
-        goals.append(next_goal(goals[-1]))
-    assert goals == [0, 16, 64, 256, 512, 1024, 2048, 4096, 8192, 16384]

@@ -1,0 +1,37 @@
+"""Progress of long work on the terminal: how much is done, and how long the rest takes."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from tqdm import tqdm
+
+if TYPE_CHECKING:
+    from worker.outlook import TimeLeft
+
+FORMAT = "{desc}: {percentage:3.0f}%|{bar}| {n_fmt}/{total_fmt} {unit}s, {elapsed}{postfix}"
+
+
+def progress_bar(what: str, unit: str, total: int = 0) -> Any:
+    """A bar on stderr, which tells the time left as it is told to; see ``show``."""
+    return tqdm(desc=what, unit=unit, total=total, bar_format=FORMAT)
+
+
+def show(bar: Any, done: int, total: int, left: TimeLeft | None) -> None:
+    """Put on the bar how much is done, and the time that is left."""
+    bar.total, bar.n = total, done
+    bar.set_postfix_str("" if left is None else left_text(left), refresh=False)
+    bar.refresh()
+
+
+def left_text(left: TimeLeft) -> str:
+    """The time left for a person, such as ``about 20 s left (12 s to 41 s)``."""
+    return f"about {duration(left.likely)} left ({duration(left.low)} to {duration(left.high)})"
+
+
+def duration(seconds: float) -> str:
+    """Seconds in the unit that a person would use."""
+    for unit, size in (("h", 3600.0), ("min", 60.0)):
+        if seconds >= 2.0 * size:
+            return f"{seconds / size:.0f} {unit}"
+    return f"{seconds:.0f} s"

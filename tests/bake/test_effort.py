@@ -1,0 +1,40 @@
+import numpy as np
+import pytest
+
+from isogi_core.bake.effort import Effort, efforts, samples_left
+from isogi_core.bake.noise import good_enough
+from isogi_core.bake.precision import VOID
+from isogi_core.model.plan import FEWEST, most_samples
+
+TARGET = 0.05
+
+
+def test_samples_follow_the_rate_at_which_errors_fall_up_to_a_rung() -> None:
+    error, samples = np.array([0.2, 0.1, 0.051, 3.0, 0.01]), np.array([64, 64, 64, 64, 16])
+    goals = [512, 256, 128, most_samples(TARGET), FEWEST]  # 64 · 4^1.5 = 512, 64 · 2^1.5 = 181
+    assert (samples + samples_left(error, samples, TARGET)).tolist() == goals
+
+
+def test_texels_that_keep_to_the_rate_take_what_was_predicted() -> None:
+    rng = np.random.default_rng(5)
+    scale = rng.uniform(0.5, 5.0, 1000)
+    samples = np.full(1000, 64)
+    predicted = samples + samples_left(scale * samples ** (-2 / 3), samples, TARGET)
+    while not (done := good_enough(scale * samples ** (-2 / 3), samples, TARGET)).all():
+        samples = np.where(done, samples, 2 * samples)
+    np.testing.assert_array_equal(samples[predicted > 128], predicted[predicted > 128])
+
+
+def test_efforts_are_summed_chunk_by_chunk() -> None:
+    rng = np.random.default_rng(6)
+    samples = rng.choice([VOID, 0, 16, 64, 256, 2048], 400)
+    error, chunks = rng.uniform(0.0, 0.3, 400), rng.integers(0, 5, 400)
+    found = efforts(chunks, 6, error, samples, TARGET)
+    for chunk in range(6):
+        own = [(e, n) for e, n, at in zip(error, samples, chunks, strict=True) if at == chunk]
+        lit = [(e, n) for e, n in own if n > 0 and not good_enough(np.array(e), np.array(n), TARGET)]
+        left = sum(float(samples_left(np.array([e]), np.array([n]), TARGET)[0]) for e, n in lit)
+        expected = sum(n == 0 for _, n in own), sum(n for _, n in lit), left
+        assert found[chunk].tolist() == pytest.approx(expected)
+        mine = chunks == chunk
+        assert Effort.of(error[mine], samples[mine], TARGET) == pytest.approx(expected)
