@@ -92,7 +92,7 @@ def test_workers_are_processes_of_their_own(pool: WorkerPool) -> None:
 def test_tasks_leave_their_chunks_in_the_store(pool: WorkerPool, tmp_path: Path) -> None:
     tasks = tasks_for(tmp_path)
     results = bake_all(pool, tasks)
-    assert all(result.seconds > 0 for result in results)
+    assert all(result.cost.seconds > 0 for result in results)
     store: ChunkStore = opened(SCENE.source, LOOK.plan, LOOK.digest, str(tmp_path))[1]
     for task in tasks:
         np.testing.assert_array_equal(store.load(task.index).offsets, TEXELS)
