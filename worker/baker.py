@@ -124,7 +124,7 @@ class Baker:
         costs = self._bakes[scene].costs
         total, left = costs.total, sum(want.effort.left for want in wants)
         rates = [costs.rate(want.key[1]) for want in wants]
-        if None in rates or not total.texels and any(want.effort.unlit for want in wants):
+        if None in rates or (not total.texels and any(want.effort.unlit for want in wants)):
             return None
         texels = max(total.texels, 1)
         more, first = (total.paths + left) / texels - FIRST_RUNG, total.first / texels
