@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 SCENE ?=
 
-.PHONY: install serve test check lock format pictures figures clean
+.PHONY: install serve test check lock format pictures figures reports clean
 
 install: $(BIN)/.installed
 
@@ -40,6 +40,10 @@ pictures: install
 figures: $(BIN)/.tools
 	$(BIN)/python -m benchmarks.frames
 	$(BIN)/python -m benchmarks.first_view
+
+# docs/error.md, from reports of the shared volumes; goes on where it was stopped.
+reports: $(BIN)/.tools
+	$(BIN)/python -m benchmarks.reports -o reports
 
 lock: $(BIN)/.tools
 	$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-emit-index-url --python-version 3.11 \

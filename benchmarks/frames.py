@@ -17,17 +17,8 @@ from isogi_core.bake.precision import FIRST_RUNG
 from isogi_core.frame.film import develop
 from isogi_core.frame.renderer import Renderer
 from isogi_core.model.view import View
-from server.measure import (
-    Candidate,
-    bake_view,
-    make_renderer,
-    medians,
-    new_camera,
-    relight,
-    seconds,
-    turned,
-    view_of,
-)
+from isogi_core.report.turns import Candidate, medians, new_camera, relight, seconds, turned
+from server.measure import bake_view, make_renderer, view_of
 
 SHADINGS = ("gi", "lambert", "lambert_shadow", "lambert_fog", "phong", "phong_shadow")
 

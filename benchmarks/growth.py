@@ -25,18 +25,8 @@ from isogi_core.bake.precision import FIRST_RUNG
 from isogi_core.frame.renderer import Renderer
 from isogi_core.model.scene import Scene
 from isogi_core.model.volume import Volume, make_volume
-from server.measure import (
-    Candidate,
-    bake_view,
-    bounce,
-    cast,
-    make_renderer,
-    medians,
-    new_camera,
-    primary_rays,
-    timed,
-    view_of,
-)
+from isogi_core.report.turns import Candidate, medians, new_camera, timed
+from server.measure import bake_view, bounce, cast, make_renderer, primary_rays, view_of
 
 SHADINGS = ("gi", "lambert")
 KINDS = (*SHADINGS, "rays")

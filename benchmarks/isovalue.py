@@ -31,7 +31,8 @@ from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.surroundings import Turned
 from isogi_core.frame.tiles import Tiles
 from isogi_core.model.scene import Scene
-from server.measure import Candidate, bake_view, isovalues_near, make_renderer, medians, primary_rays, seconds, view_of
+from isogi_core.report.turns import Candidate, medians, seconds
+from server.measure import bake_view, isovalues_near, make_renderer, primary_rays, view_of
 
 Painter = Callable[[float], np.ndarray]
 """Makes the picture at an isovalue."""

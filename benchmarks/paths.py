@@ -31,18 +31,8 @@ from isogi_core.kernels.intersect import OUTSIDE
 from isogi_core.model.plan import Layer
 from isogi_core.model.scene import Scene
 from isogi_core.model.view import View
-from server.measure import (
-    NEVER,
-    Candidate,
-    Rays,
-    bake_pieces,
-    bounce,
-    make_renderer,
-    medians,
-    primary_rays,
-    timed,
-    view_of,
-)
+from isogi_core.report.turns import Candidate, medians, timed
+from server.measure import NEVER, Rays, bake_pieces, bounce, make_renderer, primary_rays, view_of
 
 ALBEDO, SEGMENTS, ORDER = 0.7, 5, 5
 TEXELS, SAMPLES = 16384, 64

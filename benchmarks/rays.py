@@ -24,7 +24,8 @@ from isogi_core.bake.recipe import Recipe
 from isogi_core.kernels.lanes import WIDTH
 from isogi_core.kernels.packets import cast_rays_one_by_one
 from isogi_core.model.scene import Scene
-from server.measure import Candidate, Rays, bounce, cast, medians, primary_rays, timed
+from isogi_core.report.turns import Candidate, medians, timed
+from server.measure import Rays, bounce, cast, primary_rays
 
 FOUR = (
     "engine_256x256x128_uint8.nhdr@70",

@@ -24,22 +24,8 @@ from isogi_core.frame.renderer import Renderer
 from isogi_core.kernels.lanes import WIDTH
 from isogi_core.model.scene import Scene, load_scene
 from isogi_core.model.view import SHADINGS, View
-from server.measure import (
-    Candidate,
-    bake_pieces,
-    bake_view,
-    bounce,
-    cast,
-    isovalues_near,
-    make_renderer,
-    medians,
-    new_camera,
-    primary_rays,
-    relight,
-    seconds,
-    timed,
-    view_of,
-)
+from isogi_core.report.turns import Candidate, medians, new_camera, relight, seconds, timed
+from server.measure import bake_pieces, bake_view, bounce, cast, isovalues_near, make_renderer, primary_rays, view_of
 from server.params import FORMATS
 from server.pictures import encode
 from server.settings import cores

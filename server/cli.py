@@ -93,6 +93,16 @@ def number(low: float, high: float) -> Callable[[click.Context, click.Parameter,
     return check
 
 
+def duration(_: click.Context, __: click.Parameter, value: str | None) -> float | None:
+    """Callback of an option that is a span of time: seconds."""
+    from server.report.durations import seconds_of  # noqa: PLC0415
+
+    try:
+        return None if value is None else seconds_of(value)
+    except ValueError as error:
+        raise click.BadParameter(str(error)) from None
+
+
 def settings_from(**given: Any) -> "Settings":
     """The settings: options first, then the environment; UsageError names what is wrong."""
     from pydantic import ValidationError  # noqa: PLC0415
@@ -146,6 +156,65 @@ def render(
     quality = f"estimated error {facts['error']:.4f}, {facts['final']:.1%} of the surface at {facts['target_error']:g}"
     line = f"{output}: {facts['width']} × {facts['height']}, {state}, {quality}"
     click.echo(json.dumps(facts, allow_nan=False) if as_json else line)
+
+
+@cli.command()
+@click.argument("scene", metavar="TARGET")
+@click.option("-o", "--output", required=True, type=click.Path(path_type=Path, dir_okay=False), help="A file, .npz.")
+@options({name: text for name, text in VIEW_OPTIONS.items() if name not in ("shading", "samples", "exposure")})
+@click.option("--samples", type=click.IntRange(1), help="Stop at so many paths per pixel.")
+@click.option("--target-error", callback=number(1e-6, 1), help="Stop at this noise; default: 0.005.")
+@click.option("--time", "seconds", callback=number(0, 1e6), help="Stop after so many seconds.")
+@click.option("--bounces", type=click.IntRange(0, 1000), help="Default: all but 0.1 % of the light.")
+@click.option("--json", "as_json", is_flag=True, help="Print the facts as JSON.")
+def reference(
+    scene: str,
+    output: Path,
+    samples: int | None,
+    target_error: float | None,
+    seconds: float | None,
+    bounces: int | None,
+    as_json: bool,
+    **given: Any,
+) -> None:
+    """Path-trace a view of TARGET from every pixel. Goes on where OUTPUT stopped."""
+    if samples is not None and target_error is not None:
+        raise click.UsageError("--samples and --target-error both say when to stop: keep one.")
+    from server.reference import reference as make_reference  # noqa: PLC0415
+
+    if samples is None and target_error is None and seconds is None:
+        target_error = 0.005
+    knobs = {name: value for name, value in given.items() if value is not None}
+    goal = {"samples": samples, "noise": target_error, "seconds": seconds}
+    facts = make_reference(scene, output, knobs, settings_from(), bounces, goal)
+    line = f"{output}: {facts['width']} × {facts['height']}, {facts['samples']} paths per pixel, "
+    line += f"noise {facts['noise']:.5f}, {facts['seconds']:.1f} seconds of the processor"
+    click.echo(json.dumps(facts, allow_nan=False) if as_json else line)
+
+
+@cli.command()
+@click.argument("scene", metavar="TARGET")
+@click.option("-o", "--output", required=True, type=click.Path(path_type=Path, file_okay=False), help="Folder.")
+@click.option("--size", type=click.IntRange(8, 1024), default=112, show_default=True, help="Pixels along each side.")
+@options({name: text for name, text in VIEW_OPTIONS.items() if name not in ("width", "height", "shading", "samples")})
+@click.option("--deadline", callback=duration, help="Such as 90s, 10m or 1h: what does not fit is left out.")
+@click.option("--only", multiple=True, metavar="KEY", help="Run this study alone; may be told more than once.")
+@click.option("--json", "as_json", is_flag=True, help="Print the facts as JSON.")
+def report(
+    scene: str, output: Path, size: int, deadline: float | None, only: tuple[str, ...], as_json: bool, **given: Any
+) -> int:
+    """Measure how wrong the light of TARGET is, by cause, against what it costs, and write that as a page.
+
+    What was measured is kept in the folder: the same command goes on where it was stopped.
+    """
+    from server.report.command import Wishes, sentence  # noqa: PLC0415
+    from server.report.command import report as report_view  # noqa: PLC0415
+
+    knobs = {name: value for name, value in given.items() if value is not None}
+    square = {"width": str(size), "height": str(size)}
+    facts = report_view(scene, {**knobs, **square}, settings_from(), Wishes(output, deadline, only))
+    click.echo(json.dumps(facts, allow_nan=False) if as_json else sentence(facts))
+    return 1 if facts["stopped"] else 0
 
 
 @cli.command()

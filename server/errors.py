@@ -25,3 +25,7 @@ class BusyError(IsogiError):
 
 class StartingError(IsogiError):
     """The renderer is not up yet."""
+
+
+class LibraryError(IsogiError):
+    """A library that a command needs is not installed."""

@@ -1,9 +1,7 @@
 """What ``isogi bench`` and the benchmarks share: taking turns, the view they look at, its light and its rays."""
 
-import statistics
-import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -24,16 +22,13 @@ from isogi_core.kernels.bounces import bounce_rays
 from isogi_core.kernels.intersect import UNKNOWN
 from isogi_core.kernels.packets import cast_rays
 from isogi_core.model.scene import Scene
-from isogi_core.model.view import View, quaternion_from_angles
+from isogi_core.model.view import View
 
 MEMORY = 1 << 30
 """Bytes of light that a measured renderer may hold."""
 
 NEVER = 1e-9
 """A target error that no texel reaches: all take as many samples as they are told to."""
-
-Candidate = Callable[[int], float]
-"""Does its work in the given round and tells the seconds that it took."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,32 +50,6 @@ class Rays:
         return Rays(origins, directions, self.levels[which].copy(), self.sides[which].copy())
 
 
-def seconds(work: Callable[[], object]) -> float:
-    """Time some work."""
-    begun = time.perf_counter()
-    work()
-    return time.perf_counter() - begun
-
-
-def timed(work: Callable[[], object]) -> Candidate:
-    """A candidate that does the same in every round."""
-    return lambda _: seconds(work)
-
-
-def take_turns(candidates: Mapping[str, Candidate], repeats: int) -> dict[str, list[float]]:
-    """Seconds of each candidate in ``repeats`` rounds; all of them work in each round, and round 0 is not counted."""
-    times: dict[str, list[float]] = {name: [] for name in candidates}
-    for turn in range(repeats + 1):
-        for name, candidate in candidates.items():
-            times[name].append(candidate(turn))
-    return {name: taken[1:] for name, taken in times.items()}
-
-
-def medians(candidates: Mapping[str, Candidate], repeats: int) -> dict[str, float]:
-    """Median seconds of candidates that take turns."""
-    return {name: statistics.median(taken) for name, taken in take_turns(candidates, repeats).items()}
-
-
 def view_of(scene: Scene, size: int, **knobs: Any) -> View:
     """The view that is measured: azimuth 40, elevation 30, three radii away, 30 degrees wide."""
     return View(**{"isovalue": scene.isovalue, "camera": scene.camera(40, 30, 3, 30), **knobs}, width=size, height=size)
@@ -99,31 +68,6 @@ def make_renderer(scene: Scene, store: str, threads: int | None = None) -> Rende
     """A renderer over a store, with nothing else around it."""
     tiles = Tiles(threads)
     return Renderer(Caches(Recipe(scene, tiles.run), store, MEMORY), tiles)
-
-
-def new_camera(renderer: Renderer, view: View) -> Candidate:
-    """A frame of ``view`` from a camera that is new to the renderer."""
-
-    def render(_: int) -> float:
-        renderer.forget_views()
-        return seconds(lambda: renderer.render(view))
-
-    return render
-
-
-def turned(view: View, turn: int) -> View:
-    """The view under a light that is turned otherwise in each round."""
-    return replace(view, light=quaternion_from_angles(7.0 * turn + 3.0, 5.0, 2.0))
-
-
-def relight(renderer: Renderer, view: View) -> Candidate:
-    """A frame that differs from the last one by its light's rotation alone."""
-
-    def render(turn: int) -> float:
-        renderer.render(view)
-        return seconds(lambda: renderer.render(turned(view, turn)))
-
-    return render
 
 
 def bake_view(renderer: Renderer, view: View, until: int) -> Frame:

@@ -63,24 +63,32 @@ class Look:
         return float(mean * self.recipe.scene.albedo @ LUMINANCE)
 
     def gains(self, layer: Layer) -> np.ndarray:
-        """What the noises of a ``layer`` count in a texel's luminance, a mean over turns of the light; (noises,).
+        """What the squared noises of a ``layer`` count in the variance of a texel's luminance; (noises,) float64.
 
-        For a light turned at random E[(s·Dℓ)²] = Σ_l |s_l|² |ℓ_l|² / (2l + 1), with a variance e² of each
-        coefficient of band l, |s_l|² = (2l + 1) e². Channels are of the same paths, and so are their errors.
+        A mean over turns of the light: E[(s·Dℓ)²] = Σ_l |s_l|² |ℓ_l|² / (2l + 1), where |s_l|² = (2l + 1) v_l with
+        the variance v_l of a coefficient of band l. The noises tell v_0 and the mean of the bands above, and v_l is
+        taken to grow from the one as l²: fine structure is what few samples miss first. Such are the spectra of
+        direct light on five surfaces, from v_5 / v_0 = 20 after 16 samples to 2 after 1024, within a fifth.
+        Channels are of the same paths, and so are their errors.
         """
-        light = self.luminance_light.sum(axis=0)[: layer.order**2]
-        return np.array([abs(light[0]), np.sqrt((light[1:] ** 2).sum())])[: layer.noises]
+        bands = np.arange(min(layer.order, self.order))
+        light = self.luminance_light.sum(axis=0)[: len(bands) ** 2]
+        energy = np.add.reduceat(light**2, bands**2)
+        growth = bands**2 / max((np.arange(1, layer.order) ** 2).sum() / max(layer.order - 1, 1), 1.0)
+        return np.array([energy @ (1.0 - growth), energy @ growth])[: layer.noises]
 
     def judged(self, halves: np.ndarray, layer: Layer) -> np.ndarray:
-        """The sums (…, channels, n²) whose spread tells a layer's noise: of irradiance those of its luminance alone.
+        """The sums (…, channels, n²) whose spread tells a layer's noise: those of its luminance alone, (…, 1, n²).
 
-        Colours of irradiance have errors of their own size, those of the lights that they met; mixed as luminance
-        mixes them, (…, 1, n²), they come to what ``gains`` counts.
+        Colours have errors of their own size, by the lights that they met and the albedo; mixed as luminance mixes
+        them they come to what ``gains`` counts.
         """
-        if layer.kind != "irradiance" or layer.channels == 1:
-            return halves
+        return np.asarray(np.einsum("...cn,c->...n", halves, self.mix(layer))[..., None, :])
+
+    def mix(self, layer: Layer) -> np.ndarray:
+        """Shares of a layer's channels in the luminance that leaves a texel under white light; (channels,) float64."""
         mix = LUMINANCE * np.array(self.recipe.scene.albedo)
-        return np.einsum("...cn,c->...n", halves, mix / max(mix.sum(), 1e-30))[..., None, :]
+        return mix / max(mix.sum(), 1e-30) if layer.channels == 3 else np.ones(1)
 
     def weights(self, layer: Layer) -> np.ndarray:
         """R^k for k = 0 … bounces, over the chance to get there, of the layer's channels; (bounces + 1, channels)."""
@@ -93,7 +101,13 @@ class Look:
 
         (all channels of all layers, bounces + 2) float64, k at k + 1; no longer than the longest path of these.
         """
-        own = [self._shares(layer) for layer in layers]
+        return self._stacked([self._shares(layer) for layer in layers])
+
+    def squares(self, layers: Sequence[Layer]) -> np.ndarray:
+        """The squares of what a path counts in the luminance of ``layers``; (layers, bounces + 2), as ``shares``."""
+        return self._stacked([(self.mix(layer) @ self._shares(layer))[None] ** 2 for layer in layers])
+
+    def _stacked(self, own: Sequence[np.ndarray]) -> np.ndarray:
         longest = max(shares.shape[1] for shares in own)
         return np.vstack([np.pad(shares, ((0, 0), (0, longest - shares.shape[1]))) for shares in own])
 

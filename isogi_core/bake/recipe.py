@@ -8,7 +8,7 @@ import numpy as np
 
 from isogi_core.bake.maps import Maps, Run, serially
 from isogi_core.kernels.bricks import Bricks
-from isogi_core.kernels.field import Field
+from isogi_core.kernels.field import OFFSET, Field
 from isogi_core.kernels.lattice import CHUNK, Lattice
 from isogi_core.kernels.lit import Surroundings
 from isogi_core.kernels.macrocells import fill_macrocells, macrocell_shape
@@ -33,7 +33,7 @@ class Recipe:
     @cached_property
     def field(self) -> Field:
         """The volume with its macrocells."""
-        return make_field(self.scene.volume)
+        return make_field(self.scene.volume, self.scene.normals == "bspline", self.scene.offset)
 
     @cached_property
     def maps(self) -> Maps:
@@ -83,9 +83,9 @@ class Recipe:
         return Surroundings(environment.constant, environment.image, matrix, environment.table, arrays)
 
 
-def make_field(volume: Volume) -> Field:
-    """The volume's voxels with the macrocells that serve every isovalue."""
+def make_field(volume: Volume, smooth: bool = True, offset: float = OFFSET) -> Field:
+    """The volume's voxels with the macrocells that serve every isovalue, and how rays leave a surface."""
     shape = macrocell_shape(volume.shape)
     low, high = np.empty(shape, np.float32), np.empty(shape, np.float32)
     fill_macrocells(volume.voxels, low, high)
-    return Field(volume.voxels, low, high, volume.spacing)
+    return Field(volume.voxels, low, high, volume.spacing, smooth, offset)

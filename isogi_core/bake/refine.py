@@ -11,7 +11,7 @@ import numpy as np
 
 from isogi_core.bake.light import Light, Part
 from isogi_core.bake.look import Look
-from isogi_core.bake.noise import blend_noise, finished, noise_of_halves
+from isogi_core.bake.noise import DECAYS, blend_noise, evenness, finished, noise_of_halves
 from isogi_core.bake.precision import VOID, next_rung, noise_codes, noise_of, round_light
 from isogi_core.bake.recipe import Recipe
 from isogi_core.kernels.bricks import Bricks
@@ -65,19 +65,33 @@ def climb(parts: Sequence[Part], rows: np.ndarray, texels: np.ndarray, look: Loo
     place, void = locate(texels[rows], look.recipe)
     sample = sample_irradiance if parts[0].layer.kind == "irradiance" else sample_transfer
     layers = [part.layer for part in parts]
-    for part, halves in zip(parts, sample(layers, place, void, look, samples, total - samples), strict=True):
-        add(part, rows, halves, total, look)
+    sampled = sample(layers, place, void, look, samples, total - samples)
+    for part, (halves, second) in zip(parts, sampled, strict=True):
+        add(part, rows, halves, second, total, look)
         part.samples[rows] = np.where(void, VOID, total)
 
 
-def add(part: Part, rows: np.ndarray, halves: np.ndarray, total: int, look: Look) -> None:
-    """Add sums over new samples (m, 2, channels, N²; N² >= n²) to ``rows``, which then have ``total`` samples."""
+def add(part: Part, rows: np.ndarray, halves: np.ndarray, second: np.ndarray, total: int, look: Look) -> None:
+    """Add sums over new samples (m, 2, channels, N²; N² >= n²) to ``rows``, which then have ``total`` samples.
+
+    ``second`` (m,) are those of the squares, see ``evenness``.
+    """
     layer, samples = part.layer, int(part.samples[rows[0]])
     added = halves.sum(axis=1)[:, :, : layer.order**2]
-    noise = noise_of_halves(look.judged(halves, layer), total - samples, layer.order)
-    noise = blend_noise(part.noise[rows], samples, noise)
+    noise = noise_of_halves(*judged(halves, second, total - samples, layer, look))
+    noise = blend_noise(part.noise[rows], samples, noise, DECAYS[layer.kind])
     part.coefficients[rows] = round_light(add_to_mean(part.coefficients[rows], samples, added, total), layer)
     part.noise[rows] = noise_of(noise_codes(noise, layer.scale), layer.scale)
+
+
+def judged(
+    halves: np.ndarray, second: np.ndarray, count: int, layer: Layer, look: Look
+) -> tuple[np.ndarray, int, int, np.ndarray | float]:
+    """What ``noise_of_halves`` takes: sums over ``count`` samples of a layer's luminance, and how even band 0 is."""
+    seen = look.judged(halves, layer)
+    if layer.order > 1 or layer.kind == "irradiance":
+        return seen, count, layer.order, 1.0
+    return seen, count, layer.order, evenness(seen.sum(axis=(1, 2)) / count, second / count, count)
 
 
 def locate(texels: np.ndarray, recipe: Recipe) -> tuple[Place, np.ndarray]:
@@ -91,34 +105,37 @@ def locate(texels: np.ndarray, recipe: Recipe) -> tuple[Place, np.ndarray]:
 
 def sample_transfer(
     layers: Sequence[Layer], place: Place, void: np.ndarray, look: Look, samples: int, count: int
-) -> Iterator[np.ndarray]:
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Sums over ``count`` samples after the first ``samples``, of the same paths for all ``layers``.
 
-    Harmonics of the ways that paths leave: for each layer, and each half of them, (m, 2, channels, N²) float64.
+    Harmonics of the ways that paths leave: for each layer, and each half of them, (m, 2, channels, N²) float64; and
+    band 0 of the squares of what paths bring, of both halves, (m,).
     """
-    shares = look.shares(layers)
+    shares = np.vstack([look.shares(layers), look.squares(layers)])
     orders = np.repeat([max(layer.order, NOISE_ORDER) for layer in layers], [layer.channels for layer in layers])
+    orders = np.append(orders, np.ones(len(layers), np.int64))
     sums = np.zeros((len(void), 2, len(orders), int(orders.max()) ** 2))
     for bricks, rows in by_isovalue(place[3], void, look.recipe):
         paths = (samples // 2, count // 2, shares, look.plan.survival, orders)
         bake_texels(look.recipe.field, bricks, place, rows, *paths, sums)
     first = 0
-    for layer in layers:
-        yield sums[:, :, first : first + layer.channels, : max(layer.order, NOISE_ORDER) ** 2]
+    for number, layer in enumerate(layers):
+        halves = sums[:, :, first : first + layer.channels, : max(layer.order, NOISE_ORDER) ** 2]
+        yield halves, sums[:, :, number - len(layers), 0].sum(axis=1)
         first += layer.channels
 
 
 def sample_irradiance(
     layers: Sequence[Layer], place: Place, void: np.ndarray, look: Look, samples: int, count: int
-) -> Iterator[np.ndarray]:
-    """The same of the light that paths meet; where a layer keeps one channel, all three are alike."""
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """The same of the light that paths meet, and no squares; where a layer keeps one channel, all three are alike."""
     sums, surroundings = np.zeros((len(void), 2, 3)), look.recipe.surroundings(np.eye(3))
     weights = np.broadcast_to(look.weights(layers[0]), (look.plan.bounces + 1, 3)).copy()
     for bricks, rows in by_isovalue(place[3], void, look.recipe):
         paths = (samples // 2, count // 2, weights, look.plan.survival, surroundings)
         bake_irradiance(look.recipe.field, bricks, place, rows, *paths, sums)
     for layer in layers:
-        yield sums[:, :, : layer.channels, None]
+        yield sums[:, :, : layer.channels, None], np.zeros(len(void))
 
 
 def by_isovalue(isovalues: np.ndarray, void: np.ndarray, recipe: Recipe) -> Iterator[tuple[Bricks, np.ndarray]]:

@@ -15,6 +15,7 @@ import numpy as np
 
 from isogi_core.bake.light import Light, Part
 from isogi_core.bake.look import Look
+from isogi_core.bake.moments import path_deviation
 from isogi_core.bake.noise import level, standard_error
 from isogi_core.bake.precision import rung_codes, samples_of
 from isogi_core.bake.recipe import Index
@@ -101,8 +102,8 @@ class PagePool:
         """
         light = chunk.light
         rows_of_light = light.transfer[:, :, : self.look.order**2]
-        noise = standard_error(light, self.look)
-        error = noise / level(light, self.look)
+        wrong = standard_error(light, self.look)
+        error, noise = wrong / level(light, self.look), wrong / np.maximum(path_deviation(light, self.look), 1e-30)
         stamps, marks = stamps_of(light), marks_of(light)
         with self._lock:
             self._age += 1

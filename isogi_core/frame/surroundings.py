@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from isogi_core.bake.look import Look, band_of
+from isogi_core.bake.moments import square_light
 from isogi_core.kernels.harmonics import cosine_lobe_factors, rotate
 from isogi_core.kernels.lattice import Sky
 from isogi_core.kernels.lit import Surroundings
@@ -52,6 +53,12 @@ class Turned:
     def reflected(self) -> np.ndarray:
         """``light`` times the albedo: τ·ℓ is the radiance that leaves the surface; (3, n²) float64."""
         return self.albedo[:, None] * self.light
+
+    @cached_property
+    def square(self) -> np.ndarray:
+        """The square of the luminance that ``reflected`` brings, turned; (n²,) float64, see ``bake.moments``."""
+        square = square_light(LUMINANCE @ (self.albedo[:, None] * self.look.light))
+        return turn(square[None], self.matrix)[0]
 
     @cached_property
     def sky(self) -> Sky:
@@ -112,7 +119,7 @@ class Turned:
 
 
 def turn(light: np.ndarray, matrix: np.ndarray) -> np.ndarray:
-    """Coefficients (3, n²) of a light turned by ``matrix`` (3, 3), always from the unturned one."""
+    """Coefficients (…, n²) of lights turned by ``matrix`` (3, 3), always from the unturned one."""
     if light.shape[1] == 1 or np.array_equal(matrix, np.eye(3)):
         return light
     turned = np.empty_like(light)

@@ -12,26 +12,33 @@ from numba import types
 
 from isogi_core.kernels._jit import kernel, record
 from isogi_core.kernels.reals import cube, floor_within, four, where, write
-from isogi_core.kernels.vec import put_column, read_columns
+from isogi_core.kernels.vec import column, put_column, read_columns
 
 VOXELS = types.float32[:, :, ::1]
 SIXTH = 1.0 / 6.0
+
+OFFSET = 0.3
+"""Start of illumination rays above the surface, in voxels along the normal, by default (S1, section 4.1.1)."""
 
 
 class Field(NamedTuple):
     """What a ray needs of a volume.
 
     ``voxels`` float32 (nz, ny, nx); ``low`` and ``high`` float32 (mz, my, mx), the smallest and
-    largest voxel of each macrocell; ``spacing`` world length of a voxel step along x, y, z.
+    largest voxel of each macrocell; ``spacing`` world length of a voxel step along x, y, z. ``smooth`` is
+    whether normals are of the smoothed gradient, or of the plain one; rays leave a surface from ``offset`` voxels
+    above it.
     """
 
     voxels: Any
     low: Any
     high: Any
     spacing: tuple[float, float, float]
+    smooth: bool = True
+    offset: float = OFFSET
 
 
-FIELD = record(Field, VOXELS, VOXELS, VOXELS, types.UniTuple(types.float64, 3))
+FIELD = record(Field, VOXELS, VOXELS, VOXELS, types.UniTuple(types.float64, 3), types.boolean, types.float64)
 
 
 @kernel()
@@ -55,7 +62,7 @@ def value(voxels, p):
     return near + far
 
 
-@kernel()
+@kernel(exact=True)
 def gradient(voxels, p):
     """Gradient of the trilinear field at ``p``, per voxel step along x, y, z. Source: S1, figure 5, 'gradient'."""
     nz, ny, nx = voxels.shape
@@ -172,6 +179,16 @@ def smooth_gradients(voxels, points, first, lanes, w, out):
         put_column(out, first + lane, blend_cube(voxels, i, j, k, wx, wy, wz, sx, sy, sz))
 
 
+@kernel()
+def gradients(field, points, first, lanes, w, out):
+    """The gradients that normals are of, as ``smooth_gradients`` takes and writes them."""
+    if field.smooth:
+        smooth_gradients(field.voxels, points, first, lanes, w, out)
+    else:
+        for m in range(first, first + lanes):
+            put_column(out, m, gradient(field.voxels, column(points, m)))
+
+
 @kernel(exact=True)
 def to_world_normal(g, spacing):
     """Unit outward normal of a gradient given per voxel step; (0, 0, 0) where the gradient says nothing.
@@ -187,12 +204,14 @@ def to_world_normal(g, spacing):
 
 @kernel()
 def normal(field, p):
-    """Unit outward world normal of the isosurface through ``p`` from the smoothed gradient.
+    """Unit outward world normal of the isosurface through ``p``, from the smoothed gradient where ``field`` says so.
 
     Falls back to the cell's own gradient where the smoothed one is zero or not a number, and is
     (0, 0, 0) where that is zero too: on a plateau there is no surface.
     """
-    n = to_world_normal(smooth_gradient(field.voxels, p), field.spacing)
+    n = (0.0, 0.0, 0.0)
+    if field.smooth:
+        n = to_world_normal(smooth_gradient(field.voxels, p), field.spacing)
     if n[0] == 0.0 and n[1] == 0.0 and n[2] == 0.0:
         n = to_world_normal(gradient(field.voxels, p), field.spacing)
     return n

@@ -14,9 +14,6 @@ from isogi_core.kernels.rng import PAIRS, point_2d
 from isogi_core.kernels.sampling import sample_cosine_hemisphere
 from isogi_core.kernels.vec import length, madd, orthonormal_basis, scale
 
-OFFSET = 0.3
-"""Start of illumination rays above the surface, in voxels along the normal (S1, section 4.1.1)."""
-
 
 @kernel(exact=True)
 def to_index(v, spacing):
@@ -28,12 +25,12 @@ def to_index(v, spacing):
 def launch(field, iso, p, n, side):
     """Where a ray starts that leaves the surface at ``p`` along the world normal ``n`` on ``side``.
 
-    OFFSET voxels off the surface; ``p`` itself where that point is on the other side, in a crease
+    The field's offset off the surface; ``p`` itself where that point is on the other side, in a crease
     or in noise: the ray is told its side and cannot hit what it starts on. Takes points side by side
     too (see ``reals``).
     """
     x, y, z = to_index(n, field.spacing)
-    rise = OFFSET / math.sqrt(x * x + y * y + z * z)
+    rise = field.offset / math.sqrt(x * x + y * y + z * z)
     x, y, z = p[0] + rise * x, p[1] + rise * y, p[2] + rise * z
     nz, ny, nx = field.voxels.shape
     within = (x >= 0.0) & (x <= nx - 1) & (y >= 0.0) & (y <= ny - 1) & (z >= 0.0) & (z <= nz - 1)

@@ -27,6 +27,9 @@ VOID_ROW = -2
 BURIED_ROW = -3
 """Row of a texel that no light ever reaches, inside a solid or a closed hollow."""
 
+LEAST_SPREAD = np.float32(0.02)
+"""Share of their second moment that paths differ by at least: what is rounded leaves less of the difference unsure."""
+
 DARK = np.float32(0.0)
 DARKEST = np.float32(1e-30)
 ONE = np.float32(1.0)
@@ -230,16 +233,18 @@ def find_rows(places, slots, table, error, stamp, rows, own_error, own_stamp):
         types.float32[:, :, ::1],
         types.float32[::1],
         types.float32[:, ::1],
+        types.float32[::1],
         types.float32[:, ::1],
     ),
     any_order=True,
 )
-def light_texels(rows, transfer, noise, light, lit):
+def light_texels(rows, transfer, noise, light, square, lit):
     """Fill ``lit`` (m, 4): linear RGB radiance and standard error of its luminance, per texel.
 
-    ``transfer`` (row, channels, n) holds τ, ``noise`` (row,) the standard error; ``light`` (3, n) is the turned
-    environment times the albedo. Radiance is τ·ℓ (S1, eq. 9), cut to 0 where negative. The sums are written
-    out here, so that they run in vectors.
+    ``transfer`` (row, channels, n) holds τ, ``noise`` (row,) the standard error over the standard deviation of one
+    path's luminance; ``light`` (3, n) is the turned environment times the albedo, ``square`` (n,) the square of its
+    luminance. Radiance is τ·ℓ (S1, eq. 9), cut to 0 where negative; one path's variance is τ·q - (τ·ℓ)², see
+    ``bake.moments``. The sums are written out here, so that they run in vectors.
     """
     blue = transfer.shape[1] - 1
     green = min(blue, 1)
@@ -247,12 +252,15 @@ def light_texels(rows, transfer, noise, light, lit):
         row = np.uint32(rows[m])
         if rows[m] < 0:
             continue
-        r = g = b = DARK
+        r = g = b = second = DARK
         for i in range(transfer.shape[2]):
             r += transfer[row, 0, i] * light[0, i]
             g += transfer[row, green, i] * light[1, i]
             b += transfer[row, blue, i] * light[2, i]
-        lit[m, 0], lit[m, 1], lit[m, 2], lit[m, 3] = max(r, DARK), max(g, DARK), max(b, DARK), noise[row]
+            second += transfer[row, green, i] * square[i]
+        mean, least = luminance(r, g, b), LEAST_SPREAD * max(transfer[row, green, 0] * square[0], DARK)
+        spread = math.sqrt(max(second - mean * mean, DARK) + least)
+        lit[m, 0], lit[m, 1], lit[m, 2], lit[m, 3] = max(r, DARK), max(g, DARK), max(b, DARK), noise[row] * spread
 
 
 class Sky(NamedTuple):

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from isogi_core.kernels._jit import kernel
-from isogi_core.kernels.field import smooth_gradients, to_world_normal
+from isogi_core.kernels.field import gradients, to_world_normal
 from isogi_core.kernels.integrator import ROULETTE, about, facing_normal, launch, to_index
 from isogi_core.kernels.intersect import OUTSIDE
 from isogi_core.kernels.packets import cast_batch
@@ -198,7 +198,7 @@ def rise(field, wave, count, hits, pair):
     points, normals, ways = columns(pair[0], hits), columns(pair[1], hits), columns(wave.ways, count)
     for i in range(0, hits, ABREAST):
         last, sign, p = min(i + ABREAST, hits), read(wave.signs, i), read_columns(points, i)
-        smooth_gradients(field.voxels, points, i, last - i, wave.weights, normals)
+        gradients(field, points, i, last - i, wave.weights, normals)
         n = to_world_normal(read_columns(normals, i), field.spacing)
         write_columns(normals, i, (n[0] * sign, n[1] * sign, n[2] * sign))
         mend_normals(field, wave, i, last, points, normals, ways)

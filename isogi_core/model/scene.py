@@ -12,6 +12,7 @@ import numpy as np
 
 from isogi_core.errors import SceneError, VolumeError
 from isogi_core.files.nrrd import read_nrrd
+from isogi_core.kernels.field import OFFSET
 from isogi_core.kernels.harmonics import MAX_ORDER
 from isogi_core.kernels.lattice import CHUNK
 from isogi_core.model.demo import DEMOS, demo_volume
@@ -29,8 +30,11 @@ from isogi_core.plan.planner import plan_scene
 from isogi_core.plan.savings import unseen
 from isogi_core.plan.texels import TexelCount, count_texels
 
-BAKE_FORMAT = 4
+BAKE_FORMAT = 5
 """Counts up when what a chunk holds, or how its light is computed, changes."""
+
+NORMALS = ("bspline", "gradient")
+"""What normals may be of: the gradient smoothed with the tricubic B-spline, or the plain one (S1, figure 5)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +43,8 @@ class Scene:
 
     ``albedo`` is linear RGB, ``lattice`` texels per voxel along each axis, ``target_error`` the
     relative error at which a texel counts as final, ``rotating`` whether the light may be turned.
-    ``plan`` was made for ``needs``, with what the scene has ``told``.
+    ``normals`` says which gradient they are of, "bspline" (smoothed) or "gradient" (plain), and ``offset`` how many
+    voxels above a surface rays leave it. ``plan`` was made for ``needs``, with what the scene has ``told``.
     """
 
     id: str
@@ -54,6 +59,8 @@ class Scene:
     lattice: float
     target_error: float
     rotating: bool
+    normals: str
+    offset: float
     needs: Needs
     told: Told
     plan: ScenePlan
@@ -100,12 +107,18 @@ class Scene:
 
         The scene's lights are among it for irradiance alone (S1, eq. 6), albedo and bounces for reflected light.
         """
-        parts = [BAKE_FORMAT, self.volume.digest, self.lattice, *astuple(layer)]
+        parts = [BAKE_FORMAT, self.volume.digest, self.lattice, *astuple(layer), *self.departures]
         if layer.reflected:
             parts += [self.albedo[: layer.channels], self.bounces, self.plan.survival]
         if layer.kind == "irradiance":
             parts += [self.environment.digest, self.lamps.digest, self.albedo]
         return digest_of(parts)
+
+    @property
+    def departures(self) -> list[Any]:
+        """How rays leave surfaces, where that is not as usual: what names of light have besides, so as to keep."""
+        usual = self.normals == NORMALS[0] and self.offset == OFFSET
+        return [] if usual else [self.normals, self.offset]
 
     def plan_digest(self, plan: ScenePlan) -> str:
         """Hex name of all layers of a ``plan`` for this scene."""
@@ -168,6 +181,8 @@ def build_scene(source: SceneSource) -> Scene:
         lattice=settings.number("lattice", 1.0, 0.125, 4.0),
         target_error=target_error,
         rotating=rotating,
+        normals=settings.choice("normals", NORMALS) or NORMALS[0],
+        offset=settings.number("offset", OFFSET, 0.0, 2.0),
         needs=needs,
         told=told,
         plan=plan_scene(needs, told),

@@ -65,3 +65,21 @@ def _meridian(order: int, m: int, theta: np.ndarray) -> list[np.ndarray]:
         values.append(SLOPE[l, m] * z * values[-1] - OFFSET[l, m] * before)
         before = values[-2]
     return values
+
+
+def sphere_nodes(degree: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points θ, φ of the sphere and their weights, (points,) each: exact for harmonics below ``degree``."""
+    z, weights = np.polynomial.legendre.leggauss(degree // 2 + 1)
+    phi = 2.0 * math.pi / degree * np.arange(degree)
+    theta, phi = (grid.ravel() for grid in np.meshgrid(np.arccos(z), phi, indexing="ij"))
+    return theta, phi, np.repeat(weights * 2.0 * math.pi / degree, degree)
+
+
+def evaluate_harmonics(order: int, theta: np.ndarray, phi: np.ndarray) -> np.ndarray:
+    """Y_i at the points θ, φ (points,) for i < order²; (order², points) float64."""
+    basis = np.empty((order**2, len(theta)))
+    for m in range(order):
+        for l, values in enumerate(_meridian(order, m, theta), start=m):
+            basis[l * (l + 1) - m] = np.sin(m * phi) * values
+            basis[l * (l + 1) + m] = np.cos(m * phi) * values
+    return basis

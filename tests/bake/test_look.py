@@ -76,8 +76,8 @@ def test_a_larger_layer_is_put_under_the_light_of_its_plan() -> None:
     smaller = Look(plain.recipe, ScenePlan("transfer", plain.plan.layers, 2, 0, 1.0, 4096))
     assert np.array_equal(smaller.light, plain.light[:, :4])
     assert plain.light.shape == (3, 9) and plain.order == 3
-    gains = smaller.gains(Layer("direct", 3)), plain.gains(Layer("direct", 2))
-    assert np.array_equal(*gains)
+    energy = np.add.reduceat(smaller.luminance_light.sum(axis=0) ** 2, [0, 1])
+    np.testing.assert_allclose(smaller.gains(Layer("direct", 3)), [energy[0] + 0.6 * energy[1], 0.4 * energy[1]])
 
 
 def test_irradiance_has_met_its_light_already() -> None:
@@ -107,27 +107,28 @@ def test_unoccluded_light_is_the_environments_mean_times_the_albedo(lights: list
 
 @pytest.mark.parametrize("layer", [Layer("direct", 5), Layer("indirect", 3), Layer("indirect", 5, 3)])
 def test_gains_are_the_deviation_over_random_turns_of_the_light(layer: Layer) -> None:
-    """Errors of the same size in all coefficients above band 0, those of the channels being those of one path."""
+    """Errors whose variance grows from band 0 on as l², those of the channels being those of one path."""
     look = look_of(plan_of(Layer("direct", 5), layer))
     rng = np.random.default_rng(3)
-    noise = np.array([0.3, 0.2])
-    wrong = rng.normal(size=(500, 25)) * np.array([noise[0], *[noise[1]] * 24])
-    wrong[:, layer.order**2 :] = 0.0
+    variance = 0.09 + 0.03 * np.arange(layer.order) ** 2
+    noise = np.sqrt([variance[0], variance[1:].mean()])
+    wrong = np.zeros((500, 25))
+    wrong[:, : layer.order**2] = rng.normal(size=(500, layer.order**2)) * np.sqrt(variance[band_of(layer.order)])
     lights = turned(look.luminance_light, 400)
     seen = np.sqrt(((lights.sum(axis=1) @ wrong.T) ** 2).mean())
-    told = np.sqrt(noise**2 @ look.gains(layer) ** 2)
+    told = np.sqrt(noise**2 @ look.gains(layer))
     assert told == pytest.approx(seen, rel=0.05)
 
 
 def test_under_constant_light_noise_of_the_bands_above_counts_nothing() -> None:
     look = look_of(plan_of(Layer("direct", 5), representation="transfer"), lights=[CONSTANT], albedo=1.0)
-    np.testing.assert_allclose(look.gains(Layer("direct", 5)), [np.sqrt(4.0 * np.pi), 0.0], atol=1e-12)
+    np.testing.assert_allclose(look.gains(Layer("direct", 5)), [4.0 * np.pi, 0.0], atol=1e-12)
 
 
 def test_one_noise_has_one_gain() -> None:
     look = orbital(sky=False)
     assert look.plan.representation == "constant"
-    assert look.gains(look.plan.layers[0]).tolist() == pytest.approx([0.7 * np.sqrt(4.0 * np.pi)])
+    assert look.gains(look.plan.layers[0]).tolist() == pytest.approx([0.49 * 4.0 * np.pi])
 
 
 LAMP = {"type": "directional", "azimuth": 100.0, "elevation": 30.0}
@@ -142,15 +143,18 @@ def test_noise_of_irradiance_is_the_error_of_its_luminance(colour: tuple[float, 
     look = look_of(plan_of(layer, representation="irradiance"), lights=[lamp], albedo=albedo, rotating=False)
     halves = np.random.default_rng(4).random((50, 2, 3, 1)) * np.array(colour)[:, None] * count / 2
     part = Part.dark(layer, 50)
-    add(part, np.arange(50), halves, count, look)
+    add(part, np.arange(50), halves, np.zeros(50), count, look)
     luminance = (halves[..., 0] / (count / 2)) @ (LUMINANCE * np.array(look.recipe.scene.albedo))
     np.testing.assert_allclose(deviation(part, look), abs(luminance[:, 0] - luminance[:, 1]) / 2, rtol=0.05)
 
 
-def test_colours_of_transfer_are_judged_each() -> None:
+def test_colours_are_judged_by_their_luminance() -> None:
     look = look_of(plan_of(Layer("direct", 5), Layer("indirect", 5, 3)))
     halves = np.random.default_rng(5).normal(size=(10, 2, 3, 25))
-    assert look.judged(halves, Layer("indirect", 5, 3)) is halves
+    mix = LUMINANCE * np.array(ALBEDO)
+    expected = (halves * (mix / mix.sum())[:, None]).sum(axis=2, keepdims=True)
+    np.testing.assert_allclose(look.judged(halves, Layer("indirect", 5, 3)), expected)
+    assert np.array_equal(look.judged(halves[:, :, :1], Layer("direct", 5)), halves[:, :, :1])
 
 
 # --- which look -------------------------------------------------------------------------------------------------

@@ -7,7 +7,7 @@ import pytest
 
 from isogi_core.bake.light import Light
 from isogi_core.bake.look import Look
-from isogi_core.bake.noise import DECAY, finished, most_samples, noise_of_halves, relative_error
+from isogi_core.bake.noise import DECAYS, blend_noise, finished, most_samples, noise_of_halves, relative_error
 from isogi_core.bake.precision import VOID, noise_codes, noise_of, round_light
 from isogi_core.bake.recipe import Recipe
 from isogi_core.bake.refine import add_to_mean, climb, next_samples, refine
@@ -184,10 +184,10 @@ def test_means_and_noise_are_those_of_the_kernels_sums(number: int) -> None:
     part = climbed(look, texels, 64).parts[number]
     rungs = [kernels_sums(look, texels, number, first, count) for first, count in ((0, 8), (8, 8), (16, 16))]
     np.testing.assert_allclose(part.coefficients, sum(rungs).sum(axis=1) / 64, atol=1e-6)
-    noises = [noise_of_halves(sums, count, part.layer.order) for sums, count in zip(rungs, (16, 16, 32), strict=True)]
-    squares = [noise**2 for noise in noises]
-    squares = DECAY * (DECAY * (squares[0] + squares[1]) / 2 + squares[2]) / 2
-    codes = (noise_codes(noise, part.layer.scale).astype(int) for noise in (part.noise, np.sqrt(squares)))
+    decay, seen = DECAYS[part.layer.kind], [look.judged(sums, part.layer) for sums in rungs]
+    noises = [noise_of_halves(sums, count, part.layer.order) for sums, count in zip(seen, (16, 16, 32), strict=True)]
+    blended = blend_noise(blend_noise(noises[0], 16, noises[1], decay), 32, noises[2], decay)
+    codes = (noise_codes(noise, part.layer.scale).astype(int) for noise in (part.noise, blended))
     assert np.abs(np.subtract(*codes)).max() <= 1, "each rung is rounded to the next step"
 
 

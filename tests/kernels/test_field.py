@@ -134,6 +134,16 @@ def test_normal_of_a_slope_is_exact_in_world_space(spacing):
     np.testing.assert_allclose(field.normal(slope, (3.3, 3.7, 3.1)), towards, atol=rounding)
 
 
+def test_normals_are_of_the_plain_gradient_where_the_field_says_so():
+    rough = as_field(VOXELS, (1.0, 2.0, 0.5))
+    plain, points = rough._replace(smooth=False), POINTS[:200]
+    g = gradients(VOXELS, points, False) / rough.spacing
+    expected = -g / np.linalg.norm(g, axis=1, keepdims=True)
+    found = np.array([[field.normal(each, tuple(p)) for p in points] for each in (plain, rough)])
+    np.testing.assert_allclose(found[0], expected, atol=1e-12)
+    assert np.abs(found[1] - expected).max() > 0.1
+
+
 @pytest.mark.parametrize("g", [(0.0, 0.0, 0.0), (math.nan, 1.0, 0.0), (math.inf, 0.0, 0.0), (0.0, -0.0, 0.0)])
 def test_a_gradient_that_says_nothing_has_no_normal(g):
     assert field.to_world_normal(g, (1.0, 1.0, 1.0)) == (0.0, 0.0, 0.0)

@@ -10,6 +10,7 @@ from numba import config
 from isogi_core.files.nrrd import read_nrrd
 from isogi_core.kernels import integrator, transfer
 from isogi_core.kernels.bricks import brick_ranges, make_bricks
+from isogi_core.kernels.field import OFFSET
 from isogi_core.kernels.harmonics import cosine_lobe_factors, evaluate
 from isogi_core.kernels.intersect import OUTSIDE, SOLID, UNKNOWN
 from isogi_core.kernels.lit import Surroundings
@@ -61,7 +62,7 @@ def trace(field, iso, points, light, weights, count, image=DARK):
     surroundings = Surroundings(np.full(3, float(light)), np.asarray(image, np.float32), np.eye(3))
     bricks = make_bricks(field.voxels, brick_ranges(field.voxels), iso, iso)
     pixels = np.arange(len(points), dtype=np.uint32)
-    trace_points(field, bricks, iso, points, normals, pixels, surroundings, weights, 0, count // 2, sums)
+    trace_points(field, bricks, iso, points, normals, pixels, surroundings, weights, 1.0, 0, 0, count // 2, sums)
     return sums.sum(axis=1) / (count // 2 * 2)
 
 
@@ -269,11 +270,22 @@ def test_every_texel_and_half_has_a_sequence_of_its_own():
     assert len(seeds) == 2 * 9**3
 
 
-def test_launch_is_a_third_of_a_voxel_whatever_the_spacing():
-    field = field_of(slope((0, 0, 1)), (0.1, 1.0, 25.0))
+@pytest.mark.parametrize("offset", [OFFSET, 0.0, 1.5])
+def test_launch_is_as_many_voxels_whatever_the_spacing(offset):
+    field = field_of(slope((0, 0, 1)), (0.1, 1.0, 25.0))._replace(offset=offset)
     for n in ((0.0, 0.0, 1.0), (0.6, 0.0, 0.8)):
         start = np.array(integrator.launch(field, 0.0, (24.0, 24.0, 24.0), n, OUTSIDE))
-        assert np.linalg.norm(start - 24.0) == pytest.approx(integrator.OFFSET)
+        assert np.linalg.norm(start - 24.0) == pytest.approx(offset)
+
+
+def test_rays_without_an_offset_do_not_meet_what_they_start_on():
+    """From float32 points on either side of an oblique plane by rounding, all leave to where it is not."""
+    towards = (0.48, 0.6, 0.64)
+    field = field_of(slope(towards))._replace(offset=0.0)
+    across = np.random.default_rng(9).uniform(-8.0, 8.0, (200, 3))
+    points = 24.0 + across - (across @ towards)[:, None] * np.array(towards)
+    light = trace(field, 0.0, points, 1.0, albedo_powers(np.zeros(3), 3), 16)
+    np.testing.assert_allclose(light, 1.0, atol=1e-12)
 
 
 def test_samples_go_on_where_they_stopped_bit_for_bit():

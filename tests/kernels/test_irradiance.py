@@ -7,7 +7,7 @@ import pytest
 from numba import config
 
 from isogi_core.kernels.bricks import brick_ranges, make_bricks
-from isogi_core.kernels.integrator import OFFSET
+from isogi_core.kernels.field import OFFSET
 from isogi_core.kernels.irradiance import bake_irradiance
 from isogi_core.kernels.lamps import DIRECTIONAL, POINT
 from isogi_core.kernels.transfer import bake_texels, locate_texels

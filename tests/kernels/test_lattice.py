@@ -12,6 +12,7 @@ from isogi_core.kernels.lattice import (
     BURIED,
     BURIED_ROW,
     CHUNK,
+    LEAST_SPREAD,
     PARTIAL,
     ROWS,
     UNBAKED,
@@ -33,7 +34,7 @@ from isogi_core.kernels.lattice import (
     trilinear,
     weigh_chunks,
 )
-from isogi_core.kernels.planes import CONVERGING, FINAL, PROVISIONAL, Planes, luminance
+from isogi_core.kernels.planes import BLUE, CONVERGING, FINAL, GREEN, PROVISIONAL, RED, Planes, luminance
 
 SHAPE = (20, 33, 18)
 STEP = np.array([1.5, 0.5, 1.0])
@@ -189,12 +190,16 @@ def test_light_of_a_texel_is_the_dot_product_of_transfer_and_light(channels, ord
     rows = RNG.permutation(40)[:30].astype(np.int32)
     rows[4:7] = UNLIT, VOID_ROW, BURIED_ROW
     lit = np.full((30, 4), -7.0, np.float32)
-    light_texels(rows, transfer, noise, light, lit)
+    square = RNG.normal(size=order**2).astype(np.float32)
+    light_texels(rows, transfer, noise, light, square, lit)
     colour = np.einsum("mcn,cn->mc", np.broadcast_to(transfer[rows], (30, 3, order**2)), light)
     there = rows >= 0
     assert (colour[there] < 0).any(), "some sums must be negative to see them cut"
     np.testing.assert_allclose(lit[there, :3], np.maximum(colour, 0.0)[there], atol=1e-5)
-    assert np.array_equal(lit[there, 3], noise[rows[there]])
+    seen = transfer[rows, channels // 2]
+    variance = np.maximum(seen @ square - (colour @ (RED, GREEN, BLUE)) ** 2, 0.0)
+    variance += LEAST_SPREAD * np.maximum(seen[:, 0] * square[0], 0.0)
+    np.testing.assert_allclose(lit[there, 3], (noise[rows] * np.sqrt(variance))[there], atol=1e-4)
     assert (lit[~there] == -7.0).all(), "texels without a row are left alone"
 
 

@@ -7,7 +7,8 @@ import pytest
 from numba import config, njit
 
 from isogi_core.kernels.bricks import brick_ranges, make_bricks
-from isogi_core.kernels.integrator import OFFSET, about, facing_normal, launch, to_index
+from isogi_core.kernels.field import OFFSET
+from isogi_core.kernels.integrator import about, facing_normal, launch, to_index
 from isogi_core.kernels.intersect import OUTSIDE, cast
 from isogi_core.kernels.lamps import AREA, DIRECTIONAL, NO_LAMPS, POINT, LampArrays
 from isogi_core.kernels.lights import arriving

@@ -9,6 +9,7 @@ from isogi_core.bake.look import look_for
 from isogi_core.bake.recipe import Recipe, make_field
 from isogi_core.bake.refine import refine
 from isogi_core.kernels.bricks import brick_ranges, make_bricks
+from isogi_core.kernels.field import OFFSET
 from isogi_core.kernels.integrator import trace_path
 from isogi_core.kernels.intersect import OUTSIDE
 from isogi_core.kernels.vec import column, put_column
@@ -41,18 +42,18 @@ def plateaus(values):
     return np.clip(values, -0.4, 0.4)
 
 
-@pytest.mark.parametrize("survival", [1.0, 0.6])
+@pytest.mark.parametrize(("survival", "smooth", "offset"), [(1.0, True, OFFSET), (0.6, True, 0.6), (0.6, False, 0.0)])
 @pytest.mark.parametrize("starts, count", [(1, 1), (2, 40), (17, 3), (700, 5), (10, 1200), (5000, 2)])
 @pytest.mark.parametrize(
     "body",
     [BUMPS, plateaus(BUMPS), BUMPS[:, :, 16:19], np.repeat(BUMPS[16:17], len(BUMPS), axis=0)],
     ids=["bumps", "plateaus", "thin", "a column, whose normals have no z"],
 )
-def test_waves_are_the_paths_one_by_one(starts, count, body, survival):
+def test_waves_are_the_paths_one_by_one(starts, count, body, survival, smooth, offset):
     if config.DISABLE_JIT and starts * count > 100:
         pytest.skip("so many paths need compiled kernels")
     volume = make_volume(body, (0.5, 1.0, 2.0))
-    field = make_field(volume)
+    field = make_field(volume, smooth, offset)
     rng = np.random.default_rng(1)
     normals = rng.normal(size=(3, starts))
     normals /= np.linalg.norm(normals, axis=0)
@@ -66,7 +67,7 @@ def test_waves_are_the_paths_one_by_one(starts, count, body, survival):
     in_waves(field, bricks, isovalues, points, normals, seeds, 3, count, survival, left[1], ways[1])
     assert np.array_equal(left[0], left[1])
     assert np.array_equal(ways[0], ways[1])
-    assert total < 1000 or (left[0] > 0).mean() > 0.02
+    assert total < 1000 or (left[0] > 0).mean() > 0.01
 
 
 @pytest.mark.parametrize("pieces", [2, 7])

@@ -111,6 +111,9 @@ def test_isovalue_falls_into_the_range_that_views_may_ask_for(folder: Path) -> N
         ('representation = "radiosity"', "representation"),
         ('representation = "constant"', "representation"),
         ('representation = "irradiance"', "representation"),
+        ('normals = "smooth"', "normals"),
+        ("offset = -0.1", "offset"),
+        ("offset = 3", "offset"),
         ("lattice = 0", "lattice"),
         ("lattice = 8", "lattice"),
         ("lattice = inf", "lattice"),
@@ -187,6 +190,9 @@ def test_light_and_target_change_the_frame_and_not_a_bake_of_the_same_layers() -
         ({"lattice": 0.5}, []),
         ({"order": 3}, ["indirect"]),
         ({"rotating": False}, []),
+        ({"normals": "gradient"}, []),
+        ({"offset": 0.0}, []),
+        ({"normals": "bspline", "offset": 0.3}, ["direct", "indirect"]),
     ],
 )
 def test_a_layer_is_named_by_what_it_depends_on_and_by_nothing_else(change: dict[str, Any], kinds: list[str]) -> None:

@@ -141,7 +141,7 @@ def test_the_error_is_that_of_a_baked_surface(order: int) -> None:
     """Within 1.4 on a demo, texels counted by how much of them views see; the randomisations part the noise."""
     look = look_for(Recipe(load_scene("demo:casting", lights=[SKY], order=MAX_ORDER, bounces=0)), "gi")
     place, void = locate(surface_texels(look, 150), look.recipe)
-    (sums,) = sample_transfer(look.plan.layers, place, void, look, 0, 1024)
+    ((sums, _),) = sample_transfer(look.plan.layers, place, void, look, 0, 1024)
     one, other = np.moveaxis(sums[:, :, 0], 1, 0) / 512.0
     energy = band_energy(look.light)
     level = (one + other)[:, 0] / 2.0

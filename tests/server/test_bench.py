@@ -11,9 +11,10 @@ import pytest
 
 from isogi_core.bake.recipe import Recipe
 from isogi_core.model.scene import load_scene
+from isogi_core.report.turns import take_turns
 from server.bench import QUICK, table
 from server.cli import run
-from server.measure import bounce, cast, isovalues_near, primary_rays, take_turns
+from server.measure import bounce, cast, isovalues_near, primary_rays
 
 NUMBERS = {
     "relight_ms",

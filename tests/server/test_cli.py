@@ -63,12 +63,13 @@ def test_wrong_use(capsys: pytest.CaptureFixture[str], arguments: list[str]) -> 
     refused(capsys, *arguments)
 
 
-@pytest.mark.parametrize("command", ["inspect", "prewarm", "render", "serve"])
+@pytest.mark.parametrize("command", ["inspect", "prewarm", "render", "serve", "reference"])
 @pytest.mark.parametrize("target", ["none.nrrd", "none.nhdr", "none.toml", "demo:none", "folder"])
 def test_a_missing_target(capsys: pytest.CaptureFixture[str], tmp_path: Path, command: str, target: str) -> None:
     (tmp_path / "folder").mkdir()
     path = target if target.startswith("demo:") else str(tmp_path / target)
-    more = ["-o", str(tmp_path / "a.png")] if command == "render" else []
+    output = {"render": "a.png", "reference": "a.npz"}.get(command)
+    more = ["-o", str(tmp_path / output)] if output else []
     assert Path(path).name in refused(capsys, command, path, *more)
     assert [each.name for each in tmp_path.iterdir()] == ["folder"]
 
@@ -227,3 +228,40 @@ def test_serve_is_ready_when_it_says_so_and_stops_cleanly(
     process.send_signal(number)
     out, error = process.communicate(timeout=60)
     assert (process.returncode, out, error) == (0, "", "")
+
+
+def test_a_reference_is_grown_in_its_file(
+    capsys: pytest.CaptureFixture[str], small_scene: Path, tmp_path: Path
+) -> None:
+    path, told = tmp_path / "a.npz", []
+    for samples in ("16", "64", "32"):
+        assert run(["reference", str(small_scene), "-o", str(path), *SIZE, "--samples", samples, "--json"]) == 0
+        told.append(json.loads(capsys.readouterr().out))
+    assert [each["samples"] for each in told] == [16, 64, 64] and told[1] == told[2]
+    assert told[0]["noise"] > told[1]["noise"] > 0.0 and told[0]["bounces"] == 19
+    with np.load(path) as file:
+        assert file["mean"].shape == (20, 24, 3) and int(file["on"].sum()) == told[0]["surface"]
+    assert [each.name for each in tmp_path.iterdir()] == ["a.npz"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [
+        (["-o", "a.png"], "end it in .npz"),
+        (["-o", "gone/a.npz"], "gone"),
+        (["-o", "a.npz", "--samples", "8", "--target-error", "0.1"], "keep one"),
+        (["-o", "a.npz", "--isovalue", "9"], "isovalue"),
+        (["-o", "a.npz", "--shading", "gi"], "shading"),
+    ],
+)
+def test_a_reference_that_cannot_be(
+    capsys: pytest.CaptureFixture[str],
+    small_scene: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    arguments: list[str],
+    word: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert word in refused(capsys, "reference", small_scene, *arguments)
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,187 @@
+"""Whether frames are as wrong as they say: their true noise beside what they tell of it.
+
+    python -m benchmarks.calibration [--size 32] [--most 512] [--scene NAME …] [--json]
+
+Of each scene two views are baked, a whole one and a close one, their texels to 16 times ``--most`` samples. Light
+after 16 samples and after each fourfold count up to ``--most``, and light baked to targets of 10 % and of 5 %, is what
+the same bake held on its way. Frames of it, under two rotations where light turns, are told against the frame of the
+last rung: the RMSE of the luminance over surface pixels, over its mean, and divided by the frame's own estimate.
+Both are rounded as the store rounds. ``covered`` is the share of pixels that differ by no more than 1.96 times their
+own standard error. Demo volumes alone are looked at where the shared data are not at hand.
+"""
+
+import json
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+
+import click
+import numpy as np
+from tqdm import tqdm
+
+from benchmarks.calibration_scenes import SCENES, load
+from benchmarks.plans import relative_rmse
+from isogi_core.bake.light import Light
+from isogi_core.bake.look import Look
+from isogi_core.bake.noise import finished
+from isogi_core.bake.precision import FIRST_RUNG, next_rung
+from isogi_core.bake.refine import refine
+from isogi_core.cache.chunk import Chunk
+from isogi_core.frame.frame import Frame
+from isogi_core.frame.renderer import Renderer
+from isogi_core.frame.texels import ViewTexels
+from isogi_core.model.scene import Scene
+from isogi_core.model.sky import LUMINANCE
+from isogi_core.model.view import IDENTITY, View, quaternion_from_angles
+from server.measure import NEVER, make_renderer
+
+FURTHER = 16
+"""Times the samples of the frames that are judged, in the light that they are judged by."""
+
+TARGETS = (0.1, 0.05)
+"""Target errors of the light that is baked adaptively."""
+
+VIEWS = ((40.0, 30.0, 30.0), (200.0, 10.0, 10.0))
+"""Azimuth, elevation and field of view, degrees."""
+
+TURNS = (IDENTITY, quaternion_from_angles(100.0, 35.0, -20.0))
+"""Rotations of lights that turn."""
+
+PIECE = 256
+"""Texels that one thread bakes together."""
+
+LOW, HIGH, WIDE_LOW, WIDE_HIGH = 0.9, 1.1, 0.7, 1.4
+"""What is asked of the median, and of nine frames in ten."""
+
+Rungs = Mapping[int, Light]
+"""Light of the same texels by its samples."""
+
+
+@dataclass(frozen=True)
+class Told:
+    """A frame: how wrong it is, how wrong it says it is, the ``ratio`` of both, and the share of pixels ``covered``."""
+
+    scene: str
+    view: int
+    turn: int
+    light: str
+    true: float
+    told: float
+    ratio: float
+    covered: float
+
+
+@click.command()
+@click.option("--size", type=click.IntRange(1), default=32, show_default=True, help="Pixels a side of the views.")
+@click.option("--most", type=click.IntRange(FIRST_RUNG), default=512, show_default=True, help="Samples of a texel.")
+@click.option("--scene", "names", type=click.Choice(list(SCENES)), multiple=True, help="Only these.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+def main(size: int, most: int, names: tuple[str, ...], as_json: bool) -> None:
+    """Bake each scene's views, and print how far their frames' errors are from what they say."""
+    chosen = names or tuple(SCENES)
+    scenes = tqdm(load(chosen), desc="scenes", unit="scene", total=len(chosen))
+    frames = [told for name, scene in scenes for told in frames_of(name, scene, size, most)]
+    click.echo(json.dumps([asdict(told) for told in frames], allow_nan=False) if as_json else table(frames))
+
+
+def frames_of(name: str, scene: Scene, size: int, most: int) -> Iterator[Told]:
+    """The frames of a scene's views, told against their last rung."""
+    for number, (azimuth, elevation, fov) in enumerate(VIEWS):
+        view = View(scene.isovalue, scene.camera(azimuth, elevation, 3.0, fov), width=size, height=size)
+        with tempfile.TemporaryDirectory() as store:
+            renderer = make_renderer(scene, store)
+            texels = renderer.texels(view, renderer.gbuffer(view))
+            yield from judged(name, number, renderer, view, texels, most)
+
+
+def judged(name: str, number: int, renderer: Renderer, view: View, texels: ViewTexels, most: int) -> Iterator[Told]:
+    """The frames of one view."""
+    look = renderer.caches.look(view.shading)
+    rungs = bake(renderer, texels, look, FURTHER * most)
+    turned = [replace(view, light=turn) for turn in TURNS[: 1 if look.order == 1 else None]]
+    show(renderer, texels, rungs[max(rungs)])
+    best = [renderer.render(one) for one in turned]
+    for light, rows in lights_of(rungs, look, most):
+        show(renderer, texels, rows)
+        for turn, (one, reference) in enumerate(zip(turned, best, strict=True)):
+            yield compared(name, number, turn, light, renderer.render(one), reference)
+
+
+def bake(renderer: Renderer, texels: ViewTexels, look: Look, until: int) -> Rungs:
+    """The light of a view's texels at each rung up to ``until`` samples."""
+    positions = np.concatenate([Chunk(d.index, d.offsets, Light(())).positions(d.offsets) for d in texels.demands])
+    counts = [FIRST_RUNG]
+    while counts[-1] < until:
+        counts.append(next_rung(counts[-1]))
+    rungs = {samples: Light.dark(look.plan, len(positions)) for samples in counts}
+
+    def climb(a: int, b: int) -> None:
+        light = Light.dark(look.plan, b - a)
+        for samples in counts:
+            refine(light, positions[a:b], look, samples, NEVER)
+            rungs[samples].put(np.arange(a, b), light)
+
+    renderer.tiles.run(climb, len(positions), PIECE)
+    return rungs
+
+
+def lights_of(rungs: Rungs, look: Look, most: int) -> Iterator[tuple[str, Light]]:
+    """The lights that are judged, and their names: every other rung, and those that reach the targets."""
+    for samples in list(rungs)[::2]:
+        if samples <= most:
+            yield f"{samples} samples", rungs[samples]
+    for target in TARGETS:
+        yield f"target {target:.0%}", adaptive(rungs, look, target)
+
+
+def adaptive(rungs: Rungs, look: Look, target: float) -> Light:
+    """The light as a bake to the relative error ``target`` leaves it: each texel on the first rung that is enough."""
+    light = Light.dark(look.plan, len(next(iter(rungs.values()))))
+    waiting = np.ones(len(light), np.bool_)
+    for rung in rungs.values():
+        done = np.flatnonzero(waiting)
+        light.put(done, rung.rows(done))
+        waiting &= ~finished(rung, look, target)
+    return light
+
+
+def show(renderer: Renderer, texels: ViewTexels, light: Light) -> None:
+    """Make ``light`` what the renderer's frames read."""
+    pool, bounds = renderer.caches.of("gi").pool, texels.bounds.tolist()
+    for demand, a, b in zip(texels.demands, bounds, bounds[1:], strict=False):
+        pool.insert(Chunk(demand.index, demand.offsets, light.rows(np.arange(a, b))))
+
+
+def compared(name: str, number: int, turn: int, light: str, frame: Frame, best: Frame) -> Told:
+    """What a frame tells of its error beside what is seen of it against the ``best``."""
+    true, told = relative_rmse(frame, best) or 0.0, frame.estimated_error
+    on = best.state > 0
+    seen, exact = (one.radiance[on].astype(np.float64) @ LUMINANCE for one in (frame, best))
+    covered = np.abs(seen - exact) <= 1.96 * frame.error[on] * seen
+    return Told(name, number, turn, light, true, told, true / max(told, 1e-30), float(covered.mean()))
+
+
+def table(frames: Sequence[Told]) -> str:
+    """A line for each scene and each light, and one for all, in Markdown."""
+    groups = {name: [told for told in frames if told.scene == name] for name in dict.fromkeys(t.scene for t in frames)}
+    for light in dict.fromkeys(told.light for told in frames):
+        groups[f"all, {light}"] = [told for told in frames if told.light == light]
+    groups["all"] = list(frames)
+    head = "scene", "frames", "true / told, median", f"in {WIDE_LOW} … {WIDE_HIGH}", "least … most", "pixels covered"
+    lines = [head, ["---"] * len(head), *(cells(name, group) for name, group in groups.items())]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def cells(name: str, frames: Sequence[Told]) -> list[str]:
+    """The text of a line's cells."""
+    ratios = np.array([told.ratio for told in frames])
+    within = np.mean((ratios >= WIDE_LOW) & (ratios <= WIDE_HIGH))
+    covered = [told.covered for told in frames]
+    return [
+        *(name, str(len(frames)), f"{np.median(ratios):.2f}", f"{within:.0%}"),
+        *(f"{ratios.min():.2f} … {ratios.max():.2f}", f"{np.mean(covered):.1%}"),
+    ]
+
+
+if __name__ == "__main__":
+    main()

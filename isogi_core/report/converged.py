@@ -1,0 +1,53 @@
+"""Converged light: a view's texels with so many samples that hardly any noise is left, as kept and unrounded."""
+
+from dataclasses import dataclass, replace
+
+from isogi_core.bake.light import Light
+from isogi_core.frame.frame import Frame
+from isogi_core.model.plan import Layer
+from isogi_core.report.bake import ViewBake
+from isogi_core.report.bench import Bench
+
+TIMES = 4
+"""How many times the samples of a frame's texels make converged light."""
+
+FEWEST, MOST = 256, 16384
+"""Bounds of these samples."""
+
+
+@dataclass(frozen=True, eq=False)
+class Converged:
+    """The frames of a view's converged light, rounded as the plan keeps it, and in single floats."""
+
+    kept: Frame
+    exact: Frame
+    samples: int
+
+
+def converged(bench: Bench) -> Converged:
+    """The view's converged light by the scene's plan; rounded and not, it is of the same paths."""
+    return bench.once("converged", lambda: converge(bench))
+
+
+def converge(bench: Bench) -> Converged:
+    """ViewBake it. Raises Cancelled."""
+    layers = bench.scene.plan.layers
+    twins = tuple(map(unrounded, layers))
+    both = ViewBake(bench.renderer(bench.scene), bench.view, layers + (() if twins == layers else twins))
+    samples = rung_above(TIMES * bench.planned.samples)
+    both.grow(samples, cancelled=bench.cancelled)
+    kept, exact = (both.frame(Light(both.light.parts[a:][: len(layers)])) for a in (0, -len(layers)))
+    return Converged(kept, exact, samples)
+
+
+def unrounded(layer: Layer) -> Layer:
+    """The layer in single floats."""
+    return replace(layer, half=False, coarse=None)
+
+
+def rung_above(samples: float) -> int:
+    """The first rung of the ladder of samples, of those that count as converged, that is not below ``samples``."""
+    rung = FEWEST
+    while rung < min(samples, MOST):
+        rung *= 2
+    return rung

@@ -1,0 +1,169 @@
+"""Ways to take light from texels to a pixel: nearest, closest isovalue, trilinear, tricubic (S1, figure 6)."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from isogi_core.bake.light import Light
+from isogi_core.bake.noise import standard_error
+from isogi_core.bake.refine import locate
+from isogi_core.cache.pages import marks_of
+from isogi_core.frame.surroundings import Turned
+from isogi_core.plan.texels import bspline
+from isogi_core.report.bake import Bake
+from isogi_core.report.bench import Bench
+from isogi_core.report.converged import unrounded
+from isogi_core.report.metrics import FAR, Spread, luminance, mean_of, spread_of
+from isogi_core.report.points import Lit, own_light
+from isogi_core.report.sections import Cell, Column, Picture, Section, Table
+
+SAMPLES = 256
+"""Samples of each texel."""
+
+TAPS = np.stack(np.meshgrid(*[np.arange(-1, 3)] * 3, indexing="ij"), axis=-1).reshape(64, 3)
+"""Texels about a lattice cell's lowest corner, (64, 3; z, y, x)."""
+
+CORNERS = np.flatnonzero(((TAPS >= 0) & (TAPS <= 1)).all(axis=1))
+"""Those of TAPS that are corners of the cell."""
+
+COLUMNS = (
+    Column("interpolation"),
+    Column("relative RMSE", "share"),
+    Column("99th percentile", "share"),
+    Column("bias", "share"),
+    Column("texels read by a pixel", "count"),
+)
+
+ABOUT = f"""\
+The same texels, of {SAMPLES} samples each, in single floats, carried to the pixels in four ways, and compared with \
+light at the pixels' own points, so that nothing but interpolation differs. The RMSE is less the noise of both sides. \
+The tricubic B-spline smooths as it goes: it does not pass through the texels' own light. Pixels around which no \
+texel holds light count as dark."""
+
+
+@dataclass(frozen=True, eq=False)
+class Neighbourhood:
+    """The 4×4×4 texels about each of m pixels' points.
+
+    ``numbers`` (m, 64) of texels in the order of TAPS; ``fractions`` (m, 3; z, y, x) within the cell; of each texel
+    ``light`` (t,) its luminance, ``noise`` (t,) the variance of that, ``lit`` (t,) whether it holds any light, and
+    ``apart`` (t,) how far its isovalue is from the picture's.
+    """
+
+    numbers: np.ndarray
+    fractions: np.ndarray
+    light: np.ndarray
+    noise: np.ndarray
+    lit: np.ndarray
+    apart: np.ndarray
+
+
+def study(bench: Bench) -> Section:
+    """Errors of the four ways."""
+    around, own = neighbourhood(bench, SAMPLES), own_light(bench)
+    mean, rows, pictures = mean_of(own.light), [], []
+    for name, (weigh, reads) in WAYS.items():
+        carried = carry(around, weigh(around))
+        wrong = carried.light - own.light
+        rows.append(row_of(name, wrong, spread_of(wrong, carried.noise + own.noise, mean), mean, reads))
+        errors = np.full(bench.best.on.shape, np.nan, np.float32)
+        errors[bench.best.on] = wrong / mean
+        pictures.append(Picture(name, "error", errors))
+    table = Table("Interpolation against light at the pixels' own points", COLUMNS, tuple(rows))
+    return Section("interpolation", "Interpolation", ABOUT, (table,), (), tuple(pictures))
+
+
+def row_of(name: str, wrong: np.ndarray, spread: Spread, mean: float, reads: int) -> tuple[Cell, ...]:
+    """A way's row of the table."""
+    return name, spread.rmse, float(np.percentile(np.abs(wrong), FAR)) / mean, spread.bias, reads
+
+
+def neighbourhood(bench: Bench, samples: int) -> Neighbourhood:
+    """Find and bake the texels about the surface pixels of the bench's view."""
+    renderer, view = bench.renderer(bench.scene), bench.view
+    lattice, points = renderer.recipe.lattice, renderer.gbuffer(view).points
+    places = points[:, ::-1].astype(np.float64) * np.array(lattice.density[::-1])
+    cells = np.clip(np.floor(places).astype(np.int64), 0, np.array(lattice.shape) - 2)
+    texels, numbers = texels_about(cells, lattice.shape)
+    look = renderer.caches.look(view.shading)
+    bake = Bake(bench.tiles, look, tuple(map(unrounded, look.plan.layers)), texels)
+    bake.grow(samples, cancelled=bench.cancelled)
+    isovalues = locate(texels, renderer.recipe)[0][3]
+    return Neighbourhood(
+        numbers=numbers,
+        fractions=np.clip(places - cells, 0.0, 1.0),
+        light=luminance(radiance_of(bake.light, Turned(look, view).reflected)),
+        noise=standard_error(bake.light, look) ** 2,
+        lit=marks_of(bake.light) == 0,
+        apart=np.abs(isovalues - renderer.gbuffer(view).isovalue),
+    )
+
+
+def texels_about(cells: np.ndarray, shape: tuple[int, int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """The texels (t, 3) int32 about lattice ``cells`` (m, 3), and their numbers (m, 64); the border's repeat."""
+    around = np.clip(cells[:, None] + TAPS, 0, np.array(shape) - 1)
+    flat = np.ravel_multi_index(tuple(np.moveaxis(around, -1, 0)), shape)
+    found, numbers = np.unique(flat, return_inverse=True)
+    texels = np.stack(np.unravel_index(found, shape), axis=-1).astype(np.int32)
+    return texels, numbers.reshape(flat.shape)
+
+
+def radiance_of(light: Light, reflected: np.ndarray) -> np.ndarray:
+    """Linear RGB (t, 3) of texels' light under turned lights ``reflected`` (3, n²), never below 0: S1, eq. 9."""
+    transfer = light.transfer[:, :, : reflected.shape[1]]
+    colours = np.broadcast_to(transfer, (len(transfer), *reflected.shape))
+    return np.maximum(np.einsum("tcn,cn->tc", colours, reflected), 0.0)
+
+
+def carry(around: Neighbourhood, weights: np.ndarray) -> Lit:
+    """The pixels' light by ``weights`` (m, 64) of their texels, of which those that hold none are left out."""
+    held = weights * around.lit[around.numbers]
+    held /= np.maximum(held.sum(axis=1, keepdims=True), 1e-30)
+    light = (held * around.light[around.numbers]).sum(axis=1)
+    return Lit(light, (held**2 * around.noise[around.numbers]).sum(axis=1))
+
+
+def nearest(around: Neighbourhood) -> np.ndarray:
+    """All weight on the nearest corner that holds light."""
+    away = TAPS[CORNERS] - around.fractions[:, None]
+    return least(around, (away**2).sum(axis=-1))
+
+
+def closest_isovalue(around: Neighbourhood) -> np.ndarray:
+    """All weight on the corner that holds light whose own isosurface is closest to the picture's."""
+    return least(around, around.apart[around.numbers[:, CORNERS]])
+
+
+def least(around: Neighbourhood, cost: np.ndarray) -> np.ndarray:
+    """All weight on the corner, of those that hold light, with the least ``cost`` (m, 8)."""
+    best = np.where(around.lit[around.numbers[:, CORNERS]], cost, np.inf).argmin(axis=1)
+    weights = np.zeros(around.numbers.shape)
+    weights[np.arange(len(best)), CORNERS[best]] = 1.0
+    return weights
+
+
+def trilinear(around: Neighbourhood) -> np.ndarray:
+    """The cell's eight corners, as frames weigh them (S1, section 4.2)."""
+    f = around.fractions.T
+    none = np.zeros_like(f)
+    return product(np.stack([none, 1.0 - f, f, none], axis=1))
+
+
+def tricubic(around: Neighbourhood) -> np.ndarray:
+    """The cubic B-spline along each axis."""
+    return product(np.stack([bspline(f)[0] for f in around.fractions.T]))
+
+
+def product(along: np.ndarray) -> np.ndarray:
+    """Weights (m, 64) from those ``along`` each axis, (3, 4, m)."""
+    return np.einsum("im,jm,km->mijk", *along).reshape(along.shape[2], len(TAPS))
+
+
+WAYS: Mapping[str, tuple[Callable[[Neighbourhood], np.ndarray], int]] = {
+    "nearest": (nearest, 1),
+    "closest isovalue": (closest_isovalue, 1),
+    "trilinear": (trilinear, 8),
+    "tricubic B-spline": (tricubic, 64),
+}
+"""How texels are weighed, and how many of them a pixel reads, by a way's name."""

@@ -1,0 +1,98 @@
+"""Light at the pixels' own points: what frames would show if nothing were interpolated."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from isogi_core.bake.look import Look
+from isogi_core.bake.refine import Place, sample_transfer
+from isogi_core.frame.frame import Frame
+from isogi_core.frame.renderer import Renderer
+from isogi_core.frame.surroundings import Turned
+from isogi_core.model.scene import Scene
+from isogi_core.model.sky import LUMINANCE
+from isogi_core.model.view import View
+from isogi_core.report.bench import Bench
+from isogi_core.report.metrics import luminance
+from isogi_core.report.reference import Reference
+
+OUTSIDE = -1
+"""Where points stand in the lattice, for their random numbers' sake: outside it."""
+
+PIECE = 64
+"""Points that one thread lights in one go."""
+
+PATHS = 1024
+"""Paths from each pixel that transfer of its own is made of."""
+
+
+@dataclass(frozen=True, eq=False)
+class Lit:
+    """``light`` (m,) float64, the luminance of surface pixels, and the ``noise`` (m,), its variance."""
+
+    light: np.ndarray
+    noise: np.ndarray
+
+
+def lit_by_frame(frame: Frame) -> Lit:
+    """A frame's surface pixels, with the noise that their texels tell."""
+    on = frame.state > 0
+    light = luminance(frame.radiance[on])
+    return Lit(light, (frame.error[on] * light) ** 2)
+
+
+def lit_by_paths(best: Reference) -> Lit:
+    """The surface pixels of a reference."""
+    return Lit(luminance(best.mean[best.on]), best.variance[best.on].astype(np.float64))
+
+
+def short_light(bench: Bench) -> Lit:
+    """The surface pixels under the lights themselves, with the plan's bounces."""
+    return lit_by_paths(bench.reference(bench.best.samples, bounces=bench.scene.bounces))
+
+
+def own_light(bench: Bench) -> Lit:
+    """The surface pixels lit as texels of their own would be: the light that interpolation is to come to."""
+    if not cuts_harmonics(bench.scene):
+        return short_light(bench)
+    renderer = bench.renderer(bench.scene)
+    return bench.once("own light", lambda: lit_by_transfer(renderer, bench.view, PATHS))
+
+
+def cuts_harmonics(scene: Scene) -> bool:
+    """Whether the plan's texels keep harmonics that are fewer than the light's."""
+    return scene.plan.representation != "irradiance" and not scene.needs.constant
+
+
+def lit_by_transfer(renderer: Renderer, view: View, samples: int) -> Lit:
+    """Surface pixels lit by transfer of their own, of the plan's orders, from ``samples`` paths each, unrounded."""
+    look, gbuffer = renderer.caches.look(view.shading), renderer.gbuffer(view)
+    normals = gbuffer.normals(renderer.recipe, renderer.tiles, None)
+    reflected, halves = Turned(look, view).reflected, np.zeros((len(gbuffer.points), 2, 3))
+
+    def piece(a: int, b: int) -> None:
+        place = place_of(gbuffer.pixels[a:b], gbuffer.points[a:b], normals[a:b], gbuffer.isovalue)
+        halves[a:b] = light_of_halves(look, place, reflected, samples)
+
+    renderer.tiles.run(piece, len(halves), PIECE)
+    apart = (halves[:, 0] - halves[:, 1]) @ LUMINANCE / 2.0
+    return Lit(np.maximum(halves.mean(axis=1), 0.0) @ LUMINANCE, apart**2)
+
+
+def place_of(pixels: np.ndarray, points: np.ndarray, normals: np.ndarray, isovalue: float) -> Place:
+    """Points (m, 3) of a picture's ``pixels`` as a bake takes texels."""
+    numbers = np.full((len(pixels), 3), OUTSIDE, np.int32)
+    numbers[:, 2] = pixels
+    here, facing = (np.ascontiguousarray(each.T, np.float64) for each in (points, normals))
+    return numbers, here, facing, np.full(len(pixels), isovalue)
+
+
+def light_of_halves(look: Look, place: Place, reflected: np.ndarray, samples: int) -> np.ndarray:
+    """Linear RGB (m, 2, 3) of each half of ``samples`` paths, under the turned light ``reflected`` (3, n²)."""
+    layers, void = look.plan.layers, np.zeros(len(place[3]), np.bool_)
+    halves = np.zeros((len(void), 2, 3))
+    for layer, (sums, _) in zip(layers, sample_transfer(layers, place, void, look, 0, samples), strict=True):
+        n = min(layer.order**2, reflected.shape[1])
+        colours = np.broadcast_to(sums, (*sums.shape[:2], 3, sums.shape[3]))
+        halves += np.einsum("mhcn,cn->mhc", colours[..., :n], reflected[:, :n]) / (samples // 2)
+    return halves

@@ -1,0 +1,127 @@
+"""``isogi report``: measure a view, draw what was measured, and say what is missing."""
+
+from __future__ import annotations
+
+import importlib.util
+import math
+import time
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from isogi_core.model.scene import Scene, load_scene
+from isogi_core.model.view import View
+from server.errors import LibraryError, ParameterError
+from server.params import FrameParams, read
+from server.report.durations import span
+from server.settings import Settings
+from server.views import view_of
+
+if TYPE_CHECKING:
+    from isogi_core.report.sections import Section
+    from isogi_core.report.studies import Study
+    from server.report.measuring import Measured
+    from server.report.report import Report
+
+LIBRARIES = ("matplotlib", "jinja2")
+"""What pages are drawn with; they are not needed by anything else."""
+
+
+@dataclass(frozen=True)
+class Wishes:
+    """What a person asks of a report: where it goes, seconds that it may take, keys of the only studies to run."""
+
+    folder: Path
+    deadline: float | None = None
+    only: tuple[str, ...] = ()
+
+
+def report(target: str, knobs: Mapping[str, str], settings: Settings, wishes: Wishes) -> dict[str, Any]:
+    """Measure the view of ``target`` that ``knobs`` name, write its page, and tell where that is and what it says.
+
+    Raises SceneError, VolumeError, LightError, ViewError, ReportError (the folder holds something else) and
+    LibraryError before anything is measured; StoreError and OSError later.
+    """
+    begun = time.monotonic()
+    require_libraries()
+    scene = load_scene(target)
+    params = read(FrameParams, knobs.items())
+    exposure = scene.default_exposure if params.exposure is None else params.exposure
+    return report_of(scene, view_of(scene, params, settings), exposure, wishes, begun)
+
+
+def require_libraries() -> None:
+    """LibraryError where a library is missing that pages are drawn with."""
+    missing = [name for name in LIBRARIES if importlib.util.find_spec(name) is None]
+    if missing:
+        raise LibraryError(f"A report is drawn with {' and '.join(missing)}: pip install 'isogi[report]'.")
+
+
+def report_of(scene: Scene, view: View, exposure: float, wishes: Wishes, begun: float) -> dict[str, Any]:
+    """The report of a view; ``begun``, a time of ``time.monotonic``, is when its time began."""
+    from isogi_core.report.bench import Bench  # noqa: PLC0415 (kernels: bad input is told before they are compiled)
+    from isogi_core.report.studies import STUDIES  # noqa: PLC0415
+    from server.report.bundle import write_report  # noqa: PLC0415
+    from server.report.journal import Journal, subject_of  # noqa: PLC0415
+    from server.report.measuring import measure  # noqa: PLC0415
+    from server.report.report import Report  # noqa: PLC0415
+
+    wanted = choose(STUDIES, wishes.only)
+    journal = Journal(wishes.folder, subject_of(scene, view))
+    deadline = math.inf if wishes.deadline is None else begun + wishes.deadline
+    bench = Bench(scene, view, journal.workshop(), deadline=deadline)
+    measured = measure(STUDIES, wanted, bench, journal)
+    drawn = Report(scene, view, exposure, measured.done, tuple(notes(measured, wishes.deadline)))
+    return outcome(write_report(wishes.folder, drawn), drawn, measured)
+
+
+def choose(studies: Sequence[Study], only: Sequence[str]) -> tuple[Study, ...]:
+    """The studies of these keys, all of them where none is told; ParameterError on a key that there is not."""
+    known = {study.key for study in studies}
+    for key in only:
+        if key not in known:
+            raise ParameterError(f"There is no study '{key}': choose from {', '.join(each.key for each in studies)}.")
+    return tuple(study for study in studies if not only or study.key in only)
+
+
+def notes(measured: Measured, deadline: float | None) -> Iterator[str]:
+    """What is missing and why, in sentences."""
+    late, unasked = (", ".join(study.title for study in some) for some in (measured.late, measured.unasked))
+    if measured.stopped:
+        yield f"Stopped by hand before the end. Missing: {late}. The same command goes on from here."
+    elif late:
+        yield f"Left out, as {span(deadline or 0.0)} did not suffice: {late}. The same command goes on from here."
+    if unasked:
+        yield f"Not asked for: {unasked}."
+
+
+def outcome(page: Path, drawn: Report, measured: Measured) -> dict[str, Any]:
+    """What the command tells of a report, as a document; seconds of the processor, by section."""
+    return {
+        "page": str(page),
+        "data": str(page.with_name("report.json")),
+        "scene": drawn.scene.name,
+        "isovalue": drawn.view.isovalue,
+        "headline": headline(entry.section for entry in drawn.entries),
+        "sections": {entry.section.key: entry.seconds for entry in drawn.entries},
+        "found": measured.found,
+        "missing": [study.key for study in (*measured.late, *measured.unasked)],
+        "stopped": measured.stopped,
+        "notes": list(drawn.notes),
+    }
+
+
+def headline(sections: Iterable[Section]) -> dict[str, Any]:
+    """The score of the scene's frame, by its columns' names: what the summary's first table says."""
+    tables = [table for section in sections if section.key == "summary" for table in section.tables[:1]]
+    cells = {column.name: cell for table in tables for column, cell in zip(table.columns, table.rows[0], strict=True)}
+    return {name: float(cell) for name, cell in cells.items() if isinstance(cell, int | float)}
+
+
+def sentence(facts: Mapping[str, Any]) -> str:
+    """What the command tells of a report, for a person."""
+    score = ", ".join(f"{name} {cell:.3g}" for name, cell in facts["headline"].items())
+    before = f", {facts['found']} of them measured before" if facts["found"] else ""
+    said = f"{facts['page']}: {len(facts['sections'])} sections{before}."
+    return " ".join([said, *([f"The frame's {score}."] if score else []), *facts["notes"]])

@@ -1,0 +1,55 @@
+"""How figures of a report are written: cells by their column's unit, spans of time."""
+
+import pytest
+
+from isogi_core.report.sections import Cell, Column, Table
+from server.report.cells import column_told, told
+from server.report.durations import seconds_of, span
+
+
+@pytest.mark.parametrize(
+    ("unit", "cells", "head", "texts"),
+    [
+        ("text", ["as it is"], "x", ["as it is"]),
+        ("share", [0.0971, 1.5, None], "x, %", ["9.7", "150.0", "–"]),
+        ("share", [0.0041, -0.0123, 0.00002, -0.00002, 0.0], "x, %", ["0.41", "−1.23", "< 0.01", "> −0.01", "0.00"]),
+        ("seconds", [12.31, 0.4, 140.2, 2000.0], "x, s", ["12.3", "0.400", "140", "2,000"]),
+        ("seconds", [0.0176, 0.9], "x, ms", ["17.6", "900"]),
+        ("bytes", [59.0, 300.0], "x, B", ["59", "300"]),
+        ("bytes", [2.0**20, 2.0**19], "x, MiB", ["1.00", "0.500"]),
+        ("count", [48211.0, 3], "x", ["48,211", "3"]),
+        ("number", [0.0456, 0.04, "many", -0.0001], "x", ["0.0456", "0.0400", "many", "−0.0001"]),
+        ("number", [0.5, 0.04, 0.0001], "x", ["0.500", "0.040", "< 0.001"]),
+        ("number", [1e-7, 2.0], "x", ["1.00e-07", "2.00"]),
+        ("number", [4096.0, 2.0], "x", ["4,096", "2"]),
+        ("share", [], "x, %", []),
+    ],
+)
+def test_a_column_is_told_in_one_unit(unit: str, cells: list[Cell], head: str, texts: list[str]) -> None:
+    column = column_told(Column("x", unit), cells)
+    assert (column.head, list(column.cells)) == (head, texts)
+    assert column.numeric is (unit != "text")
+
+
+def test_a_table_is_told_column_by_column() -> None:
+    table = Table("", (Column("who"), Column("error", "share")), (("a", 0.5), ("b", None)))
+    assert [column.cells for column in told(table)] == [("a", "b"), ("50.0", "–")]
+
+
+@pytest.mark.parametrize(("text", "seconds"), [("90", 90), ("90s", 90), ("10m", 600), ("1.5h", 5400), ("1h", 3600)])
+def test_a_span_of_time_is_read(text: str, seconds: float) -> None:
+    assert seconds_of(text) == seconds
+
+
+@pytest.mark.parametrize("text", ["", "0", "-1", "soon", "10 m", "1d", "nan", "inf", "1_0s", "m", "9e99h", "1" * 50])
+def test_what_is_no_span_of_time_is_refused(text: str) -> None:
+    with pytest.raises(ValueError, match="such as 90, 90s, 10m or 1h"):
+        seconds_of(text)
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [(1, "1 second"), (90, "1.5 minutes"), (3600, "1 hour"), (0.2, "0.2 seconds")],
+)
+def test_a_span_of_time_is_told(seconds: float, text: str) -> None:
+    assert span(seconds) == text
