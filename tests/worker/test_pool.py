@@ -141,8 +141,8 @@ def kernels_of_this_process() -> dict[str, bool]:
 
     from isogi_core.kernels._jit import Entry
 
-    modules = [module for name, module in sys.modules.items() if name.startswith("isogi_core.kernels.")]
-    entries = {x.name: x for module in modules for x in vars(module).values() if isinstance(x, Entry)}
+    modules = [module for name, module in list(sys.modules.items()) if name.startswith("isogi_core.kernels.")]
+    entries = {x.name: x for module in modules for x in list(vars(module).values()) if isinstance(x, Entry)}
     return {name: bool(x.ready.stats.cache_misses) for name, x in entries.items() if x.loaded}
 
 
