@@ -29,5 +29,9 @@ class DamagedChunkError(StoreError):
     """A chunk's bytes are not what was written: cut, flipped, or another scene's."""
 
 
+class ReportError(IsogiError):
+    """What a report needs (a reference, data of a former run) is damaged, or of something else."""
+
+
 class Cancelled(IsogiError):
     """Nobody waits for this frame any more; work on it stopped between two tiles."""

@@ -12,6 +12,7 @@ from isogi_core.bake.recipe import Recipe
 from isogi_core.cache.loader import Loader
 from isogi_core.cache.pages import Held, PagePool
 from isogi_core.frame.gbuffer import POINTS, GBuffer
+from isogi_core.frame.paths import Paths, pool, replicas_for, variance_of_mean
 from isogi_core.frame.reading import Reading
 from isogi_core.frame.stopwatch import Stopwatch
 from isogi_core.frame.surroundings import Turned
@@ -21,12 +22,9 @@ from isogi_core.kernels.bricks import Bricks
 from isogi_core.kernels.field import Field
 from isogi_core.kernels.lattice import carry_light, light_texels
 from isogi_core.kernels.planes import CONVERGING, FINAL, Planes
-from isogi_core.kernels.shading import find_shadows, shade_local, trace_points
+from isogi_core.kernels.shading import find_shadows, shade_local
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import View
-
-PATH_POINTS = 256
-"""Surface points of a tile when each of them sends paths."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,23 +116,15 @@ class Shader:
         return max(middle - volume.radius, 0.0), middle + volume.radius
 
     def _path_traced(self, target: float) -> Shaded:
-        """The reference: paths from every pixel. Its error is told from two independent halves."""
-        points, pixels, normals = self.gbuffer.points, self.gbuffer.pixels, self._normals()
-        albedo = self.turned.albedo
-        weights = np.ascontiguousarray(albedo[None] ** (1 + np.arange(self.recipe.scene.bounces + 1)[:, None]))
-        sums = np.zeros((len(points), 2, 3))
-        half = max(self.view.samples // 2, 1)
-        surface, light = self._surface, self.turned.surroundings
-
-        def _piece(a: int, b: int) -> None:
-            trace_points(*surface, points[a:b], normals[a:b], pixels[a:b], light, weights, 0, half, sums[a:b])
-
+        """The reference: paths from every pixel. Its error is told from independent replicas."""
+        pixels, replicas = self.gbuffer.pixels, replicas_for(self.view.samples)
+        count, sums = max(self.view.samples // replicas, 1), np.zeros((len(pixels), replicas, 3))
+        self._normals()
         with self.watch.stage("paths"):
-            self._run(_piece, len(points), PATH_POINTS)
-        means = sums / half
-        radiance = means.mean(axis=1)
-        noise = np.abs((means[:, 0] - means[:, 1]) @ LUMINANCE) / 2.0
-        error = np.clip(noise / np.maximum(radiance @ LUMINANCE, 1e-30), 0.0, 1.0)
+            Paths(self.turned, self.gbuffer, self.tiles).add(sums, 0, 0, count, self.cancelled)
+        means = sums / count
+        radiance, deviation = means.mean(axis=1), np.sqrt(pool(variance_of_mean(means), self.gbuffer))
+        error = np.clip(deviation / np.maximum(radiance @ LUMINANCE, 1e-30), 0.0, 1.0)
         self.planes.radiance[pixels] = radiance
         self.planes.state[pixels] = np.where(error <= target, FINAL, CONVERGING)
         self.planes.error[pixels] = error

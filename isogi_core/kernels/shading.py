@@ -120,19 +120,20 @@ def shade_local(points, normals, seen, eye, spacing, model, pixels, planes):
 
 
 @kernel()
-def trace_together(field, bricks, iso, points, normals, pixels, light, weights, first, count, sums):
+def trace_together(field, bricks, iso, points, normals, pixels, light, weights, survival, stream, first, count, sums):
     """``trace_points`` for a few points whose paths go together."""
-    starts = 2 * pixels.shape[0]
+    replicas = sums.shape[1]
+    starts = replicas * pixels.shape[0]
     here, facing, seeds = np.empty((3, starts)), np.empty((3, starts)), np.empty(starts, np.uint64)
     for i in range(starts):
-        put_column(here, i, single(points, i // 2))
-        put_column(facing, i, single(normals, i // 2))
-        seeds[i] = mix(np.int64(pixels[i // 2]), i % 2)
+        put_column(here, i, single(points, i // replicas))
+        put_column(facing, i, single(normals, i // replicas))
+        seeds[i] = mix(np.int64(pixels[i // replicas]), stream + i % replicas)
     levels, gathered = np.full(starts, iso), np.empty((3, starts * count))
-    light_paths(field, bricks, levels, here, facing, seeds, first, count, weights, 1.0, light, gathered)
+    light_paths(field, bricks, levels, here, facing, seeds, first, count, weights, survival, light, gathered)
     for m in range(starts * count):
         for c in range(3):
-            sums[m % starts // 2, m % 2, c] += gathered[c, m]
+            sums[m % starts // replicas, m % replicas, c] += gathered[c, m]
 
 
 @kernel(
@@ -145,22 +146,27 @@ def trace_together(field, bricks, iso, points, normals, pixels, light, weights, 
         PIXELS,
         SURROUNDINGS,
         types.float64[:, ::1],
+        types.float64,
+        types.int64,
         types.int64,
         types.int64,
         types.float64[:, :, ::1],
     )
 )
-def trace_points(field, bricks, iso, points, normals, pixels, light, weights, first, count, sums):
-    """Path-trace the points: add samples first … first + count of both halves to ``sums`` (m, 2, 3).
+def trace_points(field, bricks, iso, points, normals, pixels, light, weights, survival, stream, first, count, sums):
+    """Path-trace the points: add samples first … first + count of each replica to ``sums`` (m, replicas, 3).
 
-    ``pixels`` (m,) are picture indices, which own the random numbers; ``light`` the Surroundings;
-    ``weights`` (bounces + 1, 3) is R^(k+1) per channel; ``iso`` is within the range of ``bricks``.
-    Source: S1, figure 2; the reference of figures 7 and 11.
+    Replicas are independent randomisations, from number ``stream`` on; they and ``pixels`` (m,), picture indices,
+    own the random numbers. ``light`` are the Surroundings; ``weights`` (bounces + 1, 3) R^(k+1) per channel, over
+    the chance to get there, ``survival`` (see ``spin``); ``iso`` is within the range of ``bricks``. Sums grow
+    sample by sample, so that their bits do not tell in how many goes. Source: S1, figure 2; the reference
+    of figures 7 and 11.
     """
-    together, samples = max(WAVE // (2 * count), 1), min(count, WAVE // 2)
+    replicas = sums.shape[1]
+    together, samples = max(WAVE // (replicas * count), 1), max(min(count, WAVE // replicas), 1)
     for a in range(0, pixels.shape[0], together):
         b = min(a + together, pixels.shape[0])
         for begin in range(first, first + count, samples):
             some = min(samples, first + count - begin)
             part = points[a:b], normals[a:b], pixels[a:b]
-            trace_together(field, bricks, iso, *part, light, weights, begin, some, sums[a:b])
+            trace_together(field, bricks, iso, *part, light, weights, survival, stream, begin, some, sums[a:b])

@@ -61,7 +61,7 @@ def trace(field, iso, points, light, weights, count, image=DARK):
     surroundings = Surroundings(np.full(3, float(light)), np.asarray(image, np.float32), np.eye(3))
     bricks = make_bricks(field.voxels, brick_ranges(field.voxels), iso, iso)
     pixels = np.arange(len(points), dtype=np.uint32)
-    trace_points(field, bricks, iso, points, normals, pixels, surroundings, weights, 0, count // 2, sums)
+    trace_points(field, bricks, iso, points, normals, pixels, surroundings, weights, 1.0, 0, 0, count // 2, sums)
     return sums.sum(axis=1) / (count // 2 * 2)
 
 

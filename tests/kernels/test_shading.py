@@ -183,13 +183,13 @@ def test_highlight_is_one_in_the_mirror_direction():
     assert shading.highlight(n, key, (0.6, 0.0, -0.8), 3.0) == 0.0
 
 
-def trace(points, normals, light, weights, first, count, pixels=None):
-    """Sums (n, 2, 3) of `trace_points` over the ball."""
-    sums = np.zeros((len(points), 2, 3))
+def trace(points, normals, light, weights, first, count, pixels=None, replicas=2, stream=0):
+    """Sums (n, replicas, 3) of `trace_points` over the ball."""
+    sums = np.zeros((len(points), replicas, 3))
     pixels = (np.arange(len(points)) if pixels is None else pixels).astype(np.uint32)
     field, normals = field_of(BALL), normals.astype(np.float32)
     bricks = bricks_of(field, 0.0)
-    trace_points(field, bricks, 0.0, points, normals, pixels, light, weights, first, count, sums)
+    trace_points(field, bricks, 0.0, points, normals, pixels, light, weights, 1.0, stream, first, count, sums)
     return sums
 
 
@@ -226,6 +226,43 @@ def test_paths_belong_to_the_pixel_and_go_on_where_they_stopped():
     assert not np.array_equal(whole[:, 0], whole[:, 1]), "the halves are two randomisations"
 
 
+def test_replicas_are_numbered_from_the_stream_on():
+    points, normals = ball_points(6)
+    light, weights = half_sky(np.eye(3)), np.full((3, 3), 0.5)
+    four = trace(points, normals, light, weights, 0, 5, replicas=4)
+    assert np.array_equal(trace(points, normals, light, weights, 0, 5), four[:, :2])
+    assert np.array_equal(trace(points, normals, light, weights, 0, 5, stream=1, replicas=3), four[:, 1:])
+
+
+def test_sums_of_any_number_of_goes_have_the_same_bits():
+    points, normals = ball_points(6)
+    field, light, weights = field_of(BALL), half_sky(np.eye(3)), np.full((3, 3), 0.5)
+    place = (points, normals.astype(np.float32), np.arange(6, dtype=np.uint32))
+    sums = np.zeros((2, 6, 2, 3))
+    for goes, into in zip(((12,), (5, 7)), sums, strict=True):
+        first = 0
+        for count in goes:
+            trace_points(field, bricks_of(field, 0.0), 0.0, *place, light, weights, 1.0, 0, first, count, into)
+            first += count
+    assert sums[0].any() and np.array_equal(*sums)
+
+
+@pytest.mark.skipif(bool(config.DISABLE_JIT), reason="many paths need compiled kernels")
+def test_paths_that_end_by_chance_bring_the_same_light():
+    """Weights over the chance to get there: z-test of two means in a bowl, of 2 × 8 independent replicas."""
+    points, normals = ball_points(20)
+    weights, survival = 0.9 ** np.arange(1.0, 9.0)[:, None] * np.ones(3), 0.6
+    fewer = weights / survival ** np.maximum(np.arange(8) - 1, 0)[:, None]
+    field, place = field_of(NOISY), (points, normals.astype(np.float32), np.arange(20, dtype=np.uint32))
+    sums = np.zeros((2, 20, 8, 3))
+    for into, own, chance, stream in zip(sums, (weights, fewer), (1.0, survival), (0, 8), strict=True):
+        trace_points(field, bricks_of(field, 0.0), 0.0, *place, half_sky(np.eye(3)), own, chance, stream, 0, 512, into)
+    means = sums[..., 0].mean(axis=1) / 512
+    apart = means[0].mean(axis=-1) - means[1].mean(axis=-1)
+    error = np.sqrt((means.var(axis=-1, ddof=1) / 8).sum(axis=0))
+    assert abs(apart / error) < 4.0
+
+
 @kernel()
 def paths_one_by_one(field, iso, points, normals, pixels, light, weights, first, count, sums):
     for m in range(len(points)):
@@ -246,6 +283,6 @@ def test_paths_in_waves_are_those_one_by_one(count, points):
     pixels, weights = np.arange(len(points), dtype=np.uint32) + 11, 0.7 ** np.arange(1.0, 5.0)[:, None] * np.ones(3)
     sums = np.zeros((2, len(points), 2, 3))
     place, light = (points, normals, pixels), half_sky(np.eye(3))
-    trace_points(field, bricks_of(field, 0.0), 0.0, *place, light, weights, 2, count, sums[0])
+    trace_points(field, bricks_of(field, 0.0), 0.0, *place, light, weights, 1.0, 0, 2, count, sums[0])
     paths_one_by_one(field, 0.0, *place, light, weights, 2, count, sums[1])
     assert sums[0].any(axis=(1, 2)).mean() > 0.9 and np.array_equal(*sums)

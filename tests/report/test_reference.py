@@ -1,0 +1,71 @@
+"""References: their bits, their noise, and what they are refused for."""
+
+import threading
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from isogi_core.errors import Cancelled, ReportError
+from isogi_core.model.scene import load_scene
+from isogi_core.model.sky import LUMINANCE
+from isogi_core.report.reference import trace_reference
+from tests.frame.conftest import CONSTANT, SKY, Workbench, ball, scene_of
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Workbench:
+    """The orbital under a sky, nothing baked."""
+    scene = load_scene("demo:orbital", lights=[SKY], albedo=[0.8, 0.6, 0.4], bounces=2)
+    return Workbench(scene, tmp_path_factory.mktemp("store"))
+
+
+def test_a_reference_in_two_goes_is_the_one_at_once(bench: Workbench) -> None:
+    view = bench.view(size=24)
+    once = trace_reference(bench.renderer, view, 64)
+    first = trace_reference(bench.renderer, view, 20)
+    again = trace_reference(bench.renderer, view, 64, first)
+    assert (first.samples, again.samples) == (24, 64), "whole rounds of the replicas"
+    assert np.array_equal(again.sums, once.sums) and again.seconds > first.seconds
+    assert np.array_equal(again.mean, once.mean) and np.array_equal(again.variance, once.variance)
+    assert trace_reference(bench.renderer, view, 32, once) is once, "it has more than that"
+
+
+def test_under_a_constant_light_a_ball_has_its_albedo_and_no_noise(tmp_path: Path) -> None:
+    bench = Workbench(scene_of(ball(), 0.0, lights=[CONSTANT], albedo=0.7, bounces=3), tmp_path)
+    found = trace_reference(bench.renderer, bench.view(size=24), 64)
+    assert found.on.sum() > 60 and not found.mean[~found.on].any() and not found.variance[~found.on].any()
+    np.testing.assert_allclose(found.mean[found.on], 0.7, rtol=1e-6)
+    assert found.noise < 1e-12
+
+
+def test_its_noise_is_how_far_it_is_from_one_of_many_more_samples(bench: Workbench) -> None:
+    view = bench.view(size=48)
+    few, many = (trace_reference(bench.renderer, view, samples) for samples in (32, 1024))
+    wrong = (few.mean - many.mean)[many.on] @ LUMINANCE
+    level = float((many.mean[many.on] @ LUMINANCE).mean())
+    assert 0.85 < np.sqrt((wrong**2).mean()) / level / few.noise < 1.15
+    assert 0.8 < (np.abs(wrong) < 1.96 * few.standard_error[many.on]).mean() < 0.97, "of 7 degrees of freedom"
+    assert many.noise < few.noise / 5.0, "stratified points do better than 1 / sqrt(32)"
+
+
+def test_it_does_not_go_on_from_another_view_or_scene(bench: Workbench, tmp_path: Path) -> None:
+    view = bench.view(size=8)
+    former = trace_reference(bench.renderer, view, 8)
+    longer = Workbench(replace(bench.scene, plan=replace(bench.scene.plan, bounces=9)), tmp_path)
+    for renderer, other in ((bench.renderer, bench.view(size=8, azimuth=50.0)), (longer.renderer, view)):
+        with pytest.raises(ReportError, match="begin a new one"):
+            trace_reference(renderer, other, 16, former)
+    assert trace_reference(bench.renderer, replace(view, shading="gi", samples=3), 16, former).samples == 16
+
+
+def test_cancelled_it_leaves_the_former_as_it_was(bench: Workbench) -> None:
+    view, cancelled, told = bench.view(size=24), threading.Event(), []
+    former = trace_reference(bench.renderer, view, 8, progress=told.append)
+    assert sum(told) == 8 * former.on.sum()
+    sums = former.sums.copy()
+    cancelled.set()
+    with pytest.raises(Cancelled):
+        trace_reference(bench.renderer, view, 16, former, cancelled)
+    assert np.array_equal(former.sums, sums)
