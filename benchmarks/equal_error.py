@@ -1,28 +1,28 @@
 """Time to equal total error: isogi beside Mitsuba 3, one view and 36 views under 12 turns of a probe each.
 
-    python -m benchmarks.equal_error [VOLUME] [--size 512] [--probe FILE] [--isovalue 70] [--views 36] [--turns 12] [--json]
+    python -m benchmarks.equal_error [VOLUME] [--size 512] [--probe FILE] [--isovalue 70] [--checks 6] [--json]
 
-The isosurface is diffuse with albedo 0.7 on both sides and reflects as often in both; seconds are of the wall, on all
-cores, in one run. Kernels of both are compiled before.
+The isosurface is diffuse with albedo 0.7 on both sides and reflects as often in both. Seconds are of the wall, on all
+cores, in one run; those of the processor, which other work on the machine hardly touches, are told beside them.
+Kernels of both are compiled before.
 
 isogi starts from nothing: it makes its maps, bakes to an empty store what each view needs, and renders every picture
-of the set. Its error is the total one: relative RMSE of the luminance over surface pixels against paths from each
-pixel that are longer than its own, on some pictures from all over the set ("checks").
+of the set. Its error is the total one, all causes together: relative RMSE of the luminance over surface pixels against
+long paths from each pixel, on some pictures from all over the set ("checks").
 
 Mitsuba path-traces scikit-image's marching-cubes mesh of the same isosurface (`llvm_ad_rgb`, integrator `path`, which
-joins every hit to the probe as well, multiple importance sampling). Its error on each of the checks is against its own
-converged picture, so that mesh and path length do not count, without the pixels that the outline runs through. It
-takes as many samples per pixel as bring that error to isogi's total on the same picture: from a power law through
-measured points, rendered, put right and rendered again. Seconds of the whole set are extrapolated: those of its set-up
-and its mean seconds per check times all pictures. That is told for its default sampler and for `multijitter`, the best
-of its own. That both show the same light is seen in how far the converged pictures are apart.
+joins every hit to the probe as well, by multiple importance sampling). Its error on each of the checks is against its
+own converged picture, so that mesh and length of paths do not count, without the pixels that the outline runs
+through. It takes as many samples per pixel as bring that error to isogi's total on the same picture: from a power law
+through measured points, drawn, put right and drawn again. Seconds of the whole set are extrapolated: those of its
+set-up, and its mean seconds per check times all pictures. They are told of its default sampler and of `multijitter`,
+which errs least of those it has. That both show the same light is seen in how far the converged pictures are apart.
 """
 
 import math
-import os
 import statistics
-import tempfile
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import click
@@ -31,146 +31,129 @@ from tqdm import tqdm
 
 from benchmarks import mesh, mitsuba_scene
 from benchmarks.common import benchmark_scene, shared_data, show
-from benchmarks.error_curve import PowerLaw, relative_rmse, without
-from benchmarks.mitsuba_scene import SAMPLERS, PathTracer
+from benchmarks.cost import Cost
+from benchmarks.isogi_race import Check, Costs, check, run, warm
+from benchmarks.mitsuba_race import VARIANT, Converged, Mitsuba, Reached
 from benchmarks.picture_set import PictureSet
-from benchmarks.plans import LONGEST, SMALL, bake
-from isogi_core.frame.frame import Frame
 from isogi_core.model.scene import Scene
 from isogi_core.model.sky import LUMINANCE
-from isogi_core.model.view import View
-from server.measure import make_renderer, seconds
 
 UFFIZI = "probe_uffizi_256x128.hdr"
-ALBEDO = 0.7
-VARIANT = "llvm_ad_rgb"
-CURVE = (4, 16, 64)
-"""Samples per pixel at which Mitsuba's error is measured first."""
-
-CONVERGED = 512
-"""Samples per pixel of each of the two pictures whose mean is Mitsuba's converged one."""
+Race = dict[str, list[Reached]]
+"""By the sampler, what Mitsuba took for each of the checks."""
 
 
-@dataclass(frozen=True, eq=False)
-class Check:
-    """A picture of the set by isogi, ``lit``, the reference for it, and isogi's total ``error``."""
-
-    view: View
-    lit: Frame
-    best: Frame
-
-    @property
-    def error(self) -> float:
-        """Relative RMSE without the reference's own noise."""
-        measured = relative_rmse(self.lit.radiance, self.best.radiance, self.best.state > 0)
-        return without(measured, self.best.estimated_error)
-
-
-@dataclass(frozen=True)
-class Reached:
-    """What Mitsuba took to get to an ``error`` near the one ``wanted``."""
-
-    samples: int
-    seconds: float
-    error: float
-    wanted: float
-
-
-class Isogi:
-    """isogi over an empty ``store``: light to a relative error of the texels, and the seconds that it took."""
-
-    def __init__(self, scene: Scene, store: str, target: float) -> None:
-        """Make nothing yet that is not timed."""
-        self.renderer, self.target = make_renderer(scene, store), target
-        self.baking = self.rendering = 0.0
-
-    def bake(self, view: View) -> None:
-        """Bake what a view lacks, and keep it in the store."""
-        self.baking += seconds(lambda: self._bake(view))
-
-    def frame(self, view: View) -> Frame:
-        """The picture of a view."""
-        frames: list[Frame] = []
-        self.rendering += seconds(lambda: frames.append(self.renderer.render(view, self.target)))
-        return frames[0]
-
-    def _bake(self, view: View) -> None:
-        demands = self.renderer.render(view, self.target).demands
-        loader = self.renderer.caches.of(view.shading)
-        self.renderer.tiles.run(lambda a, b: bake(loader, demands[a:b], self.target), len(demands), 1)
+@click.command()
+@click.argument("volume", required=False)
+@click.option("--size", type=click.IntRange(1), default=512, show_default=True, help="Pixels a side.")
+@click.option("--probe", type=click.Path(exists=True, dir_okay=False), help="The light; uffizi by default.")
+@click.option("--isovalue", type=float, help="The scene's own by default.")
+@click.option("--views", type=click.IntRange(1), default=36, show_default=True, help="Cameras of the set.")
+@click.option("--turns", type=click.IntRange(1), default=12, show_default=True, help="Turns of the light for each.")
+@click.option("--checks", type=click.IntRange(1), default=6, show_default=True, help="Pictures that are compared.")
+@click.option("--target", default=0.06, show_default=True, help="Relative error at which a texel is left.")
+@click.option("--paths", default=256, show_default=True, help="Paths per pixel of the references.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+def main(
+    volume: str | None,
+    size: int,
+    probe: str | None,
+    isovalue: float | None,
+    views: int,
+    turns: int,
+    checks: int,
+    target: float,
+    paths: int,
+    as_json: bool,
+) -> None:
+    """Time both, and print the ratios."""
+    scene = probe_scene(volume, probe, isovalue)
+    pictures = PictureSet(scene, size, views, turns)
+    warm(pictures, target)
+    frames, costs = run(pictures, target, pictures.picks(checks))
+    checked = check(scene, frames, paths)
+    figures = isogi_figures(checked, costs)
+    if mitsuba_scene.installed() and mesh.installed() and mitsuba_scene.usable(VARIANT):
+        mitsuba = Mitsuba(scene, frames[0].view)
+        race, converged = compete(mitsuba, checked)
+        figures |= mitsuba_figures(race, mitsuba.set_up, len(pictures), costs) | likeness(checked, converged)
+    else:
+        figures["mitsuba"] = "not installed"
+    show(f"{scene.name} at {scene.isovalue:g}, {size} × {size}, {views} views × {turns} turns", figures, as_json)
 
 
-def run_isogi(pictures: PictureSet, target: float, picks: list[tuple[int, int]]) -> tuple[list[Frame], dict[str, float]]:
-    """Render the whole set, the camera of the first pick before all others; the frames of ``picks``, and figures."""
-    kept: dict[tuple[int, int], Frame] = {}
-    first = picks[0][0]
-    with tempfile.TemporaryDirectory() as store:
-        isogi, alone = Isogi(pictures.scene, store, target), 0.0
-        for camera in tqdm([first, *(c for c in range(pictures.views) if c != first)], desc="isogi", unit="view"):
-            isogi.bake(pictures.view(camera))
-            for turn in range(pictures.turns):
-                frame = isogi.frame(pictures.view(camera, turn))
-                alone = alone or isogi.baking + isogi.rendering
-                if (camera, turn) in picks:
-                    kept[camera, turn] = frame
-    times = {"one view, s": alone, "whole set, s": isogi.baking + isogi.rendering, "baking, s": isogi.baking}
-    return [kept[pick] for pick in picks], times
+def probe_scene(volume: str | None, probe: str | None, isovalue: float | None) -> Scene:
+    """The ``volume``, or the benchmarks' own, under the ``probe`` or uffizi; under a sky where there are no data."""
+    data = shared_data()
+    file = Path(probe) if probe else data / UFFIZI if data else None
+    light: dict[str, Any] = {"type": "probe", "file": str(file.resolve())} if file else {"type": "sky"}
+    at: dict[str, Any] = {} if isovalue is None else {"isovalue": isovalue}
+    return benchmark_scene(volume, albedo=0.7, bounces=4, lights=[light], rotating=True, **at)
 
 
-def check(scene: Scene, frames: list[Frame], paths: int) -> list[Check]:
-    """The frames with their references, of so many ``paths`` per pixel, with more bounces than the scene has."""
-    longer = replace(scene, plan=replace(scene.plan, bounces=max(scene.bounces, LONGEST)))
-    with tempfile.TemporaryDirectory() as store:
-        renderer = make_renderer(longer, store)
-        views = [replace(frame.view, shading="path_traced", samples=paths) for frame in frames]
-        bests = [renderer.render(view) for view in tqdm(views, desc="references", unit="picture")]
-    return [Check(lit.view, lit, best) for lit, best in zip(frames, bests, strict=True)]
+def compete(mitsuba: Mitsuba, checked: Sequence[Check]) -> tuple[Race, list[Converged]]:
+    """Have each of Mitsuba's samplers draw the checks with isogi's errors; and the converged pictures."""
+    race: Race = {sampler: [] for sampler in mitsuba.tracers}
+    converged = []
+    for each in tqdm(checked, desc="mitsuba", unit="picture"):
+        best = mitsuba.converge(each.lit.view, each.best.on)
+        for sampler, reached in race.items():
+            reached.append(mitsuba.reach(sampler, best, each.error))
+        converged.append(best)
+    return race, converged
 
 
-class Rival:
-    """Mitsuba on the mesh of the isosurface, with each of its SAMPLERS; ``set_up`` seconds were taken before pictures.
-    """
+def isogi_figures(checked: Sequence[Check], costs: Costs) -> dict[str, Any]:
+    """isogi's errors, root mean squares over the checks, and its seconds."""
+    total, noise = rms([each.error for each in checked]), rms([each.lit.estimated_error for each in checked])
+    return {
+        "isogi: total error": total,
+        "isogi: estimated noise / total error": noise / total,
+        "isogi: references' noise": rms([each.best.noise for each in checked]),
+        **costs.first.figures("isogi: one view"),
+        **costs.baking.figures("isogi: whole set, baking"),
+        **costs.rendering.figures("isogi: whole set, pictures"),
+        **costs.whole.figures("isogi: whole set"),
+    }
 
-    def __init__(self, scene: Scene, view: View) -> None:
-        """Make the mesh and the scene, twice, and compile the kernels with a picture of few samples."""
-        tracers: list[PathTracer] = []
-        self.set_up = seconds(lambda: tracers.append(self._tracer(scene, view, SAMPLERS[0])))
-        tracers.append(self._tracer(scene, view, SAMPLERS[1]))
-        self.tracers = dict(zip(SAMPLERS, tracers, strict=True))
-        for tracer in tracers:
-            self.picture(tracer, 1, 0)
 
-    def picture(self, tracer: PathTracer, samples: int, seed: int) -> np.ndarray:
-        """A picture on all cores."""
-        return tracer.picture(samples, os.cpu_count() or 1, seed)
+def mitsuba_figures(race: Race, set_up: Cost, pictures: int, costs: Costs) -> dict[str, Any]:
+    """What Mitsuba takes with each sampler, and how many times as long that is. The first check is the one view."""
+    figures: dict[str, Any] = set_up.figures("mitsuba: mesh and scene")
+    for sampler, reached in race.items():
+        name, every = f"mitsuba {sampler}", sum((each.cost for each in reached), Cost()) * (1 / len(reached))
+        one, whole = set_up + reached[0].cost, set_up + every * pictures
+        figures |= {
+            f"{name}: samples per pixel": statistics.fmean(each.samples for each in reached),
+            f"{name}: error / isogi's": rms([each.error / each.wanted for each in reached]),
+            **one.figures(f"{name}: one view"),
+            **every.figures(f"{name}: mean of {len(reached)} pictures"),
+            **whole.figures(f"{name}: whole set, extrapolated"),
+            **ratios(f"{name} / isogi: one view", one.over(costs.first)),
+            **ratios(f"{name} / isogi: whole set", whole.over(costs.whole)),
+        }
+    return figures
 
-    def compete(self, rivalry: Check) -> tuple[dict[str, Reached], np.ndarray]:
-        """What each sampler takes to isogi's error on a picture; and the converged picture."""
-        for tracer in self.tracers.values():
-            tracer.look(rivalry.view)
-        pair = [self.picture(self.tracers[SAMPLERS[1]], CONVERGED, seed) for seed in (1, 2)]
-        best = np.mean(pair, axis=0)
-        on = (best[..., 3] > 0.999) & (rivalry.lit.state > 0)
-        noise = relative_rmse(pair[0], best, on)
-        reached = {name: self._reach(tracer, best, on, noise, rivalry.error) for name, tracer in self.tracers.items()}
-        return reached, best
 
-    def _reach(self, tracer: PathTracer, best: np.ndarray, on: np.ndarray, noise: float, wanted: float) -> Reached:
-        """Render with so many samples that the error over the pixels ``on`` is as ``wanted``."""
+def ratios(name: str, ratio: Cost) -> dict[str, float]:
+    """Both ratios, under a name."""
+    return {name: ratio.wall, f"{name}, processor": ratio.processor}
 
-        def _error(samples: int) -> tuple[float, float]:
-            pictures: list[np.ndarray] = []
-            taken = seconds(lambda: pictures.append(self.picture(tracer, samples, samples + 2)))
-            return without(relative_rmse(pictures[0], best, on), noise), taken
 
-        law = PowerLaw.fit(CURVE, [_error(samples)[0] for samples in CURVE])
-        first = law.count_for(wanted)
-        samples = law.through(first, _error(first)[0]).count_for(wanted)
-        error, taken = _error(samples)
-        return Reached(samples, taken, error, wanted)
+def likeness(checked: Sequence[Check], converged: Sequence[Converged]) -> dict[str, float]:
+    """How far the converged pictures of both are apart: brightness, and the median difference over the mean."""
+    apart, brightness = [], []
+    for each, best in zip(checked, converged, strict=True):
+        ours, theirs = (picture[best.on][:, :3] @ LUMINANCE for picture in (each.best.mean, best.picture))
+        brightness.append(float(ours.mean() / theirs.mean()))
+        apart.append(float(np.median(abs(ours / ours.mean() - theirs / theirs.mean()))))
+    return {"likeness: brightness": statistics.fmean(brightness), "likeness: difference": max(apart)}
 
-    @staticmethod
-    def _tracer(scene: Scene, view: View, sampler: str) -> PathTracer:
-        points, triangles = mesh.make_mesh(scene.volume, scene.volume.normalise_isovalue(scene.isovalue))
-        world = points * np.array(scene.volume.spacing, np.float32), triangles
-        return PathTracer(VARIANT, world, view, ALBEDO, scene.bounces + 2, scene.environment.image, sampler)
+
+def rms(values: Sequence[float]) -> float:
+    """Root mean square."""
+    return math.sqrt(statistics.fmean(value**2 for value in values))
+
+
+if __name__ == "__main__":
+    main()

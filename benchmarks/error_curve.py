@@ -10,7 +10,7 @@ from isogi_core.model.sky import LUMINANCE
 
 
 def relative_rmse(picture: np.ndarray, best: np.ndarray, on: np.ndarray) -> float:
-    """RMSE of the luminance over the pixels ``on`` (h, w), over its mean in the ``best``; RGB in front, (h, w, >= 3)."""
+    """RMSE of the luminance over the pixels ``on`` (h, w), over its mean in the ``best``; both (h, w, 3 or more)."""
     light = best[on][:, :3].astype(np.float64) @ LUMINANCE
     wrong = picture[on][:, :3].astype(np.float64) @ LUMINANCE - light
     return math.sqrt((wrong**2).mean()) / float(light.mean())
@@ -44,7 +44,7 @@ class PowerLaw:
 
 
 def error_at(seconds: float, taken: Sequence[float], errors: Sequence[float]) -> float:
-    """The error after so many ``seconds``: straight lines between the logarithms of what was measured, ``taken`` rising.
+    """The error after so many ``seconds``: straight between the logarithms of what was measured, ``taken`` rising.
 
     NaN outside of what was measured.
     """

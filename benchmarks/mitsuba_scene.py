@@ -56,6 +56,7 @@ class PathTracer:
 
         self.mitsuba, self.variant = mitsuba, variant
         mitsuba.set_variant(variant)
+        mitsuba.set_log_level(mitsuba.LogLevel.Error)
         light = {"type": "constant", "radiance": 1.0} if probe is None else self._envmap(probe, view)
         parts = {"light": light, "mesh": self._shape(mesh, albedo), "sensor": self._sensor(view, sampler)}
         self.scene = mitsuba.load_dict({"type": "scene", **parts})

@@ -6,6 +6,9 @@ from dataclasses import dataclass
 from isogi_core.model.scene import Scene
 from isogi_core.model.view import View, quaternion_from_angles
 
+Pick = tuple[int, int]
+"""A camera and a turn of the light, by their numbers."""
+
 GOLDEN = math.pi * (3.0 - math.sqrt(5.0))
 """The golden angle."""
 
@@ -33,7 +36,7 @@ class PictureSet:
         towards = self.scene.camera(azimuth, elevation, 3.0, 30.0)
         return View(self.scene.isovalue, towards, light, self.size, self.size)
 
-    def picks(self, count: int) -> list[tuple[int, int]]:
+    def picks(self, count: int) -> list[Pick]:
         """Cameras and turns of ``count`` pictures from all over the set, different in both as far as there are."""
         count = min(count, len(self))
         return [((2 * i + 1) * self.views // (2 * count), 5 * i % self.turns) for i in range(count)]
