@@ -51,7 +51,7 @@ Race = dict[str, list[Reached]]
 @click.option("--views", type=click.IntRange(1), default=36, show_default=True, help="Cameras of the set.")
 @click.option("--turns", type=click.IntRange(1), default=12, show_default=True, help="Turns of the light for each.")
 @click.option("--checks", type=click.IntRange(1), default=6, show_default=True, help="Pictures that are compared.")
-@click.option("--target", default=0.06, show_default=True, help="Relative error at which a texel is left.")
+@click.option("--target", default=0.1, show_default=True, help="Relative error at which a texel is left.")
 @click.option("--paths", default=256, show_default=True, help="Paths per pixel of the references.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def main(
