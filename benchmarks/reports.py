@@ -13,7 +13,6 @@ import click
 
 from benchmarks.common import shared_data
 from benchmarks.error_summary import write_summary
-from isogi_core.errors import SceneError
 from isogi_core.model.scene import Scene, build_scene
 from isogi_core.model.source import SceneSource
 from server.cli import duration
@@ -86,10 +85,10 @@ def make(subject: Subject, folder: Path, size: int, deadline: float | None) -> d
 
 
 def scene_of(subject: Subject) -> Scene:
-    """The scene of a subject, planned by isogi; SceneError where the shared data are not at hand."""
+    """The scene of a subject, planned by isogi; ClickException where the shared data are not at hand."""
     data = shared_data()
     if data is None:
-        raise SceneError("There are no shared volumes: set ISOGI_SHARED_DATA to a folder that has them.")
+        raise click.ClickException("There are no shared volumes: set ISOGI_SHARED_DATA to a folder that has them.")
     light = dict(LIGHTS[subject.light])
     settings = {"volume": VOLUMES[subject.volume], "isovalue": subject.isovalue, "albedo": 0.7, "lights": [light]}
     return build_scene(SceneSource(subject.name, settings, data))

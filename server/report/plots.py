@@ -21,6 +21,9 @@ from server.report.cells import PREFIXES
 WIDTH, HEIGHT = 4.6, 3.1
 """Inches of a plot, 72 units of SVG each."""
 
+STEPS = ((100.0, (1.0,)), (10.0, (1.0, 2.0, 5.0)), (1.0, (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)))
+"""First digits of the ticks of a logarithmic axis, where its ends are so many times apart."""
+
 ROW = 14.0
 """Height of a line of the legend."""
 
@@ -65,10 +68,11 @@ class Key:
 
 
 def keys(plot: Plot) -> tuple[Key, ...]:
-    """The legend of a plot."""
+    """The legend of a plot: the curves that it shows."""
     return tuple(
         Key(curve.name, NAMES[colour_of(i)], " ".join(map(str, dashes_of(i))) or "none")
         for i, curve in enumerate(plot.curves)
+        if drawable(curve, plot.logarithmic)[0]
     )
 
 
@@ -95,7 +99,7 @@ def draw(plot: Plot) -> str:
 
 def standalone(plot: Plot) -> str:
     """The plot as a file that has its own colours, light and dark, and its legend below the axes."""
-    entries = keys(plot) if len(plot.curves) > 1 else ()
+    entries = keys(plot) if len(keys(plot)) > 1 else ()
     width, height = 72 * WIDTH, 72 * HEIGHT
     size = f'viewBox="0 0 {width:g} {height:g}"'
     below = "".join(legend_line(key, height + ROW * (i + 0.5)) for i, key in enumerate(entries))
@@ -153,11 +157,11 @@ def drawable(curve: Curve, logarithmic: bool) -> tuple[list[float], list[float]]
 
 
 def mark(axis: Axis, column: Column, logarithmic: bool) -> None:
-    """Ticks with the unit in them; between powers of ten where there are less than two of them."""
+    """Ticks with the unit in them."""
     axis.set_major_formatter(FuncFormatter(lambda value, _: tick(value, column.unit)))
     if logarithmic:
         low, high = axis.get_view_interval()
-        axis.set_major_locator(LogLocator(10, (1.0,) if high >= 100 * low else (1.0, 2.0, 5.0)))
+        axis.set_major_locator(LogLocator(10, next(firsts for times, firsts in STEPS if high >= times * low)))
         axis.set_minor_locator(NullLocator())
         axis.set_minor_formatter(NullFormatter())
 

@@ -3,6 +3,7 @@
 import io
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -12,7 +13,7 @@ import pytest
 from PIL import Image
 
 from isogi_core.model.scene import load_scene
-from isogi_core.report.sections import Picture, Plot
+from isogi_core.report.sections import Curve, Picture, Plot
 from server.measure import view_of
 from server.report.bundle import write_report
 from server.report.documents import document_of, section_of
@@ -166,6 +167,12 @@ def test_a_plot_names_its_colours_and_its_fonts(plot: Plot) -> None:
 def test_points_that_a_logarithm_does_not_have_are_left_out(plot: Plot) -> None:
     assert draw(plot).count("<use ") == draw(sections()[0].plots[0]).count("<use ")
     assert "nan" not in draw(plot).lower()
+
+
+def test_a_curve_without_points_is_not_in_the_legend(plot: Plot) -> None:
+    more = replace(plot, curves=(Curve("empty", (), ()), *plot.curves))
+    colours = {key.name: key.colour for key in keys(more)}
+    assert colours == {"harmonics": "var(--curve-2)", "paths": "var(--curve-3)"}
 
 
 def test_a_plot_that_stands_alone_has_its_own_colours(plot: Plot) -> None:
