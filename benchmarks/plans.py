@@ -34,8 +34,9 @@ from isogi_core.frame.texels import Demand
 from isogi_core.model.plan import Layer, most_samples
 from isogi_core.model.scene import Scene
 from isogi_core.model.sky import LUMINANCE
-from isogi_core.plan.savings import BANDS, S1_BYTES, lattice_bytes
+from isogi_core.plan.savings import S1_BYTES, lattice_bytes
 from isogi_core.plan.texels import TexelCount
+from isogi_core.report.ways import as_s1
 from server.measure import make_renderer, view_of
 
 PATHS = 1024
@@ -108,15 +109,6 @@ def measure(name: str, scene: Scene, size: int) -> Row:
         by_s1=baked(s1, size, best) if s1 else None,
         reference_noise=best.estimated_error,
     )
-
-
-def as_s1(scene: Scene) -> Scene | None:
-    """The scene with what S1 keeps of any; None under lamps."""
-    if scene.lamps.any:
-        return None
-    whole = Layer("whole", BANDS, 3, half=False)
-    plan = replace(scene.plan, representation="transfer", layers=(whole,), order=BANDS, survival=1.0)
-    return replace(scene, plan=plan)
 
 
 def traced(scene: Scene, size: int, paths: int) -> Frame:

@@ -23,12 +23,10 @@ from isogi_core.kernels.intersect import UNKNOWN
 from isogi_core.kernels.packets import cast_rays
 from isogi_core.model.scene import Scene
 from isogi_core.model.view import View
+from isogi_core.report.bake import NEVER
 
 MEMORY = 1 << 30
 """Bytes of light that a measured renderer may hold."""
-
-NEVER = 1e-9
-"""A target error that no texel reaches: all take as many samples as they are told to."""
 
 
 @dataclass(frozen=True, eq=False)

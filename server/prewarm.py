@@ -14,6 +14,7 @@ from isogi_core.model.view import View
 from server.errors import ParameterError
 from server.params import ViewParams, read
 from server.progress import duration, left_text, progress_bar, show
+from server.render import PATIENCE, no_light
 from server.settings import Settings
 from server.values import finite
 from server.views import view_of
@@ -146,13 +147,19 @@ def lacks(studio: Studio, scene: Scene, found: Survey, error: float) -> dict[str
 
 
 def bake(studio: Studio, scene: str, found: Survey, error: float, seconds: float | None) -> Survey:
-    """Have all that is lacking baked, and look again. Raises WorkersError where the workers fail."""
-    deadline = time.monotonic() + (math.inf if seconds is None else seconds)
+    """Have all that is lacking baked, and look again.
+
+    Raises WorkersError where the workers fail, or bake nothing for PATIENCE seconds.
+    """
+    changed, paths = time.monotonic(), 0
+    deadline = changed + (math.inf if seconds is None else seconds)
     chunks = list(found.demands)
     with progress_bar("baking", "chunk", len(chunks)) as bar:
         while (waiting := studio.baker.open(scene, chunks)) and time.monotonic() < deadline:
-            if studio.trouble():
-                raise WorkersError(studio.trouble())
+            if studio.baker.paths > paths:
+                changed, paths = time.monotonic(), studio.baker.paths
+            if studio.trouble() or time.monotonic() - changed > PATIENCE:
+                raise WorkersError(studio.trouble() or no_light(studio))
             left = studio.baker.time_left(scene, "prewarm", chunks)
             show(bar, len(chunks) - waiting, len(chunks), left)
             studio.baker.wait(scene, chunks, min(LOOK, max(deadline - time.monotonic(), 0.0)))

@@ -108,8 +108,13 @@ def refine(studio: Studio, scene: str, view: View, max_error: float | None, seco
             if frame.version != version:
                 version, changed = frame.version, now
             elif now - changed > PATIENCE:
-                why = " ".join(studio.unready()) or "The workers bake nothing new."
-                raise WorkersError(f"No light came for {PATIENCE:g} seconds. {why}")
+                raise WorkersError(no_light(studio))
+
+
+def no_light(studio: Studio) -> str:
+    """That nothing was baked for PATIENCE seconds, and why as far as is known."""
+    why = " ".join(studio.unready()) or "The workers bake nothing new."
+    return f"No light came for {PATIENCE:g} seconds. {why}"
 
 
 def write(path: Path, data: bytes) -> None:

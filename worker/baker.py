@@ -7,6 +7,7 @@ from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from isogi_core.bake.precision import FIRST_RUNG
 from isogi_core.bake.recipe import Index
 from isogi_core.cache.costs import Costs
 from isogi_core.frame.texels import Demand
@@ -122,12 +123,16 @@ class Baker:
         """
         costs = self._bakes[scene].costs
         total, left = costs.total, sum(want.effort.left for want in wants)
-        each = (total.paths + left) / total.texels if total.texels else None
         rates = [costs.rate(want.key[1]) for want in wants]
-        if None in rates or (each is None and any(want.effort.unlit for want in wants)):
+        if None in rates or (not total.texels and any(want.effort.unlit for want in wants)):
             return None
-        paths = [want.effort.left + want.effort.unlit * (each or 0.0) for want in wants]
-        return [rate * count for rate, count in zip(rates, paths, strict=True) if rate is not None]
+        texels = max(total.texels, 1)
+        more, first = (total.paths + left) / texels - FIRST_RUNG, total.first / texels
+        return [
+            rate * (want.effort.left + more * want.effort.unlit) + first * want.effort.unlit
+            for rate, want in zip(rates, wants, strict=True)
+            if rate is not None
+        ]
 
     def _feed(self) -> None:
         """Hand tasks over while there is room for them; the caller holds the lock."""

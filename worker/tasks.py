@@ -13,6 +13,7 @@ from isogi_core.bake.effort import Effort
 from isogi_core.bake.light import Light
 from isogi_core.bake.look import Look
 from isogi_core.bake.noise import relative_error
+from isogi_core.bake.precision import FIRST_RUNG
 from isogi_core.bake.recipe import Index, Recipe
 from isogi_core.bake.refine import next_samples, refine
 from isogi_core.cache.costs import Cost
@@ -109,7 +110,8 @@ def bake(task: BakeTask) -> BakeResult:
 def cost_of(samples: np.ndarray, before: np.ndarray, seconds: float) -> Cost:
     """The cost of texels that had so many samples ``before``; parts that climb together are of the same paths."""
     taken = np.maximum(samples, 0) - np.maximum(before, 0)
-    return Cost(seconds, int(taken.sum()), int(((before == 0) & (samples > 0)).sum()))
+    paths, lit = int(taken.sum()), int(((before == 0) & (samples > 0)).sum())
+    return Cost(seconds, paths, lit, seconds * FIRST_RUNG * lit / max(paths, 1))
 
 
 def result_of(light: Light, look: Look, target: float, cost: Cost) -> BakeResult:

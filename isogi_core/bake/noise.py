@@ -39,8 +39,12 @@ def deviations(light: Light, look: Look) -> np.ndarray:
 
 
 def deviation(part: Part, look: Look) -> np.ndarray:
-    """Standard error of the luminance in one part, see ``Look.gains``; (texels,) float64."""
-    return np.asarray(np.sqrt(np.maximum(part.noise.astype(np.float64) ** 2 @ look.gains(part.layer), 0.0)))
+    """Standard error of the luminance in one part, see ``Look.gains``; (texels,) float64.
+
+    Where band 0 was told too noisy by chance, a quarter of what even noise would be is the least.
+    """
+    squares, gains = part.noise.astype(np.float64) ** 2, look.gains(part.layer)
+    return np.asarray(np.sqrt(np.maximum(squares @ gains, squares[:, -1] * gains.sum() / 4.0)))
 
 
 def luminance(light: Light, look: Look) -> np.ndarray:

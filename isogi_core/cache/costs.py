@@ -19,6 +19,7 @@ from zarr.core.sync import sync
 from zarr.storage import StorePath
 from zarr.storage._common import make_store_path
 
+from isogi_core.bake.precision import FIRST_RUNG
 from isogi_core.bake.recipe import Index
 
 log = logging.getLogger("isogi.cache")
@@ -28,15 +29,25 @@ SAVE_EVERY = 30.0
 
 
 class Cost(NamedTuple):
-    """Processor seconds that were spent on ``paths`` of light; of so many ``texels`` they were the first."""
+    """Processor seconds that were spent on ``paths`` of light; of so many ``texels`` they were the first.
+
+    The first light of a texel takes ``first`` of these seconds: it comes with work that is done once.
+    """
 
     seconds: float = 0.0
     paths: int = 0
     texels: int = 0
+    first: float = 0.0
+
+    @property
+    def rate(self) -> float | None:
+        """Seconds that a path takes after the first light; None where there was none."""
+        paths = self.paths - FIRST_RUNG * self.texels
+        return (self.seconds - self.first) / paths if paths > 0 else None
 
     def plus(self, other: "Cost") -> "Cost":
         """Both together."""
-        return Cost(self.seconds + other.seconds, self.paths + other.paths, self.texels + other.texels)
+        return Cost(*(mine + theirs for mine, theirs in zip(self, other, strict=True)))  # type: ignore[arg-type]
 
 
 class Costs:
@@ -60,29 +71,31 @@ class Costs:
             self._grown = self._clock() if self._grown is None else self._grown
 
     def rate(self, index: Index) -> float | None:
-        """Seconds that a path from a chunk takes: as measured there, else the median of all; None before the first."""
+        """Seconds that a path from a chunk takes: as measured there, else what is common; None before the first."""
         with self._lock:
-            own = self._chunks.get(index)
-            if own is not None and own.paths:
-                return own.seconds / own.paths
-            if self._common is None and self._total.paths:
-                self._common = statistics.median(cost.seconds / cost.paths for cost in self._lit)
-            return self._common
+            own = self._chunks.get(index, Cost()).rate
+            if self._common is None and own is None:
+                self._common = self._usual()
+            return self._common if own is None else own
 
     @property
     def total(self) -> Cost:
         """The costs of all chunks together."""
         return self._total
 
-    @property
-    def _lit(self) -> list[Cost]:
-        return [cost for cost in self._chunks.values() if cost.paths]
+    def _usual(self) -> float | None:
+        """The median rate of all chunks; before there is one, that of the first light that came fastest."""
+        rates = [cost.rate for cost in self._chunks.values() if cost.rate is not None]
+        first = (cost.seconds / cost.paths for cost in self._chunks.values() if cost.paths)
+        return statistics.median(rates) if rates else min(first, default=None)
 
     def read(self) -> None:
         """Take over what the store has. What is missing or damaged there counts as unknown."""
         try:
             stored = sync(self._place("r").get())
-            chunks = {place(key): Cost(float(s), int(p), int(t)) for key, (s, p, t) in parse(stored).items()}
+            chunks = {
+                place(key): Cost(float(s), int(p), int(t), float(f)) for key, (s, p, t, f) in parse(stored).items()
+            }
         except FileNotFoundError:
             return
         except Exception as error:

@@ -27,8 +27,12 @@ VOID_ROW = -2
 BURIED_ROW = -3
 """Row of a texel that no light ever reaches, inside a solid or a closed hollow."""
 
-LEAST_SPREAD = np.float32(0.02)
-"""Share of their second moment that paths differ by at least: what is rounded leaves less of the difference unsure."""
+LEAST_SPREAD = np.float32(0.2)
+"""Share of their second moment that paths differ by at least, wherever a light stands.
+
+It stands for reflected light, whose noise hardly follows the light. Without most of it (0.02) 90.0 % of the pixels
+lie within 1.96 times their standard error, with it 92.5 %; frames' errors are told alike.
+"""
 
 DARK = np.float32(0.0)
 DARKEST = np.float32(1e-30)

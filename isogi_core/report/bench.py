@@ -106,6 +106,7 @@ class Bench:
         former: Reference | None = self._made.get(key)
         if former is None or former.samples < samples:
             grown = trace_reference(self.renderer(scene), self.view, samples, former, self.cancelled)
+            self.folder.mkdir(parents=True, exist_ok=True)
             save_reference(file, grown, scene, self.view)
             self._made[key] = grown
         found: Reference = self._made[key]

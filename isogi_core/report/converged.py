@@ -9,7 +9,7 @@ from isogi_core.report.bake import ViewBake
 from isogi_core.report.bench import Bench
 
 TIMES = 4
-"""How many times the samples of a frame's texels make converged light."""
+"""How many times the samples of a frame's texels make converged light, at most."""
 
 FEWEST, MOST = 256, 16384
 """Bounds of these samples."""
@@ -34,7 +34,7 @@ def converge(bench: Bench) -> Converged:
     layers = bench.scene.plan.layers
     twins = tuple(map(unrounded, layers))
     both = ViewBake(bench.renderer(bench.scene), bench.view, layers + (() if twins == layers else twins))
-    samples = rung_above(TIMES * bench.planned.samples)
+    samples = rung_below(TIMES * bench.planned.samples)
     both.grow(samples, cancelled=bench.cancelled)
     kept, exact = (both.frame(Light(both.light.parts[a:][: len(layers)])) for a in (0, -len(layers)))
     return Converged(kept, exact, samples)
@@ -45,9 +45,9 @@ def unrounded(layer: Layer) -> Layer:
     return replace(layer, half=False, coarse=None)
 
 
-def rung_above(samples: float) -> int:
-    """The first rung of the ladder of samples, of those that count as converged, that is not below ``samples``."""
+def rung_below(samples: float) -> int:
+    """The last rung of the ladder of samples, of those that count as converged, that is not above ``samples``."""
     rung = FEWEST
-    while rung < min(samples, MOST):
+    while 2 * rung <= min(samples, MOST):
         rung *= 2
     return rung

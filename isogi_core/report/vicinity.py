@@ -14,11 +14,15 @@ Vicinity shading keeps one number for each texel: the share of a constant light 
 neither where light comes from nor what surfaces send on. The map shows what it misses, relative to the reference's \
 mean luminance."""
 
+SAME = "Left out: the scene has constant light and no bounces, so that its plan is vicinity shading itself."
+
 COLUMNS = (Column("shading"), *scores.COLUMNS, Column("bake", "seconds"), Column("bytes per texel", "bytes"))
 
 
 def study(bench: Bench) -> Section:
-    """Both frames against the reference of global illumination."""
+    """Both frames against the reference of global illumination; nothing where the plan's own is vicinity shading."""
+    if bench.scene.plan.representation == "vicinity":
+        return Section("vicinity", "Vicinity shading", SAME)
     near = vicinity(bench)
     rows, pictures = [], []
     for name, bake in (("global illumination", bench.planned), ("vicinity shading", near)):

@@ -176,7 +176,7 @@ def test_vicinity_of_a_transfer_scene_is_band_0_of_its_direct_layer() -> None:
     assert vicinity.plan.layers == gi.plan.layers[:1]
     assert (vicinity.order, vicinity.channels, vicinity.plan.bounces) == (1, 1, 0)
     np.testing.assert_allclose(vicinity.light, gi.light[:, :1])
-    np.testing.assert_allclose(vicinity.gains(vicinity.plan.layers[0]), [gi.gains(gi.plan.layers[0])[0], 0.0])
+    np.testing.assert_allclose(vicinity.gains(vicinity.plan.layers[0]), [gi.luminance_light[0, 0] ** 2, 0.0])
 
 
 def test_vicinity_is_under_the_mean_of_all_light_lamps_among_it() -> None:

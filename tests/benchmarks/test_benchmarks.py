@@ -86,3 +86,13 @@ def test_a_resampled_volume_is_the_same_shape() -> None:
     assert half.value_range == pytest.approx(volume.value_range, rel=0.01, abs=0.01)
     same = resample(volume, 128).voxels[:, ::127, ::127]
     assert np.allclose(same[[0, -1]], volume.voxels[[0, -1]][:, ::127, ::127])
+
+
+def test_time_left() -> None:
+    main = importlib.import_module("benchmarks.time_left").main
+    arguments = ["demo:orbital", "--size", "16", "--views", "2", "--error", "0.2", "--every", "0.05", "--json"]
+    done = CliRunner().invoke(main, arguments, catch_exceptions=False)
+    found = json.loads(done.stdout)
+    assert done.exit_code == 0 and all(found[f"view {n}, seconds"] > 0.0 for n in (1, 2))
+    assert all(0.0 < found[f"view {n}, estimated error"] <= 0.2 for n in (1, 2))
+    assert all(0.0 <= found[f"view {n}, within the range"] <= 1.0 for n in (1, 2))

@@ -23,22 +23,24 @@ def read(root: str | Path, digest: str = "digest") -> Costs:
 def test_a_path_costs_what_it_did_in_its_chunk_or_else_what_is_common(root: str) -> None:
     costs = read(root)
     assert costs.rate((0, 0, 0)) is None
-    costs.add((0, 0, 1), Cost(1.0, 100, 5))
-    costs.add((0, 0, 1), Cost(2.0, 200, 0))
-    costs.add((0, 0, 2), Cost(40.0, 1000, 3))
-    costs.add((0, 0, 3), Cost(90.0, 1000, 2))
+    costs.add((0, 0, 1), Cost(8.0, 80, 5, 8.0))
+    costs.add((0, 0, 2), Cost(4.0, 80, 5, 4.0))
+    assert costs.rate((0, 0, 1)) == costs.rate((9, 9, 9)) == 0.05
+    costs.add((0, 0, 1), Cost(3.0, 300, 0))
+    assert costs.rate((0, 0, 1)) == costs.rate((0, 0, 2)) == pytest.approx(0.01)
+    costs.add((0, 0, 2), Cost(40.0, 1000, 0))
+    costs.add((0, 0, 3), Cost(98.0, 1016, 1, 8.0))
     costs.add((0, 0, 4), Cost(0.5, 0, 0))
-    assert costs.rate((0, 0, 1)) == pytest.approx(0.01)
     assert costs.rate((0, 0, 4)) == costs.rate((9, 9, 9)) == pytest.approx(0.04)
-    assert costs.total == Cost(133.5, 2300, 10)
+    assert costs.total == Cost(153.5, 2476, 11, 20.0)
 
 
 def test_costs_are_known_after_a_restart(root: str) -> None:
     costs = read(root)
-    costs.add((1, 20, 3), Cost(1.5, 100, 5))
+    costs.add((1, 20, 3), Cost(1.5, 100, 5, 0.1))
     costs.save()
     again = read(root)
-    assert (again.rate((1, 20, 3)), again.total) == (0.015, Cost(1.5, 100, 5))
+    assert (again.rate((1, 20, 3)), again.total) == (pytest.approx(0.07), Cost(1.5, 100, 5, 0.1))
     assert read(root, "other").total == Cost()
 
 
@@ -46,15 +48,15 @@ def test_they_are_written_now_and_then(tmp_path: Path) -> None:
     now = 0.0
     costs = Costs(tmp_path, "digest", lambda: now)
     costs.save()
-    costs.add((0, 0, 1), Cost(1.0, 100, 5))
+    costs.add((0, 0, 1), Cost(1.0, 100, 5, 0.5))
     costs.save(at_once=False)
     assert not list(tmp_path.iterdir())
     now = SAVE_EVERY
     costs.save(at_once=False)
-    assert json.loads((tmp_path / "costs" / "digest.json").read_text()) == {"0/0/1": [1.0, 100, 5]}
+    assert json.loads((tmp_path / "costs" / "digest.json").read_text()) == {"0/0/1": [1.0, 100, 5, 0.5]}
 
 
-@pytest.mark.parametrize("text", ["", "{", "[]", '{"0/0": [1, 2, 3]}', '{"0/0/1": [1]}', '{"0/0/1": null}'])
+@pytest.mark.parametrize("text", ["", "{", "[]", '{"0/0": [1, 2, 3, 4]}', '{"0/0/1": [1]}', '{"0/0/1": null}'])
 def test_what_is_damaged_counts_as_unknown(tmp_path: Path, text: str) -> None:
     (tmp_path / "costs").mkdir()
     (tmp_path / "costs" / "digest.json").write_text(text)
@@ -64,7 +66,7 @@ def test_what_is_damaged_counts_as_unknown(tmp_path: Path, text: str) -> None:
 def test_a_store_that_cannot_keep_them_is_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     (tmp_path / "light").write_text("not a folder")
     costs = read(tmp_path / "light")
-    costs.add((0, 0, 1), Cost(1.0, 100, 5))
+    costs.add((0, 0, 1), Cost(1.0, 100, 5, 0.5))
     with caplog.at_level(logging.WARNING, "isogi.cache"):
         costs.save()
     assert "What the bake took cannot be kept" in caplog.text

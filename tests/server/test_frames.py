@@ -136,19 +136,20 @@ def test_an_unchanged_frame_is_304_with_its_headers(client: httpx.Client) -> Non
 
 def test_a_frame_that_is_not_final_tells_the_time_left(client: httpx.Client) -> None:
     final_frame(client)
-    strict = {"isovalue": 0.35, "azimuth": 100, "max_error": 0.01}
+    strict = {"isovalue": 0.35, "azimuth": 100, "max_error": 0.2}
     answer = frame(client, **strict)
     assert answer.headers["isogi-provisional"] == "?1"
     low, likely, high = pairs(answer.headers["isogi-time-left"]).values()
     assert 0.0 <= low <= likely <= high and high > 0.0
     told = client.get("/v1/scenes/small/coverage", params={**VIEW, **strict}).json()
     assert told["time_left"].keys() == {"low", "likely", "high"}
-    assert "isogi-time-left" not in final_frame(client).headers
+    assert "isogi-time-left" not in final_frame(client, **strict).headers
 
 
 def test_no_stage_takes_longer_than_all_together(client: httpx.Client) -> None:
-    final_frame(client, shading="gi")
-    answer = frame(client, isovalue=0.55, azimuth=300, wait_ms=300)
+    view = {"isovalue": 0.55, "azimuth": 300}
+    answer = frame(client, **view, wait_ms=300)
+    final_frame(client, **view)
     seconds = {name: float(spent) for name, spent in TIMING.findall(answer.headers["server-timing"])}
     total = seconds.pop("total")
     stages = {"queue", "bake", "primary", "texels", "load", "read", "light", "shade", "normals", "encode"}

@@ -92,7 +92,7 @@ def test_workers_are_processes_of_their_own(pool: WorkerPool) -> None:
 def test_tasks_leave_their_chunks_in_the_store(pool: WorkerPool, tmp_path: Path) -> None:
     tasks = tasks_for(tmp_path)
     results = bake_all(pool, tasks)
-    assert all(result.seconds > 0 for result in results)
+    assert all(result.cost.seconds > 0 for result in results)
     store: ChunkStore = opened(SCENE.source, LOOK.plan, LOOK.digest, str(tmp_path))[1]
     for task in tasks:
         np.testing.assert_array_equal(store.load(task.index).offsets, TEXELS)
@@ -141,8 +141,8 @@ def kernels_of_this_process() -> dict[str, bool]:
 
     from isogi_core.kernels._jit import Entry
 
-    modules = [module for name, module in sys.modules.items() if name.startswith("isogi_core.kernels.")]
-    entries = {x.name: x for module in modules for x in vars(module).values() if isinstance(x, Entry)}
+    modules = [module for name, module in list(sys.modules.items()) if name.startswith("isogi_core.kernels.")]
+    entries = {x.name: x for module in modules for x in list(vars(module).values()) if isinstance(x, Entry)}
     return {name: bool(x.ready.stats.cache_misses) for name, x in entries.items() if x.loaded}
 
 

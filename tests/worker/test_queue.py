@@ -16,7 +16,7 @@ UNLIT = Effort(3, 0.0, 0.0)
 
 def left(unfinished: int, error: float, taken: float = 48.0) -> BakeResult:
     """What a task leaves of a chunk whose texels are all lit."""
-    return BakeResult(unfinished, error, Effort(0, taken, taken), Cost(0.1, 48, 3))
+    return BakeResult(unfinished, error, Effort(0, taken, taken), Cost(0.1, 48, 3, 0.1))
 
 
 DONE = left(0, 0.0)

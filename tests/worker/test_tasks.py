@@ -58,8 +58,8 @@ def test_a_task_leaves_light_of_just_its_texels(tmp_path: Path) -> None:
     assert result.unfinished == waiting.sum() > 0
     assert result.error == pytest.approx(np.sqrt((error**2).mean()))
     assert result.effort == Effort.of(error, np.full(len(error), 16), 0.05)
-    assert result.cost[1:] == (16 * len(TEXELS), len(TEXELS))
-    assert result.cost.seconds > 0.0
+    assert (result.cost.paths, result.cost.texels) == (16 * len(TEXELS), len(TEXELS))
+    assert result.cost.seconds == result.cost.first > 0.0
 
 
 def test_a_finished_task_says_so(tmp_path: Path) -> None:
@@ -67,7 +67,7 @@ def test_a_finished_task_says_so(tmp_path: Path) -> None:
     assert (result.unfinished, result.error, result.effort) == (0, 0.0, Effort(0, 0.0, 0.0))
     chunk = store_of(tmp_path).load(INDEX)
     assert result.cost.paths == chunk.light.samples[~chunk.light.void].sum()
-    assert do(tmp_path).cost[1:] == (0, 0)
+    assert do(tmp_path).cost[1:] == (0, 0, 0.0)
     assert finished(chunk.light, store_of(tmp_path).look, 0.05).all()
     assert all(len(set(part.samples.tolist())) > 1 for part in chunk.light.parts)
 

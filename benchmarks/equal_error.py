@@ -1,0 +1,159 @@
+"""Time to equal total error: isogi beside Mitsuba 3, one view and 36 views under 12 turns of a probe each.
+
+    python -m benchmarks.equal_error [VOLUME] [--size 512] [--probe FILE] [--isovalue 70] [--checks 6] [--json]
+
+The isosurface is diffuse with albedo 0.7 on both sides and reflects as often in both. Seconds are of the wall, on all
+cores, in one run; those of the processor, which other work on the machine hardly touches, are told beside them.
+Kernels of both are compiled before.
+
+isogi starts from nothing: it makes its maps, bakes to an empty store what each view needs, and renders every picture
+of the set. Its error is the total one, all causes together: relative RMSE of the luminance over surface pixels against
+long paths from each pixel, on some pictures from all over the set ("checks").
+
+Mitsuba path-traces scikit-image's marching-cubes mesh of the same isosurface (`llvm_ad_rgb`, integrator `path`, which
+joins every hit to the probe as well, by multiple importance sampling). Its error on each of the checks is against its
+own converged picture, so that mesh and length of paths do not count, without the pixels that the outline runs
+through. It takes as many samples per pixel as bring that error to isogi's total on the same picture: from a power law
+through measured points, drawn, put right and drawn again. Seconds of the whole set are extrapolated: those of its
+set-up, and its mean seconds per check times all pictures. They are told of its default sampler and of `multijitter`,
+which errs least of those it has. That both show the same light is seen in how far the converged pictures are apart.
+"""
+
+import math
+import statistics
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+from tqdm import tqdm
+
+from benchmarks import mesh, mitsuba_scene
+from benchmarks.common import benchmark_scene, shared_data, show
+from benchmarks.cost import Cost
+from benchmarks.isogi_race import Check, Costs, check, run, warm
+from benchmarks.mitsuba_race import VARIANT, Converged, Mitsuba, Reached
+from benchmarks.picture_set import PictureSet
+from isogi_core.model.scene import Scene
+from isogi_core.model.sky import LUMINANCE
+
+UFFIZI = "probe_uffizi_256x128.hdr"
+Race = dict[str, list[Reached]]
+"""By the sampler, what Mitsuba took for each of the checks."""
+
+
+@click.command()
+@click.argument("volume", required=False)
+@click.option("--size", type=click.IntRange(1), default=512, show_default=True, help="Pixels a side.")
+@click.option("--probe", type=click.Path(exists=True, dir_okay=False), help="The light; uffizi by default.")
+@click.option("--isovalue", type=float, help="The scene's own by default.")
+@click.option("--views", type=click.IntRange(1), default=36, show_default=True, help="Cameras of the set.")
+@click.option("--turns", type=click.IntRange(1), default=12, show_default=True, help="Turns of the light for each.")
+@click.option("--checks", type=click.IntRange(1), default=6, show_default=True, help="Pictures that are compared.")
+@click.option("--target", default=0.1, show_default=True, help="Relative error at which a texel is left.")
+@click.option("--paths", default=256, show_default=True, help="Paths per pixel of the references.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+def main(
+    volume: str | None,
+    size: int,
+    probe: str | None,
+    isovalue: float | None,
+    views: int,
+    turns: int,
+    checks: int,
+    target: float,
+    paths: int,
+    as_json: bool,
+) -> None:
+    """Time both, and print the ratios."""
+    scene = probe_scene(volume, probe, isovalue)
+    pictures = PictureSet(scene, size, views, turns)
+    warm(pictures, target)
+    frames, costs = run(pictures, target, pictures.picks(checks))
+    checked = check(scene, frames, paths)
+    figures = isogi_figures(checked, costs)
+    if mitsuba_scene.installed() and mesh.installed() and mitsuba_scene.usable(VARIANT):
+        mitsuba = Mitsuba(scene, frames[0].view)
+        race, converged = compete(mitsuba, checked)
+        figures |= mitsuba_figures(race, mitsuba.set_up, len(pictures), costs) | likeness(checked, converged)
+    else:
+        figures["mitsuba"] = "not installed"
+    show(f"{scene.name} at {scene.isovalue:g}, {size} × {size}, {views} views × {turns} turns", figures, as_json)
+
+
+def probe_scene(volume: str | None, probe: str | None, isovalue: float | None) -> Scene:
+    """The ``volume``, or the benchmarks' own, under the ``probe`` or uffizi; under a sky where there are no data."""
+    data = shared_data()
+    file = Path(probe) if probe else data / UFFIZI if data else None
+    light: dict[str, Any] = {"type": "probe", "file": str(file.resolve())} if file else {"type": "sky"}
+    at: dict[str, Any] = {} if isovalue is None else {"isovalue": isovalue}
+    return benchmark_scene(volume, albedo=0.7, bounces=4, lights=[light], rotating=True, **at)
+
+
+def compete(mitsuba: Mitsuba, checked: Sequence[Check]) -> tuple[Race, list[Converged]]:
+    """Have each of Mitsuba's samplers draw the checks with isogi's errors; and the converged pictures."""
+    race: Race = {sampler: [] for sampler in mitsuba.tracers}
+    converged = []
+    for each in tqdm(checked, desc="mitsuba", unit="picture"):
+        best = mitsuba.converge(each.lit.view, each.best.on)
+        for sampler, reached in race.items():
+            reached.append(mitsuba.reach(sampler, best, each.error))
+        converged.append(best)
+    return race, converged
+
+
+def isogi_figures(checked: Sequence[Check], costs: Costs) -> dict[str, Any]:
+    """isogi's errors, root mean squares over the checks, and its seconds."""
+    total, noise = rms([each.error for each in checked]), rms([each.lit.estimated_error for each in checked])
+    return {
+        "isogi: total error": total,
+        "isogi: estimated noise / total error": noise / total,
+        "isogi: references' noise": rms([each.best.noise for each in checked]),
+        **costs.first.figures("isogi: one view"),
+        **costs.baking.figures("isogi: whole set, baking"),
+        **costs.rendering.figures("isogi: whole set, pictures"),
+        **costs.whole.figures("isogi: whole set"),
+    }
+
+
+def mitsuba_figures(race: Race, set_up: Cost, pictures: int, costs: Costs) -> dict[str, Any]:
+    """What Mitsuba takes with each sampler, and how many times as long that is. The first check is the one view."""
+    figures: dict[str, Any] = set_up.figures("mitsuba: mesh and scene")
+    for sampler, reached in race.items():
+        name, every = f"mitsuba {sampler}", sum((each.cost for each in reached), Cost()) * (1 / len(reached))
+        one, whole = set_up + reached[0].cost, set_up + every * pictures
+        figures |= {
+            f"{name}: samples per pixel": statistics.fmean(each.samples for each in reached),
+            f"{name}: error / isogi's": rms([each.error / each.wanted for each in reached]),
+            **one.figures(f"{name}: one view"),
+            **every.figures(f"{name}: mean of {len(reached)} pictures"),
+            **whole.figures(f"{name}: whole set, extrapolated"),
+            **ratios(f"{name} / isogi: one view", one.over(costs.first)),
+            **ratios(f"{name} / isogi: whole set", whole.over(costs.whole)),
+        }
+    return figures
+
+
+def ratios(name: str, ratio: Cost) -> dict[str, float]:
+    """Both ratios, under a name."""
+    return {name: ratio.wall, f"{name}, processor": ratio.processor}
+
+
+def likeness(checked: Sequence[Check], converged: Sequence[Converged]) -> dict[str, float]:
+    """How far the converged pictures of both are apart: brightness, and the median difference over the mean."""
+    apart, brightness = [], []
+    for each, best in zip(checked, converged, strict=True):
+        ours, theirs = (picture[best.on][:, :3] @ LUMINANCE for picture in (each.best.mean, best.picture))
+        brightness.append(float(ours.mean() / theirs.mean()))
+        apart.append(float(np.median(abs(ours / ours.mean() - theirs / theirs.mean()))))
+    return {"likeness: brightness": statistics.fmean(brightness), "likeness: difference": max(apart)}
+
+
+def rms(values: Sequence[float]) -> float:
+    """Root mean square."""
+    return math.sqrt(statistics.fmean(value**2 for value in values))
+
+
+if __name__ == "__main__":
+    main()

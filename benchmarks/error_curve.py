@@ -1,0 +1,53 @@
+"""Errors of pictures, and how they fall: as power laws, and as curves over what they cost."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from isogi_core.model.sky import LUMINANCE
+
+
+def relative_rmse(picture: np.ndarray, best: np.ndarray, on: np.ndarray) -> float:
+    """RMSE of the luminance over the pixels ``on`` (h, w), over its mean in the ``best``; both (h, w, 3 or more)."""
+    light = best[on][:, :3].astype(np.float64) @ LUMINANCE
+    wrong = picture[on][:, :3].astype(np.float64) @ LUMINANCE - light
+    return math.sqrt((wrong**2).mean()) / float(light.mean())
+
+
+def without(error: float, noise: float) -> float:
+    """An error that was measured against a reference, without the reference's own independent ``noise``."""
+    return math.sqrt(max(error**2 - noise**2, 0.0))
+
+
+@dataclass(frozen=True)
+class PowerLaw:
+    """An error that falls as ``scale`` · n^-``power`` with the samples n."""
+
+    scale: float
+    power: float
+
+    @staticmethod
+    def fit(counts: Sequence[float], errors: Sequence[float]) -> "PowerLaw":
+        """The line of least squares through the logarithms of errors after so many samples."""
+        slope, height = np.polyfit(np.log(counts), np.log(errors), 1)
+        return PowerLaw(math.exp(height), -float(slope))
+
+    def count_for(self, error: float) -> int:
+        """Samples that reach an error, at least 1."""
+        return max(round((self.scale / error) ** (1.0 / self.power)), 1)
+
+    def through(self, count: int, error: float) -> "PowerLaw":
+        """The law of the same power that goes through a point."""
+        return PowerLaw(error * count**self.power, self.power)
+
+
+def error_at(seconds: float, taken: Sequence[float], errors: Sequence[float]) -> float:
+    """The error after so many ``seconds``: straight between the logarithms of what was measured, ``taken`` rising.
+
+    NaN outside of what was measured.
+    """
+    if not taken[0] <= seconds <= taken[-1]:
+        return math.nan
+    return float(np.exp(np.interp(math.log(seconds), np.log(taken), np.log(errors))))

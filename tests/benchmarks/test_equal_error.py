@@ -1,0 +1,91 @@
+"""The race to equal error: its errors and laws against closed forms, and one small run without and with Mitsuba."""
+
+import importlib.util
+import json
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from benchmarks import mitsuba_scene
+from benchmarks.equal_error import main, probe_scene
+from benchmarks.error_curve import PowerLaw, error_at, relative_rmse, without
+from benchmarks.mitsuba_race import VARIANT, Mitsuba
+from benchmarks.picture_set import PictureSet
+
+TINY = ("demo:casting", "--size", "24", "--views", "2", "--turns", "2", "--checks", "2", "--target", "0.5", "--json")
+
+
+@pytest.fixture(autouse=True)
+def bare(monkeypatch: pytest.MonkeyPatch, tmp_path: Any) -> None:
+    """There are no shared data."""
+    monkeypatch.setenv("ISOGI_SHARED_DATA", str(tmp_path / "none"))
+
+
+def test_relative_rmse_is_of_the_luminance_of_the_pixels_that_count() -> None:
+    best = np.full((2, 2, 3), 2.0)
+    picture = best + np.array([[0.2, -0.2], [9.0, 0.2]])[..., None]
+    on = np.array([[True, True], [False, True]])
+    assert relative_rmse(picture, best, on) == pytest.approx(0.1)
+
+
+def test_noise_of_the_reference_is_taken_off() -> None:
+    assert without(0.05, 0.03) == pytest.approx(0.04)
+    assert without(0.03, 0.05) == 0.0
+
+
+def test_a_power_law_is_found_and_turned_round() -> None:
+    counts = (4, 16, 64)
+    law = PowerLaw.fit(counts, [0.8 * n**-0.6 for n in counts])
+    assert (law.scale, law.power) == pytest.approx((0.8, 0.6))
+    assert law.count_for(0.8 * 300**-0.6) == 300
+    assert law.count_for(5.0) == 1
+    assert law.through(100, 0.1).count_for(0.1) == 100
+
+
+def test_errors_lie_on_straight_lines_between_logarithms() -> None:
+    assert error_at(4.0, (1.0, 16.0), (0.8, 0.2)) == pytest.approx(0.4)
+    assert math.isnan(error_at(17.0, (1.0, 16.0), (0.8, 0.2)))
+
+
+def test_views_are_spread_evenly_and_picks_differ() -> None:
+    pictures = PictureSet(probe_scene("demo:casting", None, None), 8, 36, 12)
+    scene = pictures.scene
+    towards = np.array([pictures.view(i).camera.eye for i in range(36)]) - np.array(scene.volume.centre)
+    towards /= np.linalg.norm(towards, axis=1)[:, None]
+    cosines = towards @ towards.T - 2.0 * np.eye(36)
+    assert np.degrees(np.arccos(cosines.max(axis=1))).min() > 25.0
+    assert np.abs(towards.mean(axis=0)).max() < 0.02
+    picks = pictures.picks(6)
+    assert len({camera for camera, _ in picks}) == len({turn for _, turn in picks}) == 6
+    assert len(PictureSet(scene, 8, 2, 2).picks(9)) == 4
+
+
+def test_without_mitsuba_our_side_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    find = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name, *a: None if name == "mitsuba" else find(name, *a))
+    done = CliRunner().invoke(main, [*TINY, "--paths", "32"], catch_exceptions=False)
+    figures = json.loads(done.stdout)
+    assert figures.pop("mitsuba") == "not installed"
+    assert all(value > 0.0 for value in figures.values())
+    assert figures["isogi: one view, s"] < figures["isogi: whole set, s"]
+    assert 0.01 < figures["isogi: total error"] < 0.4
+
+
+def test_mitsuba_sees_the_probe_turned_as_ours_does() -> None:
+    pytest.importorskip("mitsuba")
+    pytest.importorskip("skimage")
+    from benchmarks.isogi_race import check, run
+
+    if not mitsuba_scene.usable(VARIANT):
+        pytest.skip("Mitsuba's llvm variant finds no LLVM")
+    pictures = PictureSet(probe_scene("demo:casting", None, None), 48, 3, 3)
+    frames, _ = run(pictures, 0.5, pictures.picks(2))
+    mitsuba = Mitsuba(pictures.scene, frames[0].view)
+    for each in check(pictures.scene, frames, 64):
+        best = mitsuba.converge(each.lit.view, each.best.on)
+        assert relative_rmse(best.picture, each.best.mean, best.on) < 0.12
+        reached = mitsuba.reach("multijitter", best, each.error)
+        assert reached.error == pytest.approx(each.error, rel=0.2)

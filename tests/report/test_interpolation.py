@@ -1,0 +1,76 @@
+"""Ways to interpolate: against the kernel's frame, linear light, and search by hand."""
+
+import numpy as np
+import pytest
+
+from isogi_core.report.bake import ViewBake
+from isogi_core.report.bench import Bench
+from isogi_core.report.converged import unrounded
+from isogi_core.report.interpolation import (
+    CORNERS,
+    TAPS,
+    Neighbourhood,
+    carry,
+    closest_isovalue,
+    nearest,
+    neighbourhood,
+    texels_about,
+    tricubic,
+    trilinear,
+)
+from isogi_core.report.metrics import luminance
+
+SLOPE = np.array([1.0, -2.0, 0.5])
+
+
+@pytest.fixture
+def linear() -> Neighbourhood:
+    """Pixels inside a lattice of 8³ texels whose light is 10 + SLOPE · place, all lit."""
+    rng = np.random.default_rng(5)
+    cells, fractions = rng.integers(1, 6, (50, 3)), rng.random((50, 3))
+    texels, numbers = texels_about(cells, (8, 8, 8))
+    count = len(texels)
+    light = 10.0 + texels @ SLOPE
+    return Neighbourhood(numbers, fractions, light, np.full(count, 0.04), np.ones(count, np.bool_), rng.random(count))
+
+
+def wanted(around: Neighbourhood) -> np.ndarray:
+    """The linear light at the pixels: that of the cell's lowest corner and the slope from there."""
+    lowest = around.light[around.numbers[:, (TAPS == 0).all(axis=1).argmax()]]
+    return np.asarray(lowest + around.fractions @ SLOPE)
+
+
+def test_trilinear_and_tricubic_pass_linear_light_on(linear: Neighbourhood) -> None:
+    for weigh in (trilinear, tricubic):
+        assert np.allclose(carry(linear, weigh(linear)).light, wanted(linear))
+
+
+def test_weights_add_up_and_noise_falls_with_them(linear: Neighbourhood) -> None:
+    for weigh in (nearest, closest_isovalue, trilinear, tricubic):
+        weights = weigh(linear)
+        assert np.allclose(weights.sum(axis=1), 1.0)
+        assert np.allclose(carry(linear, weights).noise, 0.04 * (weights**2).sum(axis=1))
+
+
+def test_single_texels_are_those_that_a_search_finds(linear: Neighbourhood) -> None:
+    for m, numbers in enumerate(linear.numbers):
+        away = [np.linalg.norm(TAPS[c] - linear.fractions[m]) for c in CORNERS]
+        assert carry(linear, nearest(linear)).light[m] == linear.light[numbers[CORNERS[int(np.argmin(away))]]]
+        apart = [linear.apart[numbers[c]] for c in CORNERS]
+        assert carry(linear, closest_isovalue(linear)).light[m] == linear.light[numbers[CORNERS[int(np.argmin(apart))]]]
+
+
+def test_texels_without_light_are_left_out(linear: Neighbourhood) -> None:
+    linear.lit[linear.numbers[0]] = False
+    linear.lit[linear.numbers[0, CORNERS[3]]] = True
+    for weigh in (nearest, closest_isovalue, trilinear):
+        assert carry(linear, weigh(linear)).light[0] == linear.light[linear.numbers[0, CORNERS[3]]]
+
+
+def test_trilinear_is_what_frames_do(under_sky: Bench) -> None:
+    layers = tuple(map(unrounded, under_sky.scene.plan.layers))
+    bake = ViewBake(under_sky.renderer(under_sky.scene), under_sky.view, layers)
+    bake.grow(64)
+    frame = bake.frame()
+    around = neighbourhood(under_sky, 64)
+    assert np.allclose(carry(around, trilinear(around)).light, luminance(frame.radiance[frame.state > 0]), rtol=1e-4)
