@@ -12,7 +12,7 @@ from server.report.documents import table_of
 
 Data = Mapping[str, Any]
 
-PICTURED = ("engine under grace at 70", "engine under constant light at 170", "CT head under uffizi at 110")
+PICTURED = ("engine under grace at 70", "CT head under uffizi at 110", "MNI brain under grace at 90")
 """Reports that the summary shows pictures of."""
 
 CURVES = ("engine under grace at 70", "engine under uffizi at 70", "engine under constant light at 70")

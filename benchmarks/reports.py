@@ -35,13 +35,11 @@ LIGHTS: Mapping[str, Mapping[str, str]] = {
 
 @dataclass(frozen=True)
 class Subject:
-    """A volume at an isovalue under a light, by their names here; seen from ``azimuth`` and ``elevation``, degrees."""
+    """A volume at an isovalue under a light, by their names here."""
 
     volume: str
     isovalue: float
     light: str
-    azimuth: float = 40.0
-    elevation: float = 30.0
 
     @property
     def name(self) -> str:
@@ -79,9 +77,7 @@ def main(output: Path, size: int, deadline: float | None) -> None:
 def make(subject: Subject, folder: Path, size: int, deadline: float | None) -> dict[str, Any]:
     """The report of a subject: what the command would tell of it."""
     scene = scene_of(subject)
-    camera = scene.camera(subject.azimuth, subject.elevation, 3, 30)
-    view = view_of(scene, size, camera=camera)
-    return report_of(scene, view, scene.default_exposure, Wishes(folder, deadline), time.monotonic())
+    return report_of(scene, view_of(scene, size), scene.default_exposure, Wishes(folder, deadline), time.monotonic())
 
 
 def scene_of(subject: Subject) -> Scene:

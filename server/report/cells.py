@@ -10,6 +10,9 @@ from isogi_core.report.sections import Cell, Column, Table
 NOTHING = "–"
 """What stands for a cell that does not apply or was not measured."""
 
+TOGETHER = "\u00a0"
+"""A space that no line breaks at."""
+
 PREFIXES: dict[str, tuple[tuple[str, float], ...]] = {
     "seconds": (("ms", 1e-3), ("s", 1.0)),
     "bytes": (("B", 1.0), ("KiB", 2.0**10), ("MiB", 2.0**20), ("GiB", 2.0**30)),
@@ -40,7 +43,8 @@ def column_told(column: Column, cells: Sequence[Cell]) -> Told:
     def text(cell: Cell) -> str:
         return NOTHING if cell is None else cell if isinstance(cell, str) else write(cell / size)
 
-    return Told(f"{column.name}, {name}" if name else column.name, tuple(map(text, cells)), column.unit != "text")
+    head = f"{column.name},{TOGETHER}{name}" if name else column.name
+    return Told(head, tuple(map(text, cells)), column.unit != "text")
 
 
 def scale_of(unit: str, largest: float) -> tuple[str, float]:

@@ -55,7 +55,15 @@ def test_the_page_holds_every_section_table_plot_and_picture(text: str) -> None:
     assert re.findall(r'<a href="#([^"]+)"', text) == ["split", "none", "setting"]
     assert text.count('role="img" aria-label="relative RMSE over processor seconds: harmonics, paths.') == 1
     assert text.count('src="data:image/png;base64,') == 3
-    for words in ("What was done.</p>", "relative RMSE, %", ">9.7<", ">12.3<", ">–<", "−5 %, too dark", "31.2 seconds"):
+    for words in (
+        "What was done.</p>",
+        "relative RMSE,\u00a0%",
+        ">9.7<",
+        ">12.3<",
+        ">–<",
+        "−5 %, too dark",
+        "31.2 seconds",
+    ):
         assert words in text, words
     assert "Parts &lt;of&gt; the error" in text and "&lt;everything&gt;" in text
     assert text.count("alt=") == text.count("<img ")

@@ -38,7 +38,7 @@ def docs(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_tables_hold_the_scores_and_the_parts(docs: Path) -> None:
-    lines = (docs / "error.md").read_text(encoding="utf-8").splitlines()
+    lines = (docs / "error.md").read_text(encoding="utf-8").replace("\u00a0", " ").splitlines()
     assert "| scene | plan | bytes per texel | relative RMSE, % | processor seconds, s |" in lines
     assert sum(line.startswith(f"| {FULL} | transfer | ") and line.endswith(" | 9.7 | 12.3 |") for line in lines) == 1
     assert "| scene | total, % | noise, % |" in lines
