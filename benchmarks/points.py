@@ -102,7 +102,7 @@ class Texels:
         look = look_for(self.recipe, "gi")
         layers, light = look.plan.layers, np.zeros((len(void), 2))
         sample = sample_irradiance if layers[0].kind == "irradiance" else sample_transfer
-        for layer, sums in zip(layers, sample(layers, place, void, look, 0, 2 * points), strict=True):
+        for layer, (sums, _) in zip(layers, sample(layers, place, void, look, 0, 2 * points), strict=True):
             weights = look.luminance_light[:, : layer.order**2]
             weights = weights if layer.channels == len(weights) else weights.sum(axis=0, keepdims=True)
             light += np.einsum("mhcn,cn->mh", sums[..., : weights.shape[1]], weights) / points
