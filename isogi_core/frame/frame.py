@@ -79,7 +79,10 @@ class Frame:
     def estimated_error(self) -> float:
         """Estimated relative RMSE of the frame: root mean square of the pixels' errors over the mean, in luminance.
 
-        A provisional pixel counts as wrong by all of its light; the whole is at most 1.
+        A provisional pixel counts as wrong by all of its light; the whole is at most 1. Of 210 frames of 15 scenes
+        after 16 to 256 samples, or baked to 10 % or 5 %, the true noise was 0.99 times what was told, a median, and
+        0.7 to 1.4 times it for 99 %; 91.7 % of the pixels were within 1.96 times their own error
+        (``benchmarks.calibration --size 20 --most 256``).
         """
         light, wrong = self._tally[1].tolist()
         return min(math.sqrt(wrong * self.surface) / light, 1.0) if light > 0.0 else 0.0
