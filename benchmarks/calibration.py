@@ -25,6 +25,7 @@ from isogi_core.bake.light import Light
 from isogi_core.bake.look import Look
 from isogi_core.bake.noise import finished
 from isogi_core.bake.precision import FIRST_RUNG, next_rung
+from isogi_core.bake.recipe import Index
 from isogi_core.bake.refine import refine
 from isogi_core.cache.chunk import Chunk
 from isogi_core.frame.frame import Frame
@@ -109,7 +110,7 @@ def judged(name: str, number: int, renderer: Renderer, view: View, texels: ViewT
 
 def bake(renderer: Renderer, texels: ViewTexels, look: Look, until: int) -> Rungs:
     """The light of a view's texels at each rung up to ``until`` samples."""
-    positions = np.concatenate([Chunk(d.index, d.offsets, Light(())).positions(d.offsets) for d in texels.demands])
+    positions = np.concatenate([Chunk(index, own, Light(())).positions(own) for index, own in chunks_of(texels)])
     counts = [FIRST_RUNG]
     while counts[-1] < until:
         counts.append(next_rung(counts[-1]))
@@ -148,8 +149,13 @@ def adaptive(rungs: Rungs, look: Look, target: float) -> Light:
 def show(renderer: Renderer, texels: ViewTexels, light: Light) -> None:
     """Make ``light`` what the renderer's frames read."""
     pool, bounds = renderer.caches.of("gi").pool, texels.bounds.tolist()
-    for demand, a, b in zip(texels.demands, bounds, bounds[1:], strict=False):
-        pool.insert(Chunk(demand.index, demand.offsets, light.rows(np.arange(a, b))))
+    for (index, offsets), a, b in zip(chunks_of(texels), bounds, bounds[1:], strict=False):
+        pool.insert(Chunk(index, offsets, light.rows(np.arange(a, b))))
+
+
+def chunks_of(texels: ViewTexels) -> list[tuple[Index, np.ndarray]]:
+    """A view's chunks, and the offsets of what it reads in each."""
+    return list(zip(texels.chunks, texels.offsets, strict=True))
 
 
 def compared(name: str, number: int, turn: int, light: str, frame: Frame, best: Frame) -> Told:
