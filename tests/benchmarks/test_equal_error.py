@@ -3,17 +3,21 @@
 import importlib.util
 import json
 import math
+import tempfile
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from benchmarks import mitsuba_scene
-from benchmarks.equal_error import main, probe_scene
+from benchmarks import mitsuba_race, mitsuba_scene
+from benchmarks.equal_error import likeness, main, probe_scene
 from benchmarks.error_curve import PowerLaw, error_at, relative_rmse, without
-from benchmarks.mitsuba_race import VARIANT, Mitsuba
+from benchmarks.isogi_race import check
 from benchmarks.picture_set import PictureSet
+from isogi_core.model.view import quaternion_from_angles
+from server.measure import make_renderer
 
 TINY = ("demo:casting", "--size", "24", "--views", "2", "--turns", "2", "--checks", "2", "--target", "0.5", "--json")
 
@@ -74,18 +78,21 @@ def test_without_mitsuba_our_side_is_told(monkeypatch: pytest.MonkeyPatch) -> No
     assert 0.01 < figures["isogi: total error"] < 0.4
 
 
-def test_mitsuba_sees_the_probe_turned_as_ours_does() -> None:
+def test_mitsuba_sees_the_light_turned_as_ours_does(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("mitsuba")
     pytest.importorskip("skimage")
-    from benchmarks.isogi_race import check, run
-
-    if not mitsuba_scene.usable(VARIANT):
+    if not mitsuba_scene.usable(mitsuba_race.VARIANT):
         pytest.skip("Mitsuba's llvm variant finds no LLVM")
-    pictures = PictureSet(probe_scene("demo:casting", None, None), 48, 3, 3)
-    frames, _ = run(pictures, 0.5, pictures.picks(2))
-    mitsuba = Mitsuba(pictures.scene, frames[0].view)
-    for each in check(pictures.scene, frames, 64):
-        best = mitsuba.converge(each.lit.view, each.best.on)
-        assert relative_rmse(best.picture, each.best.mean, best.on) < 0.12
-        reached = mitsuba.reach("multijitter", best, each.error)
-        assert reached.error == pytest.approx(each.error, rel=0.2)
+    monkeypatch.setattr(mitsuba_race, "CONVERGED", 64)
+    scene = probe_scene("demo:casting", None, None)
+    view = replace(PictureSet(scene, 48, 3, 3).view(1), light=quaternion_from_angles(30.0, 60.0, 20.0))
+    with tempfile.TemporaryDirectory() as store:
+        each = check(scene, [make_renderer(scene, store).render(view)], 64)[0]
+    mitsuba = mitsuba_race.Mitsuba(scene, PictureSet(scene, 48, 3, 3).view(0))
+    best = mitsuba.converge(view, each.best.on)
+    other = mitsuba.converge(replace(view, light=quaternion_from_angles(30.0, -60.0, 20.0)), each.best.on)
+    assert likeness([each], [best])["likeness: difference"] < 0.1
+    assert likeness([each], [other])["likeness: difference"] > 0.15
+    mitsuba.converge(view, each.best.on)
+    reached = mitsuba.reach("multijitter", best, 0.05)
+    assert reached.error == pytest.approx(0.05, rel=0.25)
