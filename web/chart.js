@@ -39,9 +39,8 @@ export class Chart {
     const lasting = held(moments, time.end);
     this.#layer.replaceChildren(
       ...drawTime(time, x),
-      ...drawError(lasting, target, x),
+      ...drawError(lasting, moments.length - 1, target, x),
       ...drawShares(lasting, x),
-      ...moments.slice(-1).map(({ seconds }) => make("path", { class: "now", d: vertical(x(seconds)) })),
     );
   }
 }
@@ -58,16 +57,18 @@ function drawTime({ end, unit, ticks }, x) {
   return [...labels, name];
 }
 
-function drawError(moments, target, x) {
+function drawError(moments, newest, target, x) {
   const axis = errorAxis([...moments.map(({ error }) => error), target]);
   const share = (error) => Math.log(Math.max(error, axis.low) / axis.low) / Math.log(axis.high / axis.low);
   const y = (error) => ERROR.bottom - (ERROR.bottom - ERROR.top) * share(error);
-  const points = moments.map(({ seconds, error }) => `${x(seconds).toFixed(1)},${y(error).toFixed(1)}`);
+  const points = moments.map(({ seconds, error }) => [x(seconds).toFixed(1), y(error).toFixed(1)]);
+  const [cx, cy] = points[newest] ?? [];
   return [
     make("text", { x: LEFT, y: ERROR.top - 9 }, "error, log scale"),
     ...drawTicks(axis.ticks, y),
     ...(target > 0 ? drawTarget(y(target)) : []),
     make("polyline", { class: "error", points: points.join(" ") }),
+    ...(cx ? [make("circle", { class: "newest", cx, cy, r: 3.5 })] : []),
   ];
 }
 
@@ -105,10 +106,6 @@ function drawTicks(ticks, y) {
     make("path", { class: "grid", d: `M${LEFT} ${crisp(y(at))}H10000` }),
     make("text", { class: "y", x: LEFT - 7, y: y(at) + 4 }, label),
   ]);
-}
-
-function vertical(x) {
-  return `M${crisp(x)} ${ERROR.top}V${ERROR.bottom}M${crisp(x)} ${SHARES.top}V${SHARES.bottom}`;
 }
 
 /** The middle of a pixel, where a thin line is sharp. */

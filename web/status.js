@@ -3,16 +3,16 @@
 import { errorInWords, leftInWords, shareInWords } from "./units.js";
 
 /**
- * Put a frame's facts into words, for example "182 of 240 chunks final · 81 % of the surface · noise 1.8 % · about 20 s left".
+ * Put a frame's facts into words: "81 % of the surface final · error 1.8 % · about 20 s left · 182 of 240 chunks".
  * @param {import("./api.js").Facts} facts
  * @returns {string}
  */
 export function inWords({ provisional, coverage, error, chunks, timeLeft }) {
-  const noise = error > 0 ? `noise ${errorInWords(error)}` : "";
-  if (!provisional) return [seen(coverage) ? "final" : "final, no surface in view", noise].filter(Boolean).join(" · ");
+  const wrong = error > 0 ? `error ${errorInWords(error)}` : "";
+  if (!provisional) return [seen(coverage) ? "final" : "final, no surface in view", wrong].filter(Boolean).join(" · ");
   const left = timeLeft ? leftInWords(timeLeft) : "";
-  const counts = chunks.needed ? `${chunks.final} of ${chunks.needed} chunks final` : "being computed";
-  return [counts, `${shareInWords(coverage.final)} of the surface`, noise, left].filter(Boolean).join(" · ");
+  const counts = chunks.needed ? `${chunks.final} of ${chunks.needed} chunks` : "";
+  return [`${shareInWords(coverage.final)} of the surface final`, wrong, left, counts].filter(Boolean).join(" · ");
 }
 
 /** Shows the facts of the frame on the stage. */
