@@ -20,7 +20,7 @@ export function timeAxis(seconds) {
 }
 
 /**
- * A logarithmic axis around some relative errors, ending at 1, 2 or 5 times a power of ten, with room below.
+ * A logarithmic axis around some relative errors, from 1, 2 or 5 times a power of ten, a little below, to 1 or 5 times one.
  * @param {number[]} errors those that are not above zero have no place on it
  * @returns {{low: number, high: number, ticks: {at: number, label: string}[]}}
  */
@@ -29,9 +29,9 @@ export function errorAxis(errors) {
   const [least, most] = seen.length ? [Math.min(...seen), Math.max(...seen)] : [0.01, 1];
   const all = rungs(Math.floor(Math.log10(least)) - 1, Math.ceil(Math.log10(most)) + 1);
   const low = all.findLast((rung) => rung <= 0.8 * least);
-  const high = all.find((rung) => rung >= most * (1 - 1e-9));
+  const high = all.find((rung, i) => rung >= most * (1 - 1e-9) && i % 3 !== 1); // 1 or 5, well above the next power
   const within = all.filter((rung) => rung >= low && rung <= high);
-  const ticks = within.length > MOST_TICKS ? within.filter(isPowerOfTen) : within;
+  const ticks = within.length > MOST_TICKS ? within.filter((rung) => rung === high || isPowerOfTen(rung)) : within;
   return { low, high, ticks: ticks.map((at) => ({ at, label: `${short(100 * at)} %` })) };
 }
 

@@ -2,10 +2,12 @@
 
 import { errorAxis, timeAxis } from "./axes.js";
 import { make } from "./svg.js";
+import { errorInWords } from "./units.js";
 
 const [LEFT, RIGHT] = [46, 14]; // margins, pixels
 const ERROR = { top: 20, bottom: 112 };
 const SHARES = { top: 142, bottom: 184 };
+const ROOM = 1.1; // how far the time axis goes beyond the newest moment, at least
 const STATES = ["final", "converging", "provisional"]; // from the bottom up, as light becomes final
 
 /** A chart that fills the width of its SVG element, pixel for pixel. */
@@ -33,13 +35,13 @@ export class Chart {
 
   #draw() {
     const { moments, target } = this.#shown;
-    const time = timeAxis(moments.at(-1)?.seconds ?? 0);
+    const time = timeAxis(ROOM * (moments.at(-1)?.seconds ?? 0));
     const width = this.#svg.clientWidth;
     const x = (seconds) => LEFT + (Math.max(width - RIGHT - LEFT, 0) * seconds) / time.end;
     const lasting = held(moments, time.end);
     this.#layer.replaceChildren(
       ...drawTime(time, x),
-      ...drawError(lasting, moments.length - 1, target, x),
+      ...drawError(lasting.filter(({ error }) => error > 0), target, x),
       ...drawShares(lasting, x),
     );
   }
@@ -48,7 +50,7 @@ export class Chart {
 /** What is final stays so: its last moment lasts until the end of the axis. */
 function held(moments, end) {
   const last = moments.at(-1);
-  return last && !last.provisional ? [...moments, { ...last, seconds: end }] : moments;
+  return last && !last.provisional ? [...moments, { ...last, seconds: end, lasts: true }] : moments;
 }
 
 function drawTime({ end, unit, ticks }, x) {
@@ -57,25 +59,25 @@ function drawTime({ end, unit, ticks }, x) {
   return [...labels, name];
 }
 
-function drawError(moments, newest, target, x) {
+function drawError(moments, target, x) {
   const axis = errorAxis([...moments.map(({ error }) => error), target]);
-  const share = (error) => Math.log(Math.max(error, axis.low) / axis.low) / Math.log(axis.high / axis.low);
+  const share = (error) => Math.log(error / axis.low) / Math.log(axis.high / axis.low);
   const y = (error) => ERROR.bottom - (ERROR.bottom - ERROR.top) * share(error);
   const points = moments.map(({ seconds, error }) => [x(seconds).toFixed(1), y(error).toFixed(1)]);
-  const [cx, cy] = points[newest] ?? [];
+  const newest = points[moments.findLastIndex(({ lasts }) => !lasts)];
   return [
     make("text", { x: LEFT, y: ERROR.top - 9 }, "error, log scale"),
     ...drawTicks(axis.ticks, y),
-    ...(target > 0 ? drawTarget(y(target)) : []),
+    ...(target > 0 ? drawTarget(target, y(target)) : []),
     make("polyline", { class: "error", points: points.join(" ") }),
-    ...(cx ? [make("circle", { class: "newest", cx, cy, r: 3.5 })] : []),
+    ...(newest ? [make("circle", { class: "newest", cx: newest[0], cy: newest[1], r: 3.5 })] : []),
   ];
 }
 
-function drawTarget(y) {
+function drawTarget(target, y) {
   return [
     make("path", { class: "target", d: `M${LEFT} ${y}H10000` }),
-    make("text", { class: "target", x: LEFT + 6, y: y - 5 }, "target"),
+    make("text", { class: "target", x: LEFT + 6, y: y - 5 }, `target ${errorInWords(target)}, for every texel`),
   ];
 }
 

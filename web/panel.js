@@ -51,7 +51,7 @@ export class ErrorPanel {
   #write(timeLeft = null) {
     const { moments, latest } = this.#history;
     this.#find(".value").textContent = latest ? errorInWords(latest.error) : "";
-    this.#find(".note").textContent = latest ? inWords(latest, this.#target, timeLeft) : "Waiting for the view to rest.";
+    this.#find(".note").textContent = latest ? inWords(latest, timeLeft) : "Waiting for the view to rest.";
     this.#find("svg").setAttribute("aria-label", courseInWords(moments, this.#target));
     for (const item of this.#root.querySelectorAll(".legend b")) item.textContent = shareOf(item.parentNode.className, latest);
     this.#chart.show(moments, this.#target);
@@ -66,10 +66,10 @@ function lightOf({ exposure, overlay, ...rest }) {
   return JSON.stringify(rest);
 }
 
-function inWords({ seconds, provisional }, target, timeLeft) {
-  const aim = target > 0 ? `target ${errorInWords(target)}` : "";
-  const time = `${provisional ? "" : "final "}after ${timeInWords(seconds)}`;
-  return [aim, time, provisional && timeLeft ? rangeInWords(timeLeft) : ""].filter(Boolean).join(" · ");
+function inWords({ seconds, provisional, error }, timeLeft) {
+  const time = `after ${timeInWords(seconds)}`;
+  if (!provisional) return error > 0 ? `final ${time}` : `final ${time} · nothing to estimate`;
+  return timeLeft ? `${time} · ${rangeInWords(timeLeft)}` : time;
 }
 
 function courseInWords(moments, target) {

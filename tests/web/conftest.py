@@ -31,6 +31,7 @@ def page(browser: Browser) -> Iterator[Page]:
     page.on("pageerror", lambda error: complaints.append(str(error)))
     page.on("console", lambda message: complaints.append(message.text) if message.type == "error" else None)
     yield page
+    page.unroute_all(behavior="ignoreErrors")  # the page asks on while it is closed
     context.close()
     cut_by_the_test = "net::ERR_FAILED"
     assert [text for text in complaints if cut_by_the_test not in text] == []

@@ -61,7 +61,7 @@ def test_the_error_falls_until_the_view_is_final(page: Page, live_server: str) -
     assert points[-1][1] > points[0][1] + 10.0, "a smaller error is lower in the drawing"
     assert [x for x, _ in points] == sorted(x for x, _ in points)
     assert area(page, "final") > 0.0
-    expect(page.locator("#error .note")).to_have_text(re.compile(r"^target 50 % · final after [\d.]+ s$"))
+    expect(page.locator("#error .note")).to_have_text(re.compile(r"^final after [\d.]+ s$"))
     expect(page.locator("#error .legend .final b")).to_have_text("100 %")
     words = page.locator("#error svg").get_attribute("aria-label") or ""
     assert re.search(r"error from \d+ % to [\d.]+ %, target 50 %; .* from 0 % to 100 %; over", words)
@@ -102,6 +102,14 @@ def test_a_new_view_begins_a_new_history_and_exposure_does_not(page: Page, live_
         slide(page, knob, 0.32)
         wait_final(page)
         assert len(course(page)) == len(before)
+
+
+def test_an_error_of_zero_has_no_place_on_a_logarithmic_axis(page: Page, live_server: str) -> None:
+    open_final(page, f"{live_server}/?shading=lambert_fog")
+    assert course(page) == []
+    assert area(page, "final") > 0.0
+    expect(page.locator("#error .value")).to_have_text("0 %")
+    expect(page.locator("#error .note")).to_have_text(re.compile("nothing to estimate$"))
 
 
 @pytest.mark.parametrize("time_left", [LEFT, None])
