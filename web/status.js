@@ -3,7 +3,7 @@
 import { errorInWords, leftInWords, shareInWords } from "./units.js";
 
 /**
- * Put a frame's facts into words: "81 % of the surface final · error 1.8 % · about 20 s left · 182 of 240 chunks".
+ * Put a frame's facts into words: "81 % final · error 1.8 % · about 20 s left · 182 of 240 chunks".
  * @param {import("./api.js").Facts} facts
  * @returns {string}
  */
@@ -12,7 +12,7 @@ export function inWords({ provisional, coverage, error, chunks, timeLeft }) {
   if (!provisional) return [seen(coverage) ? "final" : "final, no surface in view", wrong].filter(Boolean).join(" · ");
   const left = timeLeft ? leftInWords(timeLeft) : "";
   const counts = chunks.needed ? `${chunks.final} of ${chunks.needed} chunks` : "";
-  return [`${shareInWords(coverage.final)} of the surface final`, wrong, left, counts].filter(Boolean).join(" · ");
+  return [`${shareInWords(coverage.final)} final`, wrong, left, counts].filter(Boolean).join(" · ");
 }
 
 /** Shows the facts of the frame on the stage. */

@@ -118,7 +118,7 @@ def test_the_words_follow_the_header(page: Page, live_server: str, time_left: st
     page.goto(live_server)
     expect(page.locator("#error .value")).to_have_text("4 %", timeout=FINAL_MS)
     line, note = page.inner_text("#status-line"), page.inner_text("#error .note")
-    assert line.startswith("60 % of the surface final · error 4 %")
+    assert line.startswith("60 % final · error 4 %")
     assert ("about 20 s left" in line) == (time_left is not None)
     assert note.endswith(" · about 20 s left (12 s to 41 s)") == (time_left is not None)
     assert ("left" in note) == (time_left is not None)
