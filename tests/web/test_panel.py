@@ -55,7 +55,7 @@ def area(page: Page, state: str) -> float:
 
 
 def test_the_error_falls_until_the_view_is_final(page: Page, live_server: str) -> None:
-    open_final(page, f"{live_server}/?isovalue=0.2345")
+    open_final(page, f"{live_server}/?isovalue=0.201")  # far from what other tests have baked
     points = course(page)
     assert len(points) >= 3
     assert points[-1][1] > points[0][1] + 10.0, "a smaller error is lower in the drawing"
@@ -64,7 +64,7 @@ def test_the_error_falls_until_the_view_is_final(page: Page, live_server: str) -
     expect(page.locator("#error .note")).to_have_text(re.compile(r"^final after [\d.]+ s$"))
     expect(page.locator("#error .legend .final b")).to_have_text("100 %")
     words = page.locator("#error svg").get_attribute("aria-label") or ""
-    assert re.search(r"error from \d+ % to [\d.]+ %, target 50 %; .* from 0 % to 100 %; over", words)
+    assert re.search(r"error from \d+ % to [\d.]+ %, target 50 %; .* from \d+ % to 100 %; over", words)
     shown = page.inner_text("#error .value")
     assert shown in words and shown in page.inner_text("#status-line")
 
