@@ -54,6 +54,10 @@ class Point:
     seconds: float
     score: Score
 
+    def foresee(self, samples: int) -> float:
+        """The seconds that so many samples are expected to take."""
+        return samples * self.seconds / self.samples
+
 
 def study(bench: Bench) -> Section:
     """The curves, their points as a table, and where baked light begins to pay."""
@@ -95,7 +99,7 @@ def ends(found: dict[str, list[Point]]) -> list[str]:
     """A sentence on each curve that ends before the last of RUNGS."""
     return [
         f"The curve of {name.split(':')[0]} ends at {own[-1].samples:,} samples: the next point would have taken too "
-        f"long, about {RUNGS[len(own)] * own[-1].seconds / own[-1].samples:.0f} seconds."
+        f"long, about {own[-1].foresee(RUNGS[len(own)]):.0f} seconds."
         for name, own in found.items()
         if len(own) < len(RUNGS)
     ]
@@ -126,14 +130,21 @@ def traced(bench: Bench, best: Reference) -> list[Point]:
 
 
 def points(bench: Bench, best: Reference, frame: Callable[[int], tuple[Frame, float]]) -> list[Point]:
-    """The points of ``frame``, which tells its seconds too, over RUNGS, until the next would take too long."""
+    """The points of ``frame``, which tells its seconds too, over RUNGS, until the next would take too long.
+
+    The first one is made in any case.
+    """
     found: list[Point] = []
     for samples in RUNGS:
-        next_one = samples * found[-1].seconds / found[-1].samples if found else 0.0
-        if next_one > SHARE * bench.left:
-            bench.hurry.set()
-        if next_one > min(SECONDS, SHARE * bench.left):
+        if found and not fits(bench, found[-1].foresee(samples)):
             break
         picture, seconds = frame(samples)
         found.append(Point(samples, seconds, bench.score(picture.radiance, best)))
     return found
+
+
+def fits(bench: Bench, seconds: float) -> bool:
+    """Whether a point may take so long; the bench is told where time left forbids it."""
+    if seconds > SHARE * bench.left:
+        bench.hurry.set()
+    return seconds <= min(SECONDS, SHARE * bench.left)

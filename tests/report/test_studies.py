@@ -1,6 +1,7 @@
 """All studies of a report, of a picture of a few pixels."""
 
 import math
+import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -77,7 +78,7 @@ def test_curves_fall_with_time(under_sky: Bench) -> None:
 def test_what_gives_way_to_time_is_told(make_bench: Callable[..., Bench]) -> None:
     bench = make_bench()
     assert not bench.hurried
-    late = replace(bench, deadline=time.monotonic() + 1e-3, _made={})
+    late = replace(bench, deadline=time.monotonic() + 1e-3, hurry=threading.Event(), _made={})
     section = study_of(convergence, 1.0).run(late)
     assert late.hurried
     assert "ends at 16 samples" in section.about
