@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 from isogi_core.model.scene import Scene, load_scene
 from isogi_core.model.view import View
+from server.durations import span
 from server.errors import LibraryError, ParameterError
 from server.params import FrameParams, read
-from server.report.durations import span
 from server.settings import Settings
 from server.views import view_of
 
