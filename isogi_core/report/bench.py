@@ -40,13 +40,17 @@ class Bench:
     """What studies are given: a ``scene``, a ``view`` of it, and a ``folder`` for its light and references.
 
     ``cancelled`` stops all work; ``deadline``, a time of ``time.monotonic``, is when studies should have ended.
+    ``hurry`` is set where one had to make do with less for it. Pictures are judged at an ``exposure``, by default
+    the scene's own.
     """
 
     scene: Scene
     view: View
     folder: Path
+    exposure: float | None = None
     cancelled: threading.Event = field(default_factory=threading.Event)
     deadline: float = math.inf
+    hurry: threading.Event = field(default_factory=threading.Event)
     tiles: Tiles = field(default_factory=Tiles)
     _made: dict[Any, Any] = field(default_factory=dict, repr=False)
 
@@ -54,6 +58,11 @@ class Bench:
     def left(self) -> float:
         """Seconds until the deadline."""
         return self.deadline - time.monotonic()
+
+    @property
+    def hurried(self) -> bool:
+        """Whether something gave way to time in the study that was begun last: a later one may find more."""
+        return self.hurry.is_set()
 
     def renderer(self, scene: Scene) -> Renderer:
         """A renderer of the scene, or of one like it, with a store of its own in the folder."""
@@ -114,7 +123,8 @@ class Bench:
 
     def score(self, radiance: Any, best: Reference | None = None) -> Score:
         """The score of a picture of the view, against its own reference unless another is told."""
-        return score(radiance, best or self.best, self.scene.default_exposure)
+        exposure = self.scene.default_exposure if self.exposure is None else self.exposure
+        return score(radiance, best or self.best, exposure)
 
     def check(self) -> None:
         """Raise Cancelled where nobody waits for the report."""
