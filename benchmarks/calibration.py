@@ -34,7 +34,8 @@ from isogi_core.frame.texels import ViewTexels
 from isogi_core.model.scene import Scene
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import IDENTITY, View, quaternion_from_angles
-from server.measure import NEVER, make_renderer
+from isogi_core.report.bake import NEVER
+from server.measure import make_renderer
 
 FURTHER = 16
 """Times the samples of the frames that are judged, in the light that they are judged by."""

@@ -63,7 +63,7 @@ def scores(reports: Mapping[str, Data]) -> Iterator[str]:
 
 def split(reports: Mapping[str, Data]) -> Iterator[str]:
     """The parts of each scene's error, a column a part."""
-    tables = {name: dict(row[:2] for row in rows_of(data, "split")) for name, data in reports.items()}
+    tables = {name: {row[0]: row[1] for row in rows_of(data, "split")} for name, data in reports.items()}
     parts = list(dict.fromkeys(part for table in tables.values() for part in table))
     columns = (Column("scene"), *(Column(part, "share") for part in parts))
     yield "## Where the error comes from"
