@@ -111,16 +111,15 @@ def bake(task: BakeTask) -> BakeResult:
 
 def climb(light: Light, texels: np.ndarray, look: Look, task: BakeTask) -> None:
     """Do a task to the ``light`` of its ``texels`` (m, 3; z, y, x), in place: rung by rung where it is worth it."""
-    while True:
-        waiting = next_samples(light, look, task.target)
-        worthy = (waiting >= 0) & (waiting < task.until) & (worths(light, look, task.footprints) >= task.least)
-        if not worthy.any():
-            return
+    waiting, worth = next_samples(light, look, task.target), worths(light, look, task.footprints)
+    while (worthy := (waiting >= 0) & (waiting < task.until) & (worth >= task.least)).any():
         rung = int(waiting[worthy].min())
         rows = np.flatnonzero(worthy & (waiting == rung))
         part = light.rows(rows)
         refine(part, texels[rows], look, rung + 1, task.target)
         light.put(rows, part)
+        waiting[rows] = next_samples(part, look, task.target)
+        worth[rows] = worths(part, look, task.footprints[rows])
 
 
 def worths(light: Light, look: Look, footprints: np.ndarray) -> np.ndarray:
