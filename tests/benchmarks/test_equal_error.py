@@ -2,18 +2,18 @@
 
 import importlib.util
 import json
-import math
 import tempfile
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
+from click import ClickException
 from click.testing import CliRunner
 
 from benchmarks import mitsuba_race, mitsuba_scene
 from benchmarks.equal_error import likeness, main, probe_scene
-from benchmarks.error_curve import PowerLaw, error_at, relative_rmse, without
+from benchmarks.error_curve import PowerLaw, relative_rmse, without
 from benchmarks.isogi_race import check
 from benchmarks.picture_set import PictureSet
 from isogi_core.model.view import quaternion_from_angles
@@ -49,9 +49,18 @@ def test_a_power_law_is_found_and_turned_round() -> None:
     assert law.through(100, 0.1).count_for(0.1) == 100
 
 
-def test_errors_lie_on_straight_lines_between_logarithms() -> None:
-    assert error_at(4.0, (1.0, 16.0), (0.8, 0.2)) == pytest.approx(0.4)
-    assert math.isnan(error_at(17.0, (1.0, 16.0), (0.8, 0.2)))
+def test_an_error_below_the_converged_noise_is_refused() -> None:
+    best = mitsuba_race.Converged(np.ones((2, 2, 4)), 0.1, np.ones((2, 2), np.bool_))
+    with pytest.raises(ClickException, match="below the noise"):
+        mitsuba_race.measured(best, best.picture)
+
+
+def test_a_closed_surface_is_seen_from_outside() -> None:
+    scene = probe_scene("demo:casting", None, None)
+    with tempfile.TemporaryDirectory() as store:
+        each = check(scene, [make_renderer(scene, store).render(PictureSet(scene, 24, 3, 3).view(1))], 8)[0]
+    assert each.outside[each.best.on].mean() > 0.97
+    assert not each.outside[~each.best.on].any()
 
 
 def test_views_are_spread_evenly_and_picks_differ() -> None:
