@@ -246,6 +246,16 @@ def test_time_left_follows_from_what_the_bake_took(bench: Bench) -> None:
     assert bench.baker.paths == 100
 
 
+def test_time_left_is_unknown_until_it_is_known_who_works() -> None:
+    baker, costs = Baker(workers=None), Costs("memory://unknown", "digest")
+    costs.add((0, 0, 1), Cost(1.0, 100, 2, 0.5))
+    baker.add("scene", Bake(SOURCE, PLAN, "digest", frozenset({"layer"}), "store", lambda _: None, costs))
+    baker.want("scene", [Demand((0, 0, 1), np.arange(2), 1.0, Effort(2, 0.0, 0.0))], 0.1)
+    assert baker.time_left("scene", "view", [(0, 0, 1)]) is None
+    baker.employ(FakePool(1))  # type: ignore[arg-type]
+    assert baker.time_left("scene", "view", [(0, 0, 1)]) is not None
+
+
 def test_costs_are_kept_when_the_baker_stops(bench: Bench) -> None:
     pool = bench.employ(1)
     bench.want(1)
