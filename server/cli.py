@@ -33,6 +33,12 @@ VIEW_OPTIONS = {
     "exposure": "Factor on radiance before the tone curve.",
     "samples": "Paths per pixel, for path_traced.",
 }
+REPORT_OPTIONS = {
+    **{name: text for name, text in VIEW_OPTIONS.items() if name not in ("width", "height", "shading", "samples")},
+    "azimuth": "Degrees; 0 looks from +x, 90 from +y; default: 40.",
+    "elevation": "Degrees above the xy plane; default: 30.",
+    "distance": "From the volume's centre, in radii of its bounding sphere; default: 2.2.",
+}
 WORK_OPTIONS = {
     "workers": "Baking processes; default: one per core.",
     "store": "Path or URL of the cache; default: the user's cache folder.",
@@ -197,8 +203,12 @@ def reference(
 @click.argument("scene", metavar="TARGET")
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path, file_okay=False), help="Folder.")
 @click.option("--size", type=click.IntRange(8, 1024), default=112, show_default=True, help="Pixels along each side.")
-@options({name: text for name, text in VIEW_OPTIONS.items() if name not in ("width", "height", "shading", "samples")})
-@click.option("--deadline", callback=duration, help="Such as 90s, 10m or 1h: what does not fit is left out.")
+@options(REPORT_OPTIONS)
+@click.option(
+    "--deadline",
+    callback=duration,
+    help="Such as 90s, 10m or 1h: what does not fit is left out. The end may be a tenth late, and then it is drawn.",
+)
 @click.option("--only", multiple=True, metavar="KEY", help="Run this study alone; may be told more than once.")
 @click.option("--json", "as_json", is_flag=True, help="Print the facts as JSON.")
 def report(
@@ -215,7 +225,7 @@ def report(
     square = {"width": str(size), "height": str(size)}
     facts = report_view(scene, {**knobs, **square}, settings_from(), Wishes(output, deadline, only))
     click.echo(json.dumps(facts, allow_nan=False) if as_json else sentence(facts))
-    return 1 if facts["stopped"] else 0
+    return 1 if facts["stopped"] or facts["failed"] else 0
 
 
 @cli.command()

@@ -147,7 +147,7 @@ class Baker:
         scene, index = want.key
         bake = self._bakes[scene]
         place = (bake.source, bake.plan, bake.digest, bake.store, index)
-        task = BakeTask(*place, want.offsets, want.until, want.level or want.target, want.target)
+        task = BakeTask(*place, want.offsets, want.footprints, want.until, want.least or 0.0, want.target)
         pool.submit(task, lambda result, error: self._done(scene, task, result, error))
 
     def _done(self, scene: str, task: BakeTask, result: BakeResult | None, error: BaseException | None) -> None:

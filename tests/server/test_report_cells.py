@@ -1,5 +1,7 @@
 """How figures of a report are written: cells by their column's unit."""
 
+import math
+
 import pytest
 
 from isogi_core.report.sections import Cell, Column, Table
@@ -22,6 +24,9 @@ from server.report.cells import column_told, told
         ("number", [1e-7, 2.0], "x", ["1.00e-07", "2.00"]),
         ("number", [4096.0, 2.0], "x", ["4,096", "2"]),
         ("share", [], "x, %", []),
+        ("share", [0.5, math.nan, -math.inf], "x, %", ["50.0", "–", "–"]),
+        ("seconds", [math.inf, 0.5], "x, ms", ["–", "500"]),
+        ("number", [math.nan, 3.0], "x", ["–", "3"]),
     ],
 )
 def test_a_column_is_told_in_one_unit(unit: str, cells: list[Cell], head: str, texts: list[str]) -> None:
