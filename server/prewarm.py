@@ -160,4 +160,4 @@ def sentence(facts: Mapping[str, Any]) -> str:
     lacking = f"{facts['texels']:,} texels without light ({facts['bytes'] / 1e6:.1f} MB before compression)"
     rest = f"and {facts['refined']:,} to be refined where they need it, in {facts['chunks']:,} chunks"
     time_left = left_text(TimeLeft(**facts["time_left"]))
-    return f"{what}; to bake: {lacking} {rest}; time with {facts['workers']} workers: {time_left}"
+    return f"{what}; to bake: {lacking} {rest}; time with --workers {facts['workers']}: {time_left}"

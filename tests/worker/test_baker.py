@@ -53,10 +53,10 @@ class FakePool:
 class Bench:
     """A baker with one scene, a clock that stands still, and a note of the chunks that arrived."""
 
-    def __init__(self) -> None:
+    def __init__(self, workers: int | None = 1) -> None:
         self.now = 0.0
         self.arrived: list[Index] = []
-        self.baker = Baker(lambda: self.now)
+        self.baker = Baker(lambda: self.now, workers)
         self.costs = Costs("memory://costs", "digest")
         layers = frozenset({"direct", "indirect"})
         self.baker.add("scene", Bake(SOURCE, PLAN, "digest", layers, "store", self.arrived.append, self.costs))
@@ -245,6 +245,15 @@ def test_time_left_follows_from_what_the_bake_took(bench: Bench) -> None:
     assert told.low < told.likely / 2 and told.high > 2 * told.likely
     assert bench.baker.time_left("scene", "view", [(0, 0, 9)]) == TimeLeft(0.0, 0.0, 0.0)
     assert bench.baker.paths == 100
+
+
+def test_time_left_is_unknown_until_it_is_known_who_works() -> None:
+    bench = Bench(workers=None)
+    bench.costs.add((0, 0, 1), Cost(1.0, 100, 2, 0.5))
+    bench.want(1)
+    assert bench.baker.time_left("scene", "view", [(0, 0, 1)]) is None
+    bench.employ(1)
+    assert bench.baker.time_left("scene", "view", [(0, 0, 1)]) is not None
 
 
 def test_costs_are_kept_when_the_baker_stops(bench: Bench) -> None:
