@@ -16,6 +16,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from itertools import pairwise
 
 import click
@@ -25,6 +26,7 @@ from tqdm import tqdm
 from benchmarks.common import shared_data
 from benchmarks.plan_scenes import CONSTANT, GRACE, UFFIZI, probe_lights
 from benchmarks.plans import relative_rmse
+from isogi_core.bake.light import Light
 from isogi_core.bake.precision import FIRST_RUNG
 from isogi_core.bake.recipe import Index
 from isogi_core.bake.refine import refine
@@ -36,7 +38,7 @@ from isogi_core.model.view import View
 from isogi_core.report.bake import NEVER, ViewBake
 from server.measure import make_renderer, view_of
 from worker.queue import BakeQueue, Want
-from worker.tasks import BakeResult, cost_of, result_of
+from worker.tasks import BakeTask, climb, cost_of, result_of
 
 MANY = 16
 """The reference takes so many times the most samples."""
@@ -79,16 +81,16 @@ class ChunkBake:
         shown = self.bake.shown
         self.rows = {index: np.arange(a, b) for index, (a, b) in zip(shown.chunks, pairwise(shown.bounds), strict=True)}
 
-    def refine(self, index: Index, until: int, level: float, target: float) -> BakeResult:
-        """Do what a task does to a chunk, see ``worker.tasks.bake``."""
+    def bake_chunk(self, index: Index, work: Callable[[Light, np.ndarray], object]) -> tuple[Light, Cost]:
+        """Have ``work`` done to a chunk's light and texels; what became of it and what that took."""
         bake, rows = self.bake, self.rows[index]
         light, before = bake.light.rows(rows), bake.light.samples[rows]
         begun = time.process_time()
-        refine(light, bake.texels[rows], bake.look, until, level)
+        work(light, bake.texels[rows])
         cost = cost_of(light.samples, before, time.process_time() - begun)
         bake.light.put(rows, light)
         self.spent = self.spent.plus(cost)
-        return result_of(light, bake.look, target, cost)
+        return light, cost
 
     def point(self, best: Frame) -> Point:
         """The frame as it is now, beside the ``best``."""
@@ -102,7 +104,7 @@ class Service(ChunkBake):
     def __init__(self, renderer: Renderer, view: View, target: float) -> None:
         """Begin with darkness that is to become light of this ``target``."""
         super().__init__(renderer, view)
-        self.target = target
+        self.target, self.source = target, renderer.recipe.scene.source
         self.costs = Costs("unused", self.bake.look.digest)
         self.queue = BakeQueue(lambda: 0.0, rate=lambda key: self.costs.rate(key[1]))
 
@@ -122,11 +124,13 @@ class Service(ChunkBake):
         return True
 
     def do(self, want: Want) -> None:
-        """Do a task."""
-        _, index = want.key
-        result = self.refine(index, want.until, max(want.level or 0.0, self.target), self.target)
-        self.costs.add(index, result.cost)
-        self.queue.finish(want.key, want.offsets, self.target, result)
+        """Do a task, as ``worker.tasks.bake`` does."""
+        look, index = self.bake.look, want.key[1]
+        what = self.source, look.plan, look.digest, "", index, want.offsets, want.footprints
+        task = BakeTask(*what, want.until, want.least or 0.0, self.target)
+        light, cost = self.bake_chunk(index, partial(climb, look=look, task=task))
+        self.costs.add(index, cost)
+        self.queue.finish(want.key, want.offsets, self.target, result_of(light, look, task, cost))
 
 
 def main_scenes(target: str | None) -> Iterator[Scene]:
@@ -157,7 +161,7 @@ def uniform_points(bake: ChunkBake, most: int, best: Frame) -> Iterator[Point]:
     """A point after each rung up to the ``most`` samples."""
     for samples in tqdm(rungs(most), desc="uniform", leave=False):
         for index in bake.rows:
-            bake.refine(index, samples, NEVER, NEVER)
+            bake.bake_chunk(index, partial(refine, look=bake.bake.look, until=samples, target=NEVER))
         yield bake.point(best)
 
 

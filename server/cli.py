@@ -44,6 +44,7 @@ WORK_OPTIONS = {
     "store": "Path or URL of the cache; default: the user's cache folder.",
     "scheduler": "Address of a Dask scheduler to bake on, instead of own workers.",
 }
+BAKING_TIME = "Stop baking after so long: 90, 90s, 10m or 1h; to look at all views, before and after, comes on top."
 Command = Callable[..., Any]
 
 
@@ -101,7 +102,7 @@ def number(low: float, high: float) -> Callable[[click.Context, click.Parameter,
 
 def duration(_: click.Context, __: click.Parameter, value: str | None) -> float | None:
     """Callback of an option that is a span of time: seconds."""
-    from server.report.durations import seconds_of  # noqa: PLC0415
+    from server.durations import seconds_of  # noqa: PLC0415
 
     try:
         return None if value is None else seconds_of(value)
@@ -146,7 +147,7 @@ def serve(target: str | None, **given: str | None) -> None:
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path, dir_okay=False))
 @options(VIEW_OPTIONS)
 @click.option("--target-error", callback=number(0.0001, 1), help="Relative error at which a pixel is final.")
-@click.option("--time", "seconds", callback=number(0, 1e6), help="Stop baking after so many seconds.")
+@click.option("--time", "seconds", callback=duration, help="Stop baking after so long: 90, 90s, 10m or 1h.")
 @options(WORK_OPTIONS)
 @click.option("--json", "as_json", is_flag=True, help="Print the facts as JSON.")
 def render(
@@ -170,7 +171,7 @@ def render(
 @options({name: text for name, text in VIEW_OPTIONS.items() if name not in ("shading", "samples", "exposure")})
 @click.option("--samples", type=click.IntRange(1), help="Stop at so many paths per pixel.")
 @click.option("--target-error", callback=number(1e-6, 1), help="Stop at this noise; default: 0.005.")
-@click.option("--time", "seconds", callback=number(0, 1e6), help="Stop after so many seconds.")
+@click.option("--time", "seconds", callback=duration, help="Stop after so long: 90, 90s, 10m or 1h.")
 @click.option("--bounces", type=click.IntRange(0, 1000), help="Default: all but 0.1 % of the light.")
 @click.option("--json", "as_json", is_flag=True, help="Print the facts as JSON.")
 def reference(
@@ -233,7 +234,7 @@ def report(
 @click.option("--views", type=click.IntRange(1, 10_000), default=12, show_default=True, help="Directions of each.")
 @options({name: VIEW_OPTIONS[name] for name in ("distance", "fov", "width", "height")})
 @click.option("--target-error", callback=number(0.0001, 1), help="Relative error at which a pixel is final.")
-@click.option("--time", "seconds", callback=number(0, 1e6), help="Stop baking after so many seconds.")
+@click.option("--time", "seconds", callback=duration, help=BAKING_TIME)
 @options(WORK_OPTIONS)
 @click.option("--dry-run", is_flag=True, help="Tell what there is to be baked, and bake nothing.")
 @click.option("--json", "as_json", is_flag=True, help="Print the facts as JSON.")

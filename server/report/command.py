@@ -15,9 +15,9 @@ import numpy as np
 from isogi_core.errors import ViewError
 from isogi_core.model.scene import Scene, load_scene
 from isogi_core.model.view import View
+from server.durations import span
 from server.errors import LibraryError, ParameterError
 from server.params import POINTS, FrameParams, read
-from server.report.durations import span
 from server.settings import Settings
 from server.views import view_of
 

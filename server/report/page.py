@@ -10,7 +10,8 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
 from isogi_core.report.sections import Picture, Plot, Section, Table
-from server.report.cells import TOGETHER, column_told, digits, told
+from server.durations import span
+from server.report.cells import TOGETHER, column_told, told
 from server.report.heading import left_out_rows, machine_rows, plan_facts_rows, scene_rows
 from server.report.plots import SCHEME, draw, keys
 from server.report.prints import gradient, scales_of
@@ -59,7 +60,7 @@ def parts(report: Report, files: Mapping[str, bytes]) -> Iterator[Part]:
             "plots": [plot_part(plot, next(plots)) for plot in section.plots],
             "pictures": [picture_part(section, i, scale, files) for i, scale in enumerate(scales)],
             "maps": any(scale is not None for scale in scales),
-            "seconds": seconds_text(entry.seconds),
+            "seconds": span(entry.seconds),
         }
 
 
@@ -101,8 +102,3 @@ def alt(picture: Picture, ends: str | None) -> str:
     if ends is not None:
         return f"Error map, from blue, {ends} too dark, to red, {ends} too bright: {picture.caption}"
     return f"Picture: {picture.caption}"
-
-
-def seconds_text(seconds: float) -> str:
-    """Seconds with their unit, for a sentence."""
-    return f"{digits(seconds)} seconds" if seconds >= 1.0 else f"{digits(1000 * seconds)} milliseconds"

@@ -139,7 +139,7 @@ def test_what_does_not_fit_is_left_out_and_told(
     become(monkeypatch, "split", endless)
     assert report(small_scene, tmp_path / "a", "--deadline", "0.2s") == 0
     assert keys_of(tmp_path / "a") == []
-    assert "0.2 seconds did not suffice: The error, by cause, Nothing to see" in capsys.readouterr().out
+    assert "200 ms did not suffice: The error, by cause, Nothing to see" in capsys.readouterr().out
     assert ran == []
 
 
