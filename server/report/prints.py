@@ -29,20 +29,22 @@ SMALL = 0.1
 def scales_of(pictures: Sequence[Picture]) -> tuple[float | None, ...]:
     """The error at the ends of each map's colours; None for what is no map of errors.
 
-    It is the same for all maps of a section, round, and at least what MOST percent of the largest's pixels stay
-    below; a map in which that is less than a SMALL part of it has a scale of its own.
+    It is the same for all maps of a section, round, and at least what MOST percent of their pixels stay below; a
+    map in which that is less than a SMALL part of it has a scale of its own.
     """
-    most = [most_of(picture) if picture.kind == "error" else None for picture in pictures]
-    common = round_up(max((error for error in most if error is not None), default=0.0))
-    return tuple(
-        None if error is None else round_up(error) if 0.0 < error < SMALL * common else common for error in most
-    )
+    maps = [each.pixels[np.isfinite(each.pixels)] if each.kind == "error" else None for each in pictures]
+    common = round_up(most_of(np.concatenate([np.empty(0), *(errors for errors in maps if errors is not None)])))
+    return tuple(None if errors is None else own_scale(most_of(errors), common) for errors in maps)
 
 
-def most_of(picture: Picture) -> float:
-    """What MOST percent of an error map's pixels stay below."""
-    errors = np.abs(picture.pixels[np.isfinite(picture.pixels)])
-    return float(np.percentile(errors, MOST)) if errors.size else 0.0
+def own_scale(most: float, common: float) -> float:
+    """The scale of a map whose errors reach ``most``, in a section whose scale is the ``common`` one."""
+    return round_up(most) if 0.0 < most < SMALL * common else common
+
+
+def most_of(errors: np.ndarray) -> float:
+    """What MOST percent of errors stay below."""
+    return float(np.percentile(np.abs(errors), MOST)) if errors.size else 0.0
 
 
 def round_up(error: float) -> float:
