@@ -87,7 +87,8 @@ def frames_of(name: str, scene: Scene, size: int, most: int) -> Iterator[Told]:
         view = View(scene.isovalue, scene.camera(azimuth, elevation, 3.0, fov), width=size, height=size)
         with tempfile.TemporaryDirectory() as store:
             renderer = make_renderer(scene, store)
-            turned = [replace(view, light=turn) for turn in TURNS if turn == IDENTITY or scene.rotating]
+            turns = TURNS[: 1 if renderer.caches.look(view.shading).order == 1 else None]
+            turned = [replace(view, light=turn) for turn in turns]
             yield from judged(name, number, [ViewBake(renderer, one) for one in turned], most)
 
 
@@ -95,9 +96,9 @@ def judged(name: str, number: int, bakes: Sequence[ViewBake], most: int) -> Iter
     """The frames of one view, under each turn of its light; the first of ``bakes`` is grown."""
     rungs = climb(bakes[0], FURTHER * most)
     best = [bake.frame(rungs[max(rungs)]) for bake in bakes]
-    for light, texels in lights_of(rungs, bakes[0].look, most):
+    for label, light in lights_of(rungs, bakes[0].look, most):
         for turn, (bake, reference) in enumerate(zip(bakes, best, strict=True)):
-            yield compared(name, number, turn, light, bake.frame(texels), reference)
+            yield compared(name, number, turn, label, bake.frame(light), reference)
 
 
 def climb(bake: ViewBake, until: int) -> Rungs:
