@@ -6,11 +6,14 @@ Of each scene two views are baked, a whole one and a close one, their texels to 
 after 16 samples and after each fourfold count up to ``--most``, and light baked to targets of 10 % and of 5 %, is what
 the same bake held on its way. Frames of it, under two rotations where light turns, are told against the frame of the
 last rung: the RMSE of the luminance over surface pixels, over its mean, and divided by the frame's own estimate.
-Both are rounded as the store rounds. ``covered`` is the share of pixels that differ by no more than 1.96 times their
-own standard error. Demo volumes alone are looked at where the shared data are not at hand.
+The last rung goes on from the samples of those before it, so that what is seen to differ is short by the last one's
+own error: what that tells of itself is added. All are rounded as the store rounds. ``covered`` is the share of pixels
+that differ by no more than 1.96 times the standard error that the frame tells, less that which both have. Demo volumes
+alone are looked at where the shared data are not at hand.
 """
 
 import json
+import math
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -20,21 +23,17 @@ import numpy as np
 from tqdm import tqdm
 
 from benchmarks.calibration_scenes import SCENES, load
-from benchmarks.plans import relative_rmse
+from benchmarks.error_curve import relative_rmse
 from isogi_core.bake.light import Light
 from isogi_core.bake.look import Look
 from isogi_core.bake.noise import finished
 from isogi_core.bake.precision import FIRST_RUNG, next_rung
-from isogi_core.bake.recipe import Index
-from isogi_core.bake.refine import refine
-from isogi_core.cache.chunk import Chunk
 from isogi_core.frame.frame import Frame
-from isogi_core.frame.renderer import Renderer
-from isogi_core.frame.texels import ViewTexels
 from isogi_core.model.scene import Scene
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import IDENTITY, View, quaternion_from_angles
-from server.measure import NEVER, make_renderer
+from isogi_core.report.bake import ViewBake
+from server.measure import make_renderer
 
 FURTHER = 16
 """Times the samples of the frames that are judged, in the light that they are judged by."""
@@ -47,9 +46,6 @@ VIEWS = ((40.0, 30.0, 30.0), (200.0, 10.0, 10.0))
 
 TURNS = (IDENTITY, quaternion_from_angles(100.0, 35.0, -20.0))
 """Rotations of lights that turn."""
-
-PIECE = 256
-"""Texels that one thread bakes together."""
 
 LOW, HIGH, WIDE_LOW, WIDE_HIGH = 0.9, 1.1, 0.7, 1.4
 """What is asked of the median, and of nine frames in ten."""
@@ -91,38 +87,26 @@ def frames_of(name: str, scene: Scene, size: int, most: int) -> Iterator[Told]:
         view = View(scene.isovalue, scene.camera(azimuth, elevation, 3.0, fov), width=size, height=size)
         with tempfile.TemporaryDirectory() as store:
             renderer = make_renderer(scene, store)
-            texels = renderer.texels(view, renderer.gbuffer(view))
-            yield from judged(name, number, renderer, view, texels, most)
+            turned = [replace(view, light=turn) for turn in TURNS if turn == IDENTITY or scene.rotating]
+            yield from judged(name, number, [ViewBake(renderer, one) for one in turned], most)
 
 
-def judged(name: str, number: int, renderer: Renderer, view: View, texels: ViewTexels, most: int) -> Iterator[Told]:
-    """The frames of one view."""
-    look = renderer.caches.look(view.shading)
-    rungs = bake(renderer, texels, look, FURTHER * most)
-    turned = [replace(view, light=turn) for turn in TURNS[: 1 if look.order == 1 else None]]
-    show(renderer, texels, rungs[max(rungs)])
-    best = [renderer.render(one) for one in turned]
-    for light, rows in lights_of(rungs, look, most):
-        show(renderer, texels, rows)
-        for turn, (one, reference) in enumerate(zip(turned, best, strict=True)):
-            yield compared(name, number, turn, light, renderer.render(one), reference)
+def judged(name: str, number: int, bakes: Sequence[ViewBake], most: int) -> Iterator[Told]:
+    """The frames of one view, under each turn of its light; the first of ``bakes`` is grown."""
+    rungs = climb(bakes[0], FURTHER * most)
+    best = [bake.frame(rungs[max(rungs)]) for bake in bakes]
+    for light, texels in lights_of(rungs, bakes[0].look, most):
+        for turn, (bake, reference) in enumerate(zip(bakes, best, strict=True)):
+            yield compared(name, number, turn, light, bake.frame(texels), reference)
 
 
-def bake(renderer: Renderer, texels: ViewTexels, look: Look, until: int) -> Rungs:
+def climb(bake: ViewBake, until: int) -> Rungs:
     """The light of a view's texels at each rung up to ``until`` samples."""
-    positions = np.concatenate([Chunk(index, own, Light(())).positions(own) for index, own in chunks_of(texels)])
-    counts = [FIRST_RUNG]
-    while counts[-1] < until:
-        counts.append(next_rung(counts[-1]))
-    rungs = {samples: Light.dark(look.plan, len(positions)) for samples in counts}
-
-    def climb(a: int, b: int) -> None:
-        light = Light.dark(look.plan, b - a)
-        for samples in counts:
-            refine(light, positions[a:b], look, samples, NEVER)
-            rungs[samples].put(np.arange(a, b), light)
-
-    renderer.tiles.run(climb, len(positions), PIECE)
+    rungs, samples = {}, 0
+    while samples < until:
+        samples = next_rung(samples)
+        bake.grow(samples)
+        rungs[samples] = bake.light.rows(np.arange(len(bake.light)))
     return rungs
 
 
@@ -146,24 +130,14 @@ def adaptive(rungs: Rungs, look: Look, target: float) -> Light:
     return light
 
 
-def show(renderer: Renderer, texels: ViewTexels, light: Light) -> None:
-    """Make ``light`` what the renderer's frames read."""
-    pool, bounds = renderer.caches.of("gi").pool, texels.bounds.tolist()
-    for (index, offsets), a, b in zip(chunks_of(texels), bounds, bounds[1:], strict=False):
-        pool.insert(Chunk(index, offsets, light.rows(np.arange(a, b))))
-
-
-def chunks_of(texels: ViewTexels) -> list[tuple[Index, np.ndarray]]:
-    """A view's chunks, and the offsets of what it reads in each."""
-    return list(zip(texels.chunks, texels.offsets, strict=True))
-
-
 def compared(name: str, number: int, turn: int, light: str, frame: Frame, best: Frame) -> Told:
     """What a frame tells of its error beside what is seen of it against the ``best``."""
-    true, told = relative_rmse(frame, best) or 0.0, frame.estimated_error
     on = best.state > 0
+    apart, told = relative_rmse(frame.radiance, best.radiance, on), frame.estimated_error
     seen, exact = (one.radiance[on].astype(np.float64) @ LUMINANCE for one in (frame, best))
-    covered = np.abs(seen - exact) <= 1.96 * frame.error[on] * seen
+    error, shared = frame.error[on] * seen, best.error[on] * exact
+    covered = np.abs(seen - exact) <= 1.96 * np.sqrt(np.maximum(error**2 - shared**2, 0.0))
+    true = math.hypot(apart, best.estimated_error)
     return Told(name, number, turn, light, true, told, true / max(told, 1e-30), float(covered.mean()))
 
 

@@ -1,5 +1,6 @@
 """A look: one way to light a scene, the layers that its texels keep and the light that these are put under."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -10,7 +11,7 @@ from isogi_core.bake.recipe import Recipe
 from isogi_core.model.plan import Layer, ScenePlan
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.plan.planner import vicinity_plan
-from isogi_core.plan.projection import project_environment
+from isogi_core.plan.projection import evaluate_harmonics, project_environment, sphere_nodes
 
 LOOKS = ("gi", "vicinity")
 """Names of the looks of a scene."""
@@ -62,6 +63,23 @@ class Look:
         mean = self.recipe.around[:, 0] / np.sqrt(4.0 * np.pi)
         return float(mean * self.recipe.scene.albedo @ LUMINANCE)
 
+    @cached_property
+    def unit(self) -> float:
+        """The radiance that light is counted in where it is squared, a power of two near ``unoccluded``.
+
+        Single floats hold the squares of no light below 1e-19 or above 1e19.
+        """
+        return math.ldexp(1.0, math.frexp(self.unoccluded)[1])
+
+    @cached_property
+    def square(self) -> np.ndarray:
+        """The square of the unturned light's luminance in ``unit``; (n²,) float64, see ``bake.moments``.
+
+        Irradiance is taken for the transfer, times ``unit``, of a light of this radiance.
+        """
+        square = square_light(self.luminance_light.sum(axis=0) / self.unit)
+        return square * self.unit if self.plan.representation == "irradiance" else square
+
     def gains(self, layer: Layer) -> np.ndarray:
         """What the squared noises of a ``layer`` count in the variance of a texel's luminance; (noises,) float64.
 
@@ -78,12 +96,12 @@ class Look:
         return np.array([energy @ (1.0 - growth), energy @ growth])[: layer.noises]
 
     def judged(self, halves: np.ndarray, layer: Layer) -> np.ndarray:
-        """The sums (…, channels, n²) whose spread tells a layer's noise: those of its luminance alone, (…, 1, n²).
+        """The sums (…, channels, n²) whose spread tells a layer's noise: those of its luminance alone, (…, n²).
 
         Colours have errors of their own size, by the lights that they met and the albedo; mixed as luminance mixes
         them they come to what ``gains`` counts.
         """
-        return np.asarray(np.einsum("...cn,c->...n", halves, self.mix(layer))[..., None, :])
+        return np.asarray(np.einsum("...cn,c->...n", halves, self.mix(layer)))
 
     def mix(self, layer: Layer) -> np.ndarray:
         """Shares of a layer's channels in the luminance that leaves a texel under white light; (channels,) float64."""
@@ -135,6 +153,14 @@ def to_luminance(light: np.ndarray, albedo: tuple[float, float, float], channels
     """Luminance of the reflected ``light`` (3, n²), split over the channels of the transfer; (channels, n²)."""
     weighted = (LUMINANCE * np.array(albedo))[:, None] * light
     return weighted if channels == 3 else weighted.sum(axis=0, keepdims=True)
+
+
+def square_light(light: np.ndarray) -> np.ndarray:
+    """Coefficients q_i = ∫ L² Y_i dω of the square of L = Σ ``light`` (n²,) Y_i, of the same order; (n²,) float64."""
+    order = math.isqrt(len(light))
+    theta, phi, weights = sphere_nodes(3 * order)
+    basis = evaluate_harmonics(order, theta, phi)
+    return np.asarray(basis @ (weights * (light @ basis) ** 2))
 
 
 def band_of(order: int) -> np.ndarray:

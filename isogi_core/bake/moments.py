@@ -5,22 +5,11 @@ A path that leaves towards ω brings L(ω), and its square L(ω)². Both are dot
 reflected R^k stands where R^2k should, which is left out: what counts is how one light compares with another.
 """
 
-import math
-
 import numpy as np
 
 from isogi_core.bake.light import Light
 from isogi_core.bake.look import Look, band_of
 from isogi_core.kernels.lattice import LEAST_SPREAD
-from isogi_core.plan.projection import evaluate_harmonics, sphere_nodes
-
-
-def square_light(light: np.ndarray) -> np.ndarray:
-    """Coefficients q_i = ∫ L² Y_i dω of the square of L = Σ ``light`` (n²,) Y_i, of the same order; (n²,) float64."""
-    order = math.isqrt(len(light))
-    theta, phi, weights = sphere_nodes(3 * order)
-    basis = evaluate_harmonics(order, theta, phi)
-    return np.asarray(basis @ (weights * (light @ basis) ** 2))
 
 
 def path_deviation(light: Light, look: Look) -> np.ndarray:
@@ -29,10 +18,10 @@ def path_deviation(light: Light, look: Look) -> np.ndarray:
     For a light turned at random the second moment keeps its first band, and E[(τ·Dℓ)²] = Σ_l Σ_cd (τ_c·τ_d)_l
     (ℓ_c·ℓ_d)_l / (2l + 1) over channels c, d. LEAST_SPREAD of the second moment is added, as in ``light_texels``.
     """
-    lights, n = look.luminance_light, look.order**2
+    lights, n = look.luminance_light / look.unit, look.order**2
     transfer = light.transfer[:, :, :n].astype(np.float64)
-    second = square_light(lights.sum(axis=0))[0] * transfer[:, transfer.shape[1] // 2, 0]
+    second = look.square[0] * transfer[:, transfer.shape[1] // 2, 0]
     starts, width = np.arange(look.order) ** 2, 2.0 * np.arange(look.order) + 1.0
     powers = np.add.reduceat(lights[:, None] * lights[None], starts, axis=2) / width
     mean = np.einsum("mcn,mdn,cdn->m", transfer, transfer, powers[:, :, band_of(look.order)])
-    return np.asarray(np.sqrt(np.maximum(second - mean, 0.0) + LEAST_SPREAD * np.maximum(second, 0.0)))
+    return look.unit * np.sqrt(np.maximum(second - mean, 0.0) + LEAST_SPREAD * np.maximum(second, 0.0))

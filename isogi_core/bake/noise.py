@@ -33,6 +33,10 @@ scaled to band 0 where there is nothing else: see ``evenness``.
 """
 
 
+DARKEST = 1e-30
+"""Luminance, in units of a look, that stands for none where it is divided by."""
+
+
 def deviations(light: Light, look: Look) -> np.ndarray:
     """Standard error of the luminance in each part, a mean over all turns of the light; (parts, texels) float64."""
     return np.array([deviation(part, look) for part in light.parts])
@@ -64,7 +68,7 @@ def standard_error(light: Light, look: Look) -> np.ndarray:
 
 def level(light: Light, look: Look) -> np.ndarray:
     """The luminance that each texel's error is held against: its own, or that of FLOOR; (texels,) float64."""
-    return np.maximum(luminance(light, look), FLOOR * max(look.unoccluded, 1e-30))
+    return np.maximum(luminance(light, look), FLOOR * max(look.unoccluded, DARKEST * look.unit))
 
 
 def relative_error(light: Light, look: Look) -> np.ndarray:
@@ -85,12 +89,11 @@ def good_enough(error: np.ndarray, samples: np.ndarray, target: float) -> np.nda
 def noise_of_halves(halves: np.ndarray, samples: int, order: int, evenness: np.ndarray | float = 1.0) -> np.ndarray:
     """Standard errors of coefficients, in band 0 and above it, told from two independent randomisations.
 
-    ``halves`` (m, 2, channels, N²) are sums over half of ``samples`` each, with the bands below ``order`` in
-    front. Band 0 is judged with its neighbour, see BAND_0, of which ``evenness`` (m,) is the share that band 0
-    varies by. Above it is the mean of the bands' variances. (m, 1 or 2) float64.
+    ``halves`` (m, 2, N²) are sums over half of ``samples`` each, with the bands below ``order`` in front. Band 0 is
+    judged with its neighbour, see BAND_0, of which ``evenness`` (m,) is the share that band 0 varies by. Above it is
+    the mean of the bands' variances. (m, 1 or 2) float64.
     """
-    spread = (halves[:, 0] - halves[:, 1]) / samples
-    squares = (spread**2).mean(axis=1)
+    squares = ((halves[:, 0] - halves[:, 1]) / samples) ** 2
     low = np.average(squares[:, :4], axis=1, weights=BAND_0[: squares.shape[1]])
     if squares.shape[1] > 1:
         low += (evenness - 1.0) * (squares[:, 1:4] @ BAND_0[1:])

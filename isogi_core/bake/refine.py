@@ -78,20 +78,19 @@ def add(part: Part, rows: np.ndarray, halves: np.ndarray, second: np.ndarray, to
     """
     layer, samples = part.layer, int(part.samples[rows[0]])
     added = halves.sum(axis=1)[:, :, : layer.order**2]
-    noise = noise_of_halves(*judged(halves, second, total - samples, layer, look))
+    noise = noise_of_new(halves, second, total - samples, layer, look)
     noise = blend_noise(part.noise[rows], samples, noise, DECAYS[layer.kind])
     part.coefficients[rows] = round_light(add_to_mean(part.coefficients[rows], samples, added, total), layer)
     part.noise[rows] = noise_of(noise_codes(noise, layer.scale), layer.scale)
 
 
-def judged(
-    halves: np.ndarray, second: np.ndarray, count: int, layer: Layer, look: Look
-) -> tuple[np.ndarray, int, int, np.ndarray | float]:
-    """What ``noise_of_halves`` takes: sums over ``count`` samples of a layer's luminance, and how even band 0 is."""
+def noise_of_new(halves: np.ndarray, second: np.ndarray, count: int, layer: Layer, look: Look) -> np.ndarray:
+    """What ``count`` new samples of a layer tell of its noise, by their sums; see ``noise_of_halves``."""
     seen = look.judged(halves, layer)
     if layer.order > 1 or layer.kind == "irradiance":
-        return seen, count, layer.order, 1.0
-    return seen, count, layer.order, evenness(seen.sum(axis=(1, 2)) / count, second / count, count)
+        return noise_of_halves(seen, count, layer.order)
+    even = evenness(seen.sum(axis=1) / count, second / count, count)
+    return noise_of_halves(seen, count, layer.order, even)
 
 
 def locate(texels: np.ndarray, recipe: Recipe) -> tuple[Place, np.ndarray]:

@@ -16,7 +16,7 @@ import numpy as np
 from isogi_core.bake.light import Light, Part
 from isogi_core.bake.look import Look
 from isogi_core.bake.moments import path_deviation
-from isogi_core.bake.noise import level, standard_error
+from isogi_core.bake.noise import DARKEST, level, standard_error
 from isogi_core.bake.precision import rung_codes, samples_of
 from isogi_core.bake.recipe import Index
 from isogi_core.cache.chunk import Chunk
@@ -63,7 +63,12 @@ class Held(NamedTuple):
 
 
 class PagePool:
-    """Light in memory, at most ``budget`` bytes. Safe to use from many threads."""
+    """Light in memory, at most ``budget`` bytes. Safe to use from many threads.
+
+    A row has the ``transfer`` (channels, n²), the ``scatter``, the relative ``error`` and the ``stamp``, see
+    ``stamps_of``. Scatter is the standard error of the luminance over the standard deviation of one path's, see
+    ``bake.moments``.
+    """
 
     def __init__(self, look: Look, budget: int) -> None:
         """Set the arrays aside, for what frames of ``look`` read and no more; memory is taken as they fill."""
@@ -73,7 +78,7 @@ class PagePool:
         slots = max(pages // PAGES_PER_CHUNK, FEWEST_CHUNKS)
         self.look = look
         self.transfer = np.empty((pages * PAGE, channels, n), np.float32)
-        self.noise = np.empty(pages * PAGE, np.float32)
+        self.scatter = np.empty(pages * PAGE, np.float32)
         self.error = np.empty(pages * PAGE, np.float32)
         self.stamp = np.empty(pages * PAGE, np.float32)
         self.table = np.empty((slots, TEXELS), np.int32)
@@ -103,14 +108,15 @@ class PagePool:
         light = chunk.light
         rows_of_light = light.transfer[:, :, : self.look.order**2]
         wrong = standard_error(light, self.look)
-        error, noise = wrong / level(light, self.look), wrong / np.maximum(path_deviation(light, self.look), 1e-30)
+        error = wrong / level(light, self.look)
+        scatter = wrong / np.maximum(path_deviation(light, self.look), DARKEST * self.look.unit)
         stamps, marks = stamps_of(light), marks_of(light)
         with self._lock:
             self._age += 1
             entry = self._allocate(-(-len(chunk.offsets) // PAGE), {*keep} - {chunk.index})
             rows = (entry.pages[:, None] * PAGE + np.arange(PAGE)).ravel()[: len(chunk.offsets)]
             self.transfer[rows] = rows_of_light
-            self.noise[rows], self.error[rows], self.stamp[rows] = noise, error, stamps
+            self.scatter[rows], self.error[rows], self.stamp[rows] = scatter, error, stamps
             self.table[entry.slot] = UNLIT
             self.table[entry.slot, chunk.offsets] = np.where(marks < 0, marks, rows)
             former = self._entries.pop(chunk.index, None)
@@ -155,7 +161,7 @@ class PagePool:
         most = len(self._free_pages) + sum(len(self._entries[index].pages) for index in spare)
         if most < pages or not (spare or self._free_slots):
             raise StoreError(
-                f"The light of this view does not fit the memory for {len(self.noise)} texels:"
+                f"The light of this view does not fit the memory for {len(self.scatter)} texels:"
                 " ask for a closer view or fewer pixels, or give light more memory."
             )
         for index in spare:

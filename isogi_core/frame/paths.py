@@ -80,7 +80,7 @@ def replicas_for(samples: int) -> int:
     return 2 if samples < 8 else 4 if samples < 256 else 8
 
 
-def pool(variance: np.ndarray, gbuffer: GBuffer) -> np.ndarray:
+def pooled_variance(variance: np.ndarray, gbuffer: GBuffer) -> np.ndarray:
     """Variances (m,) of the surface pixels, each a mean with its neighbours', by the weights NEAR both ways.
 
     A few replicas say too little of one pixel alone: of four, 1.96 standard deviations would hold 86 % of Gaussian

@@ -48,9 +48,9 @@ class Reading:
         """What the view still wants, ``planes`` being its picture."""
         if not self.short.any():
             return ()
-        weights = texels.weights(planes).tolist()
+        weights, seen = texels.weights(planes).tolist(), texels.footprints
         return tuple(
-            Demand(texels.chunks[i], texels.offsets[i], weights[i], Effort(*self.efforts[i].tolist()))
+            Demand(texels.chunks[i], texels.offsets[i], weights[i], Effort(*self.efforts[i].tolist()), seen[i])
             for i in np.flatnonzero(self.short)
         )
 
@@ -60,28 +60,32 @@ def read_texels(texels: ViewTexels, slots: np.ndarray, pool: PagePool, target: f
     places = texels.places
     rows, grade = np.empty(len(places), np.int32), np.empty(len(places), np.uint8)
     digests: dict[int, bytes] = {}
-    gathered: dict[int, np.ndarray] = {}
+    gathered: list[tuple[slice, np.ndarray]] = []
 
     def _piece(a: int, b: int) -> None:
         error, stamp = np.empty((2, b - a), np.float32)
         find_rows(places[a:b], slots, pool.table, pool.error, pool.stamp, rows[a:b], error, stamp)
         samples = fewest_samples(stamp, len(pool.look.plan.layers))
         grade[a:b] = grade_rows(rows[a:b], error, samples, target)
-        gathered[a] = efforts_of(places[a:b], len(slots), grade[a:b], error, samples, target)
+        gathered.append(efforts_of(places[a:b], grade[a:b], error, samples, target))
         digests[a] = hashlib.sha256(stamp.data).digest()
 
     tiles.run(_piece, len(places), PIECE)
     short = np.minimum.reduceat(grade, texels.bounds[:-1]) < FINAL if len(grade) else np.zeros(0, np.bool_)
-    total = np.sum([gathered[a] for a in sorted(gathered)], axis=0) if gathered else np.zeros((0, 3))
+    total = np.zeros((len(slots), 3))
+    for chunks, own in gathered:
+        total[chunks] += own
     return Reading(rows, grade, b"".join(digests[a] for a in sorted(digests)), short, total)
 
 
 def efforts_of(
-    places: np.ndarray, count: int, grade: np.ndarray, error: np.ndarray, samples: np.ndarray, target: float
-) -> np.ndarray:
-    """The efforts of ``count`` chunks for the texels at ``places`` that are not final, (count, 3) float64."""
+    places: np.ndarray, grade: np.ndarray, error: np.ndarray, samples: np.ndarray, target: float
+) -> tuple[slice, np.ndarray]:
+    """Efforts for the texels at ``places``, in their order, that are not final: which chunks, (chunks, 3) float64."""
+    first, last = (int(place) // TEXELS for place in places[[0, -1]])
     short = np.flatnonzero(grade < FINAL)
-    return efforts(places[short] // TEXELS, count, error[short], samples[short], target)
+    chunks = places[short].astype(np.int64) // TEXELS - first
+    return slice(first, last + 1), efforts(chunks, last + 1 - first, error[short], samples[short], target)
 
 
 GRADES = {UNLIT: UNBAKED, VOID_ROW: VOID, BURIED_ROW: BURIED}

@@ -12,7 +12,7 @@ from isogi_core.bake.recipe import Recipe
 from isogi_core.cache.loader import Loader
 from isogi_core.cache.pages import Held, PagePool
 from isogi_core.frame.gbuffer import POINTS, GBuffer
-from isogi_core.frame.paths import Paths, pool, replicas_for, variance_of_mean
+from isogi_core.frame.paths import Paths, pooled_variance, replicas_for, variance_of_mean
 from isogi_core.frame.reading import Reading
 from isogi_core.frame.stopwatch import Stopwatch
 from isogi_core.frame.surroundings import Turned
@@ -123,7 +123,7 @@ class Shader:
         with self.watch.stage("paths"):
             Paths(self.turned, self.gbuffer, self.tiles).add(sums, 0, 0, count, self.cancelled)
         means = sums / count
-        radiance, deviation = means.mean(axis=1), np.sqrt(pool(variance_of_mean(means), self.gbuffer))
+        radiance, deviation = means.mean(axis=1), np.sqrt(pooled_variance(variance_of_mean(means), self.gbuffer))
         error = np.clip(deviation / np.maximum(radiance @ LUMINANCE, 1e-30), 0.0, 1.0)
         self.planes.radiance[pixels] = radiance
         self.planes.state[pixels] = np.where(error <= target, FINAL, CONVERGING)
@@ -150,12 +150,13 @@ class Shader:
         return Shaded(self.planes, needed, needed - short, lacks, reading.version)
 
     def _light_texels(self, rows: np.ndarray, pool: PagePool) -> np.ndarray:
-        """Linear RGB and standard error of each texel's light, (texels, 4); undefined where there is no light."""
-        light, square = (np.ascontiguousarray(a, np.float32) for a in (self.turned.reflected, self.turned.square))
+        """Linear RGB and standard error of each texel's light in ``Look.unit``, (texels, 4); undefined where unlit."""
+        lights = self.turned.reflected / self.look.unit, self.turned.square
+        light, square = (np.ascontiguousarray(each, np.float32) for each in lights)
         lit = np.empty((len(rows), 4), np.float32)
 
         def _piece(a: int, b: int) -> None:
-            light_texels(rows[a:b], pool.transfer, pool.noise, light, square, lit[a:b])
+            light_texels(rows[a:b], pool.transfer, pool.scatter, light, square, lit[a:b])
 
         self._run(_piece, len(rows), self.tiles.even(len(rows)))
         return lit
@@ -164,10 +165,10 @@ class Shader:
         """Bring the texels' light to the picture."""
         points, pixels, corners = self.gbuffer.points, self.gbuffer.pixels, texels.corners
         normals = points if reading.whole else self._normals()
-        lattice, sky, planes = self.recipe.lattice, self.turned.sky, self.planes
+        lattice, sky, unit, planes = self.recipe.lattice, self.turned.sky, np.float32(self.look.unit), self.planes
 
         def _piece(a: int, b: int) -> None:
             place = (lattice, points[a:b], pixels[a:b], corners[a:b])
-            carry_light(*place, reading.grade, lit, normals[a:b], sky, planes)
+            carry_light(*place, reading.grade, lit, normals[a:b], sky, unit, planes)
 
         self._run(_piece, len(points), self.tiles.even(len(points)))

@@ -7,7 +7,6 @@ from functools import cached_property
 import numpy as np
 
 from isogi_core.bake.look import Look, band_of
-from isogi_core.bake.moments import square_light
 from isogi_core.kernels.harmonics import cosine_lobe_factors, rotate
 from isogi_core.kernels.lattice import Sky
 from isogi_core.kernels.lit import Surroundings
@@ -56,16 +55,15 @@ class Turned:
 
     @cached_property
     def square(self) -> np.ndarray:
-        """The square of the luminance that ``reflected`` brings, turned; (n²,) float64, see ``bake.moments``."""
-        square = square_light(LUMINANCE @ (self.albedo[:, None] * self.look.light))
-        return turn(square[None], self.matrix)[0]
+        """The square of the luminance that ``reflected`` brings, turned; (n²,) float64, see ``Look.square``."""
+        return turn(self.look.square[None], self.matrix)[0]
 
     @cached_property
     def sky(self) -> Sky:
-        """Unshadowed light, which stands in for what is not baked."""
+        """Unshadowed light in the look's ``unit``, which stands in for what is not baked."""
         order = math.isqrt(self.around.shape[1])
         lobe = cosine_lobe_factors(order)[band_of(order)] / math.pi
-        return Sky(order, lobe, self.albedo[:, None] * self.around)
+        return Sky(order, lobe, self.albedo[:, None] * self.around / self.look.unit)
 
     @cached_property
     def surroundings(self) -> Surroundings:

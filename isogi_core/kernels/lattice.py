@@ -242,13 +242,13 @@ def find_rows(places, slots, table, error, stamp, rows, own_error, own_stamp):
     ),
     any_order=True,
 )
-def light_texels(rows, transfer, noise, light, square, lit):
-    """Fill ``lit`` (m, 4): linear RGB radiance and standard error of its luminance, per texel.
+def light_texels(rows, transfer, scatter, light, square, lit):
+    """Fill ``lit`` (m, 4): linear RGB radiance and standard error of its luminance, per texel and in units of a look.
 
-    ``transfer`` (row, channels, n) holds τ, ``noise`` (row,) the standard error over the standard deviation of one
-    path's luminance; ``light`` (3, n) is the turned environment times the albedo, ``square`` (n,) the square of its
-    luminance. Radiance is τ·ℓ (S1, eq. 9), cut to 0 where negative; one path's variance is τ·q - (τ·ℓ)², see
-    ``bake.moments``. The sums are written out here, so that they run in vectors.
+    ``transfer`` (row, channels, n) holds τ, ``scatter`` (row,) the standard error over the standard deviation of one
+    path's luminance; ``light`` (3, n) is the turned environment times the albedo over ``Look.unit``, ``square`` (n,)
+    the square of its luminance. Radiance is τ·ℓ (S1, eq. 9), cut to 0 where negative; one path's variance
+    is τ·q - (τ·ℓ)², see ``bake.moments``. The sums are written out here, so that they run in vectors.
     """
     blue = transfer.shape[1] - 1
     green = min(blue, 1)
@@ -264,7 +264,7 @@ def light_texels(rows, transfer, noise, light, square, lit):
             second += transfer[row, green, i] * square[i]
         mean, least = luminance(r, g, b), LEAST_SPREAD * max(transfer[row, green, 0] * square[0], DARK)
         spread = math.sqrt(max(second - mean * mean, DARK) + least)
-        lit[m, 0], lit[m, 1], lit[m, 2], lit[m, 3] = max(r, DARK), max(g, DARK), max(b, DARK), noise[row] * spread
+        lit[m, 0], lit[m, 1], lit[m, 2], lit[m, 3] = max(r, DARK), max(g, DARK), max(b, DARK), scatter[row] * spread
 
 
 class Sky(NamedTuple):
@@ -356,16 +356,17 @@ def span_of(grade, corners, m):
         types.float32[:, ::1],
         POINTS,
         SKY,
+        types.float32,
         PLANES,
     )
 )
-def carry_light(lattice, points, pixels, corners, grade, lit, normals, sky, planes):
+def carry_light(lattice, points, pixels, corners, grade, lit, normals, sky, unit, planes):
     """Carry the texels' light ``lit`` (texels, 4) to the ``planes`` at the points' ``pixels`` (m,).
 
     Trilinear (S1, section 4.2) over the texels that hold light; void and buried ones are left out, and what
     is not baked yet stands in as unshadowed light about the point's normal (``normals`` (m, 3); read
-    only where a texel is missing). ``grade`` (texels,) is UNBAKED, PARTIAL, CONVERGING, FINAL, BURIED or
-    VOID; a point is as good as the least of its texels.
+    only where a texel is missing). Both are counted in ``unit``, the radiance of 1. ``grade`` (texels,) is UNBAKED,
+    PARTIAL, CONVERGING, FINAL, BURIED or VOID; a point is as good as the least of its texels.
     """
     basis = np.empty(sky.order * sky.order)
     for m in range(points.shape[0]):
@@ -378,4 +379,4 @@ def carry_light(lattice, points, pixels, corners, grade, lit, normals, sky, plan
             r, g, b, variance = fill_in(blend_some(corners, m, grade, lit, fz, fy, fx), n, sky, basis)
         noise = min(math.sqrt(variance) / max(luminance(r, g, b), DARKEST), ONE)
         error = ONE if least <= PARTIAL else noise
-        put_pixel(planes, pixels[m], (r, g, b), min(max(least, PROVISIONAL), FINAL), error)
+        put_pixel(planes, pixels[m], (r * unit, g * unit, b * unit), min(max(least, PROVISIONAL), FINAL), error)

@@ -41,12 +41,14 @@ class Bench:
 
     ``cancelled`` stops all work; ``deadline``, a time of ``time.monotonic``, is when studies should have ended.
     ``hurry`` is set where one had to make do with less for it. Light is kept in memory alone, and baked again by the
-    next bench: what that costs is among what is measured.
+    next bench: what that costs is among what is measured. Pictures are judged at an ``exposure``, by default
+    the scene's own.
     """
 
     scene: Scene
     view: View
     folder: Path
+    exposure: float | None = None
     cancelled: threading.Event = field(default_factory=threading.Event)
     deadline: float = math.inf
     hurry: threading.Event = field(default_factory=threading.Event)
@@ -148,7 +150,8 @@ class Bench:
 
     def score(self, radiance: Any, best: Reference | None = None) -> Score:
         """The score of a picture of the view, against its own reference unless another is told."""
-        return score(radiance, best or self.best, self.scene.default_exposure)
+        exposure = self.scene.default_exposure if self.exposure is None else self.exposure
+        return score(radiance, best or self.best, exposure)
 
     def check(self) -> None:
         """Raise Cancelled where nobody waits for the report."""

@@ -79,7 +79,7 @@ def light_of(renderer: Renderer, view: View, bench: Bench) -> int:
     bake.grow(FIRST_RUNG, cancelled=bench.cancelled)
     bake.frame()
     pool = renderer.caches.of(view.shading).pool
-    rows = (pool.transfer, pool.noise, pool.error, pool.stamp)
+    rows = (pool.transfer, pool.scatter, pool.error, pool.stamp)
     return len(bake.texels) * sum(row[:1].nbytes for row in rows)
 
 

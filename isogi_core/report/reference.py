@@ -125,7 +125,8 @@ def subject_of(scene: Scene, view: View) -> str:
 
 def save_reference(path: Path, reference: Reference, scene: Scene, view: View) -> None:
     """Write a reference of ``view``, whole or not at all, as .npz; ``about`` in it is JSON that says what it is of."""
-    about = {"scene": scene.name, "bounces": scene.bounces, "view": asdict(view), "format": FORMAT}
+    surface = {"normals": scene.normals, "offset": scene.offset}
+    about = {"format": FORMAT, "scene": scene.name, "bounces": scene.bounces, **surface, "view": asdict(view)}
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
         with partial.open("wb") as file:
@@ -139,11 +140,16 @@ def load_reference(path: Path, scene: Scene, view: View) -> Reference:
     """The reference of ``view`` in a file; ReportError where that is damaged or of something else, or OSError."""
     try:
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
-            kept = {each.name: file[each.name] for each in KEPT}
             about = json.loads(str(file["about"]))
+            if about["format"] != FORMAT:
+                raise ReportError(f"{path} was written by another version of isogi: remove it, or name another file.")
+            kept = {each.name: file[each.name] for each in KEPT}
     except (ValueError, KeyError, EOFError, BadZipFile) as error:
         raise ReportError(f"{path} is no whole reference ({error}): remove it, or name another file.") from None
     if kept["subject"] != subject_of(scene, view):
-        own = "{scene} at {isovalue:g}, {width} × {height} pixels, {bounces} bounces".format(**about, **about["view"])
-        raise ReportError(f"{path} is of another scene, view or number of bounces ({own}): name another file.")
+        told = (
+            "{scene} at {isovalue:g}, {width} × {height} pixels, {bounces} bounces, {normals} normals, {offset:g} off"
+        )
+        own = told.format(**about, **about["view"])
+        raise ReportError(f"{path} is of another scene, view or way of tracing ({own}): name another file.")
     return Reference(**{name: value if value.ndim else value.item() for name, value in kept.items()})

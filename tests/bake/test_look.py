@@ -152,9 +152,9 @@ def test_colours_are_judged_by_their_luminance() -> None:
     look = look_of(plan_of(Layer("direct", 5), Layer("indirect", 5, 3)))
     halves = np.random.default_rng(5).normal(size=(10, 2, 3, 25))
     mix = LUMINANCE * np.array(ALBEDO)
-    expected = (halves * (mix / mix.sum())[:, None]).sum(axis=2, keepdims=True)
+    expected = (halves * (mix / mix.sum())[:, None]).sum(axis=2)
     np.testing.assert_allclose(look.judged(halves, Layer("indirect", 5, 3)), expected)
-    assert np.array_equal(look.judged(halves[:, :, :1], Layer("direct", 5)), halves[:, :, :1])
+    assert np.array_equal(look.judged(halves[:, :, :1], Layer("direct", 5)), halves[:, :, 0])
 
 
 # --- which look -------------------------------------------------------------------------------------------------

@@ -6,28 +6,32 @@ import numpy as np
 import pytest
 
 from isogi_core.bake.light import Light
-from isogi_core.bake.look import band_of
-from isogi_core.bake.moments import path_deviation, square_light
+from isogi_core.bake.look import band_of, square_light
+from isogi_core.bake.moments import path_deviation
 from isogi_core.bake.noise import evenness
 from isogi_core.kernels.lattice import LEAST_SPREAD, light_texels
 from isogi_core.model.plan import Layer
 from tests.bake.test_look import look_of, plan_of, turned
 from tests.kernels.test_harmonics import basis
 
-RNG = np.random.default_rng(12)
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    """Random numbers, the same for each test."""
+    return np.random.default_rng(12)
 
 
-def ways(count: int) -> np.ndarray:
+def ways(rng: np.random.Generator, count: int) -> np.ndarray:
     """Directions with a cosine about z, of paths that leave; (count, 3)."""
-    u, v = RNG.random((2, count))
+    u, v = rng.random((2, count))
     radius, angle = np.sqrt(u), 2.0 * math.pi * v
     return np.stack([radius * np.cos(angle), radius * np.sin(angle), np.sqrt(1.0 - u)], axis=-1)
 
 
 @pytest.mark.parametrize("order", [1, 2, 6])
-def test_the_square_of_a_light_is_that_of_its_radiance(order: int) -> None:
+def test_the_square_of_a_light_is_that_of_its_radiance(order: int, rng: np.random.Generator) -> None:
     """Against a fine grid: equal steps in z and in azimuth."""
-    light = RNG.normal(size=order**2)
+    light = rng.normal(size=order**2)
     z, angle = (np.arange(400) + 0.5) / 200.0 - 1.0, 2.0 * math.pi * (np.arange(64) + 0.5) / 64
     side = np.sqrt(1.0 - z**2)[:, None]
     grid = np.stack(np.broadcast_arrays(side * np.cos(angle), side * np.sin(angle), z[:, None]), axis=-1)
@@ -36,12 +40,12 @@ def test_the_square_of_a_light_is_that_of_its_radiance(order: int) -> None:
     np.testing.assert_allclose(square_light(light), expected, rtol=2e-3, atol=2e-3)
 
 
-def test_a_texels_spread_is_that_of_its_paths_light() -> None:
+def test_a_texels_spread_is_that_of_its_paths_light(rng: np.random.Generator) -> None:
     """Light of two bands, whose square has three and is wholly known; a third of the paths bring nothing."""
-    light = np.pad(RNG.normal(size=(3, 4)), ((0, 0), (0, 5)))
+    light = np.pad(rng.normal(size=(3, 4)), ((0, 0), (0, 5)))
     colour = np.array([0.2126, 0.7152, 0.0722])
     square = square_light(colour @ light)
-    values = basis(3, ways(3000)) * (RNG.random((3000, 1)) < 2 / 3)
+    values = basis(3, ways(rng, 3000)) * (rng.random((3000, 1)) < 2 / 3)
     transfer = np.float32(values.mean(axis=0))[None, None]
     lit = np.empty((1, 4), np.float32)
     args = (np.float32(light), np.float32(square), lit)
@@ -52,11 +56,11 @@ def test_a_texels_spread_is_that_of_its_paths_light() -> None:
 
 
 @pytest.mark.parametrize("channels", [1, 3])
-def test_the_deviation_of_paths_is_a_mean_over_turns_of_the_light(channels: int) -> None:
+def test_the_deviation_of_paths_is_a_mean_over_turns_of_the_light(channels: int, rng: np.random.Generator) -> None:
     look = look_of(plan_of(Layer("direct", 4, channels)))
     light = Light.dark(look.plan, 6)
     fading = 0.3 ** band_of(4)
-    light.parts[0].coefficients[:] = 0.02 * RNG.normal(size=(6, channels, 16)) * fading
+    light.parts[0].coefficients[:] = 0.02 * rng.normal(size=(6, channels, 16)) * fading
     light.parts[0].coefficients[:, :, 0] = 0.2
     lights, told = turned(look.luminance_light, 3000), path_deviation(light, look)
     second = np.array([square_light(one.sum(axis=0)) for one in lights[:300]])
@@ -67,10 +71,10 @@ def test_the_deviation_of_paths_is_a_mean_over_turns_of_the_light(channels: int)
 
 
 @pytest.mark.parametrize("share", [1.0, 0.6])
-def test_band_0_varies_less_than_its_neighbour_where_paths_bring_alike(share: float) -> None:
+def test_band_0_varies_less_than_its_neighbour_where_paths_bring_alike(share: float, rng: np.random.Generator) -> None:
     """Against the variances of paths that were drawn, of which a ``share`` brings light."""
     count = 100_000
-    values = basis(2, ways(count)) * (RNG.random((count, 1)) < share)
+    values = basis(2, ways(rng, count)) * (rng.random((count, 1)) < share)
     second = np.array([values[:, 0].mean()])
     variances = values.var(axis=0)
     told = evenness(values.mean(axis=0)[None], second, count)

@@ -110,17 +110,16 @@ def test_the_frame_and_the_bake_agree_about_what_is_final() -> None:
 # --- noise told from halves -----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("order", "channels"), [(1, 1), (1, 3), (2, 1), (5, 1), (5, 3)])
-def test_noise_of_halves_is_half_their_difference_pooled_over_bands(order: int, channels: int) -> None:
+@pytest.mark.parametrize("order", [1, 2, 5])
+def test_noise_of_halves_is_half_their_difference_pooled_over_bands(order: int) -> None:
     """A twin in loops: band 0 with a quarter of its neighbour; above it the mean of the bands' mean squares."""
     projected, samples = max(order, 2), 32
-    halves = np.random.default_rng(5).normal(size=(6, 2, channels, projected**2))
+    halves = np.random.default_rng(5).normal(size=(6, 2, projected**2))
     means = halves / (samples / 2)
     noise = noise_of_halves(halves, samples, order)
     assert noise.shape == (6, 1 if order == 1 else 2)
     for texel, told in zip(means, noise, strict=True):
-        squares = [np.mean([((texel[0, c, i] - texel[1, c, i]) / 2) ** 2 for c in range(channels)]) for i in
-                   range(projected**2)]  # fmt: skip
+        squares = [((a - b) / 2) ** 2 for a, b in texel.T]
         assert told[0] == pytest.approx(np.sqrt(0.75 * squares[0] + 0.25 * np.mean(squares[1:4])))
         if order > 1:
             bands = [np.mean([squares[i] for i in np.flatnonzero(band_of(order) == l)]) for l in range(1, order)]
@@ -130,7 +129,7 @@ def test_noise_of_halves_is_half_their_difference_pooled_over_bands(order: int, 
 def test_noise_of_halves_is_the_standard_error_of_their_mean() -> None:
     """Halves of noise whose size is known: on average the estimate is that of all samples together."""
     samples, sigma = 64, 0.3
-    sums = np.random.default_rng(6).normal(size=(4000, 2, 1, 25)) * sigma * np.sqrt(samples / 2)
+    sums = np.random.default_rng(6).normal(size=(4000, 2, 25)) * sigma * np.sqrt(samples / 2)
     told = np.sqrt((noise_of_halves(sums, samples, 5) ** 2).mean(axis=0))
     np.testing.assert_allclose(told, sigma / np.sqrt(samples), rtol=0.03)
 

@@ -19,7 +19,7 @@ from benchmarks.picture_set import PictureSet
 from isogi_core.model.view import quaternion_from_angles
 from server.measure import make_renderer
 
-TINY = ("demo:casting", "--size", "24", "--views", "2", "--turns", "2", "--checks", "2", "--target", "0.5", "--json")
+TINY = ("demo:casting", "--size", "24", "--views", "2", "--turns", "2", "--checks", "2", "--samples", "64", "--json")
 
 
 @pytest.fixture(autouse=True)
@@ -60,10 +60,12 @@ def test_views_are_spread_evenly_and_picks_differ() -> None:
     towards = np.array([pictures.view(i).camera.eye for i in range(36)]) - np.array(scene.volume.centre)
     towards /= np.linalg.norm(towards, axis=1)[:, None]
     cosines = towards @ towards.T - 2.0 * np.eye(36)
-    assert np.degrees(np.arccos(cosines.max(axis=1))).min() > 25.0
-    assert np.abs(towards.mean(axis=0)).max() < 0.02
-    picks = pictures.picks(6)
-    assert len({camera for camera, _ in picks}) == len({turn for _, turn in picks}) == 6
+    assert np.degrees(np.arccos(cosines.max(axis=1))).min() > 17.0
+    assert towards[:, 2].min() > 0.0
+    assert towards.mean(axis=0) == pytest.approx([0.0, 0.0, 0.5], abs=0.03)
+    for views, turns, count in ((36, 12, 6), (36, 5, 5), (3, 10, 3), (30, 30, 5)):
+        picks = PictureSet(scene, 8, views, turns).picks(count)
+        assert len({camera for camera, _ in picks}) == len({turn for _, turn in picks}) == count
     assert len(PictureSet(scene, 8, 2, 2).picks(9)) == 4
 
 
@@ -73,9 +75,9 @@ def test_without_mitsuba_our_side_is_told(monkeypatch: pytest.MonkeyPatch) -> No
     done = CliRunner().invoke(main, [*TINY, "--paths", "32"], catch_exceptions=False)
     figures = json.loads(done.stdout)
     assert figures.pop("mitsuba") == "not installed"
-    assert all(value > 0.0 for value in figures.values())
+    assert all(value >= 0.0 for value in figures.values())
     assert figures["isogi: one view, s"] < figures["isogi: whole set, s"]
-    assert 0.01 < figures["isogi: total error"] < 0.4
+    assert 0.01 < figures["isogi: total error, all pixels"] < 0.4
 
 
 def test_mitsuba_sees_the_light_turned_as_ours_does(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -91,8 +93,8 @@ def test_mitsuba_sees_the_light_turned_as_ours_does(monkeypatch: pytest.MonkeyPa
     mitsuba = mitsuba_race.Mitsuba(scene, PictureSet(scene, 48, 3, 3).view(0))
     best = mitsuba.converge(view, each.best.on)
     other = mitsuba.converge(replace(view, light=quaternion_from_angles(30.0, -60.0, 20.0)), each.best.on)
-    assert likeness([each], [best])["likeness: difference"] < 0.1
-    assert likeness([each], [other])["likeness: difference"] > 0.15
+    assert likeness([each], [best])["picture 1: likeness, difference"] < 0.1
+    assert likeness([each], [other])["picture 1: likeness, difference"] > 0.15
     mitsuba.converge(view, each.best.on)
     reached = mitsuba.reach("multijitter", best, 0.05)
     assert reached.error == pytest.approx(0.05, rel=0.25)

@@ -9,6 +9,7 @@ from click.testing import CliRunner
 
 from benchmarks import points
 from benchmarks.points import Point, error, random, ratios
+from isogi_core.report.reference import STREAM
 
 
 def test_ratios_are_at_equal_time() -> None:
@@ -30,7 +31,7 @@ class Coins:
     """Surfels whose sequences all have one random number, twice as many times as points."""
 
     def light(self, stream: int, sequences: int, points: int) -> np.ndarray:
-        assert points == 1 and stream >= 2 * points
+        assert points == 1 and stream >= 2 * STREAM
         return np.random.default_rng(stream).normal(size=(4000, sequences))
 
 

@@ -70,7 +70,8 @@ def test_the_table_leads_each_texel_to_its_light(look: Look) -> None:
         assert len(set(rows.tolist())) == 147
         np.testing.assert_array_equal(pool.transfer[rows], chunk.light.transfer[lit])
         noise = np.sqrt((deviations(chunk.light, look) ** 2).sum(axis=0))
-        np.testing.assert_array_equal(pool.noise[rows], np.float32(noise[lit] / path_deviation(chunk.light, look)[lit]))
+        scatter = np.float32(noise / path_deviation(chunk.light, look))
+        np.testing.assert_array_equal(pool.scatter[rows], scatter[lit])
         np.testing.assert_array_equal(pool.error[rows], np.float32(relative_error(chunk.light, look)[lit]))
         assert (fewest_samples(pool.stamp[rows], 2) == 16).all()
 
@@ -119,7 +120,7 @@ def test_an_empty_chunk_is_unlit_everywhere(look: Look) -> None:
 @pytest.mark.parametrize("budget", [1 << 21, 10_000_000, 1 << 26])
 def test_the_arrays_stay_within_the_budget(order: int, budget: int) -> None:
     pool = PagePool(look_of(order=order, lattice=0.25), budget)
-    arrays = (pool.transfer, pool.noise, pool.error, pool.stamp, pool.table)
+    arrays = (pool.transfer, pool.scatter, pool.error, pool.stamp, pool.table)
     assert 0.9 * budget < sum(array.nbytes for array in arrays) <= budget
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from isogi_core.files.radiance import write_hdr
 from isogi_core.frame.gbuffer import GBuffer
-from isogi_core.frame.paths import pool, replicas_for, variance_of_mean
+from isogi_core.frame.paths import pooled_variance, replicas_for, variance_of_mean
 from isogi_core.model.scene import Scene
 from isogi_core.model.sky import LUMINANCE
 from tests.frame.conftest import CONSTANT, Workbench, ball, luminance, scene_of
@@ -32,7 +32,7 @@ def test_the_pool_is_a_weighted_mean_over_neighbours_on_the_surface() -> None:
         (BINOMIAL * padded[y : y + 5, x : x + 5]).sum() / (BINOMIAL * weights[y : y + 5, x : x + 5]).sum()
         for y, x in np.argwhere(on)
     ]
-    np.testing.assert_allclose(pool(variance, gbuffer_of(on)), expected, rtol=1e-12)
+    np.testing.assert_allclose(pooled_variance(variance, gbuffer_of(on)), expected, rtol=1e-12)
 
 
 @pytest.mark.parametrize("replicas", [2, 4, 8])
@@ -42,7 +42,7 @@ def test_intervals_of_pooled_variances_hold_gaussian_errors(replicas: int) -> No
     variance = variance_of_mean(means)
     wrong = means.mean(axis=1) @ LUMINANCE - 1.0
     assert variance.mean() == pytest.approx(1.0 / replicas, rel=0.05)
-    held = np.abs(wrong) < 1.96 * np.sqrt(pool(variance, gbuffer_of(on)))
+    held = np.abs(wrong) < 1.96 * np.sqrt(pooled_variance(variance, gbuffer_of(on)))
     assert 0.92 < held.mean() < 0.96
     alone = np.abs(wrong) < 1.96 * np.sqrt(variance)
     assert alone.mean() < held.mean()

@@ -2,8 +2,10 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
+import pytest
 
 from isogi_core.frame.reading import Reading, grade_rows, read_texels
 from isogi_core.frame.tiles import Tiles
@@ -12,7 +14,7 @@ from isogi_core.kernels.planes import CONVERGING, FINAL, PROVISIONAL, Planes
 from isogi_core.model.plan import FEWEST, most_samples
 from isogi_core.model.scene import load_scene
 from isogi_core.model.view import View
-from tests.frame.conftest import CONSTANT, SKY, Workbench
+from tests.frame.conftest import CONSTANT, SKY, Workbench, refine_chunk
 
 TARGET = 0.02
 
@@ -69,6 +71,25 @@ def test_what_is_short_of_final_is_wanted_chunk_by_chunk(workbench: Callable[...
     assert [demand.index for demand in some.demands(wider, planes_of(other, 1.0))] == [
         index for index, short in zip(wider.chunks, some.short, strict=True) if short
     ]
+
+
+def test_efforts_of_chunks_in_pieces_are_those_of_their_texels(
+    workbench: Callable[..., Workbench], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A chunk that lies in two pieces, or in more, has the sum of both."""
+    bench = workbench(load_scene("demo:orbital", lights=[SKY], bounces=1, target_error=1e-3))
+    view = bench.view(size=24)
+    texels = bench.renderer.texels(view, bench.renderer.gbuffer(view))
+    loader = bench.caches.of(view.shading)
+    for demand in bench.renderer.render(view).demands[::2]:
+        refine_chunk(loader, 16, bench.scene.target_error, demand)
+    whole = reading_of(bench, view, Tiles(1))
+    monkeypatch.setattr("isogi_core.frame.reading.PIECE", 7)
+    pieces = reading_of(bench, view, Tiles(2))
+    assert np.array_equal(pieces.efforts, whole.efforts) and len(whole.efforts) == len(texels.chunks)
+    unlit = [int((whole.rows[a:b] == UNLIT).sum()) for a, b in pairwise(texels.bounds.tolist())]
+    assert whole.efforts[:, 0].tolist() == unlit and 0 < sum(unlit) < len(whole.rows)
+    assert (whole.efforts[np.array(unlit) == 0, 1] > 0.0).all()
 
 
 def test_threads_change_no_reading(workbench: Callable[..., Workbench]) -> None:

@@ -246,3 +246,17 @@ def test_nobody_waits_for_a_cancelled_frame(orbital: Workbench) -> None:
         with pytest.raises(Cancelled):
             orbital.again().renderer.render(orbital.view(shading=shading), cancelled=cancelled)
     assert orbital.renderer.render(orbital.view()).coverage["final"] == 1.0
+
+
+@pytest.mark.parametrize("rotating", [True, False])
+def test_errors_do_not_depend_on_how_bright_the_light_is(rotating: bool, tmp_path: Path) -> None:
+    """Squares of these lights are nothing, or more, in single floats."""
+    frames = []
+    for scale in (2.0**-100, 1.0, 2.0**100):
+        lights = [{**SKY, "scale": scale}]
+        bench = Workbench(load_scene("demo:orbital", lights=lights, bounces=1, rotating=rotating), tmp_path)
+        frames.append(bench.bake(bench.view(size=24), LOOSE))
+    for frame in frames:
+        assert np.isfinite(frame.radiance).all() and frame.radiance.any()
+        np.testing.assert_allclose(frame.error, frames[1].error, rtol=1e-4)
+        assert 0.0 < frame.estimated_error == pytest.approx(frames[1].estimated_error, rel=1e-4)

@@ -203,7 +203,7 @@ def test_light_of_a_texel_is_the_dot_product_of_transfer_and_light(channels, ord
     assert (lit[~there] == -7.0).all(), "texels without a row are left alone"
 
 
-def carry(points, grade, lit, normals=None, order=3):
+def carry(points, grade, lit, normals=None, order=3, unit=1.0):
     """`carry_light`: radiance (n, 3), state (n,), error (n,), and the sky it was given."""
     sky = Sky(order, np.repeat(cosine_lobe_factors(order) / math.pi, 2 * np.arange(order) + 1), SKY_LIGHT)
     _, _, corners = view_of(points)
@@ -211,7 +211,7 @@ def carry(points, grade, lit, normals=None, order=3):
     planes = Planes(np.zeros((size, 3), np.float32), np.zeros(size, np.uint8), np.zeros(size, np.float32))
     pixels = np.arange(1, size, 3, dtype=np.uint32)
     normals = np.zeros_like(points) if normals is None else normals
-    carry_light(lattice(), points, pixels, corners, grade, lit, normals, sky, planes)
+    carry_light(lattice(), points, pixels, corners, grade, lit, normals, sky, np.float32(unit), planes)
     assert not planes.state[::3].any() and not planes.radiance[2::3].any(), "other pixels are left alone"
     return tuple(plane[pixels] for plane in planes)
 
@@ -240,6 +240,17 @@ def test_carried_light_is_scipys_linear_interpolation_of_the_texels():
     np.testing.assert_allclose(radiance, expected, atol=2e-5)
     assert (state == FINAL).all()
     assert (error < 1.0).any()
+
+
+@pytest.mark.parametrize("unit", [2.0**-100, 2.0**100])
+def test_light_is_carried_in_units(unit):
+    points = border_points()
+    grade, lit = lit_view(points)
+    grade[::3] = UNBAKED
+    up = np.tile(np.array([0.0, 0.0, 1.0], np.float32), (len(points), 1))
+    one, other = (carry(points, grade, lit, up, unit=each) for each in (1.0, unit))
+    assert np.array_equal(other[0], one[0] * np.float32(unit))
+    assert all(np.array_equal(*pair) for pair in zip(one[1:], other[1:], strict=True))
 
 
 def test_error_is_the_root_of_the_weighted_squares_over_the_luminance():

@@ -95,13 +95,23 @@ def test_a_file_of_something_else_or_of_nothing_is_refused(bench: Workbench, tmp
         (with_bounces(bench.scene, 3), view),
         (load_scene("demo:orbital", albedo=[0.8, 0.6, 0.4], bounces=2, normals="gradient", lights=[SKY]), view),
     ):
-        with pytest.raises(ReportError, match=r"orbital at 0\.03, 16 × 16 pixels, 2 bounces"):
+        with pytest.raises(ReportError, match=r"orbital at 0\.03, 16 × 16 pixels, 2 bounces, bspline normals"):
             load_reference(path, scene, other)
     whole = path.read_bytes()
     for damaged in (b"", whole[: len(whole) // 2], b"PK" + bytes(1000)):
         path.write_bytes(damaged)
         with pytest.raises(ReportError, match=r"a\.npz is no whole reference"):
             load_reference(path, bench.scene, view)
+
+
+def test_a_file_of_another_version_is_told_as_such(
+    bench: Workbench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    view, path = bench.view(size=8), tmp_path / "a.npz"
+    save_reference(path, trace_reference(bench.renderer, view, 8), bench.scene, view)
+    monkeypatch.setattr("isogi_core.report.reference.FORMAT", 2)
+    with pytest.raises(ReportError, match="another version of isogi"):
+        load_reference(path, bench.scene, view)
 
 
 @pytest.mark.parametrize(("albedo", "bounces"), [(0.7, 19), (0.0, 0), (1.0, 64), ([0.2, 0.5, 0.1], 9)])
