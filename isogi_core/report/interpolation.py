@@ -7,7 +7,7 @@ import numpy as np
 
 from isogi_core.bake.light import Light
 from isogi_core.bake.moments import path_deviation
-from isogi_core.bake.noise import standard_error
+from isogi_core.bake.noise import DARKEST, standard_error
 from isogi_core.bake.refine import locate
 from isogi_core.cache.pages import marks_of
 from isogi_core.frame.surroundings import Turned
@@ -112,10 +112,10 @@ def lit_texels(light: Light, turned: Turned) -> np.ndarray:
     """Linear RGB and standard error of each texel's luminance under ``turned`` lights, as frames have them; (t, 4)."""
     look, lit = turned.look, np.empty((len(light), 4), np.float32)
     transfer = np.ascontiguousarray(light.transfer[:, :, : look.order**2], np.float32)
-    noise = standard_error(light, look) / np.maximum(path_deviation(light, look), 1e-30)
-    lights = (np.ascontiguousarray(each, np.float32) for each in (turned.reflected, turned.square))
-    light_texels(np.arange(len(light), dtype=np.int32), transfer, noise.astype(np.float32), *lights, lit)
-    return lit
+    scatter = standard_error(light, look) / np.maximum(path_deviation(light, look), DARKEST * look.unit)
+    lights = (np.ascontiguousarray(each, np.float32) for each in (turned.reflected / look.unit, turned.square))
+    light_texels(np.arange(len(light), dtype=np.int32), transfer, scatter.astype(np.float32), *lights, lit)
+    return np.asarray(lit * look.unit)
 
 
 def carry(around: Neighbourhood, weights: np.ndarray) -> Lit:

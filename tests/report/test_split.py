@@ -50,14 +50,14 @@ def test_the_noise_part_is_what_the_frame_tells(under_sky: Bench) -> None:
     assert 0.75 < split.spread(split.parts[0]).rmse / told < 1.33
 
 
-def test_what_two_references_share_is_not_noise(under_sky: Bench) -> None:
+def test_what_two_references_share_is_not_noise(make_bench: Callable[..., Bench]) -> None:
     """Of other normals' pictures with 64 paths, against the same with many more."""
-    bare = true_surface(under_sky.scene)
-    few, many = (apart(under_sky.reference(n), under_sky.reference(n, bare)) for n in (64, 4096))
-    told, met = few.noise.mean(), ((few.light - many.light) ** 2).mean()
-    assert 0.5 < told / met < 2.0
-    apiece = lit_by_paths(under_sky.reference(64)).noise + lit_by_paths(under_sky.reference(64, bare)).noise
-    assert told < apiece.mean()
+    bench = make_bench()
+    few, many = ((bench.reference(n), bench.reference(n, true_surface(bench.scene))) for n in (64, 4096))
+    change, exact = apart(*few), apart(*many)
+    met = ((change.light - exact.light) ** 2).mean()
+    assert 0.5 < change.noise.mean() / met < 2.0
+    assert change.noise.mean() < sum(lit_by_paths(each).noise.mean() for each in few)
 
 
 def test_normals_and_offset_are_told_apart(under_sky: Bench) -> None:
