@@ -11,7 +11,7 @@ from isogi_core.bake.precision import FIRST_RUNG
 from isogi_core.bake.recipe import Index
 from isogi_core.cache.costs import Costs
 from isogi_core.frame.texels import Demand
-from isogi_core.model.plan import ScenePlan
+from isogi_core.model.plan import FEWEST, ScenePlan, most_samples
 from isogi_core.model.source import SceneSource
 from worker.outlook import Outlook, TimeLeft
 from worker.queue import BakeQueue, Key, Want
@@ -119,7 +119,8 @@ class Baker:
     def _seconds(self, scene: str, wants: Sequence[Want]) -> list[float] | None:
         """Processor seconds that each of the wants will take; None where nothing is known.
 
-        A texel without light is taken to need as many paths as others of the bake did, or will.
+        A texel without light is taken to need as many paths as others of the bake did, or will; these may have been
+        lit elsewhere, or for another target, so that it is held to what the want's own target is worth.
         """
         costs = self._bakes[scene].costs
         total, left = costs.total, sum(want.effort.left for want in wants)
@@ -127,9 +128,9 @@ class Baker:
         if None in rates or (not total.texels and any(want.effort.unlit for want in wants)):
             return None
         texels = max(total.texels, 1)
-        more, first = (total.paths + left) / texels - FIRST_RUNG, total.first / texels
+        usual, first = (total.paths + left) / texels, total.first / texels
         return [
-            rate * (want.effort.left + more * want.effort.unlit) + first * want.effort.unlit
+            rate * (want.effort.left + paths_after_first(usual, want) * want.effort.unlit) + first * want.effort.unlit
             for rate, want in zip(rates, wants, strict=True)
             if rate is not None
         ]
@@ -171,3 +172,8 @@ class Baker:
         log.warning("baking chunk %s of %s failed: %s", index, scene, error)
         if self._queue.fail(key, f"Chunk {index} of {scene} cannot be baked: {error}"):
             log.error("chunk %s of %s is given up for a while", index, scene)
+
+
+def paths_after_first(usual: float, want: Want) -> float:
+    """Paths after its first light of a texel that has none yet, where others take so many as is ``usual``."""
+    return min(max(usual, FEWEST), most_samples(want.target)) - FIRST_RUNG

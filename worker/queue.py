@@ -64,18 +64,25 @@ class Want:
 
     def grow(self, demand: Demand, target: float, view: int, now: float) -> None:
         """Take in what a newer ``view`` demands of the same chunk."""
-        if target < self.target or not np.isin(demand.offsets, self.offsets).all():
+        same = np.array_equal(demand.offsets, self.offsets)
+        if target < self.target or not (same or np.isin(demand.offsets, self.offsets).all()):
             self.least = None
-        offsets = np.union1d(self.offsets, demand.offsets)
+        offsets = self.offsets if same else np.union1d(self.offsets, demand.offsets)
         views = (self.offsets, self.footprints), (demand.offsets, demand.footprints)
         self.offsets, self.footprints = offsets, most_seen(offsets, *views)
         self.target = min(self.target, target)
         self.worth, self.effort, self.view, self.asked = worth_of(demand), demand.effort, view, now
 
     def descend(self, result: BakeResult, grown: bool) -> None:
-        """Take in what a task left; the next one goes further down, or lights what has come to it."""
+        """Take in what a task left: the next one goes further down.
+
+        What a newer view has told meanwhile of a want that has ``grown`` stands, and its new texels are lit first.
+        """
+        if grown:
+            self.least = None
+            return
         self.worth, self.effort = result.worth, result.effort
-        self.least = None if grown else STEP * result.worth
+        self.least = STEP * result.worth
 
 
 def worth_of(demand: Demand) -> float:

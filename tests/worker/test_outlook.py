@@ -46,9 +46,10 @@ def test_predictions_are_corrected_by_what_came_of_earlier_ones(outlook: Outlook
     first = watch(outlook, clock, "view", 40, 3.0)
     assert first[0].likely == 40.0
     assert first[-2].likely == pytest.approx(3.0)
-    assert outlook.tell("another", 10.0).low > 25.0
-    for _ in range(2):
-        watch(outlook, clock, "view", KEPT, 3.0)
+    before = outlook.tell("another", 10.0)
+    assert before.low < before.likely == pytest.approx(30.0)
+    for turn in range(KEPT):
+        watch(outlook, clock, f"view {turn}", 40, 3.0)
     sure = outlook.tell("another", 10.0)
     assert (sure.low, sure.likely, sure.high) == pytest.approx((30.0, 30.0, 30.0))
 
@@ -70,8 +71,26 @@ def test_a_view_that_was_left_is_not_judged(outlook: Outlook, clock: Clock) -> N
     assert outlook.tell("view", 10.0) == before
 
 
+def test_a_view_that_nobody_works_on_teaches_nothing(outlook: Outlook, clock: Clock) -> None:
+    before = outlook.tell("view", 1.0)
+    for _ in range(200):
+        clock.now += 0.5
+        assert outlook.tell("view", 1.0) == before
+
+
+def test_views_that_take_turns_are_each_judged(outlook: Outlook, clock: Clock) -> None:
+    before = outlook.tell("another", 1.0)
+    for left in range(20, -1, -1):
+        clock.now += 6.0
+        for subject in ("one", "other"):
+            outlook.tell(subject, float(left))
+    assert outlook.tell("another", 1.0).likely == pytest.approx(6.0)
+    assert before.likely == 1.0
+
+
 def test_what_is_overdue_is_judged_before_it_is_done(outlook: Outlook, clock: Clock) -> None:
     before = outlook.tell("view", 10.0)
-    clock.now += max(PRIOR) * 10.0
-    after = outlook.tell("view", 10.0)
-    assert after.likely > before.likely and after.high > 2.0 * before.high
+    for _ in range(8):
+        clock.now += max(PRIOR) / 2
+        after = outlook.tell("view", 10.0 * 0.99)
+    assert after.likely / 0.99 > before.likely or after.high / 0.99 > before.high

@@ -173,10 +173,10 @@ def test_what_grew_while_flying_stays_wanted(queue: BakeQueue, texels: tuple[int
     flown = queue.take()
     assert flown is not None
     offsets, former = flown.offsets, flown.target
-    want(queue, (1, 1.0), texels=texels, target=target)
+    want(queue, (1, 50.0), (2, 20.0), texels=texels, target=target)
     queue.finish(key(1), offsets, former, DONE)
     again = queue.take()
-    assert again is not None
+    assert again is not None and again.key == key(1)
     assert set(again.offsets.tolist()) == {1, 2, 3, *texels}
     assert again.target == min(0.1, target)
     assert again.least is None
