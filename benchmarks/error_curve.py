@@ -1,4 +1,4 @@
-"""Errors of pictures, and how they fall: as power laws, and as curves over what they cost."""
+"""Errors of pictures, and the power laws by which they fall."""
 
 import math
 from collections.abc import Sequence
@@ -41,13 +41,3 @@ class PowerLaw:
     def through(self, count: int, error: float) -> "PowerLaw":
         """The law of the same power that goes through a point."""
         return PowerLaw(error * count**self.power, self.power)
-
-
-def error_at(seconds: float, taken: Sequence[float], errors: Sequence[float]) -> float:
-    """The error after so many ``seconds``: straight between the logarithms of what was measured, ``taken`` rising.
-
-    NaN outside of what was measured.
-    """
-    if not taken[0] <= seconds <= taken[-1]:
-        return math.nan
-    return float(np.exp(np.interp(math.log(seconds), np.log(taken), np.log(errors))))

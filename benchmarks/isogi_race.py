@@ -1,19 +1,24 @@
 """isogi's side of a race to equal error: a set of pictures from nothing, and how wrong some of them are in all."""
 
 import tempfile
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
 from tqdm import tqdm
 
-from benchmarks.cost import Cost
 from benchmarks.error_curve import relative_rmse, without
 from benchmarks.picture_set import Pick, PictureSet
-from benchmarks.plans import LONGEST, bake
+from benchmarks.seconds import Seconds
+from isogi_core.bake.recipe import Index
+from isogi_core.bake.refine import refine
 from isogi_core.frame.frame import Frame
+from isogi_core.frame.renderer import Renderer
 from isogi_core.model.scene import Scene
 from isogi_core.model.view import View
-from isogi_core.report.reference import Reference, trace_reference
+from isogi_core.report.bake import NEVER
+from isogi_core.report.reference import Reference, trace_reference, with_bounces
 from server.measure import make_renderer
 
 SMALL = 8
@@ -22,84 +27,121 @@ SMALL = 8
 
 @dataclass(frozen=True, eq=False)
 class Check:
-    """A picture of the set as isogi has ``lit`` it, and as long paths from each pixel show it at ``best``."""
+    """A picture of the set as isogi has ``lit`` it, and as long paths from each pixel show it at ``best``.
+
+    ``outside`` (h, w) bool are the pixels that show the surface's outer side.
+    """
 
     lit: Frame
     best: Reference
+    outside: np.ndarray
 
-    @property
-    def error(self) -> float:
-        """isogi's total error: relative RMSE over surface pixels, without the reference's own noise."""
-        return without(relative_rmse(self.lit.radiance, self.best.mean, self.best.on), self.best.noise)
+    def error(self, on: np.ndarray) -> float:
+        """isogi's total error: relative RMSE over the pixels ``on``, without the reference's own noise there."""
+        return without(relative_rmse(self.lit.radiance, self.best.mean, on), replace(self.best, on=on).noise)
+
+    def noise(self, on: np.ndarray) -> float:
+        """The part of it that is noise of samples, as the frame estimates it."""
+        wrong = self.lit.error[..., None] * self.lit.radiance
+        return relative_rmse(self.lit.radiance + wrong, self.lit.radiance, on)
 
 
 @dataclass(frozen=True)
 class Costs:
-    """What was spent from nothing: to the ``first`` picture, and on ``baking`` and ``rendering`` the whole set."""
+    """What was spent from nothing: on the ``first`` picture alone, and on ``baking`` and ``rendering`` the set."""
 
-    first: Cost
-    baking: Cost
-    rendering: Cost
+    first: Seconds
+    baking: Seconds
+    rendering: Seconds
 
     @property
-    def whole(self) -> Cost:
+    def whole(self) -> Seconds:
         """What the whole set cost."""
         return self.baking + self.rendering
 
 
 class Isogi:
-    """A renderer over an empty ``store`` that bakes light until each texel has the relative error ``target``."""
+    """A renderer over an empty ``store`` whose texels take ``samples`` each; ``baking`` and ``rendering`` are timed."""
 
-    def __init__(self, scene: Scene, store: str, target: float) -> None:
+    def __init__(self, scene: Scene, store: str, samples: int) -> None:
         """Nothing is made yet: maps are made when the first view needs them, and that is counted."""
-        self.renderer, self.target = make_renderer(scene, store), target
-        self.baking, self.rendering = Cost(), Cost()
+        self.renderer, self.samples = make_renderer(scene, store), samples
+        self.baking, self.rendering = Seconds(), Seconds()
 
-    def bake(self, view: View) -> None:
-        """Bake what a view lacks, and keep it in the store."""
+    def bake(self, views: Sequence[View]) -> None:
+        """Bake what the views read, each chunk once for all of them, and keep it in the store."""
         with self.baking.counting():
-            demands = self.renderer.render(view, self.target).demands
-            loader = self.renderer.caches.of(view.shading)
-            self.renderer.tiles.run(lambda a, b: bake(loader, demands[a:b], self.target), len(demands), 1)
+            wanted = list(self._read_by(views).items())
+            with tqdm(desc="isogi bakes", unit="chunk", total=len(wanted), disable=len(views) < 2) as bar:
+
+                def piece(a: int, b: int) -> None:
+                    for index, offsets in wanted[a:b]:
+                        self._bake_chunk(index, offsets)
+                        bar.update()
+
+                self.renderer.tiles.run(piece, len(wanted), 1)
 
     def frame(self, view: View) -> Frame:
         """The picture of a view."""
         with self.rendering.counting():
-            return self.renderer.render(view, self.target)
+            return self.renderer.render(view)
 
-    def frames(self, pictures: PictureSet, first: int) -> Iterator[tuple[Pick, Frame]]:
-        """All pictures of a set, camera by camera, beginning with the ``first``."""
-        cameras = sorted(range(pictures.views), key=lambda camera: camera != first)
-        for camera in tqdm(cameras, desc="isogi", unit="view"):
-            self.bake(pictures.view(camera))
-            for turn in range(pictures.turns):
-                yield (camera, turn), self.frame(pictures.view(camera, turn))
+    def _read_by(self, views: Sequence[View]) -> dict[Index, np.ndarray]:
+        """The texels that some of the views read: offsets, chunk by chunk."""
+        found: defaultdict[Index, list[np.ndarray]] = defaultdict(list)
+        for view in tqdm(views, desc="isogi looks", unit="view", disable=len(views) < 2):
+            texels = self.renderer.texels(view, self.renderer.gbuffer(view))
+            for index, offsets in zip(texels.chunks, texels.offsets, strict=True):
+                found[index].append(offsets)
+        return {index: np.unique(np.concatenate(parts)) for index, parts in found.items()}
+
+    def _bake_chunk(self, index: Index, offsets: np.ndarray) -> None:
+        loader = self.renderer.caches.of("gi")
+        chunk = loader.store.load(index).with_texels(offsets)
+        refine(chunk.light, chunk.positions(chunk.offsets), loader.store.look, self.samples, NEVER)
+        loader.store.save(chunk)
+        loader.refresh(index)
 
 
-def run(pictures: PictureSet, target: float, picks: Sequence[Pick]) -> tuple[list[Frame], Costs]:
-    """Render the whole set on an empty store, beginning with the first of ``picks``; the frames of these."""
-    kept: dict[Pick, Frame] = {}
-    first: Cost | None = None
+def run(pictures: PictureSet, samples: int, picks: Sequence[Pick]) -> tuple[list[Frame], Costs]:
+    """Render the first of ``picks`` on an empty store, and the whole set on another; the frames of all picks."""
     with tempfile.TemporaryDirectory() as store:
-        isogi = Isogi(pictures.scene, store, target)
-        for pick, frame in isogi.frames(pictures, picks[0][0]):
-            first = first or isogi.baking + isogi.rendering
-            if pick in picks:
-                kept[pick] = frame
-    return [kept[pick] for pick in picks], Costs(first or Cost(), isogi.baking, isogi.rendering)
+        one = Isogi(pictures.scene, store, samples)
+        one.bake([pictures.view(*picks[0])])
+        one.frame(pictures.view(*picks[0]))
+    with tempfile.TemporaryDirectory() as store:
+        every = Isogi(pictures.scene, store, samples)
+        every.bake([pictures.view(camera) for camera in range(pictures.views)])
+        kept = {pick: frame for pick, frame in frames(every, pictures) if pick in picks}
+    return [kept[pick] for pick in picks], Costs(one.baking + one.rendering, every.baking, every.rendering)
 
 
-def warm(pictures: PictureSet, target: float) -> None:
+def frames(isogi: Isogi, pictures: PictureSet) -> Iterator[tuple[Pick, Frame]]:
+    """All pictures of a set, camera by camera."""
+    with tqdm(desc="isogi renders", unit="picture", total=len(pictures), disable=len(pictures) < 3) as bar:
+        for pick in np.ndindex(pictures.views, pictures.turns):
+            yield (pick[0], pick[1]), isogi.frame(pictures.view(*pick))
+            bar.update()
+
+
+def warm(pictures: PictureSet, samples: int) -> None:
     """Compile the kernels, on pictures so small that they take no time."""
     tiny = replace(pictures, size=SMALL, views=1, turns=min(pictures.turns, 2))
-    frames, _ = run(tiny, target, tiny.picks(1))
-    check(tiny.scene, frames, 8)
+    lit, _ = run(tiny, samples, tiny.picks(1))
+    check(tiny.scene, lit, 8)
 
 
-def check(scene: Scene, frames: Sequence[Frame], paths: int) -> list[Check]:
-    """The frames with their references: so many ``paths`` from each pixel, with more bounces than the scene has."""
-    longer = replace(scene, plan=replace(scene.plan, bounces=max(scene.bounces, LONGEST), survival=1.0))
+def check(scene: Scene, lit: Sequence[Frame], paths: int) -> list[Check]:
+    """The frames with their references: so many ``paths`` from each pixel, with all the bounces that matter."""
     with tempfile.TemporaryDirectory() as store:
-        renderer = make_renderer(longer, store)
-        bar = tqdm(frames, desc="references", unit="picture", disable=len(frames) < 2)
-        return [Check(lit, trace_reference(renderer, lit.view, paths)) for lit in bar]
+        renderer = make_renderer(with_bounces(scene), store)
+        bar = tqdm(lit, desc="references", unit="picture", disable=len(lit) < 2)
+        return [Check(each, trace_reference(renderer, each.view, paths), outside(each, renderer)) for each in bar]
+
+
+def outside(frame: Frame, renderer: Renderer) -> np.ndarray:
+    """Which pixels show the outer side of the surface: where its normal points towards the eye; (h, w) bool."""
+    gbuffer, seen = frame.gbuffer, np.zeros(frame.state.size, np.bool_)
+    towards = frame.view.camera.eye - gbuffer.points * np.array(gbuffer.spacing)
+    seen[gbuffer.pixels] = (gbuffer.normals(renderer.recipe, renderer.tiles, None) * towards).sum(axis=1) > 0.0
+    return seen.reshape(gbuffer.shape)

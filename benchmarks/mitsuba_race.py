@@ -3,12 +3,13 @@
 import os
 from dataclasses import dataclass
 
+import click
 import numpy as np
 
 from benchmarks import mesh
-from benchmarks.cost import Cost
 from benchmarks.error_curve import PowerLaw, relative_rmse, without
 from benchmarks.mitsuba_scene import SAMPLERS, PathTracer
+from benchmarks.seconds import Seconds
 from isogi_core.model.scene import Scene
 from isogi_core.model.view import View
 
@@ -16,7 +17,7 @@ VARIANT = "llvm_ad_rgb"
 CURVE = (4, 16, 64)
 """Samples per pixel at which the error is measured first."""
 
-CONVERGED = 576
+CONVERGED = 256
 """Samples per pixel of each of the two pictures whose mean is the converged one."""
 
 INSIDE = 0.999
@@ -25,10 +26,13 @@ INSIDE = 0.999
 
 @dataclass(frozen=True)
 class Reached:
-    """What a picture took to the ``error`` that it has, near the one ``wanted``: samples per pixel, and their cost."""
+    """What a picture takes to the error ``wanted``: samples per pixel, and their cost.
+
+    That is of a picture drawn with nearly so many, which has the ``error``, in proportion to the samples.
+    """
 
     samples: int
-    cost: Cost
+    cost: Seconds
     error: float
     wanted: float
 
@@ -53,7 +57,7 @@ class Mitsuba:
         """Make mesh and scene, once for each sampler, and compile the kernels with a picture of one sample."""
         self.tracers: dict[str, PathTracer] = {}
         for sampler in SAMPLERS:
-            self.set_up = Cost()
+            self.set_up = Seconds()
             with self.set_up.counting():
                 self._add(scene, view, sampler)
             draw(self.tracers[sampler], 1, 0)
@@ -68,18 +72,24 @@ class Mitsuba:
         return Converged(mean, relative_rmse(one, mean, inside), inside)
 
     def reach(self, sampler: str, best: Converged, wanted: float) -> Reached:
-        """Draw what was last looked at with so many samples that its error is as ``wanted``."""
+        """Draw what was last looked at with so many samples that its error is near the one ``wanted``, above 0.
+
+        Raises ClickException where there is no error to reach, or none left to measure.
+        """
 
         def _error(samples: int) -> float:
-            return best.error(draw(self.tracers[sampler], samples, 3))
+            return measured(best, draw(self.tracers[sampler], samples, 3))
 
+        if not wanted > 0.0:
+            raise click.ClickException("isogi's error is below its reference's noise: raise --paths.")
         law = PowerLaw.fit(CURVE, [_error(samples) for samples in CURVE])
         near = law.count_for(wanted)
-        samples = law.through(near, _error(near)).count_for(wanted)
-        cost = Cost()
+        cost = Seconds()
         with cost.counting():
-            picture = draw(self.tracers[sampler], samples, 4)
-        return Reached(samples, cost, best.error(picture), wanted)
+            picture = draw(self.tracers[sampler], near, 4)
+        error = measured(best, picture)
+        samples = law.through(near, error).count_for(wanted)
+        return Reached(samples, cost * (samples / near), error, wanted)
 
     def _add(self, scene: Scene, view: View, sampler: str) -> None:
         points, triangles = mesh.make_mesh(scene.volume, scene.volume.normalise_isovalue(scene.isovalue))
@@ -91,3 +101,11 @@ class Mitsuba:
 def draw(tracer: PathTracer, samples: int, seed: int) -> np.ndarray:
     """A picture on all cores."""
     return tracer.picture(samples, os.cpu_count() or 1, seed)
+
+
+def measured(best: Converged, picture: np.ndarray) -> float:
+    """The error of a picture; ClickException where the converged one's own noise hides it."""
+    error = best.error(picture)
+    if not error > 0.0:
+        raise click.ClickException("Mitsuba's error is below the noise of its converged picture: choose fewer samples.")
+    return error

@@ -31,8 +31,9 @@ from isogi_core.kernels.intersect import OUTSIDE
 from isogi_core.model.plan import Layer
 from isogi_core.model.scene import Scene
 from isogi_core.model.view import View
+from isogi_core.report.bake import NEVER
 from isogi_core.report.turns import Candidate, medians, timed
-from server.measure import NEVER, Rays, bake_pieces, bounce, make_renderer, primary_rays, view_of
+from server.measure import Rays, bake_pieces, bounce, make_renderer, primary_rays, view_of
 
 ALBEDO, SEGMENTS, ORDER = 0.7, 5, 5
 TEXELS, SAMPLES = 16384, 64

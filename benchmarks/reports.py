@@ -17,7 +17,7 @@ from isogi_core.model.scene import Scene, build_scene
 from isogi_core.model.source import SceneSource
 from server.cli import duration
 from server.measure import view_of
-from server.report.command import Wishes, report_of, sentence
+from server.report.command import STAND, Wishes, report_of, sentence
 
 DOCS = Path(__file__).parents[1] / "docs"
 
@@ -42,9 +42,14 @@ class Subject:
     light: str
 
     @property
+    def scene(self) -> str:
+        """What a person calls its scene."""
+        return f"{self.volume} under {self.light}"
+
+    @property
     def name(self) -> str:
         """What a person calls it."""
-        return f"{self.volume} under {self.light}"
+        return f"{self.scene} at {self.isovalue:g}"
 
     @property
     def folder(self) -> str:
@@ -52,11 +57,15 @@ class Subject:
         return f"{self.volume}-{self.isovalue:g}-{self.light}".lower().replace(" ", "-")
 
 
-SUBJECTS = (
-    *(Subject("engine", isovalue, light) for isovalue in (70, 170) for light in LIGHTS),
-    Subject("CT head", 110, "uffizi"),
-    Subject("MNI brain", 90, "grace"),
-)
+ENGINES = tuple(Subject("engine", isovalue, light) for isovalue in (70, 170) for light in LIGHTS)
+OTHERS = (Subject("CT head", 110, "uffizi"), Subject("MNI brain", 90, "grace"))
+SUBJECTS = (*ENGINES, *OTHERS)
+
+PICTURED = (ENGINES[0], *OTHERS)
+"""Subjects that docs/error.md shows pictures of."""
+
+CURVED = ENGINES[: len(LIGHTS)]
+"""Subjects that docs/error.md shows the curves of error against run time of."""
 
 
 @click.command()
@@ -66,18 +75,20 @@ SUBJECTS = (
 def main(output: Path, size: int, deadline: float | None) -> None:
     """Make every report, in folders of OUTPUT, and write docs/error.md from them."""
     for subject in SUBJECTS:
-        click.echo(f"{subject.name} at {subject.isovalue:g}", err=True)
+        click.echo(subject.name, err=True)
         facts = make(subject, output / subject.folder, size, deadline)
         click.echo(sentence(facts), err=True)
         if facts["stopped"]:
             raise click.Abort
-    write_summary(DOCS, {f"{each.name} at {each.isovalue:g}": output / each.folder for each in SUBJECTS})
+    folders = {each.name: output / each.folder for each in SUBJECTS}
+    write_summary(DOCS, folders, [each.name for each in PICTURED], [each.name for each in CURVED])
 
 
 def make(subject: Subject, folder: Path, size: int, deadline: float | None) -> dict[str, Any]:
     """The report of a subject: what the command would tell of it."""
     scene = scene_of(subject)
-    return report_of(scene, view_of(scene, size), scene.default_exposure, Wishes(folder, deadline), time.monotonic())
+    view = view_of(scene, size, camera=scene.camera(**STAND, fov=30.0))
+    return report_of(scene, view, scene.default_exposure, Wishes(folder, deadline), time.monotonic())
 
 
 def scene_of(subject: Subject) -> Scene:
@@ -87,7 +98,7 @@ def scene_of(subject: Subject) -> Scene:
         raise click.ClickException("There are no shared volumes: set ISOGI_SHARED_DATA to a folder that has them.")
     light = dict(LIGHTS[subject.light])
     settings = {"volume": VOLUMES[subject.volume], "isovalue": subject.isovalue, "albedo": 0.7, "lights": [light]}
-    return build_scene(SceneSource(subject.name, settings, data))
+    return build_scene(SceneSource(subject.scene, settings, data))
 
 
 if __name__ == "__main__":

@@ -68,11 +68,11 @@ class OneByOne:
 def main(target: str | None, size: int, views: int, error: float, every: float, as_json: bool) -> None:
     """Bake views and compare what was told with what came."""
     load_kernels(KINDS)
-    scene, pool, figures = benchmark_scene(target), OneByOne(), {}
-    with tempfile.TemporaryDirectory() as folder, closing(Studio([scene], folder, 1)) as studio:
-        studio.baker = Baker(lambda: pool.seconds)
+    scene, pool, figures = benchmark_scene(target), OneByOne(), dict[str, float]()
+    baker = Baker(lambda: pool.seconds)
+    with tempfile.TemporaryDirectory() as folder, closing(Studio([scene], folder, baker=baker)) as studio:
         studio.start(hire=False)
-        studio.baker.employ(pool)
+        baker.employ(pool)  # type: ignore[arg-type]
         for number in range(views):
             camera = scene.camera(40.0 + TURN * number, 30.0, 3.0, 30.0)
             told = watch(studio, pool, replace(view_of(scene, size), camera=camera), error, every)

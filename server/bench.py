@@ -147,9 +147,9 @@ class Bench:
         }
 
     def _texels(self) -> Iterator[np.ndarray]:
-        """Texels of the view, (m, 3), chunk by chunk, those that cover most of it first."""
+        """Texels of the view, (m, 3), chunk by chunk, those of which it reads most first."""
         count = 0
-        for demand in sorted(self.frame.demands, key=lambda demand: -demand.weight):
+        for demand in sorted(self.frame.demands, key=lambda demand: -len(demand.offsets)):
             if count < TEXELS:
                 count += len(demand.offsets)
                 yield Chunk.empty(demand.index, self.scene.plan).positions(demand.offsets)

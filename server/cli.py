@@ -33,11 +33,18 @@ VIEW_OPTIONS = {
     "exposure": "Factor on radiance before the tone curve.",
     "samples": "Paths per pixel, for path_traced.",
 }
+REPORT_OPTIONS = {
+    **{name: text for name, text in VIEW_OPTIONS.items() if name not in ("width", "height", "shading", "samples")},
+    "azimuth": "Degrees; 0 looks from +x, 90 from +y; default: 40.",
+    "elevation": "Degrees above the xy plane; default: 30.",
+    "distance": "From the volume's centre, in radii of its bounding sphere; default: 2.2.",
+}
 WORK_OPTIONS = {
     "workers": "Baking processes; default: one per core.",
     "store": "Path or URL of the cache; default: the user's cache folder.",
     "scheduler": "Address of a Dask scheduler to bake on, instead of own workers.",
 }
+BAKING_TIME = "Stop baking after so long: 90, 90s, 10m or 1h; to look at all views, before and after, comes on top."
 Command = Callable[..., Any]
 
 
@@ -95,7 +102,7 @@ def number(low: float, high: float) -> Callable[[click.Context, click.Parameter,
 
 def duration(_: click.Context, __: click.Parameter, value: str | None) -> float | None:
     """Callback of an option that is a span of time: seconds."""
-    from server.report.durations import seconds_of  # noqa: PLC0415
+    from server.durations import seconds_of  # noqa: PLC0415
 
     try:
         return None if value is None else seconds_of(value)
@@ -140,7 +147,7 @@ def serve(target: str | None, **given: str | None) -> None:
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path, dir_okay=False))
 @options(VIEW_OPTIONS)
 @click.option("--target-error", callback=number(0.0001, 1), help="Relative error at which a pixel is final.")
-@click.option("--time", "seconds", callback=number(0, 1e6), help="Stop baking after so many seconds.")
+@click.option("--time", "seconds", callback=duration, help="Stop baking after so long: 90, 90s, 10m or 1h.")
 @options(WORK_OPTIONS)
 @click.option("--json", "as_json", is_flag=True, help="Print the facts as JSON.")
 def render(
@@ -164,7 +171,7 @@ def render(
 @options({name: text for name, text in VIEW_OPTIONS.items() if name not in ("shading", "samples", "exposure")})
 @click.option("--samples", type=click.IntRange(1), help="Stop at so many paths per pixel.")
 @click.option("--target-error", callback=number(1e-6, 1), help="Stop at this noise; default: 0.005.")
-@click.option("--time", "seconds", callback=number(0, 1e6), help="Stop after so many seconds.")
+@click.option("--time", "seconds", callback=duration, help="Stop after so long: 90, 90s, 10m or 1h.")
 @click.option("--bounces", type=click.IntRange(0, 1000), help="Default: all but 0.1 % of the light.")
 @click.option("--json", "as_json", is_flag=True, help="Print the facts as JSON.")
 def reference(
@@ -196,8 +203,12 @@ def reference(
 @click.argument("scene", metavar="TARGET")
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path, file_okay=False), help="Folder.")
 @click.option("--size", type=click.IntRange(8, 1024), default=112, show_default=True, help="Pixels along each side.")
-@options({name: text for name, text in VIEW_OPTIONS.items() if name not in ("width", "height", "shading", "samples")})
-@click.option("--deadline", callback=duration, help="Such as 90s, 10m or 1h: what does not fit is left out.")
+@options(REPORT_OPTIONS)
+@click.option(
+    "--deadline",
+    callback=duration,
+    help="Such as 90s, 10m or 1h: what does not fit is left out. The end may be a tenth late, and then it is drawn.",
+)
 @click.option("--only", multiple=True, metavar="KEY", help="Run this study alone; may be told more than once.")
 @click.option("--json", "as_json", is_flag=True, help="Print the facts as JSON.")
 def report(
@@ -214,7 +225,7 @@ def report(
     square = {"width": str(size), "height": str(size)}
     facts = report_view(scene, {**knobs, **square}, settings_from(), Wishes(output, deadline, only))
     click.echo(json.dumps(facts, allow_nan=False) if as_json else sentence(facts))
-    return 1 if facts["stopped"] else 0
+    return 1 if facts["stopped"] or facts["failed"] else 0
 
 
 @cli.command()
@@ -223,7 +234,7 @@ def report(
 @click.option("--views", type=click.IntRange(1, 10_000), default=12, show_default=True, help="Directions of each.")
 @options({name: VIEW_OPTIONS[name] for name in ("distance", "fov", "width", "height")})
 @click.option("--target-error", callback=number(0.0001, 1), help="Relative error at which a pixel is final.")
-@click.option("--time", "seconds", callback=number(0, 1e6), help="Stop baking after so many seconds.")
+@click.option("--time", "seconds", callback=duration, help=BAKING_TIME)
 @options(WORK_OPTIONS)
 @click.option("--dry-run", is_flag=True, help="Tell what there is to be baked, and bake nothing.")
 @click.option("--json", "as_json", is_flag=True, help="Print the facts as JSON.")

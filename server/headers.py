@@ -24,6 +24,7 @@ PAGE_POLICY = (
 STATES = ("final", "converging", "provisional")
 STAGES = {
     "queue": "waiting for a thread",
+    "demand": "telling the baker what light is lacking, and asking how long it takes",
     "bake": "waiting for light",
     "primary": "casting the camera's rays",
     "texels": "finding the texels that the picture reads",

@@ -6,62 +6,36 @@ import math
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from isogi_core.model.scene import Scene, load_scene
 from isogi_core.model.view import View
+from server.durations import span
 from server.errors import ParameterError
 from server.params import ViewParams, read
-from server.progress import duration, left_text, progress_bar, show
+from server.progress import left_text, progress_bar, show
 from server.render import PATIENCE, no_light
 from server.settings import Settings
+from server.survey import Survey, survey
 from server.values import finite
 from server.views import view_of
 from worker.errors import WorkersError
-from worker.outlook import TimeLeft
+from worker.outlook import Outlook, TimeLeft
 
 if TYPE_CHECKING:
-    from isogi_core.frame.frame import Frame
-    from isogi_core.frame.texels import Demand
     from server.studio import Studio
 
 MOST_ISOVALUES = 10_000
 """Isovalues in one range, at most."""
+
+MOST_VIEWS = 100_000
+"""Views of all isovalues together, at most."""
 
 LOOK = 1.0
 """Seconds between two looks at how far the baking is."""
 
 GOLDEN = 180.0 * (3.0 - math.sqrt(5.0))
 """The golden angle, degrees."""
-
-
-@dataclass(eq=False)
-class Survey:
-    """What ``views`` show with the light that there is, and by chunk what they lack of it.
-
-    ``pixels`` show the surface, ``final`` of them with final light; ``error`` is the largest of any view.
-    """
-
-    views: Sequence[View]
-    demands: dict[Any, Demand] = field(default_factory=dict)
-    pixels: int = 0
-    final: int = 0
-    error: float = 0.0
-
-    def add(self, frame: Frame) -> None:
-        """Take in the frame of a view."""
-        self.pixels += frame.surface
-        self.final += frame.counts["final"]
-        self.error = max(self.error, frame.estimated_error)
-        for demand in frame.demands:
-            other = self.demands.get(demand.index)
-            self.demands[demand.index] = demand if other is None else demand.joined(other)
-
-    @property
-    def texels(self) -> int:
-        """Texels in the chunks that are not final, of all views together."""
-        return sum(len(demand.offsets) for demand in self.demands.values())
 
 
 def prewarm(
@@ -80,22 +54,34 @@ def prewarm(
     """
     started = time.monotonic()
     scene = load_scene(target)
-    levels = [level for text in isovalues for level in levels_in(text)] or [scene.isovalue]
+    levels = levels_of(isovalues, count) or [scene.isovalue]
     views = list(views_of(scene, levels, count, knobs, settings))
     error = read(ViewParams, knobs.items()).max_error or scene.target_error
     from server.studio import Studio  # noqa: PLC0415 (kernels: bad input is told before they are compiled)
 
-    place, memory = (settings.store, settings.workers, settings.scheduler), settings.memory_mb << 20
-    with closing(Studio([scene], *place, memory)) as studio:
+    hired = (settings.workers, None if dry else settings.scheduler)
+    with closing(Studio([scene], settings.store, *hired, settings.memory_mb << 20)) as studio:
         studio.start(hire=not dry)
         found = survey(studio, scene.id, views, error)
-        facts = {"views": len(views), "isovalues": levels, "target_error": error, **lacks(studio, scene, found, error)}
+        facts = {"views": len(views), "isovalues": levels, "target_error": error, **lacks(found, scene)}
         if dry:
-            return {**facts, "final": share(found), "error": found.error}
+            left = outlook(studio, scene.id, found, error, settings.workers)
+            time_left = {"low": left.low, "likely": left.likely, "high": left.high}
+            quality = {"final": found.share, "error": found.error}
+            return {**facts, **quality, "workers": settings.workers, "time_left": time_left}
         found = bake(studio, scene.id, found, error, seconds)
         stopped = "target" if found.final == found.pixels else "time"
-        work = {"samples": studio.baker.paths, "stopped": stopped, "seconds": time.monotonic() - started}
-    return {**facts, "final": share(found), "error": found.error, **work}
+        work = {"paths": studio.paths, "stopped": stopped, "seconds": time.monotonic() - started}
+    return {**facts, "final": found.share, "error": found.error, **work}
+
+
+def levels_of(texts: Sequence[str], count: int) -> list[float]:
+    """The isovalues that the texts tell, each once; ParameterError where ``count`` views of each are too many."""
+    levels = list(dict.fromkeys(float(f"{level:.12g}") for text in texts for level in levels_in(text)))
+    if len(levels) * count > MOST_VIEWS:
+        asked = f"{count:,} views of each of {len(levels):,} isovalues are {count * len(levels):,}"
+        raise ParameterError(f"{asked}: ask for {MOST_VIEWS:,} views at most.", "isovalue")
+    return levels
 
 
 def levels_in(text: str) -> list[float]:
@@ -127,23 +113,20 @@ def directions(count: int) -> list[tuple[float, float]]:
     return [(n * GOLDEN % 360.0, math.degrees(math.asin(height))) for n, height in enumerate(heights)]
 
 
-def survey(studio: Studio, scene: str, views: Sequence[View], error: float) -> Survey:
-    """What the views show with the light that there is at a target ``error``."""
-    found = Survey(views)
-    with progress_bar("looking", "view", len(views)) as bar:
-        for view in views:
-            found.add(studio.survey(scene, view, error))
-            bar.update()
-    return found
+def lacks(found: Survey, scene: Scene) -> dict[str, Any]:
+    """What is to be baked: chunks that are not final, texels without light and their bytes, and texels with some."""
+    size = found.unlit * scene.plan.bytes_per_texel
+    return {"chunks": len(found.demands), "texels": found.unlit, "bytes": size, "refined": found.lit}
 
 
-def lacks(studio: Studio, scene: Scene, found: Survey, error: float) -> dict[str, Any]:
-    """What is to be baked: chunks, texels, bytes before compression, and the seconds that it is likely to take."""
-    studio.baker.want(scene.id, found.demands.values(), error)
-    left = studio.baker.time_left(scene.id, "prewarm", found.demands)
-    size = found.texels * scene.plan.bytes_per_texel
-    time_left = None if left is None else {"low": left.low, "likely": left.likely, "high": left.high}
-    return {"chunks": len(found.demands), "texels": found.texels, "bytes": size, "time_left": time_left}
+def outlook(studio: Studio, scene: str, found: Survey, error: float, workers: int) -> TimeLeft:
+    """The time that baking all of it is likely to take; where nothing is known of the scene, a few texels are tried."""
+    demands = list(found.demands.values())
+    left = studio.errand(scene, demands, error).time_left()
+    if left is not None:
+        return left
+    seconds = (found.unlit + found.lit) * studio.seconds_each(scene, demands, error)
+    return Outlook().tell(scene, seconds / workers)
 
 
 def bake(studio: Studio, scene: str, found: Survey, error: float, seconds: float | None) -> Survey:
@@ -153,32 +136,28 @@ def bake(studio: Studio, scene: str, found: Survey, error: float, seconds: float
     """
     changed, paths = time.monotonic(), 0
     deadline = changed + (math.inf if seconds is None else seconds)
-    chunks = list(found.demands)
-    with progress_bar("baking", "chunk", len(chunks)) as bar:
-        while (waiting := studio.baker.open(scene, chunks)) and time.monotonic() < deadline:
-            if studio.baker.paths > paths:
-                changed, paths = time.monotonic(), studio.baker.paths
+    errand = studio.errand(scene, found.demands.values(), error)
+    total = len(errand.chunks)
+    with progress_bar("baking", "chunk", total) as bar:
+        while (waiting := errand.waiting()) and time.monotonic() < deadline:
+            if studio.paths > paths:
+                changed, paths = time.monotonic(), studio.paths
             if studio.trouble() or time.monotonic() - changed > PATIENCE:
                 raise WorkersError(studio.trouble() or no_light(studio))
-            left = studio.baker.time_left(scene, "prewarm", chunks)
-            show(bar, len(chunks) - waiting, len(chunks), left)
-            studio.baker.wait(scene, chunks, min(LOOK, max(deadline - time.monotonic(), 0.0)))
-        show(bar, len(chunks) - waiting, len(chunks), None)
+            show(bar, total - waiting, total, errand.time_left())
+            errand.wait(min(LOOK, max(deadline - time.monotonic(), 0.0)))
+        show(bar, total - waiting, total, None)
     if studio.trouble():
         raise WorkersError(studio.trouble())
     return survey(studio, scene, found.views, error)
 
 
-def share(found: Survey) -> float:
-    """The share of surface pixels whose light is final; 1 where no surface is seen."""
-    return found.final / found.pixels if found.pixels else 1.0
-
-
 def sentence(facts: Mapping[str, Any]) -> str:
     """The facts for a person, on one line."""
-    what = f"{facts['views']} views, {facts['final']:.1%} of their surface final at {facts['target_error']:g}"
+    what = f"{facts['views']:,} views, {facts['final']:.1%} of their surface final at {facts['target_error']:g}"
     if "stopped" in facts:
-        return f"{what}, {facts['samples']} samples in {duration(facts['seconds'])}"
-    left = "unknown: nothing was baked yet" if facts["time_left"] is None else left_text(TimeLeft(**facts["time_left"]))
-    size = f"{facts['texels']} texels in {facts['chunks']} chunks, {facts['bytes'] / 1e6:.1f} MB before compression"
-    return f"{what}; to bake: {size}; time: {left}"
+        return f"{what}, {facts['paths']:,} paths in {span(facts['seconds'])}"
+    lacking = f"{facts['texels']:,} texels without light ({facts['bytes'] / 1e6:.1f} MB before compression)"
+    rest = f"and {facts['refined']:,} to be refined where they need it, in {facts['chunks']:,} chunks"
+    time_left = left_text(TimeLeft(**facts["time_left"]))
+    return f"{what}; to bake: {lacking} {rest}; time with --workers {facts['workers']}: {time_left}"

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 from tqdm import tqdm
 
+from server.durations import span
+
 if TYPE_CHECKING:
     from worker.outlook import TimeLeft
 
@@ -26,12 +28,5 @@ def show(bar: Any, done: int, total: int, left: TimeLeft | None) -> None:
 
 def left_text(left: TimeLeft) -> str:
     """The time left for a person, such as ``about 20 s left (12 s to 41 s)``."""
-    return f"about {duration(left.likely)} left ({duration(left.low)} to {duration(left.high)})"
-
-
-def duration(seconds: float) -> str:
-    """Seconds in the unit that a person would use."""
-    for unit, size in (("h", 3600.0), ("min", 60.0)):
-        if seconds >= 2.0 * size:
-            return f"{seconds / size:.0f} {unit}"
-    return f"{seconds:.0f} s"
+    low, likely, high = (span(seconds, digits=2) for seconds in (left.low, left.likely, left.high))
+    return f"about {likely} left ({low} to {high})"

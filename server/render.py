@@ -57,7 +57,7 @@ def render(
     with closing(Studio([scene], *place, memory)) as studio:
         studio.start()
         frame = refine(studio, scene.id, view, params.max_error, seconds)
-        left, paths = studio.time_left(scene.id, frame, params.max_error), studio.baker.paths
+        left, paths = studio.time_left(scene.id, frame, params.max_error), studio.paths
     exposure = scene.default_exposure if params.exposure is None else params.exposure
     write(output, encode(frame, form, exposure))
     return {
@@ -66,7 +66,7 @@ def render(
         **frame_facts(frame, left),
         "target_error": params.max_error or scene.target_error,
         "final": frame.coverage["final"],
-        "samples": paths,
+        "paths": paths,
         "stopped": "time" if frame.provisional else "target",
         "seconds": time.monotonic() - started,
     }

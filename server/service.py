@@ -95,7 +95,9 @@ class Service:
             watch.seconds["queue"] = watch.elapsed
             wait, target = params.wait_ms / 1000, params.max_error
             frame = self.studio.frame(scene.id, view, max_error=target, wait=wait, cancelled=cancelled, watch=watch)
-            return finish(Shown(frame, self.studio.time_left(scene.id, frame, target), watch))
+            with watch.stage("demand"):
+                left = self.studio.time_left(scene.id, frame, target)
+            return finish(Shown(frame, left, watch))
 
         return await self._renders.run(request, work)
 

@@ -3,7 +3,7 @@
 import logging
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -20,6 +20,7 @@ from isogi_core.frame.frame import Frame
 from isogi_core.frame.kernels import frame_kernels
 from isogi_core.frame.renderer import Renderer, surface_key
 from isogi_core.frame.stopwatch import Stopwatch
+from isogi_core.frame.texels import Demand
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels._folder import prune
 from isogi_core.kernels._jit import FOLDER
@@ -27,7 +28,9 @@ from isogi_core.kernels.warm import warm
 from isogi_core.model.scene import Scene
 from isogi_core.model.view import View
 from isogi_core.plan.planner import complete
+from server.errand import Errand
 from server.foresight import Foresight
+from server.trial import seconds_each
 from worker.baker import Bake, Baker
 from worker.errors import WorkersError
 from worker.outlook import TimeLeft
@@ -60,15 +63,19 @@ class Studio:
         workers: int = 1,
         scheduler: str | None = None,
         memory: int = MEMORY,
+        baker: Baker | None = None,
     ) -> None:
-        """Take on ``scenes``; ``store`` is a folder or URL for light, ``scheduler`` a cluster to join."""
+        """Take on ``scenes``; ``store`` is a folder or URL for light, ``scheduler`` a cluster to join.
+
+        ``baker`` is whom light is asked of, one for so many workers by default.
+        """
         self.scenes = {scene.id: scene for scene in scenes}
         self.store = str(store or default_store())
         self._workers = workers
         self._scheduler = scheduler
         self._memory = memory
         self._tiles = Tiles()
-        self.baker = Baker(workers=workers)
+        self._baker = baker or Baker(workers=None if scheduler else workers)
         self._pool: WorkerPool | None = None
         self._stages: dict[str, Stage] = {}
         self._hiring: threading.Thread | None = None
@@ -120,12 +127,12 @@ class Studio:
         target = max_error or stage.scene.target_error
         frame = self._render(stage, view, target, cancelled, watch)
         bake = bake_name(scene, look_name(view.shading))
-        while frame.demands and self.baker.want(bake, frame.demands, target):
+        while self._wanted(bake, frame, target, watch):
             left = deadline - time.monotonic()
             if left <= 0.0:
                 break
             with watch.stage("bake"):
-                self.baker.wait(bake, [demand.index for demand in frame.demands], left)
+                self._baker.wait(bake, [demand.index for demand in frame.demands], left)
             frame = self._render(stage, view, target, cancelled, watch)
         return frame
 
@@ -137,14 +144,27 @@ class Studio:
         """Seconds until the view of a ``frame`` is final; None where that is unknown, or nobody works on it."""
         bake, target = bake_name(scene, look_name(frame.view.shading)), max_error or self.scenes[scene].target_error
         subject = (bake, surface_key(frame.view), target)
-        left = self.baker.time_left(bake, subject, [demand.index for demand in frame.demands])
+        left = self._baker.time_left(bake, subject, [demand.index for demand in frame.demands])
         if not frame.provisional:
             return TimeLeft(0.0, 0.0, 0.0)
         return left if left is not None and left.high > 0.0 else None
 
+    def errand(self, scene: str, demands: Iterable[Demand], target: float) -> Errand:
+        """Have what ``demands`` want of a scene's own light baked to a ``target`` error."""
+        return Errand(self._baker, bake_name(scene, "gi"), demands, target)
+
+    def seconds_each(self, scene: str, demands: Sequence[Demand], target: float) -> float:
+        """Processor seconds that a demanded texel of a scene takes to a ``target`` error, by a trial on a few."""
+        return seconds_each(self._stages[scene].renderer, demands, target)
+
+    @property
+    def paths(self) -> int:
+        """Paths that were baked, of all scenes."""
+        return self._baker.paths
+
     def trouble(self) -> str:
         """Why light is not baked: the workers cannot be had, or gave a chunk up; empty when all is well."""
-        return str(self._trouble) if self._trouble is not None else self.baker.trouble()
+        return str(self._trouble) if self._trouble is not None else self._baker.trouble()
 
     def unready(self) -> list[str]:
         """Reasons why frames would not become final; none when all is well."""
@@ -156,7 +176,7 @@ class Studio:
 
     def close(self) -> None:
         """Stop the workers; what they were at is baked again when it is next asked for."""
-        self.baker.stop()
+        self._baker.stop()
         if self._hiring is not None:
             self._hiring.join()
         if self._pool is not None:
@@ -164,6 +184,11 @@ class Studio:
         for stage in self._stages.values():
             stage.foresight.close()
         self._tiles.close()
+
+    def _wanted(self, bake: str, frame: Frame, target: float, watch: Stopwatch) -> bool:
+        """Ask for the light that a frame lacks; whether any of it is going to be baked."""
+        with watch.stage("demand"):
+            return bool(frame.demands) and self._baker.want(bake, frame.demands, target)
 
     def _render(
         self, stage: Stage, view: View, target: float, cancelled: threading.Event | None, watch: Stopwatch
@@ -179,7 +204,7 @@ class Studio:
         lowest, highest = sorted(map(scene.volume.normalise_isovalue, scene.isovalues))
         foresight = Foresight(lambda v, cancelled: recipe.bricks(v, v, cancelled), STEP, (lowest, highest))
         for look in LOOKS:
-            self.baker.add(bake_name(scene.id, look), self._bake(caches, look))
+            self._baker.add(bake_name(scene.id, look), self._bake(caches, look))
         return Stage(scene, Renderer(caches, self._tiles), foresight)
 
     def _bake(self, caches: Caches, name: str) -> Bake:
@@ -198,7 +223,7 @@ class Studio:
 
             kinds = {layer.kind for scene in self.scenes.values() for layer in scene.plan.layers}
             self._pool = WorkerPool(self._workers, self._scheduler, kinds)
-            self.baker.employ(self._pool)
+            self._baker.employ(self._pool)
         except IsogiError as error:
             self._trouble = error
             log.error("%s", error)

@@ -19,6 +19,7 @@ export class Trouble extends Error {
  * @property {{final: number, converging: number, provisional: number}} coverage shares of the surface pixels
  * @property {number} error estimated relative RMSE; NaN where the server gives none
  * @property {{needed: number, final: number}} chunks
+ * @property {{low: number, likely: number, high: number}|null} timeLeft seconds until all is final; null if unknown
  */
 
 const GONE = "The page keeps asking and continues by itself when the server is back.";
@@ -75,6 +76,7 @@ function factsOf(headers) {
     coverage: { final: 0, converging: 0, provisional: 0, ...parseShares(headers.get("Isogi-Coverage")) },
     error: Number.parseFloat(headers.get("Isogi-Error")),
     chunks: { needed: 0, final: 0, ...parseShares(headers.get("Isogi-Chunks")) },
+    timeLeft: headers.has("Isogi-Time-Left") ? parseShares(headers.get("Isogi-Time-Left")) : null,
   };
 }
 

@@ -1,9 +1,9 @@
 /** The volume's histogram, with the isovalue slider on top of it. */
 
 import { setLimits } from "./knobs.js";
+import { make } from "./svg.js";
 import { niceStep, showNumber, sliderRange } from "./view.js";
 
-const NAMESPACE = "http://www.w3.org/2000/svg";
 const [WIDTH, HEIGHT] = [1000, 100];
 
 /**
@@ -69,10 +69,4 @@ function shadeSolid(window, share, below) {
   const split = WIDTH * Math.min(1, Math.max(0, share));
   window.setAttribute("x", below ? 0 : split);
   window.setAttribute("width", below ? split : WIDTH - split);
-}
-
-function make(tag, attributes) {
-  const node = document.createElementNS(NAMESPACE, tag);
-  Object.entries(attributes).forEach(([name, value]) => node.setAttribute(name, value));
-  return node;
 }

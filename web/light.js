@@ -1,8 +1,8 @@
 /** A ball that shows how the light is turned, seen from the camera, and that turns it when dragged. */
 
 import { dragLight, cameraAxes, fromAngles, turnVector } from "./rotation.js";
+import { make } from "./svg.js";
 
-const NAMESPACE = "http://www.w3.org/2000/svg";
 const POINTS = 36; // of half a circle
 const DEGREES_ACROSS = 180;
 
@@ -120,10 +120,4 @@ function radians(degrees) {
 
 function number(x) {
   return x.toFixed(3);
-}
-
-function make(tag, attributes) {
-  const node = document.createElementNS(NAMESPACE, tag);
-  Object.entries(attributes).forEach(([name, value]) => node.setAttribute(name, value));
-  return node;
 }

@@ -9,6 +9,7 @@ import { attachKeys } from "./keys.js";
 import { attachKnobs, shadingName } from "./knobs.js";
 import { attachLight } from "./light.js";
 import { FrameLoop } from "./loop.js";
+import { ErrorPanel } from "./panel.js";
 import { Picture } from "./picture.js";
 import { Status, TroublePanel } from "./status.js";
 import { NUMBERS, ViewModel } from "./view.js";
@@ -61,11 +62,15 @@ function assemble(scene, knobs, trouble) {
 function startLoop(scene, view, trouble) {
   const picture = new Picture($("stage"), $("picture"), $("save-picture"));
   const status = new Status(document);
+  const panel = new ErrorPanel($("error"), scene.target_error);
   const ask = (wish, signal) => readFrame(scene.id, frameQuery(scene, view.values, picture, wish), { ...wish, signal });
   const loop = new FrameLoop(ask, {
     frame({ blob, facts }, draft) {
       trouble.hide();
-      if (facts) status.show(facts, draft);
+      if (facts) {
+        status.show(facts, draft);
+        panel.show(facts, draft);
+      }
       if (blob) picture.show(blob, labels(scene, view.values));
     },
     trouble(error) {
@@ -74,6 +79,7 @@ function startLoop(scene, view, trouble) {
     },
     busy: (busy) => $("stage").toggleAttribute("data-busy", busy),
   });
+  panel.follow(view);
   trouble.onRetry = () => loop.settle();
   picture.onResize(() => loop.change());
   return loop;

@@ -1,15 +1,18 @@
 /** What the picture's facts say, in words and as a bar; and the panel for when something is wrong. */
 
+import { errorInWords, leftInWords, shareInWords } from "./units.js";
+
 /**
- * Put a frame's facts into words, for example "182 of 240 chunks final · 81 % of the surface · noise 1.8 %".
+ * Put a frame's facts into words: "81 % final · error 1.8 % · about 20 s left · 182 of 240 chunks".
  * @param {import("./api.js").Facts} facts
  * @returns {string}
  */
-export function inWords({ provisional, coverage, error, chunks }) {
-  const noise = error > 0 ? `noise ${(100 * error).toFixed(1)} %` : "";
-  if (!provisional) return [seen(coverage) ? "final" : "final, no surface in view", noise].filter(Boolean).join(" · ");
-  const counts = chunks.needed ? `${chunks.final} of ${chunks.needed} chunks final` : "being computed";
-  return [counts, `${percent(coverage.final)} of the surface`, noise].filter(Boolean).join(" · ");
+export function inWords({ provisional, coverage, error, chunks, timeLeft }) {
+  const wrong = error > 0 ? `error ${errorInWords(error)}` : "";
+  if (!provisional) return [seen(coverage) ? "final" : "final, no surface in view", wrong].filter(Boolean).join(" · ");
+  const left = timeLeft ? leftInWords(timeLeft) : "";
+  const counts = chunks.needed ? `${chunks.final} of ${chunks.needed} chunks` : "";
+  return [`${shareInWords(coverage.final)} final`, wrong, left, counts].filter(Boolean).join(" · ");
 }
 
 /** Shows the facts of the frame on the stage. */
@@ -31,7 +34,7 @@ export class Status {
     const state = draft ? "draft" : facts.provisional ? "provisional" : "final";
     this.#find("#stage").dataset.state = state;
     this.#find("#status-line").textContent = draft ? `moving · ${inWords(facts)}` : inWords(facts);
-    this.#find("#badge").textContent = facts.provisional ? `provisional · ${percent(facts.coverage.final)} final` : "";
+    this.#find("#badge").textContent = facts.provisional ? `provisional · ${shareInWords(facts.coverage.final)} final` : "";
     this.#fill(facts);
     if (!draft) this.#announce(facts);
   }
@@ -48,7 +51,7 @@ export class Status {
     const whole = provisional || seen(coverage) ? coverage : { final: 1, converging: 0, provisional: 0 };
     for (const part of bar.children) part.style.width = `${100 * whole[part.className]}%`;
     bar.setAttribute("aria-valuenow", Math.floor(100 * whole.final));
-    bar.setAttribute("aria-valuetext", `${percent(whole.final)} final`);
+    bar.setAttribute("aria-valuetext", `${shareInWords(whole.final)} final`);
   }
 
   /** Tell screen readers at quarters and at the end, not at every frame. */
@@ -112,9 +115,4 @@ export class TroublePanel {
 
 function seen(coverage) {
   return coverage.final + coverage.converging + coverage.provisional > 0;
-}
-
-/** Rounded down, so that 100 % means all of it. */
-function percent(share) {
-  return `${Math.floor(100 * share + 1e-9)} %`;
 }

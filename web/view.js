@@ -24,12 +24,13 @@ export function sliderRange(scene, name) {
 }
 
 /**
- * A slider step that gives about 500 positions and reads well: 1, 2 or 5 times a power of ten.
+ * A step that reads well, 1, 2 or 5 times a power of ten, and cuts a span into no more than so many parts.
  * @param {number} span
+ * @param {number} [parts] as many positions as a slider has, unless told
  * @returns {number}
  */
-export function niceStep(span) {
-  const rough = span / 500;
+export function niceStep(span, parts = 500) {
+  const rough = span / parts;
   const power = 10 ** Math.floor(Math.log10(rough));
   return [1, 2, 5, 10].map((factor) => factor * power).find((step) => step >= rough * 0.999);
 }

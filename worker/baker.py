@@ -42,8 +42,8 @@ class Bake:
 class Baker:
     """One queue and one pool for all scenes. Safe to use from many threads."""
 
-    def __init__(self, clock: Callable[[], float] = time.monotonic, workers: int = 1) -> None:
-        """Begin without workers, though ``workers`` are to come: what is wanted waits until ``employ``."""
+    def __init__(self, clock: Callable[[], float] = time.monotonic, workers: int | None = 1) -> None:
+        """Begin without workers: what is wanted waits until ``employ``. So many are to come, None for nobody knows."""
         self._expected = workers
         self._queue = BakeQueue(clock, self._shared, lambda key: self._bakes[key[0]].costs.rate(key[1]))
         self._outlook = Outlook(clock)
@@ -89,9 +89,9 @@ class Baker:
         with self._changed:
             wants = self._queue.open((scene, index) for index in indices)
             seconds = self._seconds(scene, wants)
-            if seconds is None:
-                return None
             workers = self._expected if self._pool is None else self._pool.workers
+            if seconds is None or workers is None:
+                return None
             return self._outlook.tell(subject, max(sum(seconds) / workers, *seconds, 0.0))
 
     @property
@@ -147,7 +147,7 @@ class Baker:
         scene, index = want.key
         bake = self._bakes[scene]
         place = (bake.source, bake.plan, bake.digest, bake.store, index)
-        task = BakeTask(*place, want.offsets, want.until, want.level or want.target, want.target)
+        task = BakeTask(*place, want.offsets, want.footprints, want.until, want.least or 0.0, want.target)
         pool.submit(task, lambda result, error: self._done(scene, task, result, error))
 
     def _done(self, scene: str, task: BakeTask, result: BakeResult | None, error: BaseException | None) -> None:

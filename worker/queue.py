@@ -13,7 +13,7 @@ import numpy as np
 from isogi_core.bake.effort import Effort
 from isogi_core.bake.precision import FIRST_RUNG
 from isogi_core.bake.recipe import Index
-from isogi_core.frame.texels import Demand
+from isogi_core.frame.texels import Demand, most_seen
 from isogi_core.model.plan import MOST
 from worker.tasks import BakeResult
 
@@ -26,28 +26,28 @@ FORGET_AFTER = 60.0
 MOST_FAILURES = 3
 """Tries after which a chunk whose task fails is given up, until it is forgotten."""
 
-STEP = 0.5
-"""What a task brings the error of a chunk's texels down to, as a share of what it is."""
+STEP = 0.125
+"""What a task brings the worth of the next paths of a chunk's texels down to, as a share of their mean."""
 
 
 @dataclass(eq=False)
 class Want:
     """Light that somebody waits for: texels ``offsets`` of the chunk ``key``, until ``target``.
 
-    ``weight`` is the squared visible error that waits for it and ``effort`` what it takes, as far as is known.
-    ``level`` is the error that its texels are to reach next, None until each has its first light; ``error`` that
-    of those which are not final.
+    ``worth`` is the squared visible error that waits for it, over the paths taken, and ``effort`` what it takes, as
+    far as is known; ``footprints`` say how much of each texel is seen. ``least`` is the worth that paths must have to
+    be taken next, None until each texel has its first light.
     """
 
     key: Key
     offsets: np.ndarray
+    footprints: np.ndarray
     target: float
-    weight: float
+    worth: float
     effort: Effort
     view: int
     asked: float
-    level: float | None = None
-    error: float = 1.0
+    least: float | None = None
     failures: int = 0
     trouble: str = ""
     flying: bool = False
@@ -55,35 +55,35 @@ class Want:
     @property
     def until(self) -> int:
         """The sample count beyond which no texel is taken next."""
-        return FIRST_RUNG if self.level is None else MOST
+        return FIRST_RUNG if self.least is None else MOST
 
     @property
     def given_up(self) -> bool:
         """Whether its task failed so often that it is not tried again."""
         return self.failures >= MOST_FAILURES
 
-    @property
-    def spent(self) -> float:
-        """The paths that its light is of, or those of its first.
-
-        The squared error falls with a power of the samples: what the next path takes off is the weight over these.
-        """
-        return self.effort.taken + FIRST_RUNG * self.effort.unlit or FIRST_RUNG
-
     def grow(self, demand: Demand, target: float, view: int, now: float) -> None:
         """Take in what a newer ``view`` demands of the same chunk."""
         if target < self.target or not np.isin(demand.offsets, self.offsets).all():
-            self.level = None
-        self.offsets = np.union1d(self.offsets, demand.offsets)
+            self.least = None
+        offsets = np.union1d(self.offsets, demand.offsets)
+        views = (self.offsets, self.footprints), (demand.offsets, demand.footprints)
+        self.offsets, self.footprints = offsets, most_seen(offsets, *views)
         self.target = min(self.target, target)
-        self.weight, self.effort, self.view, self.asked = demand.weight, demand.effort, view, now
+        self.worth, self.effort, self.view, self.asked = worth_of(demand), demand.effort, view, now
 
     def descend(self, result: BakeResult, grown: bool) -> None:
         """Take in what a task left; the next one goes further down, or lights what has come to it."""
-        self.weight *= min(result.error / self.error, 1.0) ** 2
-        self.error, self.effort = max(result.error, self.target), result.effort
-        above = result.error if self.level is None else min(self.level, result.error)
-        self.level = None if grown else max(STEP * above, self.target)
+        self.worth, self.effort = result.worth, result.effort
+        self.least = None if grown else STEP * result.worth
+
+
+def worth_of(demand: Demand) -> float:
+    """The squared visible error over the paths that the light is of, or those of its first.
+
+    The squared error falls with a power of the samples: that is what the next path takes off, times that power.
+    """
+    return demand.weight / (demand.effort.taken + FIRST_RUNG * demand.effort.unlit or FIRST_RUNG)
 
 
 @dataclass(eq=False)
@@ -108,7 +108,8 @@ class BakeQueue:
         for key, demand in demands:
             want = self.wants.get(key)
             if want is None:
-                self.wants[key] = Want(key, demand.offsets, target, demand.weight, demand.effort, self.views, now)
+                seen = demand.offsets, demand.footprints
+                self.wants[key] = Want(key, *seen, target, worth_of(demand), demand.effort, self.views, now)
             elif not want.given_up:
                 want.grow(demand, target, self.views, now)
 
@@ -125,7 +126,7 @@ class BakeQueue:
 
     def rank(self, want: Want) -> tuple[int, bool, float]:
         """Order of work; the smallest comes first."""
-        return -want.view, not want.effort.unlit, -want.weight / (want.spent * (self.rate(want.key) or 1.0))
+        return -want.view, not want.effort.unlit, -want.worth / (self.rate(want.key) or 1.0)
 
     def finish(self, key: Key, offsets: np.ndarray, target: float, result: BakeResult) -> None:
         """A task for ``offsets`` of a chunk is done: drop the want, or keep what is still open of it."""

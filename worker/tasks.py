@@ -12,7 +12,7 @@ import numpy as np
 from isogi_core.bake.effort import Effort
 from isogi_core.bake.light import Light
 from isogi_core.bake.look import Look
-from isogi_core.bake.noise import relative_error
+from isogi_core.bake.noise import relative_error, standard_error
 from isogi_core.bake.precision import FIRST_RUNG
 from isogi_core.bake.recipe import Index, Recipe
 from isogi_core.bake.refine import next_samples, refine
@@ -35,9 +35,10 @@ KINDS = tuple(PATHS)
 
 @dataclass(frozen=True, eq=False)
 class BakeTask:
-    """Bring the texels at ``offsets`` of a chunk to the relative error ``level``, or to ``until`` samples each.
+    """Bring the texels at ``offsets`` of a chunk to ``until`` samples each, or until the next path is worth too little.
 
-    They are final at ``target``. ``plan`` says what is baked; ``digest`` names the light that the server means: the
+    That is less than ``least``, see ``worths``, where they are seen by their ``footprints``; and they are final at the
+    relative error ``target``. ``plan`` says what is baked; ``digest`` names the light that the server means: the
     files may have changed since.
     """
 
@@ -47,8 +48,9 @@ class BakeTask:
     store: str
     index: Index
     offsets: np.ndarray
+    footprints: np.ndarray
     until: int
-    level: float
+    least: float
     target: float
 
 
@@ -56,12 +58,12 @@ class BakeTask:
 class BakeResult:
     """What a task left and took.
 
-    ``unfinished`` texels are not final yet; ``error`` is theirs, a root mean square, and ``effort`` what they took
-    and will. ``cost`` is what the task itself took.
+    ``unfinished`` texels are not final yet; ``worth`` is that of their next path, a mean over the paths they took, and
+    ``effort`` what they took and will. ``cost`` is what the task itself took.
     """
 
     unfinished: int
-    error: float
+    worth: float
     effort: Effort
     cost: Cost
 
@@ -99,12 +101,36 @@ def bake(task: BakeTask) -> BakeResult:
     rows = chunk.rows_of(task.offsets)
     light = chunk.light.rows(rows)
     before, begun = chunk.light.rows(rows), time.process_time()
-    refine(light, chunk.positions(task.offsets), look, task.until, max(task.level, task.target))
+    climb(light, chunk.positions(task.offsets), look, task)
     seconds = time.process_time() - begun
     chunk.light.put(rows, light)
     pairs = zip(light.parts, before.parts, strict=True)
     store.save(chunk, [not np.array_equal(part.samples, old.samples) for part, old in pairs])
-    return result_of(light, look, task.target, cost_of(light.samples, before.samples, seconds))
+    return result_of(light, look, task, cost_of(light.samples, before.samples, seconds))
+
+
+def climb(light: Light, texels: np.ndarray, look: Look, task: BakeTask) -> None:
+    """Do a task to the ``light`` of its ``texels`` (m, 3; z, y, x), in place: rung by rung where it is worth it."""
+    waiting, worth = next_samples(light, look, task.target), worths(light, look, task.footprints)
+    while (worthy := (waiting >= 0) & (waiting < task.until) & (worth >= task.least)).any():
+        rung = int(waiting[worthy].min())
+        rows = np.flatnonzero(worthy & (waiting == rung))
+        part = light.rows(rows)
+        refine(part, texels[rows], look, rung + 1, task.target)
+        light.put(rows, part)
+        waiting[rows] = next_samples(part, look, task.target)
+        worth[rows] = worths(part, look, task.footprints[rows])
+
+
+def worths(light: Light, look: Look, footprints: np.ndarray) -> np.ndarray:
+    """What the next path of each texel is worth: its visible variance over the paths it took; (texels,) float64.
+
+    Variance falls with a power of the samples, so that the next path takes off as much, times that power. Texels
+    whose next path is worth the same add least to a frame's error for all paths together; texels of the same error
+    do not: the noisy and the hardly seen ones would have taken too many.
+    """
+    seen = footprints * standard_error(light, look) ** 2
+    return np.asarray(np.where(light.samples > 0, seen / np.maximum(light.samples, 1), np.inf))
 
 
 def cost_of(samples: np.ndarray, before: np.ndarray, seconds: float) -> Cost:
@@ -114,12 +140,13 @@ def cost_of(samples: np.ndarray, before: np.ndarray, seconds: float) -> Cost:
     return Cost(seconds, paths, lit, seconds * FIRST_RUNG * lit / max(paths, 1))
 
 
-def result_of(light: Light, look: Look, target: float, cost: Cost) -> BakeResult:
-    """What ``light`` still lacks of ``target``, and what was spent on it."""
-    waiting = next_samples(light, look, target) >= 0
-    error = relative_error(light, look)
-    mean = float(np.sqrt((error[waiting] ** 2).mean())) if waiting.any() else 0.0
-    return BakeResult(int(waiting.sum()), mean, Effort.of(error, light.samples, target), cost)
+def result_of(light: Light, look: Look, task: BakeTask, cost: Cost) -> BakeResult:
+    """What ``light`` still lacks of a task's target, and what was spent on it."""
+    waiting = next_samples(light, look, task.target) >= 0
+    seen = task.footprints[waiting] @ standard_error(light, look)[waiting] ** 2
+    worth = float(seen) / max(int(light.samples[waiting].sum()), 1)
+    effort = Effort.of(relative_error(light, look), light.samples, task.target)
+    return BakeResult(int(waiting.sum()), worth, effort, cost)
 
 
 def bake_kernels(kinds: Iterable[str]) -> tuple[Any, ...]:

@@ -1,23 +1,20 @@
 """Costs: what baking took, chunk by chunk. Kept beside the light, so that time left can be told after a restart.
 
-Chunks are the same bytes whoever bakes them, and so say nothing of time; one small object a bake does. It is
-written whole, by the process that owns the queue; where it is lost, times are measured anew.
+Chunks are the same bytes whoever bakes them, and so say nothing of time; the attributes of one small Zarr group a
+bake do. They are written whole, by the process that owns the queue: of two servers over one store, what the last one
+writes stays. Where they are lost, times are measured anew.
 """
 
-import json
 import logging
-import statistics
+import math
 import threading
 import time
+from bisect import bisect_left, insort
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from zarr.core.buffer import default_buffer_prototype
-from zarr.core.common import AccessModeLiteral
-from zarr.core.sync import sync
-from zarr.storage import StorePath
-from zarr.storage._common import make_store_path
+import zarr
 
 from isogi_core.bake.precision import FIRST_RUNG
 from isogi_core.bake.recipe import Index
@@ -55,27 +52,26 @@ class Costs:
 
     def __init__(self, root: str | Path, digest: str, clock: Callable[[], float] = time.monotonic) -> None:
         """Know nothing yet."""
-        self._root, self._path = str(root).removeprefix("file://"), f"costs/{digest}.json"
+        self._path = f"{str(root).removeprefix('file://').rstrip('/')}/costs/{digest}"
         self._clock = clock
         self._chunks: dict[Index, Cost] = {}
+        self._rates: list[float] = []
+        self._fastest: float | None = None
         self._total = Cost()
-        self._common: float | None = None
         self._grown: float | None = None
         self._lock = threading.Lock()
+        self._writing = threading.Lock()
 
     def add(self, index: Index, cost: Cost) -> None:
         """Take in what a task at a chunk took."""
         with self._lock:
-            self._chunks[index] = self._chunks.get(index, Cost()).plus(cost)
-            self._total, self._common = self._total.plus(cost), None
+            self._take(index, cost)
             self._grown = self._clock() if self._grown is None else self._grown
 
     def rate(self, index: Index) -> float | None:
         """Seconds that a path from a chunk takes: as measured there, else what is common; None before the first."""
         with self._lock:
             own = self._chunks.get(index, Cost()).rate
-            if self._common is None and own is None:
-                self._common = self._usual()
             return self._common if own is None else own
 
     @property
@@ -83,19 +79,29 @@ class Costs:
         """The costs of all chunks together."""
         return self._total
 
-    def _usual(self) -> float | None:
+    @property
+    def _common(self) -> float | None:
         """The median rate of all chunks; before there is one, that of the first light that came fastest."""
-        rates = [cost.rate for cost in self._chunks.values() if cost.rate is not None]
-        first = (cost.seconds / cost.paths for cost in self._chunks.values() if cost.paths)
-        return statistics.median(rates) if rates else min(first, default=None)
+        middle = len(self._rates) // 2
+        return (self._rates[middle] + self._rates[~middle]) / 2 if self._rates else self._fastest
+
+    def _take(self, index: Index, cost: Cost) -> None:
+        """Add to what is known of a chunk; the rates stay sorted. The caller holds the lock."""
+        before = self._chunks.get(index, Cost())
+        after = self._chunks[index] = before.plus(cost)
+        self._total = self._total.plus(cost)
+        if before.rate is not None:
+            del self._rates[bisect_left(self._rates, before.rate)]
+        if after.rate is not None:
+            insort(self._rates, after.rate)
+        if cost.paths:
+            self._fastest = min(cost.seconds / cost.paths, self._fastest or math.inf)
 
     def read(self) -> None:
         """Take over what the store has. What is missing or damaged there counts as unknown."""
         try:
-            stored = sync(self._place("r").get())
-            chunks = {
-                place(key): Cost(float(s), int(p), int(t), float(f)) for key, (s, p, t, f) in parse(stored).items()
-            }
+            kept: Any = zarr.open_group(self._path, mode="r", zarr_format=3).attrs["chunks"]
+            chunks = {place(key): Cost(float(s), int(p), int(t), float(f)) for key, (s, p, t, f) in kept.items()}
         except FileNotFoundError:
             return
         except Exception as error:
@@ -103,29 +109,25 @@ class Costs:
             return
         with self._lock:
             for index, cost in chunks.items():
-                self._chunks[index] = self._chunks.get(index, Cost()).plus(cost)
-                self._total, self._common = self._total.plus(cost), None
+                self._take(index, cost)
 
     def save(self, at_once: bool = True) -> None:
-        """Write what has grown, or only what has been waiting for SAVE_EVERY seconds. A store that cannot is told."""
-        with self._lock:
-            if self._grown is None or not (at_once or self._clock() - self._grown >= SAVE_EVERY):
-                return
-            self._grown = None
-            text = json.dumps({"/".join(map(str, index)): cost for index, cost in self._chunks.items()})
-        try:
-            sync(self._place("a").set(default_buffer_prototype().buffer.from_bytes(text.encode())))
-        except Exception as error:
-            log.warning("What the bake took cannot be kept: %s", error)
+        """Write what has grown, or only what has been waiting for SAVE_EVERY seconds.
 
-    def _place(self, mode: AccessModeLiteral) -> StorePath:
-        """Where the object is, or is to be; FileNotFoundError where there is no such store to be read."""
-        return sync(make_store_path(self._root, path=self._path, mode=mode))
-
-
-def parse(stored: "object | None") -> dict[str, list[float]]:
-    """The chunks in an object; none where there is none."""
-    return {} if stored is None else json.loads(stored.to_bytes())  # type: ignore[attr-defined]
+        A store that cannot keep it is told, and asked again SAVE_EVERY seconds later.
+        """
+        with self._writing:
+            with self._lock:
+                if self._grown is None or not (at_once or self._clock() - self._grown >= SAVE_EVERY):
+                    return
+                self._grown = None
+                chunks = {"/".join(map(str, index)): list(cost) for index, cost in self._chunks.items()}
+            try:
+                zarr.open_group(self._path, mode="a", zarr_format=3).attrs.put({"chunks": chunks})
+            except Exception as error:
+                log.warning("What the bake took cannot be kept: %s", error)
+                with self._lock:
+                    self._grown = self._clock()
 
 
 def place(key: str) -> Index:

@@ -48,9 +48,9 @@ class Reading:
         """What the view still wants, ``planes`` being its picture."""
         if not self.short.any():
             return ()
-        weights = texels.weights(planes).tolist()
+        weights, seen = texels.weights(planes).tolist(), texels.footprints
         return tuple(
-            Demand(texels.chunks[i], texels.offsets[i], weights[i], Effort(*self.efforts[i].tolist()))
+            Demand(texels.chunks[i], texels.offsets[i], weights[i], Effort(*self.efforts[i].tolist()), seen[i])
             for i in np.flatnonzero(self.short)
         )
 

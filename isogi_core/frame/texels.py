@@ -2,7 +2,7 @@
 
 import math
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -15,8 +15,11 @@ from isogi_core.bake.recipe import Index, Recipe
 from isogi_core.cache.record import TEXELS
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.tiles import Tiles
-from isogi_core.kernels.lattice import ROWS, find_corners, find_places, mark_texels, touch_chunks, weigh_chunks
+from isogi_core.kernels.lattice import ROWS, Lattice, find_corners, find_places, mark_texels, touch_chunks, weigh_chunks
 from isogi_core.kernels.planes import Planes
+
+LEAST_SEEN = 1 / 16
+"""Share of the mean footprint that every texel counts as at least."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,13 +27,14 @@ class Demand:
     """What a view wants of one chunk: the texels at ``offsets``, whose light is to become final.
 
     ``weight`` is the squared visible error of the pixels that read it (centre ones count more), ``effort`` what its
-    texels have taken and will.
+    texels have taken and will, and ``footprints`` how much of each is seen, see ``ViewTexels.footprints``.
     """
 
     index: Index
     offsets: np.ndarray
     weight: float
     effort: Effort
+    footprints: np.ndarray
 
     def joined(self, other: "Demand") -> "Demand":
         """What this and ``other`` want of the chunk; texels of both are taken to be as those of one."""
@@ -38,18 +42,20 @@ class Demand:
         each = len(offsets) / (len(self.offsets) + len(other.offsets))
         sums = (each * (mine + theirs) for mine, theirs in zip(self.effort, other.effort, strict=True))
         unlit, taken, left = sums
-        return Demand(self.index, offsets, self.weight + other.weight, Effort(math.ceil(unlit), taken, left))
+        seen = most_seen(offsets, (self.offsets, self.footprints), (other.offsets, other.footprints))
+        return Demand(self.index, offsets, self.weight + other.weight, Effort(math.ceil(unlit), taken, left), seen)
 
 
 @dataclass(frozen=True, eq=False)
 class ViewTexels:
-    """The texels that a G-buffer reads, numbered 0 … m - 1, chunk by chunk.
+    """The texels of a ``lattice`` that a G-buffer reads, numbered 0 … m - 1, chunk by chunk.
 
     ``chunks`` lists the chunks touched; texel t is at ``places[t]`` = chunk · TEXELS + offset, those
     of chunk i are ``bounds[i]`` … ``bounds[i + 1]``; ``corners`` (points, 8) numbers the texels around each point.
     """
 
     gbuffer: GBuffer
+    lattice: Lattice
     chunks: tuple[Index, ...]
     places: np.ndarray
     bounds: np.ndarray
@@ -58,13 +64,26 @@ class ViewTexels:
     @property
     def nbytes(self) -> int:
         """Bytes that it takes, without its G-buffer."""
-        return self.places.nbytes + self.bounds.nbytes + self.corners.nbytes
+        return 2 * self.places.nbytes + self.bounds.nbytes + self.corners.nbytes
 
     @cached_property
     def offsets(self) -> tuple[np.ndarray, ...]:
         """Where in its chunk each texel is, chunk by chunk; (m,) int32 each."""
         offsets = (self.places % TEXELS).astype(np.int32)
         return tuple(offsets[a:b] for a, b in pairwise(self.bounds.tolist()))
+
+    @cached_property
+    def footprints(self) -> tuple[np.ndarray, ...]:
+        """What each texel's variance counts in the sum of the pixels', chunk by chunk; (m,) float32 each.
+
+        Pixels blend eight texels, whose noises are independent: it is the sum of the squares of a texel's shares in
+        them. One that is hardly seen counts as LEAST_SEEN of the mean, for it is to become final too.
+        """
+        seen = np.zeros(len(self.places))
+        for corner, share in enumerate(shares(self.gbuffer.points, self.lattice)):
+            seen += np.bincount(self.corners[:, corner], share**2, len(seen))
+        seen = np.maximum(seen, LEAST_SEEN * seen.mean()).astype(np.float32)
+        return tuple(seen[a:b] for a, b in pairwise(self.bounds.tolist()))
 
     def weights(self, planes: Planes) -> np.ndarray:
         """The squared visible error that the pixels of a picture have left in each chunk, see ``weigh_chunks``."""
@@ -97,4 +116,23 @@ def find_texels(gbuffer: GBuffer, recipe: Recipe, tiles: Tiles, cancelled: threa
     corners = np.empty((len(points), 8), np.uint32)
     _over_points(find_corners, piece, lambda a, b: (slots, read, first, corners[a:b]))
     chunks = tuple((z, y, x) for z, y, x in indices.tolist())
-    return ViewTexels(gbuffer, chunks, places, first[::ROWS].copy(), corners)
+    return ViewTexels(gbuffer, lattice, chunks, places, first[::ROWS].copy(), corners)
+
+
+def shares(points: np.ndarray, lattice: Lattice) -> Iterator[np.ndarray]:
+    """The shares of the eight texels around each of the ``points`` (n, 3) in its light, x fastest; (n,) each."""
+    last = np.array(lattice.shape[::-1]) - 1
+    place = np.clip(points * np.array(lattice.density), 0.0, last)
+    inside = place - np.minimum(np.floor(place), last - 1)
+    for corner in range(8):
+        upper = (corner >> np.arange(3)) & 1 == 1
+        yield np.where(upper, inside, 1.0 - inside).prod(axis=1)
+
+
+def most_seen(offsets: np.ndarray, *views: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    """The footprints of the texels at ``offsets`` in that of several views, (offsets, footprints), that sees most."""
+    seen = np.zeros(len(offsets), np.float32)
+    for own, footprints in views:
+        at = np.searchsorted(offsets, own)
+        seen[at] = np.maximum(seen[at], footprints)
+    return seen

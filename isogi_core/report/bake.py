@@ -71,10 +71,13 @@ class ViewBake(Bake):
         super().__init__(renderer.tiles, look, layers or look.plan.layers, texels_of(self.shown))
 
     def frame(self, light: Light | None = None) -> Frame:
-        """The view's frame with the bake's light, or with some ``light`` of the same texels."""
-        pool = self.renderer.caches.of(self.view.shading).pool
+        """The view's frame with the bake's light, or with some ``light`` of the same texels.
+
+        Raises StoreError where the memory for light cannot hold all of it.
+        """
+        pool, keep = self.renderer.caches.of(self.view.shading).pool, frozenset(self.shown.chunks)
         for chunk in self._chunks(light or self.light):
-            pool.insert(chunk)
+            pool.insert(chunk, keep)
         return self.renderer.render(self.view, NEVER)
 
     def _chunks(self, light: Light) -> Iterator[Chunk]:

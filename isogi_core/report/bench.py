@@ -17,10 +17,10 @@ from isogi_core.frame.tiles import Tiles
 from isogi_core.model.plan import ScenePlan, most_samples
 from isogi_core.model.scene import Scene
 from isogi_core.model.view import View
-from isogi_core.plan.budget import LONGEST_PATH
 from isogi_core.report.bake import ViewBake
+from isogi_core.report.growth import Goal, grow
 from isogi_core.report.metrics import Score, score
-from isogi_core.report.reference import Reference, load_reference, save_reference, trace_reference
+from isogi_core.report.reference import Reference, load_reference, save_reference, trace_reference, with_bounces
 
 MEMORY = 256 << 20
 """Bytes of light that frames of one scene may hold."""
@@ -31,22 +31,27 @@ FIRST, MOST = 64, 16384
 FINE = 0.1
 """What a reference's noise may be of the error that it is to tell."""
 
-SHARE = 0.2
-"""What growing a reference may take of the time that is left."""
+SHARE = 0.1
+"""What growing a reference may take of the time that is left; two more of as many paths are made for the split."""
 
 
 @dataclass(frozen=True, eq=False)
 class Bench:
-    """What studies are given: a ``scene``, a ``view`` of it, and a ``folder`` for its light and references.
+    """What studies are given: a ``scene``, a ``view`` of it, and a ``folder`` for its references.
 
     ``cancelled`` stops all work; ``deadline``, a time of ``time.monotonic``, is when studies should have ended.
+    ``hurry`` is set where one had to make do with less for it. Light is kept in memory alone, and baked again by the
+    next bench: what that costs is among what is measured. Pictures are judged at an ``exposure``, by default
+    the scene's own.
     """
 
     scene: Scene
     view: View
     folder: Path
+    exposure: float | None = None
     cancelled: threading.Event = field(default_factory=threading.Event)
     deadline: float = math.inf
+    hurry: threading.Event = field(default_factory=threading.Event)
     tiles: Tiles = field(default_factory=Tiles)
     _made: dict[Any, Any] = field(default_factory=dict, repr=False)
 
@@ -55,14 +60,24 @@ class Bench:
         """Seconds until the deadline."""
         return self.deadline - time.monotonic()
 
+    @property
+    def hurried(self) -> bool:
+        """Whether something gave way to time in the study that was begun last: a later one may find more."""
+        return self.hurry.is_set()
+
+    @property
+    def whole(self) -> Scene:
+        """The scene with as many bounces as may matter, as its reference has."""
+        return whole_paths(self.scene)
+
     def renderer(self, scene: Scene) -> Renderer:
-        """A renderer of the scene, or of one like it, with a store of its own in the folder."""
+        """A renderer of the scene, or of one like it; its store in the folder stays without light."""
         store = self.folder / "light" / scene.digest
 
         def make() -> Renderer:
             return Renderer(Caches(Recipe(scene, self.tiles.run), store, MEMORY), self.tiles)
 
-        return self.once(("renderer", scene.digest, scene.bounces), make)
+        return self.once(("renderer", scene.digest, scene.bounces, scene.plan.survival), make)
 
     @cached_property
     def planned(self) -> ViewBake:
@@ -74,18 +89,29 @@ class Bench:
         bake.grow(most_samples(target), target, self.cancelled)
         return bake
 
-    @cached_property
+    @property
     def best(self) -> Reference:
         """The view's reference, grown until its noise is a tenth of the plan's error, or time is short."""
-        frame = self.planned.frame()
-        return self.grown(FINE * self.score(frame.radiance, self.reference(FIRST)).rmse)
+        return self.grown(FINE * self._first_error)
+
+    @cached_property
+    def _first_error(self) -> float:
+        """The relative error of the plan's frame, by the shortest reference."""
+        return self.score(self.planned.frame().radiance, self.reference(FIRST)).rmse
 
     def grown(self, noise: float) -> Reference:
-        """The view's reference, grown until its own ``noise`` is so small, or as far as the time left allows."""
-        best, end = self.reference(FIRST), time.monotonic() + SHARE * self.left
-        while best.noise > noise and best.samples < MOST and time.monotonic() < end:
-            best = self.reference(2 * best.samples)
-        return best
+        """The view's reference, grown once until its own ``noise`` is so small, or as far as the time left allows."""
+        found: Reference = self.once(("grown", noise), lambda: self._grow(noise))
+        if not goal_of(noise).met(found):
+            self.hurry.set()
+        return found
+
+    def _grow(self, noise: float) -> Reference:
+        found, scene = self.reference(FIRST), self.whole
+        goal = replace(goal_of(noise), seconds=SHARE * self.left if math.isfinite(self.left) else None)
+        for grown in grow(self.renderer(scene), self.view, goal, found, self.cancelled):
+            found = self._keep(grown, scene)
+        return found
 
     def sized(self, size: int) -> "Bench":
         """The bench of the same view in a picture whose longer side has ``size`` pixels."""
@@ -98,23 +124,34 @@ class Bench:
 
         Of the ``scene`` told, with ``bounces``: by default, where its paths have any, as many as may matter.
         """
-        scene = longer(scene or self.scene, bounces)
-        key = "reference", scene.digest, scene.bounces
-        file = self.folder / f"{scene.digest}-{scene.bounces}-{self.view.width}x{self.view.height}.npz"
-        if key not in self._made and file.exists():
-            self._made[key] = load_reference(file, scene, self.view)
-        former: Reference | None = self._made.get(key)
-        if former is None or former.samples < samples:
-            grown = trace_reference(self.renderer(scene), self.view, samples, former, self.cancelled)
-            self.folder.mkdir(parents=True, exist_ok=True)
-            save_reference(file, grown, scene, self.view)
-            self._made[key] = grown
-        found: Reference = self._made[key]
+        scene = whole_paths(scene or self.scene, bounces)
+        former = self._kept(scene)
+        if former is not None and former.samples >= samples:
+            return former
+        return self._keep(trace_reference(self.renderer(scene), self.view, samples, former, self.cancelled), scene)
+
+    def _kept(self, scene: Scene) -> Reference | None:
+        """The reference of a scene that is on the bench, or in the folder."""
+        path = self._path(scene)
+        if path not in self._made and path.exists():
+            self._made[path] = load_reference(path, scene, self.view)
+        found: Reference | None = self._made.get(path)
         return found
+
+    def _keep(self, reference: Reference, scene: Scene) -> Reference:
+        """Put a reference on the bench and into the folder."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        save_reference(self._path(scene), reference, scene, self.view)
+        self._made[self._path(scene)] = reference
+        return reference
+
+    def _path(self, scene: Scene) -> Path:
+        return self.folder / f"{scene.digest}-{scene.bounces}-{self.view.width}x{self.view.height}.npz"
 
     def score(self, radiance: Any, best: Reference | None = None) -> Score:
         """The score of a picture of the view, against its own reference unless another is told."""
-        return score(radiance, best or self.best, self.scene.default_exposure)
+        exposure = self.scene.default_exposure if self.exposure is None else self.exposure
+        return score(radiance, best or self.best, exposure)
 
     def check(self) -> None:
         """Raise Cancelled where nobody waits for the report."""
@@ -128,10 +165,14 @@ class Bench:
         return self._made[key]
 
 
-def longer(scene: Scene, bounces: int | None = None) -> Scene:
+def goal_of(noise: float) -> Goal:
+    """Where a reference is good enough whose own noise is to be so small."""
+    return Goal(samples=MOST, noise=noise)
+
+
+def whole_paths(scene: Scene, bounces: int | None = None) -> Scene:
     """The scene with so many ``bounces``; by default with as many as may matter, where it has any."""
-    longest = max(scene.bounces, LONGEST_PATH) if scene.bounces else 0
-    return with_plan(scene, bounces=longest if bounces is None else bounces)
+    return with_bounces(scene, bounces if scene.bounces else 0)
 
 
 def with_plan(scene: Scene, **changes: Any) -> Scene:

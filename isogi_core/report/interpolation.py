@@ -6,17 +6,21 @@ from dataclasses import dataclass
 import numpy as np
 
 from isogi_core.bake.light import Light
-from isogi_core.bake.noise import standard_error
+from isogi_core.bake.moments import path_deviation
+from isogi_core.bake.noise import DARKEST, standard_error
 from isogi_core.bake.refine import locate
 from isogi_core.cache.pages import marks_of
 from isogi_core.frame.surroundings import Turned
+from isogi_core.kernels.lattice import light_texels
 from isogi_core.plan.texels import bspline
 from isogi_core.report.bake import Bake
 from isogi_core.report.bench import Bench
 from isogi_core.report.converged import unrounded
-from isogi_core.report.metrics import FAR, Spread, luminance, mean_of, spread_of
+from isogi_core.report.metrics import luminance, map_of, mean_of, spread_of
 from isogi_core.report.points import Lit, own_light
-from isogi_core.report.sections import Cell, Column, Picture, Section, Table
+from isogi_core.report.sections import Column, Picture, Section, Table
+
+KEY, TITLE = "interpolation", "Interpolation"
 
 SAMPLES = 256
 """Samples of each texel."""
@@ -66,17 +70,11 @@ def study(bench: Bench) -> Section:
     for name, (weigh, reads) in WAYS.items():
         carried = carry(around, weigh(around))
         wrong = carried.light - own.light
-        rows.append(row_of(name, wrong, spread_of(wrong, carried.noise + own.noise, mean), mean, reads))
-        errors = np.full(bench.best.on.shape, np.nan, np.float32)
-        errors[bench.best.on] = wrong / mean
-        pictures.append(Picture(name, "error", errors))
+        spread = spread_of(wrong, carried.noise + own.noise, mean)
+        rows.append((name, spread.rmse, spread.p99, spread.bias, reads))
+        pictures.append(Picture(name, "error", map_of(wrong, bench.best.on, mean)))
     table = Table("Interpolation against light at the pixels' own points", COLUMNS, tuple(rows))
-    return Section("interpolation", "Interpolation", ABOUT, (table,), (), tuple(pictures))
-
-
-def row_of(name: str, wrong: np.ndarray, spread: Spread, mean: float, reads: int) -> tuple[Cell, ...]:
-    """A way's row of the table."""
-    return name, spread.rmse, float(np.percentile(np.abs(wrong), FAR)) / mean, spread.bias, reads
+    return Section(KEY, TITLE, ABOUT, (table,), (), tuple(pictures))
 
 
 def neighbourhood(bench: Bench, samples: int) -> Neighbourhood:
@@ -90,11 +88,12 @@ def neighbourhood(bench: Bench, samples: int) -> Neighbourhood:
     bake = Bake(bench.tiles, look, tuple(map(unrounded, look.plan.layers)), texels)
     bake.grow(samples, cancelled=bench.cancelled)
     isovalues = locate(texels, renderer.recipe)[0][3]
+    lit = lit_texels(bake.light, Turned(look, view))
     return Neighbourhood(
         numbers=numbers,
         fractions=np.clip(places - cells, 0.0, 1.0),
-        light=luminance(radiance_of(bake.light, Turned(look, view).reflected)),
-        noise=standard_error(bake.light, look) ** 2,
+        light=luminance(lit[:, :3]),
+        noise=lit[:, 3].astype(np.float64) ** 2,
         lit=marks_of(bake.light) == 0,
         apart=np.abs(isovalues - renderer.gbuffer(view).isovalue),
     )
@@ -109,11 +108,14 @@ def texels_about(cells: np.ndarray, shape: tuple[int, int, int]) -> tuple[np.nda
     return texels, numbers.reshape(flat.shape)
 
 
-def radiance_of(light: Light, reflected: np.ndarray) -> np.ndarray:
-    """Linear RGB (t, 3) of texels' light under turned lights ``reflected`` (3, n²), never below 0: S1, eq. 9."""
-    transfer = light.transfer[:, :, : reflected.shape[1]]
-    colours = np.broadcast_to(transfer, (len(transfer), *reflected.shape))
-    return np.maximum(np.einsum("tcn,cn->tc", colours, reflected), 0.0)
+def lit_texels(light: Light, turned: Turned) -> np.ndarray:
+    """Linear RGB and standard error of each texel's luminance under ``turned`` lights, as frames have them; (t, 4)."""
+    look, lit = turned.look, np.empty((len(light), 4), np.float32)
+    transfer = np.ascontiguousarray(light.transfer[:, :, : look.order**2], np.float32)
+    scatter = standard_error(light, look) / np.maximum(path_deviation(light, look), DARKEST * look.unit)
+    lights = (np.ascontiguousarray(each, np.float32) for each in (turned.reflected / look.unit, turned.square))
+    light_texels(np.arange(len(light), dtype=np.int32), transfer, scatter.astype(np.float32), *lights, lit)
+    return np.asarray(lit * look.unit)
 
 
 def carry(around: Neighbourhood, weights: np.ndarray) -> Lit:

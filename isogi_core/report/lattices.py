@@ -10,6 +10,8 @@ from isogi_core.report.metrics import error_map, mean_of, spread_of
 from isogi_core.report.points import lit_by_frame, own_light
 from isogi_core.report.sections import Cell, Column, Picture, Section, Table
 
+KEY, TITLE = "lattices", "Density of the lattice"
+
 DENSITIES = (0.5, 1.0, 2.0)
 """Texels along each axis, as multiples of the scene's."""
 
@@ -38,7 +40,7 @@ def study(bench: Bench) -> Section:
         errors = error_map(bake.frame().radiance, bench.best)
         pictures.append(Picture(f"{bake.look.recipe.scene.lattice:g} texels per voxel", "error", errors))
     table = Table("Lattices against the reference", COLUMNS, tuple(rows))
-    return Section("lattices", "Density of the lattice", ABOUT, (table,), (), tuple(pictures))
+    return Section(KEY, TITLE, ABOUT, (table,), (), tuple(pictures))
 
 
 def lattice(bench: Bench, density: float) -> ViewBake:

@@ -17,10 +17,14 @@ FAR = 99.0
 
 @dataclass(frozen=True)
 class Spread:
-    """Errors of pixels over the reference's mean: root mean square, without noise that is known, and signed mean."""
+    """Errors of pixels over the reference's mean: root mean square, without noise that is known, and signed mean.
+
+    ``p99`` is what 99 % of them stay below, noise and all.
+    """
 
     rmse: float
     bias: float
+    p99: float
 
 
 @dataclass(frozen=True)
@@ -48,7 +52,7 @@ def score(radiance: np.ndarray, best: Reference, exposure: float) -> Score:
     spread = spread_of(wrong, noise, mean)
     return Score(
         rmse=spread.rmse,
-        p99=float(np.percentile(np.abs(wrong), FAR)) / mean if len(wrong) else 0.0,
+        p99=spread.p99,
         bias=spread.bias,
         noise=math.sqrt(noise.mean()) / mean if len(noise) else 0.0,
         flip=flip(radiance, best, exposure),
@@ -58,9 +62,9 @@ def score(radiance: np.ndarray, best: Reference, exposure: float) -> Score:
 def spread_of(wrong: np.ndarray, noise: np.ndarray | float, mean: float) -> Spread:
     """The spread of pixels' errors (m,) around 0, over ``mean``; ``noise`` (m,) is the variance that is not theirs."""
     if not len(wrong):
-        return Spread(0.0, 0.0)
-    square = float((wrong**2).mean()) - float(np.mean(noise))
-    return Spread(math.sqrt(max(square, 0.0)) / mean, float(wrong.mean()) / mean)
+        return Spread(0.0, 0.0, 0.0)
+    square = max(float((wrong**2).mean()) - float(np.mean(noise)), 0.0)
+    return Spread(math.sqrt(square) / mean, float(wrong.mean()) / mean, float(np.percentile(np.abs(wrong), FAR)) / mean)
 
 
 def luminance(radiance: np.ndarray) -> np.ndarray:
@@ -75,9 +79,14 @@ def mean_of(light: np.ndarray) -> float:
 
 def error_map(radiance: np.ndarray, best: Reference) -> np.ndarray:
     """Signed errors of the luminance over the reference's mean; (h, w) float32, NaN off the surface."""
-    errors = np.full(best.on.shape, np.nan, np.float32)
     light = luminance(best.mean[best.on])
-    errors[best.on] = (luminance(radiance[best.on]) - light) / mean_of(light)
+    return map_of(luminance(radiance[best.on]) - light, best.on, mean_of(light))
+
+
+def map_of(wrong: np.ndarray, on: np.ndarray, mean: float) -> np.ndarray:
+    """Errors ``wrong`` (m,) of the pixels ``on`` (h, w) the surface over a ``mean``; (h, w) float32, NaN off it."""
+    errors = np.full(on.shape, np.nan, np.float32)
+    errors[on] = wrong / mean
     return errors
 
 

@@ -8,7 +8,9 @@ from isogi_core.model.view import SHADINGS, View
 from isogi_core.report.bake import ViewBake
 from isogi_core.report.bench import Bench
 from isogi_core.report.sections import Cell, Column, Section, Table
-from isogi_core.report.turns import medians, new_camera, relight
+from isogi_core.report.turns import Candidate, medians, new_camera, relight
+
+KEY, TITLE = "models", "Frame times and memory"
 
 SIZE = 256
 """Pixels of the longer side of the picture."""
@@ -43,8 +45,9 @@ def study(bench: Bench) -> Section:
     large = bench.sized(SIZE)
     renderer, views = large.renderer(large.scene), views_of(large.view)
     light = {name: light_of(renderer, views[name], large) for name in CACHED}
-    moved = medians({name: new_camera(renderer, view) for name, view in views.items()}, ROUNDS)
-    turned = medians({name: relight(renderer, view) for name, view in views.items() if bench.scene.rotating}, ROUNDS)
+    turning = views if bench.scene.rotating else {}
+    moved = medians({name: checked(bench, new_camera(renderer, view)) for name, view in views.items()}, ROUNDS)
+    turned = medians({name: checked(bench, relight(renderer, view)) for name, view in turning.items()}, ROUNDS)
     surface = surface_bytes(renderer, large.view)
     rows: list[tuple[Cell, ...]] = []
     for name in views:
@@ -52,12 +55,22 @@ def study(bench: Bench) -> Section:
         rows.append((name, 1e3 * moved[name], again, *surface, light.get(name)))
     size = f"{large.view.width} × {large.view.height} pixels"
     table = Table(f"Models of shading, {size}, {bench.tiles.threads} threads", COLUMNS, tuple(rows))
-    return Section("models", "Frame times and memory", f"{ABOUT} {still(bench)}".strip(), (table,))
+    return Section(KEY, TITLE, f"{ABOUT} {still(bench)}".strip(), (table,))
 
 
 def views_of(view: View) -> dict[str, View]:
     """The view by each model."""
     return {name: replace(view, shading=name, samples=PATHS) for name in SHADINGS}
+
+
+def checked(bench: Bench, candidate: Candidate) -> Candidate:
+    """The candidate, which raises Cancelled in place of a turn that nobody waits for."""
+
+    def turn(number: int) -> float:
+        bench.check()
+        return candidate(number)
+
+    return turn
 
 
 def light_of(renderer: Renderer, view: View, bench: Bench) -> int:

@@ -7,11 +7,10 @@ import numpy as np
 from isogi_core.bake.look import Look
 from isogi_core.bake.refine import Place, sample_transfer
 from isogi_core.frame.frame import Frame
-from isogi_core.frame.renderer import Renderer
+from isogi_core.frame.paths import variance_of_mean
 from isogi_core.frame.surroundings import Turned
 from isogi_core.model.scene import Scene
 from isogi_core.model.sky import LUMINANCE
-from isogi_core.model.view import View
 from isogi_core.report.bench import Bench
 from isogi_core.report.metrics import luminance
 from isogi_core.report.reference import Reference
@@ -46,17 +45,31 @@ def lit_by_paths(best: Reference) -> Lit:
     return Lit(luminance(best.mean[best.on]), best.variance[best.on].astype(np.float64))
 
 
-def short_light(bench: Bench) -> Lit:
-    """The surface pixels under the lights themselves, with the plan's bounces."""
-    return lit_by_paths(bench.reference(bench.best.samples, bounces=bench.scene.bounces))
+def apart(one: Reference, other: Reference) -> Lit:
+    """What one reference's surface pixels have more of than the other's, and the variance of that.
+
+    Both are of the same random numbers, so that most of their noise may cancel: it is told from the differences of
+    their replicas.
+    """
+    differences = replicas(one) - replicas(other)
+    return Lit(luminance(differences.mean(axis=1)), variance_of_mean(differences))
+
+
+def replicas(best: Reference) -> np.ndarray:
+    """The mean of each replica of a reference, (m, replicas, 3)."""
+    return best.sums * (best.sums.shape[1] / best.samples)
+
+
+def short_paths(bench: Bench) -> Reference:
+    """The reference under the lights themselves, with the plan's bounces."""
+    return bench.reference(bench.best.samples, bounces=bench.scene.bounces)
 
 
 def own_light(bench: Bench) -> Lit:
     """The surface pixels lit as texels of their own would be: the light that interpolation is to come to."""
     if not cuts_harmonics(bench.scene):
-        return short_light(bench)
-    renderer = bench.renderer(bench.scene)
-    return bench.once("own light", lambda: lit_by_transfer(renderer, bench.view, PATHS))
+        return lit_by_paths(short_paths(bench))
+    return bench.once("own light", lambda: lit_by_transfer(bench, PATHS))
 
 
 def cuts_harmonics(scene: Scene) -> bool:
@@ -64,19 +77,23 @@ def cuts_harmonics(scene: Scene) -> bool:
     return scene.plan.representation != "irradiance" and not scene.needs.constant
 
 
-def lit_by_transfer(renderer: Renderer, view: View, samples: int) -> Lit:
-    """Surface pixels lit by transfer of their own, of the plan's orders, from ``samples`` paths each, unrounded."""
+def lit_by_transfer(bench: Bench, samples: int) -> Lit:
+    """Surface pixels lit by transfer of their own, of the plan's orders, from ``samples`` paths each, unrounded.
+
+    Raises Cancelled.
+    """
+    renderer, view = bench.renderer(bench.scene), bench.view
     look, gbuffer = renderer.caches.look(view.shading), renderer.gbuffer(view)
-    normals = gbuffer.normals(renderer.recipe, renderer.tiles, None)
+    normals = gbuffer.normals(renderer.recipe, bench.tiles, bench.cancelled)
     reflected, halves = Turned(look, view).reflected, np.zeros((len(gbuffer.points), 2, 3))
 
     def piece(a: int, b: int) -> None:
         place = place_of(gbuffer.pixels[a:b], gbuffer.points[a:b], normals[a:b], gbuffer.isovalue)
         halves[a:b] = light_of_halves(look, place, reflected, samples)
 
-    renderer.tiles.run(piece, len(halves), PIECE)
-    apart = (halves[:, 0] - halves[:, 1]) @ LUMINANCE / 2.0
-    return Lit(np.maximum(halves.mean(axis=1), 0.0) @ LUMINANCE, apart**2)
+    bench.tiles.run(piece, len(halves), PIECE, bench.cancelled)
+    half = (halves[:, 0] - halves[:, 1]) @ LUMINANCE / 2.0
+    return Lit(np.maximum(halves.mean(axis=1), 0.0) @ LUMINANCE, half**2)
 
 
 def place_of(pixels: np.ndarray, points: np.ndarray, normals: np.ndarray, isovalue: float) -> Place:

@@ -9,9 +9,11 @@ import numpy as np
 from isogi_core.model.scene import Scene
 from isogi_core.report.bench import Bench
 from isogi_core.report.converged import converged
-from isogi_core.report.metrics import Spread, mean_of, spread_of
-from isogi_core.report.points import Lit, cuts_harmonics, lit_by_frame, lit_by_paths, own_light, short_light
+from isogi_core.report.metrics import Spread, map_of, mean_of, spread_of
+from isogi_core.report.points import Lit, apart, cuts_harmonics, lit_by_frame, lit_by_paths, own_light, short_paths
 from isogi_core.report.sections import Column, Picture, Section, Table
+
+KEY, TITLE = "split", "Where the error comes from"
 
 COLUMNS = (Column("part"), Column("relative RMSE", "share"), Column("bias", "share"), Column("what is compared"))
 
@@ -70,9 +72,10 @@ def study(bench: Bench) -> Section:
         row_of(split.surface, split),
         row_of(split.beyond, split),
     )
-    pictures = tuple(map_of(part, split, bench) for part in (*split.parts, split.whole, split.surface))
+    shown = (*split.parts, split.whole, split.surface)
+    pictures = tuple(Picture(part.name, "error", map_of(part.wrong, bench.best.on, split.mean)) for part in shown)
     table = Table("Error of the plan's frame and its parts", COLUMNS, rows)
-    return Section("split", "Where the error comes from", f"{ABOUT} {missing(bench)}".strip(), (table,), (), pictures)
+    return Section(KEY, TITLE, f"{ABOUT} {missing(bench)}".strip(), (table,), (), pictures)
 
 
 def split_error(bench: Bench) -> Split:
@@ -80,9 +83,10 @@ def split_error(bench: Bench) -> Split:
     best = lit_by_paths(bench.best)
     planned = lit_by_frame(bench.planned.frame())
     whole = Part("total, measured", "the frame and the reference", planned.light - best.light, best.noise)
-    true = lit_by_paths(bench.reference(bench.best.samples, true_surface(bench.scene)))
+    bare = bench.reference(bench.best.samples, true_surface(bench.scene))
+    true, change = lit_by_paths(bare), apart(bench.best, bare)
     what = "the scene's normals and offset, and plain gradients with rays from the surface itself"
-    surface = Part("normals and offset", what, best.light - true.light, best.noise + true.noise)
+    surface = Part("normals and offset", what, change.light, change.noise)
     beyond = Part("total with these", "the frame and such a reference", planned.light - true.light, true.noise)
     return Split(tuple(parts_of(bench, planned, best)), whole, surface, beyond, mean_of(best.light))
 
@@ -96,18 +100,19 @@ def parts_of(bench: Bench, planned: Lit, best: Lit) -> Iterator[Part]:
     """The parts, from the frame to the reference."""
     pair, plan = converged(bench), bench.scene.plan
     kept, exact = lit_by_frame(pair.kept), lit_by_frame(pair.exact)
-    what = f"texels as they are, and after {pair.samples} samples each"
+    what = f"texels as they are, and after {pair.samples:,.0f} samples each on average"
     yield Part("Monte Carlo noise", what, planned.light - kept.light, -kept.noise)
     if plan.precision != "single":
         yield Part("quantization", f"{plan.precision} and single floats", kept.light - exact.light)
-    own, short = own_light(bench), short_light(bench)
+    own, short = own_light(bench), short_paths(bench)
     noise = exact.noise + own.noise
     yield Part("interpolation", "texels around a pixel, and light at its own point", exact.light - own.light, noise)
     if cuts_harmonics(bench.scene):
-        what, noise = f"harmonics of order {plan.order}, and the lights themselves", own.noise + short.noise
-        yield Part("harmonics cut off", what, own.light - short.light, noise)
+        what, lights = f"harmonics of order {plan.order}, and the lights themselves", lit_by_paths(short)
+        yield Part("harmonics cut off", what, own.light - lights.light, own.noise + lights.noise)
     if bench.scene.bounces:
-        yield Part("bounces cut off", f"{bench.scene.bounces} bounces, and all", short.light - best.light)
+        cut, what = apart(short, bench.best), f"{bench.scene.bounces} bounces, and {bench.whole.bounces}"
+        yield Part("bounces cut off", what, cut.light, cut.noise)
 
 
 def missing(bench: Bench) -> str:
@@ -127,11 +132,3 @@ def row_of(part: Part, split: Split) -> tuple[str, float, float, str]:
     """A part's row of the table."""
     spread = split.spread(part)
     return part.name, spread.rmse, spread.bias, part.what
-
-
-def map_of(part: Part, split: Split, bench: Bench) -> Picture:
-    """Where a part is."""
-    on = bench.best.on
-    errors = np.full(on.shape, np.nan, np.float32)
-    errors[on] = part.wrong / split.mean
-    return Picture(part.name, "error", errors)

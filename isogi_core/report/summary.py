@@ -2,15 +2,18 @@
 
 from isogi_core.model.plan import Layer
 from isogi_core.report import scores
-from isogi_core.report.bench import Bench, longer
+from isogi_core.report.bench import Bench
 from isogi_core.report.sections import Cell, Column, Section, Table
+
+KEY, TITLE = "summary", "Summary"
 
 ABOUT = """\
 One view of a scene, each of its texels baked to the target error by the scene's plan, against a reference: paths from \
 each pixel to the lights themselves, with the scene's own normals and offset. Errors are of the luminance, over the \
 surface pixels, relative to the reference's mean: the root mean square (less the reference's own noise), what 99 % of \
 pixels stay below, the signed mean (bias); FLIP is of the pictures as a screen shows them. Random numbers belong to \
-texels and pixels, so that the same report comes out again; seconds are of the processor, all threads together."""
+texels and pixels, so that light of as many samples has the same bits again; how many the reference has may hang on \
+the time that there was. Seconds are of the processor, all threads together."""
 
 
 def study(bench: Bench) -> Section:
@@ -23,7 +26,7 @@ def study(bench: Bench) -> Section:
     measured = (Column("reference's noise", "share"), Column("paths per pixel", "count"), Column("time", "seconds"))
     reference = Table("Its reference", measured, ((best.noise, best.samples, best.seconds),))
     scene = Table("The scene", (Column("what"), Column("is")), facts(bench))
-    return Section("summary", "Summary", ABOUT, (headline, reference, scene))
+    return Section(KEY, TITLE, ABOUT, (headline, reference, scene))
 
 
 def facts(bench: Bench) -> tuple[tuple[Cell, ...], ...]:
@@ -41,7 +44,7 @@ def facts(bench: Bench) -> tuple[tuple[Cell, ...], ...]:
         ("lights", f"{lights}, {'may turn' if scene.rotating else 'stay where they are'}"),
         ("picture", f"{view.width} × {view.height}, {int(bench.best.on.sum()):,} surface pixels, {texels}"),
         ("plan", f"{scene.plan.representation}: {layers}; {scene.plan.bytes_per_texel} bytes per texel"),
-        ("bounces", f"{scene.bounces} of the plan, {longer(scene).bounces} of the reference"),
+        ("bounces", f"{scene.bounces} of the plan, {bench.whole.bounces} of the reference"),
         ("target error", f"{scene.target_error:.1%} of noise, at most, in each texel"),
     )
 

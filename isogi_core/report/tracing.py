@@ -5,6 +5,8 @@ from isogi_core.report.bench import Bench
 from isogi_core.report.metrics import error_map
 from isogi_core.report.sections import Column, Picture, Section, Table
 
+KEY, TITLE = "tracing", "The frame and path tracing"
+
 ABOUT = """\
 The frame that the scene's plan makes, each texel baked to the target error, and the reference: paths from each pixel \
 to the lights themselves. The frame's own estimate is of Monte Carlo noise alone: it knows nothing of interpolation, \
@@ -31,4 +33,4 @@ def study(bench: Bench) -> Section:
         Picture(f"the reference, {best.samples} paths per pixel", "radiance", best.mean),
         Picture("the frame's error", "error", error_map(frame.radiance, best)),
     )
-    return Section("tracing", "The frame and path tracing", ABOUT, (table,), (), pictures)
+    return Section(KEY, TITLE, ABOUT, (table,), (), pictures)

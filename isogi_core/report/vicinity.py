@@ -9,6 +9,8 @@ from isogi_core.report.bench import Bench
 from isogi_core.report.metrics import error_map
 from isogi_core.report.sections import Column, Picture, Section, Table
 
+KEY, TITLE = "vicinity", "Vicinity shading"
+
 ABOUT = """\
 Vicinity shading keeps one number for each texel: the share of a constant light that arrives unreflected. It knows \
 neither where light comes from nor what surfaces send on. The map shows what it misses, relative to the reference's \
@@ -22,7 +24,7 @@ COLUMNS = (Column("shading"), *scores.COLUMNS, Column("bake", "seconds"), Column
 def study(bench: Bench) -> Section:
     """Both frames against the reference of global illumination; nothing where the plan's own is vicinity shading."""
     if bench.scene.plan.representation == "vicinity":
-        return Section("vicinity", "Vicinity shading", SAME)
+        return Section(KEY, TITLE, SAME)
     near = vicinity(bench)
     rows, pictures = [], []
     for name, bake in (("global illumination", bench.planned), ("vicinity shading", near)):
@@ -31,7 +33,7 @@ def study(bench: Bench) -> Section:
         pictures.append(Picture(name, "radiance", radiance))
     pictures.append(Picture("vicinity shading's error", "error", error_map(near.frame().radiance, bench.best)))
     table = Table("Against the reference", COLUMNS, tuple(rows))
-    return Section("vicinity", "Vicinity shading", ABOUT, (table,), (), tuple(pictures))
+    return Section(KEY, TITLE, ABOUT, (table,), (), tuple(pictures))
 
 
 def vicinity(bench: Bench) -> ViewBake:

@@ -15,7 +15,7 @@ from server.report.heading import heading
 from server.report.journal import Entry
 from server.report.page import page
 from server.report.plots import standalone
-from server.report.prints import print_picture, scale_of
+from server.report.prints import print_picture, scales_of
 from server.report.report import DATA, PAGE, Report, picture_name, plot_name
 
 
@@ -34,9 +34,9 @@ def write_report(folder: Path, report: Report) -> Path:
 def drawings(report: Report) -> Iterator[tuple[str, bytes]]:
     """Name and bytes of every picture and plot."""
     for section in (entry.section for entry in report.entries):
-        scale = scale_of(section.pictures)
+        scales = scales_of(section.pictures)
         for i, picture in enumerate(section.pictures):
-            yield picture_name(section, i), print_picture(picture, report.exposure, scale)
+            yield picture_name(section, i), print_picture(picture, report, scales[i])
             yield picture_name(section, i, "npy"), array_bytes(picture)
         for i, plot in enumerate(section.plots):
             yield plot_name(section, i), standalone(plot).encode()
@@ -65,13 +65,13 @@ def data_of(report: Report, head: Mapping[str, Any]) -> dict[str, Any]:
 def section_data(entry: Entry) -> dict[str, Any]:
     """A section with where its pictures and plots are, and what it took."""
     section, document = entry.section, document_of(entry.section)
-    scale = scale_of(section.pictures)
+    scales = scales_of(section.pictures)
     pictures = [
         {
             **picture,
             "png": picture_name(section, i),
             "npy": picture_name(section, i, "npy"),
-            **({"scale": scale} if picture["kind"] == "error" else {}),
+            **({} if scales[i] is None else {"scale": scales[i]}),
         }
         for i, picture in enumerate(document["pictures"])
     ]

@@ -35,13 +35,15 @@ def told(table: Table) -> tuple[Told, ...]:
 
 
 def column_told(column: Column, cells: Sequence[Cell]) -> Told:
-    """One column as text: words as they are, nothing as a dash, numbers alike."""
-    numbers = [float(cell) for cell in cells if isinstance(cell, int | float)]
+    """One column as text: words as they are, numbers alike, a dash for nothing and for what is not finite."""
+    numbers = [float(cell) for cell in cells if isinstance(cell, int | float) and math.isfinite(cell)]
     name, size = scale_of(column.unit, max(map(abs, numbers), default=0.0))
     write = writer(column.unit, [number / size for number in numbers])
 
     def text(cell: Cell) -> str:
-        return NOTHING if cell is None else cell if isinstance(cell, str) else write(cell / size)
+        if isinstance(cell, str):
+            return cell
+        return write(cell / size) if cell is not None and math.isfinite(cell) else NOTHING
 
     head = f"{column.name},{TOGETHER}{name}" if name else column.name
     return Told(head, tuple(map(text, cells)), column.unit != "text")

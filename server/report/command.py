@@ -10,19 +10,26 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from isogi_core.errors import ViewError
 from isogi_core.model.scene import Scene, load_scene
 from isogi_core.model.view import View
+from server.durations import span
 from server.errors import LibraryError, ParameterError
-from server.params import FrameParams, read
-from server.report.durations import span
+from server.params import POINTS, FrameParams, read
 from server.settings import Settings
 from server.views import view_of
 
 if TYPE_CHECKING:
+    from isogi_core.report.bench import Bench
     from isogi_core.report.sections import Section
     from isogi_core.report.studies import Study
     from server.report.measuring import Measured
     from server.report.report import Report
+
+STAND = {"azimuth": 40.0, "elevation": 30.0, "distance": 2.2}
+"""Where a report looks from unless told: nearer than pages do, so that few of its pixels are empty."""
 
 LIBRARIES = ("matplotlib", "jinja2")
 """What pages are drawn with; they are not needed by anything else."""
@@ -40,15 +47,20 @@ class Wishes:
 def report(target: str, knobs: Mapping[str, str], settings: Settings, wishes: Wishes) -> dict[str, Any]:
     """Measure the view of ``target`` that ``knobs`` name, write its page, and tell where that is and what it says.
 
-    Raises SceneError, VolumeError, LightError, ViewError, ReportError (the folder holds something else) and
-    LibraryError before anything is measured; StoreError and OSError later.
+    Raises SceneError, VolumeError, LightError, ViewError, ReportError (the folder holds something else, or is in
+    use) and LibraryError before anything is measured; StoreError and OSError later.
     """
     begun = time.monotonic()
     require_libraries()
     scene = load_scene(target)
-    params = read(FrameParams, knobs.items())
+    params = read(FrameParams, standing(knobs).items())
     exposure = scene.default_exposure if params.exposure is None else params.exposure
     return report_of(scene, view_of(scene, params, settings), exposure, wishes, begun)
+
+
+def standing(knobs: Mapping[str, Any]) -> dict[str, Any]:
+    """The knobs of a view, with STAND for those of its camera that are left out."""
+    return dict(knobs) if set(POINTS) & set(knobs) else {**STAND, **knobs}
 
 
 def require_libraries() -> None:
@@ -59,21 +71,35 @@ def require_libraries() -> None:
 
 
 def report_of(scene: Scene, view: View, exposure: float, wishes: Wishes, begun: float) -> dict[str, Any]:
-    """The report of a view; ``begun``, a time of ``time.monotonic``, is when its time began."""
+    """The report of a view; ``begun``, a time of ``time.monotonic``, is when its time began.
+
+    Raises ViewError where the view shows nothing, and what ``report`` does.
+    """
     from isogi_core.report.bench import Bench  # noqa: PLC0415 (kernels: bad input is told before they are compiled)
     from isogi_core.report.studies import STUDIES  # noqa: PLC0415
     from server.report.bundle import write_report  # noqa: PLC0415
-    from server.report.journal import Journal, subject_of  # noqa: PLC0415
+    from server.report.journal import opened, subject_of, workshop  # noqa: PLC0415
     from server.report.measuring import measure  # noqa: PLC0415
     from server.report.report import Report  # noqa: PLC0415
 
     wanted = choose(STUDIES, wishes.only)
-    journal = Journal(wishes.folder, subject_of(scene, view))
     deadline = math.inf if wishes.deadline is None else begun + wishes.deadline
-    bench = Bench(scene, view, journal.workshop(), deadline=deadline)
-    measured = measure(STUDIES, wanted, bench, journal)
-    drawn = Report(scene, view, exposure, measured.done, tuple(notes(measured, wishes.deadline)))
-    return outcome(write_report(wishes.folder, drawn), drawn, measured)
+    bench = Bench(scene, view, workshop(wishes.folder), deadline=deadline, exposure=exposure)
+    on = surface_of(bench)
+    with opened(wishes.folder, subject_of(scene, view, exposure)) as journal:
+        measured = measure(STUDIES, wanted, bench, journal)
+        drawn = Report(scene, view, exposure, on, measured.done, tuple(notes(measured, wishes.deadline)))
+        return outcome(write_report(wishes.folder, drawn), drawn, measured)
+
+
+def surface_of(bench: Bench) -> np.ndarray:
+    """Where the view shows the surface, (h, w) bool; ViewError where it does nowhere."""
+    gbuffer = bench.renderer(bench.scene).gbuffer(bench.view)
+    if not len(gbuffer.pixels):
+        raise ViewError(f"Nothing is to be seen at isovalue {bench.view.isovalue:g}: choose another view.")
+    on = np.zeros(gbuffer.shape, bool)
+    on.flat[gbuffer.pixels] = True
+    return on
 
 
 def choose(studies: Sequence[Study], only: Sequence[str]) -> tuple[Study, ...]:
@@ -86,14 +112,23 @@ def choose(studies: Sequence[Study], only: Sequence[str]) -> tuple[Study, ...]:
 
 
 def notes(measured: Measured, deadline: float | None) -> Iterator[str]:
-    """What is missing and why, in sentences."""
-    late, unasked = (", ".join(study.title for study in some) for some in (measured.late, measured.unasked))
+    """What is missing or wanting, and why, in sentences."""
+    late = titles(measured.late)
     if measured.stopped:
         yield f"Stopped by hand before the end. Missing: {late}. The same command goes on from here."
     elif late:
         yield f"Left out, as {span(deadline or 0.0)} did not suffice: {late}. The same command goes on from here."
-    if unasked:
-        yield f"Not asked for: {unasked}."
+    if measured.hurried:
+        yield f"Cut short for want of time: {titles(measured.hurried)}. The same command measures these anew."
+    for study, what in measured.failed:
+        yield f"Failed: {study.title} ({what})."
+    if measured.unasked:
+        yield f"Not asked for: {titles(measured.unasked)}."
+
+
+def titles(studies: Iterable[Study]) -> str:
+    """What studies are called, for a sentence."""
+    return ", ".join(study.title for study in studies)
 
 
 def outcome(page: Path, drawn: Report, measured: Measured) -> dict[str, Any]:
@@ -107,6 +142,8 @@ def outcome(page: Path, drawn: Report, measured: Measured) -> dict[str, Any]:
         "sections": {entry.section.key: entry.seconds for entry in drawn.entries},
         "found": measured.found,
         "missing": [study.key for study in (*measured.late, *measured.unasked)],
+        "hurried": [study.key for study in measured.hurried],
+        "failed": [study.key for study, _ in measured.failed],
         "stopped": measured.stopped,
         "notes": list(drawn.notes),
     }
@@ -123,5 +160,6 @@ def sentence(facts: Mapping[str, Any]) -> str:
     """What the command tells of a report, for a person."""
     score = ", ".join(f"{name} {cell:.3g}" for name, cell in facts["headline"].items())
     before = f", {facts['found']} of them measured before" if facts["found"] else ""
-    said = f"{facts['page']}: {len(facts['sections'])} sections{before}."
+    count = len(facts["sections"])
+    said = f"{facts['page']}: {count} section{'' if count == 1 else 's'}{before}."
     return " ".join([said, *([f"The frame's {score}."] if score else []), *facts["notes"]])

@@ -1,17 +1,21 @@
 """The journal of a report: each section kept as soon as it is measured, so that an interrupted report goes on.
 
 A folder holds one journal. Its ``report.json`` names what the report is of; each section is a JSON file and the
-pixels of its pictures beside it. What other code has measured does not count as done.
+pixels of its pictures beside it. What other code has measured does not count as done, nor does what is damaged.
 """
 
+import fcntl
 import hashlib
 import io
 import json
 import shutil
-from collections.abc import Mapping
+import zlib
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 
@@ -25,9 +29,14 @@ from server.report.documents import document_of, section_of
 
 FOLDER = "journal"
 SUBJECT = "report.json"
+LOCK = "lock"
 
 WORK = "work"
 """Beside the journal: light and references that studies share."""
+
+
+DAMAGE = (OSError, EOFError, ValueError, KeyError, TypeError, BadZipFile, zlib.error)
+"""What reading an entry raises where it is missing, cut or changed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,36 +51,27 @@ class Journal:
     """The sections that are done of a report in ``folder`` about ``subject``."""
 
     def __init__(self, folder: Path, subject: Mapping[str, Any]) -> None:
-        """Open the journal, or begin one; ReportError where the folder holds something else."""
+        """Go on with the journal, or begin it where it has no section; ReportError where it is of something else."""
         self.folder, self.code = folder / FOLDER, code_digest()
         path = self.folder / SUBJECT
-        if path.is_file():
-            refuse_other(folder, json.loads(path.read_text(encoding="utf-8")), subject)
-            return
-        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-            raise ReportError(f"{folder} is there and holds no report: choose a new or an empty folder.")
-        self.folder.mkdir(parents=True)
-        write(path, json.dumps(subject, indent=2).encode())
-
-    def workshop(self) -> Path:
-        """A folder for the light and the references of this code, which goes on with them; that of other code goes."""
-        work = self.folder.with_name(WORK)
-        for other in work.glob("*"):
-            if other.name != self.code:
-                shutil.rmtree(other)
-        return work / self.code
+        if sections_in(self.folder):
+            refuse_other(folder, read(path), subject)
+        elif read(path) != subject:
+            shutil.rmtree(folder / WORK, ignore_errors=True)
+            write(path, json.dumps(subject, indent=2).encode())
+        forget_others(workshop(folder))
 
     def find(self, key: str) -> Entry | None:
-        """The section of this key, if this code has measured it."""
+        """The section of this key, if this code has measured it and it is whole."""
         try:
             document = json.loads((self.folder / f"{key}.json").read_text(encoding="utf-8"))
             if document["code"] != self.code:
                 return None
-            with np.load(self.folder / f"{key}.npz") as arrays:
+            with np.load(io.BytesIO((self.folder / f"{key}.npz").read_bytes())) as arrays:
                 pixels = [arrays[f"arr_{i}"] for i in range(len(document["section"]["pictures"]))]
-        except FileNotFoundError:
+            return Entry(section_of(document["section"], pixels), document["seconds"])
+        except DAMAGE:
             return None
-        return Entry(section_of(document["section"], pixels), document["seconds"])
 
     def keep(self, key: str, entry: Entry) -> None:
         """Keep a section; its pixels first, so that what is found is whole."""
@@ -82,7 +82,48 @@ class Journal:
         write(self.folder / f"{key}.json", json.dumps(document, allow_nan=False).encode())
 
 
-def subject_of(scene: Scene, view: View) -> dict[str, Any]:
+@contextmanager
+def opened(folder: Path, subject: Mapping[str, Any]) -> Iterator[Journal]:
+    """The journal of ``folder``, for this process alone; ReportError where the folder is another's, or in use."""
+    journal = folder / FOLDER
+    if folder.exists() and (not folder.is_dir() or (not journal.is_dir() and any(folder.iterdir()))):
+        raise ReportError(f"{folder} is there and holds no report: choose a new or an empty folder.")
+    journal.mkdir(parents=True, exist_ok=True)
+    with (journal / LOCK).open("w") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise ReportError(f"{folder} is being written by another report: wait for its end.") from None
+        yield Journal(folder, subject)
+
+
+def workshop(folder: Path) -> Path:
+    """Where the light and the references of a report in ``folder`` are, those of this code."""
+    return folder / WORK / code_digest()
+
+
+def forget_others(work: Path) -> None:
+    """Remove what other code has made beside the folder ``work``."""
+    for other in work.parent.glob("*"):
+        if other.name != work.name:
+            shutil.rmtree(other)
+
+
+def sections_in(journal: Path) -> bool:
+    """Whether any section was kept in the folder of a ``journal``, whole or not."""
+    return any(path.name != SUBJECT for path in journal.glob("*.json"))
+
+
+def read(path: Path) -> Mapping[str, Any]:
+    """What a JSON file says; nothing where it is missing or damaged."""
+    try:
+        found: Mapping[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return found
+
+
+def subject_of(scene: Scene, view: View, exposure: float) -> dict[str, Any]:
     """What a report is of, as a document: two reports of the same one measure the same."""
     camera = view.camera
     return {
@@ -93,6 +134,7 @@ def subject_of(scene: Scene, view: View) -> dict[str, Any]:
         "camera": [*camera.eye, *camera.target, *camera.up, camera.fov],
         "light": list(view.light),
         "size": [view.width, view.height],
+        "exposure": exposure,
     }
 
 

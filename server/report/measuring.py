@@ -1,5 +1,6 @@
 """Measuring the studies of a report one after another, each kept as soon as it is done."""
 
+import logging
 import signal
 import threading
 import time
@@ -13,6 +14,8 @@ from isogi_core.report.studies import Study
 from server.report.journal import Entry, Journal
 from server.report.progress import Progress, ticking
 
+log = logging.getLogger("isogi.report")
+
 GRACE = 0.1
 """What a study may take beyond its deadline, of the time that all of them had, before it is cancelled."""
 
@@ -21,13 +24,16 @@ GRACE = 0.1
 class Measured:
     """What became of the studies: entries that are ``done``, in order, and studies that are not.
 
-    ``late`` are those for which there was no time, ``unasked`` those that nobody wants now; ``found`` of those
-    that are done were in the journal; ``stopped`` is whether a person stopped the work.
+    ``late`` are those for which there was no time, ``unasked`` those that nobody wants now, ``failed`` those that
+    raised an error, with what it says; ``hurried`` of those that are done had too little time for all that is
+    in them, and ``found`` of them were in the journal; ``stopped`` is whether a person stopped the work.
     """
 
     done: tuple[Entry, ...]
     late: tuple[Study, ...]
     unasked: tuple[Study, ...]
+    failed: tuple[tuple[Study, str], ...]
+    hurried: tuple[Study, ...]
     found: int
     stopped: bool
 
@@ -35,55 +41,69 @@ class Measured:
 def measure(studies: Sequence[Study], wanted: Sequence[Study], bench: Bench, journal: Journal) -> Measured:
     """Run the ``wanted`` of all ``studies`` that the journal lacks, until the deadline of ``bench`` or a Ctrl-C.
 
-    A study that ends after the deadline is shown, but not kept: it may have left something out.
+    A study that gave way to time is shown, but not kept; one that fails is told, and the next ones are run.
     """
     done = {study.key: entry for study in studies if (entry := journal.find(study.key)) is not None}
     found, stop, bar = len(done), threading.Event(), progress_of(wanted, done, bench.left)
+    failed, hurried = [], []
     with interruptible(bench, stop), limited(bench), ticking(bar):
-        for study, entry in worked([each for each in wanted if each.key not in done], bench, bar):
-            done[study.key] = entry
-            if bench.left > 0.0:
-                journal.keep(study.key, entry)
-    missing = [study for study in studies if study.key not in done]
-    late, unasked = (tuple(each for each in missing if (each in wanted) is asked) for asked in (True, False))
+        for study, result in worked([each for each in wanted if each.key not in done], bench, bar):
+            if isinstance(result, str):
+                failed.append((study, result))
+                continue
+            done[study.key] = result
+            if bench.hurried or bench.left <= 0.0:
+                hurried.append(study)
+            else:
+                journal.keep(study.key, result)
+    known = {*done, *(study.key for study, _ in failed)}
+    missing = [study for study in studies if study.key not in known]
+    late = tuple(study for study in missing if study in wanted)
+    unasked = tuple(study for study in missing if study not in wanted)
     ordered = tuple(done[study.key] for study in studies if study.key in done)
-    return Measured(ordered, late, unasked, found, stop.is_set())
+    return Measured(ordered, late, unasked, tuple(failed), tuple(hurried), found, stop.is_set())
 
 
-def worked(studies: Iterable[Study], bench: Bench, bar: Progress) -> Iterator[tuple[Study, Entry]]:
-    """The studies one after another, with what they found, until there is no time left or they are cancelled."""
+def worked(studies: Iterable[Study], bench: Bench, bar: Progress) -> Iterator[tuple[Study, Entry | str]]:
+    """The studies in turn, with what they found or what failed, until the time is over or they are cancelled."""
     for study in studies:
         if bench.left <= 0.0 or bench.cancelled.is_set():
             return
         bar.begin(study.title)
-        entry = run(study, bench)
-        if entry is not None:
+        result = run(study, bench)
+        if result is not None:
             bar.finish(study.weight)
-            yield study, entry
+            yield study, result
 
 
 def progress_of(wanted: Sequence[Study], done: Mapping[str, Entry], limit: float) -> Progress:
     """The bar of the ``wanted`` studies; ``limit`` is the seconds that they have."""
-    total, before = (sum(each.weight for each in wanted if each.key in done or some) for some in (True, False))
+    total = sum(study.weight for study in wanted)
+    before = sum(study.weight for study in wanted if study.key in done)
     return Progress(total, before, limit)
 
 
-def run(study: Study, bench: Bench) -> Entry | None:
-    """The study's section and what it took; None where it was cancelled."""
+def run(study: Study, bench: Bench) -> Entry | str | None:
+    """The study's section and what it took; what went wrong where it failed, and None where it was cancelled."""
     begun = time.process_time()
     try:
         return Entry(study.run(bench), time.process_time() - begun)
-    except (Cancelled, KeyboardInterrupt):
+    except Cancelled:
         bench.cancelled.set()
         return None
+    except Exception as error:
+        what = " ".join(f"{type(error).__name__}: {error}".split())
+        log.error("%s failed: %s", study.title, what)
+        log.debug("%s failed", study.title, exc_info=True)
+        return what
 
 
 @contextmanager
 def interruptible(bench: Bench, stop: threading.Event) -> Iterator[None]:
-    """Have the first Ctrl-C set ``stop`` and cancel the work, and the second one end it at once."""
+    """Have the first Ctrl-C set ``stop`` and cancel the work, and the second one end the process at once."""
 
     def ask(*_: object) -> None:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
         stop.set()
         bench.cancelled.set()
 

@@ -10,11 +10,11 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
 from isogi_core.report.sections import Picture, Plot, Section, Table
-from server.report.cells import column_told, digits, told
+from server.durations import span
+from server.report.cells import TOGETHER, column_told, told
 from server.report.heading import left_out_rows, machine_rows, plan_facts_rows, scene_rows
 from server.report.plots import SCHEME, draw, keys
-from server.report.prints import gradient
-from server.report.prints import scale_of as error_scale
+from server.report.prints import gradient, scales_of
 from server.report.report import Report, picture_name
 
 HERE = Path(__file__).parent
@@ -51,17 +51,16 @@ def parts(report: Report, files: Mapping[str, bytes]) -> Iterator[Part]:
     """What the template draws of each section; tables and plots are numbered through the page."""
     tables, plots = count(1), count(1)
     for entry in report.entries:
-        section, scale = entry.section, error_scale(entry.section.pictures)
-        told_scale = None if scale is None else f"{100 * scale:g} %"
+        section, scales = entry.section, scales_of(entry.section.pictures)
         yield {
             "key": section.key,
             "title": section.title,
             "about": [text for text in section.about.split("\n\n") if text.strip()],
             "tables": [table_part(table, next(tables)) for table in section.tables],
             "plots": [plot_part(plot, next(plots)) for plot in section.plots],
-            "pictures": [picture_part(section, i, told_scale, files) for i in range(len(section.pictures))],
-            "scale": told_scale,
-            "seconds": seconds_text(entry.seconds),
+            "pictures": [picture_part(section, i, scale, files) for i, scale in enumerate(scales)],
+            "maps": any(scale is not None for scale in scales),
+            "seconds": span(entry.seconds),
         }
 
 
@@ -88,21 +87,18 @@ def plot_part(plot: Plot, number: int) -> Part:
     }
 
 
-def picture_part(section: Section, i: int, scale: str | None, files: Mapping[str, bytes]) -> Part:
-    """A picture, with its file in itself."""
+def picture_part(section: Section, i: int, scale: float | None, files: Mapping[str, bytes]) -> Part:
+    """A picture, with its file in itself; ``scale`` is the error at the ends of an error map's colours."""
     picture = section.pictures[i]
     height, width = picture.pixels.shape[:2]
     source = "data:image/png;base64," + base64.b64encode(files[picture_name(section, i)]).decode()
-    return {"source": source, "caption": picture.caption, "alt": alt(picture, scale), "width": width, "height": height}
+    ends = None if scale is None else f"{100 * scale:g}{TOGETHER}%"
+    caption = picture.caption if ends is None else f"{picture.caption} (±{ends})"
+    return {"source": source, "caption": caption, "alt": alt(picture, ends), "width": width, "height": height}
 
 
-def alt(picture: Picture, scale: str | None) -> str:
+def alt(picture: Picture, ends: str | None) -> str:
     """What a picture is, for who does not see it."""
-    if picture.kind == "error":
-        return f"Error map, from blue, {scale} too dark, to red, {scale} too bright: {picture.caption}"
+    if ends is not None:
+        return f"Error map, from blue, {ends} too dark, to red, {ends} too bright: {picture.caption}"
     return f"Picture: {picture.caption}"
-
-
-def seconds_text(seconds: float) -> str:
-    """Seconds with their unit, for a sentence."""
-    return f"{digits(seconds)} seconds" if seconds >= 1.0 else f"{digits(1000 * seconds)} milliseconds"

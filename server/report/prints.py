@@ -2,7 +2,7 @@
 
 import io
 import math
-from collections.abc import Iterable
+from collections.abc import Sequence
 
 import matplotlib as mpl
 import numpy as np
@@ -11,6 +11,7 @@ from PIL import Image
 from isogi_core.frame.film import BACKGROUND, tone_table
 from isogi_core.kernels.film import develop_rows
 from isogi_core.report.sections import Picture
+from server.report.report import Report
 
 COLOURS = "RdBu_r"
 """matplotlib's name of the colours of errors: blue too dark, white right, red too bright."""
@@ -21,37 +22,52 @@ STEPS = (1.0, 2.0, 5.0, 10.0)
 MOST = 99.0
 """Percentile of the absolute errors that the scale of their maps reaches."""
 
+SMALL = 0.1
+"""Part of a section's scale that a map on it reaches at least."""
 
-def scale_of(pictures: Iterable[Picture]) -> float | None:
-    """The error at the ends of the colours, the same for all maps of a section; None where it has none.
 
-    One, two or five times a power of ten, and at least what MOST percent of the pixels stay below.
+def scales_of(pictures: Sequence[Picture]) -> tuple[float | None, ...]:
+    """The error at the ends of each map's colours; None for what is no map of errors.
+
+    It is the same for all maps of a section, round, and at least what MOST percent of their pixels stay below; a
+    map in which that is less than a SMALL part of it has a scale of its own.
     """
-    maps = [picture.pixels[np.isfinite(picture.pixels)] for picture in pictures if picture.kind == "error"]
-    if not maps:
-        return None
-    errors = np.abs(np.concatenate(maps))
-    most = float(np.percentile(errors, MOST)) if errors.size else 0.0
-    if most <= 0.0:
+    maps = [each.pixels[np.isfinite(each.pixels)] if each.kind == "error" else None for each in pictures]
+    common = round_up(most_of(np.concatenate([np.empty(0), *(errors for errors in maps if errors is not None)])))
+    return tuple(None if errors is None else own_scale(most_of(errors), common) for errors in maps)
+
+
+def own_scale(most: float, common: float) -> float:
+    """The scale of a map whose errors reach ``most``, in a section whose scale is the ``common`` one."""
+    return round_up(most) if 0.0 < most < SMALL * common else common
+
+
+def most_of(errors: np.ndarray) -> float:
+    """What MOST percent of errors stay below."""
+    return float(np.percentile(np.abs(errors), MOST)) if errors.size else 0.0
+
+
+def round_up(error: float) -> float:
+    """The next of one, two or five times a power of ten; a hundredth for nothing."""
+    if error <= 0.0:
         return 0.01
-    power = 10.0 ** math.floor(math.log10(most))
-    return next(step * power for step in STEPS if step * power >= most * (1.0 - 1e-9))
+    power = 10.0 ** math.floor(math.log10(error))
+    return next(step * power for step in STEPS if step * power >= error * (1.0 - 1e-9))
 
 
-def print_picture(picture: Picture, exposure: float, scale: float | None) -> bytes:
+def print_picture(picture: Picture, report: Report, scale: float | None) -> bytes:
     """The picture's PNG; ``scale`` is the error at the ends of an error map's colours."""
-    shown = error_colours(picture.pixels, scale or 1.0) if picture.kind == "error" else develop(picture, exposure)
+    shown = develop(picture.pixels, report) if scale is None else error_colours(picture.pixels, scale)
     file = io.BytesIO()
     Image.fromarray(shown).save(file, "png", optimize=True)
     return file.getvalue()
 
 
-def develop(picture: Picture, exposure: float) -> np.ndarray:
+def develop(pixels: np.ndarray, report: Report) -> np.ndarray:
     """Radiance as (h, w, 3) uint8 sRGB, by the curve that frames have."""
-    radiance = np.ascontiguousarray(picture.pixels, np.float32)
-    on = (radiance != 0.0).any(axis=-1).astype(np.uint8)
-    shown = np.empty(radiance.shape, np.uint8)
-    develop_rows(radiance, on, 0, exposure, np.array([BACKGROUND] * 2, np.float32), False, tone_table(), shown)
+    radiance, on = np.ascontiguousarray(pixels, np.float32), report.on.astype(np.uint8)
+    shown, colours = np.empty(radiance.shape, np.uint8), np.array([BACKGROUND] * 2, np.float32)
+    develop_rows(radiance, on, 0, report.exposure, colours, False, tone_table(), shown)
     return shown
 
 

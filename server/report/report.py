@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from isogi_core.model.scene import Scene
 from isogi_core.model.view import View
 from isogi_core.report.sections import Section
@@ -14,12 +16,13 @@ PAGE, DATA = "index.html", "report.json"
 class Report:
     """The sections of a view, in the order of the page, and ``notes`` on what is missing.
 
-    Pictures show radiance times ``exposure``.
+    Pictures show radiance times ``exposure`` ``on`` (h, w) the surface, and the film's background beside it.
     """
 
     scene: Scene
     view: View
     exposure: float
+    on: np.ndarray
     entries: tuple[Entry, ...]
     notes: tuple[str, ...] = ()
 

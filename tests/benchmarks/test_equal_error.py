@@ -2,24 +2,24 @@
 
 import importlib.util
 import json
-import math
 import tempfile
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
+from click import ClickException
 from click.testing import CliRunner
 
 from benchmarks import mitsuba_race, mitsuba_scene
 from benchmarks.equal_error import likeness, main, probe_scene
-from benchmarks.error_curve import PowerLaw, error_at, relative_rmse, without
+from benchmarks.error_curve import PowerLaw, relative_rmse, without
 from benchmarks.isogi_race import check
 from benchmarks.picture_set import PictureSet
 from isogi_core.model.view import quaternion_from_angles
 from server.measure import make_renderer
 
-TINY = ("demo:casting", "--size", "24", "--views", "2", "--turns", "2", "--checks", "2", "--target", "0.5", "--json")
+TINY = ("demo:casting", "--size", "24", "--views", "2", "--turns", "2", "--checks", "2", "--samples", "64", "--json")
 
 
 @pytest.fixture(autouse=True)
@@ -49,9 +49,18 @@ def test_a_power_law_is_found_and_turned_round() -> None:
     assert law.through(100, 0.1).count_for(0.1) == 100
 
 
-def test_errors_lie_on_straight_lines_between_logarithms() -> None:
-    assert error_at(4.0, (1.0, 16.0), (0.8, 0.2)) == pytest.approx(0.4)
-    assert math.isnan(error_at(17.0, (1.0, 16.0), (0.8, 0.2)))
+def test_an_error_below_the_converged_noise_is_refused() -> None:
+    best = mitsuba_race.Converged(np.ones((2, 2, 4)), 0.1, np.ones((2, 2), np.bool_))
+    with pytest.raises(ClickException, match="below the noise"):
+        mitsuba_race.measured(best, best.picture)
+
+
+def test_a_closed_surface_is_seen_from_outside() -> None:
+    scene = probe_scene("demo:casting", None, None)
+    with tempfile.TemporaryDirectory() as store:
+        each = check(scene, [make_renderer(scene, store).render(PictureSet(scene, 24, 3, 3).view(1))], 8)[0]
+    assert each.outside[each.best.on].mean() > 0.97
+    assert not each.outside[~each.best.on].any()
 
 
 def test_views_are_spread_evenly_and_picks_differ() -> None:
@@ -60,10 +69,12 @@ def test_views_are_spread_evenly_and_picks_differ() -> None:
     towards = np.array([pictures.view(i).camera.eye for i in range(36)]) - np.array(scene.volume.centre)
     towards /= np.linalg.norm(towards, axis=1)[:, None]
     cosines = towards @ towards.T - 2.0 * np.eye(36)
-    assert np.degrees(np.arccos(cosines.max(axis=1))).min() > 25.0
-    assert np.abs(towards.mean(axis=0)).max() < 0.02
-    picks = pictures.picks(6)
-    assert len({camera for camera, _ in picks}) == len({turn for _, turn in picks}) == 6
+    assert np.degrees(np.arccos(cosines.max(axis=1))).min() > 17.0
+    assert towards[:, 2].min() > 0.0
+    assert towards.mean(axis=0) == pytest.approx([0.0, 0.0, 0.5], abs=0.03)
+    for views, turns, count in ((36, 12, 6), (36, 5, 5), (3, 10, 3), (30, 30, 5)):
+        picks = PictureSet(scene, 8, views, turns).picks(count)
+        assert len({camera for camera, _ in picks}) == len({turn for _, turn in picks}) == count
     assert len(PictureSet(scene, 8, 2, 2).picks(9)) == 4
 
 
@@ -73,9 +84,9 @@ def test_without_mitsuba_our_side_is_told(monkeypatch: pytest.MonkeyPatch) -> No
     done = CliRunner().invoke(main, [*TINY, "--paths", "32"], catch_exceptions=False)
     figures = json.loads(done.stdout)
     assert figures.pop("mitsuba") == "not installed"
-    assert all(value > 0.0 for value in figures.values())
+    assert all(value >= 0.0 for value in figures.values())
     assert figures["isogi: one view, s"] < figures["isogi: whole set, s"]
-    assert 0.01 < figures["isogi: total error"] < 0.4
+    assert 0.01 < figures["isogi: total error, all pixels"] < 0.4
 
 
 def test_mitsuba_sees_the_light_turned_as_ours_does(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -91,8 +102,8 @@ def test_mitsuba_sees_the_light_turned_as_ours_does(monkeypatch: pytest.MonkeyPa
     mitsuba = mitsuba_race.Mitsuba(scene, PictureSet(scene, 48, 3, 3).view(0))
     best = mitsuba.converge(view, each.best.on)
     other = mitsuba.converge(replace(view, light=quaternion_from_angles(30.0, -60.0, 20.0)), each.best.on)
-    assert likeness([each], [best])["likeness: difference"] < 0.1
-    assert likeness([each], [other])["likeness: difference"] > 0.15
+    assert likeness([each], [best])["picture 1: likeness, difference"] < 0.1
+    assert likeness([each], [other])["picture 1: likeness, difference"] > 0.15
     mitsuba.converge(view, each.best.on)
     reached = mitsuba.reach("multijitter", best, 0.05)
     assert reached.error == pytest.approx(0.05, rel=0.25)

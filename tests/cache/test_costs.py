@@ -3,9 +3,12 @@ import logging
 import uuid
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from isogi_core.cache.costs import SAVE_EVERY, Cost, Costs
+
+GROUP = '{"zarr_format": 3, "node_type": "group", "attributes": %s}'
 
 
 @pytest.fixture(params=["folder", "file://", "memory://"])
@@ -53,14 +56,47 @@ def test_they_are_written_now_and_then(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
     now = SAVE_EVERY
     costs.save(at_once=False)
-    assert json.loads((tmp_path / "costs" / "digest.json").read_text()) == {"0/0/1": [1.0, 100, 5, 0.5]}
+    group = json.loads((tmp_path / "costs" / "digest" / "zarr.json").read_text())
+    assert group["attributes"] == {"chunks": {"0/0/1": [1.0, 100, 5, 0.5]}}
 
 
-@pytest.mark.parametrize("text", ["", "{", "[]", '{"0/0": [1, 2, 3, 4]}', '{"0/0/1": [1]}', '{"0/0/1": null}'])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "{",
+        "[]",
+        GROUP % "{}",
+        *(GROUP % f'{{"chunks": {chunks}}}' for chunks in ("[]", '{"0/0": [1, 2, 3, 4]}', '{"0/0/1": [1]}')),
+    ],
+)
 def test_what_is_damaged_counts_as_unknown(tmp_path: Path, text: str) -> None:
-    (tmp_path / "costs").mkdir()
-    (tmp_path / "costs" / "digest.json").write_text(text)
+    (tmp_path / "costs" / "digest").mkdir(parents=True)
+    (tmp_path / "costs" / "digest" / "zarr.json").write_text(text)
     assert read(tmp_path).total == Cost()
+
+
+def test_what_could_not_be_kept_is_kept_later(tmp_path: Path) -> None:
+    now, root = 0.0, tmp_path / "light"
+    root.write_text("not a folder")
+    costs = Costs(root, "digest", lambda: now)
+    costs.add((0, 0, 1), Cost(1.0, 100, 5, 0.5))
+    costs.save()
+    root.unlink()
+    costs.save(at_once=False)
+    assert not root.exists()
+    now = SAVE_EVERY
+    costs.save(at_once=False)
+    assert read(root).total == Cost(1.0, 100, 5, 0.5)
+
+
+def test_the_common_rate_is_the_median_however_chunks_change() -> None:
+    rng, costs, kept = np.random.default_rng(4), Costs("memory://median", "digest"), {}
+    for index in rng.integers(0, 9, 40):
+        cost = Cost(float(rng.random()), int(rng.integers(1, 100)))
+        costs.add((0, 0, int(index)), cost)
+        kept[int(index)] = kept.get(int(index), Cost()).plus(cost)
+        assert costs.rate((9, 9, 9)) == pytest.approx(np.median([each.rate for each in kept.values()]))
 
 
 def test_a_store_that_cannot_keep_them_is_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:

@@ -5,7 +5,7 @@ import importlib
 import numpy as np
 import pytest
 
-from isogi_core.report.metrics import Score, error_map, score, spread_of
+from isogi_core.report.metrics import Score, Spread, error_map, score, spread_of
 from isogi_core.report.reference import Reference
 
 SHAPE = (8, 10)
@@ -57,7 +57,7 @@ def test_the_noise_of_the_reference_is_taken_off() -> None:
 
 def test_a_spread_is_never_imaginary_and_nothing_has_none() -> None:
     assert spread_of(np.array([0.1, -0.1]), 1.0, 1.0).rmse == 0.0
-    assert spread_of(np.zeros(0), 0.0, 1.0).rmse == 0.0
+    assert spread_of(np.zeros(0), 0.0, 1.0) == Spread(0.0, 0.0, 0.0)
 
 
 def test_more_noise_is_more_flip() -> None:

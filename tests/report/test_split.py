@@ -2,11 +2,12 @@
 
 from collections.abc import Callable
 
+import numpy as np
 import pytest
 
 from isogi_core.report.bench import Bench
-from isogi_core.report.points import cuts_harmonics, own_light, short_light
-from isogi_core.report.split import Split, split_error, study
+from isogi_core.report.points import apart, cuts_harmonics, lit_by_paths, own_light, short_paths
+from isogi_core.report.split import Split, split_error, study, true_surface
 
 CONSTANT = {"type": "constant", "radiance": 1.0}
 
@@ -46,7 +47,25 @@ def test_each_cause_is_there_where_it_acts(under_sky: Bench) -> None:
 def test_the_noise_part_is_what_the_frame_tells(under_sky: Bench) -> None:
     split = split_error(under_sky)
     told = under_sky.planned.frame().estimated_error
-    assert 0.4 < split.spread(split.parts[0]).rmse / told < 2.5
+    assert 0.75 < split.spread(split.parts[0]).rmse / told < 1.33
+
+
+def test_what_two_references_share_is_not_noise(make_bench: Callable[..., Bench]) -> None:
+    """Of other normals' pictures with 64 paths, against the same with many more."""
+    bench = make_bench()
+    few, many = ((bench.reference(n), bench.reference(n, true_surface(bench.scene))) for n in (64, 4096))
+    change, exact = apart(*few), apart(*many)
+    met = ((change.light - exact.light) ** 2).mean()
+    assert 0.5 < change.noise.mean() / met < 2.0
+    assert change.noise.mean() < sum(lit_by_paths(each).noise.mean() for each in few)
+
+
+def test_normals_and_offset_are_told_apart(under_sky: Bench) -> None:
+    split = split_error(under_sky)
+    wrong = split.beyond.wrong - split.whole.wrong
+    assert np.allclose(split.surface.wrong, wrong, atol=1e-5)
+    assert split.spread(split.surface).rmse > 0.005
+    assert np.mean(split.surface.noise) < 0.1 * np.mean(split.surface.wrong**2)
 
 
 def test_constant_light_has_no_harmonics_and_single_floats_are_not_rounded(calm: Bench) -> None:
@@ -54,7 +73,7 @@ def test_constant_light_has_no_harmonics_and_single_floats_are_not_rounded(calm:
     assert names(split_error(calm)) == ["Monte Carlo noise", "interpolation", "bounces cut off"]
     assert not cuts_harmonics(calm.scene)
     assert own_light(calm).light is not None
-    assert (own_light(calm).light == short_light(calm).light).all()
+    assert (own_light(calm).light == lit_by_paths(short_paths(calm)).light).all()
     assert "single floats" in section.about
     assert "no harmonics" in section.about
     assert len(section.pictures) == 5
@@ -64,6 +83,6 @@ def test_transfer_at_points_agrees_with_paths_under_soft_light(make_bench: Calla
     """Of two lights in one: order 6 holds a constant whole, and paths meet it as it is."""
     bench = make_bench(lights=[CONSTANT], representation="transfer", order=2)
     split = split_error(bench)
-    exact = own_light(bench).light.mean() / short_light(bench).light.mean()
+    exact = own_light(bench).light.mean() / lit_by_paths(short_paths(bench)).light.mean()
     assert exact == pytest.approx(1.0, abs=0.01)
     assert "harmonics cut off" not in names(split)

@@ -1,10 +1,16 @@
 """Sections with one of everything, as a study might have measured them."""
 
 import math
+from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 
+from isogi_core.model.scene import load_scene
 from isogi_core.report.sections import Column, Curve, Picture, Plot, Section, Table
+from server.measure import view_of
+from server.report.journal import Entry
+from server.report.report import Report
 
 SHARE, SECONDS = Column("relative RMSE", "share"), Column("processor seconds", "seconds")
 
@@ -14,6 +20,12 @@ def disc(size: int = 24) -> np.ndarray:
     y, x = np.mgrid[:size, :size] + 0.5
     mask: np.ndarray = np.hypot(x - size / 2, y - size / 2) < 0.4 * size
     return mask
+
+
+def report_of(scene: Path, entries: Sequence[Entry], notes: Sequence[str] = (), exposure: float = 1.0) -> Report:
+    """A report of a scene's file, as if its surface were the disc."""
+    loaded = load_scene(scene)
+    return Report(loaded, view_of(loaded, 24), exposure, disc(), tuple(entries), tuple(notes))
 
 
 def errors(most: float) -> np.ndarray:
@@ -35,7 +47,8 @@ def sections() -> tuple[Section, ...]:
     pictures = (
         Picture("the frame", "radiance", radiance),
         Picture("its error", "error", errors(0.03)),
-        Picture("one part", "error", errors(0.003)),
+        Picture("one part", "error", errors(0.02)),
+        Picture("a small part", "error", errors(0.002)),
     )
     full = Section("split", "The error, by cause", "What was done.\n\nWhat is seen.", (table,), plots, pictures)
     return full, Section("none", "Nothing to see", "This scene has no harmonics.")

@@ -39,9 +39,13 @@ def test_the_table_goes_by_the_nearest_class(error: Exception, status: int) -> N
     assert status_of(error) == status
 
 
+OF_COMMANDS = domain.ReportError, service.LibraryError
+"""What the command line alone raises."""
+
+
 def test_every_error_of_the_domain_has_a_status() -> None:
     classes = {c for module in (domain, workers, service) for c in vars(module).values() if isinstance(c, type)}
-    for error in classes - {domain.IsogiError}:
+    for error in classes - {domain.IsogiError, *OF_COMMANDS}:
         assert status_of(error("x")) != 500, error
 
 

@@ -9,12 +9,9 @@ import pytest
 from PIL import Image
 from playwright.sync_api import Browser, Page, sync_playwright
 
-from isogi_core.model.scene import load_scene
-from server.measure import view_of
 from server.report.bundle import write_report
 from server.report.journal import Entry
-from server.report.report import Report
-from tests.server.report_samples import sections
+from tests.server.report_samples import report_of, sections
 
 CHROMIUM = Path("/usr/bin/chromium")
 SHOTS = Path(__file__).resolve().parents[2] / "test-results" / "report"
@@ -38,9 +35,9 @@ def browser() -> Iterator[Browser]:
 @pytest.fixture(scope="module")
 def address(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> str:
     """The page of the samples, as a file."""
-    scene, folder = load_scene(small_scene), tmp_path_factory.mktemp("report")
-    entries = tuple(Entry(section, 1.0) for section in sections())
-    return write_report(folder, Report(scene, view_of(scene, 24), 1.0, entries, ("Something is missing.",))).as_uri()
+    entries = [Entry(section, 1.0) for section in sections()]
+    report = report_of(small_scene, entries, ["Something is missing."])
+    return write_report(tmp_path_factory.mktemp("report"), report).as_uri()
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])

@@ -12,16 +12,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from isogi_core.model.scene import load_scene
 from isogi_core.report.sections import Curve, Picture, Plot
-from server.measure import view_of
 from server.report.bundle import write_report
 from server.report.documents import document_of, section_of
 from server.report.journal import Entry
 from server.report.plots import draw, keys, standalone
-from server.report.prints import error_colours, print_picture, scale_of
-from server.report.report import Report
-from tests.server.report_samples import errors, sections
+from server.report.prints import develop, error_colours, scales_of
+from tests.server.report_samples import disc, errors, report_of, sections
 
 NOTE = "Left out, as 4 minutes did not suffice: <everything>."
 
@@ -29,9 +26,8 @@ NOTE = "Left out, as 4 minutes did not suffice: <everything>."
 @pytest.fixture(scope="module")
 def folder(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a report of the samples."""
-    scene, place = load_scene(small_scene), tmp_path_factory.mktemp("report")
-    entries = tuple(Entry(section, 31.25) for section in sections())
-    write_report(place, Report(scene, view_of(scene, 24), 1.0, entries, (NOTE,)))
+    place = tmp_path_factory.mktemp("report")
+    write_report(place, report_of(small_scene, [Entry(section, 31.25) for section in sections()], [NOTE]))
     return place
 
 
@@ -54,14 +50,16 @@ def test_the_page_holds_every_section_table_plot_and_picture(text: str) -> None:
     assert text.count("<section ") == 3
     assert re.findall(r'<a href="#([^"]+)"', text) == ["split", "none", "setting"]
     assert text.count('role="img" aria-label="relative RMSE over processor seconds: harmonics, paths.') == 1
-    assert text.count('src="data:image/png;base64,') == 3
+    assert text.count('src="data:image/png;base64,') == 4
     for words in (
         "What was done.</p>",
         "relative RMSE,\u00a0%",
         ">9.7<",
         ">12.3<",
         ">–<",
-        "−5 %, too dark",
+        "its error (±5\u00a0%)",
+        "one part (±5\u00a0%)",
+        "a small part (±0.2\u00a0%)",
         "31.2 seconds",
     ):
         assert words in text, words
@@ -78,9 +76,7 @@ def test_ids_are_unique_and_all_that_are_pointed_at_are_there(text: str) -> None
 
 
 def test_the_same_report_is_the_same_bytes(folder: Path, small_scene: Path, tmp_path: Path) -> None:
-    scene = load_scene(small_scene)
-    entries = tuple(Entry(section, 31.25) for section in sections())
-    write_report(tmp_path, Report(scene, view_of(scene, 24), 1.0, entries, (NOTE,)))
+    write_report(tmp_path, report_of(small_scene, [Entry(section, 31.25) for section in sections()], [NOTE]))
     names = sorted(path.relative_to(folder) for path in folder.rglob("*") if path.is_file())
     assert names == sorted(path.relative_to(tmp_path) for path in tmp_path.rglob("*") if path.is_file())
     assert all((folder / name).read_bytes() == (tmp_path / name).read_bytes() for name in names)
@@ -95,7 +91,7 @@ def test_the_data_hold_what_was_measured(folder: Path) -> None:
     split = data["sections"][0]
     assert split["tables"][0]["rows"] == [["total", 0.0971, 12.3], ["noise", None, 1]]
     assert split["plots"][0]["curves"][1]["y"] == [0.5, None, 0.05]
-    assert [picture.get("scale") for picture in split["pictures"]] == [None, 0.05, 0.05]
+    assert [picture.get("scale") for picture in split["pictures"]] == [None, 0.05, 0.05, 0.002]
     for picture, section in zip(split["pictures"], sections()[0].pictures, strict=True):
         assert np.array_equal(np.load(folder / picture["npy"]), section.pixels, equal_nan=True)
         assert pixels_of((folder / picture["png"]).read_bytes()).shape == (24, 24, 3)
@@ -113,20 +109,21 @@ def test_a_section_survives_its_document() -> None:
 
 
 def test_pictures_that_are_gone_are_removed(small_scene: Path, tmp_path: Path) -> None:
-    scene = load_scene(small_scene)
     for some in (sections(), sections()[1:]):
-        write_report(tmp_path, Report(scene, view_of(scene, 24), 1.0, tuple(Entry(each, 1.0) for each in some)))
+        write_report(tmp_path, report_of(small_scene, [Entry(each, 1.0) for each in some]))
     assert list(tmp_path.glob("p*/*")) == []
 
 
 @pytest.mark.parametrize(("most", "scale"), [(0.03, 0.05), (0.007, 0.01), (0.2, 0.2), (1.4, 2.0), (0.0, 0.01)])
 def test_maps_share_a_round_scale(most: float, scale: float) -> None:
-    maps = [Picture("", "error", errors(part)) for part in (most, most / 9)]
-    assert scale_of(maps) == pytest.approx(scale)
+    maps = [Picture("", "error", errors(part)) for part in (most, most / 3)]
+    assert scales_of(maps) == pytest.approx((scale, scale))
 
 
-def test_no_map_has_no_scale() -> None:
-    assert scale_of([Picture("", "radiance", np.ones((2, 2, 3), np.float32))]) is None
+def test_a_faint_map_has_its_own_scale_and_light_has_none() -> None:
+    light = Picture("", "radiance", np.ones((2, 2, 3), np.float32))
+    maps = [Picture("", "error", errors(most)) for most in (0.4, 0.004, 0.0)]
+    assert scales_of([light, *maps]) == (None, *map(pytest.approx, (0.5, 0.005, 0.5)))
 
 
 def test_errors_are_blue_below_white_at_and_red_above_nothing() -> None:
@@ -135,7 +132,7 @@ def test_errors_are_blue_below_white_at_and_red_above_nothing() -> None:
     assert (shown[0] == shown[1]).all(), "beyond the scale is its end"
     assert blue[1] > red[1] + 50 and red[3] > blue[3] + 50
     assert shown[2].min() > 240
-    assert shown[4].tolist() == background().tolist()
+    assert 0 < shown[4].min() <= shown[4].max() < 40, "the film's background"
 
 
 def pixels_of(png: bytes) -> np.ndarray:
@@ -143,17 +140,16 @@ def pixels_of(png: bytes) -> np.ndarray:
     return np.asarray(Image.open(io.BytesIO(png)))
 
 
-def background() -> np.ndarray:
-    """The film's own background, from a picture of nothing."""
-    black = Picture("", "radiance", np.zeros((1, 1, 3), np.float32))
-    pixel: np.ndarray = pixels_of(print_picture(black, 1.0, None))[0, 0]
-    assert 0 < pixel.min() <= pixel.max() < 40
-    return pixel
+def test_radiance_is_shown_at_the_exposure(small_scene: Path) -> None:
+    light = np.full((24, 24, 3), 0.25, np.float32)
+    reports = [report_of(small_scene, [], exposure=exposure) for exposure in (1.0, 2.0)]
+    assert [int(develop(light, report)[disc()].min()) for report in reports] == [137, 188]  # sRGB
 
 
-def test_radiance_is_shown_at_the_exposure() -> None:
-    light = Picture("", "radiance", np.full((1, 1, 3), 0.25, np.float32))
-    assert [int(pixels_of(print_picture(light, e, None)).max()) for e in (1.0, 2.0)] == [137, 188]  # sRGB
+def test_a_black_surface_is_black_and_not_the_background(small_scene: Path) -> None:
+    shown = develop(np.zeros((24, 24, 3), np.float32), report_of(small_scene, []))
+    assert (shown[disc()] == 0).all()
+    assert (shown[~disc()] > 0).all()
 
 
 @pytest.fixture

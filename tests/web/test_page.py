@@ -1,22 +1,15 @@
 """The page in a real browser, against the real server: what a person does, and what they then see."""
 
 import re
-from collections.abc import Iterator
-from pathlib import Path
 from typing import Any, Literal
 from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
 import pytest
-from playwright.sync_api import Browser, Page, Route, expect, sync_playwright
+from playwright.sync_api import Browser, Page, Route, expect
 
-CHROMIUM = Path("/usr/bin/chromium")
-FLAGS = [
-    *("--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"),
-    *("--disable-background-networking", "--disable-component-update", "--disable-sync"),
-]
-SHOTS = Path(__file__).resolve().parents[2] / "test-results" / "page"
-FINAL_MS = 180_000  # baking a view for the first time on a small machine
+from tests.web.visits import CHROMIUM, FINAL_MS, SHOTS, open_final, slide, wait_final
+
 ROLES = "slider|combobox|switch|button|spinbutton|progressbar"
 KNOBS = ("isovalue", "azimuth", "elevation", "distance", "yaw", "pitch", "roll")
 
@@ -27,46 +20,10 @@ pytestmark = [
 ]
 
 
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with sync_playwright() as playwright:
-        chromium = playwright.chromium.launch(executable_path=str(CHROMIUM), args=FLAGS)
-        yield chromium
-        chromium.close()
-
-
-@pytest.fixture
-def page(browser: Browser) -> Iterator[Page]:
-    """A page whose console must stay free of errors, and that talks to nobody but the server."""
-    context = browser.new_context(viewport={"width": 900, "height": 640})
-    page = context.new_page()
-    page.set_default_timeout(30_000)
-    complaints: list[str] = []
-    page.on("pageerror", lambda error: complaints.append(str(error)))
-    page.on("console", lambda message: complaints.append(message.text) if message.type == "error" else None)
-    yield page
-    context.close()
-    cut_by_the_test = "net::ERR_FAILED"
-    assert [text for text in complaints if cut_by_the_test not in text] == []
-
-
 @pytest.fixture
 def shown(page: Page, live_server: str) -> Page:
     """The page at the scene's defaults, its picture final."""
     return open_final(page, live_server)
-
-
-def open_final(page: Page, address: str) -> Page:
-    page.goto(address)
-    return wait_final(page)
-
-
-def wait_final(page: Page) -> Page:
-    """Wait until the view rests, its picture is final, and the browser has it on the screen."""
-    page.wait_for_timeout(400)  # the page itself waits 200 ms before it calls a view at rest
-    page.wait_for_selector("#stage[data-state=final]:not([data-busy])", timeout=FINAL_MS)
-    page.wait_for_timeout(200)
-    return page
 
 
 def pixels(page: Page) -> np.ndarray:
@@ -95,18 +52,6 @@ def address_of(page: Page) -> dict[str, str]:
 
 def numbers_of(page: Page) -> dict[str, float]:
     return {name: float(value) for name, value in address_of(page).items() if name in KNOBS}
-
-
-def slide(page: Page, knob: str, share: float) -> None:
-    """Put a slider at a share of its range, as a hand would."""
-    page.eval_on_selector(
-        f"input[name={knob}]",
-        """(slider, share) => {
-          slider.value = Number(slider.min) + share * (Number(slider.max) - Number(slider.min));
-          slider.dispatchEvent(new Event("input", { bubbles: true }));
-        }""",
-        share,
-    )
 
 
 def drag(page: Page, right: int, down: int, button: Literal["left", "right"] = "left") -> None:

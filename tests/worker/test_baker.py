@@ -23,9 +23,9 @@ PLAN = ScenePlan("transfer", (Layer("direct", 5), Layer("indirect", 3)), 5, 4, 1
 NEAR = ScenePlan("vicinity", (Layer("direct", 5),), 1, 0, 1.0, 4096)
 
 
-def left(unfinished: int, error: float, paths: float = 0.0) -> BakeResult:
+def left(unfinished: int, worth: float, paths: float = 0.0) -> BakeResult:
     """What a task leaves that took 2 seconds for 100 paths of 2 texels, 0.02 seconds each."""
-    return BakeResult(unfinished, error, Effort(0, 100.0, paths), Cost(2.0, 100, 2, 0.64))
+    return BakeResult(unfinished, worth, Effort(0, 100.0, paths), Cost(2.0, 100, 2, 0.64))
 
 
 DONE = left(0, 0.0)
@@ -53,17 +53,17 @@ class FakePool:
 class Bench:
     """A baker with one scene, a clock that stands still, and a note of the chunks that arrived."""
 
-    def __init__(self) -> None:
+    def __init__(self, workers: int | None = 1) -> None:
         self.now = 0.0
         self.arrived: list[Index] = []
-        self.baker = Baker(lambda: self.now)
+        self.baker = Baker(lambda: self.now, workers)
         self.costs = Costs("memory://costs", "digest")
         layers = frozenset({"direct", "indirect"})
         self.baker.add("scene", Bake(SOURCE, PLAN, "digest", layers, "store", self.arrived.append, self.costs))
 
     def want(self, *chunks: int, scene: str = "scene") -> bool:
-        texels = np.array([1, 2], np.int32)
-        return self.baker.want(scene, [Demand((0, 0, x), texels, 10.0 - x, Effort(2, 0.0, 0.0)) for x in chunks], 0.1)
+        texels, seen, effort = np.array([1, 2], np.int32), np.array([1.0, 0.5], np.float32), Effort(2, 0.0, 0.0)
+        return self.baker.want(scene, [Demand((0, 0, x), texels, 10.0 - x, effort, seen) for x in chunks], 0.1)
 
     def employ(self, room: int) -> FakePool:
         pool = FakePool(room)
@@ -86,7 +86,8 @@ def test_a_task_holds_all_that_a_worker_must_know(bench: Bench) -> None:
     bench.want(3)
     task = pool.flying[0][0]
     assert (task.source, task.plan, task.digest, task.store) == (SOURCE, PLAN, "digest", "store")
-    assert (task.index, task.offsets.tolist(), task.until, task.level, task.target) == ((0, 0, 3), [1, 2], 16, 0.1, 0.1)
+    assert (task.index, task.offsets.tolist(), task.until, task.least, task.target) == ((0, 0, 3), [1, 2], 16, 0.0, 0.1)
+    assert task.footprints.tolist() == [1.0, 0.5]
 
 
 def test_few_tasks_fly_and_the_newest_view_is_next(bench: Bench) -> None:
@@ -105,7 +106,7 @@ def test_each_chunk_is_told_as_it_arrives_and_taken_on_until_final(bench: Bench)
     bench.want(1)
     assert pool.end(left(2, 0.8)).until == 16
     assert bench.arrived == [(0, 0, 1)]
-    assert pool.end().level == 0.4
+    assert pool.end().least == 0.1
     assert bench.arrived == [(0, 0, 1)] * 2
     assert pool.tasks() == []
 
@@ -244,6 +245,15 @@ def test_time_left_follows_from_what_the_bake_took(bench: Bench) -> None:
     assert told.low < told.likely / 2 and told.high > 2 * told.likely
     assert bench.baker.time_left("scene", "view", [(0, 0, 9)]) == TimeLeft(0.0, 0.0, 0.0)
     assert bench.baker.paths == 100
+
+
+def test_time_left_is_unknown_until_it_is_known_who_works() -> None:
+    bench = Bench(workers=None)
+    bench.costs.add((0, 0, 1), Cost(1.0, 100, 2, 0.5))
+    bench.want(1)
+    assert bench.baker.time_left("scene", "view", [(0, 0, 1)]) is None
+    bench.employ(1)
+    assert bench.baker.time_left("scene", "view", [(0, 0, 1)]) is not None
 
 
 def test_costs_are_kept_when_the_baker_stops(bench: Bench) -> None:

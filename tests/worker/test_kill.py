@@ -41,9 +41,10 @@ def views(scene: Scene) -> list[View]:
 
 
 def light_in(store: Path) -> dict[str, str]:
-    """SHA-256 of each object in a store, by its key."""
+    """SHA-256 of each object in a store, by its key, but for what baking took."""
     files = [path for path in store.rglob("*") if path.is_file() and path.suffix != ".partial"]
-    return {str(path.relative_to(store)): sha256(path.read_bytes()).hexdigest() for path in files}
+    keys = {path: str(path.relative_to(store)) for path in files}
+    return {key: sha256(path.read_bytes()).hexdigest() for path, key in keys.items() if not key.startswith("costs/")}
 
 
 def worker_pids() -> set[int]:

@@ -77,7 +77,8 @@ def bake_all(pool: WorkerPool, tasks: list[BakeTask]) -> list[BakeResult]:
 
 def tasks_for(store: Path, digest: str = LOOK.digest) -> list[BakeTask]:
     indices = [(z, y, 0) for z in (0, 1) for y in (0, 1)]
-    return [BakeTask(SCENE.source, LOOK.plan, digest, str(store), index, TEXELS, 64, 0.5, 0.5) for index in indices]
+    what, seen = (SCENE.source, LOOK.plan, digest, str(store)), np.ones(len(TEXELS), np.float32)
+    return [BakeTask(*what, index, TEXELS, seen, 64, 0.0, 0.5) for index in indices]
 
 
 def test_workers_are_processes_of_their_own(pool: WorkerPool) -> None:

@@ -14,9 +14,9 @@ from worker.tasks import BakeResult
 UNLIT = Effort(3, 0.0, 0.0)
 
 
-def left(unfinished: int, error: float, taken: float = 48.0) -> BakeResult:
+def left(unfinished: int, worth: float, taken: float = 48.0) -> BakeResult:
     """What a task leaves of a chunk whose texels are all lit."""
-    return BakeResult(unfinished, error, Effort(0, taken, taken), Cost(0.1, 48, 3, 0.1))
+    return BakeResult(unfinished, worth, Effort(0, taken, taken), Cost(0.1, 48, 3, 0.1))
 
 
 DONE = left(0, 0.0)
@@ -54,8 +54,8 @@ def want(
     effort: Effort = UNLIT,
 ) -> None:
     """One view that demands chunks (x, weight)."""
-    offsets = np.array(texels, np.int32)
-    queue.want([(key(x), Demand((0, 0, x), offsets, weight, effort)) for x, weight in demands], target)
+    offsets, seen = np.array(texels, np.int32), np.array(texels, np.float32)
+    queue.want([(key(x), Demand((0, 0, x), offsets, weight, effort, seen)) for x, weight in demands], target)
 
 
 def take(queue: BakeQueue) -> int | None:
@@ -103,27 +103,27 @@ def test_a_second_is_spent_where_it_takes_most_error_off(clock: Clock) -> None:
     queue = BakeQueue(clock, rate=seconds.get)
     want(queue, (1, 10.0), effort=Effort(0, 100.0, 0.0))
     want(queue, (1, 10.0), (3, 10.0), effort=Effort(0, 100.0, 0.0))
-    queue.wants[key(2)] = replace(queue.wants[key(1)], key=key(2), effort=Effort(0, 50.0, 0.0))
+    queue.wants[key(2)] = replace(queue.wants[key(1)], key=key(2), worth=0.2)
     assert [take(queue) for _ in range(3)] == [2, 1, 3]
 
 
 def test_what_has_calmed_down_waits_for_what_has_not(queue: BakeQueue) -> None:
     want(queue, (1, 10.0), (2, 9.0), effort=Effort(0, 48.0, 0.0))
     assert take(queue) == 1
-    end(queue, 1, left(3, 0.5))
+    end(queue, 1, left(3, 0.18))
     assert [take(queue) for _ in range(2)] == [2, 1]
 
 
-def test_errors_fall_by_halves_until_the_chunk_is_final(queue: BakeQueue) -> None:
+def test_each_step_goes_to_paths_of_an_eighth_of_the_worth_until_the_chunk_is_final(queue: BakeQueue) -> None:
     want(queue, (1, 1.0), target=0.1)
-    levels = []
-    for error in (0.9, 0.5, 0.45, 0.12):
+    steps = []
+    for worth in (0.8, 0.08, 0.0):
         taken = queue.take()
         assert taken is not None
-        levels.append((taken.until, taken.level))
-        end(queue, 1, left(2, error))
-    assert levels == [(FIRST_RUNG, None), (MOST, 0.45), (MOST, 0.225), (MOST, 0.1125)]
-    assert queue.wants[key(1)].level == 0.1
+        steps.append((taken.until, taken.least))
+        end(queue, 1, left(2, worth))
+    assert steps == [(FIRST_RUNG, None), (MOST, 0.1), (MOST, 0.01)]
+    assert queue.wants[key(1)].least == 0.0
     assert take(queue) == 1
     end(queue, 1, DONE)
     assert queue.take() is None
@@ -145,7 +145,8 @@ def test_texels_and_targets_of_several_views_are_merged(queue: BakeQueue) -> Non
     taken = queue.take()
     assert taken is not None
     assert taken.offsets.tolist() == [2, 5, 9, 11]
-    assert (taken.target, taken.weight) == (0.05, 3.0)
+    assert taken.footprints.tolist() == [2.0, 5.0, 9.0, 11.0]
+    assert (taken.target, taken.worth) == (0.05, 3.0 / (3 * FIRST_RUNG))
 
 
 def test_new_texels_start_from_the_first_rung(queue: BakeQueue) -> None:
@@ -153,9 +154,9 @@ def test_new_texels_start_from_the_first_rung(queue: BakeQueue) -> None:
     take(queue)
     end(queue, 1, left(1, 0.6))
     want(queue, (1, 1.0), texels=(1,))
-    assert queue.wants[key(1)].level == 0.3
+    assert queue.wants[key(1)].least == 0.6 / 8
     want(queue, (1, 1.0), texels=(1, 3))
-    assert queue.wants[key(1)].level is None
+    assert queue.wants[key(1)].least is None
 
 
 def test_a_stricter_target_starts_from_the_first_rung(queue: BakeQueue) -> None:
@@ -163,7 +164,7 @@ def test_a_stricter_target_starts_from_the_first_rung(queue: BakeQueue) -> None:
     take(queue)
     end(queue, 1, left(1, 0.6))
     want(queue, (1, 1.0), target=0.01)
-    assert queue.wants[key(1)].level is None
+    assert queue.wants[key(1)].least is None
 
 
 @pytest.mark.parametrize(("texels", "target"), [((1, 2, 3, 4), 0.1), ((7,), 0.1), ((1, 2, 3), 0.01)])
@@ -178,7 +179,7 @@ def test_what_grew_while_flying_stays_wanted(queue: BakeQueue, texels: tuple[int
     assert again is not None
     assert set(again.offsets.tolist()) == {1, 2, 3, *texels}
     assert again.target == min(0.1, target)
-    assert again.level is None
+    assert again.least is None
 
 
 def test_what_did_not_grow_while_flying_is_done(queue: BakeQueue) -> None:

@@ -9,13 +9,13 @@ import pytest
 
 from isogi_core.bake.effort import Effort
 from isogi_core.bake.look import look_for
-from isogi_core.bake.noise import finished, relative_error
+from isogi_core.bake.noise import finished, relative_error, standard_error
 from isogi_core.bake.recipe import Recipe
 from isogi_core.cache.store import ChunkStore
 from isogi_core.errors import SceneError, StoreError
 from isogi_core.kernels.irradiance import bake_irradiance
 from isogi_core.kernels.transfer import bake_texels, locate_texels
-from isogi_core.model.plan import FEWEST, most_samples
+from isogi_core.model.plan import most_samples
 from isogi_core.model.scene import load_scene
 from worker.tasks import KINDS, BakeResult, BakeTask, bake, bake_kernels, dask_setup, opened
 
@@ -23,13 +23,15 @@ INDEX = (1, 1, 2)
 UNTIL = most_samples(0.05)
 TEXELS = np.arange(5, 3000, 41, dtype=np.int32)
 TEXELS = TEXELS[TEXELS % 16 < 7]  # the last chunk along x is 7 texels wide
+SEEN = np.ones(len(TEXELS), np.float32)
 SCENE = load_scene("demo:orbital", order=2, lattice=0.4, bounces=2, target_error=0.05)
 LOOK = look_for(Recipe(SCENE), "gi")
 VICINITY = look_for(Recipe(SCENE), "vicinity")
 
 
 def do(root: Path, texels: np.ndarray = TEXELS, until: int = UNTIL, target: float = 0.05) -> BakeResult:
-    return bake(BakeTask(SCENE.source, LOOK.plan, LOOK.digest, str(root), INDEX, texels, until, target, target))
+    seen = np.ones(len(texels), np.float32)
+    return bake(BakeTask(SCENE.source, LOOK.plan, LOOK.digest, str(root), INDEX, texels, seen, until, 0.0, target))
 
 
 def store_of(root: Path) -> ChunkStore:
@@ -56,7 +58,8 @@ def test_a_task_leaves_light_of_just_its_texels(tmp_path: Path) -> None:
     waiting = ~finished(chunk.light, store_of(tmp_path).look, 0.05)
     error = relative_error(chunk.light, store_of(tmp_path).look)[waiting]
     assert result.unfinished == waiting.sum() > 0
-    assert result.error == pytest.approx(np.sqrt((error**2).mean()))
+    noise = standard_error(chunk.light, store_of(tmp_path).look)[waiting]
+    assert result.worth == pytest.approx((noise**2).mean() / 16)
     assert result.effort == Effort.of(error, np.full(len(error), 16), 0.05)
     assert (result.cost.paths, result.cost.texels) == (16 * len(TEXELS), len(TEXELS))
     assert result.cost.seconds == result.cost.first > 0.0
@@ -64,7 +67,7 @@ def test_a_task_leaves_light_of_just_its_texels(tmp_path: Path) -> None:
 
 def test_a_finished_task_says_so(tmp_path: Path) -> None:
     result = do(tmp_path)
-    assert (result.unfinished, result.error, result.effort) == (0, 0.0, Effort(0, 0.0, 0.0))
+    assert (result.unfinished, result.worth, result.effort) == (0, 0.0, Effort(0, 0.0, 0.0))
     chunk = store_of(tmp_path).load(INDEX)
     assert result.cost.paths == chunk.light.samples[~chunk.light.void].sum()
     assert do(tmp_path).cost[1:] == (0, 0, 0.0)
@@ -75,7 +78,7 @@ def test_a_finished_task_says_so(tmp_path: Path) -> None:
 def test_a_layer_that_takes_no_samples_is_not_written_again(tmp_path: Path) -> None:
     do(tmp_path, until=64)
     before = stored(tmp_path)
-    bake(BakeTask(SCENE.source, VICINITY.plan, VICINITY.digest, str(tmp_path), INDEX, TEXELS, 256, 1e-4, 1e-4))
+    bake(BakeTask(SCENE.source, VICINITY.plan, VICINITY.digest, str(tmp_path), INDEX, TEXELS, SEEN, 256, 0.0, 1e-4))
     ahead = stored(tmp_path)
     assert [now == old for now, old in zip(ahead, before, strict=True)] == [False, True]
     do(tmp_path, until=256, target=1e-4)
@@ -94,22 +97,25 @@ def test_the_same_task_leaves_the_same_bytes(tmp_path: Path) -> None:
 
 def test_in_one_go_or_in_many_is_the_same(tmp_path: Path) -> None:
     do(tmp_path / "a")
-    task = BakeTask(SCENE.source, LOOK.plan, LOOK.digest, str(tmp_path / "b"), INDEX, TEXELS, 16, 0.05, 0.05)
+    task = BakeTask(SCENE.source, LOOK.plan, LOOK.digest, str(tmp_path / "b"), INDEX, TEXELS, SEEN, 16, 0.0, 0.05)
     steps, result = 1, bake(task)
     while result.unfinished:
-        level = max(result.error / 2, 0.05)
-        result, steps = bake(replace(task, until=UNTIL, level=level)), steps + 1
+        result, steps = bake(replace(task, until=UNTIL, least=result.worth / 8)), steps + 1
     assert steps > 2
     assert stored(tmp_path / "a") == stored(tmp_path / "b")
 
 
-def test_a_task_takes_texels_to_its_level_and_calm_ones_no_further(tmp_path: Path) -> None:
-    task = BakeTask(SCENE.source, LOOK.plan, LOOK.digest, str(tmp_path), INDEX, TEXELS, UNTIL, 0.2, 0.05)
-    result, look = bake(task), store_of(tmp_path).look
+def test_a_task_takes_texels_on_while_their_next_path_is_worth_it(tmp_path: Path) -> None:
+    seen = np.where(np.arange(len(TEXELS)) % 2 == 0, 1.0, 0.01).astype(np.float32)
+    task = BakeTask(SCENE.source, LOOK.plan, LOOK.digest, str(tmp_path), INDEX, TEXELS, seen, 16, 0.0, 0.005)
+    result = bake(task)
+    least = result.worth / 4
+    left, look = bake(replace(task, until=UNTIL, least=least)), store_of(tmp_path).look
     light = store_of(tmp_path).load(INDEX).light
-    assert finished(light, look, 0.2).all() and not finished(light, look, 0.05).all()
-    assert result.unfinished == (~finished(light, look, 0.05)).sum()
-    assert light.samples[~light.void].min() == FEWEST
+    worth = seen * standard_error(light, look) ** 2 / light.samples
+    assert (worth[~finished(light, look, 0.005)] < least).all()
+    assert 0.0 < left.worth < least
+    assert light.samples[0::2].mean() > 2 * light.samples[1::2].mean()
 
 
 def test_the_order_of_views_does_not_matter(tmp_path: Path) -> None:
@@ -139,7 +145,9 @@ def test_texels_that_are_not_asked_for_stay_as_they_are(tmp_path: Path) -> None:
 def test_vicinity_shading_takes_its_light_from_the_layer_that_is_there(tmp_path: Path) -> None:
     do(tmp_path)
     before = stored(tmp_path)
-    result = bake(BakeTask(SCENE.source, VICINITY.plan, VICINITY.digest, str(tmp_path), INDEX, TEXELS, 64, 0.5, 0.5))
+    result = bake(
+        BakeTask(SCENE.source, VICINITY.plan, VICINITY.digest, str(tmp_path), INDEX, TEXELS, SEEN, 64, 0.0, 0.5)
+    )
     assert result.unfinished == 0
     assert stored(tmp_path) == before
     light = opened(SCENE.source, VICINITY.plan, VICINITY.digest, str(tmp_path))[1].load(INDEX).light
@@ -169,7 +177,7 @@ def test_a_damaged_chunk_heals_to_the_same_bytes(tmp_path: Path, damage: Callabl
 
 
 def test_a_scene_whose_files_changed_is_refused(tmp_path: Path) -> None:
-    task = BakeTask(SCENE.source, LOOK.plan, "0" * 20, str(tmp_path), INDEX, TEXELS, 16, 0.05, 0.05)
+    task = BakeTask(SCENE.source, LOOK.plan, "0" * 20, str(tmp_path), INDEX, TEXELS, SEEN, 16, 0.0, 0.05)
     with pytest.raises(SceneError, match=r"'orbital' have changed since the server began: restart it\.$"):
         bake(task)
     assert not list(tmp_path.iterdir())

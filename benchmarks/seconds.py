@@ -1,4 +1,4 @@
-"""What some work costs: seconds of the wall, and of the processor, all threads together."""
+"""Seconds that some work takes: those of the wall, and of the processor, all threads together."""
 
 import time
 from collections.abc import Iterator
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 
 @dataclass
-class Cost:
+class Seconds:
     """Seconds that add up. Those of the processor hold where other work is on the machine, those of the wall do not."""
 
     wall: float = 0.0
@@ -21,15 +21,15 @@ class Cost:
         self.wall += time.perf_counter() - wall
         self.processor += time.process_time() - processor
 
-    def __add__(self, other: "Cost") -> "Cost":
-        return Cost(self.wall + other.wall, self.processor + other.processor)
+    def __add__(self, other: "Seconds") -> "Seconds":
+        return Seconds(self.wall + other.wall, self.processor + other.processor)
 
-    def __mul__(self, times: float) -> "Cost":
-        return Cost(self.wall * times, self.processor * times)
+    def __mul__(self, times: float) -> "Seconds":
+        return Seconds(self.wall * times, self.processor * times)
 
-    def over(self, other: "Cost") -> "Cost":
+    def over(self, other: "Seconds") -> "Seconds":
         """How many times as much as the ``other`` it is."""
-        return Cost(self.wall / other.wall, self.processor / other.processor)
+        return Seconds(self.wall / other.wall, self.processor / other.processor)
 
     def figures(self, name: str) -> dict[str, float]:
         """Both, under a name; wall first."""

@@ -1,0 +1,42 @@
+"""Footprints: what a texel's noise counts in a picture's."""
+
+from pathlib import Path
+
+import numpy as np
+
+from isogi_core.frame.texels import LEAST_SEEN, most_seen, shares
+from isogi_core.kernels.lattice import Lattice
+from isogi_core.model.scene import load_scene
+from server.measure import make_renderer, view_of
+
+RNG = np.random.default_rng(3)
+
+
+def test_shares_carry_what_is_linear_to_the_points() -> None:
+    lattice, points = Lattice((9, 7, 5), (0.5, 1.0, 2.0)), RNG.uniform(0.0, 1.0, (200, 3)) * (8.0, 6.0, 4.0)
+    place = points * lattice.density
+    base = np.floor(place)
+    corners = [base + ((corner >> np.arange(3)) & 1) for corner in range(8)]
+    weights = list(shares(points, lattice))
+    np.testing.assert_allclose(sum(weights), 1.0)
+    carried = sum(w[:, None] * corner for w, corner in zip(weights, corners, strict=True))
+    np.testing.assert_allclose(carried, place)
+
+
+def test_texels_of_one_noise_make_the_noise_that_their_footprints_tell(tmp_path: Path) -> None:
+    scene = load_scene("demo:orbital", lattice=0.4)
+    renderer, view = make_renderer(scene, str(tmp_path)), view_of(scene, 24)
+    texels = renderer.texels(view, renderer.gbuffer(view))
+    seen = np.concatenate(texels.footprints)
+    noise = RNG.normal(size=(len(seen), 2000))
+    each = zip(texels.corners.T, shares(texels.gbuffer.points, texels.lattice), strict=True)
+    pixels = sum(share[:, None] * noise[corner] for corner, share in each)
+    variance = float((np.asarray(pixels) ** 2).sum(axis=0).mean())
+    assert variance <= 1.02 * seen.sum()
+    assert variance >= 0.98 * (seen.sum() - LEAST_SEEN * len(seen) * seen.mean())
+    assert seen.min() > 0.0
+
+
+def test_of_several_views_the_one_that_sees_most_counts() -> None:
+    views = (np.array([1, 4]), np.array([2.0, 0.5])), (np.array([4, 6]), np.array([1.0, 3.0]))
+    assert most_seen(np.array([1, 4, 6]), *views).tolist() == [2.0, 1.0, 3.0]

@@ -1,0 +1,126 @@
+"""The panel of the estimated error in a real browser: its course, its words, and when it begins anew."""
+
+import re
+from collections.abc import Callable
+
+import pytest
+from playwright.sync_api import Page, Route, expect
+
+from tests.web.visits import CHROMIUM, FINAL_MS, SHOTS, open_final, slide, wait_final
+
+pytestmark = [
+    pytest.mark.browser,
+    pytest.mark.slow,
+    pytest.mark.skipif(not CHROMIUM.exists(), reason=f"no Chromium at {CHROMIUM}: install Debian's chromium"),
+]
+
+LEFT = "low=12.0, likely=20.0, high=41.0"
+COURSE = [
+    (1.0, "final=0.000, converging=0.000, provisional=1.000"),
+    (0.3, "final=0.250, converging=0.500, provisional=0.250"),
+    (0.04, "final=0.609, converging=0.391, provisional=0.000"),
+]
+
+
+def staged(time_left: str | None, end: bool) -> Callable[[Route], None]:
+    """Pictures of the server, whose headers tell COURSE frame by frame; then that all is final, or the last again."""
+    told = iter(COURSE)
+
+    def answer(route: Route) -> None:
+        if "f=jpeg" in route.request.url:
+            return route.continue_()  # a draft: no part of the history
+        true = route.fetch()
+        step = next(told, None)
+        error, coverage = step or ((0.015, "final=1.000, converging=0.000, provisional=0.000") if end else COURSE[-1])
+        headers = {name: text for name, text in true.headers.items() if name != "isogi-time-left"}
+        headers |= {"isogi-error": f"{error:.5f}", "isogi-coverage": coverage}
+        headers["isogi-provisional"] = "?0" if end and step is None else "?1"
+        route.fulfill(response=true, headers=headers | ({"isogi-time-left": time_left} if time_left else {}))
+
+    return answer
+
+
+def course(page: Page) -> list[tuple[float, float]]:
+    """The points of the error's line, in pixels from the top left."""
+    points = page.get_attribute("#error polyline", "points") or ""
+    return [(float(x), float(y)) for x, y in (point.split(",") for point in points.split())]
+
+
+def area(page: Page, state: str) -> float:
+    """Square pixels of a state in the drawing, by the shoelace formula."""
+    points = page.get_attribute(f"#error polygon.{state}", "points") or ""
+    corners = [tuple(map(float, point.split(","))) for point in points.split()]
+    pairs = zip(corners, corners[1:] + corners[:1], strict=True)
+    return abs(sum(x * v - u * y for (x, y), (u, v) in pairs)) / 2
+
+
+def test_the_error_falls_until_the_view_is_final(page: Page, live_server: str) -> None:
+    open_final(page, f"{live_server}/?isovalue=0.201")  # far from what other tests have baked
+    points = course(page)
+    assert len(points) >= 3
+    assert points[-1][1] > points[0][1] + 10.0, "a smaller error is lower in the drawing"
+    assert [x for x, _ in points] == sorted(x for x, _ in points)
+    assert area(page, "final") > 0.0
+    expect(page.locator("#error .note")).to_have_text(re.compile(r"^final after [\d.]+ s$"))
+    expect(page.locator("#error .legend .final b")).to_have_text("100 %")
+    words = page.locator("#error svg").get_attribute("aria-label") or ""
+    assert re.search(r"error from \d+ % to [\d.]+ %, target 50 %; .* from \d+ % to 100 %; over", words)
+    shown = page.inner_text("#error .value")
+    assert shown in words and shown in page.inner_text("#status-line")
+
+
+def test_the_drawing_is_to_scale(page: Page, live_server: str) -> None:
+    page.route("**/frame?*", staged(None, end=True))
+    open_final(page, live_server)
+    first, second, third, final, held = (y for _, y in course(page))
+    per_decade = second - first
+    assert (third - first) / per_decade == pytest.approx(1.3979 / 0.5229, rel=0.02), "log10 of 25, of 3.33"
+    assert final == held > third
+    line = re.match(r"M[\d.]+ ([\d.]+)H", page.get_attribute("#error path.target", "d") or "")
+    assert line is not None
+    assert (float(line[1]) - first) / per_decade == pytest.approx(0.3010 / 0.5229, rel=0.02), "the target is 50 %"
+    page.set_viewport_size({"width": 390, "height": 844})
+    wait_final(page)
+    assert max(x for x, _ in course(page)) < 390
+    page.locator("#error").screenshot(path=SHOTS / "panel-390.png")
+
+
+def test_a_new_view_begins_a_new_history_and_exposure_does_not(page: Page, live_server: str) -> None:
+    page.route("**/frame?*", staged(None, end=True))
+    before = course(open_final(page, live_server))
+    slide(page, "exposure", 0.6)
+    wait_final(page)
+    assert course(page) == before
+    for knob in ("azimuth", "isovalue", "yaw"):
+        page.route("**/frame?*", lambda route: None)  # no answer
+        slide(page, knob, 0.3)
+        assert course(page) == []
+        expect(page.locator("#error .value")).to_have_text("")
+        expect(page.locator("#error .note")).to_have_text("Waiting for the view to rest.")
+        page.unroute("**/frame?*")
+        page.route("**/frame?*", staged(None, end=True))
+        slide(page, knob, 0.32)
+        wait_final(page)
+        assert len(course(page)) == len(before)
+
+
+def test_an_error_of_zero_has_no_place_on_a_logarithmic_axis(page: Page, live_server: str) -> None:
+    open_final(page, f"{live_server}/?shading=lambert_fog")
+    assert course(page) == []
+    assert area(page, "final") > 0.0
+    expect(page.locator("#error .value")).to_have_text("0 %")
+    expect(page.locator("#error .note")).to_have_text(re.compile("nothing to estimate$"))
+
+
+@pytest.mark.parametrize("time_left", [LEFT, None])
+def test_the_words_follow_the_header(page: Page, live_server: str, time_left: str | None) -> None:
+    page.route("**/frame?*", staged(time_left, end=False))
+    page.goto(live_server)
+    expect(page.locator("#error .value")).to_have_text("4 %", timeout=FINAL_MS)
+    line, note = page.inner_text("#status-line"), page.inner_text("#error .note")
+    assert line.startswith("60 % final · error 4 %")
+    assert ("about 20 s left" in line) == (time_left is not None)
+    assert note.endswith(" · about 20 s left (12 s to 41 s)") == (time_left is not None)
+    assert ("left" in note) == (time_left is not None)
+    shares = page.locator("#error .legend b").all_inner_texts()
+    assert shares == ["60 %", "40 %", "0 %"]

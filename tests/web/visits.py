@@ -1,0 +1,34 @@
+"""What every visit to the page does."""
+
+from pathlib import Path
+
+from playwright.sync_api import Page
+
+CHROMIUM = Path("/usr/bin/chromium")
+SHOTS = Path(__file__).resolve().parents[2] / "test-results" / "page"
+FINAL_MS = 180_000  # baking a view for the first time on a small machine
+
+
+def open_final(page: Page, address: str) -> Page:
+    page.goto(address)
+    return wait_final(page)
+
+
+def wait_final(page: Page) -> Page:
+    """Wait until the view rests, its picture is final, and the browser has it on the screen."""
+    page.wait_for_timeout(400)  # the page itself waits 200 ms before it calls a view at rest
+    page.wait_for_selector("#stage[data-state=final]:not([data-busy])", timeout=FINAL_MS)
+    page.wait_for_timeout(200)
+    return page
+
+
+def slide(page: Page, knob: str, share: float) -> None:
+    """Put a slider at a share of its range, as a hand would."""
+    page.eval_on_selector(
+        f"input[name={knob}]",
+        """(slider, share) => {
+          slider.value = Number(slider.min) + share * (Number(slider.max) - Number(slider.min));
+          slider.dispatchEvent(new Event("input", { bubbles: true }));
+        }""",
+        share,
+    )
