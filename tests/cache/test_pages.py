@@ -70,8 +70,8 @@ def test_the_table_leads_each_texel_to_its_light(look: Look) -> None:
         assert len(set(rows.tolist())) == 147
         np.testing.assert_array_equal(pool.transfer[rows], chunk.light.transfer[lit])
         noise = np.sqrt((deviations(chunk.light, look) ** 2).sum(axis=0))
-        scatter = np.float32(noise / path_deviation(chunk.light, look))
-        np.testing.assert_array_equal(pool.scatter[rows], scatter[lit])
+        scatter = noise[lit] / path_deviation(chunk.light, look)[lit]
+        np.testing.assert_array_equal(pool.scatter[rows], np.float32(scatter))
         np.testing.assert_array_equal(pool.error[rows], np.float32(relative_error(chunk.light, look)[lit]))
         assert (fewest_samples(pool.stamp[rows], 2) == 16).all()
 

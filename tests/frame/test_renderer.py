@@ -248,13 +248,12 @@ def test_nobody_waits_for_a_cancelled_frame(orbital: Workbench) -> None:
     assert orbital.renderer.render(orbital.view()).coverage["final"] == 1.0
 
 
-@pytest.mark.parametrize("rotating", [True, False])
-def test_errors_do_not_depend_on_how_bright_the_light_is(rotating: bool, tmp_path: Path) -> None:
+def test_errors_do_not_depend_on_how_bright_the_light_is(tmp_path: Path) -> None:
     """Squares of these lights are nothing, or more, in single floats."""
     frames = []
     for scale in (2.0**-100, 1.0, 2.0**100):
         lights = [{**SKY, "scale": scale}]
-        bench = Workbench(load_scene("demo:orbital", lights=lights, bounces=1, rotating=rotating), tmp_path)
+        bench = Workbench(load_scene("demo:orbital", lights=lights, bounces=1), tmp_path / f"{scale:g}")
         frames.append(bench.bake(bench.view(size=24), LOOSE))
     for frame in frames:
         assert np.isfinite(frame.radiance).all() and frame.radiance.any()
