@@ -26,8 +26,12 @@ FORGET_AFTER = 60.0
 MOST_FAILURES = 3
 """Tries after which a chunk whose task fails is given up, until it is forgotten."""
 
-STEP = 0.125
-"""What a task brings the worth of the next paths of a chunk's texels down to, as a share of their mean."""
+STEP = 1.0 / 16.0
+"""What a task brings the worth of the next paths of a chunk's texels down to, as a share of their mean.
+
+Small steps follow the error more closely, large ones waste less on tasks of few texels each: to the end of a view of
+82 texels a chunk (the engine at 96 pixels a side) 1/8 took 1.35 times, and 1/32 1.25 times, what single tasks took.
+"""
 
 
 @dataclass(eq=False)

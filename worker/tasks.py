@@ -22,7 +22,7 @@ from isogi_core.errors import SceneError
 from isogi_core.kernels.irradiance import bake_irradiance
 from isogi_core.kernels.transfer import bake_texels, locate_texels
 from isogi_core.kernels.warm import entries_of, load
-from isogi_core.model.plan import ScenePlan
+from isogi_core.model.plan import FEWEST, ScenePlan
 from isogi_core.model.scene import build_scene
 from isogi_core.model.source import SceneSource
 
@@ -127,10 +127,11 @@ def worths(light: Light, look: Look, footprints: np.ndarray) -> np.ndarray:
 
     Variance falls with a power of the samples, so that the next path takes off as much, times that power. Texels
     whose next path is worth the same add least to a frame's error for all paths together; texels of the same error
-    do not: the noisy and the hardly seen ones would have taken too many.
+    do not: the noisy and the hardly seen ones would have taken too many. Without FEWEST samples a texel's variance is
+    not known: paths that met nothing by chance would claim that there is nothing to meet.
     """
     seen = footprints * standard_error(light, look) ** 2
-    return np.asarray(np.where(light.samples > 0, seen / np.maximum(light.samples, 1), np.inf))
+    return np.asarray(np.where(light.samples >= FEWEST, seen / np.maximum(light.samples, 1), np.inf))
 
 
 def cost_of(samples: np.ndarray, before: np.ndarray, seconds: float) -> Cost:

@@ -15,7 +15,7 @@ from isogi_core.model.source import SceneSource
 from worker.baker import Bake, Baker
 from worker.outlook import TimeLeft
 from worker.pool import Done
-from worker.queue import FORGET_AFTER, MOST_FAILURES
+from worker.queue import FORGET_AFTER, MOST_FAILURES, STEP
 from worker.tasks import BakeResult, BakeTask
 
 SOURCE = SceneSource("scene", {"volume": "demo:orbital"}, Path())
@@ -106,7 +106,7 @@ def test_each_chunk_is_told_as_it_arrives_and_taken_on_until_final(bench: Bench)
     bench.want(1)
     assert pool.end(left(2, 0.8)).until == 16
     assert bench.arrived == [(0, 0, 1)]
-    assert pool.end().least == 0.1
+    assert pool.end().least == 0.8 * STEP
     assert bench.arrived == [(0, 0, 1)] * 2
     assert pool.tasks() == []
 

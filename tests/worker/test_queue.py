@@ -8,7 +8,7 @@ from isogi_core.bake.precision import FIRST_RUNG
 from isogi_core.cache.costs import Cost
 from isogi_core.frame.texels import Demand
 from isogi_core.model.plan import MOST
-from worker.queue import FORGET_AFTER, MOST_FAILURES, BakeQueue, Key
+from worker.queue import FORGET_AFTER, MOST_FAILURES, STEP, BakeQueue, Key
 from worker.tasks import BakeResult
 
 UNLIT = Effort(3, 0.0, 0.0)
@@ -114,7 +114,7 @@ def test_what_has_calmed_down_waits_for_what_has_not(queue: BakeQueue) -> None:
     assert [take(queue) for _ in range(2)] == [2, 1]
 
 
-def test_each_step_goes_to_paths_of_an_eighth_of_the_worth_until_the_chunk_is_final(queue: BakeQueue) -> None:
+def test_each_step_goes_to_paths_of_less_worth_until_the_chunk_is_final(queue: BakeQueue) -> None:
     want(queue, (1, 1.0), target=0.1)
     steps = []
     for worth in (0.8, 0.08, 0.0):
@@ -122,7 +122,7 @@ def test_each_step_goes_to_paths_of_an_eighth_of_the_worth_until_the_chunk_is_fi
         assert taken is not None
         steps.append((taken.until, taken.least))
         end(queue, 1, left(2, worth))
-    assert steps == [(FIRST_RUNG, None), (MOST, 0.1), (MOST, 0.01)]
+    assert steps == [(FIRST_RUNG, None), (MOST, STEP * 0.8), (MOST, STEP * 0.08)]
     assert queue.wants[key(1)].least == 0.0
     assert take(queue) == 1
     end(queue, 1, DONE)
@@ -154,7 +154,7 @@ def test_new_texels_start_from_the_first_rung(queue: BakeQueue) -> None:
     take(queue)
     end(queue, 1, left(1, 0.6))
     want(queue, (1, 1.0), texels=(1,))
-    assert queue.wants[key(1)].least == 0.6 / 8
+    assert queue.wants[key(1)].least == STEP * 0.6
     want(queue, (1, 1.0), texels=(1, 3))
     assert queue.wants[key(1)].least is None
 
