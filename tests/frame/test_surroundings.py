@@ -89,7 +89,9 @@ def test_sky_holds_the_cosine_lobe_of_each_coefficient() -> None:
     assert turned.sky.order == AROUND
     bands = [l for l in range(AROUND) for _ in range(2 * l + 1)]
     np.testing.assert_allclose(turned.sky.lobe, cosine_lobe_factors(AROUND)[bands] / math.pi)
-    np.testing.assert_allclose(turned.sky.light, turned.light[:, : AROUND**2] * np.array([[0.2], [0.5], [1.0]]))
+    np.testing.assert_allclose(
+        turned.sky.light, turned.light[:, : AROUND**2] * np.array([[0.2], [0.5], [1.0]]) / turned.look.unit
+    )
 
 
 @pytest.mark.parametrize("settings", [{"representation": "irradiance", "rotating": False}, {"order": 2}])

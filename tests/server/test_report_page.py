@@ -60,7 +60,7 @@ def test_the_page_holds_every_section_table_plot_and_picture(text: str) -> None:
         "its error (±5\u00a0%)",
         "one part (±5\u00a0%)",
         "a small part (±0.2\u00a0%)",
-        "31.2 seconds",
+        "31.2 s",
     ):
         assert words in text, words
     assert "Parts &lt;of&gt; the error" in text and "&lt;everything&gt;" in text
