@@ -26,7 +26,7 @@ FORGET_AFTER = 60.0
 MOST_FAILURES = 3
 """Tries after which a chunk whose task fails is given up, until it is forgotten."""
 
-STEP = 1.0 / 16.0
+STEP = 1.0 / 8.0
 """What a task brings the worth of the next paths of a chunk's texels down to, as a share of their mean.
 
 Small steps follow the error more closely, large ones waste less on tasks of few texels each: to the end of a view of

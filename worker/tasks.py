@@ -22,7 +22,7 @@ from isogi_core.errors import SceneError
 from isogi_core.kernels.irradiance import bake_irradiance
 from isogi_core.kernels.transfer import bake_texels, locate_texels
 from isogi_core.kernels.warm import entries_of, load
-from isogi_core.model.plan import FEWEST, ScenePlan
+from isogi_core.model.plan import ScenePlan
 from isogi_core.model.scene import build_scene
 from isogi_core.model.source import SceneSource
 
@@ -119,7 +119,7 @@ def climb(light: Light, texels: np.ndarray, look: Look, task: BakeTask) -> None:
         refine(part, texels[rows], look, rung + 1, task.target)
         light.put(rows, part)
         waiting[rows] = next_samples(part, look, task.target)
-        worth[rows] = worths(part, look, task.footprints[rows])
+        worth = worths(light, look, task.footprints)
 
 
 def worths(light: Light, look: Look, footprints: np.ndarray) -> np.ndarray:
@@ -127,11 +127,13 @@ def worths(light: Light, look: Look, footprints: np.ndarray) -> np.ndarray:
 
     Variance falls with a power of the samples, so that the next path takes off as much, times that power. Texels
     whose next path is worth the same add least to a frame's error for all paths together; texels of the same error
-    do not: the noisy and the hardly seen ones would have taken too many. Without FEWEST samples a texel's variance is
-    not known: paths that met nothing by chance would claim that there is nothing to meet.
+    do not: the noisy and the hardly seen ones would have taken too many. A few paths that agree by chance tell of no
+    variance at all: half of what is counted is the mean over the chunk's texels.
     """
-    seen = footprints * standard_error(light, look) ** 2
-    return np.asarray(np.where(light.samples >= FEWEST, seen / np.maximum(light.samples, 1), np.inf))
+    variance = standard_error(light, look) ** 2
+    usual = variance[light.samples > 0].mean() if (light.samples > 0).any() else 0.0
+    seen = footprints * (variance + usual) / 2.0
+    return np.asarray(np.where(light.samples > 0, seen / np.maximum(light.samples, 1), np.inf))
 
 
 def cost_of(samples: np.ndarray, before: np.ndarray, seconds: float) -> Cost:

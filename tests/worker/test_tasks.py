@@ -15,7 +15,7 @@ from isogi_core.cache.store import ChunkStore
 from isogi_core.errors import SceneError, StoreError
 from isogi_core.kernels.irradiance import bake_irradiance
 from isogi_core.kernels.transfer import bake_texels, locate_texels
-from isogi_core.model.plan import FEWEST, most_samples
+from isogi_core.model.plan import most_samples
 from isogi_core.model.scene import load_scene
 from worker.tasks import KINDS, BakeResult, BakeTask, bake, bake_kernels, dask_setup, opened
 
@@ -107,12 +107,13 @@ def test_in_one_go_or_in_many_is_the_same(tmp_path: Path) -> None:
 
 def test_a_task_takes_texels_on_while_their_next_path_is_worth_it(tmp_path: Path) -> None:
     seen = np.where(np.arange(len(TEXELS)) % 2 == 0, 1.0, 0.01).astype(np.float32)
-    task = BakeTask(SCENE.source, LOOK.plan, LOOK.digest, str(tmp_path), INDEX, TEXELS, seen, FEWEST, 0.0, 0.005)
+    task = BakeTask(SCENE.source, LOOK.plan, LOOK.digest, str(tmp_path), INDEX, TEXELS, seen, 16, 0.0, 0.005)
     result = bake(task)
     least = result.worth / 4
     left, look = bake(replace(task, until=UNTIL, least=least)), store_of(tmp_path).look
     light = store_of(tmp_path).load(INDEX).light
-    worth = seen * standard_error(light, look) ** 2 / light.samples
+    variance = standard_error(light, look) ** 2
+    worth = seen * (variance + variance.mean()) / 2 / light.samples
     assert (worth[~finished(light, look, 0.005)] < least).all()
     assert 0.0 < left.worth < least
     assert light.samples[0::2].mean() > 2 * light.samples[1::2].mean()
