@@ -27,6 +27,7 @@ def seconds_each(renderer: Renderer, demands: Sequence[Demand], target: float) -
     look = renderer.caches.look("gi")
     tried = [(demand.index, some(demand.offsets, TEXELS)) for demand in some(demands, CHUNKS)]
     texels = np.concatenate([Chunk.empty(index, look.plan).positions(offsets) for index, offsets in tried])
+    Bake(renderer.tiles, look, look.plan.layers, texels[:1]).grow(FIRST_RUNG, target)  # kernels are had then
     bake = Bake(renderer.tiles, look, look.plan.layers, texels)
     bake.grow(FIRST_RUNG, target)
     first, before = bake.seconds, bake.samples

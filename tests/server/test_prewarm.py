@@ -112,7 +112,7 @@ def test_a_dry_run_bakes_nothing_and_tells_the_time(
 
 
 def test_a_trial_foretells_what_a_bake_takes(tmp_path: Path) -> None:
-    """To a factor of 3: a few texels stand for all, and other work slows both."""
+    """To a factor of 5: a few texels stand for all, and other work slows both."""
     renderer = make_renderer(load_scene("demo:casting"), str(tmp_path))
     view = view_of(renderer.recipe.scene)
     demands = renderer.render(view, 0.1).demands
@@ -120,7 +120,7 @@ def test_a_trial_foretells_what_a_bake_takes(tmp_path: Path) -> None:
     whole = ViewBake(renderer, view)
     whole.grow(MOST, 0.1)
     renderer.tiles.close()
-    assert whole.seconds / 3 < told < whole.seconds * 3
+    assert whole.seconds / 5 < told < whole.seconds * 5
     assert seconds_each(renderer, (), 0.1) == 0.0
 
 
