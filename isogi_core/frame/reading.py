@@ -2,6 +2,7 @@
 
 import hashlib
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -24,20 +25,31 @@ class Reading:
 
     ``rows`` int32 are those of the pool, negative where there is no light; ``grade`` uint8 is
     UNBAKED, PARTIAL, CONVERGING, FINAL, BURIED or VOID. ``version`` tells how far each texel is baked: a
-    texel's light follows from its numbers of samples. ``short`` (chunks,) says which chunks are not final, and
-    ``efforts`` (chunks, 3) what they have taken and will: see ``Effort``.
+    texel's light follows from its numbers of samples; ``samples`` int32 are the fewest of any part, ``error``
+    float32 is relative. ``places`` are those of the texels; ``short`` (chunks,) says which chunks are not final at
+    the relative error ``target``.
     """
 
     rows: np.ndarray
     grade: np.ndarray
     version: bytes
+    samples: np.ndarray
+    error: np.ndarray
+    places: np.ndarray
     short: np.ndarray
-    efforts: np.ndarray
+    target: float
 
     @property
     def nbytes(self) -> int:
-        """Bytes that it takes."""
-        return self.rows.nbytes + self.grade.nbytes + self.short.nbytes + self.efforts.nbytes
+        """Bytes that it takes, without the places."""
+        return sum(each.nbytes for each in (self.rows, self.grade, self.samples, self.error, self.short))
+
+    @cached_property
+    def efforts(self) -> np.ndarray:
+        """What the texels of each chunk that are not final have taken and will: see ``Effort``; (chunks, 3) float64."""
+        rows = np.flatnonzero(self.grade < FINAL)
+        chunks = self.places[rows].astype(np.int64) // TEXELS
+        return efforts(chunks, len(self.short), self.error[rows], self.samples[rows], self.target)
 
     @property
     def whole(self) -> bool:
@@ -59,33 +71,19 @@ def read_texels(texels: ViewTexels, slots: np.ndarray, pool: PagePool, target: f
     """Look a view's texels up in the pool; ``slots`` are those of its chunks, ``target`` is final light's error."""
     places = texels.places
     rows, grade = np.empty(len(places), np.int32), np.empty(len(places), np.uint8)
+    samples, error = np.empty(len(places), np.int32), np.empty(len(places), np.float32)
     digests: dict[int, bytes] = {}
-    gathered: list[tuple[slice, np.ndarray]] = []
 
     def _piece(a: int, b: int) -> None:
-        error, stamp = np.empty((2, b - a), np.float32)
-        find_rows(places[a:b], slots, pool.table, pool.error, pool.stamp, rows[a:b], error, stamp)
-        samples = fewest_samples(stamp, len(pool.look.plan.layers))
-        grade[a:b] = grade_rows(rows[a:b], error, samples, target)
-        gathered.append(efforts_of(places[a:b], grade[a:b], error, samples, target))
+        stamp = np.empty(b - a, np.float32)
+        find_rows(places[a:b], slots, pool.table, pool.error, pool.stamp, rows[a:b], error[a:b], stamp)
+        samples[a:b] = fewest_samples(stamp, len(pool.look.plan.layers))
+        grade[a:b] = grade_rows(rows[a:b], error[a:b], samples[a:b], target)
         digests[a] = hashlib.sha256(stamp.data).digest()
 
     tiles.run(_piece, len(places), PIECE)
     short = np.minimum.reduceat(grade, texels.bounds[:-1]) < FINAL if len(grade) else np.zeros(0, np.bool_)
-    total = np.zeros((len(slots), 3))
-    for chunks, own in gathered:
-        total[chunks] += own
-    return Reading(rows, grade, b"".join(digests[a] for a in sorted(digests)), short, total)
-
-
-def efforts_of(
-    places: np.ndarray, grade: np.ndarray, error: np.ndarray, samples: np.ndarray, target: float
-) -> tuple[slice, np.ndarray]:
-    """Efforts for the texels at ``places``, in their order, that are not final: which chunks, (chunks, 3) float64."""
-    first, last = (int(place) // TEXELS for place in places[[0, -1]])
-    short = np.flatnonzero(grade < FINAL)
-    chunks = places[short].astype(np.int64) // TEXELS - first
-    return slice(first, last + 1), efforts(chunks, last + 1 - first, error[short], samples[short], target)
+    return Reading(rows, grade, b"".join(digests[a] for a in sorted(digests)), samples, error, places, short, target)
 
 
 GRADES = {UNLIT: UNBAKED, VOID_ROW: VOID, BURIED_ROW: BURIED}
