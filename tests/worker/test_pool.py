@@ -142,8 +142,8 @@ def kernels_of_this_process() -> dict[str, bool]:
 
     from isogi_core.kernels._jit import Entry
 
-    modules = [module for name, module in list(sys.modules.items()) if name.startswith("isogi_core.kernels.")]
-    entries = {x.name: x for module in modules for x in list(vars(module).values()) if isinstance(x, Entry)}
+    modules = [module for name, module in sys.modules.copy().items() if name.startswith("isogi_core.kernels.")]
+    entries = {x.name: x for module in modules for x in vars(module).copy().values() if isinstance(x, Entry)}
     return {name: bool(x.ready.stats.cache_misses) for name, x in entries.items() if x.loaded}
 
 
@@ -152,7 +152,7 @@ def test_workers_load_nothing_before_they_bake(compiled: dict[str, tuple[int, in
         """What the process has imported of the house, and of what takes long to import."""
         import sys
 
-        return {name.split(".")[0] for name in sys.modules} & {"isogi_core", "numba", "zarr"}
+        return {name.split(".")[0] for name in sys.modules.copy()} & {"isogi_core", "numba", "zarr"}
 
     fresh = WorkerPool(1)
     try:
