@@ -12,4 +12,5 @@ USER isogi
 ENV ISOGI_STORE=/light
 VOLUME ["/light"]
 EXPOSE 8000
+# needs ISOGI_TOKEN: others can reach it
 CMD ["isogi", "serve", "--host", "0.0.0.0"]

@@ -2,8 +2,11 @@
 PYTHON ?= python3
 BIN := .venv/bin
 SCENE ?=
+ISOGI_SHARED_DATA ?= ../shared/data
+TESTS ?=
+SIZE ?= full
 
-.PHONY: install serve test check lock format pictures figures reports clean
+.PHONY: install serve test test-bounds test-python check lock format pictures figures reports stability clean
 
 install: $(BIN)/.installed
 
@@ -27,14 +30,23 @@ check: $(BIN)/.tools
 	$(BIN)/lint-imports
 
 test: check
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile
+
+# The tests of kernels with every index of an array checked (slow: all is compiled anew), and with Python in Numba's place.
+test-bounds: $(BIN)/.tools
+	NUMBA_BOUNDSCHECK=1 $(BIN)/python -m pytest $(TESTS)
+
+test-python: $(BIN)/.tools
+	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest tests/kernels
 
 # Every picture in the README and in docs/ is made by this.
-pictures: install
+pictures: $(BIN)/.tools
 	$(BIN)/isogi render demo:casting -o docs/casting.png --azimuth 35 --elevation 28 --distance 3 \
 	  --width 960 --height 600 --target-error 0.03
 	$(BIN)/isogi render docs/lamp.toml -o docs/lamp.png --azimuth 35 --elevation 28 --distance 3 \
 	  --width 960 --height 600 --target-error 0.03
+	$(BIN)/isogi inspect $(ISOGI_SHARED_DATA)/engine_256x256x128_uint8.nhdr --picture docs/stiffness.png
+	$(BIN)/python -m benchmarks.page_pictures
 
 # The figures that the README and the notes state.
 figures: $(BIN)/.tools
@@ -45,11 +57,15 @@ figures: $(BIN)/.tools
 reports: $(BIN)/.tools
 	$(BIN)/python -m benchmarks.reports -o reports
 
+# docs/stability.md and its picture; SIZE=slow before a release.
+stability: $(BIN)/.tools
+	$(BIN)/python -m benchmarks.stability --size $(SIZE)
+
 lock: $(BIN)/.tools
 	$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-emit-index-url --python-version 3.11 \
-	  --extra report pyproject.toml -o requirements.lock
+	  --extra report --extra s3 pyproject.toml -o requirements.lock
 	$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-emit-index-url --python-version 3.11 \
-	  --extra report --extra dev pyproject.toml -o requirements-dev.lock
+	  --extra report --extra s3 --extra client --extra dev pyproject.toml -o requirements-dev.lock
 
 format: $(BIN)/.tools
 	$(BIN)/ruff check --fix .

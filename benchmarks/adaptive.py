@@ -23,22 +23,23 @@ import click
 import numpy as np
 from tqdm import tqdm
 
-from benchmarks.common import shared_data
-from benchmarks.plan_scenes import CONSTANT, GRACE, UFFIZI, probe_lights
-from benchmarks.plans import relative_rmse
+from benchmarks.plan_scenes import GRACE, UFFIZI, three_scenes
+from benchmarks.plans import frame_error
 from isogi_core.bake.light import Light
 from isogi_core.bake.precision import FIRST_RUNG
 from isogi_core.bake.recipe import Index
 from isogi_core.bake.refine import refine
 from isogi_core.cache.costs import Cost, Costs
+from isogi_core.cache.place import Place
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.renderer import Renderer
-from isogi_core.model.scene import Scene, load_scene
+from isogi_core.model.scene import Scene
 from isogi_core.model.view import View
 from isogi_core.report.bake import NEVER, ViewBake
 from server.measure import make_renderer, view_of
-from worker.queue import BakeQueue, Want
+from worker.queue import BakeQueue
 from worker.tasks import BakeTask, climb, cost_of, result_of
+from worker.wants import Want
 
 MANY = 16
 """The reference takes so many times the most samples."""
@@ -95,7 +96,7 @@ class ChunkBake:
     def point(self, best: Frame) -> Point:
         """The frame as it is now, beside the ``best``."""
         lit = bool((self.bake.light.samples != 0).all())
-        return Point(self.spent.seconds, self.spent.paths, relative_rmse(self.bake.frame(), best) or 0.0, lit)
+        return Point(self.spent.seconds, self.spent.paths, frame_error(self.bake.frame(), best) or 0.0, lit)
 
 
 class Service(ChunkBake):
@@ -126,24 +127,11 @@ class Service(ChunkBake):
     def do(self, want: Want) -> None:
         """Do a task, as ``worker.tasks.bake`` does."""
         look, index = self.bake.look, want.key[1]
-        what = self.source, look.plan, look.digest, "", index, want.offsets, want.footprints
+        what = self.source, look.plan, look.digest, Place("unused"), index, want.offsets, want.footprints
         task = BakeTask(*what, want.until, want.least or 0.0, self.target)
         light, cost = self.bake_chunk(index, partial(climb, look=look, task=task))
         self.costs.add(index, cost)
         self.queue.finish(want.key, want.offsets, self.target, result_of(light, look, task, cost))
-
-
-def main_scenes(target: str | None) -> Iterator[Scene]:
-    """The three scenes, or demos; or the one that is told."""
-    data = shared_data()
-    if target is not None or data is None:
-        for name in (target,) if target is not None else ("demo:casting", "demo:orbital"):
-            yield load_scene(name)
-        return
-    engine, head, brain = "engine_256x256x128_uint8", "ct_head_208x256x225_uint8", "mni152_t1_197x233x189_uint8"
-    for name, isovalue, probe in ((engine, 70, UFFIZI), (head, 110, GRACE), (brain, 90, None)):
-        lights = [CONSTANT] if probe is None else probe_lights(probe)
-        yield load_scene(data / f"{name}.nhdr", isovalue=isovalue, albedo=0.7, lights=lights)
 
 
 def race(scene: Scene, size: int, most: int, target: float) -> tuple[list[Point], list[Point]]:
@@ -216,7 +204,7 @@ def first_lit(points: Sequence[Point]) -> float | None:
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def main(scene: str | None, size: int, samples: int, target: float, as_json: bool) -> None:
     """Bake in both ways and print the ratios of their errors."""
-    for each in main_scenes(scene):
+    for each in three_scenes(scene, UFFIZI, GRACE):
         uniform, adaptive = race(each, size, samples, target)
         show(f"{each.name} at {each.isovalue:g}, {each.environment.name}", uniform, adaptive, as_json)
 

@@ -158,7 +158,7 @@ def ratios(name: str, ratio: Seconds) -> dict[str, float]:
 
 def likeness(checked: Sequence[Check], converged: Sequence[Converged]) -> dict[str, float]:
     """How far the converged pictures of both are apart, picture by picture: brightness, and the median difference."""
-    figures = {}
+    figures: dict[str, float] = {}
     for number, (each, best) in enumerate(zip(checked, converged, strict=True), 1):
         ours, theirs = (picture[best.on][:, :3] @ LUMINANCE for picture in (each.best.mean, best.picture))
         apart = float(np.median(abs(ours / ours.mean() - theirs / theirs.mean())))

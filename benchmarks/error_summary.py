@@ -7,7 +7,7 @@ from pathlib import Path
 from tempfile import mkdtemp
 from typing import Any
 
-from isogi_core.report.sections import Column, Table
+from isogi_core.report.sections import Cell, Column, Table
 from server.render import write
 from server.report.cells import told
 from server.report.documents import table_of
@@ -71,7 +71,7 @@ def replace_folder(fresh: Path, place: Path) -> None:
 
 def overview(reports: Mapping[str, Data]) -> str:
     """The total of each scene's error, a column for each of its parts, and what the bake took."""
-    totals = {name: dict(row[:2] for row in rows_of(data, "split")) for name, data in reports.items()}
+    totals = {name: {row[0]: row[1] for row in rows_of(data, "split")} for name, data in reports.items()}
     found = dict.fromkeys(part for table in totals.values() for part in table)
     parts = [part for part in found if part not in SUMS]
     columns = (Column("scene"), Column("total", "share"), *(Column(part, "share") for part in parts))
@@ -83,7 +83,7 @@ def overview(reports: Mapping[str, Data]) -> str:
     return markdown((*columns, Column(BAKE, "seconds")), rows)
 
 
-def bake_seconds(data: Data) -> float | None:
+def bake_seconds(data: Data) -> Cell:
     """What a report's light took, by its summary."""
     tables = [table_of(table) for table in section(data, "summary").get("tables", ())[:1]]
     cells = [dict(zip((each.name for each in table.columns), table.rows[0], strict=True)) for table in tables]

@@ -7,14 +7,8 @@ until it is final, stops the server, starts it again and compares the picture by
 """
 
 import hashlib
-import signal
-import socket
-import subprocess
-import sys
 import tempfile
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +16,7 @@ import click
 import httpx
 
 from benchmarks.common import ENGINE, GRACE, shared_data, show
+from benchmarks.serving import serving
 
 VIEW = {"azimuth": 40, "elevation": 30, "distance": 3, "fov": 30, "f": "npy"}
 
@@ -38,11 +33,11 @@ def main(target: str | None, size: int, workers: int, error: float, most: float,
     with tempfile.TemporaryDirectory() as folder:
         scene = target or write_scene(Path(folder))
         knobs = {**VIEW, "width": size, "height": size}
-        with served(scene, f"{folder}/light", workers) as client:
-            figures = watch(client, knobs, error, most)
+        with serving(scene, f"{folder}/light", workers) as server:
+            figures = {"ready after, s": server.ready_after, **watch(server.client, knobs, error, most)}
             figures["chunk bytes"] = digest(Path(folder, "light"))
-        with served(scene, f"{folder}/light", workers) as client:
-            figures |= again(client, knobs, figures)
+        with serving(scene, f"{folder}/light", workers) as server:
+            figures |= {"restart: ready after, s": server.ready_after, **again(server.client, knobs, figures)}
     show(f"{scene}, {size} × {size}, {workers} workers", figures, as_json)
 
 
@@ -57,33 +52,6 @@ def write_scene(folder: Path) -> str:
     return str(scene)
 
 
-@contextmanager
-def served(scene: str, store: str, workers: int) -> Iterator[httpx.Client]:
-    """A server process, ready, and a client whose ``ready`` header tells how many seconds that took."""
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        port = free.getsockname()[1]
-    command = [sys.executable, "-m", "server", "serve", scene, "--port", str(port), "--store", store]
-    begun = time.perf_counter()
-    process = subprocess.Popen([*command, "--workers", str(workers)], stdout=subprocess.DEVNULL)
-    try:
-        with httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=60.0) as client:
-            while not ready(client):
-                time.sleep(0.05)
-            client.headers["x-ready-after"] = f"{time.perf_counter() - begun:.3f}"
-            yield client
-    finally:
-        process.send_signal(signal.SIGTERM)
-        process.wait(30)
-
-
-def ready(client: httpx.Client) -> bool:
-    """Whether the server says that it is ready."""
-    try:
-        return client.get("/readyz").status_code == 200
-    except httpx.TransportError:
-        return False
-
-
 def frame(client: httpx.Client, knobs: dict[str, Any], wait: float = 0.0) -> httpx.Response:
     """One frame of the only scene."""
     (scene,) = client.get("/v1/scenes").json()["scenes"]
@@ -96,7 +64,6 @@ def watch(client: httpx.Client, knobs: dict[str, Any], error: float, most: float
     begun = time.perf_counter()
     answer = frame(client, knobs)
     figures: dict[str, Any] = {
-        "ready after, s": float(client.headers["x-ready-after"]),
         "first frame, s": time.perf_counter() - begun,
         "first frame provisional": answer.headers["isogi-provisional"] == "?1",
     }
@@ -119,7 +86,6 @@ def again(client: httpx.Client, knobs: dict[str, Any], before: dict[str, Any]) -
     begun = time.perf_counter()
     answer = frame(client, knobs)
     return {
-        "restart: ready after, s": float(client.headers["x-ready-after"]),
         "restart: first frame, s": time.perf_counter() - begun,
         "restart: final at once": answer.headers["isogi-provisional"] == "?0",
         "restart: same bytes": hashlib.sha256(answer.content).hexdigest()[:16] == before["picture"],

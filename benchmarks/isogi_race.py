@@ -98,7 +98,8 @@ class Isogi:
     def _bake_chunk(self, index: Index, offsets: np.ndarray) -> None:
         loader = self.renderer.caches.of("gi")
         chunk = loader.store.load(index).with_texels(offsets)
-        refine(chunk.light, chunk.positions(chunk.offsets), loader.store.look, self.samples, NEVER)
+        look = loader.store.look
+        refine(chunk.light, look.recipe.lattice.positions(index, chunk.offsets), look, self.samples, NEVER)
         loader.store.save(chunk)
         loader.refresh(index)
 

@@ -24,7 +24,6 @@ import numpy as np
 from benchmarks import mesh, mitsuba_scene
 from benchmarks.common import benchmark_scene, options, show
 from isogi_core.bake.recipe import Recipe
-from isogi_core.cache.chunk import Chunk
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.bounces import bounce_rays
 from isogi_core.kernels.intersect import OUTSIDE
@@ -54,9 +53,10 @@ class Job:
 def view_texels(scene: Scene, size: int) -> list[np.ndarray]:
     """About TEXELS texels that the view reads, (m, 3; z, y, x) chunk by chunk, from all over it."""
     with tempfile.TemporaryDirectory() as store:
-        demands = make_renderer(scene, store).render(view_of(scene, size), NEVER).demands
+        renderer = make_renderer(scene, store)
+        demands = renderer.render(view_of(scene, size), NEVER).demands
     every = max(sum(len(d.offsets) for d in demands) // TEXELS, 1)
-    return [Chunk.empty(d.index, scene.plan).positions(d.offsets) for d in demands[::every]]
+    return [renderer.recipe.lattice.positions(d.index, d.offsets) for d in demands[::every]]
 
 
 def bake_job(scene: Scene, texels: list[np.ndarray]) -> Job:

@@ -6,7 +6,7 @@ from typing import Any
 import click
 
 from benchmarks.common import benchmark_scene, shared_data
-from isogi_core.model.scene import Scene
+from isogi_core.model.scene import Scene, load_scene
 
 CONSTANT = {"type": "constant"}
 LAMP = {"type": "directional", "irradiance": 2.0, "angle": 2.0}
@@ -50,3 +50,19 @@ def probe_lights(probe: str) -> list[Mapping[str, str]]:
     """The lights of a scene under a ``probe`` alone; none where its file is not at hand."""
     data = shared_data()
     return [] if data is None else [{"type": "probe", "file": str(data / f"probe_{probe}.hdr")}]
+
+
+def three_scenes(target: str | None, engine: str, head: str) -> Iterator[Scene]:
+    """The engine block at 70 and the CT head at 110 under these probes, and the MNI brain at 90 under constant light.
+
+    Demos where the shared data are not at hand; the scene that is told, if any.
+    """
+    data = shared_data()
+    if target is not None or data is None:
+        for name in (target,) if target is not None else ("demo:casting", "demo:orbital"):
+            yield load_scene(name)
+        return
+    names = "engine_256x256x128_uint8", "ct_head_208x256x225_uint8", "mni152_t1_197x233x189_uint8"
+    lights = probe_lights(engine), probe_lights(head), [CONSTANT]
+    for name, isovalue, own in zip(names, (70, 110, 90), lights, strict=True):
+        yield load_scene(data / f"{name}.nhdr", isovalue=isovalue, albedo=0.7, lights=own)

@@ -15,7 +15,6 @@ black picture.
 """
 
 import json
-import math
 import tempfile
 import time
 from collections.abc import Sequence
@@ -23,9 +22,9 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import click
-import numpy as np
 from tqdm import tqdm
 
+from benchmarks.error_curve import relative_rmse
 from benchmarks.plan_scenes import SCENES, load
 from isogi_core.bake.refine import refine
 from isogi_core.cache.loader import Loader
@@ -33,7 +32,6 @@ from isogi_core.frame.frame import Frame
 from isogi_core.frame.texels import Demand
 from isogi_core.model.plan import Layer, most_samples
 from isogi_core.model.scene import Scene
-from isogi_core.model.sky import LUMINANCE
 from isogi_core.plan.savings import S1_BYTES, lattice_bytes
 from isogi_core.plan.texels import TexelCount
 from isogi_core.report.ways import as_s1
@@ -128,26 +126,24 @@ def baked(scene: Scene, size: int, best: Frame) -> Bake:
         renderer.tiles.run(lambda a, b: bake(loader, demands[a:b], scene.target_error), len(demands), 1)
         taken = time.process_time() - begun
         written = sum(file.stat().st_size for file in Path(store).rglob("*") if file.is_file())
-        return Bake(taken, written / 1e6, relative_rmse(renderer.render(view), best))
+        return Bake(taken, written / 1e6, frame_error(renderer.render(view), best))
 
 
 def bake(loader: Loader, demands: Sequence[Demand], target: float) -> None:
     """Bake what is demanded to the relative error ``target``, and keep it."""
+    look = loader.store.look
     for demand in demands:
         chunk = loader.store.load(demand.index).with_texels(demand.offsets)
-        refine(chunk.light, chunk.positions(chunk.offsets), loader.store.look, most_samples(target), target)
+        texels = look.recipe.lattice.positions(chunk.index, chunk.offsets)
+        refine(chunk.light, texels, look, most_samples(target), target)
         loader.store.save(chunk)
         loader.refresh(demand.index)
 
 
-def relative_rmse(frame: Frame, best: Frame) -> float | None:
+def frame_error(frame: Frame, best: Frame) -> float | None:
     """RMSE of the luminance over surface pixels, over its mean in the ``best``; None where all is black."""
     on = best.state > 0
-    light = best.radiance[on].astype(np.float64) @ LUMINANCE
-    if not light.any():
-        return None
-    wrong = frame.radiance[on].astype(np.float64) @ LUMINANCE - light
-    return math.sqrt((wrong**2).mean()) / float(light.mean())
+    return relative_rmse(frame.radiance, best.radiance, on) if best.radiance[on].any() else None
 
 
 def describe(layer: Layer) -> str:
@@ -167,7 +163,8 @@ def table(rows: Sequence[Row]) -> str:
 def cells(row: Row) -> list[str]:
     """The text of each of a row's cells."""
     plan, s1, texels = row.by_plan, row.by_s1, row.texels
-    lattice = (lattice_bytes(texels.shown_chunks, row.bytes_per_texel), lattice_bytes(texels.chunks, S1_BYTES))
+    chunks, side = texels.shown_chunks, texels.chunk
+    lattice = (lattice_bytes(chunks, side, row.bytes_per_texel), lattice_bytes(texels.chunks, side, S1_BYTES))
     return [
         *(row.scene, row.representation, row.layers, str(row.bytes_per_texel), f"{texels.shown / texels.total:.1%}"),
         pair("{:,.1f}", *(size / 1e6 for size in lattice)),

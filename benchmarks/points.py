@@ -16,7 +16,7 @@ import json
 import math
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Protocol
 
@@ -24,9 +24,8 @@ import click
 import numpy as np
 from tqdm import tqdm
 
-from benchmarks.common import shared_data
 from benchmarks.paths import view_texels
-from benchmarks.plan_scenes import CONSTANT, GRACE, UFFIZI, probe_lights
+from benchmarks.plan_scenes import GRACE, UFFIZI, three_scenes
 from isogi_core.bake.look import look_for
 from isogi_core.bake.recipe import Recipe
 from isogi_core.bake.refine import Place, locate, sample_irradiance, sample_transfer
@@ -34,7 +33,6 @@ from isogi_core.frame.paths import Paths, replicas_for
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.surroundings import Turned
 from isogi_core.frame.tiles import Tiles
-from isogi_core.model.scene import Scene, load_scene
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.report.reference import STREAM
 from server.measure import make_renderer, view_of
@@ -120,19 +118,6 @@ class Point:
     random_seconds: float
 
 
-def main_scenes(target: str | None) -> Iterator[Scene]:
-    """The three scenes, or demos; or the one that is told."""
-    data = shared_data()
-    if target is not None or data is None:
-        for name in (target,) if target is not None else ("demo:casting", "demo:orbital"):
-            yield load_scene(name)
-        return
-    engine, head, brain = "engine_256x256x128_uint8", "ct_head_208x256x225_uint8", "mni152_t1_197x233x189_uint8"
-    for name, isovalue, lights in ((engine, 70, GRACE), (head, 110, UFFIZI), (brain, 90, None)):
-        given = [CONSTANT] if lights is None else probe_lights(lights)
-        yield load_scene(data / f"{name}.nhdr", isovalue=isovalue, albedo=0.7, lights=given)
-
-
 def surfels(renderer: Renderer, size: int) -> dict[str, Surfels]:
     """Texels and pixels of the view."""
     recipe, view = renderer.recipe, view_of(renderer.recipe.scene, size)
@@ -196,7 +181,7 @@ def ratios(points: Sequence[Point]) -> list[float]:
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def main(target: str | None, size: int, samples: int, as_json: bool) -> None:
     """Measure both kinds of points and print the ratios of their errors."""
-    for scene in main_scenes(target):
+    for scene in three_scenes(target, GRACE, UFFIZI):
         with tempfile.TemporaryDirectory() as store:
             for name, what in surfels(make_renderer(scene, store), size).items():
                 points = measure(what, samples)

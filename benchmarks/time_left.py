@@ -34,7 +34,7 @@ TURN = 100.0
 class OneByOne:
     """A pool of one worker, which works when it is told to. ``seconds`` are the processor's, spent on tasks."""
 
-    room, workers, connected = 2, 1, True
+    room, workers, trouble = 2, 1, ""
 
     def __init__(self) -> None:
         self.tasks: list[tuple[BakeTask, Done]] = []

@@ -25,6 +25,26 @@ class StoreError(IsogiError):
     """The cache's store cannot be read or written, or holds another scene's light."""
 
 
+class StoreAwayError(StoreError):
+    """The store cannot be used at the moment; what is asked of it later may come. Nothing that it keeps is lost."""
+
+
+class StoreFullError(StoreAwayError):
+    """The store has no room for more light; what it keeps can be read."""
+
+
+class StoreReadOnlyError(StoreAwayError):
+    """The store can only be read."""
+
+
+class PlaceError(StoreError):
+    """The name of a store holds what is secret."""
+
+
+class ChangedError(StoreError):
+    """Somebody else has written an object meanwhile: read it again."""
+
+
 class DamagedChunkError(StoreError):
     """A chunk's bytes are not what was written: cut, flipped, or another scene's."""
 

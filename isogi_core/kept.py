@@ -4,7 +4,7 @@ import threading
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Generic, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 OVERHEAD = 4 << 10
 """Bytes that a result is counted with besides its own: without arrays it takes memory too."""
@@ -37,14 +37,14 @@ class Cell(Generic[V]):
         return OVERHEAD + sum(value.nbytes for value in self.value)
 
 
-class Kept(Generic[K, V]):
-    """The newest results of a costly function; two threads that want the same one make it once."""
+class Kept(Generic[K]):
+    """The newest results of costly functions; two threads that want the same one make it once."""
 
     def __init__(self, most: int) -> None:
         """Keep at most ``most`` bytes, OVERHEAD for each result among them, the newest in any case."""
         self._most = most
         self._lock = threading.Lock()
-        self._made: OrderedDict[K, Cell[V]] = OrderedDict()
+        self._made: OrderedDict[K, Cell[Any]] = OrderedDict()
 
     def get(self, key: K, make: Callable[[], V]) -> V:
         """The result for ``key``, made by ``make`` when it is not kept.
@@ -52,7 +52,7 @@ class Kept(Generic[K, V]):
         Raises what ``make`` raises; whoever waited for that result then makes it in turn.
         """
         with self._lock:
-            cell = self._made.setdefault(key, Cell())
+            cell: Cell[V] = self._made.setdefault(key, Cell())
             cell.asking += 1
             self._made.move_to_end(key)
         try:
@@ -80,7 +80,7 @@ class Kept(Generic[K, V]):
     def _sum(self) -> int:
         return sum(cell.nbytes for cell in self._made.values())
 
-    def _leave(self, key: K, cell: Cell[V]) -> None:
+    def _leave(self, key: K, cell: Cell[Any]) -> None:
         """Stop asking for a result; the place of one that could not be made goes with the last that asks."""
         with self._lock:
             cell.asking -= 1

@@ -16,16 +16,16 @@ from tqdm import tqdm
 
 from isogi_core.bake.look import LOOKS
 from isogi_core.bake.precision import FIRST_RUNG
-from isogi_core.cache.chunk import Chunk
 from isogi_core.errors import ViewError
 from isogi_core.frame.film import develop
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.renderer import Renderer
 from isogi_core.kernels.lanes import WIDTH
-from isogi_core.model.scene import Scene, load_scene
+from isogi_core.model.scene import Scene
 from isogi_core.model.view import SHADINGS, View
 from isogi_core.report.turns import Candidate, medians, new_camera, relight, seconds, timed
 from server.measure import bake_pieces, bake_view, bounce, cast, isovalues_near, make_renderer, primary_rays, view_of
+from server.opening import open_scene
 from server.params import FORMATS
 from server.pictures import encode
 from server.settings import cores
@@ -44,7 +44,7 @@ def bench(target: str | None, isovalue: float | None, size: int, repeats: int) -
 
     Raises SceneError, VolumeError and LightError; ViewError where the view shows no surface.
     """
-    scene = load_scene(target, **({} if isovalue is None else {"isovalue": isovalue}))
+    scene = open_scene(target, None, **({} if isovalue is None else {"isovalue": isovalue}))
     with tempfile.TemporaryDirectory(prefix="isogi-bench-") as store:
         return Bench(make_renderer(scene, store, cores()), size, repeats).figures()
 
@@ -152,7 +152,7 @@ class Bench:
         for demand in sorted(self.frame.demands, key=lambda demand: -len(demand.offsets)):
             if count < TEXELS:
                 count += len(demand.offsets)
-                yield Chunk.empty(demand.index, self.scene.plan).positions(demand.offsets)
+                yield self.renderer.recipe.lattice.positions(demand.index, demand.offsets)
 
 
 def milliseconds(candidates: dict[str, Candidate], repeats: int) -> dict[str, float]:

@@ -8,21 +8,23 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from isogi_core.errors import IsogiError, LightError, SceneError, ViewError, VolumeError
+from isogi_core.errors import IsogiError, LightError, PlaceError, SceneError, ViewError, VolumeError
+from server.options import SECRET, SettingsCommand
+from server.upkeep.command import store
 
 if TYPE_CHECKING:
     from server.settings import Settings
 
-BAD_INPUT = (SceneError, VolumeError, LightError, ViewError)
+BAD_INPUT = (SceneError, VolumeError, LightError, ViewError, PlaceError)
 VIEW_OPTIONS = {
     "isovalue": "In the volume's own units; default: the scene's.",
     "azimuth": "Degrees; 0 looks from +x, 90 from +y.",
     "elevation": "Degrees above the xy plane.",
-    "distance": "From the volume's centre, in radii of its bounding sphere.",
+    "distance": "From the target, in radii of the volume's bounding sphere.",
     "fov": "Vertical field of view, degrees.",
     "eye": "World x,y,z, instead of azimuth, elevation and distance.",
-    "target": "World x,y,z that the eye looks at.",
-    "up": "World x,y,z.",
+    "target": "World x,y,z to look at; default: the volume's centre.",
+    "up": "World x,y,z that points up in the picture.",
     "yaw": "Turns the light about z, degrees.",
     "pitch": "Then about y, degrees.",
     "roll": "Then about x, degrees.",
@@ -32,19 +34,23 @@ VIEW_OPTIONS = {
     "shading": "gi, vicinity, lambert[_shadow|_fog], phong[_shadow] or path_traced.",
     "exposure": "Factor on radiance before the tone curve.",
     "samples": "Paths per pixel, for path_traced.",
+    "overlay": "none, provisional (hatches what is not final) or error (each pixel's estimate as a colour).",
 }
+DEVELOPED = ("shading", "samples", "exposure", "overlay")
+"""Options that what is told of radiance alone does not read."""
+
+PICTURE_OPTIONS = ("width", "height", "shading", "samples", "overlay")
 REPORT_OPTIONS = {
-    **{name: text for name, text in VIEW_OPTIONS.items() if name not in ("width", "height", "shading", "samples")},
+    **{name: text for name, text in VIEW_OPTIONS.items() if name not in PICTURE_OPTIONS},
     "azimuth": "Degrees; 0 looks from +x, 90 from +y; default: 40.",
     "elevation": "Degrees above the xy plane; default: 30.",
-    "distance": "From the volume's centre, in radii of its bounding sphere; default: 2.2.",
+    "distance": "From the target, in radii of the volume's bounding sphere; default: 2.2.",
 }
 WORK_OPTIONS = {
     "workers": "Baking processes; default: one per core.",
     "store": "Path or URL of the cache; default: the user's cache folder.",
     "scheduler": "Address of a Dask scheduler to bake on, instead of own workers.",
 }
-BAKING_TIME = "Stop baking after so long: 90, 90s, 10m or 1h; to look at all views, before and after, comes on top."
 Command = Callable[..., Any]
 
 
@@ -110,17 +116,21 @@ def duration(_: click.Context, __: click.Parameter, value: str | None) -> float 
         raise click.BadParameter(str(error)) from None
 
 
-def settings_from(**given: Any) -> "Settings":
-    """The settings: options first, then the environment; UsageError names what is wrong."""
+def settings_from(config: Path | None = None, **given: Any) -> "Settings":
+    """The settings: options first, then the environment, then a file; UsageError names what is wrong."""
     from pydantic import ValidationError  # noqa: PLC0415
 
-    from server.settings import Settings  # noqa: PLC0415
+    from server.settings import read_settings  # noqa: PLC0415
 
     try:
-        return Settings(**{name: value for name, value in given.items() if value is not None})
+        return read_settings(config, **{name: value for name, value in given.items() if value is not None})
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
-        raise click.UsageError(f"{first['loc'][0]}: {first['msg']}, not {first['input']!r}.") from None
+        name = str(first["loc"][0])
+        told = "" if name in SECRET else f", not {first['input']!r}"
+        raise click.UsageError(f"{name}: {first['msg']}{told}.") from None
+    except ValueError as error:
+        raise click.UsageError(f"{config}: {error}.") from None
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})
@@ -129,14 +139,11 @@ def cli() -> None:
     """Isosurfaces of volumes with global illumination, baked lazily."""
 
 
-@cli.command()
+@cli.command(cls=SettingsCommand)
 @click.argument("target", required=False)
-@click.option("--host", help="Address to listen on; default: 127.0.0.1.")
-@click.option("--port", help="Port to listen on; default: 8000; 0 takes a free one.")
-@options(WORK_OPTIONS)
-def serve(target: str | None, **given: str | None) -> None:
-    """Serve TARGET, a scene (.toml) or a volume (.nrrd, .nhdr); with neither, a demo."""
-    settings = settings_from(**given)
+def serve(target: str | None, config: Path | None, **given: str | None) -> None:
+    """Serve TARGET, a scene (.toml) or a volume (.nrrd, .nhdr, .zarr); with neither, a demo."""
+    settings = settings_from(config, **given)
     from server.serve import serve as serve_scene  # noqa: PLC0415
 
     serve_scene(target, settings)
@@ -168,7 +175,7 @@ def render(
 @cli.command()
 @click.argument("scene", metavar="TARGET")
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path, dir_okay=False), help="A file, .npz.")
-@options({name: text for name, text in VIEW_OPTIONS.items() if name not in ("shading", "samples", "exposure")})
+@options({name: text for name, text in VIEW_OPTIONS.items() if name not in DEVELOPED})
 @click.option("--samples", type=click.IntRange(1), help="Stop at so many paths per pixel.")
 @click.option("--target-error", callback=number(1e-6, 1), help="Stop at this noise; default: 0.005.")
 @click.option("--time", "seconds", callback=duration, help="Stop after so long: 90, 90s, 10m or 1h.")
@@ -230,45 +237,46 @@ def report(
 
 @cli.command()
 @click.argument("scene", metavar="TARGET")
-@click.option("--isovalue", "isovalues", multiple=True, help="One, or first:last:step; may be repeated.")
-@click.option("--views", type=click.IntRange(1, 10_000), default=12, show_default=True, help="Directions of each.")
+@click.option("--isovalue", "isovalues", multiple=True, help="One, first:last:step, or first:last for all between.")
+@click.option("--views", help="Directions of each isovalue, spread over all sides; default: 12 where none are told.")
+@click.option("--view", "directions", multiple=True, metavar="azimuth=40,elevation=30", help="One direction.")
+@click.option(
+    "--views-file", type=click.Path(path_type=Path, exists=True, dir_okay=False), help="Such, .json or .toml."
+)
+@click.option("--orbit", "orbits", multiple=True, metavar="36@20", help="So many directions at an elevation.")
+@click.option("--all-directions", is_flag=True, default=None, help="Whole isosurfaces, however they are looked at.")
 @options({name: VIEW_OPTIONS[name] for name in ("distance", "fov", "width", "height")})
-@click.option("--target-error", callback=number(0.0001, 1), help="Relative error at which a pixel is final.")
-@click.option("--time", "seconds", callback=duration, help=BAKING_TIME)
+@click.option("--target-error", help="Relative error at which light is final.")
+@click.option("--deadline", callback=duration, help="End by then, with what is baked: 90, 90s, 10m or 1h.")
 @options(WORK_OPTIONS)
-@click.option("--dry-run", is_flag=True, help="Tell what there is to be baked, and bake nothing.")
-@click.option("--json", "as_json", is_flag=True, help="Print the facts as JSON.")
-def prewarm(
-    scene: str,
-    isovalues: tuple[str, ...],
-    views: int,
-    target_error: float | None,
-    seconds: float | None,
-    dry_run: bool,
-    as_json: bool,
-    **given: Any,
-) -> None:
-    """Bake what views of TARGET from all sides need, so that they are final at once later."""
-    settings = settings_from(**{name: given.pop(name) for name in WORK_OPTIONS})
-    from server.prewarm import prewarm as prewarm_views  # noqa: PLC0415
-    from server.prewarm import sentence  # noqa: PLC0415
+@click.option("--dry-run", is_flag=True, help="Tell what there is to be baked and how long it takes; bake nothing.")
+@click.option("--continue", "go_on", is_flag=True, help="Go on with the last prewarm of TARGET that was stopped.")
+@click.option("--server", metavar="URL", help="Have a running server do it; its token: ISOGI_TOKEN.")
+@click.option("--detach", is_flag=True, help="Print the job's address, and leave the server to it.")
+@click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
+def prewarm(scene: str, as_json: bool, **given: Any) -> int:
+    """Bake ahead what views of TARGET from all sides need, or whole isosurfaces; stopped, it goes on (--continue)."""
+    from server.prewarm.options import Way, carry_out  # noqa: PLC0415
 
-    knobs = {name: value for name, value in {**given, "max_error": target_error}.items() if value is not None}
-    facts = prewarm_views(scene, isovalues, views, knobs, settings, seconds, dry_run)
-    click.echo(json.dumps(facts, allow_nan=False) if as_json else sentence(facts))
+    work = {name: given.pop(name) for name in WORK_OPTIONS}
+    way = Way(**{name: given.pop(name) for name in ("dry_run", "go_on", "server", "detach")})
+    summary, address = carry_out(scene, given, way, work)
+    if summary is None:
+        click.echo(json.dumps({"job": address}) if as_json else address)
+        return 0
+    click.echo(summary.model_dump_json() if as_json else str(summary))
+    return 1 if summary.failed else 0
 
 
 @cli.command()
 @click.argument("target")
+@click.option("--picture", type=click.Path(path_type=Path, dir_okay=False), help="Draw the stiffness to a file, .png.")
 @click.option("--json", "as_json", is_flag=True, help="Print the facts as JSON.")
-def inspect(target: str, as_json: bool) -> None:
-    """Tell what is in TARGET, a volume or a scene, and what will be baked for it."""
-    from isogi_core.model.scene import load_scene  # noqa: PLC0415
-    from server.facts import scene_facts  # noqa: PLC0415
-    from server.inspect import report  # noqa: PLC0415
+def inspect(target: str, picture: Path | None, as_json: bool) -> None:
+    """Tell what is in TARGET, a volume or a scene, how stiff that is, and what will be baked for it."""
+    from server.inspect.command import inspect as inspect_scene  # noqa: PLC0415
 
-    scene = load_scene(target)
-    click.echo(scene_facts(scene).model_dump_json(indent=2) if as_json else report(scene))
+    click.echo(inspect_scene(target, picture, as_json))
 
 
 @cli.command()
@@ -284,3 +292,6 @@ def bench(target: str | None, isovalue: float | None, size: int, repeats: int, a
 
     figures = measure(target, isovalue, size, repeats)
     click.echo(json.dumps(figures, allow_nan=False) if as_json else table(figures))
+
+
+cli.add_command(store)

@@ -15,12 +15,20 @@ class UnknownSceneError(IsogiError):
     """No scene has this id."""
 
 
+class UnknownJobError(IsogiError):
+    """No job has this id, or it is forgotten."""
+
+
 class NotAcceptableError(IsogiError):
     """No picture format fits the request's Accept header."""
 
 
+class UnknownResultError(IsogiError):
+    """A job has no result of its own, or none yet."""
+
+
 class BusyError(IsogiError):
-    """More frames wait than the settings allow."""
+    """More of something is asked for at once than the settings allow."""
 
 
 class StartingError(IsogiError):
@@ -29,3 +37,35 @@ class StartingError(IsogiError):
 
 class LibraryError(IsogiError):
     """A library that a command needs is not installed."""
+
+
+class StreamError(IsogiError):
+    """A client breaks a limit of its stream, which is closed with this ``code`` (RFC 6455, 7.4)."""
+
+    def __init__(self, sentence: str, code: int = 1008) -> None:
+        super().__init__(sentence)
+        self.code = code
+
+
+class UploadsOffError(IsogiError):
+    """This server takes no uploads."""
+
+
+class UnknownVolumeError(IsogiError):
+    """No uploaded volume has this id."""
+
+
+class SlowUploadError(IsogiError):
+    """An upload stands still."""
+
+
+class LateError(IsogiError):
+    """An upload could not be read in time, as the machine is busy."""
+
+
+class FullError(IsogiError):
+    """An upload is more than the quota, or the disk, has room for."""
+
+
+class ShelfError(IsogiError):
+    """The folder of uploads cannot be used."""

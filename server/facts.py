@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import BaseModel
 
+from isogi_core.frame.error_map import COLOURS, SCALE
 from isogi_core.model.lights import Light
+from isogi_core.model.lobes import Lobe
 from isogi_core.model.plan import Layer
 from isogi_core.model.scene import Scene
 from isogi_core.model.view import SHADINGS
@@ -27,17 +29,45 @@ DEFAULTS = (
 
 
 class SceneLink(BaseModel):
-    """One scene in the list of scenes."""
+    """One scene in the list of scenes; ``volume`` is the address of its volume where that was uploaded."""
 
     id: str
     name: str
     href: str
+    volume: str | None = None
+
+
+class UploadLimits(BaseModel):
+    """What an upload may be: ``limit_bytes`` itself, and ``free_bytes`` of ``quota_bytes`` that all may take."""
+
+    limit_bytes: int
+    quota_bytes: int
+    free_bytes: int
 
 
 class SceneList(BaseModel):
-    """All scenes that this server shows."""
+    """All scenes that this server shows, and what may be uploaded; null where nothing may."""
 
     scenes: list[SceneLink]
+    uploads: UploadLimits | None
+
+
+class UploadFacts(BaseModel):
+    """An uploaded volume: voxels along x, y, z, bytes on the disk, and the address of the scene that shows it."""
+
+    id: str
+    name: str
+    href: str
+    scene: str
+    size: tuple[int, int, int]
+    bytes: int
+
+
+class UploadList(BaseModel):
+    """All uploaded volumes, and what may be uploaded; null where nothing may."""
+
+    volumes: list[UploadFacts]
+    uploads: UploadLimits | None
 
 
 class VolumeFacts(BaseModel):
@@ -63,6 +93,22 @@ class Range(BaseModel):
 
     min: float
     max: float
+
+
+class PresetFacts(BaseModel):
+    """An isovalue with a name; ``suggested`` where it was found in the volume, not told by the scene."""
+
+    name: str
+    isovalue: float
+    suggested: bool
+
+
+class ErrorScale(BaseModel):
+    """The colours of ``overlay=error``: sRGB at equal steps of the logarithm, from the error ``low`` to ``high``."""
+
+    low: float
+    high: float
+    colours: list[str]
 
 
 class LightFacts(BaseModel):
@@ -107,21 +153,38 @@ class LayerFacts(BaseModel):
 
 
 class TexelFacts(BaseModel):
-    """Texels and chunks of the lattice, those that some view can show, and shown ones that can hold no light."""
+    """Texels and chunks of the lattice, those that some view can show, and shown ones that can hold no light.
+
+    A chunk has ``chunk`` texels along each side.
+    """
 
     total: int
     shown: int
     void: int
     chunks: int
     shown_chunks: int
+    chunk: int
+
+
+class LobeFacts(BaseModel):
+    """A small bright part of the unturned light: where it stands and its apparent diameter, in degrees.
+
+    ``irradiance`` is what a surface that faces it receives, linear RGB.
+    """
+
+    azimuth: float
+    elevation: float
+    angle: float
+    irradiance: list[float]
 
 
 class PlanFacts(BaseModel):
     """What is stored per texel for this scene, the errors that are expected of it, and what was left out.
 
     ``indirect_order`` is that of reflected light, null where that has no harmonics of its own; ``samples``
-    are the most that a texel takes; ``errors`` are relative, by what is cut off. ``full_bytes_per_texel`` is
-    what S1 keeps for any scene.
+    are the most that a texel takes; ``lobes`` are lit by shadow rays, beside the harmonics; ``errors`` are relative,
+    by what is cut off. ``full_bytes_per_texel`` is what S1 keeps for any scene. ``sharpen`` is whether a view at rest
+    has texels of its own on the isosurface that it shows.
     """
 
     representation: str
@@ -133,6 +196,8 @@ class PlanFacts(BaseModel):
     full_bytes_per_texel: int
     precision: str
     samples: int
+    lobes: list[LobeFacts]
+    sharpen: bool
     layers: list[LayerFacts]
     errors: dict[str, float]
     notes: list[str]
@@ -143,6 +208,9 @@ class PlanFacts(BaseModel):
 class SceneFacts(BaseModel):
     """What a client needs to show a scene: facts, histogram, defaults and ranges of every knob, plan.
 
+    ``read_only`` is whether the store can only be read, so that nothing more is baked: a note of the plan says so too.
+
+    ``presets`` are isovalues worth a look: the scene's own, else boundaries between materials in its volume.
     ``rotating`` is whether the light may be turned, ``turns`` whether that shows: not where the light is the
     same from all sides.
     """
@@ -153,6 +221,7 @@ class SceneFacts(BaseModel):
     histogram: Histogram
     defaults: dict[str, float | str]
     ranges: dict[str, Range]
+    presets: list[PresetFacts]
     shadings: list[str]
     lights: list[LightFacts]
     albedo: Triple
@@ -161,7 +230,9 @@ class SceneFacts(BaseModel):
     target_error: float
     rotating: bool
     turns: bool
+    error_scale: ErrorScale
     plan: PlanFacts
+    read_only: bool
 
 
 class ChunkCounts(BaseModel):
@@ -220,6 +291,7 @@ def scene_facts(scene: Scene) -> SceneFacts:
         histogram=Histogram(counts=counts.tolist(), edges=edges.tolist()),
         defaults=defaults(scene),
         ranges=ranges(scene),
+        presets=[PresetFacts(**asdict(preset)) for preset in scene.presets],
         shadings=list(SHADINGS),
         lights=[light_facts(light) for light in scene.lights],
         albedo=scene.albedo,
@@ -228,7 +300,9 @@ def scene_facts(scene: Scene) -> SceneFacts:
         target_error=scene.target_error,
         rotating=scene.rotating,
         turns=scene.rotating and scene.plan.representation == "transfer",
+        error_scale=ErrorScale(low=SCALE[0], high=SCALE[1], colours=list(COLOURS)),
         plan=plan_facts(scene),
+        read_only=False,
     )
 
 
@@ -257,11 +331,20 @@ def plan_facts(scene: Scene) -> PlanFacts:
         full_bytes_per_texel=S1_BYTES,
         precision=plan.precision,
         samples=plan.samples,
+        lobes=[lobe_facts(lobe) for lobe in scene.needs.lobes[: plan.lobes]],
+        sharpen=scene.sharpen,
         layers=[layer_facts(layer) for layer in plan.layers],
         errors=dict(plan.errors),
         notes=list(plan.notes),
         texels=TexelFacts(**asdict(scene.texels)),
         left_out=[Omission(**asdict(each)) for each in scene.left_out],
+    )
+
+
+def lobe_facts(lobe: Lobe) -> LobeFacts:
+    """One lobe of a light."""
+    return LobeFacts(
+        azimuth=lobe.azimuth, elevation=lobe.elevation, angle=lobe.angle, irradiance=lobe.irradiance.tolist()
     )
 
 

@@ -6,6 +6,8 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 
+import numpy as np
+
 from isogi_core.errors import Cancelled
 
 AHEAD = 2
@@ -17,13 +19,13 @@ Prepare = Callable[[float, threading.Event], object]
 class Foresight:
     """Watches the isovalues of the frames that are asked for. Safe to use from many threads."""
 
-    def __init__(self, prepare: Prepare, step: float, span: tuple[float, float]) -> None:
-        """``prepare(isovalue, cancelled)`` makes ready what serves all isovalues of a whole ``step``.
+    def __init__(self, prepare: Prepare, levels: np.ndarray, span: tuple[float, float]) -> None:
+        """``prepare(isovalue, cancelled)`` makes ready what serves all isovalues of a group: see ``next_values``.
 
         ``span`` are the lowest and the highest isovalue that may be asked for.
         """
         self._prepare = prepare
-        self._step = step
+        self._levels = levels
         self._span = span
         self._thread = ThreadPoolExecutor(1, "foresight")
         self._lock = threading.Lock()
@@ -66,13 +68,13 @@ class Foresight:
         """Where the slider goes, if it moved."""
         if self._last is not None and isovalue != self._last:
             lowest, highest = self._span
-            self._coming = [v for v in next_values(self._last, isovalue, self._step) if lowest <= v <= highest]
+            self._coming = [v for v in next_values(self._last, isovalue, self._levels) if lowest <= v <= highest]
         self._last = isovalue
 
     def _serves(self, isovalue: float) -> bool:
-        """Whether what is being prepared is for the same step."""
+        """Whether what is being prepared is for the same group."""
         now = self._preparing
-        return now is not None and math.floor(now / self._step) == math.floor(isovalue / self._step)
+        return now is not None and group_of(now, self._levels) == group_of(isovalue, self._levels)
 
     def _work(self, cancelled: threading.Event) -> None:
         """Prepare what is coming until a frame is asked for."""
@@ -94,7 +96,20 @@ class Foresight:
             return self._preparing
 
 
-def next_values(before: float, now: float, step: float) -> list[float]:
-    """The values that follow ``now`` at the pace and in the direction of the last move, at least ``step`` apart."""
-    pace = math.copysign(max(abs(now - before), step), now - before)
-    return [now + pace * n for n in range(1, AHEAD + 1)]
+def next_values(before: float, now: float, levels: np.ndarray) -> list[float]:
+    """The values that follow ``now`` at the pace and in the direction of the last move, each in another group.
+
+    ``levels`` (m,), ascending from -inf to inf, are where groups begin; there is none beyond the first and the last.
+    """
+    pace, coming = now - before, [now]
+    for _ in range(AHEAD):
+        group, value = group_of(coming[-1], levels), coming[-1] + pace
+        if group_of(value, levels) == group:
+            value = float(levels[group + 1] if pace > 0.0 else np.nextafter(levels[group], -math.inf))
+        coming.append(value)
+    return [value for value in coming[1:] if math.isfinite(value)]
+
+
+def group_of(isovalue: float, levels: np.ndarray) -> int:
+    """The number of the group that an isovalue is in: that of the level which it is at, or above."""
+    return min(int(np.searchsorted(levels, isovalue, "right")), len(levels) - 1) - 1

@@ -1,4 +1,4 @@
-"""Response headers: what a frame says about itself, and what every response carries."""
+"""Response headers: what a frame says about itself."""
 
 from __future__ import annotations
 
@@ -7,20 +7,14 @@ import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-from starlette.datastructures import Headers, MutableHeaders
-from starlette.types import ASGIApp, Message, Receive, Scope, Send
-
-from server.problems import problem
-
 if TYPE_CHECKING:
     from isogi_core.frame.frame import Frame
     from isogi_core.frame.stopwatch import Stopwatch
     from worker.outlook import TimeLeft
 
-PAGE_POLICY = (
-    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; connect-src 'self';"
-    " base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
-)
+FOR_EVER = "max-age=31536000, immutable"
+"""Caching of a picture that is final, at an address that names its version: it can be no other."""
+
 STATES = ("final", "converging", "provisional")
 STAGES = {
     "queue": "waiting for a thread",
@@ -39,21 +33,35 @@ STAGES = {
 }
 """The stages of a request, as Server-Timing names them, and what is done in each. None counts what another does."""
 
-OTHER_POLICY = "default-src 'none'; frame-ancestors 'none'"
 
+def frame_headers(frame: Frame, time_left: TimeLeft | None, tag: str, version: str | None = None) -> dict[str, str]:
+    """The headers of a frame's response, a 304 included; ``version`` is what the address asks for, if anything.
 
-def frame_headers(frame: Frame, time_left: TimeLeft | None, tag: str) -> dict[str, str]:
-    """The headers of a frame's response, a 304 included."""
+    What a client prefers changes the answer until the frame is final, and never the final one.
+    """
     left = {"Isogi-Time-Left": time_left_header(time_left)} if time_left is not None and frame.provisional else {}
-    return left | {
-        "Isogi-Provisional": "?1" if frame.provisional else "?0",
-        "Isogi-Coverage": coverage_header(frame.coverage),
-        "Isogi-Error": f"{frame.estimated_error:.5f}",
-        "Isogi-Chunks": f"needed={frame.chunks_needed}, final={frame.chunks_final}",
-        "ETag": tag,
-        "Cache-Control": "no-cache",
-        "Vary": "Accept",
-    }
+    sharp = {} if frame.sharpness is None else {"Isogi-Sharp": sharp_header(frame.sharpness.shares)}
+    return (
+        left
+        | sharp
+        | {
+            "Isogi-Provisional": "?1" if frame.provisional else "?0",
+            "Isogi-Coverage": coverage_header(frame.coverage),
+            "Isogi-Error": f"{frame.estimated_error:.5f}",
+            "Isogi-Chunks": f"needed={frame.chunks_needed}, final={frame.chunks_final}",
+            "ETag": tag,
+            "Cache-Control": FOR_EVER if not frame.provisional and version == tag.strip('"') else "no-cache",
+            "Cache-Status": cache_status(frame.chunks_needed, frame.chunks_final),
+            "Vary": "Accept, Prefer" if frame.provisional else "Accept",
+        }
+    )
+
+
+def cache_status(needed: int, final: int) -> str:
+    """What the store had of a frame's light (RFC 9211): all of it, part of it, or nothing; the rest is baked."""
+    if needed == final:
+        return "isogi-light; hit"
+    return f"isogi-light; fwd={'partial' if final else 'miss'}"
 
 
 def coverage_header(shares: Mapping[str, float]) -> str:
@@ -63,6 +71,11 @@ def coverage_header(shares: Mapping[str, float]) -> str:
     return ", ".join(f"{state}={n / 1000:.3f}" for state, n in zip(STATES, thousandths, strict=True))
 
 
+def sharp_header(shares: Mapping[str, float]) -> str:
+    """Shares of the texels, to three digits, by how they are read; see ``Sharpness.shares``."""
+    return ", ".join(f"{name}={share:.3f}" for name, share in shares.items())
+
+
 def time_left_header(left: TimeLeft) -> str:
     """Seconds until the frame is final, and the range that they are likely in."""
     return f"low={left.low:.1f}, likely={left.likely:.1f}, high={left.high:.1f}"
@@ -70,8 +83,12 @@ def time_left_header(left: TimeLeft) -> str:
 
 def entity_tag(frame: Frame, *representation: object) -> str:
     """A strong ETag: equal where the frame's content and its representation (format, exposure, …) are."""
-    text = repr((frame.version, *representation))
-    return f'"{hashlib.blake2b(text.encode(), digest_size=16).hexdigest()}"'
+    return tag_of(frame.version, *representation)
+
+
+def tag_of(*parts: object) -> str:
+    """A strong ETag: equal where the parts are."""
+    return f'"{hashlib.blake2b(repr(parts).encode(), digest_size=16).hexdigest()}"'
 
 
 def matches(if_none_match: str | None, tag: str) -> bool:
@@ -86,65 +103,3 @@ def server_timing(watch: Stopwatch) -> str:
     """A Server-Timing header: milliseconds of a request's stages so far and of their total; see STAGES."""
     seconds = {**watch.seconds, "total": watch.elapsed}
     return ", ".join(f"{stage};dur={1000 * spent:.2f}" for stage, spent in seconds.items())
-
-
-class SafeHeaders:
-    """ASGI middleware: no sniffing, a content policy, and ``no-cache`` where nothing else was said."""
-
-    def __init__(self, app: ASGIApp) -> None:
-        self.app = app
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass the request on; add headers to the start of its response."""
-
-        async def guarded(message: Message) -> None:
-            if message["type"] == "http.response.start":
-                headers = MutableHeaders(scope=message)
-                page = headers.get("content-type", "").startswith("text/html")
-                headers.setdefault("Content-Security-Policy", PAGE_POLICY if page else OTHER_POLICY)
-                headers.setdefault("X-Content-Type-Options", "nosniff")
-                headers.setdefault("Referrer-Policy", "no-referrer")
-                headers.setdefault("Cache-Control", "no-cache")
-            await send(message)
-
-        await self.app(scope, receive, guarded if scope["type"] == "http" else send)
-
-
-class HeadAsGet:
-    """ASGI middleware: HEAD is answered wherever GET is, with the same headers and no body."""
-
-    def __init__(self, app: ASGIApp) -> None:
-        self.app = app
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass a HEAD request on as GET and drop the body."""
-        if scope["type"] != "http" or scope["method"] != "HEAD":
-            await self.app(scope, receive, send)
-            return
-
-        async def bodiless(message: Message) -> None:
-            await send({**message, "body": b""} if message["type"] == "http.response.body" else message)
-
-        await self.app({**scope, "method": "GET"}, receive, bodiless)
-
-
-class KnownHosts:
-    """ASGI middleware: refuses requests for other host names, against DNS rebinding."""
-
-    def __init__(self, app: ASGIApp, hosts: tuple[str, ...] | None) -> None:
-        self.app = app
-        self.hosts = hosts
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass the request on where its Host header is allowed; 421 else."""
-        if scope["type"] not in ("http", "websocket") or self.hosts is None or self.knows(Headers(scope=scope)):
-            await self.app(scope, receive, send)
-            return
-        detail = "This host name is not served here: use a loopback name, or set ISOGI_ALLOWED_HOSTS."
-        await problem(421, detail, scope["path"])(scope, receive, send)
-
-    def knows(self, headers: Headers) -> bool:
-        """Whether the Host header, its port aside, is one of the allowed names."""
-        host = headers.get("host", "").lower()
-        name = host[1:].partition("]")[0] if host.startswith("[") else host.partition(":")[0]
-        return self.hosts is not None and name in self.hosts

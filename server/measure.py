@@ -86,7 +86,8 @@ def bake_chunk(renderer: Renderer, shading: str, demand: Demand, until: int) -> 
     """Bake what is demanded of a chunk by a view of this ``shading``, and keep it in the store."""
     loader = renderer.caches.of(shading)
     chunk = loader.store.load(demand.index).with_texels(demand.offsets)
-    refine(chunk.light, chunk.positions(chunk.offsets), loader.store.look, until, NEVER)
+    texels = renderer.recipe.lattice.positions(chunk.index, chunk.offsets)
+    refine(chunk.light, texels, loader.store.look, until, NEVER)
     loader.store.save(chunk)
     loader.refresh(demand.index)
 

@@ -7,15 +7,18 @@ from collections.abc import Iterable, Mapping
 from typing import Annotated, Any, Self, TypeVar
 
 from fastapi import Depends, Request
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, WithJsonSchema, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, WithJsonSchema, field_validator, model_validator
 
-from isogi_core.model.view import SHADINGS, Quaternion, Vec3
+from isogi_core.model.view import OVERLAYS, SHADINGS, Quaternion, Vec3
 from server.errors import ParameterError
 from server.values import Choice, Row, Span
 
 FORMATS = ("png", "jpeg", "webp", "npy")
+VERSION = r"^[0-9a-f]{32}$"
 LONGEST_SIDE = 16383  # WebP's own limit
-POINTS = ("eye", "target", "up")
+LONGEST_WAIT = 10_000
+"""Milliseconds that a request may wait for baking."""
+
 ORBIT = ("azimuth", "elevation", "distance")
 ANGLES = ("yaw", "pitch", "roll")
 XYZ = Row(("x", "y", "z"))
@@ -36,13 +39,17 @@ class ViewParams(NoParams):
     )
     azimuth: Annotated[float, TURN] = Field(30.0, description="Degrees; 0 looks from +x, 90 from +y.")
     elevation: Annotated[float, Span(-90, 90)] = Field(20.0, description="Degrees above the xy plane.")
-    distance: Annotated[float, Span(0.01, 1000)] = Field(
-        3.4, description="From the volume's centre, in radii of its bounding sphere."
+    distance: Annotated[float, Span(0.01, 1e7)] = Field(
+        3.4, description="From the target, in radii of the volume's bounding sphere."
     )
-    fov: Annotated[float, Span(0.1, 170)] = Field(30.0, description="Vertical field of view, degrees.")
+    fov: Annotated[float, Span(0.01, 179)] = Field(30.0, description="Vertical field of view, degrees.")
     eye: Annotated[Vec3 | None, XYZ] = Field(None, description="Instead of azimuth, elevation, distance: world x,y,z.")
-    target: Annotated[Vec3 | None, XYZ] = Field(None, description="World x,y,z; default: the volume's centre.")
-    up: Annotated[Vec3 | None, XYZ] = Field(None, description="World x,y,z; default: 0,0,1.")
+    target: Annotated[Vec3 | None, XYZ] = Field(
+        None, description="World x,y,z that is in the middle of the picture; default: the volume's centre."
+    )
+    up: Annotated[Vec3 | None, XYZ] = Field(
+        None, description="World x,y,z that points up in the picture; default: 0,0,1 with eye, else the orbit's own."
+    )
     light: Annotated[Quaternion | None, Row(("w", "x", "y", "z"))] = Field(
         None, description="Quaternion w,x,y,z that turns the light; instead of yaw, pitch, roll."
     )
@@ -53,7 +60,7 @@ class ViewParams(NoParams):
     height: Annotated[int, Span(1, LONGEST_SIDE, whole=True)] = Field(512, description="Pixels.")
     shading: Annotated[str, Choice(SHADINGS)] = Field("gi", description="How the surface is lit.")
     samples: Annotated[int, Span(1, 4096, whole=True)] = Field(16, description="Paths per pixel; path_traced alone.")
-    wait_ms: Annotated[int, Span(0, 10_000, whole=True)] = Field(0, description="Longest wait for baking.")
+    wait_ms: Annotated[int, Span(0, LONGEST_WAIT, whole=True)] = Field(0, description="Longest wait for baking.")
     max_error: Annotated[float | None, Span(0.0001, 1)] = Field(
         None, description="Relative error at which a pixel is final; default: the scene's target_error."
     )
@@ -62,7 +69,7 @@ class ViewParams(NoParams):
     def one_of_each(self) -> Self:
         """Refuses two ways of saying the same thing, and samples that nothing reads."""
         given = self.model_fields_set
-        self._exclusive(sorted(given & set(POINTS)), sorted(given & set(ORBIT)), "camera")
+        self._exclusive(sorted(given & {"eye"}), sorted(given & set(ORBIT)), "camera")
         self._exclusive(sorted(given & {"light"}), sorted(given & set(ANGLES)), "light rotation")
         if "samples" in given and self.shading != "path_traced":
             raise ValueError(f"samples is for shading=path_traced, {self.shading} does not read it: leave it out.")
@@ -75,13 +82,46 @@ class ViewParams(NoParams):
             raise ValueError(f"The {what} is given twice, by {one} and by {other}: keep one.")
 
 
+class UploadParams(NoParams):
+    """What to call an uploaded volume."""
+
+    name: str = Field("", max_length=80, description="A name for people; default: one made of the volume's id.")
+
+    @field_validator("name")
+    @classmethod
+    def one_line(cls, name: str) -> str:
+        """The name without blanks around it; refuses what does not show in a line of text."""
+        if not name.isprintable():
+            raise ValueError("must be one line of text.")
+        return name.strip()
+
+
 class FrameParams(ViewParams):
     """A view and the picture to make of it."""
 
     f: Annotated[str | None, Choice(FORMATS)] = Field(None, description="Picture format; default: by Accept, else png.")
-    overlay: Annotated[str, Choice(("none", "provisional"))] = Field("none", description="Marks to draw.")
-    exposure: Annotated[float | None, Span(1e-9, 1e9)] = Field(
+    overlay: Annotated[str, Choice(OVERLAYS)] = Field(
+        "none",
+        description="Marks over the picture: provisional hatches what is not final; error colours each pixel by its"
+        " estimated relative error on a log scale (the scene's error_scale), and hatches what has no light yet.",
+    )
+    exposure: Annotated[float | None, Span(1e-36, 1e36)] = Field(
         None, description="Factor on radiance before the tone curve; default: the scene's."
+    )
+    version: Annotated[str | None, WithJsonSchema({"type": "string", "pattern": VERSION})] = Field(
+        None,
+        pattern=VERSION,
+        description="An ETag without its quotes: the final picture that has it may be kept for ever.",
+    )
+
+
+class SkyParams(NoParams):
+    """A picture of the light around a scene."""
+
+    width: Annotated[int, Span(16, 512, whole=True)] = Field(256, description="Pixels; the height is half of it.")
+    f: Annotated[str, Choice(FORMATS[:3])] = Field("png", description="Picture format.")
+    version: str | None = Field(
+        None, pattern=VERSION, description="An ETag without its quotes: the picture that has it may be kept for ever."
     )
 
 
@@ -104,17 +144,20 @@ def read(model: type[Model], pairs: Iterable[tuple[str, Any]]) -> Model:
 def complaint(model: type[BaseModel], error: ValidationError) -> ParameterError:
     """The first finding of pydantic as one sentence about one parameter."""
     first = error.errors(include_url=False)[0]
-    name = str(first["loc"][0]) if first["loc"] else ""
-    if first["type"] == "extra_forbidden":
+    name = ".".join(map(str, first["loc"]))
+    if first["type"] == "extra_forbidden" and len(first["loc"]) == 1:
         known = ", ".join(model.model_fields) or "none"
         return ParameterError(f"There is no parameter '{name[:40]}' here; the parameters are: {known}.", name)
-    reason = first["msg"].removeprefix("Value error, ")
-    return ParameterError(f"{name} {reason}".strip(), name)
+    reason = first["msg"].removeprefix("Value error, ").rstrip(".")
+    return ParameterError(f"{name} {reason}.".strip(), name)
 
 
 def documented(model: type[BaseModel]) -> dict[str, Any]:
-    """The model's fields as query parameters of an OpenAPI operation."""
+    """The model's fields as query parameters of an OpenAPI operation; None is no default that a query can spell."""
     described: Mapping[str, dict[str, Any]] = model.model_json_schema()["properties"]
+    for schema in described.values():
+        if schema["default"] is None:
+            del schema["default"]
     return {
         "parameters": [
             {"name": name, "in": "query", "description": schema.pop("description"), "schema": schema}
@@ -124,7 +167,7 @@ def documented(model: type[BaseModel]) -> dict[str, Any]:
 
 
 def _reader(model: type[Model]) -> Any:
-    def query(request: Request) -> Model:
+    async def query(request: Request) -> Model:
         return read(model, request.query_params.multi_items())
 
     return Depends(query)
@@ -132,4 +175,6 @@ def _reader(model: type[Model]) -> Any:
 
 NoParamsDep = _reader(NoParams)
 ViewParamsDep = Annotated[ViewParams, _reader(ViewParams)]
+UploadParamsDep = Annotated[UploadParams, _reader(UploadParams)]
 FrameParamsDep = Annotated[FrameParams, _reader(FrameParams)]
+SkyParamsDep = Annotated[SkyParams, _reader(SkyParams)]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,6 +17,12 @@ if TYPE_CHECKING:
 
 MEDIA_TYPES = {"png": "image/png", "jpeg": "image/jpeg", "webp": "image/webp", "npy": "application/x-npy"}
 SUFFIXES = {".png": "png", ".jpg": "jpeg", ".jpeg": "jpeg", ".webp": "webp", ".npy": "npy"}
+PLANES = 9
+"""Numbers of a pixel in an npy file; see ``planes``."""
+
+BAND = 4 << 20
+"""Bytes of such a file that are made at once."""
+
 RLE = 3
 """Zlib's strategy that looks for runs alone: what a PNG filter leaves of smooth shading holds few longer repeats."""
 
@@ -71,20 +78,52 @@ def quality(media_type: str, ranges: dict[str, float]) -> float:
     return 0.0
 
 
-def encode(frame: Frame, form: str, exposure: float, overlay: bool = False) -> bytes:
+def encode(frame: Frame, form: str, exposure: float, overlay: str = "none") -> bytes:
     """The frame's bytes; ``exposure`` and ``overlay`` are read by the 8-bit formats alone."""
     from isogi_core.frame.film import develop  # noqa: PLC0415 (kernels: not before the socket is open)
 
+    if form != "npy":
+        return compress(develop(frame, exposure, overlay), form)
     buffer = io.BytesIO()
-    if form == "npy":
-        np.save(buffer, planes(frame), allow_pickle=False)
-    else:
-        Image.fromarray(develop(frame, exposure, overlay)).save(buffer, form, **ENCODER_OPTIONS[form])
+    buffer.writelines(npy_parts(frame))
     return buffer.getvalue()
 
 
-def planes(frame: Frame) -> np.ndarray:
-    """float32 (h, w, 9): linear RGB, hit mask, state, relative error, hit position x, y, z."""
-    state = frame.state[..., None]
-    parts = (frame.radiance, state > 0, state, frame.error[..., None], frame.position)
-    return np.concatenate(parts, axis=-1, dtype=np.float32, casting="unsafe")
+def compress(picture: np.ndarray, form: str) -> bytes:
+    """The bytes of a picture (h, w, 3) uint8 in one of the 8-bit formats."""
+    buffer = io.BytesIO()
+    Image.fromarray(picture).save(buffer, form, **ENCODER_OPTIONS[form])
+    return buffer.getvalue()
+
+
+def npy_parts(frame: Frame) -> Iterator[bytes]:
+    """The bytes of an npy file of ``planes`` in parts of some BAND bytes: the whole is never in memory."""
+    height, width = frame.state.shape
+    yield npy_header(height, width)
+    rows = max(BAND // (4 * PLANES * width), 1)
+    for first in range(0, height, rows):
+        yield planes(frame, first, min(first + rows, height)).tobytes()
+
+
+def npy_bytes(frame: Frame) -> int:
+    """How many these are."""
+    return len(npy_header(*frame.state.shape)) + 4 * PLANES * frame.state.size
+
+
+def npy_header(height: int, width: int) -> bytes:
+    """What an npy file of so many rows and columns begins with."""
+    header = io.BytesIO()
+    facts = {"descr": "<f4", "fortran_order": False, "shape": (height, width, PLANES)}
+    np.lib.format.write_array_header_1_0(header, facts)
+    return header.getvalue()
+
+
+def planes(frame: Frame, first: int, last: int) -> np.ndarray:
+    """Rows ``first`` to ``last`` of a frame, float32 (rows, w, 9).
+
+    Linear RGB, hit mask, state, relative error, hit position x, y, z.
+    """
+    rows = slice(first, last)
+    state, error = frame.told[rows, :, None], frame.error[rows, :, None]
+    parts = (frame.radiance[rows], state > 0, state, error, frame.gbuffer.positions(first, last))
+    return np.concatenate(parts, axis=-1, dtype="<f4", casting="unsafe")

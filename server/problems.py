@@ -1,7 +1,8 @@
 """Errors as RFC 9457 problem documents; the one table from a class of error to a status."""
 
+import logging
 from collections.abc import Mapping
-from http import HTTPStatus
+from http import HTTPMethod, HTTPStatus
 from typing import Any
 
 from fastapi import FastAPI, Request
@@ -9,6 +10,7 @@ from fastapi.exceptions import RequestValidationError
 from pydantic import BaseModel
 from starlette.exceptions import HTTPException
 from starlette.responses import JSONResponse
+from starlette.routing import compile_path
 
 from isogi_core.errors import (
     Cancelled,
@@ -21,28 +23,50 @@ from isogi_core.errors import (
 )
 from server.errors import (
     BusyError,
+    FullError,
+    LateError,
     NotAcceptableError,
     ParameterError,
+    ShelfError,
+    SlowUploadError,
     StartingError,
+    StreamError,
+    UnknownJobError,
+    UnknownResultError,
     UnknownSceneError,
+    UnknownVolumeError,
+    UploadsOffError,
 )
+from server.logs import REQUEST_ID
 from worker.errors import WorkersError
+
+log = logging.getLogger("isogi.requests")
 
 STATUS: Mapping[type[Exception], int] = {
     ViewError: 422,
     VolumeError: 422,
     LightError: 422,
     SceneError: 422,
+    StreamError: 400,
+    UploadsOffError: 403,
     UnknownSceneError: 404,
+    UnknownJobError: 404,
+    UnknownResultError: 404,
+    UnknownVolumeError: 404,
     NotAcceptableError: 406,
+    SlowUploadError: 408,
     BusyError: 429,
     StartingError: 503,
     StoreError: 503,
     WorkersError: 503,
+    ShelfError: 503,
+    LateError: 503,
     Cancelled: 503,
+    FullError: 507,
     IsogiError: 500,
 }
 RETRY = {429: "1", 503: "1"}
+METHODS = frozenset(map(str, HTTPMethod))
 SENTENCES = {
     404: "There is nothing at {path}: see /docs for what there is.",
     405: "{path} does not take {method}: see /docs for what it takes.",
@@ -72,21 +96,26 @@ def status_of(error: Exception) -> int:
 
 
 def problem(status: int, detail: str, instance: str, **more: Any) -> JSONResponse:
-    """A problem document; ``more`` are its extension members."""
+    """A problem document; ``more`` are its extension members. It names the request that is worked on."""
+    number = REQUEST_ID.get()
     body = {
         "type": "about:blank",
         "title": HTTPStatus(status).phrase,
         "status": status,
         "detail": detail,
         "instance": instance,
+        **({"request_id": number} if number else {}),
         **more,
     }
     headers = {"X-Content-Type-Options": "nosniff"} | ({"Retry-After": RETRY[status]} if status in RETRY else {})
+    headers |= {"X-Request-ID": number} if number else {}
     return JSONResponse(body, status, headers, "application/problem+json")
 
 
 async def domain_problem(request: Request, error: Exception) -> JSONResponse:
-    """A domain error as a problem; a parameter's error names the parameter."""
+    """A domain error as a problem; a parameter's error names the parameter, and what is not the client's is logged."""
+    if isinstance(error, StoreError | WorkersError) or status_of(error) == HTTPStatus.INTERNAL_SERVER_ERROR:
+        log.error("%s", error)
     more = {"parameter": error.parameter} if isinstance(error, ParameterError) and error.parameter else {}
     return problem(status_of(error), str(error), request.url.path, **more)
 
@@ -98,7 +127,16 @@ async def http_problem(request: Request, error: Exception) -> JSONResponse:
     sentence = SENTENCES[status].format(path=path, method=request.method) if status in SENTENCES else error.detail
     answer = problem(status, sentence, path)
     answer.headers.update(error.headers or {})
+    if status == HTTPStatus.METHOD_NOT_ALLOWED and (methods := methods_at(request.app, path)):
+        answer.headers["Allow"] = ", ".join(methods)
     return answer
+
+
+def methods_at(app: FastAPI, path: str) -> list[str]:
+    """The methods that a path takes, as the API's document has it: of several routes the framework names but one."""
+    operations = (each for template, each in app.openapi()["paths"].items() if compile_path(template)[0].match(path))
+    found = {method.upper() for each in operations for method in each}
+    return sorted(found & METHODS | ({"HEAD"} if "GET" in found else set()))
 
 
 async def validation_problem(request: Request, error: Exception) -> JSONResponse:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from tqdm import tqdm
@@ -12,6 +14,8 @@ if TYPE_CHECKING:
     from worker.outlook import TimeLeft
 
 FORMAT = "{desc}: {percentage:3.0f}%|{bar}| {n_fmt}/{total_fmt} {unit}s, {elapsed}{postfix}"
+
+COUNTED = "{desc}: {percentage:3.0f}%|{bar}| {n_fmt}/{total_fmt} {unit}s, {elapsed}, {remaining} left"
 
 
 def progress_bar(what: str, unit: str, total: int = 0) -> Any:
@@ -30,3 +34,15 @@ def left_text(left: TimeLeft) -> str:
     """The time left for a person, such as ``about 20 s left (12 s to 41 s)``."""
     low, likely, high = (span(seconds, digits=2) for seconds in (left.low, left.likely, left.high))
     return f"about {likely} left ({low} to {high})"
+
+
+@contextmanager
+def counting(what: str, unit: str) -> Iterator[Callable[[int, int], None]]:
+    """A bar on stderr for work whose items take about as long each: is told how many are done, and of how many."""
+    with tqdm(desc=what, unit=unit, total=0, bar_format=COUNTED) as bar:
+
+        def tell(done: int, total: int) -> None:
+            bar.total = total
+            bar.update(done - bar.n)
+
+        yield tell

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 from tqdm import tqdm
 
 from isogi_core.errors import ViewError
-from isogi_core.model.scene import Scene, load_scene
+from isogi_core.model.scene import Scene
 from isogi_core.model.view import View
+from server.opening import open_scene
 from server.params import ViewParams, read
 from server.settings import Settings
 from server.views import view_of
@@ -33,7 +34,7 @@ def reference(
     SceneError, VolumeError, LightError and ViewError before anything is begun, ReportError and OSError later.
     """
     check_file(output)
-    scene = load_scene(target)
+    scene = open_scene(target, settings)
     view = view_of(scene, read(ViewParams, knobs.items()), settings)
     from isogi_core.report.growth import Goal  # noqa: PLC0415 (kernels: bad input is told before they are compiled)
     from isogi_core.report.reference import with_bounces  # noqa: PLC0415

@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from isogi_core.errors import ViewError
-from isogi_core.model.scene import load_scene
 from isogi_core.model.view import View
 from server.facts import coverage_facts
+from server.opening import open_scene
 from server.params import FrameParams, read
 from server.pictures import SUFFIXES, encode, format_for
 from server.progress import progress_bar, show
@@ -47,19 +47,20 @@ def render(
     """
     started = time.monotonic()
     form = format_of(output)
-    scene = load_scene(target)
+    scene = open_scene(target, settings)
     params = read(FrameParams, [*knobs.items(), ("f", form)])
     format_for(params, None)
     view = view_of(scene, params, settings)
-    from server.studio import Studio  # noqa: PLC0415 (kernels: bad input is told before they are compiled)
+    from server.store import root_of  # noqa: PLC0415 (kernels: bad input is told before they are compiled)
+    from server.studio import Studio  # noqa: PLC0415
 
-    place, memory = (settings.store, settings.workers, settings.scheduler), settings.memory_mb << 20
-    with closing(Studio([scene], *place, memory)) as studio:
+    place, memory = (root_of(settings), settings.workers, settings.scheduler), settings.memory_mb << 20
+    with closing(Studio([scene], *place, memory, sharp=settings.sharp_mb << 20)) as studio:
         studio.start()
         frame = refine(studio, scene.id, view, params.max_error, seconds)
         left, paths = studio.time_left(scene.id, frame, params.max_error), studio.paths
     exposure = scene.default_exposure if params.exposure is None else params.exposure
-    write(output, encode(frame, form, exposure))
+    write(output, encode(frame, form, exposure, params.overlay))
     return {
         "file": str(output),
         "format": form,

@@ -1,10 +1,12 @@
 """``isogi serve``: the socket first, so that a browser learns that isogi is starting; then the studio."""
 
 import asyncio
+import gc
 import os
 import signal
 import socket
 import threading
+from collections.abc import Callable
 from importlib import import_module
 from typing import Any
 
@@ -13,27 +15,48 @@ import uvicorn
 from fastapi import FastAPI
 
 from isogi_core.errors import IsogiError
-from isogi_core.model.scene import load_scene
+from server import logs
+from server.connections import Connection, ServerConfig
+from server.guards.guests import Closing
+from server.listeners import HANDSHAKE, keep_newcomers_out, queued
+from server.memory import keep_memory_small
+from server.opening import open_scene
 from server.service import Service
 from server.settings import Settings
 
+LAST = 3.0
+"""Seconds that a stopping process has left for itself once its requests had theirs."""
+
+EXPOSED = (
+    "Others can reach {host}, so that a token is needed: put one of 16 characters or more into ISOGI_TOKEN or the"
+    " configuration file, or listen on 127.0.0.1."
+)
+
 
 def serve(target: str | None, settings: Settings) -> None:
-    """Serve one scene until SIGTERM or SIGINT; IsogiError where the scene, the port or the studio fails.
+    """Serve one scene until SIGTERM or SIGINT.
 
     What takes long stands side by side: the scheduler's library is imported while the scene is read, and
     the workers come, as processes, while the rest is imported and the kernels are loaded.
+    Raises UsageError where others could reach it without a token, and IsogiError where the scene, the port or the
+    studio fails.
     """
+    if settings.exposed and settings.token is None:
+        raise click.UsageError(EXPOSED.format(host=settings.host))
+    logs.configure(settings.log_format, settings.log_level)
+    keep_memory_small()
     threading.Thread(target=import_module, args=["distributed"], daemon=True).start()
-    scene = load_scene(target)
+    scene = open_scene(target, settings)
     with listen(settings.host, settings.port) as listener:
+        from server.store import root_of  # noqa: PLC0415
         from server.studio import Studio  # noqa: PLC0415 (bad input is told before the rest is imported)
 
-        studio = Studio([scene], settings.store, settings.workers, settings.scheduler, settings.memory_mb << 20)
+        hired, memory = (settings.workers, settings.scheduler), settings.memory_mb << 20
+        studio = Studio([scene], root_of(settings), *hired, memory, sharp=settings.sharp_mb << 20)
         studio.hire()
         from server.app import create_app  # noqa: PLC0415 (the workers come meanwhile)
 
-        asyncio.run(run(create_app(studio, settings), listener, settings))
+        asyncio.run(run(create_app(studio, settings), listener))
 
 
 def listen(host: str, port: int) -> socket.socket:
@@ -47,10 +70,46 @@ def listen(host: str, port: int) -> socket.socket:
         ) from error
 
 
-async def run(app: FastAPI, listener: socket.socket, settings: Settings) -> None:
+class Server(uvicorn.Server):
+    """Serves an app that ``create_app`` made; when it stops, requests come to their end first."""
+
+    def __init__(self, app: FastAPI, stopping: Callable[[], None] = lambda: None) -> None:
+        """Be ready to serve under the app's settings; ``stopping`` is called when it begins to stop."""
+        settings: Settings = app.state.settings
+        super().__init__(ServerConfig(app, settings, app.state.metrics))
+        self.closing: Closing = app.state.closing
+        self.patience = settings.shutdown_seconds
+        self.stopping = stopping
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        """Take no more connections, answer what was asked, and then close the app."""
+        self.stopping()
+        self.closing.begin()
+        for listener in sockets or ():
+            keep_newcomers_out(listener)
+        await asyncio.sleep(HANDSHAKE)
+        last = [each for listener in sockets or () for each in queued(listener)]
+        for server in self.servers:
+            server.close()
+        loop = asyncio.get_running_loop()
+        for each in last:
+            await loop.connect_accepted_socket(self._connection, each)
+        end = asyncio.create_task(self._end())
+        await super().shutdown(sockets)
+        end.cancel()
+
+    async def _end(self) -> None:
+        await asyncio.sleep(self.patience)
+        await self.closing.end()
+
+    def _connection(self) -> asyncio.Protocol:
+        assert isinstance(self.config, ServerConfig)
+        return Connection(self.config, self.server_state, self.lifespan.state)
+
+
+async def run(app: FastAPI, listener: socket.socket) -> None:
     """Serve the app, say where once it is ready, and end with the studio's error where it did not start."""
-    config = uvicorn.Config(app, log_level="warning", timeout_graceful_shutdown=settings.shutdown_seconds)
-    server = uvicorn.Server(config)
+    server = Server(app, lambda: leave_within(app.state.settings.shutdown_seconds + LAST))
     stop_on_signals(server)
     service: Service = app.state.service
     serving = asyncio.create_task(server.serve([listener]))
@@ -59,11 +118,22 @@ async def run(app: FastAPI, listener: socket.socket, settings: Settings) -> None
     if service.failure:
         server.should_exit = True
     elif watching.done():
+        gc.freeze()  # 200,000 objects that stay: to look for garbage among them stops all threads for 0.2 s
         click.echo(f"isogi is ready at {address(listener)}")
     watching.cancel()
     await serving
     if service.failure:
         raise service.failure
+
+
+def leave_within(seconds: float) -> None:
+    """End the process after so long at the latest: compiling and reading a slow store cannot be stopped.
+
+    All clients have their answers by then, and the store is whole at any time.
+    """
+    timer = threading.Timer(seconds, os._exit, [0])
+    timer.daemon = True
+    timer.start()
 
 
 def stop_on_signals(server: uvicorn.Server) -> None:

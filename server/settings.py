@@ -1,12 +1,22 @@
-"""Settings of the server process: each is an environment variable ``ISOGI_…``, a few also an option."""
+"""Settings of the server process: options, environment variables ``ISOGI_…``, or lines of a TOML file."""
 
 import os
-from typing import Annotated
+from ipaddress import ip_address
+from pathlib import Path
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, field_validator
-from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
+from pydantic import Field, SecretStr, field_validator
+from pydantic_settings import (
+    BaseSettings,
+    NoDecode,
+    PydanticBaseSettingsSource,
+    SettingsConfigDict,
+    TomlConfigSettingsSource,
+)
 
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
+Names = Annotated[tuple[str, ...], NoDecode]
+"""Names in a list, or with commas between them."""
 
 
 def cores() -> int:
@@ -17,38 +27,150 @@ def cores() -> int:
 class Settings(BaseSettings):
     """What one server process may do and how much of it. Raises pydantic's ValidationError."""
 
-    model_config = SettingsConfigDict(env_prefix="ISOGI_", frozen=True)
+    model_config = SettingsConfigDict(env_prefix="ISOGI_", frozen=True, extra="forbid")
 
     host: str = Field("127.0.0.1", description="Address to listen on.")
     port: int = Field(8000, ge=0, le=65535, description="Port to listen on; 0 takes a free one.")
     workers: int = Field(default_factory=cores, ge=1, le=1024, description="Baking processes; default: one per core.")
     store: str | None = Field(None, description="Path or URL of the cache; default: the user's cache folder.")
-    memory_mb: int = Field(512, ge=1, le=1 << 20, description="Megabytes of light that a scene keeps in memory.")
+    store_seconds: float = Field(5, gt=0, le=600, description="Time for one call to an object store.")
+    store_retries: int = Field(2, ge=0, le=100, description="Times that such a call is tried again when it fails.")
+    store_cache_mb: int = Field(
+        1024, ge=0, le=1 << 20, description="Megabytes of an object store's chunks that this machine's disk keeps."
+    )
+    sharp_mb: int = Field(
+        4096,
+        ge=0,
+        le=1 << 30,
+        description="Megabytes of light on single isosurfaces (sharpen = true) that the store keeps; what was unused"
+        " longest goes when another isovalue is shown.",
+    )
+    memory_mb: int = Field(
+        1024, ge=1, le=1 << 20, description="Megabytes of light, views and maps that a scene keeps in memory."
+    )
+    volume_mb: int = Field(
+        2048,
+        ge=1,
+        le=1 << 20,
+        description="Megabytes of voxels, mapped from a copy on the disk, that a process holds; volumes of an eighth"
+        " of it or less are in memory without a copy.",
+    )
+    volume_cache: str | None = Field(
+        None, description="Folder of such copies, on a disk of this machine; default: in the user's cache folder."
+    )
+    volume_cache_mb: int = Field(
+        1 << 16,
+        ge=0,
+        le=1 << 30,
+        description="Megabytes of such copies; those used last are kept.",
+    )
     scheduler: str | None = Field(None, description="Address of a Dask scheduler instead of own workers.")
-    allowed_hosts: Annotated[tuple[str, ...] | None, NoDecode] = Field(
+    token: SecretStr | None = Field(
+        None,
+        min_length=16,
+        description="What clients show as 'Authorization: Bearer', or a browser once as /?token=; needed where the"
+        " host is not loopback. No option, for all users of a machine see those.",
+    )
+    allowed_hosts: Names | None = Field(
         None,
         description="Host names that requests may use, comma-separated; default: the loopback names when"
         " listening on loopback (a defence against DNS rebinding), else any.",
     )
+    allowed_origins: Names = Field(
+        (), description="Origins such as https://lab.example whose pages may ask too, comma-separated; default: none."
+    )
     max_pixels: int = Field(4096 * 4096, ge=1, description="Most pixels in one picture.")
     max_paths: int = Field(2**26, ge=1, description="Most paths (pixels × samples) in one path-traced picture.")
+    max_body_bytes: int = Field(64 * 1024, ge=0, description="Most bytes in the body of a request; beyond that: 413.")
+    uploads_mb: int = Field(
+        0, ge=0, le=1 << 20, description="Megabytes that uploaded volumes may take in all; 0: nobody may upload."
+    )
+    uploads: str | None = Field(None, description="Folder of uploaded volumes; default: in the user's data folder.")
+    max_upload_mb: int = Field(
+        256, ge=1, le=1 << 16, description="Most megabytes of one upload, and of its voxels at 4 bytes each."
+    )
+    upload_seconds: int = Field(300, ge=1, description="Time for an upload to arrive.")
+    reading_seconds: float = Field(
+        4, ge=0.1, description="Time to read an upload that came, and for every 8 MB of it a second more."
+    )
+    max_connections: int = Field(512, ge=1, description="Connections at once.")
+    max_client_connections: int = Field(256, ge=1, description="Connections at once from one address.")
+    head_seconds: int = Field(10, ge=1, description="Time for the head of a request.")
+    body_seconds: int = Field(10, ge=1, description="Time for the body of a request.")
+    stall_seconds: int = Field(20, ge=1, description="Time for which a client may take less than 1 kB a second.")
+    max_unsent_mb: int = Field(
+        1024, ge=1, description="Megabytes of answers that clients are yet to take; beyond that the slowest is closed."
+    )
+    idle_seconds: int = Field(5, ge=1, description="Time for which a connection without a request is kept.")
     render_threads: int = Field(
         default_factory=lambda: max(4, 2 * cores()),
         ge=1,
         le=256,
-        description="Frames rendered or waited for at once.",
+        description="Frames rendered or waited for at once; default: two per core, 4 at least.",
     )
     render_queue: int = Field(64, ge=0, description="Frames that may wait for a thread; beyond that: 429.")
+    queue_seconds: float = Field(10, gt=0, description="Seconds that a frame may wait for a thread; beyond that: 429.")
+    streams: int = Field(64, ge=0, description="Streams and listeners to events at once; beyond that: 429.")
+    jobs: int = Field(16, ge=0, description="Jobs at once; beyond that: 429.")
+    stream_bytes: int = Field(16384, ge=256, description="Bytes of one message that a stream takes.")
+    stream_rate: int = Field(600, ge=1, description="Messages that a stream takes in a second.")
+    stream_idle_seconds: float = Field(3600, gt=0, description="Seconds without a message that end a stream.")
     shutdown_seconds: int = Field(10, ge=0, description="How long a stopping server finishes open requests.")
+    log_format: Literal["text", "json"] = Field("text", description="Lines of the log: text, or json.")
+    log_level: Literal["debug", "info", "warning", "error"] = Field(
+        "warning", description="What is logged: debug, info (with each request), warning or error."
+    )
 
-    @field_validator("allowed_hosts", mode="before")
+    @field_validator("allowed_hosts", "allowed_origins", mode="before")
     @classmethod
     def split(cls, value: object) -> object:
         """The names in a comma-separated text."""
         return tuple(filter(None, map(str.strip, value.split(",")))) if isinstance(value, str) else value
 
+    @field_validator("allowed_origins")
+    @classmethod
+    def origins(cls, value: tuple[str, ...]) -> tuple[str, ...]:
+        """The names, each a scheme and a host: none stands for all."""
+        for name in value:
+            scheme, _, host = name.partition("://")
+            if scheme not in ("http", "https") or not host or set("/*?#@") & set(host):
+                raise ValueError(f"{name} is no origin: write it as https://lab.example or http://localhost:8888")
+        return tuple(name.lower() for name in value)
+
+    @classmethod
+    def settings_customise_sources(
+        cls, settings_cls: type[BaseSettings], init_settings: PydanticBaseSettingsSource, *_: Any, **others: Any
+    ) -> tuple[PydanticBaseSettingsSource, ...]:
+        """Options come first, then the environment, then the file where there is one."""
+        return init_settings, others["env_settings"], TomlConfigSettingsSource(settings_cls)
+
+    @property
+    def exposed(self) -> bool:
+        """Whether other machines can reach the address to listen on."""
+        try:
+            return not ip_address(self.host).is_loopback
+        except ValueError:
+            return self.host != "localhost"
+
     def hosts(self) -> tuple[str, ...] | None:
-        """Host names that requests may use; None for any."""
+        """Host names that requests may use, in lower case; None for any."""
         if self.allowed_hosts is not None:
-            return self.allowed_hosts
-        return LOOPBACK if self.host in LOOPBACK else None
+            return tuple(name.lower() for name in self.allowed_hosts)
+        return None if self.exposed else tuple(dict.fromkeys((*LOOPBACK, self.host.lower())))
+
+
+def read_settings(config: Path | None = None, **given: Any) -> Settings:
+    """The settings: those ``given``, then the environment's, then those in the file ``config``.
+
+    Raises pydantic's ValidationError, and ValueError where the file is no TOML; OSError where it cannot be read.
+    """
+    if config is None:
+        return Settings(**given)
+    with config.open("rb"):  # a file that is not there would count as empty
+
+        class Configured(Settings):
+            """Settings with a file."""
+
+            model_config = SettingsConfigDict(toml_file=config)
+
+        return Configured(**given)

@@ -6,11 +6,12 @@ alphabets' digits), and its complaint says what is allowed and what was given.
 
 import math
 import re
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from annotated_types import Ge, GroupedMetadata, Le
+from annotated_types import GroupedMetadata
 from pydantic import BeforeValidator, WithJsonSchema
 
 NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
@@ -28,7 +29,9 @@ def finite(value: object) -> float:
     """The number that ``value`` is or spells; NaN for anything else."""
     if isinstance(value, str):
         return float(value) if len(value) <= 64 and NUMBER.fullmatch(value) else math.nan
-    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else math.nan
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= sys.float_info.max:
+        return math.nan
+    return float(value)
 
 
 @dataclass(frozen=True)
@@ -41,8 +44,8 @@ class Span(GroupedMetadata):
 
     def __iter__(self) -> Iterator[Any]:
         yield BeforeValidator(self.read)
-        yield Ge(self.low)
-        yield Le(self.high)
+        kind = "integer" if self.whole else "number"
+        yield WithJsonSchema({"type": kind, "minimum": self.low, "maximum": self.high})
 
     def read(self, value: object) -> float:
         """The number in ``value``; ValueError where it is none or out of range."""

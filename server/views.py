@@ -1,5 +1,7 @@
 """The view that parameters make in a scene."""
 
+from dataclasses import replace
+
 from isogi_core.errors import ViewError
 from isogi_core.model.scene import Scene
 from isogi_core.model.view import (
@@ -7,11 +9,12 @@ from isogi_core.model.view import (
     Camera,
     Quaternion,
     View,
+    orbit,
     quaternion_from_angles,
     unit_quaternion,
 )
 from server.errors import ParameterError
-from server.params import POINTS, ViewParams
+from server.params import ViewParams
 from server.settings import Settings
 from server.values import Span
 
@@ -45,12 +48,12 @@ def isovalue_of(scene: Scene, params: ViewParams) -> float:
 
 
 def camera_of(scene: Scene, params: ViewParams) -> Camera:
-    """The camera, by points where one is given, else on its orbit."""
-    orbit = scene.camera(params.azimuth, params.elevation, params.distance, params.fov)
-    if not params.model_fields_set & set(POINTS):
-        return orbit
-    eye, target, up = params.eye or orbit.eye, params.target or orbit.target, params.up or (0.0, 0.0, 1.0)
-    return Camera(eye, target, up, params.fov)
+    """The camera: at the eye where one is given, else on its orbit about the target."""
+    target, radius = params.target or scene.volume.centre, scene.volume.radius
+    if params.eye is not None:
+        return Camera(params.eye, target, params.up or (0.0, 0.0, 1.0), params.fov)
+    camera = orbit(target, radius, params.azimuth, params.elevation, params.distance, params.fov)
+    return camera if params.up is None else replace(camera, up=params.up)
 
 
 def light_of(scene: Scene, params: ViewParams) -> Quaternion:

@@ -1,16 +1,15 @@
 """Fixtures that several rooms share."""
 
 import os
-import threading
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
-import httpx
 import nrrd
 import numpy as np
 import pytest
-import uvicorn
+
+from tests.live import serving
+from tests.s3 import S3Server
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -22,6 +21,15 @@ def shared_data() -> Path:
     if not folder.is_dir():
         pytest.skip(f"no real volumes at {folder}: set ISOGI_SHARED_DATA to a folder that has them")
     return folder
+
+
+@pytest.fixture
+def s3(monkeypatch: pytest.MonkeyPatch) -> Iterator[S3Server]:
+    """An object store that this process, and those that it starts, have the keys of."""
+    with S3Server() as server:
+        for name, value in server.environment.items():
+            monkeypatch.setenv(name, value)
+        yield server
 
 
 SMALL_SCENE = """\
@@ -61,33 +69,5 @@ def live_store(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="session")
 def live_server(small_scene: Path, live_store: Path) -> Iterator[str]:
     """Base URL of a ready isogi on a real socket, with one worker and the scene ``small``."""
-    from isogi_core.model.scene import load_scene
-    from server.app import create_app
-    from server.serve import address, listen
-    from server.settings import Settings
-    from server.studio import Studio
-
-    listener = listen("127.0.0.1", 0)
-    app = create_app(Studio([load_scene(small_scene)], str(live_store), workers=1), Settings())
-    server = uvicorn.Server(uvicorn.Config(app, log_level="warning"))
-    thread = threading.Thread(target=server.run, args=([listener],))
-    thread.start()
-    url = address(listener).rstrip("/")
-    try:
-        wait_until_ready(url, thread)
+    with serving(small_scene, live_store) as url:
         yield url
-    finally:
-        server.should_exit = True
-        thread.join()
-        listener.close()
-
-
-def wait_until_ready(url: str, thread: threading.Thread, seconds: float = 300) -> None:
-    """Ask /readyz until it says yes."""
-    deadline = time.monotonic() + seconds
-    answer = httpx.get(f"{url}/readyz", timeout=30)
-    while answer.status_code != 200:
-        assert thread.is_alive(), "the server ended while it started"
-        assert time.monotonic() < deadline, answer.text
-        time.sleep(0.2)
-        answer = httpx.get(f"{url}/readyz", timeout=30)

@@ -2,6 +2,8 @@
 
 import { NUMBERS } from "./view.js";
 
+const CHOICES = ["shading", "overlay", "compare"];
+
 /**
  * Read knobs from an address. What is no number is left out; the view then takes the scene's default.
  * @param {string} search the part of the address from `?` on
@@ -11,8 +13,8 @@ export function readAddress(search) {
   const query = new URLSearchParams(search);
   const numbers = NUMBERS.filter((name) => query.get(name)?.trim()).map((name) => [name, Number(query.get(name))]);
   const start = Object.fromEntries(numbers.filter(([, value]) => Number.isFinite(value)));
-  if (query.has("shading")) start.shading = query.get("shading");
-  if (query.has("overlay")) start.overlay = query.get("overlay") === "provisional";
+  if (query.has("target")) start.target = query.get("target").split(",").map(Number);
+  for (const name of CHOICES.filter((each) => query.has(each))) start[name] = query.get(name);
   return { scene: query.get("scene"), start };
 }
 
@@ -25,8 +27,10 @@ export function readAddress(search) {
 export function writeAddress(scene, values) {
   const query = new URLSearchParams({ scene: scene.id });
   for (const name of NUMBERS.filter((each) => each in values)) query.set(name, values[name]);
+  if (values.target) query.set("target", values.target.join(","));
   query.set("shading", values.shading);
-  if (values.overlay) query.set("overlay", "provisional");
+  if (values.overlay !== "none") query.set("overlay", values.overlay);
+  if (values.compare) query.set("compare", values.compare);
   return `?${query}`;
 }
 

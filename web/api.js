@@ -20,17 +20,49 @@ export class Trouble extends Error {
  * @property {number} error estimated relative RMSE; NaN where the server gives none
  * @property {{needed: number, final: number}} chunks
  * @property {{low: number, likely: number, high: number}|null} timeLeft seconds until all is final; null if unknown
+ * @property {Record<string, number>} timing milliseconds of each stage of its making
  */
 
 const GONE = "The page keeps asking and continues by itself when the server is back.";
 
 /**
- * List the scenes.
+ * List the scenes, and what may be uploaded: null where nothing may.
  * @param {AbortSignal} [signal]
- * @returns {Promise<{id: string, name: string}[]>}
+ * @returns {Promise<{scenes: {id: string, name: string, volume: string|null}[], uploads: object|null}>}
  */
 export async function listScenes(signal) {
-  return (await (await ask("v1/scenes", { signal })).json()).scenes;
+  return (await ask("v1/scenes", { signal })).json();
+}
+
+/**
+ * Upload a volume. `fetch` does not tell how far it is.
+ * @param {Blob} file
+ * @param {string} name
+ * @param {(share: number) => void} progress
+ * @returns {Promise<{id: string}>}
+ */
+export function sendVolume(file, name, progress) {
+  const request = new XMLHttpRequest();
+  request.open("POST", new URL(`v1/volumes?${new URLSearchParams({ name })}`, document.baseURI));
+  request.responseType = "json";
+  request.upload.addEventListener("progress", ({ loaded, total }) => progress(loaded / total));
+  return new Promise((resolve, reject) => {
+    request.addEventListener("error", () => reject(lost()));
+    request.addEventListener("load", () => {
+      const { status, response } = request;
+      if (status < 300) resolve(response);
+      else reject(troubleOf({ ...response, status }));
+    });
+    request.send(file);
+  });
+}
+
+/**
+ * Delete an uploaded volume.
+ * @param {string} href its address
+ */
+export async function deleteVolume(href) {
+  await ask(href.replace(/^\//, ""), { method: "DELETE" });
 }
 
 /**
@@ -51,13 +83,76 @@ export async function readScene(id, signal) {
  */
 export async function readFrame(scene, query, { etag, signal } = {}) {
   const headers = etag ? { "If-None-Match": etag } : {};
-  const answer = await ask(`${scenePath(scene)}/frame?${new URLSearchParams(query)}`, { headers, signal });
+  const answer = await ask(frameAddress(scene, query), { headers, signal });
   const unchanged = answer.status === 304;
   return {
     blob: unchanged ? null : await bodyOf(answer),
     etag: answer.headers.get("ETag") ?? (unchanged ? etag : null),
     facts: answer.headers.has("Isogi-Provisional") ? factsOf(answer.headers) : null,
   };
+}
+
+/**
+ * A picture of the light around a scene: latitude and longitude, tone-mapped, not turned.
+ * @param {string} scene
+ * @param {number} width pixels
+ * @returns {Promise<Blob>}
+ */
+export async function readSky(scene, width) {
+  return bodyOf(await ask(`${scenePath(scene)}/sky?${new URLSearchParams({ width })}`));
+}
+
+/**
+ * The whole address of a frame, as others may ask for it.
+ * @param {string} scene
+ * @param {Record<string, string|number>} query
+ * @returns {URL}
+ */
+export function frameAddress(scene, query) {
+  return new URL(`${scenePath(scene)}/frame?${new URLSearchParams(query)}`, document.baseURI);
+}
+
+/** Whether the server wants a token of those who have not this browser's cookie. @returns {Promise<boolean>} */
+export async function wantsToken() {
+  return (await ask("v1/scenes")).headers.get("Cache-Control")?.includes("private") ?? false; // as behind a token only
+}
+
+/**
+ * Open the stream of one scene. Throws where the browser has no sockets.
+ * @param {string} scene
+ * @returns {WebSocket}
+ */
+export function openStream(scene) {
+  const address = new URL(`${scenePath(scene)}/stream`, document.baseURI);
+  address.protocol = address.protocol.replace("http", "ws");
+  return new WebSocket(address);
+}
+
+/**
+ * A picture that came over a stream, and the facts that were told before it.
+ * @param {{media_type: string, timing: object, facts: object}} told
+ * @param {Blob} data
+ * @returns {{blob: Blob, facts: Facts}}
+ */
+export function pictureOf({ media_type: type, timing, facts: { time_left: timeLeft, ...facts } }, data) {
+  return { blob: new Blob([data], { type }), facts: { ...facts, timeLeft, timing } };
+}
+
+/** The trouble that there is no answer at all. @returns {Trouble} */
+export function lost() {
+  return new Trouble("The server does not answer", GONE, { retry: true });
+}
+
+/**
+ * The trouble that the server tells of in a problem document.
+ * @param {{status?: number, detail?: string}} problem
+ * @param {number} [after] seconds after which to ask again
+ * @returns {Trouble}
+ */
+export function troubleOf({ status = 0, detail }, after = 0) {
+  const retry = status >= 500 || status === 429;
+  const title = retry ? "The server cannot draw this now" : "This view cannot be drawn";
+  return new Trouble(title, typeof detail === "string" ? detail : `It answered with status ${status}.`, { status, retry, after });
 }
 
 /**
@@ -77,7 +172,14 @@ function factsOf(headers) {
     error: Number.parseFloat(headers.get("Isogi-Error")),
     chunks: { needed: 0, final: 0, ...parseShares(headers.get("Isogi-Chunks")) },
     timeLeft: headers.has("Isogi-Time-Left") ? parseShares(headers.get("Isogi-Time-Left")) : null,
+    timing: parseTiming(headers.get("Server-Timing")),
   };
+}
+
+function parseTiming(text) {
+  const stages = (text ?? "").split(",").map((stage) => stage.trim().split(";dur="));
+  const named = stages.filter(([name, ms]) => ms && name !== "total");
+  return Object.fromEntries(named.map(([name, ms]) => [name, Number(ms)]));
 }
 
 function scenePath(id) {
@@ -105,15 +207,10 @@ async function bodyOf(answer) {
 
 function asTrouble(error) {
   if (error.name === "AbortError") return error;
-  return new Trouble("The server does not answer", GONE, { retry: true });
+  return lost();
 }
 
 async function refusal(answer) {
   const problem = await answer.json().catch(() => ({}));
-  const retry = answer.status >= 500 || answer.status === 429;
-  const title = retry ? "The server cannot draw this now" : "This view cannot be drawn";
-  const detail = typeof problem.detail === "string" ? problem.detail : `It answered with status ${answer.status}.`;
-  return new Trouble(title, detail, {
-    status: answer.status, retry, after: Number(answer.headers.get("Retry-After")) || 0,
-  });
+  return troubleOf({ ...problem, status: answer.status }, Number(answer.headers.get("Retry-After")) || 0);
 }

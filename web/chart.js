@@ -75,9 +75,10 @@ function drawError(moments, target, x) {
 }
 
 function drawTarget(target, y) {
+  const under = y - ERROR.top < 12; // the axis has its name there
   return [
     make("path", { class: "target", d: `M${LEFT} ${y}H10000` }),
-    make("text", { class: "target", x: LEFT + 6, y: y - 5 }, `target ${errorInWords(target)}, for every texel`),
+    make("text", { class: "target", x: LEFT + 6, y: under ? y + 13 : y - 5 }, `target ${errorInWords(target)}, for every texel`),
   ];
 }
 

@@ -17,6 +17,7 @@ function planFacts({ plan, target_error: target }) {
   return {
     Light: plan.representation,
     ...Object.fromEntries(plan.layers.map((layer) => [capital(layer.kind), layerInWords(layer)])),
+    Lobes: plan.lobes.map(lobeInWords).join("; "),
     "Bytes per texel": `${plan.bytes_per_texel}, instead of ${plan.full_bytes_per_texel}`,
     "Texels shown": `${grouped(plan.texels.shown)} of ${grouped(plan.texels.total)}`,
     Bounces: plan.bounces,
@@ -30,6 +31,10 @@ function layerInWords({ order, channels, precision, coarse }) {
   const numbers = order > 1 ? `SH order ${order}` : "one number";
   const kept = coarse === null ? `${precision} floats` : `half floats, bytes from band ${coarse} on`;
   return `${numbers}${channels > 1 ? ` in ${channels} channels` : ""}, ${kept}`;
+}
+
+function lobeInWords({ azimuth, elevation, angle }) {
+  return `${Number(angle.toPrecision(2))}° across at azimuth ${azimuth.toFixed(0)}°, elevation ${elevation.toFixed(0)}°`;
 }
 
 function volumeFacts({ volume, lights, albedo }) {

@@ -1,5 +1,6 @@
-/** Sliders, the shading choice and the overlay switch: the controls that mirror the view one to one. */
+/** Sliders, and the choices of shading, of what to compare it with, and of marks: what mirrors the view one to one. */
 
+import { errorInWords } from "./units.js";
 import { niceStep, sliderRange } from "./view.js";
 
 const ANGLES = new Set(["azimuth", "elevation", "fov", "yaw", "pitch", "roll"]);
@@ -26,7 +27,12 @@ export function shadingName(id) {
  */
 export function attachKnobs(form, scene, view) {
   const mirrors = [...form.querySelectorAll(".knob input")].map((input) => attachSlider(input, scene, view));
-  mirrors.push(attachShading(form.elements.shading, scene, view), attachOverlay(form.elements.overlay, view));
+  const { shading, compare, overlay } = form.elements;
+  const shadings = scene.shadings.map((id) => new Option(shadingName(id), id));
+  shading.replaceChildren(...shadings);
+  compare.replaceChildren(new Option("Nothing", ""), ...shadings.map((option) => option.cloneNode(true)));
+  mirrors.push(...[shading, compare, overlay].map((select) => attachChoice(select, view)), offerOthers(compare));
+  mirrors.push(attachScale(form.querySelector("#error-scale"), scene.error_scale));
   const mirror = (values) => mirrors.forEach((each) => each(values));
   mirror(view.values);
   view.subscribe(mirror);
@@ -65,13 +71,23 @@ function describe(scene, name, value) {
   return `${stops > 0 ? "+" : ""}${stops} stops`.replace("-", "−");
 }
 
-function attachShading(select, scene, view) {
-  select.replaceChildren(...scene.shadings.map((id) => new Option(shadingName(id), id)));
-  select.addEventListener("change", () => view.set({ shading: select.value }));
-  return ({ shading }) => { select.value = shading; };
+function attachChoice(select, view) {
+  select.addEventListener("change", () => view.set({ [select.name]: select.value }));
+  return (values) => { select.value = values[select.name]; };
 }
 
-function attachOverlay(box, view) {
-  box.addEventListener("change", () => view.set({ overlay: box.checked }));
-  return ({ overlay }) => { box.checked = overlay; };
+/** A shading is compared with others alone. */
+function offerOthers(compare) {
+  return ({ shading }) => {
+    for (const option of compare.options) option.hidden = option.disabled = option.value === shading;
+  };
+}
+
+/** The legend of the colours of errors, shown while they are. */
+function attachScale(legend, { low, high, colours }) {
+  legend.querySelector(".colours").style.background = `linear-gradient(90deg, ${colours.join(", ")})`;
+  const decades = Math.round(Math.log10(high / low));
+  const ticks = Array.from({ length: decades + 1 }, (_, i) => errorInWords(low * 10 ** i));
+  legend.querySelector(".row").replaceChildren(...ticks.map((text) => Object.assign(document.createElement("span"), { textContent: text })));
+  return ({ overlay }) => { legend.hidden = overlay !== "error"; };
 }

@@ -1,21 +1,29 @@
-/** Puts the page together: one scene, one view, one request loop, and the controls around them. */
+/** Puts the page together: one scene, one view, one frame loop, and the controls around them. */
 
 import { followAddress, readAddress } from "./address.js";
-import { listScenes, readFrame, readScene } from "./api.js";
+import { listScenes, openStream, readFrame, readScene } from "./api.js";
 import { showFacts } from "./facts.js";
 import { attachGestures } from "./gestures.js";
 import { attachHistogram } from "./histogram.js";
 import { attachKeys } from "./keys.js";
-import { attachKnobs, shadingName } from "./knobs.js";
+import { attachKnobs } from "./knobs.js";
 import { attachLight } from "./light.js";
 import { FrameLoop } from "./loop.js";
 import { ErrorPanel } from "./panel.js";
+import { attachPick } from "./pick.js";
 import { Picture } from "./picture.js";
+import { attachPresets } from "./presets.js";
+import { describe, fileName, frameQuery } from "./request.js";
+import { Saver } from "./save.js";
+import { attachShare } from "./share.js";
+import { attachSides } from "./sides.js";
 import { Status, TroublePanel } from "./status.js";
-import { NUMBERS, ViewModel } from "./view.js";
+import { Times } from "./times.js";
+import { attachUpload } from "./upload.js";
+import { ViewModel } from "./view.js";
+import { Wipe } from "./wipe.js";
 
 const RETRY_MS = 1500;
-const LIGHT_KNOBS = new Set(["yaw", "pitch", "roll"]);
 const $ = (id) => document.getElementById(id);
 
 /** Load the scene that the address names (else the first) and start; keep trying while the server is away. */
@@ -24,10 +32,11 @@ async function start() {
   const { scene: wanted, start: knobs } = readAddress(location.search);
   for (;;) {
     try {
-      const scenes = await listScenes();
-      const { id } = scenes.find((each) => each.id === wanted) ?? scenes[0];
-      const scene = await readScene(id);
-      offerScenes(scenes, id);
+      const { scenes, uploads } = await listScenes();
+      const link = scenes.find((each) => each.id === wanted) ?? scenes[0];
+      const scene = await readScene(link.id);
+      offerScenes(scenes, link.id);
+      attachUpload($("upload"), $("stage"), uploads, link, showScene);
       return assemble(scene, knobs, trouble);
     } catch (error) {
       $("stage").dataset.state = "trouble";
@@ -40,43 +49,62 @@ async function start() {
 
 function assemble(scene, knobs, trouble) {
   const view = new ViewModel(scene, knobs);
-  const loop = startLoop(scene, view, trouble);
-  const options = { lightTurns: scene.turns, onRest: () => loop.settle(), toggleHelp: () => $("help").togglePopover() };
+  const picture = new Picture($("stage"), $("picture"));
+  const loop = startLoop(scene, view, picture, trouble);
+  const options = { onRest: () => loop.settle(), toggleHelp: () => $("help").togglePopover() };
   const form = $("controls");
   attachKnobs(form, scene, view);
   attachHistogram(form, scene, view);
+  attachPresets($("presets"), scene, view);
   attachLight($("light"), scene, view, options.onRest);
-  attachGestures($("stage"), view, options);
+  attachSides($("sides"), view);
+  attachGestures($("stage"), scene, view, options);
+  attachPick($("stage"), scene, view);
   attachKeys(scene, view, options);
   showFacts(form, scene);
   form.addEventListener("submit", (event) => event.preventDefault());
   $("reset").addEventListener("click", () => view.reset());
-  $("copy-link").addEventListener("click", copier(followAddress(scene, view)));
+  const told = {
+    link: followAddress(scene, view),
+    query: () => frameQuery(scene, view.values, picture.size(1)),
+    file: () => fileName(scene, view.values),
+    alt: () => describe(scene, view.values),
+  };
+  attachShare($("share"), scene, view, told);
+  new Saver($("save"), scene, told);
   $("scene-name").textContent = scene.name;
   document.title = `${scene.name} · isogi`;
-  form.inert = $("reset").disabled = $("copy-link").disabled = false;
-  view.subscribe(() => loop.change());
+  form.inert = false;
+  for (const id of ["share-button", "save-button", "reset"]) $(id).disabled = false;
+  view.watch(({ compare, ...shown }) => shown, () => loop.change());
   loop.settle();
 }
 
-function startLoop(scene, view, trouble) {
-  const picture = new Picture($("stage"), $("picture"), $("save-picture"));
+function startLoop(scene, view, picture, trouble) {
   const status = new Status(document);
   const panel = new ErrorPanel($("error"), scene.target_error);
-  const ask = (wish, signal) => readFrame(scene.id, frameQuery(scene, view.values, picture, wish), { ...wish, signal });
-  const loop = new FrameLoop(ask, {
-    frame({ blob, facts }, draft) {
+  const times = new Times($("times"));
+  const query = (values, scale = 1) => frameQuery(scene, values, picture.size(scale));
+  const ask = (values) => (wish, signal) =>
+    readFrame(scene.id, { ...query(values(), wish.scale), ...formatOf(wish) }, { ...wish, signal });
+  const server = { open: () => openStream(scene.id), view: () => query(view.values), ask: ask(() => view.values) };
+  const other = ask(() => ({ ...view.values, shading: view.values.compare }));
+  const wipe = new Wipe($("wipe"), new Picture($("stage"), $("other")), other, view);
+  const loop = new FrameLoop(server, {
+    async frame({ blob, facts }, draft) {
       trouble.hide();
       if (facts) {
         status.show(facts, draft);
         panel.show(facts, draft);
+        times.show(facts, draft);
       }
-      if (blob) picture.show(blob, labels(scene, view.values));
+      if (blob) await picture.show(blob, describe(scene, view.values));
     },
     trouble(error) {
       status.stale();
       trouble.show(error);
     },
+    moving: (moving) => wipe.moving(moving),
     busy: (busy) => $("stage").toggleAttribute("data-busy", busy),
   });
   panel.follow(view);
@@ -85,25 +113,8 @@ function startLoop(scene, view, trouble) {
   return loop;
 }
 
-function frameQuery(scene, values, picture, { draft, scale, waitMs }) {
-  const numbers = NUMBERS.filter((name) => name in values && (scene.turns || !LIGHT_KNOBS.has(name)));
-  return {
-    ...Object.fromEntries(numbers.map((name) => [name, values[name]])),
-    ...picture.size(draft ? scale : 1),
-    shading: values.shading,
-    overlay: values.overlay ? "provisional" : "none",
-    f: draft ? "jpeg" : "png",
-    wait_ms: waitMs,
-  };
-}
-
-function labels(scene, values) {
-  const isovalue = Number(values.isovalue.toPrecision(6));
-  const from = `azimuth ${Math.round(values.azimuth)}°, elevation ${Math.round(values.elevation)}°`;
-  return {
-    alt: `Isosurface of ${scene.name} at ${isovalue}, seen from ${from}; ${shadingName(values.shading)}`,
-    file: `${scene.id}-${isovalue}`,
-  };
+function formatOf({ draft, waitMs }) {
+  return { f: draft ? "jpeg" : "png", wait_ms: waitMs };
 }
 
 function offerScenes(scenes, current) {
@@ -111,21 +122,12 @@ function offerScenes(scenes, current) {
   select.replaceChildren(...scenes.map(({ id, name }) => new Option(name, id, id === current, id === current)));
   select.hidden = scenes.length < 2;
   $("scene-name").hidden = !select.hidden;
-  select.onchange = () => { location.search = new URLSearchParams({ scene: select.value }); };
+  select.onchange = () => showScene(select.value);
 }
 
-function copier(writeAddress) {
-  return async ({ currentTarget: button }) => {
-    const address = writeAddress();
-    const copied = await navigator.clipboard?.writeText(address).then(() => true, () => false);
-    const label = [...button.childNodes];
-    button.textContent = copied ? "Copied" : "Copy it from the address bar";
-    button.disabled = true;
-    setTimeout(() => {
-      button.replaceChildren(...label);
-      button.disabled = false;
-    }, 1600);
-  };
+/** Go to a scene, to the first where there is none. */
+function showScene(id) {
+  location.search = new URLSearchParams(id === null ? {} : { scene: id });
 }
 
 start();

@@ -23,15 +23,11 @@ export class ErrorPanel {
   }
 
   /**
-   * Begin anew at every change of a view that changes its light, which exposure and marks do not.
+   * Begin anew at every change of a view that changes its light, which exposure, marks and comparing do not.
    * @param {import("./view.js").ViewModel} view
    */
   follow(view) {
-    let seen = lightOf(view.values);
-    view.subscribe((values) => {
-      const now = lightOf(values);
-      if (now === seen) return;
-      seen = now;
+    view.watch(lightOf, () => {
       this.#history.begin();
       this.#write();
     });
@@ -62,8 +58,8 @@ export class ErrorPanel {
   }
 }
 
-function lightOf({ exposure, overlay, ...rest }) {
-  return JSON.stringify(rest);
+function lightOf({ exposure, overlay, compare, ...rest }) {
+  return rest;
 }
 
 function inWords({ seconds, provisional, error }, timeLeft) {

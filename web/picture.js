@@ -8,18 +8,15 @@ const SHORTEST_SIDE = 64;
 export class Picture {
   #stage;
   #image;
-  #save;
   #turn = 0;
 
   /**
    * @param {HTMLElement} stage box that the picture fills
    * @param {HTMLImageElement} image
-   * @param {HTMLAnchorElement} save link that downloads the picture shown
    */
-  constructor(stage, image, save) {
+  constructor(stage, image) {
     this.#stage = stage;
     this.#image = image;
-    this.#save = save;
   }
 
   /**
@@ -38,20 +35,32 @@ export class Picture {
   /**
    * Show a frame once it is decoded; one that a newer frame has overtaken is dropped.
    * @param {Blob} blob encoded picture
-   * @param {{alt: string, file: string}} labels text for who cannot see it, name for who saves it
+   * @param {string} alt what it shows, for who cannot see it
+   * @returns {Promise<boolean>} whether it is shown now
    */
-  async show(blob, { alt, file }) {
+  async show(blob, alt) {
     const turn = ++this.#turn;
     const address = URL.createObjectURL(blob);
     const decoded = await decode(address);
     if (!decoded || turn !== this.#turn) {
       URL.revokeObjectURL(address);
-      return;
+      return false;
     }
     const old = this.#image.src;
     Object.assign(this.#image, { src: address, alt, hidden: false });
-    Object.assign(this.#save, { href: address, download: `${file}.${blob.type.split("/")[1] ?? "png"}`, hidden: false });
     if (old.startsWith("blob:")) URL.revokeObjectURL(old);
+    return true;
+  }
+
+  /** Whether nothing is shown. */
+  get hidden() {
+    return this.#image.hidden;
+  }
+
+  /** Show nothing, also not what is being decoded. */
+  hide() {
+    this.#turn += 1;
+    this.#image.hidden = true;
   }
 
   /**

@@ -82,7 +82,20 @@ export function turnVector(q, v) {
 }
 
 /**
- * Turn the light as if its front, seen from the camera, were dragged across the picture.
+ * Turn the light as a ball that is dragged across the picture, whichever way the camera looks.
+ * @param {object} values knobs of the view
+ * @param {number} right degrees
+ * @param {number} down degrees
+ * @returns {{yaw: number, pitch: number, roll: number}} the light's new angles
+ */
+export function rollLight(values, right, down) {
+  const axes = cameraAxes(values.azimuth, values.elevation);
+  const turn = compose(aboutAxis(axes.up, right), aboutAxis(axes.right, down));
+  return toAngles(compose(turn, fromAngles(values)));
+}
+
+/**
+ * Turn the light as if its front were dragged across the picture; sideways it goes round the vertical, and stays level.
  * @param {object} values knobs of the view
  * @param {number} right degrees
  * @param {number} down degrees

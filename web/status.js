@@ -3,16 +3,15 @@
 import { errorInWords, leftInWords, shareInWords } from "./units.js";
 
 /**
- * Put a frame's facts into words: "81 % final · error 1.8 % · about 20 s left · 182 of 240 chunks".
+ * Put a frame's facts into words: "182 of 240 chunks final, noise 1.8 %, about 40 s left".
  * @param {import("./api.js").Facts} facts
  * @returns {string}
  */
 export function inWords({ provisional, coverage, error, chunks, timeLeft }) {
-  const wrong = error > 0 ? `error ${errorInWords(error)}` : "";
-  if (!provisional) return [seen(coverage) ? "final" : "final, no surface in view", wrong].filter(Boolean).join(" · ");
+  const noise = error > 0 && error < 1 ? `noise ${errorInWords(error)}` : "";
+  if (!provisional) return [seen(coverage) ? "final" : "final, no surface in view", noise].filter(Boolean).join(", ");
   const left = timeLeft ? leftInWords(timeLeft) : "";
-  const counts = chunks.needed ? `${chunks.final} of ${chunks.needed} chunks` : "";
-  return [`${shareInWords(coverage.final)} final`, wrong, left, counts].filter(Boolean).join(" · ");
+  return [`${chunks.final} of ${chunks.needed} chunks final`, noise, left].filter(Boolean).join(", ");
 }
 
 /** Shows the facts of the frame on the stage. */

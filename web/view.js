@@ -1,7 +1,12 @@
 /** The view that the page shows: one plain object of knobs, kept within what the scene allows. */
 
+import { limitTarget } from "./camera.js";
+
 /** Knobs that are numbers, in the order in which the address bar has them. */
 export const NUMBERS = ["isovalue", "azimuth", "elevation", "distance", "fov", "yaw", "pitch", "roll", "exposure"];
+
+/** Marks that may lie over the picture. */
+export const OVERLAYS = ["none", "provisional", "error"];
 
 const FULL_TURN = new Set(["azimuth", "yaw", "roll"]);
 const LOGARITHMIC = new Set(["distance", "exposure"]);
@@ -66,7 +71,8 @@ export class ViewModel {
   get defaults() {
     const { defaults } = this.#scene;
     const numbers = NUMBERS.filter((name) => Number.isFinite(defaults[name])).map((name) => [name, defaults[name]]);
-    return { ...Object.fromEntries(numbers), shading: defaults.shading ?? this.#scene.shadings[0], overlay: false };
+    const shading = defaults.shading ?? this.#scene.shadings[0];
+    return { ...Object.fromEntries(numbers), target: null, shading, overlay: "none", compare: "" };
   }
 
   /** The knobs as they are now (a copy). */
@@ -80,7 +86,7 @@ export class ViewModel {
    */
   set(patch) {
     const next = this.#limited(patch, this.#values);
-    if (Object.keys(next).every((name) => next[name] === this.#values[name])) return;
+    if (Object.keys(next).every((name) => String(next[name]) === String(this.#values[name]))) return;
     this.#values = next;
     this.#listeners.forEach((listener) => listener(this.values));
   }
@@ -98,12 +104,33 @@ export class ViewModel {
     this.#listeners.add(listener);
   }
 
+  /**
+   * Call `listener(values)` after every change of a part of the view.
+   * @param {(values: object) => object|string} part
+   * @param {(values: object) => void} listener
+   */
+  watch(part, listener) {
+    let seen = JSON.stringify(part(this.#values));
+    this.subscribe((values) => {
+      const now = JSON.stringify(part(values));
+      if (now === seen) return;
+      seen = now;
+      listener(values);
+    });
+  }
+
   #limited(wanted, fallback) {
-    const known = this.#scene.shadings.includes(wanted.shading);
-    const limited = { shading: known ? wanted.shading : fallback.shading, overlay: wanted.overlay ?? fallback.overlay };
+    const { shadings } = this.#scene;
+    const chosen = (name, offered) => (offered.includes(wanted[name]) ? wanted[name] : fallback[name]);
+    const limited = {
+      shading: chosen("shading", shadings), overlay: chosen("overlay", OVERLAYS), compare: chosen("compare", ["", ...shadings]),
+    };
+    limited.target = limitTarget(this.#scene, wanted.target === undefined ? fallback.target : wanted.target);
+    if (limited.compare === limited.shading) limited.compare = limited.shading === fallback.shading ? "" : fallback.shading;
     for (const name of NUMBERS.filter((each) => each in fallback)) {
       const value = Number.isFinite(wanted[name]) ? wanted[name] : fallback[name];
-      limited[name] = limit(rounded(value, name), name, allowed(this.#scene, name));
+      const own = value === this.#scene.defaults[name]; // not rounded: the server's picture without this knob
+      limited[name] = own ? value : limit(rounded(value, name), name, allowed(this.#scene, name));
     }
     return limited;
   }

@@ -54,9 +54,9 @@ class Open:
 class Outlook:
     """Predictions of subjects, each a view and its target; call under one lock from several threads."""
 
-    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
-        """Know of no prediction yet."""
-        self._clock = clock
+    def __init__(self, clock: Callable[[], float] = time.monotonic, prior: tuple[float, ...] = PRIOR) -> None:
+        """Know of no prediction yet, and assume the times of the ``prior``, ascending."""
+        self._clock, self._prior = clock, prior
         self._outcomes: deque[float] = deque(maxlen=KEPT)
         self._open: OrderedDict[Hashable, Open] = OrderedDict()
 
@@ -67,7 +67,7 @@ class Outlook:
         last = own.predictions[-1].made if own.predictions else -math.inf
         if work > 0.0 and now - last >= max(APART, SHARE * work):
             own.predictions.append(Prediction(work, now))
-        outcomes = (*PRIOR, *self._outcomes)
+        outcomes = (*self._prior, *self._outcomes)
         low, *_, high = statistics.quantiles(outcomes, n=10, method="inclusive")
         return TimeLeft(low * work, statistics.median(outcomes) * work, high * work)
 
@@ -88,7 +88,7 @@ class Outlook:
         """
         for each in tuple(own.predictions):
             elapsed, done = now - each.made, each.work - work
-            overdue = done > 0.0 and elapsed >= PRIOR[-1] * each.work
+            overdue = done > 0.0 and elapsed >= self._prior[-1] * each.work
             if elapsed > 0.0 and (done >= JUDGED * each.work or overdue):
                 self._outcomes.append(elapsed / max(done, JUDGED * each.work))
                 own.predictions.remove(each)

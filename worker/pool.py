@@ -1,29 +1,54 @@
 """The worker processes: a Dask cluster, of this machine's own or joined by its address."""
 
+import logging
 import os
+import threading
 from collections.abc import Callable, Collection
-from typing import Any
+from contextlib import suppress
+from typing import Any, cast
 
 import dask.config
 from distributed import Client, Future, LocalCluster, fire_and_forget
+from distributed.scheduler import KilledWorker
 
-from worker.errors import WorkersError
-from worker.nice import Nice
+from worker.clients import OwnClient
+from worker.errors import LostWorkerError, WorkersAwayError, WorkersError
+from worker.nice import Nice, leads_session
+from worker.sessions import Sessions
 from worker.tasks import KINDS, BakeResult, BakeTask, bake, kernels_missing, load_kernels
 
 AHEAD = 2
 """Tasks in flight per worker: a task handed over can be neither re-ordered nor stopped, so few are."""
 
-SETTINGS = {
+SETTINGS: dict[str, object] = {
     "distributed.admin.low-level-log-length": 100,
-    "distributed.scheduler.allowed-failures": 10,
+    "distributed.admin.tick.interval": "500ms",
+    "distributed.scheduler.allowed-failures": 0,
     "distributed.scheduler.http.routes": ["distributed.http.health"],
     "distributed.worker.http.routes": ["distributed.http.health"],
     "distributed.worker.memory.target": False,
     "distributed.worker.memory.spill": False,
     "distributed.worker.memory.pause": False,
     "distributed.worker.memory.terminate": False,
+    "distributed.worker.profile.enabled": False,
 }
+"""How Dask is set. A death ends all tasks that the worker had: the queue tries each again, by itself.
+
+Dask looks at itself a hundred times a second, which took 5 % of a core with one idle worker; so set it takes 1 %.
+"""
+
+FOREVER = {"distributed.deploy.lost-worker-timeout": "10000 days"}
+"""Set for as long as the process lives, for Dask reads it at each death. A cluster dismisses the nanny of a worker that
+is not there so long after a death: with the usual 15 s, of one that has come back and died once more."""
+
+LOOK, RETRY = 1.0, 5.0
+"""Seconds between two looks at whether the scheduler is there, and for which one try to join it again goes on."""
+
+LOST = "The worker processes are gone: restart the server."
+AWAY = "The scheduler at {scheduler} cannot be reached at the moment: baking goes on when it is there again."
+NOBODY = "No worker has joined the scheduler at {scheduler}: start one with 'dask worker', see docs/cluster.md."
+
+log = logging.getLogger("isogi.worker")
 
 Done = Callable[[BakeResult | None, BaseException | None], None]
 
@@ -31,47 +56,95 @@ Done = Callable[[BakeResult | None, BaseException | None], None]
 class WorkerPool:
     """Processes that bake. Those started here load the kernels of the bake with their first task.
 
-    Those joined may stand on other machines, and load them when they start: see ``worker.tasks.dask_setup``.
+    Those joined may stand on other machines, and load them when they start: see ``worker.tasks.dask_setup``. They and
+    their scheduler may come and go: a thread of the pool looks after that.
     """
 
     def __init__(self, workers: int, scheduler: str | None = None, kinds: Collection[str] = KINDS) -> None:
-        """Start ``workers`` processes of one thread each, or join the ``scheduler``. Raises WorkersError.
+        """Start ``workers`` processes of one thread each, or join the ``scheduler``.
+
+        Raises WorkersError, and WorkersAwayError where the scheduler is not there.
 
         Kernels that bake layers of these ``kinds`` are compiled at once where they are missing.
         """
+        self._scheduler = scheduler
         self._cluster: LocalCluster | None = None
+        self._addresses: frozenset[str] = frozenset()
+        self._joined = ""
+        self._deaths = 0
+        self._sessions = Sessions(self._leaders)
+        self._stir: Callable[[], None] = lambda: None
+        self._moved, self._closing = threading.Event(), threading.Event()
+        self._open: dict[Any, tuple[Future[Any], Done]] = {}
+        self._ended: set[Any] = set()
         try:
             with dask.config.set(SETTINGS):
                 if scheduler is None:
                     self._cluster = start_cluster(workers)
-                self._client = Client(self._cluster or scheduler, timeout="30s", set_as_default=False)
-                self._client.register_plugin(Nice())
-                self._workers = self._count()
+                self._client = self._connect("30s")
                 if scheduler is None and kernels_missing(kinds):
                     fire_and_forget(self._client.submit(load_kernels, tuple(kinds), pure=False))
         except Exception as error:
             if self._cluster is not None:
                 self._cluster.close()
-            raise WorkersError(f"Cannot start or reach the workers: {error}") from error
+            kind = WorkersAwayError if scheduler is not None and isinstance(error, OSError) else WorkersError
+            raise kind(f"Cannot start or reach the workers: {error}") from error
+        self._keeper = threading.Thread(target=self._keep, name="workers", daemon=True)
+        self._keeper.start()
 
     @property
     def workers(self) -> int:
-        """How many workers there are."""
-        return self._workers
+        """How many workers there are, at least 1: tasks wait for the first to come."""
+        return max(len(self._addresses), 1)
+
+    @property
+    def deaths(self) -> int:
+        """How many workers were lost; one that was started anew in its place has another address."""
+        return self._deaths
 
     @property
     def room(self) -> int:
-        """How many tasks may be in flight."""
-        return AHEAD * self._workers
+        """How many tasks may be in flight; none while the scheduler is away."""
+        return AHEAD * self.workers if self.connected else 0
 
     @property
     def connected(self) -> bool:
-        """Whether the scheduler can be reached; when it is lost, tasks wait until it is there again."""
+        """Whether the scheduler can be reached."""
         return bool(self._client.status == "running")
+
+    @property
+    def trouble(self) -> str:
+        """Why nothing is baked at the moment; empty when all is well."""
+        if not self.connected:
+            return AWAY.format(scheduler=self._scheduler) if self._scheduler else LOST
+        if not self._addresses:
+            return NOBODY.format(scheduler=self._scheduler) if self._scheduler else LOST
+        return ""
+
+    def attend(self, stir: Callable[[], None]) -> None:
+        """Have ``stir`` called, from another thread, whenever workers have come or gone."""
+        self._stir = stir
 
     def submit(self, task: BakeTask, done: Done) -> None:
         """Hand a task over; ``done`` is called from another thread with its result or its error."""
-        self._client.submit(bake, task, pure=False).add_done_callback(lambda ended: self._ended(ended, done))
+        try:
+            future = self._client.submit(bake, task, pure=False)
+        except Exception as error:  # the client closed at this moment
+            away = WorkersAwayError(f"The workers cannot be reached: {error}")
+            threading.Thread(target=done, args=(None, away), daemon=True).start()
+        else:
+            self._open[future.key] = future, done
+            future.add_done_callback(lambda ended: self._end(ended.key))
+
+    def step_back(self, seconds: float) -> bool:
+        """Have the workers started here stand behind other sessions for so long; those joined are left as they are.
+
+        Returns whether they stand here.
+        """
+        if self._cluster is None:
+            return False
+        self._sessions.step_back(seconds)
+        return True
 
     def pids(self) -> list[int]:
         """Process ids of the workers."""
@@ -79,19 +152,95 @@ class WorkerPool:
 
     def close(self) -> None:
         """Stop the workers that were started here, and leave those that were joined."""
+        self._closing.set()
+        self._moved.set()
+        self._keeper.join()
+        self._sessions.close()
+        with suppress(Exception):  # the scheduler may be away; else it would tell a client that leaves of its leaving
+            self._client.unsubscribe_topic("all")
         self._client.close()
         if self._cluster is not None:
             self._cluster.close()
 
-    def _ended(self, future: "Future[Any]", done: Done) -> None:
-        """Pass on how a task ended; workers may have come or gone meanwhile."""
-        report(future, done)
-        if self.connected:
-            self._workers = self._count()
+    def _leaders(self) -> list[int]:
+        """The workers started here that lead sessions of their own, as they do soon after they were started."""
+        nannies = [] if self._cluster is None else list(self._cluster.workers.values())
+        return [pid for pid in map(pid_under, nannies) if pid and leads_session(pid)]
 
-    def _count(self) -> int:
-        """The workers that there are, at least 1: tasks wait for the first to come. A round trip."""
-        return max(len(self._client.scheduler_info(n_workers=-1)["workers"]), 1)
+    def _connect(self, timeout: str) -> Client:
+        """A client of the scheduler that is told who comes and goes, and the workers there are; raises OSError."""
+        client: Client = OwnClient(self._cluster or self._scheduler, timeout)
+        try:
+            client.register_plugin(Nice(apart=self._scheduler is None))
+            client.subscribe_topic("all", self._told)
+            self._addresses = addresses(client)
+            self._joined = str(client.scheduler_info(n_workers=0)["id"])
+        except BaseException:
+            client.close(timeout=LOOK)
+            raise
+        return client
+
+    def _told(self, event: tuple[float, Any]) -> None:
+        """Something has happened at the scheduler; that workers came or went is worth a look."""
+        if isinstance(event[1], dict) and event[1].get("action") in ("add-worker", "remove-worker"):
+            self._moved.set()
+
+    def _keep(self) -> None:
+        """Look after the workers: count them anew when they have moved, and join them again after they were lost.
+
+        What is told of them may be lost: so how many there are is also asked.
+        """
+        while not self._closing.is_set():
+            moved = self._moved.wait(LOOK)
+            self._moved.clear()
+            try:
+                self._look_after()
+                told = self._client.scheduler_info(n_workers=0) if self.connected else {}
+                if told.get("id") != self._joined:
+                    self._join_again()
+                elif moved or told["n_workers"] != len(self._addresses):
+                    self._count()
+            except Exception as error:
+                log.debug("the scheduler is away: %s", error)
+
+    def _end(self, key: Any) -> None:
+        """Tell whoever handed a task over how it ended, once."""
+        if (entry := self._open.pop(key, None)) is not None:
+            report(*entry)
+
+    def _look_after(self) -> None:
+        """Tell of tasks that had ended at the last look already: of few, after a death, Dask's own word never comes."""
+        ended = {key for key, (future, _) in list(self._open.items()) if future.status != "pending"}
+        for key in ended & self._ended:
+            log.info("a task had ended unnoticed: %s", key)
+            self._end(key)
+        self._ended = ended
+
+    def _join_again(self) -> None:
+        """Join the scheduler anew: one that was restarted knows neither this client nor what it asked for.
+
+        A client of Dask's that finds it by itself has forgotten whom to tell of workers: it is given up all the same.
+        """
+        if self._cluster is not None or self._closing.is_set():
+            return
+        with suppress(Exception):  # one that looks for its scheduler may not close in time
+            self._client.close(timeout=LOOK)
+        with dask.config.set(SETTINGS):
+            self._client = self._connect(f"{RETRY:g}s")
+        log.warning("the scheduler at %s is back, with %d workers", self._scheduler, len(self._addresses))
+        self._stir()
+
+    def _count(self) -> None:
+        """The workers that there are. A round trip."""
+        found = addresses(self._client)
+        self._deaths += len(self._addresses - found)
+        self._addresses = found
+        self._stir()
+
+
+def addresses(client: Client) -> frozenset[str]:
+    """Where the workers are that a client's scheduler has."""
+    return frozenset(client.scheduler_info(n_workers=-1)["workers"])
 
 
 def start_cluster(workers: int) -> LocalCluster:
@@ -99,6 +248,7 @@ def start_cluster(workers: int) -> LocalCluster:
 
     Dask serves a health page all the same: on a free port, for two servers must not quarrel over one.
     """
+    dask.config.set(FOREVER)
     return LocalCluster(
         n_workers=workers,
         threads_per_worker=1,
@@ -111,9 +261,18 @@ def start_cluster(workers: int) -> LocalCluster:
     )
 
 
+def pid_under(nanny: Any) -> int | None:
+    """The process id of a nanny's worker; None where it has none, or its worker ends at this moment."""
+    try:
+        return cast("int | None", nanny.pid)
+    except AttributeError:
+        return None
+
+
 def report(ended: "Future[Any]", done: Done) -> None:
     """Tell ``done`` how a future ended."""
     if ended.status == "finished":
         done(ended.result(), None)
-    else:
-        done(None, ended.exception() if ended.status == "error" else WorkersError("The workers were stopped."))
+        return
+    error = ended.exception() if ended.status == "error" else WorkersAwayError("The workers were lost.")
+    done(None, LostWorkerError("the process that was to bake it died.") if isinstance(error, KilledWorker) else error)

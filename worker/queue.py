@@ -1,100 +1,35 @@
 """The queue: which chunk is baked next, and how far.
 
-Newest view first; within a view what has no light yet, and then where a second of work takes most visible error
-off the picture. Pure data: no threads, no clock of its own.
+The demand of all live views is one: a chunk that several see is baked once, for all of its texels that any wants.
+Clients take turns so that each is served as long; in its turn a client's newest view comes first, and within it what
+has no light yet, then where a second of work takes most visible error off all pictures, those near the centre
+counting most, and of equals what is nearest to final. People go before who is patient.
+Pure data: no threads, no clock of its own.
 """
 
+import itertools
+import math
 import operator
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Hashable, Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from isogi_core.bake.effort import Effort
-from isogi_core.bake.precision import FIRST_RUNG
 from isogi_core.bake.recipe import Index
-from isogi_core.frame.texels import Demand, most_seen
-from isogi_core.model.plan import MOST
+from isogi_core.frame.texels import Demand
+from worker.lanes import Lanes, Rank
 from worker.tasks import BakeResult
+from worker.viewers import GUEST, Shares, Viewer
+from worker.wants import Key, Want
 
-Key = tuple[str, Index]
-"""A chunk of a bake, by its name."""
+FORGET_AFTER, LOOK = 60.0, 1.0
+"""Seconds after which light that nobody has asked for again is no longer baked, and between two looks for such."""
 
-FORGET_AFTER = 60.0
-"""Seconds after which light that nobody has asked for again is no longer baked."""
+GROWN, SUNK = 1.5, 1.0 / 3.0
+"""How many times as much a want is worth, or by which share less, when it is moved in lanes of those who did not ask.
 
-MOST_FAILURES = 3
-"""Tries after which a chunk whose task fails is given up, until it is forgotten."""
-
-STEP = 1.0 / 8.0
-"""What a task brings the worth of the next paths of a chunk's texels down to, as a share of their mean.
-
-Small steps follow the error more closely, large ones waste less on tasks of few texels each: to the end of a view of
-82 texels a chunk (the engine at 96 pixels a side) 1/8 took 1.35 times, and 1/32 1.25 times, what single tasks took.
+For less it keeps its places: a thousand clients may look at one chunk.
 """
-
-
-@dataclass(eq=False)
-class Want:
-    """Light that somebody waits for: texels ``offsets`` of the chunk ``key``, until ``target``.
-
-    ``worth`` is the squared visible error that waits for it, over the paths taken, and ``effort`` what it takes, as
-    far as is known; ``footprints`` say how much of each texel is seen. ``least`` is the worth that paths must have to
-    be taken next, None until each texel has its first light.
-    """
-
-    key: Key
-    offsets: np.ndarray
-    footprints: np.ndarray
-    target: float
-    worth: float
-    effort: Effort
-    view: int
-    asked: float
-    least: float | None = None
-    failures: int = 0
-    trouble: str = ""
-    flying: bool = False
-
-    @property
-    def until(self) -> int:
-        """The sample count beyond which no texel is taken next."""
-        return FIRST_RUNG if self.least is None else MOST
-
-    @property
-    def given_up(self) -> bool:
-        """Whether its task failed so often that it is not tried again."""
-        return self.failures >= MOST_FAILURES
-
-    def grow(self, demand: Demand, target: float, view: int, now: float) -> None:
-        """Take in what a newer ``view`` demands of the same chunk."""
-        same = np.array_equal(demand.offsets, self.offsets)
-        if target < self.target or not (same or np.isin(demand.offsets, self.offsets).all()):
-            self.least = None
-        offsets = self.offsets if same else np.union1d(self.offsets, demand.offsets)
-        views = (self.offsets, self.footprints), (demand.offsets, demand.footprints)
-        self.offsets, self.footprints = offsets, most_seen(offsets, *views)
-        self.target = min(self.target, target)
-        self.worth, self.effort, self.view, self.asked = worth_of(demand), demand.effort, view, now
-
-    def descend(self, result: BakeResult, grown: bool) -> None:
-        """Take in what a task left: the next one goes further down.
-
-        What a newer view has told meanwhile of a want that has ``grown`` stands, and its new texels are lit first.
-        """
-        if grown:
-            self.least = None
-            return
-        self.worth, self.effort = result.worth, result.effort
-        self.least = STEP * result.worth
-
-
-def worth_of(demand: Demand) -> float:
-    """The squared visible error over the paths that the light is of, or those of its first.
-
-    The squared error falls with a power of the samples: that is what the next path takes off, times that power.
-    """
-    return demand.weight / (demand.effort.taken + FIRST_RUNG * demand.effort.unlit or FIRST_RUNG)
 
 
 @dataclass(eq=False)
@@ -110,61 +45,129 @@ class BakeQueue:
     rate: Callable[[Key], float | None] = lambda _: None
     wants: dict[Key, Want] = field(default_factory=dict)
     views: int = 0
+    looked: float = -math.inf
+    shares: Shares = field(default_factory=Shares)
+    _lanes: Lanes = field(default_factory=Lanes)
+    _claimed: dict[Hashable, dict[Key, Want]] = field(default_factory=dict)
+    _flying: dict[Index, set[str]] = field(default_factory=dict)
+    _held: dict[Index, list[Want]] = field(default_factory=dict)
+    _aside: list[tuple[float, Want]] = field(default_factory=list)
+    _alone: bool = False
 
-    def want(self, demands: Iterable[tuple[Key, Demand]], target: float) -> None:
-        """Take in what the newest view demands."""
+    def want(self, demands: Iterable[tuple[Key, Demand]], target: float, viewer: Viewer = GUEST) -> None:
+        """Take in what the newest view of a ``viewer`` demands."""
         self._forget()
         self.views += 1
         now = self.clock()
         for key, demand in demands:
-            want = self.wants.get(key)
-            if want is None:
-                seen = demand.offsets, demand.footprints
-                self.wants[key] = Want(key, *seen, target, worth_of(demand), demand.effort, self.views, now)
-            elif not want.given_up:
-                want.grow(demand, target, self.views, now)
+            want = self.wants.get(key) or self.wants.setdefault(key, Want(key))
+            if not want.given_up:
+                want.claim(demand, target, viewer, self.views, now)
+                self._note(want, viewer.client)
+        if viewer.single:
+            self._release(viewer, self.views)
+
+    def leave(self, viewer: Viewer) -> None:
+        """Drop what a ``viewer`` was the last of its client to ask for."""
+        self._release(viewer, self.views + 1)
+
+    def drop(self, bake: str) -> list[Key]:
+        """Have nothing more baked of a ``bake``; the chunks that were wanted of it."""
+        dropped = [key for key in self.wants if key[0] == bake]
+        for key in dropped:
+            self._end(self.wants[key])
+        return dropped
 
     def take(self) -> Want | None:
-        """The next chunk to work on, marked as flying; None where there is nothing to do."""
-        self._forget()
-        flying = [want.key for want in self.wants.values() if want.flying]
-        waiting = [want for want in self.wants.values() if not want.given_up and not self._busy(want.key, flying)]
-        if not waiting:
-            return None
-        best = min(waiting, key=self.rank)
-        best.flying = True
-        return best
+        """The next chunk to work on, marked as flying; None where there is nothing to do until a task has ended.
 
-    def rank(self, want: Want) -> tuple[int, bool, float]:
-        """Order of work; the smallest comes first."""
-        return -want.view, not want.effort.unlit, -want.worth / (self.rate(want.key) or 1.0)
+        What may have killed a worker comes last, and flies alone: it cannot pull down others, and is known for it.
+        """
+        self._forget()
+        self._bring_back()
+        if self._alone:
+            return None
+        for patient in (False, True):
+            for client in self.shares.turns(self._lanes.clients(patient)):
+                want = self._first(patient, client)
+                if want is not None:
+                    return self._take(want, client)
+        return None
+
+    def rank(self, want: Want, client: Hashable) -> Rank:
+        """Order of a client's work; the smallest comes first."""
+        return want.suspect, -want.claims[client].view, *self._merits(want)
+
+    def _merits(self, want: Want) -> tuple[bool, float, float]:
+        """What a want's rank is among those of a view."""
+        return not want.effort.unlit, -want.worth / (self.rate(want.key) or 1.0), want.effort.left
 
     def finish(self, key: Key, offsets: np.ndarray, target: float, result: BakeResult) -> None:
         """A task for ``offsets`` of a chunk is done: drop the want, or keep what is still open of it."""
         want = self.wants[key]
-        want.flying, want.failures = False, 0
-        grown = len(want.offsets) > len(offsets) or want.target < target
-        if result.unfinished == 0 and not grown:
+        self._land(want, result.cost.seconds)
+        want.failures, want.suspect, want.waited = 0, False, 0.0
+        grown = want.exceeds(offsets, target)
+        if not want.claims:
             del self.wants[key]
+        elif result.unfinished == 0 and not grown:
+            self._end(want)
         else:
             want.descend(result, grown)
+            self._line_up(want)
 
-    def renew(self, keys: Iterable[Key]) -> None:
-        """Say that light of ``keys`` is waited for as before."""
+    def renew(self, keys: Iterable[Key], viewer: Viewer = GUEST) -> None:
+        """Say that a ``viewer`` waits for light of ``keys`` as before."""
+        claimed = self._claimed.get(viewer.client, {})
         for want in self.open(keys):
-            want.asked = self.clock()
+            if viewer.client in want.claims:
+                want.claims[viewer.client].asked = self.clock()
+                claimed[want.key] = claimed.pop(want.key)
 
-    def fail(self, key: Key, trouble: str) -> bool:
-        """A task failed, and why: try again later, or give the chunk up. Returns whether it was given up."""
+    def fail(self, key: Key, trouble: str, suspect: bool = False) -> bool:
+        """A task failed, and why: try again later, or give the chunk up. Returns whether it was given up.
+
+        It is ``suspect`` where its worker died.
+        """
         want = self.wants[key]
-        want.flying, want.trouble = False, trouble
+        self._land(want, want.charged)
+        want.trouble, want.suspect = trouble, suspect
         want.failures += 1
+        if not want.claims:
+            del self.wants[key]
+        self._line_up(want)
         return want.given_up
+
+    def put_off(self, key: Key, seconds: float = 0.0) -> None:
+        """A task could not be done, through no fault of the chunk: it waits as before, after so many seconds."""
+        want = self.wants[key]
+        self._land(want, 0.0)
+        if not want.claims:
+            del self.wants[key]
+        want.aside, want.waited = seconds > 0.0, want.waited + seconds
+        if want.aside:
+            self._aside.append((self.clock() + seconds, want))
+        self._line_up(want)
 
     def open(self, keys: Iterable[Key]) -> list[Want]:
         """What of ``keys`` is still wanted, and not given up."""
         found = (self.wants[key] for key in keys if key in self.wants)
         return [want for want in found if not want.given_up]
+
+    def failures(self, keys: Iterable[Key]) -> dict[Key, str]:
+        """Why those of ``keys`` that were given up were."""
+        found = (self.wants[key] for key in keys if key in self.wants)
+        return {want.key: want.trouble for want in found if want.given_up}
+
+    def counts(self) -> tuple[int, int, float]:
+        """Chunks that somebody waits for, chunks that were given up, and seconds since the oldest of those was wanted.
+
+        What flies though nobody wants it any more is none of them.
+        """
+        self._forget()
+        waiting = [want.since for want in self.wants.values() if want.claims and not want.given_up]
+        age = self.clock() - min(waiting) if waiting else 0.0
+        return len(waiting), sum(want.given_up for want in self.wants.values()), age
 
     def trouble(self) -> str:
         """Why a chunk was given up, the one asked for last; empty when none is."""
@@ -172,11 +175,121 @@ class BakeQueue:
         given_up = [want for want in self.wants.values() if want.given_up]
         return max(given_up, key=lambda want: want.asked).trouble if given_up else ""
 
-    def _busy(self, key: Key, flying: list[Key]) -> bool:
+    def _note(self, want: Want, client: Hashable) -> None:
+        """A client has claimed a want: its claim is its newest, and others' lanes learn of what has changed much."""
+        self._claimed.setdefault(client, {}).pop(want.key, None)
+        self._claimed[client][want.key] = want
+        lacking, worth = want.told
+        if bool(want.effort.unlit) != lacking or want.worth >= GROWN * worth:
+            self._line_up(want)
+        elif not want.flying:
+            self._put(want, client)
+
+    def _put(self, want: Want, client: Hashable) -> None:
+        """Have a want stand where it belongs in one client's lane: the others learn when it has grown beyond that."""
+        lacking, worth = want.told
+        want.told = lacking, min(worth, want.worth)
+        self._lanes.put(want, client, self.rank(want, client))
+
+    def _line_up(self, want: Want) -> None:
+        """Have a want stand where it belongs in the lanes of all its clients; what flies does when it has landed."""
+        want.told = bool(want.effort.unlit), want.worth
+        if want.claims and want.ready:
+            merits = self._merits(want)
+            for client, claim in want.claims.items():
+                self._lanes.put(want, client, (want.suspect, -claim.view, *merits))
+
+    def _first(self, patient: bool, client: Hashable) -> Want | None:
+        """The first of a client's wants that can be worked on now; None where there is none.
+
+        One that has sunk since it was put there is put where it belongs.
+        """
+        while found := self._lanes.first(patient, client):
+            rank, want = found
+            if not want.ready:
+                continue
+            if self._busy(want.key):
+                self._held.setdefault(want.key[1], []).append(want)
+            elif sunk(rank, self.rank(want, client)):
+                self._put(want, client)
+            else:
+                return want
+        return None
+
+    def _take(self, want: Want, client: Hashable) -> Want | None:
+        """The want, flying from now on; None where it has to fly alone and others do."""
+        if want.suspect and self._flying:
+            self._put(want, client)
+            return None
+        self._fly(want, client)
+        return want
+
+    def _busy(self, key: Key) -> bool:
         """Whether a task is at the light of this chunk."""
-        return any(index == key[1] and self.shared(bake, key[0]) for bake, index in flying)
+        return any(self.shared(bake, key[0]) for bake in self._flying.get(key[1], ()))
+
+    def _fly(self, want: Want, client: Hashable) -> None:
+        """A task of a want begins, in the turn of a client."""
+        bake, index = want.key
+        self._flying.setdefault(index, set()).add(bake)
+        want.flying, want.payers, self._alone = True, tuple(want.claims), want.suspect
+        want.charged = self.shares.begin(client, want.payers)
+
+    def _land(self, want: Want, seconds: float) -> None:
+        """The task of a want has ended after so many processor seconds; what was held up by it may go on."""
+        bake, index = want.key
+        self._flying[index].remove(bake)
+        if not self._flying[index]:
+            del self._flying[index]
+        want.flying = self._alone = False
+        self.shares.end(want.payers, want.charged, seconds)
+        for held in self._held.pop(index, ()):
+            self._line_up(held)
+
+    def _bring_back(self) -> None:
+        """Line up what was put off until now."""
+        due = [want for time, want in self._aside if time <= self.clock()]
+        self._aside = [each for each in self._aside if each[1] not in due]
+        for want in due:
+            want.aside = False
+            self._line_up(want)
 
     def _forget(self) -> None:
-        horizon = self.clock() - FORGET_AFTER
-        for key in [k for k, want in self.wants.items() if want.asked < horizon and not want.flying]:
-            del self.wants[key]
+        """Drop what nobody has asked for again; not each time."""
+        if self.clock() - self.looked < LOOK:
+            return
+        self.looked, horizon = self.clock(), self.clock() - FORGET_AFTER
+        for client in tuple(self._claimed):
+            for want in self._older(client, horizon):
+                self._drop(want, client)
+
+    def _older(self, client: Hashable, horizon: float) -> list[Want]:
+        """What a client has not asked for since; these come first of all that it claims."""
+        wants = self._claimed[client].values()
+        return list(itertools.takewhile(lambda want: want.claims[client].asked < horizon, wants))
+
+    def _release(self, viewer: Viewer, view: int) -> None:
+        """Drop what a ``viewer`` claims for views before this one; not what was given up: that is tried again later."""
+        for want in list(self._claimed.get(viewer.client, {}).values()):
+            claim = want.claims[viewer.client]
+            if claim.viewer == viewer and claim.view < view and not want.given_up:
+                self._drop(want, viewer.client)
+
+    def _end(self, want: Want) -> None:
+        """Drop all that is claimed of a want."""
+        for client in tuple(want.claims):
+            self._drop(want, client)
+
+    def _drop(self, want: Want, client: Hashable) -> None:
+        """Drop a client's claim, and the want where nobody else claims it; what flies stays until it lands."""
+        want.release(client)
+        del self._claimed[client][want.key]
+        if not self._claimed[client]:
+            del self._claimed[client]
+        if not want.claims and not want.flying:
+            del self.wants[want.key]
+
+
+def sunk(rank: Rank, now: Rank) -> bool:
+    """Whether what had a ``rank`` is worth much less ``now``, or has the light that it lacked."""
+    return now[:3] > rank[:3] or now[3] - rank[3] > SUNK * abs(rank[3])

@@ -3,7 +3,7 @@
 import asyncio
 import time
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -16,10 +16,15 @@ from isogi_core.bake.noise import relative_error, standard_error
 from isogi_core.bake.precision import FIRST_RUNG
 from isogi_core.bake.recipe import Index, Recipe
 from isogi_core.bake.refine import next_samples, refine
+from isogi_core.cache.claims import Claims
 from isogi_core.cache.costs import Cost
+from isogi_core.cache.parcels import Parcels, receive_parcels
+from isogi_core.cache.place import Place
+from isogi_core.cache.root import Root
 from isogi_core.cache.store import ChunkStore
 from isogi_core.errors import SceneError
 from isogi_core.kernels.irradiance import bake_irradiance
+from isogi_core.kernels.moves import move_texels
 from isogi_core.kernels.transfer import bake_texels, locate_texels
 from isogi_core.kernels.warm import entries_of, load
 from isogi_core.model.plan import ScenePlan
@@ -39,19 +44,25 @@ class BakeTask:
 
     That is less than ``least``, see ``worths``, where they are seen by their ``footprints``; and they are final at the
     relative error ``target``. ``plan`` says what is baked; ``digest`` names the light that the server means: the
-    files may have changed since.
+    files may have changed since. Where there are ``parcels``, these are read in place of the scene's files. ``owner``
+    has it done, and claims the chunk where others are at work too; where it ``insists``, whoever claimed it before.
+    Texels lie on the isosurface that is ``shown``, where one is: see ``Look``.
     """
 
     source: SceneSource
     plan: ScenePlan
     digest: str
-    store: str
+    store: Place
     index: Index
     offsets: np.ndarray
     footprints: np.ndarray
     until: int
     least: float
     target: float
+    parcels: Parcels | None = None
+    owner: str = ""
+    insists: bool = False
+    shown: float | None = None
 
 
 @dataclass(frozen=True)
@@ -59,54 +70,99 @@ class BakeResult:
     """What a task left and took.
 
     ``unfinished`` texels are not final yet; ``worth`` is that of their next path, a mean over the paths they took, and
-    ``effort`` what they took and will. ``cost`` is what the task itself took.
+    ``effort`` what they took and will. ``cost`` is what the task itself took. It is a ``duplicate`` where all was there
+    already, and has ``healed`` the chunk where that was damaged. With somebody ``elsewhere`` at the chunk nothing was
+    done.
     """
 
     unfinished: int
     worth: float
     effort: Effort
     cost: Cost
+    duplicate: bool = False
+    healed: bool = False
+    elsewhere: bool = False
+
+
+ELSEWHERE = BakeResult(0, 0.0, Effort(0, 0.0, 0.0), Cost(), elsewhere=True)
 
 
 @lru_cache(maxsize=4)
-def recipe_of(source: SceneSource) -> Recipe:
-    """The scene, opened once a process for all of its looks."""
-    return Recipe(build_scene(source))
+def root_of(store: Place) -> Root:
+    """The root of a store, opened once a process with the process's own credentials. It was made by the server."""
+    return Root(store, make=False)
+
+
+@lru_cache(maxsize=4)
+def claims_of(store: Place) -> Claims:
+    """The claims in a store, as this process knows them."""
+    return Claims(root_of(store))
+
+
+@lru_cache(maxsize=4)
+def recipe_of(source: SceneSource, parcels: Parcels | None, store: Place) -> Recipe:
+    """The scene, opened once a process for all of its looks: from its files, or from its parcels in the store."""
+    if parcels is None:
+        return Recipe(build_scene(source))
+    received, volume = receive_parcels(source, parcels, root_of(store))
+    return Recipe(build_scene(received, volume=volume))
 
 
 @lru_cache(maxsize=16)
-def opened(source: SceneSource, plan: ScenePlan, digest: str, store: str) -> tuple[Look, ChunkStore]:
+def opened(
+    source: SceneSource,
+    plan: ScenePlan,
+    digest: str,
+    store: Place,
+    parcels: Parcels | None = None,
+    shown: float | None = None,
+) -> tuple[Look, ChunkStore]:
     """A look and its store, opened once a process, and the kernels that its bake takes.
 
     SceneError where the scene's files are not those of ``digest``.
     """
-    found = Look(recipe_of(source), plan)
+    found = Look(recipe_of(source, parcels, store), plan, shown)
     if found.digest != digest:
         recipe_of.cache_clear()
-        found = Look(recipe_of(source), plan)
+        found = Look(recipe_of(source, parcels, store), plan, shown)
     if found.digest != digest:
         raise SceneError(f"The files of the scene '{source.name}' have changed since the server began: restart it.")
     load_kernels({layer.kind for layer in plan.layers})
-    return found, ChunkStore(store, found)
+    if shown is not None:
+        load((move_texels,))
+    return found, ChunkStore(root_of(store), found)
 
 
 def bake(task: BakeTask) -> BakeResult:
-    """Do a task: read the chunk, add samples, write it back as one object.
+    """Do a task, unless somebody else is at its chunk. Raises StoreAwayError where it may be done later."""
+    look, store = opened(task.source, task.plan, task.digest, task.store, task.parcels, task.shown)
+    claims, name = claims_of(task.store), ".".join(map(str, (store.layers[0].digest, *task.index)))
+    with claims.on(name, task.owner, task.insists) as ours:
+        return filled(task, look, store, claims) if ours else ELSEWHERE
+
+
+def filled(task: BakeTask, look: Look, store: ChunkStore, claims: Claims) -> BakeResult:
+    """Read the chunk of a task, add samples, write it back as one object.
 
     The outcome depends on the texels and their sample counts alone, so a task that is done twice,
     or done again after a kill, leaves the same bytes.
     """
-    look, store = opened(task.source, task.plan, task.digest, task.store)
+    damaged = store.damaged
     chunk = store.load(task.index).with_texels(task.offsets)
+    known = [part.samples.copy() for part in chunk.light.parts]
+    chunk.light.agree_on_void()
     rows = chunk.rows_of(task.offsets)
-    light = chunk.light.rows(rows)
-    before, begun = chunk.light.rows(rows), time.process_time()
-    climb(light, chunk.positions(task.offsets), look, task)
+    light, before = chunk.light.rows(rows), chunk.light.samples[rows]
+    begun = time.process_time()
+    climb(light, look.recipe.lattice.positions(task.index, task.offsets), look, task)
     seconds = time.process_time() - begun
     chunk.light.put(rows, light)
-    pairs = zip(light.parts, before.parts, strict=True)
-    store.save(chunk, [not np.array_equal(part.samples, old.samples) for part, old in pairs])
-    return result_of(light, look, task, cost_of(light.samples, before.samples, seconds))
+    pairs = zip(chunk.light.parts, known, strict=True)
+    changed = [not np.array_equal(part.samples, old) for part, old in pairs]
+    if store.save(chunk, changed):
+        claims.meet()
+    result = result_of(light, look, task, cost_of(light.samples, before, seconds))
+    return replace(result, duplicate=not any(changed), healed=store.damaged > damaged)
 
 
 def climb(light: Light, texels: np.ndarray, look: Look, task: BakeTask) -> None:

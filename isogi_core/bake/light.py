@@ -1,10 +1,12 @@
 """The light of a set of texels: for each layer of a plan a table with one row per texel."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from isogi_core.bake.precision import VOID
+from isogi_core.bake.terms import Term
 from isogi_core.model.plan import Layer, ScenePlan
 
 
@@ -26,6 +28,12 @@ class Part:
         """Texels that no path has been sent from yet."""
         coefficients = np.zeros((texels, layer.channels, layer.order**2), np.float32)
         return cls(layer, np.zeros(texels, np.int32), np.zeros((texels, layer.noises), np.float32), coefficients)
+
+    @classmethod
+    def undefined(cls, layer: Layer, texels: int) -> "Part":
+        """Texels that are to be filled: what they hold as yet is anything."""
+        coefficients = np.empty((texels, layer.channels, layer.order**2), np.float32)
+        return cls(layer, np.empty(texels, np.int32), np.empty((texels, layer.noises), np.float32), coefficients)
 
     def rows(self, which: np.ndarray) -> "Part":
         """A copy of some rows."""
@@ -71,11 +79,28 @@ class Light:
         """Whether each texel can hold no light; (m,) bool."""
         return np.any([part.samples == VOID for part in self.parts], axis=0)
 
+    def agree_on_void(self) -> None:
+        """Make void in all parts what is so in one: a part may have been lost, or read while another is written."""
+        void = self.void
+        for part in self.parts:
+            part.samples[void] = VOID
+
     @property
     def transfer(self) -> np.ndarray:
         """The parts' sum; (m, channels, n²) float32 with the most channels and the highest order of any."""
-        channels, n = (max(part.coefficients.shape[axis] for part in self.parts) for axis in (1, 2))
-        total = np.zeros((len(self), channels, n), np.float32)
-        for part in self.parts:
-            total[:, :, : part.coefficients.shape[2]] += part.coefficients
-        return total
+        return sum_of(self.parts, max(part.layer.channels for part in self.parts))
+
+    def columns(self, terms: Sequence[Term]) -> np.ndarray:
+        """The sums of the parts of each of the ``terms``, side by side; (m, channels, Σ n²) float32."""
+        channels = max(part.layer.channels for part in self.parts)
+        sums = [sum_of([self.parts[i] for i in term.layers], channels)[:, :, : term.order**2] for term in terms]
+        return sums[0] if len(sums) == 1 else np.concatenate(sums, axis=2)
+
+
+def sum_of(parts: Sequence[Part], channels: int) -> np.ndarray:
+    """The sum of some parts' coefficients; (m, channels, n²) float32 with the highest order of any."""
+    n = max(part.coefficients.shape[2] for part in parts)
+    total = np.zeros((len(parts[0].samples), channels, n), np.float32)
+    for part in parts:
+        total[:, :, : part.coefficients.shape[2]] += part.coefficients
+    return total

@@ -8,8 +8,11 @@ from functools import cached_property
 import numpy as np
 
 from isogi_core.bake.recipe import Recipe
+from isogi_core.bake.terms import Term
+from isogi_core.model.lobes import Lobe
 from isogi_core.model.plan import Layer, ScenePlan
 from isogi_core.model.sky import LUMINANCE
+from isogi_core.plan.lobes import project_lobes
 from isogi_core.plan.planner import vicinity_plan
 from isogi_core.plan.projection import evaluate_harmonics, project_environment, sphere_nodes
 
@@ -19,15 +22,19 @@ LOOKS = ("gi", "vicinity")
 
 @dataclass(frozen=True, eq=False)
 class Look:
-    """A scene's ``recipe``, and the ``plan`` by which it is lit: the scene's own, or that of vicinity shading."""
+    """A scene's ``recipe``, and the ``plan`` by which it is lit: the scene's own, or that of vicinity shading.
+
+    A sharp look has its texels on the isosurface that is ``shown``, a normalised isovalue; see ``locate``.
+    """
 
     recipe: Recipe
     plan: ScenePlan
+    shown: float | None = None
 
     @cached_property
     def digest(self) -> str:
         """Hex name of everything that the look's light in the store depends on."""
-        return self.recipe.scene.plan_digest(self.plan)
+        return self.recipe.scene.plan_digest(self.plan, self.shown)
 
     @property
     def order(self) -> int:
@@ -72,13 +79,50 @@ class Look:
         return math.ldexp(1.0, math.frexp(self.unoccluded)[1])
 
     @cached_property
-    def square(self) -> np.ndarray:
-        """The square of the unturned light's luminance in ``unit``; (n²,) float64, see ``bake.moments``.
+    def terms(self) -> tuple[Term, ...]:
+        """The light by what it meets: all layers meet the same, but for lobes, which are not for direct light's.
 
         Irradiance is taken for the transfer, times ``unit``, of a light of this radiance.
         """
-        square = square_light(self.luminance_light.sum(axis=0) / self.unit)
-        return square * self.unit if self.plan.representation == "irradiance" else square
+        numbers = range(len(self.plan.layers))
+        straight = tuple(i for i in numbers if self.plan.layers[i].kind == "direct") if self.lobes else ()
+        groups = [group for group in (straight, tuple(i for i in numbers if i not in straight)) if group]
+        return tuple(self._term(group, self.lobes if group == straight else ()) for group in groups)
+
+    def _term(self, layers: tuple[int, ...], lobes: tuple[Lobe, ...]) -> Term:
+        order = min(max(self.plan.layers[i].order for i in layers), self.order)
+        light = self.light[:, : order**2] - project_lobes(lobes, order)
+        luminance = to_luminance(light, self.recipe.scene.albedo, self.channels)
+        square = square_light(luminance.sum(axis=0) / self.unit)
+        return Term(
+            layers, order, light, luminance, square * self.unit if self.plan.representation == "irradiance" else square
+        )
+
+    def term_of(self, layer: Layer) -> Term:
+        """The term that a ``layer`` is of; of layers beside the plan's, those of its kind decide."""
+        kinds = [{self.plan.layers[i].kind for i in term.layers} for term in self.terms]
+        return next((term for term, own in zip(self.terms, kinds, strict=True) if layer.kind in own), self.terms[0])
+
+    @property
+    def columns(self) -> int:
+        """Coefficients of a channel that frames read: those of all terms, side by side."""
+        return sum(term.order**2 for term in self.terms)
+
+    @property
+    def firsts(self) -> np.ndarray:
+        """The first column of each term; (terms,) int64."""
+        return np.cumsum([0, *(term.order**2 for term in self.terms[:-1])])
+
+    @property
+    def lobes(self) -> tuple[Lobe, ...]:
+        """The lobes that direct light in texels is without, as pixels see them themselves."""
+        return self.recipe.scene.needs.lobes[: self.plan.lobes]
+
+    @cached_property
+    def beside(self) -> np.ndarray:
+        """ℓ of the unturned lights but lobes as a surface without shadows has them; as ``Recipe.around``."""
+        around = self.recipe.around
+        return np.asarray(around - project_lobes(self.lobes, math.isqrt(around.shape[1])))
 
     def gains(self, layer: Layer) -> np.ndarray:
         """What the squared noises of a ``layer`` count in the variance of a texel's luminance; (noises,) float64.
@@ -89,8 +133,8 @@ class Look:
         direct light on five surfaces, from v_5 / v_0 = 20 after 16 samples to 2 after 1024, within a fifth.
         Channels are of the same paths, and so are their errors.
         """
-        bands = np.arange(min(layer.order, self.order))
-        light = self.luminance_light.sum(axis=0)[: len(bands) ** 2]
+        bands = np.arange(min(layer.order, self.term_of(layer).order))
+        light = self.term_of(layer).luminance.sum(axis=0)[: len(bands) ** 2]
         energy = np.add.reduceat(light**2, bands**2)
         growth = bands**2 / max((np.arange(1, layer.order) ** 2).sum() / max(layer.order - 1, 1), 1.0)
         return np.array([energy @ (1.0 - growth), energy @ growth])[: layer.noises]
@@ -111,8 +155,7 @@ class Look:
     def weights(self, layer: Layer) -> np.ndarray:
         """R^k for k = 0 … bounces, over the chance to get there, of the layer's channels; (bounces + 1, channels)."""
         albedo = np.array(self.recipe.scene.albedo[: layer.channels])
-        k = np.arange(self.plan.bounces + 1 if layer.reflected else 1)[:, None]
-        return np.asarray(albedo**k / self.plan.survival ** np.maximum(k - 1, 0))
+        return path_weights(albedo, self.plan.bounces if layer.reflected else 0, self.plan.survival)
 
     def shares(self, layers: Sequence[Layer]) -> np.ndarray:
         """What a path counts in ``layers`` that never left, or left after k = 0, 1, … bounces: R^k, or 0.
@@ -136,6 +179,15 @@ class Look:
         if layer.kind == "indirect":
             shares[:, 1] = 0.0
         return shares
+
+
+def path_weights(albedo: np.ndarray, bounces: int, survival: float, leaving: int = 0) -> np.ndarray:
+    """R^(k + ``leaving``) for k = 0 … bounces, over the chance to get there; (bounces + 1, channels) float64.
+
+    ``leaving`` 0 is of light that arrives, 1 of what leaves the surface. Chances: from the second hit on, ``survival``.
+    """
+    k = np.arange(bounces + 1)[:, None]
+    return np.asarray(albedo ** (k + leaving) / survival ** np.maximum(k - 1, 0))
 
 
 def look_name(shading: str) -> str:

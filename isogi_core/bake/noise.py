@@ -6,7 +6,7 @@ import numpy as np
 
 from isogi_core.bake.light import Light, Part
 from isogi_core.bake.look import Look, band_of
-from isogi_core.model.plan import FEWEST, most_samples
+from isogi_core.model.plan import FEWEST, Layer, most_samples
 
 FLOOR = 0.5
 """Texels darker than this share of unoccluded light are held to its error, not to their own small light's."""
@@ -52,13 +52,17 @@ def deviation(part: Part, look: Look) -> np.ndarray:
 
 
 def luminance(light: Light, look: Look) -> np.ndarray:
-    """Mean luminance of each texel over all turns of the light; (texels,) float64."""
+    """Mean luminance of each texel over all turns of the light, lobes among it; (texels,) float64."""
     total = np.zeros(len(light))
     for part in light.parts:
-        weights = look.luminance_light[:, 0]
-        weights = weights if part.layer.channels == len(weights) else weights.sum(keepdims=True)
-        total += part.coefficients[:, :, 0].astype(np.float64) @ weights
+        total += part.coefficients[:, :, 0].astype(np.float64) @ white(part.layer, look)
     return total
+
+
+def white(layer: Layer, look: Look) -> np.ndarray:
+    """What band 0 of a ``layer`` counts in the mean luminance over all turns of the light; (channels,) float64."""
+    weights = look.luminance_light[:, 0]
+    return np.array(weights if layer.channels == len(weights) else weights.sum(keepdims=True))
 
 
 def standard_error(light: Light, look: Look) -> np.ndarray:
@@ -68,7 +72,12 @@ def standard_error(light: Light, look: Look) -> np.ndarray:
 
 def level(light: Light, look: Look) -> np.ndarray:
     """The luminance that each texel's error is held against: its own, or that of FLOOR; (texels,) float64."""
-    return np.maximum(luminance(light, look), FLOOR * max(look.unoccluded, DARKEST * look.unit))
+    return np.maximum(luminance(light, look), least_level(look))
+
+
+def least_level(look: Look) -> float:
+    """The luminance that errors of the darkest texels are held against."""
+    return FLOOR * max(look.unoccluded, DARKEST * look.unit)
 
 
 def relative_error(light: Light, look: Look) -> np.ndarray:

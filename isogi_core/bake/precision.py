@@ -19,7 +19,7 @@ NOISIEST = 16.0
 """The noise, in units of a layer's scale, that code 0 stands for."""
 
 LARGEST = 65504.0
-"""The largest half float. Light of a lamp next to the surface may be more, in units of a layer's scale."""
+"""The most that is kept, in units of a layer's scale: the largest half float. A lamp next to the surface gives more."""
 
 STEPS = 8
 """Codes that halve a number: 9 % apart."""
@@ -39,8 +39,8 @@ def round_light(light: np.ndarray, layer: Layer) -> np.ndarray:
 
 
 def light_floats(light: np.ndarray, layer: Layer) -> np.ndarray:
-    """Coefficients, in units of the layer's scale, as the floats it keeps; what is beyond half floats is cut there."""
-    return np.clip(light, -LARGEST, LARGEST).astype(np.float16) if layer.half else light.astype(np.float32)
+    """Coefficients, in units of the layer's scale, as the floats it keeps; what is beyond LARGEST is cut there."""
+    return np.clip(light, -LARGEST, LARGEST).astype(np.float16 if layer.half else np.float32)
 
 
 def light_codes(light: np.ndarray) -> np.ndarray:
@@ -74,9 +74,18 @@ def noise_codes(noise: np.ndarray, scale: float) -> np.ndarray:
     return np.clip(codes, 0, SILENT).astype(np.uint8)
 
 
-def noise_of(codes: np.ndarray, scale: float) -> np.ndarray:
-    """The noise that bytes stand for, float32."""
-    return np.where(codes == SILENT, 0.0, NOISIEST * scale * 2.0 ** (codes / -STEPS)).astype(np.float32)
+def noise_of(codes: np.ndarray, scale: float | np.ndarray) -> np.ndarray:
+    """The noise that bytes stand for, float32; ``scale`` is a power of two, or one for each."""
+    return np.asarray(NOISE_OF[codes] * np.float32(scale))
+
+
+def _noise_table() -> np.ndarray:
+    """The noise that each byte stands for in units of a layer's scale; (256,) float32."""
+    codes = np.arange(256)
+    return np.where(codes == SILENT, 0.0, NOISIEST * 2.0 ** (codes / -STEPS)).astype(np.float32)
+
+
+NOISE_OF = _noise_table()
 
 
 def rung_codes(samples: np.ndarray) -> np.ndarray:
@@ -87,8 +96,17 @@ def rung_codes(samples: np.ndarray) -> np.ndarray:
 
 def samples_of(codes: np.ndarray) -> np.ndarray:
     """The sample counts that bytes stand for, int32."""
+    return SAMPLES_OF[codes]
+
+
+def _samples_table() -> np.ndarray:
+    """The sample counts that each byte stands for; (256,) int32."""
+    codes = np.arange(256)
     climbed = (FIRST_RUNG // 2) << np.where(codes == VOID_CODE, 0, codes).astype(np.int32)
     return np.where(codes == VOID_CODE, VOID, np.where(codes == 0, 0, climbed)).astype(np.int32)
+
+
+SAMPLES_OF = _samples_table()
 
 
 def next_rung(samples: int) -> int:

@@ -6,10 +6,10 @@ from functools import cached_property
 
 import numpy as np
 
-from isogi_core.bake.maps import Maps, Run, serially
+from isogi_core.bake.maps import KEPT, Maps, Run, serially
 from isogi_core.kernels.bricks import Bricks
 from isogi_core.kernels.field import OFFSET, Field
-from isogi_core.kernels.lattice import CHUNK, Lattice
+from isogi_core.kernels.lattice import Lattice
 from isogi_core.kernels.lit import Surroundings
 from isogi_core.kernels.macrocells import fill_macrocells, macrocell_shape
 from isogi_core.model.scene import Scene
@@ -25,10 +25,14 @@ Index = tuple[int, int, int]
 
 @dataclass(frozen=True, eq=False)
 class Recipe:
-    """A scene as its bake sees it. ``run`` is who works on what can be done in pieces."""
+    """A scene as its bake sees it.
+
+    ``run`` is who works on what can be done in pieces; at most ``most`` bytes of maps are kept.
+    """
 
     scene: Scene
     run: Run = serially
+    most: int = KEPT
 
     @cached_property
     def field(self) -> Field:
@@ -38,7 +42,7 @@ class Recipe:
     @cached_property
     def maps(self) -> Maps:
         """The maps of the volume's isosurfaces."""
-        return Maps(self.scene.volume.voxels, self.run)
+        return Maps(self.scene.volume.voxels, self.run, self.most)
 
     def bricks(self, lowest: float, highest: float, cancelled: threading.Event | None = None) -> Bricks:
         """The map of the cells that may hold isosurfaces from one normalised isovalue to another; see ``Maps.get``."""
@@ -58,13 +62,12 @@ class Recipe:
     def lattice(self) -> Lattice:
         """The lattice as the kernels take it."""
         x, y, z = (1.0 / self.step).tolist()
-        return Lattice(self.shape, (x, y, z))
+        return Lattice.of(self.shape, (x, y, z), self.scene.chunk)
 
     @property
     def chunks(self) -> tuple[int, int, int]:
         """Chunks along z, y, x."""
-        z, y, x = (-(-n // CHUNK) for n in self.shape)
-        return z, y, x
+        return self.lattice.chunks
 
     @cached_property
     def around(self) -> np.ndarray:

@@ -16,11 +16,9 @@ from isogi_core.bake.precision import VOID, next_rung, noise_codes, noise_of, ro
 from isogi_core.bake.recipe import Recipe
 from isogi_core.kernels.bricks import Bricks
 from isogi_core.kernels.irradiance import bake_irradiance
+from isogi_core.kernels.moves import MOVED, move_texels
 from isogi_core.kernels.transfer import bake_texels, locate_texels
 from isogi_core.model.plan import Layer, most_samples
-
-GROUPS = 32
-"""Groups of isovalues over the volume's range; one map of its cells serves the texels of one group."""
 
 NOISE_ORDER = 2
 """The least order that paths are projected to, for what it tells of the noise."""
@@ -62,7 +60,7 @@ def climb(parts: Sequence[Part], rows: np.ndarray, texels: np.ndarray, look: Loo
     """Take ``rows`` of some parts, all with as many samples, to the next rung."""
     samples = int(parts[0].samples[rows[0]])
     total = next_rung(samples)
-    place, void = locate(texels[rows], look.recipe)
+    place, void = locate(texels[rows], look.recipe, look.shown)
     sample = sample_irradiance if parts[0].layer.kind == "irradiance" else sample_transfer
     layers = [part.layer for part in parts]
     sampled = sample(layers, place, void, look, samples, total - samples)
@@ -93,13 +91,22 @@ def noise_of_new(halves: np.ndarray, second: np.ndarray, count: int, layer: Laye
     return noise_of_halves(seen, count, layer.order, even)
 
 
-def locate(texels: np.ndarray, recipe: Recipe) -> tuple[Place, np.ndarray]:
-    """Where texels lie, and which of them are void (m,)."""
+def locate(texels: np.ndarray, recipe: Recipe, shown: float | None = None) -> tuple[Place, np.ndarray]:
+    """Where texels are lit, and which of them are void (m,).
+
+    On the isosurfaces through their own points, or moved onto the one that is ``shown``, a normalised isovalue: void
+    are then those that cannot be moved, see ``move_texels``.
+    """
     m = len(texels)
     void = np.empty(m, np.bool_)
     place = (np.ascontiguousarray(texels, np.int32), np.empty((3, m)), np.empty((3, m)), np.empty(m))
-    locate_texels(recipe.field, recipe.step, *place, void)
-    return place, void
+    if shown is None:
+        locate_texels(recipe.field, recipe.step, *place, void)
+        return place, void
+    verdicts = np.empty(m, np.uint8)
+    move_texels(recipe.field, recipe.step, shown, *place[:3], verdicts)
+    place[3][:] = shown
+    return place, verdicts != MOVED
 
 
 def sample_transfer(
@@ -139,13 +146,10 @@ def sample_irradiance(
 
 def by_isovalue(isovalues: np.ndarray, void: np.ndarray, recipe: Recipe) -> Iterator[tuple[Bricks, np.ndarray]]:
     """The rows that are not void in groups of near isovalues, each with the map of its isosurfaces."""
-    groups = np.floor(np.where(void, -1.0, isovalues) * GROUPS).astype(np.int64)
-    order = np.argsort(groups, kind="stable")
-    order = order[~void[order]]
-    for rows in np.split(order, np.flatnonzero(np.diff(groups[order])) + 1):
-        if len(rows):
-            lowest = float(groups[rows[0]]) / GROUPS
-            yield recipe.bricks(lowest, lowest + 1.0 / GROUPS), rows
+    lit = np.flatnonzero(~void)
+    groups, ends = recipe.maps.groups(isovalues[lit])
+    for group in np.unique(groups):
+        yield recipe.bricks(float(ends[group]), float(ends[group + 1])), lit[groups == group]
 
 
 def add_to_mean(mean: np.ndarray, samples: int, added: np.ndarray, total: int) -> np.ndarray:

@@ -1,31 +1,37 @@
 """The illumination caches of a scene, one for each of its looks, opened when a frame first reads it."""
 
 import threading
+from collections import OrderedDict
 from dataclasses import replace
-from pathlib import Path
 
-from isogi_core.bake.look import Look, look_for, look_name
-from isogi_core.bake.recipe import Recipe
+from isogi_core.bake.look import LOOKS, Look, look_for, look_name
+from isogi_core.bake.recipe import Index, Recipe
 from isogi_core.cache.kin import adopt
 from isogi_core.cache.loader import Loader
-from isogi_core.cache.pages import PagePool
+from isogi_core.cache.pages import PagePool, page_bytes
+from isogi_core.cache.root import Root, Where
 from isogi_core.cache.store import ChunkStore
+
+SHARP = 2
+"""Isovalues whose sharp light is held in memory at once: those that were shown last."""
 
 
 class Caches:
-    """The caches of a ``recipe`` under ``root``, a folder or URL; each has ``budget`` bytes of memory.
+    """The caches of a ``recipe`` at ``root``; they have ``budget`` bytes of memory together.
 
-    Safe to use from many threads.
+    It is shared so that each has room for as many texels; sharp light has half of what is for the scene's own. Safe to
+    use from many threads.
     """
 
-    def __init__(self, recipe: Recipe, root: str | Path, budget: int) -> None:
+    def __init__(self, recipe: Recipe, root: Where, budget: int) -> None:
         """Open nothing yet."""
         self.recipe = recipe
-        self.root = root
+        self.root = Root.of(root)
         self.budget = budget
         self._looks: dict[str, Look] = {}
         self._stores: dict[str, ChunkStore] = {}
         self._open: dict[str, Loader] = {}
+        self._sharp: OrderedDict[float, Loader] = OrderedDict()
         self._lock = threading.RLock()
 
     def look(self, shading: str) -> Look:
@@ -52,5 +58,32 @@ class Caches:
         name = look_name(shading)
         with self._lock:
             if name not in self._open:
-                self._open[name] = Loader(self.store(name), PagePool(self.look(name), self.budget))
+                self._open[name] = Loader(self.store(name), PagePool(self.look(name), self._share(name)))
             return self._open[name]
+
+    def sharp(self, shown: float) -> Loader:
+        """The cache of the scene's own look with texels on the isosurface ``shown``, a normalised isovalue.
+
+        Nothing of it is made in the store before there is light.
+        """
+        with self._lock:
+            if shown not in self._sharp:
+                look = replace(self.look("gi"), shown=shown)
+                self._sharp[shown] = Loader(ChunkStore(self.root, look), PagePool(look, self._share("gi") // SHARP))
+            self._sharp.move_to_end(shown)
+            while len(self._sharp) > SHARP:
+                self._sharp.popitem(last=False)
+            return self._sharp[shown]
+
+    def refresh(self, name: str, index: Index, shown: float | None = None) -> None:
+        """Say that the store has new light of a chunk in a look, sharp where an isosurface is ``shown``."""
+        with self._lock:
+            loader = self.of(name) if shown is None else self._sharp.get(shown)
+        if loader is not None:
+            loader.refresh(index)
+
+    def _share(self, name: str) -> int:
+        """Bytes of the budget that are for a look; as many again are for sharp light of the scene's own."""
+        sizes = {each: page_bytes(self.look(each)) for each in LOOKS}
+        whole = sum(sizes.values()) + (sizes["gi"] if self.recipe.scene.sharpen else 0)
+        return self.budget * sizes[name] // whole

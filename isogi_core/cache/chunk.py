@@ -1,14 +1,14 @@
-"""One chunk of the cache: which of its texels are baked, and their light."""
+"""Chunks of the cache: which of their texels are baked, and their light."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import reduce
+from itertools import compress
 
 import numpy as np
 
 from isogi_core.bake.light import Light, Part
 from isogi_core.bake.recipe import Index
-from isogi_core.kernels.lattice import CHUNK
 from isogi_core.model.plan import Layer, ScenePlan
 
 
@@ -28,11 +28,7 @@ class Chunk:
     @classmethod
     def of_parts(cls, index: Index, layers: Sequence[Layer], found: Sequence[tuple[np.ndarray, Part]]) -> "Chunk":
         """The chunk of what was ``found`` in each layer: offsets and their part."""
-        offsets = reduce(np.union1d, [own for own, _ in found]).astype(np.int32)
-        parts = [Part.dark(layer, len(offsets)) for layer in layers]
-        for part, (own, baked) in zip(parts, found, strict=True):
-            part.put(np.searchsorted(offsets, own), baked)
-        return cls(index, offsets, Light(tuple(parts)))
+        return cls(index, *united(layers, found))
 
     def with_texels(self, offsets: np.ndarray) -> "Chunk":
         """This chunk and, dark as yet, the texels at ``offsets`` that it does not have."""
@@ -45,7 +41,45 @@ class Chunk:
         """Rows of ``light`` that belong to texels at ``offsets``, all of which the chunk must have."""
         return np.searchsorted(self.offsets, offsets)
 
-    def positions(self, offsets: np.ndarray) -> np.ndarray:
-        """Lattice indices (z, y, x) of texels at ``offsets``; (m, 3) int32."""
-        inside = np.stack(np.unravel_index(offsets, (CHUNK, CHUNK, CHUNK)), axis=-1)
-        return (inside + np.array(self.index) * CHUNK).astype(np.int32)
+
+@dataclass(frozen=True, eq=False)
+class Chunks:
+    """Texels of several chunks: those of ``indices[i]`` are the rows ``bounds[i]`` … ``bounds[i + 1]`` of ``light``.
+
+    ``bounds`` (chunks + 1,) int64; ``offsets`` (m,) int32, ascending in each chunk.
+    """
+
+    indices: tuple[Index, ...]
+    bounds: np.ndarray
+    offsets: np.ndarray
+    light: Light
+
+    @classmethod
+    def of_one(cls, chunk: Chunk) -> "Chunks":
+        """A chunk alone."""
+        return cls((chunk.index,), np.array([0, len(chunk.offsets)]), chunk.offsets, chunk.light)
+
+    @classmethod
+    def of_parts(
+        cls, indices: Sequence[Index], texels: int, layers: Sequence[Layer], found: Sequence[tuple[np.ndarray, Part]]
+    ) -> "Chunks":
+        """Those of the chunks that have texels, of what was ``found`` in each layer: places and their part.
+
+        A place is the number of the chunk among ``indices`` times the ``texels`` of one plus the offset in it.
+        """
+        places, light = united(layers, found)
+        bounds = np.searchsorted(places, np.arange(len(indices) + 1, dtype=np.int32) * np.int32(texels))
+        there = tuple(compress(indices, (np.diff(bounds) > 0).tolist()))
+        return cls(there, np.unique(bounds), places % np.int32(texels), light)
+
+
+def united(layers: Sequence[Layer], found: Sequence[tuple[np.ndarray, Part]]) -> tuple[np.ndarray, Light]:
+    """The places that were ``found`` in any of the layers, ascending, and the light of all, dark where one has none."""
+    first, parts = found[0][0], [part for _, part in found]
+    if all(np.array_equal(own, first) for own, _ in found):
+        return first.astype(np.int32), Light(tuple(parts))
+    places = reduce(np.union1d, [own for own, _ in found]).astype(np.int32)
+    wholes = [Part.dark(layer, len(places)) for layer in layers]
+    for whole, (own, part) in zip(wholes, found, strict=True):
+        whole.put(np.searchsorted(places, own), part)
+    return places, Light(tuple(wholes))

@@ -5,21 +5,24 @@ bake do. They are written whole, by the process that owns the queue: of two serv
 writes stays. Where they are lost, times are measured anew.
 """
 
+import json
 import logging
 import math
 import threading
 import time
 from bisect import bisect_left, insort
-from collections.abc import Callable
-from pathlib import Path
+from collections.abc import Callable, Iterable
+from functools import reduce
 from typing import Any, NamedTuple
-
-import zarr
 
 from isogi_core.bake.precision import FIRST_RUNG
 from isogi_core.bake.recipe import Index
+from isogi_core.cache.root import Root, Where
 
 log = logging.getLogger("isogi.cache")
+
+COSTS = "costs"
+"""The folder of all costs at the root of a store."""
 
 SAVE_EVERY = 30.0
 """Seconds after which costs that have grown are written again."""
@@ -48,11 +51,12 @@ class Cost(NamedTuple):
 
 
 class Costs:
-    """The costs of the bake ``digest`` in the store under ``root``, a folder or URL. Safe to use from many threads."""
+    """The costs of the bake ``digest`` in the store at ``root``. Safe to use from many threads."""
 
-    def __init__(self, root: str | Path, digest: str, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, root: Where, digest: str, clock: Callable[[], float] = time.monotonic) -> None:
         """Know nothing yet."""
-        self._path = f"{str(root).removeprefix('file://').rstrip('/')}/costs/{digest}"
+        self._root = Root.of(root)
+        self._key = f"{COSTS}/{digest}/zarr.json"
         self._clock = clock
         self._chunks: dict[Index, Cost] = {}
         self._rates: list[float] = []
@@ -73,6 +77,11 @@ class Costs:
         with self._lock:
             own = self._chunks.get(index, Cost()).rate
             return self._common if own is None else own
+
+    def of(self, indices: Iterable[Index]) -> Cost:
+        """The costs of some chunks together."""
+        with self._lock:
+            return reduce(Cost.plus, (self._chunks[index] for index in indices if index in self._chunks), Cost())
 
     @property
     def total(self) -> Cost:
@@ -100,10 +109,11 @@ class Costs:
     def read(self) -> None:
         """Take over what the store has. What is missing or damaged there counts as unknown."""
         try:
-            kept: Any = zarr.open_group(self._path, mode="r", zarr_format=3).attrs["chunks"]
+            found = self._root.get(self._key)
+            if found is None:
+                return
+            kept: Any = json.loads(found.data)["attributes"]["chunks"]
             chunks = {place(key): Cost(float(s), int(p), int(t), float(f)) for key, (s, p, t, f) in kept.items()}
-        except FileNotFoundError:
-            return
         except Exception as error:
             log.info("What the bake took before is unknown: %s", error)
             return
@@ -114,8 +124,10 @@ class Costs:
     def save(self, at_once: bool = True) -> None:
         """Write what has grown, or only what has been waiting for SAVE_EVERY seconds.
 
-        A store that cannot keep it is told, and asked again SAVE_EVERY seconds later.
+        A store that cannot keep it is told, and asked again SAVE_EVERY seconds later; one that is only read is not.
         """
+        if self._root.read_only:
+            return
         with self._writing:
             with self._lock:
                 if self._grown is None or not (at_once or self._clock() - self._grown >= SAVE_EVERY):
@@ -123,7 +135,8 @@ class Costs:
                 self._grown = None
                 chunks = {"/".join(map(str, index)): list(cost) for index, cost in self._chunks.items()}
             try:
-                zarr.open_group(self._path, mode="a", zarr_format=3).attrs.put({"chunks": chunks})
+                group = {"zarr_format": 3, "node_type": "group", "attributes": {"chunks": chunks}}
+                self._root.put(self._key, json.dumps(group).encode(), self._root.get(self._key))
             except Exception as error:
                 log.warning("What the bake took cannot be kept: %s", error)
                 with self._lock:

@@ -5,12 +5,12 @@ precisely, for its paths are the same. A larger layer serves in place of a small
 until the larger is baked.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Set
 from dataclasses import replace
-from pathlib import Path
 
 from isogi_core.bake.recipe import Recipe
 from isogi_core.cache.layer import LayerStore
+from isogi_core.cache.root import Root, Where
 from isogi_core.kernels.harmonics import MAX_ORDER
 from isogi_core.model.plan import Layer, ScenePlan
 
@@ -18,21 +18,34 @@ DIRECTED = 2
 """The least order of direct light that is shown in place of more: band 0 alone has no direction."""
 
 
-def adopt(plan: ScenePlan, recipe: Recipe, root: str | Path) -> ScenePlan:
-    """The plan, with layers that the store under ``root`` lacks replaced by the least larger ones that it has."""
-    return replace(plan, layers=tuple(adopted(layer, recipe, root) for layer in plan.layers))
+def adopt(plan: ScenePlan, recipe: Recipe, root: Where) -> ScenePlan:
+    """The plan, with layers that the store at ``root`` lacks replaced by the least larger ones that it has."""
+    root = Root.of(root)
+    there = frozenset(root.layers())
+    return replace(plan, layers=tuple(adopted(layer, recipe, root, there) for layer in plan.layers))
 
 
-def adopted(layer: Layer, recipe: Recipe, root: str | Path) -> Layer:
-    """The layer, or the least larger one where the store under ``root`` has light of that and none of the layer."""
+def adopted(layer: Layer, recipe: Recipe, root: Root, there: Set[str]) -> Layer:
+    """The layer, or the least larger one where the store has light of that and none of the layer.
+
+    ``there`` are the digests of what is kept at ``root``.
+    """
     candidates = (layer, *sorted(larger(layer), key=lambda kin: kin.bytes_per_texel))
-    return next((kin for kin in candidates if LayerStore(root, recipe, kin).exists), layer)
+    return next((store.layer for store in present(candidates, recipe, root, there)), layer)
 
 
-def former(layer: Layer, recipe: Recipe, root: str | Path) -> LayerStore | None:
-    """The largest of the smaller layers that the store under ``root`` has light of."""
-    stores = (LayerStore(root, recipe, kin) for kin in smaller(layer))
-    return next((store for store in stores if store.exists), None)
+def former(layer: Layer, recipe: Recipe, root: Where, shown: float | None = None) -> LayerStore | None:
+    """The largest of the smaller layers that the store at ``root`` has light of, with texels where those are."""
+    root = Root.of(root)
+    return next(present(smaller(layer), recipe, root, frozenset(root.layers()), shown), None)
+
+
+def present(
+    layers: Iterable[Layer], recipe: Recipe, root: Root, there: Set[str], shown: float | None = None
+) -> Iterator[LayerStore]:
+    """The stores of those of the ``layers`` that have light; only what is ``there`` is looked at."""
+    stores = (LayerStore(root, recipe, layer, shown) for layer in layers)
+    return (store for store in stores if store.digest in there and store.exists)
 
 
 def larger(layer: Layer) -> Iterator[Layer]:

@@ -9,33 +9,20 @@ from collections import OrderedDict
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
-from isogi_core.bake.light import Light, Part
 from isogi_core.bake.look import Look
-from isogi_core.bake.moments import path_deviation
-from isogi_core.bake.noise import DARKEST, level, standard_error
-from isogi_core.bake.precision import rung_codes, samples_of
 from isogi_core.bake.recipe import Index
-from isogi_core.cache.chunk import Chunk
-from isogi_core.cache.record import TEXELS
+from isogi_core.cache.chunk import Chunks
+from isogi_core.cache.rows import fill_rows, new_rows
 from isogi_core.errors import StoreError
-from isogi_core.kernels.lattice import BURIED_ROW, UNLIT, VOID_ROW
-from isogi_core.model.plan import FEWEST
+from isogi_core.kernels.lattice import UNLIT, Lattice
 
 PAGE = 64
 """Rows of a page."""
-
-PAGES_PER_CHUNK = 4
-"""Pages that a chunk of a surface takes at least: the table has room for so many chunks as that makes."""
-
-RUNGS = 32
-"""More than the rungs of the ladder of sample counts."""
-
-CHECKSUMS = 509
-"""Checksums of light that is only shown: with the rungs of three parts, all that single floats count exactly."""
 
 FEWEST_CHUNKS = 8
 """Chunks that the table has room for however small the budget is."""
@@ -65,23 +52,19 @@ class Held(NamedTuple):
 class PagePool:
     """Light in memory, at most ``budget`` bytes. Safe to use from many threads.
 
-    A row has the ``transfer`` (channels, n²), the ``scatter``, the relative ``error`` and the ``stamp``, see
-    ``stamps_of``. Scatter is the standard error of the luminance over the standard deviation of one path's, see
-    ``bake.moments``.
+    A row has the ``transfer`` (channels, columns of all terms), the ``scatter``, the relative ``error`` and the
+    ``stamp``: see ``fill_rows``.
     """
 
     def __init__(self, look: Look, budget: int) -> None:
         """Set the arrays aside, for what frames of ``look`` read and no more; memory is taken as they fill."""
-        n, channels = look.order**2, look.channels
-        page_bytes = PAGE * 4 * (channels * n + 3) + TEXELS * 4 // PAGES_PER_CHUNK
-        pages = max(budget // page_bytes, 1)
-        slots = max(pages // PAGES_PER_CHUNK, FEWEST_CHUNKS)
+        texels = look.recipe.lattice.texels
+        pages = max(budget // page_bytes(look), 1)
+        slots = max(pages // pages_of_sheet(look.recipe.lattice), FEWEST_CHUNKS)
         self.look = look
-        self.transfer = np.empty((pages * PAGE, channels, n), np.float32)
-        self.scatter = np.empty(pages * PAGE, np.float32)
-        self.error = np.empty(pages * PAGE, np.float32)
-        self.stamp = np.empty(pages * PAGE, np.float32)
-        self.table = np.empty((slots, TEXELS), np.int32)
+        self.rows = new_rows(look, pages * PAGE)
+        self.transfer, self.scatter, self.error, self.stamp = self.rows
+        self.table = np.empty((slots, texels), np.int32)
         self._free_pages = list(range(pages))[::-1]
         self._free_slots = list(range(slots))
         self._entries: OrderedDict[Index, Entry] = OrderedDict()
@@ -100,29 +83,24 @@ class PagePool:
             if index in self._entries:
                 self._entries[index].stale = True
 
-    def insert(self, chunk: Chunk, keep: Collection[Index] = ()) -> None:
-        """Put a decoded chunk into the pool in place of what was there; the chunks ``keep`` do not make room for it.
+    def insert(self, chunks: Chunks, keep: Collection[Index] = ()) -> None:
+        """Put decoded chunks into the pool in place of what was there; the chunks ``keep`` do not make room for them.
 
-        Raises StoreError when the budget cannot hold it.
+        Raises StoreError, and drops none, when the budget cannot hold them.
         """
-        light = chunk.light
-        rows_of_light = light.transfer[:, :, : self.look.order**2]
-        wrong = standard_error(light, self.look)
-        error = wrong / level(light, self.look)
-        scatter = wrong / np.maximum(path_deviation(light, self.look), DARKEST * self.look.unit)
-        stamps, marks = stamps_of(light), marks_of(light)
+        counts = np.diff(chunks.bounds)
         with self._lock:
             self._age += 1
-            entry = self._allocate(-(-len(chunk.offsets) // PAGE), {*keep} - {chunk.index})
-            rows = (entry.pages[:, None] * PAGE + np.arange(PAGE)).ravel()[: len(chunk.offsets)]
-            self.transfer[rows] = rows_of_light
-            self.scatter[rows], self.error[rows], self.stamp[rows] = scatter, error, stamps
-            self.table[entry.slot] = UNLIT
-            self.table[entry.slot, chunk.offsets] = np.where(marks < 0, marks, rows)
-            former = self._entries.pop(chunk.index, None)
-            self._entries[chunk.index] = entry
-            if former is not None:
-                self._release(former)
+            entries = self._allocate(-(-counts // PAGE), {*keep} - {*chunks.indices})
+            rows = rows_in([entry.pages for entry in entries], counts)
+            slots = np.array([entry.slot for entry in entries], np.int32)
+            self.table[slots] = UNLIT
+            self.table[np.repeat(slots, counts), chunks.offsets] = fill_rows(self.rows, rows, chunks.light, self.look)
+            for index, entry in zip(chunks.indices, entries, strict=True):
+                former = self._entries.pop(index, None)
+                self._entries[index] = entry
+                if former is not None:
+                    self._release(former)
 
     @contextmanager
     def hold(self, indices: Sequence[Index]) -> Iterator[Held]:
@@ -143,29 +121,31 @@ class PagePool:
                         entry.held -= 1
                         self._give_back(entry)
 
-    def _allocate(self, pages: int, keep: Collection[Index]) -> Entry:
-        """A new entry with so many pages, taken from the longest unused chunks but ``keep`` where need be."""
-        if not self._has_room(pages):
-            self._make_room(pages, [i for i, e in self._entries.items() if not e.held and i not in keep])
-        taken = np.array([self._free_pages.pop() for _ in range(pages)], np.int64)
-        return Entry(self._free_slots.pop(), taken)
+    def _allocate(self, pages: np.ndarray, keep: Collection[Index]) -> list[Entry]:
+        """New entries with so many ``pages`` each, taken from the longest unused chunks but ``keep`` where need be."""
+        total = int(pages.sum())
+        if not self._has_room(total, len(pages)):
+            self._make_room(total, len(pages), [i for i, e in self._entries.items() if not e.held and i not in keep])
+        taken = np.array([self._free_pages.pop() for _ in range(total)], np.int32)
+        bounds = [0, *np.cumsum(pages).tolist()]
+        return [Entry(self._free_slots.pop(), taken[a:b]) for a, b in pairwise(bounds)]
 
-    def _has_room(self, pages: int) -> bool:
-        return len(self._free_pages) >= pages and bool(self._free_slots)
+    def _has_room(self, pages: int, slots: int) -> bool:
+        return len(self._free_pages) >= pages and len(self._free_slots) >= slots
 
-    def _make_room(self, pages: int, spare: Sequence[Index]) -> None:
-        """Drop chunks of ``spare``, in this order, until so many pages are free.
+    def _make_room(self, pages: int, slots: int, spare: Sequence[Index]) -> None:
+        """Drop chunks of ``spare``, in this order, until so many pages and slots are free.
 
         Raises StoreError, and drops none, where all of them are too few.
         """
         most = len(self._free_pages) + sum(len(self._entries[index].pages) for index in spare)
-        if most < pages or not (spare or self._free_slots):
+        if most < pages or len(self._free_slots) + len(spare) < slots:
             raise StoreError(
                 f"The light of this view does not fit the memory for {len(self.scatter)} texels:"
                 " ask for a closer view or fewer pixels, or give light more memory."
             )
         for index in spare:
-            if self._has_room(pages):
+            if self._has_room(pages, slots):
                 return
             self._release(self._entries.pop(index))
 
@@ -182,39 +162,18 @@ class PagePool:
             entry.slot = -1
 
 
-def stamps_of(light: Light) -> np.ndarray:
-    """How far each texel is baked, as one number: RUNGS^p times the rung of each part p, summed; (texels,) float32.
-
-    Above these stands a checksum of what is shown without samples, since an earlier plan's light may grow too.
-    """
-    weights = RUNGS ** np.arange(len(light.parts))
-    rungs = weights @ [rung_codes(part.samples) for part in light.parts]
-    shown = sum(shown_bits(part) for part in light.parts)
-    return np.asarray(rungs + RUNGS ** len(light.parts) * (shown % CHECKSUMS), np.float32)
+def pages_of_sheet(lattice: Lattice) -> int:
+    """Pages that a chunk of a surface takes at least: the table has room for so many chunks as that makes."""
+    return lattice.rows // PAGE
 
 
-def shown_bits(part: Part) -> np.ndarray:
-    """The bits of coefficients as numbers, summed, of texels that have no samples; 0 of the others; (texels,) int64."""
-    sums, rows = np.zeros(len(part.samples), np.int64), np.flatnonzero(part.samples == 0)
-    sums[rows] = part.coefficients[rows].view(np.int32).sum(axis=(1, 2), dtype=np.int64)
-    return sums
+def page_bytes(look: Look) -> int:
+    """Bytes that a page of a ``look`` takes, its part of the table among them."""
+    lattice = look.recipe.lattice
+    return PAGE * 4 * (look.channels * look.columns + 3) + lattice.texels * 4 // pages_of_sheet(lattice)
 
 
-def fewest_samples(stamps: np.ndarray, parts: int) -> np.ndarray:
-    """The fewest samples of any part of texels with these ``stamps``, 0 where one is not baked; (texels,) int32."""
-    rungs = np.maximum(stamps, 0).astype(np.int64)[None] // RUNGS ** np.arange(parts)[:, None] % RUNGS
-    return samples_of(rungs.min(axis=0).astype(np.uint8))
-
-
-def marks_of(light: Light) -> np.ndarray:
-    """BURIED_ROW, VOID_ROW or UNLIT for texels of that kind, else 0; (texels,) int32.
-
-    Buried are those from which no path of any part ever left; of irradiance, dark says nothing of that. Unlit are
-    those of which reflected light alone is known: that is no light to be shown.
-    """
-    none = np.array([~part.coefficients.any(axis=(1, 2)) for part in light.parts])
-    straight = np.array([part.layer.kind != "indirect" for part in light.parts])
-    unlit = (none & [part.samples == 0 for part in light.parts])[straight].any(axis=0)
-    dark = none.all(axis=0) & all(part.layer.kind != "irradiance" for part in light.parts)
-    buried = np.where(dark & (light.samples >= FEWEST), BURIED_ROW, 0)
-    return np.where(light.void, VOID_ROW, np.where(unlit, UNLIT, buried)).astype(np.int32)
+def rows_in(pages: Sequence[np.ndarray], counts: np.ndarray) -> np.ndarray:
+    """Rows of chunks' texels, of which each has ``counts`` (chunks,): they fill its own ``pages``; (texels,) int32."""
+    each = [(own[:, None] * PAGE + np.arange(PAGE, dtype=np.int32)).ravel() for own in pages]
+    return np.concatenate([np.empty(0, np.int32), *(rows[:count] for rows, count in zip(each, counts, strict=True))])

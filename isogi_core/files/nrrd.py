@@ -7,8 +7,11 @@ whole files before it looks at the sizes, and follows a header's data file anywh
 import bz2
 import gzip
 import math
+import re
 import zlib
 from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
 from pathlib import Path, PurePath
 from typing import IO, Any
 
@@ -16,12 +19,17 @@ import nrrd
 import numpy as np
 
 from isogi_core.errors import VolumeError
+from isogi_core.files.grid import Grid, layers_of
+from isogi_core.files.stamps import stamp_of
 
 Spacing = tuple[float, float, float]
 _Stream = IO[bytes] | gzip.GzipFile | bz2.BZ2File
 
 MAX_VOXELS = 2**33
 """Sizes beyond this are taken for a damaged header (32 GiB as float32)."""
+
+MAX_HEADER = 1 << 16
+"""Bytes within which the header of a file that nobody vouches for has to end."""
 
 _SPELLINGS = {
     "i1": "signed char, int8, int8_t",
@@ -37,6 +45,8 @@ _SPELLINGS = {
 }
 _TYPES = {name: code for code, names in _SPELLINGS.items() for name in names.split(", ")}
 _GZIP, _BZIP2 = ("gzip", "gz"), ("bzip2", "bz2")
+_DATA_FILE = ("data file", "datafile")
+_HEADER_END = re.compile(rb"\n[ \t\r\f\v]*\n")
 _SCALAR_KINDS = {"domain", "space", "time", "none", "???"}
 _BLOCK = 1 << 24
 
@@ -44,21 +54,84 @@ _BLOCK = 1 << 24
 def read_nrrd(path: str | Path) -> tuple[np.ndarray, Spacing]:
     """Read one scalar volume: the array (z, y, x) in the file's own type, and spacing (x, y, z).
 
-    Attached or detached (the data file at or below the header's folder); raw, gzip or bzip2; every integer
-    and float type, both byte orders. Spacing is the length of each space direction, else ``spacings``, else
-    1; it is returned as the file says, even where it is not positive. Raises VolumeError where the file is
-    missing, not NRRD, not one 3-D scalar field, or does not hold exactly the voxels that it promises.
+    Raises VolumeError as ``open_nrrd`` and the grid's slabs do. Nothing is set aside for a promise of the header.
     """
     path = Path(path)
+    with _readable(path), open(path, "rb") as file:
+        header = _read_header(path, file)
+        with _data(path, header, file) as data:
+            return _read(path, data, header)
+
+
+def open_nrrd(path: str | Path) -> Grid:
+    """The grid of one scalar volume, of which only the header is read now.
+
+    Attached or detached (the data file at or below the header's folder); raw, gzip or bzip2; every integer
+    and float type, both byte orders. Spacing is the length of each space direction, else ``spacings``, else
+    1; it is told as the file says, even where it is not positive. Raises VolumeError where the file is
+    missing, not NRRD or not one 3-D scalar field; its slabs do where it does not hold exactly the voxels that it
+    promises.
+    """
+    path = Path(path)
+    with _readable(path), open(path, "rb") as file:
+        header = _read_header(path, file)
+        sizes, dtype = _sizes(path, header), _dtype(path, header)
+        with _data(path, header, file) as data:
+            files = (path, Path(data.name))
+        return Grid(sizes[::-1], dtype, _spacing(path, header), partial(_slabs, path), partial(stamp_of, files))
+
+
+def _slabs(path: Path) -> Iterator[np.ndarray]:
+    """The voxels of a file, some layers at a time; (layers, ny, nx) each."""
+    with _readable(path), open(path, "rb") as file:
+        header = _read_header(path, file)
+        (nx, ny, nz), dtype = _sizes(path, header), _dtype(path, header)
+        slab, rest = layers_of(nx * ny * dtype.itemsize) * nx * ny * dtype.itemsize, bytearray()
+        with _data(path, header, file) as data:
+            for block in _decoded_bytes(path, header, data, nx * ny * nz * dtype.itemsize):
+                rest += block
+                while len(rest) >= slab:
+                    yield np.frombuffer(rest[:slab], dtype).reshape(-1, ny, nx)
+                    del rest[:slab]
+        if rest:
+            yield np.frombuffer(rest, dtype).reshape(-1, ny, nx)
+
+
+@contextmanager
+def _readable(path: Path) -> Iterator[None]:
+    """Raises VolumeError, which names the volume, for a file that cannot be read."""
     try:
-        with open(path, "rb") as file:
-            header = _read_header(path, file)
-            sizes, dtype = _sizes(path, header), _dtype(path, header)
-            data = _read_voxels(path, header, file, math.prod(sizes) * dtype.itemsize)
+        yield
     except FileNotFoundError as error:
         raise VolumeError(f"There is no file '{error.filename}': check the volume's path.") from error
     except (OSError, ValueError) as error:  # ValueError: a data file's name that no system can hold
         raise VolumeError(f"The volume '{path}' cannot be read ({error}): check the file.") from error
+
+
+def read_attached(file: IO[bytes], name: str, most: int) -> tuple[np.ndarray, Spacing]:
+    """Read one scalar volume from an open file that nobody vouches for, which a person knows by its ``name``.
+
+    As ``read_nrrd``, but no other file is opened, and the header ends within MAX_HEADER bytes and speaks of at most
+    ``most`` voxels: both are seen to before anything is set aside for what it promises.
+    """
+    path = Path(name)
+    if file.read(4) == b"NRRD" and not _HEADER_END.search(file.read(MAX_HEADER)):
+        raise VolumeError(f"The NRRD header of '{path}' does not end within {MAX_HEADER} bytes: save the file again.")
+    file.seek(0)
+    header = _read_header(path, file)
+    if _data_file(header) is not None:
+        raise VolumeError(f"'{path}' is a header whose data is in another file: save both as one .nrrd file.")
+    voxels = math.prod(_sizes(path, header))
+    if voxels > most:
+        raise VolumeError(f"'{path}' has {voxels} voxels, and {most} are the most that may be: save a smaller part.")
+    return _read(path, file, header)
+
+
+def _read(path: Path, file: IO[bytes], header: dict[str, Any]) -> tuple[np.ndarray, Spacing]:
+    """The array (z, y, x) and the spacing that a ``header`` speaks of; its data begins where ``file`` is."""
+    sizes, dtype, data = _sizes(path, header), _dtype(path, header), bytearray()
+    for block in _decoded_bytes(path, header, file, math.prod(sizes) * dtype.itemsize):
+        data += block
     return np.frombuffer(data, dtype).reshape(sizes[::-1]), _spacing(path, header)
 
 
@@ -102,23 +175,31 @@ def _dtype(path: Path, header: dict[str, Any]) -> np.dtype[Any]:
     return np.dtype((order or "|") + code)
 
 
-def _read_voxels(path: Path, header: dict[str, Any], file: IO[bytes], size: int) -> bytearray:
-    """Exactly ``size`` bytes of voxels, from ``file`` or from the data file that the header names."""
-    name = header.get("data file", header.get("datafile"))
+@contextmanager
+def _data(path: Path, header: dict[str, Any], file: IO[bytes]) -> Iterator[IO[bytes]]:
+    """The file with the voxels: ``file``, which is at the byte after the header, or the one that the header names."""
+    name = _data_file(header)
     if name is None:
-        return _read_encoded(path, header, file, size)
+        yield file
+        return
     where = PurePath(name)
     if where.is_absolute() or ".." in where.parts:
         raise VolumeError(f"'{path}' points at '{name}' outside its folder: put the data beside the header.")
     if name.split()[:1] == ["LIST"] or "%" in name:
         raise VolumeError(f"'{path}' spreads its data over several files: save it as one file.")
     with open(path.parent / where, "rb") as data:
-        return _read_encoded(path, header, data, size)
+        yield data
 
 
-def _read_encoded(path: Path, header: dict[str, Any], file: IO[bytes], size: int) -> bytearray:
+def _data_file(header: dict[str, Any]) -> str | None:
+    """The file that the header says the voxels are in; None where they follow it."""
+    name: str | None = next((value for field, value in header.items() if field.lower() in _DATA_FILE), None)
+    return name
+
+
+def _decoded_bytes(path: Path, header: dict[str, Any], file: IO[bytes], size: int) -> Iterator[bytes]:
     """``size`` bytes after line skip, decoding and byte skip; VolumeError where there are fewer or more."""
-    encoding = header["encoding"].lower()
+    encoding, passed = header["encoding"].lower(), 0
     if encoding not in ("raw", *_GZIP, *_BZIP2):
         raise VolumeError(f"'{path}' has encoding '{encoding}': save it as raw, gzip or bzip2.")
     skip = _skip_lines(path, header, file, size)
@@ -126,15 +207,15 @@ def _read_encoded(path: Path, header: dict[str, Any], file: IO[bytes], size: int
         stream = _decoded(encoding, file)
         for _ in _blocks(stream, skip):
             pass
-        data = bytearray()
-        for block in _blocks(stream, size + 1):
-            data += block
+        for block in _blocks(stream, size):
+            passed += len(block)
+            yield block
+        passed += len(stream.read(1))
     except (OSError, EOFError, zlib.error) as error:
         raise VolumeError(f"The voxels of '{path}' are damaged or cut short ({error}): copy it again.") from error
-    if len(data) != size:
-        less = "fewer" if len(data) < size else "more"
+    if passed != size:
+        less = "fewer" if passed < size else "more"
         raise VolumeError(f"'{path}' holds {less} than the {size} bytes that its sizes need: copy it again.")
-    return data
 
 
 def _decoded(encoding: str, file: IO[bytes]) -> _Stream:

@@ -1,11 +1,13 @@
-"""Developing a frame: from linear light to a picture of eight bits, with the marks of state over it if asked."""
+"""Developing a frame: from linear light to a picture of eight bits, with marks over it if asked."""
 
 from functools import cache
 
 import numpy as np
 
+from isogi_core.frame.error_map import colours_of
 from isogi_core.frame.frame import Frame
 from isogi_core.kernels.film import develop_rows, fill_curve
+from isogi_core.kernels.planes import CONVERGING, FINAL
 
 BACKGROUND = (0.0103, 0.0123, 0.0160)
 """Linear RGB behind the surface: a quiet, almost black blue."""
@@ -14,6 +16,9 @@ MARK = (0.95, 0.42, 0.05)
 """Linear RGB of the overlay's hatching: amber, which no grey surface has."""
 
 LEVELS = 4096
+
+COVER = 205
+"""How much of the picture, of 256 parts, the colours of the error hide: its form still shows."""
 
 
 @cache
@@ -24,12 +29,29 @@ def tone_table() -> np.ndarray:
     return table
 
 
-def develop(frame: Frame, exposure: float, overlay: bool = False) -> np.ndarray:
+def develop(frame: Frame, exposure: float, overlay: str = "none") -> np.ndarray:
     """The picture of a frame, (h, w, 3) uint8 sRGB. ``exposure`` multiplies the light.
 
-    ``overlay`` hatches what is not final: broad where provisional, fine where converging.
+    ``overlay`` is one of the view's OVERLAYS: ``provisional`` hatches what is not final, broad where provisional,
+    fine where converging; ``error`` colours what has light by its estimated relative error, and hatches the rest.
     """
+    if overlay == "error":
+        return with_errors(frame, exposure)
+    return lit(frame, frame.state, exposure, overlay == "provisional")
+
+
+def lit(frame: Frame, state: np.ndarray, exposure: float, marked: bool) -> np.ndarray:
+    """The picture of a frame, with the marks of ``state`` (h, w) over it where ``marked``."""
     picture = np.empty(frame.radiance.shape, np.uint8)
     colours = np.array([BACKGROUND, MARK], np.float32)
-    develop_rows(frame.radiance, frame.state, 0, exposure, colours, overlay, tone_table(), picture)
+    develop_rows(frame.radiance, state, 0, exposure, colours, marked, tone_table(), picture)
+    return picture
+
+
+def with_errors(frame: Frame, exposure: float) -> np.ndarray:
+    """The picture under the colours of its errors; what has no light, and so no estimate, is hatched."""
+    known = frame.state >= CONVERGING
+    picture = lit(frame, np.where(known, np.uint8(FINAL), frame.state), exposure, marked=True)
+    below, above = picture[known].astype(np.uint16), colours_of(frame.error[known])
+    picture[known] = (below * (256 - COVER) + above.astype(np.uint16) * COVER) >> 8
     return picture

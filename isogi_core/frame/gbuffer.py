@@ -59,9 +59,15 @@ class GBuffer:
     @property
     def position(self) -> np.ndarray:
         """World coordinates of the surface in each pixel, zero off the surface; (h, w, 3) float32."""
-        picture = np.zeros((self.shape[0] * self.shape[1], 3), np.float32)
-        picture[self.pixels] = self.points * np.array(self.spacing, np.float32)
-        return picture.reshape(*self.shape, 3)
+        return self.positions(0, self.shape[0])
+
+    def positions(self, first: int, last: int) -> np.ndarray:
+        """``position`` in the rows from ``first`` to ``last``; (last - first, w, 3) float32."""
+        width = self.shape[1]
+        a, b = np.searchsorted(self.pixels, (first * width, last * width))
+        rows = np.zeros(((last - first) * width, 3), np.float32)
+        rows[self.pixels[a:b] - first * width] = self.points[a:b] * np.array(self.spacing, np.float32)
+        return rows.reshape(last - first, width, 3)
 
 
 def pinhole(camera: Camera, width: int, height: int, spacing: Vector) -> Pinhole:

@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
+from isogi_core.bake.look import path_weights
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.surroundings import Turned
 from isogi_core.frame.tiles import Tiles
@@ -32,8 +33,7 @@ class Paths:
     def weights(self) -> np.ndarray:
         """R^(k + 1) after k = 0 … bounces, over the chance to get there; (bounces + 1, 3) float64."""
         plan = self.turned.look.recipe.scene.plan
-        k = np.arange(plan.bounces + 1)[:, None]
-        return np.ascontiguousarray(self.turned.albedo ** (k + 1) / plan.survival ** np.maximum(k - 1, 0))
+        return path_weights(self.turned.albedo, plan.bounces, plan.survival, leaving=1)
 
     def add(
         self,

@@ -8,11 +8,12 @@ import numpy as np
 
 from isogi_core.bake.effort import Effort, efforts
 from isogi_core.bake.noise import good_enough
-from isogi_core.cache.pages import PagePool, fewest_samples
-from isogi_core.cache.record import TEXELS
+from isogi_core.cache.pages import PagePool
+from isogi_core.cache.rows import fewest_samples
 from isogi_core.frame.texels import Demand, ViewTexels
 from isogi_core.frame.tiles import Tiles
-from isogi_core.kernels.lattice import BURIED, BURIED_ROW, PARTIAL, UNBAKED, UNLIT, VOID, VOID_ROW, find_rows
+from isogi_core.kernels.chunks import find_rows
+from isogi_core.kernels.lattice import BURIED, BURIED_ROW, PARTIAL, UNBAKED, UNLIT, VOID, VOID_ROW
 from isogi_core.kernels.planes import CONVERGING, FINAL, Planes
 
 PIECE = 16384
@@ -26,8 +27,8 @@ class Reading:
     ``rows`` int32 are those of the pool, negative where there is no light; ``grade`` uint8 is
     UNBAKED, PARTIAL, CONVERGING, FINAL, BURIED or VOID. ``version`` tells how far each texel is baked: a
     texel's light follows from its numbers of samples; ``samples`` int32 are the fewest of any part, ``error``
-    float32 is relative. ``places`` are those of the texels; ``short`` (chunks,) says which chunks are not final at
-    the relative error ``target``.
+    float32 is relative. Texels of chunk i are ``bounds[i]`` … ``bounds[i + 1]``; ``short`` (chunks,) says which chunks
+    are not final at the relative error ``target``.
     """
 
     rows: np.ndarray
@@ -35,26 +36,30 @@ class Reading:
     version: bytes
     samples: np.ndarray
     error: np.ndarray
-    places: np.ndarray
+    bounds: np.ndarray
     short: np.ndarray
     target: float
 
     @property
     def nbytes(self) -> int:
-        """Bytes that it takes, without the places."""
+        """Bytes that it takes, without the bounds."""
         return sum(each.nbytes for each in (self.rows, self.grade, self.samples, self.error, self.short))
 
     @cached_property
     def efforts(self) -> np.ndarray:
         """What the texels of each chunk that are not final have taken and will: see ``Effort``; (chunks, 3) float64."""
         rows = np.flatnonzero(self.grade < FINAL)
-        chunks = self.places[rows].astype(np.int64) // TEXELS
-        return efforts(chunks, len(self.short), self.error[rows], self.samples[rows], self.target)
+        chunks = np.repeat(np.arange(len(self.short)), np.diff(self.bounds))
+        return efforts(chunks[rows], len(self.short), self.error[rows], self.samples[rows], self.target)
 
     @property
     def whole(self) -> bool:
         """Whether every texel holds light."""
         return not (self.rows < 0).any()
+
+    def sources(self, pool: PagePool) -> tuple[tuple[np.ndarray, PagePool], ...]:
+        """Rows of light, and the pools that they are of: all of them of the ``pool`` that was read."""
+        return ((self.rows, pool),)
 
     def demands(self, texels: ViewTexels, planes: Planes) -> tuple[Demand, ...]:
         """What the view still wants, ``planes`` being its picture."""
@@ -76,14 +81,15 @@ def read_texels(texels: ViewTexels, slots: np.ndarray, pool: PagePool, target: f
 
     def _piece(a: int, b: int) -> None:
         stamp = np.empty(b - a, np.float32)
-        find_rows(places[a:b], slots, pool.table, pool.error, pool.stamp, rows[a:b], error[a:b], stamp)
+        find_rows(texels.lattice, places[a:b], slots, pool.table, pool.error, pool.stamp, rows[a:b], error[a:b], stamp)
         samples[a:b] = fewest_samples(stamp, len(pool.look.plan.layers))
         grade[a:b] = grade_rows(rows[a:b], error[a:b], samples[a:b], target)
         digests[a] = hashlib.sha256(stamp.data).digest()
 
     tiles.run(_piece, len(places), PIECE)
     short = np.minimum.reduceat(grade, texels.bounds[:-1]) < FINAL if len(grade) else np.zeros(0, np.bool_)
-    return Reading(rows, grade, b"".join(digests[a] for a in sorted(digests)), samples, error, places, short, target)
+    version = b"".join(digests[a] for a in sorted(digests))
+    return Reading(rows, grade, version, samples, error, texels.bounds, short, target)
 
 
 GRADES = {UNLIT: UNBAKED, VOID_ROW: VOID, BURIED_ROW: BURIED}

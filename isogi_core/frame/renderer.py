@@ -2,6 +2,8 @@
 
 import hashlib
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 from isogi_core.bake.look import look_name
@@ -9,33 +11,36 @@ from isogi_core.cache.caches import Caches
 from isogi_core.cache.pages import Held, PagePool
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import GBuffer, trace
+from isogi_core.frame.lobes import LobeLight, find_lobes
 from isogi_core.frame.reading import Reading, read_texels
 from isogi_core.frame.shader import Shaded, Shader
+from isogi_core.frame.sharpening import Ways, brought, find_ways, joined
 from isogi_core.frame.stopwatch import Stopwatch
+from isogi_core.frame.surroundings import Turned
 from isogi_core.frame.texels import ViewTexels, find_texels
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kept import Kept
 from isogi_core.kernels.lanes import REGISTER
 from isogi_core.model.view import View
 
-KEPT = 128 << 20
-"""Bytes of G-buffers, and as many again of their texels, kept for turning light and for asking again."""
+KEPT = 256 << 20
+"""Bytes that are kept of views, for turning light and for asking again."""
 
-KEPT_READINGS = 16 << 20
-"""Bytes of what was read of the pool for those views."""
+READINGS = 1 / 16
+"""The share of these for what was read of the pool and of lobes, the rest is for G-buffers and their texels."""
 
 
 class Renderer:
     """Renders views of one scene. Frames may be asked for from several threads."""
 
-    def __init__(self, caches: Caches, tiles: Tiles) -> None:
-        """Render with the light that ``caches`` bring, on the threads of ``tiles``."""
+    def __init__(self, caches: Caches, tiles: Tiles, most: int = KEPT) -> None:
+        """Render with the light that ``caches`` bring, on the threads of ``tiles``; keep ``most`` bytes of views."""
         self.recipe = caches.recipe
         self.caches = caches
         self.tiles = tiles
-        self._gbuffers: Kept[Any, GBuffer] = Kept(KEPT)
-        self._texels: Kept[Any, ViewTexels] = Kept(KEPT)
-        self._readings: Kept[Any, Reading] = Kept(KEPT_READINGS)
+        readings = int(READINGS * most)
+        self._views: Kept[Any] = Kept(most - readings)  # texels hold their G-buffer, so that both go together
+        self._readings: Kept[Any] = Kept(readings)
 
     def render(
         self,
@@ -60,6 +65,8 @@ class Renderer:
             gbuffer=gbuffer,
             find_texels=lambda: self.texels(view, gbuffer, cancelled),
             read=lambda texels, pool, held, target: self._read(view, texels, pool, held, target),
+            find_lobes=lambda turned: self.lobes(turned, gbuffer, cancelled),
+            sharpen=lambda texels, reading: self._sharpen(view, texels, reading),
             watch=watch,
             cancelled=cancelled,
         )
@@ -68,23 +75,46 @@ class Renderer:
 
     def gbuffer(self, view: View, cancelled: threading.Event | None = None) -> GBuffer:
         """The G-buffer of a view, kept for the next frames that share camera, isovalue and size."""
-        return self._gbuffers.get(surface_key(view), lambda: trace(view, self.recipe, self.tiles, cancelled))
+        key = (GBuffer, surface_key(view))
+        return self._views.get(key, lambda: trace(view, self.recipe, self.tiles, cancelled))
 
     def texels(self, view: View, gbuffer: GBuffer, cancelled: threading.Event | None = None) -> ViewTexels:
         """The texels under a view, kept as its G-buffer is."""
-        key = surface_key(view)
-        return self._texels.get(key, lambda: find_texels(gbuffer, self.recipe, self.tiles, cancelled))
+        key = (ViewTexels, surface_key(view))
+        return self._views.get(key, lambda: find_texels(gbuffer, self.recipe, self.tiles, cancelled))
+
+    def lobes(self, turned: Turned, gbuffer: GBuffer, cancelled: threading.Event | None = None) -> LobeLight:
+        """What comes straight from lobes to a view, kept while neither camera nor light moves."""
+        key = (LobeLight, surface_key(turned.view), turned.view.light)
+        return self._readings.get(key, lambda: find_lobes(turned, gbuffer, self.tiles, cancelled))
 
     def forget_views(self) -> None:
         """Drop the kept G-buffers and their texels, as if every view were new."""
-        self._gbuffers.clear()
-        self._texels.clear()
+        self._views.clear()
         self._readings.clear()
 
     def _read(self, view: View, texels: ViewTexels, pool: PagePool, held: Held, target: float) -> Reading:
         """What the ``pool`` has of a view's texels, looked up anew when it has changed."""
         key = (surface_key(view), look_name(view.shading), held.age, target)
         return self._readings.get(key, lambda: read_texels(texels, held.slots, pool, target, self.tiles))
+
+    @contextmanager
+    def _sharpen(self, view: View, texels: ViewTexels, base: Reading) -> Iterator[Reading]:
+        """What a view reads besides the ``base``, which stays while the block runs: sharp light where its scene has it.
+
+        Vicinity shading has none.
+        """
+        if not self.recipe.scene.sharpen or look_name(view.shading) != "gi":
+            yield base
+            return
+        ways = self._views.get((Ways, surface_key(view)), lambda: find_ways(texels, self.recipe, self.tiles))
+        loader = self.caches.sharp(texels.gbuffer.isovalue)
+        with brought(loader, texels.chunks) as held:
+            if held is None:
+                yield base
+            else:
+                sharp = read_texels(texels, held.slots, loader.pool, base.target, self.tiles)
+                yield joined(base, sharp, ways, loader.pool)
 
     def _compose(self, view: View, gbuffer: GBuffer, shaded: Shaded, watch: Stopwatch) -> Frame:
         return Frame(
@@ -98,6 +128,7 @@ class Renderer:
             lacks=shaded.lacks,
             version=version_of(self.recipe.scene.digest, self.caches.look(view.shading).digest, view, shaded.version),
             seconds=watch.seconds,
+            sharpness=shaded.sharpness,
         )
 
 

@@ -1,19 +1,23 @@
 """Shading: the light that leaves each surface point of a view, by the model that the view asks for."""
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass
 from functools import cached_property, partial
 
 import numpy as np
 
 from isogi_core.bake.look import Look
+from isogi_core.bake.noise import DARKEST
 from isogi_core.bake.recipe import Recipe
 from isogi_core.cache.loader import Loader
 from isogi_core.cache.pages import Held, PagePool
 from isogi_core.frame.gbuffer import POINTS, GBuffer
+from isogi_core.frame.lobes import LobeLight
 from isogi_core.frame.paths import Paths, pooled_variance, replicas_for, variance_of_mean
 from isogi_core.frame.reading import Reading
+from isogi_core.frame.sharpening import Sharpened, Sharpness
 from isogi_core.frame.stopwatch import Stopwatch
 from isogi_core.frame.surroundings import Turned
 from isogi_core.frame.texels import Demand, ViewTexels
@@ -21,6 +25,7 @@ from isogi_core.frame.tiles import Piece, Tiles
 from isogi_core.kernels.bricks import Bricks
 from isogi_core.kernels.field import Field
 from isogi_core.kernels.lattice import carry_light, light_texels
+from isogi_core.kernels.lobes import add_lobes
 from isogi_core.kernels.planes import CONVERGING, FINAL, Planes
 from isogi_core.kernels.shading import find_shadows, shade_local
 from isogi_core.model.sky import LUMINANCE
@@ -36,6 +41,7 @@ class Shaded:
     chunks_final: int = 0
     lacks: Callable[[], tuple[Demand, ...]] = tuple
     version: bytes = b""
+    sharpness: Sharpness | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +49,7 @@ class Shader:
     """Shades one view.
 
     Its surface points are in ``gbuffer``; ``loader`` opens the cache of its look; ``find_texels`` tells which
-    texels those read, and ``read`` what a pool has of them at a target error.
+    texels those read, ``read`` what a pool has of them at a target error, and ``sharpen`` what is read besides.
     """
 
     look: Look
@@ -53,6 +59,8 @@ class Shader:
     gbuffer: GBuffer
     find_texels: Callable[[], ViewTexels]
     read: Callable[[ViewTexels, PagePool, Held, float], Reading]
+    find_lobes: Callable[[Turned], LobeLight]
+    sharpen: Callable[[ViewTexels, Reading], AbstractContextManager[Reading]]
     watch: Stopwatch
     cancelled: threading.Event | None
 
@@ -122,9 +130,9 @@ class Shader:
         self._normals()
         with self.watch.stage("paths"):
             Paths(self.turned, self.gbuffer, self.tiles).add(sums, 0, 0, count, self.cancelled)
-        means = sums / count
+        means = np.minimum(sums / count, np.finfo(np.float32).max)
         radiance, deviation = means.mean(axis=1), np.sqrt(pooled_variance(variance_of_mean(means), self.gbuffer))
-        error = np.clip(deviation / np.maximum(radiance @ LUMINANCE, 1e-30), 0.0, 1.0)
+        error = np.clip(deviation / np.maximum(radiance @ LUMINANCE, DARKEST * self.look.unit), 0.0, 1.0)
         self.planes.radiance[pixels] = radiance
         self.planes.state[pixels] = np.where(error <= target, FINAL, CONVERGING)
         self.planes.error[pixels] = error
@@ -137,28 +145,34 @@ class Shader:
         with self.watch.stage("texels"):
             texels = self.find_texels()
         with self.watch.stage("load"):
-            loader.ensure(texels.chunks)
-        with pool.hold(texels.chunks) as held:
+            loader.ensure(texels.chunks, self.cancelled)
+        with pool.hold(texels.chunks) as held, ExitStack() as stack:
             with self.watch.stage("read"):
-                reading = self.read(texels, pool, held, target)
+                reading = stack.enter_context(self.sharpen(texels, self.read(texels, pool, held, target)))
             with self.watch.stage("light"):
-                lit = self._light_texels(reading.rows, pool)
+                lit = self._light_texels(reading.sources(pool))
         with self.watch.stage("shade"):
             self._carry(texels, reading, lit)
+        if self.look.lobes:
+            self._add_lobes()
         needed, short = len(texels.chunks), int(reading.short.sum())
         lacks = partial(reading.demands, texels, self.planes)
-        return Shaded(self.planes, needed, needed - short, lacks, reading.version)
+        sharpness = Sharpness(texels, reading, self.planes) if isinstance(reading, Sharpened) else None
+        return Shaded(self.planes, needed, needed - short, lacks, reading.version, sharpness)
 
-    def _light_texels(self, rows: np.ndarray, pool: PagePool) -> np.ndarray:
-        """Linear RGB and standard error of each texel's light in ``Look.unit``, (texels, 4); undefined where unlit."""
-        lights = self.turned.reflected / self.look.unit, self.turned.square
-        light, square = (np.ascontiguousarray(each, np.float32) for each in lights)
-        lit = np.empty((len(rows), 4), np.float32)
+    def _light_texels(self, sources: Sequence[tuple[np.ndarray, PagePool]]) -> np.ndarray:
+        """Linear RGB and standard error of each texel's light in ``Look.unit``, (texels, 4); undefined where unlit.
+
+        Of each source those rows are read that are not negative.
+        """
+        lights, texels = self.turned.in_units, len(sources[0][0])
+        lit = np.empty((texels, 4), np.float32)
 
         def _piece(a: int, b: int) -> None:
-            light_texels(rows[a:b], pool.transfer, pool.scatter, light, square, lit[a:b])
+            for rows, pool in sources:
+                light_texels(rows[a:b], pool.transfer, pool.scatter, *lights, lit[a:b])
 
-        self._run(_piece, len(rows), self.tiles.even(len(rows)))
+        self._run(_piece, texels, self.tiles.even(texels))
         return lit
 
     def _carry(self, texels: ViewTexels, reading: Reading, lit: np.ndarray) -> None:
@@ -172,3 +186,9 @@ class Shader:
             carry_light(*place, reading.grade, lit, normals[a:b], sky, unit, planes)
 
         self._run(_piece, len(points), self.tiles.even(len(points)))
+
+    def _add_lobes(self) -> None:
+        """Bring what comes straight from lobes to the picture."""
+        with self.watch.stage("lobes"):
+            lit = self.find_lobes(self.turned).lit
+            add_lobes(self.gbuffer.pixels, lit, self.look.unit, self.planes)

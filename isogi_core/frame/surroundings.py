@@ -8,9 +8,11 @@ import numpy as np
 
 from isogi_core.bake.look import Look, band_of
 from isogi_core.kernels.harmonics import cosine_lobe_factors, rotate
+from isogi_core.kernels.lamps import DIRECTIONAL, LampArrays
 from isogi_core.kernels.lattice import Sky
 from isogi_core.kernels.lit import Surroundings
 from isogi_core.kernels.shading import LocalModel
+from isogi_core.model.plan import Layer
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import Camera, View, rotation_matrix
 
@@ -35,8 +37,12 @@ class Turned:
 
     @cached_property
     def light(self) -> np.ndarray:
-        """What texels' coefficients are multiplied by, the look's light turned; (3, n²) float64 linear RGB."""
-        return turn(self.look.light, self.matrix)
+        """What texels' columns are multiplied by, the light of each term turned, side by side; (3, Σ n²) linear RGB."""
+        return np.concatenate([turn(term.light, self.matrix) for term in self.look.terms], axis=1)
+
+    def light_of(self, layer: Layer) -> np.ndarray:
+        """What a ``layer``'s coefficients are multiplied by, turned; (3, n²) float64 linear RGB."""
+        return turn(self.look.term_of(layer).light, self.matrix)
 
     @cached_property
     def around(self) -> np.ndarray:
@@ -50,20 +56,37 @@ class Turned:
 
     @cached_property
     def reflected(self) -> np.ndarray:
-        """``light`` times the albedo: τ·ℓ is the radiance that leaves the surface; (3, n²) float64."""
+        """``light`` times the albedo: τ·ℓ is the radiance that leaves the surface; (3, Σ n²) float64."""
         return self.albedo[:, None] * self.light
 
     @cached_property
     def square(self) -> np.ndarray:
-        """The square of the luminance that ``reflected`` brings, turned; (n²,) float64, see ``Look.square``."""
-        return turn(self.look.square[None], self.matrix)[0]
+        """The square of the luminance that ``reflected`` brings, in the look's ``unit``; (Σ n²,) float64."""
+        return np.concatenate([turn(term.square[None], self.matrix)[0] for term in self.look.terms])
+
+    @property
+    def in_units(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """``reflected`` and ``square`` in the look's ``unit``, and where terms begin: as for ``light_texels``."""
+        light = np.ascontiguousarray(self.reflected / self.look.unit, np.float32)
+        return light, np.ascontiguousarray(self.square, np.float32), self.look.firsts.astype(np.int32)
+
+    @cached_property
+    def lobes(self) -> LampArrays:
+        """The look's lobes as lamps, turned; what they give is told times the albedo and in the look's ``unit``."""
+        lobes = self.look.lobes
+        discs = [disc(np.array(lobe.towards), lobe.cosine) for lobe in lobes]
+        towards = np.array([lobe.towards for lobe in lobes]).reshape(-1, 3) @ self.matrix.T
+        edges = np.array(discs).reshape(-1, 2, 3) @ self.matrix.T
+        shine = np.array([lobe.irradiance for lobe in lobes]).reshape(-1, 3) * self.albedo / (math.pi * self.look.unit)
+        return LampArrays(np.full(len(lobes), DIRECTIONAL, np.int8), towards, edges, shine)
 
     @cached_property
     def sky(self) -> Sky:
-        """Unshadowed light in the look's ``unit``, which stands in for what is not baked."""
-        order = math.isqrt(self.around.shape[1])
+        """Unshadowed light, lobes beside, in the look's ``unit``: it stands in for what is not baked."""
+        around = turn(self.look.beside, self.matrix)
+        order = math.isqrt(around.shape[1])
         lobe = cosine_lobe_factors(order)[band_of(order)] / math.pi
-        return Sky(order, lobe, self.albedo[:, None] * self.around / self.look.unit)
+        return Sky(order, lobe, self.albedo[:, None] * around / self.look.unit)
 
     @cached_property
     def surroundings(self) -> Surroundings:
@@ -123,6 +146,13 @@ def turn(light: np.ndarray, matrix: np.ndarray) -> np.ndarray:
     turned = np.empty_like(light)
     rotate(math.isqrt(light.shape[1]), matrix, light, turned)
     return turned
+
+
+def disc(towards: np.ndarray, cosine: float) -> np.ndarray:
+    """Two radii (2, 3) of the disc about the unit direction ``towards`` (3,) whose half angle has the ``cosine``."""
+    aside = np.cross(towards, np.eye(3)[np.abs(towards).argmin()])
+    east = aside / np.linalg.norm(aside)
+    return math.sqrt(1.0 - cosine**2) * np.array([east, np.cross(towards, east)])
 
 
 def shoulder_light(camera: Camera) -> tuple[float, float, float]:

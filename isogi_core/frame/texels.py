@@ -2,7 +2,7 @@
 
 import math
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -12,10 +12,11 @@ import numpy as np
 
 from isogi_core.bake.effort import Effort
 from isogi_core.bake.recipe import Index, Recipe
-from isogi_core.cache.record import TEXELS
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.tiles import Tiles
-from isogi_core.kernels.lattice import ROWS, Lattice, find_corners, find_places, mark_texels, touch_chunks, weigh_chunks
+from isogi_core.kernels.chunks import find_corners, find_places, mark_texels, touch_chunks, weigh_chunks
+from isogi_core.kernels.footprints import add_footprints
+from isogi_core.kernels.lattice import Lattice
 from isogi_core.kernels.planes import Planes
 
 LEAST_SEEN = 1 / 16
@@ -50,7 +51,7 @@ class Demand:
 class ViewTexels:
     """The texels of a ``lattice`` that a G-buffer reads, numbered 0 … m - 1, chunk by chunk.
 
-    ``chunks`` lists the chunks touched; texel t is at ``places[t]`` = chunk · TEXELS + offset, those
+    ``chunks`` lists the chunks touched; texel t is at ``places[t]`` = i · texels of a chunk + offset, those
     of chunk i are ``bounds[i]`` … ``bounds[i + 1]``; ``corners`` (points, 8) numbers the texels around each point.
     """
 
@@ -63,25 +64,30 @@ class ViewTexels:
 
     @property
     def nbytes(self) -> int:
-        """Bytes that it takes, without its G-buffer."""
-        return 2 * self.places.nbytes + self.bounds.nbytes + self.corners.nbytes
+        """Bytes that it takes, without its G-buffer; offsets and footprints are counted before they are found."""
+        return 3 * self.places.nbytes + self.bounds.nbytes + self.corners.nbytes
+
+    @property
+    def positions(self) -> np.ndarray:
+        """Lattice indices (m, 3; z, y, x) int32 of the texels."""
+        each = [self.lattice.positions(*chunk) for chunk in zip(self.chunks, self.offsets, strict=True)]
+        return np.concatenate([np.empty((0, 3), np.int32), *each])
 
     @cached_property
     def offsets(self) -> tuple[np.ndarray, ...]:
         """Where in its chunk each texel is, chunk by chunk; (m,) int32 each."""
-        offsets = (self.places % TEXELS).astype(np.int32)
+        offsets = (self.places % self.lattice.texels).astype(np.int32)
         return tuple(offsets[a:b] for a, b in pairwise(self.bounds.tolist()))
 
     @cached_property
     def footprints(self) -> tuple[np.ndarray, ...]:
         """What each texel's variance counts in the sum of the pixels', chunk by chunk; (m,) float32 each.
 
-        Pixels blend eight texels, whose noises are independent: it is the sum of the squares of a texel's shares in
-        them. One that is hardly seen counts as LEAST_SEEN of the mean, for it is to become final too.
+        It is the sum of the squares of a texel's shares in them, see ``add_footprints``. One that is hardly seen
+        counts as LEAST_SEEN of the mean, for it is to become final too.
         """
         seen = np.zeros(len(self.places))
-        for corner, share in enumerate(shares(self.gbuffer.points, self.lattice)):
-            seen += np.bincount(self.corners[:, corner], share**2, len(seen))
+        add_footprints(self.lattice, self.gbuffer.points, self.corners, seen)
         seen = np.maximum(seen, LEAST_SEEN * seen.mean()).astype(np.float32)
         return tuple(seen[a:b] for a, b in pairwise(self.bounds.tolist()))
 
@@ -89,7 +95,7 @@ class ViewTexels:
         """The squared visible error that the pixels of a picture have left in each chunk, see ``weigh_chunks``."""
         weight = np.zeros(len(self.chunks))
         height, width = self.gbuffer.shape
-        weigh_chunks(self.corners, self.places, self.gbuffer.pixels, width, height, planes, weight)
+        weigh_chunks(self.lattice, self.corners, self.places, self.gbuffer.pixels, width, height, planes, weight)
         return weight
 
 
@@ -106,27 +112,17 @@ def find_texels(gbuffer: GBuffer, recipe: Recipe, tiles: Tiles, cancelled: threa
     indices = np.argwhere(touched)
     slots = np.full(recipe.chunks, -1, np.int32)
     slots[touched] = np.arange(len(indices))
-    marks = np.zeros((-(-len(points) // share), len(indices) * ROWS), np.uint16)
+    marks = np.zeros((-(-len(points) // share), len(indices) * lattice.rows), np.uint32)
     _over_points(mark_texels, share, lambda a, b: (slots, marks[a // share]))
     read = np.bitwise_or.reduce(marks, axis=0)
     first = np.zeros(len(read) + 1, np.uint32)
     np.cumsum(np.bitwise_count(read), out=first[1:])
     places = np.empty(first[-1], np.uint32)
-    tiles.run(lambda a, b: find_places(a, b, read, first, places), len(read), tiles.even(len(read)), cancelled)
+    tiles.run(lambda a, b: find_places(lattice, a, b, read, first, places), len(read), tiles.even(len(read)), cancelled)
     corners = np.empty((len(points), 8), np.uint32)
     _over_points(find_corners, piece, lambda a, b: (slots, read, first, corners[a:b]))
     chunks = tuple((z, y, x) for z, y, x in indices.tolist())
-    return ViewTexels(gbuffer, lattice, chunks, places, first[::ROWS].copy(), corners)
-
-
-def shares(points: np.ndarray, lattice: Lattice) -> Iterator[np.ndarray]:
-    """The shares of the eight texels around each of the ``points`` (n, 3) in its light, x fastest; (n,) each."""
-    last = np.array(lattice.shape[::-1]) - 1
-    place = np.clip(points * np.array(lattice.density), 0.0, last)
-    inside = place - np.minimum(np.floor(place), last - 1)
-    for corner in range(8):
-        upper = (corner >> np.arange(3)) & 1 == 1
-        yield np.where(upper, inside, 1.0 - inside).prod(axis=1)
+    return ViewTexels(gbuffer, lattice, chunks, places, first[:: lattice.rows].copy(), corners)
 
 
 def most_seen(offsets: np.ndarray, *views: tuple[np.ndarray, np.ndarray]) -> np.ndarray:

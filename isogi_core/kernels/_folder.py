@@ -1,10 +1,10 @@
 """The folder of compiled kernels: named after their sources, and pruned when those have changed often.
 
 Numba's own cache looks at the file of a function alone: an edit of a helper in another file leaves
-old machine code in use. Here the folder is named after a digest of all kernel sources, of Numba's
-version and of the processor, so that what is loaded is always what is written. Numba also takes
-no file that was compiled from another path, or before its source was touched: the digest knows
-both, so that what the folder has is what can be loaded.
+old machine code in use, and so does a change of its settings. Here the folder is named after a digest of
+all kernel sources, of the compiler and its settings and of the processor, so that what is loaded is always
+what is written. Numba also takes no file that was compiled from another path, or before its source was
+touched: the digest knows both, so that what the folder has is what can be loaded.
 """
 
 import fcntl
@@ -15,25 +15,33 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+import llvmlite
 import llvmlite.binding as llvm
 import numba
 
 KEPT = 8
 """Folders of other sources that are kept besides the own one, those used last."""
 
+SETTINGS = (
+    *("BOUNDSCHECK", "OPT", "LOOP_VECTORIZE", "SLP_VECTORIZE", "USING_SVML", "ENABLE_AVX", "DEBUGINFO_DEFAULT"),
+    *("EXTEND_VARIABLE_LIFETIMES", "LLVM_REFPRUNE_PASS", "LLVM_REFPRUNE_FLAGS", "NRT_STATS", "ENABLE_PROFILING"),
+)
+"""Settings of Numba, from the environment, that change machine code."""
+
 IN_USE = "in-use"
 """File in a folder that its users hold a shared lock on."""
 
 
 def sources_digest() -> str:
-    """Digest of every kernel source, where and from when it is, Numba's version and the processor, as hex."""
+    """Digest of every kernel source, where and from when it is, the compiler and the processor, as hex."""
     digest = hashlib.blake2b(digest_size=8)
     for path in sorted(Path(__file__).parent.glob("*.py")):
         digest.update(f"{path} {path.stat().st_mtime_ns}".encode())
         digest.update(path.read_bytes())
     cpu = numba.config.CPU_NAME or llvm.get_host_cpu_name()
     features = numba.config.CPU_FEATURES or llvm.get_host_cpu_features().flatten()
-    digest.update(f"{numba.__version__} {cpu} {features}".encode())
+    settings = [str(getattr(numba.config, name, None)) for name in SETTINGS]
+    digest.update(f"{numba.__version__} {llvmlite.__version__} {settings} {cpu} {features}".encode())
     return digest.hexdigest()
 
 

@@ -3,8 +3,8 @@
 from numba import types
 
 from isogi_core.kernels._jit import kernel
-from isogi_core.kernels.field import FIELD
-from isogi_core.kernels.integrator import about, facing_normal, launch, to_index
+from isogi_core.kernels.field import FIELD, to_index
+from isogi_core.kernels.integrator import about, facing_normal, launch
 from isogi_core.kernels.packets import ORIGINS, SIDES, VECTOR
 from isogi_core.kernels.sampling import sample_cosine_hemisphere
 from isogi_core.kernels.vec import column, madd, put_column

@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from isogi_core.kernels._jit import kernel
-from isogi_core.kernels.intersect import REFINEMENTS, SLIVER, cubic_along, horner
+from isogi_core.kernels.intersect import BLUR, REFINEMENTS, SLIVER, cubic_along, horner
 from isogi_core.kernels.lane_memory import gather_pair
 from isogi_core.kernels.lanes import (
     bits,
@@ -86,11 +86,11 @@ def unknown(value):
 
 @kernel()
 def mixed(c):
-    """Whether corner values lie on both sides, solid being above 0, and none of them is not a number."""
+    """Whether corner values lie on both sides, solid being above 0, all of them numbers; and the largest magnitude."""
     highest = most(most(most(c[0], c[1]), most(c[2], c[3])), most(most(c[4], c[5]), most(c[6], c[7])))
     lowest = least(least(least(c[0], c[1]), least(c[2], c[3])), least(least(c[4], c[5]), least(c[6], c[7])))
     total = c[0] + c[1] + c[2] + c[3] + c[4] + c[5] + c[6] + c[7]
-    return (highest > 0.0) & ~(lowest > 0.0) & ~unknown(total)
+    return (highest > 0.0) & ~(lowest > 0.0) & ~unknown(total), most(highest, -lowest)
 
 
 @kernel()
@@ -128,17 +128,23 @@ def refine_lanes(q, lo, hi, solid, wanted):
 
 
 @kernel()
-def first_crossing_lanes(q, solid, wanted):
+def beyond(f, solid, blur):
+    """Whether the values ``f`` lie on the other side than ``solid`` by more than ``blur``."""
+    return select(solid, -f, f) > blur
+
+
+@kernel()
+def first_crossing_lanes(q, solid, blur, wanted):
     """``first_crossing`` for lanes on the side ``solid``: (t, whether there is one)."""
     end = q[0] + q[1] + q[2] + q[3] > 0.0
     b1, b2 = q[3] + q[2] / 3.0, q[3] + (2.0 * q[2] + q[1]) / 3.0
     leaves = wanted & ((end ^ solid) | ((b1 > 0.0) ^ solid) | ((b2 > 0.0) ^ solid))
     r1, r2 = turning_points_lanes(q)
     turns = r1 > 0.0
-    one = turns & ((horner(q, r1) > 0.0) ^ solid)
+    one = turns & beyond(horner(q, r1), solid, blur)
     after = select(turns, r1, 0.0)
     turns = r2 > after
-    two = turns & ((horner(q, r2) > 0.0) ^ solid)
+    two = turns & beyond(horner(q, r2), solid, blur)
     lo = select(one, 0.0, select(two, after, select(turns, r2, after)))
     hi = select(one, r1, select(two, r2, 1.0))
     crosses = leaves & (one | two | (end ^ solid))
@@ -169,8 +175,9 @@ def cross_cells(flat, shape, o, d, place, span, iso, solid):
     sure = at_home(o[0], middle, d[0], cell[0], nx) & at_home(o[1], middle, d[1], cell[1], ny)
     sure = sure & at_home(o[2], middle, d[2], cell[2], nz) & (through * longest_of(d) >= SLIVER)
     c = corners_of(flat, place, (nx, nx * ny), iso)
-    sure = sure & mixed(c)
+    holds, size = mixed(c)
+    sure = sure & holds
     a = o[0] + near * d[0] - corner[0], o[1] + near * d[1] - corner[1], o[2] + near * d[2] - corner[2]
     q = cubic_along(c, a, (d[0] * through, d[1] * through, d[2] * through))
-    t, crosses = first_crossing_lanes(q, solid, sure)
+    t, crosses = first_crossing_lanes(q, solid, BLUR * max(shape) * size, sure)
     return near + t * through, near, sure & crosses

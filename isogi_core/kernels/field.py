@@ -12,7 +12,7 @@ from numba import types
 
 from isogi_core.kernels._jit import kernel, record
 from isogi_core.kernels.reals import cube, floor_within, four, where, write
-from isogi_core.kernels.vec import column, put_column, read_columns
+from isogi_core.kernels.vec import column, is_zero, put_column, read_columns
 
 VOXELS = types.float32[:, :, ::1]
 SIXTH = 1.0 / 6.0
@@ -190,6 +190,12 @@ def gradients(field, points, first, lanes, w, out):
 
 
 @kernel(exact=True)
+def to_index(v, spacing):
+    """A world vector in index space."""
+    return (v[0] / spacing[0], v[1] / spacing[1], v[2] / spacing[2])
+
+
+@kernel(exact=True)
 def to_world_normal(g, spacing):
     """Unit outward normal of a gradient given per voxel step; (0, 0, 0) where the gradient says nothing.
 
@@ -212,6 +218,6 @@ def normal(field, p):
     n = (0.0, 0.0, 0.0)
     if field.smooth:
         n = to_world_normal(smooth_gradient(field.voxels, p), field.spacing)
-    if n[0] == 0.0 and n[1] == 0.0 and n[2] == 0.0:
+    if is_zero(n):
         n = to_world_normal(gradient(field.voxels, p), field.spacing)
     return n

@@ -44,6 +44,14 @@ def mark(state, x, y):
     return 0.0
 
 
+@kernel()
+def place_on(top, light):
+    """The place of linear ``light`` on a curve from 0 to 1 that ends at ``top``; 0 for what is no number."""
+    if not light > 0.0:
+        return 0
+    return int(min(light, 1.0) * top + 0.5)
+
+
 @kernel(
     types.void(
         types.float32[:, :, ::1],
@@ -72,7 +80,7 @@ def develop_rows(radiance, state, first, exposure, colours, overlay, curve, pict
             for c in range(3):
                 light = gain * radiance[y, x, c] if state[y, x] else colours[0, c]
                 light = (1.0 - veil) * light + veil * colours[1, c]
-                picture[y, x, c] = curve[int(min(max(light, 0.0), 1.0) * top + 0.5)]
+                picture[y, x, c] = curve[place_on(top, light)]
 
 
 @kernel("void(uint8[::1])")

@@ -7,18 +7,12 @@ and 8), the reference looks the environment up in that direction. ``waves`` walk
 import math
 
 from isogi_core.kernels._jit import kernel
-from isogi_core.kernels.field import normal, value
+from isogi_core.kernels.field import normal, to_index, value
 from isogi_core.kernels.intersect import OUTSIDE, SOLID, cast
 from isogi_core.kernels.reals import where
 from isogi_core.kernels.rng import PAIRS, point_2d
 from isogi_core.kernels.sampling import sample_cosine_hemisphere
 from isogi_core.kernels.vec import length, madd, orthonormal_basis, scale
-
-
-@kernel(exact=True)
-def to_index(v, spacing):
-    """A world vector in index space."""
-    return (v[0] / spacing[0], v[1] / spacing[1], v[2] / spacing[2])
 
 
 @kernel(exact=True)

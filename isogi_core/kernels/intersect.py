@@ -20,8 +20,24 @@ SOLID = -1
 UNKNOWN = 0
 REFINEMENTS = 48
 
-SLIVER = 1e-8
-"""Way through a cell, in voxels, below which values are rounding: more than a root's own error."""
+SLIVER = 1e-5
+"""Way through a cell, in voxels, below which values are rounding: more than a root's own error.
+
+That is the cubic root of rounding where the field hardly leaves the isovalue, at the edge of a mask.
+"""
+
+BLUR = 2e-15
+"""Rounding of a cubic's values, over the largest corner value and for each voxel of the volume's longest side.
+
+A turn that is nearer to 0 only touches it. Three roundings of a place lie between the ray and its cell, each of them
+of half a bit of a coordinate, and six times the largest corner is what the field changes by at most in a voxel.
+"""
+
+SKIN = 2.0 * SLIVER
+"""Voxels along a ray, whose side is not known, that it may begin behind the surface and still be outside.
+
+So a surface that lies in a face of the box is met from outside, wherever rounding or a sliver lets rays begin.
+"""
 
 
 @kernel()
@@ -144,8 +160,11 @@ def refine(q, lo, hi, side):
 
 
 @kernel(exact=True)
-def first_crossing(q, side):
-    """Smallest t in [0, 1] at which the cubic leaves ``side``, and the side at t = 1: (t or inf, side)."""
+def first_crossing(q, side, blur):
+    """Smallest t in [0, 1] at which the cubic leaves ``side``, and the side at t = 1: (t or inf, side).
+
+    Where it turns within ``blur`` of 0 it only touches the surface, and stays on its side.
+    """
     last = SOLID if q[0] + q[1] + q[2] + q[3] > 0.0 else OUTSIDE
     b1, b2 = q[3] + q[2] / 3.0, q[3] + (2.0 * q[2] + q[1]) / 3.0
     solid = side == SOLID
@@ -154,11 +173,11 @@ def first_crossing(q, side):
     r1, r2 = turning_points(q)
     lo = 0.0
     if r1 > lo:
-        if (horner(q, r1) > 0.0) != solid:
+        if horner(q, r1) * side > blur:
             return refine(q, lo, r1, side), last
         lo = r1
     if r2 > lo:
-        if (horner(q, r2) > 0.0) != solid:
+        if horner(q, r2) * side > blur:
             return refine(q, lo, r2, side), last
         lo = r2
     if last != side:
@@ -206,22 +225,24 @@ def cross_cell(voxels, iso, o, d, inv, cell, near, far, side):
     edge says nothing: the side is carried past it.
     """
     near, far = cut_cell(o, inv, cell, near, far)
-    if not (far - near) * max(abs(d[0]), abs(d[1]), abs(d[2])) >= SLIVER:
+    through = (far - near) * max(abs(d[0]), abs(d[1]), abs(d[2]))
+    if not through >= SLIVER:
         return math.inf, side
     c = corners(voxels, cell[0], cell[1], cell[2], iso)
     if math.isnan(c[0] + c[1] + c[2] + c[3] + c[4] + c[5] + c[6] + c[7]):
         return math.inf, UNKNOWN
-    solid = 0
+    solid, size = 0, 0.0
     for corner in c:
         solid += corner > 0.0
+        size = max(size, abs(corner))
     if solid == 0 or solid == 8:
         return settle(near, side, SOLID if solid else OUTSIDE)
     a = (o[0] + near * d[0] - cell[0], o[1] + near * d[1] - cell[1], o[2] + near * d[2] - cell[2])
     span = far - near
     q = cubic_along(c, a, (d[0] * span, d[1] * span, d[2] * span))
     if side == UNKNOWN:
-        side = SOLID if q[3] > 0.0 else OUTSIDE
-    t, last = first_crossing(q, side)
+        side = SOLID if q[3] * through > SKIN * abs(q[2]) else OUTSIDE
+    t, last = first_crossing(q, side, BLUR * max(voxels.shape) * size)
     return (near + t * span, side) if t < math.inf else (math.inf, last)
 
 
@@ -265,7 +286,7 @@ def cast(field, iso, o, d, side):
     near0, far = clip_box(field.voxels, o, d)
     if not near0 < far:
         return math.inf, UNKNOWN
-    near = near0
+    near, t, longest = near0, math.inf, max(abs(d[0]), abs(d[1]), abs(d[2]))
     nz, ny, nx = field.voxels.shape
     mz, my, mx = field.low.shape
     p = madd(o, near, d)
@@ -276,12 +297,11 @@ def cast(field, iso, o, d, side):
     while 0 <= i < mx and 0 <= j < my and 0 <= k < mz:
         face, si, sj, sk = leave_block(o, inv, (i, j, k), SIZE)
         leave = max(near, min(face, far))
-        if field.low[k, j, i] > iso:
-            t, side = settle(near, side, SOLID)
-        elif field.high[k, j, i] <= iso:
-            t, side = settle(near, side, OUTSIDE)
-        else:
+        solid = field.low[k, j, i] > iso
+        if not (solid or field.high[k, j, i] <= iso):
             t, side = cross_macrocell(field.voxels, iso, o, d, inv, (i, j, k), (near0, far), near, leave, side)
+        elif (leave - near) * longest >= SLIVER:
+            t, side = settle(near, side, SOLID if solid else OUTSIDE)
         if t < math.inf:
             return t, side
         if leave >= far:

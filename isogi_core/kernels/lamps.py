@@ -70,10 +70,11 @@ def illuminate(lamps, k, p, n, u, v):
         return w, math.inf, scale(colour, max(dot(n, w), 0.0) / cosine)
     away = sub(madd(madd(place, u, row(edges, 0)), v, row(edges, 1)), p)
     distance = length(away)
-    if not distance > 0.0:
+    square = distance * distance
+    if not square > 0.0:
         return n, 0.0, NOTHING
     w = scale(away, 1.0 / distance)
-    share = max(dot(n, w), 0.0) / (distance * distance)
+    share = max(dot(n, w), 0.0) / square
     if lamps.kinds[k] == AREA:
         share *= max(-dot(w, cross(row(edges, 0), row(edges, 1))), 0.0)
     return w, distance, scale(colour, share)

@@ -1,8 +1,7 @@
-"""The illumination lattice under a view: which texels its pixels read, and their light carried to the pixels.
+"""The illumination lattice under a view: the texels around a point, and their light carried to the pixels.
 
-A pixel reads the eight texels around its surface point (S1, section 4.2). Texels are grouped in
-cubic chunks; a view numbers the chunks it touches (slots) and the texels it reads, so that
-light is computed once per texel and not once per pixel.
+A pixel reads the eight texels around its surface point (S1, section 4.2). Light is computed once per texel that a
+view reads, see ``chunks``, and not once per pixel.
 """
 
 import math
@@ -16,7 +15,7 @@ from isogi_core.kernels.lights import unshadowed
 from isogi_core.kernels.planes import FINAL, PLANES, PROVISIONAL, luminance, put_pixel
 
 CHUNK = 16
-"""Texels along each side of a chunk."""
+"""Texels along each side of a chunk, where a scene does not say."""
 
 UNLIT = -1
 """Row of a texel that is not baked yet."""
@@ -34,6 +33,8 @@ It stands for reflected light, whose noise hardly follows the light. Without mos
 lie within 1.96 times their standard error, with it 92.5 %; frames' errors are told alike.
 """
 
+Shape = tuple[int, int, int]
+
 DARK = np.float32(0.0)
 DARKEST = np.float32(1e-30)
 ONE = np.float32(1.0)
@@ -44,27 +45,50 @@ UNBAKED, PARTIAL, BURIED, VOID = 0, PROVISIONAL, FINAL + 1, FINAL + 2
 The latter two take nothing from a point's state.
 """
 
-ROWS = CHUNK**2
-"""Rows of a chunk."""
-
-WHOLE_ROW = (1 << CHUNK) - 1
-"""Bits of the texels of a row."""
-
 
 class Lattice(NamedTuple):
-    """Texels along z, y, x, and texels per voxel along x, y, z."""
+    """Texels along z, y, x, and texels per voxel along x, y, z; chunks have 1 << ``bits`` texels along each side."""
 
-    shape: tuple[int, int, int]
+    shape: Shape
     density: tuple[float, float, float]
+    bits: int
+
+    @classmethod
+    def of(cls, shape: Shape, density: tuple[float, float, float], chunk: int = CHUNK) -> "Lattice":
+        """The lattice with so many texels along each side of a ``chunk``, a power of two up to 32."""
+        return cls(shape, density, chunk.bit_length() - 1)
+
+    @property
+    def chunk(self) -> int:
+        """Texels along each side of a chunk."""
+        return 1 << self.bits
+
+    @property
+    def rows(self) -> int:
+        """Rows of texels along x of a chunk."""
+        return 1 << 2 * self.bits
+
+    @property
+    def texels(self) -> int:
+        """Texels of a whole chunk."""
+        return 1 << 3 * self.bits
+
+    @property
+    def chunks(self) -> Shape:
+        """Chunks along z, y, x."""
+        z, y, x = (-(-n // self.chunk) for n in self.shape)
+        return z, y, x
+
+    def positions(self, index: Shape, offsets: np.ndarray) -> np.ndarray:
+        """Lattice indices (z, y, x) of the texels at ``offsets`` of the chunk ``index`` (z, y, x); (m, 3) int32."""
+        inside = np.stack(np.unravel_index(offsets, (self.chunk,) * 3), axis=-1)
+        return (inside + np.array(index) * self.chunk).astype(np.int32)
 
 
-LATTICE = record(Lattice, types.UniTuple(types.int64, 3), types.UniTuple(types.float64, 3))
+LATTICE = record(Lattice, types.UniTuple(types.int64, 3), types.UniTuple(types.float64, 3), types.int64)
 POINTS = types.float32[:, ::1]
 CORNERS = types.uint32[:, ::1]
-PLACES = types.uint32[::1]
 PIXELS = types.uint32[::1]
-SLOTS = types.int32[:, :, ::1]
-BITS = types.uint16[::1]
 
 
 @kernel()
@@ -87,150 +111,6 @@ def base_texel(lattice, points, m):
     return z, y, x, fz, fy, fx
 
 
-@kernel(types.void(LATTICE, POINTS, types.boolean[:, :, ::1]))
-def touch_chunks(lattice, points, touched):
-    """Set ``touched`` (chunks z, y, x) for each chunk that a point reads."""
-    for m in range(points.shape[0]):
-        z, y, x, _, _, _ = base_texel(lattice, points, m)
-        k, j, i = z // CHUNK, y // CHUNK, x // CHUNK
-        touched[k, j, i] = True
-        if (z + 1) // CHUNK > k or (y + 1) // CHUNK > j or (x + 1) // CHUNK > i:
-            for c in range(1, 8):
-                touched[(z + (c >> 2)) // CHUNK, (y + ((c >> 1) & 1)) // CHUNK, (x + (c & 1)) // CHUNK] = True
-
-
-@kernel()
-def row_of(slots, z, y, x):
-    """Place of a texel's row of CHUNK texels along x, among the rows of all touched chunks."""
-    return slots[z // CHUNK, y // CHUNK, x // CHUNK] * ROWS + (z % CHUNK) * CHUNK + y % CHUNK
-
-
-@kernel()
-def rows_around(slots, z, y, x):
-    """``row_of`` the four rows of a lattice cell, y faster than z: from its own chunk where all are in that."""
-    r = row_of(slots, z, y, x)
-    if z % CHUNK < CHUNK - 1 and y % CHUNK < CHUNK - 1:
-        return r, r + 1, r + CHUNK, r + CHUNK + 1
-    return r, row_of(slots, z, y + 1, x), row_of(slots, z + 1, y, x), row_of(slots, z + 1, y + 1, x)
-
-
-@kernel(types.void(LATTICE, POINTS, SLOTS, BITS))
-def mark_texels(lattice, points, slots, read):
-    """Set in ``read`` (slots · ROWS,), a bit for each texel of a row, those that a point reads.
-
-    ``slots`` (z, y, x) numbers the touched chunks. Threads each need a ``read`` of their own.
-    """
-    for m in range(points.shape[0]):
-        z, y, x, _, _, _ = base_texel(lattice, points, m)
-        i = x % CHUNK
-        for r in rows_around(slots, z, y, x):
-            read[r] |= (3 << i) & WHOLE_ROW
-        if i == CHUNK - 1:
-            for r in rows_around(slots, z, y, x + 1):
-                read[r] |= 1
-
-
-@kernel()
-def ones(word):
-    """Bits that are set in a non-negative number."""
-    count = 0
-    while word:
-        word &= word - 1
-        count += 1
-    return count
-
-
-@kernel(types.void(LATTICE, POINTS, SLOTS, BITS, PLACES, CORNERS))
-def find_corners(lattice, points, slots, read, first, corners):
-    """Fill ``corners`` (points, 8), x fastest, with the view's own numbers of the texels.
-
-    Texels are numbered row by row as ``mark_texels`` left them in ``read``; ``first`` (slots · ROWS,)
-    is the number of each row's first.
-    """
-    for m in range(points.shape[0]):
-        z, y, x, _, _, _ = base_texel(lattice, points, m)
-        i = x % CHUNK
-        for c, r in enumerate(rows_around(slots, z, y, x)):
-            number = first[r] + ones(int(read[r]) & ((1 << i) - 1))
-            corners[m, 2 * c], corners[m, 2 * c + 1] = number, number + 1
-        if i == CHUNK - 1:
-            for c, r in enumerate(rows_around(slots, z, y, x + 1)):
-                corners[m, 2 * c + 1] = first[r]
-
-
-@kernel(types.void(types.int64, types.int64, BITS, PLACES, PLACES))
-def find_places(begin, end, read, first, places):
-    """Write to ``places`` (texels,) where the texels of the rows ``begin`` … ``end`` are: slot · CHUNK³ + offset."""
-    for r in range(begin, end):
-        word, place, number = int(read[r]), r * CHUNK, first[r]
-        while word:
-            if word & 1:
-                places[number] = place
-                number += 1
-            word >>= 1
-            place += 1
-
-
-@kernel()
-def borders(place):
-    """Along which axes (bit 0 is x, bit 1 is y, bit 2 is z) a texel is the last of its chunk."""
-    x, y, z = place % CHUNK, place // CHUNK % CHUNK, place // CHUNK**2 % CHUNK
-    return int(x == CHUNK - 1) | int(y == CHUNK - 1) << 1 | int(z == CHUNK - 1) << 2
-
-
-@kernel()
-def visible_error(planes, pixel):
-    """(luminance · error)² of a pixel, which is how wrong it looks; 0 where it is final."""
-    if planes.state[pixel] == FINAL:
-        return 0.0
-    light = (planes.radiance[pixel, 0], planes.radiance[pixel, 1], planes.radiance[pixel, 2])
-    return np.float64(luminance(*light) * planes.error[pixel]) ** 2
-
-
-@kernel(types.void(CORNERS, PLACES, PIXELS, types.int64, types.int64, PLANES, types.float64[::1]))
-def weigh_chunks(corners, places, pixels, width, height, planes, weight):
-    """Add to ``weight`` (chunks,) the ``visible_error`` of the points that read each chunk.
-
-    It counts twice in the middle of the picture, and once in its corners.
-    """
-    for m in range(corners.shape[0]):
-        wrong = visible_error(planes, pixels[m])
-        if wrong == 0.0:
-            continue
-        y, x = divmod(np.int64(pixels[m]), width)
-        wrong *= 2.0 - 0.5 * (((2 * x + 1) / width - 1.0) ** 2 + ((2 * y + 1) / height - 1.0) ** 2)
-        crossed = borders(places[corners[m, 0]])
-        for c in range(8):
-            if c & crossed == c:
-                weight[places[corners[m, c]] // CHUNK**3] += wrong
-
-
-@kernel(
-    types.void(
-        PLACES,
-        types.int32[::1],
-        types.int32[:, ::1],
-        types.float32[::1],
-        types.float32[::1],
-        types.int32[::1],
-        types.float32[::1],
-        types.float32[::1],
-    )
-)
-def find_rows(places, slots, table, error, stamp, rows, own_error, own_stamp):
-    """Where the light of the texels at ``places`` is kept, and how far it is baked; all outputs (texels,).
-
-    ``slots`` (chunks of the view,) leads to rows of the ``table``, -1 where a chunk is absent; texels
-    without light get UNLIT, VOID_ROW or BURIED_ROW for their ``rows`` and their ``own_stamp``.
-    """
-    for t in range(places.shape[0]):
-        slot = slots[places[t] // CHUNK**3]
-        row = table[slot, places[t] % CHUNK**3] if slot >= 0 else UNLIT
-        rows[t] = row
-        own_error[t] = error[row] if row >= 0 else 0.0
-        own_stamp[t] = stamp[row] if row >= 0 else row
-
-
 @kernel(
     types.void(
         types.int32[::1],
@@ -238,16 +118,18 @@ def find_rows(places, slots, table, error, stamp, rows, own_error, own_stamp):
         types.float32[::1],
         types.float32[:, ::1],
         types.float32[::1],
+        types.int32[::1],
         types.float32[:, ::1],
     ),
     any_order=True,
 )
-def light_texels(rows, transfer, scatter, light, square, lit):
+def light_texels(rows, transfer, scatter, light, square, firsts, lit):
     """Fill ``lit`` (m, 4): linear RGB radiance and standard error of its luminance, per texel and in units of a look.
 
     ``transfer`` (row, channels, n) holds τ, ``scatter`` (row,) the standard error over the standard deviation of one
     path's luminance; ``light`` (3, n) is the turned environment times the albedo over ``Look.unit``, ``square`` (n,)
-    the square of its luminance. Radiance is τ·ℓ (S1, eq. 9), cut to 0 where negative; one path's variance
+    the square of its luminance. The columns are those of terms that meet lights of their own, side by side; their
+    first ones are ``firsts``. Radiance is τ·ℓ (S1, eq. 9), cut to 0 where negative; one path's variance
     is τ·q - (τ·ℓ)², see ``bake.moments``. The sums are written out here, so that they run in vectors.
     """
     blue = transfer.shape[1] - 1
@@ -262,8 +144,11 @@ def light_texels(rows, transfer, scatter, light, square, lit):
             g += transfer[row, green, i] * light[1, i]
             b += transfer[row, blue, i] * light[2, i]
             second += transfer[row, green, i] * square[i]
-        mean, least = luminance(r, g, b), LEAST_SPREAD * max(transfer[row, green, 0] * square[0], DARK)
-        spread = math.sqrt(max(second - mean * mean, DARK) + least)
+        even = DARK
+        for i in firsts:
+            even += max(transfer[row, green, i] * square[i], DARK)
+        mean = luminance(r, g, b)
+        spread = math.sqrt(max(second - mean * mean, DARK) + LEAST_SPREAD * even)
         lit[m, 0], lit[m, 1], lit[m, 2], lit[m, 3] = max(r, DARK), max(g, DARK), max(b, DARK), scatter[row] * spread
 
 

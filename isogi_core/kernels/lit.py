@@ -12,7 +12,7 @@ import numpy as np
 from numba import types
 
 from isogi_core.kernels._jit import kernel, record
-from isogi_core.kernels.integrator import to_index
+from isogi_core.kernels.field import to_index
 from isogi_core.kernels.lamps import LAMPS, NO_LAMPS, NOTHING, illuminate
 from isogi_core.kernels.lights import arriving, draw_bright
 from isogi_core.kernels.rng import PAIRS, point_of_words

@@ -20,7 +20,7 @@ from isogi_core.kernels.intersect import OUTSIDE, SOLID, UNKNOWN, cast
 from isogi_core.kernels.lane_memory import gather, load, scatter
 from isogi_core.kernels.lanes import COUNT, WIDTH, bits, doubles, ints, select
 from isogi_core.kernels.records import FIELDS, prepare
-from isogi_core.kernels.scouts import CLEAR, scout
+from isogi_core.kernels.scouts import ASK, CLEAR, cell_of, scout
 from isogi_core.kernels.vec import column
 
 BATCH = 4096
@@ -28,8 +28,8 @@ BATCH = 4096
 
 LANES = WIDTH is not None
 
-MOST_VOXELS, LONGEST_SIDE = 2**30, 2**18
-"""Volumes that are larger are too large for the scouts' words of 32 bits, or for what they prove in float32."""
+MOST_VOXELS, LONGEST_SIDE = 2**31, 2**18
+"""Volumes of so many are too large for the scouts' words of 32 bits, or for what they prove in float32."""
 
 ORIGINS = types.float64[:, ::1]
 SIDES = types.int8[::1]
@@ -42,12 +42,12 @@ def settle_lanes(flat, shape, rays, columns, owners, found, entries, spans, t, c
     isovalues, origins, directions, _ = rays
     nz, ny, nx = shape
     word, m = gather(found, columns), gather(owners, columns)
-    known = word >= 0
+    known = (word != CLEAR) & (word != ASK)
     span = gather(spans[0], columns), gather(spans[1], columns)
     o = gather(origins[0], m), gather(origins[1], m), gather(origins[2], m)
     d = gather(directions[0], m), gather(directions[1], m), gather(directions[2], m)
     solid = (word & 1) != 0
-    place = select(known, word >> 1, 0)
+    place = select(known, cell_of(word), 0)
     hit, near, sure = cross_cells(flat, shape, o, d, place, span, gather(isovalues, m), solid)
     late = (near - span[0]) * longest_of(d) - doubles(gather(entries, columns))
     sure = sure & known & (late <= 0.5 * POSITION_ERROR * max(nx, ny, nz))

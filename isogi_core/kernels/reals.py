@@ -77,8 +77,8 @@ def _sqrt(builder: ir.IRBuilder, a: ir.Value) -> ir.Value:
 
 
 def floor_within(x: Any, last: Any) -> Any:
-    """The whole number at or below ``x``, within 0 … ``last``; of lanes, reals that are whole."""
-    return min(max(int(math.floor(x)), 0), last)
+    """The whole number at or below ``x``, within 0 … ``last``, and 0 of no number; of lanes, reals that are whole."""
+    return last if x >= last else int(x) if x > 0.0 else 0
 
 
 @overload(floor_within)

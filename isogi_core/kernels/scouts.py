@@ -38,7 +38,10 @@ WAITING = max(COUNT // 3, 1)
 """Lanes at a cell that may hold the surface before these cells are looked at."""
 
 CLEAR, ASK = -1, -2
-"""What a scout found where it is not a cell: nothing, or that ``cast`` must be asked."""
+"""What a scout found where it is not a cell: nothing, or that ``cast`` must be asked.
+
+Of 2³¹ voxels none of the last two names a cell, so that no word of a cell is one of these.
+"""
 
 HUGE = 1e30
 """Stands for 1/0: times nothing it is nothing."""
@@ -224,6 +227,12 @@ def certain(flat, shape, bricks, ray, c, t, out, sign, lanes):
     margin = gather(bricks.margins, linear((c[0] >> 2, c[1] >> 2, c[2] >> 2), ray.stride, ray.base))
     inner = (b[0] * sign > margin) & (b[1] * sign > margin)
     return lanes & inner & (b[2] * sign > margin) & (b[3] * sign > margin)
+
+
+@kernel()
+def cell_of(word):
+    """The cell of a ``report``: the word's upper 31 bits."""
+    return (word >> 1) & 0x7FFFFFFF
 
 
 @kernel()

@@ -8,8 +8,8 @@ from numba import types
 
 from isogi_core.kernels._jit import kernel, record
 from isogi_core.kernels.bricks import BRICKS
-from isogi_core.kernels.field import FIELD, normal
-from isogi_core.kernels.integrator import launch, to_index
+from isogi_core.kernels.field import FIELD, normal, to_index
+from isogi_core.kernels.integrator import launch
 from isogi_core.kernels.intersect import OUTSIDE
 from isogi_core.kernels.lattice import PIXELS, POINTS
 from isogi_core.kernels.lights import fog
@@ -17,7 +17,7 @@ from isogi_core.kernels.lit import SURROUNDINGS, light_paths, to_world
 from isogi_core.kernels.packets import cast_batch
 from isogi_core.kernels.planes import FINAL, PLANES, put_pixel
 from isogi_core.kernels.rng import mix
-from isogi_core.kernels.vec import dot, length, madd, normalize, put_column, scale, sub
+from isogi_core.kernels.vec import column, dot, length, madd, normalize, put_column, scale, sub
 from isogi_core.kernels.waves import WAVE
 
 
@@ -61,6 +61,21 @@ def find_normals(field, points, eye, normals):
         normals[m, 0], normals[m, 1], normals[m, 2] = n
 
 
+@kernel()
+def find_open(field, bricks, iso, points, normals, owners, ways, reached):
+    """Fill ``reached`` (n,): whether rays from points ``owners`` (n,) in world directions ``ways`` (3, n) get away."""
+    count = owners.shape[0]
+    origins, directions = np.empty((3, count)), np.empty((3, count))
+    for i in range(count):
+        m = owners[i]
+        put_column(origins, i, launch(field, iso, single(points, m), single(normals, m), OUTSIDE))
+        put_column(directions, i, to_index(column(ways, i), field.spacing))
+    t, came = np.empty(count), np.empty(count, np.int8)
+    cast_batch(field, bricks, np.full(count, iso), origins, directions, np.full(count, OUTSIDE, np.int8), t, came)
+    for i in range(count):
+        reached[i] = not t[i] < math.inf
+
+
 @kernel(types.void(FIELD, BRICKS, types.float64, POINTS, POINTS, VECTOR, types.boolean[::1]))
 def find_shadows(field, bricks, iso, points, normals, key, seen):
     """Fill ``seen`` (m,): whether the key light reaches each point past the isosurface, by one hard shadow ray.
@@ -73,16 +88,12 @@ def find_shadows(field, bricks, iso, points, normals, key, seen):
         if seen[m]:
             owners[count] = m
             count += 1
-    origins, directions = np.empty((3, count)), np.empty((3, count))
-    towards = to_index(key, field.spacing)
+    ways, reached = np.empty((3, count)), np.empty(count, np.bool_)
     for i in range(count):
-        m = owners[i]
-        put_column(origins, i, launch(field, iso, single(points, m), single(normals, m), OUTSIDE))
-        put_column(directions, i, towards)
-    t, came = np.empty(count), np.empty(count, np.int8)
-    cast_batch(field, bricks, np.full(count, iso), origins, directions, np.full(count, OUTSIDE, np.int8), t, came)
+        put_column(ways, i, key)
+    find_open(field, bricks, iso, points, normals, owners[:count], ways, reached)
     for i in range(count):
-        seen[owners[i]] = not t[i] < math.inf
+        seen[owners[i]] = reached[i]
 
 
 @kernel()

@@ -7,11 +7,12 @@ from numba import types
 
 from isogi_core.kernels._jit import kernel
 from isogi_core.kernels.bricks import BRICKS
-from isogi_core.kernels.field import FIELD, normal, value
+from isogi_core.kernels.field import FIELD, OFFSET, normal, to_index, value
 from isogi_core.kernels.harmonics import accumulate
+from isogi_core.kernels.plateaus import along, leave_plateau
 from isogi_core.kernels.reals import ABREAST, read
 from isogi_core.kernels.rng import mix
-from isogi_core.kernels.vec import column, put_column
+from isogi_core.kernels.vec import column, is_zero, length, put_column
 from isogi_core.kernels.waves import WAVE, walk_paths, whole
 
 VECTOR = types.float64[::1]
@@ -25,20 +26,30 @@ def texel_seed(z, y, x, half):
     return mix(mix(mix(z, y), x), half)
 
 
+@kernel(exact=True)
+def hemmed(field, p, n, level):
+    """Whether it is solid an OFFSET above ``p`` along the normal ``n``: light has no room to arrive there."""
+    up = to_index(n, field.spacing)
+    return value(field.voxels, along(field.voxels.shape, p, up, OFFSET / length(up))) > level
+
+
 @kernel(types.void(FIELD, VECTOR, TEXELS, COLUMNS, COLUMNS, VECTOR, types.boolean[::1]))
 def locate_texels(field, step, texels, points, normals, isovalues, void):
     """Where ``texels`` (m, 3; z, y, x) are, ``points`` (3, m), and the surface through each of them.
 
     ``step`` (3,) voxels per texel along x, y, z. Writes ``normals`` (3, m), the voxel-space isovalue each
-    texel is lit on (its own value, a float32) and whether it is void (no gradient there, or no number).
+    texel is lit on, a float32, and whether it is void: no gradient there, no number, no side of its own, or hemmed in.
+    Those at the edge of a plateau leave their place: see ``leave_plateau``.
     """
     for m in range(texels.shape[0]):
         p = (texels[m, 2] * step[0], texels[m, 1] * step[1], texels[m, 0] * step[2])
-        n = normal(field, p)
+        n, v = normal(field, p), np.float32(value(field.voxels, p))
+        if not (math.isnan(v) or is_zero(n)):
+            p, n, v = leave_plateau(field, p, n)
+        void[m] = math.isnan(v) or is_zero(n) or hemmed(field, p, n, v)
         put_column(points, m, p)
         put_column(normals, m, n)
-        isovalues[m] = np.float32(value(field.voxels, p))  # on a plateau exactly its value, which is not solid
-        void[m] = math.isnan(isovalues[m]) or (n[0] == 0.0 and n[1] == 0.0 and n[2] == 0.0)
+        isovalues[m] = v
 
 
 @kernel()

@@ -45,6 +45,12 @@ def cross(a, b):
 
 
 @kernel()
+def is_zero(a):
+    """Whether all of a is 0."""
+    return a[0] == 0.0 and a[1] == 0.0 and a[2] == 0.0
+
+
+@kernel()
 def length(a):
     """Euclidean length √(a·a)."""
     return math.sqrt(dot(a, a))

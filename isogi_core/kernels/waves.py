@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from isogi_core.kernels._jit import kernel
-from isogi_core.kernels.field import gradients, to_world_normal
-from isogi_core.kernels.integrator import ROULETTE, about, facing_normal, launch, to_index
+from isogi_core.kernels.field import gradients, to_index, to_world_normal
+from isogi_core.kernels.integrator import ROULETTE, about, facing_normal, launch
 from isogi_core.kernels.intersect import OUTSIDE
 from isogi_core.kernels.packets import cast_batch
 from isogi_core.kernels.reals import ABREAST, read, words

@@ -19,6 +19,9 @@ from isogi_core.model.sky import LUMINANCE, sky_image
 SKY_SIZE = (512, 1024)
 """Rows and columns of the grid on which a sky is laid out."""
 
+OVERVIEW = (256, 512)
+"""Rows and columns of an environment at a glance."""
+
 SHARP = 1.0
 """Relative variance of the luminance over the sphere from which shadow rays towards its bright parts pay.
 
@@ -69,6 +72,11 @@ class Environment:
         excess = np.maximum(self._luminance - self.mean() @ LUMINANCE, 0.0)
         return cumulative(excess * solid_angles(*excess.shape))
 
+    @cached_property
+    def overview(self) -> np.ndarray:
+        """Radiance (256, 512, 3) float64 of all light, averaged over each pixel; its grid is that of the image."""
+        return np.asarray(self.constant + resample(self.image, *OVERVIEW))
+
     @property
     def _luminance(self) -> np.ndarray:
         """Luminance (h, w) float64 of all light, constant and image."""
@@ -77,15 +85,6 @@ class Environment:
     def mean(self) -> np.ndarray:
         """Mean radiance (3,) over the sphere."""
         return np.asarray(self.constant + mean_radiance(self.image))
-
-    def brightest(self) -> float:
-        """Irradiance over π, in luminance, of an unoccluded surface turned to the light: mean + 2 |mean of L·ω|.
-
-        From bands 0 and 1 alone, which hold nearly all of it; 1 under a constant light of 1.
-        """
-        height, width = self.image.shape[:2]
-        flux = (self.image @ LUMINANCE)[..., None] * pixel_directions(height, width)
-        return float(self.mean() @ LUMINANCE) + 2.0 * float(np.linalg.norm(mean_radiance(flux)))
 
 
 def environment(lights: Sequence[Light]) -> Environment:

@@ -45,7 +45,10 @@ def _number(key: str, value: object) -> float:
     """A TOML integer or float; SceneError for anything else."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise SceneError(f"A light's {key} is {value!r}: give a number.")
-    return float(value)
+    try:
+        return float(value)
+    except OverflowError as error:
+        raise SceneError(f"A light's {key} is {value}: give a number that floats hold.") from error
 
 
 def _colour(key: str, value: object) -> Colour:

@@ -6,13 +6,16 @@ from pathlib import Path
 
 from isogi_core.errors import LightError
 
+LARGEST = 1e30
+"""No number of a light may be larger: what kernels make of them, squares and products, is then finite too."""
+
 Colour = tuple[float, float, float]
 Vector = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
 class ConstantLight:
-    """The same linear RGB radiance from everywhere. LightError where it is negative or not finite."""
+    """The same linear RGB radiance from everywhere. LightError where it is negative, above LARGEST or no number."""
 
     radiance: Colour = (1.0, 1.0, 1.0)
 
@@ -41,7 +44,7 @@ class SkyLight:
     scale: float = 1.0
 
     def __post_init__(self) -> None:
-        _check_range("sun_azimuth", (self.sun_azimuth,), low=-math.inf)
+        _check_range("sun_azimuth", (self.sun_azimuth,), low=-LARGEST)
         _check_range("sun_elevation", (self.sun_elevation,), high=90.0)
         _check_range("turbidity", (self.turbidity,), 1.9, 10.0)
         _check_range("ground", self.ground, high=1.0)
@@ -84,7 +87,7 @@ class DirectionalLight:
     angle: float = 0.0
 
     def __post_init__(self) -> None:
-        _check_range("azimuth", (self.azimuth,), low=-math.inf)
+        _check_range("azimuth", (self.azimuth,), low=-LARGEST)
         _check_range("elevation", (self.elevation,), -90.0, 90.0)
         _check_range("irradiance", self.irradiance)
         _check_range("angle", (self.angle,), high=90.0)
@@ -103,7 +106,7 @@ class PointLight:
     intensity: Colour
 
     def __post_init__(self) -> None:
-        _check_range("position", self.position, low=-math.inf)
+        _check_range("position", self.position, low=-LARGEST)
         _check_range("intensity", self.intensity)
 
     @property
@@ -126,7 +129,7 @@ class AreaLight:
 
     def __post_init__(self) -> None:
         for name in ("corner", "u", "v"):
-            _check_range(name, getattr(self, name), low=-math.inf)
+            _check_range(name, getattr(self, name), low=-LARGEST)
         _check_range("radiance", self.radiance)
         if not any(_cross(self.u, self.v)):
             raise LightError("An area light's u and v span no area: give two edges that are not parallel.")
@@ -146,10 +149,8 @@ def _cross(a: Vector, b: Vector) -> Vector:
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-def _check_range(name: str, values: tuple[float, ...], low: float = 0.0, high: float = math.inf) -> None:
-    """LightError where a value is not finite or outside [low, high]."""
-    if not all(math.isfinite(value) and low <= value <= high for value in values):
+def _check_range(name: str, values: tuple[float, ...], low: float = 0.0, high: float = LARGEST) -> None:
+    """LightError where a value is outside [low, high] or no number."""
+    if not all(low <= value <= high for value in values):
         given = ", ".join(f"{value:g}" for value in values)
-        least = f"finite and at least {low:g}" if math.isfinite(low) else "finite"
-        wanted = f"from {low:g} to {high:g}" if math.isfinite(high) else least
-        raise LightError(f"A light's {name} is {given}: it must be {wanted}.")
+        raise LightError(f"A light's {name} is {given}: it must be from {low:g} to {high:g}.")

@@ -87,7 +87,8 @@ class ScenePlan:
 
     ``order`` is that of the light which texels are put under, 1 where they keep no harmonics; a layer may have more.
     ``bounces`` counts surface hits after the first; from the second on a path goes on with the chance ``survival``.
-    ``samples`` are the most that a texel takes; ``errors`` names relative errors that the plan expects, by
+    ``samples`` are the most that a texel takes; so many ``lobes`` of the light are no part of direct light in texels,
+    but lit by shadow rays from pixels; ``errors`` names relative errors that the plan expects, by
     what is cut off; ``notes`` are sentences on those above the target.
     """
 
@@ -97,6 +98,7 @@ class ScenePlan:
     bounces: int
     survival: float
     samples: int
+    lobes: int = 0
     errors: tuple[tuple[str, float], ...] = ()
     notes: tuple[str, ...] = ()
     left_out: tuple[LeftOut, ...] = ()

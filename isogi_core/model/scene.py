@@ -10,31 +10,39 @@ from typing import Any
 
 import numpy as np
 
-from isogi_core.errors import SceneError, VolumeError
-from isogi_core.files.nrrd import read_nrrd
-from isogi_core.kernels.field import OFFSET
+from isogi_core.errors import SceneError
+from isogi_core.kernels.field import OFFSET, Field
 from isogi_core.kernels.harmonics import MAX_ORDER
 from isogi_core.kernels.lattice import CHUNK
-from isogi_core.model.demo import DEMOS, demo_volume
+from isogi_core.model.boundaries import find_boundaries
+from isogi_core.model.demo import DEMOS
 from isogi_core.model.environment import Environment, environment
 from isogi_core.model.lamps import Lamps, gather_lamps
 from isogi_core.model.light_tables import light_from_mapping
 from isogi_core.model.lights import Light
+from isogi_core.model.opening import open_volume
 from isogi_core.model.plan import REPRESENTATIONS, Layer, LeftOut, ScenePlan
+from isogi_core.model.presets import Preset, read_presets, suggested_presets
 from isogi_core.model.settings import Settings
 from isogi_core.model.source import DEFAULT_DEMO, SceneSource, find_source
+from isogi_core.model.survey import Tell, tell_nobody
 from isogi_core.model.view import Camera, orbit
-from isogi_core.model.volume import Volume, make_volume
+from isogi_core.model.volume import Volume
+from isogi_core.plan.lobes import MOST as MOST_LOBES
 from isogi_core.plan.needs import Needs, Told
 from isogi_core.plan.planner import plan_scene
 from isogi_core.plan.savings import unseen
 from isogi_core.plan.texels import TexelCount, count_texels
 
-BAKE_FORMAT = 5
+BAKE_FORMAT = 6
 """Counts up when what a chunk holds, or how its light is computed, changes."""
 
 NORMALS = ("bspline", "gradient")
 """What normals may be of: the gradient smoothed with the tricubic B-spline, or the plain one (S1, figure 5)."""
+
+
+CHUNKS = (8, 16, 32)
+"""What the side of a chunk may be, in texels: small ones spread over more workers, large ones are fewer objects."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,8 +51,11 @@ class Scene:
 
     ``albedo`` is linear RGB, ``lattice`` texels per voxel along each axis, ``target_error`` the
     relative error at which a texel counts as final, ``rotating`` whether the light may be turned.
+    A chunk of the lattice has ``chunk`` texels along each side.
     ``normals`` says which gradient they are of, "bspline" (smoothed) or "gradient" (plain), and ``offset`` how many
     voxels above a surface rays leave it. ``plan`` was made for ``needs``, with what the scene has ``told``.
+    ``named`` are the isovalues that the scene gives names to. ``sharpen`` says whether a view at rest has texels of its
+    own on the isosurface that it shows, where those on theirs are far from it.
     """
 
     id: str
@@ -57,6 +68,7 @@ class Scene:
     isovalues: tuple[float, float]
     albedo: tuple[float, float, float]
     lattice: float
+    chunk: int
     target_error: float
     rotating: bool
     normals: str
@@ -64,6 +76,8 @@ class Scene:
     needs: Needs
     told: Told
     plan: ScenePlan
+    named: tuple[Preset, ...] = ()
+    sharpen: bool = False
 
     @property
     def name(self) -> str:
@@ -95,19 +109,29 @@ class Scene:
     def texels(self) -> TexelCount:
         """How many texels the lattice has, and how many of them views can show; found when first asked for."""
         lowest, highest = sorted(map(self.volume.normalise_isovalue, self.isovalues))
-        return count_texels(self.volume.voxels, self.lattice_shape, lowest, highest, CHUNK)
+        none = np.empty((0, 0, 0), np.float32)
+        field = Field(self.volume.voxels, none, none, self.volume.spacing, self.normals == NORMALS[0], self.offset)
+        return count_texels(field, self.lattice_shape, lowest, highest, self.chunk)
+
+    @cached_property
+    def presets(self) -> tuple[Preset, ...]:
+        """Isovalues worth a look: those that the scene names, else boundaries in its volume, found when asked for."""
+        return self.named or suggested_presets(find_boundaries(self.volume, self.isovalues))
 
     @cached_property
     def left_out(self) -> tuple[LeftOut, ...]:
         """What the scene does without: what its plan leaves out, and texels that are never lit."""
         return (*self.plan.left_out, *unseen(self.texels, self.plan))
 
-    def layer_digest(self, layer: Layer) -> str:
+    def layer_digest(self, layer: Layer, shown: float | None = None) -> str:
         """Hex name of everything that a layer's light depends on, and of nothing else.
 
-        The scene's lights are among it for irradiance alone (S1, eq. 6), albedo and bounces for reflected light.
+        The scene's lights are among it for irradiance alone (S1, eq. 6), albedo and bounces for reflected light, and
+        the normalised isovalue that is ``shown`` where texels lie on that.
         """
         parts = [BAKE_FORMAT, self.volume.digest, self.lattice, *astuple(layer), *self.departures]
+        if shown is not None:
+            parts += ["shown", shown]
         if layer.reflected:
             parts += [self.albedo[: layer.channels], self.bounces, self.plan.survival]
         if layer.kind == "irradiance":
@@ -116,13 +140,13 @@ class Scene:
 
     @property
     def departures(self) -> list[Any]:
-        """How rays leave surfaces, where that is not as usual: what names of light have besides, so as to keep."""
-        usual = self.normals == NORMALS[0] and self.offset == OFFSET
-        return [] if usual else [self.normals, self.offset]
+        """What is not as usual of rays and chunks: names of light have it besides, so that those without it last."""
+        rays = [] if (self.normals, self.offset) == (NORMALS[0], OFFSET) else [self.normals, self.offset]
+        return rays if self.chunk == CHUNK else [*rays, self.chunk]
 
-    def plan_digest(self, plan: ScenePlan) -> str:
+    def plan_digest(self, plan: ScenePlan, shown: float | None = None) -> str:
         """Hex name of all layers of a ``plan`` for this scene."""
-        return digest_of([self.layer_digest(layer) for layer in plan.layers])
+        return digest_of([self.layer_digest(layer, shown) for layer in plan.layers])
 
     @cached_property
     def bake_digest(self) -> str:
@@ -133,7 +157,9 @@ class Scene:
     def digest(self) -> str:
         """Hex name of everything that a frame of this scene depends on besides its view."""
         lights = [self.environment.digest, self.lamps.digest]
-        return digest_of([self.bake_digest, *lights, self.albedo, self.plan.order, self.target_error])
+        sharp = ["sharpen"] if self.sharpen else []
+        lit = [self.albedo, self.plan.order, self.plan.lobes, self.target_error]
+        return digest_of([self.bake_digest, *lights, *lit, *sharp])
 
     def camera(self, azimuth: float, elevation: float, distance: float, fov: float) -> Camera:
         """Camera around the middle of the volume's box; degrees, and distance in its bounding radii."""
@@ -146,7 +172,7 @@ def digest_of(parts: list[Any]) -> str:
 
 
 def load_scene(target: str | Path | None = None, **overrides: Any) -> Scene:
-    """Load a scene file (.toml), a volume (.nrrd, .nhdr) or a demo ("demo:casting", also the default).
+    """Load a scene file (.toml), a volume (.nrrd, .nhdr, .zarr) or a demo ("demo:casting", also the default).
 
     ``overrides`` replace settings of the scene, by the names they have in a scene file. Raises
     SceneError, VolumeError or LightError.
@@ -154,13 +180,17 @@ def load_scene(target: str | Path | None = None, **overrides: Any) -> Scene:
     return build_scene(find_source(target, overrides))
 
 
-def build_scene(source: SceneSource) -> Scene:
-    """Open the volume and the lights of ``source`` and check every setting."""
+def build_scene(source: SceneSource, tell: Tell = tell_nobody, volume: Volume | None = None) -> Scene:
+    """Open the volume and the lights of ``source`` and check every setting.
+
+    ``tell`` hears of the progress where a copy of a large volume is made. A ``volume`` that is open already is taken in
+    place of the one that the scene names.
+    """
     settings = Settings(source)
-    volume = open_volume(settings, source.base)
+    volume = volume or open_volume(settings, source.base, tell)
     lights = tuple(light_from_mapping(entry, source.base) for entry in settings.lights())
     lamps = gather_lamps(lights)
-    isovalues = settings.interval("isovalues", volume.value_range)
+    isovalues = settings.interval("isovalues", volume.value_range, volume.core)
     fallback = min(max(default_isovalue(settings, volume), isovalues[0]), isovalues[1])
     isovalue = settings.number("isovalue", fallback, *isovalues)
     albedo = settings.colour("albedo", 0.7)
@@ -179,6 +209,7 @@ def build_scene(source: SceneSource) -> Scene:
         isovalues=isovalues,
         albedo=albedo,
         lattice=settings.number("lattice", 1.0, 0.125, 4.0),
+        chunk=settings.choice("chunk", CHUNKS) or CHUNK,
         target_error=target_error,
         rotating=rotating,
         normals=settings.choice("normals", NORMALS) or NORMALS[0],
@@ -186,6 +217,8 @@ def build_scene(source: SceneSource) -> Scene:
         needs=needs,
         told=told,
         plan=plan_scene(needs, told),
+        named=read_presets(settings, isovalues),
+        sharpen=settings.flag("sharpen", False),
     )
     settings.refuse_unknown()
     return scene
@@ -199,6 +232,7 @@ def told_by(settings: Settings) -> Told:
         indirect_order=settings.count("indirect_order", MAX_ORDER, 1),
         bounces=settings.count("bounces", 1000),
         precision=settings.choice("precision", ("bytes", "half", "single")),
+        lobes=settings.count("lobes", MOST_LOBES),
     )
 
 
@@ -210,21 +244,6 @@ def may_rotate(settings: Settings, lamps: Lamps) -> bool:
     return rotating
 
 
-def open_volume(settings: Settings, base: Path) -> Volume:
-    """The volume that the scene names: a demo or a file, with the spacing and the solid side that it asks for."""
-    name = settings.text("volume", DEFAULT_DEMO)
-    solid = settings.text("solid", "above")
-    spacing = settings.numbers("spacing", 3)
-    if not name.startswith("demo:"):
-        array, steps = read_nrrd(base / name)
-        return make_volume(array, spacing or steps, solid, Path(name).stem)
-    if name.removeprefix("demo:") not in DEMOS:
-        raise VolumeError(f"There is no {name}: choose one of {', '.join('demo:' + key for key in DEMOS)}.")
-    if spacing or solid != "above":
-        raise SceneError(f"{name} is made with spacing 1 and solid above: leave out 'spacing' and 'solid'.")
-    return demo_volume(name.removeprefix("demo:"))
-
-
 def default_isovalue(settings: Settings, volume: Volume) -> float:
     """Where a view starts when the scene does not say: the demo's own isovalue, or Otsu's threshold."""
     name = settings.text("volume", DEFAULT_DEMO)
@@ -234,8 +253,11 @@ def default_isovalue(settings: Settings, volume: Volume) -> float:
 
 
 def otsu(counts: np.ndarray, edges: np.ndarray) -> float:
-    """The edge that parts a histogram into the two classes farthest apart (Otsu 1979)."""
-    middles = (edges[1:] + edges[:-1]) / 2
+    """The edge that parts a histogram of even bins into the two classes farthest apart (Otsu 1979).
+
+    Distances are counted in bins: squares of values may be more than a double holds, or less.
+    """
+    middles = np.arange(len(counts)) + 0.5
     below = np.cumsum(counts)[:-1]
     above = counts.sum() - below
     mass = np.cumsum(counts * middles)

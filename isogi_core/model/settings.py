@@ -1,11 +1,13 @@
 """The settings of a scene document, checked one by one as they are asked for."""
 
-import math
+import sys
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 from isogi_core.errors import SceneError
 from isogi_core.model.source import SceneSource
+
+Word = TypeVar("Word", str, int)
 
 
 class Settings:
@@ -33,12 +35,14 @@ class Settings:
             raise self._wrong(key, "a string")
         return value
 
-    def choice(self, key: str, among: Sequence[str]) -> str | None:
-        """One of some words, or None where the scene leaves it to the plan."""
+    def choice(self, key: str, among: Sequence[Word]) -> Word | None:
+        """One of some words or numbers, or None where the scene leaves it to the plan."""
         value = self._get(key)
-        if value is not None and value not in among:
-            raise self._wrong(key, f"one of {', '.join(among)}")
-        return None if value is None else str(value)
+        if value is None:
+            return None
+        if value not in among:
+            raise self._wrong(key, f"one of {', '.join(map(str, among))}")
+        return among[among.index(value)]
 
     def flag(self, key: str, fallback: bool) -> bool:
         """True or false."""
@@ -76,11 +80,17 @@ class Settings:
             raise self._wrong(key, f"a list of {length} numbers")
         return tuple(float(v) for v in value)
 
-    def interval(self, key: str, within: tuple[float, float]) -> tuple[float, float]:
-        """Two ascending numbers inside ``within``, which is also what it is when left out."""
-        value = self.numbers(key, 2)
-        if value is None:
-            return within
+    def listed(self, key: str) -> tuple[float, ...]:
+        """A number or a list of numbers, as they are written (whole ones stay whole); none where it is left out."""
+        value = self._get(key)
+        given = [] if value is None else value if isinstance(value, list) else [value]
+        if not all(map(is_number, given)):
+            raise self._wrong(key, "a number, or a list of numbers")
+        return tuple(given)
+
+    def interval(self, key: str, within: tuple[float, float], fallback: tuple[float, float]) -> tuple[float, float]:
+        """Two ascending numbers inside ``within``."""
+        value = self.numbers(key, 2) or fallback
         if not within[0] <= value[0] <= value[1] <= within[1]:
             raise self._wrong(key, f"two ascending numbers from {within[0]:g} to {within[1]:g}, the volume's range")
         return value[0], value[1]
@@ -98,11 +108,17 @@ class Settings:
 
     def lights(self) -> list[Mapping[str, Any]]:
         """The [[lights]] tables; a sky with a sun where the scene has none."""
-        value = self._get("lights")
+        return self.tables("lights") or [{"type": "sky"}]
+
+    def tables(self, key: str, most: int | None = None) -> list[Mapping[str, Any]]:
+        """The tables of a list, ``most`` at most; none where it is left out."""
+        value = self._get(key)
         if value is None:
-            return [{"type": "sky"}]
+            return []
         if not isinstance(value, list) or not value or not all(isinstance(entry, Mapping) for entry in value):
-            raise self._wrong("lights", "a list of [[lights]] tables")
+            raise self._wrong(key, f"a list of [[{key}]] tables")
+        if most is not None and len(value) > most:
+            raise self._wrong(key, f"a list of at most {most} [[{key}]] tables")
         return value
 
     def refuse_unknown(self) -> None:
@@ -114,5 +130,5 @@ class Settings:
 
 
 def is_number(value: Any) -> bool:
-    """Whether ``value`` is a finite real number (and not a bool)."""
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    """Whether ``value`` is a finite real number (and not a bool) that floats hold."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max

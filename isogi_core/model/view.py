@@ -20,6 +20,7 @@ SHADINGS = (
     "phong_shadow",
     "path_traced",
 )
+OVERLAYS = ("none", "provisional", "error")
 IDENTITY: Quaternion = (1.0, 0.0, 0.0, 0.0)
 
 

@@ -1,26 +1,35 @@
 """A volume: a scalar field on a regular grid, normalised once so that kernels never see its units."""
 
-import hashlib
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
-from fractions import Fraction
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from isogi_core.errors import VolumeError
+from isogi_core.files.grid import Grid
+from isogi_core.model.survey import STAGES, Tell, survey, tell_nobody
+from isogi_core.model.units import normalise
 
-_LARGEST = float(np.finfo(np.float32).max)
+CORE = 4.0
+"""Normalised voxels of the core are no larger; outliers are, a hundred times."""
+
+BINS = 256
+"""Bins of a histogram."""
+
+SLAB = 1 << 26
+"""Bytes of the voxels that are looked at together."""
 
 
 @dataclass(frozen=True, eq=False)
 class Volume:
     """A scalar field: ``value = offset + scale · voxel``, solid where ``voxel > normalised isovalue``.
 
-    ``voxels`` is (nz, ny, nx) float32, C-contiguous, NaN where the source was not finite; ``spacing`` is
-    (x, y, z), world units per voxel. ``scale`` is ± a power of two and negative where ``solid`` is
-    "below". ``value_range`` is the finite minimum and maximum in the volume's own units, ``holes`` the
-    number of voxels that are not finite, ``digest`` a hex name of everything that light depends on.
+    ``voxels`` is (nz, ny, nx) float32, C-contiguous, NaN where the source was not finite or its value is missing;
+    ``spacing`` is (x, y, z), world units per voxel. ``scale`` is ± a power of two and negative where ``solid`` is
+    "below". ``value_range`` is the finite minimum and maximum in the volume's own units, ``core`` the same without
+    outliers, and ``steps`` how many values the source's type tells apart there. ``holes`` is the number of voxels
+    that are NaN, ``digest`` a hex name of everything that light depends on. ``counts`` are those of the ``histogram``
+    of so many bins, and ``span`` the ``core_span``, where they were kept.
     """
 
     voxels: np.ndarray
@@ -32,7 +41,11 @@ class Volume:
     dtype: str
     digest: str
     value_range: tuple[float, float]
+    core: tuple[float, float]
+    steps: float
     holes: int
+    counts: tuple[int, ...] = ()
+    span: tuple[float, ...] = ()
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -65,18 +78,54 @@ class Volume:
 
     def normalise_isovalue(self, value: float) -> float:
         """The isovalue in voxel units, rounded to float32 exactly as the voxels are."""
-        level = _normalise(np.array(float(value)), self.offset, self.scale)
-        return float(np.float32(np.clip(level, -_LARGEST, _LARGEST)))
+        return float(np.float32(normalise(np.array(float(value)), self.offset, self.scale)))
 
-    def histogram(self, bins: int = 256) -> tuple[np.ndarray, np.ndarray]:
-        """Counts (bins,) int64 of the finite voxels, and the ``bins + 1`` edges, float64, in own units."""
-        finite = self.voxels[np.isfinite(self.voxels)] if self.holes else self.voxels
-        counts, _ = np.histogram(finite, bins, (float(finite.min()), float(finite.max())))
-        low, high = self.value_range
+    def slabs(self) -> Iterator[np.ndarray]:
+        """The voxels a few layers at a time, for what makes arrays of their size; (layers, ny, nx) each."""
+        layers = max(SLAB // self.voxels[0].nbytes, 1)
+        for z in range(0, len(self.voxels), layers):
+            yield self.voxels[z : z + layers]
+
+    def core_voxels(self) -> Iterator[np.ndarray]:
+        """The voxels of the core, a slab at a time, of any shape."""
+        whole = self.core == self.value_range and not self.holes
+        for slab in self.slabs():
+            yield slab if whole else slab[np.abs(slab) <= CORE]
+
+    def core_span(self) -> tuple[float, float]:
+        """The least and the greatest voxel of the core."""
+        if self.span:
+            return self.span[0], self.span[1]
+        ends = [(float(inner.min()), float(inner.max())) for inner in self.core_voxels() if inner.size]
+        return min(low for low, _ in ends), max(high for _, high in ends)
+
+    def counted(self, bins: int = BINS, tell: Tell = tell_nobody) -> "Volume":
+        """The same with the counts of its histogram and the core's span kept: to find them takes looks at all voxels.
+
+        ``tell`` hears of the last stage of making a copy.
+        """
+        if len(self.counts) == bins and self.span:
+            return self
+        known = replace(self, span=self.core_span())
+        return replace(known, counts=tuple(known._count(bins, tell).tolist()))
+
+    def histogram(self, bins: int = BINS) -> tuple[np.ndarray, np.ndarray]:
+        """Counts (bins,) int64 of the voxels in the core, and the ``bins + 1`` edges, float64, in own units."""
+        counts = np.array(self.counts) if bins == len(self.counts) else self._count(bins)
+        low, high = self.core
         if low == high:
             low, high = low - 0.5, high + 0.5
         t = np.linspace(0.0, 1.0, bins + 1)
         return counts[:: 1 if self.scale > 0 else -1].copy(), low * (1 - t) + high * t
+
+    def _count(self, bins: int, tell: Tell = tell_nobody) -> np.ndarray:
+        """Counts (bins,) int64 of the voxels in the core, ascending in the voxels' units."""
+        span, counts, layers = self.core_span(), np.zeros(bins, np.int64), len(self.voxels)
+        slabs = sum(1 for _ in self.slabs())
+        for number, inner in enumerate(self.core_voxels(), 1):
+            counts += np.histogram(inner, bins, span)[0]
+            tell((STAGES - 1) * layers + number * layers // slabs, STAGES * layers)
+        return counts
 
 
 def make_volume(
@@ -84,109 +133,17 @@ def make_volume(
     spacing: Sequence[float] = (1.0, 1.0, 1.0),
     solid: str = "above",
     name: str = "",
+    missing: Sequence[float] = (),
 ) -> Volume:
-    """Normalise an array (z, y, x) of any real type into a Volume.
+    """Normalise an array (z, y, x) of any real type into a Volume; voxels equal to one of ``missing`` are holes.
 
-    The offset is the minimum (the maximum where ``solid`` is "below"), the scale the power of two that
-    brings voxels into [0, 1] ([0, 4] where the range passes 2^1023). Both are removed before the values
-    become float32, from integers of 64 bits as integers: a small range on a large offset keeps its digits,
-    and tiny and subnormal ranges are like any other. A constant volume has scale ± 1. Raises VolumeError
-    where the array is complex, not 3-D, thinner than two voxels or without a finite value, and where a
-    spacing is not positive.
+    The offset is the core's minimum (maximum where ``solid`` is "below"), the scale the power of two that brings
+    the core into [0, 1] ([0, 4] where its range passes 2^1023). Both are removed before the values become float32,
+    from integers of 64 bits as integers: a small range on a large offset keeps its digits, and tiny and subnormal
+    ranges are like any other. A constant volume has scale ± 1. Raises VolumeError as ``survey`` does.
     """
-    source = np.asarray(array)
-    values = _checked(source, solid)
-    steps = _checked_spacing(spacing)
-    low, high, holes = _finite_range(values)
-    offset, scale = _offset_and_scale(low, high, solid)
-    voxels = np.empty(values.shape, np.float32)
-    for z, plane in enumerate(values):
-        voxels[z] = _normalise(plane, offset, scale)
-    if holes:
-        voxels[~np.isfinite(voxels)] = np.nan
-    digest = _digest(voxels, steps, offset, scale)
-    span = (float(low), float(high))
-    return Volume(voxels, steps, offset, scale, solid, name, source.dtype.name, digest, span, holes)
-
-
-def _checked(array: np.ndarray, solid: str) -> np.ndarray:
-    """The array as integers or floats of at most 64 bits; VolumeError where it is no real 3-D field."""
-    if solid not in ("above", "below"):
-        raise VolumeError(f"solid is '{solid}': say which side of the isovalue is solid, 'above' or 'below'.")
-    if array.dtype.kind not in "biuf":
-        raise VolumeError(f"The volume holds {array.dtype} values: give one real number per voxel.")
-    if array.ndim != 3:
-        raise VolumeError(f"The volume has {array.ndim} dimensions, not 3: choose one scalar field of it.")
-    if min(array.shape) < 2:
-        sides = " × ".join(str(n) for n in array.shape[::-1])
-        raise VolumeError(f"A volume of {sides} voxels has no cells: every side needs at least 2 voxels.")
-    if array.dtype.kind == "b":
-        return array.view(np.uint8)
-    with np.errstate(over="ignore"):
-        return array if array.dtype.itemsize <= 8 else array.astype(np.float64)
-
-
-def _checked_spacing(spacing: Sequence[float]) -> tuple[float, float, float]:
-    """Spacing as three floats; VolumeError where one is missing, zero, negative or not finite."""
-    steps = [float(step) for step in spacing]
-    if len(steps) != 3 or not all(math.isfinite(step) and step > 0.0 for step in steps):
-        given = ", ".join(f"{step:g}" for step in steps)
-        raise VolumeError(f"The spacing ({given}) must be three positive numbers: set spacing in the scene.")
-    return steps[0], steps[1], steps[2]
-
-
-def _finite_range(array: np.ndarray) -> tuple[float, float, int]:
-    """Finite minimum and maximum (exact Python numbers), and how many values are not finite."""
-    lows, highs, count = [], [], 0
-    for plane in array:
-        finite = plane[np.isfinite(plane)]
-        count += finite.size
-        if finite.size:
-            lows.append(finite.min().item())
-            highs.append(finite.max().item())
-    if not lows:
-        raise VolumeError("The volume has no finite value: every voxel is NaN or infinite.")
-    return min(lows), max(highs), array.size - count
-
-
-def _offset_and_scale(low: float, high: float, solid: str) -> tuple[float, float]:
-    """The empty end of the range as a double, and ± the least power of two that spans it: both exact.
-
-    Integers beyond 2^53 may have no double: the offset is then the next one outside the range.
-    """
-    sign, end = (1, low) if solid == "above" else (-1, high)
-    offset = float(end) + 0.0  # one zero
-    if sign * (Fraction(offset) - Fraction(end)) > 0:
-        offset = math.nextafter(offset, -sign * math.inf)
-    span = sign * (Fraction(high if sign > 0 else low) - Fraction(offset))
-    if span == 0:
-        return offset, float(sign)
-    exponent = (span.numerator - 1).bit_length() - (span.denominator.bit_length() - 1)
-    return offset, math.ldexp(sign, min(exponent, 1023))
-
-
-def _normalise(values: np.ndarray, offset: float, scale: float) -> np.ndarray:
-    """``(values - offset) / scale`` in float64 without overflow on the way, never -0."""
-    sign, exponent = math.copysign(1.0, scale), math.frexp(scale)[1] - 1
-    if values.dtype.kind in "iu" and values.dtype.itemsize == 8 and exponent < 63:
-        return np.asarray(np.ldexp(_integer_distance(values, int(offset), int(sign)), -exponent))
-    shift = 2 if exponent > 1000 else 0
-    with np.errstate(over="ignore"):
-        distance = np.ldexp(values.astype(np.float64), -shift) - math.ldexp(offset, -shift)
-        return np.asarray(np.ldexp(sign * distance, shift - exponent) + 0.0)
-
-
-def _integer_distance(values: np.ndarray, offset: int, sign: int) -> np.ndarray:
-    """``sign · (values - offset)``, known to lie in [0, 2^63), exact modulo 2^64, then as float64."""
-    whole = values.astype(values.dtype.newbyteorder("=")).view(np.uint64)
-    start = np.uint64(offset % 2**64)
-    distance = whole - start if sign > 0 else start - whole
-    return distance.astype(np.float64)
-
-
-def _digest(voxels: np.ndarray, spacing: Sequence[float], offset: float, scale: float) -> str:
-    """Hex digest over the field's bits, its shape, spacing and units."""
-    digest = hashlib.blake2b(digest_size=16)
-    digest.update(f"{voxels.shape} {[step.hex() for step in spacing]} {offset.hex()} {scale.hex()}".encode())
-    digest.update(voxels.data)
-    return digest.hexdigest()
+    found = survey(Grid.of(np.asarray(array), spacing), solid, missing)
+    voxels = np.empty(found.grid.shape, np.float32)
+    planes = iter(voxels)
+    digest = found.pour(lambda plane: np.copyto(next(planes), plane))
+    return Volume(voxels, **found.facts(name, digest))

@@ -1,15 +1,26 @@
 """What a scene may not tell the planner: settings that contradict its lights, and settings that would do nothing."""
 
-from isogi_core.errors import SceneError
+from isogi_core.errors import LightError, SceneError
 from isogi_core.model.plan import Layer
 from isogi_core.plan.budget import even
 from isogi_core.plan.needs import Needs, Told
+
+DIMMEST, BRIGHTEST = 1e-32, 1e32
+"""Radiances of a white surface that frames, which are of single floats, show with all shades from a millionth up."""
+
+
+def refuse_brightness(needs: Needs) -> None:
+    """Raise LightError where all lights together are too bright for frames to hold, or so dim that they show black."""
+    if needs.brightest != 0.0 and not DIMMEST <= needs.brightest <= BRIGHTEST:
+        given = f"The lights give a white surface the radiance {needs.brightest:.3g}"
+        raise LightError(f"{given}: scale them to give it from {DIMMEST:g} to {BRIGHTEST:g}, or nothing.")
 
 
 def refuse_idle(representation: str, bounces: int, needs: Needs, told: Told) -> None:
     """Raise SceneError where what is told cannot show the scene's light, or changes nothing in its plan."""
     refuse_lights(representation, needs)
     refuse_orders(representation, bounces, told)
+    refuse_lobes(representation, needs, told)
     refuse_reflections(bounces, needs, told)
 
 
@@ -34,6 +45,14 @@ def refuse_orders(representation: str, bounces: int, told: Told) -> None:
         )
     if told.order is not None and told.indirect_order is not None and told.indirect_order > told.order:
         raise SceneError(f"indirect_order = {told.indirect_order} is above order = {told.order}: take at most that.")
+
+
+def refuse_lobes(representation: str, needs: Needs, told: Told) -> None:
+    """Raise SceneError where more lobes are told of than the light has, or of light that has met texels as it is."""
+    if told.lobes and representation != "transfer":
+        raise SceneError(f"lobes = {told.lobes} are beside harmonics, and this light needs none: leave it out.")
+    if told.lobes and told.lobes > len(needs.lobes):
+        raise SceneError(f"lobes = {told.lobes} is more than this light has: take at most {len(needs.lobes)}.")
 
 
 def refuse_reflections(bounces: int, needs: Needs, told: Told) -> None:

@@ -6,7 +6,6 @@ Harmonics alone, where a texel keeps none, are counted beside S1, which keeps th
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
-from isogi_core.kernels.lattice import CHUNK
 from isogi_core.model.plan import Layer, LeftOut, Saving, ScenePlan
 from isogi_core.plan.bands import truncation_error
 from isogi_core.plan.budget import LONGEST_PATH, ROULETTE_RAYS, bounces_for, rounding_error, tail_of_bounces
@@ -51,7 +50,7 @@ def bands(plan: ScenePlan, needs: Needs) -> Iterator[LeftOut]:
         return
     direct, *reflected = plan.layers
     if direct.order < BANDS:
-        error = truncation_error(needs.energy, direct.order, "direct")
+        error = truncation_error(needs.energy_beside(plan.lobes), direct.order, "direct")
         yield cut(direct, BANDS, error, needs)
     for layer in reflected:
         if layer.order < direct.order:
@@ -65,6 +64,22 @@ def cut(layer: Layer, order: int, error: float, needs: Needs) -> LeftOut:
     kind = "reflected" if layer.kind == "indirect" else "direct"
     why = f"Without them the lit surface errs by {percent(error)}, beside a target of {percent(needs.target_error)}."
     return LeftOut(f"{names} of {kind} light", why, (added(layer, replace(layer, order=order)),))
+
+
+def lobes(plan: ScenePlan, needs: Needs) -> Iterator[LeftOut]:
+    """Lobes that would be lit by shadow rays of their own."""
+    more = len(needs.lobes) - plan.lobes
+    if plan.representation == "transfer" and more:
+        errors = [
+            truncation_error(needs.energy_beside(n), plan.order, "direct") for n in (plan.lobes, plan.lobes + more)
+        ]
+        what = f"lobes {plan.lobes + 1} to {plan.lobes + more}" if more > 1 else f"lobe {plan.lobes + 1}"
+        why = (
+            f"As light of their own they would bring the error of direct light's harmonics from {percent(errors[0])} to"
+        )
+        yield LeftOut(
+            f"{what} of the light", f"{why} {percent(errors[1])}.", (Saving(more, "shadow rays per pixel, or more"),)
+        )
 
 
 def channels(plan: ScenePlan, _: Needs) -> Iterator[LeftOut]:
@@ -124,12 +139,12 @@ def halves(plan: ScenePlan, needs: Needs) -> Iterator[LeftOut]:
         return
     halved = tuple(replace(layer, coarse=None) for layer in plan.layers)
     saved = sum(added(layer, replace(layer, half=False)).amount for layer in plan.layers)
-    error, target = rounding_error(halved, needs), needs.target_error
+    error, target = rounding_error(halved, needs, plan.lobes), needs.target_error
     why = f"Half floats err by {percent(error)}, beside a target of {percent(target)}."
     yield LeftOut("half of each float", why, (Saving(saved, "bytes per texel"),))
     if plan.layers != halved:
         saved = sum(added(*pair).amount for pair in zip(plan.layers, halved, strict=True))
-        error = rounding_error(plan.layers, needs)
+        error = rounding_error(plan.layers, needs, plan.lobes)
         why = f"Higher bands carry little: with them in bytes, rounding errs by {percent(error)} in all."
         yield LeftOut("second bytes of higher bands", why, (Saving(saved, "bytes per texel"),))
 
@@ -172,7 +187,7 @@ def shadow_rays(plan: ScenePlan, needs: Needs) -> Iterator[LeftOut]:
 def kernels(plan: ScenePlan, needs: Needs) -> Iterator[LeftOut]:
     """Kernels that neither frames nor the bake of the scene's global illumination call."""
     bake = "bake_texels" if plan.representation == "irradiance" else "bake_irradiance"
-    idle = (bake, *uncalled(needs.rotating, needs.environment, needs.lamps))
+    idle = (bake, *uncalled(needs.rotating, needs.environment, needs.lamps, plan.lobes))
     why = (
         "Neither frames under global illumination nor their bake call them: a server of this scene alone does not"
         " compile them for either."
@@ -183,10 +198,10 @@ def kernels(plan: ScenePlan, needs: Needs) -> Iterator[LeftOut]:
 def unseen(texels: TexelCount, plan: ScenePlan) -> tuple[LeftOut, ...]:
     """Texels and chunks that no view ever reads or lights, where there are any."""
     empty = texels.chunks - texels.shown_chunks
-    kept = Saving(lattice_bytes(empty, plan.bytes_per_texel) / 1e6, "megabytes before compression")
+    kept = Saving(lattice_bytes(empty, texels.chunk, plan.bytes_per_texel) / 1e6, "megabytes before compression")
     left = (
         ("unseen", "No isovalue that may be asked for has a surface at them.", texels.total - texels.shown),
-        ("void", "They have no gradient, and so no surface of their own that light could fall on.", texels.void),
+        ("void", "They have no gradient, no side of their own in a thin wall, or no room in a crease.", texels.void),
     )
     found = [
         LeftOut(f"{sort} texels", why, (Saving(count, "texels", sort == "void"),)) for sort, why, count in left if count
@@ -197,9 +212,9 @@ def unseen(texels: TexelCount, plan: ScenePlan) -> tuple[LeftOut, ...]:
     return tuple(found)
 
 
-def lattice_bytes(chunks: int, bytes_per_texel: int) -> int:
+def lattice_bytes(chunks: int, side: int, bytes_per_texel: int) -> int:
     """What so many chunks take before compression: one that is written has room for all of its texels."""
-    return chunks * CHUNK**3 * bytes_per_texel
+    return chunks * side**3 * bytes_per_texel
 
 
 def percent(share: float) -> str:
@@ -213,7 +228,7 @@ def added(layer: Layer, larger: Layer) -> Saving:
 
 
 FINDERS: tuple[Callable[[ScenePlan, Needs], Iterator[LeftOut]], ...] = (
-    *(harmonics, bands, channels, reflections, ends, halves, records),
+    *(harmonics, bands, lobes, channels, reflections, ends, halves, records),
     *(turning, shadow_rays, kernels),
 )
 """Each finds what a plan leaves out of one sort."""

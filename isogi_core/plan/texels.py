@@ -1,24 +1,31 @@
 """Which texels of a lattice the isovalues that views may ask for can ever show, counted before anything is baked."""
 
+import math
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import reduce
 
 import numpy as np
 
+from isogi_core.kernels.cells import mark_cells
+from isogi_core.kernels.field import Field
+from isogi_core.kernels.transfer import locate_texels
+
 Shape = tuple[int, int, int]
 
-SLAB = 4
-"""Layers of cells that are looked at together, so that they stay in the cache."""
+Cells = Callable[[int, int], np.ndarray]
+"""Marks of the layers of cells from one to before another."""
 
 SAMPLE = 1 << 15
-"""Shown texels, evenly taken, of which those without a gradient are counted."""
+"""Shown texels, evenly taken, of which void ones are counted."""
 
 
 @dataclass(frozen=True)
 class TexelCount:
-    """Texels of a lattice: ``total``; ``shown``, which some view can read; ``void``, shown ones without a gradient.
+    """Texels of a lattice: ``total``; ``shown``, which some view can read; ``void``, shown ones that are never lit.
 
-    ``chunks`` and ``shown_chunks`` are the same of chunks. ``void`` is told from at most SAMPLE of the shown ones.
+    ``chunks`` and ``shown_chunks`` are the same of chunks, with ``chunk`` texels along each side. ``void`` is told
+    from at most SAMPLE of the shown ones.
     """
 
     total: int
@@ -26,31 +33,57 @@ class TexelCount:
     void: int
     chunks: int
     shown_chunks: int
+    chunk: int
 
 
-def count_texels(voxels: np.ndarray, shape: Shape, lowest: float, highest: float, chunk: int) -> TexelCount:
-    """Count the texels of a lattice of ``shape`` over ``voxels`` (both z, y, x) for a range of isovalues.
+def count_texels(field: Field, shape: Shape, lowest: float, highest: float, chunk: int) -> TexelCount:
+    """Count the texels of a lattice of ``shape`` (z, y, x) over a ``field`` for a range of isovalues.
 
-    ``lowest`` and ``highest`` are normalised, as the voxels are. The outermost texels lie on the outermost
-    voxels; ``chunk`` is the side of a chunk in texels.
+    ``lowest`` and ``highest`` are normalised, as the voxels are; macrocells are not asked for. The outermost texels
+    lie on the outermost voxels; ``chunk`` is the side of a chunk in texels.
     """
-    shown = shown_texels(surface_cells(voxels, lowest, highest), shape)
-    chunks = tuple(-(-n // chunk) for n in shape)
-    touched = any_within(shown, [np.arange(n) * chunk for n in chunks], [np.full(n, chunk) for n in chunks])
-    count = int(np.count_nonzero(shown))
-    few = every(max(-(-count // SAMPLE), 1), shown)
-    share = float(void_texels(voxels, shape, few).mean()) if len(few) else 0.0
-    return TexelCount(shown.size, count, round(share * count), touched.size, int(touched.sum()))
+    nz, ny, nx = (n - 1 for n in field.voxels.shape)
+
+    def cells(first: int, last: int) -> np.ndarray:
+        return surface_cells(field.voxels[first : last + 1], lowest, highest)
+
+    sample, touched = Sample(SAMPLE), 0
+    for n, block in enumerate(shown_blocks(cells, (nz, ny, nx), shape, chunk)):
+        for z, layer in enumerate(block):
+            sample.add(np.flatnonzero(layer) + (n * chunk + z) * layer.size)
+        touched += touched_chunks(block, chunk)
+    few, count = sample.places, sample.passed
+    share = float(void_texels(field, shape, few).mean()) if len(few) else 0.0
+    chunks = math.prod(-(-n // chunk) for n in shape)
+    return TexelCount(math.prod(shape), count, round(share * count), chunks, touched, chunk)
 
 
-def every(step: int, marks: np.ndarray) -> np.ndarray:
-    """Flat places of every ``step``-th set mark, from the first on, found layer by layer to save memory; int64."""
-    taken, passed = [], 0
-    for z, layer in enumerate(marks):
-        places = np.flatnonzero(layer)
-        taken.append(places[-passed % step :: step] + z * layer.size)
-        passed += len(places)
-    return np.concatenate(taken)
+def touched_chunks(block: np.ndarray, chunk: int) -> int:
+    """How many chunks of one layer of them hold any mark of the ``block`` (layers, y, x)."""
+    columns = np.asarray(block.any(axis=0))
+    firsts = [np.arange(0, n, chunk) for n in columns.shape]
+    return int(np.count_nonzero(any_within(columns, firsts, [np.full(len(each), chunk) for each in firsts])))
+
+
+class Sample:
+    """At most ``most`` of places that come one after the other, evenly taken; ``passed`` is how many came."""
+
+    def __init__(self, most: int) -> None:
+        """Begin with every place, and take every second, fourth and so on once there are too many."""
+        self._most, self._step, self._taken = most, 1, [np.zeros(0, np.int64)]
+        self.passed = 0
+
+    def add(self, places: np.ndarray) -> None:
+        """Look at more places (m,)."""
+        self._taken.append(places[-self.passed % self._step :: self._step].copy())
+        self.passed += len(places)
+        while sum(map(len, self._taken)) > self._most:
+            self._taken, self._step = [self.places[::2]], 2 * self._step
+
+    @property
+    def places(self) -> np.ndarray:
+        """The places that were taken; (m,) int64."""
+        return np.concatenate(self._taken)
 
 
 def surface_cells(voxels: np.ndarray, lowest: float, highest: float) -> np.ndarray:
@@ -60,30 +93,33 @@ def surface_cells(voxels: np.ndarray, lowest: float, highest: float) -> np.ndarr
     rounded into the cell beyond. A cell with a NaN shows none.
     """
     cells = np.empty(tuple(n - 1 for n in voxels.shape), np.bool_)
-    for first in range(0, len(cells), SLAB):
-        slab = voxels[first : first + SLAB + 1]
-        low, high = corners(slab, np.minimum), corners(slab, np.maximum)
-        cells[first : first + SLAB] = (low <= highest) & (high >= lowest) & (low < high)
+    mark_cells(voxels, lowest, highest, cells)
     return cells
 
 
-def corners(slab: np.ndarray, least: np.ufunc) -> np.ndarray:
-    """The least, or greatest, of the eight corners of each cell."""
-    rows = least(slab[:, :, 1:], slab[:, :, :-1])
-    planes = least(rows[:, 1:], rows[:, :-1])
-    return np.asarray(least(planes[1:], planes[:-1]))
+def shown_blocks(cells: Cells, extent: Shape, shape: Shape, size: int) -> Iterator[np.ndarray]:
+    """Whether each texel is a corner of a lattice cell that shares some room with a marked one of the ``cells``; bool.
+
+    There are ``extent`` cells (z, y, x), of which ``cells(first, last)`` marks some layers, and ``shape`` texels; these
+    come ``size`` layers at a time, so that no more need be in memory.
+    """
+    spans = [lattice_spans(n, t) for n, t in zip(extent, shape, strict=True)]
+    (first, count), top = spans[0], shape[0] - 1
+    for a in range(0, shape[0], size):
+        low, high = max(a - 1, 0), min(a + size, top)
+        begin = first[low]
+        marks = cells(begin, first[high - 1] + count[high - 1])
+        own = [(first[low:high] - begin, count[low:high]), *spans[1:]]
+        held = any_within(marks, [each for each, _ in own], [each for _, each in own])
+        yield widened(widened(widened(held, 2), 1), 0, before=a == 0, after=a + size > top)
 
 
-def shown_texels(cells: np.ndarray, shape: Shape) -> np.ndarray:
-    """Whether each texel is a corner of a lattice cell that shares some room with one of the ``cells``; bool."""
-    spans = [lattice_spans(n, t) for n, t in zip(cells.shape, shape, strict=True)]
-    held = any_within(cells, [first for first, _ in spans], [count for _, count in spans])
-    for axis in range(3):
-        wide = [(0, 0)] * 3
-        wide[axis] = (1, 1)
-        padded = np.pad(held, wide)
-        held = padded.take(range(1, padded.shape[axis]), axis) | padded.take(range(padded.shape[axis] - 1), axis)
-    return held
+def widened(held: np.ndarray, axis: int, before: bool = True, after: bool = True) -> np.ndarray:
+    """Which corners along an axis belong to a cell that is held; cells ``before`` and ``after`` all are not."""
+    wide = [(0, 0)] * 3
+    wide[axis] = (int(before), int(after))
+    layers = np.moveaxis(np.pad(held, wide), axis, 0)
+    return np.moveaxis(layers[1:] | layers[:-1], 0, axis)
 
 
 def lattice_spans(cells: int, texels: int) -> tuple[np.ndarray, np.ndarray]:
@@ -98,49 +134,18 @@ def any_within(marks: np.ndarray, firsts: list[np.ndarray], counts: list[np.ndar
     """Whether any mark is set in each box of ``counts`` marks from ``firsts`` on, both by axis; none is set outside."""
     for axis, (first, count) in enumerate(zip(firsts, counts, strict=True)):
         most = marks.shape[axis] - 1
+        if np.array_equal(first, np.arange(most + 1)) and (count == 1).all():
+            continue
         steps = [marks.take(np.minimum(first + np.minimum(k, count - 1), most), axis) for k in range(count.max())]
         marks = reduce(np.logical_or, steps)
     return marks
 
 
-def void_texels(voxels: np.ndarray, shape: Shape, places: np.ndarray) -> np.ndarray:
-    """Whether the texels at flat ``places`` of the lattice have no gradient, smoothed or of their own cell; bool.
-
-    The twin of ``kernels.field.normal`` in NumPy, with the tricubic B-spline over 4×4×4 voxels.
-    """
-    where = np.unravel_index(places, shape)
-    points = [t * ((n - 1) / (m - 1)) for t, n, m in zip(where, voxels.shape, shape, strict=True)]
-    cells = [np.minimum(p.astype(int), n - 2) for p, n in zip(points, voxels.shape, strict=True)]
-    parts = [p - cell for p, cell in zip(points, cells, strict=True)]
-    smooth = gradient(voxels, cells, [bspline(f) for f in parts], -1)
-    own = gradient(voxels, cells, [(np.stack([1.0 - f, f]), np.stack([f * 0 - 1, f * 0 + 1])) for f in parts], 0)
-    return ~(np.nan_to_num(smooth).any(axis=0) | np.nan_to_num(own).any(axis=0))
-
-
-def gradient(
-    voxels: np.ndarray, cells: list[np.ndarray], filters: list[tuple[np.ndarray, np.ndarray]], start: int
-) -> np.ndarray:
-    """Σ over voxels from ``start`` on about ``cells``, with the slopes of one axis and the weights of the others.
-
-    ``filters`` hold weights and slopes (taps, m) of each axis; (3, m) float64. Voxels beyond the border repeat
-    the border's. Values are taken from that of the cell's own voxel, so that a plateau has no gradient at all.
-    """
-    level = voxels[tuple(cells)].astype(np.float64)
-    total = np.zeros((3, len(cells[0])))
-    for taps in np.ndindex(*(len(weights) for weights, _ in filters)):
-        at = tuple(
-            np.clip(cell + start + tap, 0, n - 1) for cell, tap, n in zip(cells, taps, voxels.shape, strict=True)
-        )
-        value = voxels[at] - level
-        for axis in range(3):
-            factors = [own[axis == a][tap] for a, (own, tap) in enumerate(zip(filters, taps, strict=True))]
-            total[axis] += factors[0] * factors[1] * factors[2] * value
-    return total
-
-
-def bspline(f: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Weights and slopes (4, m) of the cubic B-spline at fractions ``f``, for voxels -1, 0, 1, 2."""
-    g = 1.0 - f
-    weights = [g**3, 4.0 + f * f * (3.0 * f - 6.0), 4.0 + g * g * (3.0 * g - 6.0), f**3]
-    slopes = [-0.5 * g * g, f * (1.5 * f - 2.0), -g * (1.5 * g - 2.0), 0.5 * f * f]
-    return np.stack(weights) / 6.0, np.stack(slopes)
+def void_texels(field: Field, shape: Shape, places: np.ndarray) -> np.ndarray:
+    """Whether the texels at flat ``places`` of the lattice can hold no light, see ``locate_texels``; bool."""
+    step = np.array([(n - 1) / (m - 1) for n, m in zip(field.voxels.shape[::-1], shape[::-1], strict=True)])
+    texels = np.stack(np.unravel_index(places, shape), axis=-1).astype(np.int32)
+    points, normals, isovalues = np.empty((3, len(texels))), np.empty((3, len(texels))), np.empty(len(texels))
+    void = np.empty(len(texels), np.bool_)
+    locate_texels(field, step, texels, points, normals, isovalues, void)
+    return void

@@ -1,23 +1,23 @@
 """Bakes in memory: the light of a few texels, or of all that one view reads, and frames with it."""
 
+import math
 import threading
 import time
 from collections.abc import Iterator
-from itertools import pairwise
+from dataclasses import replace
 
 import numpy as np
 
 from isogi_core.bake.light import Light, Part
-from isogi_core.bake.look import Look
+from isogi_core.bake.look import Look, look_name
 from isogi_core.bake.precision import FIRST_RUNG
 from isogi_core.bake.refine import refine
-from isogi_core.cache.chunk import Chunk
-from isogi_core.cache.record import TEXELS
+from isogi_core.cache.chunk import Chunks
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.renderer import Renderer
+from isogi_core.frame.sharpening import find_ways
 from isogi_core.frame.texels import ViewTexels
 from isogi_core.frame.tiles import Tiles
-from isogi_core.kernels.lattice import CHUNK
 from isogi_core.model.plan import Layer
 from isogi_core.model.view import View
 
@@ -29,11 +29,22 @@ PIECE = 256
 
 
 class Bake:
-    """The ``light`` of ``texels`` (m, 3; z, y, x) of a look; ``seconds`` of the processor were spent on it."""
+    """The ``light`` of ``texels`` (m, 3; z, y, x) of a look; ``seconds`` of the processor were spent on it.
 
-    def __init__(self, tiles: Tiles, look: Look, layers: tuple[Layer, ...], texels: np.ndarray) -> None:
-        """Begin with ``layers`` of darkness, to be baked on the threads of ``tiles``."""
+    Those with a ``level`` (m,) that is not NaN lie on the isosurface of that normalised isovalue.
+    """
+
+    def __init__(
+        self,
+        tiles: Tiles,
+        look: Look,
+        layers: tuple[Layer, ...],
+        texels: np.ndarray,
+        levels: np.ndarray | None = None,
+    ) -> None:
+        """Begin with ``layers`` of darkness, to be baked on the threads of ``tiles``; by default without levels."""
         self.tiles, self.look, self.layers, self.texels = tiles, look, layers, texels
+        self.levels = np.full(len(texels), np.nan) if levels is None else levels
         self.light = dark(layers, len(texels))
         self.seconds = 0.0
 
@@ -47,12 +58,21 @@ class Bake:
         begun = time.process_time()
 
         def piece(a: int, b: int) -> None:
-            light = self.light.rows(np.arange(a, b))
-            refine(light, self.texels[a:b], self.look, until, target)
-            self.light.put(np.arange(a, b), light)
+            for look, rows in self._looks(a, b):
+                light = self.light.rows(rows)
+                refine(light, self.texels[rows], look, until, target)
+                self.light.put(rows, light)
 
         self.tiles.run(piece, len(self.texels), PIECE, cancelled)
         self.seconds += time.process_time() - begun
+
+    def _looks(self, a: int, b: int) -> Iterator[tuple[Look, np.ndarray]]:
+        """The looks of texels ``a`` … ``b``, and the rows of each."""
+        levels = self.levels[a:b]
+        for level in np.unique(levels).tolist():
+            shown = None if math.isnan(level) else level
+            own = np.isnan(levels) if shown is None else levels == level
+            yield replace(self.look, shown=shown), a + np.flatnonzero(own)
 
     @property
     def samples(self) -> float:
@@ -61,37 +81,49 @@ class Bake:
 
 
 class ViewBake(Bake):
-    """The light of the texels that a ``view`` reads: layers of its look's plan, or those told."""
+    """The light of the texels that a ``view`` reads: layers of its look's plan, or those told.
+
+    Where its scene sharpens, those that are far from the view's isosurface are lit there too, after all others.
+    """
 
     def __init__(self, renderer: Renderer, view: View, layers: tuple[Layer, ...] = ()) -> None:
         """Find the texels; they are in the order of the view's own numbers."""
         self.renderer, self.view = renderer, view
         self.shown = renderer.texels(view, renderer.gbuffer(view))
-        look = renderer.caches.look(view.shading)
-        super().__init__(renderer.tiles, look, layers or look.plan.layers, texels_of(self.shown))
+        look, places = renderer.caches.look(view.shading), self.shown.positions
+        self.steep = steep_texels(renderer, view, self.shown)
+        levels = np.full(len(places) + len(self.steep), np.nan)
+        levels[len(places) :] = self.shown.gbuffer.isovalue
+        texels = np.concatenate([places, places[self.steep]])
+        super().__init__(renderer.tiles, look, layers or look.plan.layers, texels, levels)
 
     def frame(self, light: Light | None = None) -> Frame:
         """The view's frame with the bake's light, or with some ``light`` of the same texels.
 
         Raises StoreError where the memory for light cannot hold all of it.
         """
-        pool, keep = self.renderer.caches.of(self.view.shading).pool, frozenset(self.shown.chunks)
-        for chunk in self._chunks(light or self.light):
-            pool.insert(chunk, keep)
+        caches, light, own = self.renderer.caches, light or self.light, len(self.shown.places)
+        caches.of(self.view.shading).pool.insert(self._chunks(light, np.arange(own), 0), self.shown.chunks)
+        if len(self.steep):
+            sharp = self._chunks(light, self.steep, own)
+            caches.sharp(self.shown.gbuffer.isovalue).pool.insert(sharp, self.shown.chunks)
         return self.renderer.render(self.view, NEVER)
 
-    def _chunks(self, light: Light) -> Iterator[Chunk]:
-        """The texels and their light, chunk by chunk."""
-        shown = self.shown
-        for index, offsets, (a, b) in zip(shown.chunks, shown.offsets, pairwise(shown.bounds.tolist()), strict=True):
-            yield Chunk(index, offsets, light.rows(np.arange(a, b)))
+    def _chunks(self, light: Light, numbers: np.ndarray, first: int) -> Chunks:
+        """The texels with these ``numbers`` in the view, and their light from row ``first`` on."""
+        shown, counts = self.shown, np.diff(np.searchsorted(numbers, self.shown.bounds))
+        some = np.flatnonzero(counts)
+        offsets = np.concatenate([np.empty(0, np.int32), *shown.offsets])[numbers]
+        indices = tuple(shown.chunks[i] for i in some.tolist())
+        return Chunks(indices, np.cumsum([0, *counts[some]]), offsets, light.rows(first + np.arange(len(numbers))))
 
 
-def texels_of(shown: ViewTexels) -> np.ndarray:
-    """Lattice indices (m, 3; z, y, x) int32 of a view's texels, in the order of its own numbers."""
-    slots, offsets = np.divmod(shown.places.astype(np.int64), TEXELS)
-    inside = np.stack(np.unravel_index(offsets, (CHUNK, CHUNK, CHUNK)), axis=-1)
-    return (np.array(shown.chunks, np.int64).reshape(-1, 3)[slots] * CHUNK + inside).astype(np.int32)
+def steep_texels(renderer: Renderer, view: View, shown: ViewTexels) -> np.ndarray:
+    """Numbers of a view's texels that are to be sharp as well: none where its scene does not sharpen."""
+    scene = renderer.recipe.scene
+    if not scene.sharpen or look_name(view.shading) != "gi":
+        return np.empty(0, np.int64)
+    return np.flatnonzero(find_ways(shown, renderer.recipe, renderer.tiles).steep(scene.target_error))
 
 
 def dark(layers: tuple[Layer, ...], texels: int) -> Light:

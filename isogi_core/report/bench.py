@@ -9,6 +9,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from isogi_core.bake.recipe import Recipe
 from isogi_core.cache.caches import Caches
 from isogi_core.errors import Cancelled, ViewError
@@ -80,11 +82,20 @@ class Bench:
         return self.once(("renderer", scene.digest, scene.bounces, scene.plan.survival), make)
 
     @cached_property
+    def surface(self) -> np.ndarray:
+        """Where the view shows the surface, (h, w) bool; ViewError where it does nowhere."""
+        gbuffer = self.renderer(self.scene).gbuffer(self.view)
+        if not len(gbuffer.pixels):
+            raise ViewError(f"Nothing is to be seen at isovalue {self.view.isovalue:g}: choose another view.")
+        on = np.zeros(gbuffer.shape, bool)
+        on.flat[gbuffer.pixels] = True
+        return on
+
+    @cached_property
     def planned(self) -> ViewBake:
         """The view's light as the scene's plan has it, baked to the target error. ViewError where nothing is seen."""
+        self.surface  # noqa: B018
         renderer, target = self.renderer(self.scene), self.scene.target_error
-        if not len(renderer.gbuffer(self.view).points):
-            raise ViewError(f"Nothing is to be seen at isovalue {self.view.isovalue:g}: choose another view.")
         bake = ViewBake(renderer, self.view)
         bake.grow(most_samples(target), target, self.cancelled)
         return bake

@@ -48,7 +48,7 @@ def converge(bench: Bench) -> Converged:
 
 def grow_some(whole: Bake, rows: np.ndarray, samples: int, bench: Bench) -> None:
     """Bring some texels of a bake to so many samples."""
-    some = Bake(whole.tiles, whole.look, whole.layers, whole.texels[rows])
+    some = Bake(whole.tiles, whole.look, whole.layers, whole.texels[rows], whole.levels[rows])
     some.grow(samples, cancelled=bench.cancelled)
     whole.light.put(rows, some.light)
 

@@ -1,23 +1,21 @@
 """Ways to take light from texels to a pixel: nearest, closest isovalue, trilinear, tricubic (S1, figure 6)."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from isogi_core.bake.light import Light
-from isogi_core.bake.moments import path_deviation
-from isogi_core.bake.noise import DARKEST, standard_error
 from isogi_core.bake.refine import locate
-from isogi_core.cache.pages import marks_of
+from isogi_core.cache.rows import fill_rows, new_rows
 from isogi_core.frame.surroundings import Turned
+from isogi_core.kernels.field import bspline
 from isogi_core.kernels.lattice import light_texels
-from isogi_core.plan.texels import bspline
 from isogi_core.report.bake import Bake
 from isogi_core.report.bench import Bench
 from isogi_core.report.converged import unrounded
 from isogi_core.report.metrics import luminance, map_of, mean_of, spread_of
-from isogi_core.report.points import Lit, own_light
+from isogi_core.report.points import Lit, own_light, straight_light
 from isogi_core.report.sections import Column, Picture, Section, Table
 
 KEY, TITLE = "interpolation", "Interpolation"
@@ -51,8 +49,8 @@ class Neighbourhood:
     """The 4×4×4 texels about each of m pixels' points.
 
     ``numbers`` (m, 64) of texels in the order of TAPS; ``fractions`` (m, 3; z, y, x) within the cell; of each texel
-    ``light`` (t,) its luminance, ``noise`` (t,) the variance of that, ``lit`` (t,) whether it holds any light, and
-    ``apart`` (t,) how far its isovalue is from the picture's.
+    ``light`` (t,) its luminance, ``noise`` (t,) the variance of that, ``lit`` (t,) whether it holds any light,
+    ``apart`` (t,) how far its isovalue is from the picture's, and ``normals`` (t, 3) those that it is lit about.
     """
 
     numbers: np.ndarray
@@ -61,15 +59,16 @@ class Neighbourhood:
     noise: np.ndarray
     lit: np.ndarray
     apart: np.ndarray
+    normals: np.ndarray
 
 
 def study(bench: Bench) -> Section:
     """Errors of the four ways."""
     around, own = neighbourhood(bench, SAMPLES), own_light(bench)
-    mean, rows, pictures = mean_of(own.light), [], []
+    straight, mean, rows, pictures = straight_light(bench), mean_of(own.light), [], []
     for name, (weigh, reads) in WAYS.items():
         carried = carry(around, weigh(around))
-        wrong = carried.light - own.light
+        wrong = carried.light + straight - own.light
         spread = spread_of(wrong, carried.noise + own.noise, mean)
         rows.append((name, spread.rmse, spread.p99, spread.bias, reads))
         pictures.append(Picture(name, "error", map_of(wrong, bench.best.on, mean)))
@@ -77,26 +76,44 @@ def study(bench: Bench) -> Section:
     return Section(KEY, TITLE, ABOUT, (table,), (), tuple(pictures))
 
 
-def neighbourhood(bench: Bench, samples: int) -> Neighbourhood:
-    """Find and bake the texels about the surface pixels of the bench's view."""
+def neighbourhood(bench: Bench, samples: int, moved: bool = False) -> Neighbourhood:
+    """The texels about the pixels of the bench's view and their light, ``moved`` onto its isosurface or not."""
+    found: Neighbourhood = bench.once(("texels", samples, moved), lambda: make_neighbourhood(bench, samples, moved))
+    return found
+
+
+def make_neighbourhood(bench: Bench, samples: int, moved: bool) -> Neighbourhood:
+    """Find and bake them."""
     renderer, view = bench.renderer(bench.scene), bench.view
-    lattice, points = renderer.recipe.lattice, renderer.gbuffer(view).points
-    places = points[:, ::-1].astype(np.float64) * np.array(lattice.density[::-1])
-    cells = np.clip(np.floor(places).astype(np.int64), 0, np.array(lattice.shape) - 2)
-    texels, numbers = texels_about(cells, lattice.shape)
-    look = renderer.caches.look(view.shading)
-    bake = Bake(bench.tiles, look, tuple(map(unrounded, look.plan.layers)), texels)
+    texels, numbers, fractions = texels_around(bench)
+    level = renderer.gbuffer(view).isovalue
+    look = replace(renderer.caches.look(view.shading), shown=level if moved else None)
+    levels = np.full(len(texels), level if moved else np.nan)
+    bake = Bake(bench.tiles, look, tuple(map(unrounded, look.plan.layers)), texels, levels)
     bake.grow(samples, cancelled=bench.cancelled)
-    isovalues = locate(texels, renderer.recipe)[0][3]
-    lit = lit_texels(bake.light, Turned(look, view))
+    _, _, normals, isovalues = locate(texels, renderer.recipe, look.shown)[0]
+    lit, held = lit_texels(bake.light, Turned(look, view))
     return Neighbourhood(
         numbers=numbers,
-        fractions=np.clip(places - cells, 0.0, 1.0),
+        fractions=fractions,
         light=luminance(lit[:, :3]),
         noise=lit[:, 3].astype(np.float64) ** 2,
-        lit=marks_of(bake.light) == 0,
-        apart=np.abs(isovalues - renderer.gbuffer(view).isovalue),
+        lit=held,
+        apart=np.abs(isovalues - level),
+        normals=normals.T,
     )
+
+
+def texels_around(bench: Bench) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Texels and numbers as ``texels_about`` tells them of the cells that a bench's pixels lie in, and the fractions.
+
+    The latter are (m, 3; z, y, x).
+    """
+    renderer = bench.renderer(bench.scene)
+    lattice, points = renderer.recipe.lattice, renderer.gbuffer(bench.view).points
+    places = points[:, ::-1].astype(np.float64) * np.array(lattice.density[::-1])
+    cells = np.clip(np.floor(places).astype(np.int64), 0, np.array(lattice.shape) - 2)
+    return *texels_about(cells, lattice.shape), np.clip(places - cells, 0.0, 1.0)
 
 
 def texels_about(cells: np.ndarray, shape: tuple[int, int, int]) -> tuple[np.ndarray, np.ndarray]:
@@ -108,14 +125,16 @@ def texels_about(cells: np.ndarray, shape: tuple[int, int, int]) -> tuple[np.nda
     return texels, numbers.reshape(flat.shape)
 
 
-def lit_texels(light: Light, turned: Turned) -> np.ndarray:
-    """Linear RGB and standard error of each texel's luminance under ``turned`` lights, as frames have them; (t, 4)."""
-    look, lit = turned.look, np.empty((len(light), 4), np.float32)
-    transfer = np.ascontiguousarray(light.transfer[:, :, : look.order**2], np.float32)
-    scatter = standard_error(light, look) / np.maximum(path_deviation(light, look), DARKEST * look.unit)
-    lights = (np.ascontiguousarray(each, np.float32) for each in (turned.reflected / look.unit, turned.square))
-    light_texels(np.arange(len(light), dtype=np.int32), transfer, scatter.astype(np.float32), *lights, lit)
-    return np.asarray(lit * look.unit)
+def lit_texels(light: Light, turned: Turned) -> tuple[np.ndarray, np.ndarray]:
+    """Linear RGB and standard error of each texel's luminance under ``turned`` lights, as frames have them; (t, 4).
+
+    And whether the texel holds any light, (t,) bool.
+    """
+    look, lit, numbers = turned.look, np.empty((len(light), 4), np.float32), np.arange(len(light), dtype=np.int32)
+    rows = new_rows(look, len(light))
+    held = fill_rows(rows, numbers, light, look) >= 0
+    light_texels(numbers, rows.transfer, rows.scatter, *turned.in_units, lit)
+    return lit * look.unit, held
 
 
 def carry(around: Neighbourhood, weights: np.ndarray) -> Lit:
@@ -154,7 +173,7 @@ def trilinear(around: Neighbourhood) -> np.ndarray:
 
 def tricubic(around: Neighbourhood) -> np.ndarray:
     """The cubic B-spline along each axis."""
-    return product(np.stack([bspline(f)[0] for f in around.fractions.T]))
+    return product(np.array([bspline(f) for f in around.fractions.T]))
 
 
 def product(along: np.ndarray) -> np.ndarray:

@@ -4,7 +4,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from isogi_core.bake.look import Look
 from isogi_core.bake.refine import Place, sample_transfer
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.paths import variance_of_mean
@@ -80,20 +79,28 @@ def cuts_harmonics(scene: Scene) -> bool:
 def lit_by_transfer(bench: Bench, samples: int) -> Lit:
     """Surface pixels lit by transfer of their own, of the plan's orders, from ``samples`` paths each, unrounded.
 
-    Raises Cancelled.
+    What comes straight from lobes is the frame's. Raises Cancelled.
     """
     renderer, view = bench.renderer(bench.scene), bench.view
     look, gbuffer = renderer.caches.look(view.shading), renderer.gbuffer(view)
     normals = gbuffer.normals(renderer.recipe, bench.tiles, bench.cancelled)
-    reflected, halves = Turned(look, view).reflected, np.zeros((len(gbuffer.points), 2, 3))
+    turned, halves = Turned(look, view), np.zeros((len(gbuffer.points), 2, 3))
 
     def piece(a: int, b: int) -> None:
         place = place_of(gbuffer.pixels[a:b], gbuffer.points[a:b], normals[a:b], gbuffer.isovalue)
-        halves[a:b] = light_of_halves(look, place, reflected, samples)
+        halves[a:b] = light_of_halves(turned, place, samples)
 
     bench.tiles.run(piece, len(halves), PIECE, bench.cancelled)
     half = (halves[:, 0] - halves[:, 1]) @ LUMINANCE / 2.0
-    return Lit(np.maximum(halves.mean(axis=1), 0.0) @ LUMINANCE, half**2)
+    return Lit(np.maximum(halves.mean(axis=1), 0.0) @ LUMINANCE + straight_light(bench), half**2)
+
+
+def straight_light(bench: Bench) -> np.ndarray:
+    """Luminance that comes straight from lobes, which no texel keeps, to the surface pixels; (m,) float64."""
+    renderer, view = bench.renderer(bench.scene), bench.view
+    look = renderer.caches.look(view.shading)
+    lit = renderer.lobes(Turned(look, view), renderer.gbuffer(view), bench.cancelled).lit
+    return look.unit * luminance(lit[:, :3])
 
 
 def place_of(pixels: np.ndarray, points: np.ndarray, normals: np.ndarray, isovalue: float) -> Place:
@@ -104,12 +111,13 @@ def place_of(pixels: np.ndarray, points: np.ndarray, normals: np.ndarray, isoval
     return numbers, here, facing, np.full(len(pixels), isovalue)
 
 
-def light_of_halves(look: Look, place: Place, reflected: np.ndarray, samples: int) -> np.ndarray:
-    """Linear RGB (m, 2, 3) of each half of ``samples`` paths, under the turned light ``reflected`` (3, n²)."""
-    layers, void = look.plan.layers, np.zeros(len(place[3]), np.bool_)
-    halves = np.zeros((len(void), 2, 3))
+def light_of_halves(turned: Turned, place: Place, samples: int) -> np.ndarray:
+    """Linear RGB (m, 2, 3) of each half of ``samples`` paths, under ``turned`` lights."""
+    look, void = turned.look, np.zeros(len(place[3]), np.bool_)
+    layers, halves = look.plan.layers, np.zeros((len(void), 2, 3))
     for layer, (sums, _) in zip(layers, sample_transfer(layers, place, void, look, 0, samples), strict=True):
-        n = min(layer.order**2, reflected.shape[1])
+        light = turned.albedo[:, None] * turned.light_of(layer)
+        n = min(layer.order**2, light.shape[1])
         colours = np.broadcast_to(sums, (*sums.shape[:2], 3, sums.shape[3]))
-        halves += np.einsum("mhcn,cn->mhc", colours[..., :n], reflected[:, :n]) / (samples // 2)
+        halves += np.einsum("mhcn,cn->mhc", colours[..., :n], light[:, :n]) / (samples // 2)
     return halves

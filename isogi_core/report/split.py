@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from isogi_core.model.plan import ScenePlan
 from isogi_core.model.scene import Scene
 from isogi_core.report.bench import Bench
 from isogi_core.report.converged import converged
@@ -108,11 +109,17 @@ def parts_of(bench: Bench, planned: Lit, best: Lit) -> Iterator[Part]:
     noise = exact.noise + own.noise
     yield Part("interpolation", "texels around a pixel, and light at its own point", exact.light - own.light, noise)
     if cuts_harmonics(bench.scene):
-        what, lights = f"harmonics of order {plan.order}, and the lights themselves", lit_by_paths(short)
+        what, lights = f"{harmonics(plan)}, and the lights themselves", lit_by_paths(short)
         yield Part("harmonics cut off", what, own.light - lights.light, own.noise + lights.noise)
     if bench.scene.bounces:
         cut, what = apart(short, bench.best), f"{bench.scene.bounces} bounces, and {bench.whole.bounces}"
         yield Part("bounces cut off", what, cut.light, cut.noise)
+
+
+def harmonics(plan: ScenePlan) -> str:
+    """What texels keep of a light, and what pixels see of it themselves."""
+    lobes = {0: "", 1: ", a lobe beside"}.get(plan.lobes, f", {plan.lobes} lobes beside")
+    return f"harmonics of order {plan.order}{lobes}"
 
 
 def missing(bench: Bench) -> str:

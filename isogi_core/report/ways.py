@@ -12,11 +12,11 @@ def as_s1(scene: Scene) -> Scene | None:
     if scene.lamps.any:
         return None
     whole = Layer("whole", BANDS, 3, half=False)
-    return with_plan(scene, representation="transfer", layers=(whole,), order=BANDS, survival=1.0)
+    return with_plan(scene, representation="transfer", layers=(whole,), order=BANDS, lobes=0, survival=1.0)
 
 
 def as_irradiance(scene: Scene) -> Scene:
     """The scene under lights that stay: a texel keeps the light that it receives."""
     channels = 1 if scene.needs.grey and scene.needs.grey_light else 3
     layer = Layer("irradiance", channels=channels, scale=unit_of(scene.needs))
-    return with_plan(scene, representation="irradiance", layers=(layer,), order=1)
+    return with_plan(scene, representation="irradiance", layers=(layer,), order=1, lobes=0)

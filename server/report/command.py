@@ -10,19 +10,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from isogi_core.errors import ViewError
-from isogi_core.model.scene import Scene, load_scene
+from isogi_core.model.scene import Scene
 from isogi_core.model.view import View
 from server.durations import span
 from server.errors import LibraryError, ParameterError
-from server.params import POINTS, FrameParams, read
+from server.opening import open_scene
+from server.params import FrameParams, read
 from server.settings import Settings
 from server.views import view_of
 
 if TYPE_CHECKING:
-    from isogi_core.report.bench import Bench
     from isogi_core.report.sections import Section
     from isogi_core.report.studies import Study
     from server.report.measuring import Measured
@@ -52,15 +49,15 @@ def report(target: str, knobs: Mapping[str, str], settings: Settings, wishes: Wi
     """
     begun = time.monotonic()
     require_libraries()
-    scene = load_scene(target)
+    scene = open_scene(target, settings)
     params = read(FrameParams, standing(knobs).items())
     exposure = scene.default_exposure if params.exposure is None else params.exposure
     return report_of(scene, view_of(scene, params, settings), exposure, wishes, begun)
 
 
 def standing(knobs: Mapping[str, Any]) -> dict[str, Any]:
-    """The knobs of a view, with STAND for those of its camera that are left out."""
-    return dict(knobs) if set(POINTS) & set(knobs) else {**STAND, **knobs}
+    """The knobs of a view, with STAND for those of its orbit that are left out."""
+    return dict(knobs) if "eye" in knobs else {**STAND, **knobs}
 
 
 def require_libraries() -> None:
@@ -85,21 +82,11 @@ def report_of(scene: Scene, view: View, exposure: float, wishes: Wishes, begun: 
     wanted = choose(STUDIES, wishes.only)
     deadline = math.inf if wishes.deadline is None else begun + wishes.deadline
     bench = Bench(scene, view, workshop(wishes.folder), deadline=deadline, exposure=exposure)
-    on = surface_of(bench)
+    on = bench.surface  # before the folder is touched
     with opened(wishes.folder, subject_of(scene, view, exposure)) as journal:
         measured = measure(STUDIES, wanted, bench, journal)
         drawn = Report(scene, view, exposure, on, measured.done, tuple(notes(measured, wishes.deadline)))
         return outcome(write_report(wishes.folder, drawn), drawn, measured)
-
-
-def surface_of(bench: Bench) -> np.ndarray:
-    """Where the view shows the surface, (h, w) bool; ViewError where it does nowhere."""
-    gbuffer = bench.renderer(bench.scene).gbuffer(bench.view)
-    if not len(gbuffer.pixels):
-        raise ViewError(f"Nothing is to be seen at isovalue {bench.view.isovalue:g}: choose another view.")
-    on = np.zeros(gbuffer.shape, bool)
-    on.flat[gbuffer.pixels] = True
-    return on
 
 
 def choose(studies: Sequence[Study], only: Sequence[str]) -> tuple[Study, ...]:

@@ -10,18 +10,22 @@ from typing import Any
 from isogi_core.model.scene import Scene
 from isogi_core.model.view import View
 from server.facts import SceneFacts, scene_facts
-from server.inspect import amount, by, plan_rows, summary
+from server.inspect.rows import amount, by, plan_rows, summary
 
 PACKAGES = ("isogi", "numpy", "numba", "zarr", "matplotlib", "flip-evaluator")
 
 Rows = tuple[tuple[str, str], ...]
 
 
+UNTOLD = {"histogram", "ranges", "presets", "shadings", "defaults"}
+"""What of a scene's document is for those that choose a view, not for a report of one."""
+
+
 def heading(scene: Scene, view: View) -> dict[str, Any]:
     """The head as a document."""
     return {
         "title": f"{scene.name} at {view.isovalue:g}",
-        "scene": scene_facts(scene).model_dump(mode="json", exclude={"histogram", "ranges", "shadings", "defaults"}),
+        "scene": scene_facts(scene).model_dump(mode="json", exclude=UNTOLD),
         "view": view_facts(view),
         "machine": machine(),
         "versions": versions(),

@@ -32,7 +32,7 @@ SUBJECT = "report.json"
 LOCK = "lock"
 
 WORK = "work"
-"""Beside the journal: light and references that studies share."""
+"""Beside the journal: references that studies share."""
 
 
 DAMAGE = (OSError, EOFError, ValueError, KeyError, TypeError, BadZipFile, zlib.error)
@@ -98,7 +98,7 @@ def opened(folder: Path, subject: Mapping[str, Any]) -> Iterator[Journal]:
 
 
 def workshop(folder: Path) -> Path:
-    """Where the light and the references of a report in ``folder`` are, those of this code."""
+    """Where the references of a report in ``folder`` are, those of this code."""
     return folder / WORK / code_digest()
 
 

@@ -56,3 +56,11 @@ def test_layers_add_up_over_their_orders_and_channels() -> None:
     for channel in range(3):
         np.testing.assert_array_equal(light.transfer[:, channel, :4], direct[:, 0, :4] + indirect[:, channel])
         np.testing.assert_array_equal(light.transfer[:, channel, 4:], direct[:, 0, 4:])
+
+
+def test_what_is_void_in_one_layer_is_made_so_in_all() -> None:
+    """As when one layer is read before, and the other after, somebody else has written both."""
+    light = some_light(9)
+    light.parts[0].samples[5] = VOID
+    light.agree_on_void()
+    assert [part.samples.tolist() for part in light.parts] == [[16] * 5 + [VOID] + [16] * 3] * 2

@@ -1,13 +1,14 @@
 """Looks: what their paths count, the light that texels are put under, and what noise counts in it."""
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from isogi_core.bake.light import Part
+from isogi_core.bake.light import Light, Part
 from isogi_core.bake.look import LOOKS, Look, band_of, look_for, look_name
 from isogi_core.bake.noise import deviation
 from isogi_core.bake.recipe import Recipe
@@ -100,6 +101,48 @@ def test_unoccluded_light_is_the_environments_mean_times_the_albedo(lights: list
     look = look_of(plan_of(Layer("direct", 3)), lights=lights)
     mean = look.recipe.scene.environment.mean()
     assert look.unoccluded == pytest.approx(LUMINANCE @ (np.array(ALBEDO) * mean), rel=1e-3)
+
+
+# --- terms ------------------------------------------------------------------------------------------------------
+
+
+def test_without_lobes_all_layers_are_one_term() -> None:
+    look = look_of(plan_of(Layer("direct", 5), Layer("indirect", 3)))
+    (term,) = look.terms
+    assert term.layers == (0, 1) and look.columns == 25 and look.lobes == ()
+    assert np.array_equal(term.light, look.light) and np.array_equal(term.luminance, look.luminance_light)
+    assert np.array_equal(look.beside, look.recipe.around)
+
+
+def test_with_lobes_direct_light_meets_the_rest_and_reflected_light_all() -> None:
+    look = look_of(replace(plan_of(Layer("direct", 3), Layer("indirect", 5)), lobes=1))
+    direct, indirect = look.terms
+    assert (direct.layers, direct.order, indirect.layers, indirect.order, look.columns) == ((0,), 3, (1,), 5, 34)
+    assert np.array_equal(indirect.light, look.light)
+    (sun,) = look.lobes
+    np.testing.assert_allclose((look.light[:, :9] - direct.light)[:, 0] * math.sqrt(4.0 * math.pi), sun.flux)
+    assert [look.term_of(layer) for layer in look.plan.layers] == [direct, indirect]
+    np.testing.assert_allclose((look.recipe.around - look.beside)[:, 0] * math.sqrt(4.0 * math.pi), sun.flux)
+    assert (look.gains(look.plan.layers[0]) < look_of(plan_of(Layer("direct", 3))).gains(look.plan.layers[0])).all()
+
+
+def test_direct_light_alone_is_a_term_beside_lobes() -> None:
+    look = look_of(replace(plan_of(Layer("direct", 3)), lobes=1))
+    (term,) = look.terms
+    assert term.layers == (0,) and not np.allclose(term.light, look.light)
+
+
+def test_columns_are_those_of_the_terms_side_by_side() -> None:
+    look = look_of(replace(plan_of(Layer("direct", 3), Layer("indirect", 4, 3)), lobes=1))
+    light = Light.dark(look.plan, 5)
+    for part in light.parts:
+        part.coefficients[:] = np.random.default_rng(2).normal(size=part.coefficients.shape)
+    columns = light.columns(look.terms)
+    assert columns.shape == (5, 3, 9 + 16)
+    assert np.array_equal(columns[:, :, :9], np.repeat(light.parts[0].coefficients, 3, axis=1))
+    assert np.array_equal(columns[:, :, 9:], light.parts[1].coefficients)
+    (whole,) = look_of(plan_of(Layer("direct", 3), Layer("indirect", 4, 3))).terms
+    assert np.array_equal(light.columns([whole]), light.transfer)
 
 
 # --- what noise counts ------------------------------------------------------------------------------------------

@@ -5,12 +5,14 @@ import numpy as np
 import pytest
 
 from isogi_core.bake import maps as module
-from isogi_core.bake.maps import LAYERS, STEP, Maps, Piece, serially
+from isogi_core.bake.levels import PARTS
+from isogi_core.bake.maps import LAYERS, Maps, Piece, serially
 from isogi_core.errors import Cancelled
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kept import OVERHEAD
 from isogi_core.kernels.bricks import Bricks, brick_ranges, make_bricks
 
+STEP = 1.0 / PARTS
 VOXELS = np.random.default_rng(1).random((70, 21, 34)).astype(np.float32)
 
 
@@ -43,10 +45,10 @@ def test_a_map_is_that_of_the_whole_step() -> None:
 
 @pytest.mark.parametrize(
     ("lowest", "highest", "steps"),
-    [(0.0, 0.0, (0, 1)), (1.0, 1.0, (64, 65)), (0.51, 0.51, (32, 33)), (0.5, 0.51, (32, 33)), (0.49, 0.51, (31, 33)),
-     (-0.01, 0.0, (-1, 0)), (0.5, 0.53125, (32, 34))],
+    [(0.0, 0.0, (0, 1)), (1.0, 1.0, (64, np.inf)), (0.51, 0.51, (32, 33)), (0.5, 0.51, (32, 33)),
+     (0.49, 0.51, (31, 33)), (-0.01, 0.0, (-np.inf, 0)), (0.5, 0.53125, (32, 34)), (1e30, 1e36, (64, np.inf))],
 )  # fmt: skip
-def test_ranges_are_widened_to_steps_and_no_farther(
+def test_ranges_are_widened_to_levels_and_no_farther(
     made: list[tuple[float, float]], lowest: float, highest: float, steps: tuple[int, int]
 ) -> None:
     Maps(VOXELS).get(lowest, highest)
@@ -109,3 +111,34 @@ def test_a_map_that_nobody_waits_for_is_dropped_and_can_be_made_later(when: int)
     again = maps.get(0.5, 0.5)
     assert_same(again, Maps(VOXELS).get(0.5, 0.5))
     assert maps.get(0.5, 0.5, cancelled) is again, "what is kept need not be made"
+
+
+RAMP = np.broadcast_to(np.linspace(0.0, 1.0, 70, dtype=np.float32)[:, None, None], VOXELS.shape).copy()
+
+
+def ask(maps: Maps, isovalues: np.ndarray) -> int:
+    """Have the maps of all groups of some isovalues; how many there are."""
+    numbers, ends = maps.groups(isovalues)
+    assert (ends[numbers] <= isovalues).all() and (isovalues < ends[numbers + 1]).all()
+    for number in np.unique(numbers):
+        maps.get(float(ends[number]), float(ends[number + 1]))
+    return len(np.unique(numbers))
+
+
+@pytest.mark.parametrize(("most", "least", "groups"), [(1 << 30, 33, 33), (80_000, 5, 32), (1, 1, 1)])
+def test_groups_become_so_wide_that_all_of_their_maps_are_kept(
+    made: list[tuple[float, float]], most: int, least: int, groups: int
+) -> None:
+    maps, isovalues = Maps(RAMP, most=most), np.linspace(0.0, 1.0, 500)
+    assert ask(maps, isovalues) >= 33
+    while made:
+        made.clear()
+        settled = ask(maps, isovalues)
+    assert least <= settled <= groups
+
+
+def test_groups_stay_narrow_where_few_are_asked_for(made: list[tuple[float, float]]) -> None:
+    maps, isovalues = Maps(RAMP, most=80_000), np.linspace(0.41, 0.49, 50)
+    assert [ask(maps, isovalues) for _ in range(3)] == [3, 3, 3]
+    assert len(made) == 3
+    assert all(high - low == 2 * STEP for low, high in made)

@@ -1,6 +1,7 @@
 """The variance of one path's light, against paths that were drawn."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -48,7 +49,7 @@ def test_a_texels_spread_is_that_of_its_paths_light(rng: np.random.Generator) ->
     values = basis(3, ways(rng, 3000)) * (rng.random((3000, 1)) < 2 / 3)
     transfer = np.float32(values.mean(axis=0))[None, None]
     lit = np.empty((1, 4), np.float32)
-    args = (np.float32(light), np.float32(square), lit)
+    args = (np.float32(light), np.float32(square), np.zeros(1, np.int32), lit)
     light_texels(np.zeros(1, np.int32), transfer, np.full(1, 0.1, np.float32), *args)
     variance = (values @ (colour @ light)).var()
     least = LEAST_SPREAD * transfer[0, 0, 0] * square[0]
@@ -68,6 +69,26 @@ def test_the_deviation_of_paths_is_a_mean_over_turns_of_the_light(channels: int,
     mean = np.einsum("mcn,tcn->mt", light.transfer, lights)
     expected = seen - (mean**2).mean(axis=1) + LEAST_SPREAD * 0.2 * second[0, 0]
     np.testing.assert_allclose(told**2, expected, rtol=0.05)
+
+
+def test_the_deviation_of_paths_under_two_lights_is_a_mean_over_turns_of_both(rng: np.random.Generator) -> None:
+    """Direct light of order 4 beside a lobe, and reflected light of order 3 with it."""
+    look = look_of(replace(plan_of(Layer("direct", 4), Layer("indirect", 3)), lobes=1))
+    assert len(look.terms) == 2 and not np.allclose(look.terms[0].light[:, :9], look.terms[1].light)
+    light, unit = Light.dark(look.plan, 6), look.unit
+    for part, mean in zip(light.parts, (0.2, 0.05), strict=True):
+        part.coefficients[:] = 0.1 * mean * rng.normal(size=part.coefficients.shape) * 0.3 ** band_of(part.layer.order)
+        part.coefficients[:, :, 0] = mean
+    both = np.zeros((2, 16))
+    for row, term in zip(both, look.terms, strict=True):
+        row[: term.order**2] = term.luminance.sum(axis=0) / unit
+    turns = turned(both, 3000)
+    mean = sum(light.columns([term])[:, 0] @ turns[:, i, : term.order**2].T for i, term in enumerate(look.terms))
+    second = sum(
+        part.coefficients[:, 0, 0] * term.square[0] for part, term in zip(light.parts, look.terms, strict=True)
+    )
+    expected = np.maximum(second - (mean**2).mean(axis=1), 0.0) + LEAST_SPREAD * second
+    np.testing.assert_allclose((path_deviation(light, look) / unit) ** 2, expected, rtol=0.05)
 
 
 @pytest.mark.parametrize("share", [1.0, 0.6])

@@ -24,7 +24,8 @@ from isogi_core.bake.recipe import Recipe
 from isogi_core.model.plan import FEWEST, most_samples
 from isogi_core.model.scene import load_scene
 from tests.bake.test_look import turned
-from tests.bake.texels import COMPILED, baked, climbed, orbital, surface_texels
+from tests.bake.texels import baked, climbed, orbital, surface_texels
+from tests.scale import COMPILED
 
 FACTOR = np.sqrt(4.0 * np.pi)
 
@@ -157,14 +158,16 @@ def test_error_falls_as_samples_are_added() -> None:
 
 def wrongness(part: Part, reference: Part, look: Look, count: int = 24) -> np.ndarray:
     """Errors of the luminance of each texel against a reference under turned lights, (texels, turns)."""
-    n = part.layer.order**2
-    lights = turned(look.luminance_light, count)[:, :, :n] if look.order > 1 else look.luminance_light[None]
+    own = look.term_of(part.layer).luminance
+    n = min(part.layer.order**2, own.shape[1])
+    lights = turned(own, count)[:, :, :n] if look.order > 1 else own[None]
     lights = lights if part.layer.channels == lights.shape[1] else lights.sum(axis=1, keepdims=True)
     return np.einsum("mcn,tcn->mt", part.coefficients.astype(float) - reference.coefficients, lights)
 
 
 LOOKS = {
     "grey": {},
+    "beside a lobe": {"lobes": 1},
     "coloured": {"albedo": (0.9, 0.6, 0.3)},
     "indirect at a lower order": {"indirect_order": 3},
     "constant": {"sky": False},

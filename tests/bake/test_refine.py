@@ -13,7 +13,8 @@ from isogi_core.bake.recipe import Recipe
 from isogi_core.bake.refine import add_to_mean, climb, next_samples, refine
 from isogi_core.kernels.transfer import bake_texels, locate_texels
 from isogi_core.model.plan import FEWEST
-from tests.bake.texels import COLUMNS, COMPILED, NEVER, baked, climbed, orbital, same, surface_texels
+from tests.bake.texels import COLUMNS, NEVER, baked, climbed, orbital, same, surface_texels
+from tests.scale import COMPILED
 
 LOOKS = {
     "transfer": {},

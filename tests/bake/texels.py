@@ -4,8 +4,6 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-import pytest
-from numba import config
 
 from isogi_core.bake.light import Light
 from isogi_core.bake.look import Look, look_for
@@ -16,7 +14,6 @@ from isogi_core.model.scene import load_scene
 NEVER = -1.0
 """A target that no texel reaches."""
 
-COMPILED = pytest.mark.skipif(bool(config.DISABLE_JIT), reason="so many paths need compiled kernels")
 SKY = {"type": "sky", "sun_azimuth": 20.0, "sun_elevation": 35.0}
 CONSTANT = {"type": "constant", "radiance": 1.0}
 COLUMNS = ("samples", "noise", "coefficients")
@@ -24,10 +21,11 @@ COLUMNS = ("samples", "noise", "coefficients")
 
 @cache
 def orbital(albedo: float | tuple[float, ...] = 0.7, shading: str = "gi", sky: bool = True, **settings: Any) -> Look:
-    """A look at the orbital with 3 bounces, under a sky or constant light; three albedos make it coloured."""
+    """A look at the orbital with 3 bounces, under a sky (no lobes) or constant light; three albedos: coloured."""
     given = list(albedo) if isinstance(albedo, tuple) else albedo
     lights = [SKY if sky else CONSTANT]
-    scene = load_scene("demo:orbital", **{"lights": lights, "albedo": given, "bounces": 3, **settings})
+    told = {"lights": lights, "albedo": given, "bounces": 3, "lobes": 0, **settings}
+    scene = load_scene("demo:orbital", **told)
     return look_for(Recipe(scene), shading)
 
 

@@ -40,6 +40,20 @@ def test_frames() -> None:
     assert set(figures("frames", "demo:casting")) == names
 
 
+def test_lobes() -> None:
+    """The sky of a demo has one, its sun."""
+    timed = ("turned", "turned, processor", "at rest")
+    names = {f"{n} {what}" for n in (0, 1) for what in ("told, %", "bytes a texel", *(f"{way}_ms" for way in timed))}
+    assert set(figures("lobes", "demo:casting")) == names | {f"1 {way} / 0 {way}" for way in timed}
+
+
+def test_warm_view() -> None:
+    found = figures("warm_view", "demo:orbital")
+    places = ("folder", "disk", "s3")
+    assert [found[f"{where}: bytes / plain bytes"] for where in places] == [1.0, 1.0, 1.0]
+    assert all(found[f"{where}: {what}"] > 0.0 for where in places for what in ("view / plain reads", "unwrapping, ms"))
+
+
 def test_rays() -> None:
     found = figures("rays", "demo:casting@100")
     assert (found["isosurface"], found["embree"]) == ("casting at 100", "not installed")
@@ -86,6 +100,36 @@ def test_a_resampled_volume_is_the_same_shape() -> None:
     assert half.value_range == pytest.approx(volume.value_range, rel=0.01, abs=0.01)
     same = resample(volume, 128).voxels[:, ::127, ::127]
     assert np.allclose(same[[0, -1]], volume.voxels[[0, -1]][:, ::127, ::127])
+
+
+def test_drag() -> None:
+    arguments = ["demo:orbital", "--size", "48", "--seconds", "2", "--pages", "2", "--workers", "1", "--json"]
+    done = CliRunner().invoke(importlib.import_module("benchmarks.drag").main, arguments, catch_exceptions=False)
+    found = json.loads(done.stdout)
+    waits = [found[f"input to picture, {which}"] for which in ("median", "95 %", "longest")]
+    assert 0.0 < waits[0] <= waits[1] <= waits[2]
+    assert found["drafts a second and page"] > 1.0
+    assert 12 <= found["pixels along a draft, median"] <= 48
+    assert found["rest to full picture, longest"] > 0.0
+
+
+def test_load() -> None:
+    arguments = ["demo:orbital", "--clients", "9", "--seconds", "2", "--workers", "1", "--json"]
+    done = CliRunner().invoke(importlib.import_module("benchmarks.load").main, arguments, catch_exceptions=False)
+    found = json.loads(done.stdout)
+    assert {key for key in found if key.startswith("answered")} <= {f"answered {n}" for n in (200, 304, 429, 503)}
+    assert found["answered 200"] > 0 and found["livez, answers"] > 0
+    assert found["requests in progress, afterwards"] == 0
+
+
+def test_unruly() -> None:
+    arguments = ["demo:orbital", "--slow", "9", "--aborting", "3", "--clients", "4", "--seconds", "1", "--json"]
+    done = CliRunner().invoke(importlib.import_module("benchmarks.unruly").main, arguments, catch_exceptions=False)
+    found = json.loads(done.stdout)
+    assert found["answered 200, %"] == 100.0
+    assert found["chunks wanted more than before"] == found["requests in progress still"] == found["exit status"] == 0
+    assert found["found it gone"] == 4
+    assert {key for key in found if key.startswith("answered")} <= {"answered 200, %", "answered 200", "answered 503"}
 
 
 def test_time_left() -> None:

@@ -4,7 +4,7 @@ import numpy as np
 
 from benchmarks.calibration import Told, frames_of, table
 from benchmarks.calibration_scenes import load
-from tests.bake.texels import COMPILED
+from tests.scale import COMPILED
 
 
 @COMPILED

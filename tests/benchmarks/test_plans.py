@@ -67,7 +67,7 @@ def test_all_scenes_are_there_with_the_shared_data(shared_data: Path, monkeypatc
 
 def test_the_table_is_markdown_with_a_dash_where_there_is_no_figure() -> None:
     row: dict[str, Any] = {"representation": "irradiance", "layers": "irradiance (half)", "bytes_per_texel": 4}
-    row["texels"] = TexelCount(total=10**6, shown=500, void=0, chunks=245, shown_chunks=10)
+    row["texels"] = TexelCount(total=10**6, shown=500, void=0, chunks=245, shown_chunks=10, chunk=16)
     rows = [
         Row("lamp", **row, by_plan=Bake(1.25, 0.5, 0.021), by_s1=None, reference_noise=0.01),
         Row(

@@ -8,9 +8,9 @@ import numpy as np
 from isogi_core.bake.look import Look, look_for
 from isogi_core.bake.recipe import Index, Recipe
 from isogi_core.bake.refine import refine
-from isogi_core.cache.chunk import Chunk
+from isogi_core.cache.chunk import Chunk, Chunks
 from isogi_core.cache.layer import LayerStore
-from isogi_core.cache.record import TEXELS
+from isogi_core.cache.store import ChunkStore
 from isogi_core.kernels.lattice import CHUNK
 from isogi_core.model.plan import Layer, ScenePlan
 from isogi_core.model.scene import load_scene
@@ -18,8 +18,11 @@ from tests.bake.texels import same
 
 SKY = {"type": "sky"}
 CONSTANT = {"type": "constant", "radiance": 1.0}
-SETTINGS: dict[str, Any] = {"lattice": 0.4, "bounces": 1, "target_error": 0.5, "lights": [SKY]}
+SETTINGS: dict[str, Any] = {"lattice": 0.4, "bounces": 1, "target_error": 0.5, "lights": [SKY], "lobes": 0}
 """39³ texels in 3³ chunks: the last along each axis is 7 texels wide, and texels lie between voxels."""
+
+TEXELS = CHUNK**3
+"""Texels of each of these chunks."""
 
 ORDERS = {"order": 2, "indirect_order": 2}
 """What makes layers of as many bytes of direct and indirect light; of no use to constant light."""
@@ -36,12 +39,18 @@ def look_of(target: str | Path = "demo:orbital", shading: str = "gi", **settings
 
 def baked(look: Look, index: Index, texels: int = 40, seed: int = 0, samples: int = 16) -> Chunk:
     """A chunk with real light in some of its texels."""
-    inside = np.stack(np.unravel_index(np.arange(TEXELS), (CHUNK,) * 3), axis=-1) + np.array(index) * CHUNK
-    offsets = np.flatnonzero((inside < look.recipe.shape).all(axis=1))
+    lattice = look.recipe.lattice
+    inside = lattice.positions(index, np.arange(lattice.texels))
+    offsets = np.flatnonzero((inside < lattice.shape).all(axis=1))
     chosen = np.sort(np.random.default_rng(seed).choice(offsets, texels, replace=False))
     chunk = Chunk.empty(index, look.plan).with_texels(chosen)
-    refine(chunk.light, chunk.positions(chunk.offsets), look, samples, 1e-3)
+    refine(chunk.light, inside[chosen], look, samples, 1e-3)
     return chunk
+
+
+def shown(store: ChunkStore, index: Index) -> Chunks:
+    """What frames are shown of a chunk."""
+    return store.show([index], [store.objects(index)])
 
 
 def file_of(layer: LayerStore, index: Index) -> Path:

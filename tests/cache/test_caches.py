@@ -5,7 +5,9 @@ from pathlib import Path
 
 import pytest
 
+from isogi_core.bake.look import LOOKS
 from isogi_core.cache.caches import Caches
+from isogi_core.cache.pages import PAGE
 from isogi_core.errors import StoreError
 from tests.cache.chunks import look_of
 
@@ -36,6 +38,15 @@ def test_each_look_is_opened_once_with_a_pool_of_its_own(tmp_path: Path) -> None
     assert caches.of("gi") is caches.of("gi") is not caches.of("vicinity")
     assert {loader.pool.look.plan.representation for loader in loaders} == {"transfer", "vicinity"}
     assert all(loader.store.look is loader.pool.look for loader in loaders)
+
+
+def test_looks_share_the_memory_so_that_each_has_room_for_as_many_texels(tmp_path: Path) -> None:
+    caches = Caches(look_of().recipe, tmp_path, BUDGET)
+    pools = [caches.of(name).pool for name in LOOKS]
+    sizes = [sum(a.nbytes for a in (p.transfer, p.scatter, p.error, p.stamp, p.table)) for p in pools]
+    assert 0.95 * BUDGET < sum(sizes) <= BUDGET
+    rows = [len(pool.scatter) for pool in pools]
+    assert max(rows) - min(rows) <= PAGE
 
 
 def test_a_place_that_cannot_be_opened_is_an_error_each_time(tmp_path: Path) -> None:

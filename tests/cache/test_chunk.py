@@ -2,9 +2,7 @@ import numpy as np
 
 from isogi_core.bake.light import Light, Part
 from isogi_core.bake.precision import VOID
-from isogi_core.cache.chunk import Chunk
-from isogi_core.cache.record import TEXELS
-from isogi_core.kernels.lattice import CHUNK
+from isogi_core.cache.chunk import Chunk, Chunks
 from tests.bake.texels import same
 from tests.cache.chunks import PLAN
 
@@ -54,13 +52,22 @@ def test_layers_without_texels_make_an_empty_chunk() -> None:
     assert same(chunk.light, Chunk.empty((0, 0, 0), PLAN).light)
 
 
+def test_texels_of_many_chunks_are_sorted_by_their_places() -> None:
+    """Places count chunks of 64 texels; the second chunk has none, and one layer lacks the third."""
+    direct, indirect = filled([3, 8, 2 * 64 + 1, 3 * 64]).light.parts
+    found = [(np.array([3, 8, 129, 192], np.int32), direct), (np.array([3, 9, 192, 255], np.int32), indirect)]
+    indices = ((0, 0, 0), (0, 0, 1), (0, 0, 2), (5, 4, 3))
+    chunks = Chunks.of_parts(indices, 64, PLAN.layers, found)
+    assert chunks.indices == ((0, 0, 0), (0, 0, 2), (5, 4, 3))
+    assert chunks.bounds.tolist() == [0, 3, 4, 6] and chunks.bounds.dtype == np.int64
+    assert chunks.offsets.tolist() == [3, 8, 9, 1, 0, 63] and chunks.offsets.dtype == np.int32
+    assert same(Light(chunks.light.parts[:1]).rows(np.array([0, 1, 3, 4])), Light((direct,)))
+    assert same(Light(chunks.light.parts[1:]).rows(np.array([0, 2, 4, 5])), Light((indirect,)))
+    assert chunks.light.parts[0].samples.tolist() == [16, 16, 0, 16, 16, 0]
+    nothing = [(np.empty(0, np.int32), part) for part in Light.dark(PLAN, 0).parts]
+    none = Chunks.of_parts(indices, 64, PLAN.layers, nothing)
+    assert none.indices == () and none.bounds.tolist() == [0] and len(none.light) == 0
+
+
 def test_rows_are_found_by_offset() -> None:
     assert filled([2, 9, 11, 4000]).rows_of(np.array([4000, 2])).tolist() == [3, 0]
-
-
-def test_positions_are_lattice_indices() -> None:
-    chunk = Chunk.empty((2, 0, 1), PLAN)
-    offsets = np.array([0, 1, CHUNK, CHUNK * CHUNK, TEXELS - 1])
-    expected = [[32, 0, 16], [32, 0, 17], [32, 1, 16], [33, 0, 16], [47, 15, 31]]
-    assert chunk.positions(offsets).tolist() == expected
-    assert chunk.positions(offsets).dtype == np.int32

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from isogi_core.cache.costs import SAVE_EVERY, Cost, Costs
+from isogi_core.cache.root import Root
 
 GROUP = '{"zarr_format": 3, "node_type": "group", "attributes": %s}'
 
@@ -79,7 +80,7 @@ def test_what_is_damaged_counts_as_unknown(tmp_path: Path, text: str) -> None:
 def test_what_could_not_be_kept_is_kept_later(tmp_path: Path) -> None:
     now, root = 0.0, tmp_path / "light"
     root.write_text("not a folder")
-    costs = Costs(root, "digest", lambda: now)
+    costs = Costs(Root(root, clock=lambda: now), "digest", lambda: now)
     costs.add((0, 0, 1), Cost(1.0, 100, 5, 0.5))
     costs.save()
     root.unlink()

@@ -6,7 +6,7 @@ import shutil
 import tempfile
 import threading
 import uuid
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,12 +18,16 @@ from numcodecs.zstd import Zstd
 
 from isogi_core.bake.light import Light, Part
 from isogi_core.bake.look import Look
+from isogi_core.bake.precision import VOID
+from isogi_core.bake.recipe import Index
 from isogi_core.cache.chunk import Chunk
-from isogi_core.cache.layer import LayerStore
-from isogi_core.cache.record import TEXELS
-from isogi_core.errors import DamagedChunkError, StoreError
+from isogi_core.cache.layer import LayerStore, joined
+from isogi_core.cache.place import Place
+from isogi_core.cache.shelf import Found
+from isogi_core.errors import DamagedChunkError, StoreError, StoreReadOnlyError
 from tests.bake.texels import same
-from tests.cache.chunks import CONSTANT, baked, file_of, look_of
+from tests.cache.chunks import CONSTANT, TEXELS, baked, file_of, look_of
+from tests.s3 import S3Server
 
 INNER, EDGE = (1, 1, 1), (2, 1, 2)
 NOBODY = 65534
@@ -67,9 +71,11 @@ def test_the_metadata_keeps_the_promises(layer: LayerStore, look: Look) -> None:
 
 def test_a_chunk_is_one_object_under_its_own_key(layer: LayerStore, look: Look) -> None:
     save(layer, baked(look, EDGE))
-    files = {path.relative_to(layer.root).as_posix() for path in Path(layer.root).rglob("*") if path.is_file()}
-    digest = look.recipe.scene.layer_digest(layer.layer)
-    assert files == {f"{digest}/zarr.json", f"{digest}/c/2/1/2/0"}
+    root, digest = layer.root.place.folder, look.recipe.scene.layer_digest(layer.layer)
+    files = {path.relative_to(root).as_posix() for path in root.rglob("*") if path.is_file()}
+    assert files == {"isogi.json", f"{digest}/zarr.json", f"{digest}/c/2/1/2/0"}
+    assert sorted(layer.root.keys(digest)) == [f"{digest}/c/2/1/2/0", f"{digest}/zarr.json"]
+    assert layer.root.layers() == [digest]
 
 
 def test_the_attributes_say_whose_light_it_is(tmp_path: Path, look: Look) -> None:
@@ -82,6 +88,16 @@ def test_the_attributes_say_whose_light_it_is(tmp_path: Path, look: Look) -> Non
     assert [own["kind"] for own in facts] == ["direct", "indirect"]
     assert [own["albedo"] for own in facts] == [None, [0.7, 0.7, 0.7]]
     assert [own["bounces"] for own in facts] == [0, 1]
+
+
+@pytest.mark.parametrize("chunk", [8, 32])
+def test_light_in_chunks_of_another_size_lies_elsewhere(tmp_path: Path, look: Look, chunk: int) -> None:
+    other = look_of(chunk=chunk)
+    layer, baked_one = layer_of(tmp_path, other), baked(other, (1, 0, 1))
+    save(layer, baked_one)
+    assert found(layer, baked_one) and layer.path != layer_of(tmp_path, look).path
+    assert layer.array.shape == (*[-(-39 // chunk)] * 3, layer.size)
+    assert layer.array.attrs.asdict()["isogi"]["chunk"] == chunk
 
 
 @pytest.mark.parametrize(
@@ -119,7 +135,7 @@ def test_plain_numpy_reads_what_the_attributes_describe(tmp_path: Path, settings
 
 @pytest.mark.parametrize("index", [INNER, EDGE])
 def test_empty_chunks_are_written_too(layer: LayerStore, look: Look, index: tuple[int, int, int]) -> None:
-    for used in (layer, layer_of(layer.root, look)):
+    for used in (layer, layer_of(layer.root.place, look)):
         save(used, Chunk.empty(index, look.plan))
         assert found(used, Chunk.empty(index, look.plan))
         file_of(used, index).unlink()
@@ -203,7 +219,7 @@ def test_an_object_of_another_scene_is_refused(layer: LayerStore, tmp_path: Path
 
 def test_an_object_in_another_layers_folder_is_refused(layer: LayerStore, look: Look) -> None:
     """Direct and indirect light of the same scene, the same order and so the same number of bytes."""
-    direct, chunk = layer_of(layer.root, look, DIRECT), baked(look, INNER)
+    direct, chunk = layer_of(layer.root.place, look, DIRECT), baked(look, INNER)
     assert direct.size == layer.size
     save(direct, chunk, DIRECT)
     save(layer, chunk)
@@ -211,6 +227,56 @@ def test_an_object_in_another_layers_folder_is_refused(layer: LayerStore, look: 
     with pytest.raises(DamagedChunkError, match="another place"):
         layer.decode(INNER, layer.read(INNER) or b"")
     assert found(direct, chunk, DIRECT)
+
+
+# --- many at once -------------------------------------------------------------------------------------------------
+
+MANY: tuple[Index, ...] = (INNER, EDGE, (0, 0, 0), (0, 1, 2), (1, 0, 0))
+
+
+def decoded(layer: LayerStore, stored: list[bytes | None]) -> tuple[list[tuple[Index, np.ndarray, Part]], list[str]]:
+    """What is found in objects of MANY together, chunk by chunk, and what is told of them."""
+    told: list[str] = []
+    places, part = layer.decode_all(MANY, stored, lambda error: told.append(str(error)))
+    assert places.dtype == np.int32 and (np.diff(places) > 0).all()
+    number, offset = np.divmod(places, TEXELS)
+    return [(MANY[i], offset[number == i], part.rows(number == i)) for i in range(len(MANY))], told
+
+
+@pytest.mark.parametrize("number", [DIRECT, INDIRECT])
+@pytest.mark.parametrize("absent", [(), (0,), (4,), (1, 2), range(5)])
+def test_many_chunks_are_decoded_as_each_alone(tmp_path: Path, look: Look, absent: Sequence[int], number: int) -> None:
+    layer = layer_of(tmp_path, look, number)
+    for i, index in enumerate(MANY):
+        save(layer, baked(look, index, texels=30 + i, seed=i), number)
+    found, told = decoded(layer, [None if i in absent else layer.read(index) for i, index in enumerate(MANY)])
+    assert not told
+    for i, (index, offsets, part) in enumerate(found):
+        alone, own = layer.decode(index, layer.read(index) or b"")
+        assert np.array_equal(offsets, [] if i in absent else alone)
+        assert same(Light((part,)), Light((own.rows(np.arange(0 if i in absent else len(alone))),)))
+
+
+@pytest.mark.parametrize("damaged", [(0,), (4,), (1, 3), range(5)])
+@pytest.mark.parametrize("damage", [*DAMAGES.values(), "shorter", "another's"], ids=[*DAMAGES, "shorter", "another's"])
+def test_those_of_many_chunks_that_are_damaged_are_told_and_left_out(
+    layer: LayerStore, look: Look, damage: Damage | str, damaged: Sequence[int]
+) -> None:
+    for i, index in enumerate(MANY):
+        save(layer, baked(look, index, texels=30 + i, seed=i))
+    whole = [layer.read(index) or b"" for index in MANY]
+    stored: list[bytes | None] = [*whole]
+    for i in damaged:
+        if damage == "shorter":
+            stored[i] = packed(np.asarray(zarr.open_array(layer.path, mode="r")[(*MANY[i], slice(None))])[:-10])
+        else:
+            stored[i] = whole[i - 1] if isinstance(damage, str) else damage(whole[i])
+    found, told = decoded(layer, stored)
+    assert [str(MANY[i]) in why for i, why in zip(damaged, told, strict=True)]
+    for i, (index, offsets, part) in enumerate(found):
+        alone, own = layer.decode(index, whole[i])
+        assert np.array_equal(offsets, [] if i in damaged else alone)
+        assert same(Light((part,)), Light((own.rows(np.arange(0 if i in damaged else len(alone))),)))
 
 
 def packed(record: np.ndarray) -> bytes:
@@ -222,7 +288,7 @@ def packed(record: np.ndarray) -> bytes:
 @pytest.mark.parametrize("size", [0, 36, -1, 1 << 24])
 def test_an_object_that_unpacks_to_another_size_is_refused(layer: LayerStore, look: Look, size: int) -> None:
     save(layer, baked(look, INNER))
-    record = np.asarray(layer.array[(*INNER, slice(None))])
+    record = np.asarray(zarr.open_array(layer.path, mode="r")[(*INNER, slice(None))])
     assert layer.decode(INNER, packed(record))[0].size == 40
     with pytest.raises(DamagedChunkError, match="unpack"):
         layer.decode(INNER, packed(np.resize(record, size if size >= 0 else len(record) + size)))
@@ -245,7 +311,7 @@ def test_left_over_partial_files_are_ignored(layer: LayerStore, look: Look) -> N
 def test_cut_metadata_is_told_in_one_sentence(layer: LayerStore, look: Look, text: str) -> None:
     save(layer, baked(look, INNER))
     Path(layer.path, "zarr.json").write_text(text)
-    again = layer_of(layer.root, look)
+    again = layer_of(layer.root.place, look)
     for use in (lambda: again.array, lambda: again.read(INNER), lambda: save(again, baked(look, INNER))):
         with pytest.raises(StoreError) as caught:
             use()
@@ -279,16 +345,16 @@ def test_metadata_of_something_else_is_refused(layer: LayerStore, look: Look, ke
     save(layer, baked(look, INNER))
     change(Path(layer.path, "zarr.json"), *keys, to=to)
     with pytest.raises(StoreError, match="move that folder away"):
-        layer_of(layer.root, look).read(INNER)
+        layer_of(layer.root.place, look).read(INNER)
 
 
-def test_a_deleted_folder_reads_as_absent_and_is_made_again(layer: LayerStore, look: Look) -> None:
+def test_a_deleted_layer_reads_as_absent_and_is_made_again(layer: LayerStore, look: Look) -> None:
     chunk = baked(look, INNER)
     save(layer, chunk)
-    shutil.rmtree(layer.root)
+    shutil.rmtree(layer.path)
     assert layer.read(INNER) is None
     save(layer, chunk)
-    assert found(layer_of(layer.root, look), chunk)
+    assert found(layer_of(layer.root.place, look), chunk)
 
 
 # --- who may write, and who writes at once ------------------------------------------------------------------------
@@ -316,15 +382,20 @@ def sealed(look: Look) -> Iterator[Path]:
 def test_a_store_that_cannot_be_written_is_read(sealed: Path, look: Look) -> None:
     layer, chunk = layer_of(sealed, look), baked(look, INNER)
     assert found(layer, chunk)
-    with pytest.raises(StoreError, match=r"Cannot write chunk \(2, 1, 2\) .*Permission denied"):
+    with pytest.raises(StoreError, match=r"Cannot write .*/c/2/1/2/0 .*Permission denied"):
         save(layer, Chunk.empty(EDGE, look.plan))
     assert found(layer, chunk)
-    with pytest.raises(StoreError, match=r"Cannot make a place for light at .*Permission denied"):
-        layer_of(sealed / "more", look).read(INNER)
+    more = layer_of(sealed / "more", look)
+    assert more.read(INNER) is None and more.root.read_only
+    with pytest.raises(StoreReadOnlyError, match="can only be read"):
+        save(more, chunk)
 
 
 def test_one_chunk_written_from_two_threads_is_always_whole(layer: LayerStore, look: Look) -> None:
+    """And has the light of both once both have written."""
     versions = [baked(look, EDGE, texels=300, seed=seed) for seed in (1, 2)]
+    mine, other = ((chunk.offsets, chunk.light.parts[INDIRECT]) for chunk in versions)
+    offsets, both = joined(*mine, *other)
     save(layer, versions[0])
 
     def write(chunk: Chunk) -> None:
@@ -337,9 +408,68 @@ def test_one_chunk_written_from_two_threads_is_always_whole(layer: LayerStore, l
     seen = 0
     while any(writer.is_alive() for writer in writers):
         _, part = layer.decode(EDGE, layer.read(EDGE) or b"")
-        assert any(same(Light((part,)), Light((chunk.light.parts[INDIRECT],))) for chunk in versions)
+        assert any(same(Light((part,)), Light((whole,))) for whole in (mine[1], both))
         seen += 1
     assert seen > 1
+    assert 300 < len(offsets) == len(layer.decode(EDGE, layer.read(EDGE) or b"")[0])
+
+
+@pytest.fixture(params=["folder", "s3"])
+def place(request: pytest.FixtureRequest, tmp_path: Path) -> Place:
+    """Where many write: on the disk and in a bucket."""
+    if request.param == "folder":
+        return Place(str(tmp_path))
+    return Place(request.getfixturevalue("s3").url, seconds=2.0, retries=1)
+
+
+@pytest.mark.parametrize("stale", [16, 64])
+def test_of_two_writers_neither_undoes_what_the_other_has_added(place: Place, look: Look, stale: int) -> None:
+    """One reads, the other writes more samples and other texels, and the first writes after that."""
+    mine, theirs = baked(look, EDGE, samples=stale), baked(look, EDGE, texels=60, seed=1, samples=32)
+    slow, quick = (LayerStore(place, look.recipe, look.plan.layers[INDIRECT]) for _ in range(2))
+    save(slow, baked(look, EDGE))
+    get, late = slow.root.get, [theirs]
+
+    def get_and_wait(key: str) -> Found | None:
+        read = get(key)
+        if late and "/c/" in key:
+            save(quick, late.pop())
+        return read
+
+    slow.root.get = get_and_wait  # type: ignore[method-assign]
+    save(slow, mine)
+    offsets, part = slow.decode(EDGE, slow.read(EDGE) or b"")
+    assert np.array_equal(offsets, np.union1d(mine.offsets, theirs.offsets))
+    for chunk in (mine, theirs):
+        own, rows = chunk.light.parts[INDIRECT], np.searchsorted(offsets, chunk.offsets)
+        assert (part.samples[rows] >= own.samples).all()
+        kept = part.samples[rows] == own.samples
+        assert same(Light((part.rows(rows[kept]),)), Light((own.rows(kept),))) and kept.any()
+
+
+def test_light_that_is_there_already_is_not_written(place: Place, look: Look, monkeypatch: pytest.MonkeyPatch) -> None:
+    layer = LayerStore(place, look.recipe, look.plan.layers[INDIRECT])
+    save(layer, baked(look, EDGE, samples=64))
+    monkeypatch.setattr(layer.root, "put", lambda *_: pytest.fail("the store was written"))
+    save(layer, baked(look, EDGE, samples=16))
+
+
+def test_a_write_whose_answer_was_lost_has_been_done(s3: S3Server, look: Look) -> None:
+    layer, chunk = layer_of(s3.url, look), baked(look, EDGE)
+    layer.open()
+    faults = iter(["lost"])
+    s3.fault = lambda call: next(faults, None) if call.method == "PUT" else None  # type: ignore[return-value]
+    save(layer, chunk)
+    assert found(layer, chunk)
+
+
+def test_void_texels_stay_void_whoever_comes_last(look: Look) -> None:
+    part, other = (Part.dark(look.plan.layers[INDIRECT], 3) for _ in range(2))
+    part.samples[:], other.samples[:] = (VOID, 16, 16), (32, VOID, 8)
+    ours, theirs = np.array([1, 2, 3], np.int32), np.array([1, 2, 4], np.int32)
+    for first, second in (((ours, part), (theirs, other)), ((theirs, other), (ours, part))):
+        offsets, both = joined(*first, *second)
+        assert (offsets.tolist(), both.samples.tolist()) == ([1, 2, 3, 4], [VOID, VOID, 16, 8])
 
 
 def test_one_record_holds_a_whole_chunk(layer: LayerStore, look: Look) -> None:

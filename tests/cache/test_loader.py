@@ -1,7 +1,12 @@
 import hashlib
 import logging
 import shutil
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,11 +15,13 @@ from isogi_core.bake.look import Look
 from isogi_core.bake.recipe import Index
 from isogi_core.bake.refine import refine
 from isogi_core.cache import loader as loading
-from isogi_core.cache.loader import ASK_AGAIN, Loader
+from isogi_core.cache.loader import AHEAD, ASK_AGAIN, Loader, ahead
 from isogi_core.cache.pages import PagePool
+from isogi_core.cache.place import Place
 from isogi_core.cache.store import ChunkStore
-from isogi_core.errors import StoreError
+from isogi_core.errors import Cancelled, StoreAwayError, StoreError
 from tests.cache.chunks import file_of
+from tests.s3 import Call, S3Server
 
 A, B, C = (0, 1, 1), (1, 1, 1), (2, 1, 1)
 
@@ -44,9 +51,16 @@ def loader(tmp_path: Path, look: Look, clock: Clock) -> Loader:
 def bake(loader: Loader, index: Index, texels: int = 20, samples: int = 16) -> str:
     """Do as a worker does; the mark of what is stored."""
     chunk = loader.store.load(index).with_texels(np.arange(texels, dtype=np.int32))
-    refine(chunk.light, chunk.positions(chunk.offsets), loader.store.look, samples, 1e-4)
+    look = loader.store.look
+    refine(chunk.light, look.recipe.lattice.positions(index, chunk.offsets), look, samples, 1e-4)
     loader.store.save(chunk)
-    return mark(loader.store.load(index).light.transfer)
+    return mark(stored(loader, index))
+
+
+def stored(loader: Loader, index: Index) -> np.ndarray:
+    """Light in the store of those texels of a chunk that hold any."""
+    light = loader.store.load(index).light
+    return light.transfer[~light.void]
 
 
 def mark(light: np.ndarray) -> str:
@@ -71,8 +85,7 @@ def brought(loader: Loader, *chunks: Index) -> tuple[str, ...]:
 def test_light_comes_from_the_store(loader: Loader) -> None:
     marks = bake(loader, A), bake(loader, B)
     assert brought(loader, A, C, B) == (marks[0], "", marks[1])
-    chunk = loader.store.load(B)
-    np.testing.assert_array_equal(transfer(loader, B), chunk.light.transfer)
+    np.testing.assert_array_equal(transfer(loader, B), stored(loader, B))
     assert transfer(loader, C) is None
 
 
@@ -139,10 +152,11 @@ def test_a_chunk_under_another_name_is_absent(loader: Loader) -> None:
     assert transfer(loader, A) is None
 
 
-def test_a_deleted_store_reads_as_absent_and_never_as_zeros(loader: Loader) -> None:
+def test_deleted_layers_read_as_absent_and_never_as_zeros(loader: Loader) -> None:
     kept = bake(loader, A)
     loader.ensure([A])
-    shutil.rmtree(loader.store.layers[0].root)
+    for layer in loader.store.layers:
+        shutil.rmtree(layer.path)
     assert brought(loader, A, B) == (kept, "")
     assert transfer(loader, B) is None
     assert bake(loader, B)
@@ -150,7 +164,98 @@ def test_a_deleted_store_reads_as_absent_and_never_as_zeros(loader: Loader) -> N
     loader.refresh(A)
     loader.ensure([A, B])
     assert loader.pool.missing([A, B]) == [A], "what is in memory is shown, and known to be outdated"
-    np.testing.assert_array_equal(transfer(loader, B), loader.store.load(B).light.transfer)
+    np.testing.assert_array_equal(transfer(loader, B), stored(loader, B))
+
+
+def test_of_a_remote_store_many_chunks_are_on_their_way_at_once(s3: S3Server, look: Look) -> None:
+    """And go into the pool as those of a folder do: all there are, in order; absent ones are asked for later."""
+    loader = Loader(ChunkStore(s3.url, look), PagePool(look, 1 << 22))
+    marks = {index: bake(loader, index) for index in (A, B, C)}
+    together, missing = threading.Barrier(4, timeout=60.0), (2, 2, 2)
+
+    def meet(call: Call) -> None:
+        if "/c/" in call.key and call.number <= first + 4:
+            together.wait()
+
+    first, s3.fault = len(s3.calls), meet  # type: ignore[assignment]
+    assert brought(loader, A, missing, B, C) == (marks[A], "", marks[B], marks[C])
+    s3.fault, asked = lambda call: None, len(s3.calls)
+    assert brought(loader, A, missing, B, C) == (marks[A], "", marks[B], marks[C])
+    assert len(s3.calls) == asked
+
+
+def test_a_remote_store_that_fails_half_way_is_told(s3: S3Server, look: Look) -> None:
+    loader = Loader(ChunkStore(Place(s3.url, retries=0), look), PagePool(look, 1 << 22))
+    for index in (A, B, C):
+        bake(loader, index)
+    begun = len(s3.calls)
+    s3.fault = lambda call: 500 if call.number > begun + 3 else None
+    with pytest.raises(StoreAwayError, match="500"):
+        loader.ensure([A, B, C])
+    s3.fault = lambda call: None
+    deadline = time.monotonic() + 30.0
+    while loader.pool.missing([A, B, C]):
+        assert time.monotonic() < deadline
+        loader.store.root._until = -1.0
+        with suppress(StoreAwayError):  # what was on its way still tells of the fault
+            loader.ensure([A, B, C])
+
+
+def test_damage_among_many_chunks_is_told_and_the_others_come(
+    loader: Loader, clock: Clock, caplog: pytest.LogCaptureFixture
+) -> None:
+    marks = {index: bake(loader, index) for index in (A, B, C)}
+    file_of(loader.store.layers[0], B).write_bytes(b"something else")
+    file_of(loader.store.layers[1], B).unlink()
+    with caplog.at_level(logging.WARNING, "isogi.cache"):
+        assert brought(loader, A, B, C) == (marks[A], "", marks[C])
+    assert caplog.text.count("checksum") == 1 and loader.store.damaged == 1
+
+
+def test_a_view_that_is_given_up_has_no_more_brought_for_it() -> None:
+    """What is under way is finished, what waits is not begun: nobody asks any more."""
+    begun: list[int] = []
+    go_on = threading.Event()
+
+    def work(item: int) -> int:
+        begun.append(item)
+        assert item == 0 or go_on.wait(60.0)
+        return 2 * item
+
+    with ThreadPoolExecutor(2) as hands:
+        found = ahead(hands, work, range(100))
+        assert next(found) == 0
+        found.close()
+        go_on.set()
+    assert len(begun) <= 3, "the first, and one more for each hand"
+    with ThreadPoolExecutor(2) as hands:
+        assert list(ahead(hands, lambda item: 3 * item, range(100))) == list(range(0, 300, 3))
+
+
+def test_a_frame_that_nobody_waits_for_stops_loading(loader: Loader, monkeypatch: pytest.MonkeyPatch) -> None:
+    marks = [bake(loader, index) for index in (A, B, C)]
+    monkeypatch.setattr(loading, "BATCH", 1)
+    cancelled, insert = threading.Event(), loader.pool.insert
+
+    def insert_and_leave(*args: Any) -> None:
+        insert(*args)
+        cancelled.set()
+
+    monkeypatch.setattr(loader.pool, "insert", insert_and_leave)
+    with pytest.raises(Cancelled):
+        loader.ensure([A, B, C], cancelled)
+    assert loader.pool.missing([A, B, C]) == [B, C]
+    assert list(brought(loader, A, B, C)) == marks
+
+
+def test_no_more_than_a_few_batches_wait_in_memory() -> None:
+    done = 0
+    with ThreadPoolExecutor(2) as hands:
+        found = ahead(hands, lambda item: item, range(10 * AHEAD))
+        for item in found:
+            done += 1
+            assert item == done - 1
+            assert hands._work_queue.qsize() <= AHEAD
 
 
 def test_a_view_that_does_not_fit_the_memory_is_an_error(tmp_path: Path, look: Look, clock: Clock) -> None:
@@ -168,6 +273,6 @@ def test_a_store_that_cannot_be_read_is_an_error(loader: Loader) -> None:
     layer = loader.store.layers[1]
     Path(layer.path, "zarr.json").write_text("{")
     look = loader.store.look
-    again = Loader(ChunkStore(layer.root, look), PagePool(look, 1 << 22))
+    again = Loader(ChunkStore(layer.root.place, look), PagePool(look, 1 << 22))
     with pytest.raises(StoreError, match="move that folder away"):
         again.ensure([A])

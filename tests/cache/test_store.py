@@ -18,12 +18,12 @@ from isogi_core.bake.look import Look
 from isogi_core.bake.precision import VOID
 from isogi_core.bake.recipe import Index
 from isogi_core.bake.refine import climb
+from isogi_core.cache import root
 from isogi_core.cache.chunk import Chunk
-from isogi_core.cache.record import TEXELS
 from isogi_core.cache.store import ChunkStore, default_store
-from isogi_core.errors import StoreError
+from isogi_core.errors import StoreAwayError, StoreError
 from tests.bake.texels import same
-from tests.cache.chunks import CONSTANT, assert_equal, baked, file_of, look_of
+from tests.cache.chunks import CONSTANT, TEXELS, assert_equal, baked, file_of, look_of
 
 INNER, EDGE = (1, 1, 1), (2, 1, 2)
 DIRECT, INDIRECT = 0, 1
@@ -41,7 +41,7 @@ def test_default_store_is_in_the_users_cache(monkeypatch: pytest.MonkeyPatch, tm
 
 def test_each_layer_is_an_array_of_its_own(store: ChunkStore, look: Look) -> None:
     store.save(baked(look, EDGE))
-    files = {path.relative_to(store.layers[0].root).as_posix() for path in Path(store.layers[0].root).rglob("0")}
+    files = {path.relative_to(store.root.place.folder).as_posix() for path in store.root.place.folder.rglob("0")}
     digests = [look.recipe.scene.layer_digest(layer) for layer in look.plan.layers]
     assert files == {f"{digest}/c/2/1/2/0" for digest in digests} and len(set(digests)) == 2
 
@@ -85,7 +85,7 @@ def test_every_store_keeps_chunks(anywhere: ChunkStore, look: Look) -> None:
 def test_every_store_is_found_again(anywhere: ChunkStore, look: Look) -> None:
     chunk = baked(look, INNER)
     anywhere.save(chunk)
-    assert_equal(ChunkStore(anywhere.layers[0].root, look).load(INNER), chunk)
+    assert_equal(ChunkStore(anywhere.root.place, look).load(INNER), chunk)
 
 
 @pytest.mark.parametrize(
@@ -126,7 +126,8 @@ def test_what_is_lost_of_one_layer_is_dark_and_the_other_stays(
     kept = 1 - lost
     assert same(Light((found.light.parts[kept],)), Light((chunk.light.parts[kept],)))
     assert not found.light.parts[lost].samples.any() and not found.light.parts[lost].coefficients.any()
-    climb([found.light.parts[lost]], np.arange(40), found.positions(found.offsets), look)
+    texels = look.recipe.lattice.positions(INNER, found.offsets)
+    climb([found.light.parts[lost]], np.arange(40), texels, look)
     store.save(found, [lost == DIRECT, lost == INDIRECT])
     assert_equal(store.load(INNER), chunk)
 
@@ -169,14 +170,21 @@ def test_void_texels_in_holes_are_at_home(tmp_path: Path) -> None:
     assert_equal(store.load((0, 0, 0)), chunk)
 
 
-def test_a_deleted_store_reads_as_absent_and_is_made_again(store: ChunkStore, look: Look) -> None:
+def test_a_deleted_store_is_away_and_made_again_by_who_begins_anew(
+    store: ChunkStore, look: Look, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(root, "BELIEVED", 0.0)
     chunk = baked(look, INNER)
     store.save(chunk)
-    shutil.rmtree(store.layers[0].root)
-    assert store.read(INNER) is None
-    assert store.load(INNER).offsets.size == 0
-    store.save(chunk)
-    assert_equal(ChunkStore(store.layers[0].root, look).load(INNER), chunk)
+    shutil.rmtree(store.root.place.folder)
+    for use in (lambda: store.read(INNER), lambda: store.load(INNER), lambda: store.save(chunk)):
+        with pytest.raises(StoreAwayError, match="is gone"):
+            use()
+    assert not store.root.place.folder.exists()
+    anew = ChunkStore(store.root.place, look)
+    assert anew.read(INNER) is None
+    anew.save(chunk)
+    assert_equal(anew.load(INNER), chunk)
 
 
 def test_a_store_that_cannot_be_made_is_an_error(tmp_path: Path, look: Look) -> None:

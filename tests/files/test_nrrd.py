@@ -2,7 +2,9 @@
 
 import gzip
 import hashlib
+import io
 import re
+from collections.abc import Callable
 from pathlib import Path
 
 import nrrd
@@ -10,7 +12,7 @@ import numpy as np
 import pytest
 
 from isogi_core.errors import VolumeError
-from isogi_core.files.nrrd import read_nrrd
+from isogi_core.files.nrrd import MAX_HEADER, read_attached, read_nrrd
 from isogi_core.model.volume import make_volume
 
 RAMP = np.arange(24).reshape(2, 3, 4)
@@ -211,3 +213,40 @@ def test_real_volumes_are_what_their_list_says(shared_data: Path) -> None:
         assert (float(array.min()), float(array.max())) == pytest.approx((low, high), rel=1e-5)
         counts, _ = make_volume(array, spacing).histogram(5)
         assert counts.tolist() == [int(count) for count in said["hist5"].split(",")]
+
+
+def attached(fields: str = PLAIN, body: bytes = bytes(range(24)), most: int = 24) -> np.ndarray:
+    """A file that nobody vouches for."""
+    return read_attached(io.BytesIO(f"NRRD0004\n{fields}\n".encode() + body), "v.nrrd", most)[0]
+
+
+@pytest.mark.parametrize("pack", [bytes, gzip.compress])
+def test_an_attached_file_is_read_as_any(pack: Callable[[bytes], bytes]) -> None:
+    encoding = "gzip" if pack is gzip.compress else "raw"
+    np.testing.assert_array_equal(attached(PLAIN.replace("raw", encoding), pack(bytes(range(24)))), RAMP)
+
+
+@pytest.mark.parametrize("field", ["data file", "datafile", "Data File", "DATAFILE", " data file"])
+@pytest.mark.parametrize(
+    "name", ["v.raw", "../v.raw", "/etc/passwd", "LIST 2", "v%d.raw 1 2 1", "http://127.0.0.1/v", "data file:=v"]
+)
+def test_no_other_file_is_opened_for_one_that_nobody_vouches_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, field: str, name: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "v.raw").write_bytes(bytes(24))
+    with pytest.raises(VolumeError, match="is a header whose data is in another file"):
+        attached(f"{PLAIN}{field}: {name}\n")
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\n \t\n"])
+def test_a_header_that_nobody_vouches_for_has_to_end(end: str) -> None:
+    comments = "# long\n" * (MAX_HEADER // 7)
+    with pytest.raises(VolumeError, match=f"does not end within {MAX_HEADER} bytes"):
+        attached(f"{PLAIN}{comments}{end}")
+
+
+def test_voxels_are_counted_before_they_are_read() -> None:
+    assert attached(most=24).size == 24
+    with pytest.raises(VolumeError, match="has 24 voxels, and 23 are the most"):
+        attached(body=b"", most=23)

@@ -1,10 +1,12 @@
 """Footprints: what a texel's noise counts in a picture's."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
-from isogi_core.frame.texels import LEAST_SEEN, most_seen, shares
+from isogi_core.frame.texels import LEAST_SEEN, most_seen
+from isogi_core.kernels.footprints import add_footprints
 from isogi_core.kernels.lattice import Lattice
 from isogi_core.model.scene import load_scene
 from server.measure import make_renderer, view_of
@@ -12,8 +14,18 @@ from server.measure import make_renderer, view_of
 RNG = np.random.default_rng(3)
 
 
+def shares(points: np.ndarray, lattice: Lattice) -> Iterator[np.ndarray]:
+    """The shares of the eight texels around each of the ``points`` (n, 3) in its light, x fastest; (n,) each."""
+    last = np.array(lattice.shape[::-1]) - 1
+    place = np.clip(points * np.array(lattice.density), 0.0, last)
+    inside = place - np.minimum(np.floor(place), last - 1)
+    for corner in range(8):
+        upper = (corner >> np.arange(3)) & 1 == 1
+        yield np.where(upper, inside, 1.0 - inside).prod(axis=1)
+
+
 def test_shares_carry_what_is_linear_to_the_points() -> None:
-    lattice, points = Lattice((9, 7, 5), (0.5, 1.0, 2.0)), RNG.uniform(0.0, 1.0, (200, 3)) * (8.0, 6.0, 4.0)
+    lattice, points = Lattice.of((9, 7, 5), (0.5, 1.0, 2.0)), RNG.uniform(0.0, 1.0, (200, 3)) * (8.0, 6.0, 4.0)
     place = points * lattice.density
     base = np.floor(place)
     corners = [base + ((corner >> np.arange(3)) & 1) for corner in range(8)]
@@ -35,6 +47,16 @@ def test_texels_of_one_noise_make_the_noise_that_their_footprints_tell(tmp_path:
     assert variance <= 1.02 * seen.sum()
     assert variance >= 0.98 * (seen.sum() - LEAST_SEEN * len(seen) * seen.mean())
     assert seen.min() > 0.0
+
+
+def test_footprints_are_the_squares_of_the_shares() -> None:
+    lattice, points = Lattice.of((9, 7, 5), (0.5, 1.0, 2.0)), RNG.uniform(0.0, 1.0, (200, 3)) * (8.0, 6.0, 4.0)
+    points, corners = points.astype(np.float32), RNG.integers(0, 30, (200, 8)).astype(np.uint32)
+    seen, twin = np.zeros(30), np.zeros(30)
+    add_footprints(lattice, points, corners, seen)
+    for corner, share in enumerate(shares(points.astype(np.float64), lattice)):
+        twin += np.bincount(corners[:, corner], share**2, len(twin))
+    np.testing.assert_allclose(seen, twin, rtol=1e-6)
 
 
 def test_of_several_views_the_one_that_sees_most_counts() -> None:

@@ -11,7 +11,7 @@ SIZE = OVERHEAD + 100
 """Bytes that a result of ``made`` is counted with."""
 
 
-def made(kept: Kept[str, np.ndarray], *names: str) -> list[str]:
+def made(kept: Kept[str], *names: str) -> list[str]:
     """Ask for results of 100 bytes; the names of those that had to be made."""
     new: list[str] = []
 
@@ -25,27 +25,27 @@ def made(kept: Kept[str, np.ndarray], *names: str) -> list[str]:
 
 
 def test_what_fits_is_made_once() -> None:
-    kept: Kept[str, np.ndarray] = Kept(3 * SIZE)
+    kept: Kept[str] = Kept(3 * SIZE)
     assert made(kept, "a", "b", "c", "a", "b", "c") == ["a", "b", "c"]
     assert kept.nbytes == 3 * SIZE
 
 
 def test_the_longest_unused_makes_room() -> None:
-    kept: Kept[str, np.ndarray] = Kept(2 * SIZE + 50)
+    kept: Kept[str] = Kept(2 * SIZE + 50)
     assert made(kept, "a", "b", "a", "c") == ["a", "b", "c"]
     assert made(kept, "a", "b") == ["b"]
     assert kept.nbytes == 2 * SIZE
 
 
 def test_the_newest_is_kept_however_large() -> None:
-    kept: Kept[str, np.ndarray] = Kept(10)
+    kept: Kept[str] = Kept(10)
     assert made(kept, "a", "a", "b", "b") == ["a", "b"]
     kept.clear()
     assert kept.nbytes == 0 and made(kept, "b") == ["b"]
 
 
 def test_two_threads_make_it_once() -> None:
-    kept: Kept[str, np.ndarray] = Kept(1000)
+    kept: Kept[str] = Kept(1000)
     begun, go, count = threading.Event(), threading.Event(), []
 
     def make() -> np.ndarray:
@@ -66,7 +66,7 @@ def test_two_threads_make_it_once() -> None:
 
 
 def test_what_fails_is_tried_again() -> None:
-    kept: Kept[str, np.ndarray] = Kept(1000)
+    kept: Kept[str] = Kept(1000)
     for _ in range(2):
         with pytest.raises(ZeroDivisionError):
             kept.get("a", lambda: np.zeros(1 // 0))
@@ -75,7 +75,7 @@ def test_what_fails_is_tried_again() -> None:
 
 
 def test_what_fails_leaves_nothing() -> None:
-    kept: Kept[str, np.ndarray] = Kept(1000)
+    kept: Kept[str] = Kept(1000)
     for name in "abc":
         with pytest.raises(ZeroDivisionError):
             kept.get(name, lambda: np.zeros(1 // 0))
@@ -83,7 +83,7 @@ def test_what_fails_leaves_nothing() -> None:
 
 
 def test_who_waits_for_what_fails_makes_it() -> None:
-    kept: Kept[str, np.ndarray] = Kept(1000)
+    kept: Kept[str] = Kept(1000)
     begun, go = threading.Event(), threading.Event()
 
     def fail() -> np.ndarray:
@@ -106,7 +106,7 @@ def test_who_waits_for_what_fails_makes_it() -> None:
 
 
 def test_results_without_arrays_make_room_too() -> None:
-    kept: Kept[int, np.ndarray] = Kept(10 * OVERHEAD)
+    kept: Kept[int] = Kept(10 * OVERHEAD)
     for key in range(100):
         kept.get(key, lambda: np.zeros(0))
     assert kept.nbytes == 10 * OVERHEAD

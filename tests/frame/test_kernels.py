@@ -4,21 +4,26 @@ import sys
 from typing import Any
 
 import pytest
-from numba import config
 
 from isogi_core.frame.kernels import FRAME, frame_kernels
 from isogi_core.kernels.harmonics import rotate
 from isogi_core.kernels.lamps import project_lamps
+from isogi_core.kernels.lobes import add_lobes, light_lobes
+from isogi_core.kernels.moves import judge_texels
 from isogi_core.model.scene import Scene, load_scene
+from tests.scale import COMPILED
 
 CONSTANT = {"lights": [{"type": "constant"}]}
 FIXED = {"lights": [{"type": "sky"}], "rotating": False, "representation": "transfer"}
 TURNING = {"lights": [{"type": "sky"}]}
+SOFT = {"lights": [{"type": "sky"}], "lobes": 0}
 LAMP = {"lights": [{"type": "constant"}, {"type": "directional", "azimuth": 30.0, "elevation": 50.0}]}
+SHARP = {**LAMP, "sharpen": True}
 RENDER = """\
 import json, sys, tempfile
 from isogi_core.bake.recipe import Recipe
 from isogi_core.cache.caches import Caches
+from isogi_core.cache.chunk import Chunk, Chunks
 from isogi_core.frame.film import develop
 from isogi_core.frame.kernels import frame_kernels
 from isogi_core.frame.renderer import Renderer
@@ -35,6 +40,8 @@ scene = load_scene("demo:orbital", lattice=0.4, **json.loads(sys.argv[1]))
 light = quaternion_from_angles(30.0, 0.0, 0.0) if scene.rotating else (1.0, 0.0, 0.0, 0.0)
 with tempfile.TemporaryDirectory() as store:
     renderer = Renderer(Caches(Recipe(scene), store, 1 << 26), Tiles())
+    cache = renderer.caches.of("gi")
+    cache.pool.insert(Chunks.of_one(Chunk.empty((0, 0, 0), cache.store.look.plan)))
     view = View(scene.isovalue, scene.camera(30, 20, 3, 30), width=20, height=20, light=light)
     frame = renderer.render(view)
     assert frame.provisional and frame.demands
@@ -45,12 +52,15 @@ sys.exit(f"called but not listed: {called - listed}, listed but not called: {lis
 """
 
 
+NAMES = ["constant", "fixed", "turning", "soft", "lamp"]
+
+
 def scene_of(settings: dict[str, Any]) -> Scene:
     return load_scene("demo:orbital", **settings)
 
 
-@pytest.mark.skipif(bool(config.DISABLE_JIT), reason="Numba is switched off: nothing is compiled")
-@pytest.mark.parametrize("settings", [CONSTANT, FIXED, TURNING, LAMP], ids=["constant", "fixed", "turning", "lamp"])
+@COMPILED
+@pytest.mark.parametrize("settings", [CONSTANT, FIXED, TURNING, SOFT, LAMP, SHARP], ids=[*NAMES, "sharp"])
 def test_the_kernels_of_a_frame_are_those_that_are_called(settings: dict[str, Any]) -> None:
     """In a process of its own, which has loaded no kernel yet."""
     command = [sys.executable, "-c", RENDER, json.dumps(settings)]
@@ -58,12 +68,16 @@ def test_the_kernels_of_a_frame_are_those_that_are_called(settings: dict[str, An
     assert done.stderr.splitlines()[-1] == "called but not listed: set(), listed but not called: set()", done.stderr
 
 
-def test_harmonics_are_for_lights_that_have_some_and_turn_and_for_lamps() -> None:
-    spared = [set(FRAME) - {*frame_kernels([scene_of(settings)])} for settings in (CONSTANT, FIXED, TURNING, LAMP)]
-    assert spared == [{rotate, project_lamps}, {rotate, project_lamps}, {project_lamps}, {rotate}]
+def test_harmonics_are_for_lights_that_have_some_and_turn_and_for_lamps_lobes_and_texels_judged_to_be_sharp() -> None:
+    scenes = (CONSTANT, FIXED, TURNING, SOFT, LAMP, SHARP)
+    spared = [set(FRAME) - {*frame_kernels([scene_of(settings)])} for settings in scenes]
+    lobes, judge = {light_lobes, add_lobes}, {judge_texels}
+    still = {rotate, project_lamps} | lobes | judge
+    soft, lamp = {project_lamps} | lobes | judge, {rotate} | lobes | judge
+    assert spared == [still, still, {project_lamps} | judge, soft, lamp, lamp - judge]
 
 
 def test_scenes_together_need_what_any_of_them_needs() -> None:
-    assert frame_kernels([scene_of(LAMP), scene_of(TURNING)]) == FRAME
+    assert frame_kernels([scene_of(SHARP), scene_of(TURNING)]) == FRAME
     assert rotate not in frame_kernels([scene_of(CONSTANT), scene_of(FIXED)])
     assert frame_kernels([]) == ()

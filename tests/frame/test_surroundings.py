@@ -27,8 +27,8 @@ ODD = quaternion_from_angles(33.0, -20.0, 71.0)
 
 
 def around(lights: list[Any], turn: Quaternion = IDENTITY, **settings: Any) -> Turned:
-    """The light of a scene, turned."""
-    recipe = Recipe(load_scene("demo:orbital", lights=lights, **settings))
+    """The light of a scene, turned; harmonics have all of it unless told."""
+    recipe = Recipe(load_scene("demo:orbital", **{"lights": lights, "lobes": 0, **settings}))
     return Turned(look_for(recipe, "gi"), View(0.03, CAMERA, turn))
 
 
@@ -99,6 +99,23 @@ def test_unshadowed_light_does_not_depend_on_what_texels_keep(settings: dict[str
     own, other = around([SKY], **settings).sky, around([SKY]).sky
     assert own.order == other.order
     np.testing.assert_allclose(own.light, other.light)
+
+
+def test_unshadowed_light_beside_a_lobe_is_without_it() -> None:
+    whole, rest = around([SKY], ODD), around([SKY], ODD, lobes=1)
+    (sun,) = rest.look.lobes
+    lost = (whole.sky.light - rest.sky.light)[:, 0] * rest.look.unit * math.sqrt(4.0 * math.pi)
+    np.testing.assert_allclose(lost, rest.albedo * np.array(sun.flux))
+    assert np.array_equal(whole.around, rest.around), "other models have all of it"
+
+
+def test_terms_stand_side_by_side_and_tell_where_they_begin() -> None:
+    turned = around([SKY], ODD, lobes=1, order=3, indirect_order=2)
+    light, square, firsts = turned.in_units
+    assert (light.shape, square.shape, firsts.tolist()) == ((3, 13), (13,), [0, 9])
+    for layer, columns in zip(turned.look.plan.layers, (slice(0, 9), slice(9, 13)), strict=True):
+        expected = turned.albedo[:, None] * turned.light_of(layer) / turned.look.unit
+        np.testing.assert_allclose(light[:, columns], expected, rtol=1e-6)
 
 
 def test_surroundings_are_the_environment_itself_and_the_turn() -> None:

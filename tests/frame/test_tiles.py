@@ -90,7 +90,7 @@ def test_no_piece_is_begun_after_one_has_failed() -> None:
         together.wait(10)
         if a == 0:
             raise ValueError("the first")
-        time.sleep(0.1)
+        time.sleep(0.5)
 
     with pytest.raises(ValueError, match="the first"):
         tiles.run(piece, 9, 1)

@@ -4,16 +4,16 @@ import math
 
 import numpy as np
 import pytest
-from numba import config, njit
+from numba import njit
 
 from isogi_core.kernels.bricks import brick_ranges, make_bricks
 from isogi_core.kernels.camera import Pinhole, pixel_ray, trace_pixels
 from isogi_core.kernels.intersect import UNKNOWN, cast
 from isogi_core.kernels.vec import madd
 from tests.kernels.test_macrocells import field_of
+from tests.scale import few
 
-PYTHON = bool(config.DISABLE_JIT)
-SIDE = 12 if PYTHON else 96
+SIDE = few(96, 12)
 Z, Y, X = np.mgrid[:33, :33, :33] - 16.0
 BALL = 10.0 - np.sqrt(X * X + Y * Y + Z * Z)
 SLOPE = 16.0 - np.broadcast_to(np.arange(33.0)[:, None, None], (33, 33, 33))

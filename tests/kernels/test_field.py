@@ -4,14 +4,15 @@ import math
 
 import numpy as np
 import pytest
-from numba import config, njit
+from numba import njit
 from scipy.interpolate import BSpline
 from scipy.ndimage import map_coordinates
 
 from isogi_core.kernels import field
 from isogi_core.kernels.field import Field
+from tests.scale import few
 
-COUNT = 50 if config.DISABLE_JIT else 2000
+COUNT = few(2000, 50)
 RNG = np.random.default_rng(11)
 VOXELS = RNG.random((6, 7, 9), np.float32)
 SIZE = np.array(VOXELS.shape[::-1])

@@ -34,6 +34,17 @@ def names(folder):
     return sorted(each.name for each in folder.iterdir())
 
 
+@pytest.mark.parametrize(("name", "value"), [("BOUNDSCHECK", 2), ("OPT", 0), ("CPU_NAME", "generic")])
+def test_code_of_other_settings_has_a_folder_of_its_own(monkeypatch, name, value):
+    usual = _folder.sources_digest()
+    monkeypatch.setattr(_folder.numba.config, name, value)
+    assert _folder.sources_digest() != usual
+
+
+def test_every_setting_is_one_that_numba_has():
+    assert all(hasattr(_folder.numba.config, name) for name in _folder.SETTINGS)
+
+
 def test_the_oldest_go_and_the_own_one_stays(folders):
     _folder.prune(folders / "00")
     assert names(folders) == ["00", *(f"{n:02}" for n in range(11 - _folder.KEPT, 11))]

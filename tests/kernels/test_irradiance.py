@@ -4,19 +4,19 @@ import math
 
 import numpy as np
 import pytest
-from numba import config
 
 from isogi_core.kernels.bricks import brick_ranges, make_bricks
 from isogi_core.kernels.field import OFFSET
 from isogi_core.kernels.irradiance import bake_irradiance
 from isogi_core.kernels.lamps import DIRECTIONAL, POINT
 from isogi_core.kernels.transfer import bake_texels, locate_texels
-from tests.kernels.test_lit import BALL, COMPILED, LIGHTS, PLANE, lamps, surroundings
+from tests.kernels.test_lit import BALL, LIGHTS, PLANE, lamps, surroundings
 from tests.kernels.test_macrocells import field_of
+from tests.scale import COMPILED, few
 
 Z, Y, X = np.mgrid[:41, :41, :41] - 20.0
 TORUS = 5.0 - np.hypot(np.hypot(X, Y) - 12.0, Z)
-COUNT = 3 if config.DISABLE_JIT else 40
+COUNT = few(40, 3)
 WEIGHTS = np.array([0.9, 0.6, 0.3]) ** np.arange(4.0)[:, None]
 
 
@@ -43,7 +43,7 @@ def bake(voxels, texels, light, weights=WEIGHTS, count=COUNT, first=0, rows=None
 def texels():
     """Texels on the torus."""
     every = np.argwhere(np.abs(TORUS) < 0.3)
-    return every[:: len(every) // (4 if config.DISABLE_JIT else 150)]
+    return every[:: len(every) // few(150, 4)]
 
 
 def test_under_constant_light_it_is_the_first_coefficient_of_the_transfer(texels):
@@ -101,6 +101,6 @@ def test_a_plane_under_a_turned_half_sky():
     for tilt in (0.0, 60.0, 90.0):
         s, c = math.sin(math.radians(tilt)), math.cos(math.radians(tilt))
         light = surroundings(sky, matrix=np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]]))
-        count = 128 if config.DISABLE_JIT else 4096
+        count = few(4096, 128)
         found = bake(PLANE, np.array([[20, 20, 20]]), light, np.ones((1, 3)), count) / count
         np.testing.assert_allclose(found, (1.0 + c) / 2.0, atol=20.0 / count)

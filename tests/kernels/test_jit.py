@@ -14,9 +14,9 @@ import pytest
 from numba import config
 
 from isogi_core.kernels import _folder, _jit
+from tests.scale import COMPILED
 
 FOLDER = Path(_jit.__file__).parent
-COMPILED = pytest.mark.skipif(bool(config.DISABLE_JIT), reason="Numba is switched off: nothing is compiled")
 
 
 def kernel_names():

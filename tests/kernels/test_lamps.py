@@ -4,12 +4,13 @@ import math
 
 import numpy as np
 import pytest
-from numba import config, njit
+from numba import njit
 
 from isogi_core.kernels.harmonics import evaluate
 from isogi_core.kernels.lamps import AREA, DIRECTIONAL, POINT, LampArrays, illuminate, project_lamps
+from tests.scale import few
 
-COUNT = 400 if config.DISABLE_JIT else 20_000
+COUNT = few(20_000, 400)
 N = (0.0, 0.6, 0.8)
 COLOUR = np.array([3.0, 2.0, 1.0])
 
@@ -52,9 +53,11 @@ def test_a_lamp_behind_the_surface_gives_nothing(kind):
     assert not light.any()
 
 
-def test_a_point_that_touches_the_surface_gives_nothing_there():
+@pytest.mark.parametrize("away", [0.0, 1e-170])
+def test_a_point_that_touches_the_surface_gives_nothing_there(away):
+    """Touching it is being so near that the square of the distance is nothing."""
     numbers, towards, distances, light = np.full((1, 2), 0.5), np.empty((1, 3)), np.empty(1), np.empty((1, 3))
-    shine(lamp(POINT, (1.0, 1.0, 2.0)), (1.0, 1.0, 2.0), N, numbers, towards, distances, light)
+    shine(lamp(POINT, (0.0, 0.0, away)), (0.0, 0.0, 0.0), N, numbers, towards, distances, light)
     assert distances[0] == 0.0 and not light.any() and np.isfinite(towards).all()
 
 

@@ -4,11 +4,11 @@ import math
 
 import numpy as np
 import pytest
-from numba import config, njit
+from numba import njit
 
 from isogi_core.kernels.bricks import brick_ranges, make_bricks
-from isogi_core.kernels.field import OFFSET
-from isogi_core.kernels.integrator import about, facing_normal, launch, to_index
+from isogi_core.kernels.field import OFFSET, to_index
+from isogi_core.kernels.integrator import about, facing_normal, launch
 from isogi_core.kernels.intersect import OUTSIDE, cast
 from isogi_core.kernels.lamps import AREA, DIRECTIONAL, NO_LAMPS, POINT, LampArrays
 from isogi_core.kernels.lights import arriving
@@ -18,8 +18,8 @@ from isogi_core.kernels.sampling import sample_cosine_hemisphere
 from isogi_core.kernels.vec import column, dot, madd, put_column
 from isogi_core.model.environment import cumulative, pixel_directions, solid_angles
 from tests.kernels.test_macrocells import field_of
+from tests.scale import COMPILED, few
 
-COMPILED = pytest.mark.skipif(bool(config.DISABLE_JIT), reason="many paths need compiled kernels")
 Z, Y, X = np.mgrid[:41, :41, :41] - 20.0
 DISTANCE = np.sqrt(X * X + Y * Y + Z * Z)
 BALL = 12.0 - DISTANCE
@@ -133,7 +133,7 @@ LIGHTS = {
 @pytest.mark.parametrize("name", LIGHTS)
 @pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), (0.5, 1.0, 2.0)])
 def test_waves_gather_what_paths_one_by_one_do(name, spacing):
-    starts, count = (20, 2) if config.DISABLE_JIT else (300, 20)
+    starts, count = few((300, 20), (20, 2))
     points, normals = on_ball(starts)
     weights = np.array([0.9, 0.7, 0.5]) ** np.arange(5.0)[:, None]
     light, field = LIGHTS[name], field_of(NOISY, spacing)
@@ -147,7 +147,7 @@ def test_waves_gather_what_paths_one_by_one_do(name, spacing):
 
 
 def test_a_path_gathers_the_same_bits_in_any_company():
-    starts, count = (3, 2) if config.DISABLE_JIT else (700, 9)
+    starts, count = few((700, 9), (3, 2))
     points, normals = on_ball(starts)
     weights, light = np.full((4, 3), 0.8), LIGHTS["all"]
     seeds = np.arange(starts, dtype=np.uint64) * np.uint64(77)
@@ -167,7 +167,7 @@ def test_furnace(table):
     light = surroundings(image)
     if table:
         light = light._replace(table=cumulative(np.random.default_rng(2).random((8, 16)) ** 4))
-    count = 40 if config.DISABLE_JIT else 4096
+    count = few(4096, 40)
     found = gather(PLANE, MIDDLE, UP, light, np.ones((2, 3)), count).mean(axis=1)
     np.testing.assert_allclose(found, 1.0, atol=6.0 / count**0.5 if table else 1e-6)
 
@@ -188,7 +188,7 @@ def test_a_directional_lamp_over_a_plane(degrees, angle):
     radius = math.sin(math.radians(angle / 2.0))
     edges = radius * np.array([(0.0, 1.0, 0.0), (-cosine, 0.0, sine)])
     light = surroundings(lamps=lamps((DIRECTIONAL, (sine, 0.0, cosine), edges, (3.0, 2.0, 1.0))))
-    count = 64 if config.DISABLE_JIT else 1024
+    count = few(1024, 64)
     found = gather(PLANE, MIDDLE, UP, light, np.full((1, 3), 0.5), count).mean(axis=1)
     np.testing.assert_allclose(found[0], 0.5 * max(cosine, 0.0) * np.array([3.0, 2.0, 1.0]), rtol=2e-3)
 
@@ -221,11 +221,11 @@ def test_a_rectangle_over_its_corner_has_its_form_factor(a, b, h):
     s, t = math.hypot(a, h), math.hypot(b, h)
     form = (a / s * math.atan(b / s) + b / t * math.atan(a / t)) / (2.0 * math.pi)
     edges = np.array([(0.0, b, 0.0), (a, 0.0, 0.0)])
-    count = 1000 if config.DISABLE_JIT else 4096
+    count = few(4096, 1000)
     for turned in (False, True):
         light = surroundings(lamps=lamps((AREA, corner, edges[::-1] if turned else edges, np.ones(3) / math.pi)))
         found = gather(PLANE, MIDDLE, UP, light, np.ones((1, 3)), count).mean(axis=1)
-        np.testing.assert_allclose(found[0], 0.0 if turned else form, rtol=0.1 if config.DISABLE_JIT else 0.003)
+        np.testing.assert_allclose(found[0], 0.0 if turned else form, rtol=few(0.003, 0.1))
 
 
 @COMPILED

@@ -1,18 +1,23 @@
 """Packets of rays against the scalar kernel: the same bits, on smooth, noisy, flat, holed and real volumes."""
 
+import mmap
+
 import numpy as np
 import pytest
-from numba import config
 
 from isogi_core.bake.recipe import make_field
 from isogi_core.files.nrrd import read_nrrd
-from isogi_core.kernels.bricks import BRICK, brick_ranges, brick_shape, make_bricks
+from isogi_core.kernels.bricks import BRICK, Bricks, brick_ranges, brick_shape, make_bricks
+from isogi_core.kernels.field import Field
 from isogi_core.kernels.intersect import OUTSIDE, SOLID, UNKNOWN
+from isogi_core.kernels.lanes import WIDTH
 from isogi_core.kernels.leaps import BITS, LONGEST
+from isogi_core.kernels.macrocells import macrocell_shape
 from isogi_core.kernels.packets import cast_rays, cast_rays_one_by_one
 from isogi_core.model.volume import make_volume
+from tests.scale import COMPILED, few
 
-COUNT = 200 if config.DISABLE_JIT else 20_000
+COUNT = few(20_000, 20)
 BALL = 12.0 - np.linalg.norm(np.indices((41, 41, 41)) - 20.0, axis=0)
 
 
@@ -139,7 +144,7 @@ def test_from_inside_a_closed_surface_every_ray_comes_out():
     assert np.abs(away - 12.0).max() < 0.1
 
 
-@pytest.mark.parametrize("count", [0, 1, 31, 4096, 4097])
+@pytest.mark.parametrize("count", [0, 1, 31, few(4096, 40), few(4097, 41)])
 def test_batches_of_any_size(count):
     origins, directions = rays_about(BALL.shape, 13, count)
     assert_same(BALL, np.zeros(1), origins, directions, UNKNOWN) if count else cast_nothing()
@@ -152,6 +157,43 @@ def cast_nothing():
     cast_rays(
         make_field(volume), bricks, np.empty(0), none, none, np.empty(0, np.int8), np.empty(0), np.empty(0, np.int8)
     )
+
+
+def vast(shape):
+    """A volume of zeros with a ball in its last corner, the field and the map; memory holds what is touched alone.
+
+    All is empty to the map but for the bricks about the ball, whose cells are all marked.
+    """
+    flags = mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS | getattr(mmap, "MAP_NORESERVE", 0)
+    room = mmap.mmap(-1, 4 * int(np.prod(shape)), flags=flags)
+    voxels = np.frombuffer(room, np.float32).reshape(shape)
+    voxels[-24:, -24:, -24:] = np.maximum(6.0 - np.linalg.norm(np.indices((24, 24, 24)) - 11.5, axis=0), 0.0)
+    low, high = np.zeros((2, *macrocell_shape(shape)), np.float32)
+    high[-4:, -4:, -4:] = 6.0
+    tops, margins = np.zeros(brick_shape(shape), np.int32), np.zeros(brick_shape(shape), np.float32)
+    tops[-7:, -7:, -7:], margins[-7:, -7:, -7:] = 1, 0.1
+    cells = np.repeat(np.array([0, -1], np.int32), BRICK)
+    return Field(voxels, low, high, (1.0, 1.0, 1.0)), Bricks(tops.ravel(), cells, margins.ravel(), tops.shape)
+
+
+@COMPILED
+@pytest.mark.parametrize("shape", [(1024, 1024, 1024), (1024, 1023, 1025), (1289, 1290, 1291)])
+def test_volumes_of_up_to_two_billion_voxels_are_for_the_lanes(shape):
+    field, bricks = vast(shape)
+    origins, directions = rays_about((24, 24, 24), 17)
+    origins = origins + np.array(shape[::-1]) - 24.0
+    isovalues, sides = np.full(len(origins), 0.5), np.full(len(origins), UNKNOWN, np.int8)
+    rays = isovalues, *along(origins, directions), sides
+    empty = field._replace(high=np.zeros_like(field.high))  # where the scalar kernel finds nothing
+    found = []
+    for kernel, seen in ((cast_rays, field), (cast_rays_one_by_one, field), (cast_rays, empty)):
+        t, came = np.empty(len(origins)), np.empty(len(origins), np.int8)
+        kernel(seen, bricks, *rays, t, came)
+        found.append((t, came))
+    (t, came), (t_one, came_one), (t_lanes, _) = found
+    assert np.array_equal(t, t_one) and np.array_equal(came, came_one)
+    assert np.isfinite(t).mean() > 0.1
+    assert WIDTH is None or np.isfinite(t_lanes).any()
 
 
 @pytest.mark.data

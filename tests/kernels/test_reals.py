@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numba import config, njit
+from numba import njit
 
 from isogi_core.kernels.field import bspline, bspline_slope, smooth_gradient, smooth_gradients, value
 from isogi_core.kernels.harmonics import accumulate
@@ -16,6 +16,7 @@ from isogi_core.kernels.reals import ABREAST, add_to, floor_within, four, fracti
 from isogi_core.kernels.rng import point_2d, point_of_words
 from isogi_core.kernels.sampling import cosine_and_sine, sample_cosine_hemisphere
 from isogi_core.kernels.vec import column, orthonormal_basis, put_column, read_columns, write_columns
+from tests.scale import PYTHON
 
 RNG = np.random.default_rng(1)
 COUNT = 16 * ABREAST
@@ -62,7 +63,7 @@ def test_arithmetic_of_words_is_numpys():
     a, b = RNG.integers(0, 2**32, (2, COUNT), dtype=np.uint64)
     a[0] = 2**32 - 1
     out, fractions = np.empty((8, COUNT), np.uint32), np.empty(COUNT)
-    if config.DISABLE_JIT:
+    if PYTHON:
         wordwise(a, b, out, fractions)
     else:
         wordwise(a.astype(np.uint32), b.astype(np.uint32), out, fractions)
@@ -93,7 +94,8 @@ def floors(x, last, out):
 
 
 def test_floor_within_is_the_scalars():
-    x = np.concatenate([RNG.uniform(-2.0, 8.0, COUNT - 6), [-0.0, 0.0, 5.0, 4.999999999, 6.0, 1e9]])
+    ends = [-0.0, 0.0, 5.0, 4.999999999, 6.0, 1e9, 1e300, math.inf, -math.inf, math.nan]
+    x = np.concatenate([RNG.uniform(-2.0, 8.0, COUNT - len(ends)), ends])
     out = np.empty(COUNT)
     floors(x, 5, out)
     assert out.tolist() == [floor_within(v, 5) for v in x.tolist()]
@@ -194,7 +196,7 @@ def test_weights_of_the_spline_sum_up():
 
 
 @pytest.mark.slow
-@pytest.mark.skipif("NUMBA_CPU_NAME" in os.environ or bool(config.DISABLE_JIT), reason="this is the other run")
+@pytest.mark.skipif("NUMBA_CPU_NAME" in os.environ or PYTHON, reason="this is the other run")
 @pytest.mark.parametrize("processor", ["haswell", "nehalem"])
 def test_all_of_it_again_for_other_processors(processor):
     """Eight lanes with AVX2, four without it."""

@@ -4,13 +4,14 @@ from math import comb
 
 import numpy as np
 import pytest
-from numba import config, njit
+from numba import njit
 from scipy.stats import norm, qmc
 
 from isogi_core.kernels import rng
 from tests.kernels.chi2 import ChiSquare
+from tests.scale import few
 
-MANY = 20_000 if config.DISABLE_JIT else 400_000
+MANY = few(400_000, 20_000)
 WORDS = np.random.default_rng(2).integers(0, 2**32, 200, dtype=np.uint64)
 SEEDS = [0, 1, 2, 12345, 2**32, 2**63, 2**64 - 1]
 
@@ -62,7 +63,7 @@ def test_mix_has_no_collision_among_neighbours():
 @pytest.mark.parametrize("counting", [False, True], ids=["random", "counting"])
 def test_mix_avalanches(side, counting):
     """Each input bit flips each output bit with probability 1/2, for counters too."""
-    n = 512 if config.DISABLE_JIT else 16384
+    n = few(16384, 512)
     source = np.random.default_rng(3)
     words = source.integers(0, 2**64, (2, n), dtype=np.uint64)
     if counting:
@@ -105,7 +106,7 @@ def test_scramble_keeps_the_tree():
 
 def test_scramble_flips_like_coins():
     """Over seeds, every bit of a scrambled word is 0 or 1 equally often, and bits are independent."""
-    n = 2_000 if config.DISABLE_JIT else 20_000
+    n = few(20_000, 2_000)
     seeds = mixed(np.arange(n, dtype=np.uint64), np.zeros(n, np.uint64)) >> np.uint64(32)
     for word in (np.uint64(0), np.uint64(0xFFFFFFFF), np.uint64(0x80000000), WORDS[0]):
         signs = 1.0 - 2.0 * bits([rng.nested_uniform_scramble(word, seed) for seed in seeds], 32)[:, 20:]
@@ -118,7 +119,7 @@ def test_scramble_flips_like_coins():
 @pytest.mark.parametrize("dimension", [0, 1, 7])
 def test_prefixes_are_nets(seed, dimension):
     """The first 2ᵏ points have one in every elementary interval; so has each later run of as many."""
-    for k in range(0, 11, 2 if config.DISABLE_JIT else 1):
+    for k in range(0, 11, few(1, 2)):
         for first in (0, 2**k, 5 * 2**k):
             points = prefix(np.uint64(seed), dimension, first, 2**k)
             assert (points >= 0.0).all() and (points < 1.0).all()
@@ -155,7 +156,7 @@ def test_dimensions_of_one_seed_are_uncorrelated():
     The j-th bits, of weight 4⁻ʲ in the variance, agree or differ alike for runs of 2ʲ points, so the
     variance of r is (9 Σ 8⁻ʲ)/n = 9/7n, not 1/n.
     """
-    n, count = (256, 8) if config.DISABLE_JIT else (4096, 24)
+    n, count = few((4096, 24), (256, 8))
     columns = [prefix(np.uint64(s), d, 0, n) for s in (1, 2) for d in range(count // 2)]
     table = np.concatenate(columns, axis=1)
     r = np.corrcoef(table, rowvar=False)

@@ -4,12 +4,13 @@ import math
 
 import numpy as np
 import pytest
-from numba import config, njit
+from numba import njit
 
 from isogi_core.kernels import rng, sampling
 from tests.kernels.chi2 import ChiSquare
+from tests.scale import few
 
-MANY = 20_000 if config.DISABLE_JIT else 1_000_000
+MANY = few(1_000_000, 20_000)
 FEW = 2_000
 TURN = (0.0, 2.0 * math.pi)
 SPHERE, HEMISPHERE, DISC = ((-1.0, 1.0), TURN), ((0.0, 1.0), TURN), ((0.0, 1.0), TURN)

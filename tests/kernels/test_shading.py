@@ -4,12 +4,13 @@ import math
 
 import numpy as np
 import pytest
-from numba import config, njit
+from numba import njit
 
 from isogi_core.kernels import shading
 from isogi_core.kernels._jit import kernel
 from isogi_core.kernels.bricks import brick_ranges, make_bricks
-from isogi_core.kernels.integrator import launch, to_index
+from isogi_core.kernels.field import to_index
+from isogi_core.kernels.integrator import launch
 from isogi_core.kernels.intersect import OUTSIDE, cast
 from isogi_core.kernels.lights import fog
 from isogi_core.kernels.lit import Surroundings
@@ -26,8 +27,9 @@ from isogi_core.kernels.shading import (
 from isogi_core.kernels.waves import WAVE
 from tests.kernels.test_lit import light_path
 from tests.kernels.test_macrocells import field_of
+from tests.scale import COMPILED, PYTHON, few
 
-COUNT = 60 if config.DISABLE_JIT else 2000
+COUNT = few(2000, 60)
 Z, Y, X = np.mgrid[:41, :41, :41] - 20.0
 BALL = 12.0 - np.sqrt(X * X + Y * Y + Z * Z)
 EYE = (90.0, 35.0, 60.0)
@@ -206,11 +208,11 @@ def test_path_tracer_sees_the_turned_environment(axis):
     matrix = np.roll(np.eye(3), axis, axis=1)
     pole = matrix @ np.array([0.0, 0.0, 1.0])
     points, normals = ball_points(20)
-    count = 64 if config.DISABLE_JIT else 2048
+    count = few(2048, 64)
     light = trace(points, normals, half_sky(matrix), np.full((1, 3), 0.5), 0, count).sum(axis=1) / (2 * count)
     up = (1.0 + normals @ pole) / 2.0
     expected = 0.5 * (0.25 + np.stack([up, 1.0 - up, np.zeros_like(up)], axis=1))
-    np.testing.assert_allclose(light, expected, atol=0.03 if config.DISABLE_JIT else 0.01)
+    np.testing.assert_allclose(light, expected, atol=few(0.01, 0.03))
 
 
 def test_paths_belong_to_the_pixel_and_go_on_where_they_stopped():
@@ -247,7 +249,7 @@ def test_sums_of_any_number_of_goes_have_the_same_bits():
     assert sums[0].any() and np.array_equal(*sums)
 
 
-@pytest.mark.skipif(bool(config.DISABLE_JIT), reason="many paths need compiled kernels")
+@COMPILED
 def test_paths_that_end_by_chance_bring_the_same_light():
     """Weights over the chance to get there: z-test of two means in a bowl, of 2 × 8 independent replicas."""
     points, normals = ball_points(20)
@@ -276,7 +278,7 @@ def paths_one_by_one(field, iso, points, normals, pixels, light, weights, first,
 @pytest.mark.parametrize(("count", "points"), [(3, 300), (WAVE // 2 + 5, 2)])
 def test_paths_in_waves_are_those_one_by_one(count, points):
     """To the last bit of their sums, also where one point alone has more paths than a wave."""
-    if config.DISABLE_JIT:
+    if PYTHON:
         count, points = min(count, 3), min(points, 20)
     points, normals = ball_points(points)
     field, normals = field_of(NOISY), normals.astype(np.float32)

@@ -7,13 +7,13 @@ import sys
 import threading
 from pathlib import Path
 
-import pytest
 from numba import config
 
 from isogi_core.kernels import _jit
 from isogi_core.kernels.warm import entries_of, load, warm
+from tests.scale import COMPILED
 
-pytestmark = pytest.mark.skipif(bool(config.DISABLE_JIT), reason="Numba is switched off: nothing is compiled")
+pytestmark = COMPILED
 
 FOLDER = Path(_jit.__file__).parent
 SMALL = """\

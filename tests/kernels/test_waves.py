@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from numba import config, njit
+from numba import njit
 
 from isogi_core.bake.light import Light
 from isogi_core.bake.look import look_for
@@ -16,6 +16,7 @@ from isogi_core.kernels.vec import column, put_column
 from isogi_core.kernels.waves import walk_paths
 from isogi_core.model.scene import load_scene
 from isogi_core.model.volume import make_volume
+from tests.scale import PYTHON
 
 Z, Y, X = np.indices((30, 34, 38)) - 16.0
 BUMPS = 10.0 - np.sqrt(X**2 + Y**2 + Z**2) + 1.5 * np.sin(X) * np.sin(Y) * np.sin(Z)
@@ -50,7 +51,7 @@ def plateaus(values):
     ids=["bumps", "plateaus", "thin", "a column, whose normals have no z"],
 )
 def test_waves_are_the_paths_one_by_one(starts, count, body, survival, smooth, offset):
-    if config.DISABLE_JIT and starts * count > 100:
+    if PYTHON and starts * count > 100:
         pytest.skip("so many paths need compiled kernels")
     volume = make_volume(body, (0.5, 1.0, 2.0))
     field = make_field(volume, smooth, offset)

@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 from isogi_core.errors import IsogiError, LightError, SceneError, VolumeError
+from isogi_core.model.boundaries import find_boundaries
 from isogi_core.model.lights import ConstantLight, SkyLight
 from isogi_core.model.plan import Layer
+from isogi_core.model.presets import Preset, suggested_presets
 from isogi_core.model.scene import Scene, load_scene, otsu
 
 RAMP = np.arange(120, dtype=np.float32).reshape(6, 5, 4)
@@ -83,6 +85,32 @@ def test_overrides_replace_settings(folder: Path) -> None:
     assert load_scene(ORBITAL, isovalue=0.2).isovalue == 0.2
 
 
+def test_presets_are_those_that_the_scene_names_in_its_order(folder: Path) -> None:
+    told = '[{name = "bone", isovalue = 90}, {name = " skin", isovalue = 30.5}]'
+    scene = scene_of(folder, f'volume = "ramp.nrrd"\nisovalues = [20, 110]\npresets = {told}')
+    assert scene.presets == (Preset("bone", 90.0), Preset("skin", 30.5))
+    assert scene.bake_digest == scene_of(folder, 'volume = "ramp.nrrd"\nisovalues = [20, 110]').bake_digest
+
+
+def test_presets_are_suggested_where_the_scene_names_none() -> None:
+    assert load_scene(ORBITAL).presets == suggested_presets(find_boundaries(load_scene(ORBITAL).volume, (0.0, 1.0)))
+
+
+@pytest.mark.parametrize(("missing", "holes"), [("119", 1), ("[0, 119]", 2), ("[]", 0), ("-9999", 0)])
+def test_values_that_are_missing_are_holes(folder: Path, missing: str, holes: int) -> None:
+    scene = scene_of(folder, f'volume = "ramp.nrrd"\nmissing = {missing}')
+    assert scene.volume.holes == holes
+
+
+def test_outliers_are_left_out_of_the_range_of_isovalues_unless_it_is_told(folder: Path) -> None:
+    values = np.arange(120.0).reshape(6, 5, 4)
+    values[0, 0, 0] = 1e30
+    nrrd.write(str(folder / "hot.nrrd"), values, index_order="C")
+    scene = scene_of(folder, 'volume = "hot.nrrd"')
+    assert scene.isovalues == (1.0, 119.0) and 50 < scene.isovalue < 70
+    assert scene_of(folder, 'volume = "hot.nrrd"\nisovalues = [1, 1e30]').isovalues == (1.0, 1e30)
+
+
 def test_isovalue_falls_into_the_range_that_views_may_ask_for(folder: Path) -> None:
     assert scene_of(folder, 'volume = "ramp.nrrd"\nisovalues = [100, 110]').isovalue == 100.0
 
@@ -107,6 +135,8 @@ def test_isovalue_falls_into_the_range_that_views_may_ask_for(folder: Path) -> N
         ("order = 0", "order"),
         ("order = 99", "order"),
         ("indirect_order = 0", "indirect_order"),
+        ("lobes = 5", "lobes"),
+        ("lobes = -1", "lobes"),
         ('precision = "double"', "precision"),
         ('representation = "radiosity"', "representation"),
         ('representation = "constant"', "representation"),
@@ -117,15 +147,33 @@ def test_isovalue_falls_into_the_range_that_views_may_ask_for(folder: Path) -> N
         ("lattice = 0", "lattice"),
         ("lattice = 8", "lattice"),
         ("lattice = inf", "lattice"),
+        ("chunk = 4", "chunk"),
+        ("chunk = 24", "chunk"),
+        ('chunk = "16"', "chunk"),
         ("target_error = 0", "target_error"),
         ("target_error = 2", "target_error"),
         ("rotating = 1", "rotating"),
         ("solid = 3", "solid"),
         ("spacing = [1, 1]", "spacing"),
+        ('missing = "none"', "missing"),
+        ("missing = [1, nan]", "missing"),
+        ("missing = true", "missing"),
+        (f"missing = {10**400}", "missing"),
         ("lights = []", "lights"),
         ("lights = 3", "lights"),
         ("isovlaue = 3", "isovlaue"),
         ("[light]\ntype = 'sky'", "light"),
+        ("presets = 3", "presets"),
+        ("presets = [70]", "presets"),
+        ("presets = [{name = 'a'}]", "name and isovalue"),
+        ("presets = [{name = 'a', isovalue = 3, colour = 1}]", "no more"),
+        ("presets = [{name = '', isovalue = 3}]", "a word"),
+        ("presets = [{name = 7, isovalue = 3}]", "a word"),
+        (f"presets = [{{name = '{'a' * 41}', isovalue = 3}}]", "40"),
+        ("presets = [{name = 'a', isovalue = 500}]", "'a' has isovalue 500"),
+        ("presets = [{name = 'a', isovalue = true}]", "'a' has isovalue True"),
+        ("presets = [{name = 'a', isovalue = 3}, {name = 'a', isovalue = 4}]", "same name"),
+        (f"presets = [{', '.join(f'{{name = {str(i)!r}, isovalue = 3}}' for i in range(25))}]", "at most 24"),
     ],
 )
 def test_settings_without_meaning_are_refused_by_name(folder: Path, line: str, word: str) -> None:
@@ -140,10 +188,12 @@ def test_settings_without_meaning_are_refused_by_name(folder: Path, line: str, w
         ('volume = "demo:nothing"', VolumeError, "casting"),
         ('volume = "demo:casting"\nsolid = "below"', SceneError, "solid"),
         ('volume = "demo:casting"\nspacing = [1, 1, 2]', SceneError, "spacing"),
+        ('volume = "demo:casting"\nmissing = 0', SceneError, "missing"),
         ('volume = "ramp.nrrd"\nsolid = "sideways"', VolumeError, "sideways"),
         ('volume = "ramp.nrrd"\nspacing = [1, 0, 1]', VolumeError, "spacing"),
         ('volume = "gone.nrrd"', VolumeError, "gone.nrrd"),
         ('volume = "ramp.nrrd"\n[[lights]]\ntype = "lamp"', SceneError, "lamp"),
+        (f'volume = "ramp.nrrd"\n[[lights]]\ntype = "constant"\nradiance = {10**400}', SceneError, "radiance"),
         ('volume = "ramp.nrrd"\n[[lights]]\ntype = "constant"\nradiance = -1', LightError, "radiance"),
     ],
 )
@@ -161,7 +211,7 @@ def test_missing_and_unreadable_scenes_say_so(folder: Path) -> None:
 
 
 def test_baked_light_has_a_name_of_its_own_for_all_it_depends_on() -> None:
-    changes = [{}, {"albedo": 0.5}, {"bounces": 2}, {"order": 3}, {"lattice": 0.5}]
+    changes = [{}, {"albedo": 0.5}, {"bounces": 2}, {"order": 4}, {"lattice": 0.5}]
     names = [load_scene(ORBITAL, **change).bake_digest for change in changes]
     assert len(set(names)) == len(changes)
     assert load_scene("demo:casting").bake_digest not in names
@@ -170,7 +220,7 @@ def test_baked_light_has_a_name_of_its_own_for_all_it_depends_on() -> None:
 def test_light_and_target_change_the_frame_and_not_a_bake_of_the_same_layers() -> None:
     same: dict[str, Any] = {"order": 3, "indirect_order": 2, "bounces": 4, "precision": "half"}
     plain = load_scene(ORBITAL, **same)
-    for change in ({"lights": [{"type": "sky", "sun_elevation": 20.0}]}, {"target_error": 0.3}):
+    for change in ({"lights": [{"type": "sky", "sun_elevation": 20.0}]}, {"target_error": 0.3}, {"lobes": 0}):
         other = load_scene(ORBITAL, **same, **change)
         assert other.bake_digest == plain.bake_digest and other.digest != plain.digest
     assert load_scene(ORBITAL, isovalue=0.1, **same).digest == plain.digest
@@ -188,10 +238,14 @@ def test_light_and_target_change_the_frame_and_not_a_bake_of_the_same_layers() -
         ({"target_error": 0.018, "bounces": 5}, ["direct", "indirect"]),
         ({"precision": "single"}, []),
         ({"lattice": 0.5}, []),
-        ({"order": 3}, ["indirect"]),
+        ({"order": 5, "indirect_order": 5}, ["indirect"]),
+        ({"order": 3, "indirect_order": 3, "lobes": 0, "precision": "bytes"}, ["direct"]),
         ({"rotating": False}, []),
         ({"normals": "gradient"}, []),
         ({"offset": 0.0}, []),
+        ({"chunk": 16}, ["direct", "indirect"]),
+        ({"chunk": 8}, []),
+        ({"chunk": 32, "offset": 0.0}, []),
         ({"normals": "bspline", "offset": 0.3}, ["direct", "indirect"]),
     ],
 )
@@ -249,6 +303,13 @@ def test_otsu_parts_two_heaps() -> None:
     rng = np.random.default_rng(1)
     values = np.concatenate([rng.normal(20, 3, 5000), rng.normal(80, 5, 1000)])
     assert 30 < otsu(*np.histogram(values, 256)) < 65
+
+
+@pytest.mark.parametrize("factor", [1e-310, 1e-200, 1e200, 1.7e308])
+def test_otsu_does_not_depend_on_the_unit(factor: float) -> None:
+    counts = np.array([9, 5, 1, 1, 7, 3])
+    edges = np.linspace(-1.0, 1.0, 7)
+    assert otsu(counts, edges * factor) == otsu(counts, edges) * factor
 
 
 def test_otsu_of_one_value_is_within_its_range() -> None:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from isogi_core.errors import VolumeError
+from isogi_core.model.units import FURTHEST
 from isogi_core.model.volume import Volume, make_volume
 
 SOLIDS = ("above", "below")
@@ -138,6 +139,82 @@ def test_isovalues_far_outside_stay_finite_float32() -> None:
         assert np.isfinite(level) and float(np.float32(level)) == level and level * value > 0
 
 
+OUTLIERS = ([1e30], [-1e34], [-9999.0, 1e30, 1e300], [1.7e308], [-1.7e308, 1.7e308])
+
+
+@pytest.mark.parametrize("solid", SOLIDS)
+@pytest.mark.parametrize("outliers", OUTLIERS, ids=str)
+def test_outliers_leave_the_others_their_digits(outliers: list[float], solid: str) -> None:
+    plain, values = make_volume(UNIT, solid=solid), UNIT.copy()
+    places = np.unravel_index(1 + np.arange(len(outliers)), UNIT.shape)
+    values[places] = outliers
+    kept = np.ones(UNIT.shape, bool)
+    kept[places] = False
+    volume = make_volume(values, solid=solid)
+    if (plain.offset, plain.scale) == (volume.offset, volume.scale):
+        np.testing.assert_array_equal(volume.voxels[kept], plain.voxels[kept])
+    np.testing.assert_allclose(own_units(volume)[kept], UNIT[kept], atol=2.0**-24)
+    above = np.array(outliers) > 1.0
+    assert ((volume.voxels[places] > 500.0) == (above == (solid == "above"))).all()
+    assert np.isfinite(volume.voxels).all() and (np.abs(volume.voxels) <= FURTHEST).all()
+    assert volume.core == (values[kept].min(), values[kept].max())
+    assert volume.value_range == (values.min(), values.max())
+    counts, edges = volume.histogram(8)
+    assert counts.sum() == kept.sum() and (edges[0], edges[-1]) == volume.core
+
+
+@pytest.mark.parametrize("solid", SOLIDS)
+@pytest.mark.parametrize(
+    ("start", "outlier", "dtype"),
+    [(2**60, 0, np.int64), (2**62, -(2**63), np.int64), (2**64 - 120, 0, np.uint64), (0, 2**64 - 1, np.uint64)],
+)
+def test_whole_numbers_far_from_the_others(start: int, outlier: int, dtype: type, solid: str) -> None:
+    whole = [*range(start, start + 119), outlier]
+    volume = make_volume(np.array(whole, dtype).reshape(4, 5, 6), solid=solid)
+    exact = [(Fraction(v) - Fraction(volume.offset)) / Fraction(volume.scale) for v in whole]
+    assert [Fraction(float(v)) for v in volume.voxels.ravel()[:-1]] == exact[:-1]
+    assert float(volume.voxels.ravel()[-1]) == pytest.approx(float(exact[-1]), rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("missing", "dtype", "holes"),
+    [
+        ([-9999], np.float32, 2),
+        ([-9999, 7], np.int16, 3),
+        ([-1e34], np.float32, 1),
+        ([0.5, -1e34], np.int16, 0),
+        ([2**64 - 1], np.uint64, 1),
+        ([np.inf, np.nan], np.int16, 0),
+    ],
+)
+def test_missing_values_are_holes(missing: list[float], dtype: type, holes: int) -> None:
+    values = np.arange(120).astype(dtype)
+    last = {np.float32: np.float32(-1e34), np.uint64: np.uint64(2**64 - 1)}.get(dtype, dtype(5))
+    values[[3, 50]] = values[60] if dtype is np.uint64 else dtype(-9999)
+    values[-1] = last
+    volume = make_volume(values.reshape(4, 5, 6), missing=missing)
+    marks = np.isin(values, np.array(missing).astype(dtype)) if holes else np.zeros(120, bool)
+    assert volume.holes == holes and np.array_equal(np.isnan(volume.voxels.ravel()), marks)
+    assert volume.value_range == (values[~marks].min(), values[~marks].max())
+
+
+def test_a_volume_of_nothing_but_missing_values_is_refused() -> None:
+    with pytest.raises(VolumeError, match="missing"):
+        make_volume(np.full((2, 2, 2), -9999), missing=[-9999])
+
+
+@pytest.mark.parametrize(
+    ("values", "steps"),
+    [(UNIT > 0.5, 1), (UNIT * 0 + 3, 0), ((1e9 + UNIT).astype(np.float32), 1), ((255 * UNIT).astype(np.uint8), 254)],
+)
+def test_steps_are_what_the_source_tells_apart(values: np.ndarray, steps: float) -> None:
+    assert make_volume(values).steps == pytest.approx(steps, abs=1)
+
+
+def test_a_double_tells_apart_what_a_single_float_does_not() -> None:
+    assert make_volume(1e9 + UNIT).steps > 2**22
+
+
 @pytest.mark.parametrize("solid", SOLIDS)
 def test_histogram_counts_as_numpy_does_on_the_source(solid: str) -> None:
     values = np.random.default_rng(5).integers(0, 256, (8, 9, 10)).astype(np.uint8)
@@ -198,6 +275,8 @@ def test_a_volume_cannot_be_changed() -> None:
         (UNIT, {"spacing": (np.nan, 1.0, 1.0)}, "nan"),
         (UNIT, {"spacing": (np.inf, 1.0, 1.0)}, "inf"),
         (UNIT, {"spacing": (1.0, 1.0)}, "three positive"),
+        (UNIT, {"spacing": (1.0, 1e-300, 1.0)}, "1e-300"),
+        (UNIT, {"spacing": (1e300, 1.0, 1.0)}, "1e-30 to 1e\\+30"),
         (UNIT, {"solid": "inside"}, "inside"),
     ],
 )

@@ -73,7 +73,8 @@ def bake(loader: Loader, demands: Sequence[Demand], samples: int) -> None:
     """Take all that is demanded to ``samples`` paths in each layer."""
     for demand in demands:
         chunk = loader.store.load(demand.index).with_texels(demand.offsets)
-        climb_to(chunk.light, chunk.positions(chunk.offsets), loader.store.look, samples)
+        look = loader.store.look
+        climb_to(chunk.light, look.recipe.lattice.positions(demand.index, chunk.offsets), look, samples)
         loader.store.save(chunk)
         loader.refresh(demand.index)
 

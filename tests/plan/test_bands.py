@@ -25,8 +25,9 @@ from isogi_core.plan.bands import (
     truncation_error,
 )
 from isogi_core.plan.projection import project_environment
-from tests.bake.texels import COMPILED, SKY, surface_texels
+from tests.bake.texels import SKY, surface_texels
 from tests.kernels.test_harmonics import basis, quadrature
+from tests.scale import COMPILED
 
 KINDS: list[Kind] = ["direct", "indirect"]
 BANDS = np.arange(MAX_ORDER)

@@ -18,8 +18,9 @@ from isogi_core.plan.budget import harmonics_error, rounding_error, tail_of_boun
 from isogi_core.plan.needs import Told
 from isogi_core.plan.planner import plan_scene
 from isogi_core.plan.projection import project_environment
-from tests.bake.texels import COMPILED, climbed, surface_texels
+from tests.bake.texels import climbed, surface_texels
 from tests.plan.test_planner import needs_of
+from tests.scale import COMPILED
 
 ORDERS = {"order": 6, "indirect_order": 3}
 SAMPLES = 512

@@ -50,7 +50,7 @@ def test_bands_of_direct_light_are_left_out_where_the_light_is_soft(frame_of: Fr
 
 
 def test_bands_of_direct_light_are_kept_where_the_light_is_sharp(frame_of: Frames, lobe: Lobe) -> None:
-    scene = in_bowl(lights=[SUN])
+    scene = in_bowl(lights=[SUN], lobes=0)
     soft = in_bowl(lights=[lobe(WIDE)])
     direct, indirect = scene.plan.layers
     cut = with_layers(scene, replace(direct, order=soft.plan.layers[0].order), indirect)
@@ -71,6 +71,19 @@ def test_bands_of_reflected_light_are_kept_where_they_turn_with_the_sun(frame_of
     assert indirect.order > 1 == in_bowl(lights=[lobe(SOFT)]).plan.indirect_order
     cut = with_layers(scene, direct, replace(indirect, order=1, coarse=None))
     assert apart(frame_of(cut), frame_of(scene)) > TARGET
+
+
+def test_lobes_are_left_out_where_the_light_is_soft(frame_of: Frames, lobe: Lobe) -> None:
+    scene = in_bowl(lights=[lobe(WIDE)])
+    assert scene.plan.lobes == 0 and not scene.needs.lobes
+    assert apart(frame_of(scene, 256), frame_of(scene, 256, shading="path_traced")) < 2 * TARGET
+
+
+def test_lobes_are_kept_where_a_sun_throws_shadows(frame_of: Frames) -> None:
+    scene = in_bowl(lights=[SUN])
+    assert scene.plan.lobes == 1
+    truth = frame_of(scene, 256, shading="path_traced")
+    assert apart(frame_of(in_bowl(lights=[SUN], lobes=0), 256), truth) > 2 * apart(frame_of(scene, 256), truth)
 
 
 def test_channels_are_left_out_where_the_albedo_is_grey(frame_of: Frames) -> None:

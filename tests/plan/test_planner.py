@@ -2,23 +2,24 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from isogi_core.errors import SceneError
+from isogi_core.errors import LightError, SceneError
 from isogi_core.files.radiance import write_hdr
 from isogi_core.kernels.harmonics import MAX_ORDER
 from isogi_core.model.environment import environment, pixel_directions
 from isogi_core.model.lamps import gather_lamps
-from isogi_core.model.lights import ConstantLight, DirectionalLight, Light, ProbeLight, SkyLight
+from isogi_core.model.lights import ConstantLight, DirectionalLight, Light, PointLight, ProbeLight, SkyLight
 from isogi_core.model.plan import Layer, ScenePlan
 from isogi_core.plan.bands import truncation_error
 from isogi_core.plan.budget import BOUNCES, EVEN, LONGEST_PATH, ROUNDING, bounces_for, even, rounding_error
 from isogi_core.plan.needs import Needs, Told
-from isogi_core.plan.planner import MOST_BANDS, plan_scene, vicinity_plan
+from isogi_core.plan.planner import MOST_BANDS, MOST_REFLECTED, plan_scene, vicinity_plan
 
 GREY, RED = (0.7, 0.7, 0.7), (0.8, 0.2, 0.2)
 NOTHING = Told()
@@ -105,7 +106,7 @@ def test_light_that_turns_keeps_harmonics_of_no_higher_order_than_it_needs(soft:
 @pytest.mark.parametrize("target", [0.3, 0.1, 0.05, 0.02])
 def test_orders_are_the_least_within_the_target_or_say_that_they_are_not(target: float) -> None:
     needs = needs_of([SkyLight()], target=target)
-    plan = plan_scene(needs, Told())
+    plan = plan_scene(needs, Told(lobes=0))
     direct, indirect = (layer.order for layer in plan.layers)
     error = math.hypot(
         truncation_error(needs.energy, direct, "direct"), truncation_error(needs.energy, indirect, "indirect")
@@ -118,14 +119,28 @@ def test_orders_are_the_least_within_the_target_or_say_that_they_are_not(target:
         assert truncation_error(needs.energy, direct - 1, "direct") > math.sqrt(0.5) * target
 
 
+@pytest.mark.parametrize("target", [0.1, 0.05, 0.02])
+def test_beside_a_sun_reflected_light_has_the_order_that_it_needs(target: float) -> None:
+    needs = needs_of([SkyLight()], target=target)
+    plan = plan_scene(needs, Told())
+    direct, indirect = (layer.order for layer in plan.layers)
+    straight = truncation_error(needs.energy_beside(plan.lobes), direct, "direct")
+    error = math.hypot(straight, truncation_error(needs.energy, indirect, "indirect"))
+    assert plan.lobes == 1 and dict(plan.errors)["harmonics"] == pytest.approx(error)
+    assert error <= target and not plan.notes and indirect <= MOST_REFLECTED
+    if indirect > 1:
+        lower = truncation_error(needs.energy, indirect - 1, "indirect")
+        assert math.hypot(straight, lower) > target, "no order less would do"
+
+
 def test_notes_advise_light_that_stays_only_where_it_turns() -> None:
-    (turning,) = plan_of([SkyLight()]).notes
+    (turning,) = plan_of([SkyLight()], Told(lobes=0)).notes
     (fixed,) = plan_of([SkyLight()], Told("transfer"), rotating=False).notes
     assert turning == f"{fixed} Where it need not turn, rotating = false bakes the light as it is."
 
 
 def test_notes_tell_small_targets_to_their_digits() -> None:
-    (note,) = plan_of([SkyLight()], target=1.25e-4).notes
+    (note,) = plan_of([SkyLight()], Told(lobes=0), target=1.25e-4).notes
     assert note.count("target of 0.0125%.") == 1
 
 
@@ -197,10 +212,10 @@ def test_the_coarsest_precision_whose_rounding_fits(soft: ProbeLight, target: fl
         needs = needs_of(lights, target=target)
         plan = plan_scene(needs, Told())
         if plan.half:
-            assert rounding_error(plan.layers, needs) <= ROUNDING * target
+            assert rounding_error(plan.layers, needs, plan.lobes) <= ROUNDING * target
         else:
             halved = tuple(Layer(layer.kind, layer.order, layer.channels) for layer in plan.layers)
-            assert rounding_error(halved, needs) > ROUNDING * target
+            assert rounding_error(halved, needs, plan.lobes) > ROUNDING * target
 
 
 @pytest.mark.parametrize("precision", ["bytes", "half", "single"])
@@ -247,6 +262,33 @@ def test_a_scene_in_the_dark_has_a_plan() -> None:
         plan = plan_of([ConstantLight((0.0, 0.0, 0.0))], rotating=rotating)
         assert plan.representation == "constant"
     assert plan_of([DirectionalLight(irradiance=(0.0, 0.0, 0.0))], rotating=False).layers[0].scale == 1.0
+
+
+@pytest.mark.parametrize(("height", "width"), [(1, 1), (2, 1), (1, 2), (3, 5), (32, 64)])
+def test_an_even_probe_is_as_bright_as_constant_light_whatever_its_pixels(
+    height: int, width: int, tmp_path: Path
+) -> None:
+    write_hdr(tmp_path / "even.hdr", np.ones((height, width, 3)))
+    assert needs_of([ProbeLight(tmp_path / "even.hdr")]).brightest == pytest.approx(1.0, rel=1e-9)
+
+
+def test_brightest_is_the_mean_and_twice_the_pull(soft: ProbeLight) -> None:
+    assert needs_of([soft, ConstantLight((2.0, 2.0, 2.0))]).brightest == pytest.approx(3.0 + 2 * 0.8 / 3, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("lights", "word"),
+    [
+        ([ConstantLight((1e-33, 1e-33, 1e-33))], "1e-33"),
+        ([ConstantLight((1e-300, 1e-300, 1e-300))], "1e-300"),
+        ([DirectionalLight(irradiance=(1e-40, 0.0, 0.0))], "white surface"),
+        ([PointLight((1e-6, 0.0, 0.0), (1e30, 1e30, 1e30))], "1e-32 to 1e\\+32"),
+    ],
+)
+def test_light_beyond_what_frames_hold_is_refused(lights: list[Light], word: str) -> None:
+    needs = replace(needs_of(lights, rotating=False), radius=1e-6)
+    with pytest.raises(LightError, match=word):
+        plan_scene(needs, NOTHING)
 
 
 def test_vicinity_shading_reads_direct_light_that_is_there() -> None:

@@ -48,7 +48,7 @@ def bytes_of(layers: Sequence[Layer]) -> float:
     names = ("rung", "noise", "light", "high")
     total = 0
     for layer in layers:
-        record = record_type(layer)
+        record = record_type(layer, CHUNK**3)
         total += sum(record[name].itemsize for name in record.names or () if name in names) // CHUNK**3
     return total
 
@@ -105,7 +105,7 @@ def test_what_channels_save_is_what_the_coloured_scene_takes_more() -> None:
 
 
 def test_bands_are_left_out_of_soft_light_alone() -> None:
-    soft, sharp = plan_of([SKY], target=0.4), plan_of([SKY])
+    soft, sharp = plan_of([SKY], Told(lobes=0), target=0.4), plan_of([SKY], Told(lobes=0))
     assert any("of direct light" in what and what.startswith("band") for what in found(soft))
     assert not any("of direct light" in what and what.startswith("band") for what in found(sharp))
     order = soft.layers[0].order
@@ -182,14 +182,15 @@ def test_shadow_rays_are_left_out_where_no_light_is_sharp() -> None:
 def test_chunks_that_are_never_written_save_megabytes_and_texels_of_others_none() -> None:
     """A record has room for all texels of its chunk, whether or not they are shown."""
     plan = plan_of([SKY])
-    left = {each.what: each.saves for each in unseen(TexelCount(1000, 300, 20, 40, 30), plan)}
+    left = {each.what: each.saves for each in unseen(TexelCount(1000, 300, 20, 40, 30, CHUNK), plan)}
     assert [(saved.amount, saved.unit) for saved in left["unseen texels"]] == [(700, "texels")]
     assert [(saved.amount, saved.unit) for saved in left["void texels"]] == [(20, "texels")]
     chunks, megabytes = left["empty chunks"]
-    heads = [record_type(layer)[name].itemsize for layer in plan.layers for name in ("bake", "index", "scale")]
-    records = sum(record_type(layer).itemsize for layer in plan.layers) - sum(heads)
+    types = [record_type(layer, CHUNK**3) for layer in plan.layers]
+    heads = [each[name].itemsize for each in types for name in ("bake", "index", "scale")]
+    records = sum(each.itemsize for each in types) - sum(heads)
     assert (chunks.amount, megabytes.amount) == (10, pytest.approx(10 * records / 1e6))
-    assert unseen(TexelCount(300, 300, 0, 30, 30), plan) == ()
+    assert unseen(TexelCount(300, 300, 0, 30, 30, CHUNK), plan) == ()
 
 
 def test_a_scene_leaves_out_what_its_plan_does_and_texels_that_its_isovalues_do_not_show() -> None:

@@ -20,6 +20,7 @@ from isogi_core.report.bench import Bench
 from isogi_core.report.converged import TIMES, converged
 from isogi_core.report.sections import UNITS, Section
 from isogi_core.report.studies import STUDIES, Study, study_of
+from tests.toil import PACE, measure_toil
 
 
 @pytest.fixture(autouse=True)
@@ -67,11 +68,13 @@ def test_each_study_answers(study: Study, under_sky: Bench, frames: list[Frame])
     assert not under_sky.hurried
 
 
-def test_curves_fall_with_time(under_sky: Bench) -> None:
+def test_curves_fall_with_time(under_sky: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each point of baked light has cost all samples up to its own, each of traced paths its own alone."""
+    measure_toil(monkeypatch)
     (plot,) = convergence.study(under_sky).plots
-    assert len(plot.curves) == 4
+    assert [curve.x for curve in plot.curves[3:]] == [(16 * 12 * 12 / PACE, 64 * 12 * 12 / PACE)]
     for curve in plot.curves:
-        assert curve.x[0] < curve.x[1]
+        assert 0 < curve.x[0] == curve.x[1] / 4
         assert curve.y[1] < 1.2 * curve.y[0]
 
 

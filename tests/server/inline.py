@@ -1,38 +1,23 @@
 """A studio without worker processes: tasks are baked on a thread of this process."""
 
 from collections.abc import Collection
-from concurrent.futures import Future, ThreadPoolExecutor
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
+from benchmarks.stability.desk import Desk
 from isogi_core.model.scene import Scene
 from isogi_core.model.view import View
-from worker.pool import Done
-from worker.tasks import BakeResult, BakeTask, bake
 
 LONG = 60.0
 """Seconds within which any bake of these tests ends."""
 
 
-class InlinePool:
-    """Bakes on a thread of this process."""
-
-    room, workers = 2, 1
-    connected = True
+class InlinePool(Desk):
+    """A desk that is hired as a ``WorkerPool`` is."""
 
     def __init__(self, workers: int, scheduler: str | None = None, kinds: Collection[str] = ()) -> None:
-        self._thread = ThreadPoolExecutor(1)
-
-    def submit(self, task: BakeTask, done: Done) -> None:
-        def ended(future: "Future[BakeResult]") -> None:
-            error = future.exception()
-            done(None if error else future.result(), error)
-
-        self._thread.submit(bake, task).add_done_callback(ended)
-
-    def close(self) -> None:
-        self._thread.shutdown()
+        super().__init__()
 
 
 def view_of(scene: Scene, azimuth: float = 30.0, isovalue: float | None = None, **settings: Any) -> View:

@@ -43,7 +43,7 @@ def test_help_is_quick_to_import() -> None:
 
 
 def test_options_are_those_of_http_and_of_the_settings() -> None:
-    http_only = {"wait_ms", "max_error", "f", "overlay"}
+    http_only = {"wait_ms", "max_error", "f", "version"}
     assert set(VIEW_OPTIONS) == set(FrameParams.model_fields) - http_only
     assert set(WORK_OPTIONS) <= set(Settings.model_fields)
 
@@ -152,6 +152,7 @@ def test_inspect_as_json_is_what_http_says(
 ) -> None:
     assert run(["inspect", str(small_scene), "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
+    assert document.pop("stiffness")
     assert document == httpx.get(f"{live_server}/v1/scenes/small").json()
 
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from server.durations import seconds_of, span
+from server.durations import seconds_of, seconds_of_age, span
 
 
 @pytest.mark.parametrize(
@@ -35,3 +35,16 @@ def test_what_is_no_span_of_time_is_refused(text: str) -> None:
 )
 def test_a_span_of_time_is_told(seconds: float, digits: int, text: str) -> None:
     assert span(seconds, digits) == text
+
+
+@pytest.mark.parametrize(
+    ("text", "seconds"), [("30d", 2592000.0), ("1.5d", 129600.0), ("2w", 1209600.0), ("12h", 43200.0)]
+)
+def test_ages_may_be_told_in_days_and_weeks(text: str, seconds: float) -> None:
+    assert seconds_of_age(text) == seconds
+
+
+@pytest.mark.parametrize("text", ["", "d", "-1d", "-1h", "1dd", "soon", "1e99999999999d" * 5])
+def test_what_is_no_age_is_told(text: str) -> None:
+    with pytest.raises(ValueError, match="30d"):
+        seconds_of_age(text)

@@ -2,12 +2,14 @@ import threading
 import time
 from collections.abc import Callable
 
+import numpy as np
 import pytest
 
 from isogi_core.errors import Cancelled
 from server.foresight import AHEAD, Foresight, next_values
 
 STEP = 0.02
+LEVELS = np.array([-np.inf, *(np.arange(51) * STEP), np.inf])
 LONG = 30.0
 
 
@@ -46,36 +48,50 @@ def show(foresight: Foresight, *isovalues: float) -> None:
             pass
 
 
-@pytest.mark.parametrize(("before", "now"), [(0.5, 0.501), (0.5, 0.52), (0.5, 0.58), (0.5, 0.499), (0.5, 0.3)])
+@pytest.mark.parametrize(("before", "now"), [(0.5, 0.55), (0.5, 0.58), (0.5, 0.3)])
 def test_next_values_go_on_in_the_direction_and_at_the_pace_of_the_slider(before: float, now: float) -> None:
-    first, second = next_values(before, now, STEP)
-    assert (first - now) * (now - before) > 0
-    assert abs(first - now) == pytest.approx(max(abs(now - before), STEP))
-    assert second - first == pytest.approx(first - now)
+    assert next_values(before, now, LEVELS) == pytest.approx([now + (now - before) * n for n in (1, 2)])
+
+
+def test_a_slow_slider_is_in_the_next_group_next() -> None:
+    assert next_values(0.5, 0.501, LEVELS) == [LEVELS[27], LEVELS[28]]
+    below = next_values(0.5, 0.499, LEVELS)
+    assert below == [np.nextafter(LEVELS[25], -1.0), np.nextafter(LEVELS[24], -1.0)]
+
+
+def test_groups_may_be_of_any_width() -> None:
+    levels = np.array([-np.inf, 0.0, 1e-6, 2e-6, 0.5, 1.0, np.inf])
+    assert next_values(1e-7, 2e-7, levels) == [1e-6, 2e-6]
+    assert next_values(1e-7, 1.1e-6, levels) == pytest.approx([2.1e-6, 0.5])
+
+
+def test_nothing_comes_behind_the_last_group_and_before_the_first() -> None:
+    assert next_values(1.0, 1.001, LEVELS) == [] == next_values(-0.001, -0.002, LEVELS)
+    assert next_values(0.0, -1e300, LEVELS) == next_values(2.0, 1.7e308, LEVELS) == []
 
 
 def test_a_slider_that_moves_is_prepared_for() -> None:
     prepare = Preparing()
-    foresight = Foresight(prepare, STEP, (0.0, 1.0))
+    foresight = Foresight(prepare, LEVELS, (0.0, 1.0))
     show(foresight, 0.5, 0.51)
     prepare.wait_for(lambda: len(prepare.done) == AHEAD)
     foresight.close()
-    assert prepare.done == next_values(0.5, 0.51, STEP)
+    assert prepare.done == next_values(0.5, 0.51, LEVELS)
 
 
 def test_values_that_cannot_be_asked_for_are_left_out() -> None:
     prepare = Preparing()
-    foresight = Foresight(prepare, STEP, (0.0, 0.54))
+    foresight = Foresight(prepare, LEVELS, (0.0, 0.53))
     show(foresight, 0.5, 0.51)
     prepare.wait_for(lambda: len(prepare.done) == 1)
-    show(foresight, 0.54)
+    show(foresight, 0.53)
     foresight.close()
-    assert prepare.done == [pytest.approx(0.53)]
+    assert prepare.done == [pytest.approx(0.52)]
 
 
 def test_one_that_stands_is_not() -> None:
     prepare = Preparing()
-    foresight = Foresight(prepare, STEP, (0.0, 1.0))
+    foresight = Foresight(prepare, LEVELS, (0.0, 1.0))
     show(foresight, 0.5, 0.5, 0.5)
     foresight.close()
     assert not prepare.begun
@@ -83,7 +99,7 @@ def test_one_that_stands_is_not() -> None:
 
 def test_nothing_is_prepared_while_a_frame_is_worked_on() -> None:
     prepare = Preparing()
-    foresight = Foresight(prepare, STEP, (0.0, 1.0))
+    foresight = Foresight(prepare, LEVELS, (0.0, 1.0))
     with foresight.frame(0.4):
         show(foresight, 0.5, 0.51)
         assert not prepare.begun
@@ -93,9 +109,9 @@ def test_nothing_is_prepared_while_a_frame_is_worked_on() -> None:
 
 def test_a_frame_drops_what_is_prepared_and_it_is_taken_up_again() -> None:
     prepare = Preparing(halting=True)
-    foresight = Foresight(prepare, STEP, (0.0, 1.0))
+    foresight = Foresight(prepare, LEVELS, (0.0, 1.0))
     show(foresight, 0.5, 0.51)
-    first, second = next_values(0.5, 0.51, STEP)
+    first, second = next_values(0.5, 0.51, LEVELS)
     prepare.wait_for(lambda: prepare.begun == [first])
     with foresight.frame(0.51):
         prepare.wait_for(lambda: prepare.dropped == [first])
@@ -107,19 +123,19 @@ def test_a_frame_drops_what_is_prepared_and_it_is_taken_up_again() -> None:
 
 def test_a_turn_of_the_slider_changes_what_is_coming() -> None:
     prepare = Preparing(halting=True)
-    foresight = Foresight(prepare, STEP, (0.0, 1.0))
+    foresight = Foresight(prepare, LEVELS, (0.0, 1.0))
     show(foresight, 0.5, 0.51)
     prepare.wait_for(lambda: len(prepare.begun) == 1)
     show(foresight, 0.505)
     prepare.go.set()
-    expected = next_values(0.51, 0.505, STEP)
+    expected = next_values(0.51, 0.505, LEVELS)
     prepare.wait_for(lambda: prepare.done[-2:] == expected)
     foresight.close()
 
 
 def test_closing_drops_what_is_prepared() -> None:
     prepare = Preparing(halting=True)
-    foresight = Foresight(prepare, STEP, (0.0, 1.0))
+    foresight = Foresight(prepare, LEVELS, (0.0, 1.0))
     show(foresight, 0.5, 0.51)
     prepare.wait_for(lambda: len(prepare.begun) == 1)
     foresight.close()
@@ -129,7 +145,7 @@ def test_closing_drops_what_is_prepared() -> None:
 
 def test_what_serves_the_frame_is_prepared_to_its_end_and_nothing_else_meanwhile() -> None:
     prepare = Preparing(halting=True)
-    foresight = Foresight(prepare, STEP, (0.0, 1.0))
+    foresight = Foresight(prepare, LEVELS, (0.0, 1.0))
     show(foresight, 0.5, 0.51)
     prepare.wait_for(lambda: len(prepare.begun) == 1)
     with foresight.frame(0.535):
@@ -137,14 +153,14 @@ def test_what_serves_the_frame_is_prepared_to_its_end_and_nothing_else_meanwhile
         prepare.go.set()
         prepare.wait_for(lambda: len(prepare.done) == 1)
         assert not prepare.dropped
-    expected = next_values(0.51, 0.535, STEP)
+    expected = next_values(0.51, 0.535, LEVELS)
     prepare.wait_for(lambda: prepare.done[-2:] == expected)
     foresight.close()
 
 
 def test_what_was_kept_going_is_still_dropped_by_a_later_frame() -> None:
     prepare = Preparing(halting=True)
-    foresight = Foresight(prepare, STEP, (0.0, 1.0))
+    foresight = Foresight(prepare, LEVELS, (0.0, 1.0))
     show(foresight, 0.5, 0.51)
     prepare.wait_for(lambda: len(prepare.begun) == 1)
     show(foresight, 0.535)
@@ -154,7 +170,7 @@ def test_what_was_kept_going_is_still_dropped_by_a_later_frame() -> None:
 
 
 def test_a_frame_that_ends_after_closing_keeps_its_own_result() -> None:
-    foresight = Foresight(Preparing(), STEP, (0.0, 1.0))
+    foresight = Foresight(Preparing(), LEVELS, (0.0, 1.0))
     show(foresight, 0.5)
     with foresight.frame(0.51):
         foresight.close()

@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from tests.server.sockets import wait_for
+
 VIEW: dict[str, str | int | float] = {"width": 48, "height": 40, "azimuth": 40}
 TIMING = re.compile(r"(\w+);dur=([\d.]+)")
 ACCEPTED = {"png": "image/png", "jpeg": "image/jpeg", "webp": "image/webp", "npy": "application/x-npy"}
@@ -56,20 +58,16 @@ def test_a_frame_becomes_final_and_the_store_holds_its_chunks(client: httpx.Clie
     assert len(chunks(live_store)) >= final
 
 
-def quiet(store: Path) -> dict[str, bytes]:
-    """The store's chunks once the workers have nothing left to do from earlier views."""
-    before: dict[str, bytes] = {}
-    deadline = time.monotonic() + 120
-    while (now := chunks(store)) != before:
-        assert time.monotonic() < deadline
-        before = now
-        time.sleep(1.5)
-    return now
+def idle(client: httpx.Client) -> bool:
+    """Whether the workers have nothing left to do from earlier views."""
+    told = client.get("/metrics").text.splitlines()
+    return {"isogi_queue_chunks 0.0", "isogi_tasks_in_flight 0.0"} <= set(told)
 
 
 def test_a_final_frame_writes_nothing_more_and_stays_the_same(client: httpx.Client, live_store: Path) -> None:
     final_frame(client)
-    stored = quiet(live_store)
+    assert wait_for(lambda: idle(client), 600)
+    stored = chunks(live_store)
     first, second = frame(client), frame(client)
     assert first.content == second.content
     assert first.headers["etag"] == second.headers["etag"]
@@ -132,6 +130,19 @@ def test_an_unchanged_frame_is_304_with_its_headers(client: httpx.Client) -> Non
         assert answer.headers[name] == full.headers[name]
     assert "encode" not in answer.headers["server-timing"]
     assert "encode;dur=" in full.headers["server-timing"]
+
+
+def test_a_final_frame_may_be_kept_for_ever_at_an_address_that_names_its_version(client: httpx.Client) -> None:
+    final = final_frame(client)
+    version, kept = final.headers["etag"].strip('"'), "max-age=31536000, immutable"
+    assert final.headers["cache-control"] == "no-cache"
+    assert final.headers["cache-status"] == "isogi-light; hit"
+    named = frame(client, version=version)
+    assert (named.headers["cache-control"], named.content) == (kept, final.content)
+    assert frame(client, version="0" * 32).headers["cache-control"] == "no-cache"
+    fresh = frame(client, version=version, azimuth=77, max_error=0.001)
+    assert fresh.headers["cache-control"] == "no-cache"
+    assert fresh.headers["isogi-provisional"] == "?1"
 
 
 def test_a_frame_that_is_not_final_tells_the_time_left(client: httpx.Client) -> None:

@@ -1,38 +1,12 @@
-"""ETags, host names, HEAD, and the headers that every response carries."""
+"""What a frame's response says about itself."""
 
 import time
-from collections.abc import Callable
 
-import httpx
 import pytest
-from fastapi import FastAPI
-from starlette.datastructures import Headers
-from starlette.responses import HTMLResponse, JSONResponse, Response
 
 from isogi_core.frame.stopwatch import Stopwatch
-from server.headers import (
-    STAGES,
-    HeadAsGet,
-    KnownHosts,
-    SafeHeaders,
-    coverage_header,
-    matches,
-    server_timing,
-    time_left_header,
-)
-from server.settings import LOOPBACK
+from server.headers import STAGES, cache_status, coverage_header, matches, server_timing, time_left_header
 from worker.outlook import TimeLeft
-
-
-@pytest.fixture
-def app() -> FastAPI:
-    app = FastAPI()
-    app.add_middleware(KnownHosts, hosts=LOOPBACK)
-    app.add_middleware(HeadAsGet)
-    app.add_middleware(SafeHeaders)
-    app.add_api_route("/page", lambda: HTMLResponse("<p>hello"))
-    app.add_api_route("/data", lambda: JSONResponse({"a": 1}, headers={"Cache-Control": "max-age=5"}))
-    return app
 
 
 @pytest.mark.parametrize(
@@ -76,53 +50,8 @@ def test_time_left_is_in_seconds() -> None:
     assert time_left_header(TimeLeft(1.26, 20.0, 41.04)) == "low=1.3, likely=20.0, high=41.0"
 
 
-@pytest.mark.parametrize("host", ["127.0.0.1", "127.0.0.1:80", "localhost:8000", "LOCALHOST", "[::1]", "[::1]:8000"])
-def test_loopback_names_are_known(host: str) -> None:
-    assert KnownHosts(Response(), LOOPBACK).knows(Headers({"host": host}))
-
-
 @pytest.mark.parametrize(
-    "host",
-    [
-        "evil.example",
-        "127.0.0.1.evil.example",
-        "evil.example:80",
-        "localhost.",
-        "",
-        "[::2]",
-        "[",
-        "a@localhost",
-    ],
+    ("needed", "final", "said"), [(0, 0, "hit"), (3, 3, "hit"), (3, 1, "fwd=partial"), (3, 0, "fwd=miss")]
 )
-def test_other_names_are_not(ask: Callable[..., httpx.Response], app: FastAPI, host: str) -> None:
-    answer = ask(app, "GET", "/data", headers={"Host": host})
-    assert answer.status_code == 421
-    assert answer.headers["content-type"] == "application/problem+json"
-
-
-def test_any_name_is_known_where_none_is_listed(ask: Callable[..., httpx.Response]) -> None:
-    app = FastAPI()
-    app.add_middleware(KnownHosts, hosts=None)
-    app.add_api_route("/data", lambda: JSONResponse({}))
-    assert ask(app, "GET", "/data", headers={"Host": "evil.example"}).status_code == 200
-
-
-def test_a_page_may_load_its_own_files_only(ask: Callable[..., httpx.Response], app: FastAPI) -> None:
-    headers = ask(app, "GET", "/page").headers
-    assert "script-src 'self'" in headers["content-security-policy"]
-    assert "unsafe" not in headers["content-security-policy"]
-    assert headers["x-content-type-options"] == "nosniff"
-    assert headers["cache-control"] == "no-cache"
-
-
-def test_data_may_load_nothing_and_keeps_its_own_caching(ask: Callable[..., httpx.Response], app: FastAPI) -> None:
-    headers = ask(app, "GET", "/data").headers
-    assert headers["content-security-policy"].startswith("default-src 'none';")
-    assert headers["cache-control"] == "max-age=5"
-    assert "access-control-allow-origin" not in headers
-
-
-def test_head_is_get_without_a_body(ask: Callable[..., httpx.Response], app: FastAPI) -> None:
-    head, get = ask(app, "HEAD", "/page"), ask(app, "GET", "/page")
-    assert (head.status_code, head.content) == (200, b"")
-    assert dict(head.headers) == dict(get.headers)
+def test_cache_status_tells_what_the_store_had(needed: int, final: int, said: str) -> None:
+    assert cache_status(needed, final) == f"isogi-light; {said}"

@@ -1,6 +1,14 @@
-"""Health over a real socket."""
+"""Health over a real socket, and of apps that are not well."""
+
+from collections.abc import Callable
+from types import SimpleNamespace
 
 import httpx
+import pytest
+from fastapi import FastAPI
+
+from server.guards.guests import Closing
+from server.routes import health
 
 
 def test_live(live_server: str) -> None:
@@ -13,3 +21,25 @@ def test_ready(live_server: str) -> None:
     answer = httpx.get(f"{live_server}/readyz")
     assert (answer.status_code, answer.json()) == (200, {"ready": True, "reasons": []})
     assert answer.headers["cache-control"] == "no-cache"
+
+
+@pytest.mark.parametrize(
+    ("stopping", "of_service", "of_store", "said"),
+    [
+        (True, ["No worker is alive."], [], ["isogi is stopping."]),
+        (False, ["No worker is alive."], ["The store is full."], ["No worker is alive."]),
+        (False, [], ["The store is full."], ["The store is full."]),
+    ],
+)
+def test_why_it_is_not_ready(
+    ask: Callable[..., httpx.Response], stopping: bool, of_service: list[str], of_store: list[str], said: list[str]
+) -> None:
+    app = FastAPI()
+    app.include_router(health.router)
+    app.state.closing = Closing()
+    app.state.closing.begun = stopping
+    app.state.service = SimpleNamespace(reasons=lambda: of_service, studio=SimpleNamespace(notes=list))
+    app.state.probe = SimpleNamespace(reasons=lambda: of_store)
+    answer = ask(app, "GET", "/readyz")
+    assert (answer.status_code, answer.json()["reasons"]) == (503, said)
+    assert answer.headers["retry-after"] == "1"

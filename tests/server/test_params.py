@@ -4,6 +4,7 @@ import pytest
 
 from server.errors import ParameterError
 from server.params import FrameParams, NoParams, ViewParams, documented, read
+from server.values import Choice, Span
 
 NUMBERS = [
     *("azimuth", "elevation", "distance", "fov", "yaw", "pitch", "roll"),
@@ -57,6 +58,23 @@ def test_a_resource_without_parameters() -> None:
         read(NoParams, [("x", "1")])
 
 
+@pytest.mark.parametrize("model", [ViewParams, FrameParams])
+def test_the_document_has_the_bounds_of_each_parameter(model: type[ViewParams]) -> None:
+    """Those of an isovalue are the scene's."""
+    schemas = {each["name"]: each["schema"] for each in documented(model)["parameters"]}
+    assert list(schemas) == list(model.model_fields)
+    for name, field in model.model_fields.items():
+        schema = schemas[name]
+        for known in field.metadata:
+            if isinstance(known, Span):
+                kind = "integer" if known.whole else "number"
+                assert (schema["type"], schema["minimum"], schema["maximum"]) == (kind, known.low, known.high)
+            if isinstance(known, Choice):
+                assert schema["enum"] == list(known.words)
+        assert {"minimum", "maximum"} <= set(schema) or schema["type"] == "string" or name == "isovalue"
+        assert schema.get("default", "none") is not None
+
+
 def test_a_repeated_parameter() -> None:
     assert str(refusal(("width", "5"), ("width", "5"))) == "width is given more than once: give it once."
 
@@ -65,8 +83,7 @@ def test_a_repeated_parameter() -> None:
     "pairs",
     [
         [("eye", "1,2,3"), ("azimuth", "0")],
-        [("target", "1,2,3"), ("distance", "2")],
-        [("up", "0,0,1"), ("elevation", "0")],
+        [("eye", "1,2,3"), ("target", "4,5,6"), ("distance", "2"), ("elevation", "0")],
         [("light", "1,0,0,0"), ("yaw", "0")],
         [("light", "1,0,0,0"), ("roll", "5"), ("pitch", "1")],
     ],
@@ -74,7 +91,12 @@ def test_a_repeated_parameter() -> None:
 def test_two_ways_of_saying_one_thing(pairs: list[tuple[str, str]]) -> None:
     sentence = str(refusal(*pairs))
     assert "is given twice" in sentence
-    assert all(name in sentence for name, _ in pairs)
+    assert all(name in sentence for name, _ in pairs if name != "target")
+
+
+@pytest.mark.parametrize("name", ["target", "up"])
+def test_an_orbit_has_a_target_and_an_up(name: str) -> None:
+    assert read(ViewParams, [("azimuth", "10"), (name, "0,1,3")]).model_fields_set == {"azimuth", name}
 
 
 def test_samples_are_for_path_tracing() -> None:

@@ -6,9 +6,14 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from isogi_core.frame.frame import Frame
+from isogi_core.frame.gbuffer import GBuffer
+from isogi_core.model.scene import load_scene
+from isogi_core.model.view import View
+from server import pictures
 from server.errors import NotAcceptableError, ParameterError
 from server.params import FrameParams, read
-from server.pictures import ENCODER_OPTIONS, format_for, media_range, negotiate
+from server.pictures import ENCODER_OPTIONS, encode, format_for, media_range, negotiate, npy_bytes, npy_parts
 
 CHROMIUM = "image/avif,image/webp,image/apng,image/svg+xml,image/*,*/*;q=0.8"
 
@@ -75,3 +80,26 @@ def test_encoders_keep_the_picture(form: str) -> None:
     Image.fromarray(picture).save(buffer, form, **ENCODER_OPTIONS[form])
     back = np.asarray(Image.open(buffer).convert("RGB")).astype(int)
     assert np.abs(back - picture).max() <= (0 if form == "png" else 12)
+
+
+@pytest.mark.parametrize("band", [1, 3 * 36 * 5, 1 << 20])
+def test_npy_is_the_same_in_parts_of_any_size(monkeypatch: pytest.MonkeyPatch, band: int) -> None:
+    """A picture of 7 × 5 pixels whose surface is in every third one."""
+    monkeypatch.setattr(pictures, "BAND", band)
+    rng, scene = np.random.default_rng(3), load_scene("demo:orbital")
+    view = View(scene.isovalue, scene.camera(0.0, 0.0, 3.0, 30.0), width=5, height=7)
+    pixels, points = np.arange(1, 35, 3, dtype=np.uint32), rng.random((12, 3), np.float32)
+    surface = GBuffer((7, 5), (1.0, 2.0, 0.5), (9.0, 0.0, 0.0), 0.5, pixels, points)
+    radiance, error = rng.random((7, 5, 3), np.float32), rng.random((7, 5), np.float32)
+    state = rng.integers(0, 4, (7, 5)).astype(np.uint8)
+    frame = Frame(view, radiance, state, error, surface, 0, 0, tuple, "", {})
+    parts = list(npy_parts(frame))
+    assert len(parts) == 1 + (7 if band == 1 else -(-7 // max(band // 180, 1)))
+    assert sum(map(len, parts)) == npy_bytes(frame)
+    whole = np.load(io.BytesIO(encode(frame, "npy", 1.0)))
+    assert whole.dtype == np.float32 and whole.flags.c_contiguous
+    position = np.zeros((35, 3), np.float32)
+    position[pixels] = points * np.float32([1.0, 2.0, 0.5])
+    expected = [radiance, state[..., None] > 0, state[..., None], error[..., None], position.reshape(7, 5, 3)]
+    assert np.array_equal(whole, np.concatenate(expected, axis=-1))
+    assert b"".join(parts) == encode(frame, "npy", 1.0)

@@ -94,5 +94,14 @@ def test_the_frameworks_own_errors(
     assert "ZeroDivision" not in answer.text
 
 
-def test_allow_is_kept(ask: Callable[..., httpx.Response], app: FastAPI) -> None:
-    assert ask(app, "POST", "/things/1").headers["allow"] == "GET"
+def test_allow_names_all_methods_of_a_path_whichever_route_has_them(
+    ask: Callable[..., httpx.Response], app: FastAPI
+) -> None:
+    @app.delete("/things/{number}")
+    def no_thing(number: int) -> None: ...
+
+    @app.get("/hidden", include_in_schema=False)
+    def hidden() -> None: ...
+
+    assert ask(app, "POST", "/things/1").headers["allow"] == "DELETE, GET, HEAD"
+    assert ask(app, "POST", "/hidden").headers["allow"] == "GET"

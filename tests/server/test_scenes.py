@@ -23,7 +23,10 @@ def scene(live_server: str) -> dict[str, object]:
 
 def test_the_list(live_server: str) -> None:
     answer = httpx.get(f"{live_server}/v1/scenes")
-    assert answer.json() == {"scenes": [{"id": "small", "name": "small", "href": "/v1/scenes/small"}]}
+    assert answer.json() == {
+        "scenes": [{"id": "small", "name": "small", "href": "/v1/scenes/small", "volume": None}],
+        "uploads": None,
+    }
     assert answer.headers["x-content-type-options"] == "nosniff"
 
 
@@ -55,6 +58,18 @@ def test_what_the_scene_says_of_itself(scene: dict[str, object]) -> None:
     assert [light["type"] for light in scene["lights"]] == ["constant", "sky"]  # type: ignore[attr-defined]
     assert (scene["albedo"], scene["bounces"], scene["solid"]) == ([0.7, 0.7, 0.7], 1, "above")
     assert (scene["target_error"], scene["rotating"], scene["turns"]) == (0.5, True, True)
+    scale = scene["error_scale"]
+    assert (scale["low"], scale["high"], scale["colours"][0]) == (0.001, 1.0, "#440154")  # type: ignore[index]
+
+
+def test_presets_are_suggested_within_the_range_or_told_by_the_scene(
+    small_scene: Path, scene: dict[str, list[dict[str, Any]]]
+) -> None:
+    own = load_scene(small_scene)
+    assert scene["presets"] == [asdict(preset) for preset in own.presets]
+    assert all(each["suggested"] and 0.2 <= each["isovalue"] <= 0.8 for each in scene["presets"])
+    told = scene_facts(load_scene(small_scene, presets=[{"name": "shell", "isovalue": 0.3}])).presets
+    assert [each.model_dump() for each in told] == [{"name": "shell", "isovalue": 0.3, "suggested": False}]
 
 
 @pytest.mark.parametrize(
@@ -77,8 +92,17 @@ def test_the_plan_is_that_of_the_scene(live_server: str, small_scene: Path) -> N
     assert plan["full_bytes_per_texel"] == 300
     assert [layer["kind"] for layer in plan["layers"]] == [layer.kind for layer in own.plan.layers]
     assert plan["errors"] == dict(own.plan.errors) and plan["notes"] == list(own.plan.notes)
+    assert [lobe["angle"] for lobe in plan["lobes"]] == [lobe.angle for lobe in own.needs.lobes[: own.plan.lobes]]
     assert plan["texels"] == asdict(own.texels)
     assert 0 < plan["texels"]["shown"] <= plan["texels"]["total"] == 13 * 11 * 9
+
+
+def test_the_plan_tells_where_lobes_stand() -> None:
+    sky = {"type": "sky", "sun_azimuth": 30.0, "sun_elevation": 50.0}
+    (sun,) = scene_facts(load_scene("demo:orbital", lights=[sky])).plan.lobes
+    assert (sun.azimuth, sun.elevation) == (pytest.approx(30.0, abs=0.5), pytest.approx(50.0, abs=0.5))
+    assert 0.2 < sun.angle < 1.5 and min(sun.irradiance) > 0.0
+    assert scene_facts(load_scene("demo:orbital", lights=[sky], lobes=0)).plan.lobes == []
 
 
 def test_the_plan_says_what_is_left_out_why_and_what_that_saves(small_scene: Path, scene: dict[str, Any]) -> None:

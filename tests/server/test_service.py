@@ -1,6 +1,7 @@
 """The service around a studio that does as the test says: starting, failing, full, deserted."""
 
 import asyncio
+import re
 import threading
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -10,6 +11,8 @@ import numpy as np
 import pytest
 from fastapi import FastAPI
 
+from isogi_core.bake.recipe import Index
+from isogi_core.cache.root import Root
 from isogi_core.errors import Cancelled, StoreError
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import GBuffer
@@ -18,7 +21,10 @@ from isogi_core.model.scene import Scene, load_scene
 from isogi_core.model.view import View
 from server.app import create_app
 from server.settings import Settings
+from tests.server.sockets import wait_for
+from worker.baker import Listener
 from worker.outlook import TimeLeft
+from worker.viewers import Viewer
 
 FRAME = "/v1/scenes/orbital/frame"
 
@@ -26,10 +32,17 @@ FRAME = "/v1/scenes/orbital/frame"
 class FakeStudio:
     """A studio whose frames are grey squares; ``doing`` is called in the middle of each."""
 
+    root = Root("memory://fake")
+
     def __init__(self, scene: Scene, doing: Callable[[threading.Event], None]) -> None:
         self.scenes = {scene.id: scene}
         self.doing = doing
-        self.views: list[tuple[View, float | None, float]] = []
+        self.views: list[tuple[View, float]] = []
+        self.wants: list[Viewer] = []
+        self.left: list[Viewer] = []
+        self.coming: frozenset[Index] = frozenset()
+        self.version = "v1"
+        self.tell: Listener = lambda *_: None
         self.startable: Exception | None = None
         self.stopped = False
         self.closed = False
@@ -45,26 +58,33 @@ class FakeStudio:
         assert self.stopped
         self.closed = True
 
+    def notes(self) -> list[str]:
+        return []
+
     def unready(self) -> list[str]:
         return ["No worker is alive."]
 
-    def frame(
-        self,
-        scene: str,
-        view: View,
-        *,
-        max_error: float | None,
-        wait: float,
-        cancelled: threading.Event,
-        watch: Stopwatch,
-    ) -> Frame:
-        self.views.append((view, max_error, wait))
+    def survey(self, scene: str, view: View, target: float, cancelled: threading.Event, watch: Stopwatch) -> Frame:
+        self.views.append((view, target))
         self.doing(cancelled)
         shape = (view.height, view.width)
         colour, ones = np.full((*shape, 3), 0.5, np.float32), np.ones(shape, np.float32)
         pixels = np.arange(ones.size, dtype=np.uint32)
         surface = GBuffer(shape, (1.0, 1.0, 1.0), (9.0, 0.0, 0.0), 0.5, pixels, colour.reshape(-1, 3))
-        return Frame(view, colour, ones.astype(np.uint8), ones, surface, 3, 1, tuple, "v1", watch.seconds)
+        return Frame(view, colour, ones.astype(np.uint8), ones, surface, 3, 1, tuple, self.version, watch.seconds)
+
+    def want(self, scene: str, frame: Frame, target: float, viewer: Viewer) -> frozenset[Index]:
+        self.wants.append(viewer)
+        return self.coming
+
+    def leave(self, viewer: Viewer) -> None:
+        self.left.append(viewer)
+
+    def listen(self, listener: Listener) -> None:
+        self.tell = listener
+
+    def bake_of(self, scene: str, view: View) -> str:
+        return scene
 
     def time_left(self, scene: str, frame: Frame, max_error: float | None) -> TimeLeft:
         return TimeLeft(1.0, 2.0, 3.25)
@@ -89,7 +109,7 @@ def settings() -> Settings:
 def app(studio: FakeStudio, settings: Settings) -> Iterator[FastAPI]:
     app = create_app(studio, settings)  # type: ignore[arg-type]
     yield app
-    app.state.service._renders.close()
+    app.state.service.renders.close()
 
 
 def started(app: FastAPI, *queries: dict[str, Any]) -> list[httpx.Response]:
@@ -133,8 +153,8 @@ def test_what_the_studio_misses_is_told(ask: Callable[..., httpx.Response], app:
 def test_a_frame_reaches_the_studio_as_a_view(studio: FakeStudio, app: FastAPI) -> None:
     (answer,) = started(app, {"height": 3, "isovalue": 0.3, "wait_ms": 250, "max_error": 0.1, "f": "npy"})
     assert answer.status_code == 200, answer.text
-    view, max_error, wait = studio.views[0]
-    assert (view.width, view.height, view.isovalue, max_error, wait) == (4, 3, 0.3, 0.1, 0.25)
+    view, target = studio.views[0]
+    assert (view.width, view.height, view.isovalue, target) == (4, 3, 0.3, 0.1)
     assert answer.headers["isogi-provisional"] == "?1"
     assert answer.headers["isogi-chunks"] == "needed=3, final=1"
     assert answer.headers["isogi-coverage"] == "final=0.000, converging=0.000, provisional=1.000"
@@ -143,10 +163,10 @@ def test_a_frame_reaches_the_studio_as_a_view(studio: FakeStudio, app: FastAPI) 
     assert answer.headers["cache-control"] == "no-cache"
 
 
-def test_the_overlay_marks_what_is_provisional(app: FastAPI) -> None:
-    plain, marked = started(app, {}, {"overlay": "provisional"})
-    assert plain.content != marked.content
-    assert plain.headers["etag"] != marked.headers["etag"]
+def test_each_overlay_is_a_picture_of_its_own(app: FastAPI) -> None:
+    plain, *marked = answers = started(app, {}, {"overlay": "provisional"}, {"overlay": "error"})
+    assert all(answer.content != plain.content for answer in marked)
+    assert len({answer.headers["etag"] for answer in answers}) == 3
 
 
 @pytest.mark.parametrize(
@@ -206,15 +226,89 @@ def test_a_client_that_leaves_stops_its_frame(studio: FakeStudio, app: FastAPI) 
 
     studio.doing = work
     asyncio.run(leave(app, begun))
-    assert seen.is_set()
+    assert seen.wait(10)
+    assert studio.wants == []
+    assert len(studio.left) == 1
 
 
-async def leave(app: FastAPI, begun: threading.Event) -> None:
+def test_a_client_that_leaves_while_it_waits_for_light_wants_none_any_more(studio: FakeStudio, app: FastAPI) -> None:
+    studio.coming = frozenset({(0, 0, 1)})
+    begun = threading.Event()
+    studio.doing = lambda _: begun.set()
+    asyncio.run(leave(app, begun, wait_ms=10_000))
+    assert studio.left == studio.wants
+    assert len(studio.wants) == 1
+
+
+def test_requests_for_the_same_at_the_same_time_share_one_render(studio: FakeStudio, app: FastAPI) -> None:
+    renders = app.state.service.renders
+    together = threading.Event()
+
+    def work(_: threading.Event) -> None:
+        """Takes until all have asked."""
+        if not together.is_set() and wait_for(lambda: sum(each.waiting for each in [*renders._flights.values()]) == 4):
+            together.set()
+
+    studio.doing = work
+    answers = started(app, {}, {"f": "npy"}, {"azimuth": 7}, {})
+    assert [answer.status_code for answer in answers] == [200] * 4
+    assert len(studio.views) == 2
+    assert len(studio.wants) == 4
+    assert answers[0].content == answers[3].content
+
+
+def test_who_leaves_a_shared_render_does_not_end_it_for_the_others(studio: FakeStudio, app: FastAPI) -> None:
+    begun, release = threading.Event(), threading.Event()
+
+    def work(cancelled: threading.Event) -> None:
+        begun.set()
+        release.wait(10)
+        if cancelled.is_set():
+            raise Cancelled("Nobody waits.")
+
+    async def both() -> httpx.Response:
+        await app.state.service.start()
+        transport = httpx.ASGITransport(app)
+        async with httpx.AsyncClient(transport=transport, base_url="http://localhost") as client:
+            staying = asyncio.create_task(client.get(FRAME, params={"width": 4}))
+            await leave(app, begun)
+            release.set()
+            return await staying
+
+    studio.doing = work
+    assert asyncio.run(both()).status_code == 200
+    assert len(studio.views) == 1
+    assert len(studio.left) == 1
+
+
+def test_a_frame_is_drawn_again_as_soon_as_all_its_light_is_there(studio: FakeStudio, app: FastAPI) -> None:
+    studio.coming = frozenset({(0, 0, 1), (0, 0, 2)})
+
+    def bake(_: threading.Event) -> None:
+        if len(studio.views) == 1:
+            studio.tell("orbital", (0, 0, 1), False)
+            studio.tell("orbital", (0, 0, 9), False)
+            threading.Timer(0.2, finish).start()
+
+    def finish() -> None:
+        studio.coming, studio.version = frozenset(), "v2"
+        studio.tell("orbital", (0, 0, 2), False)
+
+    studio.doing = bake
+    (answer,) = started(app, {"wait_ms": 10_000})
+    assert answer.status_code == 200
+    assert len(studio.views) == 2
+    bake_ms = float(re.findall(r"bake;dur=([\d.]+)", answer.headers["server-timing"])[0])
+    assert 100.0 < bake_ms < 5000.0
+
+
+async def leave(app: FastAPI, begun: threading.Event, wait_ms: int = 0) -> None:
     """Ask for a frame and disconnect once its work has begun."""
     await app.state.service.start()
 
     async def receive() -> dict[str, Any]:
         await asyncio.to_thread(begun.wait, 10)
+        await asyncio.sleep(0.2)
         return {"type": "http.disconnect"}
 
     async def send(message: Any) -> None:
@@ -223,7 +317,7 @@ async def leave(app: FastAPI, begun: threading.Event) -> None:
     scope = {
         **{"type": "http", "http_version": "1.1", "method": "GET", "path": FRAME, "raw_path": FRAME.encode()},
         **{
-            "query_string": b"width=4",
+            "query_string": f"width=4&wait_ms={wait_ms}".encode(),
             "headers": [(b"host", b"localhost")],
             "scheme": "http",
             "root_path": "",

@@ -1,9 +1,11 @@
-"""Settings by environment variable."""
+"""Settings by option, environment variable and file."""
+
+from pathlib import Path
 
 import pytest
 from pydantic import ValidationError
 
-from server.settings import LOOPBACK, Settings
+from server.settings import LOOPBACK, Settings, read_settings
 
 
 def test_every_setting_is_documented() -> None:
@@ -21,7 +23,54 @@ def test_the_environment_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_hosts_are_loopback_names_on_loopback_and_any_elsewhere() -> None:
     assert Settings(host="127.0.0.1").hosts() == LOOPBACK
+    assert Settings(host="127.0.0.2").hosts() == (*LOOPBACK, "127.0.0.2")
     assert Settings(host="0.0.0.0").hosts() is None
+
+
+def test_an_option_comes_before_the_environment_and_that_before_the_file(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    file = tmp_path / "isogi-server.toml"
+    file.write_text('port = 81\nmax_pixels = 82\nworkers = 83\nallowed_origins = ["https://Lab.example"]\n')
+    monkeypatch.setenv("ISOGI_PORT", "91")
+    monkeypatch.setenv("ISOGI_MAX_PIXELS", "92")
+    settings = read_settings(file, port="1")
+    assert (settings.port, settings.max_pixels, settings.workers) == (1, 92, 83)
+    assert settings.allowed_origins == ("https://lab.example",)
+    assert read_settings(port="1").workers != 83
+
+
+@pytest.mark.parametrize("text", ["prt = 1", "port = 99999", 'token = "short"', "port ="])
+def test_a_wrong_file_is_refused(tmp_path: Path, text: str) -> None:
+    (tmp_path / "a.toml").write_text(text)
+    with pytest.raises(ValueError, match=r"prt|port|token|value"):
+        read_settings(tmp_path / "a.toml")
+
+
+def test_a_file_that_is_not_there_is_told(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError):
+        read_settings(tmp_path / "none.toml")
+
+
+@pytest.mark.parametrize(
+    ("host", "exposed"),
+    [
+        *[(host, False) for host in ("127.0.0.1", "127.1.2.3", "::1", "localhost")],
+        *[(host, True) for host in ("0.0.0.0", "::", "192.168.0.3", "lab.example", "")],
+    ],
+)
+def test_what_is_not_loopback_is_exposed(host: str, exposed: bool) -> None:
+    assert Settings(host=host).exposed is exposed
+
+
+@pytest.mark.parametrize("origin", ["*", "lab.example", "https://", "https://*.lab.example", "https://lab.example/a"])
+def test_an_origin_is_a_scheme_and_a_host(origin: str) -> None:
+    with pytest.raises(ValidationError, match="is no origin"):
+        Settings(allowed_origins=(origin,))
+
+
+def test_the_token_is_not_shown() -> None:
+    assert "correct horse" not in repr(Settings(token="correct horse battery"))
 
 
 @pytest.mark.parametrize(

@@ -17,23 +17,28 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numba import config
-from zarr.storage import LocalStore
 
-from isogi_core.bake.maps import STEP, Maps
+from isogi_core.bake.levels import find_levels
+from isogi_core.bake.maps import Maps
+from isogi_core.cache import folder
+from isogi_core.cache.place import Place
 from isogi_core.errors import Cancelled, StoreError
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.kernels import FRAME
 from isogi_core.kernels.bricks import Bricks
 from isogi_core.kernels.harmonics import rotate
 from isogi_core.kernels.lamps import project_lamps
+from isogi_core.kernels.lobes import add_lobes, light_lobes
+from isogi_core.kernels.moves import judge_texels
 from isogi_core.model.scene import Scene, load_scene
 from server import studio as studios
 from server.foresight import next_values
-from server.studio import Studio, absolute
+from server.probe import StoreProbe
+from server.studio import Studio, whereabouts
+from tests.scale import COMPILED
 from tests.server.inline import LONG, InlinePool, chunks_in, view_of
 from worker import pool
-from worker.errors import WorkersError
+from worker.errors import WorkersAwayError, WorkersError
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 
@@ -161,7 +166,7 @@ def test_maps_of_the_next_isovalues_are_made_while_nobody_waits(
     for isovalue in (0.3, 0.31):
         studio.frame(scene.id, view_of(scene, isovalue=isovalue))
     before, now = (scene.volume.normalise_isovalue(v) for v in (0.3, 0.31))
-    assert [made.get(timeout=LONG) for _ in range(2)] == next_values(before, now, STEP)
+    assert [made.get(timeout=LONG) for _ in range(2)] == next_values(before, now, find_levels(scene.volume.voxels))
 
 
 def test_workers_that_cannot_be_had_are_told(begin: Open, scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -172,6 +177,23 @@ def test_workers_that_cannot_be_had_are_told(begin: Open, scene: Scene, monkeypa
     studio = begin()
     assert_unlit(studio.frame(scene.id, view_of(scene), wait=0.1))
     assert studio.unready() == [studio.trouble()] == ["No workers today."]
+
+
+def test_a_scheduler_that_comes_later_is_joined_then(
+    begin: Open, scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tries = iter((True, True, False))
+
+    def join(*given: Any) -> InlinePool:
+        if next(tries):
+            raise WorkersAwayError("The scheduler is late.")
+        return InlinePool(*given)
+
+    monkeypatch.setattr("server.studio.AGAIN", 0.01)
+    monkeypatch.setattr(pool, "WorkerPool", join)
+    studio = begin()
+    assert not studio.frame(scene.id, view_of(scene), wait=LONG).provisional
+    assert studio.unready() == []
 
 
 @pytest.mark.parametrize("error", [ImportError("No module named 'distributed'"), OSError("No such file")])
@@ -200,8 +222,8 @@ def test_a_module_that_is_missing_is_told(begin: Open, monkeypatch: pytest.Monke
 def test_workers_that_are_lost_are_told(begin: Open, scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     studio = begin()
     assert not studio.frame(scene.id, view_of(scene), wait=LONG).provisional
-    monkeypatch.setattr(InlinePool, "connected", False)
-    assert studio.unready() == ["The workers cannot be reached at the moment."]
+    monkeypatch.setattr(InlinePool, "trouble", "The workers are on strike.")
+    assert studio.unready() == ["The workers are on strike."]
 
 
 def test_after_a_restart_the_same_view_is_final_at_once(begin: Open, scene: Scene, store: Path) -> None:
@@ -267,7 +289,7 @@ def test_swapped_chunks_heal(begin: Open, scene: Scene, store: Path) -> None:
     assert chunks_in(store) == kept
 
 
-def test_a_store_deleted_while_running_is_baked_again(begin: Open, scene: Scene, store: Path) -> None:
+def test_layers_deleted_while_running_are_baked_again(begin: Open, scene: Scene, store: Path) -> None:
     studio = begin()
     views = view_of(scene), view_of(scene, isovalue=0.06)
     frames = [studio.frame(scene.id, view, wait=LONG) for view in views]
@@ -275,7 +297,8 @@ def test_a_store_deleted_while_running_is_baked_again(begin: Open, scene: Scene,
     studio.close()
     studio = begin()
     assert_same_light(studio.frame(scene.id, views[0]), frames[0])
-    shutil.rmtree(store)
+    for layer in {store / name.partition("/")[0] for name in kept}:
+        shutil.rmtree(layer)
     assert_same_light(studio.frame(scene.id, views[0]), frames[0])
     again = studio.frame(scene.id, views[1], wait=LONG)
     assert not again.provisional
@@ -305,7 +328,10 @@ def test_cut_metadata_stops_the_start(begin: Open, store: Path) -> None:
     begin()
     metadata = next(store.glob("*/zarr.json"))
     metadata.write_text(metadata.read_text()[:100])
-    with pytest.raises(StoreError, match=r"^Cannot open the light at .*; move that folder away, .*\.$"):
+    with pytest.raises(
+        StoreError,
+        match=r"^Cannot open the light at .*; have `isogi store repair` mend it, or move that folder away, .*\.$",
+    ):
         begin()
 
 
@@ -313,27 +339,33 @@ def test_a_full_disk_leaves_frames_provisional_and_is_told(
     begin: Open, scene: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     kept = begin().frame(scene.id, view_of(scene), wait=LONG)
-    whole_set = LocalStore.set
-
-    async def full(self: LocalStore, key: str, value: Any) -> None:
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    monkeypatch.setattr(LocalStore, "set", full)
-    studio = begin()
-    other = view_of(scene, isovalue=0.06)
-    assert_same(studio.frame(scene.id, view_of(scene)), kept)
-    frame = studio.frame(scene.id, other, wait=LONG)
-    assert frame.provisional
-    assert (frame.radiance[frame.state > 0] > 0.0).all()
-    assert "No space left on device" in studio.trouble()
-    assert studio.unready() == [studio.trouble()]
-    monkeypatch.setattr(LocalStore, "set", whole_set)
-    assert studio.frame(scene.id, other, wait=LONG).provisional
-    monkeypatch.setattr("worker.queue.FORGET_AFTER", 0.0)
-    time.sleep(0.01)
-    assert studio.trouble() == ""
-    monkeypatch.setattr("worker.queue.FORGET_AFTER", LONG)
+    with monkeypatch.context() as full:
+        full.setattr("os.replace", no_room)
+        full.setattr(folder, "partial", no_room)
+        studio = begin()
+        other = view_of(scene, isovalue=0.06)
+        assert_same(studio.frame(scene.id, view_of(scene)), kept)
+        frame = studio.frame(scene.id, other, wait=0.2)
+        assert frame.provisional
+        assert (frame.radiance[frame.state > 0] > 0.0).all()
+        until(lambda: studio.unready() != [])
+        assert "No space left on device; the store is full" in studio.unready()[0]
+        assert studio.trouble() == "" == StoreProbe(studio.root).reasons()[0].partition("Cannot write to the store")[0]
+        assert studio.tally().given_up == studio.tally().failed == 0
     assert not studio.frame(scene.id, other, wait=LONG).provisional
+    assert studio.unready() == StoreProbe(studio.root).reasons() == []
+
+
+def no_room(*_: Any, **__: Any) -> None:
+    raise OSError(errno.ENOSPC, "No space left on device")
+
+
+def until(condition: Callable[[], bool]) -> None:
+    """Wait for it, as long as any bake of these tests takes."""
+    deadline = time.monotonic() + LONG
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
 
 
 def test_a_view_that_does_not_fit_the_memory_is_an_error(begin: Open, scene: Scene) -> None:
@@ -346,7 +378,7 @@ def test_little_memory_serves_one_view_after_the_other(begin: Open, scene: Scene
     views = [view_of(scene, isovalue=isovalue) for isovalue in (0.03, 0.3, 0.5)]
     studio = begin()
     frames = [studio.frame(scene.id, view, wait=LONG) for view in views]
-    little = begin(memory=600_000)
+    little = begin(memory=2_000_000)
     for view, frame in [*zip(views, frames, strict=True)] * 2:
         assert_same_light(little.frame(scene.id, view), frame)
 
@@ -380,7 +412,21 @@ def test_memory_is_set_aside_for_what_requests_read_alone(
         studio.frame(scene.id, view)
         taken.append(tracemalloc.get_traced_memory()[0] / budget)
     tracemalloc.stop()
-    assert taken == pytest.approx([0.1, 0.1, 1.1, 2.1], abs=0.1)
+    assert taken == pytest.approx([0.05, 0.05, 0.15, 0.55], abs=0.1)
+
+
+def test_what_a_scene_keeps_stays_within_its_memory(begin: Open, scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(InlinePool, "submit", lambda *_: None)
+    memory, grown = 8 << 20, []
+    views = [view_of(scene, azimuth, isovalue=0.2 + azimuth / 1000) for azimuth in range(0, 360, 6)]
+    studio = begin(memory=memory)
+    tracemalloc.start()
+    for view in views:
+        for shading in ("gi", "vicinity"):
+            studio.survey(scene.id, replace(view, shading=shading, width=128, height=128), 0.3)
+        grown.append(tracemalloc.get_traced_memory()[0])
+    tracemalloc.stop()
+    assert max(grown) < 1.1 * memory
 
 
 def test_nobody_waits_for_a_cancelled_frame(begin: Open, scene: Scene) -> None:
@@ -418,13 +464,15 @@ from contextlib import closing
 from numba.core.event import install_recorder
 from isogi_core.model.scene import load_scene
 from isogi_core.model.view import View, quaternion_from_angles
+from server.probe import StoreProbe
 from server.studio import Studio
 from tests.server.inline import LONG, InlinePool, chunks_in, view_of
 from worker import pool
 
 class Idle:
-    room, connected = 0, True
+    room, trouble = 0, ""
     def __init__(self, *_): pass
+    def attend(self, stir): pass
     def close(self): pass
 
 if __name__ == "__main__":
@@ -440,7 +488,7 @@ if __name__ == "__main__":
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(bool(config.DISABLE_JIT), reason="Numba is switched off: nothing is compiled")
+@COMPILED
 def test_kernels_that_a_scene_never_calls_are_never_compiled(tmp_path: Path) -> None:
     (tmp_path / "start.py").write_text(START)
 
@@ -453,13 +501,13 @@ def test_kernels_that_a_scene_never_calls_are_never_compiled(tmp_path: Path) -> 
         files = (tmp_path / "kernels").rglob("*.nbi")
         return {f"isogi_core.kernels.{path.name.split('-')[0]}" for path in files}, int(done.stdout)
 
-    every = {kernel.name for kernel in FRAME} - {project_lamps.name}
-    assert start("constant")[0] == every - {rotate.name}
+    every = {kernel.name for kernel in FRAME} - {project_lamps.name, judge_texels.name}
+    assert start("constant")[0] == every - {rotate.name, light_lobes.name, add_lobes.name}
     assert start("sky")[0] == every
     assert start("sky") == (every, 0)
 
 
 def test_workers_are_told_absolute_paths(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.chdir(tmp_path)
-    assert absolute("light") == str(tmp_path / "light")
-    assert absolute("s3://bucket/light") == "s3://bucket/light"
+    assert whereabouts(Place("light", 1.0, 3)) == Place(str(tmp_path / "light"), 1.0, 3)
+    assert whereabouts(Place("s3://bucket/light")) == Place("s3://bucket/light")

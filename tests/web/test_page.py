@@ -1,43 +1,26 @@
 """The page in a real browser, against the real server: what a person does, and what they then see."""
 
+import json
 import re
 from typing import Any, Literal
 from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
 import pytest
-from playwright.sync_api import Browser, Page, Route, expect
+from playwright.sync_api import Browser, Page, Route, WebSocket, WebSocketRoute, expect
 
-from tests.web.visits import CHROMIUM, FINAL_MS, SHOTS, open_final, slide, wait_final
+from tests.web.visits import BROWSER, FINAL_MS, SHOTS, open_final, pixels, slide, wait_final, without_sockets
 
 ROLES = "slider|combobox|switch|button|spinbutton|progressbar"
 KNOBS = ("isovalue", "azimuth", "elevation", "distance", "yaw", "pitch", "roll")
 
-pytestmark = [
-    pytest.mark.browser,
-    pytest.mark.slow,
-    pytest.mark.skipif(not CHROMIUM.exists(), reason=f"no Chromium at {CHROMIUM}: install Debian's chromium"),
-]
+pytestmark = BROWSER
 
 
 @pytest.fixture
 def shown(page: Page, live_server: str) -> Page:
     """The page at the scene's defaults, its picture final."""
     return open_final(page, live_server)
-
-
-def pixels(page: Page) -> np.ndarray:
-    """The picture on the stage, scaled to 96 × 96, as float RGB (96, 96, 3) within 0..255."""
-    flat = page.evaluate(
-        """() => {
-          const canvas = document.createElement("canvas");
-          canvas.width = canvas.height = 96;
-          const paint = canvas.getContext("2d");
-          paint.drawImage(document.querySelector("#picture"), 0, 0, 96, 96);
-          return Array.from(paint.getImageData(0, 0, 96, 96).data);
-        }"""
-    )
-    return np.array(flat, dtype=float).reshape(96, 96, 4)[..., :3]
 
 
 def difference(a: np.ndarray, b: np.ndarray) -> float:
@@ -67,6 +50,33 @@ def drag(page: Page, right: int, down: int, button: Literal["left", "right"] = "
 def turned(after: float, before: float) -> float:
     """Degrees from ``before`` to ``after``, within ±180."""
     return (after - before + 180.0) % 360.0 - 180.0
+
+
+class Stream:
+    """What goes over a page's stream: the ``views`` and ``receipts`` that it sends, and the ``answers`` that come."""
+
+    def __init__(self) -> None:
+        self.views: list[dict[str, Any]] = []
+        self.receipts: list[int] = []
+        self.answers: list[dict[str, Any]] = []
+
+    def follow(self, socket: WebSocket) -> None:
+        socket.on("framesent", self._sent)
+        socket.on("framereceived", lambda data: isinstance(data, str) and self.answers.append(json.loads(data)))
+
+    def _sent(self, data: str | bytes) -> None:
+        message = json.loads(data)
+        if "shown" in message:
+            self.receipts.append(message["shown"])
+        else:
+            self.views.append(message)
+
+
+def watched(page: Page) -> Stream:
+    """The stream that the page is going to open."""
+    stream = Stream()
+    page.on("websocket", stream.follow)
+    return stream
 
 
 def scene_of(page: Page, base: str) -> dict[str, Any]:
@@ -105,6 +115,7 @@ def test_says_what_the_scene_needs_and_what_was_left_out(shown: Page, live_serve
     assert scene["plan"]["representation"] in facts
     assert f"{scene['plan']['bytes_per_texel']}, instead of 300" in facts
     assert all(note in facts for note in scene["plan"]["notes"])
+    assert facts.count("° across at azimuth") == len(scene["plan"]["lobes"])
     for item in scene["plan"]["left_out"]:
         assert item["what"] in facts and item["why"] in facts
         assert all(saved["unit"] in facts for saved in item["saves"])
@@ -213,14 +224,15 @@ def test_light_can_be_turned(shown: Page, hand: str) -> None:
     ("rotating", "note"),
     [(True, "The light is the same from all sides."), (False, "The light of this scene is fixed.")],
 )
-def test_light_that_turns_in_vain_has_no_ball(page: Page, live_server: str, rotating: bool, note: str) -> None:
+def test_light_that_turns_in_vain_has_no_knobs(page: Page, live_server: str, rotating: bool, note: str) -> None:
     def still(route: Route) -> None:
         route.fulfill(json={**route.fetch().json(), "turns": False, "rotating": rotating})
 
     page.route("**/v1/scenes/small", still)
     open_final(page, live_server)
     expect(page.locator("#light-note")).to_have_text(note)
-    expect(page.locator("#globe")).to_be_hidden()
+    assert page.locator("#globe").is_hidden() == rotating, "fixed light has sides to show"
+    expect(page.locator("#yaw")).to_be_hidden()
     before = pixels(page)
     drag(page, 60, 20, "right")
     wait_final(page)
@@ -246,17 +258,46 @@ def test_exposure_brightens(shown: Page) -> None:
 
 
 def test_overlay_marks_what_is_provisional(page: Page, live_server: str) -> None:
+    views = watched(page).views
     page.goto(f"{live_server}/?overlay=provisional&azimuth=211&elevation=-17")
     page.wait_for_selector("#stage[data-state=provisional], #stage[data-state=final]", timeout=FINAL_MS)
-    assert page.is_checked("#overlay")
-    with page.expect_request(lambda request: "overlay=none" in request.url):
-        page.click("#overlay")
-    assert "overlay" not in address_of(page)
-    with page.expect_request(lambda request: "overlay=provisional" in request.url):
-        page.click("#overlay")
+    assert page.input_value("#overlay") == "provisional"
+    for overlay in ("none", "error", "provisional"):
+        page.select_option("#overlay", overlay)
+        assert page.locator("#error-scale").is_visible() == (overlay == "error")
+        page.wait_for_timeout(100)
+        assert views[-1]["view"]["overlay"] == overlay
+        assert address_of(page).get("overlay", "none") == overlay
 
 
-def test_moving_asks_for_small_jpeg_and_rest_for_the_full_picture(shown: Page) -> None:
+def test_moving_shows_small_jpeg_and_rest_the_full_picture(page: Page, live_server: str) -> None:
+    stream = watched(page)
+    open_final(page, live_server)
+    before = len(stream.answers)
+    drag(page, 60, 0)
+    wait_final(page)
+    drafts = [answer for answer in stream.answers[before:] if answer["draft"]]
+    assert drafts[0]["media_type"] == "image/jpeg"
+    last = stream.answers[-1]
+    assert (last["media_type"], last["final"], last["id"]) == ("image/png", True, stream.views[-1]["id"])
+    assert drafts[0]["width"] < last["width"]
+    box = page.locator("#stage").bounding_box()
+    assert box is not None
+    assert last["width"] == pytest.approx(box["width"], abs=1)
+
+
+def test_every_picture_that_is_shown_is_acknowledged(page: Page, live_server: str) -> None:
+    stream = watched(page)
+    open_final(page, live_server)
+    drag(page, 60, 0)
+    wait_final(page)
+    assert stream.receipts == [answer["id"] for answer in stream.answers]
+
+
+def test_without_sockets_the_page_asks_for_small_jpeg_and_then_for_the_full_picture(
+    page: Page, live_server: str
+) -> None:
+    shown = open_final(without_sockets(page), live_server)
     asked: list[dict[str, list[str]]] = []
     shown.on("request", lambda request: asked.append(parse_qs(urlsplit(request.url).query)))
     drag(shown, 60, 0)
@@ -318,14 +359,37 @@ def test_dark_scheme(browser: Browser, live_server: str) -> None:
     context.close()
 
 
-def test_server_gone_and_back(shown: Page) -> None:
+def test_server_gone_and_back(page: Page, live_server: str) -> None:
+    away, open_streams = False, list[WebSocketRoute]()
+
+    def pass_on(stream: WebSocketRoute) -> None:
+        if away:
+            stream.close(code=1001)
+        else:
+            stream.connect_to_server()
+            open_streams.append(stream)
+
+    page.route_web_socket("**/stream", pass_on)
+    open_final(page, live_server)
+    away = True
+    open_streams[0].close(code=1012)
+    expect(page.locator("#trouble h2")).to_have_text("The server does not answer")
+    page.focus("#stage")
+    page.keyboard.press("ArrowLeft")
+    expect(page.locator("#status-line")).to_have_text(re.compile("^not up to date"))
+    SHOTS.mkdir(parents=True, exist_ok=True)
+    page.screenshot(path=SHOTS / "gone.png")
+    away = False
+    expect(page.locator("#trouble")).to_be_hidden(timeout=FINAL_MS)
+    wait_final(page)
+
+
+def test_server_gone_and_back_without_sockets(page: Page, live_server: str) -> None:
+    shown = open_final(without_sockets(page), live_server)
     shown.route("**/frame?*", lambda route: route.abort())
     shown.focus("#stage")
     shown.keyboard.press("ArrowLeft")
-    expect(shown.locator("#trouble")).to_be_visible()
     expect(shown.locator("#trouble h2")).to_have_text("The server does not answer")
-    SHOTS.mkdir(parents=True, exist_ok=True)
-    shown.screenshot(path=SHOTS / "gone.png")
     shown.unroute("**/frame?*")
     expect(shown.locator("#trouble")).to_be_hidden(timeout=FINAL_MS)
     wait_final(shown)

@@ -6,13 +6,9 @@ from collections.abc import Callable
 import pytest
 from playwright.sync_api import Page, Route, expect
 
-from tests.web.visits import CHROMIUM, FINAL_MS, SHOTS, open_final, slide, wait_final
+from tests.web.visits import BROWSER, FINAL_MS, SHOTS, open_final, slide, wait_final, without_sockets
 
-pytestmark = [
-    pytest.mark.browser,
-    pytest.mark.slow,
-    pytest.mark.skipif(not CHROMIUM.exists(), reason=f"no Chromium at {CHROMIUM}: install Debian's chromium"),
-]
+pytestmark = BROWSER
 
 LEFT = "low=12.0, likely=20.0, high=41.0"
 COURSE = [
@@ -70,7 +66,7 @@ def test_the_error_falls_until_the_view_is_final(page: Page, live_server: str) -
 
 
 def test_the_drawing_is_to_scale(page: Page, live_server: str) -> None:
-    page.route("**/frame?*", staged(None, end=True))
+    without_sockets(page).route("**/frame?*", staged(None, end=True))
     open_final(page, live_server)
     first, second, third, final, held = (y for _, y in course(page))
     per_decade = second - first
@@ -86,7 +82,7 @@ def test_the_drawing_is_to_scale(page: Page, live_server: str) -> None:
 
 
 def test_a_new_view_begins_a_new_history_and_exposure_does_not(page: Page, live_server: str) -> None:
-    page.route("**/frame?*", staged(None, end=True))
+    without_sockets(page).route("**/frame?*", staged(None, end=True))
     before = course(open_final(page, live_server))
     slide(page, "exposure", 0.6)
     wait_final(page)
@@ -114,12 +110,13 @@ def test_an_error_of_zero_has_no_place_on_a_logarithmic_axis(page: Page, live_se
 
 @pytest.mark.parametrize("time_left", [LEFT, None])
 def test_the_words_follow_the_header(page: Page, live_server: str, time_left: str | None) -> None:
-    page.route("**/frame?*", staged(time_left, end=False))
+    without_sockets(page).route("**/frame?*", staged(time_left, end=False))
     page.goto(live_server)
     expect(page.locator("#error .value")).to_have_text("4 %", timeout=FINAL_MS)
     line, note = page.inner_text("#status-line"), page.inner_text("#error .note")
-    assert line.startswith("60 % final · error 4 %")
-    assert ("about 20 s left" in line) == (time_left is not None)
+    chunks, _, rest = line.partition(" chunks final, ")
+    assert re.fullmatch(r"\d+ of \d+", chunks)
+    assert rest == ("noise 4 %" if time_left is None else "noise 4 %, about 20 s left")
     assert note.endswith(" · about 20 s left (12 s to 41 s)") == (time_left is not None)
     assert ("left" in note) == (time_left is not None)
     shares = page.locator("#error .legend b").all_inner_texts()

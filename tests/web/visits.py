@@ -2,10 +2,19 @@
 
 from pathlib import Path
 
+import numpy as np
+import pytest
 from playwright.sync_api import Page
 
 CHROMIUM = Path("/usr/bin/chromium")
 SHOTS = Path(__file__).resolve().parents[2] / "test-results" / "page"
+BROWSER = [
+    pytest.mark.browser,
+    pytest.mark.slow,
+    pytest.mark.skipif(not CHROMIUM.exists(), reason=f"no Chromium at {CHROMIUM}: install Debian's chromium"),
+]
+"""The marks of tests of the page."""
+
 FINAL_MS = 180_000  # baking a view for the first time on a small machine
 
 
@@ -32,3 +41,24 @@ def slide(page: Page, knob: str, share: float) -> None:
         }""",
         share,
     )
+
+
+def without_sockets(page: Page) -> Page:
+    """A browser that has no sockets: the page asks for one picture after the other."""
+    page.add_init_script("delete window.WebSocket")
+    return page
+
+
+def pixels(page: Page, picture: str = "#picture") -> np.ndarray:
+    """A picture on the stage, scaled to 96 × 96, as float RGB (96, 96, 3) within 0..255."""
+    flat = page.evaluate(
+        """(picture) => {
+          const canvas = document.createElement("canvas");
+          canvas.width = canvas.height = 96;
+          const paint = canvas.getContext("2d");
+          paint.drawImage(document.querySelector(picture), 0, 0, 96, 96);
+          return Array.from(paint.getImageData(0, 0, 96, 96).data);
+        }""",
+        picture,
+    )
+    return np.array(flat, dtype=float).reshape(96, 96, 4)[..., :3]

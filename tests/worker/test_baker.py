@@ -1,5 +1,7 @@
 import logging
 import threading
+import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -8,15 +10,20 @@ import pytest
 from isogi_core.bake.effort import Effort
 from isogi_core.bake.recipe import Index
 from isogi_core.cache.costs import Cost, Costs
-from isogi_core.errors import StoreError
+from isogi_core.cache.place import Place
+from isogi_core.errors import StoreAwayError, StoreError
 from isogi_core.frame.texels import Demand
 from isogi_core.model.plan import Layer, ScenePlan
 from isogi_core.model.source import SceneSource
-from worker.baker import Bake, Baker
+from worker.baker import LONGEST_REST, REST, WAY, Bake, Baker, after
+from worker.errors import WorkersAwayError
 from worker.outlook import TimeLeft
+from worker.pause import LONGEST, SHORTEST
 from worker.pool import Done
-from worker.queue import FORGET_AFTER, MOST_FAILURES, STEP
-from worker.tasks import BakeResult, BakeTask
+from worker.queue import FORGET_AFTER
+from worker.tasks import ELSEWHERE, BakeResult, BakeTask
+from worker.viewers import GUEST, Viewer
+from worker.wants import MOST_FAILURES, STEP
 
 SOURCE = SceneSource("scene", {"volume": "demo:orbital"}, Path())
 PLAN = ScenePlan("transfer", (Layer("direct", 5), Layer("indirect", 3)), 5, 4, 1.0, 4096)
@@ -35,11 +42,16 @@ class FakePool:
     """Takes tasks and ends them when the test says so."""
 
     def __init__(self, room: int) -> None:
-        self.room, self.workers = room, 2
+        self.room, self.workers, self.deaths = room, 2, 0
         self.flying: list[tuple[BakeTask, Done]] = []
+        self.stepped_back: list[float] = []
 
     def submit(self, task: BakeTask, done: Done) -> None:
         self.flying.append((task, done))
+
+    def step_back(self, seconds: float) -> bool:
+        self.stepped_back.append(seconds)
+        return True
 
     def end(self, result: BakeResult | None = DONE, error: BaseException | None = None) -> BakeTask:
         task, done = self.flying.pop(0)
@@ -59,11 +71,12 @@ class Bench:
         self.baker = Baker(lambda: self.now, workers)
         self.costs = Costs("memory://costs", "digest")
         layers = frozenset({"direct", "indirect"})
-        self.baker.add("scene", Bake(SOURCE, PLAN, "digest", layers, "store", self.arrived.append, self.costs))
+        self.baker.add("scene", Bake(SOURCE, PLAN, "digest", layers, Place("store"), self.arrived.append, self.costs))
 
-    def want(self, *chunks: int, scene: str = "scene") -> bool:
+    def want(self, *chunks: int, scene: str = "scene", viewer: Viewer = GUEST) -> frozenset[Index]:
         texels, seen, effort = np.array([1, 2], np.int32), np.array([1.0, 0.5], np.float32), Effort(2, 0.0, 0.0)
-        return self.baker.want(scene, [Demand((0, 0, x), texels, 10.0 - x, effort, seen) for x in chunks], 0.1)
+        demands = [Demand((0, 0, x), texels, 10.0 - x, effort, seen) for x in chunks]
+        return self.baker.want(scene, demands, 0.1, viewer)
 
     def employ(self, room: int) -> FakePool:
         pool = FakePool(room)
@@ -85,7 +98,7 @@ def test_a_task_holds_all_that_a_worker_must_know(bench: Bench) -> None:
     pool = bench.employ(1)
     bench.want(3)
     task = pool.flying[0][0]
-    assert (task.source, task.plan, task.digest, task.store) == (SOURCE, PLAN, "digest", "store")
+    assert (task.source, task.plan, task.digest, task.store) == (SOURCE, PLAN, "digest", Place("store"))
     assert (task.index, task.offsets.tolist(), task.until, task.least, task.target) == ((0, 0, 3), [1, 2], 16, 0.0, 0.1)
     assert task.footprints.tolist() == [1.0, 0.5]
 
@@ -104,7 +117,7 @@ def test_few_tasks_fly_and_the_newest_view_is_next(bench: Bench) -> None:
 def test_each_chunk_is_told_as_it_arrives_and_taken_on_until_final(bench: Bench) -> None:
     pool = bench.employ(1)
     bench.want(1)
-    assert pool.end(left(2, 0.8)).until == 16
+    assert pool.end(left(2, 0.8, 100.0)).until == 16
     assert bench.arrived == [(0, 0, 1)]
     assert pool.end().least == 0.8 * STEP
     assert bench.arrived == [(0, 0, 1)] * 2
@@ -116,7 +129,13 @@ def test_scenes_share_the_workers(bench: Bench) -> None:
     bench.baker.add(
         "other",
         Bake(
-            SOURCE, PLAN, "other digest", frozenset({"whole"}), "store", others.append, Costs("memory://costs", "other")
+            SOURCE,
+            PLAN,
+            "other digest",
+            frozenset({"whole"}),
+            Place("store"),
+            others.append,
+            Costs("memory://costs", "other"),
         ),
     )
     pool = bench.employ(4)
@@ -133,7 +152,13 @@ def test_bakes_that_share_a_layer_are_at_a_chunk_one_after_the_other(bench: Benc
     bench.baker.add(
         "near",
         Bake(
-            SOURCE, NEAR, "near digest", frozenset({"direct"}), "store", lambda _: None, Costs("memory://costs", "near")
+            SOURCE,
+            NEAR,
+            "near digest",
+            frozenset({"direct"}),
+            Place("store"),
+            lambda _: None,
+            Costs("memory://costs", "near"),
         ),
     )
     pool = bench.employ(8)
@@ -264,3 +289,235 @@ def test_costs_are_kept_when_the_baker_stops(bench: Bench) -> None:
     again = Costs("memory://costs", "digest")
     again.read()
     assert again.rate((0, 0, 1)) == pytest.approx(0.02)
+
+
+def test_nothing_more_is_baked_for_who_has_left(bench: Bench) -> None:
+    pool = bench.employ(1)
+    bench.want(1, 2, viewer=Viewer("Anna"))
+    bench.want(9, viewer=Viewer("Bert"))
+    bench.baker.leave(Viewer("Anna"))
+    pool.end()
+    assert pool.tasks() == [9]
+    pool.end()
+    assert pool.tasks() == []
+
+
+def test_listeners_hear_of_light_and_of_failures_once_the_queue_knows(bench: Bench) -> None:
+    heard: list[tuple[str, Index, bool]] = []
+    bench.baker.listen(lambda *news: heard.append(news))
+    pool = bench.employ(1)
+    bench.want(1)
+    pool.end(left(1, 0.5))
+    pool.end()
+    bench.want(2)
+    fail(bench, pool, MOST_FAILURES)
+    first, second = ("scene", (0, 0, 1)), ("scene", (0, 0, 2))
+    assert heard == [(*first, True), (*first, False), (*second, True), (*second, True), (*second, False)]
+
+
+def test_half_the_workers_rest_while_a_view_moves(bench: Bench) -> None:
+    pool = bench.employ(4)
+    bench.want(*range(1, 10))
+    assert len(pool.tasks()) == 4
+    bench.baker.make_way()
+    flying = []
+    for _ in range(5):
+        pool.end()
+        flying.append(len(pool.tasks()))
+    assert flying == [3, 2, 1, 1, 1]
+    bench.now += WAY
+    pool.end()
+    assert len(pool.tasks()) == 3, "all that is left, in no time"
+
+
+def test_workers_that_there_are_step_back_while_a_view_moves(bench: Bench) -> None:
+    bench.baker.make_way()
+    pool = bench.employ(4)
+    bench.baker.make_way()
+    assert pool.stepped_back == [WAY]
+    bench.baker.stop()
+    bench.baker.make_way()
+    assert pool.stepped_back == [WAY]
+
+
+def test_workers_that_stand_elsewhere_go_on_while_a_view_moves(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(FakePool, "step_back", lambda self, seconds: False)
+    pool = bench.employ(4)
+    bench.baker.make_way()
+    bench.want(1, 2, 3, 4, 5)
+    assert len(pool.tasks()) == 4
+
+
+def test_what_was_asked_of_workers_that_are_away_waits_until_they_are_back(bench: Bench) -> None:
+    pool = bench.employ(2)
+    bench.want(1, 2, 3)
+    pool.room = 0
+    for _ in range(2):
+        pool.end(None, WorkersAwayError("The scheduler is gone."))
+    assert pool.tasks() == []
+    assert bench.want(1, 2, 3) == {(0, 0, 1), (0, 0, 2), (0, 0, 3)}
+    assert (bench.baker.trouble(), bench.baker.tally().failed) == ("", 0)
+    pool.room = 3
+    bench.baker.stir()
+    assert pool.tasks() == [1, 2, 3]
+
+
+def test_a_chunk_that_somebody_else_is_at_waits_while_others_are_baked(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    later: list[tuple[float, Callable[[], None]]] = []
+    monkeypatch.setattr("worker.baker.after", lambda seconds, call: later.append((seconds, call)))
+    pool = bench.employ(1)
+    bench.want(1, 2)
+    assert pool.end(ELSEWHERE).owner
+    assert pool.tasks() == [2]
+    pool.end()
+    assert pool.tasks() == []
+    tally = bench.baker.tally()
+    assert (tally.waiting, tally.flying, tally.done, tally.failed) == (1, 0, 1, 0)
+    assert bench.arrived == [(0, 0, 2)]
+    ((seconds, resume),) = later
+    bench.now += seconds
+    resume()
+    assert pool.tasks() == [1]
+
+
+def test_who_has_waited_long_for_somebody_else_waits_no_more(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("worker.baker.after", lambda *_: None)
+    pool = bench.employ(1)
+    bench.want(1)
+    looks = 0
+    while not pool.end(ELSEWHERE).insists:
+        looks += 1
+        bench.now += REST
+        bench.baker.stir()
+    assert looks == LONGEST_REST / REST
+    bench.now += REST
+    bench.baker.stir()
+    assert pool.end(left(2, 0.8)).insists and not pool.end().insists
+
+
+def test_something_is_called_after_a_while() -> None:
+    called = threading.Event()
+    after(0.01, called.set)
+    assert called.wait(30.0)
+
+
+def test_a_scene_that_is_forgotten_is_baked_no_more_and_who_waits_is_told(bench: Bench) -> None:
+    told: list[tuple[str, Index, bool]] = []
+    bench.baker.listen(lambda *news: told.append(news))
+    pool = bench.employ(1)
+    bench.want(1, 2)
+    bench.baker.forget("scene")
+    assert told == [("scene", (0, 0, 1), False), ("scene", (0, 0, 2), False)]
+    assert bench.want(3) == frozenset()
+    assert bench.baker.time_left("scene", "view", [(0, 0, 1)]) is None
+    pool.end(left(2, 0.8))
+    assert not pool.flying
+
+
+def test_a_scene_that_comes_again_waits_for_the_task_that_flies(bench: Bench) -> None:
+    pool = bench.employ(2)
+    bench.want(1)
+    bench.baker.forget("scene")
+    layers = frozenset({"direct", "indirect"})
+    bench.baker.add("scene", Bake(SOURCE, PLAN, "digest", layers, Place("store"), bench.arrived.append, bench.costs))
+    bench.want(1, 2)
+    assert pool.tasks() == [1, 2]
+    pool.end(left(2, 0.8))
+    assert pool.tasks() == [2, 1]
+
+
+@pytest.mark.parametrize("error", [None, RuntimeError("the file is gone")])
+def test_what_lands_after_a_scene_was_forgotten_does_no_harm(bench: Bench, error: Exception | None) -> None:
+    other = Bake(SOURCE, PLAN, "other", frozenset({"whole"}), Place("store"), lambda _: None, bench.costs)
+    bench.baker.add("other", other)
+    pool = bench.employ(1)
+    bench.want(1)
+    bench.want(1, scene="other")
+    bench.baker.forget("scene")
+    pool.end(None if error else DONE, error)
+    assert [task.digest for task, _ in pool.flying] == ["other"]
+    assert bench.baker.trouble() == ""
+
+
+# --- a store that is away -----------------------------------------------------------------------------------------
+
+GONE = StoreAwayError("The store is gone.")
+
+
+def test_a_single_task_that_cannot_reach_the_store_holds_up_no_other(
+    bench: Bench, caplog: pytest.LogCaptureFixture
+) -> None:
+    pool = bench.employ(2)
+    bench.want(1, 2, 3)
+    for _ in range(2):
+        pool.end(None, GONE)
+        assert bench.baker.paused() == "" and len(pool.tasks()) == 2
+        pool.end(left(0, 0.0))
+    assert "baking waits" not in caplog.text
+
+
+def test_while_the_store_is_away_one_task_is_tried_now_and_then_and_no_chunk_is_given_up(
+    bench: Bench, caplog: pytest.LogCaptureFixture
+) -> None:
+    pool = bench.employ(2)
+    bench.want(1, 2, 3)
+    for _ in range(3):
+        pool.end(None, GONE)
+    assert pool.tasks() == [] and bench.baker.paused() == "The store is gone."
+    seconds = SHORTEST
+    for _ in range(2 * MOST_FAILURES):
+        assert len(bench.want(1, 2, 3)) == 3 and pool.tasks() == []
+        bench.now += seconds
+        bench.want(1, 2, 3)
+        assert len(pool.tasks()) == 1, "one is tried"
+        pool.end(None, GONE)
+        seconds = min(2.0 * seconds, LONGEST)
+    tally = bench.baker.tally()
+    assert (tally.waiting, tally.given_up, tally.failed, tally.flying) == (3, 0, 0, 0)
+    assert bench.baker.trouble() == "" and caplog.text.count("baking waits for the store") == 1
+    bench.now += LONGEST
+    bench.want(1, 2, 3)
+    pool.end()
+    assert bench.baker.paused() == "" and len(pool.tasks()) == 2
+    pool.end()
+    pool.end()
+    assert sorted(bench.arrived) == [(0, 0, 1), (0, 0, 2), (0, 0, 3)]
+
+
+def test_a_poison_chunk_is_given_up_though_the_store_was_away(bench: Bench) -> None:
+    pool = bench.employ(1)
+    bench.want(1)
+    pool.end(None, GONE)
+    bench.now += SHORTEST
+    bench.want(1)
+    fail(bench, pool, MOST_FAILURES)
+    assert bench.baker.tally().given_up == 1
+
+
+def test_baking_goes_on_by_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("worker.pause.SHORTEST", 0.01)
+    bench = Bench()
+    baker = bench.baker = Baker()
+    baker.add("scene", Bake(SOURCE, PLAN, "digest", frozenset(), Place("store"), bench.arrived.append, bench.costs))
+    pool = bench.employ(1)
+    bench.want(1)
+    pool.end(None, GONE)
+    deadline = time.monotonic() + 60.0
+    while not pool.tasks():
+        assert time.monotonic() < deadline
+        time.sleep(0.005)
+    pool.end()
+    assert bench.arrived == [(0, 0, 1)] and baker.paused() == ""
+
+
+def test_nothing_is_tried_once_it_is_stopped_or_nobody_wants_it_any_more(bench: Bench) -> None:
+    pool = bench.employ(1)
+    alone = Viewer("somebody", single=True)
+    bench.want(1, viewer=alone)
+    bench.baker.leave(alone)
+    pool.end(None, GONE)
+    assert bench.baker.tally().waiting == 0
+    bench.baker.stop()
+    assert bench.baker.paused() == "" and pool.tasks() == []

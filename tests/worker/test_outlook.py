@@ -1,16 +1,7 @@
 import pytest
 
+from tests.worker.clock import Clock
 from worker.outlook import KEPT, PRIOR, Outlook, TimeLeft
-
-
-class Clock:
-    """Seconds that pass when the test says so."""
-
-    def __init__(self) -> None:
-        self.now = 0.0
-
-    def __call__(self) -> float:
-        return self.now
 
 
 @pytest.fixture

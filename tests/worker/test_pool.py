@@ -1,28 +1,38 @@
+import gc
+import logging
 import os
 import re
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+import dask.config
 import httpx
 import numba
 import numpy as np
 import psutil
 import pytest
 from distributed import LocalCluster
+from distributed.utils import LoopRunner
 
 from isogi_core.bake.look import look_for
 from isogi_core.bake.recipe import Recipe
+from isogi_core.cache.place import Place
+from isogi_core.cache.root import Root
 from isogi_core.cache.store import ChunkStore
 from isogi_core.kernels.bricks import fill_ranges, mark_bricks, pack_bricks
 from isogi_core.kernels.macrocells import fill_macrocells
 from isogi_core.kernels.warm import warm
 from isogi_core.model.scene import load_scene
-from worker.errors import WorkersError
-from worker.nice import NICENESS
+from worker.baker import Baker
+from worker.clients import OwnClient
+from worker.errors import LostWorkerError, WorkersError
+from worker.nice import FORWARD, NICENESS
 from worker.pool import AHEAD, WorkerPool
+from worker.sessions import BACK
 from worker.tasks import KINDS, BakeResult, BakeTask, bake_kernels, opened
 
 SCENE = load_scene("demo:orbital", order=2, lattice=0.4, bounces=1, target_error=0.5)
@@ -30,6 +40,9 @@ LOOK = look_for(Recipe(SCENE), "gi")
 BAKE = bake_kernels(KINDS)
 TEXELS = np.arange(0, 4096, 40, dtype=np.int32)
 WORKERS = 2
+LONG = 240.0
+"""Seconds within which workers have come, baked or gone, also on a slow machine."""
+
 ROOT = Path(__file__).resolve().parent.parent.parent
 OPENING = (fill_ranges, mark_bricks, pack_bricks, fill_macrocells)
 CALLED = (*bake_kernels(["direct", "indirect"]), *OPENING)
@@ -53,7 +66,7 @@ def pool(compiled: dict[str, tuple[int, int]]) -> Iterator[WorkerPool]:
     yield pool
     pids = pool.pids()
     pool.close()
-    assert not psutil.wait_procs([psutil.Process(pid) for pid in pids if psutil.pid_exists(pid)], timeout=10)[1]
+    assert not psutil.wait_procs([psutil.Process(pid) for pid in pids if psutil.pid_exists(pid)], timeout=LONG)[1]
 
 
 def bake_all(pool: WorkerPool, tasks: list[BakeTask]) -> list[BakeResult]:
@@ -69,15 +82,21 @@ def bake_all(pool: WorkerPool, tasks: list[BakeTask]) -> list[BakeResult]:
     for task in tasks:
         pool.submit(task, done)
     for _ in tasks:
-        assert ended.acquire(timeout=60)
+        assert ended.acquire(timeout=LONG)
     if errors:
         raise errors[0] or AssertionError("a task ended without a result and without an error")
     return results
 
 
+def made(root: Path) -> Place:
+    """The place of a store that a server has made."""
+    Root(root).open()
+    return Place(str(root))
+
+
 def tasks_for(store: Path, digest: str = LOOK.digest) -> list[BakeTask]:
     indices = [(z, y, 0) for z in (0, 1) for y in (0, 1)]
-    what, seen = (SCENE.source, LOOK.plan, digest, str(store)), np.ones(len(TEXELS), np.float32)
+    what, seen = (SCENE.source, LOOK.plan, digest, made(store)), np.ones(len(TEXELS), np.float32)
     return [BakeTask(*what, index, TEXELS, seen, 64, 0.0, 0.5) for index in indices]
 
 
@@ -94,7 +113,7 @@ def test_tasks_leave_their_chunks_in_the_store(pool: WorkerPool, tmp_path: Path)
     tasks = tasks_for(tmp_path)
     results = bake_all(pool, tasks)
     assert all(result.cost.seconds > 0 for result in results)
-    store: ChunkStore = opened(SCENE.source, LOOK.plan, LOOK.digest, str(tmp_path))[1]
+    store: ChunkStore = opened(SCENE.source, LOOK.plan, LOOK.digest, made(tmp_path))[1]
     for task in tasks:
         np.testing.assert_array_equal(store.load(task.index).offsets, TEXELS)
 
@@ -112,6 +131,50 @@ def test_baking_stands_behind_the_server(pool: WorkerPool) -> None:
     where_tasks_run = pool._client.submit(lambda: os.getpriority(os.PRIO_PROCESS, 0), pure=False)
     assert where_tasks_run.result() == expected
     assert os.getpriority(os.PRIO_PROCESS, 0) == expected - NICENESS
+
+
+def in_autogroup() -> bool:
+    """Whether sessions share the cores here. A process in a control group of its own has an empty file instead."""
+    own = Path("/proc/self/autogroup")
+    return own.exists() and bool(own.read_text().strip())
+
+
+needs_autogroups = pytest.mark.skipif(not in_autogroup(), reason="no autogroups here")
+
+
+def session_niceness(pid: int) -> int:
+    return int(Path(f"/proc/{pid}/autogroup").read_text().split()[-1])
+
+
+def reach(pids: list[int], niceness: int) -> None:
+    """Wait until the sessions of all these processes have a niceness."""
+    deadline = time.monotonic() + LONG
+    while [session_niceness(pid) for pid in pids] != [niceness] * len(pids):
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+@needs_autogroups
+def test_workers_stand_back_in_sessions_of_their_own_while_a_view_moves(pool: WorkerPool) -> None:
+    pids, own = pool.pids(), session_niceness(os.getpid())
+    assert [os.getsid(pid) for pid in pids] == pids
+    reach(pids, FORWARD)
+    baker = Baker()
+    baker.employ(pool)
+    baker.make_way()
+    reach(pids, BACK)
+    assert session_niceness(os.getpid()) == own
+    reach(pids, FORWARD)
+
+
+@needs_autogroups
+def test_workers_that_are_joined_keep_their_sessions() -> None:
+    with LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address="127.0.0.1:0", silence_logs=50) as others:
+        joined = WorkerPool(1, others.scheduler_address)
+        joined.step_back(1e-3)
+        sessions = [os.getsid(pid) for pid in joined.pids()]
+        joined.close()
+    assert sessions == [os.getsid(0)]
 
 
 def test_all_listen_on_loopback_only(pool: WorkerPool) -> None:
@@ -177,7 +240,7 @@ def test_kernels_that_are_missing_are_compiled_by_a_worker(monkeypatch: pytest.M
     monkeypatch.setattr("worker.pool.kernels_missing", lambda kinds: True)
     fresh = WorkerPool(1)
     try:
-        deadline = time.monotonic() + 60
+        deadline = time.monotonic() + LONG
         while not (kernels := next(iter(fresh._client.run(kernels_of_this_process).values()))):
             assert time.monotonic() < deadline
             time.sleep(0.05)
@@ -202,11 +265,13 @@ def test_workers_that_are_joined_have_loaded_their_kernels(
 
 
 @pytest.mark.slow
-def test_a_killed_worker_is_replaced_and_its_task_done_again(pool: WorkerPool, tmp_path: Path) -> None:
+def test_a_killed_worker_is_replaced_and_its_tasks_come_back_as_lost(pool: WorkerPool, tmp_path: Path) -> None:
     before = pool.pids()
     psutil.Process(before[0]).kill()
+    with suppress(LostWorkerError):  # where the death was known before, all tasks go to the other worker
+        bake_all(pool, tasks_for(tmp_path))
     assert len(bake_all(pool, tasks_for(tmp_path))) == 4
-    deadline = time.monotonic() + 30
+    deadline = time.monotonic() + LONG
     while len(pids := pool.pids()) < WORKERS and time.monotonic() < deadline:
         time.sleep(0.1)
     assert len(set(pids) - set(before)) == 1
@@ -225,7 +290,110 @@ def test_workers_of_others_are_joined_and_left_alone(pool: WorkerPool, tmp_path:
     assert len(bake_all(pool, tasks_for(tmp_path))) == 4
 
 
+def test_a_pool_that_leaves_a_scheduler_leaves_no_error_there(pool: WorkerPool) -> None:
+    assert pool._cluster is not None
+    scheduler, told = pool._cluster.scheduler, list[logging.LogRecord]()
+    handler = logging.Handler()
+    handler.emit = told.append  # type: ignore[method-assign]
+    logging.getLogger("distributed.scheduler").addHandler(handler)
+    clients, joined = set(scheduler.clients), WorkerPool(1, pool._cluster.scheduler_address)
+    joined.close()
+    deadline = time.monotonic() + LONG
+    while set(scheduler.clients) != clients and time.monotonic() < deadline:
+        time.sleep(0.01)
+    logging.getLogger("distributed.scheduler").removeHandler(handler)
+    assert [each.getMessage() for each in told if each.levelno >= logging.ERROR] == []
+
+
 @pytest.mark.parametrize("address", ["carrier-pigeon://somewhere", "tcp://127.0.0.1:notaport"])
 def test_a_scheduler_that_cannot_be_reached_is_told(address: str) -> None:
     with pytest.raises(WorkersError, match="Cannot start or reach the workers"):
         WorkerPool(1, address)
+
+
+def lone_scheduler(port: int = 0) -> LocalCluster:
+    """A scheduler on loopback that no worker has joined."""
+    return LocalCluster(
+        n_workers=0, host="127.0.0.1", scheduler_port=port, dashboard_address="127.0.0.1:0", silence_logs=50
+    )
+
+
+@pytest.mark.slow
+def test_a_scheduler_that_was_restarted_unnoticed_is_joined_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Dask's client may find it before the pool has seen that it was away, and is not told of its workers then."""
+    first = lone_scheduler()
+    joined = WorkerPool(1, first.scheduler_address)
+    try:
+        assert "No worker has joined" in joined.trouble
+        monkeypatch.setattr("worker.pool.LOOK", LONG)
+        time.sleep(1.5)
+        client, port = joined._client, int(first.scheduler_address.rpartition(":")[2])
+        first.close()
+        with lone_scheduler(port) as second:
+            wait_for(lambda: client.scheduler_info().get("id") == second.scheduler.id)
+            monkeypatch.setattr("worker.pool.LOOK", 0.1)
+            joined._moved.set()
+            wait_for(lambda: joined._client is not client and joined.connected)
+            second.scale(1)
+            wait_for(lambda: joined.trouble == "")
+    finally:
+        joined.close()
+        first.close()
+
+
+@pytest.mark.slow
+def test_workers_are_counted_also_where_nobody_told_of_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(WorkerPool, "_told", lambda *_: None)
+    with lone_scheduler() as alone:
+        joined = WorkerPool(1, alone.scheduler_address)
+        try:
+            alone.scale(1)
+            wait_for(lambda: joined.trouble == "")
+        finally:
+            joined.close()
+
+
+def wait_for(condition: Callable[[], bool]) -> None:
+    """Until it is true."""
+    deadline = time.monotonic() + LONG
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+
+
+def test_clients_that_found_no_scheduler_hold_up_nobody_who_makes_one() -> None:
+    """The garbage collector may come while a thread holds the lock that closing a client takes."""
+    for _ in range(2):
+        with pytest.raises(OSError, match=r"."):
+            OwnClient("tcp://127.0.0.1:9", "200ms")
+    threads = threading.active_count()
+    with LoopRunner._lock:  # type: ignore[attr-defined]
+        gc.collect()
+    assert threading.active_count() <= threads
+
+
+@pytest.mark.slow
+def test_a_worker_that_dies_again_and_again_comes_back_each_time() -> None:
+    """Dask looks a while after each death whether the worker is back, and here it never is."""
+    with dask.config.set({"distributed.deploy.lost-worker-timeout": "1 ms"}):
+        fresh = WorkerPool(1)
+        try:
+            dead: set[int] = set()
+            for _ in range(2):
+                (pid,) = fresh.pids()
+                psutil.Process(pid).kill()
+                dead.add(pid)
+                wait_for_others(fresh, dead)
+        finally:
+            fresh.close()
+
+
+def wait_for_others(pool: WorkerPool, dead: set[int]) -> None:
+    """Until a worker has come in place of those."""
+    deadline = time.monotonic() + LONG
+    while True:
+        with suppress(OSError):
+            if (pids := set(pool.pids())) and pids.isdisjoint(dead):
+                return
+        assert time.monotonic() < deadline
+        time.sleep(0.1)

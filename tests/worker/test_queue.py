@@ -1,5 +1,3 @@
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -8,33 +6,26 @@ from isogi_core.bake.precision import FIRST_RUNG
 from isogi_core.cache.costs import Cost
 from isogi_core.frame.texels import Demand
 from isogi_core.model.plan import MOST
-from worker.queue import FORGET_AFTER, MOST_FAILURES, STEP, BakeQueue, Key
+from tests.worker.clock import Clock
+from worker.queue import FORGET_AFTER, LOOK, BakeQueue
 from worker.tasks import BakeResult
+from worker.viewers import GUEST, Viewer
+from worker.wants import MOST_FAILURES, STEP, Key, next_least
 
 UNLIT = Effort(3, 0.0, 0.0)
 
 
 def left(unfinished: int, worth: float, taken: float = 48.0) -> BakeResult:
     """What a task leaves of a chunk whose texels are all lit."""
-    return BakeResult(unfinished, worth, Effort(0, taken, taken), Cost(0.1, 48, 3, 0.1))
+    return BakeResult(unfinished, worth, Effort(0, taken, 2.0 * taken), Cost(0.1, 48, 3, 0.1))
 
 
 DONE = left(0, 0.0)
 
 
-class Clock:
-    """Seconds that pass when the test says so."""
-
-    def __init__(self) -> None:
-        self.now = 1000.0
-
-    def __call__(self) -> float:
-        return self.now
-
-
 @pytest.fixture
 def clock() -> Clock:
-    return Clock()
+    return Clock(1000.0)
 
 
 @pytest.fixture
@@ -52,10 +43,11 @@ def want(
     texels: tuple[int, ...] = (1, 2, 3),
     target: float = 0.1,
     effort: Effort = UNLIT,
+    viewer: Viewer = GUEST,
 ) -> None:
     """One view that demands chunks (x, weight)."""
     offsets, seen = np.array(texels, np.int32), np.array(texels, np.float32)
-    queue.want([(key(x), Demand((0, 0, x), offsets, weight, effort, seen)) for x, weight in demands], target)
+    queue.want([(key(x), Demand((0, 0, x), offsets, weight, effort, seen)) for x, weight in demands], target, viewer)
 
 
 def take(queue: BakeQueue) -> int | None:
@@ -101,9 +93,7 @@ def test_what_has_no_light_comes_first(queue: BakeQueue) -> None:
 def test_a_second_is_spent_where_it_takes_most_error_off(clock: Clock) -> None:
     seconds = {key(1): 1.0, key(2): 1.0, key(3): 4.0}
     queue = BakeQueue(clock, rate=seconds.get)
-    want(queue, (1, 10.0), effort=Effort(0, 100.0, 0.0))
-    want(queue, (1, 10.0), (3, 10.0), effort=Effort(0, 100.0, 0.0))
-    queue.wants[key(2)] = replace(queue.wants[key(1)], key=key(2), worth=0.2)
+    want(queue, (1, 10.0), (2, 20.0), (3, 10.0), effort=Effort(0, 100.0, 0.0))
     assert [take(queue) for _ in range(3)] == [2, 1, 3]
 
 
@@ -202,6 +192,29 @@ def test_failures_are_tried_again_and_then_given_up(queue: BakeQueue) -> None:
     assert [take(queue) for _ in range(2)] == [2, None]
 
 
+def test_what_was_put_off_for_a_while_comes_back_then_and_others_come_first(queue: BakeQueue, clock: Clock) -> None:
+    want(queue, (1, 3.0), (2, 2.0))
+    assert take(queue) == 1
+    queue.put_off(key(1), 0.5)
+    want(queue, (1, 9.0), (2, 2.0))
+    assert [take(queue), take(queue)] == [2, None]
+    assert queue.counts()[0] == 2
+    clock.now += 0.5
+    assert [take(queue), take(queue)] == [1, None]
+    end(queue, 1, DONE)
+    end(queue, 2, DONE)
+    assert not queue.wants
+
+
+def test_what_nobody_wants_any_more_does_not_come_back(queue: BakeQueue, clock: Clock) -> None:
+    want(queue, (1, 3.0), viewer=Viewer("one", single=True))
+    assert take(queue) == 1
+    queue.put_off(key(1), 0.5)
+    queue.leave(Viewer("one", single=True))
+    clock.now += 0.5
+    assert take(queue) is None and not queue.wants
+
+
 def test_success_forgives_failures(queue: BakeQueue) -> None:
     want(queue, (1, 1.0))
     for _ in range(3 * MOST_FAILURES):
@@ -210,6 +223,23 @@ def test_success_forgives_failures(queue: BakeQueue) -> None:
         assert take(queue) == 1
         end(queue, 1, left(1, 0.9))
     assert queue.trouble() == ""
+
+
+def test_what_may_have_killed_a_worker_flies_alone_and_last(queue: BakeQueue) -> None:
+    want(queue, (1, 9.0), (2, 8.0), (3, 1.0))
+    assert [take(queue), take(queue)] == [1, 2]
+    for x in (1, 2):
+        assert not queue.fail(key(x), "its worker died", suspect=True)
+    assert [take(queue), take(queue)] == [3, None]
+    end(queue, 3, DONE)
+    assert [take(queue), take(queue)] == [1, None]
+    queue.fail(key(1), "its worker died", suspect=True)
+    assert [take(queue), take(queue)] == [1, None]
+    assert queue.fail(key(1), "its worker died", suspect=True)
+    assert [take(queue), take(queue)] == [2, None]
+    end(queue, 2, left(3, 1.0))
+    want(queue, (4, 9.0))
+    assert [take(queue), take(queue)] == [4, 2]
 
 
 def test_what_was_given_up_is_tried_afresh_after_a_while(queue: BakeQueue, clock: Clock) -> None:
@@ -221,7 +251,7 @@ def test_what_was_given_up_is_tried_afresh_after_a_while(queue: BakeQueue, clock
     want(queue, (1, 1.0), texels=(1, 2, 3, 4))
     assert take(queue) is None
     assert queue.trouble() == "no space"
-    clock.now += 0.1
+    clock.now += LOOK
     assert queue.trouble() == ""
     want(queue, (1, 1.0))
     assert take(queue) == 1
@@ -254,3 +284,114 @@ def test_what_flies_is_not_forgotten(queue: BakeQueue, clock: Clock) -> None:
     end(queue, 1, left(1, 0.9))
     assert take(queue) is None
     assert queue.open([key(1)]) == []
+
+
+ANNA, BERT = Viewer("Anna", single=True), Viewer("Bert", single=True)
+PREWARM = Viewer("prewarm", patient=True)
+
+
+def test_a_single_viewer_wants_its_newest_view_alone(queue: BakeQueue) -> None:
+    want(queue, (1, 9.0), (2, 9.0), viewer=ANNA)
+    want(queue, (2, 1.0), (3, 1.0), texels=(7,), viewer=ANNA)
+    assert list(queue.wants) == [key(2), key(3)]
+    assert queue.wants[key(2)].offsets.tolist() == [7]
+
+
+def test_who_leaves_wants_nothing_more_and_the_others_what_they_did(queue: BakeQueue) -> None:
+    want(queue, (1, 9.0), (2, 9.0), texels=(1, 5), viewer=ANNA)
+    want(queue, (2, 1.0), texels=(5, 8), target=0.2, viewer=BERT)
+    shared = queue.wants[key(2)]
+    assert (shared.offsets.tolist(), shared.target) == ([1, 5, 8], 0.1)
+    queue.leave(ANNA)
+    assert list(queue.wants) == [key(2)]
+    assert (shared.offsets.tolist(), shared.target) == ([5, 8], 0.2)
+    queue.leave(BERT)
+    assert queue.wants == {}
+
+
+def test_what_flies_for_who_left_ends_with_its_task(queue: BakeQueue) -> None:
+    want(queue, (1, 9.0), viewer=ANNA)
+    assert take(queue) == 1
+    queue.leave(ANNA)
+    assert queue.counts() == (0, 0, 0.0)
+    assert list(queue.wants) == [key(1)]
+    end(queue, 1, left(3, 0.9))
+    assert queue.wants == {}
+
+
+def test_a_visit_that_ends_early_leaves_what_its_client_asked_for_before(queue: BakeQueue) -> None:
+    first, second = Viewer("home", 1), Viewer("home", 2)
+    want(queue, (1, 1.0), (2, 1.0), viewer=first)
+    want(queue, (2, 1.0), (3, 1.0), viewer=second)
+    queue.leave(second)
+    assert list(queue.wants) == [key(1)]
+
+
+def test_viewers_take_turns_by_the_seconds_that_they_were_served(queue: BakeQueue) -> None:
+    want(queue, *((x, 1.0) for x in range(10, 40)), viewer=ANNA)
+    want(queue, *((x, 1000.0) for x in range(50, 99)), viewer=BERT)
+    served = {"Anna": 0.0, "Bert": 0.0}
+    for _ in range(30):
+        taken = queue.take()
+        assert taken is not None
+        (client,) = taken.claims
+        cost = 0.3 if client == "Bert" else 0.1
+        served[str(client)] += cost
+        queue.finish(taken.key, taken.offsets, taken.target, BakeResult(0, 0.0, UNLIT, Cost(cost, 48, 3, 0.1)))
+    assert served["Anna"] == pytest.approx(served["Bert"], abs=0.4)
+
+
+def test_who_comes_late_neither_waits_for_the_past_nor_is_paid_for_it(queue: BakeQueue) -> None:
+    want(queue, *((x, 1.0) for x in range(10, 60)), viewer=ANNA)
+    for _ in range(20):
+        end(queue, take(queue) or 0, DONE)
+    want(queue, *((x, 1.0) for x in range(60, 99)), viewer=BERT)
+    turns = []
+    for _ in range(10):
+        x = take(queue) or 0
+        turns.append("Anna" if x < 60 else "Bert")
+        end(queue, x, DONE)
+    assert abs(turns.count("Anna") - turns.count("Bert")) <= 2
+    assert "Bert" in turns[:2]
+
+
+def test_a_chunk_that_two_see_counts_for_both(queue: BakeQueue) -> None:
+    want(queue, (1, 10.0), (2, 8.0), viewer=ANNA)
+    want(queue, (2, 8.0), viewer=BERT)
+    assert [take(queue) for _ in range(2)] == [2, 1]
+    assert queue.shares.served["Anna"] > queue.shares.served["Bert"]
+
+
+def test_of_equals_the_nearest_to_final_comes_first(queue: BakeQueue) -> None:
+    far, near = Effort(0, 48.0, 900.0), Effort(0, 48.0, 100.0)
+    texels, seen = np.array([1, 2, 3], np.int32), np.ones(3, np.float32)
+    both = [(key(x), Demand((0, 0, x), texels, 1.0, effort, seen)) for x, effort in ((1, far), (2, near))]
+    queue.want(both, 0.1)
+    assert [take(queue) for _ in range(2)] == [2, 1]
+
+
+def test_who_is_patient_yields_to_people(queue: BakeQueue) -> None:
+    want(queue, (1, 1000.0), (2, 1000.0), viewer=PREWARM)
+    want(queue, (3, 1.0), viewer=ANNA)
+    want(queue, (2, 1.0), viewer=BERT)
+    assert sorted(take(queue) or 0 for _ in range(2)) == [2, 3]
+    assert take(queue) == 1
+
+
+def test_what_was_given_up_is_not_tried_afresh_by_who_comes_and_goes(queue: BakeQueue) -> None:
+    for visit in range(MOST_FAILURES):
+        want(queue, (1, 1.0), viewer=ANNA)
+        assert take(queue) == 1
+        queue.fail(key(1), f"failure {visit}")
+    queue.leave(ANNA)
+    want(queue, (1, 1.0), viewer=BERT)
+    assert take(queue) is None
+    assert queue.trouble() == "failure 2"
+
+
+@pytest.mark.parametrize(("left", "people", "patient"), [(900.0, 0.0, 0.0), (4e3, 0.25, 0.0), (6e3, 0.25, 0.25)])
+def test_the_rest_of_a_chunk_is_one_task_where_that_is_short_and_shorter_for_people(
+    left: float, people: float, patient: float
+) -> None:
+    result = BakeResult(3, 2.0, Effort(0, 64.0, left), Cost(0.01, 100, 0, 0.0))
+    assert (next_least(result, False), next_least(result, True)) == (people, patient)

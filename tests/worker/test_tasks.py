@@ -1,8 +1,10 @@
 import asyncio
+import pickle
 import threading
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,13 +13,29 @@ from isogi_core.bake.effort import Effort
 from isogi_core.bake.look import look_for
 from isogi_core.bake.noise import finished, relative_error, standard_error
 from isogi_core.bake.recipe import Recipe
+from isogi_core.bake.refine import locate
+from isogi_core.cache.parcels import send_parcels
+from isogi_core.cache.place import Place
+from isogi_core.cache.root import Root
+from isogi_core.cache.sentinel import SENTINEL
 from isogi_core.cache.store import ChunkStore
-from isogi_core.errors import SceneError, StoreError
+from isogi_core.errors import SceneError, StoreAwayError, VolumeError
 from isogi_core.kernels.irradiance import bake_irradiance
 from isogi_core.kernels.transfer import bake_texels, locate_texels
 from isogi_core.model.plan import most_samples
 from isogi_core.model.scene import load_scene
-from worker.tasks import KINDS, BakeResult, BakeTask, bake, bake_kernels, dask_setup, opened
+from worker.tasks import (
+    ELSEWHERE,
+    KINDS,
+    BakeResult,
+    BakeTask,
+    bake,
+    bake_kernels,
+    claims_of,
+    climb,
+    dask_setup,
+    opened,
+)
 
 INDEX = (1, 1, 2)
 UNTIL = most_samples(0.05)
@@ -29,13 +47,19 @@ LOOK = look_for(Recipe(SCENE), "gi")
 VICINITY = look_for(Recipe(SCENE), "vicinity")
 
 
+def made(root: Path) -> Place:
+    """The place of a store that a server has made."""
+    Root(root).open()
+    return Place(str(root))
+
+
 def do(root: Path, texels: np.ndarray = TEXELS, until: int = UNTIL, target: float = 0.05) -> BakeResult:
     seen = np.ones(len(texels), np.float32)
-    return bake(BakeTask(SCENE.source, LOOK.plan, LOOK.digest, str(root), INDEX, texels, seen, until, 0.0, target))
+    return bake(BakeTask(SCENE.source, LOOK.plan, LOOK.digest, made(root), INDEX, texels, seen, until, 0.0, target))
 
 
 def store_of(root: Path) -> ChunkStore:
-    return opened(SCENE.source, LOOK.plan, LOOK.digest, str(root))[1]
+    return opened(SCENE.source, LOOK.plan, LOOK.digest, made(root))[1]
 
 
 def stored(root: Path) -> list[bytes | None]:
@@ -78,7 +102,7 @@ def test_a_finished_task_says_so(tmp_path: Path) -> None:
 def test_a_layer_that_takes_no_samples_is_not_written_again(tmp_path: Path) -> None:
     do(tmp_path, until=64)
     before = stored(tmp_path)
-    bake(BakeTask(SCENE.source, VICINITY.plan, VICINITY.digest, str(tmp_path), INDEX, TEXELS, SEEN, 256, 0.0, 1e-4))
+    bake(BakeTask(SCENE.source, VICINITY.plan, VICINITY.digest, made(tmp_path), INDEX, TEXELS, SEEN, 256, 0.0, 1e-4))
     ahead = stored(tmp_path)
     assert [now == old for now, old in zip(ahead, before, strict=True)] == [False, True]
     do(tmp_path, until=256, target=1e-4)
@@ -89,15 +113,48 @@ def test_a_layer_that_takes_no_samples_is_not_written_again(tmp_path: Path) -> N
 
 def test_the_same_task_leaves_the_same_bytes(tmp_path: Path) -> None:
     do(tmp_path / "a")
-    do(tmp_path / "b")
+    assert not do(tmp_path / "b").duplicate
     assert stored(tmp_path / "a") == stored(tmp_path / "b")
-    do(tmp_path / "b")
+    again = do(tmp_path / "b")
+    assert (again.healed, again.duplicate) == (False, True)
     assert stored(tmp_path / "a") == stored(tmp_path / "b")
+
+
+def test_who_meets_another_says_what_it_is_at_from_then_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two bake the same at the same time; afterwards each claims its chunks."""
+    what = SCENE.source, LOOK.plan, LOOK.digest, made(tmp_path), INDEX, TEXELS, SEEN
+    task = BakeTask(*what, 16, 0.0, 0.05, owner="one")
+    seen: list[list[bytes]] = []
+
+    def meanwhile(*arguments: Any) -> None:
+        climb(*arguments)
+        seen.append([path.read_bytes() for path in (tmp_path / "claims").glob("*")])
+        if len(seen) == 1:
+            bake(replace(task, owner="other"))
+
+    monkeypatch.setattr("worker.tasks.climb", meanwhile)
+    assert not bake(task).elsewhere
+    bake(replace(task, until=64))
+    assert seen[:2] == [[], []]
+    assert seen[2] == [b"one"]
+    assert not list((tmp_path / "claims").glob("*"))
+
+
+def test_what_somebody_else_has_claimed_is_left_to_them(tmp_path: Path) -> None:
+    what = SCENE.source, LOOK.plan, LOOK.digest, made(tmp_path), INDEX, TEXELS, SEEN
+    task = BakeTask(*what, 16, 0.0, 0.05, owner="one")
+    claims_of(task.store).meet()
+    claim = tmp_path / "claims" / ".".join(map(str, (store_of(tmp_path).layers[0].digest, *INDEX)))
+    claim.parent.mkdir()
+    claim.write_bytes(b"other")
+    assert bake(task) == ELSEWHERE and stored(tmp_path) == [None, None]
+    assert bake(replace(task, insists=True)).cost.paths == 16 * len(TEXELS)
+    assert not claim.exists()
 
 
 def test_in_one_go_or_in_many_is_the_same(tmp_path: Path) -> None:
     do(tmp_path / "a")
-    task = BakeTask(SCENE.source, LOOK.plan, LOOK.digest, str(tmp_path / "b"), INDEX, TEXELS, SEEN, 16, 0.0, 0.05)
+    task = BakeTask(SCENE.source, LOOK.plan, LOOK.digest, made(tmp_path / "b"), INDEX, TEXELS, SEEN, 16, 0.0, 0.05)
     steps, result = 1, bake(task)
     while result.unfinished:
         result, steps = bake(replace(task, until=UNTIL, least=result.worth / 8)), steps + 1
@@ -107,7 +164,7 @@ def test_in_one_go_or_in_many_is_the_same(tmp_path: Path) -> None:
 
 def test_a_task_takes_texels_on_while_their_next_path_is_worth_it(tmp_path: Path) -> None:
     seen = np.where(np.arange(len(TEXELS)) % 2 == 0, 1.0, 0.01).astype(np.float32)
-    task = BakeTask(SCENE.source, LOOK.plan, LOOK.digest, str(tmp_path), INDEX, TEXELS, seen, 16, 0.0, 0.005)
+    task = BakeTask(SCENE.source, LOOK.plan, LOOK.digest, made(tmp_path), INDEX, TEXELS, seen, 16, 0.0, 0.005)
     result = bake(task)
     least = result.worth / 4
     left, look = bake(replace(task, until=UNTIL, least=least)), store_of(tmp_path).look
@@ -147,11 +204,11 @@ def test_vicinity_shading_takes_its_light_from_the_layer_that_is_there(tmp_path:
     do(tmp_path)
     before = stored(tmp_path)
     result = bake(
-        BakeTask(SCENE.source, VICINITY.plan, VICINITY.digest, str(tmp_path), INDEX, TEXELS, SEEN, 64, 0.0, 0.5)
+        BakeTask(SCENE.source, VICINITY.plan, VICINITY.digest, made(tmp_path), INDEX, TEXELS, SEEN, 64, 0.0, 0.5)
     )
     assert result.unfinished == 0
     assert stored(tmp_path) == before
-    light = opened(SCENE.source, VICINITY.plan, VICINITY.digest, str(tmp_path))[1].load(INDEX).light
+    light = opened(SCENE.source, VICINITY.plan, VICINITY.digest, made(tmp_path))[1].load(INDEX).light
     assert [part.layer for part in light.parts] == [SCENE.plan.layers[0]]
     assert (light.samples >= 64).all()
 
@@ -173,21 +230,40 @@ def test_a_damaged_chunk_heals_to_the_same_bytes(tmp_path: Path, damage: Callabl
     path = Path(store_of(tmp_path).layers[layer].path, "c", *map(str, INDEX), "0")
     whole = stored(tmp_path)
     path.write_bytes(damage(whole[layer] or b""))
-    do(tmp_path)
+    result = do(tmp_path)
+    assert (result.healed, result.duplicate) == (True, False)
+    assert stored(tmp_path) == whole
+
+
+@pytest.mark.parametrize("layer", [0, 1])
+@pytest.mark.parametrize("rest", [0, 1], ids=["of all texels", "of others"])
+def test_what_is_void_in_one_layer_is_so_in_all(tmp_path: Path, layer: int, rest: int) -> None:
+    """A layer may be lost, or read while another writes it: whoever bakes of the chunk then marks void texels anew."""
+    texels = np.arange(16**3, dtype=np.int32)[:1024]
+    do(tmp_path, texels)
+    store = store_of(tmp_path)
+    path = Path(store.layers[layer].path, "c", *map(str, INDEX), "0")
+    whole, void = stored(tmp_path), texels[store.load(INDEX).light.void]
+    assert len(void) > 0
+    path.unlink()
+    do(tmp_path, np.setdiff1d(texels, void) if rest else texels)
     assert stored(tmp_path) == whole
 
 
 def test_a_scene_whose_files_changed_is_refused(tmp_path: Path) -> None:
-    task = BakeTask(SCENE.source, LOOK.plan, "0" * 20, str(tmp_path), INDEX, TEXELS, SEEN, 16, 0.0, 0.05)
+    task = BakeTask(SCENE.source, LOOK.plan, "0" * 20, made(tmp_path), INDEX, TEXELS, SEEN, 16, 0.0, 0.05)
     with pytest.raises(SceneError, match=r"'orbital' have changed since the server began: restart it\.$"):
         bake(task)
+    assert [path.name for path in tmp_path.iterdir()] == [SENTINEL]
+
+
+def test_a_store_that_no_server_has_made_is_away(tmp_path: Path) -> None:
+    """An empty mount point, say: what is baked there would be lost when the disk is back."""
+    task = BakeTask(SCENE.source, LOOK.plan, LOOK.digest, Place(str(tmp_path)), INDEX, TEXELS, SEEN, 16, 0.0, 0.05)
+    with pytest.raises(StoreAwayError, match="is gone") as told:
+        bake(task)
     assert not list(tmp_path.iterdir())
-
-
-def test_a_store_that_cannot_be_written_is_an_error(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("not a folder")
-    with pytest.raises(StoreError, match="Cannot"):
-        do(tmp_path / "file")
+    assert str(pickle.loads(pickle.dumps(told.value))) == str(told.value)
 
 
 def test_a_worker_answers_while_it_loads_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -208,3 +284,48 @@ def test_layers_need_the_kernels_of_their_kinds_alone() -> None:
     assert set(bake_kernels(["whole"])) == {bake_texels, locate_texels}
     assert set(bake_kernels(["irradiance"])) == {bake_irradiance, locate_texels}
     assert set(bake_kernels(KINDS)) == {bake_texels, bake_irradiance, locate_texels}
+
+
+def test_a_worker_without_the_files_leaves_the_same_bytes(
+    small_scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With the scene's folder away, as on another machine: the volume comes from the store, by its digest."""
+    monkeypatch.setenv("ISOGI_VOLUME_CACHE", str(tmp_path / "copies"))
+    (tmp_path / "away").mkdir()
+    for path in small_scene.parent.iterdir():
+        (tmp_path / "away" / path.name).write_bytes(path.read_bytes())
+    scene = load_scene(tmp_path / "away" / small_scene.name)
+    look = look_for(Recipe(scene), "gi")
+    task = BakeTask(
+        scene.source, look.plan, look.digest, made(tmp_path / "own"), (0, 0, 0), TEXELS[:40], SEEN[:40], 64, 0.0, 0.5
+    )
+    bake(task)
+    parcels = send_parcels(scene, Root(tmp_path / "other"))
+    (tmp_path / "away").rename(tmp_path / "gone")
+    there = replace(task, store=made(tmp_path / "other"), parcels=parcels)
+    assert bake(there).cost.paths > 0
+    own, other = (opened(each.source, each.plan, each.digest, each.store, each.parcels)[1] for each in (task, there))
+    assert [layer.read((0, 0, 0)) for layer in other.layers] == [layer.read((0, 0, 0)) for layer in own.layers]
+    assert all(layer.read((0, 0, 0)) for layer in own.layers)
+    with pytest.raises(VolumeError, match="There is no file"):
+        bake(replace(task, store=made(tmp_path / "third")))
+
+
+def test_sharp_texels_have_the_same_bytes_however_they_are_baked(tmp_path: Path) -> None:
+    places = LOOK.recipe.lattice.positions(INDEX, TEXELS)
+    look = replace(LOOK, shown=float(np.median(locate(places, LOOK.recipe)[0][3])))
+    assert look.digest not in (LOOK.digest, replace(look, shown=0.123).digest)
+
+    def stored_after(name: str, *untils: int) -> list[bytes | None]:
+        what = SCENE.source, look.plan, look.digest, made(tmp_path / name), INDEX, TEXELS, SEEN
+        results = [bake(BakeTask(*what, until, 0.0, 0.05, shown=look.shown)) for until in untils]
+        assert results[-1].unfinished == 0
+        return [layer.read(INDEX) for layer in ChunkStore(made(tmp_path / name), look).layers]
+
+    at_once = stored_after("a", UNTIL)
+    assert at_once == stored_after("b", 16, 64, UNTIL) and None not in at_once
+    assert store_of(tmp_path / "a").read(INDEX) is None, "what serves every isovalue is kept apart"
+    chunk = ChunkStore(made(tmp_path / "a"), look).load(INDEX)
+    void = locate(places, look.recipe, look.shown)[1]
+    np.testing.assert_array_equal(chunk.light.void, void)
+    assert 0 < void.sum() < len(void)

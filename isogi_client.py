@@ -1,0 +1,595 @@
+"""isogi from Python: a view in, a picture or numbers out. One file that needs no other part of isogi.
+
+>>> from isogi_client import Isogi
+>>> with Isogi("http://127.0.0.1:8000") as isogi:
+...     frame = isogi.frame("casting", isovalue=0.5, azimuth=40, wait="final")
+...     frame.save("casting.png")
+...     print(frame.facts)
+
+It needs httpx, httpx-retries, httpx-sse, NumPy and Pillow: isogi's extra ``client``.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import time
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal, NamedTuple, Self
+from urllib.parse import quote
+
+import httpx
+import httpx_sse
+import numpy as np
+from httpx_retries import Retry, RetryTransport
+from PIL import Image
+
+LONGEST_WAIT = 10.0
+"""Seconds that the server waits for baking in one request, at most."""
+
+PATIENCE = 60.0
+"""Seconds for which a server that is busy, starting or away is asked again, by default."""
+
+PAUSE, LONGEST_PAUSE = 0.1, 5.0
+"""Seconds between two tries, at first and at most."""
+
+AWAY = (httpx.NetworkError, httpx.RemoteProtocolError)
+"""What a server that is gone makes of a request."""
+
+LOOK = 1.0
+"""Seconds between two looks at a job."""
+
+BLOCK = 1 << 20
+"""Bytes that are read from a file at a time."""
+
+PICTURE = ("f", "exposure", "overlay", "version")
+"""Parameters of a picture, which say nothing of its light."""
+
+SUFFIXES = {"png": (".png",), "jpeg": (".jpg", ".jpeg"), "webp": (".webp",), "npy": (".npy",)}
+KINDS = {"image/png": "png", "image/jpeg": "jpeg", "image/webp": "webp", "application/x-npy": "npy"}
+
+Wait = float | Literal["now", "final"]
+"""How long to wait for light: not at all, until all of it is final, or so many seconds."""
+
+Values = float | str | Sequence[float] | None
+
+
+class IsogiError(Exception):
+    """What went wrong, in a sentence, with the HTTP ``status`` and the ``problem`` document (RFC 9457), if any."""
+
+    def __init__(self, detail: str, status: int | None = None, problem: Mapping[str, Any] | None = None) -> None:
+        super().__init__(detail)
+        self.detail, self.status, self.problem = detail, status, dict(problem or {})
+
+
+class RefusedError(IsogiError):
+    """The server does not take this request as it is: see ``detail``, and ``problem["parameter"]`` where it is one."""
+
+
+class NotFoundError(RefusedError):
+    """There is no such scene, volume or job."""
+
+
+class TokenError(RefusedError):
+    """The server wants its token (``token=`` or ISOGI_TOKEN), or does not serve this client at all."""
+
+
+class BusyError(IsogiError):
+    """The server is busy, starting or stopping, and stayed so for as long as it was asked again."""
+
+
+class ServerError(IsogiError):
+    """The server failed on this request; ``problem["request_id"]`` finds it in its log."""
+
+
+class UnreachableError(IsogiError):
+    """No server answers at this address."""
+
+
+class NotFinalError(IsogiError):
+    """A view does not become final: some of its light cannot be baked."""
+
+
+class JobError(IsogiError):
+    """A job failed, or was dismissed."""
+
+
+class TargetWarning(UserWarning):
+    """A frame is final, and yet its estimated error is above the ``max_error`` that was asked for."""
+
+
+class TimeLeft(NamedTuple):
+    """Seconds until a view is final: most likely, and the range that they are likely in."""
+
+    low: float
+    likely: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Facts:
+    """What the server knows of a frame's quality.
+
+    ``coverage`` are the shares of the surface's pixels that are final, converging and provisional, ``error`` is the
+    estimated relative RMSE, ``chunks`` how many are needed and final. ``time_left`` is None where it is unknown or
+    over, ``etag`` names the very picture, and ``timing`` has the milliseconds of the stages of the work on it.
+    """
+
+    provisional: bool
+    coverage: Mapping[str, float]
+    error: float
+    chunks: Mapping[str, int]
+    time_left: TimeLeft | None = None
+    etag: str | None = None
+    timing: Mapping[str, float] | None = None
+
+    @classmethod
+    def of_headers(cls, headers: Mapping[str, str]) -> Self:
+        """The facts in a frame's headers."""
+        left = numbers(headers.get("isogi-time-left", ""))
+        return cls(
+            provisional=headers["isogi-provisional"] == "?1",
+            coverage=numbers(headers["isogi-coverage"]),
+            error=float(headers["isogi-error"]),
+            chunks={name: int(count) for name, count in numbers(headers["isogi-chunks"]).items()},
+            time_left=TimeLeft(**left) if left else None,
+            etag=headers.get("etag"),
+            timing=numbers(headers.get("server-timing", "").replace(";dur", "")),
+        )
+
+    @classmethod
+    def of_document(cls, document: Mapping[str, Any]) -> Self:
+        """The facts in what the server tells of a view's coverage."""
+        left = document["time_left"]
+        names = ("provisional", "coverage", "error", "chunks")
+        return cls(**{name: document[name] for name in names}, time_left=TimeLeft(**left) if left else None)
+
+    def __str__(self) -> str:
+        """For a person, such as ``182 of 240 chunks final, noise 1.8 %, about 40 s``."""
+        noise = f"{100 * self.error:.2g}" if self.error < 0.1 else f"{100 * self.error:.0f}"
+        count = f"{self.chunks['final']} of {self.chunks['needed']} chunks final, noise {noise} %"
+        left = self.time_left if self.provisional else None
+        return count if left is None else f"{count}, about {left.likely:.0f} s"
+
+
+def numbers(header: str) -> dict[str, float]:
+    """The numbers in a header such as ``final=0.81, provisional=0.19``."""
+    pairs = (part.partition("=") for part in header.split(",") if part.strip())
+    return {name.strip(): float(number) for name, _, number in pairs}
+
+
+class Planes(NamedTuple):
+    """A frame as numbers, for each pixel; row 0 is the top.
+
+    ``rgb`` (h, w, 3) is linear radiance, ``mask`` (h, w) where the surface is, ``state`` (h, w) is 0 none, 1
+    provisional, 2 converging, 3 final, 4 final by a texel that cannot be sharpened, ``error`` (h, w) the relative
+    standard error, ``position`` (h, w, 3) the surface's in world coordinates.
+    """
+
+    rgb: np.ndarray
+    mask: np.ndarray
+    state: np.ndarray
+    error: np.ndarray
+    position: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """A picture: its bytes (``content``) in a format ``f``, and the ``facts`` of its quality."""
+
+    content: bytes
+    f: str
+    facts: Facts
+
+    @cached_property
+    def image(self) -> Image.Image:
+        """The picture. ValueError where it was asked for as npy."""
+        if self.f == "npy":
+            raise ValueError("npy holds radiance and no picture: ask for f='png', or see .array.")
+        return Image.open(io.BytesIO(self.content))
+
+    @cached_property
+    def array(self) -> Planes:
+        """The numbers. ValueError where it was not asked for as npy."""
+        if self.f != "npy":
+            raise ValueError(f"{self.f} holds a picture and no radiance: ask for f='npy', or see .image.")
+        planes = np.load(io.BytesIO(self.content), allow_pickle=False)
+        mask, state, error = planes[..., 3] > 0, planes[..., 4].astype(np.uint8), planes[..., 5]
+        return Planes(planes[..., :3], mask, state, error, planes[..., 6:9])
+
+    def save(self, path: str | Path) -> Path:
+        """Write the bytes to a file. ValueError where its name is one of another format."""
+        path = Path(path)
+        if path.suffix.lower() not in SUFFIXES[self.f]:
+            fitting = " or ".join(SUFFIXES[self.f])
+            raise ValueError(f"This frame is {self.f}: name the file {fitting}, or ask for another f.")
+        path.write_bytes(self.content)
+        return path
+
+    def _repr_png_(self) -> bytes | None:
+        """The picture, as notebooks show it."""
+        if self.f in ("png", "npy"):
+            return self.content if self.f == "png" else None
+        buffer = io.BytesIO()
+        self.image.save(buffer, "png")
+        return buffer.getvalue()
+
+
+@dataclass(frozen=True)
+class Event:
+    """News of a view: its ``kind`` is refined, progress, final or failed, and ``data`` what the server tells of it.
+
+    ``id`` names the light that it tells of.
+    """
+
+    kind: str
+    data: Mapping[str, Any]
+    id: str
+
+    @property
+    def facts(self) -> Facts | None:
+        """How good the view is now; None in progress, which tells the chunks ``waiting`` and the ``time_left``."""
+        return None if self.kind == "progress" else Facts.of_document(self.data)
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a job is: its ``status`` (accepted, running, successful, failed, dismissed) and what it says of itself.
+
+    ``progress`` is in percent; ``time_left`` is None where it is unknown or over.
+    """
+
+    status: str
+    message: str
+    progress: int
+    time_left: TimeLeft | None = None
+
+    @classmethod
+    def of_document(cls, document: Mapping[str, Any]) -> Self:
+        """What the server tells of a job."""
+        left = document["time_left"]
+        names = ("status", "message", "progress")
+        return cls(**{name: document[name] for name in names}, time_left=TimeLeft(**left) if left else None)
+
+    @property
+    def over(self) -> bool:
+        """Whether nothing more is done for it."""
+        return self.status not in ("accepted", "running")
+
+
+class Job:
+    """Work that a server goes on with by itself, also when it is started anew; its ``id`` finds it again."""
+
+    def __init__(self, isogi: Isogi, key: str) -> None:
+        self.id = key
+        self._isogi = isogi
+
+    @property
+    def address(self) -> str:
+        """Where the server tells of it."""
+        return str(self._isogi._client.base_url.join(self._path))
+
+    def progress(self) -> Progress:
+        """How far it is."""
+        return Progress.of_document(self._isogi._json("GET", self._path))
+
+    def wait(self, progress: Callable[[Progress], object] | None = None) -> dict[str, Any]:
+        """The summary, once it has ended; ``progress`` is called now and then.
+
+        Raises JobError where it failed or was dismissed.
+        """
+        while not (now := self.progress()).over:
+            if progress is not None:
+                progress(now)
+            time.sleep(LOOK)
+        if progress is not None:
+            progress(now)
+        if now.status != "successful":
+            raise JobError(f"The job is {now.status}: {now.message}")
+        return self.summary()
+
+    def summary(self) -> dict[str, Any]:
+        """What it came to. NotFoundError where there is nothing yet."""
+        return self._isogi._json("GET", f"{self._path}/results")
+
+    def dismiss(self) -> None:
+        """End it: nothing more is baked for it, and what was baked stays."""
+        self._isogi._ask("DELETE", self._path)
+
+    @property
+    def _path(self) -> str:
+        return f"/v1/jobs/{quote(self.id, safe='')}"
+
+
+class Isogi:
+    """A server at ``base_url``, which is shown the ``token``, by default that in $ISOGI_TOKEN.
+
+    An answer may be silent for ``timeout`` seconds. A server that is busy or starting, or that is away once it has
+    answered, is asked again, when it says or ever more rarely, for about ``patience`` seconds. Methods raise
+    IsogiError. Usable as a context manager, which closes the connections, and from several threads.
+    """
+
+    def __init__(
+        self,
+        base_url: str = "http://127.0.0.1:8000",
+        token: str | None = None,
+        timeout: float = 60.0,
+        patience: float = PATIENCE,
+    ) -> None:
+        token = token or os.environ.get("ISOGI_TOKEN")
+        self._patience, self._wait = patience, min(LONGEST_WAIT, timeout / 2)
+        self._retry = Retry(
+            total=1000,
+            allowed_methods=("GET", "POST", "DELETE"),
+            total_timeout=max(patience, 1e-3),
+            status_forcelist=(429, 503),
+            retry_on_exceptions=(),
+            backoff_factor=PAUSE,
+            backoff_jitter=0.5,
+            max_backoff_wait=LONGEST_PAUSE,
+        )
+        self._client = httpx.Client(
+            base_url=base_url,
+            headers={"Authorization": f"Bearer {token}"} if token else {},
+            timeout=timeout,
+            transport=RetryTransport(),
+            event_hooks={"request": [self._ask_again], "response": [self._meet]},
+        )
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the connections."""
+        self._client.close()
+
+    def scenes(self) -> list[dict[str, Any]]:
+        """All scenes, each with its ``id``, ``name`` and ``href``.
+
+        >>> [scene["id"] for scene in isogi.scenes()]
+        ['casting']
+        """
+        return self._json("GET", "/v1/scenes")["scenes"]
+
+    def scene(self, scene: str) -> dict[str, Any]:
+        """The facts of a scene: volume, histogram, defaults and ranges of every knob, plan.
+
+        >>> isogi.scene("casting")["ranges"]["isovalue"]
+        {'min': 0.0, 'max': 1.0}
+        """
+        return self._json("GET", scene_path(scene))
+
+    def coverage(self, scene: str, **view: Values) -> Facts:
+        """How far a view is baked, without its picture."""
+        return Facts.of_document(self._json("GET", f"{scene_path(scene)}/coverage", params=query(view)))
+
+    def frame(
+        self,
+        scene: str,
+        *,
+        wait: Wait = "now",
+        f: str = "png",
+        progress: Callable[[Facts], object] | None = None,
+        **view: Values,
+    ) -> Frame:
+        """The frame of a view in a format ``f``: png, jpeg, webp, or npy for numbers.
+
+        ``wait`` says for how long its light may be baked: "now" takes what there is, a number waits so many seconds
+        at most, "final" until it is final, through restarts of the server. ``progress`` is called with the facts each
+        time that more is known. ``view`` are the parameters of the HTTP interface: isovalue, azimuth, elevation,
+        distance, fov, yaw, pitch, roll, width, height, shading, max_error, exposure, …
+
+        Raises RefusedError, NotFoundError, BusyError, UnreachableError; NotFinalError with the server's reason where
+        waiting for "final" is in vain. Warns with TargetWarning where max_error is not reached.
+
+        >>> isogi.frame("casting", azimuth=40, width=1024, height=768, wait=5).save("casting.png")
+        """
+        if "wait_ms" in view:
+            raise TypeError("Say how long to wait by wait=, in seconds.")
+        asked = {**query(view), "f": f}
+        path = scene_path(scene)
+        if wait == "final":
+            frame = self._final(path, asked, progress)
+        else:
+            frame = self._waited(path, asked, 0.0 if wait == "now" else float(wait), progress)
+        tell_target(frame.facts, asked.get("max_error"))
+        return frame
+
+    def watch(self, scene: str, **view: Values) -> Iterator[Event]:
+        """How a view becomes final, event by event; its light is baked while somebody listens.
+
+        Ends with the event ``final`` or ``failed``, and goes on where it was when the connection breaks.
+
+        >>> for event in isogi.watch("casting", azimuth=40):
+        ...     print(event.kind, event.facts)
+        """
+        return self._events(scene_path(scene), query(view))
+
+    def prewarm(self, scene: str, *, dry_run: bool = False, **order: Any) -> Job:
+        """Have light baked ahead; the job that does it. ``dry_run``: have it told how much that is, and how long.
+
+        ``order`` are the fields of the HTTP interface: isovalues, views, directions, orbits, all_directions,
+        target_error, deadline, width, height, … The same order once more is the same job until that has ended.
+
+        >>> job = isogi.prewarm("casting", isovalues=["0.4:0.6:0.05"], views=12)
+        >>> job.wait(print)["error"]
+        """
+        body = {**order, "dry_run": dry_run}
+        return Job(self, self._json("POST", f"{scene_path(scene)}/prewarm", json=body)["jobID"])
+
+    def job(self, key: str) -> Job:
+        """The job with this id. Raises NotFoundError."""
+        job = Job(self, key)
+        job.progress()
+        return job
+
+    def upload(self, path: str | Path, name: str | None = None) -> dict[str, Any]:
+        """Send a volume, an NRRD file with its header in it, where the server takes uploads; the volume's facts.
+
+        >>> volume = isogi.upload("engine.nrrd", name="The engine")
+        >>> isogi.frame(volume["id"]).save("engine.png")
+        """
+        headers = {"Content-Type": "application/octet-stream", "Content-Length": str(Path(path).stat().st_size)}
+        return self._json(
+            "POST", "/v1/volumes", params={"name": name} if name else {}, content=Blocks(Path(path)), headers=headers
+        )
+
+    def delete(self, volume: str) -> None:
+        """Delete a volume that was uploaded, and its scene."""
+        self._ask("DELETE", f"/v1/volumes/{quote(volume, safe='')}")
+
+    def _waited(
+        self, path: str, asked: dict[str, str], seconds: float, progress: Callable[[Facts], object] | None
+    ) -> Frame:
+        """The frame once it is final, or after so many seconds of waiting for that."""
+        deadline = time.monotonic() + seconds
+        while True:
+            left = min(max(deadline - time.monotonic(), 0.0), self._wait)
+            frame = self._frame(path, {**asked, "wait_ms": f"{1000 * left:.0f}"})
+            if progress is not None:
+                progress(frame.facts)
+            if not frame.facts.provisional or time.monotonic() >= deadline:
+                return frame
+
+    def _final(self, path: str, asked: dict[str, str], progress: Callable[[Facts], object] | None) -> Frame:
+        """The frame once it is final; what was final and is no more, such as after damage, is waited for anew."""
+        while (frame := self._frame(path, asked)).facts.provisional:
+            self._listen(path, asked, progress or (lambda _: None))
+        if progress is not None:
+            progress(frame.facts)
+        return frame
+
+    def _listen(self, path: str, asked: Mapping[str, str], progress: Callable[[Facts], object]) -> None:
+        """Returns when the view is final. Raises NotFinalError where it does not become so."""
+        seen = {name: text for name, text in asked.items() if name not in PICTURE}
+        for event in self._events(path, seen):
+            if event.kind == "failed":
+                raise NotFinalError(event.data["detail"], problem=event.data)
+            if event.facts is not None:
+                progress(event.facts)
+
+    def _events(self, path: str, asked: Mapping[str, str]) -> Iterator[Event]:
+        """The events of a view to the last one, over as many connections as that takes."""
+        last, heard = "", time.monotonic()
+        while True:
+            for event in self._connection(f"{path}/events", asked, last):
+                last, heard = event.id or last, time.monotonic()
+                yield event
+                if event.kind in ("final", "failed"):
+                    return
+            if time.monotonic() - heard > self._patience:
+                raise UnreachableError("The server ends its events too early, again and again.")
+            time.sleep(PAUSE)
+
+    def _connection(self, path: str, asked: Mapping[str, str], last: str) -> Iterator[Event]:
+        """The events of one connection, to its end or until it breaks; those after the ``last`` alone, if any."""
+        headers = {"Accept": "text/event-stream"} | ({"Last-Event-ID": last} if last else {})
+        with translated(), self._client.stream("GET", path, params=asked, headers=headers) as answer:
+            if answer.status_code != httpx.codes.OK:
+                answer.read()
+                raise error_of(answer)
+            try:
+                for event in httpx_sse.EventSource(answer).iter_sse():
+                    if event.data:
+                        yield Event(event.event, json.loads(event.data), event.id)
+            except (*AWAY, httpx.ReadTimeout):
+                return
+
+    def _frame(self, path: str, asked: Mapping[str, str]) -> Frame:
+        answer = self._ask("GET", f"{path}/frame", params=asked)
+        return Frame(answer.content, KINDS[answer.headers["content-type"]], Facts.of_headers(answer.headers))
+
+    def _json(self, method: str, path: str, **more: Any) -> Any:
+        return self._ask(method, path, **more).json()
+
+    def _ask(self, method: str, path: str, **more: Any) -> httpx.Response:
+        """The server's answer. Raises IsogiError for one that is none of success."""
+        with translated():
+            answer = self._client.request(method, path, **more)
+        if not answer.is_success:
+            raise error_of(answer)
+        return answer
+
+    def _ask_again(self, request: httpx.Request) -> None:
+        request.extensions["retry"] = self._retry
+
+    def _meet(self, _: httpx.Response) -> None:
+        """The server has answered: from now on it is away for a while where it does not."""
+        self._retry = self._retry.copy_with(retry_on_exceptions=AWAY)
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """The bytes of a file, block by block, as often as they are asked for: a request may be sent again."""
+
+    path: Path
+
+    def __iter__(self) -> Iterator[bytes]:
+        with self.path.open("rb") as file:
+            while block := file.read(BLOCK):
+                yield block
+
+
+def scene_path(scene: str) -> str:
+    """Where a scene is asked for."""
+    return f"/v1/scenes/{quote(scene, safe='')}"
+
+
+def query(view: Mapping[str, Values]) -> dict[str, str]:
+    """The parameters of a view as text; rows such as eye=(1, 2, 3) with commas, None left out."""
+    return {name: text_of(value) for name, value in view.items() if value is not None}
+
+
+def text_of(value: float | str | Sequence[float]) -> str:
+    """A value as the server reads it."""
+    if isinstance(value, str):
+        return value
+    row = np.atleast_1d(value).tolist()
+    return ",".join(repr(number) for number in row)
+
+
+def tell_target(facts: Facts, target: str | None) -> None:
+    """Warn of a final frame whose error is above what was asked for."""
+    if target is not None and not facts.provisional and facts.error > float(target):
+        warnings.warn(
+            f"The frame is final, but its estimated error is {facts.error:.3g} and not {target}: some texels have"
+            " the most samples that they may take.",
+            TargetWarning,
+            stacklevel=3,
+        )
+
+
+def error_of(answer: httpx.Response) -> IsogiError:
+    """What an answer that is none of success says."""
+    try:
+        problem = answer.json()
+    except ValueError:
+        problem = {}
+    status = answer.status_code
+    detail = problem.get("detail") or f"The server answered {status} {answer.reason_phrase}."
+    return kind_of(status)(detail, status, problem)
+
+
+def kind_of(status: int) -> type[IsogiError]:
+    """The class of error that a status is."""
+    known: dict[int, type[IsogiError]] = {401: TokenError, 403: TokenError, 404: NotFoundError}
+    known |= {429: BusyError, 503: BusyError}
+    return known.get(status) or (RefusedError if status < 500 else ServerError)
+
+
+@contextmanager
+def translated() -> Iterator[None]:
+    """Around a request: that nobody answers is an IsogiError too."""
+    try:
+        yield
+    except httpx.HTTPError as error:
+        raise UnreachableError(f"No answer from the server: {error}. Does it run, and at this address?") from error

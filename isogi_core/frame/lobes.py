@@ -1,0 +1,40 @@
+"""What comes straight from lobes to the surface points of a view, along shadow rays of their own."""
+
+import threading
+from dataclasses import dataclass
+
+import numpy as np
+
+from isogi_core.frame.gbuffer import GBuffer
+from isogi_core.frame.surroundings import Turned
+from isogi_core.frame.tiles import Tiles
+from isogi_core.kernels.lobes import light_lobes
+
+LOBE_POINTS = 1024
+"""Surface points of a tile."""
+
+
+@dataclass(frozen=True, eq=False)
+class LobeLight:
+    """Light of lobes at a view's surface points: ``lit`` (m, 4) float32, in the look's unit, see ``light_lobes``."""
+
+    lit: np.ndarray
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that it takes."""
+        return self.lit.nbytes
+
+
+def find_lobes(turned: Turned, gbuffer: GBuffer, tiles: Tiles, cancelled: threading.Event | None) -> LobeLight:
+    """Cast the shadow rays towards the lobes of ``turned`` lights. Raises Cancelled when that is set on the way."""
+    recipe, points, pixels = turned.look.recipe, gbuffer.points, gbuffer.pixels
+    normals = gbuffer.normals(recipe, tiles, cancelled)
+    surface = recipe.field, recipe.bricks(gbuffer.isovalue, gbuffer.isovalue, cancelled), gbuffer.isovalue
+    lit = np.empty((len(points), 4), np.float32)
+
+    def _piece(a: int, b: int) -> None:
+        light_lobes(*surface, points[a:b], normals[a:b], pixels[a:b], turned.lobes, lit[a:b])
+
+    tiles.run(_piece, len(points), LOBE_POINTS, cancelled)
+    return LobeLight(lit)

@@ -1,0 +1,67 @@
+"""A panorama: the light around a scene as a picture, to be looked at and not to light anything."""
+
+import numpy as np
+
+from isogi_core.frame.film import LEVELS, tone_table
+from isogi_core.kernels.lamps import DIRECTIONAL
+from isogi_core.model.environment import Environment, pixel_directions, resample, solid_angles
+from isogi_core.model.lamps import Lamps
+from isogi_core.model.sky import LUMINANCE
+
+FORMAT = 1
+"""Counts up when the same light makes another picture."""
+
+KEY = 0.36
+"""How bright the middle of the light is shown, before the tone curve: twice Reinhard's, for a picture this small."""
+
+DARKEST = 1e-4
+"""Light darker than this share of the mean counts as this much where the middle is sought: black has no logarithm."""
+
+GLARE, REACH = 0.02, 16
+"""The share of light that strays around what is bright, as in an eye, and the part of the picture's width, one in
+REACH, over which it does, in steps of a pixel: a sun is smaller than a pixel, and would hardly be seen."""
+
+MARK = 0.05
+"""Radius of the mark of a directional light, radians."""
+
+
+def paint_panorama(environment: Environment, lamps: Lamps, width: int) -> np.ndarray:
+    """The picture (width // 2, width, 3) uint8 sRGB of what comes from infinitely far, unturned.
+
+    Its grid is that of a probe: the top row is +z, column 0 starts at azimuth 0. Directional lights are discs in
+    their own colour. Lamps that stand in the scene are in no direction, and are not shown.
+    """
+    picture = tone(glare(resample(environment.overview, width // 2, width)))
+    directions = pixel_directions(*picture.shape[:2])
+    far = lamps.arrays.kinds == DIRECTIONAL
+    for towards, colour in zip(lamps.arrays.places[far], lamps.arrays.colours[far], strict=True):
+        if colour.any():
+            away = np.arccos(np.clip(directions @ towards, -1.0, 1.0))
+            picture[away <= max(MARK, away.min())] = colour / colour.max()
+    return np.asarray(tone_table()[np.rint(picture * (LEVELS - 1)).astype(np.int64)])
+
+
+def glare(radiance: np.ndarray) -> np.ndarray:
+    """A lat-long image (h, w, 3) of radiance with some of its light spread by binomial steps; see GLARE."""
+    stray = radiance
+    for _ in range(radiance.shape[1] // REACH):
+        across = (np.roll(stray, 1, axis=1) + 2.0 * stray + np.roll(stray, -1, axis=1)) / 4.0
+        padded = np.pad(across, ((1, 1), (0, 0), (0, 0)), "edge")
+        stray = (padded[:-2] + 2.0 * across + padded[2:]) / 4.0
+    return np.asarray(radiance + GLARE * stray)
+
+
+def tone(radiance: np.ndarray) -> np.ndarray:
+    """A lat-long image (h, w, 3) of radiance brought into [0, 1], float64: its middle to KEY, and nothing burns out.
+
+    Source: Reinhard et al., "Photographic Tone Reproduction for Digital Images", SIGGRAPH 2002, eqs. 1 to 3, with
+    the mean logarithm over the sphere.
+    """
+    luminance = radiance @ LUMINANCE
+    shares = solid_angles(*luminance.shape) / (4.0 * np.pi)
+    mean = float((shares * luminance).sum())
+    if mean <= 0.0:
+        return np.zeros_like(radiance)
+    middle = np.exp((shares * np.log(np.maximum(luminance, DARKEST * mean))).sum())
+    factor = KEY / (middle + KEY * luminance)
+    return np.asarray(np.minimum(radiance * factor[..., None], 1.0))

@@ -1,0 +1,19 @@
+"""Footprints: how much of a picture's noise is of each texel that it reads."""
+
+from numba import types
+
+from isogi_core.kernels._jit import kernel
+from isogi_core.kernels.lattice import CORNERS, LATTICE, POINTS, base_texel, trilinear
+
+
+@kernel(types.void(LATTICE, POINTS, CORNERS, types.float64[::1]))
+def add_footprints(lattice, points, corners, seen):
+    """Add to ``seen`` (texels,) the squares of a texel's shares in the points; ``corners`` (points, 8), x fastest.
+
+    Shares are those of ``carry_light`` where all texels hold light: their noises are independent, and so a point's
+    variance is the sum of w² times theirs.
+    """
+    for m in range(points.shape[0]):
+        _, _, _, fz, fy, fx = base_texel(lattice, points, m)
+        for c in range(8):
+            seen[corners[m, c]] += trilinear(c, fz, fy, fx) ** 2

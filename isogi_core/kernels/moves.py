@@ -1,0 +1,87 @@
+"""Moves: texels brought along the gradient onto the isosurface that is shown, to be lit there.
+
+A texel is lit on the isosurface through its own point (S1, section 4.1). Where the field is steep that lies far from
+the one in the picture, under other light; and where the texel's own isosurface is noise of the background, more so.
+"""
+
+import math
+
+import numpy as np
+from numba import types
+
+from isogi_core.kernels._jit import kernel
+from isogi_core.kernels.field import FIELD, normal, smooth_gradient, value
+from isogi_core.kernels.plateaus import STRIDE, along, crossing, downhill
+from isogi_core.kernels.transfer import COLUMNS, TEXELS, VECTOR, hemmed
+from isogi_core.kernels.vec import dot, is_zero, length, put_column
+
+MOVED, FAR, OTHER_SHEET, TURNED, HEMMED, NOWHERE = range(6)
+"""What became of a texel: it was moved, or the shown isosurface is not within FARTHEST, or another sheet of it is;
+the normal there is turned by more than a right angle; light has no room to arrive there; or its own point has no
+normal.
+"""
+
+ASTRAY = 0.1
+"""Share of the way between two isovalues that the field may go back on its way from one to the other."""
+
+
+@kernel(exact=True)
+def strays(voxels, p, d, level, reach):
+    """How far the field goes back between ``p`` and ``reach`` along ``d``, over its distance from ``level`` at p."""
+    own = value(voxels, p)
+    nearest, back, t = abs(own - level), 0.0, STRIDE
+    while t < reach:
+        away = abs(value(voxels, along(voxels.shape, p, d, t)) - level)
+        nearest, back, t = min(nearest, away), max(back, away - nearest), t + STRIDE
+    return back / max(abs(own - level), 1e-300)
+
+
+@kernel(exact=True)
+def move(field, p, level):
+    """Move ``p`` along the normal onto the isosurface ``level``: (verdict, point, normal there).
+
+    The straight way, in index space, out of the solid or into it, to where the trilinear field first crosses the
+    level; both are those of ``p`` itself where that fails. Verdicts are MOVED … NOWHERE.
+    """
+    n, own = normal(field, p), value(field.voxels, p)
+    if math.isnan(own) or is_zero(n):
+        return NOWHERE, p, n
+    d = downhill(n, field.spacing, 1.0 if own > level else -1.0)
+    t = crossing(field.voxels, p, d, level)
+    if not t < math.inf:
+        return FAR, p, n
+    there = along(field.voxels.shape, p, d, t)
+    m = normal(field, there)
+    if strays(field.voxels, p, d, level, t) > ASTRAY:
+        return OTHER_SHEET, p, n
+    if not dot(n, m) > 0.0:
+        return TURNED, p, n
+    return (HEMMED, p, n) if hemmed(field, there, m, level) else (MOVED, there, m)
+
+
+@kernel(types.void(FIELD, VECTOR, types.float64, TEXELS, COLUMNS, COLUMNS, types.uint8[::1]))
+def move_texels(field, step, level, texels, points, normals, verdicts):
+    """Move ``texels`` (m, 3; z, y, x) onto the isosurface ``level``, a voxel-space isovalue.
+
+    ``step`` (3,) voxels per texel along x, y, z. Writes ``points`` and ``normals`` (3, m), and the ``verdicts`` (m,):
+    MOVED, or why a texel stays where it is.
+    """
+    for m in range(texels.shape[0]):
+        p = (texels[m, 2] * step[0], texels[m, 1] * step[1], texels[m, 0] * step[2])
+        verdict, there, n = move(field, p, level)
+        verdicts[m] = np.uint8(verdict)
+        put_column(points, m, there)
+        put_column(normals, m, n)
+
+
+@kernel(types.void(FIELD, VECTOR, types.float64, TEXELS, VECTOR))
+def judge_texels(field, step, level, texels, ways):
+    """Estimate the ``ways`` (m,), in voxels, from ``texels`` (m, 3; z, y, x) to the isosurface ``level``.
+
+    To first order, |ρ - level| / |∇ρ| with the smoothed gradient; inf where that is zero, and where ρ is not a number.
+    """
+    for m in range(texels.shape[0]):
+        p = (texels[m, 2] * step[0], texels[m, 1] * step[1], texels[m, 0] * step[2])
+        away, slope = abs(value(field.voxels, p) - level), length(smooth_gradient(field.voxels, p))
+        way = away / slope if slope > 0.0 else math.inf
+        ways[m] = math.inf if math.isnan(way) else way

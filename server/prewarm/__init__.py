@@ -1,0 +1,1 @@
+"""Prewarming: light of many views, or of whole isosurfaces, baked ahead; from the command line and over HTTP."""

@@ -1,0 +1,1 @@
+"""``isogi store``: looking after the store of light, beside servers that use it."""

@@ -1,0 +1,1 @@
+"""Uploads: volumes that clients send, read by a process of their own and kept in a folder."""

@@ -1,0 +1,80 @@
+"""The reader of uploads: a process of its own, for one file that nobody vouches for.
+
+``python -m server.uploads.reader NAME OUT VOXELS SECONDS`` reads the file on stdin and writes it as a canonical file
+to the descriptor OUT. One line of JSON on stdout tells its id, or in a sentence why it is refused. What the process
+may take is limited, and before it looks at the file it gives up opening any other: no path, URL or socket that the
+file names can be reached.
+"""
+
+import contextlib
+import json
+import os
+import resource
+import sys
+import warnings
+from typing import Any
+
+import numpy as np
+
+from isogi_core.errors import VolumeError
+from isogi_core.files.nrrd import read_attached
+from isogi_core.model.volume import make_volume
+from server.uploads.canonical import LONGEST, write
+
+BASE = 1 << 30
+"""Bytes of address space for Python and its libraries, used or not."""
+
+PER_VOXEL = 32
+"""Bytes of address space for each voxel: as it is in the file, as float32, and what checks take."""
+
+LONGEST_SENTENCE = 500
+
+
+def main(name: str, out: int, voxels: int, seconds: int) -> dict[str, str]:
+    """Read stdin's volume, of at most so many ``voxels`` and in so many processor ``seconds``, into ``out``."""
+    rehearse()
+    confine(voxels, seconds)
+    with open(0, "rb", closefd=False) as upload, open(out, "wb", closefd=False) as canonical:
+        try:
+            array, spacing = read_attached(upload, name or "upload", voxels)
+            make_volume(array, spacing)  # what the server cannot show is refused here
+            return {"id": write(canonical, array, spacing, name)}
+        except VolumeError as error:
+            return {"refused": str(error)}
+        except MemoryError:
+            return {"refused": "The file needs more memory than an upload may take: save a smaller part of it."}
+        except Exception as error:
+            return {"refused": f"The file cannot be read ({type(error).__name__}: {error}): save it again."}
+
+
+def rehearse() -> None:
+    """Have the libraries load what they load late: from then on they cannot."""
+    make_volume(np.array([0.0, 1.0, np.nan, 1e30] * 2).reshape(2, 2, 2))
+
+
+def confine(voxels: int, seconds: int) -> None:
+    """Limit what this process may take from now on; it opens no more files."""
+    limits = {
+        resource.RLIMIT_AS: BASE + PER_VOXEL * voxels,
+        resource.RLIMIT_CPU: seconds,
+        resource.RLIMIT_FSIZE: LONGEST + 8 * voxels,
+        resource.RLIMIT_CORE: 0,
+        resource.RLIMIT_NOFILE: 0,
+    }
+    for limit, most in limits.items():
+        _, ceiling = resource.getrlimit(limit)
+        least = most if ceiling == resource.RLIM_INFINITY else min(most, ceiling)
+        resource.setrlimit(limit, (least, least))
+
+
+def told(answer: dict[str, Any]) -> str:
+    """An answer as one line that is not too long."""
+    return json.dumps({key: str(value)[:LONGEST_SENTENCE] for key, value in answer.items()})
+
+
+if __name__ == "__main__":
+    warnings.simplefilter("ignore")
+    os.umask(0o077)
+    NAME, *NUMBERS = sys.argv[1:]
+    with contextlib.suppress(BrokenPipeError):
+        print(told(main(NAME, *map(int, NUMBERS))), flush=True)  # noqa: T201

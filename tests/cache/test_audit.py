@@ -1,0 +1,292 @@
+"""Looking after a store: what an audit finds, what repair does about it, and what a census and pruning tell."""
+
+import json
+import os
+import shutil
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import google_crc32c
+import numpy as np
+import pytest
+
+from isogi_core.bake.look import Look
+from isogi_core.bake.precision import VOID
+from isogi_core.bake.recipe import Index
+from isogi_core.cache.audit import LEFT_AFTER, Audit, Auditor
+from isogi_core.cache.census import census_of
+from isogi_core.cache.chunk import Chunk
+from isogi_core.cache.costs import Cost, Costs
+from isogi_core.cache.inventory import CLAIMS
+from isogi_core.cache.pruning import BUSY, Wish, plan_of, prune
+from isogi_core.cache.record import record_type
+from isogi_core.cache.repair import Repairer
+from isogi_core.cache.store import ChunkStore
+from isogi_core.cache.use import STAMP_EVERY, Use
+from isogi_core.cache.wrapping import unwrap, wrap
+from isogi_core.errors import StoreError
+from tests.cache.chunks import TEXELS, assert_equal, baked, file_of, look_of, shown
+
+PLACES: tuple[Index, ...] = ((0, 1, 1), (1, 1, 1), (1, 2, 0), (2, 1, 2))
+DIRECT, INDIRECT = 0, 1
+DAY = 86400.0
+
+
+@pytest.fixture(scope="module")
+def chunks(look: Look) -> list[Chunk]:
+    return [baked(look, index) for index in PLACES]
+
+
+@pytest.fixture
+def store(tmp_path: Path, look: Look, chunks: list[Chunk]) -> ChunkStore:
+    store = ChunkStore(tmp_path / "light", look)
+    for chunk in chunks:
+        store.save(chunk)
+    return store
+
+
+def audit_of(store: ChunkStore) -> Audit:
+    return Auditor(store.root).audit()
+
+
+def key_of(store: ChunkStore, index: Index, layer: int = DIRECT) -> str:
+    return file_of(store.layers[layer], index).relative_to(store.root.place.folder).as_posix()
+
+
+def contents(store: ChunkStore) -> dict[str, bytes]:
+    """All files by their keys."""
+    files = [path for path in store.root.place.folder.rglob("*") if path.is_file()]
+    return {path.relative_to(store.root.place.folder).as_posix(): path.read_bytes() for path in files}
+
+
+def put(store: ChunkStore, index: Index, field: str, value: float) -> None:
+    """Fill a field of a record of direct light, and wrap it as if that was what was baked."""
+    own = store.layers[DIRECT]
+    record = unwrap(own.read(index) or b"", own.size).copy().view(record_type(own.layer, TEXELS))
+    record[field] = value
+    file_of(own, index).write_bytes(wrap(record.view(np.uint8)))
+
+
+def age(path: Path, seconds: float) -> None:
+    """Have a file written so long ago."""
+    os.utime(path, (time.time() - seconds,) * 2)
+
+
+# --- audit --------------------------------------------------------------------------------------------------------
+
+
+def test_a_sound_store_is_sound_and_is_left_as_it_is(store: ChunkStore) -> None:
+    before = contents(store)
+    audit, heard = Auditor(store.root), []
+    found = audit.audit(tell=lambda done, total: heard.append((done, total)))
+    assert found.sound and (found.whole, found.unread, len(found.inventory.layers)) == (8, 0, 2)
+    assert heard[0] == (0, 8) and heard[-1] == (8, 8)
+    assert contents(store) == before
+
+
+Damage = Callable[[ChunkStore, Path], object]
+TEXT = b"light" + google_crc32c.value(b"light").to_bytes(4, "little")
+
+
+def copy_of(index: Index, layer: int) -> Damage:
+    """Another object in the place of one."""
+    return lambda store, path: shutil.copy(file_of(store.layers[layer], index), path)
+
+
+def packed(field: str, value: float) -> Damage:
+    """A record with a field that is not as it was packed."""
+    return lambda store, _: put(store, PLACES[0], field, value)
+
+
+DAMAGES: dict[str, tuple[Damage, str]] = {
+    "cut": (lambda _, path: path.write_bytes(path.read_bytes()[:-1]), "checksum"),
+    "empty": (lambda _, path: path.write_bytes(b""), "checksum"),
+    "whole, but text": (lambda _, path: path.write_bytes(TEXT), "unpack"),
+    "of another place": (copy_of(PLACES[1], DIRECT), "another place"),
+    "of another layer": (copy_of(PLACES[0], INDIRECT), "another place"),
+    "to another scale": (packed("scale", 3.0), "scale"),
+    "a rung too high": (packed("rung", 40), "number of samples"),
+    "not finite": (packed("light", np.inf), "not finite"),
+    "light from nowhere": (packed("light", 1.0), "without samples"),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_each_damage_is_found_told_and_put_away(store: ChunkStore, chunks: list[Chunk], damage: str) -> None:
+    do, why = DAMAGES[damage]
+    key, path = key_of(store, PLACES[0]), file_of(store.layers[DIRECT], PLACES[0])
+    do(store, path)
+    content = path.read_bytes()
+    audit = audit_of(store)
+    assert [found.key for found in audit.damages] == [key] and why in audit.damages[0].why
+    assert audit.whole == 7 and not audit.sound
+    repair = Repairer(store.root).repair()
+    to = repair.moved[key]
+    assert not path.exists() and to is not None and to.startswith(f"quarantine/{key}.")
+    assert Path(store.root.place.folder, to).read_bytes() == content
+    after = audit_of(store)
+    assert after.sound and after.whole == 7 and len(after.inventory.quarantined) == 1
+    store.save(chunks[0], [True, False])
+    assert_equal(store.load(PLACES[0]), chunks[0])
+
+
+def test_layers_that_disagree_on_what_is_void_are_both_put_away(store: ChunkStore, chunks: list[Chunk]) -> None:
+    wrong = chunks[1].light.parts[INDIRECT].rows(np.arange(40))
+    wrong.samples[7], wrong.coefficients[7], wrong.noise[7] = VOID, 0.0, 0.0
+    store.layers[INDIRECT].save(PLACES[1], chunks[1].offsets, wrong)
+    keys = {key_of(store, PLACES[1], layer) for layer in (DIRECT, INDIRECT)}
+    assert {damage.key for damage in audit_of(store).damages} == keys
+    assert set(Repairer(store.root, delete=True).repair().moved.items()) == {(key, None) for key in keys}
+    assert store.read(PLACES[1]) is None
+    assert audit_of(store).sound and not list(store.root.place.folder.glob("quarantine"))
+
+
+def test_a_part_that_was_not_written_yet_is_no_quarrel(store: ChunkStore, chunks: list[Chunk]) -> None:
+    """A kill between two layers: one has void texels, the other nothing of them yet."""
+    void = chunks[2].light.parts[DIRECT].rows(np.arange(40))
+    void.samples[:], void.coefficients[:], void.noise[:] = VOID, 0.0, 0.0
+    store.layers[DIRECT].save(PLACES[2], chunks[2].offsets, void)
+    file_of(store.layers[INDIRECT], PLACES[2]).unlink()
+    assert audit_of(store).sound
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", "null", '{"zarr_format": 3}', "missing", "shape"])
+def test_damaged_metadata_is_told_and_its_light_is_kept(store: ChunkStore, chunks: list[Chunk], text: str) -> None:
+    file = Path(store.layers[INDIRECT].path, "zarr.json")
+    facts = json.loads(file.read_text())
+    file.write_text(json.dumps({**facts, "shape": [9, 9, 9, 9]}) if text == "shape" else text)
+    if text == "missing":
+        file.unlink()
+    audit = audit_of(store)
+    assert [damage.key for damage in audit.damages] == [f"{store.layers[INDIRECT].digest}/zarr.json"]
+    assert (audit.unread, audit.whole) == (4, 4)
+    Repairer(store.root).repair()
+    again = ChunkStore(store.root, store.look)
+    again.open()
+    for chunk in chunks:
+        assert_equal(again.load(chunk.index), chunk)
+    assert audit_of(store).sound
+
+
+def test_an_object_outside_of_the_lattice_is_damage(store: ChunkStore) -> None:
+    path = file_of(store.layers[DIRECT], (3, 1, 1))
+    path.parent.mkdir(parents=True)
+    shutil.copy(file_of(store.layers[DIRECT], PLACES[0]), path)
+    assert [(found.key, "no such place" in found.why) for found in audit_of(store).damages] == [
+        (key_of(store, (3, 1, 1)), True)
+    ]
+
+
+def test_leftovers_go_once_they_are_old_and_what_is_foreign_stays(store: ChunkStore) -> None:
+    folder, root = file_of(store.layers[DIRECT], PLACES[0]).parent, store.root.place.folder
+    old, fresh, probe = folder / "0.12ab.partial", folder / "0.34cd.partial", root / "probe.12ab.partial"
+    claim = root / CLAIMS / f"{store.layers[DIRECT].digest}.1.1.1"
+    claim.parent.mkdir()
+    for path in (old, fresh, probe, claim, root / "notes.txt"):
+        path.write_bytes(b"half")
+    for path in (old, probe, claim):
+        age(path, LEFT_AFTER + 1.0)
+    audit = audit_of(store)
+    assert audit.sound and len(audit.inventory.leftovers) == 4
+    assert [found.key for found in audit.inventory.foreign] == ["notes.txt"]
+    removed = {found.key for found in Repairer(store.root).repair().removed}
+    assert removed == {path.relative_to(root).as_posix() for path in (old, probe, claim)}
+    assert not any(path.exists() for path in (old, probe, claim)) and fresh.exists() and (root / "notes.txt").exists()
+
+
+# --- census and pruning -------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def two(store: ChunkStore) -> ChunkStore:
+    """The store, with light of another albedo besides, which shares the direct layer, and the costs of both."""
+    other = ChunkStore(store.root, look_of(albedo=0.5))
+    other.save(baked(other.look, PLACES[0]))
+    for number, each in enumerate((store, other), 1):
+        costs = Costs(store.root, each.look.digest)
+        costs.add(PLACES[0], Cost(float(number), 640, 40, 0.5))
+        costs.save()
+    for path in store.root.place.folder.rglob("*"):
+        if path.is_file():
+            age(path, (10 if other.layers[INDIRECT].digest in path.parts else 2) * DAY)
+    return other
+
+
+def test_the_census_tells_texels_and_costs(two: ChunkStore, store: ChunkStore) -> None:
+    census = census_of(store.root)
+    shared, own, other = store.layers[DIRECT].digest, store.layers[INDIRECT].digest, two.layers[INDIRECT].digest
+    assert {digest: len(count.files.chunks) for digest, count in census.counts.items()} == {shared: 4, own: 4, other: 1}
+    assert [census.counts[own].lit, census.counts[own].paths, census.counts[other].lit] == [160, 2560, 40]
+    assert {layers: cost.seconds for layers, cost in census.costs.items()} == {(shared, own): 1.0, (shared, other): 2.0}
+    assert not census_of(store.root, texels=False).counts[own].samples
+
+
+def wanted(store: ChunkStore, wish: Wish) -> set[str]:
+    """Digests of the layers that go."""
+    return {count.files.digest for count in plan_of(census_of(store.root, False), wish, store.root.now()).going}
+
+
+def test_what_is_pruned_is_what_was_asked_for(two: ChunkStore, store: ChunkStore) -> None:
+    every = {layer.digest for layer in (*store.layers, *two.layers)}
+    old = {two.layers[INDIRECT].digest}
+    assert wanted(store, Wish(older_than=5 * DAY)) == old
+    assert wanted(store, Wish(older_than=1 * DAY)) == every
+    assert wanted(store, Wish(older_than=20 * DAY)) == wanted(store, Wish(scene="nobody")) == set()
+    assert wanted(store, Wish(scene="orbital")) == every
+    size = sum(len(content) for key, content in contents(store).items() if not key.startswith(("costs", "isogi.json")))
+    assert wanted(store, Wish(keep=size)) == set()
+    assert wanted(store, Wish(keep=size - 1)) == old
+    assert wanted(store, Wish(keep=0)) == every
+    assert wanted(store, Wish(empty=True)) == set()
+    shutil.rmtree(Path(store.layers[INDIRECT].path, "c"))
+    assert wanted(store, Wish(empty=True)) == {store.layers[INDIRECT].digest}
+
+
+def test_pruning_deletes_layers_with_their_costs_and_nothing_else(two: ChunkStore, store: ChunkStore) -> None:
+    census, before = census_of(store.root, False), contents(store)
+    prune(store.root, census, plan_of(census, Wish(older_than=5 * DAY), store.root.now()))
+    gone = (two.layers[INDIRECT].digest, f"costs/{two.look.digest}")
+    assert contents(store) == {key: content for key, content in before.items() if not key.startswith(gone)}
+    assert not Path(two.layers[INDIRECT].path).exists()
+    assert audit_of(store).sound
+
+
+def test_light_that_is_written_at_the_moment_or_was_just_looked_at_stays(two: ChunkStore, store: ChunkStore) -> None:
+    old = two.layers[INDIRECT]
+    age(file_of(old, PLACES[0]), BUSY / 2)
+    plan = plan_of(census_of(store.root, False), Wish(scene="orbital"), store.root.now())
+    assert [count.files.digest for count in plan.busy] == [old.digest] and len(plan.going) == 2
+    age(file_of(old, PLACES[0]), 10 * DAY)
+    Use(store.root, [old.digest])._stamp()
+    assert wanted(store, Wish(older_than=5 * DAY)) == set()
+
+
+def test_light_is_stamped_when_it_is_shown_and_seldom_again(store: ChunkStore) -> None:
+    now, stamped = [0.0], []
+    use = Use(store.root, ["0" * 20], lambda: now[0])
+    use._stamp = lambda: stamped.append(now[0])  # type: ignore[method-assign]
+    for now[0] in (0.0, 1.0, STAMP_EVERY - 1.0, STAMP_EVERY, STAMP_EVERY + 1.0):
+        use.tell()
+    deadline = time.monotonic() + 60.0
+    while len(stamped) < 2 and time.monotonic() < deadline:
+        time.sleep(0.01)
+    assert stamped == [0.0, STAMP_EVERY]
+    shown(store, PLACES[0])
+    digests, used = {layer.digest for layer in store.layers}, store.root.place.folder / "used"
+    while not (used.exists() and {path.name for path in used.iterdir()} == digests):
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+def test_a_store_that_tells_no_ages_is_pruned_of_nothing(two: ChunkStore, store: ChunkStore) -> None:
+    census = census_of(store.root, False)
+    for count in census.counts.values():
+        count.files.chunks = {index: replace_age(found) for index, found in count.files.chunks.items()}
+        count.files.metadata = None
+    with pytest.raises(StoreError, match="does not tell when"):
+        plan_of(census, Wish(older_than=DAY), 0.0)
+
+
+def replace_age(found):  # type: ignore[no-untyped-def]
+    return found._replace(written=float("nan"))

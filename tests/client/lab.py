@@ -1,0 +1,114 @@
+"""A live server with a token, whose light is baked on a thread, and whose answers fail as a test plans it."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, cast
+
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from benchmarks.stability.desk import Desk
+from isogi_core.model.scene import load_scene
+from server.app import create_app
+from server.problems import problem
+from server.settings import Settings
+from server.studio import Studio
+from tests.live import live
+from worker.baker import Baker
+from worker.pool import WorkerPool
+
+TOKEN = "a token of the tests"
+
+
+@dataclass(eq=False)
+class Faults:
+    """What is going to fail: so many ``refusals`` (503), and so many event streams ``cut`` after their first event.
+
+    ``asked`` are the requests that came, each its path and its headers.
+    """
+
+    refusals: int = 0
+    cut: int = 0
+    asked: list[tuple[str, dict[bytes, bytes]]] = field(default_factory=list)
+
+
+class Faulty:
+    """ASGI middleware that has answers fail."""
+
+    def __init__(self, app: ASGIApp, faults: Faults) -> None:
+        self.app, self.faults = app, faults
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http" or not scope["path"].startswith("/v1"):
+            await self.app(scope, receive, send)
+            return
+        self.faults.asked.append((scope["path"], dict(scope["headers"])))
+        if self.faults.refusals:
+            self.faults.refusals -= 1
+            await problem(503, "Not yet.", scope["path"])(scope, receive, send)
+        elif self.faults.cut and scope["path"].endswith("/events"):
+            self.faults.cut -= 1
+            await self.app(scope, receive, Torn(send))
+        else:
+            await self.app(scope, receive, send)
+
+
+class Torn:
+    """Sends the head and the first event, and breaks the connection then."""
+
+    def __init__(self, send: Send) -> None:
+        self.send, self.bodies = send, 0
+
+    async def __call__(self, message: Message) -> None:
+        if message["type"] == "http.response.body":
+            self.bodies += 1
+        if self.bodies > 1:
+            raise ConnectionResetError("torn by the test")
+        await self.send(message)
+
+
+@dataclass(eq=False)
+class Lab:
+    """The server's ``url``, its ``faults``, and the ``baker`` of its light."""
+
+    url: str
+    faults: Faults
+    baker: Baker
+
+
+class Broken:
+    """A pool whose tasks all fail."""
+
+    room, workers, trouble = 2, 1, ""
+
+    def submit(self, task: Any, done: Any) -> None:
+        done(None, RuntimeError("The texels are cursed."))
+
+    def close(self) -> None:
+        pass
+
+
+class Alone(Studio):
+    """A studio that hires nobody."""
+
+    def start(self, hire: bool = False) -> None:
+        super().start(hire)
+
+    def unready(self) -> list[str]:
+        return []
+
+
+@contextmanager
+def lab_of(scene: Path, store: Path, bakes: bool = True, port: int = 0) -> Iterator[Lab]:
+    """Such a server of a scene, which ``bakes`` or has nobody to."""
+    baker, faults, desk = Baker(), Faults(), Desk()
+    app = create_app(Alone([load_scene(scene)], str(store), baker=baker), Settings(token=TOKEN))
+    app.add_middleware(Faulty, faults=faults)
+    if bakes:
+        baker.employ(cast(WorkerPool, desk))
+    try:
+        with live(app, port=port) as url:
+            yield Lab(url, faults, baker)
+    finally:
+        desk.close()

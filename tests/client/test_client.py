@@ -1,0 +1,244 @@
+"""The client against a live server: views and waits, what it does while a server is away, and what it raises."""
+
+import ast
+import io
+import sys
+import threading
+import warnings
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from pathlib import Path
+from typing import Any, cast
+from urllib.parse import urlsplit
+
+import httpx
+import numpy as np
+import pytest
+from httpx_retries import RetryTransport
+from PIL import Image
+
+import isogi_client
+from isogi_client import (
+    BusyError,
+    Facts,
+    Isogi,
+    NotFinalError,
+    NotFoundError,
+    RefusedError,
+    TargetWarning,
+    TimeLeft,
+    TokenError,
+    UnreachableError,
+)
+from tests.client.lab import TOKEN, Broken, Faults, Lab, lab_of
+from worker.pool import WorkerPool
+
+VIEW: dict[str, Any] = {"width": 40, "height": 30}
+
+
+@pytest.fixture(scope="module")
+def lab(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Lab]:
+    with lab_of(small_scene, tmp_path_factory.mktemp("lab")) as lab:
+        yield lab
+
+
+@pytest.fixture
+def faults(lab: Lab) -> Faults:
+    lab.faults.refusals = lab.faults.cut = 0
+    lab.faults.asked.clear()
+    return lab.faults
+
+
+@pytest.fixture(scope="module")
+def isogi(lab: Lab) -> Iterator[Isogi]:
+    with Isogi(lab.url, TOKEN) as isogi:
+        yield isogi
+
+
+def test_it_needs_no_other_part_of_isogi() -> None:
+    tree = ast.parse(Path(isogi_client.__file__).read_text(encoding="utf-8"))
+    names = [alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names]
+    names += [node.module or "" for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
+    others = {name.split(".")[0] for name in names} - set(sys.stdlib_module_names)
+    assert others == {"httpx", "httpx_retries", "httpx_sse", "numpy", "PIL"}
+
+
+def test_scenes_and_their_facts(isogi: Isogi) -> None:
+    assert [scene["id"] for scene in isogi.scenes()] == ["small"]
+    assert isogi.scene("small")["volume"]["size"] == [24, 20, 16]
+
+
+def test_a_frame_comes_at_once_and_says_how_good_it_is(isogi: Isogi) -> None:
+    frame = isogi.frame("small", azimuth=10, isovalue=np.float64(0.4), eye=None, **VIEW)
+    assert frame.image.size == (40, 30)
+    facts = frame.facts
+    assert facts.etag and facts.timing and "primary" in facts.timing
+    assert sum(facts.coverage.values()) == pytest.approx(1.0, abs=0.003)
+    assert facts.chunks["final"] <= facts.chunks["needed"]
+
+
+def test_a_final_frame_is_the_one_that_the_server_has_in_the_end(isogi: Isogi) -> None:
+    told: list[Facts] = []
+    frame = isogi.frame("small", wait="final", progress=told.append, f="npy", azimuth=50, **VIEW)
+    assert not frame.facts.provisional
+    assert told[-1] == frame.facts
+    assert [facts.coverage["final"] for facts in told] == sorted(facts.coverage["final"] for facts in told)
+    again = isogi.frame("small", f="npy", azimuth=50, **VIEW)
+    assert again.content == frame.content
+    planes = frame.array
+    assert planes.rgb.shape == planes.position.shape == (30, 40, 3)
+    assert planes.mask.any() and not planes.mask.all()
+    assert (planes.state[planes.mask] == 3).all()
+    assert (planes.rgb[planes.mask] > 0.0).all()
+    assert (planes.error[~planes.mask] == 0.0).all()
+    assert not isogi.coverage("small", azimuth=50, **VIEW).provisional
+
+
+def test_waiting_some_seconds_asks_until_then(isogi: Isogi, faults: Faults) -> None:
+    frame = isogi.frame("small", wait=60, azimuth=90, **VIEW)
+    assert not frame.facts.provisional
+    assert {path.rsplit("/")[-1] for path, _ in faults.asked} == {"frame"}
+
+
+@pytest.mark.parametrize(("f", "suffix"), [("png", ".png"), ("jpeg", ".jpg"), ("webp", ".webp")])
+def test_pictures_are_saved_and_shown(isogi: Isogi, tmp_path: Path, f: str, suffix: str) -> None:
+    frame = isogi.frame("small", f=f, **VIEW)
+    assert frame.save(tmp_path / f"a{suffix}").read_bytes() == frame.content
+    shown = frame._repr_png_()
+    assert shown and np.array_equal(Image.open(io.BytesIO(shown)), frame.image)
+    with pytest.raises(ValueError, match=f"This frame is {f}"):
+        frame.save(tmp_path / "a.npy")
+    with pytest.raises(ValueError, match="ask for f='npy'"):
+        _ = frame.array
+
+
+def test_numbers_are_no_picture(isogi: Isogi) -> None:
+    frame = isogi.frame("small", f="npy", **VIEW)
+    assert frame._repr_png_() is None
+    with pytest.raises(ValueError, match="ask for f='png'"):
+        _ = frame.image
+
+
+def test_a_view_is_watched_to_its_end(isogi: Isogi) -> None:
+    events = list(isogi.watch("small", azimuth=130, **VIEW))
+    assert [event.kind for event in events].count("final") == 1
+    assert events[-1].facts and not events[-1].facts.provisional
+    assert events[0].kind == "refined"
+
+
+def test_a_watch_that_is_cut_goes_on_where_it_was(isogi: Isogi, faults: Faults) -> None:
+    faults.cut = 1
+    events = list(isogi.watch("small", azimuth=170, **VIEW))
+    assert events[-1].kind == "final"
+    told = [event.id for event in events if event.kind != "progress"]
+    assert len(told) == len(set(told))
+    asked = [headers.get(b"last-event-id", b"").decode() for _, headers in faults.asked]
+    assert asked == ["", events[0].id]
+
+
+def test_a_server_that_is_not_ready_is_asked_again(isogi: Isogi, faults: Faults) -> None:
+    faults.refusals = 2
+    assert isogi.scenes()
+    assert len(faults.asked) == 3
+
+
+def test_patience_ends(lab: Lab, faults: Faults) -> None:
+    faults.refusals = 1000
+    with Isogi(lab.url, TOKEN, patience=0.2) as hurried, pytest.raises(BusyError, match="Not yet") as caught:
+        hurried.scenes()
+    faults.refusals = 0
+    assert caught.value.status == 503
+    assert len(faults.asked) < 5
+
+
+def test_a_token_is_shown_and_its_lack_is_told(lab: Lab, faults: Faults, monkeypatch: pytest.MonkeyPatch) -> None:
+    with Isogi(lab.url) as stranger, pytest.raises(TokenError, match="token") as caught:
+        stranger.scenes()
+    assert caught.value.status == 401
+    monkeypatch.setenv("ISOGI_TOKEN", TOKEN)
+    with Isogi(lab.url) as known:
+        assert known.scenes()
+
+
+def test_what_is_refused_says_why(isogi: Isogi) -> None:
+    with pytest.raises(RefusedError, match="isovalue must be a number") as caught:
+        isogi.frame("small", isovalue="nan")
+    assert (caught.value.status, caught.value.problem["parameter"]) == (422, "isovalue")
+    for name in ("none", "../small", "a b"):
+        with pytest.raises(NotFoundError):
+            isogi.scene(name)
+    with pytest.raises(RefusedError, match="no parameter 'colour'"):
+        list(isogi.watch("small", colour=1))
+    with pytest.raises(TypeError, match="wait="):
+        isogi.frame("small", wait_ms=5)
+
+
+def test_where_nobody_answers_that_is_said_at_once() -> None:
+    with Isogi("http://127.0.0.1:9", patience=60) as lost, pytest.raises(UnreachableError, match="Does it run"):
+        lost.scenes()
+
+
+def test_a_view_that_cannot_become_final_ends_with_the_reason(small_scene: Path, tmp_path: Path) -> None:
+    with lab_of(small_scene, tmp_path, bakes=False) as lab, Isogi(lab.url, TOKEN) as isogi:
+        lab.baker.employ(cast(WorkerPool, Broken()))
+        with pytest.raises(NotFinalError, match="cursed"):
+            isogi.frame("small", wait="final", **VIEW)
+        assert isogi.frame("small", **VIEW).facts.provisional
+
+
+def test_waiting_goes_on_through_a_restart(small_scene: Path, tmp_path: Path) -> None:
+    listening = threading.Event()
+    with ThreadPoolExecutor(1) as waiting:
+        with lab_of(small_scene, tmp_path, bakes=False) as first:
+            isogi = Isogi(first.url, TOKEN)
+            asked = waiting.submit(isogi.frame, "small", wait="final", progress=lambda _: listening.set(), **VIEW)
+            assert listening.wait(60)
+        assert not asked.done()
+        with isogi, lab_of(small_scene, tmp_path, port=urlsplit(first.url).port or 0):
+            assert not asked.result(60).facts.provisional
+
+
+def test_an_error_above_what_was_asked_for_is_told(isogi: Isogi) -> None:
+    facts = {"isogi-provisional": "?0", "isogi-coverage": "final=1.000", "isogi-error": "0.03000"}
+    over = Facts.of_headers({**facts, "isogi-chunks": "needed=3, final=3"})
+    with pytest.warns(TargetWarning, match="is 0.03 and not 0.02"):
+        isogi_client.tell_target(over, "0.02")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        isogi_client.tell_target(over, "0.04")
+        isogi_client.tell_target(over, None)
+
+
+def test_facts_for_a_person() -> None:
+    facts = Facts(True, {"final": 0.7}, 0.0183, {"needed": 240, "final": 182}, TimeLeft(20.0, 39.6, 80.0))
+    assert str(facts) == "182 of 240 chunks final, noise 1.8 %, about 40 s"
+    assert str(Facts(False, {"final": 1.0}, 1.0, {"needed": 1, "final": 1})) == "1 of 1 chunks final, noise 100 %"
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(70, "70"), (0.1, "0.1"), (np.float64(2.5), "2.5"), ((1, 2, 3), "1,2,3"), (np.array([0.5, 1.0]), "0.5,1.0")],
+)
+def test_values_are_written_as_the_server_reads_them(value: Any, text: str) -> None:
+    assert isogi_client.query({"eye": value, "up": None}) == {"eye": text}
+
+
+def test_an_upload_is_sent_again_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The server is busy at first."""
+    volume, bodies = tmp_path / "a.nrrd", []
+    volume.write_bytes(np.random.default_rng(1).bytes((5 << 20) // 2))
+
+    def answer(request: httpx.Request) -> httpx.Response:
+        assert request.headers["content-length"] == str(volume.stat().st_size)
+        assert request.url.raw_path == b"/v1/volumes?name=A+ball"
+        bodies.append(request.read())
+        if len(bodies) == 1:
+            return httpx.Response(429, json={"detail": "Two are read already."})
+        return httpx.Response(201, json={"id": "ball"})
+
+    stub = partial(RetryTransport, transport=httpx.MockTransport(answer))
+    monkeypatch.setattr(isogi_client, "RetryTransport", stub)
+    with Isogi() as isogi:
+        assert isogi.upload(volume, name="A ball") == {"id": "ball"}
+    assert bodies == [volume.read_bytes()] * 2

@@ -1,0 +1,151 @@
+"""A cluster of real processes on loopback: a Dask scheduler, workers, and servers."""
+
+import os
+import re
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+import httpx
+import psutil
+
+ROOT = Path(__file__).resolve().parent.parent.parent
+LONG = 240.0
+"""Seconds within which a process has started, baked or noticed something, also on a slow machine."""
+
+QUIET = ("--no-dashboard", "--dashboard-address", "127.0.0.1:0")
+
+Started = subprocess.Popen[bytes]
+
+
+def free_port() -> int:
+    """A port that nobody listens on."""
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        return int(free.getsockname()[1])
+
+
+def until(condition: Callable[[], Any], seconds: float = LONG) -> Any:
+    """What the condition tells once it is true."""
+    deadline = time.monotonic() + seconds
+    while not (found := condition()):
+        assert time.monotonic() < deadline, "it did not come true"
+        time.sleep(0.1)
+    return found
+
+
+def end(process: Started) -> None:
+    """Kill a process and what it has started."""
+    family = [psutil.Process(process.pid), *psutil.Process(process.pid).children(recursive=True)]
+    for each in family:
+        if each.is_running():
+            each.kill()
+    process.wait()
+    psutil.wait_procs(family, timeout=LONG)
+
+
+class Cluster:
+    """Processes that end with the ``with`` block; ``environment`` is added to that of all."""
+
+    def __init__(self, environment: Mapping[str, str] | None = None, scheme: str = "tcp") -> None:
+        self.environment = {**os.environ, "PYTHONPATH": str(ROOT), **(environment or {})}
+        self.port = free_port()
+        self.address = f"{scheme}://127.0.0.1:{self.port}"
+        self._running: list[Started] = []
+        self._clients = ExitStack()
+
+    def __enter__(self) -> "Cluster":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._clients.close()
+        for process in self._running:
+            if process.poll() is None:
+                end(process)
+
+    def run(self, *command: str, environment: Mapping[str, str] | None = None, **kwargs: Any) -> Started:
+        """Start a command of the environment that the tests run in."""
+        path = [str(Path(sys.executable).with_name(command[0])), *command[1:]]
+        process = subprocess.Popen(path, env={**self.environment, **(environment or {})}, **kwargs)
+        self._running.append(process)
+        return process
+
+    def scheduler(self) -> Started:
+        """Start the scheduler."""
+        where = ("--host", self.address.rpartition(":")[0], "--port", str(self.port))
+        started = self.run("dask", "scheduler", *where, *QUIET, stderr=subprocess.DEVNULL)
+        until(lambda: listens(self.port))
+        return started
+
+    def worker(self, **kwargs: Any) -> Started:
+        """Start a worker; it joins when it has loaded its kernels."""
+        alone = ("--nworkers", "1", "--nthreads", "1", "--host", "127.0.0.1", *QUIET, "--memory-limit", "0")
+        return self.run(
+            "dask", "worker", self.address, *alone, "--preload", "worker.tasks", stderr=subprocess.DEVNULL, **kwargs
+        )
+
+    def server(self, scene: Path, store: str) -> tuple[Started, httpx.Client]:
+        """Start a server, which may not be ready yet."""
+        port = free_port()
+        listening = ("--port", str(port), "--store", store, "--scheduler", self.address)
+        started = self.run("python", "-m", "server", "serve", str(scene), *listening, cwd=ROOT)
+        client = self._clients.enter_context(httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=60.0))
+        until(lambda: status(client, "/livez") == 200)
+        return started, client
+
+
+def listens(port: int) -> bool:
+    """Whether something answers at a port."""
+    with ExitStack() as stack:
+        try:
+            stack.enter_context(socket.create_connection(("127.0.0.1", port), 1.0))
+        except OSError:
+            return False
+        return True
+
+
+def status(client: httpx.Client, path: str, **params: Any) -> int:
+    """The status of an answer, 0 where there is none."""
+    try:
+        return client.get(path, params=params).status_code
+    except httpx.TransportError:
+        return 0
+
+
+def reasons(client: httpx.Client) -> str:
+    """Why a server is not ready; empty where it is."""
+    answer = client.get("/readyz").json()
+    return "" if answer.get("ready") else " ".join(answer.get("reasons", ()))
+
+
+def metric(client: httpx.Client, name: str) -> float:
+    """A figure without labels in /metrics."""
+    found = re.search(rf"^{name} (\S+)$", client.get("/metrics").text, re.MULTILINE)
+    assert found is not None
+    return float(found[1])
+
+
+def final(client: httpx.Client, azimuth: float = 30.0, size: int = 40, seconds: float = LONG) -> bytes:
+    """The picture of a view of the scene ``small``, once all of it is final."""
+    params: dict[str, str | float] = {"azimuth": azimuth, "width": size, "height": size, "f": "npy", "wait_ms": 2000}
+
+    def shown() -> bytes | None:
+        answer = client.get("/v1/scenes/small/frame", params=params)
+        done = answer.status_code == 200 and answer.headers["Isogi-Provisional"] == "?0"
+        return answer.content if done else None
+
+    return bytes(until(shown, seconds))
+
+
+@contextmanager
+def cluster(workers: int = 1, **given: Any) -> Iterator[Cluster]:
+    """A scheduler and workers."""
+    with Cluster(**given) as started:
+        started.scheduler()
+        for _ in range(workers):
+            started.worker()
+        yield started

@@ -1,0 +1,96 @@
+"""docker-compose.yml, without Docker: its very commands and health checks as processes on loopback, over a small S3."""
+
+import re
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import httpx
+import psutil
+import pytest
+import yaml
+
+from tests.cluster.processes import ROOT, Cluster, final, free_port, metric, until
+from tests.s3 import S3Server
+
+pytestmark = pytest.mark.slow
+
+COMPOSE: dict[str, Any] = yaml.safe_load((ROOT / "docker-compose.yml").read_text(encoding="utf-8"))
+SERVICES: dict[str, Any] = COMPOSE["services"]
+TOKEN = "a-token-of-the-tests"
+
+
+class Composed(Cluster):
+    """The services, with hosts and ports of this machine in place of the containers'."""
+
+    def __init__(self, s3: S3Server, scene: Path) -> None:
+        super().__init__()
+        self.http = free_port()
+        self._scene, self._s3 = scene, s3
+
+    def start(self, service: str) -> None:
+        """Run a service's command in its environment."""
+        given = SERVICES[service].get("environment", {})
+        environment = {name: self._here(str(value)) for name, value in given.items()}
+        command = [self._here(part) for part in SERVICES[service]["command"]]
+        self.run(*command, environment=environment, cwd=self._scene.parent, stderr=subprocess.DEVNULL)
+
+    def healthy(self, service: str) -> bool:
+        """Whether a service's health check says so."""
+        kind, program, *rest = [self._here(part) for part in SERVICES[service]["healthcheck"]["test"]]
+        assert (kind, program) == ("CMD", "python")
+        return self.run(program, *rest, stderr=subprocess.DEVNULL).wait() == 0
+
+    def listening(self) -> set[str]:
+        """The addresses at which any of the processes listens."""
+        own = [psutil.Process(each.pid) for each in self._running if each.poll() is None]
+        family = [process for each in own for process in (each, *each.children(recursive=True))]
+        connections = [each for process in family for each in process.net_connections("inet")]
+        return {each.laddr.ip for each in connections if each.status == psutil.CONN_LISTEN}
+
+    def _here(self, text: str) -> str:
+        """What a part of the file means here."""
+        chosen = {"ISOGI_SCENE": str(self._scene), "ISOGI_TOKEN": TOKEN}
+        chosen |= {"ISOGI_S3_KEY": self._s3.environment["AWS_ACCESS_KEY_ID"]}
+        chosen |= {"ISOGI_S3_SECRET": self._s3.environment["AWS_SECRET_ACCESS_KEY"]}
+        text = re.sub(r"\$\{(\w+)[^}]*\}", lambda found: chosen[found[1]], text)
+        text = text.replace("http://store:9000", self._s3.endpoint).replace("s3://isogi/light", self._s3.url)
+        text = text.replace("scheduler", "127.0.0.1") if "://" in text else text
+        return text.replace("8786", str(self.port)).replace("8000", str(self.http)).replace("0.0.0.0", "127.0.0.1")
+
+
+def test_the_commands_of_the_compose_file_bake_into_the_object_store(small_scene: Path) -> None:
+    with S3Server() as s3, Composed(s3, small_scene) as running:
+        running.start("scheduler")
+        until(lambda: running.healthy("scheduler"))
+        for service in ("worker", "worker", "server"):
+            running.start(service)
+        until(lambda: running.healthy("server"))
+        known = {"Authorization": f"Bearer {TOKEN}"}
+        with httpx.Client(base_url=f"http://127.0.0.1:{running.http}", headers=known, timeout=60) as client:
+            until(lambda: metric(client, "isogi_workers") == 2.0)
+            assert final(client)
+            assert metric(client, "isogi_paths_total") > 0.0
+        assert running.listening() == {"127.0.0.1"}
+        assert any("/c/" in key for key in s3.objects)
+
+
+def test_nothing_but_servers_can_be_reached_and_these_on_loopback_alone() -> None:
+    published = {name: service["ports"] for name, service in SERVICES.items() if "ports" in service}
+    assert list(published) == ["server"]
+    assert all(port.startswith("127.0.0.1:") for port in published["server"])
+
+
+def test_images_of_others_are_pinned_and_no_secret_is_written_down() -> None:
+    images = [service["image"] for service in SERVICES.values() if "image" in service]
+    assert images and all(re.search(r":v?\d+\.\d+", image) for image in images)
+    for service in SERVICES.values():
+        for name, value in service.get("environment", {}).items():
+            if re.search("KEY|SECRET|TOKEN", name):
+                assert re.fullmatch(r"\$\{\w+:\?[^}]+\}", str(value)), name
+
+
+def test_every_service_has_a_health_check_and_comes_again() -> None:
+    for name, service in SERVICES.items():
+        assert service["restart"] == "unless-stopped"
+        assert name == "worker" or "healthcheck" in service

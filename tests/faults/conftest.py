@@ -1,0 +1,27 @@
+"""Fixtures of the tests of faults."""
+
+from collections.abc import Iterator
+from itertools import count
+
+import dask.config
+import pytest
+
+from isogi_core.model.scene import load_scene
+from server.app import create_app
+from server.settings import Settings
+from server.studio import Studio
+from tests.faults.bench import Bench
+from tests.faults.failpoints import FOLDER
+from tests.live import live
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
+    scene = load_scene("demo:orbital", lattice=0.5, bounces=1, order=2, indirect_order=2, target_error=0.3)
+    store, armed = tmp_path_factory.mktemp("light"), tmp_path_factory.mktemp("failpoints")
+    preload = {"distributed.worker.preload": ["tests.faults.failpoints"]}
+    with pytest.MonkeyPatch.context() as patch, dask.config.set(preload):
+        patch.setenv(FOLDER, str(armed))
+        studio = Studio([scene], str(store), workers=1)
+        with live(create_app(studio, Settings())) as url:
+            yield Bench(studio, scene, url, store, armed, (0.03 + 0.0004 * n for n in count()))

@@ -1,0 +1,68 @@
+"""A disk that is full: baking waits for room, frames go on, readiness says so, and light comes once there is room."""
+
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+
+from isogi_core.model.scene import load_scene
+from server.app import create_app
+from server.settings import Settings
+from server.studio import Studio
+from tests.faults.bench import LONG
+from tests.live import live
+
+pytestmark = pytest.mark.slow
+KNOBS: dict[str, Any] = {"width": 40, "height": 40, "azimuth": 20, "elevation": 15, "f": "npy"}
+
+
+def mounted(*arguments: str) -> bool:
+    """Whether a command that mounts was allowed."""
+    return subprocess.run(arguments, capture_output=True, check=False).returncode == 0
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A disk of its own with room for a few chunks."""
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    if not mounted("mount", "-t", "tmpfs", "-o", "size=96k", "tmpfs", str(disk)):
+        pytest.skip("needs the right to mount a small tmpfs, as root has it")
+    try:
+        yield disk
+    finally:
+        subprocess.run(["umount", "--lazy", str(disk)], check=True)
+
+
+def wait_for(condition: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + LONG
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.1)
+
+
+def test_baking_waits_for_room_and_goes_on_by_itself(small_disk: Path) -> None:
+    scene = load_scene("demo:orbital", lattice=0.5, bounces=1, order=2, indirect_order=2, target_error=0.3)
+    app = create_app(Studio([scene], str(small_disk), workers=1), Settings())
+    with live(app, until="/livez") as url:
+        place = f"{url}/v1/scenes/{scene.id}/frame"
+
+        def frame(wait: float = 0.0) -> httpx.Response:
+            answer = httpx.get(place, params=KNOBS | {"wait_ms": int(1000 * wait)}, timeout=60.0)
+            assert answer.status_code == 200, answer.text
+            return answer
+
+        wait_for(lambda: httpx.get(place, params=KNOBS).status_code == 200)
+        wait_for(lambda: frame() is not None and "full" in httpx.get(f"{url}/readyz").text)
+        assert httpx.get(f"{url}/readyz").status_code == 503
+        assert frame(wait=0.5).headers["isogi-provisional"] == "?1"
+        assert not list(small_disk.rglob("*.partial"))
+        assert mounted("mount", "-o", "remount,size=16m", str(small_disk))
+        wait_for(lambda: frame(wait=1.0).headers["isogi-provisional"] == "?0")
+        wait_for(lambda: httpx.get(f"{url}/readyz").status_code == 200)
+        lines = httpx.get(f"{url}/metrics").text.splitlines()
+        assert "isogi_chunks_given_up 0.0" in lines

@@ -1,0 +1,73 @@
+"""Developing a frame: which overlay changes which pixels, and the colours of errors."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from isogi_core.frame import error_map
+from isogi_core.frame.film import COVER, develop
+from isogi_core.kernels.planes import CONVERGING, FINAL, PROVISIONAL
+
+STATES = (0, PROVISIONAL, CONVERGING, FINAL)
+
+
+def frame_of(error: np.ndarray, light: float = 0.3) -> Any:
+    """Twelve columns each of background, provisional, converging and final; ``error`` is of each row."""
+    state = np.repeat(np.array(STATES, np.uint8), 12)[None].repeat(len(error), axis=0)
+    radiance = np.full((*state.shape, 3), light, np.float32)
+    return SimpleNamespace(radiance=radiance, state=state, error=np.repeat(error[:, None], 48, 1).astype(np.float32))
+
+
+def changed(overlay: str) -> list[float]:
+    """The share of pixels that an overlay changes, by state."""
+    frame = frame_of(np.full(24, 0.05))
+    different = (develop(frame, 1.0, overlay) != develop(frame, 1.0)).any(axis=-1)
+    return [float(different[frame.state == state].mean()) for state in STATES]
+
+
+def test_each_overlay_marks_what_it_is_for() -> None:
+    assert changed("none") == [0.0, 0.0, 0.0, 0.0]
+    assert changed("provisional") == [0.0, 1.0, 0.5, 0.0]
+    assert changed("error") == [0.0, 1.0, 1.0, 1.0]
+
+
+def test_what_has_no_light_is_hatched_and_has_no_colour_of_an_error() -> None:
+    few, many = (develop(frame_of(np.full(24, error)), 1.0, "error") for error in (0.002, 0.9))
+    hatched = develop(frame_of(np.full(24, 0.5)), 1.0, "provisional")
+    assert np.array_equal(few[:, :24], many[:, :24])
+    assert np.array_equal(few[:, 12:24], hatched[:, 12:24])
+    assert (few[:, 24:] != many[:, 24:]).any(axis=-1).all()
+
+
+def test_equal_factors_of_the_error_are_equal_steps_on_the_scale() -> None:
+    errors = np.array([0.0, 1e-4, 1e-3, 1e-2, 1e-1, 1.0, 7.0])
+    shares = [0, 0, 0, 85, 170, 255, 255]
+    table = error_map.colour_table()
+    assert np.array_equal(error_map.colours_of(errors), table[shares])
+    black = develop(frame_of(errors, light=0.0), 1.0, "error")
+    np.testing.assert_allclose(black[:, 30], table[shares] * (COVER / 256), atol=1)
+
+
+def test_the_form_shows_through_the_colours() -> None:
+    dark, bright = (develop(frame_of(np.full(2, 0.03), light), 1.0, "error")[0, 30].astype(int) for light in (0, 1))
+    assert ((bright - dark) > 20).all() and ((bright - dark) < 70).all()
+
+
+def test_the_table_is_viridis_and_its_lightness_rises_evenly() -> None:
+    matplotlib = pytest.importorskip("matplotlib")
+    viridis = 255 * matplotlib.colormaps["viridis"](np.arange(256))[:, :3]
+    assert np.abs(error_map.colour_table() - viridis).mean() < 2
+    linear = np.vectorize(lambda code: ((code / 255 + 0.055) / 1.055) ** 2.4 if code > 10 else code / 255 / 12.92)
+    luminance = linear(error_map.colour_table()) @ [0.2126, 0.7152, 0.0722]
+    lightness = 116 * np.cbrt(luminance) - 16
+    assert (np.diff(lightness[::8]) > 1).all()
+    assert np.abs(lightness - np.linspace(lightness[0], lightness[-1], 256)).max() < 5
+
+
+def test_developing_errors_leaves_the_frame_as_it_was() -> None:
+    frame = frame_of(np.full(4, 0.1))
+    state = frame.state.copy()
+    develop(frame, 1.0, "error")
+    assert np.array_equal(frame.state, state)

@@ -1,0 +1,123 @@
+"""Lobes in a frame: the sun's own shadow, light that is not counted twice, and what is kept while the light rests."""
+
+import math
+import threading
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from isogi_core.errors import Cancelled
+from isogi_core.frame import renderer as module
+from isogi_core.frame.surroundings import Turned
+from isogi_core.kernels.lamps import DIRECTIONAL
+from isogi_core.model.scene import load_scene
+from isogi_core.model.sky import LUMINANCE
+from isogi_core.model.view import quaternion_from_angles
+from isogi_core.model.volume import Volume, make_volume
+from tests.frame.conftest import LOOSE, SKY, Workbench, ball, luminance, relative_rmse, scene_of
+
+Make = Callable[..., Workbench]
+TURN = quaternion_from_angles(70.0, 20.0, -10.0)
+
+
+def table(size: int = 32) -> Volume:
+    """A ball over a plate: the distance to their skin in voxels, positive inside."""
+    z, y, x = np.mgrid[:size, :size, :size] - (size - 1) / 2
+    plate = np.minimum(2.0 - np.abs(z + 10.0), 13.0 - np.maximum(np.abs(x), np.abs(y)))
+    over = 5.0 - np.sqrt(x**2 + y**2 + z**2)
+    return make_volume(np.maximum(plate, over).astype(np.float32), name="table")
+
+
+def set_out(workbench: Make, volume: Volume, **settings: Any) -> Workbench:
+    """The workbench of a volume under a sky with a sun."""
+    return workbench(scene_of(volume, 0.0, **{"lights": [SKY], "bounces": 1, "target_error": LOOSE, **settings}))
+
+
+@pytest.mark.slow
+def test_with_its_lobe_a_sun_is_as_paths_from_each_pixel_have_it(workbench: Make) -> None:
+    wrong = {}
+    for lobes in (0, 1):
+        bench = set_out(workbench, table(), lobes=lobes, target_error=0.03)
+        view = bench.view(elevation=50.0, size=40)
+        truth = bench.renderer.render(replace(view, shading="path_traced", samples=1024))
+        wrong[lobes] = relative_rmse(bench.bake(view), truth)
+    assert wrong[1] < 0.05 and wrong[1] < 0.35 * wrong[0]
+
+
+@pytest.mark.parametrize("light", [(1.0, 0.0, 0.0, 0.0), TURN])
+def test_light_that_is_not_baked_yet_counts_no_lobe_twice(workbench: Make, light: Any) -> None:
+    """A ball shadows nothing but itself: unbaked, harmonics alone and with a lobe show nearly the same light."""
+    frames = [set_out(workbench, ball(24, 8.0), lobes=n).renderer for n in (0, 1)]
+    view = set_out(workbench, ball(24, 8.0)).view(size=48, light=light)
+    plain, sharp = (luminance(renderer.render(view)) for renderer in frames)
+    assert plain.mean() == pytest.approx(sharp.mean(), rel=0.02)
+    assert np.sqrt(((plain - sharp) ** 2).mean()) < 0.1 * plain.mean(), "order 3 has nearly all of unshadowed light"
+
+
+def test_a_frame_with_lobes_is_no_frame_without(workbench: Make) -> None:
+    plain, sharp = (set_out(workbench, ball(24, 8.0), lobes=n) for n in (0, 1))
+    view = plain.view(size=16)
+    assert plain.scene.digest != sharp.scene.digest
+    assert plain.renderer.render(view).version != sharp.renderer.render(view).version
+    for layer in plain.scene.plan.layers:
+        assert plain.scene.layer_digest(layer) == sharp.scene.layer_digest(layer), "what is baked is the same"
+
+
+def test_lobes_turn_as_the_light_does(workbench: Make) -> None:
+    bench = set_out(workbench, ball(24, 8.0), albedo=[0.2, 0.4, 0.8])
+    look = bench.caches.look("gi")
+    (sun,) = look.lobes
+    still, turned = (Turned(look, bench.view(light=q)).lobes for q in ((1.0, 0.0, 0.0, 0.0), TURN))
+    matrix = Turned(look, bench.view(light=TURN)).matrix
+    assert still.kinds.tolist() == [DIRECTIONAL]
+    np.testing.assert_allclose(still.places[0], sun.towards)
+    np.testing.assert_allclose(turned.places[0], matrix @ sun.towards)
+    np.testing.assert_allclose(turned.edges[0], still.edges[0] @ matrix.T)
+    np.testing.assert_allclose(np.linalg.norm(still.edges[0], axis=1), math.sin(math.radians(sun.angle / 2.0)))
+    np.testing.assert_allclose(still.edges[0] @ still.places[0], 0.0, atol=1e-12)
+    shine = sun.irradiance * np.array([0.2, 0.4, 0.8]) / math.pi
+    np.testing.assert_allclose(look.unit * still.colours[0], shine)
+
+
+def test_the_rays_to_lobes_are_cast_anew_when_the_light_turns_and_not_before(
+    workbench: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cast, find = [], module.find_lobes
+    monkeypatch.setattr(module, "find_lobes", lambda *given: cast.append(1) or find(*given))
+    bench = set_out(workbench, ball(24, 8.0))
+    for light, expected in (((1.0, 0.0, 0.0, 0.0), 1), ((1.0, 0.0, 0.0, 0.0), 1), (TURN, 2), (TURN, 2)):
+        frame = bench.renderer.render(bench.view(size=16, light=light))
+        assert len(cast) == expected and frame.seconds["lobes"] > 0.0
+    bench.renderer.render(bench.view(size=16, shading="vicinity"))
+    assert len(cast) == 2, "vicinity shading has no lobes"
+
+
+def test_rays_to_lobes_stop_when_nobody_waits(workbench: Make) -> None:
+    bench = set_out(workbench, ball(24, 8.0))
+    view, cancelled = bench.view(size=16), threading.Event()
+    gbuffer, turned = bench.renderer.gbuffer(view), Turned(bench.caches.look("gi"), view)
+    cancelled.set()
+    with pytest.raises(Cancelled):
+        bench.renderer.lobes(turned, gbuffer, cancelled)
+    assert bench.renderer.lobes(turned, gbuffer).lit.any()
+
+
+def test_what_is_in_the_suns_shadow_lacks_its_light_alone(workbench: Make) -> None:
+    bench = set_out(workbench, table())
+    view = bench.view(elevation=60.0, size=32)
+    gbuffer, look = bench.renderer.gbuffer(view), bench.caches.look("gi")
+    lit = look.unit * bench.renderer.lobes(Turned(look, view), gbuffer).lit
+    normals = gbuffer.normals(bench.recipe, bench.renderer.tiles, None)
+    (sun,) = look.lobes
+    open_light = 0.7 / math.pi * np.maximum(normals @ np.array(sun.towards), 0.0) * (sun.irradiance @ LUMINANCE)
+    share = (lit[:, :3] @ LUMINANCE)[open_light > 0.0] / open_light[open_light > 0.0]
+    assert (share < 1.001).all()
+    assert (share < 1e-6).mean() > 0.005 and (np.abs(share - 1.0) < 1e-4).mean() > 0.5, "in the shadow, or in the light"
+
+
+def test_a_scene_may_tell_how_many_lobes_it_has() -> None:
+    assert [load_scene("demo:orbital", lobes=n).plan.lobes for n in (0, 1)] == [0, 1]
+    assert load_scene("demo:orbital").plan.lobes == 1

@@ -1,0 +1,52 @@
+"""An app on a real socket, in a thread of this process."""
+
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import httpx
+from fastapi import FastAPI
+
+
+@contextmanager
+def live(app: FastAPI, until: str = "/readyz", port: int = 0) -> Iterator[str]:
+    """The base URL of the app, once it answers 200 at ``until``; its ``port`` is a free one by default."""
+    from server.serve import Server, address, listen
+
+    listener = listen("127.0.0.1", port)
+    server = Server(app)
+    thread = threading.Thread(target=server.run, args=([listener],))
+    thread.start()
+    url = address(listener).rstrip("/")
+    try:
+        wait_for(f"{url}{until}", thread)
+        yield url
+    finally:
+        server.should_exit = True
+        thread.join()
+        listener.close()
+
+
+@contextmanager
+def serving(scene: Path, store: Path) -> Iterator[str]:
+    """The base URL of an isogi that is ready, with one worker, a scene and a store."""
+    from isogi_core.model.scene import load_scene
+    from server.app import create_app
+    from server.settings import Settings
+    from server.studio import Studio
+
+    with live(create_app(Studio([load_scene(scene)], str(store), workers=1), Settings())) as url:
+        yield url
+
+
+def wait_for(address: str, thread: threading.Thread, seconds: float = 900) -> None:
+    """Ask until the answer is 200."""
+    deadline = time.monotonic() + seconds
+    answer = httpx.get(address, timeout=30)
+    while answer.status_code != 200:
+        assert thread.is_alive(), "the server ended while it started"
+        assert time.monotonic() < deadline, answer.text
+        time.sleep(0.2)
+        answer = httpx.get(address, timeout=30)

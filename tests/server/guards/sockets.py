@@ -1,0 +1,32 @@
+"""A web socket's handshake, as a server would pass it to an app."""
+
+import asyncio
+from typing import Any
+
+from fastapi import FastAPI
+
+
+def handshake(app: FastAPI, path: str = "/socket", **headers: str) -> list[dict[str, Any]]:
+    """What the app sends to who opens a socket with these headers; the names have ``_`` for ``-``."""
+    sent: list[dict[str, Any]] = []
+
+    async def receive() -> dict[str, Any]:
+        return {"type": "websocket.connect"} if not sent else {"type": "websocket.disconnect", "code": 1001}
+
+    async def send(message: Any) -> None:
+        sent.append(message)
+
+    named = {"host": "localhost", **{name.replace("_", "-"): value for name, value in headers.items()}}
+    scope = {
+        **{"type": "websocket", "asgi": {"version": "3.0"}, "http_version": "1.1", "scheme": "ws", "path": path},
+        **{"raw_path": path.encode(), "query_string": b"", "root_path": "", "subprotocols": [], "state": {}},
+        **{"headers": [(name.encode(), value.encode()) for name, value in named.items()]},
+        **{"server": ("localhost", 80), "client": ("localhost", 1), "extensions": {"websocket.http.response": {}}},
+    }
+    asyncio.run(app(scope, receive, send))  # type: ignore[arg-type]
+    return sent
+
+
+def status(sent: list[dict[str, Any]]) -> int:
+    """The status of a handshake's answer; 101 where the socket was accepted."""
+    return 101 if sent[0]["type"] == "websocket.accept" else int(sent[0].get("status", 403))

@@ -1,0 +1,49 @@
+"""A server that never bakes, and what is wanted of it."""
+
+import asyncio
+import time
+from collections.abc import Callable, Hashable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from isogi_core.model.scene import load_scene
+from server.app import create_app
+from server.settings import Settings
+from server.studio import Studio
+from tests.live import live
+from worker.baker import Baker
+from worker.wants import Key
+
+
+class Idle:
+    """A server whose light is never baked, for it has no workers: what is wanted stays so until it is dropped."""
+
+    def __init__(self, url: str, baker: Baker) -> None:
+        self.url, self.baker = url, baker
+
+    @property
+    def wanted(self) -> set[tuple[Key, Hashable]]:
+        """Chunks, and by whom they are wanted."""
+        wants = list(self.baker._queue.wants.values())
+        return {(want.key, client) for want in wants for client in list(want.claims)}
+
+    async def until(self, condition: Callable[[], bool], seconds: float) -> float:
+        """Seconds until the condition holds."""
+        begun = time.monotonic()
+        while not condition():
+            assert time.monotonic() < begun + seconds
+            await asyncio.sleep(0.01)
+        return time.monotonic() - begun
+
+
+@contextmanager
+def idle_server(scene: Path, store: Path, **settings: Any) -> Iterator[Idle]:
+    """Such a server of a scene, once it answers."""
+    baker, loaded = Baker(), load_scene(scene)
+    studio = Studio([loaded], str(store), baker=baker)
+    studio.start = partial(studio.start, hire=False)  # type: ignore[method-assign]
+    until = f"/v1/scenes/{loaded.id}/coverage?width=8&height=8&shading=lambert"
+    with live(create_app(studio, Settings(**settings)), until) as url:
+        yield Idle(url, baker)

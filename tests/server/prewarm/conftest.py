@@ -1,0 +1,24 @@
+"""A scene of several chunks with one layer of light, which is baked in seconds."""
+
+from pathlib import Path
+
+import pytest
+
+SCENE = """\
+volume = "small.nrrd"
+isovalue = 0.5
+isovalues = [0.2, 0.8]
+chunk = 8
+bounces = 2
+target_error = 0.1
+[[lights]]
+type = "constant"
+"""
+
+
+@pytest.fixture(scope="session")
+def blocks(small_scene: Path) -> Path:
+    """The scene file: 18 chunks, lit from all sides."""
+    path = small_scene.with_name("blocks.toml")
+    path.write_text(SCENE)
+    return path

@@ -1,0 +1,203 @@
+"""``isogi prewarm`` alone: what it bakes is final at once afterwards, what it tells comes true, what stops goes on."""
+
+import json
+import os
+import socket
+from contextlib import closing
+from datetime import timedelta
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from isogi_core.model.scene import load_scene
+from server.cli import run
+from server.prewarm.command import prewarm
+from server.prewarm.order import Views, order_of
+from server.prewarm.record import Paper, Record
+from server.prewarm.resumption import Silence
+from server.prewarm.summary import Summary
+from server.settings import Settings
+from server.studio import Studio
+from tests.server.inline import InlinePool, chunks_in, view_of
+from worker import pool
+from worker.errors import WorkersError
+
+SIZE = {"width": 24, "height": 20}
+
+
+@pytest.fixture(autouse=True)
+def inline(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pool, "WorkerPool", InlinePool)
+
+
+def warmed(scene: Path, store: Path, *isovalues: str, dry: bool = False, **more: Any) -> Summary:
+    order = order_of({"isovalues": isovalues, "views": 3, **SIZE, **more})
+    return prewarm(str(scene), order, Settings(store=str(store), workers=1), dry)
+
+
+def paper_of(summary: Summary) -> Paper:
+    assert summary.file is not None
+    return Paper.model_validate_json(Path(summary.file).read_text())
+
+
+def test_what_was_prewarmed_is_final_at_once(blocks: Path, tmp_path: Path) -> None:
+    summary = warmed(blocks, tmp_path, "0.4", "0.5:0.6:0.1")
+    assert (summary.views, summary.isovalues) == (9, pytest.approx((0.4, 0.5, 0.6)))
+    assert (summary.final, summary.stopped, summary.target_error) == (1.0, "target", 0.1)
+    assert summary.errors.mean <= summary.error <= 0.1
+    assert summary.paths >= 64 * summary.texels > 0 and summary.processor_seconds > 0
+    assert f"{summary.paths:,} paths" in str(summary)
+    assert paper_of(summary).summary == summary
+    scene, kept = load_scene(blocks), chunks_in(tmp_path)
+    assert 3 < summary.chunks <= len(kept)
+    assert summary.stored_bytes == sum(path.stat().st_size for path in tmp_path.glob("*/c/**/*") if path.is_file())
+    order = order_of({"isovalues": [0.4, 0.5, 0.6], "views": 3, **SIZE})
+    with closing(Studio([scene], str(tmp_path))) as studio:
+        studio.start(hire=False)
+        for view in Views(order, scene, Settings()):
+            assert not studio.survey("blocks", view, 0.1).provisional
+    assert warmed(blocks, tmp_path, "0.5").paths == 0
+    assert chunks_in(tmp_path) == kept
+
+
+def test_whole_isosurfaces_are_final_from_wherever_and_at_all_between(blocks: Path, tmp_path: Path) -> None:
+    order = order_of({"isovalues": ["0.45:0.55"], "all_directions": True})
+    settings = Settings(store=str(tmp_path), workers=1)
+    ahead = prewarm(str(blocks), order, settings, dry=True)
+    summary = prewarm(str(blocks), order, settings)
+    assert (summary.final, summary.stopped, summary.views) == (1.0, "target", 0)
+    assert ahead.texels == summary.texels > 0
+    scene, rng = load_scene(blocks), np.random.default_rng(3)
+    with closing(Studio([scene], str(tmp_path))) as studio:
+        studio.start(hire=False)
+        for isovalue in rng.uniform(0.45, 0.55, 8):
+            view = view_of(scene, float(rng.uniform(0, 360)), float(isovalue))
+            assert not studio.survey("blocks", view, 0.1).provisional
+        assert studio.survey("blocks", view_of(scene, isovalue=0.7), 0.1).provisional
+    assert prewarm(str(blocks), order, settings).paths == 0
+
+
+def test_a_dry_run_bakes_nothing_and_tells_what_there_is(
+    blocks: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    dry = warmed(blocks, tmp_path, "0.5", dry=True)
+    assert (dry.final, dry.refined, dry.stopped, chunks_in(tmp_path)) == (0.0, 0, "dry run", {})
+    assert not (tmp_path / "jobs").exists()
+    assert 0.0 < dry.time_left.low < dry.time_left.likely < dry.time_left.high
+    assert "time with --workers 1: about" in str(dry)
+    came = warmed(blocks, tmp_path, "0.5", target_error=0.4)
+    assert (came.texels, came.chunks) == (dry.texels, dry.chunks)
+    assert came.stored_bytes == pytest.approx(dry.stored_bytes, rel=0.3)
+    place = ["--store", str(tmp_path), "--width", "24", "--height", "20", "--views", "3"]
+    fine = ["--target-error", "0.002"]
+    assert run(["prewarm", str(blocks), "--isovalue", "0.5", *place, *fine, "--dry-run", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["texels"] == told["bytes"] == 0
+    assert 0 < told["refined"] <= dry.texels
+    assert 0.0 < told["time_left"]["low"] < told["time_left"]["high"]
+
+
+def test_it_ends_with_its_deadline_and_goes_on(
+    blocks: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    summary = warmed(blocks, tmp_path, "0.5", deadline=0)
+    assert (summary.stopped, summary.paths, summary.final) == ("deadline", 0, 0.0)
+    assert paper_of(summary).unfinished
+    place = ["--store", str(tmp_path), "--workers", "1", "--json"]
+    assert run(["prewarm", str(blocks), "--continue", *place]) == 0
+    again = Summary.model_validate_json(capsys.readouterr().out)
+    assert (again.stopped, again.final, again.file) == ("target", 1.0, summary.file)
+    assert run(["prewarm", str(blocks), "--continue", *place]) == 2
+    assert "no unfinished prewarm of blocks" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "more",
+    [
+        ["--continue", "--views", "3"],
+        ["--continue", "--dry-run"],
+        ["--detach"],
+        ["--server", "http://127.0.0.1:1", "--workers", "2"],
+        ["--isovalue", "0.4:0.9:0.1"],
+        ["--isovalue", "0.4:0.5"],
+        ["--views", "none"],
+        ["--deadline", "soon"],
+    ],
+)
+def test_wrong_use_is_told_and_bakes_nothing(
+    blocks: Path, tmp_path: Path, more: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    store = [] if "--server" in more else ["--store", str(tmp_path)]
+    assert run(["prewarm", str(blocks), *store, *more]) == 2
+    assert len(capsys.readouterr().err.splitlines()) == 1
+    assert not any(tmp_path.iterdir())
+
+
+def test_workers_that_fail_end_it(blocks: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise WorkersError("No workers today.")
+
+    monkeypatch.setattr(pool, "WorkerPool", refuse)
+    with pytest.raises(WorkersError, match=r"^No workers today\.$"):
+        warmed(blocks, tmp_path, "0.5")
+    (record,) = (tmp_path / "jobs").glob("*.json")
+    assert json.loads(record.read_text())["status"] == "failed"
+
+
+class Cursed(InlinePool):
+    """A pool that cannot bake one of the chunks."""
+
+    def submit(self, task: Any, done: Any) -> None:
+        if task.index == (0, 1, 1):
+            done(None, RuntimeError("The texels are cursed."))
+        else:
+            super().submit(task, done)
+
+
+def test_a_chunk_that_cannot_be_baked_is_told_and_the_others_are(
+    blocks: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(pool, "WorkerPool", Cursed)
+    summary = warmed(blocks, tmp_path, "0.5")
+    assert (summary.stopped, summary.failed) == ("failures", 1)
+    assert summary.failures[0].chunk == (0, 1, 1)
+    assert "cursed" in summary.failures[0].reason and "cursed" in str(summary)
+    assert 0.5 < summary.final < 1.0
+    assert len(chunks_in(tmp_path)) == summary.chunks - 1
+
+
+def test_who_interrupts_it_is_told_how_to_go_on(
+    blocks: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("server.prewarm.baking.Baking.run", interrupted)
+        assert run(["prewarm", str(blocks), "--views", "3", "--store", str(tmp_path), "--workers", "1"]) == 1
+    assert "--continue goes on" in capsys.readouterr().err
+    (record,) = (tmp_path / "jobs").glob("*.json")
+    assert json.loads(record.read_text())["status"] == "dismissed"
+
+
+def test_a_record_knows_who_works_on_it_and_how_much_time_is_left(blocks: Path) -> None:
+    scene, order = load_scene(blocks), order_of({"deadline": 100})
+    paper = Record("store", scene, order, "server").paper
+    ended = {"worker": f"{socket.gethostname()}/{os.getpid()}/other"}
+    assert not paper.left
+    assert paper.model_copy(update=ended).left
+    assert not paper.model_copy(update={"worker": "elsewhere/1/other"}).left
+    assert not paper.model_copy(update={**ended, "status": "dismissed"}).left
+    assert paper.model_copy(update={"spent": 60.0}).rest.deadline == 40.0
+
+
+def test_silence_is_counted_by_the_clock_of_who_listens(blocks: Path) -> None:
+    clock = [7.0]
+    silence, paper = Silence(lambda: clock[0]), Record("store", load_scene(blocks), order_of({}), "server").paper
+    future = paper.model_copy(update={"updated": paper.updated + timedelta(days=1)})
+    heard = []
+    for clock[0], each in ((7.0, paper), (20.0, paper), (21.0, future), (26.0, future)):
+        heard.append(silence.of(each))
+    assert heard == [0.0, 13.0, 0.0, 5.0]

@@ -1,0 +1,73 @@
+"""A prewarm that is killed half-way goes on: nothing is baked twice, and its light is that of an undisturbed one."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import psutil
+import pytest
+
+from isogi_core.bake.look import look_for
+from isogi_core.bake.recipe import Recipe
+from isogi_core.cache.store import ChunkStore
+from isogi_core.model.scene import load_scene
+from server.cli import run
+from server.prewarm.command import prewarm
+from server.prewarm.order import order_of
+from server.prewarm.summary import Summary
+from server.settings import Settings
+from tests.server.inline import LONG, InlinePool, chunks_in
+from worker import pool
+
+ROOT = Path(__file__).resolve().parents[3]
+TARGET = "0.002"
+
+
+def paths_in(scene: Path, store: Path) -> int:
+    """The paths of all light in a store."""
+    found = ChunkStore(store, look_for(Recipe(load_scene(scene)), "gi"))
+    assert len(found.layers) == 1
+    indices = [tuple(map(int, path.parts[-4:-1])) for path in Path(found.layers[0].path).glob("c/*/*/*/0")]
+    chunks = [found.read((z, y, x)) for z, y, x in indices]
+    return sum(int(chunk.light.samples.clip(0).sum()) for chunk in chunks if chunk is not None)
+
+
+def kill_half_way(scene: Path, store: Path) -> None:
+    """Begin a prewarm as a process, and kill it once it has baked something; its workers end with it."""
+    command = [sys.executable, "-m", "server", "prewarm", str(scene), "--store", str(store), "--workers", "1"]
+    order = ["--all-directions", "--target-error", TARGET]
+    process = subprocess.Popen([*command, *order], cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    deadline = time.monotonic() + LONG
+    while len(chunks_in(store)) < 6 and time.monotonic() < deadline:
+        assert process.poll() is None
+        time.sleep(0.02)
+    family = psutil.Process(process.pid).children(recursive=True)
+    os.kill(process.pid, signal.SIGKILL)
+    process.wait()
+    assert psutil.wait_procs(family, timeout=LONG)[1] == []
+
+
+def test_a_prewarm_that_is_killed_goes_on(
+    blocks: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(pool, "WorkerPool", InlinePool)
+    order = order_of({"all_directions": True, "target_error": TARGET})
+    whole = prewarm(str(blocks), order, Settings(store=str(tmp_path / "whole"), workers=1))
+    assert whole.paths == paths_in(blocks, tmp_path / "whole")
+    killed = tmp_path / "killed"
+    kill_half_way(blocks, killed)
+    before = paths_in(blocks, killed)
+    assert 0 < before < whole.paths
+    (record,) = (killed / "jobs").glob("*.json")
+    assert json.loads(record.read_text())["status"] == "running"
+    capsys.readouterr()
+    assert run(["prewarm", str(blocks), "--continue", "--store", str(killed), "--workers", "1", "--json"]) == 0
+    rest = Summary.model_validate_json(capsys.readouterr().out)
+    assert (rest.final, rest.stopped) == (1.0, "target")
+    assert before + rest.paths == whole.paths
+    assert chunks_in(killed) == chunks_in(tmp_path / "whole")
+    assert json.loads(record.read_text())["status"] == "successful"

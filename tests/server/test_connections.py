@@ -1,0 +1,145 @@
+"""Slow clients and crowds, on real sockets."""
+
+import json
+import socket
+import threading
+import time
+from collections.abc import Iterator
+
+import pytest
+
+from server.settings import Settings
+from tests.server.sockets import HEAD, LARGE, Running, answer, running, status, wait_for
+
+POST = b"POST /small HTTP/1.1\r\nHost: localhost\r\nContent-Length: 9\r\n\r\n"
+DEFAULT = Settings().head_seconds
+"""Seconds for a head and a body where nothing else is set."""
+
+SLOW = 20
+"""Slow clients at once; 200 of them were tried by hand."""
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[Running]:
+    with running(head_seconds=1, body_seconds=1, upload_seconds=3, stall_seconds=1, idle_seconds=1) as server:
+        yield server
+
+
+@pytest.mark.parametrize(
+    ("said", "answered"),
+    [(HEAD, 408), (b"G", 408), (b"", 0), (POST, 200), (POST[:-2], 408), (HEAD + b"X: " + b"x" * 200_000, 400)],
+)
+def test_half_a_request_is_not_waited_for(server: Running, said: bytes, answered: int) -> None:
+    """A body that the route does not read is not missed, but it ends the connection too."""
+    begun = time.monotonic()
+    with server.connect(said) as client:
+        told = answer(client)
+    assert status(told) == answered
+    assert time.monotonic() - begun < DEFAULT
+    if answered >= 400:
+        head, _, body = told.partition(b"\r\n\r\n")
+        assert b"application/problem+json" in head and b"connection: close" in head.lower()
+        assert json.loads(body)["status"] == answered
+
+
+def test_an_upload_has_time_of_its_own(server: Running) -> None:
+    begun = time.monotonic()
+    with server.connect(POST.replace(b"/small", b"/v1/volumes") + b"half") as client:
+        told = answer(client)
+    assert status(told) == 408 and b"within 3 s" in told
+    assert time.monotonic() - begun >= 3
+
+
+def drip(server: Running, said: bytes, stop: threading.Event) -> None:
+    """Say this, then a byte now and then, and come back when the server has closed."""
+    while not stop.is_set():
+        try:
+            with server.connect(said) as client:
+                while not stop.wait(0.2):
+                    client.sendall(b"x")
+        except OSError:
+            continue
+
+
+@pytest.mark.parametrize("said", [HEAD + b"X: ", POST.replace(b"9", b"9999"), b""])
+def test_dripping_clients_are_closed_and_do_not_keep_others_out(server: Running, said: bytes) -> None:
+    stop, before = threading.Event(), server.closed("head") + server.closed("body")
+    threads = [threading.Thread(target=drip, args=(server, said, stop)) for _ in range(SLOW)]
+    for thread in threads:
+        thread.start()
+    try:
+        assert wait_for(lambda: server.held() >= SLOW)
+        assert {server.ask() for _ in range(20)} == {200}
+        assert wait_for(lambda: server.closed("head") + server.closed("body") >= before + SLOW)
+        assert {server.ask() for _ in range(20)} == {200}
+    finally:
+        stop.set()
+        for thread in threads:
+            thread.join()
+
+
+def test_who_does_not_take_an_answer_is_closed(server: Running) -> None:
+    with server.connect(HEAD.replace(b"small", b"large") + b"\r\n") as client:
+        assert wait_for(lambda: server.closed("answer") == 1)
+        assert len(answer(client)) < LARGE
+    assert wait_for(lambda: server.held() == 0)
+
+
+def test_who_takes_it_slowly_but_surely_gets_all_of_it(server: Running) -> None:
+    taken = 0
+    with server.connect(HEAD.replace(b"small", b"large") + b"Connection: close\r\n\r\n") as client:
+        while part := client.recv(1 << 20):
+            taken += len(part)
+            time.sleep(0.04)
+    assert taken > LARGE
+
+
+def test_a_quiet_connection_is_closed_in_silence(server: Running) -> None:
+    with server.connect(HEAD + b"\r\n") as client:
+        told = answer(client)
+    assert told.count(b"HTTP/1.1") == 1
+
+
+def test_the_end_of_an_answer_is_not_held_back(server: Running) -> None:
+    with server.connect(HEAD) as _:
+        assert wait_for(lambda: server.held() == 1)
+        (connection,) = server.server.server_state.connections
+        connected = connection.transport.get_extra_info("socket")
+        assert connected.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+
+
+def test_the_slowest_makes_room_where_answers_pile_up() -> None:
+    with running(max_unsent_mb=LARGE * 3 // 2 >> 20) as server:
+        request = HEAD.replace(b"small", b"large") + b"Connection: close\r\n\r\n"
+        with server.connect(request) as slow:
+            assert wait_for(lambda: server.unsent() > LARGE * 3 // 4)
+            with server.connect(request) as quick:
+                assert wait_for(lambda: server.closed("memory") == 1)
+                assert len(answer(quick)) > LARGE
+            assert server.closed("memory") == 1
+            assert len(answer(slow)) < LARGE
+
+
+@pytest.mark.parametrize("limit", ["max_connections", "max_client_connections"])
+def test_in_a_crowd_who_waits_longest_makes_room(limit: str) -> None:
+    with running(**{limit: 4}) as server:
+        waiting = [server.connect(HEAD) for _ in range(4)]
+        assert wait_for(lambda: server.held() == 4)
+        assert server.ask() == 200
+        assert status(answer(waiting[0])) == 408
+        waiting[3].sendall(b"Connection: close\r\n\r\n")
+        assert status(answer(waiting[3])) == 200
+        for each in waiting:
+            each.close()
+
+
+def test_where_all_are_at_work_a_newcomer_is_told_to_come_back() -> None:
+    with running(max_connections=2) as server:
+        slow = HEAD.replace(b"small", b"slow?seconds=1") + b"Connection: close\r\n\r\n"
+        busy = [server.connect(slow) for _ in range(2)]
+        assert wait_for(lambda: len(server.server.server_state.tasks) == 2)
+        assert server.ask() == 503
+        assert [status(answer(each)) for each in busy] == [200, 200]
+        assert server.ask() == 200
+        for each in busy:
+            each.close()

@@ -1,0 +1,65 @@
+"""Canonical files: what goes in comes out, and what isogi did not write is none."""
+
+import io
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from isogi_core.files.nrrd import read_nrrd
+from server.uploads.canonical import TYPES, read_facts, write
+
+RAMP = np.arange(24).reshape(2, 3, 4)
+
+
+def kept(folder: Path, array: np.ndarray, name: str = "a") -> Path:
+    """The canonical file of an array, under its id."""
+    file = io.BytesIO()
+    number = write(file, array, (1.0, 2.0, 0.1), name)
+    path = folder / f"{number}.nrrd"
+    path.write_bytes(file.getvalue())
+    return path
+
+
+@pytest.mark.parametrize("order", "<>")
+@pytest.mark.parametrize("kind", TYPES)
+def test_a_volume_is_read_as_it_was(tmp_path: Path, kind: str, order: str) -> None:
+    path = kept(tmp_path, RAMP.astype(np.dtype(kind).newbyteorder(order)))
+    array, spacing = read_nrrd(path)
+    np.testing.assert_array_equal(array, RAMP)
+    assert (array.dtype.newbyteorder("="), spacing) == (np.dtype(kind), (1.0, 2.0, 0.1))
+    facts = read_facts(path)
+    assert facts and (facts.id, facts.size, facts.bytes) == (path.stem, (4, 3, 2), path.stat().st_size)
+
+
+def test_the_id_is_of_the_voxels_and_not_of_order_layout_or_name(tmp_path: Path) -> None:
+    same = [RAMP.astype("<i2"), RAMP.astype(">i2"), np.asfortranarray(RAMP.astype("<i2"))]
+    assert len({kept(tmp_path, array, name).stem for array, name in zip(same, "abc", strict=True)}) == 1
+    assert kept(tmp_path, RAMP.astype("<i4")).stem != kept(tmp_path, same[0]).stem
+
+
+@pytest.mark.parametrize("name", ["Zwei Kugeln é 球", "a\\nb: c", "<script>", "sizes: 1 1 1", "%41", "x" * 80])
+def test_a_name_is_kept_whatever_is_in_it(tmp_path: Path, name: str) -> None:
+    facts = read_facts(kept(tmp_path, RAMP.astype("u1"), name))
+    assert facts and facts.name == name
+
+
+def test_what_has_no_name_is_called_after_its_id(tmp_path: Path) -> None:
+    facts = read_facts(kept(tmp_path, RAMP.astype("u1"), ""))
+    assert facts and facts.name == f"volume {facts.id[:6]}"
+
+
+def test_the_quota_counts_what_the_server_holds(tmp_path: Path) -> None:
+    ramp = np.arange(1000).reshape(10, 10, 10)
+    small, wide = (read_facts(kept(tmp_path, ramp.astype(kind))) for kind in ("u1", "f8"))
+    assert small and small.held == 4 * 1000
+    assert wide and wide.held == wide.bytes > 8 * 1000
+
+
+def test_what_isogi_did_not_write_is_none(tmp_path: Path) -> None:
+    whole = kept(tmp_path, RAMP.astype("u1")).read_bytes()
+    others = [whole[:-1], whole + b"x", whole.replace(b"raw", b"gzip"), b"", whole.replace(b"uint8", b"uint9")]
+    detached = whole.replace(b"name:=a", b"data file: /etc/passwd")
+    for text in (*others, detached):
+        (tmp_path / "a.nrrd").write_bytes(text)
+        assert read_facts(tmp_path / "a.nrrd") is None, text

@@ -1,0 +1,231 @@
+"""Volumes over HTTP: sent, listed, found again, deleted, and refused with a sentence."""
+
+import asyncio
+import gzip
+import re
+import socket
+from collections.abc import AsyncIterator, Callable
+from pathlib import Path
+
+import httpx
+import numpy as np
+import pytest
+from fastapi import FastAPI
+
+from isogi_core.errors import StoreError
+from server.uploads.shelf import Shelf
+from tests.server.uploads.conftest import Open, Poster
+from tests.server.uploads.files import FIELDS, ball, headed, names
+
+Ask = Callable[..., httpx.Response]
+
+
+def test_a_server_takes_none_unless_told(ask: Ask, open_app: Open, folder: Path) -> None:
+    app = open_app(uploads_mb=0)
+    answer = ask(app, "POST", "/v1/volumes", content=ball(40))
+    assert answer.status_code == 403 and "--uploads-mb" in answer.json()["detail"]
+    assert ask(app, "GET", "/v1/volumes").json() == {"volumes": [], "uploads": None}
+    assert ask(app, "GET", "/v1/scenes").json()["uploads"] is None
+    assert not folder.exists()
+
+
+def test_a_volume_is_taken_shown_listed_found_again_and_deleted(ask: Ask, open_app: Open, folder: Path) -> None:
+    studio = Poster()
+    app = open_app(studio)
+    answer = ask(app, "POST", "/v1/volumes", params={"name": "Ein Ball é"}, content=ball())
+    facts = answer.json()
+    assert answer.status_code == 201
+    assert answer.headers["location"] == facts["href"] == f"/v1/volumes/{facts['id']}"
+    assert re.fullmatch(r"[a-z0-9_-]{1,64}", facts["id"])
+    assert (facts["name"], facts["size"], facts["scene"]) == ("Ein Ball é", [12, 12, 12], f"/v1/scenes/{facts['id']}")
+    assert names(folder) == {f"{facts['id']}.nrrd"} == {path.name for path in folder.glob("*.nrrd")}
+    assert facts["bytes"] == (folder / f"{facts['id']}.nrrd").stat().st_size
+
+    again = ask(app, "POST", "/v1/volumes", params={"name": "other"}, content=ball(encoding="gzip"))
+    assert (again.status_code, again.json()) == (200, facts)
+
+    listed = ask(app, "GET", "/v1/volumes").json()
+    assert listed["volumes"] == [facts] == [ask(app, "GET", facts["href"]).json()]
+    assert listed["uploads"] == {
+        **{"limit_bytes": 256 << 20, "quota_bytes": 1 << 20},
+        "free_bytes": (1 << 20) - facts["bytes"],
+    }
+    (link,) = ask(app, "GET", "/v1/scenes").json()["scenes"]
+    assert link == {key: facts[key] for key in ("id", "name")} | {"href": facts["scene"], "volume": facts["href"]}
+    scene = studio.scenes[facts["id"]]
+    assert (scene.name, scene.volume.size) == ("Ein Ball é", (12, 12, 12))
+
+    app.state.service.uploads.close()
+    later = open_app(found := Poster())
+    assert ask(later, "GET", "/v1/volumes").json() == listed
+    assert found.scenes[facts["id"]].digest == scene.digest
+
+    assert ask(later, "DELETE", facts["href"]).status_code == 204
+    assert not names(folder) and not found.scenes
+    for method in ("GET", "DELETE"):
+        assert ask(later, method, facts["href"]).status_code == 404
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"", "not a NRRD file"),
+        (headed(FIELDS.replace("4 3 2", "4 3 9")), "fewer than the 108 bytes"),
+        (headed(FIELDS.replace("raw", "gzip"), gzip.compress(bytes(1 << 20))), "more than the 24 bytes"),
+        (headed(FIELDS.replace("4 3 2", f"{2**31} {2**31} 2")), "cannot be"),
+        (headed(FIELDS.replace("4 3 2", "1024 1024 1024")), "are the most that may be"),
+        (headed(FIELDS.replace("uint8", "float") + "endian: little\n", bytes([0, 0, 192, 127] * 24)), "no finite"),
+        (headed(FIELDS + "spacings: 1 nan 1\n"), "spacing"),
+        (headed(FIELDS.replace("4 3 2", "24 1 1")), "at least 2 voxels"),
+    ],
+)
+def test_what_cannot_be_shown_is_refused_and_leaves_nothing(
+    ask: Ask, open_app: Open, folder: Path, content: bytes, said: str
+) -> None:
+    answer = ask(open_app(), "POST", "/v1/volumes", params={"name": "a.nrrd"}, content=content)
+    assert answer.status_code == 422 and said in answer.json()["detail"], answer.text
+    assert not names(folder)
+
+
+def test_a_file_is_asked_for_by_no_url_and_no_path(ask: Ask, open_app: Open, tmp_path: Path) -> None:
+    secret = tmp_path / "secret.raw"
+    secret.write_bytes(bytes(range(24)))
+    with socket.create_server(("127.0.0.1", 0)) as trap:
+        trap.settimeout(0.2)
+        app = open_app()
+        for name in (f"http://127.0.0.1:{trap.getsockname()[1]}/v.raw", str(secret)):
+            answer = ask(app, "POST", "/v1/volumes", content=headed(f"{FIELDS}data file: {name}\n", b""))
+            assert answer.status_code == 422 and "another file" in answer.json()["detail"]
+        with pytest.raises(TimeoutError):
+            trap.accept()
+
+
+def test_a_file_that_takes_too_long_to_read_ends_its_reader(ask: Ask, open_app: Open) -> None:
+    """Two terabytes of zeros to skip: the processor is taken away after a second or so."""
+    bomb = headed(FIELDS.replace("raw", "gzip") + f"byte skip: {2**41}\n", b"")
+    bomb += gzip.compress(bytes(1 << 24)) * 200
+    answer = ask(open_app(reading_seconds=1.5), "POST", "/v1/volumes", content=bomb)
+    assert answer.status_code in (422, 503)  # the latter where the machine is busy
+    assert re.search("more time or memory|could not be read within", answer.json()["detail"])
+
+
+def test_one_that_may_not_be_that_large_is_413(ask: Ask, open_app: Open, folder: Path) -> None:
+    app, large = open_app(max_upload_mb=1), bytes((1 << 20) + 1)
+
+    async def chunks() -> AsyncIterator[bytes]:
+        yield large
+
+    for content in (large, chunks()):
+        answer = ask(app, "POST", "/v1/volumes", content=content)
+        assert answer.status_code == 413 and str(1 << 20) in answer.json()["detail"]
+    assert not names(folder)
+    assert ask(app, "POST", "/v1/scenes", content=large).status_code == 413
+
+
+def test_the_quota_is_held(ask: Ask, open_app: Open, folder: Path) -> None:
+    app = open_app()
+    first = ask(app, "POST", "/v1/volumes", content=ball(50)).json()
+    answer = ask(app, "POST", "/v1/volumes", content=ball(56))
+    assert answer.status_code == 507 and "delete volumes" in answer.json()["detail"]
+    assert names(folder) == {f"{first['id']}.nrrd"}
+    assert ask(app, "DELETE", first["href"]).status_code == 204
+    assert ask(app, "POST", "/v1/volumes", content=ball(56)).status_code == 201
+
+
+def test_a_volume_that_the_store_has_no_room_for_is_not_kept(ask: Ask, open_app: Open, folder: Path) -> None:
+    studio = Poster()
+    studio.refusal = StoreError("The store is full.")
+    answer = ask(open_app(studio), "POST", "/v1/volumes", content=ball())
+    assert answer.status_code == 503 and not names(folder)
+
+
+@pytest.mark.parametrize("name", ["a\nb", "a\x00", "x" * 81])
+def test_a_name_is_one_line(ask: Ask, open_app: Open, name: str) -> None:
+    answer = ask(open_app(), "POST", "/v1/volumes", params={"name": name}, content=ball())
+    assert (answer.status_code, answer.json()["parameter"]) == (422, "name")
+
+
+@pytest.mark.parametrize("number", ["..", "%2e%2e%2flock", "lock", "0" * 20, "x" * 5000, "http:%2f%2fa"])
+def test_an_id_is_looked_up_and_never_a_path(ask: Ask, open_app: Open, folder: Path, number: str) -> None:
+    app = open_app()
+    for method in ("GET", "DELETE"):
+        assert ask(app, method, f"/v1/volumes/{number}", follow_redirects=True).status_code in (404, 405)
+    assert (folder / "lock").exists()
+
+
+@pytest.mark.parametrize("header", [("Origin", "https://evil.example"), ("Sec-Fetch-Site", "cross-site")])
+def test_foreign_pages_neither_send_nor_delete(ask: Ask, open_app: Open, folder: Path, header: tuple[str, str]) -> None:
+    app = open_app()
+    kept = ask(app, "POST", "/v1/volumes", content=ball()).json()
+    for method, path in (("POST", "/v1/volumes"), ("DELETE", kept["href"])):
+        assert ask(app, method, path, content=ball(20), headers=dict([header])).status_code == 403
+    assert names(folder) == {f"{kept['id']}.nrrd"}
+
+
+def test_without_the_token_nothing_is_taken(ask: Ask, open_app: Open, folder: Path) -> None:
+    app = open_app(token="a token of some length")
+    assert ask(app, "POST", "/v1/volumes", content=ball()).status_code == 401
+    bearer = {"Authorization": "Bearer a token of some length"}
+    assert ask(app, "POST", "/v1/volumes", content=ball(), headers=bearer).status_code == 201
+
+
+def test_a_third_upload_at_once_comes_back_later(open_app: Open, folder: Path) -> None:
+    app = open_app()
+    answers = asyncio.run(crowd(app))
+    assert sorted(answer.status_code for answer in answers) == [201, 201, 429]
+    refused = next(answer for answer in answers if answer.status_code == 429)
+    assert refused.headers["retry-after"] == "1"
+    assert len(names(folder)) == 2
+
+
+async def crowd(app: FastAPI) -> list[httpx.Response]:
+    """Three uploads whose ends come when all have begun."""
+    begun, together = 0, asyncio.Event()
+
+    async def body(side: int) -> AsyncIterator[bytes]:
+        nonlocal begun
+        begun += 1
+        if begun == 2:
+            together.set()
+        await together.wait()
+        yield ball(side)
+
+    async def slowly(client: httpx.AsyncClient, side: int) -> httpx.Response:
+        return await client.post("/v1/volumes", content=body(side), timeout=120)
+
+    async with httpx.AsyncClient(transport=httpx.ASGITransport(app), base_url="http://localhost") as client:
+        return await asyncio.gather(*(slowly(client, side) for side in (8, 9, 10)))
+
+
+def test_an_upload_that_stands_still_is_408(open_app: Open, folder: Path) -> None:
+    app = open_app(body_seconds=1)
+
+    async def half() -> AsyncIterator[bytes]:
+        yield ball()[:100]
+        await asyncio.sleep(60)
+
+    async def stall() -> httpx.Response:
+        async with httpx.AsyncClient(transport=httpx.ASGITransport(app), base_url="http://localhost") as client:
+            return await client.post("/v1/volumes", content=half(), timeout=120)
+
+    assert asyncio.run(stall()).status_code == 408
+    assert not names(folder)
+
+
+def test_what_is_on_the_shelf_and_cannot_be_shown_is_left(ask: Ask, open_app: Open, folder: Path) -> None:
+    app = open_app()
+    good, bad = (ask(app, "POST", "/v1/volumes", content=ball(side)).json()["id"] for side in (8, 9))
+    app.state.service.uploads.close()
+    path = folder / f"{bad}.nrrd"
+    path.write_bytes(path.read_bytes()[: -(9**3) * 4] + np.full(9**3, np.nan, np.float32).tobytes())
+    studio = Poster()
+    open_app(studio)
+    assert set(studio.scenes) == {good} and names(folder) == {f"{good}.nrrd", f"{bad}.nrrd"}
+
+
+def test_a_folder_that_cannot_be_had_is_told(open_app: Open, folder: Path) -> None:
+    folder.parent.mkdir(exist_ok=True)
+    folder.write_text("a file")
+    with pytest.raises(Exception, match=r"folder of uploads .* cannot be used"):
+        open_app()
+    assert isinstance(Shelf(folder), Shelf)

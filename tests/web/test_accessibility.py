@@ -1,0 +1,40 @@
+"""The page judged by axe-core: no serious finding, in either scheme, in any state."""
+
+import pytest
+from axe_playwright_python.sync_playwright import Axe
+from playwright.sync_api import Browser, Page
+
+from tests.web.visits import BROWSER, FINAL_MS, open_final, wait_final
+
+pytestmark = BROWSER
+GRAVE = ("serious", "critical")
+
+
+def findings(page: Page) -> list[str]:
+    """What axe-core finds, the grave alone: rule, help, and the first place."""
+    violations = Axe().run(page).response["violations"]
+    return [f"{v['id']}: {v['help']} at {v['nodes'][0]['target']}" for v in violations if v["impact"] in GRAVE]
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_no_serious_finding(browser: Browser, live_server: str, scheme: str) -> None:
+    context = browser.new_context(viewport={"width": 1280, "height": 900}, color_scheme=scheme)  # type: ignore[arg-type]
+    page = context.new_page()
+    turn = 97 if scheme == "light" else 263  # from where no other test looks
+    page.goto(f"{live_server}/?azimuth={turn}&compare=phong&overlay=error")
+    page.wait_for_selector("#stage[data-state=provisional], #stage[data-state=final]", timeout=FINAL_MS)
+    assert findings(page) == [], "while provisional"
+    wait_final(page)
+    for summary in page.locator("summary").all():
+        summary.click()
+    page.click("#share-button" if scheme == "light" else "#save-button")
+    assert findings(page) == [], "when final"
+    page.click("#help-button")
+    assert findings(page) == [], "with the help open"
+    context.close()
+
+
+def test_the_search_for_findings_finds_some(page: Page, live_server: str) -> None:
+    open_final(page, live_server)
+    page.evaluate("document.querySelector('#isovalue-number').removeAttribute('aria-label')")
+    assert [finding.split(":")[0] for finding in findings(page)] == ["label"]

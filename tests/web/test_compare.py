@@ -1,0 +1,105 @@
+"""Two shadings side by side in a real browser: each shows its own, and nothing old is shown as if it were new."""
+
+import re
+
+import numpy as np
+import pytest
+from playwright.sync_api import Page, expect
+
+from tests.web.visits import BROWSER, FINAL_MS, open_final, pixels, wait_final
+
+pytestmark = BROWSER
+SHADING, OTHER = "lambert", "lambert_fog"
+"""Two that are final without any light."""
+
+WATCH = """() => {
+  const [wipe, other] = [document.querySelector("#wipe"), document.querySelector("#other")];
+  window.seen = [];
+  const note = () => seen.push([wipe.dataset.state, other.hidden, wipe.querySelector(".right").textContent]);
+  new MutationObserver(note).observe(wipe, { attributes: true, attributeFilter: ["data-state"] });
+}"""
+"""Notes the right side's state, whether it is hidden, and its words, each time that its state changes."""
+
+
+@pytest.fixture
+def compared(page: Page, live_server: str) -> Page:
+    """Diffuse shading beside depth fog, both sides final."""
+    return both_final(open_final(page, f"{live_server}/?shading={SHADING}&compare={OTHER}"))
+
+
+def both_final(page: Page) -> Page:
+    wait_final(page).wait_for_selector("#wipe[data-state=final]", timeout=FINAL_MS)
+    return page
+
+
+def centre(page: Page, selector: str) -> tuple[float, float]:
+    box = page.locator(selector).bounding_box()
+    assert box is not None
+    return box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+
+
+def test_each_side_shows_its_shading_and_they_change_places(compared: Page) -> None:
+    left, right = pixels(compared), pixels(compared, "#other")
+    assert np.abs(left - right).mean() > 0.3
+    assert compared.locator(".side").all_inner_texts() == ["Diffuse, no shadows", "Diffuse, depth fog"]
+    compared.select_option("#shading", OTHER)
+    both_final(compared)
+    assert compared.input_value("#compare") == SHADING
+    assert np.array_equal(pixels(compared), right)
+    assert np.array_equal(pixels(compared, "#other"), left)
+
+
+def test_while_the_view_moves_the_right_side_shows_nothing_old(compared: Page) -> None:
+    before = pixels(compared, "#other")
+    compared.evaluate(WATCH)
+    x, y = centre(compared, "#stage")
+    compared.mouse.move(x - 100, y)
+    compared.mouse.down()
+    compared.mouse.move(x - 160, y, steps=4)
+    compared.mouse.up()
+    both_final(compared)
+    expect(compared.locator("#other")).to_be_visible()
+    seen = compared.evaluate("seen")
+    assert ["moving", True, "Diffuse, depth fog · when the view rests"] in seen
+    assert all(hidden for state, hidden, _ in seen if state in ("moving", "coming"))
+    assert np.abs(pixels(compared, "#other") - before).mean() > 0.3
+
+
+def test_the_divider_is_moved_by_hand_and_by_keys(compared: Page) -> None:
+    address = compared.url
+    divider, (x, y) = compared.locator("#divider"), centre(compared, "#divider")
+    box = compared.locator("#stage").bounding_box()
+    assert box is not None
+    compared.mouse.move(x, y)
+    compared.mouse.down()
+    compared.mouse.move(box["x"] + 0.25 * box["width"], y + 60, steps=4)
+    compared.mouse.up()
+    expect(divider).to_have_attribute("aria-valuenow", re.compile(r"^(24|25)(\.\d)?$"))
+    assert centre(compared, "#divider")[0] == pytest.approx(box["x"] + 0.25 * box["width"], abs=2)
+    divider.focus()
+    for key, place in (("Home", 0), ("ArrowRight", 2), ("PageUp", 12), ("Shift+ArrowLeft", 2), ("End", 100)):
+        compared.keyboard.press(key)
+        expect(divider).to_have_attribute("aria-valuenow", str(place))
+    expect(divider).to_have_attribute("aria-valuetext", "100 % Diffuse, no shadows, 0 % Diffuse, depth fog")
+    compared.wait_for_timeout(400)
+    assert compared.url == address, "the object did not turn"
+
+
+def test_the_address_holds_what_is_compared_and_nothing_compares_with_itself(page: Page, live_server: str) -> None:
+    open_final(page, f"{live_server}/?shading={SHADING}&compare=nonsense")
+    expect(page.locator("#wipe")).to_be_hidden()
+    page.select_option("#compare", "phong")
+    page.wait_for_timeout(400)
+    assert page.url.endswith("compare=phong")
+    hidden = page.eval_on_selector_all("#compare option", "all => all.filter(o => o.disabled).map(o => o.value)")
+    assert hidden == [SHADING]
+
+
+def test_the_right_side_says_that_it_is_lost_and_comes_back(page: Page, live_server: str) -> None:
+    page.route("**/frame?*", lambda route: route.abort())
+    open_final(page, f"{live_server}/?shading={SHADING}&compare={OTHER}")
+    expect(page.locator(".side.right")).to_have_text("Diffuse, depth fog · not up to date")
+    expect(page.locator("#other")).to_be_hidden()
+    page.unroute("**/frame?*")
+    both_final(page)
+    expect(page.locator(".side.right")).to_have_text("Diffuse, depth fog")

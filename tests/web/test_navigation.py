@@ -1,0 +1,176 @@
+"""Moving the picture and looking along an axis: what the page asks for, and what the server then shows there."""
+
+import io
+from typing import Literal
+from urllib.parse import parse_qsl, urlsplit
+
+import numpy as np
+import pytest
+from playwright.sync_api import Page, expect
+
+from isogi_core.model.view import orbit
+from tests.web.visits import BROWSER
+
+AXES = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1)}
+CENTRE = (11.5, 9.5, 7.5)
+OUT = np.array(orbit((0.0, 0.0, 0.0), 1.0, 25.0, 15.0, 1.0, 30.0).eye)
+RIGHT, DOWN = 70, -40  # pixels of a drag
+
+pytestmark = BROWSER
+
+
+@pytest.fixture
+def shown(page: Page, live_server: str) -> Page:
+    """The page with a picture, at a view that is none of the sides."""
+    page.goto(f"{live_server}/?shading=lambert&azimuth=25&elevation=15&distance=3")
+    page.wait_for_selector("#picture:not([hidden])")
+    return page
+
+
+def view_of(page: Page) -> dict[str, str]:
+    """The knobs in the address bar."""
+    page.evaluate("() => new Promise(done => setTimeout(done, 200))")  # the page writes it 150 ms after a change
+    return dict(parse_qsl(urlsplit(page.url).query))
+
+
+def target_of(page: Page) -> list[float]:
+    return [float(x) for x in view_of(page)["target"].split(",")]
+
+
+def surface(page: Page, width: int, height: int) -> np.ndarray:
+    """World positions (h, w, 3) of the surface that the view of the address shows, NaN where it shows none."""
+    view = {name: value for name, value in view_of(page).items() if name not in ("scene", "exposure")}
+    origin = "{0.scheme}://{0.netloc}".format(urlsplit(page.url))
+    query = {**view, "f": "npy", "width": width, "height": height}
+    answer = page.request.get(f"{origin}/v1/scenes/small/frame", params=query)
+    assert answer.ok, answer.text()
+    planes: np.ndarray = np.load(io.BytesIO(answer.body()))
+    return np.where(planes[..., 3:4] > 0, planes[..., 6:], np.nan)
+
+
+def stage_of(page: Page) -> tuple[float, float, int, int]:
+    """Left, top, width and height of the stage."""
+    box = page.locator("#stage").bounding_box()
+    assert box is not None
+    return box["x"], box["y"], round(box["width"]), round(box["height"])
+
+
+def drag(page: Page, hand: str, way: int) -> None:
+    left, top, width, height = stage_of(page)
+    x, y = left + width / 2, top + height / 2
+    if hand == "fingers":
+        return drag_fingers(page, x, y, way)
+    button: Literal["left", "middle"] = "middle" if hand == "middle" else "left"
+    held = [hand] if hand in ("Control", "Alt") else []
+    page.mouse.move(x, y)
+    for key in held:
+        page.keyboard.down(key)
+    page.mouse.down(button=button)
+    page.mouse.move(x + way * RIGHT, y + way * DOWN, steps=5)
+    page.mouse.up(button=button)
+    for key in held:
+        page.keyboard.up(key)
+    return None
+
+
+def drag_fingers(page: Page, x: float, y: float, way: int, apart: float = 1.0) -> None:
+    """Two fingers, 80 pixels from each other, that move and end up ``apart`` times as far from each other."""
+    session = page.context.new_cdp_session(page)
+    for step in range(6):
+        share, type_ = step / 5, "touchMove" if step else "touchStart"
+        middle, half = (x + way * share * RIGHT, y + way * share * DOWN), 40 * (1 + share * (apart - 1))
+        points = [{"x": middle[0] + side * half, "y": middle[1], "id": side + 1} for side in (-1, 1)]
+        session.send("Input.dispatchTouchEvent", {"type": type_, "touchPoints": points})
+    session.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
+
+
+def test_the_surface_follows_the_pointer_pixel_by_pixel(shown: Page) -> None:
+    *_, width, height = stage_of(shown)
+    pixel = 2 * 3 * np.linalg.norm(CENTRE) * np.tan(np.radians(15)) / height
+    kept, before, way = view_of(shown), surface(shown, width, height), 1
+    for hand in ("middle", "Control", "Alt", "fingers"):
+        drag(shown, hand, way)
+        assert kept.items() <= view_of(shown).items(), f"nothing but the target has changed: {hand}"
+        after = surface(shown, width, height)
+        level = np.abs((before - CENTRE) @ OUT) < 0.5  # as deep as the target, or nearly so
+        moved = np.roll(before, (way * DOWN, way * RIGHT), (0, 1)) - after
+        error = np.linalg.norm(moved[np.roll(level, (way * DOWN, way * RIGHT), (0, 1))], axis=1)
+        assert np.nanmedian(error) < 1.5 * pixel, hand
+        before, way = after, -way
+
+
+def test_two_fingers_move_and_zoom_at_once(shown: Page) -> None:
+    left, top, width, height = stage_of(shown)
+    drag_fingers(shown, left + width / 2, top + height / 2, 1, apart=2.0)
+    view = view_of(shown)
+    assert float(view["distance"]) == pytest.approx(1.5, rel=0.01)
+    assert "target" in view and view["azimuth"] == "25"
+
+
+def test_keys_move_the_picture_and_reset_brings_it_back(shown: Page) -> None:
+    shown.focus("#stage")
+    shown.keyboard.press("d")
+    right = np.array([-np.sin(np.radians(25)), np.cos(np.radians(25)), 0.0])
+    moved = np.subtract(target_of(shown), CENTRE)
+    assert moved @ right < 0 and np.cross(moved, right) == pytest.approx(0, abs=1e-3)
+    shown.keyboard.press("a")
+    assert target_of(shown) == pytest.approx(CENTRE, abs=1e-3)
+    shown.keyboard.press("w")
+    assert target_of(shown)[2] < CENTRE[2]
+    shown.keyboard.press("s")
+    assert target_of(shown) == pytest.approx(CENTRE, abs=1e-3)
+    shown.keyboard.press("0")
+    assert "target" not in view_of(shown)
+
+
+def test_the_volume_cannot_be_lost(shown: Page) -> None:
+    shown.focus("#stage")
+    for _ in range(80):
+        shown.keyboard.press("d")
+    radius = np.linalg.norm(CENTRE)
+    target = np.array(target_of(shown))
+    assert (target >= -0.501 * radius).all() and (target <= 2 * np.array(CENTRE) + 0.501 * radius).all()
+
+
+def test_a_link_with_a_target_shows_it_and_one_without_sense_does_not(page: Page, live_server: str) -> None:
+    page.goto(f"{live_server}/?shading=lambert&target=4,5,6")
+    page.wait_for_selector("#picture:not([hidden])")
+    page.press("#stage", "+")
+    assert target_of(page) == [4, 5, 6]
+    page.goto(f"{live_server}/?shading=lambert&target=4,x,6")
+    page.wait_for_selector("#picture:not([hidden])")
+    page.press("#stage", "+")
+    assert "target" not in view_of(page)
+
+
+def test_a_double_click_brings_the_surface_to_the_middle(shown: Page) -> None:
+    left, top, width, height = stage_of(shown)
+    before = surface(shown, width, height)
+    row, column = height // 2 + 30, width // 2 - 60
+    assert np.isfinite(before[row, column]).all()
+    with shown.expect_response("**/frame?*"):
+        shown.mouse.dblclick(left + column + 0.5, top + row + 0.5)
+    target = target_of(shown)
+    assert np.linalg.norm(np.subtract(target, before[row, column])) < 0.2
+    with shown.expect_response("**/frame?*"):
+        shown.mouse.dblclick(left + 3, top + 3)
+    assert target_of(shown) == target, "there is no surface in the corner"
+
+
+def test_sides_look_along_their_axis_and_keep_distance_and_target(shown: Page) -> None:
+    shown.focus("#stage")
+    shown.keyboard.press("d")
+    kept = {name: value for name, value in view_of(shown).items() if name not in ("azimuth", "elevation")}
+    for name, axis in AXES.items():
+        for sign, word, key in ((1, "plus", name), (-1, "minus", f"Shift+{name.upper()}")):
+            button = shown.get_by_role("button", name=f"From {word} {name}", exact=True)
+            expect(button).to_have_attribute("aria-pressed", "false")
+            button.click()
+            clicked = view_of(shown)
+            expect(button).to_have_attribute("aria-pressed", "true")
+            assert np.nanmean(surface(shown, 48, 48) - CENTRE, axis=(0, 1)) @ axis * sign > 0.5
+            shown.focus("#stage")
+            shown.keyboard.press("ArrowLeft")
+            shown.keyboard.press(key)
+            assert view_of(shown) == clicked
+            assert {name: value for name, value in clicked.items() if name not in ("azimuth", "elevation")} == kept

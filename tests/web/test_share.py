@@ -1,0 +1,191 @@
+"""What the page hands out in a real browser: lines that make the same picture, and the final picture as a file."""
+
+import io
+import subprocess
+import sys
+from base64 import b64decode
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+from playwright.sync_api import BrowserContext, Page, Route, expect
+
+from tests.web.visits import BROWSER, FINAL_MS, open_final, wait_final
+
+pytestmark = BROWSER
+PLAIN = "shading=phong"
+"""What is final without any light."""
+
+VIEW = f"{PLAIN}&isovalue=0.45&azimuth=-70.5&overlay=error"
+
+
+def line(page: Page, name: str) -> str:
+    """One of the lines of the open menu."""
+    expect(page.locator(f"#share-{name}")).not_to_be_empty()
+    return page.inner_text(f"#share-{name}")
+
+
+def shared(page: Page, address: str) -> Page:
+    """The page with its menu open, its picture final."""
+    open_final(page, address).click("#share-button")
+    return page
+
+
+def shown(page: Page) -> np.ndarray:
+    """The picture on the stage, at its full size."""
+    address = page.evaluate(
+        """() => {
+          const image = document.querySelector("#picture");
+          const canvas = document.createElement("canvas");
+          Object.assign(canvas, { width: image.naturalWidth, height: image.naturalHeight });
+          canvas.getContext("2d").drawImage(image, 0, 0);
+          return canvas.toDataURL("image/png");
+        }"""
+    )
+    return pixels_in(b64decode(address.partition(",")[2]))
+
+
+def pixels_in(picture: bytes) -> np.ndarray:
+    return np.asarray(Image.open(io.BytesIO(picture)).convert("RGB"))
+
+
+def test_the_curl_line_saves_the_picture_that_is_shown(page: Page, live_server: str, tmp_path: Path) -> None:
+    command = line(shared(page, f"{live_server}/?{VIEW}"), "curl")
+    subprocess.run(["bash", "-c", command], cwd=tmp_path, check=True, timeout=60, capture_output=True)
+    assert np.array_equal(pixels_in((tmp_path / "small-0.45.png").read_bytes()), shown(page))
+    assert all(part in command for part in ("azimuth=-70.5", "overlay=error", "wait_ms=10000"))
+    assert "elevation" not in command and "exposure" not in command, "what the scene's defaults say is left out"
+    assert "Authorization" not in command
+
+
+def test_the_python_line_asks_for_the_picture_that_is_shown(
+    page: Page, live_server: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told: dict[str, Any] = {}
+
+    class Isogi:
+        def __init__(self, address: str) -> None:
+            told["address"] = address
+
+        def frame(self, scene: str, *, wait: str, **view: Any) -> SimpleNamespace:
+            told.update(scene=scene, wait=wait, view=view)
+            return SimpleNamespace(save=lambda file: told.update(file=file))
+
+    monkeypatch.setitem(sys.modules, "isogi_client", SimpleNamespace(Isogi=Isogi))
+    exec(line(shared(page, f"{live_server}/?{VIEW}"), "python"), {})
+    assert (told["address"], told["scene"]) == (live_server, "small")
+    assert (told["wait"], told["file"]) == ("final", "small-0.45.png")
+    answer = page.request.get(f"{told['address']}/v1/scenes/{told['scene']}/frame", params=told["view"])
+    assert np.array_equal(pixels_in(answer.body()), shown(page))
+
+
+def test_copying_copies_and_says_so(page: Page, live_server: str) -> None:
+    context: BrowserContext = page.context
+    context.grant_permissions(["clipboard-read", "clipboard-write"])
+    shared(page, f"{live_server}/?{VIEW}")
+    for name, button in (("link", "Copy link"), ("curl", "Copy curl line"), ("python", "Copy Python line")):
+        page.get_by_role("button", name=button).click()
+        said = {"link": "Link", "curl": "curl line", "python": "Python line"}[name]
+        expect(page.locator("#share [role=status]")).to_have_text(f"{said} copied")
+        assert page.evaluate("navigator.clipboard.readText()") == line(page, name)
+    assert line(page, "link") == page.url
+
+
+def test_where_a_token_is_wanted_the_line_names_its_variable(page: Page, live_server: str) -> None:
+    def behind_a_token(route: Route) -> None:
+        answer = route.fetch()
+        route.fulfill(response=answer, headers={**answer.headers, "cache-control": "private, no-cache"})
+
+    page.route("**/v1/scenes", behind_a_token)
+    assert '-H "Authorization: Bearer $ISOGI_TOKEN"' in line(shared(page, f"{live_server}/?{PLAIN}"), "curl")
+
+
+@pytest.mark.parametrize("file", ["it's.png", "a b;$(touch x).png"])
+def test_no_name_escapes_its_quotes(page: Page, live_server: str, file: str, tmp_path: Path) -> None:
+    page.goto(f"{live_server}/?{PLAIN}")
+    made = """async (file) => {
+      const { curlLine, pythonLine } = await import("./web/lines.js");
+      const view = { isovalue: 1e-7, shading: file };
+      return [curlLine(new URL("http://host/?a=1&b=2"), file, false), pythonLine("http://host", file, view, file)];
+    }"""
+    shell, python = page.evaluate(made, file)
+    words = subprocess.run(["bash", "-c", shell.replace("curl -f", "printf '%s\\n'")], capture_output=True, check=True)
+    assert words.stdout.decode().splitlines() == ["http://host/?a=1&b=2", "-o", file]
+    assert python.endswith(f'isovalue=1e-7, shading="{file}", wait="final").save("{file}")')
+
+
+def test_the_picture_is_saved_large_final_and_tells_what_it_shows(page: Page, live_server: str, tmp_path: Path) -> None:
+    open_final(page, f"{live_server}/?{VIEW}").click("#save-button")
+    with page.expect_download(timeout=FINAL_MS) as download:
+        page.click("#save-start")
+    assert download.value.suggested_filename == "small-0.45.png"
+    download.value.save_as(tmp_path / "saved.png")
+    with Image.open(tmp_path / "saved.png") as picture:
+        picture.load()
+        assert picture.width == 1920
+        assert picture.info["Source"].startswith(f"{live_server}/?") and "azimuth=-70.5" in picture.info["Source"]
+        assert "at 0.45" in picture.info["Title"]
+        comment = picture.info["Comment"]
+    assert comment.endswith(", final")
+    expect(page.locator("#save .note")).to_have_text(f"Saved small-0.45.png: {comment}.")
+
+
+def test_saving_survives_the_loss_of_the_server_and_can_be_stopped(page: Page, live_server: str) -> None:
+    open_final(page, f"{live_server}/?{PLAIN}").click("#save-button")
+    page.route("**/frame?*", lambda route: route.abort())
+    page.click("#save-start")
+    note = page.locator("#save .note")
+    expect(note).to_contain_text("continues by itself")
+    page.click("#save-close")
+    expect(note).to_have_text("Stopped, nothing is saved.")
+    page.click("#save-start")
+    expect(note).to_contain_text("continues by itself")
+    with page.expect_download(timeout=FINAL_MS):
+        page.unroute("**/frame?*")
+    page.keyboard.press("Escape")
+    page.focus("#save-close")
+    page.keyboard.press("Escape")
+    expect(page.locator("#save")).to_be_hidden()
+
+
+def test_what_cannot_become_final_is_said_and_may_be_saved_as_it_is(page: Page, live_server: str) -> None:
+    open_final(page, f"{live_server}/?{PLAIN}").click("#save-button")
+    page.route("**/frame?*", stuck())
+    page.click("#save-start")
+    note = page.locator("#save .note")
+    expect(note).to_have_text("No more light is coming: 3 of 4 chunks final, noise 70 %.", timeout=FINAL_MS)
+    with page.expect_download() as download:
+        page.click("#save-now")
+    assert download.value.suggested_filename.endswith("-provisional.png")
+    expect(note).to_contain_text("the target of 50 % is not reached")
+
+
+def stuck() -> Callable[[Route], None]:
+    """A server whose picture stays provisional: one of its chunks cannot be baked."""
+
+    def answer(route: Route) -> None:
+        if route.request.headers.get("if-none-match"):
+            return route.fulfill(status=304)
+        true = route.fetch()
+        state = {"isogi-provisional": "?1", "isogi-chunks": "needed=4, final=3", "isogi-error": "0.7"}
+        route.fulfill(response=true, headers=true.headers | state)
+
+    return answer
+
+
+def test_the_times_of_frames_are_told(page: Page, live_server: str) -> None:
+    open_final(page, f"{live_server}/?{PLAIN}").click("#times summary")
+    page.locator("#times dt").last.wait_for()  # a fold tells of itself a little later
+    names = page.locator("#times dt").all_inner_texts()
+    assert {"Making the file", "All", "Drafts a second, last moved"} <= set(names)
+    page.focus("#stage")
+    for _ in range(6):
+        page.keyboard.press("ArrowLeft")
+        page.wait_for_timeout(120)
+    wait_final(page)
+    rate = page.locator("#times dd").last.inner_text()
+    assert 1 <= int(rate) <= 60

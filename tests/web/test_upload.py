@@ -1,0 +1,91 @@
+"""Volumes of one's own on the page: opened, dropped, refused and deleted."""
+
+from base64 import b64encode
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Browser, Page, expect
+
+from tests.server.uploads.files import ball, headed
+from tests.server.uploads.site import Site, opened
+from tests.web.visits import BROWSER, FINAL_MS, SHOTS
+
+pytestmark = BROWSER
+
+DROP = """([text, name]) => {
+  const bytes = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
+  const data = new DataTransfer();
+  data.items.add(new File([bytes], name));
+  const event = new DragEvent("drop", { dataTransfer: data, bubbles: true, cancelable: true });
+  document.querySelector("#stage").dispatchEvent(event);
+}"""
+
+
+@pytest.fixture(scope="module")
+def site(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
+    with opened(small_scene, tmp_path_factory.mktemp("site")) as site:
+        yield site
+
+
+@pytest.fixture
+def shown(page: Page, site: Site) -> Page:
+    page.goto(str(site.client.base_url))
+    page.wait_for_selector("#picture:not([hidden])", timeout=FINAL_MS)
+    return page
+
+
+def give(page: Page, name: str, content: bytes) -> None:
+    """Choose a file, as in the dialog that the button opens."""
+    page.set_input_files("#upload-file", {"name": name, "mimeType": "application/octet-stream", "buffer": content})
+
+
+def test_without_uploads_the_page_offers_none(page: Page, live_server: str) -> None:
+    page.goto(live_server)
+    page.wait_for_selector("#picture:not([hidden])", timeout=FINAL_MS)
+    expect(page.locator("#upload-open")).to_be_hidden()
+
+
+def test_a_file_becomes_a_scene_and_is_deleted_again(shown: Page, site: Site) -> None:
+    expect(shown.locator("#upload-delete")).to_be_hidden(timeout=FINAL_MS)
+    give(shown, "My ball.nrrd", ball(10))
+    shown.wait_for_url("**scene=*", timeout=FINAL_MS)
+    expect(shown.locator("#scene option:checked")).to_have_text("My ball")
+    (kept,) = site.client.get("/v1/volumes").json()["volumes"]
+    assert kept["id"] in shown.url
+    shown.on("dialog", lambda dialog: dialog.accept())
+    shown.click("#upload-delete")
+    expect(shown.locator("#upload-delete")).to_be_hidden(timeout=FINAL_MS)
+    shown.wait_for_selector("#picture:not([hidden])", timeout=FINAL_MS)
+    assert site.client.get("/v1/volumes").json()["volumes"] == []
+
+
+def test_a_file_can_be_dropped_on_the_picture(shown: Page, site: Site) -> None:
+    shown.evaluate(DROP, [b64encode(ball(9)).decode(), "Dropped.nrrd"])
+    shown.wait_for_url("**scene=*", timeout=FINAL_MS)
+    (kept,) = site.client.get("/v1/volumes").json()["volumes"]
+    assert kept["name"] == "Dropped"
+    shown.goto("about:blank")  # a page that asks on for what is deleted complains
+    site.client.delete(kept["href"])
+
+
+def test_a_scene_keeps_its_name_on_a_narrow_screen(shown: Page) -> None:
+    shown.set_viewport_size({"width": 390, "height": 844})
+    scene, action = shown.locator(".scene").bounding_box(), shown.locator("#upload-open").bounding_box()
+    assert scene is not None
+    assert action is not None
+    assert scene["width"] > 300
+    assert scene["y"] >= action["y"] + action["height"]
+    SHOTS.mkdir(parents=True, exist_ok=True)
+    shown.screenshot(path=SHOTS / "upload-390.png")
+
+
+def test_why_a_file_is_refused_is_said(browser: Browser, site: Site) -> None:
+    """On a page of its own: browsers complain of any answer that is a refusal."""
+    page = browser.new_page()
+    page.goto(str(site.client.base_url))
+    page.wait_for_selector("#picture:not([hidden])", timeout=FINAL_MS)
+    give(page, "a.nrrd", headed("type: block\n"))
+    expect(page.locator("#upload-note p")).to_contain_text("header of 'a' has no dimension", timeout=FINAL_MS)
+    expect(page.locator("#upload-note progress")).to_be_hidden()
+    page.close()
