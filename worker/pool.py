@@ -209,7 +209,7 @@ class WorkerPool:
             report(*entry)
 
     def _look_after(self) -> None:
-        """Tell of tasks that had ended at the last look already: of few, after a death, Dask's own word never comes."""
+        """Tell of tasks that had ended at the last look already, should Dask's own word of them not come."""
         ended = {key for key, (future, _) in list(self._open.items()) if future.status != "pending"}
         for key in ended & self._ended:
             log.info("a task had ended unnoticed: %s", key)
@@ -270,9 +270,17 @@ def pid_under(nanny: Any) -> int | None:
 
 
 def report(ended: "Future[Any]", done: Done) -> None:
-    """Tell ``done`` how a future ended."""
-    if ended.status == "finished":
-        done(ended.result(), None)
-        return
-    error = ended.exception() if ended.status == "error" else WorkersAwayError("The workers were lost.")
-    done(None, LostWorkerError("the process that was to bake it died.") if isinstance(error, KilledWorker) else error)
+    """Tell ``done`` how a future ended.
+
+    A result lies with the worker that made it until it is fetched here. Where that worker dies in between, Dask has the
+    task run again, and fetching waits for that or raises what became of it.
+    """
+    try:
+        result = ended.result()
+    except KilledWorker:
+        done(None, LostWorkerError("the process that was to bake it died."))
+    except Exception as error:
+        own = ended.status == "error"
+        done(None, error if own else WorkersAwayError(f"The workers were lost: {error}"))
+    else:
+        done(result, None)

@@ -19,7 +19,7 @@ from server.jobs import Job, Jobs, Result, Status
 from server.settings import Settings
 from server.statuses import RESULTS
 from server.studio import Studio
-from tests.live import live
+from tests.live import live, serving
 from tests.server.idle import Idle, idle_server
 from tests.server.inline import LONG
 from worker.baker import Baker
@@ -180,8 +180,9 @@ def until_over(client: httpx.Client, address: str) -> dict[str, Any]:
         time.sleep(0.05)
 
 
-def test_a_frame_that_is_not_final_is_answered_with_a_job_that_leads_to_it(live_server: str) -> None:
-    with httpx.Client(base_url=live_server, timeout=60) as client:
+def test_a_frame_that_is_not_final_is_answered_with_a_job_that_leads_to_it(small_scene: Path, tmp_path: Path) -> None:
+    """From a store of its own: what other tests have asked for may have baked this view."""
+    with serving(small_scene, tmp_path) as url, httpx.Client(base_url=url, timeout=60) as client:
         begun = client.get(FRAME, params=VIEW | {"f": "jpeg"}, headers=ASYNC)
         assert (begun.status_code, begun.headers["preference-applied"]) == (202, "respond-async")
         assert begun.headers["cache-control"] == "no-store"

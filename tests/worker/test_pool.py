@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import dask.config
 import httpx
@@ -15,7 +15,9 @@ import numba
 import numpy as np
 import psutil
 import pytest
-from distributed import LocalCluster
+from distributed import Future, LocalCluster
+from distributed.client import FutureCancelledError
+from distributed.scheduler import KilledWorker
 from distributed.utils import LoopRunner
 
 from isogi_core.bake.look import look_for
@@ -29,9 +31,9 @@ from isogi_core.kernels.warm import warm
 from isogi_core.model.scene import load_scene
 from worker.baker import Baker
 from worker.clients import OwnClient
-from worker.errors import LostWorkerError, WorkersError
+from worker.errors import LostWorkerError, WorkersAwayError, WorkersError
 from worker.nice import FORWARD, NICENESS
-from worker.pool import AHEAD, WorkerPool
+from worker.pool import AHEAD, WorkerPool, report
 from worker.sessions import BACK
 from worker.tasks import KINDS, BakeResult, BakeTask, bake_kernels, opened
 
@@ -275,6 +277,45 @@ def test_a_killed_worker_is_replaced_and_its_tasks_come_back_as_lost(pool: Worke
     while len(pids := pool.pids()) < WORKERS and time.monotonic() < deadline:
         time.sleep(0.1)
     assert len(set(pids) - set(before)) == 1
+
+
+@pytest.mark.slow
+def test_tasks_that_end_while_dask_tells_nobody_are_noticed(
+    pool: WorkerPool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Future, "add_done_callback", lambda *_: None)
+    assert len(bake_all(pool, tasks_for(tmp_path))) == 4
+
+
+class Ended:
+    """A future that seems to have ended, and whose result cannot be fetched."""
+
+    def __init__(self, status: str, error: BaseException) -> None:
+        self.status, self.error = status, error
+
+    def result(self) -> None:
+        raise self.error
+
+
+@pytest.mark.parametrize(
+    ("status", "error", "kind"),
+    [
+        ("finished", KilledWorker("bake", None, 0), LostWorkerError),
+        ("error", KilledWorker("bake", None, 0), LostWorkerError),
+        ("error", OSError("the disk is full"), OSError),
+        ("finished", OSError("the connection is gone"), WorkersAwayError),
+        ("cancelled", FutureCancelledError("bake", "the scheduler is gone"), WorkersAwayError),
+    ],
+)
+def test_whoever_waits_is_told_also_where_a_result_is_lost_on_its_way(
+    status: str, error: Exception, kind: type[Exception]
+) -> None:
+    """The worker that holds it may die before it is fetched; the error came out of the callback, and nobody was told."""
+    told: list[tuple[BakeResult | None, BaseException | None]] = []
+    report(cast("Future[Any]", Ended(status, error)), lambda *outcome: told.append(outcome))
+    ((result, why),) = told
+    assert result is None
+    assert type(why) is kind
 
 
 @pytest.mark.slow
