@@ -310,7 +310,7 @@ class Ended:
 def test_whoever_waits_is_told_also_where_a_result_is_lost_on_its_way(
     status: str, error: Exception, kind: type[Exception]
 ) -> None:
-    """The worker that holds it may die before it is fetched; the error came out of the callback, and nobody was told."""
+    """Its worker may die before it is fetched: the error then came out of the callback, and nobody was told."""
     told: list[tuple[BakeResult | None, BaseException | None]] = []
     report(cast("Future[Any]", Ended(status, error)), lambda *outcome: told.append(outcome))
     ((result, why),) = told
