@@ -1,11 +1,12 @@
 """How far pictures jump as the isovalue slides and as the light turns, beside how far the truth does.
 
-    python -m benchmarks.sequences [SCENE.toml] [--from 50] [--to 110] [--step 4] [--size 64] [--json]
+    python -m benchmarks.sequences [SCENE.toml] [--from 50] [--to 110] [--step 4] [--size 64] [--sharpen] [--json]
 
 By default the engine block: the issue of banding and fading shadows while a slider moves (S1, figures 4 and 12).
 """
 
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -41,6 +42,7 @@ def figures_of(name: str, found: list[Jump]) -> dict[str, float]:
 @click.option("--paths", default=512, show_default=True, help="Paths from each pixel of the references.")
 @click.option("--size", default=64, show_default=True, help="Pixels a side.")
 @click.option("--error", default=0.02, show_default=True, help="Target error of the light.")
+@click.option("--sharpen", is_flag=True, help="Light texels on the isosurface of each frame.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def main(
     target: str | None,
@@ -53,10 +55,12 @@ def main(
     paths: int,
     size: int,
     error: float,
+    sharpen: bool,
     as_json: bool,
 ) -> None:
     """Slide the isovalue of TARGET, the engine block by default, and turn its light."""
     scene = benchmark_scene(target, light, target_error=error)
+    scene = replace(scene, sharpen=sharpen or scene.sharpen)
     view = View(scene.isovalue, scene.camera(30.0, 20.0, 2.5, 30.0), width=size, height=size)
     with tempfile.TemporaryDirectory() as folder:
         bench = Bench(scene, view, Path(folder))

@@ -27,8 +27,14 @@ LOWEST_BYTES = 2
 """The lowest band of direct light that bytes may hold."""
 
 MOST_BANDS = 6
-"""Orders beyond this are for a scene to tell: bytes grow as n², while the error under a sun falls as 1 / √n."""
+"""The order of light that stays beyond the target whatever is kept: bytes grow as n², while the error under a sun falls
+as 1 / √n."""
 
+FAR_BANDS = 8
+"""The most that a plan takes where that brings light within the target; orders beyond it are for a scene to tell.
+
+Under uffizi orders 6 and 8 err by 3.2 and 1.7 %, with 48 and 79 bytes of direct light.
+"""
 
 MOST_REFLECTED = 5
 """The order of reflected light where lobes, whose reflections stay in harmonics, left less to direct light, at most."""
@@ -100,8 +106,16 @@ def layers_of(representation: str, needs: Needs, told: Told, bounces: int, lobes
 
 
 def direct_order(needs: Needs, lobes: int) -> int:
-    """The order of light that arrives unreflected, ``lobes`` beside: the least within its share of the target."""
-    return choose_order(needs.energy_beside(lobes), HARMONICS * needs.target_error, "direct", MOST_BANDS)[0]
+    """The order of light that arrives unreflected, ``lobes`` beside: the least within its share of the target.
+
+    Where MOST_BANDS are too few for that, the least up to FAR_BANDS that is within the target, or else MOST_BANDS.
+    """
+    energy, target = needs.energy_beside(lobes), needs.target_error
+    order, error = choose_order(energy, HARMONICS * target, "direct", MOST_BANDS)
+    if error <= HARMONICS * target:
+        return order
+    further, error = choose_order(energy, target, "direct", FAR_BANDS)
+    return max(order, further) if error <= target else order
 
 
 def indirect_order(needs: Needs, direct: int, lobes: int, most: int) -> int:

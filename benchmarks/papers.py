@@ -1,0 +1,69 @@
+"""The papers' own method, to measure ours against (Wyman et al., TVCG 2006, sections 3 and 4).
+
+A texel keeps all light, direct and reflected, as one set of harmonics of order ORDER in single floats, and of a light
+that is the same from all sides one number; it is lit on the isosurface through its own point. A pixel reads the eight
+texels around it, trilinearly, and no more.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from isogi_core.bake.precision import next_rung
+from isogi_core.frame.surroundings import Turned
+from isogi_core.model.plan import Layer
+from isogi_core.model.scene import Scene
+from isogi_core.model.view import View
+from isogi_core.report.bake import ViewBake
+from isogi_core.report.bench import Bench, with_plan
+from isogi_core.report.interpolation import lit_texels
+
+ORDER = 5
+"""Bands of harmonics: 25 coefficients, as S1 keeps (section 3.2)."""
+
+CORNERS = np.array([[z, y, x] for z in (0, 1) for y in (0, 1) for x in (0, 1)])
+"""Texels about a lattice cell's lowest corner, in the order of ``ViewTexels.corners``; (8, 3; z, y, x)."""
+
+
+def papers_scene(scene: Scene) -> Scene:
+    """The scene as the papers light it."""
+    order = 1 if scene.needs.constant else ORDER
+    layer = Layer("whole", order, scene.plan.channels, half=False)
+    return replace(with_plan(scene, layers=(layer,), order=order, lobes=0), sharpen=False)
+
+
+class PapersBake:
+    """The light of a bench's view by the papers' method; ``seconds`` of the processor were spent on it."""
+
+    def __init__(self, bench: Bench) -> None:
+        """Bake nothing yet."""
+        scene = papers_scene(bench.scene)
+        self.bake = ViewBake(bench.renderer(scene), bench.view)
+        self.bytes = scene.plan.bytes_per_texel
+
+    @property
+    def seconds(self) -> float:
+        """Seconds of the processor that the bake took."""
+        return self.bake.seconds
+
+    def grow(self, seconds: float, tell: Callable[[str], object] = lambda text: None) -> None:
+        """Bake, each texel with as many paths, until that took at least so many ``seconds``."""
+        samples = 0
+        while self.seconds < seconds:
+            samples = next_rung(samples)
+            self.bake.grow(samples)
+            tell(f"{samples} paths, {self.seconds:.0f} s")
+
+    def radiance(self, view: View) -> np.ndarray:
+        """The picture of a ``view`` that differs from the bench's by its light alone; (h, w, 3) float64 linear RGB."""
+        shown, lattice = self.bake.shown, self.bake.shown.lattice
+        lit, held = lit_texels(self.bake.light, Turned(self.bake.look, view))
+        places = shown.gbuffer.points[:, ::-1].astype(np.float64) * np.array(lattice.density[::-1])
+        lowest = np.clip(np.floor(places), 0, np.array(lattice.shape) - 2)
+        fractions = np.clip(places - lowest, 0.0, 1.0)[:, None]
+        weights = np.where(CORNERS, fractions, 1.0 - fractions).prod(axis=2) * held[shown.corners]
+        weights /= np.maximum(weights.sum(axis=1, keepdims=True), 1e-30)
+        picture = np.zeros((view.height * view.width, 3))
+        picture[shown.gbuffer.pixels] = (weights[:, :, None] * lit[shown.corners, :3]).sum(axis=1)
+        return picture.reshape(view.height, view.width, 3)
