@@ -37,9 +37,10 @@ def test_texels_face_as_their_bake_locates_them(step):
     args = field, np.full(3, step), texels
     locate_texels(*args, points, normals, np.empty(len(texels)), np.empty(len(texels), np.bool_))
     stays = (points.T == texels[:, ::-1] * step).all(axis=1)
+    stays &= normals.any(axis=0)
     assert stays.mean() > 0.95
     found = facing(field, np.full(3, step), 0.0, False, texels)
-    assert np.array_equal(found[stays], normals.T.astype(np.float32)[stays])
+    np.testing.assert_allclose(found[stays], normals.T[stays], atol=1e-6)
 
 
 @pytest.mark.parametrize("step", [1.0, 0.5])
@@ -50,7 +51,7 @@ def test_moved_texels_face_as_they_do_where_they_are_moved_to(step):
     found = facing(field, np.full(3, step), 0.4, True, texels)
     there = verdicts == MOVED
     assert there.sum() > 500 and (verdicts == FAR).sum() > 100
-    assert np.array_equal(found[there], normals.T.astype(np.float32)[there])
+    np.testing.assert_allclose(found[there], normals.T[there], atol=1e-6)
     assert not found[verdicts == FAR].any()
 
 

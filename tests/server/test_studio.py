@@ -502,7 +502,8 @@ def test_kernels_that_a_scene_never_calls_are_never_compiled(tmp_path: Path) -> 
         return {f"isogi_core.kernels.{path.name.split('-')[0]}" for path in files}, int(done.stdout)
 
     every = {kernel.name for kernel in FRAME} - {project_lamps.name, judge_texels.name}
-    assert start("constant")[0] == every - {rotate.name, light_lobes.name, add_lobes.name}
+    shares = {kernel.name for kernel in SHARING}
+    assert start("constant")[0] == every - shares - {rotate.name, light_lobes.name, add_lobes.name}
     assert start("sky")[0] == every
     assert start("sky") == (every, 0)
 
