@@ -91,10 +91,13 @@ class Turned:
 
     @cached_property
     def bare(self) -> Bare:
-        """The same by the normal, in single floats; what texels' light is carried as shares of."""
-        least = LEAST * self.albedo * self.mean / self.look.unit
-        quadric = quadric_of(self.sky.lobe * self.sky.light)
-        return Bare(np.ascontiguousarray(quadric, np.float32), least.astype(np.float32))
+        """The same by the normal, in single floats; what texels' light is carried as shares of.
+
+        Of lobes, whose light texels have from other surfaces alone, it holds the mean, as if from all sides.
+        """
+        mean, beside = self.albedo * self.mean / self.look.unit, self.sky.light[:, 0] / math.sqrt(4.0 * math.pi)
+        quadric, reflected = quadric_of(self.sky.lobe * self.sky.light), np.maximum(mean - beside, 0.0)
+        return Bare(*(np.ascontiguousarray(each, np.float32) for each in (quadric, LEAST * mean, reflected)))
 
     @cached_property
     def surroundings(self) -> Surroundings:

@@ -42,59 +42,66 @@ RECORD = 8
 class Bare(NamedTuple):
     """Unshadowed light by the normal.
 
-    ``quadric`` (3, 9) float32, of linear RGB over 1, y, z, x, xy, yz, z², xz, x² - y²; ``least`` (3,) of each colour.
+    ``quadric`` (3, 9) float32, of linear RGB over 1, y, z, x, xy, yz, z², xz, x² - y², and ``least`` (3,) of each
+    colour; ``reflected`` (3,) is added to it: what texels hold of lobes, which light them by way of other surfaces.
     """
 
     quadric: Any
     least: Any
+    reflected: Any
 
 
-BARE = record(Bare, types.float32[:, ::1], types.float32[::1])
+BARE = record(Bare, types.float32[:, ::1], types.float32[::1], types.float32[::1])
 
 
 @kernel()
 def bare_light(bare, x, y, z):
-    """Irradiance over π, linear RGB, of what nothing shadows about the unit normal (x, y, z), and its luminance.
+    """Irradiance over π, linear RGB, of what nothing shadows about the unit normal (x, y, z).
 
-    Never less than ``least``. Source: Ramamoorthi and Hanrahan 2001, eqs. 11 to 13.
+    ``least`` at least, and the ``reflected`` light. Source: Ramamoorthi and Hanrahan 2001, eqs. 11 to 13.
     """
     xy, yz, zz, xz, across = x * y, y * z, z * z, x * z, x * x - y * y
-    q, low = bare.quadric, bare.least
+    q, low, more = bare.quadric, bare.least, bare.reflected
     r = q[0, 0] + y * q[0, 1] + z * q[0, 2] + x * q[0, 3]
     g = q[1, 0] + y * q[1, 1] + z * q[1, 2] + x * q[1, 3]
     b = q[2, 0] + y * q[2, 1] + z * q[2, 2] + x * q[2, 3]
     r += xy * q[0, 4] + yz * q[0, 5] + zz * q[0, 6] + xz * q[0, 7] + across * q[0, 8]
     g += xy * q[1, 4] + yz * q[1, 5] + zz * q[1, 6] + xz * q[1, 7] + across * q[1, 8]
     b += xy * q[2, 4] + yz * q[2, 5] + zz * q[2, 6] + xz * q[2, 7] + across * q[2, 8]
-    r, g, b = max(r, low[0]), max(g, low[1]), max(b, low[2])
-    return r, g, b, luminance(r, g, b)
+    return max(r, low[0]) + more[0], max(g, low[1]) + more[1], max(b, low[2]) + more[2]
 
 
 @kernel()
-def share_of(lit, over):
-    """Light over unshadowed light, both (r, g, b, their luminance's error or itself); 0 of what is dark."""
-    return (
-        lit[0] / max(over[0], DARKEST),
-        lit[1] / max(over[1], DARKEST),
-        lit[2] / max(over[2], DARKEST),
-        lit[3] / max(over[3], DARKEST),
-    )
+def unbaked_light(bare, light):
+    """What stands in for light that is not baked, of unshadowed ``light``: all but what is ``reflected``."""
+    return light[0] - bare.reflected[0], light[1] - bare.reflected[1], light[2] - bare.reflected[2]
+
+
+@kernel()
+def put_share(shares, t, light, error, over):
+    """Write ``light`` and its ``error`` over unshadowed light to texel ``t`` of ``shares``; 0 where all is dark."""
+    shares[t, 0] = light[0] / max(over[0], DARKEST)
+    shares[t, 1] = light[1] / max(over[1], DARKEST)
+    shares[t, 2] = light[2] / max(over[2], DARKEST)
+    shares[t, 3] = error / max(luminance(over[0], over[1], over[2]), DARKEST)
 
 
 @kernel(types.void(types.uint8[::1], types.float32[:, ::1], POINTS, BARE, types.float32[:, ::1]))
 def share_texels(grade, lit, normals, bare, shares):
     """Fill ``shares`` (m, RECORD) of texels with the ``grade`` (m,) and the light ``lit`` (m, 4) of ``light_texels``.
 
-    ``normals`` (m, 3) are those that they are lit about. What is not baked has the share 1; void and buried texels have
-    0.
+    ``normals`` (m, 3) are those that they are lit about. Of what is not baked unshadowed light stands in; void and
+    buried texels have none.
     """
     for t in range(grade.shape[0]):
         x, y, z = normals[t, 0], normals[t, 1], normals[t, 2]
-        bright = ONE if grade[t] == UNBAKED else NONE
-        own = bright, bright, bright, NONE
+        over = bare_light(bare, x, y, z)
+        light, error = (NONE, NONE, NONE), NONE
         if PARTIAL <= grade[t] <= FINAL:
-            own = share_of(lit[t], bare_light(bare, x, y, z))
-        shares[t, 0], shares[t, 1], shares[t, 2], shares[t, 3] = own
+            light, error = (lit[t, 0], lit[t, 1], lit[t, 2]), lit[t, 3]
+        elif grade[t] == UNBAKED:
+            light = unbaked_light(bare, over)
+        put_share(shares, t, light, error, over)
         shares[t, 4], shares[t, 5], shares[t, 6], shares[t, 7] = x, y, z, np.float32(grade[t])
 
 
@@ -125,13 +132,31 @@ def blend_shares(corners, m, shares, x, y, z, fz, fy, fx):
 
 
 @kernel()
-def stand_in(corners, m, shares, fz, fy, fx):
-    """The share of each colour at point ``m`` where no texel counts: none if any of them is buried, else 1."""
+def is_buried(corners, m, shares, fz, fy, fx):
+    """Whether any of the texels that point ``m`` reads is buried."""
     buried = 0.0
     for c in range(8):
         if shares[corners[m, c], 7] == BURIED:
             buried += trilinear(c, fz, fy, fx)
-    return NONE if buried > 0.0 else ONE
+    return buried > 0.0
+
+
+@kernel(inline=True)
+def put_under(corners, m, shares, bare, n, f):
+    """Light of point ``m`` about its normal ``n``, from shares at the fractions ``f``: (r, g, b, error, least grade).
+
+    The error is relative. Where no texel counts it is dark if any is buried, and unshadowed if all are void.
+    """
+    r, g, b, variance, weight, least = blend_shares(corners, m, shares, n[0], n[1], n[2], f[0], f[1], f[2])
+    under = bare_light(bare, n[0], n[1], n[2])
+    if not weight > NONE:
+        r, g, b = unbaked_light(bare, under)
+        bright = NONE if is_buried(corners, m, shares, f[0], f[1], f[2]) else ONE
+        return r * bright, g * bright, b * bright, NONE, least
+    whole = ONE / weight
+    r, g, b = r * whole * under[0], g * whole * under[1], b * whole * under[2]
+    noise = math.sqrt(variance) * whole * luminance(under[0], under[1], under[2])
+    return r, g, b, noise / max(luminance(r, g, b), DARKEST), least
 
 
 @kernel(types.void(LATTICE, POINTS, PIXELS, CORNERS, types.float32[:, ::1], POINTS, BARE, types.float32, PLANES))
@@ -145,15 +170,8 @@ def carry_shares(lattice, points, pixels, corners, shares, normals, bare, unit, 
     """
     for m in range(points.shape[0]):
         _, _, _, fz, fy, fx = base_texel(lattice, points, m)
-        x, y, z = normals[m, 0], normals[m, 1], normals[m, 2]
-        f = np.float32(fz), np.float32(fy), np.float32(fx)
-        r, g, b, variance, weight, least = blend_shares(corners, m, shares, x, y, z, f[0], f[1], f[2])
-        if not weight > NONE:
-            r = g = b = stand_in(corners, m, shares, fz, fy, fx)
-            weight = ONE
-        under, whole = bare_light(bare, x, y, z), ONE / weight
-        r, g, b = r * whole * under[0], g * whole * under[1], b * whole * under[2]
-        noise = math.sqrt(variance) * whole * under[3] / max(luminance(r, g, b), DARKEST)
+        f, n = (np.float32(fz), np.float32(fy), np.float32(fx)), (normals[m, 0], normals[m, 1], normals[m, 2])
+        r, g, b, noise, least = put_under(corners, m, shares, bare, n, f)
         state = np.uint8(min(max(least, np.float32(PROVISIONAL)), np.float32(FINAL)))
         error = ONE if least <= PARTIAL else min(noise, ONE)
         put_pixel(planes, pixels[m], (r * unit, g * unit, b * unit), state, error)

@@ -112,14 +112,15 @@ def sides_of(bench: Bench) -> Sides:
 
 
 def bare_light(turned: Turned) -> Callable[[np.ndarray], np.ndarray]:
-    """The luminance that unshadowed surfaces with normals (n, 3) have under ``turned`` lights, each colour LEAST of its
-    mean at least; as frames have it, but by harmonics."""
-    sky, least = turned.sky, LEAST * turned.albedo * turned.mean / turned.look.unit
+    """The luminance that unshadowed surfaces with normals (n, 3) have under ``turned`` lights, as frames have it; but
+    by harmonics, each colour LEAST of its mean at least, and the mean of lobes."""
+    sky, mean = turned.sky, turned.albedo * turned.mean / turned.look.unit
+    reflected = mean - sky.light[:, 0] / math.sqrt(4.0 * math.pi)
 
     def bare(normals: np.ndarray) -> np.ndarray:
         theta, phi = np.arccos(np.clip(normals[:, 2], -1.0, 1.0)), np.arctan2(normals[:, 1], normals[:, 0])
         light = (sky.lobe * sky.light) @ evaluate_harmonics(sky.order, theta, phi)
-        return luminance(np.maximum(light.T, least))
+        return luminance(np.maximum(light.T, LEAST * mean) + reflected)
 
     return bare
 

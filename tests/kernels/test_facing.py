@@ -36,7 +36,7 @@ def test_texels_face_as_their_bake_locates_them(step):
     points, normals = np.empty((3, len(texels))), np.empty((3, len(texels)))
     args = field, np.full(3, step), texels
     locate_texels(*args, points, normals, np.empty(len(texels)), np.empty(len(texels), np.bool_))
-    stays = (points.T == texels[:, ::-1] * step).all(axis=1)
+    stays = (texels[:, ::-1] * step == points.T).all(axis=1)
     stays &= normals.any(axis=0)
     assert stays.mean() > 0.95
     found = facing(field, np.full(3, step), 0.0, False, texels)

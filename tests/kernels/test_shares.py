@@ -15,7 +15,8 @@ from tests.kernels.lattices import border_points, lattice, lower_texels, view_of
 RNG = np.random.default_rng(5)
 LIGHT = RNG.normal(size=(3, 9)) * 0.3 + np.array([4.0] + [0.0] * 8)
 LEASTS = np.array([0.9, 0.7, 0.8], np.float32)
-BARE = Bare(np.ascontiguousarray(quadric_of(LIGHT), np.float32), LEASTS)
+REFLECTED = np.array([0.2, 0.1, 0.15], np.float32)
+BARE = Bare(np.ascontiguousarray(quadric_of(LIGHT), np.float32), LEASTS, REFLECTED)
 WEIGHTS = np.array([RED, GREEN, BLUE], np.float64)
 
 
@@ -37,7 +38,7 @@ def harmonics(n):
 
 def bare_of(normals):
     """Unshadowed light (n, 3) about ``normals``."""
-    return np.maximum([LIGHT @ harmonics(n / np.linalg.norm(n)) for n in normals.astype(float)], LEASTS)
+    return np.maximum([LIGHT @ harmonics(n / np.linalg.norm(n)) for n in normals.astype(float)], LEASTS) + REFLECTED
 
 
 def shares_of(grade, lit, normals, bare=BARE):
@@ -74,14 +75,14 @@ def one_by_one(points, grade, lit, facing, normals):
         counts, over = grade[own] <= FINAL, bare_of(facing[own])
         weights, under = tri * cosines**4 * counts, bare_of(normals[m : m + 1])[0]
         unbaked = (grade[own] == UNBAKED)[:, None]
-        shares = np.where(unbaked, 1.0, lit[own, :3] / over)
+        shares = np.where(unbaked, over - REFLECTED, lit[own, :3]) / over
         errors = np.where(unbaked[:, 0], 0.0, lit[own, 3] / (over @ WEIGHTS))
         least[m] = grade[own].min()
         if weights.sum() > 0.0:
             weights /= weights.sum()
             light[m], noise[m] = weights @ shares * under, np.sqrt(((weights * errors) ** 2).sum()) * (under @ WEIGHTS)
         else:
-            light[m] = 0.0 if tri[grade[own] == BURIED].sum() > 0.0 else under
+            light[m] = 0.0 if tri[grade[own] == BURIED].sum() > 0.0 else under - REFLECTED
     return light, noise, least
 
 
@@ -99,10 +100,13 @@ def test_a_share_is_the_light_over_unshadowed_light_about_the_normal():
     grade, lit, facing = lit_texels(points, (PARTIAL, CONVERGING, FINAL, UNBAKED, BURIED, VOID))
     lit[grade == UNBAKED] = lit[grade > FINAL] = np.nan
     shares, there, over = shares_of(grade, lit, facing), (grade >= PARTIAL) & (grade <= FINAL), bare_of(facing)
-    assert (over == LEASTS).any() and (over > LEASTS).any(), "some are as dark as they may be"
+    dark = over - REFLECTED <= 1.0001 * LEASTS
+    assert dark.any() and not dark.all(), "some are as dark as they may be"
     np.testing.assert_allclose(shares[there, :3], (lit[:, :3] / over)[there], rtol=1e-5)
     np.testing.assert_allclose(shares[there, 3], (lit[:, 3] / (over @ WEIGHTS))[there], rtol=1e-5)
-    assert (shares[grade == UNBAKED, :4] == (1.0, 1.0, 1.0, 0.0)).all() and not shares[grade > FINAL, :4].any()
+    unbaked = grade == UNBAKED
+    np.testing.assert_allclose(shares[unbaked, :3], 1.0 - (REFLECTED / over)[unbaked], rtol=1e-5)
+    assert not shares[unbaked, 3].any() and not shares[grade > FINAL, :4].any()
     assert np.array_equal(shares[:, 4:7], facing) and np.array_equal(shares[:, 7], grade)
 
 
@@ -132,10 +136,11 @@ def test_where_all_normals_agree_light_is_blended_as_it_is():
 def test_light_that_follows_the_normals_is_right_whatever_normals_texels_have():
     points = border_points()
     grade, lit, facing = lit_texels(points, (FINAL, UNBAKED, VOID))
-    lit[:, :3] = bare_of(facing)
+    bare, all_of = Bare(*BARE[:2], 0.0 * REFLECTED), lambda normals: bare_of(normals) - REFLECTED
+    lit[:, :3] = all_of(facing)
     normals = some_normals(len(points))
-    radiance, _, _ = carry(points, shares_of(grade, lit, facing), normals)
-    np.testing.assert_allclose(radiance, bare_of(normals), rtol=1e-5)
+    radiance, _, _ = carry(points, shares_of(grade, lit, facing, bare), normals, bare)
+    np.testing.assert_allclose(radiance, all_of(normals), rtol=1e-5)
 
 
 def test_texels_that_face_away_or_nowhere_hardly_count_beside_one_that_does_not():
@@ -160,9 +165,9 @@ def test_a_colour_that_the_light_lacks_stays_dark():
     points = border_points()
     grade, lit, facing = lit_texels(points, (FINAL, UNBAKED))
     lit[:, 1] = 0.0
-    quadric, least = BARE.quadric.copy(), LEASTS.copy()
-    quadric[1], least[1] = 0.0, 0.0
-    bare = Bare(quadric, least)
+    bare = Bare(*(each.copy() for each in BARE))
+    for each in bare:
+        each[1] = 0.0
     radiance, _, error = carry(points, shares_of(grade, lit, facing, bare), some_normals(len(points)), bare)
     assert not radiance[:, 1].any() and (radiance[:, 0] > 0.0).all() and np.isfinite(error).all()
 
@@ -170,7 +175,7 @@ def test_a_colour_that_the_light_lacks_stays_dark():
 def test_no_light_at_all_is_black_and_final():
     points = border_points()
     grade, lit, facing = lit_texels(points)
-    dark = Bare(np.zeros((3, 9), np.float32), np.zeros(3, np.float32))
+    dark = Bare(*(0.0 * each for each in BARE))
     radiance, state, error = carry(points, shares_of(grade, 0.0 * lit, facing, dark), some_normals(len(points)), dark)
     assert not radiance.any() and not error.any() and (state == FINAL).all()
 
