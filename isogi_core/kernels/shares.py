@@ -132,31 +132,16 @@ def blend_shares(corners, m, shares, x, y, z, fz, fy, fx):
 
 
 @kernel()
-def is_buried(corners, m, shares, fz, fy, fx):
-    """Whether any of the texels that point ``m`` reads is buried."""
+def stand_in(corners, m, shares, bare, under, fz, fy, fx):
+    """The share of each colour at point ``m`` where no texel counts: none if any is buried, as if unbaked if not."""
     buried = 0.0
     for c in range(8):
         if shares[corners[m, c], 7] == BURIED:
             buried += trilinear(c, fz, fy, fx)
-    return buried > 0.0
-
-
-@kernel(inline=True)
-def put_under(corners, m, shares, bare, n, f):
-    """Light of point ``m`` about its normal ``n``, from shares at the fractions ``f``: (r, g, b, error, least grade).
-
-    The error is relative. Where no texel counts it is dark if any is buried, and unshadowed if all are void.
-    """
-    r, g, b, variance, weight, least = blend_shares(corners, m, shares, n[0], n[1], n[2], f[0], f[1], f[2])
-    under = bare_light(bare, n[0], n[1], n[2])
-    if not weight > NONE:
-        r, g, b = unbaked_light(bare, under)
-        bright = NONE if is_buried(corners, m, shares, f[0], f[1], f[2]) else ONE
-        return r * bright, g * bright, b * bright, NONE, least
-    whole = ONE / weight
-    r, g, b = r * whole * under[0], g * whole * under[1], b * whole * under[2]
-    noise = math.sqrt(variance) * whole * luminance(under[0], under[1], under[2])
-    return r, g, b, noise / max(luminance(r, g, b), DARKEST), least
+    if buried > 0.0:
+        return NONE, NONE, NONE
+    light = unbaked_light(bare, under)
+    return light[0] / max(under[0], DARKEST), light[1] / max(under[1], DARKEST), light[2] / max(under[2], DARKEST)
 
 
 @kernel(types.void(LATTICE, POINTS, PIXELS, CORNERS, types.float32[:, ::1], POINTS, BARE, types.float32, PLANES))
@@ -171,7 +156,14 @@ def carry_shares(lattice, points, pixels, corners, shares, normals, bare, unit, 
     for m in range(points.shape[0]):
         _, _, _, fz, fy, fx = base_texel(lattice, points, m)
         f, n = (np.float32(fz), np.float32(fy), np.float32(fx)), (normals[m, 0], normals[m, 1], normals[m, 2])
-        r, g, b, noise, least = put_under(corners, m, shares, bare, n, f)
+        r, g, b, variance, weight, least = blend_shares(corners, m, shares, n[0], n[1], n[2], f[0], f[1], f[2])
+        under = bare_light(bare, n[0], n[1], n[2])
+        if not weight > NONE:
+            r, g, b = stand_in(corners, m, shares, bare, under, fz, fy, fx)
+            weight = ONE
+        whole = ONE / weight
+        r, g, b = r * whole * under[0], g * whole * under[1], b * whole * under[2]
+        noise = math.sqrt(variance) * whole * luminance(under[0], under[1], under[2])
+        error = ONE if least <= PARTIAL else min(noise / max(luminance(r, g, b), DARKEST), ONE)
         state = np.uint8(min(max(least, np.float32(PROVISIONAL)), np.float32(FINAL)))
-        error = ONE if least <= PARTIAL else min(noise, ONE)
         put_pixel(planes, pixels[m], (r * unit, g * unit, b * unit), state, error)
