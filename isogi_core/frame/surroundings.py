@@ -95,8 +95,10 @@ class Turned:
 
         Of lobes, whose light texels have from other surfaces alone, it holds the mean, as if from all sides.
         """
-        mean, beside = self.albedo * self.mean / self.look.unit, self.sky.light[:, 0] / math.sqrt(4.0 * math.pi)
-        quadric, reflected = quadric_of(self.sky.lobe * self.sky.light), np.maximum(mean - beside, 0.0)
+        mean = self.albedo * self.mean / self.look.unit
+        lobes = (self.around - turn(self.look.beside, self.matrix))[:, 0] / math.sqrt(4.0 * math.pi)
+        reflected = np.maximum(self.albedo * lobes / self.look.unit, 0.0)
+        quadric = quadric_of(self.sky.lobe * self.sky.light)
         return Bare(*(np.ascontiguousarray(each, np.float32) for each in (quadric, LEAST * mean, reflected)))
 
     @cached_property

@@ -11,7 +11,7 @@ from numba import types
 
 from isogi_core.kernels._jit import kernel
 from isogi_core.kernels.field import FIELD, normal, smooth_gradient, value
-from isogi_core.kernels.plateaus import STRIDE, along, crossing, downhill
+from isogi_core.kernels.plateaus import HALVINGS, STRIDE, along, crossing, downhill
 from isogi_core.kernels.transfer import COLUMNS, TEXELS, VECTOR, hemmed
 from isogi_core.kernels.vec import dot, is_zero, length, put_column
 
@@ -37,14 +37,14 @@ def strays(voxels, p, d, level, reach):
 
 
 @kernel(exact=True)
-def way_to(field, p, n, level):
+def way_to(field, p, n, level, halvings=HALVINGS):
     """The way from ``p`` to the isosurface ``level`` along the normal ``n``, that is not zero: (direction, voxels).
 
     Out of the solid or into it, to where the trilinear field first crosses the level; the direction is of index space,
-    a voxel long, and the way inf where it does not within FARTHEST.
+    a voxel long, and the way, which so many ``halvings`` end (see ``crossing``), inf where it does not within FARTHEST.
     """
     d = downhill(n, field.spacing, 1.0 if value(field.voxels, p) > level else -1.0)
-    return d, crossing(field.voxels, p, d, level)
+    return d, crossing(field.voxels, p, d, level, halvings)
 
 
 @kernel(exact=True)
