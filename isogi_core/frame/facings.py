@@ -67,5 +67,5 @@ def shares_light(scene: Scene, shading: str) -> bool:
     Where light is the same from all sides, and in vicinity shading, shares are the light itself. Normals' weights alone
     then help sharpened texels, and no others.
     """
-    turning = scene.plan.representation == "transfer" and not scene.needs.constant
-    return look_name(shading) == "gi" and (turning or scene.sharpen)
+    sided = scene.plan.representation in ("transfer", "irradiance") and not scene.needs.constant
+    return look_name(shading) == "gi" and (sided or scene.sharpen)

@@ -93,9 +93,11 @@ class Turned:
     def bare(self) -> Bare:
         """The same by the normal, in single floats; what texels' light is carried as shares of.
 
-        Of lobes, whose light texels have from other surfaces alone, it holds the mean, as if from all sides.
+        Of lobes, whose light texels have from other surfaces alone, it holds the mean, as if from all sides. A colour
+        of lamps that the middle of the volume sees nothing of counts as the brightest one there.
         """
-        mean = self.albedo * self.mean / self.look.unit
+        shining = self.look.recipe.scene.lamps.arrays.colours.any(axis=0) & (self.mean == 0.0)
+        mean = self.albedo * np.where(shining, self.mean.max() or 1.0, self.mean) / self.look.unit
         lobes = (self.around - turn(self.look.beside, self.matrix))[:, 0] / math.sqrt(4.0 * math.pi)
         reflected = np.maximum(self.albedo * lobes / self.look.unit, 0.0)
         quadric = quadric_of(self.sky.lobe * self.sky.light)
