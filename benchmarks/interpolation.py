@@ -43,8 +43,8 @@ def main(output: Path | None, size: int, only: tuple[str, ...]) -> None:
 
 
 def bench_of(subject: Subject, size: int, folder: Path) -> Bench:
-    """The bench of a subject's view, as reports have it."""
-    scene = scene_of(subject)
+    """The bench of a subject's view, as reports have it, but with no lobes beside: all light is carried by texels."""
+    scene = scene_of(subject, **({} if subject.light == "constant light" else {"lobes": 0}))
     return Bench(scene, view_of(scene, size, camera=scene.camera(**STAND, fov=30.0)), folder / subject.folder)
 
 

@@ -94,14 +94,17 @@ def make(subject: Subject, folder: Path, size: int, deadline: float | None) -> d
     return report_of(scene, view, scene.default_exposure, Wishes(folder, deadline), time.monotonic())
 
 
-def scene_of(subject: Subject) -> Scene:
-    """The scene of a subject, planned by isogi; ClickException where the shared data are not at hand."""
+def scene_of(subject: Subject, **more: Any) -> Scene:
+    """The scene of a subject, with ``more`` settings, planned by isogi.
+
+    ClickException where the shared data are not at hand.
+    """
     data = shared_data()
     if data is None:
         raise click.ClickException("There are no shared volumes: set ISOGI_SHARED_DATA to a folder that has them.")
     light = dict(LIGHTS[subject.light])
-    settings = {"volume": VOLUMES[subject.volume], "isovalue": subject.isovalue, "albedo": 0.7, "lights": [light]}
-    return build_scene(SceneSource(subject.scene, settings, data))
+    own = {"volume": VOLUMES[subject.volume], "isovalue": subject.isovalue, "albedo": 0.7, "lights": [light]}
+    return build_scene(SceneSource(subject.scene, {**own, **more}, data))
 
 
 if __name__ == "__main__":

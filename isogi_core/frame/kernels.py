@@ -3,10 +3,12 @@
 from collections.abc import Iterable
 from typing import Any
 
+from isogi_core.frame.facings import shares_light
 from isogi_core.kernels.bricks import fill_ranges, mark_bricks, pack_bricks
 from isogi_core.kernels.camera import trace_pixels
 from isogi_core.kernels.chunks import find_corners, find_places, find_rows, mark_texels, touch_chunks, weigh_chunks
 from isogi_core.kernels.codes import unpack_texels
+from isogi_core.kernels.facing import face_texels
 from isogi_core.kernels.film import develop_rows, fill_curve
 from isogi_core.kernels.footprints import add_footprints
 from isogi_core.kernels.harmonics import rotate
@@ -18,6 +20,7 @@ from isogi_core.kernels.moves import judge_texels
 from isogi_core.kernels.planes import tally
 from isogi_core.kernels.rows import add_part, judge_rows
 from isogi_core.kernels.shading import find_normals
+from isogi_core.kernels.shares import carry_shares, share_texels
 from isogi_core.model.scene import Scene
 from isogi_core.plan.kernels import uncalled
 
@@ -25,7 +28,9 @@ FRAME = (
     light_lobes,
     trace_pixels,
     mark_bricks,
+    face_texels,
     carry_light,
+    carry_shares,
     rotate,
     fill_ranges,
     find_normals,
@@ -46,10 +51,14 @@ FRAME = (
     judge_rows,
     unpack_texels,
     find_places,
+    share_texels,
     tally,
     add_lobes,
 )
 """All of them, those that take longest to compile first."""
+
+SHARING = {face_texels, share_texels, carry_shares}
+"""Those of them that carry light as shares, where ``carry_light`` is not called."""
 
 
 def frame_kernels(scenes: Iterable[Scene]) -> tuple[Any, ...]:
@@ -61,6 +70,6 @@ def frame_kernels(scenes: Iterable[Scene]) -> tuple[Any, ...]:
 def spared_by(scene: Scene) -> set[Any]:
     """Those that frames of a ``scene`` never call."""
     names = {*uncalled(scene.rotating, scene.environment, scene.lamps, scene.plan.lobes)}
-    if not scene.sharpen:
-        names.add(judge_texels.__name__)
-    return {kernel for kernel in FRAME if kernel.__name__ in names}
+    spared = {kernel for kernel in FRAME if kernel.__name__ in names}
+    spared |= set() if scene.sharpen else {judge_texels}
+    return spared | ({carry_light} if shares_light(scene, "gi") else SHARING)

@@ -57,6 +57,11 @@ class Reading:
         """Whether every texel holds light."""
         return not (self.rows < 0).any()
 
+    @property
+    def moved(self) -> np.ndarray:
+        """Which texels are read on the isosurface that is shown, and not on their own; (texels,) bool."""
+        return np.zeros(len(self.rows), np.bool_)
+
     def sources(self, pool: PagePool) -> tuple[tuple[np.ndarray, PagePool], ...]:
         """Rows of light, and the pools that they are of: all of them of the ``pool`` that was read."""
         return ((self.rows, pool),)

@@ -6,9 +6,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
+import numpy as np
+
 from isogi_core.bake.look import look_name
 from isogi_core.cache.caches import Caches
 from isogi_core.cache.pages import Held, PagePool
+from isogi_core.frame.facings import Facings, find_facings
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import GBuffer, trace
 from isogi_core.frame.lobes import LobeLight, find_lobes
@@ -67,6 +70,7 @@ class Renderer:
             read=lambda texels, pool, held, target: self._read(view, texels, pool, held, target),
             find_lobes=lambda turned: self.lobes(turned, gbuffer, cancelled),
             sharpen=lambda texels, reading: self._sharpen(view, texels, reading),
+            find_facing=lambda texels, reading: self._facing(view, texels, reading),
             watch=watch,
             cancelled=cancelled,
         )
@@ -115,6 +119,12 @@ class Renderer:
             else:
                 sharp = read_texels(texels, held.slots, loader.pool, base.target, self.tiles)
                 yield joined(base, sharp, ways, loader.pool)
+
+    def _facing(self, view: View, texels: ViewTexels, reading: Reading) -> np.ndarray:
+        """The normals that a view's texels are lit about, as they are read; kept as its texels are."""
+        key = (Facings, surface_key(view))
+        facings = self._views.get(key, lambda: find_facings(texels, self.recipe, self.tiles))
+        return facings.where(reading.moved, texels, self.recipe, self.tiles)
 
     def _compose(self, view: View, gbuffer: GBuffer, shaded: Shaded, watch: Stopwatch) -> Frame:
         return Frame(

@@ -13,6 +13,7 @@ from isogi_core.bake.noise import DARKEST
 from isogi_core.bake.recipe import Recipe
 from isogi_core.cache.loader import Loader
 from isogi_core.cache.pages import Held, PagePool
+from isogi_core.frame.facings import shares_light
 from isogi_core.frame.gbuffer import POINTS, GBuffer
 from isogi_core.frame.lobes import LobeLight
 from isogi_core.frame.paths import Paths, pooled_variance, replicas_for, variance_of_mean
@@ -28,6 +29,7 @@ from isogi_core.kernels.lattice import carry_light, light_texels
 from isogi_core.kernels.lobes import add_lobes
 from isogi_core.kernels.planes import CONVERGING, FINAL, Planes
 from isogi_core.kernels.shading import find_shadows, shade_local
+from isogi_core.kernels.shares import RECORD, carry_shares, share_texels
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import View
 
@@ -49,7 +51,8 @@ class Shader:
     """Shades one view.
 
     Its surface points are in ``gbuffer``; ``loader`` opens the cache of its look; ``find_texels`` tells which
-    texels those read, ``read`` what a pool has of them at a target error, and ``sharpen`` what is read besides.
+    texels those read, ``read`` what a pool has of them at a target error, ``sharpen`` what is read besides, and
+    ``find_facing`` the normals that they are lit about.
     """
 
     look: Look
@@ -61,6 +64,7 @@ class Shader:
     read: Callable[[ViewTexels, PagePool, Held, float], Reading]
     find_lobes: Callable[[Turned], LobeLight]
     sharpen: Callable[[ViewTexels, Reading], AbstractContextManager[Reading]]
+    find_facing: Callable[[ViewTexels, Reading], np.ndarray]
     watch: Stopwatch
     cancelled: threading.Event | None
 
@@ -151,8 +155,10 @@ class Shader:
                 reading = stack.enter_context(self.sharpen(texels, self.read(texels, pool, held, target)))
             with self.watch.stage("light"):
                 lit = self._light_texels(reading.sources(pool))
-        with self.watch.stage("shade"):
-            self._carry(texels, reading, lit)
+        if shares_light(self.recipe.scene, self.view.shading):
+            self._carry_shares(texels, self._shares(texels, reading, lit))
+        else:
+            self._carry_light(texels, reading, lit)
         if self.look.lobes:
             self._add_lobes()
         needed, short = len(texels.chunks), int(reading.short.sum())
@@ -175,8 +181,32 @@ class Shader:
         self._run(_piece, texels, self.tiles.even(texels))
         return lit
 
-    def _carry(self, texels: ViewTexels, reading: Reading, lit: np.ndarray) -> None:
-        """Bring the texels' light to the picture."""
+    def _shares(self, texels: ViewTexels, reading: Reading, lit: np.ndarray) -> np.ndarray:
+        """The texels' light as shares of unshadowed light, (texels, RECORD); see ``share_texels``."""
+        with self.watch.stage("normals"):
+            facing = self.find_facing(texels, reading)
+        bare, shares = self.turned.bare, np.empty((len(lit), RECORD), np.float32)
+
+        def _piece(a: int, b: int) -> None:
+            share_texels(reading.grade[a:b], lit[a:b], facing[a:b], bare, shares[a:b])
+
+        with self.watch.stage("light"):
+            self._run(_piece, len(lit), self.tiles.even(len(lit)))
+        return shares
+
+    def _carry_shares(self, texels: ViewTexels, shares: np.ndarray) -> None:
+        """Bring the texels' shares to the picture."""
+        points, pixels, corners, normals = self.gbuffer.points, self.gbuffer.pixels, texels.corners, self._normals()
+        lattice, bare, unit, planes = self.recipe.lattice, self.turned.bare, np.float32(self.look.unit), self.planes
+
+        def _piece(a: int, b: int) -> None:
+            carry_shares(lattice, points[a:b], pixels[a:b], corners[a:b], shares, normals[a:b], bare, unit, planes)
+
+        with self.watch.stage("shade"):
+            self._run(_piece, len(points), self.tiles.even(len(points)))
+
+    def _carry_light(self, texels: ViewTexels, reading: Reading, lit: np.ndarray) -> None:
+        """Bring the texels' light to the picture as it is."""
         points, pixels, corners = self.gbuffer.points, self.gbuffer.pixels, texels.corners
         normals = points if reading.whole else self._normals()
         lattice, sky, unit, planes = self.recipe.lattice, self.turned.sky, np.float32(self.look.unit), self.planes
@@ -185,7 +215,8 @@ class Shader:
             place = (lattice, points[a:b], pixels[a:b], corners[a:b])
             carry_light(*place, reading.grade, lit, normals[a:b], sky, unit, planes)
 
-        self._run(_piece, len(points), self.tiles.even(len(points)))
+        with self.watch.stage("shade"):
+            self._run(_piece, len(points), self.tiles.even(len(points)))
 
     def _add_lobes(self) -> None:
         """Bring what comes straight from lobes to the picture."""

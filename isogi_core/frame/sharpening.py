@@ -93,6 +93,11 @@ class Sharpened(Reading):
         """Whether every texel holds light."""
         return not ((self.rows < 0) & (self.sharp_rows < 0)).any()
 
+    @property
+    def moved(self) -> np.ndarray:
+        """Which texels are read on the isosurface that is shown."""
+        return np.asarray(self.sharp_rows >= 0)
+
     def sources(self, pool: PagePool) -> tuple[tuple[np.ndarray, PagePool], ...]:
         """Rows of light, and the pools that they are of, of which ``pool`` is the base's."""
         return (self.rows, pool), (self.sharp_rows, self.pool)
@@ -182,7 +187,7 @@ class Sharpness:
 
         The latter two are read on their own isosurfaces, for a while or for good.
         """
-        moved, total = self.reading.sharp_rows >= 0, max(len(self.reading.rows), 1)
+        moved, total = self.reading.moved, max(len(self.reading.rows), 1)
         unmoved = self.reading.unmoved
         pending = self.reading.wanted & ~moved
         counts = {"moved": moved, "near": ~(moved | unmoved | pending), "pending": pending, "unmoved": unmoved}

@@ -12,6 +12,7 @@ from isogi_core.kernels.lamps import DIRECTIONAL, LampArrays
 from isogi_core.kernels.lattice import Sky
 from isogi_core.kernels.lit import Surroundings
 from isogi_core.kernels.shading import LocalModel
+from isogi_core.kernels.shares import LEAST, Bare
 from isogi_core.model.plan import Layer
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import Camera, View, rotation_matrix
@@ -89,6 +90,20 @@ class Turned:
         return Sky(order, lobe, self.albedo[:, None] * around / self.look.unit)
 
     @cached_property
+    def bare(self) -> Bare:
+        """The same by the normal, in single floats; what texels' light is carried as shares of.
+
+        Of lobes, whose light texels have from other surfaces alone, it holds the mean, as if from all sides. A colour
+        of lamps that the middle of the volume sees nothing of counts as the brightest one there.
+        """
+        shining = self.look.recipe.scene.lamps.arrays.colours.any(axis=0) & (self.mean == 0.0)
+        mean = self.albedo * np.where(shining, self.mean.max() or 1.0, self.mean) / self.look.unit
+        lobes = (self.around - turn(self.look.beside, self.matrix))[:, 0] / math.sqrt(4.0 * math.pi)
+        reflected = np.maximum(self.albedo * lobes / self.look.unit, 0.0)
+        quadric = quadric_of(self.sky.lobe * self.sky.light)
+        return Bare(*(np.ascontiguousarray(each, np.float32) for each in (quadric, LEAST * mean, reflected)))
+
+    @cached_property
     def surroundings(self) -> Surroundings:
         """All light as it is, for the path tracer."""
         return self.look.recipe.surroundings(self.matrix)
@@ -146,6 +161,17 @@ def turn(light: np.ndarray, matrix: np.ndarray) -> np.ndarray:
     turned = np.empty_like(light)
     rotate(math.isqrt(light.shape[1]), matrix, light, turned)
     return turned
+
+
+def quadric_of(light: np.ndarray) -> np.ndarray:
+    """Harmonics (3, n²) of order 3 at most as polynomials of the unit vector: over 1, y, z, x, xy, yz, z², xz, x² - y².
+
+    Returns (3, 9) float64. Source: Ramamoorthi and Hanrahan 2001, eq. 13.
+    """
+    quadric = np.zeros((3, 9))
+    quadric[:, : light.shape[1]] = light
+    quadric[:, 0] -= math.sqrt(5.0 / 4.0) * quadric[:, 6]
+    return quadric * np.sqrt(np.array([1.0, 3.0, 3.0, 3.0, 15.0, 15.0, 45.0 / 4.0, 15.0, 15.0 / 4.0]) / (4.0 * math.pi))
 
 
 def disc(towards: np.ndarray, cosine: float) -> np.ndarray:

@@ -70,8 +70,10 @@ class ViewTexels:
     @property
     def positions(self) -> np.ndarray:
         """Lattice indices (m, 3; z, y, x) int32 of the texels."""
-        each = [self.lattice.positions(*chunk) for chunk in zip(self.chunks, self.offsets, strict=True)]
-        return np.concatenate([np.empty((0, 3), np.int32), *each])
+        chunks = np.array(self.chunks, np.int32).reshape(-1, 3) * self.lattice.chunk
+        bits, side = self.lattice.bits, self.lattice.chunk - 1
+        inside = np.stack([self.places >> bits * axis & side for axis in (2, 1, 0)], axis=-1).astype(np.int32)
+        return chunks[self.places >> 3 * bits] + inside
 
     @cached_property
     def offsets(self) -> tuple[np.ndarray, ...]:

@@ -11,7 +11,8 @@ def add_footprints(lattice, points, corners, seen):
     """Add to ``seen`` (texels,) the squares of a texel's shares in the points; ``corners`` (points, 8), x fastest.
 
     Shares are those of ``carry_light`` where all texels hold light: their noises are independent, and so a point's
-    variance is the sum of w² times theirs.
+    variance is the sum of w² times theirs. Where ``carry_shares`` weighs them by normals too they are near enough, as
+    footprints tell what to bake first and no more.
     """
     for m in range(points.shape[0]):
         _, _, _, fz, fy, fx = base_texel(lattice, points, m)

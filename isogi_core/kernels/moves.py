@@ -11,7 +11,7 @@ from numba import types
 
 from isogi_core.kernels._jit import kernel
 from isogi_core.kernels.field import FIELD, normal, smooth_gradient, value
-from isogi_core.kernels.plateaus import STRIDE, along, crossing, downhill
+from isogi_core.kernels.plateaus import HALVINGS, STRIDE, along, crossing, downhill
 from isogi_core.kernels.transfer import COLUMNS, TEXELS, VECTOR, hemmed
 from isogi_core.kernels.vec import dot, is_zero, length, put_column
 
@@ -37,17 +37,26 @@ def strays(voxels, p, d, level, reach):
 
 
 @kernel(exact=True)
+def way_to(field, p, n, level, halvings=HALVINGS):
+    """The way from ``p`` to the isosurface ``level`` along the normal ``n``, that is not zero: (direction, voxels).
+
+    Out of the solid or into it, to where the trilinear field first crosses the level; the direction is of index space,
+    a voxel long, and the way, which so many ``halvings`` end (see ``crossing``), inf where it does not within FARTHEST.
+    """
+    d = downhill(n, field.spacing, 1.0 if value(field.voxels, p) > level else -1.0)
+    return d, crossing(field.voxels, p, d, level, halvings)
+
+
+@kernel(exact=True)
 def move(field, p, level):
     """Move ``p`` along the normal onto the isosurface ``level``: (verdict, point, normal there).
 
-    The straight way, in index space, out of the solid or into it, to where the trilinear field first crosses the
-    level; both are those of ``p`` itself where that fails. Verdicts are MOVED … NOWHERE.
+    The straight way of ``way_to``; both are those of ``p`` itself where that fails. Verdicts are MOVED … NOWHERE.
     """
-    n, own = normal(field, p), value(field.voxels, p)
-    if math.isnan(own) or is_zero(n):
+    n = normal(field, p)
+    if math.isnan(value(field.voxels, p)) or is_zero(n):
         return NOWHERE, p, n
-    d = downhill(n, field.spacing, 1.0 if own > level else -1.0)
-    t = crossing(field.voxels, p, d, level)
+    d, t = way_to(field, p, n, level)
     if not t < math.inf:
         return FAR, p, n
     there = along(field.voxels.shape, p, d, t)

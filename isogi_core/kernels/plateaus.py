@@ -90,8 +90,11 @@ def along(shape, p, d, t):
 
 
 @kernel(exact=True)
-def crossing(voxels, p, d, level):
-    """How far along ``d`` the isosurface ``level`` is first crossed, FARTHEST at most; inf where it is not."""
+def crossing(voxels, p, d, level, halvings=HALVINGS):
+    """How far along ``d`` the isosurface ``level`` is first crossed, FARTHEST at most; inf where it is not.
+
+    Known to a STRIDE over 2 to the power of the ``halvings``.
+    """
     t, v = 0.0, value(voxels, p)
     solid = v > level
     while t < FARTHEST and (v > level) == solid and not math.isnan(v):
@@ -100,7 +103,7 @@ def crossing(voxels, p, d, level):
     if (v > level) == solid or math.isnan(v):
         return math.inf
     near, far = t - STRIDE, t
-    for _ in range(HALVINGS):
+    for _ in range(halvings):
         middle = 0.5 * (near + far)
         if (value(voxels, along(voxels.shape, p, d, middle)) > level) == solid:
             near = middle

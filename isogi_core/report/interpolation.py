@@ -41,7 +41,8 @@ ABOUT = f"""\
 The same texels, of {SAMPLES} samples each, in single floats, carried to the pixels in four ways, and compared with \
 light at the pixels' own points, so that nothing but interpolation differs. The RMSE is less the noise of both sides. \
 The tricubic B-spline smooths as it goes: it does not pass through the texels' own light. Pixels around which no \
-texel holds light count as dark."""
+texel holds light count as dark. Where light differs from side to side frames do better: they carry shares of \
+unshadowed light, by trilinear weights and by normals."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,7 +166,7 @@ def least(around: Neighbourhood, cost: np.ndarray) -> np.ndarray:
 
 
 def trilinear(around: Neighbourhood) -> np.ndarray:
-    """The cell's eight corners, as frames weigh them (S1, section 4.2)."""
+    """The cell's eight corners (S1, section 4.2)."""
     f = around.fractions.T
     none = np.zeros_like(f)
     return product(np.stack([none, 1.0 - f, f, none], axis=1))

@@ -14,12 +14,13 @@ import numpy as np
 
 from isogi_core.frame.surroundings import Turned
 from isogi_core.kernels.moves import judge_texels
+from isogi_core.kernels.shares import LEAST, LEAST_COSINE
 from isogi_core.plan.projection import evaluate_harmonics
 from isogi_core.report import interpolation
 from isogi_core.report.bench import Bench
 from isogi_core.report.interpolation import Neighbourhood, carry, neighbourhood, texels_around, trilinear
 from isogi_core.report.metrics import luminance, map_of, mean_of, spread_of
-from isogi_core.report.points import Lit, own_light
+from isogi_core.report.points import Lit, own_light, straight_light
 from isogi_core.report.sections import Column, Picture, Section, Table
 
 KEY, TITLE = "moved", "Texels on the shown isosurface"
@@ -28,10 +29,7 @@ WAYS_OFF = (0.25, 0.5)
 """Voxels from the shown isosurface beyond which texels are moved where not all are."""
 
 POWER = 4.0
-"""Of the cosine between a texel's normal and a pixel's, as a weight."""
-
-LEAST = 0.05
-"""Share of its mean that unshadowed light is taken to be at least, where light is divided by it."""
+"""Of the cosine between a texel's normal and a pixel's, as a weight; see ``kernels.shares``."""
 
 COLUMNS = (
     Column("texels"),
@@ -45,7 +43,8 @@ ABOUT = """\
 The cell's eight corners, in single floats, carried to the pixels and compared with light at the pixels' own points, \
 so that nothing but interpolation differs; the RMSE is less the noise of both sides. Moved texels are lit on the \
 picture's own isosurface, at the foot of the gradient through them; those that cannot be stay on their own. Of the \
-corners, {failed:.2%} cannot be moved."""
+corners, {failed:.2%} cannot be moved. Frames carry light as shares, weighed by normals, of moved texels where the \
+scene sharpens; under light that is the same from all sides, and without that, as the first row says."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,10 +88,10 @@ class Sides:
 def study(bench: Bench) -> Section:
     """Errors of each way."""
     sides, own = sides_of(bench), own_light(bench)
-    mean, rows, pictures = mean_of(own.light), [], []
+    straight, mean, rows, pictures = straight_light(bench), mean_of(own.light), [], []
     for name, (way, weigh) in WAYS.items():
         carried = weigh(sides, sides.beyond(way))
-        wrong = carried.light - own.light
+        wrong = carried.light + straight - own.light
         spread = spread_of(wrong, carried.noise + own.noise, mean)
         rows.append((name, spread.rmse, spread.p99, spread.bias, sides.share(sides.far(way))))
         pictures.append(Picture(name, "error", map_of(wrong, bench.best.on, mean)))
@@ -113,15 +112,15 @@ def sides_of(bench: Bench) -> Sides:
 
 
 def bare_light(turned: Turned) -> Callable[[np.ndarray], np.ndarray]:
-    """The luminance that unshadowed surfaces with normals (n, 3) have under ``turned`` lights, LEAST of its mean at
-    least."""
-    sky = turned.sky
-    light = luminance(sky.light.T) * sky.lobe
+    """The luminance that unshadowed surfaces with normals (n, 3) have under ``turned`` lights, as frames have it; but
+    by harmonics, each colour LEAST of its mean at least, and the mean of lobes."""
+    sky, mean = turned.sky, turned.albedo * turned.mean / turned.look.unit
+    reflected = mean - sky.light[:, 0] / math.sqrt(4.0 * math.pi)
 
     def bare(normals: np.ndarray) -> np.ndarray:
         theta, phi = np.arccos(np.clip(normals[:, 2], -1.0, 1.0)), np.arctan2(normals[:, 1], normals[:, 0])
-        least = LEAST * light[0] / math.sqrt(4.0 * math.pi)
-        return np.asarray(np.maximum(light @ evaluate_harmonics(sky.order, theta, phi), least))
+        light = (sky.lobe * sky.light) @ evaluate_harmonics(sky.order, theta, phi)
+        return luminance(np.maximum(light.T, LEAST * mean) + reflected)
 
     return bare
 
@@ -155,7 +154,7 @@ def by_shares_and_normals(sides: Sides, around: Neighbourhood) -> Lit:
 def agreement(sides: Sides, around: Neighbourhood) -> np.ndarray:
     """The cosine between texels' normals and their pixels', to its POWER; (m, 64), positive."""
     cosines = np.einsum("mkc,mc->mk", around.normals[around.numbers], sides.normals)
-    return np.asarray(np.maximum(cosines, 1e-3) ** POWER)
+    return np.asarray(np.maximum(cosines, LEAST_COSINE) ** POWER)
 
 
 def shared(sides: Sides, around: Neighbourhood, weights: np.ndarray) -> Lit:

@@ -5,9 +5,10 @@ from typing import Any
 
 import pytest
 
-from isogi_core.frame.kernels import FRAME, frame_kernels
+from isogi_core.frame.kernels import FRAME, SHARING, frame_kernels
 from isogi_core.kernels.harmonics import rotate
 from isogi_core.kernels.lamps import project_lamps
+from isogi_core.kernels.lattice import carry_light
 from isogi_core.kernels.lobes import add_lobes, light_lobes
 from isogi_core.kernels.moves import judge_texels
 from isogi_core.model.scene import Scene, load_scene
@@ -71,13 +72,15 @@ def test_the_kernels_of_a_frame_are_those_that_are_called(settings: dict[str, An
 def test_harmonics_are_for_lights_that_have_some_and_turn_and_for_lamps_lobes_and_texels_judged_to_be_sharp() -> None:
     scenes = (CONSTANT, FIXED, TURNING, SOFT, LAMP, SHARP)
     spared = [set(FRAME) - {*frame_kernels([scene_of(settings)])} for settings in scenes]
-    lobes, judge = {light_lobes, add_lobes}, {judge_texels}
+    lobes, judge, plain = {light_lobes, add_lobes}, {judge_texels}, {carry_light}
     still = {rotate, project_lamps} | lobes | judge
     soft, lamp = {project_lamps} | lobes | judge, {rotate} | lobes | judge
-    assert spared == [still, still, {project_lamps} | judge, soft, lamp, lamp - judge]
+    turning = {project_lamps} | judge | plain
+    expected = [still | SHARING, still | plain, turning, soft | plain, lamp | plain, (lamp | plain) - judge]
+    assert spared == expected
 
 
 def test_scenes_together_need_what_any_of_them_needs() -> None:
-    assert frame_kernels([scene_of(SHARP), scene_of(TURNING)]) == FRAME
+    assert frame_kernels([scene_of(settings) for settings in (SHARP, TURNING, CONSTANT)]) == FRAME
     assert rotate not in frame_kernels([scene_of(CONSTANT), scene_of(FIXED)])
     assert frame_kernels([]) == ()

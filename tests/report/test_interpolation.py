@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from isogi_core.frame import shader
+from isogi_core.report import interpolation
 from isogi_core.report.bake import ViewBake
-from isogi_core.report.bench import Bench
 from isogi_core.report.converged import unrounded
 from isogi_core.report.interpolation import (
     CORNERS,
@@ -13,13 +14,14 @@ from isogi_core.report.interpolation import (
     carry,
     closest_isovalue,
     nearest,
-    neighbourhood,
     texels_about,
     tricubic,
     trilinear,
 )
 from isogi_core.report.metrics import luminance
+from isogi_core.report.moved import by_shares_and_normals, plain, sides_of
 from isogi_core.report.points import straight_light
+from tests.report.conftest import MakeBench
 
 SLOPE = np.array([1.0, -2.0, 0.5])
 
@@ -69,13 +71,18 @@ def test_texels_without_light_are_left_out(linear: Neighbourhood) -> None:
         assert carry(linear, weigh(linear)).light[0] == linear.light[linear.numbers[0, CORNERS[3]]]
 
 
-def test_trilinear_is_what_frames_do(under_sky: Bench) -> None:
-    layers = tuple(map(unrounded, under_sky.scene.plan.layers))
-    bake = ViewBake(under_sky.renderer(under_sky.scene), under_sky.view, layers)
+@pytest.mark.parametrize("shared", [False, True])
+def test_frames_do_what_their_twins_say(shared: bool, make_bench: MakeBench, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Grey light and surfaces: twins know luminance alone."""
+    monkeypatch.setattr(shader, "shares_light", lambda *_: shared)
+    monkeypatch.setattr(interpolation, "SAMPLES", 64)
+    probe = {"type": "sky", "sun_azimuth": 30.0, "sun_elevation": 50.0}
+    bench = make_bench(lights=[probe], albedo=0.7, lobes=1)
+    bake = ViewBake(bench.renderer(bench.scene), bench.view, tuple(map(unrounded, bench.scene.plan.layers)))
     bake.grow(64)
-    frame = bake.frame()
-    around = neighbourhood(under_sky, 64)
+    frame, sides = bake.frame(), sides_of(bench)
     on = frame.state > 0
-    carried, light = carry(around, trilinear(around)), luminance(frame.radiance[on])
-    assert np.allclose(carried.light + straight_light(under_sky), light, rtol=1e-4)
-    assert np.allclose(np.sqrt(carried.noise), frame.error[on] * light, rtol=1e-2)
+    carried = (by_shares_and_normals if shared else plain)(sides, sides.own)
+    light = luminance(frame.radiance[on])
+    assert np.allclose(carried.light + straight_light(bench), light, rtol=2e-2 if shared else 1e-4)
+    assert np.allclose(np.sqrt(carried.noise), frame.error[on] * light, rtol=2e-2)
