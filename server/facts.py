@@ -140,7 +140,8 @@ class Omission(BaseModel):
 class LayerFacts(BaseModel):
     """One kind of light that each texel keeps: order² numbers for each channel, in multiples of the scale.
 
-    Bands from ``coarse`` on are bytes, where it is not null.
+    Bands from ``coarse`` on are bytes, where it is not null. Where there are ``nodes``, channels are of grey surfaces
+    with these albedos, and light of any other is mixed of theirs.
     """
 
     kind: str
@@ -149,6 +150,7 @@ class LayerFacts(BaseModel):
     precision: str
     coarse: int | None
     scale: float
+    nodes: list[float]
     bytes_per_texel: int
 
 
@@ -212,7 +214,7 @@ class SceneFacts(BaseModel):
 
     ``presets`` are isovalues worth a look: the scene's own, else boundaries between materials in its volume.
     ``rotating`` is whether the light may be turned, ``turns`` whether that shows: not where the light is the
-    same from all sides.
+    same from all sides. ``albedos`` are those that a view may ask for, null where it may not.
     """
 
     id: str
@@ -225,6 +227,7 @@ class SceneFacts(BaseModel):
     shadings: list[str]
     lights: list[LightFacts]
     albedo: Triple
+    albedos: Range | None
     bounces: int
     solid: str
     target_error: float
@@ -295,6 +298,7 @@ def scene_facts(scene: Scene) -> SceneFacts:
         shadings=list(SHADINGS),
         lights=[light_facts(light) for light in scene.lights],
         albedo=scene.albedo,
+        albedos=None if scene.albedos is None else Range(min=scene.albedos[0], max=scene.albedos[1]),
         bounces=scene.bounces,
         solid=scene.solid,
         target_error=scene.target_error,
@@ -351,7 +355,7 @@ def lobe_facts(lobe: Lobe) -> LobeFacts:
 def layer_facts(layer: Layer) -> LayerFacts:
     """One layer of a plan."""
     names = ("kind", "order", "channels", "precision", "coarse", "scale", "bytes_per_texel")
-    return LayerFacts(**{name: getattr(layer, name) for name in names})
+    return LayerFacts(**{name: getattr(layer, name) for name in names}, nodes=list(layer.nodes))
 
 
 def defaults(scene: Scene) -> dict[str, float | str]:

@@ -26,9 +26,9 @@ LOOKS = ("gi", "vicinity")
 class Look:
     """A scene's ``recipe``, and the ``plan`` by which it is lit: the scene's own, or that of vicinity shading.
 
-    A sharp look has its texels on the isosurface that is ``shown``, a normalised isovalue; see ``locate``. Surfaces have
-    the albedo that is ``seen``, by default the one that texels' errors are held against: the scene's own, or the highest
-    where views may ask for others.
+    A sharp look has its texels on the isosurface that is ``shown``, a normalised isovalue; see ``locate``. Surfaces
+    have the albedo that is ``seen``, by default the one that texels' errors are held against: the scene's own, or the
+    highest where views may ask for others.
     """
 
     recipe: Recipe
@@ -43,7 +43,19 @@ class Look:
 
     def of_albedo(self, albedo: Colour) -> "Look":
         """The same light in the store, as surfaces of an ``albedo`` reflect it."""
-        return self if albedo == self.albedo else replace(self, seen=albedo)
+        if albedo == self.albedo:
+            return self
+        return self._own if albedo == self.recipe.scene.albedo else self._seen(albedo)
+
+    @cached_property
+    def _own(self) -> "Look":
+        """The look of the scene's own albedo, which most views have."""
+        return self._seen(self.recipe.scene.albedo)
+
+    def _seen(self, albedo: Colour) -> "Look":
+        seen = replace(self, seen=albedo)
+        vars(seen).update(light=self.light, beside=self.beside)  # as no albedo changes them
+        return seen
 
     @cached_property
     def digest(self) -> str:

@@ -47,8 +47,8 @@ def fill_rows(rows: Rows, numbers: np.ndarray, light: Light, look: Look) -> np.n
 def role_of(number: int, layer: Layer, at: int, look: Look) -> Role:
     """What a ``layer`` is to a look, as part ``number`` and in the term number ``at``.
 
-    Irradiance that is dark may be so by its light alone. What is kept for several albedos is of the same paths: the last
-    alone tells of their noise and number.
+    Irradiance that is dark may be so by its light alone. What is kept for several albedos is of the same paths: the
+    last alone tells of their noise and number.
     """
     term, weights = look.terms[at], white(layer, look)
     last = term.node in (None, layer.channels - 1)

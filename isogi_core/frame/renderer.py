@@ -56,7 +56,7 @@ class Renderer:
         scene's light is not of the albedo that the view asks for.
         """
         watch = watch or Stopwatch()
-        self.recipe.scene.albedo_for(view)
+        self.recipe.scene.albedo_for(view.albedo)
         with watch.stage("primary"):
             gbuffer = self.gbuffer(view, cancelled)
         shader = Shader(

@@ -33,7 +33,7 @@ class Turned:
     @cached_property
     def seen(self) -> Look:
         """The look with the view's albedo. ViewError where its light is not of that."""
-        return self.look.of_albedo(self.look.recipe.scene.albedo_for(self.view))
+        return self.look.of_albedo(self.look.recipe.scene.albedo_for(self.view.albedo))
 
     @cached_property
     def matrix(self) -> np.ndarray:

@@ -26,7 +26,7 @@ from isogi_core.model.presets import Preset, read_presets, suggested_presets
 from isogi_core.model.settings import Settings
 from isogi_core.model.source import DEFAULT_DEMO, SceneSource, find_source
 from isogi_core.model.survey import Tell, tell_nobody
-from isogi_core.model.view import Camera, View, orbit
+from isogi_core.model.view import Camera, orbit
 from isogi_core.model.volume import Volume
 from isogi_core.plan.lobes import MOST as MOST_LOBES
 from isogi_core.plan.needs import Needs, Told
@@ -130,18 +130,19 @@ class Scene:
         """What the scene does without: what its plan leaves out, and texels that are never lit."""
         return (*self.plan.left_out, *unseen(self.texels, self.plan))
 
-    def albedo_for(self, view: View) -> tuple[float, float, float]:
-        """The albedo that a ``view`` asks for, else the scene's own. ViewError where the scene's light is not of it."""
-        if view.albedo is None or view.albedo == self.albedo:
+    def albedo_for(self, asked: tuple[float, float, float] | None) -> tuple[float, float, float]:
+        """The albedo that a view has ``asked`` for, else the scene's own. ViewError where its light is not of that."""
+        if asked is None or asked == self.albedo:
             return self.albedo
         if self.albedos is None:
             raise ViewError(
-                "This scene's light is of its own albedo alone: leave albedo out, or set the scene's albedos."
+                "albedo is fixed in this scene: leave it out, or give the scene a range, albedos = [0, 0.9]."
             )
         lowest, highest = self.albedos
-        if not all(lowest <= share <= highest for share in view.albedo):
-            raise ViewError(f"albedo must be from {lowest:g} to {highest:g} in this scene, one number or three.")
-        return view.albedo
+        if not all(lowest <= share <= highest for share in asked):
+            given = ",".join(f"{share:g}" for share in asked)
+            raise ViewError(f"albedo must be from {lowest:g} to {highest:g} in this scene, not {given}.")
+        return asked
 
     def layer_digest(self, layer: Layer, shown: float | None = None) -> str:
         """Hex name of everything that a layer's light depends on, and of nothing else.

@@ -110,8 +110,8 @@ def rotation_matrix(q: Quaternion) -> np.ndarray:
 class View:
     """One frame's question. ``isovalue`` is in the volume's own units; ``light`` turns the environment.
 
-    ``samples`` is the number of paths per pixel and is read by ``path_traced`` alone. ``albedo``, linear RGB, is that of
-    the surface, the scene's own by default; see ``Scene.albedo_for``.
+    ``samples`` is the number of paths per pixel and is read by ``path_traced`` alone. ``albedo``, linear RGB, is that
+    of the surface, the scene's own by default; see ``Scene.albedo_for``.
     """
 
     isovalue: float

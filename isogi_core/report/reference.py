@@ -118,7 +118,7 @@ def with_bounces(scene: Scene, bounces: int | None = None) -> Scene:
 
 def subject_of(scene: Scene, view: View) -> str:
     """Hex name of all that a reference's light depends on."""
-    lights, albedo = [scene.environment.digest, scene.lamps.digest], scene.albedo_for(view)
+    lights, albedo = [scene.environment.digest, scene.lamps.digest], scene.albedo_for(view.albedo)
     world = [scene.volume.digest, *lights, albedo, *scene.departures]
     camera = [view.camera.eye, view.camera.target, view.camera.up, view.camera.fov]
     picture = [view.isovalue, *camera, view.light, view.width, view.height]
