@@ -361,7 +361,14 @@ def layer_facts(layer: Layer) -> LayerFacts:
 def defaults(scene: Scene) -> dict[str, float | str]:
     """What each parameter is where it is left out."""
     fixed: dict[str, Any] = {name: FrameParams.model_fields[name].default for name in DEFAULTS}
-    return {"isovalue": scene.isovalue, **fixed, "exposure": scene.default_exposure}
+    albedo = {} if scene.albedos is None else {"albedo": albedo_told(scene)}
+    return {"isovalue": scene.isovalue, **fixed, **albedo, "exposure": scene.default_exposure}
+
+
+def albedo_told(scene: Scene) -> float | str:
+    """The scene's albedo as a query has it: one number where it is grey."""
+    grey = len({*scene.albedo}) == 1
+    return scene.albedo[0] if grey else ",".join(f"{share:.6g}" for share in scene.albedo)
 
 
 def ranges(scene: Scene) -> dict[str, Range]:
@@ -372,7 +379,8 @@ def ranges(scene: Scene) -> dict[str, Range]:
         for span in field.metadata
         if isinstance(span, Span)
     }
-    return {"isovalue": Range(min=scene.isovalues[0], max=scene.isovalues[1]), **spans}
+    told = {"isovalue": scene.isovalues} | ({} if scene.albedos is None else {"albedo": scene.albedos})
+    return {**{name: Range(min=low, max=high) for name, (low, high) in told.items()}, **spans}
 
 
 def coverage_facts(frame: Frame, time_left: TimeLeft | None) -> Coverage:

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 
@@ -54,7 +54,7 @@ class Look:
 
     def _seen(self, albedo: Colour) -> "Look":
         seen = replace(self, seen=albedo)
-        vars(seen).update(light=self.light, beside=self.beside)  # as no albedo changes them
+        vars(seen).update(light=self.light, beside=self.beside, _lights=self._lights)  # as no albedo changes them
         return seen
 
     @cached_property
@@ -111,21 +111,26 @@ class Look:
         Irradiance is taken for the transfer, times ``unit``, of a light of this radiance. What is kept for several
         albedos meets as much of the light as it counts at the look's own.
         """
+        return tuple(part for layers, light in self._lights for part in self._by_node(self._term(layers, light)))
+
+    @cached_property
+    def _lights(self) -> tuple[tuple[tuple[int, ...], np.ndarray], ...]:
+        """Layers that meet the same light, by their numbers, and that light, (3, n²)."""
         numbers = range(len(self.plan.layers))
         apart = bool(self.lobes or self.plan.nodes)
         straight = tuple(i for i in numbers if self.plan.layers[i].kind == "direct") if apart else ()
         groups = [group for group in (straight, tuple(i for i in numbers if i not in straight)) if group]
-        whole = (self._term(group, self.lobes if group == straight else ()) for group in groups)
-        return tuple(part for term in whole for part in self._by_node(term))
+        return tuple((group, self._beside(group, self.lobes if group == straight else ())) for group in groups)
 
-    def _term(self, layers: tuple[int, ...], lobes: tuple[Lobe, ...]) -> Term:
+    def _beside(self, layers: tuple[int, ...], lobes: tuple[Lobe, ...]) -> np.ndarray:
         order = min(max(self.plan.layers[i].order for i in layers), self.order)
-        light = self.light[:, : order**2] - project_lobes(lobes, order)
+        return np.asarray(self.light[:, : order**2] - project_lobes(lobes, order))
+
+    def _term(self, layers: tuple[int, ...], light: np.ndarray) -> Term:
         luminance = to_luminance(light, self.albedo, self.channels)
         square = square_light(luminance.sum(axis=0) / self.unit)
-        return Term(
-            layers, order, light, luminance, square * self.unit if self.plan.representation == "irradiance" else square
-        )
+        square = square * self.unit if self.plan.representation == "irradiance" else square
+        return Term(layers, math.isqrt(light.shape[1]), light, luminance, square)
 
     def _by_node(self, term: Term) -> Iterator[Term]:
         """The term itself, or those of the albedos that its light is kept for, each with what it counts."""
@@ -266,10 +271,15 @@ def to_luminance(light: np.ndarray, albedo: tuple[float, float, float], channels
 
 def square_light(light: np.ndarray) -> np.ndarray:
     """Coefficients q_i = ∫ L² Y_i dω of the square of L = Σ ``light`` (n²,) Y_i, of the same order; (n²,) float64."""
-    order = math.isqrt(len(light))
-    theta, phi, weights = sphere_nodes(3 * order)
-    basis = evaluate_harmonics(order, theta, phi)
+    basis, weights = basis_of(math.isqrt(len(light)))
     return np.asarray(basis @ (weights * (light @ basis) ** 2))
+
+
+@cache
+def basis_of(order: int) -> tuple[np.ndarray, np.ndarray]:
+    """Harmonics (n², nodes) at nodes that integrate products of three of them, and their weights (nodes,)."""
+    theta, phi, weights = sphere_nodes(3 * order)
+    return evaluate_harmonics(order, theta, phi), weights
 
 
 def band_of(order: int) -> np.ndarray:
