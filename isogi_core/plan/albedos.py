@@ -5,8 +5,10 @@ the same paths, and mixed: Σ v_j(R) Σ R_j^k τ_k. Were all hits alike, with a 
 τ_k = f (1 - f)^k; the weights v are those with which such light comes nearest for all chances, and so for all mixtures
 of them. They are one of the nodes at that node, and 0 where nothing is reflected.
 
-That takes fewer numbers than light after each bounce, and far fewer than a polynomial through the nodes: with three up
-to albedo 0.9 light of such hits errs by 0.3 % at most, a polynomial by 15 %.
+That takes fewer numbers than light after each bounce, and fewer than a polynomial through the nodes. On texels of the
+engine, the CT head, the MNI brain, the carp, the bonsai and the casting, and of paths of 43 bounces, three nodes up to
+albedo 0.9 err by 0.24 to 0.40 % of all light, a root mean square at the worst albedo, where 0.42 % is told; cubic
+polynomials through three nodes of Chebyshev's and 0 by 0.6 to 2.9 %.
 """
 
 from functools import cache
