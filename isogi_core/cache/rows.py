@@ -7,7 +7,7 @@ import numpy as np
 from isogi_core.bake.light import Light
 from isogi_core.bake.look import Look
 from isogi_core.bake.moments import powers
-from isogi_core.bake.noise import DARKEST, least_level, white
+from isogi_core.bake.noise import DARKEST, deviations, least_level, white
 from isogi_core.bake.precision import samples_of
 from isogi_core.kernels.rows import Judge, Role, Rows, Sums, add_part, judge_rows
 from isogi_core.model.plan import FEWEST, Layer
@@ -42,6 +42,13 @@ def fill_rows(rows: Rows, numbers: np.ndarray, light: Light, look: Look) -> np.n
     places = np.empty_like(numbers)
     judge_rows(numbers, rows, sums, judge_of(len(light.parts), look), places)
     return places
+
+
+def reflected_share(light: Light, look: Look) -> np.ndarray:
+    """The share of texels' variance that is of reflected light; (m,) float32."""
+    variances = deviations(light, look) ** 2
+    reflected = variances[[part.layer.kind == "indirect" for part in light.parts]].sum(axis=0)
+    return np.asarray(reflected / np.maximum(variances.sum(axis=0), 1e-30), np.float32)
 
 
 def role_of(number: int, layer: Layer, at: int, look: Look) -> Role:

@@ -13,6 +13,7 @@ from isogi_core.bake.noise import DARKEST
 from isogi_core.bake.recipe import Recipe
 from isogi_core.cache.loader import Loader
 from isogi_core.cache.pages import Held, PagePool
+from isogi_core.frame.calm import scatter_at
 from isogi_core.frame.gbuffer import POINTS, GBuffer
 from isogi_core.frame.lobes import LobeLight
 from isogi_core.frame.paths import Paths, pooled_variance, replicas_for, variance_of_mean
@@ -166,14 +167,24 @@ class Shader:
         Of each source those rows are read that are not negative.
         """
         lights, texels = self.turned.in_units, len(sources[0][0])
-        lit = np.empty((texels, 4), np.float32)
+        lit, scatters = np.empty((texels, 4), np.float32), [self._scatter(*source) for source in sources]
 
         def _piece(a: int, b: int) -> None:
-            for rows, pool in sources:
-                light_texels(rows[a:b], pool.transfer, pool.scatter, *lights, lit[a:b])
+            for (rows, pool), scatter in zip(sources, scatters, strict=True):
+                light_texels(rows[a:b], pool.transfer, scatter, *lights, lit[a:b])
 
         self._run(_piece, texels, self.tiles.even(texels))
         return lit
+
+    def _scatter(self, rows: np.ndarray, pool: PagePool) -> np.ndarray:
+        """The scatter of a pool's rows at the view's albedo; (all rows,), undefined but for those told."""
+        seen = self.turned.seen
+        if seen is self.look or not self.look.plan.nodes:
+            return pool.scatter
+        own, found = rows[rows >= 0], np.empty_like(pool.scatter)
+        kept = pool.transfer[own, 0][:, self.look.firsts].astype(np.float64)
+        found[own] = scatter_at(seen, self.look, pool.scatter[own], pool.reflected[own], kept)
+        return found
 
     def _carry(self, texels: ViewTexels, reading: Reading, lit: np.ndarray) -> None:
         """Bring the texels' light to the picture."""

@@ -72,4 +72,7 @@ def test_a_surface_of_one_albedo_has_neither(page: Page, live_server: str) -> No
     open_final(page, f"{live_server}/?albedo=0.9&tint=%23ff0000&shading=phong")
     expect(page.locator("#albedo")).to_be_hidden()
     expect(page.locator("#tint")).to_be_hidden()
+    slide(page, "exposure", 0.6)
+    wait_final(page)
+    assert told(page, "exposure") is not None
     assert told(page, "albedo") is None and told(page, "tint") is None
