@@ -10,31 +10,38 @@ MOST = 100.0
 """How much the mean square of paths may fall at most: where next to nothing arrives unreflected."""
 
 
-def scatter_at(seen: Look, judged: Look, scatter: np.ndarray, reflected: np.ndarray, kept: np.ndarray) -> np.ndarray:
-    """The ``scatter`` (m,) of texels, which is of the ``judged`` look, at the albedo of the look that is ``seen``.
+def scatter_at(weights: np.ndarray, scatter: np.ndarray, reflected: np.ndarray, kept: np.ndarray) -> np.ndarray:
+    """The ``scatter`` (m,) of texels at another albedo than that it is told of; float32, as all of these.
 
-    ``reflected`` (m,) is the share of their variance that is reflected light's, ``kept`` (m, terms) band 0 of each
-    term. A path that left after k bounces brings R^k, so that its square falls as light of the albedo R²; of colours
-    R_c that are mixed with weights w_c it is Σ w_c w_d (R_c R_d)^k. What scatter is divided by, the deviation of single
-    paths, falls too.
+    ``weights`` (terms, 4) are those of ``weights_between``; ``reflected`` (m,) is the share of the variance that is
+    reflected light's, ``kept`` (m, terms) band 0 of each term. What scatter is divided by, the deviation of single
+    paths, falls with the albedo too.
     """
-    fall = squares_at(seen, kept) / np.maximum(squares_at(judged, kept), 1e-30)
-    variance = 1.0 - reflected + reflected * np.clip(fall, 0.0, 1.0)
-    paths = path_square(judged, kept) / np.maximum(path_square(seen, kept), 1e-30)
-    return np.asarray(scatter * np.sqrt(variance * np.clip(paths, 1.0, MOST)), np.float32)
+    now, then, paths_now, paths_then = np.maximum(kept @ weights, np.float32(1e-30)).T
+    variance = 1.0 - reflected * (1.0 - np.minimum(now / then, 1.0))
+    return np.asarray(scatter * np.sqrt(variance * np.clip(paths_then / paths_now, 1.0, MOST)), np.float32)
 
 
-def squares_at(look: Look, kept: np.ndarray) -> np.ndarray:
-    """Mean squares of what reflected paths of texels bring, but for the light that they meet; (m,) float64."""
-    mix = LUMINANCE * np.array(look.albedo)
+def weights_between(seen: Look, judged: Look) -> np.ndarray:
+    """What ``scatter_at`` weighs terms with: squares of reflected paths, and of all, seen and judged; (terms, 4)."""
+    squares = [reflected_weights(seen), reflected_weights(judged), all_weights(seen), all_weights(judged)]
+    return np.ascontiguousarray(np.array(squares).T, np.float32)
+
+
+def reflected_weights(look: Look) -> np.ndarray:
+    """Of band 0 of each term, in the mean square of what reflected paths bring but for their light; (terms,) float64.
+
+    A path that left after k bounces brings R^k, and its square is light of the albedo R². Of colours R_c that luminance
+    mixes with w_c it is Σ w_c w_d (R_c R_d)^k.
+    """
+    mix, nodes = LUMINANCE * np.array(look.albedo), look.plan.nodes
     mix = mix / max(float(mix.sum()), 1e-30)
-    pairs = ((c, d) for c in range(3) for d in range(3))
-    nodes, bounces = look.plan.nodes, look.plan.bounces
-    weights = (mix[c] * mix[d] * mixing_weights(look.albedo[c] * look.albedo[d], nodes, bounces) for c, d in pairs)
-    return np.asarray(kept[:, 1:] @ sum(weights))
+    pairs = [(c, d) for c in range(3) for d in range(3)]
+    products = [mixing_weights(look.albedo[c] * look.albedo[d], nodes, look.plan.bounces) for c, d in pairs]
+    return np.array([0.0, *np.array([mix[c] * mix[d] for c, d in pairs]) @ products])
 
 
-def path_square(look: Look, kept: np.ndarray) -> np.ndarray:
-    """Mean squares of what all paths of texels bring over turns of the light, but for the surface; (m,) float64."""
+def all_weights(look: Look) -> np.ndarray:
+    """The same of all paths, over turns of the light that they meet, but for the surface itself; (terms,) float64."""
     squares = np.array([term.square[0] for term in look.terms])
-    return np.asarray(kept @ squares / max(float(LUMINANCE @ look.albedo) ** 2, 1e-30))
+    return np.asarray(squares / max(float(LUMINANCE @ look.albedo) ** 2, 1e-30))

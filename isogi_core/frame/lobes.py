@@ -34,6 +34,8 @@ class LobeLight:
         """The same from a surface that reflects ``tint`` (3,) times as much of each colour."""
         if (tint == 1.0).all():
             return self
+        if (tint == tint[0]).all():
+            return LobeLight(self.lit * np.array([*tint, tint[0] ** 2], np.float32))
         colours = (self.lit[:, :3] * tint).astype(np.float32)
         grown = (colours @ LUMINANCE) / np.maximum(self.lit[:, :3] @ LUMINANCE, DARKEST)
         return LobeLight(np.column_stack([colours, self.lit[:, 3] * grown**2]).astype(np.float32))

@@ -8,7 +8,7 @@ import numpy as np
 from isogi_core.bake.light import Light
 from isogi_core.bake.refine import locate
 from isogi_core.cache.rows import fill_rows, new_rows, reflected_share
-from isogi_core.frame.calm import scatter_at
+from isogi_core.frame.calm import scatter_at, weights_between
 from isogi_core.frame.surroundings import Turned
 from isogi_core.kernels.field import bspline
 from isogi_core.kernels.lattice import light_texels
@@ -136,8 +136,8 @@ def lit_texels(light: Light, turned: Turned) -> tuple[np.ndarray, np.ndarray]:
     held = fill_rows(rows, numbers, light, look) >= 0
     scatter = rows.scatter
     if look.plan.nodes and turned.seen is not look:
-        kept = rows.transfer[:, 0][:, look.firsts].astype(np.float64)
-        scatter = scatter_at(turned.seen, look, scatter, reflected_share(light, look), kept)
+        weights = weights_between(turned.seen, look)
+        scatter = scatter_at(weights, scatter, reflected_share(light, look), rows.transfer[:, 0, look.firsts])
     light_texels(numbers, rows.transfer, scatter, *turned.in_units, lit)
     return lit * look.unit, held
 

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from isogi_core.bake.look import Look
-from isogi_core.frame.calm import path_square, scatter_at, squares_at
-from isogi_core.plan.albedos import mixing_weights
+from isogi_core.frame.calm import all_weights, reflected_weights, scatter_at, weights_between
 from tests.bake.texels import orbital
 
 CHANCES = np.array([0.1, 0.35, 0.7])
@@ -35,10 +34,9 @@ def test_noise_of_reflected_light_falls_as_the_squares_of_paths_do(
     left = CHANCES[:, None] * (1.0 - CHANCES[:, None]) ** k
     mix = np.array([0.2126, 0.7152, 0.0722]) * albedo
     brought = (mix / mix.sum()) @ np.array(albedo)[:, None] ** k
-    np.testing.assert_allclose(squares_at(seen, kept), left @ brought**2, rtol=0.02, atol=2e-4)
-    ratio = scatter_at(seen, judged, np.ones(3), np.ones(3), kept) / scatter_at(
-        seen, judged, np.ones(3), np.zeros(3), kept
-    )
+    np.testing.assert_allclose(kept @ reflected_weights(seen), left @ brought**2, rtol=0.02, atol=2e-4)
+    weights, ones, none = weights_between(seen, judged), np.ones(3, np.float32), np.zeros(3, np.float32)
+    ratio = scatter_at(weights, ones, ones, kept) / scatter_at(weights, ones, none, kept)
     np.testing.assert_allclose(ratio**2, left @ brought**2 / (left @ 0.9 ** (2 * k)), rtol=0.05, atol=2e-4)
 
 
@@ -46,12 +44,11 @@ def test_of_what_paths_bring_in_all_the_surface_is_no_part(judged: Look) -> None
     """Without reflected light it is the same at each albedo; with it there is less at a lower one."""
     dark = judged.of_albedo((0.3, 0.3, 0.3))
     kept = np.array([[1.0, *([0.0] * len(judged.plan.nodes))]])
-    np.testing.assert_allclose(path_square(dark, kept), path_square(judged, kept))
-    assert (path_square(dark, light_of(judged)) < path_square(judged, light_of(judged))).all()
+    np.testing.assert_allclose(kept @ all_weights(dark), kept @ all_weights(judged))
+    assert (light_of(judged) @ all_weights(dark) < light_of(judged) @ all_weights(judged)).all()
 
 
 def test_at_the_albedo_that_is_judged_nothing_changes(judged: Look) -> None:
-    scatter = scatter_at(judged, judged, np.array([0.1, 0.2, 0.3]), np.array([0.0, 0.5, 1.0]), light_of(judged))
+    weights = weights_between(judged, judged)
+    scatter = scatter_at(weights, np.array([0.1, 0.2, 0.3]), np.array([0.0, 0.5, 1.0]), light_of(judged))
     np.testing.assert_allclose(scatter, [0.1, 0.2, 0.3], rtol=1e-6)
-    weights = mixing_weights(0.9, judged.plan.nodes, judged.plan.bounces)
-    assert weights[-1] == pytest.approx(1.0)
