@@ -105,7 +105,8 @@ def nodes(plan: ScenePlan, _: Needs) -> Iterator[LeftOut]:
     for layer in plan.layers:
         if 0 < len(layer.nodes) < plan.bounces:
             albedos, error = ", ".join(f"{node:.2g}" for node in layer.nodes), mixing_error(layer.nodes, plan.bounces)
-            why = f"Light of any other albedo is mixed of that of {albedos}, which errs by {percent(error)} at most."
+            mixed = f"Light of any other albedo is mixed of that of {albedos}"
+            why = f"{mixed}, which errs by {percent(error)} where all hits are alike."
             yield LeftOut("light after each bounce", why, (added(layer, replace(layer, channels=plan.bounces)),))
 
 
