@@ -29,6 +29,7 @@ VIEW_OPTIONS = {
     "pitch": "Then about y, degrees.",
     "roll": "Then about x, degrees.",
     "light": "Quaternion w,x,y,z that turns the light, instead of yaw, pitch and roll.",
+    "albedo": "Of the surface, one number or r,g,b, within the scene's albedos; default: the scene's albedo.",
     "width": "Pixels.",
     "height": "Pixels.",
     "shading": "gi, vicinity, lambert[_shadow|_fog], phong[_shadow] or path_traced.",
@@ -39,7 +40,7 @@ VIEW_OPTIONS = {
 DEVELOPED = ("shading", "samples", "exposure", "overlay")
 """Options that what is told of radiance alone does not read."""
 
-PICTURE_OPTIONS = ("width", "height", "shading", "samples", "overlay")
+PICTURE_OPTIONS = ("albedo", "width", "height", "shading", "samples", "overlay")
 REPORT_OPTIONS = {
     **{name: text for name, text in VIEW_OPTIONS.items() if name not in PICTURE_OPTIONS},
     "azimuth": "Degrees; 0 looks from +x, 90 from +y; default: 40.",

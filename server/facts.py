@@ -140,7 +140,8 @@ class Omission(BaseModel):
 class LayerFacts(BaseModel):
     """One kind of light that each texel keeps: order² numbers for each channel, in multiples of the scale.
 
-    Bands from ``coarse`` on are bytes, where it is not null.
+    Bands from ``coarse`` on are bytes, where it is not null. Where there are ``nodes``, channels are of grey surfaces
+    with these albedos, and light of any other is mixed of theirs.
     """
 
     kind: str
@@ -149,6 +150,7 @@ class LayerFacts(BaseModel):
     precision: str
     coarse: int | None
     scale: float
+    nodes: list[float]
     bytes_per_texel: int
 
 
@@ -212,7 +214,7 @@ class SceneFacts(BaseModel):
 
     ``presets`` are isovalues worth a look: the scene's own, else boundaries between materials in its volume.
     ``rotating`` is whether the light may be turned, ``turns`` whether that shows: not where the light is the
-    same from all sides.
+    same from all sides. ``albedos`` are those that a view may ask for, null where it may not.
     """
 
     id: str
@@ -225,6 +227,7 @@ class SceneFacts(BaseModel):
     shadings: list[str]
     lights: list[LightFacts]
     albedo: Triple
+    albedos: Range | None
     bounces: int
     solid: str
     target_error: float
@@ -295,6 +298,7 @@ def scene_facts(scene: Scene) -> SceneFacts:
         shadings=list(SHADINGS),
         lights=[light_facts(light) for light in scene.lights],
         albedo=scene.albedo,
+        albedos=None if scene.albedos is None else Range(min=scene.albedos[0], max=scene.albedos[1]),
         bounces=scene.bounces,
         solid=scene.solid,
         target_error=scene.target_error,
@@ -351,13 +355,20 @@ def lobe_facts(lobe: Lobe) -> LobeFacts:
 def layer_facts(layer: Layer) -> LayerFacts:
     """One layer of a plan."""
     names = ("kind", "order", "channels", "precision", "coarse", "scale", "bytes_per_texel")
-    return LayerFacts(**{name: getattr(layer, name) for name in names})
+    return LayerFacts(**{name: getattr(layer, name) for name in names}, nodes=list(layer.nodes))
 
 
 def defaults(scene: Scene) -> dict[str, float | str]:
     """What each parameter is where it is left out."""
     fixed: dict[str, Any] = {name: FrameParams.model_fields[name].default for name in DEFAULTS}
-    return {"isovalue": scene.isovalue, **fixed, "exposure": scene.default_exposure}
+    albedo = {} if scene.albedos is None else {"albedo": albedo_told(scene)}
+    return {"isovalue": scene.isovalue, **fixed, **albedo, "exposure": scene.default_exposure}
+
+
+def albedo_told(scene: Scene) -> float | str:
+    """The scene's albedo as a query has it: one number where it is grey."""
+    grey = len({*scene.albedo}) == 1
+    return scene.albedo[0] if grey else ",".join(f"{share:.6g}" for share in scene.albedo)
 
 
 def ranges(scene: Scene) -> dict[str, Range]:
@@ -368,7 +379,8 @@ def ranges(scene: Scene) -> dict[str, Range]:
         for span in field.metadata
         if isinstance(span, Span)
     }
-    return {"isovalue": Range(min=scene.isovalues[0], max=scene.isovalues[1]), **spans}
+    told = {"isovalue": scene.isovalues} | ({} if scene.albedos is None else {"albedo": scene.albedos})
+    return {**{name: Range(min=low, max=high) for name, (low, high) in told.items()}, **spans}
 
 
 def coverage_facts(frame: Frame, time_left: TimeLeft | None) -> Coverage:

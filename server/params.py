@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, WithJsonSche
 
 from isogi_core.model.view import OVERLAYS, SHADINGS, Quaternion, Vec3
 from server.errors import ParameterError
-from server.values import Choice, Row, Span
+from server.values import Choice, Colour, Row, Span
 
 FORMATS = ("png", "jpeg", "webp", "npy")
 VERSION = r"^[0-9a-f]{32}$"
@@ -56,6 +56,11 @@ class ViewParams(NoParams):
     yaw: Annotated[float, TURN] = Field(0.0, description="Turns the light about z, degrees.")
     pitch: Annotated[float, TURN] = Field(0.0, description="Then about y, degrees.")
     roll: Annotated[float, TURN] = Field(0.0, description="Then about x, degrees.")
+    albedo: Annotated[Vec3 | None, Colour()] = Field(
+        None,
+        description="What share of the light the surface reflects, one number or r,g,b, within the scene's albedos;"
+        " default: the scene's albedo.",
+    )
     width: Annotated[int, Span(1, LONGEST_SIDE, whole=True)] = Field(512, description="Pixels.")
     height: Annotated[int, Span(1, LONGEST_SIDE, whole=True)] = Field(512, description="Pixels.")
     shading: Annotated[str, Choice(SHADINGS)] = Field("gi", description="How the surface is lit.")

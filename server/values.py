@@ -78,6 +78,24 @@ class Row(GroupedMetadata):
 
 
 @dataclass(frozen=True)
+class Colour(GroupedMetadata):
+    """Linear RGB, each from 0 to 1, such as ``albedo=0.7,0.5,0.3``; one number is that of all three."""
+
+    def __iter__(self) -> Iterator[Any]:
+        yield BeforeValidator(self.read)
+        yield WithJsonSchema({"type": "string", "example": "0.7"})
+
+    def read(self, value: object) -> tuple[float, float, float]:
+        """The three numbers in ``value``, a number, a text or a sequence; ValueError where it is none of these."""
+        parts = value.split(",") if isinstance(value, str) else value if isinstance(value, list | tuple) else [value]
+        numbers = tuple(map(finite, parts))
+        if len(numbers) not in (1, 3) or not all(0.0 <= number <= 1.0 for number in numbers):
+            raise ValueError(f"must be one number from 0 to 1, or three with commas between, not {shown(value)}.")
+        red, green, blue = numbers if len(numbers) == 3 else numbers * 3
+        return red, green, blue
+
+
+@dataclass(frozen=True)
 class Choice(GroupedMetadata):
     """One of a few words."""
 

@@ -8,6 +8,7 @@ from isogi_core.model.view import (
     IDENTITY,
     Camera,
     Quaternion,
+    Vec3,
     View,
     orbit,
     quaternion_from_angles,
@@ -34,6 +35,7 @@ def view_of(scene: Scene, params: ViewParams, settings: Settings) -> View:
         height=params.height,
         shading=params.shading,
         samples=params.samples,
+        albedo=albedo_of(scene, params),
     )
 
 
@@ -45,6 +47,14 @@ def isovalue_of(scene: Scene, params: ViewParams) -> float:
         return Span(*scene.isovalues).read(params.isovalue)
     except ValueError as error:
         raise ParameterError(f"isovalue {error}", "isovalue") from None
+
+
+def albedo_of(scene: Scene, params: ViewParams) -> Vec3 | None:
+    """The albedo asked for, None where it is the scene's; ParameterError where the scene's light is not of it."""
+    try:
+        return None if scene.albedo_for(params.albedo) == scene.albedo else params.albedo
+    except ViewError as error:
+        raise ParameterError(str(error), "albedo") from None
 
 
 def camera_of(scene: Scene, params: ViewParams) -> Camera:

@@ -1,8 +1,9 @@
 /** The view in the address bar: read on load, written shortly after a change, so a link shows the same picture. */
 
+import { surfaceOf } from "./surface.js";
 import { NUMBERS } from "./view.js";
 
-const CHOICES = ["shading", "overlay", "compare"];
+const CHOICES = ["shading", "overlay", "compare", "tint"];
 
 /**
  * Read knobs from an address. What is no number is left out; the view then takes the scene's default.
@@ -28,6 +29,7 @@ export function writeAddress(scene, values) {
   const query = new URLSearchParams({ scene: scene.id });
   for (const name of NUMBERS.filter((each) => each in values)) query.set(name, values[name]);
   if (values.target) query.set("target", values.target.join(","));
+  if (values.tint !== surfaceOf(scene).tint) query.set("tint", values.tint);
   query.set("shading", values.shading);
   if (values.overlay !== "none") query.set("overlay", values.overlay);
   if (values.compare) query.set("compare", values.compare);

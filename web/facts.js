@@ -27,17 +27,18 @@ function planFacts({ plan, target_error: target }) {
   };
 }
 
-function layerInWords({ order, channels, precision, coarse }) {
+function layerInWords({ order, channels, precision, coarse, nodes }) {
   const numbers = order > 1 ? `SH order ${order}` : "one number";
   const kept = coarse === null ? `${precision} floats` : `half floats, bytes from band ${coarse} on`;
-  return `${numbers}${channels > 1 ? ` in ${channels} channels` : ""}, ${kept}`;
+  const each = nodes.length ? ` for albedo ${nodes.map((node) => Number(node.toFixed(2))).join(", ")}` : ` in ${channels} channels`;
+  return `${numbers}${channels > 1 || nodes.length ? each : ""}, ${kept}`;
 }
 
 function lobeInWords({ azimuth, elevation, angle }) {
   return `${Number(angle.toPrecision(2))}° across at azimuth ${azimuth.toFixed(0)}°, elevation ${elevation.toFixed(0)}°`;
 }
 
-function volumeFacts({ volume, lights, albedo }) {
+function volumeFacts({ volume, lights, albedo, albedos }) {
   return {
     Volume: volume.name,
     Size: `${volume.size.join(" × ")} voxels`,
@@ -46,6 +47,7 @@ function volumeFacts({ volume, lights, albedo }) {
     "Not finite": volume.holes ? `${volume.holes} voxels, treated as empty` : null,
     Lights: lights.map(({ type, name }) => (name && name !== type ? `${name} (${type})` : type)).join(", "),
     Albedo: [...new Set([albedo].flat())].map((share) => Number(share.toFixed(3))).join(", "),
+    "Albedos to choose from": albedos && `${Number(albedos.min.toFixed(3))} to ${Number(albedos.max.toFixed(3))}`,
   };
 }
 

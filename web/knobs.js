@@ -1,5 +1,6 @@
 /** Sliders, and the choices of shading, of what to compare it with, and of marks: what mirrors the view one to one. */
 
+import { attachTint } from "./surface.js";
 import { errorInWords } from "./units.js";
 import { niceStep, sliderRange } from "./view.js";
 
@@ -32,6 +33,7 @@ export function attachKnobs(form, scene, view) {
   shading.replaceChildren(...shadings);
   compare.replaceChildren(new Option("Nothing", ""), ...shadings.map((option) => option.cloneNode(true)));
   mirrors.push(...[shading, compare, overlay].map((select) => attachChoice(select, view)), offerOthers(compare));
+  mirrors.push(attachTint(form.elements.tint, view));
   mirrors.push(attachScale(form.querySelector("#error-scale"), scene.error_scale));
   const mirror = (values) => mirrors.forEach((each) => each(values));
   mirror(view.values);
@@ -66,6 +68,7 @@ function attachSlider(input, scene, view) {
 
 function describe(scene, name, value) {
   if (ANGLES.has(name)) return `${Math.round(value)}°`.replace("-", "−");
+  if (name === "albedo") return value.toFixed(2);
   if (name === "distance") return `${value.toFixed(2)} radii`;
   const stops = Number(Math.log2(value / scene.defaults.exposure).toFixed(1));
   return `${stops > 0 ? "+" : ""}${stops} stops`.replace("-", "−");

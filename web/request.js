@@ -1,6 +1,7 @@
 /** A view as others know it: as the parameters of a frame request, in words, and as the name of a file. */
 
 import { shadingName } from "./knobs.js";
+import { albedoQuery } from "./surface.js";
 import { NUMBERS } from "./view.js";
 
 const LIGHT_KNOBS = new Set(["yaw", "pitch", "roll"]);
@@ -13,9 +14,11 @@ const LIGHT_KNOBS = new Set(["yaw", "pitch", "roll"]);
  * @returns {Record<string, string|number>}
  */
 export function frameQuery(scene, values, { width, height }) {
-  const numbers = NUMBERS.filter((name) => name in values && (scene.turns || !LIGHT_KNOBS.has(name)));
+  const told = (name) => name in values && name !== "albedo";
+  const numbers = NUMBERS.filter((name) => told(name) && (scene.turns || !LIGHT_KNOBS.has(name)));
   return {
     ...Object.fromEntries(numbers.map((name) => [name, values[name]])),
+    ...albedoQuery(scene, values),
     ...(values.target && { target: values.target.join(",") }),
     width,
     height,

@@ -1,9 +1,12 @@
 /** The view that the page shows: one plain object of knobs, kept within what the scene allows. */
 
 import { limitTarget } from "./camera.js";
+import { isTint, surfaceOf } from "./surface.js";
 
 /** Knobs that are numbers, in the order in which the address bar has them. */
-export const NUMBERS = ["isovalue", "azimuth", "elevation", "distance", "fov", "yaw", "pitch", "roll", "exposure"];
+export const NUMBERS = [
+  "isovalue", "azimuth", "elevation", "distance", "fov", "yaw", "pitch", "roll", "albedo", "exposure",
+];
 
 /** Marks that may lie over the picture. */
 export const OVERLAYS = ["none", "provisional", "error"];
@@ -72,7 +75,7 @@ export class ViewModel {
     const { defaults } = this.#scene;
     const numbers = NUMBERS.filter((name) => Number.isFinite(defaults[name])).map((name) => [name, defaults[name]]);
     const shading = defaults.shading ?? this.#scene.shadings[0];
-    return { ...Object.fromEntries(numbers), target: null, shading, overlay: "none", compare: "" };
+    return { ...Object.fromEntries(numbers), ...surfaceOf(this.#scene), target: null, shading, overlay: "none", compare: "" };
   }
 
   /** The knobs as they are now (a copy). */
@@ -127,9 +130,10 @@ export class ViewModel {
     };
     limited.target = limitTarget(this.#scene, wanted.target === undefined ? fallback.target : wanted.target);
     if (limited.compare === limited.shading) limited.compare = limited.shading === fallback.shading ? "" : fallback.shading;
+    if (fallback.tint) limited.tint = isTint(wanted.tint) ? wanted.tint.toLowerCase() : fallback.tint;
     for (const name of NUMBERS.filter((each) => each in fallback)) {
       const value = Number.isFinite(wanted[name]) ? wanted[name] : fallback[name];
-      const own = value === this.#scene.defaults[name]; // not rounded: the server's picture without this knob
+      const own = value === this.defaults[name]; // not rounded: the server's picture without this knob
       limited[name] = own ? value : limit(rounded(value, name), name, allowed(this.#scene, name));
     }
     return limited;

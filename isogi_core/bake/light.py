@@ -39,6 +39,11 @@ class Part:
         """A copy of some rows."""
         return Part(self.layer, self.samples[which], self.noise[which], self.coefficients[which])
 
+    def channel(self, number: int) -> "Part":
+        """The same texels with that channel of their coefficients alone."""
+        own = np.ascontiguousarray(self.coefficients[:, number : number + 1])
+        return Part(self.layer, self.samples, self.noise, own)
+
     def put(self, which: np.ndarray, part: "Part") -> None:
         """Write the rows of ``part`` to some rows of this."""
         self.samples[which] = part.samples
@@ -92,9 +97,14 @@ class Light:
 
     def columns(self, terms: Sequence[Term]) -> np.ndarray:
         """The sums of the parts of each of the ``terms``, side by side; (m, channels, Σ n²) float32."""
-        channels = max(part.layer.channels for part in self.parts)
-        sums = [sum_of([self.parts[i] for i in term.layers], channels)[:, :, : term.order**2] for term in terms]
+        channels = max(1 if part.layer.nodes else part.layer.channels for part in self.parts)
+        sums = [sum_of(self._of(term), channels)[:, :, : term.order**2] for term in terms]
         return sums[0] if len(sums) == 1 else np.concatenate(sums, axis=2)
+
+    def _of(self, term: Term) -> list["Part"]:
+        """The parts that are of a ``term``, or the one channel of its part that is."""
+        parts = [self.parts[i] for i in term.layers]
+        return parts if term.node is None else [part.channel(term.node) for part in parts]
 
 
 def sum_of(parts: Sequence[Part], channels: int) -> np.ndarray:

@@ -1,9 +1,9 @@
 """A look: one way to light a scene, the layers that its texels keep and the light that these are put under."""
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cache, cached_property
 
 import numpy as np
 
@@ -12,7 +12,9 @@ from isogi_core.bake.terms import Term
 from isogi_core.model.lobes import Lobe
 from isogi_core.model.plan import Layer, ScenePlan
 from isogi_core.model.sky import LUMINANCE
+from isogi_core.plan.albedos import mixing_weights
 from isogi_core.plan.lobes import project_lobes
+from isogi_core.plan.needs import Colour
 from isogi_core.plan.planner import vicinity_plan
 from isogi_core.plan.projection import evaluate_harmonics, project_environment, sphere_nodes
 
@@ -24,12 +26,36 @@ LOOKS = ("gi", "vicinity")
 class Look:
     """A scene's ``recipe``, and the ``plan`` by which it is lit: the scene's own, or that of vicinity shading.
 
-    A sharp look has its texels on the isosurface that is ``shown``, a normalised isovalue; see ``locate``.
+    A sharp look has its texels on the isosurface that is ``shown``, a normalised isovalue; see ``locate``. Surfaces
+    have the albedo that is ``seen``, by default the one that texels' errors are held against: the scene's own, or the
+    highest where views may ask for others.
     """
 
     recipe: Recipe
     plan: ScenePlan
     shown: float | None = None
+    seen: Colour | None = None
+
+    @property
+    def albedo(self) -> Colour:
+        """The albedo that light leaves surfaces with, linear RGB."""
+        return self.seen or self.recipe.scene.needs.albedo
+
+    def of_albedo(self, albedo: Colour) -> "Look":
+        """The same light in the store, as surfaces of an ``albedo`` reflect it."""
+        if albedo == self.albedo:
+            return self
+        return self._own if albedo == self.recipe.scene.albedo else self._seen(albedo)
+
+    @cached_property
+    def _own(self) -> "Look":
+        """The look of the scene's own albedo, which most views have."""
+        return self._seen(self.recipe.scene.albedo)
+
+    def _seen(self, albedo: Colour) -> "Look":
+        seen = replace(self, seen=albedo)
+        vars(seen).update(light=self.light, beside=self.beside, _lights=self._lights)  # as no albedo changes them
+        return seen
 
     @cached_property
     def digest(self) -> str:
@@ -62,13 +88,13 @@ class Look:
     @cached_property
     def luminance_light(self) -> np.ndarray:
         """Luminance of ``light`` times the albedo, split over the channels; (channels, n²) float64."""
-        return to_luminance(self.light, self.recipe.scene.albedo, self.channels)
+        return to_luminance(self.light, self.albedo, self.channels)
 
     @cached_property
     def unoccluded(self) -> float:
-        """Luminance that leaves a surface which sees all of the light, a mean over its turns."""
+        """Luminance that leaves a surface which sees all of the light, a mean over its turns; whatever is ``seen``."""
         mean = self.recipe.around[:, 0] / np.sqrt(4.0 * np.pi)
-        return float(mean * self.recipe.scene.albedo @ LUMINANCE)
+        return float(mean * self.recipe.scene.needs.albedo @ LUMINANCE)
 
     @cached_property
     def unit(self) -> float:
@@ -82,26 +108,52 @@ class Look:
     def terms(self) -> tuple[Term, ...]:
         """The light by what it meets: all layers meet the same, but for lobes, which are not for direct light's.
 
-        Irradiance is taken for the transfer, times ``unit``, of a light of this radiance.
+        Irradiance is taken for the transfer, times ``unit``, of a light of this radiance. What is kept for several
+        albedos meets as much of the light as it counts at the look's own.
         """
-        numbers = range(len(self.plan.layers))
-        straight = tuple(i for i in numbers if self.plan.layers[i].kind == "direct") if self.lobes else ()
-        groups = [group for group in (straight, tuple(i for i in numbers if i not in straight)) if group]
-        return tuple(self._term(group, self.lobes if group == straight else ()) for group in groups)
+        return tuple(part for layers, light in self._lights for part in self._by_node(self._term(layers, light)))
 
-    def _term(self, layers: tuple[int, ...], lobes: tuple[Lobe, ...]) -> Term:
+    @cached_property
+    def _lights(self) -> tuple[tuple[tuple[int, ...], np.ndarray], ...]:
+        """Layers that meet the same light, by their numbers, and that light, (3, n²)."""
+        numbers = range(len(self.plan.layers))
+        apart = bool(self.lobes or self.plan.nodes)
+        straight = tuple(i for i in numbers if self.plan.layers[i].kind == "direct") if apart else ()
+        groups = [group for group in (straight, tuple(i for i in numbers if i not in straight)) if group]
+        return tuple((group, self._beside(group, self.lobes if group == straight else ())) for group in groups)
+
+    def _beside(self, layers: tuple[int, ...], lobes: tuple[Lobe, ...]) -> np.ndarray:
         order = min(max(self.plan.layers[i].order for i in layers), self.order)
-        light = self.light[:, : order**2] - project_lobes(lobes, order)
-        luminance = to_luminance(light, self.recipe.scene.albedo, self.channels)
+        return np.asarray(self.light[:, : order**2] - project_lobes(lobes, order))
+
+    def _term(self, layers: tuple[int, ...], light: np.ndarray) -> Term:
+        luminance = to_luminance(light, self.albedo, self.channels)
         square = square_light(luminance.sum(axis=0) / self.unit)
-        return Term(
-            layers, order, light, luminance, square * self.unit if self.plan.representation == "irradiance" else square
-        )
+        square = square * self.unit if self.plan.representation == "irradiance" else square
+        return Term(layers, math.isqrt(light.shape[1]), light, luminance, square)
+
+    def _by_node(self, term: Term) -> Iterator[Term]:
+        """The term itself, or those of the albedos that its light is kept for, each with what it counts."""
+        if not self.plan.layers[term.layers[0]].nodes:
+            yield term
+            return
+        mix = LUMINANCE * np.array(self.albedo)
+        mix = mix / max(float(mix.sum()), 1e-30)
+        for node, counts in enumerate(self.mixing.T):
+            light, share = counts[:, None] * term.light, float(mix @ counts)
+            luminance = to_luminance(light, self.albedo, self.channels)
+            yield replace(term, light=light, luminance=luminance, square=share * term.square, node=node)
+
+    @cached_property
+    def mixing(self) -> np.ndarray:
+        """What light that is kept for each of some albedos counts in that of the look's own; (3, nodes) float64."""
+        return mixing_of(self.albedo, self.plan)
 
     def term_of(self, layer: Layer) -> Term:
-        """The term that a ``layer`` is of; of layers beside the plan's, those of its kind decide."""
+        """The term that a ``layer`` is of, or its last one; of layers beside the plan's, those of its kind decide."""
         kinds = [{self.plan.layers[i].kind for i in term.layers} for term in self.terms]
-        return next((term for term, own in zip(self.terms, kinds, strict=True) if layer.kind in own), self.terms[0])
+        found = [term for term, own in zip(self.terms, kinds, strict=True) if layer.kind in own]
+        return found[-1] if found else self.terms[0]
 
     @property
     def columns(self) -> int:
@@ -148,13 +200,18 @@ class Look:
         return np.asarray(np.einsum("...cn,c->...n", halves, self.mix(layer)))
 
     def mix(self, layer: Layer) -> np.ndarray:
-        """Shares of a layer's channels in the luminance that leaves a texel under white light; (channels,) float64."""
-        mix = LUMINANCE * np.array(self.recipe.scene.albedo)
+        """Shares of a layer's channels in the luminance that leaves a texel under white light; (channels,) float64.
+
+        Of what is kept for several albedos it is the highest alone, which errors are held against.
+        """
+        if layer.nodes:
+            return np.eye(layer.channels)[-1]
+        mix = LUMINANCE * np.array(self.albedo)
         return mix / max(mix.sum(), 1e-30) if layer.channels == 3 else np.ones(1)
 
     def weights(self, layer: Layer) -> np.ndarray:
         """R^k for k = 0 … bounces, over the chance to get there, of the layer's channels; (bounces + 1, channels)."""
-        albedo = np.array(self.recipe.scene.albedo[: layer.channels])
+        albedo = np.array(layer.nodes or self.recipe.scene.albedo[: layer.channels])
         return path_weights(albedo, self.plan.bounces if layer.reflected else 0, self.plan.survival)
 
     def shares(self, layers: Sequence[Layer]) -> np.ndarray:
@@ -190,6 +247,11 @@ def path_weights(albedo: np.ndarray, bounces: int, survival: float, leaving: int
     return np.asarray(albedo ** (k + leaving) / survival ** np.maximum(k - 1, 0))
 
 
+def mixing_of(albedo: Colour, plan: ScenePlan) -> np.ndarray:
+    """What light that is kept for the nodes of a ``plan`` counts at an ``albedo``; (3, nodes) float64."""
+    return np.array([mixing_weights(share, plan.nodes, plan.bounces) for share in albedo])
+
+
 def look_name(shading: str) -> str:
     """The name of the look that views of a ``shading`` read: vicinity shading has one of its own."""
     return "vicinity" if shading == "vicinity" else "gi"
@@ -209,10 +271,15 @@ def to_luminance(light: np.ndarray, albedo: tuple[float, float, float], channels
 
 def square_light(light: np.ndarray) -> np.ndarray:
     """Coefficients q_i = ∫ L² Y_i dω of the square of L = Σ ``light`` (n²,) Y_i, of the same order; (n²,) float64."""
-    order = math.isqrt(len(light))
-    theta, phi, weights = sphere_nodes(3 * order)
-    basis = evaluate_harmonics(order, theta, phi)
+    basis, weights = basis_of(math.isqrt(len(light)))
     return np.asarray(basis @ (weights * (light @ basis) ** 2))
+
+
+@cache
+def basis_of(order: int) -> tuple[np.ndarray, np.ndarray]:
+    """Harmonics (n², nodes) at nodes that integrate products of three of them, and their weights (nodes,)."""
+    theta, phi, weights = sphere_nodes(3 * order)
+    return evaluate_harmonics(order, theta, phi), weights
 
 
 def band_of(order: int) -> np.ndarray:

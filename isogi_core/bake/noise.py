@@ -7,6 +7,7 @@ import numpy as np
 from isogi_core.bake.light import Light, Part
 from isogi_core.bake.look import Look, band_of
 from isogi_core.model.plan import FEWEST, Layer, most_samples
+from isogi_core.plan.albedos import mixing_weights
 
 FLOOR = 0.5
 """Texels darker than this share of unoccluded light are held to its error, not to their own small light's."""
@@ -60,8 +61,14 @@ def luminance(light: Light, look: Look) -> np.ndarray:
 
 
 def white(layer: Layer, look: Look) -> np.ndarray:
-    """What band 0 of a ``layer`` counts in the mean luminance over all turns of the light; (channels,) float64."""
+    """What band 0 of a ``layer`` counts in the mean luminance over all turns of the light; (channels,) float64.
+
+    Where views may ask for other albedos, reflected light counts as it does at the lowest, all else as at the highest:
+    an error that is told of the most noise over the least light holds at each of them.
+    """
     weights = look.luminance_light[:, 0]
+    if layer.nodes:
+        return np.asarray(weights.sum() * mixing_weights(look.recipe.scene.lowest, layer.nodes, look.plan.bounces))
     return np.array(weights if layer.channels == len(weights) else weights.sum(keepdims=True))
 
 

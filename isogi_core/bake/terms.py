@@ -9,6 +9,7 @@ import numpy as np
 class Term:
     """The sum of some ``layers`` of a plan, by their numbers, under one unturned ``light`` (3, n²), linear RGB.
 
+    Of a layer that is kept for several albedos it is the channel ``node`` alone.
     ``order`` is that of the light; ``luminance`` (channels, n²) is what is reflected of it, see ``to_luminance``, and
     ``square`` (n²,) the square of that luminance in the unit of a look, see ``bake.moments``.
     """
@@ -18,3 +19,4 @@ class Term:
     light: np.ndarray
     luminance: np.ndarray
     square: np.ndarray
+    node: int | None = None

@@ -56,7 +56,8 @@ def facts_in(metadata: bytes) -> LayerFacts:
         found = json.loads(metadata)
         own = found["attributes"]["isogi"]
         z, y, x = map(int, own["texels"])
-        layer = Layer(**{each.name: own[each.name] for each in fields(Layer)})
+        named = {each.name: own[each.name] for each in fields(Layer) if each.name != "nodes"}
+        layer = Layer(**named, nodes=tuple(map(float, own.get("nodes", ()))))
         facts = LayerFacts(layer, (z, y, x), int(own["chunk"]), own)
         whole = agrees(found, facts)
     except (ValueError, KeyError, TypeError, AttributeError, ArithmeticError) as error:

@@ -279,7 +279,7 @@ def facts_of(layer: Layer, recipe: Recipe, shown: float | None = None) -> dict[s
         "shown": shown,
         **asdict(layer),
         "bounces": scene.bounces if layer.reflected else 0,
-        "albedo": list(scene.albedo) if layer.reflected else None,
+        "albedo": list(layer.nodes or scene.albedo) if layer.reflected else None,
         "lights": [light.name for light in scene.lights] if layer.kind == "irradiance" else None,
         "plan": asdict(scene.plan),
         "codes": CODES,

@@ -17,7 +17,7 @@ import numpy as np
 from isogi_core.bake.look import Look
 from isogi_core.bake.recipe import Index
 from isogi_core.cache.chunk import Chunks
-from isogi_core.cache.rows import fill_rows, new_rows
+from isogi_core.cache.rows import fill_rows, new_rows, reflected_share
 from isogi_core.errors import StoreError
 from isogi_core.kernels.lattice import UNLIT, Lattice
 
@@ -53,7 +53,8 @@ class PagePool:
     """Light in memory, at most ``budget`` bytes. Safe to use from many threads.
 
     A row has the ``transfer`` (channels, columns of all terms), the ``scatter``, the relative ``error`` and the
-    ``stamp``: see ``fill_rows``.
+    ``stamp``: see ``fill_rows``. Where light is kept for several albedos it also has the share of its variance that is
+    ``reflected``.
     """
 
     def __init__(self, look: Look, budget: int) -> None:
@@ -64,6 +65,7 @@ class PagePool:
         self.look = look
         self.rows = new_rows(look, pages * PAGE)
         self.transfer, self.scatter, self.error, self.stamp = self.rows
+        self.reflected = np.empty(pages * PAGE if look.plan.nodes else 0, np.float32)
         self.table = np.empty((slots, texels), np.int32)
         self._free_pages = list(range(pages))[::-1]
         self._free_slots = list(range(slots))
@@ -96,6 +98,8 @@ class PagePool:
             slots = np.array([entry.slot for entry in entries], np.int32)
             self.table[slots] = UNLIT
             self.table[np.repeat(slots, counts), chunks.offsets] = fill_rows(self.rows, rows, chunks.light, self.look)
+            if self.look.plan.nodes:
+                self.reflected[rows] = reflected_share(chunks.light, self.look)
             for index, entry in zip(chunks.indices, entries, strict=True):
                 former = self._entries.pop(index, None)
                 self._entries[index] = entry
@@ -170,7 +174,9 @@ def pages_of_sheet(lattice: Lattice) -> int:
 def page_bytes(look: Look) -> int:
     """Bytes that a page of a ``look`` takes, its part of the table among them."""
     lattice = look.recipe.lattice
-    return PAGE * 4 * (look.channels * look.columns + 3) + lattice.texels * 4 // pages_of_sheet(lattice)
+    return PAGE * 4 * (
+        look.channels * look.columns + (4 if look.plan.nodes else 3)
+    ) + lattice.texels * 4 // pages_of_sheet(lattice)
 
 
 def rows_in(pages: Sequence[np.ndarray], counts: np.ndarray) -> np.ndarray:

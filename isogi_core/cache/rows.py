@@ -7,7 +7,7 @@ import numpy as np
 from isogi_core.bake.light import Light
 from isogi_core.bake.look import Look
 from isogi_core.bake.moments import powers
-from isogi_core.bake.noise import DARKEST, least_level, white
+from isogi_core.bake.noise import DARKEST, deviations, least_level, white
 from isogi_core.bake.precision import samples_of
 from isogi_core.kernels.rows import Judge, Role, Rows, Sums, add_part, judge_rows
 from isogi_core.model.plan import FEWEST, Layer
@@ -34,25 +34,38 @@ def fill_rows(rows: Rows, numbers: np.ndarray, light: Light, look: Look) -> np.n
     for an earlier plan's light may grow too.
     """
     sums = Sums(*(np.zeros(len(numbers), kind) for kind in (np.float64, np.float64, np.int64, np.int64, np.uint8)))
-    for number, part in enumerate(light.parts):
-        samples, noise, own = part.samples, part.noise, np.ascontiguousarray(part.coefficients)
-        add_part(samples, noise, own, own.view(np.int32), role_of(number, part.layer, look), numbers, rows, sums)
+    for at, term in enumerate(look.terms):
+        for number in term.layers:
+            part = light.parts[number] if term.node is None else light.parts[number].channel(term.node)
+            own, role = np.ascontiguousarray(part.coefficients), role_of(number, part.layer, at, look)
+            add_part(part.samples, part.noise, own, own.view(np.int32), role, numbers, rows, sums)
     places = np.empty_like(numbers)
     judge_rows(numbers, rows, sums, judge_of(len(light.parts), look), places)
     return places
 
 
-def role_of(number: int, layer: Layer, look: Look) -> Role:
-    """What a ``layer`` is to a look, as part ``number``. Irradiance that is dark may be so by its light alone."""
-    at = next(a for a, term in enumerate(look.terms) if number in term.layers)
-    term = look.terms[at]
+def reflected_share(light: Light, look: Look) -> np.ndarray:
+    """The share of texels' variance that is of reflected light; (m,) float32."""
+    variances = deviations(light, look) ** 2
+    reflected = variances[[part.layer.kind == "indirect" for part in light.parts]].sum(axis=0)
+    return np.asarray(reflected / np.maximum(variances.sum(axis=0), 1e-30), np.float32)
+
+
+def role_of(number: int, layer: Layer, at: int, look: Look) -> Role:
+    """What a ``layer`` is to a look, as part ``number`` and in the term number ``at``.
+
+    Irradiance that is dark may be so by its light alone. What is kept for several albedos is of the same paths: the
+    last alone tells of their noise and number.
+    """
+    term, weights = look.terms[at], white(layer, look)
+    last = term.node in (None, layer.channels - 1)
     return Role(
-        gains=look.gains(layer),
-        weights=white(layer, look),
+        gains=look.gains(layer) if last else np.zeros(layer.noises),
+        weights=weights if term.node is None else weights[term.node : term.node + 1],
         column=int(look.firsts[at]),
         width=term.order**2,
         first=number == min(term.layers),
-        rung=RUNGS**number,
+        rung=RUNGS**number if last else 0,
         straight=layer.kind != "indirect",
         telling=layer.kind != "irradiance",
         fewest=FEWEST,

@@ -8,7 +8,9 @@ import numpy as np
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.surroundings import Turned
 from isogi_core.frame.tiles import Tiles
+from isogi_core.kernels.lattice import DARKEST
 from isogi_core.kernels.lobes import light_lobes
+from isogi_core.model.sky import LUMINANCE
 
 LOBE_POINTS = 1024
 """Surface points of a tile."""
@@ -16,7 +18,10 @@ LOBE_POINTS = 1024
 
 @dataclass(frozen=True, eq=False)
 class LobeLight:
-    """Light of lobes at a view's surface points: ``lit`` (m, 4) float32, in the look's unit, see ``light_lobes``."""
+    """Light of lobes at a view's surface points: ``lit`` (m, 4) float32, in the look's unit, see ``light_lobes``.
+
+    It leaves a surface of the look's own albedo.
+    """
 
     lit: np.ndarray
 
@@ -24,6 +29,16 @@ class LobeLight:
     def nbytes(self) -> int:
         """Bytes that it takes."""
         return self.lit.nbytes
+
+    def tinted(self, tint: np.ndarray) -> "LobeLight":
+        """The same from a surface that reflects ``tint`` (3,) times as much of each colour."""
+        if (tint == 1.0).all():
+            return self
+        if (tint == tint[0]).all():
+            return LobeLight(self.lit * np.array([*tint, tint[0] ** 2], np.float32))
+        colours = (self.lit[:, :3] * tint).astype(np.float32)
+        grown = (colours @ LUMINANCE) / np.maximum(self.lit[:, :3] @ LUMINANCE, DARKEST)
+        return LobeLight(np.column_stack([colours, self.lit[:, 3] * grown**2]).astype(np.float32))
 
 
 def find_lobes(turned: Turned, gbuffer: GBuffer, tiles: Tiles, cancelled: threading.Event | None) -> LobeLight:

@@ -55,9 +55,11 @@ class Renderer:
         """The frame of ``view`` with the light that is there now.
 
         ``target`` is the relative error at which light counts as final, the scene's own by default; ``watch`` goes
-        on with this frame's stages. Raises Cancelled when ``cancelled`` is set on the way.
+        on with this frame's stages. Raises Cancelled when ``cancelled`` is set on the way, and ViewError where the
+        scene's light is not of the albedo that the view asks for.
         """
         watch = watch or Stopwatch()
+        self.recipe.scene.albedo_for(view.albedo)
         with watch.stage("primary"):
             gbuffer = self.gbuffer(view, cancelled)
         shader = Shader(
@@ -88,9 +90,10 @@ class Renderer:
         return self._views.get(key, lambda: find_texels(gbuffer, self.recipe, self.tiles, cancelled))
 
     def lobes(self, turned: Turned, gbuffer: GBuffer, cancelled: threading.Event | None = None) -> LobeLight:
-        """What comes straight from lobes to a view, kept while neither camera nor light moves."""
+        """What comes straight from lobes to a view, kept while neither camera nor light moves, for any albedo."""
         key = (LobeLight, surface_key(turned.view), turned.view.light)
-        return self._readings.get(key, lambda: find_lobes(turned, gbuffer, self.tiles, cancelled))
+        kept = self._readings.get(key, lambda: find_lobes(turned, gbuffer, self.tiles, cancelled))
+        return kept.tinted(turned.tint)
 
     def forget_views(self) -> None:
         """Drop the kept G-buffers and their texels, as if every view were new."""

@@ -13,6 +13,7 @@ from isogi_core.bake.noise import DARKEST
 from isogi_core.bake.recipe import Recipe
 from isogi_core.cache.loader import Loader
 from isogi_core.cache.pages import Held, PagePool
+from isogi_core.frame.calm import scatter_at, weights_between
 from isogi_core.frame.facings import shares_light
 from isogi_core.frame.gbuffer import POINTS, GBuffer
 from isogi_core.frame.lobes import LobeLight
@@ -176,10 +177,25 @@ class Shader:
 
         def _piece(a: int, b: int) -> None:
             for rows, pool in sources:
-                light_texels(rows[a:b], pool.transfer, pool.scatter, *lights, lit[a:b])
+                light_texels(rows[a:b], pool.transfer, self._scatter(rows[a:b], pool), *lights, lit[a:b])
 
         self._run(_piece, texels, self.tiles.even(texels))
         return lit
+
+    def _scatter(self, rows: np.ndarray, pool: PagePool) -> np.ndarray:
+        """The scatter of a pool's rows at the view's albedo; (all rows,), undefined but for those told."""
+        if self._calm is None:
+            return pool.scatter
+        own, found = rows[rows >= 0], np.empty_like(pool.scatter)
+        kept = pool.transfer[own[:, None], 0, self.look.firsts]
+        found[own] = scatter_at(self._calm, pool.scatter[own], pool.reflected[own], kept)
+        return found
+
+    @cached_property
+    def _calm(self) -> np.ndarray | None:
+        """What noise of another albedo is weighed with; None where light is of the one that it is told of."""
+        other = self.look.plan.nodes and self.turned.seen is not self.look
+        return weights_between(self.turned.seen, self.look) if other else None
 
     def _shares(self, texels: ViewTexels, reading: Reading, lit: np.ndarray) -> np.ndarray:
         """The texels' light as shares of unshadowed light, (texels, RECORD); see ``share_texels``."""

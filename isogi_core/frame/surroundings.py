@@ -26,10 +26,15 @@ SHINE, EXPONENT = 0.3, 32.0
 
 @dataclass(frozen=True, eq=False)
 class Turned:
-    """The lights of a ``look``, turned for one view."""
+    """The lights of a ``look``, turned for one view and reflected by the albedo that it asks for."""
 
     look: Look
     view: View
+
+    @cached_property
+    def seen(self) -> Look:
+        """The look with the view's albedo. ViewError where its light is not of that."""
+        return self.look.of_albedo(self.look.recipe.scene.albedo_for(self.view.albedo))
 
     @cached_property
     def matrix(self) -> np.ndarray:
@@ -39,11 +44,18 @@ class Turned:
     @cached_property
     def light(self) -> np.ndarray:
         """What texels' columns are multiplied by, the light of each term turned, side by side; (3, Σ n²) linear RGB."""
-        return np.concatenate([turn(term.light, self.matrix) for term in self.look.terms], axis=1)
+        return np.concatenate([turn(term.light, self.matrix) for term in self.seen.terms], axis=1)
 
     def light_of(self, layer: Layer) -> np.ndarray:
-        """What a ``layer``'s coefficients are multiplied by, turned; (3, n²) float64 linear RGB."""
-        return turn(self.look.term_of(layer).light, self.matrix)
+        """What a ``layer``'s coefficients are multiplied by in all, turned; (3, n²) float64 linear RGB."""
+        term = self.seen.term_of(layer)
+        return turn(self.look.light[:, : term.order**2] if layer.nodes else term.light, self.matrix)
+
+    def colours_of(self, layer: Layer, light: np.ndarray) -> np.ndarray:
+        """Light (…, channels, n²) of a ``layer`` in the three colours that the surface gives it; (…, 3, n²)."""
+        if layer.nodes:
+            return np.asarray(np.einsum("...jn,cj->...cn", light, self.seen.mixing))
+        return np.broadcast_to(light, (*light.shape[:-2], 3, light.shape[-1]))
 
     @cached_property
     def around(self) -> np.ndarray:
@@ -52,8 +64,13 @@ class Turned:
 
     @property
     def albedo(self) -> np.ndarray:
-        """The scene's albedo, (3,)."""
-        return np.array(self.look.recipe.scene.albedo)
+        """The albedo of the surface, (3,)."""
+        return np.array(self.seen.albedo)
+
+    @property
+    def tint(self) -> np.ndarray:
+        """How much more a surface of the view's albedo reflects than one of the look's own, (3,)."""
+        return self.albedo / np.maximum(self.look.albedo, 1e-30) if self.seen is not self.look else np.ones(3)
 
     @cached_property
     def reflected(self) -> np.ndarray:
@@ -63,7 +80,7 @@ class Turned:
     @cached_property
     def square(self) -> np.ndarray:
         """The square of the luminance that ``reflected`` brings, in the look's ``unit``; (Σ n²,) float64."""
-        return np.concatenate([turn(term.square[None], self.matrix)[0] for term in self.look.terms])
+        return np.concatenate([turn(term.square[None], self.matrix)[0] for term in self.seen.terms])
 
     @property
     def in_units(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -73,12 +90,13 @@ class Turned:
 
     @cached_property
     def lobes(self) -> LampArrays:
-        """The look's lobes as lamps, turned; what they give is told times the albedo and in the look's ``unit``."""
+        """The look's lobes as lamps, turned; what they give is told times its albedo and in its ``unit``."""
         lobes = self.look.lobes
         discs = [disc(np.array(lobe.towards), lobe.cosine) for lobe in lobes]
         towards = np.array([lobe.towards for lobe in lobes]).reshape(-1, 3) @ self.matrix.T
         edges = np.array(discs).reshape(-1, 2, 3) @ self.matrix.T
-        shine = np.array([lobe.irradiance for lobe in lobes]).reshape(-1, 3) * self.albedo / (math.pi * self.look.unit)
+        shine = np.array([lobe.irradiance for lobe in lobes]).reshape(-1, 3) * self.look.albedo
+        shine /= math.pi * self.look.unit
         return LampArrays(np.full(len(lobes), DIRECTIONAL, np.int8), towards, edges, shine)
 
     @cached_property

@@ -21,7 +21,7 @@ class Layer:
     ``kind`` is "direct" (light that arrives unreflected), "indirect" (reflected light), "whole" (both), or
     "irradiance" (both, under the scene's own lights). ``order``² coefficients for each of the ``channels``, as half
     floats where ``half``, and from band ``coarse`` on, if told, as bytes; what they are multiples of, ``scale``, is a
-    power of two.
+    power of two. Where there are ``nodes``, channels are not colours: each is of a grey surface with that albedo.
     """
 
     kind: str
@@ -30,6 +30,7 @@ class Layer:
     half: bool = True
     coarse: int | None = None
     scale: float = 1.0
+    nodes: tuple[float, ...] = ()
 
     @property
     def coefficients(self) -> int:
@@ -105,8 +106,13 @@ class ScenePlan:
 
     @property
     def channels(self) -> int:
-        """The channels that light is kept in: the most of any layer."""
-        return max(layer.channels for layer in self.layers)
+        """The channels that light is shown in: the most colours of any layer."""
+        return max(1 if layer.nodes else layer.channels for layer in self.layers)
+
+    @property
+    def nodes(self) -> tuple[float, ...]:
+        """The albedos that reflected light is kept for, where views may ask for others; see ``plan.albedos``."""
+        return next((layer.nodes for layer in self.layers if layer.nodes), ())
 
     @property
     def indirect_order(self) -> int | None:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from isogi_core.errors import SceneError
+from isogi_core.errors import SceneError, ViewError
 from isogi_core.kernels.field import OFFSET, Field
 from isogi_core.kernels.harmonics import MAX_ORDER
 from isogi_core.kernels.lattice import CHUNK
@@ -49,7 +49,8 @@ CHUNKS = (8, 16, 32)
 class Scene:
     """What can be rendered. ``isovalue`` and the range ``isovalues`` are in the volume's own units.
 
-    ``albedo`` is linear RGB, ``lattice`` texels per voxel along each axis, ``target_error`` the
+    ``albedo`` is linear RGB, and ``albedos`` are the least and the most that views may ask for in its place, None where
+    light is of that one alone; ``lattice`` texels per voxel along each axis, ``target_error`` the
     relative error at which a texel counts as final, ``rotating`` whether the light may be turned.
     A chunk of the lattice has ``chunk`` texels along each side.
     ``normals`` says which gradient they are of, "bspline" (smoothed) or "gradient" (plain), and ``offset`` how many
@@ -78,6 +79,7 @@ class Scene:
     plan: ScenePlan
     named: tuple[Preset, ...] = ()
     sharpen: bool = False
+    albedos: tuple[float, float] | None = None
 
     @property
     def name(self) -> str:
@@ -88,6 +90,11 @@ class Scene:
     def bounces(self) -> int:
         """Surface hits after the first that light paths may take."""
         return self.plan.bounces
+
+    @property
+    def lowest(self) -> float:
+        """The lowest albedo of any channel that views may ask for."""
+        return min(self.albedo) if self.albedos is None else self.albedos[0]
 
     @property
     def solid(self) -> str:
@@ -123,17 +130,32 @@ class Scene:
         """What the scene does without: what its plan leaves out, and texels that are never lit."""
         return (*self.plan.left_out, *unseen(self.texels, self.plan))
 
+    def albedo_for(self, asked: tuple[float, float, float] | None) -> tuple[float, float, float]:
+        """The albedo that a view has ``asked`` for, else the scene's own. ViewError where its light is not of that."""
+        if asked is None or asked == self.albedo:
+            return self.albedo
+        if self.albedos is None:
+            raise ViewError(
+                "albedo is fixed in this scene: leave it out, or give the scene a range, albedos = [0, 0.9]."
+            )
+        lowest, highest = self.albedos
+        if not all(lowest <= share <= highest for share in asked):
+            given = ",".join(f"{share:g}" for share in asked)
+            raise ViewError(f"albedo must be from {lowest:g} to {highest:g} in this scene, not {given}.")
+        return asked
+
     def layer_digest(self, layer: Layer, shown: float | None = None) -> str:
         """Hex name of everything that a layer's light depends on, and of nothing else.
 
-        The scene's lights are among it for irradiance alone (S1, eq. 6), albedo and bounces for reflected light, and
-        the normalised isovalue that is ``shown`` where texels lie on that.
+        The scene's lights are among it for irradiance alone (S1, eq. 6), bounces for reflected light, with the albedo
+        or those that it is kept for, and the normalised isovalue that is ``shown`` where texels lie on that.
         """
-        parts = [BAKE_FORMAT, self.volume.digest, self.lattice, *astuple(layer), *self.departures]
+        *kept, nodes = astuple(layer)
+        parts = [BAKE_FORMAT, self.volume.digest, self.lattice, *kept, *self.departures]
         if shown is not None:
             parts += ["shown", shown]
         if layer.reflected:
-            parts += [self.albedo[: layer.channels], self.bounces, self.plan.survival]
+            parts += [["nodes", *nodes] if nodes else self.albedo[: layer.channels], self.bounces, self.plan.survival]
         if layer.kind == "irradiance":
             parts += [self.environment.digest, self.lamps.digest, self.albedo]
         return digest_of(parts)
@@ -194,10 +216,12 @@ def build_scene(source: SceneSource, tell: Tell = tell_nobody, volume: Volume | 
     fallback = min(max(default_isovalue(settings, volume), isovalues[0]), isovalues[1])
     isovalue = settings.number("isovalue", fallback, *isovalues)
     albedo = settings.colour("albedo", 0.7)
+    told = told_by(settings, albedo)
     target_error = settings.number("target_error", 0.02, 1e-4, 1.0)
     light, rotating = environment(lights), may_rotate(settings, lamps)
-    needs = Needs(light, lamps, volume.centre, volume.radius, rotating, albedo, target_error)
-    told = told_by(settings)
+    most = albedo if told.albedos is None else (told.albedos[1],) * 3
+    needs = Needs(light, lamps, volume.centre, volume.radius, rotating, most, target_error)
+    plan = plan_scene(needs, told)
     scene = Scene(
         id=re.sub(r"[^a-z0-9_-]+", "-", source.name.lower()).strip("-")[:64] or "scene",
         source=source,
@@ -216,16 +240,21 @@ def build_scene(source: SceneSource, tell: Tell = tell_nobody, volume: Volume | 
         offset=settings.number("offset", OFFSET, 0.0, 2.0),
         needs=needs,
         told=told,
-        plan=plan_scene(needs, told),
+        plan=plan,
         named=read_presets(settings, isovalues),
         sharpen=settings.flag("sharpen", False),
+        albedos=told.albedos or ((0.0, 1.0) if told.bounces == 0 and max(albedo) > 0.0 else None),
     )
     settings.refuse_unknown()
     return scene
 
 
-def told_by(settings: Settings) -> Told:
-    """What the scene says of its own plan."""
+def told_by(settings: Settings, albedo: tuple[float, float, float]) -> Told:
+    """What the scene says of its own plan; its ``albedo`` is to be one of those that views may ask for."""
+    albedos = settings.span("albedos", 0.0, 1.0)
+    if albedos is not None and not albedos[0] <= min(albedo) <= max(albedo) <= albedos[1]:
+        given = f"albedos = [{albedos[0]:g}, {albedos[1]:g}]"
+        raise SceneError(f"{given} leaves out the scene's own albedo, {min(albedo):g} to {max(albedo):g}: widen it.")
     return Told(
         representation=settings.choice("representation", REPRESENTATIONS),
         order=settings.count("order", MAX_ORDER, 1),
@@ -233,6 +262,7 @@ def told_by(settings: Settings) -> Told:
         bounces=settings.count("bounces", 1000),
         precision=settings.choice("precision", ("bytes", "half", "single")),
         lobes=settings.count("lobes", MOST_LOBES),
+        albedos=albedos,
     )
 
 

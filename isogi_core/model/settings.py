@@ -95,6 +95,13 @@ class Settings:
             raise self._wrong(key, f"two ascending numbers from {within[0]:g} to {within[1]:g}, the volume's range")
         return value[0], value[1]
 
+    def span(self, key: str, low: float, high: float) -> tuple[float, float] | None:
+        """Two numbers in [low, high], the second above the first, or None."""
+        value = self.numbers(key, 2)
+        if value is not None and not low <= value[0] < value[1] <= high:
+            raise self._wrong(key, f"two ascending numbers from {low:g} to {high:g}")
+        return None if value is None else (value[0], value[1])
+
     def colour(self, key: str, fallback: float) -> tuple[float, float, float]:
         """A number or [r, g, b], each in [0, 1]."""
         value = self._get(key)

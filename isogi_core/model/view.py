@@ -110,7 +110,8 @@ def rotation_matrix(q: Quaternion) -> np.ndarray:
 class View:
     """One frame's question. ``isovalue`` is in the volume's own units; ``light`` turns the environment.
 
-    ``samples`` is the number of paths per pixel and is read by ``path_traced`` alone.
+    ``samples`` is the number of paths per pixel and is read by ``path_traced`` alone. ``albedo``, linear RGB, is that
+    of the surface, the scene's own by default; see ``Scene.albedo_for``.
     """
 
     isovalue: float
@@ -120,6 +121,7 @@ class View:
     height: int = 512
     shading: str = "gi"
     samples: int = field(default=16)
+    albedo: Vec3 | None = None
 
     def __post_init__(self) -> None:
         if not math.isfinite(self.isovalue):

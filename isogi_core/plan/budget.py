@@ -23,6 +23,9 @@ EVEN = 0.25
 BOUNCES = 0.5
 """Share of the target that the bounces which are cut off may take, at most."""
 
+MIXING = 0.25
+"""Share of the target that light of other albedos than those it is kept for may take, at most."""
+
 ROUNDING = 1.0 / 3.0
 """Share of the target that rounding may take, of all that is kept."""
 

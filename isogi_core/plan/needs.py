@@ -29,13 +29,15 @@ class Told:
     bounces: int | None = None
     precision: str | None = None
     lobes: int | None = None
+    albedos: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
 class Needs:
     """What a plan is made for: the lights and whether they may turn, the albedo, the relative error aimed at.
 
-    ``centre`` and ``radius`` are those of the ball around the volume, in the world.
+    ``centre`` and ``radius`` are those of the ball around the volume, in the world. Where views may ask for another
+    ``albedo``, it is the highest of these.
     """
 
     environment: Environment

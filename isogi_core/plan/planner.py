@@ -5,9 +5,11 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from isogi_core.model.plan import Layer, ScenePlan, most_samples
+from isogi_core.plan.albedos import choose_nodes, mixing_error
 from isogi_core.plan.bands import choose_order, truncation_error
 from isogi_core.plan.budget import (
     HARMONICS,
+    MIXING,
     ROUNDING,
     bounces_for,
     even,
@@ -90,11 +92,12 @@ def lobes_for(needs: Needs, told: Told) -> int:
 
 def layers_of(representation: str, needs: Needs, told: Told, bounces: int, lobes: int) -> tuple[Layer, ...]:
     """The layers of a representation."""
-    channels = 1 if needs.grey else 3
     if representation == "vicinity":
         return (Layer("direct"),)
+    if representation == "constant" and told.albedos is not None:
+        return Layer("direct"), reflected(1, needs, told, bounces)
     if representation == "constant":
-        return (Layer("whole", channels=channels),)
+        return (Layer("whole", channels=1 if needs.grey else 3),)
     if representation == "irradiance":
         return (Layer("irradiance", channels=1 if needs.grey and needs.grey_light else 3, scale=unit_of(needs)),)
     direct = Layer("direct", told.order or direct_order(needs, lobes))
@@ -102,7 +105,15 @@ def layers_of(representation: str, needs: Needs, told: Told, bounces: int, lobes
         return (direct,)
     most = max(direct.order, MOST_REFLECTED) if lobes and told.order is None else direct.order
     order = told.indirect_order or indirect_order(needs, direct.order, lobes, most)
-    return direct, Layer("indirect", order, channels)
+    return direct, reflected(order, needs, told, bounces)
+
+
+def reflected(order: int, needs: Needs, told: Told, bounces: int) -> Layer:
+    """The layer of reflected light alone: in its colours, or for any albedo that views may ask for."""
+    if told.albedos is None:
+        return Layer("indirect", order, 1 if needs.grey else 3)
+    nodes = choose_nodes(max(needs.albedo), bounces, MIXING * needs.target_error)
+    return Layer("indirect", order, len(nodes), nodes=nodes)
 
 
 def direct_order(needs: Needs, lobes: int) -> int:
@@ -178,6 +189,7 @@ def errors_of(plan: ScenePlan, needs: Needs, told: Told) -> tuple[tuple[str, flo
     errors = (
         ("harmonics", harmonics_error(read, needs, plan.lobes)),
         ("bounces", tail_of_bounces(needs.albedo, plan.bounces) if chosen else 0.0),
+        ("albedo", mixing_error(plan.nodes, plan.bounces) if plan.nodes else 0.0),
         ("rounding", rounding_error(read, needs, plan.lobes)),
     )
     return tuple((cause, error) for cause, error in errors if error > 0.0)

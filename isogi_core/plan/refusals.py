@@ -22,6 +22,7 @@ def refuse_idle(representation: str, bounces: int, needs: Needs, told: Told) -> 
     refuse_orders(representation, bounces, told)
     refuse_lobes(representation, needs, told)
     refuse_reflections(bounces, needs, told)
+    refuse_albedos(representation, bounces, told)
 
 
 def refuse_lights(representation: str, needs: Needs) -> None:
@@ -63,6 +64,14 @@ def refuse_reflections(bounces: int, needs: Needs, told: Told) -> None:
         raise SceneError(f"bounces = {told.bounces} is of reflected light, and albedo 0 has none: leave it out.")
     if told.representation == "constant" and not bounces:
         raise SceneError("representation = 'constant' is of reflected light too, and there is none: leave it out.")
+
+
+def refuse_albedos(representation: str, bounces: int, told: Told) -> None:
+    """Raise SceneError where views may ask for another albedo, and light has met the scene's lights already."""
+    if told.albedos is not None and representation == "irradiance" and bounces:
+        given = f"albedos = [{told.albedos[0]:g}, {told.albedos[1]:g}]"
+        advice = "set rotating = true, bounces = 0, or leave it out"
+        raise SceneError(f"{given} is of light that may turn, and this is baked as it stands: {advice}.")
 
 
 def refuse_no_bytes(layers: tuple[Layer, ...]) -> tuple[Layer, ...]:

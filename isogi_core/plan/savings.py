@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 from isogi_core.model.plan import Layer, LeftOut, Saving, ScenePlan
+from isogi_core.plan.albedos import mixing_error
 from isogi_core.plan.bands import truncation_error
 from isogi_core.plan.budget import LONGEST_PATH, ROULETTE_RAYS, bounces_for, rounding_error, tail_of_bounces
 from isogi_core.plan.kernels import uncalled
@@ -85,7 +86,7 @@ def lobes(plan: ScenePlan, needs: Needs) -> Iterator[LeftOut]:
 def channels(plan: ScenePlan, _: Needs) -> Iterator[LeftOut]:
     """Colour channels that would all be the same."""
     for layer in plan.layers:
-        if layer.channels == 1:
+        if layer.channels == 1 and not layer.nodes:
             what, why = CHANNELS[layer.kind]
             yield LeftOut(f"two of three channels of {what}", why, (added(layer, replace(layer, channels=3)),))
 
@@ -97,6 +98,16 @@ CHANNELS = {
     "irradiance": ("irradiance", "The albedo and all lights are grey."),
 }
 """Light by the kind of its layer, and why one channel is enough."""
+
+
+def nodes(plan: ScenePlan, _: Needs) -> Iterator[LeftOut]:
+    """Light after each bounce on its own, where views may ask for another albedo."""
+    for layer in plan.layers:
+        if 0 < len(layer.nodes) < plan.bounces:
+            albedos, error = ", ".join(f"{node:.2g}" for node in layer.nodes), mixing_error(layer.nodes, plan.bounces)
+            mixed = f"Light of any other albedo is mixed of that of {albedos}"
+            why = f"{mixed}, which errs by {percent(error)} where all hits are alike."
+            yield LeftOut("light after each bounce", why, (added(layer, replace(layer, channels=plan.bounces)),))
 
 
 def reflections(plan: ScenePlan, needs: Needs) -> Iterator[LeftOut]:
@@ -228,7 +239,7 @@ def added(layer: Layer, larger: Layer) -> Saving:
 
 
 FINDERS: tuple[Callable[[ScenePlan, Needs], Iterator[LeftOut]], ...] = (
-    *(harmonics, bands, lobes, channels, reflections, ends, halves, records),
+    *(harmonics, bands, lobes, channels, nodes, reflections, ends, halves, records),
     *(turning, shadow_rays, kernels),
 )
 """Each finds what a plan leaves out of one sort."""

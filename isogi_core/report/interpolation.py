@@ -7,7 +7,8 @@ import numpy as np
 
 from isogi_core.bake.light import Light
 from isogi_core.bake.refine import locate
-from isogi_core.cache.rows import fill_rows, new_rows
+from isogi_core.cache.rows import fill_rows, new_rows, reflected_share
+from isogi_core.frame.calm import scatter_at, weights_between
 from isogi_core.frame.surroundings import Turned
 from isogi_core.kernels.field import bspline
 from isogi_core.kernels.lattice import light_texels
@@ -134,7 +135,11 @@ def lit_texels(light: Light, turned: Turned) -> tuple[np.ndarray, np.ndarray]:
     look, lit, numbers = turned.look, np.empty((len(light), 4), np.float32), np.arange(len(light), dtype=np.int32)
     rows = new_rows(look, len(light))
     held = fill_rows(rows, numbers, light, look) >= 0
-    light_texels(numbers, rows.transfer, rows.scatter, *turned.in_units, lit)
+    scatter = rows.scatter
+    if look.plan.nodes and turned.seen is not look:
+        weights = weights_between(turned.seen, look)
+        scatter = scatter_at(weights, scatter, reflected_share(light, look), rows.transfer[:, 0, look.firsts])
+    light_texels(numbers, rows.transfer, scatter, *turned.in_units, lit)
     return lit * look.unit, held
 
 

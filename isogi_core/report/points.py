@@ -118,6 +118,6 @@ def light_of_halves(turned: Turned, place: Place, samples: int) -> np.ndarray:
     for layer, (sums, _) in zip(layers, sample_transfer(layers, place, void, look, 0, samples), strict=True):
         light = turned.albedo[:, None] * turned.light_of(layer)
         n = min(layer.order**2, light.shape[1])
-        colours = np.broadcast_to(sums, (*sums.shape[:2], 3, sums.shape[3]))
+        colours = turned.colours_of(layer, sums)
         halves += np.einsum("mhcn,cn->mhc", colours[..., :n], light[:, :n]) / (samples // 2)
     return halves

@@ -15,7 +15,8 @@ def summary(facts: SceneFacts) -> Iterator[tuple[str, str]]:
     yield "values", f"{volume.value_range[0]:.10g} to {volume.value_range[1]:.10g}, {volume.holes} not finite"
     yield "isovalue", f"{facts.defaults['isovalue']:.10g}, from {low_high.min:.10g} to {low_high.max:.10g}"
     yield "solid", facts.solid
-    yield "albedo", ", ".join(f"{channel:g}" for channel in facts.albedo)
+    others = "" if facts.albedos is None else f"; views may ask for {facts.albedos.min:g} to {facts.albedos.max:g}"
+    yield "albedo", ", ".join(f"{channel:g}" for channel in facts.albedo) + others
     yield "lights", ", ".join(light.name for light in facts.lights)
     yield "target error", f"{facts.target_error:g}"
 
@@ -24,7 +25,8 @@ def plan_rows(plan: PlanFacts) -> Iterator[tuple[str, str]]:
     """Name and text of each fact of a plan."""
     yield "plan", f"{plan.representation}, {plan.bounces} bounces, at most {plan.samples} samples"
     for layer in plan.layers:
-        numbers = f"order {layer.order}, {layer.channels} channel(s), {kept_as(layer)}"
+        albedos = f" for albedo {', '.join(map('{:.2g}'.format, layer.nodes))}" if layer.nodes else ""
+        numbers = f"order {layer.order}, {layer.channels} channel(s){albedos}, {kept_as(layer)}"
         yield "layer", f"{layer.kind}: {numbers}, {layer.bytes_per_texel} bytes"
     for lobe in plan.lobes:
         yield (

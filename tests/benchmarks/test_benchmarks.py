@@ -47,6 +47,16 @@ def test_lobes() -> None:
     assert set(figures("lobes", "demo:casting")) == names | {f"1 {way} / 0 {way}" for way in timed}
 
 
+def test_albedo() -> None:
+    """At the highest albedo light is that of a fresh bake; below it, mixing errs by no more than a hundredth."""
+    found = figures("albedo", "demo:orbital", "--samples", "64")
+    albedos = ("0.1", "0.3", "0.6", "0.9", "0.9,0.5,0.1")
+    names = {f"{name} {what}" for name in albedos for what in ("apart, %", "mixed, %", "bake, s", "bytes a texel")}
+    names |= {f"{name} fresh_ms" for name in albedos} | {"live bake, s", "live bytes a texel", "told, %"}
+    assert set(found) == names | {"live, albedo moved_ms"}
+    assert found["0.9 apart, %"] < 0.01 and all(found[f"{name} mixed, %"] < 1.0 for name in albedos)
+
+
 def test_warm_view() -> None:
     found = figures("warm_view", "demo:orbital")
     places = ("folder", "disk", "s3")

@@ -21,6 +21,7 @@ from isogi_core.bake.look import Look
 from isogi_core.bake.precision import VOID
 from isogi_core.bake.recipe import Index
 from isogi_core.cache.chunk import Chunk
+from isogi_core.cache.facts import facts_in
 from isogi_core.cache.layer import LayerStore, joined
 from isogi_core.cache.place import Place
 from isogi_core.cache.shelf import Found
@@ -69,6 +70,20 @@ def test_the_metadata_keeps_the_promises(layer: LayerStore, look: Look) -> None:
     assert facts["chunk_grid"]["configuration"]["chunk_shape"] == [1, 1, 1, size]
 
 
+def test_a_layer_of_several_albedos_is_read_as_it_was_written(tmp_path: Path) -> None:
+    look = look_of(albedo=0.3, albedos=(0.0, 0.9))
+    layer = layer_of(tmp_path, look)
+    save(layer, baked(look, INNER))
+    metadata = Path(layer.path, "zarr.json").read_bytes()
+    assert facts_in(metadata).layer == look.plan.layers[INDIRECT] and look.plan.nodes
+    assert json.loads(metadata)["attributes"]["isogi"]["albedo"] == list(look.plan.nodes)
+    fixed = layer_of(tmp_path, look, DIRECT)
+    save(fixed, baked(look, INNER), DIRECT)
+    older = json.loads(Path(fixed.path, "zarr.json").read_bytes())
+    del older["attributes"]["isogi"]["nodes"]
+    assert facts_in(json.dumps(older).encode()).layer == look.plan.layers[DIRECT], "as it was before there were any"
+
+
 def test_a_chunk_is_one_object_under_its_own_key(layer: LayerStore, look: Look) -> None:
     save(layer, baked(look, EDGE))
     root, digest = layer.root.place.folder, look.recipe.scene.layer_digest(layer.layer)
@@ -84,7 +99,7 @@ def test_the_attributes_say_whose_light_it_is(tmp_path: Path, look: Look) -> Non
     for own, layer in zip(facts, look.plan.layers, strict=True):
         assert own["volume_digest"] == scene.volume.digest
         assert own["texels"] == [39, 39, 39] and own["step"] == look.recipe.step.tolist()
-        assert {name: own[name] for name in vars(layer)} == vars(layer)
+        assert {name: own[name] for name in vars(layer)} == {**vars(layer), "nodes": []}
     assert [own["kind"] for own in facts] == ["direct", "indirect"]
     assert [own["albedo"] for own in facts] == [None, [0.7, 0.7, 0.7]]
     assert [own["bounces"] for own in facts] == [0, 1]

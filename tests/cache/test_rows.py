@@ -27,6 +27,8 @@ PLANS = (
     ScenePlan("vicinity", (Layer("direct", 3),), 1, 0, 1.0, 4096),
     replace(plan_of(Layer("direct", 3), Layer("indirect", 5)), lobes=1),
     replace(plan_of(Layer("indirect", 2, 3), Layer("direct", 4)), lobes=1),
+    plan_of(Layer("direct", 3), Layer("indirect", 2, 3, nodes=(0.4, 0.7, 0.9))),
+    replace(plan_of(Layer("direct", 2), Layer("indirect", 4, 2, nodes=(0.5, 0.8))), lobes=1),
 )
 LOOKS = [look_of(plan) for plan in PLANS]
 LOOK = LOOKS[0]

@@ -167,6 +167,18 @@ def isogi(*arguments: object) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
 
 
+def test_another_albedo_is_rendered_of_the_same_light(small_scene: Path, tmp_path: Path) -> None:
+    scene = small_scene.with_name("dyed.toml")
+    scene.write_text(f"albedo = 0.3\nalbedos = [0, 0.9]\n{small_scene.read_text()}")
+    work, pictures = ("--workers", 1, "--store", tmp_path / "store", "--json"), []
+    for name, albedo in (("own.npy", ()), ("red.npy", ("--albedo", "0.9,0.3,0"))):
+        done = isogi("render", scene, "-o", tmp_path / name, *SIZE, *albedo, *work)
+        assert done.returncode == 0, done.stderr
+        assert (json.loads(done.stdout)["paths"] > 0) == (name == "own.npy"), "no path is taken for it"
+        pictures.append(np.load(tmp_path / name)[..., :3].mean(axis=(0, 1)))
+    np.testing.assert_allclose(pictures[1] / pictures[0], [3.0, 1.0, 0.0], rtol=0.05)
+
+
 def test_render_writes_a_final_picture_and_tells_so(small_scene: Path, store: Path, tmp_path: Path) -> None:
     output = tmp_path / "a.npy"
     done = isogi("render", small_scene, "-o", output, *SIZE, "--workers", 1, "--store", store, "--json")

@@ -1,0 +1,78 @@
+"""The surface's albedo in a real browser: a slider and a tint where the scene's light is of any, else neither."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from urllib.parse import parse_qs, urlsplit
+
+import pytest
+from playwright.sync_api import Page, expect
+
+from tests.live import serving
+from tests.web.visits import BROWSER, SHOTS, open_final, pixels, slide, wait_final
+
+pytestmark = BROWSER
+
+
+@pytest.fixture(scope="module")
+def server(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """A server of the small scene at albedo 0.3, of which views may ask for 0 to 0.9."""
+    scene = small_scene.with_name("paint.toml")
+    scene.write_text(f"albedo = 0.3\nalbedos = [0, 0.9]\n{small_scene.read_text()}")
+    with serving(scene, tmp_path_factory.mktemp("store")) as url:
+        yield url
+
+
+def told(page: Page, name: str) -> str | None:
+    """A knob as the address bar has it."""
+    return parse_qs(urlsplit(page.url).query).get(name, [None])[0]
+
+
+def tint(page: Page, colour: str) -> None:
+    """Choose a colour, as a hand would."""
+    page.eval_on_selector(
+        "#tint",
+        '(input, colour) => { input.value = colour; input.dispatchEvent(new Event("input", { bubbles: true })); }',
+        colour,
+    )
+
+
+def test_the_slider_makes_the_surface_brighter_at_once_and_the_link_keeps_it(page: Page, server: str) -> None:
+    open_final(page, server)
+    expect(page.locator("output[for=albedo]")).to_have_text("0.30")
+    expect(page.locator("#tint")).to_have_value("#ffffff")
+    dark = pixels(page)
+    slide(page, "albedo", 1.0)
+    wait_final(page)
+    bright = pixels(page)
+    expect(page.locator("output[for=albedo]")).to_have_text("0.90")
+    assert bright.max() > dark.max() + 40.0
+    assert (told(page, "albedo"), told(page, "tint")) == ("0.9", None)
+    again = page.url
+    page.click("#reset")
+    wait_final(page)
+    assert abs(pixels(page) - dark).max() == 0.0
+    assert abs(pixels(open_final(page, again)) - bright).max() == 0.0
+
+
+def test_a_tint_colours_the_surface_and_is_told_in_the_lines(page: Page, server: str) -> None:
+    open_final(page, f"{server}/?albedo=0.8")
+    tint(page, "#ff8000")
+    wait_final(page)
+    red, green, blue = (pixels(page)[..., c].max() for c in range(3))
+    assert red > green + 20.0 > blue + 40.0
+    assert told(page, "tint") == "#ff8000"
+    page.click("#share-button")
+    line = page.locator("#share-curl")
+    expect(line).to_contain_text("albedo=0.8%2C0.1727%2C0")
+    SHOTS.mkdir(parents=True, exist_ok=True)
+    page.screenshot(path=SHOTS / "tint.png")
+
+
+def test_a_surface_of_one_albedo_has_neither(page: Page, live_server: str) -> None:
+    open_final(page, f"{live_server}/?albedo=0.9&tint=%23ff0000&shading=phong")
+    expect(page.locator("#albedo")).to_be_hidden()
+    expect(page.locator("#tint")).to_be_hidden()
+    slide(page, "exposure", 0.6)
+    wait_final(page)
+    assert told(page, "exposure") is not None
+    assert told(page, "albedo") is None and told(page, "tint") is None
