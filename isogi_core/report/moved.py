@@ -19,7 +19,7 @@ from isogi_core.report import interpolation
 from isogi_core.report.bench import Bench
 from isogi_core.report.interpolation import Neighbourhood, carry, neighbourhood, texels_around, trilinear
 from isogi_core.report.metrics import luminance, map_of, mean_of, spread_of
-from isogi_core.report.points import Lit, own_light
+from isogi_core.report.points import Lit, own_light, straight_light
 from isogi_core.report.sections import Column, Picture, Section, Table
 
 KEY, TITLE = "moved", "Texels on the shown isosurface"
@@ -88,11 +88,11 @@ class Sides:
 
 def study(bench: Bench) -> Section:
     """Errors of each way."""
-    sides, own = sides_of(bench), own_light(bench)
+    sides, own, straight = sides_of(bench), own_light(bench), straight_light(bench)
     mean, rows, pictures = mean_of(own.light), [], []
     for name, (way, weigh) in WAYS.items():
         carried = weigh(sides, sides.beyond(way))
-        wrong = carried.light - own.light
+        wrong = carried.light + straight - own.light
         spread = spread_of(wrong, carried.noise + own.noise, mean)
         rows.append((name, spread.rmse, spread.p99, spread.bias, sides.share(sides.far(way))))
         pictures.append(Picture(name, "error", map_of(wrong, bench.best.on, mean)))
