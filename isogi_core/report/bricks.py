@@ -262,16 +262,26 @@ def wide_bake(bench: Bench, density: float) -> ViewBake:
     return bake
 
 
-def mixtures(study: Study, bricks: Mapping[float, Bricks]) -> tuple[Table, Table]:
+def mixtures(study: Study, bricks: Mapping[float, Bricks]) -> tuple[Table, ...]:
     """Texels of mixtures that err no more than the scene's own density; and errors by the tolerance."""
-    rows, along = [], []
-    for edge, those in bricks.items():
-        for name, estimate in ESTIMATES.items():
-            rows.append((f"{edge:g} voxels, {name}", *at_equal_error(study, mixed(study, those, estimate, TOLERANCES))))
-        for it in mixed(study, those, by_spread, TOLD):
-            along.append((f"{edge:g} voxels, {it.tolerance:g}", it.errors.rmse, it.errors.p99, it.share))
-    told = "Mixtures by the tolerance of the spread of shares"
-    return Table("Mixtures that err no more than one density", MIXED, tuple(rows)), Table(told, ALONG, tuple(along))
+    rows = [
+        (f"{edge:g} voxels, {name}", *at_equal_error(study, mixed(study, those, estimate, TOLERANCES)))
+        for edge, those in bricks.items()
+        for name, estimate in ESTIMATES.items()
+    ]
+    finest = tuple(by_tolerance(study, bricks, finest) for finest in (len(study.nets) - 1, MIDDLE))
+    return Table("Mixtures that err no more than one density", MIXED, tuple(rows)), *finest
+
+
+def by_tolerance(study: Study, bricks: Mapping[float, Bricks], finest: int) -> Table:
+    """Errors and texels of mixtures by the spread of shares, of nets up to the ``finest``."""
+    rows = [
+        (f"{edge:g} voxels, {it.tolerance:g}", it.errors.rmse, it.errors.p99, it.share)
+        for edge, those in bricks.items()
+        for it in mixed(study, those, by_spread, TOLD, finest)
+    ]
+    density = 1.0 / study.nets[finest].edge
+    return Table(f"Mixtures by the spread of shares, up to {density:g} texels per voxel", ALONG, tuple(rows))
 
 
 def at_equal_error(study: Study, curve: Sequence[Mixture]) -> tuple[float | None, float | None]:
@@ -285,9 +295,11 @@ def at_equal_error(study: Study, curve: Sequence[Mixture]) -> tuple[float | None
     return rmse, p99
 
 
-def mixed(study: Study, bricks: Bricks, estimate: Estimate, tolerances: Sequence[float]) -> list[Mixture]:
-    """Mixtures by an estimate, of several tolerances."""
-    nets = range(len(study.nets))
+def mixed(
+    study: Study, bricks: Bricks, estimate: Estimate, tolerances: Sequence[float], finest: int | None = None
+) -> list[Mixture]:
+    """Mixtures by an estimate, of several tolerances; of nets up to the ``finest``, all of them by default."""
+    nets = range(len(study.nets) if finest is None else finest + 1)
     told = np.stack([estimate(study, bricks, k) if k else np.zeros(len(bricks.pixels)) for k in nets]) / study.mean
     whole = study.texels(bricks.spread_out(np.full(len(bricks.pixels), MIDDLE)), whole=False)
     found = []

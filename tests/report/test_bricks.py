@@ -158,6 +158,8 @@ def test_mixtures_go_from_coarse_to_fine_as_the_tolerance_falls(study: Study) ->
     assert shares[0] < shares[1] < shares[2] and rmse[0] > rmse[1] > rmse[2]
     for it, net in ((curve[0], 1), (curve[2], 3)):
         assert it.errors == study.errors(np.full(40, net)), "all bricks coarse, all bricks fine"
+    (short,) = mixed(study, those, by_error, (0.0,), finest=2)
+    assert short.errors == study.errors(np.full(40, 2)) and shares[1] < short.share < shares[2]
 
 
 def test_a_finer_lattice_errs_less_and_a_mixture_needs_fewer_texels(
@@ -166,11 +168,13 @@ def test_a_finer_lattice_errs_less_and_a_mixture_needs_fewer_texels(
     monkeypatch.setattr(bricks, "WIDE", 96)
     monkeypatch.setattr(bricks, "SAMPLES", 256)
     section = bricks.study(make_bench(size=32, lights=[CONSTANT], lattice=0.5, target_error=0.05))
-    one, first, equal, along = section.tables
+    one, first, equal, along, short = section.tables
     coarse, middle, fine = one.rows
     assert float(coarse[3] or 0.0) > 2.0 * float(middle[3] or 0.0) > 2.0 * float(fine[3] or 0.0)
     assert float(coarse[5] or 0) < 0.5 * float(middle[5] or 0) < 0.25 * float(fine[5] or 0)
     assert float(first.rows[0][1] or 0.0) > float(first.rows[1][1] or 0.0), "any light is better than none"
     shares = {str(row[0]): row[1] for row in equal.rows}
     assert float(shares["4 voxels, the error itself"] or 9.0) < 0.9
-    assert len(along.rows) == len(bricks.EDGES) * len(bricks.TOLD)
+    assert len(along.rows) == len(short.rows) == len(bricks.EDGES) * len(bricks.TOLD)
+    for (_, *most), (_, *least) in zip(along.rows, short.rows, strict=True):
+        assert float(least[2] or 9.0) <= float(most[2] or 0.0), "nets that are left out are not read"
