@@ -88,8 +88,8 @@ class Sides:
 
 def study(bench: Bench) -> Section:
     """Errors of each way."""
-    sides, own, straight = sides_of(bench), own_light(bench), straight_light(bench)
-    mean, rows, pictures = mean_of(own.light), [], []
+    sides, own = sides_of(bench), own_light(bench)
+    straight, mean, rows, pictures = straight_light(bench), mean_of(own.light), [], []
     for name, (way, weigh) in WAYS.items():
         carried = weigh(sides, sides.beyond(way))
         wrong = carried.light + straight - own.light
