@@ -13,9 +13,11 @@ import numpy as np
 
 from isogi_core.bake.precision import FIRST_RUNG
 from isogi_core.frame.sharpening import STEEPNESS
+from isogi_core.frame.surroundings import Turned
+from isogi_core.plan.projection import evaluate_harmonics
 from isogi_core.report.bake import ViewBake
 from isogi_core.report.bench import Bench
-from isogi_core.report.metrics import Spread, mean_of, spread_of
+from isogi_core.report.metrics import Spread, luminance, mean_of, spread_of
 from isogi_core.report.points import Lit, cuts_harmonics, lit_by_transfer, own_light, straight_light
 from isogi_core.report.sections import Column, Section, Table
 from isogi_core.report.strides import Lights, Net, Texels, find_texels
@@ -239,9 +241,7 @@ def one_density(still: Study, moved: Study) -> Table:
 def first_light(bench: Bench, finer: Bench, texels: Texels) -> Table:
     """What a view shows first: no light of its own, and the first samples on coarse and fine lattices, with noise."""
     own, lights = light_at_points(bench), Lights(finer, texels, FIRST_RUNG)
-    look = finer.renderer(finer.scene).caches.look(finer.view.shading)
-    bare = lights.sides.bare(lights.sides.normals) * look.unit + straight_light(finer)
-    shown: dict[str, tuple[np.ndarray, int, float]] = {"unshadowed": (bare, 0, 0.0)}
+    shown: dict[str, tuple[np.ndarray, int, float]] = {"unshadowed": (unshadowed(finer, lights), 0, 0.0)}
     for net in lights.nets(math.inf)[1 : MIDDLE + 1]:
         bake = wide_bake(bench, 1.0 / (net.edge * bench.scene.lattice))
         name = f"{1.0 / net.edge:g} texels per voxel, {FIRST_RUNG} samples"
@@ -251,6 +251,15 @@ def first_light(bench: Bench, finer: Bench, texels: Texels) -> Table:
         spread = spread_of(light - own.light, own.noise, mean_of(own.light))
         rows.append((name, spread.rmse, spread.p99, count, seconds))
     return Table("First light", FIRST, tuple(rows))
+
+
+def unshadowed(bench: Bench, lights: Lights) -> np.ndarray:
+    """What pixels show where nothing is baked: the light about their normals without shadows, and that of lobes."""
+    look, n = bench.renderer(bench.scene).caches.look(bench.view.shading), lights.sides.normals
+    sky = Turned(look, bench.view).sky
+    basis = evaluate_harmonics(sky.order, np.arccos(np.clip(n[:, 2], -1.0, 1.0)), np.arctan2(n[:, 1], n[:, 0]))
+    light = luminance(((sky.lobe * sky.light) @ basis).T)
+    return np.asarray(look.unit * np.maximum(light, 0.0) + straight_light(bench))
 
 
 def wide_bake(bench: Bench, density: float) -> ViewBake:

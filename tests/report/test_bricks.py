@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 
 from isogi_core.kernels.lattice import Lattice
+from isogi_core.kernels.planes import PROVISIONAL
 from isogi_core.report import bricks
 from isogi_core.report.bench import Bench
 from isogi_core.report.bricks import Bricks, Study, by_coarser, by_error, by_spread, choose, mixed
 from isogi_core.report.interpolation import texels_around
+from isogi_core.report.metrics import luminance
 from isogi_core.report.moved import POWER, by_shares_and_normals
 from isogi_core.report.points import Lit, straight_light
 from isogi_core.report.strides import Lights, Net, Texels, cells_of, find_texels
@@ -47,6 +49,12 @@ def test_texels_are_each_told_once_and_coarse_ones_are_among_the_fine(under_sky:
     own = texels_around(under_sky)[0]
     fine = {tuple(place) for place in texels.places[texels.numbers[1]].reshape(-1, 3).tolist()}
     assert fine <= {tuple(place) for place in own.tolist()}
+
+
+def test_unshadowed_light_is_what_a_frame_without_light_shows(under_sky: Bench, lights: Lights) -> None:
+    frame = under_sky.renderer(under_sky.scene).render(under_sky.view)
+    assert (frame.state <= PROVISIONAL).all()
+    assert np.allclose(bricks.unshadowed(under_sky, lights), luminance(frame.radiance[frame.state > 0]), rtol=1e-4)
 
 
 @pytest.mark.parametrize("way", [math.inf, 0.3])
