@@ -6,8 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from isogi_core.frame.surroundings import Turned
 from isogi_core.kernels.lattice import Lattice
-from isogi_core.kernels.planes import PROVISIONAL
+from isogi_core.kernels.lights import unshadowed
 from isogi_core.report import bricks
 from isogi_core.report.bench import Bench
 from isogi_core.report.bricks import Bricks, Study, by_coarser, by_error, by_spread, choose, mixed
@@ -51,10 +52,13 @@ def test_texels_are_each_told_once_and_coarse_ones_are_among_the_fine(under_sky:
     assert fine <= {tuple(place) for place in own.tolist()}
 
 
-def test_unshadowed_light_is_what_a_frame_without_light_shows(under_sky: Bench, lights: Lights) -> None:
-    frame = under_sky.renderer(under_sky.scene).render(under_sky.view)
-    assert (frame.state <= PROVISIONAL).all()
-    assert np.allclose(bricks.unshadowed(under_sky, lights), luminance(frame.radiance[frame.state > 0]), rtol=1e-4)
+def test_unshadowed_light_is_what_the_kernel_says_of_each_normal(under_sky: Bench, lights: Lights) -> None:
+    look = under_sky.renderer(under_sky.scene).caches.look("gi")
+    sky = Turned(look, under_sky.view).sky
+    basis = np.empty(sky.order**2)
+    light = np.array([unshadowed(*sky, tuple(n), basis) for n in lights.sides.normals])
+    expected = look.unit * luminance(np.maximum(light, 0.0)) + straight_light(under_sky)
+    assert np.allclose(bricks.unshadowed(under_sky, lights), expected, rtol=1e-6)
 
 
 @pytest.mark.parametrize("way", [math.inf, 0.3])
