@@ -86,8 +86,13 @@ def neighbourhood(bench: Bench, samples: int, moved: bool = False) -> Neighbourh
 
 def make_neighbourhood(bench: Bench, samples: int, moved: bool) -> Neighbourhood:
     """Find and bake them."""
-    renderer, view = bench.renderer(bench.scene), bench.view
     texels, numbers, fractions = texels_around(bench)
+    return Neighbourhood(numbers, fractions, **light_of(bench, texels, samples, moved))
+
+
+def light_of(bench: Bench, texels: np.ndarray, samples: int, moved: bool) -> dict[str, np.ndarray]:
+    """What a ``Neighbourhood`` tells of ``texels`` (t, 3; z, y, x) int32, baked with so many ``samples``."""
+    renderer, view = bench.renderer(bench.scene), bench.view
     level = renderer.gbuffer(view).isovalue
     look = replace(renderer.caches.look(view.shading), shown=level if moved else None)
     levels = np.full(len(texels), level if moved else np.nan)
@@ -95,15 +100,13 @@ def make_neighbourhood(bench: Bench, samples: int, moved: bool) -> Neighbourhood
     bake.grow(samples, cancelled=bench.cancelled)
     _, _, normals, isovalues = locate(texels, renderer.recipe, look.shown)[0]
     lit, held = lit_texels(bake.light, Turned(look, view))
-    return Neighbourhood(
-        numbers=numbers,
-        fractions=fractions,
-        light=luminance(lit[:, :3]),
-        noise=lit[:, 3].astype(np.float64) ** 2,
-        lit=held,
-        apart=np.abs(isovalues - level),
-        normals=normals.T,
-    )
+    return {
+        "light": luminance(lit[:, :3]),
+        "noise": lit[:, 3].astype(np.float64) ** 2,
+        "lit": held,
+        "apart": np.abs(isovalues - level),
+        "normals": normals.T,
+    }
 
 
 def texels_around(bench: Bench) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

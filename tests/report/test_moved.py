@@ -83,6 +83,15 @@ def test_unshadowed_light_is_that_of_a_surface_which_sees_all(under_sky: Bench, 
     assert (sky >= 0.99 * LEAST * look.unoccluded / look.unit).all()
 
 
+def test_light_of_lobes_is_on_both_sides(make_bench: MakeBench, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No texel keeps what comes straight from the sun: what is compared has it all the same."""
+    monkeypatch.setattr(interpolation, "SAMPLES", 64)
+    bench = make_bench()
+    assert bench.scene.plan.lobes
+    errors = [float(row[1]) for row in moved.study(bench).tables[0].rows]
+    assert max(errors) < 0.1
+
+
 def test_moved_texels_are_nearer_to_light_at_the_pixels(make_bench: MakeBench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(interpolation, "SAMPLES", 256)
     bench = make_bench(size=24, lights=[CONSTANT], lattice=0.5, target_error=0.05)
