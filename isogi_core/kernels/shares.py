@@ -30,8 +30,11 @@ from isogi_core.kernels.planes import FINAL, PLANES, PROVISIONAL, luminance, put
 LEAST = 0.05
 """Share of the light's mean that unshadowed light is taken to be at least, so that shares stay small."""
 
-LEAST_COSINE = np.float32(1e-3)
+LEAST_COSINE = np.float32(0.2)
 """Cosine between a texel's normal and a pixel's that weights count with at least: where all face away, all count."""
+
+DOUBLINGS = 4
+"""How often that cosine is squared: weights have its 16th power, and fall to a half at 17°."""
 
 NONE, ONE = np.float32(0.0), np.float32(1.0)
 
@@ -107,9 +110,11 @@ def share_texels(grade, lit, normals, bare, shares):
 
 @kernel()
 def agree(shares, t, x, y, z):
-    """The cosine between the normal of texel ``t`` and (x, y, z), LEAST_COSINE at least, to its fourth power."""
+    """The cosine between the normal of texel ``t`` and (x, y, z), LEAST_COSINE at least, squared DOUBLINGS times."""
     cosine = max(x * shares[t, 4] + y * shares[t, 5] + z * shares[t, 6], LEAST_COSINE)
-    return (cosine * cosine) * (cosine * cosine)
+    for _ in range(DOUBLINGS):
+        cosine *= cosine
+    return cosine
 
 
 @kernel(inline=True)
@@ -149,7 +154,7 @@ def carry_shares(lattice, points, pixels, corners, shares, normals, bare, unit, 
     """Carry texels' ``shares`` (texels, RECORD) to the ``planes`` at the points' ``pixels`` (m,).
 
     Weights are trilinear (S1, section 4.2), times the cosine between a texel's normal and the point's, one of
-    ``normals`` (m, 3), to its fourth power. Void and buried texels are left out, and of what is not baked yet
+    ``normals`` (m, 3), as ``agree`` has it. Void and buried texels are left out, and of what is not baked yet
     unshadowed light stands in. Light is counted in ``unit``, the radiance of 1; a point is as good as the least of its
     texels.
     """

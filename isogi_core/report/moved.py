@@ -14,7 +14,7 @@ import numpy as np
 
 from isogi_core.frame.surroundings import Turned
 from isogi_core.kernels.moves import judge_texels
-from isogi_core.kernels.shares import LEAST, LEAST_COSINE
+from isogi_core.kernels.shares import DOUBLINGS, LEAST, LEAST_COSINE
 from isogi_core.plan.projection import evaluate_harmonics
 from isogi_core.report import interpolation
 from isogi_core.report.bench import Bench
@@ -28,7 +28,7 @@ KEY, TITLE = "moved", "Texels on the shown isosurface"
 WAYS_OFF = (0.25, 0.5)
 """Voxels from the shown isosurface beyond which texels are moved where not all are."""
 
-POWER = 4.0
+POWER = 2.0**DOUBLINGS
 """Of the cosine between a texel's normal and a pixel's, as a weight; see ``kernels.shares``."""
 
 COLUMNS = (

@@ -9,7 +9,7 @@ from scipy.special import sph_harm_y
 from isogi_core.frame.surroundings import quadric_of
 from isogi_core.kernels.lattice import BURIED, PARTIAL, UNBAKED, VOID
 from isogi_core.kernels.planes import BLUE, CONVERGING, FINAL, GREEN, PROVISIONAL, RED, Planes
-from isogi_core.kernels.shares import LEAST_COSINE, RECORD, Bare, carry_shares, share_texels
+from isogi_core.kernels.shares import DOUBLINGS, LEAST_COSINE, RECORD, Bare, carry_shares, share_texels
 from tests.kernels.lattices import border_points, lattice, lower_texels, view_of
 
 RNG = np.random.default_rng(5)
@@ -73,7 +73,7 @@ def one_by_one(points, grade, lit, facing, normals):
         tri = np.prod(np.where(np.array(list(np.ndindex(2, 2, 2))), f, 1.0 - f), axis=1)
         cosines = np.maximum(facing[own].astype(float) @ normals[m], LEAST_COSINE)
         counts, over = grade[own] <= FINAL, bare_of(facing[own])
-        weights, under = tri * cosines**4 * counts, bare_of(normals[m : m + 1])[0]
+        weights, under = tri * cosines ** (2**DOUBLINGS) * counts, bare_of(normals[m : m + 1])[0]
         unbaked = (grade[own] == UNBAKED)[:, None]
         shares = np.where(unbaked, over - REFLECTED, lit[own, :3]) / over
         errors = np.where(unbaked[:, 0], 0.0, lit[own, 3] / (over @ WEIGHTS))

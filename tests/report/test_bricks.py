@@ -9,6 +9,7 @@ import pytest
 from isogi_core.frame.surroundings import Turned
 from isogi_core.kernels.lattice import Lattice
 from isogi_core.kernels.lights import unshadowed
+from isogi_core.kernels.shares import LEAST_COSINE
 from isogi_core.report import bricks
 from isogi_core.report.bench import Bench
 from isogi_core.report.bricks import Bricks, Study, by_coarser, by_error, by_spread, choose, mixed
@@ -71,7 +72,7 @@ def test_a_net_is_what_a_loop_over_its_corners_finds(lights: Lights, way: float)
             for t, trilinear in zip(lights.texels.numbers[k][m], lights.texels.cells[k].weights[m], strict=True):
                 if around.lit[t]:
                     cosine = float(around.normals[t] @ sides.normals[m])
-                    weights.append(trilinear * max(cosine, 1e-3) ** POWER)
+                    weights.append(trilinear * max(cosine, LEAST_COSINE) ** POWER)
                     shares.append(around.light[t] / sides.bare(around.normals[t : t + 1])[0])
                     lost.append(1.0 - cosine)
             under = sides.bare(sides.normals[m : m + 1])[0]
