@@ -82,6 +82,7 @@ def senseless_settings() -> Iterator[Table]:
     """Settings that are no numbers, or a little beyond their ends."""
     beyond: Mapping[str, tuple[Any, ...]] = {
         "albedo": (-1e-9, 1.0 + 1e-9, math.nan, [0.5, 0.5], "white"),
+        "albedos": ([0.9, 0.1], [-1e-9, 0.9], [0.0, 1.0 + 1e-9], [0.8, 0.9], [0.5], math.nan),
         "bounces": (-1, 1001, 2.5, math.inf),
         "lattice": (0.1249, 4.001, 0.0, -1.0, math.nan),
         "offset": (-1e-9, 2.1, math.nan),

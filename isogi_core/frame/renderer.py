@@ -26,6 +26,9 @@ from isogi_core.kept import Kept
 from isogi_core.kernels.lanes import REGISTER
 from isogi_core.model.view import View
 
+FORMAT = 2
+"""Counts up when pictures of the same light change: those that browsers keep are then asked for anew."""
+
 KEPT = 256 << 20
 """Bytes that are kept of views, for turning light and for asking again."""
 
@@ -155,4 +158,4 @@ def version_of(scene: str, look: str, view: View, light: bytes) -> str:
 
     Light is summed in the order that fills the processor's registers, whose width is part of it.
     """
-    return hashlib.blake2b(repr((scene, look, view, light, REGISTER)).encode(), digest_size=12).hexdigest()
+    return hashlib.blake2b(repr((FORMAT, scene, look, view, light, REGISTER)).encode(), digest_size=12).hexdigest()
