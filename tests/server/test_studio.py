@@ -28,7 +28,6 @@ from isogi_core.frame.kernels import FRAME, SHARING
 from isogi_core.kernels.bricks import Bricks
 from isogi_core.kernels.harmonics import rotate
 from isogi_core.kernels.lamps import project_lamps
-from isogi_core.kernels.lattice import carry_light
 from isogi_core.kernels.lobes import add_lobes, light_lobes
 from isogi_core.kernels.moves import judge_texels
 from isogi_core.model.scene import Scene, load_scene
@@ -505,8 +504,8 @@ def test_kernels_that_a_scene_never_calls_are_never_compiled(tmp_path: Path) -> 
     every = {kernel.name for kernel in FRAME} - {project_lamps.name, judge_texels.name}
     shares = {kernel.name for kernel in SHARING}
     assert start("constant")[0] == every - shares - {rotate.name, light_lobes.name, add_lobes.name}
-    assert start("sky")[0] == every - {carry_light.name}
-    assert start("sky") == (every - {carry_light.name}, 0)
+    assert start("sky")[0] == every
+    assert start("sky") == (every, 0)
 
 
 def test_workers_are_told_absolute_paths(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
