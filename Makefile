@@ -45,6 +45,8 @@ pictures: $(BIN)/.tools
 	  --width 960 --height 600 --target-error 0.03
 	$(BIN)/isogi render docs/lamp.toml -o docs/lamp.png --azimuth 35 --elevation 28 --distance 3 \
 	  --width 960 --height 600 --target-error 0.03
+	for albedo in 0.3 0.6 0.9 0.9,0.5,0.2; do $(BIN)/isogi render docs/albedo.toml -o docs/accuracy/albedo-$$albedo.png \
+	  --albedo $$albedo --azimuth 35 --elevation 28 --distance 3 --width 480 --height 360 --target-error 0.03; done
 	$(BIN)/isogi inspect $(ISOGI_SHARED_DATA)/engine_256x256x128_uint8.nhdr --picture docs/stiffness.png
 	$(BIN)/python -m benchmarks.page_pictures
 
