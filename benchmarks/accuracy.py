@@ -10,8 +10,7 @@ subject that is there is not measured again. Needs the shared data.
 """
 
 import json
-import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -20,13 +19,12 @@ import click
 import numpy as np
 from PIL import Image
 
+from benchmarks.error_curve import rms
 from benchmarks.papers import PapersBake
 from benchmarks.reports import DOCS, Subject, scene_of
-from isogi_core.frame.film import BACKGROUND, tone_table
-from isogi_core.kernels.film import develop_rows
 from isogi_core.model.view import quaternion_from_angles
 from isogi_core.report.bench import Bench
-from isogi_core.report.metrics import error_map, score
+from isogi_core.report.metrics import error_map, score, shown_as
 from isogi_core.report.reference import Reference
 from server.measure import view_of
 from server.render import write
@@ -149,10 +147,7 @@ def drawn(pictures: Mapping[str, np.ndarray], best: Reference, exposure: float) 
 
 def develop(radiance: np.ndarray, on: np.ndarray, exposure: float) -> np.ndarray:
     """Radiance as frames show it, (h, w, 3) uint8 sRGB."""
-    light, picture = np.ascontiguousarray(radiance, np.float32), np.empty(radiance.shape, np.uint8)
-    colours = np.array([BACKGROUND] * 2, np.float32)
-    develop_rows(light, on.astype(np.uint8), 0, exposure, colours, False, tone_table(), picture)
-    return picture
+    return np.rint(255.0 * shown_as(radiance, on, exposure)).astype(np.uint8)
 
 
 def keep(folder: Path, found: Measured, shown: Mapping[str, np.ndarray]) -> None:
@@ -203,17 +198,12 @@ def write_page(found: Mapping[Subject, Measured], size: int, paths: int) -> None
 def summed(found: Mapping[Subject, Measured]) -> str:
     """One sentence on all subjects."""
     met = sum(max(each.rmse) <= goal(subject) and max(each.p99) <= P99 for subject, each in found.items())
-    own = root([error for each in found.values() for error in each.rmse])
-    papers = root([error for each in found.values() for error in each.papers_rmse])
+    own = rms([error for each in found.values() for error in each.rmse])
+    papers = rms([error for each in found.values() for error in each.papers_rmse])
     return (
         f"{met} of {len(found)} views are within the goals. Over all views and turns the root mean square of the errors"
         f" is {own:.2%}; the papers' method has {papers:.2%}."
     )
-
-
-def root(values: Iterable[float]) -> float:
-    """Root mean square."""
-    return math.sqrt(float(np.mean(np.square(list(values)))))
 
 
 def shown_in_page(place: tuple[str, float]) -> str:

@@ -4,13 +4,11 @@
 Needs the shared data.
 """
 
-import tempfile
-import time
 from pathlib import Path
 
 import click
 
-from benchmarks.interpolation import ENGINES, PROBES, bench_of
+from benchmarks.interpolation import ENGINES, PROBES, tell
 from isogi_core.report import bricks
 from isogi_core.report.sections import Cell, Column, Section, Table
 
@@ -23,13 +21,7 @@ SUBJECTS = (ENGINES[0], *PROBES)
 @click.option("--only", multiple=True, help="Part of a subject's name, such as 'engine under grace'; repeatable.")
 def main(output: Path | None, size: int, only: tuple[str, ...]) -> None:
     """Print tables in Markdown for each subject."""
-    with tempfile.TemporaryDirectory() as passing:
-        for subject in SUBJECTS:
-            if not only or any(part in subject.name for part in only):
-                begun = time.monotonic()
-                section = bricks.study(bench_of(subject, size, output or Path(passing)))
-                click.echo(tables_of(subject.name, section))
-                click.echo(f"{subject.name}: {time.monotonic() - begun:.0f} s", err=True)
+    tell(SUBJECTS, bricks.study, tables_of, output, size, only)
 
 
 def tables_of(name: str, section: Section) -> str:

@@ -31,7 +31,6 @@ brighter, with as many bounces. Smooth normals, and paths that start a little of
 not measured here.
 """
 
-import math
 import statistics
 from collections.abc import Sequence
 from pathlib import Path
@@ -43,6 +42,7 @@ from tqdm import tqdm
 
 from benchmarks import mesh, mitsuba_scene
 from benchmarks.common import benchmark_scene, shared_data, show
+from benchmarks.error_curve import rms
 from benchmarks.isogi_race import Check, Costs, check, run, warm
 from benchmarks.mitsuba_race import VARIANT, Converged, Mitsuba, Reached
 from benchmarks.picture_set import PictureSet
@@ -170,11 +170,6 @@ def likeness(checked: Sequence[Check], converged: Sequence[Converged]) -> dict[s
             f"picture {number}: Mitsuba's converged noise": best.noise,
         }
     return figures
-
-
-def rms(values: Sequence[float]) -> float:
-    """Root mean square."""
-    return math.sqrt(statistics.fmean(value**2 for value in values))
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
 """Errors of pictures, and the power laws by which they fall."""
 
 import math
+import statistics
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -14,6 +15,11 @@ def relative_rmse(picture: np.ndarray, best: np.ndarray, on: np.ndarray) -> floa
     light = best[on][:, :3].astype(np.float64) @ LUMINANCE
     wrong = picture[on][:, :3].astype(np.float64) @ LUMINANCE - light
     return math.sqrt((wrong**2).mean()) / float(light.mean())
+
+
+def rms(values: Sequence[float]) -> float:
+    """Root mean square."""
+    return math.sqrt(statistics.fmean(value**2 for value in values))
 
 
 def without(error: float, noise: float) -> float:

@@ -6,6 +6,7 @@ Needs the shared data.
 
 import tempfile
 import time
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import click
@@ -33,12 +34,23 @@ SUBJECTS = (*ENGINES, HEAD, BRAIN, *PROBES)
 @click.option("--only", multiple=True, help="Part of a subject's name, such as 'engine under grace'; repeatable.")
 def main(output: Path | None, size: int, only: tuple[str, ...]) -> None:
     """Print a table in Markdown for each subject."""
+    tell(SUBJECTS, moved.study, table_of, output, size, only)
+
+
+def tell(
+    subjects: Sequence[Subject],
+    study: Callable[[Bench], Section],
+    told: Callable[[str, Section], str],
+    output: Path | None,
+    size: int,
+    only: Sequence[str],
+) -> None:
+    """Print what a ``study`` finds of the subjects whose names have any part of ``only``, as it is ``told``."""
     with tempfile.TemporaryDirectory() as passing:
-        for subject in SUBJECTS:
+        for subject in subjects:
             if not only or any(part in subject.name for part in only):
                 begun = time.monotonic()
-                section = moved.study(bench_of(subject, size, output or Path(passing)))
-                click.echo(table_of(subject.name, section))
+                click.echo(told(subject.name, study(bench_of(subject, size, output or Path(passing)))))
                 click.echo(f"{subject.name}: {time.monotonic() - begun:.0f} s", err=True)
 
 

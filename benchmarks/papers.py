@@ -18,12 +18,10 @@ from isogi_core.model.view import View
 from isogi_core.report.bake import ViewBake
 from isogi_core.report.bench import Bench, with_plan
 from isogi_core.report.interpolation import lit_texels
+from isogi_core.report.strides import cells_of
 
 ORDER = 5
 """Bands of harmonics: 25 coefficients, as S1 keeps (section 3.2)."""
-
-CORNERS = np.array([[z, y, x] for z in (0, 1) for y in (0, 1) for x in (0, 1)])
-"""Texels about a lattice cell's lowest corner, in the order of ``ViewTexels.corners``; (8, 3; z, y, x)."""
 
 
 def papers_scene(scene: Scene) -> Scene:
@@ -57,12 +55,9 @@ class PapersBake:
 
     def radiance(self, view: View) -> np.ndarray:
         """The picture of a ``view`` that differs from the bench's by its light alone; (h, w, 3) float64 linear RGB."""
-        shown, lattice = self.bake.shown, self.bake.shown.lattice
+        shown = self.bake.shown
         lit, held = lit_texels(self.bake.light, Turned(self.bake.look, view))
-        places = shown.gbuffer.points[:, ::-1].astype(np.float64) * np.array(lattice.density[::-1])
-        lowest = np.clip(np.floor(places), 0, np.array(lattice.shape) - 2)
-        fractions = np.clip(places - lowest, 0.0, 1.0)[:, None]
-        weights = np.where(CORNERS, fractions, 1.0 - fractions).prod(axis=2) * held[shown.corners]
+        weights = cells_of(shown.gbuffer.points, shown.lattice, 1).weights * held[shown.corners]
         weights /= np.maximum(weights.sum(axis=1, keepdims=True), 1e-30)
         picture = np.zeros((view.height * view.width, 3))
         picture[shown.gbuffer.pixels] = (weights[:, :, None] * lit[shown.corners, :3]).sum(axis=1)
