@@ -12,13 +12,13 @@ import numpy as np
 
 from isogi_core.bake.precision import next_rung
 from isogi_core.frame.surroundings import Turned
+from isogi_core.kernels.lattice import Lattice
 from isogi_core.model.plan import Layer
 from isogi_core.model.scene import Scene
 from isogi_core.model.view import View
 from isogi_core.report.bake import ViewBake
 from isogi_core.report.bench import Bench, with_plan
 from isogi_core.report.interpolation import lit_texels
-from isogi_core.report.strides import cells_of
 
 ORDER = 5
 """Bands of harmonics: 25 coefficients, as S1 keeps (section 3.2)."""
@@ -28,7 +28,7 @@ def papers_scene(scene: Scene) -> Scene:
     """The scene as the papers light it."""
     order = 1 if scene.needs.constant else ORDER
     layer = Layer("whole", order, scene.plan.channels, half=False)
-    return replace(with_plan(scene, layers=(layer,), order=order, lobes=0), sharpen=False)
+    return replace(with_plan(scene, layers=(layer,), order=order, lobes=0), sharpen=False, adaptive=False)
 
 
 class PapersBake:
@@ -57,8 +57,16 @@ class PapersBake:
         """The picture of a ``view`` that differs from the bench's by its light alone; (h, w, 3) float64 linear RGB."""
         shown = self.bake.shown
         lit, held = lit_texels(self.bake.light, Turned(self.bake.look, view))
-        weights = cells_of(shown.gbuffer.points, shown.lattice, 1).weights * held[shown.corners]
+        weights = trilinear(shown.gbuffer.points, shown.lattice) * held[shown.corners]
         weights /= np.maximum(weights.sum(axis=1, keepdims=True), 1e-30)
         picture = np.zeros((view.height * view.width, 3))
         picture[shown.gbuffer.pixels] = (weights[:, :, None] * lit[shown.corners, :3]).sum(axis=1)
         return picture.reshape(view.height, view.width, 3)
+
+
+def trilinear(points: np.ndarray, lattice: Lattice) -> np.ndarray:
+    """Weights (m, 8) of the texels about ``points`` (m, 3; x, y, z, voxels), x fastest (S1, section 4.2)."""
+    places = points[:, ::-1].astype(np.float64) * np.array(lattice.density[::-1])
+    low = np.clip(np.floor(places), 0, np.array(lattice.shape) - 2)
+    inside = np.clip(places - low, 0.0, 1.0)[:, None]
+    return np.where(list(np.ndindex(2, 2, 2)), inside, 1.0 - inside).prod(axis=-1)

@@ -186,7 +186,8 @@ class PlanFacts(BaseModel):
     ``indirect_order`` is that of reflected light, null where that has no harmonics of its own; ``samples``
     are the most that a texel takes; ``lobes`` are lit by shadow rays, beside the harmonics; ``errors`` are relative,
     by what is cut off. ``full_bytes_per_texel`` is what S1 keeps for any scene. ``sharpen`` is whether a view at rest
-    has texels of its own on the isosurface that it shows.
+    has texels of its own on the isosurface that it shows, ``adaptive`` whether every second texel does where light is
+    smooth.
     """
 
     representation: str
@@ -200,6 +201,7 @@ class PlanFacts(BaseModel):
     samples: int
     lobes: list[LobeFacts]
     sharpen: bool
+    adaptive: bool
     layers: list[LayerFacts]
     errors: dict[str, float]
     notes: list[str]
@@ -337,6 +339,7 @@ def plan_facts(scene: Scene) -> PlanFacts:
         samples=plan.samples,
         lobes=[lobe_facts(lobe) for lobe in scene.needs.lobes[: plan.lobes]],
         sharpen=scene.sharpen,
+        adaptive=scene.adaptive,
         layers=[layer_facts(layer) for layer in plan.layers],
         errors=dict(plan.errors),
         notes=list(plan.notes),

@@ -21,6 +21,17 @@ from isogi_core.kernels.planes import tally
 from isogi_core.kernels.rows import add_part, judge_rows
 from isogi_core.kernels.shading import find_normals
 from isogi_core.kernels.shares import carry_shares, share_texels
+from isogi_core.kernels.wide import (
+    ask_texels,
+    choose_cells,
+    find_around,
+    mark_around,
+    mark_wide,
+    number_wide,
+    spread_light,
+    spread_shares,
+    touch_wide,
+)
 from isogi_core.model.scene import Scene
 from isogi_core.plan.kernels import uncalled
 
@@ -54,11 +65,28 @@ FRAME = (
     share_texels,
     tally,
     add_lobes,
+    spread_shares,
+    spread_light,
+    touch_wide,
+    number_wide,
+    mark_wide,
+    find_around,
+    mark_around,
+    choose_cells,
+    ask_texels,
 )
 """All of them, those that take longest to compile first."""
 
-SHARING = {face_texels, share_texels, carry_shares}
-"""Those of them that carry light as shares, where ``carry_light`` is not called."""
+SHARING = {face_texels, share_texels, carry_shares, spread_shares}
+"""Those of them that carry light as shares, where the PLAIN ones are not called."""
+
+PLAIN = {carry_light, spread_light}
+
+ADAPTIVE = {
+    *(spread_shares, spread_light, touch_wide, number_wide, mark_wide),
+    *(find_around, mark_around, choose_cells, ask_texels),
+}
+"""Those that adaptive scenes alone call."""
 
 
 def frame_kernels(scenes: Iterable[Scene]) -> tuple[Any, ...]:
@@ -72,4 +100,5 @@ def spared_by(scene: Scene) -> set[Any]:
     names = {*uncalled(scene.rotating, scene.environment, scene.lamps, scene.plan.lobes)}
     spared = {kernel for kernel in FRAME if kernel.__name__ in names}
     spared |= set() if scene.sharpen else {judge_texels}
-    return spared | ({carry_light} if shares_light(scene, "gi") else SHARING)
+    spared |= {touch_chunks} if scene.adaptive else ADAPTIVE
+    return spared | (PLAIN if shares_light(scene, "gi") else SHARING)

@@ -1,7 +1,7 @@
 """A reading of the cache: where the light of a view's texels is in the pool now, and how good it is."""
 
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -12,6 +12,7 @@ from isogi_core.cache.pages import PagePool
 from isogi_core.cache.rows import fewest_samples
 from isogi_core.frame.texels import Demand, ViewTexels
 from isogi_core.frame.tiles import Tiles
+from isogi_core.frame.wide import Cells
 from isogi_core.kernels.chunks import find_rows
 from isogi_core.kernels.lattice import BURIED, BURIED_ROW, PARTIAL, UNBAKED, UNLIT, VOID, VOID_ROW
 from isogi_core.kernels.planes import CONVERGING, FINAL, Planes
@@ -28,7 +29,7 @@ class Reading:
     UNBAKED, PARTIAL, CONVERGING, FINAL, BURIED or VOID. ``version`` tells how far each texel is baked: a
     texel's light follows from its numbers of samples; ``samples`` int32 are the fewest of any part, ``error``
     float32 is relative. Texels of chunk i are ``bounds[i]`` … ``bounds[i + 1]``; ``short`` (chunks,) says which chunks
-    are not final at the relative error ``target``.
+    are not final at the relative error ``target``. A view may want those alone that are ``asked`` (texels,) for.
     """
 
     rows: np.ndarray
@@ -39,6 +40,7 @@ class Reading:
     bounds: np.ndarray
     short: np.ndarray
     target: float
+    asked: np.ndarray | None = field(default=None, kw_only=True)
 
     @property
     def nbytes(self) -> int:
@@ -48,7 +50,7 @@ class Reading:
     @cached_property
     def efforts(self) -> np.ndarray:
         """What the texels of each chunk that are not final have taken and will: see ``Effort``; (chunks, 3) float64."""
-        rows = np.flatnonzero(self.grade < FINAL)
+        rows = np.flatnonzero(self.grade < FINAL if self.asked is None else (self.grade < FINAL) & self.asked)
         chunks = np.repeat(np.arange(len(self.short)), np.diff(self.bounds))
         return efforts(chunks[rows], len(self.short), self.error[rows], self.samples[rows], self.target)
 
@@ -66,15 +68,27 @@ class Reading:
         """Rows of light, and the pools that they are of: all of them of the ``pool`` that was read."""
         return ((self.rows, pool),)
 
-    def demands(self, texels: ViewTexels, planes: Planes) -> tuple[Demand, ...]:
-        """What the view still wants, ``planes`` being its picture."""
+    def asking(self, asked: np.ndarray) -> "Reading":
+        """The same of a view that wants no more than the texels ``asked`` (texels,) for."""
+        return replace(self, asked=asked, short=in_chunks((self.grade < FINAL) & asked, self.bounds))
+
+    @property
+    def needed(self) -> int:
+        """Chunks that the view wants something of."""
+        return len(self.short) if self.asked is None else int(in_chunks(self.asked, self.bounds).sum())
+
+    def demands(self, texels: ViewTexels, cells: Cells, planes: Planes) -> tuple[Demand, ...]:
+        """What the view still wants, ``planes`` being its picture, and ``cells`` what that was read from."""
         if not self.short.any():
             return ()
-        weights, seen = texels.weights(planes).tolist(), texels.footprints
-        return tuple(
-            Demand(texels.chunks[i], texels.offsets[i], weights[i], Effort(*self.efforts[i].tolist()), seen[i])
-            for i in np.flatnonzero(self.short)
-        )
+        weights = texels.weights(planes, cells).tolist()
+        return tuple(self._demand(texels, i, weights[i]) for i in np.flatnonzero(self.short).tolist())
+
+    def _demand(self, texels: ViewTexels, i: int, weight: float) -> Demand:
+        """What it wants of chunk ``i``."""
+        own = ... if self.asked is None else self.asked[slice(*self.bounds[i : i + 2].tolist())]
+        effort = Effort(*self.efforts[i].tolist())
+        return Demand(texels.chunks[i], texels.offsets[i][own], weight, effort, texels.footprints[i][own])
 
 
 def read_texels(texels: ViewTexels, slots: np.ndarray, pool: PagePool, target: float, tiles: Tiles) -> Reading:
@@ -92,9 +106,14 @@ def read_texels(texels: ViewTexels, slots: np.ndarray, pool: PagePool, target: f
         digests[a] = hashlib.sha256(stamp.data).digest()
 
     tiles.run(_piece, len(places), PIECE)
-    short = np.minimum.reduceat(grade, texels.bounds[:-1]) < FINAL if len(grade) else np.zeros(0, np.bool_)
+    short = in_chunks(grade < FINAL, texels.bounds)
     version = b"".join(digests[a] for a in sorted(digests))
     return Reading(rows, grade, version, samples, error, texels.bounds, short, target)
+
+
+def in_chunks(which: np.ndarray, bounds: np.ndarray) -> np.ndarray:
+    """Whether any of some texels (texels,) is in each chunk, whose texels begin at ``bounds`` (chunks + 1,); bool."""
+    return np.asarray(np.logical_or.reduceat(which, bounds[:-1])) if len(which) else np.zeros(0, np.bool_)
 
 
 GRADES = {UNLIT: UNBAKED, VOID_ROW: VOID, BURIED_ROW: BURIED}

@@ -24,6 +24,7 @@ from isogi_core.frame.stopwatch import Stopwatch
 from isogi_core.frame.surroundings import Turned
 from isogi_core.frame.texels import Demand, ViewTexels
 from isogi_core.frame.tiles import Piece, Tiles
+from isogi_core.frame.wide import COARSENESS, Cells, WideCells
 from isogi_core.kernels.bricks import Bricks
 from isogi_core.kernels.field import Field
 from isogi_core.kernels.lattice import carry_light, light_texels
@@ -31,6 +32,7 @@ from isogi_core.kernels.lobes import add_lobes
 from isogi_core.kernels.planes import CONVERGING, FINAL, Planes
 from isogi_core.kernels.shading import find_shadows, shade_local
 from isogi_core.kernels.shares import RECORD, carry_shares, share_texels
+from isogi_core.kernels.wide import spread_light, spread_shares
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import View
 
@@ -156,16 +158,33 @@ class Shader:
                 reading = stack.enter_context(self.sharpen(texels, self.read(texels, pool, held, target)))
             with self.watch.stage("light"):
                 lit = self._light_texels(reading.sources(pool))
+        with self.watch.stage("cells"):
+            cells = texels.cells(reading.grade, self.tiles)
         if shares_light(self.recipe.scene, self.view.shading):
-            self._carry_shares(texels, self._shares(texels, reading, lit))
+            shares = self._shares(texels, reading, lit)
+            self._carry_shares(cells, shares)
+            spread = partial(spread_shares, reading.grade, shares, self.turned.bare)
         else:
-            self._carry_light(texels, reading, lit)
+            self._carry_light(cells, reading, lit)
+            spread = partial(spread_light, reading.grade, lit)
+        if texels.wide is not None:
+            reading = self._split(texels, texels.wide, cells, reading, spread)
         if self.look.lobes:
             self._add_lobes()
-        needed, short = len(texels.chunks), int(reading.short.sum())
-        lacks = partial(reading.demands, texels, self.planes)
-        sharpness = Sharpness(texels, reading, self.planes) if isinstance(reading, Sharpened) else None
+        needed, short = reading.needed, int(reading.short.sum())
+        lacks = partial(reading.demands, texels, cells, self.planes)
+        sharpness = Sharpness(texels, reading, cells, self.planes) if isinstance(reading, Sharpened) else None
         return Shaded(self.planes, needed, needed - short, lacks, reading.version, sharpness)
+
+    def _split(
+        self, texels: ViewTexels, wide: WideCells, cells: Cells, reading: Reading, spread: Callable[..., None]
+    ) -> Reading:
+        """What the view wants where ``wide`` cells in which light has too much ``spread`` are to be read finer."""
+        with self.watch.stage("cells"):
+            edge, mean = 2.0 * float(self.recipe.step.mean()), self.look.unoccluded / self.look.unit
+            split = COARSENESS * edge * wide.spread(spread, self.tiles) > reading.target * mean
+            picture = self.gbuffer.pixels, self.planes
+            return reading.asking(wide.ask(texels.corners, cells, split, picture, self.tiles))
 
     def _light_texels(self, sources: Sequence[tuple[np.ndarray, PagePool]]) -> np.ndarray:
         """Linear RGB and standard error of each texel's light in ``Look.unit``, (texels, 4); undefined where unlit.
@@ -210,25 +229,26 @@ class Shader:
             self._run(_piece, len(lit), self.tiles.even(len(lit)))
         return shares
 
-    def _carry_shares(self, texels: ViewTexels, shares: np.ndarray) -> None:
+    def _carry_shares(self, cells: Cells, shares: np.ndarray) -> None:
         """Bring the texels' shares to the picture."""
-        points, pixels, corners, normals = self.gbuffer.points, self.gbuffer.pixels, texels.corners, self._normals()
+        points, pixels, normals = self.gbuffer.points, self.gbuffer.pixels, self._normals()
         lattice, bare, unit, planes = self.recipe.lattice, self.turned.bare, np.float32(self.look.unit), self.planes
 
         def _piece(a: int, b: int) -> None:
-            carry_shares(lattice, points[a:b], pixels[a:b], corners[a:b], shares, normals[a:b], bare, unit, planes)
+            place = (lattice, points[a:b], pixels[a:b], *(each[a:b] for each in cells))
+            carry_shares(*place, shares, normals[a:b], bare, unit, planes)
 
         with self.watch.stage("shade"):
             self._run(_piece, len(points), self.tiles.even(len(points)))
 
-    def _carry_light(self, texels: ViewTexels, reading: Reading, lit: np.ndarray) -> None:
+    def _carry_light(self, cells: Cells, reading: Reading, lit: np.ndarray) -> None:
         """Bring the texels' light to the picture as it is."""
-        points, pixels, corners = self.gbuffer.points, self.gbuffer.pixels, texels.corners
+        points, pixels = self.gbuffer.points, self.gbuffer.pixels
         normals = points if reading.whole else self._normals()
         lattice, sky, unit, planes = self.recipe.lattice, self.turned.sky, np.float32(self.look.unit), self.planes
 
         def _piece(a: int, b: int) -> None:
-            place = (lattice, points[a:b], pixels[a:b], corners[a:b])
+            place = (lattice, points[a:b], pixels[a:b], *(each[a:b] for each in cells))
             carry_light(*place, reading.grade, lit, normals[a:b], sky, unit, planes)
 
         with self.watch.stage("shade"):

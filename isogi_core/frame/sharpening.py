@@ -8,7 +8,7 @@ the isovalue. What cannot be moved is read as before.
 import logging
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -18,9 +18,10 @@ from isogi_core.bake.recipe import Index, Recipe
 from isogi_core.cache.loader import Loader
 from isogi_core.cache.pages import Held, PagePool
 from isogi_core.errors import StoreError
-from isogi_core.frame.reading import Reading
+from isogi_core.frame.reading import Reading, in_chunks
 from isogi_core.frame.texels import Demand, ViewTexels
 from isogi_core.frame.tiles import Tiles
+from isogi_core.frame.wide import Cells
 from isogi_core.kernels.lattice import BURIED, UNLIT, VOID
 from isogi_core.kernels.moves import judge_texels
 from isogi_core.kernels.planes import CONVERGING, FINAL, Planes
@@ -102,19 +103,25 @@ class Sharpened(Reading):
         """Rows of light, and the pools that they are of, of which ``pool`` is the base's."""
         return (self.rows, pool), (self.sharp_rows, self.pool)
 
-    def demands(self, texels: ViewTexels, planes: Planes) -> tuple[Demand, ...]:
-        """What the view still wants of texels on their own isosurfaces."""
-        return self.base.demands(texels, planes)
+    def asking(self, asked: np.ndarray) -> "Sharpened":
+        """The same of a view that wants no more than the texels ``asked`` (texels,) for, of both."""
+        base, wanted = self.base.asking(asked), self.wanted & asked
+        short = base.short | in_chunks(wanted & (self.sharp.grade < FINAL), self.bounds)
+        return replace(self, asked=asked, short=short, base=base, wanted=wanted, unmoved=self.unmoved & asked)
 
-    def sharp_demands(self, texels: ViewTexels, planes: Planes) -> tuple[Demand, ...]:
+    def demands(self, texels: ViewTexels, cells: Cells, planes: Planes) -> tuple[Demand, ...]:
+        """What the view still wants of texels on their own isosurfaces."""
+        return self.base.demands(texels, cells, planes)
+
+    def sharp_demands(self, texels: ViewTexels, cells: Cells, planes: Planes) -> tuple[Demand, ...]:
         """What it wants of sharp light: nothing until all other light is final."""
         if self.base.short.any() or not self.short.any():
             return ()
-        weights = texels.weights(planes).tolist()
-        return tuple(self._demand(texels, i, weights[i]) for i in np.flatnonzero(self.short).tolist())
+        weights = texels.weights(planes, cells).tolist()
+        return tuple(self._sharp_demand(texels, i, weights[i]) for i in np.flatnonzero(self.short).tolist())
 
-    def _demand(self, texels: ViewTexels, i: int, weight: float) -> Demand:
-        """What it wants of chunk ``i``."""
+    def _sharp_demand(self, texels: ViewTexels, i: int, weight: float) -> Demand:
+        """What it wants of the sharp light of chunk ``i``."""
         own = slice(*self.bounds[i : i + 2].tolist())
         wanted = self.wanted[own]
         lacking = wanted & (self.sharp.grade[own] < FINAL)
@@ -149,7 +156,6 @@ def joined(base: Reading, sharp: Reading, ways: Ways, pool: PagePool) -> Sharpen
     pending = wanted & (sharp.grade < FINAL)
     grade = np.where(fit | buried, sharp.grade, base.grade)
     grade[pending & (grade == FINAL)] = CONVERGING
-    short = np.logical_or.reduceat(pending, base.bounds[:-1]) if len(grade) else base.short
     return Sharpened(
         rows=np.where(fit, UNLIT, base.rows).astype(np.int32),
         grade=grade,
@@ -157,7 +163,7 @@ def joined(base: Reading, sharp: Reading, ways: Ways, pool: PagePool) -> Sharpen
         samples=np.where(fit, sharp.samples, base.samples),
         error=np.where(fit, sharp.error, base.error),
         bounds=base.bounds,
-        short=base.short | short,
+        short=base.short | in_chunks(pending, base.bounds),
         target=base.target,
         base=base,
         sharp=sharp,
@@ -170,27 +176,30 @@ def joined(base: Reading, sharp: Reading, ways: Ways, pool: PagePool) -> Sharpen
 
 @dataclass(frozen=True, eq=False)
 class Sharpness:
-    """How far a view is sharpened: its ``texels``, their ``reading``, and the ``planes`` of its picture."""
+    """How far a view is sharpened: its ``texels``, their ``reading``, and its picture's ``cells`` and ``planes``."""
 
     texels: ViewTexels
     reading: Sharpened
+    cells: Cells
     planes: Planes
 
     @cached_property
     def demands(self) -> tuple[Demand, ...]:
         """The sharp light that the view lacks; see ``Sharpened``."""
-        return self.reading.sharp_demands(self.texels, self.planes)
+        return self.reading.sharp_demands(self.texels, self.cells, self.planes)
 
     @property
     def shares(self) -> dict[str, float]:
-        """Shares of the texels: ``moved`` ones that are read sharp, those ``near`` enough, ``pending`` and ``unmoved``.
+        """Shares of what is asked for: ``moved`` texels that are read sharp, ``near`` enough, ``pending``, ``unmoved``.
 
         The latter two are read on their own isosurfaces, for a while or for good.
         """
-        moved, total = self.reading.moved, max(len(self.reading.rows), 1)
-        unmoved = self.reading.unmoved
-        pending = self.reading.wanted & ~moved
-        counts = {"moved": moved, "near": ~(moved | unmoved | pending), "pending": pending, "unmoved": unmoved}
+        reading = self.reading
+        asked = np.ones(len(reading.rows), np.bool_) if reading.asked is None else reading.asked
+        moved, unmoved = reading.moved & asked, reading.unmoved
+        pending = reading.wanted & ~moved
+        counts = {"moved": moved, "near": asked & ~(moved | unmoved | pending), "pending": pending, "unmoved": unmoved}
+        total = max(int(np.count_nonzero(asked)), 1)
         return {name: float(np.count_nonzero(each)) / total for name, each in counts.items()}
 
     @cached_property
@@ -198,5 +207,5 @@ class Sharpness:
         """Which pixels read a texel that is to be sharp and cannot be; (h, w) bool."""
         gbuffer = self.texels.gbuffer
         shown = np.zeros(gbuffer.shape, np.bool_)
-        shown.flat[gbuffer.pixels] = self.reading.unmoved[self.texels.corners].any(axis=1)
+        shown.flat[gbuffer.pixels] = self.reading.unmoved[self.cells.corners].any(axis=1)
         return shown

@@ -2,22 +2,23 @@
 
 import math
 import threading
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
 from isogi_core.bake.effort import Effort
 from isogi_core.bake.recipe import Index, Recipe
+from isogi_core.frame.finder import Finder, positions_of
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.tiles import Tiles
-from isogi_core.kernels.chunks import find_corners, find_places, mark_texels, touch_chunks, weigh_chunks
+from isogi_core.frame.wide import Cells, WideCells, find_wide
+from isogi_core.kernels.chunks import find_corners, mark_texels, weigh_chunks
 from isogi_core.kernels.footprints import add_footprints
 from isogi_core.kernels.lattice import Lattice
 from isogi_core.kernels.planes import Planes
+from isogi_core.kernels.wide import mark_around
 
 LEAST_SEEN = 1 / 16
 """Share of the mean footprint that every texel counts as at least."""
@@ -53,6 +54,7 @@ class ViewTexels:
 
     ``chunks`` lists the chunks touched; texel t is at ``places[t]`` = i · texels of a chunk + offset, those
     of chunk i are ``bounds[i]`` … ``bounds[i + 1]``; ``corners`` (points, 8) numbers the texels around each point.
+    Where the scene is adaptive texels of the ``wide`` cells that points lie in are among them, else there are none.
     """
 
     gbuffer: GBuffer
@@ -61,19 +63,27 @@ class ViewTexels:
     places: np.ndarray
     bounds: np.ndarray
     corners: np.ndarray
+    wide: WideCells | None = None
 
     @property
     def nbytes(self) -> int:
         """Bytes that it takes, without its G-buffer; offsets and footprints are counted before they are found."""
-        return 3 * self.places.nbytes + self.bounds.nbytes + self.corners.nbytes
+        wide = 0 if self.wide is None else self.wide.nbytes
+        return 3 * self.places.nbytes + self.bounds.nbytes + self.corners.nbytes + len(self.corners) + wide
 
     @property
     def positions(self) -> np.ndarray:
         """Lattice indices (m, 3; z, y, x) int32 of the texels."""
-        chunks = np.array(self.chunks, np.int32).reshape(-1, 3) * self.lattice.chunk
-        bits, side = self.lattice.bits, self.lattice.chunk - 1
-        inside = np.stack([self.places >> bits * axis & side for axis in (2, 1, 0)], axis=-1).astype(np.int32)
-        return chunks[self.places >> 3 * bits] + inside
+        return positions_of(self.places, np.array(self.chunks, np.int32).reshape(-1, 3), self.lattice)
+
+    @cached_property
+    def narrow(self) -> Cells:
+        """The cells of one texel that points lie in."""
+        return Cells(self.corners, np.zeros(len(self.corners), np.bool_))
+
+    def cells(self, grade: np.ndarray, tiles: Tiles) -> Cells:
+        """The cells that points are read from, by the ``grade`` (texels,) of texels."""
+        return self.narrow if self.wide is None else self.wide.cells(self.corners, grade, tiles)
 
     @cached_property
     def offsets(self) -> tuple[np.ndarray, ...]:
@@ -89,42 +99,35 @@ class ViewTexels:
         counts as LEAST_SEEN of the mean, for it is to become final too.
         """
         seen = np.zeros(len(self.places))
-        add_footprints(self.lattice, self.gbuffer.points, self.corners, seen)
+        for cells in (self.narrow,) if self.wide is None else (self.narrow, self.wide.whole):
+            add_footprints(self.lattice, self.gbuffer.points, *cells, seen)
         seen = np.maximum(seen, LEAST_SEEN * seen.mean()).astype(np.float32)
         return tuple(seen[a:b] for a, b in pairwise(self.bounds.tolist()))
 
-    def weights(self, planes: Planes) -> np.ndarray:
-        """The squared visible error that the pixels of a picture have left in each chunk, see ``weigh_chunks``."""
+    def weights(self, planes: Planes, cells: Cells) -> np.ndarray:
+        """The squared visible error that the pixels of a picture have left in each chunk, see ``weigh_chunks``.
+
+        They were read from ``cells``.
+        """
         weight = np.zeros(len(self.chunks))
         height, width = self.gbuffer.shape
-        weigh_chunks(self.lattice, self.corners, self.places, self.gbuffer.pixels, width, height, planes, weight)
+        weigh_chunks(self.lattice, cells.corners, self.places, self.gbuffer.pixels, width, height, planes, weight)
         return weight
 
 
 def find_texels(gbuffer: GBuffer, recipe: Recipe, tiles: Tiles, cancelled: threading.Event | None) -> ViewTexels:
     """Collect the texels around every surface point of ``gbuffer``."""
-    points, lattice = gbuffer.points, recipe.lattice
-    piece, share = tiles.even(len(points)), tiles.even(len(points), 1)
-
-    def _over_points(kernel: Callable[..., None], size: int, each: Callable[[int, int], tuple[Any, ...]]) -> None:
-        tiles.run(lambda a, b: kernel(lattice, points[a:b], *each(a, b)), len(points), size, cancelled)
-
-    touched = np.zeros(recipe.chunks, np.bool_)
-    _over_points(touch_chunks, piece, lambda a, b: (touched,))
-    indices = np.argwhere(touched)
-    slots = np.full(recipe.chunks, -1, np.int32)
-    slots[touched] = np.arange(len(indices))
-    marks = np.zeros((-(-len(points) // share), len(indices) * lattice.rows), np.uint32)
-    _over_points(mark_texels, share, lambda a, b: (slots, marks[a // share]))
-    read = np.bitwise_or.reduce(marks, axis=0)
-    first = np.zeros(len(read) + 1, np.uint32)
-    np.cumsum(np.bitwise_count(read), out=first[1:])
-    places = np.empty(first[-1], np.uint32)
-    tiles.run(lambda a, b: find_places(lattice, a, b, read, first, places), len(read), tiles.even(len(read)), cancelled)
-    corners = np.empty((len(points), 8), np.uint32)
-    _over_points(find_corners, piece, lambda a, b: (slots, read, first, corners[a:b]))
-    chunks = tuple((z, y, x) for z, y, x in indices.tolist())
-    return ViewTexels(gbuffer, lattice, chunks, places, first[:: lattice.rows].copy(), corners)
+    finder = Finder(gbuffer.points, recipe, tiles, cancelled)
+    read, around = finder.mark(mark_texels), None
+    if recipe.scene.adaptive:
+        around = find_wide(finder)
+        mark_around(recipe.lattice, around.lowest, finder.slots, read)
+    first, places = finder.count(read)
+    corners = np.empty((len(gbuffer.points), 8), np.uint32)
+    finder.over_points(find_corners, lambda a, b: (finder.slots, read, first, corners[a:b]))
+    chunks = tuple((z, y, x) for z, y, x in finder.indices.tolist())
+    wide = None if around is None else around.numbered(finder, read, first)
+    return ViewTexels(gbuffer, recipe.lattice, chunks, places, first[:: recipe.lattice.rows].copy(), corners, wide)
 
 
 def most_seen(offsets: np.ndarray, *views: tuple[np.ndarray, np.ndarray]) -> np.ndarray:

@@ -132,6 +132,16 @@ def visible_error(planes, pixel):
     return np.float64(luminance(*light) * planes.error[pixel]) ** 2
 
 
+@kernel()
+def crossings(corners, m, places, bits):
+    """Along which axes (bit 0 is x, bit 1 is y, bit 2 is z) the texels of point ``m`` are of more than one chunk."""
+    own, crossed = places[corners[m, 0]] >> 3 * bits, 0
+    for axis in (1, 2, 4):
+        if places[corners[m, axis]] >> 3 * bits != own:
+            crossed |= axis
+    return crossed
+
+
 @kernel(types.void(LATTICE, CORNERS, PLACES, PIXELS, types.int64, types.int64, PLANES, types.float64[::1]))
 def weigh_chunks(lattice, corners, places, pixels, width, height, planes, weight):
     """Add to ``weight`` (chunks,) the ``visible_error`` of the points that read each chunk.
@@ -145,8 +155,7 @@ def weigh_chunks(lattice, corners, places, pixels, width, height, planes, weight
             continue
         y, x = divmod(np.int64(pixels[m]), width)
         wrong *= 2.0 - 0.5 * (((2 * x + 1) / width - 1.0) ** 2 + ((2 * y + 1) / height - 1.0) ** 2)
-        place = places[corners[m, 0]]
-        crossed = borders(place >> 2 * bits, place >> bits, place, bits)
+        crossed = crossings(corners, m, places, bits)
         for c in range(8):
             if c & crossed == c:
                 weight[places[corners[m, c]] >> 3 * bits] += wrong

@@ -89,6 +89,7 @@ LATTICE = record(Lattice, types.UniTuple(types.int64, 3), types.UniTuple(types.f
 POINTS = types.float32[:, ::1]
 CORNERS = types.uint32[:, ::1]
 PIXELS = types.uint32[::1]
+WIDE = types.boolean[::1]
 
 
 @kernel()
@@ -109,6 +110,39 @@ def base_texel(lattice, points, m):
     y, fy = axis_texel(np.float64(points[m, 1]), lattice.density[1], lattice.shape[1])
     x, fx = axis_texel(np.float64(points[m, 0]), lattice.density[0], lattice.shape[2])
     return z, y, x, fz, fy, fx
+
+
+@kernel()
+def beyond(t, n):
+    """The upper of the two texels along one axis of the wide cell whose lower one is ``t``, an even one."""
+    return min(t + np.uint32(2), np.uint32(n - 1))
+
+
+@kernel()
+def widened(t, f, n):
+    """The lower texel along one axis, of a wide cell, and the fraction in that, from those of a cell in it."""
+    low = t & ~np.uint32(1)
+    return low, (np.float64(t - low) + f) / np.float64(beyond(low, n) - low)
+
+
+@kernel()
+def wide_texel(lattice, points, m):
+    """``base_texel`` of the wide cell around point ``m``: of two texels along each side, from even ones on.
+
+    The last one along an axis has a single texel where the lattice has an even number of them.
+    """
+    z, y, x, fz, fy, fx = base_texel(lattice, points, m)
+    z, fz = widened(z, fz, lattice.shape[0])
+    y, fy = widened(y, fy, lattice.shape[1])
+    x, fx = widened(x, fx, lattice.shape[2])
+    return z, y, x, fz, fy, fx
+
+
+@kernel()
+def fractions(lattice, points, m, wide):
+    """Where in its cell, a ``wide`` one or not, point ``m`` lies: fractions (z, y, x)."""
+    _, _, _, fz, fy, fx = wide_texel(lattice, points, m) if wide else base_texel(lattice, points, m)
+    return fz, fy, fx
 
 
 @kernel(
@@ -237,6 +271,7 @@ def span_of(grade, corners, m):
         POINTS,
         PIXELS,
         CORNERS,
+        WIDE,
         types.uint8[::1],
         types.float32[:, ::1],
         POINTS,
@@ -245,17 +280,17 @@ def span_of(grade, corners, m):
         PLANES,
     )
 )
-def carry_light(lattice, points, pixels, corners, grade, lit, normals, sky, unit, planes):
+def carry_light(lattice, points, pixels, corners, wide, grade, lit, normals, sky, unit, planes):
     """Carry the texels' light ``lit`` (texels, 4) to the ``planes`` at the points' ``pixels`` (m,).
 
-    Trilinear (S1, section 4.2) over the texels that hold light; void and buried ones are left out, and what
-    is not baked yet stands in as unshadowed light about the point's normal (``normals`` (m, 3); read
-    only where a texel is missing). Both are counted in ``unit``, the radiance of 1. ``grade`` (texels,) is UNBAKED,
-    PARTIAL, CONVERGING, FINAL, BURIED or VOID; a point is as good as the least of its texels.
+    Trilinear (S1, section 4.2) over the ``corners`` (m, 8) of ``wide`` (m,) or other cells that hold light; void and
+    buried ones are left out, and what is not baked yet stands in as unshadowed light about the point's normal
+    (``normals`` (m, 3); read only where a texel is missing). Both are counted in ``unit``, the radiance of 1. ``grade``
+    (texels,) is UNBAKED, PARTIAL, CONVERGING, FINAL, BURIED or VOID; a point is as good as the least of its texels.
     """
     basis = np.empty(sky.order * sky.order)
     for m in range(points.shape[0]):
-        _, _, _, fz, fy, fx = base_texel(lattice, points, m)
+        fz, fy, fx = fractions(lattice, points, m, wide[m])
         least, most = span_of(grade, corners, m)
         if PARTIAL <= least and most <= FINAL:
             r, g, b, variance = blend(corners, m, lit, fz, fy, fx)

@@ -22,7 +22,8 @@ from isogi_core.kernels.lattice import (
     POINTS,
     UNBAKED,
     VOID,
-    base_texel,
+    WIDE,
+    fractions,
     trilinear,
 )
 from isogi_core.kernels.planes import FINAL, PLANES, PROVISIONAL, luminance, put_pixel
@@ -149,17 +150,17 @@ def stand_in(corners, m, shares, bare, under, fz, fy, fx):
     return light[0] / max(under[0], DARKEST), light[1] / max(under[1], DARKEST), light[2] / max(under[2], DARKEST)
 
 
-@kernel(types.void(LATTICE, POINTS, PIXELS, CORNERS, types.float32[:, ::1], POINTS, BARE, types.float32, PLANES))
-def carry_shares(lattice, points, pixels, corners, shares, normals, bare, unit, planes):
+@kernel(types.void(LATTICE, POINTS, PIXELS, CORNERS, WIDE, types.float32[:, ::1], POINTS, BARE, types.float32, PLANES))
+def carry_shares(lattice, points, pixels, corners, wide, shares, normals, bare, unit, planes):
     """Carry texels' ``shares`` (texels, RECORD) to the ``planes`` at the points' ``pixels`` (m,).
 
-    Weights are trilinear (S1, section 4.2), times the cosine between a texel's normal and the point's, one of
-    ``normals`` (m, 3), as ``agree`` has it. Void and buried texels are left out, and of what is not baked yet
-    unshadowed light stands in. Light is counted in ``unit``, the radiance of 1; a point is as good as the least of its
-    texels.
+    Points read the ``corners`` (m, 8) of ``wide`` (m,) cells or of others. Weights are trilinear (S1, section 4.2),
+    times the cosine between a texel's normal and the point's, one of ``normals`` (m, 3), as ``agree`` has it. Void and
+    buried texels are left out, and of what is not baked yet unshadowed light stands in. Light is counted in ``unit``,
+    the radiance of 1; a point is as good as the least of its texels.
     """
     for m in range(points.shape[0]):
-        _, _, _, fz, fy, fx = base_texel(lattice, points, m)
+        fz, fy, fx = fractions(lattice, points, m, wide[m])
         f, n = (np.float32(fz), np.float32(fy), np.float32(fx)), (normals[m, 0], normals[m, 1], normals[m, 2])
         r, g, b, variance, weight, least = blend_shares(corners, m, shares, n[0], n[1], n[2], f[0], f[1], f[2])
         under = bare_light(bare, n[0], n[1], n[2])

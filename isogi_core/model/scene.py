@@ -56,7 +56,8 @@ class Scene:
     ``normals`` says which gradient they are of, "bspline" (smoothed) or "gradient" (plain), and ``offset`` how many
     voxels above a surface rays leave it. ``plan`` was made for ``needs``, with what the scene has ``told``.
     ``named`` are the isovalues that the scene gives names to. ``sharpen`` says whether a view at rest has texels of its
-    own on the isosurface that it shows, where those on theirs are far from it.
+    own on the isosurface that it shows, where those on theirs are far from it, and ``adaptive`` whether every second
+    texel of the lattice is to do where light is smooth.
     """
 
     id: str
@@ -79,6 +80,7 @@ class Scene:
     plan: ScenePlan
     named: tuple[Preset, ...] = ()
     sharpen: bool = False
+    adaptive: bool = False
     albedos: tuple[float, float] | None = None
 
     @property
@@ -179,9 +181,9 @@ class Scene:
     def digest(self) -> str:
         """Hex name of everything that a frame of this scene depends on besides its view."""
         lights = [self.environment.digest, self.lamps.digest]
-        sharp = ["sharpen"] if self.sharpen else []
+        ways = [name for name in ("sharpen", "adaptive") if getattr(self, name)]
         lit = [self.albedo, self.plan.order, self.plan.lobes, self.target_error]
-        return digest_of([self.bake_digest, *lights, *lit, *sharp])
+        return digest_of([self.bake_digest, *lights, *lit, *ways])
 
     def camera(self, azimuth: float, elevation: float, distance: float, fov: float) -> Camera:
         """Camera around the middle of the volume's box; degrees, and distance in its bounding radii."""
@@ -243,6 +245,7 @@ def build_scene(source: SceneSource, tell: Tell = tell_nobody, volume: Volume | 
         plan=plan,
         named=read_presets(settings, isovalues),
         sharpen=settings.flag("sharpen", False),
+        adaptive=settings.flag("adaptive", False),
         albedos=told.albedos or ((0.0, 1.0) if told.bounces == 0 and max(albedo) > 0.0 else None),
     )
     settings.refuse_unknown()

@@ -16,7 +16,7 @@ from isogi_core.cache.chunk import Chunks
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.sharpening import find_ways
-from isogi_core.frame.texels import ViewTexels
+from isogi_core.frame.texels import Demand, ViewTexels
 from isogi_core.frame.tiles import Tiles
 from isogi_core.model.plan import Layer
 from isogi_core.model.view import View
@@ -53,31 +53,41 @@ class Bake:
 
         What it calls is compiled before, on a texel of which nothing is kept.
         """
+        self.grow_some(np.arange(len(self.texels)), until, target, cancelled)
+
+    def grow_some(self, rows: np.ndarray, until: int, target: float, cancelled: threading.Event | None) -> None:
+        """The same of the texels in some ``rows`` (m,)."""
         first = self.texels[:1]
         refine(dark(self.layers, len(first)), first, self.look, FIRST_RUNG, NEVER)
         begun = time.process_time()
 
         def piece(a: int, b: int) -> None:
-            for look, rows in self._looks(a, b):
-                light = self.light.rows(rows)
-                refine(light, self.texels[rows], look, until, target)
-                self.light.put(rows, light)
+            for look, own in self._looks(rows[a:b]):
+                light = self.light.rows(own)
+                refine(light, self.texels[own], look, until, target)
+                self.light.put(own, light)
 
-        self.tiles.run(piece, len(self.texels), PIECE, cancelled)
+        self.tiles.run(piece, len(rows), PIECE, cancelled)
         self.seconds += time.process_time() - begun
 
-    def _looks(self, a: int, b: int) -> Iterator[tuple[Look, np.ndarray]]:
-        """The looks of texels ``a`` … ``b``, and the rows of each."""
-        levels = self.levels[a:b]
+    def _looks(self, rows: np.ndarray) -> Iterator[tuple[Look, np.ndarray]]:
+        """The looks of the texels in some ``rows`` (m,), and the rows of each."""
+        levels = self.levels[rows]
         for level in np.unique(levels).tolist():
             shown = None if math.isnan(level) else level
             own = np.isnan(levels) if shown is None else levels == level
-            yield replace(self.look, shown=shown), a + np.flatnonzero(own)
+            yield replace(self.look, shown=shown), rows[own]
 
     @property
     def samples(self) -> float:
-        """Mean samples of the texels that can hold light."""
-        return float(np.maximum(self.light.samples, 0).sum() / max((~self.light.void).sum(), 1))
+        """Mean samples of the texels that can hold light, and were baked."""
+        taken = self.light.samples
+        return float(np.maximum(taken, 0).sum() / max((taken > 0).sum(), 1))
+
+    @property
+    def lights(self) -> int:
+        """Texels that were baked, or found to be void."""
+        return int((self.light.samples != 0).sum())
 
 
 class ViewBake(Bake):
@@ -97,17 +107,42 @@ class ViewBake(Bake):
         texels = np.concatenate([places, places[self.steep]])
         super().__init__(renderer.tiles, look, layers or look.plan.layers, texels, levels)
 
-    def frame(self, light: Light | None = None) -> Frame:
+    def grow(self, until: int, target: float = NEVER, cancelled: threading.Event | None = None) -> None:
+        """As ``Bake.grow``; where the scene is adaptive and there is a ``target``, what its frames ask for alone."""
+        if target == NEVER or not self.renderer.recipe.scene.adaptive:
+            super().grow(until, target, cancelled)
+            return
+        while len(rows := self._lacking(self.frame(target=target))):
+            self.grow_some(rows, until, target, cancelled)
+
+    def _lacking(self, frame: Frame) -> np.ndarray:
+        """The rows of what a frame demands, sharp light last; (m,)."""
+        rows = self._rows(frame.demands)
+        if len(rows) or frame.sharpness is None:
+            return rows
+        sharp = np.isin(self.steep, self._rows(frame.sharpness.demands))
+        return len(self.shown.places) + np.flatnonzero(sharp)
+
+    def _rows(self, demands: tuple[Demand, ...]) -> np.ndarray:
+        """The view's own numbers of what is demanded; (m,)."""
+        shown = self.shown
+        at = [shown.chunks.index(each.index) for each in demands]
+        pairs = zip(at, demands, strict=True)
+        found = [shown.bounds[i] + np.searchsorted(shown.offsets[i], each.offsets) for i, each in pairs]
+        return np.concatenate([np.empty(0, np.int64), *found])
+
+    def frame(self, light: Light | None = None, target: float = NEVER) -> Frame:
         """The view's frame with the bake's light, or with some ``light`` of the same texels.
 
-        Raises StoreError where the memory for light cannot hold all of it.
+        It is final at the relative error ``target``. Raises StoreError where the memory for light cannot hold all of
+        it.
         """
         caches, light, own = self.renderer.caches, light or self.light, len(self.shown.places)
         caches.of(self.view.shading).pool.insert(self._chunks(light, np.arange(own), 0), self.shown.chunks)
         if len(self.steep):
             sharp = self._chunks(light, self.steep, own)
             caches.sharp(self.shown.gbuffer.isovalue).pool.insert(sharp, self.shown.chunks)
-        return self.renderer.render(self.view, NEVER)
+        return self.renderer.render(self.view, target)
 
     def _chunks(self, light: Light, numbers: np.ndarray, first: int) -> Chunks:
         """The texels with these ``numbers`` in the view, and their light from row ``first`` on."""

@@ -40,7 +40,7 @@ def converge(bench: Bench) -> Converged:
     twins = tuple(map(unrounded, layers))
     both = ViewBake(bench.renderer(bench.scene), bench.view, layers + (() if twins == layers else twins))
     taken = np.max([part.samples for part in bench.planned.light.parts], axis=0)
-    for samples in np.unique(taken).tolist():
+    for samples in np.unique(taken[taken != 0]).tolist():
         grow_some(both, np.flatnonzero(taken == samples), rung_below(TIMES * samples), bench)
     kept, exact = (both.frame(Light(both.light.parts[a:][: len(layers)])) for a in (0, -len(layers)))
     return Converged(kept, exact, both.samples)

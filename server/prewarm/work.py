@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 from server.facts import TimeLeftFacts
@@ -16,12 +17,15 @@ from server.prewarm.summary import Errors, Summary, failures_of
 from server.prewarm.survey import Quality, Survey, survey
 
 if TYPE_CHECKING:
-    from isogi_core.frame.texels import Demand
+    from isogi_core.bake.recipe import Index
     from server.prewarm.desk import Desk
     from server.settings import Settings
 
 BEFORE, AFTER = (0.0, 0.04), (0.96, 1.0)
 """Where in all of the work looking begins and ends, before and after the baking, as shares of it."""
+
+HALF = 0.5
+"""Where an adaptive scene's views are looked at between."""
 
 TRIAL, DRY_TRIAL = 3.0, 10.0
 """Seconds that a forecast may take, before baking and in a dry run."""
@@ -52,11 +56,26 @@ def carry_out(desk: Desk, what: Wanted, begun: Callable[[Summary], None]) -> Sum
     ahead, expected = look_ahead(desk, what, found, TRIAL)
     begun(ahead)
     end = desk.deadline - min(found.seconds, desk.left / 2.0)
-    baking = Baking(desk, list(found.demands.values()), expected, (BEFORE[1], AFTER[0]), end)
-    baking.run()
-    new = baking.done > 0 or baking.spent.paths > 0
-    quality = survey(desk, what.views, what.levels, AFTER).quality if new else found.quality
-    return summed_up(desk, ahead, quality, baking)
+    bakings: list[Baking] = []
+    for first, last in pairwise(stages_of(desk)):
+        if bakings and (not found.demands or bakings[-1].late or bakings[-1].failures):
+            break
+        baking = Baking(desk, list(found.demands.values()), expected, (first, last), end)
+        baking.run()
+        bakings.append(baking)
+        if baking.done > 0 or baking.spent.paths > 0:
+            found = survey(desk, what.views, what.levels, AFTER if last == AFTER[0] else (last, last))
+        expected = baking.spent.seconds / desk.studio.workers * found.unlit / max(ahead.texels, 1)
+    return summed_up(desk, ahead, found.quality, bakings)
+
+
+def stages_of(desk: Desk) -> tuple[float, ...]:
+    """Where in all of the work baking begins, is looked at, and ends, as shares of it.
+
+    What the views of an adaptive scene need of all texels is known once every second one is lit.
+    """
+    between = (HALF,) if desk.scene.adaptive else ()
+    return (BEFORE[1], *between, AFTER[0])
 
 
 def carry_out_dry(desk: Desk, what: Wanted) -> Summary:
@@ -102,12 +121,13 @@ def summary_of(desk: Desk, what: Wanted, found: Survey, ahead: Forecast, around:
     )
 
 
-def summed_up(desk: Desk, ahead: Summary, quality: Quality, baking: Baking) -> Summary:
+def summed_up(desk: Desk, ahead: Summary, quality: Quality, bakings: Sequence[Baking]) -> Summary:
     """What it came to, beside what was known ``ahead``."""
-    reasons, spent = list(baking.failures.items()), baking.spent
-    done = {"paths": spent.paths, "seconds": desk.seconds, "processor_seconds": spent.seconds}
-    stopped = "deadline" if baking.late else "failures" if reasons else "target"
-    size = stored_bytes(desk, baking.demands)
+    reasons = [each for baking in bakings for each in baking.failures.items()]
+    paths, seconds = (sum(getattr(baking.spent, name) for baking in bakings) for name in ("paths", "seconds"))
+    done = {"paths": paths, "seconds": desk.seconds, "processor_seconds": seconds}
+    stopped = "deadline" if bakings[-1].late else "failures" if reasons else "target"
+    size = stored_bytes(desk, {demand.index for baking in bakings for demand in baking.demands})
     facts = {**done, "stopped": stopped, "stored_bytes": size, "failed": len(reasons), "failures": failures_of(reasons)}
     return ahead.model_copy(update=facts | told(quality))
 
@@ -118,7 +138,7 @@ def told(quality: Quality) -> dict[str, Any]:
     return {"final": quality.final, "error": quality.worst, "errors": errors}
 
 
-def stored_bytes(desk: Desk, demands: Iterable[Demand]) -> int:
-    """Bytes that the chunks of the demands take in the store."""
+def stored_bytes(desk: Desk, indices: Iterable[Index]) -> int:
+    """Bytes that chunks take in the store."""
     layers = desk.renderer.caches.store("gi").layers
-    return sum(len(layer.read(demand.index) or b"") for demand in demands for layer in layers)
+    return sum(len(layer.read(index) or b"") for index in indices for layer in layers)

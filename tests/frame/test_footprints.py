@@ -53,7 +53,7 @@ def test_footprints_are_the_squares_of_the_shares() -> None:
     lattice, points = Lattice.of((9, 7, 5), (0.5, 1.0, 2.0)), RNG.uniform(0.0, 1.0, (200, 3)) * (8.0, 6.0, 4.0)
     points, corners = points.astype(np.float32), RNG.integers(0, 30, (200, 8)).astype(np.uint32)
     seen, twin = np.zeros(30), np.zeros(30)
-    add_footprints(lattice, points, corners, seen)
+    add_footprints(lattice, points, corners, np.zeros(len(points), np.bool_), seen)
     for corner, share in enumerate(shares(points.astype(np.float64), lattice)):
         twin += np.bincount(corners[:, corner], share**2, len(twin))
     np.testing.assert_allclose(seen, twin, rtol=1e-6)

@@ -5,12 +5,13 @@ from typing import Any
 
 import pytest
 
-from isogi_core.frame.kernels import FRAME, SHARING, frame_kernels
+from isogi_core.frame.kernels import ADAPTIVE, FRAME, PLAIN, SHARING, frame_kernels
+from isogi_core.kernels.chunks import touch_chunks
 from isogi_core.kernels.harmonics import rotate
 from isogi_core.kernels.lamps import project_lamps
-from isogi_core.kernels.lattice import carry_light
 from isogi_core.kernels.lobes import add_lobes, light_lobes
 from isogi_core.kernels.moves import judge_texels
+from isogi_core.kernels.wide import spread_light, spread_shares
 from isogi_core.model.scene import Scene, load_scene
 from tests.scale import COMPILED
 
@@ -20,6 +21,8 @@ TURNING = {"lights": [{"type": "sky"}]}
 SOFT = {"lights": [{"type": "sky"}], "lobes": 0}
 LAMP = {"lights": [{"type": "constant"}, {"type": "directional", "azimuth": 30.0, "elevation": 50.0}]}
 SHARP = {**LAMP, "sharpen": True}
+EVEN = {**CONSTANT, "adaptive": True}
+ADAPTING = {**SHARP, "adaptive": True}
 RENDER = """\
 import json, sys, tempfile
 from isogi_core.bake.recipe import Recipe
@@ -53,7 +56,8 @@ sys.exit(f"called but not listed: {called - listed}, listed but not called: {lis
 """
 
 
-NAMES = ["constant", "fixed", "turning", "soft", "lamp"]
+ALL = (CONSTANT, FIXED, TURNING, SOFT, LAMP, SHARP, EVEN, ADAPTING)
+NAMES = ("constant", "fixed", "turning", "soft", "lamp", "sharp", "even", "adapting")
 
 
 def scene_of(settings: dict[str, Any]) -> Scene:
@@ -61,7 +65,7 @@ def scene_of(settings: dict[str, Any]) -> Scene:
 
 
 @COMPILED
-@pytest.mark.parametrize("settings", [CONSTANT, FIXED, TURNING, SOFT, LAMP, SHARP], ids=[*NAMES, "sharp"])
+@pytest.mark.parametrize("settings", ALL, ids=NAMES)
 def test_the_kernels_of_a_frame_are_those_that_are_called(settings: dict[str, Any]) -> None:
     """In a process of its own, which has loaded no kernel yet."""
     command = [sys.executable, "-c", RENDER, json.dumps(settings)]
@@ -69,18 +73,19 @@ def test_the_kernels_of_a_frame_are_those_that_are_called(settings: dict[str, An
     assert done.stderr.splitlines()[-1] == "called but not listed: set(), listed but not called: set()", done.stderr
 
 
-def test_harmonics_are_for_lights_that_have_some_and_turn_and_for_lamps_lobes_and_texels_judged_to_be_sharp() -> None:
-    scenes = (CONSTANT, FIXED, TURNING, SOFT, LAMP, SHARP)
-    spared = [set(FRAME) - {*frame_kernels([scene_of(settings)])} for settings in scenes]
-    lobes, judge, plain = {light_lobes, add_lobes}, {judge_texels}, {carry_light}
+def test_harmonics_are_for_lights_that_have_some_and_turn_and_for_lamps_lobes_and_what_scenes_ask_for() -> None:
+    spared = [set(FRAME) - {*frame_kernels([scene_of(settings)])} for settings in ALL]
+    lobes, judge, plain = {light_lobes, add_lobes}, {judge_texels} | ADAPTIVE, PLAIN
     still = {rotate, project_lamps} | lobes | judge
     soft, lamp = {project_lamps} | lobes | judge, {rotate} | lobes | judge
     turning = {project_lamps} | judge | plain
-    expected = [still | SHARING, still | plain, turning, soft | plain, lamp | plain, (lamp | plain) - judge]
+    expected = [still | SHARING, still | plain, turning, soft | plain, lamp | plain, (lamp | plain) - {judge_texels}]
+    expected += [(still | SHARING | {touch_chunks}) - (ADAPTIVE - {spread_shares})]
+    expected += [(lamp | plain | {touch_chunks}) - {judge_texels} - (ADAPTIVE - {spread_light})]
     assert spared == expected
 
 
 def test_scenes_together_need_what_any_of_them_needs() -> None:
-    assert frame_kernels([scene_of(settings) for settings in (SHARP, TURNING, CONSTANT)]) == FRAME
+    assert frame_kernels([scene_of(settings) for settings in (SHARP, TURNING, CONSTANT, EVEN, ADAPTING)]) == FRAME
     assert rotate not in frame_kernels([scene_of(CONSTANT), scene_of(FIXED)])
     assert frame_kernels([]) == ()

@@ -81,7 +81,8 @@ def carry(points, grade, lit, normals=None, order=3, unit=1.0):
     planes = Planes(np.zeros((size, 3), np.float32), np.zeros(size, np.uint8), np.zeros(size, np.float32))
     pixels = np.arange(1, size, 3, dtype=np.uint32)
     normals = np.zeros_like(points) if normals is None else normals
-    carry_light(lattice(), points, pixels, corners, grade, lit, normals, sky, np.float32(unit), planes)
+    narrow = np.zeros(len(points), np.bool_)
+    carry_light(lattice(), points, pixels, corners, narrow, grade, lit, normals, sky, np.float32(unit), planes)
     assert not planes.state[::3].any() and not planes.radiance[2::3].any(), "other pixels are left alone"
     return tuple(plane[pixels] for plane in planes)
 

@@ -53,7 +53,8 @@ def carry(points, shares, normals, bare=BARE, unit=1.0):
     size, corners = 3 * len(points), view_of(points)[2]
     planes = Planes(np.zeros((size, 3), np.float32), np.zeros(size, np.uint8), np.zeros(size, np.float32))
     pixels = np.arange(1, size, 3, dtype=np.uint32)
-    carry_shares(lattice(), points, pixels, corners, shares, normals, bare, np.float32(unit), planes)
+    narrow = np.zeros(len(points), np.bool_)
+    carry_shares(lattice(), points, pixels, corners, narrow, shares, normals, bare, np.float32(unit), planes)
     assert not planes.state[::3].any() and not planes.radiance[2::3].any(), "other pixels are left alone"
     return tuple(plane[pixels] for plane in planes)
 
@@ -199,6 +200,6 @@ def test_a_point_does_not_depend_on_its_company():
     for m in range(0, len(points), 37):
         planes = Planes(np.zeros((1, 3), np.float32), np.zeros(1, np.uint8), np.zeros(1, np.float32))
         own = slice(m, m + 1)
-        place = points[own], np.zeros(1, np.uint32), corners[own]
+        place = points[own], np.zeros(1, np.uint32), corners[own], np.zeros(1, np.bool_)
         carry_shares(lattice(), *place, shares, normals[own], BARE, np.float32(1.0), planes)
         assert all(np.array_equal(one[0], all_of[m]) for one, all_of in zip(planes, whole, strict=True))

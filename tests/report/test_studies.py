@@ -107,9 +107,12 @@ def test_each_texel_converges_by_its_own_samples(under_sky: Bench) -> None:
 def test_a_finer_lattice_interpolates_better(under_sky: Bench) -> None:
     from isogi_core.report.lattices import COLUMNS, study
 
-    column = [column.name for column in COLUMNS].index("interpolation")
-    errors = [row[column] for row in study(under_sky).tables[0].rows]
-    assert errors[0] > errors[2]
+    names, rows = [column.name for column in COLUMNS], study(under_sky).tables[0].rows
+    half, adapting, whole, _, _ = rows
+    error, texels = names.index("interpolation"), names.index("texels of the view")
+    assert half[error] > whole[error]
+    assert half[texels] < adapting[texels]
+    assert [row[names.index("read")] for row in rows] == ["all of it", *["adaptive", "all of it"] * 2]
 
 
 def test_references_are_kept_in_the_folder(under_sky: Bench) -> None:
