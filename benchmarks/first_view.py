@@ -1,6 +1,6 @@
 """The first view of a scene, from the start of the server to final light, and again after a restart.
 
-    python -m benchmarks.first_view [SCENE.toml] [--size 512] [--workers 2] [--error 0.02] [--json]
+    python -m benchmarks.first_view [SCENE.toml] [--size 512] [--workers 2] [--error 0.02] [--adaptive] [--json]
 
 Starts `isogi serve` on an empty store, asks for one view until its estimated error is reached and
 until it is final, stops the server, starts it again and compares the picture byte for byte.
@@ -27,11 +27,12 @@ VIEW = {"azimuth": 40, "elevation": 30, "distance": 3, "fov": 30, "f": "npy"}
 @click.option("--workers", default=2, show_default=True, help="Worker processes.")
 @click.option("--error", default=0.02, show_default=True, help="Estimated error of the frame to wait for.")
 @click.option("--most", default=900.0, show_default=True, help="Seconds after which it stops waiting for final light.")
+@click.option("--adaptive", is_flag=True, help="Read every second texel where that will do; without a SCENE.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
-def main(target: str | None, size: int, workers: int, error: float, most: float, as_json: bool) -> None:
+def main(target: str | None, size: int, workers: int, error: float, most: float, adaptive: bool, as_json: bool) -> None:
     """Time a first view."""
     with tempfile.TemporaryDirectory() as folder:
-        scene = target or write_scene(Path(folder))
+        scene = target or write_scene(Path(folder), adaptive)
         knobs = {**VIEW, "width": size, "height": size}
         with serving(scene, f"{folder}/light", workers) as server:
             figures = {"ready after, s": server.ready_after, **watch(server.client, knobs, error, most)}
@@ -41,14 +42,14 @@ def main(target: str | None, size: int, workers: int, error: float, most: float,
     show(f"{scene}, {size} × {size}, {workers} workers", figures, as_json)
 
 
-def write_scene(folder: Path) -> str:
+def write_scene(folder: Path, adaptive: bool = False) -> str:
     """The engine block at 70 under grace as a scene file, or the casting where the data is not at hand."""
-    data = shared_data()
-    if data is None:
-        return "demo:casting"
-    light = f'[[lights]]\ntype = "probe"\nfile = "{data / GRACE}"\n'
-    scene = folder / "engine.toml"
-    scene.write_text(f'volume = "{data / ENGINE}"\nisovalue = 70\nbounces = 4\n{light}', encoding="utf-8")
+    data, scene = shared_data(), folder / "first.toml"
+    volume, light = 'volume = "demo:casting"', ""
+    if data is not None:
+        volume = f'volume = "{data / ENGINE}"\nisovalue = 70\nbounces = 4'
+        light = f'[[lights]]\ntype = "probe"\nfile = "{data / GRACE}"\n'
+    scene.write_text(f"{volume}\nadaptive = {str(adaptive).lower()}\n{light}", encoding="utf-8")
     return str(scene)
 
 

@@ -1,6 +1,6 @@
 """Frame times of all shadings side by side, cache warm, and what turning only the light costs.
 
-    python -m benchmarks.frames [TARGET] [--size 512] [--repeats 15] [--json]
+    python -m benchmarks.frames [TARGET] [--size 512] [--repeats 15] [--adaptive] [--json]
 
 Every camera is new to the renderer, so that each frame casts its primary rays; shadings are
 interleaved, and ratios are of medians (S1, table 2 has SH at 1.45 × Lambert and 0.75 × with shadow).
@@ -26,9 +26,11 @@ SHADINGS = ("gi", "lambert", "lambert_shadow", "lambert_fog", "phong", "phong_sh
 @click.command()
 @click.argument("target", required=False)
 @options(repeats=15)
-def main(target: str | None, size: int, repeats: int, as_json: bool) -> None:
+@click.option("--adaptive", is_flag=True, help="Read every second texel where that will do.")
+def main(target: str | None, size: int, repeats: int, adaptive: bool, as_json: bool) -> None:
     """Time frames."""
     scene = benchmark_scene(target)
+    scene = replace(scene, adaptive=adaptive or scene.adaptive)
     with tempfile.TemporaryDirectory() as store:
         renderer = make_renderer(scene, store)
         view = view_of(scene, size)

@@ -24,7 +24,7 @@ from isogi_core.report.growth import Goal, grow
 from isogi_core.report.metrics import Score, score
 from isogi_core.report.reference import Reference, load_reference, save_reference, trace_reference, with_bounces
 
-MEMORY = 256 << 20
+MEMORY = 1 << 30
 """Bytes of light that frames of one scene may hold."""
 
 FIRST, MOST = 64, 16384

@@ -57,16 +57,19 @@ def carry_out(desk: Desk, what: Wanted, begun: Callable[[Summary], None]) -> Sum
     begun(ahead)
     end = desk.deadline - min(found.seconds, desk.left / 2.0)
     bakings: list[Baking] = []
+    texels = 0
     for first, last in pairwise(stages_of(desk)):
         if bakings and (not found.demands or bakings[-1].late or bakings[-1].failures):
             break
         baking = Baking(desk, list(found.demands.values()), expected, (first, last), end)
         baking.run()
         bakings.append(baking)
+        texels += int(found.unlit)
         if baking.done > 0 or baking.spent.paths > 0:
             found = survey(desk, what.views, what.levels, AFTER if last == AFTER[0] else (last, last))
         expected = baking.spent.seconds / desk.studio.workers * found.unlit / max(ahead.texels, 1)
-    return summed_up(desk, ahead, found.quality, bakings)
+    counted = {"texels": texels, "bytes": texels * desk.scene.plan.bytes_per_texel}
+    return summed_up(desk, ahead.model_copy(update=counted), found.quality, bakings)
 
 
 def stages_of(desk: Desk) -> tuple[float, ...]:
@@ -127,8 +130,9 @@ def summed_up(desk: Desk, ahead: Summary, quality: Quality, bakings: Sequence[Ba
     paths, seconds = (sum(getattr(baking.spent, name) for baking in bakings) for name in ("paths", "seconds"))
     done = {"paths": paths, "seconds": desk.seconds, "processor_seconds": seconds}
     stopped = "deadline" if bakings[-1].late else "failures" if reasons else "target"
-    size = stored_bytes(desk, {demand.index for baking in bakings for demand in baking.demands})
-    facts = {**done, "stopped": stopped, "stored_bytes": size, "failed": len(reasons), "failures": failures_of(reasons)}
+    chunks = {demand.index for baking in bakings for demand in baking.demands}
+    size = {"chunks": len(chunks), "stored_bytes": stored_bytes(desk, chunks)}
+    facts = {**done, **size, "stopped": stopped, "failed": len(reasons), "failures": failures_of(reasons)}
     return ahead.model_copy(update=facts | told(quality))
 
 
