@@ -14,11 +14,14 @@ from typing import Any
 
 import click
 
-from benchmarks.interpolation import ENGINES, PROBES, bench_of
+from benchmarks.interpolation import ENGINES, PROBES
+from benchmarks.reports import scene_of
 from isogi_core.report.bench import Bench
 from isogi_core.report.converged import converged
 from isogi_core.report.metrics import Spread, mean_of, spread_of
 from isogi_core.report.points import lit_by_frame, own_light
+from server.measure import view_of
+from server.report.command import STAND
 
 SUBJECTS = (ENGINES[0], *PROBES)
 
@@ -45,16 +48,13 @@ def main(output: Path | None, size: int, wide: int, only: tuple[str, ...], ways:
         for subject in SUBJECTS:
             if only and not any(part in subject.name for part in only):
                 continue
-            begun, bench = time.monotonic(), bench_of(subject, size, output or Path(passing))
+            begun, scene = time.monotonic(), scene_of(subject, sharpen=True)
+            view = view_of(scene, size, camera=scene.camera(**STAND, fov=30.0))
+            bench = Bench(scene, view, (output or Path(passing)) / subject.folder)
             click.echo(HEAD.format(subject.name) + "\n| --- |" + " ---: |" * 5)
             for way in ways or WAYS:
-                click.echo(row_of(way, lattice(bench, way), wide))
+                click.echo(row_of(way, replace(bench, scene=replace(scene, **WAYS[way]), _made={}), wide))
             click.echo(f"{subject.name}: {time.monotonic() - begun:.0f} s", err=True)
-
-
-def lattice(bench: Bench, way: str) -> Bench:
-    """The bench of a scene like the bench's, that moves texels and is read in this ``way``."""
-    return replace(bench, scene=replace(bench.scene, sharpen=True, **WAYS[way]), _made={})
 
 
 def row_of(way: str, bench: Bench, wide: int) -> str:

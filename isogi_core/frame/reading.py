@@ -12,7 +12,6 @@ from isogi_core.cache.pages import PagePool
 from isogi_core.cache.rows import fewest_samples
 from isogi_core.frame.texels import Demand, ViewTexels
 from isogi_core.frame.tiles import Tiles
-from isogi_core.frame.wide import Cells
 from isogi_core.kernels.chunks import find_rows
 from isogi_core.kernels.lattice import BURIED, BURIED_ROW, PARTIAL, UNBAKED, UNLIT, VOID, VOID_ROW
 from isogi_core.kernels.planes import CONVERGING, FINAL, Planes
@@ -29,7 +28,8 @@ class Reading:
     UNBAKED, PARTIAL, CONVERGING, FINAL, BURIED or VOID. ``version`` tells how far each texel is baked: a
     texel's light follows from its numbers of samples; ``samples`` int32 are the fewest of any part, ``error``
     float32 is relative. Texels of chunk i are ``bounds[i]`` … ``bounds[i + 1]``; ``short`` (chunks,) says which chunks
-    are not final at the relative error ``target``. A view may want those alone that are ``asked`` (texels,) for.
+    are not final at the relative error ``target``. A view may want those texels alone that are ``asked`` (texels,) for,
+    and chunks are short of these then.
     """
 
     rows: np.ndarray
@@ -64,24 +64,33 @@ class Reading:
         """Which texels are read on the isosurface that is shown, and not on their own; (texels,) bool."""
         return np.zeros(len(self.rows), np.bool_)
 
+    @property
+    def settled(self) -> np.ndarray:
+        """Grades of what cells are judged by; (texels,) uint8."""
+        return self.grade
+
     def sources(self, pool: PagePool) -> tuple[tuple[np.ndarray, PagePool], ...]:
         """Rows of light, and the pools that they are of: all of them of the ``pool`` that was read."""
         return ((self.rows, pool),)
 
     def asking(self, asked: np.ndarray) -> "Reading":
-        """The same of a view that wants no more than the texels ``asked`` (texels,) for."""
-        return replace(self, asked=asked, short=in_chunks((self.grade < FINAL) & asked, self.bounds))
+        """The same of a view that wants no more than the texels ``asked`` (texels,) for.
+
+        What it reads follows from its target, too, which its version tells.
+        """
+        short, version = in_chunks((self.grade < FINAL) & asked, self.bounds), self.version + repr(self.target).encode()
+        return replace(self, asked=asked, short=short, version=version)
 
     @property
     def needed(self) -> int:
         """Chunks that the view wants something of."""
         return len(self.short) if self.asked is None else int(in_chunks(self.asked, self.bounds).sum())
 
-    def demands(self, texels: ViewTexels, cells: Cells, planes: Planes) -> tuple[Demand, ...]:
-        """What the view still wants, ``planes`` being its picture, and ``cells`` what that was read from."""
+    def demands(self, texels: ViewTexels, wide: np.ndarray, planes: Planes) -> tuple[Demand, ...]:
+        """What the view still wants, ``planes`` being its picture, of which ``wide`` (points,) ones were read wide."""
         if not self.short.any():
             return ()
-        weights = texels.weights(planes, cells).tolist()
+        weights = texels.weights(planes, wide).tolist()
         return tuple(self._demand(texels, i, weights[i]) for i in np.flatnonzero(self.short).tolist())
 
     def _demand(self, texels: ViewTexels, i: int, weight: float) -> Demand:

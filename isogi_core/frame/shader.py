@@ -163,17 +163,17 @@ class Shader:
         if shares_light(self.recipe.scene, self.view.shading):
             shares = self._shares(texels, reading, lit)
             self._carry_shares(cells, shares)
-            spread = partial(spread_shares, reading.grade, shares, self.turned.bare)
+            spread = partial(spread_shares, reading.settled, shares, self.turned.bare)
         else:
             self._carry_light(cells, reading, lit)
-            spread = partial(spread_light, reading.grade, lit)
+            spread = partial(spread_light, reading.settled, lit)
         if texels.wide is not None:
             reading = self._split(texels, texels.wide, cells, reading, spread)
         if self.look.lobes:
             self._add_lobes()
         needed, short = reading.needed, int(reading.short.sum())
-        lacks = partial(reading.demands, texels, cells, self.planes)
-        sharpness = Sharpness(texels, reading, cells, self.planes) if isinstance(reading, Sharpened) else None
+        lacks = partial(reading.demands, texels, cells.wide, self.planes)
+        sharpness = Sharpness(texels, reading, cells.wide, self.planes) if isinstance(reading, Sharpened) else None
         return Shaded(self.planes, needed, needed - short, lacks, reading.version, sharpness)
 
     def _split(
@@ -181,7 +181,7 @@ class Shader:
     ) -> Reading:
         """What the view wants where ``wide`` cells in which light has too much ``spread`` are to be read finer."""
         with self.watch.stage("cells"):
-            edge, mean = 2.0 * float(self.recipe.step.mean()), self.look.unoccluded / self.look.unit
+            edge, mean = 2.0 * float(self.recipe.step.mean()), self.turned.unoccluded / self.look.unit
             split = COARSENESS * edge * wide.spread(spread, self.tiles) > reading.target * mean
             picture = self.gbuffer.pixels, self.planes
             return reading.asking(wide.ask(texels.corners, cells, split, picture, self.tiles))

@@ -21,7 +21,6 @@ from isogi_core.errors import StoreError
 from isogi_core.frame.reading import Reading, in_chunks
 from isogi_core.frame.texels import Demand, ViewTexels
 from isogi_core.frame.tiles import Tiles
-from isogi_core.frame.wide import Cells
 from isogi_core.kernels.lattice import BURIED, UNLIT, VOID
 from isogi_core.kernels.moves import judge_texels
 from isogi_core.kernels.planes import CONVERGING, FINAL, Planes
@@ -99,6 +98,11 @@ class Sharpened(Reading):
         """Which texels are read on the isosurface that is shown."""
         return np.asarray(self.sharp_rows >= 0)
 
+    @property
+    def settled(self) -> np.ndarray:
+        """Grades of what cells are judged by: they do not wait for sharp light, which a prewarm never brings."""
+        return np.where(self.grade < FINAL, self.base.grade, self.grade)
+
     def sources(self, pool: PagePool) -> tuple[tuple[np.ndarray, PagePool], ...]:
         """Rows of light, and the pools that they are of, of which ``pool`` is the base's."""
         return (self.rows, pool), (self.sharp_rows, self.pool)
@@ -107,17 +111,18 @@ class Sharpened(Reading):
         """The same of a view that wants no more than the texels ``asked`` (texels,) for, of both."""
         base, wanted = self.base.asking(asked), self.wanted & asked
         short = base.short | in_chunks(wanted & (self.sharp.grade < FINAL), self.bounds)
-        return replace(self, asked=asked, short=short, base=base, wanted=wanted, unmoved=self.unmoved & asked)
+        unmoved = self.unmoved & asked
+        return replace(self, asked=asked, short=short, base=base, wanted=wanted, unmoved=unmoved)
 
-    def demands(self, texels: ViewTexels, cells: Cells, planes: Planes) -> tuple[Demand, ...]:
+    def demands(self, texels: ViewTexels, wide: np.ndarray, planes: Planes) -> tuple[Demand, ...]:
         """What the view still wants of texels on their own isosurfaces."""
-        return self.base.demands(texels, cells, planes)
+        return self.base.demands(texels, wide, planes)
 
-    def sharp_demands(self, texels: ViewTexels, cells: Cells, planes: Planes) -> tuple[Demand, ...]:
+    def sharp_demands(self, texels: ViewTexels, wide: np.ndarray, planes: Planes) -> tuple[Demand, ...]:
         """What it wants of sharp light: nothing until all other light is final."""
         if self.base.short.any() or not self.short.any():
             return ()
-        weights = texels.weights(planes, cells).tolist()
+        weights = texels.weights(planes, wide).tolist()
         return tuple(self._sharp_demand(texels, i, weights[i]) for i in np.flatnonzero(self.short).tolist())
 
     def _sharp_demand(self, texels: ViewTexels, i: int, weight: float) -> Demand:
@@ -176,17 +181,20 @@ def joined(base: Reading, sharp: Reading, ways: Ways, pool: PagePool) -> Sharpen
 
 @dataclass(frozen=True, eq=False)
 class Sharpness:
-    """How far a view is sharpened: its ``texels``, their ``reading``, and its picture's ``cells`` and ``planes``."""
+    """How far a view is sharpened: its ``texels``, their ``reading``, and the ``planes`` of its picture.
+
+    Of that ``wide`` (points,) points were read from wide cells.
+    """
 
     texels: ViewTexels
     reading: Sharpened
-    cells: Cells
+    wide: np.ndarray
     planes: Planes
 
     @cached_property
     def demands(self) -> tuple[Demand, ...]:
         """The sharp light that the view lacks; see ``Sharpened``."""
-        return self.reading.sharp_demands(self.texels, self.cells, self.planes)
+        return self.reading.sharp_demands(self.texels, self.wide, self.planes)
 
     @property
     def shares(self) -> dict[str, float]:
@@ -207,5 +215,5 @@ class Sharpness:
         """Which pixels read a texel that is to be sharp and cannot be; (h, w) bool."""
         gbuffer = self.texels.gbuffer
         shown = np.zeros(gbuffer.shape, np.bool_)
-        shown.flat[gbuffer.pixels] = self.reading.unmoved[self.cells.corners].any(axis=1)
+        shown.flat[gbuffer.pixels] = self.reading.unmoved[self.texels.read(self.wide)].any(axis=1)
         return shown

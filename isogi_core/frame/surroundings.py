@@ -68,6 +68,12 @@ class Turned:
         return np.array(self.seen.albedo)
 
     @property
+    def unoccluded(self) -> float:
+        """``Look.unoccluded`` at the view's albedo."""
+        own = float(LUMINANCE @ self.look.recipe.scene.needs.albedo)
+        return self.look.unoccluded * float(LUMINANCE @ self.albedo) / max(own, 1e-30)
+
+    @property
     def tint(self) -> np.ndarray:
         """How much more a surface of the view's albedo reflects than one of the look's own, (3,)."""
         return self.albedo / np.maximum(self.look.albedo, 1e-30) if self.seen is not self.look else np.ones(3)

@@ -95,8 +95,9 @@ class ViewTexels:
     def footprints(self) -> tuple[np.ndarray, ...]:
         """What each texel's variance counts in the sum of the pixels', chunk by chunk; (m,) float32 each.
 
-        It is the sum of the squares of a texel's shares in them, see ``add_footprints``. One that is hardly seen
-        counts as LEAST_SEEN of the mean, for it is to become final too.
+        It is the sum of the squares of a texel's shares in them, see ``add_footprints``; where there are wide cells, in
+        pictures that are read from these and in others alike. One that is hardly seen counts as LEAST_SEEN of the mean,
+        for it is to become final too.
         """
         seen = np.zeros(len(self.places))
         for cells in (self.narrow,) if self.wide is None else (self.narrow, self.wide.whole):
@@ -104,14 +105,20 @@ class ViewTexels:
         seen = np.maximum(seen, LEAST_SEEN * seen.mean()).astype(np.float32)
         return tuple(seen[a:b] for a, b in pairwise(self.bounds.tolist()))
 
-    def weights(self, planes: Planes, cells: Cells) -> np.ndarray:
+    def read(self, wide: np.ndarray) -> np.ndarray:
+        """The texels that points read where some were read ``wide`` (points,); (points, 8), as ``corners``."""
+        if self.wide is None:
+            return self.corners
+        return np.where(wide[:, None], self.wide.corners[self.wide.numbers], self.corners)
+
+    def weights(self, planes: Planes, wide: np.ndarray) -> np.ndarray:
         """The squared visible error that the pixels of a picture have left in each chunk, see ``weigh_chunks``.
 
-        They were read from ``cells``.
+        Some of them were read ``wide`` (points,).
         """
         weight = np.zeros(len(self.chunks))
         height, width = self.gbuffer.shape
-        weigh_chunks(self.lattice, cells.corners, self.places, self.gbuffer.pixels, width, height, planes, weight)
+        weigh_chunks(self.lattice, self.read(wide), self.places, self.gbuffer.pixels, width, height, planes, weight)
         return weight
 
 

@@ -152,12 +152,12 @@ def spread_light(grade, lit, around, spread):
 
 
 @kernel()
-def shown_about(around, n, shares, bare):
+def shown_about(around, n, grade, shares, bare):
     """Luminance of unshadowed light about the mean normal of the lit texels of wide cell ``n``."""
     x = y = z = NONE
     for c in range(8):
         t = around[n, c]
-        if shares[t, 7] == FINAL:
+        if grade[t] == FINAL:
             x, y, z = x + shares[t, 4], y + shares[t, 5], z + shares[t, 6]
     whole = max(np.float32(math.sqrt(x * x + y * y + z * z)), DARKEST)
     over = bare_light(bare, x / whole, y / whole, z / whole)
@@ -178,7 +178,7 @@ def spread_shares(grade, shares, bare, around, spread):
                 if grade[t] == FINAL and grade[u] == FINAL:
                     own = alike(shares, t, u)
                     total, weight = total + own * differ(shares, t, u), weight + own
-        found = deviation(total, weight) * shown_about(around, n, shares, bare)
+        found = deviation(total, weight) * shown_about(around, n, grade, shares, bare)
         spread[n] = found if least_grade(around, n, grade) == FINAL else NONE
 
 

@@ -38,8 +38,8 @@ FAR_BANDS = 8
 Under uffizi orders 6 and 8 err by 3.2 and 1.7 %, with 48 and 79 bytes of direct light.
 """
 
-PAYS = 0.6
-"""What share of the error they leave where FAR_BANDS pay, though they do not bring light within the target."""
+REACH = 0.02
+"""The error that FAR_BANDS pay for at any target below, so that a smaller one never takes fewer bands."""
 
 MOST_REFLECTED = 5
 """The order of reflected light where lobes, whose reflections stay in harmonics, left less to direct light, at most."""
@@ -123,14 +123,14 @@ def direct_order(needs: Needs, lobes: int) -> int:
     """The order of light that arrives unreflected, ``lobes`` beside: the least within its share of the target.
 
     Where MOST_BANDS are too few for that, the least up to FAR_BANDS that is within the target; else those, where they
-    pay, or MOST_BANDS.
+    bring it within REACH, or MOST_BANDS.
     """
     energy, target = needs.energy_beside(lobes), needs.target_error
     order, error = choose_order(energy, HARMONICS * target, "direct", MOST_BANDS)
     if error <= HARMONICS * target:
         return order
     further, left = choose_order(energy, target, "direct", FAR_BANDS)
-    return max(order, further) if left <= max(target, PAYS * error) else order
+    return max(order, further) if left <= max(target, REACH) else order
 
 
 def indirect_order(needs: Needs, direct: int, lobes: int, most: int) -> int:

@@ -112,8 +112,10 @@ class ViewBake(Bake):
         if target == NEVER or not self.renderer.recipe.scene.adaptive:
             super().grow(until, target, cancelled)
             return
-        while len(rows := self._lacking(self.frame(target=target))):
+        rows = self._lacking(self._shown(self.light, target))
+        while (self.light.samples[rows] < until).any():
             self.grow_some(rows, until, target, cancelled)
+            rows = self._lacking(self._shown(self.light, target))
 
     def _lacking(self, frame: Frame) -> np.ndarray:
         """The rows of what a frame demands, sharp light last; (m,)."""
@@ -131,13 +133,16 @@ class ViewBake(Bake):
         found = [shown.bounds[i] + np.searchsorted(shown.offsets[i], each.offsets) for i, each in pairs]
         return np.concatenate([np.empty(0, np.int64), *found])
 
-    def frame(self, light: Light | None = None, target: float = NEVER) -> Frame:
+    def frame(self, light: Light | None = None) -> Frame:
         """The view's frame with the bake's light, or with some ``light`` of the same texels.
 
-        It is final at the relative error ``target``. Raises StoreError where the memory for light cannot hold all of
-        it.
+        Raises StoreError where the memory for light cannot hold all of it.
         """
-        caches, light, own = self.renderer.caches, light or self.light, len(self.shown.places)
+        return self._shown(light or self.light, NEVER)
+
+    def _shown(self, light: Light, target: float) -> Frame:
+        """The same, final at the relative error ``target``."""
+        caches, own = self.renderer.caches, len(self.shown.places)
         caches.of(self.view.shading).pool.insert(self._chunks(light, np.arange(own), 0), self.shown.chunks)
         if len(self.steep):
             sharp = self._chunks(light, self.steep, own)

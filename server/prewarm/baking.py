@@ -48,12 +48,8 @@ class Baking:
         self._open: list[Errand] = []
         self._paths, self._changed = desk.studio.paths, time.monotonic()
         self._before = self._cost()
-
-    @property
-    def spent(self) -> Cost:
-        """The paths and the seconds of the processor that these chunks took meanwhile."""
-        now, before = self._cost(), self._before
-        return Cost(now.seconds - before.seconds, now.paths - before.paths)
+        self.spent = Cost()
+        """The paths and the seconds of the processor that these chunks took while it ran."""
 
     def run(self) -> None:
         """Bake until all is, or the time is over; nothing more is wanted then. Raises WorkersError, and Cancelled."""
@@ -66,6 +62,8 @@ class Baking:
             self._tell()
         finally:
             self._desk.studio.leave(self._desk.viewer)
+            now, before = self._cost(), self._before
+            self.spent = Cost(now.seconds - before.seconds, now.paths - before.paths)
 
     def _parts(self) -> Iterator[list[Demand]]:
         size = max(CHUNKS, 2 * self._desk.studio.workers)

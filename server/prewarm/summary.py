@@ -35,11 +35,11 @@ class Summary(BaseModel):
     """What a prewarm had to do, and what it did.
 
     ``chunks``, ``texels`` without light, ``refined`` texels with some and ``bytes`` before compression are what was
-    lacking at the start; ``stored_bytes`` is what these chunks take in the store. ``final`` is the share of the views'
-    surface that is final, or that of the texels of whole isosurfaces; ``error`` is the worst of ``errors``. ``paths``
-    and ``processor_seconds`` were spent on these chunks, ``seconds`` passed meanwhile; ``time_left`` is the time that
-    was told at the start. ``stopped`` says what ended it. A dry run tells ``stored_bytes`` and ``processor_seconds``
-    ahead.
+    lacking at the start, with what adaptive scenes asked for since; ``stored_bytes`` is what these chunks take in the
+    store. ``final`` is the share of the views' surface that is final, or that of the texels of whole isosurfaces;
+    ``error`` is the worst of ``errors``. ``paths`` and ``processor_seconds`` were spent on these chunks, ``seconds``
+    passed meanwhile; ``time_left`` is the time that was told at the start. ``stopped`` says what ended it. A dry run
+    tells ``stored_bytes`` and ``processor_seconds`` ahead.
     """
 
     scene: str

@@ -55,29 +55,33 @@ def carry_out(desk: Desk, what: Wanted, begun: Callable[[Summary], None]) -> Sum
         desk.check()
     ahead, expected = look_ahead(desk, what, found, TRIAL)
     begun(ahead)
-    end = desk.deadline - min(found.seconds, desk.left / 2.0)
+    stages = stages_of(desk, what)
+    end = desk.deadline - min((len(stages) - 1) * found.seconds, desk.left / 2.0)
     bakings: list[Baking] = []
     texels = 0
-    for first, last in pairwise(stages_of(desk)):
-        if bakings and (not found.demands or bakings[-1].late or bakings[-1].failures):
+    for span in pairwise(stages):
+        failed = {index for baking in bakings for index in baking.failures}
+        demands = [demand for index, demand in found.demands.items() if index not in failed]
+        if bakings and (not demands or bakings[-1].late):
             break
-        baking = Baking(desk, list(found.demands.values()), expected, (first, last), end)
+        baking = Baking(desk, demands, expected, span, end)
         baking.run()
         bakings.append(baking)
-        texels += int(found.unlit)
+        texels, before = texels + int(found.unlit), found.unlit + found.waiting
         if baking.done > 0 or baking.spent.paths > 0:
-            found = survey(desk, what.views, what.levels, AFTER if last == AFTER[0] else (last, last))
-        expected = baking.spent.seconds / desk.studio.workers * found.unlit / max(ahead.texels, 1)
+            found = survey(desk, what.views, what.levels, AFTER if span[1] == AFTER[0] else (span[1], span[1]))
+        expected = (found.unlit + found.waiting) / max(before, 1) * baking.spent.seconds / desk.studio.workers
     counted = {"texels": texels, "bytes": texels * desk.scene.plan.bytes_per_texel}
     return summed_up(desk, ahead.model_copy(update=counted), found.quality, bakings)
 
 
-def stages_of(desk: Desk) -> tuple[float, ...]:
+def stages_of(desk: Desk, what: Wanted) -> tuple[float, ...]:
     """Where in all of the work baking begins, is looked at, and ends, as shares of it.
 
-    What the views of an adaptive scene need of all texels is known once every second one is lit.
+    What views of an adaptive scene need of all texels is known once every second one is lit; of whole isosurfaces all
+    are baked.
     """
-    between = (HALF,) if desk.scene.adaptive else ()
+    between = (HALF,) if desk.scene.adaptive and len(what.views) else ()
     return (BEFORE[1], *between, AFTER[0])
 
 

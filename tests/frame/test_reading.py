@@ -57,14 +57,14 @@ def test_what_is_short_of_final_is_wanted_chunk_by_chunk(workbench: Callable[...
     before = reading_of(bench, view, Tiles(1))
     assert before.short.all() and not before.whole and (before.grade == UNBAKED).all()
     assert [unlit for unlit, _, _ in before.efforts] == np.diff(texels.bounds).tolist()
-    assert [demand.index for demand in before.demands(texels, texels.narrow, planes_of(view, 1.0))] == list(
+    assert [demand.index for demand in before.demands(texels, texels.narrow.wide, planes_of(view, 1.0))] == list(
         texels.chunks
     )
     bench.bake(view)
     after = reading_of(bench, view, Tiles(1))
     assert (
         not after.short.any()
-        and after.demands(texels, texels.narrow, planes_of(view, 0.0)) == ()
+        and after.demands(texels, texels.narrow.wide, planes_of(view, 0.0)) == ()
         and after.version != before.version
     )
     other = replace(view, width=40)
@@ -72,7 +72,7 @@ def test_what_is_short_of_final_is_wanted_chunk_by_chunk(workbench: Callable[...
     wider = bench.renderer.texels(other, bench.renderer.gbuffer(other))
     own = [some.grade[a:b] for a, b in zip(wider.bounds[:-1], wider.bounds[1:], strict=True)]
     assert some.short.tolist() == [bool((grade < FINAL).any()) for grade in own]
-    assert [demand.index for demand in some.demands(wider, wider.narrow, planes_of(other, 1.0))] == [
+    assert [demand.index for demand in some.demands(wider, wider.narrow.wide, planes_of(other, 1.0))] == [
         index for index, short in zip(wider.chunks, some.short, strict=True) if short
     ]
 

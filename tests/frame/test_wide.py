@@ -202,3 +202,40 @@ def test_vicinity_shading_is_adaptive_too(made: MakeBench) -> None:
     first = demanded(bench, bench.renderer.render(view))
     assert ((first % 2 == 0) | (first == np.array(bench.recipe.shape) - 1)).all()
     assert not bench.bake(view).provisional
+
+
+def split_share(bench: Workbench, view: View) -> float:
+    """The share of pixels that ask for more."""
+    return bench.renderer.render(view).coverage["converging"]
+
+
+def test_cells_are_judged_at_the_albedo_that_a_view_asks_for(
+    made: MakeBench, coarseness: Callable[[float], None]
+) -> None:
+    """With direct light alone it scales all light, and nothing relative to it."""
+    coarseness(0.5)
+    bench = made(SKY, bounces=0)
+    view = view_of(bench)
+    first_round(bench, view)
+    shares = [split_share(bench, replace(view, albedo=(albedo,) * 3)) for albedo in (0.9, 0.7, 0.35, 0.1)]
+    assert 0.0 < shares[0] < 1.0 and shares == pytest.approx([shares[0]] * 4, abs=0.01)
+
+
+def test_versions_tell_targets_apart_where_these_say_what_is_read(made: MakeBench) -> None:
+    bench = made()
+    view = view_of(bench)
+    bench.bake(view)
+    loose, strict = (bench.renderer.render(view, target).version for target in (LOOSE, LOOSE / 4))
+    assert loose != strict and loose == bench.again().renderer.render(view, LOOSE).version
+    other = plain(bench).renderer
+    assert other.render(view, LOOSE).version == other.render(view, LOOSE / 4).version
+
+
+def test_cells_do_not_wait_for_sharp_light_to_be_judged(made: MakeBench, coarseness: Callable[[float], None]) -> None:
+    coarseness(0.5)
+    bench = made(SKY, sharpen=True)
+    frame = bench.bake(view_of(bench))
+    assert frame.sharpness is not None and frame.sharpness.demands and frame.sharpness.shares["moved"] == 0.0
+    even = made(SKY)
+    assert lit_texels(bench, view_of(bench)) == lit_texels(even, view_of(even)) > 0
+    assert not even.renderer.render(view_of(even)).provisional, "of light on texels' own isosurfaces all is there"

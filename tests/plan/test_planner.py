@@ -178,6 +178,17 @@ def test_a_probe_that_turns_at_two_percent_takes_64_bytes_or_what_brings_it_ther
     assert all(layer.order >= 2 for layer in plan.layers), "reflected light turns too"
 
 
+@pytest.mark.data
+@pytest.mark.parametrize("name", ["uffizi_256x128", "wells_256x128", "pisa_256x128", "ennis_256x128"])
+def test_a_smaller_target_never_takes_fewer_bands(shared_data: Path, name: str) -> None:
+    """Beyond the target that 8 bands bring a light to, too."""
+    light = ProbeLight(shared_data / f"probe_{name}.hdr")
+    plans = [plan_of([light], target=target) for target in (0.02, 0.015, 0.01, 0.005)]
+    orders = [plan.layers[0].order for plan in plans]
+    assert orders == sorted(orders) and orders[-1] in (6, 8)
+    assert (orders[0] == 8) == (name[:6] in ("uffizi", "wells_"))
+
+
 @pytest.mark.parametrize("slope", [0.0, 1e-4, 0.001, 0.01, 0.1])
 def test_a_probe_that_is_even_enough_is_constant_light(tmp_path: Path, slope: float) -> None:
     needs = needs_of([probe(tmp_path, slope)])

@@ -111,7 +111,7 @@ def test_a_finer_lattice_interpolates_better(under_sky: Bench) -> None:
     half, adapting, whole, _, _ = rows
     error, texels = names.index("interpolation"), names.index("texels of the view")
     assert half[error] > whole[error]
-    assert half[texels] < adapting[texels]
+    assert half[texels] <= adapting[texels]
     assert [row[names.index("read")] for row in rows] == ["all of it", *["adaptive", "all of it"] * 2]
 
 

@@ -2,6 +2,7 @@
 
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -85,6 +86,41 @@ def test_what_was_prewarmed_is_final_and_takes_less(even: Path, tmp_path: Path) 
     assert provisional(load_scene(scene_file(tmp_path, False)), store) == [True, True]
     again = warmed(even, store)
     assert (again.paths, again.texels, again.final) == (0, 0, 1.0)
+
+
+def test_a_prewarm_of_a_scene_that_sharpens_bakes_all_light_but_the_sharp(even: Path, tmp_path: Path) -> None:
+    sharp = tmp_path / "sharp.toml"
+    sharp.write_text("sharpen = true\n" + even.read_text(encoding="utf-8"), encoding="utf-8")
+    store = tmp_path / "light"
+    dry = prewarm(str(sharp), ORDER, Settings(store=str(store), workers=1), dry=True)
+    summary = warmed(sharp, store)
+    assert summary.texels > dry.texels > 0 and summary.stopped == "target"
+    assert warmed(sharp, store).texels == 0, "though pixels wait for sharp light"
+
+
+class Cursed(InlinePool):
+    """A pool that cannot bake the first chunk that is asked for."""
+
+    cursed: Any = None
+
+    def submit(self, task: Any, done: Any) -> None:
+        self.cursed = self.cursed or task.index
+        if task.index == self.cursed:
+            done(None, RuntimeError("The texels are cursed."))
+        else:
+            super().submit(task, done)
+
+
+def test_a_chunk_that_fails_takes_nothing_from_the_others(
+    even: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = warmed(even, tmp_path / "whole")
+    monkeypatch.setattr(pool, "WorkerPool", Cursed)
+    summary = warmed(even, tmp_path / "light")
+    assert (summary.stopped, summary.failed) == ("failures", 1)
+    assert 0.3 < summary.final < 1.0
+    assert stored(tmp_path / "light") > 0.5 * stored(tmp_path / "whole")
+    assert summary.texels > whole.texels / 2
 
 
 def test_light_of_the_whole_lattice_serves_an_adaptive_scene(even: Path, tmp_path: Path) -> None:
