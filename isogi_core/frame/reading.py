@@ -65,9 +65,9 @@ class Reading:
         return np.zeros(len(self.rows), np.bool_)
 
     @property
-    def settled(self) -> np.ndarray:
-        """Grades of what cells are judged by; (texels,) uint8."""
-        return self.grade
+    def own(self) -> "Reading":
+        """What the texels hold that lie on their own isosurfaces."""
+        return self
 
     def sources(self, pool: PagePool) -> tuple[tuple[np.ndarray, PagePool], ...]:
         """Rows of light, and the pools that they are of: all of them of the ``pool`` that was read."""

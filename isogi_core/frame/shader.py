@@ -157,18 +157,18 @@ class Shader:
             with self.watch.stage("read"):
                 reading = stack.enter_context(self.sharpen(texels, self.read(texels, pool, held, target)))
             with self.watch.stage("light"):
-                lit = self._light_texels(reading.sources(pool))
+                lit = own = self._light_texels(reading.sources(pool))
+                if texels.wide is not None and reading.own is not reading:
+                    own = self._light_texels(reading.own.sources(pool))
         with self.watch.stage("cells"):
             cells = texels.cells(reading.grade, self.tiles)
-        if shares_light(self.recipe.scene, self.view.shading):
-            shares = self._shares(texels, reading, lit)
-            self._carry_shares(cells, shares)
-            spread = partial(spread_shares, reading.settled, shares, self.turned.bare)
-        else:
-            self._carry_light(cells, reading, lit)
-            spread = partial(spread_light, reading.settled, lit)
+        carried = self._carried(texels, reading, lit)
+        self._carry(cells, reading, carried)
         if texels.wide is not None:
-            reading = self._split(texels, texels.wide, cells, reading, spread)
+            carried = carried if own is lit else self._carried(texels, reading.own, own)
+            split = self._split(texels.wide, reading.own, carried)
+            picture = self.gbuffer.pixels, self.planes
+            reading = reading.asking(texels.wide.ask(texels.corners, cells, split, picture, self.tiles))
         if self.look.lobes:
             self._add_lobes()
         needed, short = reading.needed, int(reading.short.sum())
@@ -176,15 +176,33 @@ class Shader:
         sharpness = Sharpness(texels, reading, cells.wide, self.planes) if isinstance(reading, Sharpened) else None
         return Shaded(self.planes, needed, needed - short, lacks, reading.version, sharpness)
 
-    def _split(
-        self, texels: ViewTexels, wide: WideCells, cells: Cells, reading: Reading, spread: Callable[..., None]
-    ) -> Reading:
-        """What the view wants where ``wide`` cells in which light has too much ``spread`` are to be read finer."""
+    @cached_property
+    def _sharing(self) -> bool:
+        """Whether pixels blend shares of unshadowed light, and not light itself."""
+        return shares_light(self.recipe.scene, self.view.shading)
+
+    def _carried(self, texels: ViewTexels, reading: Reading, lit: np.ndarray) -> np.ndarray:
+        """What pixels blend of the texels' light ``lit`` (texels, 4): shares of it, or that itself."""
+        return self._shares(texels, reading, lit) if self._sharing else lit
+
+    def _carry(self, cells: Cells, reading: Reading, carried: np.ndarray) -> None:
+        """Bring what is ``carried`` to the picture."""
+        if self._sharing:
+            self._carry_shares(cells, carried)
+        else:
+            self._carry_light(cells, reading, carried)
+
+    def _split(self, wide: WideCells, own: Reading, carried: np.ndarray) -> np.ndarray:
+        """Which ``wide`` cells are to be read finer, by what texels on their ``own`` isosurfaces have; (cells,) bool.
+
+        So they are known before there is any sharp light, which prewarms never bring.
+        """
+        kernel = partial(spread_light, own.grade, carried)
+        if self._sharing:
+            kernel = partial(spread_shares, own.grade, carried, self.turned.bare)
         with self.watch.stage("cells"):
             edge, mean = 2.0 * float(self.recipe.step.mean()), self.turned.unoccluded / self.look.unit
-            split = COARSENESS * edge * wide.spread(spread, self.tiles) > reading.target * mean
-            picture = self.gbuffer.pixels, self.planes
-            return reading.asking(wide.ask(texels.corners, cells, split, picture, self.tiles))
+            return np.asarray(COARSENESS * edge * wide.spread(kernel, self.tiles) > own.target * mean)
 
     def _light_texels(self, sources: Sequence[tuple[np.ndarray, PagePool]]) -> np.ndarray:
         """Linear RGB and standard error of each texel's light in ``Look.unit``, (texels, 4); undefined where unlit.

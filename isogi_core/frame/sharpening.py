@@ -99,9 +99,9 @@ class Sharpened(Reading):
         return np.asarray(self.sharp_rows >= 0)
 
     @property
-    def settled(self) -> np.ndarray:
-        """Grades of what cells are judged by: they do not wait for sharp light, which a prewarm never brings."""
-        return np.where(self.grade < FINAL, self.base.grade, self.grade)
+    def own(self) -> Reading:
+        """What the texels hold that lie on their own isosurfaces, those that are read sharp among them."""
+        return self.base
 
     def sources(self, pool: PagePool) -> tuple[tuple[np.ndarray, PagePool], ...]:
         """Rows of light, and the pools that they are of, of which ``pool`` is the base's."""
