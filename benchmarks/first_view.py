@@ -1,6 +1,6 @@
 """The first view of a scene, from the start of the server to final light, and again after a restart.
 
-    python -m benchmarks.first_view [SCENE.toml] [--size 512] [--workers 2] [--error 0.02] [--adaptive] [--json]
+    python -m benchmarks.first_view [SCENE.toml] [--size 512] [--workers 2] [--error 0.02] [--adaptive] [--warm]
 
 Starts `isogi serve` on an empty store, asks for one view until its estimated error is reached and
 until it is final, stops the server, starts it again and compares the picture byte for byte.
@@ -28,13 +28,18 @@ VIEW = {"azimuth": 40, "elevation": 30, "distance": 3, "fov": 30, "f": "npy"}
 @click.option("--error", default=0.02, show_default=True, help="Estimated error of the frame to wait for.")
 @click.option("--most", default=900.0, show_default=True, help="Seconds after which it stops waiting for final light.")
 @click.option("--adaptive", is_flag=True, help="Read every second texel where that will do; without a SCENE.")
+@click.option("--warm", is_flag=True, help="Have the workers bake a small view from elsewhere before.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
-def main(target: str | None, size: int, workers: int, error: float, most: float, adaptive: bool, as_json: bool) -> None:
+def main(
+    target: str | None, size: int, workers: int, error: float, most: float, adaptive: bool, warm: bool, as_json: bool
+) -> None:
     """Time a first view."""
     with tempfile.TemporaryDirectory() as folder:
         scene = target or write_scene(Path(folder), adaptive)
         knobs = {**VIEW, "width": size, "height": size}
         with serving(scene, f"{folder}/light", workers) as server:
+            if warm:
+                frame(server.client, {**knobs, "azimuth": 220, "width": 32, "height": 32}, wait=60.0)
             figures = {"ready after, s": server.ready_after, **watch(server.client, knobs, error, most)}
             figures["chunk bytes"] = digest(Path(folder, "light"))
         with serving(scene, f"{folder}/light", workers) as server:
