@@ -39,7 +39,7 @@ def main(
         knobs = {**VIEW, "width": size, "height": size}
         with serving(scene, f"{folder}/light", workers) as server:
             if warm:
-                frame(server.client, {**knobs, "azimuth": 220, "width": 32, "height": 32}, wait=60.0)
+                frame(server.client, {**knobs, "azimuth": 220, "width": 32, "height": 32}, wait=10.0)
             figures = {"ready after, s": server.ready_after, **watch(server.client, knobs, error, most)}
             figures["chunk bytes"] = digest(Path(folder, "light"))
         with serving(scene, f"{folder}/light", workers) as server:
