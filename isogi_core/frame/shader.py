@@ -160,8 +160,7 @@ class Shader:
                 lit = own = self._light_texels(reading.sources(pool))
                 if texels.wide is not None and reading.own is not reading:
                     own = self._light_texels(reading.own.sources(pool))
-        with self.watch.stage("cells"):
-            cells = texels.cells(reading.grade, self.tiles)
+        cells = self._cells(texels, reading)
         carried = self._carried(texels, reading, lit)
         self._carry(cells, reading, carried)
         if texels.wide is not None:
@@ -175,6 +174,13 @@ class Shader:
         lacks = partial(reading.demands, texels, cells.wide, self.planes)
         sharpness = Sharpness(texels, reading, cells.wide, self.planes) if isinstance(reading, Sharpened) else None
         return Shaded(self.planes, needed, needed - short, lacks, reading.version, sharpness)
+
+    def _cells(self, texels: ViewTexels, reading: Reading) -> Cells:
+        """What points are read from."""
+        if texels.wide is None:
+            return texels.narrow
+        with self.watch.stage("cells"):
+            return texels.wide.cells(texels.corners, reading.grade, self.tiles)
 
     @cached_property
     def _sharing(self) -> bool:

@@ -81,10 +81,6 @@ class ViewTexels:
         """The cells of one texel that points lie in."""
         return Cells(self.corners, np.zeros(len(self.corners), np.bool_))
 
-    def cells(self, grade: np.ndarray, tiles: Tiles) -> Cells:
-        """The cells that points are read from, by the ``grade`` (texels,) of texels."""
-        return self.narrow if self.wide is None else self.wide.cells(self.corners, grade, tiles)
-
     @cached_property
     def offsets(self) -> tuple[np.ndarray, ...]:
         """Where in its chunk each texel is, chunk by chunk; (m,) int32 each."""

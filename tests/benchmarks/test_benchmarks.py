@@ -11,7 +11,6 @@ import pytest
 from click.testing import CliRunner
 
 from isogi_core.model.demo import demo_volume
-from isogi_core.report.sections import Column, Section, Table
 
 OPTIONAL = ("embreex", "skimage", "vtk", "mitsuba")
 SMALL = ("--size", "32", "--repeats", "1", "--json")
@@ -151,14 +150,3 @@ def test_time_left() -> None:
     assert done.exit_code == 0 and all(found[f"view {n}, seconds"] > 0.0 for n in (1, 2))
     assert all(0.0 < found[f"view {n}, estimated error"] <= 0.2 for n in (1, 2))
     assert all(0.0 <= found[f"view {n}, within the range"] <= 1.0 for n in (1, 2))
-
-
-def test_tables_of_bricks_are_told_as_markdown() -> None:
-    table = Table(
-        "Some", (Column("way"), Column("error", "share"), Column("texels", "count")), (("a", 0.0123, 12345.0),)
-    )
-    told = importlib.import_module("benchmarks.bricks").tables_of("it", Section("key", "title", "", (table,)))
-    assert told.split("\n") == [
-        *("## it", "", "Some:", ""),
-        *("| way | error, % | texels |", "| --- | ---: | ---: |", "| a | 1.23 | 12,345 |", ""),
-    ]

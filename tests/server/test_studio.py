@@ -24,7 +24,7 @@ from isogi_core.cache import folder
 from isogi_core.cache.place import Place
 from isogi_core.errors import Cancelled, StoreError
 from isogi_core.frame.frame import Frame
-from isogi_core.frame.kernels import FRAME, SHARING
+from isogi_core.frame.kernels import ADAPTIVE, FRAME, SHARING
 from isogi_core.kernels.bricks import Bricks
 from isogi_core.kernels.harmonics import rotate
 from isogi_core.kernels.lamps import project_lamps
@@ -501,7 +501,7 @@ def test_kernels_that_a_scene_never_calls_are_never_compiled(tmp_path: Path) -> 
         files = (tmp_path / "kernels").rglob("*.nbi")
         return {f"isogi_core.kernels.{path.name.split('-')[0]}" for path in files}, int(done.stdout)
 
-    every = {kernel.name for kernel in FRAME} - {project_lamps.name, judge_texels.name}
+    every = {kernel.name for kernel in {*FRAME} - ADAPTIVE - {project_lamps, judge_texels}}
     shares = {kernel.name for kernel in SHARING}
     assert start("constant")[0] == every - shares - {rotate.name, light_lobes.name, add_lobes.name}
     assert start("sky")[0] == every
