@@ -6,8 +6,9 @@ Needs the shared data.
 
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -34,30 +35,33 @@ SUBJECTS = (*ENGINES, HEAD, BRAIN, *PROBES)
 @click.option("--only", multiple=True, help="Part of a subject's name, such as 'engine under grace'; repeatable.")
 def main(output: Path | None, size: int, only: tuple[str, ...]) -> None:
     """Print a table in Markdown for each subject."""
-    tell(SUBJECTS, moved.study, table_of, output, size, only)
+    for subject, bench in benches(SUBJECTS, without_lobes, output, size, only):
+        click.echo(table_of(subject.name, moved.study(bench)))
 
 
-def tell(
+def benches(
     subjects: Sequence[Subject],
-    study: Callable[[Bench], Section],
-    told: Callable[[str, Section], str],
+    settings: Callable[[Subject], Mapping[str, Any]],
     output: Path | None,
     size: int,
     only: Sequence[str],
-) -> None:
-    """Print what a ``study`` finds of the subjects whose names have any part of ``only``, as it is ``told``."""
+) -> Iterator[tuple[Subject, Bench]]:
+    """Benches of the subjects whose names have any part of ``only``, as reports have them, with ``settings`` besides.
+
+    Says how long each was of use.
+    """
     with tempfile.TemporaryDirectory() as passing:
         for subject in subjects:
             if not only or any(part in subject.name for part in only):
-                begun = time.monotonic()
-                click.echo(told(subject.name, study(bench_of(subject, size, output or Path(passing)))))
+                begun, scene = time.monotonic(), scene_of(subject, **settings(subject))
+                view = view_of(scene, size, camera=scene.camera(**STAND, fov=30.0))
+                yield subject, Bench(scene, view, (output or Path(passing)) / subject.folder)
                 click.echo(f"{subject.name}: {time.monotonic() - begun:.0f} s", err=True)
 
 
-def bench_of(subject: Subject, size: int, folder: Path) -> Bench:
-    """The bench of a subject's view, as reports have it, but with no lobes beside: all light is carried by texels."""
-    scene = scene_of(subject, **({} if subject.light == "constant light" else {"lobes": 0}))
-    return Bench(scene, view_of(scene, size, camera=scene.camera(**STAND, fov=30.0)), folder / subject.folder)
+def without_lobes(subject: Subject) -> dict[str, int]:
+    """What scenes say so that all light is carried by texels."""
+    return {} if subject.light == "constant light" else {"lobes": 0}
 
 
 def table_of(name: str, section: Section) -> str:

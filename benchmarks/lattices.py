@@ -5,8 +5,6 @@ kept in FOLDER. Errors are of interpolation alone, of texels that have hardly an
 the same view in a wider picture, at the target error. Needs the shared data.
 """
 
-import tempfile
-import time
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -14,14 +12,11 @@ from typing import Any
 
 import click
 
-from benchmarks.interpolation import ENGINES, PROBES
-from benchmarks.reports import scene_of
+from benchmarks.interpolation import ENGINES, PROBES, benches
 from isogi_core.report.bench import Bench
 from isogi_core.report.converged import converged
 from isogi_core.report.metrics import Spread, mean_of, spread_of
 from isogi_core.report.points import lit_by_frame, own_light
-from server.measure import view_of
-from server.report.command import STAND
 
 SUBJECTS = (ENGINES[0], *PROBES)
 
@@ -44,17 +39,10 @@ HEAD = "| {} | RMSE, % | 99th percentile, % | texels | with moved ones | bake, s
 @click.option("--way", "ways", multiple=True, type=click.Choice(list(WAYS)), help="Lattices; all of them by default.")
 def main(output: Path | None, size: int, wide: int, only: tuple[str, ...], ways: tuple[str, ...]) -> None:
     """Print a table in Markdown for each subject; its texels are moved (``sharpen = true``)."""
-    with tempfile.TemporaryDirectory() as passing:
-        for subject in SUBJECTS:
-            if only and not any(part in subject.name for part in only):
-                continue
-            begun, scene = time.monotonic(), scene_of(subject, sharpen=True)
-            view = view_of(scene, size, camera=scene.camera(**STAND, fov=30.0))
-            bench = Bench(scene, view, (output or Path(passing)) / subject.folder)
-            click.echo(HEAD.format(subject.name) + "\n| --- |" + " ---: |" * 5)
-            for way in ways or WAYS:
-                click.echo(row_of(way, replace(bench, scene=replace(scene, **WAYS[way]), _made={}), wide))
-            click.echo(f"{subject.name}: {time.monotonic() - begun:.0f} s", err=True)
+    for subject, bench in benches(SUBJECTS, lambda _: {"sharpen": True}, output, size, only):
+        click.echo(HEAD.format(subject.name) + "\n| --- |" + " ---: |" * 5)
+        for way in ways or WAYS:
+            click.echo(row_of(way, replace(bench, scene=replace(bench.scene, **WAYS[way]), _made={}), wide))
 
 
 def row_of(way: str, bench: Bench, wide: int) -> str:

@@ -88,6 +88,12 @@ def ones(word):
     return count
 
 
+@kernel()
+def number_in(read, first, row, i):
+    """The view's own number of texel ``i`` of a ``row``, among those marked in ``read``: see ``find_corners``."""
+    return first[row] + ones(int(read[row]) & ((1 << i) - 1))
+
+
 @kernel(types.void(LATTICE, POINTS, SLOTS, WORDS, PLACES, CORNERS))
 def find_corners(lattice, points, slots, read, first, corners):
     """Fill ``corners`` (points, 8), x fastest, with the view's own numbers of the texels.
@@ -100,7 +106,7 @@ def find_corners(lattice, points, slots, read, first, corners):
         z, y, x, _, _, _ = base_texel(lattice, points, m)
         i = within(x, bits)
         for c, r in enumerate(rows_around(slots, bits, z, y, x)):
-            number = first[r] + ones(int(read[r]) & ((1 << i) - 1))
+            number = number_in(read, first, r, i)
             corners[m, 2 * c], corners[m, 2 * c + 1] = number, number + 1
         if i == (1 << bits) - 1:
             for c, r in enumerate(rows_around(slots, bits, z, y, x + 1)):

@@ -10,7 +10,7 @@ import numpy as np
 from numba import types
 
 from isogi_core.kernels._jit import kernel
-from isogi_core.kernels.chunks import PLACES, SLOTS, WORDS, ones, row_of, within
+from isogi_core.kernels.chunks import PLACES, SLOTS, WORDS, number_in, row_of, within
 from isogi_core.kernels.lattice import CORNERS, DARKEST, LATTICE, PIXELS, POINTS, UNBAKED, WIDE, beyond, wide_texel
 from isogi_core.kernels.planes import CONVERGING, FINAL, PLANES, luminance
 from isogi_core.kernels.shares import BARE, agree, bare_light
@@ -22,9 +22,8 @@ NONE, ONE, TWO = np.float32(0.0), np.float32(1.0), np.float32(2.0)
 
 @kernel()
 def number_of(slots, bits, read, first, z, y, x):
-    """The view's own number of the texel (z, y, x), which is marked in ``read``: see ``find_corners``."""
-    row = row_of(slots, bits, z, y, x)
-    return first[row] + ones(int(read[row]) & ((1 << within(x, bits)) - 1))
+    """The view's own number of the texel (z, y, x), which is marked in ``read``: see ``number_in``."""
+    return number_in(read, first, row_of(slots, bits, z, y, x), within(x, bits))
 
 
 @kernel()
@@ -129,8 +128,20 @@ def alike(shares, t, u):
 
 
 @kernel()
-def deviation(total, weight):
-    """The deviation of what differs by ``total`` over pairs of the ``weight``; inf where there are none."""
+def spread_at(around, n, grade, held, facing):
+    """How much what is ``held`` by the lit texels ``around`` wide cell ``n`` differs: see ``spread_light``.
+
+    By pairs, which count by their normals where these are ``facing`` one way or another, and else alike.
+    """
+    if least_grade(around, n, grade) < FINAL:
+        return NONE
+    total = weight = NONE
+    for c in range(8):
+        for d in range(c):
+            t, u = around[n, c], around[n, d]
+            if grade[t] == FINAL and grade[u] == FINAL:
+                own = alike(held, t, u) if facing else ONE
+                total, weight = total + own * differ(held, t, u), weight + own
     return math.sqrt(max(total, NONE) / (TWO * weight)) if weight > NONE else np.float32(math.inf)
 
 
@@ -142,13 +153,7 @@ def spread_light(grade, lit, around, spread):
     light, and 0 where one of the eight is not final as yet.
     """
     for n in range(around.shape[0]):
-        total = weight = NONE
-        for c in range(8):
-            for d in range(c):
-                t, u = around[n, c], around[n, d]
-                if grade[t] == FINAL and grade[u] == FINAL:
-                    total, weight = total + differ(lit, t, u), weight + ONE
-        spread[n] = deviation(total, weight) if least_grade(around, n, grade) == FINAL else NONE
+        spread[n] = spread_at(around, n, grade, lit, False)
 
 
 @kernel()
@@ -171,15 +176,7 @@ def spread_shares(grade, shares, bare, around, spread):
     Points hardly mix texels whose normals differ, and so pairs of these hardly count.
     """
     for n in range(around.shape[0]):
-        total = weight = NONE
-        for c in range(8):
-            for d in range(c):
-                t, u = around[n, c], around[n, d]
-                if grade[t] == FINAL and grade[u] == FINAL:
-                    own = alike(shares, t, u)
-                    total, weight = total + own * differ(shares, t, u), weight + own
-        found = deviation(total, weight) * shown_about(around, n, grade, shares, bare)
-        spread[n] = found if least_grade(around, n, grade) == FINAL else NONE
+        spread[n] = spread_at(around, n, grade, shares, True) * shown_about(around, n, grade, shares, bare)
 
 
 @kernel()
