@@ -1,6 +1,6 @@
 FROM python:3.12-slim
 WORKDIR /opt/isogi
-COPY requirements.lock pyproject.toml README.md ./
+COPY requirements.lock pyproject.toml README.md LICENSE ./
 RUN pip install --no-cache-dir --require-hashes -r requirements.lock
 COPY isogi_core isogi_core
 COPY worker worker

@@ -4,21 +4,29 @@ BIN := .venv/bin
 SCENE ?=
 ISOGI_SHARED_DATA ?= ../shared/data
 TESTS ?=
-SIZE ?= full
 
-.PHONY: install serve test test-bounds test-python check lock format pictures figures reports stability clean
+# Every process would compile all modules anew: a server with two workers starts three times as fast without it.
+unexport PYTHONDONTWRITEBYTECODE
+
+.PHONY: install serve test kernels test-bounds test-python check lock format pictures figures reports clean
 
 install: $(BIN)/.installed
 
 $(BIN)/.installed: requirements.lock pyproject.toml
 	$(PYTHON) -m venv .venv
-	$(BIN)/pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
+	$(BIN)/pip install --quiet --disable-pip-version-check --no-compile --require-hashes -r requirements.lock
 	$(BIN)/pip install --quiet --disable-pip-version-check --no-deps --editable .
 	touch $@
 
 $(BIN)/.tools: requirements-dev.lock $(BIN)/.installed
-	$(BIN)/pip install --quiet --disable-pip-version-check --require-hashes -r requirements-dev.lock
+	$(BIN)/pip install --quiet --disable-pip-version-check --no-compile --require-hashes -r requirements-dev.lock
 	touch $@
+
+# What checks the page's modules; where there is no npm, those checks are skipped.
+NODE_TOOLS := tests/web/node_modules/.installed
+
+$(NODE_TOOLS): tests/web/package.json tests/web/package-lock.json
+	if command -v npm >/dev/null; then cd tests/web && npm ci --silent && touch node_modules/.installed; fi
 
 serve: install
 	$(BIN)/isogi serve $(SCENE)
@@ -29,8 +37,13 @@ check: $(BIN)/.tools
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-test: check
-	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile
+# Kernels compile while the tools install and the checks run.
+test:
+	$(MAKE) --no-print-directory --jobs 3 check kernels $(NODE_TOOLS)
+	$(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder --durations 20
+
+kernels: $(BIN)/.installed
+	$(BIN)/python -m tests.compile_kernels
 
 # The tests of kernels with every index of an array checked (slow: all is compiled anew), and with Python in Numba's place.
 test-bounds: $(BIN)/.tools
@@ -39,29 +52,25 @@ test-bounds: $(BIN)/.tools
 test-python: $(BIN)/.tools
 	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest tests/kernels
 
-# Every picture in the README and in docs/ is made by this.
+# Every picture in the README and in docs/, but for those in docs/measurements, which the suites draw.
 pictures: $(BIN)/.tools
 	$(BIN)/isogi render demo:casting -o docs/casting.png --azimuth 35 --elevation 28 --distance 3 \
 	  --width 960 --height 600 --target-error 0.03
 	$(BIN)/isogi render docs/lamp.toml -o docs/lamp.png --azimuth 35 --elevation 28 --distance 3 \
 	  --width 960 --height 600 --target-error 0.03
-	for albedo in 0.3 0.6 0.9 0.9,0.5,0.2; do $(BIN)/isogi render docs/albedo.toml -o docs/accuracy/albedo-$$albedo.png \
-	  --albedo $$albedo --azimuth 35 --elevation 28 --distance 3 --width 480 --height 360 --target-error 0.03; done
+	for albedo in 0.3 0.9; do $(BIN)/isogi render docs/albedo.toml -o docs/albedo-$$albedo.png --albedo $$albedo \
+	  --azimuth 35 --elevation 28 --distance 3 --width 480 --height 360 --target-error 0.03; done
 	$(BIN)/isogi inspect $(ISOGI_SHARED_DATA)/engine_256x256x128_uint8.nhdr --picture docs/stiffness.png
-	$(BIN)/python -m benchmarks.page_pictures
+	$(BIN)/python -m benchmarks.service page
 
-# The figures that the README and the notes state.
+# The figures that the README and the notes state, into docs/measurements.
 figures: $(BIN)/.tools
-	$(BIN)/python -m benchmarks.frames
-	$(BIN)/python -m benchmarks.first_view
+	$(BIN)/python -m benchmarks.speed frames --write
+	$(BIN)/python -m benchmarks.speed first-view --write
 
-# docs/error.md, from reports of the shared volumes; goes on where it was stopped.
+# docs/measurements/accuracy-reports.md, from reports of the shared volumes; goes on where it was stopped.
 reports: $(BIN)/.tools
-	$(BIN)/python -m benchmarks.reports -o reports
-
-# docs/stability.md and its picture; SIZE=slow before a release.
-stability: $(BIN)/.tools
-	$(BIN)/python -m benchmarks.stability --size $(SIZE)
+	$(BIN)/python -m benchmarks.accuracy reports -o reports --write
 
 lock: $(BIN)/.tools
 	$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-emit-index-url --python-version 3.11 \
@@ -74,4 +83,4 @@ format: $(BIN)/.tools
 	$(BIN)/ruff format .
 
 clean:
-	rm -rf .venv test-results .pytest_cache .mypy_cache .ruff_cache .import_linter_cache
+	rm -rf .venv tests/web/node_modules test-results .pytest_cache .mypy_cache .ruff_cache .import_linter_cache

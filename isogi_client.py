@@ -43,7 +43,7 @@ AWAY = (httpx.NetworkError, httpx.RemoteProtocolError)
 """What a server that is gone makes of a request."""
 
 LOOK = 1.0
-"""Seconds between two looks at a job."""
+"""Seconds between two requests for a job's state."""
 
 BLOCK = 1 << 20
 """Bytes that are read from a file at a time."""
@@ -145,7 +145,7 @@ class Facts:
 
     @classmethod
     def of_document(cls, document: Mapping[str, Any]) -> Self:
-        """The facts in what the server tells of a view's coverage."""
+        """The facts in the server's document of a view's coverage."""
         left = document["time_left"]
         names = ("provisional", "coverage", "error", "chunks")
         return cls(**{name: document[name] for name in names}, time_left=TimeLeft(**left) if left else None)
@@ -168,7 +168,7 @@ class Planes(NamedTuple):
     """A frame as numbers, for each pixel; row 0 is the top.
 
     ``rgb`` (h, w, 3) is linear radiance, ``mask`` (h, w) where the surface is, ``state`` (h, w) is 0 none, 1
-    provisional, 2 converging, 3 final, 4 final by a texel that cannot be sharpened, ``error`` (h, w) the relative
+    provisional, 2 converging, 3 final, 4 final by a texel that cannot be projected, ``error`` (h, w) the relative
     standard error, ``position`` (h, w, 3) the surface's in world coordinates.
     """
 
@@ -223,9 +223,9 @@ class Frame:
 
 @dataclass(frozen=True)
 class Event:
-    """News of a view: its ``kind`` is refined, progress, final or failed, and ``data`` what the server tells of it.
+    """An event of a view: its ``kind`` is refined, progress, final or failed, and ``data`` its document.
 
-    ``id`` names the light that it tells of.
+    ``id`` names the light of the frame.
     """
 
     kind: str
@@ -234,7 +234,7 @@ class Event:
 
     @property
     def facts(self) -> Facts | None:
-        """How good the view is now; None in progress, which tells the chunks ``waiting`` and the ``time_left``."""
+        """How good the view is now; None for progress, which has the chunks ``waiting`` and the ``time_left``."""
         return None if self.kind == "progress" else Facts.of_document(self.data)
 
 
@@ -252,7 +252,7 @@ class Progress:
 
     @classmethod
     def of_document(cls, document: Mapping[str, Any]) -> Self:
-        """What the server tells of a job."""
+        """The server's document of a job."""
         left = document["time_left"]
         names = ("status", "message", "progress")
         return cls(**{name: document[name] for name in names}, time_left=TimeLeft(**left) if left else None)
@@ -272,7 +272,7 @@ class Job:
 
     @property
     def address(self) -> str:
-        """Where the server tells of it."""
+        """The address of the job."""
         return str(self._isogi._client.base_url.join(self._path))
 
     def progress(self) -> Progress:
@@ -405,7 +405,7 @@ class Isogi:
         return frame
 
     def watch(self, scene: str, **view: Values) -> Iterator[Event]:
-        """How a view becomes final, event by event; its light is baked while somebody listens.
+        """How a view becomes final, event by event; its light is baked while a client listens.
 
         Ends with the event ``final`` or ``failed``, and goes on where it was when the connection breaks.
 
@@ -415,7 +415,7 @@ class Isogi:
         return self._events(scene_path(scene), query(view))
 
     def prewarm(self, scene: str, *, dry_run: bool = False, **order: Any) -> Job:
-        """Have light baked ahead; the job that does it. ``dry_run``: have it told how much that is, and how long.
+        """Bake light ahead; the job that does it. ``dry_run``: forecast how much that is, and how long it takes.
 
         ``order`` are the fields of the HTTP interface: isovalues, views, directions, orbits, all_directions,
         target_error, deadline, width, height, … The same order once more is the same job until that has ended.
@@ -450,14 +450,19 @@ class Isogi:
     def _waited(
         self, path: str, asked: dict[str, str], seconds: float, progress: Callable[[Facts], object] | None
     ) -> Frame:
-        """The frame once it is final, or after so many seconds of waiting for that."""
+        """The frame once it is final, or after so many seconds of waiting for that.
+
+        A frame whose chunks are all final is not waited for: a path-traced one is as good as its samples.
+        """
         deadline = time.monotonic() + seconds
         while True:
             left = min(max(deadline - time.monotonic(), 0.0), self._wait)
             frame = self._frame(path, {**asked, "wait_ms": f"{1000 * left:.0f}"})
             if progress is not None:
                 progress(frame.facts)
-            if not frame.facts.provisional or time.monotonic() >= deadline:
+            chunks = frame.facts.chunks
+            complete = not frame.facts.provisional or chunks["final"] == chunks["needed"]
+            if complete or time.monotonic() >= deadline:
                 return frame
 
     def _final(self, path: str, asked: dict[str, str], progress: Callable[[Facts], object] | None) -> Frame:
@@ -588,7 +593,7 @@ def kind_of(status: int) -> type[IsogiError]:
 
 @contextmanager
 def translated() -> Iterator[None]:
-    """Around a request: that nobody answers is an IsogiError too."""
+    """Around a request: no answer is an IsogiError too."""
     try:
         yield
     except httpx.HTTPError as error:

@@ -1,1 +1,1 @@
-"""Side-by-side runs that print ratios from one run. Absolute times mean little on a shared machine."""
+"""Measurements in four suites: ``python -m benchmarks.speed``, ``accuracy``, ``service`` and ``scaling``."""

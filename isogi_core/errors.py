@@ -37,7 +37,7 @@ class StoreReadOnlyError(StoreAwayError):
     """The store can only be read."""
 
 
-class PlaceError(StoreError):
+class StoreUrlError(StoreError):
     """The name of a store holds what is secret."""
 
 

@@ -1,6 +1,6 @@
 """``python -m server`` is the ``isogi`` command."""
 
-from server.cli import main
+from server.cli.command import main
 
 if __name__ == "__main__":
     main()

@@ -67,5 +67,5 @@ class FullError(IsogiError):
     """An upload is more than the quota, or the disk, has room for."""
 
 
-class ShelfError(IsogiError):
+class UploadFolderError(IsogiError):
     """The folder of uploads cannot be used."""

@@ -21,9 +21,9 @@ def request_id(given: str | None) -> str:
 
 
 class WithRequest(logging.Filter):
-    """Gives each record the id of the request that is worked on; drops what others than isogi say to nobody's use.
+    """Gives each record the id of the request that is worked on; drops most of what other libraries log.
 
-    What becomes of workers and their tasks isogi tells itself; Dask tells each stop of a busy worker as a trouble.
+    isogi logs itself what becomes of workers and their tasks; Dask warns of each stop of a busy worker.
     """
 
     def filter(self, record: logging.LogRecord) -> bool:

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import io
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
 import numpy as np
 from PIL import Image
 
+from isogi_core.frame.film import develop
+from isogi_core.frame.frame import Frame
 from server.errors import NotAcceptableError, ParameterError
-from server.params import FORMATS, FrameParams
-
-if TYPE_CHECKING:
-    from isogi_core.frame.frame import Frame
+from server.parameters import FORMATS, FrameParams
 
 MEDIA_TYPES = {"png": "image/png", "jpeg": "image/jpeg", "webp": "image/webp", "npy": "application/x-npy"}
 SUFFIXES = {".png": "png", ".jpg": "jpeg", ".jpeg": "jpeg", ".webp": "webp", ".npy": "npy"}
@@ -80,7 +78,6 @@ def quality(media_type: str, ranges: dict[str, float]) -> float:
 
 def encode(frame: Frame, form: str, exposure: float, overlay: str = "none") -> bytes:
     """The frame's bytes; ``exposure`` and ``overlay`` are read by the 8-bit formats alone."""
-    from isogi_core.frame.film import develop  # noqa: PLC0415 (kernels: not before the socket is open)
 
     if form != "npy":
         return compress(develop(frame, exposure, overlay), form)
@@ -124,6 +121,6 @@ def planes(frame: Frame, first: int, last: int) -> np.ndarray:
     Linear RGB, hit mask, state, relative error, hit position x, y, z.
     """
     rows = slice(first, last)
-    state, error = frame.told[rows, :, None], frame.error[rows, :, None]
+    state, error = frame.reported_state[rows, :, None], frame.error[rows, :, None]
     parts = (frame.radiance[rows], state > 0, state, error, frame.gbuffer.positions(first, last))
     return np.concatenate(parts, axis=-1, dtype="<f4", casting="unsafe")

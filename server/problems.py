@@ -27,7 +27,6 @@ from server.errors import (
     LateError,
     NotAcceptableError,
     ParameterError,
-    ShelfError,
     SlowUploadError,
     StartingError,
     StreamError,
@@ -35,6 +34,7 @@ from server.errors import (
     UnknownResultError,
     UnknownSceneError,
     UnknownVolumeError,
+    UploadFolderError,
     UploadsOffError,
 )
 from server.logs import REQUEST_ID
@@ -59,7 +59,7 @@ STATUS: Mapping[type[Exception], int] = {
     StartingError: 503,
     StoreError: 503,
     WorkersError: 503,
-    ShelfError: 503,
+    UploadFolderError: 503,
     LateError: 503,
     Cancelled: 503,
     FullError: 507,

@@ -1,33 +1,123 @@
-"""Progress of long work on the terminal: how much is done, and how long the rest takes."""
+"""Progress of long work on the terminal: bars that show the time left, and scenes opened with one."""
 
-from __future__ import annotations
-
-from collections.abc import Callable, Iterator
+import os
+import threading
+import time
+from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any, Self
 
 from tqdm import tqdm
 
-from server.durations import span
+from isogi_core.files.scene_file import find_source
+from isogi_core.plan.assembly import build_scene
+from isogi_core.plan.scene import Scene
+from server.settings import Settings
+from server.values import span
+from worker.progress import TimeLeft
 
-if TYPE_CHECKING:
-    from worker.outlook import TimeLeft
+ITEMS = "{desc}: {percentage:3.0f}%|{bar}| {n_fmt}/{total_fmt} {unit}s, {elapsed}{postfix}"
+WEIGHTS = "{desc}: {percentage:3.0f} %|{bar}| {elapsed}{postfix}"
 
-FORMAT = "{desc}: {percentage:3.0f}%|{bar}| {n_fmt}/{total_fmt} {unit}s, {elapsed}{postfix}"
-
-COUNTED = "{desc}: {percentage:3.0f}%|{bar}| {n_fmt}/{total_fmt} {unit}s, {elapsed}, {remaining} left"
-
-
-def progress_bar(what: str, unit: str, total: int = 0) -> Any:
-    """A bar on stderr, which tells the time left as it is told to; see ``show``."""
-    return tqdm(desc=what, unit=unit, total=total, bar_format=FORMAT)
+TICK = 1.0
+"""Seconds between two drawings of a bar whose clock runs while a piece of work is done."""
 
 
-def show(bar: Any, done: int, total: int, left: TimeLeft | None) -> None:
-    """Put on the bar how much is done, and the time that is left."""
-    bar.total, bar.n = total, done
-    bar.set_postfix_str("" if left is None else left_text(left), refresh=False)
-    bar.refresh()
+class Progress:
+    """A bar on stderr, drawn with the first progress; it begins anew with each new name. Close it by ``with``."""
+
+    def __init__(self, what: str = "", unit: str = "step") -> None:
+        """Draw nothing yet: ``what`` is done, counted in ``unit``s."""
+        self._what, self._unit = what, unit
+        self._begun = time.monotonic()
+        self._bar: Any = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._bar is not None:
+            self._bar.close()
+            self._bar = None
+
+    def name(self, what: str, unit: str) -> None:
+        """From now on ``what`` is done: a new bar, where that is another than before."""
+        if what != self._what:
+            self.__exit__()
+            self._what, self._unit, self._begun = what, unit, time.monotonic()
+
+    def show(self, done: int, total: int, left: TimeLeft | None = None, note: str = "") -> None:
+        """Draw how much is done, a note, and the time that is left."""
+        self._draw(done, total, " ".join(filter(None, (note, "" if left is None else left_text(left)))))
+
+    def count(self, done: int, total: int) -> None:
+        """Draw how much is done, and the time left at the mean pace so far."""
+        left = (time.monotonic() - self._begun) * (total - done) / max(done, 1)
+        self._draw(done, total, f"about {span(left, digits=2)} left")
+
+    def _draw(self, done: int, total: int, postfix: str) -> None:
+        if self._bar is None:
+            self._bar = tqdm(desc=self._what, unit=self._unit, total=total, bar_format=ITEMS)
+        self._bar.total, self._bar.n = total, done
+        self._bar.set_postfix_str(postfix, refresh=False)
+        self._bar.refresh()
+
+
+class Pieces:
+    """The bar of work in pieces of known weight: ``total``, some of it done ``before``, within ``limit`` seconds."""
+
+    def __init__(self, what: str, total: float, before: float, limit: float) -> None:
+        """Draw the bar."""
+        self.end = time.monotonic() + limit
+        self.rest, self.done, self.taken, self.begun = total - before, 0.0, 0.0, time.monotonic()
+        self._bar = tqdm(desc=what, total=total, initial=before, bar_format=WEIGHTS)
+
+    @property
+    def left(self) -> float:
+        """Seconds that the rest takes at the pace so far, the time to the limit at most; infinite where unknown."""
+        now = time.monotonic()
+        pace = self.taken / self.done if self.done else float("inf")
+        rest = max(self.rest * pace - (now - self.begun), 0.0) if self.rest else 0.0
+        return min(rest, max(self.end - now, 0.0))
+
+    def begin(self, name: str) -> None:
+        """Begin a piece of the work."""
+        self.begun = time.monotonic()
+        self._bar.set_description_str(name)
+
+    def finish(self, weight: float) -> None:
+        """End the piece, which was so much of the ``weight``."""
+        now = time.monotonic()
+        self.rest -= weight
+        self.done += weight
+        self.taken += now - self.begun
+        self.begun = now
+        self._bar.update(weight)
+
+    def show(self) -> None:
+        """Draw the bar with the time that is left now."""
+        left = self.left
+        self._bar.set_postfix_str(f"{tqdm.format_interval(left)} left" if left < float("inf") else "")
+
+    @contextmanager
+    def ticking(self) -> Iterator[Self]:
+        """Draw the bar every TICK seconds while work is done, and close it in the end."""
+        ended = threading.Event()
+
+        def tick() -> None:
+            while not ended.wait(TICK):
+                self.show()
+
+        thread = threading.Thread(target=tick, name="progress", daemon=True)
+        thread.start()
+        try:
+            yield self
+        finally:
+            ended.set()
+            thread.join()
+            self.show()
+            self._bar.close()
 
 
 def left_text(left: TimeLeft) -> str:
@@ -36,13 +126,20 @@ def left_text(left: TimeLeft) -> str:
     return f"about {likely} left ({low} to {high})"
 
 
-@contextmanager
-def counting(what: str, unit: str) -> Iterator[Callable[[int, int], None]]:
-    """A bar on stderr for work whose items take about as long each: is told how many are done, and of how many."""
-    with tqdm(desc=what, unit=unit, total=0, bar_format=COUNTED) as bar:
+def open_scene(target: str | Path | None, settings: Settings | None = None, **overrides: Any) -> Scene:
+    """The scene at ``target``, as ``load_scene`` has it, its volume kept as the ``settings`` say.
 
-        def tell(done: int, total: int) -> None:
-            bar.total = total
-            bar.update(done - bar.n)
+    Raises SceneError, VolumeError or LightError.
+    """
+    if settings is not None:
+        pass_to_core(settings)
+    with Progress("reading the volume") as bar:
+        return build_scene(find_source(target, overrides), bar.count)
 
-        yield tell
+
+def pass_to_core(settings: Settings) -> None:
+    """Have this process, and those that it starts, keep volumes as the settings say: by way of the environment."""
+    os.environ["ISOGI_VOLUME_MB"] = str(settings.volume_mb)
+    os.environ["ISOGI_VOLUME_CACHE_MB"] = str(settings.volume_cache_mb)
+    if settings.volume_cache is not None:
+        os.environ["ISOGI_VOLUME_CACHE"] = settings.volume_cache

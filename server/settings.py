@@ -5,7 +5,7 @@ from ipaddress import ip_address
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, SecretStr, field_validator
+from pydantic import Field, SecretStr, field_validator, model_validator
 from pydantic_settings import (
     BaseSettings,
     NoDecode,
@@ -17,6 +17,10 @@ from pydantic_settings import (
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 Names = Annotated[tuple[str, ...], NoDecode]
 """Names in a list, or with commas between them."""
+
+
+FORMER = {"sharp_mb": "projected_mb"}
+"""Former names of settings, each with the name that it has now."""
 
 
 def cores() -> int:
@@ -38,12 +42,12 @@ class Settings(BaseSettings):
     store_cache_mb: int = Field(
         1024, ge=0, le=1 << 20, description="Megabytes of an object store's chunks that this machine's disk keeps."
     )
-    sharp_mb: int = Field(
+    projected_mb: int = Field(
         4096,
         ge=0,
         le=1 << 30,
-        description="Megabytes of light on single isosurfaces (sharpen = true) that the store keeps; what was unused"
-        " longest goes when another isovalue is shown.",
+        description="Megabytes of surface-projected texels that the store keeps; what was unused longest goes when"
+        " another isovalue is shown.",
     )
     memory_mb: int = Field(
         1024, ge=1, le=1 << 20, description="Megabytes of light, views and maps that a scene keeps in memory."
@@ -83,7 +87,7 @@ class Settings(BaseSettings):
     max_paths: int = Field(2**26, ge=1, description="Most paths (pixels × samples) in one path-traced picture.")
     max_body_bytes: int = Field(64 * 1024, ge=0, description="Most bytes in the body of a request; beyond that: 413.")
     uploads_mb: int = Field(
-        0, ge=0, le=1 << 20, description="Megabytes that uploaded volumes may take in all; 0: nobody may upload."
+        0, ge=0, le=1 << 20, description="Megabytes that uploaded volumes may take in all; 0: no uploads."
     )
     uploads: str | None = Field(None, description="Folder of uploaded volumes; default: in the user's data folder.")
     max_upload_mb: int = Field(
@@ -137,6 +141,14 @@ class Settings(BaseSettings):
                 raise ValueError(f"{name} is no origin: write it as https://lab.example or http://localhost:8888")
         return tuple(name.lower() for name in value)
 
+    @model_validator(mode="before")
+    @classmethod
+    def renamed(cls, given: Any) -> Any:
+        """What is given, where no name in it is a former one."""
+        for former in FORMER.keys() & dict(given):
+            raise ValueError(f"{former} is called {FORMER[former]} now: rename it")
+        return given
+
     @classmethod
     def settings_customise_sources(
         cls, settings_cls: type[BaseSettings], init_settings: PydanticBaseSettingsSource, *_: Any, **others: Any
@@ -162,8 +174,12 @@ class Settings(BaseSettings):
 def read_settings(config: Path | None = None, **given: Any) -> Settings:
     """The settings: those ``given``, then the environment's, then those in the file ``config``.
 
-    Raises pydantic's ValidationError, and ValueError where the file is no TOML; OSError where it cannot be read.
+    Raises pydantic's ValidationError, and ValueError where the file is no TOML, or a former name is given; OSError
+    where the file cannot be read.
     """
+    for former, name in FORMER.items():
+        if former in given or f"ISOGI_{former.upper()}" in os.environ:
+            raise ValueError(f"{former} is called {name} now: rename it")
     if config is None:
         return Settings(**given)
     with config.open("rb"):  # a file that is not there would count as empty

@@ -13,7 +13,7 @@ from fastapi import FastAPI
 @contextmanager
 def live(app: FastAPI, until: str = "/readyz", port: int = 0) -> Iterator[str]:
     """The base URL of the app, once it answers 200 at ``until``; its ``port`` is a free one by default."""
-    from server.serve import Server, address, listen
+    from server.cli.serve import Server, address, listen
 
     listener = listen("127.0.0.1", port)
     server = Server(app)
@@ -32,12 +32,12 @@ def live(app: FastAPI, until: str = "/readyz", port: int = 0) -> Iterator[str]:
 @contextmanager
 def serving(scene: Path, store: Path) -> Iterator[str]:
     """The base URL of an isogi that is ready, with one worker, a scene and a store."""
-    from isogi_core.model.scene import load_scene
-    from server.app import create_app
+    from isogi_core.plan.assembly import load_scene
+    from server.api.app import create_app
+    from server.render.engine import RenderEngine
     from server.settings import Settings
-    from server.studio import Studio
 
-    with live(create_app(Studio([load_scene(scene)], str(store), workers=1), Settings())) as url:
+    with live(create_app(RenderEngine([load_scene(scene)], str(store), workers=1), Settings())) as url:
         yield url
 
 

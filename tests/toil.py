@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from isogi_core.bake.light import Light
-from isogi_core.bake.look import Look
+from isogi_core.bake.bake_spec import BakeSpec
+from isogi_core.bake.texel_light import Light
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.renderer import Renderer
 from isogi_core.model.view import View
@@ -37,7 +37,7 @@ def measure_toil(monkeypatch: pytest.MonkeyPatch) -> None:
     """Have bakes in memory and traced pictures take as long as their samples tell, on any machine."""
     toil, refine, render = Toil(), bake.refine, Renderer.render
 
-    def refined(light: Light, texels: np.ndarray, look: Look, until: int, target: float) -> None:
+    def refined(light: Light, texels: np.ndarray, look: BakeSpec, until: int, target: float) -> None:
         before = taken(light)
         refine(light, texels, look, until, target)
         toil.spend(taken(light) - before)

@@ -1,30 +1,41 @@
 /** Puts the page together: one scene, one view, one frame loop, and the controls around them. */
 
-import { followAddress, readAddress } from "./address.js";
-import { listScenes, openStream, readFrame, readScene } from "./api.js";
-import { showFacts } from "./facts.js";
-import { attachGestures } from "./gestures.js";
-import { attachHistogram } from "./histogram.js";
-import { attachKeys } from "./keys.js";
-import { attachKnobs } from "./knobs.js";
-import { attachLight } from "./light.js";
-import { FrameLoop } from "./loop.js";
-import { ErrorPanel } from "./panel.js";
-import { attachPick } from "./pick.js";
-import { Picture } from "./picture.js";
-import { attachPresets } from "./presets.js";
-import { describe, fileName, frameQuery } from "./request.js";
-import { Saver } from "./save.js";
-import { attachShare } from "./share.js";
-import { attachSides } from "./sides.js";
-import { Status, TroublePanel } from "./status.js";
-import { Times } from "./times.js";
-import { attachUpload } from "./upload.js";
-import { ViewModel } from "./view.js";
-import { Wipe } from "./wipe.js";
+import { find } from "./dom.js";
+import { followAddress, readAddress } from "./net/address.js";
+import { listScenes, openStream, readFrame, readScene, readSurfacePoint } from "./net/api.js";
+import { FrameLoop } from "./net/loop.js";
+import { describe, fileName, frameQuery } from "./net/request.js";
+import { Saver } from "./net/save.js";
+import { attachShare } from "./net/share.js";
+import { attachUpload } from "./net/upload.js";
+import { Comparison } from "./panels/comparison.js";
+import { ErrorPanel } from "./panels/error.js";
+import { attachHistogram } from "./panels/histogram.js";
+import { attachKnobs } from "./panels/knobs.js";
+import { attachLight } from "./panels/light.js";
+import { attachPresets } from "./panels/presets.js";
+import { showScene } from "./panels/scene.js";
+import { Status, TroublePanel } from "./panels/status.js";
+import { Times } from "./panels/times.js";
+import { attachGestures, attachPick } from "./view/gestures.js";
+import { attachKeys } from "./view/keys.js";
+import { ViewModel } from "./view/model.js";
+import { Picture } from "./view/picture.js";
+
+/** @typedef {import("./net/polling.js").FrameOptions} FrameOptions */
+/** @typedef {import("./net/schemas.js").Scene} Scene */
+/** @typedef {import("./net/schemas.js").SceneLink} SceneLink */
+/** @typedef {import("./view/model.js").Knobs} Knobs */
 
 const RETRY_MS = 1500;
-const $ = (id) => document.getElementById(id);
+
+/**
+ * An element of the page by its id.
+ * @template {Element} [T=HTMLElement]
+ * @param {string} id
+ * @param {new (...args: any[]) => T} [kind]
+ */
+const $ = (id, kind) => find(document, `#${id}`, kind);
 
 /** Load the scene that the address names (else the first) and start; keep trying while the server is away. */
 async function start() {
@@ -36,20 +47,26 @@ async function start() {
       const link = scenes.find((each) => each.id === wanted) ?? scenes[0];
       const scene = await readScene(link.id);
       offerScenes(scenes, link.id);
-      attachUpload($("upload"), $("stage"), uploads, link, showScene);
+      attachUpload($("upload"), $("stage"), uploads, link, openScene);
       return assemble(scene, knobs, trouble);
     } catch (error) {
       $("stage").dataset.state = "trouble";
-      trouble.show(error);
-      if (!error.retry) throw error;
+      const failure = /** @type {import("./net/trouble.js").Trouble} */ (error);
+      trouble.show(failure);
+      if (!failure.retry) throw error;
       await trouble.patience(RETRY_MS);
     }
   }
 }
 
+/**
+ * @param {Scene} scene
+ * @param {Partial<Knobs>} knobs that the address names
+ * @param {TroublePanel} trouble
+ */
 function assemble(scene, knobs, trouble) {
   const view = new ViewModel(scene, knobs);
-  const picture = new Picture($("stage"), $("picture"));
+  const picture = new Picture($("stage"), $("picture", HTMLImageElement));
   const loop = startLoop(scene, view, picture, trouble);
   const options = { onRest: () => loop.settle(), toggleHelp: () => $("help").togglePopover() };
   const form = $("controls");
@@ -57,39 +74,46 @@ function assemble(scene, knobs, trouble) {
   attachHistogram(form, scene, view);
   attachPresets($("presets"), scene, view);
   attachLight($("light"), scene, view, options.onRest);
-  attachSides($("sides"), view);
   attachGestures($("stage"), scene, view, options);
-  attachPick($("stage"), scene, view);
+  attachPick($("stage"), view, (values, right, up) => readSurfacePoint(scene, values, right, up));
   attachKeys(scene, view, options);
-  showFacts(form, scene);
+  showScene(form, scene);
   form.addEventListener("submit", (event) => event.preventDefault());
   $("reset").addEventListener("click", () => view.reset());
-  const told = {
+  const description = {
     link: followAddress(scene, view),
     query: () => frameQuery(scene, view.values, picture.size(1)),
     file: () => fileName(scene, view.values),
     alt: () => describe(scene, view.values),
   };
-  attachShare($("share"), scene, view, told);
-  new Saver($("save"), scene, told);
+  attachShare($("share"), scene, view, description);
+  new Saver($("save"), scene, description);
   $("scene-name").textContent = scene.name;
   document.title = `${scene.name} · isogi`;
   form.inert = false;
-  for (const id of ["share-button", "save-button", "reset"]) $(id).disabled = false;
+  for (const id of ["share-button", "save-button", "reset"]) $(id, HTMLButtonElement).disabled = false;
   view.watch(({ compare, ...shown }) => shown, () => loop.change());
   loop.settle();
 }
 
+/**
+ * @param {Scene} scene
+ * @param {ViewModel} view
+ * @param {Picture} picture
+ * @param {TroublePanel} trouble
+ */
 function startLoop(scene, view, picture, trouble) {
   const status = new Status(document);
   const panel = new ErrorPanel($("error"), scene.target_error);
-  const times = new Times($("times"));
+  const times = new Times($("times", HTMLDetailsElement));
+  /** @type {(values: Knobs, scale?: number) => ReturnType<typeof frameQuery>} */
   const query = (values, scale = 1) => frameQuery(scene, values, picture.size(scale));
-  const ask = (values) => (wish, signal) =>
-    readFrame(scene.id, { ...query(values(), wish.scale), ...formatOf(wish) }, { ...wish, signal });
+  /** @type {(values: () => Knobs) => (options: FrameOptions, signal: AbortSignal) => ReturnType<typeof readFrame>} */
+  const ask = (values) => async (options, signal) =>
+    readFrame(scene.id, { ...query(values(), options.scale), ...formatOf(options) }, { etag: options.etag, signal });
   const server = { open: () => openStream(scene.id), view: () => query(view.values), ask: ask(() => view.values) };
   const other = ask(() => ({ ...view.values, shading: view.values.compare }));
-  const wipe = new Wipe($("wipe"), new Picture($("stage"), $("other")), other, view);
+  const comparison = new Comparison($("comparison"), new Picture($("stage"), $("other", HTMLImageElement)), other, view);
   const loop = new FrameLoop(server, {
     async frame({ blob, facts }, draft) {
       trouble.hide();
@@ -104,7 +128,7 @@ function startLoop(scene, view, picture, trouble) {
       status.stale();
       trouble.show(error);
     },
-    moving: (moving) => wipe.moving(moving),
+    moving: (moving) => comparison.moving(moving),
     busy: (busy) => $("stage").toggleAttribute("data-busy", busy),
   });
   panel.follow(view);
@@ -113,21 +137,26 @@ function startLoop(scene, view, picture, trouble) {
   return loop;
 }
 
+/** @param {FrameOptions} options */
 function formatOf({ draft, waitMs }) {
   return { f: draft ? "jpeg" : "png", wait_ms: waitMs };
 }
 
+/**
+ * @param {SceneLink[]} scenes
+ * @param {string} current
+ */
 function offerScenes(scenes, current) {
-  const select = $("scene");
+  const select = $("scene", HTMLSelectElement);
   select.replaceChildren(...scenes.map(({ id, name }) => new Option(name, id, id === current, id === current)));
   select.hidden = scenes.length < 2;
   $("scene-name").hidden = !select.hidden;
-  select.onchange = () => showScene(select.value);
+  select.onchange = () => openScene(select.value);
 }
 
-/** Go to a scene, to the first where there is none. */
-function showScene(id) {
-  location.search = new URLSearchParams(id === null ? {} : { scene: id });
+/** Go to a scene; to the first where it is null. @param {string|null} id */
+function openScene(id) {
+  location.search = id === null ? "" : String(new URLSearchParams({ scene: id }));
 }
 
 start();

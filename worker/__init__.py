@@ -1,1 +1,1 @@
-"""What to bake next, and baking it: the queue, the tasks, and the processes that do them."""
+"""Bake requests, the queue that orders them, the tasks that bake them, and the processes that run tasks."""

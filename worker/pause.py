@@ -1,6 +1,6 @@
-"""The pause: while the store is away nothing is baked but one task now and then, to see whether it is back.
+"""The pause: while the store is away, one task now and then tries whether it is back, and nothing else is baked.
 
-One task that cannot reach it tells little: a second that ends so, and none in between that went well, begins a pause.
+A pause begins with the second failure in a row, as a single one says little.
 """
 
 import threading
@@ -11,13 +11,13 @@ SHORTEST, LONGEST = 1.0, 8.0
 
 
 class Pause:
-    """Why nothing is baked, the ``reason``, empty while all goes well; ``resume`` is called when it is time for a try.
+    """A pause and its ``reason``, empty while there is none; ``resume`` is called when it is time for a try.
 
-    The caller's lock is held around all methods, and not when ``resume`` is called, from another thread.
+    The caller holds its lock around all methods. ``resume`` is called from another thread without that lock.
     """
 
     def __init__(self, clock: Callable[[], float], resume: Callable[[], None]) -> None:
-        """Pause nothing yet."""
+        """Begin without a pause."""
         self.reason = ""
         self._stumbled = False
         self._clock = clock
@@ -32,7 +32,7 @@ class Pause:
         return self._clock() >= self._until
 
     def begin(self, reason: str) -> None:
-        """Pause, or pause on: another task has failed for this ``reason``. The first is let go."""
+        """Begin or prolong the pause: a task has failed for this ``reason``. A single failure is ignored."""
         if not self._stumbled:
             self._stumbled = True
             return
@@ -45,7 +45,7 @@ class Pause:
         self._timer.start()
 
     def end(self) -> None:
-        """All goes well again, or nothing is to go on."""
+        """End the pause: a task went well, or the baker stops."""
         self.reason, self._stumbled = "", False
         if self._timer is not None:
             self._timer.cancel()

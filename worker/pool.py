@@ -5,20 +5,43 @@ import os
 import threading
 from collections.abc import Callable, Collection
 from contextlib import suppress
+from functools import partial
 from typing import Any, cast
 
 import dask.config
 from distributed import Client, Future, LocalCluster, fire_and_forget
 from distributed.scheduler import KilledWorker
 
-from worker.clients import OwnClient
 from worker.errors import LostWorkerError, WorkersAwayError, WorkersError
-from worker.nice import Nice, leads_session
-from worker.sessions import Sessions
+from worker.niceness import Nice, Sessions, leads_session
 from worker.tasks import KINDS, BakeResult, BakeTask, bake, kernels_missing, load_kernels
 
+SOON = 1.0
+"""Seconds that closing a client may take that could not be made."""
+
+
+class OwnClient(Client):
+    """A client that the garbage collector never closes.
+
+    Dask's own client takes a lock when it is collected. Where the same thread is making a client or a cluster then, and
+    holds that lock, it waits for ever. A client that finds no scheduler is such garbage.
+    """
+
+    def __init__(self, address: "str | LocalCluster | None", timeout: str) -> None:
+        """Join a scheduler by its address, or a cluster; OSError where none is found within the ``timeout``."""
+        try:
+            super().__init__(address, timeout=timeout, set_as_default=False)  # type: ignore[no-untyped-call]
+        except BaseException:
+            with suppress(Exception):
+                self.close(timeout=SOON)  # type: ignore[no-untyped-call]
+            raise
+
+    def __del__(self) -> None:
+        """Close nothing."""
+
+
 AHEAD = 2
-"""Tasks in flight per worker: a task handed over can be neither re-ordered nor stopped, so few are."""
+"""Tasks in flight per worker: few, as a task in flight can be neither re-ordered nor stopped."""
 
 SETTINGS: dict[str, object] = {
     "distributed.admin.low-level-log-length": 100,
@@ -32,17 +55,19 @@ SETTINGS: dict[str, object] = {
     "distributed.worker.memory.terminate": False,
     "distributed.worker.profile.enabled": False,
 }
-"""How Dask is set. A death ends all tasks that the worker had: the queue tries each again, by itself.
+"""Settings of Dask. A worker's death ends all its tasks, and the queue tries each again.
 
-Dask looks at itself a hundred times a second, which took 5 % of a core with one idle worker; so set it takes 1 %.
+By default Dask observes itself a hundred times a second: 5 % of a core with one idle worker. So set it takes 1 %.
 """
 
 FOREVER = {"distributed.deploy.lost-worker-timeout": "10000 days"}
-"""Set for as long as the process lives, for Dask reads it at each death. A cluster dismisses the nanny of a worker that
-is not there so long after a death: with the usual 15 s, of one that has come back and died once more."""
+"""Set for the life of the process, as Dask reads it at each death. A cluster dismisses the nanny of a worker that is
+missing so long after a death; with the default 15 s also of one that came back and died once more."""
 
 LOOK, RETRY = 1.0, 5.0
-"""Seconds between two looks at whether the scheduler is there, and for which one try to join it again goes on."""
+"""Seconds between two checks of the scheduler, and seconds that a try to join it again may take."""
+
+COMPILING = "The workers compile their kernels."
 
 LOST = "The worker processes are gone: restart the server."
 AWAY = "The scheduler at {scheduler} cannot be reached at the moment: baking goes on when it is there again."
@@ -54,10 +79,10 @@ Done = Callable[[BakeResult | None, BaseException | None], None]
 
 
 class WorkerPool:
-    """Processes that bake. Those started here load the kernels of the bake with their first task.
+    """Worker processes. Those started here load the kernels of a bake with their first task.
 
-    Those joined may stand on other machines, and load them when they start: see ``worker.tasks.dask_setup``. They and
-    their scheduler may come and go: a thread of the pool looks after that.
+    Workers that are joined may run on other machines, and load kernels when they start: see
+    ``worker.tasks.dask_setup``. They and their scheduler may come and go: a thread of the pool follows that.
     """
 
     def __init__(self, workers: int, scheduler: str | None = None, kinds: Collection[str] = KINDS) -> None:
@@ -77,6 +102,7 @@ class WorkerPool:
         self._moved, self._closing = threading.Event(), threading.Event()
         self._open: dict[Any, tuple[Future[Any], Done]] = {}
         self._ended: set[Any] = set()
+        self._kinds, self._baked = set(kinds), set[str]()
         try:
             with dask.config.set(SETTINGS):
                 if scheduler is None:
@@ -94,17 +120,17 @@ class WorkerPool:
 
     @property
     def workers(self) -> int:
-        """How many workers there are, at least 1: tasks wait for the first to come."""
+        """Number of workers, at least 1, as tasks may wait for the first one."""
         return max(len(self._addresses), 1)
 
     @property
     def deaths(self) -> int:
-        """How many workers were lost; one that was started anew in its place has another address."""
+        """Number of workers that were lost; one that is started in its place counts as new."""
         return self._deaths
 
     @property
     def room(self) -> int:
-        """How many tasks may be in flight; none while the scheduler is away."""
+        """Most tasks in flight; none while the scheduler is away."""
         return AHEAD * self.workers if self.connected else 0
 
     @property
@@ -121,25 +147,35 @@ class WorkerPool:
             return NOBODY.format(scheduler=self._scheduler) if self._scheduler else LOST
         return ""
 
+    @property
+    def preparing(self) -> str:
+        """What workers started here do before they can bake: they compile kernels that this machine lacks; else empty.
+
+        Kernels of joined workers are not known here: those load them before they come.
+        """
+        lacking = self._kinds - self._baked
+        return COMPILING if self._cluster is not None and not self.trouble and kernels_missing(lacking) else ""
+
     def attend(self, stir: Callable[[], None]) -> None:
-        """Have ``stir`` called, from another thread, whenever workers have come or gone."""
+        """Call ``stir``, from another thread, whenever workers have come or gone."""
         self._stir = stir
 
     def submit(self, task: BakeTask, done: Done) -> None:
         """Hand a task over; ``done`` is called from another thread with its result or its error."""
+        self._kinds |= (kinds := {layer.kind for layer in task.plan.layers})
         try:
             future = self._client.submit(bake, task, pure=False)
         except Exception as error:  # the client closed at this moment
             away = WorkersAwayError(f"The workers cannot be reached: {error}")
             threading.Thread(target=done, args=(None, away), daemon=True).start()
         else:
-            self._open[future.key] = future, done
+            self._open[future.key] = future, noting(done, partial(self._baked.update, kinds))
             future.add_done_callback(lambda ended: self._end(ended.key))
 
     def step_back(self, seconds: float) -> bool:
-        """Have the workers started here stand behind other sessions for so long; those joined are left as they are.
+        """Lower the priority of the workers started here for so many seconds.
 
-        Returns whether they stand here.
+        Returns False where workers were joined: these are left as they are.
         """
         if self._cluster is None:
             return False
@@ -168,11 +204,11 @@ class WorkerPool:
         return [pid for pid in map(pid_under, nannies) if pid and leads_session(pid)]
 
     def _connect(self, timeout: str) -> Client:
-        """A client of the scheduler that is told who comes and goes, and the workers there are; raises OSError."""
+        """Connect a client that hears of workers that come and go, and list the present ones; raises OSError."""
         client: Client = OwnClient(self._cluster or self._scheduler, timeout)
         try:
             client.register_plugin(Nice(apart=self._scheduler is None))
-            client.subscribe_topic("all", self._told)
+            client.subscribe_topic("all", self._on_event)
             self._addresses = addresses(client)
             self._joined = str(client.scheduler_info(n_workers=0)["id"])
         except BaseException:
@@ -180,36 +216,36 @@ class WorkerPool:
             raise
         return client
 
-    def _told(self, event: tuple[float, Any]) -> None:
-        """Something has happened at the scheduler; that workers came or went is worth a look."""
+    def _on_event(self, event: tuple[float, Any]) -> None:
+        """Note an event of the scheduler where workers came or went."""
         if isinstance(event[1], dict) and event[1].get("action") in ("add-worker", "remove-worker"):
             self._moved.set()
 
     def _keep(self) -> None:
-        """Look after the workers: count them anew when they have moved, and join them again after they were lost.
+        """Follow the workers: count them when some came or went, and join the scheduler again after it was lost.
 
-        What is told of them may be lost: so how many there are is also asked.
+        Events may be lost, so the number of workers is polled too.
         """
         while not self._closing.is_set():
             moved = self._moved.wait(LOOK)
             self._moved.clear()
             try:
                 self._look_after()
-                told = self._client.scheduler_info(n_workers=0) if self.connected else {}
-                if told.get("id") != self._joined:
+                info = self._client.scheduler_info(n_workers=0) if self.connected else {}
+                if info.get("id") != self._joined:
                     self._join_again()
-                elif moved or told["n_workers"] != len(self._addresses):
+                elif moved or info["n_workers"] != len(self._addresses):
                     self._count()
             except Exception as error:
                 log.debug("the scheduler is away: %s", error)
 
     def _end(self, key: Any) -> None:
-        """Tell whoever handed a task over how it ended, once."""
+        """Report the end of a task to its submitter, once."""
         if (entry := self._open.pop(key, None)) is not None:
             report(*entry)
 
     def _look_after(self) -> None:
-        """Tell of tasks that had ended at the last look already, should Dask's own word of them not come."""
+        """Report tasks that had ended at the last check already, where Dask's own callback has not come."""
         ended = {key for key, (future, _) in list(self._open.items()) if future.status != "pending"}
         for key in ended & self._ended:
             log.info("a task had ended unnoticed: %s", key)
@@ -217,9 +253,9 @@ class WorkerPool:
         self._ended = ended
 
     def _join_again(self) -> None:
-        """Join the scheduler anew: one that was restarted knows neither this client nor what it asked for.
+        """Join the scheduler with a new client: a restarted one knows neither the old client nor its tasks.
 
-        A client of Dask's that finds it by itself has forgotten whom to tell of workers: it is given up all the same.
+        A Dask client that reconnects by itself has lost its subscription to events, so it is replaced too.
         """
         if self._cluster is not None or self._closing.is_set():
             return
@@ -231,7 +267,7 @@ class WorkerPool:
         self._stir()
 
     def _count(self) -> None:
-        """The workers that there are. A round trip."""
+        """Count the present workers; a round trip."""
         found = addresses(self._client)
         self._deaths += len(self._addresses - found)
         self._addresses = found
@@ -239,14 +275,14 @@ class WorkerPool:
 
 
 def addresses(client: Client) -> frozenset[str]:
-    """Where the workers are that a client's scheduler has."""
+    """Addresses of the workers of a client's scheduler."""
     return frozenset(client.scheduler_info(n_workers=-1)["workers"])
 
 
 def start_cluster(workers: int) -> LocalCluster:
-    """Worker processes on the loopback interface, started afresh and not forked, without a dashboard.
+    """Start worker processes on the loopback interface, spawned and not forked, without a dashboard.
 
-    Dask serves a health page all the same: on a free port, for two servers must not quarrel over one.
+    Dask serves a health page all the same, on a free port: two servers must not compete for one.
     """
     dask.config.set(FOREVER)
     return LocalCluster(
@@ -269,11 +305,22 @@ def pid_under(nanny: Any) -> int | None:
         return None
 
 
-def report(ended: "Future[Any]", done: Done) -> None:
-    """Tell ``done`` how a future ended.
+def noting(done: Done, baked: Callable[[], None]) -> Done:
+    """``done``, and before it ``baked`` where there is a result."""
 
-    A result lies with the worker that made it until it is fetched here. Where that worker dies in between, Dask has the
-    task run again, and fetching waits for that or raises what became of it.
+    def note(result: BakeResult | None, error: BaseException | None) -> None:
+        if result is not None:
+            baked()
+        done(result, error)
+
+    return note
+
+
+def report(ended: "Future[Any]", done: Done) -> None:
+    """Call ``done`` with the result or the error of a future.
+
+    A result stays with its worker until it is fetched here. Where that worker dies in between, Dask runs the task
+    again; fetching waits for that, or raises its error.
     """
     try:
         result = ended.result()

@@ -1,10 +1,10 @@
-"""The queue: which chunk is baked next, and how far.
+"""The queue: decides which chunk is baked next, and how far.
 
-The demand of all live views is one: a chunk that several see is baked once, for all of its texels that any wants.
-Clients take turns so that each is served as long; in its turn a client's newest view comes first, and within it what
-has no light yet, then where a second of work takes most visible error off all pictures, those near the centre
-counting most, and of equals what is nearest to final. People go before who is patient.
-Pure data: no threads, no clock of its own.
+The requests of all live views are merged: a chunk that several views see is baked once, for all texels that any of
+them wants. Clients take turns, so that each is served as long. In a client's turn its newest view comes first; within
+a view, chunks without light come first, then those where a second of work removes most visible error from all
+pictures, weighted towards their centres, and among equals those nearest to final. Patient clients come after all
+others. Pure data: no threads, no clock of its own.
 """
 
 import itertools
@@ -15,281 +15,280 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from isogi_core.bake.recipe import Index
-from isogi_core.frame.texels import Demand
-from worker.lanes import Lanes, Rank
+from isogi_core.frame.view_texels import Demand
+from isogi_core.prepared.prepared_scene import Index
+from worker.bake_requests import GUEST, BakeRequest, Key, Shares, Viewer
+from worker.client_queues import ClientQueues, Rank
 from worker.tasks import BakeResult
-from worker.viewers import GUEST, Shares, Viewer
-from worker.wants import Key, Want
 
 FORGET_AFTER, LOOK = 60.0, 1.0
-"""Seconds after which light that nobody has asked for again is no longer baked, and between two looks for such."""
+"""Seconds after which a request that was not renewed expires, and between two checks for these."""
 
 GROWN, SUNK = 1.5, 1.0 / 3.0
-"""How many times as much a want is worth, or by which share less, when it is moved in lanes of those who did not ask.
+"""Growth of a request's priority, and share of its loss, from which on it is ranked anew in all its clients' queues.
 
-For less it keeps its places: a thousand clients may look at one chunk.
+Below these it keeps its places, as a thousand clients may see one chunk.
 """
 
 
 @dataclass(eq=False)
 class BakeQueue:
-    """Wants by chunk. Call under one lock when several threads use it.
+    """Bake requests by chunk. Call under one lock when several threads use it.
 
-    ``shared`` says whether two bakes have a layer in common: of those, one at a time works on a chunk, for the
-    one that wrote last would undo what the other has added. ``rate`` tells the seconds that a chunk's path takes.
+    ``shared`` says whether two bakes have a layer in common: of these, one at a time works on a chunk, as the last
+    writer would undo what the other has added. ``rate`` gives the seconds that a path of a chunk takes.
     """
 
     clock: Callable[[], float]
     shared: Callable[[str, str], bool] = operator.eq
     rate: Callable[[Key], float | None] = lambda _: None
-    wants: dict[Key, Want] = field(default_factory=dict)
+    requests: dict[Key, BakeRequest] = field(default_factory=dict)
     views: int = 0
     looked: float = -math.inf
     shares: Shares = field(default_factory=Shares)
-    _lanes: Lanes = field(default_factory=Lanes)
-    _claimed: dict[Hashable, dict[Key, Want]] = field(default_factory=dict)
-    _flying: dict[Index, set[str]] = field(default_factory=dict)
-    _held: dict[Index, list[Want]] = field(default_factory=dict)
-    _aside: list[tuple[float, Want]] = field(default_factory=list)
+    _queues: ClientQueues = field(default_factory=ClientQueues)
+    _interesting: dict[Hashable, dict[Key, BakeRequest]] = field(default_factory=dict)
+    _in_flight: dict[Index, set[str]] = field(default_factory=dict)
+    _held: dict[Index, list[BakeRequest]] = field(default_factory=dict)
+    _postponed: list[tuple[float, BakeRequest]] = field(default_factory=list)
     _alone: bool = False
 
-    def want(self, demands: Iterable[tuple[Key, Demand]], target: float, viewer: Viewer = GUEST) -> None:
-        """Take in what the newest view of a ``viewer`` demands."""
+    def request(self, demands: Iterable[tuple[Key, Demand]], target: float, viewer: Viewer = GUEST) -> None:
+        """Add the demands of a ``viewer``'s newest view."""
         self._forget()
         self.views += 1
         now = self.clock()
         for key, demand in demands:
-            want = self.wants.get(key) or self.wants.setdefault(key, Want(key))
-            if not want.given_up:
-                want.claim(demand, target, viewer, self.views, now)
-                self._note(want, viewer.client)
+            request = self.requests.get(key) or self.requests.setdefault(key, BakeRequest(key))
+            if not request.given_up:
+                request.add_interest(demand, target, viewer, self.views, now)
+                self._add_for(request, viewer.client)
         if viewer.single:
             self._release(viewer, self.views)
 
     def leave(self, viewer: Viewer) -> None:
-        """Drop what a ``viewer`` was the last of its client to ask for."""
+        """Drop the interests that a ``viewer`` was the last of its client to renew."""
         self._release(viewer, self.views + 1)
 
     def drop(self, bake: str) -> list[Key]:
-        """Have nothing more baked of a ``bake``; the chunks that were wanted of it."""
-        dropped = [key for key in self.wants if key[0] == bake]
+        """Drop all requests of a ``bake``; returns their keys."""
+        dropped = [key for key in self.requests if key[0] == bake]
         for key in dropped:
-            self._end(self.wants[key])
+            self._drop_all(self.requests[key])
         return dropped
 
-    def take(self) -> Want | None:
-        """The next chunk to work on, marked as flying; None where there is nothing to do until a task has ended.
+    def take(self) -> BakeRequest | None:
+        """Take the next request, marked as in flight; None where there is nothing to do until a task has ended.
 
-        What may have killed a worker comes last, and flies alone: it cannot pull down others, and is known for it.
+        A request that may have killed a worker comes last and runs alone: it harms no other, and is then known for it.
         """
         self._forget()
         self._bring_back()
         if self._alone:
             return None
         for patient in (False, True):
-            for client in self.shares.turns(self._lanes.clients(patient)):
-                want = self._first(patient, client)
-                if want is not None:
-                    return self._take(want, client)
+            for client in self.shares.turns(self._queues.clients(patient)):
+                request = self._first(patient, client)
+                if request is not None:
+                    return self._take(request, client)
         return None
 
-    def rank(self, want: Want, client: Hashable) -> Rank:
-        """Order of a client's work; the smallest comes first."""
-        return want.suspect, -want.claims[client].view, *self._merits(want)
+    def rank(self, request: BakeRequest, client: Hashable) -> Rank:
+        """The rank of a request among those of a client; the smallest comes first."""
+        return request.suspect, -request.interests[client].view, *self._merits(request)
 
-    def _merits(self, want: Want) -> tuple[bool, float, float]:
-        """What a want's rank is among those of a view."""
-        return not want.effort.unlit, -want.worth / (self.rate(want.key) or 1.0), want.effort.left
+    def _merits(self, request: BakeRequest) -> tuple[bool, float, float]:
+        """The rank of a request among those of a view."""
+        return not request.effort.unlit, -request.priority / (self.rate(request.key) or 1.0), request.effort.left
 
     def finish(self, key: Key, offsets: np.ndarray, target: float, result: BakeResult) -> None:
-        """A task for ``offsets`` of a chunk is done: drop the want, or keep what is still open of it."""
-        want = self.wants[key]
-        self._land(want, result.cost.seconds)
-        want.failures, want.suspect, want.waited = 0, False, 0.0
-        grown = want.exceeds(offsets, target)
-        if not want.claims:
-            del self.wants[key]
+        """Take over the result of a task for ``offsets`` of a chunk; the request stays where work is left."""
+        request = self.requests[key]
+        self._end_task(request, result.cost.seconds)
+        request.failures, request.suspect, request.waited = 0, False, 0.0
+        grown = request.exceeds(offsets, target)
+        if not request.interests:
+            del self.requests[key]
         elif result.unfinished == 0 and not grown:
-            self._end(want)
+            self._drop_all(request)
         else:
-            want.descend(result, grown)
-            self._line_up(want)
+            request.advance(result, grown)
+            self._rank_everywhere(request)
 
     def renew(self, keys: Iterable[Key], viewer: Viewer = GUEST) -> None:
-        """Say that a ``viewer`` waits for light of ``keys`` as before."""
-        claimed = self._claimed.get(viewer.client, {})
-        for want in self.open(keys):
-            if viewer.client in want.claims:
-                want.claims[viewer.client].asked = self.clock()
-                claimed[want.key] = claimed.pop(want.key)
+        """Renew a ``viewer``'s interest in ``keys``."""
+        claimed = self._interesting.get(viewer.client, {})
+        for request in self.open(keys):
+            if viewer.client in request.interests:
+                request.interests[viewer.client].asked = self.clock()
+                claimed[request.key] = claimed.pop(request.key)
 
     def fail(self, key: Key, trouble: str, suspect: bool = False) -> bool:
-        """A task failed, and why: try again later, or give the chunk up. Returns whether it was given up.
+        """Note that a task failed, and why: it is tried again, or given up. Returns whether it was given up.
 
         It is ``suspect`` where its worker died.
         """
-        want = self.wants[key]
-        self._land(want, want.charged)
-        want.trouble, want.suspect = trouble, suspect
-        want.failures += 1
-        if not want.claims:
-            del self.wants[key]
-        self._line_up(want)
-        return want.given_up
+        request = self.requests[key]
+        self._end_task(request, request.charged)
+        request.trouble, request.suspect = trouble, suspect
+        request.failures += 1
+        if not request.interests:
+            del self.requests[key]
+        self._rank_everywhere(request)
+        return request.given_up
 
     def put_off(self, key: Key, seconds: float = 0.0) -> None:
-        """A task could not be done, through no fault of the chunk: it waits as before, after so many seconds."""
-        want = self.wants[key]
-        self._land(want, 0.0)
-        if not want.claims:
-            del self.wants[key]
-        want.aside, want.waited = seconds > 0.0, want.waited + seconds
-        if want.aside:
-            self._aside.append((self.clock() + seconds, want))
-        self._line_up(want)
+        """Note that a task could not be done, through no fault of the chunk; it waits again after ``seconds``."""
+        request = self.requests[key]
+        self._end_task(request, 0.0)
+        if not request.interests:
+            del self.requests[key]
+        request.postponed, request.waited = seconds > 0.0, request.waited + seconds
+        if request.postponed:
+            self._postponed.append((self.clock() + seconds, request))
+        self._rank_everywhere(request)
 
-    def open(self, keys: Iterable[Key]) -> list[Want]:
-        """What of ``keys`` is still wanted, and not given up."""
-        found = (self.wants[key] for key in keys if key in self.wants)
-        return [want for want in found if not want.given_up]
+    def open(self, keys: Iterable[Key]) -> list[BakeRequest]:
+        """The requests of ``keys`` that are open: neither done nor given up."""
+        found = (self.requests[key] for key in keys if key in self.requests)
+        return [request for request in found if not request.given_up]
 
     def failures(self, keys: Iterable[Key]) -> dict[Key, str]:
-        """Why those of ``keys`` that were given up were."""
-        found = (self.wants[key] for key in keys if key in self.wants)
-        return {want.key: want.trouble for want in found if want.given_up}
+        """The reasons for which requests of ``keys`` were given up."""
+        found = (self.requests[key] for key in keys if key in self.requests)
+        return {request.key: request.trouble for request in found if request.given_up}
 
     def counts(self) -> tuple[int, int, float]:
-        """Chunks that somebody waits for, chunks that were given up, and seconds since the oldest of those was wanted.
+        """Numbers of waiting and of given-up requests, and the age in seconds of the oldest waiting one.
 
-        What flies though nobody wants it any more is none of them.
+        Tasks in flight that no client waits for any more are not counted.
         """
         self._forget()
-        waiting = [want.since for want in self.wants.values() if want.claims and not want.given_up]
+        waiting = [request.since for request in self.requests.values() if request.interests and not request.given_up]
         age = self.clock() - min(waiting) if waiting else 0.0
-        return len(waiting), sum(want.given_up for want in self.wants.values()), age
+        return len(waiting), sum(request.given_up for request in self.requests.values()), age
 
     def trouble(self) -> str:
-        """Why a chunk was given up, the one asked for last; empty when none is."""
+        """Why the given-up request that was renewed last was given up; empty where there is none."""
         self._forget()
-        given_up = [want for want in self.wants.values() if want.given_up]
-        return max(given_up, key=lambda want: want.asked).trouble if given_up else ""
+        given_up = [request for request in self.requests.values() if request.given_up]
+        return max(given_up, key=lambda request: request.asked).trouble if given_up else ""
 
-    def _note(self, want: Want, client: Hashable) -> None:
-        """A client has claimed a want: its claim is its newest, and others' lanes learn of what has changed much."""
-        self._claimed.setdefault(client, {}).pop(want.key, None)
-        self._claimed[client][want.key] = want
-        lacking, worth = want.told
-        if bool(want.effort.unlit) != lacking or want.worth >= GROWN * worth:
-            self._line_up(want)
-        elif not want.flying:
-            self._put(want, client)
+    def _add_for(self, request: BakeRequest, client: Hashable) -> None:
+        """Note a client's new interest, and rank the request anew for all clients where it has changed much."""
+        self._interesting.setdefault(client, {}).pop(request.key, None)
+        self._interesting[client][request.key] = request
+        lacking, priority = request.ranked
+        if bool(request.effort.unlit) != lacking or request.priority >= GROWN * priority:
+            self._rank_everywhere(request)
+        elif not request.in_flight:
+            self._rank_for(request, client)
 
-    def _put(self, want: Want, client: Hashable) -> None:
-        """Have a want stand where it belongs in one client's lane: the others learn when it has grown beyond that."""
-        lacking, worth = want.told
-        want.told = lacking, min(worth, want.worth)
-        self._lanes.put(want, client, self.rank(want, client))
+    def _rank_for(self, request: BakeRequest, client: Hashable) -> None:
+        """Rank a request in one client's queue; the others follow when it has grown beyond this."""
+        lacking, priority = request.ranked
+        request.ranked = lacking, min(priority, request.priority)
+        self._queues.push(request, client, self.rank(request, client))
 
-    def _line_up(self, want: Want) -> None:
-        """Have a want stand where it belongs in the lanes of all its clients; what flies does when it has landed."""
-        want.told = bool(want.effort.unlit), want.worth
-        if want.claims and want.ready:
-            merits = self._merits(want)
-            for client, claim in want.claims.items():
-                self._lanes.put(want, client, (want.suspect, -claim.view, *merits))
+    def _rank_everywhere(self, request: BakeRequest) -> None:
+        """Rank a request in the queues of all its clients; one in flight is ranked when its task has ended."""
+        request.ranked = bool(request.effort.unlit), request.priority
+        if request.interests and request.ready:
+            merits = self._merits(request)
+            for client, interest in request.interests.items():
+                self._queues.push(request, client, (request.suspect, -interest.view, *merits))
 
-    def _first(self, patient: bool, client: Hashable) -> Want | None:
-        """The first of a client's wants that can be worked on now; None where there is none.
+    def _first(self, patient: bool, client: Hashable) -> BakeRequest | None:
+        """The first of a client's requests that can be worked on now; None where there is none.
 
-        One that has sunk since it was put there is put where it belongs.
+        One whose priority has sunk since it was ranked is ranked anew.
         """
-        while found := self._lanes.first(patient, client):
-            rank, want = found
-            if not want.ready:
+        while found := self._queues.pop(patient, client):
+            rank, request = found
+            if not request.ready:
                 continue
-            if self._busy(want.key):
-                self._held.setdefault(want.key[1], []).append(want)
-            elif sunk(rank, self.rank(want, client)):
-                self._put(want, client)
+            if self._is_busy(request.key):
+                self._held.setdefault(request.key[1], []).append(request)
+            elif sunk(rank, self.rank(request, client)):
+                self._rank_for(request, client)
             else:
-                return want
+                return request
         return None
 
-    def _take(self, want: Want, client: Hashable) -> Want | None:
-        """The want, flying from now on; None where it has to fly alone and others do."""
-        if want.suspect and self._flying:
-            self._put(want, client)
+    def _take(self, request: BakeRequest, client: Hashable) -> BakeRequest | None:
+        """Mark the request as in flight and return it; None where it must run alone and others are in flight."""
+        if request.suspect and self._in_flight:
+            self._rank_for(request, client)
             return None
-        self._fly(want, client)
-        return want
+        self._start(request, client)
+        return request
 
-    def _busy(self, key: Key) -> bool:
-        """Whether a task is at the light of this chunk."""
-        return any(self.shared(bake, key[0]) for bake in self._flying.get(key[1], ()))
+    def _is_busy(self, key: Key) -> bool:
+        """Whether a task is in flight for a layer of this chunk."""
+        return any(self.shared(bake, key[0]) for bake in self._in_flight.get(key[1], ()))
 
-    def _fly(self, want: Want, client: Hashable) -> None:
-        """A task of a want begins, in the turn of a client."""
-        bake, index = want.key
-        self._flying.setdefault(index, set()).add(bake)
-        want.flying, want.payers, self._alone = True, tuple(want.claims), want.suspect
-        want.charged = self.shares.begin(client, want.payers)
+    def _start(self, request: BakeRequest, client: Hashable) -> None:
+        """Begin the task of a request, in the turn of a client."""
+        bake, index = request.key
+        self._in_flight.setdefault(index, set()).add(bake)
+        request.in_flight, request.payers, self._alone = True, tuple(request.interests), request.suspect
+        request.charged = self.shares.begin(client, request.payers)
 
-    def _land(self, want: Want, seconds: float) -> None:
-        """The task of a want has ended after so many processor seconds; what was held up by it may go on."""
-        bake, index = want.key
-        self._flying[index].remove(bake)
-        if not self._flying[index]:
-            del self._flying[index]
-        want.flying = self._alone = False
-        self.shares.end(want.payers, want.charged, seconds)
+    def _end_task(self, request: BakeRequest, seconds: float) -> None:
+        """End the task of a request after so many processor seconds; requests held up by it go on."""
+        bake, index = request.key
+        self._in_flight[index].remove(bake)
+        if not self._in_flight[index]:
+            del self._in_flight[index]
+        request.in_flight = self._alone = False
+        self.shares.end(request.payers, request.charged, seconds)
         for held in self._held.pop(index, ()):
-            self._line_up(held)
+            self._rank_everywhere(held)
 
     def _bring_back(self) -> None:
-        """Line up what was put off until now."""
-        due = [want for time, want in self._aside if time <= self.clock()]
-        self._aside = [each for each in self._aside if each[1] not in due]
-        for want in due:
-            want.aside = False
-            self._line_up(want)
+        """Rank the requests that were postponed until now."""
+        due = [request for time, request in self._postponed if time <= self.clock()]
+        self._postponed = [each for each in self._postponed if each[1] not in due]
+        for request in due:
+            request.postponed = False
+            self._rank_everywhere(request)
 
     def _forget(self) -> None:
-        """Drop what nobody has asked for again; not each time."""
+        """Drop expired interests; checked once in LOOK seconds."""
         if self.clock() - self.looked < LOOK:
             return
         self.looked, horizon = self.clock(), self.clock() - FORGET_AFTER
-        for client in tuple(self._claimed):
-            for want in self._older(client, horizon):
-                self._drop(want, client)
+        for client in tuple(self._interesting):
+            for request in self._older_than(client, horizon):
+                self._drop(request, client)
 
-    def _older(self, client: Hashable, horizon: float) -> list[Want]:
-        """What a client has not asked for since; these come first of all that it claims."""
-        wants = self._claimed[client].values()
-        return list(itertools.takewhile(lambda want: want.claims[client].asked < horizon, wants))
+    def _older_than(self, client: Hashable, horizon: float) -> list[BakeRequest]:
+        """The requests that a client has not renewed since; they come first in its order."""
+        requests = self._interesting[client].values()
+        return list(itertools.takewhile(lambda request: request.interests[client].asked < horizon, requests))
 
     def _release(self, viewer: Viewer, view: int) -> None:
-        """Drop what a ``viewer`` claims for views before this one; not what was given up: that is tried again later."""
-        for want in list(self._claimed.get(viewer.client, {}).values()):
-            claim = want.claims[viewer.client]
-            if claim.viewer == viewer and claim.view < view and not want.given_up:
-                self._drop(want, viewer.client)
+        """Drop the interests of a ``viewer`` in views before this one, but for given-up requests, which expire."""
+        for request in list(self._interesting.get(viewer.client, {}).values()):
+            interest = request.interests[viewer.client]
+            if interest.viewer == viewer and interest.view < view and not request.given_up:
+                self._drop(request, viewer.client)
 
-    def _end(self, want: Want) -> None:
-        """Drop all that is claimed of a want."""
-        for client in tuple(want.claims):
-            self._drop(want, client)
+    def _drop_all(self, request: BakeRequest) -> None:
+        """Drop all interests in a request."""
+        for client in tuple(request.interests):
+            self._drop(request, client)
 
-    def _drop(self, want: Want, client: Hashable) -> None:
-        """Drop a client's claim, and the want where nobody else claims it; what flies stays until it lands."""
-        want.release(client)
-        del self._claimed[client][want.key]
-        if not self._claimed[client]:
-            del self._claimed[client]
-        if not want.claims and not want.flying:
-            del self.wants[want.key]
+    def _drop(self, request: BakeRequest, client: Hashable) -> None:
+        """Drop a client's interest, and a request without interests; one in flight stays until its task has ended."""
+        request.release(client)
+        del self._interesting[client][request.key]
+        if not self._interesting[client]:
+            del self._interesting[client]
+        if not request.interests and not request.in_flight:
+            del self.requests[request.key]
 
 
 def sunk(rank: Rank, now: Rank) -> bool:
-    """Whether what had a ``rank`` is worth much less ``now``, or has the light that it lacked."""
+    """Whether a request's rank has become much lower, or it has the first light that it lacked."""
     return now[:3] > rank[:3] or now[3] - rank[3] > SUNK * abs(rank[3])

@@ -1,4 +1,4 @@
-"""A task: more light for texels of one chunk. What a worker process runs."""
+"""Tasks: more light for texels of one chunk, baked in a worker process."""
 
 import asyncio
 import time
@@ -9,30 +9,29 @@ from typing import Any
 
 import numpy as np
 
-from isogi_core.bake.effort import Effort
-from isogi_core.bake.light import Light
-from isogi_core.bake.look import Look
-from isogi_core.bake.noise import relative_error, standard_error
-from isogi_core.bake.precision import FIRST_RUNG
-from isogi_core.bake.recipe import Index, Recipe
+from isogi_core.bake.bake_spec import BakeSpec
+from isogi_core.bake.noise import Effort, relative_error, standard_error
+from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.bake.refine import next_samples, refine
+from isogi_core.bake.texel_light import Light
+from isogi_core.cache.chunk_store import ChunkStore
 from isogi_core.cache.claims import Claims
 from isogi_core.cache.costs import Cost
-from isogi_core.cache.parcels import Parcels, receive_parcels
-from isogi_core.cache.place import Place
-from isogi_core.cache.root import Root
-from isogi_core.cache.store import ChunkStore
+from isogi_core.cache.scene_assets import SceneAssets, receive_assets
 from isogi_core.errors import SceneError
-from isogi_core.kernels.irradiance import bake_irradiance
-from isogi_core.kernels.moves import move_texels
-from isogi_core.kernels.transfer import bake_texels, locate_texels
-from isogi_core.kernels.warm import entries_of, load
-from isogi_core.model.plan import ScenePlan
-from isogi_core.model.scene import build_scene
-from isogi_core.model.source import SceneSource
+from isogi_core.files.scene_file import SceneSource
+from isogi_core.kernels._jit import entries_of, load
+from isogi_core.kernels.transport.texel_points import project_texels
+from isogi_core.kernels.transport.transfer import bake_irradiance, bake_texels, locate_texels
+from isogi_core.model.scene_plan import ScenePlan
+from isogi_core.model.volume import Isovalue
+from isogi_core.plan.assembly import build_scene
+from isogi_core.prepared.prepared_scene import Index, PreparedScene
+from isogi_core.storage.store import Store
+from isogi_core.storage.url import StoreUrl
 
 PATHS = {"direct": bake_texels, "indirect": bake_texels, "whole": bake_texels, "irradiance": bake_irradiance}
-"""The entry kernel that bakes layers of a kind."""
+"""Entry kernels by the kind of layer that they bake."""
 
 KINDS = tuple(PATHS)
 """The kinds of layers that can be baked."""
@@ -40,43 +39,44 @@ KINDS = tuple(PATHS)
 
 @dataclass(frozen=True, eq=False)
 class BakeTask:
-    """Bring the texels at ``offsets`` of a chunk to ``until`` samples each, or until the next path is worth too little.
+    """Bring the texels at ``offsets`` of a chunk to ``until`` samples, as long as their next path has priority enough.
 
-    That is less than ``least``, see ``worths``, where they are seen by their ``footprints``; and they are final at the
-    relative error ``target``. ``plan`` says what is baked; ``digest`` names the light that the server means: the
-    files may have changed since. Where there are ``parcels``, these are read in place of the scene's files. ``owner``
-    has it done, and claims the chunk where others are at work too; where it ``insists``, whoever claimed it before.
-    Texels lie on the isosurface that is ``shown``, where one is: see ``Look``.
+    Paths of less than ``least_priority`` are not taken, see ``path_priorities``, with texels seen by their
+    ``footprints``. Texels are final at the relative error ``target``. ``plan`` is what is baked. ``digest`` names the
+    light that the server means, as the scene's files may have changed since. Where there are ``assets``, these are read
+    in place of the scene's files. ``owner`` names the baker, which claims the chunk while others are at work too; where
+    it ``insists``, whoever claimed it before. Texels lie on the isosurface that is ``shown``, where one is: see
+    ``BakeSpec``.
     """
 
     source: SceneSource
     plan: ScenePlan
     digest: str
-    store: Place
+    store_url: StoreUrl
     index: Index
     offsets: np.ndarray
     footprints: np.ndarray
     until: int
-    least: float
+    least_priority: float
     target: float
-    parcels: Parcels | None = None
+    assets: SceneAssets | None = None
     owner: str = ""
     insists: bool = False
-    shown: float | None = None
+    shown: Isovalue | None = None
 
 
 @dataclass(frozen=True)
 class BakeResult:
-    """What a task left and took.
+    """The result of a task.
 
-    ``unfinished`` texels are not final yet; ``worth`` is that of their next path, a mean over the paths they took, and
-    ``effort`` what they took and will. ``cost`` is what the task itself took. It is a ``duplicate`` where all was there
-    already, and has ``healed`` the chunk where that was damaged. With somebody ``elsewhere`` at the chunk nothing was
-    done.
+    ``unfinished`` texels are not final yet. ``priority`` is that of their next path, a mean over the paths taken, and
+    ``effort`` the work done and left. ``cost`` is the task's own. The task is a ``duplicate`` where all its light was
+    there already, and has ``healed`` the chunk where that was damaged. With another baker at the chunk (``elsewhere``)
+    nothing was done.
     """
 
     unfinished: int
-    worth: float
+    priority: float
     effort: Effort
     cost: Cost
     duplicate: bool = False
@@ -88,141 +88,141 @@ ELSEWHERE = BakeResult(0, 0.0, Effort(0, 0.0, 0.0), Cost(), elsewhere=True)
 
 
 @lru_cache(maxsize=4)
-def root_of(store: Place) -> Root:
-    """The root of a store, opened once a process with the process's own credentials. It was made by the server."""
-    return Root(store, make=False)
+def open_store(store_url: StoreUrl) -> Store:
+    """The store at a URL, opened once a process with the process's own credentials. The server has made it."""
+    return Store(store_url, make=False)
 
 
 @lru_cache(maxsize=4)
-def claims_of(store: Place) -> Claims:
-    """The claims in a store, as this process knows them."""
-    return Claims(root_of(store))
+def claims_of(store_url: StoreUrl) -> Claims:
+    """The claims in a store, kept once a process."""
+    return Claims(open_store(store_url))
 
 
 @lru_cache(maxsize=4)
-def recipe_of(source: SceneSource, parcels: Parcels | None, store: Place) -> Recipe:
-    """The scene, opened once a process for all of its looks: from its files, or from its parcels in the store."""
-    if parcels is None:
-        return Recipe(build_scene(source))
-    received, volume = receive_parcels(source, parcels, root_of(store))
-    return Recipe(build_scene(received, volume=volume))
+def prepared_scene(source: SceneSource, assets: SceneAssets | None, store_url: StoreUrl) -> PreparedScene:
+    """The prepared scene, opened once a process for all of its bakes: from its files, or its assets in the store."""
+    if assets is None:
+        return PreparedScene(build_scene(source))
+    received, volume = receive_assets(source, assets, open_store(store_url))
+    return PreparedScene(build_scene(received, volume=volume))
 
 
 @lru_cache(maxsize=16)
-def opened(
+def open_spec(
     source: SceneSource,
     plan: ScenePlan,
     digest: str,
-    store: Place,
-    parcels: Parcels | None = None,
-    shown: float | None = None,
-) -> tuple[Look, ChunkStore]:
-    """A look and its store, opened once a process, and the kernels that its bake takes.
+    store_url: StoreUrl,
+    assets: SceneAssets | None = None,
+    shown: Isovalue | None = None,
+) -> tuple[BakeSpec, ChunkStore]:
+    """A bake's spec and chunk store, opened once a process; its kernels are loaded too.
 
-    SceneError where the scene's files are not those of ``digest``.
+    Raises SceneError where the scene's files are not those of ``digest``.
     """
-    found = Look(recipe_of(source, parcels, store), plan, shown)
+    found = BakeSpec(prepared_scene(source, assets, store_url), plan, shown)
     if found.digest != digest:
-        recipe_of.cache_clear()
-        found = Look(recipe_of(source, parcels, store), plan, shown)
+        prepared_scene.cache_clear()
+        found = BakeSpec(prepared_scene(source, assets, store_url), plan, shown)
     if found.digest != digest:
         raise SceneError(f"The files of the scene '{source.name}' have changed since the server began: restart it.")
     load_kernels({layer.kind for layer in plan.layers})
     if shown is not None:
-        load((move_texels,))
-    return found, ChunkStore(root_of(store), found)
+        load((project_texels,))
+    return found, ChunkStore(open_store(store_url), found)
 
 
 def bake(task: BakeTask) -> BakeResult:
-    """Do a task, unless somebody else is at its chunk. Raises StoreAwayError where it may be done later."""
-    look, store = opened(task.source, task.plan, task.digest, task.store, task.parcels, task.shown)
-    claims, name = claims_of(task.store), ".".join(map(str, (store.layers[0].digest, *task.index)))
+    """Do a task, unless another baker has claimed its chunk. Raises StoreAwayError where the store is away."""
+    spec, chunk_store = open_spec(task.source, task.plan, task.digest, task.store_url, task.assets, task.shown)
+    claims, name = claims_of(task.store_url), ".".join(map(str, (chunk_store.layers[0].digest, *task.index)))
     with claims.on(name, task.owner, task.insists) as ours:
-        return filled(task, look, store, claims) if ours else ELSEWHERE
+        return bake_chunk(task, spec, chunk_store, claims) if ours else ELSEWHERE
 
 
-def filled(task: BakeTask, look: Look, store: ChunkStore, claims: Claims) -> BakeResult:
+def bake_chunk(task: BakeTask, spec: BakeSpec, chunk_store: ChunkStore, claims: Claims) -> BakeResult:
     """Read the chunk of a task, add samples, write it back as one object.
 
     The outcome depends on the texels and their sample counts alone, so a task that is done twice,
     or done again after a kill, leaves the same bytes.
     """
-    damaged = store.damaged
-    chunk = store.load(task.index).with_texels(task.offsets)
+    damaged = chunk_store.damaged
+    chunk = chunk_store.load(task.index).with_texels(task.offsets)
     known = [part.samples.copy() for part in chunk.light.parts]
     chunk.light.agree_on_void()
     rows = chunk.rows_of(task.offsets)
     light, before = chunk.light.rows(rows), chunk.light.samples[rows]
     begun = time.process_time()
-    climb(light, look.recipe.lattice.positions(task.index, task.offsets), look, task)
+    sample_texels(light, spec.prepared.lattice.positions(task.index, task.offsets), spec, task)
     seconds = time.process_time() - begun
     chunk.light.put(rows, light)
     pairs = zip(chunk.light.parts, known, strict=True)
     changed = [not np.array_equal(part.samples, old) for part, old in pairs]
-    if store.save(chunk, changed):
-        claims.meet()
-    result = result_of(light, look, task, cost_of(light.samples, before, seconds))
-    return replace(result, duplicate=not any(changed), healed=store.damaged > damaged)
+    if chunk_store.save(chunk, changed):
+        claims.note_contention()
+    result = result_of(light, spec, task, cost_of(light.samples, before, seconds))
+    return replace(result, duplicate=not any(changed), healed=chunk_store.damaged > damaged)
 
 
-def climb(light: Light, texels: np.ndarray, look: Look, task: BakeTask) -> None:
-    """Do a task to the ``light`` of its ``texels`` (m, 3; z, y, x), in place: rung by rung where it is worth it."""
-    waiting, worth = next_samples(light, look, task.target), worths(light, look, task.footprints)
-    while (worthy := (waiting >= 0) & (waiting < task.until) & (worth >= task.least)).any():
-        rung = int(waiting[worthy].min())
-        rows = np.flatnonzero(worthy & (waiting == rung))
+def sample_texels(light: Light, texels: np.ndarray, spec: BakeSpec, task: BakeTask) -> None:
+    """Sample the ``texels`` (m, 3; z, y, x) of a task level by level, where priority allows; ``light`` is in place."""
+    waiting, priority = next_samples(light, spec, task.target), path_priorities(light, spec, task.footprints)
+    while (worthy := (waiting >= 0) & (waiting < task.until) & (priority >= task.least_priority)).any():
+        level = int(waiting[worthy].min())
+        rows = np.flatnonzero(worthy & (waiting == level))
         part = light.rows(rows)
-        refine(part, texels[rows], look, rung + 1, task.target)
+        refine(part, texels[rows], spec, level + 1, task.target)
         light.put(rows, part)
-        waiting[rows] = next_samples(part, look, task.target)
-        worth = worths(light, look, task.footprints)
+        waiting[rows] = next_samples(part, spec, task.target)
+        priority = path_priorities(light, spec, task.footprints)
 
 
-def worths(light: Light, look: Look, footprints: np.ndarray) -> np.ndarray:
-    """What the next path of each texel is worth: its visible variance over the paths it took; (texels,) float64.
+def path_priorities(light: Light, spec: BakeSpec, footprints: np.ndarray) -> np.ndarray:
+    """The priority of each texel's next path: its visible variance over the paths it took; (texels,) float64.
 
-    Variance falls with a power of the samples, so that the next path takes off as much, times that power. Texels
-    whose next path is worth the same add least to a frame's error for all paths together; texels of the same error
-    do not: the noisy and the hardly seen ones would have taken too many. A few paths that agree by chance tell of no
-    variance at all: half of what is counted is the mean over the chunk's texels.
+    Variance falls with a power of the samples, so the next path reduces it in proportion to this. A frame's error is
+    least for all paths together where the next paths of all texels have the same priority. With equal errors instead,
+    noisy and hardly seen texels would have taken too many. A few paths may agree by chance and show no variance:
+    half of what is counted is therefore the mean over the chunk's texels.
     """
-    variance = standard_error(light, look) ** 2
+    variance = standard_error(light, spec) ** 2
     usual = variance[light.samples > 0].mean() if (light.samples > 0).any() else 0.0
     seen = footprints * (variance + usual) / 2.0
     return np.asarray(np.where(light.samples > 0, seen / np.maximum(light.samples, 1), np.inf))
 
 
 def cost_of(samples: np.ndarray, before: np.ndarray, seconds: float) -> Cost:
-    """The cost of texels that had so many samples ``before``; parts that climb together are of the same paths."""
+    """The cost of texels that had so many samples ``before``; parts that are sampled together share their paths."""
     taken = np.maximum(samples, 0) - np.maximum(before, 0)
     paths, lit = int(taken.sum()), int(((before == 0) & (samples > 0)).sum())
-    return Cost(seconds, paths, lit, seconds * FIRST_RUNG * lit / max(paths, 1))
+    return Cost(seconds, paths, lit, seconds * FIRST_LEVEL * lit / max(paths, 1))
 
 
-def result_of(light: Light, look: Look, task: BakeTask, cost: Cost) -> BakeResult:
-    """What ``light`` still lacks of a task's target, and what was spent on it."""
-    waiting = next_samples(light, look, task.target) >= 0
-    seen = task.footprints[waiting] @ standard_error(light, look)[waiting] ** 2
-    worth = float(seen) / max(int(light.samples[waiting].sum()), 1)
-    effort = Effort.of(relative_error(light, look), light.samples, task.target)
-    return BakeResult(int(waiting.sum()), worth, effort, cost)
+def result_of(light: Light, spec: BakeSpec, task: BakeTask, cost: Cost) -> BakeResult:
+    """The result of a task: what ``light`` still lacks of the target, and the cost."""
+    waiting = next_samples(light, spec, task.target) >= 0
+    seen = task.footprints[waiting] @ standard_error(light, spec)[waiting] ** 2
+    priority = float(seen) / max(int(light.samples[waiting].sum()), 1)
+    effort = Effort.of(relative_error(light, spec), light.samples, task.target)
+    return BakeResult(int(waiting.sum()), priority, effort, cost)
 
 
 def bake_kernels(kinds: Iterable[str]) -> tuple[Any, ...]:
-    """The entry kernels that baking layers of these ``kinds`` takes, besides those that open a scene."""
+    """The entry kernels for baking layers of these ``kinds``, besides those that open a scene."""
     return (*{PATHS[kind] for kind in kinds}, locate_texels)
 
 
 def kernels_missing(kinds: Iterable[str]) -> bool:
-    """Whether kernels that bake layers of these ``kinds`` are yet to be compiled on this machine."""
+    """Whether kernels that bake layers of these ``kinds`` are not compiled yet on this machine."""
     return any(not entry.stored for entry in entries_of(bake_kernels(kinds)))
 
 
 def load_kernels(kinds: Iterable[str]) -> None:
-    """Compile or load the kernels that bake layers of these ``kinds``, before there is anything to bake."""
+    """Compile or load the kernels that bake layers of these ``kinds``."""
     load(bake_kernels(kinds))
 
 
 async def dask_setup(worker: Any) -> None:
-    """Have a ``worker`` started with ``--preload worker.tasks`` load the kernels of all bakes, and then come."""
+    """Load the kernels of all bakes in a ``worker`` started with ``--preload worker.tasks``, before it joins."""
     await asyncio.to_thread(load_kernels, KINDS)

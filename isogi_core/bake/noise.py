@@ -1,12 +1,16 @@
-"""How wrong a texel's light still is, and when it is good enough."""
+"""How wrong a texel's light still is, when it is good enough, and how many samples that takes."""
 
+import math
 from collections.abc import Mapping
+from itertools import product
+from typing import NamedTuple, Self
 
 import numpy as np
 
-from isogi_core.bake.light import Light, Part
-from isogi_core.bake.look import Look, band_of
-from isogi_core.model.plan import FEWEST, Layer, most_samples
+from isogi_core.bake.bake_spec import BakeSpec, band_of
+from isogi_core.bake.texel_light import Light, Part
+from isogi_core.kernels.shading.lattice import LEAST_SPREAD
+from isogi_core.model.scene_plan import FEWEST, Layer, most_samples
 from isogi_core.plan.albedos import mixing_weights
 
 FLOOR = 0.5
@@ -35,66 +39,66 @@ scaled to band 0 where there is nothing else: see ``evenness``.
 
 
 DARKEST = 1e-30
-"""Luminance, in units of a look, that stands for none where it is divided by."""
+"""Luminance, in the unit of a bake spec, that stands for none in a divisor."""
 
 
-def deviations(light: Light, look: Look) -> np.ndarray:
+def deviations(light: Light, spec: BakeSpec) -> np.ndarray:
     """Standard error of the luminance in each part, a mean over all turns of the light; (parts, texels) float64."""
-    return np.array([deviation(part, look) for part in light.parts])
+    return np.array([deviation(part, spec) for part in light.parts])
 
 
-def deviation(part: Part, look: Look) -> np.ndarray:
-    """Standard error of the luminance in one part, see ``Look.gains``; (texels,) float64.
+def deviation(part: Part, spec: BakeSpec) -> np.ndarray:
+    """Standard error of the luminance in one part, see ``BakeSpec.gains``; (texels,) float64.
 
-    Where band 0 was told too noisy by chance, a quarter of what even noise would be is the least.
+    Where band 0 was estimated too noisy by chance, a quarter of what even noise would be is the least.
     """
-    squares, gains = part.noise.astype(np.float64) ** 2, look.gains(part.layer)
+    squares, gains = part.noise.astype(np.float64) ** 2, spec.gains(part.layer)
     return np.asarray(np.sqrt(np.maximum(squares @ gains, squares[:, -1] * gains.sum() / 4.0)))
 
 
-def luminance(light: Light, look: Look) -> np.ndarray:
+def luminance(light: Light, spec: BakeSpec) -> np.ndarray:
     """Mean luminance of each texel over all turns of the light, lobes among it; (texels,) float64."""
     total = np.zeros(len(light))
     for part in light.parts:
-        total += part.coefficients[:, :, 0].astype(np.float64) @ white(part.layer, look)
+        total += part.coefficients[:, :, 0].astype(np.float64) @ white(part.layer, spec)
     return total
 
 
-def white(layer: Layer, look: Look) -> np.ndarray:
+def white(layer: Layer, spec: BakeSpec) -> np.ndarray:
     """What band 0 of a ``layer`` counts in the mean luminance over all turns of the light; (channels,) float64.
 
     Where views may ask for other albedos, reflected light counts as it does at the lowest, all else as at the highest:
-    an error that is told of the most noise over the least light holds at each of them.
+    an error of the most noise over the least light holds at each of them.
     """
-    weights = look.luminance_light[:, 0]
+    weights = spec.luminance_light[:, 0]
     if layer.nodes:
-        return np.asarray(weights.sum() * mixing_weights(look.recipe.scene.lowest, layer.nodes, look.plan.bounces))
+        return np.asarray(weights.sum() * mixing_weights(spec.prepared.scene.lowest, layer.nodes, spec.plan.bounces))
     return np.array(weights if layer.channels == len(weights) else weights.sum(keepdims=True))
 
 
-def standard_error(light: Light, look: Look) -> np.ndarray:
+def standard_error(light: Light, spec: BakeSpec) -> np.ndarray:
     """Standard error of each texel's luminance, all parts together; (texels,) float64."""
-    return np.asarray(np.sqrt((deviations(light, look) ** 2).sum(axis=0)))
+    return np.asarray(np.sqrt((deviations(light, spec) ** 2).sum(axis=0)))
 
 
-def level(light: Light, look: Look) -> np.ndarray:
+def level(light: Light, spec: BakeSpec) -> np.ndarray:
     """The luminance that each texel's error is held against: its own, or that of FLOOR; (texels,) float64."""
-    return np.maximum(luminance(light, look), least_level(look))
+    return np.maximum(luminance(light, spec), least_level(spec))
 
 
-def least_level(look: Look) -> float:
+def least_level(spec: BakeSpec) -> float:
     """The luminance that errors of the darkest texels are held against."""
-    return FLOOR * max(look.unoccluded, DARKEST * look.unit)
+    return FLOOR * max(spec.unoccluded, DARKEST * spec.unit)
 
 
-def relative_error(light: Light, look: Look) -> np.ndarray:
+def relative_error(light: Light, spec: BakeSpec) -> np.ndarray:
     """Standard error of each texel's luminance over the luminance, a mean over all turns of the light; (texels,)."""
-    return np.asarray(standard_error(light, look) / level(light, look))
+    return np.asarray(standard_error(light, spec) / level(light, spec))
 
 
-def finished(light: Light, look: Look, target: float) -> np.ndarray:
+def finished(light: Light, spec: BakeSpec, target: float) -> np.ndarray:
     """Whether each texel is final: its error within ``target``, its samples spent, or void; (texels,) bool."""
-    return light.void | good_enough(relative_error(light, look), light.samples, target)
+    return light.void | good_enough(relative_error(light, spec), light.samples, target)
 
 
 def good_enough(error: np.ndarray, samples: np.ndarray, target: float) -> np.ndarray:
@@ -103,7 +107,7 @@ def good_enough(error: np.ndarray, samples: np.ndarray, target: float) -> np.nda
 
 
 def noise_of_halves(halves: np.ndarray, samples: int, order: int, evenness: np.ndarray | float = 1.0) -> np.ndarray:
-    """Standard errors of coefficients, in band 0 and above it, told from two independent randomisations.
+    """Standard errors of coefficients, in band 0 and above it, from two independent randomisations.
 
     ``halves`` (m, 2, N²) are sums over half of ``samples`` each, with the bands below ``order`` in front. Band 0 is
     judged with its neighbour, see BAND_0, of which ``evenness`` (m,) is the share that band 0 varies by. Above it is
@@ -143,3 +147,79 @@ def blend_noise(former: np.ndarray, samples: int, latest: np.ndarray, decay: tup
     squares = (former.astype(np.float64) ** 2 + latest**2) / 2.0
     low = squares[:, :1]
     return np.asarray(np.sqrt(decay[0] * np.minimum(squares, low) + decay[1] * np.maximum(squares - low, 0.0)))
+
+
+def scatter(wrong: np.ndarray, light: Light, spec: BakeSpec) -> np.ndarray:
+    """Standard errors ``wrong`` of the luminance over the standard deviation of one path's; both (texels,) float64.
+
+    It is what a texel's noise keeps as the light turns: ``light_texels`` puts the present light's deviation to it.
+    """
+    return np.asarray(wrong / np.maximum(path_deviation(light, spec), DARKEST * spec.unit))
+
+
+def path_deviation(light: Light, spec: BakeSpec) -> np.ndarray:
+    """Standard deviation of one path's luminance, the mean square over all turns of the light; (texels,) float64.
+
+    For a light rotated at random the second moment keeps its first band, and E[(τ·Dℓ)²] = Σ_l Σ_cd (τ_c·τ_d)_l
+    (ℓ_c·ℓ_d)_l / (2l + 1) over the channels c, d of all terms. LEAST_SPREAD of the second moment is added, as in
+    ``light_texels``.
+    """
+    terms = spec.terms
+    transfer = [light.columns([term]).astype(np.float64) for term in terms]
+    second = sum(t[:, t.shape[1] // 2, 0] * term.square[0] for t, term in zip(transfer, terms, strict=True))
+    mean = np.zeros(len(light))
+    for (t, one), (u, other) in product(zip(transfer, terms, strict=True), repeat=2):
+        each = powers(one.luminance / spec.unit, other.luminance / spec.unit)
+        mean += np.einsum("mcn,mdn,cdn->m", t[:, :, : each.shape[2]], u[:, :, : each.shape[2]], each)
+    return spec.unit * np.sqrt(np.maximum(second - mean, 0.0) + LEAST_SPREAD * np.maximum(second, 0.0))
+
+
+def powers(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """What each τ_c τ_d counts in E[(τ·D ``one``)(τ·D ``other``)]: (ℓ_c·ℓ_d)_l / (2l + 1); (channels, channels, n²).
+
+    The lights are (channels, n²), of which the lower order counts; the mean is over all rotations D.
+    """
+    n = min(one.shape[1], other.shape[1])
+    order = math.isqrt(n)
+    bands = np.add.reduceat(one[:, None, :n] * other[None, :, :n], np.arange(order) ** 2, axis=2)
+    return np.asarray((bands / (2.0 * np.arange(order) + 1.0))[:, :, band_of(order)])
+
+
+RATE = 1.5
+"""How samples grow as the error falls: with 1 / error^RATE, since stratified points' error falls about as n^-2/3."""
+
+
+class Effort(NamedTuple):
+    """What texels that are not final want: ``unlit`` of them hold no light yet.
+
+    The others have ``taken`` so many samples together, and are predicted to take ``left`` more.
+    """
+
+    unlit: int
+    taken: float
+    left: float
+
+    @classmethod
+    def of(cls, error: np.ndarray, samples: np.ndarray, target: float) -> Self:
+        """The effort of texels by their relative ``error`` and their ``samples``, void ones left out."""
+        unlit, taken, left = efforts(np.zeros(len(error), np.intp), 1, error, samples, target)[0].tolist()
+        return cls(int(unlit), taken, left)
+
+
+def samples_left(error: np.ndarray, samples: np.ndarray, target: float) -> np.ndarray:
+    """The samples that texels will still take to bring their relative ``error`` to ``target``; (texels,) float64.
+
+    They must be lit and not final: each climbs one sample level at least.
+    """
+    needed = np.clip(samples * (error / target) ** RATE, FEWEST, most_samples(target))
+    goal = 2.0 ** np.ceil(np.log2(needed))
+    return np.asarray(np.maximum(goal, 2.0 * samples) - samples)
+
+
+def efforts(chunks: np.ndarray, count: int, error: np.ndarray, samples: np.ndarray, target: float) -> np.ndarray:
+    """``Effort.of`` the texels of each of ``count`` chunks, (count, 3) float64; ``chunks`` is where each texel is."""
+    unlit, waiting = samples == 0, (samples > 0) & ~good_enough(error, samples, target)
+    left = samples_left(error[waiting], samples[waiting], target)
+    columns = ((unlit, None), (waiting, samples[waiting]), (waiting, left))
+    sums = [np.bincount(chunks[rows], weights=weights, minlength=count) for rows, weights in columns]
+    return np.stack(sums, axis=1).astype(np.float64)

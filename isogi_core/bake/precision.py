@@ -1,14 +1,15 @@
-"""What is rounded on its way to the store: light to half floats or bytes, noise to bytes, samples to rungs of a ladder.
+"""What is rounded on its way to the store: light to half floats or bytes, noise and sample counts to bytes.
 
-Light in memory is rounded too, after each rung, so that a texel has the same bits whether it was read or just baked.
+Sample counts climb levels, each twice the one before. Light in memory is rounded too, after each level, so that
+a texel has the same bits whether it was read or just baked.
 """
 
 import numpy as np
 
-from isogi_core.model.plan import Layer
+from isogi_core.model.scene_plan import Layer
 
-FIRST_RUNG = 16
-"""Samples of a texel's first rung; each further one doubles them."""
+FIRST_LEVEL = 16
+"""Samples of a texel's first level; each further one doubles them."""
 
 VOID = -1
 """Number of samples that marks a texel which can hold no light."""
@@ -88,9 +89,9 @@ def _noise_table() -> np.ndarray:
 NOISE_OF = _noise_table()
 
 
-def rung_codes(samples: np.ndarray) -> np.ndarray:
-    """Bytes of sample counts on the ladder: 0 for none, k for FIRST_RUNG · 2^(k - 1), VOID_CODE for VOID; uint8."""
-    codes = np.log2(np.maximum(samples, FIRST_RUNG // 2) / (FIRST_RUNG // 2)).astype(np.uint8)
+def level_codes(samples: np.ndarray) -> np.ndarray:
+    """Bytes of sample counts at levels: 0 for none, k for FIRST_LEVEL · 2^(k - 1), VOID_CODE for VOID; uint8."""
+    codes = np.log2(np.maximum(samples, FIRST_LEVEL // 2) / (FIRST_LEVEL // 2)).astype(np.uint8)
     return np.where(samples == VOID, VOID_CODE, codes).astype(np.uint8)
 
 
@@ -102,13 +103,13 @@ def samples_of(codes: np.ndarray) -> np.ndarray:
 def _samples_table() -> np.ndarray:
     """The sample counts that each byte stands for; (256,) int32."""
     codes = np.arange(256)
-    climbed = (FIRST_RUNG // 2) << np.where(codes == VOID_CODE, 0, codes).astype(np.int32)
+    climbed = (FIRST_LEVEL // 2) << np.where(codes == VOID_CODE, 0, codes).astype(np.int32)
     return np.where(codes == VOID_CODE, VOID, np.where(codes == 0, 0, climbed)).astype(np.int32)
 
 
 SAMPLES_OF = _samples_table()
 
 
-def next_rung(samples: int) -> int:
-    """The sample count that follows ``samples`` on the ladder."""
-    return FIRST_RUNG if samples < FIRST_RUNG else 2 * samples
+def next_level(samples: int) -> int:
+    """The sample count of the level above ``samples``."""
+    return FIRST_LEVEL if samples < FIRST_LEVEL else 2 * samples

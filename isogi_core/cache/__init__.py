@@ -1,1 +1,1 @@
-"""The illumination cache: chunks of baked light in a Zarr store, and the pool of those in memory."""
+"""The illumination cache: layers of chunks in a Zarr store, and the page pool of decoded chunks in memory."""

@@ -1,4 +1,4 @@
-"""Chunks of the cache: which of their texels are baked, and their light."""
+"""Chunks of the cache: their baked texels, and the light of these."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,9 +7,9 @@ from itertools import compress
 
 import numpy as np
 
-from isogi_core.bake.light import Light, Part
-from isogi_core.bake.recipe import Index
-from isogi_core.model.plan import Layer, ScenePlan
+from isogi_core.bake.texel_light import Light, Part
+from isogi_core.model.scene_plan import Layer, ScenePlan
+from isogi_core.prepared.prepared_scene import Index
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,18 +27,18 @@ class Chunk:
 
     @classmethod
     def of_parts(cls, index: Index, layers: Sequence[Layer], found: Sequence[tuple[np.ndarray, Part]]) -> "Chunk":
-        """The chunk of what was ``found`` in each layer: offsets and their part."""
+        """The chunk of the offsets and the part that were ``found`` in each layer."""
         return cls(index, *united(layers, found))
 
     def with_texels(self, offsets: np.ndarray) -> "Chunk":
-        """This chunk and, dark as yet, the texels at ``offsets`` that it does not have."""
+        """This chunk with the texels at ``offsets`` added where it lacks them; added texels are dark."""
         union = np.union1d(self.offsets, offsets).astype(np.int32)
         light = Light(tuple(Part.dark(part.layer, len(union)) for part in self.light.parts))
         light.put(np.searchsorted(union, self.offsets), self.light)
         return Chunk(self.index, union, light)
 
     def rows_of(self, offsets: np.ndarray) -> np.ndarray:
-        """Rows of ``light`` that belong to texels at ``offsets``, all of which the chunk must have."""
+        """Rows of ``light`` for texels at ``offsets``, all of which the chunk must have."""
         return np.searchsorted(self.offsets, offsets)
 
 
@@ -56,14 +56,14 @@ class Chunks:
 
     @classmethod
     def of_one(cls, chunk: Chunk) -> "Chunks":
-        """A chunk alone."""
+        """A single chunk."""
         return cls((chunk.index,), np.array([0, len(chunk.offsets)]), chunk.offsets, chunk.light)
 
     @classmethod
     def of_parts(
         cls, indices: Sequence[Index], texels: int, layers: Sequence[Layer], found: Sequence[tuple[np.ndarray, Part]]
     ) -> "Chunks":
-        """Those of the chunks that have texels, of what was ``found`` in each layer: places and their part.
+        """The chunks that have texels, of the places and the part that were ``found`` in each layer.
 
         A place is the number of the chunk among ``indices`` times the ``texels`` of one plus the offset in it.
         """
@@ -74,7 +74,7 @@ class Chunks:
 
 
 def united(layers: Sequence[Layer], found: Sequence[tuple[np.ndarray, Part]]) -> tuple[np.ndarray, Light]:
-    """The places that were ``found`` in any of the layers, ascending, and the light of all, dark where one has none."""
+    """The places ``found`` in any of the layers, ascending, and their light; a part is dark where it lacks a place."""
     first, parts = found[0][0], [part for _, part in found]
     if all(np.array_equal(own, first) for own, _ in found):
         return first.astype(np.int32), Light(tuple(parts))

@@ -1,8 +1,8 @@
-"""Claims: who is at which chunk, so that bakers over one store take different ones. Hints that save time, never locks.
+"""Claims of chunks, so that bakers over one store take different ones. They are hints that save time, never locks.
 
-A claim is a small object beside the light. It is made where somebody else was met, and only then: who bakes alone has
-no use for it. Whoever has waited long enough takes it over: its owner may have been killed. Where claims cannot be
-read or written, baking goes on without.
+A claim is a small object beside the light. Claims are made only after another baker was noticed, as a baker alone has
+no use for them. After a long enough wait a claim is taken over, as its owner may have been killed. Where claims cannot
+be read or written, baking goes on without them.
 """
 
 import logging
@@ -12,35 +12,35 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 
 from isogi_core.cache.inventory import CLAIMS
-from isogi_core.cache.root import Root
-from isogi_core.cache.shelf import Found
 from isogi_core.errors import ChangedError, StoreError
+from isogi_core.storage.backend import StoredObject
+from isogi_core.storage.store import Store
 
 log = logging.getLogger("isogi.cache")
 
-COMPANY = 60.0
-"""Seconds for which claims are made after somebody else was met."""
+CONTENDED = 60.0
+"""Seconds for which claims are made after another baker was noticed."""
 
 
 class Claims:
-    """The claims in the store at ``root``, as one process knows them."""
+    """The claims in a ``store``, as one process knows them."""
 
-    def __init__(self, root: Root, clock: Callable[[], float] = time.monotonic) -> None:
-        """Have met nobody yet."""
-        self._root, self._clock = root, clock
-        self._met = -math.inf
+    def __init__(self, store: Store, clock: Callable[[], float] = time.monotonic) -> None:
+        """Begin without contention."""
+        self._store, self._clock = store, clock
+        self._contended = -math.inf
 
-    def meet(self) -> None:
-        """Somebody else has been at what this process was at: look and tell who is at what, for a while."""
-        self._met = self._clock()
+    def note_contention(self) -> None:
+        """Note that another baker worked on the same chunk: read and write claims for a while."""
+        self._contended = self._clock()
 
     @contextmanager
     def on(self, name: str, owner: str, insist: bool = False) -> Iterator[bool]:
-        """Whether the chunk of this ``name`` is its ``owner``'s while the block runs, and not somebody else's.
+        """Claim the chunk of this ``name`` for its ``owner`` while the block runs; yields whether it is free to bake.
 
-        An owner's former claim is its own, and anybody's is where it does ``insist``. Who has no name claims nothing.
+        An owner takes over its own former claim, and with ``insist`` anybody's. An empty owner claims nothing.
         """
-        if not owner or self._clock() - self._met > COMPANY:
+        if not owner or self._clock() - self._contended > CONTENDED:
             yield True
             return
         key = f"{CLAIMS}/{name}"
@@ -50,25 +50,25 @@ class Claims:
         finally:
             if ours:
                 with suppress(StoreError):
-                    self._root.delete(key)
+                    self._store.delete(key)
 
     def _claim(self, key: str, mark: bytes, insist: bool) -> bool:
-        """Whether the claim could be made, or nobody can make any."""
+        """Make a claim; True also where the store takes no claims."""
         try:
             if self._put(key, mark, None):
                 return True
-            former = self._root.get(key)
+            former = self._store.get(key)
             if (former is None or insist or former.data == mark) and self._put(key, mark, former):
                 return True
         except StoreError as error:
             log.info("A chunk cannot be claimed: %s", error)
             return True
-        self.meet()
+        self.note_contention()
         return False
 
-    def _put(self, key: str, mark: bytes, former: Found | None) -> bool:
-        """Write a claim in place of the former one; whether that was still so."""
+    def _put(self, key: str, mark: bytes, former: StoredObject | None) -> bool:
+        """Write a claim in place of the former one; False where that has changed."""
         with suppress(ChangedError):
-            self._root.put(key, mark, former)
+            self._store.put(key, mark, former)
             return True
         return False

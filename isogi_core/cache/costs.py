@@ -1,8 +1,8 @@
-"""Costs: what baking took, chunk by chunk. Kept beside the light, so that time left can be told after a restart.
+"""Costs of baking, chunk by chunk, kept beside the light, so that time left can be estimated after a restart.
 
-Chunks are the same bytes whoever bakes them, and so say nothing of time; the attributes of one small Zarr group a
-bake do. They are written whole, by the process that owns the queue: of two servers over one store, what the last one
-writes stays. Where they are lost, times are measured anew.
+Chunks have the same bytes whoever bakes them, and hold no times. The attributes of one small Zarr group a bake do. They
+are written whole by the process that owns the queue: of two servers over one store, the last write stays. Where they
+are lost, times are measured anew.
 """
 
 import json
@@ -15,23 +15,23 @@ from collections.abc import Callable, Iterable
 from functools import reduce
 from typing import Any, NamedTuple
 
-from isogi_core.bake.precision import FIRST_RUNG
-from isogi_core.bake.recipe import Index
-from isogi_core.cache.root import Root, Where
+from isogi_core.bake.precision import FIRST_LEVEL
+from isogi_core.prepared.prepared_scene import Index
+from isogi_core.storage.store import Store, StoreLike
 
 log = logging.getLogger("isogi.cache")
 
 COSTS = "costs"
-"""The folder of all costs at the root of a store."""
+"""The folder of all costs at the top of a store."""
 
 SAVE_EVERY = 30.0
-"""Seconds after which costs that have grown are written again."""
+"""Seconds after which changed costs are written again."""
 
 
 class Cost(NamedTuple):
-    """Processor seconds that were spent on ``paths`` of light; of so many ``texels`` they were the first.
+    """Processor ``seconds`` spent on ``paths`` of light, which gave so many ``texels`` their first light.
 
-    The first light of a texel takes ``first`` of these seconds: it comes with work that is done once.
+    ``first`` of these seconds went into first light, which includes work that is done once a texel.
     """
 
     seconds: float = 0.0
@@ -41,21 +41,21 @@ class Cost(NamedTuple):
 
     @property
     def rate(self) -> float | None:
-        """Seconds that a path takes after the first light; None where there was none."""
-        paths = self.paths - FIRST_RUNG * self.texels
+        """Seconds of a path after first light; None where there was none."""
+        paths = self.paths - FIRST_LEVEL * self.texels
         return (self.seconds - self.first) / paths if paths > 0 else None
 
     def plus(self, other: "Cost") -> "Cost":
-        """Both together."""
+        """The sum of both."""
         return Cost(*(mine + theirs for mine, theirs in zip(self, other, strict=True)))  # type: ignore[arg-type]
 
 
 class Costs:
-    """The costs of the bake ``digest`` in the store at ``root``. Safe to use from many threads."""
+    """The costs of the bake ``digest`` in a ``store``. Safe to use from many threads."""
 
-    def __init__(self, root: Where, digest: str, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, store: StoreLike, digest: str, clock: Callable[[], float] = time.monotonic) -> None:
         """Know nothing yet."""
-        self._root = Root.of(root)
+        self._store = Store.of(store)
         self._key = f"{COSTS}/{digest}/zarr.json"
         self._clock = clock
         self._chunks: dict[Index, Cost] = {}
@@ -67,13 +67,13 @@ class Costs:
         self._writing = threading.Lock()
 
     def add(self, index: Index, cost: Cost) -> None:
-        """Take in what a task at a chunk took."""
+        """Add the cost of a chunk's task."""
         with self._lock:
             self._take(index, cost)
             self._grown = self._clock() if self._grown is None else self._grown
 
     def rate(self, index: Index) -> float | None:
-        """Seconds that a path from a chunk takes: as measured there, else what is common; None before the first."""
+        """Seconds of a path of a chunk: as measured there, else the common rate; None before the first task."""
         with self._lock:
             own = self._chunks.get(index, Cost()).rate
             return self._common if own is None else own
@@ -95,7 +95,7 @@ class Costs:
         return (self._rates[middle] + self._rates[~middle]) / 2 if self._rates else self._fastest
 
     def _take(self, index: Index, cost: Cost) -> None:
-        """Add to what is known of a chunk; the rates stay sorted. The caller holds the lock."""
+        """Add a cost to a chunk's; the rates stay sorted. The caller holds the lock."""
         before = self._chunks.get(index, Cost())
         after = self._chunks[index] = before.plus(cost)
         self._total = self._total.plus(cost)
@@ -107,9 +107,9 @@ class Costs:
             self._fastest = min(cost.seconds / cost.paths, self._fastest or math.inf)
 
     def read(self) -> None:
-        """Take over what the store has. What is missing or damaged there counts as unknown."""
+        """Add the costs in the store. Missing or damaged costs count as unknown."""
         try:
-            found = self._root.get(self._key)
+            found = self._store.get(self._key)
             if found is None:
                 return
             kept: Any = json.loads(found.data)["attributes"]["chunks"]
@@ -122,11 +122,11 @@ class Costs:
                 self._take(index, cost)
 
     def save(self, at_once: bool = True) -> None:
-        """Write what has grown, or only what has been waiting for SAVE_EVERY seconds.
+        """Write changed costs; without ``at_once`` only after SAVE_EVERY seconds.
 
-        A store that cannot keep it is told, and asked again SAVE_EVERY seconds later; one that is only read is not.
+        A failed write is logged and tried again SAVE_EVERY seconds later. Nothing is written to a read-only store.
         """
-        if self._root.read_only:
+        if self._store.read_only:
             return
         with self._writing:
             with self._lock:
@@ -136,7 +136,7 @@ class Costs:
                 chunks = {"/".join(map(str, index)): list(cost) for index, cost in self._chunks.items()}
             try:
                 group = {"zarr_format": 3, "node_type": "group", "attributes": {"chunks": chunks}}
-                self._root.put(self._key, json.dumps(group).encode(), self._root.get(self._key))
+                self._store.put(self._key, json.dumps(group).encode(), self._store.get(self._key))
             except Exception as error:
                 log.warning("What the bake took cannot be kept: %s", error)
                 with self._lock:
@@ -144,6 +144,6 @@ class Costs:
 
 
 def place(key: str) -> Index:
-    """The chunk that a key names: z/y/x."""
+    """The index of the chunk that a key, z/y/x, names."""
     z, y, x = map(int, key.split("/"))
     return z, y, x

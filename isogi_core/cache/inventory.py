@@ -1,23 +1,23 @@
-"""The inventory of a store: what each of its objects is, by its key alone."""
+"""The inventory of a store: the kind of each of its objects, by the key alone."""
 
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
-from isogi_core.bake.recipe import Index
-from isogi_core.cache.shelf import Entry
+from isogi_core.prepared.prepared_scene import Index
+from isogi_core.storage.backend import Entry
 
 QUARANTINE = "quarantine"
-"""Where objects are moved that were found damaged."""
+"""Folder that damaged objects are moved to."""
 
 USED = "used"
-"""Where stamps of use are: see ``cache.use``."""
+"""Folder of stamps of use: see ``cache.chunk_store``."""
 
 COSTS = "costs"
-"""Where costs are: see ``cache.costs``."""
+"""Folder of costs: see ``cache.costs``."""
 
 CLAIMS = "claims"
-"""Where claims are: see ``cache.claims``."""
+"""Folder of claims: see ``cache.claims``."""
 
 CHUNK = re.compile(r"([0-9a-f]{20})/c/(\d+)/(\d+)/(\d+)/0")
 METADATA = re.compile(r"([0-9a-f]{20})/zarr\.json")
@@ -39,26 +39,26 @@ class LayerFiles:
 
     @property
     def objects(self) -> list[Entry]:
-        """All of them, the metadata last: a layer that is deleted in this order can be read to its end."""
+        """All objects, the metadata last: a layer that is deleted in this order stays readable to the end."""
         return [*self.chunks.values(), *filter(None, (self.stamp, self.metadata))]
 
     @property
     def size(self) -> int:
-        """Bytes of all of them."""
+        """Bytes of all objects."""
         return sum(found.size for found in self.objects)
 
     @property
     def used(self) -> float:
-        """When it was last written or read, in the store's calendar."""
+        """Time of the last write or read, by the store's calendar."""
         return max(found.written for found in self.objects)
 
 
 @dataclass(eq=False)
 class Inventory:
-    """What a store holds: ``layers`` by their digests, and objects that are none of theirs.
+    """Objects of a store: ``layers`` by their digests, and others.
 
-    ``leftovers`` are what a process that was killed, or is at work, did not come to the end of; ``foreign`` is what
-    isogi does not write; ``quarantined`` are objects that were found damaged earlier, and ``costs`` by their looks.
+    ``costs`` are by the digests of their bakes. ``leftovers`` are half-written, by a process that was killed or is at
+    work. ``foreign`` objects are not isogi's. ``quarantined`` ones were found damaged earlier.
     """
 
     layers: dict[str, LayerFiles] = field(default_factory=dict)
@@ -69,7 +69,7 @@ class Inventory:
 
     @property
     def chunks(self) -> int:
-        """Objects that hold light."""
+        """Number of objects that hold light."""
         return sum(len(layer.chunks) for layer in self.layers.values())
 
     def layer(self, digest: str) -> LayerFiles:
@@ -77,7 +77,7 @@ class Inventory:
         return self.layers.setdefault(digest, LayerFiles(digest))
 
     def add(self, found: Entry) -> None:
-        """Take in one more object."""
+        """Add an object."""
         if found.key.startswith(f"{QUARANTINE}/"):
             self.quarantined.append(found)
         elif LEFTOVER.fullmatch(found.key):
@@ -94,7 +94,7 @@ class Inventory:
 
 
 def inventory_of(listed: Iterable[Entry]) -> Inventory:
-    """The inventory of what was ``listed`` of a store."""
+    """The inventory of the ``listed`` objects of a store."""
     inventory, stamps = Inventory(), {}
     for found in listed:
         inventory.add(found)

@@ -1,8 +1,7 @@
 """Layers of light on disk or in an object store: one Zarr v3 array a layer, one object a chunk.
 
-An object is written whole or not at all and describes itself, so readers and writers need no locks.
-Whether a chunk is there is asked of the store by key and never read from values; what was
-damaged on the way is caught by the checksum that is the last codec.
+An object is written whole or not at all and describes itself, so readers and writers need no locks. Whether a chunk is
+there is asked of the store by key and never read from values. The checksum, which is the last codec, shows damage.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -16,52 +15,51 @@ import numpy as np
 import zarr
 from zarr.codecs import BytesCodec, Crc32cCodec, ZstdCodec
 
-from isogi_core.bake.light import Part
-from isogi_core.bake.precision import FIRST_RUNG, NEGATIVE, NOISIEST, SILENT, STEPS, VOID, VOID_CODE
-from isogi_core.bake.recipe import Index, Recipe
-from isogi_core.cache.metadata import described, description
-from isogi_core.cache.record import at_home, pack, record_type, unpack_all
-from isogi_core.cache.root import Root, Where
-from isogi_core.cache.shelf import Found
-from isogi_core.cache.troubles import one_line
-from isogi_core.cache.wrapping import LEVEL, unwrap_all, wrap
+from isogi_core.bake.precision import FIRST_LEVEL, NEGATIVE, NOISIEST, SILENT, STEPS, VOID, VOID_CODE
+from isogi_core.bake.texel_light import Part
+from isogi_core.cache.chunk_record import belongs, pack, record_type, unpack_all
 from isogi_core.errors import ChangedError, DamagedChunkError, StoreError, StoreFullError, StoreReadOnlyError
-from isogi_core.model.plan import Layer
-from isogi_core.model.scene import BAKE_FORMAT
+from isogi_core.model.scene_plan import Layer
+from isogi_core.model.volume import Isovalue
+from isogi_core.plan.scene import BAKE_FORMAT
+from isogi_core.prepared.prepared_scene import Index, PreparedScene
+from isogi_core.storage.backend import StoredObject, one_line
+from isogi_core.storage.store import Store, StoreLike
+from isogi_core.storage.zarr_codec import LEVEL, described, description, unwrap_all, wrap
 
 CODECS = (BytesCodec, ZstdCodec, Crc32cCodec)
-"""What a chunk goes through on its way to the store; the checksum is last, so that it covers all of it."""
+"""Codecs of a chunk; the checksum is last, so that it covers the whole object."""
 
 MOST_TRIES = 20
-"""Writes of a chunk in a row that others came before."""
+"""Tries of a write while others write the same chunk."""
 
 CODES = {
-    "first_rung": FIRST_RUNG,
+    "first_rung": FIRST_LEVEL,
     "void": VOID_CODE,
     "noisiest": NOISIEST,
     "steps": STEPS,
     "silent": SILENT,
     "negative": NEGATIVE,
 }
-"""What a reader without isogi needs to know of the bytes in a record."""
+"""Constants that a reader without isogi needs to decode the bytes of a record."""
 
 MOVE_AWAY = "have `isogi store repair` mend it, or move that folder away, and the light is baked again."
 
 
 class LayerStore:
-    """The chunks of one layer at ``root``, a folder, a URL or a root that is open. Raises StoreError.
+    """The chunks of one layer in a ``store``. Methods raise StoreError.
 
-    Its texels lie on the isosurface that is ``shown``, a normalised isovalue, where one is; see ``Look``.
+    Its texels lie on the isosurface ``shown``, if any; see ``BakeSpec``.
     """
 
-    def __init__(self, root: Where, recipe: Recipe, layer: Layer, shown: float | None = None) -> None:
-        """Name the layer's place; nothing is opened or made yet."""
-        self.root = Root.of(root)
-        self.recipe = recipe
+    def __init__(self, store: StoreLike, prepared: PreparedScene, layer: Layer, shown: Isovalue | None = None) -> None:
+        """Touch nothing yet."""
+        self.store = Store.of(store)
+        self.prepared = prepared
         self.layer = layer
         self.shown = shown
-        self.digest = recipe.scene.layer_digest(layer, shown)
-        self.texels = recipe.lattice.texels
+        self.digest = prepared.scene.layer_digest(layer, shown)
+        self.texels = prepared.lattice.texels
         self.size = record_type(layer, self.texels).itemsize
 
     @cached_property
@@ -71,29 +69,29 @@ class LayerStore:
 
     @property
     def path(self) -> str:
-        """The folder or URL of this layer: the root and the digest of all that its light depends on."""
-        return f"{self.root.place.name}/{self.digest}"
+        """The folder or URL of this layer: the store's, and the digest of all that its light depends on."""
+        return f"{self.store.url.name}/{self.digest}"
 
     @property
     def exists(self) -> bool:
-        """Whether the store has light of this layer: an array that was made, and a chunk at least in it."""
+        """Whether the store has light of this layer: an array with at least one chunk."""
         array = self._find()
-        return array is not None and self._is_ours(array) and bool(self.root.names(f"{self.digest}/c"))
+        return array is not None and self._is_ours(array) and bool(self.store.folders(f"{self.digest}/c"))
 
     @property
     def made(self) -> bool:
-        """Whether the array was made; once it was, the store is not asked again."""
+        """Whether the array was made; the store is asked until it was."""
         self._recognise()
         return "array" in self.__dict__
 
     def open(self) -> None:
-        """Open the array, or make it; a store that takes none at the moment is read as it is."""
+        """Open the array, or make it; a full or read-only store is used as it is."""
         with suppress(StoreReadOnlyError, StoreFullError):
             self.array  # noqa: B018
 
     def _find(self) -> "zarr.Array[Any] | None":
-        """The Zarr array that is there, as it describes itself; None where there is none."""
-        found = self.root.get(self._metadata_key)
+        """The Zarr array in the store, as its metadata describes it; None where there is none."""
+        found = self.store.get(self._metadata_key)
         try:
             return None if found is None else described(found.data)
         except Exception as error:
@@ -109,31 +107,31 @@ class LayerStore:
     def _is_ours(self, array: "zarr.Array[Any]") -> bool:
         facts = array.attrs.asdict().get("isogi")
         return (
-            array.shape == (*self.recipe.chunks, self.size)
+            array.shape == (*self.prepared.chunks, self.size)
             and array.chunks == (1, 1, 1, self.size)
             and array.dtype == np.uint8
             and tuple(map(type, getattr(array.metadata, "codecs", ()))) == CODECS
             and isinstance(facts, dict)
-            and facts.get("volume_digest") == self.recipe.scene.volume.digest
+            and facts.get("volume_digest") == self.prepared.scene.volume.digest
         )
 
     def _create(self) -> "zarr.Array[Any]":
         with suppress(ChangedError):
-            self.root.put(self._metadata_key, self._description(), None)
+            self.store.put(self._metadata_key, self._description(), None)
         array = self._open()
         if array is None:
             raise StoreError(f"Cannot make a place for light at {self.path}: it is gone again.")
         return array
 
     def _description(self) -> bytes:
-        """What the array says of itself, as Zarr writes it."""
+        """The array's metadata, as Zarr writes it."""
         return description(
-            shape=(*self.recipe.chunks, self.size),
+            shape=(*self.prepared.chunks, self.size),
             chunks=(1, 1, 1, self.size),
             dtype="uint8",
             fill_value=0,
             compressors=[ZstdCodec(level=LEVEL), Crc32cCodec()],
-            attributes={"isogi": facts_of(self.layer, self.recipe, self.shown)},
+            attributes={"isogi": facts_of(self.layer, self.prepared, self.shown)},
         )
 
     @property
@@ -141,58 +139,58 @@ class LayerStore:
         return f"{self.digest}/zarr.json"
 
     def _key(self, index: Index) -> str:
-        """The object of a chunk, as Zarr names it."""
+        """The key of a chunk's object, as Zarr names it."""
         return "/".join((self.digest, "c", *map(str, index), "0"))
 
     def read(self, index: Index) -> bytes | None:
-        """The object of a chunk as it is stored, or None where there is none."""
+        """Read the object of a chunk; None where there is none."""
         self._recognise()
-        return self.root.view(self._key(index))
+        return self.store.view(self._key(index))
 
     def _recognise(self) -> None:
-        """See that the array, where there is one, is this layer's; once that is so, it is not looked at again."""
+        """Check once that the array, where there is one, is this layer's."""
         if "array" not in self.__dict__ and (array := self._open()) is not None:
             self.array = array
 
     def decode(self, index: Index, stored: bytes) -> tuple[np.ndarray, Part]:
-        """Offsets and part in an object; DamagedChunkError where it is not what was written, or not for here."""
+        """Decode an object: offsets and part. DamagedChunkError where it is damaged, or of another chunk."""
         return unpack_all(self._records([(index, stored)]), self.layer, self.texels)
 
     def decode_all(
-        self, indices: Sequence[Index], stored: Sequence[bytes | None], tell: Callable[[DamagedChunkError], None]
+        self, indices: Sequence[Index], stored: Sequence[bytes | None], report: Callable[[DamagedChunkError], None]
     ) -> tuple[np.ndarray, Part]:
-        """``decode`` of many chunks at once: places, see ``Chunks.of_parts``, and their part.
+        """Decode many chunks at once: places, see ``Chunks.of_parts``, and their part.
 
-        A chunk whose object is None has no texels, and so has one whose object is damaged, which is told.
+        A chunk without an object has no texels; a damaged one has none either, and is passed to ``report``.
         """
         there = [i for i, data in enumerate(stored) if data is not None]
         objects = [(indices[i], stored[i] or b"") for i in there]
         try:
             records = self._records(objects)
         except DamagedChunkError:
-            sound = [self._is_sound(each, tell) for each in objects]
+            sound = [self._is_sound(each, report) for each in objects]
             there, objects = list(compress(there, sound)), list(compress(objects, sound))
             records = self._records(objects)
         places, part = unpack_all(records, self.layer, self.texels)
         return placed(places, there, self.texels) if len(there) < len(stored) else places, part
 
     def _records(self, objects: Sequence[tuple[Index, bytes]]) -> np.ndarray:
-        """The records in objects, (objects, bytes) uint8; DamagedChunkError, of the first, where any is of no use."""
+        """The records in objects, (objects, bytes) uint8; DamagedChunkError, of the first one, where any is damaged."""
         try:
             records = unwrap_all([data for _, data in objects], self.size)
         except DamagedChunkError as error:
             raise self._damaged(objects[0][0], str(error)) from error
-        home = at_home(records, self.layer, self.texels, self.digest, [index for index, _ in objects])
+        home = belongs(records, self.layer, self.texels, self.digest, [index for index, _ in objects])
         if not home.all():
             raise self._damaged(objects[0][0], "it was baked for another place")
         return records
 
-    def _is_sound(self, found: tuple[Index, bytes], tell: Callable[[DamagedChunkError], None]) -> bool:
-        """Whether an object can be used; what is wrong with it is told."""
+    def _is_sound(self, found: tuple[Index, bytes], report: Callable[[DamagedChunkError], None]) -> bool:
+        """Whether an object can be used; its damage is passed to ``report``."""
         try:
             self._records([found])
         except DamagedChunkError as error:
-            tell(error)
+            report(error)
             return False
         return True
 
@@ -200,19 +198,19 @@ class LayerStore:
         return DamagedChunkError(f"Chunk {index} of the light at {self.path} is damaged: {why}; it is baked again.")
 
     def encode(self, index: Index, offsets: np.ndarray, part: Part) -> bytes:
-        """The object of a part's texels at ``offsets``, as Zarr would write it with CODECS."""
+        """Encode a part's texels at ``offsets`` as an object, as Zarr would with CODECS."""
         return wrap(pack(part, offsets, self.texels, self.digest, index))
 
     def save(self, index: Index, offsets: np.ndarray, part: Part) -> bool:
-        """Write a chunk's part as one object, atomically, together with what others have written there meanwhile.
+        """Write a chunk's part as one object, atomically, merged with what others have written there meanwhile.
 
-        Of each texel the light of more samples stays, so that no writer undoes what another has added. The array is
-        made again where somebody deleted it. Returns whether others were found to have taken the same samples, or more.
+        The light of more samples stays for each texel, so that no writer undoes what another has added. The array is
+        made again where it was deleted. Returns whether another writer had taken the same samples, or more.
         """
         key = self._key(index)
         self._recognise()
         for _ in range(MOST_TRIES):
-            former = self.root.get(key)
+            former = self.store.get(key)
             whole = joined(offsets, part, *self._former(index, former))
             stored = self.encode(index, *whole)
             if former is None:
@@ -220,30 +218,30 @@ class LayerStore:
             elif stored == former.data:
                 return True
             with suppress(ChangedError):
-                self.root.put(key, stored, former)
+                self.store.put(key, stored, former)
                 return outdone(offsets, part, *whole)
         raise StoreError(f"Others keep writing chunk {index} of the light at {self.path}; it is tried again later.")
 
-    def _former(self, index: Index, found: Found | None) -> tuple[np.ndarray, Part]:
-        """What an object holds; nothing where there is none, or what there is has been damaged."""
+    def _former(self, index: Index, found: StoredObject | None) -> tuple[np.ndarray, Part]:
+        """The content of an object; nothing where it is missing or damaged."""
         with suppress(DamagedChunkError):
             if found is not None:
                 return self.decode(index, found.data)
         return np.empty(0, np.int32), Part.dark(self.layer, 0)
 
     def _keep_array(self) -> None:
-        """Have the array made, and made again where it is gone."""
+        """Make the array, also where it was deleted."""
         self.array = self._open() or self._create()
 
 
 def placed(places: np.ndarray, numbers: Sequence[int], texels: int) -> np.ndarray:
-    """The ``places`` (m,) int32 in some records, as those in the chunks of these ``numbers``, one of each record."""
+    """Renumber ``places`` (m,) int32 in records: record i is the chunk ``numbers[i]``."""
     record, offset = np.divmod(places, np.int32(texels))
     return np.asarray(np.array(numbers, np.int32)[record] * np.int32(texels) + offset)
 
 
 def joined(offsets: np.ndarray, part: Part, others: np.ndarray, other: Part) -> tuple[np.ndarray, Part]:
-    """Two parts of one chunk as one: of each texel the light of more samples, and void where it is so in one."""
+    """Merge two parts of one chunk: for each texel the light of more samples, and void where either is void."""
     union = np.union1d(offsets, others).astype(np.int32)
     whole = Part.dark(part.layer, len(union))
     whole.put(np.searchsorted(union, offsets), part)
@@ -254,16 +252,16 @@ def joined(offsets: np.ndarray, part: Part, others: np.ndarray, other: Part) -> 
 
 
 def outdone(offsets: np.ndarray, part: Part, union: np.ndarray, whole: Part) -> bool:
-    """Whether the ``whole`` has more samples than a ``part`` of it of any of its texels."""
+    """Whether the ``whole`` has more samples than ``part`` for any texel of ``part``."""
     return bool((whole.samples[np.searchsorted(union, offsets)] > part.samples).any())
 
 
-def facts_of(layer: Layer, recipe: Recipe, shown: float | None = None) -> dict[str, Any]:
-    """What a layer's array says of itself: whose light it is, how it was made, and how its records are read.
+def facts_of(layer: Layer, prepared: PreparedScene, shown: Isovalue | None = None) -> dict[str, Any]:
+    """The attributes of a layer's array: whose light it is, how it was made, and how its records are decoded.
 
     ``scene`` and ``plan`` are those that it was first baked for; others may share the layer.
     """
-    scene, record = recipe.scene, record_type(layer, recipe.lattice.texels)
+    scene, record = prepared.scene, record_type(layer, prepared.lattice.texels)
     return {
         "format": BAKE_FORMAT,
         "scene": scene.id,
@@ -271,9 +269,9 @@ def facts_of(layer: Layer, recipe: Recipe, shown: float | None = None) -> dict[s
         "volume_digest": scene.volume.digest,
         "isovalue_offset": scene.volume.offset,
         "isovalue_scale": scene.volume.scale,
-        "texels": list(recipe.shape),
+        "texels": list(prepared.shape),
         "chunk": scene.chunk,
-        "step": recipe.step.tolist(),
+        "step": prepared.step.tolist(),
         "normals": scene.normals,
         "offset": scene.offset,
         "shown": shown,

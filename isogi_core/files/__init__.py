@@ -1,1 +1,1 @@
-"""Readers and writers of the file formats that the domain itself speaks: volumes and light probes."""
+"""Readers and writers of the domain's own files: volumes, light probes and scene files."""

@@ -1,4 +1,4 @@
-"""Grids: the values of a volume where they are kept, read slab by slab: they need not fit into memory."""
+"""Grids: the values of a volume at their source, read slab by slab, as they need not fit into memory."""
 
 import math
 from collections.abc import Callable, Iterator, Sequence
@@ -10,7 +10,7 @@ import numpy as np
 Shape = tuple[int, ...]
 
 SLAB = 1 << 25
-"""Bytes of one slab, about, where its source leaves the choice."""
+"""Approximate bytes of a slab, where the source leaves the choice."""
 
 
 def _nothing() -> str:
@@ -19,12 +19,12 @@ def _nothing() -> str:
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """One value per voxel, wherever they are.
+    """One value per voxel, at any source.
 
-    ``shape`` is voxels along z, y, x, ``dtype`` the type that they come in and ``spacing`` (x, y, z) as the source
-    says. ``slabs`` begins anew each time: arrays (layers, ny, nx) that make up the whole from z = 0 on; it raises
-    VolumeError where the source is damaged. ``stamp`` names the state that the source is in, as far as its files'
-    sizes and times tell.
+    ``shape`` is voxels along z, y, x, ``dtype`` the source's type and ``spacing`` (x, y, z) as the source gives it.
+    ``slabs`` iterates anew on each call: arrays (layers, ny, nx) that make up the whole from z = 0 on. It raises
+    VolumeError where the source is damaged. ``stamp`` names the source's state, as far as sizes and times of files
+    show it.
     """
 
     shape: Shape
@@ -35,7 +35,7 @@ class Grid:
 
     @classmethod
     def of(cls, array: np.ndarray, spacing: Sequence[float] = (1.0, 1.0, 1.0)) -> "Grid":
-        """The grid of an array in memory, which is its only slab."""
+        """The grid of an array in memory; the array is its only slab."""
         return cls(array.shape, array.dtype, spacing, lambda: iter((array,)))
 
     def __len__(self) -> int:
@@ -57,5 +57,5 @@ class Grid:
 
 
 def layers_of(layer_bytes: int) -> int:
-    """Layers of so many bytes in a slab; one at least."""
+    """Number of layers of so many bytes in a slab, at least one."""
     return max(SLAB // max(layer_bytes, 1), 1)

@@ -1,7 +1,7 @@
-"""NRRD volumes: headers by pynrrd, voxels read here, never past what the header promises.
+"""NRRD volumes: pynrrd reads headers, and voxels are read here, never more than the header promises.
 
-Format: https://teem.sourceforge.net/nrrd/format.html. The voxels are not left to pynrrd because it inflates
-whole files before it looks at the sizes, and follows a header's data file anywhere on the disk.
+Format: https://teem.sourceforge.net/nrrd/format.html. pynrrd does not read the voxels, as it inflates whole files
+before it checks the sizes, and follows a header's data file anywhere on the disk.
 """
 
 import bz2
@@ -20,16 +20,16 @@ import numpy as np
 
 from isogi_core.errors import VolumeError
 from isogi_core.files.grid import Grid, layers_of
-from isogi_core.files.stamps import stamp_of
+from isogi_core.files.zarr_location import stamp_of
 
 Spacing = tuple[float, float, float]
 _Stream = IO[bytes] | gzip.GzipFile | bz2.BZ2File
 
 MAX_VOXELS = 2**33
-"""Sizes beyond this are taken for a damaged header (32 GiB as float32)."""
+"""Most voxels: more mean a damaged header (32 GiB as float32)."""
 
 MAX_HEADER = 1 << 16
-"""Bytes within which the header of a file that nobody vouches for has to end."""
+"""Most bytes of the header of an untrusted file."""
 
 _SPELLINGS = {
     "i1": "signed char, int8, int8_t",
@@ -54,7 +54,7 @@ _BLOCK = 1 << 24
 def read_nrrd(path: str | Path) -> tuple[np.ndarray, Spacing]:
     """Read one scalar volume: the array (z, y, x) in the file's own type, and spacing (x, y, z).
 
-    Raises VolumeError as ``open_nrrd`` and the grid's slabs do. Nothing is set aside for a promise of the header.
+    Raises VolumeError as ``open_nrrd`` and the grid's slabs do. No memory is allocated on the header's word alone.
     """
     path = Path(path)
     with _readable(path), open(path, "rb") as file:
@@ -64,13 +64,12 @@ def read_nrrd(path: str | Path) -> tuple[np.ndarray, Spacing]:
 
 
 def open_nrrd(path: str | Path) -> Grid:
-    """The grid of one scalar volume, of which only the header is read now.
+    """Open one scalar volume as a grid; only the header is read now.
 
     Attached or detached (the data file at or below the header's folder); raw, gzip or bzip2; every integer
     and float type, both byte orders. Spacing is the length of each space direction, else ``spacings``, else
-    1; it is told as the file says, even where it is not positive. Raises VolumeError where the file is
-    missing, not NRRD or not one 3-D scalar field; its slabs do where it does not hold exactly the voxels that it
-    promises.
+    1, as the file gives it, even where that is not positive. Raises VolumeError where the file is missing, not
+    NRRD or not one 3-D scalar field; the slabs raise it where the file does not hold exactly the promised voxels.
     """
     path = Path(path)
     with _readable(path), open(path, "rb") as file:
@@ -82,7 +81,7 @@ def open_nrrd(path: str | Path) -> Grid:
 
 
 def _slabs(path: Path) -> Iterator[np.ndarray]:
-    """The voxels of a file, some layers at a time; (layers, ny, nx) each."""
+    """Read the voxels of a file, some layers at a time; (layers, ny, nx) each."""
     with _readable(path), open(path, "rb") as file:
         header = _read_header(path, file)
         (nx, ny, nz), dtype = _sizes(path, header), _dtype(path, header)
@@ -99,7 +98,7 @@ def _slabs(path: Path) -> Iterator[np.ndarray]:
 
 @contextmanager
 def _readable(path: Path) -> Iterator[None]:
-    """Raises VolumeError, which names the volume, for a file that cannot be read."""
+    """Raise VolumeError, which names the volume, for a file that cannot be read."""
     try:
         yield
     except FileNotFoundError as error:
@@ -109,10 +108,10 @@ def _readable(path: Path) -> Iterator[None]:
 
 
 def read_attached(file: IO[bytes], name: str, most: int) -> tuple[np.ndarray, Spacing]:
-    """Read one scalar volume from an open file that nobody vouches for, which a person knows by its ``name``.
+    """Read one scalar volume from an open, untrusted file with the display ``name``.
 
-    As ``read_nrrd``, but no other file is opened, and the header ends within MAX_HEADER bytes and speaks of at most
-    ``most`` voxels: both are seen to before anything is set aside for what it promises.
+    Like ``read_nrrd``, but no other file is opened, and the header must end within MAX_HEADER bytes and promise at
+    most ``most`` voxels: both are checked before any memory is allocated.
     """
     path = Path(name)
     if file.read(4) == b"NRRD" and not _HEADER_END.search(file.read(MAX_HEADER)):
@@ -128,7 +127,7 @@ def read_attached(file: IO[bytes], name: str, most: int) -> tuple[np.ndarray, Sp
 
 
 def _read(path: Path, file: IO[bytes], header: dict[str, Any]) -> tuple[np.ndarray, Spacing]:
-    """The array (z, y, x) and the spacing that a ``header`` speaks of; its data begins where ``file`` is."""
+    """Read the array (z, y, x) and the spacing that a ``header`` describes; ``file`` is at the data."""
     sizes, dtype, data = _sizes(path, header), _dtype(path, header), bytearray()
     for block in _decoded_bytes(path, header, file, math.prod(sizes) * dtype.itemsize):
         data += block
@@ -136,7 +135,7 @@ def _read(path: Path, file: IO[bytes], header: dict[str, Any]) -> tuple[np.ndarr
 
 
 def _read_header(path: Path, file: IO[bytes]) -> dict[str, Any]:
-    """The header's fields, ``file`` left at the byte after it."""
+    """Read the header's fields, and leave ``file`` at the byte after it."""
     if file.read(4) != b"NRRD":
         raise VolumeError(f"'{path}' is not a NRRD file: give an .nrrd or .nhdr volume.")
     file.seek(0)
@@ -151,7 +150,7 @@ def _read_header(path: Path, file: IO[bytes]) -> dict[str, Any]:
 
 
 def _sizes(path: Path, header: dict[str, Any]) -> tuple[int, int, int]:
-    """Voxels along x, y, z, where the header speaks of one 3-D scalar field of a size that can be."""
+    """Voxels along x, y, z. VolumeError where the header is not of one 3-D scalar field of a possible size."""
     sizes = [int(n) for n in header["sizes"]]
     if header["dimension"] != 3 or len(sizes) != 3:
         raise VolumeError(f"'{path}' has {header['dimension']} dimensions, not 3: save one scalar field of it.")
@@ -165,7 +164,7 @@ def _sizes(path: Path, header: dict[str, Any]) -> tuple[int, int, int]:
 
 
 def _dtype(path: Path, header: dict[str, Any]) -> np.dtype[Any]:
-    """NumPy's name of the header's type and byte order."""
+    """The NumPy type of the header's type and byte order."""
     code = _TYPES.get(header["type"])
     if code is None:
         raise VolumeError(f"'{path}' holds type '{header['type']}': save it as an integer or float type.")
@@ -177,7 +176,7 @@ def _dtype(path: Path, header: dict[str, Any]) -> np.dtype[Any]:
 
 @contextmanager
 def _data(path: Path, header: dict[str, Any], file: IO[bytes]) -> Iterator[IO[bytes]]:
-    """The file with the voxels: ``file``, which is at the byte after the header, or the one that the header names."""
+    """The file with the voxels: ``file``, which is at the byte after the header, or the header's data file."""
     name = _data_file(header)
     if name is None:
         yield file
@@ -192,13 +191,13 @@ def _data(path: Path, header: dict[str, Any], file: IO[bytes]) -> Iterator[IO[by
 
 
 def _data_file(header: dict[str, Any]) -> str | None:
-    """The file that the header says the voxels are in; None where they follow it."""
+    """Name of the header's data file; None where the voxels follow the header."""
     name: str | None = next((value for field, value in header.items() if field.lower() in _DATA_FILE), None)
     return name
 
 
 def _decoded_bytes(path: Path, header: dict[str, Any], file: IO[bytes], size: int) -> Iterator[bytes]:
-    """``size`` bytes after line skip, decoding and byte skip; VolumeError where there are fewer or more."""
+    """Yield ``size`` bytes after line skip, decoding and byte skip; VolumeError where there are fewer or more."""
     encoding, passed = header["encoding"].lower(), 0
     if encoding not in ("raw", *_GZIP, *_BZIP2):
         raise VolumeError(f"'{path}' has encoding '{encoding}': save it as raw, gzip or bzip2.")
@@ -219,7 +218,7 @@ def _decoded_bytes(path: Path, header: dict[str, Any], file: IO[bytes], size: in
 
 
 def _decoded(encoding: str, file: IO[bytes]) -> _Stream:
-    """The stream of bare voxel bytes in ``file``."""
+    """The stream of decoded voxel bytes in ``file``."""
     if encoding in _GZIP:
         return gzip.GzipFile(fileobj=file)
     if encoding in _BZIP2:
@@ -228,7 +227,7 @@ def _decoded(encoding: str, file: IO[bytes]) -> _Stream:
 
 
 def _skip_lines(path: Path, header: dict[str, Any], file: IO[bytes], size: int) -> int:
-    """Step over the header's line skip; how many decoded bytes are then still to skip.
+    """Skip the header's lines; returns the decoded bytes that are still to be skipped.
 
     A byte skip of -1 (raw data only) means that the voxels are the file's last ``size`` bytes.
     """
@@ -248,7 +247,7 @@ def _skip_lines(path: Path, header: dict[str, Any], file: IO[bytes], size: int) 
 
 
 def _blocks(stream: _Stream, size: int) -> Iterator[bytes]:
-    """The next ``size`` bytes, or what there is of them, in blocks: nothing is set aside for a promise."""
+    """Yield the next ``size`` bytes, or as many as there are, in blocks."""
     while size > 0 and (block := stream.read(min(size, _BLOCK))):
         size -= len(block)
         yield block

@@ -10,9 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from isogi_core.errors import LightError
+from isogi_core.storage.atomic_file import write_whole
 
 MAX_PIXELS = 2**28
-"""Sizes beyond this are taken for a damaged header."""
+"""Most pixels: more mean a damaged header."""
 
 _HEADER_BYTES = 1 << 16
 _RESOLUTION = re.compile(rb"-Y\s+(\d{1,9})\s+\+X\s+(\d{1,9})\s*")
@@ -20,10 +21,10 @@ _UNITS = np.concatenate([[0.0], np.ldexp(1.0, np.arange(1, 256) - 136)]).astype(
 
 
 def read_hdr(path: Path) -> np.ndarray:
-    """Linear RGB radiance (h, w, 3) float32, row 0 at the top, EXPOSURE and COLORCORR divided out.
+    """Read linear RGB radiance (h, w, 3) float32, row 0 at the top, EXPOSURE and COLORCORR divided out.
 
-    Flat, old and new run-length coding. Raises LightError where the file is missing, not RGBE, not stored
-    from the top left (``-Y h +X w``), or damaged.
+    Pixels may be flat, or in old or new run-length coding. Raises LightError where the file is missing, not RGBE, not
+    stored from the top left (``-Y h +X w``), or damaged.
     """
     try:
         data = Path(path).read_bytes()
@@ -50,9 +51,8 @@ def write_hdr(path: Path, rgb: np.ndarray) -> None:
     if not (np.isfinite(values).all() and values.min() >= 0.0 and values.max() < 2.0**126.99):
         raise LightError(f"'{path}' was not written: RGBE holds no value below 0, above 1e38 or not finite.")
     height, width, _ = values.shape
-    Path(path).write_bytes(
-        b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n" + b"-Y %d +X %d\n" % (height, width) + _encode(values)
-    )
+    header = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n" + b"-Y %d +X %d\n" % (height, width)
+    write_whole(Path(path), header + _encode(values))
 
 
 def _encode(values: np.ndarray) -> bytes:
@@ -68,7 +68,7 @@ def _encode(values: np.ndarray) -> bytes:
 
 
 def _read_header(path: Path, data: bytes) -> tuple[int, int, np.ndarray, int]:
-    """Height, width, what each channel was multiplied by (3,) float32, and where the pixels begin."""
+    """Read height, width, the factor of each channel (3,) float32, and the offset of the pixels."""
     text, _, rest = data[:_HEADER_BYTES].partition(b"\n\n")
     if not text.startswith(b"#?") or not rest:
         raise LightError(f"'{path}' is not a Radiance picture: give a lat-long probe as RGBE .hdr.")
@@ -84,7 +84,7 @@ def _read_header(path: Path, data: bytes) -> tuple[int, int, np.ndarray, int]:
 
 
 def _gain(path: Path, header: bytes) -> np.ndarray:
-    """The product of all EXPOSURE and COLORCORR lines, (3,) float32; refuses formats other than RGBE."""
+    """The product of all EXPOSURE and COLORCORR lines, (3,) float32. LightError for formats other than RGBE."""
     gain = np.ones(3)
     for line in header.decode("latin-1").splitlines():
         key, _, value = line.partition("=")
@@ -107,7 +107,7 @@ def _positive_numbers(path: Path, line: str, count: int) -> list[float]:
 
 
 def _decode_lines(body: bytes, height: int, width: int) -> np.ndarray:
-    """New run-length coding: per line a mark, then each of the four components in runs. (h, w, 4) uint8."""
+    """Decode new run-length coding, per line a mark and four components in runs; (h, w, 4) uint8."""
     mark = bytes([2, 2, width >> 8, width & 255])
     planes = np.empty((height, 4, width), np.uint8)
     at = 0
@@ -120,7 +120,7 @@ def _decode_lines(body: bytes, height: int, width: int) -> np.ndarray:
 
 
 def _decode_runs(body: bytes, at: int, size: int) -> tuple[bytearray, int]:
-    """``size`` bytes from runs (count > 128: one byte repeated) and dumps, and where the next line begins."""
+    """Decode ``size`` bytes from runs (count > 128: one byte repeated) and dumps; returns the next line's offset."""
     line = bytearray()
     while len(line) < size:
         count = body[at]
@@ -136,7 +136,7 @@ def _decode_runs(body: bytes, at: int, size: int) -> tuple[bytearray, int]:
 
 
 def _decode_quads(body: bytes, count: int) -> np.ndarray:
-    """Flat pixels and old run-length coding, (count, 4) uint8.
+    """Decode flat pixels and old run-length coding; (count, 4) uint8.
 
     A quad (1, 1, 1, n) repeats the pixel before it n times; where several follow each other, each next n
     counts 256 times as much as the one before.

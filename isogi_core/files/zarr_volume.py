@@ -1,9 +1,7 @@
-"""Zarr volumes: arrays of Zarr v2 and v3, bare or in an OME-Zarr image, read chunk by chunk.
+"""Zarr volumes: arrays of Zarr v2 and v3, bare or in an OME-Zarr image, read chunk by chunk."""
 
-A chunk that is missing holds the fill value: so the format has it, and sparse volumes are written that way.
-"""
-
-from collections.abc import Iterator
+import math
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path, PurePath
@@ -15,25 +13,113 @@ import zarr
 from isogi_core.errors import VolumeError
 from isogi_core.files.grid import Grid, layers_of
 from isogi_core.files.nrrd import MAX_VOXELS
-from isogi_core.files.ome import SPACE, Axis, Resolution, resolutions_of, spacing_of
-from isogi_core.files.zarr_places import Hierarchy, hierarchy_at
+from isogi_core.files.zarr_location import Hierarchy, hierarchy_at
+
+SPACE = ("z", "y", "x")
+
+PREFIXES = {
+    **{"yotta": 24, "zetta": 21, "exa": 18, "peta": 15, "tera": 12, "giga": 9, "mega": 6, "kilo": 3, "hecto": 2},
+    **{"deca": 1, "deci": -1, "centi": -2, "milli": -3, "micro": -6, "nano": -9, "pico": -12, "femto": -15},
+    **{"atto": -18, "zepto": -21, "yocto": -24},
+}
+"""Powers of ten by SI prefix."""
+
+METRES = {
+    **{f"{prefix}meter": 10.0**power for prefix, power in PREFIXES.items()},
+    **{"meter": 1.0, "angstrom": 1e-10, "inch": 0.0254, "foot": 0.3048, "yard": 0.9144, "mile": 1609.344},
+    "parsec": 3.0856775814913673e16,
+}
+"""Metres of the units that NGFF names."""
+
+
+@dataclass(frozen=True)
+class Axis:
+    """An axis of an array: its ``name``, such as z or c, and its ``unit``, empty where it has none."""
+
+    name: str
+    unit: str = ""
+
+
+@dataclass(frozen=True)
+class Resolution:
+    """One array of a multiscale image: its ``path`` below the image, its axes, and the step along each."""
+
+    path: str
+    axes: tuple[Axis, ...]
+    scale: tuple[float, ...]
+
+
+def resolutions_of(attributes: Mapping[str, Any], name: str) -> list[Resolution]:
+    """The resolutions of the image whose group has these ``attributes``, finest first; empty where it is no image.
+
+    Raises VolumeError, which names the image by ``name``, where its metadata is damaged.
+    """
+    held = attributes.get("ome", attributes)
+    images = held.get("multiscales") if isinstance(held, Mapping) else None
+    if images is None:
+        return []
+    try:
+        image = images[0]
+        axes = tuple(Axis(*_axis(each)) for each in image["axes"]) if "axes" in image else ()
+        whole = image.get("coordinateTransformations", [])
+        return [_resolution(each, axes, whole) for each in image["datasets"]]
+    except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
+        raise VolumeError(f"The OME metadata of '{name}' is damaged ({error!r}): write it again.") from error
+
+
+def spacing_of(axes: tuple[Axis, ...], scale: tuple[float, ...]) -> tuple[float, float, float]:
+    """World units per voxel along x, y, z, all in the unit of x. Raises VolumeError where units cannot be compared."""
+    steps = {axis.name: (step, axis.unit) for axis, step in zip(axes, scale, strict=True)}
+    (x, unit), *_ = spatial = [steps[name] for name in SPACE[::-1]]
+    if len({each for _, each in spatial}) == 1:
+        return x, spatial[1][0], spatial[2][0]
+    unknown = next((each for _, each in spatial if each not in METRES), None)
+    if unknown is not None:
+        raise VolumeError(f"The axes have different units, and '{unknown}' is no known one: set spacing in the scene.")
+    y, z = (step * (METRES[each] / METRES[unit]) for step, each in spatial[1:])
+    return x, y, z
+
+
+def _axis(axis: Any) -> tuple[str, str]:
+    """Name and unit of an axis; before NGFF 0.4 there was a name alone."""
+    if isinstance(axis, str):
+        return axis.lower(), ""
+    return str(axis["name"]).lower(), str(axis.get("unit") or "").lower().replace("metre", "meter")
+
+
+def _resolution(dataset: Mapping[str, Any], axes: tuple[Axis, ...], whole: list[Any]) -> Resolution:
+    """One entry of the image's datasets, scaled by its own and the ``whole`` image's transformations."""
+    scales = [_scale(each) for each in (*dataset.get("coordinateTransformations", []), *whole)]
+    product = [math.prod(steps) for steps in zip(*filter(None, scales), strict=True)]
+    return Resolution(str(dataset["path"]), axes, tuple(product) or (1.0,) * len(axes))
+
+
+def _scale(transformation: Mapping[str, Any]) -> list[float]:
+    """The scale of a transformation; empty for an identity or a translation."""
+    kind = transformation["type"]
+    if kind in ("identity", "translation"):
+        return []
+    if kind != "scale" or "scale" not in transformation:
+        raise ValueError(f"a transformation '{kind}' that is no list of scales")
+    return [float(step) for step in transformation["scale"]]
+
 
 MOST = 1 << 29
-"""Bytes of a layer of chunks up to which it is read at once; beyond that its chunks are read several times."""
+"""Most bytes of a layer of chunks that is read at once; chunks of larger layers are read several times."""
 
 MAX_CHUNK = 1 << 30
-"""Bytes of one chunk beyond which an array is refused: it would have to be in memory as a whole."""
+"""Most bytes of one chunk, as it must be in memory as a whole."""
 
 ORDERS = {3: "zyx", 4: "czyx", 5: "tczyx"}
-"""What axes are taken for that have no names, by their number."""
+"""Assumed names of axes without names, by their number."""
 
 CHOSEN = {"t": "time", "c": "channel"}
-"""Settings of a scene that choose along axes which are not of space."""
+"""Settings of a scene that choose along axes that are not spatial."""
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
-    """An ``array`` of a hierarchy, and what is known of its axes and of the step along each."""
+class FoundArray:
+    """An ``array`` of a hierarchy, with its axes and the step along each."""
 
     among: Hierarchy
     array: "zarr.Array[Any]"
@@ -42,7 +128,7 @@ class Found:
 
 
 def open_zarr(path: Path | str, level: int | None = None, channel: int | None = None, time: int | None = None) -> Grid:
-    """The grid of a Zarr array, or of a resolution of an OME-Zarr image, of which only metadata is read now.
+    """Open a Zarr array, or a resolution of an OME-Zarr image, as a grid; only metadata is read now.
 
     ``path``, a folder or a URL, is the array or the image, or an array inside one (``brain.zarr/2``). ``level`` 0, the
     default, is the finest resolution; ``channel`` and ``time`` choose along these axes. Spacing is the scale of the
@@ -56,13 +142,13 @@ def open_zarr(path: Path | str, level: int | None = None, channel: int | None = 
     _check(path, found)
     shape = tuple(n for n, pick in zip(array.shape, picks, strict=True) if isinstance(pick, slice))
     slabs = partial(_slabs, path, array, tuple(picks), shape)
-    told = [array.path, *(pick for pick in picks if isinstance(pick, int))]
+    part = [array.path, *(pick for pick in picks if isinstance(pick, int))]
     spacing = spacing_of(found.axes, found.scale)
-    return Grid(shape, array.dtype, spacing, slabs, lambda: f"{found.among.stamp()} {told}")
+    return Grid(shape, array.dtype, spacing, slabs, lambda: f"{found.among.stamp()} {part}")
 
 
-def find_array(path: Path | str, level: int | None) -> Found:
-    """The array at ``path``, or the one of ``level`` of the image there."""
+def find_array(path: Path | str, level: int | None) -> FoundArray:
+    """The array at ``path``, or that of ``level`` of the image there."""
     among = hierarchy_at(path)
     node = _open(path, among, among.inside)
     if isinstance(node, zarr.Group):
@@ -85,7 +171,7 @@ def _open(path: Path | str, among: Hierarchy, inside: str) -> "zarr.Array[Any] |
         return zarr.open(store=among.store, path=inside, mode="r")
     except FileNotFoundError as error:
         raise VolumeError(f"'{among.name}' has no array '{inside}': write it again, or choose another.") from error
-    except Exception as error:  # metadata that is damaged, and codecs that are missing, are told in many ways
+    except Exception as error:  # of many kinds, for damaged metadata and missing codecs
         raise VolumeError(f"'{path}' cannot be read as Zarr ({_line(error)}): write it again.") from error
 
 
@@ -94,23 +180,23 @@ def _resolutions(group: zarr.Group, path: Path | str) -> list[Resolution]:
 
 
 def _no_array(path: Path | str, group: zarr.Group, image: list[Resolution], level: int | None) -> str:
-    """Why a group gives no array."""
+    """The message for a group without the array that is asked for."""
     if image:
         return f"level = {level} of '{path}' is not there: it has levels 0 to {len(image) - 1}."
-    names = ", ".join(f"'{PurePath(path).name}/{name}'" for name in _members(group)) or "nothing that it tells"
+    names = ", ".join(f"'{PurePath(path).name}/{name}'" for name in _members(group)) or "nothing that it lists"
     return f"'{path}' is a Zarr group and no image: it holds {names}; name an array, or an image."
 
 
 def _members(group: zarr.Group) -> list[str]:
-    """Some names in a group; none where it cannot be listed, as over plain HTTP."""
+    """Some names in a group; empty where it cannot be listed, as over plain HTTP."""
     try:
         return sorted(group.keys())[:8]
-    except Exception:  # stores without a list say so in many ways
+    except Exception:  # of many kinds, for stores that cannot list
         return []
 
 
 def _resolution_above(path: Path | str, among: Hierarchy) -> Resolution | None:
-    """What the nearest image above an array says of it."""
+    """The resolution that the nearest image above an array gives for it."""
     parts = among.inside.split("/") if among.inside else []
     for n in range(len(parts) - 1, -1, -1):
         try:
@@ -123,27 +209,27 @@ def _resolution_above(path: Path | str, among: Hierarchy) -> Resolution | None:
     return None
 
 
-def _with_axes(path: Path | str, among: Hierarchy, array: "zarr.Array[Any]", told: Resolution | None) -> Found:
-    """The array with its axes: as the image tells them, else by their names, else by their number."""
-    axes, scale = (told.axes, told.scale) if told else ((), ())
+def _with_axes(path: Path | str, among: Hierarchy, array: "zarr.Array[Any]", given: Resolution | None) -> FoundArray:
+    """The array with its axes: those of the image, else by their names, else by their number."""
+    axes, scale = (given.axes, given.scale) if given else ((), ())
     if not axes:
         axes = tuple(map(Axis, _names(array) or ORDERS.get(array.ndim, "")))
     scale = scale or (1.0,) * len(axes)
     if len(axes) != array.ndim or len(scale) != array.ndim:
         raise VolumeError(f"'{path}' has {array.ndim} dimensions and {len(axes)} axes: choose one scalar field of it.")
-    return Found(among, array, axes, scale)
+    return FoundArray(among, array, axes, scale)
 
 
 def _names(array: "zarr.Array[Any]") -> tuple[str, ...]:
-    """Names of the dimensions, where all are known; a field of three dimensions may call them as it likes."""
-    told: Any = getattr(array.metadata, "dimension_names", None) or array.attrs.asdict().get("_ARRAY_DIMENSIONS") or ()
-    names = tuple(str(name).lower() for name in told)
+    """Names of the dimensions, where all are known ones; empty otherwise."""
+    given: Any = getattr(array.metadata, "dimension_names", None) or array.attrs.asdict().get("_ARRAY_DIMENSIONS") or ()
+    names = tuple(str(name).lower() for name in given)
     known = set(names) <= {*SPACE, *CHOSEN} and len(set(names)) == len(names)
     return names if known else ()
 
 
-def _pick(path: Path | str, found: Found, place: int, chosen: dict[str, int | None]) -> int:
-    """The element that is read along an axis which is not of space."""
+def _pick(path: Path | str, found: FoundArray, place: int, chosen: dict[str, int | None]) -> int:
+    """The element that is read along an axis that is not spatial."""
     name, length = found.axes[place].name, found.array.shape[place]
     key, pick = CHOSEN.get(name), chosen.get(name)
     if pick is None and length > 1:
@@ -154,8 +240,8 @@ def _pick(path: Path | str, found: Found, place: int, chosen: dict[str, int | No
     return pick or 0
 
 
-def _check(path: Path | str, found: Found) -> None:
-    """VolumeError where the array is no 3-D field, or of a size that cannot be."""
+def _check(path: Path | str, found: FoundArray) -> None:
+    """Raise VolumeError where the array is no 3-D field, or of an impossible size."""
     array, space = found.array, [axis.name for axis in found.axes if axis.name in SPACE]
     if space != list(SPACE):
         raise VolumeError(f"'{path}' has the axes {', '.join(space) or 'none'} in space: they must be z, y and x.")
@@ -176,12 +262,12 @@ def _slabs(
         place = (*picks[:along], slice(z, z + step), *picks[along + 1 :])
         try:
             slab = np.asarray(array[place])
-        except Exception as error:  # what codecs raise on damage is of many kinds
+        except Exception as error:  # of many kinds, from codecs on damage
             raise VolumeError(f"The chunks of '{path}' are damaged ({_line(error)}): copy it again.") from error
         yield slab
 
 
 def _line(error: Exception) -> str:
-    """What an error says, in one line that is not too long."""
-    told = " ".join(str(error).split())
-    return f"{type(error).__name__}: {told[:200]}" if told else type(error).__name__
+    """An error's type and message, on one short line."""
+    message = " ".join(str(error).split())
+    return f"{type(error).__name__}: {message[:200]}" if message else type(error).__name__

@@ -1,33 +1,34 @@
 """A frame: the answer to a view, with what is known of its own quality."""
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from isogi_core.frame.gbuffer import GBuffer
-from isogi_core.frame.sharpening import Sharpness
-from isogi_core.frame.texels import Demand
-from isogi_core.kernels.planes import CONVERGING, FINAL, PROVISIONAL, Planes, tally
+from isogi_core.frame.projected_texels import Projection
+from isogi_core.frame.texel_reading import Lacking
+from isogi_core.frame.view_texels import Demand
+from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, PROVISIONAL, Framebuffer, tally
 from isogi_core.model.view import View
 
-UNMOVED = 4
-"""The state of a final pixel that reads a texel which cannot be sharpened; see ``frame.sharpening``."""
+UNREACHABLE = 4
+"""The state of a final pixel that reads a texel which cannot be projected; see ``frame.projected_texels``."""
 
 STATES = {"final": FINAL, "converging": CONVERGING, "provisional": PROVISIONAL}
 
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """A rendered view. Planes are zero off the surface.
+    """A rendered view. All arrays are zero off the surface.
 
     ``radiance`` (h, w, 3) float32 linear RGB; ``state`` (h, w) uint8, 0 none, 1 provisional,
     2 converging, 3 final; ``error`` (h, w) float32 relative standard error; ``gbuffer`` the surface.
-    ``version`` is equal for equal pictures, also after a restart. ``demands`` is the light that was
-    not final, told by ``lacks`` when it is asked for; ``seconds`` the time of each stage. ``sharpness`` tells of
-    texels on the view's own isosurface, None where its scene has none.
+    ``version`` is equal for equal pictures, also after a restart. ``lacking`` is what it was made of, and
+    wants more of, None where it reads no texels; ``seconds`` the time of each stage. ``projection`` tells of
+    texels projected onto the view's isosurface, None where its scene has none there.
     """
 
     view: View
@@ -37,28 +38,23 @@ class Frame:
     gbuffer: GBuffer
     chunks_needed: int
     chunks_final: int
-    lacks: Callable[[], tuple[Demand, ...]]
+    lacking: Lacking | None
     version: str
     seconds: Mapping[str, float]
-    sharpness: Sharpness | None = None
+    projection: Projection | None = None
 
     @cached_property
     def demands(self) -> tuple[Demand, ...]:
         """The light that was not final, chunk by chunk."""
-        return self.lacks()
-
-    @property
-    def unsharpened(self) -> "Frame":
-        """The same frame of who asks for no sharp light: a view that moves."""
-        return replace(self, sharpness=None)
+        return self.lacking.demands if self.lacking else ()
 
     @cached_property
-    def told(self) -> np.ndarray:
-        """The ``state``, and 4 where a final pixel reads a texel that cannot be moved onto the isosurface; (h, w)."""
-        if self.sharpness is None:
+    def reported_state(self) -> np.ndarray:
+        """The ``state``, and 4 where a final pixel reads a texel that cannot be projected; (h, w)."""
+        if self.projection is None:
             return self.state
-        kept = (self.state == FINAL) & self.sharpness.unmoved
-        return np.where(kept, UNMOVED, self.state).astype(np.uint8)
+        kept = (self.state == FINAL) & self.projection.unreachable
+        return np.where(kept, UNREACHABLE, self.state).astype(np.uint8)
 
     @property
     def position(self) -> np.ndarray:
@@ -69,7 +65,7 @@ class Frame:
     def _tally(self) -> tuple[np.ndarray, np.ndarray]:
         """Pixels in each state, (4,); sums of luminance and of (luminance · error)² over the surface, (2,)."""
         counts, sums = np.zeros(4, np.int64), np.zeros(2)
-        tally(Planes(self.radiance.reshape(-1, 3), self.state.ravel(), self.error.ravel()), counts, sums)
+        tally(Framebuffer(self.radiance.reshape(-1, 3), self.state.ravel(), self.error.ravel()), counts, sums)
         return counts, sums
 
     @property
@@ -99,9 +95,9 @@ class Frame:
         """Estimated relative RMSE of the frame: root mean square of the pixels' errors over the mean, in luminance.
 
         A provisional pixel counts as wrong by all of its light; the whole is at most 1. Of 210 frames of 15 scenes
-        after 16 to 256 samples, or baked to 10 % or 5 %, the true noise was 1.00 times what was told, a median, and
+        after 16 to 256 samples, or baked to 10 % or 5 %, the true noise was 1.00 times the estimate, a median, and
         0.7 to 1.4 times it for 99 %; 91.9 % of the pixels were within 1.96 times their own error
-        (``benchmarks.calibration --size 24 --most 256``).
+        (``benchmarks.accuracy calibration --size 24 --most 256``).
         """
         light, wrong = self._tally[1].tolist()
         return min(math.sqrt(wrong * self.surface) / light, 1.0) if light > 0.0 else 0.0

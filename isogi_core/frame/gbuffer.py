@@ -6,11 +6,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from isogi_core.bake.recipe import Recipe
 from isogi_core.frame.tiles import Tiles
-from isogi_core.kernels.camera import Pinhole, trace_pixels
-from isogi_core.kernels.shading import find_normals
+from isogi_core.kernels.shading.local_models import find_normals
+from isogi_core.kernels.tracing.camera import Pinhole, trace_pixels
 from isogi_core.model.view import Camera, View
+from isogi_core.model.volume import Isovalue
+from isogi_core.prepared.surface import Surface
 
 RAYS = 4096
 """Primary rays of a tile: as many as are cast together."""
@@ -23,7 +24,7 @@ Vector = tuple[float, float, float]
 
 @dataclass(eq=False)
 class GBuffer:
-    """Surface points of one camera and isovalue.
+    """Where the rays of one camera, whose ``eye`` is in index space, meet a ``surface``.
 
     ``shape`` (height, width) of the picture; ``pixels`` (m,) uint32 are the picture indices that show
     the surface, ascending; ``points`` (m, 3) float32 where they meet it, in index space.
@@ -32,22 +33,27 @@ class GBuffer:
     shape: tuple[int, int]
     spacing: Vector
     eye: Vector
-    isovalue: float
+    surface: Surface
     pixels: np.ndarray
     points: np.ndarray
     _normals: np.ndarray | None = field(default=None, repr=False)
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
 
-    def normals(self, recipe: Recipe, tiles: Tiles, cancelled: threading.Event | None) -> np.ndarray:
-        """Outward unit world normals (m, 3) float32, found when first asked for."""
+    @property
+    def isovalue(self) -> Isovalue:
+        """The surface's isovalue."""
+        return self.surface.isovalue
+
+    def normals(self, tiles: Tiles) -> np.ndarray:
+        """Outward unit world normals (m, 3) float32, found when first asked for. Raises Cancelled."""
         with self._lock:
             if self._normals is None:
                 normals = np.empty_like(self.points)
 
                 def _piece(a: int, b: int) -> None:
-                    find_normals(recipe.field, self.points[a:b], self.eye, normals[a:b])
+                    find_normals(self.surface.field, self.points[a:b], self.eye, normals[a:b])
 
-                tiles.run(_piece, len(self.points), POINTS, cancelled)
+                tiles.run(_piece, len(self.points), POINTS)
                 self._normals = normals
             return self._normals
 
@@ -84,19 +90,18 @@ def to_index(v: np.ndarray, spacing: Vector) -> Vector:
     return x, y, z
 
 
-def trace(view: View, recipe: Recipe, tiles: Tiles, cancelled: threading.Event | None) -> GBuffer:
-    """Cast the primary rays of ``view``."""
-    volume = recipe.scene.volume
-    isovalue = volume.normalise_isovalue(view.isovalue)
-    camera = pinhole(view.camera, view.width, view.height, volume.spacing)
-    surface = recipe.field, recipe.bricks(isovalue, isovalue, cancelled), isovalue
+def trace(view: View, surface: Surface, tiles: Tiles) -> GBuffer:
+    """Cast the primary rays of ``view`` at the ``surface`` that it shows. Raises Cancelled."""
+    spacing = surface.field.spacing
+    camera = pinhole(view.camera, view.width, view.height, spacing)
+    traced = surface.traced(tiles.run)
     found: dict[int, tuple[np.ndarray, np.ndarray]] = {}
 
     def _piece(a: int, b: int) -> None:
         pixels, points = np.empty(b - a, np.uint32), np.empty((b - a, 3), np.float32)
-        count = trace_pixels(*surface, camera, a, view.width, pixels, points)
+        count = trace_pixels(traced, camera, a, view.width, pixels, points)
         found[a] = pixels[:count], points[:count]
 
-    tiles.run(_piece, view.width * view.height, RAYS, cancelled)
+    tiles.run(_piece, view.width * view.height, RAYS)
     pixels, points = (np.concatenate(parts) for parts in zip(*(found[a] for a in sorted(found)), strict=True))
-    return GBuffer((view.height, view.width), volume.spacing, camera.eye, isovalue, pixels, points)
+    return GBuffer((view.height, view.width), spacing, camera.eye, surface, pixels, points)

@@ -1,29 +1,62 @@
-"""The renderer: answers views at once with the light that is there, and says what is missing."""
+"""The line from a view to its frame: surface, G-buffer, texels, reading, light, framebuffer.
+
+Each step makes data from the data before it. One cache keeps what the steps make for the next frames. Its keys name the
+step and the surface that a view shows, by isovalue, camera and size (``surface_key``):
+
+| step | kept for |
+|---|---|
+| ``GBuffer``, ``ViewTexels``, ``Distances``, ``TexelNormals`` | a surface |
+| ``Reading`` | a surface, a bake spec, a target error, and the age of the page pool |
+| ``LobeLight`` | a surface, and the rotation of the light |
+
+The last two have a SHARE of its bytes each, so that a light that turns, or a bake that goes on, drives out no surface.
+"""
 
 import hashlib
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from isogi_core.bake.look import look_name
-from isogi_core.cache.caches import Caches
-from isogi_core.cache.pages import Held, PagePool
-from isogi_core.frame.facings import Facings, find_facings
+from isogi_core.bake.bake_spec import spec_name
+from isogi_core.cache.page_pool import Held, PagePool
+from isogi_core.cache.scene_caches import Caches
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import GBuffer, trace
-from isogi_core.frame.lobes import LobeLight, find_lobes
-from isogi_core.frame.reading import Reading, read_texels
-from isogi_core.frame.shader import Shaded, Shader
-from isogi_core.frame.sharpening import Ways, brought, find_ways, joined
-from isogi_core.frame.stopwatch import Stopwatch
-from isogi_core.frame.surroundings import Turned
-from isogi_core.frame.texels import ViewTexels, find_texels
-from isogi_core.frame.tiles import Tiles
-from isogi_core.kept import Kept
-from isogi_core.kernels.lanes import REGISTER
+from isogi_core.frame.lighting import RotatedLight
+from isogi_core.frame.pixel_rays import LobeLight, find_lobes
+from isogi_core.frame.projected_texels import (
+    Distances,
+    ProjectedReading,
+    Projection,
+    find_distances,
+    held_chunks,
+    join_readings,
+)
+from isogi_core.frame.shading import (
+    carry_irradiance_ratios,
+    carry_texel_light,
+    find_irradiance_ratios,
+    light_sources,
+    shade_by_paths,
+    shade_locally,
+)
+from isogi_core.frame.texel_reading import Lacking, Reading, read_texels
+from isogi_core.frame.tiles import Stopwatch, Tiles
+from isogi_core.frame.view_texels import (
+    TexelNormals,
+    ViewTexels,
+    carries_irradiance_ratios,
+    find_texel_normals,
+    find_texels,
+)
+from isogi_core.kernels.shading.framebuffer import Framebuffer
+from isogi_core.kernels.shading.lobes import add_lobes
+from isogi_core.kernels.simd.types import REGISTER
+from isogi_core.lru_cache import LruCache
 from isogi_core.model.view import View
 
 FORMAT = 2
@@ -32,8 +65,8 @@ FORMAT = 2
 KEPT = 256 << 20
 """Bytes that are kept of views, for turning light and for asking again."""
 
-READINGS = 1 / 16
-"""The share of these for what was read of the pool and of lobes, the rest is for G-buffers and their texels."""
+SHARE = 1 / 16
+"""Share of these bytes that is for what changes while a view stays."""
 
 
 class Renderer:
@@ -41,12 +74,10 @@ class Renderer:
 
     def __init__(self, caches: Caches, tiles: Tiles, most: int = KEPT) -> None:
         """Render with the light that ``caches`` bring, on the threads of ``tiles``; keep ``most`` bytes of views."""
-        self.recipe = caches.recipe
+        self.prepared = caches.prepared
         self.caches = caches
         self.tiles = tiles
-        readings = int(READINGS * most)
-        self._views: Kept[Any] = Kept(most - readings)  # texels hold their G-buffer, so that both go together
-        self._readings: Kept[Any] = Kept(readings)
+        self._kept: LruCache[Any] = LruCache(most, dict.fromkeys((Reading, LobeLight), int(SHARE * most)))
 
     def render(
         self,
@@ -58,94 +89,144 @@ class Renderer:
         """The frame of ``view`` with the light that is there now.
 
         ``target`` is the relative error at which light counts as final, the scene's own by default; ``watch`` goes
-        on with this frame's stages. Raises Cancelled when ``cancelled`` is set on the way, and ViewError where the
-        scene's light is not of the albedo that the view asks for.
+        on with this frame's stages. Raises Cancelled once ``cancelled`` is set, and ViewError where the scene's light
+        is not of the albedo that the view asks for.
         """
-        watch = watch or Stopwatch()
-        self.recipe.scene.albedo_for(view.albedo)
+        scene, watch = self.prepared.scene, watch or Stopwatch()
+        tiles = self.tiles.cancelled_by(cancelled) if cancelled else self.tiles
+        scene.albedo_for(view.albedo)
         with watch.stage("primary"):
-            gbuffer = self.gbuffer(view, cancelled)
-        shader = Shader(
-            look=self.caches.look(view.shading),
-            loader=lambda: self.caches.of(view.shading),
-            tiles=self.tiles,
-            view=view,
-            gbuffer=gbuffer,
-            find_texels=lambda: self.texels(view, gbuffer, cancelled),
-            read=lambda texels, pool, held, target: self._read(view, texels, pool, held, target),
-            find_lobes=lambda turned: self.lobes(turned, gbuffer, cancelled),
-            sharpen=lambda texels, reading: self._sharpen(view, texels, reading),
-            find_facing=lambda texels, reading: self._facing(view, texels, reading),
-            watch=watch,
-            cancelled=cancelled,
-        )
-        shaded = shader.shade(target or self.recipe.scene.target_error)
-        return self._compose(view, gbuffer, shaded, watch)
+            gbuffer = self.gbuffer(view, tiles)
+        light = RotatedLight(self.caches.spec(view.shading), view)
+        if view.shading in ("gi", "vicinity"):
+            return self._render_texels(gbuffer, light, target or scene.target_error, tiles, watch)
+        with watch.stage("normals"):
+            normals = gbuffer.normals(tiles)
+        if view.shading == "path_traced":
+            with watch.stage("paths"):
+                framebuffer = shade_by_paths(gbuffer, light, target or scene.target_error, tiles)
+        else:
+            with watch.stage("shade"):
+                framebuffer = shade_locally(gbuffer, normals, light, tiles)
+        return frame_of(gbuffer, light, framebuffer, watch)
 
-    def gbuffer(self, view: View, cancelled: threading.Event | None = None) -> GBuffer:
-        """The G-buffer of a view, kept for the next frames that share camera, isovalue and size."""
-        key = (GBuffer, surface_key(view))
-        return self._views.get(key, lambda: trace(view, self.recipe, self.tiles, cancelled))
+    def _render_texels(
+        self, gbuffer: GBuffer, light: RotatedLight, target: float, tiles: Tiles, watch: Stopwatch
+    ) -> Frame:
+        """The frame out of the illumination cache: global illumination, or vicinity shading (S1, section 4.2)."""
+        view, loader = light.view, self.caches.of(light.view.shading)
+        with watch.stage("texels"):
+            texels = self.texels(view, gbuffer, tiles)
+        with watch.stage("load"):
+            loader.ensure(texels.chunks, tiles.check)
+        with loader.pool.hold(texels.chunks) as held, ExitStack() as stack:
+            with watch.stage("read"):
+                reading = self._read(view, texels, loader.pool, held, target, tiles)
+                reading = stack.enter_context(self._project(view, texels, reading, tiles))
+            with watch.stage("light"):
+                lit = light_sources(reading.sources(loader.pool), light, tiles)
+        framebuffer = self._carry(texels, reading, lit, light, tiles, watch)
+        if light.spec.lobes:
+            with watch.stage("lobes"):
+                straight = self.lobes(light, gbuffer, tiles)
+                add_lobes(gbuffer.pixels, straight.lit, light.spec.unit, framebuffer)
+        return frame_of(gbuffer, light, framebuffer, watch, texels, reading)
 
-    def texels(self, view: View, gbuffer: GBuffer, cancelled: threading.Event | None = None) -> ViewTexels:
-        """The texels under a view, kept as its G-buffer is."""
-        key = (ViewTexels, surface_key(view))
-        return self._views.get(key, lambda: find_texels(gbuffer, self.recipe, self.tiles, cancelled))
+    def _carry(
+        self, texels: ViewTexels, reading: Reading, lit: np.ndarray, light: RotatedLight, tiles: Tiles, watch: Stopwatch
+    ) -> Framebuffer:
+        """Bring the light of texels, ``lit`` (texels, 4), to the picture: as irradiance ratios, or as it is."""
+        gbuffer, ratios = texels.gbuffer, None
+        projects = isinstance(reading, ProjectedReading)
+        if carries_irradiance_ratios(self.prepared.scene, light.view.shading, projects):
+            with watch.stage("normals"):
+                about = self._texel_normals(light.view, texels, reading, tiles)
+            with watch.stage("light"):
+                ratios = find_irradiance_ratios(reading, lit, about, light, tiles)
+        normals = gbuffer.points  # as good as any where they are not read
+        if ratios is not None or not reading.whole:
+            with watch.stage("normals"):
+                normals = gbuffer.normals(tiles)
+        with watch.stage("shade"):
+            if ratios is not None:
+                return carry_irradiance_ratios(texels, ratios, normals, light, tiles)
+            return carry_texel_light(texels, reading, lit, normals, light, tiles)
 
-    def lobes(self, turned: Turned, gbuffer: GBuffer, cancelled: threading.Event | None = None) -> LobeLight:
-        """What comes straight from lobes to a view, kept while neither camera nor light moves, for any albedo."""
-        key = (LobeLight, surface_key(turned.view), turned.view.light)
-        kept = self._readings.get(key, lambda: find_lobes(turned, gbuffer, self.tiles, cancelled))
-        return kept.tinted(turned.tint)
+    def gbuffer(self, view: View, tiles: Tiles | None = None) -> GBuffer:
+        """The G-buffer of a view. Raises Cancelled, as every step does, once its ``tiles`` are cancelled."""
+        surface, tiles = self.prepared.surface(view.isovalue), tiles or self.tiles
+        return self._kept.get((GBuffer, surface_key(view)), lambda: trace(view, surface, tiles))
+
+    def texels(self, view: View, gbuffer: GBuffer, tiles: Tiles | None = None) -> ViewTexels:
+        """The texels under a view; they hold its G-buffer, so that both are kept, or neither."""
+        make = partial(find_texels, gbuffer, self.prepared, tiles or self.tiles)
+        return self._kept.get((ViewTexels, surface_key(view)), make)
+
+    def lobes(self, light: RotatedLight, gbuffer: GBuffer, tiles: Tiles | None = None) -> LobeLight:
+        """What comes straight from lobes to a view; kept while neither camera nor light moves, for any albedo."""
+        make = partial(find_lobes, light, gbuffer, tiles or self.tiles)
+        return self._kept.get((LobeLight, surface_key(light.view), light.view.light), make).tinted(light.tint)
 
     def forget_views(self) -> None:
-        """Drop the kept G-buffers and their texels, as if every view were new."""
-        self._views.clear()
-        self._readings.clear()
+        """Keep nothing of views, as if every one were new."""
+        self._kept.clear()
 
-    def _read(self, view: View, texels: ViewTexels, pool: PagePool, held: Held, target: float) -> Reading:
+    def _read(self, view: View, texels: ViewTexels, pool: PagePool, held: Held, target: float, tiles: Tiles) -> Reading:
         """What the ``pool`` has of a view's texels, looked up anew when it has changed."""
-        key = (surface_key(view), look_name(view.shading), held.age, target)
-        return self._readings.get(key, lambda: read_texels(texels, held.slots, pool, target, self.tiles))
+        key = (Reading, surface_key(view), spec_name(view.shading), target, held.age)
+        return self._kept.get(key, lambda: read_texels(texels, held.slots, pool, target, tiles))
 
     @contextmanager
-    def _sharpen(self, view: View, texels: ViewTexels, base: Reading) -> Iterator[Reading]:
-        """What a view reads besides the ``base``, which stays while the block runs: sharp light where its scene has it.
+    def _project(self, view: View, texels: ViewTexels, base: Reading, tiles: Tiles) -> Iterator[Reading]:
+        """What a view reads besides the ``base``, which stays while the block runs: projected texels where they pay.
 
-        Vicinity shading has none.
+        Views that move, and vicinity shading, have none.
         """
-        if not self.recipe.scene.sharpen or look_name(view.shading) != "gi":
+        shown = texels.gbuffer.isovalue
+        if view.moving or spec_name(view.shading) != "gi" or not self.prepared.scene.projection.projects(shown):
             yield base
             return
-        ways = self._views.get((Ways, surface_key(view)), lambda: find_ways(texels, self.recipe, self.tiles))
-        loader = self.caches.sharp(texels.gbuffer.isovalue)
-        with brought(loader, texels.chunks) as held:
+        make = partial(find_distances, texels, self.prepared, tiles)
+        distances, loader = self._kept.get((Distances, surface_key(view)), make), self.caches.projected(shown)
+        with held_chunks(loader, texels.chunks) as held:
             if held is None:
                 yield base
             else:
-                sharp = read_texels(texels, held.slots, loader.pool, base.target, self.tiles)
-                yield joined(base, sharp, ways, loader.pool)
+                projected = read_texels(texels, held.slots, loader.pool, base.target, tiles)
+                yield join_readings(base, projected, distances, loader.pool)
 
-    def _facing(self, view: View, texels: ViewTexels, reading: Reading) -> np.ndarray:
-        """The normals that a view's texels are lit about, as they are read; kept as its texels are."""
-        key = (Facings, surface_key(view))
-        facings = self._views.get(key, lambda: find_facings(texels, self.recipe, self.tiles))
-        return facings.where(reading.moved, texels, self.recipe, self.tiles)
+    def _texel_normals(self, view: View, texels: ViewTexels, reading: Reading, tiles: Tiles) -> np.ndarray:
+        """The normals that a view's texels are lit about, as they are read."""
+        make = partial(find_texel_normals, texels, self.prepared, tiles)
+        normals = self._kept.get((TexelNormals, surface_key(view)), make)
+        return normals.where(reading.on_surface, texels, self.prepared, tiles)
 
-    def _compose(self, view: View, gbuffer: GBuffer, shaded: Shaded, watch: Stopwatch) -> Frame:
-        return Frame(
-            view=view,
-            radiance=shaded.planes.radiance.reshape(*gbuffer.shape, 3),
-            state=shaded.planes.state.reshape(gbuffer.shape),
-            error=shaded.planes.error.reshape(gbuffer.shape),
-            gbuffer=gbuffer,
-            chunks_needed=shaded.chunks_needed,
-            chunks_final=shaded.chunks_final,
-            lacks=shaded.lacks,
-            version=version_of(self.recipe.scene.digest, self.caches.look(view.shading).digest, view, shaded.version),
-            seconds=watch.seconds,
-            sharpness=shaded.sharpness,
-        )
+
+def frame_of(
+    gbuffer: GBuffer,
+    light: RotatedLight,
+    framebuffer: Framebuffer,
+    watch: Stopwatch,
+    texels: ViewTexels | None = None,
+    reading: Reading | None = None,
+) -> Frame:
+    """The frame of a view from its framebuffer, and from the texels and their reading where it was made of any."""
+    lacking = Lacking(texels, reading, framebuffer) if texels and reading else None
+    projection = Projection(texels, reading, framebuffer) if texels and isinstance(reading, ProjectedReading) else None
+    needed, short = (len(lacking.texels.chunks), int(lacking.reading.short.sum())) if lacking else (0, 0)
+    return Frame(
+        view=light.view,
+        radiance=framebuffer.radiance.reshape(*gbuffer.shape, 3),
+        state=framebuffer.state.reshape(gbuffer.shape),
+        error=framebuffer.error.reshape(gbuffer.shape),
+        gbuffer=gbuffer,
+        chunks_needed=needed,
+        chunks_final=needed - short,
+        lacking=lacking,
+        version=version_of(light, reading.version if reading else b""),
+        seconds=watch.seconds,
+        projection=projection,
+    )
 
 
 def surface_key(view: View) -> tuple[Any, ...]:
@@ -153,9 +234,10 @@ def surface_key(view: View) -> tuple[Any, ...]:
     return view.isovalue, view.camera, view.width, view.height
 
 
-def version_of(scene: str, look: str, view: View, light: bytes) -> str:
-    """Hex digest of all that a picture was made of: scene, look, view, how far the light it read is baked, and by what.
+def version_of(light: RotatedLight, read: bytes) -> str:
+    """Hex digest of all that a picture was made of: scene, bake spec, view, and how far the light it read is baked.
 
     Light is summed in the order that fills the processor's registers, whose width is part of it.
     """
-    return hashlib.blake2b(repr((FORMAT, scene, look, view, light, REGISTER)).encode(), digest_size=12).hexdigest()
+    spec, scene = light.spec.digest, light.spec.prepared.scene.digest
+    return hashlib.blake2b(repr((FORMAT, scene, spec, light.view, read, REGISTER)).encode(), digest_size=12).hexdigest()

@@ -1,11 +1,38 @@
-"""Tiles: pieces of a frame on a few threads, dropped as soon as nobody waits for the frame."""
+"""Tiles: pieces of a frame on a few threads, which a cancellation ends; and how long each stage took."""
 
 import os
 import threading
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from copy import copy
+from dataclasses import dataclass, field
+from typing import Self
 
 from isogi_core.errors import Cancelled
+
+
+@dataclass(eq=False)
+class Stopwatch:
+    """Seconds of each stage of one frame, in order, since it has ``begun``. No second counts in two stages."""
+
+    begun: float = field(default_factory=time.perf_counter)
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Time the block as stage ``name``, without the stages inside it."""
+        begun, others = time.perf_counter(), sum(self.seconds.values())
+        yield
+        inside = sum(self.seconds.values()) - others
+        self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - begun - inside
+
+    @property
+    def elapsed(self) -> float:
+        """Seconds since it has begun."""
+        return time.perf_counter() - self.begun
+
 
 Piece = Callable[[int, int], object]
 
@@ -13,7 +40,7 @@ Piece = Callable[[int, int], object]
 class Tiles:
     """Runs a function over the ranges of a whole. The kernels under it release the interpreter.
 
-    The thread that calls works too: threads that are all woken by one that then sleeps are often
+    The calling thread works too: threads that are all woken by one that then sleeps are often
     put on one core, and a stage of a few milliseconds is over before they are moved apart.
     """
 
@@ -21,18 +48,33 @@ class Tiles:
         """Work on ``threads`` threads, the caller's among them; by default as many as the machine has cores."""
         self.threads = threads or os.cpu_count() or 1
         self._helpers = ThreadPoolExecutor(max(self.threads - 1, 1), "tile")
+        self._cancelled: tuple[threading.Event, ...] = ()
 
-    def run(self, piece: Piece, total: int, size: int, cancelled: threading.Event | None = None) -> None:
+    def cancelled_by(self, event: threading.Event) -> Self:
+        """The same threads, for work that ends once ``event`` is set, or what cancels the work of these tiles is."""
+        bound = copy(self)
+        bound._cancelled = (*self._cancelled, event)
+        return bound
+
+    def check(self) -> None:
+        """Raise Cancelled once the work is cancelled."""
+        if self._over():
+            raise Cancelled("Nobody waits for this frame any more.")
+
+    def _over(self) -> bool:
+        return any(event.is_set() for event in self._cancelled)
+
+    def run(self, piece: Piece, total: int, size: int) -> None:
         """Call ``piece(first, last)`` for consecutive ranges of at most ``size`` until ``total`` is covered.
 
-        A thread that has done its range takes the next one. Raises Cancelled, after the pieces at
-        work have ended, once ``cancelled`` is set; so it does with what a piece raises, and begins no more.
+        A thread that has done its range takes the next one. Raises Cancelled, after the pieces at work have ended,
+        once the work is cancelled; it does the same with what a piece raises, and begins no more.
         """
         starts, failed = iter(range(0, total, size)), threading.Event()
 
         def work() -> None:
             for first in starts:
-                if failed.is_set() or (cancelled is not None and cancelled.is_set()):
+                if failed.is_set() or self._over():
                     return
                 try:
                     piece(first, min(first + size, total))
@@ -47,8 +89,7 @@ class Tiles:
             troubles = [helper.exception() for helper in helpers if not helper.cancel()]
         for trouble in filter(None, troubles):
             raise trouble
-        if cancelled is not None and cancelled.is_set():
-            raise Cancelled("Nobody waits for this frame any more.")
+        self.check()
 
     def even(self, total: int, share: int = 4) -> int:
         """The size of equal pieces, ``share`` of them for each thread."""

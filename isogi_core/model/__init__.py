@@ -1,1 +1,1 @@
-"""What is rendered: volume, lights, scene, view and plan, as plain immutable data."""
+"""Volume, lights, view and plan as plain immutable data, in the user's units."""

@@ -1,4 +1,4 @@
-"""Built-in volumes, made from formulas: something to look at where no file is given."""
+"""Built-in volumes, made from formulas: shown where no file is given."""
 
 import math
 from collections.abc import Callable, Iterable
@@ -14,7 +14,7 @@ Pair = tuple[float, float]
 
 
 class Demo(NamedTuple):
-    """How a demo is made: array (z, y, x), the isovalue at which a view starts, one line of description."""
+    """A demo: the function that makes its array (z, y, x), the isovalue where views start, a line of description."""
 
     build: Callable[[], np.ndarray]
     isovalue: float
@@ -56,7 +56,7 @@ _BARRELS = ((43.5, 64.0), (84.5, 64.0))
 
 
 def _metal(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
-    """Distance to what the mould was filled with: crankcase, barrels, fins, flanges, ribs, ports."""
+    """Distance to the cast metal: crankcase, barrels, fins, flanges, ribs, ports."""
     crankcase = _extrude(_rectangle(x, y, (64.0, 64.0), (44.0, 34.0), 7.0), _slab(z, 24.0, 14.0))
     sole = _extrude(_rectangle(x, y, (64.0, 64.0), (53.0, 51.0), 9.0), _slab(z, 13.0, 3.2))
     barrels = _extrude(_discs(x, y, _BARRELS, 18.5), _slab(z, 58.0, 25.0))
@@ -72,7 +72,7 @@ def _metal(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
 
 
 def _cuts(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
-    """Distance to what was drilled: bores, crank tunnel, bolt holes, oil galleries, port channels."""
+    """Distance to the drilled parts: bores, crank tunnel, bolt holes, oil galleries, port channels."""
     bores = _extrude(_discs(x, y, _BARRELS, 13.0), _slab(z, 62.0, 36.0))
     tunnel = _extrude(_discs(y, z, [(64.0, 25.0)], 9.5), _slab(x, 64.0, 60.0))
     corners = [(64.0 + 46.5 * i, 64.0 + 44.0 * j) for i in (-1, 0, 1) for j in (-1, 1)]

@@ -1,26 +1,119 @@
-"""All lights of a scene as one: a constant and a lat-long image.
-
-Row 0 of an image is +z, column 0 starts at azimuth 0 (+x), azimuth grows with the column towards +y, pixel
-centres lie at half-integers, and a pixel has one radiance over the whole of its solid angle.
-"""
+"""The lights of a scene in two groups: the environment (constant and image) with its lobes, and fixed lamps."""
 
 import hashlib
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from isogi_core.errors import LightError
-from isogi_core.files.radiance import read_hdr
-from isogi_core.model.lights import ConstantLight, Lamp, Light, ProbeLight, SkyLight
-from isogi_core.model.sky import LUMINANCE, sky_image
+from isogi_core.kernels.transport.lights import AREA, DIRECTIONAL, POINT, LampArrays, project_lamps
+from isogi_core.model.lights import (
+    AreaLight,
+    DirectionalLight,
+    Lamp,
+    Light,
+    PointLight,
+    Vector,
+)
+from isogi_core.model.sky import LUMINANCE
 
-SKY_SIZE = (512, 1024)
-"""Rows and columns of the grid on which a sky is laid out."""
+Row = tuple[int, np.ndarray, np.ndarray, np.ndarray]
+
+
+@dataclass(frozen=True, eq=False)
+class Lamps:
+    """All lamps of a scene, in its order: ``arrays`` for the kernels, and a hex ``digest`` of these."""
+
+    arrays: LampArrays
+    digest: str
+
+    @property
+    def any(self) -> bool:
+        """Whether there is a lamp at all."""
+        return len(self.arrays.kinds) > 0
+
+    def seen_from(self, point: Vector, least: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+        """Unit directions (k, 3) from a world point to the lamps, and irradiance (k, 3) of what faces them there.
+
+        Shadows are left out. An area light counts as a point in its middle, and is dark from behind. A lamp nearer than
+        ``least`` counts as that far away and facing the point; one at the point itself has direction 0.
+        """
+        kinds, places, edges, colours = self.arrays
+        near = kinds != DIRECTIONAL
+        away = np.where(near[:, None], places + edges.sum(axis=1) / 2 - point, places)
+        distance = np.linalg.norm(away, axis=1)
+        clamped = np.maximum(distance, least)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            towards = np.nan_to_num(away / distance[:, None])
+            spread = np.where(near & (clamped > 0.0), clamped**-2.0, ~near)
+        normals = np.cross(edges[:, 0], edges[:, 1])
+        cosines = np.maximum(-(towards * normals).sum(axis=1), 0.0)
+        cosines = np.where(distance < least, np.linalg.norm(normals, axis=1), cosines)
+        return towards, math.pi * colours * (spread * np.where(kinds == AREA, cosines, 1.0))[:, None]
+
+    def approximate(self, order: int, centre: Vector, radius: float) -> np.ndarray:
+        """SH coefficients (3, n²) float64 of the lamps, each taken as infinitely far from ``centre``: Σ E Y_i(d).
+
+        Lamps within ``radius`` count as that far away. A lamp at the centre shines evenly from all sides.
+        """
+        coefficients = np.zeros((3, order**2))
+        if self.any:
+            directions, irradiances = self.seen_from(centre, radius)
+            beside = directions.any(axis=1)
+            project_lamps(order, directions[beside], irradiances[beside], coefficients)
+            coefficients[:, 0] += irradiances[~beside].sum(axis=0) / math.sqrt(4.0 * math.pi)
+        return coefficients
+
+    def brightest(self, centre: Vector, radius: float) -> float:
+        """Irradiance over π, in luminance, of an unshadowed surface at ``centre`` that faces the best of the lamps.
+
+        Lamps within ``radius`` count as that far away, as most of the lit volume is farther away.
+        """
+        directions, irradiances = self.seen_from(centre, radius)
+        cosines = np.maximum(directions @ directions.T, 0.0)
+        np.fill_diagonal(cosines, 1.0)
+        return float((cosines @ (irradiances @ LUMINANCE)).max(initial=0.0)) / math.pi
+
+
+def gather_lamps(lights: Sequence[Light]) -> Lamps:
+    """Gather the lamps among the lights into arrays."""
+    rows = [_row(light) for light in lights if isinstance(light, Lamp)]
+    arrays = LampArrays(
+        np.array([row[0] for row in rows], np.int8),
+        np.array([row[1] for row in rows], np.float64).reshape(-1, 3),
+        np.array([row[2] for row in rows], np.float64).reshape(-1, 2, 3),
+        np.array([row[3] for row in rows], np.float64).reshape(-1, 3),
+    )
+    digest = hashlib.blake2b(digest_size=16)
+    for array in arrays:
+        digest.update(array.tobytes())
+    return Lamps(arrays, digest.hexdigest())
+
+
+def _row(light: Lamp) -> Row:
+    """Kind, place, edges and colour of a lamp: see ``LampArrays``."""
+    if isinstance(light, DirectionalLight):
+        colour = np.array(light.irradiance) / math.pi
+        return DIRECTIONAL, *_disc(light), colour
+    if isinstance(light, PointLight):
+        return POINT, np.array(light.position), np.zeros((2, 3)), np.array(light.intensity) / math.pi
+    if isinstance(light, AreaLight):
+        return AREA, np.array(light.corner), np.array([light.u, light.v]), np.array(light.radiance) / math.pi
+
+
+def _disc(light: DirectionalLight) -> tuple[np.ndarray, np.ndarray]:
+    """The direction (3,) towards a directional light, and two radii (2, 3) of its disc, as long as its sine."""
+    azimuth, elevation = math.radians(light.azimuth), math.radians(light.elevation)
+    east = np.array([-math.sin(azimuth), math.cos(azimuth), 0.0])
+    level = np.array([math.cos(azimuth), math.sin(azimuth), 0.0])
+    towards = math.cos(elevation) * level + np.array([0.0, 0.0, math.sin(elevation)])
+    return towards, math.sin(math.radians(light.angle / 2.0)) * np.array([east, np.cross(towards, east)])
+
 
 OVERVIEW = (256, 512)
-"""Rows and columns of an environment at a glance."""
+"""Rows and columns of an environment's overview."""
 
 SHARP = 1.0
 """Relative variance of the luminance over the sphere from which shadow rays towards its bright parts pay.
@@ -35,7 +128,7 @@ for a lobe cos² (2.6), 3.5 for pisa (2.4), 4.4 for uffizi (7.7), and by 6000 an
 class Environment:
     """Linear RGB radiance from infinitely far: ``constant`` (3,) float64 plus ``image`` (h, w, 3) float32.
 
-    Without an image it is one black pixel. ``digest`` is a hex name of both.
+    Where there is no image it is one black pixel. ``digest`` is a hex digest of both.
     """
 
     constant: np.ndarray
@@ -55,16 +148,16 @@ class Environment:
 
     @cached_property
     def sharp(self) -> bool:
-        """Whether rays towards its bright parts are worth their time: see ``SHARP``."""
+        """Whether rays towards its bright parts pay: see ``SHARP``."""
         seen, shares = self._luminance, solid_angles(*self.image.shape[:2]) / (4.0 * np.pi)
         mean = float((shares * seen).sum())
         return float((shares * seen**2).sum()) > (1.0 + SHARP) * mean**2
 
     @cached_property
     def table(self) -> tuple[np.ndarray, np.ndarray]:
-        """Where to draw rays from: see ``cumulative``. Two empty arrays where the environment is not ``sharp``.
+        """Table for sampling directions, see ``cumulative``; two empty arrays where the environment is not ``sharp``.
 
-        Only what is brighter than the mean is drawn; the rest is left to the rays that the surface draws.
+        Only light above the mean is sampled by it; the rest is left to cosine sampling at the surface.
         Source: Karlík et al., "MIS Compensation", ACM Transactions on Graphics 38(6), 2019.
         """
         if not self.sharp:
@@ -87,36 +180,10 @@ class Environment:
         return np.asarray(self.constant + mean_radiance(self.image))
 
 
-def environment(lights: Sequence[Light]) -> Environment:
-    """The sum of the lights that are no lamps. Images are brought to the largest grid without change of energy.
-
-    Raises LightError where a probe cannot be read or holds a negative or non-finite radiance.
-    """
-    constant = np.zeros(3)
-    images = []
-    around = [light for light in lights if not isinstance(light, Lamp)]
-    for light in around:
-        if isinstance(light, ConstantLight):
-            constant += light.radiance
-        else:
-            images.append(_image(light))
-    height = max((image.shape[0] for image in images), default=1)
-    width = max((image.shape[1] for image in images), default=1)
-    total = np.zeros((height, width, 3))
-    for image in images:
-        total += resample(image, height, width)
-    with np.errstate(over="ignore"):
-        total = _checked(total.astype(np.float32), "The sum of all lights")
-    digest = hashlib.blake2b(f"{constant.tolist()} {total.shape}".encode(), digest_size=16)
-    digest.update(total.data)
-    name = " + ".join(light.name for light in around) or "no light"
-    return Environment(constant, total, digest.hexdigest(), name)
-
-
 def cumulative(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Shares of pixel weights (h, w), summed up: over the rows (h + 1,), and within each row (h, w + 1); float64.
+    """Cumulative shares of pixel weights (h, w): over the rows (h + 1,), and within each row (h, w + 1); float64.
 
-    As ``kernels.sampling.sample_piecewise_2d`` takes them. A row without weight is even, and is never drawn.
+    ``kernels.transport.sampling.sample_piecewise_2d`` takes them. A row without weight is even and never sampled.
     """
     rows = weights.sum(axis=1)
     within = np.where(rows[:, None] > 0.0, weights, 1.0).cumsum(axis=1)
@@ -156,22 +223,41 @@ def resample(image: np.ndarray, height: int, width: int) -> np.ndarray:
 
 
 def _overlap(to: np.ndarray, source: np.ndarray) -> np.ndarray:
-    """How much of each interval between the edges ``to`` lies in each between ``source``; rows sum to 1."""
+    """Share of each interval between the edges ``to`` that lies in each between ``source``; rows sum to 1."""
     upper = np.minimum(to[1:, None], source[None, 1:])
     lower = np.maximum(to[:-1, None], source[None, :-1])
     return np.asarray(np.maximum(upper - lower, 0.0) / np.diff(to)[:, None])
 
 
-def _image(light: SkyLight | ProbeLight) -> np.ndarray:
-    """The lat-long image (h, w, 3) of a sky or a probe."""
-    if isinstance(light, ProbeLight):
-        return light.scale * _checked(read_hdr(light.file), f"The probe '{light.file}'").astype(np.float64)
-    return sky_image(light, pixel_directions(*SKY_SIZE), solid_angles(*SKY_SIZE))
+@dataclass(frozen=True)
+class Lobe:
+    """A small bright part of an environment, as a disc of even radiance about the unit direction ``towards``.
 
+    ``cosine`` is that of its half angle.
 
-def _checked(image: np.ndarray, what: str) -> np.ndarray:
-    """The image, where every radiance is finite and not negative; LightError otherwise."""
-    bad = int((~(np.isfinite(image) & (image >= 0.0))).any(axis=-1).sum())
-    if bad:
-        raise LightError(f"{what} has {bad} pixels of negative or non-finite radiance: give another light.")
-    return image
+    ``flux`` is its radiance integrated over the sphere, linear RGB.
+    """
+
+    towards: tuple[float, float, float]
+    cosine: float
+    flux: tuple[float, float, float]
+
+    @property
+    def angle(self) -> float:
+        """The apparent diameter, degrees."""
+        return 2.0 * math.degrees(math.acos(self.cosine))
+
+    @property
+    def azimuth(self) -> float:
+        """Degrees from +x towards +y."""
+        return math.degrees(math.atan2(self.towards[1], self.towards[0])) % 360.0
+
+    @property
+    def elevation(self) -> float:
+        """Degrees above the horizon."""
+        return math.degrees(math.atan2(self.towards[2], math.hypot(*self.towards[:2])))
+
+    @property
+    def irradiance(self) -> np.ndarray:
+        """Irradiance of a surface that faces it, ∫ L cosθ dω = Φ (1 + cos a)/2; (3,) linear RGB."""
+        return np.array(self.flux) * (0.5 * (1.0 + self.cosine))

@@ -1,13 +1,15 @@
-"""Lights that a scene may name: a constant, an analytic sky and a probe around it, and lamps, which stay in place."""
+"""Lights that a scene may name, read from its ``[[lights]]`` tables."""
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
+from typing import Any
 
-from isogi_core.errors import LightError
+from isogi_core.errors import LightError, SceneError
 
 LARGEST = 1e30
-"""No number of a light may be larger: what kernels make of them, squares and products, is then finite too."""
+"""Largest number of a light: squares and products of such numbers are finite in the kernels."""
 
 Colour = tuple[float, float, float]
 Vector = tuple[float, float, float]
@@ -24,7 +26,7 @@ class ConstantLight:
 
     @property
     def name(self) -> str:
-        """What the light is, for a person."""
+        """The light's kind, for display."""
         return "constant"
 
 
@@ -52,13 +54,13 @@ class SkyLight:
 
     @property
     def name(self) -> str:
-        """What the light is, for a person."""
+        """The light's kind, for display."""
         return "sky"
 
 
 @dataclass(frozen=True)
 class ProbeLight:
-    """A lat-long Radiance picture of the light around, times ``scale``."""
+    """A lat-long Radiance picture of the surroundings, times ``scale``."""
 
     file: Path
     scale: float = 1.0
@@ -68,7 +70,7 @@ class ProbeLight:
 
     @property
     def name(self) -> str:
-        """What the light is, for a person."""
+        """The light's kind, for display."""
         return f"probe {self.file.name}"
 
 
@@ -77,7 +79,7 @@ class DirectionalLight:
     """A lamp as far away as the sun: the same light, from the same direction, everywhere.
 
     ``azimuth`` in degrees from +x towards +y, ``elevation`` in degrees above the horizon, both towards the
-    light; ``irradiance`` is what a surface that faces it receives: with π that surface has the radiance R.
+    light; ``irradiance`` is that of a surface which faces it: with π that surface has the radiance R.
     ``angle`` is the apparent diameter in degrees (0 to 90) of a disc of even radiance; 0 makes hard shadows.
     """
 
@@ -94,7 +96,7 @@ class DirectionalLight:
 
     @property
     def name(self) -> str:
-        """What the light is, for a person."""
+        """The light's kind, for display."""
         return "directional"
 
 
@@ -111,7 +113,7 @@ class PointLight:
 
     @property
     def name(self) -> str:
-        """What the light is, for a person."""
+        """The light's kind, for display."""
         return "point"
 
 
@@ -136,7 +138,7 @@ class AreaLight:
 
     @property
     def name(self) -> str:
-        """What the light is, for a person."""
+        """The light's kind, for display."""
         return "area"
 
 
@@ -154,3 +156,83 @@ def _check_range(name: str, values: tuple[float, ...], low: float = 0.0, high: f
     if not all(low <= value <= high for value in values):
         given = ", ".join(f"{value:g}" for value in values)
         raise LightError(f"A light's {name} is {given}: it must be from {low:g} to {high:g}.")
+
+
+def light_from_mapping(mapping: Mapping[str, Any], base: Path) -> Light:
+    """Read the light that one ``[[lights]]`` table of a scene describes; its files are relative to ``base``.
+
+    Raises SceneError where the type or a key is unknown, missing or of the wrong kind, and LightError where
+    a value has no meaning.
+    """
+    kind = mapping.get("type")
+    if not isinstance(kind, str) or kind not in _KINDS:
+        raise SceneError(f"A light has type {kind!r}: choose one of {', '.join(_KINDS)}.")
+    light, readers = _KINDS[kind]
+    unknown = [key for key in mapping if key not in readers and key != "type"]
+    if unknown:
+        raise SceneError(f"A {kind} light has no '{unknown[0]}': choose from {', '.join(readers)}.")
+    missing = [f.name for f in fields(light) if f.default is MISSING and f.name not in mapping]
+    if missing:
+        raise SceneError(f"A {kind} light lacks its '{missing[0]}': add it to the scene.")
+    given = {key: read(key, mapping[key]) for key, read in readers.items() if key in mapping}
+    if "file" in given:
+        given["file"] = base / given["file"]
+    return light(**given)
+
+
+def _number(key: str, value: object) -> float:
+    """A TOML integer or float; SceneError for anything else."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise SceneError(f"A light's {key} is {value!r}: give a number.")
+    try:
+        return float(value)
+    except OverflowError as error:
+        raise SceneError(f"A light's {key} is {value}: give a number that floats hold.") from error
+
+
+def _colour(key: str, value: object) -> Colour:
+    """A number for all three channels, or ``[r, g, b]``."""
+    if not isinstance(value, list):
+        grey = _number(key, value)
+        return grey, grey, grey
+    if len(value) != 3:
+        raise SceneError(f"A light's {key} is {value!r}: give a number or [r, g, b].")
+    r, g, b = (_number(key, channel) for channel in value)
+    return r, g, b
+
+
+def _vector(key: str, value: object) -> Vector:
+    """``[x, y, z]``."""
+    if not isinstance(value, list) or len(value) != 3:
+        raise SceneError(f"A light's {key} is {value!r}: give [x, y, z].")
+    x, y, z = (_number(key, component) for component in value)
+    return x, y, z
+
+
+def _path(key: str, value: object) -> Path:
+    """A file name that is not empty."""
+    if not isinstance(value, str) or not value:
+        raise SceneError(f"A light's {key} is {value!r}: give the name of a file.")
+    return Path(value)
+
+
+_KINDS: dict[str, tuple[type[Light], dict[str, Callable[[str, object], Any]]]] = {
+    "constant": (ConstantLight, {"radiance": _colour}),
+    "sky": (
+        SkyLight,
+        {
+            "sun_azimuth": _number,
+            "sun_elevation": _number,
+            "turbidity": _number,
+            "ground": _colour,
+            "scale": _number,
+        },
+    ),
+    "probe": (ProbeLight, {"file": _path, "scale": _number}),
+    "directional": (
+        DirectionalLight,
+        {"azimuth": _number, "elevation": _number, "irradiance": _colour, "angle": _number},
+    ),
+    "point": (PointLight, {"position": _vector, "intensity": _colour}),
+    "area": (AreaLight, {"corner": _vector, "u": _vector, "v": _vector, "radiance": _colour}),
+}

@@ -1,4 +1,4 @@
-"""A view: what one frame shows. Camera, isovalue, light rotation, picture size and shading."""
+"""A view: the camera, isovalue, light rotation, picture size and shading of one frame."""
 
 import math
 from dataclasses import dataclass, field
@@ -108,10 +108,11 @@ def rotation_matrix(q: Quaternion) -> np.ndarray:
 
 @dataclass(frozen=True)
 class View:
-    """One frame's question. ``isovalue`` is in the volume's own units; ``light`` turns the environment.
+    """The parameters of one frame. ``isovalue`` is in the volume's own units; ``light`` rotates the environment.
 
     ``samples`` is the number of paths per pixel and is read by ``path_traced`` alone. ``albedo``, linear RGB, is that
-    of the surface, the scene's own by default; see ``Scene.albedo_for``.
+    of the surface, the scene's own by default; see ``Scene.albedo_for``. Texels of a view that is ``moving`` are not
+    projected: its pictures are to come quickly.
     """
 
     isovalue: float
@@ -122,6 +123,7 @@ class View:
     shading: str = "gi"
     samples: int = field(default=16)
     albedo: Vec3 | None = None
+    moving: bool = field(default=False, repr=False)
 
     def __post_init__(self) -> None:
         if not math.isfinite(self.isovalue):

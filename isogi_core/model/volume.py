@@ -1,23 +1,30 @@
-"""A volume: a scalar field on a regular grid, normalised once so that kernels never see its units."""
+"""A volume: a scalar field on a regular grid, normalised once, so that kernels never see its units."""
 
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any, NewType
 
 import numpy as np
 
 from isogi_core.files.grid import Grid
-from isogi_core.model.survey import STAGES, Tell, survey, tell_nobody
-from isogi_core.model.units import normalise
+from isogi_core.model.value_survey import STAGES, Progress, no_progress, normalise, survey
 
 CORE = 4.0
-"""Normalised voxels of the core are no larger; outliers are, a hundred times."""
+"""Largest normalised voxel of the core; outliers are a hundred times larger."""
 
 BINS = 256
 """Bins of a histogram."""
 
 SLAB = 1 << 26
-"""Bytes of the voxels that are looked at together."""
+"""Bytes of voxels that are processed together."""
+
+Isovalue = NewType("Isovalue", np.floating[Any])
+"""An isovalue in the units of a volume's voxels. Plain floats, as scenes and views have, are in the units of its file.
+
+``Volume.normalise_isovalue`` alone makes them, of float64. For mypy they are no floats, nor floats they: it refuses an
+isovalue that was not normalised, and one that was where the file's units are meant.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,9 +34,9 @@ class Volume:
     ``voxels`` is (nz, ny, nx) float32, C-contiguous, NaN where the source was not finite or its value is missing;
     ``spacing`` is (x, y, z), world units per voxel. ``scale`` is ± a power of two and negative where ``solid`` is
     "below". ``value_range`` is the finite minimum and maximum in the volume's own units, ``core`` the same without
-    outliers, and ``steps`` how many values the source's type tells apart there. ``holes`` is the number of voxels
-    that are NaN, ``digest`` a hex name of everything that light depends on. ``counts`` are those of the ``histogram``
-    of so many bins, and ``span`` the ``core_span``, where they were kept.
+    outliers, and ``steps`` how many values of that range the source's type can distinguish. ``holes`` is the number of
+    voxels that are NaN, ``digest`` a hex digest of everything that light depends on. ``counts`` are those of the
+    ``histogram`` and ``span`` is the ``core_span``, where they were kept.
     """
 
     voxels: np.ndarray
@@ -76,12 +83,16 @@ class Volume:
         """Radius of the sphere around the box, world units."""
         return math.hypot(*self.extent) / 2
 
-    def normalise_isovalue(self, value: float) -> float:
-        """The isovalue in voxel units, rounded to float32 exactly as the voxels are."""
-        return float(np.float32(normalise(np.array(float(value)), self.offset, self.scale)))
+    def normalise_isovalue(self, value: float) -> Isovalue:
+        """An isovalue of the volume's file, in the units of its voxels and rounded to float32 exactly as they are."""
+        return Isovalue(np.float64(np.float32(normalise(np.array(float(value)), self.offset, self.scale))))
+
+    def file_value(self, voxel: float) -> float:
+        """A value in the units of the voxels, in those of the volume's file."""
+        return self.offset + self.scale * voxel
 
     def slabs(self) -> Iterator[np.ndarray]:
-        """The voxels a few layers at a time, for what makes arrays of their size; (layers, ny, nx) each."""
+        """The voxels a few layers at a time, (layers, ny, nx) each, for work that makes arrays of their size."""
         layers = max(SLAB // self.voxels[0].nbytes, 1)
         for z in range(0, len(self.voxels), layers):
             yield self.voxels[z : z + layers]
@@ -99,15 +110,15 @@ class Volume:
         ends = [(float(inner.min()), float(inner.max())) for inner in self.core_voxels() if inner.size]
         return min(low for low, _ in ends), max(high for _, high in ends)
 
-    def counted(self, bins: int = BINS, tell: Tell = tell_nobody) -> "Volume":
-        """The same with the counts of its histogram and the core's span kept: to find them takes looks at all voxels.
+    def counted(self, bins: int = BINS, progress: Progress = no_progress) -> "Volume":
+        """The same volume with its histogram's counts and the core's span kept: these take passes over all voxels.
 
-        ``tell`` hears of the last stage of making a copy.
+        ``progress`` is called for the last stage of making a copy.
         """
         if len(self.counts) == bins and self.span:
             return self
         known = replace(self, span=self.core_span())
-        return replace(known, counts=tuple(known._count(bins, tell).tolist()))
+        return replace(known, counts=tuple(known._count(bins, progress).tolist()))
 
     def histogram(self, bins: int = BINS) -> tuple[np.ndarray, np.ndarray]:
         """Counts (bins,) int64 of the voxels in the core, and the ``bins + 1`` edges, float64, in own units."""
@@ -118,13 +129,13 @@ class Volume:
         t = np.linspace(0.0, 1.0, bins + 1)
         return counts[:: 1 if self.scale > 0 else -1].copy(), low * (1 - t) + high * t
 
-    def _count(self, bins: int, tell: Tell = tell_nobody) -> np.ndarray:
+    def _count(self, bins: int, progress: Progress = no_progress) -> np.ndarray:
         """Counts (bins,) int64 of the voxels in the core, ascending in the voxels' units."""
         span, counts, layers = self.core_span(), np.zeros(bins, np.int64), len(self.voxels)
         slabs = sum(1 for _ in self.slabs())
         for number, inner in enumerate(self.core_voxels(), 1):
             counts += np.histogram(inner, bins, span)[0]
-            tell((STAGES - 1) * layers + number * layers // slabs, STAGES * layers)
+            progress((STAGES - 1) * layers + number * layers // slabs, STAGES * layers)
         return counts
 
 

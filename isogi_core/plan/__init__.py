@@ -1,1 +1,1 @@
-"""Plans: what each texel of a scene must keep, what may be left out, why, and what that saves."""
+"""Scene assembly and the planner: what each texel must keep, what is left out, why, and what that saves."""

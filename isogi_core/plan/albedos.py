@@ -1,13 +1,13 @@
-"""Albedos that reflected light is kept for, and how the light of any other is mixed of these.
+"""Albedos that reflected light is kept for, and the mixing of light of any other albedo from these.
 
 Light that arrives at a texel after k bounces, Σ R^k τ_k, is a curve of the albedo R. It is kept at a few nodes R_j, of
-the same paths, and mixed: Σ v_j(R) Σ R_j^k τ_k. Were all hits alike, with a chance f to leave at each, then
-τ_k = f (1 - f)^k; the weights v are those with which such light comes nearest for all chances, and so for all mixtures
-of them. They are one of the nodes at that node, and 0 where nothing is reflected.
+the same paths, and mixed: Σ v_j(R) Σ R_j^k τ_k. If all hits were alike, with a chance f to leave at each, then
+τ_k = f (1 - f)^k. The weights v fit such light best for all chances, and so for all mixtures of them. At a node its
+own weight is 1 and the others are 0; all are 0 where nothing is reflected.
 
 That takes fewer numbers than light after each bounce, and fewer than a polynomial through the nodes. On texels of the
 engine, the CT head, the MNI brain, the carp, the bonsai and the casting, and of paths of 43 bounces, three nodes up to
-albedo 0.9 err by 0.24 to 0.40 % of all light, a root mean square at the worst albedo, where 0.42 % is told; cubic
+albedo 0.9 err by 0.24 to 0.40 % of all light, a root mean square at the worst albedo, where 0.42 % is estimated; cubic
 polynomials through three nodes of Chebyshev's and 0 by 0.6 to 2.9 %.
 """
 
@@ -16,20 +16,20 @@ from functools import cache
 import numpy as np
 
 MOST = 6
-"""Nodes that are kept at most."""
+"""Most nodes."""
 
 CHANCES = np.geomspace(1e-3, 0.98, 96)
-"""Chances f to leave at each hit, of which light is to come out right: deep cavities to all but open places."""
+"""Chances f to leave at each hit that the weights are fitted to: from deep cavities to nearly open places."""
 
 STEPS = 48
-"""Albedos that the error is looked for at."""
+"""Albedos at which the error is evaluated."""
 
 
 @cache
 def choose_nodes(most: float, bounces: int, allowed: float) -> tuple[float, ...]:
-    """The fewest nodes up to the albedo ``most`` with which light of paths so long errs by at most ``allowed``.
+    """Choose the fewest nodes up to the albedo ``most`` for which paths of ``bounces`` err by at most ``allowed``.
 
-    The error is relative to all light of a texel; MOST of them where none are enough.
+    The error is relative to all light of a texel. Where it is never reached, MOST nodes.
     """
     tries = (spread_nodes(count, most, bounces) for count in range(1, MOST + 1))
     return next(
@@ -38,9 +38,9 @@ def choose_nodes(most: float, bounces: int, allowed: float) -> tuple[float, ...]
 
 
 def spread_nodes(count: int, most: float, bounces: int) -> tuple[float, ...]:
-    """So many nodes up to ``most``: evenly spread in the logarithm of 1 - R, as light of deep cavities goes.
+    """``count`` nodes up to ``most``, even in the logarithm of 1 - R, as light of deep cavities varies.
 
-    Where paths are short the last ones are not as close to 1.
+    Where paths are short the last nodes are farther from 1.
     """
     depth = min(most, 1.0 - 1.0 / (bounces + 1))
     steps = np.arange(1, count + 1) / count
@@ -49,7 +49,7 @@ def spread_nodes(count: int, most: float, bounces: int) -> tuple[float, ...]:
 
 @cache
 def mixing_error(nodes: tuple[float, ...], bounces: int) -> float:
-    """The most that light which is mixed of ``nodes`` errs by, over all light of a texel, at any lower albedo."""
+    """The largest error of light mixed from ``nodes``, over all light of a texel, at any lower albedo."""
     kept = reflected_light(np.array(nodes), bounces)
     albedos = nodes[-1] * np.arange(1, STEPS) / STEPS
     light = reflected_light(albedos, bounces)
@@ -59,7 +59,7 @@ def mixing_error(nodes: tuple[float, ...], bounces: int) -> float:
 
 @cache
 def mixing_weights(albedo: float, nodes: tuple[float, ...], bounces: int) -> np.ndarray:
-    """What the light kept at each of the ``nodes`` counts at an ``albedo``, v_j(R); (nodes,) float64."""
+    """The weights v_j(R) of the light kept at each of the ``nodes`` at an ``albedo``; (nodes,) float64."""
     kept, light = reflected_light(np.array(nodes), bounces), reflected_light(np.array([albedo]), bounces)
     whole = CHANCES[:, None] + light
     weights = np.linalg.lstsq(kept / whole, (light / whole)[:, 0], rcond=None)[0]

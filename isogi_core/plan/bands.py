@@ -1,25 +1,91 @@
-"""How many bands of harmonics a light needs: what cutting off the rest does to the lit surface.
-
-Under a light turned at random, the luminance that band l carries to a texel has the mean square T_l B_l: T_l is
-the power of the texel's transfer in the band and B_l the light's (rotations are orthogonal). The squared
-error of order n is the sum from l = n on. The light is known; the transfer is that of surfaces measured
-before, so that an order is chosen before anything is baked.
-
-Bands are cut off sharply, without a window on the light (Sloan, "Stupid Spherical Harmonics Tricks", 2008). Light
-that rings below zero is cut to zero at the texel, which errs less: with the least window 1/(1 + λ l²(l+1)²) that
-keeps unshadowed irradiance from falling below zero, the error of those surfaces rises from 0.33 to 0.42 (uffizi,
-order 2), from 0.48 to 0.54 (noon_grass, order 2) and from 0.35 to 0.88 (one sun in the dark, order 5). From order
-3 on these probes need none: no light's unshadowed irradiance falls below -16 % of its mean, and under them at
-most 1.4 % of what views see is cut to zero.
-"""
+"""Bands of harmonics: projection of a light onto them, and how many of them it needs."""
 
 import math
 from typing import Literal
 
 import numpy as np
 
-from isogi_core.kernels.harmonics import MAX_ORDER
+from isogi_core.kernels.transport.harmonics import DIAGONAL, MAX_ORDER, OFFSET, SLOPE
+from isogi_core.model.environment import Environment
 from isogi_core.model.sky import LUMINANCE
+
+# Gauss nodes and weights on [0, 1]: exact to rounding up to MAX_ORDER, even over a whole meridian.
+NODES, WEIGHTS = (0.5 * (g + shift) for g, shift in zip(np.polynomial.legendre.leggauss(24), (1.0, 0.0), strict=True))
+
+
+def project_environment(environment: Environment, order: int) -> np.ndarray:
+    """Project an environment: SH coefficients, linear RGB, (3, n²) float64; constant exactly, image by quadrature."""
+    coefficients = np.zeros((3, order**2))
+    if environment.image.any():
+        coefficients += project_image(environment.image, order)
+    coefficients[:, 0] += environment.constant * math.sqrt(4.0 * math.pi)
+    return coefficients
+
+
+def project_image(image: np.ndarray, order: int) -> np.ndarray:
+    """Coefficients ∫ L Y_i dω of a lat-long image (h, w, 3) for ``order`` <= MAX_ORDER; (3, order²) float64.
+
+    Exact for the image as it is looked up, constant over each pixel: the integral over a pixel is one in
+    θ times one in φ, so pixel solid angles are exact too. S1, eq. 7.
+    """
+    height, width = image.shape[:2]
+    moments = np.tensordot(_waves(order, width), image, (2, 1))
+    even, odd = np.matmul(_profiles(order, height), moments)
+    m, l = np.triu_indices(order)
+    out = np.zeros((3, order**2))
+    out[:, l * (l + 1) - m] = odd[m, l].T
+    out[:, l * (l + 1) + m] = even[m, l].T
+    return out
+
+
+def _waves(order: int, width: int) -> np.ndarray:
+    """∫ cos mφ dφ and ∫ sin mφ dφ over each of the ``width`` pixels of a row; (2, order, width)."""
+    m = np.arange(order)[:, None]
+    half = math.pi / width
+    angle = m * (half * (2 * np.arange(width) + 1))
+    share = 2.0 * half * np.sinc(m / width)
+    return np.asarray(share * np.stack([np.cos(angle), np.sin(angle)]))
+
+
+def _profiles(order: int, height: int) -> np.ndarray:
+    """∫ Y_lm(θ, 0) sinθ dθ over each of the ``height`` rows, m >= 0; (order, order, height) at [m, l], 0 for l < m."""
+    row = math.pi / height
+    theta = (np.arange(height)[:, None] + NODES) * row
+    weights = row * WEIGHTS * np.sin(theta)
+    profiles = np.zeros((order, order, height))
+    for m in range(order):
+        for l, values in enumerate(_meridian(order, m, theta), start=m):
+            profiles[m, l] = (weights * values).sum(axis=1)
+    return profiles
+
+
+def _meridian(order: int, m: int, theta: np.ndarray) -> list[np.ndarray]:
+    """Y_lm(θ, 0) for l = m … order - 1: the recurrence of ``harmonics.accumulate``, array by array."""
+    z = np.cos(theta)
+    before, values = np.zeros_like(z), [DIAGONAL[m] * np.sin(theta) ** m]
+    for l in range(m + 1, order):
+        values.append(SLOPE[l, m] * z * values[-1] - OFFSET[l, m] * before)
+        before = values[-2]
+    return values
+
+
+def sphere_nodes(degree: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points θ, φ of the sphere and their weights, (points,) each: exact for harmonics below ``degree``."""
+    z, weights = np.polynomial.legendre.leggauss(degree // 2 + 1)
+    phi = 2.0 * math.pi / degree * np.arange(degree)
+    theta, phi = (grid.ravel() for grid in np.meshgrid(np.arccos(z), phi, indexing="ij"))
+    return theta, phi, np.repeat(weights * 2.0 * math.pi / degree, degree)
+
+
+def evaluate_harmonics(order: int, theta: np.ndarray, phi: np.ndarray) -> np.ndarray:
+    """Y_i at the points θ, φ (points,) for i < order²; (order², points) float64."""
+    basis = np.empty((order**2, len(theta)))
+    for m in range(order):
+        for l, values in enumerate(_meridian(order, m, theta), start=m):
+            basis[l * (l + 1) - m] = np.sin(m * phi) * values
+            basis[l * (l + 1) + m] = np.cos(m * phi) * values
+    return basis
+
 
 Kind = Literal["direct", "indirect"]
 """Light that reaches a texel straight from the environment, or after it was reflected."""
@@ -41,7 +107,7 @@ DECAY: dict[Kind, float] = {"direct": 2.8, "indirect": 3.9}
 """From MAX_ORDER on T_l falls as (l + ½)^-DECAY: fitted to bands 8 … 31 and 8 … 20 of the same texels."""
 
 STEEPEST = -4.0
-"""The steepest slope of a light's power per coefficient that is believed: beyond band 9 the probes level off."""
+"""The steepest slope that is assumed for a light's power per coefficient: beyond band 9 probes level off."""
 
 _TRANSFER: dict[Kind, np.ndarray] = {"direct": TRANSFER_DIRECT, "indirect": TRANSFER_INDIRECT}
 

@@ -1,36 +1,36 @@
-"""The error budget: how a scene's target error is split among what a plan cuts off, and what is then expected.
+"""The error budget: how the target error is split among what a plan cuts off, and the errors that are expected then.
 
-The target itself is of noise: a texel is final when its noise is within it. What is cut off has no noise, and
-comes on top; the shares are chosen so that it stays beside the noise, or below it.
+The target itself is of noise: a texel is final when its noise is within it. What is cut off adds to that; its shares
+are chosen so that it stays about as large as the noise, or smaller.
 """
 
 import math
 from dataclasses import replace
 
-from isogi_core.model.plan import Layer
+from isogi_core.model.scene_plan import Layer
 from isogi_core.plan.bands import truncation_error
-from isogi_core.plan.needs import Colour, Needs
+from isogi_core.plan.inputs import Colour, PlanInputs
 
 HARMONICS = math.sqrt(0.5)
-"""Share of the target that the bands which are cut off may take, of direct and of reflected light each.
+"""Share of the target for bands that are cut off, of direct and of reflected light each.
 
 Both together are then within the target, as independent errors add.
 """
 
 EVEN = 0.25
-"""Share of the target that taking a light for the same from all sides may err by."""
+"""Share of the target for taking a light as the same from all sides."""
 
 BOUNCES = 0.5
-"""Share of the target that the bounces which are cut off may take, at most."""
+"""Share of the target for bounces that are cut off."""
 
 MIXING = 0.25
-"""Share of the target that light of other albedos than those it is kept for may take, at most."""
+"""Share of the target for light of albedos between those that it is kept for."""
 
 ROUNDING = 1.0 / 3.0
-"""Share of the target that rounding may take, of all that is kept."""
+"""Share of the target for rounding."""
 
 HALF_ONE = 3.3e-4
-"""Error of the luminance where one number is kept, rounded to a half float after each rung.
+"""Error of the luminance where one number is kept, rounded to a half float after each sample level.
 
 A root mean square over the mean luminance, as are all errors here; measured on texels of the engine at 70.
 """
@@ -45,44 +45,44 @@ tenth of the mean or more, 1.0e-3, 0.7e-3 and 0.8e-3.
 BYTE = 0.033
 """Relative error of a coefficient that is kept as a byte.
 
-Codes are 9 % apart, so that one rounding errs by 2.5 %, and many rungs by 3.2 %: from code to code a mean moves only
-when the newer half of its samples asks for it (``benchmarks.stability``, means of a million). From band 3 on it
+Codes are 9 % apart, so that one rounding errs by 2.5 %, and many levels by 3.2 %: from code to code a mean moves only
+when the newer half of its samples asks for it (``tests/stability/test_samples.py``). From band 3 on it
 costs 0.27 to 0.33 % of the luminance (uffizi), 0.37 to 0.45 % (grace) and 0.51 to 0.60 % (noon_grass) on texels
 of the engine at 70 and of the CT head at 110 to order 6; from band 2 on three times that.
 """
 
 ROULETTE = 0.5
-"""The albedo from which paths end by chance: what that saves in rays is then more than the noise it adds.
+"""The albedo from which on Russian roulette ends paths: it then saves more rays than the noise that it adds costs.
 
 On texels of the engine at 70 and the CT head at 110 reflected light took 1.18 and 1.13 times the paths of 0.79 and
 0.82 times the rays at albedo 0.7, and 1.06 and 1.08 times the paths of 0.78 and 0.70 times the rays at 0.9.
 """
 
 ROULETTE_RAYS = 21
-"""Percent of rays that this saves, of albedos from 0.5 to 0.95 on those texels: from 13 to 30."""
+"""Percent of rays that roulette saves, for albedos from 0.5 to 0.95 on those texels: 13 to 30."""
 
 LONGEST_PATH = 64
-"""Bounces that no path goes beyond."""
+"""The most bounces of any path."""
 
 
-def rounding_error(layers: tuple[Layer, ...], needs: Needs, lobes: int = 0) -> float:
-    """Relative error of the luminance that half floats and bytes leave, a root mean square; 0 for single floats."""
+def rounding_error(layers: tuple[Layer, ...], inputs: PlanInputs, lobes: int = 0) -> float:
+    """Relative RMS error of the luminance by rounding to half floats and bytes; 0 for single floats."""
     if not any(layer.half for layer in layers):
         return 0.0
     half = HALF_SUM if max(layer.order for layer in layers) > 1 else HALF_ONE
-    return math.sqrt(half**2 + sum(byte_error(layer, needs, lobes) ** 2 for layer in layers))
+    return math.sqrt(half**2 + sum(byte_error(layer, inputs, lobes) ** 2 for layer in layers))
 
 
-def byte_error(layer: Layer, needs: Needs, lobes: int = 0) -> float:
-    """The part of it that is of a layer's bytes: BYTE of what these bands carry."""
+def byte_error(layer: Layer, inputs: PlanInputs, lobes: int = 0) -> float:
+    """The part of the rounding error that a layer's bytes cause: BYTE times what these bands carry."""
     if layer.coarse is None:
         return 0.0
-    below, above = (cut_error(replace(layer, order=n), needs, lobes) for n in (layer.coarse, layer.order))
+    below, above = (cut_error(replace(layer, order=n), inputs, lobes) for n in (layer.coarse, layer.order))
     return BYTE * math.sqrt(max(below**2 - above**2, 0.0))
 
 
 def bounces_for(albedo: Colour, target_error: float) -> int:
-    """Fewest bounces after which what is cut off, at most R^(bounces + 1) of the light, is within its share."""
+    """The fewest bounces for which the rest, at most R^(bounces + 1) of the light, is within its share."""
     brightest = max(albedo)
     if brightest <= 0.0:
         return 0
@@ -92,32 +92,32 @@ def bounces_for(albedo: Colour, target_error: float) -> int:
 
 
 def survival_for(albedo: Colour, bounces: int) -> float:
-    """The chance that a path goes on after its second hit and further ones; 1 where roulette does not pay."""
+    """The probability that a path goes on after its second and later hits; 1 where roulette does not pay."""
     brightest = max(albedo)
     return brightest if bounces > 1 and brightest >= ROULETTE else 1.0
 
 
 def tail_of_bounces(albedo: Colour, bounces: int) -> float:
-    """The most of the light that longer paths would bring: R^(bounces + 1), an end of the geometric series."""
+    """Upper bound of the light that longer paths would bring: R^(bounces + 1), the tail of a geometric series."""
     return float(max(albedo) ** (bounces + 1))
 
 
-def even(needs: Needs) -> bool:
-    """Whether the light may be taken for the same from all sides."""
-    return not needs.lamps.any and truncation_error(needs.energy, 1, "direct") <= EVEN * needs.target_error
+def even(inputs: PlanInputs) -> bool:
+    """Whether the light may be taken as the same from all sides."""
+    return not inputs.lamps.any and truncation_error(inputs.energy, 1, "direct") <= EVEN * inputs.target_error
 
 
-def harmonics_error(layers: tuple[Layer, ...], needs: Needs, lobes: int = 0) -> float:
-    """Relative error that cutting off the bands beyond the layers' leaves, a root mean square over turns of the light.
+def harmonics_error(layers: tuple[Layer, ...], inputs: PlanInputs, lobes: int = 0) -> float:
+    """Relative error of cutting off the bands beyond the layers', a root mean square over rotations of the light.
 
-    Errors of direct and of reflected light are taken as independent. Irradiance has met its light and cuts nothing.
-    So many ``lobes`` are no matter of direct light's harmonics.
+    Errors of direct and of reflected light are taken as independent. Irradiance cuts off nothing. The first ``lobes``
+    lobes are lit apart from direct light's harmonics.
     """
-    return math.sqrt(sum(cut_error(layer, needs, lobes) ** 2 for layer in layers if layer.kind != "irradiance"))
+    return math.sqrt(sum(cut_error(layer, inputs, lobes) ** 2 for layer in layers if layer.kind != "irradiance"))
 
 
-def cut_error(layer: Layer, needs: Needs, lobes: int = 0) -> float:
-    """The part of it that is of one layer: of the bands from its order on."""
+def cut_error(layer: Layer, inputs: PlanInputs, lobes: int = 0) -> float:
+    """The part of the error that one layer causes: the bands from its order on."""
     if layer.kind == "indirect":
-        return truncation_error(needs.energy, layer.order, "indirect", max(needs.albedo))
-    return truncation_error(needs.energy_beside(lobes), layer.order, "direct")
+        return truncation_error(inputs.energy, layer.order, "indirect", max(inputs.albedo))
+    return truncation_error(inputs.energy_beside(lobes), layer.order, "direct")

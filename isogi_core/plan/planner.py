@@ -4,7 +4,8 @@ import math
 from collections.abc import Iterator
 from dataclasses import replace
 
-from isogi_core.model.plan import Layer, ScenePlan, most_samples
+from isogi_core.errors import LightError, SceneError
+from isogi_core.model.scene_plan import Layer, ScenePlan, most_samples
 from isogi_core.plan.albedos import choose_nodes, mixing_error
 from isogi_core.plan.bands import choose_order, truncation_error
 from isogi_core.plan.budget import (
@@ -18,9 +19,90 @@ from isogi_core.plan.budget import (
     survival_for,
     tail_of_bounces,
 )
-from isogi_core.plan.needs import Needs, Told
-from isogi_core.plan.refusals import refuse_brightness, refuse_idle, refuse_no_bytes
-from isogi_core.plan.savings import left_out, percent
+from isogi_core.plan.inputs import PlanInputs, PlanOverrides
+from isogi_core.plan.left_out import left_out, percent
+
+DIMMEST, BRIGHTEST = 1e-32, 1e32
+"""Radiances of a white surface that frames of single floats show with all shades from a millionth up."""
+
+
+def refuse_brightness(inputs: PlanInputs) -> None:
+    """Raise LightError where all lights together are too bright for frames to hold, or so dim that frames are black."""
+    if inputs.brightest != 0.0 and not DIMMEST <= inputs.brightest <= BRIGHTEST:
+        given = f"The lights give a white surface the radiance {inputs.brightest:.3g}"
+        raise LightError(f"{given}: scale them to give it from {DIMMEST:g} to {BRIGHTEST:g}, or nothing.")
+
+
+def refuse_idle(representation: str, bounces: int, inputs: PlanInputs, overrides: PlanOverrides) -> None:
+    """Raise SceneError for overrides that cannot show the scene's light, or that change nothing in its plan."""
+    refuse_lights(representation, inputs)
+    refuse_orders(representation, bounces, overrides)
+    refuse_lobes(representation, inputs, overrides)
+    refuse_reflections(bounces, inputs, overrides)
+    refuse_albedos(representation, bounces, overrides)
+
+
+def refuse_lights(representation: str, inputs: PlanInputs) -> None:
+    """Raise SceneError where the representation cannot show the lights."""
+    if representation in ("vicinity", "constant") and not even(inputs):
+        raise SceneError(f"representation = '{representation}' shows constant light alone: leave it out.")
+    if representation == "transfer" and inputs.lamps.any:
+        raise SceneError("representation = 'transfer' is of light from far away, and lamps are near: leave it out.")
+    if representation == "irradiance" and inputs.rotating:
+        raise SceneError("representation = 'irradiance' is of light that does not turn: set rotating = false.")
+
+
+def refuse_orders(representation: str, bounces: int, overrides: PlanOverrides) -> None:
+    """Raise SceneError for orders of harmonics where no harmonics are kept."""
+    for name, order in (("order", overrides.order), ("indirect_order", overrides.indirect_order)):
+        if order is not None and representation != "transfer":
+            raise SceneError(f"{name} = {order} is of harmonics, and this light needs none: leave it out.")
+    if overrides.indirect_order is not None and not bounces:
+        raise SceneError(
+            f"indirect_order = {overrides.indirect_order} is of reflected light, and there is none: leave it out."
+        )
+    if (
+        overrides.order is not None
+        and overrides.indirect_order is not None
+        and overrides.indirect_order > overrides.order
+    ):
+        raise SceneError(
+            f"indirect_order = {overrides.indirect_order} is above order = {overrides.order}: take at most that."
+        )
+
+
+def refuse_lobes(representation: str, inputs: PlanInputs, overrides: PlanOverrides) -> None:
+    """Raise SceneError for more lobes than the light has, and for lobes of light that needs no harmonics."""
+    if overrides.lobes and representation != "transfer":
+        raise SceneError(f"lobes = {overrides.lobes} are beside harmonics, and this light needs none: leave it out.")
+    if overrides.lobes and overrides.lobes > len(inputs.lobes):
+        raise SceneError(f"lobes = {overrides.lobes} is more than this light has: take at most {len(inputs.lobes)}.")
+
+
+def refuse_reflections(bounces: int, inputs: PlanInputs, overrides: PlanOverrides) -> None:
+    """Raise SceneError for overrides of reflected light where there is none."""
+    if overrides.representation == "vicinity" and overrides.bounces:
+        raise SceneError("representation = 'vicinity' is of light before it is reflected: leave out 'bounces'.")
+    if overrides.bounces and max(inputs.albedo) == 0.0:
+        raise SceneError(f"bounces = {overrides.bounces} is of reflected light, and albedo 0 has none: leave it out.")
+    if overrides.representation == "constant" and not bounces:
+        raise SceneError("representation = 'constant' is of reflected light too, and there is none: leave it out.")
+
+
+def refuse_albedos(representation: str, bounces: int, overrides: PlanOverrides) -> None:
+    """Raise SceneError where views may ask for other albedos, and texels keep irradiance under the scene's lights."""
+    if overrides.albedos is not None and representation == "irradiance" and bounces:
+        given = f"albedos = [{overrides.albedos[0]:g}, {overrides.albedos[1]:g}]"
+        advice = "set rotating = true, bounces = 0, or leave it out"
+        raise SceneError(f"{given} is of light that may turn, and this is baked as it stands: {advice}.")
+
+
+def refuse_no_bytes(layers: tuple[Layer, ...]) -> tuple[Layer, ...]:
+    """Return the layers; SceneError where none of them has a band that is kept in bytes."""
+    if all(layer.coarse is None for layer in layers):
+        raise SceneError("precision = 'bytes' is of higher bands of harmonics, and there are none: leave it out.")
+    return layers
+
 
 DIRECTED = 2
 """The least order of reflected light that turns with the light."""
@@ -29,11 +111,10 @@ LOWEST_BYTES = 2
 """The lowest band of direct light that bytes may hold."""
 
 MOST_BANDS = 6
-"""The order of light that stays beyond the target whatever is kept: bytes grow as n², while the error under a sun falls
-as 1 / √n."""
+"""The order of light that misses the target at any order: bytes grow as n², and the error under a sun falls as 1/√n."""
 
 FAR_BANDS = 8
-"""The most that a plan takes where that pays; orders beyond it are for a scene to tell.
+"""The most bands that a plan takes where that pays; a scene may ask for more.
 
 Under uffizi orders 6 and 8 err by 3.2 and 1.7 %, with 48 and 79 bytes of direct light.
 """
@@ -42,90 +123,92 @@ REACH = 0.02
 """The error that FAR_BANDS pay for at any target below, so that a smaller one never takes fewer bands."""
 
 MOST_REFLECTED = 5
-"""The order of reflected light where lobes, whose reflections stay in harmonics, left less to direct light, at most."""
+"""Highest order of reflected light beside lobes: their reflections stay in harmonics, and direct light needs fewer."""
 
 MUCH = 1.125
-"""How much more than need be harmonics may err by for the sake of fewer lobes."""
+"""Factor on the least possible error of harmonics that is accepted for the sake of fewer lobes."""
 
 
-def plan_scene(needs: Needs, told: Told) -> ScenePlan:
-    """Derive the plan.
+def plan_scene(inputs: PlanInputs, overrides: PlanOverrides) -> ScenePlan:
+    """Derive the plan of a scene.
 
-    Raises LightError where the lights are beyond what frames can hold, and SceneError where what is told does not fit
-    them, or does nothing.
+    Raises LightError where the lights are beyond what frames can hold, and SceneError where the overrides do not fit
+    them or change nothing.
     """
-    refuse_brightness(needs)
-    bounces = bounces_for(needs.albedo, needs.target_error) if told.bounces is None else told.bounces
-    if told.representation == "vicinity" or max(needs.albedo) == 0.0:
+    refuse_brightness(inputs)
+    bounces = bounces_for(inputs.albedo, inputs.target_error) if overrides.bounces is None else overrides.bounces
+    if overrides.representation == "vicinity" or max(inputs.albedo) == 0.0:
         bounces = 0
-    representation = told.representation or choose(needs, told, bounces)
-    refuse_idle(representation, bounces, needs, told)
-    lobes = lobes_for(needs, told) if representation == "transfer" else 0
-    layers = rounded(layers_of(representation, needs, told, bounces, lobes), needs, told, lobes)
-    order, samples = max(layer.order for layer in layers), most_samples(needs.target_error)
-    plan = ScenePlan(representation, layers, order, bounces, survival_for(needs.albedo, bounces), samples, lobes)
-    return complete(plan, needs, told)
+    representation = overrides.representation or choose(inputs, overrides, bounces)
+    refuse_idle(representation, bounces, inputs, overrides)
+    lobes = lobes_for(inputs, overrides) if representation == "transfer" else 0
+    layers = rounded(layers_of(representation, inputs, overrides, bounces, lobes), inputs, overrides, lobes)
+    order, samples = max(layer.order for layer in layers), most_samples(inputs.target_error)
+    plan = ScenePlan(representation, layers, order, bounces, survival_for(inputs.albedo, bounces), samples, lobes)
+    return complete(plan, inputs, overrides)
 
 
-def complete(plan: ScenePlan, needs: Needs, told: Told) -> ScenePlan:
-    """The plan with what its layers mean: errors that are expected, notes on them, and what is left out."""
-    plan = replace(plan, errors=errors_of(plan, needs, told))
-    return replace(plan, notes=notes_on(plan, needs), left_out=left_out(plan, needs))
+def complete(plan: ScenePlan, inputs: PlanInputs, overrides: PlanOverrides) -> ScenePlan:
+    """Add to a plan what follows from its layers: expected errors, notes on them, and what is left out."""
+    plan = replace(plan, errors=errors_of(plan, inputs, overrides))
+    return replace(plan, notes=notes_on(plan, inputs), left_out=left_out(plan, inputs))
 
 
-def choose(needs: Needs, told: Told, bounces: int) -> str:
-    """The representation that keeps least."""
-    if even(needs) and (told.order is None or needs.constant):
+def choose(inputs: PlanInputs, overrides: PlanOverrides, bounces: int) -> str:
+    """Choose the representation that keeps the least."""
+    if even(inputs) and (overrides.order is None or inputs.constant):
         return "constant" if bounces else "vicinity"
-    return "transfer" if needs.rotating else "irradiance"
+    return "transfer" if inputs.rotating else "irradiance"
 
 
-def lobes_for(needs: Needs, told: Told) -> int:
-    """How many lobes pay: the fewest with which direct light's harmonics err within their share of the target.
+def lobes_for(inputs: PlanInputs, overrides: PlanOverrides) -> int:
+    """Choose how many lobes pay: the fewest with which direct light's harmonics stay within their share of the target.
 
-    Where none do, the fewest with which they err at most an eighth more than with all.
+    Where no number reaches that, the fewest with which they err at most an eighth more than with all.
     """
-    if told.lobes is not None:
-        return told.lobes
-    counts = range(len(needs.lobes) + 1)
-    errors = [truncation_error(needs.energy_beside(n), told.order or MOST_BANDS, "direct") for n in counts]
-    allowed = max(HARMONICS * needs.target_error, MUCH * min(errors))
+    if overrides.lobes is not None:
+        return overrides.lobes
+    counts = range(len(inputs.lobes) + 1)
+    errors = [truncation_error(inputs.energy_beside(n), overrides.order or MOST_BANDS, "direct") for n in counts]
+    allowed = max(HARMONICS * inputs.target_error, MUCH * min(errors))
     return next(n for n in counts if errors[n] <= allowed)
 
 
-def layers_of(representation: str, needs: Needs, told: Told, bounces: int, lobes: int) -> tuple[Layer, ...]:
+def layers_of(
+    representation: str, inputs: PlanInputs, overrides: PlanOverrides, bounces: int, lobes: int
+) -> tuple[Layer, ...]:
     """The layers of a representation."""
     if representation == "vicinity":
         return (Layer("direct"),)
-    if representation == "constant" and told.albedos is not None:
-        return Layer("direct"), reflected(1, needs, told, bounces)
+    if representation == "constant" and overrides.albedos is not None:
+        return Layer("direct"), reflected(1, inputs, overrides, bounces)
     if representation == "constant":
-        return (Layer("whole", channels=1 if needs.grey else 3),)
+        return (Layer("whole", channels=1 if inputs.grey else 3),)
     if representation == "irradiance":
-        return (Layer("irradiance", channels=1 if needs.grey and needs.grey_light else 3, scale=unit_of(needs)),)
-    direct = Layer("direct", told.order or direct_order(needs, lobes))
+        return (Layer("irradiance", channels=1 if inputs.grey and inputs.grey_light else 3, scale=unit_of(inputs)),)
+    direct = Layer("direct", overrides.order or direct_order(inputs, lobes))
     if not bounces:
         return (direct,)
-    most = max(direct.order, MOST_REFLECTED) if lobes and told.order is None else direct.order
-    order = told.indirect_order or indirect_order(needs, direct.order, lobes, most)
-    return direct, reflected(order, needs, told, bounces)
+    most = max(direct.order, MOST_REFLECTED) if lobes and overrides.order is None else direct.order
+    order = overrides.indirect_order or indirect_order(inputs, direct.order, lobes, most)
+    return direct, reflected(order, inputs, overrides, bounces)
 
 
-def reflected(order: int, needs: Needs, told: Told, bounces: int) -> Layer:
-    """The layer of reflected light alone: in its colours, or for any albedo that views may ask for."""
-    if told.albedos is None:
-        return Layer("indirect", order, 1 if needs.grey else 3)
-    nodes = choose_nodes(max(needs.albedo), bounces, MIXING * needs.target_error)
+def reflected(order: int, inputs: PlanInputs, overrides: PlanOverrides, bounces: int) -> Layer:
+    """The layer of reflected light: in its colours, or for any albedo that views may ask for."""
+    if overrides.albedos is None:
+        return Layer("indirect", order, 1 if inputs.grey else 3)
+    nodes = choose_nodes(max(inputs.albedo), bounces, MIXING * inputs.target_error)
     return Layer("indirect", order, len(nodes), nodes=nodes)
 
 
-def direct_order(needs: Needs, lobes: int) -> int:
-    """The order of light that arrives unreflected, ``lobes`` beside: the least within its share of the target.
+def direct_order(inputs: PlanInputs, lobes: int) -> int:
+    """Choose the order of direct light beside ``lobes``: the least within its share of the target.
 
-    Where MOST_BANDS are too few for that, the least up to FAR_BANDS that is within the target; else those, where they
-    bring it within REACH, or MOST_BANDS.
+    Where MOST_BANDS are too few for that, the least order up to FAR_BANDS that is within the target; else FAR_BANDS
+    where these bring the error within REACH, or MOST_BANDS.
     """
-    energy, target = needs.energy_beside(lobes), needs.target_error
+    energy, target = inputs.energy_beside(lobes), inputs.target_error
     order, error = choose_order(energy, HARMONICS * target, "direct", MOST_BANDS)
     if error <= HARMONICS * target:
         return order
@@ -133,39 +216,39 @@ def direct_order(needs: Needs, lobes: int) -> int:
     return max(order, further) if left <= max(target, REACH) else order
 
 
-def indirect_order(needs: Needs, direct: int, lobes: int, most: int) -> int:
-    """The order of reflected light, at ``most`` so much: the least with which both kinds are within the target.
+def indirect_order(inputs: PlanInputs, direct: int, lobes: int, most: int) -> int:
+    """Choose the order of reflected light, at most ``most``: the least with which both kinds are within the target.
 
-    Where direct light errs more than that, the least that errs by half as much and still turns with the light:
-    both together then err by an eighth more than direct light alone. Under uffizi orders 6 and 2 err by 5.1 %, 6
+    Where direct light alone misses the target, the least order that errs by half as much and still turns with the
+    light: both together then err by an eighth more than direct light alone. Under uffizi orders 6 and 2 err by 5.1 %, 6
     and 3 by 3.5 %, 6 and 4 by 3.3 %, in 59, 64 and 71 bytes.
     """
-    target, error = needs.target_error, truncation_error(needs.energy_beside(lobes), direct, "direct")
+    target, error = inputs.target_error, truncation_error(inputs.energy_beside(lobes), direct, "direct")
     within = error < target
     allowed = math.sqrt(target**2 - error**2) if within else error / 2.0
-    order, _ = choose_order(needs.energy, allowed, "indirect", most, max(needs.albedo))
+    order, _ = choose_order(inputs.energy, allowed, "indirect", most, max(inputs.albedo))
     return order if within else min(max(order, DIRECTED), most)
 
 
-def unit_of(needs: Needs) -> float:
-    """What irradiance is kept in multiples of: a power of two, so that the brightest unshadowed has 1 to 2 of it.
+def unit_of(inputs: PlanInputs) -> float:
+    """The unit that irradiance is stored in: a power of two; the brightest unshadowed irradiance is 1 to 2 units.
 
-    One for the whole layer: a texel's bits may not depend on which others are in its chunk.
+    The whole layer has one unit, as a texel's bits must not depend on the others in its chunk.
     """
-    return 2.0 ** math.floor(math.log2(needs.brightest)) if needs.brightest > 0.0 else 1.0
+    return 2.0 ** math.floor(math.log2(inputs.brightest)) if inputs.brightest > 0.0 else 1.0
 
 
-def rounded(layers: tuple[Layer, ...], needs: Needs, told: Told, lobes: int) -> tuple[Layer, ...]:
-    """The layers in the least precision whose error is within its share of the target, or in that told."""
-    if told.precision is None:
-        return next(kept for kept in precisions(layers) if fits(kept, needs, lobes))
-    if told.precision == "bytes":
+def rounded(layers: tuple[Layer, ...], inputs: PlanInputs, overrides: PlanOverrides, lobes: int) -> tuple[Layer, ...]:
+    """The layers in the least precision whose error is within its share of the target, or in the scene's own."""
+    if overrides.precision is None:
+        return next(kept for kept in precisions(layers) if fits(kept, inputs, lobes))
+    if overrides.precision == "bytes":
         return refuse_no_bytes(next(precisions(layers)))
-    return tuple(replace(layer, half=told.precision == "half") for layer in layers)
+    return tuple(replace(layer, half=overrides.precision == "half") for layer in layers)
 
 
 def precisions(layers: tuple[Layer, ...]) -> Iterator[tuple[Layer, ...]]:
-    """The layers with their higher bands in bytes, from as low a band as is of use on; as half and as single floats."""
+    """The layers in all precisions, the least first: higher bands in bytes, half floats, single floats."""
     for band in range(LOWEST_BYTES, max(layer.order for layer in layers)):
         yield tuple(in_bytes(layer, band) for layer in layers)
     yield tuple(replace(layer, half=True) for layer in layers)
@@ -173,39 +256,40 @@ def precisions(layers: tuple[Layer, ...]) -> Iterator[tuple[Layer, ...]]:
 
 
 def in_bytes(layer: Layer, band: int) -> Layer:
-    """The layer with its bands from ``band`` on in bytes, reflected light's one band earlier: it is softer."""
+    """The layer with its bands from ``band`` on in bytes; reflected light is softer, so from one band earlier on."""
     first = band - 1 if layer.kind == "indirect" else band
     return replace(layer, half=True, coarse=first if first < layer.order else None)
 
 
-def fits(layers: tuple[Layer, ...], needs: Needs, lobes: int) -> bool:
-    """Whether rounding errs within its share of the target; nothing is rounded less than to single floats."""
-    return not layers[0].half or rounding_error(layers, needs, lobes) <= ROUNDING * needs.target_error
+def fits(layers: tuple[Layer, ...], inputs: PlanInputs, lobes: int) -> bool:
+    """Whether the rounding error is within its share of the target; single floats always fit."""
+    return not layers[0].half or rounding_error(layers, inputs, lobes) <= ROUNDING * inputs.target_error
 
 
-def errors_of(plan: ScenePlan, needs: Needs, told: Told) -> tuple[tuple[str, float], ...]:
-    """Relative errors that the plan expects by what is cut off; of bounces, where it chose them, the most.
+def errors_of(plan: ScenePlan, inputs: PlanInputs, overrides: PlanOverrides) -> tuple[tuple[str, float], ...]:
+    """Expected relative errors of what is cut off, by cause; zeros are left out.
 
-    Those that are 0 are left. Bands of a layer beyond the plan's order are kept and not read.
+    The error of bounces is an upper bound, given where the plan chose them. Bands of a layer beyond the plan's order
+    are kept and not read.
     """
-    chosen = told.bounces is None and plan.representation != "vicinity"
+    chosen = overrides.bounces is None and plan.representation != "vicinity"
     read = tuple(replace(layer, order=min(layer.order, plan.order)) for layer in plan.layers)
     errors = (
-        ("harmonics", harmonics_error(read, needs, plan.lobes)),
-        ("bounces", tail_of_bounces(needs.albedo, plan.bounces) if chosen else 0.0),
+        ("harmonics", harmonics_error(read, inputs, plan.lobes)),
+        ("bounces", tail_of_bounces(inputs.albedo, plan.bounces) if chosen else 0.0),
         ("albedo", mixing_error(plan.nodes, plan.bounces) if plan.nodes else 0.0),
-        ("rounding", rounding_error(read, needs, plan.lobes)),
+        ("rounding", rounding_error(read, inputs, plan.lobes)),
     )
     return tuple((cause, error) for cause, error in errors if error > 0.0)
 
 
-def notes_on(plan: ScenePlan, needs: Needs) -> tuple[str, ...]:
-    """Sentences on what stays above the target."""
-    above = {cause: percent(error) for cause, error in plan.errors if error > needs.target_error}
-    target = f"more than the target of {percent(needs.target_error)}."
+def notes_on(plan: ScenePlan, inputs: PlanInputs) -> tuple[str, ...]:
+    """Sentences on errors above the target."""
+    above = {cause: percent(error) for cause, error in plan.errors if error > inputs.target_error}
+    target = f"more than the target of {percent(inputs.target_error)}."
     notes = []
     if "harmonics" in above:
-        advice = " Where it need not turn, rotating = false bakes the light as it is." if needs.rotating else ""
+        advice = " Where it need not turn, rotating = false bakes the light as it is." if inputs.rotating else ""
         sharp = f"The light is too sharp for harmonics of order {plan.order}"
         notes.append(f"{sharp}: expect an error of {above['harmonics']}, {target}{advice}")
     if "bounces" in above:
@@ -214,6 +298,6 @@ def notes_on(plan: ScenePlan, needs: Needs) -> tuple[str, ...]:
 
 
 def vicinity_plan(plan: ScenePlan) -> ScenePlan:
-    """The plan of vicinity shading in a scene: band 0 of direct light, out of a layer that is kept anyway if it may."""
+    """The plan of vicinity shading in a scene: band 0 of direct light, from a layer that is kept anyway if possible."""
     direct = next((layer for layer in plan.layers if layer.kind == "direct"), Layer("direct", half=plan.half))
     return ScenePlan("vicinity", (direct,), 1, 0, 1.0, plan.samples)

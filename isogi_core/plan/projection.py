@@ -1,85 +1,78 @@
-"""Projection of a light onto spherical harmonics, in NumPy alone: planning a scene compiles nothing."""
+"""Projection: at which isovalues a view's texels are to lie on the isosurface that it shows."""
 
-import math
+from dataclasses import dataclass
 
 import numpy as np
 
-from isogi_core.kernels.harmonics import DIAGONAL, OFFSET, SLOPE
-from isogi_core.model.environment import Environment
+from isogi_core.kernels.tracing.field import Field
+from isogi_core.model.volume import Isovalue
+from isogi_core.plan.stiffness import measure_stiffness
 
-# Gauss nodes and weights on [0, 1]: exact to rounding up to MAX_ORDER, even over a whole meridian.
-NODES, WEIGHTS = (0.5 * (g + shift) for g, shift in zip(np.polynomial.legendre.leggauss(24), (1.0, 0.0), strict=True))
+INTERPOLATION = 0.5
+"""Share of the target error that interpolation between texels may take: a quarter of its variance.
+
+The survey may expect a third of the true error, see ``plan.stiffness``, and projecting in vain costs half a bake.
+"""
+
+LEVELS = 33
+"""Isovalues that a volume is surveyed at, evenly spaced."""
+
+SURVEYED = 1 << 20
+"""Cells that the survey looks at, at most."""
+
+Span = tuple[Isovalue, Isovalue]
+"""Isovalues from one to another, both included."""
 
 
-def project_environment(environment: Environment, order: int) -> np.ndarray:
-    """SH coefficients of an environment, linear RGB, (3, n²) float64: the constant exactly, the image by quadrature."""
-    coefficients = np.zeros((3, order**2))
-    if environment.image.any():
-        coefficients += project_image(environment.image, order)
-    coefficients[:, 0] += environment.constant * math.sqrt(4.0 * math.pi)
-    return coefficients
+@dataclass(frozen=True, eq=False)
+class ProjectionPlan:
+    """Where texels are projected: at isovalues where interpolation is expected to err by more than is ``allowed``.
 
-
-def project_image(image: np.ndarray, order: int) -> np.ndarray:
-    """Coefficients ∫ L Y_i dω of a lat-long image (h, w, 3) for ``order`` <= MAX_ORDER; (3, order²) float64.
-
-    Exact for the image as it is looked up, constant over each pixel: the integral over a pixel is one in
-    θ times one in φ, so pixel solid angles are exact too. S1, eq. 7.
+    ``levels`` (m,) are the isovalues that were surveyed, ascending, and ``errors`` (m,) what interpolation between
+    texels on their own isosurfaces errs by there, relative; that of the nearest level counts.
     """
-    height, width = image.shape[:2]
-    moments = np.tensordot(_waves(order, width), image, (2, 1))
-    even, odd = np.matmul(_profiles(order, height), moments)
-    m, l = np.triu_indices(order)
-    out = np.zeros((3, order**2))
-    out[:, l * (l + 1) - m] = odd[m, l].T
-    out[:, l * (l + 1) + m] = even[m, l].T
-    return out
+
+    levels: np.ndarray
+    errors: np.ndarray
+    allowed: float
+
+    @classmethod
+    def settled(cls, span: Span, projects: bool) -> "ProjectionPlan":
+        """At every isovalue of a ``span``, or at none: what a scene settles itself."""
+        return cls(np.array(span, float), np.full(2, np.inf if projects else 0.0), 0.0)
+
+    @property
+    def any(self) -> bool:
+        """Whether texels are projected at any isovalue."""
+        return bool((self.errors > self.allowed).any())
+
+    def error(self, isovalue: Isovalue) -> float:
+        """What interpolation is expected to err by at an isovalue; relative."""
+        return float(self.errors[np.searchsorted(self._between, isovalue)])
+
+    def projects(self, isovalue: Isovalue) -> bool:
+        """Whether texels are projected onto the isosurface at an isovalue."""
+        return self.error(isovalue) > self.allowed
+
+    def spans(self) -> list[tuple[float, float]]:
+        """The isovalues at which texels are projected, normalised, as ascending spans."""
+        above = np.concatenate([[False], self.errors > self.allowed, [False]])
+        edges = np.concatenate([self.levels[:1], self._between, self.levels[-1:]])[above[1:] != above[:-1]]
+        return [(low, high) for low, high in edges.reshape(-1, 2).tolist()]
+
+    @property
+    def _between(self) -> np.ndarray:
+        """Half-way between each two levels; (m - 1,)."""
+        return np.asarray((self.levels[1:] + self.levels[:-1]) / 2)
 
 
-def _waves(order: int, width: int) -> np.ndarray:
-    """∫ cos mφ dφ and ∫ sin mφ dφ over each of the ``width`` pixels of a row; (2, order, width)."""
-    m = np.arange(order)[:, None]
-    half = math.pi / width
-    angle = m * (half * (2 * np.arange(width) + 1))
-    share = 2.0 * half * np.sinc(m / width)
-    return np.asarray(share * np.stack([np.cos(angle), np.sin(angle)]))
+def plan_projection(field: Field, span: Span, start: Isovalue, target: float) -> ProjectionPlan:
+    """Survey how stiff isosurfaces of a ``field`` are: over a ``span`` of isovalues, and at that where views ``start``.
 
-
-def _profiles(order: int, height: int) -> np.ndarray:
-    """∫ Y_lm(θ, 0) sinθ dθ over each of the ``height`` rows, m >= 0; (order, order, height) at [m, l], 0 for l < m."""
-    row = math.pi / height
-    theta = (np.arange(height)[:, None] + NODES) * row
-    weights = row * WEIGHTS * np.sin(theta)
-    profiles = np.zeros((order, order, height))
-    for m in range(order):
-        for l, values in enumerate(_meridian(order, m, theta), start=m):
-            profiles[m, l] = (weights * values).sum(axis=1)
-    return profiles
-
-
-def _meridian(order: int, m: int, theta: np.ndarray) -> list[np.ndarray]:
-    """Y_lm(θ, 0) for l = m … order - 1: the recurrence of ``harmonics.accumulate``, array by array."""
-    z = np.cos(theta)
-    before, values = np.zeros_like(z), [DIAGONAL[m] * np.sin(theta) ** m]
-    for l in range(m + 1, order):
-        values.append(SLOPE[l, m] * z * values[-1] - OFFSET[l, m] * before)
-        before = values[-2]
-    return values
-
-
-def sphere_nodes(degree: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points θ, φ of the sphere and their weights, (points,) each: exact for harmonics below ``degree``."""
-    z, weights = np.polynomial.legendre.leggauss(degree // 2 + 1)
-    phi = 2.0 * math.pi / degree * np.arange(degree)
-    theta, phi = (grid.ravel() for grid in np.meshgrid(np.arccos(z), phi, indexing="ij"))
-    return theta, phi, np.repeat(weights * 2.0 * math.pi / degree, degree)
-
-
-def evaluate_harmonics(order: int, theta: np.ndarray, phi: np.ndarray) -> np.ndarray:
-    """Y_i at the points θ, φ (points,) for i < order²; (order², points) float64."""
-    basis = np.empty((order**2, len(theta)))
-    for m in range(order):
-        for l, values in enumerate(_meridian(order, m, theta), start=m):
-            basis[l * (l + 1) - m] = np.sin(m * phi) * values
-            basis[l * (l + 1) + m] = np.cos(m * phi) * values
-    return basis
+    ``target`` is the relative error of the scene; macrocells are not asked for. What stiff surfaces err by is of
+    ``plan.stiffness``.
+    """
+    levels = np.append(np.linspace(*span, LEVELS), start)
+    found = measure_stiffness(field, levels, most=SURVEYED)
+    errors = np.array([found.expectation(place).likely for place in range(len(found.levels))])
+    return ProjectionPlan(found.levels.astype(float), errors, INTERPOLATION * target)

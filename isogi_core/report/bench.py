@@ -11,18 +11,25 @@ from typing import Any
 
 import numpy as np
 
-from isogi_core.bake.recipe import Recipe
-from isogi_core.cache.caches import Caches
-from isogi_core.errors import Cancelled, ViewError
+from isogi_core.cache.scene_caches import Caches
+from isogi_core.errors import ViewError
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.tiles import Tiles
-from isogi_core.model.plan import ScenePlan, most_samples
-from isogi_core.model.scene import Scene
+from isogi_core.model.scene_plan import ScenePlan, most_samples
 from isogi_core.model.view import View
+from isogi_core.plan.scene import Scene
+from isogi_core.prepared.prepared_scene import PreparedScene
 from isogi_core.report.bake import ViewBake
-from isogi_core.report.growth import Goal, grow
 from isogi_core.report.metrics import Score, score
-from isogi_core.report.reference import Reference, load_reference, save_reference, trace_reference, with_bounces
+from isogi_core.report.reference import (
+    Goal,
+    Reference,
+    grow,
+    load_reference,
+    save_reference,
+    trace_reference,
+    with_bounces,
+)
 
 MEMORY = 1 << 30
 """Bytes of light that frames of one scene may hold."""
@@ -41,10 +48,10 @@ SHARE = 0.1
 class Bench:
     """What studies are given: a ``scene``, a ``view`` of it, and a ``folder`` for its references.
 
-    ``cancelled`` stops all work; ``deadline``, a time of ``time.monotonic``, is when studies should have ended.
-    ``hurry`` is set where one had to make do with less for it. Light is kept in memory alone, and baked again by the
-    next bench: what that costs is among what is measured. Pictures are judged at an ``exposure``, by default
-    the scene's own.
+    ``cancelled`` stops all work on the ``threads``; ``deadline``, a time of ``time.monotonic``, is when studies should
+    have ended. ``hurry`` is set where one had to make do with less for it. Light is kept in memory alone, and baked
+    again by the next bench: what that costs is among what is measured. Pictures are judged at an ``exposure``, by
+    default the scene's own.
     """
 
     scene: Scene
@@ -54,8 +61,13 @@ class Bench:
     cancelled: threading.Event = field(default_factory=threading.Event)
     deadline: float = math.inf
     hurry: threading.Event = field(default_factory=threading.Event)
-    tiles: Tiles = field(default_factory=Tiles)
+    threads: Tiles = field(default_factory=Tiles)
     _made: dict[Any, Any] = field(default_factory=dict, repr=False)
+
+    @cached_property
+    def tiles(self) -> Tiles:
+        """The threads, for work that ends once the bench is cancelled."""
+        return self.threads.cancelled_by(self.cancelled)
 
     @property
     def left(self) -> float:
@@ -77,7 +89,7 @@ class Bench:
         store = self.folder / "light" / scene.digest
 
         def make() -> Renderer:
-            return Renderer(Caches(Recipe(scene, self.tiles.run), store, MEMORY), self.tiles)
+            return Renderer(Caches(PreparedScene(scene), store, MEMORY), self.tiles)
 
         return self.once(("renderer", scene.digest, scene.bounces, scene.plan.survival), make)
 
@@ -97,7 +109,7 @@ class Bench:
         self.surface  # noqa: B018
         renderer, target = self.renderer(self.scene), self.scene.target_error
         bake = ViewBake(renderer, self.view)
-        bake.grow(most_samples(target), target, self.cancelled)
+        bake.grow(most_samples(target), target)
         return bake
 
     @property
@@ -120,7 +132,7 @@ class Bench:
     def _grow(self, noise: float) -> Reference:
         found, scene = self.reference(FIRST), self.whole
         goal = replace(goal_of(noise), seconds=SHARE * self.left if math.isfinite(self.left) else None)
-        for grown in grow(self.renderer(scene), self.view, goal, found, self.cancelled):
+        for grown in grow(self.renderer(scene), self.view, goal, found):
             found = self._keep(grown, scene)
         return found
 
@@ -133,13 +145,13 @@ class Bench:
     def reference(self, samples: int, scene: Scene | None = None, bounces: int | None = None) -> Reference:
         """Paths from the view's pixels, at least so many ``samples``, kept in the folder and grown from there.
 
-        Of the ``scene`` told, with ``bounces``: by default, where its paths have any, as many as may matter.
+        Of the ``scene`` given, with ``bounces``: by default, where its paths have any, as many as may matter.
         """
         scene = whole_paths(scene or self.scene, bounces)
         former = self._kept(scene)
         if former is not None and former.samples >= samples:
             return former
-        return self._keep(trace_reference(self.renderer(scene), self.view, samples, former, self.cancelled), scene)
+        return self._keep(trace_reference(self.renderer(scene), self.view, samples, former), scene)
 
     def _kept(self, scene: Scene) -> Reference | None:
         """The reference of a scene that is on the bench, or in the folder."""
@@ -160,14 +172,9 @@ class Bench:
         return self.folder / f"{scene.digest}-{scene.bounces}-{self.view.width}x{self.view.height}.npz"
 
     def score(self, radiance: Any, best: Reference | None = None) -> Score:
-        """The score of a picture of the view, against its own reference unless another is told."""
+        """The score of a picture of the view, against its own reference unless another is given."""
         exposure = self.scene.default_exposure if self.exposure is None else self.exposure
         return score(radiance, best or self.best, exposure)
-
-    def check(self) -> None:
-        """Raise Cancelled where nobody waits for the report."""
-        if self.cancelled.is_set():
-            raise Cancelled("The report was stopped.")
 
     def once(self, key: Any, make: Callable[[], Any]) -> Any:
         """What was made under this key, or is made now."""

@@ -1,19 +1,21 @@
 """Error against run time: light kept in several ways, and paths from each pixel (S1, table 1 and figure 7)."""
 
+import math
 import time
-from collections.abc import Callable
+from bisect import bisect_left
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 from isogi_core.frame.frame import Frame
-from isogi_core.model.scene import Scene
-from isogi_core.report import scores
+from isogi_core.model.scene_plan import Layer
+from isogi_core.plan.left_out import BANDS
+from isogi_core.plan.planner import unit_of
+from isogi_core.plan.scene import Scene
 from isogi_core.report.bake import ViewBake
-from isogi_core.report.bench import Bench
-from isogi_core.report.breakeven import evens
-from isogi_core.report.metrics import Score
+from isogi_core.report.bench import Bench, with_plan
+from isogi_core.report.metrics import SCORE_COLUMNS, Score, score_cells
 from isogi_core.report.reference import Reference
-from isogi_core.report.sections import Column, Curve, Plot, Section, Table
-from isogi_core.report.ways import as_irradiance, as_s1
+from isogi_core.report.sections import Cell, Column, Curve, Plot, Section, Table
 
 KEY, TITLE = "convergence", "Error against run time"
 
@@ -42,7 +44,19 @@ COLUMNS = (
     Column("way"),
     Column("samples", "count"),
     Column("time", "seconds"),
-    *scores.COLUMNS,
+    *SCORE_COLUMNS,
+)
+
+
+NEAR = 1.1
+"""How many times the error that a curve ends at its point may have that stands for the whole bake."""
+
+EVENS = (
+    Column("way"),
+    Column("relative RMSE", "share"),
+    Column("bake", "seconds"),
+    Column("a traced picture of that error", "seconds"),
+    Column("pictures until the bake pays", "count"),
 )
 
 
@@ -63,7 +77,7 @@ def study(bench: Bench) -> Section:
     """The curves, their points as a table, and where baked light begins to pay."""
     small = bench.sized(SIZE)
     found = points_of(small)
-    rows = tuple((name, p.samples, p.seconds, *scores.cells(p.score)) for name, own in found.items() for p in own)
+    rows = tuple((name, p.samples, p.seconds, *score_cells(p.score)) for name, own in found.items() for p in own)
     curves = tuple(curve(name, own) for name, own in found.items())
     size = f"{small.view.width} × {small.view.height} pixels"
     plot = Plot(f"Error against run time, {size}", Column("time", "seconds"), Column("error", "share"), curves)
@@ -90,6 +104,21 @@ def ways(scene: Scene) -> dict[str, Scene]:
     return found
 
 
+def as_s1(scene: Scene) -> Scene | None:
+    """The scene with what S1 keeps of any; None under lamps, which harmonics do not hold."""
+    if scene.lamps.any:
+        return None
+    whole = Layer("whole", BANDS, 3, half=False)
+    return with_plan(scene, representation="transfer", layers=(whole,), order=BANDS, lobes=0, survival=1.0)
+
+
+def as_irradiance(scene: Scene) -> Scene:
+    """The scene under lights that stay: a texel keeps the light that it receives."""
+    channels = 1 if scene.inputs.grey and scene.inputs.grey_light else 3
+    layer = Layer("irradiance", channels=channels, scale=unit_of(scene.inputs))
+    return with_plan(scene, representation="irradiance", layers=(layer,), order=1, lobes=0)
+
+
 def curve(name: str, own: list[Point]) -> Curve:
     """A way's ``own`` points as a curve of the plot."""
     return Curve(name, tuple(p.seconds for p in own), tuple(p.score.rmse for p in own))
@@ -110,7 +139,7 @@ def baked(bench: Bench, scene: Scene, best: Reference) -> list[Point]:
     bake = ViewBake(bench.renderer(scene), bench.view)
 
     def frame(samples: int) -> tuple[Frame, float]:
-        bake.grow(samples, cancelled=bench.cancelled)
+        bake.grow(samples)
         return bake.frame(), bake.seconds
 
     return points(bench, best, frame)
@@ -123,7 +152,7 @@ def traced(bench: Bench, best: Reference) -> list[Point]:
 
     def frame(samples: int) -> tuple[Frame, float]:
         begun = time.process_time()
-        frame = renderer.render(replace(view, samples=samples), cancelled=bench.cancelled)
+        frame = renderer.render(replace(view, samples=samples))
         return frame, time.process_time() - begun
 
     return points(bench, best, frame)
@@ -144,7 +173,36 @@ def points(bench: Bench, best: Reference, frame: Callable[[int], tuple[Frame, fl
 
 
 def fits(bench: Bench, seconds: float) -> bool:
-    """Whether a point may take so long; the bench is told where time left forbids it."""
+    """Whether a point may take so long; the bench notes where time left forbids it."""
     if seconds > SHARE * bench.left:
         bench.hurry.set()
     return seconds <= min(SECONDS, SHARE * bench.left)
+
+
+def evens(baked: Iterable[Curve], traced: Curve, size: str) -> Table:
+    """The break-even of each ``baked`` curve of seconds and errors against the ``traced`` one; ``size`` in words."""
+    rows = tuple(even(curve, traced) for curve in baked)
+    return Table(f"When baked light pays, {size}", EVENS, rows)
+
+
+def even(baked: Curve, traced: Curve) -> tuple[Cell, ...]:
+    """A way's row of the table, of its cheapest point that is nearly as good as its last one."""
+    seconds, error = next((x, y) for x, y in zip(baked.x, baked.y, strict=True) if y <= NEAR * baked.y[-1])
+    picture = seconds_at(traced, error)
+    pictures = None if picture is None else math.ceil(seconds / picture)
+    return baked.name, error, seconds, picture, pictures
+
+
+def seconds_at(curve: Curve, error: float) -> float | None:
+    """The seconds after which a curve has come to an error, linear in their logarithms between its points.
+
+    Beyond its first and last point the line through the nearest two goes on. None where that never meets the error:
+    the curve has a single point, does not fall, or its error is 0.
+    """
+    if len(curve.x) < 2 or min(error, *curve.y) <= 0.0:
+        return None
+    i = min(max(bisect_left([-y for y in curve.y], -error), 1), len(curve.x) - 1)
+    (x0, x1), (y0, y1) = ([math.log(v) for v in values[i - 1 : i + 1]] for values in (curve.x, curve.y))
+    if y1 >= y0 or x1 <= x0:
+        return None
+    return math.exp(x0 + (math.log(error) - y0) * (x1 - x0) / (y1 - y0))

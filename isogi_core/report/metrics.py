@@ -7,12 +7,22 @@ from dataclasses import dataclass
 import numpy as np
 
 from isogi_core.frame.film import BACKGROUND, MARK, tone_table
-from isogi_core.kernels.film import develop_rows
+from isogi_core.kernels.shading.framebuffer import develop_rows
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.report.reference import Reference
+from isogi_core.report.sections import Cell, Column
 
 FAR = 99.0
 """The percentile of errors that tells of the worst pixels, and not of the single worst one."""
+
+
+SCORE_COLUMNS = (
+    Column("relative RMSE", "share"),
+    Column("99th percentile", "share"),
+    Column("bias", "share"),
+    Column("FLIP", "number"),
+)
+"""The columns of a score."""
 
 
 @dataclass(frozen=True)
@@ -109,3 +119,8 @@ def shown_as(radiance: np.ndarray, on: np.ndarray, exposure: float) -> np.ndarra
     light = np.ascontiguousarray(radiance, np.float32)
     develop_rows(light, np.ascontiguousarray(on, np.uint8), 0, exposure, colours, False, tone_table(), picture)
     return picture.astype(np.float32) / 255.0
+
+
+def score_cells(score: Score) -> tuple[Cell, ...]:
+    """The cells of a score under SCORE_COLUMNS."""
+    return score.rmse, score.p99, score.bias, score.flip

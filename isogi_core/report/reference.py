@@ -1,10 +1,10 @@
-"""References: a view path-traced from each pixel, with what is known of its own noise."""
+"""References: a view path-traced from each pixel, with what is known of its own noise, grown round by round."""
 
 import json
+import math
 import os
-import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from zipfile import BadZipFile
@@ -13,13 +13,13 @@ import numpy as np
 
 from isogi_core.errors import ReportError
 from isogi_core.frame.gbuffer import GBuffer
-from isogi_core.frame.paths import Paths, variance_of_mean
+from isogi_core.frame.lighting import RotatedLight
+from isogi_core.frame.pixel_rays import Paths, variance_of_mean
 from isogi_core.frame.renderer import Renderer
-from isogi_core.frame.surroundings import Turned
-from isogi_core.model.scene import Scene, digest_of
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import View
 from isogi_core.plan.budget import BOUNCES, bounces_for, survival_for
+from isogi_core.plan.scene import Scene, digest_of
 
 REPLICAS = 8
 """Independent randomisations of a reference."""
@@ -29,6 +29,15 @@ STREAM = 1 << 16
 
 CUT = 0.001
 """Share of the light that the bounces which a reference leaves out may bring, at most."""
+
+FIRST = 16
+"""Paths per pixel of the first round; each further one doubles what there is."""
+
+MOST = REPLICAS << 32
+"""Paths per pixel for which there are random numbers."""
+
+DECAY = 1.75
+"""Samples that a noise takes grow as its inverse to this power: the points are stratified (demos under a sky)."""
 
 FORMAT = 1
 """Counts up when paths of a reference, or what is kept of them, change."""
@@ -72,16 +81,15 @@ def trace_reference(
     view: View,
     samples: int,
     former: Reference | None = None,
-    cancelled: threading.Event | None = None,
     progress: Callable[[int], object] | None = None,
 ) -> Reference:
     """The reference of ``view`` with ``samples`` paths per pixel, a multiple of REPLICAS, or the next one above.
 
     It continues the sequences of the ``former`` one: in as many goes as you like, its bits are the same.
-    Bounces are those of the renderer's scene. ``progress`` is told of paths as they are traced. Raises ReportError
-    where ``former`` is of something else, and Cancelled, leaving ``former`` as it is, once ``cancelled`` is set.
+    Bounces are those of the renderer's scene. ``progress`` is called with paths as they are traced. Raises ReportError
+    where ``former`` is of something else, and Cancelled, leaving ``former`` as it is, as the renderer's tiles do.
     """
-    subject, gbuffer = subject_of(renderer.recipe.scene, view), renderer.gbuffer(view, cancelled)
+    subject, gbuffer = subject_of(renderer.prepared.scene, view), renderer.gbuffer(view)
     if former is None:
         former = from_sums(gbuffer, np.zeros((len(gbuffer.points), REPLICAS, 3)), 0, 0.0, subject)
     if former.subject != subject:
@@ -89,10 +97,10 @@ def trace_reference(
     taken, wanted = former.samples // REPLICAS, -(-samples // REPLICAS)
     if wanted <= taken:
         return former
-    paths, sums = Paths(Turned(renderer.caches.look("gi"), view), gbuffer, renderer.tiles), former.sums.copy()
-    paths.prepare(cancelled)
+    paths, sums = Paths(RotatedLight(renderer.caches.spec("gi"), view), gbuffer, renderer.tiles), former.sums.copy()
+    paths.prepare()
     begun = time.process_time()
-    paths.add(sums, STREAM, taken, wanted - taken, cancelled, progress)
+    paths.add(sums, STREAM, taken, wanted - taken, progress)
     return from_sums(gbuffer, sums, wanted, former.seconds + time.process_time() - begun, subject)
 
 
@@ -111,8 +119,8 @@ def from_sums(gbuffer: GBuffer, sums: np.ndarray, count: int, seconds: float, su
 def with_bounces(scene: Scene, bounces: int | None = None) -> Scene:
     """The scene with paths of so many ``bounces``; by default with so many that less than CUT of its light is cut."""
     if bounces is None:
-        bounces = bounces_for(scene.needs.albedo, CUT / BOUNCES)
-    survival = survival_for(scene.needs.albedo, bounces)
+        bounces = bounces_for(scene.inputs.albedo, CUT / BOUNCES)
+    survival = survival_for(scene.inputs.albedo, bounces)
     return replace(scene, plan=replace(scene.plan, bounces=bounces, survival=survival))
 
 
@@ -128,7 +136,8 @@ def subject_of(scene: Scene, view: View) -> str:
 def save_reference(path: Path, reference: Reference, scene: Scene, view: View) -> None:
     """Write a reference of ``view``, whole or not at all, as .npz; ``about`` in it is JSON that says what it is of."""
     surface = {"normals": scene.normals, "offset": scene.offset}
-    about = {"format": FORMAT, "scene": scene.name, "bounces": scene.bounces, **surface, "view": asdict(view)}
+    shown = {name: value for name, value in asdict(view).items() if name != "moving"}
+    about = {"format": FORMAT, "scene": scene.name, "bounces": scene.bounces, **surface, "view": shown}
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
         with partial.open("wb") as file:
@@ -149,9 +158,62 @@ def load_reference(path: Path, scene: Scene, view: View) -> Reference:
     except (ValueError, KeyError, EOFError, BadZipFile) as error:
         raise ReportError(f"{path} is no whole reference ({error}): remove it, or name another file.") from None
     if kept["subject"] != subject_of(scene, view):
-        told = (
+        described = (
             "{scene} at {isovalue:g}, {width} × {height} pixels, {bounces} bounces, {normals} normals, {offset:g} off"
         )
-        own = told.format(**about, **about["view"])
+        own = described.format(**about, **about["view"])
         raise ReportError(f"{path} is of another scene, view or way of tracing ({own}): name another file.")
     return Reference(**{name: value if value.ndim else value.item() for name, value in kept.items()})
+
+
+@dataclass(frozen=True)
+class Goal:
+    """Where a reference stops to grow, by what comes first: so many ``samples``, a ``noise``, or ``seconds``."""
+
+    samples: int | None = None
+    noise: float | None = None
+    seconds: float | None = None
+
+    def met(self, reference: Reference) -> bool:
+        """Whether a reference has the samples, or is as good as that."""
+        enough = self.samples is not None and reference.samples >= self.samples
+        return enough or (self.noise is not None and reference.noise <= self.noise)
+
+    def foresee(self, reference: Reference) -> int | None:
+        """The samples at which a reference is expected to stop, time aside; None where nobody can tell."""
+        if self.samples is not None:
+            return max(self.samples, reference.samples)
+        if self.noise is None:
+            return None
+        wanted = reference.samples * max(reference.noise / self.noise, 1.0) ** DECAY
+        return int(2 ** math.ceil(math.log2(wanted)))
+
+
+def grow(
+    renderer: Renderer,
+    view: View,
+    goal: Goal,
+    former: Reference | None = None,
+    progress: Callable[[int], object] | None = None,
+) -> Iterator[Reference]:
+    """References of 16, 32, … paths per pixel, each grown from the one before or the ``former``, up to the ``goal``.
+
+    The last one has what fits into the time, by the rounds before; the first is made in any case. Raises
+    what ``trace_reference`` does.
+    """
+    begun, reference, before = time.monotonic(), former, former.samples if former is not None else 0
+    while reference is None or not goal.met(reference):
+        taken = reference.samples if reference is not None else 0
+        wanted = min(max(2 * taken, FIRST), goal.samples or MOST)
+        if goal.seconds is not None and taken > before:
+            spent = time.monotonic() - begun
+            wanted = min(wanted, taken + fitting(goal.seconds - spent, spent / (taken - before)))
+        if wanted <= taken:
+            return
+        reference = trace_reference(renderer, view, wanted, reference, progress)
+        yield reference
+
+
+def fitting(seconds: float, each: float) -> int:
+    """How many samples fit into ``seconds`` where ``each`` takes so long, a multiple of REPLICAS."""
+    return int(max(seconds, 0.0) / max(each, 1e-9)) // REPLICAS * REPLICAS

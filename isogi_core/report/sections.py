@@ -39,13 +39,12 @@ class Curve:
 
 @dataclass(frozen=True)
 class Plot:
-    """Curves over one axis; what the axes are, and whether they are logarithmic."""
+    """Curves over one axis, and what the axes are; both are logarithmic."""
 
     caption: str
     x: Column
     y: Column
     curves: tuple[Curve, ...]
-    logarithmic: bool = True
 
 
 @dataclass(frozen=True, eq=False)

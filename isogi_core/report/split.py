@@ -6,12 +6,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from isogi_core.model.plan import ScenePlan
-from isogi_core.model.scene import Scene
+from isogi_core.model.scene_plan import ScenePlan
+from isogi_core.plan.scene import Scene
 from isogi_core.report.bench import Bench
-from isogi_core.report.converged import converged
+from isogi_core.report.exact import (
+    Lit,
+    apart,
+    converged,
+    cuts_harmonics,
+    lit_by_frame,
+    lit_by_paths,
+    own_light,
+    short_paths,
+)
 from isogi_core.report.metrics import Spread, map_of, mean_of, spread_of
-from isogi_core.report.points import Lit, apart, cuts_harmonics, lit_by_frame, lit_by_paths, own_light, short_paths
 from isogi_core.report.sections import Column, Picture, Section, Table
 
 KEY, TITLE = "split", "Where the error comes from"
@@ -22,7 +30,7 @@ ABOUT = """\
 Each part is the difference that remains when one ingredient of the frame gives way to its exact counterpart, one \
 after the other, so that biases add up to the total's. Noise that is known of either side is taken off. The parts' \
 root sum of squares equals the total where they are independent. Normals and offset are the scene's own choice, and so \
-the reference's too: what they change is told apart."""
+the reference's too: what they change is listed apart."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,12 +72,12 @@ def study(bench: Bench) -> Section:
     """The frame's error and its parts, as a table and as maps."""
     split = split_error(bench)
     bias = sum(split.spread(part).bias for part in split.parts)
-    told = bench.planned.frame().estimated_error
+    reported = bench.planned.frame().estimated_error
     rows = (
         *(row_of(part, split) for part in split.parts),
         ("parts together", split.together, bias, "root sum of squares, sum of biases"),
         row_of(split.whole, split),
-        ("the frame's own estimate", told, None, "Monte Carlo noise alone, told by the texels"),
+        ("the frame's own estimate", reported, None, "Monte Carlo noise alone, estimated by the texels"),
         row_of(split.surface, split),
         row_of(split.beyond, split),
     )

@@ -1,9 +1,9 @@
-"""What the report is of, and its headline: how wrong the frame is, and what it took."""
+"""What the report is of, and its headline: how wrong the frame is, what it took, and where it differs (S1, fig. 11)."""
 
-from isogi_core.model.plan import Layer
-from isogi_core.report import scores
+from isogi_core.model.scene_plan import Layer
 from isogi_core.report.bench import Bench
-from isogi_core.report.sections import Cell, Column, Section, Table
+from isogi_core.report.metrics import SCORE_COLUMNS, error_map, score_cells
+from isogi_core.report.sections import Cell, Column, Picture, Section, Table
 
 KEY, TITLE = "summary", "Summary"
 
@@ -17,16 +17,21 @@ the time that there was. Seconds are of the processor, all threads together."""
 
 
 def study(bench: Bench) -> Section:
-    """The facts and the headline."""
+    """The headline, the facts, and the pictures."""
     planned, best = bench.planned, bench.best
     frame = planned.frame()
-    own = scores.cells(bench.score(frame.radiance))
-    columns = (*scores.COLUMNS, Column("estimated noise", "share"), Column("bake", "seconds"))
+    own = score_cells(bench.score(frame.radiance))
+    columns = (*SCORE_COLUMNS, Column("estimated noise", "share"), Column("bake", "seconds"))
     headline = Table("The frame", columns, ((*own, frame.estimated_error, planned.seconds),))
     measured = (Column("reference's noise", "share"), Column("paths per pixel", "count"), Column("time", "seconds"))
     reference = Table("Its reference", measured, ((best.noise, best.samples, best.seconds),))
     scene = Table("The scene", (Column("what"), Column("is")), facts(bench))
-    return Section(KEY, TITLE, ABOUT, (headline, reference, scene))
+    pictures = (
+        Picture("the frame", "radiance", frame.radiance),
+        Picture(f"the reference, {best.samples} paths per pixel", "radiance", best.mean),
+        Picture("the frame's error", "error", error_map(frame.radiance, best)),
+    )
+    return Section(KEY, TITLE, ABOUT, (headline, reference, scene), (), pictures)
 
 
 def facts(bench: Bench) -> tuple[tuple[Cell, ...], ...]:

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
-from server.inspect.facts import InspectionFacts, SurfaceFacts
+from server.inspect.inspection import InspectionSchema, SurfaceSchema
 from server.report.plots import DASHES, INK, LINE, SCHEME, SOFT, STYLE
 
 SIZE = (7.2, 5.2)
@@ -30,7 +30,7 @@ CURVES = ("steep", "plateau", "noisy", "holes")
 """Shares that are drawn; the last one only where there are any."""
 
 
-def save_picture(path: Path, facts: InspectionFacts) -> None:
+def save_picture(path: Path, facts: InspectionSchema) -> None:
     """Draw the stiffness of a scene's volume to a PNG file. Raises OSError."""
     style: Any = {name: INKS.get(value, value) for name, value in STYLE.items()}
     with mpl.rc_context(style):
@@ -47,19 +47,19 @@ def save_picture(path: Path, facts: InspectionFacts) -> None:
         figure.savefig(path, format="png", metadata={"Software": None})
 
 
-def key_of(facts: InspectionFacts) -> str:
+def key_of(facts: InspectionSchema) -> str:
     """What the marks of the picture mean."""
     return (
         f"Share of the surface's cells, by isovalue; grey: voxels (logarithmic); line: the scene's {own_of(facts):.6g}"
     )
 
 
-def own_of(facts: InspectionFacts) -> float:
+def own_of(facts: InspectionSchema) -> float:
     """The scene's own isovalue."""
     return facts.stiffness.surfaces[facts.stiffness.own].isovalue
 
 
-def draw_histogram(axes: Axes, facts: InspectionFacts) -> None:
+def draw_histogram(axes: Axes, facts: InspectionSchema) -> None:
     """The volume's values, behind all else; logarithmic."""
     counts, edges = np.log1p(facts.histogram.counts), np.array(facts.histogram.edges)
     axes.fill_between(edges, np.append(counts, counts[-1]), step="post", color=COLOURS["line"], linewidth=0)
@@ -68,7 +68,7 @@ def draw_histogram(axes: Axes, facts: InspectionFacts) -> None:
     axes.set_zorder(-1)
 
 
-def draw_shares(axes: Axes, facts: InspectionFacts) -> None:
+def draw_shares(axes: Axes, facts: InspectionSchema) -> None:
     """What share of each surface is steep, on a plateau, noisy, beside holes."""
     surfaces = facts.stiffness.surfaces
     shown = CURVES if any(surface.holes for surface in surfaces) else CURVES[:-1]
@@ -81,7 +81,7 @@ def draw_shares(axes: Axes, facts: InspectionFacts) -> None:
     axes.legend(frameon=False, ncols=len(shown), loc="upper right")
 
 
-def draw_error(axes: Axes, facts: InspectionFacts) -> None:
+def draw_error(axes: Axes, facts: InspectionSchema) -> None:
     """The error that is expected, and the range that it is likely in."""
     seen = [surface for surface in facts.stiffness.surfaces if surface.error is not None]
     errors = [(each.error.low, each.error.likely, each.error.high) for each in seen if each.error is not None]
@@ -92,7 +92,7 @@ def draw_error(axes: Axes, facts: InspectionFacts) -> None:
     axes.set_title("Error of interpolated light that is to be expected, and its range", fontsize=9.5, loc="left")
 
 
-def isovalues(surfaces: list[SurfaceFacts]) -> list[float]:
+def isovalues(surfaces: list[SurfaceSchema]) -> list[float]:
     """Where surfaces stand in the picture."""
     return [surface.isovalue for surface in surfaces]
 
@@ -102,7 +102,7 @@ def mark_of(i: int) -> dict[str, Any]:
     return {"color": COLOURS[f"curve-{i + 1}"], "linewidth": 1.5, "marker": "o", "markersize": 3.2}
 
 
-def frame(axes: Axes, facts: InspectionFacts) -> None:
+def frame(axes: Axes, facts: InspectionSchema) -> None:
     """Grid, ticks and the line of the scene's isovalue."""
     axes.axvline(own_of(facts), ymax=1.0 / TOP, color=COLOURS["accent"], linewidth=1.0)
     axes.yaxis.set_major_formatter(PercentFormatter(1.0))

@@ -1,26 +1,109 @@
-"""A forecast: what baking takes, told by rehearsing a few chunks."""
+"""The rehearsal of a few chunks, of which nothing is kept: it measures what ``worker.progress`` estimates by."""
 
 from __future__ import annotations
 
-import math
 import threading
 import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from itertools import islice
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 
-from isogi_core.frame.texels import Demand
-from server.prewarm.rehearsal import Rehearsal, rehearse
+from isogi_core.bake.bake_spec import BakeSpec
+from isogi_core.bake.noise import Effort, relative_error
+from isogi_core.bake.precision import FIRST_LEVEL
+from isogi_core.bake.refine import refine
+from isogi_core.bake.texel_light import Light
+from isogi_core.cache.chunk import Chunk
+from isogi_core.cache.chunk_store import ChunkStore
+from isogi_core.frame.renderer import Renderer
+from isogi_core.frame.view_texels import Demand
+from isogi_core.model.scene_plan import MOST
+from isogi_core.storage.url import StoreUrl
 from server.settings import cores
-from worker.outlook import TimeLeft
-from worker.tasks import load_kernels
+from worker.bake_requests import next_least_priority
+from worker.progress import (
+    PER_TASK,
+    ChunkCost,
+    CostEstimate,
+    extrapolated,
+    relative_standard_error,
+    seconds_per_texel,
+)
+from worker.tasks import BakeTask, cost_of, load_kernels, result_of, sample_texels
 
-if TYPE_CHECKING:
-    from isogi_core.frame.renderer import Renderer
+NEVER = 1e-9
+"""A target error that the first paths do not reach."""
+
+SCHEDULED = Path("/proc/thread-self/schedstat")
+"""Where Linux counts the nanoseconds that a thread ran, and those that it could have run but had no core."""
+
+
+def rehearse(renderer: Renderer, demand: Demand, target: float, most: float, cancelled: threading.Event) -> ChunkCost:
+    """Bake what a chunk lacks until ``target``, and measure it; beyond ``most`` seconds the cost is extrapolated."""
+    store = renderer.caches.chunk_store_of(demand.shown)
+    spec = store.spec
+    texels = spec.prepared.lattice.positions(demand.index, demand.offsets)
+    maps = first_light(spec, texels) - first_light(spec, texels)
+    chunk = store.load(demand.index).with_texels(demand.offsets)
+    rows = chunk.rows_of(demand.offsets)
+    light = chunk.light.rows(rows)
+    begun, processor = ready_time(), time.thread_time()
+    tasks, paths = climb_all(light, texels, spec, demand, target, (time.perf_counter() + most, cancelled))
+    more = 1.0 + Effort.of(relative_error(light, spec), light.samples, target).left / max(paths, 1)
+    seconds, processor = ready_time() - begun, time.thread_time() - processor
+    chunk.light.put(rows, light)
+    begun = ready_time()
+    stored = stored_size(store, chunk)
+    seconds += tasks * (ready_time() - begun)
+    return ChunkCost(len(texels), more * seconds, more * processor, tasks * more, max(maps, 0.0), stored)
+
+
+def ready_time() -> float:
+    """Seconds that this thread ran, or could have run; on systems that do not say, those by the clock."""
+    try:
+        ran, waited, *_ = SCHEDULED.read_text(encoding="ascii").split()
+    except OSError:
+        return time.perf_counter()
+    return (int(ran) + int(waited)) * 1e-9
+
+
+def climb_all(
+    light: Light,
+    texels: np.ndarray,
+    spec: BakeSpec,
+    demand: Demand,
+    target: float,
+    limit: tuple[float, threading.Event],
+) -> tuple[int, int]:
+    """Do the tasks of a chunk to its ``light``, in place: how many, and their paths. Ends at its ``limit``."""
+    until, least_priority, tasks, paths = FIRST_LEVEL if demand.effort.unlit else MOST, 0.0, 0, 0
+    while True:
+        place = (spec.prepared.scene.source, spec.plan, spec.digest, StoreUrl(""), demand.index)
+        task = BakeTask(*place, demand.offsets, demand.footprints, until, least_priority, target)
+        before, since = light.samples, time.thread_time()
+        sample_texels(light, texels, spec, task)
+        result = result_of(light, spec, task, cost_of(light.samples, before, time.thread_time() - since))
+        tasks, paths = tasks + 1, paths + result.cost.paths
+        if not result.unfinished or time.perf_counter() > limit[0] or limit[1].is_set():
+            return tasks, paths
+        until, least_priority = MOST, next_least_priority(result, patient=True)
+
+
+def first_light(spec: BakeSpec, texels: np.ndarray) -> float:
+    """Seconds that the first paths of texels take; maps that they need are made, where they are not kept."""
+    begun = ready_time()
+    refine(Light.dark(spec.plan, len(texels)), texels, spec, FIRST_LEVEL, NEVER)
+    return ready_time() - begun
+
+
+def stored_size(store: ChunkStore, chunk: Chunk) -> int:
+    """Bytes that a chunk's objects would take."""
+    pairs = zip(store.layers, chunk.light.parts, strict=True)
+    return sum(len(layer.encode(chunk.index, chunk.offsets, part)) for layer, part in pairs)
+
 
 MOST_TRIED, FEWEST_TRIED = 48, 8
 """Chunks that are rehearsed, at most, and before it may be called enough."""
@@ -28,39 +111,11 @@ MOST_TRIED, FEWEST_TRIED = 48, 8
 SURE = 0.04
 """Standard error of the mean, over the mean, at which it is enough."""
 
-PER_TASK, DISPATCH = 0.008, 0.006
-"""Processor seconds that a task takes beside its paths: of its worker, and of who hands it out and needs a core too."""
+DISPATCH = 0.006
+"""Processor seconds of a task that the process which hands it out takes; it needs a core too."""
 
 START = 1.5
-"""Seconds until workers have come, and have their kernels, beyond those in which views are looked at meanwhile."""
-
-ELSE = 0.2
-"""What else is not known, as a share: the spread of what came about what was told (``benchmarks.prewarm``)."""
-
-FOUR_OF_FIVE = 1.28
-"""Standard deviations to either side that four of five come to lie in."""
-
-
-@dataclass(frozen=True)
-class Forecast:
-    """What baking takes: ``seconds`` of workers, all together, by the clock, and of the ``processor`` for the paths.
-
-    ``unsure`` is the relative standard error of these; ``maps`` are seconds that each worker spends once, and so many
-    bytes are ``stored``.
-    """
-
-    seconds: float = 0.0
-    processor: float = 0.0
-    unsure: float = 0.0
-    maps: float = 0.0
-    stored: int = 0
-
-    def time_left(self, workers: int, around: float) -> TimeLeft:
-        """Seconds for all of it with so many ``workers``, and those spent ``around`` the baking."""
-        likely = self.seconds / workers
-        spread = math.exp(FOUR_OF_FIVE * math.hypot(self.unsure, ELSE))
-        rest = around + self.maps
-        return TimeLeft(likely / spread + rest, likely + rest, likely * spread + rest)
+"""Seconds until workers have come, and have their kernels, beyond the time of the survey."""
 
 
 def forecast(
@@ -70,14 +125,14 @@ def forecast(
     workers: int,
     budget: float,
     cancelled: threading.Event,
-) -> Forecast:
-    """What the demands take to a ``target`` error, told within about ``budget`` seconds.
+) -> CostEstimate:
+    """Estimate the cost of the demands to a ``target`` error, within about ``budget`` seconds.
 
     As many chunks are rehearsed at once as there are workers, for these share what a core has.
     """
     if not demands:
-        return Forecast()
-    load_kernels({layer.kind for layer in renderer.caches.look("gi").plan.layers})
+        return CostEstimate()
+    load_kernels({layer.kind for layer in renderer.caches.spec("gi").plan.layers})
     threads, chosen = min(workers, cores()), stratified(demands)
     tried = Tried(budget, cancelled)
     with ThreadPoolExecutor(threads, "rehearsal") as pool:
@@ -92,7 +147,7 @@ class Tried:
 
     def __init__(self, budget: float, cancelled: threading.Event) -> None:
         """Have tried nothing yet."""
-        self.all: list[Rehearsal] = []
+        self.all: list[ChunkCost] = []
         self._each, self._end, self._cancelled = budget / 4.0, time.monotonic() + budget, cancelled
         self._lock = threading.Lock()
 
@@ -110,38 +165,8 @@ class Tried:
     def _enough(self) -> bool:
         """Whether the time is over, or the mean is known well enough."""
         with self._lock:
-            known = len(self.all) >= FEWEST_TRIED and unsure(rates(self.all)) <= SURE
+            known = len(self.all) >= FEWEST_TRIED and relative_standard_error(seconds_per_texel(self.all)) <= SURE
         return known or (bool(self.all) and time.monotonic() > self._end) or self._cancelled.is_set()
-
-
-def extrapolated(tried: Sequence[Rehearsal], texels: int, whole: bool, per_task: float) -> Forecast:
-    """What so many texels take by what was ``tried``, which is the ``whole`` of it, or a sample.
-
-    Chunks came into the sample by how many texels they have: the mean of what a texel takes in each is that of all.
-    """
-    if not tried:
-        return Forecast()
-    known, each = sum(one.texels for one in tried), rates(tried, per_task)
-    seconds = sum(one.texels * rate for one, rate in zip(tried, each, strict=True))
-    total = seconds if whole else float(each.mean()) * texels
-    return Forecast(
-        seconds=total,
-        processor=total / seconds * sum(one.processor for one in tried),
-        unsure=0.0 if whole else unsure(each),
-        maps=sum(one.maps for one in tried),
-        stored=round(sum(one.stored for one in tried) / known * texels),
-    )
-
-
-def rates(tried: Sequence[Rehearsal], per_task: float = PER_TASK) -> np.ndarray:
-    """Seconds of a worker for a texel of each chunk; (chunks,) float64. What tasks take is as slow as paths are."""
-    slow = sum(one.seconds for one in tried) / max(sum(one.processor for one in tried), 1e-9)
-    return np.array([(one.seconds + max(slow, 1.0) * per_task * one.tasks) / one.texels for one in tried])
-
-
-def unsure(each: np.ndarray) -> float:
-    """The standard error of a mean, over the mean; 1 where a single number tells nothing of it."""
-    return float(each.std(ddof=1) / each.mean() / math.sqrt(len(each))) if len(each) > 1 else 1.0
 
 
 def stratified(demands: Sequence[Demand]) -> Iterator[Demand]:

@@ -1,35 +1,119 @@
-"""What is asked of a prewarm: the same document from the command line, over HTTP and in the file beside the light."""
+"""What is asked of a prewarm: isovalues, directions and target, from the command line, HTTP or a file."""
 
 from __future__ import annotations
 
 import hashlib
 import itertools
 import json
-from collections.abc import Iterator
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Annotated, Any, Self
 
 from pydantic import BeforeValidator, Field, StrictBool, WithJsonSchema, model_validator
 
-from isogi_core.model.scene import Scene
 from isogi_core.model.view import View
-from server.durations import LONGEST
+from isogi_core.plan.scene import Scene
 from server.errors import ParameterError
-from server.params import TURN, NoParams, ViewParams, read
-from server.prewarm.directions import Direction, all_sides, orbit
-from server.prewarm.levels import Levels, levels_of
+from server.parameters import TURN, NoParams, ViewParams, isovalue_of, read, view_of
 from server.settings import Settings
-from server.values import Span
-from server.views import isovalue_of, view_of
+from server.values import LONGEST, Span, finite, shown
+
+GOLDEN = 180.0 * (3.0 - math.sqrt(5.0))
+"""The golden angle, degrees."""
+
+Direction = tuple[float, float]
+"""Azimuth and elevation, degrees."""
+
+
+def all_sides(count: int) -> list[Direction]:
+    """So many points spread evenly over a sphere: a Fibonacci lattice."""
+    heights = (1.0 - (2 * n + 1) / count for n in range(count))
+    return [(n * GOLDEN % 360.0, math.degrees(math.asin(height))) for n, height in enumerate(heights)]
+
+
+def orbit(count: int, elevation: float) -> list[Direction]:
+    """So many azimuths around the object, from 0 on, at one elevation."""
+    return [(360.0 * n / count, elevation) for n in range(count)]
+
+
+MOST_ISOVALUES = 10_000
+"""Isovalues that are given with a step or one by one, at most."""
+
+WANTED = (
+    f"a number such as 70, first:last:step such as 60:120:5 with at most {MOST_ISOVALUES} of them, or first:last for"
+    " all between"
+)
+
+
+@dataclass(frozen=True)
+class Levels:
+    """The isovalues that are asked for: ``single`` ones, each once, and ``ranges`` of all from one to another."""
+
+    single: tuple[float, ...] = ()
+    ranges: tuple[tuple[float, float], ...] = ()
+
+    @property
+    def all(self) -> tuple[float, ...]:
+        """The single ones, and the ends of the ranges."""
+        return (*self.single, *(end for ends in self.ranges for end in ends))
+
+    @property
+    def spans(self) -> tuple[tuple[float, float], ...]:
+        """All of it as ranges: a single one goes from itself to itself."""
+        return (*((level, level) for level in self.single), *self.ranges)
+
+
+def levels_of(texts: Sequence[str]) -> Levels:
+    """The isovalues that the texts name; ParameterError for a text that names none."""
+    single: dict[float, None] = {}
+    ranges: dict[tuple[float, float], None] = {}
+    for text in texts:
+        numbers = numbers_in(text)
+        if len(numbers) == 2:
+            ranges[numbers[0], numbers[1]] = None
+        else:
+            single |= dict.fromkeys(float(f"{level:.12g}") for level in stepped(*numbers))
+        if len(single) > MOST_ISOVALUES:
+            raise ParameterError(f"isovalues are more than {MOST_ISOVALUES:,} together: ask for fewer.", "isovalues")
+    return Levels(tuple(single), tuple(ranges))
+
+
+def numbers_in(text: str) -> list[float]:
+    """The one, two or three numbers in a text; ParameterError where they mean nothing."""
+    numbers = [finite(part) for part in text.split(":")]
+    if all(map(math.isfinite, numbers)) and sensible(numbers):
+        return numbers
+    raise ParameterError(f"isovalue must be {WANTED}, not {shown(text)}.", "isovalues")
+
+
+def sensible(numbers: Sequence[float]) -> bool:
+    """Whether the numbers are in order, and not too many isovalues."""
+    match numbers:
+        case [_]:
+            return True
+        case [first, last]:
+            return first <= last
+        case [first, last, step]:
+            return step > 0.0 and first <= last and (last - first) / step < MOST_ISOVALUES
+    return False
+
+
+def stepped(first: float, last: float | None = None, step: float = 1.0) -> list[float]:
+    """The numbers from ``first`` to ``last``; the first alone where no last is given."""
+    steps = 0 if last is None else math.floor((last - first) / step + 1e-9)
+    return [first + step * n for n in range(steps + 1)]
+
 
 MOST_DIRECTIONS, MOST_VIEWS = 10_000, 100_000
 """Directions of one kind, and views of all isovalues and directions together, at most."""
 
-MOST_TOLD = 1000
-"""Isovalues, directions and orbits that are told one by one, at most."""
+MOST_GIVEN = 1000
+"""Isovalues, directions and orbits that are given one by one, at most."""
 
 USUAL = 12
-"""Directions from all sides where nobody says."""
+"""Directions from all sides by default."""
 
 WAYS = ("views", "directions", "orbits")
 """Fields that say where views look from."""
@@ -64,15 +148,15 @@ class PrewarmOrder(NoParams):
 
     isovalues: tuple[Level, ...] = Field(
         (),
-        max_length=MOST_TOLD,
+        max_length=MOST_GIVEN,
         description="Numbers, ranges with a step (60:120:5), or ranges that mean every isovalue between (60:120), which"
         " takes all_directions; default: the scene's isovalue.",
     )
     views: Count | None = Field(
-        None, description=f"Directions, spread evenly over all sides; default: {USUAL} where no others are told."
+        None, description=f"Directions, spread evenly over all sides; default: {USUAL} where no others are given."
     )
-    directions: tuple[From, ...] = Field((), max_length=MOST_TOLD, description="Directions, one by one.")
-    orbits: tuple[Orbit, ...] = Field((), max_length=MOST_TOLD, description="Directions around the object.")
+    directions: tuple[From, ...] = Field((), max_length=MOST_GIVEN, description="Directions, one by one.")
+    orbits: tuple[Orbit, ...] = Field((), max_length=MOST_GIVEN, description="Directions around the object.")
     all_directions: StrictBool = Field(
         False, description="Instead: whole isosurfaces, whatever a camera can see of them, from wherever."
     )
@@ -89,37 +173,37 @@ class PrewarmOrder(NoParams):
 
     @model_validator(mode="before")
     @classmethod
-    def without_nulls(cls, told: Any) -> Any:
+    def without_nulls(cls, given: Any) -> Any:
         """What is null is as if it were left out."""
-        return {name: value for name, value in told.items() if value is not None} if isinstance(told, dict) else told
+        return {name: value for name, value in given.items() if value is not None} if isinstance(given, dict) else given
 
     @model_validator(mode="after")
     def one_way(self) -> Self:
-        """Refuses isovalues that nobody can list, where views are to be made of them."""
+        """Refuses ranges of all isovalues where views are to be made of them."""
         others = [name for name in WAYS if getattr(self, name)]
         if self.all_directions and others:
             raise ValueError(f"all_directions leaves nothing to {', '.join(others)}: keep one.")
         if self.levels.ranges and not self.all_directions:
             first, last = self.levels.ranges[0]
-            told = f"isovalues {first:g}:{last:g} means every isovalue between"
-            raise ValueError(f"{told}, which takes all_directions; for views tell a step: {first:g}:{last:g}:5.")
+            meaning = f"isovalues {first:g}:{last:g} means every isovalue between"
+            raise ValueError(f"{meaning}, which takes all_directions; for views give a step: {first:g}:{last:g}:5.")
         return self
 
     @cached_property
     def levels(self) -> Levels:
-        """The isovalues that are told."""
+        """The isovalues that are given."""
         return levels_of(self.isovalues)
 
     @property
     def looks_from(self) -> list[Direction]:
         """The directions, each once."""
-        told = [(each.azimuth, each.elevation) for each in self.directions]
+        single = [(each.azimuth, each.elevation) for each in self.directions]
         around = [each for path in self.orbits for each in orbit(path.count, path.elevation)]
-        count = self.views if self.views is not None else 0 if told or around else USUAL
-        return list(dict.fromkeys([*(all_sides(count) if count else ()), *told, *around]))
+        count = self.views if self.views is not None else 0 if single or around else USUAL
+        return list(dict.fromkeys([*(all_sides(count) if count else ()), *single, *around]))
 
     def isovalues_of(self, scene: Scene) -> Levels:
-        """The isovalues, the scene's own where none is told; ParameterError where the scene does not allow one."""
+        """The isovalues, the scene's own where none is given; ParameterError where the scene does not allow one."""
         for level in {min(self.levels.all), max(self.levels.all)} if self.isovalues else ():
             isovalue_of(scene, read(ViewParams, [("isovalue", level)]))
         return self.levels if self.isovalues else Levels((scene.isovalue,))
@@ -133,7 +217,7 @@ class PrewarmOrder(NoParams):
 class PrewarmRequest(PrewarmOrder):
     """An order, or the question what it would take."""
 
-    dry_run: StrictBool = Field(False, description="Bake nothing: tell how much there is, and how long it takes.")
+    dry_run: StrictBool = Field(False, description="Bake nothing: say how much there is, and how long it takes.")
 
     @property
     def order(self) -> PrewarmOrder:
@@ -148,7 +232,7 @@ class Views:
     """
 
     def __init__(self, order: PrewarmOrder, scene: Scene, settings: Settings) -> None:
-        """Make one of each isovalue and of each direction, so that what is wrong is told before anything is begun."""
+        """Make one of each isovalue and of each direction, so that errors come before anything is begun."""
         self._scene, self._settings = scene, settings
         self._knobs = {name: getattr(order, name) for name in ("distance", "fov", "width", "height")}
         self._levels = () if order.all_directions else order.isovalues_of(scene).single
@@ -170,6 +254,6 @@ class Views:
         return view_of(self._scene, read(ViewParams, [*place.items(), *self._knobs.items()]), self._settings)
 
 
-def order_of(told: dict[str, Any]) -> PrewarmOrder:
+def order_of(fields: dict[str, Any]) -> PrewarmOrder:
     """The order in a document; ParameterError on the first thing that is wrong."""
-    return read(PrewarmOrder, told.items())
+    return read(PrewarmOrder, fields.items())

@@ -1,8 +1,4 @@
-"""The record of a prewarm: a file beside the light, so that what was asked for is never lost.
-
-What is baked the chunks say themselves, so that to go on is to begin again; the record says what was asked, by whom,
-how far it came, and at the end the summary.
-"""
+"""The record of a prewarm: a file beside the light, and the summary of what it came to."""
 
 from __future__ import annotations
 
@@ -10,21 +6,103 @@ import logging
 import os
 import socket
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from datetime import datetime
 from typing import Literal
 from uuid import uuid4
 
 from pydantic import BaseModel, Field, ValidationError
 
-from isogi_core.cache.documents import Documents
-from isogi_core.cache.root import Where
 from isogi_core.errors import StoreError
-from isogi_core.model.scene import Scene
-from server.jobs import Status, now
-from server.prewarm.desk import Step
+from isogi_core.plan.scene import Scene
+from isogi_core.storage.documents import Documents
+from isogi_core.storage.store import StoreLike
+from server.prewarm.context import Step
 from server.prewarm.order import PrewarmOrder
-from server.prewarm.summary import Summary
+from server.progress import left_text
+from server.render.jobs import Status, now
+from server.schemas import TimeLeftSchema
+from server.values import span
+from worker.progress import TimeLeft
+
+MOST_FAILURES = 100
+"""Failures that are listed one by one; the rest is counted."""
+
+
+class Errors(BaseModel):
+    """The estimated relative errors of the views, or of the texels where whole isosurfaces were asked for."""
+
+    worst: float
+    mean: float
+
+
+class Failure(BaseModel):
+    """A chunk (z, y, x) that could not be baked, and why."""
+
+    chunk: tuple[int, int, int]
+    reason: str
+
+
+class Summary(BaseModel):
+    """What a prewarm had to do, and what it did.
+
+    ``chunks``, ``texels`` without light, ``refined`` texels with some and ``bytes`` before compression are what was
+    lacking at the start; ``stored_bytes`` is what these chunks take in the store. ``final`` is the share of the views'
+    surface that is final, or that of the texels of whole isosurfaces; ``error`` is the worst of ``errors``. ``paths``
+    and ``processor_seconds`` were spent on these chunks, ``seconds`` passed meanwhile; ``time_left`` is the
+    forecast at the start. ``stopped`` says what ended it. A dry run forecasts ``stored_bytes`` and
+    ``processor_seconds``.
+    """
+
+    scene: str
+    order: PrewarmOrder
+    views: int
+    isovalues: tuple[float, ...]
+    ranges: tuple[tuple[float, float], ...]
+    target_error: float
+    chunks: int
+    texels: int
+    refined: int
+    bytes: int
+    stored_bytes: int
+    workers: int
+    final: float
+    error: float
+    errors: Errors
+    time_left: TimeLeftSchema
+    paths: int = 0
+    seconds: float = 0.0
+    processor_seconds: float = 0.0
+    stopped: Literal["dry run", "target", "deadline", "failures"] = "dry run"
+    failed: int = 0
+    failures: tuple[Failure, ...] = ()
+    file: str | None = None
+
+    def __str__(self) -> str:
+        """For a person, on one line."""
+        what = f"{self.views:,} views" if self.views else "whole isosurfaces"
+        share = f"{what}, {self.final:.1%} of their {'surface' if self.views else 'texels'} final"
+        quality = f"{share} at {self.target_error:g}"
+        return f"{quality}; {self._ahead()}" if self.stopped == "dry run" else f"{quality}, {self._done()}"
+
+    def _ahead(self) -> str:
+        size = f"{self.bytes / 1e6:.1f} MB before compression, about {self.stored_bytes / 1e6:.1f} MB after"
+        rest = f"and {self.refined:,} to be refined, in {self.chunks:,} chunks"
+        left = left_text(TimeLeft(**self.time_left.model_dump()))
+        lacking = f"to bake: {self.texels:,} texels without light ({size}) {rest}"
+        return f"{lacking}; time with --workers {self.workers}: {left}"
+
+    def _done(self) -> str:
+        forecast = span(self.time_left.likely, digits=2)
+        done = f"{self.paths:,} paths in {span(self.seconds)} (forecast: {forecast}), worst error {self.error:.2g}"
+        wrong = f"; {self.failed:,} chunks cannot be baked: {self.failures[0].reason}" if self.failures else ""
+        return f"{done}{wrong}" + (f"; {self.file}" if self.file else "")
+
+
+def failures_of(reasons: Sequence[tuple[tuple[int, int, int], str]]) -> tuple[Failure, ...]:
+    """The first of the failures."""
+    return tuple(Failure(chunk=chunk, reason=reason) for chunk, reason in reasons[:MOST_FAILURES])
+
 
 log = logging.getLogger("isogi.server")
 
@@ -32,17 +110,17 @@ FOLDER = "jobs"
 """The folder of records beside the light."""
 
 BEAT = 5.0
-"""Seconds between two signs of life of who works on a prewarm."""
+"""Seconds between two updates of a record, while a process works on its prewarm."""
 
 WORKER = f"{socket.gethostname()}/{os.getpid()}/{uuid4().hex}"
-"""Who this process is: its machine, its number there, and a name that no other has had."""
+"""This process: its machine, its number there, and a name that no other has had."""
 
 OPEN = (Status.ACCEPTED, Status.RUNNING)
-"""How far a prewarm is that somebody works on, or did when it was killed."""
+"""States of a prewarm that a process works on, or did when it was killed."""
 
 
-class Paper(BaseModel):
-    """What a record holds. Prewarms ``by`` a server are taken up by servers; ``worker`` was the last who worked on it.
+class RecordDocument(BaseModel):
+    """What a record holds. Prewarms ``by`` a server are taken up by servers; ``worker`` is the last process at it.
 
     ``scene_digest`` names all that the light depends on; ``progress`` is in percent, and ``spent`` are the seconds that
     this worker has worked on it.
@@ -78,7 +156,7 @@ class Paper(BaseModel):
 
     @property
     def left(self) -> bool:
-        """Whether nobody works on it, as far as is known, though somebody did and was not told to stop."""
+        """Whether its process is known to have ended before the prewarm did, without being told to stop."""
         return self.status in OPEN and gone(self.worker)
 
 
@@ -99,21 +177,21 @@ def gone(worker: str) -> bool:
 
 
 class Record:
-    """One prewarm's ``paper`` in a store. Call from no event loop: it blocks."""
+    """One prewarm's ``document`` in a store. Call from no event loop: it blocks."""
 
-    def __init__(self, root: Where, scene: Scene, order: PrewarmOrder, by: Literal["command", "server"]) -> None:
+    def __init__(self, store: StoreLike, scene: Scene, order: PrewarmOrder, by: Literal["command", "server"]) -> None:
         """Write nothing yet. A deadline is not part of the name, which is the same for the same light."""
         digest = order.digest(scene)
-        self.paper = Paper(id=digest, scene=scene.id, scene_digest=scene.digest, by=by, order=order)
-        self._documents = Documents(root, FOLDER)
+        self.document = RecordDocument(id=digest, scene=scene.id, scene_digest=scene.digest, by=by, order=order)
+        self._documents = Documents(store, FOLDER)
         self._begun, self._written = time.monotonic(), -BEAT
 
     @property
     def place(self) -> str:
-        """Where it is."""
-        return self._documents.place(self.paper.id)
+        """StoreLike it is."""
+        return self._documents.path_of(self.document.id)
 
-    def tell(self, step: Step) -> None:
+    def report(self, step: Step) -> None:
         """Say how far it is; kept when some time has passed. A store that does not take it costs no more than that."""
         if time.monotonic() - self._written >= BEAT:
             try:
@@ -130,24 +208,24 @@ class Record:
         return summary
 
     def keep(self, **facts: object) -> None:
-        """Write the paper with new facts. Raises StoreError."""
+        """Write the document with new facts. Raises StoreError."""
         signs = {"updated": now(), "worker": WORKER, "spent": time.monotonic() - self._begun}
-        self.paper = self.paper.model_copy(update={**facts, **signs})
-        self._documents.write(self.paper.id, self.paper.model_dump(mode="json"))
+        self.document = self.document.model_copy(update={**facts, **signs})
+        self._documents.write(self.document.id, self.document.model_dump(mode="json"))
         self._written = time.monotonic()
 
 
-def papers(root: Where) -> Iterator[Paper]:
-    """What is recorded in a store, without what cannot be read, which is told. Raises StoreError."""
-    documents = Documents(root, FOLDER)
+def recorded_prewarms(store: StoreLike) -> Iterator[RecordDocument]:
+    """The prewarms recorded in a store; records that cannot be read are logged and left out. Raises StoreError."""
+    documents = Documents(store, FOLDER)
     for name in documents.names():
         try:
-            yield Paper.model_validate(documents.read(name))
+            yield RecordDocument.model_validate(documents.read(name))
         except (StoreError, ValidationError) as error:
-            log.warning("The record of a prewarm, %s, cannot be read: %s", documents.place(name), error)
+            log.warning("The record of a prewarm, %s, cannot be read: %s", documents.path_of(name), error)
 
 
-def last_unfinished(root: Where, scene: Scene) -> Paper | None:
-    """The prewarm of a scene that was worked on last, of those that did not come to their end; None without any."""
-    found = [each for each in papers(root) if each.scene_digest == scene.digest and each.unfinished]
+def last_unfinished(store: StoreLike, scene: Scene) -> RecordDocument | None:
+    """The latest prewarm of a scene that did not end; None where there is none."""
+    found = [each for each in recorded_prewarms(store) if each.scene_digest == scene.digest and each.unfinished]
     return max(found, key=lambda each: each.updated, default=None)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from isogi_core.report.sections import Picture
-from server.render import write
+from isogi_core.storage.atomic_file import write_whole
 from server.report.documents import document_of, plain
 from server.report.heading import heading
 from server.report.journal import Entry
@@ -24,10 +24,10 @@ def write_report(folder: Path, report: Report) -> Path:
     head, files = heading(report.scene, report.view), dict(drawings(report))
     for name, data in files.items():
         (folder / name).parent.mkdir(exist_ok=True)
-        write(folder / name, data)
+        write_whole(folder / name, data)
     forget(folder, set(files))
-    write(folder / DATA, json.dumps(data_of(report, head), indent=1, allow_nan=False).encode())
-    write(folder / PAGE, page(report, head, files).encode())
+    write_whole(folder / DATA, json.dumps(data_of(report, head), indent=1, allow_nan=False).encode())
+    write_whole(folder / PAGE, page(report, head, files).encode())
     return folder / PAGE
 
 

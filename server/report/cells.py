@@ -1,4 +1,4 @@
-"""Cells of tables as text: each column in one unit, told in its head, with as many digits as its numbers are worth."""
+"""Cells of tables as text: each column in one unit, named in its head, with as many digits as its numbers are worth."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -17,11 +17,11 @@ PREFIXES: dict[str, tuple[tuple[str, float], ...]] = {
     "seconds": (("ms", 1e-3), ("s", 1.0)),
     "bytes": (("B", 1.0), ("KiB", 2.0**10), ("MiB", 2.0**20), ("GiB", 2.0**30)),
 }
-"""Names and sizes of what a column of a unit may be told in, from small to large."""
+"""Names and sizes of what a column of a unit may be written in, from small to large."""
 
 
 @dataclass(frozen=True)
-class Told:
+class TextColumn:
     """A column as it is written: its head, its cells, and whether they are numbers."""
 
     head: str
@@ -29,12 +29,12 @@ class Told:
     numeric: bool
 
 
-def told(table: Table) -> tuple[Told, ...]:
+def text_columns(table: Table) -> tuple[TextColumn, ...]:
     """The columns of a table, as text."""
-    return tuple(column_told(column, [row[i] for row in table.rows]) for i, column in enumerate(table.columns))
+    return tuple(text_column(column, [row[i] for row in table.rows]) for i, column in enumerate(table.columns))
 
 
-def column_told(column: Column, cells: Sequence[Cell]) -> Told:
+def text_column(column: Column, cells: Sequence[Cell]) -> TextColumn:
     """One column as text: words as they are, numbers alike, a dash for nothing and for what is not finite."""
     numbers = [float(cell) for cell in cells if isinstance(cell, int | float) and math.isfinite(cell)]
     name, size = scale_of(column.unit, max(map(abs, numbers), default=0.0))
@@ -46,11 +46,11 @@ def column_told(column: Column, cells: Sequence[Cell]) -> Told:
         return write(cell / size) if cell is not None and math.isfinite(cell) else NOTHING
 
     head = f"{column.name},{TOGETHER}{name}" if name else column.name
-    return Told(head, tuple(map(text, cells)), column.unit != "text")
+    return TextColumn(head, tuple(map(text, cells)), column.unit != "text")
 
 
 def scale_of(unit: str, largest: float) -> tuple[str, float]:
-    """Name and size of what a column's numbers are told in: the last that the ``largest`` reaches."""
+    """Name and size of what a column's numbers are written in: the last that the ``largest`` reaches."""
     if unit == "share":
         return "%", 0.01
     steps = PREFIXES.get(unit, (("", 1.0),))

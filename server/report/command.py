@@ -10,23 +10,21 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from isogi_core.model.scene import Scene
 from isogi_core.model.view import View
-from server.durations import span
+from isogi_core.plan.scene import Scene
 from server.errors import LibraryError, ParameterError
-from server.opening import open_scene
-from server.params import FrameParams, read
+from server.parameters import FrameParams, read, view_of
+from server.progress import open_scene
 from server.settings import Settings
-from server.views import view_of
+from server.values import span
 
 if TYPE_CHECKING:
     from isogi_core.report.sections import Section
-    from isogi_core.report.studies import Study
-    from server.report.measuring import Measured
+    from server.report.measuring import Measured, Study
     from server.report.report import Report
 
 STAND = {"azimuth": 40.0, "elevation": 30.0, "distance": 2.2}
-"""Where a report looks from unless told: nearer than pages do, so that few of its pixels are empty."""
+"""Where a report looks from by default: nearer than pages do, so that few of its pixels are empty."""
 
 LIBRARIES = ("matplotlib", "jinja2")
 """What pages are drawn with; they are not needed by anything else."""
@@ -72,11 +70,10 @@ def report_of(scene: Scene, view: View, exposure: float, wishes: Wishes, begun: 
 
     Raises ViewError where the view shows nothing, and what ``report`` does.
     """
-    from isogi_core.report.bench import Bench  # noqa: PLC0415 (kernels: bad input is told before they are compiled)
-    from isogi_core.report.studies import STUDIES  # noqa: PLC0415
+    from isogi_core.report.bench import Bench  # noqa: PLC0415 (kernels: bad input is refused before they are compiled)
     from server.report.bundle import write_report  # noqa: PLC0415
     from server.report.journal import opened, subject_of, workshop  # noqa: PLC0415
-    from server.report.measuring import measure  # noqa: PLC0415
+    from server.report.measuring import STUDIES, measure  # noqa: PLC0415
     from server.report.report import Report  # noqa: PLC0415
 
     wanted = choose(STUDIES, wishes.only)
@@ -90,7 +87,7 @@ def report_of(scene: Scene, view: View, exposure: float, wishes: Wishes, begun: 
 
 
 def choose(studies: Sequence[Study], only: Sequence[str]) -> tuple[Study, ...]:
-    """The studies of these keys, all of them where none is told; ParameterError on a key that there is not."""
+    """The studies of these keys, all of them where none is given; ParameterError on a key that there is not."""
     known = {study.key for study in studies}
     for key in only:
         if key not in known:

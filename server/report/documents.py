@@ -50,7 +50,7 @@ def plot_of(document: Mapping[str, Any]) -> Plot:
         for curve in document["curves"]
     )
     x, y = Column(**document["x"]), Column(**document["y"])
-    return Plot(document["caption"], x, y, curves, document["logarithmic"])
+    return Plot(document["caption"], x, y, curves)
 
 
 def number(value: float | None) -> float:

@@ -2,15 +2,80 @@
 
 import os
 import platform
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from isogi_core.model.scene import Scene
 from isogi_core.model.view import View
-from server.facts import SceneFacts, scene_facts
-from server.inspect.rows import amount, by, plan_rows, summary
+from isogi_core.plan.scene import Scene
+from server.answers import scene_schema
+from server.schemas import LayerSchema, Omission, PlanSchema, SavingSchema, SceneSchema
+
+WHAT = 46
+
+
+def summary(facts: SceneSchema) -> Iterator[tuple[str, str]]:
+    """Name and text of each fact."""
+    volume, low_high = facts.volume, facts.ranges["isovalue"]
+    yield "scene", facts.name
+    yield "volume", f"{volume.name}, {by(volume.size)} voxels of {volume.dtype}, spacing {by(volume.spacing)}"
+    yield "values", f"{volume.value_range[0]:.10g} to {volume.value_range[1]:.10g}, {volume.holes} not finite"
+    yield "isovalue", f"{facts.defaults['isovalue']:.10g}, from {low_high.min:.10g} to {low_high.max:.10g}"
+    yield "solid", facts.solid
+    others = "" if facts.albedos is None else f"; views may ask for {facts.albedos.min:g} to {facts.albedos.max:g}"
+    yield "albedo", ", ".join(f"{channel:g}" for channel in facts.albedo) + others
+    yield "lights", ", ".join(light.name for light in facts.lights)
+    yield "target error", f"{facts.target_error:g}"
+
+
+def plan_rows(plan: PlanSchema) -> Iterator[tuple[str, str]]:
+    """Name and text of each fact of a plan."""
+    yield "plan", f"{plan.representation}, {plan.bounces} bounces, at most {plan.samples} samples"
+    for layer in plan.layers:
+        albedos = f" for albedo {', '.join(map('{:.2g}'.format, layer.nodes))}" if layer.nodes else ""
+        numbers = f"order {layer.order}, {layer.channels} channel(s){albedos}, {kept_as(layer)}"
+        yield "layer", f"{layer.kind}: {numbers}, {layer.bytes_per_texel} bytes"
+    for lobe in plan.lobes:
+        yield (
+            "lobe",
+            f"{lobe.angle:.2g}° across, azimuth {lobe.azimuth:.1f}°, elevation {lobe.elevation:.1f}°: shadow rays",
+        )
+    yield "texel", f"{plan.bytes_per_texel} bytes, beside {plan.full_bytes_per_texel} for any scene in S1"
+    yield (
+        "texels",
+        f"{plan.texels.shown:,} of {plan.texels.total:,} can be shown, {plan.texels.void:,} of these are void",
+    )
+    yield "chunks", f"{plan.texels.shown_chunks:,} of {plan.texels.chunks:,} can be shown"
+    if plan.errors:
+        yield "errors", ", ".join(f"{cause} {error:.2%}" for cause, error in plan.errors.items())
+    yield from (("note", note) for note in plan.notes)
+
+
+def kept_as(layer: LayerSchema) -> str:
+    """How a layer's numbers are kept, for a person."""
+    if layer.coarse is None:
+        return f"{layer.precision} floats"
+    return f"half floats, and bytes from band {layer.coarse} on"
+
+
+def omission(left_out: Omission) -> Iterator[str]:
+    """What is left out and what that saves, on one line; the reason on the next."""
+    saved = ", ".join(map(amount, left_out.saves))
+    yield f"  {left_out.what:<{WHAT}} {saved}".rstrip()
+    yield f"      {left_out.why}"
+
+
+def amount(saved: SavingSchema) -> str:
+    """What was saved, with three digits, or as whole numbers."""
+    number = f"{saved.amount:,.0f}" if saved.amount >= 100 or saved.amount % 1 == 0 else f"{saved.amount:.3g}"
+    return f"{number} {saved.unit}{' (measured)' if saved.measured else ''}"
+
+
+def by(numbers: tuple[float, ...]) -> str:
+    """Numbers with × between them."""
+    return " × ".join(f"{number:g}" for number in numbers)
+
 
 PACKAGES = ("isogi", "numpy", "numba", "zarr", "matplotlib", "flip-evaluator")
 
@@ -25,7 +90,7 @@ def heading(scene: Scene, view: View) -> dict[str, Any]:
     """The head as a document."""
     return {
         "title": f"{scene.name} at {view.isovalue:g}",
-        "scene": scene_facts(scene).model_dump(mode="json", exclude=UNTOLD),
+        "scene": scene_schema(scene).model_dump(mode="json", exclude=UNTOLD),
         "view": view_facts(view),
         "machine": machine(),
         "versions": versions(),
@@ -81,11 +146,11 @@ def installed(name: str) -> str | None:
 
 def scene_rows(scene: Scene, view: View) -> Rows:
     """Name and text of each fact of the scene and its view, for a person."""
-    facts = scene_facts(scene)
+    facts = scene_schema(scene)
     return (*named(facts, "scene", "volume", "solid", "albedo", "lights", "target error"), *view_rows(view))
 
 
-def named(facts: SceneFacts, *names: str) -> Rows:
+def named(facts: SceneSchema, *names: str) -> Rows:
     """Some of the facts that ``isogi inspect`` tells."""
     rows = dict(summary(facts))
     return tuple((name, rows[name]) for name in names)
@@ -102,12 +167,12 @@ def view_rows(view: View) -> Rows:
 
 def plan_facts_rows(scene: Scene) -> Rows:
     """Name and text of each fact of the scene's plan, for a person."""
-    return tuple(plan_rows(scene_facts(scene).plan))
+    return tuple(plan_rows(scene_schema(scene).plan))
 
 
 def left_out_rows(scene: Scene) -> tuple[tuple[str, str, str], ...]:
     """What the plan leaves out, why, and what that saves."""
-    omissions = scene_facts(scene).plan.left_out
+    omissions = scene_schema(scene).plan.left_out
     return tuple((each.what, each.why, ", ".join(map(amount, each.saves))) for each in omissions)
 
 

@@ -21,10 +21,10 @@ import numpy as np
 
 import isogi_core
 from isogi_core.errors import ReportError
-from isogi_core.model.scene import Scene
 from isogi_core.model.view import View
+from isogi_core.plan.scene import Scene
 from isogi_core.report.sections import Section
-from server.render import write
+from isogi_core.storage.atomic_file import write_whole
 from server.report.documents import document_of, section_of
 
 FOLDER = "journal"
@@ -58,7 +58,7 @@ class Journal:
             refuse_other(folder, read(path), subject)
         elif read(path) != subject:
             shutil.rmtree(folder / WORK, ignore_errors=True)
-            write(path, json.dumps(subject, indent=2).encode())
+            write_whole(path, json.dumps(subject, indent=2).encode())
         forget_others(workshop(folder))
 
     def find(self, key: str) -> Entry | None:
@@ -77,9 +77,9 @@ class Journal:
         """Keep a section; its pixels first, so that what is found is whole."""
         pixels = io.BytesIO()
         np.savez_compressed(pixels, *(picture.pixels for picture in entry.section.pictures))
-        write(self.folder / f"{key}.npz", pixels.getvalue())
+        write_whole(self.folder / f"{key}.npz", pixels.getvalue())
         document = {"code": self.code, "seconds": entry.seconds, "section": document_of(entry.section)}
-        write(self.folder / f"{key}.json", json.dumps(document, allow_nan=False).encode())
+        write_whole(self.folder / f"{key}.json", json.dumps(document, allow_nan=False).encode())
 
 
 @contextmanager

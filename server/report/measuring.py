@@ -1,23 +1,42 @@
-"""Measuring the studies of a report one after another, each kept as soon as it is done."""
+"""The studies of a report, measured one after another, each kept as soon as it is done."""
 
 import logging
 import signal
 import threading
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 
 from isogi_core.errors import Cancelled
+from isogi_core.report import convergence, split, summary
 from isogi_core.report.bench import Bench
-from isogi_core.report.studies import Study
+from isogi_core.report.sections import Section
+from server.progress import Pieces
 from server.report.journal import Entry, Journal
-from server.report.progress import Progress, ticking
 
 log = logging.getLogger("isogi.report")
 
 GRACE = 0.1
 """What a study may take beyond its deadline, of the time that all of them had, before it is cancelled."""
+
+
+@dataclass(frozen=True)
+class Study:
+    """One question: ``run`` answers it. ``weight`` is its rough share of the whole work; the ``key`` is stable."""
+
+    key: str
+    title: str
+    run: Callable[[Bench], Section]
+    weight: float
+
+
+STUDIES = (
+    Study(summary.KEY, summary.TITLE, summary.study, 0.25),
+    Study(split.KEY, split.TITLE, split.study, 0.25),
+    Study(convergence.KEY, convergence.TITLE, convergence.study, 0.5),
+)
+"""All of them, the most important first. What one makes, such as the reference, the next ones find on the bench."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,12 +60,12 @@ class Measured:
 def measure(studies: Sequence[Study], wanted: Sequence[Study], bench: Bench, journal: Journal) -> Measured:
     """Run the ``wanted`` of all ``studies`` that the journal lacks, until the deadline of ``bench`` or a Ctrl-C.
 
-    A study that gave way to time is shown, but not kept; one that fails is told, and the next ones are run.
+    A study that gave way to time is shown, but not kept; one that fails is reported, and the next ones are run.
     """
     done = {study.key: entry for study in studies if (entry := journal.find(study.key)) is not None}
     found, stop, bar = len(done), threading.Event(), progress_of(wanted, done, bench.left)
     failed, hurried = [], []
-    with interruptible(bench, stop), limited(bench), ticking(bar):
+    with interruptible(bench, stop), limited(bench), bar.ticking():
         for study, result in worked([each for each in wanted if each.key not in done], bench, bar):
             if isinstance(result, str):
                 failed.append((study, result))
@@ -64,7 +83,7 @@ def measure(studies: Sequence[Study], wanted: Sequence[Study], bench: Bench, jou
     return Measured(ordered, late, unasked, tuple(failed), tuple(hurried), found, stop.is_set())
 
 
-def worked(studies: Iterable[Study], bench: Bench, bar: Progress) -> Iterator[tuple[Study, Entry | str]]:
+def worked(studies: Iterable[Study], bench: Bench, bar: Pieces) -> Iterator[tuple[Study, Entry | str]]:
     """The studies in turn, with what they found or what failed, until the time is over or they are cancelled."""
     for study in studies:
         if bench.left <= 0.0 or bench.cancelled.is_set():
@@ -76,16 +95,17 @@ def worked(studies: Iterable[Study], bench: Bench, bar: Progress) -> Iterator[tu
             yield study, result
 
 
-def progress_of(wanted: Sequence[Study], done: Mapping[str, Entry], limit: float) -> Progress:
+def progress_of(wanted: Sequence[Study], done: Mapping[str, Entry], limit: float) -> Pieces:
     """The bar of the ``wanted`` studies; ``limit`` is the seconds that they have."""
     total = sum(study.weight for study in wanted)
     before = sum(study.weight for study in wanted if study.key in done)
-    return Progress(total, before, limit)
+    return Pieces("report", total, before, limit)
 
 
 def run(study: Study, bench: Bench) -> Entry | str | None:
     """The study's section and what it took; what went wrong where it failed, and None where it was cancelled."""
     begun = time.process_time()
+    bench.hurry.clear()
     try:
         return Entry(study.run(bench), time.process_time() - begun)
     except Cancelled:

@@ -10,12 +10,12 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
 from isogi_core.report.sections import Picture, Plot, Section, Table
-from server.durations import span
-from server.report.cells import TOGETHER, column_told, told
+from server.report.cells import TOGETHER, text_column, text_columns
 from server.report.heading import left_out_rows, machine_rows, plan_facts_rows, scene_rows
 from server.report.plots import SCHEME, draw, keys
 from server.report.prints import gradient, scales_of
 from server.report.report import Report, picture_name
+from server.values import span
 
 HERE = Path(__file__).parent
 
@@ -66,7 +66,7 @@ def parts(report: Report, files: Mapping[str, bytes]) -> Iterator[Part]:
 
 def table_part(table: Table, number: int) -> Part:
     """A table: heads, and rows of text."""
-    columns = told(table)
+    columns = text_columns(table)
     rows = list(zip(*(column.cells for column in columns), strict=True))
     return {"number": number, "caption": table.caption, "columns": columns, "rows": rows}
 
@@ -74,7 +74,7 @@ def table_part(table: Table, number: int) -> Part:
 def plot_part(plot: Plot, number: int) -> Part:
     """A plot: its drawing, its legend, and its points as a table."""
     points = [(curve.name, x, y) for curve in plot.curves for x, y in zip(curve.x, curve.y, strict=True)]
-    columns = [column_told(plot.x, [x for _, x, _ in points]), column_told(plot.y, [y for _, _, y in points])]
+    columns = [text_column(plot.x, [x for _, x, _ in points]), text_column(plot.y, [y for _, _, y in points])]
     names = [name for name, _, _ in points]
     return {
         "number": number,

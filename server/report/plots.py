@@ -72,7 +72,7 @@ def keys(plot: Plot) -> tuple[Key, ...]:
     return tuple(
         Key(curve.name, NAMES[colour_of(i)], " ".join(map(str, dashes_of(i))) or "none")
         for i, curve in enumerate(plot.curves)
-        if drawable(curve, plot.logarithmic)[0]
+        if drawable(curve)[0]
     )
 
 
@@ -131,12 +131,11 @@ def named(svg: str) -> str:
 def fill(axes: Axes, plot: Plot) -> None:
     """Draw the curves and their axes."""
     for i, curve in enumerate(plot.curves):
-        x, y = drawable(curve, plot.logarithmic)
+        x, y = drawable(curve)
         style = (0, dashes_of(i)) if dashes_of(i) else "solid"
         axes.plot(x, y, color=colour_of(i), linestyle=style, linewidth=1.5, marker="o", markersize=3.2)
-    if plot.logarithmic:
-        axes.set_xscale("log")
-        axes.set_yscale("log")
+    axes.set_xscale("log")
+    axes.set_yscale("log")
     axes.grid(color=LINE, linewidth=0.7)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
@@ -145,25 +144,22 @@ def fill(axes: Axes, plot: Plot) -> None:
     axes.set_xlabel(plot.x.name)
     axes.set_ylabel(plot.y.name)
     for axis, column in ((axes.xaxis, plot.x), (axes.yaxis, plot.y)):
-        mark(axis, column, plot.logarithmic)
+        mark(axis, column)
 
 
-def drawable(curve: Curve, logarithmic: bool) -> tuple[list[float], list[float]]:
-    """The points of a curve that its axes can show."""
-    points = [(x, y) for x, y in zip(curve.x, curve.y, strict=True) if math.isfinite(x) and math.isfinite(y)]
-    if logarithmic:
-        points = [(x, y) for x, y in points if x > 0.0 and y > 0.0]
+def drawable(curve: Curve) -> tuple[list[float], list[float]]:
+    """The points of a curve that logarithmic axes can show."""
+    points = [(x, y) for x, y in zip(curve.x, curve.y, strict=True) if 0.0 < x < math.inf and 0.0 < y < math.inf]
     return [x for x, _ in points], [y for _, y in points]
 
 
-def mark(axis: Axis, column: Column, logarithmic: bool) -> None:
+def mark(axis: Axis, column: Column) -> None:
     """Ticks with the unit in them."""
     axis.set_major_formatter(FuncFormatter(lambda value, _: tick(value, column.unit)))
-    if logarithmic:
-        low, high = axis.get_view_interval()
-        axis.set_major_locator(LogLocator(10, next(firsts for times, firsts in STEPS if high >= times * low)))
-        axis.set_minor_locator(NullLocator())
-        axis.set_minor_formatter(NullFormatter())
+    low, high = axis.get_view_interval()
+    axis.set_major_locator(LogLocator(10, next(firsts for times, firsts in STEPS if high >= times * low)))
+    axis.set_minor_locator(NullLocator())
+    axis.set_minor_formatter(NullFormatter())
 
 
 def tick(value: float, unit: str) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 from PIL import Image
 
 from isogi_core.frame.film import BACKGROUND, tone_table
-from isogi_core.kernels.film import develop_rows
+from isogi_core.kernels.shading.framebuffer import develop_rows
 from isogi_core.report.sections import Picture
 from server.report.report import Report
 

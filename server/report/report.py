@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from isogi_core.model.scene import Scene
 from isogi_core.model.view import View
+from isogi_core.plan.scene import Scene
 from isogi_core.report.sections import Section
 from server.report.journal import Entry
 

@@ -1,8 +1,8 @@
-"""The reader of uploads: a process of its own, for one file that nobody vouches for.
+"""The reader of uploads: a process of its own, for one file that may be hostile.
 
 ``python -m server.uploads.reader NAME OUT VOXELS SECONDS`` reads the file on stdin and writes it as a canonical file
-to the descriptor OUT. One line of JSON on stdout tells its id, or in a sentence why it is refused. What the process
-may take is limited, and before it looks at the file it gives up opening any other: no path, URL or socket that the
+to the descriptor OUT. One line of JSON on stdout holds its id, or a sentence why it is refused. What the process
+may take is limited, and before it reads the file it gives up opening any other: no path, URL or socket that the
 file names can be reached.
 """
 
@@ -19,7 +19,7 @@ import numpy as np
 from isogi_core.errors import VolumeError
 from isogi_core.files.nrrd import read_attached
 from isogi_core.model.volume import make_volume
-from server.uploads.canonical import LONGEST, write
+from server.uploads.folder import LONGEST, write
 
 BASE = 1 << 30
 """Bytes of address space for Python and its libraries, used or not."""
@@ -67,7 +67,7 @@ def confine(voxels: int, seconds: int) -> None:
         resource.setrlimit(limit, (least, least))
 
 
-def told(answer: dict[str, Any]) -> str:
+def line_of(answer: dict[str, Any]) -> str:
     """An answer as one line that is not too long."""
     return json.dumps({key: str(value)[:LONGEST_SENTENCE] for key, value in answer.items()})
 
@@ -77,4 +77,4 @@ if __name__ == "__main__":
     os.umask(0o077)
     NAME, *NUMBERS = sys.argv[1:]
     with contextlib.suppress(BrokenPipeError):
-        print(told(main(NAME, *map(int, NUMBERS))), flush=True)  # noqa: T201
+        print(line_of(main(NAME, *map(int, NUMBERS))), flush=True)  # noqa: T201

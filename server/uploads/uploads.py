@@ -1,122 +1,217 @@
-"""Uploads: from a request's body to a volume on the shelf that is shown as a scene, and off it again."""
+"""Uploads: from a request's body, through a confined reader, to a volume that is shown as a scene."""
 
 import asyncio
+import json
 import logging
+import math
+import os
+import sys
+from asyncio.subprocess import DEVNULL, PIPE, Process
+from collections.abc import AsyncGenerator, AsyncIterator
+from contextlib import aclosing
 from dataclasses import replace
 from pathlib import Path
-from typing import IO, TYPE_CHECKING
+from typing import IO
 
 from fastapi import Request
+from starlette.requests import ClientDisconnect
 
-from isogi_core.errors import IsogiError
-from isogi_core.model.scene import Scene, build_scene
-from isogi_core.model.source import SceneSource
-from server.errors import FullError, StartingError, UnknownVolumeError, UploadsOffError
-from server.gate import Gate
+from isogi_core.errors import Cancelled, IsogiError, VolumeError
+from isogi_core.files.scene_file import SceneSource
+from isogi_core.plan.assembly import build_scene
+from isogi_core.plan.scene import Scene
+from server.errors import FullError, LateError, SlowUploadError, StartingError, UnknownVolumeError, UploadsOffError
+from server.render.engine import RenderEngine
+from server.render.scheduling import AdmissionLimit
+from server.render.updates import attended
 from server.settings import Settings
-from server.uploads import child
-from server.uploads.canonical import VOXEL, Kept, read_facts
-from server.uploads.intake import receive
-from server.uploads.shelf import Shelf, default_folder, named
-from server.visits import attended
+from server.uploads.folder import VOXEL, UploadedVolume, UploadFolder, default_folder, named, read_facts
 
-if TYPE_CHECKING:
-    from server.studio import Studio
+BLOCK = 1 << 20
+"""Bytes that are written at once."""
+
+
+async def receive(request: Request, file: IO[bytes], seconds: float) -> None:
+    """Write the body of a request to a file.
+
+    Raises SlowUploadError where nothing comes for so many ``seconds``, Cancelled where the client has left, and what
+    the file raises.
+    """
+    async with aclosing(blocks(request, seconds)) as arriving:
+        async for block in arriving:
+            await asyncio.to_thread(file.write, block)
+    await asyncio.to_thread(file.flush)
+
+
+async def blocks(request: Request, seconds: float) -> AsyncGenerator[bytes, None]:
+    """The body in blocks of at least BLOCK bytes, but for the last."""
+    block, stream = bytearray(), aiter(request.stream())
+    while (part := await next_of(stream, seconds)) is not None:
+        block += part
+        if len(block) >= BLOCK:
+            yield bytes(block)
+            block.clear()
+    yield bytes(block)
+
+
+async def next_of(stream: AsyncIterator[bytes], seconds: float) -> bytes | None:
+    """The next part of a body; None at its end."""
+    try:
+        async with asyncio.timeout(seconds):
+            return await anext(stream, None)
+    except TimeoutError:
+        raise SlowUploadError(f"Nothing of the upload came for {seconds:g} s: send it again.") from None
+    except ClientDisconnect:
+        raise Cancelled("The client left before its upload was whole.") from None
+
 
 log = logging.getLogger("isogi.uploads")
 
+ROOT = Path(__file__).resolve().parents[2]
+"""Where Python finds the reader."""
+
+PACE = 8 << 20
+"""Bytes of an upload for which the reader has a second more."""
+
+SHARE = 0.6
+"""Share of the reader's time that may be processor time: a file that needs more is refused."""
+
+
+async def read_confined(upload: IO[bytes], into: IO[bytes], name: str, voxels: int, seconds: float) -> str:
+    """Have a child read ``upload`` from its beginning and write it as a canonical file ``into`` another; its id.
+
+    It may have ``voxels`` at most, and the child so many ``seconds`` besides those for its size. Raises VolumeError,
+    with the child's own sentence or one about its end, and LateError.
+    """
+    upload.seek(0)
+    patience = seconds + os.fstat(upload.fileno()).st_size / PACE
+    arguments = [name, into.fileno(), voxels, math.ceil(SHARE * patience)]
+    process = await asyncio.create_subprocess_exec(
+        *(sys.executable, "-P", "-m", "server.uploads.reader", *map(str, arguments)),
+        stdin=upload,
+        stdout=PIPE,
+        stderr=DEVNULL,
+        pass_fds=[into.fileno()],
+        cwd="/",
+        env={"PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1", "PYTHONDONTWRITEBYTECODE": "1", "PYTHONUTF8": "1"},
+    )
+    try:
+        async with asyncio.timeout(patience):
+            return await answer_of(process)
+    except TimeoutError:
+        raise LateError(f"The file could not be read within {patience:.0f} s: send it again in a while.") from None
+    finally:
+        if process.returncode is None:
+            process.kill()
+            await process.wait()
+
+
+async def answer_of(process: Process) -> str:
+    """The id that a child answers; VolumeError where it refuses the file, or ends without an answer."""
+    assert process.stdout
+    line = await process.stdout.readline()
+    status = await process.wait()
+    if not line:
+        log.warning("the reader of an upload ended with status %d", status)
+        raise VolumeError("The file takes more time or memory to read than it may: save it raw, or a smaller part.")
+    answer: dict[str, str] = json.loads(line)
+    if "refused" in answer:
+        raise VolumeError(answer["refused"])
+    return answer["id"]
+
+
 AT_ONCE = 2
-"""Uploads that are taken at once; others are told to come back."""
+"""Uploads that are taken at once; others are answered with 429."""
 
 OFF = "This server takes no uploads: start it with --uploads-mb and how many megabytes they may take."
 
 
 class Uploads:
-    """The volumes that clients have sent to a ``studio``. Its coroutines belong to one event loop."""
+    """The volumes that clients have sent to an ``engine``. Its coroutines belong to one event loop."""
 
-    def __init__(self, studio: "Studio", settings: Settings) -> None:
+    def __init__(self, engine: "RenderEngine", settings: Settings) -> None:
         """Take none yet; see ``open``."""
         self.on = settings.uploads_mb > 0
         self.quota = settings.uploads_mb << 20
         self.limit = settings.max_upload_mb << 20
-        self.shelf = Shelf(Path(settings.uploads) if settings.uploads else default_folder())
-        self._studio, self._settings = studio, settings
-        self._gate = Gate(AT_ONCE, "uploads are being taken")
+        self.folder = UploadFolder(Path(settings.uploads) if settings.uploads else default_folder())
+        self._engine, self._settings = engine, settings
+        self._admission = AdmissionLimit(AT_ONCE, "uploads are being taken")
         self._changing = asyncio.Lock()
         self._ready = False
 
     def open(self) -> None:
-        """Show what is on the shelf, where uploads are on; what cannot be shown is told and left.
+        """Show the volumes in the folder, where uploads are on; one that cannot be shown is logged and left.
 
-        Raises ShelfError.
+        Raises UploadFolderError.
         """
         if not self.on:
             return
-        self.shelf.open()
-        for kept in self.shelf.volumes.values():
+        self.folder.open()
+        for kept in self.folder.volumes.values():
             try:
-                self._studio.admit(self._scene(kept))
+                self._engine.admit(self._scene(kept))
             except IsogiError as error:
                 log.error("the upload %s cannot be shown: %s", kept.id, error)
         self._ready = True
 
     def close(self) -> None:
-        """Leave the shelf to another server."""
-        self.shelf.close()
+        """Leave the folder to another server."""
+        self.folder.close()
 
     @property
     def free(self) -> int:
         """Bytes that the quota has left."""
-        return max(self.quota - self.shelf.held, 0)
+        return max(self.quota - self.folder.held, 0)
 
-    def find(self, number: str) -> Kept:
+    def find(self, number: str) -> UploadedVolume:
         """The volume with this id; UnknownVolumeError where there is none."""
-        if number not in self.shelf.volumes:
-            raise UnknownVolumeError(f"There is no volume '{number[:64]}': /v1/volumes lists those there are.")
-        return self.shelf.volumes[number]
+        if number not in self.folder.volumes:
+            raise UnknownVolumeError(f"There is no volume '{number[:64]}': /v1/volumes lists them all.")
+        return self.folder.volumes[number]
 
-    async def take(self, request: Request, name: str) -> tuple[Kept, bool]:
+    async def take(self, request: Request, name: str) -> tuple[UploadedVolume, bool]:
         """Take the body of a request as a volume and show it; the volume, and whether it is new.
 
         Raises UploadsOffError, StartingError, BusyError, SlowUploadError, VolumeError, LateError, FullError,
-        ShelfError, and Cancelled where the client has left.
+        UploadFolderError, and Cancelled where the client has left.
         """
         if not self.on:
             raise UploadsOffError(OFF)
         self._check_ready()
-        with self._gate.admitted(), self.shelf.drafts() as (body, draft):
+        with self._admission.admitted(), self.folder.drafts() as (body, draft):
             self._check_room(1)
-            with named(self.shelf.folder):
+            with named(self.folder.path):
                 await receive(request, body, self._settings.body_seconds)
             limits = self.limit // VOXEL, self._settings.reading_seconds
-            number = await attended(request, child.read(body, draft, name, *limits))
+            number = await attended(request, read_confined(body, draft, name, *limits))
             async with self._changing:
                 return await asyncio.to_thread(self._keep, draft, number)
 
     async def remove(self, number: str) -> None:
         """Show a volume no more, and have its file gone. Its light is left in the store: it may come again.
 
-        Raises UnknownVolumeError, StartingError and ShelfError.
+        Raises UnknownVolumeError, StartingError and UploadFolderError.
         """
         self.find(number)
         self._check_ready()
         async with self._changing:
             self.find(number)
-            await asyncio.to_thread(self.shelf.remove, number)
-            if number in self._studio.scenes:
-                await asyncio.to_thread(self._studio.dismiss, number)
+            await asyncio.to_thread(self.folder.remove, number)
+            if number in self._engine.scenes:
+                await asyncio.to_thread(self._engine.dismiss, number)
 
-    def _keep(self, draft: IO[bytes], number: str) -> tuple[Kept, bool]:
-        """Put a volume on the shelf and show it, unless it is there already; all or nothing."""
-        if number in self.shelf.volumes:
-            return self.shelf.volumes[number], False
+    def _keep(self, draft: IO[bytes], number: str) -> tuple[UploadedVolume, bool]:
+        """Keep a volume in the folder and show it, unless it is there already; all or nothing."""
+        if number in self.folder.volumes:
+            return self.folder.volumes[number], False
         drafted = read_facts(Path(draft.name))
         self._check_room(drafted.held if drafted else 0)
-        kept = self.shelf.put(draft, number)
+        kept = self.folder.put(draft, number)
         try:
-            self._studio.admit(self._scene(kept))
+            self._engine.admit(self._scene(kept))
         except Exception:
-            self.shelf.remove(number)
+            self.folder.remove(number)
             raise
         return kept, True
 
@@ -127,10 +222,10 @@ class Uploads:
     def _check_room(self, size: int) -> None:
         """Raises FullError where so many bytes are more than the quota has left."""
         if size > self.free:
-            told = f"{size} bytes are wanted and {self.free} free"
-            raise FullError(f"Uploads may take {self._settings.uploads_mb} MB, {told}: delete volumes first.")
+            room = f"{size} bytes are wanted and {self.free} free"
+            raise FullError(f"Uploads may take {self._settings.uploads_mb} MB, {room}: delete volumes first.")
 
-    def _scene(self, kept: Kept) -> Scene:
+    def _scene(self, kept: UploadedVolume) -> Scene:
         """The scene of a volume: in default light, and found by the volume's id."""
-        source = SceneSource(kept.name, {"volume": f"{kept.id}.nrrd"}, self.shelf.folder.resolve())
+        source = SceneSource(kept.name, {"volume": f"{kept.id}.nrrd"}, self.folder.path.resolve())
         return replace(build_scene(source), id=kept.id)

@@ -1,21 +1,20 @@
 import numpy as np
 import pytest
 
-from isogi_core.bake.effort import Effort, efforts, samples_left
-from isogi_core.bake.noise import good_enough
+from isogi_core.bake.noise import Effort, efforts, good_enough, samples_left
 from isogi_core.bake.precision import VOID
-from isogi_core.model.plan import FEWEST, most_samples
+from isogi_core.model.scene_plan import FEWEST, most_samples
 
 TARGET = 0.05
 
 
-def test_samples_follow_the_rate_at_which_errors_fall_up_to_a_rung() -> None:
+def test_samples_follow_the_rate_of_errors_up_to_a_level() -> None:
     error, samples = np.array([0.2, 0.1, 0.051, 3.0, 0.01]), np.array([64, 64, 64, 64, 16])
     goals = [512, 256, 128, most_samples(TARGET), FEWEST]  # 64 · 4^1.5 = 512, 64 · 2^1.5 = 181
     assert (samples + samples_left(error, samples, TARGET)).tolist() == goals
 
 
-def test_texels_that_keep_to_the_rate_take_what_was_predicted() -> None:
+def test_texels_at_the_rate_take_the_predicted_samples() -> None:
     rng = np.random.default_rng(5)
     scale = rng.uniform(0.5, 5.0, 1000)
     samples = np.full(1000, 64)

@@ -1,8 +1,8 @@
 import numpy as np
 
-from isogi_core.bake.light import Light, Part
 from isogi_core.bake.precision import VOID
-from isogi_core.model.plan import Layer, ScenePlan
+from isogi_core.bake.texel_light import Light, Part
+from isogi_core.model.scene_plan import Layer, ScenePlan
 from tests.bake.texels import same
 
 PLAN = ScenePlan("transfer", (Layer("direct", 3), Layer("indirect", 2, 3)), 3, 2, 1.0, 4096)
@@ -41,7 +41,7 @@ def test_rows_are_copies_and_are_put_back_where_they_were() -> None:
     assert same(light.rows(others), before.rows(others))
 
 
-def test_a_texel_is_as_far_as_the_layer_with_the_fewest_samples() -> None:
+def test_a_texel_has_the_samples_of_its_least_sampled_layer() -> None:
     light = some_light(4)
     light.parts[0].samples[:] = [64, 16, VOID, VOID]
     light.parts[1].samples[:] = [16, 0, VOID, 0]
@@ -58,7 +58,7 @@ def test_layers_add_up_over_their_orders_and_channels() -> None:
         np.testing.assert_array_equal(light.transfer[:, channel, 4:], direct[:, 0, 4:])
 
 
-def test_what_is_void_in_one_layer_is_made_so_in_all() -> None:
+def test_a_texel_void_in_one_layer_is_made_void_in_all() -> None:
     """As when one layer is read before, and the other after, somebody else has written both."""
     light = some_light(9)
     light.parts[0].samples[5] = VOID

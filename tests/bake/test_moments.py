@@ -6,14 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from isogi_core.bake.light import Light
-from isogi_core.bake.look import band_of, square_light
-from isogi_core.bake.moments import path_deviation
-from isogi_core.bake.noise import evenness
-from isogi_core.kernels.lattice import LEAST_SPREAD, light_texels
-from isogi_core.model.plan import Layer
-from tests.bake.test_look import look_of, plan_of, turned
-from tests.kernels.test_harmonics import basis
+from isogi_core.bake.bake_spec import band_of, square_light
+from isogi_core.bake.noise import evenness, path_deviation
+from isogi_core.bake.texel_light import Light
+from isogi_core.kernels.shading.lattice import LEAST_SPREAD, light_texels
+from isogi_core.model.scene_plan import Layer
+from tests.bake.texels import plan_of, rotations_of, spec_of
+from tests.kernels.transport.harmonic_bases import basis
 
 
 @pytest.fixture
@@ -30,7 +29,7 @@ def ways(rng: np.random.Generator, count: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("order", [1, 2, 6])
-def test_the_square_of_a_light_is_that_of_its_radiance(order: int, rng: np.random.Generator) -> None:
+def test_a_squared_light_is_its_squared_radiance(order: int, rng: np.random.Generator) -> None:
     """Against a fine grid: equal steps in z and in azimuth."""
     light = rng.normal(size=order**2)
     z, angle = (np.arange(400) + 0.5) / 200.0 - 1.0, 2.0 * math.pi * (np.arange(64) + 0.5) / 64
@@ -57,46 +56,46 @@ def test_a_texels_spread_is_that_of_its_paths_light(rng: np.random.Generator) ->
 
 
 @pytest.mark.parametrize("channels", [1, 3])
-def test_the_deviation_of_paths_is_a_mean_over_turns_of_the_light(channels: int, rng: np.random.Generator) -> None:
-    look = look_of(plan_of(Layer("direct", 4, channels)))
-    light = Light.dark(look.plan, 6)
+def test_the_deviation_of_paths_is_a_mean_over_rotations(channels: int, rng: np.random.Generator) -> None:
+    spec = spec_of(plan_of(Layer("direct", 4, channels)))
+    light = Light.dark(spec.plan, 6)
     fading = 0.3 ** band_of(4)
     light.parts[0].coefficients[:] = 0.02 * rng.normal(size=(6, channels, 16)) * fading
     light.parts[0].coefficients[:, :, 0] = 0.2
-    lights, told = turned(look.luminance_light, 3000), path_deviation(light, look)
+    lights, estimated = rotations_of(spec.luminance_light, 3000), path_deviation(light, spec)
     second = np.array([square_light(one.sum(axis=0)) for one in lights[:300]])
     seen = light.transfer[:, channels // 2] @ second.mean(axis=0)
     mean = np.einsum("mcn,tcn->mt", light.transfer, lights)
     expected = seen - (mean**2).mean(axis=1) + LEAST_SPREAD * 0.2 * second[0, 0]
-    np.testing.assert_allclose(told**2, expected, rtol=0.05)
+    np.testing.assert_allclose(estimated**2, expected, rtol=0.05)
 
 
-def test_the_deviation_of_paths_under_two_lights_is_a_mean_over_turns_of_both(rng: np.random.Generator) -> None:
+def test_the_deviation_under_two_lights_is_a_mean_over_both(rng: np.random.Generator) -> None:
     """Direct light of order 4 beside a lobe, and reflected light of order 3 with it."""
-    look = look_of(replace(plan_of(Layer("direct", 4), Layer("indirect", 3)), lobes=1))
-    assert len(look.terms) == 2 and not np.allclose(look.terms[0].light[:, :9], look.terms[1].light)
-    light, unit = Light.dark(look.plan, 6), look.unit
+    spec = spec_of(replace(plan_of(Layer("direct", 4), Layer("indirect", 3)), lobes=1))
+    assert len(spec.terms) == 2 and not np.allclose(spec.terms[0].light[:, :9], spec.terms[1].light)
+    light, unit = Light.dark(spec.plan, 6), spec.unit
     for part, mean in zip(light.parts, (0.2, 0.05), strict=True):
         part.coefficients[:] = 0.1 * mean * rng.normal(size=part.coefficients.shape) * 0.3 ** band_of(part.layer.order)
         part.coefficients[:, :, 0] = mean
     both = np.zeros((2, 16))
-    for row, term in zip(both, look.terms, strict=True):
+    for row, term in zip(both, spec.terms, strict=True):
         row[: term.order**2] = term.luminance.sum(axis=0) / unit
-    turns = turned(both, 3000)
-    mean = sum(light.columns([term])[:, 0] @ turns[:, i, : term.order**2].T for i, term in enumerate(look.terms))
+    turns = rotations_of(both, 3000)
+    mean = sum(light.columns([term])[:, 0] @ turns[:, i, : term.order**2].T for i, term in enumerate(spec.terms))
     second = sum(
-        part.coefficients[:, 0, 0] * term.square[0] for part, term in zip(light.parts, look.terms, strict=True)
+        part.coefficients[:, 0, 0] * term.square[0] for part, term in zip(light.parts, spec.terms, strict=True)
     )
     expected = np.maximum(second - (mean**2).mean(axis=1), 0.0) + LEAST_SPREAD * second
-    np.testing.assert_allclose((path_deviation(light, look) / unit) ** 2, expected, rtol=0.05)
+    np.testing.assert_allclose((path_deviation(light, spec) / unit) ** 2, expected, rtol=0.05)
 
 
 @pytest.mark.parametrize("share", [1.0, 0.6])
-def test_band_0_varies_less_than_its_neighbour_where_paths_bring_alike(share: float, rng: np.random.Generator) -> None:
+def test_band_0_varies_less_where_paths_bring_equal_light(share: float, rng: np.random.Generator) -> None:
     """Against the variances of paths that were drawn, of which a ``share`` brings light."""
     count = 100_000
     values = basis(2, ways(rng, count)) * (rng.random((count, 1)) < share)
     second = np.array([values[:, 0].mean()])
     variances = values.var(axis=0)
-    told = evenness(values.mean(axis=0)[None], second, count)
-    assert told[0] == pytest.approx(variances[0] / variances[1:].mean(), rel=0.02, abs=1e-4)
+    estimated = evenness(values.mean(axis=0)[None], second, count)
+    assert estimated[0] == pytest.approx(variances[0] / variances[1:].mean(), rel=0.02, abs=1e-4)

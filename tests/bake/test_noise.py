@@ -5,8 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from isogi_core.bake.light import Light, Part
-from isogi_core.bake.look import Look, band_of, look_for
+from isogi_core.bake.bake_spec import BakeSpec, band_of, spec_for
 from isogi_core.bake.noise import (
     DECAYS,
     FLOOR,
@@ -20,20 +19,20 @@ from isogi_core.bake.noise import (
     relative_error,
 )
 from isogi_core.bake.precision import VOID
-from isogi_core.bake.recipe import Recipe
-from isogi_core.model.plan import FEWEST, most_samples
-from isogi_core.model.scene import load_scene
-from tests.bake.test_look import turned
-from tests.bake.texels import baked, climbed, orbital, surface_texels
+from isogi_core.bake.texel_light import Light, Part
+from isogi_core.model.scene_plan import FEWEST, most_samples
+from isogi_core.plan.assembly import load_scene
+from isogi_core.prepared.prepared_scene import PreparedScene
+from tests.bake.texels import baked, climbed, orbital, rotations_of, surface_texels
 from tests.scale import COMPILED
 
 FACTOR = np.sqrt(4.0 * np.pi)
 
 
-def light_of(look: Look, samples: list[list[int]], noise: float = 0.02, seed: int = 1) -> Light:
+def light_of(spec: BakeSpec, samples: list[list[int]], noise: float = 0.02, seed: int = 1) -> Light:
     """Light with these samples, a list for each part, and noise and coefficients at random."""
     rng = np.random.default_rng(seed)
-    light = Light.dark(look.plan, len(samples[0]))
+    light = Light.dark(spec.plan, len(samples[0]))
     for part, own in zip(light.parts, samples, strict=True):
         part.samples[:] = own
         part.noise[:] = noise * (0.5 + rng.random(part.noise.shape))
@@ -45,51 +44,51 @@ def light_of(look: Look, samples: list[list[int]], noise: float = 0.02, seed: in
 # --- the error of a texel -----------------------------------------------------------------------------------------
 
 
-def test_luminance_is_a_mean_over_turns_of_the_light() -> None:
-    look = orbital((0.3, 0.6, 0.9))
-    light = light_of(look, [[64] * 20, [64] * 20])
-    lights = turned(look.luminance_light, 3000)
-    seen = np.einsum("mcn,tcn->m", np.broadcast_to(light.transfer, (20, 3, look.order**2)), lights) / len(lights)
-    np.testing.assert_allclose(luminance(light, look), seen, rtol=0.05)
+def test_luminance_is_a_mean_over_rotations_of_the_light() -> None:
+    spec = orbital((0.3, 0.6, 0.9))
+    light = light_of(spec, [[64] * 20, [64] * 20])
+    lights = rotations_of(spec.luminance_light, 3000)
+    seen = np.einsum("mcn,tcn->m", np.broadcast_to(light.transfer, (20, 3, spec.order**2)), lights) / len(lights)
+    np.testing.assert_allclose(luminance(light, spec), seen, rtol=0.05)
 
 
 def test_error_is_relative_to_the_texels_own_light() -> None:
-    look = orbital(0.5, sky=False)
-    light = light_of(look, [[64] * 3])
+    spec = orbital(0.5, sky=False)
+    light = light_of(spec, [[64] * 3])
     (part,) = light.parts
     part.coefficients[:, 0, 0] = np.array([1.0, 0.8, 0.01]) / FACTOR
     part.noise[:] = 0.02 / FACTOR
-    np.testing.assert_allclose(relative_error(light, look), [0.02, 0.02 / 0.8, 0.02 / FLOOR], rtol=1e-5)
+    np.testing.assert_allclose(relative_error(light, spec), [0.02, 0.02 / 0.8, 0.02 / FLOOR], rtol=1e-5)
 
 
 def test_errors_of_the_parts_are_independent() -> None:
-    look = orbital()
-    light = light_of(look, [[64] * 8, [64] * 8])
-    direct, indirect = (deviation(part, look) for part in light.parts)
-    np.testing.assert_array_equal(deviations(light, look), [direct, indirect])
-    level = luminance(light, look)
-    assert (level > FLOOR * look.unoccluded).all()
-    np.testing.assert_allclose(relative_error(light, look), np.hypot(direct, indirect) / level)
+    spec = orbital()
+    light = light_of(spec, [[64] * 8, [64] * 8])
+    direct, indirect = (deviation(part, spec) for part in light.parts)
+    np.testing.assert_array_equal(deviations(light, spec), [direct, indirect])
+    level = luminance(light, spec)
+    assert (level > FLOOR * spec.unoccluded).all()
+    np.testing.assert_allclose(relative_error(light, spec), np.hypot(direct, indirect) / level)
 
 
 def test_no_light_has_no_error() -> None:
     dark = load_scene("demo:orbital", lights=[{"type": "constant", "radiance": 0.0}])
-    look = look_for(Recipe(dark), "gi")
-    assert relative_error(light_of(look, [[64] * 2]), look).tolist() == [0.0, 0.0]
+    spec = spec_for(PreparedScene(dark), "gi")
+    assert relative_error(light_of(spec, [[64] * 2]), spec).tolist() == [0.0, 0.0]
 
 
 # --- when a texel is done, and what is next -------------------------------------------------------------------------
 
 
 def test_a_texel_is_done_when_good_enough_spent_or_void() -> None:
-    look = orbital(sky=False)
-    light = light_of(look, [[FEWEST, FEWEST, most_samples(0.01), VOID, 0]], noise=1.0)
+    spec = orbital(sky=False)
+    light = light_of(spec, [[FEWEST, FEWEST, most_samples(0.01), VOID, 0]], noise=1.0)
     light.parts[0].noise[1] = 0.0
-    assert finished(light, look, 0.01).tolist() == [False, True, True, True, False]
+    assert finished(light, spec, 0.01).tolist() == [False, True, True, True, False]
     light.parts[0].noise[:] = 0.0
-    assert finished(light, look, 0.01).tolist() == [True, True, True, True, False], "unlit is never done"
+    assert finished(light, spec, 0.01).tolist() == [True, True, True, True, False], "unlit is never done"
     light.parts[0].samples[0] = FEWEST // 2
-    assert not finished(light, look, 0.01)[0], "few paths that all died say nothing"
+    assert not finished(light, spec, 0.01)[0], "few paths that all died say nothing"
 
 
 def test_all_parts_must_have_the_fewest_samples() -> None:
@@ -98,7 +97,7 @@ def test_all_parts_must_have_the_fewest_samples() -> None:
     assert finished(light, orbital(), 0.5).tolist() == [False, True, False, True]
 
 
-def test_the_frame_and_the_bake_agree_about_what_is_final() -> None:
+def test_the_frame_and_the_bake_agree_on_final_light() -> None:
     """The frame judges errors that were rounded to single floats."""
     target = 0.02
     errors = target * (1.0 + np.linspace(-1e-8, 1e-8, 201))
@@ -108,31 +107,31 @@ def test_the_frame_and_the_bake_agree_about_what_is_final() -> None:
     assert good_enough(errors.astype(np.float32), samples, target)[final].all()
 
 
-# --- noise told from halves -----------------------------------------------------------------------------------------
+# --- noise estimated from halves ------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("order", [1, 2, 5])
-def test_noise_of_halves_is_half_their_difference_pooled_over_bands(order: int) -> None:
+def test_noise_is_half_the_difference_pooled_over_bands(order: int) -> None:
     """A twin in loops: band 0 with a quarter of its neighbour; above it the mean of the bands' mean squares."""
     projected, samples = max(order, 2), 32
     halves = np.random.default_rng(5).normal(size=(6, 2, projected**2))
     means = halves / (samples / 2)
     noise = noise_of_halves(halves, samples, order)
     assert noise.shape == (6, 1 if order == 1 else 2)
-    for texel, told in zip(means, noise, strict=True):
+    for texel, estimated in zip(means, noise, strict=True):
         squares = [((a - b) / 2) ** 2 for a, b in texel.T]
-        assert told[0] == pytest.approx(np.sqrt(0.75 * squares[0] + 0.25 * np.mean(squares[1:4])))
+        assert estimated[0] == pytest.approx(np.sqrt(0.75 * squares[0] + 0.25 * np.mean(squares[1:4])))
         if order > 1:
             bands = [np.mean([squares[i] for i in np.flatnonzero(band_of(order) == l)]) for l in range(1, order)]
-            assert told[1] == pytest.approx(np.sqrt(np.mean(bands)))
+            assert estimated[1] == pytest.approx(np.sqrt(np.mean(bands)))
 
 
 def test_noise_of_halves_is_the_standard_error_of_their_mean() -> None:
     """Halves of noise whose size is known: on average the estimate is that of all samples together."""
     samples, sigma = 64, 0.3
     sums = np.random.default_rng(6).normal(size=(4000, 2, 25)) * sigma * np.sqrt(samples / 2)
-    told = np.sqrt((noise_of_halves(sums, samples, 5) ** 2).mean(axis=0))
-    np.testing.assert_allclose(told, sigma / np.sqrt(samples), rtol=0.03)
+    estimated = np.sqrt((noise_of_halves(sums, samples, 5) ** 2).mean(axis=0))
+    np.testing.assert_allclose(estimated, sigma / np.sqrt(samples), rtol=0.03)
 
 
 def test_pooled_noise_falls_as_stratified_points_do() -> None:
@@ -150,17 +149,17 @@ def test_pooled_noise_falls_as_stratified_points_do() -> None:
 
 @COMPILED
 def test_error_falls_as_samples_are_added() -> None:
-    look = orbital()
-    texels = surface_texels(look, 60)
-    errors = [np.sqrt((relative_error(climbed(look, texels, n), look) ** 2).mean()) for n in (16, 128, 1024)]
+    spec = orbital()
+    texels = surface_texels(spec, 60)
+    errors = [np.sqrt((relative_error(climbed(spec, texels, n), spec) ** 2).mean()) for n in (16, 128, 1024)]
     assert errors[1] < 0.5 * errors[0] and errors[2] < 0.5 * errors[1]
 
 
-def wrongness(part: Part, reference: Part, look: Look, count: int = 24) -> np.ndarray:
+def wrongness(part: Part, reference: Part, spec: BakeSpec, count: int = 24) -> np.ndarray:
     """Errors of the luminance of each texel against a reference under turned lights, (texels, turns)."""
-    own = look.term_of(part.layer).luminance
+    own = spec.term_of(part.layer).luminance
     n = min(part.layer.order**2, own.shape[1])
-    lights = turned(own, count)[:, :, :n] if look.order > 1 else own[None]
+    lights = rotations_of(own, count)[:, :, :n] if spec.order > 1 else own[None]
     lights = lights if part.layer.channels == lights.shape[1] else lights.sum(axis=1, keepdims=True)
     return np.einsum("mcn,tcn->mt", part.coefficients.astype(float) - reference.coefficients, lights)
 
@@ -176,12 +175,12 @@ LOOKS = {
 
 
 @cache
-def referred(name: str) -> tuple[Look, np.ndarray, Light]:
+def referred(name: str) -> tuple[BakeSpec, np.ndarray, Light]:
     """One of LOOKS, 500 texels of the orbital, and their light after 8192 samples."""
-    look = orbital(**LOOKS[name])  # type: ignore[arg-type]
-    texels = surface_texels(look, 500)
+    spec = orbital(**LOOKS[name])  # type: ignore[arg-type]
+    texels = surface_texels(spec, 500)
     assert len(texels) == 500
-    return look, texels, climbed(look, texels, 8192)
+    return spec, texels, climbed(spec, texels, 8192)
 
 
 @pytest.mark.slow
@@ -190,24 +189,24 @@ def referred(name: str) -> tuple[Look, np.ndarray, Light]:
 @pytest.mark.parametrize("samples", [64, 256])
 def test_the_estimate_is_calibrated(name: str, samples: int) -> None:
     """What each layer is wrong by is what it says."""
-    look, texels, reference = referred(name)
-    for part, exact in zip(climbed(look, texels, samples).parts, reference.parts, strict=True):
-        seen = np.sqrt((wrongness(part, exact, look) ** 2).mean())
-        told = np.sqrt((deviation(part, look) ** 2).mean())
-        assert 0.75 < seen / told < 1.33, (part.layer.kind, seen / told)
+    spec, texels, reference = referred(name)
+    for part, exact in zip(climbed(spec, texels, samples).parts, reference.parts, strict=True):
+        seen = np.sqrt((wrongness(part, exact, spec) ** 2).mean())
+        estimated = np.sqrt((deviation(part, spec) ** 2).mean())
+        assert 0.75 < seen / estimated < 1.33, (part.layer.kind, seen / estimated)
 
 
 @pytest.mark.slow
 @COMPILED
 @pytest.mark.parametrize("name", LOOKS)
-def test_texels_that_are_final_are_as_good_as_they_say(name: str) -> None:
-    """Those that stop early are those whose halves agreed by chance: the error is told too low, but not by much."""
-    (look, texels, reference), target = referred(name), 0.02
-    light = baked(look, texels, most_samples(target), target=target)
+def test_final_texels_are_within_their_error(name: str) -> None:
+    """Those that stop early are those whose halves agreed by chance: the estimate is too low, but not by much."""
+    (spec, texels, reference), target = referred(name), 0.02
+    light = baked(spec, texels, most_samples(target), target=target)
     parts = zip(light.parts, reference.parts, strict=True)
-    wrong = sum(wrongness(part, exact, look) for part, exact in parts)
-    level = np.maximum(luminance(reference, look), FLOOR * look.unoccluded)
+    wrong = sum(wrongness(part, exact, spec) for part, exact in parts)
+    level = np.maximum(luminance(reference, spec), FLOOR * spec.unoccluded)
     seen = np.sqrt(((wrong / level[:, None]) ** 2).mean())
-    told = np.sqrt((relative_error(light, look) ** 2).mean())
-    assert finished(light, look, target).all()
-    assert 0.75 < seen / told < 1.33, seen / told
+    estimated = np.sqrt((relative_error(light, spec) ** 2).mean())
+    assert finished(light, spec, target).all()
+    assert 0.75 < seen / estimated < 1.33, seen / estimated

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from isogi_core.bake.precision import (
-    FIRST_RUNG,
+    FIRST_LEVEL,
     LARGEST,
     NEGATIVE,
     NOISIEST,
@@ -15,23 +15,23 @@ from isogi_core.bake.precision import (
     STEPS,
     VOID,
     VOID_CODE,
+    level_codes,
     light_codes,
     light_of,
-    next_rung,
+    next_level,
     noise_codes,
     noise_of,
     round_light,
-    rung_codes,
     samples_of,
 )
-from isogi_core.model.plan import MOST, Layer
+from isogi_core.model.scene_plan import MOST, Layer
 
 SCALES = (1.0, 2.0**-9, 2.0**6)
 CODES = np.arange(256, dtype=np.uint8)
 
 
 @pytest.mark.parametrize("scale", SCALES)
-def test_each_code_of_noise_stands_for_a_number_that_has_this_code(scale: float) -> None:
+def test_codes_of_noise_survive_the_round_trip(scale: float) -> None:
     noise = noise_of(CODES, scale)
     assert noise.dtype == np.float32 and (np.diff(noise) < 0.0).all() and noise[SILENT] == 0.0
     assert np.array_equal(noise_codes(noise, scale), CODES)
@@ -49,22 +49,22 @@ def test_noise_beyond_the_codes_is_the_loudest_or_none() -> None:
     assert noise_codes(noise, 1.0).tolist() == [0, 0, SILENT, SILENT]
 
 
-def test_the_ladder_doubles_from_its_first_rung() -> None:
-    rungs = [0]
-    while rungs[-1] < 1000:
-        rungs.append(next_rung(rungs[-1]))
-    assert rungs == [0, 16, 32, 64, 128, 256, 512, 1024]
+def test_sample_levels_double_from_the_first() -> None:
+    levels = [0]
+    while levels[-1] < 1000:
+        levels.append(next_level(levels[-1]))
+    assert levels == [0, 16, 32, 64, 128, 256, 512, 1024]
 
 
-def test_every_rung_has_a_code_of_its_own() -> None:
-    ladder = [0]
-    while ladder[-1] < 64 * MOST:
-        ladder.append(next_rung(ladder[-1]))
-    codes = rung_codes(np.array([*ladder, VOID], np.int32))
+def test_every_sample_level_has_a_code_of_its_own() -> None:
+    levels = [0]
+    while levels[-1] < 64 * MOST:
+        levels.append(next_level(levels[-1]))
+    codes = level_codes(np.array([*levels, VOID], np.int32))
     assert codes.dtype == np.uint8
-    assert codes.tolist() == [*range(len(ladder)), VOID_CODE]
-    assert samples_of(codes).tolist() == [*ladder, VOID]
-    assert samples_of(codes).dtype == np.int32 and ladder[1] == FIRST_RUNG
+    assert codes.tolist() == [*range(len(levels)), VOID_CODE]
+    assert samples_of(codes).tolist() == [*levels, VOID]
+    assert samples_of(codes).dtype == np.int32 and levels[1] == FIRST_LEVEL
 
 
 def half(number: float) -> float:
@@ -73,7 +73,7 @@ def half(number: float) -> float:
 
 
 @pytest.mark.parametrize("scale", SCALES)
-def test_halves_are_the_nearest_there_are_and_rounded_once(scale: float) -> None:
+def test_half_floats_are_the_nearest_and_rounded_once(scale: float) -> None:
     layer = Layer("direct", 5, scale=scale)
     rng = np.random.default_rng(2)
     light = rng.normal(size=(16, 25)) * scale * 10.0 ** rng.uniform(-9, 2, (16, 25))
@@ -86,7 +86,7 @@ def test_halves_are_the_nearest_there_are_and_rounded_once(scale: float) -> None
 
 
 @pytest.mark.parametrize("scale", SCALES)
-def test_light_beyond_the_largest_is_cut_there_and_never_infinite(scale: float) -> None:
+def test_light_beyond_the_largest_is_cut_and_finite(scale: float) -> None:
     light = scale * np.array([1e9, -1e9, 65519.0, 65521.0, 65503.0, 65504.0, -2.0])[:, None]
     rounded = round_light(light, Layer("irradiance", scale=scale)) / scale
     assert np.finfo(np.float16).max == LARGEST
@@ -100,7 +100,7 @@ def test_single_floats_are_kept_as_they_are() -> None:
     assert np.array_equal(round_light(light, Layer("direct", half=False)), light.astype(np.float32))
 
 
-def test_each_byte_of_light_stands_for_a_number_that_has_this_byte() -> None:
+def test_bytes_of_light_survive_the_round_trip() -> None:
     used = CODES[CODES != NEGATIVE]
     light = light_of(used)
     assert light.dtype == np.float32 and len(set(light.tolist())) == len(used)

@@ -1,76 +1,65 @@
-"""The papers' method, which ours is measured against, and what the page tells of both."""
+"""The small parts of the accuracy suite on demos: the figures that they promise, and what these must be."""
 
-from dataclasses import replace
+import math
 from pathlib import Path
 
-import numpy as np
-import pytest
+from benchmarks.accuracy.albedo import albedo
+from benchmarks.accuracy.choices import choices
+from benchmarks.accuracy.interpolation import interpolation
+from benchmarks.accuracy.lobes import lobes
+from benchmarks.accuracy.projected import projected
+from benchmarks.accuracy.roulette import roulette
+from tests.benchmarks.parts import figures
 
-from benchmarks.accuracy import FINER, Case, Measured, line_of, met
-from benchmarks.papers import ORDER, PapersBake, papers_scene
-from benchmarks.reports import Subject
-from isogi_core.model.scene import load_scene
-from isogi_core.model.view import View
-from isogi_core.report.bench import Bench
-from server.measure import view_of
-
-FOUND = Measured(
-    rmse=[0.011, 0.029],
-    p99=[0.05, 0.09],
-    papers_rmse=[0.1, 0.2],
-    papers_p99=[0.4, 0.5],
-    noise=[0.001, 0.002],
-    seconds=10.0,
-    papers_seconds=12.0,
-    bytes=60,
-    papers_bytes=103,
-    lobes=1,
-)
+SMALL = ("--size", "32", "--repeats", "1")
 
 
-def bench_of(light: str, folder: Path) -> Bench:
-    scene = load_scene("demo:orbital", lattice=0.4, bounces=1, target_error=0.2, lights=[{"type": light}])
-    return Bench(replace(scene, sharpen=True), view_of(scene, 16), folder)
+def test_lobes() -> None:
+    """The sky of a demo has one, its sun."""
+    timed = ("turned", "turned, processor", "at rest")
+    names = {f"{n} {what}" for n in (0, 1) for what in ("told, %", "bytes a texel", *(f"{way}_ms" for way in timed))}
+    assert set(figures(lobes, "demo:casting", *SMALL)) == names | {f"1 {way} / 0 {way}" for way in timed}
 
 
-def test_the_papers_keep_one_layer_of_all_light_and_move_nothing(tmp_path: Path) -> None:
-    (layer,) = papers_scene(bench_of("sky", tmp_path).scene).plan.layers
-    assert (layer.kind, layer.order, layer.half) == ("whole", ORDER, False)
-    scene = papers_scene(bench_of("constant", tmp_path).scene)
-    assert (scene.plan.order, scene.plan.lobes, scene.sharpen) == (1, 0, False)
+def test_albedo() -> None:
+    """At the highest albedo light is that of a fresh bake; below it, mixing errs by no more than a hundredth."""
+    found = figures(albedo, "demo:orbital", "--samples", "64", *SMALL)
+    albedos = ("0.1", "0.3", "0.6", "0.9", "0.9,0.5,0.1")
+    names = {f"{name} {what}" for name in albedos for what in ("apart, %", "mixed, %", "bake, s", "bytes a texel")}
+    names |= {f"{name} fresh_ms" for name in albedos} | {"live bake, s", "live bytes a texel", "told, %"}
+    assert set(found) == names | {"live, albedo moved_ms"}
+    assert found["0.9 apart, %"] < 0.01 and all(found[f"{name} mixed, %"] < 1.0 for name in albedos)
 
 
-def test_the_papers_pictures_are_trilinear_in_their_own_texels(tmp_path: Path) -> None:
-    """Under constant light frames without sharp light are so, too."""
-    bench = bench_of("constant", tmp_path)
-    papers = PapersBake(bench)
-    papers.grow(1e-9)
-    radiance, frame = papers.radiance(bench.view), papers.bake.frame()
-    np.testing.assert_allclose(radiance, frame.radiance, rtol=1e-5, atol=1e-7)
-    assert radiance.max() > 0.0 and papers.seconds > 0.0
+def test_roulette_pays_where_albedos_are_high() -> None:
+    found = figures(roulette, "demo:orbital", "--size", "24")
+    ratios = [found[f"roulette / cut at albedo {albedo}"] for albedo in (0.1, 0.5, 0.9, 0.99)]
+    assert all(math.isfinite(ratio) and ratio > 0.0 for ratio in ratios)
+    assert ratios[-1] < ratios[0]
 
 
-def test_the_papers_light_turns(tmp_path: Path) -> None:
-    bench = bench_of("sky", tmp_path)
-    papers = PapersBake(bench)
-    papers.grow(1e-9)
-    turned: View = replace(bench.view, light=(0.0, 0.0, 1.0, 0.0))
-    assert abs(papers.radiance(bench.view) - papers.radiance(turned)).max() > 0.01
+def test_what_projection_gains_is_listed_by_volume() -> None:
+    found = figures(projected, "demo:orbital", "--size", "12", "--paths", "16")
+    assert found["volumes"] == 1 and found["projected by the plan"] == 0
+    assert 0.0 < found["orbital: expected, %"] < 1.0
+    errors = [found[f"orbital: {name}, RMSE, %"] for name in ("own isosurfaces", "projected")]
+    assert all(0.0 <= error < 10.0 for error in errors), "without the reference's noise, which may be all of it"
+    assert found["orbital: bake projected / bake"] > 1.0
 
 
-@pytest.mark.parametrize(("light", "rmse", "within"), [("grace", 0.029, "yes"), ("grace", 0.031, "no")])
-def test_the_worst_turn_is_held_against_the_goal(light: str, rmse: float, within: str) -> None:
-    line = line_of(Case(Subject("engine", 70, light)), replace(FOUND, rmse=[0.01, rmse]))
-    assert f"| {within} |" in line and f"{100 * rmse:.2f} (9.0)" in line and "20.00 (50.0)" in line
+def test_a_finer_lattice_interpolates_better(tmp_path: Path) -> None:
+    """Vicinity shading misses more than any of them; a plain gradient and other offsets make other pictures."""
+    scene = tmp_path / "coarse.toml"
+    scene.write_text('volume = "demo:orbital"\nlattice = 0.5\nbounces = 2\n[[lights]]\ntype = "constant"\n')
+    found = figures(choices, str(scene), "--size", "16", "--paths", "512")
+    carried = [found[f"{density} texels per voxel: interpolation, %"] for density in ("0.25", "0.5", "1")]
+    assert carried[0] > carried[1] > carried[2] > 0.0
+    assert found["vicinity shading: RMSE, %"] > 2.0 * found["0.25 texels per voxel: RMSE, %"]
+    assert found["plain gradient, offset 0.3: difference, %"] > 0.1
+    assert found["smoothed gradient, offset 1: difference, %"] > 0.1
 
 
-def test_under_a_sun_more_is_allowed() -> None:
-    found = replace(FOUND, rmse=[0.035])
-    assert met(Case(Subject("engine", 70, "noon_grass")), found)
-    assert not met(Case(Subject("engine", 70, "grace")), found)
-
-
-def test_a_scene_that_says_more_has_a_name_and_a_folder_of_its_own() -> None:
-    subject = Subject("carp", 110, "uffizi")
-    assert Case(subject, FINER).name == "carp under uffizi at 110, `lattice = 2`, `order = 10`, `target_error = 0.01`"
-    assert Case(subject, FINER).folder(64, 8) != Case(subject).folder(64, 8) == f"{subject.folder}-64-8"
+def test_interpolation_has_a_row_for_each_way() -> None:
+    found = figures(interpolation, "demo:orbital", "--size", "12")
+    assert found["nearest: RMSE, %"] > found["trilinear: RMSE, %"]
+    assert found["trilinear: RMSE, %"] == found["on their own isosurfaces: RMSE, %"]

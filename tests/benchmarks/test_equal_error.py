@@ -1,7 +1,6 @@
 """The race to equal error: its errors and laws against closed forms, and one small run without and with Mitsuba."""
 
 import importlib.util
-import json
 import tempfile
 from dataclasses import replace
 from typing import Any
@@ -9,17 +8,17 @@ from typing import Any
 import numpy as np
 import pytest
 from click import ClickException
-from click.testing import CliRunner
 
-from benchmarks import mitsuba_race, mitsuba_scene
-from benchmarks.equal_error import likeness, main, probe_scene
-from benchmarks.error_curve import PowerLaw, relative_rmse, without
-from benchmarks.isogi_race import check
-from benchmarks.picture_set import PictureSet
+from benchmarks.accuracy import mitsuba_race
+from benchmarks.accuracy.equal_error import equal_error, likeness, probe_scene
+from benchmarks.accuracy.errors import PowerLaw, relative_rmse, without
+from benchmarks.accuracy.isogi_race import PictureSet, check
+from benchmarks.common import mitsuba
 from isogi_core.model.view import quaternion_from_angles
-from server.measure import make_renderer
+from server.cli.bench import make_renderer
+from tests.benchmarks.parts import figures
 
-TINY = ("demo:casting", "--size", "24", "--views", "2", "--turns", "2", "--checks", "2", "--samples", "64", "--json")
+TINY = ("demo:casting", "--size", "24", "--views", "2", "--turns", "2", "--checks", "2", "--samples", "64")
 
 
 @pytest.fixture(autouse=True)
@@ -28,7 +27,7 @@ def bare(monkeypatch: pytest.MonkeyPatch, tmp_path: Any) -> None:
     monkeypatch.setenv("ISOGI_SHARED_DATA", str(tmp_path / "none"))
 
 
-def test_relative_rmse_is_of_the_luminance_of_the_pixels_that_count() -> None:
+def test_relative_rmse_is_of_the_luminance_of_counted_pixels() -> None:
     best = np.full((2, 2, 3), 2.0)
     picture = best + np.array([[0.2, -0.2], [9.0, 0.2]])[..., None]
     on = np.array([[True, True], [False, True]])
@@ -81,29 +80,28 @@ def test_views_are_spread_evenly_and_picks_differ() -> None:
 def test_without_mitsuba_our_side_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     find = importlib.util.find_spec
     monkeypatch.setattr(importlib.util, "find_spec", lambda name, *a: None if name == "mitsuba" else find(name, *a))
-    done = CliRunner().invoke(main, [*TINY, "--paths", "32"], catch_exceptions=False)
-    figures = json.loads(done.stdout)
-    assert figures.pop("mitsuba") == "not installed"
-    assert all(value >= 0.0 for value in figures.values())
-    assert figures["isogi: one view, s"] < figures["isogi: whole set, s"]
-    assert 0.01 < figures["isogi: total error, all pixels"] < 0.4
+    found = figures(equal_error, *TINY, "--paths", "32")
+    assert found.pop("mitsuba") == "not installed"
+    assert all(value >= 0.0 for value in found.values())
+    assert found["isogi: one view, s"] < found["isogi: whole set, s"]
+    assert 0.01 < found["isogi: total error, all pixels"] < 0.4
 
 
 def test_mitsuba_sees_the_light_turned_as_ours_does(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("mitsuba")
     pytest.importorskip("skimage")
-    if not mitsuba_scene.usable(mitsuba_race.VARIANT):
+    if not mitsuba.usable(mitsuba_race.VARIANT):
         pytest.skip("Mitsuba's llvm variant finds no LLVM")
     monkeypatch.setattr(mitsuba_race, "CONVERGED", 64)
     scene = probe_scene("demo:casting", None, None)
     view = replace(PictureSet(scene, 48, 3, 3).view(1), light=quaternion_from_angles(30.0, 60.0, 20.0))
     with tempfile.TemporaryDirectory() as store:
         each = check(scene, [make_renderer(scene, store).render(view)], 64)[0]
-    mitsuba = mitsuba_race.Mitsuba(scene, PictureSet(scene, 48, 3, 3).view(0))
-    best = mitsuba.converge(view, each.best.on)
-    other = mitsuba.converge(replace(view, light=quaternion_from_angles(30.0, -60.0, 20.0)), each.best.on)
+    peer = mitsuba_race.Mitsuba(scene, PictureSet(scene, 48, 3, 3).view(0))
+    best = peer.converge(view, each.best.on)
+    other = peer.converge(replace(view, light=quaternion_from_angles(30.0, -60.0, 20.0)), each.best.on)
     assert likeness([each], [best])["picture 1: likeness, difference"] < 0.1
     assert likeness([each], [other])["picture 1: likeness, difference"] > 0.15
-    mitsuba.converge(view, each.best.on)
-    reached = mitsuba.reach("multijitter", best, 0.05)
+    peer.converge(view, each.best.on)
+    reached = peer.reach("multijitter", best, 0.05)
     assert reached.error == pytest.approx(0.05, rel=0.25)

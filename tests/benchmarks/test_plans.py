@@ -5,12 +5,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from click.testing import CliRunner, Result
+from click.testing import Result
 
-from benchmarks import plans
-from benchmarks.plan_scenes import SCENES, load
-from benchmarks.plans import Bake, Row, main, table
-from isogi_core.plan.texels import TexelCount
+from benchmarks.accuracy import plans
+from benchmarks.accuracy.plans import Bake, Row, table
+from benchmarks.accuracy.scenes import PLANNED, load_planned
+from isogi_core.plan.reachable_texels import TexelCount
+from tests.benchmarks.parts import run as run_part
 
 LAMP = "constant light and a lamp"
 
@@ -25,38 +26,37 @@ def bare(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 def run(*names: str) -> Result:
     """What the benchmark prints of scenes."""
     chosen = [word for name in names for word in ("--scene", name)]
-    done = CliRunner().invoke(main, ["--size", "16", "--target", "0.5", *chosen, "--json"], catch_exceptions=False)
-    assert done.exit_code == 0, done.output
-    return done
+    return run_part(plans.plans, "--size", "16", "--target", "0.5", *chosen, "--json")
 
 
 def test_rows_tell_what_a_plan_takes_beside_s1() -> None:
-    constant, lamp = json.loads(run("constant light, no bounces", LAMP).stdout)
-    assert (constant["representation"], constant["bytes_per_texel"]) == ("vicinity", 4)
-    assert (lamp["scene"], lamp["representation"], lamp["by_s1"]) == (LAMP, "irradiance", None)
-    assert constant["by_plan"]["megabytes"] < constant["by_s1"]["megabytes"] / 3
-    assert constant["by_plan"]["error"] == pytest.approx(constant["by_s1"]["error"], abs=0.02)
-    for bake in (constant["by_plan"], constant["by_s1"], lamp["by_plan"]):
-        assert bake["seconds"] > 0.0 and 0.0 < bake["error"] < 0.25
+    bare = "constant light, no bounces"
+    found = json.loads(run(bare, LAMP).stdout)
+    assert (found[f"{bare}: representation"], found[f"{bare}: bytes a texel"]) == ("vicinity", 4)
+    assert found[f"{LAMP}: representation"] == "irradiance" and f"{LAMP}: S1: error, %" not in found
+    assert found[f"{bare}: plan: store, MB"] < found[f"{bare}: S1: store, MB"] / 3
+    assert found[f"{bare}: plan: error, %"] == pytest.approx(found[f"{bare}: S1: error, %"], abs=2.0)
+    for way in (f"{bare}: plan", f"{bare}: S1", f"{LAMP}: plan"):
+        assert found[f"{way}: bake, s"] > 0.0 and 0.0 < found[f"{way}: error, %"] < 25.0
 
 
 def test_one_isovalue_shows_fewer_texels_than_a_range() -> None:
     names = ("constant light, one isovalue", "constant light, a range of isovalues", "constant light")
-    one, some, every = (scene.texels for _, scene in load(names, 0.5))
+    one, some, every = (scene.texels for _, scene in load_planned(names, 0.5))
     assert 0 < one.shown < some.shown < every.shown <= every.total == one.total
 
 
-def test_scenes_under_probes_are_left_out_without_the_shared_data() -> None:
+def test_scenes_under_probes_need_the_shared_data() -> None:
     done = run("rotating grace")
-    assert json.loads(done.stdout) == []
+    assert json.loads(done.stdout) == {}
     assert "rotating grace: left out, as there are no shared data." in done.stderr
 
 
 @pytest.mark.data
 def test_all_scenes_are_there_with_the_shared_data(shared_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ISOGI_SHARED_DATA", str(shared_data))
-    scenes = dict(load(SCENES, 0.05))
-    assert list(scenes) == list(SCENES)
+    scenes = dict(load_planned(PLANNED, 0.05))
+    assert list(scenes) == list(PLANNED)
     found: dict[str, set[str]] = {"vicinity": set(), "constant": set(), "irradiance": set(), "transfer": set()}
     for name, scene in scenes.items():
         found[scene.plan.representation].add(name)
@@ -65,7 +65,7 @@ def test_all_scenes_are_there_with_the_shared_data(shared_data: Path, monkeypatc
     assert found["vicinity"] == {"constant light, no bounces"}
 
 
-def test_the_table_is_markdown_with_a_dash_where_there_is_no_figure() -> None:
+def test_the_table_is_markdown_with_a_dash_for_no_figure() -> None:
     row: dict[str, Any] = {"representation": "irradiance", "layers": "irradiance (half)", "bytes_per_texel": 4}
     row["texels"] = TexelCount(total=10**6, shown=500, void=0, chunks=245, shown_chunks=10, chunk=16)
     rows = [

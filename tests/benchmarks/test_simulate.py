@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import pytest
 
-from benchmarks.simulator.cluster import Conditions
-from benchmarks.simulator.recording import Recording, load
-from benchmarks.simulator.run import Site, Visits, batch, visit
-from benchmarks.simulator.visitors import Habits
+from benchmarks.scaling.simulator.cluster import Conditions
+from benchmarks.scaling.simulator.recording import Recording, load
+from benchmarks.scaling.simulator.run import Site, Visits, batch, visit
+from benchmarks.scaling.simulator.visitors import Habits
 
 HABITS = Habits(views=2, arrive=2.0, turns=2, think=1.0, patience=1e6, together=0.7)
 HARD = Conditions(4, latency=0.005, fail=0.02, tries=2, deaths=200.0)
@@ -27,8 +27,8 @@ def told(found: Visits) -> Visits:
 
 def check_nothing_is_left(place: Site) -> None:
     queue = place.baker._queue
-    assert not queue.wants and not queue._claimed and not queue._flying and not queue._held
-    assert place.baker.tally().flying == 0
+    assert not queue.requests and not queue._in_flight and not queue._held and not any(queue._interesting.values())
+    assert place.baker.tally().in_flight == 0
 
 
 @pytest.mark.parametrize("conditions", [Conditions(1), Conditions(8), HARD])

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from benchmarks.stiffness import Surface, figures, fit
+from benchmarks.accuracy.stiffness import Surface, figures, fit
 from isogi_core.plan.stiffness import Expectation
 
 

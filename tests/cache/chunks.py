@@ -5,15 +5,15 @@ from typing import Any
 
 import numpy as np
 
-from isogi_core.bake.look import Look, look_for
-from isogi_core.bake.recipe import Index, Recipe
+from isogi_core.bake.bake_spec import BakeSpec, spec_for
 from isogi_core.bake.refine import refine
 from isogi_core.cache.chunk import Chunk, Chunks
+from isogi_core.cache.chunk_store import ChunkStore
 from isogi_core.cache.layer import LayerStore
-from isogi_core.cache.store import ChunkStore
-from isogi_core.kernels.lattice import CHUNK
-from isogi_core.model.plan import Layer, ScenePlan
-from isogi_core.model.scene import load_scene
+from isogi_core.kernels.shading.lattice import CHUNK
+from isogi_core.model.scene_plan import Layer, ScenePlan
+from isogi_core.plan.assembly import load_scene
+from isogi_core.prepared.prepared_scene import Index, PreparedScene
 from tests.bake.texels import same
 
 SKY = {"type": "sky"}
@@ -31,20 +31,20 @@ PLAN = ScenePlan("transfer", (Layer("direct", 3), Layer("indirect", 2, 3, half=F
 """A plan of two layers that differ in all that they can."""
 
 
-def look_of(target: str | Path = "demo:orbital", shading: str = "gi", **settings: Any) -> Look:
+def spec_of(target: str | Path = "demo:orbital", shading: str = "gi", **settings: Any) -> BakeSpec:
     """A look at a small scene of two layers, direct and indirect light of order 2, unless told otherwise."""
     orders = {} if settings.get("lights") == [CONSTANT] else ORDERS
-    return look_for(Recipe(load_scene(target, **{**SETTINGS, **orders, **settings})), shading)
+    return spec_for(PreparedScene(load_scene(target, **{**SETTINGS, **orders, **settings})), shading)
 
 
-def baked(look: Look, index: Index, texels: int = 40, seed: int = 0, samples: int = 16) -> Chunk:
+def baked(spec: BakeSpec, index: Index, texels: int = 40, seed: int = 0, samples: int = 16) -> Chunk:
     """A chunk with real light in some of its texels."""
-    lattice = look.recipe.lattice
+    lattice = spec.prepared.lattice
     inside = lattice.positions(index, np.arange(lattice.texels))
     offsets = np.flatnonzero((inside < lattice.shape).all(axis=1))
     chosen = np.sort(np.random.default_rng(seed).choice(offsets, texels, replace=False))
-    chunk = Chunk.empty(index, look.plan).with_texels(chosen)
-    refine(chunk.light, inside[chosen], look, samples, 1e-3)
+    chunk = Chunk.empty(index, spec.plan).with_texels(chosen)
+    refine(chunk.light, inside[chosen], spec, samples, 1e-3)
     return chunk
 
 

@@ -2,11 +2,11 @@
 
 import pytest
 
-from isogi_core.bake.look import Look
-from tests.cache.chunks import look_of
+from isogi_core.bake.bake_spec import BakeSpec
+from tests.cache.chunks import spec_of
 
 
 @pytest.fixture(scope="module")
-def look() -> Look:
+def spec() -> BakeSpec:
     """A look of two layers."""
-    return look_of()
+    return spec_of()

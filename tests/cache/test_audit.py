@@ -11,22 +11,20 @@ import google_crc32c
 import numpy as np
 import pytest
 
-from isogi_core.bake.look import Look
+from isogi_core.bake.bake_spec import BakeSpec
 from isogi_core.bake.precision import VOID
-from isogi_core.bake.recipe import Index
-from isogi_core.cache.audit import LEFT_AFTER, Audit, Auditor
-from isogi_core.cache.census import census_of
 from isogi_core.cache.chunk import Chunk
+from isogi_core.cache.chunk_record import record_type
+from isogi_core.cache.chunk_store import STAMP_EVERY, ChunkStore, UseStamps
 from isogi_core.cache.costs import Cost, Costs
 from isogi_core.cache.inventory import CLAIMS
-from isogi_core.cache.pruning import BUSY, Wish, plan_of, prune
-from isogi_core.cache.record import record_type
-from isogi_core.cache.repair import Repairer
-from isogi_core.cache.store import ChunkStore
-from isogi_core.cache.use import STAMP_EVERY, Use
-from isogi_core.cache.wrapping import unwrap, wrap
+from isogi_core.cache.upkeep.audit import LEFT_AFTER, Audit, Auditor, Repairer
+from isogi_core.cache.upkeep.census import census_of
+from isogi_core.cache.upkeep.prune import BUSY, PruneRule, plan_prune, prune
 from isogi_core.errors import StoreError
-from tests.cache.chunks import TEXELS, assert_equal, baked, file_of, look_of, shown
+from isogi_core.prepared.prepared_scene import Index
+from isogi_core.storage.zarr_codec import unwrap, wrap
+from tests.cache.chunks import TEXELS, assert_equal, baked, file_of, shown, spec_of
 
 PLACES: tuple[Index, ...] = ((0, 1, 1), (1, 1, 1), (1, 2, 0), (2, 1, 2))
 DIRECT, INDIRECT = 0, 1
@@ -34,35 +32,35 @@ DAY = 86400.0
 
 
 @pytest.fixture(scope="module")
-def chunks(look: Look) -> list[Chunk]:
-    return [baked(look, index) for index in PLACES]
+def chunks(spec: BakeSpec) -> list[Chunk]:
+    return [baked(spec, index) for index in PLACES]
 
 
 @pytest.fixture
-def store(tmp_path: Path, look: Look, chunks: list[Chunk]) -> ChunkStore:
-    store = ChunkStore(tmp_path / "light", look)
+def chunk_store(tmp_path: Path, spec: BakeSpec, chunks: list[Chunk]) -> ChunkStore:
+    chunk_store = ChunkStore(tmp_path / "light", spec)
     for chunk in chunks:
-        store.save(chunk)
-    return store
+        chunk_store.save(chunk)
+    return chunk_store
 
 
-def audit_of(store: ChunkStore) -> Audit:
-    return Auditor(store.root).audit()
+def audit_of(chunk_store: ChunkStore) -> Audit:
+    return Auditor(chunk_store.store).audit()
 
 
-def key_of(store: ChunkStore, index: Index, layer: int = DIRECT) -> str:
-    return file_of(store.layers[layer], index).relative_to(store.root.place.folder).as_posix()
+def key_of(chunk_store: ChunkStore, index: Index, layer: int = DIRECT) -> str:
+    return file_of(chunk_store.layers[layer], index).relative_to(chunk_store.store.url.folder).as_posix()
 
 
-def contents(store: ChunkStore) -> dict[str, bytes]:
+def contents(chunk_store: ChunkStore) -> dict[str, bytes]:
     """All files by their keys."""
-    files = [path for path in store.root.place.folder.rglob("*") if path.is_file()]
-    return {path.relative_to(store.root.place.folder).as_posix(): path.read_bytes() for path in files}
+    files = [path for path in chunk_store.store.url.folder.rglob("*") if path.is_file()]
+    return {path.relative_to(chunk_store.store.url.folder).as_posix(): path.read_bytes() for path in files}
 
 
-def put(store: ChunkStore, index: Index, field: str, value: float) -> None:
+def put(chunk_store: ChunkStore, index: Index, field: str, value: float) -> None:
     """Fill a field of a record of direct light, and wrap it as if that was what was baked."""
-    own = store.layers[DIRECT]
+    own = chunk_store.layers[DIRECT]
     record = unwrap(own.read(index) or b"", own.size).copy().view(record_type(own.layer, TEXELS))
     record[field] = value
     file_of(own, index).write_bytes(wrap(record.view(np.uint8)))
@@ -76,13 +74,13 @@ def age(path: Path, seconds: float) -> None:
 # --- audit --------------------------------------------------------------------------------------------------------
 
 
-def test_a_sound_store_is_sound_and_is_left_as_it_is(store: ChunkStore) -> None:
-    before = contents(store)
-    audit, heard = Auditor(store.root), []
-    found = audit.audit(tell=lambda done, total: heard.append((done, total)))
+def test_a_sound_store_is_sound_and_is_left_as_it_is(chunk_store: ChunkStore) -> None:
+    before = contents(chunk_store)
+    audit, heard = Auditor(chunk_store.store), []
+    found = audit.audit(progress=lambda done, total: heard.append((done, total)))
     assert found.sound and (found.whole, found.unread, len(found.inventory.layers)) == (8, 0, 2)
     assert heard[0] == (0, 8) and heard[-1] == (8, 8)
-    assert contents(store) == before
+    assert contents(chunk_store) == before
 
 
 Damage = Callable[[ChunkStore, Path], object]
@@ -91,12 +89,12 @@ TEXT = b"light" + google_crc32c.value(b"light").to_bytes(4, "little")
 
 def copy_of(index: Index, layer: int) -> Damage:
     """Another object in the place of one."""
-    return lambda store, path: shutil.copy(file_of(store.layers[layer], index), path)
+    return lambda chunk_store, path: shutil.copy(file_of(chunk_store.layers[layer], index), path)
 
 
 def packed(field: str, value: float) -> Damage:
     """A record with a field that is not as it was packed."""
-    return lambda store, _: put(store, PLACES[0], field, value)
+    return lambda chunk_store, _: put(chunk_store, PLACES[0], field, value)
 
 
 DAMAGES: dict[str, tuple[Damage, str]] = {
@@ -113,179 +111,192 @@ DAMAGES: dict[str, tuple[Damage, str]] = {
 
 
 @pytest.mark.parametrize("damage", DAMAGES)
-def test_each_damage_is_found_told_and_put_away(store: ChunkStore, chunks: list[Chunk], damage: str) -> None:
+def test_each_damage_is_found_reported_and_moved(chunk_store: ChunkStore, chunks: list[Chunk], damage: str) -> None:
     do, why = DAMAGES[damage]
-    key, path = key_of(store, PLACES[0]), file_of(store.layers[DIRECT], PLACES[0])
-    do(store, path)
+    key, path = key_of(chunk_store, PLACES[0]), file_of(chunk_store.layers[DIRECT], PLACES[0])
+    do(chunk_store, path)
     content = path.read_bytes()
-    audit = audit_of(store)
+    audit = audit_of(chunk_store)
     assert [found.key for found in audit.damages] == [key] and why in audit.damages[0].why
     assert audit.whole == 7 and not audit.sound
-    repair = Repairer(store.root).repair()
+    repair = Repairer(chunk_store.store).repair()
     to = repair.moved[key]
     assert not path.exists() and to is not None and to.startswith(f"quarantine/{key}.")
-    assert Path(store.root.place.folder, to).read_bytes() == content
-    after = audit_of(store)
+    assert Path(chunk_store.store.url.folder, to).read_bytes() == content
+    after = audit_of(chunk_store)
     assert after.sound and after.whole == 7 and len(after.inventory.quarantined) == 1
-    store.save(chunks[0], [True, False])
-    assert_equal(store.load(PLACES[0]), chunks[0])
+    chunk_store.save(chunks[0], [True, False])
+    assert_equal(chunk_store.load(PLACES[0]), chunks[0])
 
 
-def test_layers_that_disagree_on_what_is_void_are_both_put_away(store: ChunkStore, chunks: list[Chunk]) -> None:
+def test_layers_that_disagree_on_void_texels_are_both_moved(chunk_store: ChunkStore, chunks: list[Chunk]) -> None:
     wrong = chunks[1].light.parts[INDIRECT].rows(np.arange(40))
     wrong.samples[7], wrong.coefficients[7], wrong.noise[7] = VOID, 0.0, 0.0
-    store.layers[INDIRECT].save(PLACES[1], chunks[1].offsets, wrong)
-    keys = {key_of(store, PLACES[1], layer) for layer in (DIRECT, INDIRECT)}
-    assert {damage.key for damage in audit_of(store).damages} == keys
-    assert set(Repairer(store.root, delete=True).repair().moved.items()) == {(key, None) for key in keys}
-    assert store.read(PLACES[1]) is None
-    assert audit_of(store).sound and not list(store.root.place.folder.glob("quarantine"))
+    chunk_store.layers[INDIRECT].save(PLACES[1], chunks[1].offsets, wrong)
+    keys = {key_of(chunk_store, PLACES[1], layer) for layer in (DIRECT, INDIRECT)}
+    assert {damage.key for damage in audit_of(chunk_store).damages} == keys
+    assert set(Repairer(chunk_store.store, delete=True).repair().moved.items()) == {(key, None) for key in keys}
+    assert chunk_store.read(PLACES[1]) is None
+    assert audit_of(chunk_store).sound and not list(chunk_store.store.url.folder.glob("quarantine"))
 
 
-def test_a_part_that_was_not_written_yet_is_no_quarrel(store: ChunkStore, chunks: list[Chunk]) -> None:
+def test_a_part_that_was_not_written_yet_is_no_quarrel(chunk_store: ChunkStore, chunks: list[Chunk]) -> None:
     """A kill between two layers: one has void texels, the other nothing of them yet."""
     void = chunks[2].light.parts[DIRECT].rows(np.arange(40))
     void.samples[:], void.coefficients[:], void.noise[:] = VOID, 0.0, 0.0
-    store.layers[DIRECT].save(PLACES[2], chunks[2].offsets, void)
-    file_of(store.layers[INDIRECT], PLACES[2]).unlink()
-    assert audit_of(store).sound
+    chunk_store.layers[DIRECT].save(PLACES[2], chunks[2].offsets, void)
+    file_of(chunk_store.layers[INDIRECT], PLACES[2]).unlink()
+    assert audit_of(chunk_store).sound
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", "null", '{"zarr_format": 3}', "missing", "shape"])
-def test_damaged_metadata_is_told_and_its_light_is_kept(store: ChunkStore, chunks: list[Chunk], text: str) -> None:
-    file = Path(store.layers[INDIRECT].path, "zarr.json")
+def test_damaged_metadata_is_reported_and_its_light_is_kept(
+    chunk_store: ChunkStore, chunks: list[Chunk], text: str
+) -> None:
+    file = Path(chunk_store.layers[INDIRECT].path, "zarr.json")
     facts = json.loads(file.read_text())
     file.write_text(json.dumps({**facts, "shape": [9, 9, 9, 9]}) if text == "shape" else text)
     if text == "missing":
         file.unlink()
-    audit = audit_of(store)
-    assert [damage.key for damage in audit.damages] == [f"{store.layers[INDIRECT].digest}/zarr.json"]
+    audit = audit_of(chunk_store)
+    assert [damage.key for damage in audit.damages] == [f"{chunk_store.layers[INDIRECT].digest}/zarr.json"]
     assert (audit.unread, audit.whole) == (4, 4)
-    Repairer(store.root).repair()
-    again = ChunkStore(store.root, store.look)
+    Repairer(chunk_store.store).repair()
+    again = ChunkStore(chunk_store.store, chunk_store.spec)
     again.open()
     for chunk in chunks:
         assert_equal(again.load(chunk.index), chunk)
-    assert audit_of(store).sound
+    assert audit_of(chunk_store).sound
 
 
-def test_an_object_outside_of_the_lattice_is_damage(store: ChunkStore) -> None:
-    path = file_of(store.layers[DIRECT], (3, 1, 1))
+def test_an_object_outside_of_the_lattice_is_damage(chunk_store: ChunkStore) -> None:
+    path = file_of(chunk_store.layers[DIRECT], (3, 1, 1))
     path.parent.mkdir(parents=True)
-    shutil.copy(file_of(store.layers[DIRECT], PLACES[0]), path)
-    assert [(found.key, "no such place" in found.why) for found in audit_of(store).damages] == [
-        (key_of(store, (3, 1, 1)), True)
+    shutil.copy(file_of(chunk_store.layers[DIRECT], PLACES[0]), path)
+    assert [(found.key, "no such place" in found.why) for found in audit_of(chunk_store).damages] == [
+        (key_of(chunk_store, (3, 1, 1)), True)
     ]
 
 
-def test_leftovers_go_once_they_are_old_and_what_is_foreign_stays(store: ChunkStore) -> None:
-    folder, root = file_of(store.layers[DIRECT], PLACES[0]).parent, store.root.place.folder
-    old, fresh, probe = folder / "0.12ab.partial", folder / "0.34cd.partial", root / "probe.12ab.partial"
-    claim = root / CLAIMS / f"{store.layers[DIRECT].digest}.1.1.1"
+def test_old_leftovers_go_and_foreign_objects_stay(chunk_store: ChunkStore) -> None:
+    folder, store = file_of(chunk_store.layers[DIRECT], PLACES[0]).parent, chunk_store.store.url.folder
+    old, fresh, probe = folder / "0.12ab.partial", folder / "0.34cd.partial", store / "probe.12ab.partial"
+    claim = store / CLAIMS / f"{chunk_store.layers[DIRECT].digest}.1.1.1"
     claim.parent.mkdir()
-    for path in (old, fresh, probe, claim, root / "notes.txt"):
+    for path in (old, fresh, probe, claim, store / "notes.txt"):
         path.write_bytes(b"half")
     for path in (old, probe, claim):
         age(path, LEFT_AFTER + 1.0)
-    audit = audit_of(store)
+    audit = audit_of(chunk_store)
     assert audit.sound and len(audit.inventory.leftovers) == 4
     assert [found.key for found in audit.inventory.foreign] == ["notes.txt"]
-    removed = {found.key for found in Repairer(store.root).repair().removed}
-    assert removed == {path.relative_to(root).as_posix() for path in (old, probe, claim)}
-    assert not any(path.exists() for path in (old, probe, claim)) and fresh.exists() and (root / "notes.txt").exists()
+    removed = {found.key for found in Repairer(chunk_store.store).repair().removed}
+    assert removed == {path.relative_to(store).as_posix() for path in (old, probe, claim)}
+    assert not any(path.exists() for path in (old, probe, claim)) and fresh.exists() and (store / "notes.txt").exists()
 
 
 # --- census and pruning -------------------------------------------------------------------------------------------
 
 
 @pytest.fixture
-def two(store: ChunkStore) -> ChunkStore:
+def two(chunk_store: ChunkStore) -> ChunkStore:
     """The store, with light of another albedo besides, which shares the direct layer, and the costs of both."""
-    other = ChunkStore(store.root, look_of(albedo=0.5))
-    other.save(baked(other.look, PLACES[0]))
-    for number, each in enumerate((store, other), 1):
-        costs = Costs(store.root, each.look.digest)
+    other = ChunkStore(chunk_store.store, spec_of(albedo=0.5))
+    other.save(baked(other.spec, PLACES[0]))
+    for number, each in enumerate((chunk_store, other), 1):
+        costs = Costs(chunk_store.store, each.spec.digest)
         costs.add(PLACES[0], Cost(float(number), 640, 40, 0.5))
         costs.save()
-    for path in store.root.place.folder.rglob("*"):
+    for path in chunk_store.store.url.folder.rglob("*"):
         if path.is_file():
             age(path, (10 if other.layers[INDIRECT].digest in path.parts else 2) * DAY)
     return other
 
 
-def test_the_census_tells_texels_and_costs(two: ChunkStore, store: ChunkStore) -> None:
-    census = census_of(store.root)
-    shared, own, other = store.layers[DIRECT].digest, store.layers[INDIRECT].digest, two.layers[INDIRECT].digest
+def test_the_census_tells_texels_and_costs(two: ChunkStore, chunk_store: ChunkStore) -> None:
+    census = census_of(chunk_store.store)
+    shared, own, other = (
+        chunk_store.layers[DIRECT].digest,
+        chunk_store.layers[INDIRECT].digest,
+        two.layers[INDIRECT].digest,
+    )
     assert {digest: len(count.files.chunks) for digest, count in census.counts.items()} == {shared: 4, own: 4, other: 1}
     assert [census.counts[own].lit, census.counts[own].paths, census.counts[other].lit] == [160, 2560, 40]
     assert {layers: cost.seconds for layers, cost in census.costs.items()} == {(shared, own): 1.0, (shared, other): 2.0}
-    assert not census_of(store.root, texels=False).counts[own].samples
+    assert not census_of(chunk_store.store, texels=False).counts[own].samples
 
 
-def wanted(store: ChunkStore, wish: Wish) -> set[str]:
+def wanted(chunk_store: ChunkStore, rule: PruneRule) -> set[str]:
     """Digests of the layers that go."""
-    return {count.files.digest for count in plan_of(census_of(store.root, False), wish, store.root.now()).going}
+    return {
+        count.files.digest
+        for count in plan_prune(census_of(chunk_store.store, False), rule, chunk_store.store.now()).going
+    }
 
 
-def test_what_is_pruned_is_what_was_asked_for(two: ChunkStore, store: ChunkStore) -> None:
-    every = {layer.digest for layer in (*store.layers, *two.layers)}
+def test_what_is_pruned_is_what_was_asked_for(two: ChunkStore, chunk_store: ChunkStore) -> None:
+    every = {layer.digest for layer in (*chunk_store.layers, *two.layers)}
     old = {two.layers[INDIRECT].digest}
-    assert wanted(store, Wish(older_than=5 * DAY)) == old
-    assert wanted(store, Wish(older_than=1 * DAY)) == every
-    assert wanted(store, Wish(older_than=20 * DAY)) == wanted(store, Wish(scene="nobody")) == set()
-    assert wanted(store, Wish(scene="orbital")) == every
-    size = sum(len(content) for key, content in contents(store).items() if not key.startswith(("costs", "isogi.json")))
-    assert wanted(store, Wish(keep=size)) == set()
-    assert wanted(store, Wish(keep=size - 1)) == old
-    assert wanted(store, Wish(keep=0)) == every
-    assert wanted(store, Wish(empty=True)) == set()
-    shutil.rmtree(Path(store.layers[INDIRECT].path, "c"))
-    assert wanted(store, Wish(empty=True)) == {store.layers[INDIRECT].digest}
+    assert wanted(chunk_store, PruneRule(older_than=5 * DAY)) == old
+    assert wanted(chunk_store, PruneRule(older_than=1 * DAY)) == every
+    assert (
+        wanted(chunk_store, PruneRule(older_than=20 * DAY)) == wanted(chunk_store, PruneRule(scene="nobody")) == set()
+    )
+    assert wanted(chunk_store, PruneRule(scene="orbital")) == every
+    size = sum(
+        len(content) for key, content in contents(chunk_store).items() if not key.startswith(("costs", "isogi.json"))
+    )
+    assert wanted(chunk_store, PruneRule(keep=size)) == set()
+    assert wanted(chunk_store, PruneRule(keep=size - 1)) == old
+    assert wanted(chunk_store, PruneRule(keep=0)) == every
+    assert wanted(chunk_store, PruneRule(empty=True)) == set()
+    shutil.rmtree(Path(chunk_store.layers[INDIRECT].path, "c"))
+    assert wanted(chunk_store, PruneRule(empty=True)) == {chunk_store.layers[INDIRECT].digest}
 
 
-def test_pruning_deletes_layers_with_their_costs_and_nothing_else(two: ChunkStore, store: ChunkStore) -> None:
-    census, before = census_of(store.root, False), contents(store)
-    prune(store.root, census, plan_of(census, Wish(older_than=5 * DAY), store.root.now()))
-    gone = (two.layers[INDIRECT].digest, f"costs/{two.look.digest}")
-    assert contents(store) == {key: content for key, content in before.items() if not key.startswith(gone)}
+def test_pruning_deletes_layers_with_their_costs_alone(two: ChunkStore, chunk_store: ChunkStore) -> None:
+    census, before = census_of(chunk_store.store, False), contents(chunk_store)
+    prune(chunk_store.store, census, plan_prune(census, PruneRule(older_than=5 * DAY), chunk_store.store.now()))
+    gone = (two.layers[INDIRECT].digest, f"costs/{two.spec.digest}")
+    assert contents(chunk_store) == {key: content for key, content in before.items() if not key.startswith(gone)}
     assert not Path(two.layers[INDIRECT].path).exists()
-    assert audit_of(store).sound
+    assert audit_of(chunk_store).sound
 
 
-def test_light_that_is_written_at_the_moment_or_was_just_looked_at_stays(two: ChunkStore, store: ChunkStore) -> None:
+def test_light_written_or_read_just_now_stays(two: ChunkStore, chunk_store: ChunkStore) -> None:
     old = two.layers[INDIRECT]
     age(file_of(old, PLACES[0]), BUSY / 2)
-    plan = plan_of(census_of(store.root, False), Wish(scene="orbital"), store.root.now())
+    plan = plan_prune(census_of(chunk_store.store, False), PruneRule(scene="orbital"), chunk_store.store.now())
     assert [count.files.digest for count in plan.busy] == [old.digest] and len(plan.going) == 2
     age(file_of(old, PLACES[0]), 10 * DAY)
-    Use(store.root, [old.digest])._stamp()
-    assert wanted(store, Wish(older_than=5 * DAY)) == set()
+    UseStamps(chunk_store.store, [old.digest])._stamp()
+    assert wanted(chunk_store, PruneRule(older_than=5 * DAY)) == set()
 
 
-def test_light_is_stamped_when_it_is_shown_and_seldom_again(store: ChunkStore) -> None:
+def test_light_is_stamped_when_it_is_shown_and_seldom_again(chunk_store: ChunkStore) -> None:
     now, stamped = [0.0], []
-    use = Use(store.root, ["0" * 20], lambda: now[0])
+    use = UseStamps(chunk_store.store, ["0" * 20], lambda: now[0])
     use._stamp = lambda: stamped.append(now[0])  # type: ignore[method-assign]
     for now[0] in (0.0, 1.0, STAMP_EVERY - 1.0, STAMP_EVERY, STAMP_EVERY + 1.0):
-        use.tell()
+        use.touch()
     deadline = time.monotonic() + 60.0
     while len(stamped) < 2 and time.monotonic() < deadline:
         time.sleep(0.01)
     assert stamped == [0.0, STAMP_EVERY]
-    shown(store, PLACES[0])
-    digests, used = {layer.digest for layer in store.layers}, store.root.place.folder / "used"
+    shown(chunk_store, PLACES[0])
+    digests, used = {layer.digest for layer in chunk_store.layers}, chunk_store.store.url.folder / "used"
     while not (used.exists() and {path.name for path in used.iterdir()} == digests):
         assert time.monotonic() < deadline
         time.sleep(0.01)
 
 
-def test_a_store_that_tells_no_ages_is_pruned_of_nothing(two: ChunkStore, store: ChunkStore) -> None:
-    census = census_of(store.root, False)
+def test_a_store_that_tells_no_ages_is_pruned_of_nothing(two: ChunkStore, chunk_store: ChunkStore) -> None:
+    census = census_of(chunk_store.store, False)
     for count in census.counts.values():
         count.files.chunks = {index: replace_age(found) for index, found in count.files.chunks.items()}
         count.files.metadata = None
-    with pytest.raises(StoreError, match="does not tell when"):
-        plan_of(census, Wish(older_than=DAY), 0.0)
+    with pytest.raises(StoreError, match="does not know when"):
+        plan_prune(census, PruneRule(older_than=DAY), 0.0)
 
 
 def replace_age(found):  # type: ignore[no-untyped-def]

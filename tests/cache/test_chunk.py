@@ -1,7 +1,7 @@
 import numpy as np
 
-from isogi_core.bake.light import Light, Part
 from isogi_core.bake.precision import VOID
+from isogi_core.bake.texel_light import Light, Part
 from isogi_core.cache.chunk import Chunk, Chunks
 from tests.bake.texels import same
 from tests.cache.chunks import PLAN

@@ -7,25 +7,25 @@ import numpy as np
 import pytest
 
 from isogi_core.cache.costs import SAVE_EVERY, Cost, Costs
-from isogi_core.cache.root import Root
+from isogi_core.storage.store import Store
 
 GROUP = '{"zarr_format": 3, "node_type": "group", "attributes": %s}'
 
 
 @pytest.fixture(params=["folder", "file://", "memory://"])
-def root(request: pytest.FixtureRequest, tmp_path: Path) -> str:
+def store(request: pytest.FixtureRequest, tmp_path: Path) -> str:
     roots = {"folder": str(tmp_path / "light"), "file://": f"file://{tmp_path}/light"}
     return roots.get(request.param, f"memory://{uuid.uuid4().hex}")
 
 
-def read(root: str | Path, digest: str = "digest") -> Costs:
-    costs = Costs(root, digest)
+def read(store: str | Path, digest: str = "digest") -> Costs:
+    costs = Costs(store, digest)
     costs.read()
     return costs
 
 
-def test_a_path_costs_what_it_did_in_its_chunk_or_else_what_is_common(root: str) -> None:
-    costs = read(root)
+def test_a_path_costs_its_chunks_rate_or_the_common_one(store: str) -> None:
+    costs = read(store)
     assert costs.rate((0, 0, 0)) is None
     costs.add((0, 0, 1), Cost(8.0, 80, 5, 8.0))
     costs.add((0, 0, 2), Cost(4.0, 80, 5, 4.0))
@@ -39,13 +39,13 @@ def test_a_path_costs_what_it_did_in_its_chunk_or_else_what_is_common(root: str)
     assert costs.total == Cost(153.5, 2476, 11, 20.0)
 
 
-def test_costs_are_known_after_a_restart(root: str) -> None:
-    costs = read(root)
+def test_costs_are_known_after_a_restart(store: str) -> None:
+    costs = read(store)
     costs.add((1, 20, 3), Cost(1.5, 100, 5, 0.1))
     costs.save()
-    again = read(root)
+    again = read(store)
     assert (again.rate((1, 20, 3)), again.total) == (pytest.approx(0.07), Cost(1.5, 100, 5, 0.1))
-    assert read(root, "other").total == Cost()
+    assert read(store, "other").total == Cost()
 
 
 def test_they_are_written_now_and_then(tmp_path: Path) -> None:
@@ -78,17 +78,17 @@ def test_what_is_damaged_counts_as_unknown(tmp_path: Path, text: str) -> None:
 
 
 def test_what_could_not_be_kept_is_kept_later(tmp_path: Path) -> None:
-    now, root = 0.0, tmp_path / "light"
-    root.write_text("not a folder")
-    costs = Costs(Root(root, clock=lambda: now), "digest", lambda: now)
+    now, store = 0.0, tmp_path / "light"
+    store.write_text("not a folder")
+    costs = Costs(Store(store, clock=lambda: now), "digest", lambda: now)
     costs.add((0, 0, 1), Cost(1.0, 100, 5, 0.5))
     costs.save()
-    root.unlink()
+    store.unlink()
     costs.save(at_once=False)
-    assert not root.exists()
+    assert not store.exists()
     now = SAVE_EVERY
     costs.save(at_once=False)
-    assert read(root).total == Cost(1.0, 100, 5, 0.5)
+    assert read(store).total == Cost(1.0, 100, 5, 0.5)
 
 
 def test_the_common_rate_is_the_median_however_chunks_change() -> None:
@@ -100,7 +100,7 @@ def test_the_common_rate_is_the_median_however_chunks_change() -> None:
         assert costs.rate((9, 9, 9)) == pytest.approx(np.median([each.rate for each in kept.values()]))
 
 
-def test_a_store_that_cannot_keep_them_is_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_store_that_takes_no_costs_is_logged(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     (tmp_path / "light").write_text("not a folder")
     costs = read(tmp_path / "light")
     costs.add((0, 0, 1), Cost(1.0, 100, 5, 0.5))

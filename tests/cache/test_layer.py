@@ -16,18 +16,18 @@ import pytest
 import zarr
 from numcodecs.zstd import Zstd
 
-from isogi_core.bake.light import Light, Part
-from isogi_core.bake.look import Look
+from isogi_core.bake.bake_spec import BakeSpec
 from isogi_core.bake.precision import VOID
-from isogi_core.bake.recipe import Index
+from isogi_core.bake.texel_light import Light, Part
 from isogi_core.cache.chunk import Chunk
-from isogi_core.cache.facts import facts_in
+from isogi_core.cache.chunk_record import facts_in
 from isogi_core.cache.layer import LayerStore, joined
-from isogi_core.cache.place import Place
-from isogi_core.cache.shelf import Found
 from isogi_core.errors import DamagedChunkError, StoreError, StoreReadOnlyError
+from isogi_core.prepared.prepared_scene import Index
+from isogi_core.storage.backend import StoredObject
+from isogi_core.storage.url import StoreUrl
 from tests.bake.texels import same
-from tests.cache.chunks import CONSTANT, TEXELS, baked, file_of, look_of
+from tests.cache.chunks import CONSTANT, TEXELS, baked, file_of, spec_of
 from tests.s3 import S3Server
 
 INNER, EDGE = (1, 1, 1), (2, 1, 2)
@@ -36,13 +36,13 @@ DIRECT, INDIRECT = 0, 1
 
 
 @pytest.fixture
-def layer(tmp_path: Path, look: Look) -> LayerStore:
+def layer(tmp_path: Path, spec: BakeSpec) -> LayerStore:
     """The store of indirect light: whose digest has all that any layer's has."""
-    return layer_of(tmp_path, look)
+    return layer_of(tmp_path, spec)
 
 
-def layer_of(root: str | Path, look: Look, number: int = INDIRECT) -> LayerStore:
-    return LayerStore(root, look.recipe, look.plan.layers[number])
+def layer_of(store: str | Path, spec: BakeSpec, number: int = INDIRECT) -> LayerStore:
+    return LayerStore(store, spec.prepared, spec.plan.layers[number])
 
 
 def save(layer: LayerStore, chunk: Chunk, number: int = INDIRECT) -> None:
@@ -59,8 +59,8 @@ def found(layer: LayerStore, chunk: Chunk, number: int = INDIRECT) -> bool:
 # --- what it is ---------------------------------------------------------------------------------------------------
 
 
-def test_the_metadata_keeps_the_promises(layer: LayerStore, look: Look) -> None:
-    save(layer, baked(look, INNER))
+def test_the_metadata_keeps_the_promises(layer: LayerStore, spec: BakeSpec) -> None:
+    save(layer, baked(spec, INNER))
     facts = json.loads(Path(layer.path, "zarr.json").read_text())
     assert (facts["zarr_format"], facts["node_type"], facts["data_type"]) == (3, "array", "uint8")
     assert [codec["name"] for codec in facts["codecs"]] == ["bytes", "zstd", "crc32c"]
@@ -71,34 +71,34 @@ def test_the_metadata_keeps_the_promises(layer: LayerStore, look: Look) -> None:
 
 
 def test_a_layer_of_several_albedos_is_read_as_it_was_written(tmp_path: Path) -> None:
-    look = look_of(albedo=0.3, albedos=(0.0, 0.9))
-    layer = layer_of(tmp_path, look)
-    save(layer, baked(look, INNER))
+    spec = spec_of(albedo=0.3, albedos=(0.0, 0.9))
+    layer = layer_of(tmp_path, spec)
+    save(layer, baked(spec, INNER))
     metadata = Path(layer.path, "zarr.json").read_bytes()
-    assert facts_in(metadata).layer == look.plan.layers[INDIRECT] and look.plan.nodes
-    assert json.loads(metadata)["attributes"]["isogi"]["albedo"] == list(look.plan.nodes)
-    fixed = layer_of(tmp_path, look, DIRECT)
-    save(fixed, baked(look, INNER), DIRECT)
+    assert facts_in(metadata).layer == spec.plan.layers[INDIRECT] and spec.plan.nodes
+    assert json.loads(metadata)["attributes"]["isogi"]["albedo"] == list(spec.plan.nodes)
+    fixed = layer_of(tmp_path, spec, DIRECT)
+    save(fixed, baked(spec, INNER), DIRECT)
     older = json.loads(Path(fixed.path, "zarr.json").read_bytes())
     del older["attributes"]["isogi"]["nodes"]
-    assert facts_in(json.dumps(older).encode()).layer == look.plan.layers[DIRECT], "as it was before there were any"
+    assert facts_in(json.dumps(older).encode()).layer == spec.plan.layers[DIRECT], "as it was before there were any"
 
 
-def test_a_chunk_is_one_object_under_its_own_key(layer: LayerStore, look: Look) -> None:
-    save(layer, baked(look, EDGE))
-    root, digest = layer.root.place.folder, look.recipe.scene.layer_digest(layer.layer)
-    files = {path.relative_to(root).as_posix() for path in root.rglob("*") if path.is_file()}
+def test_a_chunk_is_one_object_under_its_own_key(layer: LayerStore, spec: BakeSpec) -> None:
+    save(layer, baked(spec, EDGE))
+    store, digest = layer.store.url.folder, spec.prepared.scene.layer_digest(layer.layer)
+    files = {path.relative_to(store).as_posix() for path in store.rglob("*") if path.is_file()}
     assert files == {"isogi.json", f"{digest}/zarr.json", f"{digest}/c/2/1/2/0"}
-    assert sorted(layer.root.keys(digest)) == [f"{digest}/c/2/1/2/0", f"{digest}/zarr.json"]
-    assert layer.root.layers() == [digest]
+    assert sorted(layer.store.keys(digest)) == [f"{digest}/c/2/1/2/0", f"{digest}/zarr.json"]
+    assert layer.store.layers() == [digest]
 
 
-def test_the_attributes_say_whose_light_it_is(tmp_path: Path, look: Look) -> None:
-    scene = look.recipe.scene
-    facts = [layer_of(tmp_path, look, number).array.attrs.asdict()["isogi"] for number in (DIRECT, INDIRECT)]
-    for own, layer in zip(facts, look.plan.layers, strict=True):
+def test_the_attributes_say_whose_light_it_is(tmp_path: Path, spec: BakeSpec) -> None:
+    scene = spec.prepared.scene
+    facts = [layer_of(tmp_path, spec, number).array.attrs.asdict()["isogi"] for number in (DIRECT, INDIRECT)]
+    for own, layer in zip(facts, spec.plan.layers, strict=True):
         assert own["volume_digest"] == scene.volume.digest
-        assert own["texels"] == [39, 39, 39] and own["step"] == look.recipe.step.tolist()
+        assert own["texels"] == [39, 39, 39] and own["step"] == spec.prepared.step.tolist()
         assert {name: own[name] for name in vars(layer)} == {**vars(layer), "nodes": []}
     assert [own["kind"] for own in facts] == ["direct", "indirect"]
     assert [own["albedo"] for own in facts] == [None, [0.7, 0.7, 0.7]]
@@ -106,11 +106,11 @@ def test_the_attributes_say_whose_light_it_is(tmp_path: Path, look: Look) -> Non
 
 
 @pytest.mark.parametrize("chunk", [8, 32])
-def test_light_in_chunks_of_another_size_lies_elsewhere(tmp_path: Path, look: Look, chunk: int) -> None:
-    other = look_of(chunk=chunk)
+def test_light_in_chunks_of_another_size_lies_elsewhere(tmp_path: Path, spec: BakeSpec, chunk: int) -> None:
+    other = spec_of(chunk=chunk)
     layer, baked_one = layer_of(tmp_path, other), baked(other, (1, 0, 1))
     save(layer, baked_one)
-    assert found(layer, baked_one) and layer.path != layer_of(tmp_path, look).path
+    assert found(layer, baked_one) and layer.path != layer_of(tmp_path, spec).path
     assert layer.array.shape == (*[-(-39 // chunk)] * 3, layer.size)
     assert layer.array.attrs.asdict()["isogi"]["chunk"] == chunk
 
@@ -121,9 +121,9 @@ def test_light_in_chunks_of_another_size_lies_elsewhere(tmp_path: Path, look: Lo
 )
 def test_plain_numpy_reads_what_the_attributes_describe(tmp_path: Path, settings: dict[str, Any]) -> None:
     """A reader that has Zarr and NumPy and no isogi."""
-    look = look_of(**settings)
-    chunk = baked(look, EDGE, samples=64)
-    layer = layer_of(tmp_path, look)
+    spec = spec_of(**settings)
+    chunk = baked(spec, EDGE, samples=64)
+    layer = layer_of(tmp_path, spec)
     save(layer, chunk)
     array = zarr.open_array(layer.path, mode="r")
     facts = array.attrs.asdict()["isogi"]
@@ -149,10 +149,10 @@ def test_plain_numpy_reads_what_the_attributes_describe(tmp_path: Path, settings
 
 
 @pytest.mark.parametrize("index", [INNER, EDGE])
-def test_empty_chunks_are_written_too(layer: LayerStore, look: Look, index: tuple[int, int, int]) -> None:
-    for used in (layer, layer_of(layer.root.place, look)):
-        save(used, Chunk.empty(index, look.plan))
-        assert found(used, Chunk.empty(index, look.plan))
+def test_empty_chunks_are_written_too(layer: LayerStore, spec: BakeSpec, index: tuple[int, int, int]) -> None:
+    for used in (layer, layer_of(layer.store.url, spec)):
+        save(used, Chunk.empty(index, spec.plan))
+        assert found(used, Chunk.empty(index, spec.plan))
         file_of(used, index).unlink()
         assert used.read(index) is None
 
@@ -180,18 +180,20 @@ DAMAGES: dict[str, Damage] = {
 
 @pytest.mark.parametrize("index", [INNER, EDGE])
 @pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
-def test_damage_is_found_and_healed(layer: LayerStore, look: Look, damage: Damage, index: tuple[int, int, int]) -> None:
-    save(layer, baked(look, index))
+def test_damage_is_found_and_healed(
+    layer: LayerStore, spec: BakeSpec, damage: Damage, index: tuple[int, int, int]
+) -> None:
+    save(layer, baked(spec, index))
     whole = file_of(layer, index).read_bytes()
     file_of(layer, index).write_bytes(damage(whole))
     with pytest.raises(DamagedChunkError, match=r"is damaged: .*baked again\.$"):
         layer.decode(index, layer.read(index) or b"")
-    save(layer, baked(look, index))
+    save(layer, baked(spec, index))
     assert file_of(layer, index).read_bytes() == whole
 
 
-def test_every_single_flipped_bit_is_found(layer: LayerStore, look: Look) -> None:
-    save(layer, baked(look, INNER, texels=4))
+def test_every_single_flipped_bit_is_found(layer: LayerStore, spec: BakeSpec) -> None:
+    save(layer, baked(spec, INNER, texels=4))
     whole = layer.read(INNER) or b""
     assert len(whole) > 100
     for bit in range(8 * len(whole)):
@@ -201,9 +203,9 @@ def test_every_single_flipped_bit_is_found(layer: LayerStore, look: Look) -> Non
             layer.decode(INNER, bytes(flipped))
 
 
-def test_an_object_under_another_chunks_key_is_refused(layer: LayerStore, look: Look) -> None:
+def test_an_object_under_another_chunks_key_is_refused(layer: LayerStore, spec: BakeSpec) -> None:
     for index in (INNER, EDGE):
-        save(layer, baked(look, index))
+        save(layer, baked(spec, index))
     a, b = (file_of(layer, index).read_bytes() for index in (INNER, EDGE))
     for index, stored in ((INNER, b), (EDGE, a)):
         file_of(layer, index).write_bytes(stored)
@@ -225,16 +227,16 @@ def test_an_object_under_another_chunks_key_is_refused(layer: LayerStore, look: 
     ],
 )
 def test_an_object_of_another_scene_is_refused(layer: LayerStore, tmp_path: Path, other: dict[str, Any]) -> None:
-    strange = look_of(**other)
+    strange = spec_of(**other)
     stranger = layer_of(tmp_path / "other", strange, -1)
     save(stranger, baked(strange, INNER, texels=500), -1)
     with pytest.raises(DamagedChunkError):
         layer.decode(INNER, stranger.read(INNER) or b"")
 
 
-def test_an_object_in_another_layers_folder_is_refused(layer: LayerStore, look: Look) -> None:
+def test_an_object_in_another_layers_folder_is_refused(layer: LayerStore, spec: BakeSpec) -> None:
     """Direct and indirect light of the same scene, the same order and so the same number of bytes."""
-    direct, chunk = layer_of(layer.root.place, look, DIRECT), baked(look, INNER)
+    direct, chunk = layer_of(layer.store.url, spec, DIRECT), baked(spec, INNER)
     assert direct.size == layer.size
     save(direct, chunk, DIRECT)
     save(layer, chunk)
@@ -251,21 +253,23 @@ MANY: tuple[Index, ...] = (INNER, EDGE, (0, 0, 0), (0, 1, 2), (1, 0, 0))
 
 def decoded(layer: LayerStore, stored: list[bytes | None]) -> tuple[list[tuple[Index, np.ndarray, Part]], list[str]]:
     """What is found in objects of MANY together, chunk by chunk, and what is told of them."""
-    told: list[str] = []
-    places, part = layer.decode_all(MANY, stored, lambda error: told.append(str(error)))
+    raised: list[str] = []
+    places, part = layer.decode_all(MANY, stored, lambda error: raised.append(str(error)))
     assert places.dtype == np.int32 and (np.diff(places) > 0).all()
     number, offset = np.divmod(places, TEXELS)
-    return [(MANY[i], offset[number == i], part.rows(number == i)) for i in range(len(MANY))], told
+    return [(MANY[i], offset[number == i], part.rows(number == i)) for i in range(len(MANY))], raised
 
 
 @pytest.mark.parametrize("number", [DIRECT, INDIRECT])
 @pytest.mark.parametrize("absent", [(), (0,), (4,), (1, 2), range(5)])
-def test_many_chunks_are_decoded_as_each_alone(tmp_path: Path, look: Look, absent: Sequence[int], number: int) -> None:
-    layer = layer_of(tmp_path, look, number)
+def test_many_chunks_are_decoded_as_each_alone(
+    tmp_path: Path, spec: BakeSpec, absent: Sequence[int], number: int
+) -> None:
+    layer = layer_of(tmp_path, spec, number)
     for i, index in enumerate(MANY):
-        save(layer, baked(look, index, texels=30 + i, seed=i), number)
-    found, told = decoded(layer, [None if i in absent else layer.read(index) for i, index in enumerate(MANY)])
-    assert not told
+        save(layer, baked(spec, index, texels=30 + i, seed=i), number)
+    found, raised = decoded(layer, [None if i in absent else layer.read(index) for i, index in enumerate(MANY)])
+    assert not raised
     for i, (index, offsets, part) in enumerate(found):
         alone, own = layer.decode(index, layer.read(index) or b"")
         assert np.array_equal(offsets, [] if i in absent else alone)
@@ -274,11 +278,11 @@ def test_many_chunks_are_decoded_as_each_alone(tmp_path: Path, look: Look, absen
 
 @pytest.mark.parametrize("damaged", [(0,), (4,), (1, 3), range(5)])
 @pytest.mark.parametrize("damage", [*DAMAGES.values(), "shorter", "another's"], ids=[*DAMAGES, "shorter", "another's"])
-def test_those_of_many_chunks_that_are_damaged_are_told_and_left_out(
-    layer: LayerStore, look: Look, damage: Damage | str, damaged: Sequence[int]
+def test_damaged_chunks_among_many_are_reported_and_left_out(
+    layer: LayerStore, spec: BakeSpec, damage: Damage | str, damaged: Sequence[int]
 ) -> None:
     for i, index in enumerate(MANY):
-        save(layer, baked(look, index, texels=30 + i, seed=i))
+        save(layer, baked(spec, index, texels=30 + i, seed=i))
     whole = [layer.read(index) or b"" for index in MANY]
     stored: list[bytes | None] = [*whole]
     for i in damaged:
@@ -286,8 +290,8 @@ def test_those_of_many_chunks_that_are_damaged_are_told_and_left_out(
             stored[i] = packed(np.asarray(zarr.open_array(layer.path, mode="r")[(*MANY[i], slice(None))])[:-10])
         else:
             stored[i] = whole[i - 1] if isinstance(damage, str) else damage(whole[i])
-    found, told = decoded(layer, stored)
-    assert [str(MANY[i]) in why for i, why in zip(damaged, told, strict=True)]
+    found, raised = decoded(layer, stored)
+    assert [str(MANY[i]) in why for i, why in zip(damaged, raised, strict=True)]
     for i, (index, offsets, part) in enumerate(found):
         alone, own = layer.decode(index, whole[i])
         assert np.array_equal(offsets, [] if i in damaged else alone)
@@ -301,16 +305,16 @@ def packed(record: np.ndarray) -> bytes:
 
 
 @pytest.mark.parametrize("size", [0, 36, -1, 1 << 24])
-def test_an_object_that_unpacks_to_another_size_is_refused(layer: LayerStore, look: Look, size: int) -> None:
-    save(layer, baked(look, INNER))
+def test_an_object_that_unpacks_to_another_size_is_refused(layer: LayerStore, spec: BakeSpec, size: int) -> None:
+    save(layer, baked(spec, INNER))
     record = np.asarray(zarr.open_array(layer.path, mode="r")[(*INNER, slice(None))])
     assert layer.decode(INNER, packed(record))[0].size == 40
     with pytest.raises(DamagedChunkError, match="unpack"):
         layer.decode(INNER, packed(np.resize(record, size if size >= 0 else len(record) + size)))
 
 
-def test_left_over_partial_files_are_ignored(layer: LayerStore, look: Look) -> None:
-    chunk = baked(look, INNER)
+def test_left_over_partial_files_are_ignored(layer: LayerStore, spec: BakeSpec) -> None:
+    chunk = baked(spec, INNER)
     save(layer, chunk)
     for index in (INNER, EDGE):
         file_of(layer, index).parent.mkdir(parents=True, exist_ok=True)
@@ -323,11 +327,11 @@ def test_left_over_partial_files_are_ignored(layer: LayerStore, look: Look) -> N
 
 
 @pytest.mark.parametrize("text", ["", "{", '{"zarr_format": 3, "node_ty', "[]", "null", "\0\0\0", '{"zarr_format": 3}'])
-def test_cut_metadata_is_told_in_one_sentence(layer: LayerStore, look: Look, text: str) -> None:
-    save(layer, baked(look, INNER))
+def test_cut_metadata_is_refused_in_one_sentence(layer: LayerStore, spec: BakeSpec, text: str) -> None:
+    save(layer, baked(spec, INNER))
     Path(layer.path, "zarr.json").write_text(text)
-    again = layer_of(layer.root.place, look)
-    for use in (lambda: again.array, lambda: again.read(INNER), lambda: save(again, baked(look, INNER))):
+    again = layer_of(layer.store.url, spec)
+    for use in (lambda: again.array, lambda: again.read(INNER), lambda: save(again, baked(spec, INNER))):
         with pytest.raises(StoreError) as caught:
             use()
         assert layer.path in str(caught.value)
@@ -356,59 +360,61 @@ def change(path: Path, *keys: str, to: Any) -> None:
         (("node_type",), "group"),
     ],
 )
-def test_metadata_of_something_else_is_refused(layer: LayerStore, look: Look, keys: tuple[str, ...], to: Any) -> None:
-    save(layer, baked(look, INNER))
+def test_metadata_of_something_else_is_refused(
+    layer: LayerStore, spec: BakeSpec, keys: tuple[str, ...], to: Any
+) -> None:
+    save(layer, baked(spec, INNER))
     change(Path(layer.path, "zarr.json"), *keys, to=to)
     with pytest.raises(StoreError, match="move that folder away"):
-        layer_of(layer.root.place, look).read(INNER)
+        layer_of(layer.store.url, spec).read(INNER)
 
 
-def test_a_deleted_layer_reads_as_absent_and_is_made_again(layer: LayerStore, look: Look) -> None:
-    chunk = baked(look, INNER)
+def test_a_deleted_layer_reads_as_absent_and_is_made_again(layer: LayerStore, spec: BakeSpec) -> None:
+    chunk = baked(spec, INNER)
     save(layer, chunk)
     shutil.rmtree(layer.path)
     assert layer.read(INNER) is None
     save(layer, chunk)
-    assert found(layer_of(layer.root.place, look), chunk)
+    assert found(layer_of(layer.store.url, spec), chunk)
 
 
 # --- who may write, and who writes at once ------------------------------------------------------------------------
 
 
 @pytest.fixture
-def sealed(look: Look) -> Iterator[Path]:
+def sealed(spec: BakeSpec) -> Iterator[Path]:
     """A store that this process may read and not write, with one chunk in it."""
-    root = Path(tempfile.mkdtemp())
-    save(layer_of(root, look), baked(look, INNER))
-    folders = [path for path in (root, *root.rglob("*")) if path.is_dir()]
+    store = Path(tempfile.mkdtemp())
+    save(layer_of(store, spec), baked(spec, INNER))
+    folders = [path for path in (store, *store.rglob("*")) if path.is_dir()]
     for folder in folders:
         folder.chmod(0o555)
     was_root = os.geteuid() == 0
     if was_root:
         os.seteuid(NOBODY)
-    yield root
+    yield store
     if was_root:
         os.seteuid(0)
     for folder in folders:
         folder.chmod(0o755)
-    shutil.rmtree(root)
+    shutil.rmtree(store)
 
 
-def test_a_store_that_cannot_be_written_is_read(sealed: Path, look: Look) -> None:
-    layer, chunk = layer_of(sealed, look), baked(look, INNER)
+def test_a_store_that_cannot_be_written_is_read(sealed: Path, spec: BakeSpec) -> None:
+    layer, chunk = layer_of(sealed, spec), baked(spec, INNER)
     assert found(layer, chunk)
     with pytest.raises(StoreError, match=r"Cannot write .*/c/2/1/2/0 .*Permission denied"):
-        save(layer, Chunk.empty(EDGE, look.plan))
+        save(layer, Chunk.empty(EDGE, spec.plan))
     assert found(layer, chunk)
-    more = layer_of(sealed / "more", look)
-    assert more.read(INNER) is None and more.root.read_only
+    more = layer_of(sealed / "more", spec)
+    assert more.read(INNER) is None and more.store.read_only
     with pytest.raises(StoreReadOnlyError, match="can only be read"):
         save(more, chunk)
 
 
-def test_one_chunk_written_from_two_threads_is_always_whole(layer: LayerStore, look: Look) -> None:
+def test_one_chunk_written_from_two_threads_is_always_whole(layer: LayerStore, spec: BakeSpec) -> None:
     """And has the light of both once both have written."""
-    versions = [baked(look, EDGE, texels=300, seed=seed) for seed in (1, 2)]
+    versions = [baked(spec, EDGE, texels=300, seed=seed) for seed in (1, 2)]
     mine, other = ((chunk.offsets, chunk.light.parts[INDIRECT]) for chunk in versions)
     offsets, both = joined(*mine, *other)
     save(layer, versions[0])
@@ -430,28 +436,28 @@ def test_one_chunk_written_from_two_threads_is_always_whole(layer: LayerStore, l
 
 
 @pytest.fixture(params=["folder", "s3"])
-def place(request: pytest.FixtureRequest, tmp_path: Path) -> Place:
+def place(request: pytest.FixtureRequest, tmp_path: Path) -> StoreUrl:
     """Where many write: on the disk and in a bucket."""
     if request.param == "folder":
-        return Place(str(tmp_path))
-    return Place(request.getfixturevalue("s3").url, seconds=2.0, retries=1)
+        return StoreUrl(str(tmp_path))
+    return StoreUrl(request.getfixturevalue("s3").url, seconds=2.0, retries=1)
 
 
 @pytest.mark.parametrize("stale", [16, 64])
-def test_of_two_writers_neither_undoes_what_the_other_has_added(place: Place, look: Look, stale: int) -> None:
+def test_two_writers_do_not_undo_each_other(place: StoreUrl, spec: BakeSpec, stale: int) -> None:
     """One reads, the other writes more samples and other texels, and the first writes after that."""
-    mine, theirs = baked(look, EDGE, samples=stale), baked(look, EDGE, texels=60, seed=1, samples=32)
-    slow, quick = (LayerStore(place, look.recipe, look.plan.layers[INDIRECT]) for _ in range(2))
-    save(slow, baked(look, EDGE))
-    get, late = slow.root.get, [theirs]
+    mine, theirs = baked(spec, EDGE, samples=stale), baked(spec, EDGE, texels=60, seed=1, samples=32)
+    slow, quick = (LayerStore(place, spec.prepared, spec.plan.layers[INDIRECT]) for _ in range(2))
+    save(slow, baked(spec, EDGE))
+    get, late = slow.store.get, [theirs]
 
-    def get_and_wait(key: str) -> Found | None:
+    def get_and_wait(key: str) -> StoredObject | None:
         read = get(key)
         if late and "/c/" in key:
             save(quick, late.pop())
         return read
 
-    slow.root.get = get_and_wait  # type: ignore[method-assign]
+    slow.store.get = get_and_wait  # type: ignore[method-assign]
     save(slow, mine)
     offsets, part = slow.decode(EDGE, slow.read(EDGE) or b"")
     assert np.array_equal(offsets, np.union1d(mine.offsets, theirs.offsets))
@@ -462,15 +468,17 @@ def test_of_two_writers_neither_undoes_what_the_other_has_added(place: Place, lo
         assert same(Light((part.rows(rows[kept]),)), Light((own.rows(kept),))) and kept.any()
 
 
-def test_light_that_is_there_already_is_not_written(place: Place, look: Look, monkeypatch: pytest.MonkeyPatch) -> None:
-    layer = LayerStore(place, look.recipe, look.plan.layers[INDIRECT])
-    save(layer, baked(look, EDGE, samples=64))
-    monkeypatch.setattr(layer.root, "put", lambda *_: pytest.fail("the store was written"))
-    save(layer, baked(look, EDGE, samples=16))
+def test_light_that_is_there_already_is_not_written(
+    place: StoreUrl, spec: BakeSpec, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    layer = LayerStore(place, spec.prepared, spec.plan.layers[INDIRECT])
+    save(layer, baked(spec, EDGE, samples=64))
+    monkeypatch.setattr(layer.store, "put", lambda *_: pytest.fail("the store was written"))
+    save(layer, baked(spec, EDGE, samples=16))
 
 
-def test_a_write_whose_answer_was_lost_has_been_done(s3: S3Server, look: Look) -> None:
-    layer, chunk = layer_of(s3.url, look), baked(look, EDGE)
+def test_a_write_whose_answer_was_lost_has_been_done(s3: S3Server, spec: BakeSpec) -> None:
+    layer, chunk = layer_of(s3.url, spec), baked(spec, EDGE)
     layer.open()
     faults = iter(["lost"])
     s3.fault = lambda call: next(faults, None) if call.method == "PUT" else None  # type: ignore[return-value]
@@ -478,8 +486,8 @@ def test_a_write_whose_answer_was_lost_has_been_done(s3: S3Server, look: Look) -
     assert found(layer, chunk)
 
 
-def test_void_texels_stay_void_whoever_comes_last(look: Look) -> None:
-    part, other = (Part.dark(look.plan.layers[INDIRECT], 3) for _ in range(2))
+def test_void_texels_stay_void_whoever_comes_last(spec: BakeSpec) -> None:
+    part, other = (Part.dark(spec.plan.layers[INDIRECT], 3) for _ in range(2))
     part.samples[:], other.samples[:] = (VOID, 16, 16), (32, VOID, 8)
     ours, theirs = np.array([1, 2, 3], np.int32), np.array([1, 2, 4], np.int32)
     for first, second in (((ours, part), (theirs, other)), ((theirs, other), (ours, part))):
@@ -487,8 +495,8 @@ def test_void_texels_stay_void_whoever_comes_last(look: Look) -> None:
         assert (offsets.tolist(), both.samples.tolist()) == ([1, 2, 3, 4], [VOID, VOID, 16, 8])
 
 
-def test_one_record_holds_a_whole_chunk(layer: LayerStore, look: Look) -> None:
-    part = Part.dark(look.plan.layers[INDIRECT], TEXELS)
+def test_one_record_holds_a_whole_chunk(layer: LayerStore, spec: BakeSpec) -> None:
+    part = Part.dark(spec.plan.layers[INDIRECT], TEXELS)
     part.samples[:] = 1 << 20
     part.coefficients[:] = np.random.default_rng(1).random(part.coefficients.shape, np.float32).astype(np.float16)
     layer.save(INNER, np.arange(TEXELS, dtype=np.int32), part)

@@ -11,15 +11,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from isogi_core.bake.look import Look
-from isogi_core.bake.recipe import Index
+from isogi_core.bake.bake_spec import BakeSpec
 from isogi_core.bake.refine import refine
 from isogi_core.cache import loader as loading
+from isogi_core.cache.chunk_store import ChunkStore
 from isogi_core.cache.loader import AHEAD, ASK_AGAIN, Loader, ahead
-from isogi_core.cache.pages import PagePool
-from isogi_core.cache.place import Place
-from isogi_core.cache.store import ChunkStore
+from isogi_core.cache.page_pool import PagePool
 from isogi_core.errors import Cancelled, StoreAwayError, StoreError
+from isogi_core.frame.tiles import Tiles
+from isogi_core.prepared.prepared_scene import Index
+from isogi_core.storage.url import StoreUrl
 from tests.cache.chunks import file_of
 from tests.s3 import Call, S3Server
 
@@ -44,22 +45,22 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
 
 
 @pytest.fixture
-def loader(tmp_path: Path, look: Look, clock: Clock) -> Loader:
-    return Loader(ChunkStore(tmp_path, look), PagePool(look, 1 << 22))
+def loader(tmp_path: Path, spec: BakeSpec, clock: Clock) -> Loader:
+    return Loader(ChunkStore(tmp_path, spec), PagePool(spec, 1 << 22))
 
 
 def bake(loader: Loader, index: Index, texels: int = 20, samples: int = 16) -> str:
     """Do as a worker does; the mark of what is stored."""
-    chunk = loader.store.load(index).with_texels(np.arange(texels, dtype=np.int32))
-    look = loader.store.look
-    refine(chunk.light, look.recipe.lattice.positions(index, chunk.offsets), look, samples, 1e-4)
-    loader.store.save(chunk)
+    chunk = loader.chunk_store.load(index).with_texels(np.arange(texels, dtype=np.int32))
+    spec = loader.chunk_store.spec
+    refine(chunk.light, spec.prepared.lattice.positions(index, chunk.offsets), spec, samples, 1e-4)
+    loader.chunk_store.save(chunk)
     return mark(stored(loader, index))
 
 
 def stored(loader: Loader, index: Index) -> np.ndarray:
     """Light in the store of those texels of a chunk that hold any."""
-    light = loader.store.load(index).light
+    light = loader.chunk_store.load(index).light
     return light.transfer[~light.void]
 
 
@@ -92,7 +93,7 @@ def test_light_comes_from_the_store(loader: Loader) -> None:
 def test_what_is_in_memory_is_not_read_again(loader: Loader, monkeypatch: pytest.MonkeyPatch) -> None:
     light = bake(loader, A)
     loader.ensure([A])
-    monkeypatch.setattr(loader.store, "read", lambda index: pytest.fail("the store was asked"))
+    monkeypatch.setattr(loader.chunk_store, "read", lambda index: pytest.fail("the store was asked"))
     assert brought(loader, A) == (light,)
 
 
@@ -105,7 +106,7 @@ def test_an_absent_chunk_is_asked_for_again_after_a_while(loader: Loader, clock:
     assert brought(loader, A) == (light,)
 
 
-def test_new_light_is_read_as_soon_as_it_is_told(loader: Loader) -> None:
+def test_new_light_is_read_after_refresh(loader: Loader) -> None:
     assert brought(loader, A) == ("",)
     first = bake(loader, A)
     loader.refresh(A)
@@ -115,12 +116,12 @@ def test_new_light_is_read_as_soon_as_it_is_told(loader: Loader) -> None:
     loader.refresh(A)
     assert brought(loader, A) == (second,)
     assert second != first
-    np.testing.assert_array_equal(transfer(loader, A), loader.store.load(A).light.transfer)
+    np.testing.assert_array_equal(transfer(loader, A), loader.chunk_store.load(A).light.transfer)
 
 
-def test_damage_is_absence_and_is_told(loader: Loader, clock: Clock, caplog: pytest.LogCaptureFixture) -> None:
+def test_damage_counts_as_absence_and_is_logged(loader: Loader, clock: Clock, caplog: pytest.LogCaptureFixture) -> None:
     light = bake(loader, A)
-    paths = [file_of(layer, A) for layer in loader.store.layers]
+    paths = [file_of(layer, A) for layer in loader.chunk_store.layers]
     whole = [path.read_bytes() for path in paths]
     for path in paths:
         path.write_bytes(path.read_bytes()[:-1])
@@ -136,9 +137,9 @@ def test_damage_is_absence_and_is_told(loader: Loader, clock: Clock, caplog: pyt
 
 def test_light_of_the_layers_that_are_there_is_shown(loader: Loader) -> None:
     bake(loader, A)
-    file_of(loader.store.layers[1], A).unlink()
+    file_of(loader.chunk_store.layers[1], A).unlink()
     loader.ensure([A])
-    direct, indirect = loader.store.load(A).light.parts
+    direct, indirect = loader.chunk_store.load(A).light.parts
     assert direct.coefficients.any() and not indirect.samples.any()
     np.testing.assert_array_equal(transfer(loader, A), direct.coefficients)
 
@@ -146,7 +147,7 @@ def test_light_of_the_layers_that_are_there_is_shown(loader: Loader) -> None:
 def test_a_chunk_under_another_name_is_absent(loader: Loader) -> None:
     bake(loader, A)
     bake(loader, C)
-    for layer in loader.store.layers:
+    for layer in loader.chunk_store.layers:
         shutil.copyfile(file_of(layer, C), file_of(layer, A))
     assert brought(loader, A) == ("",)
     assert transfer(loader, A) is None
@@ -155,7 +156,7 @@ def test_a_chunk_under_another_name_is_absent(loader: Loader) -> None:
 def test_deleted_layers_read_as_absent_and_never_as_zeros(loader: Loader) -> None:
     kept = bake(loader, A)
     loader.ensure([A])
-    for layer in loader.store.layers:
+    for layer in loader.chunk_store.layers:
         shutil.rmtree(layer.path)
     assert brought(loader, A, B) == (kept, "")
     assert transfer(loader, B) is None
@@ -167,9 +168,9 @@ def test_deleted_layers_read_as_absent_and_never_as_zeros(loader: Loader) -> Non
     np.testing.assert_array_equal(transfer(loader, B), stored(loader, B))
 
 
-def test_of_a_remote_store_many_chunks_are_on_their_way_at_once(s3: S3Server, look: Look) -> None:
+def test_of_a_remote_store_many_chunks_are_on_their_way_at_once(s3: S3Server, spec: BakeSpec) -> None:
     """And go into the pool as those of a folder do: all there are, in order; absent ones are asked for later."""
-    loader = Loader(ChunkStore(s3.url, look), PagePool(look, 1 << 22))
+    loader = Loader(ChunkStore(s3.url, spec), PagePool(spec, 1 << 22))
     marks = {index: bake(loader, index) for index in (A, B, C)}
     together, missing = threading.Barrier(4, timeout=60.0), (2, 2, 2)
 
@@ -184,8 +185,8 @@ def test_of_a_remote_store_many_chunks_are_on_their_way_at_once(s3: S3Server, lo
     assert len(s3.calls) == asked
 
 
-def test_a_remote_store_that_fails_half_way_is_told(s3: S3Server, look: Look) -> None:
-    loader = Loader(ChunkStore(Place(s3.url, retries=0), look), PagePool(look, 1 << 22))
+def test_a_remote_store_that_fails_half_way_is_an_error(s3: S3Server, spec: BakeSpec) -> None:
+    loader = Loader(ChunkStore(StoreUrl(s3.url, retries=0), spec), PagePool(spec, 1 << 22))
     for index in (A, B, C):
         bake(loader, index)
     begun = len(s3.calls)
@@ -196,20 +197,20 @@ def test_a_remote_store_that_fails_half_way_is_told(s3: S3Server, look: Look) ->
     deadline = time.monotonic() + 30.0
     while loader.pool.missing([A, B, C]):
         assert time.monotonic() < deadline
-        loader.store.root._until = -1.0
+        loader.chunk_store.store._checked_until = -1.0
         with suppress(StoreAwayError):  # what was on its way still tells of the fault
             loader.ensure([A, B, C])
 
 
-def test_damage_among_many_chunks_is_told_and_the_others_come(
+def test_damage_among_many_chunks_is_logged_and_others_load(
     loader: Loader, clock: Clock, caplog: pytest.LogCaptureFixture
 ) -> None:
     marks = {index: bake(loader, index) for index in (A, B, C)}
-    file_of(loader.store.layers[0], B).write_bytes(b"something else")
-    file_of(loader.store.layers[1], B).unlink()
+    file_of(loader.chunk_store.layers[0], B).write_bytes(b"something else")
+    file_of(loader.chunk_store.layers[1], B).unlink()
     with caplog.at_level(logging.WARNING, "isogi.cache"):
         assert brought(loader, A, B, C) == (marks[A], "", marks[C])
-    assert caplog.text.count("checksum") == 1 and loader.store.damaged == 1
+    assert caplog.text.count("checksum") == 1 and loader.chunk_store.damaged == 1
 
 
 def test_a_view_that_is_given_up_has_no_more_brought_for_it() -> None:
@@ -243,7 +244,7 @@ def test_a_frame_that_nobody_waits_for_stops_loading(loader: Loader, monkeypatch
 
     monkeypatch.setattr(loader.pool, "insert", insert_and_leave)
     with pytest.raises(Cancelled):
-        loader.ensure([A, B, C], cancelled)
+        loader.ensure([A, B, C], Tiles(1).cancelled_by(cancelled).check)
     assert loader.pool.missing([A, B, C]) == [B, C]
     assert list(brought(loader, A, B, C)) == marks
 
@@ -258,8 +259,8 @@ def test_no_more_than_a_few_batches_wait_in_memory() -> None:
             assert hands._work_queue.qsize() <= AHEAD
 
 
-def test_a_view_that_does_not_fit_the_memory_is_an_error(tmp_path: Path, look: Look, clock: Clock) -> None:
-    small = Loader(ChunkStore(tmp_path, look), PagePool(look, 0))
+def test_a_view_that_does_not_fit_the_memory_is_an_error(tmp_path: Path, spec: BakeSpec, clock: Clock) -> None:
+    small = Loader(ChunkStore(tmp_path, spec), PagePool(spec, 0))
     bake(small, A, texels=40)
     bake(small, B, texels=40)
     assert all(brought(small, A))
@@ -270,9 +271,9 @@ def test_a_view_that_does_not_fit_the_memory_is_an_error(tmp_path: Path, look: L
 
 def test_a_store_that_cannot_be_read_is_an_error(loader: Loader) -> None:
     bake(loader, A)
-    layer = loader.store.layers[1]
+    layer = loader.chunk_store.layers[1]
     Path(layer.path, "zarr.json").write_text("{")
-    look = loader.store.look
-    again = Loader(ChunkStore(layer.root.place, look), PagePool(look, 1 << 22))
+    spec = loader.chunk_store.spec
+    again = Loader(ChunkStore(layer.store.url, spec), PagePool(spec, 1 << 22))
     with pytest.raises(StoreError, match="move that folder away"):
         again.ensure([A])

@@ -8,13 +8,12 @@ from typing import Any, cast
 
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from benchmarks.stability.desk import Desk
-from isogi_core.model.scene import load_scene
-from server.app import create_app
+from isogi_core.plan.assembly import load_scene
+from server.api.app import create_app
 from server.problems import problem
 from server.settings import Settings
-from server.studio import Studio
 from tests.live import live
+from tests.server.inline import EngineWithoutWorkers, InlinePool
 from worker.baker import Baker
 from worker.pool import WorkerPool
 
@@ -89,26 +88,16 @@ class Broken:
         pass
 
 
-class Alone(Studio):
-    """A studio that hires nobody."""
-
-    def start(self, hire: bool = False) -> None:
-        super().start(hire)
-
-    def unready(self) -> list[str]:
-        return []
-
-
 @contextmanager
 def lab_of(scene: Path, store: Path, bakes: bool = True, port: int = 0) -> Iterator[Lab]:
     """Such a server of a scene, which ``bakes`` or has nobody to."""
-    baker, faults, desk = Baker(), Faults(), Desk()
-    app = create_app(Alone([load_scene(scene)], str(store), baker=baker), Settings(token=TOKEN))
+    baker, faults, pool = Baker(), Faults(), InlinePool()
+    app = create_app(EngineWithoutWorkers([load_scene(scene)], str(store), baker=baker), Settings(token=TOKEN))
     app.add_middleware(Faulty, faults=faults)
     if bakes:
-        baker.employ(cast(WorkerPool, desk))
+        baker.employ(cast(WorkerPool, pool))
     try:
         with live(app, port=port) as url:
             yield Lab(url, faults, baker)
     finally:
-        desk.close()
+        pool.close()

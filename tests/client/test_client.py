@@ -101,6 +101,14 @@ def test_waiting_some_seconds_asks_until_then(isogi: Isogi, faults: Faults) -> N
     assert {path.rsplit("/")[-1] for path, _ in faults.asked} == {"frame"}
 
 
+def test_a_path_traced_frame_is_asked_for_once(isogi: Isogi, faults: Faults) -> None:
+    frame = isogi.frame("small", wait=60, shading="path_traced", samples=8, max_error=0.0001, **VIEW)
+    assert frame.facts.provisional and frame.facts.error > 0.0001
+    assert len(faults.asked) == 1
+    with pytest.raises(NotFinalError, match="ask for more samples"):
+        isogi.frame("small", wait="final", shading="path_traced", samples=8, max_error=0.0001, **VIEW)
+
+
 @pytest.mark.parametrize(("f", "suffix"), [("png", ".png"), ("jpeg", ".jpg"), ("webp", ".webp")])
 def test_pictures_are_saved_and_shown(isogi: Isogi, tmp_path: Path, f: str, suffix: str) -> None:
     frame = isogi.frame("small", f=f, **VIEW)

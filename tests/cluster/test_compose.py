@@ -59,7 +59,7 @@ class Composed(Cluster):
         return text.replace("8786", str(self.port)).replace("8000", str(self.http)).replace("0.0.0.0", "127.0.0.1")
 
 
-def test_the_commands_of_the_compose_file_bake_into_the_object_store(small_scene: Path) -> None:
+def test_commands_of_the_compose_file_bake_into_the_bucket(small_scene: Path) -> None:
     with S3Server() as s3, Composed(s3, small_scene) as running:
         running.start("scheduler")
         until(lambda: running.healthy("scheduler"))
@@ -75,13 +75,13 @@ def test_the_commands_of_the_compose_file_bake_into_the_object_store(small_scene
         assert any("/c/" in key for key in s3.objects)
 
 
-def test_nothing_but_servers_can_be_reached_and_these_on_loopback_alone() -> None:
+def test_only_servers_can_be_reached_and_only_on_loopback() -> None:
     published = {name: service["ports"] for name, service in SERVICES.items() if "ports" in service}
     assert list(published) == ["server"]
     assert all(port.startswith("127.0.0.1:") for port in published["server"])
 
 
-def test_images_of_others_are_pinned_and_no_secret_is_written_down() -> None:
+def test_foreign_images_are_pinned_and_no_secret_is_in_files() -> None:
     images = [service["image"] for service in SERVICES.values() if "image" in service]
     assert images and all(re.search(r":v?\d+\.\d+", image) for image in images)
     for service in SERVICES.values():

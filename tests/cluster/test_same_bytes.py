@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 from distributed import LocalCluster
 
-from isogi_core.model.scene import load_scene
-from server.studio import Studio
+from isogi_core.plan.assembly import load_scene
+from server.render.engine import RenderEngine
 from tests.server.inline import chunks_in, view_of
 
 pytestmark = pytest.mark.slow
@@ -17,9 +17,9 @@ LONG = 240.0
 def baked(scene_file: Path, store: Path, workers: int, scheduler: str | None = None) -> dict[str, str]:
     """The digests of the chunks that a view leaves in an empty store."""
     scene = load_scene(scene_file)
-    with closing(Studio([scene], str(store), workers, scheduler)) as studio:
-        studio.start()
-        assert not studio.frame(scene.id, view_of(scene), wait=LONG).provisional
+    with closing(RenderEngine([scene], str(store), workers, scheduler)) as engine:
+        engine.start()
+        assert not engine.frame(scene.id, view_of(scene), wait=LONG).provisional
     return chunks_in(store)
 
 

@@ -25,7 +25,7 @@ def make_certificates(folder: Path) -> dict[str, str]:
     return {name: value if value == "true" else str(folder / value) for name, value in settings}
 
 
-def test_server_scheduler_and_workers_speak_tls_and_strangers_are_refused(small_scene: Path, tmp_path: Path) -> None:
+def test_all_processes_speak_tls_and_refuse_strangers(small_scene: Path, tmp_path: Path) -> None:
     ours, others = tmp_path / "ours", tmp_path / "others"
     ours.mkdir()
     others.mkdir()

@@ -4,13 +4,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from isogi_core.cache.place import Place
-from isogi_core.cache.root import Root
-from isogi_core.frame.texels import Demand
-from isogi_core.model.plan import MOST
-from isogi_core.model.scene import Scene
+from isogi_core.frame.view_texels import Demand
+from isogi_core.model.scene_plan import MOST
 from isogi_core.model.view import View
-from server.studio import Studio
+from isogi_core.plan.scene import Scene
+from isogi_core.storage.store import Store
+from isogi_core.storage.url import StoreUrl
+from server.render.engine import RenderEngine
 from worker.tasks import BakeTask, bake
 
 LONG = 240.0
@@ -18,9 +18,9 @@ LONG = 240.0
 
 @dataclass(frozen=True, eq=False)
 class Bench:
-    """A ``studio`` with one worker behind a ``url``, its ``store``, and the folder whose files arm failpoints."""
+    """A ``engine`` with one worker behind a ``url``, its ``store``, and the folder whose files arm failpoints."""
 
-    studio: Studio
+    engine: RenderEngine
     scene: Scene
     url: str
     store: Path
@@ -34,7 +34,7 @@ class Bench:
 
     def demands(self, view: View) -> tuple[Demand, ...]:
         """The light that a view lacks."""
-        return self.studio.survey(self.scene.id, view, self.scene.target_error).demands
+        return self.engine.survey(self.scene.id, view, self.scene.target_error).demands
 
     def arm(self, point: str, fault: str, more: str = "once") -> Path:
         """Have a fault at a point."""
@@ -45,10 +45,10 @@ class Bench:
 
 def bake_here(bench: Bench, demands: tuple[Demand, ...], store: Path) -> None:
     """Bake what is demanded in this process, undisturbed, into another store."""
-    look = bench.studio._stages[bench.scene.id].renderer.caches.look("gi")
-    Root(store).open()
+    spec = bench.engine.renderer(bench.scene.id).caches.spec("gi")
+    Store(store).open()
     for demand in demands:
-        what = (bench.scene.source, look.plan, look.digest, Place(str(store)), demand.index)
+        what = (bench.scene.source, spec.plan, spec.digest, StoreUrl(str(store)), demand.index)
         bake(BakeTask(*what, demand.offsets, demand.footprints, MOST, 0.0, bench.scene.target_error))
 
 

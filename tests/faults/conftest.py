@@ -6,10 +6,10 @@ from itertools import count
 import dask.config
 import pytest
 
-from isogi_core.model.scene import load_scene
-from server.app import create_app
+from isogi_core.plan.assembly import load_scene
+from server.api.app import create_app
+from server.render.engine import RenderEngine
 from server.settings import Settings
-from server.studio import Studio
 from tests.faults.bench import Bench
 from tests.faults.failpoints import FOLDER
 from tests.live import live
@@ -22,6 +22,6 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
     preload = {"distributed.worker.preload": ["tests.faults.failpoints"]}
     with pytest.MonkeyPatch.context() as patch, dask.config.set(preload):
         patch.setenv(FOLDER, str(armed))
-        studio = Studio([scene], str(store), workers=1)
-        with live(create_app(studio, Settings())) as url:
-            yield Bench(studio, scene, url, store, armed, (0.03 + 0.0004 * n for n in count()))
+        engine = RenderEngine([scene], str(store), workers=1)
+        with live(create_app(engine, Settings())) as url:
+            yield Bench(engine, scene, url, store, armed, (0.03 + 0.0004 * n for n in count()))

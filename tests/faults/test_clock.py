@@ -7,8 +7,8 @@ ROOT = Path(__file__).resolve().parent.parent.parent
 CALENDAR = {"time.time", "datetime.now", "datetime.utcnow", "datetime.today", "time.localtime", "time.gmtime"}
 
 TOLD_TO_PEOPLE = {
-    "server/jobs.py",  # when a job began and ended, and until when it is known
-    "isogi_core/cache/root.py",  # how old objects are, by the dates that the store gives them
+    "server/render/jobs.py",  # when a job began and ended, and until when it is known
+    "isogi_core/storage/store.py",  # how old objects are, by the dates that the store gives them
 }
 
 

@@ -9,10 +9,10 @@ from typing import Any
 import httpx
 import pytest
 
-from isogi_core.model.scene import load_scene
-from server.app import create_app
+from isogi_core.plan.assembly import load_scene
+from server.api.app import create_app
+from server.render.engine import RenderEngine
 from server.settings import Settings
-from server.studio import Studio
 from tests.faults.bench import LONG
 from tests.live import live
 
@@ -47,7 +47,7 @@ def wait_for(condition: Callable[[], bool]) -> None:
 
 def test_baking_waits_for_room_and_goes_on_by_itself(small_disk: Path) -> None:
     scene = load_scene("demo:orbital", lattice=0.5, bounces=1, order=2, indirect_order=2, target_error=0.3)
-    app = create_app(Studio([scene], str(small_disk), workers=1), Settings())
+    app = create_app(RenderEngine([scene], str(small_disk), workers=1), Settings())
     with live(app, until="/livez") as url:
         place = f"{url}/v1/scenes/{scene.id}/frame"
 

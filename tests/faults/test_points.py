@@ -9,7 +9,7 @@ import pytest
 
 from tests.faults.bench import LONG, Bench, bake_here, objects_in
 from tests.faults.failpoints import FAULTS, POINTS
-from worker.wants import MOST_FAILURES
+from worker.bake_requests import MOST_FAILURES
 
 pytestmark = pytest.mark.slow
 
@@ -20,11 +20,11 @@ def test_every_fault_at_every_point_costs_time_and_nothing_else(bench: Bench, tm
         view = bench.view()
         demands = bench.demands(view)
         token = bench.arm(point, fault)
-        frame = bench.studio.frame(bench.scene.id, view, wait=LONG)
+        frame = bench.engine.frame(bench.scene.id, view, wait=LONG)
         assert not token.exists(), f"{fault} at {point} was not reached"
-        assert not frame.provisional, f"{fault} at {point}: {bench.studio.trouble()}"
+        assert not frame.provisional, f"{fault} at {point}: {bench.engine.trouble()}"
         bake_here(bench, demands, tmp_path)
-    tally = bench.studio.tally()
+    tally = bench.engine.tally()
     assert (tally.given_up, tally.waiting) == (0, 0)
     assert tally.deaths >= len(POINTS)
     assert objects_in(bench.store) == objects_in(tmp_path)
@@ -35,8 +35,8 @@ def metric(bench: Bench, name: str) -> float:
     return float(next(line.split()[-1] for line in lines if line.startswith(f"{name} ")))
 
 
-def test_a_chunk_that_kills_its_workers_fails_alone_and_is_told(bench: Bench) -> None:
-    view, before = bench.view(), bench.studio.tally()
+def test_a_chunk_that_kills_its_workers_fails_alone(bench: Bench) -> None:
+    view, before = bench.view(), bench.engine.tally()
     kept = set(objects_in(bench.store))
     demands = {demand.index: demand for demand in bench.demands(view)}
     poison = max(demands, key=lambda index: demands[index].weight)
@@ -49,7 +49,7 @@ def test_a_chunk_that_kills_its_workers_fails_alone_and_is_told(bench: Bench) ->
     arm.unlink()
     told = f"Chunk {poison} of orbital cannot be baked: the process that was to bake it died."
     assert "event: failed" in last and told in json.loads(last.split("data: ")[1].splitlines()[0])["detail"]
-    tally = bench.studio.tally()
+    tally = bench.engine.tally()
     assert (tally.given_up, tally.waiting) == (1, 0)
     assert MOST_FAILURES <= tally.failed - before.failed <= MOST_FAILURES + 1
     assert metric(bench, "isogi_chunks_given_up") == 1

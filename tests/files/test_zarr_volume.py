@@ -14,8 +14,8 @@ import zarr
 from isogi_core.errors import VolumeError
 from isogi_core.files.grid import Grid
 from isogi_core.files.zarr_volume import open_zarr
-from isogi_core.model.scene import load_scene
 from isogi_core.model.volume import make_volume
+from isogi_core.plan.assembly import load_scene
 from tests.s3 import S3Server
 
 FIELD = np.arange(7 * 5 * 6).reshape(7, 5, 6)
@@ -213,13 +213,13 @@ def huge(path: Path) -> None:
         (lambda path: image(path, [FIELD], SPACE, datasets=[{}]), "OME metadata .* is damaged"),
     ],
 )
-def test_what_cannot_be_read_is_told(tmp_path: Path, make: Callable[[Path], object], told: str) -> None:
+def test_unreadable_files_are_errors(tmp_path: Path, make: Callable[[Path], object], told: str) -> None:
     make(tmp_path / "v.zarr")
     with pytest.raises(VolumeError, match=told):
         open_zarr(tmp_path / "v.zarr").whole()
 
 
-def test_levels_that_are_not_there_are_told(tmp_path: Path) -> None:
+def test_missing_levels_are_an_error(tmp_path: Path) -> None:
     image(tmp_path / "v.zarr", [FIELD], SPACE)
     with pytest.raises(VolumeError, match=r"level = 3 of .* is not there: it has levels 0 to 0"):
         open_zarr(tmp_path / "v.zarr", level=3)

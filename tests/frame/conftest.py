@@ -11,21 +11,22 @@ from typing import Any
 import numpy as np
 import pytest
 
-from isogi_core.bake.precision import FIRST_RUNG
-from isogi_core.bake.recipe import Recipe
+from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.bake.refine import refine
-from isogi_core.cache.caches import Caches
 from isogi_core.cache.loader import Loader
+from isogi_core.cache.scene_caches import Caches
 from isogi_core.files.radiance import write_hdr
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.renderer import Renderer
-from isogi_core.frame.texels import Demand
 from isogi_core.frame.tiles import Tiles
+from isogi_core.frame.view_texels import Demand
 from isogi_core.model.environment import pixel_directions
-from isogi_core.model.scene import Scene, load_scene
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import View
 from isogi_core.model.volume import Volume, make_volume
+from isogi_core.plan.assembly import load_scene
+from isogi_core.plan.scene import Scene
+from isogi_core.prepared.prepared_scene import PreparedScene
 
 CONSTANT = {"type": "constant", "radiance": 1.0}
 SKY = {"type": "sky", "sun_azimuth": 30.0, "sun_elevation": 50.0}
@@ -39,8 +40,8 @@ class Workbench:
     def __init__(self, scene: Scene, folder: Path) -> None:
         self.scene = scene
         self.folder = folder
-        self.recipe = Recipe(scene)
-        self.caches = Caches(self.recipe, folder, 1 << 28)
+        self.prepared = PreparedScene(scene)
+        self.caches = Caches(self.prepared, folder, 1 << 28)
         self.renderer = Renderer(self.caches, Tiles())
 
     def again(self) -> "Workbench":
@@ -48,13 +49,13 @@ class Workbench:
         return Workbench(self.scene, self.folder)
 
     def view(self, azimuth: float = 40.0, elevation: float = 30.0, size: int = 64, **settings: Any) -> View:
-        """A square view round the middle of the volume, at the scene's own isovalue unless told."""
+        """A square view round the middle of the volume, at the scene's own isovalue unless given."""
         camera = self.scene.camera(azimuth, elevation, settings.pop("distance", 3.0), 30.0)
         return View(settings.pop("isovalue", self.scene.isovalue), camera, width=size, height=size, **settings)
 
     def bake(self, view: View, target: float | None = None) -> Frame:
         """Bake rung by rung all that `view` demands, and render its final frame."""
-        rung, frame = FIRST_RUNG, self.renderer.render(view, target)
+        rung, frame = FIRST_LEVEL, self.renderer.render(view, target)
         with ThreadPoolExecutor(os.cpu_count()) as threads:
             while frame.demands:
                 loader = self.caches.of(view.shading)
@@ -70,12 +71,12 @@ class Workbench:
 
 def refine_chunk(loader: Loader, rung: int, target: float, demand: Demand) -> None:
     """Do as a worker does."""
-    store = loader.store
+    store = loader.chunk_store
     chunk = store.load(demand.index).with_texels(demand.offsets)
     rows = chunk.rows_of(demand.offsets)
     light = chunk.light.rows(rows)
-    texels = store.look.recipe.lattice.positions(demand.index, demand.offsets)
-    refine(light, texels, store.look, rung, target)
+    texels = store.spec.prepared.lattice.positions(demand.index, demand.offsets)
+    refine(light, texels, store.spec, rung, target)
     chunk.light.put(rows, light)
     store.save(chunk)
     loader.refresh(demand.index)
@@ -93,12 +94,12 @@ def orbital(tmp_path_factory: pytest.TempPathFactory) -> Workbench:
 
 
 @pytest.fixture(scope="session")
-def calm(tmp_path_factory: pytest.TempPathFactory) -> Workbench:
+def evenly_lit(tmp_path_factory: pytest.TempPathFactory) -> Workbench:
     """The orbital under constant light, white as snow, its direct and indirect light apart; `view()` is baked."""
     kept = {"representation": "transfer", "order": 1}
     bench = Workbench(
         load_scene("demo:orbital", lights=[CONSTANT], albedo=0.9, bounces=3, target_error=LOOSE, **kept),
-        tmp_path_factory.mktemp("calm"),
+        tmp_path_factory.mktemp("evenly_lit"),
     )
     bench.bake(bench.view())
     return bench
@@ -118,7 +119,7 @@ def soft_probe(folder: Path) -> dict[str, Any]:
 
 
 def scene_of(volume: Volume, isovalue: float, **settings: Any) -> Scene:
-    """A scene of a volume that is in no file, under constant light of radiance 1 unless told."""
+    """A scene of a volume that is in no file, under constant light of radiance 1 unless given."""
     scene = load_scene("demo:orbital", **{"lights": [CONSTANT], **settings})
     return replace(scene, volume=volume, isovalue=isovalue, isovalues=volume.value_range)
 

@@ -11,9 +11,10 @@ from isogi_core.bake import refine as refine_module
 from isogi_core.errors import ViewError
 from isogi_core.frame import renderer as renderer_module
 from isogi_core.frame.frame import Frame
-from isogi_core.kernels.planes import FINAL
-from isogi_core.model.scene import Scene, load_scene
+from isogi_core.kernels.shading.framebuffer import FINAL
 from isogi_core.model.view import Vec3, quaternion_from_angles
+from isogi_core.plan.assembly import load_scene
+from isogi_core.plan.scene import Scene
 from tests.frame.conftest import CONSTANT, LOOSE, SKY, Workbench, ball, luminance, relative_rmse, scene_of
 
 Make = Callable[..., Workbench]
@@ -55,9 +56,7 @@ def objects(folder: Path) -> dict[Path, bytes]:
 
 @pytest.mark.parametrize("albedo", [grey(0.0), grey(0.05), grey(0.9), ORANGE])
 @pytest.mark.parametrize("shading", ["gi", "vicinity", "path_traced"])
-def test_a_convex_surface_under_constant_light_shows_the_albedo_asked_for(
-    shading: str, albedo: Vec3, workbench: Make
-) -> None:
+def test_constant_light_on_a_convex_surface_shows_its_albedo(shading: str, albedo: Vec3, workbench: Make) -> None:
     bench = workbench(scene_of(ball(), 0.0, albedo=0.3, albedos=[0.0, 0.9], target_error=LOOSE))
     bench.bake(bench.view(size=40, shading=shading, samples=64))
     frame = bench.renderer.render(bench.view(size=40, shading=shading, samples=64, albedo=albedo))
@@ -69,7 +68,7 @@ def test_a_convex_surface_under_constant_light_shows_the_albedo_asked_for(
 
 @pytest.mark.parametrize("albedo", [grey(0.9), grey(0.6), ORANGE])
 @pytest.mark.parametrize("view", [{}, {"light": TURN}], ids=["as it stands", "turned"])
-def test_a_frame_of_another_albedo_is_within_a_hundredth_of_a_fresh_bake(
+def test_another_albedo_is_within_1_percent_of_a_fresh_bake(
     view: dict[str, Any], albedo: Vec3, live: Workbench, workbench: Make
 ) -> None:
     frame = live.renderer.render(live.view(**SMALL, albedo=albedo, **view))
@@ -77,7 +76,7 @@ def test_a_frame_of_another_albedo_is_within_a_hundredth_of_a_fresh_bake(
     assert relative_rmse(frame, fresh_frame(workbench, albedo, **view)) < 0.01
 
 
-def test_constant_light_is_of_any_albedo_too(workbench: Make) -> None:
+def test_constant_light_serves_any_albedo(workbench: Make) -> None:
     bench = workbench(live_scene(CONSTANT, **TIGHT))
     assert bench.scene.plan.representation == "constant"
     bench.bake(bench.view(**SMALL))
@@ -87,9 +86,7 @@ def test_constant_light_is_of_any_albedo_too(workbench: Make) -> None:
         assert relative_rmse(frame, fresh_frame(workbench, albedo, CONSTANT)) < 0.01
 
 
-def test_another_albedo_casts_no_ray_and_changes_no_byte_of_the_store(
-    live: Workbench, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_another_albedo_casts_no_ray_and_leaves_the_store(live: Workbench, monkeypatch: pytest.MonkeyPatch) -> None:
     own, before = live.renderer.render(live.view(**SMALL)), objects(live.folder)
 
     def refuse(*_: Any) -> None:
@@ -106,7 +103,7 @@ def test_another_albedo_casts_no_ray_and_changes_no_byte_of_the_store(
     assert bright.version != own.version
 
 
-def test_the_path_tracer_has_the_albedo_asked_for(live: Workbench) -> None:
+def test_the_path_tracer_has_the_views_albedo(live: Workbench) -> None:
     traced = live.renderer.render(live.view(**SMALL, albedo=ORANGE, shading="path_traced", samples=256))
     cached = live.renderer.render(live.view(**SMALL, albedo=ORANGE))
     on = traced.state > 0
@@ -114,7 +111,7 @@ def test_the_path_tracer_has_the_albedo_asked_for(live: Workbench) -> None:
     np.testing.assert_allclose(*colours, rtol=0.02)
 
 
-def test_local_models_have_it_and_so_has_what_stands_in_for_light(live: Workbench, workbench: Make) -> None:
+def test_local_models_and_provisional_light_have_the_albedo(live: Workbench, workbench: Make) -> None:
     bench = workbench(live_scene())
     for bright, own in (
         [live.renderer.render(live.view(**SMALL, shading="lambert_shadow", albedo=a)) for a in (grey(0.9), None)],
@@ -123,7 +120,7 @@ def test_local_models_have_it_and_so_has_what_stands_in_for_light(live: Workbenc
         np.testing.assert_allclose(bright.radiance, 3.0 * own.radiance, rtol=1e-5)
 
 
-def test_unreflected_light_is_of_any_albedo_without_being_told(workbench: Make) -> None:
+def test_light_without_bounces_serves_any_albedo(workbench: Make) -> None:
     bench = workbench(load_scene("demo:orbital", lights=[CONSTANT], albedo=0.5, bounces=0, target_error=LOOSE))
     own = bench.bake(bench.view(**SMALL))
     bright = bench.renderer.render(bench.view(**SMALL, albedo=(1.0, 0.5, 0.25)))
@@ -131,21 +128,21 @@ def test_unreflected_light_is_of_any_albedo_without_being_told(workbench: Make) 
     np.testing.assert_allclose(bright.error, own.error, rtol=1e-4)
 
 
-def test_the_scenes_own_albedo_is_the_same_picture_however_it_is_asked_for(live: Workbench) -> None:
+def test_the_scenes_albedo_gives_the_same_picture_by_name(live: Workbench) -> None:
     named = live.renderer.render(live.view(**SMALL, albedo=grey(0.3)))
     assert np.array_equal(named.radiance, live.renderer.render(live.view(**SMALL)).radiance)
 
 
 @pytest.mark.parametrize("albedo", [0.9, 0.3, 0.05])
-def test_errors_are_told_of_the_albedo_that_is_shown(albedo: float, live: Workbench, workbench: Make) -> None:
-    """What is told after few paths beside what is wrong, at each end and at the scene's own."""
+def test_errors_are_those_of_the_shown_albedo(albedo: float, live: Workbench, workbench: Make) -> None:
+    """The estimated error after few paths beside the true one, at each end and at the scene's own."""
     rough = workbench(live.scene)
     rough.bake(rough.view(**SMALL), 0.1)
     frame, true = (bench.renderer.render(bench.view(**SMALL, albedo=grey(albedo))) for bench in (rough, live))
     assert 0.5 < relative_rmse(frame, true) / frame.estimated_error < 1.5
 
 
-def test_an_albedo_that_the_scenes_light_is_not_of_is_refused(live: Workbench, orbital: Workbench) -> None:
+def test_an_albedo_outside_the_scenes_range_is_refused(live: Workbench, orbital: Workbench) -> None:
     with pytest.raises(ViewError, match=r"from 0 to 0\.9 in this scene, not 0\.95,0\.5,0\.5"):
         live.renderer.render(live.view(**SMALL, albedo=(0.95, 0.5, 0.5)))
     with pytest.raises(ViewError, match="albedo is fixed in this scene"):

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from isogi_core.frame import error_map
+from isogi_core.frame import film as error_map
 from isogi_core.frame.film import COVER, develop
-from isogi_core.kernels.planes import CONVERGING, FINAL, PROVISIONAL
+from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, PROVISIONAL
 
 STATES = (0, PROVISIONAL, CONVERGING, FINAL)
 
@@ -27,13 +27,13 @@ def changed(overlay: str) -> list[float]:
     return [float(different[frame.state == state].mean()) for state in STATES]
 
 
-def test_each_overlay_marks_what_it_is_for() -> None:
+def test_each_overlay_marks_its_pixels() -> None:
     assert changed("none") == [0.0, 0.0, 0.0, 0.0]
     assert changed("provisional") == [0.0, 1.0, 0.5, 0.0]
     assert changed("error") == [0.0, 1.0, 1.0, 1.0]
 
 
-def test_what_has_no_light_is_hatched_and_has_no_colour_of_an_error() -> None:
+def test_unlit_pixels_are_hatched_without_an_error_colour() -> None:
     few, many = (develop(frame_of(np.full(24, error)), 1.0, "error") for error in (0.002, 0.9))
     hatched = develop(frame_of(np.full(24, 0.5)), 1.0, "provisional")
     assert np.array_equal(few[:, :24], many[:, :24])
@@ -41,7 +41,7 @@ def test_what_has_no_light_is_hatched_and_has_no_colour_of_an_error() -> None:
     assert (few[:, 24:] != many[:, 24:]).any(axis=-1).all()
 
 
-def test_equal_factors_of_the_error_are_equal_steps_on_the_scale() -> None:
+def test_equal_factors_of_error_are_equal_steps_of_the_scale() -> None:
     errors = np.array([0.0, 1e-4, 1e-3, 1e-2, 1e-1, 1.0, 7.0])
     shares = [0, 0, 0, 85, 170, 255, 255]
     table = error_map.colour_table()

@@ -5,11 +5,11 @@ from pathlib import Path
 
 import numpy as np
 
-from isogi_core.frame.texels import LEAST_SEEN, most_seen
-from isogi_core.kernels.footprints import add_footprints
-from isogi_core.kernels.lattice import Lattice
-from isogi_core.model.scene import load_scene
-from server.measure import make_renderer, view_of
+from isogi_core.frame.view_texels import LEAST_SEEN, most_seen
+from isogi_core.kernels.shading.chunks import add_footprints
+from isogi_core.kernels.shading.lattice import Lattice
+from isogi_core.plan.assembly import load_scene
+from server.cli.bench import make_renderer, view_of
 
 RNG = np.random.default_rng(3)
 
@@ -24,7 +24,7 @@ def shares(points: np.ndarray, lattice: Lattice) -> Iterator[np.ndarray]:
         yield np.where(upper, inside, 1.0 - inside).prod(axis=1)
 
 
-def test_shares_carry_what_is_linear_to_the_points() -> None:
+def test_trilinear_weights_carry_linear_values_to_points() -> None:
     lattice, points = Lattice.of((9, 7, 5), (0.5, 1.0, 2.0)), RNG.uniform(0.0, 1.0, (200, 3)) * (8.0, 6.0, 4.0)
     place = points * lattice.density
     base = np.floor(place)
@@ -35,7 +35,7 @@ def test_shares_carry_what_is_linear_to_the_points() -> None:
     np.testing.assert_allclose(carried, place)
 
 
-def test_texels_of_one_noise_make_the_noise_that_their_footprints_tell(tmp_path: Path) -> None:
+def test_footprints_predict_the_noise_of_pixels(tmp_path: Path) -> None:
     scene = load_scene("demo:orbital", lattice=0.4)
     renderer, view = make_renderer(scene, str(tmp_path)), view_of(scene, 24)
     texels = renderer.texels(view, renderer.gbuffer(view))
@@ -49,16 +49,16 @@ def test_texels_of_one_noise_make_the_noise_that_their_footprints_tell(tmp_path:
     assert seen.min() > 0.0
 
 
-def test_footprints_are_the_squares_of_the_shares() -> None:
+def test_footprints_are_the_squares_of_the_weights() -> None:
     lattice, points = Lattice.of((9, 7, 5), (0.5, 1.0, 2.0)), RNG.uniform(0.0, 1.0, (200, 3)) * (8.0, 6.0, 4.0)
     points, corners = points.astype(np.float32), RNG.integers(0, 30, (200, 8)).astype(np.uint32)
     seen, twin = np.zeros(30), np.zeros(30)
-    add_footprints(lattice, points, corners, np.zeros(len(points), np.bool_), seen)
+    add_footprints(lattice, points, corners, seen)
     for corner, share in enumerate(shares(points.astype(np.float64), lattice)):
         twin += np.bincount(corners[:, corner], share**2, len(twin))
     np.testing.assert_allclose(seen, twin, rtol=1e-6)
 
 
-def test_of_several_views_the_one_that_sees_most_counts() -> None:
+def test_the_view_that_sees_a_texel_most_counts() -> None:
     views = (np.array([1, 4]), np.array([2.0, 0.5])), (np.array([4, 6]), np.array([1.0, 3.0]))
     assert most_seen(np.array([1, 4, 6]), *views).tolist() == [2.0, 1.0, 3.0]

@@ -6,12 +6,12 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from isogi_core.bake.recipe import Recipe
 from isogi_core.errors import Cancelled
 from isogi_core.frame.gbuffer import GBuffer, pinhole, trace
 from isogi_core.frame.tiles import Tiles
 from isogi_core.model.view import Camera, View
 from isogi_core.model.volume import Volume, make_volume
+from isogi_core.prepared.prepared_scene import PreparedScene
 from tests.frame.conftest import Workbench, ball, scene_of
 
 TILES = Tiles(2)
@@ -31,7 +31,7 @@ def seen(volume: Volume, isovalue: float, azimuth: float, elevation: float = 0.0
     """The G-buffer of an orbit view round the middle."""
     scene = scene_of(volume, isovalue)
     view = View(isovalue, scene.camera(azimuth, elevation, 3.0, 30.0), width=size, height=size)
-    return trace(view, Recipe(scene), TILES, None)
+    return trace(view, PreparedScene(scene).surface(view.isovalue), TILES)
 
 
 def middles(gbuffer: GBuffer) -> dict[str, tuple[float, float]]:
@@ -81,9 +81,8 @@ def test_pinhole_rays_in_world_space() -> None:
 
 def test_points_and_normals_belong_together() -> None:
     gbuffer = seen(ball(), 0.0, 40.0, 30.0)
-    recipe = Recipe(scene_of(ball(), 0.0))
-    normals = gbuffer.normals(recipe, TILES, None)
-    assert gbuffer.normals(recipe, TILES, None) is normals, "found once"
+    normals = gbuffer.normals(TILES)
+    assert gbuffer.normals(TILES) is normals, "found once"
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0, atol=1e-5)
     away = (gbuffer.points - 20.0) / np.linalg.norm(gbuffer.points - 20.0, axis=1, keepdims=True)
     assert (away * normals).sum(axis=1).min() > 0.999
@@ -91,7 +90,7 @@ def test_points_and_normals_belong_together() -> None:
     assert (towards * normals).sum(axis=1).min() > -0.2 * np.linalg.norm(towards, axis=1).max(), "none is behind"
 
 
-def test_positions_are_points_put_back_into_the_picture_in_world_units() -> None:
+def test_positions_are_the_points_in_world_units() -> None:
     gbuffer = seen(ball(42, 15.0, (1.0, 1.0, 3.0)), 0.0, 0.0, size=64)
     assert (np.diff(gbuffer.pixels.astype(int)) > 0).all()
     position = gbuffer.position
@@ -110,10 +109,10 @@ def test_a_picture_of_nothing_has_no_points() -> None:
     assert not empty.position.any()
 
 
-def test_memory_is_that_of_the_points_with_their_normals() -> None:
+def test_nbytes_counts_points_and_normals() -> None:
     gbuffer = seen(ball(), 0.0, 0.0, size=64)
     before = gbuffer.nbytes
-    gbuffer.normals(Recipe(scene_of(ball(), 0.0)), TILES, None)
+    gbuffer.normals(TILES)
     assert gbuffer.nbytes == before == len(gbuffer.pixels) * (4 + 12 + 12)
 
 
@@ -121,19 +120,20 @@ def test_memory_is_that_of_the_points_with_their_normals() -> None:
 def test_threads_change_no_bit(threads: int) -> None:
     scene = scene_of(marks(), 0.0)
     view = View(0.0, scene.camera(30.0, 20.0, 2.5, 30.0), width=50, height=37)
-    one, other = (trace(view, Recipe(scene), tiles, None) for tiles in (TILES, Tiles(threads)))
+    surface = PreparedScene(scene).surface(view.isovalue)
+    one, other = (trace(view, surface, tiles) for tiles in (TILES, Tiles(threads)))
     for name in ("pixels", "points"):
         assert np.array_equal(getattr(one, name), getattr(other, name))
 
 
-def test_nobody_waits_for_a_cancelled_trace() -> None:
+def test_a_cancelled_trace_stops() -> None:
     scene, cancelled = scene_of(ball(), 0.0), threading.Event()
     cancelled.set()
-    recipe, isovalue = Recipe(scene), scene.volume.normalise_isovalue(0.0)
+    surface, tiles = PreparedScene(scene).surface(0.0), TILES.cancelled_by(cancelled)
     with pytest.raises(Cancelled):
-        trace(View(0.0, scene.camera(0, 0, 3, 30)), recipe, TILES, cancelled)
+        trace(View(0.0, scene.camera(0, 0, 3, 30)), surface, tiles)
     with pytest.raises(Cancelled):
-        recipe.bricks(isovalue, isovalue, cancelled)  # it made no map
+        surface.cells(tiles.run)  # it made no map
 
 
 @pytest.mark.parametrize("isovalue", [0.0, 3.25])

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 from isogi_core.frame.frame import Frame
-from isogi_core.frame.reading import read_texels
+from isogi_core.frame.texel_reading import read_texels
 from isogi_core.frame.tiles import Tiles
-from isogi_core.kernels.lattice import BURIED
-from isogi_core.kernels.planes import FINAL
-from isogi_core.model.scene import load_scene
+from isogi_core.kernels.shading.framebuffer import FINAL
+from isogi_core.kernels.shading.lattice import BURIED
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import IDENTITY, SHADINGS, Camera, View, quaternion_from_angles
 from isogi_core.model.volume import Volume, make_volume
+from isogi_core.plan.assembly import load_scene
 from tests.frame.conftest import CONSTANT, LOOSE, SKY, Workbench, ball, luminance, relative_rmse, scene_of
 
 Make = Callable[..., Workbench]
@@ -45,14 +45,14 @@ def test_provisional_light_of_a_convex_surface_is_already_right(workbench: Make)
     np.testing.assert_allclose(frame.radiance[frame.state > 0], 0.4, rtol=1e-5)
 
 
-def test_reflected_light_only_adds(calm: Workbench) -> None:
+def test_reflected_light_only_adds(evenly_lit: Workbench) -> None:
     """Under constant light of 1: 0 <= vicinity <= gi <= albedo, to a half float; the difference is what bounces."""
-    gi, vicinity = (calm.renderer.render(calm.view(shading=s)).radiance for s in ("gi", "vicinity"))
+    gi, vicinity = (evenly_lit.renderer.render(evenly_lit.view(shading=s)).radiance for s in ("gi", "vicinity"))
     assert (vicinity >= 0.0).all() and (vicinity <= gi + 1e-6).all() and (gi <= 0.9 * (1.0 + 2.0**-11)).all()
     assert gi.sum() > 1.02 * vicinity.sum()
 
 
-def test_vicinity_does_not_turn(orbital: Workbench) -> None:
+def test_vicinity_does_not_rotate(orbital: Workbench) -> None:
     plain, turned = (orbital.renderer.render(orbital.view(shading="vicinity", light=q)) for q in (IDENTITY, TURN))
     np.testing.assert_allclose(plain.radiance, turned.radiance, rtol=1e-5)
 
@@ -103,15 +103,15 @@ def test_a_ball_sampled_unevenly_is_lit_the_same(spacing: tuple[float, float, fl
 # --- vicinity shading -----------------------------------------------------------------------------------------------
 
 
-def test_vicinity_of_a_transfer_scene_reads_the_direct_layer_that_is_there(orbital: Workbench) -> None:
+def test_vicinity_of_a_transfer_scene_reads_its_direct_layer(orbital: Workbench) -> None:
     before = orbital.layers
     assert len(before) == 2
     bench = orbital.again()
     frame = bench.renderer.render(bench.view(shading="vicinity"))
     assert orbital.layers == before
     assert frame.coverage["final"] > 0.99, "but where light is final sooner, as its sun is no part of it"
-    direct = bench.caches.of("gi").store.layers[0]
-    assert [layer.path for layer in bench.caches.of("vicinity").store.layers] == [direct.path]
+    direct = bench.caches.of("gi").chunk_store.layers[0]
+    assert [layer.path for layer in bench.caches.of("vicinity").chunk_store.layers] == [direct.path]
 
 
 def test_vicinity_of_a_constant_scene_has_a_layer_of_its_own(workbench: Make) -> None:
@@ -122,7 +122,7 @@ def test_vicinity_of_a_constant_scene_has_a_layer_of_its_own(workbench: Make) ->
     frame = bench.renderer.render(replace(view, shading="vicinity"))
     assert frame.coverage["provisional"] == 1.0
     assert not bench.bake(replace(view, shading="vicinity")).provisional
-    assert bench.layers == {whole, bench.caches.of("vicinity").store.layers[0].digest} and len(bench.layers) == 2
+    assert bench.layers == {whole, bench.caches.of("vicinity").chunk_store.layers[0].digest} and len(bench.layers) == 2
     assert not bench.again().renderer.render(view).provisional
 
 
@@ -136,9 +136,7 @@ def test_vicinity_under_a_lamp_alone_is_that_under_its_mean(workbench: Make) -> 
 
 
 @pytest.mark.parametrize(("name", "most"), [("orbital", 0.012), ("casting", 0.04)])
-def test_vicinity_is_the_path_tracer_without_bounces_under_constant_light(
-    name: str, most: float, workbench: Make
-) -> None:
+def test_vicinity_is_direct_constant_light_of_the_path_tracer(name: str, most: float, workbench: Make) -> None:
     """S1, fig. 10. The bake of a scene that has bounces, against a scene that has none.
 
     The orbital's two differ by their noise, the casting's by what is lost between texels of its thin fins.
@@ -172,7 +170,8 @@ def test_buried_texels_under_a_lit_surface_do_not_darken_it(
     kept: dict[str, Any], shading: str, workbench: Make
 ) -> None:
     """Texels of every other voxel: those at z = 8, a quarter of the light at the top, are in the hollow."""
-    bench = workbench(scene_of(box_with_a_cellar(), 0.0, albedo=0.5, bounces=2, lattice=0.5, **kept))
+    settings = {"albedo": 0.5, "bounces": 2, "lattice": 0.5, "projected": False}
+    bench = workbench(scene_of(box_with_a_cellar(), 0.0, **settings, **kept))
     view = bench.view(elevation=90.0, distance=1.5, size=24, shading=shading)
     frame = bench.bake(view)
     gbuffer = bench.renderer.gbuffer(view)

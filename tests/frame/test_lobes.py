@@ -11,12 +11,12 @@ import pytest
 
 from isogi_core.errors import Cancelled
 from isogi_core.frame import renderer as module
-from isogi_core.frame.surroundings import Turned
-from isogi_core.kernels.lamps import DIRECTIONAL
-from isogi_core.model.scene import load_scene
+from isogi_core.frame.lighting import RotatedLight
+from isogi_core.kernels.transport.lights import DIRECTIONAL
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import quaternion_from_angles
 from isogi_core.model.volume import Volume, make_volume
+from isogi_core.plan.assembly import load_scene
 from tests.frame.conftest import LOOSE, SKY, Workbench, ball, luminance, relative_rmse, scene_of
 
 Make = Callable[..., Workbench]
@@ -37,7 +37,7 @@ def set_out(workbench: Make, volume: Volume, **settings: Any) -> Workbench:
 
 
 @pytest.mark.slow
-def test_with_its_lobe_a_sun_is_as_paths_from_each_pixel_have_it(workbench: Make) -> None:
+def test_a_sun_as_a_lobe_is_as_the_path_tracer_has_it(workbench: Make) -> None:
     wrong = {}
     for lobes in (0, 1):
         bench = set_out(workbench, table(), lobes=lobes, target_error=0.03)
@@ -48,30 +48,30 @@ def test_with_its_lobe_a_sun_is_as_paths_from_each_pixel_have_it(workbench: Make
 
 
 @pytest.mark.parametrize("light", [(1.0, 0.0, 0.0, 0.0), TURN])
-def test_light_that_is_not_baked_yet_counts_no_lobe_twice(workbench: Make, light: Any) -> None:
+def test_provisional_light_counts_no_lobe_twice(workbench: Make, light: Any) -> None:
     """A ball shadows nothing but itself: unbaked, harmonics alone and with a lobe show nearly the same light."""
     frames = [set_out(workbench, ball(24, 8.0), lobes=n).renderer for n in (0, 1)]
     view = set_out(workbench, ball(24, 8.0)).view(size=48, light=light)
-    plain, sharp = (luminance(renderer.render(view)) for renderer in frames)
-    assert plain.mean() == pytest.approx(sharp.mean(), rel=0.02)
-    assert np.sqrt(((plain - sharp) ** 2).mean()) < 0.1 * plain.mean(), "order 3 has nearly all of unshadowed light"
+    plain, with_lobe = (luminance(renderer.render(view)) for renderer in frames)
+    assert plain.mean() == pytest.approx(with_lobe.mean(), rel=0.02)
+    assert np.sqrt(((plain - with_lobe) ** 2).mean()) < 0.1 * plain.mean(), "order 3 has nearly all of unshadowed light"
 
 
-def test_a_frame_with_lobes_is_no_frame_without(workbench: Make) -> None:
-    plain, sharp = (set_out(workbench, ball(24, 8.0), lobes=n) for n in (0, 1))
+def test_frames_with_and_without_lobes_have_two_versions(workbench: Make) -> None:
+    plain, with_lobe = (set_out(workbench, ball(24, 8.0), lobes=n) for n in (0, 1))
     view = plain.view(size=16)
-    assert plain.scene.digest != sharp.scene.digest
-    assert plain.renderer.render(view).version != sharp.renderer.render(view).version
+    assert plain.scene.digest != with_lobe.scene.digest
+    assert plain.renderer.render(view).version != with_lobe.renderer.render(view).version
     for layer in plain.scene.plan.layers:
-        assert plain.scene.layer_digest(layer) == sharp.scene.layer_digest(layer), "what is baked is the same"
+        assert plain.scene.layer_digest(layer) == with_lobe.scene.layer_digest(layer), "what is baked is the same"
 
 
-def test_lobes_turn_as_the_light_does(workbench: Make) -> None:
+def test_lobes_rotate_as_the_light_does(workbench: Make) -> None:
     bench = set_out(workbench, ball(24, 8.0), albedo=[0.2, 0.4, 0.8])
-    look = bench.caches.look("gi")
-    (sun,) = look.lobes
-    still, turned = (Turned(look, bench.view(light=q)).lobes for q in ((1.0, 0.0, 0.0, 0.0), TURN))
-    matrix = Turned(look, bench.view(light=TURN)).matrix
+    spec = bench.caches.spec("gi")
+    (sun,) = spec.lobes
+    still, turned = (RotatedLight(spec, bench.view(light=q)).lobes for q in ((1.0, 0.0, 0.0, 0.0), TURN))
+    matrix = RotatedLight(spec, bench.view(light=TURN)).matrix
     assert still.kinds.tolist() == [DIRECTIONAL]
     np.testing.assert_allclose(still.places[0], sun.towards)
     np.testing.assert_allclose(turned.places[0], matrix @ sun.towards)
@@ -79,12 +79,10 @@ def test_lobes_turn_as_the_light_does(workbench: Make) -> None:
     np.testing.assert_allclose(np.linalg.norm(still.edges[0], axis=1), math.sin(math.radians(sun.angle / 2.0)))
     np.testing.assert_allclose(still.edges[0] @ still.places[0], 0.0, atol=1e-12)
     shine = sun.irradiance * np.array([0.2, 0.4, 0.8]) / math.pi
-    np.testing.assert_allclose(look.unit * still.colours[0], shine)
+    np.testing.assert_allclose(spec.unit * still.colours[0], shine)
 
 
-def test_the_rays_to_lobes_are_cast_anew_when_the_light_turns_and_not_before(
-    workbench: Make, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_rays_to_lobes_are_cast_again_when_the_light_rotates(workbench: Make, monkeypatch: pytest.MonkeyPatch) -> None:
     cast, find = [], module.find_lobes
     monkeypatch.setattr(module, "find_lobes", lambda *given: cast.append(1) or find(*given))
     bench = set_out(workbench, ball(24, 8.0))
@@ -95,29 +93,29 @@ def test_the_rays_to_lobes_are_cast_anew_when_the_light_turns_and_not_before(
     assert len(cast) == 2, "vicinity shading has no lobes"
 
 
-def test_rays_to_lobes_stop_when_nobody_waits(workbench: Make) -> None:
+def test_cancelled_rays_to_lobes_stop(workbench: Make) -> None:
     bench = set_out(workbench, ball(24, 8.0))
     view, cancelled = bench.view(size=16), threading.Event()
-    gbuffer, turned = bench.renderer.gbuffer(view), Turned(bench.caches.look("gi"), view)
+    gbuffer, turned = bench.renderer.gbuffer(view), RotatedLight(bench.caches.spec("gi"), view)
     cancelled.set()
     with pytest.raises(Cancelled):
-        bench.renderer.lobes(turned, gbuffer, cancelled)
+        bench.renderer.lobes(turned, gbuffer, bench.renderer.tiles.cancelled_by(cancelled))
     assert bench.renderer.lobes(turned, gbuffer).lit.any()
 
 
-def test_what_is_in_the_suns_shadow_lacks_its_light_alone(workbench: Make) -> None:
+def test_the_suns_shadow_lacks_the_suns_light_alone(workbench: Make) -> None:
     bench = set_out(workbench, table())
     view = bench.view(elevation=60.0, size=32)
-    gbuffer, look = bench.renderer.gbuffer(view), bench.caches.look("gi")
-    lit = look.unit * bench.renderer.lobes(Turned(look, view), gbuffer).lit
-    normals = gbuffer.normals(bench.recipe, bench.renderer.tiles, None)
-    (sun,) = look.lobes
+    gbuffer, spec = bench.renderer.gbuffer(view), bench.caches.spec("gi")
+    lit = spec.unit * bench.renderer.lobes(RotatedLight(spec, view), gbuffer).lit
+    normals = gbuffer.normals(bench.renderer.tiles)
+    (sun,) = spec.lobes
     open_light = 0.7 / math.pi * np.maximum(normals @ np.array(sun.towards), 0.0) * (sun.irradiance @ LUMINANCE)
     share = (lit[:, :3] @ LUMINANCE)[open_light > 0.0] / open_light[open_light > 0.0]
     assert (share < 1.001).all()
     assert (share < 1e-6).mean() > 0.005 and (np.abs(share - 1.0) < 1e-4).mean() > 0.5, "in the shadow, or in the light"
 
 
-def test_a_scene_may_tell_how_many_lobes_it_has() -> None:
+def test_a_scene_may_set_its_number_of_lobes() -> None:
     assert [load_scene("demo:orbital", lobes=n).plan.lobes for n in (0, 1)] == [0, 1]
     assert load_scene("demo:orbital").plan.lobes == 1

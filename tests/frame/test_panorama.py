@@ -5,13 +5,13 @@ import pytest
 
 from isogi_core.frame.film import tone_table
 from isogi_core.frame.panorama import GLARE, KEY, glare, paint_panorama, tone
-from isogi_core.model.environment import environment, solid_angles
-from isogi_core.model.lamps import gather_lamps
+from isogi_core.model.environment import gather_lamps, solid_angles
 from isogi_core.model.lights import ConstantLight, DirectionalLight, Light, PointLight, SkyLight
+from isogi_core.plan.assembly import assemble_environment
 
 
 def painted(*lights: Light, width: int = 128) -> np.ndarray:
-    return paint_panorama(environment(lights), gather_lamps(lights), width)
+    return paint_panorama(assemble_environment(lights), gather_lamps(lights), width)
 
 
 def brightest(picture: np.ndarray) -> tuple[float, float]:
@@ -49,12 +49,12 @@ def test_a_directional_light_is_marked_in_its_colour(azimuth: float, elevation: 
     assert picture[marked].tolist() == [[255, tone_table()[2048], 0]] * int(marked.sum())
 
 
-def test_where_no_light_comes_from_afar_it_is_black() -> None:
+def test_a_panorama_without_distant_light_is_black() -> None:
     assert not painted(PointLight((1.0, 2.0, 3.0), (5.0, 5.0, 5.0))).any()
     assert not painted(ConstantLight((0.0, 0.0, 0.0)), DirectionalLight(irradiance=(0.0, 0.0, 0.0))).any()
 
 
-def test_glare_spreads_a_small_share_of_what_is_bright_and_loses_none() -> None:
+def test_glare_spreads_a_small_share_and_loses_no_light() -> None:
     point = np.zeros((32, 64, 3))
     point[16, 1] = 1.0
     spread = glare(point) - point

@@ -8,9 +8,9 @@ import pytest
 
 from isogi_core.files.radiance import write_hdr
 from isogi_core.frame.gbuffer import GBuffer
-from isogi_core.frame.paths import pooled_variance, replicas_for, variance_of_mean
-from isogi_core.model.scene import Scene
+from isogi_core.frame.pixel_rays import pooled_variance, replicas_for, variance_of_mean
 from isogi_core.model.sky import LUMINANCE
+from isogi_core.plan.scene import Scene
 from tests.frame.conftest import CONSTANT, Workbench, ball, luminance, scene_of
 
 BINOMIAL = np.outer([1, 4, 6, 4, 1], [1, 4, 6, 4, 1])
@@ -22,7 +22,7 @@ def gbuffer_of(on: np.ndarray) -> GBuffer:
     return GBuffer(on.shape, (1.0,) * 3, (0.0,) * 3, 0.5, pixels, np.zeros((len(pixels), 3), np.float32))
 
 
-def test_the_pool_is_a_weighted_mean_over_neighbours_on_the_surface() -> None:
+def test_pooled_variance_is_a_weighted_mean_over_neighbours() -> None:
     rng = np.random.default_rng(3)
     on = rng.random((9, 7)) < 0.6
     variance = rng.random(on.sum())
@@ -57,18 +57,18 @@ def half_sky(folder: Path) -> dict[str, object]:
 
 
 @pytest.mark.parametrize("samples", [8, 16, 64, 256])
-def test_frames_of_a_ball_under_half_a_sky_are_as_wrong_as_they_say(
+def test_path_traced_errors_are_as_large_as_reported(
     samples: int, workbench: Callable[[Scene], Workbench], tmp_path: Path
 ) -> None:
     """Its radiance is R (1 + n·z)/2, of the normals that rays start by; the ball meets none of them."""
     bench = workbench(scene_of(ball(), 0.0, lights=[half_sky(tmp_path)], albedo=0.6, bounces=0))
     frame = bench.renderer.render(bench.view(size=72, shading="path_traced", samples=samples))
-    normals = frame.gbuffer.normals(bench.recipe, bench.renderer.tiles, None)
+    normals = frame.gbuffer.normals(bench.renderer.tiles)
     expected = 0.6 * (1.0 + normals[:, 2].astype(float)) / 2.0
     wrong = luminance(frame) - expected
-    told = frame.error[frame.state > 0] * luminance(frame)
+    estimated = frame.error[frame.state > 0] * luminance(frame)
     assert 0.9 < np.sqrt((wrong**2).mean()) / expected.mean() / frame.estimated_error < 1.1
-    assert 0.9 < (np.abs(wrong) < 1.96 * told).mean() < 0.99
+    assert 0.9 < (np.abs(wrong) < 1.96 * estimated).mean() < 0.99
 
 
 def test_a_ball_under_constant_light_has_its_albedo_and_no_error(workbench: Callable[[Scene], Workbench]) -> None:

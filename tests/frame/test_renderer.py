@@ -17,10 +17,10 @@ from isogi_core.frame import renderer as renderer_module
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.tiles import Tiles
-from isogi_core.kernels.planes import CONVERGING, FINAL, PROVISIONAL
-from isogi_core.model.scene import load_scene
+from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, PROVISIONAL
 from isogi_core.model.view import IDENTITY, SHADINGS, quaternion_from_angles
 from isogi_core.model.volume import make_volume
+from isogi_core.plan.assembly import load_scene
 from tests.frame.conftest import LOOSE, SKY, Workbench, ball, luminance, relative_rmse, scene_of, soft_probe
 
 Make = Callable[..., Workbench]
@@ -63,7 +63,7 @@ def test_half_baked_light_is_converging(workbench: Make) -> None:
     assert bench.renderer.render(view, target=1.0).coverage["final"] == 1.0
 
 
-def test_the_estimated_error_is_the_rms_of_the_pixels_errors_over_the_mean(orbital: Workbench) -> None:
+def test_the_estimated_error_is_the_rms_of_pixels_over_the_mean(orbital: Workbench) -> None:
     frame = orbital.renderer.render(orbital.view())
     wrong = luminance(frame) * frame.error[frame.state > 0]
     assert frame.estimated_error == pytest.approx(np.sqrt((wrong**2).mean()) / luminance(frame).mean(), rel=1e-5)
@@ -77,11 +77,11 @@ def test_baking_one_view_leaves_the_others_rest_provisional(orbital: Workbench) 
     assert 0 < len(frame.demands) <= frame.chunks_needed
 
 
-def test_demands_name_the_texels_that_pixels_read_most_seen_first_known(workbench: Make) -> None:
+def test_demands_name_the_texels_that_pixels_read(workbench: Make) -> None:
     bench = workbench(scene_of(ball(), 0.0, bounces=0))
     view = bench.view(size=48)
     frame = bench.renderer.render(view)
-    lattice = bench.renderer.recipe.lattice
+    lattice = bench.renderer.prepared.lattice
     places = np.concatenate([lattice.positions(d.index, d.offsets) for d in frame.demands])
     assert len(np.unique(places, axis=0)) == len(places)
     points = bench.renderer.gbuffer(view).points
@@ -96,14 +96,14 @@ def test_light_of_one_layer_is_shown_and_provisional(workbench: Make) -> None:
     bench = workbench(load_scene("demo:orbital", bounces=2, **settings))
     view = bench.view(size=32)
     whole = bench.bake(view)
-    direct, indirect = bench.caches.of("gi").store.layers
+    direct, indirect = bench.caches.of("gi").chunk_store.layers
     shutil.rmtree(Path(indirect.path, "c"))
     frame = bench.again().renderer.render(view)
     on = frame.state > 0
     assert (frame.state[on] == PROVISIONAL).all() and (frame.error[on] == 1.0).all()
     assert len(frame.demands) == frame.chunks_needed and frame.version != whole.version
     alone = Workbench(load_scene("demo:orbital", bounces=0, **settings), bench.folder)
-    assert [layer.path for layer in alone.caches.of("gi").store.layers] == [direct.path]
+    assert [layer.path for layer in alone.caches.of("gi").chunk_store.layers] == [direct.path]
     direct_light = alone.renderer.render(view).radiance
     assert (frame.radiance <= direct_light).all(), "where no path left, more of them may: not buried yet"
     assert (frame.radiance[on] == direct_light[on]).mean() > 0.9
@@ -128,7 +128,7 @@ def test_one_pixel_is_a_picture(orbital: Workbench) -> None:
 # --- turning the light ------------------------------------------------------------------------------------------
 
 
-def test_turning_the_light_casts_no_primary_ray(orbital: Workbench, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_rotating_the_light_casts_no_primary_ray(orbital: Workbench, monkeypatch: pytest.MonkeyPatch) -> None:
     casts: list[int] = []
     trace_pixels = gbuffer_module.trace_pixels
 
@@ -153,7 +153,7 @@ def test_turning_the_light_casts_no_primary_ray(orbital: Workbench, monkeypatch:
     assert casts, "another camera does"
 
 
-def test_turning_the_light_needs_no_more_baking(orbital: Workbench) -> None:
+def test_rotating_the_light_needs_no_more_baking(orbital: Workbench) -> None:
     frame = orbital.renderer.render(replace(orbital.view(), light=TURN))
     assert not frame.provisional
 
@@ -167,7 +167,7 @@ def test_camera_and_light_turned_together_see_the_same(shading: str, workbench: 
     np.testing.assert_allclose(bench.renderer.render(quarter).radiance, plain.radiance, atol=1e-4)
 
 
-def test_path_tracer_and_cache_turn_the_light_alike(workbench: Make, tmp_path: Path) -> None:
+def test_path_tracer_and_cache_rotate_the_light_alike(workbench: Make, tmp_path: Path) -> None:
     bench = workbench(scene_of(ball(), 0.0, lights=[soft_probe(tmp_path)], target_error=0.02, bounces=1))
     view = bench.view(size=40, light=TURN)
     frame = bench.bake(view)
@@ -177,9 +177,7 @@ def test_path_tracer_and_cache_turn_the_light_alike(workbench: Make, tmp_path: P
     assert relative_rmse(flipped, reference) > 0.1
 
 
-def test_the_pool_is_looked_through_once_for_a_view_until_it_changes(
-    workbench: Make, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_pool_is_read_once_for_a_view_until_it_changes(workbench: Make, monkeypatch: pytest.MonkeyPatch) -> None:
     bench = workbench(scene_of(ball(), 0.0, bounces=0, target_error=0.5))
     view = bench.view(size=24)
     bench.bake(view)
@@ -199,7 +197,7 @@ def test_the_pool_is_looked_through_once_for_a_view_until_it_changes(
     assert len(readings) > 1 and len({reading.version for reading in readings}) > 1
 
 
-def test_a_view_that_is_forgotten_takes_its_texels_along(workbench: Make) -> None:
+def test_a_forgotten_view_takes_its_texels_along(workbench: Make) -> None:
     bench = workbench(scene_of(ball(), 0.0, bounces=0))
     most = 1 << 20
     renderer, surfaces = Renderer(bench.caches, Tiles(), most), WeakSet[GBuffer]()
@@ -222,7 +220,7 @@ def test_pictures_do_not_depend_on_the_number_of_threads(orbital: Workbench) -> 
 # --- one store, one picture ---------------------------------------------------------------------------------------
 
 
-def test_everything_rebuilt_from_the_same_store_is_the_same_frame(orbital: Workbench) -> None:
+def test_a_restart_on_the_same_store_gives_the_same_frame(orbital: Workbench) -> None:
     one, other = (bench.renderer.render(orbital.view()) for bench in (orbital, orbital.again()))
     assert one.version == other.version
     for plane in ("radiance", "state", "error", "position"):
@@ -251,7 +249,7 @@ def test_two_stores_baked_apart_hold_the_same_light(tmp_path: Path) -> None:
     assert np.array_equal(frames[0].radiance, frames[1].radiance)
 
 
-def test_nobody_waits_for_a_cancelled_frame(orbital: Workbench) -> None:
+def test_a_cancelled_frame_stops(orbital: Workbench) -> None:
     cancelled = threading.Event()
     cancelled.set()
     for shading in SHADINGS:

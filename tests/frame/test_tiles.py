@@ -21,7 +21,7 @@ def test_every_place_is_in_one_piece(threads: int, total: int, size: int) -> Non
 
 
 @pytest.mark.parametrize("threads", [1, 2, 3])
-def test_so_many_threads_work_at_once_and_the_callers_is_one(threads: int) -> None:
+def test_all_threads_work_and_the_callers_is_one(threads: int) -> None:
     tiles, workers = Tiles(threads), set()
     together = threading.Barrier(threads)
 
@@ -33,7 +33,7 @@ def test_so_many_threads_work_at_once_and_the_callers_is_one(threads: int) -> No
     assert len(workers) == threads and threading.get_ident() in workers
 
 
-def test_a_busy_helper_is_not_waited_for() -> None:
+def test_tiles_do_not_wait_for_a_busy_helper() -> None:
     tiles, go = Tiles(2), threading.Event()
     begun = threading.Barrier(3)
 
@@ -51,7 +51,7 @@ def test_a_busy_helper_is_not_waited_for() -> None:
         held.result(10)
 
 
-def test_what_a_piece_raises_comes_out_after_the_others_have_ended() -> None:
+def test_an_error_comes_out_after_other_pieces_have_ended() -> None:
     tiles, ended = Tiles(3), []
 
     def piece(a: int, b: int) -> None:
@@ -67,7 +67,7 @@ def test_what_a_piece_raises_comes_out_after_the_others_have_ended() -> None:
 
 
 @pytest.mark.parametrize("failing", ["tile_0", "tile_1"])
-def test_what_a_helper_raises_comes_out_after_the_others_have_ended(failing: str) -> None:
+def test_a_helpers_error_comes_out_after_the_other_pieces(failing: str) -> None:
     tiles, together, ended = Tiles(3), threading.Barrier(3), []
 
     def piece(a: int, b: int) -> None:
@@ -106,11 +106,24 @@ def test_cancelled_work_stops_between_pieces() -> None:
             cancelled.set()
 
     with pytest.raises(Cancelled):
-        tiles.run(piece, 9, 1, cancelled)
+        tiles.cancelled_by(cancelled).run(piece, 9, 1)
     assert pieces == [0, 1, 2]
 
 
+@pytest.mark.parametrize("which", [0, 1])
+def test_tiles_bound_twice_end_with_either_event(which: int) -> None:
+    tiles, events = Tiles(2), (threading.Event(), threading.Event())
+    bound = tiles.cancelled_by(events[0]).cancelled_by(events[1])
+    bound.check()
+    events[which].set()
+    for work in (bound.check, lambda: bound.run(lambda a, b: None, 3, 1)):
+        with pytest.raises(Cancelled):
+            work()
+    tiles.cancelled_by(events[1 - which]).check()
+    tiles.run(lambda a, b: None, 3, 1)
+
+
 @pytest.mark.parametrize("total", [0, 1, 7, 1000])
-def test_even_pieces_are_as_many_as_asked_for(total: int) -> None:
+def test_even_pieces_have_the_number_asked_for(total: int) -> None:
     size = Tiles(2).even(total, 3)
     assert size >= 1 and -(-total // size) <= 6

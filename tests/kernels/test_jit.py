@@ -13,20 +13,22 @@ import numba
 import pytest
 from numba import config
 
-from isogi_core.kernels import _folder, _jit
+from isogi_core.kernels import _cache_folder, _jit
 from tests.scale import COMPILED
 
 FOLDER = Path(_jit.__file__).parent
+SOURCES = sorted(FOLDER.rglob("*.py"))
 
 
 def kernel_names():
     """Every kernel as (module, name, whether it is an entry kernel): entry kernels name their types."""
-    for path in sorted(FOLDER.glob("*.py")):
+    for path in SOURCES:
         for node in ast.parse(path.read_text(encoding="utf-8")).body:
             if isinstance(node, ast.FunctionDef):
                 for mark in node.decorator_list:
                     if isinstance(mark, ast.Call) and getattr(mark.func, "id", "") == "kernel":
-                        yield path.stem, node.name, bool(mark.args)
+                        module = ".".join(path.relative_to(FOLDER).with_suffix("").parts)
+                        yield module, node.name, bool(mark.args)
 
 
 KERNELS = list(kernel_names())
@@ -65,38 +67,39 @@ def test_options_keep_threads_out_and_nan_in(module, name, entry):
 @COMPILED
 def test_the_cache_lies_in_the_folder_of_these_sources():
     assert Path(config.CACHE_DIR) == _jit.FOLDER
-    assert _jit.FOLDER.name == _folder.sources_digest()
+    assert _jit.FOLDER.name == _cache_folder.sources_digest()
 
 
 def test_the_cache_goes_where_it_is_told(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "xdg"))
     monkeypatch.delenv("ISOGI_KERNEL_CACHE", raising=False)
-    assert _folder.cache_folder().parent == tmp_path / "xdg" / "isogi" / "kernels"
+    assert _cache_folder.cache_folder().parent == tmp_path / "xdg" / "isogi" / "kernels"
     monkeypatch.setenv("ISOGI_KERNEL_CACHE", str(tmp_path / "told"))
-    assert _folder.cache_folder().parent == tmp_path / "told"
+    assert _cache_folder.cache_folder().parent == tmp_path / "told"
 
 
-@pytest.mark.parametrize("edited", [path.name for path in sorted(FOLDER.glob("*.py"))])
-def test_editing_any_source_changes_the_digest(edited, monkeypatch, tmp_path):
+def test_editing_any_source_changes_the_digest(monkeypatch, tmp_path):
     shutil.copytree(FOLDER, tmp_path / "kernels", ignore=shutil.ignore_patterns("__pycache__"))
-    monkeypatch.setattr(_folder, "__file__", str(tmp_path / "kernels" / "_folder.py"))
-    before = _folder.sources_digest()
-    with (tmp_path / "kernels" / edited).open("a", encoding="utf-8") as source:
-        source.write("\n")
-    assert _folder.sources_digest() != before
-    (tmp_path / "kernels" / edited).rename(tmp_path / "kernels" / "renamed.py")
-    assert _folder.sources_digest() != before
+    monkeypatch.setattr(_cache_folder, "__file__", str(tmp_path / "kernels" / "_cache_folder.py"))
+    for edited in (path.relative_to(FOLDER) for path in SOURCES):
+        before = _cache_folder.sources_digest()
+        with (tmp_path / "kernels" / edited).open("a", encoding="utf-8") as source:
+            source.write("\n")
+        after = _cache_folder.sources_digest()
+        (tmp_path / "kernels" / edited).rename(tmp_path / "kernels" / edited.with_stem("renamed"))
+        assert len({before, after, _cache_folder.sources_digest()}) == 3, edited
+        (tmp_path / "kernels" / edited.with_stem("renamed")).rename(tmp_path / "kernels" / edited)
 
 
-def test_another_checkout_and_a_touched_source_have_digests_of_their_own(monkeypatch, tmp_path):
+def test_another_checkout_or_a_touched_source_has_its_own_digest(monkeypatch, tmp_path):
     """Numba loads nothing that was compiled from another path, or before its source was touched."""
     digests = []
     for name in ("here", "there"):
         shutil.copytree(FOLDER, tmp_path / name, ignore=shutil.ignore_patterns("__pycache__"))
-        monkeypatch.setattr(_folder, "__file__", str(tmp_path / name / "_folder.py"))
-        digests += [_folder.sources_digest(), _folder.sources_digest()]
+        monkeypatch.setattr(_cache_folder, "__file__", str(tmp_path / name / "_cache_folder.py"))
+        digests += [_cache_folder.sources_digest(), _cache_folder.sources_digest()]
     os.utime(tmp_path / "there" / "_jit.py", (1, 1))
-    digests.append(_folder.sources_digest())
+    digests.append(_cache_folder.sources_digest())
     here, here_again, there, there_again, touched = digests
     assert (here, there) == (here_again, there_again)
     assert len({here, there, touched}) == 3
@@ -126,11 +129,11 @@ sys.stdout.write(f"{entry(1.0)} {sum(entry.ready.stats.cache_hits.values())}")
 
 
 @COMPILED
-def test_an_edited_helper_is_compiled_anew_and_an_old_one_is_loaded(tmp_path):
+def test_an_edited_helper_is_compiled_anew_an_old_one_loaded(tmp_path):
     """A house of two files, each run a fresh process: the entry kernel's own file never changes."""
     kernels = tmp_path / "isogi_core" / "kernels"
     kernels.mkdir(parents=True)
-    for name in ("_jit.py", "_folder.py"):
+    for name in ("_jit.py", "_cache_folder.py"):
         shutil.copy(FOLDER / name, kernels)
     (kernels.parent / "__init__.py").touch()
     (kernels / "__init__.py").touch()
@@ -149,7 +152,7 @@ def test_an_edited_helper_is_compiled_anew_and_an_old_one_is_loaded(tmp_path):
 
 
 @COMPILED
-def test_threads_that_call_a_kernel_together_wait_for_one_compilation(tmp_path, monkeypatch):
+def test_threads_that_call_a_kernel_wait_for_one_compilation(tmp_path, monkeypatch):
     monkeypatch.setattr(_jit, "FOLDER", tmp_path)
     made = []
 
@@ -171,7 +174,7 @@ def test_a_kernel_that_somebody_is_at_is_left_to_them(tmp_path, monkeypatch):
     monkeypatch.setattr(_jit, "FOLDER", tmp_path)
     monkeypatch.setattr(_jit, "njit", lambda signature, **options: lambda function: function)
     entry = _jit.Entry(lambda x: x, "float64(float64)", {})
-    with _folder.locked(tmp_path / f"{entry.name}.lock"):
+    with _cache_folder.locked(tmp_path / f"{entry.name}.lock"):
         entry.offer()
     assert not entry.loaded
     entry.offer()

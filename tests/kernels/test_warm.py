@@ -10,7 +10,7 @@ from pathlib import Path
 from numba import config
 
 from isogi_core.kernels import _jit
-from isogi_core.kernels.warm import entries_of, load, warm
+from isogi_core.kernels._jit import entries_of, load, warm
 from tests.scale import COMPILED
 
 pytestmark = COMPILED
@@ -34,7 +34,7 @@ def never(x):
 ASK = """\
 import sys
 from isogi_core.kernels.small import never, one, two
-from isogi_core.kernels.warm import warm
+from isogi_core.kernels._jit import warm
 if __name__ == "__main__":
     was = one.stored, two.stored
     warm((one, two))
@@ -64,7 +64,7 @@ def test_what_is_loaded_is_what_is_compiled_ahead(tmp_path, monkeypatch):
 def test_what_is_missing_is_compiled_by_others_and_loaded_here(tmp_path):
     kernels = tmp_path / "isogi_core" / "kernels"
     kernels.mkdir(parents=True)
-    for name in ("_jit.py", "_folder.py", "warm.py"):
+    for name in ("_jit.py", "_cache_folder.py"):
         shutil.copy(FOLDER / name, kernels)
     (kernels.parent / "__init__.py").touch()
     (kernels / "__init__.py").touch()

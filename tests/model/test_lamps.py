@@ -8,12 +8,13 @@ import pytest
 from scipy.special import sph_harm_y
 
 from isogi_core.errors import SceneError
-from isogi_core.kernels.lamps import AREA, DIRECTIONAL, POINT
-from isogi_core.model.lamps import gather_lamps
+from isogi_core.kernels.transport.lights import AREA, DIRECTIONAL, POINT
+from isogi_core.model.environment import gather_lamps
 from isogi_core.model.lights import AreaLight, ConstantLight, DirectionalLight, Lamp, PointLight
-from isogi_core.model.plan import Layer
-from isogi_core.model.scene import Scene, load_scene
+from isogi_core.model.scene_plan import Layer
 from isogi_core.model.sky import LUMINANCE
+from isogi_core.plan.assembly import load_scene
+from isogi_core.plan.scene import Scene
 
 SUN = DirectionalLight(90.0, 30.0, (3.0, 2.0, 1.0), 60.0)
 BULB = PointLight((1.0, 2.0, 8.0), (9.0, 0.0, 18.0))
@@ -63,7 +64,7 @@ def test_a_lamp_is_dark_from_behind_and_from_within() -> None:
 
 
 @pytest.mark.parametrize("away", [(0.0, 0.0, 0.0), (0.0, 0.0, 0.01), (1.0, 0.0, 0.0), (0.0, -2.9, 0.0)])
-def test_a_lamp_nearer_than_the_least_distance_counts_as_that_far(away: tuple[float, float, float]) -> None:
+def test_a_lamp_nearer_than_the_least_distance_is_moved_there(away: tuple[float, float, float]) -> None:
     x, y, z = np.add(CENTRE, away)
     behind = AreaLight((x - 1.0, y - 2.0, z), (2.0, 0.0, 0.0), (0.0, 4.0, 0.0), (0.5, 0.25, 1.0))
     directions, irradiances = gather_lamps([PointLight((x, y, z), (9.0, 0.0, 18.0)), behind]).seen_from(CENTRE, 3.0)
@@ -154,7 +155,7 @@ def lit_from(kind: str, offset: float) -> Scene:
 
 @pytest.mark.parametrize("kind", ["point", "area"])
 @pytest.mark.parametrize("offset", [0.0, 1e-4, -1e-4, 0.3, -0.3])
-def test_exposure_and_unit_are_of_the_volumes_size_wherever_a_lamp_is_in_it(kind: str, offset: float) -> None:
+def test_exposure_and_unit_do_not_depend_on_a_lamps_place(kind: str, offset: float) -> None:
     """An area light on the side of -x faces the centre from the volume's radius, and others face away from it."""
     here, there = lit_from(kind, offset), lit_from(kind, -1.0)
     assert 0.25 <= here.default_exposure / there.default_exposure <= 4.0

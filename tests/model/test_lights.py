@@ -10,15 +10,7 @@ import pytest
 
 from isogi_core.errors import LightError, SceneError
 from isogi_core.files.radiance import write_hdr
-from isogi_core.model.environment import (
-    cumulative,
-    environment,
-    mean_radiance,
-    pixel_directions,
-    resample,
-    solid_angles,
-)
-from isogi_core.model.light_tables import light_from_mapping
+from isogi_core.model.environment import cumulative, mean_radiance, pixel_directions, resample, solid_angles
 from isogi_core.model.lights import (
     AreaLight,
     ConstantLight,
@@ -26,8 +18,10 @@ from isogi_core.model.lights import (
     PointLight,
     ProbeLight,
     SkyLight,
+    light_from_mapping,
 )
 from isogi_core.model.sky import LUMINANCE, SUN_ILLUMINANCE, sky_image, sun_direction
+from isogi_core.plan.assembly import assemble_environment
 
 HERE = Path("scenes")
 BASE = HERE / "light"
@@ -131,7 +125,7 @@ def test_refusals_name_the_key(mapping: dict[str, Any], error: type[Exception], 
 
 
 def test_constant_lights_add_up_without_an_image() -> None:
-    light = environment([ConstantLight((1.0, 0.0, 0.5)), ConstantLight((0.25, 0.25, 0.25))])
+    light = assemble_environment([ConstantLight((1.0, 0.0, 0.5)), ConstantLight((0.25, 0.25, 0.25))])
     np.testing.assert_array_equal(light.constant, (1.25, 0.25, 0.75))
     assert light.image.shape == (1, 1, 3) and not light.image.any()
     np.testing.assert_array_equal(light.radiance(RANDOM.normal(size=(5, 7, 3))), np.full((5, 7, 3), light.constant))
@@ -139,13 +133,13 @@ def test_constant_lights_add_up_without_an_image() -> None:
 
 
 def test_no_light_is_darkness() -> None:
-    light = environment([])
+    light = assemble_environment([])
     assert not light.mean().any() and light.name == "no light"
 
 
 def test_every_pixel_is_found_in_its_own_direction(tmp_path: Path) -> None:
     image = np.arange(6 * 10 * 3.0).reshape(6, 10, 3)
-    light = environment([probe(tmp_path, image), ConstantLight((1.0, 1.0, 1.0))])
+    light = assemble_environment([probe(tmp_path, image), ConstantLight((1.0, 1.0, 1.0))])
     for length in (1.0, 1e-3, 1e6):
         np.testing.assert_allclose(light.radiance(length * pixel_directions(6, 10)), light.image + 1.0)
 
@@ -154,7 +148,7 @@ def test_axes_of_the_image(tmp_path: Path) -> None:
     image = np.zeros((4, 8, 3))
     image[0], image[3], image[1:3, 0] = 1.0, 2.0, 3.0
     image[1:3, 2], image[1:3, 4], image[1:3, 6] = 4.0, 5.0, 6.0
-    light = environment([probe(tmp_path, image)])
+    light = assemble_environment([probe(tmp_path, image)])
     tilt = 1e-3
     directions = [(0, 0, 1), (0, 0, -1), (1, tilt, 0), (-tilt, 1, 0), (-1, -tilt, 0), (tilt, -1, 0)]
     assert light.radiance(np.array(directions))[:, 0].tolist() == [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
@@ -163,7 +157,7 @@ def test_axes_of_the_image(tmp_path: Path) -> None:
 @pytest.mark.parametrize("azimuth", [0.0, -1e-300, -0.0, 2 * np.pi - 1e-16, -np.pi, np.pi])
 @pytest.mark.parametrize("z", [0.0, 1.0, -1.0, 1e-300])
 def test_lookup_stays_inside_at_seams_and_poles(tmp_path: Path, azimuth: float, z: float) -> None:
-    light = environment([probe(tmp_path, np.ones((3, 7, 3)))])
+    light = assemble_environment([probe(tmp_path, np.ones((3, 7, 3)))])
     direction = np.array([np.cos(azimuth), np.sin(azimuth), 0.0]) * (abs(z) != 1.0) + np.array([0.0, 0.0, z])
     np.testing.assert_array_equal(light.radiance(direction), np.ones(3))
 
@@ -197,7 +191,7 @@ def test_resampling_to_a_multiple_repeats_pixels() -> None:
 def test_probes_of_different_sizes_add_up(tmp_path: Path) -> None:
     fine, coarse = np.full((8, 16, 3), 0.5), np.full((3, 4, 3), 2.0)
     fine[0, 0] = 1e6
-    light = environment([probe(tmp_path, coarse, "a.hdr", 0.25), probe(tmp_path, fine, "b.hdr")])
+    light = assemble_environment([probe(tmp_path, coarse, "a.hdr", 0.25), probe(tmp_path, fine, "b.hdr")])
     assert light.image.shape == (8, 16, 3) and light.image.dtype == np.float32
     np.testing.assert_allclose(light.image[1:], 1.0, rtol=1e-6)
     np.testing.assert_allclose(light.mean(), mean_radiance(fine) + 0.5, rtol=1e-2)
@@ -206,9 +200,9 @@ def test_probes_of_different_sizes_add_up(tmp_path: Path) -> None:
 
 def test_black_probe_and_one_strong_pixel(tmp_path: Path) -> None:
     image = np.zeros((8, 16, 3))
-    assert not environment([probe(tmp_path, image)]).mean().any()
+    assert not assemble_environment([probe(tmp_path, image)]).mean().any()
     image[3, 5] = 2.0**20
-    light = environment([probe(tmp_path, image)])
+    light = assemble_environment([probe(tmp_path, image)])
     np.testing.assert_allclose(light.mean(), 2.0**20 * solid_angles(8, 16)[3, 5] / (4 * np.pi), rtol=1e-6)
 
 
@@ -216,16 +210,16 @@ def test_light_that_overflows_is_refused_with_a_count(tmp_path: Path) -> None:
     image = np.zeros((4, 4, 3))
     image[0, :3] = 1e37
     with pytest.raises(LightError, match="3 pixels"):
-        environment([probe(tmp_path, image, scale=1e3)])
+        assemble_environment([probe(tmp_path, image, scale=1e3)])
     path = probe(tmp_path, image).file
     path.write_bytes(path.read_bytes().replace(b"\n\n", b"\nEXPOSURE=1e-9\n\n", 1))
     with pytest.raises(LightError, match=r"p\.hdr' has 3 pixels"):
-        environment([ProbeLight(path)])
+        assemble_environment([ProbeLight(path)])
 
 
 def test_missing_probe_is_named(tmp_path: Path) -> None:
     with pytest.raises(LightError, match=r"absent\.hdr"):
-        environment([ProbeLight(tmp_path / "absent.hdr")])
+        assemble_environment([ProbeLight(tmp_path / "absent.hdr")])
 
 
 def test_digest_names_the_light_and_nothing_else(tmp_path: Path) -> None:
@@ -238,26 +232,26 @@ def test_digest_names_the_light_and_nothing_else(tmp_path: Path) -> None:
         [probe(tmp_path, image, "a.hdr", 2.0)],
         [probe(tmp_path, np.ones((4, 2, 3)), "c.hdr")],
     ]
-    digests = [environment(each).digest for each in lights]
+    digests = [assemble_environment(each).digest for each in lights]
     assert len(set(digests)) == len(lights)
-    assert environment([probe(tmp_path, image, "b.hdr")]).digest == digests[3]
+    assert assemble_environment([probe(tmp_path, image, "b.hdr")]).digest == digests[3]
 
 
 def test_lamps_are_no_environment() -> None:
     lamps = [DirectionalLight(), PointLight((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))]
-    assert environment([*lamps, ConstantLight()]).digest == environment([ConstantLight()]).digest
-    assert environment(lamps).name == "no light" and not environment(lamps).mean().any()
+    assert assemble_environment([*lamps, ConstantLight()]).digest == assemble_environment([ConstantLight()]).digest
+    assert assemble_environment(lamps).name == "no light" and not assemble_environment(lamps).mean().any()
 
 
 def table_of(image: np.ndarray) -> tuple[bool, np.ndarray, np.ndarray]:
     """Densities per pixel (h, w) that a table says, and the excess of the luminance over its mean by solid angle."""
-    light = replace(environment([]), image=image.astype(np.float32))
+    light = replace(assemble_environment([]), image=image.astype(np.float32))
     marginal, conditional = light.table
     excess = np.maximum(light.image @ LUMINANCE - light.mean() @ LUMINANCE, 0.0) * solid_angles(*image.shape[:2])
     return light.sharp, np.diff(marginal)[:, None] * np.diff(conditional, axis=1), excess / max(excess.sum(), 1e-300)
 
 
-def test_a_sharp_environment_draws_what_is_brighter_than_its_mean() -> None:
+def test_a_sharp_environment_samples_light_above_its_mean() -> None:
     image = RANDOM.random((9, 16, 3)) ** 12
     image[4] = 0.0
     sharp, drawn, excess = table_of(image)
@@ -280,15 +274,15 @@ def test_cumulative_shares_begin_at_0_and_end_at_1() -> None:
 def test_a_soft_environment_draws_nothing(lobe: str) -> None:
     z = pixel_directions(32, 64)[..., 2:]
     images = {"nothing": 0.0 * z, "constant": 0.0 * z + 3.0, "gradient": 1.0 + z, "half": 0.01 + (z > 0.0)}
-    light = replace(environment([]), image=(images[lobe] * np.ones(3)).astype(np.float32))
+    light = replace(assemble_environment([]), image=(images[lobe] * np.ones(3)).astype(np.float32))
     assert not light.sharp and all(part.size == 0 for part in light.table)
 
 
 def test_a_constant_softens_an_environment(tmp_path: Path) -> None:
     image = np.zeros((8, 16, 3))
     image[3, 4] = 64.0
-    assert environment([probe(tmp_path, image)]).sharp
-    assert not environment([probe(tmp_path, image), ConstantLight((8.0, 8.0, 8.0))]).sharp
+    assert assemble_environment([probe(tmp_path, image)]).sharp
+    assert not assemble_environment([probe(tmp_path, image), ConstantLight((8.0, 8.0, 8.0))]).sharp
 
 
 SKIES = [SkyLight(200.0, e, t) for e, t in itertools.product((0.0, 10.0, 45.0, 90.0), (2.0, 4.0, 10.0))]
@@ -357,7 +351,7 @@ def test_noon_is_blue_and_sunset_is_red() -> None:
 
 
 def test_a_sky_in_an_environment() -> None:
-    light = environment([SkyLight(sun_azimuth=90.0, sun_elevation=30.0, scale=2.0)])
+    light = assemble_environment([SkyLight(sun_azimuth=90.0, sun_elevation=30.0, scale=2.0)])
     assert light.mean() @ LUMINANCE == pytest.approx(2.0, rel=1e-5)
     up, down = light.radiance(np.array([[0.0, np.cos(np.pi / 6), 0.5], [0.0, 0.5, -0.5]])) @ LUMINANCE
     assert up > 1e4 * down > 0.0
@@ -367,7 +361,7 @@ def test_a_sky_in_an_environment() -> None:
 def test_real_probes_have_the_light_that_their_list_says(shared_data: Path) -> None:
     known = {"grace_256x128": (0.19, 2177), "noon_grass_1024x512": (0.56, 63_700)}
     for name, (mean, peak) in known.items():
-        light = environment([ProbeLight(shared_data / f"probe_{name}.hdr")])
+        light = assemble_environment([ProbeLight(shared_data / f"probe_{name}.hdr")])
         assert light.mean() @ LUMINANCE == pytest.approx(mean, abs=0.005)
         assert (light.image @ LUMINANCE).max() == pytest.approx(peak, rel=1e-3)
         assert light.sharp

@@ -9,23 +9,24 @@ from typing import Any
 import numpy as np
 import pytest
 
-from isogi_core.bake.light import Light
-from isogi_core.bake.look import Look
-from isogi_core.bake.recipe import Recipe
+from isogi_core.bake.bake_spec import BakeSpec
 from isogi_core.bake.refine import climb
-from isogi_core.cache.caches import Caches
+from isogi_core.bake.texel_light import Light
 from isogi_core.cache.loader import Loader
+from isogi_core.cache.scene_caches import Caches
 from isogi_core.files.radiance import write_hdr
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.renderer import Renderer
-from isogi_core.frame.texels import Demand
 from isogi_core.frame.tiles import Tiles
+from isogi_core.frame.view_texels import Demand
 from isogi_core.model.environment import pixel_directions
-from isogi_core.model.plan import Layer
-from isogi_core.model.scene import Scene, load_scene
+from isogi_core.model.scene_plan import Layer
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import View, quaternion_from_angles
 from isogi_core.model.volume import Volume, make_volume
+from isogi_core.plan.assembly import load_scene
+from isogi_core.plan.scene import Scene
+from isogi_core.prepared.prepared_scene import PreparedScene
 
 Frames = Callable[..., Frame]
 Lobe = Callable[[float], dict[str, Any]]
@@ -33,7 +34,7 @@ TARGET = 0.05
 CONSTANT = {"type": "constant", "radiance": 1.0}
 SUN = {"type": "sky", "sun_azimuth": 80.0, "sun_elevation": 50.0}
 WIDE = 2.0
-"""Sharpness of a light from a wide window."""
+"""Projection of a light from a wide window."""
 
 TURN = quaternion_from_angles(60.0, 0.0, 0.0)
 SIDE = 40
@@ -47,7 +48,7 @@ def frame_of(tmp_path: Path) -> Frames:
     def make(scene: Scene, samples: int = 64, **settings: Any) -> Frame:
         """A view, with ``samples`` paths from each texel in each layer, or from each pixel; whatever the error is."""
         view = view_of(scene, samples=samples, **settings)
-        renderer = Renderer(Caches(Recipe(scene), mkdtemp(dir=tmp_path), 1 << 28), Tiles())
+        renderer = Renderer(Caches(PreparedScene(scene), mkdtemp(dir=tmp_path), 1 << 28), Tiles())
         demands = renderer.render(view).demands
         if demands:
             loader = renderer.caches.of(view.shading)
@@ -72,18 +73,18 @@ def lobe(tmp_path: Path) -> Lobe:
 def bake(loader: Loader, demands: Sequence[Demand], samples: int) -> None:
     """Take all that is demanded to ``samples`` paths in each layer."""
     for demand in demands:
-        chunk = loader.store.load(demand.index).with_texels(demand.offsets)
-        look = loader.store.look
-        climb_to(chunk.light, look.recipe.lattice.positions(demand.index, chunk.offsets), look, samples)
-        loader.store.save(chunk)
+        chunk = loader.chunk_store.load(demand.index).with_texels(demand.offsets)
+        spec = loader.chunk_store.spec
+        climb_to(chunk.light, spec.prepared.lattice.positions(demand.index, chunk.offsets), spec, samples)
+        loader.chunk_store.save(chunk)
         loader.refresh(demand.index)
 
 
-def climb_to(light: Light, texels: np.ndarray, look: Look, samples: int) -> None:
+def climb_to(light: Light, texels: np.ndarray, spec: BakeSpec, samples: int) -> None:
     """Take every part of texels that have no light yet, and are not void, to ``samples``."""
     for part in light.parts:
         while len(rows := np.flatnonzero((part.samples >= 0) & (part.samples < samples))):
-            climb([part], rows, texels, look)
+            climb([part], rows, texels, spec)
 
 
 def view_of(scene: Scene, azimuth: float = 40.0, elevation: float = 55.0, **settings: Any) -> View:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from isogi_core.plan.texels import shown_blocks
+from isogi_core.plan.reachable_texels import shown_blocks
 
 
 def shown_texels(cells: np.ndarray, shape: tuple[int, int, int], size: int = 3) -> np.ndarray:

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from isogi_core.errors import SceneError
-from isogi_core.model.plan import Layer
-from isogi_core.model.scene import load_scene
+from isogi_core.model.scene_plan import Layer
 from isogi_core.plan.albedos import MOST, choose_nodes, mixing_error, mixing_weights, spread_nodes
+from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.budget import MIXING
-from isogi_core.plan.savings import percent
+from isogi_core.plan.left_out import percent
 
 SKY = {"type": "sky", "sun_azimuth": 20.0, "sun_elevation": 35.0}
 CONSTANT = {"type": "constant", "radiance": 1.0}
@@ -24,7 +24,7 @@ def series(chance: float, albedo: float, bounces: int) -> float:
 
 
 @pytest.mark.parametrize(("most", "bounces"), SCENES)
-def test_at_a_node_light_is_that_of_the_node_and_without_reflection_there_is_none(most: float, bounces: int) -> None:
+def test_mixed_light_is_exact_at_nodes_and_at_zero(most: float, bounces: int) -> None:
     nodes = choose_nodes(most, bounces, 0.005)
     assert nodes[-1] == pytest.approx(most, rel=1e-15) and all(a < b for a, b in pairwise((0.0, *nodes)))
     for number, node in enumerate(nodes):
@@ -33,7 +33,7 @@ def test_at_a_node_light_is_that_of_the_node_and_without_reflection_there_is_non
 
 
 @pytest.mark.parametrize(("most", "bounces"), SCENES)
-def test_light_of_any_cavity_and_of_mixtures_comes_out_within_the_error(most: float, bounces: int) -> None:
+def test_mixed_light_of_any_cavity_is_within_the_error(most: float, bounces: int) -> None:
     nodes = choose_nodes(most, bounces, 0.005)
     rng = np.random.default_rng(5)
     chances, shares = rng.uniform(0.002, 0.97, (40, 3)), rng.random((40, 3))
@@ -81,7 +81,7 @@ def test_a_scene_of_several_albedos_keeps_direct_light_and_nodes(light: dict[str
     assert percent(dict(scene.plan.errors)["albedo"]) in left.why and left.saves[0].amount > 0
 
 
-def test_the_scenes_own_albedo_changes_no_light_that_is_kept_for_several() -> None:
+def test_light_for_several_albedos_ignores_the_scenes_own() -> None:
     scenes = [load_scene("demo:orbital", albedo=albedo, albedos=[0.0, 0.9]) for albedo in (0.3, [0.9, 0.5, 0.1])]
     assert len({scene.bake_digest for scene in scenes}) == 1 and len({scene.digest for scene in scenes}) == 2
     assert scenes[0].bake_digest != load_scene("demo:orbital", albedo=0.3, albedos=[0.0, 0.8]).bake_digest

@@ -7,14 +7,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from isogi_core.bake.look import look_for
-from isogi_core.bake.recipe import Recipe
+from isogi_core.bake.bake_spec import spec_for
 from isogi_core.bake.refine import locate, sample_transfer
-from isogi_core.kernels.harmonics import MAX_ORDER, rotate
-from isogi_core.model.environment import environment
+from isogi_core.kernels.transport.harmonics import MAX_ORDER, rotate
 from isogi_core.model.lights import ProbeLight
-from isogi_core.model.scene import load_scene
 from isogi_core.model.sky import LUMINANCE
+from isogi_core.plan.assembly import assemble_environment, load_scene
 from isogi_core.plan.bands import (
     DECAY,
     TRANSFER_DIRECT,
@@ -22,11 +20,12 @@ from isogi_core.plan.bands import (
     Kind,
     band_energy,
     choose_order,
+    project_environment,
     truncation_error,
 )
-from isogi_core.plan.projection import project_environment
+from isogi_core.prepared.prepared_scene import PreparedScene
 from tests.bake.texels import SKY, surface_texels
-from tests.kernels.test_harmonics import basis, quadrature
+from tests.kernels.transport.harmonic_bases import basis, quadrature
 from tests.scale import COMPILED
 
 KINDS: list[Kind] = ["direct", "indirect"]
@@ -69,7 +68,7 @@ def test_band_energies_do_not_turn_with_the_light() -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("order", [1, 2, 4])
-def test_the_error_is_that_of_turned_lights_on_a_surface_of_this_transfer(kind: Kind, order: int) -> None:
+def test_truncation_error_matches_turned_lights_on_a_surface(kind: Kind, order: int) -> None:
     """Texels with the table's power in every band, in random directions: the mean transfer is 1 there."""
     tau = np.random.default_rng(5).normal(size=(300, MAX_ORDER**2))
     for l in BANDS:
@@ -131,7 +130,7 @@ def test_an_order_out_of_reach_is_the_most_and_says_its_error() -> None:
 @pytest.mark.data
 def test_orders_of_indirect_light_under_real_probes(shared_data: Path, probe: str, orders: tuple[int, int]) -> None:
     """At 5 % and at 2 % of all light."""
-    light = environment([ProbeLight(shared_data / f"probe_{probe}.hdr")])
+    light = assemble_environment([ProbeLight(shared_data / f"probe_{probe}.hdr")])
     energy = band_energy(project_environment(light, MAX_ORDER))
     assert tuple(choose_order(energy, target, "indirect")[0] for target in (0.05, 0.02)) == orders
 
@@ -140,11 +139,11 @@ def test_orders_of_indirect_light_under_real_probes(shared_data: Path, probe: st
 @pytest.mark.parametrize("order", [1, 2, 3])
 def test_the_error_is_that_of_a_baked_surface(order: int) -> None:
     """Within 1.4 on a demo, texels counted by how much of them views see; the randomisations part the noise."""
-    look = look_for(Recipe(load_scene("demo:casting", lights=[SKY], order=MAX_ORDER, bounces=0)), "gi")
-    place, void = locate(surface_texels(look, 150), look.recipe)
-    ((sums, _),) = sample_transfer(look.plan.layers, place, void, look, 0, 1024)
+    spec = spec_for(PreparedScene(load_scene("demo:casting", lights=[SKY], order=MAX_ORDER, bounces=0)), "gi")
+    place, void = locate(surface_texels(spec, 150), spec.prepared)
+    ((sums, _),) = sample_transfer(spec.plan.layers, place, void, spec, 0, 1024)
     one, other = np.moveaxis(sums[:, :, 0], 1, 0) / 512.0
-    energy = band_energy(look.light)
+    energy = band_energy(spec.light)
     level = (one + other)[:, 0] / 2.0
     seen = level / level.sum()
     each = np.repeat(energy / (2 * BANDS + 1), 2 * BANDS + 1)

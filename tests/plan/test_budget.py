@@ -7,19 +7,19 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from isogi_core.bake.light import Light
-from isogi_core.bake.look import look_for
-from isogi_core.bake.recipe import Recipe
-from isogi_core.frame.surroundings import turn
+from isogi_core.bake.bake_spec import spec_for
+from isogi_core.bake.texel_light import Light
+from isogi_core.frame.lighting import rotated_by
 from isogi_core.model.lights import ConstantLight, ProbeLight
-from isogi_core.model.scene import load_scene
 from isogi_core.model.sky import LUMINANCE
+from isogi_core.plan.assembly import load_scene
+from isogi_core.plan.bands import project_environment
 from isogi_core.plan.budget import harmonics_error, rounding_error, tail_of_bounces
-from isogi_core.plan.needs import Told
+from isogi_core.plan.inputs import PlanOverrides
 from isogi_core.plan.planner import plan_scene
-from isogi_core.plan.projection import project_environment
+from isogi_core.prepared.prepared_scene import PreparedScene
 from tests.bake.texels import climbed, surface_texels
-from tests.plan.test_planner import needs_of
+from tests.plan.planning import inputs_of
 from tests.scale import COMPILED
 
 ORDERS = {"order": 6, "indirect_order": 3}
@@ -32,8 +32,8 @@ def engine(folder: Path, precision: str) -> Light:
     probe = {"type": "probe", "file": str(folder / "probe_uffizi_256x128.hdr")}
     file = folder / "engine_256x256x128_uint8.nhdr"
     scene = load_scene(file, isovalue=70, lights=[probe], bounces=4, precision=precision, **ORDERS)
-    look = look_for(Recipe(scene), "gi")
-    return climbed(look, surface_texels(look, 96), SAMPLES)
+    spec = spec_for(PreparedScene(scene), "gi")
+    return climbed(spec, surface_texels(spec, 96), SAMPLES)
 
 
 def luminances(light: Light, lights: np.ndarray, order: int) -> np.ndarray:
@@ -54,11 +54,11 @@ def rounding_of(rounded: Light, exact: Light, lights: np.ndarray, order: int) ->
 @pytest.mark.parametrize("precision", ["half", "bytes"])
 def test_rounding_errs_as_the_budget_says(shared_data: Path, probe: str, precision: str) -> None:
     lights = [ProbeLight(shared_data / f"probe_{probe}.hdr")]
-    needs = needs_of(lights)
-    still = project_environment(needs.environment, 6)
-    turns = np.array([LUMINANCE @ turn(still, matrix) for matrix in Rotation.random(24, rng=3).as_matrix()])
+    inputs = inputs_of(lights)
+    still = project_environment(inputs.environment, 6)
+    turns = np.array([LUMINANCE @ rotated_by(still, matrix) for matrix in Rotation.random(24, rng=3).as_matrix()])
     measured = rounding_of(engine(shared_data, precision), engine(shared_data, "single"), turns, 6)
-    expected = rounding_error(plan_scene(needs, Told(**ORDERS, precision=precision)).layers, needs)
+    expected = rounding_error(plan_scene(inputs, PlanOverrides(**ORDERS, precision=precision)).layers, inputs)
     assert expected / 1.5 < measured < expected * 1.5
 
 
@@ -67,18 +67,20 @@ def test_rounding_errs_as_the_budget_says(shared_data: Path, probe: str, precisi
 @pytest.mark.slow
 def test_one_number_errs_as_the_budget_says(shared_data: Path) -> None:
     measured = rounding_of(engine(shared_data, "half"), engine(shared_data, "single"), np.ones((1, 1)), 1)
-    expected = rounding_error(plan_scene(needs_of([ConstantLight()]), Told()).layers, needs_of([ConstantLight()]))
+    expected = rounding_error(
+        plan_scene(inputs_of([ConstantLight()]), PlanOverrides()).layers, inputs_of([ConstantLight()])
+    )
     assert measured == pytest.approx(expected, rel=0.2)
 
 
 def test_single_floats_do_not_err() -> None:
-    needs = needs_of([ConstantLight()])
-    assert rounding_error(plan_scene(needs, Told(precision="single")).layers, needs) == 0.0
+    inputs = inputs_of([ConstantLight()])
+    assert rounding_error(plan_scene(inputs, PlanOverrides(precision="single")).layers, inputs) == 0.0
 
 
 def test_constant_light_loses_nothing_to_harmonics() -> None:
-    needs = needs_of([ConstantLight()])
-    assert harmonics_error(plan_scene(needs, Told()).layers, needs) == 0.0
+    inputs = inputs_of([ConstantLight()])
+    assert harmonics_error(plan_scene(inputs, PlanOverrides()).layers, inputs) == 0.0
 
 
 @pytest.mark.parametrize("bounces", [0, 3, 12])

@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 
 from isogi_core.bake import refine
-from isogi_core.bake.recipe import Recipe
-from isogi_core.frame import surroundings
+from isogi_core.frame import lighting as surroundings
 from isogi_core.frame.gbuffer import trace
-from isogi_core.frame.texels import find_texels
 from isogi_core.frame.tiles import Tiles
-from isogi_core.kernels.lattice import CHUNK
-from isogi_core.model import lamps
-from isogi_core.model.scene import Scene
+from isogi_core.frame.view_texels import find_texels
+from isogi_core.kernels.shading.lattice import CHUNK
+from isogi_core.model import environment as lamps
 from isogi_core.model.view import IDENTITY
-from isogi_core.plan.texels import surface_cells, void_texels
+from isogi_core.plan.reachable_texels import surface_cells, void_texels
+from isogi_core.plan.scene import Scene
+from isogi_core.prepared.prepared_scene import PreparedScene
 from tests.plan.conftest import (
     SUN,
     TARGET,
@@ -69,7 +69,7 @@ def aimed(scene: Scene, sharp: bool) -> Scene:
     return replace(scene, environment=around)
 
 
-def test_shadow_rays_and_their_table_are_left_out_under_soft_light(frame_of: Frames, lobe: Lobe) -> None:
+def test_soft_light_leaves_out_shadow_rays_and_their_table(frame_of: Frames, lobe: Lobe) -> None:
     scene = in_bowl(lights=[lobe(1.0)], rotating=False)
     assert not scene.environment.table[0].size
     kept = aimed(scene, True)
@@ -86,10 +86,10 @@ def test_shadow_rays_and_their_table_are_kept_under_the_sun(frame_of: Frames) ->
 
 def read_by(scene: Scene, isovalue: float, azimuth: float) -> np.ndarray:
     """Which texels of the lattice a view reads; bool."""
-    recipe, tiles = Recipe(scene), Tiles()
-    gbuffer = trace(view_of(scene, azimuth, isovalue=isovalue), recipe, tiles, None)
-    marks = np.zeros(recipe.shape, np.bool_)
-    texels = find_texels(gbuffer, recipe, tiles, None)
+    prepared, tiles = PreparedScene(scene), Tiles()
+    gbuffer = trace(view_of(scene, azimuth, isovalue=isovalue), prepared.surface(isovalue), tiles)
+    marks = np.zeros(prepared.shape, np.bool_)
+    texels = find_texels(gbuffer, prepared, tiles)
     for index, offsets in zip(texels.chunks, texels.offsets, strict=True):
         inside = np.unravel_index(offsets, (CHUNK,) * 3)
         marks[tuple(at + CHUNK * chunk for at, chunk in zip(inside, index, strict=True))] = True
@@ -127,7 +127,7 @@ def test_texels_with_a_gradient_are_kept() -> None:
     low, high, deep = map(scene.volume.normalise_isovalue, (*scene.isovalues, 1.5))
     voxels, shape = scene.volume.voxels, scene.lattice_shape
     shown = shown_texels(surface_cells(voxels, low, high), shape)
-    void = void_texels(Recipe(scene).field, shape, np.flatnonzero(shown))
+    void = void_texels(PreparedScene(scene).field, shape, np.flatnonzero(shown))
     gap = [(np.roll(voxels, 1, axis) > voxels) & (np.roll(voxels, -1, axis) > voxels) for axis in range(3)]
     assert void.sum() == scene.texels.void < 0.03 * scene.texels.shown
     assert ((voxels > deep) | np.any(gap, axis=0))[shown][void].all()

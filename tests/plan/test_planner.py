@@ -1,7 +1,6 @@
 """The planner: the least that gives the picture, for every sort of light, and what it refuses to be told."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,30 +10,18 @@ import pytest
 
 from isogi_core.errors import LightError, SceneError
 from isogi_core.files.radiance import write_hdr
-from isogi_core.kernels.harmonics import MAX_ORDER
-from isogi_core.model.environment import environment, pixel_directions
-from isogi_core.model.lamps import gather_lamps
+from isogi_core.kernels.transport.harmonics import MAX_ORDER
+from isogi_core.model.environment import pixel_directions
 from isogi_core.model.lights import ConstantLight, DirectionalLight, Light, PointLight, ProbeLight, SkyLight
-from isogi_core.model.plan import Layer, ScenePlan
+from isogi_core.model.scene_plan import Layer, ScenePlan
 from isogi_core.plan.bands import truncation_error
 from isogi_core.plan.budget import BOUNCES, EVEN, LONGEST_PATH, ROUNDING, bounces_for, even, rounding_error
-from isogi_core.plan.needs import Needs, Told
+from isogi_core.plan.inputs import PlanOverrides
 from isogi_core.plan.planner import FAR_BANDS, MOST_BANDS, MOST_REFLECTED, plan_scene, vicinity_plan
+from tests.plan.planning import NOTHING, inputs_of, plan_of
 
 GREY, RED = (0.7, 0.7, 0.7), (0.8, 0.2, 0.2)
-NOTHING = Told()
 WHITE, BLUE = ConstantLight(), ConstantLight((0.2, 0.3, 1.0))
-
-
-def needs_of(
-    lights: Sequence[Light], rotating: bool = True, albedo: float | Sequence[float] = 0.7, target: float = 0.02
-) -> Needs:
-    r, g, b = np.broadcast_to(albedo, 3).tolist()
-    return Needs(environment(lights), gather_lamps(lights), (0.0, 0.0, 0.0), 1.0, rotating, (r, g, b), target)
-
-
-def plan_of(lights: Sequence[Light], told: Told = NOTHING, **settings: Any) -> ScenePlan:
-    return plan_scene(needs_of(lights, **settings), told)
 
 
 @pytest.fixture(scope="module")
@@ -72,7 +59,7 @@ def test_constant_light_keeps_one_number_for_each_channel(
         assert plan.bytes_per_texel == (4 if plan.channels == 1 else 8)
 
 
-def test_light_that_stays_keeps_what_it_gives_in_as_many_channels_as_it_needs() -> None:
+def test_fixed_light_keeps_irradiance_in_the_channels_it_needs() -> None:
     lamp = DirectionalLight(irradiance=(3.0, 3.0, 3.0))
     for lights, albedo, channels in (
         ([lamp], 0.7, 1),
@@ -86,14 +73,14 @@ def test_light_that_stays_keeps_what_it_gives_in_as_many_channels_as_it_needs() 
 
 
 @pytest.mark.parametrize("radiance", [1e-3, 0.4, 1.0, 3.9, 700.0])
-def test_irradiance_is_kept_in_a_unit_that_the_brightest_has_one_or_two_of(radiance: float) -> None:
+def test_the_brightest_irradiance_is_one_to_two_units(radiance: float) -> None:
     lights = [DirectionalLight(irradiance=(math.pi * radiance,) * 3)]
     (layer,) = plan_of(lights, rotating=False).layers
     assert math.frexp(layer.scale)[0] == 0.5, "a power of two"
     assert 1.0 <= radiance / layer.scale * (1 + 1e-12) < 2.0 + 1e-9
 
 
-def test_light_that_turns_keeps_harmonics_of_no_higher_order_than_it_needs(soft: ProbeLight) -> None:
+def test_turning_light_keeps_harmonics_of_the_least_order(soft: ProbeLight) -> None:
     plan = plan_of([soft])
     assert plan.representation == "transfer"
     direct, indirect = plan.layers
@@ -104,53 +91,53 @@ def test_light_that_turns_keeps_harmonics_of_no_higher_order_than_it_needs(soft:
 
 
 @pytest.mark.parametrize("target", [0.3, 0.1, 0.05, 0.02])
-def test_orders_are_the_least_within_the_target_or_say_that_they_are_not(target: float) -> None:
-    needs = needs_of([SkyLight()], target=target)
-    plan = plan_scene(needs, Told(lobes=0))
+def test_orders_are_least_within_the_target_or_noted(target: float) -> None:
+    inputs = inputs_of([SkyLight()], target=target)
+    plan = plan_scene(inputs, PlanOverrides(lobes=0))
     direct, indirect = (layer.order for layer in plan.layers)
     error = math.hypot(
-        truncation_error(needs.energy, direct, "direct"), truncation_error(needs.energy, indirect, "indirect")
+        truncation_error(inputs.energy, direct, "direct"), truncation_error(inputs.energy, indirect, "indirect")
     )
     assert dict(plan.errors)["harmonics"] == pytest.approx(error)
     assert (error > target) == bool(plan.notes)
     if error > target:
         assert direct == MOST_BANDS and f"target of {target:.0%}" in plan.notes[0]
     else:
-        assert truncation_error(needs.energy, direct - 1, "direct") > math.sqrt(0.5) * target
+        assert truncation_error(inputs.energy, direct - 1, "direct") > math.sqrt(0.5) * target
 
 
-def test_more_bands_are_taken_only_where_they_bring_light_within_the_target() -> None:
-    energy = needs_of([SkyLight()]).energy
+def test_more_bands_are_taken_only_where_they_reach_the_target() -> None:
+    energy = inputs_of([SkyLight()]).energy
     errors = {order: truncation_error(energy, order, "direct") for order in range(MOST_BANDS, FAR_BANDS + 1)}
     for order in range(MOST_BANDS + 1, FAR_BANDS + 1):
-        within = needs_of([SkyLight()], target=1.001 * errors[order])
-        assert plan_scene(within, Told(lobes=0)).layers[0].order == order
-    beyond = needs_of([SkyLight()], target=0.999 * errors[FAR_BANDS])
-    assert plan_scene(beyond, Told(lobes=0)).layers[0].order == MOST_BANDS
+        within = inputs_of([SkyLight()], target=1.001 * errors[order])
+        assert plan_scene(within, PlanOverrides(lobes=0)).layers[0].order == order
+    beyond = inputs_of([SkyLight()], target=0.999 * errors[FAR_BANDS])
+    assert plan_scene(beyond, PlanOverrides(lobes=0)).layers[0].order == MOST_BANDS
 
 
 @pytest.mark.parametrize("target", [0.1, 0.05, 0.02])
-def test_beside_a_sun_reflected_light_has_the_order_that_it_needs(target: float) -> None:
-    needs = needs_of([SkyLight()], target=target)
-    plan = plan_scene(needs, Told())
+def test_reflected_light_under_a_sun_has_the_order_it_needs(target: float) -> None:
+    inputs = inputs_of([SkyLight()], target=target)
+    plan = plan_scene(inputs, PlanOverrides())
     direct, indirect = (layer.order for layer in plan.layers)
-    straight = truncation_error(needs.energy_beside(plan.lobes), direct, "direct")
-    error = math.hypot(straight, truncation_error(needs.energy, indirect, "indirect"))
+    straight = truncation_error(inputs.energy_beside(plan.lobes), direct, "direct")
+    error = math.hypot(straight, truncation_error(inputs.energy, indirect, "indirect"))
     assert plan.lobes == 1 and dict(plan.errors)["harmonics"] == pytest.approx(error)
     assert error <= target and not plan.notes and indirect <= MOST_REFLECTED
     if indirect > 1:
-        lower = truncation_error(needs.energy, indirect - 1, "indirect")
+        lower = truncation_error(inputs.energy, indirect - 1, "indirect")
         assert math.hypot(straight, lower) > target, "no order less would do"
 
 
 def test_notes_advise_light_that_stays_only_where_it_turns() -> None:
-    (turning,) = plan_of([SkyLight()], Told(lobes=0)).notes
-    (fixed,) = plan_of([SkyLight()], Told("transfer"), rotating=False).notes
+    (turning,) = plan_of([SkyLight()], PlanOverrides(lobes=0)).notes
+    (fixed,) = plan_of([SkyLight()], PlanOverrides("transfer"), rotating=False).notes
     assert turning == f"{fixed} Where it need not turn, rotating = false bakes the light as it is."
 
 
-def test_notes_tell_small_targets_to_their_digits() -> None:
-    (note,) = plan_of([SkyLight()], Told(lobes=0), target=1.25e-4).notes
+def test_notes_show_small_targets_with_all_digits() -> None:
+    (note,) = plan_of([SkyLight()], PlanOverrides(lobes=0), target=1.25e-4).notes
     assert note.count("target of 0.0125%.") == 1
 
 
@@ -161,7 +148,7 @@ def test_notes_tell_small_targets_to_their_digits() -> None:
 def test_a_note_says_where_the_longest_paths_are_too_short(albedo: float, lost: str | None) -> None:
     notes = plan_of([WHITE], albedo=albedo).notes
     assert len(notes) == (lost is not None) and all(lost in note and "target of 2%" in note for note in notes if lost)
-    assert not plan_of([WHITE], Told(bounces=LONGEST_PATH), albedo=albedo).notes, "as told"
+    assert not plan_of([WHITE], PlanOverrides(bounces=LONGEST_PATH), albedo=albedo).notes, "as told"
 
 
 @pytest.mark.data
@@ -169,9 +156,7 @@ def test_a_note_says_where_the_longest_paths_are_too_short(albedo: float, lost: 
     ("name", "most"),
     [("uffizi_256x128", 100), ("grace_256x128", 64), ("noon_grass_1024x512", 64), ("ennis_256x128", 64)],
 )
-def test_a_probe_that_turns_at_two_percent_takes_64_bytes_or_what_brings_it_there(
-    shared_data: Path, name: str, most: int
-) -> None:
+def test_a_turning_probe_takes_64_bytes_or_reaches_two_percent(shared_data: Path, name: str, most: int) -> None:
     plan = plan_of([ProbeLight(shared_data / f"probe_{name}.hdr")])
     assert plan.representation == "transfer" and plan.bytes_per_texel <= most
     assert most == 64 or not plan.notes
@@ -191,11 +176,11 @@ def test_a_smaller_target_never_takes_fewer_bands(shared_data: Path, name: str) 
 
 @pytest.mark.parametrize("slope", [0.0, 1e-4, 0.001, 0.01, 0.1])
 def test_a_probe_that_is_even_enough_is_constant_light(tmp_path: Path, slope: float) -> None:
-    needs = needs_of([probe(tmp_path, slope)])
-    error = truncation_error(needs.energy, 1, "direct")
-    assert even(needs) == (error <= EVEN * needs.target_error)
-    assert (plan_scene(needs, Told()).representation == "constant") == even(needs)
-    assert even(needs) == (slope <= 0.01)
+    inputs = inputs_of([probe(tmp_path, slope)])
+    error = truncation_error(inputs.energy, 1, "direct")
+    assert even(inputs) == (error <= EVEN * inputs.target_error)
+    assert (plan_scene(inputs, PlanOverrides()).representation == "constant") == even(inputs)
+    assert even(inputs) == (slope <= 0.01)
 
 
 @pytest.mark.parametrize("albedo", [0.05, 0.3, 0.5, 0.7, 0.9, 0.99])
@@ -216,70 +201,70 @@ def test_bounces_at_the_ends(albedo: float, bounces: int) -> None:
 @pytest.mark.parametrize("lights", [[WHITE], [SkyLight()]])
 def test_bounces_at_albedo_0_are_refused_and_no_bounces_are_not(lights: list[Light]) -> None:
     with pytest.raises(SceneError, match=r"bounces = 4 .* albedo 0"):
-        plan_of(lights, Told(bounces=4), albedo=0.0)
-    assert plan_of(lights, Told(bounces=0), albedo=0.0) == plan_of(lights, albedo=0.0)
+        plan_of(lights, PlanOverrides(bounces=4), albedo=0.0)
+    assert plan_of(lights, PlanOverrides(bounces=0), albedo=0.0) == plan_of(lights, albedo=0.0)
 
 
 @pytest.mark.parametrize(("bounces", "albedo"), [(0, 0.7), (None, 0.0), (0, 0.0)])
-def test_constant_light_that_is_not_reflected_needs_no_layer_for_both(bounces: int | None, albedo: float) -> None:
+def test_unreflected_constant_light_has_one_layer(bounces: int | None, albedo: float) -> None:
     with pytest.raises(SceneError, match="representation = 'constant'"):
-        plan_of([WHITE], Told("constant", bounces=bounces), albedo=albedo)
-    assert plan_of([WHITE], Told(bounces=bounces), albedo=albedo).representation == "vicinity"
+        plan_of([WHITE], PlanOverrides("constant", bounces=bounces), albedo=albedo)
+    assert plan_of([WHITE], PlanOverrides(bounces=bounces), albedo=albedo).representation == "vicinity"
 
 
-def test_bounces_that_are_told_are_the_picture_and_no_error() -> None:
-    told, chosen = plan_of([WHITE], Told(bounces=1)), plan_of([WHITE])
-    assert told.bounces == 1 and "bounces" not in dict(told.errors)
+def test_bounces_of_the_scene_count_as_no_error() -> None:
+    overrides, chosen = plan_of([WHITE], PlanOverrides(bounces=1)), plan_of([WHITE])
+    assert overrides.bounces == 1 and "bounces" not in dict(overrides.errors)
     assert dict(chosen.errors)["bounces"] == pytest.approx(0.7 ** (chosen.bounces + 1))
 
 
 @pytest.mark.parametrize("target", [0.3, 0.02, 0.005, 0.001, 0.0001])
 def test_the_coarsest_precision_whose_rounding_fits(soft: ProbeLight, target: float) -> None:
     for lights in ([WHITE], [soft], [SkyLight()]):
-        needs = needs_of(lights, target=target)
-        plan = plan_scene(needs, Told())
+        inputs = inputs_of(lights, target=target)
+        plan = plan_scene(inputs, PlanOverrides())
         if plan.half:
-            assert rounding_error(plan.layers, needs, plan.lobes) <= ROUNDING * target
+            assert rounding_error(plan.layers, inputs, plan.lobes) <= ROUNDING * target
         else:
             halved = tuple(Layer(layer.kind, layer.order, layer.channels) for layer in plan.layers)
-            assert rounding_error(halved, needs, plan.lobes) > ROUNDING * target
+            assert rounding_error(halved, inputs, plan.lobes) > ROUNDING * target
 
 
 @pytest.mark.parametrize("precision", ["bytes", "half", "single"])
-def test_precision_as_told(precision: str) -> None:
-    plan = plan_of([SkyLight()], Told(precision=precision))
+def test_precision_of_the_scene_is_kept(precision: str) -> None:
+    plan = plan_of([SkyLight()], PlanOverrides(precision=precision))
     assert plan.precision == precision
 
 
 @pytest.mark.parametrize(
-    ("lights", "rotating", "told", "word"),
+    ("lights", "rotating", "overrides", "word"),
     [
-        ([WHITE], True, Told(order=3), "order = 3"),
-        ([WHITE], True, Told(indirect_order=3), "indirect_order"),
-        ([WHITE], True, Told(precision="bytes"), "precision"),
-        ([WHITE], True, Told(representation="irradiance"), "rotating = false"),
-        ([WHITE], True, Told(representation="vicinity", bounces=2), "bounces"),
-        ([SkyLight()], False, Told(order=3), "order = 3"),
-        ([SkyLight()], True, Told(representation="irradiance"), "rotating = false"),
-        ([SkyLight()], True, Told(representation="vicinity"), "vicinity"),
-        ([SkyLight()], True, Told(representation="constant"), "constant"),
-        ([SkyLight()], True, Told(bounces=0, indirect_order=2), "indirect_order = 2"),
-        ([SkyLight()], True, Told(order=2, indirect_order=3), "indirect_order = 3"),
-        ([SkyLight()], True, Told(order=2, precision="bytes"), "precision"),
-        ([DirectionalLight()], False, Told(representation="transfer"), "transfer"),
-        ([DirectionalLight()], False, Told(representation="constant"), "constant"),
+        ([WHITE], True, PlanOverrides(order=3), "order = 3"),
+        ([WHITE], True, PlanOverrides(indirect_order=3), "indirect_order"),
+        ([WHITE], True, PlanOverrides(precision="bytes"), "precision"),
+        ([WHITE], True, PlanOverrides(representation="irradiance"), "rotating = false"),
+        ([WHITE], True, PlanOverrides(representation="vicinity", bounces=2), "bounces"),
+        ([SkyLight()], False, PlanOverrides(order=3), "order = 3"),
+        ([SkyLight()], True, PlanOverrides(representation="irradiance"), "rotating = false"),
+        ([SkyLight()], True, PlanOverrides(representation="vicinity"), "vicinity"),
+        ([SkyLight()], True, PlanOverrides(representation="constant"), "constant"),
+        ([SkyLight()], True, PlanOverrides(bounces=0, indirect_order=2), "indirect_order = 2"),
+        ([SkyLight()], True, PlanOverrides(order=2, indirect_order=3), "indirect_order = 3"),
+        ([SkyLight()], True, PlanOverrides(order=2, precision="bytes"), "precision"),
+        ([DirectionalLight()], False, PlanOverrides(representation="transfer"), "transfer"),
+        ([DirectionalLight()], False, PlanOverrides(representation="constant"), "constant"),
     ],
 )
-def test_what_would_do_nothing_or_show_something_else_is_refused(
-    lights: list[Light], rotating: bool, told: Told, word: str
+def test_overrides_that_do_nothing_are_refused(
+    lights: list[Light], rotating: bool, overrides: PlanOverrides, word: str
 ) -> None:
     with pytest.raises(SceneError, match=word):
-        plan_of(lights, told, rotating=rotating)
+        plan_of(lights, overrides, rotating=rotating)
 
 
 @pytest.mark.parametrize(("order", "indirect"), [(1, None), (3, 2), (MAX_ORDER, MAX_ORDER)])
-def test_orders_as_told(order: int, indirect: int | None) -> None:
-    plan = plan_of([SkyLight()], Told(order=order, indirect_order=indirect))
+def test_orders_of_the_scene_are_kept(order: int, indirect: int | None) -> None:
+    plan = plan_of([SkyLight()], PlanOverrides(order=order, indirect_order=indirect))
     assert plan.layers[0].order == plan.order == order
     assert indirect is None or plan.indirect_order == indirect
 
@@ -292,15 +277,13 @@ def test_a_scene_in_the_dark_has_a_plan() -> None:
 
 
 @pytest.mark.parametrize(("height", "width"), [(1, 1), (2, 1), (1, 2), (3, 5), (32, 64)])
-def test_an_even_probe_is_as_bright_as_constant_light_whatever_its_pixels(
-    height: int, width: int, tmp_path: Path
-) -> None:
+def test_an_even_probe_is_as_bright_as_constant_light(height: int, width: int, tmp_path: Path) -> None:
     write_hdr(tmp_path / "even.hdr", np.ones((height, width, 3)))
-    assert needs_of([ProbeLight(tmp_path / "even.hdr")]).brightest == pytest.approx(1.0, rel=1e-9)
+    assert inputs_of([ProbeLight(tmp_path / "even.hdr")]).brightest == pytest.approx(1.0, rel=1e-9)
 
 
 def test_brightest_is_the_mean_and_twice_the_pull(soft: ProbeLight) -> None:
-    assert needs_of([soft, ConstantLight((2.0, 2.0, 2.0))]).brightest == pytest.approx(3.0 + 2 * 0.8 / 3, rel=0.01)
+    assert inputs_of([soft, ConstantLight((2.0, 2.0, 2.0))]).brightest == pytest.approx(3.0 + 2 * 0.8 / 3, rel=0.01)
 
 
 @pytest.mark.parametrize(
@@ -313,13 +296,13 @@ def test_brightest_is_the_mean_and_twice_the_pull(soft: ProbeLight) -> None:
     ],
 )
 def test_light_beyond_what_frames_hold_is_refused(lights: list[Light], word: str) -> None:
-    needs = replace(needs_of(lights, rotating=False), radius=1e-6)
+    inputs = replace(inputs_of(lights, rotating=False), radius=1e-6)
     with pytest.raises(LightError, match=word):
-        plan_scene(needs, NOTHING)
+        plan_scene(inputs, NOTHING)
 
 
 def test_vicinity_shading_reads_direct_light_that_is_there() -> None:
-    transfer, constant = plan_of([SkyLight()]), plan_of([WHITE], Told(precision="single"))
+    transfer, constant = plan_of([SkyLight()]), plan_of([WHITE], PlanOverrides(precision="single"))
     assert vicinity_plan(transfer).layers == transfer.layers[:1]
     assert vicinity_plan(constant).layers == (Layer("direct", half=False),)
     assert vicinity_plan(constant).bounces == 0

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from isogi_core.kernels.harmonics import MAX_ORDER, cosine_lobe_factors
-from isogi_core.model.environment import environment, pixel_directions
+from isogi_core.kernels.transport.harmonics import MAX_ORDER, cosine_lobe_factors
+from isogi_core.model.environment import pixel_directions
 from isogi_core.model.lights import ConstantLight, SkyLight
-from isogi_core.plan.projection import project_environment, project_image
-from tests.kernels.test_harmonics import basis, rotation_matrix
+from isogi_core.plan.assembly import assemble_environment
+from isogi_core.plan.bands import project_environment, project_image
+from tests.kernels.transport.harmonic_bases import basis, rotation_matrix
 
 COUNT = MAX_ORDER * MAX_ORDER
 WHITE = math.sqrt(4.0 * math.pi)
@@ -88,7 +89,7 @@ def test_projection_and_rotation_agree() -> None:
 
 
 def test_an_environment_is_its_constant_and_its_image() -> None:
-    light = environment([ConstantLight((1.0, 2.0, 3.0)), SkyLight()])
+    light = assemble_environment([ConstantLight((1.0, 2.0, 3.0)), SkyLight()])
     expected = project_image(light.image, 4)
     expected[:, 0] += WHITE * np.array([1.0, 2.0, 3.0])
     np.testing.assert_allclose(project_environment(light, 4), expected, rtol=1e-14)
@@ -96,6 +97,6 @@ def test_an_environment_is_its_constant_and_its_image() -> None:
 
 
 def test_a_constant_environment_is_exact() -> None:
-    light = environment([ConstantLight((1.0, 0.5, 0.1))])
+    light = assemble_environment([ConstantLight((1.0, 0.5, 0.1))])
     expected = np.outer([1.0, 0.5, 0.1], np.eye(9)[0]) * WHITE
     assert (project_environment(light, 3) == expected).all()

@@ -7,21 +7,21 @@ from dataclasses import asdict
 import numpy as np
 import pytest
 
-from isogi_core.bake.recipe import Recipe
+from isogi_core.cache.chunk_record import record_type
 from isogi_core.cache.layer import facts_of
-from isogi_core.cache.record import record_type
-from isogi_core.frame.kernels import frame_kernels
-from isogi_core.kernels.harmonics import rotate
-from isogi_core.kernels.lamps import project_lamps
-from isogi_core.kernels.lattice import CHUNK
+from isogi_core.frame.entry_kernels import frame_kernels
+from isogi_core.kernels.shading.lattice import CHUNK
+from isogi_core.kernels.transport.harmonics import rotate
+from isogi_core.kernels.transport.lights import project_lamps
 from isogi_core.model.lights import ConstantLight, DirectionalLight, Light, SkyLight
-from isogi_core.model.plan import Layer, LeftOut, Saving, ScenePlan
-from isogi_core.model.scene import load_scene
+from isogi_core.model.scene_plan import Layer, LeftOut, Saving, ScenePlan
+from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.budget import LONGEST_PATH
-from isogi_core.plan.needs import Told
-from isogi_core.plan.savings import S1_BYTES, unseen
-from isogi_core.plan.texels import TexelCount
-from tests.plan.test_planner import plan_of
+from isogi_core.plan.inputs import PlanOverrides
+from isogi_core.plan.left_out import S1_BYTES, unseen
+from isogi_core.plan.reachable_texels import TexelCount
+from isogi_core.prepared.prepared_scene import PreparedScene
+from tests.plan.planning import plan_of
 
 LAMP, SKY, WHITE = DirectionalLight(), SkyLight(), ConstantLight()
 RED = (0.8, 0.2, 0.2)
@@ -98,32 +98,32 @@ def test_channels_are_left_out_where_they_would_be_the_same() -> None:
     assert channels("coloured sky") == {"direct light"}
 
 
-def test_what_channels_save_is_what_the_coloured_scene_takes_more() -> None:
+def test_channels_save_what_a_coloured_scene_adds() -> None:
     grey, coloured = plan_of([WHITE]), plan_of([WHITE], albedo=RED)
     (saved,) = found(grey)["two of three channels of light"].saves
     assert saved.amount == coloured.bytes_per_texel - grey.bytes_per_texel == 4
 
 
 def test_bands_are_left_out_of_soft_light_alone() -> None:
-    soft, sharp = plan_of([SKY], Told(lobes=0), target=0.4), plan_of([SKY], Told(lobes=0))
+    soft, sharp = plan_of([SKY], PlanOverrides(lobes=0), target=0.4), plan_of([SKY], PlanOverrides(lobes=0))
     assert any("of direct light" in what and what.startswith("band") for what in found(soft))
     assert not any("of direct light" in what and what.startswith("band") for what in found(sharp))
     order = soft.layers[0].order
-    told = plan_of([SKY], Told(order=5, indirect_order=soft.indirect_order, precision="half"))
-    lean = plan_of([SKY], Told(order=order, indirect_order=soft.indirect_order, precision="half"))
+    told = plan_of([SKY], PlanOverrides(order=5, indirect_order=soft.indirect_order, precision="half"))
+    lean = plan_of([SKY], PlanOverrides(order=order, indirect_order=soft.indirect_order, precision="half"))
     (saved,) = found(lean)[f"bands {order} to 4 of direct light"].saves
     assert saved.amount == bytes_of(told.layers) - bytes_of(lean.layers)
 
 
-def test_bands_of_reflected_light_are_counted_up_to_those_of_direct_light() -> None:
-    plans = [plan_of([SKY], Told(order=5, indirect_order=n, precision="half")) for n in (2, 5)]
+def test_bands_of_reflected_light_count_up_to_direct_lights() -> None:
+    plans = [plan_of([SKY], PlanOverrides(order=5, indirect_order=n, precision="half")) for n in (2, 5)]
     (saved,) = found(plans[0])["bands 2 to 4 of reflected light"].saves
     assert saved.amount == bytes_of(plans[1].layers) - bytes_of(plans[0].layers) == 42
     assert not any(what.endswith("of reflected light") and "band" in what for what in found(plans[1]))
 
 
 def test_precision_is_left_out_where_it_is_not_kept() -> None:
-    told = {name: Told(order=5, indirect_order=3, precision=name) for name in ("bytes", "half", "single")}
+    told = {name: PlanOverrides(order=5, indirect_order=3, precision=name) for name in ("bytes", "half", "single")}
     kept = {name: plan_of([SKY], each) for name, each in told.items()}
     (halves,) = found(kept["half"])["half of each float"].saves
     assert halves.amount == bytes_of(kept["single"].layers) - bytes_of(kept["half"].layers)
@@ -133,7 +133,7 @@ def test_precision_is_left_out_where_it_is_not_kept() -> None:
 
 
 def test_reflected_light_is_left_out_where_there_is_none() -> None:
-    dark, told, lit = plan_of([SKY], albedo=0.0), plan_of([SKY], Told(bounces=0)), plan_of([SKY])
+    dark, told, lit = plan_of([SKY], albedo=0.0), plan_of([SKY], PlanOverrides(bounces=0)), plan_of([SKY])
     assert found(dark)["reflected light"].why == "Nothing is reflected at albedo 0."
     assert "asks" in found(told)["reflected light"].why
     assert "reflected light" not in found(lit)
@@ -142,17 +142,17 @@ def test_reflected_light_is_left_out_where_there_is_none() -> None:
 
 
 @pytest.mark.parametrize(("albedo", "told"), [(0.98, None), (1.0, None), (0.7, 1000)])
-def test_bounces_of_the_longest_paths_are_left_out_without_a_number_of_rays(albedo: float, told: int | None) -> None:
-    plan = plan_of([SKY], Told(bounces=told), albedo=albedo)
+def test_bounces_of_the_longest_paths_save_no_number_of_rays(albedo: float, told: int | None) -> None:
+    plan = plan_of([SKY], PlanOverrides(bounces=told), albedo=albedo)
     assert plan.bounces == (told or LONGEST_PATH)
     left = found(plan)[f"bounces after number {plan.bounces}"]
     assert left.saves == ()
     assert left.why == f"They would bring at most {100 * albedo ** (plan.bounces + 1):.3g}% of the light."
 
 
-def test_what_roulette_saves_is_told_where_it_was_measured() -> None:
+def test_savings_of_roulette_are_given_where_measured() -> None:
     def saved(albedo: float, **told: int) -> tuple[Saving, ...]:
-        return found(plan_of([SKY], Told(**told), albedo=albedo))["the rest of paths that end by chance"].saves
+        return found(plan_of([SKY], PlanOverrides(**told), albedo=albedo))["the rest of paths that end by chance"].saves
 
     measured = (Saving(21, "percent of rays", measured=True),)
     assert saved(0.5) == saved(0.95) == saved(0.7, bounces=30) == measured
@@ -179,7 +179,7 @@ def test_shadow_rays_are_left_out_where_no_light_is_sharp() -> None:
         assert "shadow rays" not in found(plan_of([SKY], rotating=rotating)), "there is a sun in it"
 
 
-def test_chunks_that_are_never_written_save_megabytes_and_texels_of_others_none() -> None:
+def test_unwritten_chunks_save_megabytes_and_single_texels_none() -> None:
     """A record has room for all texels of its chunk, whether or not they are shown."""
     plan = plan_of([SKY])
     left = {each.what: each.saves for each in unseen(TexelCount(1000, 300, 20, 40, 30, CHUNK), plan)}
@@ -193,7 +193,7 @@ def test_chunks_that_are_never_written_save_megabytes_and_texels_of_others_none(
     assert unseen(TexelCount(300, 300, 0, 30, 30, CHUNK), plan) == ()
 
 
-def test_a_scene_leaves_out_what_its_plan_does_and_texels_that_its_isovalues_do_not_show() -> None:
+def test_a_scene_leaves_out_by_its_plan_and_unseen_texels() -> None:
     wide, one = load_scene("demo:orbital"), load_scene("demo:orbital", isovalues=[0.3, 0.3])
     assert one.isovalue == 0.3
     assert one.left_out[: len(one.plan.left_out)] == one.plan.left_out
@@ -205,7 +205,7 @@ def test_a_scene_leaves_out_what_its_plan_does_and_texels_that_its_isovalues_do_
 def test_a_bake_says_what_plan_it_was_made_by() -> None:
     scene = load_scene("demo:orbital")
     for layer in scene.plan.layers:
-        plan = json.loads(json.dumps(facts_of(layer, Recipe(scene)), allow_nan=False))["plan"]
+        plan = json.loads(json.dumps(facts_of(layer, PreparedScene(scene)), allow_nan=False))["plan"]
         assert (plan["representation"], plan["bounces"]) == ("transfer", scene.bounces)
         assert [kept["kind"] for kept in plan["layers"]] == ["direct", "indirect"]
         assert [each["what"] for each in plan["left_out"]] == [each.what for each in scene.plan.left_out]

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from isogi_core.bake.maps import serially
 from isogi_core.frame.tiles import Tiles
 from isogi_core.plan.stiffness import Stiffness, measure_stiffness
-from tests.kernels.test_macrocells import field_of
+from isogi_core.runs import serially
+from tests.kernels.fields import field_of
 
 SIDE = 40
 
@@ -53,7 +53,7 @@ def test_noise_is_noisy_and_a_little_noise_is_not() -> None:
     assert shares(stiffness(ball(8.0) + 0.01 * noise))[2] == 0.0
 
 
-def test_terraces_are_on_a_plateau_at_the_values_of_their_treads_alone() -> None:
+def test_terraces_are_plateaus_at_their_treads_values_alone() -> None:
     treads = np.floor(np.indices((30, 30, 30))[0] / 6.0)
     found = stiffness(treads, 1.0, 1.5)
     assert found.share(found.plateau).tolist() == [1.0, 0.0]
@@ -68,7 +68,7 @@ def test_a_surface_meets_the_faces_that_it_leads_to() -> None:
     assert found.faces[:, 0].tolist() == [27, 27, 38, 0, 0, 0]
 
 
-def test_cells_beside_a_hole_are_told() -> None:
+def test_cells_beside_a_hole_are_counted() -> None:
     voxels = ball(8.0)
     voxels[SIDE // 2, SIDE // 2, SIDE // 2 + 13] = np.nan
     found, whole = stiffness(voxels), stiffness(ball(8.0))
@@ -81,7 +81,7 @@ def test_a_constant_volume_has_no_surface() -> None:
     assert not found.cells.any() and shares(found) == (0.0, 0.0, 0.0)
 
 
-def test_isovalues_are_ascending_each_once_and_any_threads_count_the_same() -> None:
+def test_levels_ascend_and_threads_do_not_change_counts() -> None:
     voxels = np.random.default_rng(4).random((33, 12, 13))
     tiles = Tiles(3)
     one, many = (measure_stiffness(field_of(voxels), (0.7, 0.2, 0.7), run) for run in (serially, tiles.run))

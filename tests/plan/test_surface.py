@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from isogi_core.plan.surface import surface_texels
-from isogi_core.plan.texels import surface_cells
+from isogi_core.plan.reachable_texels import surface_cells, surface_texels
 from tests.plan.shown import shown_texels
 
 RANGES = [[(0.5, 0.5)], [(0.2, 0.3), (0.9, 0.95)], [(7.0, 8.0)]]

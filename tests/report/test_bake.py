@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 
 from isogi_core.bake.refine import locate
-from isogi_core.frame.sharpening import STEEPNESS, find_ways
+from isogi_core.frame.projected_texels import STEEPNESS, find_distances
 from isogi_core.report.bake import ViewBake
 from isogi_core.report.bench import Bench
-from server.measure import bake_view, make_renderer
+from server.cli.bench import bake_view, make_renderer
 from tests.report.conftest import MakeBench
 
 
@@ -23,23 +23,23 @@ def test_frames_have_the_bits_of_those_from_a_store(under_sky: Bench, tmp_path: 
     assert bake.seconds > 0.0
 
 
-def test_texels_far_from_the_surface_are_sharp_in_frames_of_a_scene_that_sharpens(make_bench: MakeBench) -> None:
-    bench = make_bench(sharpen=True, lattice=0.5, target_error=0.05)
+def test_texels_far_from_the_surface_are_projected(make_bench: MakeBench) -> None:
+    bench = make_bench(projected=True, lattice=0.5, target_error=0.05)
     renderer = bench.renderer(bench.scene)
     bake = ViewBake(renderer, bench.view)
     bake.grow(256)
     frame, texels = bake.frame(), len(bake.shown.places)
-    assert frame.sharpness
-    ways = find_ways(bake.shown, renderer.recipe, renderer.tiles).voxels
-    steep = np.flatnonzero(STEEPNESS * ways > 0.05)
-    np.testing.assert_array_equal(bake.texels[texels:], bake.texels[:texels][steep])
-    moved = frame.sharpness.reading.sharp_rows >= 0
-    assert 0 < moved.sum() <= len(steep) and not np.delete(moved, steep).any()
+    assert frame.projection
+    ways = find_distances(bake.shown, renderer.prepared, renderer.tiles).voxels
+    distant = np.flatnonzero(STEEPNESS * ways > 0.05)
+    np.testing.assert_array_equal(bake.texels[texels:], bake.texels[:texels][distant])
+    projected = frame.projection.reading.projected_rows >= 0
+    assert 0 < projected.sum() <= len(distant) and not np.delete(projected, distant).any()
     level = frame.gbuffer.isovalue
     own = bake.light.rows(np.arange(texels, len(bake.texels)))
-    void = locate(bake.texels[texels:], renderer.recipe, level)[1]
+    void = locate(bake.texels[texels:], renderer.prepared, level)[1]
     np.testing.assert_array_equal(own.void, void)
-    assert not moved[steep[void]].any()
+    assert not projected[distant[void]].any()
 
 
 def test_growing_goes_on_where_it_was(under_sky: Bench) -> None:

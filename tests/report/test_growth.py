@@ -5,8 +5,8 @@ from typing import Any
 
 import pytest
 
-from isogi_core.report import growth
-from isogi_core.report.growth import Goal, grow
+from isogi_core.report import reference
+from isogi_core.report.reference import Goal, grow
 
 
 def make(samples: int) -> Any:
@@ -24,12 +24,12 @@ def tracer(monkeypatch: pytest.MonkeyPatch) -> None:
         clock.now += rounded - (former.samples if former else 0)
         return make(rounded)
 
-    monkeypatch.setattr(growth, "trace_reference", trace)
-    monkeypatch.setattr(growth, "time", SimpleNamespace(monotonic=lambda: clock.now))
+    monkeypatch.setattr(reference, "trace_reference", trace)
+    monkeypatch.setattr(reference, "time", SimpleNamespace(monotonic=lambda: clock.now))
 
 
 def rounds(goal: Goal, former: Any = None) -> list[int]:
-    return [reference.samples for reference in grow(None, None, goal, former)]  # type: ignore[arg-type]
+    return [each.samples for each in grow(None, None, goal, former)]  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from isogi_core.errors import Cancelled, ReportError
-from isogi_core.model.scene import load_scene
+from isogi_core.frame.renderer import Renderer
 from isogi_core.model.sky import LUMINANCE
+from isogi_core.plan.assembly import load_scene
 from isogi_core.report.reference import load_reference, save_reference, trace_reference, with_bounces
 from tests.frame.conftest import CONSTANT, SKY, Workbench, ball, scene_of
 
@@ -32,7 +33,7 @@ def test_a_reference_in_two_goes_is_the_one_at_once(bench: Workbench) -> None:
     assert trace_reference(bench.renderer, view, 32, once) is once, "it has more than that"
 
 
-def test_under_a_constant_light_a_ball_has_its_albedo_and_no_noise(tmp_path: Path) -> None:
+def test_a_ball_under_constant_light_has_its_albedo_and_no_noise(tmp_path: Path) -> None:
     bench = Workbench(scene_of(ball(), 0.0, lights=[CONSTANT], albedo=0.7, bounces=3), tmp_path)
     found = trace_reference(bench.renderer, bench.view(size=24), 64)
     assert found.on.sum() > 60 and not found.mean[~found.on].any() and not found.variance[~found.on].any()
@@ -40,7 +41,7 @@ def test_under_a_constant_light_a_ball_has_its_albedo_and_no_noise(tmp_path: Pat
     assert found.noise < 1e-12
 
 
-def test_its_noise_is_how_far_it_is_from_one_of_many_more_samples(bench: Workbench) -> None:
+def test_its_noise_is_its_distance_to_one_of_many_more_samples(bench: Workbench) -> None:
     view = bench.view(size=48)
     few, many = (trace_reference(bench.renderer, view, samples) for samples in (32, 1024))
     wrong = (few.mean - many.mean)[many.on] @ LUMINANCE
@@ -65,9 +66,10 @@ def test_cancelled_it_leaves_the_former_as_it_was(bench: Workbench) -> None:
     former = trace_reference(bench.renderer, view, 8, progress=told.append)
     assert sum(told) == 8 * former.on.sum()
     sums = former.sums.copy()
+    stopped = Renderer(bench.caches, bench.renderer.tiles.cancelled_by(cancelled))
     cancelled.set()
     with pytest.raises(Cancelled):
-        trace_reference(bench.renderer, view, 16, former, cancelled)
+        trace_reference(stopped, view, 16, former)
     assert np.array_equal(former.sums, sums)
 
 

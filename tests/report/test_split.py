@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from isogi_core.report.bench import Bench
+from isogi_core.report.exact import apart, cuts_harmonics, lit_by_paths, own_light, short_paths
 from isogi_core.report.metrics import mean_of, spread_of
-from isogi_core.report.points import apart, cuts_harmonics, lit_by_paths, own_light, short_paths
 from isogi_core.report.split import Split, split_error, study, true_surface
 
 CONSTANT = {"type": "constant", "radiance": 1.0}
@@ -80,7 +80,7 @@ def test_normals_and_offset_are_told_apart(under_sky: Bench) -> None:
     assert np.mean(split.surface.noise) < 0.1 * np.mean(split.surface.wrong**2)
 
 
-def test_constant_light_has_no_harmonics_and_single_floats_are_not_rounded(calm: Bench) -> None:
+def test_constant_light_has_no_truncation_and_no_rounding(calm: Bench) -> None:
     section = study(calm)
     assert names(split_error(calm)) == ["Monte Carlo noise", "interpolation", "bounces cut off"]
     assert not cuts_harmonics(calm.scene)

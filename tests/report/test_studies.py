@@ -3,35 +3,30 @@
 import math
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from isogi_core.bake.light import Light
+from isogi_core.bake.texel_light import Light
 from isogi_core.errors import Cancelled, StoreError, ViewError
 from isogi_core.frame.frame import Frame
-from isogi_core.kernels.planes import PROVISIONAL
+from isogi_core.kernels.shading.framebuffer import PROVISIONAL
 from isogi_core.report import bench as benches
-from isogi_core.report import convergence, interpolation, models, normals, vicinity
+from isogi_core.report import convergence
 from isogi_core.report.bake import ViewBake
 from isogi_core.report.bench import Bench
-from isogi_core.report.converged import TIMES, converged
+from isogi_core.report.exact import TIMES, converged
 from isogi_core.report.sections import UNITS, Section
-from isogi_core.report.studies import STUDIES, Study, study_of
-from tests.toil import PACE, measure_toil
+from server.report.journal import Entry
+from server.report.measuring import STUDIES, Study, run
 
 
 @pytest.fixture(autouse=True)
-def quick(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(convergence, "RUNGS", (16, 64))
     monkeypatch.setattr(convergence, "SIZE", 12)
-    monkeypatch.setattr(interpolation, "SAMPLES", 64)
-    monkeypatch.setattr(normals, "PATHS", 64)
-    monkeypatch.setattr(models, "SIZE", 16)
-    monkeypatch.setattr(models, "ROUNDS", 1)
-    yield
 
 
 def check(section: Section) -> None:
@@ -68,25 +63,15 @@ def test_each_study_answers(study: Study, under_sky: Bench, frames: list[Frame])
     assert not under_sky.hurried
 
 
-def test_curves_fall_with_time(under_sky: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each point of baked light has cost all samples up to its own, each of traced paths its own alone."""
-    measure_toil(monkeypatch)
-    (plot,) = convergence.study(under_sky).plots
-    assert [curve.x for curve in plot.curves[3:]] == [(16 * 12 * 12 / PACE, 64 * 12 * 12 / PACE)]
-    for curve in plot.curves:
-        assert 0 < curve.x[0] == curve.x[1] / 4
-        assert curve.y[1] < 1.2 * curve.y[0]
-
-
 def test_what_gives_way_to_time_is_told(make_bench: Callable[..., Bench]) -> None:
     bench = make_bench()
     assert not bench.hurried
     late = replace(bench, deadline=time.monotonic() + 1e-3, hurry=threading.Event(), _made={})
-    section = study_of(convergence, 1.0).run(late)
+    found = run(Study("convergence", "", convergence.study, 1.0), late)
     assert late.hurried
-    assert "ends at 16 samples" in section.about
+    assert isinstance(found, Entry) and "ends at 16 samples" in found.section.about
     assert not bench.hurried
-    study_of(vicinity, 1.0).run(replace(bench, hurry=late.hurry))
+    run(Study("none", "", lambda _: Section("none", "", ""), 1.0), late)
     assert not late.hurried
 
 
@@ -102,17 +87,6 @@ def test_light_that_does_not_fit_is_not_shown(
 def test_each_texel_converges_by_its_own_samples(under_sky: Bench) -> None:
     planned = under_sky.planned.samples
     assert converged(under_sky).samples >= min(TIMES * planned, 256)
-
-
-def test_a_finer_lattice_interpolates_better(under_sky: Bench) -> None:
-    from isogi_core.report.lattices import COLUMNS, study
-
-    names, rows = [column.name for column in COLUMNS], study(under_sky).tables[0].rows
-    half, adapting, whole, _, _ = rows
-    error, texels = names.index("interpolation"), names.index("texels of the view")
-    assert half[error] > whole[error]
-    assert half[texels] <= adapting[texels]
-    assert [row[names.index("read")] for row in rows] == ["all of it", *["adaptive", "all of it"] * 2]
 
 
 def test_references_are_kept_in_the_folder(under_sky: Bench) -> None:

@@ -9,11 +9,11 @@ from uuid import uuid4
 
 import pytest
 
-from isogi_core.cache.folder import Folder
-from isogi_core.cache.place import Place
+from isogi_core.storage.folder import Folder
+from isogi_core.storage.url import StoreUrl
 from tests.s3 import Call, Fault, S3Server
 
-CALLS = ("get", "put", "found", "names", "prove")
+CALLS = ("get", "put", "create_sentinel", "folders", "check_writable")
 """What is asked of a folder while a scene is baked and shown."""
 
 
@@ -23,7 +23,7 @@ class Failing:
     ``calls`` counts them.
     """
 
-    def __init__(self, place: Place) -> None:
+    def __init__(self, place: StoreUrl) -> None:
         self.place = place
         self.calls = 0
         self.fails: Callable[[int], bool] = lambda number: False
@@ -52,7 +52,7 @@ class FailingBucket(Failing):
 
     FAULTS: tuple[Fault, ...] = (503, "lost", "short", 403, "no-bucket", 500, "drop")
 
-    def __init__(self, place: Place, s3: S3Server) -> None:
+    def __init__(self, place: StoreUrl, s3: S3Server) -> None:
         super().__init__(place)
         self._s3 = s3
 
@@ -69,7 +69,7 @@ class FailingBucket(Failing):
 @contextmanager
 def failing_folder(folder: Path) -> Iterator[Failing]:
     """A new folder under ``folder``; all calls to folders of this process are its own meanwhile."""
-    failing = FailingFolder(Place(str(folder / uuid4().hex)))
+    failing = FailingFolder(StoreUrl(str(folder / uuid4().hex)))
     with pytest.MonkeyPatch.context() as patch:
         for name in CALLS:
             patch.setattr(Folder, name, counted(getattr(Folder, name), failing))
@@ -90,7 +90,7 @@ def counted(call: Callable[..., Any], failing: Failing) -> Callable[..., Any]:
 @contextmanager
 def failing_bucket(s3: S3Server) -> Iterator[Failing]:
     """A new place in a bucket, all of whose calls are its own meanwhile."""
-    failing = FailingBucket(Place(f"{s3.url}-{uuid4().hex}", seconds=2.0, retries=0), s3)
+    failing = FailingBucket(StoreUrl(f"{s3.url}-{uuid4().hex}", seconds=2.0, retries=0), s3)
     s3.fault = failing.fault
     yield failing
     s3.fault = lambda call: None

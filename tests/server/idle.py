@@ -8,13 +8,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from isogi_core.model.scene import load_scene
-from server.app import create_app
+from isogi_core.plan.assembly import load_scene
+from server.api.app import create_app
+from server.render.engine import RenderEngine
 from server.settings import Settings
-from server.studio import Studio
 from tests.live import live
+from worker.bake_requests import Key
 from worker.baker import Baker
-from worker.wants import Key
 
 
 class Idle:
@@ -26,8 +26,8 @@ class Idle:
     @property
     def wanted(self) -> set[tuple[Key, Hashable]]:
         """Chunks, and by whom they are wanted."""
-        wants = list(self.baker._queue.wants.values())
-        return {(want.key, client) for want in wants for client in list(want.claims)}
+        wants = list(self.baker._queue.requests.values())
+        return {(request.key, client) for request in wants for client in list(request.interests)}
 
     async def until(self, condition: Callable[[], bool], seconds: float) -> float:
         """Seconds until the condition holds."""
@@ -42,8 +42,8 @@ class Idle:
 def idle_server(scene: Path, store: Path, **settings: Any) -> Iterator[Idle]:
     """Such a server of a scene, once it answers."""
     baker, loaded = Baker(), load_scene(scene)
-    studio = Studio([loaded], str(store), baker=baker)
-    studio.start = partial(studio.start, hire=False)  # type: ignore[method-assign]
+    engine = RenderEngine([loaded], str(store), baker=baker)
+    engine.start = partial(engine.start, hire=False)  # type: ignore[method-assign]
     until = f"/v1/scenes/{loaded.id}/coverage?width=8&height=8&shading=lambert"
-    with live(create_app(studio, Settings(**settings)), until) as url:
+    with live(create_app(engine, Settings(**settings)), until) as url:
         yield Idle(url, baker)

@@ -1,23 +1,63 @@
-"""A studio without worker processes: tasks are baked on a thread of this process."""
+"""An engine without worker processes: tasks are baked on a thread of this process."""
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
+from concurrent.futures import Future, ThreadPoolExecutor
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
-from benchmarks.stability.desk import Desk
-from isogi_core.model.scene import Scene
 from isogi_core.model.view import View
+from isogi_core.plan.scene import Scene
+from server.render.engine import RenderEngine
+from worker.pool import Done
+from worker.tasks import BakeResult, BakeTask, bake
 
 LONG = 60.0
 """Seconds within which any bake of these tests ends."""
 
 
-class InlinePool(Desk):
-    """A desk that is hired as a ``WorkerPool`` is."""
+class InlinePool:
+    """A pool of one thread of this process, made as a ``WorkerPool`` is."""
 
-    def __init__(self, workers: int, scheduler: str | None = None, kinds: Collection[str] = ()) -> None:
-        super().__init__()
+    preparing = ""
+
+    room, workers, deaths, trouble = 2, 1, 0, ""
+
+    def __init__(self, workers: int = 1, scheduler: str | None = None, kinds: Collection[str] = ()) -> None:
+        """Take what a ``WorkerPool`` takes, and start one thread."""
+        self._thread = ThreadPoolExecutor(1)
+
+    def submit(self, task: BakeTask, done: Done) -> None:
+        """Bake; ``done`` is called with the result, or the error."""
+
+        def ended(future: "Future[BakeResult]") -> None:
+            error = future.exception()
+            done(None if error else future.result(), error)
+
+        self._thread.submit(bake, task).add_done_callback(ended)
+
+    def attend(self, stir: Callable[[], None]) -> None:
+        """Do nothing: the thread neither comes nor goes."""
+
+    def step_back(self, seconds: float) -> bool:
+        """Stay: a thread shares the session of its process."""
+        return True
+
+    def close(self) -> None:
+        """End when the task at hand is done."""
+        self._thread.shutdown()
+
+
+class EngineWithoutWorkers(RenderEngine):
+    """A studio that hires nobody, and is ready all the same."""
+
+    def start(self, hire: bool = False) -> None:
+        """Open the stores, and have the kernels ready."""
+        super().start(hire)
+
+    def unready(self) -> list[str]:
+        """Nothing."""
+        return []
 
 
 def view_of(scene: Scene, azimuth: float = 30.0, isovalue: float | None = None, **settings: Any) -> View:

@@ -11,9 +11,9 @@ from typing import Any
 from fastapi import FastAPI, Request
 from starlette.responses import Response
 
-from server.guards.guests import Closing, Guests
-from server.metrics import Metrics
-from server.serve import Server, listen
+from server.api.shutdown import Closing, GracefulShutdown
+from server.cli.serve import Server, listen
+from server.render.metrics import Metrics
 from server.settings import Settings
 
 HEAD = b"GET /small HTTP/1.1\r\nHost: localhost\r\n"
@@ -28,7 +28,7 @@ def small_app() -> FastAPI:
     """Answers that are small, large, slow, and endless; it has what ``Server`` needs."""
     closing = Closing()
     app = FastAPI()
-    app.add_middleware(Guests, closing=closing)
+    app.add_middleware(GracefulShutdown, closing=closing)
     app.state.closing, app.state.metrics = closing, Metrics()
 
     async def slow(seconds: float) -> float:

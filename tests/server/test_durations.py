@@ -2,7 +2,7 @@
 
 import pytest
 
-from server.durations import seconds_of, seconds_of_age, span
+from server.values import seconds_of, seconds_of_age, span
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,7 @@
 import pytest
 
 from server.errors import ParameterError
-from server.params import FrameParams, NoParams, ViewParams, documented, read
+from server.parameters import FrameParams, NoParams, ViewParams, documented, read
 from server.values import Choice, Span
 
 NUMBERS = [

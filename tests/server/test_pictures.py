@@ -8,11 +8,11 @@ from PIL import Image
 
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import GBuffer
-from isogi_core.model.scene import load_scene
 from isogi_core.model.view import View
+from isogi_core.plan.assembly import load_scene
 from server import pictures
 from server.errors import NotAcceptableError, ParameterError
-from server.params import FrameParams, read
+from server.parameters import FrameParams, read
 from server.pictures import ENCODER_OPTIONS, encode, format_for, media_range, negotiate, npy_bytes, npy_parts
 
 CHROMIUM = "image/avif,image/webp,image/apng,image/svg+xml,image/*,*/*;q=0.8"
@@ -92,7 +92,7 @@ def test_npy_is_the_same_in_parts_of_any_size(monkeypatch: pytest.MonkeyPatch, b
     surface = GBuffer((7, 5), (1.0, 2.0, 0.5), (9.0, 0.0, 0.0), 0.5, pixels, points)
     radiance, error = rng.random((7, 5, 3), np.float32), rng.random((7, 5), np.float32)
     state = rng.integers(0, 4, (7, 5)).astype(np.uint8)
-    frame = Frame(view, radiance, state, error, surface, 0, 0, tuple, "", {})
+    frame = Frame(view, radiance, state, error, surface, 0, 0, None, "", {})
     parts = list(npy_parts(frame))
     assert len(parts) == 1 + (7 if band == 1 else -(-7 // max(band // 180, 1)))
     assert sum(map(len, parts)) == npy_bytes(frame)

@@ -94,9 +94,7 @@ def test_the_frameworks_own_errors(
     assert "ZeroDivision" not in answer.text
 
 
-def test_allow_names_all_methods_of_a_path_whichever_route_has_them(
-    ask: Callable[..., httpx.Response], app: FastAPI
-) -> None:
+def test_allow_names_all_methods_of_a_path(ask: Callable[..., httpx.Response], app: FastAPI) -> None:
     @app.delete("/things/{number}")
     def no_thing(number: int) -> None: ...
 

@@ -27,9 +27,7 @@ def test_hosts_are_loopback_names_on_loopback_and_any_elsewhere() -> None:
     assert Settings(host="0.0.0.0").hosts() is None
 
 
-def test_an_option_comes_before_the_environment_and_that_before_the_file(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_options_precede_the_environment_and_that_the_file(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     file = tmp_path / "isogi-server.toml"
     file.write_text('port = 81\nmax_pixels = 82\nworkers = 83\nallowed_origins = ["https://Lab.example"]\n')
     monkeypatch.setenv("ISOGI_PORT", "91")

@@ -22,7 +22,7 @@ def server(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Itera
         yield url
 
 
-def told(page: Page, name: str) -> str | None:
+def in_address(page: Page, name: str) -> str | None:
     """A knob as the address bar has it."""
     return parse_qs(urlsplit(page.url).query).get(name, [None])[0]
 
@@ -36,7 +36,7 @@ def tint(page: Page, colour: str) -> None:
     )
 
 
-def test_the_slider_makes_the_surface_brighter_at_once_and_the_link_keeps_it(page: Page, server: str) -> None:
+def test_the_slider_brightens_and_the_link_keeps_it(page: Page, server: str) -> None:
     open_final(page, server)
     expect(page.locator("output[for=albedo]")).to_have_text("0.30")
     expect(page.locator("#tint")).to_have_value("#ffffff")
@@ -46,7 +46,7 @@ def test_the_slider_makes_the_surface_brighter_at_once_and_the_link_keeps_it(pag
     bright = pixels(page)
     expect(page.locator("output[for=albedo]")).to_have_text("0.90")
     assert bright.max() > dark.max() + 40.0
-    assert (told(page, "albedo"), told(page, "tint")) == ("0.9", None)
+    assert (in_address(page, "albedo"), in_address(page, "tint")) == ("0.9", None)
     again = page.url
     page.click("#reset")
     wait_final(page)
@@ -54,13 +54,13 @@ def test_the_slider_makes_the_surface_brighter_at_once_and_the_link_keeps_it(pag
     assert abs(pixels(open_final(page, again)) - bright).max() == 0.0
 
 
-def test_a_tint_colours_the_surface_and_is_told_in_the_lines(page: Page, server: str) -> None:
+def test_a_tint_colours_the_surface_and_is_in_the_lines(page: Page, server: str) -> None:
     open_final(page, f"{server}/?albedo=0.8")
     tint(page, "#ff8000")
     wait_final(page)
     red, green, blue = (pixels(page)[..., c].max() for c in range(3))
     assert red > green + 20.0 > blue + 40.0
-    assert told(page, "tint") == "#ff8000"
+    assert in_address(page, "tint") == "#ff8000"
     page.click("#share-button")
     line = page.locator("#share-curl")
     expect(line).to_contain_text("albedo=0.8%2C0.1727%2C0")
@@ -74,5 +74,5 @@ def test_a_surface_of_one_albedo_has_neither(page: Page, live_server: str) -> No
     expect(page.locator("#tint")).to_be_hidden()
     slide(page, "exposure", 0.6)
     wait_final(page)
-    assert told(page, "exposure") is not None
-    assert told(page, "albedo") is None and told(page, "tint") is None
+    assert in_address(page, "exposure") is not None
+    assert in_address(page, "albedo") is None and in_address(page, "tint") is None

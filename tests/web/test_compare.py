@@ -13,10 +13,11 @@ SHADING, OTHER = "lambert", "lambert_fog"
 """Two that are final without any light."""
 
 WATCH = """() => {
-  const [wipe, other] = [document.querySelector("#wipe"), document.querySelector("#other")];
+  const [comparison, other] = [document.querySelector("#comparison"), document.querySelector("#other")];
   window.seen = [];
-  const note = () => seen.push([wipe.dataset.state, other.hidden, wipe.querySelector(".right").textContent]);
-  new MutationObserver(note).observe(wipe, { attributes: true, attributeFilter: ["data-state"] });
+  const right = comparison.querySelector(".right");
+  const note = () => seen.push([comparison.dataset.state, other.hidden, right.textContent]);
+  new MutationObserver(note).observe(comparison, { attributes: true, attributeFilter: ["data-state"] });
 }"""
 """Notes the right side's state, whether it is hidden, and its words, each time that its state changes."""
 
@@ -28,7 +29,7 @@ def compared(page: Page, live_server: str) -> Page:
 
 
 def both_final(page: Page) -> Page:
-    wait_final(page).wait_for_selector("#wipe[data-state=final]", timeout=FINAL_MS)
+    wait_final(page).wait_for_selector("#comparison[data-state=final]", timeout=FINAL_MS)
     return page
 
 
@@ -85,9 +86,9 @@ def test_the_divider_is_moved_by_hand_and_by_keys(compared: Page) -> None:
     assert compared.url == address, "the object did not turn"
 
 
-def test_the_address_holds_what_is_compared_and_nothing_compares_with_itself(page: Page, live_server: str) -> None:
+def test_the_address_holds_what_is_compared(page: Page, live_server: str) -> None:
     open_final(page, f"{live_server}/?shading={SHADING}&compare=nonsense")
-    expect(page.locator("#wipe")).to_be_hidden()
+    expect(page.locator("#comparison")).to_be_hidden()
     page.select_option("#compare", "phong")
     page.wait_for_timeout(400)
     assert page.url.endswith("compare=phong")

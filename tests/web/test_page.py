@@ -23,6 +23,12 @@ def shown(page: Page, live_server: str) -> Page:
     return open_final(page, live_server)
 
 
+@pytest.fixture
+def sketched(page: Page, live_server: str) -> Page:
+    """The page at the scene's defaults but for its shading, for which nothing is baked."""
+    return open_final(page, f"{live_server}/?shading=lambert")
+
+
 def difference(a: np.ndarray, b: np.ndarray) -> float:
     return float(np.abs(a - b).mean())
 
@@ -126,7 +132,7 @@ def test_says_what_the_scene_needs_and_what_was_left_out(shown: Page, live_serve
     assert " × ".join(str(side) for side in scene["volume"]["size"]) in shown.inner_text("#volume")
 
 
-def test_a_scene_of_one_isovalue_locks_its_slider_and_shows_the_whole_histogram(page: Page, live_server: str) -> None:
+def test_a_scene_of_one_isovalue_locks_its_slider(page: Page, live_server: str) -> None:
     def single(route: Route) -> None:
         scene = route.fetch().json()
         scene["ranges"]["isovalue"] = {"min": 0.5, "max": 0.5}
@@ -141,83 +147,84 @@ def test_a_scene_of_one_isovalue_locks_its_slider_and_shows_the_whole_histogram(
     assert box is not None and box["width"] > 100
 
 
-def test_isovalue_slider_changes_picture_and_address(shown: Page) -> None:
-    before = pixels(shown)
-    slide(shown, "isovalue", 0.35)
-    low = numbers_of(shown)["isovalue"]
-    slide(shown, "isovalue", 0.6)
-    high = numbers_of(shown)["isovalue"]
+def test_isovalue_slider_changes_picture_and_address(sketched: Page) -> None:
+    before = pixels(sketched)
+    slide(sketched, "isovalue", 0.35)
+    low = numbers_of(sketched)["isovalue"]
+    slide(sketched, "isovalue", 0.6)
+    high = numbers_of(sketched)["isovalue"]
     assert high > low
-    assert float(shown.input_value("#isovalue-number")) == pytest.approx(high)
-    wait_final(shown)
-    assert difference(pixels(shown), before) > 0.5
+    assert float(sketched.input_value("#isovalue-number")) == pytest.approx(high)
+    wait_final(sketched)
+    assert difference(pixels(sketched), before) > 0.5
 
 
-def test_isovalue_can_be_typed(shown: Page) -> None:
-    least, most = (float(shown.get_attribute("#isovalue", limit) or "nan") for limit in ("min", "max"))
+def test_isovalue_can_be_typed(sketched: Page) -> None:
+    least, most = (float(sketched.get_attribute("#isovalue", limit) or "nan") for limit in ("min", "max"))
     wanted = round(least + 0.4 * (most - least), 3)
-    shown.fill("#isovalue-number", str(wanted))
-    shown.press("#isovalue-number", "Enter")
-    assert numbers_of(shown)["isovalue"] == wanted
+    sketched.fill("#isovalue-number", str(wanted))
+    sketched.press("#isovalue-number", "Enter")
+    assert numbers_of(sketched)["isovalue"] == wanted
 
 
-def test_drag_turns_the_object_as_if_held(shown: Page) -> None:
-    before, start = pixels(shown), scene_angles(shown)
-    drag(shown, 90, 40)
-    after = numbers_of(shown)
+def test_drag_turns_the_object_as_if_held(sketched: Page) -> None:
+    before, start = pixels(sketched), scene_angles(sketched)
+    drag(sketched, 90, 40)
+    after = numbers_of(sketched)
     assert -90.0 < turned(after["azimuth"], start["azimuth"]) < -5.0
     assert after["elevation"] > start["elevation"]
-    wait_final(shown)
-    assert difference(pixels(shown), before) > 0.5
+    wait_final(sketched)
+    assert difference(pixels(sketched), before) > 0.5
 
 
-def test_wheel_zooms(shown: Page) -> None:
-    start = scene_angles(shown)
-    shown.hover("#stage")
-    shown.mouse.wheel(0, -240)
-    near = numbers_of(shown)["distance"]
-    shown.mouse.wheel(0, 480)
-    far = numbers_of(shown)["distance"]
+def test_wheel_zooms(sketched: Page) -> None:
+    start = scene_angles(sketched)
+    sketched.hover("#stage")
+    sketched.mouse.wheel(0, -240)
+    near = numbers_of(sketched)["distance"]
+    sketched.mouse.wheel(0, 480)
+    far = numbers_of(sketched)["distance"]
     assert near < start["distance"] < far
 
 
-def test_keys(shown: Page) -> None:
-    start = scene_angles(shown)
-    shown.focus("#stage")
+def test_keys(sketched: Page) -> None:
+    start = scene_angles(sketched)
+    sketched.focus("#stage")
     for key in ("ArrowRight", "ArrowDown", "+", "]", "Shift+ArrowRight", "o"):
-        shown.keyboard.press(key)
-    after = numbers_of(shown)
+        sketched.keyboard.press(key)
+    after = numbers_of(sketched)
     assert turned(after["azimuth"], start["azimuth"]) == pytest.approx(-5.0, abs=0.02)
     assert after["elevation"] == pytest.approx(start["elevation"] + 5.0, abs=0.02)
     assert after["distance"] < start["distance"]
     assert after["isovalue"] > start["isovalue"]
     assert turned(after["yaw"], start["yaw"]) == pytest.approx(10.0, abs=0.02)
-    assert address_of(shown)["overlay"] == "provisional"
-    shown.keyboard.press("0")
-    assert numbers_of(shown) == pytest.approx(start, rel=1e-3, abs=0.01)
-    shown.keyboard.press("?")
-    expect(shown.locator("#help")).to_be_visible()
-    shown.keyboard.press("Escape")
-    expect(shown.locator("#help")).to_be_hidden()
+    assert address_of(sketched)["overlay"] == "provisional"
+    sketched.keyboard.press("0")
+    assert numbers_of(sketched) == pytest.approx(start, rel=1e-3, abs=0.01)
+    sketched.keyboard.press("?")
+    expect(sketched.locator("#help")).to_be_visible()
+    sketched.keyboard.press("Escape")
+    expect(sketched.locator("#help")).to_be_hidden()
 
 
-def test_arrows_in_a_slider_belong_to_the_slider(shown: Page) -> None:
-    start = scene_angles(shown)
-    shown.focus("#isovalue")
-    shown.keyboard.press("ArrowRight")
-    after = numbers_of(shown)
+def test_arrows_in_a_slider_belong_to_the_slider(sketched: Page) -> None:
+    start = scene_angles(sketched)
+    sketched.focus("#isovalue")
+    sketched.keyboard.press("ArrowRight")
+    after = numbers_of(sketched)
     assert after["azimuth"] == pytest.approx(start["azimuth"], abs=0.01)
     assert after["isovalue"] > start["isovalue"]
 
 
-@pytest.mark.parametrize("hand", ["right button", "shift", "slider", "ball"])
-def test_light_can_be_turned(shown: Page, hand: str) -> None:
-    before = pixels(shown)
-    turn_light(shown, hand)
-    after = address_of(shown)
-    assert abs(float(after["yaw"])) > 5.0
-    wait_final(shown)
-    assert difference(pixels(shown), before) > 0.3
+def test_light_can_be_turned(shown: Page) -> None:
+    for hand in ("right button", "shift", "slider", "ball"):
+        before, yaw = pixels(shown), scene_angles(shown)["yaw"]
+        turn_light(shown, hand)
+        assert abs(turned(numbers_of(shown)["yaw"], yaw)) > 5.0, hand
+        wait_final(shown)
+        assert difference(pixels(shown), before) > 0.3, hand
+        shown.click("#reset")
+        wait_final(shown)
 
 
 @pytest.mark.parametrize(
@@ -294,9 +301,7 @@ def test_every_picture_that_is_shown_is_acknowledged(page: Page, live_server: st
     assert stream.receipts == [answer["id"] for answer in stream.answers]
 
 
-def test_without_sockets_the_page_asks_for_small_jpeg_and_then_for_the_full_picture(
-    page: Page, live_server: str
-) -> None:
+def test_without_sockets_drafts_are_small_jpegs(page: Page, live_server: str) -> None:
     shown = open_final(without_sockets(page), live_server)
     asked: list[dict[str, list[str]]] = []
     shown.on("request", lambda request: asked.append(parse_qs(urlsplit(request.url).query)))
@@ -332,19 +337,21 @@ def test_address_without_meaning_is_put_right(page: Page, live_server: str) -> N
     expect(page.locator("#trouble")).to_be_hidden()
 
 
-@pytest.mark.parametrize("width", [320, 390, 768])
-def test_narrow_screens_scroll_only_down(browser: Browser, live_server: str, width: int) -> None:
-    context = browser.new_context(viewport={"width": width, "height": 844}, has_touch=True)
+def test_narrow_screens_scroll_only_down(browser: Browser, live_server: str) -> None:
+    SHOTS.mkdir(parents=True, exist_ok=True)
+    context = browser.new_context(viewport={"width": 320, "height": 844}, has_touch=True)
     page = open_final(context.new_page(), live_server)
-    stage, controls = page.locator("#stage").bounding_box(), page.locator("#controls").bounding_box()
-    assert stage is not None
-    assert controls is not None
-    assert stage["y"] + stage["height"] <= controls["y"]
     for summary in page.locator("summary").all():
         summary.click()
-    assert page.evaluate("document.documentElement.scrollWidth") <= width
-    SHOTS.mkdir(parents=True, exist_ok=True)
-    page.screenshot(path=SHOTS / f"width-{width}.png", full_page=True)
+    for width in (320, 390, 768):
+        page.set_viewport_size({"width": width, "height": 844})
+        wait_final(page).evaluate("scrollTo(0, 0)")
+        stage, controls = page.locator("#stage").bounding_box(), page.locator("#controls").bounding_box()
+        assert stage is not None
+        assert controls is not None
+        assert stage["y"] + stage["height"] <= controls["y"]
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
+        page.screenshot(path=SHOTS / f"width-{width}.png", full_page=True)
     context.close()
 
 

@@ -19,14 +19,14 @@ COURSE = [
 
 
 def staged(time_left: str | None, end: bool) -> Callable[[Route], None]:
-    """Pictures of the server, whose headers tell COURSE frame by frame; then that all is final, or the last again."""
-    told = iter(COURSE)
+    """Pictures of the server, whose headers follow COURSE frame by frame, and are then final, or the last again."""
+    frames = iter(COURSE)
 
     def answer(route: Route) -> None:
         if "f=jpeg" in route.request.url:
             return route.continue_()  # a draft: no part of the history
         true = route.fetch()
-        step = next(told, None)
+        step = next(frames, None)
         error, coverage = step or ((0.015, "final=1.000, converging=0.000, provisional=0.000") if end else COURSE[-1])
         headers = {name: text for name, text in true.headers.items() if name != "isogi-time-left"}
         headers |= {"isogi-error": f"{error:.5f}", "isogi-coverage": coverage}

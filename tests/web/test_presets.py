@@ -1,4 +1,4 @@
-"""Presets of the isovalue: chips that the scene tells, and chips that a person keeps."""
+"""Presets of the isovalue: chips of the scene, and chips that a person keeps."""
 
 import re
 
@@ -7,7 +7,7 @@ from playwright.sync_api import Page, Route, expect
 
 from tests.web.visits import BROWSER, slide
 
-TOLD = [
+PRESETS = [
     {"name": "shell", "isovalue": 0.3, "suggested": False},
     {"name": "0.62", "isovalue": 0.62, "suggested": True},
 ]
@@ -17,12 +17,12 @@ pytestmark = BROWSER
 
 @pytest.fixture
 def shown(page: Page, live_server: str) -> Page:
-    """The page of a scene that tells two presets."""
+    """The page of a scene with two presets."""
 
-    def told(route: Route) -> None:
-        route.fulfill(json={**route.fetch().json(), "presets": TOLD})
+    def with_presets(route: Route) -> None:
+        route.fulfill(json={**route.fetch().json(), "presets": PRESETS})
 
-    page.route("**/v1/scenes/small", told)
+    page.route("**/v1/scenes/small", with_presets)
     page.goto(f"{live_server}/?shading=lambert")
     page.wait_for_selector("#presets .chip")
     return page
@@ -62,11 +62,3 @@ def test_an_isovalue_is_kept_over_a_reload_until_it_is_forgotten(shown: Page) ->
     shown.reload()
     shown.wait_for_selector("#presets .chip")
     assert len(chips(shown)) == 3
-
-
-def test_what_was_kept_without_sense_is_passed_over(shown: Page) -> None:
-    for kept in ('"x"', "[null, 7, 0.4]", "{"):
-        shown.evaluate("kept => localStorage.setItem('isogi: isovalues of small', kept)", kept)
-        shown.reload()
-        shown.wait_for_selector("#presets .chip")
-        assert chips(shown)[3:] == (["★ 0.4"] if "0.4" in kept else [])

@@ -65,21 +65,21 @@ def test_the_curl_line_saves_the_picture_that_is_shown(page: Page, live_server: 
 def test_the_python_line_asks_for_the_picture_that_is_shown(
     page: Page, live_server: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    told: dict[str, Any] = {}
+    called: dict[str, Any] = {}
 
     class Isogi:
         def __init__(self, address: str) -> None:
-            told["address"] = address
+            called["address"] = address
 
         def frame(self, scene: str, *, wait: str, **view: Any) -> SimpleNamespace:
-            told.update(scene=scene, wait=wait, view=view)
-            return SimpleNamespace(save=lambda file: told.update(file=file))
+            called.update(scene=scene, wait=wait, view=view)
+            return SimpleNamespace(save=lambda file: called.update(file=file))
 
     monkeypatch.setitem(sys.modules, "isogi_client", SimpleNamespace(Isogi=Isogi))
     exec(line(shared(page, f"{live_server}/?{VIEW}"), "python"), {})
-    assert (told["address"], told["scene"]) == (live_server, "small")
-    assert (told["wait"], told["file"]) == ("final", "small-0.45.png")
-    answer = page.request.get(f"{told['address']}/v1/scenes/{told['scene']}/frame", params=told["view"])
+    assert (called["address"], called["scene"]) == (live_server, "small")
+    assert (called["wait"], called["file"]) == ("final", "small-0.45.png")
+    answer = page.request.get(f"{called['address']}/v1/scenes/{called['scene']}/frame", params=called["view"])
     assert np.array_equal(pixels_in(answer.body()), shown(page))
 
 
@@ -104,21 +104,7 @@ def test_where_a_token_is_wanted_the_line_names_its_variable(page: Page, live_se
     assert '-H "Authorization: Bearer $ISOGI_TOKEN"' in line(shared(page, f"{live_server}/?{PLAIN}"), "curl")
 
 
-@pytest.mark.parametrize("file", ["it's.png", "a b;$(touch x).png"])
-def test_no_name_escapes_its_quotes(page: Page, live_server: str, file: str, tmp_path: Path) -> None:
-    page.goto(f"{live_server}/?{PLAIN}")
-    made = """async (file) => {
-      const { curlLine, pythonLine } = await import("./web/lines.js");
-      const view = { isovalue: 1e-7, shading: file };
-      return [curlLine(new URL("http://host/?a=1&b=2"), file, false), pythonLine("http://host", file, view, file)];
-    }"""
-    shell, python = page.evaluate(made, file)
-    words = subprocess.run(["bash", "-c", shell.replace("curl -f", "printf '%s\\n'")], capture_output=True, check=True)
-    assert words.stdout.decode().splitlines() == ["http://host/?a=1&b=2", "-o", file]
-    assert python.endswith(f'isovalue=1e-7, shading="{file}", wait="final").save("{file}")')
-
-
-def test_the_picture_is_saved_large_final_and_tells_what_it_shows(page: Page, live_server: str, tmp_path: Path) -> None:
+def test_a_picture_is_saved_large_and_final_with_its_notes(page: Page, live_server: str, tmp_path: Path) -> None:
     open_final(page, f"{live_server}/?{VIEW}").click("#save-button")
     with page.expect_download(timeout=FINAL_MS) as download:
         page.click("#save-start")
@@ -134,7 +120,7 @@ def test_the_picture_is_saved_large_final_and_tells_what_it_shows(page: Page, li
     expect(page.locator("#save .note")).to_have_text(f"Saved small-0.45.png: {comment}.")
 
 
-def test_saving_survives_the_loss_of_the_server_and_can_be_stopped(page: Page, live_server: str) -> None:
+def test_saving_survives_a_lost_server_and_can_be_stopped(page: Page, live_server: str) -> None:
     open_final(page, f"{live_server}/?{PLAIN}").click("#save-button")
     page.route("**/frame?*", lambda route: route.abort())
     page.click("#save-start")
@@ -152,7 +138,7 @@ def test_saving_survives_the_loss_of_the_server_and_can_be_stopped(page: Page, l
     expect(page.locator("#save")).to_be_hidden()
 
 
-def test_what_cannot_become_final_is_said_and_may_be_saved_as_it_is(page: Page, live_server: str) -> None:
+def test_what_cannot_become_final_may_be_saved_as_it_is(page: Page, live_server: str) -> None:
     open_final(page, f"{live_server}/?{PLAIN}").click("#save-button")
     page.route("**/frame?*", stuck())
     page.click("#save-start")
@@ -177,7 +163,7 @@ def stuck() -> Callable[[Route], None]:
     return answer
 
 
-def test_the_times_of_frames_are_told(page: Page, live_server: str) -> None:
+def test_the_times_of_frames_are_listed(page: Page, live_server: str) -> None:
     open_final(page, f"{live_server}/?{PLAIN}").click("#times summary")
     page.locator("#times dt").last.wait_for()  # a fold tells of itself a little later
     names = page.locator("#times dt").all_inner_texts()

@@ -7,32 +7,31 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from isogi_core.bake.effort import Effort
-from isogi_core.bake.recipe import Index
+from isogi_core.bake.noise import Effort
 from isogi_core.cache.costs import Cost, Costs
-from isogi_core.cache.place import Place
 from isogi_core.errors import StoreAwayError, StoreError
-from isogi_core.frame.texels import Demand
-from isogi_core.model.plan import Layer, ScenePlan
-from isogi_core.model.source import SceneSource
+from isogi_core.files.scene_file import SceneSource
+from isogi_core.frame.view_texels import Demand
+from isogi_core.model.scene_plan import Layer, ScenePlan
+from isogi_core.prepared.prepared_scene import Index
+from isogi_core.storage.url import StoreUrl
+from worker.bake_requests import GUEST, MOST_FAILURES, STEP, Viewer
 from worker.baker import LONGEST_REST, REST, WAY, Bake, Baker, after
 from worker.errors import WorkersAwayError
-from worker.outlook import TimeLeft
 from worker.pause import LONGEST, SHORTEST
 from worker.pool import Done
+from worker.progress import TimeLeft
 from worker.queue import FORGET_AFTER
 from worker.tasks import ELSEWHERE, BakeResult, BakeTask
-from worker.viewers import GUEST, Viewer
-from worker.wants import MOST_FAILURES, STEP
 
 SOURCE = SceneSource("scene", {"volume": "demo:orbital"}, Path())
 PLAN = ScenePlan("transfer", (Layer("direct", 5), Layer("indirect", 3)), 5, 4, 1.0, 4096)
 NEAR = ScenePlan("vicinity", (Layer("direct", 5),), 1, 0, 1.0, 4096)
 
 
-def left(unfinished: int, worth: float, paths: float = 0.0) -> BakeResult:
+def left(unfinished: int, priority: float, paths: float = 0.0) -> BakeResult:
     """What a task leaves that took 2 seconds for 100 paths of 2 texels, 0.02 seconds each."""
-    return BakeResult(unfinished, worth, Effort(0, 100.0, paths), Cost(2.0, 100, 2, 0.64))
+    return BakeResult(unfinished, priority, Effort(0, 100.0, paths), Cost(2.0, 100, 2, 0.64))
 
 
 DONE = left(0, 0.0)
@@ -43,23 +42,23 @@ class FakePool:
 
     def __init__(self, room: int) -> None:
         self.room, self.workers, self.deaths = room, 2, 0
-        self.flying: list[tuple[BakeTask, Done]] = []
+        self.in_flight: list[tuple[BakeTask, Done]] = []
         self.stepped_back: list[float] = []
 
     def submit(self, task: BakeTask, done: Done) -> None:
-        self.flying.append((task, done))
+        self.in_flight.append((task, done))
 
     def step_back(self, seconds: float) -> bool:
         self.stepped_back.append(seconds)
         return True
 
     def end(self, result: BakeResult | None = DONE, error: BaseException | None = None) -> BakeTask:
-        task, done = self.flying.pop(0)
+        task, done = self.in_flight.pop(0)
         done(result, error)
         return task
 
     def tasks(self) -> list[int]:
-        return [task.index[2] for task, _ in self.flying]
+        return [task.index[2] for task, _ in self.in_flight]
 
 
 class Bench:
@@ -71,12 +70,14 @@ class Bench:
         self.baker = Baker(lambda: self.now, workers)
         self.costs = Costs("memory://costs", "digest")
         layers = frozenset({"direct", "indirect"})
-        self.baker.add("scene", Bake(SOURCE, PLAN, "digest", layers, Place("store"), self.arrived.append, self.costs))
+        self.baker.add(
+            "scene", Bake(SOURCE, PLAN, "digest", layers, StoreUrl("store"), self.arrived.append, self.costs)
+        )
 
-    def want(self, *chunks: int, scene: str = "scene", viewer: Viewer = GUEST) -> frozenset[Index]:
+    def request(self, *chunks: int, scene: str = "scene", viewer: Viewer = GUEST) -> frozenset[Index]:
         texels, seen, effort = np.array([1, 2], np.int32), np.array([1.0, 0.5], np.float32), Effort(2, 0.0, 0.0)
         demands = [Demand((0, 0, x), texels, 10.0 - x, effort, seen) for x in chunks]
-        return self.baker.want(scene, demands, 0.1, viewer)
+        return self.baker.request(scene, demands, 0.1, viewer)
 
     def employ(self, room: int) -> FakePool:
         pool = FakePool(room)
@@ -89,37 +90,43 @@ def bench() -> Bench:
     return Bench()
 
 
-def test_what_is_wanted_waits_for_workers(bench: Bench) -> None:
-    assert bench.want(1, 2)
+def test_requests_wait_for_workers(bench: Bench) -> None:
+    assert bench.request(1, 2)
     assert bench.employ(4).tasks() == [1, 2]
 
 
 def test_a_task_holds_all_that_a_worker_must_know(bench: Bench) -> None:
     pool = bench.employ(1)
-    bench.want(3)
-    task = pool.flying[0][0]
-    assert (task.source, task.plan, task.digest, task.store) == (SOURCE, PLAN, "digest", Place("store"))
-    assert (task.index, task.offsets.tolist(), task.until, task.least, task.target) == ((0, 0, 3), [1, 2], 16, 0.0, 0.1)
+    bench.request(3)
+    task = pool.in_flight[0][0]
+    assert (task.source, task.plan, task.digest, task.store_url) == (SOURCE, PLAN, "digest", StoreUrl("store"))
+    assert (task.index, task.offsets.tolist(), task.until, task.least_priority, task.target) == (
+        (0, 0, 3),
+        [1, 2],
+        16,
+        0.0,
+        0.1,
+    )
     assert task.footprints.tolist() == [1.0, 0.5]
 
 
 def test_few_tasks_fly_and_the_newest_view_is_next(bench: Bench) -> None:
     pool = bench.employ(2)
-    bench.want(1, 2, 3)
+    bench.request(1, 2, 3)
     assert pool.tasks() == [1, 2]
-    bench.want(9)
+    bench.request(9)
     pool.end()
     assert pool.tasks() == [2, 9]
     pool.end()
     assert pool.tasks() == [9, 3]
 
 
-def test_each_chunk_is_told_as_it_arrives_and_taken_on_until_final(bench: Bench) -> None:
+def test_each_chunk_is_reported_and_refined_until_final(bench: Bench) -> None:
     pool = bench.employ(1)
-    bench.want(1)
+    bench.request(1)
     assert pool.end(left(2, 0.8, 100.0)).until == 16
     assert bench.arrived == [(0, 0, 1)]
-    assert pool.end().least == 0.8 * STEP
+    assert pool.end().least_priority == 0.8 * STEP
     assert bench.arrived == [(0, 0, 1)] * 2
     assert pool.tasks() == []
 
@@ -133,22 +140,22 @@ def test_scenes_share_the_workers(bench: Bench) -> None:
             PLAN,
             "other digest",
             frozenset({"whole"}),
-            Place("store"),
+            StoreUrl("store"),
             others.append,
             Costs("memory://costs", "other"),
         ),
     )
     pool = bench.employ(4)
-    bench.want(1)
-    bench.want(1, scene="other")
-    assert [task.digest for task, _ in pool.flying] == ["digest", "other digest"]
+    bench.request(1)
+    bench.request(1, scene="other")
+    assert [task.digest for task, _ in pool.in_flight] == ["digest", "other digest"]
     pool.end()
     assert (bench.arrived, others) == ([(0, 0, 1)], [])
     pool.end()
     assert others == [(0, 0, 1)]
 
 
-def test_bakes_that_share_a_layer_are_at_a_chunk_one_after_the_other(bench: Bench) -> None:
+def test_bakes_that_share_a_layer_take_turns_at_a_chunk(bench: Bench) -> None:
     bench.baker.add(
         "near",
         Bake(
@@ -156,25 +163,25 @@ def test_bakes_that_share_a_layer_are_at_a_chunk_one_after_the_other(bench: Benc
             NEAR,
             "near digest",
             frozenset({"direct"}),
-            Place("store"),
+            StoreUrl("store"),
             lambda _: None,
             Costs("memory://costs", "near"),
         ),
     )
     pool = bench.employ(8)
-    bench.want(1, 2)
-    bench.want(2, 3, scene="near")
-    flying = [(PLAN, 1), (PLAN, 2), (NEAR, 3), (NEAR, 2)]
-    assert [(task.plan, task.index[2]) for task, _ in pool.flying] == flying[:3]
+    bench.request(1, 2)
+    bench.request(2, 3, scene="near")
+    in_flight = [(PLAN, 1), (PLAN, 2), (NEAR, 3), (NEAR, 2)]
+    assert [(task.plan, task.index[2]) for task, _ in pool.in_flight] == in_flight[:3]
     pool.end()
-    assert [(task.plan, task.index[2]) for task, _ in pool.flying] == flying[1:3]
+    assert [(task.plan, task.index[2]) for task, _ in pool.in_flight] == in_flight[1:3]
     pool.end()
-    assert [(task.plan, task.index[2]) for task, _ in pool.flying] == flying[2:]
+    assert [(task.plan, task.index[2]) for task, _ in pool.in_flight] == in_flight[2:]
 
 
 def test_waiting_ends_when_the_light_is_there(bench: Bench) -> None:
     pool = bench.employ(4)
-    bench.want(1, 2, 7)
+    bench.request(1, 2, 7)
     waiting = threading.Thread(target=bench.baker.wait, args=("scene", [(0, 0, 1), (0, 0, 2)], 60.0))
     waiting.start()
     pool.end()
@@ -186,7 +193,7 @@ def test_waiting_ends_when_the_light_is_there(bench: Bench) -> None:
 
 def test_waiting_ends_with_its_time(bench: Bench) -> None:
     bench.employ(1)
-    bench.want(1)
+    bench.request(1)
     bench.baker.wait("scene", [(0, 0, 1)], 0.01)
     assert bench.arrived == []
 
@@ -198,7 +205,7 @@ def fail(bench: Bench, pool: FakePool, times: int) -> None:
 
 def test_failed_tasks_are_tried_again(bench: Bench, caplog: pytest.LogCaptureFixture) -> None:
     pool = bench.employ(1)
-    bench.want(1)
+    bench.request(1)
     with caplog.at_level(logging.WARNING, "isogi.worker"):
         fail(bench, pool, MOST_FAILURES - 1)
     assert "No space left." in caplog.text
@@ -208,50 +215,50 @@ def test_failed_tasks_are_tried_again(bench: Bench, caplog: pytest.LogCaptureFix
     assert bench.baker.trouble() == ""
 
 
-def test_a_chunk_that_fails_too_often_is_given_up_and_the_others_go_on(bench: Bench) -> None:
+def test_a_chunk_that_fails_too_often_is_given_up_alone(bench: Bench) -> None:
     pool = bench.employ(1)
-    bench.want(1, 2)
+    bench.request(1, 2)
     fail(bench, pool, MOST_FAILURES)
     assert pool.tasks() == [2]
     assert bench.baker.trouble() == "Chunk (0, 0, 1) of scene cannot be baked: No space left."
     bench.baker.wait("scene", [(0, 0, 1)], 60.0)
-    assert not bench.want(1)
-    assert bench.want(1, 2)
+    assert not bench.request(1)
+    assert bench.request(1, 2)
     pool.end()
     assert bench.arrived == [(0, 0, 2)]
     bench.now += FORGET_AFTER + 1.0
     assert bench.baker.trouble() == ""
-    assert bench.want(1)
+    assert bench.request(1)
     assert pool.tasks() == [1]
 
 
 def test_a_stopped_baker_hands_out_nothing(bench: Bench) -> None:
     pool = bench.employ(1)
-    bench.want(1, 2)
+    bench.request(1, 2)
     bench.baker.stop()
     pool.end(None, StoreError("The workers were stopped."))
-    bench.want(3)
+    bench.request(3)
     assert pool.tasks() == []
     assert bench.baker.trouble() == ""
 
 
-def test_light_that_comes_after_the_stop_is_still_told(bench: Bench) -> None:
+def test_light_that_comes_after_the_stop_is_still_reported(bench: Bench) -> None:
     pool = bench.employ(1)
-    bench.want(1)
+    bench.request(1)
     bench.baker.stop()
     pool.end()
     assert bench.arrived == [(0, 0, 1)]
 
 
-def test_many_threads_may_want_at_once(bench: Bench) -> None:
+def test_many_threads_may_request_at_once(bench: Bench) -> None:
     pool = bench.employ(10_000)
-    threads = [threading.Thread(target=bench.want, args=range(i, i + 50)) for i in range(20)]
+    threads = [threading.Thread(target=bench.request, args=range(i, i + 50)) for i in range(20)]
     for thread in threads:
         thread.start()
     for thread in threads:
         thread.join()
     assert sorted(pool.tasks()) == list(range(69))
-    while pool.flying:
+    while pool.in_flight:
         pool.end()
     assert len(bench.arrived) >= 69
     bench.baker.wait("scene", [(0, 0, x) for x in range(69)], 60.0)
@@ -259,23 +266,23 @@ def test_many_threads_may_want_at_once(bench: Bench) -> None:
 
 def test_time_left_follows_from_what_the_bake_took(bench: Bench) -> None:
     pool = bench.employ(1)
-    bench.want(1, 2, 3)
+    bench.request(1, 2, 3)
     chunks = [(0, 0, x) for x in (1, 2, 3)]
     assert bench.baker.time_left("scene", "view", chunks) is None
     pool.end(left(2, 0.8, paths=300.0))
     # 0.02 seconds a path: 300 paths here, and there of each texel as many as here, (100 + 300) / 2.
-    told = bench.baker.time_left("scene", "view", chunks)
-    assert told is not None
-    assert told.likely == pytest.approx(0.02 * (300 + 2 * 2 * 200) / 2)
-    assert told.low < told.likely / 2 and told.high > 2 * told.likely
+    reported = bench.baker.time_left("scene", "view", chunks)
+    assert reported is not None
+    assert reported.likely == pytest.approx(0.02 * (300 + 2 * 2 * 200) / 2)
+    assert reported.low < reported.likely / 2 and reported.high > 2 * reported.likely
     assert bench.baker.time_left("scene", "view", [(0, 0, 9)]) == TimeLeft(0.0, 0.0, 0.0)
     assert bench.baker.paths == 100
 
 
-def test_time_left_is_unknown_until_it_is_known_who_works() -> None:
+def test_time_left_is_unknown_without_a_number_of_workers() -> None:
     bench = Bench(workers=None)
     bench.costs.add((0, 0, 1), Cost(1.0, 100, 2, 0.5))
-    bench.want(1)
+    bench.request(1)
     assert bench.baker.time_left("scene", "view", [(0, 0, 1)]) is None
     bench.employ(1)
     assert bench.baker.time_left("scene", "view", [(0, 0, 1)]) is not None
@@ -283,7 +290,7 @@ def test_time_left_is_unknown_until_it_is_known_who_works() -> None:
 
 def test_costs_are_kept_when_the_baker_stops(bench: Bench) -> None:
     pool = bench.employ(1)
-    bench.want(1)
+    bench.request(1)
     pool.end()
     bench.baker.stop()
     again = Costs("memory://costs", "digest")
@@ -291,10 +298,10 @@ def test_costs_are_kept_when_the_baker_stops(bench: Bench) -> None:
     assert again.rate((0, 0, 1)) == pytest.approx(0.02)
 
 
-def test_nothing_more_is_baked_for_who_has_left(bench: Bench) -> None:
+def test_nothing_more_is_baked_for_clients_that_left(bench: Bench) -> None:
     pool = bench.employ(1)
-    bench.want(1, 2, viewer=Viewer("Anna"))
-    bench.want(9, viewer=Viewer("Bert"))
+    bench.request(1, 2, viewer=Viewer("Anna"))
+    bench.request(9, viewer=Viewer("Bert"))
     bench.baker.leave(Viewer("Anna"))
     pool.end()
     assert pool.tasks() == [9]
@@ -302,14 +309,14 @@ def test_nothing_more_is_baked_for_who_has_left(bench: Bench) -> None:
     assert pool.tasks() == []
 
 
-def test_listeners_hear_of_light_and_of_failures_once_the_queue_knows(bench: Bench) -> None:
+def test_listeners_are_called_after_the_queue_was_updated(bench: Bench) -> None:
     heard: list[tuple[str, Index, bool]] = []
     bench.baker.listen(lambda *news: heard.append(news))
     pool = bench.employ(1)
-    bench.want(1)
+    bench.request(1)
     pool.end(left(1, 0.5))
     pool.end()
-    bench.want(2)
+    bench.request(2)
     fail(bench, pool, MOST_FAILURES)
     first, second = ("scene", (0, 0, 1)), ("scene", (0, 0, 2))
     assert heard == [(*first, True), (*first, False), (*second, True), (*second, True), (*second, False)]
@@ -317,14 +324,14 @@ def test_listeners_hear_of_light_and_of_failures_once_the_queue_knows(bench: Ben
 
 def test_half_the_workers_rest_while_a_view_moves(bench: Bench) -> None:
     pool = bench.employ(4)
-    bench.want(*range(1, 10))
+    bench.request(*range(1, 10))
     assert len(pool.tasks()) == 4
     bench.baker.make_way()
-    flying = []
+    in_flight = []
     for _ in range(5):
         pool.end()
-        flying.append(len(pool.tasks()))
-    assert flying == [3, 2, 1, 1, 1]
+        in_flight.append(len(pool.tasks()))
+    assert in_flight == [3, 2, 1, 1, 1]
     bench.now += WAY
     pool.end()
     assert len(pool.tasks()) == 3, "all that is left, in no time"
@@ -344,37 +351,35 @@ def test_workers_that_stand_elsewhere_go_on_while_a_view_moves(bench: Bench, mon
     monkeypatch.setattr(FakePool, "step_back", lambda self, seconds: False)
     pool = bench.employ(4)
     bench.baker.make_way()
-    bench.want(1, 2, 3, 4, 5)
+    bench.request(1, 2, 3, 4, 5)
     assert len(pool.tasks()) == 4
 
 
-def test_what_was_asked_of_workers_that_are_away_waits_until_they_are_back(bench: Bench) -> None:
+def test_tasks_for_absent_workers_wait_until_they_are_back(bench: Bench) -> None:
     pool = bench.employ(2)
-    bench.want(1, 2, 3)
+    bench.request(1, 2, 3)
     pool.room = 0
     for _ in range(2):
         pool.end(None, WorkersAwayError("The scheduler is gone."))
     assert pool.tasks() == []
-    assert bench.want(1, 2, 3) == {(0, 0, 1), (0, 0, 2), (0, 0, 3)}
+    assert bench.request(1, 2, 3) == {(0, 0, 1), (0, 0, 2), (0, 0, 3)}
     assert (bench.baker.trouble(), bench.baker.tally().failed) == ("", 0)
     pool.room = 3
     bench.baker.stir()
     assert pool.tasks() == [1, 2, 3]
 
 
-def test_a_chunk_that_somebody_else_is_at_waits_while_others_are_baked(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_claimed_chunk_waits_while_others_are_baked(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     later: list[tuple[float, Callable[[], None]]] = []
     monkeypatch.setattr("worker.baker.after", lambda seconds, call: later.append((seconds, call)))
     pool = bench.employ(1)
-    bench.want(1, 2)
+    bench.request(1, 2)
     assert pool.end(ELSEWHERE).owner
     assert pool.tasks() == [2]
     pool.end()
     assert pool.tasks() == []
     tally = bench.baker.tally()
-    assert (tally.waiting, tally.flying, tally.done, tally.failed) == (1, 0, 1, 0)
+    assert (tally.waiting, tally.in_flight, tally.done, tally.failed) == (1, 0, 1, 0)
     assert bench.arrived == [(0, 0, 2)]
     ((seconds, resume),) = later
     bench.now += seconds
@@ -382,10 +387,10 @@ def test_a_chunk_that_somebody_else_is_at_waits_while_others_are_baked(
     assert pool.tasks() == [1]
 
 
-def test_who_has_waited_long_for_somebody_else_waits_no_more(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_long_wait_for_another_baker_ends(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("worker.baker.after", lambda *_: None)
     pool = bench.employ(1)
-    bench.want(1)
+    bench.request(1)
     looks = 0
     while not pool.end(ELSEWHERE).insists:
         looks += 1
@@ -403,41 +408,41 @@ def test_something_is_called_after_a_while() -> None:
     assert called.wait(30.0)
 
 
-def test_a_scene_that_is_forgotten_is_baked_no_more_and_who_waits_is_told(bench: Bench) -> None:
-    told: list[tuple[str, Index, bool]] = []
-    bench.baker.listen(lambda *news: told.append(news))
+def test_a_dropped_scene_is_baked_no_more_and_waiters_learn_it(bench: Bench) -> None:
+    reported: list[tuple[str, Index, bool]] = []
+    bench.baker.listen(lambda *news: reported.append(news))
     pool = bench.employ(1)
-    bench.want(1, 2)
+    bench.request(1, 2)
     bench.baker.forget("scene")
-    assert told == [("scene", (0, 0, 1), False), ("scene", (0, 0, 2), False)]
-    assert bench.want(3) == frozenset()
+    assert reported == [("scene", (0, 0, 1), False), ("scene", (0, 0, 2), False)]
+    assert bench.request(3) == frozenset()
     assert bench.baker.time_left("scene", "view", [(0, 0, 1)]) is None
     pool.end(left(2, 0.8))
-    assert not pool.flying
+    assert not pool.in_flight
 
 
 def test_a_scene_that_comes_again_waits_for_the_task_that_flies(bench: Bench) -> None:
     pool = bench.employ(2)
-    bench.want(1)
+    bench.request(1)
     bench.baker.forget("scene")
     layers = frozenset({"direct", "indirect"})
-    bench.baker.add("scene", Bake(SOURCE, PLAN, "digest", layers, Place("store"), bench.arrived.append, bench.costs))
-    bench.want(1, 2)
+    bench.baker.add("scene", Bake(SOURCE, PLAN, "digest", layers, StoreUrl("store"), bench.arrived.append, bench.costs))
+    bench.request(1, 2)
     assert pool.tasks() == [1, 2]
     pool.end(left(2, 0.8))
     assert pool.tasks() == [2, 1]
 
 
 @pytest.mark.parametrize("error", [None, RuntimeError("the file is gone")])
-def test_what_lands_after_a_scene_was_forgotten_does_no_harm(bench: Bench, error: Exception | None) -> None:
-    other = Bake(SOURCE, PLAN, "other", frozenset({"whole"}), Place("store"), lambda _: None, bench.costs)
+def test_a_result_after_its_scene_was_dropped_does_no_harm(bench: Bench, error: Exception | None) -> None:
+    other = Bake(SOURCE, PLAN, "other", frozenset({"whole"}), StoreUrl("store"), lambda _: None, bench.costs)
     bench.baker.add("other", other)
     pool = bench.employ(1)
-    bench.want(1)
-    bench.want(1, scene="other")
+    bench.request(1)
+    bench.request(1, scene="other")
     bench.baker.forget("scene")
     pool.end(None if error else DONE, error)
-    assert [task.digest for task, _ in pool.flying] == ["other"]
+    assert [task.digest for task, _ in pool.in_flight] == ["other"]
     assert bench.baker.trouble() == ""
 
 
@@ -446,11 +451,9 @@ def test_what_lands_after_a_scene_was_forgotten_does_no_harm(bench: Bench, error
 GONE = StoreAwayError("The store is gone.")
 
 
-def test_a_single_task_that_cannot_reach_the_store_holds_up_no_other(
-    bench: Bench, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_one_task_that_misses_the_store_delays_no_other(bench: Bench, caplog: pytest.LogCaptureFixture) -> None:
     pool = bench.employ(2)
-    bench.want(1, 2, 3)
+    bench.request(1, 2, 3)
     for _ in range(2):
         pool.end(None, GONE)
         assert bench.baker.paused() == "" and len(pool.tasks()) == 2
@@ -458,27 +461,25 @@ def test_a_single_task_that_cannot_reach_the_store_holds_up_no_other(
     assert "baking waits" not in caplog.text
 
 
-def test_while_the_store_is_away_one_task_is_tried_now_and_then_and_no_chunk_is_given_up(
-    bench: Bench, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_an_absent_store_is_tried_now_and_then_by_one_task(bench: Bench, caplog: pytest.LogCaptureFixture) -> None:
     pool = bench.employ(2)
-    bench.want(1, 2, 3)
+    bench.request(1, 2, 3)
     for _ in range(3):
         pool.end(None, GONE)
     assert pool.tasks() == [] and bench.baker.paused() == "The store is gone."
     seconds = SHORTEST
     for _ in range(2 * MOST_FAILURES):
-        assert len(bench.want(1, 2, 3)) == 3 and pool.tasks() == []
+        assert len(bench.request(1, 2, 3)) == 3 and pool.tasks() == []
         bench.now += seconds
-        bench.want(1, 2, 3)
+        bench.request(1, 2, 3)
         assert len(pool.tasks()) == 1, "one is tried"
         pool.end(None, GONE)
         seconds = min(2.0 * seconds, LONGEST)
     tally = bench.baker.tally()
-    assert (tally.waiting, tally.given_up, tally.failed, tally.flying) == (3, 0, 0, 0)
+    assert (tally.waiting, tally.given_up, tally.failed, tally.in_flight) == (3, 0, 0, 0)
     assert bench.baker.trouble() == "" and caplog.text.count("baking waits for the store") == 1
     bench.now += LONGEST
-    bench.want(1, 2, 3)
+    bench.request(1, 2, 3)
     pool.end()
     assert bench.baker.paused() == "" and len(pool.tasks()) == 2
     pool.end()
@@ -488,10 +489,10 @@ def test_while_the_store_is_away_one_task_is_tried_now_and_then_and_no_chunk_is_
 
 def test_a_poison_chunk_is_given_up_though_the_store_was_away(bench: Bench) -> None:
     pool = bench.employ(1)
-    bench.want(1)
+    bench.request(1)
     pool.end(None, GONE)
     bench.now += SHORTEST
-    bench.want(1)
+    bench.request(1)
     fail(bench, pool, MOST_FAILURES)
     assert bench.baker.tally().given_up == 1
 
@@ -500,9 +501,9 @@ def test_baking_goes_on_by_itself(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("worker.pause.SHORTEST", 0.01)
     bench = Bench()
     baker = bench.baker = Baker()
-    baker.add("scene", Bake(SOURCE, PLAN, "digest", frozenset(), Place("store"), bench.arrived.append, bench.costs))
+    baker.add("scene", Bake(SOURCE, PLAN, "digest", frozenset(), StoreUrl("store"), bench.arrived.append, bench.costs))
     pool = bench.employ(1)
-    bench.want(1)
+    bench.request(1)
     pool.end(None, GONE)
     deadline = time.monotonic() + 60.0
     while not pool.tasks():
@@ -512,10 +513,10 @@ def test_baking_goes_on_by_itself(monkeypatch: pytest.MonkeyPatch) -> None:
     assert bench.arrived == [(0, 0, 1)] and baker.paused() == ""
 
 
-def test_nothing_is_tried_once_it_is_stopped_or_nobody_wants_it_any_more(bench: Bench) -> None:
+def test_no_task_is_tried_after_a_stop_or_without_clients(bench: Bench) -> None:
     pool = bench.employ(1)
     alone = Viewer("somebody", single=True)
-    bench.want(1, viewer=alone)
+    bench.request(1, viewer=alone)
     bench.baker.leave(alone)
     pool.end(None, GONE)
     assert bench.baker.tally().waiting == 0

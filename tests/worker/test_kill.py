@@ -15,13 +15,14 @@ import httpx
 import psutil
 import pytest
 
-from isogi_core.bake.look import look_for
-from isogi_core.bake.recipe import Recipe
-from isogi_core.cache.store import ChunkStore
+from isogi_core.bake.bake_spec import spec_for
+from isogi_core.cache.chunk_store import ChunkStore
 from isogi_core.frame.frame import Frame
-from isogi_core.model.scene import Scene, load_scene
 from isogi_core.model.view import View
-from server.studio import Studio
+from isogi_core.plan.assembly import load_scene
+from isogi_core.plan.scene import Scene
+from isogi_core.prepared.prepared_scene import PreparedScene
+from server.render.engine import RenderEngine
 
 pytestmark = pytest.mark.slow
 ROOT = Path(__file__).parent.parent.parent
@@ -30,15 +31,15 @@ LONG = 120.0
 
 @pytest.fixture(scope="module")
 def scene() -> Scene:
-    """One that has sharp light beside the other."""
-    return load_scene("demo:orbital", lattice=0.7, bounces=3, target_error=0.06, sharpen=True)
+    """One with projected texels beside the others."""
+    return load_scene("demo:orbital", lattice=0.7, bounces=2, target_error=0.1, projected=True)
 
 
 @pytest.fixture(scope="module")
 def views(scene: Scene) -> list[View]:
     """Three views that share chunks and texels."""
     looks = (20.0, 0.03), (140.0, 0.03), (20.0, 0.05)
-    return [View(isovalue, scene.camera(azimuth, 15.0, 3.0, 30.0), width=64, height=64) for azimuth, isovalue in looks]
+    return [View(isovalue, scene.camera(azimuth, 15.0, 3.0, 30.0), width=48, height=48) for azimuth, isovalue in looks]
 
 
 def light_in(store: Path) -> dict[str, str]:
@@ -63,11 +64,11 @@ def bake_views(
 ) -> list[Frame]:
     """Final frames of the views, one after the other; meanwhile the ``killings`` are done in turn."""
     others = worker_pids()
-    with closing(Studio([scene], str(store), workers)) as studio:
-        studio.start()
+    with closing(RenderEngine([scene], str(store), workers)) as engine:
+        engine.start()
         killer = threading.Thread(target=lambda: [killing.do(store, others) for killing in killings])
         killer.start()
-        frames = [studio.frame(scene.id, view, wait=LONG) for view in views]
+        frames = [engine.frame(scene.id, view, wait=LONG) for view in views]
         killer.join()
     assert not any(frame.provisional for frame in frames)
     return frames
@@ -87,10 +88,17 @@ class Killing:
         os.kill(min(worker_pids() - others), signal.SIGKILL)
 
 
+@dataclass(frozen=True)
+class Undisturbed:
+    """What one worker leaves that nothing disturbs: the ``store``, its ``light``, and the ``frames``."""
+
+    store: Path
+    light: dict[str, str]
+    frames: list[Frame]
+
+
 @pytest.fixture(scope="module")
-def expected(
-    tmp_path_factory: pytest.TempPathFactory, scene: Scene, views: list[View]
-) -> tuple[dict[str, str], list[Frame]]:
+def undisturbed(tmp_path_factory: pytest.TempPathFactory, scene: Scene, views: list[View]) -> Undisturbed:
     """The light and the frames that one worker makes, undisturbed."""
     store = tmp_path_factory.mktemp("undisturbed")
     frames = bake_views(scene, store, views, workers=1)
@@ -99,7 +107,7 @@ def expected(
     layers = [scene.layer_digest(layer, level) for layer in scene.plan.layers for level in levels]
     assert all(any(f"{layer}/c/" in key for key in light) for layer in layers)
     assert len(light) > 20
-    return light, frames
+    return Undisturbed(store, light, frames)
 
 
 def assert_same_light(frames: list[Frame], expected: list[Frame]) -> None:
@@ -107,45 +115,34 @@ def assert_same_light(frames: list[Frame], expected: list[Frame]) -> None:
         assert a.radiance.tobytes() == b.radiance.tobytes()
 
 
-Expected = tuple[dict[str, str], list[Frame]]
-
-
-def test_two_workers_leave_the_same_bytes(tmp_path: Path, scene: Scene, views: list[View], expected: Expected) -> None:
-    frames = bake_views(scene, tmp_path, views, workers=2)
-    assert light_in(tmp_path) == expected[0]
-    assert_same_light(frames, expected[1])
-
-
-def test_another_order_of_views_leaves_the_same_bytes(
-    tmp_path: Path, scene: Scene, views: list[View], expected: Expected
+def test_more_workers_and_another_order_leave_the_same_bytes(
+    tmp_path: Path, scene: Scene, views: list[View], undisturbed: Undisturbed
 ) -> None:
     frames = bake_views(scene, tmp_path, views[::-1], workers=2)
-    assert light_in(tmp_path) == expected[0]
-    assert_same_light(frames[::-1], expected[1])
+    assert light_in(tmp_path) == undisturbed.light
+    assert_same_light(frames[::-1], undisturbed.frames)
 
 
 def test_killed_workers_cost_time_and_nothing_else(
-    tmp_path: Path, scene: Scene, views: list[View], expected: Expected
+    tmp_path: Path, scene: Scene, views: list[View], undisturbed: Undisturbed
 ) -> None:
     killings = [Killing(chunks) for chunks in (2, 6, 12)]
     frames = bake_views(scene, tmp_path, views, 2, killings)
-    assert all(killing.light != expected[0] for killing in killings)
-    assert light_in(tmp_path) == expected[0]
-    assert_same_light(frames, expected[1])
+    assert all(killing.light != undisturbed.light for killing in killings)
+    assert light_in(tmp_path) == undisturbed.light
+    assert_same_light(frames, undisturbed.frames)
 
 
 def test_after_a_restart_the_same_view_is_final_at_once(
-    tmp_path: Path, scene: Scene, views: list[View], expected: Expected
+    scene: Scene, views: list[View], undisturbed: Undisturbed
 ) -> None:
-    before = bake_views(scene, tmp_path, views[:1], workers=2)[0]
-    light = light_in(tmp_path)
-    with closing(Studio([scene], str(tmp_path), workers=1)) as studio:
-        studio.start()
-        after = studio.frame(scene.id, views[0])
+    with closing(RenderEngine([scene], str(undisturbed.store), workers=1)) as engine:
+        engine.start()
+        after = engine.frame(scene.id, views[0])
     assert not after.provisional
-    assert after.version == before.version
-    assert after.radiance.tobytes() == before.radiance.tobytes() == expected[1][0].radiance.tobytes()
-    assert light_in(tmp_path) == light
+    assert after.version == undisturbed.frames[0].version
+    assert after.radiance.tobytes() == undisturbed.frames[0].radiance.tobytes()
+    assert light_in(undisturbed.store) == undisturbed.light
 
 
 @contextmanager
@@ -187,7 +184,7 @@ def test_no_worker_outlives_its_server(tmp_path: Path, number: signal.Signals) -
         process.send_signal(number)
         assert process.wait(LONG) == (-number if number == signal.SIGKILL else 0)
         assert psutil.wait_procs(family, timeout=LONG)[1] == []
-    layers = ChunkStore(tmp_path, look_for(Recipe(load_scene("demo:orbital")), "gi")).layers
+    layers = ChunkStore(tmp_path, spec_for(PreparedScene(load_scene("demo:orbital")), "gi")).layers
     assert len(layers) == 2
     for layer in layers:
         found = [tuple(map(int, path.parts[-4:-1])) for path in Path(layer.path).glob("c/*/*/*/0")]

@@ -20,25 +20,23 @@ from distributed.client import FutureCancelledError
 from distributed.scheduler import KilledWorker
 from distributed.utils import LoopRunner
 
-from isogi_core.bake.look import look_for
-from isogi_core.bake.recipe import Recipe
-from isogi_core.cache.place import Place
-from isogi_core.cache.root import Root
-from isogi_core.cache.store import ChunkStore
-from isogi_core.kernels.bricks import fill_ranges, mark_bricks, pack_bricks
-from isogi_core.kernels.macrocells import fill_macrocells
-from isogi_core.kernels.warm import warm
-from isogi_core.model.scene import load_scene
+from isogi_core.bake.bake_spec import spec_for
+from isogi_core.cache.chunk_store import ChunkStore
+from isogi_core.kernels._jit import warm
+from isogi_core.kernels.tracing.active_cells import fill_ranges, mark_bricks, pack_bricks
+from isogi_core.kernels.tracing.macrocells import fill_macrocells
+from isogi_core.plan.assembly import load_scene
+from isogi_core.prepared.prepared_scene import PreparedScene
+from isogi_core.storage.store import Store
+from isogi_core.storage.url import StoreUrl
 from worker.baker import Baker
-from worker.clients import OwnClient
 from worker.errors import LostWorkerError, WorkersAwayError, WorkersError
-from worker.nice import FORWARD, NICENESS
-from worker.pool import AHEAD, WorkerPool, report
-from worker.sessions import BACK
-from worker.tasks import KINDS, BakeResult, BakeTask, bake_kernels, opened
+from worker.niceness import BACK, FORWARD, NICENESS
+from worker.pool import AHEAD, OwnClient, WorkerPool, report
+from worker.tasks import KINDS, BakeResult, BakeTask, bake_kernels, open_spec
 
 SCENE = load_scene("demo:orbital", order=2, lattice=0.4, bounces=1, target_error=0.5)
-LOOK = look_for(Recipe(SCENE), "gi")
+SPEC = spec_for(PreparedScene(SCENE), "gi")
 BAKE = bake_kernels(KINDS)
 TEXELS = np.arange(0, 4096, 40, dtype=np.int32)
 WORKERS = 2
@@ -90,15 +88,15 @@ def bake_all(pool: WorkerPool, tasks: list[BakeTask]) -> list[BakeResult]:
     return results
 
 
-def made(root: Path) -> Place:
+def made(root: Path) -> StoreUrl:
     """The place of a store that a server has made."""
-    Root(root).open()
-    return Place(str(root))
+    Store(root).open()
+    return StoreUrl(str(root))
 
 
-def tasks_for(store: Path, digest: str = LOOK.digest) -> list[BakeTask]:
+def tasks_for(store: Path, digest: str = SPEC.digest) -> list[BakeTask]:
     indices = [(z, y, 0) for z in (0, 1) for y in (0, 1)]
-    what, seen = (SCENE.source, LOOK.plan, digest, made(store)), np.ones(len(TEXELS), np.float32)
+    what, seen = (SCENE.source, SPEC.plan, digest, made(store)), np.ones(len(TEXELS), np.float32)
     return [BakeTask(*what, index, TEXELS, seen, 64, 0.0, 0.5) for index in indices]
 
 
@@ -115,7 +113,7 @@ def test_tasks_leave_their_chunks_in_the_store(pool: WorkerPool, tmp_path: Path)
     tasks = tasks_for(tmp_path)
     results = bake_all(pool, tasks)
     assert all(result.cost.seconds > 0 for result in results)
-    store: ChunkStore = opened(SCENE.source, LOOK.plan, LOOK.digest, made(tmp_path))[1]
+    store: ChunkStore = open_spec(SCENE.source, SPEC.plan, SPEC.digest, made(tmp_path))[1]
     for task in tasks:
         np.testing.assert_array_equal(store.load(task.index).offsets, TEXELS)
 
@@ -157,7 +155,7 @@ def reach(pids: list[int], niceness: int) -> None:
 
 
 @needs_autogroups
-def test_workers_stand_back_in_sessions_of_their_own_while_a_view_moves(pool: WorkerPool) -> None:
+def test_worker_sessions_have_low_priority_while_a_view_moves(pool: WorkerPool) -> None:
     pids, own = pool.pids(), session_niceness(os.getpid())
     assert [os.getsid(pid) for pid in pids] == pids
     reach(pids, FORWARD)
@@ -251,6 +249,21 @@ def test_kernels_that_are_missing_are_compiled_by_a_worker(monkeypatch: pytest.M
     assert set(kernels) <= {kernel.name for kernel in BAKE}
 
 
+def test_workers_prepare_until_a_bake_needs_no_kernel(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    missing: set[str] = {layer.kind for layer in SPEC.plan.layers}
+    monkeypatch.setattr("worker.pool.kernels_missing", lambda kinds: bool(missing & set(kinds)))
+    fresh = WorkerPool(1, kinds=())
+    try:
+        assert fresh.preparing == ""
+        tasks, ended = tasks_for(tmp_path), threading.Semaphore(0)
+        fresh.submit(tasks[0], lambda *_: ended.release())
+        assert fresh.preparing == "The workers compile their kernels."
+        assert ended.acquire(timeout=LONG)
+        assert fresh.preparing == "", "a task has baked: kernels are there, whatever the cache says"
+    finally:
+        fresh.close()
+
+
 def test_workers_that_are_joined_have_loaded_their_kernels(
     compiled: dict[str, tuple[int, int]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -267,7 +280,7 @@ def test_workers_that_are_joined_have_loaded_their_kernels(
 
 
 @pytest.mark.slow
-def test_a_killed_worker_is_replaced_and_its_tasks_come_back_as_lost(pool: WorkerPool, tmp_path: Path) -> None:
+def test_a_killed_worker_is_replaced_and_its_tasks_are_lost(pool: WorkerPool, tmp_path: Path) -> None:
     before = pool.pids()
     psutil.Process(before[0]).kill()
     with suppress(LostWorkerError):  # where the death was known before, all tasks go to the other worker
@@ -280,7 +293,7 @@ def test_a_killed_worker_is_replaced_and_its_tasks_come_back_as_lost(pool: Worke
 
 
 @pytest.mark.slow
-def test_tasks_that_end_while_dask_tells_nobody_are_noticed(
+def test_tasks_whose_end_dask_does_not_report_are_noticed(
     pool: WorkerPool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(Future, "add_done_callback", lambda *_: None)
@@ -307,13 +320,11 @@ class Ended:
         ("cancelled", FutureCancelledError("bake", "the scheduler is gone"), WorkersAwayError),
     ],
 )
-def test_whoever_waits_is_told_also_where_a_result_is_lost_on_its_way(
-    status: str, error: Exception, kind: type[Exception]
-) -> None:
+def test_a_result_that_is_lost_on_its_way_is_an_error(status: str, error: Exception, kind: type[Exception]) -> None:
     """Its worker may die before it is fetched: the error then came out of the callback, and nobody was told."""
-    told: list[tuple[BakeResult | None, BaseException | None]] = []
-    report(cast("Future[Any]", Ended(status, error)), lambda *outcome: told.append(outcome))
-    ((result, why),) = told
+    reported: list[tuple[BakeResult | None, BaseException | None]] = []
+    report(cast("Future[Any]", Ended(status, error)), lambda *outcome: reported.append(outcome))
+    ((result, why),) = reported
     assert result is None
     assert type(why) is kind
 
@@ -333,9 +344,9 @@ def test_workers_of_others_are_joined_and_left_alone(pool: WorkerPool, tmp_path:
 
 def test_a_pool_that_leaves_a_scheduler_leaves_no_error_there(pool: WorkerPool) -> None:
     assert pool._cluster is not None
-    scheduler, told = pool._cluster.scheduler, list[logging.LogRecord]()
+    scheduler, reported = pool._cluster.scheduler, list[logging.LogRecord]()
     handler = logging.Handler()
-    handler.emit = told.append  # type: ignore[method-assign]
+    handler.emit = reported.append  # type: ignore[method-assign]
     logging.getLogger("distributed.scheduler").addHandler(handler)
     clients, joined = set(scheduler.clients), WorkerPool(1, pool._cluster.scheduler_address)
     joined.close()
@@ -343,11 +354,11 @@ def test_a_pool_that_leaves_a_scheduler_leaves_no_error_there(pool: WorkerPool) 
     while set(scheduler.clients) != clients and time.monotonic() < deadline:
         time.sleep(0.01)
     logging.getLogger("distributed.scheduler").removeHandler(handler)
-    assert [each.getMessage() for each in told if each.levelno >= logging.ERROR] == []
+    assert [each.getMessage() for each in reported if each.levelno >= logging.ERROR] == []
 
 
 @pytest.mark.parametrize("address", ["carrier-pigeon://somewhere", "tcp://127.0.0.1:notaport"])
-def test_a_scheduler_that_cannot_be_reached_is_told(address: str) -> None:
+def test_a_scheduler_that_cannot_be_reached_is_an_error(address: str) -> None:
     with pytest.raises(WorkersError, match="Cannot start or reach the workers"):
         WorkerPool(1, address)
 
@@ -383,8 +394,8 @@ def test_a_scheduler_that_was_restarted_unnoticed_is_joined_anew(monkeypatch: py
 
 
 @pytest.mark.slow
-def test_workers_are_counted_also_where_nobody_told_of_them(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(WorkerPool, "_told", lambda *_: None)
+def test_workers_are_counted_without_events(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(WorkerPool, "_on_event", lambda *_: None)
     with lone_scheduler() as alone:
         joined = WorkerPool(1, alone.scheduler_address)
         try:
@@ -402,7 +413,7 @@ def wait_for(condition: Callable[[], bool]) -> None:
         time.sleep(0.05)
 
 
-def test_clients_that_found_no_scheduler_hold_up_nobody_who_makes_one() -> None:
+def test_clients_without_a_scheduler_block_no_new_client() -> None:
     """The garbage collector may come while a thread holds the lock that closing a client takes."""
     for _ in range(2):
         with pytest.raises(OSError, match=r"."):

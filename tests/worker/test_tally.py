@@ -9,16 +9,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from isogi_core.bake.effort import Effort
+from isogi_core.bake.noise import Effort
 from isogi_core.cache.costs import Cost, Costs
-from isogi_core.cache.place import Place
-from isogi_core.frame.texels import Demand
-from isogi_core.model.plan import Layer, ScenePlan
-from isogi_core.model.source import SceneSource
+from isogi_core.files.scene_file import SceneSource
+from isogi_core.frame.view_texels import Demand
+from isogi_core.model.scene_plan import Layer, ScenePlan
+from isogi_core.storage.url import StoreUrl
 from tests.worker.clock import Clock
 from worker.baker import Bake, Baker
 from worker.pool import Done, WorkerPool
-from worker.tally import Tally
+from worker.progress import Tally
 from worker.tasks import BakeResult, BakeTask
 
 PLAN = ScenePlan("transfer", (Layer("direct", 5),), 5, 4, 1.0, 4096)
@@ -46,28 +46,28 @@ def clock() -> Clock:
 def baker(clock: Clock) -> Baker:
     baker, source = Baker(clock), SceneSource("scene", {"volume": "demo:orbital"}, Path())
     costs = Costs("memory://costs", "digest")
-    baker.add("scene", Bake(source, PLAN, "digest", frozenset({"direct"}), Place("store"), lambda _: None, costs))
+    baker.add("scene", Bake(source, PLAN, "digest", frozenset({"direct"}), StoreUrl("store"), lambda _: None, costs))
     return baker
 
 
-def want(baker: Baker, *chunks: int) -> None:
+def request(baker: Baker, *chunks: int) -> None:
     texels, seen = np.array([1, 2], np.int32), np.array([1.0, 0.5], np.float32)
-    baker.want("scene", [Demand((0, 0, x), texels, 1.0, Effort(2, 0.0, 0.0), seen) for x in chunks], 0.1)
+    baker.request("scene", [Demand((0, 0, x), texels, 1.0, Effort(2, 0.0, 0.0), seen) for x in chunks], 0.1)
 
 
-def test_what_waits_and_how_long(baker: Baker, clock: Clock) -> None:
+def test_counts_of_waiting_requests_and_their_age(baker: Baker, clock: Clock) -> None:
     assert baker.tally() == Tally(0, 0, 0.0, 0, 0, 0, 0, 0, 0, 0, 0)
-    want(baker, 1)
+    request(baker, 1)
     clock.now += 5.0
-    want(baker, 1, 2)
+    request(baker, 1, 2)
     clock.now += 2.0
     assert baker.tally() == Tally(2, 0, 7.0, 0, 0, 0, 0, 0, 0, 0, 0)
 
 
-def test_what_was_done_failed_and_given_up(baker: Baker) -> None:
+def test_counts_of_done_failed_and_given_up_tasks(baker: Baker) -> None:
     pool = FakePool()
     baker.employ(pool)  # type: ignore[arg-type]
-    want(baker, 1, 2)
+    request(baker, 1, 2)
     pool.end(replace(DONE, healed=True), None)
     assert baker.tally() == Tally(1, 0, 0.0, 1, 1, 0, 0, 1, 100, 2, 3)
     for _ in range(3):

@@ -9,21 +9,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from isogi_core.bake.effort import Effort
-from isogi_core.bake.look import look_for
-from isogi_core.bake.noise import finished, relative_error, standard_error
-from isogi_core.bake.recipe import Recipe
+from isogi_core.bake.bake_spec import spec_for
+from isogi_core.bake.noise import Effort, finished, relative_error, standard_error
 from isogi_core.bake.refine import locate
-from isogi_core.cache.parcels import send_parcels
-from isogi_core.cache.place import Place
-from isogi_core.cache.root import Root
-from isogi_core.cache.sentinel import SENTINEL
-from isogi_core.cache.store import ChunkStore
+from isogi_core.cache.chunk_store import ChunkStore
+from isogi_core.cache.scene_assets import send_assets
 from isogi_core.errors import SceneError, StoreAwayError, VolumeError
-from isogi_core.kernels.irradiance import bake_irradiance
-from isogi_core.kernels.transfer import bake_texels, locate_texels
-from isogi_core.model.plan import most_samples
-from isogi_core.model.scene import load_scene
+from isogi_core.kernels.transport.transfer import bake_irradiance, bake_texels, locate_texels
+from isogi_core.model.scene_plan import most_samples
+from isogi_core.plan.assembly import load_scene
+from isogi_core.prepared.prepared_scene import PreparedScene
+from isogi_core.storage.store import SENTINEL, Store
+from isogi_core.storage.url import StoreUrl
 from worker.tasks import (
     ELSEWHERE,
     KINDS,
@@ -32,9 +29,9 @@ from worker.tasks import (
     bake,
     bake_kernels,
     claims_of,
-    climb,
     dask_setup,
-    opened,
+    open_spec,
+    sample_texels,
 )
 
 INDEX = (1, 1, 2)
@@ -43,23 +40,23 @@ TEXELS = np.arange(5, 3000, 41, dtype=np.int32)
 TEXELS = TEXELS[TEXELS % 16 < 7]  # the last chunk along x is 7 texels wide
 SEEN = np.ones(len(TEXELS), np.float32)
 SCENE = load_scene("demo:orbital", order=2, lattice=0.4, bounces=2, target_error=0.05)
-LOOK = look_for(Recipe(SCENE), "gi")
-VICINITY = look_for(Recipe(SCENE), "vicinity")
+SPEC = spec_for(PreparedScene(SCENE), "gi")
+VICINITY = spec_for(PreparedScene(SCENE), "vicinity")
 
 
-def made(root: Path) -> Place:
+def made(root: Path) -> StoreUrl:
     """The place of a store that a server has made."""
-    Root(root).open()
-    return Place(str(root))
+    Store(root).open()
+    return StoreUrl(str(root))
 
 
 def do(root: Path, texels: np.ndarray = TEXELS, until: int = UNTIL, target: float = 0.05) -> BakeResult:
     seen = np.ones(len(texels), np.float32)
-    return bake(BakeTask(SCENE.source, LOOK.plan, LOOK.digest, made(root), INDEX, texels, seen, until, 0.0, target))
+    return bake(BakeTask(SCENE.source, SPEC.plan, SPEC.digest, made(root), INDEX, texels, seen, until, 0.0, target))
 
 
 def store_of(root: Path) -> ChunkStore:
-    return opened(SCENE.source, LOOK.plan, LOOK.digest, made(root))[1]
+    return open_spec(SCENE.source, SPEC.plan, SPEC.digest, made(root))[1]
 
 
 def stored(root: Path) -> list[bytes | None]:
@@ -67,7 +64,7 @@ def stored(root: Path) -> list[bytes | None]:
     return [layer.read(INDEX) for layer in store_of(root).layers]
 
 
-def test_a_worker_keeps_the_looks_of_several_scenes_open(tmp_path: Path) -> None:
+def test_a_worker_keeps_specs_of_several_scenes_open(tmp_path: Path) -> None:
     first = store_of(tmp_path / "0")
     for number in range(1, 16):
         store_of(tmp_path / str(number))
@@ -79,11 +76,11 @@ def test_a_task_leaves_light_of_just_its_texels(tmp_path: Path) -> None:
     chunk = store_of(tmp_path).load(INDEX)
     np.testing.assert_array_equal(chunk.offsets, TEXELS)
     assert [set(part.samples.tolist()) for part in chunk.light.parts] == [{16}, {16}]
-    waiting = ~finished(chunk.light, store_of(tmp_path).look, 0.05)
-    error = relative_error(chunk.light, store_of(tmp_path).look)[waiting]
+    waiting = ~finished(chunk.light, store_of(tmp_path).spec, 0.05)
+    error = relative_error(chunk.light, store_of(tmp_path).spec)[waiting]
     assert result.unfinished == waiting.sum() > 0
-    noise = standard_error(chunk.light, store_of(tmp_path).look)[waiting]
-    assert result.worth == pytest.approx((noise**2).mean() / 16)
+    noise = standard_error(chunk.light, store_of(tmp_path).spec)[waiting]
+    assert result.priority == pytest.approx((noise**2).mean() / 16)
     assert result.effort == Effort.of(error, np.full(len(error), 16), 0.05)
     assert (result.cost.paths, result.cost.texels) == (16 * len(TEXELS), len(TEXELS))
     assert result.cost.seconds == result.cost.first > 0.0
@@ -91,11 +88,11 @@ def test_a_task_leaves_light_of_just_its_texels(tmp_path: Path) -> None:
 
 def test_a_finished_task_says_so(tmp_path: Path) -> None:
     result = do(tmp_path)
-    assert (result.unfinished, result.worth, result.effort) == (0, 0.0, Effort(0, 0.0, 0.0))
+    assert (result.unfinished, result.priority, result.effort) == (0, 0.0, Effort(0, 0.0, 0.0))
     chunk = store_of(tmp_path).load(INDEX)
     assert result.cost.paths == chunk.light.samples[~chunk.light.void].sum()
     assert do(tmp_path).cost[1:] == (0, 0, 0.0)
-    assert finished(chunk.light, store_of(tmp_path).look, 0.05).all()
+    assert finished(chunk.light, store_of(tmp_path).spec, 0.05).all()
     assert all(len(set(part.samples.tolist())) > 1 for part in chunk.light.parts)
 
 
@@ -120,19 +117,19 @@ def test_the_same_task_leaves_the_same_bytes(tmp_path: Path) -> None:
     assert stored(tmp_path / "a") == stored(tmp_path / "b")
 
 
-def test_who_meets_another_says_what_it_is_at_from_then_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_baker_claims_chunks_after_contention(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Two bake the same at the same time; afterwards each claims its chunks."""
-    what = SCENE.source, LOOK.plan, LOOK.digest, made(tmp_path), INDEX, TEXELS, SEEN
+    what = SCENE.source, SPEC.plan, SPEC.digest, made(tmp_path), INDEX, TEXELS, SEEN
     task = BakeTask(*what, 16, 0.0, 0.05, owner="one")
     seen: list[list[bytes]] = []
 
     def meanwhile(*arguments: Any) -> None:
-        climb(*arguments)
+        sample_texels(*arguments)
         seen.append([path.read_bytes() for path in (tmp_path / "claims").glob("*")])
         if len(seen) == 1:
             bake(replace(task, owner="other"))
 
-    monkeypatch.setattr("worker.tasks.climb", meanwhile)
+    monkeypatch.setattr("worker.tasks.sample_texels", meanwhile)
     assert not bake(task).elsewhere
     bake(replace(task, until=64))
     assert seen[:2] == [[], []]
@@ -140,10 +137,10 @@ def test_who_meets_another_says_what_it_is_at_from_then_on(tmp_path: Path, monke
     assert not list((tmp_path / "claims").glob("*"))
 
 
-def test_what_somebody_else_has_claimed_is_left_to_them(tmp_path: Path) -> None:
-    what = SCENE.source, LOOK.plan, LOOK.digest, made(tmp_path), INDEX, TEXELS, SEEN
+def test_a_chunk_that_another_baker_claimed_is_left(tmp_path: Path) -> None:
+    what = SCENE.source, SPEC.plan, SPEC.digest, made(tmp_path), INDEX, TEXELS, SEEN
     task = BakeTask(*what, 16, 0.0, 0.05, owner="one")
-    claims_of(task.store).meet()
+    claims_of(task.store_url).note_contention()
     claim = tmp_path / "claims" / ".".join(map(str, (store_of(tmp_path).layers[0].digest, *INDEX)))
     claim.parent.mkdir()
     claim.write_bytes(b"other")
@@ -154,25 +151,25 @@ def test_what_somebody_else_has_claimed_is_left_to_them(tmp_path: Path) -> None:
 
 def test_in_one_go_or_in_many_is_the_same(tmp_path: Path) -> None:
     do(tmp_path / "a")
-    task = BakeTask(SCENE.source, LOOK.plan, LOOK.digest, made(tmp_path / "b"), INDEX, TEXELS, SEEN, 16, 0.0, 0.05)
+    task = BakeTask(SCENE.source, SPEC.plan, SPEC.digest, made(tmp_path / "b"), INDEX, TEXELS, SEEN, 16, 0.0, 0.05)
     steps, result = 1, bake(task)
     while result.unfinished:
-        result, steps = bake(replace(task, until=UNTIL, least=result.worth / 8)), steps + 1
+        result, steps = bake(replace(task, until=UNTIL, least_priority=result.priority / 8)), steps + 1
     assert steps > 2
     assert stored(tmp_path / "a") == stored(tmp_path / "b")
 
 
-def test_a_task_takes_texels_on_while_their_next_path_is_worth_it(tmp_path: Path) -> None:
+def test_a_task_samples_texels_down_to_its_least_priority(tmp_path: Path) -> None:
     seen = np.where(np.arange(len(TEXELS)) % 2 == 0, 1.0, 0.01).astype(np.float32)
-    task = BakeTask(SCENE.source, LOOK.plan, LOOK.digest, made(tmp_path), INDEX, TEXELS, seen, 16, 0.0, 0.005)
+    task = BakeTask(SCENE.source, SPEC.plan, SPEC.digest, made(tmp_path), INDEX, TEXELS, seen, 16, 0.0, 0.005)
     result = bake(task)
-    least = result.worth / 4
-    left, look = bake(replace(task, until=UNTIL, least=least)), store_of(tmp_path).look
+    least_priority = result.priority / 4
+    left, spec = bake(replace(task, until=UNTIL, least_priority=least_priority)), store_of(tmp_path).spec
     light = store_of(tmp_path).load(INDEX).light
-    variance = standard_error(light, look) ** 2
-    worth = seen * (variance + variance.mean()) / 2 / light.samples
-    assert (worth[~finished(light, look, 0.005)] < least).all()
-    assert 0.0 < left.worth < least
+    variance = standard_error(light, spec) ** 2
+    priority = seen * (variance + variance.mean()) / 2 / light.samples
+    assert (priority[~finished(light, spec, 0.005)] < least_priority).all()
+    assert 0.0 < left.priority < least_priority
     assert light.samples[0::2].mean() > 2 * light.samples[1::2].mean()
 
 
@@ -200,7 +197,7 @@ def test_texels_that_are_not_asked_for_stay_as_they_are(tmp_path: Path) -> None:
         assert (new.samples[10:] >= 16).all()
 
 
-def test_vicinity_shading_takes_its_light_from_the_layer_that_is_there(tmp_path: Path) -> None:
+def test_vicinity_shading_reads_the_layer_that_is_there(tmp_path: Path) -> None:
     do(tmp_path)
     before = stored(tmp_path)
     result = bake(
@@ -208,7 +205,7 @@ def test_vicinity_shading_takes_its_light_from_the_layer_that_is_there(tmp_path:
     )
     assert result.unfinished == 0
     assert stored(tmp_path) == before
-    light = opened(SCENE.source, VICINITY.plan, VICINITY.digest, made(tmp_path))[1].load(INDEX).light
+    light = open_spec(SCENE.source, VICINITY.plan, VICINITY.digest, made(tmp_path))[1].load(INDEX).light
     assert [part.layer for part in light.parts] == [SCENE.plan.layers[0]]
     assert (light.samples >= 64).all()
 
@@ -251,7 +248,7 @@ def test_what_is_void_in_one_layer_is_so_in_all(tmp_path: Path, layer: int, rest
 
 
 def test_a_scene_whose_files_changed_is_refused(tmp_path: Path) -> None:
-    task = BakeTask(SCENE.source, LOOK.plan, "0" * 20, made(tmp_path), INDEX, TEXELS, SEEN, 16, 0.0, 0.05)
+    task = BakeTask(SCENE.source, SPEC.plan, "0" * 20, made(tmp_path), INDEX, TEXELS, SEEN, 16, 0.0, 0.05)
     with pytest.raises(SceneError, match=r"'orbital' have changed since the server began: restart it\.$"):
         bake(task)
     assert [path.name for path in tmp_path.iterdir()] == [SENTINEL]
@@ -259,11 +256,11 @@ def test_a_scene_whose_files_changed_is_refused(tmp_path: Path) -> None:
 
 def test_a_store_that_no_server_has_made_is_away(tmp_path: Path) -> None:
     """An empty mount point, say: what is baked there would be lost when the disk is back."""
-    task = BakeTask(SCENE.source, LOOK.plan, LOOK.digest, Place(str(tmp_path)), INDEX, TEXELS, SEEN, 16, 0.0, 0.05)
-    with pytest.raises(StoreAwayError, match="is gone") as told:
+    task = BakeTask(SCENE.source, SPEC.plan, SPEC.digest, StoreUrl(str(tmp_path)), INDEX, TEXELS, SEEN, 16, 0.0, 0.05)
+    with pytest.raises(StoreAwayError, match="is gone") as reported:
         bake(task)
     assert not list(tmp_path.iterdir())
-    assert str(pickle.loads(pickle.dumps(told.value))) == str(told.value)
+    assert str(pickle.loads(pickle.dumps(reported.value))) == str(reported.value)
 
 
 def test_a_worker_answers_while_it_loads_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -295,37 +292,39 @@ def test_a_worker_without_the_files_leaves_the_same_bytes(
     for path in small_scene.parent.iterdir():
         (tmp_path / "away" / path.name).write_bytes(path.read_bytes())
     scene = load_scene(tmp_path / "away" / small_scene.name)
-    look = look_for(Recipe(scene), "gi")
+    spec = spec_for(PreparedScene(scene), "gi")
     task = BakeTask(
-        scene.source, look.plan, look.digest, made(tmp_path / "own"), (0, 0, 0), TEXELS[:40], SEEN[:40], 64, 0.0, 0.5
+        scene.source, spec.plan, spec.digest, made(tmp_path / "own"), (0, 0, 0), TEXELS[:40], SEEN[:40], 64, 0.0, 0.5
     )
     bake(task)
-    parcels = send_parcels(scene, Root(tmp_path / "other"))
+    assets = send_assets(scene, Store(tmp_path / "other"))
     (tmp_path / "away").rename(tmp_path / "gone")
-    there = replace(task, store=made(tmp_path / "other"), parcels=parcels)
+    there = replace(task, store_url=made(tmp_path / "other"), assets=assets)
     assert bake(there).cost.paths > 0
-    own, other = (opened(each.source, each.plan, each.digest, each.store, each.parcels)[1] for each in (task, there))
+    own, other = (
+        open_spec(each.source, each.plan, each.digest, each.store_url, each.assets)[1] for each in (task, there)
+    )
     assert [layer.read((0, 0, 0)) for layer in other.layers] == [layer.read((0, 0, 0)) for layer in own.layers]
     assert all(layer.read((0, 0, 0)) for layer in own.layers)
     with pytest.raises(VolumeError, match="There is no file"):
-        bake(replace(task, store=made(tmp_path / "third")))
+        bake(replace(task, store_url=made(tmp_path / "third")))
 
 
-def test_sharp_texels_have_the_same_bytes_however_they_are_baked(tmp_path: Path) -> None:
-    places = LOOK.recipe.lattice.positions(INDEX, TEXELS)
-    look = replace(LOOK, shown=float(np.median(locate(places, LOOK.recipe)[0][3])))
-    assert look.digest not in (LOOK.digest, replace(look, shown=0.123).digest)
+def test_projected_texels_have_the_same_bytes_in_any_order(tmp_path: Path) -> None:
+    places = SPEC.prepared.lattice.positions(INDEX, TEXELS)
+    spec = replace(SPEC, shown=float(np.median(locate(places, SPEC.prepared)[0][3])))
+    assert spec.digest not in (SPEC.digest, replace(spec, shown=0.123).digest)
 
     def stored_after(name: str, *untils: int) -> list[bytes | None]:
-        what = SCENE.source, look.plan, look.digest, made(tmp_path / name), INDEX, TEXELS, SEEN
-        results = [bake(BakeTask(*what, until, 0.0, 0.05, shown=look.shown)) for until in untils]
+        what = SCENE.source, spec.plan, spec.digest, made(tmp_path / name), INDEX, TEXELS, SEEN
+        results = [bake(BakeTask(*what, until, 0.0, 0.05, shown=spec.shown)) for until in untils]
         assert results[-1].unfinished == 0
-        return [layer.read(INDEX) for layer in ChunkStore(made(tmp_path / name), look).layers]
+        return [layer.read(INDEX) for layer in ChunkStore(made(tmp_path / name), spec).layers]
 
     at_once = stored_after("a", UNTIL)
     assert at_once == stored_after("b", 16, 64, UNTIL) and None not in at_once
     assert store_of(tmp_path / "a").read(INDEX) is None, "what serves every isovalue is kept apart"
-    chunk = ChunkStore(made(tmp_path / "a"), look).load(INDEX)
-    void = locate(places, look.recipe, look.shown)[1]
+    chunk = ChunkStore(made(tmp_path / "a"), spec).load(INDEX)
+    void = locate(places, spec.prepared, spec.shown)[1]
     np.testing.assert_array_equal(chunk.light.void, void)
     assert 0 < void.sum() < len(void)

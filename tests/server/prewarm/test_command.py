@@ -11,15 +11,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from isogi_core.model.scene import load_scene
-from server.cli import run
-from server.prewarm.command import prewarm
+from isogi_core.frame import projected_texels
+from isogi_core.plan.assembly import load_scene
+from server.api.prewarm_jobs import Silence
+from server.cli.command import run
+from server.cli.prewarm import prewarm
 from server.prewarm.order import Views, order_of
-from server.prewarm.record import Paper, Record
-from server.prewarm.resumption import Silence
-from server.prewarm.summary import Summary
+from server.prewarm.record import Record, RecordDocument, Summary
+from server.render.engine import RenderEngine
 from server.settings import Settings
-from server.studio import Studio
 from tests.server.inline import InlinePool, chunks_in, view_of
 from worker import pool
 from worker.errors import WorkersError
@@ -37,9 +37,9 @@ def warmed(scene: Path, store: Path, *isovalues: str, dry: bool = False, **more:
     return prewarm(str(scene), order, Settings(store=str(store), workers=1), dry)
 
 
-def paper_of(summary: Summary) -> Paper:
+def document_of(summary: Summary) -> RecordDocument:
     assert summary.file is not None
-    return Paper.model_validate_json(Path(summary.file).read_text())
+    return RecordDocument.model_validate_json(Path(summary.file).read_text())
 
 
 def test_what_was_prewarmed_is_final_at_once(blocks: Path, tmp_path: Path) -> None:
@@ -49,20 +49,20 @@ def test_what_was_prewarmed_is_final_at_once(blocks: Path, tmp_path: Path) -> No
     assert summary.errors.mean <= summary.error <= 0.1
     assert summary.paths >= 64 * summary.texels > 0 and summary.processor_seconds > 0
     assert f"{summary.paths:,} paths" in str(summary)
-    assert paper_of(summary).summary == summary
+    assert document_of(summary).summary == summary
     scene, kept = load_scene(blocks), chunks_in(tmp_path)
     assert 3 < summary.chunks <= len(kept)
     assert summary.stored_bytes == sum(path.stat().st_size for path in tmp_path.glob("*/c/**/*") if path.is_file())
     order = order_of({"isovalues": [0.4, 0.5, 0.6], "views": 3, **SIZE})
-    with closing(Studio([scene], str(tmp_path))) as studio:
-        studio.start(hire=False)
+    with closing(RenderEngine([scene], str(tmp_path))) as engine:
+        engine.start(hire=False)
         for view in Views(order, scene, Settings()):
-            assert not studio.survey("blocks", view, 0.1).provisional
+            assert not engine.survey("blocks", view, 0.1).provisional
     assert warmed(blocks, tmp_path, "0.5").paths == 0
     assert chunks_in(tmp_path) == kept
 
 
-def test_whole_isosurfaces_are_final_from_wherever_and_at_all_between(blocks: Path, tmp_path: Path) -> None:
+def test_whole_isosurfaces_are_final_from_all_sides_and_between(blocks: Path, tmp_path: Path) -> None:
     order = order_of({"isovalues": ["0.45:0.55"], "all_directions": True})
     settings = Settings(store=str(tmp_path), workers=1)
     ahead = prewarm(str(blocks), order, settings, dry=True)
@@ -70,13 +70,35 @@ def test_whole_isosurfaces_are_final_from_wherever_and_at_all_between(blocks: Pa
     assert (summary.final, summary.stopped, summary.views) == (1.0, "target", 0)
     assert ahead.texels == summary.texels > 0
     scene, rng = load_scene(blocks), np.random.default_rng(3)
-    with closing(Studio([scene], str(tmp_path))) as studio:
-        studio.start(hire=False)
+    with closing(RenderEngine([scene], str(tmp_path))) as engine:
+        engine.start(hire=False)
         for isovalue in rng.uniform(0.45, 0.55, 8):
             view = view_of(scene, float(rng.uniform(0, 360)), float(isovalue))
-            assert not studio.survey("blocks", view, 0.1).provisional
-        assert studio.survey("blocks", view_of(scene, isovalue=0.7), 0.1).provisional
+            assert not engine.survey("blocks", view, 0.1).provisional
+        assert engine.survey("blocks", view_of(scene, isovalue=0.7), 0.1).provisional
     assert prewarm(str(blocks), order, settings).paths == 0
+
+
+@pytest.mark.parametrize("asked", [{"views": 3, **SIZE}, {"all_directions": True}], ids=["views", "whole isosurfaces"])
+def test_projected_texels_are_prewarmed_too(
+    blocks: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, asked: dict[str, Any]
+) -> None:
+    monkeypatch.setattr(projected_texels, "STEEPNESS", 2.0)
+    path = blocks.with_name("projected.toml")
+    path.write_text(f"projected = true\n{blocks.read_text()}")
+    order = order_of({"isovalues": ["0.4", "0.5"], **asked})
+    settings = Settings(store=str(tmp_path / "light"), workers=1)
+    ahead, plain = (prewarm(str(each), order, settings, dry=True) for each in (path, blocks))
+    summary, scene = prewarm(str(path), order, settings), load_scene(path)
+    assert (summary.final, summary.stopped) == (1.0, "target")
+    assert ahead.texels == summary.texels > plain.texels
+    with closing(RenderEngine([scene], str(tmp_path / "light"))) as engine:
+        engine.start(hire=False)
+        for view in Views(order_of({"isovalues": ["0.4", "0.5"], "views": 3, **SIZE}), scene, Settings()):
+            frame = engine.survey("projected", view, 0.1)
+            assert not frame.provisional and frame.projection
+            assert frame.projection.shares["projected"] > 0.2 and frame.projection.shares["pending"] == 0.0
+    assert prewarm(str(path), order, settings).paths == 0
 
 
 def test_a_dry_run_bakes_nothing_and_tells_what_there_is(
@@ -104,7 +126,7 @@ def test_it_ends_with_its_deadline_and_goes_on(
 ) -> None:
     summary = warmed(blocks, tmp_path, "0.5", deadline=0)
     assert (summary.stopped, summary.paths, summary.final) == ("deadline", 0, 0.0)
-    assert paper_of(summary).unfinished
+    assert document_of(summary).unfinished
     place = ["--store", str(tmp_path), "--workers", "1", "--json"]
     assert run(["prewarm", str(blocks), "--continue", *place]) == 0
     again = Summary.model_validate_json(capsys.readouterr().out)
@@ -175,29 +197,29 @@ def test_who_interrupts_it_is_told_how_to_go_on(
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr("server.prewarm.baking.Baking.run", interrupted)
+        patch.setattr("server.prewarm.context.Baking.run", interrupted)
         assert run(["prewarm", str(blocks), "--views", "3", "--store", str(tmp_path), "--workers", "1"]) == 1
     assert "--continue goes on" in capsys.readouterr().err
     (record,) = (tmp_path / "jobs").glob("*.json")
     assert json.loads(record.read_text())["status"] == "dismissed"
 
 
-def test_a_record_knows_who_works_on_it_and_how_much_time_is_left(blocks: Path) -> None:
+def test_a_record_knows_its_process_and_the_time_left(blocks: Path) -> None:
     scene, order = load_scene(blocks), order_of({"deadline": 100})
-    paper = Record("store", scene, order, "server").paper
+    document = Record("store", scene, order, "server").document
     ended = {"worker": f"{socket.gethostname()}/{os.getpid()}/other"}
-    assert not paper.left
-    assert paper.model_copy(update=ended).left
-    assert not paper.model_copy(update={"worker": "elsewhere/1/other"}).left
-    assert not paper.model_copy(update={**ended, "status": "dismissed"}).left
-    assert paper.model_copy(update={"spent": 60.0}).rest.deadline == 40.0
+    assert not document.left
+    assert document.model_copy(update=ended).left
+    assert not document.model_copy(update={"worker": "elsewhere/1/other"}).left
+    assert not document.model_copy(update={**ended, "status": "dismissed"}).left
+    assert document.model_copy(update={"spent": 60.0}).rest.deadline == 40.0
 
 
 def test_silence_is_counted_by_the_clock_of_who_listens(blocks: Path) -> None:
     clock = [7.0]
-    silence, paper = Silence(lambda: clock[0]), Record("store", load_scene(blocks), order_of({}), "server").paper
-    future = paper.model_copy(update={"updated": paper.updated + timedelta(days=1)})
+    silence, document = Silence(lambda: clock[0]), Record("store", load_scene(blocks), order_of({}), "server").document
+    future = document.model_copy(update={"updated": document.updated + timedelta(days=1)})
     heard = []
-    for clock[0], each in ((7.0, paper), (20.0, paper), (21.0, future), (26.0, future)):
+    for clock[0], each in ((7.0, document), (20.0, document), (21.0, future), (26.0, future)):
         heard.append(silence.of(each))
     assert heard == [0.0, 13.0, 0.0, 5.0]

@@ -8,17 +8,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from isogi_core.bake.effort import Effort
-from isogi_core.frame.texels import Demand
-from isogi_core.model.scene import load_scene
-from server.prewarm.forecast import FEWEST_TRIED, MOST_TRIED, extrapolated, forecast, stratified
-from server.prewarm.rehearsal import Rehearsal, rehearse
-from server.studio import Studio
+from isogi_core.bake.noise import Effort
+from isogi_core.frame.view_texels import Demand
+from isogi_core.plan.assembly import load_scene
+from server.prewarm.forecast import FEWEST_TRIED, MOST_TRIED, forecast, rehearse, stratified
+from server.render.engine import RenderEngine
 from tests.server.inline import LONG, InlinePool, view_of
 from worker import pool
+from worker.bake_requests import Viewer
 from worker.pool import Done
+from worker.progress import ChunkCost, extrapolated
 from worker.tasks import BakeTask
-from worker.viewers import Viewer
 
 
 class Counting(InlinePool):
@@ -36,8 +36,8 @@ def demand(number: int, texels: int) -> Demand:
     return Demand((number, 0, 0), offsets, 1.0, Effort(texels, 0.0, 0.0), np.ones(texels, np.float32))
 
 
-def rehearsal(texels: int, seconds: float) -> Rehearsal:
-    return Rehearsal(texels, seconds, seconds / 2, 0.0, 0.1, 3 * texels)
+def rehearsal(texels: int, seconds: float) -> ChunkCost:
+    return ChunkCost(texels, seconds, seconds / 2, 0.0, 0.1, 3 * texels)
 
 
 def test_a_rehearsal_does_the_tasks_of_a_bake_and_keeps_nothing(
@@ -45,23 +45,23 @@ def test_a_rehearsal_does_the_tasks_of_a_bake_and_keeps_nothing(
 ) -> None:
     monkeypatch.setattr(pool, "WorkerPool", Counting)
     scene = load_scene(blocks)
-    with closing(Studio([scene], str(tmp_path), workers=1)) as studio:
-        studio.start()
+    with closing(RenderEngine([scene], str(tmp_path), workers=1)) as engine:
+        engine.start()
         patient = Viewer("a test", patient=True)
-        view, renderer = view_of(scene), studio.renderer("blocks")
-        demands = studio.survey("blocks", view, 0.1).demands
+        view, renderer = view_of(scene), engine.renderer("blocks")
+        demands = engine.survey("blocks", view, 0.1).demands
         tried = [rehearse(renderer, each, 0.1, math.inf, threading.Event()) for each in demands]
         cut = rehearse(renderer, demands[0], 0.1, 0.0, threading.Event())
-        before = studio.survey("blocks", view, 0.1)
+        before = engine.survey("blocks", view, 0.1)
         assert before.counts["provisional"] == before.surface > 0
-        studio.errand("blocks", demands, 0.1, patient).wait(LONG)
+        engine.bake("blocks", demands, 0.1, patient).wait(LONG)
         assert sum(one.tasks for one in tried) == Counting.tasks
         stored = sum(path.stat().st_size for path in tmp_path.glob("*/c/**/*") if path.is_file())
         assert sum(one.stored for one in tried) == stored
         assert all(one.seconds > 0.0 for one in tried)
         assert cut.tasks == pytest.approx(tried[0].tasks, rel=5.0)
-        assert not studio.survey("blocks", view, 0.1).provisional
-        rest = studio.survey("blocks", view, 0.002).demands
+        assert not engine.survey("blocks", view, 0.1).provisional
+        rest = engine.survey("blocks", view, 0.002).demands
         assert rehearse(renderer, rest[0], 0.002, math.inf, threading.Event()).tasks >= 1.0
         assert forecast(renderer, (), 0.1, 1, 1.0, threading.Event()).seconds == 0.0
 

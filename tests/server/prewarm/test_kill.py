@@ -11,14 +11,14 @@ from pathlib import Path
 import psutil
 import pytest
 
-from isogi_core.bake.look import look_for
-from isogi_core.bake.recipe import Recipe
-from isogi_core.cache.store import ChunkStore
-from isogi_core.model.scene import load_scene
-from server.cli import run
-from server.prewarm.command import prewarm
+from isogi_core.bake.bake_spec import spec_for
+from isogi_core.cache.chunk_store import ChunkStore
+from isogi_core.plan.assembly import load_scene
+from isogi_core.prepared.prepared_scene import PreparedScene
+from server.cli.command import run
+from server.cli.prewarm import prewarm
 from server.prewarm.order import order_of
-from server.prewarm.summary import Summary
+from server.prewarm.record import Summary
 from server.settings import Settings
 from tests.server.inline import LONG, InlinePool, chunks_in
 from worker import pool
@@ -29,7 +29,7 @@ TARGET = "0.002"
 
 def paths_in(scene: Path, store: Path) -> int:
     """The paths of all light in a store."""
-    found = ChunkStore(store, look_for(Recipe(load_scene(scene)), "gi"))
+    found = ChunkStore(store, spec_for(PreparedScene(load_scene(scene)), "gi"))
     assert len(found.layers) == 1
     indices = [tuple(map(int, path.parts[-4:-1])) for path in Path(found.layers[0].path).glob("c/*/*/*/0")]
     chunks = [found.read((z, y, x)) for z, y, x in indices]

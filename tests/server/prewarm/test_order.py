@@ -8,12 +8,10 @@ import numpy as np
 import pytest
 
 from isogi_core.errors import ViewError
-from isogi_core.model.scene import load_scene
+from isogi_core.plan.assembly import load_scene
+from server.cli.prewarm import fields_given
 from server.errors import ParameterError
-from server.prewarm.directions import all_sides, orbit
-from server.prewarm.levels import levels_of, numbers_in
-from server.prewarm.options import told_by
-from server.prewarm.order import PrewarmOrder, PrewarmRequest, Views, order_of
+from server.prewarm.order import PrewarmOrder, PrewarmRequest, Views, all_sides, levels_of, numbers_in, orbit, order_of
 from server.settings import Settings
 
 
@@ -130,10 +128,10 @@ def test_options_tell_the_same_order(tmp_path: Path) -> None:
     (tmp_path / "views.toml").write_text("[[directions]]\nazimuth = 5\nelevation = 6\n")
     (tmp_path / "views.json").write_text('[{"azimuth": 5, "elevation": 6}]')
     given = {"isovalues": ("0.5",), "directions": ("azimuth=40,elevation=30",), "orbits": ("36@20", "8"), "views": None}
-    order = order_of(told_by(given | {"views_file": tmp_path / "views.toml"}))
+    order = order_of(fields_given(given | {"views_file": tmp_path / "views.toml"}))
     assert [(each.azimuth, each.elevation) for each in order.directions] == [(40, 30), (5, 6)]
     assert [(each.count, each.elevation) for each in order.orbits] == [(36, 20), (8, 0)]
-    assert order_of(told_by({"views_file": tmp_path / "views.json"})).directions == order.directions[1:]
+    assert order_of(fields_given({"views_file": tmp_path / "views.json"})).directions == order.directions[1:]
 
 
 @pytest.mark.parametrize(
@@ -149,11 +147,11 @@ def test_options_tell_the_same_order(tmp_path: Path) -> None:
 )
 def test_directions_that_are_misspelt_are_refused(given: dict[str, Any]) -> None:
     with pytest.raises(ParameterError):
-        order_of(told_by(given))
+        order_of(fields_given(given))
 
 
 @pytest.mark.parametrize(("name", "text"), [("a.json", "{"), ("a.toml", "="), ("a.json", "3"), ("a.json", "[]")])
 def test_a_file_without_directions_is_refused(tmp_path: Path, name: str, text: str) -> None:
     (tmp_path / name).write_text(text)
     with pytest.raises(ParameterError, match=name):
-        told_by({"views_file": tmp_path / name})
+        fields_given({"views_file": tmp_path / name})

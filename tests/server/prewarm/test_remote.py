@@ -8,8 +8,8 @@ import httpx
 import pytest
 
 import isogi_client
-from server.cli import run
-from server.prewarm.summary import Summary
+from server.cli.command import run
+from server.prewarm.record import Summary
 from tests.client.lab import TOKEN, Lab, lab_of
 from tests.server.inline import LONG, chunks_in
 

@@ -1,38 +1,16 @@
-"""An app that takes uploads, around a studio that shows them to nobody."""
+"""An app that takes uploads, around an engine that shows them to nobody."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 from fastapi import FastAPI
 
-from isogi_core.cache.root import Root
-from isogi_core.model.scene import Scene
-from server.app import create_app
+from server.api.app import create_app
 from server.settings import Settings
 from server.uploads.uploads import Uploads
-from tests.server.uploads.site import PATIENT
-
-
-class Poster:
-    """Takes note of the scenes that it is to show."""
-
-    def __init__(self) -> None:
-        self.root = Root("memory://poster")
-        self.scenes: dict[str, Scene] = {}
-        self.refusal: Exception | None = None
-
-    def admit(self, scene: Scene) -> None:
-        if self.refusal:
-            raise self.refusal
-        self.scenes = {**self.scenes, scene.id: scene}
-
-    def dismiss(self, scene: str) -> None:
-        self.scenes = {name: each for name, each in self.scenes.items() if name != scene}
-
-
-Open = Callable[..., FastAPI]
+from tests.server.uploads.site import PATIENT, Open, Poster
 
 
 @pytest.fixture
@@ -45,9 +23,9 @@ def open_app(folder: Path) -> Iterator[Open]:
     """Makes an app with these settings that has found what is in the folder."""
     opened: list[Uploads] = []
 
-    def open_app(studio: Poster | None = None, **settings: Any) -> FastAPI:
+    def open_app(engine: Poster | None = None, **settings: Any) -> FastAPI:
         told = Settings(**{"uploads_mb": 1, "uploads": str(folder), **PATIENT, **settings})
-        app = create_app(studio or Poster(), told)  # type: ignore[arg-type]
+        app = create_app(engine or Poster(), told)  # type: ignore[arg-type]
         opened.append(app.state.service.uploads)
         opened[-1].open()
         return app

@@ -1,30 +1,53 @@
 """A server on a real socket that takes uploads, and bakes on a thread of this process."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import httpx
 import pytest
+from fastapi import FastAPI
 
-from isogi_core.model.scene import load_scene
-from server.app import create_app
+from isogi_core.plan.assembly import load_scene
+from isogi_core.plan.scene import Scene
+from isogi_core.storage.store import Store
+from server.api.app import create_app
+from server.render.engine import RenderEngine
 from server.settings import Settings
-from server.studio import Studio
 from tests.live import live
 from tests.server.inline import InlinePool
 from tests.server.uploads.files import ball
 from worker import pool
 
+Open = Callable[..., FastAPI]
+"""Makes an app that takes uploads, with the settings that it is given."""
+
 PATIENT = {"reading_seconds": 120}
 """For machines that are busy with other tests."""
 
 
-class Site:
-    """A server that takes uploads: its studio, a client, and the folder."""
+class Poster:
+    """Takes note of the scenes that it is to show."""
 
-    def __init__(self, studio: Studio, client: httpx.Client, folder: Path) -> None:
-        self.studio, self.client, self.folder = studio, client, folder
+    def __init__(self) -> None:
+        self.store = Store("memory://poster")
+        self.scenes: dict[str, Scene] = {}
+        self.refusal: Exception | None = None
+
+    def admit(self, scene: Scene) -> None:
+        if self.refusal:
+            raise self.refusal
+        self.scenes = {**self.scenes, scene.id: scene}
+
+    def dismiss(self, scene: str) -> None:
+        self.scenes = {name: each for name, each in self.scenes.items() if name != scene}
+
+
+class Site:
+    """A server that takes uploads: its engine, a client, and the folder."""
+
+    def __init__(self, engine: RenderEngine, client: httpx.Client, folder: Path) -> None:
+        self.engine, self.client, self.folder = engine, client, folder
 
     def send(self, side: int) -> dict[str, str]:
         """A ball that is there now."""
@@ -39,7 +62,7 @@ def opened(scene: Path, folder: Path) -> Iterator[Site]:
     volumes = folder / "volumes"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(pool, "WorkerPool", InlinePool)
-        studio = Studio([load_scene(scene)], str(folder / "light"))
-        app = create_app(studio, Settings(uploads_mb=8, uploads=str(volumes), **PATIENT))  # type: ignore[arg-type]
+        engine = RenderEngine([load_scene(scene)], str(folder / "light"))
+        app = create_app(engine, Settings(uploads_mb=8, uploads=str(volumes), **PATIENT))  # type: ignore[arg-type]
         with live(app) as url, httpx.Client(base_url=url, timeout=120) as client:
-            yield Site(studio, client, volumes)
+            yield Site(engine, client, volumes)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from isogi_core.files.nrrd import read_nrrd
-from server.uploads.canonical import TYPES, read_facts, write
+from server.uploads.folder import TYPES, read_facts, write
 
 RAMP = np.arange(24).reshape(2, 3, 4)
 

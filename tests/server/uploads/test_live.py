@@ -1,4 +1,4 @@
-"""Volumes that come and go while a studio draws: on a real socket, baked on a thread of this process."""
+"""Volumes that come and go while an engine draws: on a real socket, baked on a thread of this process."""
 
 import gc
 import threading
@@ -47,7 +47,7 @@ def test_what_is_deleted_while_it_is_drawn_ends_in_frames_or_404(site: Site) -> 
                 asked = VIEW | {"azimuth": azimuth, "isovalue": 20.0, "wait_ms": 500}
                 statuses.append(client.get(f"{facts['scene']}/frame", params=asked).status_code)
 
-    volume = weakref.ref(site.studio.scenes[facts["id"]].volume)
+    volume = weakref.ref(site.engine.scenes[facts["id"]].volume)
     threads = [threading.Thread(target=look, args=(azimuth,)) for azimuth in (0, 90, 180)]
     for thread in threads:
         thread.start()
@@ -69,7 +69,7 @@ def test_who_listens_to_what_is_deleted_is_told(site: Site) -> None:
     with site.client.stream("GET", f"{facts['scene']}/events", params={"width": 48, "height": 48}) as events:
         for line in events.iter_lines():
             told.append(line)
-            if line == "event: refined" and facts["id"] in site.studio.scenes:
+            if line == "event: refined" and facts["id"] in site.engine.scenes:
                 site.client.delete(facts["href"]).raise_for_status()
     last = [line for line in told if line.startswith("event")][-1]
     assert last in ("event: failed", "event: final")

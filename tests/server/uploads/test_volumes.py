@@ -13,9 +13,9 @@ import pytest
 from fastapi import FastAPI
 
 from isogi_core.errors import StoreError
-from server.uploads.shelf import Shelf
-from tests.server.uploads.conftest import Open, Poster
+from server.uploads.folder import UploadFolder
 from tests.server.uploads.files import FIELDS, ball, headed, names
+from tests.server.uploads.site import Open, Poster
 
 Ask = Callable[..., httpx.Response]
 
@@ -30,8 +30,8 @@ def test_a_server_takes_none_unless_told(ask: Ask, open_app: Open, folder: Path)
 
 
 def test_a_volume_is_taken_shown_listed_found_again_and_deleted(ask: Ask, open_app: Open, folder: Path) -> None:
-    studio = Poster()
-    app = open_app(studio)
+    engine = Poster()
+    app = open_app(engine)
     answer = ask(app, "POST", "/v1/volumes", params={"name": "Ein Ball é"}, content=ball())
     facts = answer.json()
     assert answer.status_code == 201
@@ -52,7 +52,7 @@ def test_a_volume_is_taken_shown_listed_found_again_and_deleted(ask: Ask, open_a
     }
     (link,) = ask(app, "GET", "/v1/scenes").json()["scenes"]
     assert link == {key: facts[key] for key in ("id", "name")} | {"href": facts["scene"], "volume": facts["href"]}
-    scene = studio.scenes[facts["id"]]
+    scene = engine.scenes[facts["id"]]
     assert (scene.name, scene.volume.size) == ("Ein Ball é", (12, 12, 12))
 
     app.state.service.uploads.close()
@@ -133,9 +133,9 @@ def test_the_quota_is_held(ask: Ask, open_app: Open, folder: Path) -> None:
 
 
 def test_a_volume_that_the_store_has_no_room_for_is_not_kept(ask: Ask, open_app: Open, folder: Path) -> None:
-    studio = Poster()
-    studio.refusal = StoreError("The store is full.")
-    answer = ask(open_app(studio), "POST", "/v1/volumes", content=ball())
+    engine = Poster()
+    engine.refusal = StoreError("The store is full.")
+    answer = ask(open_app(engine), "POST", "/v1/volumes", content=ball())
     assert answer.status_code == 503 and not names(folder)
 
 
@@ -212,15 +212,15 @@ def test_an_upload_that_stands_still_is_408(open_app: Open, folder: Path) -> Non
     assert not names(folder)
 
 
-def test_what_is_on_the_shelf_and_cannot_be_shown_is_left(ask: Ask, open_app: Open, folder: Path) -> None:
+def test_a_kept_volume_that_cannot_be_shown_is_left(ask: Ask, open_app: Open, folder: Path) -> None:
     app = open_app()
     good, bad = (ask(app, "POST", "/v1/volumes", content=ball(side)).json()["id"] for side in (8, 9))
     app.state.service.uploads.close()
     path = folder / f"{bad}.nrrd"
     path.write_bytes(path.read_bytes()[: -(9**3) * 4] + np.full(9**3, np.nan, np.float32).tobytes())
-    studio = Poster()
-    open_app(studio)
-    assert set(studio.scenes) == {good} and names(folder) == {f"{good}.nrrd", f"{bad}.nrrd"}
+    engine = Poster()
+    open_app(engine)
+    assert set(engine.scenes) == {good} and names(folder) == {f"{good}.nrrd", f"{bad}.nrrd"}
 
 
 def test_a_folder_that_cannot_be_had_is_told(open_app: Open, folder: Path) -> None:
@@ -228,4 +228,4 @@ def test_a_folder_that_cannot_be_had_is_told(open_app: Open, folder: Path) -> No
     folder.write_text("a file")
     with pytest.raises(Exception, match=r"folder of uploads .* cannot be used"):
         open_app()
-    assert isinstance(Shelf(folder), Shelf)
+    assert isinstance(UploadFolder(folder), UploadFolder)

@@ -1,0 +1,36 @@
+"""``python -m benchmarks.accuracy``."""
+
+from benchmarks.accuracy.albedo import albedo
+from benchmarks.accuracy.calibration import calibration
+from benchmarks.accuracy.choices import choices
+from benchmarks.accuracy.equal_error import equal_error
+from benchmarks.accuracy.interpolation import interpolation
+from benchmarks.accuracy.lobes import lobes
+from benchmarks.accuracy.plans import plans
+from benchmarks.accuracy.projected import projected
+from benchmarks.accuracy.reports import reports
+from benchmarks.accuracy.roulette import roulette
+from benchmarks.accuracy.sequences import sequences
+from benchmarks.accuracy.stiffness import stiffness
+from benchmarks.accuracy.table import table
+from benchmarks.common.suite import suite
+
+main = suite(
+    "How wrong pictures are, by cause, and what that costs.",
+    table,
+    reports,
+    equal_error,
+    plans,
+    calibration,
+    interpolation,
+    projected,
+    choices,
+    sequences,
+    lobes,
+    albedo,
+    stiffness,
+    roulette,
+)
+
+if __name__ == "__main__":
+    main(prog_name="python -m benchmarks.accuracy")

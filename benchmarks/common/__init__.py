@@ -1,0 +1,1 @@
+"""What the four suites share."""

@@ -1,0 +1,114 @@
+"""Mitsuba's path tracer on the mesh of an isosurface, under constant light or a probe."""
+
+import importlib.util
+from typing import Any
+
+import numpy as np
+
+from benchmarks.common.mesh import Mesh
+from isogi_core.model.view import View, rotation_matrix
+
+NEVER = 1000
+"""A depth at which no path is, for Russian roulette to begin at."""
+
+SAMPLERS = ("independent", "multijitter")
+"""Mitsuba's default, and the one of its own that errs least here at equal samples."""
+
+FROM_MITSUBA = np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+"""Turns the axes of Mitsuba's environment maps (+y up, columns from -z towards +x) to those of probes, whose columns
+grow the other way round and are mirrored before."""
+
+
+def installed() -> bool:
+    """Whether Mitsuba is there."""
+    return importlib.util.find_spec("mitsuba") is not None
+
+
+def usable(variant: str) -> bool:
+    """Whether a variant runs here: the llvm ones need LLVM's shared library, which ``DRJIT_LIBLLVM_PATH`` may name."""
+    import mitsuba  # noqa: PLC0415
+
+    try:
+        mitsuba.set_variant(variant)
+        return float(np.sum(mitsuba.Float(1.0) + mitsuba.Float(1.0))) == 2.0
+    except (ImportError, RuntimeError):
+        return False
+
+
+class PathTracer:
+    """One variant of Mitsuba: a mesh in world units, diffuse on both sides, in light of radiance 1 or of a probe."""
+
+    def __init__(
+        self,
+        variant: str,
+        mesh: Mesh,
+        view: View,
+        albedo: float,
+        depth: int,
+        probe: np.ndarray | None = None,
+        sampler: str = SAMPLERS[0],
+    ) -> None:
+        """Set the scene up for paths of at most ``depth`` segments, none ended by chance.
+
+        ``probe`` is a lat-long image (h, w, 3) as isogi has them, turned as the view says; it is not seen itself.
+        """
+        import mitsuba  # noqa: PLC0415
+
+        self.mitsuba, self.variant = mitsuba, variant
+        mitsuba.set_variant(variant)
+        mitsuba.set_log_level(mitsuba.LogLevel.Error)
+        light = {"type": "constant", "radiance": 1.0} if probe is None else self._envmap(probe, view)
+        parts = {"light": light, "mesh": self._shape(mesh, albedo), "sensor": self._sensor(view, sampler)}
+        self.scene = mitsuba.load_dict({"type": "scene", **parts})
+        hidden = {"hide_emitters": probe is not None}
+        self.integrator = mitsuba.load_dict({"type": "path", "max_depth": depth, "rr_depth": NEVER, **hidden})
+
+    def spec(self, view: View) -> None:
+        """Move the camera, and turn the probe, to those of ``view``, of the same size and field of view."""
+        self.mitsuba.set_variant(self.variant)
+        parameters = self.mitsuba.traverse(self.scene)
+        parameters["sensor.to_world"] = self._camera(view)
+        parameters["light.to_world"] = self._turned(view)
+        parameters.update()
+
+    def picture(self, samples: int, threads: int, seed: int = 0) -> np.ndarray:
+        """The picture, (h, w, 4) float32 RGB and alpha, of so many paths per pixel on so many threads."""
+        import drjit  # noqa: PLC0415
+
+        self.mitsuba.set_variant(self.variant)
+        drjit.set_thread_count(threads)
+        return np.array(self.mitsuba.render(self.scene, integrator=self.integrator, spp=samples, seed=seed))
+
+    def _sensor(self, view: View, sampler: str) -> dict[str, Any]:
+        film = {"type": "hdrfilm", "width": view.width, "height": view.height, "rfilter": {"type": "box"}}
+        film |= {"pixel_format": "rgba", "component_format": "float32"}
+        lens = {"fov": view.camera.fov, "fov_axis": "y", "to_world": self._camera(view)}
+        return {"type": "perspective", **lens, "film": film, "sampler": {"type": sampler}}
+
+    def _camera(self, view: View) -> Any:
+        camera = view.camera
+        return self.mitsuba.ScalarTransform4f().look_at(
+            origin=list(camera.eye), target=list(camera.target), up=list(camera.up)
+        )
+
+    def _envmap(self, probe: np.ndarray, view: View) -> dict[str, Any]:
+        image = np.ascontiguousarray(probe[:, ::-1], np.float32)
+        return {"type": "envmap", "bitmap": self.mitsuba.Bitmap(image), "to_world": self._turned(view)}
+
+    def _turned(self, view: View) -> Any:
+        """Where the environment map's axes lie in the world under the view's light rotation."""
+        matrix = np.eye(4)
+        matrix[:3, :3] = rotation_matrix(view.light) @ FROM_MITSUBA
+        return self.mitsuba.ScalarTransform4f(matrix)
+
+    def _shape(self, mesh: Mesh, albedo: float) -> Any:
+        points, triangles = mesh
+        diffuse = {"type": "diffuse", "reflectance": {"type": "rgb", "value": albedo}}
+        properties = self.mitsuba.Properties()
+        properties["bsdf"] = self.mitsuba.load_dict({"type": "twosided", "bsdf": diffuse})
+        shape = self.mitsuba.Mesh("isosurface", len(points), len(triangles), props=properties)
+        parameters = self.mitsuba.traverse(shape)
+        parameters["vertex_positions"] = np.ascontiguousarray(points, np.float32).ravel()
+        parameters["faces"] = np.ascontiguousarray(triangles, np.uint32).ravel()
+        parameters.update()
+        return shape

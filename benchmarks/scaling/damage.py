@@ -1,0 +1,183 @@
+"""Damaged chunks under a running server: all are noticed and baked again, and no pixel is ever wrong.
+
+    python -m benchmarks.scaling damage [SCENE.toml] [--damaged 200] [--views 8] [--seed 0] [--json]
+
+Views are baked. Then objects of their light are damaged, each in another way, while a server runs that has not read
+them yet, and all views are asked for until they are final again. Where the store has fewer objects than are to be
+damaged, that is done again with another server.
+"""
+
+import io
+import random
+import shutil
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+
+from benchmarks.common.measurement import Figures, Measurement
+from benchmarks.common.serving import Served, serving
+from benchmarks.common.suite import part
+from benchmarks.scaling.visiting import small_scene, view
+from benchmarks.scaling.watching import light_in
+
+WORKERS = 2
+HUGE = 16 << 20
+"""Bytes that an object grows by which is made huge."""
+
+SETTLED = 120.0
+"""Seconds within which nothing is baked any more, once all views are final."""
+
+Damage = Callable[[Path, Path, random.Random], Any]
+"""Does something to an object; the second path is that of another."""
+
+
+def flipped(path: Path, _: Path, chance: random.Random) -> None:
+    """One bit of it is another."""
+    content = bytearray(path.read_bytes())
+    bit = chance.randrange(8 * len(content))
+    content[bit // 8] ^= 1 << bit % 8
+    path.write_bytes(content)
+
+
+DAMAGES: dict[str, Damage] = {
+    "cut in half": lambda path, _, __: path.write_bytes(path.read_bytes()[: path.stat().st_size // 2]),
+    "cut by a byte": lambda path, _, __: path.write_bytes(path.read_bytes()[:-1]),
+    "empty": lambda path, _, __: path.write_bytes(b""),
+    "three bytes": lambda path, _, __: path.write_bytes(path.read_bytes()[:3]),
+    "one bit flipped": flipped,
+    "zeros": lambda path, _, __: path.write_bytes(bytes(path.stat().st_size)),
+    "four bytes more": lambda path, _, __: path.write_bytes(path.read_bytes() + b"more"),
+    "another chunk's": lambda path, other, _: shutil.copyfile(other, path),
+    "another layer's": lambda path, _, __: shutil.copyfile(elsewhere(path), path),
+    "deleted": lambda path, _, __: path.unlink(),
+    "huge": lambda path, _, __: path.write_bytes(path.read_bytes() + bytes(HUGE)),
+}
+
+
+def elsewhere(path: Path) -> Path:
+    """The object of the same chunk in another layer; of the same, where there is no other."""
+    layer = path.parents[4]
+    others = [each / path.relative_to(layer) for each in layer.parent.iterdir() if each not in (layer, path)]
+    return next((each for each in others if each.is_file()), next(each for each in layer.glob("c/*/*/*/0")))
+
+
+def spoil(store: str, many: int, chance: random.Random) -> Counter[str]:
+    """Damage so many objects, at most all but one of them; how many in which way."""
+    keys = sorted(light_in(store))
+    chosen = chance.sample(keys, min(many, len(keys) - 1))
+    whole = sorted(set(keys) - set(chosen))
+    kinds = [list(DAMAGES)[number % len(DAMAGES)] for number in range(len(chosen))]
+    for key, kind in zip(chosen, kinds, strict=True):
+        DAMAGES[kind](Path(store, key), Path(store, chance.choice(whole)), chance)
+    return Counter(kinds)
+
+
+def spec(server: Served, number: int, wait: float = 0.0) -> tuple[int, np.ndarray | None]:
+    """One look at a view: the status of the answer, and the planes in it, (h, w, 9)."""
+    answer = server.client.get(f"{server.path}/frame", params=view(number) | {"wait_ms": int(1000 * wait)})
+    return answer.status_code, np.load(io.BytesIO(answer.content)) if answer.status_code == 200 else None
+
+
+def final(planes: np.ndarray) -> bool:
+    """Whether all pixels of the surface are final."""
+    return not np.isin(planes[..., 4], (1, 2)).any()
+
+
+def bake(server: Served, views: int) -> list[np.ndarray]:
+    """The views, final."""
+    return [see(server, number, Counter()) for number in range(views)]
+
+
+def see(server: Served, number: int, seen: Counter[str], expected: np.ndarray | None = None) -> np.ndarray:
+    """Look at a view until it is final, and count the ``seen`` answers and pixels by whether they are right."""
+    wait = 0.0
+    while True:
+        status, planes = spec(server, number, wait)
+        wait = 1.0
+        seen["answers"] += 1
+        seen["answers 5xx"] += status >= 500
+        if planes is None:
+            continue
+        if expected is not None:
+            compare(planes, expected, seen)
+        if final(planes):
+            return planes
+
+
+def compare(planes: np.ndarray, expected: np.ndarray, seen: Counter[str]) -> None:
+    """Count the final pixels of a picture, and those of them that are not as expected.
+
+    A texel that lost one of its layers has reached its error when that has caught up in part, and the pixel may be
+    final with fewer paths than before: another number, as good as it is told to be. One that is off by more is wrong.
+    """
+    sure = planes[..., 4] == 3
+    off = np.abs(planes[sure][:, :3] - expected[sure][:, :3]).max(axis=1)
+    told = planes[sure][:, 5] * expected[sure][:, :3].max(axis=1)
+    seen["final pixels"] += int(sure.sum())
+    seen["of fewer paths for a while"] += int((off > 0.0).sum())
+    seen["wrong pixels"] += int((off > told).sum())
+
+
+def settle(server: Served) -> None:
+    """Wait until nothing is baked any more."""
+    deadline = time.monotonic() + SETTLED
+    while server.metric("isogi_queue_chunks") + server.metric("isogi_tasks_in_flight") and time.monotonic() < deadline:
+        time.sleep(0.1)
+
+
+def round_of(scene: str, store: str, many: int, expected: Sequence[np.ndarray], chance: random.Random) -> Counter[str]:
+    """Damage so many objects under a server, and look at all views until they are final again."""
+    with serving(scene, store, WORKERS) as server:
+        found: Counter[str] = Counter()
+        kinds = spoil(store, many, chance)
+        for number, planes in enumerate(expected):
+            see(server, number, found, planes)
+        settle(server)
+        for number, planes in enumerate(expected):
+            again = see(server, number, Counter())
+            found["pictures that differ in the end"] += not np.array_equal(again, planes)
+        found["damaged"] = kinds.total()
+        found["told as damaged"] = int(server.labelled("isogi_errors_total", kind="DamagedChunkError"))
+        found["not to be noticed: deleted"] = kinds["deleted"]
+        found["healed by workers"] = int(server.metric("isogi_chunks_healed_total"))
+        found["failed tasks"] = int(server.metric("isogi_tasks_failed_total"))
+    return found
+
+
+def measure(scene: str, store: str, damaged: int, views: int, seed: int) -> Figures:
+    """Bake, damage and heal."""
+    chance, found = random.Random(seed), Counter[str]()
+    with serving(scene, store, WORKERS) as server:
+        expected = bake(server, views)
+    whole = light_in(store)
+    differ = 0
+    while found["damaged"] < damaged:
+        found += round_of(scene, store, damaged - found["damaged"], expected, chance)
+        differ += sum(light_in(store).get(key) != value for key, value in whole.items())
+    names = ("damaged", "told as damaged", "not to be noticed: deleted", "healed by workers", "failed tasks")
+    seen = ("answers", "answers 5xx", "final pixels", "of fewer paths for a while", "wrong pixels")
+    return {
+        "objects": len(whole),
+        **{name: found[name] for name in (*names, *seen)},
+        "pictures that differ in the end": found["pictures that differ in the end"],
+        "objects with other bytes in the end": differ,
+    }
+
+
+@part()
+@click.argument("target", required=False)
+@click.option("--damaged", default=200, show_default=True, help="Objects that are damaged.")
+@click.option("--views", default=8, show_default=True, help="Views that are looked at.")
+@click.option("--seed", default=0, show_default=True, help="Decides which, and how.")
+def damage(target: str | None, damaged: int, views: int, seed: int) -> Measurement:
+    """Damaged chunks under a running server: all are noticed and baked again."""
+    with tempfile.TemporaryDirectory() as folder:
+        scene = target or small_scene(Path(folder))
+        found = measure(scene, f"{folder}/light", damaged, views, seed)
+    return Measurement(f"{Path(scene).stem}, {damaged} damaged objects", found)

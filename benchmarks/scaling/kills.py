@@ -1,0 +1,223 @@
+"""Killing workers, servers or prewarms while they bake: nothing kept is lost or torn, and the light is the same.
+
+    python -m benchmarks.scaling kills [SCENE.toml] [--victim worker|server|prewarm] [--cycles 100] [--seed 0]
+
+A visitor looks at one view after the other while a process is killed at a random time, again and again; somebody else
+reads every object of the store all the time. Then the same views are baked undisturbed, and all bytes are compared.
+A prewarm that was killed is gone on with by the next; where one came to its end, the next is of another isovalue.
+"""
+
+import os
+import random
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from contextlib import AbstractContextManager, ExitStack, suppress
+from pathlib import Path
+from uuid import uuid4
+
+import click
+import psutil
+
+from benchmarks.common.measurement import Figures, Measurement
+from benchmarks.common.serving import Served, serving
+from benchmarks.common.suite import part
+from benchmarks.scaling.visiting import Visitor, small_scene, view
+from benchmarks.scaling.watching import Watcher, light_in
+
+WORKERS = 2
+SOON = 5.0
+"""Seconds after which nothing may be left of what was killed."""
+
+LATEST = {"worker": 0.5, "server": 2.0, "prewarm": 1.0}
+"""Seconds after which the next is killed at the latest, once light has come."""
+
+PATIENCE = 120.0
+MARK = "ISOGI_BENCHMARK_MARK"
+GO_ON = ("--continue",)
+
+Repeat = Callable[[str], Figures]
+"""Bakes the same in another store, undisturbed, and tells what is not as it was."""
+
+
+class Killer:
+    """Kills, and counts what is wrong afterwards. ``seed`` decides when, and whom."""
+
+    def __init__(self, scene: str, store: str, seed: int) -> None:
+        """Kill nobody yet."""
+        self.scene, self.store = scene, store
+        self.orphans = self.kills = self.orders = 0
+        self.restarts: list[float] = []
+        self._chance = random.Random(seed)
+        self._mark = uuid4().hex
+
+    def serving(self) -> AbstractContextManager[Served]:
+        """The server, whose processes can be told by a mark in their environment."""
+        return serving(self.scene, self.store, WORKERS, environment={MARK: self._mark})
+
+    def workers(self, server: Served, watcher: Watcher, cycles: int) -> None:
+        """Kill one worker after the other."""
+        for _ in range(cycles):
+            self._wait(watcher, "worker", lambda: False)
+            self._kill(self._chance.choice(workers_of(server)))
+
+    def servers(self, stack: ExitStack, server: Served, visitor: Visitor, watcher: Watcher, cycles: int) -> None:
+        """Kill one server after the other, and start it again."""
+        for _ in range(cycles):
+            self._wait(watcher, "server", lambda: False)
+            self._kill(psutil.Process(server.process.pid))
+            self.orphans += len(marked(self._mark))
+            server = stack.enter_context(self.serving())
+            visitor.url = f"{server.url}{server.path}"
+            begun = time.perf_counter()
+            server.client.get(f"{server.path}/frame", params=view(0)).raise_for_status()
+            self.restarts.append(server.ready_after + time.perf_counter() - begun)
+
+    def prewarms(self, watcher: Watcher, cycles: int) -> None:
+        """Kill one prewarm after the other, and have the next go on; the last comes to its end."""
+        going = False
+        while self.kills < cycles:
+            what = GO_ON if going else self._order()
+            process = prewarming(self.scene, self.store, what, self._mark)
+            self._wait(watcher, "prewarm", lambda: process.poll() is not None)  # noqa: B023 (called at once)
+            going = process.poll() is None
+            if going:
+                self._kill(psutil.Process(process.pid))
+                process.wait()
+                self.orphans += len(marked(self._mark))
+            elif what is not GO_ON and process.returncode:
+                raise RuntimeError("A prewarm failed by itself.")
+        if going:
+            prewarming(self.scene, self.store, GO_ON).wait()
+
+    def _order(self) -> tuple[str, ...]:
+        """What the next prewarm is to bake."""
+        self.orders += 1
+        return order(self.orders - 1)
+
+    def _wait(self, watcher: Watcher, victim: str, over: Callable[[], bool]) -> None:
+        """Until light has come since the last kill, or the victim is ``over`` by itself, and some time more."""
+        before, deadline = watcher.progress, time.monotonic() + PATIENCE
+        while watcher.progress == before and time.monotonic() < deadline and not over():
+            time.sleep(0.01)
+        time.sleep(self._chance.uniform(0.0, LATEST[victim]))
+
+    def _kill(self, process: psutil.Process) -> None:
+        """Kill a process; what it had started must end too."""
+        family = [process, *process.children(recursive=True)]
+        process.kill()
+        self.kills += 1
+        self.orphans += len(psutil.wait_procs(family, timeout=SOON)[1])
+
+
+def workers_of(server: Served) -> list[psutil.Process]:
+    """The processes that bake, once there is any."""
+    deadline = time.monotonic() + PATIENCE
+    while not (found := server.workers) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    return found
+
+
+def marked(mark: str) -> list[psutil.Process]:
+    """The processes with a mark in their environment."""
+    found = []
+    for process in psutil.process_iter():
+        with suppress(psutil.Error):
+            if process.environ().get(MARK) == mark:
+                found.append(process)
+    return found
+
+
+def order(number: int) -> tuple[str, ...]:
+    """What one prewarm after the other bakes: several views at the isovalue of a visitor's view."""
+    return ("--isovalue", str(view(number)["isovalue"]), "--views", "6", "--width", "48", "--height", "48")
+
+
+def prewarming(scene: str, store: str, what: tuple[str, ...], mark: str = "") -> subprocess.Popen[bytes]:
+    """A prewarm that begins, whose processes can be told by a mark in their environment."""
+    command = [sys.executable, "-m", "server", "prewarm", scene, "--store", store, "--workers", str(WORKERS), *what]
+    return subprocess.Popen(
+        command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env={**os.environ, MARK: mark}
+    )
+
+
+def disturbed(scene: str, store: str, victim: str, cycles: int, seed: int) -> tuple[Figures, Repeat]:
+    """Bake while processes are killed."""
+    killer, begun = Killer(scene, store, seed), time.perf_counter()
+    with Watcher(store) as watcher:
+        if victim == "prewarm":
+            more, repeat = prewarmed(killer, watcher, cycles)
+        else:
+            more, repeat = visited(killer, watcher, victim, cycles)
+        watcher.spec()
+    restarts = {"restart to an old frame, longest, s": max(killer.restarts)} if killer.restarts else {}
+    return {
+        f"{victim}s killed": killer.kills,
+        "seconds": time.perf_counter() - begun,
+        **more,
+        "objects": watcher.objects,
+        "objects read meanwhile": watcher.reads,
+        "torn": sum(watcher.torn.values()),
+        "lost, or with less light than before": sum(watcher.lost.values()),
+        f"processes left after {SOON:g} s": killer.orphans,
+        "half-written files left": len(list(Path(store).rglob("*.partial"))),
+        **restarts,
+    }, repeat
+
+
+def prewarmed(killer: Killer, watcher: Watcher, cycles: int) -> tuple[Figures, Repeat]:
+    """Kill prewarms."""
+    killer.prewarms(watcher, cycles)
+
+    def repeat(store: str) -> Figures:
+        codes = [prewarming(killer.scene, store, order(number)).wait() for number in range(killer.orders)]
+        return {"prewarms that fail undisturbed": sum(code != 0 for code in codes)}
+
+    return {"prewarms begun": killer.orders}, repeat
+
+
+def visited(killer: Killer, watcher: Watcher, victim: str, cycles: int) -> tuple[Figures, Repeat]:
+    """Kill servers, or the workers of one, while somebody looks."""
+    with ExitStack() as stack:
+        server = stack.enter_context(killer.serving())
+        visitor = stack.enter_context(Visitor(f"{server.url}{server.path}"))
+        if victim == "worker":
+            killer.workers(server, watcher, cycles)
+        else:
+            killer.servers(stack, server, visitor, watcher, cycles)
+        visitor.stop()
+
+    def repeat(store: str) -> Figures:
+        with serving(killer.scene, store, WORKERS) as again:
+            other = Visitor(f"{again.url}{again.path}")
+            finals = [other.see(number) for number in range(len(visitor.finals))]
+        return {"final pictures that differ": sum(a != b for a, b in zip(visitor.finals, finals, strict=True))}
+
+    return {"views that became final": len(visitor.finals), "answers 5xx": visitor.errors}, repeat
+
+
+def compared(folder: str, repeat: Repeat) -> Figures:
+    """Bake the same undisturbed, and compare."""
+    differ = repeat(f"{folder}/undisturbed")
+    light, expected = light_in(f"{folder}/light"), light_in(f"{folder}/undisturbed")
+    return {
+        "objects with other bytes than undisturbed": sum(light.get(key) != value for key, value in expected.items()),
+        "objects that undisturbed are none": len(light.keys() - expected.keys()),
+        **differ,
+    }
+
+
+@part()
+@click.argument("target", required=False)
+@click.option("--victim", type=click.Choice(list(LATEST)), default="worker", show_default=True)
+@click.option("--cycles", default=100, show_default=True, help="Kills.")
+@click.option("--seed", default=0, show_default=True, help="Decides when, and whom.")
+def kills(target: str | None, victim: str, cycles: int, seed: int) -> Measurement:
+    """Workers, servers or prewarms killed while they bake: what is lost, torn or other than undisturbed."""
+    with tempfile.TemporaryDirectory() as folder:
+        scene = target or small_scene(Path(folder))
+        found, repeat = disturbed(scene, f"{folder}/light", victim, cycles, seed)
+        found = {**found, **compared(folder, repeat)}
+    return Measurement(f"{Path(scene).stem}, {cycles} kills of a {victim}", found, variant=victim)

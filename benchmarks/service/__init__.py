@@ -1,0 +1,1 @@
+"""The service suite: one server under drags, crowds and malformed files, as its clients see it."""

@@ -1,0 +1,132 @@
+"""A crowd: clients of all kinds at once on one server, each with views of its own, and what they were answered."""
+
+import asyncio
+import json
+import random
+from collections import Counter
+from collections.abc import Awaitable, Callable
+from contextlib import suppress
+from typing import Any
+
+import httpx
+from websockets.asyncio.client import connect
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+
+from isogi_core.model.view import SHADINGS
+
+SIDES = (48, 96, 160, 256)
+VIEWS = 12
+"""Views that one client knows: it comes back to them, with the tags of what it has seen."""
+
+PATIENCE = 30.0
+"""Seconds after which a client counts an answer as lost."""
+
+PAUSE = 0.2
+"""Seconds that a client looks at what it got, on average."""
+
+
+class Client:
+    """One of the crowd. It does one kind of thing until told to end, and counts what comes of it."""
+
+    def __init__(self, number: int, url: str, path: str, isovalues: tuple[float, ...], counts: Counter[str]) -> None:
+        self._random = random.Random(number)
+        self._url, self._path, self._counts = url, path, counts
+        self._views = [self._view(isovalues) for _ in range(VIEWS)]
+        self._tags: dict[int, str] = {}
+        kinds: tuple[Callable[[httpx.AsyncClient], Awaitable[None]], ...]
+        kinds = (self.spec, self.spec, self.wait, self.cover, self.listen, self.drag, self.abort, self.spec)
+        self._do = kinds[number % len(kinds)]
+
+    async def run(self, end: asyncio.Event) -> None:
+        """Ask, look, ask again, until the ``end``."""
+        async with httpx.AsyncClient(base_url=self._url, timeout=PATIENCE) as http:
+            while not end.is_set():
+                try:
+                    await self._do(http)
+                except (httpx.HTTPError, OSError) as error:
+                    self._counts[type(error).__name__] += 1
+                await asyncio.sleep(self._random.expovariate(1.0 / PAUSE))
+
+    async def spec(self, http: httpx.AsyncClient) -> None:
+        """A frame, as it is; where it was seen before, only if it has changed."""
+        number = self._random.randrange(VIEWS)
+        known = {"If-None-Match": self._tags[number]} if number in self._tags else {}
+        answer = await http.get(f"{self._path}/frame", params=self._views[number], headers=known)
+        self._counts[str(answer.status_code)] += 1
+        if "etag" in answer.headers:
+            self._tags[number] = answer.headers["etag"]
+
+    async def wait(self, http: httpx.AsyncClient) -> None:
+        """A frame that may wait for light."""
+        params = self._any() | {"wait_ms": self._random.randrange(1000)}
+        self._counts[str((await http.get(f"{self._path}/frame", params=params)).status_code)] += 1
+
+    async def cover(self, http: httpx.AsyncClient) -> None:
+        """How far a view is baked."""
+        self._counts[str((await http.get(f"{self._path}/coverage", params=self._any())).status_code)] += 1
+
+    async def listen(self, http: httpx.AsyncClient) -> None:
+        """What becomes of a view, for a while."""
+        async with http.stream("GET", f"{self._path}/events", params=self._any()) as answer:
+            self._counts[str(answer.status_code)] += 1
+            with suppress(TimeoutError):
+                async with asyncio.timeout(self._random.uniform(0.5, 4.0)):
+                    await answer.aread()
+
+    async def abort(self, http: httpx.AsyncClient) -> None:
+        """A frame that nobody stays for."""
+        params = self._any() | {"wait_ms": 10_000, "max_error": 0.0001}
+        with suppress(TimeoutError):
+            async with asyncio.timeout(self._random.uniform(0.01, 0.5)):
+                self._counts[str((await http.get(f"{self._path}/frame", params=params)).status_code)] += 1
+
+    async def drag(self, _: httpx.AsyncClient) -> None:
+        """A stream: a hand that drags, rests, and leaves, sometimes without a word."""
+        try:
+            async with connect(f"{self._url.replace('http', 'ws', 1)}{self._path}/stream", max_size=None) as socket:
+                view, steps = self._any(), self._random.randrange(20, 90)
+                hearing = asyncio.create_task(self._hear(socket))
+                for step in range(steps):
+                    moved = view | {"azimuth": view["azimuth"] + step}
+                    await socket.send(json.dumps({"id": step, "view": moved, "moving": step + 1 < steps}))
+                    await asyncio.sleep(1.0 / 30.0)
+                await asyncio.sleep(self._random.uniform(0.0, 2.0))
+                hearing.cancel()
+                if self._random.random() < 0.5:
+                    socket.transport.abort()
+        except InvalidStatus as refused:
+            self._counts[str(refused.response.status_code)] += 1
+        except ConnectionClosed as closed:
+            self._counts[f"stream closed with {closed.rcvd or 'nothing'}"] += 1
+
+    async def _hear(self, socket: Any) -> None:
+        """Take what a stream tells; each picture counts as an answer."""
+        with suppress(ConnectionClosed):
+            while True:
+                told = json.loads(await socket.recv())
+                if "problem" in told:
+                    self._counts[str(told["problem"]["status"])] += 1
+                    continue
+                await socket.recv()
+                self._counts["200"] += 1
+                await socket.send(json.dumps({"shown": told["id"]}))
+
+    def _any(self) -> dict[str, Any]:
+        return dict(self._random.choice(self._views))
+
+    def _view(self, isovalues: tuple[float, ...]) -> dict[str, Any]:
+        shading = self._random.choice(("gi", "gi", "gi", *(each for each in SHADINGS if each != "path_traced")))
+        side = self._random.choice(SIDES)
+        view = {"isovalue": self._random.choice(isovalues), "shading": shading, "width": side, "height": side}
+        return view | {
+            "azimuth": self._random.randrange(0, 270),
+            "elevation": self._random.randrange(-60, 60),
+            "yaw": self._random.randrange(0, 360, 10),
+        }
+
+
+async def crowd(url: str, path: str, isovalues: tuple[float, ...], clients: int, end: asyncio.Event) -> Counter[str]:
+    """So many clients until the ``end``; how often each status came, or what else."""
+    counts: Counter[str] = Counter()
+    await asyncio.gather(*(Client(number, url, path, isovalues, counts).run(end) for number in range(clients)))
+    return counts

@@ -1,0 +1,24 @@
+"""``python -m benchmarks.speed``."""
+
+from benchmarks.common.suite import suite
+from benchmarks.speed.first_view import first_view
+from benchmarks.speed.frames import frames
+from benchmarks.speed.growth import growth
+from benchmarks.speed.isovalue import isovalue
+from benchmarks.speed.paths import paths
+from benchmarks.speed.points import points
+from benchmarks.speed.rays import rays
+
+main = suite(
+    "How fast isogi is, beside its peers where they are installed.",
+    frames,
+    isovalue,
+    first_view,
+    rays,
+    paths,
+    growth,
+    points,
+)
+
+if __name__ == "__main__":
+    main(prog_name="python -m benchmarks.speed")

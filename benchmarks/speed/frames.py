@@ -1,0 +1,63 @@
+"""Frame times of all shadings side by side, cache warm, and what turning only the light costs.
+
+    python -m benchmarks.speed frames [TARGET] [--size 512] [--repeats 15] [--json]
+
+Every camera is new to the renderer, so that each frame casts its primary rays; shadings are
+interleaved, and ratios are of medians (S1, table 2 has SH at 1.45 × Lambert and 0.75 × with shadow).
+"""
+
+import math
+import tempfile
+from dataclasses import replace
+
+import click
+
+from benchmarks.common.measurement import Measurement
+from benchmarks.common.scenes import benchmark_scene
+from benchmarks.common.suite import part
+from benchmarks.common.timing import milliseconds
+from isogi_core.bake.precision import FIRST_LEVEL
+from isogi_core.frame.film import develop
+from isogi_core.frame.renderer import Renderer
+from isogi_core.model.view import View
+from server.cli.bench import Candidate, bake_view, make_renderer, medians, new_camera, relight, seconds, turned, view_of
+
+SHADINGS = ("gi", "lambert", "lambert_shadow", "lambert_fog", "phong", "phong_shadow")
+
+
+@part(size=512, repeats=15)
+@click.argument("target", required=False)
+def frames(target: str | None, size: int, repeats: int) -> Measurement:
+    """Frame times of all shadings side by side, light baked, and of turning only the light."""
+    scene = benchmark_scene(target)
+    with tempfile.TemporaryDirectory() as store:
+        renderer = make_renderer(scene, store)
+        view = view_of(scene, size)
+        frame = bake_view(renderer, view, FIRST_LEVEL)
+        texels = sum(len(demand.offsets) for demand in frame.demands)
+        figures = summarise(medians(candidates(renderer, view), repeats))
+        figures["lattice / texels of this view"] = math.prod(renderer.prepared.shape) / texels
+    title = f"{scene.name} at {scene.isovalue:g}, {size} × {size}, {renderer.tiles.threads} threads"
+    return Measurement(title, figures)
+
+
+def candidates(renderer: Renderer, view: View) -> dict[str, Candidate]:
+    """A frame by each shading, "relight", the light turned and nothing else, and "develop", the tone curve."""
+    exposure = renderer.prepared.scene.default_exposure
+
+    def tone(turn: int) -> float:
+        lit = renderer.render(turned(view, turn))
+        return seconds(lambda: develop(lit, exposure))
+
+    frames = {shading: new_camera(renderer, replace(view, shading=shading)) for shading in SHADINGS}
+    return {**frames, "relight": relight(renderer, view), "develop": tone}
+
+
+def summarise(median: dict[str, float]) -> dict[str, float]:
+    """Medians in milliseconds, and the ratios that are asked for."""
+    return {
+        **milliseconds(median),
+        "gi / lambert": median["gi"] / median["lambert"],
+        "gi / lambert_shadow": median["gi"] / median["lambert_shadow"],
+        "relight / gi": median["relight"] / median["gi"],
+    }

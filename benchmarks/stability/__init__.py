@@ -1,1 +1,0 @@
-"""Stability: what stiff and extreme cases are expected to do, and what they do: ``python -m benchmarks.stability``."""

@@ -1,0 +1,276 @@
+"""The page pool: decoded light in a texel table of fixed size, which kernels read through an indirection table."""
+
+import threading
+from collections import OrderedDict
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import pairwise, product
+from typing import NamedTuple
+
+import numpy as np
+
+from isogi_core.bake.bake_spec import BakeSpec
+from isogi_core.bake.noise import DARKEST, deviations, least_level, powers, white
+from isogi_core.bake.precision import samples_of
+from isogi_core.bake.texel_light import Light
+from isogi_core.cache.chunk import Chunks
+from isogi_core.errors import StoreError
+from isogi_core.kernels.shading.lattice import UNLIT, Lattice
+from isogi_core.kernels.shading.texel_table import Judge, Role, Rows, Sums, add_part, judge_rows
+from isogi_core.model.scene_plan import FEWEST, Layer
+from isogi_core.prepared.prepared_scene import Index
+
+PAGE = 64
+"""Texels of a page."""
+
+FEWEST_CHUNKS = 8
+"""Least number of chunks in the indirection table."""
+
+
+@dataclass(eq=False)
+class Entry:
+    """A chunk in the pool: its ``slot`` in the table, its pages, its holders, and whether it is outdated and listed."""
+
+    slot: int
+    pages: np.ndarray
+    held: int = 0
+    stale: bool = False
+    listed: bool = True
+
+
+class Held(NamedTuple):
+    """Held chunks: their ``slots`` (n,) int32, -1 where absent, and the ``age`` of the pool.
+
+    At equal age equal slots lead to the same light.
+    """
+
+    slots: np.ndarray
+    age: int
+
+
+class PagePool:
+    """Light in memory, at most ``budget`` bytes. Safe to use from many threads.
+
+    A row has the ``transfer`` (channels, columns of all terms), the ``scatter``, the relative ``error`` and the
+    ``stamp``: see ``fill_rows``. Where light is kept for several albedos it also has the share of its variance that is
+    ``reflected``.
+    """
+
+    def __init__(self, spec: BakeSpec, budget: int) -> None:
+        """Allocate the arrays that frames of ``spec`` read; memory is taken as they fill."""
+        texels = spec.prepared.lattice.texels
+        pages = max(budget // page_bytes(spec), 1)
+        slots = max(pages // pages_of_sheet(spec.prepared.lattice), FEWEST_CHUNKS)
+        self.spec = spec
+        self.rows = new_rows(spec, pages * PAGE)
+        self.transfer, self.scatter, self.error, self.stamp = self.rows
+        self.reflected = np.empty(pages * PAGE if spec.plan.nodes else 0, np.float32)
+        self.table = np.empty((slots, texels), np.int32)
+        self._free_pages = list(range(pages))[::-1]
+        self._free_slots = list(range(slots))
+        self._entries: OrderedDict[Index, Entry] = OrderedDict()
+        self._age = 0
+        self._lock = threading.Lock()
+
+    def missing(self, indices: Sequence[Index]) -> list[Index]:
+        """The chunks that are not in the pool, or outdated there."""
+        with self._lock:
+            found = map(self._entries.get, indices)
+            return [index for index, entry in zip(indices, found, strict=True) if entry is None or entry.stale]
+
+    def outdate(self, index: Index) -> None:
+        """Note that the store has newer light of a chunk. The old light may be shown until that is read."""
+        with self._lock:
+            if index in self._entries:
+                self._entries[index].stale = True
+
+    def insert(self, chunks: Chunks, keep: Collection[Index] = ()) -> None:
+        """Put decoded chunks into the pool, replacing older light; the chunks ``keep`` are not dropped for them.
+
+        Raises StoreError, and drops none, where the budget cannot hold them.
+        """
+        counts = np.diff(chunks.bounds)
+        with self._lock:
+            self._age += 1
+            entries = self._allocate(-(-counts // PAGE), {*keep} - {*chunks.indices})
+            rows = rows_in([entry.pages for entry in entries], counts)
+            slots = np.array([entry.slot for entry in entries], np.int32)
+            self.table[slots] = UNLIT
+            self.table[np.repeat(slots, counts), chunks.offsets] = fill_rows(self.rows, rows, chunks.light, self.spec)
+            if self.spec.plan.nodes:
+                self.reflected[rows] = reflected_share(chunks.light, self.spec)
+            for index, entry in zip(chunks.indices, entries, strict=True):
+                former = self._entries.pop(index, None)
+                self._entries[index] = entry
+                if former is not None:
+                    self._release(former)
+
+    @contextmanager
+    def hold(self, indices: Sequence[Index]) -> Iterator[Held]:
+        """Hold the chunks, so that they and their rows stay while the block runs."""
+        with self._lock:
+            age = self._age
+            found = [self._entries.get(index) for index in indices]
+            for index, entry in zip(indices, found, strict=True):
+                if entry is not None:
+                    entry.held += 1
+                    self._entries.move_to_end(index)
+        try:
+            yield Held(np.array([-1 if entry is None else entry.slot for entry in found], np.int32), age)
+        finally:
+            with self._lock:
+                for entry in found:
+                    if entry is not None:
+                        entry.held -= 1
+                        self._give_back(entry)
+
+    def _allocate(self, pages: np.ndarray, keep: Collection[Index]) -> list[Entry]:
+        """Allocate entries with so many ``pages`` each; where need be, drop the longest unused chunks but ``keep``."""
+        total = int(pages.sum())
+        if not self._has_room(total, len(pages)):
+            self._make_room(total, len(pages), [i for i, e in self._entries.items() if not e.held and i not in keep])
+        taken = np.array([self._free_pages.pop() for _ in range(total)], np.int32)
+        bounds = [0, *np.cumsum(pages).tolist()]
+        return [Entry(self._free_slots.pop(), taken[a:b]) for a, b in pairwise(bounds)]
+
+    def _has_room(self, pages: int, slots: int) -> bool:
+        return len(self._free_pages) >= pages and len(self._free_slots) >= slots
+
+    def _make_room(self, pages: int, slots: int, spare: Sequence[Index]) -> None:
+        """Drop chunks of ``spare``, in this order, until so many pages and slots are free.
+
+        Raises StoreError, and drops none, where all of them are too few.
+        """
+        most = len(self._free_pages) + sum(len(self._entries[index].pages) for index in spare)
+        if most < pages or len(self._free_slots) + len(spare) < slots:
+            raise StoreError(
+                f"The light of this view does not fit the memory for {len(self.scatter)} texels:"
+                " ask for a closer view or fewer pixels, or give light more memory."
+            )
+        for index in spare:
+            if self._has_room(pages, slots):
+                return
+            self._release(self._entries.pop(index))
+
+    def _release(self, entry: Entry) -> None:
+        """Remove an entry from the list; its pages are freed when no frame holds it."""
+        entry.listed = False
+        self._give_back(entry)
+
+    def _give_back(self, entry: Entry) -> None:
+        """Free an entry's pages, the last first: they are then taken upwards again, the fastest order to read."""
+        if entry.held == 0 and not entry.listed and entry.slot >= 0:
+            self._free_pages.extend(entry.pages[::-1].tolist())
+            self._free_slots.append(entry.slot)
+            entry.slot = -1
+
+
+def pages_of_sheet(lattice: Lattice) -> int:
+    """Pages that a chunk of a surface takes at least; the table has room for as many chunks."""
+    return lattice.rows // PAGE
+
+
+def page_bytes(spec: BakeSpec) -> int:
+    """Bytes that a page of a ``spec`` takes, its part of the table among them."""
+    lattice = spec.prepared.lattice
+    return PAGE * 4 * (
+        spec.channels * spec.columns + (4 if spec.plan.nodes else 3)
+    ) + lattice.texels * 4 // pages_of_sheet(lattice)
+
+
+def rows_in(pages: Sequence[np.ndarray], counts: np.ndarray) -> np.ndarray:
+    """Rows of chunks' texels, of which each has ``counts`` (chunks,): they fill its own ``pages``; (texels,) int32."""
+    each = [(own[:, None] * PAGE + np.arange(PAGE, dtype=np.int32)).ravel() for own in pages]
+    return np.concatenate([np.empty(0, np.int32), *(rows[:count] for rows, count in zip(each, counts, strict=True))])
+
+
+LEVELS = 32
+"""Bound of the number of sample levels."""
+
+CHECKSUMS = 509
+"""Checksums of light that is only shown: with the levels of three parts, all that single floats count exactly."""
+
+
+def new_rows(spec: BakeSpec, count: int) -> Rows:
+    """A texel table of ``count`` rows for frames of a ``spec``; memory is taken as it fills."""
+    columns = (np.empty(count, np.float32) for _ in range(3))
+    return Rows(np.empty((count, spec.channels, spec.columns), np.float32), *columns)
+
+
+def fill_rows(rows: Rows, numbers: np.ndarray, light: Light, spec: BakeSpec) -> np.ndarray:
+    """Write texels' ``light`` into the rows of these ``numbers`` (m,) int32; returns the entries of the page table.
+
+    An entry is the row; BURIED_ROW where no path of any part ever left; VOID_ROW; or UNLIT where there is no light to
+    show: reflected light alone is not shown. Scatter is defined in ``bake.noise``. A stamp encodes the sample levels of
+    a texel: LEVELS^p times the level of each part p, summed, and above these a checksum of light that is shown without
+    samples, as an earlier plan's light may change too.
+    """
+    sums = Sums(*(np.zeros(len(numbers), kind) for kind in (np.float64, np.float64, np.int64, np.int64, np.uint8)))
+    for at, term in enumerate(spec.terms):
+        for number in term.layers:
+            part = light.parts[number] if term.node is None else light.parts[number].channel(term.node)
+            own, role = np.ascontiguousarray(part.coefficients), role_of(number, part.layer, at, spec)
+            add_part(part.samples, part.noise, own, own.view(np.int32), role, numbers, rows, sums)
+    places = np.empty_like(numbers)
+    judge_rows(numbers, rows, sums, judge_of(len(light.parts), spec), places)
+    return places
+
+
+def reflected_share(light: Light, spec: BakeSpec) -> np.ndarray:
+    """The share of reflected light in texels' variance; (m,) float32."""
+    variances = deviations(light, spec) ** 2
+    reflected = variances[[part.layer.kind == "indirect" for part in light.parts]].sum(axis=0)
+    return np.asarray(reflected / np.maximum(variances.sum(axis=0), 1e-30), np.float32)
+
+
+def role_of(number: int, layer: Layer, at: int, spec: BakeSpec) -> Role:
+    """The role of a ``layer`` in a bake spec, as part ``number`` and in the term number ``at``.
+
+    Irradiance may be dark because of the light alone. Light for several albedos is of the same paths: only the last one
+    counts their noise and number.
+    """
+    term, weights = spec.terms[at], white(layer, spec)
+    last = term.node in (None, layer.channels - 1)
+    return Role(
+        gains=spec.gains(layer) if last else np.zeros(layer.noises),
+        weights=weights if term.node is None else weights[term.node : term.node + 1],
+        column=int(spec.firsts[at]),
+        width=term.order**2,
+        first=number == min(term.layers),
+        rung=LEVELS**number if last else 0,
+        straight=layer.kind != "indirect",
+        telling=layer.kind != "irradiance",
+        fewest=FEWEST,
+    )
+
+
+def judge_of(parts: int, spec: BakeSpec) -> Judge:
+    """The lights of a bake spec, for judging texels of so many ``parts``."""
+    return Judge(
+        firsts=spec.firsts,
+        widths=np.array([term.order**2 for term in spec.terms]),
+        squares=np.array([term.square[0] for term in spec.terms]),
+        powers=powers_of(spec),
+        unit=spec.unit,
+        level=least_level(spec),
+        darkest=DARKEST * spec.unit,
+        beyond=LEVELS**parts,
+        checksums=CHECKSUMS,
+    )
+
+
+def powers_of(spec: BakeSpec) -> np.ndarray:
+    """``powers`` of each two terms' lights, 0 beyond the lower order; (terms, terms, channels, channels, most n²)."""
+    most, count = max(term.order for term in spec.terms) ** 2, len(spec.terms)
+    found = np.zeros((count, count, spec.channels, spec.channels, most))
+    for (a, one), (b, other) in product(enumerate(spec.terms), repeat=2):
+        each = powers(one.luminance / spec.unit, other.luminance / spec.unit)
+        found[a, b, :, :, : each.shape[2]] = each
+    return found
+
+
+def fewest_samples(stamps: np.ndarray, parts: int) -> np.ndarray:
+    """The fewest samples of any part of texels with these ``stamps``, 0 where one is not baked; (texels,) int32."""
+    levels = np.maximum(stamps, 0).astype(np.int64)[None] // LEVELS ** np.arange(parts)[:, None] % LEVELS
+    return samples_of(levels.min(axis=0).astype(np.uint8))

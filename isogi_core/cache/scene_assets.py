@@ -1,0 +1,218 @@
+"""Scene assets: the volume and probes that workers on other machines need, kept in the store by digest."""
+
+import hashlib
+import math
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from zarr.codecs import Crc32cCodec, ZstdCodec
+
+from isogi_core.errors import ChangedError, DamagedChunkError, LightError, StoreError
+from isogi_core.files.scene_file import DEFAULT_DEMO, SceneSource
+from isogi_core.files.volume_copies import find_copy, get_copy, get_file
+from isogi_core.files.voxel_file import Draft
+from isogi_core.model.value_survey import begin_digest
+from isogi_core.model.volume import Volume
+from isogi_core.plan.scene import Scene
+from isogi_core.storage.backend import one_line
+from isogi_core.storage.store import Store
+from isogi_core.storage.zarr_codec import KEY, LEVEL, described, description, unwrap, wrap
+
+Shape = tuple[int, ...]
+
+
+class Asset:
+    """The array under a ``name`` in a ``store``. Methods raise StoreError."""
+
+    def __init__(self, store: Store, name: str) -> None:
+        """Touch nothing yet."""
+        self.store = store
+        self.name = name
+
+    def put(self, values: np.ndarray, chunk: Shape, facts: Mapping[str, Any]) -> None:
+        """Write ``values`` in objects of at most ``chunk``, and the ``facts``, unless they are there.
+
+        Two processes may write the same array at once, as they write the same bytes.
+        """
+        if self.store.get(f"{self.name}/{KEY}") is not None:
+            return
+        sides = tuple(min(most, n) for most, n in zip(chunk, values.shape, strict=True))
+        for index in product(*(range(-(-n // side)) for n, side in zip(values.shape, sides, strict=True))):
+            self._put(self._key(index), packed(values, sides, index))
+        compressors = [ZstdCodec(level=LEVEL), Crc32cCodec()]
+        form: dict[str, Any] = {"shape": values.shape, "chunks": sides, "dtype": values.dtype}
+        metadata = description(**form, fill_value=0, compressors=compressors, attributes={"isogi": dict(facts)})
+        self._put(f"{self.name}/{KEY}", metadata)
+
+    def describe(self) -> tuple[Shape, Shape, np.dtype[Any], dict[str, Any]]:
+        """Shape, shape of a chunk, type, and facts."""
+        found = self.store.get(f"{self.name}/{KEY}")
+        if found is None:
+            raise StoreError(f"The workers need {self.name} of {self._where}, which lacks it: restart the server.")
+        try:
+            array = described(found.data)
+            facts: Any = array.attrs.asdict()["isogi"]
+            return array.shape, array.chunks, array.dtype, facts
+        except Exception as error:  # what Zarr makes of other documents is of many kinds
+            raise self.damaged(one_line(error)) from error
+
+    def slabs(self) -> Iterator[np.ndarray]:
+        """The array, a layer of chunks at a time."""
+        shape, chunk, dtype, _ = self.describe()
+        for z in range(-(-shape[0] // chunk[0])):
+            slab = np.empty((min(chunk[0], shape[0] - z * chunk[0]), *shape[1:]), dtype)
+            for rest in product(*(range(-(-n // side)) for n, side in zip(shape[1:], chunk[1:], strict=True))):
+                part = slab[(slice(None), *(slice(i * n, (i + 1) * n) for i, n in zip(rest, chunk[1:], strict=True)))]
+                block = self._block((z, *rest), chunk, dtype)
+                part[...] = block[tuple(map(slice, part.shape))]
+            yield slab
+
+    def damaged(self, why: str) -> StoreError:
+        """The error for an array that is damaged."""
+        return StoreError(f"{self.name} in {self._where} is damaged ({why}): delete it, and restart the server.")
+
+    @property
+    def _where(self) -> str:
+        return f"the store at {self.store.url}"
+
+    def _key(self, index: Shape) -> str:
+        return "/".join((self.name, "c", *map(str, index)))
+
+    def _put(self, key: str, data: bytes) -> None:
+        """Write an object, also in place of a different one."""
+        try:
+            self.store.put(key, data, None)
+        except ChangedError:
+            found = self.store.get(key)
+            if found is None or found.data != data:
+                with suppress(ChangedError):  # another process writes the same
+                    self.store.put(key, data, found)
+
+    def _block(self, index: Shape, chunk: Shape, dtype: np.dtype[Any]) -> np.ndarray:
+        """Read a chunk, whole also at the array's end."""
+        found = self.store.get(self._key(index))
+        if found is None:
+            raise self.damaged(f"chunk {index} is missing")
+        try:
+            return unwrap(found.data, math.prod(chunk) * dtype.itemsize).view(dtype).reshape(chunk)
+        except DamagedChunkError as error:
+            raise self.damaged(f"chunk {index}: {error}") from error
+
+
+def packed(values: np.ndarray, chunk: Shape, index: Shape) -> bytes:
+    """The object of a chunk: its values, padded with zeros at the array's end, packed, with a checksum."""
+    part = values[tuple(slice(i * n, (i + 1) * n) for i, n in zip(index, chunk, strict=True))]
+    block = np.zeros(chunk, values.dtype.newbyteorder("<"))
+    block[tuple(map(slice, part.shape))] = part
+    return wrap(block.reshape(-1).view(np.uint8))
+
+
+CHUNK = (32, 256, 256)
+"""Voxels of a volume in one object: 8 MiB before they are packed."""
+
+BYTES = 1 << 23
+"""Bytes of a file in one object."""
+
+FOLLOWED = ("solid", "spacing", "missing", "level", "channel", "time")
+"""Settings of a scene that its volume's voxels already contain."""
+
+
+@dataclass(frozen=True)
+class SceneAssets:
+    """The digests of a scene's ``volume``, empty for a demo, and of its lights' ``files``, by their names there."""
+
+    volume: str
+    files: tuple[tuple[str, str], ...]
+
+
+def send_assets(scene: Scene, store: Store) -> SceneAssets:
+    """Write the files that a scene was made of to the ``store``, unless they are there.
+
+    Raises StoreError, and LightError where a file of a light is gone.
+    """
+    source, volume, files = scene.source, scene.volume, []
+    for name in [str(light["file"]) for light in source.document.get("lights", ()) if "file" in light]:
+        data = read_file(source.base / name)
+        files.append((name, digest_of_file(data)))
+        Asset(store, f"files/{files[-1][1]}").put(np.frombuffer(data, np.uint8), (BYTES,), {})
+    if str(source.document.get("volume", DEFAULT_DEMO)).startswith("demo:"):
+        return SceneAssets("", tuple(files))
+    facts = {name: value for name, value in vars(volume.counted()).items() if name != "voxels"}
+    Asset(store, f"volumes/{volume.digest}").put(volume.voxels, CHUNK, facts)
+    return SceneAssets(volume.digest, tuple(files))
+
+
+def receive_assets(source: SceneSource, assets: SceneAssets, store: Store) -> tuple[SceneSource, Volume | None]:
+    """Fetch a scene's assets to this machine, where there are no copies yet.
+
+    Returns the source with the paths of the copies, and the volume unless it is a demo. Raises StoreError, and
+    VolumeError where there is no room.
+    """
+    files = {name: str(fetch_file(digest, Path(name).name, store)) for name, digest in assets.files}
+    document = dict(source.document)
+    if "lights" in document:
+        document["lights"] = [moved(light, files) for light in document["lights"]]
+    if not assets.volume:
+        return replace(source, document=document), None
+    kept = {key: value for key, value in document.items() if key not in FOLLOWED}
+    return replace(source, document=kept), fetch_volume(assets.volume, store)
+
+
+def moved(light: Mapping[str, Any], files: Mapping[str, str]) -> Mapping[str, Any]:
+    """A light's table with the path of its file's copy."""
+    return {**light, "file": files[str(light["file"])]} if "file" in light else light
+
+
+def fetch_volume(digest: str, store: Store) -> Volume:
+    """The volume of a digest, mapped from this machine's copy of it."""
+    found = find_copy(digest)
+    if found is None:
+        asset = Asset(store, f"volumes/{digest}")
+        nz, ny, nx = asset.describe()[0]
+        found = get_copy(digest, 4 * nz * ny * nx, lambda draft: unpack(asset, draft, digest))
+    return Volume(found[0], **found[1])
+
+
+def unpack(asset: Asset, draft: Draft, digest: str) -> dict[str, Any]:
+    """Write the voxels in the store to a ``draft`` and return their facts. StoreError where the digest differs."""
+    shape, _, _, facts = asset.describe()
+    seen = begin_digest(shape, facts["spacing"], facts["offset"], facts["scale"])
+    for slab in asset.slabs():
+        for plane in slab.astype(np.float32, copy=False):
+            draft.write(plane)
+            seen.update(plane.data)
+    if seen.hexdigest() != digest:
+        raise asset.damaged("it holds another volume")
+    draft.seal(shape, facts)
+    return facts
+
+
+def fetch_file(digest: str, name: str, store: Store) -> Path:
+    """This machine's copy of a file."""
+
+    def fetch() -> bytes:
+        asset = Asset(store, f"files/{digest}")
+        data = b"".join(part.tobytes() for part in asset.slabs())
+        if digest_of_file(data) != digest:
+            raise asset.damaged("it holds another file")
+        return data
+
+    return get_file(digest, name, fetch)
+
+
+def read_file(path: Path) -> bytes:
+    """The bytes of a light's file; LightError where it cannot be read."""
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise LightError(f"The light '{path}' cannot be read ({error.strerror}): check its path.") from error
+
+
+def digest_of_file(data: bytes) -> str:
+    """Hex name of a file's bytes."""
+    return hashlib.blake2b(data, digest_size=16).hexdigest()

@@ -1,0 +1,1 @@
+"""Upkeep of a store: audit and repair, census, and pruning of unused layers."""

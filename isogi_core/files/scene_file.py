@@ -1,0 +1,200 @@
+"""Scene files: the parsed document, and its settings, each checked when it is read."""
+
+import sys
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TypeVar
+
+from isogi_core.errors import SceneError
+
+DEFAULT_DEMO = "demo:casting"
+
+
+@dataclass(frozen=True)
+class SceneSource:
+    """A scene's document: enough for another process to build the same scene.
+
+    ``document`` is the parsed TOML; paths in it are relative to the folder ``base``.
+    """
+
+    name: str
+    document: Mapping[str, Any] = field(hash=False)
+    base: Path
+
+
+def find_source(target: str | Path | None, overrides: Mapping[str, Any]) -> SceneSource:
+    """Read a scene's document, without opening its volume."""
+    text = str(target or DEFAULT_DEMO)
+    if text.startswith("demo:"):
+        return SceneSource(text.removeprefix("demo:"), {"volume": text, **overrides}, Path.cwd())
+    if "://" in text:
+        return SceneSource(name_of(Path(text)), {"volume": text, **overrides}, Path.cwd())
+    path = Path(text).resolve()
+    if path.suffix != ".toml":
+        whole = next((each for each in path.parents if each.suffix == ".zarr"), path)
+        name, place = name_of(path), str(path.relative_to(whole.parent))
+        return SceneSource(name, {"volume": place, **overrides}, whole.parent)
+    try:
+        document = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise SceneError(f"Cannot read the scene {path}: {error.strerror}.") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise SceneError(f"The scene {path} is not valid TOML: {error}.") from error
+    return SceneSource(path.stem, {**document, **overrides}, path.parent)
+
+
+def is_zarr(path: Path) -> bool:
+    """Whether a volume at ``path`` is read as Zarr: a folder, or a path inside one that ends in .zarr."""
+    return path.is_dir() or (not path.is_file() and any(each.suffix == ".zarr" for each in (path, *path.parents)))
+
+
+def name_of(path: Path) -> str:
+    """Display name of the volume at ``path``: the file's name, and the part that is chosen of a Zarr hierarchy."""
+    whole = next((each for each in path.parents if each.suffix == ".zarr"), path)
+    return "-".join([whole.stem, *path.relative_to(whole).parts])
+
+
+Word = TypeVar("Word", str, int)
+Fallback = TypeVar("Fallback", bool, None)
+
+FORMER: Mapping[str, str] = {
+    "sharpen": "it is called projected now, and the plan decides it. Leave the key out, or set projected = false.",
+    "adaptive": "the adaptive lattice is gone, as it saved too little. Leave the key out: baked light stays good.",
+}
+"""Former keys of scenes, each with the end of the sentence that refuses it: what to do now."""
+
+
+class Settings:
+    """Reads and checks the settings of a scene's document. Methods raise SceneError, which names the setting."""
+
+    def __init__(self, source: SceneSource) -> None:
+        """Begin reading ``source``."""
+        self.source = source
+        self.known: set[str] = set()
+
+    def _get(self, key: str) -> Any:
+        self.known.add(key)
+        return self.source.document.get(key)
+
+    def _wrong(self, key: str, wanted: str) -> SceneError:
+        given = self.source.document.get(key)
+        return SceneError(f"{key} = {given!r} in the scene '{self.source.name}' is not {wanted}.")
+
+    def text(self, key: str, fallback: str) -> str:
+        """A string."""
+        value = self._get(key)
+        if value is None:
+            return fallback
+        if not isinstance(value, str):
+            raise self._wrong(key, "a string")
+        return value
+
+    def choice(self, key: str, among: Sequence[Word]) -> Word | None:
+        """One of some words or numbers, or None where the scene leaves it to the plan."""
+        value = self._get(key)
+        if value is None:
+            return None
+        if value not in among:
+            raise self._wrong(key, f"one of {', '.join(map(str, among))}")
+        return among[among.index(value)]
+
+    def flag(self, key: str, fallback: Fallback) -> bool | Fallback:
+        """True or false."""
+        value = self._get(key)
+        if value is None:
+            return fallback
+        if not isinstance(value, bool):
+            raise self._wrong(key, "true or false")
+        return value
+
+    def number(self, key: str, fallback: float, low: float, high: float) -> float:
+        """A number in [low, high]."""
+        value = self._get(key)
+        if value is None:
+            return float(fallback)
+        if not is_number(value) or not low <= value <= high:
+            raise self._wrong(key, f"a number from {low:g} to {high:g}")
+        return float(value)
+
+    def count(self, key: str, high: int, low: int = 0) -> int | None:
+        """A whole number in [low, high], or None where the scene leaves it to the plan."""
+        value = self._get(key)
+        if value is None:
+            return None
+        if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
+            raise self._wrong(key, f"a whole number from {low} to {high}")
+        return value
+
+    def numbers(self, key: str, length: int) -> tuple[float, ...] | None:
+        """A list of ``length`` finite numbers, or None."""
+        value = self._get(key)
+        if value is None:
+            return None
+        if not isinstance(value, list | tuple) or len(value) != length or not all(map(is_number, value)):
+            raise self._wrong(key, f"a list of {length} numbers")
+        return tuple(float(v) for v in value)
+
+    def listed(self, key: str) -> tuple[float, ...]:
+        """A number or a list of numbers, as written (integers stay integers); empty where it is left out."""
+        value = self._get(key)
+        given = [] if value is None else value if isinstance(value, list) else [value]
+        if not all(map(is_number, given)):
+            raise self._wrong(key, "a number, or a list of numbers")
+        return tuple(given)
+
+    def interval(self, key: str, within: tuple[float, float], fallback: tuple[float, float]) -> tuple[float, float]:
+        """Two ascending numbers inside ``within``."""
+        value = self.numbers(key, 2) or fallback
+        if not within[0] <= value[0] <= value[1] <= within[1]:
+            raise self._wrong(key, f"two ascending numbers from {within[0]:g} to {within[1]:g}, the volume's range")
+        return value[0], value[1]
+
+    def span(self, key: str, low: float, high: float) -> tuple[float, float] | None:
+        """Two numbers in [low, high], the second above the first, or None."""
+        value = self.numbers(key, 2)
+        if value is not None and not low <= value[0] < value[1] <= high:
+            raise self._wrong(key, f"two ascending numbers from {low:g} to {high:g}")
+        return None if value is None else (value[0], value[1])
+
+    def colour(self, key: str, fallback: float) -> tuple[float, float, float]:
+        """A number or [r, g, b], each in [0, 1]."""
+        value = self._get(key)
+        if value is None:
+            value = fallback
+        listed = [value] * 3 if is_number(value) else value
+        if not isinstance(listed, list) or len(listed) != 3 or not all(is_number(v) and 0 <= v <= 1 for v in listed):
+            raise self._wrong(key, "a number from 0 to 1, or three of them")
+        r, g, b = (float(v) for v in listed)
+        return r, g, b
+
+    def lights(self) -> list[Mapping[str, Any]]:
+        """The [[lights]] tables; a sky with a sun where the scene has none."""
+        return self.tables("lights") or [{"type": "sky"}]
+
+    def tables(self, key: str, most: int | None = None) -> list[Mapping[str, Any]]:
+        """The tables of a list, ``most`` at most; none where it is left out."""
+        value = self._get(key)
+        if value is None:
+            return []
+        if not isinstance(value, list) or not value or not all(isinstance(entry, Mapping) for entry in value):
+            raise self._wrong(key, f"a list of [[{key}]] tables")
+        if most is not None and len(value) > most:
+            raise self._wrong(key, f"a list of at most {most} [[{key}]] tables")
+        return value
+
+    def refuse_unknown(self) -> None:
+        """Raise SceneError for settings that nothing has read, such as a typing error. Former ones say what to do."""
+        unknown = sorted(set(self.source.document) - self.known)
+        for key in unknown:
+            if key in FORMER:
+                raise SceneError(f"The scene '{self.source.name}' sets {key}: {FORMER[key]}")
+        if unknown:
+            known = ", ".join(sorted(self.known))
+            raise SceneError(f"The scene '{self.source.name}' sets {', '.join(unknown)}, unknown here; known: {known}.")
+
+
+def is_number(value: Any) -> bool:
+    """Whether ``value`` is a finite real number (and not a bool) that floats hold."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max

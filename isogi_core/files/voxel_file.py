@@ -1,0 +1,193 @@
+"""Files of normalised voxels, which are mapped into memory, and a bound of their resident pages."""
+
+import json
+import math
+import mmap
+import os
+import sys
+import threading
+import time
+import weakref
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO, Any
+
+import google_crc32c
+import numpy as np
+
+from isogi_core.errors import VolumeError
+from isogi_core.storage.atomic_file import PARTIAL, sync_folder
+
+BUDGET = 2048
+"""Most megabytes of mapped voxels in memory, unless ``ISOGI_VOLUME_MB`` says otherwise."""
+
+OWN = 1 / 8
+"""Share of the budget up to which a volume's voxels are in each process's own memory, and not mapped."""
+
+PERIOD = 0.02
+"""Seconds between two checks of resident memory."""
+
+STRIDE = 16 << 20
+"""Bytes that are released together."""
+
+LEFT = 0.9
+"""Share of the budget down to which pages are released once it is exceeded."""
+
+STATUS = Path("/proc/self/statm")
+
+
+def budget() -> int:
+    """Most bytes of voxels in memory; VolumeError where the environment variable is no such number."""
+    given = os.environ.get("ISOGI_VOLUME_MB") or str(BUDGET)
+    if not given.isdecimal() or not int(given):
+        raise VolumeError(f"ISOGI_VOLUME_MB is '{given}': give a whole number of megabytes, from 1 on.")
+    return int(given) << 20
+
+
+def file_bytes() -> int:
+    """Bytes of files in this process's memory; 0 where the system does not report them."""
+    try:
+        return int(STATUS.read_text().split()[2]) * mmap.PAGESIZE
+    except OSError:
+        return 0
+
+
+class Resident:
+    """The mappings of this process, with a thread that bounds their resident pages."""
+
+    def __init__(self) -> None:
+        """Begin without mappings, and without the thread."""
+        self._mappings: weakref.WeakSet[mmap.mmap] = weakref.WeakSet()
+        self._lock = threading.Lock()
+        self._thread: threading.Thread | None = None
+        self._hand = 0
+        self._others = 0
+
+    def watch(self, mapping: mmap.mmap) -> None:
+        """Add a mapping, for as long as it lives."""
+        most = budget()
+        with self._lock:
+            self._mappings.add(mapping)
+            if self._thread is None and STATUS.exists():
+                self._others = file_bytes()  # code of libraries
+                self._thread = threading.Thread(target=self._watch, args=[most], name="resident", daemon=True)
+                self._thread.start()
+
+    def release(self, most: int) -> None:
+        """Release pages, round and round the mappings, until they hold at most ``most`` bytes."""
+        with self._lock:
+            mappings = list(self._mappings)
+        strides = [(each, at) for each in mappings for at in range(0, len(each), STRIDE)]
+        for _ in strides:
+            if file_bytes() - self._others <= most:
+                return
+            self._hand = (self._hand + 1) % len(strides)
+            mapping, at = strides[self._hand]
+            mapping.madvise(mmap.MADV_DONTNEED, at, min(STRIDE, len(mapping) - at))
+
+    def _watch(self, most: int) -> None:
+        while True:
+            time.sleep(PERIOD)
+            if file_bytes() - self._others > most:
+                self.release(int(LEFT * most))
+
+
+RESIDENT = Resident()
+"""The mappings of this process."""
+
+
+HEADER = 16384
+"""Bytes before the voxels, whole pages for their alignment."""
+
+FORMAT = f"isogi voxels 1 {sys.byteorder}"
+
+NO_RESERVE = getattr(mmap, "MAP_NORESERVE", 0x4000 if sys.platform == "linux" else 0)
+"""Flag against reserving memory: a private mapping takes none unless it is written to, which nothing does."""
+
+Shape = tuple[int, ...]
+
+
+@contextmanager
+def new_voxels(path: Path) -> Iterator["Draft"]:
+    """Write the file ``path`` by a draft; after the block the file is whole, and safe from a loss of power.
+
+    The draft's name ends in ``.partial``; it is deleted where the block fails.
+    """
+    partial = path.with_suffix(PARTIAL)
+    try:
+        with open(partial, "wb") as file:
+            file.seek(HEADER)
+            yield Draft(file)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(partial, path)
+        sync_folder(path.parent)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+class Draft:
+    """A file of voxels that is being written, plane by plane; ``seal`` makes it valid."""
+
+    def __init__(self, file: IO[bytes]) -> None:
+        """Write to ``file``, which is at the byte after the header."""
+        self._file = file
+
+    def write(self, plane: np.ndarray) -> None:
+        """Add one plane of voxels (ny, nx), float32."""
+        self._file.write(plane.data)
+
+    def voxels(self, shape: Shape) -> np.ndarray:
+        """Map the voxels that were written."""
+        self._file.flush()
+        with open(self._file.name, "rb") as file:
+            return _map(file).reshape(shape)
+
+    def seal(self, shape: Shape, facts: dict[str, Any]) -> None:
+        """Write the header: the ``shape`` (z, y, x) and the other facts of the volume."""
+        body = json.dumps({"shape": shape, "facts": facts})
+        head = json.dumps({"format": FORMAT, "crc32c": google_crc32c.value(body.encode()), "body": body})
+        self._file.seek(0)
+        self._file.write(head.encode().ljust(HEADER))
+
+
+def read_voxels(path: Path) -> tuple[np.ndarray, dict[str, Any]] | None:
+    """Map the voxels of a file, and read its facts; None where it is missing or damaged.
+
+    Damage of the header and a wrong size are detected. Do not write to the array: that would take memory of this
+    process.
+    """
+    try:
+        with open(path, "rb") as file:
+            found = _read_header(file.read(HEADER))
+            if found is None or os.fstat(file.fileno()).st_size != HEADER + 4 * math.prod(found[0]):
+                return None
+            return _map(file).reshape(found[0]), found[1]
+    except FileNotFoundError:
+        return None
+
+
+def _map(file: IO[bytes]) -> np.ndarray:
+    """Map all voxels in a file; float32."""
+    flags, access = mmap.MAP_PRIVATE | NO_RESERVE, mmap.PROT_READ | mmap.PROT_WRITE
+    mapping = mmap.mmap(file.fileno(), 0, flags=flags, prot=access)
+    RESIDENT.watch(mapping)
+    return np.frombuffer(mapping, np.float32, offset=HEADER)
+
+
+def _read_header(header: bytes) -> tuple[Shape, dict[str, Any]] | None:
+    try:
+        head = json.loads(header)
+        body = head["body"]
+        if head["format"] != FORMAT or head["crc32c"] != google_crc32c.value(body.encode()):
+            return None
+        content = json.loads(body)
+        return tuple(content["shape"]), {key: _tuples(value) for key, value in content["facts"].items()}
+    except (ValueError, KeyError, TypeError, AttributeError):
+        return None
+
+
+def _tuples(value: Any) -> Any:
+    """JSON lists as tuples."""
+    return tuple(value) if isinstance(value, list) else value

@@ -1,0 +1,86 @@
+"""The entry kernels that frames of a scene call, so that they are ready before the first."""
+
+from collections.abc import Iterable
+from typing import Any
+
+from isogi_core.frame.view_texels import carries_irradiance_ratios
+from isogi_core.kernels.shading.chunks import (
+    add_footprints,
+    find_corners,
+    find_places,
+    find_rows,
+    mark_texels,
+    touch_chunks,
+    weigh_chunks,
+)
+from isogi_core.kernels.shading.framebuffer import develop_rows, fill_curve, tally
+from isogi_core.kernels.shading.irradiance_ratio import carry_ratios, find_ratios
+from isogi_core.kernels.shading.lattice import carry_light, light_texels
+from isogi_core.kernels.shading.lobes import add_lobes, light_lobes
+from isogi_core.kernels.shading.local_models import find_normals
+from isogi_core.kernels.shading.texel_normals import fill_texel_normals
+from isogi_core.kernels.shading.texel_table import add_part, judge_rows, unpack_texels
+from isogi_core.kernels.tracing.active_cells import fill_ranges, mark_bricks, pack_bricks
+from isogi_core.kernels.tracing.camera import trace_pixels
+from isogi_core.kernels.tracing.macrocells import fill_macrocells
+from isogi_core.kernels.tracing.stiffness import count_stiffness
+from isogi_core.kernels.transport.harmonics import rotate
+from isogi_core.kernels.transport.lights import project_lamps
+from isogi_core.kernels.transport.texel_points import measure_distances
+from isogi_core.plan.left_out import uncalled
+from isogi_core.plan.scene import Scene
+
+FRAME = (
+    light_lobes,
+    trace_pixels,
+    mark_bricks,
+    fill_texel_normals,
+    carry_light,
+    carry_ratios,
+    rotate,
+    fill_ranges,
+    find_normals,
+    mark_texels,
+    light_texels,
+    find_rows,
+    project_lamps,
+    develop_rows,
+    touch_chunks,
+    pack_bricks,
+    fill_macrocells,
+    find_corners,
+    add_footprints,
+    count_stiffness,
+    measure_distances,
+    weigh_chunks,
+    fill_curve,
+    add_part,
+    judge_rows,
+    unpack_texels,
+    find_places,
+    find_ratios,
+    tally,
+    add_lobes,
+)
+"""All of them, those that take longest to compile first."""
+
+SHARING = {fill_texel_normals, find_ratios, carry_ratios}
+"""Those of them that carry irradiance ratios, in place of ``carry_light``."""
+
+
+def frame_kernels(scenes: Iterable[Scene]) -> tuple[Any, ...]:
+    """Those that frames of any of the ``scenes`` call, in the order of FRAME."""
+    uncalled = set.intersection({*FRAME}, *map(uncalled_by, scenes))
+    return tuple(kernel for kernel in FRAME if kernel not in uncalled)
+
+
+def uncalled_by(scene: Scene) -> set[Any]:
+    """Those that frames of a ``scene`` never call."""
+    names = {*uncalled(scene.rotating, scene.environment, scene.lamps, scene.plan.lobes)}
+    never = {kernel for kernel in FRAME if kernel.__name__ in names}
+    never |= set() if scene.projected is None else {count_stiffness}
+    projects = scene.projection.any
+    never |= set() if projects else {measure_distances}
+    if carries_irradiance_ratios(scene, "gi", False):
+        return never | {carry_light}
+    return never if projects else never | SHARING

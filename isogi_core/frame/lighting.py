@@ -1,0 +1,254 @@
+"""The light around a view: the rotated environment, as coefficients, as a picture, and as one key light."""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from isogi_core.bake.bake_spec import BakeSpec, band_of
+from isogi_core.kernels.shading.irradiance_ratio import LEAST, Unshadowed
+from isogi_core.kernels.shading.lattice import Sky
+from isogi_core.kernels.shading.local_models import LocalModel
+from isogi_core.kernels.transport.harmonics import cosine_lobe_factors, rotate
+from isogi_core.kernels.transport.light_paths import Surroundings
+from isogi_core.kernels.transport.lights import DIRECTIONAL, LampArrays
+from isogi_core.model.scene_plan import Layer
+from isogi_core.model.sky import LUMINANCE
+from isogi_core.model.view import Camera, View, rotation_matrix
+from isogi_core.plan.albedos import mixing_weights
+
+MOST = 100.0
+"""How much the mean square of paths may fall at most: where next to nothing arrives unreflected."""
+
+
+def scatter_at(weights: np.ndarray, scatter: np.ndarray, reflected: np.ndarray, kept: np.ndarray) -> np.ndarray:
+    """The ``scatter`` (m,) of texels, rescaled from the albedo of its estimate to another; float32, as all of these.
+
+    ``weights`` (terms, 4) are those of ``weights_between``; ``reflected`` (m,) is the share of the variance that is
+    reflected light's, ``kept`` (m, terms) band 0 of each term. What scatter is divided by, the deviation of single
+    paths, falls with the albedo too.
+    """
+    now, then, paths_now, paths_then = np.maximum(kept @ weights, np.float32(1e-30)).T
+    variance = 1.0 - reflected * (1.0 - np.minimum(now / then, 1.0))
+    return np.asarray(scatter * np.sqrt(variance * np.clip(paths_then / paths_now, 1.0, MOST)), np.float32)
+
+
+def weights_between(seen: BakeSpec, judged: BakeSpec) -> np.ndarray:
+    """What ``scatter_at`` weighs terms with: squares of reflected paths, and of all, at two albedos; (terms, 4)."""
+    squares = [reflected_weights(seen), reflected_weights(judged), all_weights(seen), all_weights(judged)]
+    return np.ascontiguousarray(np.array(squares).T, np.float32)
+
+
+def reflected_weights(spec: BakeSpec) -> np.ndarray:
+    """Of band 0 of each term, in the mean square of what reflected paths bring but for their light; (terms,) float64.
+
+    A path that left after k bounces brings R^k, and its square is light of the albedo R². Of colours R_c that luminance
+    mixes with w_c it is Σ w_c w_d (R_c R_d)^k.
+    """
+    mix, nodes = LUMINANCE * np.array(spec.albedo), spec.plan.nodes
+    mix = mix / max(float(mix.sum()), 1e-30)
+    pairs = [(c, d) for c in range(3) for d in range(3)]
+    products = [mixing_weights(spec.albedo[c] * spec.albedo[d], nodes, spec.plan.bounces) for c, d in pairs]
+    return np.array([0.0, *np.array([mix[c] * mix[d] for c, d in pairs]) @ products])
+
+
+def all_weights(spec: BakeSpec) -> np.ndarray:
+    """The same of all paths, over turns of the light that they meet, but for the surface itself; (terms,) float64."""
+    squares = np.array([term.square[0] for term in spec.terms])
+    return np.asarray(squares / max(float(LUMINANCE @ spec.albedo) ** 2, 1e-30))
+
+
+KEY_SHARE = 0.1
+"""An environment whose first band carries less than this share of its mean has no key light of its own."""
+
+SHINE, EXPONENT = 0.3, 32.0
+"""Phong's highlight: strength and exponent."""
+
+
+@dataclass(frozen=True, eq=False)
+class RotatedLight:
+    """The lights of a ``spec``, rotated for one view and reflected by the albedo that it asks for."""
+
+    spec: BakeSpec
+    view: View
+
+    @cached_property
+    def seen(self) -> BakeSpec:
+        """The spec with the view's albedo. ViewError where its light is not of that."""
+        return self.spec.of_albedo(self.spec.prepared.scene.albedo_for(self.view.albedo))
+
+    @cached_property
+    def matrix(self) -> np.ndarray:
+        """The light's rotation, (3, 3) float64."""
+        return rotation_matrix(self.view.light)
+
+    @cached_property
+    def light(self) -> np.ndarray:
+        """What texels' columns are multiplied by: the rotated light of each term in turn; (3, Σ n²) linear RGB."""
+        return np.concatenate([rotated_by(term.light, self.matrix) for term in self.seen.terms], axis=1)
+
+    def light_of(self, layer: Layer) -> np.ndarray:
+        """What a ``layer``'s coefficients are multiplied by in all, rotated; (3, n²) float64 linear RGB."""
+        term = self.seen.term_of(layer)
+        return rotated_by(self.spec.light[:, : term.order**2] if layer.nodes else term.light, self.matrix)
+
+    def colours_of(self, layer: Layer, light: np.ndarray) -> np.ndarray:
+        """Light (…, channels, n²) of a ``layer`` in the three colours that the surface gives it; (…, 3, n²)."""
+        if layer.nodes:
+            return np.asarray(np.einsum("...jn,cj->...cn", light, self.seen.mixing))
+        return np.broadcast_to(light, (*light.shape[:-2], 3, light.shape[-1]))
+
+    @cached_property
+    def around(self) -> np.ndarray:
+        """ℓ of the rotated lights as a surface without shadows has them; (3, n²) float64 linear RGB."""
+        return rotated_by(self.spec.prepared.around, self.matrix)
+
+    @property
+    def albedo(self) -> np.ndarray:
+        """The albedo of the surface, (3,)."""
+        return np.array(self.seen.albedo)
+
+    @property
+    def tint(self) -> np.ndarray:
+        """How much more a surface of the view's albedo reflects than one of the spec's own, (3,)."""
+        return self.albedo / np.maximum(self.spec.albedo, 1e-30) if self.seen is not self.spec else np.ones(3)
+
+    @cached_property
+    def reflected(self) -> np.ndarray:
+        """``light`` times the albedo: τ·ℓ is the radiance that leaves the surface; (3, Σ n²) float64."""
+        return self.albedo[:, None] * self.light
+
+    @cached_property
+    def square(self) -> np.ndarray:
+        """The square of the luminance that ``reflected`` brings, in the spec's ``unit``; (Σ n²,) float64."""
+        return np.concatenate([rotated_by(term.square[None], self.matrix)[0] for term in self.seen.terms])
+
+    @property
+    def in_units(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """``reflected`` and ``square`` in the spec's ``unit``, and where terms begin: as for ``light_texels``."""
+        light = np.ascontiguousarray(self.reflected / self.spec.unit, np.float32)
+        return light, np.ascontiguousarray(self.square, np.float32), self.spec.firsts.astype(np.int32)
+
+    @cached_property
+    def lobes(self) -> LampArrays:
+        """The spec's lobes as rotated lamps; what they give is multiplied by its albedo, in its ``unit``."""
+        lobes = self.spec.lobes
+        discs = [disc(np.array(lobe.towards), lobe.cosine) for lobe in lobes]
+        towards = np.array([lobe.towards for lobe in lobes]).reshape(-1, 3) @ self.matrix.T
+        edges = np.array(discs).reshape(-1, 2, 3) @ self.matrix.T
+        shine = np.array([lobe.irradiance for lobe in lobes]).reshape(-1, 3) * self.spec.albedo
+        shine /= math.pi * self.spec.unit
+        return LampArrays(np.full(len(lobes), DIRECTIONAL, np.int8), towards, edges, shine)
+
+    @cached_property
+    def sky(self) -> Sky:
+        """Unshadowed light without lobes, in the spec's ``unit``: it replaces what is not baked."""
+        around = rotated_by(self.spec.beside, self.matrix)
+        order = math.isqrt(around.shape[1])
+        lobe = cosine_lobe_factors(order)[band_of(order)] / math.pi
+        return Sky(order, lobe, self.albedo[:, None] * around / self.spec.unit)
+
+    @cached_property
+    def unshadowed(self) -> Unshadowed:
+        """The same by the normal, in single floats; what irradiance ratios of texels are ratios to.
+
+        Of lobes, whose light texels have from other surfaces alone, it holds the mean, as if from all sides. A colour
+        of lamps that the middle of the volume sees nothing of counts as the brightest one there.
+        """
+        shining = self.spec.prepared.scene.lamps.arrays.colours.any(axis=0) & (self.mean == 0.0)
+        mean = self.albedo * np.where(shining, self.mean.max() or 1.0, self.mean) / self.spec.unit
+        lobes = (self.around - rotated_by(self.spec.beside, self.matrix))[:, 0] / math.sqrt(4.0 * math.pi)
+        reflected = np.maximum(self.albedo * lobes / self.spec.unit, 0.0)
+        quadric = quadric_of(self.sky.lobe * self.sky.light)
+        return Unshadowed(*(np.ascontiguousarray(each, np.float32) for each in (quadric, LEAST * mean, reflected)))
+
+    @cached_property
+    def surroundings(self) -> Surroundings:
+        """All light as it is, for the path tracer."""
+        return self.spec.prepared.surroundings(self.matrix)
+
+    @property
+    def mean(self) -> np.ndarray:
+        """Mean radiance of the environment, (3,) linear RGB."""
+        return self.around[:, 0] / math.sqrt(4.0 * math.pi)
+
+    def local_model(self, shading: str, depths: tuple[float, float]) -> LocalModel:
+        """The constants of a local model under this environment: one key light and an ambient rest."""
+        key, sun, ambient = self.key_light()
+        near, far = depths if shading.endswith("fog") else (0.0, 0.0)
+        return LocalModel(
+            key=key,
+            sun=triple(self.albedo * sun),
+            ambient=triple(self.albedo * ambient),
+            shine=SHINE if shading.startswith("phong") else 0.0,
+            exponent=EXPONENT,
+            shadow=shading.endswith("shadow"),
+            fog_near=near,
+            fog_far=far,
+        )
+
+    def key_light(self) -> tuple[tuple[float, float, float], np.ndarray, np.ndarray]:
+        """Direction towards the key light, its irradiance over π, and the ambient radiance; both (3,) linear RGB.
+
+        The strongest lamp as the middle of the volume sees it, and all else as ambient light. Without one,
+        the directional light and constant with the same bands 0 and 1 as the environment: D·Y_1 = ℓ_1,
+        at most what band 0 holds. Without a direction of its own, a light over the camera's shoulder
+        carries six tenths of the mean.
+        """
+        scene = self.spec.prepared.scene
+        directions, irradiances = scene.lamps.seen_from(scene.volume.centre)
+        strengths = irradiances @ LUMINANCE
+        if strengths.any():
+            best = int(strengths.argmax())
+            rest = (irradiances.sum(axis=0) - irradiances[best]) / (4.0 * math.pi)
+            return triple(directions[best]), irradiances[best] / math.pi, scene.environment.mean() + rest
+        first = np.array([self.around[:, i] if i < self.around.shape[1] else np.zeros(3) for i in (3, 1, 2)])
+        pull = first @ LUMINANCE
+        strength = float(np.linalg.norm(pull)) * math.sqrt(4.0 * math.pi / 3.0)
+        mean = float(self.mean @ LUMINANCE)
+        if strength <= KEY_SHARE * 4.0 * math.pi * mean:
+            return shoulder_light(self.view.camera), 0.6 * self.mean, 0.4 * self.mean
+        share = min(strength / (4.0 * math.pi * mean), 0.9)
+        towards = pull / np.linalg.norm(pull)
+        return triple(towards), 4.0 * share * self.mean, (1.0 - share) * self.mean
+
+
+def rotated_by(light: np.ndarray, matrix: np.ndarray) -> np.ndarray:
+    """Coefficients (…, n²) of lights rotated by ``matrix`` (3, 3), always from the unrotated ones."""
+    if light.shape[1] == 1 or np.array_equal(matrix, np.eye(3)):
+        return light
+    rotated = np.empty_like(light)
+    rotate(math.isqrt(light.shape[1]), matrix, light, rotated)
+    return rotated
+
+
+def quadric_of(light: np.ndarray) -> np.ndarray:
+    """Harmonics (3, n²) of order 3 at most as polynomials of the unit vector: over 1, y, z, x, xy, yz, z², xz, x² - y².
+
+    Returns (3, 9) float64. Source: Ramamoorthi and Hanrahan 2001, eq. 13.
+    """
+    quadric = np.zeros((3, 9))
+    quadric[:, : light.shape[1]] = light
+    quadric[:, 0] -= math.sqrt(5.0 / 4.0) * quadric[:, 6]
+    return quadric * np.sqrt(np.array([1.0, 3.0, 3.0, 3.0, 15.0, 15.0, 45.0 / 4.0, 15.0, 15.0 / 4.0]) / (4.0 * math.pi))
+
+
+def disc(towards: np.ndarray, cosine: float) -> np.ndarray:
+    """Two radii (2, 3) of the disc about the unit direction ``towards`` (3,) whose half angle has the ``cosine``."""
+    aside = np.cross(towards, np.eye(3)[np.abs(towards).argmin()])
+    east = aside / np.linalg.norm(aside)
+    return math.sqrt(1.0 - cosine**2) * np.array([east, np.cross(towards, east)])
+
+
+def shoulder_light(camera: Camera) -> tuple[float, float, float]:
+    """Unit direction towards a light above and to the left of the viewer."""
+    right, up, forward = camera.basis()
+    towards = -forward + 0.5 * up - 0.4 * right
+    return triple(towards / np.linalg.norm(towards))
+
+
+def triple(v: np.ndarray) -> tuple[float, float, float]:
+    """Three floats, as the kernels take vectors."""
+    x, y, z = (float(a) for a in v)
+    return x, y, z

@@ -1,0 +1,141 @@
+"""Rays from the pixels' own points: direct light of lobes, and whole paths, with what is known of their noise."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from isogi_core.bake.bake_spec import path_weights
+from isogi_core.frame.gbuffer import GBuffer
+from isogi_core.frame.lighting import RotatedLight
+from isogi_core.frame.tiles import Tiles
+from isogi_core.kernels.shading.framebuffer import PixelPoints
+from isogi_core.kernels.shading.lattice import DARKEST
+from isogi_core.kernels.shading.lobes import light_lobes
+from isogi_core.kernels.shading.local_models import trace_points
+from isogi_core.kernels.transport.paths import PathRules, SampleRange
+from isogi_core.model.sky import LUMINANCE
+
+LOBE_POINTS = 1024
+"""Surface points of a tile."""
+
+
+@dataclass(frozen=True, eq=False)
+class LobeLight:
+    """Light of lobes at a view's surface points: ``lit`` (m, 4) float32, in ``BakeSpec.unit``, see ``light_lobes``.
+
+    It leaves a surface of the bake spec's own albedo.
+    """
+
+    lit: np.ndarray
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that it takes."""
+        return self.lit.nbytes
+
+    def tinted(self, tint: np.ndarray) -> "LobeLight":
+        """The same from a surface that reflects ``tint`` (3,) times as much of each colour."""
+        if (tint == 1.0).all():
+            return self
+        if (tint == tint[0]).all():
+            return LobeLight(self.lit * np.array([*tint, tint[0] ** 2], np.float32))
+        colours = (self.lit[:, :3] * tint).astype(np.float32)
+        grown = (colours @ LUMINANCE) / np.maximum(self.lit[:, :3] @ LUMINANCE, DARKEST)
+        return LobeLight(np.column_stack([colours, self.lit[:, 3] * grown**2]).astype(np.float32))
+
+
+def find_lobes(light: RotatedLight, gbuffer: GBuffer, tiles: Tiles) -> LobeLight:
+    """Cast the shadow rays towards the lobes of a ``light``. Raises Cancelled."""
+    points, pixels, normals = gbuffer.points, gbuffer.pixels, gbuffer.normals(tiles)
+    traced, lit = gbuffer.surface.traced(tiles.run), np.empty((len(points), 4), np.float32)
+
+    def _piece(a: int, b: int) -> None:
+        light_lobes(traced, PixelPoints(points[a:b], normals[a:b], pixels[a:b]), light.lobes, lit[a:b])
+
+    tiles.run(_piece, len(points), LOBE_POINTS)
+    return LobeLight(lit)
+
+
+PATH_POINTS = 256
+"""Surface points of a tile when each of them sends paths."""
+
+NEAR = np.array([1.0, 4.0, 6.0, 4.0, 1.0])
+"""What neighbours count along an axis, where variances are pooled."""
+
+
+@dataclass(frozen=True, eq=False)
+class Paths:
+    """Paths from the surface points of ``gbuffer`` under a ``light``, on the threads of ``tiles``."""
+
+    light: RotatedLight
+    gbuffer: GBuffer
+    tiles: Tiles
+
+    @cached_property
+    def weights(self) -> np.ndarray:
+        """R^(k + 1) after k = 0 … bounces, over the chance to get there; (bounces + 1, 3) float64."""
+        plan = self.light.spec.prepared.scene.plan
+        return path_weights(self.light.albedo, plan.bounces, plan.survival, leaving=1)
+
+    def add(
+        self,
+        sums: np.ndarray,
+        stream: int,
+        first: int,
+        count: int,
+        progress: Callable[[int], object] | None = None,
+    ) -> None:
+        """Add samples first … first + count of each replica to ``sums`` (points, replicas, 3) float64, in place.
+
+        Replicas are the randomisations from number ``stream`` on; ``progress`` is called with the number of paths
+        that each piece traced. Raises Cancelled.
+        """
+        buffer, survival = self.gbuffer, self.light.spec.prepared.scene.plan.survival
+        points, pixels, normals = buffer.points, buffer.pixels, buffer.normals(self.tiles)
+        traced, around = buffer.surface.traced(self.tiles.run), self.light.surroundings
+        rules, samples = PathRules(self.weights, survival), SampleRange(first, count)
+
+        def _piece(a: int, b: int) -> None:
+            some = PixelPoints(points[a:b], normals[a:b], pixels[a:b])
+            trace_points(traced, some, around, rules, stream, samples, sums[a:b])
+            if progress is not None:
+                progress((b - a) * sums.shape[1] * count)
+
+        self.tiles.run(_piece, len(sums), PATH_POINTS)
+
+    def prepare(self) -> None:
+        """Do what comes before the first paths, by tracing one: find normals, map the surface, compile."""
+        self.add(np.zeros((min(len(self.gbuffer.points), 1), 1, 3)), 0, 0, 1)
+
+
+def variance_of_mean(means: np.ndarray) -> np.ndarray:
+    """Variance of the luminance of the mean over independent replicas ``means`` (m, replicas, 3); (m,) float64."""
+    return np.asarray((means @ LUMINANCE).var(axis=1, ddof=1) / means.shape[1])
+
+
+def replicas_for(samples: int) -> int:
+    """How many replicas a frame of ``samples`` paths per pixel is made of.
+
+    More of them estimate the error better, and make it larger, since each is a shorter sequence: at 256 paths eight
+    have 1.1 times the error of four (engine under uffizi and grace, CT head under noon_grass).
+    """
+    return 2 if samples < 8 else 4 if samples < 256 else 8
+
+
+def pooled_variance(variance: np.ndarray, gbuffer: GBuffer) -> np.ndarray:
+    """Variances (m,) of the surface pixels, each a mean with its neighbours', by the weights NEAR both ways.
+
+    A few replicas say too little of one pixel alone: of four, 1.96 standard deviations would hold 86 % of Gaussian
+    errors, and none where all replicas met the same by chance. With these they held 91 to 96 % of the pixels
+    of frames of 8 to 256 paths (engine under uffizi and grace, CT head under noon_grass, MNI under constant light).
+    """
+    both = np.zeros((2, *gbuffer.shape))
+    both.reshape(2, -1)[:, gbuffer.pixels] = variance, np.ones_like(variance)
+    for axis in (1, 2):
+        padded = np.pad(both, [(2 * int(a == axis),) * 2 for a in range(3)])
+        windows = np.lib.stride_tricks.sliding_window_view(padded, len(NEAR), axis)
+        both = windows @ NEAR
+    total, weight = both.reshape(2, -1)[:, gbuffer.pixels]
+    return np.asarray(total / weight)

@@ -1,0 +1,153 @@
+"""The light that leaves each surface point of a view, by the model that the view asks for: from data to data."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from isogi_core.bake.bake_spec import BakeSpec
+from isogi_core.bake.noise import DARKEST
+from isogi_core.cache.page_pool import PagePool
+from isogi_core.frame.gbuffer import POINTS, GBuffer
+from isogi_core.frame.lighting import RotatedLight, scatter_at, weights_between
+from isogi_core.frame.pixel_rays import Paths, pooled_variance, replicas_for, variance_of_mean
+from isogi_core.frame.texel_reading import Reading
+from isogi_core.frame.tiles import Tiles
+from isogi_core.frame.view_texels import ViewTexels
+from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, Framebuffer, PixelPoints
+from isogi_core.kernels.shading.irradiance_ratio import RECORD, carry_ratios, find_ratios
+from isogi_core.kernels.shading.lattice import carry_light, light_texels
+from isogi_core.kernels.shading.local_models import find_shadows, shade_local
+from isogi_core.model.sky import LUMINANCE
+from isogi_core.model.view import View
+from isogi_core.model.volume import Volume
+
+
+def empty_framebuffer(gbuffer: GBuffer) -> Framebuffer:
+    """A framebuffer for a picture of which nothing is drawn yet."""
+    height, width = gbuffer.shape
+    pixels = height * width
+    return Framebuffer(np.zeros((pixels, 3), np.float32), np.zeros(pixels, np.uint8), np.zeros(pixels, np.float32))
+
+
+def shade_locally(gbuffer: GBuffer, normals: np.ndarray, light: RotatedLight, tiles: Tiles) -> Framebuffer:
+    """Lambert and Phong, with or without shadow and fog. Raises Cancelled."""
+    points, pixels, framebuffer = gbuffer.points, gbuffer.pixels, empty_framebuffer(gbuffer)
+    view, traced = light.view, gbuffer.surface.traced(tiles.run)
+    model = light.local_model(view.shading, fog_depths(view, light.spec.prepared.scene.volume))
+    camera, seen = (gbuffer.eye, gbuffer.spacing), np.empty(len(points), np.bool_)
+
+    def _piece(a: int, b: int) -> None:
+        some = PixelPoints(points[a:b], normals[a:b], pixels[a:b])
+        if model.shadow:
+            find_shadows(traced, some, model.key, seen[a:b])
+        shade_local(some, seen[a:b], *camera, model, framebuffer)
+
+    tiles.run(_piece, len(points), POINTS)
+    return framebuffer
+
+
+def fog_depths(view: View, volume: Volume) -> tuple[float, float]:
+    """World distances from the eye between which fog thickens: those of the volume's nearest and farthest points."""
+    middle = float(np.linalg.norm(np.subtract(view.camera.eye, volume.centre)))
+    return max(middle - volume.radius, 0.0), middle + volume.radius
+
+
+def shade_by_paths(gbuffer: GBuffer, light: RotatedLight, target: float, tiles: Tiles) -> Framebuffer:
+    """The path-traced reference, its error estimated from replicas; final at the ``target``. Raises Cancelled."""
+    pixels, samples, framebuffer = gbuffer.pixels, light.view.samples, empty_framebuffer(gbuffer)
+    replicas = replicas_for(samples)
+    count, sums = max(samples // replicas, 1), np.zeros((len(pixels), replicas, 3))
+    Paths(light, gbuffer, tiles).add(sums, 0, 0, count)
+    means = np.minimum(sums / count, np.finfo(np.float32).max)
+    radiance, deviation = means.mean(axis=1), np.sqrt(pooled_variance(variance_of_mean(means), gbuffer))
+    error = np.clip(deviation / np.maximum(radiance @ LUMINANCE, DARKEST * light.spec.unit), 0.0, 1.0)
+    framebuffer.radiance[pixels] = radiance
+    framebuffer.state[pixels] = np.where(error <= target, FINAL, CONVERGING)
+    framebuffer.error[pixels] = error
+    return framebuffer
+
+
+def light_sources(sources: Sequence[tuple[np.ndarray, PagePool]], light: RotatedLight, tiles: Tiles) -> np.ndarray:
+    """Linear RGB and standard error of each texel's light in ``BakeSpec.unit``, (texels, 4); undefined where unlit.
+
+    Each of the ``sources`` is rows (texels,) of a pool, of which those are read that are not negative.
+    Raises Cancelled.
+    """
+    lights, change, texels = light.in_units, albedo_change(light), len(sources[0][0])
+    lit = np.empty((texels, 4), np.float32)
+
+    def _piece(a: int, b: int) -> None:
+        for rows, pool in sources:
+            scatter = pool.scatter if change is None else changed_scatter(rows[a:b], pool, change, light.spec)
+            light_texels(rows[a:b], pool.transfer, scatter, *lights, lit[a:b])
+
+    tiles.run(_piece, texels, tiles.even(texels))
+    return lit
+
+
+def albedo_change(light: RotatedLight) -> np.ndarray | None:
+    """What rescales noise to the view's albedo, see ``weights_between``; None where noise was estimated at that."""
+    other = light.spec.plan.nodes and light.seen is not light.spec
+    return weights_between(light.seen, light.spec) if other else None
+
+
+def changed_scatter(rows: np.ndarray, pool: PagePool, change: np.ndarray, spec: BakeSpec) -> np.ndarray:
+    """The scatter of a pool's rows at another albedo; (all rows,) float32, undefined but for ``rows``."""
+    own, found = rows[rows >= 0], np.empty_like(pool.scatter)
+    kept = pool.transfer[own[:, None], 0, spec.firsts]
+    found[own] = scatter_at(change, pool.scatter[own], pool.reflected[own], kept)
+    return found
+
+
+def find_irradiance_ratios(
+    reading: Reading, lit: np.ndarray, normals: np.ndarray, light: RotatedLight, tiles: Tiles
+) -> np.ndarray:
+    """Texels' light over unshadowed light about their ``normals``, (texels, RECORD); see ``find_ratios``.
+
+    Raises Cancelled.
+    """
+    unshadowed, ratios = light.unshadowed, np.empty((len(lit), RECORD), np.float32)
+
+    def _piece(a: int, b: int) -> None:
+        find_ratios(reading.grade[a:b], lit[a:b], normals[a:b], unshadowed, ratios[a:b])
+
+    tiles.run(_piece, len(lit), tiles.even(len(lit)))
+    return ratios
+
+
+def carry_irradiance_ratios(
+    texels: ViewTexels, ratios: np.ndarray, normals: np.ndarray, light: RotatedLight, tiles: Tiles
+) -> Framebuffer:
+    """The picture of irradiance ratios between texels, times unshadowed light about the pixels' ``normals``.
+
+    Raises Cancelled.
+    """
+    gbuffer, lattice, corners = texels.gbuffer, texels.lattice, texels.corners
+    points, pixels, framebuffer = gbuffer.points, gbuffer.pixels, empty_framebuffer(gbuffer)
+    unshadowed, unit = light.unshadowed, np.float32(light.spec.unit)
+
+    def _piece(a: int, b: int) -> None:
+        some = PixelPoints(points[a:b], normals[a:b], pixels[a:b])
+        carry_ratios(lattice, some, corners[a:b], ratios, unshadowed, unit, framebuffer)
+
+    tiles.run(_piece, len(points), tiles.even(len(points)))
+    return framebuffer
+
+
+def carry_texel_light(
+    texels: ViewTexels, reading: Reading, lit: np.ndarray, normals: np.ndarray, light: RotatedLight, tiles: Tiles
+) -> Framebuffer:
+    """The picture of light between texels as it is. The sky about the pixels' ``normals`` replaces what is missing.
+
+    Normals are not read where the ``reading`` is whole. Raises Cancelled.
+    """
+    gbuffer, lattice, corners = texels.gbuffer, texels.lattice, texels.corners
+    points, pixels, framebuffer = gbuffer.points, gbuffer.pixels, empty_framebuffer(gbuffer)
+    sky, unit = light.sky, np.float32(light.spec.unit)
+
+    def _piece(a: int, b: int) -> None:
+        some = PixelPoints(points[a:b], normals[a:b], pixels[a:b])
+        carry_light(lattice, some, corners[a:b], reading.grade, lit, sky, unit, framebuffer)
+
+    tiles.run(_piece, len(points), tiles.even(len(points)))
+    return framebuffer

@@ -1,0 +1,210 @@
+"""The texels under a view: which chunks it touches, which texels it reads, and the normals they are lit about."""
+
+import math
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from isogi_core.bake.bake_spec import spec_name
+from isogi_core.bake.noise import Effort
+from isogi_core.frame.gbuffer import GBuffer
+from isogi_core.frame.tiles import Tiles
+from isogi_core.kernels.shading.chunks import (
+    add_footprints,
+    find_corners,
+    find_places,
+    mark_texels,
+    touch_chunks,
+    weigh_chunks,
+)
+from isogi_core.kernels.shading.framebuffer import Framebuffer
+from isogi_core.kernels.shading.lattice import Lattice
+from isogi_core.kernels.shading.texel_normals import fill_texel_normals
+from isogi_core.model.volume import Isovalue
+from isogi_core.plan.scene import Scene
+from isogi_core.prepared.prepared_scene import Index, PreparedScene
+
+LEAST_SEEN = 1 / 16
+"""Share of the mean footprint that every texel counts as at least."""
+
+
+@dataclass(frozen=True, eq=False)
+class Demand:
+    """What a view wants of one chunk: the texels at ``offsets``, whose light is to become final.
+
+    ``weight`` is the squared visible error of the pixels that read it (centre ones count more), ``effort`` what its
+    texels have taken and will, and ``footprints`` how much of each is seen, see ``ViewTexels.footprints``.
+    Where an isosurface is ``shown``, the texels are projected onto it.
+    """
+
+    index: Index
+    offsets: np.ndarray
+    weight: float
+    effort: Effort
+    footprints: np.ndarray
+    shown: Isovalue | None = None
+
+    def joined(self, other: "Demand") -> "Demand":
+        """What this and ``other`` want of the chunk; texels of both are taken to be as those of one."""
+        offsets = np.union1d(self.offsets, other.offsets)
+        each = len(offsets) / (len(self.offsets) + len(other.offsets))
+        sums = (each * (mine + theirs) for mine, theirs in zip(self.effort, other.effort, strict=True))
+        unlit, taken, left = sums
+        seen = most_seen(offsets, (self.offsets, self.footprints), (other.offsets, other.footprints))
+        effort = Effort(math.ceil(unlit), taken, left)
+        return Demand(self.index, offsets, self.weight + other.weight, effort, seen, self.shown)
+
+
+@dataclass(frozen=True, eq=False)
+class ViewTexels:
+    """The texels of a ``lattice`` that a G-buffer reads, numbered 0 … m - 1, chunk by chunk.
+
+    ``chunks`` lists the chunks touched; texel t is at ``places[t]`` = i · texels of a chunk + offset, those
+    of chunk i are ``bounds[i]`` … ``bounds[i + 1]``; ``corners`` (points, 8) numbers the texels around each point.
+    """
+
+    gbuffer: GBuffer
+    lattice: Lattice
+    chunks: tuple[Index, ...]
+    places: np.ndarray
+    bounds: np.ndarray
+    corners: np.ndarray
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that it takes, without its G-buffer; offsets and footprints are counted before they are found."""
+        return 3 * self.places.nbytes + self.bounds.nbytes + self.corners.nbytes
+
+    @property
+    def positions(self) -> np.ndarray:
+        """Lattice indices (m, 3; z, y, x) int32 of the texels."""
+        chunks = np.array(self.chunks, np.int32).reshape(-1, 3) * self.lattice.chunk
+        bits, side = self.lattice.bits, self.lattice.chunk - 1
+        inside = np.stack([self.places >> bits * axis & side for axis in (2, 1, 0)], axis=-1).astype(np.int32)
+        return chunks[self.places >> 3 * bits] + inside
+
+    @cached_property
+    def offsets(self) -> tuple[np.ndarray, ...]:
+        """Where in its chunk each texel is, chunk by chunk; (m,) int32 each."""
+        offsets = (self.places % self.lattice.texels).astype(np.int32)
+        return tuple(offsets[a:b] for a, b in pairwise(self.bounds.tolist()))
+
+    @cached_property
+    def footprints(self) -> tuple[np.ndarray, ...]:
+        """What each texel's variance counts in the sum of the pixels', chunk by chunk; (m,) float32 each.
+
+        It is the sum of the squares of a texel's weights in them, see ``add_footprints``. One that is hardly seen
+        counts as LEAST_SEEN of the mean, for it is to become final too.
+        """
+        seen = np.zeros(len(self.places))
+        add_footprints(self.lattice, self.gbuffer.points, self.corners, seen)
+        seen = np.maximum(seen, LEAST_SEEN * seen.mean()).astype(np.float32)
+        return tuple(seen[a:b] for a, b in pairwise(self.bounds.tolist()))
+
+    def weights(self, framebuffer: Framebuffer) -> np.ndarray:
+        """The squared visible error that the pixels of a picture have left in each chunk, see ``weigh_chunks``."""
+        weight = np.zeros(len(self.chunks))
+        height, width = self.gbuffer.shape
+        weigh_chunks(self.lattice, self.corners, self.places, self.gbuffer.pixels, width, height, framebuffer, weight)
+        return weight
+
+
+def find_texels(gbuffer: GBuffer, prepared: PreparedScene, tiles: Tiles) -> ViewTexels:
+    """Collect the texels around every surface point of ``gbuffer``. Raises Cancelled."""
+    points, lattice = gbuffer.points, prepared.lattice
+    piece, share = tiles.even(len(points)), tiles.even(len(points), 1)
+
+    def _over_points(kernel: Callable[..., None], size: int, each: Callable[[int, int], tuple[Any, ...]]) -> None:
+        tiles.run(lambda a, b: kernel(lattice, points[a:b], *each(a, b)), len(points), size)
+
+    touched = np.zeros(prepared.chunks, np.bool_)
+    _over_points(touch_chunks, piece, lambda a, b: (touched,))
+    indices = np.argwhere(touched)
+    slots = np.full(prepared.chunks, -1, np.int32)
+    slots[touched] = np.arange(len(indices))
+    marks = np.zeros((-(-len(points) // share), len(indices) * lattice.rows), np.uint32)
+    _over_points(mark_texels, share, lambda a, b: (slots, marks[a // share]))
+    read = np.bitwise_or.reduce(marks, axis=0)
+    first = np.zeros(len(read) + 1, np.uint32)
+    np.cumsum(np.bitwise_count(read), out=first[1:])
+    places = np.empty(first[-1], np.uint32)
+    tiles.run(lambda a, b: find_places(lattice, a, b, read, first, places), len(read), tiles.even(len(read)))
+    corners = np.empty((len(points), 8), np.uint32)
+    _over_points(find_corners, piece, lambda a, b: (slots, read, first, corners[a:b]))
+    chunks = tuple((z, y, x) for z, y, x in indices.tolist())
+    return ViewTexels(gbuffer, lattice, chunks, places, first[:: lattice.rows].copy(), corners)
+
+
+def most_seen(offsets: np.ndarray, *views: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    """The footprints of the texels at ``offsets`` in that of several views, (offsets, footprints), that sees most."""
+    seen = np.zeros(len(offsets), np.float32)
+    for own, footprints in views:
+        at = np.searchsorted(offsets, own)
+        seen[at] = np.maximum(seen[at], footprints)
+    return seen
+
+
+PIECE = 4096
+"""Texels whose normals one thread finds in one go."""
+
+
+@dataclass(eq=False)
+class TexelNormals:
+    """Outward unit world normals of a view's texels: ``own`` (texels, 3) float32, at their own points.
+
+    Of those that are read on the view's isosurface, normals there are found when they are first asked for.
+    """
+
+    own: np.ndarray
+    _there: np.ndarray = field(repr=False)
+    _known: np.ndarray = field(repr=False)
+    _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that it takes."""
+        return self.own.nbytes + self._there.nbytes + self._known.nbytes
+
+    def where(self, projected: np.ndarray, texels: ViewTexels, prepared: PreparedScene, tiles: Tiles) -> np.ndarray:
+        """The normals of the same view's ``texels``, of which those ``projected`` (texels,) lie on its isosurface."""
+        if not projected.any():
+            return self.own
+        with self._lock:
+            new = np.flatnonzero(projected & ~self._known)
+            self._there[new] = normals_of(texels, texels.positions[new], True, prepared, tiles)
+            self._known[new] = True
+            return np.where(projected[:, None], self._there, self.own)
+
+
+def find_texel_normals(texels: ViewTexels, prepared: PreparedScene, tiles: Tiles) -> TexelNormals:
+    """Find the normals of a view's texels at their own points."""
+    own = normals_of(texels, texels.positions, False, prepared, tiles)
+    return TexelNormals(own, np.zeros_like(own), np.zeros(len(own), np.bool_))
+
+
+def normals_of(
+    texels: ViewTexels, places: np.ndarray, projected: bool, prepared: PreparedScene, tiles: Tiles
+) -> np.ndarray:
+    """Normals (m, 3) float32 at ``places`` (m, 3; z, y, x) of a view's texels, ``projected`` or as they are."""
+    normals, level = np.empty((len(places), 3), np.float32), texels.gbuffer.isovalue
+
+    def _piece(a: int, b: int) -> None:
+        fill_texel_normals(prepared.field, prepared.step, level, projected, places[a:b], normals[a:b])
+
+    tiles.run(_piece, len(places), PIECE)
+    return normals
+
+
+def carries_irradiance_ratios(scene: Scene, shading: str, projects: bool) -> bool:
+    """Whether views of this ``shading`` carry light as ratios to unshadowed irradiance.
+
+    Where light is the same from all sides, and in vicinity shading, the ratios are the light itself. Normals' weights
+    alone then help a view that ``projects`` its texels, and no other.
+    """
+    sided = scene.plan.representation in ("transfer", "irradiance") and not scene.inputs.constant
+    return spec_name(shading) == "gi" and (sided or projects)

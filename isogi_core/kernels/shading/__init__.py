@@ -1,0 +1,1 @@
+"""Shading: from the light of texels to pixels: lattice, chunks, interpolation, local models, framebuffer."""

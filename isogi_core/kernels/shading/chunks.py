@@ -1,0 +1,194 @@
+"""Chunks: the cubes that the lattice's texels are kept in, and how a view numbers those texels that it reads."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import types
+
+from isogi_core.kernels._jit import kernel, record
+from isogi_core.kernels.shading.framebuffer import FINAL, FRAMEBUFFER, PIXELS, POINTS, luminance
+from isogi_core.kernels.shading.lattice import CORNERS, LATTICE, UNLIT, base_texel, trilinear
+
+PLACES = types.uint32[::1]
+SLOTS = types.int32[:, :, ::1]
+WORDS = types.uint32[::1]
+
+
+@kernel()
+def within(place, bits):
+    """The last ``bits`` of a ``place``: where in its chunk a texel is, along one axis or counted through."""
+    return np.int64(place) & ((1 << bits) - 1)
+
+
+@kernel()
+def borders(z, y, x, bits):
+    """Along which axes (bit 0 is x, bit 1 is y, bit 2 is z) a texel is the last of its chunk."""
+    last = (1 << bits) - 1
+    return int(within(x, bits) == last) | int(within(y, bits) == last) << 1 | int(within(z, bits) == last) << 2
+
+
+@kernel(types.void(LATTICE, POINTS, types.boolean[:, :, ::1]))
+def touch_chunks(lattice, points, touched):
+    """Set ``touched`` (chunks z, y, x) for each chunk that a point reads."""
+    bits = lattice.bits
+    for m in range(points.shape[0]):
+        z, y, x, _, _, _ = base_texel(lattice, points, m)
+        k, j, i = np.int64(z) >> bits, np.int64(y) >> bits, np.int64(x) >> bits
+        touched[k, j, i] = True
+        crossed = borders(z, y, x, bits)
+        if crossed:
+            for c in range(1, 8):
+                if c & crossed == c:
+                    touched[k + (c >> 2), j + ((c >> 1) & 1), i + (c & 1)] = True
+
+
+@kernel()
+def row_of(slots, bits, z, y, x):
+    """Place of a texel's row along x, among the rows of all touched chunks."""
+    slot = np.int64(slots[z >> bits, y >> bits, x >> bits])
+    return (slot << 2 * bits) + (within(z, bits) << bits) + within(y, bits)
+
+
+@kernel()
+def rows_around(slots, bits, z, y, x):
+    """``row_of`` the four rows of a lattice cell, y faster than z: from its own chunk where all are in that."""
+    r, last = row_of(slots, bits, z, y, x), (1 << bits) - 1
+    if within(z, bits) < last and within(y, bits) < last:
+        return r, r + 1, r + last + 1, r + last + 2
+    return r, row_of(slots, bits, z, y + 1, x), row_of(slots, bits, z + 1, y, x), row_of(slots, bits, z + 1, y + 1, x)
+
+
+@kernel(types.void(LATTICE, POINTS, SLOTS, WORDS))
+def mark_texels(lattice, points, slots, read):
+    """Set in ``read`` (slots · rows,), a bit for each texel of a row, those that a point reads.
+
+    ``slots`` (z, y, x) numbers the touched chunks. Threads each need a ``read`` of their own.
+    """
+    bits = lattice.bits
+    last = (1 << bits) - 1
+    for m in range(points.shape[0]):
+        z, y, x, _, _, _ = base_texel(lattice, points, m)
+        i = within(x, bits)
+        for r in rows_around(slots, bits, z, y, x):
+            read[r] |= np.uint32((3 if i < last else 1) << i)
+        if i == last:
+            for r in rows_around(slots, bits, z, y, x + 1):
+                read[r] |= np.uint32(1)
+
+
+@kernel()
+def ones(word):
+    """Bits that are set in a non-negative number."""
+    count = 0
+    while word:
+        word &= word - 1
+        count += 1
+    return count
+
+
+@kernel(types.void(LATTICE, POINTS, SLOTS, WORDS, PLACES, CORNERS))
+def find_corners(lattice, points, slots, read, first, corners):
+    """Fill ``corners`` (points, 8), x fastest, with the view's own numbers of the texels.
+
+    Texels are numbered row by row as ``mark_texels`` left them in ``read``; ``first`` (slots · rows,)
+    is the number of each row's first.
+    """
+    bits = lattice.bits
+    for m in range(points.shape[0]):
+        z, y, x, _, _, _ = base_texel(lattice, points, m)
+        i = within(x, bits)
+        for c, r in enumerate(rows_around(slots, bits, z, y, x)):
+            number = first[r] + ones(int(read[r]) & ((1 << i) - 1))
+            corners[m, 2 * c], corners[m, 2 * c + 1] = number, number + 1
+        if i == (1 << bits) - 1:
+            for c, r in enumerate(rows_around(slots, bits, z, y, x + 1)):
+                corners[m, 2 * c + 1] = first[r]
+
+
+@kernel(types.void(LATTICE, types.int64, types.int64, WORDS, PLACES, PLACES))
+def find_places(lattice, begin, end, read, first, places):
+    """Write to ``places`` (texels,) where the texels of the rows ``begin`` … ``end`` are.
+
+    A place is that of its chunk among the slots times the texels of a chunk, and the offset in it.
+    """
+    for r in range(begin, end):
+        word, place, number = int(read[r]), r << lattice.bits, first[r]
+        while word:
+            if word & 1:
+                places[number] = place
+                number += 1
+            word >>= 1
+            place += 1
+
+
+@kernel()
+def visible_error(framebuffer, pixel):
+    """(luminance · error)² of a pixel, which is how wrong it looks; 0 where it is final."""
+    if framebuffer.state[pixel] == FINAL:
+        return 0.0
+    light = (framebuffer.radiance[pixel, 0], framebuffer.radiance[pixel, 1], framebuffer.radiance[pixel, 2])
+    return np.float64(luminance(*light) * framebuffer.error[pixel]) ** 2
+
+
+@kernel(types.void(LATTICE, CORNERS, PLACES, PIXELS, types.int64, types.int64, FRAMEBUFFER, types.float64[::1]))
+def weigh_chunks(lattice, corners, places, pixels, width, height, framebuffer, weight):
+    """Add to ``weight`` (chunks,) the ``visible_error`` of the points that read each chunk.
+
+    It counts twice in the middle of the picture, and once in its corners.
+    """
+    bits = lattice.bits
+    for m in range(corners.shape[0]):
+        wrong = visible_error(framebuffer, pixels[m])
+        if wrong == 0.0:
+            continue
+        y, x = divmod(np.int64(pixels[m]), width)
+        wrong *= 2.0 - 0.5 * (((2 * x + 1) / width - 1.0) ** 2 + ((2 * y + 1) / height - 1.0) ** 2)
+        place = places[corners[m, 0]]
+        crossed = borders(place >> 2 * bits, place >> bits, place, bits)
+        for c in range(8):
+            if c & crossed == c:
+                weight[places[corners[m, c]] >> 3 * bits] += wrong
+
+
+class Pages(NamedTuple):
+    """Where a pool keeps light: the ``table`` (slots, texels of a chunk) of rows, int32, and of each row its relative
+    ``error`` and its ``stamp``, float32, which says how far it is baked.
+    """
+
+    table: Any
+    error: Any
+    stamp: Any
+
+
+NUMBERS, REALS = types.int32[::1], types.float32[::1]
+PAGES = record(Pages, types.int32[:, ::1], REALS, REALS)
+
+
+@kernel(types.void(LATTICE, PLACES, NUMBERS, PAGES, NUMBERS, REALS, REALS))
+def find_rows(lattice, places, slots, pages, rows, error, stamp):
+    """Where the light of the texels at ``places`` is kept, and how far it is baked; all outputs (texels,).
+
+    ``slots`` (chunks of the view,) leads to the pages' table, -1 where a chunk is absent; texels without light get
+    UNLIT, VOID_ROW or BURIED_ROW for their ``rows`` and their ``stamp``.
+    """
+    bits = 3 * lattice.bits
+    for t in range(places.shape[0]):
+        slot = slots[places[t] >> bits]
+        row = pages.table[slot, within(places[t], bits)] if slot >= 0 else UNLIT
+        rows[t] = row
+        error[t] = pages.error[row] if row >= 0 else 0.0
+        stamp[t] = pages.stamp[row] if row >= 0 else row
+
+
+@kernel(types.void(LATTICE, POINTS, CORNERS, types.float64[::1]))
+def add_footprints(lattice, points, corners, seen):
+    """Add to ``seen`` (texels,) the squares of a texel's shares in the points; ``corners`` (points, 8), x fastest.
+
+    Shares are those of ``carry_light`` where all texels hold light: their noises are independent, and so a point's
+    variance is the sum of w² times theirs. Where ``carry_ratios`` weighs them by normals too they are near enough, as
+    footprints say what to bake first and no more.
+    """
+    for m in range(points.shape[0]):
+        _, _, _, fz, fy, fx = base_texel(lattice, points, m)
+        for c in range(8):
+            seen[corners[m, c]] += trilinear(c, fz, fy, fx) ** 2

@@ -1,0 +1,155 @@
+"""The framebuffer: radiance, state and error of each pixel, and its way to the eight bits of a screen."""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import types
+
+from isogi_core.kernels._jit import kernel, record
+
+PROVISIONAL, CONVERGING, FINAL = 1, 2, 3
+"""States of a pixel that shows the surface; 0 where none is seen."""
+
+RED, GREEN, BLUE = np.float32(0.2126), np.float32(0.7152), np.float32(0.0722)
+
+
+class Framebuffer(NamedTuple):
+    """``radiance`` float32 (pixels, 3) linear RGB, ``state`` uint8 (pixels,), relative ``error`` float32 (pixels,)."""
+
+    radiance: Any
+    state: Any
+    error: Any
+
+
+FRAMEBUFFER = record(Framebuffer, types.float32[:, ::1], types.uint8[::1], types.float32[::1])
+
+
+class PixelPoints(NamedTuple):
+    """m surface points of a picture: ``points`` in index space and world ``normals``, float32 (m, 3), and the picture
+    indices of their ``pixels``, uint32 (m,).
+    """
+
+    points: Any
+    normals: Any
+    pixels: Any
+
+
+POINTS = types.float32[:, ::1]
+PIXELS = types.uint32[::1]
+PIXEL_POINTS = record(PixelPoints, POINTS, POINTS, PIXELS)
+
+
+@kernel()
+def point_of(vectors, m):
+    """Row ``m`` of a float32 (n, 3) array as a tuple of float64."""
+    return np.float64(vectors[m, 0]), np.float64(vectors[m, 1]), np.float64(vectors[m, 2])
+
+
+@kernel()
+def luminance(r, g, b):
+    """Relative luminance of linear RGB (ITU-R BT.709)."""
+    return RED * r + GREEN * g + BLUE * b
+
+
+@kernel()
+def put_pixel(framebuffer, pixel, light, state, error):
+    """Write one pixel; ``light`` is linear RGB."""
+    framebuffer.radiance[pixel, 0], framebuffer.radiance[pixel, 1], framebuffer.radiance[pixel, 2] = light
+    framebuffer.state[pixel] = state
+    framebuffer.error[pixel] = error
+
+
+@kernel(types.void(FRAMEBUFFER, types.int64[::1], types.float64[::1]))
+def tally(framebuffer, counts, sums):
+    """Add up the surface pixels: ``counts`` (4,) by state, ``sums`` (2,) of luminance and of (luminance · error)²."""
+    for i in range(framebuffer.state.shape[0]):
+        counts[framebuffer.state[i]] += 1
+        if framebuffer.state[i]:
+            light = np.float64(
+                luminance(framebuffer.radiance[i, 0], framebuffer.radiance[i, 1], framebuffer.radiance[i, 2])
+            )
+            sums[0] += light
+            sums[1] += (light * framebuffer.error[i]) ** 2
+
+
+SHOULDER = 0.7
+"""Where the tone curve leaves the straight line: brighter light is bent towards 1 and never clipped."""
+
+
+@kernel()
+def shoulder(x):
+    """The tone curve: x up to SHOULDER, then s + (1 - s)(1 - exp(-(x - s)/(1 - s))); continuous slope."""
+    if x <= SHOULDER:
+        return x
+    return 1.0 - (1.0 - SHOULDER) * math.exp((SHOULDER - x) / (1.0 - SHOULDER))
+
+
+@kernel()
+def srgb(x):
+    """The sRGB transfer function (IEC 61966-2-1) of linear ``x`` in [0, 1]."""
+    if x <= 0.0031308:
+        return 12.92 * x
+    return 1.055 * x ** (1.0 / 2.4) - 0.055
+
+
+@kernel()
+def stripe(x, y, period):
+    """Whether pixel (x, y) is on a diagonal stripe; half of each ``period`` is."""
+    return (x + y) % period < period // 2
+
+
+@kernel()
+def mark(state, x, y):
+    """Opacity of the mark that the overlay draws over pixel (x, y): broad hatching provisional, fine converging."""
+    if state == PROVISIONAL:
+        return 0.55 if stripe(x, y, 12) else 0.15
+    if state == CONVERGING:
+        return 0.3 if stripe(x, -y, 6) else 0.0
+    return 0.0
+
+
+@kernel()
+def place_on(top, light):
+    """The place of linear ``light`` on a curve from 0 to 1 that ends at ``top``; 0 for what is no number."""
+    if not light > 0.0:
+        return 0
+    return int(min(light, 1.0) * top + 0.5)
+
+
+@kernel(
+    types.void(
+        types.float32[:, :, ::1],
+        types.uint8[:, ::1],
+        types.int64,
+        types.float64,
+        types.float32[:, ::1],
+        types.boolean,
+        types.uint8[::1],
+        types.uint8[:, :, ::1],
+    )
+)
+def develop_rows(radiance, state, first, exposure, colours, overlay, curve, picture):
+    """Fill ``picture`` (rows, w, 3) uint8 from linear ``radiance`` (rows, w, 3) and ``state`` (rows, w).
+
+    Light times ``exposure`` goes through the tone curve on its largest channel, so that hues stay;
+    ``colours`` (2, 3) linear: the background and the overlay's mark; ``curve`` is sRGB as a table.
+    """
+    rows, width = state.shape
+    top = curve.shape[0] - 1
+    for y in range(rows):
+        for x in range(width):
+            peak = exposure * np.float64(max(radiance[y, x, 0], radiance[y, x, 1], radiance[y, x, 2]))
+            gain = exposure * shoulder(peak) / peak if peak > 0.0 else 0.0
+            veil = mark(state[y, x], x, y + first) if overlay else 0.0
+            for c in range(3):
+                light = gain * radiance[y, x, c] if state[y, x] else colours[0, c]
+                light = (1.0 - veil) * light + veil * colours[1, c]
+                picture[y, x, c] = curve[place_on(top, light)]
+
+
+@kernel("void(uint8[::1])")
+def fill_curve(curve):
+    """Fill ``curve`` (n,) uint8 with the sRGB code of each linear level i / (n - 1)."""
+    for i in range(curve.shape[0]):
+        curve[i] = int(255.0 * srgb(i / (curve.shape[0] - 1)) + 0.5)

@@ -1,0 +1,181 @@
+"""The local models that S1 compares with, hard shadows, and the per-pixel path tracer that is the reference."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import types
+
+from isogi_core.kernels._jit import kernel, record
+from isogi_core.kernels.shading.framebuffer import (
+    FINAL,
+    FRAMEBUFFER,
+    PIXEL_POINTS,
+    POINTS,
+    PixelPoints,
+    point_of,
+    put_pixel,
+)
+from isogi_core.kernels.tracing.cast import SURFACE, cast_batch
+from isogi_core.kernels.tracing.field import FIELD, normal, to_index
+from isogi_core.kernels.tracing.intersect import OUTSIDE
+from isogi_core.kernels.tracing.ray_stream import Rays
+from isogi_core.kernels.tracing.vec import column, dot, length, madd, normalize, put_column, scale, sub
+from isogi_core.kernels.transport.integrator import launch
+from isogi_core.kernels.transport.light_paths import SURROUNDINGS, light_paths, to_world
+from isogi_core.kernels.transport.lights import fog
+from isogi_core.kernels.transport.paths import PATH_RULES, SAMPLE_RANGE, PathStarts, SampleRange
+from isogi_core.kernels.transport.rng import mix
+from isogi_core.kernels.transport.wavefront import WAVE
+
+
+class LocalModel(NamedTuple):
+    """A local model's constants.
+
+    ``key`` unit world direction towards the key light; ``sun`` and ``ambient`` linear RGB of it and of
+    the rest, times the albedo; ``shine`` Phong's highlight (0 for Lambert) and ``exponent``;
+    ``shadow`` whether a shadow ray is cast; ``fog_near``, ``fog_far`` world depths (equal: no fog).
+    """
+
+    key: tuple[float, float, float]
+    sun: tuple[float, float, float]
+    ambient: tuple[float, float, float]
+    shine: float
+    exponent: float
+    shadow: bool
+    fog_near: float
+    fog_far: float
+
+
+VECTOR = types.UniTuple(types.float64, 3)
+REAL = types.float64
+LOCAL_MODEL = record(LocalModel, VECTOR, VECTOR, VECTOR, REAL, REAL, types.boolean, REAL, REAL)
+
+
+@kernel(types.void(FIELD, POINTS, VECTOR, POINTS))
+def find_normals(field, points, eye, normals):
+    """Fill ``normals`` (m, 3), world, outward, of the ``points`` (index space); towards the ``eye`` where flat."""
+    for m in range(points.shape[0]):
+        p = point_of(points, m)
+        n = normal(field, p)
+        if n[0] == 0.0 and n[1] == 0.0 and n[2] == 0.0:
+            n = normalize(to_world(sub(eye, p), field.spacing))
+        normals[m, 0], normals[m, 1], normals[m, 2] = n
+
+
+@kernel()
+def find_unoccluded(surface, points, owners, ways, reached):
+    """Fill ``reached`` (n,): whether rays from points ``owners`` (n,) in world directions ``ways`` (3, n) get away.
+
+    ``points`` are ``PixelPoints``.
+    """
+    count, field, iso = owners.shape[0], surface.field, surface.isovalue
+    origins, directions = np.empty((3, count)), np.empty((3, count))
+    for i in range(count):
+        m = owners[i]
+        put_column(origins, i, launch(field, iso, point_of(points.points, m), point_of(points.normals, m), OUTSIDE))
+        put_column(directions, i, to_index(column(ways, i), field.spacing))
+    t, came = np.empty(count), np.empty(count, np.int8)
+    rays = Rays(np.full(count, iso), origins, directions, np.full(count, OUTSIDE, np.int8))
+    cast_batch(field, surface.cells, rays, t, came)
+    for i in range(count):
+        reached[i] = not t[i] < math.inf
+
+
+@kernel(types.void(SURFACE, PIXEL_POINTS, VECTOR, types.boolean[::1]))
+def find_shadows(surface, points, key, seen):
+    """Fill ``seen`` (m,): whether the key light reaches each of ``PixelPoints`` past the isosurface, by one shadow ray.
+
+    Points that are turned away from the light count as unseen.
+    """
+    owners, count = np.empty(seen.shape[0], np.int64), 0
+    for m in range(seen.shape[0]):
+        seen[m] = dot(point_of(points.normals, m), key) > 0.0
+        if seen[m]:
+            owners[count] = m
+            count += 1
+    ways, reached = np.empty((3, count)), np.empty(count, np.bool_)
+    for i in range(count):
+        put_column(ways, i, key)
+    find_unoccluded(surface, points, owners[:count], ways, reached)
+    for i in range(count):
+        seen[owners[i]] = reached[i]
+
+
+@kernel()
+def highlight(n, key, view, exponent):
+    """Phong's (r·v)^e: the mirror direction of the key light against the direction to the eye."""
+    r = madd(scale(key, -1.0), 2.0 * dot(n, key), n)
+    return max(dot(r, view), 0.0) ** exponent
+
+
+@kernel()
+def shade_point(p, n, eye, spacing, model, seen):
+    """Linear RGB of one point by a local ``model``; ``seen`` is 1 where the key light reaches it, else 0."""
+    cosine = max(dot(n, model.key), 0.0)
+    v = to_world(sub(eye, p), spacing)
+    shine = 0.0
+    if model.shine > 0.0 and cosine > 0.0:
+        shine = seen * model.shine * highlight(n, model.key, normalize(v), model.exponent)
+    clear = 1.0
+    if model.fog_far > model.fog_near:
+        clear = fog(length(v), model.fog_near, model.fog_far)
+    return scale(madd(model.ambient, seen * cosine + shine, model.sun), clear)
+
+
+@kernel(types.void(PIXEL_POINTS, types.boolean[::1], VECTOR, VECTOR, LOCAL_MODEL, FRAMEBUFFER))
+def shade_local(points, seen, eye, spacing, model, framebuffer):
+    """Lambert or Phong, with or without hard shadow and fog, at the pixels of ``PixelPoints`` (S1, table 2).
+
+    ``seen`` (m,) is what ``find_shadows`` says; it may hold no rows for a model without shadow. A
+    surface seen from its solid side shows its outer side's light, as the cache does.
+    """
+    for m in range(points.pixels.shape[0]):
+        reached = 1.0 if not model.shadow or seen[m] else 0.0
+        p, n = point_of(points.points, m), point_of(points.normals, m)
+        light = shade_point(p, n, eye, spacing, model, reached)
+        put_pixel(framebuffer, points.pixels[m], light, FINAL, 0.0)
+
+
+@kernel()
+def trace_together(surface, points, light, rules, stream, samples, sums):
+    """``trace_points`` for a few points whose paths go together."""
+    replicas, count = sums.shape[1], samples.count
+    g = replicas * points.pixels.shape[0]
+    here, around, seeds = np.empty((3, g)), np.empty((3, g)), np.empty(g, np.uint64)
+    for i in range(g):
+        put_column(here, i, point_of(points.points, i // replicas))
+        put_column(around, i, point_of(points.normals, i // replicas))
+        seeds[i] = mix(np.int64(points.pixels[i // replicas]), stream + i % replicas)
+    starts, gathered = PathStarts(here, around, np.full(g, surface.isovalue), seeds), np.empty((3, g * count))
+    light_paths(surface.field, surface.cells, starts, samples, rules, light, gathered)
+    for m in range(g * count):
+        for c in range(3):
+            sums[m % g // replicas, m % replicas, c] += gathered[c, m]
+
+
+@kernel()
+def part_of(points, first, last):
+    """Those of ``PixelPoints`` from ``first`` up to ``last``."""
+    return PixelPoints(points.points[first:last], points.normals[first:last], points.pixels[first:last])
+
+
+@kernel(
+    types.void(SURFACE, PIXEL_POINTS, SURROUNDINGS, PATH_RULES, types.int64, SAMPLE_RANGE, types.float64[:, :, ::1])
+)
+def trace_points(surface, points, light, rules, stream, samples, sums):
+    """Path-trace ``PixelPoints``: add a ``SampleRange`` of each replica to ``sums`` (m, replicas, 3).
+
+    Replicas are independent randomisations, from number ``stream`` on; they and the points' pixels own the random
+    numbers. ``light`` are the Surroundings; the weights (bounces + 1, 3) of the ``PathRules`` are R^(k+1) per channel,
+    over the chance to get there (see ``russian_roulette``). Sums grow sample by sample, so that their bits do not
+    depend on in how many goes. Source: S1, figure 2; the reference of figures 7 and 11.
+    """
+    replicas, count = sums.shape[1], samples.count
+    together, most = max(WAVE // (replicas * count), 1), max(min(count, WAVE // replicas), 1)
+    last = samples.first + count
+    for a in range(0, sums.shape[0], together):
+        b = min(a + together, sums.shape[0])
+        for begin in range(samples.first, last, most):
+            some = SampleRange(begin, min(most, last - begin))
+            trace_together(surface, part_of(points, a, b), light, rules, stream, some, sums[a:b])

@@ -1,0 +1,86 @@
+"""Texel normals: those that texels are lit about, found anew for a view's texels, as no store keeps them."""
+
+import math
+
+import numpy as np
+from numba import types
+
+from isogi_core.kernels._jit import kernel
+from isogi_core.kernels.shading.framebuffer import POINTS
+from isogi_core.kernels.tracing.field import FIELD, SIXTH, normal, to_world_normal
+from isogi_core.kernels.tracing.plateaus import along
+from isogi_core.kernels.tracing.vec import is_zero
+from isogi_core.kernels.transport.texel_points import way_to
+from isogi_core.kernels.transport.transfer import TEXELS, VECTOR
+
+NEARLY = 8
+"""Halvings that find a projected texel's place to a quarter of a thousandth of a voxel: enough for its normal."""
+
+
+@kernel()
+def row_of(voxels, k, j, i0, i, i2):
+    """The smoothed value and slope along x of a row at voxel ``i``, whose neighbours are ``i0`` and ``i2``."""
+    low, here, high = np.float64(voxels[k, j, i0]), np.float64(voxels[k, j, i]), np.float64(voxels[k, j, i2])
+    return SIXTH * (low + high) + 4.0 * SIXTH * here, 0.5 * (high - low)
+
+
+@kernel()
+def plane_of(voxels, k, j0, j, j2, i0, i, i2):
+    """The smoothed value of a plane at voxel (j, i), and its slopes along y and x."""
+    a, b, c = row_of(voxels, k, j0, i0, i, i2), row_of(voxels, k, j, i0, i, i2), row_of(voxels, k, j2, i0, i, i2)
+    return (
+        SIXTH * (a[0] + c[0]) + 4.0 * SIXTH * b[0],
+        0.5 * (c[0] - a[0]),
+        SIXTH * (a[1] + c[1]) + 4.0 * SIXTH * b[1],
+    )
+
+
+@kernel()
+def voxel_gradient(voxels, k, j, i):
+    """``smooth_gradient`` at voxel (k, j, i), where it is of 27 voxels; those beyond the border repeat the border's."""
+    nz, ny, nx = voxels.shape
+    i0, i2, j0, j2 = max(i - 1, 0), min(i + 1, nx - 1), max(j - 1, 0), min(j + 1, ny - 1)
+    a = plane_of(voxels, max(k - 1, 0), j0, j, j2, i0, i, i2)
+    b = plane_of(voxels, k, j0, j, j2, i0, i, i2)
+    c = plane_of(voxels, min(k + 1, nz - 1), j0, j, j2, i0, i, i2)
+    return (
+        SIXTH * (a[2] + c[2]) + 4.0 * SIXTH * b[2],
+        SIXTH * (a[1] + c[1]) + 4.0 * SIXTH * b[1],
+        0.5 * (c[0] - a[0]),
+    )
+
+
+@kernel()
+def texel_normal(field, step, texels, m):
+    """The normal at texel ``m``'s own point, and that point; where each voxel has a texel, by the voxels about it."""
+    p = (texels[m, 2] * step[0], texels[m, 1] * step[1], texels[m, 0] * step[2])
+    n = (0.0, 0.0, 0.0)
+    if field.smooth and step[0] == 1.0 and step[1] == 1.0 and step[2] == 1.0:
+        gradient = voxel_gradient(field.voxels, texels[m, 0], texels[m, 1], texels[m, 2])
+        n = to_world_normal(gradient, field.spacing)
+    return normal(field, p) if is_zero(n) else n, p
+
+
+@kernel(exact=True)
+def normal_there(field, p, n, level):
+    """The normal where ``p``, whose own is ``n``, comes to on the isosurface ``level``; (0, 0, 0) if out of reach."""
+    if is_zero(n):
+        return n
+    d, t = way_to(field, p, n, level, NEARLY)
+    return normal(field, along(field.voxels.shape, p, d, t)) if t < math.inf else (0.0, 0.0, 0.0)
+
+
+@kernel(types.void(FIELD, VECTOR, types.float64, types.boolean, TEXELS, POINTS))
+def fill_texel_normals(field, step, level, projected, texels, normals):
+    """Fill ``normals`` (m, 3), outward unit world ones, of ``texels`` (m, 3; z, y, x) at their own points.
+
+    Or, where they are ``projected``, of the places that ``project_texels`` brings them to on the isosurface ``level``,
+    a voxel-space isovalue; what else may keep them where they are is not asked. ``step`` (3,) voxels per texel along x,
+    y, z. Normals are (0, 0, 0) where the field has no gradient or the level is out of reach. Of texels at the edge of a
+    plateau, which are lit a voxel or so away along the gradient, they are those of their own points too.
+    """
+    for m in range(texels.shape[0]):
+        n, p = texel_normal(field, step, texels, m)
+        if projected:
+            n = normal_there(field, p, n, level)
+        normals[m, 0], normals[m, 1], normals[m, 2] = n

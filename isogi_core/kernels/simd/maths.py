@@ -1,0 +1,287 @@
+"""Mathematics that run on numbers and on vectors alike, and what turns the one into the other.
+
+``abs``, ``min``, ``max``, ``math.sqrt`` and ``math.copysign`` take vectors too. Of the lesser and the greater of two
+that are equal, or of which one is no number, a vector has the first, as Python does. ``vector[i]`` is the number in
+lane i.
+"""
+
+import math
+import operator
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.core.typing.templates import signature
+from numba.extending import intrinsic, overload
+
+from isogi_core.kernels.simd import operators
+from isogi_core.kernels.simd.llvm import (
+    BIT,
+    DOUBLE,
+    LONG,
+    WORD,
+    call,
+    consecutive,
+    define,
+    elementwise,
+    mask_bits,
+    ranks,
+    splat,
+    spread,
+    stub,
+    suffix,
+    vector_type,
+)
+from isogi_core.kernels.simd.operators import REALS, TRUTHS
+from isogi_core.kernels.simd.types import PATH_WIDTH, RAY_WIDTH, Vector
+
+TO_UNIT = 2.0**-32
+
+fma = stub("fma", "a · b + c of f32×N, rounded once.", __name__)
+f32 = stub("f32", "f64×N rounded, i32×N, or a number in RAY_WIDTH lanes, as f32×N.", __name__)
+f64 = stub("f64", "f32×N, i32×N, or a number in RAY_WIDTH lanes, as f64×N.", __name__)
+i32 = stub("i32", "f32×N or f64×N cut to i32×N (they must fit), or a number in RAY_WIDTH lanes.", __name__)
+mask_of = stub("mask_of", "The truth in RAY_WIDTH lanes.", __name__)
+popcount = stub("popcount", "How many lanes of the mask are set.", __name__)
+bits = stub("bits", "The mask as an integer, bit i for lane i.", __name__)
+lane_numbers = stub("lane_numbers", "0, 1, 2 … in RAY_WIDTH lanes of i32×N.", __name__)
+rank = stub("rank", "How many lanes before it are set in the mask, for each lane.", __name__)
+
+
+# --- choice -------------------------------------------------------------------------------------------------
+
+
+def where(truth: Any, a: Any, b: Any) -> Any:
+    """``a`` where it is true, else ``b``: both are worked out. Of single numbers under a mask, f64×N or i32×N."""
+    return a if truth else b
+
+
+def _type_of_choice(truth: Any, a: Any, b: Any) -> Any:
+    """Signature of ``where``."""
+    pair = (a, b)
+    numbers = all(isinstance(each, types.Number) for each in pair)
+    whole = all(isinstance(each, types.Integer) for each in pair)
+    if isinstance(truth, types.Boolean):
+        kind = types.int64 if whole else types.float64 if numbers else types.boolean if a == b == truth else None
+        return kind and signature(kind, truth, kind, kind)
+    if not (isinstance(truth, Vector) and truth.number in TRUTHS):
+        return None
+    if numbers:
+        kind = truth.of(types.int32 if whole else types.float64)
+    else:
+        kind = next((each for each in pair if isinstance(each, Vector)), None)
+    fits = kind and kind.count == truth.count and all(each == kind or isinstance(each, types.Number) for each in pair)
+    return signature(kind, truth, *[kind if each == kind else kind.scalar for each in pair]) if fits else None
+
+
+@define(where, _type_of_choice)
+def _where(context: Any, builder: ir.IRBuilder, sig: Any, truth: ir.Value, *pair: ir.Value) -> ir.Value:
+    kind = sig.return_type
+    if isinstance(kind, Vector):
+        pair = tuple(spread(builder, value, kind) for value in pair)
+    return builder.select(truth, *pair)
+
+
+def _chooser(sign: str) -> Any:
+    """b where ``b sign a``, else a."""
+
+    def _build(builder: ir.IRBuilder, kind: Vector, a: ir.Value, b: ir.Value) -> ir.Value:
+        return builder.select(operators.comparison(sign)(builder, kind, b, a), b, a)
+
+    return _build
+
+
+elementwise(min, 2, REALS | operators.WHOLES)(_chooser("<"))
+elementwise(max, 2, REALS | operators.WHOLES)(_chooser(">"))
+
+
+def not_(truth: Any) -> Any:
+    """Whether it is not true; of a mask, in each lane."""
+    return not truth
+
+
+def any_of(truth: Any) -> Any:
+    """Whether it is true; of a mask, in any lane."""
+    return truth
+
+
+@define(not_, lambda truth: signature(truth, truth))
+def _not(context: Any, builder: ir.IRBuilder, sig: Any, truth: ir.Value) -> ir.Value:
+    return builder.not_(truth)
+
+
+@define(any_of, lambda truth: signature(types.boolean, truth))
+def _any_of(context: Any, builder: ir.IRBuilder, sig: Any, truth: ir.Value) -> ir.Value:
+    if not isinstance(truth.type, ir.VectorType):
+        return truth
+    return builder.icmp_unsigned("!=", mask_bits(builder, truth), LONG(0))
+
+
+def divide(a: Any, b: Any) -> Any:
+    """a / b as IEEE 754 has it: infinite or no number where b is 0, in Python too."""
+    with np.errstate(all="ignore"):
+        return np.float64(a) / b
+
+
+def _type_of_quotient(a: Any, b: Any) -> Any:
+    """Signature of ``divide``."""
+    pair = (a, b)
+    kind = next((each for each in pair if isinstance(each, Vector)), types.float64)
+    return signature(kind, *[each if each == kind else types.float64 for each in pair])
+
+
+@define(divide, _type_of_quotient)
+def _divide(context: Any, builder: ir.IRBuilder, sig: Any, *pair: ir.Value) -> ir.Value:
+    kind = sig.return_type
+    if isinstance(kind, Vector):
+        pair = tuple(spread(builder, value, kind) for value in pair)
+    return builder.fdiv(*pair, flags=operators.FLAGS[types.float64])
+
+
+# --- functions ----------------------------------------------------------------------------------------------
+
+
+@elementwise(fma, 3, {types.float32})
+def _fma(builder: ir.IRBuilder, kind: Vector, *values: ir.Value) -> ir.Value:
+    return call(builder, f"llvm.fma.{suffix(kind)}", vector_type(kind), *values)
+
+
+@elementwise(abs, 1, REALS)
+def _abs(builder: ir.IRBuilder, kind: Vector, a: ir.Value) -> ir.Value:
+    return call(builder, f"llvm.fabs.{suffix(kind)}", a.type, a)
+
+
+@elementwise(math.sqrt, 1, REALS)
+def _sqrt(builder: ir.IRBuilder, kind: Vector, a: ir.Value) -> ir.Value:
+    return call(builder, f"llvm.sqrt.{suffix(kind)}", a.type, a)
+
+
+@elementwise(math.copysign, 2, REALS)
+def _copysign(builder: ir.IRBuilder, kind: Vector, size: ir.Value, sign: ir.Value) -> ir.Value:
+    return call(builder, f"llvm.copysign.{suffix(kind)}", sign.type, size, sign)
+
+
+def floor_within(x: Any, last: Any) -> Any:
+    """The whole number at or below ``x``, within 0 … ``last``, and 0 of no number; of f64×N, reals that are whole."""
+    return last if x >= last else int(x) if x > 0.0 else 0
+
+
+@overload(floor_within)
+def _overload_floor_within(x: Any, last: Any) -> Any:
+    def _of_vectors(x: Any, last: Any) -> Any:
+        whole = _floor(x)
+        whole = where(whole > 0.0, whole, 0.0)
+        return where(whole < last, whole, last)
+
+    return _of_vectors if isinstance(x, Vector) else floor_within
+
+
+@intrinsic
+def _floor(typing: Any, x: Any) -> Any:
+    def _build(context: Any, builder: ir.IRBuilder, sig: Any, values: Any) -> ir.Value:
+        return call(builder, f"llvm.floor.{suffix(x)}", values[0].type, values[0])
+
+    return x(x), _build
+
+
+# --- conversion ---------------------------------------------------------------------------------------------
+
+
+def _conversion(number: Any) -> Any:
+    """Typer of a conversion to vectors of ``number``: of other vectors, and of single numbers in RAY_WIDTH lanes."""
+
+    def _typer(value: Any) -> Any:
+        if isinstance(value, Vector):
+            return signature(value.of(number), value) if value.number not in TRUTHS else None
+        kind = Vector(number, RAY_WIDTH)
+        return signature(kind, kind.scalar) if isinstance(value, types.Number) else None
+
+    return _typer
+
+
+def _convert(context: Any, builder: ir.IRBuilder, sig: Any, value: ir.Value) -> ir.Value:
+    """Code of a conversion."""
+    kind = sig.return_type
+    if not isinstance(value.type, ir.VectorType):
+        return spread(builder, value, kind)
+    given, result = sig.args[0].number, vector_type(kind)
+    if given == kind.number:
+        return value
+    if given == types.int32:
+        return builder.sitofp(value, result)
+    if kind.number == types.int32:
+        return builder.fptosi(value, result)
+    return builder.fptrunc(value, result) if kind.number == types.float32 else builder.fpext(value, result)
+
+
+for _function, _number in ((f32, types.float32), (f64, types.float64), (i32, types.int32)):
+    define(_function, _conversion(_number))(_convert)
+
+
+def u32(number: Any) -> Any:
+    """A number 0 … 2³² - 1 in PATH_WIDTH lanes of u32×N."""
+    return np.uint64(number)
+
+
+@define(u32, lambda number: signature(Vector(types.uint32, PATH_WIDTH), types.int64))
+def _u32(context: Any, builder: ir.IRBuilder, sig: Any, number: ir.Value) -> ir.Value:
+    return spread(builder, number, sig.return_type)
+
+
+def fraction(word: Any) -> Any:
+    """A word 0 … 2³² - 1 as a part of 2³², in [0, 1)."""
+    return word * TO_UNIT
+
+
+def _type_of_fraction(word: Any) -> Any:
+    """Signature of ``fraction``."""
+    return (
+        signature(word.of(types.float64), word) if isinstance(word, Vector) else signature(types.float64, types.uint64)
+    )
+
+
+@define(fraction, _type_of_fraction)
+def _fraction(context: Any, builder: ir.IRBuilder, sig: Any, word: ir.Value) -> ir.Value:
+    kind, unit = DOUBLE, DOUBLE(TO_UNIT)
+    if isinstance(sig.return_type, Vector):
+        kind, unit = vector_type(sig.return_type), splat(builder, unit, sig.return_type.count)
+    return builder.fmul(builder.uitofp(word, kind), unit)
+
+
+# --- masks and lanes ----------------------------------------------------------------------------------------
+
+
+@define(mask_of, lambda truth: signature(Vector(types.boolean, RAY_WIDTH), types.boolean))
+def _mask_of(context: Any, builder: ir.IRBuilder, sig: Any, truth: ir.Value) -> ir.Value:
+    return splat(builder, builder.trunc(truth, BIT), RAY_WIDTH)
+
+
+@define(bits, lambda mask: signature(types.int64, mask))
+def _bits(context: Any, builder: ir.IRBuilder, sig: Any, mask: ir.Value) -> ir.Value:
+    return mask_bits(builder, mask)
+
+
+@define(popcount, lambda mask: signature(types.int64, mask))
+def _popcount(context: Any, builder: ir.IRBuilder, sig: Any, mask: ir.Value) -> ir.Value:
+    return call(builder, "llvm.ctpop.i64", LONG, mask_bits(builder, mask))
+
+
+@define(lane_numbers, lambda: signature(Vector(types.int32, RAY_WIDTH)))
+def _lane_numbers(context: Any, builder: ir.IRBuilder, sig: Any) -> ir.Value:
+    return consecutive(0, RAY_WIDTH)
+
+
+@define(rank, lambda mask: signature(mask.of(types.int32), mask))
+def _rank(context: Any, builder: ir.IRBuilder, sig: Any, mask: ir.Value) -> ir.Value:
+    return ranks(builder, builder.trunc(mask_bits(builder, mask), WORD), mask.type.count)
+
+
+def _type_of_item(vector: Any, lane: Any) -> Any:
+    """Signature of ``vector[lane]``."""
+    return signature(vector.number, vector, types.int64) if isinstance(vector, Vector) else None
+
+
+@define(operator.getitem, _type_of_item, ((Vector, types.Integer),))
+def _item(context: Any, builder: ir.IRBuilder, sig: Any, vector: ir.Value, lane: ir.Value) -> ir.Value:
+    return builder.extract_element(vector, lane)

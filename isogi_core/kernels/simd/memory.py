@@ -1,0 +1,252 @@
+"""Loads, stores, gathers and scatters of vectors in flat arrays, and prefetching."""
+
+from collections.abc import Callable
+from typing import Any
+
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.core.typing.templates import signature
+from numba.extending import overload
+
+from isogi_core.kernels.simd.llvm import (
+    BIT,
+    BYTE,
+    DOUBLE,
+    ELEMENTS,
+    FLOAT,
+    LONG,
+    WORD,
+    call,
+    consecutive,
+    define,
+    join,
+    ranks,
+    stub,
+    vector_type,
+)
+from isogi_core.kernels.simd.types import REGISTER, Vector
+
+ELEMENT_OF = {
+    types.float32: types.float32,
+    types.float64: types.float64,
+    types.int32: types.int32,
+    types.int8: types.int32,
+    types.uint32: types.uint32,
+}
+"""By an array's element: a vector's."""
+
+SINGLE = {types.float32, types.int32}
+"""Elements as large as a float32."""
+
+gather = stub("gather", "array[index] of a flat array; every lane's index must be in it.", __name__)
+gather_pair = stub("gather_pair", "array[index] and array[index + 1] of a flat array of float32.", __name__)
+take = stub("take", "array[first], array[first + 1] … for the lanes that the mask has set, in turn.", __name__)
+scatter = stub("scatter", "array[index] = vector where the mask is set, lane by lane.", __name__)
+
+
+def load(array: Any, i: int, width: int) -> Any:
+    """``width`` elements of a flat array from place ``i`` on; the width is a constant of the module that calls it."""
+    return array[i]
+
+
+def store(array: Any, i: int, vector: Any) -> None:
+    """Write a vector to elements of a flat array from place ``i`` on."""
+    array[i] = vector
+
+
+def add_to(array: Any, i: Any, value: Any) -> Any:
+    """Add a number to element ``i`` of a flat array, or a vector to its ``width`` elements from width · i on."""
+    array[i] += value
+
+
+def prefetch(flat: Any, place: int) -> None:
+    """Have the line of ``flat[place]`` brought into the cache while other work goes on; without Numba nothing."""
+
+
+def access(function: Any, numbers: set[Any], typer: Callable[..., Any]) -> Callable[[Any], Any]:
+    """Decorator: ``build(context, builder, signature, base pointer, *values)`` for a function on flat arrays.
+
+    ``numbers`` are the types of elements that it is made for.
+    """
+
+    def _flat(*args: Any) -> Any:
+        array = args[0]
+        if isinstance(array, types.Array) and array.layout == "C" and array.dtype in numbers:
+            return typer(*args)
+        return None
+
+    def _register(build: Any) -> Any:
+        @define(function, _flat)
+        def _lower(context: Any, builder: ir.IRBuilder, sig: Any, array: ir.Value, *values: ir.Value) -> ir.Value:
+            base = context.make_array(sig.args[0])(context, builder, array).data
+            return build(context, builder, sig, base, *values)
+
+        return build
+
+    return _register
+
+
+def _vector(array: Any, count: int) -> Vector:
+    """The type of ``count`` elements of an array."""
+    return Vector(ELEMENT_OF[array.dtype], count)
+
+
+def _at(builder: ir.IRBuilder, base: ir.Value, place: ir.Value, count: int) -> ir.Value:
+    """Pointer to ``count`` elements from ``place`` on."""
+    return builder.bitcast(builder.gep(base, [place]), ir.VectorType(base.type.pointee, count).as_pointer())
+
+
+def _one(builder: ir.IRBuilder, base: ir.Value, index: ir.Value, lane: int) -> ir.Value:
+    """Pointer to the element that one lane of an index names."""
+    return builder.gep(base, [builder.sext(builder.extract_element(index, WORD(lane)), LONG)])
+
+
+# --- whole vectors ------------------------------------------------------------------------------------------
+
+
+def _type_of_load(array: Any, i: Any, width: Any) -> Any:
+    """Signature of ``load``."""
+    if not isinstance(width, types.IntegerLiteral):
+        return None
+    return signature(_vector(array, width.literal_value), array, types.int64, width)
+
+
+@access(load, set(ELEMENT_OF), _type_of_load)
+def _load(context: Any, builder: ir.IRBuilder, sig: Any, base: ir.Value, place: ir.Value, width: Any) -> ir.Value:
+    kind, dtype = sig.return_type, sig.args[0].dtype
+    vector = builder.load(_at(builder, base, place, kind.count), align=dtype.bitwidth // 8)
+    return builder.sext(vector, vector_type(kind)) if dtype == types.int8 else vector
+
+
+def _type_of_store(array: Any, i: Any, vector: Any) -> Any:
+    """Signature of ``store``."""
+    fits = isinstance(vector, Vector) and vector.number == ELEMENT_OF[array.dtype]
+    return signature(types.none, array, types.int64, vector) if fits else None
+
+
+@access(store, set(ELEMENT_OF), _type_of_store)
+def _store(context: Any, builder: ir.IRBuilder, sig: Any, base: ir.Value, place: ir.Value, vector: Any) -> ir.Value:
+    dtype, count = sig.args[0].dtype, vector.type.count
+    narrow = builder.trunc(vector, ir.VectorType(BYTE, count)) if dtype == types.int8 else vector
+    builder.store(narrow, _at(builder, base, place, count), align=dtype.bitwidth // 8)
+    return context.get_dummy_value()
+
+
+@overload(add_to)
+def _overload_add_to(array: Any, i: Any, value: Any) -> Any:
+    if not isinstance(value, Vector):
+        return add_to
+    width = value.count
+
+    def _add_vector(array: Any, i: Any, value: Any) -> Any:
+        store(array, width * i, load(array, width * i, width) + value)
+
+    return _add_vector
+
+
+@access(prefetch, {types.float32}, lambda flat, place: signature(types.none, flat, types.int64))
+def _prefetch(context: Any, builder: ir.IRBuilder, sig: Any, base: ir.Value, place: ir.Value) -> ir.Value:
+    line = builder.bitcast(builder.gep(base, [place]), cgutils.voidptr_t)
+    call(builder, "llvm.prefetch.p0", ir.VoidType(), line, WORD(0), WORD(3), WORD(1))
+    return context.get_dummy_value()
+
+
+# --- single elements ----------------------------------------------------------------------------------------
+
+
+@access(gather, SINGLE | {types.float64}, lambda array, index: signature(_vector(array, index.count), array, index))
+def _gather(context: Any, builder: ir.IRBuilder, sig: Any, base: ir.Value, index: ir.Value) -> ir.Value:
+    kind = sig.return_type
+    if REGISTER == 16:
+        width = 8 if kind.number == types.float64 else 16
+        parts = [_gather_part(builder, kind, base, index, first, width) for first in range(0, kind.count, width)]
+        return join(builder, parts)
+    vector = ir.Constant(vector_type(kind), ir.Undefined)
+    for lane in range(kind.count):
+        vector = builder.insert_element(vector, builder.load(_one(builder, base, index, lane)), WORD(lane))
+    return vector
+
+
+def _gather_part(
+    builder: ir.IRBuilder, kind: Vector, base: ir.Value, index: ir.Value, first: int, width: int
+) -> ir.Value:
+    """AVX-512's gather for one register; AVX2's gains nothing over single loads."""
+    part = ir.VectorType(ELEMENTS[kind.number], width)
+    letters = {types.float32: "ps", types.float64: "pd", types.int32: "pi"}[kind.number]
+    every = ir.Constant(ir.VectorType(BIT, width), [1] * width)
+    places = builder.shuffle_vector(index, index, consecutive(first, first + width))
+    pointer = builder.bitcast(base, BYTE.as_pointer())
+    arguments = (ir.Constant(part, None), pointer, places, every, WORD(kind.number.bitwidth // 8))
+    return call(builder, f"llvm.x86.avx512.mask.gather.d{letters}.512", part, *arguments)
+
+
+def _type_of_pair(array: Any, index: Any) -> Any:
+    """Signature of ``gather_pair``."""
+    return signature(types.UniTuple(_vector(array, index.count), 2), array, index)
+
+
+@access(gather_pair, {types.float32}, _type_of_pair)
+def _gather_pair(context: Any, builder: ir.IRBuilder, sig: Any, base: ir.Value, index: ir.Value) -> ir.Value:
+    width = REGISTER // 2
+    pairs = [_pairs(builder, base, index, first, width) for first in range(0, index.type.count, width)]
+    sides = [
+        join(builder, [builder.shuffle_vector(p, p, consecutive(side, 2 * width, 2)) for p in pairs]) for side in (0, 1)
+    ]
+    return context.make_tuple(builder, sig.return_type, sides)
+
+
+def _pairs(builder: ir.IRBuilder, base: ir.Value, index: ir.Value, first: int, width: int) -> ir.Value:
+    """Two neighbours for each of ``width`` lanes from lane ``first`` on, side by side in one register of float32."""
+    vector = ir.VectorType(DOUBLE, width)
+    if REGISTER == 16:
+        every = ir.Constant(ir.VectorType(BIT, width), [1] * width)
+        places = builder.shuffle_vector(index, index, consecutive(first, first + width))
+        arguments = (ir.Constant(vector, None), builder.bitcast(base, BYTE.as_pointer()), places, every, WORD(4))
+        pairs = call(builder, "llvm.x86.avx512.mask.gather.dpd.512", vector, *arguments)
+    else:
+        pairs = ir.Constant(vector, ir.Undefined)
+        for lane in range(width):
+            pointer = builder.bitcast(_one(builder, base, index, first + lane), DOUBLE.as_pointer())
+            pairs = builder.insert_element(pairs, builder.load(pointer, align=4), WORD(lane))
+    return builder.bitcast(pairs, ir.VectorType(FLOAT, 2 * width))
+
+
+def _type_of_take(array: Any, first: Any, mask: Any) -> Any:
+    """Signature of ``take``."""
+    return signature(_vector(array, mask.count), array, types.int64, mask)
+
+
+@access(take, SINGLE, _type_of_take)
+def _take(context: Any, builder: ir.IRBuilder, sig: Any, base: ir.Value, place: ir.Value, mask: ir.Value) -> ir.Value:
+    kind, parts = sig.return_type, []
+    whole = kind.number == types.int32
+    name = {16: "llvm.x86.avx512.permvar.s{}.512", 8: "llvm.x86.avx2.perm{}"}[REGISTER]
+    name = name.format({16: "fi", 8: ("ps", "d")}[REGISTER][whole])
+    part = ir.VectorType(ELEMENTS[kind.number], REGISTER)
+    for first in range(0, kind.count, REGISTER):
+        own = builder.shuffle_vector(mask, mask, consecutive(first, first + REGISTER))
+        word = builder.zext(builder.bitcast(own, ir.IntType(REGISTER)), WORD)
+        pointer = builder.bitcast(builder.gep(base, [place]), part.as_pointer())
+        parts.append(call(builder, name, part, builder.load(pointer, align=4), ranks(builder, word, REGISTER)))
+        taken = call(builder, "llvm.ctpop.i32", WORD, word)
+        place = builder.add(place, builder.zext(taken, place.type))
+    return join(builder, parts)
+
+
+def _type_of_scatter(array: Any, index: Any, vector: Any, mask: Any) -> Any:
+    """Signature of ``scatter``."""
+    fits = vector == _vector(array, index.count)
+    return signature(types.none, array, index, vector, mask) if fits else None
+
+
+@access(scatter, set(ELEMENT_OF), _type_of_scatter)
+def _scatter(
+    context: Any, builder: ir.IRBuilder, sig: Any, base: ir.Value, index: ir.Value, vector: ir.Value, mask: ir.Value
+) -> ir.Value:
+    for lane in range(index.type.count):
+        with builder.if_then(builder.extract_element(mask, WORD(lane))):
+            element = builder.extract_element(vector, WORD(lane))
+            element = builder.trunc(element, BYTE) if sig.args[0].dtype == types.int8 else element
+            builder.store(element, _one(builder, base, index, lane))
+    return context.get_dummy_value()

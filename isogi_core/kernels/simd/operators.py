@@ -1,0 +1,73 @@
+"""Python's operators on vectors: arithmetic, comparison and logic of masks, of any element and width.
+
+A single number on either side stands in every lane. Sums of float32 may be fused with products, as in kernels; those
+of float64 are rounded one by one, so that they have the same bits as a kernel that is ``exact``.
+"""
+
+import operator
+from typing import Any
+
+from llvmlite import ir
+from numba import types
+
+from isogi_core.kernels.simd.llvm import Build, elementwise
+from isogi_core.kernels.simd.types import Vector
+
+REALS, WHOLES, TRUTHS = {types.float32, types.float64}, {types.int32, types.uint32}, {types.boolean}
+
+# An operation without a flag is given those of its kernel: products of float64 would be fused with sums.
+FLAGS = {types.float32: ("contract", "nsz"), types.float64: ("nsz",)}
+
+
+def method(real: str, whole: str = "") -> Build:
+    """The builder's method ``real`` for floating point, ``whole`` for integers and masks."""
+
+    def _build(builder: ir.IRBuilder, kind: Vector, *values: ir.Value) -> ir.Value:
+        if kind.number in REALS:
+            return getattr(builder, real)(*values, flags=FLAGS[kind.number])
+        return getattr(builder, whole)(*values)
+
+    return _build
+
+
+def define_binary(name: str, elements: set[Any], build: Build) -> None:
+    """Define a binary operator of module ``operator``, and the one that assigns its result."""
+    for each in (name, "i" + name.rstrip("_")):
+        elementwise(getattr(operator, each), 2, elements)(build)
+
+
+for _operator in ("add", "sub", "mul"):
+    define_binary(_operator, REALS | WHOLES, method("f" + _operator, _operator))
+define_binary("truediv", REALS, method("fdiv"))
+define_binary("lshift", WHOLES, method("", "shl"))
+for _operator in ("and_", "or_", "xor"):
+    define_binary(_operator, WHOLES | TRUTHS, method("", _operator))
+elementwise(operator.invert, 1, TRUTHS)(method("", "not_"))
+elementwise(operator.neg, 1, REALS)(lambda builder, kind, a: builder.fneg(a))
+
+
+def _shift_right(builder: ir.IRBuilder, kind: Vector, a: ir.Value, b: ir.Value) -> ir.Value:
+    """By the sign of int32, by zeros of uint32."""
+    return builder.ashr(a, b) if kind.number == types.int32 else builder.lshr(a, b)
+
+
+define_binary("rshift", WHOLES, _shift_right)
+
+
+def comparison(sign: str) -> Build:
+    """How two vectors compare; nothing is true of what is no number, but that it differs."""
+
+    def _build(builder: ir.IRBuilder, kind: Vector, a: ir.Value, b: ir.Value) -> ir.Value:
+        if kind.number in REALS:
+            return (builder.fcmp_unordered if sign == "!=" else builder.fcmp_ordered)(sign, a, b)
+        if kind.number == types.int32:
+            return builder.icmp_signed(sign, a, b)
+        return builder.icmp_unsigned(sign, a, b)
+
+    return _build
+
+
+for _operator, _sign in (("lt", "<"), ("le", "<="), ("gt", ">"), ("ge", ">=")):
+    elementwise(getattr(operator, _operator), 2, REALS | WHOLES, masks=True)(comparison(_sign))
+for _operator, _sign in (("eq", "=="), ("ne", "!=")):
+    elementwise(getattr(operator, _operator), 2, REALS | WHOLES | TRUTHS, masks=True)(comparison(_sign))

@@ -1,0 +1,312 @@
+"""The active-cell map: for a range of isovalues, which cells may hold the surface, and how far rays may skip."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import types
+
+from isogi_core.kernels._jit import kernel, plain, record
+from isogi_core.kernels.simd.memory import prefetch
+from isogi_core.kernels.tracing.field import VOXELS
+from isogi_core.kernels.tracing.macrocells import INFINITE, RANGES, blocks_along, find_ranges
+
+LONGEST = 15
+"""Longest skip, in bricks: what four bits hold."""
+
+BITS = 4
+"""Bits of a skip; a word holds those of the octants 0 … 7, bit a of an octant set where axis a is descended.
+
+No skip is 0, so that words of skips are those whose uppermost four bits are not.
+"""
+
+
+@kernel()
+def nearest_ahead(skips, j, k, dy, dz, nearest):
+    """Write to ``nearest`` (row of x) the least skip of the three rows ahead of (j, k), which are as long."""
+    bz, by, bx = skips.shape
+    nearest[:] = LONGEST - 1
+    for rows in ((j + dy, k), (j, k + dz), (j + dy, k + dz)):
+        if 0 <= rows[0] < by and 0 <= rows[1] < bz:
+            row = skips[rows[1], rows[0]]
+            for i in range(bx):
+                nearest[i] = min(nearest[i], row[i])
+
+
+@kernel()
+def sweep_octant(empty, octant, skips, nearest):
+    """Fill ``skips`` (z, y, x) of one octant: 1 + the least skip of the seven bricks ahead, 0 where marked."""
+    bz, by, bx = empty.shape
+    dx, dy, dz = (-1 if octant & 1 else 1), (-1 if octant & 2 else 1), (-1 if octant & 4 else 1)
+    for kk in range(bz):
+        k = kk if dz < 0 else bz - 1 - kk
+        for jj in range(by):
+            j = jj if dy < 0 else by - 1 - jj
+            nearest_ahead(skips, j, k, dy, dz, nearest)
+            row, before, beside = skips[k, j], LONGEST - 1, LONGEST - 1
+            for ii in range(bx):
+                i = ii if dx < 0 else bx - 1 - ii
+                here = int(nearest[i])
+                before = min(here, beside, before) + 1 if empty[k, j, i] else 0
+                row[i] = before
+                before, beside = min(before, LONGEST - 1), here
+
+
+@kernel()
+def fill_skips(empty, tops):
+    """Write the skips of bricks that are ``empty`` (z, y, x) to ``tops`` (bricks,); the others keep their word."""
+    skips = np.empty(empty.shape, np.uint8)
+    flat, hollow, words = skips.reshape(skips.size), empty.reshape(empty.size), np.zeros(empty.size, np.uint32)
+    nearest = np.empty(empty.shape[2], np.uint8)
+    for octant in range(8):
+        sweep_octant(empty, octant, skips, nearest)
+        for b in range(words.size):
+            words[b] |= np.uint32(flat[b]) << np.uint32(BITS * octant)
+    for b in range(words.size):
+        if hollow[b]:
+            tops[b] = np.int32(words[b])
+
+
+BRICK = 4
+POSITION_ERROR = 2.0**-20
+"""How far a float32 ray strays from the true one, over the longest side; twice what rounding can do."""
+
+VALUE_ERROR = 2.0**-19
+"""Rounding of a float32 trilinear value, over the largest magnitude in it."""
+
+FLAT = types.float32[::1]
+WORDS = types.int32[::1]
+EMPTY = types.boolean[::1]
+
+
+class ActiveCells(NamedTuple):
+    """The bricks of one volume for one range of isovalues; arrays are flat, x fastest.
+
+    ``tops`` int32 (bricks): where cells are marked the brick's place in ``cells`` / BRICK, less than
+    2²⁸; else its skips (see ``fill_skips``). ``cells`` int32, one for each layer of a marked brick along z:
+    bit i = y % 4 * 4 + x % 4 for a marked cell, and bit 16 + i where any cell of its aligned 2³ block is
+    marked. ``margins`` float32 (bricks): values nearer to zero than this have no certain sign;
+    ``shape`` bricks along z, y, x.
+    """
+
+    tops: Any
+    cells: Any
+    margins: Any
+    shape: tuple[int, int, int]
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that belong to these isovalues alone."""
+        return self.tops.nbytes + self.cells.nbytes
+
+
+ACTIVE_CELLS = record(ActiveCells, WORDS, WORDS, FLAT, types.UniTuple(types.int64, 3))
+
+
+@plain
+def brick_shape(shape):
+    """Bricks along (z, y, x) for a volume of ``shape`` voxels."""
+    return blocks_along(shape, BRICK)
+
+
+@kernel(types.void(VOXELS, RANGES, RANGES, RANGES))
+def fill_ranges(voxels, low, high, margins):
+    """Fill ``low``, ``high`` and ``margins`` (bricks along z, y, x), which serve every isovalue of the volume."""
+    nz, ny, nx = voxels.shape
+    stray = 3.0 * POSITION_ERROR * max(nx, ny, nz)
+    find_ranges(voxels, BRICK, 1, low, high)
+    least, most, margin = low.reshape(low.size), high.reshape(high.size), margins.reshape(margins.size)
+    for b in range(margin.shape[0]):
+        largest = max(abs(least[b]), abs(most[b]))
+        margin[b] = stray * (most[b] - least[b]) + VALUE_ERROR * largest
+
+
+GROUP = 4
+"""Bricks along x that are marked together, in loops of fixed length that compilers turn into vectors."""
+
+ROW = GROUP * BRICK
+"""Cells along x in a group."""
+
+
+@kernel()
+def below(level):
+    """The largest float32 that is not above ``level``."""
+    near = np.float32(level)
+    return np.nextafter(near, -INFINITE) if near > level else near
+
+
+@kernel()
+def copy_voxels(voxels, i0, j0, k0, block):
+    """Copy the voxels of a group's cells into the flat ``block``, the volume's faces repeated."""
+    nz, ny, nx = voxels.shape
+    place = 0
+    for c in range(BRICK + 1):
+        for r in range(BRICK + 1):
+            for i in range(ROW + 1):
+                block[place] = voxels[min(k0 + c, nz - 1), min(j0 + r, ny - 1), min(i0 + i, nx - 1)]
+                place += 1
+
+
+@kernel()
+def at(flat, place):
+    """``flat[place]``; that it does not count from the end need not be asked."""
+    return flat[np.uint64(place)]
+
+
+@kernel()
+def mark_layer(flat, place, row, plane, levels, marks):
+    """Write the ``marks`` (ROW,) of a layer of cells; their first voxel is ``flat[place]``.
+
+    ``row`` and ``plane`` are the steps to the next voxel along y and z. A mark has bit 4 y + x % 4 of a
+    cell that has not all corners above ``levels[0]`` or all below ``levels[1]``.
+    """
+    marks[:] = 0
+    for r in range(BRICK):
+        for i in range(ROW):
+            p = place + r * row + i
+            q = p + plane
+            a, b, c, d = at(flat, p), at(flat, p + 1), at(flat, p + row), at(flat, p + row + 1)
+            e, f, g, h = at(flat, q), at(flat, q + 1), at(flat, q + row), at(flat, q + row + 1)
+            least, most = min(a, b, c, d, e, f, g, h), max(a, b, c, d, e, f, g, h)
+            certain = (least > levels[0, i]) | (most < levels[1, i])
+            marks[i] |= np.int32(0 if certain else 1) << np.int32(BRICK * r + i % BRICK)
+
+
+@kernel()
+def mark_group(block, levels, marks, words, empty, b, count):
+    """Write words of the ``count`` bricks from ``b`` on, and which are ``empty``.
+
+    Their voxels are a ``block`` (flat, place, row, plane): see ``mark_layer``.
+    """
+    flat, place, row, plane = block
+    for c in range(BRICK):
+        mark_layer(flat, place + c * plane, row, plane, levels, marks)
+        for g in range(count):
+            first = BRICK * g
+            word = marks[first] | marks[first + 1] | marks[first + 2] | marks[first + 3]
+            words[BRICK * (b + g) + c] = word
+            if word:
+                empty[b + g] = False
+
+
+@kernel()
+def set_levels(margins, b, count, iso_low, iso_high, levels):
+    """Write, for each cell along a group, the ``levels`` above and below which a voxel's side is certain."""
+    for g in range(count):
+        solid, outside = below(iso_high + margins[b + g]), -below(margins[b + g] - iso_low)
+        for i in range(BRICK * g, BRICK * g + BRICK):
+            levels[0, i], levels[1, i] = solid, outside
+
+
+@kernel()
+def find_groups(low, high, margins, iso_low, iso_high, first, shape, groups):
+    """List in ``groups`` the first bricks (j * bx + i) of the groups of a layer that may hold the surface.
+
+    The layer's first brick is ``first``. Returns how many there are.
+    """
+    _, by, bx = shape
+    count = 0
+    for j in range(by):
+        for i in range(0, bx, GROUP):
+            holds = False
+            for b in range(first + j * bx + i, first + j * bx + min(i + GROUP, bx)):
+                holds |= (low[b] <= iso_high + margins[b]) & (high[b] >= iso_low - margins[b])
+            groups[count] = j * bx + i
+            count += holds
+    groups[count] = 0
+    return count
+
+
+@kernel()
+def prefetch_group(flat, place, row, plane):
+    """Have the voxels of a group come nearer, the first at ``place``."""
+    last = flat.shape[0] - 1
+    for c in range(BRICK + 1):
+        for r in range(BRICK + 1):
+            p = place + c * plane + r * row
+            prefetch(flat, min(p, last))
+            prefetch(flat, min(p + ROW, last))
+
+
+BRICK_RANGES = types.UniTuple(FLAT, 3)
+
+
+@kernel(types.void(VOXELS, BRICK_RANGES, types.float64, types.float64, types.int64, types.int64, WORDS, EMPTY))
+def mark_bricks(voxels, ranges, iso_low, iso_high, first, last, words, empty):
+    """Write the words of bricks, and which are ``empty``, in layers ``first`` … ``last`` - 1 along z.
+
+    Only bricks whose ``ranges`` (low, high, margins) hold isovalues ``iso_low`` … ``iso_high`` are looked into; the
+    words of others stay.
+    """
+    low, high, margins = ranges
+    nz, ny, nx = voxels.shape
+    bz, by, bx = brick_shape(voxels.shape)
+    flat, block = voxels.reshape(voxels.size), np.empty((BRICK + 1) ** 2 * (ROW + 1), np.float32)
+    levels, marks = np.empty((2, ROW), np.float32), np.empty(ROW, np.int32)
+    groups = np.empty(by * (bx // GROUP + 1) + 1, np.int64)
+    for k in range(first, last):
+        layer = k * by * bx
+        empty[layer : layer + by * bx] = True
+        for n in range(find_groups(low, high, margins, iso_low, iso_high, layer, (bz, by, bx), groups)):
+            j, i = groups[n] // bx, groups[n] % bx
+            i0, j0, k0, b, count = i * BRICK, j * BRICK, k * BRICK, layer + groups[n], min(GROUP, bx - i)
+            ahead = groups[n + 1]
+            prefetch_group(flat, (k0 * ny + ahead // bx * BRICK) * nx + ahead % bx * BRICK, nx, ny * nx)
+            set_levels(margins, b, count, iso_low, iso_high, levels)
+            source, place, row, plane = flat, (k0 * ny + j0) * nx + i0, nx, ny * nx
+            if i0 + ROW >= nx or j0 + BRICK >= ny or k0 + BRICK >= nz:
+                copy_voxels(voxels, i0, j0, k0, block)
+                source, place, row, plane = block, 0, ROW + 1, (BRICK + 1) * (ROW + 1)
+            mark_group((source, place, row, plane), levels, marks, words, empty, b, count)
+
+
+@kernel()
+def mark_blocks(cells, first):
+    """Add the bits of 2³ blocks to the words of the brick at ``first``."""
+    for k in range(0, BRICK, 2):
+        pair = cells[first + k] | cells[first + k + 1]
+        along_x = (pair | pair >> 1) & 0x5555
+        both = (along_x | along_x >> BRICK) & 0x0505
+        block = both | both << 1
+        block |= block << BRICK
+        cells[first + k] |= block << 16
+        cells[first + k + 1] |= block << 16
+
+
+@kernel(types.void(WORDS, EMPTY, types.UniTuple(types.int64, 3), WORDS, WORDS))
+def pack_bricks(words, empty, shape, tops, cells):
+    """Put the ``words`` of bricks that are not ``empty`` together in ``cells``, and places and skips in ``tops``."""
+    marked = 0
+    for b in range(empty.shape[0]):
+        if not empty[b]:
+            first = BRICK * marked
+            cells[first : first + BRICK] = words[BRICK * b : BRICK * (b + 1)]
+            mark_blocks(cells, first)
+            tops[b] = marked
+            marked += 1
+    fill_skips(empty.reshape(shape), tops)
+
+
+def brick_ranges(voxels):
+    """Smallest and largest voxel in and around each brick, and the margins: what serves every isovalue."""
+    low, high, margins = np.empty((3, *brick_shape(voxels.shape)), np.float32)
+    fill_ranges(voxels, low, high, margins)
+    return low.ravel(), high.ravel(), margins.ravel()
+
+
+def make_active_cells(voxels, ranges, lowest, highest, run=None):
+    """The map of isovalues from ``lowest`` to ``highest``; ``ranges`` are the volume's ``brick_ranges``.
+
+    ``run(piece, total)`` may call ``piece(first, last)`` for parts of the whole on many threads.
+    """
+    margins = ranges[2]
+    shape = brick_shape(voxels.shape)
+    words, empty = np.zeros(BRICK * len(margins), np.int32), np.empty(len(margins), np.bool_)
+
+    def _mark(first, last):
+        mark_bricks(voxels, ranges, lowest, highest, first, last, words, empty)
+
+    run(_mark, shape[0]) if run else _mark(0, shape[0])
+    tops = np.empty(len(margins), np.int32)
+    cells = np.zeros(BRICK * max(len(margins) - np.count_nonzero(empty), 1), np.int32)
+    pack_bricks(words, empty, shape, tops, cells)
+    return ActiveCells(tops, cells, margins, shape)

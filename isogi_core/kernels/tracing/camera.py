@@ -1,0 +1,60 @@
+"""The pinhole camera and the G-buffer: where the surface is behind each pixel."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import types
+
+from isogi_core.kernels._jit import kernel, record
+from isogi_core.kernels.tracing.cast import SURFACE, cast_batch
+from isogi_core.kernels.tracing.intersect import UNKNOWN
+from isogi_core.kernels.tracing.ray_stream import Rays
+from isogi_core.kernels.tracing.vec import column, madd, put_column
+
+
+class Pinhole(NamedTuple):
+    """A camera in index space: ``eye``; the ray through pixel (x, y) is corner + x·right + y·down.
+
+    Rays are scaled so that their parameter is the world distance along the view axis (the depth).
+    """
+
+    eye: tuple[float, float, float]
+    corner: tuple[float, float, float]
+    right: tuple[float, float, float]
+    down: tuple[float, float, float]
+
+
+VECTOR = types.UniTuple(types.float64, 3)
+PINHOLE = record(Pinhole, VECTOR, VECTOR, VECTOR, VECTOR)
+
+
+@kernel()
+def pixel_ray(camera, x, y):
+    """Direction, in index space per unit of depth, through picture point (x, y); pixel centres at half-integers."""
+    return madd(madd(camera.corner, x, camera.right), y, camera.down)
+
+
+@kernel(types.int64(SURFACE, PINHOLE, types.int64, types.int64, types.uint32[::1], types.float32[:, ::1]))
+def trace_pixels(surface, camera, first, width, pixels, points):
+    """Cast the rays of the picture's pixels ``first`` … first + n, row by row; returns how many show the surface.
+
+    Their picture indices are written to ``pixels`` (n,), ascending, and where the surface is there, in
+    index space, to ``points`` (n, 3).
+    """
+    count = pixels.shape[0]
+    origins, directions = np.empty((3, count)), np.empty((3, count))
+    for i in range(count):
+        y, x = divmod(first + i, width)
+        put_column(origins, i, camera.eye)
+        put_column(directions, i, pixel_ray(camera, x + 0.5, y + 0.5))
+    t, came = np.empty(count), np.empty(count, np.int8)
+    rays = Rays(np.full(count, surface.isovalue), origins, directions, np.full(count, UNKNOWN, np.int8))
+    cast_batch(surface.field, surface.cells, rays, t, came)
+    hits = 0
+    for i in range(count):
+        if t[i] < math.inf:
+            pixels[hits] = first + i
+            points[hits, 0], points[hits, 1], points[hits, 2] = madd(camera.eye, t[i], column(directions, i))
+            hits += 1
+    return hits

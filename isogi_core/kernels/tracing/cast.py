@@ -1,0 +1,136 @@
+"""Casting many rays: the float32 traversal goes ahead, the float64 intersection has the last word."""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import types
+
+from isogi_core.kernels._jit import kernel, record
+from isogi_core.kernels.simd.maths import bits, f64, where
+from isogi_core.kernels.simd.memory import gather, load, scatter
+from isogi_core.kernels.simd.types import RAY_WIDTH, REGISTER
+from isogi_core.kernels.tracing.active_cells import ACTIVE_CELLS, POSITION_ERROR
+from isogi_core.kernels.tracing.field import FIELD
+from isogi_core.kernels.tracing.intersect import OUTSIDE, SOLID, UNKNOWN, cast
+from isogi_core.kernels.tracing.ray_stream import Rays, fill_stream, make_stream
+from isogi_core.kernels.tracing.simd_intersect import cross_cells
+from isogi_core.kernels.tracing.slabs import longest
+from isogi_core.kernels.tracing.traversal import MISS, UNSURE, cell_of, traverse
+from isogi_core.kernels.tracing.vec import column
+
+BATCH = 4096
+"""Rays that are traversed together: their stream stays in the second-level cache."""
+
+SIMD = REGISTER is not None
+
+MOST_VOXELS, LONGEST_SIDE = 2**31, 2**18
+"""Volumes of so many are too large for the traversal's words of 32 bits, or for what it proves in float32."""
+
+ORIGINS = types.float64[:, ::1]
+SIDES = types.int8[::1]
+VECTOR = types.float64[::1]
+
+
+class TracedSurface(NamedTuple):
+    """An isosurface: the ``field``, the ``cells`` that may hold it (``ActiveCells``), and the normalised isovalue."""
+
+    field: Any
+    cells: Any
+    isovalue: float
+
+
+SURFACE = record(TracedSurface, FIELD, ACTIVE_CELLS, types.float64)
+
+
+@kernel()
+def settle_vector(volume, rays, columns, stream, found, entries, hits):
+    """Settle RAY_WIDTH rays of a stream, which stand in ``columns``; returns, as bits, those to ask ``cast`` for."""
+    (flat, shape), (isovalues, origins, directions, _), (_, spans, owners), (t, came) = volume, rays, stream, hits
+    word, m = gather(found, columns), gather(owners, columns)
+    known = (word != MISS) & (word != UNSURE)
+    span = gather(spans[0], columns), gather(spans[1], columns)
+    o = gather(origins[0], m), gather(origins[1], m), gather(origins[2], m)
+    d = gather(directions[0], m), gather(directions[1], m), gather(directions[2], m)
+    solid = (word & 1) != 0
+    place = where(known, cell_of(word), 0)
+    hit, near, sure = cross_cells(flat, shape, o, d, place, span, gather(isovalues, m), solid)
+    late = (near - span[0]) * longest(d) - f64(gather(entries, columns))
+    sure = sure & known & (late <= 0.5 * POSITION_ERROR * max(shape))
+    scatter(t, m, hit, sure)
+    scatter(came, m, where(solid, SOLID, OUTSIDE), sure)
+    return bits(~sure)
+
+
+@kernel()
+def settle(field, volume, rays, count, stream, found, entries, hits):
+    """Write the ``hits`` (t, came) of the ``count`` rays of a stream that were traversed: as ``cast`` gives them."""
+    isovalues, origins, directions, sides = rays
+    t, came = hits
+    met, last = np.empty(count + RAY_WIDTH, np.int32), 0
+    for i in range(count):
+        met[last] = i
+        last += found[i] != MISS
+    met[last : last + RAY_WIDTH] = met[0]
+    for i in range(0, last, RAY_WIDTH):
+        asked = settle_vector(volume, rays, load(met, i, RAY_WIDTH), stream, found, entries, hits)
+        lane = i
+        while asked != 0 and lane < last:
+            if asked & 1:
+                m = stream.owners[met[lane]]
+                t[m], came[m] = cast(field, isovalues[m], column(origins, m), column(directions, m), int(sides[m]))
+            asked >>= 1
+            lane += 1
+
+
+@kernel()
+def cast_simd(field, cells, rays, t, came):
+    """``cast_batch`` by SIMD traversal; at least RAY_WIDTH rays."""
+    room = min(BATCH, t.shape[0]) + RAY_WIDTH
+    stream, entries, found = make_stream(room), np.empty(room, np.float32), np.empty(room, np.int32)
+    shape = field.voxels.shape
+    volume, hits = (field.voxels.reshape(field.voxels.size), shape), (t, came)
+    t[:] = math.inf
+    came[:] = UNKNOWN
+    for first in range(0, t.shape[0], BATCH):
+        count = fill_stream(shape, cells.shape, rays, first, min(first + BATCH, t.shape[0]), stream)
+        found[:count] = MISS
+        traverse(volume, cells, stream.records, count, found, entries)
+        settle(field, volume, rays, count, stream, found, entries, hits)
+
+
+@kernel()
+def cast_scalar(field, rays, t, came):
+    """``cast_batch`` one ray at a time."""
+    for m in range(t.shape[0]):
+        o, d = column(rays.origins, m), column(rays.directions, m)
+        t[m], came[m] = cast(field, rays.isovalues[m], o, d, int(rays.sides[m]))
+
+
+@kernel()
+def cast_batch(field, cells, rays, t, came):
+    """First crossings of n ``Rays``, as ``intersect.cast`` gives them, to the bit.
+
+    Their isovalues are within the range of ``cells``. Writes ``t`` (n,), inf where there is none, and ``came`` (n,),
+    the side that the ray came from. Rays need no order; neighbours side by side are faster.
+    """
+    fits = field.voxels.size < MOST_VOXELS and max(field.voxels.shape) < LONGEST_SIDE
+    if SIMD and fits and t.shape[0] >= RAY_WIDTH:
+        cast_simd(field, cells, rays, t, came)
+    else:
+        cast_scalar(field, rays, t, came)
+
+
+CAST = types.void(FIELD, ACTIVE_CELLS, VECTOR, ORIGINS, ORIGINS, SIDES, VECTOR, SIDES)
+
+
+@kernel(CAST)
+def cast_rays(field, cells, isovalues, origins, directions, sides, t, came):
+    """``cast_batch`` for callers outside compiled code; see ``Rays`` for the arrays."""
+    cast_batch(field, cells, Rays(isovalues, origins, directions, sides), t, came)
+
+
+@kernel(CAST)
+def cast_rays_one_by_one(field, cells, isovalues, origins, directions, sides, t, came):
+    """``cast_rays`` by the scalar kernel: the reference, and what there is without SIMD."""
+    cast_scalar(field, Rays(isovalues, origins, directions, sides), t, came)

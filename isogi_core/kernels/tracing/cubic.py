@@ -1,0 +1,115 @@
+"""The field along a ray through a cell: a cubic, its turning points and its first crossing of 0.
+
+For single numbers and for vectors alike, to the same bits: ``solid``, ``wanted`` and what crosses are truths or masks.
+Source: references, reliability, section 4: split at the roots of the slope, bracket, refine.
+"""
+
+import math
+
+from isogi_core.kernels._jit import kernel
+from isogi_core.kernels.simd.maths import any_of, divide, not_, where
+
+REFINEMENTS = 48
+"""Steps of Newton's method at most."""
+
+
+@kernel(exact=True)
+def cubic_along(c, a, d):
+    """Coefficients (A, B, C, D) of f(t) = A t³ + B t² + C t + D along a + t·d in the unit cell.
+
+    ``c`` = (c000, c100, c010, c110, c001, c101, c011, c111) corner values, first index x.
+    """
+    x, y, z = c[1] - c[0], c[2] - c[0], c[4] - c[0]
+    xy, xz, yz = c[3] - c[2] - x, c[5] - c[4] - x, c[6] - c[4] - y
+    xyz = c[7] - c[6] - c[5] + c[4] - (c[3] - c[2] - c[1] + c[0])
+    dxy, dxz, dyz = d[0] * d[1], d[0] * d[2], d[1] * d[2]
+    A = xyz * dxy * d[2]
+    B = xy * dxy + xz * dxz + yz * dyz + xyz * (a[0] * dyz + a[1] * dxz + a[2] * dxy)
+    C = (x + xy * a[1] + xz * a[2] + xyz * a[1] * a[2]) * d[0]
+    C += (y + xy * a[0] + yz * a[2] + xyz * a[0] * a[2]) * d[1]
+    C += (z + xz * a[0] + yz * a[1] + xyz * a[0] * a[1]) * d[2]
+    D = c[0] + x * a[0] + (y + xy * a[0]) * a[1] + (z + xz * a[0] + (yz + xyz * a[0]) * a[1]) * a[2]
+    return A, B, C, D
+
+
+@kernel(exact=True)
+def horner(q, t):
+    """Value of the cubic ``q`` = (A, B, C, D) at ``t``."""
+    return ((q[0] * t + q[1]) * t + q[2]) * t + q[3]
+
+
+@kernel(exact=True)
+def turning_points(q):
+    """Where the cubic's slope 3A t² + 2B t + C vanishes, ascending, clamped to [0, 1]; (1, 1) where it does not.
+
+    The stable quadratic formula: no cancellation, and A = 0 or A = B = 0 fall through.
+    """
+    a, b, c = 3.0 * q[0], q[1], q[2]
+    disc = b * b - a * c
+    turns = disc > 0.0
+    s = -(b + math.copysign(math.sqrt(where(turns, disc, 0.0)), b))
+    r1, r2 = where(a != 0.0, divide(s, a), 1.0), where(s != 0.0, divide(c, s), 1.0)
+    r1, r2 = min(max(r1, 0.0), 1.0), min(max(r2, 0.0), 1.0)
+    return where(turns, min(r1, r2), 1.0), where(turns, max(r1, r2), 1.0)
+
+
+@kernel(exact=True)
+def refine(q, lo, hi, solid, wanted):
+    """The crossing of the cubic ``q`` in [lo, hi], where it is monotone and leaves the side ``solid``.
+
+    Newton's method from the chord's root, kept inside a shrinking bracket, so it ends even where the
+    values at the ends do not change sign (a root lost to rounding is at ``lo`` then). What is not ``wanted`` is
+    waited for no longer.
+    """
+    first, last = horner(q, lo), horner(q, hi)
+    t = lo + (hi - lo) * divide(first, first - last)
+    t = where((lo < t) & (t < hi), t, 0.5 * (lo + hi))
+    for _ in range(REFINEMENTS):
+        f = horner(q, t)
+        stays = (f > 0.0) == solid
+        lo, hi = where(stays, t, lo), where(stays, hi, t)
+        slope = (3.0 * q[0] * t + 2.0 * q[1]) * t + q[2]
+        step = where(slope != 0.0, t - divide(f, slope), math.inf)
+        following = where((lo <= step) & (step <= hi), step, 0.5 * (lo + hi))
+        moved = abs(following - t)
+        t = where(wanted, following, t)
+        wanted = wanted & not_(moved < 1e-9)
+        if not any_of(wanted):
+            break
+    return t
+
+
+@kernel(exact=True)
+def ends_solid(q):
+    """Whether the cubic is above 0 at t = 1."""
+    return q[0] + q[1] + q[2] + q[3] > 0.0
+
+
+@kernel(exact=True)
+def beyond(f, solid, blur):
+    """Whether the values ``f`` lie on the other side than ``solid`` by more than ``blur``."""
+    return where(solid, -f, f) > blur
+
+
+@kernel(exact=True)
+def first_crossing(q, solid, blur, wanted):
+    """Smallest t in [0, 1] at which the cubic leaves the side ``solid``: (t, whether it is there and ``wanted``).
+
+    Where there is none, t says nothing. Where the cubic turns within ``blur`` of 0 it only touches the surface, and
+    stays on its side.
+    """
+    across = ends_solid(q) != solid
+    b1, b2 = q[3] + q[2] / 3.0, q[3] + (2.0 * q[2] + q[1]) / 3.0
+    leaves = wanted & (across | ((b1 > 0.0) != solid) | ((b2 > 0.0) != solid))
+    if not any_of(leaves):
+        return q[3], leaves
+    r1, r2 = turning_points(q)
+    turns = r1 > 0.0
+    one = turns & beyond(horner(q, r1), solid, blur)
+    after = where(turns, r1, 0.0)
+    turns = r2 > after
+    two = turns & beyond(horner(q, r2), solid, blur)
+    lo = where(one, 0.0, where(two, after, where(turns, r2, after)))
+    hi = where(one, r1, where(two, r2, 1.0))
+    crosses = leaves & (one | two | across)
+    return refine(q, lo, hi, solid, crosses), crosses

@@ -1,0 +1,226 @@
+"""The scalar field: trilinear values, gradients and the smoothed normal.
+
+Positions are in index space (voxel units, x first); arrays are indexed [z, y, x]. A voxel above the
+isovalue is solid, so that the outward normal is minus the gradient.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import types
+
+from isogi_core.kernels._jit import kernel, record
+from isogi_core.kernels.simd.maths import floor_within, where
+from isogi_core.kernels.simd.memory import store
+from isogi_core.kernels.simd.voxels import cube, four
+from isogi_core.kernels.tracing.vec import column, is_zero, load_columns, put_column
+
+VOXELS = types.float32[:, :, ::1]
+SIXTH = 1.0 / 6.0
+
+OFFSET = 0.3
+"""Start of illumination rays above the surface, in voxels along the normal, by default (S1, section 4.1.1)."""
+
+
+class Field(NamedTuple):
+    """What a ray needs of a volume.
+
+    ``voxels`` float32 (nz, ny, nx); ``low`` and ``high`` float32 (mz, my, mx), the smallest and
+    largest voxel of each macrocell; ``spacing`` world length of a voxel step along x, y, z. ``smooth`` is
+    whether normals are of the smoothed gradient, or of the plain one; rays leave a surface from ``offset`` voxels
+    above it.
+    """
+
+    voxels: Any
+    low: Any
+    high: Any
+    spacing: tuple[float, float, float]
+    smooth: bool = True
+    offset: float = OFFSET
+
+
+FIELD = record(Field, VOXELS, VOXELS, VOXELS, types.UniTuple(types.float64, 3), types.boolean, types.float64)
+
+
+@kernel()
+def clamp_cell(x, n):
+    """Index of the cell along one axis of ``n`` voxels that holds coordinate ``x``; the last face belongs to it."""
+    return floor_within(x, n - 2)
+
+
+@kernel(exact=True)
+def value(voxels, p):
+    """Trilinear value at ``p`` (index space), float64. Source: S1, section 4.1, the field ρ(x).
+
+    Takes vectors of points too.
+    """
+    nz, ny, nx = voxels.shape
+    i, j, k = floor_within(p[0], nx - 2), floor_within(p[1], ny - 2), floor_within(p[2], nz - 2)
+    x, y, z = p[0] - i, p[1] - j, p[2] - k
+    c = cube(voxels, k, j, i)
+    near = (1.0 - z) * (1.0 - y) * (c[0] + x * (c[1] - c[0])) + (1.0 - z) * y * (c[2] + x * (c[3] - c[2]))
+    far = z * (1.0 - y) * (c[4] + x * (c[5] - c[4])) + z * y * (c[6] + x * (c[7] - c[6]))
+    return near + far
+
+
+@kernel(exact=True)
+def gradient(voxels, p):
+    """Gradient of the trilinear field at ``p``, per voxel step along x, y, z. Source: S1, figure 5, 'gradient'."""
+    nz, ny, nx = voxels.shape
+    i, j, k = clamp_cell(p[0], nx), clamp_cell(p[1], ny), clamp_cell(p[2], nz)
+    x, y, z = p[0] - i, p[1] - j, p[2] - k
+    gx, gy, gz = 0.0, 0.0, 0.0
+    for c in range(2):
+        wz, sz = (z, 1.0) if c else (1.0 - z, -1.0)
+        for b in range(2):
+            wy, sy = (y, 1.0) if b else (1.0 - y, -1.0)
+            v0, v1 = np.float64(voxels[k + c, j + b, i]), np.float64(voxels[k + c, j + b, i + 1])
+            along = v0 + x * (v1 - v0)
+            gx += wz * wy * (v1 - v0)
+            gy += wz * sy * along
+            gz += sz * wy * along
+    return (gx, gy, gz)
+
+
+@kernel(exact=True)
+def bspline(f):
+    """The four cubic B-spline weights at fraction ``f`` in [0, 1], for voxels -1, 0, 1, 2. They sum to 1."""
+    g = 1.0 - f
+    return (
+        SIXTH * (g * g * g),
+        SIXTH * (4.0 + f * f * (3.0 * f - 6.0)),
+        SIXTH * (4.0 + g * g * (3.0 * g - 6.0)),
+        SIXTH * (f * f * f),
+    )
+
+
+@kernel(exact=True)
+def bspline_slope(f):
+    """Derivatives of the four cubic B-spline weights at fraction ``f``. They sum to 0."""
+    g = 1.0 - f
+    return (-0.5 * g * g, f * (1.5 * f - 2.0), -g * (1.5 * g - 2.0), 0.5 * f * f)
+
+
+@kernel(exact=True)
+def blend(w, a, b, c, d):
+    """The sum of four numbers, or fours of them, with weights ``w``."""
+    return w[0] * a + w[1] * b + (w[2] * c + w[3] * d)
+
+
+@kernel(exact=True)
+def blend_cube(voxels, cell, weights, slopes):
+    """Σ over 4×4×4 voxels about ``cell`` (i, j, k) with ``weights``, and ``slopes`` along x, along y, along z.
+
+    Voxels beyond the border repeat the border's.
+    """
+    (i, j, k), (wx, wy, wz), (sx, sy, sz) = cell, weights, slopes
+    nz, ny, _ = voxels.shape
+    j0, j2, j3 = max(j - 1, 0), j + 1, min(j + 2, ny - 1)
+    k0, k2, k3 = max(k - 1, 0), k + 1, min(k + 2, nz - 1)
+    a, b, c, d = four(voxels, k0, j0, i), four(voxels, k0, j, i), four(voxels, k0, j2, i), four(voxels, k0, j3, i)
+    v0, s0 = blend(wy, a, b, c, d), blend(sy, a, b, c, d)
+    a, b, c, d = four(voxels, k, j0, i), four(voxels, k, j, i), four(voxels, k, j2, i), four(voxels, k, j3, i)
+    v1, s1 = blend(wy, a, b, c, d), blend(sy, a, b, c, d)
+    a, b, c, d = four(voxels, k2, j0, i), four(voxels, k2, j, i), four(voxels, k2, j2, i), four(voxels, k2, j3, i)
+    v2, s2 = blend(wy, a, b, c, d), blend(sy, a, b, c, d)
+    a, b, c, d = four(voxels, k3, j0, i), four(voxels, k3, j, i), four(voxels, k3, j2, i), four(voxels, k3, j3, i)
+    v3, s3 = blend(wy, a, b, c, d), blend(sy, a, b, c, d)
+    x, y, z = blend(wz, v0, v1, v2, v3), blend(wz, s0, s1, s2, s3), blend(sz, v0, v1, v2, v3)
+    return (
+        blend(sx, x[0], x[1], x[2], x[3]),
+        blend(wx, y[0], y[1], y[2], y[3]),
+        blend(wx, z[0], z[1], z[2], z[3]),
+    )
+
+
+@kernel(exact=True)
+def smooth_gradient(voxels, p):
+    """Gradient of the field smoothed with the tricubic B-spline over 4×4×4 voxels, per voxel step.
+
+    Voxels beyond the border repeat the border's. Source: S1, section 4.1.1 and figure 5.
+    """
+    nz, ny, nx = voxels.shape
+    i, j, k = clamp_cell(p[0], nx), clamp_cell(p[1], ny), clamp_cell(p[2], nz)
+    x, y, z = p[0] - i, p[1] - j, p[2] - k
+    weights, slopes = (bspline(x), bspline(y), bspline(z)), (bspline_slope(x), bspline_slope(y), bspline_slope(z))
+    return blend_cube(voxels, (i, j, k), weights, slopes)
+
+
+@kernel(exact=True)
+def put_weights(p, n, out):
+    """Write the B-spline's weights, its slopes and the cells of coordinates ``p`` to rows of ``out``, vectors all."""
+    i = floor_within(p, n - 2)
+    for a, w in enumerate(bspline(p - i)):
+        store(out[a], 0, w)
+    for a, s in enumerate(bspline_slope(p - i)):
+        store(out[4 + a], 0, s)
+    store(out[8], 0, i)
+
+
+@kernel()
+def four_at(rows, first, lane):
+    """Element ``lane`` of four rows."""
+    return rows[first, lane], rows[first + 1, lane], rows[first + 2, lane], rows[first + 3, lane]
+
+
+@kernel()
+def smooth_gradients(voxels, points, first, lanes, w, out):
+    """``smooth_gradient`` at ``lanes`` columns of ``points`` (3, n) from ``first`` on, to those of ``out``.
+
+    n is whole vectors; ``w`` (3, 9, PATH_WIDTH) is room for cells, weights and slopes.
+    """
+    nz, ny, nx = voxels.shape
+    p = load_columns(points, first)
+    put_weights(p[0], nx, w[0])
+    put_weights(p[1], ny, w[1])
+    put_weights(p[2], nz, w[2])
+    for lane in range(lanes):
+        i, j, k = int(w[0, 8, lane]), int(w[1, 8, lane]), int(w[2, 8, lane])
+        wx, wy, wz = four_at(w[0], 0, lane), four_at(w[1], 0, lane), four_at(w[2], 0, lane)
+        sx, sy, sz = four_at(w[0], 4, lane), four_at(w[1], 4, lane), four_at(w[2], 4, lane)
+        put_column(out, first + lane, blend_cube(voxels, (i, j, k), (wx, wy, wz), (sx, sy, sz)))
+
+
+@kernel()
+def gradients(field, points, first, lanes, w, out):
+    """The gradients that normals are of, as ``smooth_gradients`` takes and writes them."""
+    if field.smooth:
+        smooth_gradients(field.voxels, points, first, lanes, w, out)
+    else:
+        for m in range(first, first + lanes):
+            put_column(out, m, gradient(field.voxels, column(points, m)))
+
+
+@kernel(exact=True)
+def to_index(v, spacing):
+    """A world vector in index space."""
+    return (v[0] / spacing[0], v[1] / spacing[1], v[2] / spacing[2])
+
+
+@kernel(exact=True)
+def to_world_normal(g, spacing):
+    """Unit outward normal of a gradient given per voxel step; (0, 0, 0) where the gradient says nothing.
+
+    Takes vectors of gradients too.
+    """
+    x, y, z = -g[0] / spacing[0], -g[1] / spacing[1], -g[2] / spacing[2]
+    size = math.sqrt(x * x + y * y + z * z)
+    known = (size > 0.0) & (size < math.inf)
+    share = 1.0 / where(known, size, 1.0)
+    return where(known, x * share, 0.0), where(known, y * share, 0.0), where(known, z * share, 0.0)
+
+
+@kernel()
+def normal(field, p):
+    """Unit outward world normal of the isosurface through ``p``, from the smoothed gradient where ``field`` says so.
+
+    Falls back to the cell's own gradient where the smoothed one is zero or not a number, and is
+    (0, 0, 0) where that is zero too: on a plateau there is no surface.
+    """
+    n = (0.0, 0.0, 0.0)
+    if field.smooth:
+        n = to_world_normal(smooth_gradient(field.voxels, p), field.spacing)
+    if is_zero(n):
+        n = to_world_normal(gradient(field.voxels, p), field.spacing)
+    return n

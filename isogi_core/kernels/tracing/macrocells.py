@@ -1,0 +1,120 @@
+"""Macrocells: the smallest and largest voxel of each block of cells, and which cells hold an isovalue."""
+
+import math
+
+import numpy as np
+from numba import types
+
+from isogi_core.kernels._jit import kernel, plain
+from isogi_core.kernels.tracing.field import VOXELS
+
+SIZE = 8
+"""Cells along each side of a macrocell."""
+
+INFINITE = np.float32(np.inf)
+
+RANGES = types.float32[:, :, ::1]
+
+
+@plain
+def blocks_along(shape, size):
+    """Blocks of ``size``³ cells along (z, y, x) for a volume of ``shape`` voxels."""
+    nz, ny, nx = shape
+    return (-(-(nz - 1) // size), -(-(ny - 1) // size), -(-(nx - 1) // size))
+
+
+@kernel()
+def take_planes(voxels, first, last, low, high):
+    """Fill ``low`` and ``high`` (ny, nx) with the range of the voxels in planes ``first`` … ``last`` - 1.
+
+    A NaN among them opens the range to (-inf, inf).
+    """
+    _, ny, nx = voxels.shape
+    for j in range(ny):
+        least, most = low[j], high[j]
+        least[:], most[:] = INFINITE, -INFINITE
+        for k in range(first, last):
+            row = voxels[k, j]
+            for i in range(nx):
+                whole = row[i] == row[i]
+                v, w = row[i] if whole else -INFINITE, row[i] if whole else INFINITE
+                least[i] = v if v < least[i] else least[i]
+                most[i] = w if w > most[i] else most[i]
+
+
+@kernel()
+def take_rows(low, high, first, last, least, most):
+    """Fill ``least`` and ``most`` (nx,) with the range of rows ``first`` … ``last`` - 1 of ``low`` and ``high``."""
+    least[:], most[:] = INFINITE, -INFINITE
+    for j in range(first, last):
+        v, w = low[j], high[j]
+        for i in range(least.shape[0]):
+            least[i] = v[i] if v[i] < least[i] else least[i]
+            most[i] = w[i] if w[i] > most[i] else most[i]
+
+
+@kernel()
+def window(block, size, apron, n):
+    """First and one past the last of ``n`` voxels along an axis in the cells of a block and ``apron`` cells around."""
+    return max(block * size - apron, 0), min((block + 1) * size + apron + 1, n)
+
+
+@kernel()
+def find_ranges(voxels, size, apron, low, high):
+    """Fill ``low`` and ``high`` (blocks along z, y, x): the range of the voxels of each block of ``size``³ cells.
+
+    ``apron`` cells around the block are taken in too. A block with a NaN gets (-inf, inf).
+    """
+    nz, ny, nx = voxels.shape
+    planes = np.empty((2, ny, nx), np.float32)
+    rows = np.empty((2, nx), np.float32)
+    for k in range(low.shape[0]):
+        first, last = window(k, size, apron, nz)
+        take_planes(voxels, first, last, planes[0], planes[1])
+        for j in range(low.shape[1]):
+            first, last = window(j, size, apron, ny)
+            take_rows(planes[0], planes[1], first, last, rows[0], rows[1])
+            for i in range(low.shape[2]):
+                first, last = window(i, size, apron, nx)
+                least, most = INFINITE, -INFINITE
+                for x in range(first, last):
+                    least, most = min(least, rows[0, x]), max(most, rows[1, x])
+                low[k, j, i], high[k, j, i] = least, most
+
+
+@kernel(types.void(RANGES, RANGES, RANGES))
+def fill_macrocells(voxels, low, high):
+    """Fill ``low`` and ``high`` (mz, my, mx) from ``voxels`` (nz, ny, nx), mz = ceil((nz - 1) / SIZE) and so on.
+
+    A macrocell takes in the voxels on all its faces, shared ones too. One with a NaN in it gets
+    (-inf, +inf), so that it is never skipped: its cells decide one by one.
+    """
+    find_ranges(voxels, SIZE, 0, low, high)
+
+
+def macrocell_shape(shape):
+    """Macrocells along (z, y, x) for a volume of ``shape`` voxels."""
+    return blocks_along(shape, SIZE)
+
+
+MARKS = types.boolean[:, :, ::1]
+
+
+@kernel(types.void(VOXELS, types.float32, types.float32, MARKS))
+def mark_cells(voxels, lowest, highest, cells):
+    """Fill ``cells`` (nz - 1, ny - 1, nx - 1): whether an isovalue lies between the least and greatest corner.
+
+    Both are included, and isovalues go from ``lowest`` to ``highest``, both normalised. A cell whose corners agree, or
+    with a NaN, has none.
+    """
+    for k in range(cells.shape[0]):
+        for j in range(cells.shape[1]):
+            near, far = voxels[k, j], voxels[k, j + 1]
+            upper, over = voxels[k + 1, j], voxels[k + 1, j + 1]
+            row = cells[k, j]
+            for i in range(row.shape[0]):
+                a, b, c, d = near[i], near[i + 1], far[i], far[i + 1]
+                e, f, g, h = upper[i], upper[i + 1], over[i], over[i + 1]
+                least, most = min(a, b, c, d, e, f, g, h), max(a, b, c, d, e, f, g, h)
+                total = a + b + c + d + e + f + g + h
+                row[i] = (least <= highest) & (most >= lowest) & (least < most) & (not math.isnan(total))

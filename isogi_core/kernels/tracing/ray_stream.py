@@ -1,0 +1,122 @@
+"""Ray streams: rays as the traversal takes them, mirrored, in float32, side by side in memory."""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from isogi_core.kernels._jit import kernel
+from isogi_core.kernels.simd.maths import bits, f32, lane_numbers, where
+from isogi_core.kernels.simd.memory import load, store
+from isogi_core.kernels.simd.types import RAY_WIDTH
+from isogi_core.kernels.tracing.active_cells import BRICK
+from isogi_core.kernels.tracing.intersect import UNKNOWN
+from isogi_core.kernels.tracing.slabs import clip_box, longest
+
+FIELDS = 10
+"""Numbers of a ray in a stream: origin, direction (x, y, z, mirrored), way to the exit, isovalue, sign, mirror."""
+
+EVERY = (1 << RAY_WIDTH) - 1
+"""The bits of all lanes."""
+
+STRAY = 8
+"""The bit of a mirror that says: no ray to follow, ask ``cast``."""
+
+
+class Rays(NamedTuple):
+    """n rays ``origins`` + t · ``directions`` (3, n), float64, in index space, each against a surface of its own.
+
+    ``isovalues`` (n,) float64; ``sides`` (n,) int8, OUTSIDE, SOLID or UNKNOWN, that they start on.
+    """
+
+    isovalues: Any
+    origins: Any
+    directions: Any
+    sides: Any
+
+
+class RayStream(NamedTuple):
+    """The rays of a batch that meet the volume's box, in the first columns of arrays (…, n).
+
+    ``records`` float32 (FIELDS, n); ``spans`` float64 (2, n), the part of each in the box; ``owners`` int32 (n,),
+    which of the rays it is.
+    """
+
+    records: Any
+    spans: Any
+    owners: Any
+
+
+@kernel()
+def make_stream(n):
+    """Room for ``n`` rays."""
+    return RayStream(np.empty((FIELDS, n), np.float32), np.empty((2, n)), np.empty(n, np.int32))
+
+
+@kernel()
+def mirrored(d, here, size):
+    """A direction's component and a place along an axis of ``size``, mirrored where descending: (d, place, mask)."""
+    descends = d < 0.0
+    return f32(abs(d)), f32(where(descends, size - here, here)), descends
+
+
+@kernel()
+def put_rays(shape, bricks, rays, m, stream, r):
+    """Write RAY_WIDTH rays from ray ``m`` on to the columns from ``r`` on of a stream.
+
+    ``shape`` voxels and ``bricks`` along z, y, x. Returns, as bits, which of them meet the box.
+    """
+    records, spans, _ = stream
+    isovalues, origins, directions, sides = rays
+    o = load(origins[0], m, RAY_WIDTH), load(origins[1], m, RAY_WIDTH), load(origins[2], m, RAY_WIDTH)
+    d = load(directions[0], m, RAY_WIDTH), load(directions[1], m, RAY_WIDTH), load(directions[2], m, RAY_WIDTH)
+    near, far = clip_box(shape, o, d)
+    most = longest(d)
+    shrink = 1.0 / most
+    sound = (shrink < math.inf) & (far < math.inf)
+    mirror = where(sound, 0, STRAY)
+    for a in range(3):
+        step, here = where(sound, d[a] * shrink, 1.0), where(sound, o[a] + near * d[a], 0.0)
+        step, here, descends = mirrored(step, here, float(BRICK * bricks[2 - a]))
+        mirror = mirror + where(descends, 1 << a, 0)
+        store(records[a], r, here)
+        store(records[3 + a], r, step)
+    side = f32(load(sides, m, RAY_WIDTH))
+    store(records[6], r, f32((far - near) * most))
+    store(records[7], r, f32(load(isovalues, m, RAY_WIDTH)))
+    store(records[8], r, where(near == 0.0, -side, float(UNKNOWN)))
+    store(records[9], r, f32(mirror))
+    store(spans[0], r, near)
+    store(spans[1], r, far)
+    return bits(near < far)
+
+
+@kernel()
+def compact(stream, r, met):
+    """Move those of the RAY_WIDTH columns from ``r`` on whose bit is set in ``met`` together; returns their end."""
+    records, spans, owners = stream
+    for column in range(r, r + RAY_WIDTH):
+        if met & 1:
+            for field in range(FIELDS):
+                records[field, r] = records[field, column]
+            spans[0, r], spans[1, r], owners[r] = spans[0, column], spans[1, column], owners[column]
+            r += 1
+        met >>= 1
+    return r
+
+
+@kernel()
+def fill_stream(shape, bricks, rays, first, last, stream):
+    """Write those of the ``rays`` first … last that meet the box to a ``stream``; returns how many.
+
+    ``shape`` voxels and ``bricks`` along z, y, x. There are RAY_WIDTH rays or more from 0 on, and room for RAY_WIDTH
+    more in the stream.
+    """
+    count = 0
+    for i in range(first, last, RAY_WIDTH):
+        m = max(min(i, last - RAY_WIDTH), 0)
+        met = put_rays(shape, bricks, rays, m, stream, count)
+        store(stream.owners, count, lane_numbers() + m)
+        met &= EVERY << (i - m)
+        count = count + RAY_WIDTH if met == EVERY else compact(stream, count, met)
+    return count

@@ -1,0 +1,89 @@
+"""Rays against boxes: the part of a ray within a volume or a cell, and where it leaves a block.
+
+All but the walk from block to block is for single numbers and for vectors alike, to the same bits.
+"""
+
+import math
+
+from isogi_core.kernels._jit import kernel
+from isogi_core.kernels.simd.maths import divide, where
+
+
+@kernel()
+def longest(d):
+    """The magnitude of the largest component of a direction."""
+    return max(max(abs(d[0]), abs(d[1])), abs(d[2]))
+
+
+@kernel()
+def clip(o, d, n, near, far):
+    """Part of [near, far] in which o + t·d is within 0 … n - 1 along one axis; empty when near > far."""
+    still = d == 0.0
+    a, b = divide(-o, d), divide(n - 1 - o, d)
+    within = (o >= 0.0) & (o <= n - 1.0)
+    first = where(still, where(within, near, math.inf), max(near, min(a, b)))
+    return first, where(still, where(within, far, -math.inf), min(far, max(a, b)))
+
+
+@kernel()
+def clip_box(shape, o, d):
+    """Part (near, far) of the ray o + t·d, t ≥ 0, inside the box of ``shape`` (nz, ny, nx) voxels."""
+    nz, ny, nx = shape
+    near, far = clip(o[0], d[0], nx, 0.0, math.inf)
+    near, far = clip(o[1], d[1], ny, near, far)
+    return clip(o[2], d[2], nz, near, far)
+
+
+@kernel(exact=True)
+def reciprocal(d):
+    """1 / d of a ray direction's component, 0 where the component is 0 or too small to leave a cell by."""
+    inverse = divide(1.0, d)
+    return where(abs(inverse) < math.inf, inverse, 0.0)
+
+
+@kernel(exact=True)
+def reciprocals(d):
+    """``reciprocal`` of each component of a direction."""
+    return reciprocal(d[0]), reciprocal(d[1]), reciprocal(d[2])
+
+
+@kernel(exact=True)
+def cut_slab(o, inv, i, near, far):
+    """Part of [near, far] in which the ray is within cell ``i`` along one axis; ``inv`` from ``reciprocal``."""
+    still = inv == 0.0
+    a, b = (i - o) * inv, (i + 1.0 - o) * inv
+    return where(still, near, max(near, min(a, b))), where(still, far, min(far, max(a, b)))
+
+
+@kernel(exact=True)
+def cut_cell(o, inv, cell, near, far):
+    """Part of [near, far] in which the ray is within ``cell``: the same bits however the ray got there."""
+    near, far = cut_slab(o[0], inv[0], cell[0], near, far)
+    near, far = cut_slab(o[1], inv[1], cell[1], near, far)
+    return cut_slab(o[2], inv[2], cell[2], near, far)
+
+
+@kernel()
+def next_face(o, inv, i, size):
+    """Ray parameter at which the ray leaves block ``i`` (of ``size`` cells) along one axis; inf if it never does.
+
+    ``inv`` is the reciprocal of the direction's component.
+    """
+    if inv > 0.0:
+        return ((i + 1) * size - o) * inv
+    if inv < 0.0:
+        return (i * size - o) * inv
+    return math.inf
+
+
+@kernel()
+def leave_block(o, inv, block, size):
+    """Where the ray leaves a cubic block: (t, steps along x, y, z), one step being ±1 and the others 0."""
+    tx = next_face(o[0], inv[0], block[0], size)
+    ty = next_face(o[1], inv[1], block[1], size)
+    tz = next_face(o[2], inv[2], block[2], size)
+    if tx <= ty and tx <= tz:
+        return tx, 1 if inv[0] > 0.0 else -1, 0, 0
+    if ty <= tz:
+        return ty, 0, 1 if inv[1] > 0.0 else -1, 0
+    return tz, 0, 0, 1 if inv[2] > 0.0 else -1

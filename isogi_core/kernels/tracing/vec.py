@@ -1,0 +1,110 @@
+"""Vectors: 3-tuples of float64, made and taken apart in registers."""
+
+import math
+
+from isogi_core.kernels._jit import kernel
+from isogi_core.kernels.simd.memory import load, store
+from isogi_core.kernels.simd.types import PATH_WIDTH
+
+SMALLEST = 2.0**-1022
+
+
+@kernel()
+def add(a, b):
+    """Sum a + b."""
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
+
+
+@kernel()
+def sub(a, b):
+    """Difference a - b."""
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+@kernel()
+def scale(a, t):
+    """Product t·a with the number t."""
+    return a[0] * t, a[1] * t, a[2] * t
+
+
+@kernel()
+def madd(o, t, d):
+    """Point o + t·d, as along a ray from o in direction d."""
+    return o[0] + t * d[0], o[1] + t * d[1], o[2] + t * d[2]
+
+
+@kernel()
+def dot(a, b):
+    """Scalar product Σ aᵢ bᵢ."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@kernel()
+def cross(a, b):
+    """Vector product a × b, right-handed."""
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@kernel()
+def is_zero(a):
+    """Whether all of a is 0."""
+    return a[0] == 0.0 and a[1] == 0.0 and a[2] == 0.0
+
+
+@kernel()
+def length(a):
+    """Euclidean length √(a·a)."""
+    return math.sqrt(dot(a, a))
+
+
+@kernel()
+def normalize(a):
+    """Unit vector a/|a|, or (0, 0, 0) where a has no direction: zero, infinite or NaN.
+
+    Scaled by the largest component first, so that squares neither overflow nor vanish.
+    """
+    largest = max(abs(a[0]), abs(a[1]), abs(a[2]), SMALLEST)
+    x, y, z = a[0] / largest, a[1] / largest, a[2] / largest
+    size = math.sqrt(x * x + y * y + z * z)
+    if not size > 0.0:
+        return 0.0, 0.0, 0.0
+    return x / size, y / size, z / size
+
+
+@kernel(exact=True)
+def orthonormal_basis(n):
+    """Tangents (s, t) that make (s, t, n) right-handed and orthonormal; n is a unit vector.
+
+    Without a branch and without a pole: Duff et al., "Building an Orthonormal Basis, Revisited",
+    JCGT 6(1), 2017, listing 3.
+    """
+    sign = math.copysign(1.0, n[2])
+    a = -1.0 / (sign + n[2])
+    b = n[0] * n[1] * a
+    return (1.0 + sign * n[0] * n[0] * a, sign * b, -sign * n[0]), (b, sign + n[1] * n[1] * a, -n[1])
+
+
+@kernel()
+def column(vectors, m):
+    """Column ``m`` of a (3, n) array as a tuple."""
+    return vectors[0, m], vectors[1, m], vectors[2, m]
+
+
+@kernel()
+def put_column(vectors, m, v):
+    """Write the vector ``v`` to column ``m`` of a (3, n) array."""
+    vectors[0, m], vectors[1, m], vectors[2, m] = v
+
+
+@kernel()
+def load_columns(vectors, m):
+    """PATH_WIDTH columns of a (3, n) array from ``m`` on, as f64×N."""
+    return load(vectors[0], m, PATH_WIDTH), load(vectors[1], m, PATH_WIDTH), load(vectors[2], m, PATH_WIDTH)
+
+
+@kernel()
+def store_columns(vectors, m, v):
+    """Write a vector of f64×N to the columns of a (3, n) array from ``m`` on."""
+    store(vectors[0], m, v[0])
+    store(vectors[1], m, v[1])
+    store(vectors[2], m, v[2])

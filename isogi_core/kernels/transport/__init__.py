@@ -1,0 +1,1 @@
+"""Transport: paths of light over an isosurface, their random numbers, and what texels keep of them."""

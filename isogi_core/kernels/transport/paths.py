@@ -1,0 +1,48 @@
+"""Records of path tracing: where paths start, which samples are taken, by what rules, and how paths end."""
+
+from typing import Any, NamedTuple
+
+from numba import types
+
+from isogi_core.kernels._jit import record
+
+
+class PathStarts(NamedTuple):
+    """g starts of paths on isosurfaces: ``points`` in index space and world ``normals`` (3, g), float64.
+
+    ``isovalues`` (g,) float64, normalised; ``seeds`` (g,) uint64, of the sequences that their paths draw from. Rays
+    start outside.
+    """
+
+    points: Any
+    normals: Any
+    isovalues: Any
+    seeds: Any
+
+
+class SampleRange(NamedTuple):
+    """``count`` samples of each sequence from number ``first`` on."""
+
+    first: int
+    count: int
+
+
+class PathRules(NamedTuple):
+    """What a path's light counts, and which paths go on: ``weights`` float64 (see who takes them), and ``survival``.
+
+    That is the chance with which a path that has hit twice goes on from a hit: see ``russian_roulette``.
+    """
+
+    weights: Any
+    survival: float
+
+
+class PathEnds(NamedTuple):
+    """How paths end: ``bounces`` int64 (n,) before they left, or -1, and world ``directions`` (3, n), or zeros."""
+
+    bounces: Any
+    directions: Any
+
+
+SAMPLE_RANGE = record(SampleRange, types.int64, types.int64)
+PATH_RULES = record(PathRules, types.float64[:, ::1], types.float64)

@@ -1,0 +1,202 @@
+"""Densities to draw directions from: each has `sample_x`, `x_pdf` and `invert_x`.
+
+Uniform numbers come in as arguments, so sampling is a pure function; `invert_x` gives them back.
+Local directions have z along the normal. Densities are per steradian, or per unit area of the square.
+What has no branch takes vectors of numbers too.
+"""
+
+import math
+
+from isogi_core.kernels._jit import kernel
+from isogi_core.kernels.simd.maths import where
+
+BELOW_ONE = 1.0 - 2.0**-53
+
+# Minimax polynomials in x² of cos and sin on [-π/4, π/4], lowest term first (fdlibm's k_cos.c and k_sin.c).
+COSINE = (
+    4.16666666666666019037e-02, -1.38888888888741095749e-03, 2.48015872894767294178e-05,
+    -2.75573143513906633035e-07, 2.08757232129817482790e-09, -1.13596475577881948265e-11,
+)  # fmt: skip
+SINE = (
+    -1.66666666666666324348e-01, 8.33333333332248946124e-03, -1.98412698298579493134e-04,
+    2.75573137070700676789e-06, -2.50507602534068634195e-08, 1.58969099521155010221e-10,
+)  # fmt: skip
+
+
+@kernel(exact=True)
+def polynomial(a, x):
+    """a₀ + a₁ x + … + a₅ x⁵."""
+    return a[0] + x * (a[1] + x * (a[2] + x * (a[3] + x * (a[4] + x * a[5]))))
+
+
+@kernel(exact=True)
+def cosine_and_sine(angle):
+    """(cos, sin) of an angle in [-π/4, π/4], to the last bit or the one next to it."""
+    square = angle * angle
+    cosine = 1.0 - (0.5 * square - square * square * polynomial(COSINE, square))
+    return cosine, angle + angle * square * polynomial(SINE, square)
+
+
+@kernel(exact=True)
+def sample_disc(u, v):
+    """Point (x, y) of the unit disc, uniform, from (u, v) in [0, 1)², keeping strata whole.
+
+    Shirley and Chiu, "A Low Distortion Map Between Disk and Square", 1997.
+    """
+    a, b = 2.0 * u - 1.0, 2.0 * v - 1.0
+    wide = abs(a) > abs(b)
+    radius, other = where(wide, a, b), where(wide, b, a)
+    cosine, sine = cosine_and_sine(0.25 * math.pi * (other / where(radius != 0.0, radius, 1.0)))
+    along, across = radius * cosine, radius * sine
+    return where(wide, along, across), where(wide, across, along)
+
+
+@kernel()
+def disc_pdf(x, y):
+    """Density of `sample_disc` per unit area: 1/π inside, 0 outside."""
+    return 1.0 / math.pi if x * x + y * y <= 1.0 else 0.0
+
+
+@kernel()
+def invert_disc(x, y):
+    """The (u, v) in [0, 1]² that `sample_disc` maps to (x, y)."""
+    radius = math.sqrt(x * x + y * y)
+    if abs(x) > abs(y):
+        a = math.copysign(radius, x)
+        b = math.atan2(y, x) if x > 0.0 else math.atan2(-y, -x)
+        b *= a * 4.0 / math.pi
+    else:
+        b = math.copysign(radius, y)
+        a = math.atan2(x, y) if y > 0.0 else math.atan2(-x, -y)
+        a *= b * 4.0 / math.pi
+    return 0.5 * (a + 1.0), 0.5 * (b + 1.0)
+
+
+@kernel(exact=True)
+def sample_cosine_hemisphere(u, v):
+    """Unit direction about +z with density cosθ/π from (u, v) in [0, 1)²: a disc point, lifted (Malley)."""
+    x, y = sample_disc(u, v)
+    height = 1.0 - x * x - y * y
+    return x, y, math.sqrt(where(height > 0.0, height, 0.0))
+
+
+@kernel()
+def cosine_hemisphere_pdf(cos_theta):
+    """Density of `sample_cosine_hemisphere` per steradian: max(cosθ, 0)/π."""
+    return max(cos_theta, 0.0) / math.pi
+
+
+@kernel()
+def invert_cosine_hemisphere(d):
+    """The (u, v) that `sample_cosine_hemisphere` maps to the unit direction d."""
+    return invert_disc(d[0], d[1])
+
+
+@kernel()
+def sample_uniform_sphere(u, v):
+    """Unit direction, uniform over the sphere, from (u, v) in [0, 1)²: z = 1 - 2u, φ = 2πv (Archimedes)."""
+    radius = 2.0 * math.sqrt(max(0.0, u * (1.0 - u)))
+    angle = 2.0 * math.pi * v
+    return radius * math.cos(angle), radius * math.sin(angle), 1.0 - 2.0 * u
+
+
+@kernel()
+def uniform_sphere_pdf():
+    """Density of `sample_uniform_sphere` per steradian: 1/4π."""
+    return 0.25 / math.pi
+
+
+@kernel()
+def invert_uniform_sphere(d):
+    """The (u, v) that `sample_uniform_sphere` maps to the unit direction d."""
+    return 0.5 * (1.0 - d[2]), _turn(d[0], d[1])
+
+
+@kernel()
+def _turn(x, y):
+    """Azimuth of (x, y) from +x towards +y as a fraction of a turn, in [0, 1)."""
+    turn = math.atan2(y, x) / (2.0 * math.pi)
+    return min(turn + 1.0, BELOW_ONE) if turn < 0.0 else turn
+
+
+@kernel()
+def direction_to_latlong(d):
+    """Place (row, column) of a direction in a lat-long image, as fractions of its height and width.
+
+    Row in [0, 1] is θ/π from +z down, column in [0, 1) is φ/2π from +x towards +y; d need not be unit.
+    """
+    return math.atan2(math.sqrt(d[0] * d[0] + d[1] * d[1]), d[2]) / math.pi, _turn(d[0], d[1])
+
+
+@kernel()
+def latlong_to_direction(row, column):
+    """Unit direction at fractions (row, column) of a lat-long image's height and width."""
+    theta, phi = math.pi * row, 2.0 * math.pi * column
+    return math.sin(theta) * math.cos(phi), math.sin(theta) * math.sin(phi), math.cos(theta)
+
+
+@kernel()
+def latlong_jacobian(row):
+    """Steradians per unit of lat-long area, dω/(d row · d column) = 2π² sin(π row).
+
+    A density over the image, divided by this, is a density per steradian.
+    """
+    return 2.0 * math.pi * math.pi * math.sin(math.pi * row)
+
+
+@kernel()
+def find_interval(cdf, u):
+    """The last i <= len(cdf) - 2 with cdf[i] <= u; an interval of no width is never found for u < 1."""
+    low, high = 0, cdf.shape[0] - 1
+    while high - low > 1:
+        middle = (low + high) // 2
+        if cdf[middle] <= u:
+            low = middle
+        else:
+            high = middle
+    return low
+
+
+@kernel()
+def sample_piecewise_2d(marginal_cdf, conditional_cdf, u, v):
+    """Place (row, column) in [0, 1)² from a density that is constant on each of h × w pixels, by inversion.
+
+    `marginal_cdf` (h + 1,) runs from 0 to 1 over the rows, `conditional_cdf` (h, w + 1) from 0 to 1
+    over the columns of each row; both float64. Pixels of no weight are never drawn. (pbrt, section A.5.6.)
+    """
+    i = find_interval(marginal_cdf, u)
+    j = find_interval(conditional_cdf[i], v)
+    return _place(marginal_cdf, i, u), _place(conditional_cdf[i], j, v)
+
+
+@kernel()
+def _place(cdf, i, u):
+    """Where in [0, 1) the cdf, linear in interval i, takes the value u."""
+    count = cdf.shape[0] - 1
+    width = cdf[i + 1] - cdf[i]
+    inside = (u - cdf[i]) / width if width > 0.0 else 0.5
+    return min((i + inside) / count, BELOW_ONE)
+
+
+@kernel()
+def piecewise_2d_pdf(marginal_cdf, conditional_cdf, row, column):
+    """Density of `sample_piecewise_2d` at (row, column), per unit area of the square; it integrates to 1."""
+    rows, columns = conditional_cdf.shape[0], conditional_cdf.shape[1] - 1
+    i, j = min(int(row * rows), rows - 1), min(int(column * columns), columns - 1)
+    rise = marginal_cdf[i + 1] - marginal_cdf[i]
+    return rise * rows * (conditional_cdf[i, j + 1] - conditional_cdf[i, j]) * columns
+
+
+@kernel()
+def invert_piecewise_2d(marginal_cdf, conditional_cdf, row, column):
+    """The (u, v) that `sample_piecewise_2d` maps to (row, column)."""
+    rows = conditional_cdf.shape[0]
+    return _height(marginal_cdf, row), _height(conditional_cdf[min(int(row * rows), rows - 1)], column)
+
+
+@kernel()
+def _height(cdf, place):
+    """Value of the piecewise linear cdf at a place in [0, 1]."""
+    count = cdf.shape[0] - 1
+    i = min(int(place * count), count - 1)
+    return cdf[i] + (place * count - i) * (cdf[i + 1] - cdf[i])

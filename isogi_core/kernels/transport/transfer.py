@@ -1,0 +1,173 @@
+"""Radiance transfer of texels (S1, eqs. 6 and 8), and their irradiance under a light that stays."""
+
+import math
+
+import numpy as np
+from numba import types
+
+from isogi_core.kernels._jit import kernel
+from isogi_core.kernels.simd.memory import load
+from isogi_core.kernels.simd.types import PATH_WIDTH
+from isogi_core.kernels.tracing.active_cells import ACTIVE_CELLS
+from isogi_core.kernels.tracing.field import FIELD, OFFSET, normal, to_index, value
+from isogi_core.kernels.tracing.plateaus import along, leave_plateau
+from isogi_core.kernels.tracing.vec import column, is_zero, length, load_columns, put_column
+from isogi_core.kernels.transport.harmonics import accumulate
+from isogi_core.kernels.transport.light_paths import SURROUNDINGS, light_paths
+from isogi_core.kernels.transport.paths import PATH_RULES, SAMPLE_RANGE, PathEnds, PathStarts, SampleRange
+from isogi_core.kernels.transport.rng import mix
+from isogi_core.kernels.transport.wavefront import WAVE, walk_paths, whole
+
+VECTOR = types.float64[::1]
+COLUMNS = types.float64[:, ::1]
+TEXELS = types.int32[:, ::1]
+
+
+@kernel()
+def texel_seed(z, y, x, half):
+    """The sequence of a lattice texel and one of its two independent randomisations (half = 0 or 1)."""
+    return mix(mix(mix(z, y), x), half)
+
+
+@kernel(exact=True)
+def hemmed(field, p, n, level):
+    """Whether it is solid an OFFSET above ``p`` along the normal ``n``: light has no room to arrive there."""
+    up = to_index(n, field.spacing)
+    return value(field.voxels, along(field.voxels.shape, p, up, OFFSET / length(up))) > level
+
+
+@kernel(types.void(FIELD, VECTOR, TEXELS, COLUMNS, COLUMNS, VECTOR, types.boolean[::1]))
+def locate_texels(field, step, texels, points, normals, isovalues, void):
+    """Where ``texels`` (m, 3; z, y, x) are, ``points`` (3, m), and the surface through each of them.
+
+    ``step`` (3,) voxels per texel along x, y, z. Writes ``normals`` (3, m), the voxel-space isovalue each
+    texel is lit on, a float32, and whether it is void: no gradient there, no number, no side of its own, or hemmed in.
+    Those at the edge of a plateau leave their place: see ``leave_plateau``.
+    """
+    for m in range(texels.shape[0]):
+        p = (texels[m, 2] * step[0], texels[m, 1] * step[1], texels[m, 0] * step[2])
+        n, v = normal(field, p), np.float32(value(field.voxels, p))
+        if not (math.isnan(v) or is_zero(n)):
+            p, n, v = leave_plateau(field, p, n)
+        void[m] = math.isnan(v) or is_zero(n) or hemmed(field, p, n, v)
+        put_column(points, m, p)
+        put_column(normals, m, n)
+        isovalues[m] = v
+
+
+@kernel()
+def project_ends(ends, weights, orders, starts, count, sums):
+    """Add the ends of ``walk_paths`` from ``starts`` starts, ``count`` samples each, to sums of their own.
+
+    Lane i % PATH_WIDTH of ``sums`` (channels, i // PATH_WIDTH, n² PATH_WIDTH) is of start i, and takes its samples
+    in their order: the company of a start changes no bit. ``weights`` are those of ``bake_texels``.
+    Source: S1, eq. 8 with cosine sampling, τ_i = Σ R^k Y_i(ω) / N.
+    """
+    counts, ways = np.zeros(starts * count + PATH_WIDTH), ends.directions
+    for c in range(sums.shape[0]):
+        for m in range(starts * count):
+            counts[m] = weights[c, ends.bounces[m] + 1]
+        for block in range(sums.shape[1]):
+            for s in range(count):
+                m = s * starts + block * PATH_WIDTH
+                x, y, z = load_columns(ways, m)
+                accumulate(orders[c], x, y, z, load(counts, m, PATH_WIDTH), sums[c, block])
+
+
+@kernel()
+def exchange(sums, rows, outside, store):
+    """Copy between ``sums`` (see ``project_ends``) and those of ``bake_texels``, ``outside``."""
+    for i in range(2 * rows.shape[0]):
+        block, lane = i // PATH_WIDTH, i % PATH_WIDTH
+        for c in range(sums.shape[0]):
+            there, here = outside[rows[i // 2], i % 2, c], sums[c, block, lane::PATH_WIDTH]
+            if store:
+                there[:] = here
+            else:
+                here[:] = there
+
+
+@kernel()
+def start_halves(place, rows):
+    """The ``PathStarts`` of the ``rows`` and each of their two halves."""
+    texels, points, normals, isovalues = place
+    g = 2 * rows.shape[0]
+    here, around = np.empty((3, g)), np.empty((3, g))
+    levels, seeds = np.empty(g), np.empty(g, np.uint64)
+    for i in range(g):
+        r = rows[i // 2]
+        put_column(here, i, column(points, r))
+        put_column(around, i, column(normals, r))
+        levels[i], seeds[i] = isovalues[r], texel_seed(texels[r, 0], texels[r, 1], texels[r, 2], i % 2)
+    return PathStarts(here, around, levels, seeds)
+
+
+@kernel()
+def bake_together(field, cells, place, rows, samples, rules, orders, out):
+    """``bake_texels`` for a few texels whose paths go together."""
+    g, bounces, last = 2 * rows.shape[0], rules.weights.shape[1] - 2, samples.first + samples.count
+    starts = start_halves(place, rows)
+    step, most = max(WAVE // g, 1), orders.max()
+    ends = PathEnds(np.zeros(g * step, np.int64), np.zeros((3, g * step + PATH_WIDTH)))
+    sums = np.zeros((rules.weights.shape[0], whole(g) // PATH_WIDTH, most * most * PATH_WIDTH))
+    exchange(sums, rows, out, False)
+    for begin in range(samples.first, last, step):
+        some = SampleRange(begin, min(step, last - begin))
+        walk_paths(field, cells, starts, some, bounces, rules.survival, ends)
+        project_ends(ends, rules.weights, orders, g, some.count, sums)
+    exchange(sums, rows, out, True)
+
+
+PLACE = types.Tuple((TEXELS, COLUMNS, COLUMNS, VECTOR))
+ROWS, ORDERS = types.int64[::1], types.int64[::1]
+SUMS = types.float64[:, :, :, ::1]
+
+
+@kernel(types.void(FIELD, ACTIVE_CELLS, PLACE, ROWS, SAMPLE_RANGE, PATH_RULES, ORDERS, SUMS))
+def bake_texels(field, cells, place, rows, samples, rules, orders, sums):
+    """Sums of a ``SampleRange`` for the ``rows`` and each of their two halves.
+
+    ``place`` is what ``locate_texels`` took and wrote: texels, points, normals, isovalues, the latter
+    within the range of ``cells``. The weights (channels, bounces + 2) of the ``PathRules`` are what a path counts that
+    left after k bounces, at k + 1, or never, at 0.
+    Adds to ``sums`` (m, 2, channels, n²), n the greatest of the channels' ``orders``. Source: S1, section 4.1,
+    "for all texels".
+    """
+    together = max(WAVE // (2 * samples.count), PATH_WIDTH)
+    for i in range(0, rows.shape[0], together):
+        bake_together(field, cells, place, rows[i : i + together], samples, rules, orders, sums)
+
+
+@kernel()
+def add_gathered(gathered, starts, count, rows, sums):
+    """Add what ``light_paths`` gathered, sample by sample, to ``sums`` (m, 2, 3) of the ``rows``' halves."""
+    for i in range(starts):
+        for s in range(count):
+            for c in range(3):
+                sums[rows[i // 2], i % 2, c] += gathered[c, s * starts + i]
+
+
+@kernel()
+def light_together(field, cells, place, rows, samples, rules, light, sums):
+    """``bake_irradiance`` for a few texels whose paths go together."""
+    g, last, starts = 2 * rows.shape[0], samples.first + samples.count, start_halves(place, rows)
+    step = max(WAVE // g, 1)
+    gathered = np.empty((3, g * step))
+    for begin in range(samples.first, last, step):
+        some = SampleRange(begin, min(step, last - begin))
+        light_paths(field, cells, starts, some, rules, light, gathered)
+        add_gathered(gathered, g, some.count, rows, sums)
+
+
+@kernel(types.void(FIELD, ACTIVE_CELLS, PLACE, ROWS, SAMPLE_RANGE, PATH_RULES, SURROUNDINGS, types.float64[:, :, ::1]))
+def bake_irradiance(field, cells, place, rows, samples, rules, light, sums):
+    """Sums of a ``SampleRange`` of E/π for the ``rows`` and each of their two halves.
+
+    ``place`` is what ``locate_texels`` took and wrote, as for ``bake_texels``, whose random numbers these
+    are; the weights (bounces + 1, 3) of the ``PathRules`` are R^k over the chance to get there (see
+    ``russian_roulette``); ``light`` the Surroundings. Adds linear RGB, with all bounces, to ``sums`` (m, 2, 3):
+    times the albedo it is the radiance that leaves the surface.
+    """
+    together = max(WAVE // (2 * samples.count), PATH_WIDTH)
+    for i in range(0, rows.shape[0], together):
+        light_together(field, cells, place, rows[i : i + together], samples, rules, light, sums)

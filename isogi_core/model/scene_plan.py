@@ -1,0 +1,145 @@
+"""The scene plan: the layers that are baked for a scene; what is left out, why, and what that saves."""
+
+import math
+from dataclasses import dataclass
+
+FEWEST, MOST = 64, 1 << 20
+"""Bounds of the samples for any target error. With fewer than FEWEST a dark texel may have met no light at all."""
+
+REPRESENTATIONS = ("vicinity", "constant", "irradiance", "transfer")
+"""Kinds of light that a texel may keep, the smallest first.
+
+``vicinity``: the share of a constant light that arrives unreflected. ``constant``: the same with reflected light.
+``irradiance``: that of lights which do not move. ``transfer``: harmonics, for lights that turn.
+"""
+
+
+@dataclass(frozen=True)
+class Layer:
+    """One kind of light that each texel keeps, in an array of its own in the store.
+
+    ``kind`` is "direct" (light that arrives unreflected), "indirect" (reflected light), "whole" (both), or
+    "irradiance" (both, under the scene's own lights). ``order``² coefficients for each of the ``channels``, as half
+    floats where ``half``, and from band ``coarse`` on, if given, as bytes. They are multiples of ``scale``, a power of
+    two. Where there are ``nodes``, channels are not colours: each is of a grey surface with that albedo.
+    """
+
+    kind: str
+    order: int = 1
+    channels: int = 1
+    half: bool = True
+    coarse: int | None = None
+    scale: float = 1.0
+    nodes: tuple[float, ...] = ()
+
+    @property
+    def coefficients(self) -> int:
+        """Numbers that a texel keeps for all channels."""
+        return self.channels * self.order**2
+
+    @property
+    def floats(self) -> int:
+        """Coefficients of a channel that are kept as floats; the others follow them, as bytes."""
+        return self.order**2 if self.coarse is None else min(self.coarse, self.order) ** 2
+
+    @property
+    def noises(self) -> int:
+        """Numbers of a texel's noise: one for band 0, and one for the bands above where there are any."""
+        return 1 if self.order == 1 else 2
+
+    @property
+    def bytes_per_texel(self) -> int:
+        """Bytes of a texel: its coefficients, a byte for each noise, and one for its sample level."""
+        fine = self.channels * self.floats
+        return (2 if self.half else 4) * fine + self.coefficients - fine + self.noises + 1
+
+    @property
+    def precision(self) -> str:
+        """The precision of coefficients: "single", "half", or "bytes" for higher bands."""
+        return "single" if not self.half else "half" if self.coarse is None else "bytes"
+
+    @property
+    def reflected(self) -> bool:
+        """Whether it holds light that was reflected, and so depends on albedo and bounces."""
+        return self.kind != "direct"
+
+
+@dataclass(frozen=True)
+class Saving:
+    """A saving: an ``amount`` of a ``unit``; ``measured``, or else computed."""
+
+    amount: float
+    unit: str
+    measured: bool = False
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """One thing that is left out of a scene, the reason in one sentence, and what that saves."""
+
+    what: str
+    why: str
+    saves: tuple[Saving, ...] = ()
+
+
+@dataclass(frozen=True)
+class ScenePlan:
+    """The layers that are baked for a scene, and how frames are lit with them.
+
+    ``order`` is that of the light that texels are lit with, 1 where they keep no harmonics; a layer may have more.
+    ``bounces`` counts surface hits after the first; from the second on a path goes on with the chance ``survival``.
+    ``samples`` are the most that a texel takes; so many ``lobes`` of the light are no part of direct light in texels,
+    but lit by shadow rays from pixels; ``errors`` names relative errors that the plan expects, by
+    what is cut off; ``notes`` are sentences on those above the target.
+    """
+
+    representation: str
+    layers: tuple[Layer, ...]
+    order: int
+    bounces: int
+    survival: float
+    samples: int
+    lobes: int = 0
+    errors: tuple[tuple[str, float], ...] = ()
+    notes: tuple[str, ...] = ()
+    left_out: tuple[LeftOut, ...] = ()
+
+    @property
+    def channels(self) -> int:
+        """The channels that light is shown in: the most colours of any layer."""
+        return max(1 if layer.nodes else layer.channels for layer in self.layers)
+
+    @property
+    def nodes(self) -> tuple[float, ...]:
+        """The albedos that reflected light is kept for, where views may ask for others; see ``plan.albedos``."""
+        return next((layer.nodes for layer in self.layers if layer.nodes), ())
+
+    @property
+    def indirect_order(self) -> int | None:
+        """The order of reflected light where that is a layer of its own."""
+        return next((layer.order for layer in self.layers if layer.kind == "indirect"), None)
+
+    @property
+    def half(self) -> bool:
+        """Whether coefficients are kept as half floats."""
+        return all(layer.half for layer in self.layers)
+
+    @property
+    def precision(self) -> str:
+        """How coefficients are kept: "bytes" where the higher bands of any layer are, or else "half" or "single"."""
+        return min(layer.precision for layer in self.layers)
+
+    @property
+    def bytes_per_texel(self) -> int:
+        """Bytes that one texel takes in the store before compression."""
+        return sum(layer.bytes_per_texel for layer in self.layers)
+
+
+def most_samples(target: float) -> int:
+    """The most samples for the relative error ``target``: 4096 at 2 %, a power of two growing as target^-3/2.
+
+    A texel that has taken them is final: its remaining noise is reported and not reduced further. The stratified
+    points' error falls about as n^-2/3, so a target that most texels reach leaves few behind.
+    """
+    samples = 4096.0 * (0.02 / max(target, 1e-6)) ** 1.5
+    return min(max(1 << round(math.log2(samples)), FEWEST), MOST)

@@ -1,0 +1,291 @@
+"""A survey of a volume's values: their range without outliers and missing values, and their normalisation."""
+
+import hashlib
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+
+from isogi_core.errors import VolumeError
+from isogi_core.files.grid import Grid
+
+FURTHEST = 2.0**120
+"""Largest normalised voxel or isovalue, to which outliers are moved: float32 sums of a few such are finite."""
+
+
+def offset_and_scale(low: float, high: float, solid: str) -> tuple[float, float]:
+    """The empty end of the range as a double, and ± the least power of two that spans it: both exact.
+
+    Integers beyond 2^53 may have no double: the offset is then the next one outside the range.
+    """
+    sign, end = (1, low) if solid == "above" else (-1, high)
+    offset = float(end) + 0.0  # one zero
+    if sign * (Fraction(offset) - Fraction(end)) > 0:
+        offset = math.nextafter(offset, -sign * math.inf)
+    span = sign * (Fraction(high if sign > 0 else low) - Fraction(offset))
+    if span == 0:
+        return offset, float(sign)
+    exponent = (span.numerator - 1).bit_length() - (span.denominator.bit_length() - 1)
+    return offset, math.ldexp(sign, min(exponent, 1023))
+
+
+def normalise(values: np.ndarray, offset: float, scale: float) -> np.ndarray:
+    """``(values - offset) / scale`` in float64 without overflow on the way, never -0, and at most FURTHEST in size."""
+    sign, exponent = math.copysign(1.0, scale), math.frexp(scale)[1] - 1
+    shift = 2 if exponent > 1000 else 0
+    with np.errstate(over="ignore"):
+        distance = np.ldexp(values.astype(np.float64), -shift) - math.ldexp(offset, -shift)
+        if values.dtype.kind in "iu" and values.dtype.itemsize == 8 and exponent < 63:
+            distance = np.where(np.abs(distance) < 2.0**63, _integer_distance(values, int(offset)), distance)
+        return np.clip(np.ldexp(sign * distance, shift - exponent) + 0.0, -FURTHEST, FURTHEST)
+
+
+def _integer_distance(values: np.ndarray, offset: int) -> np.ndarray:
+    """``values - offset``, where that is known to be less than 2^63 in size: exact modulo 2^64, then as float64."""
+    whole = values.astype(values.dtype.newbyteorder("=")).view(np.uint64)
+    return (whole - np.uint64(offset % 2**64)).view(np.int64).astype(np.float64)
+
+
+def count_steps(low: float, high: float, dtype: np.dtype[Any]) -> float:
+    """How many steps a type has from one value to another: whole numbers, or units in the last place of the larger."""
+    if dtype.kind != "f":
+        return float(high - low)
+    unit = float(np.spacing(np.array(max(abs(low), abs(high)), dtype)))
+    return high / unit - low / unit
+
+
+MOST = 1 << 20
+"""Most voxels that are sampled."""
+
+SLAB = 1 << 26
+"""Bytes that are processed together."""
+
+FAR = 1024.0
+"""Values farther off than this many times the span of the others are outliers."""
+
+
+def sample_step(shape: tuple[int, ...]) -> int:
+    """The step from one sampled voxel to the next: at most MOST are sampled of a volume of ``shape`` (z, y, x).
+
+    The step shares no divisor with the length of a row, so that every column is sampled.
+    """
+    step = max(-(-math.prod(shape) // MOST), 1)
+    while math.gcd(step, shape[2]) > 1:
+        step += 1
+    return step
+
+
+def sample_values(array: np.ndarray) -> np.ndarray:
+    """The distinct finite values of at most MOST voxels, evenly sampled from ``array`` (z, y, x), ascending.
+
+    A few layers are read at a time: an array that is a file need not fit into memory.
+    """
+    step, layers = sample_step(array.shape), max(SLAB // max(array[0].nbytes, 1), 1)
+    parts = [sample_layers(array[z : z + layers], step, z) for z in range(0, len(array), layers)]
+    return np.unique(np.concatenate(parts))
+
+
+def sample_layers(layers: np.ndarray, step: int, first: int) -> np.ndarray:
+    """The values that ``sample_values`` takes, with a ``step``, from the layers that begin at layer ``first``."""
+    values = np.unique(layers.flat[-first * layers[0].size % step :: step])
+    return values[np.isfinite(values)]
+
+
+def find_core(values: np.ndarray) -> tuple[float, float]:
+    """The ends of the core of distinct ascending ``values``, exact Python numbers; without outliers all are the core.
+
+    The core begins as the two thirds of the values that lie closest together, and grows over gaps of up to FAR times
+    its span. Where the core has a smaller core itself, no value is an outlier: values may fall by powers of ten.
+    """
+    first, last = grow(values)
+    if grow(values[first : last + 1]) != (0, last - first):
+        first, last = 0, len(values) - 1
+    return values[first].item(), values[last].item()
+
+
+def grow(values: np.ndarray) -> tuple[int, int]:
+    """First and last index of the closest two thirds of the ``values``, grown over values that are not far off."""
+    places, count = positions(values), len(values)
+    gaps, most = np.diff(places), count - count // 3
+    first = int(np.argmin(places[most - 1 :] - places[: count - most + 1]))
+    last = first + most - 1
+    while True:
+        far = np.flatnonzero(gaps / FAR > places[last] - places[first])
+        ends = int(far[far < first].max(initial=-1)) + 1, int(far[far >= last].min(initial=count - 1))
+        if ends == (first, last):
+            return ends
+        first, last = ends
+
+
+def positions(values: np.ndarray) -> np.ndarray:
+    """Numbers with the differences of ascending ``values``, or a quarter of these; no difference overflows."""
+    if values.dtype.kind in "iu":
+        whole = values.astype(values.dtype.newbyteorder("=")).view(f"u{values.itemsize}")
+        return whole - whole[0]
+    reals = values.astype(np.float64)
+    return reals * 0.25 if np.abs(reals).max() > 2.0**1000 else reals
+
+
+LEAST_SPACING, MOST_SPACING = 1e-30, 1e30
+"""Range of world units per voxel, as positions are float32."""
+
+STAGES = 3
+"""Passes over all layers while a copy is made: for the range, the voxels and their histogram."""
+
+Progress = Callable[[int, int], object]
+"""Is called with the parts of long work that are done, and their total."""
+
+
+def no_progress(done: int, total: int) -> None:
+    """Report nothing."""
+
+
+@dataclass(frozen=True, eq=False)
+class Survey:
+    """Facts of a ``grid`` that are needed to make its voxels; see ``Volume``.
+
+    ``marks`` are the values that mean "missing", in the grid's own type, and ``holes`` counts voxels without a value.
+    ``value_range`` and ``core`` are exact Python numbers.
+    """
+
+    grid: Grid
+    spacing: tuple[float, float, float]
+    solid: str
+    marks: np.ndarray
+    value_range: tuple[float, float]
+    holes: int
+    core: tuple[float, float]
+    offset: float
+    scale: float
+
+    def planes(self) -> Iterator[np.ndarray]:
+        """The normalised voxels, plane by plane along z; (ny, nx) float32 each, NaN for holes."""
+        for slab in self.grid.slabs():
+            for plane in usable(slab):
+                voxels = normalise(plane, self.offset, self.scale).astype(np.float32, order="C")
+                if self.holes:
+                    voxels[~present(plane, self.marks)] = np.nan
+                yield voxels
+
+    def pour(self, write: Callable[[np.ndarray], object], progress: Progress = no_progress) -> str:
+        """Pass the ``planes`` to ``write`` one after the other, and return the digest of their volume."""
+        digest = begin_digest(self.grid.shape, self.spacing, self.offset, self.scale)
+        for z, voxels in enumerate(self.planes()):
+            digest.update(voxels.data)
+            write(voxels)
+            progress(len(self.grid) + z + 1, STAGES * len(self.grid))
+        return digest.hexdigest()
+
+    def facts(self, name: str, digest: str) -> dict[str, Any]:
+        """All fields of a Volume but its voxels."""
+        return {
+            "spacing": self.spacing,
+            "offset": self.offset,
+            "scale": self.scale,
+            "solid": self.solid,
+            "name": name,
+            "dtype": self.grid.dtype.name,
+            "digest": digest,
+            "value_range": (float(self.value_range[0]), float(self.value_range[1])),
+            "core": (float(self.core[0]), float(self.core[1])),
+            "steps": count_steps(*self.core, usable_type(self.grid.dtype)),
+            "holes": self.holes,
+        }
+
+
+def survey(grid: Grid, solid: str, missing: Sequence[float] = (), progress: Progress = no_progress) -> Survey:
+    """Read all values of a ``grid`` once; those equal to one of ``missing`` are holes.
+
+    Raises VolumeError where it is complex, not 3-D, thinner than two voxels or without a finite value, and where a
+    spacing is no positive number of a usable size.
+    """
+    check(grid, solid)
+    spacing = checked_spacing(grid.spacing)
+    marks = find_marks(missing, usable_type(grid.dtype))
+    low, high, holes, some = scan(grid, marks, progress)
+    ends = np.array([low, high], usable_type(grid.dtype))
+    core = find_core(np.union1d(some[present(some, marks)], ends))
+    return Survey(grid, spacing, solid, marks, (low, high), holes, core, *offset_and_scale(*core, solid))
+
+
+def begin_digest(shape: Sequence[int], spacing: Sequence[float], offset: float, scale: float) -> "hashlib.blake2b":
+    """Begin a volume's digest with shape (z, y, x), spacing and units; update it with the voxels."""
+    units = f"{tuple(shape)} {[step.hex() for step in spacing]} {offset.hex()} {scale.hex()}"
+    return hashlib.blake2b(units.encode(), digest_size=16)
+
+
+def check(grid: Grid, solid: str) -> None:
+    """Raise VolumeError where the grid is no real 3-D field, or ``solid`` no side."""
+    if solid not in ("above", "below"):
+        raise VolumeError(f"solid is '{solid}': say which side of the isovalue is solid, 'above' or 'below'.")
+    if grid.dtype.kind not in "biuf":
+        raise VolumeError(f"The volume holds {grid.dtype} values: give one real number per voxel.")
+    if len(grid.shape) != 3:
+        raise VolumeError(f"The volume has {len(grid.shape)} dimensions, not 3: choose one scalar field of it.")
+    if min(grid.shape) < 2:
+        sides = " × ".join(str(n) for n in grid.shape[::-1])
+        raise VolumeError(f"A volume of {sides} voxels has no cells: every side needs at least 2 voxels.")
+
+
+def checked_spacing(spacing: Sequence[float]) -> tuple[float, float, float]:
+    """Spacing as three floats; VolumeError where one is missing, too small or too large."""
+    steps = [float(step) for step in spacing]
+    if len(steps) != 3 or not all(LEAST_SPACING <= step <= MOST_SPACING for step in steps):
+        given = ", ".join(f"{step:g}" for step in steps)
+        wanted = f"three positive numbers, from {LEAST_SPACING:g} to {MOST_SPACING:g}"
+        raise VolumeError(f"The spacing ({given}) must be {wanted}: set spacing in the scene.")
+    return steps[0], steps[1], steps[2]
+
+
+def usable_type(dtype: np.dtype[Any]) -> np.dtype[Any]:
+    """The type in which values are processed: integers or floats of at most 64 bits."""
+    if dtype.kind == "b":
+        return np.dtype(np.uint8)
+    return dtype if dtype.itemsize <= 8 else np.dtype(np.float64)
+
+
+def usable(slab: np.ndarray) -> np.ndarray:
+    """The values in their ``usable_type``."""
+    if slab.dtype.kind == "b":
+        return slab.view(np.uint8)
+    with np.errstate(over="ignore"):
+        return slab.astype(usable_type(slab.dtype), copy=False)
+
+
+def find_marks(missing: Sequence[float], dtype: np.dtype[Any]) -> np.ndarray:
+    """The ``missing`` values as the type holds them; none for a number that it cannot hold."""
+    if dtype.kind == "f":
+        with np.errstate(over="ignore"):
+            return np.array(missing, np.float64).astype(dtype)
+    info = np.iinfo(dtype)
+    return np.array([int(mark) for mark in missing if info.min <= mark <= info.max and mark == int(mark)], dtype)
+
+
+def present(values: np.ndarray, marks: np.ndarray) -> np.ndarray:
+    """Whether each value is finite and not marked as missing; bool."""
+    finite = np.isfinite(values)
+    for mark in marks:
+        finite &= values != mark
+    return np.asarray(finite)
+
+
+def scan(grid: Grid, marks: np.ndarray, progress: Progress) -> tuple[float, float, int, np.ndarray]:
+    """Minimum and maximum (exact Python numbers), the number of missing values, and ``sample_values``."""
+    lows, highs, some = [], [], []
+    z, count, step = 0, 0, sample_step(grid.shape)
+    for slab in map(usable, grid.slabs()):
+        some.append(sample_layers(slab, step, z))
+        for plane in slab:
+            there = plane[present(plane, marks)]
+            count += there.size
+            if there.size:
+                lows.append(there.min().item())
+                highs.append(there.max().item())
+            z += 1
+            progress(z, STAGES * len(grid))
+    if not lows:
+        raise VolumeError("The volume has no finite value: every voxel is NaN, infinite or missing.")
+    return min(lows), max(highs), grid.size - count, np.unique(np.concatenate(some))

@@ -1,0 +1,177 @@
+"""Scene assembly: from a scene file, a volume or a demo to a scene with checked settings and a plan."""
+
+import hashlib
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from isogi_core.errors import LightError, SceneError
+from isogi_core.files.radiance import read_hdr
+from isogi_core.files.scene_file import DEFAULT_DEMO, SceneSource, Settings, find_source
+from isogi_core.kernels.shading.lattice import CHUNK
+from isogi_core.kernels.tracing.field import OFFSET
+from isogi_core.kernels.transport.harmonics import MAX_ORDER
+from isogi_core.model.demo import DEMOS
+from isogi_core.model.environment import Environment, Lamps, gather_lamps, pixel_directions, resample, solid_angles
+from isogi_core.model.lights import ConstantLight, Lamp, Light, ProbeLight, SkyLight, light_from_mapping
+from isogi_core.model.scene_plan import REPRESENTATIONS
+from isogi_core.model.sky import sky_image
+from isogi_core.model.value_survey import Progress, no_progress
+from isogi_core.model.volume import Volume
+from isogi_core.plan.inputs import PlanInputs, PlanOverrides
+from isogi_core.plan.isovalue_presets import read_presets
+from isogi_core.plan.lobe_choice import MOST as MOST_LOBES
+from isogi_core.plan.planner import plan_scene
+from isogi_core.plan.scene import CHUNKS, NORMALS, Scene
+from isogi_core.plan.volume_opening import open_volume
+
+SKY_SIZE = (512, 1024)
+"""Rows and columns of the grid on which a sky is laid out."""
+
+
+def load_scene(target: str | Path | None = None, **settings: Any) -> Scene:
+    """Load a scene file (.toml), a volume (.nrrd, .nhdr, .zarr) or a demo ("demo:casting", also the default).
+
+    ``settings`` replace those of the scene, by their names in a scene file. Raises SceneError, VolumeError and
+    LightError.
+    """
+    return build_scene(find_source(target, settings))
+
+
+def build_scene(source: SceneSource, progress: Progress = no_progress, volume: Volume | None = None) -> Scene:
+    """Open the volume and the lights of ``source``, check every setting, and make the plan.
+
+    ``progress`` is called while a copy of a large volume is made. A ``volume`` that is given replaces the one that the
+    scene names. Raises SceneError, VolumeError or LightError.
+    """
+    settings = Settings(source)
+    volume = volume or open_volume(settings, source.base, progress)
+    lights = tuple(light_from_mapping(entry, source.base) for entry in settings.lights())
+    lamps = gather_lamps(lights)
+    isovalues = settings.interval("isovalues", volume.value_range, volume.core)
+    fallback = min(max(default_isovalue(settings, volume), isovalues[0]), isovalues[1])
+    isovalue = settings.number("isovalue", fallback, *isovalues)
+    albedo = settings.colour("albedo", 0.7)
+    overrides = plan_overrides(settings, albedo)
+    target_error = settings.number("target_error", 0.02, 1e-4, 1.0)
+    light, rotating = assemble_environment(lights), may_rotate(settings, lamps)
+    most = albedo if overrides.albedos is None else (overrides.albedos[1],) * 3
+    inputs = PlanInputs(light, lamps, volume.centre, volume.radius, rotating, most, target_error)
+    plan = plan_scene(inputs, overrides)
+    scene = Scene(
+        id=re.sub(r"[^a-z0-9_-]+", "-", source.name.lower()).strip("-")[:64] or "scene",
+        source=source,
+        volume=volume,
+        lights=lights,
+        environment=light,
+        lamps=lamps,
+        isovalue=isovalue,
+        isovalues=isovalues,
+        albedo=albedo,
+        lattice=settings.number("lattice", 1.0, 0.125, 4.0),
+        chunk=settings.choice("chunk", CHUNKS) or CHUNK,
+        target_error=target_error,
+        rotating=rotating,
+        normals=settings.choice("normals", NORMALS) or NORMALS[0],
+        offset=settings.number("offset", OFFSET, 0.0, 2.0),
+        inputs=inputs,
+        overrides=overrides,
+        plan=plan,
+        named=read_presets(settings, isovalues),
+        projected=settings.flag("projected", None),
+        albedos=overrides.albedos or ((0.0, 1.0) if overrides.bounces == 0 and max(albedo) > 0.0 else None),
+    )
+    settings.refuse_unknown()
+    return scene
+
+
+def plan_overrides(settings: Settings, albedo: tuple[float, float, float]) -> PlanOverrides:
+    """The scene's own choices for its plan. SceneError where its ``albedo`` is not one that views may ask for."""
+    albedos = settings.span("albedos", 0.0, 1.0)
+    if albedos is not None and not albedos[0] <= min(albedo) <= max(albedo) <= albedos[1]:
+        given = f"albedos = [{albedos[0]:g}, {albedos[1]:g}]"
+        raise SceneError(f"{given} leaves out the scene's own albedo, {min(albedo):g} to {max(albedo):g}: widen it.")
+    return PlanOverrides(
+        representation=settings.choice("representation", REPRESENTATIONS),
+        order=settings.count("order", MAX_ORDER, 1),
+        indirect_order=settings.count("indirect_order", MAX_ORDER, 1),
+        bounces=settings.count("bounces", 1000),
+        precision=settings.choice("precision", ("bytes", "half", "single")),
+        lobes=settings.count("lobes", MOST_LOBES),
+        albedos=albedos,
+    )
+
+
+def may_rotate(settings: Settings, lamps: Lamps) -> bool:
+    """Whether the light may be turned: the scene decides, by default yes; never where there are lamps (SceneError)."""
+    rotating = settings.flag("rotating", not lamps.any)
+    if rotating and lamps.any:
+        raise SceneError("Lamps stay where they are: leave out rotating = true, or the lamps.")
+    return rotating
+
+
+def default_isovalue(settings: Settings, volume: Volume) -> float:
+    """The isovalue where views start if the scene gives none: the demo's, or Otsu's threshold."""
+    name = settings.text("volume", DEFAULT_DEMO)
+    if name.startswith("demo:"):
+        return float(DEMOS[name.removeprefix("demo:")][1])
+    return otsu(*volume.histogram())
+
+
+def otsu(counts: np.ndarray, edges: np.ndarray) -> float:
+    """The edge that splits a histogram of even bins into the two classes farthest apart (Otsu 1979).
+
+    Distances are counted in bins, as squares of values may overflow or underflow a double.
+    """
+    middles = np.arange(len(counts)) + 0.5
+    below = np.cumsum(counts)[:-1]
+    above = counts.sum() - below
+    mass = np.cumsum(counts * middles)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        apart = (mass[-1] - mass[:-1]) / above - mass[:-1] / below
+        between = np.nan_to_num(below.astype(float) * above * apart**2)
+    return float(edges[1 + int(np.argmax(between))])
+
+
+def assemble_environment(lights: Sequence[Light]) -> Environment:
+    """Sum the lights that are no lamps. Images are resampled to the largest grid without change of energy.
+
+    Raises LightError where a probe cannot be read or holds a negative or non-finite radiance.
+    """
+    constant = np.zeros(3)
+    images = []
+    around = [light for light in lights if not isinstance(light, Lamp)]
+    for light in around:
+        if isinstance(light, ConstantLight):
+            constant += light.radiance
+        else:
+            images.append(_image(light))
+    height = max((image.shape[0] for image in images), default=1)
+    width = max((image.shape[1] for image in images), default=1)
+    total = np.zeros((height, width, 3))
+    for image in images:
+        total += resample(image, height, width)
+    with np.errstate(over="ignore"):
+        total = _checked(total.astype(np.float32), "The sum of all lights")
+    digest = hashlib.blake2b(f"{constant.tolist()} {total.shape}".encode(), digest_size=16)
+    digest.update(total.data)
+    name = " + ".join(light.name for light in around) or "no light"
+    return Environment(constant, total, digest.hexdigest(), name)
+
+
+def _image(light: SkyLight | ProbeLight) -> np.ndarray:
+    """The lat-long image (h, w, 3) of a sky or a probe."""
+    if isinstance(light, ProbeLight):
+        return light.scale * _checked(read_hdr(light.file), f"The probe '{light.file}'").astype(np.float64)
+    return sky_image(light, pixel_directions(*SKY_SIZE), solid_angles(*SKY_SIZE))
+
+
+def _checked(image: np.ndarray, what: str) -> np.ndarray:
+    """Return the image; LightError where a radiance is not finite or is negative."""
+    bad = int((~(np.isfinite(image) & (image >= 0.0))).any(axis=-1).sum())
+    if bad:
+        raise LightError(f"{what} has {bad} pixels of negative or non-finite radiance: give another light.")
+    return image

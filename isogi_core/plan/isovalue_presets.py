@@ -1,0 +1,165 @@
+"""Isovalue presets: those that a scene names, else boundaries between materials that are found in its volume."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from isogi_core.errors import SceneError
+from isogi_core.files.scene_file import Settings, is_number
+from isogi_core.model.volume import CORE, Volume
+
+BINS = 256
+"""Number of isovalues that are tried, evenly over the core."""
+
+SMOOTHING = 3.0
+"""Standard deviation, in bins, of the Gaussian that evens the curve out."""
+
+SAMPLED = 1 << 21
+"""Number of voxels that are sampled, in whole layers."""
+
+MOST = 4
+"""Most boundaries that are suggested."""
+
+LEAST_AREA = 0.005
+"""Least area of a surface over the largest: smaller ones are noise, or hot spots."""
+
+LEAST_FALL = 0.1
+"""Least prominence of a peak, over its height."""
+
+TOP = 0.95
+"""Share of its height down to which a peak reaches; the middle of that range is suggested."""
+
+MARGIN = 0.02
+"""Share of the range at either end in which peaks are left out: they are of values that were cut off."""
+
+
+def find_boundaries(volume: Volume, isovalues: tuple[float, float]) -> tuple[float, ...]:
+    """Find at most MOST isovalues within a range, ascending, in the volume's own units; see ``_own_value``."""
+    total, area = surface_integrals(volume)
+    sharpness = smooth(total / np.maximum(area, np.finfo(float).tiny))
+    sharpness[smooth(area) < LEAST_AREA * area.max()] = 0.0
+    shares = [(peak + 0.5) / BINS for peak in peaks(sharpness)]
+    values = {_own_value(volume, share if volume.scale > 0 else 1.0 - share) for share in shares}
+    return tuple(sorted(value for value in values if isovalues[0] <= value <= isovalues[1]))
+
+
+def _own_value(volume: Volume, share: float) -> float:
+    """The value at a share of the core, rounded to a power of ten that is at most a hundredth of the core."""
+    low, high = volume.core
+    value, hundredth = low * (1.0 - share) + high * share, high / 100.0 - low / 100.0
+    step = 10.0 ** math.floor(math.log10(hundredth)) if hundredth > 0.0 else 0.0
+    return float(f"{round(value / step) * step:.15g}") if step > 0.0 else value
+
+
+def surface_integrals(volume: Volume) -> tuple[np.ndarray, np.ndarray]:
+    """For BINS isovalues in the core: the gradient's integral over the isosurface, and the surface's area; (BINS,).
+
+    Both up to a factor that all share, and the area along the axes, 1 to √3 of the true one. An edge along an axis
+    stands for the area between it and its neighbours.
+    """
+    voxels, (dx, dy, dz) = volume.voxels, volume.spacing
+    sums, span = np.zeros((2, BINS + 1)), volume.core_span()
+    for z in range(0, len(voxels) - 1, max(voxels.size // SAMPLED, 1)):
+        layer, above = voxels[z], voxels[z + 1]
+        _count_edges(layer, above, 1.0 / dz, span, sums)
+        _count_edges(layer[1:], layer[:-1], 1.0 / dy, span, sums)
+        _count_edges(layer[:, 1:], layer[:, :-1], 1.0 / dx, span, sums)
+    total, area = sums.cumsum(axis=1)[:, :BINS]
+    return total, area
+
+
+def _count_edges(a: np.ndarray, b: np.ndarray, density: float, span: tuple[float, float], sums: np.ndarray) -> None:
+    """Add to ``sums`` (2, BINS + 1) where the isovalues begin and end that edges from ``a`` to ``b`` pass.
+
+    ``density`` is the inverse length of an edge: the area that it stands for, but for a factor that all axes share.
+    """
+    there = (a != b) & (np.abs(a) <= CORE) & (np.abs(b) <= CORE)
+    low, high = np.minimum(a[there], b[there]), np.maximum(a[there], b[there])
+    scale = BINS / ((span[1] - span[0]) or 1.0)
+    gradient = (high - low) * density
+    for ends, sign in ((low, density), (high, -density)):
+        places = np.clip(np.ceil((ends - span[0]) * scale - 0.5), 0, BINS).astype(np.int64)
+        sums[0] += sign * np.bincount(places, gradient, BINS + 1)
+        sums[1] += sign * np.bincount(places, minlength=BINS + 1)
+
+
+def smooth(curve: np.ndarray) -> np.ndarray:
+    """The curve under a Gaussian of SMOOTHING, its ends carried on."""
+    reach = math.ceil(3 * SMOOTHING)
+    weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / SMOOTHING) ** 2)
+    return np.convolve(np.pad(curve, reach, "edge"), weights / weights.sum(), "valid")
+
+
+def peaks(curve: np.ndarray) -> list[float]:
+    """The middles of at most MOST peaks, the most prominent first: see LEAST_FALL, TOP and MARGIN."""
+    falls = np.array([prominence(curve, at) for at in range(len(curve))])
+    found: list[tuple[int, int]] = []
+    for at in np.argsort(-falls, kind="stable").tolist():
+        taken = any(first <= at <= last for first, last in found)
+        if not taken and falls[at] >= LEAST_FALL * curve[at] > 0.0:
+            found.append(_top(curve, at))
+    middles = [(first + last) / 2 for first, last in found]
+    return [middle for middle in middles if MARGIN <= (middle + 0.5) / len(curve) <= 1.0 - MARGIN][:MOST]
+
+
+def prominence(curve: np.ndarray, at: int) -> float:
+    """How far the curve falls on both sides of a place before it rises higher; it is 0 beyond its ends."""
+    return float(curve[at]) - max(_saddle(side, curve[at]) for side in (curve[:at][::-1], curve[at + 1 :]))
+
+
+def _saddle(side: np.ndarray, height: float) -> float:
+    """The lowest that one goes on a side, from its start, before it is higher than ``height``."""
+    higher = np.flatnonzero(side > height)
+    return float(side[: higher[0]].min(initial=height)) if len(higher) else 0.0
+
+
+def _top(curve: np.ndarray, at: int) -> tuple[int, int]:
+    """The first and the last place around a peak that are no lower than TOP of it."""
+    low = np.flatnonzero(curve < TOP * curve[at])
+    return int(low[low < at].max(initial=-1)) + 1, int(low[low > at].min(initial=len(curve))) - 1
+
+
+MOST_NAMED = 24
+"""Most presets that a scene may name: a person finds one among these at a glance."""
+
+LONGEST = 40
+"""Most characters of a preset's name."""
+
+
+@dataclass(frozen=True)
+class Preset:
+    """An isovalue with a name, in the volume's own units; ``suggested`` where the scene does not name it."""
+
+    name: str
+    isovalue: float
+    suggested: bool = False
+
+
+def read_presets(settings: Settings, isovalues: tuple[float, float]) -> tuple[Preset, ...]:
+    """Read the scene's own presets, in its order; SceneError where one has no name or lies outside ``isovalues``."""
+    entries = settings.tables("presets", MOST_NAMED)
+    presets = tuple(_preset(entry, isovalues) for entry in entries)
+    if len({preset.name for preset in presets}) < len(presets):
+        raise SceneError("Two presets of the scene have the same name: give each its own.")
+    return presets
+
+
+def suggested_presets(values: tuple[float, ...]) -> tuple[Preset, ...]:
+    """Presets that are named by their isovalues."""
+    return tuple(Preset(f"{value:.6g}", value, suggested=True) for value in values)
+
+
+def _preset(entry: Mapping[str, Any], isovalues: tuple[float, float]) -> Preset:
+    if set(entry) != {"name", "isovalue"}:
+        given = ", ".join(sorted(map(str, entry))) or "nothing"
+        raise SceneError(f"A preset of the scene has {given}: give it name and isovalue, and no more.")
+    name, isovalue = entry["name"], entry["isovalue"]
+    if not isinstance(name, str) or not name.strip() or len(name) > LONGEST or not name.isprintable():
+        raise SceneError(f"A preset's name is {name!r}: give it a word or a few, of {LONGEST} characters at most.")
+    low, high = isovalues
+    if not is_number(isovalue) or not low <= isovalue <= high:
+        raise SceneError(f"The preset '{name}' has isovalue {isovalue!r}, not a number from {low:g} to {high:g}.")
+    return Preset(name.strip(), float(isovalue))

@@ -1,0 +1,262 @@
+"""What a plan leaves out, why, and what that saves, each compared with the same plan and that one thing put back."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+from isogi_core.model.environment import Environment, Lamps
+from isogi_core.model.scene_plan import Layer, LeftOut, Saving, ScenePlan
+from isogi_core.model.volume import Isovalue
+from isogi_core.plan.albedos import mixing_error
+from isogi_core.plan.bands import truncation_error
+from isogi_core.plan.budget import LONGEST_PATH, ROULETTE_RAYS, bounces_for, rounding_error, tail_of_bounces
+from isogi_core.plan.inputs import PlanInputs
+from isogi_core.plan.projection import ProjectionPlan
+from isogi_core.plan.reachable_texels import TexelCount
+
+
+def uncalled(rotating: bool, environment: Environment, lamps: Lamps, lobes: int) -> tuple[str, ...]:
+    """Names of kernels that no frame calls: constant and fixed lights are not rotated."""
+    called = {"rotate": rotating and bool(environment.image.any()), "project_lamps": lamps.any}
+    called |= {"light_lobes": lobes > 0, "add_lobes": lobes > 0}
+    return tuple(name for name, needed in called.items() if not needed)
+
+
+BANDS = 5
+"""The order of the harmonics in S1."""
+
+S1_BYTES = 3 * BANDS**2 * 4
+"""Bytes of a texel in S1, whatever the light: 25 floats for each channel."""
+
+FLOAT = 4
+
+BRIGHTEST = 0.95
+"""The highest albedo at which ROULETTE_RAYS was measured, with at least as many bounces as the planner chooses."""
+
+REASONS = {
+    "vicinity": "The light is the same from all sides: a texel keeps the share of it that arrives.",
+    "constant": "The light is the same from all sides: a texel keeps how much arrives, not from where.",
+    "irradiance": "The light stays where it is: a texel keeps how much arrives, not from where.",
+}
+"""Why a representation needs no harmonics."""
+
+
+def left_out(plan: ScenePlan, inputs: PlanInputs) -> tuple[LeftOut, ...]:
+    """Everything that a plan leaves out because of the scene's lights, material and target error."""
+    return tuple(each for find in FINDERS for each in find(plan, inputs))
+
+
+def harmonics(plan: ScenePlan, _: PlanInputs) -> Iterator[LeftOut]:
+    """S1's harmonics, where a texel keeps none."""
+    if plan.representation in REASONS:
+        saved = Saving(S1_BYTES - plan.bytes_per_texel, "bytes per texel beside S1")
+        yield LeftOut("S1's harmonics in floats of three channels", REASONS[plan.representation], (saved,))
+
+
+def bands(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
+    """Bands of direct light that S1 keeps, and bands of reflected light that direct light keeps."""
+    if plan.representation != "transfer":
+        return
+    direct, *reflected = plan.layers
+    if direct.order < BANDS:
+        error = truncation_error(inputs.energy_beside(plan.lobes), direct.order, "direct")
+        yield cut(direct, BANDS, error, inputs)
+    for layer in reflected:
+        if layer.order < direct.order:
+            error = truncation_error(inputs.energy, layer.order, "indirect", max(inputs.albedo))
+            yield cut(layer, direct.order, error, inputs)
+
+
+def cut(layer: Layer, order: int, error: float, inputs: PlanInputs) -> LeftOut:
+    """The bands below ``order`` that a layer does not keep, and the relative ``error`` that this causes."""
+    names = f"bands {layer.order} to {order - 1}" if layer.order < order - 1 else f"band {layer.order}"
+    kind = "reflected" if layer.kind == "indirect" else "direct"
+    why = f"Without them the lit surface errs by {percent(error)}, beside a target of {percent(inputs.target_error)}."
+    return LeftOut(f"{names} of {kind} light", why, (added(layer, replace(layer, order=order)),))
+
+
+def lobes(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
+    """Lobes that would be lit by shadow rays of their own."""
+    more = len(inputs.lobes) - plan.lobes
+    if plan.representation == "transfer" and more:
+        errors = [
+            truncation_error(inputs.energy_beside(n), plan.order, "direct") for n in (plan.lobes, plan.lobes + more)
+        ]
+        what = f"lobes {plan.lobes + 1} to {plan.lobes + more}" if more > 1 else f"lobe {plan.lobes + 1}"
+        why = (
+            f"As light of their own they would bring the error of direct light's harmonics from {percent(errors[0])} to"
+        )
+        yield LeftOut(
+            f"{what} of the light", f"{why} {percent(errors[1])}.", (Saving(more, "shadow rays per pixel, or more"),)
+        )
+
+
+def channels(plan: ScenePlan, _: PlanInputs) -> Iterator[LeftOut]:
+    """Colour channels that would all be the same."""
+    for layer in plan.layers:
+        if layer.channels == 1 and not layer.nodes:
+            what, why = CHANNELS[layer.kind]
+            yield LeftOut(f"two of three channels of {what}", why, (added(layer, replace(layer, channels=3)),))
+
+
+CHANNELS = {
+    "direct": ("direct light", "What was not reflected yet has no colour of the surface."),
+    "indirect": ("reflected light", "The albedo is grey, so that reflected light keeps its colour."),
+    "whole": ("light", "The albedo is grey, so that reflected light keeps its colour."),
+    "irradiance": ("irradiance", "The albedo and all lights are grey."),
+}
+"""Light by the kind of its layer, and why one channel is enough."""
+
+
+def nodes(plan: ScenePlan, _: PlanInputs) -> Iterator[LeftOut]:
+    """Light after each bounce on its own, where views may ask for another albedo."""
+    for layer in plan.layers:
+        if 0 < len(layer.nodes) < plan.bounces:
+            albedos, error = ", ".join(f"{node:.2g}" for node in layer.nodes), mixing_error(layer.nodes, plan.bounces)
+            mixed = f"Light of any other albedo is mixed of that of {albedos}"
+            why = f"{mixed}, which errs by {percent(error)} where all hits are alike."
+            yield LeftOut("light after each bounce", why, (added(layer, replace(layer, channels=plan.bounces)),))
+
+
+def reflections(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
+    """Reflected light, or what paths of more bounces would bring of it."""
+    tail = tail_of_bounces(inputs.albedo, plan.bounces)
+    if plan.bounces == 0:
+        why = (
+            "Nothing is reflected at albedo 0." if tail == 0.0 else f"It would be at most {percent(tail)} of the light."
+        )
+        why = why if tail <= inputs.target_error else "The scene asks for light before it is reflected."
+        yield LeftOut(
+            "reflected light", why, (Saving(LONGEST_PATH, "rays per path, at most"), *unreflected(plan, inputs))
+        )
+    else:
+        why = f"They would bring at most {percent(tail)} of the light."
+        longer = Saving(LONGEST_PATH - plan.bounces, "rays per path, at most")
+        yield LeftOut(f"bounces after number {plan.bounces}", why, (longer,) if longer.amount > 0 else ())
+
+
+def ends(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
+    """The rest of paths that end by chance, with the rays that this saves where that was measured."""
+    if plan.survival == 1.0:
+        return
+    why = f"From its second hit on a path goes on with the chance {plan.survival:.2g}, and stands for those that end."
+    long = plan.bounces >= bounces_for(inputs.albedo, inputs.target_error)
+    saved = (Saving(ROULETTE_RAYS, "percent of rays", True),) if long and max(inputs.albedo) <= BRIGHTEST else ()
+    yield LeftOut("the rest of paths that end by chance", why, saved)
+
+
+def unreflected(plan: ScenePlan, inputs: PlanInputs) -> Iterator[Saving]:
+    """The bytes of the layer that holds reflected light, where it would be one of its own."""
+    if plan.representation == "transfer":
+        layer = Layer("indirect", plan.order, 1 if inputs.grey else 3, plan.half)
+        yield Saving(layer.bytes_per_texel, "bytes per texel")
+
+
+def halves(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
+    """The second half of each float, and the second byte of what is kept in bytes."""
+    if not plan.half:
+        return
+    halved = tuple(replace(layer, coarse=None) for layer in plan.layers)
+    saved = sum(added(layer, replace(layer, half=False)).amount for layer in plan.layers)
+    error, target = rounding_error(halved, inputs, plan.lobes), inputs.target_error
+    why = f"Half floats err by {percent(error)}, beside a target of {percent(target)}."
+    yield LeftOut("half of each float", why, (Saving(saved, "bytes per texel"),))
+    if plan.layers != halved:
+        saved = sum(added(*pair).amount for pair in zip(plan.layers, halved, strict=True))
+        error = rounding_error(plan.layers, inputs, plan.lobes)
+        why = f"Higher bands carry little: with them in bytes, rounding errs by {percent(error)} in all."
+        yield LeftOut("second bytes of higher bands", why, (Saving(saved, "bytes per texel"),))
+
+
+def records(plan: ScenePlan, _: PlanInputs) -> Iterator[LeftOut]:
+    """Facts of a texel that can be recovered without being stored."""
+    why = "A texel lies on the surface of the volume's own value there."
+    yield LeftOut("isovalue of each texel", why, (Saving(FLOAT, "bytes per texel"),))
+    codes = sum(layer.noises + 1 for layer in plan.layers)
+    why = "A byte holds noise to 5 %, and sample counts, which are powers of two, exactly."
+    yield LeftOut("noise and samples as floats", why, (Saving((FLOAT - 1) * codes, "bytes per texel"),))
+    spreads = sum(layer.coefficients - layer.noises for layer in plan.layers if layer.order > 1)
+    if spreads:
+        why = "The noise of band 0 and that of the bands above give the noise of the luminance."
+        yield LeftOut("noise of each coefficient", why, (Saving(FLOAT * spreads, "bytes per texel"),))
+
+
+def turning(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
+    """Rotation of the light."""
+    if plan.representation in ("vicinity", "constant"):
+        yield LeftOut("turning of the light", "It is the same from all sides, however it is turned.")
+    elif not inputs.rotating:
+        yield LeftOut("turning of the light", "The scene's light does not turn.")
+
+
+def shadow_rays(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
+    """Shadow rays towards bright parts of the environment, and the table that they are sampled from."""
+    if inputs.environment.sharp:
+        return
+    if not inputs.lamps.any:
+        why = "No light is sharp: the rays that the surface draws find it."
+        yield LeftOut("shadow rays", why, (Saving(1, "ray per hit"),))
+    height, width = inputs.environment.image.shape[:2]
+    if height * width > 1:
+        table = 8 * (height + 1 + height * (width + 1))
+        why = "No ray is aimed at the environment, as it is not sharp."
+        yield LeftOut("sampling table of the environment", why, (Saving(table / 1e6, "megabytes"),))
+
+
+def kernels(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
+    """Kernels that neither frames under global illumination nor their bake call."""
+    bake = "bake_texels" if plan.representation == "irradiance" else "bake_irradiance"
+    idle = (bake, *uncalled(inputs.rotating, inputs.environment, inputs.lamps, plan.lobes))
+    why = (
+        "Neither frames under global illumination nor their bake call them: a server of this scene alone does not"
+        " compile them for either."
+    )
+    yield LeftOut(f"kernels {', '.join(idle)}", why, (Saving(len(idle), "kernels"),))
+
+
+def unseen(texels: TexelCount, plan: ScenePlan) -> tuple[LeftOut, ...]:
+    """Texels and chunks that no view ever shows, and texels that can hold no light."""
+    empty = texels.chunks - texels.shown_chunks
+    kept = Saving(lattice_bytes(empty, texels.chunk, plan.bytes_per_texel) / 1e6, "megabytes before compression")
+    left = (
+        ("unseen", "No isovalue that may be asked for has a surface at them.", texels.total - texels.shown),
+        ("void", "They have no gradient, no side of their own in a thin wall, or no room in a crease.", texels.void),
+    )
+    found = [
+        LeftOut(f"{sort} texels", why, (Saving(count, "texels", sort == "void"),)) for sort, why, count in left if count
+    ]
+    if empty:
+        why = "None of their texels is ever shown: they are neither asked for nor written."
+        found.append(LeftOut("empty chunks", why, (Saving(empty, "chunks"), kept)))
+    return tuple(found)
+
+
+def unprojected(projection: ProjectionPlan, isovalue: Isovalue) -> tuple[LeftOut, ...]:
+    """Surface-projected texels, where views of an ``isovalue`` have none."""
+    if projection.projects(isovalue):
+        return ()
+    error, allowed = projection.error(isovalue), projection.allowed
+    why = f"Interpolation errs by about {percent(error)} where views start; {percent(allowed)} is allowed for it."
+    why = why if allowed else "The scene forbids them."
+    return (LeftOut("surface-projected texels", why, (Saving(100, "percent of a view's texels, at most"),)),)
+
+
+def lattice_bytes(chunks: int, side: int, bytes_per_texel: int) -> int:
+    """Bytes of ``chunks`` chunks before compression; each has room for all of its texels."""
+    return chunks * side**3 * bytes_per_texel
+
+
+def percent(share: float) -> str:
+    """Format a share in percent with three digits."""
+    return f"{100.0 * share:.3g}%"
+
+
+def added(layer: Layer, larger: Layer) -> Saving:
+    """The bytes that the larger layer would add."""
+    return Saving(larger.bytes_per_texel - layer.bytes_per_texel, "bytes per texel")
+
+
+FINDERS: tuple[Callable[[ScenePlan, PlanInputs], Iterator[LeftOut]], ...] = (
+    *(harmonics, bands, lobes, channels, nodes, reflections, ends, halves, records),
+    *(turning, shadow_rays, kernels),
+)
+"""Each finds one sort of what a plan leaves out."""

@@ -1,0 +1,186 @@
+"""Lobes of an environment that are worth a light of their own: found, chosen, and taken out of the harmonics."""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from isogi_core.kernels.transport.harmonics import MAX_ORDER
+from isogi_core.model.environment import Environment, Lobe, solid_angles
+from isogi_core.model.sky import LUMINANCE
+from isogi_core.plan.bands import band_energy, evaluate_harmonics, truncation_error
+
+MOST = 4
+"""Most lobes of an environment."""
+
+ORDER = 6
+"""The order of harmonics whose error the lobes are to make small."""
+
+GAIN = 0.9
+"""A lobe is taken only where it brings the error below this share of what it was."""
+
+ENOUGH = 0.004
+"""Error below which no more lobes are taken."""
+
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(MAX_ORDER)
+
+
+def find_lobes(environment: Environment, light: np.ndarray) -> tuple[Lobe, ...]:
+    """Find the lobes of an environment whose coefficients are ``light`` (3, MAX_ORDER²), each with its best edge.
+
+    The brightest peak comes first. The search ends when the error of harmonics of ORDER is small, or a lobe hardly
+    reduces it.
+    """
+    lobes: tuple[Lobe, ...] = ()
+    radiance, left = environment.image.astype(np.float64), error_beside(light, lobes)
+    while len(lobes) < MOST and left > ENOUGH:
+        found = {error_beside(light, (*lobes, each.lobe)): each for each in outlines(radiance)}
+        if not min(found, default=math.inf) <= GAIN * left:
+            break
+        left = min(found)
+        found[left].clear(radiance)
+        lobes = (*lobes, found[left].lobe)
+    return lobes
+
+
+def error_beside(light: np.ndarray, lobes: Sequence[Lobe]) -> float:
+    """Relative error of harmonics of ORDER for a ``light`` (3, MAX_ORDER²) without its ``lobes``."""
+    return truncation_error(energy_beside(light, lobes), ORDER, "direct")
+
+
+def energy_beside(light: np.ndarray, lobes: Sequence[Lobe]) -> np.ndarray:
+    """Mean square luminance of each band of a ``light`` (3, n²) without its ``lobes``; (n,) float64.
+
+    Band 0 is that of the whole light, as errors are relative to the whole.
+    """
+    energy = band_energy(light - project_lobes(lobes, math.isqrt(light.shape[1])))
+    energy[0] = band_energy(light[:, :1])[0]
+    return energy
+
+
+def project_lobes(lobes: Sequence[Lobe], order: int) -> np.ndarray:
+    """Coefficients of discs of even radiance, Φ Y_i(d) times the mean of P_l over the disc; (3, order²) float64."""
+    coefficients = np.zeros((3, order**2))
+    for lobe in lobes:
+        x, y, z = lobe.towards
+        theta, phi = np.array([math.atan2(math.hypot(x, y), z)]), np.array([math.atan2(y, x)])
+        bands = np.repeat(disc_means(lobe.cosine, order), 2 * np.arange(order) + 1)
+        coefficients += np.outer(lobe.flux, bands * evaluate_harmonics(order, theta, phi)[:, 0])
+    return coefficients
+
+
+def disc_means(cosine: float, order: int) -> np.ndarray:
+    """Means of the Legendre polynomials P_l, l < ``order``, from ``cosine`` to 1: 1 for a disc without size."""
+    heights = cosine + (1.0 - cosine) * (NODES + 1.0) / 2.0
+    return np.asarray(WEIGHTS / 2.0 @ np.polynomial.legendre.legvander(heights, order - 1))
+
+
+SHARES = (0.5, 0.25, 0.1, 0.05, 0.02, 0.01)
+"""Shares of the peak's luminance that are tried as a lobe's edge."""
+
+WIDEST = 0.1
+"""Largest solid angle of a lobe, steradians, about 20° across: harmonics hold wider light well."""
+
+CONTRAST = 4.0
+"""Least luminance of a lobe's peak over the mean luminance."""
+
+NEAR = 2
+"""Width of the rim around a lobe that its surroundings are measured in, texels."""
+
+
+@dataclass(frozen=True, eq=False)
+class Outline:
+    """A ``lobe`` as found: flat indices of the texels of its ``region``, and the radiance ``level`` (3,) around it."""
+
+    lobe: Lobe
+    region: np.ndarray
+    level: np.ndarray
+
+    def clear(self, radiance: np.ndarray) -> None:
+        """Reduce a lat-long ``radiance`` (h, w, 3) in the region to at most ``level``, in place."""
+        flat = radiance.reshape(-1, 3)
+        flat[self.region] = np.minimum(flat[self.region], self.level)
+
+
+def outlines(radiance: np.ndarray) -> Iterator[Outline]:
+    """Outlines around the brightest texel of a lat-long ``radiance`` (h, w, 3) float64, one for each edge of SHARES.
+
+    Edges that give the same region give one outline. There is none where the peak does not stand out.
+    """
+    seen, known = radiance @ LUMINANCE, {0}
+    angles = solid_angles(*seen.shape)
+    peak = int(seen.argmax())
+    if not seen.flat[peak] > CONTRAST * float((seen * angles).sum()) / (4.0 * math.pi):
+        return
+    for share in SHARES:
+        region = grow(seen > share * seen.flat[peak], peak, angles[:, 0])
+        if len(region) not in known:
+            known.add(len(region))
+            level = surround(radiance, region)
+            yield Outline(lobe_of(radiance, region, level), region, level)
+
+
+def grow(mask: np.ndarray, seed: int, angles: np.ndarray) -> np.ndarray:
+    """Flat indices of the marked texels connected with ``seed``; none where they fill more than WIDEST.
+
+    ``mask`` (h, w) bool is a lat-long image, whose columns close to a ring and whose rows go on beyond the poles;
+    ``angles`` (h,) are the solid angles of a texel by row.
+    """
+    left, front, found = mask.ravel().copy(), np.array([seed]), []
+    left[seed], filled = False, 0.0
+    while len(front):
+        found.append(front)
+        filled += float(angles[front // mask.shape[1]].sum())
+        if filled > WIDEST:
+            return np.zeros(0, np.int64)
+        around = neighbours(front, mask.shape[0], mask.shape[1], 1)
+        front = around[left[around]]
+        left[front] = False
+    return np.sort(np.concatenate(found))
+
+
+def neighbours(places: np.ndarray, height: int, width: int, reach: int) -> np.ndarray:
+    """Flat indices of all texels up to ``reach`` rows and columns from any of ``places``, each once."""
+    steps = np.arange(-reach, reach + 1)
+    rows = (places // width)[:, None, None] + steps[:, None]
+    columns = (places % width)[:, None, None] + steps
+    beyond = (rows < 0) | (rows >= height)
+    rows = np.clip(np.where(rows < 0, -1 - rows, np.where(rows >= height, 2 * height - 1 - rows, rows)), 0, height - 1)
+    return np.unique(rows * width + (columns + np.where(beyond, width // 2, 0)) % width)
+
+
+def surround(radiance: np.ndarray, region: np.ndarray) -> np.ndarray:
+    """Mean radiance (3,) of the texels NEAR the ``region``."""
+    height, width = radiance.shape[:2]
+    rim = np.setdiff1d(neighbours(region, height, width, NEAR), region, assume_unique=True)
+    if not len(rim):
+        return np.zeros(3)
+    angles = solid_angles(height, width)[rim // width, 0]
+    return np.asarray(angles @ radiance.reshape(-1, 3)[rim] / angles.sum())
+
+
+def lobe_of(radiance: np.ndarray, region: np.ndarray, level: np.ndarray) -> Lobe:
+    """The disc with the flux, direction and spread of the radiance above a ``level`` (3,) in a ``region``.
+
+    The mean direction of a disc of half angle a has the length (1 + cos a)/2, which gives a.
+    """
+    moments = moments_of(region, *radiance.shape[:2])
+    excess = np.maximum(radiance.reshape(-1, 3)[region] - level, 0.0)
+    flux, vector = moments[:, 3] @ excess, (excess @ LUMINANCE) @ moments[:, :3]
+    length = float(np.linalg.norm(vector))
+    cosine = min(2.0 * length / float(flux @ LUMINANCE) - 1.0, 1.0)
+    x, y, z = (vector / length).tolist()
+    r, g, b = flux.tolist()
+    return Lobe((x, y, z), cosine, (r, g, b))
+
+
+def moments_of(places: np.ndarray, height: int, width: int) -> np.ndarray:
+    """∫ ω dω and ∫ dω over texels of a lat-long image, in closed form; (m, 4) float64: x, y, z, steradians."""
+    theta = np.pi / height * (places // width + np.array([[0], [1]]))
+    phi = 2.0 * np.pi / width * (places % width + np.array([[0], [1]]))
+    up = np.diff(theta / 2.0 - np.sin(2.0 * theta) / 4.0, axis=0)
+    x, y = up * np.diff(np.sin(phi), axis=0), -up * np.diff(np.cos(phi), axis=0)
+    z = np.diff(np.sin(theta) ** 2, axis=0) / 2.0 * np.diff(phi, axis=0)
+    whole = -np.diff(np.cos(theta), axis=0) * np.diff(phi, axis=0)
+    return np.concatenate([x, y, z, whole]).T

@@ -1,0 +1,210 @@
+"""A scene: a volume, its lights, its material and its plan, and the digests that name its light."""
+
+import hashlib
+import json
+from dataclasses import astuple, dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from isogi_core.errors import ViewError
+from isogi_core.files.scene_file import SceneSource
+from isogi_core.kernels.shading.lattice import CHUNK
+from isogi_core.kernels.tracing.field import OFFSET, Field
+from isogi_core.model.environment import Environment, Lamps
+from isogi_core.model.lights import Light
+from isogi_core.model.scene_plan import Layer, LeftOut, ScenePlan
+from isogi_core.model.view import Camera, orbit
+from isogi_core.model.volume import Isovalue, Volume
+from isogi_core.plan.inputs import PlanInputs, PlanOverrides
+from isogi_core.plan.isovalue_presets import Preset, find_boundaries, suggested_presets
+from isogi_core.plan.left_out import unprojected, unseen
+from isogi_core.plan.projection import ProjectionPlan, plan_projection
+from isogi_core.plan.reachable_texels import TexelCount, count_texels
+
+BAKE_FORMAT = 6
+"""Version of baked light: increased when a chunk's content, or the way its light is computed, changes."""
+
+NORMALS = ("bspline", "gradient")
+"""Gradients that normals may be made of: smoothed with the tricubic B-spline, or plain (S1, figure 5)."""
+
+SURVEYED = ("texels", "projection", "presets")
+"""Properties of a scene that take a pass over its volume, and that no plan changes."""
+
+CHUNKS = (8, 16, 32)
+"""Sides that a chunk may have, in texels. Small chunks spread over more workers; large ones are fewer objects."""
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A scene that can be rendered. ``isovalue`` and the range ``isovalues`` are in the volume's own units.
+
+    ``albedo`` is linear RGB. ``albedos`` are the least and the most that views may ask for in its place; None where
+    light is baked for ``albedo`` alone. ``lattice`` is texels per voxel along each axis, ``chunk`` texels along each
+    side of a chunk, ``target_error`` the relative error at which a texel counts as final, and ``rotating`` whether the
+    light may be turned. ``normals`` names their gradient, "bspline" (smoothed) or "gradient" (plain). Rays start
+    ``offset`` voxels above a surface. ``plan`` was made for ``inputs``, with the scene's own ``overrides``.
+    ``named`` are the isovalues that the scene names. ``projected`` settles whether texels that are far from the
+    isosurface of a view at rest are projected onto it; None leaves that to the plan, see ``plan.projection``.
+    """
+
+    id: str
+    source: SceneSource
+    volume: Volume
+    lights: tuple[Light, ...]
+    environment: Environment
+    lamps: Lamps
+    isovalue: float
+    isovalues: tuple[float, float]
+    albedo: tuple[float, float, float]
+    lattice: float
+    chunk: int
+    target_error: float
+    rotating: bool
+    normals: str
+    offset: float
+    inputs: PlanInputs
+    overrides: PlanOverrides
+    plan: ScenePlan
+    named: tuple[Preset, ...] = ()
+    projected: bool | None = None
+    albedos: tuple[float, float] | None = None
+
+    @property
+    def name(self) -> str:
+        """The scene's name, for display."""
+        return self.source.name
+
+    @property
+    def bounces(self) -> int:
+        """Surface hits after the first that light paths may take."""
+        return self.plan.bounces
+
+    @property
+    def lowest(self) -> float:
+        """The lowest albedo of any channel that views may ask for."""
+        return min(self.albedo) if self.albedos is None else self.albedos[0]
+
+    @property
+    def solid(self) -> str:
+        """Which side of the isovalue is solid, "above" or "below"."""
+        return self.volume.solid
+
+    @property
+    def lattice_shape(self) -> tuple[int, int, int]:
+        """Texels along z, y, x: ``lattice`` per voxel, the outermost on the outermost voxels, at least 2."""
+        z, y, x = (max(round((n - 1) * self.lattice) + 1, 2) for n in self.volume.shape)
+        return z, y, x
+
+    @cached_property
+    def default_exposure(self) -> float:
+        """The exposure at which a surface turned to the light shows its own albedo."""
+        return 1.0 / self.inputs.brightest if self.inputs.brightest > 0.0 else 1.0
+
+    @property
+    def start(self) -> Isovalue:
+        """The isovalue where views start, normalised."""
+        return self.volume.normalise_isovalue(self.isovalue)
+
+    @cached_property
+    def span(self) -> tuple[Isovalue, Isovalue]:
+        """The least and the greatest isovalue that views may ask for, normalised."""
+        one, other = map(self.volume.normalise_isovalue, self.isovalues)
+        return min(one, other), max(one, other)
+
+    @cached_property
+    def texels(self) -> TexelCount:
+        """Texels of the lattice, and how many of them views can show; counted on first use."""
+        return count_texels(self._bare_field, self.lattice_shape, *self.span, self.chunk)
+
+    @cached_property
+    def projection(self) -> ProjectionPlan:
+        """At which isovalues texels are projected; the volume is surveyed for it on first use."""
+        if self.projected is not None:
+            return ProjectionPlan.settled(self.span, self.projected)
+        return plan_projection(self._bare_field, self.span, self.start, self.target_error)
+
+    @property
+    def _bare_field(self) -> Field:
+        """The volume as kernels take it, without macrocells."""
+        none = np.empty((0, 0, 0), np.float32)
+        return Field(self.volume.voxels, none, none, self.volume.spacing, self.normals == NORMALS[0], self.offset)
+
+    @cached_property
+    def presets(self) -> tuple[Preset, ...]:
+        """Isovalues worth seeing: those that the scene names, else boundaries in its volume; found on first use."""
+        return self.named or suggested_presets(find_boundaries(self.volume, self.isovalues))
+
+    @cached_property
+    def left_out(self) -> tuple[LeftOut, ...]:
+        """Everything that is left out: by the plan, texels that are never lit, and those that are not projected."""
+        return (*self.plan.left_out, *unseen(self.texels, self.plan), *unprojected(self.projection, self.start))
+
+    def with_plan(self, plan: ScenePlan) -> "Scene":
+        """The same scene by another ``plan``; what was surveyed of its volume stays."""
+        scene = replace(self, plan=plan)
+        vars(scene).update({name: found for name, found in vars(self).items() if name in SURVEYED})
+        return scene
+
+    def albedo_for(self, asked: tuple[float, float, float] | None) -> tuple[float, float, float]:
+        """The albedo that a view has ``asked`` for, else the scene's own. ViewError where no light is baked for it."""
+        if asked is None or asked == self.albedo:
+            return self.albedo
+        if self.albedos is None:
+            raise ViewError(
+                "albedo is fixed in this scene: leave it out, or give the scene a range, albedos = [0, 0.9]."
+            )
+        lowest, highest = self.albedos
+        if not all(lowest <= share <= highest for share in asked):
+            given = ",".join(f"{share:g}" for share in asked)
+            raise ViewError(f"albedo must be from {lowest:g} to {highest:g} in this scene, not {given}.")
+        return asked
+
+    def layer_digest(self, layer: Layer, shown: Isovalue | None = None) -> str:
+        """Digest (hex) of everything that a layer's light depends on, and of nothing else.
+
+        Irradiance depends on the scene's lights (S1, eq. 6), and reflected light on bounces and albedos. Texels that
+        lie on the isosurface ``shown``, a normalised isovalue, depend on that.
+        """
+        *kept, nodes = astuple(layer)
+        parts = [BAKE_FORMAT, self.volume.digest, self.lattice, *kept, *self.departures]
+        if shown is not None:
+            parts += ["shown", shown]
+        if layer.reflected:
+            parts += [["nodes", *nodes] if nodes else self.albedo[: layer.channels], self.bounces, self.plan.survival]
+        if layer.kind == "irradiance":
+            parts += [self.environment.digest, self.lamps.digest, self.albedo]
+        return digest_of(parts)
+
+    @property
+    def departures(self) -> list[Any]:
+        """Settings of rays and chunks that differ from the defaults; digests hold these alone, and old ones last."""
+        rays = [] if (self.normals, self.offset) == (NORMALS[0], OFFSET) else [self.normals, self.offset]
+        return rays if self.chunk == CHUNK else [*rays, self.chunk]
+
+    def plan_digest(self, plan: ScenePlan, shown: Isovalue | None = None) -> str:
+        """Digest (hex) of all layers of a ``plan`` for this scene."""
+        return digest_of([self.layer_digest(layer, shown) for layer in plan.layers])
+
+    @cached_property
+    def bake_digest(self) -> str:
+        """Digest (hex) of all layers of the plan."""
+        return self.plan_digest(self.plan)
+
+    @cached_property
+    def digest(self) -> str:
+        """Digest (hex) of everything that a frame of this scene depends on, its view left out."""
+        lights = [self.environment.digest, self.lamps.digest]
+        settled = [] if self.projected is None else ["projected", self.projected]
+        lit = [self.albedo, self.plan.order, self.plan.lobes, self.target_error]
+        return digest_of([self.bake_digest, *lights, *lit, *settled])
+
+    def camera(self, azimuth: float, elevation: float, distance: float, fov: float) -> Camera:
+        """Camera around the middle of the volume's box; angles in degrees, distance in its bounding radii."""
+        return orbit(self.volume.centre, self.volume.radius, azimuth, elevation, distance, fov)
+
+
+def digest_of(parts: list[Any]) -> str:
+    """Digest (hex) of numbers and words."""
+    return hashlib.blake2b(json.dumps(parts).encode(), digest_size=10).hexdigest()

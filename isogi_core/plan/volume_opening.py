@@ -1,0 +1,89 @@
+"""Opening volumes: a demo, a file or a Zarr array, in memory where small, as a mapped copy where not."""
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from isogi_core.errors import SceneError, VolumeError
+from isogi_core.files.grid import Grid
+from isogi_core.files.nrrd import open_nrrd
+from isogi_core.files.scene_file import DEFAULT_DEMO, Settings, is_zarr, name_of
+from isogi_core.files.volume_copies import get_copy
+from isogi_core.files.voxel_file import OWN, Draft, budget
+from isogi_core.model.demo import DEMOS, demo_volume
+from isogi_core.model.value_survey import Progress, check, checked_spacing, no_progress, survey
+from isogi_core.model.volume import Volume, make_volume
+
+FORMAT = 1
+"""Version of the copies: increased when the same file gives other voxels."""
+
+NESTED = {"level": "resolution", "channel": "channel", "time": "time"}
+"""Settings of a scene that choose a part of a Zarr volume."""
+
+
+def open_volume(settings: Settings, base: Path, progress: Progress = no_progress) -> Volume:
+    """Open the volume that the scene names, a demo or a file, with the scene's spacing, solid side and missing values.
+
+    ``progress`` is called while a copy is made. Raises VolumeError and SceneError.
+    """
+    name = settings.text("volume", DEFAULT_DEMO)
+    solid = settings.text("solid", "above")
+    spacing, missing = settings.numbers("spacing", 3), settings.listed("missing")
+    chosen = {key: value for key in NESTED if (value := settings.count(key, 1 << 20)) is not None}
+    if not name.startswith("demo:"):
+        grid, stem = open_grid(base, name, chosen)
+        return volume_of(replace(grid, spacing=spacing or grid.spacing), solid, stem, missing, progress)
+    if name.removeprefix("demo:") not in DEMOS:
+        raise VolumeError(f"There is no {name}: choose one of {', '.join('demo:' + key for key in DEMOS)}.")
+    if spacing or missing or chosen or solid != "above":
+        made = "is made with spacing 1, solid above and nothing missing"
+        named = ", ".join(f"'{key}'" for key in ("spacing", "solid", "missing", *chosen))
+        raise SceneError(f"{name} {made}: leave out {named}.")
+    return demo_volume(name.removeprefix("demo:"))
+
+
+def open_grid(base: Path, name: str, chosen: dict[str, int]) -> tuple[Grid, str]:
+    """The grid at a path or a URL, and its display name."""
+    place = name if "://" in name else base / name
+    if isinstance(place, str) or is_zarr(place):
+        from isogi_core.files.zarr_volume import open_zarr  # noqa: PLC0415 (loads Zarr, which NRRD does not need)
+
+        return open_zarr(place, **chosen), name_of(Path(place))
+    if chosen:
+        raise SceneError(f"'{name}' is no Zarr volume: leave out '{next(iter(chosen))}'.")
+    return open_nrrd(base / name), Path(name).stem
+
+
+def volume_of(grid: Grid, solid: str, name: str, missing: Sequence[float], progress: Progress) -> Volume:
+    """Make the volume of a ``grid``: in memory where it is small beside the budget, else as a copy that is mapped."""
+    check(grid, solid)
+    size = grid.size * np.dtype(np.float32).itemsize
+    if size <= OWN * budget():
+        return make_volume(grid.whole(), grid.spacing, solid, name, missing)
+    parts = [FORMAT, grid.stamp(), checked_spacing(grid.spacing), solid, missing]
+    key = hashlib.blake2b(json.dumps(parts).encode(), digest_size=16).hexdigest()
+    voxels, facts = get_copy(key, size, lambda draft: make_copy(grid, draft, solid, name, missing, progress))
+    return Volume(voxels, **{**facts, "name": name})
+
+
+def make_copy(
+    grid: Grid, draft: Draft, solid: str, name: str, missing: Sequence[float], progress: Progress
+) -> dict[str, Any]:
+    """Write the voxels of a ``grid`` to a ``draft``, and return the facts of their volume.
+
+    Raises VolumeError as ``survey`` does, and where the source changed while it was read.
+    """
+    before = grid.stamp()
+    found = survey(grid, solid, missing, progress)
+    facts = found.facts(name, found.pour(draft.write, progress))
+    known = Volume(draft.voxels(grid.shape), **facts).counted(progress=progress)
+    facts |= {"counts": known.counts, "span": known.span}
+    if grid.stamp() != before:
+        raise VolumeError(f"The volume '{name}' changed while it was read: try again once it is written.")
+    draft.seal(grid.shape, facts)
+    return facts

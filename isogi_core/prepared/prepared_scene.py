@@ -1,0 +1,89 @@
+"""A prepared scene: the field, lattice and lights as kernels take them, worked out once."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from isogi_core.kernels.shading.lattice import Lattice
+from isogi_core.kernels.tracing.field import OFFSET, Field
+from isogi_core.kernels.tracing.macrocells import fill_macrocells, macrocell_shape
+from isogi_core.kernels.transport.light_paths import Surroundings
+from isogi_core.model.volume import Volume
+from isogi_core.plan.bands import project_environment
+from isogi_core.plan.scene import Scene
+from isogi_core.prepared.active_cell_maps import KEPT, ActiveCellMaps
+from isogi_core.prepared.surface import Surface
+
+AROUND = 3
+"""The harmonics' order of unshadowed light: the cosine lobe keeps 99 % of any light in it (Ramamoorthi, Hanrahan)."""
+
+Index = tuple[int, int, int]
+"""Position of a chunk in the lattice, in chunks along z, y, x."""
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedScene:
+    """A scene as kernels take it; at most ``most`` bytes of active-cell maps are kept."""
+
+    scene: Scene
+    most: int = KEPT
+
+    @cached_property
+    def field(self) -> Field:
+        """The volume with its macrocells."""
+        return make_field(self.scene.volume, self.scene.normals == "bspline", self.scene.offset)
+
+    @cached_property
+    def maps(self) -> ActiveCellMaps:
+        """The active-cell maps of the volume."""
+        return ActiveCellMaps(self.scene.volume.voxels, self.most)
+
+    def surface(self, isovalue: float) -> Surface:
+        """The isosurface at an ``isovalue`` in the units of the volume's file, as scenes and views have it."""
+        return Surface(self.scene.volume.normalise_isovalue(isovalue), self.field, self.maps)
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Texels along z, y, x."""
+        return self.scene.lattice_shape
+
+    @cached_property
+    def step(self) -> np.ndarray:
+        """Voxels per texel along x, y, z; (3,) float64."""
+        return np.array([(n - 1) / (t - 1) for n, t in zip(self.scene.volume.size, self.shape[::-1], strict=True)])
+
+    @cached_property
+    def lattice(self) -> Lattice:
+        """The lattice as the kernels take it."""
+        x, y, z = (1.0 / self.step).tolist()
+        return Lattice.of(self.shape, (x, y, z), self.scene.chunk)
+
+    @property
+    def chunks(self) -> tuple[int, int, int]:
+        """Chunks along z, y, x."""
+        return self.lattice.chunks
+
+    @cached_property
+    def around(self) -> np.ndarray:
+        """ℓ of the unturned lights as a surface without shadows has them, linear RGB, (3, n²) float64.
+
+        Of order AROUND, and 1 for constant light.
+        """
+        environment, lamps, volume = self.scene.environment, self.scene.lamps, self.scene.volume
+        order = AROUND if lamps.any or environment.image.any() else 1
+        return project_environment(environment, order) + lamps.approximate(order, volume.centre, volume.radius)
+
+    def surroundings(self, matrix: np.ndarray) -> Surroundings:
+        """All light as it is, for paths that meet it; the environment turned by ``matrix`` (3, 3)."""
+        environment = self.scene.environment
+        arrays = self.scene.lamps.arrays
+        return Surroundings(environment.constant, environment.image, matrix, environment.table, arrays)
+
+
+def make_field(volume: Volume, smooth: bool = True, offset: float = OFFSET) -> Field:
+    """The volume's voxels with the macrocells that serve every isovalue, and how rays leave a surface."""
+    shape = macrocell_shape(volume.shape)
+    low, high = np.empty(shape, np.float32), np.empty(shape, np.float32)
+    fill_macrocells(volume.voxels, low, high)
+    return Field(volume.voxels, low, high, volume.spacing, smooth, offset)

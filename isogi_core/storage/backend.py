@@ -1,0 +1,96 @@
+"""Backends: the operations that every kind of store offers on objects by key, and the meaning of its errors."""
+
+import errno
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import NamedTuple, Protocol
+
+from isogi_core.errors import StoreAwayError, StoreFullError, StoreReadOnlyError
+from isogi_core.storage.url import StoreUrl
+
+
+@dataclass(frozen=True)
+class StoredObject:
+    """The bytes of an object, and the ``tag`` (ETag) of this content; empty where the store has no tags."""
+
+    data: bytes
+    tag: str = field(default="", compare=False)
+
+
+class Entry(NamedTuple):
+    """An object in a listing: key, size in bytes, time of writing by the store's calendar (NaN where unknown).
+
+    Ages serve display and cleaning up. They never decide which writer may write.
+    """
+
+    key: str
+    size: int
+    written: float
+
+    def age(self, now: float) -> float:
+        """Seconds since the object was written."""
+        return now - self.written
+
+
+class Backend(Protocol):
+    """Objects by keys such as ``a/b``. Methods raise OSError, with an errno where the cause is known."""
+
+    def get(self, key: str, known: StoredObject | None = None) -> StoredObject | None:
+        """Read an object; None where there is none. Returns ``known`` itself where the store says it is unchanged."""
+        ...
+
+    def put(self, key: str, data: bytes, former: StoredObject | None) -> None:
+        """Write an object in place of ``former``; ChangedError where another was written meanwhile, if detectable."""
+        ...
+
+    def create_sentinel(self, data: bytes) -> None:
+        """Write the sentinel; ChangedError where there is one."""
+        ...
+
+    def delete(self, key: str) -> None:
+        """Delete an object, if it is there."""
+        ...
+
+    def folders(self, folder: str) -> list[str]:
+        """List the names of the folders right under ``folder``; an empty ``folder`` is the top of the store."""
+        ...
+
+    def keys(self, folder: str) -> Iterator[str]:
+        """List the keys of all objects under ``folder``."""
+        ...
+
+    def entries(self) -> Iterator[Entry]:
+        """List all objects, half-written ones included."""
+        ...
+
+    def move(self, key: str, to: str) -> None:
+        """Rename an object, if it is there."""
+        ...
+
+    def check_writable(self, data: bytes) -> None:
+        """Raise the error that a write would raise. ``data`` is the sentinel's content; nothing is changed."""
+        ...
+
+
+FULL = (errno.ENOSPC, errno.EDQUOT)
+CLOSED = (errno.EACCES, errno.EPERM, errno.EROFS)
+
+WRITING = ("write", "make", "delete")
+"""First words of the actions whose refusal means that the store is read-only."""
+
+
+def store_error(action: str, store_url: StoreUrl, error: Exception) -> StoreAwayError:
+    """Translate a backend's ``error`` into one of ours. ``action`` completes "Cannot …", such as "write a/b to"."""
+    number = error.errno if isinstance(error, OSError) else None
+    sentence = f"Cannot {action} the store at {store_url}: {one_line(error)}"
+    if number in FULL:
+        return StoreFullError(f"{sentence}; the store is full: make room, and baking goes on.")
+    if number in CLOSED and action.startswith(WRITING):
+        return StoreReadOnlyError(f"{sentence}; what is there is served, and nothing more is baked.")
+    return StoreAwayError(f"{sentence}.")
+
+
+def one_line(error: Exception) -> str:
+    """The message of a foreign error on one line, without full stop and errno."""
+    message = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+    return " ".join(message.split()).rstrip(".") or type(error).__name__

@@ -1,0 +1,171 @@
+"""A bucket of an object store (S3, Google, Azure, or read by HTTP) as a backend, by obstore."""
+
+import errno
+import os
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from datetime import timedelta
+from typing import Any
+
+from isogi_core.errors import ChangedError, StoreError
+from isogi_core.storage.backend import Entry, StoredObject
+from isogi_core.storage.url import StoreUrl
+
+CONNECTING = 2.0
+"""Seconds within which a connection must be made; less where the whole call has less."""
+
+FIRST_PAUSE, LONGEST_PAUSE = timedelta(milliseconds=100), timedelta(seconds=1)
+"""Shortest and longest pause between two tries of a call."""
+
+PREFIXES = {"s3": "AWS", "s3a": "AWS", "gs": "GOOGLE", "http": "HTTP", "https": "HTTP"}
+"""Prefixes of environment variables by scheme; AZURE for all others."""
+
+CALL_VARIABLES = ("ALLOW_HTTP", "ALLOW_INVALID_CERTIFICATES", "PROXY_URL", "PROXY_CA_CERTIFICATE", "PROXY_EXCLUDES")
+"""Environment variables, without their prefix, that say how calls are made; obstore reads the others by itself."""
+
+FULL = ("status code: 507", "QuotaExceeded", "StorageFull", "storage quota")
+"""Words in the answers of object stores that have no room."""
+
+UNKNOWN = "status code: 501"
+"""The answer to a conditional write where a store has none."""
+
+CLOSED = ("status code: 405", UNKNOWN)
+"""Answers of HTTP servers that are read-only."""
+
+
+class Bucket:
+    """Objects under a bucket's prefix. Raises OSError with EACCES, ENOSPC or EROFS, and with EIO for all else."""
+
+    def __init__(self, store_url: StoreUrl, sentinel: str) -> None:
+        """Connect to nothing yet. StoreError where obstore is missing, or the environment is not enough."""
+        try:
+            import obstore  # noqa: PLC0415 (an extra)
+            from obstore.store import from_url  # noqa: PLC0415
+        except ImportError:
+            raise StoreError(
+                f"A store at {store_url.scheme}:// needs a library that is not installed: pip install 'isogi[s3]'."
+            ) from None
+        self.sentinel = sentinel
+        self._obstore: Any = obstore
+        try:
+            connect: Any = from_url
+            self._store = connect(
+                store_url.url, client_options=call_options(store_url), retry_config=retry_options(store_url)
+            )
+        except Exception as error:
+            raise StoreError(f"The store at {store_url} cannot be used: {sentence(error)}.") from None
+
+    def get(self, key: str, known: StoredObject | None = None) -> StoredObject | None:
+        """Read an object; None where it, or the bucket, is not there."""
+        errors = self._obstore.exceptions
+        with self._translated_errors():
+            try:
+                options = {"if_none_match": known.tag} if known is not None and known.tag else None
+                got = self._obstore.get(self._store, key, options=options)
+                return StoredObject(bytes(got.bytes()), got.meta["e_tag"] or "")
+            except errors.NotModifiedError:
+                return known
+            except FileNotFoundError:
+                return None
+
+    def put(self, key: str, data: bytes, former: StoredObject | None) -> None:
+        """Write an object in place of ``former``. A store without conditional writes takes it in any case."""
+        errors = self._obstore.exceptions
+        mode: Any = "create" if former is None else {"e_tag": former.tag} if former.tag else "overwrite"
+        with self._translated_errors():
+            try:
+                self._put(key, data, mode)
+            except (errors.AlreadyExistsError, errors.PreconditionError):
+                raise ChangedError(f"Another writer has changed {key} meanwhile: read it again.") from None
+
+    def _put(self, key: str, data: bytes, mode: Any) -> None:
+        try:
+            self._obstore.put(self._store, key, data, mode=mode, use_multipart=False)
+        except (self._obstore.exceptions.GenericError, NotImplementedError) as error:
+            if not isinstance(error, NotImplementedError) and UNKNOWN not in str(error):
+                raise
+            self._obstore.put(self._store, key, data, use_multipart=False)
+
+    def create_sentinel(self, data: bytes) -> None:
+        """Write the sentinel; ChangedError where there is one."""
+        self.put(self.sentinel, data, None)
+
+    def delete(self, key: str) -> None:
+        """Delete an object, if it is there."""
+        with self._translated_errors():
+            self._obstore.delete(self._store, key)
+
+    def folders(self, folder: str) -> list[str]:
+        """List the names of the folders right under ``folder``."""
+        with self._translated_errors():
+            prefixes = self._obstore.list_with_delimiter(self._store, folder or None)["common_prefixes"]
+        return sorted(prefix.rstrip("/").rpartition("/")[2] for prefix in prefixes)
+
+    def keys(self, folder: str) -> Iterator[str]:
+        """List the keys of all objects under ``folder``, page by page."""
+        with self._translated_errors():
+            for page in self._obstore.list(self._store, folder or None):
+                yield from (each["path"] for each in page)
+
+    def entries(self) -> Iterator[Entry]:
+        """List all objects, page by page."""
+        with self._translated_errors():
+            for page in self._obstore.list(self._store):
+                yield from (Entry(each["path"], each["size"], each["last_modified"].timestamp()) for each in page)
+
+    def move(self, key: str, to: str) -> None:
+        """Copy an object, if it is there, and then delete it."""
+        with self._translated_errors():
+            try:
+                self._obstore.copy(self._store, key, to)
+            except FileNotFoundError:
+                return
+            self._obstore.delete(self._store, key)
+
+    def check_writable(self, data: bytes) -> None:
+        """Write the sentinel once more, unchanged: nobody has to delete it then."""
+        found = self.get(self.sentinel)
+        if found is not None:
+            with suppress(ChangedError):
+                self.put(self.sentinel, data, found)
+
+    @contextmanager
+    def _translated_errors(self) -> Iterator[None]:
+        """Raise obstore's errors as OSErrors, in one sentence and without credentials."""
+        errors = self._obstore.exceptions
+        try:
+            yield
+        except (errors.PermissionDeniedError, errors.UnauthenticatedError) as error:
+            raise PermissionError(errno.EACCES, sentence(error)) from None
+        except (errors.BaseError, FileNotFoundError, NotImplementedError) as error:
+            message = str(error)
+            full, closed = (any(word in message for word in words) for words in (FULL, CLOSED))
+            raise OSError(errno.ENOSPC if full else errno.EROFS if closed else errno.EIO, sentence(error)) from None
+
+
+def call_options(store_url: StoreUrl) -> dict[str, Any]:
+    """Options of calls: time limits from the store URL, all else from the environment.
+
+    Plain HTTP is used for http:// URLs, and where AWS_ALLOW_HTTP is set.
+    """
+    connecting = timedelta(seconds=min(CONNECTING, store_url.seconds))
+    prefix = PREFIXES.get(store_url.scheme, "AZURE")
+    given = {name.lower(): value for name in CALL_VARIABLES if (value := os.environ.get(f"{prefix}_{name}"))}
+    plain = {"allow_http": "true"} if store_url.scheme == "http" else {}
+    return {**plain, **given, "timeout": timedelta(seconds=store_url.seconds), "connect_timeout": connecting}
+
+
+def retry_options(store_url: StoreUrl) -> dict[str, Any]:
+    """Options of retries: how often a failed call is tried again, and after which pauses."""
+    return {
+        "max_retries": store_url.retries,
+        "retry_timeout": timedelta(seconds=store_url.seconds * (1 + store_url.retries)),
+        "backoff": {"init_backoff": FIRST_PAUSE, "max_backoff": LONGEST_PAUSE, "base": 2},
+    }
+
+
+def sentence(error: Exception) -> str:
+    """The server's answer in an error of obstore, without addresses, queries and debug text."""
+    first = str(error).partition("\n")[0].partition(": <")[0].rpartition(" - ")[2]
+    return re.sub(r"\?\S+", "?…", first).strip().rstrip(".") or type(error).__name__

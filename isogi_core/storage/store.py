@@ -1,0 +1,290 @@
+"""The store: objects by key at one URL, and whether the store can be reached and written to."""
+
+import json
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+from isogi_core.errors import ChangedError, StoreAwayError, StoreError, StoreFullError, StoreReadOnlyError
+from isogi_core.storage.backend import Backend, Entry, StoredObject, store_error
+from isogi_core.storage.folder import Folder
+from isogi_core.storage.fsspec_store import FileSystem
+from isogi_core.storage.local_copies import Copies
+from isogi_core.storage.object_store import Bucket
+from isogi_core.storage.url import StoreUrl
+
+SENTINEL = "isogi.json"
+"""Key of the object that marks a folder or bucket as a store of isogi's."""
+
+FORMAT = 1
+"""Version of the store's layout."""
+
+CONTENT = json.dumps({"kind": "isogi light", "format": FORMAT}).encode()
+"""The sentinel's content."""
+
+CHECKED = 1.0
+"""Seconds for which a check of the sentinel stands, and after which an unreachable store is checked again."""
+
+RETRIED = 10.0
+"""Seconds after which a read-only store is tested again for writing."""
+
+GONE = "its isogi.json is missing; bring the store back, or start isogi anew to begin with an empty one"
+
+
+def check_sentinel(sentinel: bytes, url: StoreUrl) -> None:
+    """Raise StoreError where a store's sentinel is damaged, or of another format."""
+    try:
+        version = json.loads(sentinel)["format"]
+    except (ValueError, KeyError, TypeError):
+        raise StoreError(
+            f"{SENTINEL} in the store at {url} is damaged: delete it, and start isogi anew, which makes it again."
+        ) from None
+    if version != FORMAT:
+        raise StoreError(
+            f"The store at {url} is of format {version}, and this isogi knows {FORMAT}: name another store, or use"
+            " the isogi that made it."
+        )
+
+
+class Store:
+    """All objects at a ``url``. Safe to use from many threads.
+
+    ``make`` is whether a place without a sentinel is taken for a new store and gets one; workers do not make stores.
+    ``copies`` are local copies of remote objects. A pickled store holds its URL alone: the other process connects with
+    its own credentials.
+    """
+
+    def __init__(
+        self,
+        url: str | Path | StoreUrl,
+        make: bool = True,
+        copies: Copies | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        """Connect to nothing yet. Raises StoreUrlError for a URL that holds a secret."""
+        self.url = StoreUrl.of(url)
+        self.make = make
+        self.copies = copies
+        self.read_only = False
+        self._clock = clock
+        self._made: Backend | None = None
+        self._seen = False
+        self._without_sentinel = False
+        self._away: StoreAwayError | None = None
+        self._checked_until = -1.0
+        self._tried = 0.0
+        self._lock = threading.RLock()
+        self._opening = threading.Lock()
+
+    def __repr__(self) -> str:
+        return f"Store({self.url.url!r})"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.url, self.make)
+
+    @classmethod
+    def of(cls, store: "StoreLike") -> "Store":
+        """The store at a URL; a Store is returned as it is."""
+        return store if isinstance(store, Store) else cls(store)
+
+    def open(self) -> None:
+        """Check that the store is there, and write the sentinel of a new one. Raises StoreError."""
+        self.check_reachable()
+
+    def get(self, key: str) -> StoredObject | None:
+        """Read an object from the store; None where there is none. Raises StoreError."""
+        return self._get(key, None)
+
+    def read(self, key: str) -> bytes | None:
+        """Read the bytes of an object from the store; None where there is none. Raises StoreError."""
+        found = self.get(key)
+        return None if found is None else found.data
+
+    def now(self) -> float:
+        """The time of this machine's calendar, which is taken to be near the one that objects are dated by."""
+        return time.time()
+
+    def view(self, key: str) -> bytes | None:
+        """Read the bytes of an object, from a local copy where the store confirms that it is unchanged."""
+        if self.copies is None:
+            found = self._get(key, None)
+        else:
+            known = self.copies.get(key)
+            found = self._get(key, known)
+            if found is not None and found is not known:
+                self.copies.put(key, found)
+        return None if found is None else found.data
+
+    def put(self, key: str, data: bytes, former: StoredObject | None) -> None:
+        """Write an object in place of ``former``, which is None where there was none.
+
+        Raises StoreError, and ChangedError where another was written meanwhile, if the store can detect that.
+        """
+        with self._writing(f"write {key} to"):
+            self._backend.put(key, data, former)
+
+    def delete(self, key: str) -> None:
+        """Delete an object, if it is there."""
+        with self._writing(f"delete {key} from"):
+            self._backend.delete(key)
+
+    def move(self, key: str, to: str) -> None:
+        """Rename an object, if it is there."""
+        with self._writing(f"move {key} in"):
+            self._backend.move(key, to)
+
+    def entries(self) -> list[Entry]:
+        """List all objects with sizes and dates, half-written ones included, by key."""
+        self._check_after_failure()
+        with self._translated_errors("list what is in"):
+            return sorted(self._backend.entries())
+
+    def layers(self) -> list[str]:
+        """List the folders at the top of the store: digests of layers, ``costs`` and others."""
+        return self.folders("")
+
+    def folders(self, folder: str) -> list[str]:
+        """List the folders right under ``folder``. The list is empty only where the store is there to say so."""
+        self._check_after_failure()
+        with self._translated_errors(f"list {folder or 'all'} in"):
+            names = self._backend.folders(folder)
+        if not names:
+            self.check_reachable()
+        return names
+
+    def keys(self, layer: str) -> Iterator[str]:
+        """List the keys of all objects of a layer."""
+        self._check_after_failure()
+        with self._translated_errors(f"list {layer} in"):
+            yield from self._backend.keys(layer)
+
+    def check_reachable(self) -> None:
+        """Raise StoreAwayError unless the sentinel can be read; a check stands for CHECKED seconds.
+
+        While one thread checks a store that was away, the others get the former error at once.
+        """
+        away = self._away
+        if not self._lock.acquire(blocking=away is None):
+            raise StoreAwayError(str(away))
+        try:
+            if self._clock() >= self._checked_until:
+                self._away = self._check()
+                self._checked_until = self._clock() + CHECKED
+            if self._away is not None:
+                raise type(self._away)(str(self._away))
+        finally:
+            self._lock.release()
+
+    def check_writable(self) -> None:
+        """Check that the store is there and takes writes; sets ``read_only``. Raises StoreAwayError and its kinds."""
+        self._checked_until = -1.0
+        self.check_reachable()
+        try:
+            self._backend.check_writable(CONTENT)
+            self.read_only = False
+        except Exception as error:
+            trouble = store_error("write to", self.url, error)
+            self.read_only = isinstance(trouble, StoreReadOnlyError)
+            raise trouble from None
+
+    def only_read(self) -> bool:
+        """Whether the store is read-only. One that was is tested again every RETRIED seconds."""
+        if self.read_only and self._clock() >= self._tried + RETRIED:
+            self._tried = self._clock()
+            with suppress(StoreError):
+                self.check_writable()
+        return self.read_only
+
+    @property
+    def _backend(self) -> Backend:
+        """The backend, made on first use, as that may load a library."""
+        with self._opening:
+            if self._made is None:
+                self._made = backend_at(self.url)
+            return self._made
+
+    def _get(self, key: str, known: StoredObject | None) -> StoredObject | None:
+        self._check_after_failure()
+        with self._translated_errors(f"read {key} from"):
+            found = self._backend.get(key, known)
+        if found is None:
+            self.check_reachable()
+        return found
+
+    def _check_after_failure(self) -> None:
+        """Check the store before its first use, and where the last check failed."""
+        if self._away is not None or not self._seen:
+            self.check_reachable()
+
+    @contextmanager
+    def _writing(self, action: str) -> Iterator[None]:
+        """Check before a write, and translate its errors."""
+        self._check_after_failure()
+        if self.read_only:
+            raise StoreReadOnlyError(f"The store at {self.url} can only be read: nothing more is baked into it.")
+        with self._translated_errors(action, writing=True):
+            yield
+
+    def _check(self) -> StoreAwayError | None:
+        """Read the sentinel, and make it in a new store; returns why that failed, or None."""
+        try:
+            found = self._backend.get(SENTINEL)
+        except StoreError:
+            raise
+        except Exception as error:
+            return store_error("reach", self.url, error)
+        if found is not None:
+            check_sentinel(found.data, self.url)
+            self._seen = True
+            return None
+        if self._without_sentinel:
+            return None
+        if self._seen or not self.make:
+            return StoreAwayError(f"The store at {self.url} is gone: {GONE}.")
+        return self._create_sentinel()
+
+    def _create_sentinel(self) -> StoreAwayError | None:
+        """Write the sentinel; returns why that failed, or None. A read-only place is used without one."""
+        try:
+            self._backend.create_sentinel(CONTENT)
+        except ChangedError:
+            pass
+        except Exception as error:
+            trouble = store_error("make a place for light at", self.url, error)
+            if not isinstance(trouble, StoreReadOnlyError):
+                return trouble
+            self.read_only = self._without_sentinel = True
+        self._seen = True
+        return None
+
+    @contextmanager
+    def _translated_errors(self, action: str, writing: bool = False) -> Iterator[None]:
+        """Raise a backend's error as StoreAwayError where the store is away too, else as StoreError of this object.
+
+        A write that failed for want of room or of permission raises StoreFullError or StoreReadOnlyError.
+        """
+        try:
+            yield
+        except StoreError:
+            raise
+        except Exception as error:
+            trouble = store_error(action, self.url, error)
+            if writing and isinstance(trouble, StoreFullError | StoreReadOnlyError):
+                raise trouble from error
+            self._checked_until = -1.0
+            (self.check_writable if writing else self.check_reachable)()
+            raise StoreError(str(trouble)) from error
+
+
+StoreLike = str | Path | StoreUrl | Store
+"""A store, or the folder or URL of one."""
+
+
+def backend_at(url: StoreUrl) -> Backend:
+    """The backend of a URL, by its scheme. Raises StoreError where a library is missing."""
+    if url.remote:
+        return Bucket(url, SENTINEL)
+    return Folder(url.folder, SENTINEL) if url.scheme == "file" else FileSystem(url, SENTINEL)

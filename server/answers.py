@@ -1,0 +1,158 @@
+"""Answers: the schemas filled for a scene, its plan, and the coverage of a frame."""
+
+from dataclasses import asdict
+from typing import Any
+
+from isogi_core.frame.film import COLOURS, SCALE
+from isogi_core.frame.frame import Frame
+from isogi_core.model.environment import Lobe
+from isogi_core.model.lights import Light
+from isogi_core.model.scene_plan import Layer
+from isogi_core.model.view import SHADINGS
+from isogi_core.plan.left_out import S1_BYTES
+from isogi_core.plan.scene import Scene
+from server.parameters import FrameParams
+from server.schemas import (
+    ChunkCounts,
+    Coverage,
+    ErrorScale,
+    Histogram,
+    LayerSchema,
+    LightSchema,
+    LobeSchema,
+    Omission,
+    PixelCounts,
+    PlanSchema,
+    PresetSchema,
+    Range,
+    SceneSchema,
+    Shares,
+    TexelSchema,
+    TimeLeftSchema,
+    VolumeSchema,
+)
+from server.values import Span
+from worker.progress import TimeLeft
+
+DEFAULTS = (
+    *("azimuth", "elevation", "distance", "fov", "yaw", "pitch", "roll"),
+    *("width", "height", "shading"),
+)
+"""Parameters whose defaults no scene changes."""
+
+
+def scene_schema(scene: Scene) -> SceneSchema:
+    """The document of one scene."""
+    counts, edges = scene.volume.histogram()
+    return SceneSchema(
+        id=scene.id,
+        name=scene.name,
+        volume=volume_schema(scene),
+        histogram=Histogram(counts=counts.tolist(), edges=edges.tolist()),
+        defaults=defaults(scene),
+        ranges=ranges(scene),
+        presets=[PresetSchema(**asdict(preset)) for preset in scene.presets],
+        shadings=list(SHADINGS),
+        lights=[light_schema(light) for light in scene.lights],
+        albedo=scene.albedo,
+        albedos=None if scene.albedos is None else Range(min=scene.albedos[0], max=scene.albedos[1]),
+        bounces=scene.bounces,
+        solid=scene.solid,
+        target_error=scene.target_error,
+        rotating=scene.rotating,
+        turns=scene.rotating and scene.plan.representation == "transfer",
+        error_scale=ErrorScale(low=SCALE[0], high=SCALE[1], colours=list(COLOURS)),
+        plan=plan_schema(scene),
+        read_only=False,
+    )
+
+
+def volume_schema(scene: Scene) -> VolumeSchema:
+    """The facts of a scene's volume."""
+    volume = scene.volume
+    names = ("name", "size", "spacing", "dtype", "value_range", "holes")
+    return VolumeSchema(**{name: getattr(volume, name) for name in names})
+
+
+def light_schema(light: Light) -> LightSchema:
+    """One light: its type as in a scene file, and its name for a person."""
+    return LightSchema(type=type(light).__name__.removesuffix("Light").lower(), name=light.name)
+
+
+def plan_schema(scene: Scene) -> PlanSchema:
+    """The scene's plan, and which of its texels are ever lit."""
+    plan = scene.plan
+    return PlanSchema(
+        representation=plan.representation,
+        order=plan.order,
+        indirect_order=plan.indirect_order,
+        channels=plan.channels,
+        bounces=plan.bounces,
+        bytes_per_texel=plan.bytes_per_texel,
+        full_bytes_per_texel=S1_BYTES,
+        precision=plan.precision,
+        samples=plan.samples,
+        lobes=[lobe_schema(lobe) for lobe in scene.inputs.lobes[: plan.lobes]],
+        projected=projected_isovalues(scene),
+        layers=[layer_schema(layer) for layer in plan.layers],
+        errors=dict(plan.errors),
+        notes=list(plan.notes),
+        texels=TexelSchema(**asdict(scene.texels)),
+        left_out=[Omission(**asdict(each)) for each in scene.left_out],
+    )
+
+
+def projected_isovalues(scene: Scene) -> list[tuple[float, float]]:
+    """The isovalues, from one to another, where texels are projected, in the units of the volume's file."""
+    ends = [[scene.volume.file_value(end) for end in span] for span in scene.projection.spans()]
+    return sorted((min(pair), max(pair)) for pair in ends)
+
+
+def lobe_schema(lobe: Lobe) -> LobeSchema:
+    """One lobe of a light."""
+    return LobeSchema(
+        azimuth=lobe.azimuth, elevation=lobe.elevation, angle=lobe.angle, irradiance=lobe.irradiance.tolist()
+    )
+
+
+def layer_schema(layer: Layer) -> LayerSchema:
+    """One layer of a plan."""
+    names = ("kind", "order", "channels", "precision", "coarse", "scale", "bytes_per_texel")
+    return LayerSchema(**{name: getattr(layer, name) for name in names}, nodes=list(layer.nodes))
+
+
+def defaults(scene: Scene) -> dict[str, float | str]:
+    """What each parameter is where it is left out."""
+    fixed: dict[str, Any] = {name: FrameParams.model_fields[name].default for name in DEFAULTS}
+    albedo = {} if scene.albedos is None else {"albedo": albedo_text(scene)}
+    return {"isovalue": scene.isovalue, **fixed, **albedo, "exposure": scene.default_exposure}
+
+
+def albedo_text(scene: Scene) -> float | str:
+    """The scene's albedo as a query has it: one number where it is grey."""
+    grey = len({*scene.albedo}) == 1
+    return scene.albedo[0] if grey else ",".join(f"{share:.6g}" for share in scene.albedo)
+
+
+def ranges(scene: Scene) -> dict[str, Range]:
+    """What each number may be."""
+    spans = {
+        name: Range(min=span.low, max=span.high)
+        for name, field in FrameParams.model_fields.items()
+        for span in field.metadata
+        if isinstance(span, Span)
+    }
+    of_scene = {"isovalue": scene.isovalues} | ({} if scene.albedos is None else {"albedo": scene.albedos})
+    return {**{name: Range(min=low, max=high) for name, (low, high) in of_scene.items()}, **spans}
+
+
+def coverage_schema(frame: Frame, time_left: TimeLeft | None) -> Coverage:
+    """How far the frame is."""
+    return Coverage(
+        chunks=ChunkCounts(needed=frame.chunks_needed, final=frame.chunks_final),
+        pixels=PixelCounts(surface=frame.surface, **frame.counts),
+        coverage=Shares(**frame.coverage),
+        error=frame.estimated_error,
+        provisional=frame.provisional,
+        time_left=None if time_left is None else TimeLeftSchema(**asdict(time_left)),
+    )

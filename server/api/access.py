@@ -1,0 +1,166 @@
+"""Access: which hosts, origins and tokens are let in."""
+
+import hashlib
+import hmac
+from http.cookies import CookieError, SimpleCookie
+from urllib.parse import parse_qsl, urlencode, urlsplit
+
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.responses import HTMLResponse, RedirectResponse, Response
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from server.problems import problem
+
+
+class KnownHosts:
+    """ASGI middleware: refuses requests for other host names, against DNS rebinding."""
+
+    def __init__(self, app: ASGIApp, hosts: tuple[str, ...] | None) -> None:
+        """Let requests for ``hosts`` pass, in lower case and without a port; None lets all pass."""
+        self.app = app
+        self.hosts = hosts
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass the request on where its Host header is allowed; 421 else."""
+        if scope["type"] not in ("http", "websocket") or self.hosts is None or self.knows(Headers(scope=scope)):
+            await self.app(scope, receive, send)
+            return
+        detail = "This host name is not served here: use a loopback name, or set ISOGI_ALLOWED_HOSTS."
+        await problem(421, detail, scope["path"])(scope, receive, send)
+
+    def knows(self, headers: Headers) -> bool:
+        """Whether the Host header, its port aside, is one of the allowed names."""
+        host = headers.get("host", "").lower()
+        name = host[1:].partition("]")[0] if host.startswith("[") else host.partition(":")[0]
+        return self.hosts is not None and name in self.hosts
+
+
+SAFE = ("GET", "HEAD")
+"""Methods that change nothing; a client without a browser's headers may use them from wherever it is."""
+
+OWN = ("same-origin", "none")
+"""Values of Sec-Fetch-Site for requests of the server's own pages, and of a person who typed an address."""
+
+
+class KnownOrigins:
+    """ASGI middleware: refuses what pages of other origins send, against forged requests and stolen work.
+
+    Browsers say where a request comes from in Sec-Fetch-Site and Origin, and no page can change that. What they
+    call foreign is refused, but for a person who follows a link; where they name an origin, changes and sockets
+    are refused unless it is the server's own. A frame costs work and bakes light, so that pictures in foreign
+    pages are refused too. (A resource isolation policy as in web.dev/articles/fetch-metadata.)
+    """
+
+    def __init__(self, app: ASGIApp, origins: tuple[str, ...] = ()) -> None:
+        """Let pages of ``origins``, such as ``https://lab.example``, pass besides the server's own."""
+        self.app = app
+        self.origins = origins
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass the request on where its origin is known or does not matter; 403 else."""
+        if scope["type"] not in ("http", "websocket") or self.lets_pass(scope):
+            await self.app(scope, receive, send)
+            return
+        detail = "Pages of other origins may not ask this server: set ISOGI_ALLOWED_ORIGINS to let one."
+        await problem(403, detail, scope["path"])(scope, receive, send)
+
+    def lets_pass(self, scope: Scope) -> bool:
+        """Whether the request comes from a page that is known, from no page, or by a link."""
+        headers = Headers(scope=scope)
+        origin, site = headers.get("origin"), headers.get("sec-fetch-site")
+        if origin in self.origins:
+            return True
+        safe = scope["type"] == "http" and scope["method"] in SAFE
+        if not safe and origin is not None and not is_own(origin, headers):
+            return False
+        return site is None or site in OWN or (safe and is_link(headers))
+
+
+def is_own(origin: str, headers: Headers) -> bool:
+    """Whether an Origin header names the host that the request is sent to."""
+    return urlsplit(origin).netloc == headers.get("host", "").lower() != ""
+
+
+def is_link(headers: Headers) -> bool:
+    """Whether a browser opens the address in a tab of its own, as it does when a link is followed."""
+    return headers.get("sec-fetch-mode") == "navigate" and headers.get("sec-fetch-dest") == "document"
+
+
+OPEN = ("/livez", "/readyz")
+"""What probes ask, which hold no token."""
+
+REFUSAL = "This server wants its token: as 'Authorization: Bearer …', or once in the page's address as /?token=…"
+PAGE = """<!doctype html><html lang="en"><meta charset="utf-8"><title>isogi: token</title>
+<h1>This server wants its token</h1><p>Open this page once as <code>/?token=…</code>; the browser then keeps it.</p>
+<p>If it has it already, and you came by a link from elsewhere: <a href="">go on</a>.</p></html>"""
+
+
+class TokenBearers:
+    """ASGI middleware: 401 for requests without the token.
+
+    It is shown in the Authorization header, or by a cookie that a browser is given when the page is opened with
+    ``?token=``. The cookie holds a digest and not the token, and is named after it, as ports share their cookies.
+    """
+
+    def __init__(self, app: ASGIApp, token: str) -> None:
+        """Ask for ``token``."""
+        self.app = app
+        self.token = token.encode()
+        self.cookie = hmac.new(self.token, b"isogi cookie", hashlib.sha256).hexdigest()
+        self.name = f"isogi-{hashlib.sha256(self.cookie.encode()).hexdigest()[:8]}"
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass the request on where it shows the token; a page that is opened with it gets the cookie."""
+        if scope["type"] not in ("http", "websocket") or scope["path"] in OPEN:
+            await self.app(scope, receive, send)
+            return
+        headers, given = Headers(scope=scope), self.given(scope)
+        if given is not None and hmac.compare_digest(given.encode(errors="replace"), self.token):
+            await self.admission(scope)(scope, receive, send)
+        elif given is None and self.knows(headers):
+            await self.app(scope, receive, lambda message: send(private(message)))
+        else:
+            await self.refusal(scope, headers)(scope, receive, send)
+
+    def knows(self, headers: Headers) -> bool:
+        """Whether the headers show the token or its cookie."""
+        scheme, _, given = headers.get("authorization", "").partition(" ")
+        if scheme.lower() == "bearer":
+            return hmac.compare_digest(given.strip().encode("latin-1"), self.token)
+        try:
+            cookie = SimpleCookie(headers.get("cookie", "")).get(self.name)
+        except CookieError:
+            return False
+        return cookie is not None and hmac.compare_digest(cookie.value.encode(), self.cookie.encode())
+
+    def given(self, scope: Scope) -> str | None:
+        """The token in the page's own address; None where there is none, or the address is another."""
+        if scope["type"] != "http" or scope["method"] != "GET" or scope["path"] != "/":
+            return None
+        return dict(parse_qsl(scope["query_string"].decode("latin-1"), keep_blank_values=True)).get("token")
+
+    def admission(self, scope: Scope) -> Response:
+        """The same address without the token, and the cookie; the browser's history forgets the token."""
+        pairs = parse_qsl(scope["query_string"].decode("latin-1"), keep_blank_values=True)
+        rest = urlencode([(name, value) for name, value in pairs if name != "token"])
+        answer = RedirectResponse(f"./?{rest}" if rest else "./", 303, {"Cache-Control": "no-store"})
+        secure = scope["scheme"] == "https"
+        answer.set_cookie(self.name, self.cookie, httponly=True, samesite="strict", secure=secure)
+        return answer
+
+    def refusal(self, scope: Scope, headers: Headers) -> Response:
+        """401, as a page where a page was asked for."""
+        challenge = {"WWW-Authenticate": "Bearer", "Cache-Control": "no-store"}
+        if scope["path"] == "/" and "text/html" in headers.get("accept", ""):
+            return HTMLResponse(PAGE, 401, challenge)
+        answer = problem(401, REFUSAL, scope["path"])
+        answer.headers.update(challenge)
+        return answer
+
+
+def private(message: Message) -> Message:
+    """The message; an answer says that caches which others share may not keep it."""
+    if message["type"] == "http.response.start":
+        headers = MutableHeaders(scope=message)
+        headers["Cache-Control"] = f"private, {headers.get('cache-control', 'no-cache')}"
+    return message

@@ -1,0 +1,105 @@
+"""The assembly of the HTTP service."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from importlib.metadata import version
+
+from fastapi import FastAPI
+from starlette.middleware import Middleware
+from starlette.middleware.cors import CORSMiddleware
+from starlette.staticfiles import StaticFiles
+
+from server import problems
+from server.api.access import KnownHosts, KnownOrigins, TokenBearers
+from server.api.prewarm_jobs import resume
+from server.api.requests import HeadAsGet, Requests, SafeHeaders, SmallBodies
+from server.api.routes import events, frames, jobs, pages, scenes
+from server.api.service import Service
+from server.api.shutdown import Closing, GracefulShutdown
+from server.api.stream import router as stream_router
+from server.render.engine import RenderEngine
+from server.render.metrics import BakingCollector, JobsCollector, Metrics
+from server.render.resources import StoreProbe
+from server.settings import Settings
+
+DESCRIPTION = "Pictures of isosurfaces with global illumination, served at once and refined while you look."
+GUARDED = problems.documented_problems(401, 403, 413, 421)
+"""What the middleware answers for any route."""
+
+ROUTERS = (
+    *(pages.router, pages.health_router, scenes.router, scenes.sky_router, frames.router, events.router),
+    *(stream_router, jobs.prewarm_router, jobs.router, scenes.volume_router),
+)
+
+SHARED = ("Authorization", "If-None-Match", "Last-Event-ID", "Prefer", "X-Request-ID")
+"""Request headers that pages of other origins may set, where any may ask."""
+
+EXPOSED = (
+    *("Isogi-Provisional", "Isogi-Coverage", "Isogi-Error", "Isogi-Chunks", "Isogi-Projected", "Isogi-Time-Left"),
+    *("ETag", "Location", "Preference-Applied", "Retry-After", "Server-Timing", "X-Request-ID"),
+)
+"""Response headers that these may read."""
+
+
+def create_app(engine: RenderEngine, settings: Settings) -> FastAPI:
+    """The service around ``engine``, which it starts beside the event loop and closes at the end."""
+    metrics, closing = Metrics(), Closing()
+    service = Service(engine, settings)
+    metrics.registry.register(BakingCollector(engine))
+    metrics.registry.register(JobsCollector(service.jobs))
+    app = FastAPI(
+        title="isogi",
+        version=version("isogi"),
+        description=DESCRIPTION,
+        docs_url=None,
+        redoc_url=None,
+        lifespan=lifespan,
+        middleware=middleware(settings, metrics, closing),
+    )
+    app.state.service, app.state.settings = service, settings
+    app.state.metrics, app.state.closing, app.state.probe = metrics, closing, StoreProbe(engine.store)
+    problems.install(app)
+    for router in ROUTERS:
+        app.include_router(router, responses=GUARDED)
+    app.mount("/web", StaticFiles(directory=pages.WEB), name="web")
+    return app
+
+
+def middleware(settings: Settings, metrics: Metrics, closing: Closing) -> list[Middleware]:
+    """What a request passes, from the outside in."""
+    origins = settings.allowed_origins
+    shared = Middleware(
+        CORSMiddleware,
+        allow_origins=origins,
+        allow_methods=("GET", "POST", "DELETE"),
+        allow_headers=SHARED,
+        expose_headers=EXPOSED,
+    )
+    token = settings.token
+    return [
+        Middleware(Requests, metrics=metrics),
+        Middleware(SafeHeaders),
+        Middleware(GracefulShutdown, closing=closing),
+        Middleware(KnownHosts, hosts=settings.hosts()),
+        Middleware(KnownOrigins, origins=origins),
+        *([shared] if origins else []),
+        *([Middleware(TokenBearers, token=token.get_secret_value())] if token is not None else []),
+        Middleware(SmallBodies, limit=settings.max_body_bytes, upload=settings.max_upload_mb << 20),
+        Middleware(HeadAsGet),
+    ]
+
+
+@asynccontextmanager
+async def lifespan(app: FastAPI) -> AsyncIterator[None]:
+    """Starts the service's engine without waiting for it; closes it at the end."""
+    service: Service = app.state.service
+    with app.state.metrics.counting_errors():
+        start, resumption = asyncio.create_task(service.start()), asyncio.create_task(resume(service))
+        yield
+        resumption.cancel()
+        service.engine.stop()
+        await start
+        await service.close()

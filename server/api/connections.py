@@ -1,0 +1,286 @@
+"""Connections with deadlines and places, over uvicorn's own; sockets that close without a reset."""
+
+import asyncio
+import ctypes
+import logging
+import socket
+import struct
+import sys
+from collections.abc import Iterable, Iterator
+from typing import Any, cast
+
+import h11
+from starlette.types import Receive, Scope, Send
+from uvicorn import Config
+from uvicorn.protocols.http.h11_impl import H11Protocol
+from uvicorn.server import ServerState
+
+from server.api.requests import UPLOAD
+from server.problems import problem
+from server.render.metrics import Metrics
+from server.settings import Settings
+
+HANDSHAKE = 0.1
+"""Seconds within which a handshake ends that had begun when newcomers were kept out."""
+
+SO_ATTACH_FILTER = 26
+LOAD_BYTE, JUMP_IF_SET, RETURN = 0x30, 0x45, 0x06
+FLAGS, SYN = 13, 0x02
+"""The byte of a TCP segment that holds its flags, and the one that asks for a connection."""
+
+NEWCOMERS_DROPPED = ((LOAD_BYTE, 0, 0, FLAGS), (JUMP_IF_SET, 0, 1, SYN), (RETURN, 0, 0, 0), (RETURN, 0, 0, 0xFFFFFFFF))
+"""A classic packet filter (code, jump if true, jump if false, value): drops what asks for a connection."""
+
+
+def keep_newcomers_out(listener: socket.socket) -> None:
+    """Accept no connections but those whose handshake has begun; clients that come later ask again within a second.
+
+    That finds the port closed then, or the next server at it. Does nothing on systems other than Linux.
+    """
+    if sys.platform != "linux":
+        return
+    steps = b"".join(struct.pack("HBBI", *step) for step in NEWCOMERS_DROPPED)
+    code = ctypes.create_string_buffer(steps, len(steps))
+    listener.setsockopt(
+        socket.SOL_SOCKET, SO_ATTACH_FILTER, struct.pack("HP", len(NEWCOMERS_DROPPED), ctypes.addressof(code))
+    )
+
+
+def queued(listener: socket.socket) -> Iterator[socket.socket]:
+    """Connections that wait to be accepted: they would be reset when the listener is closed."""
+    while True:
+        try:
+            yield listener.accept()[0]
+        except OSError:
+            return
+
+
+log = logging.getLogger("isogi.connections")
+
+CHECK = 0.5
+"""Seconds between two checks of a connection's deadlines."""
+
+PACE = 1024
+"""Bytes a second that a client has to take of an answer."""
+
+PING = 5.0
+"""Seconds between two pings of a stream's client, and within which it has to answer each."""
+
+LINGER = 1.0
+"""Seconds for which one reads from a connection that is to be closed: more of a request may be on its way."""
+
+
+class ServerConfig(Config):
+    """How uvicorn serves an app under isogi's settings; what connections need is at hand in it."""
+
+    def __init__(self, app: Any, settings: Settings, metrics: Metrics) -> None:
+        """Take on ``app``; ``metrics`` count the connections that are given up."""
+        super().__init__(
+            app,
+            http=Connection,
+            log_config=None,
+            access_log=False,
+            server_header=False,
+            timeout_keep_alive=settings.idle_seconds,
+            timeout_graceful_shutdown=settings.shutdown_seconds + 2,
+            ws="websockets-sansio",
+            ws_max_size=settings.stream_bytes,
+            ws_per_message_deflate=False,  # pictures are compressed as they are
+            ws_ping_interval=PING,
+            ws_ping_timeout=PING,
+        )
+        self.settings = settings
+        self.metrics = metrics
+
+
+class Connection(H11Protocol):
+    """A connection that is given up where its client is too slow, or too many want one.
+
+    A head must be there ``head_seconds`` after the connection or the last answer, and a body ``body_seconds`` after
+    its head, that of an upload ``upload_seconds``; an answer must be taken at some PACE. Where all places are taken,
+    the connection that has waited longest for a head makes room; where none waits, the newcomer is answered with 503.
+    """
+
+    def __init__(
+        self,
+        config: ServerConfig,
+        server_state: ServerState,
+        app_state: dict[str, Any],
+        _loop: asyncio.AbstractEventLoop | None = None,
+    ) -> None:
+        super().__init__(config, server_state, app_state, _loop)
+        self.settings, self.metrics = config.settings, config.metrics
+        self._state: Any = h11.IDLE
+        self._since = self._taken = self.loop.time()
+        self._unsent = 0
+        self._refused = False
+        self._next_check: asyncio.TimerHandle | None = None
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """Take a place, or close another connection that waits."""
+        # asyncio does so only for listeners that name their protocol; else each answer may wait 40 ms for its end
+        transport.get_extra_info("socket").setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        super().connection_made(transport)
+        self._since = self._taken = self.loop.time()
+        self._check_later()
+        crowd = too_many(self, cast(Iterable[H11Protocol], self.connections), self.settings)
+        waiting = [each for each in crowd if isinstance(each, Connection) and each.waits and each is not self]
+        if waiting:
+            min(waiting, key=lambda each: each._since).give_up("crowd", "Others need this connection: open a new one.")
+        elif crowd:
+            self.app = crowded
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Check no more."""
+        self._stop_checking()
+        super().connection_lost(exc)
+
+    def data_received(self, data: bytes) -> None:
+        """Read, and note when a head or a body is whole; what comes after a refusal is dropped."""
+        if not self._refused:
+            super().data_received(data)
+            self._note()
+
+    def on_response_complete(self) -> None:
+        """Go on, and note that the next head may come."""
+        super().on_response_complete()
+        self._note()
+
+    def pause_writing(self) -> None:
+        """Have the application wait; where clients together leave too much, the one that takes longest is closed."""
+        super().pause_writing()
+        if not self._unsent:
+            self._unsent, self._taken = self.unsent, self.loop.time()
+        slow = [each for each in self.connections if isinstance(each, Connection) and each.unsent]
+        if sum(each.unsent for each in slow) > self.settings.max_unsent_mb << 20 and len(slow) > 1:
+            min(slow, key=lambda each: each._taken).drop("memory")
+
+    def handle_websocket_upgrade(self, event: h11.Request) -> None:
+        """Hand over to the socket's own protocol, unless there is no place."""
+        if self.app is crowded:
+            self.refuse(503, CROWDED)
+            return
+        self._stop_checking()
+        super().handle_websocket_upgrade(event)
+
+    def shutdown(self) -> None:
+        """Close after the present answer; a quiet connection after a while, in which its next request is answered."""
+        if self.cycle is not None and not self.cycle.response_complete:
+            self.cycle.keep_alive = False
+        else:
+            self.loop.call_later(LINGER, self._leave)
+
+    @property
+    def waits(self) -> bool:
+        """Whether the head of a request is still to come."""
+        return self.conn.their_state is h11.IDLE and not self._refused and not self.transport.is_closing()
+
+    @property
+    def lacks(self) -> str | None:
+        """The part of a request that is still to come: head or body."""
+        if self.waits:
+            return "head"
+        return "body" if self.conn.their_state is h11.SEND_BODY and not self._refused else None
+
+    @property
+    def body_seconds(self) -> int:
+        """Seconds for the body of the present request; once an upload is answered its rest is a body as any other."""
+        uploading = (self.scope["method"], self.scope["path"]) == UPLOAD and self.conn.our_state is h11.SEND_RESPONSE
+        return self.settings.upload_seconds if uploading else self.settings.body_seconds
+
+    @property
+    def unsent(self) -> int:
+        """Bytes of answers that the client is yet to take."""
+        return self.transport.get_write_buffer_size()
+
+    def check(self) -> None:
+        """Give the connection up where it is late; check again later where it is not."""
+        now, part = self.loop.time(), self.lacks
+        patience = self.body_seconds if part == "body" else self.settings.head_seconds
+        if part is not None and now - self._since > patience:
+            self.give_up(part, f"The {part} of the request was not there within {patience} s.")
+        elif self._stalls(now):
+            self.drop("answer")
+        self._check_later()
+
+    def drop(self, why: str) -> None:
+        """Close at once, whatever the client is yet to take."""
+        self.metrics.closed.labels(why).inc()
+        self.transport.abort()
+
+    def give_up(self, why: str, sentence: str) -> None:
+        """Close; with 408 and a ``sentence`` where a request has begun and nothing was answered yet."""
+        self.metrics.closed.labels(why).inc()
+        answering = self.cycle is not None and self.cycle.response_started and not self.cycle.response_complete
+        if self.cycle is not None and not self.cycle.response_complete:
+            self.cycle.disconnected = True
+            self.cycle.message_event.set()
+        if answering or (self.waits and not self.conn.trailing_data[0]) or self.conn.our_state is h11.DONE:
+            self.transport.close()
+        else:
+            self.refuse(408, sentence)
+
+    def send_400_response(self, msg: str) -> None:
+        """Answer what is not HTTP with a problem document."""
+        self.refuse(400, "This is not a request that HTTP/1.1 allows.")
+
+    def refuse(self, status: int, sentence: str) -> None:
+        """Answer with a problem, past the app, and close; not at once, for what is still sent would be a reset."""
+        answer = problem(status, sentence, "/")
+        headers = [*answer.raw_headers, (b"connection", b"close")]
+        for event in (
+            h11.Response(status_code=status, headers=headers),
+            h11.Data(bytes(answer.body)),
+            h11.EndOfMessage(),
+        ):
+            self.transport.write(self.conn.send(event) or b"")
+        self._refused = True
+        self.transport.write_eof()
+        self.loop.call_later(LINGER, self.transport.close)
+
+    def _note(self) -> None:
+        """Begin to count anew where the client has come from one part of a request to the next."""
+        if self.conn.their_state is not self._state:
+            self._state, self._since = self.conn.their_state, self.loop.time()
+
+    def _stalls(self, now: float) -> bool:
+        """Whether the client takes too little of an answer: less than its pace for ``stall_seconds``."""
+        unsent = self.unsent
+        least = self._unsent - PACE * self.settings.stall_seconds
+        if not unsent or unsent > self._unsent or unsent <= least:
+            self._unsent, self._taken = unsent, now
+        return unsent > 0 and now - self._taken > self.settings.stall_seconds
+
+    def _leave(self) -> None:
+        if self.waits:
+            self.transport.close()
+
+    def _check_later(self) -> None:
+        self._next_check = self.loop.call_later(CHECK, self.check)
+
+    def _stop_checking(self) -> None:
+        if self._next_check is not None:
+            self._next_check.cancel()
+            self._next_check = None
+
+
+CROWDED = "All connections that this server has are taken: come back in a second."
+
+
+async def crowded(scope: Scope, receive: Receive, send: Send) -> None:
+    """The app of a connection without a place."""
+    await problem(503, CROWDED, scope["path"])(scope, receive, send)
+
+
+def too_many(one: H11Protocol, connections: Iterable[H11Protocol], settings: Settings) -> list[H11Protocol]:
+    """The connections that are too many: all of this client, or all; none where they are within the limits."""
+    everybody = list(connections)
+    own = [each for each in everybody if host_of(each) == host_of(one)]
+    if len(own) > settings.max_client_connections:
+        return own
+    return everybody if len(everybody) > settings.max_connections else []
+
+
+def host_of(connection: H11Protocol) -> str | None:
+    """The address of a connection's client, without its port."""
+    return connection.client[0] if connection.client is not None else None

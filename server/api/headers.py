@@ -1,0 +1,163 @@
+"""Response headers: what a frame says about itself; and what a client prefers."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Annotated, TypeVar
+
+from fastapi import Depends, Header
+
+from isogi_core.frame.frame import Frame
+from isogi_core.frame.tiles import Stopwatch
+from server.parameters import LONGEST_WAIT, ViewParams
+from worker.progress import TimeLeft
+
+FOR_EVER = "max-age=31536000, immutable"
+"""Caching of a picture that is final, at an address that names its version: it can be no other."""
+
+STATES = ("final", "converging", "provisional")
+STAGES = {
+    "queue": "waiting for a thread",
+    "demand": "requesting the light that is lacking, and estimating how long it takes",
+    "bake": "waiting for light",
+    "primary": "casting the camera's rays",
+    "texels": "finding the texels that the picture reads",
+    "load": "bringing light from the store",
+    "read": "looking the texels up",
+    "light": "putting the texels under the turned light",
+    "shade": "carrying their light to the picture",
+    "normals": "finding the surface's normals",
+    "paths": "tracing the pixels' paths",
+    "encode": "making the picture's bytes",
+    "total": "all of these and what is between them",
+}
+"""The stages of a request, as Server-Timing names them, and what is done in each. None counts what another does."""
+
+
+def frame_headers(frame: Frame, time_left: TimeLeft | None, tag: str, version: str | None = None) -> dict[str, str]:
+    """The headers of a frame's response, a 304 included; ``version`` is what the address asks for, if anything.
+
+    What a client prefers changes the answer until the frame is final, and never the final one.
+    """
+    left = {"Isogi-Time-Left": time_left_header(time_left)} if time_left is not None and frame.provisional else {}
+    projected = {} if frame.projection is None else {"Isogi-Projected": projection_header(frame.projection.shares)}
+    return (
+        left
+        | projected
+        | {
+            "Isogi-Provisional": "?1" if frame.provisional else "?0",
+            "Isogi-Coverage": coverage_header(frame.coverage),
+            "Isogi-Error": f"{frame.estimated_error:.5f}",
+            "Isogi-Chunks": f"needed={frame.chunks_needed}, final={frame.chunks_final}",
+            "ETag": tag,
+            "Cache-Control": FOR_EVER if not frame.provisional and version == tag.strip('"') else "no-cache",
+            "Cache-Status": cache_status(frame.chunks_needed, frame.chunks_final),
+            "Vary": "Accept, Prefer" if frame.provisional else "Accept",
+        }
+    )
+
+
+def cache_status(needed: int, final: int) -> str:
+    """What the store had of a frame's light (RFC 9211): all of it, part of it, or nothing; the rest is baked."""
+    if needed == final:
+        return "isogi-light; hit"
+    return f"isogi-light; fwd={'partial' if final else 'miss'}"
+
+
+def coverage_header(shares: Mapping[str, float]) -> str:
+    """Shares to three digits; what is final is rounded down and the rest up, so that 1.000 means all."""
+    final, *others = (1000 * shares[state] for state in STATES)
+    thousandths = (math.floor(final), *map(math.ceil, others))
+    return ", ".join(f"{state}={n / 1000:.3f}" for state, n in zip(STATES, thousandths, strict=True))
+
+
+def projection_header(shares: Mapping[str, float]) -> str:
+    """Shares of the texels, to three digits, by how they are read; see ``Projection.shares``."""
+    return ", ".join(f"{name}={share:.3f}" for name, share in shares.items())
+
+
+def time_left_header(left: TimeLeft) -> str:
+    """Seconds until the frame is final, and the range that they are likely in."""
+    return f"low={left.low:.1f}, likely={left.likely:.1f}, high={left.high:.1f}"
+
+
+def entity_tag(frame: Frame, *representation: object) -> str:
+    """A strong ETag: equal where the frame's content and its representation (format, exposure, …) are."""
+    return tag_of(frame.version, *representation)
+
+
+def tag_of(*parts: object) -> str:
+    """A strong ETag: equal where the parts are."""
+    return f'"{hashlib.blake2b(repr(parts).encode(), digest_size=16).hexdigest()}"'
+
+
+def matches(if_none_match: str | None, tag: str) -> bool:
+    """Whether an If-None-Match header names the tag (weak comparison, RFC 9110, 13.1.2)."""
+    if if_none_match is None:
+        return False
+    named = {part.strip().removeprefix("W/") for part in if_none_match.split(",")}
+    return tag in named or "*" in named
+
+
+def server_timing(watch: Stopwatch) -> str:
+    """A Server-Timing header: milliseconds of a request's stages so far and of their total; see STAGES."""
+    seconds = {**watch.seconds, "total": watch.elapsed}
+    return ", ".join(f"{stage};dur={1000 * spent:.2f}" for stage, spent in seconds.items())
+
+
+MEMBER = re.compile(r'(?:[^,"]|"(?:[^"\\]|\\.)*"?)+')
+"""One member of a list, in whose quoted parts commas are text."""
+
+DESCRIPTION = (
+    "Preferences (RFC 7240). wait=5: wait up to 5 seconds for baking, where wait_ms is left out;"
+    f" {LONGEST_WAIT // 1000} at most. respond-async: where a frame is not final by then, answer with a job that bakes"
+    " it. Others are ignored."
+)
+
+Params = TypeVar("Params", bound=ViewParams)
+
+
+@dataclass(frozen=True)
+class Preferences:
+    """To ``wait`` for so many seconds, if any, and to be answered with a job rather than wait longer."""
+
+    wait: int | None = None
+    respond_async: bool = False
+
+    def fill(self, params: Params) -> tuple[Params, dict[str, str]]:
+        """The parameters with the wait that is preferred, and the header that says so; a given ``wait_ms`` stands."""
+        if self.wait is None or "wait_ms" in params.model_fields_set:
+            return params, {}
+        filled = params.model_copy(update={"wait_ms": 1000 * self.wait})
+        return filled, {"Preference-Applied": f"wait={self.wait}"}
+
+
+def preferences(headers: Iterable[str]) -> Preferences:
+    """What Prefer headers say; of a preference that is given twice the first counts, and what makes no sense does not.
+
+    A longer wait than is allowed is taken for the longest.
+    """
+    found: dict[str, str] = {}
+    for member in (member for header in headers for member in MEMBER.findall(header)):
+        name, _, value = member.partition(";")[0].partition("=")
+        found.setdefault(name.strip().lower(), value.strip().strip('"'))
+    return Preferences(seconds(found.get("wait", "")), "respond-async" in found)
+
+
+def seconds(text: str) -> int | None:
+    """The whole seconds that a text spells, LONGEST_WAIT at most; None where it spells none."""
+    if not re.fullmatch(r"\d+", text, re.ASCII):
+        return None
+    return min(int(text), LONGEST_WAIT // 1000) if len(text) < 10 else LONGEST_WAIT // 1000
+
+
+async def preferred(prefer: Annotated[list[str] | None, Header(description=DESCRIPTION)] = None) -> Preferences:
+    """The preferences of a request."""
+    return preferences(prefer or ())
+
+
+PreferencesDep = Annotated[Preferences, Depends(preferred)]

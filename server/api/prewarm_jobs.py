@@ -1,0 +1,230 @@
+"""Prewarms over HTTP: jobs that yield to people, outlive the server and are taken up again."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import math
+import os
+import threading
+import time
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import dataclass, field
+from datetime import datetime
+from itertools import count
+
+from isogi_core.errors import Cancelled, IsogiError, StoreError
+from isogi_core.frame.frame import Frame
+from isogi_core.frame.tiles import Stopwatch
+from isogi_core.model.view import View
+from isogi_core.plan.scene import Scene
+from server.api.service import PictureRequest, Service
+from server.errors import BusyError
+from server.prewarm.context import PrewarmContext, Step
+from server.prewarm.order import PrewarmOrder
+from server.prewarm.record import BEAT, OPEN, Record, RecordDocument, Summary, recorded_prewarms
+from server.prewarm.work import carry_out, carry_out_dry, wanted
+from server.render.jobs import Job, Result, Status
+from server.render.scheduling import Rank
+from worker.bake_requests import Viewer
+from worker.errors import WorkersError
+
+LATER = 5.0
+"""Seconds that the frame of a survey waits for a thread before it goes first."""
+
+CHECK = 0.1
+"""Seconds between two checks of a frame that is waited for."""
+
+AGAIN, LONGEST_AWAY = 10.0, 3600.0
+"""Seconds until what failed for the store is tried again, and for which it is."""
+
+NICENESS = 5
+"""How far the thread of a prewarm stands behind those of frames."""
+
+_visits = count(1)
+
+
+def begin(service: Service, scene: Scene, order: PrewarmOrder, dry: bool = False) -> Job:
+    """The job that carries out an order, or, where it is ``dry``, forecasts what it takes. Raises BusyError.
+
+    The same order once more is the same job until that has ended.
+    """
+    prewarm = Prewarm(service, scene, order, dry)
+    if dry:
+        return service.jobs.begin("prewarm", f"What a prewarm of {scene.id} takes", prewarm.work)
+    return service.jobs.begin("prewarm", f"A prewarm of {scene.id}", prewarm.work, order.digest(scene))
+
+
+@dataclass(eq=False)
+class Prewarm:
+    """One order on its way: what is between the event loop, where the job lives, and the thread that works."""
+
+    service: Service
+    scene: Scene
+    order: PrewarmOrder
+    dry: bool
+    cancelled: threading.Event = field(default_factory=threading.Event)
+    begun: float = field(default_factory=time.monotonic)
+
+    async def work(self, job: Job) -> Iterable[Result]:
+        """Do all of it on a thread of its own; returns when that has ended, also when this is cancelled."""
+        loop, record = asyncio.get_running_loop(), self._record()
+        with ThreadPoolExecutor(1, "prewarm") as thread:
+            working = loop.run_in_executor(thread, self._run, loop, job, record)
+            try:
+                job.document = summary = await asyncio.shield(working)
+            except asyncio.CancelledError:
+                self.cancelled.set()
+                await asyncio.wait({working})
+                working.exception()
+                raise
+        if summary.failures:
+            raise WorkersError(str(summary))
+        return [Result(f"/v1/jobs/{job.id}/results", "application/json", "The summary")]
+
+    def _record(self) -> Record | None:
+        return None if self.dry else Record(self.service.engine.store, self.scene, self.order, "server")
+
+    def _run(self, loop: asyncio.AbstractEventLoop, job: Job, record: Record | None) -> Summary:
+        """What the thread does."""
+        stand_back()
+
+        def report(step: Step) -> None:
+            loop.call_soon_threadsafe(job.report, step.share, str(step), step.left)
+            if record is not None:
+                record.report(step)
+
+        def frame_of(view: View) -> Frame:
+            return self._frame_of(loop, view)
+
+        target = self.order.target_error or self.scene.target_error
+        deadline = math.inf if self.order.deadline is None else self.begun + self.order.deadline
+        viewer = Viewer(("prewarm", next(_visits)), patient=True)
+        place = (self.service.engine, self.scene, target, viewer, frame_of, report, deadline)
+        context = PrewarmContext(*place, cancelled=self.cancelled, begun=self.begun)
+        return self._dry(context) if record is None else self._recorded(context, record)
+
+    def _dry(self, context: PrewarmContext) -> Summary:
+
+        return carry_out_dry(context, wanted(context, self.order, self.service.settings))
+
+    def _recorded(self, context: PrewarmContext, record: Record) -> Summary:
+        """Carry it out, and keep a record of it; what a stopping server leaves is taken up by the next."""
+        record.keep(status=Status.RUNNING)
+        try:
+            summary = self._carried_out(context, record)
+        except Cancelled:
+            if not self.service.jobs.closed:
+                record.keep(status=Status.DISMISSED, message="This was dismissed.")
+            raise
+        except IsogiError as error:
+            with suppress(StoreError):
+                record.keep(status=Status.FAILED, message=str(error))
+            raise
+        return record.close(summary)
+
+    def _carried_out(self, context: PrewarmContext, record: Record) -> Summary:
+        """Carry it out; what fails for the store is begun again a little later, for what is baked stays."""
+
+        given_up = math.inf
+        while True:
+            try:
+                what = wanted(context, self.order, self.service.settings)
+                return carry_out(context, what, lambda ahead: record.keep(ahead=ahead))
+            except StoreError as error:
+                given_up = min(given_up, time.monotonic() + LONGEST_AWAY)
+                if time.monotonic() > given_up:
+                    raise
+                context.report(Step(f"Waiting for the store ({error})", "time", 0, 1, 0.0))
+                self.cancelled.wait(AGAIN)
+                context.check()
+
+    def _frame_of(self, loop: asyncio.AbstractEventLoop, view: View) -> Frame:
+        """The frame of a view, asked of the event loop by the thread. Raises Cancelled soon once it is."""
+        coming = asyncio.run_coroutine_threadsafe(self._frame(view), loop)
+        try:
+            while True:
+                with suppress(TimeoutError):
+                    return coming.result(CHECK)
+                if self.cancelled.is_set():
+                    raise Cancelled("This prewarm was stopped.")
+        finally:
+            coming.cancel()
+
+    async def _frame(self, view: View) -> Frame:
+        """The frame of a view; where clients wait for frames, they have as much time as it took."""
+        begun, target = time.monotonic(), self.order.target_error or self.scene.target_error
+        frame = await self.service.frame(PictureRequest(self.scene.id, view, target), Rank.within(LATER), Stopwatch())
+        if self.service.attended:
+            await asyncio.sleep(time.monotonic() - begun)
+        return frame
+
+
+def stand_back() -> None:
+    """Set this thread behind others, where threads have a niceness of their own (Linux)."""
+    with suppress(AttributeError, OSError):
+        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICENESS)
+
+
+log = logging.getLogger("isogi.server")
+
+
+LEASE = 20.0
+"""Seconds without a new record after which no process works on a prewarm any more."""
+
+
+class Silence:
+    """For how long the record of each prewarm has not changed, by this process's clock: calendars differ and jump."""
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        """No record was seen yet."""
+        self._clock = clock
+        self._heard: dict[str, tuple[datetime, float]] = {}
+
+    def of(self, document: RecordDocument) -> float:
+        """Seconds for which a prewarm's document has been as it is, since it was first seen so."""
+        if self._heard.get(document.id, (None, 0.0))[0] != document.updated:
+            self._heard[document.id] = document.updated, self._clock()
+        return self._clock() - self._heard[document.id][1]
+
+
+async def resume(service: Service) -> None:
+    """Begin prewarms that did not end, once the service stands; those of another server, when its records stop."""
+    await service.settled.wait()
+    silence = Silence()
+    held = [] if service.failure else await taken_up(service, silence)
+    service.resumed.set()
+    while held:
+        await asyncio.sleep(BEAT)
+        held = await taken_up(service, silence)
+
+
+async def taken_up(service: Service, silence: Silence) -> list[RecordDocument]:
+    """Begin the prewarms that no process works on; the others: another server has them, or there are enough jobs."""
+    try:
+        found = await asyncio.to_thread(
+            lambda: [each for each in recorded_prewarms(service.engine.store) if ours(service, each)]
+        )
+    except StoreError as error:
+        log.warning("Prewarms that were stopped are not taken up: %s", error)
+        return []
+    free = {document.id for document in found if silence.of(document) > LEASE or document.left}
+    return [document for document in found if not (document.id in free and begun(service, document))]
+
+
+def ours(service: Service, document: RecordDocument) -> bool:
+    """Whether a prewarm belongs to a server, has not ended, and its scene is shown here with the same light."""
+    scene = service.engine.scenes.get(document.scene)
+    same = scene is not None and scene.digest == document.scene_digest
+    return same and document.by == "server" and document.status in OPEN and service.jobs.running(document.id) is None
+
+
+def begun(service: Service, document: RecordDocument) -> bool:
+    """Begin a prewarm again, under its former id and until its former deadline; whether there was room for it."""
+    try:
+        begin(service, service.engine.scenes[document.scene], document.rest)
+    except BusyError:
+        return False
+    return True

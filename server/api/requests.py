@@ -1,0 +1,174 @@
+"""Requests and answers as HTTP: ids, log and metrics, limits of bodies, headers of every answer, HEAD as GET."""
+
+import logging
+import time
+from http import HTTPStatus
+
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from server.logs import REQUEST_ID, request_id
+from server.problems import problem
+from server.render.metrics import Metrics
+
+log = logging.getLogger("isogi.requests")
+HANDSHAKE = HTTPStatus.SWITCHING_PROTOCOLS
+
+
+class Requests:
+    """ASGI middleware: the outermost one, so that what the others refuse is counted and logged too.
+
+    The id is the client's ``X-Request-ID`` where it is well-formed; the answer carries it, and so do problems and
+    all that is logged meanwhile. Queries are not logged.
+    """
+
+    def __init__(self, app: ASGIApp, metrics: "Metrics") -> None:
+        """Count into ``metrics``."""
+        self.app = app
+        self.metrics = metrics
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass the request on, and note what became of it."""
+        if scope["type"] not in ("http", "websocket"):
+            await self.app(scope, receive, send)
+            return
+        number, begun = request_id(Headers(scope=scope).get("x-request-id")), time.perf_counter()
+        REQUEST_ID.set(number)
+        status: int = HTTPStatus.INTERNAL_SERVER_ERROR
+        headers = Headers()
+
+        async def numbered(message: Message) -> None:
+            nonlocal status, headers
+            if message["type"].endswith("response.start"):
+                own = MutableHeaders(scope=message)
+                own["X-Request-ID"] = number
+                status, headers = message["status"], own
+            elif message["type"] == "websocket.accept":
+                status = HANDSHAKE
+            elif message["type"] == "websocket.close" and status != HANDSHAKE:
+                status = HTTPStatus.FORBIDDEN
+            await send(message)
+
+        self.metrics.open.inc()
+        try:
+            await self.app(scope, receive, numbered)
+        finally:
+            self.metrics.open.dec()
+            self.note(scope, status, time.perf_counter() - begun, headers)
+
+    def note(self, scope: Scope, status: int, seconds: float, headers: Headers) -> None:
+        """Count and log a request that has ended."""
+        method, client = scope.get("method", "WEBSOCKET"), (scope.get("client") or ("-",))[0]
+        self.metrics.count(method, route_of(scope), status, seconds, headers)
+        path = scope.get("raw_path", b"").decode("latin-1") or scope["path"]
+        facts = {"method": method, "path": path, "status": status, "seconds": round(seconds, 6), "client": client}
+        log.info("%s %s %d in %.1f ms", method, path, status, 1000 * seconds, extra=facts)
+
+
+def route_of(scope: Scope) -> str:
+    """The path of the route that answered, with its parameters' names; ``none`` where no route did."""
+    return str(getattr(scope.get("route"), "path", "none"))
+
+
+UPLOAD = ("POST", "/v1/volumes")
+"""The method and the path of requests whose bodies may be larger, and take longer."""
+
+
+class SmallBodies:
+    """ASGI middleware: 413 for bodies above a limit, whether their length is given or they come in chunks."""
+
+    def __init__(self, app: ASGIApp, limit: int, upload: int = 0) -> None:
+        """Let at most ``limit`` bytes pass, in an UPLOAD at most so many."""
+        self.app = app
+        self.limit = limit
+        self.upload = upload
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass the request on; after too many bytes the route reads a disconnect, and the client gets 413."""
+        if scope["type"] != "http":
+            await self.app(scope, receive, send)
+            return
+        limit = self.upload if (scope["method"], scope["path"]) == UPLOAD else self.limit
+        refusal = problem(413, f"The body of a request may be {limit} bytes, no more.", scope["path"])
+        length = Headers(scope=scope).get("content-length", "0")
+        if int(length) > limit:  # the protocol lets digits pass alone
+            await refusal(scope, receive, send)
+            return
+        body = Body(receive, limit)
+        refused = False
+
+        async def answer(message: Message) -> None:
+            nonlocal refused
+            if message["type"] == "http.response.start" and body.too_long:
+                refused = True
+                await refusal(scope, receive, send)
+            if not refused:
+                await send(message)
+
+        await self.app(scope, body.receive, answer)
+
+
+class Body:
+    """The messages of one request's body, until they are ``too_long``."""
+
+    def __init__(self, receive: Receive, limit: int) -> None:
+        self.too_long = False
+        self._receive = receive
+        self._left = limit
+
+    async def receive(self) -> Message:
+        """The next message; that the client left where there was too much."""
+        message = await self._receive()
+        self._left -= len(message.get("body", b""))
+        self.too_long = self.too_long or self._left < 0
+        return {"type": "http.disconnect"} if self.too_long else message
+
+
+class HeadAsGet:
+    """ASGI middleware: HEAD is answered as GET is, with the same headers and no body."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self.app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a HEAD request on as GET and drop the body."""
+        if scope["type"] != "http" or scope["method"] != "HEAD":
+            await self.app(scope, receive, send)
+            return
+
+        async def bodiless(message: Message) -> None:
+            await send({**message, "body": b""} if message["type"] == "http.response.body" else message)
+
+        asked = {**scope, "method": "GET"}
+        await self.app(asked, receive, bodiless)
+        scope["route"] = asked.get("route")
+
+
+PAGE_POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; connect-src 'self';"
+    " base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+OTHER_POLICY = "default-src 'none'; frame-ancestors 'none'"
+
+
+class SafeHeaders:
+    """ASGI middleware: adds the headers to every response. Pages may load their own files, all else nothing."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self.app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass the request on; add headers to the start of its response."""
+
+        async def guarded(message: Message) -> None:
+            if message["type"] in ("http.response.start", "websocket.http.response.start"):
+                headers = MutableHeaders(scope=message)
+                page = headers.get("content-type", "").startswith("text/html")
+                headers.setdefault("Content-Security-Policy", PAGE_POLICY if page else OTHER_POLICY)
+                headers.setdefault("X-Content-Type-Options", "nosniff")
+                headers.setdefault("Referrer-Policy", "no-referrer")
+                headers.setdefault("Cross-Origin-Opener-Policy", "same-origin")
+                headers.setdefault("Cache-Control", "no-cache")
+            await send(message)
+
+        await self.app(scope, receive, guarded)

@@ -1,0 +1,143 @@
+"""How a view becomes final, as server-sent events: for scripts, and for pages that show no stream."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import AsyncGenerator
+from contextlib import aclosing, suppress
+from dataclasses import asdict
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Header, Request, Response
+from fastapi.sse import EventSourceResponse, format_sse_event
+
+from isogi_core.errors import StoreError
+from isogi_core.frame.frame import Frame
+from server.answers import coverage_schema
+from server.api.service import PictureRequest, SceneDep, Service, ServiceDep, Shown
+from server.errors import ParameterError, UnknownSceneError
+from server.parameters import ViewParams, ViewParamsDep, documented
+from server.problems import documented_problems
+from server.render.updates import stream_viewer
+from worker.bake_requests import Viewer
+
+router = APIRouter(prefix="/v1/scenes/{scene}", tags=["frames"])
+DESCRIPTION = (
+    "Events. refined: what /coverage answers, each time that the frame has become better; progress: chunks that are"
+    " still to be baked and the time left, once a second; final or failed: the end. An id names the frame's light: a"
+    " client that comes back with it in Last-Event-ID gets only what is new."
+)
+ANSWERS: dict[int | str, dict[str, Any]] = {
+    200: {"description": DESCRIPTION, "content": {"text/event-stream": {}}},
+    204: {"description": "The frame is final, and Last-Event-ID says that the client knows."},
+}
+
+
+@router.get(
+    "/events",
+    response_class=Response,
+    openapi_extra=documented(ViewParams),
+    responses=ANSWERS | documented_problems(404, 422, 429, 503),
+)
+async def read_events(
+    request: Request,
+    scene: SceneDep,
+    params: ViewParamsDep,
+    service: ServiceDep,
+    last_event_id: Annotated[str | None, Header(max_length=80)] = None,
+) -> Response:
+    """How a view is refined, as it happens; its light is baked while a client listens."""
+    if "wait_ms" in params.model_fields_set:
+        raise ParameterError("wait_ms is for requests, events come by themselves: leave it out.", "wait_ms")
+    events = events_of(service, service.picture_of(scene, params), last_event_id or "")
+    first = await anext(events, None)
+    if first is None:
+        return Response(status_code=204)
+    return EventSourceResponse(resumed(first, events), headers={"Cache-Control": "no-store"})
+
+
+async def resumed(first: bytes, rest: AsyncGenerator[bytes, None]) -> AsyncGenerator[bytes, None]:
+    """The first and the other events; ``failed`` where the scene is dismissed, or its light cannot be read."""
+    yield first
+    async with aclosing(rest) as others:
+        try:
+            async for each in others:
+                yield each
+        except (UnknownSceneError, StoreError) as error:
+            yield event("failed", {"detail": str(error)})
+
+
+PROGRESS = 1.0
+"""Seconds without other events after which an event says how much time is left."""
+
+
+async def events_of(service: Service, picture: PictureRequest, seen: str) -> AsyncGenerator[bytes, None]:
+    """Events of a picture until it is final or has failed; none where it is final and was ``seen`` so.
+
+    Its light is baked while a client listens. Raises BusyError where too many do, and StoreError.
+    """
+    viewer = stream_viewer()
+    with service.connections.admitted():
+        try:
+            async with aclosing(answers(service, picture, viewer)) as shown_so_far:
+                async for shown, new in shown_so_far:
+                    if not new:
+                        yield event("progress", await progress(service, picture, shown, viewer))
+                    elif shown.frame.provisional and not shown.coming:
+                        yield event(
+                            "failed", coverage(shown) | {"detail": reason(service, shown.frame)}, shown.frame.version
+                        )
+                    elif shown.frame.version != seen:
+                        kind = "refined" if shown.frame.provisional else "final"
+                        yield event(kind, coverage(shown), shown.frame.version)
+        finally:
+            service.leave(viewer)
+
+
+async def answers(
+    service: Service, picture: PictureRequest, viewer: Viewer
+) -> AsyncGenerator[tuple[Shown, bool], None]:
+    """Each answer to a picture request, and whether it is new; the latest again after PROGRESS seconds."""
+    async with aclosing(service.refinements(picture, viewer)) as refinements:
+        shown, coming = None, asyncio.ensure_future(anext(refinements, None))
+        try:
+            while True:
+                done, _ = await asyncio.wait({coming}, timeout=PROGRESS)
+                if done and (shown := coming.result()) is None:
+                    return
+                if done:
+                    coming = asyncio.ensure_future(anext(refinements, None))
+                if shown:
+                    yield shown, bool(done)
+        finally:
+            coming.cancel()
+            while not coming.done():
+                with suppress(asyncio.CancelledError):  # a scope that was cancelled says so again and again
+                    await asyncio.wait({coming})
+
+
+def event(kind: str, data: dict[str, Any], version: str | None = None) -> bytes:
+    """One event; its id is the ``version`` of the frame that it is about."""
+    return format_sse_event(data_str=json.dumps(data), event=kind, id=version)
+
+
+def coverage(shown: Shown) -> dict[str, Any]:
+    """What /coverage answers."""
+    return coverage_schema(shown.frame, shown.time_left).model_dump()
+
+
+async def progress(service: Service, picture: PictureRequest, shown: Shown, viewer: Viewer) -> dict[str, Any]:
+    """The chunks that are still to be baked, and the time that this takes."""
+    engine, frame = service.engine, shown.frame
+    waiting = await asyncio.to_thread(engine.waiting, picture.scene, frame, viewer)
+    left = await asyncio.to_thread(engine.time_left, picture.scene, frame, picture.target)
+    return {"waiting": waiting, "time_left": asdict(left) if left else None}
+
+
+def reason(service: Service, frame: Frame) -> str:
+    """Why no more light is coming though a frame is not final."""
+    if frame.view.shading != "path_traced":
+        return service.reason()
+    error = f"the estimated error is {frame.estimated_error:.3g}"
+    return f"All samples are taken ({frame.view.samples} per pixel) and {error}: ask for more samples."

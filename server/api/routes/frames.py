@@ -1,0 +1,191 @@
+"""Frames of a scene, how far their light is baked, and pictures that are answered later."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterable
+from typing import Any
+from urllib.parse import urlencode
+
+from fastapi import APIRouter, Request, Response
+from starlette.responses import StreamingResponse
+
+from isogi_core.errors import StoreAwayError
+from isogi_core.frame.frame import Frame
+from isogi_core.frame.tiles import Stopwatch
+from server.answers import coverage_schema
+from server.api.headers import STAGES, PreferencesDep, entity_tag, frame_headers, matches, server_timing
+from server.api.routes.jobs import JobSchema, address, job_schema
+from server.api.service import PictureRequest, SceneDep, Service, ServiceDep, Shown, within
+from server.parameters import FrameParams, FrameParamsDep, ViewParams, ViewParamsDep, documented
+from server.pictures import MEDIA_TYPES, encode, format_for, npy_bytes, npy_parts
+from server.problems import documented_problems
+from server.render.bakes import BackgroundBake
+from server.render.jobs import Job, Result
+from server.render.scheduling import REFINED, Rank
+from server.render.updates import background_viewer, request_viewer, stream_viewer
+from server.schemas import Coverage
+from worker.errors import WorkersError
+
+router = APIRouter(prefix="/v1/scenes/{scene}", tags=["frames"])
+APPLIED = {"Preference-Applied": {"description": "What of the Prefer header was heeded."}}
+HEADERS = APPLIED | {
+    "Isogi-Time-Left": {"description": "Seconds until all is final, where known: low=12.0, likely=20.0, high=41.0."},
+    "Server-Timing": {"description": "; ".join(f"{name}: {what}" for name, what in STAGES.items())},
+}
+ANSWERS: dict[int | str, dict[str, Any]] = {
+    200: {
+        "description": "The picture.",
+        "content": {kind: {} for kind in MEDIA_TYPES.values()},
+        "headers": HEADERS,
+    },
+    202: {
+        "description": "The picture is not final, and respond-async is preferred: a job that bakes it.",
+        "model": JobSchema,
+        "headers": APPLIED | {"Location": {"description": "The job."}},
+    },
+    304: {"description": "The picture is the one that If-None-Match names."},
+}
+
+
+@router.get(
+    "/frame",
+    response_class=Response,
+    openapi_extra=documented(FrameParams),
+    responses=ANSWERS | documented_problems(404, 406, 422, 429, 503),
+)
+async def read_frame(
+    request: Request, scene: SceneDep, params: FrameParamsDep, service: ServiceDep, preferences: PreferencesDep
+) -> Response:
+    """A picture at once, with what is baked so far; the headers say how good it is."""
+    form = format_for(params, request.headers.get("accept"))
+    exposure = scene.default_exposure if params.exposure is None else params.exposure
+    params, applied = preferences.fill(params)
+    later = preferences.respond_async
+
+    def answer(shown: Shown) -> Response | None:
+        frame, watch = shown.frame, shown.watch
+        if frame.provisional and later:
+            return None
+        tag = entity_tag(frame, form, exposure, params.overlay, params.max_error)
+        headers = frame_headers(frame, shown.time_left, tag, params.version) | applied
+        if matches(request.headers.get("if-none-match"), tag):
+            return Response(status_code=304, headers=headers | {"Server-Timing": server_timing(watch)})
+        if form == "npy":
+            return in_parts(frame, headers | {"Server-Timing": server_timing(watch)})
+        with watch.stage("encode"):
+            body = encode(frame, form, exposure, params.overlay)
+        return Response(body, 200, headers | {"Server-Timing": server_timing(watch)}, MEDIA_TYPES[form])
+
+    viewer = stream_viewer() if later else request_viewer(request)
+    if (now := await service.render(request, scene, params, answer, viewer)) is not None:
+        return now
+    service.leave(viewer)
+    picture = service.picture_of(scene, params)
+    return defer(service, picture, params, request.query_params.multi_items(), (form, exposure))
+
+
+def in_parts(frame: Frame, headers: dict[str, str]) -> Response:
+    """A frame as npy, made while it is sent: a large one would take its memory several times over."""
+    whole = headers | {"Content-Length": str(npy_bytes(frame))}
+    return StreamingResponse(npy_parts(frame), 200, whole, MEDIA_TYPES["npy"])
+
+
+@router.get(
+    "/coverage",
+    openapi_extra=documented(ViewParams),
+    responses=documented_problems(404, 422, 429, 503),
+)
+async def read_coverage(
+    request: Request,
+    response: Response,
+    scene: SceneDep,
+    params: ViewParamsDep,
+    service: ServiceDep,
+    preferences: PreferencesDep,
+) -> Coverage:
+    """How far the same view is baked: chunks, pixels by state, the estimated error, and the time until it is final."""
+    params, applied = preferences.fill(params)
+    response.headers.update(applied | {"Cache-Control": "no-cache", "Vary": "Prefer"})
+    return await service.render(request, scene, params, lambda shown: coverage_schema(shown.frame, shown.time_left))
+
+
+REPLACED = ("f", "version", "wait_ms")
+"""Parameters that the address of a job's picture replaces or leaves out."""
+
+
+def defer(
+    service: Service,
+    picture: PictureRequest,
+    params: FrameParams,
+    query: list[tuple[str, str]],
+    output: tuple[str, float],
+) -> Response:
+    """202 and a job that has the light of a picture baked; ``query`` are the parameters as they were given.
+
+    ``output`` are the format and the exposure of the picture. Raises BusyError.
+    """
+    form, exposure = output
+
+    async def work(job: Job) -> Iterable[Result]:
+        frame = await complete(service, picture, job)
+        tag = entity_tag(frame, form, exposure, params.overlay, params.max_error)
+        named = [*(pair for pair in query if pair[0] not in REPLACED), ("f", form), ("version", tag.strip('"'))]
+        href = f"/v1/scenes/{picture.scene}/frame?{urlencode(named)}"
+        return [Result(href, MEDIA_TYPES[form], "The picture")]
+
+    job = service.jobs.begin("frame", f"A frame of {picture.scene}", work)
+    headers = {"Location": address(job), "Preference-Applied": "respond-async", "Cache-Control": "no-store"}
+    return Response(
+        job_schema(job).model_dump_json(), 202, headers | {"Vary": "Accept, Prefer"}, media_type="application/json"
+    )
+
+
+PROGRESS = 1.0
+"""Seconds between two reports of a job's progress."""
+
+AWAY = 1.0
+"""Seconds after which a store that is away is asked again."""
+
+
+async def complete(service: Service, picture: PictureRequest, job: Job) -> Frame:
+    """The frame of a picture once it is final, or lacks no light: a path-traced one is as good as its samples.
+
+    The ``job`` reports progress. The bake yields to people, and is dropped when this is cancelled. Raises
+    WorkersError where some light cannot be baked, and StoreError; while the store is away it waits.
+    """
+    viewer, bake = background_viewer(), service.engine.bake_of(picture.scene, picture.view)
+    try:
+        while True:
+            since = service.updates.newest(bake)
+            try:
+                frame = await service.frame(picture, Rank.within(REFINED), Stopwatch())
+            except StoreAwayError as error:
+                job.report(0.0, str(error))
+                await asyncio.sleep(AWAY)
+                continue
+            if not frame.provisional:
+                return frame
+            lacking, demands = await asyncio.to_thread(service.engine.lacking, picture.scene, frame)
+            if not demands:
+                return frame
+            baking = await asyncio.to_thread(service.engine.bake, lacking, demands, picture.target, viewer)
+            needed = frame.chunks_needed
+            del frame, demands  # they may be large, and the rest long
+            if not baking.coming:
+                raise WorkersError(service.reason())
+            await follow(service, bake, baking, needed, since, job)
+    finally:
+        service.leave(viewer)
+
+
+async def follow(service: Service, bake: str, baking: BackgroundBake, needed: int, since: int, job: Job) -> None:
+    """Returns when all of a background bake is done; the ``job`` reports its part of the chunks ``needed``.
+
+    Updates of the ``bake`` that the view reads count from number ``since`` on.
+    """
+    with service.updates.pending(bake, baking.coming, since) as pending:
+        while not pending.all.is_set() and (waiting := await asyncio.to_thread(baking.waiting)):
+            done, left = needed - waiting, await asyncio.to_thread(baking.time_left)
+            job.report(done / needed, f"{done} of {needed} chunks are baked.", left)
+            await within(PROGRESS, pending.all)

@@ -1,0 +1,189 @@
+"""Jobs, prewarms among them: work that goes on when its request has been answered."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from dataclasses import asdict
+from datetime import datetime
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Depends, Path, Request, Response
+from pydantic import BaseModel
+
+from isogi_core.plan.scene import Scene
+from server.api.prewarm_jobs import begin
+from server.api.service import SceneDep, ServiceDep
+from server.errors import ParameterError, StartingError, UnknownResultError
+from server.parameters import NoParamsDep, read
+from server.prewarm.order import PrewarmOrder, PrewarmRequest, Views
+from server.prewarm.record import Summary
+from server.problems import documented_problems
+from server.render.jobs import Job, Status
+from server.schemas import TimeLeftSchema
+from server.settings import Settings
+
+RESULTS = "http://www.opengis.net/def/rel/ogc/1.0/results"
+"""What links to the results of a job are called."""
+
+
+class JobLink(BaseModel):
+    """An address: what it is to the job (``rel``), and what is there."""
+
+    href: str
+    rel: str
+    type: str
+    title: str
+
+
+class JobSchema(BaseModel):
+    """One job. ``progress`` is in percent; times are in UTC, null while they are to come.
+
+    ``expires`` is when a job that has ended is forgotten; all are when the server stops, and prewarms are taken up
+    when it starts again. ``time_left`` is null where
+    it is unknown.
+    """
+
+    jobID: str
+    processID: str
+    type: str = "process"
+    status: Status
+    message: str
+    progress: int
+    created: datetime
+    started: datetime | None
+    finished: datetime | None
+    updated: datetime
+    expires: datetime | None
+    time_left: TimeLeftSchema | None
+    links: list[JobLink]
+
+
+class JobList(BaseModel):
+    """All jobs, the newest first."""
+
+    jobs: list[JobSchema]
+    links: list[JobLink]
+
+
+def job_schema(job: Job) -> JobSchema:
+    """The document of one job."""
+    own = JobLink(href=address(job), rel="self", type="application/json", title=job.title)
+    names = ("status", "message", "progress", "created", "started", "finished", "updated", "expires")
+    return JobSchema(
+        jobID=job.id,
+        processID=job.process,
+        **{name: getattr(job, name) for name in names},
+        time_left=None if job.time_left is None else TimeLeftSchema(**asdict(job.time_left)),
+        links=[own, *(JobLink(rel=RESULTS, **asdict(result)) for result in job.results)],
+    )
+
+
+def address(job: Job) -> str:
+    """Where a job is asked for."""
+    return f"/v1/jobs/{job.id}"
+
+
+router = APIRouter(prefix="/v1/jobs", tags=["jobs"], dependencies=[NoParamsDep])
+UNKNOWN: dict[int | str, dict[str, Any]] = documented_problems(404, 422, 503)
+JobId = Annotated[str, Path(description="As in the Location of the answer that the job began with.")]
+
+
+@router.get("", responses=documented_problems(422))
+async def list_jobs(service: ServiceDep, response: Response) -> JobList:
+    """All jobs that are known, the newest first."""
+    response.headers["Cache-Control"] = "no-store"
+    own = JobLink(href="/v1/jobs", rel="self", type="application/json", title="Jobs")
+    return JobList(jobs=[job_schema(job) for job in service.jobs.all()], links=[own])
+
+
+@router.get("/{job}", responses=UNKNOWN)
+async def read_job(job: JobId, service: ServiceDep, response: Response) -> JobSchema:
+    """How far a job is, the time that is left, and at the end where its results are."""
+    response.headers["Cache-Control"] = "no-store"
+    return job_schema(service.job(job))
+
+
+@router.get("/{job}/results", responses=UNKNOWN)
+async def read_results(job: JobId, service: ServiceDep, response: Response) -> Summary:
+    """What a prewarm came to: what was asked, what there was to do, what it took and how good the light is."""
+    response.headers["Cache-Control"] = "no-store"
+    found = service.job(job)
+    if not isinstance(found.document, Summary):
+        raise UnknownResultError(f"The job '{found.id}' has no document here: its links lead to its results.")
+    return found.document
+
+
+@router.delete("/{job}", responses=UNKNOWN)
+async def dismiss_job(job: JobId, service: ServiceDep) -> JobSchema:
+    """End a job: nothing more is baked for it. One that has ended is forgotten at once."""
+    return job_schema(await service.jobs.dismiss(service.job(job).id))
+
+
+prewarm_router = APIRouter(prefix="/v1/scenes/{scene}", tags=["jobs"], dependencies=[NoParamsDep])
+EXAMPLES = {
+    "all sides": {"value": {"isovalues": ["60:120:5"], "views": 24, "target_error": 0.02}},
+    "an orbit": {"value": {"isovalues": [70], "orbits": [{"count": 36, "elevation": 20}], "deadline": 3600}},
+    "whole isosurfaces": {"value": {"isovalues": ["60:120"], "all_directions": True, "dry_run": True}},
+}
+
+
+def inlined(schema: Any, definitions: dict[str, Any]) -> Any:
+    """A schema with what it refers to in its place: the document that it becomes a part of has no such definitions."""
+    if isinstance(schema, list):
+        return [inlined(each, definitions) for each in schema]
+    if not isinstance(schema, dict):
+        return schema
+    if "$ref" in schema:
+        return inlined(definitions[schema["$ref"].rpartition("/")[2]], definitions)
+    return {name: inlined(each, definitions) for name, each in schema.items() if name != "$defs"}
+
+
+ASKED = PrewarmRequest.model_json_schema()
+SCHEMA = inlined(ASKED, ASKED["$defs"])
+BODY = {"required": False, "content": {"application/json": {"schema": SCHEMA, "examples": EXAMPLES}}}
+ANSWERS: dict[int | str, dict[str, Any]] = {
+    202: {
+        "description": "The job. The same order once more is the same job until that has ended.",
+        "headers": {"Location": {"description": "The job.", "schema": {"type": "string"}}},
+    }
+}
+
+
+async def order_in(request: Request) -> PrewarmRequest:
+    """The document in a request's body, all defaults where there is none; ParameterError where it is wrong."""
+    body = await request.body()
+    try:
+        asked = json.loads(body) if body else {}
+    except (ValueError, RecursionError):
+        raise ParameterError("The body is no JSON.") from None
+    if not isinstance(asked, dict):
+        raise ParameterError('The body must be a JSON object, such as {"isovalues": [70], "views": 12}.')
+    return await asyncio.to_thread(read, PrewarmRequest, asked.items())
+
+
+@prewarm_router.post(
+    "/prewarm",
+    status_code=202,
+    openapi_extra={"requestBody": BODY},
+    responses=ANSWERS | documented_problems(404, 422, 429, 503),
+)
+async def prewarm(
+    scene: SceneDep, asked: Annotated[PrewarmRequest, Depends(order_in)], service: ServiceDep, response: Response
+) -> JobSchema:
+    """Bake light ahead, or forecast (dry_run) how much that is and how long it takes.
+
+    It yields to people, goes on when the server starts anew, and is dismissed by DELETE.
+    """
+    if not service.settled.is_set() or service.failure:
+        raise StartingError(service.reasons()[0])
+    await asyncio.to_thread(check, scene, asked.order, service.settings)
+    job = begin(service, scene, asked.order, asked.dry_run)
+    response.headers.update({"Location": address(job), "Cache-Control": "no-store"})
+    return job_schema(job)
+
+
+def check(scene: Scene, order: PrewarmOrder, settings: Settings) -> None:
+    """Raises ViewError where an order asks for what is not allowed."""
+    order.isovalues_of(scene)
+    Views(order, scene, settings)

@@ -1,0 +1,125 @@
+"""The pages for people, and whether the process lives and can render."""
+
+import base64
+import hashlib
+from html import escape
+from pathlib import Path
+from typing import Any
+
+from fastapi import APIRouter, Request, Response
+from fastapi.responses import FileResponse, HTMLResponse
+from prometheus_client import CONTENT_TYPE_LATEST
+from pydantic import BaseModel
+
+from server.api.service import ServiceDep
+from server.problems import documented_problems, problem
+
+WEB = Path(__file__).resolve().parents[3] / "web"
+STYLE = """
+:root { color-scheme: light dark; font: 16px/1.5 system-ui, sans-serif }
+body { max-width: 58rem; margin: 2rem auto; padding: 0 1rem }
+h2 { margin: 2.5rem 0 .25rem; font-size: 1.05rem }
+code, h2 { font-family: ui-monospace, monospace }
+table { border-collapse: collapse; width: 100%; font-size: .9rem }
+td { border-top: 1px solid #8884; padding: .2rem .8rem .2rem 0; vertical-align: top }
+td:first-child { white-space: nowrap; width: 10rem }
+p { margin: .25rem 0 .75rem }
+"""
+DIGEST = base64.b64encode(hashlib.sha256(STYLE.encode()).digest()).decode()
+POLICY = f"default-src 'none'; style-src 'sha256-{DIGEST}'; base-uri 'none'; frame-ancestors 'none'"
+
+router = APIRouter(include_in_schema=False)
+
+
+@router.get("/")
+def index() -> FileResponse:
+    """The viewer."""
+    return FileResponse(WEB / "index.html")
+
+
+@router.get("/docs")
+def docs(request: Request) -> HTMLResponse:
+    """The OpenAPI document as a page that needs nothing else."""
+    return HTMLResponse(documentation(request.app.openapi()), headers={"Content-Security-Policy": POLICY})
+
+
+def documentation(api: dict[str, Any]) -> str:
+    """The whole page."""
+    title = f"{escape(api['info']['title'])} {escape(api['info']['version'])}"
+    sections = "".join(
+        operation(method, path, facts) for path, methods in api["paths"].items() for method, facts in methods.items()
+    )
+    return (
+        f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{title}</title>'
+        f'<meta name="viewport" content="width=device-width"><style>{STYLE}</style>'
+        f"<h1>{title}</h1><p>{escape(api['info']['description'])}"
+        f' For programs: <a href="openapi.json">openapi.json</a>.</p>{sections}</html>'
+    )
+
+
+def operation(method: str, path: str, facts: dict[str, Any]) -> str:
+    """One operation: what it does, its parameters, its answers."""
+    parameters = "".join(
+        row(each["name"], f"{described(each['schema'])} {escape(each.get('description', ''))}")
+        for each in facts.get("parameters", [])
+    )
+    answers = "".join(row(code, escape(each["description"])) for code, each in facts["responses"].items())
+    return (
+        f"<section><h2>{method.upper()} {escape(path)}</h2><p>{escape(facts.get('description', ''))}</p>"
+        f"<table>{parameters}</table><table>{answers}</table></section>"
+    )
+
+
+def row(name: str, html: str) -> str:
+    """One row of a table: a name, and what there is to say about it."""
+    return f"<tr><td><code>{escape(name)}</code></td><td>{html}</td></tr>"
+
+
+def described(schema: dict[str, Any]) -> str:
+    """A parameter's kind, range and default in a few words."""
+    kind = next((s for s in schema.get("anyOf", [schema]) if s.get("type") != "null"), schema)
+    words = " | ".join(kind["enum"]) if "enum" in kind else kind.get("type", "")
+    if "minimum" in kind:
+        words += f" {kind['minimum']:g} … {kind['maximum']:g}"
+    if schema.get("default") is not None:
+        words += f", default {schema['default']}"
+    return f"<code>{escape(words)}</code>"
+
+
+health_router = APIRouter(tags=["health"])
+
+
+class Live(BaseModel):
+    """The process answers."""
+
+    alive: bool = True
+    version: str
+
+
+class Ready(BaseModel):
+    """Whether frames can be served, and if not, why not; if so, why all the same nothing is baked."""
+
+    ready: bool = True
+    reasons: list[str] = []
+
+
+@health_router.get("/livez")
+async def livez(request: Request) -> Live:
+    """Alive: the event loop runs. Touches neither store nor workers."""
+    return Live(version=request.app.version)
+
+
+@health_router.get("/readyz", response_model=Ready, responses=documented_problems(503))
+def readyz(request: Request, service: ServiceDep) -> Response | Ready:
+    """Ready: kernels are compiled, the store takes light, workers are alive, no stop is asked; 503 with reasons."""
+    stopping = ["isogi is stopping."] if request.app.state.closing.begun else []
+    reasons = stopping or service.reasons() or request.app.state.probe.reasons()
+    if not reasons:
+        return Ready(reasons=service.engine.notes())
+    return problem(503, " ".join(reasons), request.url.path, ready=False, reasons=reasons)
+
+
+@health_router.get("/metrics", response_class=Response, responses={200: {"content": {"text/plain": {}}}})
+def metrics(request: Request) -> Response:
+    """What the server has counted since it started, in Prometheus' text format."""
+    return Response(request.app.state.metrics.text(), media_type=CONTENT_TYPE_LATEST)

@@ -1,0 +1,136 @@
+"""The scenes that this server shows, their skies, and volumes that clients have uploaded."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from fastapi import APIRouter, Request, Response
+
+from isogi_core.frame.panorama import FORMAT, paint_panorama
+from server.answers import scene_schema
+from server.api.headers import FOR_EVER, matches, tag_of
+from server.api.service import SceneDep, ServiceDep
+from server.parameters import NoParamsDep, SkyParams, SkyParamsDep, UploadParams, UploadParamsDep, documented
+from server.pictures import MEDIA_TYPES, compress
+from server.problems import documented_problems
+from server.schemas import SceneLink, SceneList, SceneSchema, UploadLimits, UploadList, UploadSchema
+from server.uploads.folder import UploadedVolume
+from server.uploads.uploads import Uploads
+
+router = APIRouter(prefix="/v1/scenes", tags=["scenes"], dependencies=[NoParamsDep])
+
+
+@router.get("", responses=documented_problems(422))
+async def list_scenes(service: ServiceDep) -> SceneList:
+    """All scenes, each with the address of its document."""
+    links = [SceneLink(id=s.id, name=s.name, href=f"/v1/scenes/{s.id}") for s in service.engine.scenes.values()]
+    for link in links:
+        link.volume = href(link.id) if link.id in service.uploads.folder.volumes else None
+    return SceneList(scenes=links, uploads=limits(service.uploads))
+
+
+@router.get("/{scene}", responses=documented_problems(404, 422))
+def read_scene(scene: SceneDep, service: ServiceDep) -> SceneSchema:
+    """One scene: volume, histogram, defaults and ranges of every knob, and the plan of what is baked."""
+    facts, notes = scene_schema(scene), service.engine.notes()
+    facts.read_only = bool(notes)
+    facts.plan.notes += notes
+    return facts
+
+
+sky_router = APIRouter(prefix="/v1/scenes/{scene}", tags=["scenes"])
+ANSWERS: dict[int | str, dict[str, Any]] = {
+    200: {
+        "description": "The picture, latitude and longitude.",
+        "content": {MEDIA_TYPES[form]: {} for form in ("png", "jpeg", "webp")},
+    },
+    304: {"description": "The picture is the one that If-None-Match names."},
+}
+
+
+@sky_router.get(
+    "/sky",
+    response_class=Response,
+    openapi_extra=documented(SkyParams),
+    responses=ANSWERS | documented_problems(404, 422),
+)
+def read_sky(request: Request, scene: SceneDep, params: SkyParamsDep) -> Response:
+    """The scene's unturned light from all around, with an exposure of its own; black where there is none.
+
+    The top row is +z, column 0 starts at azimuth 0, and azimuth grows with the column. Directional lights are marked
+    by discs; lamps that stand in the scene are not shown.
+    """
+
+    tag = tag_of(FORMAT, scene.environment.digest, scene.lamps.digest, params.width, params.f)
+    headers = {"ETag": tag, "Cache-Control": FOR_EVER if params.version == tag.strip('"') else "no-cache"}
+    if matches(request.headers.get("if-none-match"), tag):
+        return Response(status_code=304, headers=headers)
+    picture = paint_panorama(scene.environment, scene.lamps, params.width)
+    return Response(compress(picture, params.f), 200, headers, MEDIA_TYPES[params.f])
+
+
+volume_router = APIRouter(prefix="/v1/volumes", tags=["volumes"])
+UPLOAD_BODY = {
+    "required": True,
+    "content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}},
+}
+TAKEN: dict[int | str, dict[str, Any]] = {
+    200: {"description": "The same volume was uploaded before.", "model": UploadSchema},
+    201: {
+        "description": "The volume is on the disk, and shown.",
+        "headers": {"Location": {"description": "The volume's address.", "schema": {"type": "string"}}},
+    },
+}
+
+
+@volume_router.post(
+    "",
+    status_code=201,
+    openapi_extra=documented(UploadParams) | {"requestBody": UPLOAD_BODY},
+    responses=TAKEN | documented_problems(408, 422, 429, 503, 507),
+)
+async def upload(request: Request, response: Response, params: UploadParamsDep, service: ServiceDep) -> UploadSchema:
+    """Take the body, an NRRD file with its data in it, as a volume, and show it as a scene of the same id."""
+    kept, new = await service.uploads.take(request, params.name)
+    response.status_code = 201 if new else 200
+    response.headers["Location"] = href(kept.id)
+    return facts(kept)
+
+
+@volume_router.get("", dependencies=[NoParamsDep], responses=documented_problems(422))
+async def list_volumes(service: ServiceDep) -> UploadList:
+    """All uploaded volumes."""
+    uploads = service.uploads
+    return UploadList(volumes=[facts(kept) for kept in uploads.folder.volumes.values()], uploads=limits(uploads))
+
+
+@volume_router.get("/{volume}", dependencies=[NoParamsDep], responses=documented_problems(404, 422))
+async def read_volume(volume: str, service: ServiceDep) -> UploadSchema:
+    """One uploaded volume."""
+    return facts(service.uploads.find(volume))
+
+
+@volume_router.delete(
+    "/{volume}", status_code=204, dependencies=[NoParamsDep], responses=documented_problems(404, 422, 503)
+)
+async def delete_volume(volume: str, service: ServiceDep) -> None:
+    """Show a volume no more and delete its file; light that was baked for it stays in the store."""
+    await service.uploads.remove(volume)
+
+
+def facts(kept: UploadedVolume) -> UploadSchema:
+    """The document of one volume."""
+    scene = f"/v1/scenes/{kept.id}"
+    return UploadSchema(id=kept.id, name=kept.name, href=href(kept.id), scene=scene, size=kept.size, bytes=kept.bytes)
+
+
+def limits(uploads: Uploads) -> UploadLimits | None:
+    """What may be uploaded; None where nothing may."""
+    if not uploads.on:
+        return None
+    return UploadLimits(limit_bytes=uploads.limit, quota_bytes=uploads.quota, free_bytes=uploads.free)
+
+
+def href(number: str) -> str:
+    """The address of the volume with this id."""
+    return f"/v1/volumes/{number}"

@@ -1,0 +1,292 @@
+"""What the routes share: the engine and its start, the settings, and how a request becomes pictures."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections.abc import AsyncGenerator, Callable
+from contextlib import AbstractContextManager, suppress
+from dataclasses import dataclass, replace
+from typing import Annotated, Self, TypeVar
+
+from fastapi import Depends, Request
+from fastapi.requests import HTTPConnection
+
+from isogi_core.frame.frame import Frame
+from isogi_core.frame.tiles import Stopwatch
+from isogi_core.model.view import View
+from isogi_core.plan.scene import Scene
+from isogi_core.prepared.prepared_scene import Index
+from server.errors import StartingError, UnknownJobError, UnknownSceneError
+from server.parameters import ViewParams, view_of
+from server.render.engine import RenderEngine
+from server.render.jobs import Job, Jobs
+from server.render.scheduling import ASKED, REFINED, REST, AdmissionLimit, Rank, Renders
+from server.render.updates import Pending, UpdateBus, attended, request_viewer
+from server.settings import Settings
+from server.uploads.uploads import Uploads
+from worker.bake_requests import Viewer
+from worker.progress import TimeLeft
+
+
+@dataclass(frozen=True)
+class PictureRequest:
+    """A picture: a ``view`` of a scene, by its id, whose light is final at the relative error ``target``."""
+
+    scene: str
+    view: View
+    target: float
+
+    def draft(self, scale: float) -> Self:
+        """The same of a view that moves, in a picture of ``scale`` times the width and the height."""
+        width, height = (max(round(scale * side), 1) for side in (self.view.width, self.view.height))
+        return replace(self, view=replace(self.view, width=width, height=height, moving=True))
+
+
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """The answer to a picture request: a ``frame``, the time until it is final, and the ``watch`` of its stages.
+
+    ``coming`` are the chunks that are going to be baked for it, and ``since`` numbers the newest update of light when
+    the frame was begun.
+    """
+
+    frame: Frame
+    time_left: TimeLeft | None
+    watch: Stopwatch
+    coming: frozenset[Index]
+    since: int
+
+
+Result = TypeVar("Result")
+
+CHECK = 0.02
+"""Seconds between two checks of whether the service is ready."""
+
+HEARTBEAT = 20.0
+"""Seconds without an update after which light is requested again, before the baker forgets the request."""
+
+SHORTEST_PAUSE, REFINING = 0.1, 0.25
+"""Seconds between two pictures of a view at rest, at least; and the share of the time that all views at rest together
+may be drawn in while light is baked for them. The last picture of a view waits for neither."""
+
+
+class Service:
+    """One render engine behind HTTP. It starts beside the event loop, so that the socket answers meanwhile."""
+
+    def __init__(self, engine: RenderEngine, settings: Settings) -> None:
+        self.engine = engine
+        self.settings = settings
+        self.settled = asyncio.Event()
+        self.resumed = asyncio.Event()
+        self.failure: Exception | None = None
+        self.connections = AdmissionLimit(settings.streams, "streams are open")
+        self.updates: UpdateBus
+        self.jobs = Jobs(settings.jobs)
+        self.renders = Renders(settings.render_threads)
+        self.uploads = Uploads(engine, settings)
+        self._requests = AdmissionLimit(settings.render_threads + settings.render_queue, "frames wait")
+        self._refining = 0
+
+    async def start(self) -> None:
+        """Start the engine; ``settled`` is set when it is up, or when ``failure`` says why it is not."""
+        self.updates = UpdateBus()
+        try:
+            await asyncio.to_thread(self.engine.start)
+            await asyncio.to_thread(self.uploads.open)
+            self.engine.listen(self.updates.publish)
+        except Exception as error:
+            self.failure = error
+        self.settled.set()
+
+    async def close(self) -> None:
+        """Drop waiting work and close the engine, once its start has ended."""
+        await self.jobs.close()
+        await self.settled.wait()
+        self.renders.close()
+        self.uploads.close()
+        await asyncio.to_thread(self.engine.close)
+
+    def reasons(self) -> list[str]:
+        """Why the service is not ready; empty when it is."""
+        if not self.settled.is_set():
+            return ["isogi is starting: kernels and workers are not up yet."]
+        return [f"isogi did not start: {self.failure}"] if self.failure else self.engine.unready()
+
+    def job(self, key: str) -> Job:
+        """The job with this id. Raises UnknownJobError, and StartingError while it may still be taken up."""
+        try:
+            return self.jobs.find(key)
+        except UnknownJobError:
+            if not self.resumed.is_set():
+                raise StartingError("isogi is starting, and takes up the jobs that it had: ask again.") from None
+            raise
+
+    def reason(self) -> str:
+        """Why light is not baked."""
+        return self.engine.trouble() or "Some light that the view needs cannot be baked: see /readyz."
+
+    async def ready(self) -> None:
+        """Returns once the service is ready, or has failed to start."""
+        while not self.failure and await asyncio.to_thread(self.reasons) != []:
+            await asyncio.sleep(CHECK)
+
+    @property
+    def attended(self) -> bool:
+        """Whether a client waits for a frame, or has a stream open."""
+        return bool(self._requests.open or self.connections.open)
+
+    def scene(self, name: str) -> Scene:
+        """The scene with this id; UnknownSceneError where there is none."""
+        scene = self.engine.scenes.get(name)
+        if scene is None:
+            raise UnknownSceneError(f"There is no scene '{name[:64]}': /v1/scenes lists them all.")
+        return scene
+
+    def picture_of(self, scene: Scene, params: ViewParams) -> PictureRequest:
+        """The picture that the parameters ask for. Raises ViewError, and StartingError until the engine is up."""
+        view = view_of(scene, params, self.settings)
+        if not self.settled.is_set() or self.failure:
+            raise StartingError(self.reasons()[0])
+        return PictureRequest(scene.id, view, params.max_error or scene.target_error)
+
+    async def render(
+        self,
+        request: Request,
+        scene: Scene,
+        params: ViewParams,
+        finish: Callable[[Shown], Result],
+        viewer: Viewer | None = None,
+    ) -> Result:
+        """``finish`` of the picture that the parameters ask for, both off the event loop; for the request by default.
+
+        Raises ViewError, BusyError, StoreError, StartingError until the engine is up, and Cancelled once the client
+        has left: light that it alone requested is not baked then.
+        """
+        picture = self.picture_of(scene, params)
+        with self._requests.admitted():
+            answer = self._answer(picture, viewer or request_viewer(request), params.wait_ms / 1000, finish)
+            return await attended(request, answer)
+
+    async def show(self, picture: PictureRequest, viewer: Viewer, rank: Rank, watch: Stopwatch | None = None) -> Shown:
+        """The picture with the light baked so far; the light that it lacks is requested for the ``viewer``."""
+        watch, since = watch or Stopwatch(), self._newest(picture)
+        frame = await self.frame(picture, rank, watch)
+
+        def request() -> Shown:
+            with watch.stage("demand"):
+                coming, left = self.request_light(picture, frame, viewer)
+            return Shown(frame, left, watch, coming, since)
+
+        return await self.renders.run(request, rank.begun)
+
+    def request_light(
+        self, picture: PictureRequest, frame: Frame, viewer: Viewer
+    ) -> tuple[frozenset[Index], TimeLeft | None]:
+        """Request the light that a frame lacks; the chunks that are coming, and the time until all are. Blocks."""
+        coming = self.engine.want(picture.scene, frame, picture.target, viewer)
+        return coming, self.engine.time_left(picture.scene, frame, picture.target)
+
+    async def frame(self, picture: PictureRequest, rank: Rank, watch: Stopwatch) -> Frame:
+        """The frame of a picture, drawn once for all requests that come meanwhile; no light is requested for it.
+
+        A request that joins another counts all of the time as time in the queue.
+        """
+
+        def work(cancelled: threading.Event) -> Frame:
+            return self.engine.survey(picture.scene, picture.view, picture.target, cancelled, watch)
+
+        with watch.stage("queue"):
+            return await self.renders.share((picture, self._newest(picture)), work, rank)
+
+    async def refinements(self, picture: PictureRequest, viewer: Viewer) -> AsyncGenerator[Shown, None]:
+        """The picture at once, then a better one as light comes, until it is final or no more light is coming.
+
+        All views that refine are drawn for no more than a share REFINING of the time together, so that the workers
+        have the rest; the last picture of each comes at once. Where light was given up, the same picture comes once
+        more: it is not final, and no more is coming.
+        """
+        version, patience = "", REST
+        while True:
+            shown = await self.show(picture, viewer, Rank.within(patience))
+            given_up = shown.frame.provisional and not shown.coming
+            if shown.frame.version != version or given_up:
+                version, patience = shown.frame.version, REFINED
+                yield shown
+            if not shown.coming:
+                return
+            await self._next_update(picture, shown)
+
+    def leave(self, viewer: Viewer) -> None:
+        """A viewer has left: bake nothing more for it alone. Does not wait for that."""
+        asyncio.get_running_loop().run_in_executor(None, self.engine.leave, viewer)
+
+    async def _answer(
+        self, picture: PictureRequest, viewer: Viewer, wait: float, finish: Callable[[Shown], Result]
+    ) -> Result:
+        """``finish`` of the picture once its light is baked, or after ``wait`` seconds."""
+        watch, loop, rank = Stopwatch(), asyncio.get_running_loop(), Rank.within(ASKED, self.settings.queue_seconds)
+        deadline = loop.time() + wait
+        try:
+            shown = await self.show(picture, viewer, rank, watch)
+            while shown.coming and (left := deadline - loop.time()) > 0:
+                with (
+                    watch.stage("bake"),
+                    self.updates.pending(self._bake(picture), shown.coming, shown.since) as pending,
+                ):
+                    await within(left, pending.all)
+                shown = await self.show(picture, viewer, rank.begun, watch)
+            return await self.renders.run(lambda: finish(shown), rank.begun)
+        except asyncio.CancelledError:
+            self.leave(viewer)
+            raise
+
+    async def _next_update(self, picture: PictureRequest, shown: Shown) -> None:
+        """Returns when it is time to draw the picture again."""
+        self._refining += 1
+        try:
+            with self._pending(picture, shown) as pending:
+                await within(HEARTBEAT, pending.some)
+                pause = (1.0 / REFINING - 1.0) * work_of(shown) * self._refining
+                await within(max(pause, SHORTEST_PAUSE), pending.all)
+        finally:
+            self._refining -= 1
+
+    def _pending(self, picture: PictureRequest, shown: Shown) -> AbstractContextManager[Pending]:
+        """What is still to come of the light that a picture lacks."""
+        return self.updates.pending(self._bake(picture), shown.coming, shown.since)
+
+    def _bake(self, picture: PictureRequest) -> str:
+        return self.engine.bake_of(picture.scene, picture.view)
+
+    def _newest(self, picture: PictureRequest) -> int:
+        return self.updates.newest(self._bake(picture))
+
+
+def work_of(shown: Shown) -> float:
+    """Seconds of work on a picture, without those in the queue."""
+    return sum(seconds for stage, seconds in shown.watch.seconds.items() if stage != "queue")
+
+
+async def within(seconds: float, event: asyncio.Event) -> None:
+    """Returns when the event is set, after so many seconds at the latest."""
+    with suppress(TimeoutError):
+        async with asyncio.timeout(seconds):
+            await event.wait()
+
+
+async def service_of(connection: HTTPConnection) -> Service:
+    """The service of the app that the request came to; a coroutine, for anything else would have a thread started."""
+    service: Service = connection.app.state.service
+    return service
+
+
+ServiceDep = Annotated[Service, Depends(service_of)]
+
+
+async def scene_of(scene: str, service: ServiceDep) -> Scene:
+    """The scene that the path names."""
+    return service.scene(scene)
+
+
+SceneDep = Annotated[Scene, Depends(scene_of)]

@@ -1,0 +1,296 @@
+"""A stream: what goes over a WebSocket, from the first view of one client to its leaving."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from contextlib import aclosing, suppress
+from functools import partial
+from http import HTTPStatus
+from typing import Annotated, Any, NoReturn
+
+from fastapi import APIRouter, WebSocket
+from pydantic import Field, StrictBool
+from starlette.websockets import WebSocketDisconnect
+
+from isogi_core.errors import IsogiError
+from isogi_core.frame.tiles import Stopwatch
+from isogi_core.plan.scene import Scene
+from server.answers import coverage_schema
+from server.api.pacing import Drafts, Window
+from server.api.service import PictureRequest, Service, ServiceDep, Shown, work_of
+from server.errors import ParameterError, StreamError
+from server.parameters import FrameParams, NoParams, read
+from server.pictures import MEDIA_TYPES, encode, format_for
+from server.problems import Problem, problem, status_of
+from server.render.metrics import Metrics
+from server.render.scheduling import DRAFT, Rank
+from server.render.updates import stream_viewer
+from server.settings import Settings
+from server.values import Span
+
+TOO_BIG, POLICY, IDLE = 1009, 1008, 4000
+"""Codes that a stream is closed with (RFC 6455, 7.4): a message is too long; too many, or no text; none for long."""
+
+
+class Inbox:
+    """The messages of a stream, as long as they keep within the settings."""
+
+    def __init__(self, socket: WebSocket, settings: Settings) -> None:
+        self._socket, self._settings = socket, settings
+        self._second, self._count = 0, 0
+
+    async def next(self) -> str | None:
+        """The next message; None when the client has gone. Raises StreamError where it breaks a limit."""
+        try:
+            message = await asyncio.wait_for(self._socket.receive(), self._settings.stream_idle_seconds)
+        except TimeoutError:
+            raise StreamError(f"No message for {self._settings.stream_idle_seconds:g} seconds.", IDLE) from None
+        if message["type"] == "websocket.disconnect":
+            return None
+        self._count_one()
+        text = message.get("text")
+        if text is None:
+            raise StreamError("Messages must be text.", POLICY)
+        if len(text.encode()) > self._settings.stream_bytes:
+            raise StreamError(f"A message is longer than {self._settings.stream_bytes} bytes.", TOO_BIG)
+        return str(text)
+
+    def _count_one(self) -> None:
+        second = int(asyncio.get_running_loop().time())
+        self._count = self._count + 1 if second == self._second else 1
+        self._second = second
+        if self._count > self._settings.stream_rate:
+            raise StreamError(f"More than {self._settings.stream_rate} messages in a second.", POLICY)
+
+
+Id = Annotated[int, Span(0, 2**53 - 1, whole=True)]
+
+
+class Receipt(NoParams):
+    """The client has shown a picture of the view with this id; it ``took`` so many milliseconds from when it came."""
+
+    shown: Id
+    took: Annotated[float, Span(0.0, 60_000.0)] = 0.0
+
+
+class ViewRequest(NoParams):
+    """The client's view is now this one, and whether it is still ``moving``."""
+
+    id: Id
+    view: dict[str, Any] = Field(default_factory=dict)
+    moving: StrictBool = False
+
+    def params(self) -> FrameParams:
+        """The view's parameters; ParameterError where they are not those of a frame."""
+        params = read(FrameParams, self.view.items())
+        if "wait_ms" in params.model_fields_set:
+            raise ParameterError(
+                "wait_ms is for requests, a stream sends new pictures by itself: leave it out.", "wait_ms"
+            )
+        return params
+
+
+def message_of(text: str) -> dict[str, Any]:
+    """The JSON object in a message; ParameterError where there is none."""
+    try:
+        message = json.loads(text, parse_constant=_refuse)
+    except (ValueError, RecursionError):
+        raise ParameterError("A message must be JSON, with numbers that are finite.") from None
+    if not isinstance(message, dict):
+        raise ParameterError('A message must be an object such as {"id": 1, "view": {}} or {"shown": 1}.')
+    return message
+
+
+def read_message(message: dict[str, Any]) -> ViewRequest | Receipt:
+    """The message as what it is; ParameterError on the first thing that is wrong."""
+    return read(Receipt, message.items()) if "shown" in message else read(ViewRequest, message.items())
+
+
+def answer(request: int, shown: Shown, form: str, draft: bool) -> str:
+    """The facts of the picture that follows, an answer to the ``request`` of this id."""
+    frame = shown.frame
+    return json.dumps(
+        {
+            "id": request,
+            "draft": draft,
+            "final": not draft and not frame.provisional,
+            "width": frame.view.width,
+            "height": frame.view.height,
+            "media_type": MEDIA_TYPES[form],
+            "facts": coverage_schema(frame, shown.time_left).model_dump(),
+            "timing": {stage: round(1000.0 * seconds, 2) for stage, seconds in shown.watch.seconds.items()},
+        }
+    )
+
+
+def complaint(request: Any, error: IsogiError, path: str) -> str:
+    """A problem with the message of this id, null where it has none."""
+    status = status_of(error)
+    problem_document = Problem(
+        type="about:blank", title=HTTPStatus(status).phrase, status=status, detail=str(error), instance=path
+    ).model_dump()
+    if isinstance(error, ParameterError) and error.parameter:
+        problem_document["parameter"] = error.parameter
+    return json.dumps({"id": request if isinstance(request, int) else None, "problem": problem_document})
+
+
+def _refuse(constant: str) -> NoReturn:
+    raise ValueError(constant)
+
+
+WANT_EVERY = 0.5
+"""Seconds between two drafts of a moving view whose light is asked for: what it shows next needs much of the same."""
+
+
+class Session:
+    """Answers the newest view that its client sent; work on an older one ends.
+
+    A draft alone is drawn to its end while the view goes on moving: else none would be when views come faster.
+    """
+
+    def __init__(self, socket: WebSocket, service: Service, scene: Scene) -> None:
+        self._socket, self._service, self._scene = socket, service, scene
+        self._metrics: Metrics = socket.app.state.metrics
+        self._viewer = stream_viewer()
+        self._inbox = Inbox(socket, service.settings)
+        self._drafts, self._window = Drafts(), Window()
+        self._sending = asyncio.Lock()
+        self._newest: tuple[ViewRequest, FrameParams] | None = None
+        self._changed = asyncio.Event()
+        self._showing: asyncio.Task[None] | None = None
+        self._wanted = -WANT_EVERY
+        self._still = -1
+
+    async def run(self) -> None:
+        """Returns when the client has left, or broke a limit; nothing is baked for it any more."""
+        reading, working = asyncio.create_task(self._read()), asyncio.create_task(self._work())
+        try:
+            await asyncio.wait({reading, working}, return_when=asyncio.FIRST_COMPLETED)
+            for task in (reading, working):
+                if task.done():
+                    await task
+        except StreamError as error:
+            await self._socket.close(error.code, str(error))
+        except WebSocketDisconnect:
+            pass
+        finally:
+            reading.cancel()
+            working.cancel()
+            await asyncio.wait({reading, working})
+            self._service.leave(self._viewer)
+
+    async def _read(self) -> None:
+        """Take in messages until the client leaves."""
+        while (text := await self._inbox.next()) is not None:
+            request: Any = None
+            try:
+                message = message_of(text)
+                request = message.get("id")
+                self._take(read_message(message))
+            except IsogiError as error:
+                await self._send(complaint(request, error, self._socket.url.path))
+
+    def _take(self, message: ViewRequest | Receipt) -> None:
+        if isinstance(message, Receipt):
+            self._window.shown(message.shown, message.took / 1000.0)
+            if message.shown != self._still:
+                self._drafts.shown(message.took / 1000.0)
+            return
+        self._still = self._still if message.moving else message.id
+        older, self._newest = self._newest, (message, message.params())
+        self._changed.set()
+        if self._showing and not (older and older[0].moving and message.moving):
+            self._showing.cancel()
+
+    async def _work(self) -> None:
+        """Show the newest view, again and again."""
+        while True:
+            await self._changed.wait()
+            await self._window.room()
+            self._changed.clear()
+            assert self._newest
+            self._showing = asyncio.create_task(self._show(*self._newest))
+            try:
+                await asyncio.wait({self._showing})
+            finally:
+                self._showing.cancel()
+                await asyncio.wait({self._showing})
+            if not self._showing.cancelled():
+                self._showing.result()
+
+    async def _show(self, request: ViewRequest, params: FrameParams) -> None:
+        """Answer a view request, or send what is wrong with it."""
+        try:
+            form, picture = format_for(params, None), self._service.picture_of(self._scene, params)
+            await (
+                self._draft(request, params, picture) if request.moving else self._rest(request, params, picture, form)
+            )
+        except IsogiError as error:
+            await self._send(complaint(request.id, error, self._socket.url.path))
+
+    async def _draft(self, request: ViewRequest, params: FrameParams, picture: PictureRequest) -> None:
+        """One picture of a view that moves, as large as it can come quickly, and coded as fast."""
+        self._service.engine.make_way()
+        small, watch, rank = picture.draft(self._drafts.scale), Stopwatch(), Rank.within(DRAFT)
+        frame = await self._service.frame(small, rank, watch)
+        shown = Shown(frame, None, watch, frozenset(), 0)
+        await self._picture(request, params, shown, "jpeg")
+        self._drafts.drawn(work_of(shown), self._window.way)
+        now = asyncio.get_running_loop().time()
+        if now - self._wanted >= WANT_EVERY:
+            self._wanted = now
+            work = partial(self._service.request_light, small, frame, self._viewer)
+            await self._service.renders.run(work, rank)
+
+    async def _rest(self, request: ViewRequest, params: FrameParams, picture: PictureRequest, form: str) -> None:
+        """The full picture of a view at rest, and each better one, until it is final."""
+        async with aclosing(self._service.refinements(picture, self._viewer)) as refinements:
+            async for shown in refinements:
+                await self._picture(request, params, shown, form)
+                await self._window.room()
+
+    async def _picture(self, request: ViewRequest, params: FrameParams, shown: Shown, form: str) -> None:
+        """Send a picture and its facts."""
+        exposure = self._scene.default_exposure if params.exposure is None else params.exposure
+
+        def made() -> tuple[str, bytes]:
+            with shown.watch.stage("encode"):
+                picture = encode(shown.frame, form, exposure, params.overlay)
+            return answer(request.id, shown, form, request.moving), picture
+
+        facts, picture = await self._service.renders.run(made, Rank.within(DRAFT))
+        self._window.sent(request.id)
+        self._metrics.count_picture(
+            "draft" if request.moving else "stream", shown.frame.provisional, shown.watch.seconds
+        )
+        await self._send(facts, picture)
+
+    async def _send(self, text: str, data: bytes | None = None) -> None:
+        """Send all of it or nothing, also where the sender is cancelled on the way."""
+        await asyncio.shield(self._send_all(text, data))
+
+    async def _send_all(self, text: str, data: bytes | None) -> None:
+        with suppress(WebSocketDisconnect, RuntimeError):
+            async with self._sending:
+                await self._socket.send_text(text)
+                if data is not None:
+                    await self._socket.send_bytes(data)
+
+
+router = APIRouter(prefix="/v1/scenes/{scene}")
+
+
+@router.websocket("/stream")
+async def stream(socket: WebSocket, scene: str, service: ServiceDep) -> None:
+    """The client sends views, the newest wins: drafts while it moves, the full picture at rest, better as light comes.
+
+    Refused with a problem before it begins where the scene is unknown, or too many streams are open.
+    """
+    try:
+        found = service.scene(scene)
+        with service.connections.admitted():
+            await socket.accept()
+            await Session(socket, service, found).run()
+    except IsogiError as error:
+        await socket.send_denial_response(problem(status_of(error), str(error), socket.url.path))

@@ -1,0 +1,397 @@
+"""The ``isogi`` command: what each command takes. The module that does its work is loaded when it is called."""
+
+import json
+import sys
+from collections.abc import Callable, Sequence
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from isogi_core.errors import IsogiError, LightError, SceneError, StoreUrlError, ViewError, VolumeError
+from server.errors import LibraryError
+
+if TYPE_CHECKING:
+    from server.settings import Settings
+
+MODULES = {
+    "options": "server.cli.options",
+    "serve": "server.cli.serve",
+    "render": "server.cli.render",
+    "reference": "server.cli.render",
+    "report": "server.report.command",
+    "prewarm": "server.cli.prewarm",
+    "prewarm --server": "server.cli.remote_prewarm",
+    "inspect": "server.inspect.text",
+    "bench": "server.cli.bench",
+    "store": "server.cli.store",
+}
+"""The module that does a command's work; ``options`` checks what commands are given, for which it loads pydantic."""
+
+
+def module_of(command: str) -> Any:
+    """The module that does a command's work, loaded now: help is answered without any of them."""
+    return import_module(MODULES[command])
+
+
+BAD_INPUT = (SceneError, VolumeError, LightError, ViewError, StoreUrlError)
+VIEW_OPTIONS = {
+    "isovalue": "In the volume's own units; default: the scene's.",
+    "azimuth": "Degrees; 0 looks from +x, 90 from +y.",
+    "elevation": "Degrees above the xy plane.",
+    "distance": "From the target, in radii of the volume's bounding sphere.",
+    "fov": "Vertical field of view, degrees.",
+    "eye": "World x,y,z, instead of azimuth, elevation and distance.",
+    "target": "World x,y,z to look at; default: the volume's centre.",
+    "up": "World x,y,z that points up in the picture.",
+    "yaw": "Turns the light about z, degrees.",
+    "pitch": "Then about y, degrees.",
+    "roll": "Then about x, degrees.",
+    "light": "Quaternion w,x,y,z that turns the light, instead of yaw, pitch and roll.",
+    "albedo": "Of the surface, one number or r,g,b, within the scene's albedos; default: the scene's albedo.",
+    "width": "Pixels.",
+    "height": "Pixels.",
+    "shading": "gi, vicinity, lambert[_shadow|_fog], phong[_shadow] or path_traced.",
+    "exposure": "Factor on radiance before the tone curve.",
+    "samples": "Paths per pixel, for path_traced.",
+    "overlay": "none, provisional (hatches what is not final) or error (each pixel's estimate as a colour).",
+}
+DEVELOPED = ("shading", "samples", "exposure", "overlay")
+"""Options that a reference, which is radiance alone, does not read."""
+
+PICTURE_OPTIONS = ("albedo", "width", "height", "shading", "samples", "overlay")
+REPORT_OPTIONS = {
+    **{name: text for name, text in VIEW_OPTIONS.items() if name not in PICTURE_OPTIONS},
+    "azimuth": "Degrees; 0 looks from +x, 90 from +y; default: 40.",
+    "elevation": "Degrees above the xy plane; default: 30.",
+    "distance": "From the target, in radii of the volume's bounding sphere; default: 2.2.",
+}
+WORK_OPTIONS = {
+    "workers": "Baking processes; default: one per core.",
+    "store": "Path or URL of the cache; default: the user's cache folder.",
+    "scheduler": "Address of a Dask scheduler to bake on, instead of own workers.",
+}
+Command = Callable[..., Any]
+
+
+def main() -> None:
+    """Run the command line and leave with its exit status."""
+    sys.exit(run(sys.argv[1:]))
+
+
+def run(arguments: Sequence[str]) -> int:
+    """Run one command: 0 done, 1 failed at work, 2 wrong use or bad input. Errors are one line on stderr."""
+    try:
+        return int(cli.main(list(arguments), "isogi", standalone_mode=False) or 0)
+    except click.Abort:
+        return complain("stopped", 1)
+    except click.ClickException as error:
+        return complain(error.format_message(), error.exit_code)
+    except BAD_INPUT as error:
+        return complain(str(error), 2)
+    except (IsogiError, OSError) as error:
+        return complain(str(error), 1)
+    except Exception as error:
+        return complain(f"unexpected {type(error).__name__}: {error}", 1)
+
+
+def complain(message: str, status: int) -> int:
+    """Say on stderr, in one line, what is wrong; gives the exit status back."""
+    click.echo(f"isogi: {' '.join(message.split())}", err=True)
+    return status
+
+
+def options(table: dict[str, str]) -> Callable[[Command], Command]:
+    """Decorator: one text option per row; they are checked where they are read, as HTTP's are."""
+
+    def decorate(command: Command) -> Command:
+        for name, text in reversed(table.items()):
+            command = click.option(f"--{name}", help=text)(command)
+        return command
+
+    return decorate
+
+
+Check = Callable[[click.Context, click.Parameter, str | None], float | None]
+"""A callback of an option that is a number."""
+
+
+def number(low: float, high: float) -> Check:
+    """Callback of an option that is a number from ``low`` to ``high``."""
+    return lambda _, __, text: None if text is None else float(module_of("options").number(text, low, high))
+
+
+def duration(_: click.Context, __: click.Parameter, text: str | None) -> float | None:
+    """Callback of an option that is a span of time: seconds."""
+    return None if text is None else float(module_of("options").duration(text))
+
+
+def age(_: click.Context, __: click.Parameter, text: str | None) -> float | None:
+    """Callback of an option that is an age: seconds."""
+    return None if text is None else float(module_of("options").age(text))
+
+
+def settings_from(config: Path | None = None, **given: Any) -> "Settings":
+    """The settings: options first, then the environment, then a file; UsageError names what is wrong."""
+    settings: Settings = module_of("options").settings_from(config, **given)
+    return settings
+
+
+def show(facts: dict[str, Any], text: Callable[[dict[str, Any]], str], as_json: bool) -> None:
+    """Print facts, for a script or for a person."""
+    click.echo(json.dumps(facts, allow_nan=False) if as_json else text(facts))
+
+
+class SettingsCommand(click.Command):
+    """A command that takes all settings. Its help is made late, for settings load a library that takes its time."""
+
+    def get_params(self, ctx: click.Context) -> list[click.Parameter]:
+        """The command's own parameters and the settings' options."""
+        *own, help_option = super().get_params(ctx)
+        return [*own, *module_of("options").setting_options(), help_option]
+
+    def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """List the settings that have no option."""
+        with formatter.section("Only in the environment or the file"):
+            formatter.write_dl(module_of("options").secrets())
+
+
+AS_JSON = click.option("--json", "as_json", is_flag=True, help="Print the facts as JSON.")
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(package_name="isogi")
+def cli() -> None:
+    """Isosurfaces of volumes with global illumination, baked lazily."""
+
+
+@cli.command(cls=SettingsCommand)
+@click.argument("target", required=False)
+def serve(target: str | None, config: Path | None, **given: str | None) -> None:
+    """Serve TARGET, a scene (.toml) or a volume (.nrrd, .nhdr, .zarr); with neither, a demo."""
+    settings = settings_from(config, **given)
+    module_of("serve").serve(target, settings)
+
+
+@cli.command()
+@click.argument("scene", metavar="TARGET")
+@click.option("-o", "--output", required=True, type=click.Path(path_type=Path, dir_okay=False))
+@options(VIEW_OPTIONS)
+@click.option("--target-error", callback=number(0.0001, 1), help="Relative error at which a pixel is final.")
+@click.option("--time", "seconds", callback=duration, help="Stop baking after so long: 90, 90s, 10m or 1h.")
+@options(WORK_OPTIONS)
+@AS_JSON
+def render(
+    scene: str, output: Path, target_error: float | None, seconds: float | None, as_json: bool, **given: Any
+) -> None:
+    """Write a picture of TARGET; the suffix of the output chooses png, jpeg, webp or npy."""
+    settings = settings_from(**{name: given.pop(name) for name in WORK_OPTIONS})
+    knobs = {name: value for name, value in {**given, "max_error": target_error}.items() if value is not None}
+    work = module_of("render")
+    show(work.render(scene, output, knobs, settings, seconds), work.rendered, as_json)
+
+
+@cli.command()
+@click.argument("scene", metavar="TARGET")
+@click.option("-o", "--output", required=True, type=click.Path(path_type=Path, dir_okay=False), help="A file, .npz.")
+@options({name: text for name, text in VIEW_OPTIONS.items() if name not in DEVELOPED})
+@click.option("--samples", type=click.IntRange(1), help="Stop at so many paths per pixel.")
+@click.option("--target-error", callback=number(1e-6, 1), help="Stop at this noise; default: 0.005.")
+@click.option("--time", "seconds", callback=duration, help="Stop after so long: 90, 90s, 10m or 1h.")
+@click.option("--bounces", type=click.IntRange(0, 1000), help="Default: all but 0.1 % of the light.")
+@AS_JSON
+def reference(
+    scene: str,
+    output: Path,
+    samples: int | None,
+    target_error: float | None,
+    seconds: float | None,
+    bounces: int | None,
+    as_json: bool,
+    **given: Any,
+) -> None:
+    """Path-trace a view of TARGET from every pixel. Goes on where OUTPUT stopped."""
+    if samples is not None and target_error is not None:
+        raise click.UsageError("--samples and --target-error both say when to stop: keep one.")
+    if samples is None and target_error is None and seconds is None:
+        target_error = 0.005
+    knobs = {name: value for name, value in given.items() if value is not None}
+    goal = {"samples": samples, "noise": target_error, "seconds": seconds}
+    work = module_of("reference")
+    show(work.reference(scene, output, knobs, settings_from(), bounces, goal), work.grown, as_json)
+
+
+@cli.command()
+@click.argument("scene", metavar="TARGET")
+@click.option("-o", "--output", required=True, type=click.Path(path_type=Path, file_okay=False), help="Folder.")
+@click.option("--size", type=click.IntRange(8, 1024), default=112, show_default=True, help="Pixels along each side.")
+@options(REPORT_OPTIONS)
+@click.option(
+    "--deadline",
+    callback=duration,
+    help="Such as 90s, 10m or 1h: what does not fit is left out. The end may be a tenth late, and then it is drawn.",
+)
+@click.option("--only", multiple=True, metavar="KEY", help="Run this study alone; may be given more than once.")
+@AS_JSON
+def report(
+    scene: str, output: Path, size: int, deadline: float | None, only: tuple[str, ...], as_json: bool, **given: Any
+) -> int:
+    """Measure how wrong the light of TARGET is, by cause, against what it costs, and write that as a page.
+
+    What was measured is kept in the folder: the same command goes on where it was stopped.
+    """
+    work = module_of("report")
+    knobs = {name: value for name, value in given.items() if value is not None}
+    square = {"width": str(size), "height": str(size)}
+    facts = work.report(scene, {**knobs, **square}, settings_from(), work.Wishes(output, deadline, only))
+    show(facts, work.sentence, as_json)
+    return 1 if facts["stopped"] or facts["failed"] else 0
+
+
+@cli.command()
+@click.argument("scene", metavar="TARGET")
+@click.option("--isovalue", "isovalues", multiple=True, help="One, first:last:step, or first:last for all between.")
+@click.option("--views", help="Directions of each isovalue, spread over all sides; default: 12 where none are given.")
+@click.option("--view", "directions", multiple=True, metavar="azimuth=40,elevation=30", help="One direction.")
+@click.option(
+    "--views-file", type=click.Path(path_type=Path, exists=True, dir_okay=False), help="Such, .json or .toml."
+)
+@click.option("--orbit", "orbits", multiple=True, metavar="36@20", help="So many directions at an elevation.")
+@click.option("--all-directions", is_flag=True, default=None, help="Whole isosurfaces, from whatever side.")
+@options({name: VIEW_OPTIONS[name] for name in ("distance", "fov", "width", "height")})
+@click.option("--target-error", help="Relative error at which light is final.")
+@click.option("--deadline", callback=duration, help="End by then, with what is baked: 90, 90s, 10m or 1h.")
+@options(WORK_OPTIONS)
+@click.option("--dry-run", is_flag=True, help="Say what there is to bake and how long it takes; bake nothing.")
+@click.option("--continue", "go_on", is_flag=True, help="Go on with the last prewarm of TARGET that was stopped.")
+@click.option("--server", metavar="URL", help="Have a running server do it; its token: ISOGI_TOKEN.")
+@click.option("--detach", is_flag=True, help="Print the job's address, and leave the server to it.")
+@click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
+def prewarm(
+    scene: str, dry_run: bool, go_on: bool, server: str | None, detach: bool, as_json: bool, **given: Any
+) -> int:
+    """Bake ahead what views of TARGET from all sides need, or whole isosurfaces; stopped, it goes on (--continue)."""
+    work, workers = module_of("prewarm"), {name: given.pop(name) for name in WORK_OPTIONS}
+    fields = work.fields_given(given)
+    if go_on and (set(fields) - {"deadline"} or dry_run or server):
+        raise click.UsageError("--continue goes on with what was asked for: leave all but --deadline, --workers … out.")
+    if detach and not server:
+        raise click.UsageError("--detach leaves a server to it: say which by --server.")
+    order = work.order_of(fields)
+    if server is None:
+        settings = settings_from(**workers)
+        summary = (
+            work.go_on(scene, settings, order.deadline) if go_on else work.prewarm(scene, order, settings, dry_run)
+        )
+    elif named := [name for name, value in workers.items() if value is not None]:
+        raise click.UsageError(f"--{named[0]} is the server's own: leave it out, or leave --server out.")
+    elif detach:
+        address = remote().detach(server, scene, order, dry_run)
+        click.echo(json.dumps({"job": address}) if as_json else address)
+        return 0
+    else:
+        summary = remote().follow(server, scene, order, dry_run)
+    click.echo(summary.model_dump_json() if as_json else str(summary))
+    return 1 if summary.failed else 0
+
+
+def remote() -> Any:
+    """The module that has a server prewarm. Raises LibraryError where a library of the client is missing."""
+    try:
+        return module_of("prewarm --server")
+    except ModuleNotFoundError as error:
+        raise LibraryError(f"isogi prewarm --server needs {error.name}: pip install 'isogi[client]'.") from None
+
+
+@cli.command()
+@click.argument("target")
+@click.option("--picture", type=click.Path(path_type=Path, dir_okay=False), help="Draw the stiffness to a file, .png.")
+@AS_JSON
+def inspect(target: str, picture: Path | None, as_json: bool) -> None:
+    """Say what is in TARGET, a volume or a scene, how stiff that is, and what will be baked for it."""
+    click.echo(module_of("inspect").inspect(target, picture, as_json))
+
+
+@cli.command()
+@click.argument("target", required=False)
+@click.option("--isovalue", type=float, help="In the volume's own units; default: the scene's.")
+@click.option("--size", type=click.IntRange(1, 4096), default=512, show_default=True, help="Pixels along each side.")
+@click.option("--repeats", type=click.IntRange(1), default=5, show_default=True, help="Rounds that are timed.")
+@click.option("--json", "as_json", is_flag=True, help="Print the figures as JSON.")
+def bench(target: str | None, isovalue: float | None, size: int, repeats: int, as_json: bool) -> None:
+    """Measure this machine with TARGET, a scene or a volume; with neither, a demo."""
+    work = module_of("bench")
+    show(work.bench(target, isovalue, size, repeats), work.table, as_json)
+
+
+STORE = click.argument("where", metavar="[STORE]", required=False)
+
+
+@cli.group()
+def store() -> None:
+    """Look after a STORE of light, a folder or URL; by default the one that `isogi serve` uses.
+
+    All of it is safe beside servers and workers that use the store.
+    """
+
+
+def store_at(where: str | None) -> Any:
+    """The store that is named, else the one that the settings name. Raises StoreError where there is none."""
+    return module_of("store").present(settings_from(store=where))
+
+
+@store.command()
+@STORE
+@AS_JSON
+def verify(where: str | None, as_json: bool) -> int:
+    """Check every object of a STORE, and change nothing; exit status 1 if any is damaged."""
+    work = module_of("store")
+    facts = work.verify(store_at(where))
+    show(facts, work.verified, as_json)
+    return 0 if facts["sound"] else 1
+
+
+@store.command()
+@STORE
+@click.option("--delete", is_flag=True, help="Delete what is damaged, instead of moving it to STORE/quarantine.")
+@AS_JSON
+def repair(where: str | None, delete: bool, as_json: bool) -> None:
+    """Put damaged objects of a STORE away, so that they are baked again when they are needed."""
+    work = module_of("store")
+    show(work.repair(store_at(where), delete), work.repaired, as_json)
+
+
+@store.command()
+@STORE
+@click.option("--quick", is_flag=True, help="Read no chunk: count no texels.")
+@AS_JSON
+def stats(where: str | None, quick: bool, as_json: bool) -> None:
+    """List what a STORE holds: bakes with their size, texels, costs and age."""
+    work = module_of("store")
+    show(work.stats(store_at(where), not quick), work.table, as_json)
+
+
+@store.command()
+@STORE
+@click.option("--older-than", callback=age, help="Light that was neither baked nor read for so long: 30d, 12h.")
+@click.option("--keep-gb", type=click.FloatRange(0), help="The longest unused light beyond so many gigabytes.")
+@click.option("--scene", help="Light of this scene or volume alone; with no other option, all of it.")
+@click.option("--empty", is_flag=True, help="Layers that hold no light.")
+@click.option("--yes", is_flag=True, help="Delete it; without this, only list what would go.")
+@AS_JSON
+def prune(
+    where: str | None,
+    older_than: float | None,
+    keep_gb: float | None,
+    scene: str | None,
+    empty: bool,
+    yes: bool,
+    as_json: bool,
+) -> None:
+    """Delete light from a STORE that is not needed any more, once --yes says so."""
+    if older_than is None and keep_gb is None and scene is None and not empty:
+        raise click.UsageError("Say what is to go: --older-than, --keep-gb, --scene or --empty.")
+    work = module_of("store")
+    rule = work.rule_of(older_than, keep_gb, scene, empty)
+    show(work.prune(store_at(where), rule, yes), work.pruned, as_json)

@@ -1,0 +1,92 @@
+"""Options: those that settings make, their documentation, and the checks of values that a command is given."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+from pydantic import ValidationError
+
+from server.settings import FORMER, Settings, read_settings
+from server.values import Span, seconds_of, seconds_of_age
+
+SECRET = ("token",)
+"""Settings without an option: what a command is given, all users of the machine can see."""
+
+CONFIG = "A TOML file with settings, such as port = 8080; options and the environment come before it."
+
+
+def settings_from(config: Path | None = None, **given: Any) -> Settings:
+    """The settings: options first, then the environment, then a file; UsageError names what is wrong."""
+    try:
+        return read_settings(config, **{name: value for name, value in given.items() if value is not None})
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        if not first["loc"]:
+            raise click.UsageError(f"{first['msg'].removeprefix('Value error, ')}.") from None
+        name = str(first["loc"][0])
+        value = "" if name in SECRET else f", not {first['input']!r}"
+        raise click.UsageError(f"{name}: {first['msg']}{value}.") from None
+    except ValueError as error:
+        raise click.UsageError(f"{config}: {error}." if config else f"{error}.") from None
+
+
+def checked(read: Callable[[str], float], text: str) -> float:
+    """What ``read`` makes of a text; BadParameter says why where it is refused."""
+    try:
+        return read(text)
+    except ValueError as error:
+        raise click.BadParameter(str(error)) from None
+
+
+def number(text: str, low: float, high: float) -> float:
+    """A number from ``low`` to ``high``; BadParameter for any other text."""
+    return checked(Span(low, high).read, text)
+
+
+def duration(text: str) -> float:
+    """Seconds of a span of time; BadParameter for any other text."""
+    return checked(seconds_of, text)
+
+
+def age(text: str) -> float:
+    """Seconds of an age, which may be in days or weeks; BadParameter for any other text."""
+    return checked(seconds_of_age, text)
+
+
+def setting_options() -> list[click.Parameter]:
+    """An option for each setting that may have one, and for the file of settings."""
+    file = click.Option(["--config"], type=click.Path(path_type=Path, exists=True, dir_okay=False), help=CONFIG)
+    names = [name for name in Settings.model_fields if name not in SECRET]
+    former = [click.Option([flag(name)], hidden=True) for name in FORMER]
+    own = [click.Option([flag(name)], help=f"{described(name)} [{variable(name)}]") for name in names]
+    return [file, *own, *former]
+
+
+def secrets() -> list[tuple[str, str]]:
+    """The settings that have no option: environment variable and description."""
+    return [(variable(name), described(name)) for name in SECRET]
+
+
+def described(name: str) -> str:
+    """What a setting is for, with its default where the description does not name it."""
+    field = Settings.model_fields[name]
+    text = field.description or ""
+    complete = field.default_factory is not None or field.default in (None, ()) or "default:" in text
+    return text if complete else f"{text.removesuffix('.')}; default: {field.default}."
+
+
+def flag(name: str) -> str:
+    """The option of a setting."""
+    return f"--{name.replace('_', '-')}"
+
+
+def variable(name: str) -> str:
+    """The environment variable of a setting."""
+    return f"ISOGI_{name.upper()}"
+
+
+def rows() -> list[str]:
+    """One row of a Markdown table for each setting, as docs/settings.md has them."""
+    options = {name: "–" if name in SECRET else f"`{flag(name)}`" for name in Settings.model_fields}
+    return [f"| `{name}` | {option} | `{variable(name)}` | {described(name)} |" for name, option in options.items()]

@@ -1,0 +1,148 @@
+"""``isogi prewarm``: light baked ahead by workers of this process."""
+
+import json
+import math
+import time
+import tomllib
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing, contextmanager
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from isogi_core.errors import Cancelled, SceneError
+from isogi_core.plan.scene import Scene
+from server.errors import ParameterError
+from server.prewarm.context import PrewarmContext, Step
+from server.prewarm.order import PrewarmOrder, Views, order_of
+from server.prewarm.record import Record, Summary, last_unfinished
+from server.prewarm.work import carry_out, carry_out_dry, wanted
+from server.progress import Progress, open_scene
+from server.render.bakes import PATIENCE
+from server.render.engine import RenderEngine
+from server.render.jobs import Status
+from server.render.resources import root_of
+from server.settings import Settings
+from worker.bake_requests import Viewer
+
+__all__ = ["fields_given", "go_on", "order_of", "prewarm"]
+
+
+COMMAND = Viewer("prewarm", patient=True)
+
+STOPPED = "This was stopped, and what is baked is kept: the same with --continue goes on."
+
+
+def prewarm(target: str, order: PrewarmOrder, settings: Settings, dry: bool = False) -> Summary:
+    """Bake what is asked for in a scene or a volume, and sum it up; ``dry``: what it would take.
+
+    Raises SceneError, VolumeError, LightError and ViewError before anything is begun, StoreError and WorkersError
+    later. Whatever it ends with, what is baked stays, and the record in the store says what was asked.
+    """
+    begun, scene = time.monotonic(), open_scene(target, settings)
+    Views(order, scene, settings)
+
+    hired = (settings.workers, None if dry else settings.scheduler)
+    root = root_of(settings)
+    record = Record(root, scene, order, "command")
+    with closing(RenderEngine([scene], root, *hired, settings.memory_mb << 20)) as engine, Progress() as bar:
+        engine.start(hire=not dry)
+        context = desk_of(engine, scene, order, partial(show, bar), begun)
+        what = wanted(context, order, settings)
+        if dry:
+            return carry_out_dry(context, what)
+        with recorded(record, context):
+            return record.close(carry_out(context, what, lambda ahead: record.keep(ahead=ahead)))
+
+
+def show(bar: Progress, step: Step) -> None:
+    """Draw a step on a bar of its own."""
+    bar.name(step.what.lower(), step.unit)
+    bar.show(step.done, step.total, step.left)
+
+
+def go_on(target: str, settings: Settings, deadline: float | None) -> Summary:
+    """``prewarm`` with the order that came to no end last. Raises SceneError where there is none."""
+
+    scene, root = open_scene(target, settings), root_of(settings)
+    document = last_unfinished(root, scene)
+    if document is None:
+        raise SceneError(f"There is no unfinished prewarm of {scene.name} in {root.url}: say which light to bake.")
+    return prewarm(target, document.order.model_copy(update={"deadline": deadline}), settings)
+
+
+def desk_of(
+    engine: RenderEngine, scene: Scene, order: PrewarmOrder, report: Callable[[Step], None], begun: float
+) -> PrewarmContext:
+    """What the command works with; its time began earlier."""
+    target = order.target_error or scene.target_error
+    deadline = math.inf if order.deadline is None else begun + order.deadline
+    return PrewarmContext(
+        engine,
+        scene,
+        target,
+        COMMAND,
+        lambda view: engine.survey(scene.id, view, target),
+        report,
+        deadline,
+        PATIENCE,
+        begun=begun,
+    )
+
+
+@contextmanager
+def recorded(record: Record, context: PrewarmContext) -> Iterator[None]:
+    """Keep the record of what is done meanwhile, and of how it ended where that is early."""
+    record.keep(status=Status.RUNNING)
+    draw = context.report
+
+    def report(step: Step) -> None:
+        draw(step)
+        record.report(step)
+
+    context.report = report
+    try:
+        yield
+    except KeyboardInterrupt:
+        record.keep(status=Status.DISMISSED, message=STOPPED)
+        raise Cancelled(STOPPED) from None
+    except Exception as error:
+        record.keep(status=Status.FAILED, message=str(error))
+        raise
+
+
+def fields_given(given: Mapping[str, Any]) -> dict[str, Any]:
+    """The fields of an order that the options give."""
+    fields = {name: value for name, value in given.items() if value not in (None, ())}
+    file = fields.pop("views_file", None)
+    directions = [direction_in(text) for text in fields.pop("directions", ())]
+    directions += [] if file is None else directions_in(file)
+    orbits = [orbit_in(text) for text in fields.pop("orbits", ())]
+    return fields | {name: each for name, each in (("directions", directions), ("orbits", orbits)) if each}
+
+
+def direction_in(text: str) -> dict[str, str]:
+    """The direction in a text such as ``azimuth=40,elevation=30``."""
+    pairs = [part.partition("=") for part in text.split(",")]
+    if not all(name and equals for name, equals, _ in pairs):
+        raise ParameterError(f"view must be such as azimuth=40,elevation=30, not '{text[:40]}'.", "view")
+    return {name.strip(): value.strip() for name, _, value in pairs}
+
+
+def orbit_in(text: str) -> dict[str, str]:
+    """The orbit in a text such as ``36@20`` or ``36``."""
+    count, at, elevation = text.partition("@")
+    return {"count": count, "elevation": elevation} if at else {"count": count}
+
+
+def directions_in(file: Path) -> list[Any]:
+    """The ``directions`` in a JSON or TOML file, each such as {"azimuth": 40, "elevation": 30}."""
+    try:
+        text = file.read_text(encoding="utf-8")
+        document = tomllib.loads(text) if file.suffix == ".toml" else json.loads(text)
+    except ValueError as error:
+        raise ParameterError(f"{file.name} cannot be read: {error}.", "views-file") from None
+    found = document.get("directions") if isinstance(document, dict) else document
+    if not isinstance(found, list) or not found:
+        raise ParameterError(f'{file.name} needs a list "directions", such as [{{"azimuth": 40}}].', "views-file")
+    return found

@@ -1,0 +1,180 @@
+"""``isogi render`` and ``isogi reference``: one view as a picture, from the cache or path-traced."""
+
+import math
+import tempfile
+import time
+from collections.abc import Mapping
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+from tqdm import tqdm
+
+from isogi_core.errors import ViewError
+from isogi_core.frame.frame import Frame
+from isogi_core.model.view import View
+from isogi_core.plan.scene import Scene
+from isogi_core.report.reference import Goal, Reference, grow, load_reference, save_reference, with_bounces
+from isogi_core.storage.atomic_file import write_whole
+from server.answers import coverage_schema
+from server.cli.bench import make_renderer
+from server.parameters import FrameParams, ViewParams, read, view_of
+from server.pictures import SUFFIXES, encode, format_for
+from server.progress import Progress, open_scene
+from server.render.bakes import Patience
+from server.render.engine import RenderEngine
+from server.render.resources import root_of
+from server.settings import Settings
+from worker.errors import WorkersError
+from worker.progress import TimeLeft
+
+STEP = 2.0
+"""Seconds between two frames, while light is baked."""
+
+
+def render(
+    target: str,
+    output: Path,
+    knobs: Mapping[str, str],
+    settings: Settings,
+    seconds: float | None = None,
+) -> dict[str, Any]:
+    """Write the picture of a view, named by ``knobs``, and say how good it is and what it took.
+
+    Ends when every pixel is final, or after ``seconds`` of baking. Raises SceneError, VolumeError,
+    LightError and ViewError before anything is begun, StoreError, WorkersError and OSError later.
+    """
+    started = time.monotonic()
+    form = format_of(output)
+    scene = open_scene(target, settings)
+    params = read(FrameParams, [*knobs.items(), ("f", form)])
+    format_for(params, None)
+    view = view_of(scene, params, settings)
+
+    place, memory = (root_of(settings), settings.workers, settings.scheduler), settings.memory_mb << 20
+    with closing(RenderEngine([scene], *place, memory, projected=settings.projected_mb << 20)) as engine:
+        engine.start()
+        frame = refine(engine, scene.id, view, params.max_error, seconds)
+        left, paths = engine.time_left(scene.id, frame, params.max_error), engine.paths
+    exposure = scene.default_exposure if params.exposure is None else params.exposure
+    write_whole(output, encode(frame, form, exposure, params.overlay))
+    return {
+        "file": str(output),
+        "format": form,
+        **frame_facts(frame, left),
+        "target_error": params.max_error or scene.target_error,
+        "final": frame.coverage["final"],
+        "paths": paths,
+        "stopped": stopped_by(frame),
+        "seconds": time.monotonic() - started,
+    }
+
+
+def stopped_by(frame: Frame) -> str:
+    """What ended the rendering of a frame: its target, the samples that were asked for, or the time."""
+    if not frame.provisional:
+        return "target"
+    return "samples" if frame.view.shading == "path_traced" else "time"
+
+
+def rendered(facts: Mapping[str, Any]) -> str:
+    """What ``render`` did, for a person."""
+    states = {"target": "final", "time": "provisional", "samples": "all samples taken"}
+    quality = f"estimated error {facts['error']:.4f}, {facts['final']:.1%} of the surface at {facts['target_error']:g}"
+    return f"{facts['file']}: {facts['width']} × {facts['height']}, {states[facts['stopped']]}, {quality}"
+
+
+def frame_facts(frame: Frame, left: TimeLeft | None) -> dict[str, Any]:
+    """Size, quality and version of a frame, and the time until it would be final."""
+    size = {"width": frame.view.width, "height": frame.view.height}
+    return {**size, **coverage_schema(frame, left).model_dump(), "version": frame.version}
+
+
+def format_of(output: Path) -> str:
+    """The format that the file's suffix names; ViewError for others and where the folder is missing."""
+    if output.suffix.lower() not in SUFFIXES:
+        raise ViewError(f"{output} names no picture format: end it in {', '.join(SUFFIXES)}.")
+    if not output.parent.is_dir():
+        raise ViewError(f"There is no folder {output.parent} for {output.name}: make it first.")
+    return SUFFIXES[output.suffix.lower()]
+
+
+def refine(engine: RenderEngine, scene: str, view: View, max_error: float | None, seconds: float | None) -> Frame:
+    """The frame once it is final or the time is spent; chunks are counted on a bar meanwhile.
+
+    A path-traced frame is as good as its samples: it is returned at once. Raises WorkersError where the workers fail,
+    or nothing has changed for PATIENCE seconds.
+    """
+    patience = Patience(clock=time.monotonic)
+    deadline = math.inf if seconds is None else time.monotonic() + seconds
+    with Progress("baking", "chunk") as bar:
+        while True:
+            left = max(0.0, deadline - time.monotonic())
+            frame = engine.frame(scene, view, max_error=max_error, wait=min(STEP, left))
+            bar.show(frame.chunks_final, frame.chunks_needed, engine.time_left(scene, frame, max_error))
+            if not frame.provisional or time.monotonic() >= deadline or not engine.lacking(scene, frame)[1]:
+                return frame
+            if engine.trouble():
+                raise WorkersError(engine.trouble())
+            patience.check(frame.version, engine.workforce.preparing, engine.unready())
+
+
+def reference(
+    target: str,
+    output: Path,
+    knobs: Mapping[str, str],
+    settings: Settings,
+    bounces: int | None,
+    goal: Mapping[str, Any],
+) -> dict[str, Any]:
+    """Grow the reference of a view, named by ``knobs``, in the file ``output``, and say how good it is.
+
+    It is written after each round, and gone on from where it is there already. ``goal`` are a Goal's. Raises
+    SceneError, VolumeError, LightError and ViewError before anything is begun, ReportError and OSError later.
+    """
+    check_file(output)
+    scene = open_scene(target, settings)
+    view = view_of(scene, read(ViewParams, knobs.items()), settings)
+
+    return grow_file(with_bounces(scene, bounces), view, output, Goal(**goal))
+
+
+def check_file(output: Path) -> None:
+    """ViewError where the file's name is of another kind, or its folder missing."""
+    if output.suffix != ".npz":
+        raise ViewError(f"{output} is no name for a reference: end it in .npz.")
+    if not output.parent.is_dir():
+        raise ViewError(f"There is no folder {output.parent} for {output.name}: make it first.")
+
+
+def grow_file(scene: Scene, view: View, output: Path, goal: Goal) -> dict[str, Any]:
+    """Grow the reference in ``output`` to its goal, with a bar; its facts."""
+
+    former = load_reference(output, scene, view) if output.exists() else None
+    found = former
+    with tempfile.TemporaryDirectory(prefix="isogi-reference-") as store, tqdm(unit="path", unit_scale=True) as bar:
+        for found in grow(make_renderer(scene, store), view, goal, former, progress=bar.update):
+            save_reference(output, found, scene, view)
+            show_noise(bar, found, goal)
+    assert found is not None, "one round is made in any case"
+    return {"file": str(output), "scene": scene.name, "bounces": scene.bounces, **facts(found)}
+
+
+def show_noise(bar: Any, found: Reference, goal: Goal) -> None:
+    """Put on the bar how good a reference is, and how many paths are still to come."""
+    foreseen = goal.foresee(found)
+    bar.total = None if foreseen is None else bar.n + int(found.on.sum()) * (foreseen - found.samples)
+    bar.set_postfix(samples=found.samples, noise=f"{found.noise:.2%}")
+
+
+def facts(found: Reference) -> dict[str, Any]:
+    """Size and quality of a reference, and the processor's seconds that it took."""
+    height, width = found.on.shape
+    size = {"width": width, "height": height, "surface": int(found.on.sum())}
+    return {**size, "samples": found.samples, "noise": found.noise, "seconds": found.seconds}
+
+
+def grown(facts: Mapping[str, Any]) -> str:
+    """What ``reference`` did, for a person."""
+    size = f"{facts['width']} × {facts['height']}, {facts['samples']} paths per pixel"
+    return f"{facts['file']}: {size}, noise {facts['noise']:.5f}, {facts['seconds']:.1f} seconds of the processor"

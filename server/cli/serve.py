@@ -1,0 +1,144 @@
+"""``isogi serve``: the socket, and how the server starts and stops."""
+
+import asyncio
+import gc
+import os
+import signal
+import socket
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import click
+import uvicorn
+from fastapi import FastAPI
+
+from isogi_core.errors import IsogiError
+from server import logs
+from server.api.app import create_app
+from server.api.connections import HANDSHAKE, Connection, ServerConfig, keep_newcomers_out, queued
+from server.api.service import Service
+from server.api.shutdown import Closing
+from server.progress import open_scene
+from server.render.engine import RenderEngine
+from server.render.resources import keep_memory_small, root_of
+from server.settings import Settings
+
+LAST = 3.0
+"""Seconds that a stopping process has left for itself once its requests had theirs."""
+
+EXPOSED = (
+    "Others can reach {host}, so that a token is needed: put one of 16 characters or more into ISOGI_TOKEN or the"
+    " configuration file, or listen on 127.0.0.1."
+)
+
+
+def serve(target: str | None, settings: Settings) -> None:
+    """Serve one scene until SIGTERM or SIGINT. The workers start while the app is made and the kernels are loaded.
+
+    Raises UsageError where others could reach it without a token, and IsogiError where the scene, the port or the
+    engine fails.
+    """
+    if settings.exposed and settings.token is None:
+        raise click.UsageError(EXPOSED.format(host=settings.host))
+    logs.configure(settings.log_format, settings.log_level)
+    keep_memory_small()
+    scene = open_scene(target, settings)
+    with listen(settings.host, settings.port) as listener:
+        workers, memory = (settings.workers, settings.scheduler), settings.memory_mb << 20
+        engine = RenderEngine([scene], root_of(settings), *workers, memory, projected=settings.projected_mb << 20)
+        engine.hire()
+        asyncio.run(run(create_app(engine, settings), listener))
+
+
+def listen(host: str, port: int) -> socket.socket:
+    """A listening socket; IsogiError where the address cannot be had."""
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    try:
+        return socket.create_server((host, port), family=family, backlog=128)
+    except OSError as error:
+        raise IsogiError(
+            f"Cannot listen on {host} port {port}: {os.strerror(error.errno) if error.errno else error}."
+        ) from error
+
+
+class Server(uvicorn.Server):
+    """Serves an app that ``create_app`` made; when it stops, requests come to their end first."""
+
+    def __init__(self, app: FastAPI, stopping: Callable[[], None] = lambda: None) -> None:
+        """Be ready to serve under the app's settings; ``stopping`` is called when it begins to stop."""
+        settings: Settings = app.state.settings
+        super().__init__(ServerConfig(app, settings, app.state.metrics))
+        self.closing: Closing = app.state.closing
+        self.patience = settings.shutdown_seconds
+        self.stopping = stopping
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        """Take no more connections, answer what was asked, and then close the app."""
+        self.stopping()
+        self.closing.begin()
+        for listener in sockets or ():
+            keep_newcomers_out(listener)
+        await asyncio.sleep(HANDSHAKE)
+        last = [each for listener in sockets or () for each in queued(listener)]
+        for server in self.servers:
+            server.close()
+        loop = asyncio.get_running_loop()
+        for each in last:
+            await loop.connect_accepted_socket(self._connection, each)
+        end = asyncio.create_task(self._end())
+        await super().shutdown(sockets)
+        end.cancel()
+
+    async def _end(self) -> None:
+        await asyncio.sleep(self.patience)
+        await self.closing.end()
+
+    def _connection(self) -> asyncio.Protocol:
+        assert isinstance(self.config, ServerConfig)
+        return Connection(self.config, self.server_state, self.lifespan.state)
+
+
+async def run(app: FastAPI, listener: socket.socket) -> None:
+    """Serve the app, say where once it is ready, and end with the engine's error where it did not start."""
+    server = Server(app, lambda: leave_within(app.state.settings.shutdown_seconds + LAST))
+    stop_on_signals(server)
+    service: Service = app.state.service
+    serving = asyncio.create_task(server.serve([listener]))
+    watching = asyncio.create_task(service.ready())
+    await asyncio.wait({serving, watching}, return_when=asyncio.FIRST_COMPLETED)
+    if service.failure:
+        server.should_exit = True
+    elif watching.done():
+        gc.freeze()  # 200,000 objects that stay: to look for garbage among them stops all threads for 0.2 s
+        click.echo(f"isogi is ready at {address(listener)}")
+    watching.cancel()
+    await serving
+    if service.failure:
+        raise service.failure
+
+
+def leave_within(seconds: float) -> None:
+    """End the process after so long at the latest: compiling and reading a slow store cannot be stopped.
+
+    All clients have their answers by then, and the store is whole at any time.
+    """
+    timer = threading.Timer(seconds, os._exit, [0])
+    timer.daemon = True
+    timer.start()
+
+
+def stop_on_signals(server: uvicorn.Server) -> None:
+    """Let SIGTERM and SIGINT end the server and not the process, before uvicorn listens to them and after."""
+
+    def stop(*_: Any) -> None:
+        server.should_exit = True
+
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, stop)
+
+
+def address(listener: socket.socket) -> str:
+    """The URL of a listening socket."""
+    host, port = listener.getsockname()[:2]
+    return f"http://[{host}]:{port}/" if ":" in host else f"http://{host}:{port}/"

@@ -1,0 +1,254 @@
+"""The parameters of a view and of a frame, and the view that they make in a scene."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from typing import Annotated, Any, Self, TypeVar
+
+from fastapi import Depends, Request
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, WithJsonSchema, field_validator, model_validator
+
+from isogi_core.errors import ViewError
+from isogi_core.model.view import (
+    IDENTITY,
+    OVERLAYS,
+    SHADINGS,
+    Camera,
+    Quaternion,
+    Vec3,
+    View,
+    orbit,
+    quaternion_from_angles,
+    unit_quaternion,
+)
+from isogi_core.plan.scene import Scene
+from server.errors import ParameterError
+from server.settings import Settings
+from server.values import Choice, Colour, Row, Span
+
+FORMATS = ("png", "jpeg", "webp", "npy")
+VERSION = r"^[0-9a-f]{32}$"
+LONGEST_SIDE = 16383  # WebP's own limit
+LONGEST_WAIT = 10_000
+"""Milliseconds that a request may wait for baking."""
+
+ORBIT = ("azimuth", "elevation", "distance")
+ANGLES = ("yaw", "pitch", "roll")
+XYZ = Row(("x", "y", "z"))
+TURN = Span(-360, 360)
+
+
+class NoParams(BaseModel):
+    """A resource that reads no parameters."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class ViewParams(NoParams):
+    """What to look at, from where and in which light; what is left out takes the scene's defaults."""
+
+    isovalue: Annotated[float | str | None, WithJsonSchema({"type": "number"})] = Field(
+        None, description="In the volume's own units, within the scene's range; default: the scene's."
+    )
+    azimuth: Annotated[float, TURN] = Field(30.0, description="Degrees; 0 looks from +x, 90 from +y.")
+    elevation: Annotated[float, Span(-90, 90)] = Field(20.0, description="Degrees above the xy plane.")
+    distance: Annotated[float, Span(0.01, 1e7)] = Field(
+        3.4, description="From the target, in radii of the volume's bounding sphere."
+    )
+    fov: Annotated[float, Span(0.01, 179)] = Field(30.0, description="Vertical field of view, degrees.")
+    eye: Annotated[Vec3 | None, XYZ] = Field(None, description="Instead of azimuth, elevation, distance: world x,y,z.")
+    target: Annotated[Vec3 | None, XYZ] = Field(
+        None, description="World x,y,z that is in the middle of the picture; default: the volume's centre."
+    )
+    up: Annotated[Vec3 | None, XYZ] = Field(
+        None, description="World x,y,z that points up in the picture; default: 0,0,1 with eye, else the orbit's own."
+    )
+    light: Annotated[Quaternion | None, Row(("w", "x", "y", "z"))] = Field(
+        None, description="Quaternion w,x,y,z that turns the light; instead of yaw, pitch, roll."
+    )
+    yaw: Annotated[float, TURN] = Field(0.0, description="Turns the light about z, degrees.")
+    pitch: Annotated[float, TURN] = Field(0.0, description="Then about y, degrees.")
+    roll: Annotated[float, TURN] = Field(0.0, description="Then about x, degrees.")
+    albedo: Annotated[Vec3 | None, Colour()] = Field(
+        None,
+        description="What share of the light the surface reflects, one number or r,g,b, within the scene's albedos;"
+        " default: the scene's albedo.",
+    )
+    width: Annotated[int, Span(1, LONGEST_SIDE, whole=True)] = Field(512, description="Pixels.")
+    height: Annotated[int, Span(1, LONGEST_SIDE, whole=True)] = Field(512, description="Pixels.")
+    shading: Annotated[str, Choice(SHADINGS)] = Field("gi", description="How the surface is lit.")
+    samples: Annotated[int, Span(1, 4096, whole=True)] = Field(16, description="Paths per pixel; path_traced alone.")
+    wait_ms: Annotated[int, Span(0, LONGEST_WAIT, whole=True)] = Field(0, description="Longest wait for baking.")
+    max_error: Annotated[float | None, Span(0.0001, 1)] = Field(
+        None, description="Relative error at which a pixel is final; default: the scene's target_error."
+    )
+
+    @model_validator(mode="after")
+    def one_of_each(self) -> Self:
+        """Refuses two ways of saying the same thing, and samples that nothing reads."""
+        given = self.model_fields_set
+        self._exclusive(sorted(given & {"eye"}), sorted(given & set(ORBIT)), "camera")
+        self._exclusive(sorted(given & {"light"}), sorted(given & set(ANGLES)), "light rotation")
+        if "samples" in given and self.shading != "path_traced":
+            raise ValueError(f"samples is for shading=path_traced, {self.shading} does not read it: leave it out.")
+        return self
+
+    @staticmethod
+    def _exclusive(some: list[str], others: list[str], what: str) -> None:
+        if some and others:
+            one, other = ", ".join(some), ", ".join(others)
+            raise ValueError(f"The {what} is given twice, by {one} and by {other}: keep one.")
+
+
+class UploadParams(NoParams):
+    """What to call an uploaded volume."""
+
+    name: str = Field("", max_length=80, description="A name for people; default: one made of the volume's id.")
+
+    @field_validator("name")
+    @classmethod
+    def one_line(cls, name: str) -> str:
+        """The name without blanks around it; refuses what does not show in a line of text."""
+        if not name.isprintable():
+            raise ValueError("must be one line of text.")
+        return name.strip()
+
+
+class FrameParams(ViewParams):
+    """A view and the picture to make of it."""
+
+    f: Annotated[str | None, Choice(FORMATS)] = Field(None, description="Picture format; default: by Accept, else png.")
+    overlay: Annotated[str, Choice(OVERLAYS)] = Field(
+        "none",
+        description="Marks over the picture: provisional hatches what is not final; error colours each pixel by its"
+        " estimated relative error on a log scale (the scene's error_scale), and hatches what has no light yet.",
+    )
+    exposure: Annotated[float | None, Span(1e-36, 1e36)] = Field(
+        None, description="Factor on radiance before the tone curve; default: the scene's."
+    )
+    version: Annotated[str | None, WithJsonSchema({"type": "string", "pattern": VERSION})] = Field(
+        None,
+        pattern=VERSION,
+        description="An ETag without its quotes: the final picture that has it may be kept for ever.",
+    )
+
+
+class SkyParams(NoParams):
+    """A picture of the light around a scene."""
+
+    width: Annotated[int, Span(16, 512, whole=True)] = Field(256, description="Pixels; the height is half of it.")
+    f: Annotated[str, Choice(FORMATS[:3])] = Field("png", description="Picture format.")
+    version: str | None = Field(
+        None, pattern=VERSION, description="An ETag without its quotes: the picture that has it may be kept for ever."
+    )
+
+
+Model = TypeVar("Model", bound=NoParams)
+
+
+def read(model: type[Model], pairs: Iterable[tuple[str, Any]]) -> Model:
+    """The parameters as ``model``; ParameterError, in one sentence, on the first thing that is wrong."""
+    values: dict[str, Any] = {}
+    for name, value in pairs:
+        if name in values:
+            raise ParameterError(f"{name} is given more than once: give it once.", name)
+        values[name] = value
+    try:
+        return model.model_validate(values)
+    except ValidationError as error:
+        raise complaint(model, error) from None
+
+
+def complaint(model: type[BaseModel], error: ValidationError) -> ParameterError:
+    """The first finding of pydantic as one sentence about one parameter."""
+    first = error.errors(include_url=False)[0]
+    name = ".".join(map(str, first["loc"]))
+    if first["type"] == "extra_forbidden" and len(first["loc"]) == 1:
+        known = ", ".join(model.model_fields) or "none"
+        return ParameterError(f"There is no parameter '{name[:40]}' here; the parameters are: {known}.", name)
+    reason = first["msg"].removeprefix("Value error, ").rstrip(".")
+    return ParameterError(f"{name} {reason}.".strip(), name)
+
+
+def documented(model: type[BaseModel]) -> dict[str, Any]:
+    """The model's fields as query parameters of an OpenAPI operation; None is no default that a query can spell."""
+    described: Mapping[str, dict[str, Any]] = model.model_json_schema()["properties"]
+    for schema in described.values():
+        if schema["default"] is None:
+            del schema["default"]
+    return {
+        "parameters": [
+            {"name": name, "in": "query", "description": schema.pop("description"), "schema": schema}
+            for name, schema in described.items()
+        ]
+    }
+
+
+def _reader(model: type[Model]) -> Any:
+    async def query(request: Request) -> Model:
+        return read(model, request.query_params.multi_items())
+
+    return Depends(query)
+
+
+NoParamsDep = _reader(NoParams)
+ViewParamsDep = Annotated[ViewParams, _reader(ViewParams)]
+UploadParamsDep = Annotated[UploadParams, _reader(UploadParams)]
+FrameParamsDep = Annotated[FrameParams, _reader(FrameParams)]
+SkyParamsDep = Annotated[SkyParams, _reader(SkyParams)]
+
+
+def view_of(scene: Scene, params: ViewParams, settings: Settings) -> View:
+    """The view that the parameters ask for; ViewError where this scene or these settings do not allow it."""
+    pixels, paths = params.width * params.height, params.width * params.height * params.samples
+    if pixels > settings.max_pixels:
+        raise ViewError(f"width × height must be at most {settings.max_pixels} pixels, not {pixels}.")
+    if params.shading == "path_traced" and paths > settings.max_paths:
+        raise ViewError(f"width × height × samples must be at most {settings.max_paths} paths, not {paths}.")
+    return View(
+        isovalue=isovalue_of(scene, params),
+        camera=camera_of(scene, params),
+        light=light_of(scene, params),
+        width=params.width,
+        height=params.height,
+        shading=params.shading,
+        samples=params.samples,
+        albedo=albedo_of(scene, params),
+    )
+
+
+def isovalue_of(scene: Scene, params: ViewParams) -> float:
+    """The isovalue asked for, else the scene's; ParameterError where it is outside the scene's range."""
+    if params.isovalue is None:
+        return scene.isovalue
+    try:
+        return Span(*scene.isovalues).read(params.isovalue)
+    except ValueError as error:
+        raise ParameterError(f"isovalue {error}", "isovalue") from None
+
+
+def albedo_of(scene: Scene, params: ViewParams) -> Vec3 | None:
+    """The albedo asked for, None where it is the scene's; ParameterError where the scene's light is not of it."""
+    try:
+        return None if scene.albedo_for(params.albedo) == scene.albedo else params.albedo
+    except ViewError as error:
+        raise ParameterError(str(error), "albedo") from None
+
+
+def camera_of(scene: Scene, params: ViewParams) -> Camera:
+    """The camera: at the eye where one is given, else on its orbit about the target."""
+    target, radius = params.target or scene.volume.centre, scene.volume.radius
+    if params.eye is not None:
+        return Camera(params.eye, target, params.up or (0.0, 0.0, 1.0), params.fov)
+    camera = orbit(target, radius, params.azimuth, params.elevation, params.distance, params.fov)
+    return camera if params.up is None else replace(camera, up=params.up)
+
+
+def light_of(scene: Scene, params: ViewParams) -> Quaternion:
+    """The light rotation as a unit quaternion; ViewError where the scene's light does not turn."""
+    if params.light is not None:
+        turn = unit_quaternion(params.light)
+    else:
+        turn = quaternion_from_angles(params.yaw, params.pitch, params.roll)
+    if not scene.rotating and abs(turn[0]) < 1 - 1e-12:
+        raise ViewError("This scene's light does not turn (rotating = false): leave light and its angles out.")
+    return turn if scene.rotating else IDENTITY

@@ -1,0 +1,158 @@
+"""Bakes of a scene as the workers know them, bakes of projected texels, background bakes, and patience."""
+
+import threading
+import time
+from collections import OrderedDict
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+from isogi_core.cache.costs import Costs
+from isogi_core.cache.scene_assets import SceneAssets
+from isogi_core.cache.scene_caches import Caches
+from isogi_core.cache.upkeep.prune import trim_projected
+from isogi_core.frame.view_texels import Demand
+from isogi_core.model.volume import Isovalue
+from isogi_core.prepared.prepared_scene import Index
+from isogi_core.storage.store import Store
+from worker.bake_requests import Viewer
+from worker.baker import Bake, Baker
+from worker.errors import WorkersError
+from worker.progress import TimeLeft
+
+
+def bake_name(scene: str, spec: str) -> str:
+    """The name of a scene's bake by a spec, among all bakes; the scene's own name for the scene's own spec."""
+    return scene if spec == "gi" else f"{scene} ({spec})"
+
+
+def make_bake(caches: Caches, name: str, assets: SceneAssets | None, shown: Isovalue | None = None) -> Bake:
+    """The bake of a spec, by its name; workers that were joined, and lack the scene's files, read the ``assets``.
+
+    Of texels projected onto an isosurface where one is ``shown``.
+    """
+    spec, store = replace(caches.spec(name), shown=shown), caches.store
+    scene, plan = spec.prepared.scene, replace(spec.plan, left_out=(), notes=())
+    layers = frozenset(scene.layer_digest(layer, shown) for layer in plan.layers)
+    arrived = partial(caches.refresh, name, shown=shown)
+    costs = Costs(store, spec.digest)
+    costs.read()
+    return Bake(scene.source, plan, spec.digest, layers, store.url, arrived, costs, assets, shown)
+
+
+BACKGROUND = Viewer("background", patient=True)
+"""Background bakes yield to people who wait for a frame."""
+
+
+class BackgroundBake:
+    """Light that is baked while no frame waits: the ``demands`` of one ``bake``, by its name, to a ``target`` error."""
+
+    def __init__(
+        self, baker: Baker, bake: str, demands: Iterable[Demand], target: float, viewer: Viewer = BACKGROUND
+    ) -> None:
+        """Request it from the ``baker``, for a ``viewer``; ``coming`` are the chunks that were not given up before."""
+        wanted = tuple(demands)
+        self._baker, self._viewer = baker, viewer
+        self.bake, self.chunks = bake, [demand.index for demand in wanted]
+        self.coming = baker.request(bake, wanted, target, viewer)
+
+    def waiting(self) -> int:
+        """How many of its ``chunks`` are neither baked nor given up. Asked now and then, it stays wanted."""
+        return self._baker.open(self.bake, self.chunks, self._viewer)
+
+    def failures(self) -> dict[Index, str]:
+        """Why those of its chunks that were given up were."""
+        return self._baker.failures(self.bake, self.chunks)
+
+    def wait(self, seconds: float) -> None:
+        """Block until all of it is baked or given up, at most ``seconds``."""
+        self._baker.wait(self.bake, self.chunks, seconds)
+
+    def time_left(self) -> TimeLeft | None:
+        """Seconds until all of it is baked; None where that is unknown."""
+        return self._baker.time_left(self.bake, self._viewer, self.chunks)
+
+
+MOST = 32
+"""Isovalues, of all scenes, whose projected texels may be baked at a time: those asked for last."""
+
+
+class ProjectedBakes:
+    """The bakes of projected texels that a ``baker`` knows. Safe to use from many threads."""
+
+    def __init__(self, baker: Baker, store: Store, most: int) -> None:
+        """None yet. When one is added, a thread trims the ``store`` to ``most`` bytes of projected texels."""
+        self._baker, self._store, self._most = baker, store, most
+        self._names: OrderedDict[str, str] = OrderedDict()
+        self._lock = threading.Lock()
+        self._trimming = threading.Lock()
+        self._trimmer: threading.Thread | None = None
+
+    def name(self, scene: str, shown: Isovalue, make: Callable[[], Bake]) -> str:
+        """The name of the bake of a scene's texels projected onto the isosurface ``shown``, made where it is new."""
+        name = f"{scene} (projected at {shown!r})"
+        with self._lock:
+            new = name not in self._names
+            if new:
+                self._baker.add(name, make())
+            self._names[name] = scene
+            self._names.move_to_end(name)
+            old = [self._names.popitem(last=False)[0] for _ in range(len(self._names) - MOST)]
+        for each in old:
+            self._baker.forget(each)
+        if new:
+            self._trimmer = threading.Thread(target=self._trim_once, name="trimming", daemon=True)
+            self._trimmer.start()
+        return name
+
+    def settle(self) -> None:
+        """Returns when nothing is being trimmed."""
+        if self._trimmer is not None:
+            self._trimmer.join()
+
+    def scene(self, bake: str) -> str:
+        """The name of the bake that views read besides one of projected texels; any other is its own."""
+        return self._names.get(bake, bake)
+
+    def forget(self, scene: str) -> None:
+        """Bake no more projected texels of a scene."""
+        with self._lock:
+            gone = [name for name, own in self._names.items() if own == scene]
+            for name in gone:
+                del self._names[name]
+        for name in gone:
+            self._baker.forget(name)
+
+    def _trim_once(self) -> None:
+        """Trim, unless that is being done."""
+        if self._trimming.acquire(blocking=False):
+            try:
+                trim_projected(self._store, self._most)
+            finally:
+                self._trimming.release()
+
+
+PATIENCE = 120.0
+"""Seconds without anything new after which the workers are taken for broken."""
+
+
+class Patience:
+    """How long to wait for light: so many ``seconds`` without anything new, while workers can bake."""
+
+    def __init__(self, seconds: float = PATIENCE, clock: Callable[[], float] = time.monotonic) -> None:
+        """Begin now."""
+        self._seconds, self._clock = seconds, clock
+        self._since, self._seen = clock(), None
+
+    def check(self, progress: Any, preparing: str, reasons: Iterable[str]) -> None:
+        """Go on where ``progress`` is another value than before, or workers are ``preparing``: they start or compile.
+
+        Raises WorkersError, with the ``reasons`` that are known, once the patience has ended.
+        """
+        now = self._clock()
+        if preparing or progress != self._seen:
+            self._since, self._seen = now, progress
+        elif now - self._since > self._seconds:
+            why = " ".join(reasons) or "The workers bake nothing new."
+            raise WorkersError(f"No light came for {self._seconds:g} seconds. {why}")

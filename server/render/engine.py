@@ -1,0 +1,293 @@
+"""The render engine: loaded scenes, one set of workers, and frames of any scene."""
+
+import threading
+import time
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
+
+from isogi_core.bake.bake_spec import SPECS, spec_name
+from isogi_core.cache.chunk_store import default_store
+from isogi_core.cache.costs import Cost
+from isogi_core.errors import StoreFullError, StoreReadOnlyError
+from isogi_core.frame.entry_kernels import frame_kernels
+from isogi_core.frame.frame import Frame
+from isogi_core.frame.renderer import Renderer, surface_key
+from isogi_core.frame.tiles import Stopwatch, Tiles
+from isogi_core.frame.view_texels import Demand
+from isogi_core.kernels._cache_folder import prune
+from isogi_core.kernels._jit import FOLDER, warm
+from isogi_core.model.view import View
+from isogi_core.model.volume import Isovalue
+from isogi_core.plan.scene import Scene
+from isogi_core.prepared.prepared_scene import Index
+from isogi_core.storage.store import Store, StoreLike
+from isogi_core.storage.url import StoreUrl
+from server.errors import UnknownSceneError
+from server.render.bakes import BACKGROUND, BackgroundBake, ProjectedBakes, bake_name, make_bake
+from server.render.loaded_scene import LoadedScene, load
+from server.render.resources import shared, whereabouts
+from server.render.workforce import Workforce
+from worker.bake_requests import GUEST, Viewer
+from worker.baker import Baker, Listener
+from worker.progress import Tally, TimeLeft
+
+READ_ONLY = "The store at {store} can only be read: what is baked there is shown, and nothing more is baked."
+
+MEMORY = 1 << 30
+"""Bytes of light, views and maps that a scene may keep in memory."""
+
+PROJECTED = 4 << 30
+"""Bytes of projected texels that a store may keep."""
+
+
+class RenderEngine:
+    """Renders frames of its scenes and has the workers bake what they lack. Safe to use from many threads."""
+
+    def __init__(
+        self,
+        scenes: Sequence[Scene],
+        store: StoreLike | None = None,
+        workers: int = 1,
+        scheduler: str | None = None,
+        memory: int = MEMORY,
+        baker: Baker | None = None,
+        projected: int = PROJECTED,
+    ) -> None:
+        """Take on ``scenes``; ``store`` is a folder, URL or root for light, ``scheduler`` a cluster to join.
+
+        ``baker`` bakes the light, one for so many workers by default; the store may keep so many bytes of
+        ``projected`` texels.
+        """
+        self.scenes = {scene.id: scene for scene in scenes}
+        self.store = store if isinstance(store, Store) else Store(whereabouts(StoreUrl.of(store or default_store())))
+        self._memory = shared(memory)
+        self._tiles = Tiles()
+        self._baker = baker or Baker(workers=None if scheduler else workers)
+        self.workforce = Workforce(self._baker, self.store.url, workers, scheduler)
+        self._loaded: dict[str, LoadedScene] = {}
+        self._projected = ProjectedBakes(self._baker, self.store, projected)
+        self._stopped = threading.Event()
+
+    def start(self, hire: bool = True) -> None:
+        """Have the workers come while the stores are opened and the kernels of frames loaded, or compiled once.
+
+        Without workers to ``hire`` nothing is baked, nor in a store that can only be read. Raises StoreError.
+        """
+        if hire:
+            self.hire()
+        warm(frame_kernels(self.scenes.values()), self._stopped)
+        if self._stopped.is_set():
+            return
+        with suppress(StoreReadOnlyError, StoreFullError):
+            self.store.check_writable()
+        for scene in list(self.scenes.values()):
+            self._load(scene)
+        prune(FOLDER)
+
+    def stop(self) -> None:
+        """Have ``start``, if it is at work in another thread, return without an engine that can be used."""
+        self._stopped.set()
+
+    def hire(self) -> None:
+        """Have the workers come, beside whatever else there is to do."""
+        self.workforce.hire({layer.kind for scene in self.scenes.values() for layer in scene.plan.layers})
+
+    def admit(self, scene: Scene) -> None:
+        """Show one more scene, once the engine has started. Raises StoreError."""
+        warm(frame_kernels([scene]), self._stopped)
+        self._load(scene)
+
+    def dismiss(self, scene: str) -> None:
+        """Show a scene no more: frames that are drawn come to their end, and nothing more is baked for it.
+
+        Its light stays in the store.
+        """
+        loaded = self._loaded.pop(scene)
+        self.scenes = {name: each for name, each in self.scenes.items() if name != scene}
+        for spec in SPECS:
+            self._baker.forget(bake_name(scene, spec))
+        self._projected.forget(scene)
+        loaded.close()
+
+    def frame(
+        self,
+        scene: str,
+        view: View,
+        *,
+        max_error: float | None = None,
+        wait: float = 0.0,
+        cancelled: threading.Event | None = None,
+        watch: Stopwatch | None = None,
+    ) -> Frame:
+        """The frame of a view with the light baked so far, after at most ``wait`` seconds of baking more.
+
+        ``max_error`` is the relative error at which light is final, the scene's target by default; ``watch`` takes
+        the time of all stages. Raises ViewError, StoreError, and Cancelled once ``cancelled`` is set.
+        """
+        watch = watch or Stopwatch()
+        deadline = time.monotonic() + wait
+        target = max_error or self._find(scene).scene.target_error
+        frame = self.survey(scene, view, target, cancelled, watch)
+        while self._coming(scene, frame, target, watch):
+            left = deadline - time.monotonic()
+            if left <= 0.0:
+                break
+            with watch.stage("bake"):
+                self._baker.wait(*self._chunks(scene, frame), left)
+            frame = self.survey(scene, view, target, cancelled, watch)
+        return frame
+
+    def survey(
+        self,
+        scene: str,
+        view: View,
+        target: float,
+        cancelled: threading.Event | None = None,
+        watch: Stopwatch | None = None,
+    ) -> Frame:
+        """The frame of a view with the light baked so far; none that it lacks is requested.
+
+        Raises as ``frame`` does, and UnknownSceneError where the scene was dismissed.
+        """
+        return self._find(scene).render(view, target, cancelled, watch or Stopwatch())
+
+    def want(self, scene: str, frame: Frame, target: float, viewer: Viewer) -> frozenset[Index]:
+        """Request the light that a ``frame`` lacks, for a ``viewer``; the chunks that are going to be baked."""
+        if self.store.only_read():
+            return frozenset()
+        bake, demands = self.lacking(scene, frame)
+        return self._baker.request(bake, demands, target, viewer)
+
+    def lacking(self, scene: str, frame: Frame) -> tuple[str, tuple[Demand, ...]]:
+        """The bake that a ``frame`` lacks light of, and what of it: projected texels once all else is final.
+
+        A path-traced frame lacks none, however far it is from its target.
+        """
+        bake, loaded = self.bake_of(scene, frame.view), self._loaded.get(scene)
+        if loaded is None or frame.demands or frame.projection is None or not frame.projection.demands:
+            return bake, frame.demands
+        return self.bake_onto(scene, frame.gbuffer.isovalue), frame.projection.demands
+
+    def bake_onto(self, scene: str, shown: Isovalue | None) -> str:
+        """The name of a scene's own bake, or of that of its texels projected onto the isosurface ``shown``."""
+        if shown is None:
+            return bake_name(scene, "gi")
+        loaded = self._find(scene)
+        return self._projected.name(scene, shown, lambda: make_bake(loaded.renderer.caches, "gi", loaded.assets, shown))
+
+    def _chunks(self, scene: str, frame: Frame) -> tuple[str, list[Index]]:
+        """The bake that a ``frame`` lacks light of, and the chunks of it."""
+        bake, demands = self.lacking(scene, frame)
+        return bake, [demand.index for demand in demands]
+
+    def waiting(self, scene: str, frame: Frame, viewer: Viewer) -> int:
+        """How many chunks that a ``frame`` lacks are still to be baked; what the ``viewer`` wants stays wanted."""
+        return self._baker.open(*self._chunks(scene, frame), viewer)
+
+    def make_way(self) -> None:
+        """Have the workers make way for a view that moves."""
+        self._baker.make_way()
+
+    def leave(self, viewer: Viewer) -> None:
+        """Have nothing more baked for a ``viewer`` that has gone."""
+        self._baker.leave(viewer)
+
+    def listen(self, listener: Listener) -> None:
+        """Call ``listener`` for every chunk of a bake that has new light, or whose task failed; see ``bake_of``.
+
+        Projected texels are reported as the scene's own.
+        """
+        self._baker.listen(lambda bake, index, more: listener(self._projected.scene(bake), index, more))
+
+    def time_left(self, scene: str, frame: Frame, max_error: float | None = None) -> TimeLeft | None:
+        """Seconds until the view of a ``frame`` is final; None where that is unknown, or no worker is at it."""
+        target = max_error or self._find(scene).scene.target_error
+        bake, chunks = self._chunks(scene, frame)
+        left = self._baker.time_left(bake, (bake, surface_key(frame.view), target), chunks)
+        if not frame.provisional:
+            return TimeLeft(0.0, 0.0, 0.0)
+        return left if left is not None and left.high > 0.0 else None
+
+    def bake(self, bake: str, demands: Iterable[Demand], target: float, viewer: Viewer = BACKGROUND) -> BackgroundBake:
+        """Have what ``demands`` want of a ``bake`` (see ``bake_of``) baked to a ``target`` error, for a ``viewer``."""
+        return BackgroundBake(self._baker, bake, () if self.store.only_read() else demands, target, viewer)
+
+    def spent(self, bake: str, indices: Iterable[Index]) -> Cost:
+        """What tasks at these chunks of a bake took so far."""
+        return self._baker.spent(bake, indices)
+
+    def renderer(self, scene: str) -> Renderer:
+        """The renderer of a scene; UnknownSceneError where it was dismissed."""
+        return self._find(scene).renderer
+
+    @property
+    def workers(self) -> int:
+        """How many workers there are, or are to come."""
+        return self._baker.workers
+
+    @property
+    def manned(self) -> bool:
+        """Whether there are workers."""
+        return self._baker.manned
+
+    def bake_of(self, scene: str, view: View) -> str:
+        """The name of the bake that a view of a scene reads."""
+        return bake_name(scene, spec_name(view.shading))
+
+    @property
+    def paths(self) -> int:
+        """Paths that were baked, of all scenes."""
+        return self._baker.paths
+
+    def trouble(self) -> str:
+        """Why light will not be baked: the store is only read, there are no workers, or a chunk was given up.
+
+        Empty when all is well.
+        """
+        if self.store.read_only:
+            return READ_ONLY.format(store=self.store.url)
+        return self.workforce.missing or self._baker.trouble()
+
+    def tally(self) -> Tally:
+        """What baking has to do, has done, and has lost."""
+        return self._baker.tally()
+
+    def unready(self) -> list[str]:
+        """Reasons why frames would not become final; none when all is well, or nothing is baked on purpose."""
+        if self.store.read_only:
+            return []
+        why = self.trouble() or self._baker.paused() or self.workforce.trouble
+        return [why] if why else []
+
+    def notes(self) -> list[str]:
+        """What a person should know though all goes as it should: that the store is only read."""
+        return [self.trouble()] if self.store.read_only else []
+
+    def close(self) -> None:
+        """Stop the workers; what they were at is baked again when it is next wanted."""
+        self._stopped.set()
+        self._baker.stop()
+        self.workforce.close()
+        for loaded in list(self._loaded.values()):
+            loaded.close()
+        self._tiles.close()
+
+    def _coming(self, scene: str, frame: Frame, target: float, watch: Stopwatch) -> bool:
+        """Request the light that a frame lacks; whether any of it is going to be baked."""
+        with watch.stage("demand"):
+            return bool(self.lacking(scene, frame)[1] and self.want(scene, frame, target, GUEST))
+
+    def _find(self, scene: str) -> LoadedScene:
+        """A loaded scene; UnknownSceneError where it was dismissed."""
+        loaded = self._loaded.get(scene)
+        if loaded is None:
+            raise UnknownSceneError(f"The scene '{scene}' is not shown any more.")
+        return loaded
+
+    def _load(self, scene: Scene) -> None:
+        """Load a scene, and have it found; the former scenes may be iterated over meanwhile. Raises StoreError."""
+        loaded = load(scene, self.store, self._tiles, self._memory, send=self.workforce.joins)
+        for spec in SPECS:
+            self._baker.add(bake_name(scene.id, spec), make_bake(loaded.renderer.caches, spec, loaded.assets))
+        self._loaded[scene.id] = loaded
+        self.scenes = {**self.scenes, scene.id: loaded.scene}

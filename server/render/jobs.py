@@ -1,0 +1,197 @@
+"""Jobs: work that goes on when its request has been answered. They live in memory, as long as the server does.
+
+Prewarms besides have records beside the light, by which a server that starts takes them up.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections import Counter
+from collections.abc import Awaitable, Callable, Iterable
+from dataclasses import dataclass, field
+from datetime import UTC, datetime, timedelta
+from enum import StrEnum
+from uuid import uuid4
+
+from pydantic import BaseModel
+
+from isogi_core.errors import IsogiError
+from server.errors import BusyError, UnknownJobError
+from worker.progress import TimeLeft
+
+log = logging.getLogger("isogi.server")
+
+KEPT = timedelta(hours=1)
+"""Time for which a job that has ended is known."""
+
+MOST_KEPT = 1000
+"""Jobs that have ended and are known, at most; the oldest are forgotten first."""
+
+STOPPED = "The server stopped: ask again, light that was baked is kept."
+
+
+class Status(StrEnum):
+    """How far a job is, in the words of OGC API Processes."""
+
+    ACCEPTED = "accepted"
+    RUNNING = "running"
+    SUCCESSFUL = "successful"
+    FAILED = "failed"
+    DISMISSED = "dismissed"
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a job has made: the address ``href`` of a ``type``, in a few words the ``title``."""
+
+    href: str
+    type: str
+    title: str
+
+
+def now() -> datetime:
+    """The present time."""
+    return datetime.now(UTC)
+
+
+@dataclass(eq=False)
+class Job:
+    """One piece of work of a ``process``, such as "frame"; the ``title`` says what of.
+
+    ``progress`` is in percent and never falls. Work says how far it is by ``report``; a ``document`` that it leaves
+    is the job's own result.
+    """
+
+    process: str
+    title: str
+    id: str = field(default_factory=lambda: str(uuid4()))
+    status: Status = Status.ACCEPTED
+    message: str = "This begins soon."
+    progress: int = 0
+    time_left: TimeLeft | None = None
+    results: tuple[Result, ...] = ()
+    document: BaseModel | None = None
+    created: datetime = field(default_factory=now)
+    started: datetime | None = None
+    finished: datetime | None = None
+    updated: datetime = field(default_factory=now)
+
+    @property
+    def expires(self) -> datetime | None:
+        """When it is forgotten; None before its end."""
+        return None if self.finished is None else self.finished + KEPT
+
+    def report(self, share: float, message: str, left: TimeLeft | None = None) -> None:
+        """Say that so large a share is done, and the time that the rest takes."""
+        self.progress = max(self.progress, int(100 * share))
+        self.message, self.time_left, self.updated = message, left, now()
+
+    def begin(self) -> None:
+        """It is worked on."""
+        self.status, self.started = Status.RUNNING, now()
+
+    def end(self, status: Status, message: str, results: Iterable[Result] = ()) -> None:
+        """No more is done for it. The first end counts."""
+        if self.finished is not None:
+            return
+        self.report(1.0 if status is Status.SUCCESSFUL else 0.0, message)
+        self.status, self.finished, self.results = status, self.updated, tuple(results)
+
+
+Work = Callable[[Job], Awaitable[Iterable[Result]]]
+"""What a job does, and its results. It is cancelled when the job is dismissed, and what it raises is why it failed."""
+
+
+class Jobs:
+    """At most so many jobs at once; each may be dismissed. For one event loop alone."""
+
+    def __init__(self, most: int) -> None:
+        """Have none yet."""
+        self._most = most
+        self.closed = False
+        self._jobs: dict[str, Job] = {}
+        self._tasks: dict[str, asyncio.Task[None]] = {}
+
+    def begin(self, process: str, title: str, work: Work, key: str | None = None) -> Job:
+        """A new job, whose work begins once the caller waits for something. Raises BusyError where there are enough.
+
+        Its id is ``key`` where one is given; a job that has that id and has not ended is the answer then.
+        """
+        if (running := self.running(key)) is not None:
+            return running
+        if len(self._tasks) >= self._most:
+            raise BusyError(f"{len(self._tasks)} jobs are at work already: wait for one, or dismiss one.")
+        self._forget()
+        job = Job(process, title) if key is None else Job(process, title, key)
+        self._jobs.pop(job.id, None)
+        self._jobs[job.id] = job
+        self._tasks[job.id] = task = asyncio.create_task(run(job, work))
+        task.add_done_callback(lambda _: self._tasks.pop(job.id))
+        return job
+
+    def running(self, key: str | None) -> Job | None:
+        """The job with this id, where it has not ended."""
+        return self._jobs[key] if key is not None and key in self._tasks else None
+
+    def all(self) -> list[Job]:
+        """All that are known, the newest first."""
+        self._forget()
+        return list(reversed(self._jobs.values()))
+
+    def find(self, key: str) -> Job:
+        """The job with this id; UnknownJobError where there is none."""
+        self._forget()
+        if key not in self._jobs:
+            raise UnknownJobError(
+                f"There is no job '{key[:64]}': /v1/jobs lists them all. A job is forgotten an hour after its"
+                " end, and when the server stops."
+            )
+        return self._jobs[key]
+
+    async def dismiss(self, key: str) -> Job:
+        """End a job, and return once it has; one that has ended is forgotten. Raises UnknownJobError."""
+        job = self.find(key)
+        if job.finished is not None:
+            del self._jobs[key]
+            return job
+        job.end(Status.DISMISSED, "This was dismissed.")
+        await ended(self._tasks[key])
+        return job
+
+    def counts(self) -> dict[Status, int]:
+        """How many there are of each status."""
+        return dict.fromkeys(Status, 0) | Counter(job.status for job in list(self._jobs.values()))
+
+    async def close(self) -> None:
+        """End all of them."""
+        self.closed = True
+        for key in list(self._tasks):
+            self._jobs[key].end(Status.DISMISSED, STOPPED)
+        await asyncio.gather(*map(ended, self._tasks.values()))
+
+    def _forget(self) -> None:
+        """Forget what ended long ago, and the oldest of too much that has ended."""
+        over = [job for job in self._jobs.values() if job.expires is not None]
+        surplus, present = len(over) - MOST_KEPT, now()
+        for place, job in enumerate(over):
+            if place < surplus or (job.expires is not None and job.expires <= present):
+                del self._jobs[job.id]
+
+
+async def run(job: Job, work: Work) -> None:
+    """Do the work of a job to one end or the other."""
+    job.begin()
+    try:
+        job.end(Status.SUCCESSFUL, "This is done.", await work(job))
+    except IsogiError as error:
+        job.end(Status.FAILED, str(error))
+    except Exception:
+        log.exception("job %s (%s) failed", job.id, job.title)
+        job.end(Status.FAILED, "The server failed on this job; its log says why.")
+
+
+async def ended(task: asyncio.Task[None]) -> None:
+    """Cancel a task; returns when it has ended."""
+    task.cancel()
+    await asyncio.wait({task})

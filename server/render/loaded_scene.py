@@ -1,0 +1,173 @@
+"""A loaded scene: its renderer over the store, and the prefetching of what the next isovalues of a slider need."""
+
+import math
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from isogi_core.cache.scene_assets import SceneAssets, send_assets
+from isogi_core.cache.scene_caches import Caches
+from isogi_core.errors import Cancelled, StoreFullError, StoreReadOnlyError
+from isogi_core.frame.frame import Frame
+from isogi_core.frame.renderer import Renderer
+from isogi_core.frame.tiles import Stopwatch, Tiles
+from isogi_core.model.view import View
+from isogi_core.model.volume import Isovalue
+from isogi_core.plan.planner import complete
+from isogi_core.plan.scene import Scene
+from isogi_core.prepared.active_cell_maps import ActiveCellMaps
+from isogi_core.prepared.prepared_scene import PreparedScene
+from isogi_core.storage.store import Store
+from server.render.resources import Memory
+
+AHEAD = 2
+"""Values to come that are prepared."""
+
+Prepare = Callable[[float, threading.Event], object]
+
+
+class Prefetch:
+    """Watches the isovalues of the frames that are asked for. Safe to use from many threads."""
+
+    def __init__(self, prepare: Prepare, levels: np.ndarray, span: tuple[Isovalue, Isovalue]) -> None:
+        """``prepare(isovalue, cancelled)`` makes ready what serves all isovalues of a group: see ``next_values``.
+
+        ``span`` are the lowest and the highest isovalue that may be asked for.
+        """
+        self._prepare = prepare
+        self._levels = levels
+        self._span = span
+        self._thread = ThreadPoolExecutor(1, "prefetch")
+        self._lock = threading.Lock()
+        self._open = 0
+        self._last: float | None = None
+        self._coming: list[float] = []
+        self._preparing: float | None = None
+        self._closed = False
+        self._cancelled = threading.Event()
+        self._cancelled.set()  # as it is whenever nothing is at work
+
+    @contextmanager
+    def frame(self, isovalue: Isovalue) -> Iterator[None]:
+        """Around the work on a frame: preparations stop when it begins, and go on when none is worked on.
+
+        What serves this very frame is made to its end.
+        """
+        level = float(isovalue)
+        with self._lock:
+            self._open += 1
+            if not self._serves(level):
+                self._cancelled.set()
+        try:
+            yield
+        finally:
+            with self._lock:
+                self._open -= 1
+                self._note(level)
+                if self._coming and not self._open and self._cancelled.is_set() and not self._closed:
+                    self._cancelled = threading.Event()
+                    self._thread.submit(self._work, self._cancelled)
+
+    def close(self) -> None:
+        """Stop, and wait until it has."""
+        with self._lock:
+            self._closed = True
+            self._cancelled.set()
+        self._thread.shutdown(cancel_futures=True)
+
+    def _note(self, isovalue: float) -> None:
+        """Where the slider goes, if it moved."""
+        if self._last is not None and isovalue != self._last:
+            lowest, highest = self._span
+            self._coming = [v for v in next_values(self._last, isovalue, self._levels) if lowest <= v <= highest]
+        self._last = isovalue
+
+    def _serves(self, isovalue: float) -> bool:
+        """Whether what is being prepared is for the same group."""
+        now = self._preparing
+        return now is not None and group_of(now, self._levels) == group_of(isovalue, self._levels)
+
+    def _work(self, cancelled: threading.Event) -> None:
+        """Prepare what is coming until a frame is asked for."""
+        while (isovalue := self._begin(cancelled)) is not None:
+            try:
+                self._prepare(isovalue, cancelled)
+            except Cancelled:
+                return
+            with self._lock:
+                if self._coming[:1] == [isovalue]:
+                    del self._coming[0]
+
+    def _begin(self, cancelled: threading.Event) -> float | None:
+        """What to prepare next; none, and the work ends, where nothing is coming or a frame is worked on."""
+        with self._lock:
+            if self._open or not self._coming:
+                cancelled.set()
+            self._preparing = None if cancelled.is_set() else self._coming[0]
+            return self._preparing
+
+
+def next_values(before: float, now: float, levels: np.ndarray) -> list[float]:
+    """The values that follow ``now`` at the pace and in the direction of the last move, each in another group.
+
+    ``levels`` (m,), ascending from -inf to inf, are where groups begin; there is none beyond the first and the last.
+    """
+    pace, coming = now - before, [now]
+    for _ in range(AHEAD):
+        group, value = group_of(coming[-1], levels), coming[-1] + pace
+        if group_of(value, levels) == group:
+            value = float(levels[group + 1] if pace > 0.0 else np.nextafter(levels[group], -math.inf))
+        coming.append(value)
+    return [value for value in coming[1:] if math.isfinite(value)]
+
+
+def group_of(isovalue: float, levels: np.ndarray) -> int:
+    """The number of the group that an isovalue is in: that of the level which it is at, or above."""
+    return min(int(np.searchsorted(levels, isovalue, "right")), len(levels) - 1) - 1
+
+
+@dataclass(frozen=True, eq=False)
+class LoadedScene:
+    """One scene, ready to be rendered; ``assets`` are what workers that lack its files read in their place."""
+
+    scene: Scene
+    renderer: Renderer
+    prefetch: Prefetch
+    assets: SceneAssets | None = None
+
+    def render(self, view: View, target: float, cancelled: threading.Event | None, watch: Stopwatch) -> Frame:
+        """The frame of a view with the light baked so far; prefetching stops meanwhile. Raises as Renderer does."""
+        with self.prefetch.frame(self.renderer.prepared.surface(view.isovalue).isovalue):
+            return self.renderer.render(view, target, cancelled, watch)
+
+    def close(self) -> None:
+        """Stop prefetching."""
+        self.prefetch.close()
+
+
+def load(scene: Scene, store: Store, tiles: Tiles, memory: Memory, send: bool = False) -> LoadedScene:
+    """Prepare a scene and open its layers in a ``store``; ``send`` puts its assets there. Raises StoreError."""
+    prepared = PreparedScene(scene, memory.maps)
+    caches = Caches(prepared, store, memory.light)
+    prepared.field, prepared.maps, scene.projection, caches.chunk_store("gi")  # worked out now, not in the first frame
+    planned = scene.with_plan(complete(caches.spec("gi").plan, scene.inputs, scene.overrides))
+    prefetch = Prefetch(partial(prepare, prepared.maps, tiles), prepared.maps.levels, scene.span)
+    assets = sent(scene, store) if send else None
+    return LoadedScene(planned, Renderer(caches, tiles, memory.views), prefetch, assets)
+
+
+def prepare(maps: ActiveCellMaps, tiles: Tiles, isovalue: float, cancelled: threading.Event) -> None:
+    """Make the map of an ``isovalue``, in the voxels' units as those of ``maps`` are. Raises Cancelled."""
+    maps.covering(np.array([isovalue]), tiles.cancelled_by(cancelled).run)
+
+
+def sent(scene: Scene, store: Store) -> SceneAssets | None:
+    """What joined workers read in place of the scene's files; None where the store takes nothing."""
+    with suppress(StoreReadOnlyError, StoreFullError):
+        return send_assets(scene, store)
+    return None

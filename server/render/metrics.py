@@ -1,0 +1,141 @@
+"""What a server counts while it runs, for Prometheus."""
+
+import logging
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from http import HTTPStatus
+
+from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, ProcessCollector, generate_latest
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
+from prometheus_client.registry import Collector
+from starlette.datastructures import Headers
+
+from server.render.engine import RenderEngine
+from server.render.jobs import Jobs
+
+METHODS = ("GET", "HEAD", "POST", "PUT", "DELETE", "OPTIONS", "WEBSOCKET")
+ENDLESS = "text/event-stream"
+SECONDS = (0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
+"""Upper ends of the bins of times."""
+
+
+class Metrics:
+    """One server's counters, in a registry of their own."""
+
+    def __init__(self) -> None:
+        """Have counted nothing yet; what the process takes (memory, files, processor) is among them."""
+        self.registry = registry = CollectorRegistry()
+        ProcessCollector(registry=registry)
+        labels = ("method", "route", "status")
+        self.requests = Counter("isogi_requests", "Requests that were answered.", labels, registry=registry)
+        self.seconds = Histogram(
+            "isogi_request_seconds", "Time to the end of the answer.", ["route"], buckets=SECONDS, registry=registry
+        )
+        self.open = Gauge("isogi_requests_in_progress", "Requests that are worked on.", registry=registry)
+        self.frames = Counter(
+            "isogi_frames",
+            "Pictures by how far they were baked (provisional, final) and how they went (request, stream, draft).",
+            ["state", "way"],
+            registry=registry,
+        )
+        self.stages = Histogram(
+            "isogi_frame_stage_seconds", "Time of a frame's stages.", ["stage"], buckets=SECONDS, registry=registry
+        )
+        self.errors = Counter("isogi_errors", "Errors that were logged, by class.", ["kind"], registry=registry)
+        self.closed = Counter(
+            "isogi_connections_closed", "Connections that the server gave up, and why.", ["why"], registry=registry
+        )
+
+    def count(self, method: str, route: str, status: int, seconds: float, headers: Headers) -> None:
+        """Count one request, and by its answer's ``headers`` the frame in it; what is endless has no time."""
+        self.requests.labels(method if method in METHODS else "other", route, f"{status:d}").inc()
+        if status != HTTPStatus.SWITCHING_PROTOCOLS and not headers.get("content-type", "").startswith(ENDLESS):
+            self.seconds.labels(route).observe(seconds)
+        if "isogi-provisional" in headers:
+            stages = dict(stages_of(headers.get("server-timing", "")))
+            self.count_picture("request", headers["isogi-provisional"] == "?1", stages)
+
+    def count_picture(self, way: str, provisional: bool, stages: Mapping[str, float]) -> None:
+        """Count one picture: how it is sent, whether it is provisional, and the seconds of its stages."""
+        self.frames.labels("provisional" if provisional else "final", way).inc()
+        for stage, seconds in stages.items():
+            self.stages.labels(stage).observe(seconds)
+
+    @contextmanager
+    def counting_errors(self) -> Iterator[None]:
+        """Count the errors that isogi logs meanwhile: damaged chunks, tasks that failed, lost workers."""
+        logger, counter = logging.getLogger("isogi"), ErrorCounter(self.errors)
+        logger.addHandler(counter)
+        try:
+            yield
+        finally:
+            logger.removeHandler(counter)
+
+    def text(self) -> bytes:
+        """All of it in Prometheus' text format."""
+        return generate_latest(self.registry)
+
+
+class ErrorCounter(logging.Handler):
+    """Counts the errors in log records, by their class."""
+
+    def __init__(self, counter: Counter) -> None:
+        super().__init__(logging.WARNING)
+        self._counter = counter
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Count the errors that a record names, or comes with."""
+        logged = record.args if isinstance(record.args, tuple) else ()
+        raised = record.exc_info[1:2] if record.exc_info else ()
+        for error in (*logged, *raised):
+            if isinstance(error, BaseException):
+                self._counter.labels(type(error).__name__).inc()
+
+
+class BakingCollector(Collector):
+    """The state of an engine's baking, whenever it is collected."""
+
+    def __init__(self, engine: "RenderEngine") -> None:
+        self._engine = engine
+
+    def describe(self) -> Iterable[Metric]:
+        """Nothing ahead: the engine may not have started."""
+        return ()
+
+    def collect(self) -> Iterable[Metric]:
+        """The queue, what was baked, and the workers."""
+        tally = self._engine.tally()
+        yield GaugeMetricFamily("isogi_queue_chunks", "Chunks that wait to be baked.", tally.waiting)
+        yield GaugeMetricFamily("isogi_queue_age_seconds", "How long the oldest of these waits.", tally.age)
+        yield GaugeMetricFamily("isogi_tasks_in_flight", "Tasks that workers are at.", tally.in_flight)
+        yield GaugeMetricFamily("isogi_chunks_given_up", "Chunks that failed too often.", tally.given_up)
+        yield GaugeMetricFamily("isogi_workers", "Baking processes that there are.", tally.workers)
+        busy = min(tally.in_flight / max(tally.workers, 1), 1.0)
+        yield GaugeMetricFamily("isogi_workers_utilization", "Share of them that have a task.", busy)
+        yield CounterMetricFamily("isogi_tasks_done", "Tasks that baked light of a chunk.", tally.done)
+        yield CounterMetricFamily("isogi_tasks_failed", "Tasks that failed.", tally.failed)
+        yield CounterMetricFamily("isogi_tasks_duplicate", "Tasks whose light was there already.", tally.duplicate)
+        yield CounterMetricFamily("isogi_chunks_healed", "Damaged chunks that were baked again.", tally.healed)
+        yield CounterMetricFamily("isogi_paths", "Paths that were baked.", tally.paths)
+        yield CounterMetricFamily("isogi_worker_deaths", "Baking processes that were lost.", tally.deaths)
+
+
+class JobsCollector(Collector):
+    """How many jobs there are of each status, whenever it is collected."""
+
+    def __init__(self, jobs: "Jobs") -> None:
+        self._jobs = jobs
+
+    def collect(self) -> Iterable[Metric]:
+        """The jobs that are known."""
+        family = GaugeMetricFamily("isogi_jobs", "Jobs that are known, by their status.", labels=["status"])
+        for status, number in self._jobs.counts().items():
+            family.add_metric([status.value], number)
+        yield family
+
+
+def stages_of(server_timing: str) -> Iterator[tuple[str, float]]:
+    """Stages in a Server-Timing header, and the seconds of each."""
+    for part in filter(None, server_timing.split(", ")):
+        stage, _, milliseconds = part.partition(";dur=")
+        yield stage, float(milliseconds) / 1000.0

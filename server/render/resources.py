@@ -1,0 +1,114 @@
+"""Resources: memory for scenes, the store that the settings name, and whether it takes light."""
+
+import ctypes
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+from isogi_core.cache.chunk_store import default_store
+from isogi_core.errors import StoreError, StoreReadOnlyError
+from isogi_core.storage.local_copies import Copies
+from isogi_core.storage.store import Store, StoreLike
+from isogi_core.storage.url import StoreUrl
+from server.settings import Settings
+
+MMAP_THRESHOLD, ARENA_MAX = -3, -8
+"""The numbers of glibc's parameters for what goes back to the system when freed, and for arenas (malloc.h: M_…)."""
+
+LARGE = 256 << 10
+"""Bytes from which on memory comes from the system, and goes back to it: a view's arrays, not those of a draft."""
+
+
+class Memory(NamedTuple):
+    """Bytes of decoded ``light``, of ``views`` (surfaces, and where the light in them is) and of ``maps``."""
+
+    light: int
+    views: int
+    maps: int
+
+
+def shared(total: int) -> Memory:
+    """A memory of ``total`` bytes: half of it for light, and a quarter each for views and for maps."""
+    quarter = total // 4
+    return Memory(total - 2 * quarter, quarter, quarter)
+
+
+def keep_memory_small() -> None:
+    """Have memory that is freed used again, or given back; for all threads that are still to start.
+
+    Left to itself glibc gives threads arenas of their own, up to eight a core, each of which keeps the most that its
+    threads ever had at once; threads that hold the interpreter's lock to take memory gain nothing by that. And it
+    gives ever larger arrays a place among small things, which hold on to it. Where the C library is another one,
+    nothing is done.
+    """
+    mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
+    if mallopt is not None:
+        mallopt(ARENA_MAX, 1)
+        mallopt(MMAP_THRESHOLD, LARGE)
+
+
+KEPT = 5.0
+"""Seconds for which a finding stands: probes come often, and from many."""
+
+
+class StoreProbe:
+    """Looks for a store's sentinel, and tries whether it could be written. Safe to use from many threads."""
+
+    def __init__(self, store: StoreLike, clock: Callable[[], float] = time.monotonic) -> None:
+        """Probe ``store`` when it is asked for the first time."""
+        self._root = Store.of(store)
+        self._clock = clock
+        self._lock = threading.Lock()
+        self._found: list[str] = []
+        self._until = -1.0
+
+    def reasons(self) -> list[str]:
+        """Why light cannot be read or kept; none where it can, or where the store is one that is only read.
+
+        Looked up at most every ``KEPT`` seconds.
+        """
+        with self._lock:
+            if self._clock() >= self._until:
+                self._found = self._look()
+                self._until = self._clock() + KEPT
+            return self._found
+
+    def _look(self) -> list[str]:
+        try:
+            self._root.check_writable()
+        except StoreReadOnlyError:
+            return []
+        except StoreError as error:
+            return [str(error)]
+        return []
+
+
+def present(settings: Settings) -> Store:
+    """The store of the settings, for its upkeep. Raises StoreError where there is none."""
+    place = place_of(settings)
+    if place.scheme == "file" and not place.folder.is_dir():
+        raise StoreError(f"There is no store at {place}: name the folder or URL that light was baked into.")
+    store = Store(place, make=False)
+    store.open()
+    return store
+
+
+def root_of(settings: Settings) -> Store:
+    """The root of the light that a server of these settings reads and has baked. Raises StoreError."""
+    place = place_of(settings)
+    keeps = place.remote and settings.store_cache_mb > 0
+    return Store(place, copies=Copies(place.url, settings.store_cache_mb << 20) if keeps else None)
+
+
+def place_of(settings: Settings) -> StoreUrl:
+    """The place that the settings name."""
+    url = settings.store or str(default_store())
+    return whereabouts(StoreUrl(url, settings.store_seconds, settings.store_retries))
+
+
+def whereabouts(place: StoreUrl) -> StoreUrl:
+    """A place whose folder is an absolute path, a URL as it is: workers may stand elsewhere."""
+    return place if "://" in place.url else replace(place, url=str(Path(place.url).resolve()))

@@ -1,0 +1,121 @@
+"""The update bus: chunks that have new light, for requests that wait for it; and the viewers of requests."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+from collections.abc import Collection, Coroutine, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
+
+from fastapi import Request
+
+from isogi_core.errors import Cancelled
+from isogi_core.prepared.prepared_scene import Index
+from worker.bake_requests import Viewer
+
+
+@dataclass(eq=False)
+class Pending:
+    """``chunks`` of a ``bake`` that are waited for: ``some`` is set with the first update, ``all`` with the last.
+
+    The last update of a chunk says that no more of it is going to be baked: it is final or given up.
+    """
+
+    bake: str
+    chunks: set[Index]
+    some: asyncio.Event = field(default_factory=asyncio.Event)
+    all: asyncio.Event = field(default_factory=asyncio.Event)
+
+    def note(self, index: Index, more: bool) -> None:
+        """Note an update of a chunk, and whether there will be more."""
+        if index in self.chunks:
+            self.some.set()
+            if not more:
+                self.chunks.discard(index)
+        if not self.chunks:
+            self.all.set()
+
+
+class UpdateBus:
+    """The updates so far, numbered. All but ``publish`` belongs to the event loop that made it."""
+
+    def __init__(self) -> None:
+        self._loop = asyncio.get_running_loop()
+        self._count = 0
+        self._last: dict[tuple[str, Index], tuple[int, bool]] = {}
+        self._newest: dict[str, int] = {}
+        self._pending: set[Pending] = set()
+
+    def publish(self, bake: str, index: Index, more: bool) -> None:
+        """Say that a chunk of a bake has new light, or its task failed, and whether ``more`` is coming. Any thread."""
+        if not self._loop.is_closed():
+            self._loop.call_soon_threadsafe(self._note, bake, index, more)
+
+    def newest(self, bake: str) -> int:
+        """The number of the newest update of a bake; 0 where there was none."""
+        return self._newest.get(bake, 0)
+
+    @contextmanager
+    def pending(self, bake: str, chunks: Collection[Index], since: int) -> Iterator[Pending]:
+        """Watch ``chunks`` of a bake, from the update after number ``since`` on."""
+        pending = Pending(bake, set(chunks))
+        for index in chunks:
+            number, more = self._last.get((bake, index), (0, True))
+            if number > since:
+                pending.note(index, more)
+        self._pending.add(pending)
+        try:
+            yield pending
+        finally:
+            self._pending.discard(pending)
+
+    def _note(self, bake: str, index: Index, more: bool) -> None:
+        self._count += 1
+        self._newest[bake] = self._count
+        self._last[bake, index] = self._count, more
+        for pending in self._pending:
+            if pending.bake == bake:
+                pending.note(index, more)
+
+
+Result = TypeVar("Result")
+
+_visits = itertools.count(1)
+
+
+def request_viewer(request: Request) -> Viewer:
+    """The viewer of one request: all requests of an address are one client's."""
+    return Viewer(request.client.host if request.client else "", next(_visits))
+
+
+def stream_viewer() -> Viewer:
+    """The viewer of a stream: a client of its own, which looks at one view at a time."""
+    visit = next(_visits)
+    return Viewer(visit, visit, single=True)
+
+
+def background_viewer() -> Viewer:
+    """The viewer of work in the background: a client of its own, which yields to all others."""
+    visit = next(_visits)
+    return Viewer(visit, visit, single=True, patient=True)
+
+
+async def attended(request: Request, answer: Coroutine[Any, Any, Result]) -> Result:
+    """The answer to a request. Once its client has left, the answer is cancelled and Cancelled raised."""
+    working, leaving = asyncio.create_task(answer), asyncio.create_task(gone(request))
+    try:
+        await asyncio.wait({working, leaving}, return_when=asyncio.FIRST_COMPLETED)
+        if not working.done():
+            raise Cancelled("Nobody waits for this frame any more.")
+        return await working
+    finally:
+        working.cancel()
+        leaving.cancel()
+
+
+async def gone(request: Request) -> None:
+    """Returns when the client has disconnected."""
+    while (await request.receive())["type"] != "http.disconnect":
+        pass

@@ -1,0 +1,261 @@
+"""Schemas: the documents that isogi answers about scenes, volumes and frames."""
+
+from pydantic import BaseModel
+
+Triple = tuple[float, float, float]
+
+
+class SceneLink(BaseModel):
+    """One scene in the list of scenes; ``volume`` is the address of its volume where that was uploaded."""
+
+    id: str
+    name: str
+    href: str
+    volume: str | None = None
+
+
+class UploadLimits(BaseModel):
+    """What an upload may be: ``limit_bytes`` itself, and ``free_bytes`` of ``quota_bytes`` that all may take."""
+
+    limit_bytes: int
+    quota_bytes: int
+    free_bytes: int
+
+
+class SceneList(BaseModel):
+    """All scenes that this server shows, and what may be uploaded; null where nothing may."""
+
+    scenes: list[SceneLink]
+    uploads: UploadLimits | None
+
+
+class UploadSchema(BaseModel):
+    """An uploaded volume: voxels along x, y, z, bytes on the disk, and the address of the scene that shows it."""
+
+    id: str
+    name: str
+    href: str
+    scene: str
+    size: tuple[int, int, int]
+    bytes: int
+
+
+class UploadList(BaseModel):
+    """All uploaded volumes, and what may be uploaded; null where nothing may."""
+
+    volumes: list[UploadSchema]
+    uploads: UploadLimits | None
+
+
+class VolumeSchema(BaseModel):
+    """A volume: voxels and spacing along x, y, z; holes are voxels that are not finite."""
+
+    name: str
+    size: tuple[int, int, int]
+    spacing: Triple
+    dtype: str
+    value_range: tuple[float, float]
+    holes: int
+
+
+class Histogram(BaseModel):
+    """Voxels per bin, and the bins' edges in the volume's own units (one more than counts)."""
+
+    counts: list[int]
+    edges: list[float]
+
+
+class Range(BaseModel):
+    """What a parameter may be, both ends included."""
+
+    min: float
+    max: float
+
+
+class PresetSchema(BaseModel):
+    """An isovalue with a name; ``suggested`` where it was found in the volume, not given by the scene."""
+
+    name: str
+    isovalue: float
+    suggested: bool
+
+
+class ErrorScale(BaseModel):
+    """The colours of ``overlay=error``: sRGB at equal steps of the logarithm, from the error ``low`` to ``high``."""
+
+    low: float
+    high: float
+    colours: list[str]
+
+
+class LightSchema(BaseModel):
+    """One light of a scene."""
+
+    type: str
+    name: str
+
+
+class SavingSchema(BaseModel):
+    """What was saved: an amount of a unit, measured or else computed."""
+
+    amount: float
+    unit: str
+    measured: bool
+
+
+class Omission(BaseModel):
+    """Something that this scene does not need, why, and what that saves beside the same plan with it.
+
+    S1's harmonics, where a texel keeps none, are counted beside what S1 keeps for any scene.
+    """
+
+    what: str
+    why: str
+    saves: list[SavingSchema]
+
+
+class LayerSchema(BaseModel):
+    """One kind of light that each texel keeps: order² numbers for each channel, in multiples of the scale.
+
+    Bands from ``coarse`` on are bytes, where it is not null. Where there are ``nodes``, channels are of grey surfaces
+    with these albedos, and light of any other is mixed of theirs.
+    """
+
+    kind: str
+    order: int
+    channels: int
+    precision: str
+    coarse: int | None
+    scale: float
+    nodes: list[float]
+    bytes_per_texel: int
+
+
+class TexelSchema(BaseModel):
+    """Texels and chunks of the lattice, those that some view can show, and shown ones that can hold no light.
+
+    A chunk has ``chunk`` texels along each side.
+    """
+
+    total: int
+    shown: int
+    void: int
+    chunks: int
+    shown_chunks: int
+    chunk: int
+
+
+class LobeSchema(BaseModel):
+    """A small bright part of the unturned light: where it stands and its apparent diameter, in degrees.
+
+    ``irradiance`` is what a surface that faces it receives, linear RGB.
+    """
+
+    azimuth: float
+    elevation: float
+    angle: float
+    irradiance: list[float]
+
+
+class PlanSchema(BaseModel):
+    """What is stored per texel for this scene, the errors that are expected of it, and what was left out.
+
+    ``indirect_order`` is that of reflected light, null where that has no harmonics of its own; ``samples``
+    are the most that a texel takes; ``lobes`` are lit by shadow rays, beside the harmonics; ``errors`` are relative,
+    by what is cut off. ``full_bytes_per_texel`` is what S1 keeps for any scene. ``projected`` are the
+    isovalues, from one to another, where texels of a view at rest are projected onto its isosurface.
+    """
+
+    representation: str
+    order: int
+    indirect_order: int | None
+    channels: int
+    bounces: int
+    bytes_per_texel: int
+    full_bytes_per_texel: int
+    precision: str
+    samples: int
+    lobes: list[LobeSchema]
+    projected: list[tuple[float, float]]
+    layers: list[LayerSchema]
+    errors: dict[str, float]
+    notes: list[str]
+    texels: TexelSchema
+    left_out: list[Omission]
+
+
+class SceneSchema(BaseModel):
+    """What a client needs to show a scene: facts, histogram, defaults and ranges of every knob, plan.
+
+    ``read_only`` is whether the store can only be read, so that nothing more is baked: a note of the plan says so too.
+
+    ``presets`` are isovalues worth a look: the scene's own, else boundaries between materials in its volume.
+    ``rotating`` is whether the light may be turned, ``turns`` whether that shows: not where the light is the
+    same from all sides. ``albedos`` are those that a view may ask for, null where it may not.
+    """
+
+    id: str
+    name: str
+    volume: VolumeSchema
+    histogram: Histogram
+    defaults: dict[str, float | str]
+    ranges: dict[str, Range]
+    presets: list[PresetSchema]
+    shadings: list[str]
+    lights: list[LightSchema]
+    albedo: Triple
+    albedos: Range | None
+    bounces: int
+    solid: str
+    target_error: float
+    rotating: bool
+    turns: bool
+    error_scale: ErrorScale
+    plan: PlanSchema
+    read_only: bool
+
+
+class ChunkCounts(BaseModel):
+    """Chunks that the view reads, and how many of them are final."""
+
+    needed: int
+    final: int
+
+
+class PixelCounts(BaseModel):
+    """Pixels on the surface, by state."""
+
+    surface: int
+    final: int
+    converging: int
+    provisional: int
+
+
+class Shares(BaseModel):
+    """Shares of the surface pixels, by state."""
+
+    final: float
+    converging: float
+    provisional: float
+
+
+class TimeLeftSchema(BaseModel):
+    """Seconds until all pixels are final: most likely, and the range that they are likely in."""
+
+    low: float
+    likely: float
+    high: float
+
+
+class Coverage(BaseModel):
+    """How far a view is: chunks, pixels by state, estimated relative RMSE of the frame.
+
+    ``time_left`` is null where it is unknown, or no worker is at the view.
+    """
+
+    chunks: ChunkCounts
+    pixels: PixelCounts
+    coverage: Shares
+    error: float
+    provisional: bool
+    time_left: TimeLeftSchema | None

@@ -1,1 +1,0 @@
-"""The stream: a client sends views as they change, and is sent pictures of the newest."""

@@ -1,0 +1,216 @@
+"""The folder of uploaded volumes, and the one form in which they are kept."""
+
+import errno
+import fcntl
+import hashlib
+import logging
+import math
+import os
+import re
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO
+from urllib.parse import quote, unquote
+
+import numpy as np
+
+from server.errors import FullError, UploadFolderError
+
+TYPES = {
+    **{f"{kind}{size}": f"{name}{8 * size}" for kind, name in (("i", "int"), ("u", "uint")) for size in (1, 2, 4, 8)},
+    **{"f4": "float", "f8": "double"},
+}
+"""NRRD's names of types by NumPy's."""
+
+HEADER = """\
+NRRD0004
+type: {type}
+dimension: 3
+sizes: {sizes}
+encoding: raw
+endian: little
+spacings: {spacings}
+name:={name}
+
+"""
+FORM = re.compile(
+    rb"NRRD0004\ntype: (\w+)\ndimension: 3\nsizes: (\d+) (\d+) (\d+)\nencoding: raw\nendian: little\n"
+    rb"spacings: [-+.e\d ]+\nname:=([!-~]*)\n\n",
+    re.ASCII,
+)
+LONGEST = 4096
+"""Bytes that no header is longer than."""
+
+VOXEL = 4
+"""Bytes of a voxel in the server's memory, where all are float32."""
+
+
+@dataclass(frozen=True)
+class UploadedVolume:
+    """A volume in its canonical file: its ``id``, its ``name`` for a person, voxels along x, y, z, and bytes."""
+
+    id: str
+    name: str
+    size: tuple[int, int, int]
+    bytes: int
+
+    @property
+    def held(self) -> int:
+        """Bytes that the volume takes, on disk or in memory, whichever is more: what the quota counts."""
+        return max(self.bytes, VOXEL * math.prod(self.size))
+
+
+def write(file: IO[bytes], array: np.ndarray, spacing: Sequence[float], name: str) -> str:
+    """Write an array (z, y, x) as a canonical file; gives its id, a digest of all but the name.
+
+    The name of what has none is made of the id.
+    """
+    voxels = np.ascontiguousarray(array, array.dtype.newbyteorder("<"))
+    facts = {
+        "type": TYPES[voxels.dtype.str[1:]],
+        "sizes": " ".join(str(n) for n in voxels.shape[::-1]),
+        "spacings": " ".join(repr(float(step)) for step in spacing),
+    }
+    digest = hashlib.blake2b(HEADER.format(**facts, name="").encode(), digest_size=10)
+    digest.update(voxels.data)
+    number = digest.hexdigest()
+    file.write(HEADER.format(**facts, name=quote(name or f"volume {number[:6]}", safe="")).encode())
+    file.write(voxels.data)
+    return number
+
+
+def read_facts(path: Path) -> UploadedVolume | None:
+    """What a file whose name is its id says of itself; None where it is not as ``write`` left it."""
+    with path.open("rb") as file:
+        head = FORM.match(file.read(LONGEST))
+    if head is None:
+        return None
+    kind, *sizes, name = (part.decode() for part in head.groups())
+    x, y, z = map(int, sizes)
+    kept = UploadedVolume(path.stem, unquote(name), (x, y, z), path.stat().st_size)
+    widths = {name: int(code[1]) for code, name in TYPES.items()}
+    whole = head.end() + widths.get(kind, 0) * math.prod(kept.size)
+    return kept if kept.bytes == whole else None
+
+
+log = logging.getLogger("isogi.uploads")
+
+NUMBER = re.compile(r"[0-9a-f]{20}")
+"""What ids look like."""
+
+UNFINISHED = ".part"
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+
+
+def default_folder() -> Path:
+    """Where uploads are kept by default: ``$XDG_DATA_HOME/isogi/volumes``, or below ``~/.local/share``."""
+    return Path(os.environ.get("XDG_DATA_HOME") or Path.home() / ".local" / "share") / "isogi" / "volumes"
+
+
+class UploadFolder:
+    """The volumes in a folder of one server, in a table by their ids. Raises UploadFolderError, and FullError.
+
+    The table is replaced and never changed: iterations over the former one go on.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Name the folder; nothing is opened yet."""
+        self.path = path
+        self.volumes: dict[str, UploadedVolume] = {}
+        self._lock: IO[bytes] | None = None
+
+    @property
+    def held(self) -> int:
+        """Bytes that count towards the quota."""
+        return sum(kept.held for kept in self.volumes.values())
+
+    def open(self) -> None:
+        """Take the folder, for its owner alone; throw away what was half-written, and find what is whole."""
+        with named(self.path):
+            self.path.mkdir(0o700, parents=True, exist_ok=True)
+            self.path.chmod(0o700)
+            self._lock = self._take()
+            for path in self.path.glob(f"*{UNFINISHED}"):
+                path.unlink()
+            self.volumes = {kept.id: kept for kept in map(self._read, sorted(self.path.glob("*.nrrd"))) if kept}
+
+    def close(self) -> None:
+        """Leave the folder to others."""
+        if self._lock is not None:
+            self._lock.close()
+
+    def place(self, number: str) -> Path:
+        """The file of a volume in the folder."""
+        return self.path / f"{self.volumes[number].id}.nrrd"
+
+    @contextmanager
+    def drafts(self) -> Iterator[tuple[IO[bytes], IO[bytes]]]:
+        """Two files: for what a client sends, which has no name, and for its canonical form. Gone afterwards."""
+        with named(self.path):
+            body = tempfile.TemporaryFile(dir=self.path)  # noqa: SIM115
+            draft = tempfile.NamedTemporaryFile(dir=self.path, suffix=UNFINISHED, delete=False)  # noqa: SIM115
+        try:
+            with body, draft:
+                yield body, draft
+        finally:
+            Path(draft.name).unlink(missing_ok=True)
+
+    def put(self, draft: IO[bytes], number: str) -> UploadedVolume:
+        """Keep a canonical draft under its id: once this returns no power cut takes it away."""
+        place = self.path / f"{number}.nrrd"
+        with named(self.path):
+            draft.flush()
+            os.fsync(draft.fileno())
+            os.replace(draft.name, place)
+            self._settle()
+        kept = self._read(place)
+        if kept is None:
+            raise UploadFolderError(f"The volume in {place} did not come out as it went in: check the disk.")
+        self.volumes = {**self.volumes, number: kept}
+        return kept
+
+    def remove(self, number: str) -> None:
+        """Delete a volume."""
+        with named(self.path):
+            self.place(number).unlink(missing_ok=True)
+            self.volumes = {key: kept for key, kept in self.volumes.items() if key != number}
+            self._settle()
+
+    def _take(self) -> IO[bytes]:
+        """The folder's lock, which other servers respect and which ends with the process."""
+        lock = (self.path / "lock").open("wb")
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return lock
+        except BlockingIOError:
+            lock.close()
+            sentence = f"Another server keeps its uploads in {self.path}: choose another folder with --uploads."
+            raise UploadFolderError(sentence) from None
+
+    def _settle(self) -> None:
+        """Have the folder's names on the disk."""
+        folder = os.open(self.path, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+
+    def _read(self, path: Path) -> UploadedVolume | None:
+        kept = read_facts(path) if NUMBER.fullmatch(path.stem) and not path.is_symlink() else None
+        if kept is None:
+            log.warning("%s is no volume that isogi has kept: it is left alone", path)
+        return kept
+
+
+@contextmanager
+def named(folder: Path) -> Iterator[None]:
+    """What the system says of a ``folder`` as an error that names it."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno in FULL:
+            raise FullError(f"The disk of {folder} is full: delete volumes, or make room.") from error
+        raise UploadFolderError(f"The folder of uploads {folder} cannot be used ({error.strerror}).") from error

@@ -1,0 +1,104 @@
+"""Texels projected onto the shown isosurface, and other weights: against light that is known, and beside the base."""
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.accuracy import carrying
+from benchmarks.accuracy.carrying import Neighbourhood, carry, texels_about, trilinear
+from benchmarks.accuracy.projection import (
+    LEAST,
+    Sides,
+    bare_light,
+    by_isovalues,
+    by_normals,
+    by_shares,
+    errors_of_moves,
+    plain,
+)
+from isogi_core.frame.lighting import RotatedLight
+from isogi_core.report.metrics import luminance
+from tests.benchmarks.parts import CONSTANT, bench_of
+
+
+@pytest.fixture
+def sides() -> Sides:
+    """Pixels in a lattice of 8³ texels, lit as the cosine of their normals to a lamp's direction has it."""
+    rng = np.random.default_rng(9)
+    texels, numbers = texels_about(rng.integers(1, 6, (40, 3)), (8, 8, 8))
+    count = len(texels)
+
+    def around() -> Neighbourhood:
+        normals = rng.normal(size=(count, 3)) * 0.3 + (0.0, 0.0, 1.0)
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        shares = np.full(count, 1e-4), rng.random(count) < 0.9, rng.random(count)
+        return Neighbourhood(numbers, rng.random((40, 3)), 2.0 * normals[:, 2], *shares, normals)
+
+    own, there = around(), around()
+    there = replace(there, fractions=own.fractions)
+    pixels = rng.normal(size=(40, 3)) * 0.2 + (0.0, 0.0, 1.0)
+    pixels /= np.linalg.norm(pixels, axis=1, keepdims=True)
+    return Sides(own, there, rng.random(count), pixels, lambda normals: normals[:, 2])
+
+
+def test_texels_are_moved_where_they_are_far_and_can_be(sides: Sides) -> None:
+    for way in (0.0, 0.5, math.inf):
+        there = sides.projected.lit & (sides.ways > way)
+        found = sides.beyond(way)
+        for name in ("light", "noise", "lit", "apart", "normals"):
+            own, other = getattr(sides.own, name), getattr(sides.projected, name)
+            assert all(
+                np.array_equal(getattr(found, name)[t], (other if there[t] else own)[t]) for t in range(len(there))
+            )
+
+
+def test_shares_pass_light_on_that_follows_the_normals(sides: Sides) -> None:
+    assert np.allclose(by_shares(sides, sides.own).light, 2.0 * sides.normals[:, 2])
+    assert not np.allclose(plain(sides, sides.own).light, 2.0 * sides.normals[:, 2], rtol=0.01)
+
+
+def test_normals_and_isovalues_that_agree_weigh_nothing(sides: Sides) -> None:
+    alike = replace(sides.own, normals=np.tile((0.0, 0.0, 1.0), (len(sides.ways), 1)))
+    facing = replace(sides, own=alike, normals=np.tile((0.0, 0.0, 1.0), (40, 1)))
+    expected = carry(alike, trilinear(alike))
+    assert np.allclose(by_normals(facing, alike).light, expected.light)
+    near = replace(facing, ways=np.zeros(len(sides.ways)))
+    assert np.allclose(by_isovalues(near, alike).light, expected.light)
+
+
+def test_a_texel_that_faces_away_hardly_counts(sides: Sides) -> None:
+    turned = sides.own.normals.copy()
+    corner = sides.own.numbers[0, carrying.CORNERS]
+    turned[corner[1:]] = -sides.normals[0]
+    turned[corner[0]] = sides.normals[0]
+    around = replace(sides.own, normals=turned, lit=np.ones(len(turned), np.bool_))
+    assert by_normals(sides, around).light[0] == pytest.approx(around.light[corner[0]], rel=1e-6)
+
+
+def test_unshadowed_light_is_that_of_a_surface_which_sees_all(tmp_path: Path) -> None:
+    normals = np.array([(0.0, 0.0, 1.0), (0.6, 0.0, -0.8), (0.0, 1.0, 0.0)])
+    constant, under_sky = bench_of(tmp_path, lights=[CONSTANT]), bench_of(tmp_path)
+    spec = constant.renderer(constant.scene).caches.spec("gi")
+    flat = bare_light(RotatedLight(spec, constant.view))(normals) * spec.unit
+    assert np.allclose(flat, luminance(np.array([constant.scene.albedo]))), "albedo under a radiance of 1"
+    spec = under_sky.renderer(under_sky.scene).caches.spec("gi")
+    sky = bare_light(RotatedLight(spec, under_sky.view))(normals)
+    assert sky[0] > sky[2] > sky[1] > 0.0, "up, level, down"
+    assert (sky >= 0.99 * LEAST * spec.unoccluded / spec.unit).all()
+
+
+def test_light_of_lobes_is_on_both_sides(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No texel keeps what comes straight from the sun: what is compared has it all the same."""
+    monkeypatch.setattr(carrying, "SAMPLES", 64)
+    bench = bench_of(tmp_path)
+    assert bench.scene.plan.lobes
+    assert max(each.rmse for each in errors_of_moves(bench).values()) < 0.1
+
+
+def test_moved_texels_are_nearer_to_light_at_the_pixels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(carrying, "SAMPLES", 256)
+    found = errors_of_moves(bench_of(tmp_path, size=24, lights=[CONSTANT], lattice=0.5, target_error=0.05))
+    assert found["projected"].rmse < 0.8 * found["on their own isosurfaces"].rmse

@@ -1,0 +1,123 @@
+"""The scaling suite, small: what it counts is right, and nothing is lost, torn or wrong."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from benchmarks.scaling import prewarm
+from benchmarks.scaling.cluster import cluster
+from benchmarks.scaling.damage import damage
+from benchmarks.scaling.kills import kills
+from benchmarks.scaling.large import large
+from benchmarks.scaling.time_left import time_left
+from isogi_core.files.voxel_file import read_voxels
+from server.cli.prewarm import fields_given
+from server.cli.prewarm import prewarm as prewarm_views
+from server.prewarm.order import order_of
+from server.settings import Settings
+from tests.benchmarks.parts import figures, run
+from tests.server.inline import InlinePool
+from worker import pool
+
+
+@pytest.fixture(scope="module")
+def tiny(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """A scene that is baked in a second."""
+    scene = tmp_path_factory.mktemp("scene") / "tiny.toml"
+    scene.write_text('volume = "demo:orbital"\nlattice = 0.4\nbounces = 1\ntarget_error = 0.4\n')
+    return str(scene)
+
+
+@pytest.mark.slow
+def test_kills(tiny: str) -> None:
+    found = figures(kills, tiny, "--victim", "server", "--cycles", "1")
+    assert found["servers killed"] == 1 and found["views that became final"] >= 1
+    assert found["objects read meanwhile"] >= found["objects"] > 0
+    wrong = ("answers 5xx", "torn", "lost, or with less light than before", "processes left after 5 s")
+    differ = ("objects with other bytes than undisturbed", "objects that undisturbed are none")
+    assert not any(found[name] for name in (*wrong, *differ, "final pictures that differ")), found
+
+
+@pytest.mark.slow
+def test_kills_of_prewarms(tiny: str) -> None:
+    found = figures(kills, tiny, "--victim", "prewarm", "--cycles", "1")
+    assert found["prewarms killed"] == 1 and found["prewarms begun"] >= 1 and found["objects"] > 0
+    wrong = ("torn", "lost, or with less light than before", "processes left after 5 s", "half-written files left")
+    differ = ("objects with other bytes than undisturbed", "objects that undisturbed are none")
+    assert not any(found[name] for name in (*wrong, *differ, "prewarms that fail undisturbed")), found
+
+
+@pytest.mark.slow
+def test_damage(tiny: str) -> None:
+    found = figures(damage, tiny, "--damaged", "11", "--views", "1")
+    assert found["damaged"] == 11 and found["final pixels"] > 0
+    assert found["told as damaged"] >= 11 - found["not to be noticed: deleted"] > 0
+    assert found["answers 5xx"] == found["wrong pixels"] == found["objects with other bytes in the end"] == 0
+    assert found["pictures that differ in the end"] == 0
+
+
+@pytest.mark.slow
+def test_cluster() -> None:
+    arguments = ["demo:orbital", "--size", "24", "--tasks", "2", "--rounds", "1", "--workers", "1", "--same", "1"]
+    done = run(cluster, *arguments, "--json")
+    found = json.loads(done.stdout)
+    bytes_left = {value for name, value in found.items() if name.startswith("SHA-256")}
+    assert len(bytes_left) == 1 and found["tasks"] == 2
+    for kind in ("embedded 1", "joined 1"):
+        ratio = found[f"{kind}: paths a second"] / found["bare copies 1: paths a second"]
+        assert found[f"{kind} / bare copies"] == pytest.approx(ratio)
+        assert (
+            found[f"{kind} / bare copies, by processor seconds"]
+            > 0.0
+            < found[f"most memory of a worker of {kind}, MiB"]
+        )
+    assert "round 1 of 1" in done.stderr
+
+
+@pytest.mark.slow
+def test_a_volume_beyond_the_budget_is_rendered_and_served(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ISOGI_VOLUME_MB", "1")
+    small = ("--size", "80", "--pixels", "24", "--seconds", "2", "--folder", str(tmp_path))
+    found = figures(large, *small)
+    assert found["disk: copies, MiB"] == pytest.approx(80**3 * 4 / 2**20, rel=0.01)
+    assert found["serve: first frame after, s"] >= found["serve: ready after, s"] > 0
+    for process in ("render: main", "serve: main", "serve: worker"):
+        assert found[f"{process}: RssAnon, MiB"] > 0 < found[f"{process}: RssFile, MiB"]
+        assert found[f"{process}: processor, s"] > 0
+    assert (tmp_path / "gyroid-80.png").read_bytes().startswith(b"\x89PNG")
+    (copy,) = {path.stat().st_ino: path for path in (tmp_path / "copies").glob("*.voxels")}.values()
+    voxels, facts = read_voxels(copy) or pytest.fail("the copy cannot be read")
+    assert voxels.shape == (80, 80, 80) and facts["dtype"] == "uint16"
+
+
+def in_process(target: str, store: Path, *more: str) -> dict[str, Any]:
+    """What the command does, without a process of its own."""
+    named = dict(option.removeprefix("--").replace("-", "_").partition("=")[::2] for option in more)
+    dry, isovalue = "dry_run" in named, named["isovalue"]
+    given = {name: value for name, value in named.items() if name not in ("dry_run", "isovalue", "workers")}
+    order = order_of(fields_given(given | {"isovalues": (isovalue,)}))
+    return prewarm_views(target, order, Settings(store=str(store), workers=1), dry).model_dump(mode="json") | {
+        "cpu": 1.0
+    }
+
+
+def test_what_came_is_told_beside_what_was_foretold(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pool, "WorkerPool", InlinePool)
+    monkeypatch.setattr(prewarm, "prewarmed", in_process)
+    options = ["--only", "casting", "--size", "12", "--views", "1", "--error", "0.5"]
+    found = figures(prewarm.prewarm, *options)
+    assert found["casting: final"] == 1.0
+    assert found["casting: worst error"] <= 0.5
+    assert found["casting: bytes stored over told"] == pytest.approx(1.0, abs=0.3)
+    ratio = found["casting: took, s"] / found["casting: told, s"]
+    assert found["casting: took over told"] == pytest.approx(ratio)
+
+
+def test_time_left() -> None:
+    arguments = ["demo:orbital", "--size", "16", "--views", "2", "--error", "0.2", "--every", "0.05"]
+    found = figures(time_left, *arguments)
+    assert all(found[f"view {n}, seconds"] > 0.0 for n in (1, 2))
+    assert all(0.0 < found[f"view {n}, estimated error"] <= 0.2 for n in (1, 2))
+    assert all(0.0 <= found[f"view {n}, within the range"] <= 1.0 for n in (1, 2))

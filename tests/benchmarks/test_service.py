@@ -1,0 +1,39 @@
+"""The service suite on something tiny: real servers, real clients."""
+
+import pytest
+
+from benchmarks.service.drag import drag
+from benchmarks.service.load import load
+from benchmarks.service.malformed import malformed
+from benchmarks.service.warm_view import warm_view
+from tests.benchmarks.parts import figures
+
+
+def test_warm_view() -> None:
+    found = figures(warm_view, "demo:orbital", "--size", "32", "--repeats", "1")
+    places = ("folder", "disk", "s3")
+    assert [found[f"{where}: bytes / plain bytes"] for where in places] == [1.0, 1.0, 1.0]
+    assert all(found[f"{where}: {what}"] > 0.0 for where in places for what in ("view / plain reads", "unwrapping, ms"))
+
+
+def test_drag() -> None:
+    found = figures(drag, "demo:orbital", "--size", "48", "--seconds", "2", "--pages", "2", "--workers", "1")
+    waits = [found[f"input to picture, {which}"] for which in ("median", "95 %", "longest")]
+    assert 0.0 < waits[0] <= waits[1] <= waits[2]
+    assert found["drafts a second and page"] > 1.0
+    assert 12 <= found["pixels along a draft, median"] <= 48
+    assert found["rest to full picture, longest"] > 0.0
+
+
+def test_load() -> None:
+    found = figures(load, "demo:orbital", "--clients", "9", "--seconds", "2", "--workers", "1")
+    assert {key for key in found if key.startswith("answered")} <= {f"answered {n}" for n in (200, 304, 429, 503)}
+    assert found["answered 200"] > 0 and found["livez, answers"] > 0
+    assert found["requests in progress, afterwards"] == 0
+
+
+@pytest.mark.slow
+def test_malformed() -> None:
+    found = figures(malformed, "--files", "6")
+    assert found["files"] == 6 and found["server alive"] is True
+    assert found["other answers"] == "" and found["left after a kill"] == 0

@@ -1,0 +1,307 @@
+import threading
+from contextlib import ExitStack
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from isogi_core.bake.bake_spec import BakeSpec
+from isogi_core.bake.noise import deviations, path_deviation, relative_error
+from isogi_core.bake.precision import VOID
+from isogi_core.cache.chunk import Chunk, Chunks
+from isogi_core.cache.page_pool import FEWEST_CHUNKS, PAGE, PagePool, fewest_samples
+from isogi_core.errors import StoreError
+from isogi_core.kernels.shading.lattice import BURIED_ROW, UNLIT, VOID_ROW
+from isogi_core.model.scene_plan import FEWEST
+from isogi_core.plan.scene import CHUNKS
+from isogi_core.prepared.prepared_scene import Index
+from tests.cache.chunks import CONSTANT, TEXELS, spec_of
+
+
+def chunk_of(spec: BakeSpec, index: Index, level: float, texels: int = 3 * PAGE) -> Chunks:
+    """A chunk alone whose every number is ``level``, but for the 16 samples of each texel and layer."""
+    offsets = np.sort(np.random.default_rng(int(level)).choice(TEXELS, texels, replace=False))
+    chunk = Chunk.empty(index, spec.plan).with_texels(offsets)
+    for part in chunk.light.parts:
+        part.samples[:] = 16
+        part.noise[:] = level
+        part.coefficients[:] = level
+    return Chunks.of_one(chunk)
+
+
+def empty(spec: BakeSpec, index: Index) -> Chunks:
+    """A chunk alone in which nothing is baked."""
+    return Chunks.of_one(Chunk.empty(index, spec.plan))
+
+
+def pool_of(spec: BakeSpec, pages: int) -> PagePool:
+    """A pool with room for so many pages."""
+    budget = 0
+    while len((pool := PagePool(spec, budget)).stamp) < pages * PAGE:
+        budget += 1024
+    assert len(pool.stamp) == pages * PAGE
+    return pool
+
+
+def rows_of(pool: PagePool, slot: int) -> np.ndarray:
+    rows = pool.table[slot]
+    return rows[rows >= 0]
+
+
+def levels(pool: PagePool, slot: int) -> set[float]:
+    """The different levels that a reader of a slot finds."""
+    light = pool.transfer[rows_of(pool, slot)] / len(pool.spec.plan.layers)
+    return {*light.ravel().tolist()}
+
+
+def test_the_table_leads_each_texel_to_its_light(spec: BakeSpec) -> None:
+    pool = PagePool(spec, 1 << 22)
+    chunk = chunk_of(spec, (1, 0, 2), 1.0, texels=150)
+    rng = np.random.default_rng(0)
+    for part in chunk.light.parts:
+        part.noise[:] = rng.random(part.noise.shape)
+        part.coefficients[:] = rng.random(part.coefficients.shape)
+        part.samples[[3, 77]] = VOID
+    for part in chunk.light.parts:
+        part.samples[50], part.coefficients[50] = FEWEST, 0.0
+    pool.insert(chunk)
+    with pool.hold([(1, 0, 2)]) as (slots, _):
+        table = pool.table[slots[0]]
+        assert (table[np.setdiff1d(np.arange(TEXELS), chunk.offsets)] == UNLIT).all()
+        assert table[chunk.offsets[[3, 50, 77]]].tolist() == [VOID_ROW, BURIED_ROW, VOID_ROW]
+        lit = np.setdiff1d(np.arange(150), [3, 50, 77])
+        rows = table[chunk.offsets[lit]]
+        assert len(set(rows.tolist())) == 147
+        np.testing.assert_array_equal(pool.transfer[rows], chunk.light.transfer[lit])
+        noise = np.sqrt((deviations(chunk.light, spec) ** 2).sum(axis=0))
+        scatter = noise[lit] / path_deviation(chunk.light, spec)[lit]
+        np.testing.assert_allclose(pool.scatter[rows], scatter, rtol=1e-6)
+        np.testing.assert_allclose(pool.error[rows], relative_error(chunk.light, spec)[lit], rtol=1e-6)
+        assert (fewest_samples(pool.stamp[rows], 2) == 16).all()
+
+
+@pytest.mark.parametrize(
+    ("settings", "shape"),
+    [
+        ({}, (1, 4)),
+        ({"albedo": [0.1, 0.2, 0.3]}, (3, 4)),
+        ({"lights": [CONSTANT]}, (1, 1)),
+        ({"shading": "vicinity"}, (1, 1)),
+        ({"lobes": 1}, (1, 8)),
+        ({"lobes": 1, "order": 3, "albedo": [0.1, 0.2, 0.3]}, (3, 13)),
+    ],
+)
+def test_a_pool_keeps_what_frames_of_its_spec_read_alone(settings: dict[str, Any], shape: tuple[int, int]) -> None:
+    """Vicinity shading reads band 0 alone, out of a layer that has more; beside a lobe layers stand side by side."""
+    spec = spec_of(**settings)
+    pool = PagePool(spec, 1 << 22)
+    chunk = chunk_of(spec, (0, 0, 0), 1.0, texels=20)
+    for part in chunk.light.parts:
+        part.coefficients[:] = np.random.default_rng(1).random(part.coefficients.shape)
+    pool.insert(chunk)
+    assert pool.transfer.shape[1:] == shape
+    with pool.hold([(0, 0, 0)]) as (slots, _):
+        np.testing.assert_array_equal(pool.transfer[rows_of(pool, slots[0])], chunk.light.columns(spec.terms))
+
+
+def test_an_absent_chunk_has_no_slot(spec: BakeSpec) -> None:
+    pool = PagePool(spec, 1 << 22)
+    pool.insert(chunk_of(spec, (0, 0, 1), 1.0))
+    with pool.hold([(0, 0, 0), (0, 0, 1)]) as (slots, _):
+        assert slots.dtype == np.int32
+        assert slots[0] == -1
+        assert slots[1] >= 0
+
+
+def test_an_empty_chunk_is_unlit_everywhere(spec: BakeSpec) -> None:
+    pool = PagePool(spec, 1 << 22)
+    pool.insert(empty(spec, (0, 0, 0)))
+    with pool.hold([(0, 0, 0)]) as (slots, _):
+        assert (pool.table[slots[0]] == UNLIT).all()
+
+
+@pytest.mark.parametrize("order", [2, 5])
+@pytest.mark.parametrize("chunk", CHUNKS)
+@pytest.mark.parametrize("budget", [1 << 21, 10_000_000, 1 << 26])
+def test_the_arrays_stay_within_the_budget(order: int, chunk: int, budget: int) -> None:
+    pool = PagePool(spec_of(order=order, lattice=0.25, chunk=chunk), budget)
+    arrays = (pool.transfer, pool.scatter, pool.error, pool.stamp, pool.table)
+    assert 0.9 * budget < sum(array.nbytes for array in arrays) <= budget
+
+
+def test_absent_and_outdated_chunks_are_missing(spec: BakeSpec) -> None:
+    pool = PagePool(spec, 1 << 22)
+    assert pool.missing([(0, 0, 0)])
+    pool.outdate((0, 0, 0))
+    pool.insert(chunk_of(spec, (0, 0, 0), 1.0))
+    assert not pool.missing([(0, 0, 0)])
+    pool.outdate((0, 0, 0))
+    assert pool.missing([(0, 0, 0)])
+    with pool.hold([(0, 0, 0)]) as (slots, _):
+        assert levels(pool, slots[0]) == {1.0}
+    pool.insert(chunk_of(spec, (0, 0, 0), 2.0))
+    assert not pool.missing([(0, 0, 0)])
+    with pool.hold([(0, 0, 0)]) as (slots, _):
+        assert levels(pool, slots[0]) == {2.0}
+
+
+def test_pages_are_filled_upwards_also_when_they_are_used_again(spec: BakeSpec) -> None:
+    pool = PagePool(spec, 1 << 22)
+    for level in range(5):
+        pool.insert(chunk_of(spec, (0, 0, 0), level))
+        pool.insert(chunk_of(spec, (0, 0, 1), level))
+        with pool.hold([(0, 0, 0), (0, 0, 1)]) as (slots, _):
+            assert all((np.diff(rows_of(pool, slot)) == 1).all() for slot in slots)
+
+
+def test_the_longest_unused_chunk_makes_room(spec: BakeSpec) -> None:
+    pool = pool_of(spec, 9)
+    for i in range(3):
+        pool.insert(chunk_of(spec, (0, 0, i), i))
+    with pool.hold([(0, 0, 0)]):
+        pass
+    pool.insert(chunk_of(spec, (1, 1, 1), 9.0))
+    assert pool.missing([(0, 0, i) for i in range(3)]) == [(0, 0, 1)]
+
+
+def test_few_slots_are_shared_too(spec: BakeSpec) -> None:
+    pool = pool_of(spec, 9)
+    for i in range(FEWEST_CHUNKS + 1):
+        pool.insert(empty(spec, (0, 0, i)))
+    assert pool.missing([(0, 0, 0)])
+    assert not pool.missing([(0, 0, i) for i in range(1, FEWEST_CHUNKS + 1)])
+
+
+def test_held_chunks_are_not_evicted(spec: BakeSpec) -> None:
+    pool = pool_of(spec, 9)
+    for i in range(3):
+        pool.insert(chunk_of(spec, (0, 0, i), i))
+    with pool.hold([(0, 0, 0), (0, 0, 2)]) as (slots, _):
+        for i in range(3, 8):
+            pool.insert(chunk_of(spec, (0, 0, i), i))
+        assert levels(pool, slots[0]) == {0.0}
+        assert levels(pool, slots[1]) == {2.0}
+        assert not pool.missing([(0, 0, 0)])
+    assert pool.missing([(0, 0, 1)])
+
+
+def test_holding_pins_the_rows_while_newer_versions_come(spec: BakeSpec) -> None:
+    pool = pool_of(spec, 9)
+    pool.insert(chunk_of(spec, (0, 0, 0), 1.0))
+    with pool.hold([(0, 0, 0)]) as (first, _):
+        rows = rows_of(pool, first[0])
+        for level in range(2, 20):
+            pool.insert(chunk_of(spec, (0, 0, 0), level))
+        assert levels(pool, first[0]) == {1.0}
+        np.testing.assert_array_equal(rows_of(pool, first[0]), rows)
+        with pool.hold([(0, 0, 0)]) as (second, _):
+            assert levels(pool, second[0]) == {19.0}
+    pool.insert(chunk_of(spec, (1, 1, 1), 5.0, texels=6 * PAGE))
+    assert not pool.missing([(0, 0, 0)])
+
+
+def test_held_twice_is_freed_once(spec: BakeSpec) -> None:
+    pool = pool_of(spec, 4)
+    pool.insert(chunk_of(spec, (0, 0, 0), 1.0, texels=2 * PAGE))
+    with pool.hold([(0, 0, 0)]) as (outer, _):
+        with pool.hold([(0, 0, 0)]):
+            pool.insert(chunk_of(spec, (0, 0, 0), 2.0, texels=2 * PAGE))
+        with pytest.raises(StoreError):
+            pool.insert(chunk_of(spec, (1, 0, 0), 3.0, texels=4 * PAGE))
+        assert levels(pool, outer[0]) == {1.0}
+    pool.insert(chunk_of(spec, (1, 0, 0), 4.0, texels=4 * PAGE))
+    assert not pool.missing([(1, 0, 0)])
+
+
+def test_a_view_that_cannot_fit_is_an_error(spec: BakeSpec) -> None:
+    pool = pool_of(spec, 6)
+    wanted: list[Index] = [(0, 0, 0), (0, 0, 1), (0, 0, 2)]
+    pool.insert(chunk_of(spec, (2, 2, 2), 7.0))
+    pool.insert(chunk_of(spec, wanted[0], 1.0), wanted)
+    pool.insert(chunk_of(spec, wanted[1], 2.0), wanted)
+    assert pool.missing([(2, 2, 2)])
+    with pytest.raises(
+        StoreError, match=r"does not fit the memory for 384 texels: ask for .* or give light more memory\.$"
+    ):
+        pool.insert(chunk_of(spec, wanted[2], 3.0), wanted)
+    assert pool.missing(wanted) == [wanted[2]]
+    pool.insert(chunk_of(spec, wanted[1], 4.0), wanted)
+    assert not pool.missing([wanted[1]])
+
+
+def test_a_chunk_larger_than_the_pool_is_refused(spec: BakeSpec) -> None:
+    pool = pool_of(spec, 4)
+    pool.insert(chunk_of(spec, (0, 0, 0), 1.0, texels=PAGE))
+    with pool.hold([(0, 0, 0)]) as (slots, _):
+        with pytest.raises(StoreError):
+            pool.insert(chunk_of(spec, (0, 0, 1), 2.0, texels=4 * PAGE))
+        assert levels(pool, slots[0]) == {1.0}
+
+
+def test_a_chunk_that_cannot_fit_drops_nothing(spec: BakeSpec) -> None:
+    pool = pool_of(spec, 6)
+    spare: list[Index] = [(0, 0, 0), (0, 0, 1)]
+    for index in spare:
+        pool.insert(chunk_of(spec, index, 1.0, texels=PAGE))
+    with pytest.raises(StoreError):
+        pool.insert(chunk_of(spec, (1, 1, 1), 2.0, texels=7 * PAGE))
+    assert not pool.missing(spare)
+
+
+def test_readers_among_writers_see_whole_versions(spec: BakeSpec) -> None:
+    pool = pool_of(spec, 64)
+    indices: list[Index] = [(0, 0, i) for i in range(6)]
+    versions = [chunk_of(spec, (0, 0, 0), level, texels=PAGE) for level in range(1, 9)]
+    wrong: list[set[float]] = []
+    seen: set[float] = set()
+    stop = threading.Event()
+
+    def write(seed: int) -> None:
+        rng = np.random.default_rng(seed)
+        for _ in range(400):
+            chunk = versions[rng.integers(len(versions))]
+            pool.insert(replace(chunk, indices=(indices[rng.integers(6)],)))
+
+    def read(seed: int) -> None:
+        rng = np.random.default_rng(seed)
+        while not stop.is_set():
+            with pool.hold([indices[i] for i in rng.permutation(6)[:3]]) as (slots, _):
+                for slot in slots[slots >= 0]:
+                    found = levels(pool, slot) | levels(pool, slot)
+                    if len(found) != 1 or len(rows_of(pool, slot)) != PAGE:
+                        wrong.append(found)
+                    seen.update(found)
+
+    readers = [threading.Thread(target=read, args=(10 + i,)) for i in range(3)]
+    writers = [threading.Thread(target=write, args=(i,)) for i in range(2)]
+    for thread in (*readers, *writers):
+        thread.start()
+    for thread in writers:
+        thread.join()
+    stop.set()
+    for thread in readers:
+        thread.join()
+    assert not wrong
+    assert len(seen) > 1
+    with ExitStack() as held:
+        pool.insert(chunk_of(spec, (1, 1, 1), 3.0, texels=TEXELS))  # all pages are free again
+        held.enter_context(pool.hold([(1, 1, 1)]))
+        with pytest.raises(StoreError):
+            pool.insert(versions[0])
+
+
+def test_the_age_tells_when_what_was_looked_up_may_have_changed(spec: BakeSpec) -> None:
+    pool = PagePool(spec, 1 << 22)
+    index = (0, 0, 0)
+    assert pool.missing([index]) == [index]
+    ages = []
+    for changed in (True, False, True):
+        if changed:
+            pool.insert(empty(spec, index))
+        with pool.hold([index]) as held:
+            ages.append(held.age)
+    assert ages[0] == ages[1] < ages[2]
+    assert pool.missing([index, (0, 0, 1)]) == [(0, 0, 1)]
+    pool.outdate(index)
+    assert pool.missing([index]) == [index]

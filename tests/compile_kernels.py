@@ -1,0 +1,18 @@
+"""Compile every entry kernel on all cores, so that no test waits for one: ``python -m tests.compile_kernels``."""
+
+from importlib import import_module
+from pkgutil import walk_packages
+
+from isogi_core import kernels
+from isogi_core.kernels._jit import Entry, warm
+
+
+def entry_kernels() -> list[Entry]:
+    """Find the entry kernels of all modules, each once."""
+    modules = [import_module(each.name) for each in walk_packages(kernels.__path__, f"{kernels.__name__}.")]
+    found = {id(each): each for module in modules for each in vars(module).values() if isinstance(each, Entry)}
+    return list(found.values())
+
+
+if __name__ == "__main__":
+    warm(entry_kernels())

@@ -1,0 +1,169 @@
+"""Light carried as shares of unshadowed light in frames: where it is, what it starts from, and what it brings."""
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from isogi_core.bake.bake_spec import spec_for
+from isogi_core.frame import renderer as renderer_module
+from isogi_core.frame import view_texels as facings
+from isogi_core.frame.lighting import RotatedLight
+from isogi_core.frame.renderer import Renderer
+from isogi_core.frame.tiles import Tiles
+from isogi_core.frame.view_texels import carries_irradiance_ratios, find_texel_normals
+from isogi_core.kernels.shading.irradiance_ratio import LEAST
+from isogi_core.kernels.shading.texel_normals import fill_texel_normals
+from isogi_core.kernels.transport.harmonics import cosine_lobe_factors
+from isogi_core.kernels.transport.lights import unshadowed
+from isogi_core.kernels.transport.texel_points import PROJECTED, project_texels
+from isogi_core.model.view import Camera, View, quaternion_from_angles
+from isogi_core.plan.assembly import load_scene
+from isogi_core.plan.scene import Scene
+from isogi_core.prepared.prepared_scene import PreparedScene
+from tests.frame.conftest import CONSTANT, LOOSE, SKY, Workbench, ball, relative_rmse, scene_of, soft_probe
+
+LAMP = {"type": "directional", "azimuth": 90.0, "elevation": 30.0, "irradiance": 2.0}
+ODD = quaternion_from_angles(33.0, -20.0, 71.0)
+Make = Callable[[Scene], Workbench]
+
+
+def turned(**settings: Any) -> RotatedLight:
+    """The lights of the orbital, turned."""
+    prepared = PreparedScene(load_scene("demo:orbital", **settings))
+    return RotatedLight(spec_for(prepared, "gi"), View(0.03, Camera((10.0, 3.0, 4.0), (0.0, 0.0, 0.0)), ODD))
+
+
+def some_normals(count: int = 200) -> np.ndarray:
+    """Unit vectors, (count, 3)."""
+    normals = np.random.default_rng(8).normal(size=(count, 3))
+    return np.asarray(normals / np.linalg.norm(normals, axis=1, keepdims=True))
+
+
+def bare_about(light: RotatedLight, normals: np.ndarray) -> np.ndarray:
+    """What ``RotatedLight.unshadowed`` says of normals, by its polynomials; (n, 3)."""
+    x, y, z = normals.T
+    terms = np.stack([np.ones_like(x), y, z, x, x * y, y * z, z * z, x * z, x * x - y * y])
+    quadric, least, reflected = light.unshadowed
+    return np.asarray(np.maximum((quadric @ terms).T, least) + reflected)
+
+
+@pytest.mark.parametrize("albedo", [0.7, [0.2, 0.5, 1.0]])
+def test_unshadowed_light_is_the_provisional_light(albedo: Any) -> None:
+    light, normals = turned(lights=[SKY], albedo=albedo, lobes=0), some_normals()
+    sky, basis = light.sky, np.empty(9)
+    expected = np.array([unshadowed(sky.order, sky.lobe, sky.light, tuple(n), basis) for n in normals.tolist()])
+    least = LEAST * light.albedo * light.mean / light.spec.unit
+    assert (expected < least).any() or (expected > least).all()
+    np.testing.assert_allclose(bare_about(light, normals), np.maximum(expected, least), rtol=2e-5)
+    assert not light.unshadowed.reflected.any()
+    np.testing.assert_allclose(sky.lobe[[0, 1, 4]], cosine_lobe_factors(3) / math.pi)
+
+
+def test_reflected_light_of_lobes_counts_as_from_all_sides() -> None:
+    whole, beside = turned(lights=[SKY], albedo=0.7, lobes=0), turned(lights=[SKY], albedo=0.7, lobes=1)
+    (sun,) = beside.spec.lobes
+    flux = beside.albedo * np.array(sun.flux) / (4.0 * math.pi * beside.spec.unit)
+    np.testing.assert_allclose(beside.unshadowed.reflected, flux, rtol=1e-5)
+    means = [bare_about(light, some_normals(40000)).mean(axis=0) for light in (whole, beside)]
+    np.testing.assert_allclose(means[1], means[0], rtol=0.1)
+
+
+def test_lamps_hidden_from_the_middle_are_not_lost() -> None:
+    """A red area light that shows the middle its back, alone and beside a green lamp."""
+    sides = {"u": [0.0, 5.0, 0.0], "v": [0.0, 0.0, 5.0]}
+    area = {"type": "area", "corner": [4000.0, 0.0, 0.0], **sides, "radiance": [9.0, 0.0, 0.0]}
+    green = {**LAMP, "irradiance": [0.0, 2.0, 0.0]}
+    for lights in ([area], [area, green]):
+        light = turned(lights=lights, albedo=[0.5, 0.5, 0.0])
+        assert light.mean[0] == 0.0
+        least = light.unshadowed.least
+        assert (least > 0.0).tolist() == [True, len(lights) == 2, False]
+
+
+@pytest.mark.parametrize(
+    ("settings", "shading", "shared"),
+    [
+        ({"lights": [SKY]}, "gi", True),
+        ({"lights": [SKY]}, "vicinity", False),
+        ({"lights": [SKY], "rotating": False}, "gi", True),
+        ({"lights": [CONSTANT]}, "gi", False),
+        ({"lights": [CONSTANT], "representation": "transfer", "order": 2}, "gi", False),
+        ({"lights": [CONSTANT], "bounces": 0, "projected": True}, "gi", True),
+        ({"lights": [CONSTANT], "bounces": 0, "projected": True}, "vicinity", False),
+        ({"lights": [CONSTANT, LAMP]}, "gi", True),
+        ({"lights": [CONSTANT, LAMP]}, "vicinity", False),
+    ],
+)
+def test_ratios_are_for_sided_light_and_projected_texels(settings: dict[str, Any], shading: str, shared: bool) -> None:
+    scene = load_scene("demo:orbital", **{"projected": False, **settings})
+    assert carries_irradiance_ratios(scene, shading, scene.projection.any) is shared
+
+
+def test_provisional_light_follows_the_pixels_normals(tmp_path: Path, workbench: Make) -> None:
+    bench = workbench(scene_of(ball(), 0.0, lights=[soft_probe(tmp_path)], albedo=0.5, lobes=0))
+    view = bench.view(size=40, light=ODD)
+    frame = bench.renderer.render(view)
+    light = RotatedLight(bench.caches.spec("gi"), view)
+    normals = frame.gbuffer.normals(Tiles(1))
+    shown = frame.radiance.reshape(-1, 3)[frame.gbuffer.pixels]
+    np.testing.assert_allclose(shown, bare_about(light, normals) * light.spec.unit, rtol=1e-4)
+    assert shown.std() > 0.1 * shown.mean()
+
+
+def test_ratios_are_nearer_to_the_truth_than_plain_light(
+    tmp_path: Path, workbench: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On a ball under light that falls off from one pole, by texels two voxels apart."""
+    settings = {"lights": [soft_probe(tmp_path)], "albedo": 0.5, "bounces": 0, "lobes": 0, "lattice": 0.5}
+    bench = workbench(scene_of(ball(20, 6.0), 0.0, target_error=0.01, **settings))
+    view = bench.view(size=48, light=ODD)
+    shared, truth = bench.bake(view), bench.renderer.render(replace(view, shading="path_traced", samples=4096))
+    monkeypatch.setattr(renderer_module, "carries_irradiance_ratios", lambda *_: False)
+    plain = bench.renderer.render(view)
+    assert relative_rmse(shared, truth) < 0.5 * relative_rmse(plain, truth)
+
+
+def test_a_frame_has_the_same_bits_on_any_number_of_threads(orbital: Workbench) -> None:
+    view = orbital.view(size=40, light=ODD)
+    frames = [Renderer(orbital.caches, Tiles(threads)).render(view) for threads in (1, 3)]
+    assert frames[0].radiance.tobytes() == frames[1].radiance.tobytes()
+    assert frames[0].error.tobytes() == frames[1].error.tobytes()
+
+
+def test_normals_of_projected_texels_are_found_once(orbital: Workbench, monkeypatch: pytest.MonkeyPatch) -> None:
+    view, asked = orbital.view(size=24), []
+    gbuffer = orbital.renderer.gbuffer(view)
+    texels = orbital.renderer.texels(view, gbuffer)
+    found = find_texel_normals(texels, orbital.prepared, Tiles(2))
+    monkeypatch.setattr(
+        facings, "fill_texel_normals", lambda *each: (asked.append(len(each[4])), fill_texel_normals(*each))
+    )
+    assert found.where(np.zeros(len(found.own), np.bool_), texels, orbital.prepared, Tiles(1)) is found.own
+    places, count = texels.positions, len(found.own)
+    there, normals, verdicts = np.empty((3, count)), np.empty((3, count)), np.empty(count, np.uint8)
+    project_texels(orbital.prepared.field, orbital.prepared.step, gbuffer.isovalue, places, there, normals, verdicts)
+    projected = verdicts == PROJECTED
+    projected[::3] = False
+    for mask in (projected & (np.arange(count) % 2 == 0), projected, projected):
+        facing = found.where(mask, texels, orbital.prepared, Tiles(1))
+        np.testing.assert_allclose(facing[mask], normals.T[mask], atol=2e-3)
+        assert np.array_equal(facing[~mask], found.own[~mask])
+    assert sum(asked) == projected.sum() > 100, "each is found once"
+    assert found.nbytes == 25 * count
+
+
+def test_ratios_leave_light_from_all_sides_as_it_is(evenly_lit: Workbench, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where shares are asked for nevertheless, they are the light itself but for weights."""
+    view = evenly_lit.view()
+    plain = evenly_lit.renderer.render(view)
+    monkeypatch.setattr(renderer_module, "carries_irradiance_ratios", lambda *_: True)
+    shared = evenly_lit.renderer.render(view)
+    assert relative_rmse(shared, plain) < 0.01
+    assert shared.radiance.tobytes() != plain.radiance.tobytes()
+    assert shared.estimated_error == pytest.approx(plain.estimated_error, rel=0.1)
+    assert LOOSE > shared.estimated_error > 0.0

@@ -1,0 +1,101 @@
+"""Readings: how good the light of a view's texels is, and what of it is still wanted."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from isogi_core.frame.texel_reading import Reading, grade_rows, read_texels
+from isogi_core.frame.tiles import Tiles
+from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, PROVISIONAL, Framebuffer
+from isogi_core.kernels.shading.lattice import BURIED, BURIED_ROW, PARTIAL, UNBAKED, UNLIT, VOID, VOID_ROW
+from isogi_core.model.scene_plan import FEWEST, most_samples
+from isogi_core.model.view import View
+from isogi_core.plan.assembly import load_scene
+from tests.frame.conftest import CONSTANT, SKY, Workbench, refine_chunk
+
+TARGET = 0.02
+
+
+def test_grades_part_missing_rough_and_good_light() -> None:
+    expected = [
+        (0, 0.0, 0, PARTIAL),
+        (5, 0.01, FEWEST // 2, CONVERGING),
+        (1, 0.03, FEWEST, CONVERGING),
+        (2, 0.01, FEWEST, FINAL),
+        (3, 0.03, most_samples(TARGET), FINAL),
+        (UNLIT, 0.0, 0, UNBAKED),
+        (VOID_ROW, 0.0, 0, VOID),
+        (BURIED_ROW, 0.0, 0, BURIED),
+    ]
+    rows, error, samples, grades = (np.array(column) for column in zip(*expected, strict=True))
+    assert grade_rows(rows.astype(np.int32), error.astype(np.float32), samples, TARGET).tolist() == grades.tolist()
+
+
+def reading_of(bench: Workbench, view: View, tiles: Tiles) -> Reading:
+    """What the cache has of a view."""
+    texels = bench.renderer.texels(view, bench.renderer.gbuffer(view))
+    loader = bench.caches.of(view.shading)
+    loader.ensure(texels.chunks)
+    with loader.pool.hold(texels.chunks) as held:
+        return read_texels(texels, held.slots, loader.pool, bench.scene.target_error, tiles)
+
+
+def planes_of(view: View, error: float) -> Framebuffer:
+    """A white picture that is not final."""
+    pixels = view.width * view.height
+    light = np.ones((pixels, 3), np.float32)
+    return Framebuffer(light, np.full(pixels, PROVISIONAL, np.uint8), np.full(pixels, error, np.float32))
+
+
+def test_light_short_of_final_is_demanded_chunk_by_chunk(workbench: Callable[..., Workbench]) -> None:
+    bench = workbench(load_scene("demo:orbital", lights=[SKY], bounces=1, target_error=0.5))
+    view = bench.view(size=24)
+    texels = bench.renderer.texels(view, bench.renderer.gbuffer(view))
+    before = reading_of(bench, view, Tiles(1))
+    assert before.short.all() and not before.whole and (before.grade == UNBAKED).all()
+    assert [unlit for unlit, _, _ in before.efforts] == np.diff(texels.bounds).tolist()
+    assert [demand.index for demand in before.demands(texels, planes_of(view, 1.0))] == list(texels.chunks)
+    bench.bake(view)
+    after = reading_of(bench, view, Tiles(1))
+    assert (
+        not after.short.any() and after.demands(texels, planes_of(view, 0.0)) == () and after.version != before.version
+    )
+    other = replace(view, width=40)
+    some = reading_of(bench, other, Tiles(1))
+    wider = bench.renderer.texels(other, bench.renderer.gbuffer(other))
+    own = [some.grade[a:b] for a, b in zip(wider.bounds[:-1], wider.bounds[1:], strict=True)]
+    assert some.short.tolist() == [bool((grade < FINAL).any()) for grade in own]
+    assert [demand.index for demand in some.demands(wider, planes_of(other, 1.0))] == [
+        index for index, short in zip(wider.chunks, some.short, strict=True) if short
+    ]
+
+
+def test_efforts_of_chunks_in_pieces_are_those_of_their_texels(
+    workbench: Callable[..., Workbench], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A chunk that lies in two pieces, or in more, has the sum of both."""
+    bench = workbench(load_scene("demo:orbital", lights=[SKY], bounces=1, target_error=1e-3))
+    view = bench.view(size=24)
+    texels = bench.renderer.texels(view, bench.renderer.gbuffer(view))
+    loader = bench.caches.of(view.shading)
+    for demand in bench.renderer.render(view).demands[::2]:
+        refine_chunk(loader, 16, bench.scene.target_error, demand)
+    whole = reading_of(bench, view, Tiles(1))
+    monkeypatch.setattr("isogi_core.frame.texel_reading.PIECE", 7)
+    pieces = reading_of(bench, view, Tiles(2))
+    assert np.array_equal(pieces.efforts, whole.efforts) and len(whole.efforts) == len(texels.chunks)
+    unlit = [int((whole.rows[a:b] == UNLIT).sum()) for a, b in pairwise(texels.bounds.tolist())]
+    assert whole.efforts[:, 0].tolist() == unlit and 0 < sum(unlit) < len(whole.rows)
+    assert (whole.efforts[np.array(unlit) == 0, 1] > 0.0).all()
+
+
+def test_threads_change_no_reading(workbench: Callable[..., Workbench]) -> None:
+    bench = workbench(load_scene("demo:orbital", lights=[CONSTANT], bounces=1, target_error=0.5))
+    view = bench.view(size=24)
+    bench.bake(view)
+    one, other = (reading_of(bench, view, Tiles(threads)) for threads in (1, 3))
+    assert one.version == other.version
+    assert np.array_equal(one.rows, other.rows) and np.array_equal(one.grade, other.grade)

@@ -1,0 +1,31 @@
+"""The field by NumPy and SciPy: values, smoothed gradients and where a level is crossed."""
+
+import numpy as np
+from scipy.ndimage import map_coordinates
+
+from isogi_core.kernels.tracing.field import bspline, bspline_slope
+from isogi_core.kernels.tracing.plateaus import FARTHEST, STRIDE
+
+
+def smoothed(voxels, p):
+    """The smoothed gradient at `p`, (3,)."""
+    cells = [min(int(x), n - 2) for x, n in zip(p[::-1], voxels.shape, strict=True)]
+    taps = [np.clip(np.arange(i - 1, i + 3), 0, n - 1) for i, n in zip(cells, voxels.shape, strict=True)]
+    block = voxels[np.ix_(*taps)].astype(float)
+    weights, slopes = ([own(x - i) for x, i in zip(p[::-1], cells, strict=True)] for own in (bspline, bspline_slope))
+    factors = [[slopes[a] if a == axis else weights[a] for a in range(3)] for axis in (2, 1, 0)]
+    return np.array([np.einsum("kji,k,j,i->", block, *each) for each in factors])
+
+
+def values(voxels, points):
+    """Trilinear values at points (m, 3) or the nearest to them in the box."""
+    inside = np.clip(points, 0.0, np.array(voxels.shape[::-1]) - 1.0)
+    return map_coordinates(voxels.astype(float), inside.T[::-1], order=1)
+
+
+def search(voxels, p, down, level):
+    """The stride (first, last place) along `down` in which the level is crossed; None where it is in none."""
+    places = p + np.arange(0.0, FARTHEST + STRIDE / 2, STRIDE)[:, None] * down
+    solid = values(voxels, places) > level
+    changes = np.flatnonzero(solid != solid[0])
+    return places[changes[0] - 1 : changes[0] + 1] if len(changes) else None

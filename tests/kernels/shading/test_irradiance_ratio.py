@@ -1,0 +1,227 @@
+"""Light carried as ratios to unshadowed light, against plain NumPy and SciPy's harmonics."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.special import sph_harm_y
+
+from isogi_core.frame.lighting import quadric_of
+from isogi_core.kernels.shading.framebuffer import (
+    BLUE,
+    CONVERGING,
+    FINAL,
+    GREEN,
+    PROVISIONAL,
+    RED,
+    Framebuffer,
+    PixelPoints,
+)
+from isogi_core.kernels.shading.irradiance_ratio import (
+    DOUBLINGS,
+    LEAST_COSINE,
+    RECORD,
+    Unshadowed,
+    carry_ratios,
+    find_ratios,
+)
+from isogi_core.kernels.shading.lattice import BURIED, PARTIAL, UNBAKED, VOID
+from tests.kernels.shading.lattices import border_points, lattice, lower_texels, view_of
+
+RNG = np.random.default_rng(5)
+LIGHT = RNG.normal(size=(3, 9)) * 0.3 + np.array([4.0] + [0.0] * 8)
+LEASTS = np.array([0.9, 0.7, 0.8], np.float32)
+REFLECTED = np.array([0.2, 0.1, 0.15], np.float32)
+UNSHADOWED = Unshadowed(np.ascontiguousarray(quadric_of(LIGHT), np.float32), LEASTS, REFLECTED)
+WEIGHTS = np.array([RED, GREEN, BLUE], np.float64)
+
+
+def some_normals(count):
+    """Unit normals (count, 3) float32 that look anywhere."""
+    normals = RNG.normal(size=(count, 3))
+    return (normals / np.linalg.norm(normals, axis=1, keepdims=True)).astype(np.float32)
+
+
+def harmonics(n):
+    """The nine real harmonics of a unit vector, by SciPy."""
+    theta, phi, found = math.acos(n[2]), math.atan2(n[1], n[0]), []
+    for l in range(3):
+        for m in range(-l, l + 1):
+            y = (-1) ** m * sph_harm_y(l, abs(m), theta, phi) * math.sqrt(2.0 if m else 1.0)
+            found.append(y.imag if m < 0 else y.real)
+    return np.array(found)
+
+
+def unshadowed_of(normals):
+    """Unshadowed light (n, 3) about ``normals``."""
+    return np.maximum([LIGHT @ harmonics(n / np.linalg.norm(n)) for n in normals.astype(float)], LEASTS) + REFLECTED
+
+
+def ratios_of(grade, lit, normals, unshadowed=UNSHADOWED):
+    """`find_ratios`: (m, RECORD)."""
+    ratios = np.full((len(grade), RECORD), np.nan, np.float32)
+    find_ratios(grade, lit, normals, unshadowed, ratios)
+    return ratios
+
+
+def carry(points, ratios, normals, unshadowed=UNSHADOWED, unit=1.0):
+    """`carry_ratios`: radiance (n, 3), state (n,), error (n,)."""
+    size, corners = 3 * len(points), view_of(points)[2]
+    planes = Framebuffer(np.zeros((size, 3), np.float32), np.zeros(size, np.uint8), np.zeros(size, np.float32))
+    pixels = np.arange(1, size, 3, dtype=np.uint32)
+    some = PixelPoints(points, normals, pixels)
+    carry_ratios(lattice(), some, corners, ratios, unshadowed, np.float32(unit), planes)
+    assert not planes.state[::3].any() and not planes.radiance[2::3].any(), "other pixels are left alone"
+    return tuple(plane[pixels] for plane in planes)
+
+
+def lit_texels(points, grades=(FINAL,)):
+    """Texels of a view of the points, lit at random: grades, light (m, 4) and normals (m, 3)."""
+    count = len(view_of(points)[1])
+    lit = (RNG.random((count, 4)) + 0.1).astype(np.float32)
+    return RNG.choice(grades, count).astype(np.uint8), lit, some_normals(count)
+
+
+def one_by_one(points, grade, lit, towards, normals):
+    """Light (n, 3), its standard error (n,) and the least grade (n,), by loops over points and their texels."""
+    corners, (_, fractions) = view_of(points)[2], lower_texels(points)
+    light, noise, least = np.zeros((len(points), 3)), np.zeros(len(points)), np.zeros(len(points), int)
+    for m, (own, f) in enumerate(zip(corners, fractions, strict=True)):
+        tri = np.prod(np.where(np.array(list(np.ndindex(2, 2, 2))), f, 1.0 - f), axis=1)
+        cosines = np.maximum(towards[own].astype(float) @ normals[m], LEAST_COSINE)
+        counts, over = grade[own] <= FINAL, unshadowed_of(towards[own])
+        weights, under = tri * cosines ** (2**DOUBLINGS) * counts, unshadowed_of(normals[m : m + 1])[0]
+        unbaked = (grade[own] == UNBAKED)[:, None]
+        ratios = np.where(unbaked, over - REFLECTED, lit[own, :3]) / over
+        errors = np.where(unbaked[:, 0], 0.0, lit[own, 3] / (over @ WEIGHTS))
+        least[m] = grade[own].min()
+        if weights.sum() > 0.0:
+            weights /= weights.sum()
+            light[m], noise[m] = weights @ ratios * under, np.sqrt(((weights * errors) ** 2).sum()) * (under @ WEIGHTS)
+        else:
+            light[m] = 0.0 if tri[grade[own] == BURIED].sum() > 0.0 else under - REFLECTED
+    return light, noise, least
+
+
+@pytest.mark.parametrize("order", [1, 2, 3])
+def test_the_quadric_is_the_sum_of_harmonics(order):
+    normals, light = some_normals(50), LIGHT[:, : order**2]
+    x, y, z = normals.T.astype(float)
+    terms = np.stack([np.ones(50), y, z, x, x * y, y * z, z * z, x * z, x * x - y * y])
+    expected = [light @ harmonics(n.astype(float))[: order**2] for n in normals]
+    np.testing.assert_allclose((quadric_of(light) @ terms).T, expected, atol=1e-6)
+
+
+def test_a_ratio_is_the_light_over_unshadowed_light():
+    points = border_points()
+    grade, lit, towards = lit_texels(points, (PARTIAL, CONVERGING, FINAL, UNBAKED, BURIED, VOID))
+    lit[grade == UNBAKED] = lit[grade > FINAL] = np.nan
+    ratios, there, over = ratios_of(grade, lit, towards), (grade >= PARTIAL) & (grade <= FINAL), unshadowed_of(towards)
+    dark = over - REFLECTED <= 1.0001 * LEASTS
+    assert dark.any() and not dark.all(), "some are as dark as they may be"
+    np.testing.assert_allclose(ratios[there, :3], (lit[:, :3] / over)[there], rtol=1e-5)
+    np.testing.assert_allclose(ratios[there, 3], (lit[:, 3] / (over @ WEIGHTS))[there], rtol=1e-5)
+    unbaked = grade == UNBAKED
+    np.testing.assert_allclose(ratios[unbaked, :3], 1.0 - (REFLECTED / over)[unbaked], rtol=1e-5)
+    assert not ratios[unbaked, 3].any() and not ratios[grade > FINAL, :4].any()
+    assert np.array_equal(ratios[:, 4:7], towards) and np.array_equal(ratios[:, 7], grade)
+
+
+@pytest.mark.parametrize("grades", [(FINAL,), (FINAL, CONVERGING, PARTIAL, UNBAKED, BURIED, VOID), (BURIED, VOID)])
+def test_ratios_are_carried_as_a_loop_over_texels_has_it(grades):
+    points = border_points()
+    grade, lit, towards = lit_texels(points, grades)
+    normals = some_normals(len(points))
+    light, noise, least = one_by_one(points, grade, lit, towards, normals)
+    radiance, state, error = carry(points, ratios_of(grade, lit, towards), normals)
+    np.testing.assert_allclose(radiance, light, rtol=2e-4, atol=1e-5)
+    assert np.array_equal(state, np.clip(least, PROVISIONAL, FINAL))
+    expected = np.minimum(noise / np.maximum(light @ WEIGHTS, 1e-30), 1.0)
+    np.testing.assert_allclose(error, np.where(least <= PARTIAL, 1.0, expected), rtol=2e-4, atol=1e-6)
+
+
+def test_where_all_normals_agree_light_is_blended_as_it_is():
+    points = border_points()
+    grade, lit, _ = lit_texels(points)
+    up = np.tile(np.array([0.6, 0.0, 0.8], np.float32), (max(len(grade), len(points)), 1))
+    radiance, _, _ = carry(points, ratios_of(grade, lit, up[: len(grade)]), up[: len(points)])
+    corners, (_, f) = view_of(points)[2], lower_texels(points)
+    tri = np.prod(np.where(np.array(list(np.ndindex(2, 2, 2)))[None], f[:, None], 1.0 - f[:, None]), axis=2)
+    np.testing.assert_allclose(radiance, np.einsum("mk,mkc->mc", tri, lit[corners, :3]), rtol=1e-5)
+
+
+def test_light_that_follows_the_normals_is_right_for_any_normals():
+    points = border_points()
+    grade, lit, towards = lit_texels(points, (FINAL, UNBAKED, VOID))
+    unshadowed = Unshadowed(*UNSHADOWED[:2], 0.0 * REFLECTED)
+
+    def all_of(normals):
+        return unshadowed_of(normals) - REFLECTED
+
+    lit[:, :3] = all_of(towards)
+    normals = some_normals(len(points))
+    radiance, _, _ = carry(points, ratios_of(grade, lit, towards, unshadowed), normals, unshadowed)
+    np.testing.assert_allclose(radiance, all_of(normals), rtol=1e-5)
+
+
+def test_texels_that_face_away_or_nowhere_hardly_count():
+    points, up = np.array([[3.4, 2.2, 5.7]], np.float32), np.array([[0.0, 0.0, 1.0]], np.float32)
+    grade, lit, towards = lit_texels(points)
+    corner = view_of(points)[2][0]
+    towards[corner], towards[corner[0]], towards[corner[3]] = -up, up, 0.0
+    radiance, _, _ = carry(points, ratios_of(grade, lit, towards), up)
+    np.testing.assert_allclose(radiance[0], lit[corner[0], :3], rtol=1e-6)
+
+
+def test_where_all_texels_face_away_they_count_as_if_none_did():
+    points, up = np.array([[3.4, 2.2, 5.7]], np.float32), np.array([[0.0, 0.0, 1.0]], np.float32)
+    grade, lit, towards = lit_texels(points)
+    towards[:] = -up
+    away, _, _ = carry(points, ratios_of(grade, lit, towards), up)
+    there, _, _ = carry(points, ratios_of(grade, lit, towards), -up)
+    np.testing.assert_allclose(away[0], there[0] * unshadowed_of(up)[0] / unshadowed_of(-up)[0], rtol=1e-5)
+
+
+def test_a_colour_that_the_light_lacks_stays_dark():
+    points = border_points()
+    grade, lit, towards = lit_texels(points, (FINAL, UNBAKED))
+    lit[:, 1] = 0.0
+    unshadowed = Unshadowed(*(each.copy() for each in UNSHADOWED))
+    for each in unshadowed:
+        each[1] = 0.0
+    radiance, _, error = carry(
+        points, ratios_of(grade, lit, towards, unshadowed), some_normals(len(points)), unshadowed
+    )
+    assert not radiance[:, 1].any() and (radiance[:, 0] > 0.0).all() and np.isfinite(error).all()
+
+
+def test_no_light_at_all_is_black_and_final():
+    points = border_points()
+    grade, lit, towards = lit_texels(points)
+    dark = Unshadowed(*(0.0 * each for each in UNSHADOWED))
+    radiance, state, error = carry(points, ratios_of(grade, 0.0 * lit, towards, dark), some_normals(len(points)), dark)
+    assert not radiance.any() and not error.any() and (state == FINAL).all()
+
+
+@pytest.mark.parametrize("unit", [2.0**-100, 2.0**100])
+def test_ratios_are_carried_in_units(unit):
+    points = border_points()
+    grade, lit, towards = lit_texels(points, (FINAL, UNBAKED, VOID))
+    ratios, normals = ratios_of(grade, lit, towards), some_normals(len(points))
+    one, other = (carry(points, ratios, normals, unit=each) for each in (1.0, unit))
+    assert np.array_equal(other[0], one[0] * np.float32(unit))
+    assert all(np.array_equal(*pair) for pair in zip(one[1:], other[1:], strict=True))
+
+
+def test_a_point_does_not_depend_on_its_company():
+    points = border_points()
+    grade, lit, towards = lit_texels(points, (FINAL, UNBAKED, VOID, BURIED))
+    ratios, normals = ratios_of(grade, lit, towards), some_normals(len(points))
+    corners = view_of(points)[2]
+    whole = carry(points, ratios, normals)
+    for m in range(0, len(points), 37):
+        planes = Framebuffer(np.zeros((1, 3), np.float32), np.zeros(1, np.uint8), np.zeros(1, np.float32))
+        own = slice(m, m + 1)
+        some = PixelPoints(points[own], normals[own], np.zeros(1, np.uint32))
+        carry_ratios(lattice(), some, corners[own], ratios, UNSHADOWED, np.float32(1.0), planes)
+        assert all(np.array_equal(one[0], all_of[m]) for one, all_of in zip(planes, whole, strict=True))

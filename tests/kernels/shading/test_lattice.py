@@ -1,0 +1,239 @@
+"""The illumination lattice against plain NumPy: the texels around a point, and light carried from them to it."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.ndimage import map_coordinates
+from scipy.special import sph_harm_y
+
+from isogi_core.kernels.shading.framebuffer import (
+    BLUE,
+    CONVERGING,
+    FINAL,
+    GREEN,
+    PROVISIONAL,
+    RED,
+    Framebuffer,
+    PixelPoints,
+    luminance,
+)
+from isogi_core.kernels.shading.lattice import (
+    BURIED,
+    BURIED_ROW,
+    LEAST_SPREAD,
+    PARTIAL,
+    UNBAKED,
+    UNLIT,
+    VOID,
+    VOID_ROW,
+    Sky,
+    base_texel,
+    carry_light,
+    light_texels,
+    trilinear,
+)
+from isogi_core.kernels.transport.harmonics import cosine_lobe_factors
+from tests.kernels.shading.lattices import RNG, SHAPE, STEP, border_points, lattice, lower_texels, some_points, view_of
+
+
+def test_base_texel_is_the_lower_corner_and_the_fractions_in_it():
+    points = some_points()
+    low, fractions = lower_texels(points)
+    found = np.array([base_texel(lattice(), points, m) for m in range(len(points))])
+    assert np.array_equal(found[:, :3], low)
+    np.testing.assert_allclose(found[:, 3:], fractions, atol=1e-6)
+
+
+def test_points_beyond_the_box_read_its_outermost_texels():
+    points = np.array([[-1.0, -1.0, -1.0], [1e6, 1e6, 1e6]], np.float32)
+    assert base_texel(lattice(), points, 0) == (0, 0, 0, 0.0, 0.0, 0.0)
+    assert base_texel(lattice(), points, 1) == (*(n - 2 for n in SHAPE), 1.0, 1.0, 1.0)
+
+
+def test_trilinear_weights_are_the_products_and_sum_to_one():
+    fz, fy, fx = 0.2, 0.7, 0.9
+    weights = [trilinear(c, fz, fy, fx) for c in range(8)]
+    outer = np.einsum("k,j,i->kji", [1 - fz, fz], [1 - fy, fy], [1 - fx, fx]).ravel()
+    assert weights == pytest.approx(outer.tolist())
+    assert sum(weights) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+@pytest.mark.parametrize("firsts", [[0], [0, 9], [0, 1, 5]])
+@pytest.mark.parametrize("order", [1, 5])
+def test_a_texels_light_is_transfer_times_light(channels, order, firsts):
+    firsts = np.array([i for i in firsts if i < order**2], np.int32)
+    transfer = RNG.normal(size=(40, channels, order**2)).astype(np.float32)
+    noise = RNG.random(40).astype(np.float32)
+    light = RNG.normal(size=(3, order**2)).astype(np.float32)
+    rows = RNG.permutation(40)[:30].astype(np.int32)
+    rows[4:7] = UNLIT, VOID_ROW, BURIED_ROW
+    lit = np.full((30, 4), -7.0, np.float32)
+    square = RNG.normal(size=order**2).astype(np.float32)
+    light_texels(rows, transfer, noise, light, square, firsts, lit)
+    colour = np.einsum("mcn,cn->mc", np.broadcast_to(transfer[rows], (30, 3, order**2)), light)
+    there = rows >= 0
+    assert (colour[there] < 0).any(), "some sums must be negative to see them cut"
+    np.testing.assert_allclose(lit[there, :3], np.maximum(colour, 0.0)[there], atol=1e-5)
+    seen = transfer[rows, channels // 2]
+    variance = np.maximum(seen @ square - (colour @ (RED, GREEN, BLUE)) ** 2, 0.0)
+    variance += LEAST_SPREAD * np.maximum(seen[:, firsts] * square[firsts], 0.0).sum(axis=1)
+    np.testing.assert_allclose(lit[there, 3], (noise[rows] * np.sqrt(variance))[there], atol=1e-4)
+    assert (lit[~there] == -7.0).all(), "texels without a row are left alone"
+
+
+def carry(points, grade, lit, normals=None, order=3, unit=1.0):
+    """`carry_light`: radiance (n, 3), state (n,), error (n,), and the sky it was given."""
+    sky = Sky(order, np.repeat(cosine_lobe_factors(order) / math.pi, 2 * np.arange(order) + 1), SKY_LIGHT)
+    _, _, corners = view_of(points)
+    size = 3 * len(points)
+    planes = Framebuffer(np.zeros((size, 3), np.float32), np.zeros(size, np.uint8), np.zeros(size, np.float32))
+    pixels = np.arange(1, size, 3, dtype=np.uint32)
+    normals = np.zeros_like(points) if normals is None else normals
+    some = PixelPoints(points, normals, pixels)
+    carry_light(lattice(), some, corners, grade, lit, sky, np.float32(unit), planes)
+    assert not planes.state[::3].any() and not planes.radiance[2::3].any(), "other pixels are left alone"
+    return tuple(plane[pixels] for plane in planes)
+
+
+SKY_LIGHT = np.abs(RNG.normal(size=(3, 9))) * 0.05 + np.array([3.0] + [0.0] * 8)
+
+
+def lit_view(points, seed=1):
+    """Every texel of the view lit at random: grades and light (m, 4)."""
+    count = len(view_of(points)[1])
+    rng = np.random.default_rng(seed)
+    lit = rng.random((count, 4)).astype(np.float32) + 0.1
+    return np.full(count, FINAL, np.uint8), lit
+
+
+def test_carried_light_is_scipys_linear_interpolation():
+    points = border_points()
+    grade, lit = lit_view(points)
+    whole = lattice()
+    grid = np.zeros((*SHAPE, 3))
+    for slot, index in enumerate(np.ndindex(whole.chunks)):
+        own = np.flatnonzero(view_of(points)[1] // whole.texels == slot)
+        grid[tuple(whole.positions(index, view_of(points)[1][own] % whole.texels).T)] = lit[own, :3]
+    place = (points.astype(float) / STEP)[:, ::-1].T
+    radiance, state, error = carry(points, grade, lit)
+    expected = np.stack([map_coordinates(grid[..., c], place, order=1) for c in range(3)], axis=-1)
+    np.testing.assert_allclose(radiance, expected, atol=2e-5)
+    assert (state == FINAL).all()
+    assert (error < 1.0).any()
+
+
+@pytest.mark.parametrize("unit", [2.0**-100, 2.0**100])
+def test_light_is_carried_in_units(unit):
+    points = border_points()
+    grade, lit = lit_view(points)
+    grade[::3] = UNBAKED
+    up = np.tile(np.array([0.0, 0.0, 1.0], np.float32), (len(points), 1))
+    one, other = (carry(points, grade, lit, up, unit=each) for each in (1.0, unit))
+    assert np.array_equal(other[0], one[0] * np.float32(unit))
+    assert all(np.array_equal(*pair) for pair in zip(one[1:], other[1:], strict=True))
+
+
+def test_error_is_the_root_of_weighted_squares_over_luminance():
+    points = np.array([[3.4, 2.2, 5.7]], np.float32)
+    grade, lit = lit_view(points)
+    radiance, _, error = carry(points, grade, lit)
+    fz, fy, fx = lower_texels(points)[1][0]
+    weights = np.array([trilinear(c, fz, fy, fx) for c in range(8)])
+    own = lit[view_of(points)[2][0], 3]
+    assert error[0] == pytest.approx(np.sqrt(((weights * own) ** 2).sum()) / luminance(*radiance[0].astype(float)))
+
+
+def test_a_point_is_as_good_as_the_least_of_its_texels():
+    points = np.array([[3.4, 2.2, 5.7]], np.float32)
+    grade, lit = lit_view(points)
+    grade[5] = CONVERGING
+    assert carry(points, grade, lit)[1] == [CONVERGING]
+    for grade[2] in (PARTIAL, UNBAKED):
+        _, state, error = carry(points, grade, lit, np.array([[0, 0, 1]], np.float32))
+        assert state == [PROVISIONAL] and error == [1.0]
+
+
+def test_light_of_some_layers_is_shown_as_it_is():
+    points = some_points(40)
+    grade, lit = lit_view(points)
+    whole, _, _ = carry(points, grade, lit)
+    grade[::2] = PARTIAL
+    assert np.array_equal(carry(points, grade, lit)[0], whole)
+
+
+@pytest.mark.parametrize("left_out", [[VOID], [BURIED], [VOID, BURIED, VOID]])
+def test_void_and_buried_texels_are_left_out_of_the_mean(left_out):
+    points = np.array([[3.4, 2.2, 5.7]], np.float32)
+    grade, lit = lit_view(points)
+    corners = view_of(points)[2][0]
+    grade[corners[[0, 3, 7]]] = left_out
+    kept = np.delete(np.arange(8), [0, 3, 7])
+    fz, fy, fx = lower_texels(points)[1][0]
+    weights = np.array([trilinear(c, fz, fy, fx) for c in kept])
+    expected = weights @ lit[corners[kept]] / weights.sum()
+    lit[corners[[0, 3, 7]]] = 1e9
+    radiance, state, error = carry(points, grade, lit)
+    np.testing.assert_allclose(radiance[0], expected[:3], rtol=1e-5)
+    noise = np.sqrt(((weights * lit[corners[kept], 3]) ** 2).sum()) / weights.sum()
+    assert error[0] == pytest.approx(min(noise / luminance(*expected[:3]), 1.0), rel=1e-5)
+    assert state == [FINAL]
+
+
+def test_a_point_among_buried_texels_is_black_and_final():
+    """However many of the eight are void: somebody looked, and no light comes here."""
+    points = np.array([[3.4, 2.2, 5.7], [10.1, 9.9, 13.2]], np.float32)
+    grade, lit = lit_view(points)
+    lit[:] = np.nan
+    grade[:] = BURIED
+    grade[view_of(points)[2][1, :7]] = VOID
+    radiance, state, error = carry(points, grade, lit, np.full_like(points, 3**-0.5))
+    assert not radiance.any() and not error.any() and (state == FINAL).all()
+
+
+def test_buried_texels_do_not_darken_what_stands_in():
+    points = np.array([[3.4, 2.2, 5.7]], np.float32)
+    grade, lit = lit_view(points)
+    grade[:] = BURIED
+    grade[view_of(points)[2][0, 6]] = UNBAKED
+    radiance, state, _ = carry(points, grade, lit, np.array([[0, 0, 1]], np.float32))
+    np.testing.assert_allclose(radiance[0], irradiance_over_pi((0.0, 0.0, 1.0)), rtol=1e-5)
+    assert state == [PROVISIONAL]
+
+
+def irradiance_over_pi(n):
+    """E/π of SKY_LIGHT about the unit normal n by SciPy's harmonics: Σ A_l/π ℓ_lm Y_lm(n); (3,)."""
+    theta, phi = math.acos(n[2]), math.atan2(n[1], n[0])
+    total = np.zeros(3)
+    for l, lobe in enumerate((1.0, 2.0 / 3.0, 0.25)):
+        for m in range(-l, l + 1):
+            y = (-1) ** m * sph_harm_y(l, abs(m), theta, phi) * math.sqrt(2.0 if m else 1.0)
+            total += lobe * (y.imag if m < 0 else y.real) * SKY_LIGHT[:, l * (l + 1) + m]
+    return total
+
+
+@pytest.mark.parametrize("missing", [UNBAKED, VOID])
+def test_without_any_lit_texel_unshadowed_light_stands_in(missing):
+    points = some_points(20)
+    normals = RNG.normal(size=points.shape)
+    normals = (normals / np.linalg.norm(normals, axis=1, keepdims=True)).astype(np.float32)
+    grade, lit = lit_view(points)
+    grade[:] = missing
+    lit[:] = np.nan
+    radiance, state, _ = carry(points, grade, lit, normals)
+    np.testing.assert_allclose(radiance, [irradiance_over_pi(n.astype(float)) for n in normals], rtol=1e-5)
+    assert (radiance > 0.0).all() and (state == (PROVISIONAL if missing == UNBAKED else FINAL)).all()
+
+
+def test_what_is_missing_is_filled_in_proportion():
+    points = np.array([[3.4, 2.2, 5.7]], np.float32)
+    grade, lit = lit_view(points)
+    lit[:, :3] = 0.25
+    corners = view_of(points)[2][0]
+    grade[corners[[1, 6]]] = UNBAKED
+    fz, fy, fx = lower_texels(points)[1][0]
+    share = trilinear(1, fz, fy, fx) + trilinear(6, fz, fy, fx)
+    radiance, _, _ = carry(points, grade, lit, np.array([[0, 0, 1]], np.float32))
+    expected = (1 - share) * 0.25 + share * irradiance_over_pi((0.0, 0.0, 1.0))
+    np.testing.assert_allclose(radiance[0], expected, rtol=1e-5)

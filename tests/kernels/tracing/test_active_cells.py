@@ -1,0 +1,96 @@
+"""The active-cell map against plain loops: marks, ranges and how far empty space reaches."""
+
+import numpy as np
+import pytest
+
+from isogi_core.kernels.tracing.active_cells import (
+    BITS,
+    BRICK,
+    LONGEST,
+    brick_ranges,
+    brick_shape,
+    make_active_cells,
+)
+
+BALL = 12.0 - np.linalg.norm(np.indices((41, 41, 41)) - 20.0, axis=0)
+
+
+def marked_cells(cells):
+    """Which cells are marked and which lie in a 2³ block with a marked one; (z, y, x, cells filled up) each."""
+    near = (cells.tops >> 28) == 0
+    words = np.zeros((len(near), BRICK), np.int32)
+    words[near] = cells.cells.reshape(-1, BRICK)[cells.tops[near]]
+    bits = (words.reshape(*cells.shape, BRICK)[..., None, None] >> np.arange(32).reshape(2, 1, 1, 1, 1, 4, 4)) & 1
+    z, y, x = (n * BRICK for n in cells.shape)
+    return bits.transpose(0, 1, 4, 2, 5, 3, 6).reshape(2, z, y, x).astype(bool)
+
+
+@pytest.mark.parametrize("shape", [(2, 2, 2), (5, 9, 17), (21, 18, 30)])
+def test_active_cells_hold_the_surface_and_few_more_do(shape):
+    voxels = np.random.default_rng(15).normal(size=shape).astype(np.float32)
+    low, high = 1.5, 1.6
+    cells = make_active_cells(voxels, brick_ranges(voxels), low, high)
+    corners = [
+        voxels[c : shape[0] - 1 + c, b : shape[1] - 1 + b, a : shape[2] - 1 + a] for c, b, a in np.ndindex(2, 2, 2)
+    ]
+    least, most = np.minimum.reduce(corners), np.maximum.reduce(corners)
+    marked, blocks = marked_cells(cells)
+    inner = marked[: shape[0] - 1, : shape[1] - 1, : shape[2] - 1]
+    holds = (least <= high) & (most > low)
+    assert not (holds & ~inner).any()
+    assert (inner & ~holds).sum() <= 0.01 * holds.sum() + 1
+    pairs = marked.reshape(-1, 2, marked.shape[1] // 2, 2, marked.shape[2] // 2, 2).any(axis=(1, 3, 5))
+    bricked = marked.reshape(cells.shape[0], 4, cells.shape[1], 4, cells.shape[2], 4).any(axis=(1, 3, 5))
+    assert np.array_equal(blocks, pairs.repeat(2, 0).repeat(2, 1).repeat(2, 2))
+    assert np.array_equal((cells.tops >> 28) == 0, bricked.ravel())
+
+
+@pytest.mark.parametrize("holes", [0.0, 0.002])
+@pytest.mark.parametrize("shape", [(2, 2, 2), (5, 9, 17), (21, 18, 38)])
+def test_ranges_are_those_of_the_cells_in_and_around_a_brick(shape, holes):
+    rng = np.random.default_rng(16)
+    voxels = rng.normal(size=shape).astype(np.float32)
+    voxels[rng.random(shape) < holes] = np.nan
+    low, high, margins = (values.reshape(brick_shape(shape)) for values in brick_ranges(voxels))
+    for index in np.ndindex(low.shape):
+        around = voxels[tuple(slice(max(BRICK * i - 1, 0), BRICK * i + BRICK + 2) for i in index)]
+        hole = np.isnan(around).any()
+        assert (low[index], high[index]) == ((-np.inf, np.inf) if hole else (around.min(), around.max()))
+        assert margins[index] == np.inf if hole else 0 < margins[index] < 1e-4 * max(shape) * np.abs(around).max()
+
+
+def test_pieces_make_the_same_map():
+    ranges = brick_ranges(BALL.astype(np.float32))
+    whole = make_active_cells(BALL.astype(np.float32), ranges, 0.0, 1.0)
+
+    def run(piece, total):
+        for first in reversed(range(total)):
+            piece(first, first + 1)
+
+    pieces = make_active_cells(BALL.astype(np.float32), ranges, 0.0, 1.0, run)
+    assert np.array_equal(pieces.tops, whole.tops)
+    assert np.array_equal(pieces.cells, whole.cells)
+
+
+def largest_cube(marked, corner, way):
+    """Side of the largest cube with no marked brick that goes from ``corner`` in the directions ``way``."""
+    for side in range(1, LONGEST + 1):
+        spans = []
+        for c, w in zip(corner, way, strict=True):
+            spans.append(slice(c, c + side) if w > 0 else slice(max(c - side + 1, 0), c + 1))
+        if marked[tuple(spans)].any():
+            return side - 1
+    return LONGEST
+
+
+def test_skips_are_the_largest_empty_cubes_ahead():
+    voxels = np.zeros((70, 50, 90), np.float32)
+    voxels[10, 40, 7] = voxels[60, 5, 80] = 1.0
+    cells = make_active_cells(voxels, brick_ranges(voxels), 0.5, 0.5)
+    assert cells.shape == brick_shape(voxels.shape)
+    marked = ((cells.tops >> 28) == 0).reshape(cells.shape)
+    assert marked.any()
+    for octant, (x, y, z) in enumerate((1 - 2 * (o & 1), 1 - (o & 2), 1 - (o & 4) // 2) for o in range(8)):
+        skips = (cells.tops.reshape(cells.shape) >> (BITS * octant)) & 15
+        for corner in np.argwhere(~marked):
+            assert skips[tuple(corner)] == largest_cube(marked, corner, (z, y, x))

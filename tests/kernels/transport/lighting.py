@@ -1,0 +1,134 @@
+"""Lights, starts of paths and one path at a time, for the tests of what paths gather."""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from isogi_core.kernels.tracing.field import to_index
+from isogi_core.kernels.tracing.intersect import OUTSIDE, cast
+from isogi_core.kernels.tracing.vec import column, dot, madd, put_column
+from isogi_core.kernels.transport.integrator import about, launch, shading_normal
+from isogi_core.kernels.transport.light_paths import PAIRS, Surroundings, light_paths, sample_source, to_world
+from isogi_core.kernels.transport.lights import AREA, DIRECTIONAL, NO_LAMPS, POINT, LampArrays, arriving
+from isogi_core.kernels.transport.paths import PathRules, PathStarts, SampleRange
+from isogi_core.kernels.transport.rng import point_2d
+from isogi_core.kernels.transport.sampling import sample_cosine_hemisphere
+from isogi_core.model.environment import cumulative, pixel_directions, solid_angles
+from tests.kernels.fields import cells_of
+
+Z, Y, X = np.mgrid[:41, :41, :41] - 20.0
+DISTANCE = np.sqrt(X * X + Y * Y + Z * Z)
+BALL = 12.0 - DISTANCE
+NOISY = BALL + np.random.default_rng(7).normal(size=BALL.shape) * 2.0
+PLANE = -Z
+SHELL = 3.0 - np.abs(DISTANCE - 16.0)
+DARK = np.zeros((1, 1, 3), np.float32)
+UP = np.array([[0.0], [0.0], [1.0]])
+MIDDLE = np.full((3, 1), 20.0)
+
+
+@njit
+def light_path(field, iso, p, n, seed, index, weights, light):
+    """One path, each of its rays cast by itself: what it gathers, linear RGB."""
+    r, g, b, side = 0.0, 0.0, 0.0, OUTSIDE
+    first = 0 if light.table[0].shape[0] > 0 else 1
+    for bounce in range(weights.shape[0]):
+        o = launch(field, iso, p, n, side)
+        x, y, z = weights[bounce]
+        for source in range(first, 1 + light.lamps.kinds.shape[0]):
+            u, v = point_2d(seed, index, (1 + source) * PAIRS + bounce)
+            w, reach, shine = sample_source(light, source, to_world(o, field.spacing), n, u, v)
+            if max(shine[0], shine[1], shine[2]) > 0.0:
+                t, _ = cast(field, iso, o, to_index(w, field.spacing), side)
+                if not t < reach:
+                    r, g, b = r + x * shine[0], g + y * shine[1], b + z * shine[2]
+        u, v = point_2d(seed, index, bounce)
+        w = about(n, sample_cosine_hemisphere(u, v))
+        d = to_index(w, field.spacing)
+        t, side = cast(field, iso, o, d, side)
+        if not t < math.inf:
+            end = arriving(light.constant, light.image, light.matrix, light.table, w, dot(n, w))
+            return r + x * end[0], g + y * end[1], b + z * end[2]
+        p = madd(o, t, d)
+        n = shading_normal(field, p, side, w)
+    return r, g, b
+
+
+@njit
+def one_by_one(field, starts, samples, weights, light, gathered):
+    g = len(starts.isovalues)
+    for m in range(g * samples.count):
+        i, sample = m % g, samples.first + m // g
+        p, n = column(starts.points, i), column(starts.normals, i)
+        path = light_path(field, starts.isovalues[i], p, n, starts.seeds[i], sample, weights, light)
+        put_column(gathered, m, path)
+
+
+@njit
+def in_waves(field, cells, starts, samples, rules, light, gathered):
+    light_paths(field, cells, starts, samples, rules, light, gathered)
+
+
+def lamps(*rows):
+    """Lamps of (kind, place, edges, colour)."""
+    kinds, places, edges, colours = zip(*rows, strict=True)
+    edges = [np.zeros((2, 3)) if each is None else each for each in edges]
+    return LampArrays(np.array(kinds, np.int8), *(np.array(each, float) for each in (places, edges, colours)))
+
+
+def surroundings(image=DARK, constant=0.0, table=False, lamps=NO_LAMPS, matrix=None):
+    """Light of an image, with a table where it is to be drawn from."""
+    image = np.asarray(image, np.float32)
+    light = Surroundings(np.full(3, constant), image, np.eye(3) if matrix is None else matrix, lamps=lamps)
+    if not table:
+        return light
+    bright = np.maximum(image.sum(axis=2) - image.sum(axis=2).mean(), 0.0)
+    return light._replace(table=cumulative(bright * solid_angles(*image.shape[:2])))
+
+
+def gather(field, starts, light, weights, samples):
+    """What paths from the starts gather, (starts, count, 3); ``samples`` a number, or first and count."""
+    some = SampleRange(0, samples) if isinstance(samples, int) else SampleRange(*samples)
+    gathered = np.empty((3, len(starts.seeds) * some.count))
+    rules, cells = PathRules(weights, 1.0), cells_of(field, starts.isovalues[0])
+    in_waves(field, cells, starts, some, rules, light, gathered)
+    return gathered.T.reshape(some.count, len(starts.seeds), 3).swapaxes(0, 1)
+
+
+def starts_at(points, normals, seeds=None, iso=0.0):
+    """Starts of paths at ``points`` with ``normals`` (3, n), all on one isosurface."""
+    count = points.shape[1]
+    seeds = np.arange(count, dtype=np.uint64) + np.uint64(1) if seeds is None else seeds
+    return PathStarts(points, normals, np.full(count, iso), seeds)
+
+
+def on_ball(count, seed=3):
+    """Points (3, n) of the ball of radius 12, and their normals."""
+    n = np.random.default_rng(seed).normal(size=(3, count))
+    n /= np.linalg.norm(n, axis=0)
+    return 20.0 + 12.0 * n, n
+
+
+def sunny(height=32, sun=(0.36, 0.48, 0.8), radiance=400.0):
+    """A dim sky of two colours with a disc of 5 degrees in it."""
+    directions = pixel_directions(height, 2 * height)
+    image = np.where(directions[..., 2:] > 0.0, (0.3, 0.4, 0.6), (0.1, 0.1, 0.0))
+    image[directions @ sun > math.cos(math.radians(5.0))] = radiance
+    return image
+
+
+EVERY_LAMP = lamps(
+    (DIRECTIONAL, (0.0, 0.6, 0.8), None, (0.3, 0.2, 0.1)),
+    (DIRECTIONAL, (1.0, 0.0, 0.0), [(0.0, 0.1, 0.0), (0.0, 0.0, 0.1)], (0.1, 0.2, 0.3)),
+    (POINT, (30.0, 35.0, 38.0), None, (90.0, 10.0, 50.0)),
+    (AREA, (5.0, 5.0, 38.0), [(0.0, 20.0, 0.0), (20.0, 0.0, 0.0)], (0.5, 0.4, 0.3)),
+)
+TURN = np.array([[0.0, -1.0, 0.0], [0.6, 0.0, -0.8], [0.8, 0.0, 0.6]])
+LIGHTS = {
+    "constant": surroundings(constant=0.7),
+    "image": surroundings(sunny(), 0.2, matrix=TURN),
+    "table": surroundings(sunny(), 0.2, table=True, matrix=TURN),
+    "lamps": surroundings(lamps=EVERY_LAMP),
+    "all": surroundings(sunny(), 0.1, table=True, lamps=EVERY_LAMP, matrix=TURN),
+}

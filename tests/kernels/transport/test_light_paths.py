@@ -1,0 +1,179 @@
+"""Lit paths against closed forms, against paths one at a time, and by their statistics."""
+
+import math
+
+import numpy as np
+import pytest
+
+from isogi_core.kernels.tracing.field import OFFSET
+from isogi_core.kernels.transport.lights import AREA, DIRECTIONAL, POINT
+from isogi_core.kernels.transport.paths import SampleRange
+from isogi_core.model.environment import cumulative, pixel_directions, solid_angles
+from tests.kernels.fields import field_of
+from tests.kernels.transport.lighting import (
+    BALL,
+    LIGHTS,
+    MIDDLE,
+    NOISY,
+    PLANE,
+    SHELL,
+    TURN,
+    UP,
+    Z,
+    gather,
+    lamps,
+    on_ball,
+    one_by_one,
+    starts_at,
+    sunny,
+    surroundings,
+)
+from tests.scale import COMPILED, few
+
+
+@pytest.mark.parametrize("name", LIGHTS)
+@pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), (0.5, 1.0, 2.0)])
+def test_waves_gather_what_paths_one_by_one_do(name, spacing):
+    starts, count = few((300, 20), (20, 2))
+    weights = np.array([0.9, 0.7, 0.5]) ** np.arange(5.0)[:, None]
+    light, field = LIGHTS[name], field_of(NOISY, spacing)
+    begin = starts_at(*on_ball(starts), np.random.default_rng(1).integers(0, 2**63, starts).astype(np.uint64))
+    expected = np.empty((3, starts * count))
+    one_by_one(field, begin, SampleRange(3, count), weights, light, expected)
+    found = gather(field, begin, light, weights, (3, count))
+    expected = expected.T.reshape(count, starts, 3).swapaxes(0, 1)
+    np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-14)
+    assert (found > 0.0).mean() > 0.2
+
+
+def test_a_path_gathers_the_same_bits_in_any_company():
+    starts, count = few((700, 9), (3, 2))
+    points, normals = on_ball(starts)
+    weights, light = np.full((4, 3), 0.8), LIGHTS["all"]
+    seeds = np.arange(starts, dtype=np.uint64) * np.uint64(77)
+    field = field_of(NOISY)
+    together = gather(field, starts_at(points, normals, seeds), light, weights, count)
+    for some in np.array_split(np.random.default_rng(5).permutation(starts), 3):
+        begin = starts_at(points[:, some].copy(), normals[:, some].copy(), seeds[some])
+        late = gather(field, begin, light, weights, (1, count - 1))
+        assert np.array_equal(late, together[some, 1:])
+
+
+# --- closed forms ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("table", [False, True])
+def test_furnace(table):
+    """A convex body under radiance 1 from everywhere receives π; the table may draw what it likes."""
+    image = np.ones((8, 16, 3), np.float32)
+    light = surroundings(image)
+    if table:
+        light = light._replace(table=cumulative(np.random.default_rng(2).random((8, 16)) ** 4))
+    count = few(4096, 40)
+    found = gather(field_of(PLANE), starts_at(MIDDLE, UP), light, np.ones((2, 3)), count).mean(axis=1)
+    np.testing.assert_allclose(found, 1.0, atol=6.0 / count**0.5 if table else 1e-6)
+
+
+@COMPILED
+@pytest.mark.parametrize("name", ["table", "lamps"])
+def test_no_light_is_made_or_lost_by_bounces_in_the_open(name):
+    points, normals = on_ball(50)
+    convex = [
+        gather(field_of(BALL), starts_at(points, normals), LIGHTS[name], np.ones((n, 3)), 64).mean(axis=1)
+        for n in (1, 4)
+    ]
+    np.testing.assert_allclose(convex[1], convex[0], rtol=0.01, atol=1e-3)
+
+
+@pytest.mark.parametrize("degrees", [0.0, 30.0, 75.0, 120.0])
+@pytest.mark.parametrize("angle", [0.0, 20.0])
+def test_a_directional_lamp_over_a_plane(degrees, angle):
+    """E cosθ/π, for a disc that is whole above the plane too; nothing from below."""
+    sine, cosine = math.sin(math.radians(degrees)), math.cos(math.radians(degrees))
+    radius = math.sin(math.radians(angle / 2.0))
+    edges = radius * np.array([(0.0, 1.0, 0.0), (-cosine, 0.0, sine)])
+    light = surroundings(lamps=lamps((DIRECTIONAL, (sine, 0.0, cosine), edges, (3.0, 2.0, 1.0))))
+    count = few(1024, 64)
+    found = gather(field_of(PLANE), starts_at(MIDDLE, UP), light, np.full((1, 3), 0.5), count).mean(axis=1)
+    np.testing.assert_allclose(found[0], 0.5 * max(cosine, 0.0) * np.array([3.0, 2.0, 1.0]), rtol=2e-3)
+
+
+@pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), (0.5, 2.0, 3.0)])
+def test_a_point_lamp_over_a_plane_and_under_it(spacing):
+    """I cosθ/(π r²), above where rays start; a lamp below the plane is behind it."""
+    start = (np.array([20.0, 20.0, 20.0 + OFFSET])) * spacing
+    for away in np.array([(0.0, 0.0, 6.0), (4.0, -3.0, 5.0), (4.0, 3.0, -5.0)]):
+        light = surroundings(lamps=lamps((POINT, start + away, None, (1.0, 2.0, 3.0))))
+        found = gather(field_of(PLANE, spacing), starts_at(MIDDLE, UP), light, np.ones((1, 3)), 1)[0, 0]
+        share = max(away[2], 0.0) / np.linalg.norm(away) ** 3
+        np.testing.assert_allclose(found, share * np.array([1.0, 2.0, 3.0]), rtol=1e-9)
+
+
+def test_a_lamp_is_hidden_by_what_is_nearer_only():
+    """A floor under a slab: a lamp between the two is seen, one within or above the slab is not."""
+    slab = np.maximum(PLANE - 10.0, 2.0 - np.abs(Z - 5.0))
+    floor = np.array([[20.0], [20.0], [10.0]])
+    for height, seen in ((16.0, True), (22.9, True), (25.0, False), (39.0, False), (60.0, False)):
+        light = surroundings(lamps=lamps((POINT, (22.0, 20.0, height), None, (1.0, 1.0, 1.0))))
+        found = gather(field_of(slab), starts_at(floor, UP), light, np.ones((1, 3)), 1)
+        assert (found > 0.0).all() == seen and found.any() == seen
+
+
+@pytest.mark.parametrize(("a", "b", "h"), [(4.0, 7.0, 5.0), (12.0, 12.0, 3.0)])
+def test_a_rectangle_over_its_corner_has_its_form_factor(a, b, h):
+    """E/π = L F of a parallel rectangle with a corner above the point (Howell's catalogue, C-11); its back is dark."""
+    corner = np.array([20.0, 20.0, 20.0 + OFFSET + h])
+    s, t = math.hypot(a, h), math.hypot(b, h)
+    form = (a / s * math.atan(b / s) + b / t * math.atan(a / t)) / (2.0 * math.pi)
+    edges = np.array([(0.0, b, 0.0), (a, 0.0, 0.0)])
+    count = few(4096, 1000)
+    for turned in (False, True):
+        light = surroundings(lamps=lamps((AREA, corner, edges[::-1] if turned else edges, np.ones(3) / math.pi)))
+        found = gather(field_of(PLANE), starts_at(MIDDLE, UP), light, np.ones((1, 3)), count).mean(axis=1)
+        np.testing.assert_allclose(found[0], 0.0 if turned else form, rtol=few(0.003, 0.1))
+
+
+@COMPILED
+@pytest.mark.parametrize("bounces", [0, 1, 6])
+def test_a_lamp_in_a_hollow_ball(bounces):
+    """Its wall is lit evenly, also by what it reflects, I/(π a²) Σ R^k: a wall behind a lamp does not hide it."""
+    inward = np.random.default_rng(4).normal(size=(3, 200))
+    inward /= np.linalg.norm(inward, axis=0)
+    albedo = np.array([0.3, 0.6, 0.9])
+    weights = albedo ** np.arange(bounces + 1.0)[:, None]
+    light = surroundings(lamps=lamps((POINT, (20.0, 20.0, 20.0), None, (1.0, 1.0, 1.0))))
+    found = gather(field_of(SHELL), starts_at(20.0 - 13.0 * inward, inward), light, weights, 64).mean(axis=(0, 1))
+    np.testing.assert_allclose(found * (13.0 - OFFSET) ** 2, weights.sum(axis=0), rtol=0.02)
+
+
+# --- statistics ----------------------------------------------------------------------------------------------------
+
+
+@COMPILED
+@pytest.mark.parametrize("voxels", [BALL, NOISY], ids=["ball", "noisy ball"])
+def test_rays_towards_bright_parts_change_noise_and_not_the_mean(voxels):
+    """Against cosine rays alone, under a turned, broad sun: each start's mean within its noise, at far less of it."""
+    points, normals = on_ball(40)
+    weights, image = np.array([0.8, 0.6, 0.4]) ** np.arange(3.0)[:, None], sunny(radiance=60.0)
+    plain = gather(field_of(voxels), starts_at(points, normals), surroundings(image, 0.1, matrix=TURN), weights, 20_000)
+    drawn = gather(
+        field_of(voxels), starts_at(points, normals), surroundings(image, 0.1, table=True, matrix=TURN), weights, 20_000
+    )
+    noise = np.sqrt((plain.var(axis=1) + drawn.var(axis=1)) / 20_000)
+    z = (plain.mean(axis=1) - drawn.mean(axis=1)) / noise
+    assert np.abs(z).max() < 4.5 and abs(z[:, 1].mean()) < 4.0 / len(z) ** 0.5
+    assert drawn.var(axis=1).mean() < 0.1 * plain.var(axis=1).mean()
+
+
+@COMPILED
+def test_a_small_sun_is_found_by_few_samples():
+    """Irradiance of a plane under a dim sky and one pixel of 10⁻⁵ of it, against the sum over the pixels."""
+    image = np.full((256, 512, 3), 0.2)
+    image[60, 100] = 40_000.0
+    share = solid_angles(256, 512) * np.maximum(pixel_directions(256, 512)[..., 2], 0.0) / math.pi
+    expected = (share[..., None] * image).sum(axis=(0, 1))
+    assert expected[0] > 1.0
+    found = gather(field_of(PLANE), starts_at(MIDDLE, UP), surroundings(image, table=True), np.ones((1, 3)), 256).mean(
+        axis=1
+    )
+    np.testing.assert_allclose(found[0], expected, rtol=0.01)

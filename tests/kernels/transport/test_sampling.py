@@ -1,0 +1,251 @@
+"""Every sampler: chi-square against its own density, and back to the numbers that it came from."""
+
+import math
+
+import numpy as np
+import pytest
+from numba import njit
+
+from isogi_core.kernels.transport import rng, sampling
+from tests.kernels.transport.chi2 import ChiSquare
+from tests.scale import few
+
+MANY = few(1_000_000, 20_000)
+FEW = 2_000
+TURN = (0.0, 2.0 * math.pi)
+SPHERE, HEMISPHERE, DISC = ((-1.0, 1.0), TURN), ((0.0, 1.0), TURN), ((0.0, 1.0), TURN)
+EDGES = [0.0, 2.0**-32, 0.5, 1.0 - 2.0**-32]
+AXES = [tuple(sign * row) for row in np.eye(3) for sign in (1.0, -1.0)]
+
+
+def python(function):
+    """The Python function behind a kernel, or itself where Numba is switched off."""
+    return getattr(function, "py_func", function)
+
+
+def over(function, width):
+    """A loop that applies a kernel of (u, v) to the rows of an array (n, 2) and gives (n, width)."""
+
+    @njit
+    def loop(points):
+        out = np.empty((len(points), width))
+        for i in range(len(points)):
+            out[i] = np.array(function(points[i, 0], points[i, 1]))
+        return out
+
+    return loop
+
+
+@njit
+def scrambled(count):
+    """The points number 5 of the pair 3 of neighbouring seeds, (count, 2)."""
+    points = np.empty((count, 2))
+    for seed in range(count):
+        points[seed] = np.array(rng.point_2d(seed, 5, 3))
+    return points
+
+
+def azimuth(x, y):
+    """Azimuth in [0, 2π), found without the kernels."""
+    return np.mod(np.arctan2(y, x), 2.0 * np.pi)
+
+
+def squares(seed, count):
+    """Independent uniform points of the square, (count, 2)."""
+    return np.random.default_rng(seed).random((count, 2))
+
+
+@pytest.fixture(params=["independent", "scrambled"])
+def uniforms(request):
+    """Uniform points from NumPy, and those of the sequence that isogi draws from."""
+    return squares(4, MANY) if request.param == "independent" else scrambled(MANY)
+
+
+def test_chi_square_tells_right_from_wrong():
+    """It takes what is right; it rejects 10 % of slope, samples where none may be, and what is no density."""
+    points = squares(20, 1_000_000)
+    ChiSquare(points).check()
+    assert ChiSquare(points, lambda s, t: 0.95 + 0.1 * s + 0.0 * t).p_value() < 1e-6
+    assert ChiSquare(points, lambda s, t: np.where(s < 0.5, 2.0, 0.0) + 0.0 * t).p_value() == 0.0
+    with pytest.raises(AssertionError, match="no density"):
+        ChiSquare(points, lambda s, t: 1.1 + 0.0 * s * t).check()
+    with pytest.raises(AssertionError, match="outside"):
+        ChiSquare(points + 0.5).check()
+
+
+def test_chi_square_has_its_level():
+    """Of 400 right sets about 1 % fail, though half of the cells expect less than 5 and are pooled."""
+    sets = (squares(1000 + i, 2000) ** [0.5, 1.0] for i in range(400))
+    p = np.array([ChiSquare(points, lambda s, t: 2.0 * s + 0.0 * t, cells=(40, 10)).p_value() for points in sets])
+    assert 0 < np.sum(p < 0.01) <= 12
+    assert 0.45 < np.mean(p) < 0.55
+
+
+def test_disc_follows_its_density(uniforms):
+    """In (r², φ), where an area is half the rectangle."""
+    x, y = over(sampling.sample_disc, 2)(uniforms).T
+    points = np.stack([x * x + y * y, azimuth(x, y)], axis=1)
+    ChiSquare(points, lambda r2, phi: sampling.disc_pdf(0.5, 0.5) / 2 + 0 * r2 * phi, DISC).check(tests=10)
+
+
+def test_cosine_hemisphere_follows_its_density(uniforms):
+    x, y, z = over(sampling.sample_cosine_hemisphere, 3)(uniforms).T
+    density = np.vectorize(lambda z, phi: sampling.cosine_hemisphere_pdf(z))
+    ChiSquare(np.stack([z, azimuth(x, y)], axis=1), density, HEMISPHERE).check(tests=10)
+
+
+def test_uniform_sphere_follows_its_density(uniforms):
+    x, y, z = over(sampling.sample_uniform_sphere, 3)(uniforms).T
+    density = np.vectorize(lambda z, phi: sampling.uniform_sphere_pdf())
+    ChiSquare(np.stack([z, azimuth(x, y)], axis=1), density, SPHERE).check(tests=10)
+
+
+def tables(weights):
+    """Cumulative tables (h + 1,) and (h, w + 1) of pixel weights, as `sample_piecewise_2d` wants them."""
+    rows = weights.sum(axis=1)
+    conditional = np.cumsum(weights / np.where(rows > 0.0, rows, 1.0)[:, None], axis=1)
+    conditional[:, -1] = 1.0
+    marginal = np.append(0.0, np.cumsum(rows) / rows.sum())
+    marginal[-1] = 1.0
+    return marginal, np.pad(conditional, ((0, 0), (1, 0)))
+
+
+@pytest.fixture(scope="module")
+def image():
+    """Weights of 8 × 12 pixels: one is 10⁴ times the rest, some are 0, so are one whole row and its end."""
+    weights = np.random.default_rng(5).random((8, 12))
+    weights[2, 3:7] = weights[5] = weights[:, -1] = weights[0, 0] = weights[-1] = 0.0
+    weights[4, 4] = 100.0
+    return tables(weights)
+
+
+@njit
+def draw(marginal, conditional, points):
+    """sample_piecewise_2d over rows of (u, v)."""
+    out = np.empty_like(points)
+    for i in range(len(points)):
+        out[i] = np.array(sampling.sample_piecewise_2d(marginal, conditional, points[i, 0], points[i, 1]))
+    return out
+
+
+@pytest.mark.parametrize("bright", [100.0, 1.0])
+def test_piecewise_follows_its_density(uniforms, bright):
+    weights = np.random.default_rng(5).random((8, 12))
+    weights[2, 3:7] = weights[5] = weights[:, -1] = weights[0, 0] = 0.0
+    weights[4, 4] = bright
+    marginal, conditional = tables(weights)
+    density = np.vectorize(lambda s, t: sampling.piecewise_2d_pdf(marginal, conditional, s, t))
+    test = ChiSquare(draw(marginal, conditional, uniforms), density, cells=(32, 48))
+    assert (test.observed()[test.expected() == 0.0] == 0).all()
+    test.check(tests=10)
+
+
+def test_piecewise_pdf_is_weight_over_mean(image):
+    """At pixel centres the density is the pixel's share times the number of pixels."""
+    marginal, conditional = image
+    shares = np.diff(marginal)[:, None] * np.diff(conditional, axis=1)
+    for i, j in np.ndindex(8, 12):
+        density = sampling.piecewise_2d_pdf(marginal, conditional, (i + 0.5) / 8, (j + 0.5) / 12)
+        assert density == pytest.approx(shares[i, j] * 96, rel=1e-12, abs=1e-15)
+
+
+def test_piecewise_stays_in_the_square_on_pixels_of_weight(image):
+    marginal, conditional = image
+    for u in [*EDGES, *marginal[:-1]]:
+        for v in [*EDGES, *conditional[0, :-1]]:
+            if u < 1.0 and v < 1.0:
+                row, column = sampling.sample_piecewise_2d(marginal, conditional, u, v)
+                assert 0.0 <= row < 1.0 and 0.0 <= column < 1.0
+                assert sampling.piecewise_2d_pdf(marginal, conditional, row, column) > 0.0
+
+
+def test_piecewise_inverts(image):
+    for u, v in squares(6, FEW):
+        place = sampling.sample_piecewise_2d(*image, u, v)
+        np.testing.assert_allclose(sampling.invert_piecewise_2d(*image, *place), (u, v), atol=1e-12)
+
+
+def test_find_interval_is_searchsorted():
+    cdf = np.array([0.0, 0.0, 0.25, 0.25, 0.25, 0.75, 1.0, 1.0])
+    for u in [0.0, 0.1, 0.25, 0.5, 0.75, 0.99]:
+        assert sampling.find_interval(cdf, u) == np.searchsorted(cdf, u, side="right") - 1
+    assert sampling.find_interval(cdf, 1.0) == 6
+
+
+def test_disc_inverts():
+    for u, v in [*squares(7, FEW), *((u, v) for u in EDGES for v in EDGES)]:
+        x, y = sampling.sample_disc(u, v)
+        assert x * x + y * y <= 1.0 + 1e-15
+        np.testing.assert_allclose(sampling.invert_disc(x, y), (u, v), atol=1e-15)
+
+
+def test_disc_density_ends_at_the_rim():
+    assert sampling.disc_pdf(0.6, 0.79) == 1.0 / math.pi
+    assert sampling.disc_pdf(0.6, 0.81) == 0.0
+
+
+def test_cosine_hemisphere_inverts():
+    for u, v in [*squares(8, FEW), *((u, v) for u in EDGES for v in EDGES)]:
+        d = sampling.sample_cosine_hemisphere(u, v)
+        assert math.hypot(*d) == pytest.approx(1.0, abs=1e-15) and d[2] >= 0.0
+        np.testing.assert_allclose(sampling.invert_cosine_hemisphere(d), (u, v), atol=1e-15)
+
+
+def test_no_light_from_below():
+    assert sampling.cosine_hemisphere_pdf(-0.1) == 0.0
+
+
+def test_uniform_sphere_inverts():
+    for u, v in [*squares(9, FEW), (0.5, 0.0), (2.0**-32, 1.0 - 2.0**-32)]:
+        d = sampling.sample_uniform_sphere(u, v)
+        assert math.hypot(*d) == pytest.approx(1.0, abs=2e-15)
+        np.testing.assert_allclose(sampling.invert_uniform_sphere(d), (u, v), atol=1e-12)
+    assert sampling.sample_uniform_sphere(0.0, 0.3) == (0.0, 0.0, 1.0)
+
+
+def test_latlong_conventions():
+    """Row 0 is +z; column 0 starts at azimuth 0 (+x) and azimuth grows, by +y, with the column."""
+    expected = {
+        (1.0, 0.0, 0.0): (0.5, 0.0),
+        (0.0, 1.0, 0.0): (0.5, 0.25),
+        (-1.0, 0.0, 0.0): (0.5, 0.5),
+        (0.0, -1.0, 0.0): (0.5, 0.75),
+        (0.0, 0.0, 1.0): (0.0, 0.0),
+        (0.0, 0.0, -1.0): (1.0, 0.0),
+    }
+    for direction, place in expected.items():
+        assert sampling.direction_to_latlong(direction) == pytest.approx(place, abs=1e-15)
+        np.testing.assert_allclose(sampling.latlong_to_direction(*place), direction, atol=2e-16)
+
+
+def test_latlong_column_stays_below_one():
+    for y in (-5e-324, -1e-300, -1e-17, -0.0):
+        row, column = sampling.direction_to_latlong((1.0, y, 0.0))
+        assert row == 0.5 and 0.0 <= column < 1.0
+
+
+def test_latlong_inverts():
+    for row, column in squares(10, FEW):
+        back = sampling.direction_to_latlong(sampling.latlong_to_direction(row, column))
+        np.testing.assert_allclose(back, (row, column), atol=1e-12)
+    for d in AXES:
+        np.testing.assert_allclose(sampling.latlong_to_direction(*sampling.direction_to_latlong(d)), d, atol=3e-16)
+
+
+def test_latlong_jacobian_is_the_area_of_a_small_patch():
+    h = 1e-4
+    for row, column in squares(11, 50):
+        corner, right, down = (
+            np.array(sampling.latlong_to_direction(r, c))
+            for r, c in ((row, column), (row, column + h), (row + h, column))
+        )
+        area = np.linalg.norm(np.cross(right - corner, down - corner)) / h**2
+        assert sampling.latlong_jacobian(row) == pytest.approx(area, rel=1e-3, abs=5e-3)
+
+
+@pytest.mark.parametrize(
+    "kernel", [sampling.sample_disc, sampling.sample_cosine_hemisphere, sampling.sample_uniform_sphere]
+)
+def test_same_samples_compiled_and_not(kernel):
+    for u, v in squares(12, 100):
+        np.testing.assert_allclose(kernel(u, v), python(kernel)(u, v), rtol=0, atol=1e-15)

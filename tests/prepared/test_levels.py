@@ -1,0 +1,47 @@
+"""Levels: even parts of the core, and ranks where nearly all values lie in one of them."""
+
+import numpy as np
+
+from isogi_core.prepared.active_cell_maps import CROWDED, PARTS, ActiveCellMaps, find_levels
+
+EVEN = np.random.default_rng(1).random((20, 21, 22)).astype(np.float32)
+UNIFORM = [-np.inf, *(np.arange(PARTS + 1) / PARTS), np.inf]
+
+
+def crowd(voxels: np.ndarray) -> float:
+    """The largest share of the voxels between two levels that follow each other."""
+    return float(np.histogram(voxels, find_levels(voxels)[1:-1])[0].max() / voxels.size)
+
+
+def test_even_values_have_even_levels() -> None:
+    assert find_levels(EVEN).tolist() == UNIFORM
+
+
+def test_holes_change_no_level() -> None:
+    assert find_levels(np.where(EVEN < 0.3, np.float32(np.nan), EVEN)).tolist() == UNIFORM
+
+
+def test_a_mask_has_even_levels() -> None:
+    assert find_levels((EVEN > 0.99).astype(np.float32)).tolist() == UNIFORM
+
+
+def test_crowded_values_are_parted_by_rank() -> None:
+    squeezed = EVEN / 100
+    squeezed[0, 0, 0] = 1.0
+    assert np.histogram(squeezed, UNIFORM[1:-1])[0].max() > CROWDED * squeezed.size
+    assert crowd(squeezed) < 1.1 / PARTS
+    levels = find_levels(squeezed)
+    assert (np.diff(levels) > 0).all() and set(UNIFORM) <= set(levels.tolist())
+
+
+def test_values_beyond_the_core_are_parted_too() -> None:
+    assert crowd(EVEN * np.float32(1e30) + 2) < 1.1 / PARTS
+
+
+def test_groups_are_two_levels_wide_and_hold_their_isovalues() -> None:
+    for voxels in (EVEN, np.concatenate([EVEN / 100, EVEN[:1] + 1])):
+        maps = ActiveCellMaps(voxels)
+        isovalues = np.concatenate([voxels.ravel()[::7].astype(np.float64), [-1e36, 0.0, 1.0, 1e36]])
+        groups, ends = maps.groups(isovalues)
+        assert (ends[groups] <= isovalues).all() and (isovalues < ends[groups + 1]).all()
+        assert set(ends.tolist()) <= set(maps.levels.tolist()) and len(ends) <= len(maps.levels) // 2 + 2

@@ -1,0 +1,103 @@
+"""Request ids, counts, and the log."""
+
+import logging
+from collections.abc import Callable
+
+import httpx
+import pytest
+from fastapi import FastAPI, WebSocket
+from starlette.datastructures import Headers
+
+from server import problems
+from server.api.requests import HeadAsGet, Requests
+from server.render.metrics import Metrics
+from tests.server.api.guards.handshakes import handshake
+
+Ask = Callable[..., httpx.Response]
+
+
+@pytest.fixture
+def metrics() -> Metrics:
+    return Metrics()
+
+
+@pytest.fixture
+def app(guarded: Callable[..., FastAPI], metrics: Metrics) -> FastAPI:
+    app = guarded(Requests, HeadAsGet, metrics=metrics)
+    problems.install(app)
+
+    @app.get("/things/{number}")
+    def thing(number: int) -> int:
+        logging.getLogger("isogi.test").warning("thing %d", number)
+        return 1 // number
+
+    @app.websocket("/socket")
+    async def socket(socket: WebSocket) -> None:
+        await socket.accept()
+
+    return app
+
+
+def count(metrics: Metrics, **labels: str) -> float | None:
+    return metrics.registry.get_sample_value("isogi_requests_total", labels)
+
+
+@pytest.mark.parametrize("given", ["abc", "A-1_b.c", "x" * 64])
+def test_a_well_formed_id_is_kept(ask: Ask, app: FastAPI, given: str) -> None:
+    assert ask(app, "GET", "/data", headers={"X-Request-ID": given}).headers["x-request-id"] == given
+
+
+@pytest.mark.parametrize("given", ["", "a b", "x" * 65, "é", "a\tb", "<script>", None])
+def test_any_other_is_replaced(ask: Ask, app: FastAPI, given: str | None) -> None:
+    headers = {} if given is None else {"X-Request-ID": given.encode("latin-1")}
+    numbers = {ask(app, "GET", "/data", headers=headers).headers["x-request-id"] for _ in range(2)}
+    assert all(len(number) == 32 for number in numbers) and len(numbers) == 2
+
+
+@pytest.mark.parametrize(("path", "status"), [("/nothing", 404), ("/things/x", 422), ("/things/0", 500)])
+def test_a_problem_names_its_request(ask: Ask, app: FastAPI, path: str, status: int) -> None:
+    answer = ask(app, "GET", path, headers={"X-Request-ID": "mine"})
+    assert (answer.status_code, answer.json()["request_id"]) == (status, "mine")
+    assert answer.headers["x-request-id"] == "mine"
+
+
+def test_requests_are_counted_by_route_and_status(ask: Ask, app: FastAPI, metrics: Metrics) -> None:
+    for method, path in [("GET", "/things/1"), ("GET", "/things/2"), ("HEAD", "/things/1"), ("GET", "/things/0")]:
+        ask(app, method, path)
+    ask(app, "BREW", "/etc/passwd")
+    handshake(app)
+    route = "/things/{number}"
+    assert count(metrics, method="GET", route=route, status="200") == 2
+    assert count(metrics, method="HEAD", route=route, status="200") == 1
+    assert count(metrics, method="GET", route=route, status="500") == 1
+    assert count(metrics, method="other", route="none", status="404") == 1
+    assert count(metrics, method="WEBSOCKET", route="/socket", status="101") == 1
+    assert metrics.registry.get_sample_value("isogi_requests_in_progress") == 0
+
+
+def test_frames_are_counted_with_their_stages(metrics: Metrics) -> None:
+    said = {"isogi-provisional": "?1", "server-timing": "primary;dur=12.00, total;dur=30.50"}
+    metrics.count("GET", "/frame", 200, 0.04, Headers(said))
+    metrics.count("GET", "/frame", 304, 0.04, Headers({"isogi-provisional": "?0"}))
+    value = metrics.registry.get_sample_value
+    for state in ("provisional", "final"):
+        assert value("isogi_frames_total", {"state": state, "way": "request"}) == 1
+    assert value("isogi_frame_stage_seconds_sum", {"stage": "primary"}) == pytest.approx(0.012)
+
+
+def test_what_is_endless_is_counted_without_its_time(metrics: Metrics) -> None:
+    metrics.count("WEBSOCKET", "/stream", 101, 3600.0, Headers())
+    metrics.count("GET", "/events", 200, 3600.0, Headers({"content-type": "text/event-stream; charset=utf-8"}))
+    assert count(metrics, method="WEBSOCKET", route="/stream", status="101") == 1
+    for route in ("/stream", "/events"):
+        assert metrics.registry.get_sample_value("isogi_request_seconds_count", {"route": route}) is None
+
+
+def test_the_log_tells_the_path_and_never_the_query(ask: Ask, app: FastAPI, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO, "isogi.requests")
+    ask(app, "GET", "/things/1", params={"token": "secret"})
+    ask(app, "GET", "/nothing%0Aisogi forged")
+    first, second = (record for record in caplog.records if record.name == "isogi.requests")
+    assert (vars(first)["status"], vars(first)["path"]) == (200, "/things/1")
+    assert "secret" not in caplog.text
+    assert "\n" not in second.getMessage()

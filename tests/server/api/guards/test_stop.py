@@ -1,0 +1,59 @@
+"""SIGTERM to a server at work: everybody is answered, and it ends in time."""
+
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+
+import httpx
+import pytest
+
+from tests.server.sockets import wait_for
+
+ROOT = Path(__file__).resolve().parents[4]
+CLIENTS = 6
+VIEW = {"width": 64, "height": 64, "max_error": 0.0001}
+
+
+@pytest.fixture
+def serving(small_scene: Path, tmp_path: Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """A server process that gives its requests a second when it stops, and its address."""
+    command = [sys.executable, "-m", "server", "serve", str(small_scene), "--port", "0", "--workers", "1"]
+    command += ["--store", str(tmp_path), "--shutdown-seconds", "1"]
+    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout
+        yield process, process.stdout.readline().split()[-1]
+        process.kill()
+
+
+def test_nobody_is_reset_or_failed(serving: tuple[subprocess.Popen[str], str]) -> None:
+    """Some clients keep their connection, others open one each time; one of them waits for light that takes long."""
+    (process, url), ends = serving, Counter[str]()
+
+    def go_on(number: int) -> None:
+        view = {**VIEW, "azimuth": 60 * number, "wait_ms": 9000 if number == 0 else 0}
+        headers = {"Connection": "close"} if number % 2 else {}
+        try:
+            with httpx.Client(base_url=url, headers=headers, timeout=30) as client:
+                while True:
+                    ends[str(client.get("v1/scenes/small/frame", params=view).status_code)] += 1
+        except Exception as error:
+            ends[type(error).__name__] += 1
+
+    threads = [threading.Thread(target=go_on, args=(number,)) for number in range(CLIENTS)]
+    for thread in threads:
+        thread.start()
+    assert wait_for(lambda: ends["200"] > CLIENTS, 120)
+    begun = time.monotonic()
+    process.send_signal(signal.SIGTERM)
+    process.communicate(timeout=30)
+    for thread in threads:
+        thread.join()
+    assert process.returncode == 0
+    assert time.monotonic() - begun < 15.0
+    assert set(ends) <= {"200", "503", "ConnectError"}, ends
+    assert ends["ConnectError"] == CLIENTS

@@ -1,0 +1,108 @@
+"""How a view becomes final, told as server-sent events over a real socket."""
+
+import asyncio
+import json
+from collections.abc import AsyncGenerator, Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import httpx
+import pytest
+
+from server.api.routes.events import answers
+from tests.live import serving
+
+PATH = "/v1/scenes/small/events"
+VIEW: dict[str, Any] = {"width": 40, "height": 40, "azimuth": 133, "elevation": -31, "isovalue": 0.74, "max_error": 0.2}
+Event = dict[str, str]
+
+
+@pytest.fixture(scope="module")
+def client(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[httpx.Client]:
+    """Of a server of its own: others have light baked that is to be told of here."""
+    with (
+        serving(small_scene, tmp_path_factory.mktemp("light")) as url,
+        httpx.Client(base_url=url, timeout=180) as client,
+    ):
+        yield client
+
+
+def events(client: httpx.Client, seen: str = "", **more: Any) -> list[Event]:
+    """All events up to the end of the stream, each by its fields."""
+    headers = {"Last-Event-ID": seen} if seen else {}
+    with client.stream("GET", PATH, params={**VIEW, **more}, headers=headers) as answer:
+        assert answer.status_code == 200, answer.read()
+        assert answer.headers["content-type"].startswith("text/event-stream")
+        assert answer.headers["cache-control"] == "no-store"
+        text = "".join(answer.iter_text())
+    return [dict(line.split(": ", 1) for line in block.splitlines()) for block in text.strip().split("\n\n")]
+
+
+def test_events_come_until_a_view_is_final_and_resume_by_id(client: httpx.Client) -> None:
+    told = events(client)
+    kinds = [event["event"] for event in told]
+    assert kinds[-1] == "final"
+    assert set(kinds[:-1]) <= {"refined", "progress"}
+    assert "refined" in kinds
+    shares = [json.loads(event["data"])["coverage"]["final"] for event in told if event["event"] != "progress"]
+    assert shares == sorted(shares) and shares[-1] == 1.0
+    last = told[-1]
+    assert json.loads(last["data"]) == client.get("/v1/scenes/small/coverage", params=VIEW).json()
+    again = events(client, seen=told[0]["id"])
+    assert [event["event"] for event in again] == ["final"]
+    known = client.get(PATH, params=VIEW, headers={"Last-Event-ID": last["id"]})
+    assert (known.status_code, known.content) == (204, b"")
+
+
+def test_progress_tells_the_time_left(client: httpx.Client, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("server.api.routes.events.PROGRESS", 0.01)
+    told = [json.loads(each["data"]) for each in events(client, azimuth=190) if each["event"] == "progress"]
+    assert told
+    assert all(each["waiting"] >= 0 for each in told)
+    left = [each["time_left"] for each in told if each["time_left"]]
+    assert all(0.0 <= each["low"] <= each["likely"] <= each["high"] for each in left)
+
+
+def test_a_path_traced_view_ends_with_its_samples(client: httpx.Client) -> None:
+    (last,) = events(client, shading="path_traced", samples=8, max_error=0.0001)
+    assert last["event"] == "failed"
+    assert "All samples are taken (8 per pixel)" in json.loads(last["data"])["detail"]
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "status"), [("isovalue", "nan", 422), ("wait_ms", "5", 422), ("f", "png", 422)]
+)
+def test_bad_input_is_a_problem_and_no_event(client: httpx.Client, name: str, text: str, status: int) -> None:
+    answer = client.get(PATH, params={**VIEW, name: text})
+    assert answer.status_code == status
+    assert answer.headers["content-type"] == "application/problem+json"
+    assert name in answer.json()["detail"]
+
+
+def test_a_cancelled_listener_closes_its_refinements() -> None:
+    """As a cancelled scope does, until whoever is in it has left."""
+    closed: list[str] = []
+
+    async def refinements(order: Any, viewer: Any) -> AsyncGenerator[str, None]:
+        try:
+            yield "first"
+            await asyncio.Event().wait()
+        finally:
+            await asyncio.sleep(0.05)
+            closed.append("in order")
+
+    async def listen() -> None:
+        service: Any = SimpleNamespace(refinements=refinements)
+        async for _ in answers(service, None, None):  # type: ignore[arg-type]
+            pass
+
+    async def leave() -> None:
+        listener = asyncio.create_task(listen())
+        await asyncio.sleep(0.05)
+        while not listener.done():
+            listener.cancel()
+            await asyncio.sleep(0)
+
+    asyncio.run(leave())
+    assert closed == ["in order"]

@@ -1,0 +1,179 @@
+"""The parts of a stream, each alone: how large drafts are, how many pictures are under way, what breaks a limit."""
+
+import asyncio
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from server.api.pacing import AIM, LONGEST, MOST, PATIENCE, SCALES, SHORTEST, Drafts, Window
+from server.api.stream import IDLE, POLICY, TOO_BIG, Inbox
+from server.errors import StreamError
+from server.settings import Settings
+from tests.server.loops import played
+
+
+def settle(cost: Callable[[float], float], drafts: Drafts | None = None, way: float = 0.0) -> list[float]:
+    """The scales of 40 drafts whose seconds follow from their scale."""
+    drafts, scales = drafts or Drafts(), []
+    for _ in range(40):
+        scales.append(drafts.scale)
+        drafts.drawn(cost(drafts.scale), way)
+    return scales
+
+
+@pytest.mark.parametrize(("way", "left"), [(0.0, LONGEST), (0.03, AIM - 0.03), (0.5, SHORTEST)])
+@pytest.mark.parametrize("full", [0.001, 0.03, 0.06, 0.2, 0.5])
+def test_drafts_are_as_large_as_they_can_come_in_time(full: float, way: float, left: float) -> None:
+    scales = settle(lambda scale: full * scale**2, way=way)
+    assert len(set(scales[-20:])) == 1, "it does not swing"
+    last = scales[-1]
+    assert full * last**2 <= left or last == SCALES[0]
+    larger = [scale for scale in SCALES if scale > last]
+    assert not larger or full * larger[0] ** 2 > 0.7 * left
+
+
+@pytest.mark.parametrize("drawn", [0.001, 0.01, 0.03])
+@pytest.mark.parametrize("shown", [0.01, 0.05, 0.1])
+def test_drafts_are_smaller_for_clients_that_show_them_slowly(drawn: float, shown: float) -> None:
+    drafts, scales = Drafts(), []
+    for _ in range(60):
+        scales.append(drafts.scale)
+        drafts.shown(shown * drafts.scale**2)
+        drafts.drawn(drawn * drafts.scale**2, way=0.01)
+    last = scales[-1]
+    assert len(set(scales[-20:])) == 1, "it does not swing"
+    assert (drawn + shown) * last**2 <= LONGEST
+    assert last == 1.0 or (drawn + shown) * SCALES[SCALES.index(last) + 1] ** 2 > 0.7 * LONGEST
+
+
+def test_drafts_that_are_too_slow_at_any_size_are_the_smallest() -> None:
+    assert settle(lambda _: 1.0)[-1] == SCALES[0]
+
+
+def test_a_single_slow_draft_does_not_shrink_the_next_for_long() -> None:
+    drafts = Drafts()
+    before = settle(lambda scale: 0.03 * scale, drafts)[-1]
+    drafts.drawn(5 * LONGEST)
+    assert drafts.scale < before
+    assert settle(lambda scale: 0.03 * scale, drafts)[-1] == before
+
+
+def test_the_way_is_told_by_receipts() -> None:
+    async def play() -> list[float]:
+        window, ways = Window(), []
+        for wish in range(40):
+            window.sent(wish)
+            ways.append(window.way)
+            await asyncio.sleep(0.005)
+            window.shown(wish)
+        return [*ways, window.way]
+
+    ways = asyncio.run(play())
+    assert ways[0] == 0.0
+    assert all(way >= 0.004 for way in ways[1:])
+
+
+def test_what_the_client_takes_to_show_a_picture_is_not_its_way() -> None:
+    async def play() -> float:
+        window = Window()
+        window.sent(1)
+        await asyncio.sleep(0.02)
+        window.shown(1, took=60.0)
+        return window.way
+
+    assert asyncio.run(play()) == 0.0
+
+
+def test_a_third_picture_waits_until_the_first_is_shown() -> None:
+    async def play() -> list[bool]:
+        window, full = Window(), []
+        for wish in range(MOST):
+            await asyncio.wait_for(window.room(), 0.1)
+            window.sent(wish)
+        waiting = asyncio.create_task(window.room())
+        await asyncio.sleep(0.05)
+        full.append(waiting.done())
+        window.shown(7)
+        await asyncio.sleep(0.05)
+        full.append(waiting.done())
+        window.shown(0)
+        await asyncio.sleep(0.05)
+        full.append(waiting.done())
+        return full
+
+    assert played(play()) == [False, False, True]
+
+
+def test_a_receipt_counts_for_all_pictures_before_it() -> None:
+    async def play() -> None:
+        window = Window()
+        for wish in (4, 5):
+            window.sent(wish)
+        window.shown(5)
+        for wish in (6, 6):
+            await asyncio.wait_for(window.room(), 0.1)
+            window.sent(wish)
+
+    played(play())
+
+
+def test_a_client_that_says_nothing_is_waited_for_a_second() -> None:
+    async def play() -> float:
+        window, loop = Window(), asyncio.get_running_loop()
+        begun = loop.time()
+        for wish in range(MOST + 1):
+            await window.room()
+            window.sent(wish)
+        return loop.time() - begun
+
+    assert played(play()) == pytest.approx(PATIENCE)
+
+
+class Socket:
+    """Has these messages, and then nothing more."""
+
+    def __init__(self, *messages: dict[str, Any]) -> None:
+        self._messages = list(messages)
+
+    async def receive(self) -> dict[str, Any]:
+        while not self._messages:
+            await asyncio.sleep(3600)
+        return self._messages.pop(0)
+
+
+def text(message: str) -> dict[str, Any]:
+    return {"type": "websocket.receive", "text": message}
+
+
+def read(*messages: dict[str, Any]) -> list[str | None]:
+    """All that an inbox lets through, which holds to small limits."""
+    settings = Settings(stream_bytes=256, stream_rate=5, stream_idle_seconds=0.2)
+    inbox = Inbox(Socket(*messages), settings)  # type: ignore[arg-type]
+
+    async def play() -> list[str | None]:
+        read: list[str | None] = []
+        while not read or read[-1] is not None:
+            read.append(await inbox.next())
+        return read
+
+    return played(play())
+
+
+def test_messages_are_read_until_the_client_leaves() -> None:
+    assert read(text("a"), text("é" * 128), {"type": "websocket.disconnect"}) == ["a", "é" * 128, None]
+
+
+@pytest.mark.parametrize(
+    ("messages", "code"),
+    [
+        ([text("é" * 129)], TOO_BIG),
+        ([{"type": "websocket.receive", "bytes": b"x"}], POLICY),
+        ([text("a")] * 11, POLICY),
+        ([text("a")], IDLE),
+    ],
+)
+def test_what_breaks_a_limit_ends_the_stream(messages: list[dict[str, Any]], code: int) -> None:
+    with pytest.raises(StreamError) as broken:
+        read(*messages)
+    assert broken.value.code == code

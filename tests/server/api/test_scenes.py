@@ -1,0 +1,131 @@
+"""The list of scenes and one scene's document, over a real socket."""
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+
+from isogi_core.model.view import SHADINGS
+from isogi_core.plan.assembly import load_scene
+from server.answers import scene_schema
+
+
+@pytest.fixture(scope="module")
+def scene(live_server: str) -> dict[str, object]:
+    answer = httpx.get(f"{live_server}/v1/scenes/small")
+    assert answer.status_code == 200
+    document: dict[str, object] = answer.json()
+    return document
+
+
+def test_the_list(live_server: str) -> None:
+    answer = httpx.get(f"{live_server}/v1/scenes")
+    assert answer.json() == {
+        "scenes": [{"id": "small", "name": "small", "href": "/v1/scenes/small", "volume": None}],
+        "uploads": None,
+    }
+    assert answer.headers["x-content-type-options"] == "nosniff"
+
+
+def test_the_volume(scene: dict[str, dict[str, object]]) -> None:
+    assert scene["volume"]["size"] == [24, 20, 16]
+    assert scene["volume"]["spacing"] == [1, 1, 1]
+    assert scene["volume"]["dtype"] == "float32"
+    assert scene["volume"]["holes"] == 0
+
+
+def test_the_histogram_counts_every_voxel(scene: dict[str, dict[str, list[float]]]) -> None:
+    counts, edges = scene["histogram"]["counts"], scene["histogram"]["edges"]
+    assert sum(counts) == 24 * 20 * 16
+    assert len(edges) == len(counts) + 1
+    assert [edges[0], edges[-1]] == pytest.approx(scene["volume"]["value_range"])
+
+
+def test_defaults_are_in_their_ranges_and_make_a_frame(live_server: str, scene: dict[str, dict[str, object]]) -> None:
+    defaults, ranges = scene["defaults"], scene["ranges"]
+    assert ranges["isovalue"] == {"min": 0.2, "max": 0.8}
+    for name in ranges.keys() & defaults.keys():
+        assert ranges[name]["min"] <= defaults[name] <= ranges[name]["max"]  # type: ignore[index]
+    small = {**defaults, "width": 8, "height": 8}
+    assert httpx.get(f"{live_server}/v1/scenes/small/frame", params=small).status_code == 200
+
+
+def test_what_the_scene_says_of_itself(scene: dict[str, object]) -> None:
+    assert scene["shadings"] == list(SHADINGS)
+    assert [light["type"] for light in scene["lights"]] == ["constant", "sky"]  # type: ignore[attr-defined]
+    assert (scene["albedo"], scene["bounces"], scene["solid"]) == ([0.7, 0.7, 0.7], 1, "above")
+    assert (scene["target_error"], scene["rotating"], scene["turns"]) == (0.5, True, True)
+    scale = scene["error_scale"]
+    assert (scale["low"], scale["high"], scale["colours"][0]) == (0.001, 1.0, "#440154")  # type: ignore[index]
+
+
+def test_presets_come_from_the_scene_or_are_suggested_in_range(
+    small_scene: Path, scene: dict[str, list[dict[str, Any]]]
+) -> None:
+    own = load_scene(small_scene)
+    assert scene["presets"] == [asdict(preset) for preset in own.presets]
+    assert all(each["suggested"] and 0.2 <= each["isovalue"] <= 0.8 for each in scene["presets"])
+    told = scene_schema(load_scene(small_scene, presets=[{"name": "shell", "isovalue": 0.3}])).presets
+    assert [each.model_dump() for each in told] == [{"name": "shell", "isovalue": 0.3, "suggested": False}]
+
+
+@pytest.mark.parametrize(
+    ("light", "rotating", "turns"),
+    [("constant", True, False), ("constant", False, False), ("sky", True, True), ("sky", False, False)],
+)
+def test_turning_shows_where_the_light_may_turn_and_has_sides(light: str, rotating: bool, turns: bool) -> None:
+    facts = scene_schema(load_scene("demo:orbital", lights=[{"type": light}], rotating=rotating))
+    assert (facts.rotating, facts.turns) == (rotating, turns)
+    assert turns != ("turning of the light" in {each.what for each in facts.plan.left_out})
+
+
+def test_the_plan_is_that_of_the_scene(live_server: str, small_scene: Path) -> None:
+    """Every number of the document, beside the plan that the scene itself makes."""
+    answer = httpx.get(f"{live_server}/v1/scenes/small")
+    plan, own = answer.json()["plan"], load_scene(small_scene)
+    for name in ("representation", "order", "indirect_order", "channels", "bounces", "precision", "samples"):
+        assert plan[name] == getattr(own.plan, name)
+    assert plan["bytes_per_texel"] == sum(layer["bytes_per_texel"] for layer in plan["layers"]) < 300
+    assert plan["full_bytes_per_texel"] == 300
+    assert [layer["kind"] for layer in plan["layers"]] == [layer.kind for layer in own.plan.layers]
+    assert plan["errors"] == dict(own.plan.errors) and plan["notes"] == list(own.plan.notes)
+    assert [lobe["angle"] for lobe in plan["lobes"]] == [lobe.angle for lobe in own.inputs.lobes[: own.plan.lobes]]
+    assert plan["texels"] == asdict(own.texels)
+    assert 0 < plan["texels"]["shown"] <= plan["texels"]["total"] == 13 * 11 * 9
+
+
+def test_the_plan_tells_where_lobes_stand() -> None:
+    sky = {"type": "sky", "sun_azimuth": 30.0, "sun_elevation": 50.0}
+    (sun,) = scene_schema(load_scene("demo:orbital", lights=[sky])).plan.lobes
+    assert (sun.azimuth, sun.elevation) == (pytest.approx(30.0, abs=0.5), pytest.approx(50.0, abs=0.5))
+    assert 0.2 < sun.angle < 1.5 and min(sun.irradiance) > 0.0
+    assert scene_schema(load_scene("demo:orbital", lights=[sky], lobes=0)).plan.lobes == []
+
+
+def test_the_plan_says_what_is_left_out_why_and_what_that_saves(small_scene: Path, scene: dict[str, Any]) -> None:
+    left_out = scene["plan"]["left_out"]
+    assert left_out == json.loads(json.dumps([asdict(each) for each in load_scene(small_scene).left_out]))
+    assert len({each["what"] for each in left_out}) == len(left_out) > 5
+    for saved in (saved for each in left_out for saved in each["saves"]):
+        assert saved["amount"] > 0 and saved["unit"] and saved["measured"] in (True, False)
+
+
+def test_a_scene_of_one_isovalue_is_a_scene_with_fewer_texels(small_scene: Path, scene: dict[str, Any]) -> None:
+    one = scene_schema(load_scene(small_scene, isovalues=[0.5, 0.5]))
+    assert (one.ranges["isovalue"].min, one.ranges["isovalue"].max, one.defaults["isovalue"]) == (0.5, 0.5, 0.5)
+    assert 0 < one.plan.texels.shown < scene["plan"]["texels"]["shown"]
+
+
+def test_the_document_has_no_number_that_json_lacks(live_server: str) -> None:
+    def refuse(constant: str) -> float:
+        raise AssertionError(f"the document holds {constant}")
+
+    json.loads(httpx.get(f"{live_server}/v1/scenes/small").text, parse_constant=refuse)
+
+
+def test_unknown_parameters_are_refused(live_server: str) -> None:
+    for path in ("/v1/scenes", "/v1/scenes/small"):
+        assert httpx.get(f"{live_server}{path}?verbose=1").status_code == 422

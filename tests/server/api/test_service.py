@@ -1,0 +1,338 @@
+"""The service around an engine that does as the test says: starting, failing, full, deserted."""
+
+import asyncio
+import re
+import threading
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import httpx
+import numpy as np
+import pytest
+from fastapi import FastAPI
+
+from isogi_core.errors import Cancelled, StoreError
+from isogi_core.frame.frame import Frame
+from isogi_core.frame.gbuffer import GBuffer
+from isogi_core.frame.tiles import Stopwatch
+from isogi_core.model.view import View
+from isogi_core.plan.assembly import load_scene
+from isogi_core.plan.scene import Scene
+from isogi_core.prepared.prepared_scene import Index
+from isogi_core.storage.store import Store
+from server.api.app import create_app
+from server.settings import Settings
+from tests.server.sockets import wait_for
+from worker.bake_requests import Viewer
+from worker.baker import Listener
+from worker.progress import TimeLeft
+
+FRAME = "/v1/scenes/orbital/frame"
+
+
+class FakeEngine:
+    """An engine whose frames are grey squares; ``doing`` is called in the middle of each."""
+
+    store = Store("memory://fake")
+
+    def __init__(self, scene: Scene, doing: Callable[[threading.Event], None]) -> None:
+        self.scenes = {scene.id: scene}
+        self.doing = doing
+        self.views: list[tuple[View, float]] = []
+        self.wants: list[Viewer] = []
+        self.left: list[Viewer] = []
+        self.coming: frozenset[Index] = frozenset()
+        self.version = "v1"
+        self.publish: Listener = lambda *_: None
+        self.startable: Exception | None = None
+        self.stopped = False
+        self.closed = False
+
+    def start(self) -> None:
+        if self.startable:
+            raise self.startable
+
+    def stop(self) -> None:
+        self.stopped = True
+
+    def close(self) -> None:
+        assert self.stopped
+        self.closed = True
+
+    def notes(self) -> list[str]:
+        return []
+
+    def unready(self) -> list[str]:
+        return ["No worker is alive."]
+
+    def survey(self, scene: str, view: View, target: float, cancelled: threading.Event, watch: Stopwatch) -> Frame:
+        self.views.append((view, target))
+        self.doing(cancelled)
+        shape = (view.height, view.width)
+        colour, ones = np.full((*shape, 3), 0.5, np.float32), np.ones(shape, np.float32)
+        pixels = np.arange(ones.size, dtype=np.uint32)
+        surface = GBuffer(shape, (1.0, 1.0, 1.0), (9.0, 0.0, 0.0), 0.5, pixels, colour.reshape(-1, 3))
+        return Frame(view, colour, ones.astype(np.uint8), ones, surface, 3, 1, None, self.version, watch.seconds)
+
+    def want(self, scene: str, frame: Frame, target: float, viewer: Viewer) -> frozenset[Index]:
+        self.wants.append(viewer)
+        return self.coming
+
+    def leave(self, viewer: Viewer) -> None:
+        self.left.append(viewer)
+
+    def listen(self, listener: Listener) -> None:
+        self.publish = listener
+
+    def bake_of(self, scene: str, view: View) -> str:
+        return scene
+
+    def time_left(self, scene: str, frame: Frame, max_error: float | None) -> TimeLeft:
+        return TimeLeft(1.0, 2.0, 3.25)
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return load_scene("demo:orbital", lights=[{"type": "constant"}], rotating=False)
+
+
+@pytest.fixture
+def engine(scene: Scene) -> FakeEngine:
+    return FakeEngine(scene, lambda _: None)
+
+
+@pytest.fixture
+def settings() -> Settings:
+    return Settings(render_threads=2, render_queue=6)
+
+
+@pytest.fixture
+def app(engine: FakeEngine, settings: Settings) -> Iterator[FastAPI]:
+    app = create_app(engine, settings)  # type: ignore[arg-type]
+    yield app
+    app.state.service.renders.close()
+
+
+def started(app: FastAPI, *queries: dict[str, Any]) -> list[httpx.Response]:
+    """Answers to frame requests sent at the same time, once the engine has started."""
+
+    async def gather() -> list[httpx.Response]:
+        await app.state.service.start()
+        transport = httpx.ASGITransport(app, raise_app_exceptions=False)
+        async with httpx.AsyncClient(transport=transport, base_url="http://localhost") as client:
+            return await asyncio.gather(*(client.get(FRAME, params={"width": 4, **q}) for q in queries))
+
+    return asyncio.run(gather())
+
+
+def test_until_the_engine_is_up_frames_are_503_and_scenes_listed(
+    ask: Callable[..., httpx.Response], app: FastAPI
+) -> None:
+    answer = ask(app, "GET", FRAME)
+    assert answer.status_code == 503
+    assert answer.headers["retry-after"] == "1"
+    assert "is starting" in answer.json()["detail"]
+    assert ask(app, "GET", "/readyz").json()["reasons"] == [answer.json()["detail"]]
+    assert ask(app, "GET", "/livez").status_code == 200
+    assert ask(app, "GET", "/v1/scenes").json()["scenes"][0]["id"] == "orbital"
+
+
+def test_a_engine_that_does_not_start_is_told_and_never_asked(engine: FakeEngine, app: FastAPI) -> None:
+    engine.startable = StoreError("The store is full.")
+    (answer,) = started(app, {})
+    assert answer.status_code == 503
+    assert answer.json()["detail"] == "isogi did not start: The store is full."
+    assert not engine.views
+
+
+def test_what_the_engine_misses_is_told(ask: Callable[..., httpx.Response], app: FastAPI) -> None:
+    asyncio.run(app.state.service.start())
+    answer = ask(app, "GET", "/readyz")
+    assert (answer.status_code, answer.json()["detail"]) == (503, "No worker is alive.")
+
+
+def test_a_frame_reaches_the_engine_as_a_view(engine: FakeEngine, app: FastAPI) -> None:
+    (answer,) = started(app, {"height": 3, "isovalue": 0.3, "wait_ms": 250, "max_error": 0.1, "f": "npy"})
+    assert answer.status_code == 200, answer.text
+    view, target = engine.views[0]
+    assert (view.width, view.height, view.isovalue, target) == (4, 3, 0.3, 0.1)
+    assert answer.headers["isogi-provisional"] == "?1"
+    assert answer.headers["isogi-chunks"] == "needed=3, final=1"
+    assert answer.headers["isogi-coverage"] == "final=0.000, converging=0.000, provisional=1.000"
+    assert answer.headers["isogi-time-left"] == "low=1.0, likely=2.0, high=3.2"
+    assert answer.headers["server-timing"].startswith("queue;dur=")
+    assert answer.headers["cache-control"] == "no-cache"
+
+
+def test_each_overlay_is_a_picture_of_its_own(app: FastAPI) -> None:
+    plain, *marked = answers = started(app, {}, {"overlay": "provisional"}, {"overlay": "error"})
+    assert all(answer.content != plain.content for answer in marked)
+    assert len({answer.headers["etag"] for answer in answers}) == 3
+
+
+@pytest.mark.parametrize(
+    "query",
+    [{"isovalue": "nan"}, {"width": 0}, {"colour": 1}, {"yaw": 5}, {"light": "0,1,0,0"}, {"up": "0,0,0"}],
+)
+def test_a_refused_view_never_reaches_the_engine(engine: FakeEngine, app: FastAPI, query: dict[str, Any]) -> None:
+    (answer,) = started(app, query)
+    assert answer.status_code == 422, answer.text
+    assert not engine.views
+
+
+def test_a_light_that_does_not_turn_may_be_told_so(engine: FakeEngine, app: FastAPI) -> None:
+    (answer,) = started(app, {"yaw": 0, "pitch": 0, "roll": 360})
+    assert answer.status_code == 200, answer.text
+    assert engine.views[0][0].light == (1, 0, 0, 0)
+
+
+def test_errors_at_work_are_problems(engine: FakeEngine, app: FastAPI) -> None:
+    def fail(_: threading.Event) -> None:
+        raise StoreError("The store does not answer.")
+
+    engine.doing = fail
+    (answer,) = started(app, {})
+    assert (answer.status_code, answer.json()["detail"]) == (503, "The store does not answer.")
+
+
+def test_beyond_the_queue_is_429_and_the_rest_is_served(engine: FakeEngine, app: FastAPI) -> None:
+    release = threading.Event()
+    engine.doing = lambda _: None if release.wait(10) else pytest.fail("nobody was refused")
+    answers = asyncio.run(crowd(app, 14, release))
+    assert [answer.status_code for answer in answers] == [429] * 6 + [200] * 8
+    assert answers[0].headers["retry-after"] == "1"
+
+
+async def crowd(app: FastAPI, clients: int, release: threading.Event) -> list[httpx.Response]:
+    """Answers to so many clients at once, in the order they came; frames are held until the 6th."""
+    await app.state.service.start()
+    transport = httpx.ASGITransport(app)
+    async with httpx.AsyncClient(transport=transport, base_url="http://localhost") as client:
+        answers: list[httpx.Response] = []
+        for answer in asyncio.as_completed([client.get(FRAME, params={"width": 4}) for _ in range(clients)]):
+            answers.append(await answer)
+            if len(answers) == 6:
+                release.set()
+        return answers
+
+
+def test_a_client_that_leaves_stops_its_frame(engine: FakeEngine, app: FastAPI) -> None:
+    begun, seen = threading.Event(), threading.Event()
+
+    def work(cancelled: threading.Event) -> None:
+        begun.set()
+        if cancelled.wait(10):
+            seen.set()
+            raise Cancelled("Nobody waits.")
+
+    engine.doing = work
+    asyncio.run(leave(app, begun))
+    assert seen.wait(10)
+    assert engine.wants == []
+    assert len(engine.left) == 1
+
+
+def test_a_client_that_leaves_has_no_light_baked_any_more(engine: FakeEngine, app: FastAPI) -> None:
+    engine.coming = frozenset({(0, 0, 1)})
+    begun = threading.Event()
+    engine.doing = lambda _: begun.set()
+    asyncio.run(leave(app, begun, wait_ms=10_000))
+    assert engine.left == engine.wants
+    assert len(engine.wants) == 1
+
+
+def test_requests_for_the_same_at_the_same_time_share_one_render(engine: FakeEngine, app: FastAPI) -> None:
+    renders = app.state.service.renders
+    together = threading.Event()
+
+    def work(_: threading.Event) -> None:
+        """Takes until all have asked."""
+        if not together.is_set() and wait_for(lambda: sum(each.waiting for each in [*renders._flights.values()]) == 4):
+            together.set()
+
+    engine.doing = work
+    answers = started(app, {}, {"f": "npy"}, {"azimuth": 7}, {})
+    assert [answer.status_code for answer in answers] == [200] * 4
+    assert len(engine.views) == 2
+    assert len(engine.wants) == 4
+    assert answers[0].content == answers[3].content
+
+
+def test_leaving_a_shared_render_does_not_end_it_for_others(engine: FakeEngine, app: FastAPI) -> None:
+    begun, release = threading.Event(), threading.Event()
+
+    def work(cancelled: threading.Event) -> None:
+        begun.set()
+        release.wait(10)
+        if cancelled.is_set():
+            raise Cancelled("Nobody waits.")
+
+    async def both() -> httpx.Response:
+        await app.state.service.start()
+        transport = httpx.ASGITransport(app)
+        async with httpx.AsyncClient(transport=transport, base_url="http://localhost") as client:
+            staying = asyncio.create_task(client.get(FRAME, params={"width": 4}))
+            await leave(app, begun)
+            release.set()
+            return await staying
+
+    engine.doing = work
+    assert asyncio.run(both()).status_code == 200
+    assert len(engine.views) == 1
+    assert len(engine.left) == 1
+
+
+def test_a_frame_is_drawn_again_once_all_its_light_is_there(engine: FakeEngine, app: FastAPI) -> None:
+    engine.coming = frozenset({(0, 0, 1), (0, 0, 2)})
+
+    def bake(_: threading.Event) -> None:
+        if len(engine.views) == 1:
+            engine.publish("orbital", (0, 0, 1), False)
+            engine.publish("orbital", (0, 0, 9), False)
+            threading.Timer(0.2, finish).start()
+
+    def finish() -> None:
+        engine.coming, engine.version = frozenset(), "v2"
+        engine.publish("orbital", (0, 0, 2), False)
+
+    engine.doing = bake
+    (answer,) = started(app, {"wait_ms": 10_000})
+    assert answer.status_code == 200
+    assert len(engine.views) == 2
+    bake_ms = float(re.findall(r"bake;dur=([\d.]+)", answer.headers["server-timing"])[0])
+    assert 100.0 < bake_ms < 5000.0
+
+
+async def leave(app: FastAPI, begun: threading.Event, wait_ms: int = 0) -> None:
+    """Ask for a frame and disconnect once its work has begun."""
+    await app.state.service.start()
+
+    async def receive() -> dict[str, Any]:
+        await asyncio.to_thread(begun.wait, 10)
+        await asyncio.sleep(0.2)
+        return {"type": "http.disconnect"}
+
+    async def send(message: Any) -> None:
+        pass
+
+    scope = {
+        **{"type": "http", "http_version": "1.1", "method": "GET", "path": FRAME, "raw_path": FRAME.encode()},
+        **{
+            "query_string": f"width=4&wait_ms={wait_ms}".encode(),
+            "headers": [(b"host", b"localhost")],
+            "scheme": "http",
+            "root_path": "",
+        },
+        **{"server": ("localhost", 80), "client": ("localhost", 1)},
+    }
+    await app(scope, receive, send)  # type: ignore[arg-type]
+
+
+def test_the_lifespan_starts_and_closes_the_engine(engine: FakeEngine, app: FastAPI) -> None:
+    async def live() -> bool:
+        async with app.router.lifespan_context(app):
+            await asyncio.wait_for(app.state.service.settled.wait(), 10)
+            return engine.closed
+
+    assert asyncio.run(live()) is False
+    assert engine.closed

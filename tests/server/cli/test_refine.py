@@ -1,0 +1,110 @@
+"""Refining until a frame is final, with an engine that follows a script."""
+
+from collections.abc import Iterator
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from isogi_core.model.view import Camera, View
+from server.cli import render
+from worker.errors import WorkersError
+from worker.progress import TimeLeft
+
+VIEW = View(0.5, Camera((5.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
+
+
+class Script:
+    """An engine whose frames are the versions of a script; the last stays."""
+
+    def __init__(self, *versions: str) -> None:
+        self.versions = list(versions)
+        self.asked: list[dict[str, Any]] = []
+        self.failing = ""
+        self.workforce = SimpleNamespace(preparing="")
+        self.demands: tuple[str, ...] = ("a chunk",)
+
+    def frame(self, scene: str, view: View, **more: Any) -> SimpleNamespace:
+        self.asked.append(more)
+        version = self.versions.pop(0) if len(self.versions) > 1 else self.versions[0]
+        return SimpleNamespace(version=version, provisional=version != "final", chunks_needed=2, chunks_final=1)
+
+    def lacking(self, scene: str, frame: Any) -> tuple[str, tuple[str, ...]]:
+        return scene, self.demands
+
+    def trouble(self) -> str:
+        return self.failing if len(self.versions) == 1 else ""
+
+    def time_left(self, scene: str, frame: Any, max_error: float | None) -> TimeLeft:
+        return TimeLeft(61.0, 200.0, 7300.0)
+
+    def unready(self) -> list[str]:
+        return ["No worker is alive."]
+
+
+@pytest.fixture(autouse=True)
+def clock(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """A clock that moves on by one second with each look at it."""
+    ticks = iter(range(10**6))
+    monkeypatch.setattr(render, "time", SimpleNamespace(monotonic=lambda: float(next(ticks))))
+    yield
+
+
+def refine(engine: Script, max_error: float | None = None, seconds: float | None = None) -> Any:
+    return render.refine(engine, "scene", VIEW, max_error, seconds)  # type: ignore[arg-type]
+
+
+def test_it_asks_until_the_frame_is_final(capsys: pytest.CaptureFixture[str]) -> None:
+    engine = Script("a", "b", "c", "final")
+    assert refine(engine, max_error=0.1).version == "final"
+    assert engine.asked == [{"max_error": 0.1, "wait": render.STEP}] * 4
+    bar = capsys.readouterr().err
+    assert "baking" in bar and "about 3.3 min left (1 min to 2 h)" in bar
+
+
+def test_it_ends_when_the_time_is_spent() -> None:
+    engine = Script("a")
+    assert refine(engine, seconds=9).version == "a"
+    assert engine.asked[-1]["wait"] < render.STEP
+
+
+def test_it_asks_once_where_there_is_no_time() -> None:
+    engine = Script("a", "final")
+    assert refine(engine, seconds=0).version == "a"
+    assert engine.asked == [{"max_error": None, "wait": 0.0}]
+
+
+def test_it_gives_up_where_nothing_changes() -> None:
+    with pytest.raises(WorkersError, match=r"^No light came for 120 seconds. No worker is alive\.$"):
+        refine(Script("a", "b"))
+
+
+def test_it_waits_while_workers_start_or_compile(monkeypatch: pytest.MonkeyPatch) -> None:
+    engine = Script("a")
+    engine.workforce.preparing = "The workers compile their kernels."
+    ask = engine.frame
+
+    def frame(*given: Any, **more: Any) -> SimpleNamespace:
+        if len(engine.asked) == 1000:
+            engine.workforce.preparing = ""
+        return ask(*given, **more)
+
+    monkeypatch.setattr(engine, "frame", frame)
+    with pytest.raises(WorkersError, match=r"^No light came for 120 seconds"):
+        refine(engine)
+    assert len(engine.asked) > 1000
+
+
+def test_a_frame_that_lacks_no_light_is_the_answer() -> None:
+    engine = Script("a")
+    engine.demands = ()
+    assert refine(engine).version == "a"
+    assert len(engine.asked) == 1
+
+
+def test_it_ends_at_once_where_the_workers_fail() -> None:
+    engine = Script("a", "b")
+    engine.failing = "The disk is full."
+    with pytest.raises(WorkersError, match=r"^The disk is full\.$"):
+        refine(engine)
+    assert len(engine.asked) == 1

@@ -1,0 +1,220 @@
+"""Prewarms over HTTP: jobs that yield, are dismissed, outlive the server, and leave the same bytes."""
+
+import asyncio
+import json
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+
+from isogi_core.plan.assembly import load_scene
+from server.cli.prewarm import prewarm
+from server.prewarm.order import order_of
+from server.prewarm.record import recorded_prewarms
+from server.settings import Settings
+from tests.client.lab import TOKEN, lab_of
+from tests.server.idle import Idle, idle_server
+from tests.server.inline import LONG, InlinePool, chunks_in
+from worker import pool
+from worker.bake_requests import GUEST
+
+ORDER: dict[str, Any] = {"isovalues": [0.5], "views": 3, "width": 24, "height": 20}
+PREWARM = "/v1/scenes/blocks/prewarm"
+
+
+@contextmanager
+def baking(scene: Path, store: Path) -> Iterator[httpx.Client]:
+    """A client of a server that bakes."""
+    with (
+        lab_of(scene, store) as lab,
+        httpx.Client(base_url=lab.url, headers={"Authorization": f"Bearer {TOKEN}"}, timeout=60) as client,
+    ):
+        yield client
+
+
+def until_over(client: httpx.Client, address: str) -> dict[str, Any]:
+    """The document of a job once it has ended."""
+    deadline = time.monotonic() + LONG
+    while (facts := client.get(address).json())["status"] in ("accepted", "running"):
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    answer: dict[str, Any] = facts
+    return answer
+
+
+@pytest.fixture(scope="module")
+def alone(blocks: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """The chunks that the command leaves where nothing disturbs it."""
+    store = tmp_path_factory.mktemp("alone")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(pool, "WorkerPool", InlinePool)
+        prewarm(str(blocks), order_of(ORDER), Settings(store=str(store), workers=1))
+    return chunks_in(store)
+
+
+def test_a_prewarm_job_leaves_final_views_and_a_summary(blocks: Path, tmp_path: Path, alone: dict[str, str]) -> None:
+    with baking(blocks, tmp_path) as client:
+        ahead = until_over(client, client.post(PREWARM, json=ORDER | {"dry_run": True}).headers["location"])
+        assert (ahead["status"], chunks_in(tmp_path)) == ("successful", {})
+        told = client.get(f"/v1/jobs/{ahead['jobID']}/results").json()
+        begun = client.post(PREWARM, json=ORDER)
+        assert (begun.status_code, begun.headers["cache-control"]) == (202, "private, no-store")
+        address = begun.headers["location"]
+        assert address == f"/v1/jobs/{begun.json()['jobID']}"
+        assert begun.json()["processID"] == "prewarm"
+        over = until_over(client, address)
+        assert (over["status"], over["progress"]) == ("successful", 100)
+        (link,) = [each for each in over["links"] if each["rel"].endswith("/results")]
+        summary = client.get(link["href"]).json()
+        assert (summary["final"], summary["stopped"], summary["texels"]) == (1.0, "target", told["texels"])
+        assert summary["file"] == f"{tmp_path}/jobs/{over['jobID']}.json"
+        assert json.loads(Path(summary["file"]).read_text())["summary"] == summary
+        assert chunks_in(tmp_path) == alone
+        again = until_over(client, client.post(PREWARM, json=ORDER).headers["location"])
+        assert again["jobID"] == over["jobID"]
+        assert client.get(f"{address}/results").json()["paths"] == 0
+        metrics = client.get("/metrics").text
+    assert 'isogi_jobs{status="successful"} 2.0' in metrics
+    assert 'isogi_jobs{status="running"} 0.0' in metrics
+
+
+@pytest.mark.parametrize(
+    ("body", "why"),
+    [
+        ("{", "no JSON"),
+        ("[" * 30000, "no JSON"),
+        ("[1]", "JSON object"),
+        ('{"views": NaN}', "views must be a whole number"),
+        ('{"views": 1e999}', "views must be a whole number"),
+        ('{"views": 100000}', "from 1 to 10000"),
+        ('{"paint": 1}', "no parameter 'paint'"),
+        ('{"isovalues": ["0.9"]}', "from 0.2 to 0.8"),
+        ('{"isovalues": ["0.4:0.5"]}', "every isovalue between"),
+        ('{"isovalues": ["0.2:0.8:0.0001"], "views": 9999}', "100,000 views at most"),
+        ('{"width": 16000, "height": 16000}', "pixels"),
+    ],
+)
+def test_what_makes_no_sense_is_422_and_begins_nothing(idle: Idle, body: str, why: str) -> None:
+    answer = httpx.post(f"{idle.url}{PREWARM}", content=body)
+    assert answer.status_code == 422
+    assert why in answer.json()["detail"]
+    assert httpx.get(f"{idle.url}/v1/jobs").json()["jobs"] == []
+
+
+@pytest.fixture
+def idle(blocks: Path, tmp_path: Path) -> Iterator[Idle]:
+    with idle_server(blocks, tmp_path) as idle:
+        yield idle
+
+
+def test_unknown_scenes_parameters_and_results_are_refused(idle: Idle) -> None:
+    assert httpx.post(f"{idle.url}/v1/scenes/none/prewarm").status_code == 404
+    assert httpx.post(f"{idle.url}{PREWARM}?views=3").status_code == 422
+    assert httpx.get(f"{idle.url}/v1/jobs/none/results").status_code == 404
+    job = httpx.post(f"{idle.url}{PREWARM}", json=ORDER).headers["location"]
+    assert "no document" in httpx.get(f"{idle.url}{job}/results").json()["detail"]
+
+
+def test_a_prewarm_yields_to_people_and_is_dismissed_soon(idle: Idle, tmp_path: Path) -> None:
+    async def visit() -> None:
+        async with httpx.AsyncClient(base_url=idle.url, timeout=60) as client:
+            begun = (await client.post(PREWARM, json=ORDER)).json()
+            assert (await client.post(PREWARM, json=ORDER)).json()["jobID"] == begun["jobID"]
+            await idle.until(lambda: bool(idle.wanted), LONG)
+            assert all(interest.viewer.patient for request in wants(idle) for interest in request.interests.values())
+            await client.get("/v1/scenes/blocks/frame", params={"width": 24, "height": 20, "isovalue": 0.5})
+            first = idle.baker._queue.take()
+            assert first is not None and any(not interest.viewer.patient for interest in first.interests.values())
+            assert "chunks" in (await client.get(f"/v1/jobs/{begun['jobID']}")).json()["message"]
+            ended = await client.delete(f"/v1/jobs/{begun['jobID']}")
+            assert (ended.status_code, ended.json()["status"]) == (200, "dismissed")
+            assert all(client == GUEST.client or client == "127.0.0.1" for _, client in idle.wanted)
+
+    asyncio.run(visit())
+    (record,) = recorded_prewarms(str(tmp_path))
+    assert (record.status, record.unfinished) == ("dismissed", True)
+
+
+def wants(idle: Idle) -> list[Any]:
+    return list(idle.baker._queue.requests.values())
+
+
+def test_looking_at_many_views_ends_soon_where_it_is_dismissed(idle: Idle) -> None:
+    order = {"isovalues": ["0.3:0.7:0.001"], "views": 200, "width": 64, "height": 64}
+    job = httpx.post(f"{idle.url}{PREWARM}", json=order).headers["location"]
+    deadline = time.monotonic() + LONG
+    while httpx.get(f"{idle.url}{job}").json()["message"].startswith("Looking: 0 of") and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert httpx.get(f"{idle.url}/v1/scenes/blocks/frame", params={"width": 24, "height": 20}).status_code == 200
+    assert httpx.delete(f"{idle.url}{job}", timeout=10).json()["status"] == "dismissed"
+
+
+def test_a_server_that_starts_again_takes_up_what_was_begun(
+    blocks: Path, tmp_path: Path, alone: dict[str, str]
+) -> None:
+    with idle_server(blocks, tmp_path) as idle:
+        kept = httpx.post(f"{idle.url}{PREWARM}", json=ORDER).json()["jobID"]
+        gone = httpx.post(f"{idle.url}{PREWARM}", json=ORDER | {"isovalues": [0.6]}).headers["location"]
+        httpx.delete(f"{idle.url}{gone}")
+        deadline = time.monotonic() + LONG
+        while not any(record.ahead for record in recorded_prewarms(str(tmp_path))) and time.monotonic() < deadline:
+            time.sleep(0.05)
+    assert {record.status for record in recorded_prewarms(str(tmp_path))} == {"running", "dismissed"}
+    abandon(tmp_path / "jobs" / f"{kept}.json")
+    with baking(blocks, tmp_path) as client:
+        over = until_over(client, f"/v1/jobs/{kept}")
+        assert over["status"] == "successful"
+        assert [job["jobID"] for job in client.get("/v1/jobs").json()["jobs"]] == [kept]
+    assert chunks_in(tmp_path) == alone
+
+
+def abandon(record: Path) -> None:
+    """Have a record be that of a process which has ended."""
+    document = json.loads(record.read_text())
+    machine, _, name = document["worker"].split("/")
+    record.write_text(json.dumps(document | {"worker": f"{machine}/{1 << 30}/{name}"}))
+
+
+def test_what_another_server_works_on_is_left_to_it(blocks: Path, tmp_path: Path) -> None:
+    with idle_server(blocks, tmp_path) as one:
+        job = httpx.post(f"{one.url}{PREWARM}", json=ORDER).headers["location"]
+        deadline = time.monotonic() + LONG
+        while not any(record.ahead for record in recorded_prewarms(str(tmp_path))) and time.monotonic() < deadline:
+            time.sleep(0.05)
+        (record,) = (tmp_path / "jobs").glob("*.json")
+        document = json.loads(record.read_text())
+        record.write_text(json.dumps(document | {"worker": "elsewhere/1/abc"}))
+        with idle_server(blocks, tmp_path) as other:
+            answer = httpx.get(f"{other.url}{job}")
+            while answer.status_code == 503:
+                answer = httpx.get(f"{other.url}{job}")
+            assert answer.status_code == 404
+
+
+def test_a_command_beside_a_server_leaves_the_same_light(
+    blocks: Path, tmp_path: Path, alone: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pool, "WorkerPool", InlinePool)
+    load_scene(blocks)
+    with baking(blocks, tmp_path) as client, ThreadPoolExecutor(1) as thread:
+        job = client.post(PREWARM, json=ORDER).headers["location"]
+        beside = thread.submit(prewarm, str(blocks), order_of(ORDER), Settings(store=str(tmp_path), workers=1))
+        assert until_over(client, job)["status"] == "successful"
+        assert beside.result(LONG).final == 1.0
+    assert chunks_in(tmp_path) == alone
+
+
+def test_the_body_is_documented(idle: Idle) -> None:
+    api = httpx.get(f"{idle.url}/openapi.json").json()
+    body = api["paths"]["/v1/scenes/{scene}/prewarm"]["post"]["requestBody"]["content"]["application/json"]
+    assert body["schema"]["additionalProperties"] is False
+    assert set(ORDER) < set(body["schema"]["properties"])
+    assert "$ref" not in json.dumps(body)
+    for example in body["examples"].values():
+        told = {name: value for name, value in example["value"].items() if name != "dry_run"}
+        assert order_of(told)

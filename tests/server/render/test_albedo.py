@@ -1,0 +1,105 @@
+"""The albedo of a view over a real socket: parameters, refusals, tags and the scene's document."""
+
+import io
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import httpx
+import numpy as np
+import pytest
+from websockets.sync.client import connect
+
+from tests.live import serving
+
+VIEW: dict[str, str | int | float] = {"width": 24, "height": 20, "azimuth": 40, "f": "npy"}
+Ask = Callable[..., httpx.Response]
+
+
+@pytest.fixture(scope="module")
+def server(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """A server of the small scene at albedo 0.3, of which views may ask for 0 to 0.9."""
+    scene = small_scene.with_name("live.toml")
+    scene.write_text(f"albedo = 0.3\nalbedos = [0, 0.9]\n{small_scene.read_text()}")
+    with serving(scene, tmp_path_factory.mktemp("store")) as url:
+        yield url
+
+
+@pytest.fixture(scope="module")
+def ask(server: str) -> Iterator[Ask]:
+    """Asks for a final frame; its light is baked once, at the scene's own albedo."""
+    with httpx.Client(base_url=server, timeout=180) as client:
+
+        def frame(**more: str | float) -> httpx.Response:
+            return client.get("/v1/scenes/live/frame", params={**VIEW, **more})
+
+        while frame(wait_ms=5000).headers["isogi-provisional"] == "?1":
+            pass
+        yield frame
+
+
+def picture(answer: httpx.Response) -> np.ndarray:
+    assert answer.status_code == 200, answer.text
+    return np.load(io.BytesIO(answer.content))[..., :3]
+
+
+def test_another_albedo_is_final_at_once_and_brighter(ask: Ask) -> None:
+    own, bright, warm = ask(), ask(albedo=0.9), ask(albedo="0.9,0.5,0.1")
+    assert bright.headers["isogi-provisional"] == warm.headers["isogi-provisional"] == "?0"
+    assert picture(bright).mean() == pytest.approx(3.0 * picture(own).mean(), rel=0.05), "two balls reflect little"
+    reds = [picture(answer)[..., 0] for answer in (warm, bright)]
+    np.testing.assert_allclose(*reds, rtol=1e-5, err_msg="red is as bright as grey of that share")
+    assert picture(warm)[..., 2].max() < picture(bright)[..., 2].max() / 5.0
+
+
+def test_tags_differ_by_albedo_and_the_scenes_own_is_default(ask: Ask) -> None:
+    own, named, spelt, other = (ask(**albedo).headers["etag"] for albedo in ({}, {"albedo": 0.3}, *TWO))
+    assert own == named == spelt != other
+
+
+TWO: tuple[dict[str, str | float], ...] = ({"albedo": "0.3,0.3,0.3"}, {"albedo": 0.31})
+
+
+@pytest.mark.parametrize("albedo", ["0.95", "0.9,0.95,0.1", "1.5", "-0.1", "0.5,0.5", "red", "nan", ""])
+def test_albedos_that_are_none_or_not_in_the_range_are_refused(ask: Ask, albedo: str) -> None:
+    answer = ask(albedo=albedo)
+    assert (answer.status_code, answer.json()["parameter"]) == (422, "albedo")
+    assert "from 0 to" in answer.json()["detail"]
+
+
+def test_a_scene_of_one_albedo_says_how_to_have_more(live_server: str) -> None:
+    answer = httpx.get(f"{live_server}/v1/scenes/small/frame", params={**VIEW, "albedo": 0.5})
+    assert (answer.status_code, answer.json()["parameter"]) == (422, "albedo")
+    assert "albedos = [0, 0.9]" in answer.json()["detail"]
+    assert httpx.get(f"{live_server}/v1/scenes/small/frame", params={**VIEW, "albedo": 0.7}).status_code == 200
+    assert httpx.get(f"{live_server}/v1/scenes/small").json()["albedos"] is None
+
+
+def test_the_document_has_the_range_the_default_and_what_is_kept(server: str) -> None:
+    scene = httpx.get(f"{server}/v1/scenes/live").json()
+    assert scene["albedos"] == scene["ranges"]["albedo"] == {"min": 0.0, "max": 0.9}
+    assert scene["defaults"]["albedo"] == 0.3 and scene["albedo"] == [0.3, 0.3, 0.3]
+    direct, indirect = scene["plan"]["layers"]
+    assert direct["nodes"] == [] and indirect["nodes"][-1] == 0.9 and scene["plan"]["channels"] == 1
+
+
+def test_coverage_and_the_interface_know_the_parameter(server: str) -> None:
+    covered = httpx.get(
+        f"{server}/v1/scenes/live/coverage", params={"albedo": "0.9,0.5,0.1", "width": 24, "height": 20}
+    )
+    assert covered.status_code == 200 and covered.json()["pixels"]["surface"] > 0
+    paths = httpx.get(f"{server}/openapi.json").json()["paths"]
+    for way in ("frame", "coverage"):
+        parameters = paths[f"/v1/scenes/{{scene}}/{way}"]["get"]["parameters"]
+        assert any(each["name"] == "albedo" for each in parameters)
+
+
+def test_a_stream_takes_numbers_and_lists(server: str, ask: Ask) -> None:
+    view = {name: value for name, value in VIEW.items() if name != "f"}
+    with connect(f"{server.replace('http', 'ws')}/v1/scenes/live/stream") as socket:
+        for number, albedo in enumerate((0.9, [0.9, 0.5, 0.1], "0.9")):
+            socket.send(json.dumps({"id": number, "view": {**view, "albedo": albedo}}))
+            told = json.loads(socket.recv(timeout=60))
+            assert told.get("problem") is None and told["id"] == number and told["final"]
+            socket.recv(timeout=60)
+            socket.send(json.dumps({"shown": number}))

@@ -1,0 +1,508 @@
+import errno
+import json
+import os
+import shutil
+import subprocess
+import sys
+import threading
+import time
+import tracemalloc
+from collections.abc import Callable, Collection, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+from queue import Queue
+from typing import Any
+
+import numpy as np
+import pytest
+
+from isogi_core.errors import Cancelled, StoreError
+from isogi_core.frame.entry_kernels import FRAME, SHARING
+from isogi_core.frame.frame import Frame
+from isogi_core.kernels.shading.lattice import carry_light
+from isogi_core.kernels.shading.lobes import add_lobes, light_lobes
+from isogi_core.kernels.tracing.active_cells import ActiveCells
+from isogi_core.kernels.tracing.stiffness import count_stiffness
+from isogi_core.kernels.transport.harmonics import rotate
+from isogi_core.kernels.transport.lights import project_lamps
+from isogi_core.kernels.transport.texel_points import measure_distances
+from isogi_core.plan.assembly import load_scene
+from isogi_core.plan.scene import Scene
+from isogi_core.prepared.active_cell_maps import ActiveCellMaps, Run, find_levels
+from isogi_core.storage import folder
+from isogi_core.storage.url import StoreUrl
+from server.cli.render import refine
+from server.render import engine as engine_module
+from server.render.engine import RenderEngine
+from server.render.loaded_scene import next_values
+from server.render.resources import StoreProbe, whereabouts
+from tests.scale import COMPILED
+from tests.server.inline import LONG, InlinePool, chunks_in, view_of
+from worker import pool
+from worker.errors import WorkersAwayError, WorkersError
+
+ROOT = Path(__file__).resolve().parents[3]
+
+
+@pytest.fixture(autouse=True)
+def inline(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pool, "WorkerPool", InlinePool)
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    """A scene whose texels keep two layers."""
+    light = {"type": "sky", "sun_azimuth": 30.0, "sun_elevation": 50.0}
+    return load_scene("demo:orbital", order=2, lattice=0.5, bounces=1, target_error=0.3, lights=[light])
+
+
+Open = Callable[..., RenderEngine]
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Path:
+    return tmp_path / "light"
+
+
+@pytest.fixture
+def begin(scene: Scene, store: Path) -> Iterator[Open]:
+    """Begins an engine on the store; it is closed when the test ends."""
+    begun: list[RenderEngine] = []
+
+    def begin(**more: Any) -> RenderEngine:
+        begun.append(RenderEngine([scene], str(store), **more))
+        begun[-1].start()
+        return begun[-1]
+
+    yield begin
+    for engine in begun:
+        engine.close()
+
+
+def assert_same(a: Frame, b: Frame) -> None:
+    assert a.version == b.version
+    assert_same_light(a, b)
+
+
+def assert_same_light(a: Frame, b: Frame) -> None:
+    assert a.radiance.tobytes() == b.radiance.tobytes()
+    assert a.state.tobytes() == b.state.tobytes()
+    assert a.error.tobytes() == b.error.tobytes()
+
+
+def assert_unlit(frame: Frame) -> None:
+    """All of the frame stands in for light that is not there; none of it is black."""
+    assert frame.coverage["provisional"] == 1.0
+    assert (frame.radiance[frame.state > 0] > 0.0).all()
+
+
+def test_a_frame_comes_at_once_and_becomes_final(begin: Open, scene: Scene) -> None:
+    engine = begin()
+    first = engine.frame(scene.id, view_of(scene))
+    assert first.surface > 100
+    assert_unlit(first)
+    assert len(first.demands) == first.chunks_needed > 4
+    assert len(scene.plan.layers) == 2
+    final = engine.frame(scene.id, view_of(scene), wait=LONG)
+    assert final.coverage["final"] == 1.0
+    assert (final.demands, final.chunks_final) == ((), final.chunks_needed)
+    assert final.version != first.version
+    assert (final.radiance[final.state > 0] > 0.0).all()
+    assert 0.0 < final.estimated_error < 0.3
+
+
+def test_asking_again_and_again_is_enough(begin: Open, scene: Scene) -> None:
+    engine = begin()
+    deadline = time.monotonic() + LONG
+    while (frame := engine.frame(scene.id, view_of(scene))).provisional:
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    assert not frame.demands
+
+
+def test_workers_come_after_the_start(begin: Open, scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    come = threading.Event()
+
+    def hire(workers: int, scheduler: str | None, kinds: Collection[str]) -> InlinePool:
+        assert come.wait(LONG)
+        return InlinePool(workers)
+
+    monkeypatch.setattr(pool, "WorkerPool", hire)
+    engine = begin()
+    assert engine.unready() == [engine.workforce.preparing] == ["The workers are starting."]
+    assert_unlit(engine.frame(scene.id, view_of(scene)))
+    come.set()
+    assert not engine.frame(scene.id, view_of(scene), wait=LONG).provisional
+    assert engine.unready() == [] and engine.workforce.preparing == ""
+
+
+def test_workers_are_hired_once(begin: Open, scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    hired = []
+
+    def hire(workers: int, scheduler: str | None, kinds: Collection[str]) -> InlinePool:
+        hired.append(InlinePool(workers))
+        return hired[0]
+
+    monkeypatch.setattr(pool, "WorkerPool", hire)
+    engine = begin()
+    engine.hire()
+    assert not engine.frame(scene.id, view_of(scene), wait=LONG).provisional
+    assert len(hired) == 1
+
+
+def test_maps_of_the_next_isovalues_are_made_while_nobody_waits(
+    begin: Open, scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: Queue[float] = Queue()
+    covering = ActiveCellMaps.covering
+
+    def noted(self: ActiveCellMaps, isovalues: np.ndarray, run: Run) -> ActiveCells:
+        cells = covering(self, isovalues, run)
+        if threading.current_thread().name.startswith("prefetch"):
+            made.put(*isovalues.tolist())
+        return cells
+
+    monkeypatch.setattr(ActiveCellMaps, "covering", noted)
+    engine = begin()
+    for isovalue in (0.3, 0.31):
+        engine.frame(scene.id, view_of(scene, isovalue=isovalue))
+    before, now = (scene.volume.normalise_isovalue(v) for v in (0.3, 0.31))
+    assert [made.get(timeout=LONG) for _ in range(2)] == next_values(before, now, find_levels(scene.volume.voxels))
+
+
+def test_workers_that_cannot_be_had_are_told(begin: Open, scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(workers: int, scheduler: str | None, kinds: Collection[str]) -> None:
+        raise WorkersError("No workers today.")
+
+    monkeypatch.setattr(pool, "WorkerPool", refuse)
+    engine = begin()
+    assert_unlit(engine.frame(scene.id, view_of(scene), wait=0.1))
+    assert engine.unready() == [engine.trouble()] == ["No workers today."]
+    assert engine.workforce.preparing == "", "nothing is to come"
+
+
+def test_a_scheduler_that_comes_later_is_joined_then(
+    begin: Open, scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tries = iter((True, True, False))
+
+    def join(*given: Any) -> InlinePool:
+        if next(tries):
+            raise WorkersAwayError("The scheduler is late.")
+        return InlinePool(*given)
+
+    monkeypatch.setattr("server.render.workforce.AGAIN", 0.01)
+    monkeypatch.setattr(pool, "WorkerPool", join)
+    engine = begin()
+    assert not engine.frame(scene.id, view_of(scene), wait=LONG).provisional
+    assert engine.unready() == []
+
+
+@pytest.mark.parametrize("error", [ImportError("No module named 'distributed'"), OSError("No such file")])
+def test_anything_that_keeps_workers_from_coming_is_told(
+    begin: Open, scene: Scene, monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
+    def fail(workers: int, scheduler: str | None, kinds: Collection[str]) -> None:
+        raise error
+
+    monkeypatch.setattr(pool, "WorkerPool", fail)
+    engine = begin()
+    assert_unlit(engine.frame(scene.id, view_of(scene), wait=0.1))
+    assert engine.unready() == [f"Cannot start the workers: {error}"]
+
+
+def test_workers_that_are_lost_are_told(begin: Open, scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    engine = begin()
+    assert not engine.frame(scene.id, view_of(scene), wait=LONG).provisional
+    monkeypatch.setattr(InlinePool, "trouble", "The workers are on strike.")
+    assert engine.unready() == ["The workers are on strike."]
+
+
+def test_after_a_restart_the_same_view_is_final_at_once(begin: Open, scene: Scene, store: Path) -> None:
+    before = begin().frame(scene.id, view_of(scene), wait=LONG)
+    kept = chunks_in(store)
+    after = begin().frame(scene.id, view_of(scene))
+    assert not after.provisional
+    assert_same(after, before)
+    assert chunks_in(store) == kept
+
+
+def test_the_order_of_views_does_not_matter(begin: Open, scene: Scene, store: Path) -> None:
+    views = [view_of(scene, azimuth, isovalue) for azimuth in (0.0, 130.0) for isovalue in (0.03, 0.06)]
+    engine = begin()
+    frames = [engine.frame(scene.id, view, wait=LONG) for view in views]
+    first = chunks_in(store)
+    shutil.rmtree(store)
+    engine = begin()
+    for view in reversed(views):
+        engine.frame(scene.id, view)
+        engine.frame(scene.id, view, wait=LONG)
+    assert chunks_in(store) == first
+    for view, frame in zip(views, frames, strict=True):
+        assert_same_light(engine.frame(scene.id, view), frame)
+
+
+def test_a_path_traced_frame_lacks_no_light_whatever_its_error(begin: Open, scene: Scene) -> None:
+    engine, view = begin(), replace(view_of(scene), shading="path_traced", samples=16)
+    frame = engine.frame(scene.id, view, max_error=0.001, wait=LONG)
+    assert frame.provisional and frame.estimated_error > 0.001
+    assert engine.lacking(scene.id, frame) == (scene.id, ())
+    assert refine(engine, scene.id, view, 0.001, None).version == frame.version
+
+
+def test_a_stricter_error_is_worked_for(begin: Open, scene: Scene) -> None:
+    engine = begin()
+    loose = engine.frame(scene.id, view_of(scene), wait=LONG)
+    strict = engine.frame(scene.id, view_of(scene), max_error=0.05)
+    assert strict.provisional
+    assert strict.demands
+    strict = engine.frame(scene.id, view_of(scene), max_error=0.05, wait=LONG)
+    assert not strict.provisional
+    assert strict.estimated_error < loose.estimated_error
+
+
+DAMAGES: list[Callable[[bytes], bytes]] = [lambda b: b"", lambda b: b[:-1], lambda b: bytes(len(b)), lambda b: b + b"!"]
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_damage_on_disk_heals_to_the_same_bytes(
+    begin: Open, scene: Scene, store: Path, damage: Callable[[bytes], bytes]
+) -> None:
+    whole = begin().frame(scene.id, view_of(scene), wait=LONG)
+    kept = chunks_in(store)
+    for name in kept:
+        (store / name).write_bytes(damage((store / name).read_bytes()))
+    engine = begin()
+    assert_unlit(engine.frame(scene.id, view_of(scene)))
+    assert_same(engine.frame(scene.id, view_of(scene), wait=LONG), whole)
+    assert chunks_in(store) == kept
+
+
+def test_swapped_chunks_heal(begin: Open, scene: Scene, store: Path) -> None:
+    whole = begin().frame(scene.id, view_of(scene), wait=LONG)
+    kept = chunks_in(store)
+    names = sorted(kept)
+    contents = [(store / name).read_bytes() for name in names]
+    for name, content in zip(names, contents[1:] + contents[:1], strict=True):
+        (store / name).write_bytes(content)
+    assert_same(begin().frame(scene.id, view_of(scene), wait=LONG), whole)
+    assert chunks_in(store) == kept
+
+
+def test_layers_deleted_while_running_are_baked_again(begin: Open, scene: Scene, store: Path) -> None:
+    engine = begin()
+    views = view_of(scene), view_of(scene, isovalue=0.06)
+    frames = [engine.frame(scene.id, view, wait=LONG) for view in views]
+    kept = chunks_in(store)
+    engine.close()
+    engine = begin()
+    assert_same_light(engine.frame(scene.id, views[0]), frames[0])
+    for layer in {store / name.partition("/")[0] for name in kept}:
+        shutil.rmtree(layer)
+    assert_same_light(engine.frame(scene.id, views[0]), frames[0])
+    again = engine.frame(scene.id, views[1], wait=LONG)
+    assert not again.provisional
+    assert_same_light(again, frames[1])
+    fresh = begin()
+    for view, frame in zip(views, frames, strict=True):
+        assert_same_light(fresh.frame(scene.id, view, wait=LONG), frame)
+    assert chunks_in(store) == kept
+
+
+def test_a_chunk_deleted_while_running_is_baked_again(begin: Open, scene: Scene, store: Path) -> None:
+    whole = begin().frame(scene.id, view_of(scene), wait=LONG)
+    kept = chunks_in(store)
+    engine = begin()
+    lost = sorted(kept)[:3]
+    for name in lost:
+        (store / name).unlink()
+    part = engine.frame(scene.id, view_of(scene))
+    assert part.chunks_final == part.chunks_needed - len(lost)
+    assert 0.0 < part.coverage["provisional"] < 1.0
+    assert (part.radiance[part.state > 0] > 0.0).all()
+    assert_same(engine.frame(scene.id, view_of(scene), wait=LONG), whole)
+    assert chunks_in(store) == kept
+
+
+def test_cut_metadata_stops_the_start(begin: Open, store: Path) -> None:
+    begin()
+    metadata = next(store.glob("*/zarr.json"))
+    metadata.write_text(metadata.read_text()[:100])
+    with pytest.raises(
+        StoreError,
+        match=r"^Cannot open the light at .*; have `isogi store repair` mend it, or move that folder away, .*\.$",
+    ):
+        begin()
+
+
+def test_a_full_disk_leaves_frames_provisional_and_is_told(
+    begin: Open, scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kept = begin().frame(scene.id, view_of(scene), wait=LONG)
+    with monkeypatch.context() as full:
+        full.setattr(folder, "partial_file", no_room)
+        engine = begin()
+        other = view_of(scene, isovalue=0.06)
+        assert_same(engine.frame(scene.id, view_of(scene)), kept)
+        frame = engine.frame(scene.id, other, wait=0.2)
+        assert frame.provisional
+        assert (frame.radiance[frame.state > 0] > 0.0).all()
+        until(lambda: engine.unready() != [])
+        assert "No space left on device; the store is full" in engine.unready()[0]
+        assert engine.trouble() == "" == StoreProbe(engine.store).reasons()[0].partition("Cannot write to the store")[0]
+        assert engine.tally().given_up == engine.tally().failed == 0
+    assert not engine.frame(scene.id, other, wait=LONG).provisional
+    assert engine.unready() == StoreProbe(engine.store).reasons() == []
+
+
+def no_room(*_: Any, **__: Any) -> None:
+    raise OSError(errno.ENOSPC, "No space left on device")
+
+
+def until(condition: Callable[[], bool]) -> None:
+    """Wait for it, as long as any bake of these tests takes."""
+    deadline = time.monotonic() + LONG
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+def test_a_view_that_does_not_fit_the_memory_is_an_error(begin: Open, scene: Scene) -> None:
+    engine = begin(memory=20_000)
+    with pytest.raises(StoreError, match="does not fit the memory"):
+        engine.frame(scene.id, view_of(scene), wait=LONG)
+
+
+def test_little_memory_serves_one_view_after_the_other(begin: Open, scene: Scene) -> None:
+    views = [view_of(scene, isovalue=isovalue) for isovalue in (0.03, 0.3, 0.5)]
+    engine = begin()
+    frames = [engine.frame(scene.id, view, wait=LONG) for view in views]
+    little = begin(memory=2_000_000)
+    for view, frame in [*zip(views, frames, strict=True)] * 2:
+        assert_same_light(little.frame(scene.id, view), frame)
+
+
+def test_views_from_many_threads(begin: Open, scene: Scene) -> None:
+    views = [view_of(scene, azimuth) for azimuth in range(0, 360, 60)]
+    engine = begin()
+    with ThreadPoolExecutor(len(views)) as threads:
+        frames = list(threads.map(lambda view: engine.frame(scene.id, view, wait=LONG), views))
+    assert not any(frame.provisional for frame in frames)
+    again = begin()
+    for view, frame in zip(views, frames, strict=True):
+        expected = again.frame(scene.id, view)
+        assert not expected.provisional
+        final = engine.frame(scene.id, view)
+        assert_same(final, expected)
+        np.testing.assert_array_equal(frame.state, expected.state)
+
+
+def test_memory_is_set_aside_for_what_requests_read_alone(
+    begin: Open, scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(InlinePool, "submit", lambda *_: None)
+    budget, shadings = 64 << 20, ("lambert", "phong_shadow", "vicinity", "gi")
+    views = [replace(view_of(scene), shading=shading) for shading in shadings]
+    for view in views:
+        begin().frame(scene.id, view)
+    tracemalloc.start()
+    engine, taken = begin(memory=budget), []
+    for view in views:
+        engine.frame(scene.id, view)
+        taken.append(tracemalloc.get_traced_memory()[0] / budget)
+    tracemalloc.stop()
+    assert taken == pytest.approx([0.05, 0.05, 0.15, 0.55], abs=0.1)
+
+
+def test_what_a_scene_keeps_stays_within_its_memory(begin: Open, scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(InlinePool, "submit", lambda *_: None)
+    memory, grown = 8 << 20, []
+    views = [view_of(scene, azimuth, isovalue=0.2 + azimuth / 1000) for azimuth in range(0, 360, 6)]
+    engine = begin(memory=memory)
+    tracemalloc.start()
+    for view in views:
+        for shading in ("gi", "vicinity"):
+            engine.survey(scene.id, replace(view, shading=shading, width=128, height=128), 0.3)
+        grown.append(tracemalloc.get_traced_memory()[0])
+    tracemalloc.stop()
+    assert max(grown) < 1.1 * memory
+
+
+def test_nobody_waits_for_a_cancelled_frame(begin: Open, scene: Scene) -> None:
+    cancelled = threading.Event()
+    cancelled.set()
+    with pytest.raises(Cancelled):
+        begin().frame(scene.id, view_of(scene), cancelled=cancelled)
+
+
+def test_a_engine_can_be_closed_before_it_began(scene: Scene, store: Path) -> None:
+    with closing(RenderEngine([scene], str(store))):
+        pass
+    assert not store.exists()
+
+
+def test_a_start_can_be_given_up(scene: Scene, store: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    compiling = threading.Event()
+
+    def compile_for_long(kernels: Any, stopped: threading.Event) -> None:
+        compiling.set()
+        assert stopped.wait(LONG)
+
+    monkeypatch.setattr(engine_module, "warm", compile_for_long)
+    with closing(RenderEngine([scene], str(store))) as engine, ThreadPoolExecutor(1) as thread:
+        start = thread.submit(engine.start)
+        assert compiling.wait(LONG)
+        engine.stop()
+        start.result(LONG)
+    assert not store.exists()
+
+
+START = """\
+import json, sys
+from contextlib import closing
+from isogi_core.plan.assembly import load_scene
+from isogi_core.model.view import View, quaternion_from_angles
+from server.render.resources import StoreProbe
+from server.render.engine import RenderEngine
+from tests.compile_kernels import entry_kernels
+from tests.server.inline import LONG, InlinePool, chunks_in, view_of
+from worker import pool
+
+class Idle:
+    room, trouble, preparing = 0, "", ""
+    def __init__(self, *_): pass
+    def attend(self, stir): pass
+    def close(self): pass
+
+if __name__ == "__main__":
+    pool.WorkerPool = Idle
+    scene = load_scene("demo:orbital", lattice=0.4, **json.loads(sys.argv[1]))
+    with closing(RenderEngine([scene], sys.argv[2])) as engine:
+        engine.start()
+        turned = quaternion_from_angles(30.0, 0.0, 0.0)
+        view = View(scene.isovalue, scene.camera(30, 20, 3, 30), width=20, height=20, light=turned)
+        assert engine.frame(scene.id, view).provisional
+    print(json.dumps([kernel.name for kernel in entry_kernels() if kernel.loaded]))
+"""
+
+
+@COMPILED
+@pytest.mark.parametrize("light", ["constant", "sky"])
+def test_kernels_that_a_scene_never_calls_are_never_loaded(tmp_path: Path, light: str) -> None:
+    (tmp_path / "start.py").write_text(START)
+    settings = json.dumps({"lights": [{"type": light}], "projected": False})
+    command = [sys.executable, str(tmp_path / "start.py"), settings, str(tmp_path)]
+    done = subprocess.run(
+        command, env={**os.environ, "PYTHONPATH": str(ROOT)}, check=True, capture_output=True, text=True
+    )
+    uncalled = {*SHARING, rotate, light_lobes, add_lobes} if light == "constant" else {carry_light}
+    called = {*FRAME} - uncalled - {project_lamps, measure_distances, count_stiffness}
+    assert set(json.loads(done.stdout)) == {kernel.name for kernel in called}
+
+
+def test_workers_are_told_absolute_paths(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert whereabouts(StoreUrl("light", 1.0, 3)) == StoreUrl(str(tmp_path / "light"), 1.0, 3)
+    assert whereabouts(StoreUrl("s3://bucket/light")) == StoreUrl("s3://bucket/light")

@@ -1,0 +1,148 @@
+"""Bakes of projected texels: added on demand, the oldest forgotten; and an engine whose views at rest have them."""
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from isogi_core.cache.upkeep import prune as pruning
+from isogi_core.cache.upkeep.census import census_of
+from isogi_core.cache.upkeep.prune import trim_projected
+from isogi_core.frame import projected_texels
+from isogi_core.plan.assembly import load_scene
+from isogi_core.plan.scene import Scene
+from isogi_core.storage.store import Store
+from server.api.headers import projection_header
+from server.pictures import planes
+from server.render import bakes as room
+from server.render.bakes import ProjectedBakes
+from server.render.engine import RenderEngine
+from tests.server.inline import LONG, InlinePool, view_of
+from worker import pool
+from worker.bake_requests import GUEST
+
+Open = Callable[..., RenderEngine]
+
+
+class FakeBaker:
+    """Takes on bakes and forgets them."""
+
+    def __init__(self) -> None:
+        self.bakes: dict[str, Any] = {}
+
+    def add(self, name: str, bake: Any) -> None:
+        self.bakes[name] = bake
+
+    def forget(self, name: str) -> None:
+        del self.bakes[name]
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pool, "WorkerPool", InlinePool)
+    monkeypatch.setattr(projected_texels, "STEEPNESS", 2.0)
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return load_scene("demo:orbital", lattice=0.5, bounces=1, target_error=0.3, projected=True)
+
+
+@pytest.fixture
+def begin(scene: Scene, tmp_path: Path) -> Iterator[Open]:
+    """Begins an engine on the store; it is closed when the test ends."""
+    begun: list[RenderEngine] = []
+
+    def begin(**more: Any) -> RenderEngine:
+        begun.append(RenderEngine([scene], str(tmp_path / "light"), **more))
+        begun[-1].start()
+        return begun[-1]
+
+    yield begin
+    for engine in begun:
+        engine.close()
+
+
+def test_a_bake_is_made_once_and_the_oldest_is_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(room, "MOST", 2)
+    baker: Any = FakeBaker()
+    monkeypatch.setattr(room, "trim_projected", lambda store, most: 0)
+    bakes = ProjectedBakes(baker, Store("memory://projected"), 0)
+    made: list[float] = []
+
+    def name(scene: str, shown: float) -> str:
+        return bakes.name(scene, shown, lambda: made.append(shown))  # type: ignore[arg-type, func-returns-value]
+
+    first, second = name("a", 0.25), name("b", 0.25)
+    assert first != second and name("a", 0.25) == first
+    third = name("a", 0.5)
+    assert list(baker.bakes) == [first, third] and made == [0.25, 0.25, 0.5]
+    assert (bakes.scene(first), bakes.scene(third), bakes.scene("b")) == ("a", "a", "b")
+    bakes.forget("a")
+    assert not baker.bakes and bakes.scene(first) == first
+
+
+def test_light_is_trimmed_when_an_isovalue_is_new(monkeypatch: pytest.MonkeyPatch) -> None:
+    baker: Any = FakeBaker()
+    store, trimmed = Store("memory://projected"), []
+    monkeypatch.setattr(room, "trim_projected", lambda *given: trimmed.append(given))
+    bakes = ProjectedBakes(baker, store, 7)
+    for shown in (0.25, 0.25, 0.5):
+        bakes.name("a", shown, lambda: None)  # type: ignore[arg-type, return-value]
+        bakes.settle()
+    assert trimmed == [(store, 7)] * 2
+
+
+def test_a_view_at_rest_has_projected_texels(begin: Open, scene: Scene) -> None:
+    engine, news = begin(), []
+    engine.listen(lambda bake, index, more: news.append((bake, index)))
+    frame = engine.frame(scene.id, view_of(scene), wait=LONG)
+    assert not frame.provisional and frame.projection
+    shares = frame.projection.shares
+    assert shares["projected"] > 0.2 and shares["pending"] == 0.0
+    assert {bake for bake, _ in news} == {scene.id}, "who waits for the scene's light hears of projected texels too"
+    assert engine.lacking(scene.id, frame) == (scene.id, ())
+    assert projection_header(shares).startswith(f"projected={shares['projected']:.3f}, near=")
+    whole = planes(frame, 0, frame.view.height)
+    assert (whole[..., 4] == frame.reported_state).all()
+    shown = scene.volume.normalise_isovalue(scene.isovalue)
+    layers = {scene.layer_digest(layer, level) for layer in scene.plan.layers for level in (None, shown)}
+    assert set(census_of(engine.store).counts) == layers
+
+
+def test_projected_texels_have_a_bake_and_a_time_left(begin: Open, scene: Scene) -> None:
+    engine = begin()
+    view, name, target = view_of(scene), scene.id, scene.target_error
+    while (frame := engine.survey(name, view, target)).demands:
+        assert engine.lacking(name, frame) == (name, frame.demands)
+        engine.want(name, frame, target, GUEST)
+        time.sleep(0.01)
+    bake, demands = engine.lacking(name, frame)
+    assert frame.provisional and frame.projection
+    assert bake != name and demands == frame.projection.demands != ()
+    moving = engine.survey(name, replace(view, moving=True), target)
+    assert engine.lacking(name, moving) == (name, ()) and not moving.provisional
+    final = engine.frame(name, view, wait=LONG)
+    left = engine.time_left(name, final)
+    assert not final.provisional and left is not None and left.high == 0.0
+
+
+def test_a_store_keeps_a_bounded_part_of_them(begin: Open, scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    engine = begin()
+    levels = [scene.isovalue, 1.2 * scene.isovalue]
+    for isovalue in levels:
+        engine.frame(scene.id, view_of(scene, isovalue=isovalue), wait=LONG)
+    store = Store(engine.store.url)
+    kept = {digest for digest, count in census_of(store).counts.items() if count.facts.attributes["shown"] is not None}
+    assert len(kept) == 2 * len(scene.plan.layers)
+    assert trim_projected(store, 0) == 0, "it was written just now"
+    monkeypatch.setattr(pruning, "BUSY", -1.0)
+    assert trim_projected(store, 1 << 40) == 0
+    assert trim_projected(store, 0) == len(kept)
+    left = census_of(store).counts
+    assert set(left) == {scene.layer_digest(layer) for layer in scene.plan.layers}
+    again = engine.frame(scene.id, view_of(scene, isovalue=levels[0]), wait=LONG)
+    assert not again.provisional

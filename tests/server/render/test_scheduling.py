@@ -1,0 +1,204 @@
+"""Scheduling: what work goes first, and what is done once; and the update bus."""
+
+import asyncio
+import threading
+from collections.abc import Iterator
+
+import pytest
+
+from isogi_core.prepared.prepared_scene import Index
+from server.errors import BusyError
+from server.logs import REQUEST_ID
+from server.render.scheduling import ASKED, DRAFT, REFINED, REST, AdmissionLimit, PrioritySemaphore, Rank, Renders
+from server.render.updates import UpdateBus
+from tests.server.loops import played
+
+
+@pytest.fixture
+def renders() -> Iterator[Renders]:
+    renders = Renders(1)
+    yield renders
+    renders.close()
+
+
+def test_work_comes_in_the_order_of_its_deadlines(renders: Renders) -> None:
+    order: list[float] = []
+
+    async def play() -> None:
+        release = threading.Event()
+        first = asyncio.create_task(renders.run(lambda: release.wait(10), Rank.within(ASKED)))
+        await asyncio.sleep(0.01)
+        later = [
+            asyncio.create_task(renders.run(lambda patience=patience: order.append(patience), Rank.within(patience)))
+            for patience in (REFINED, ASKED, REST, DRAFT)
+        ]
+        await asyncio.sleep(0.01)
+        release.set()
+        await asyncio.gather(first, *later)
+
+    asyncio.run(play())
+    assert order == [DRAFT, REST, ASKED, REFINED]
+
+
+def test_patient_work_does_not_wait_forever() -> None:
+    order: list[str] = []
+
+    async def take(places: PrioritySemaphore, name: str, patience: float) -> None:
+        async with places.place(Rank.within(patience)):
+            order.append(name)
+            await asyncio.sleep(0.02)
+
+    async def play() -> None:
+        places = PrioritySemaphore(1)
+        tasks = [asyncio.create_task(take(places, "first", 0.0)), asyncio.create_task(take(places, "patient", 0.1))]
+        for number in range(12):
+            tasks.append(asyncio.create_task(take(places, f"draft {number}", 0.0)))
+            await asyncio.sleep(0.015)
+        await asyncio.gather(*tasks)
+
+    played(play())
+    assert 2 <= order.index("patient") < len(order) - 1
+
+
+def test_work_that_waits_too_long_is_refused_and_blocks_no_other() -> None:
+    async def play() -> None:
+        places = PrioritySemaphore(1)
+        async with places.place(Rank(0.0)):
+            with pytest.raises(BusyError, match="ask again"):
+                async with places.place(Rank.within(0.0, longest=0.01)):
+                    pass
+        async with asyncio.timeout(10), places.place(Rank.within(0.0, longest=0.0)):
+            pass
+
+    asyncio.run(play())
+
+
+def test_what_was_begun_is_ended_before_a_later_request_begins() -> None:
+    order: list[str] = []
+
+    async def request(places: PrioritySemaphore, name: str, rank: Rank) -> None:
+        for part in range(3):
+            async with places.place(rank):
+                order.append(f"{name}{part}")
+                await asyncio.sleep(0.0)
+
+    async def play() -> None:
+        places = PrioritySemaphore(1)
+        await asyncio.gather(*(request(places, name, Rank(due)) for due, name in enumerate("abc")))
+
+    asyncio.run(play())
+    assert order.index("a2") < order.index("c0")
+    assert order.index("b2") < order.index("c1")
+
+
+def test_a_turn_that_is_not_waited_for_any_more_goes_to_the_next() -> None:
+    async def play() -> None:
+        places = PrioritySemaphore(1)
+        async with places.place(Rank(0.0)):
+            leaving = asyncio.create_task(places.place(Rank(0.0)).__aenter__())
+            await asyncio.sleep(0)
+            leaving.cancel()
+            await asyncio.gather(leaving, return_exceptions=True)
+        for _ in range(3):
+            async with asyncio.timeout(1), places.place(Rank(0.0)):
+                pass
+
+    asyncio.run(play())
+
+
+def test_abandoned_work_is_cancelled_and_the_next_begins_anew(renders: Renders) -> None:
+    told = threading.Event()
+
+    def work(cancelled: threading.Event) -> str:
+        if cancelled.wait(10):
+            told.set()
+        return "old"
+
+    async def play() -> str:
+        tasks = [asyncio.create_task(renders.share("key", work, Rank(0.0))) for _ in range(2)]
+        await asyncio.sleep(0.05)
+        tasks[0].cancel()
+        await asyncio.sleep(0.05)
+        assert not told.is_set()
+        tasks[1].cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+        return await renders.share("key", lambda _: "new", Rank(0.0))
+
+    assert asyncio.run(play()) == "new"
+    assert told.is_set()
+
+
+def test_shared_work_logs_the_id_of_the_first_request(renders: Renders) -> None:
+    async def ask(number: str) -> list[str]:
+        REQUEST_ID.set(number)
+        return [
+            await renders.run(REQUEST_ID.get, Rank(0.0)),
+            await renders.share("key", lambda _: REQUEST_ID.get(), Rank(0.0)),
+        ]
+
+    async def play() -> list[list[str]]:
+        return list(await asyncio.gather(ask("one"), ask("two")))
+
+    (one, first), (two, shared) = asyncio.run(play())
+    assert (one, two) == ("one", "two")
+    assert first == shared == "one"
+
+
+def test_errors_reach_all_that_share(renders: Renders) -> None:
+    def fail(_: threading.Event) -> None:
+        raise BusyError("full")
+
+    async def play() -> list[BaseException | None]:
+        return list(
+            await asyncio.gather(*(renders.share("key", fail, Rank(0.0)) for _ in range(3)), return_exceptions=True)
+        )
+
+    assert [str(error) for error in asyncio.run(play())] == ["full"] * 3
+
+
+def test_a_gate_lets_no_more_in_than_it_may() -> None:
+    gate = AdmissionLimit(1, "guests are in")
+    with gate.admitted():
+        with pytest.raises(BusyError, match=r"^1 guests are in already: ask again in a second\.$"), gate.admitted():
+            pass
+        assert gate.open == 1
+    assert gate.open == 0
+
+
+A, B, C = (0, 0, 1), (0, 0, 2), (0, 0, 3)
+
+
+async def publish(updates: UpdateBus, *given: tuple[str, Index, bool]) -> None:
+    """The workers' thread tells these."""
+    await asyncio.to_thread(lambda: [updates.publish(*each) for each in given])
+    await asyncio.sleep(0)
+
+
+def test_updates_reach_those_that_wait_for_the_chunk() -> None:
+    async def play() -> None:
+        updates = UpdateBus()
+        with updates.pending("gi", {A, B}, 0) as mine, updates.pending("near", {A}, 0) as other:
+            await publish(updates, ("gi", C, False))
+            assert not mine.some.is_set()
+            await publish(updates, ("gi", A, True))
+            assert mine.some.is_set() and not mine.all.is_set()
+            await publish(updates, ("gi", A, False), ("gi", B, False))
+            assert mine.all.is_set()
+            assert not other.some.is_set()
+
+    asyncio.run(play())
+
+
+def test_updates_before_the_wait_count_from_its_number_on() -> None:
+    async def play() -> None:
+        updates = UpdateBus()
+        await publish(updates, ("gi", A, False))
+        seen = updates.newest("gi")
+        await publish(updates, ("gi", B, False))
+        assert (seen, updates.newest("gi"), updates.newest("near")) == (1, 2, 0)
+        with updates.pending("gi", {A, B}, seen) as waiting:
+            assert waiting.some.is_set() and waiting.chunks == {A}
+        with updates.pending("gi", {A}, seen) as waiting:
+            assert not waiting.some.is_set()
+
+    asyncio.run(play())

@@ -1,0 +1,248 @@
+"""A server over an object store: while that is there, while it is away, and where it may only be read."""
+
+import asyncio
+import json
+import logging
+import os
+import pickle
+import subprocess
+import sys
+import time
+from collections.abc import AsyncGenerator, Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import httpx
+import pytest
+
+from isogi_core.errors import StoreAwayError
+from isogi_core.plan.assembly import load_scene
+from isogi_core.storage.store import Store
+from isogi_core.storage.url import StoreUrl
+from server.api.app import create_app
+from server.api.routes import frames as completion
+from server.api.routes.events import resumed
+from server.cli.command import run
+from server.render.engine import RenderEngine
+from server.settings import Settings
+from tests.live import live
+from tests.s3 import ACCESS_KEY, SECRET_KEY, S3Server
+from tests.server.inline import LONG, InlinePool
+from worker import pool
+from worker.pool import Done
+from worker.tasks import BakeTask
+
+ROOT = Path(__file__).resolve().parents[3]
+VIEW = {"width": 40, "height": 40}
+OTHER = {**VIEW, "isovalue": 0.3}
+
+
+class Watched(InlinePool):
+    """An inline pool that notes what a task is when it travels."""
+
+    sent: list[bytes]
+
+    def submit(self, task: BakeTask, done: Done) -> None:
+        """Bake what arrives when the task is sent."""
+        Watched.sent.append(pickle.dumps(task))
+        super().submit(pickle.loads(Watched.sent[-1]), done)
+
+
+@pytest.fixture(autouse=True)
+def hasty(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Bake on a thread of this process, and look often whether the store is back."""
+    Watched.sent = []
+    monkeypatch.setattr(pool, "WorkerPool", Watched)
+    monkeypatch.setattr("isogi_core.storage.store.CHECKED", 0.0)
+    monkeypatch.setattr("isogi_core.cache.loader.ASK_AGAIN", 0.0)
+    monkeypatch.setattr("server.render.resources.KEPT", 0.0)
+    monkeypatch.setattr("worker.pause.SHORTEST", 0.05)
+    monkeypatch.setattr("worker.pause.LONGEST", 0.05)
+
+
+@contextmanager
+def server(scene: Path, store: str | Path) -> Iterator[httpx.Client]:
+    """A client of a server over the store, once it is ready."""
+    opened = Store(StoreUrl(str(store), seconds=2.0, retries=0))
+    with (
+        live(create_app(RenderEngine([load_scene(scene)], opened), Settings())) as url,
+        httpx.Client(base_url=url) as client,
+    ):
+        client.timeout = httpx.Timeout(LONG)
+        yield client
+
+
+def frame(client: httpx.Client, view: dict[str, Any], wait: float = 0.0) -> httpx.Response:
+    """A frame of the only scene."""
+    return client.get("/v1/scenes/small/frame", params={**view, "f": "npy", "wait_ms": int(1000 * wait)})
+
+
+def final(client: httpx.Client, view: dict[str, Any]) -> bytes:
+    """The frame once it is final; the store may be away at first."""
+    until(lambda: (answer := frame(client, view, wait=5.0)).headers.get("isogi-provisional") == "?0" and answer)
+    return frame(client, view).content
+
+
+def until(condition: Callable[[], Any]) -> None:
+    """Wait for it, as long as any bake of these tests takes."""
+    deadline = time.monotonic() + LONG
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+@pytest.fixture(scope="module")
+def pictures(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> list[bytes]:
+    """Both views as they look over a folder."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(pool, "WorkerPool", InlinePool)
+        with server(small_scene, tmp_path_factory.mktemp("light")) as client:
+            return [final(client, view) for view in (VIEW, OTHER)]
+
+
+def test_light_comes_from_a_bucket_as_from_a_folder(small_scene: Path, s3: S3Server, pictures: list[bytes]) -> None:
+    with server(small_scene, s3.url) as client:
+        assert final(client, VIEW) == pictures[0]
+    with server(small_scene, s3.url) as client:
+        assert frame(client, VIEW).headers["isogi-provisional"] == "?0"
+        assert client.get("/v1/scenes/small").json()["read_only"] is False
+
+
+def test_a_store_that_is_away_is_not_empty_and_baking_waits(
+    small_scene: Path, s3: S3Server, pictures: list[bytes]
+) -> None:
+    with server(small_scene, s3.url) as client:
+        s3.fault = lambda call: "no-bucket"
+        answer = frame(client, VIEW)
+        assert (answer.status_code, answer.headers["retry-after"]) == (503, "1")
+        assert answer.headers["content-type"] == "application/problem+json"
+        assert s3.url in answer.json()["detail"] and "is gone" in answer.json()["detail"]
+        ready = client.get("/readyz")
+        assert (ready.status_code, ready.json()["ready"]) == (503, False) and "is gone" in ready.json()["reasons"][0]
+        assert client.get("/livez").status_code == 200
+        s3.fault = lambda call: None
+        assert final(client, VIEW) == pictures[0]
+        s3.fault = lambda call: "drop"
+        assert frame(client, VIEW).content == pictures[0], "what is in memory is shown on"
+        assert frame(client, OTHER).headers["isogi-provisional"] == "?1"
+        s3.fault = lambda call: None
+        assert final(client, OTHER) == pictures[1]
+        until(lambda: client.get("/readyz").status_code == 200)
+
+
+def test_a_bake_that_loses_its_store_waits_and_goes_on_by_itself(
+    small_scene: Path, s3: S3Server, pictures: list[bytes]
+) -> None:
+    with server(small_scene, s3.url) as client:
+        s3.fault = lambda call: 503 if call.method == "PUT" else None
+        assert frame(client, VIEW).headers["isogi-provisional"] == "?1"
+        until(lambda: len([call for call in s3.calls if call.method == "PUT"]) > 12)
+        assert "503 Service Unavailable" in client.get("/readyz").json()["reasons"][0]
+        assert "isogi_chunks_given_up 0.0" in client.get("/metrics").text
+        s3.fault = lambda call: None
+        assert final(client, VIEW) == pictures[0]
+
+
+def test_a_store_that_may_only_be_read_shows_what_it_has(
+    small_scene: Path, s3: S3Server, pictures: list[bytes]
+) -> None:
+    with server(small_scene, s3.url) as client:
+        final(client, VIEW)
+    kept, Watched.sent = dict(s3.objects), []
+    s3.fault = lambda call: 403 if call.method in ("PUT", "DELETE", "POST") else None
+    with server(small_scene, s3.url) as client:
+        assert frame(client, VIEW).content == pictures[0]
+        answer = frame(client, OTHER, wait=5.0)
+        assert (answer.status_code, answer.headers["isogi-provisional"]) == (200, "?1")
+        (reason,) = client.get("/readyz").json()["reasons"]
+        facts = client.get("/v1/scenes/small").json()
+        assert "can only be read" in reason and facts["read_only"] and facts["plan"]["notes"][-1] == reason
+        events = client.get("/v1/scenes/small/events", params=OTHER).text
+        assert "event: failed" in events and "can only be read" in events
+        link = client.get("/v1/scenes/small/frame", params=OTHER, headers={"Prefer": "respond-async"}).headers[
+            "location"
+        ]
+        until(lambda: client.get(link).json()["status"] == "failed")
+        assert "can only be read" in client.get(link).json()["message"]
+    assert s3.objects == kept and Watched.sent == []
+
+
+def test_listeners_are_told_that_light_cannot_be_read() -> None:
+    async def rest() -> AsyncGenerator[bytes, None]:
+        yield b"second"
+        raise StoreAwayError("The store is gone.")
+
+    async def all_of() -> list[bytes]:
+        return [each async for each in resumed(b"first", rest())]
+
+    *events, last = asyncio.run(all_of())
+    assert events == [b"first", b"second"] and b"event: failed" in last and b"The store is gone." in last
+
+
+def test_a_job_waits_for_the_store(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(completion, "AWAY", 0.0)
+    told: list[str] = []
+    shown: list[Any] = [StoreAwayError("The store is gone."), SimpleNamespace(provisional=False)]
+
+    async def draw(*_: Any) -> Any:
+        if isinstance(next_one := shown.pop(0), Exception):
+            raise next_one
+        return next_one
+
+    engine = SimpleNamespace(bake_of=lambda *_: "bake")
+    service: Any = SimpleNamespace(
+        engine=engine, updates=SimpleNamespace(newest=lambda _: 0), frame=draw, leave=lambda _: None
+    )
+    job: Any = SimpleNamespace(report=lambda share, message: told.append(message))
+    order: Any = SimpleNamespace(scene="small", view=None)
+    frame = asyncio.run(completion.complete(service, order, job))
+    assert not frame.provisional and told == ["The store is gone."]
+
+
+def test_secrets_are_told_to_nobody(small_scene: Path, s3: S3Server, caplog: pytest.LogCaptureFixture) -> None:
+    told = []
+    with caplog.at_level(logging.DEBUG), server(small_scene, s3.url) as client:
+        final(client, VIEW)
+        for fault in (403, 500, "no-bucket", "drop"):
+            s3.fault = lambda call, fault=fault: fault  # type: ignore[misc]
+            paths = ("/readyz", "/metrics", "/v1/scenes/small", "/v1/scenes/small/frame?width=9&height=9&isovalue=0.4")
+            told += [client.get(path).text for path in paths]
+    assert len(Watched.sent) > 0 and len(caplog.records) > 0
+    told += [str(sent) for sent in Watched.sent] + [record.getMessage() for record in caplog.records]
+    told += [json.dumps(call.__dict__) for call in s3.calls] + [data.decode("latin-1") for data in s3.objects.values()]
+    for secret in (SECRET_KEY, ACCESS_KEY):
+        assert not [text for text in told if secret in text]
+
+
+def test_workers_use_the_credentials_of_their_own_environment(small_scene: Path, s3: S3Server, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "server", "render", str(small_scene), "-o", "frame.png", "--store", s3.url]
+    done = subprocess.run(
+        [*command, "--workers", "1", "--width", "24", "--height", "24", "--json"],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["final"] == 1.0
+    assert [key for key in s3.objects if "/c/" in key]
+    assert SECRET_KEY not in done.stdout + done.stderr
+
+
+@pytest.mark.parametrize("command", [["serve", "--port", "0"], ["render", "demo:orbital", "-o", "frame.png"]])
+def test_a_password_on_the_command_line_is_wrong_use(
+    command: list[str], capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run([*command, "--store", "s3://me:hunter2@bucket/light"]) == 2
+    out, error = capsys.readouterr()
+    assert out == "" and error.count("\n") == 1 and "hunter2" not in error and "the environment" in error
+
+
+def test_a_store_that_is_not_there_is_told_in_one_line(tmp_path: Path, small_scene: Path, s3: S3Server) -> None:
+    s3.fault = lambda call: "no-bucket"
+    with pytest.raises(StoreAwayError, match=r"^Cannot make a place for light at the store at s3://.*404 Not Found\.$"):
+        RenderEngine([load_scene(small_scene)], Store(StoreUrl(s3.url, seconds=1.0, retries=0))).start(hire=False)

@@ -1,0 +1,111 @@
+"""Progress bars: the time left that they show, and the bar of a large volume that is opened."""
+
+import math
+import os
+import re
+from pathlib import Path
+from types import SimpleNamespace
+
+import nrrd
+import numpy as np
+import pytest
+
+from isogi_core.files.volume_copies import copies_folder, most_bytes
+from isogi_core.files.voxel_file import budget
+from server import progress
+from server.progress import Pieces, Progress, open_scene
+from server.settings import Settings
+from worker.progress import TimeLeft
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """A clock that stands at its one number; of this module alone, as servers of other tests live by the true one."""
+    now = [100.0]
+    monkeypatch.setattr(progress, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    return now
+
+
+def test_time_left_is_told_from_what_was_done(clock: list[float]) -> None:
+    bar = Pieces("report", 10.0, 2.0, math.inf)
+    assert bar.left == math.inf
+    bar.begin("two of eight")
+    clock[0] += 6.0
+    bar.finish(2.0)
+    assert bar.left == pytest.approx(18.0)
+    clock[0] += 5.0
+    assert bar.left == pytest.approx(13.0)
+    clock[0] += 50.0
+    assert bar.left == 0.0, "later than thought, and still at work"
+
+
+def test_time_left_is_never_more_than_the_limit(clock: list[float]) -> None:
+    bar = Pieces("report", 10.0, 0.0, 20.0)
+    assert bar.left == 20.0
+    bar.begin("a tenth")
+    clock[0] += 5.0
+    bar.finish(1.0)
+    assert bar.left == 15.0
+
+
+def test_the_bar_shows_it(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(progress, "TICK", 0.01)
+    with Pieces("report", 2.0, 0.0, 3600.0).ticking() as bar:
+        bar.begin("half of it")
+        progress.time.sleep(0.2)
+        bar.finish(1.0)
+    error = capsys.readouterr().err
+    assert "half of it: " in error and "59:59 left" in error and "50 %" in error
+
+
+def test_each_name_has_a_bar_of_its_own(capsys: pytest.CaptureFixture[str]) -> None:
+    with Progress() as bar:
+        for what, done in (("looking", 1), ("looking", 2), ("baking", 1)):
+            bar.name(what, "view")
+            bar.show(done, 2, TimeLeft(61.0, 200.0, 7300.0), "still at it")
+    error = capsys.readouterr().err
+    assert "looking: 100%" in error and "2/2 views" in error
+    assert "baking:  50%" in error and "still at it about 3.3 min left (1 min to 2 h)" in error
+    assert error.count("\n") == 2
+
+
+def test_the_pace_so_far_says_how_much_time_is_left(clock: list[float], capsys: pytest.CaptureFixture[str]) -> None:
+    with Progress("checking", "object") as bar:
+        clock[0] += 30.0
+        bar.count(1, 3)
+    assert "1/3 objects" in (error := capsys.readouterr().err) and "about 1 min left" in error
+
+
+def test_nothing_is_drawn_without_progress(capsys: pytest.CaptureFixture[str]) -> None:
+    with Progress("checking", "object"):
+        pass
+    assert capsys.readouterr().err == ""
+
+
+@pytest.fixture
+def volume(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A file of half a megabyte of voxels; the environment is as it was once the test ends."""
+    for name in ("ISOGI_VOLUME_MB", "ISOGI_VOLUME_CACHE", "ISOGI_VOLUME_CACHE_MB"):
+        monkeypatch.setenv(name, os.environ.get(name, ""))
+        monkeypatch.delenv(name)
+    nrrd.write(str(tmp_path / "v.nrrd"), np.random.default_rng(1).random((50, 52, 54)), index_order="C")
+    return tmp_path / "v.nrrd"
+
+
+def test_settings_reach_the_core_and_a_bar_tells_the_time_left(
+    volume: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = volume.parent / "copies"
+    settings = Settings(volume_mb=1, volume_cache=str(folder), volume_cache_mb=7)
+    first = open_scene(volume, settings)
+    assert (budget(), copies_folder(), most_bytes()) == (1 << 20, folder, 7 << 20)
+    told = capsys.readouterr().err
+    assert re.search(r"reading the volume: 100%.*150/150 steps.*about \S+ \S+ left", told), told
+    again = open_scene(volume, settings)
+    assert capsys.readouterr().err == ""
+    assert again.volume.digest == first.volume.digest and len(list(folder.glob("*.voxels"))) == 2
+
+
+def test_a_small_volume_has_neither_bar_nor_copy(volume: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    open_scene(volume, Settings(volume_cache=str(volume.parent / "copies")))
+    assert capsys.readouterr().err == "" and not (volume.parent / "copies").exists()

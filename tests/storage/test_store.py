@@ -1,0 +1,410 @@
+"""The root of a store: what is there, what is absent, and what is not known because the store is away."""
+
+import errno
+import functools
+import http.server
+import json
+import pickle
+import sys
+import threading
+import uuid
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from isogi_core.errors import (
+    ChangedError,
+    StoreAwayError,
+    StoreError,
+    StoreFullError,
+    StoreReadOnlyError,
+    StoreUrlError,
+)
+from isogi_core.storage.backend import StoredObject
+from isogi_core.storage.local_copies import Copies
+from isogi_core.storage.store import CHECKED, CONTENT, SENTINEL, Store
+from isogi_core.storage.url import StoreUrl
+from tests.s3 import ACCESS_KEY, SECRET_KEY, Fault, S3Server
+from tests.worker.clock import Clock
+
+KEY, OTHER = "layer/c/0/0/0/0", "layer/c/0/0/1/0"
+IMPATIENT = {"seconds": 0.3, "retries": 0}
+
+
+@pytest.fixture(params=["folder", "s3", "memory"])
+def location(request: pytest.FixtureRequest, tmp_path: Path) -> str:
+    """A folder or URL of each kind of store, with nothing in it."""
+    if request.param == "s3":
+        return str(request.getfixturevalue("s3").url)
+    return {"folder": str(tmp_path / "light"), "memory": f"memory://{uuid.uuid4().hex}"}[request.param]
+
+
+def bucket(s3: S3Server, clock: Clock | None = None, **more: Any) -> Store:
+    """A store that has its sentinel and one object, and whose calls fail soon."""
+    store = Store(StoreUrl(s3.url, **{**IMPATIENT, **more}), clock=clock or Clock())
+    store.put(KEY, b"light", None)
+    s3.calls.clear()
+    return store
+
+
+def methods(s3: S3Server) -> list[str]:
+    """What was asked, since the calls were last forgotten."""
+    return [f"{call.method} {call.key.removeprefix(s3.prefix).lstrip('/')}" for call in s3.calls]
+
+
+# --- objects ------------------------------------------------------------------------------------------------------
+
+
+def test_objects_are_kept_listed_and_deleted(location: str) -> None:
+    store = Store(location)
+    assert store.get(KEY) is None and store.layers() == []
+    store.put(KEY, b"light", None)
+    store.put(OTHER, b"", None)
+    store.put("costs/x/zarr.json", b"{}", None)
+    again = Store(location, make=False)
+    assert again.get(KEY) == StoredObject(b"light") and again.view(OTHER) == b""
+    assert again.folders("layer") == ["c"] and {"layer", "costs"} <= set(again.layers())
+    assert sorted(again.keys("layer")) == [KEY, OTHER]
+    again.delete(KEY)
+    assert store.get(KEY) is None and sorted(store.keys("layer")) == [OTHER]
+
+
+def test_an_object_is_written_in_place_of_what_was_read_alone(location: str) -> None:
+    mine, theirs = Store(location), Store(location)
+    mine.put(KEY, b"old", None)
+    with pytest.raises(ChangedError):
+        theirs.put(KEY, b"unread", None)
+    read = theirs.get(KEY)
+    mine.put(KEY, b"new", mine.get(KEY))
+    with pytest.raises(ChangedError):
+        theirs.put(KEY, b"stale", read)
+    assert theirs.get(KEY) == StoredObject(b"new")
+    theirs.delete(KEY)
+    with pytest.raises(ChangedError):
+        mine.put(KEY, b"back", StoredObject(b"new", '"a tag"'))
+
+
+def test_each_of_many_writers_is_kept_or_refused(location: str) -> None:
+    """Where the store can tell; in one process memory can too, for its calls come one after the other."""
+    if location.startswith("memory"):
+        pytest.skip("a store in memory cannot tell")
+    kept: list[int] = []
+
+    def write(number: int) -> None:
+        store = Store(location)
+        while True:
+            found = store.get(KEY)
+            numbers = json.loads(found.data) if found else []
+            try:
+                return store.put(KEY, json.dumps([*numbers, number]).encode(), found)
+            except ChangedError:
+                kept.append(number)
+
+    writers = [threading.Thread(target=write, args=(number,)) for number in range(8)]
+    for writer in writers:
+        writer.start()
+    for writer in writers:
+        writer.join()
+    found = Store(location).get(KEY)
+    assert found is not None and sorted(json.loads(found.data)) == list(range(8))
+
+
+# --- the sentinel -------------------------------------------------------------------------------------------------
+
+
+def test_a_new_store_gets_a_sentinel(location: str) -> None:
+    with pytest.raises(StoreAwayError, match="is gone"):
+        Store(location, make=False).open()
+    Store(location).open()
+    assert Store(location, make=False).get(SENTINEL) == StoredObject(CONTENT)
+    assert json.loads(CONTENT) == {"kind": "isogi light", "format": 1}
+
+
+@pytest.mark.parametrize(
+    ("sentinel", "raised"),
+    [(b'{"format": 2}', "is of format 2, and this isogi knows 1"), (b"", "damaged"), (b"[]", "damaged")],
+)
+def test_a_store_of_another_format_is_refused(location: str, sentinel: bytes, raised: str) -> None:
+    first = Store(location)
+    first.put(KEY, b"light", None)
+    first.put(SENTINEL, sentinel, first.get(SENTINEL))
+    for use in (
+        lambda r: r.open(),
+        lambda r: r.get(KEY),
+        lambda r: r.put(OTHER, b"", None),
+        lambda r: r.check_writable(),
+    ):
+        with pytest.raises(StoreError, match=raised):
+            use(Store(location))
+
+
+def test_missing_objects_of_a_dead_store_are_not_absent(location: str) -> None:
+    clock = Clock()
+    store = Store(location, clock=clock)
+    store.put(KEY, b"light", None)
+    assert store.get(OTHER) is None
+    other = Store(location, clock=clock)
+    other.delete(KEY)
+    other.delete(SENTINEL)
+    assert store.get(OTHER) is None, "believed for a moment"
+    clock.now += CHECKED
+    for use in (
+        lambda: store.get(KEY),
+        lambda: store.folders("layer"),
+        lambda: store.put(OTHER, b"", None),
+        store.check_writable,
+    ):
+        with pytest.raises(StoreAwayError, match="is gone"):
+            use()
+    Store(location).open()
+    clock.now += CHECKED
+    assert store.get(KEY) is None
+
+
+def test_a_file_system_without_hard_links_is_one_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: Any) -> None:
+        raise PermissionError(errno.EPERM, "Operation not permitted")
+
+    monkeypatch.setattr("os.link", refuse)
+    Store(tmp_path).put(KEY, b"light", None)
+    assert sorted(path.name for path in tmp_path.iterdir()) == [SENTINEL, "layer"]
+
+
+def test_a_folder_that_was_unmounted_is_not_baked_into(tmp_path: Path) -> None:
+    store = Store(tmp_path / "light")
+    store.put(KEY, b"light", None)
+    (tmp_path / "light").rename(tmp_path / "disk")
+    (tmp_path / "light").mkdir()
+    with pytest.raises(StoreAwayError, match="is gone"):
+        store.put(OTHER, b"light", None)
+    assert not list((tmp_path / "light").iterdir())
+
+
+# --- an object store that fails -----------------------------------------------------------------------------------
+
+
+def test_absent_objects_do_not_read_the_sentinel_each_time(s3: S3Server) -> None:
+    store = bucket(s3)
+    assert [store.get(OTHER) for _ in range(3)] == [None] * 3
+    assert methods(s3) == [f"GET {OTHER}"] * 3
+    store._clock.now += CHECKED  # type: ignore[attr-defined]
+    assert store.get(OTHER) is None
+    assert methods(s3)[3:] == [f"GET {OTHER}", f"GET {SENTINEL}"]
+
+
+@pytest.mark.parametrize("fault", [500, 503, 403, "hang", "short", "drop", "no-bucket"])
+def test_a_store_that_fails_is_away_and_is_let_alone_for_a_while(s3: S3Server, fault: Fault) -> None:
+    clock = Clock()
+    store = bucket(s3, clock)
+    clock.now += CHECKED
+    s3.fault = lambda call: fault
+    for _ in range(5):
+        with pytest.raises(StoreAwayError) as raised:
+            store.get(OTHER)
+        assert str(raised.value).endswith(".") and "\n" not in str(raised.value)
+        assert not {ACCESS_KEY, SECRET_KEY} & set(str(raised.value).replace("=", " ").split())
+    assert methods(s3) == [f"GET {OTHER}", f"GET {SENTINEL}"]
+    s3.fault = lambda call: None
+    clock.now += CHECKED
+    assert store.get(KEY) == StoredObject(b"light")
+
+
+def test_a_bucket_that_is_gone_is_not_taken_for_empty(s3: S3Server) -> None:
+    clock = Clock()
+    store = bucket(s3, clock)
+    s3.fault = lambda call: "no-bucket"
+    clock.now += CHECKED
+    with pytest.raises(StoreAwayError, match="is gone"):
+        store.get(KEY)
+    with pytest.raises(StoreAwayError, match="Cannot make a place for light"):
+        Store(StoreUrl(s3.url, **IMPATIENT)).open()
+
+
+def test_one_object_that_fails_is_no_dead_store(s3: S3Server) -> None:
+    store = bucket(s3)
+    s3.fault = lambda call: 500 if call.key.endswith(KEY) else None
+    for use in (lambda: store.get(KEY), lambda: store.put(KEY, b"more", StoredObject(b"light", '"tag"'))):
+        with pytest.raises(StoreError, match="500") as raised:
+            use()
+        assert not isinstance(raised.value, StoreAwayError)
+    assert store.get(OTHER) is None
+
+
+def test_a_call_is_tried_again_so_often_and_no_more(s3: S3Server) -> None:
+    store = bucket(s3, retries=2)
+    faults = iter([500, "drop"])
+    s3.fault = lambda call: next(faults, None)
+    assert store.get(KEY) == StoredObject(b"light")
+    assert methods(s3) == [f"GET {KEY}"] * 3
+    s3.fault = lambda call: 500
+    with pytest.raises(StoreAwayError):
+        store.get(KEY)
+    assert methods(s3)[3:] == [f"GET {KEY}"] * 3 + [f"GET {SENTINEL}"] * 3
+
+
+def test_a_wrong_access_key_is_refused_and_not_repeated(s3: S3Server, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("AWS_ACCESS_KEY_ID", "AKIASOMEBODYELSE")
+    with pytest.raises(StoreAwayError, match="403 Forbidden") as raised:
+        Store(StoreUrl(s3.url, **IMPATIENT)).open()
+    assert "SOMEBODYELSE" not in str(raised.value) and not s3.objects
+
+
+def test_a_store_that_may_only_be_read_is_read(s3: S3Server) -> None:
+    bucket(s3)
+    s3.fault = lambda call: 403 if call.method == "PUT" else None
+    store = Store(StoreUrl(s3.url, **IMPATIENT))
+    store.open()
+    with pytest.raises(StoreReadOnlyError):
+        store.check_writable()
+    assert store.read_only and store.get(KEY) == StoredObject(b"light") and store.get(OTHER) is None
+    with pytest.raises(StoreReadOnlyError, match="can only be read"):
+        store.put(OTHER, b"", None)
+    s3.fault = lambda call: None
+    store.check_writable()
+    assert not store.read_only
+    store.put(OTHER, b"", None)
+
+
+def test_a_store_without_room_is_full_and_is_read(s3: S3Server) -> None:
+    store = bucket(s3)
+    s3.fault = lambda call: 507 if call.method == "PUT" else None
+    for use in (lambda: store.put(OTHER, b"light", None), store.check_writable):
+        with pytest.raises(StoreFullError, match="the store is full"):
+            use()
+    assert not store.read_only and store.get(KEY) == StoredObject(b"light")
+
+
+@pytest.mark.parametrize("raised", [True, False])
+def test_a_store_without_conditional_writes_is_written(
+    s3: S3Server, monkeypatch: pytest.MonkeyPatch, raised: bool
+) -> None:
+    if raised:
+        monkeypatch.setenv("AWS_CONDITIONAL_PUT", "disabled")
+    s3.fault = lambda call: 501 if call.method == "PUT" and call.condition else None
+    store = bucket(s3)
+    store.put(KEY, b"more", StoredObject(b"light", '"what was there long ago"'))
+    assert store.get(KEY) == StoredObject(b"more")
+    store.check_writable()
+    assert any(call.condition for call in s3.calls) is not raised
+
+
+def test_a_store_that_is_read_by_http_is_never_written(tmp_path: Path) -> None:
+    Store(tmp_path / "light").put(KEY, b"light", None)
+    with served(tmp_path) as address:
+        store = Store(f"{address}/light")
+        assert store.view(KEY) == b"light" and store.get(OTHER) is None
+        with pytest.raises(StoreReadOnlyError):
+            store.check_writable()
+        assert store.read_only
+
+
+class served:
+    """A folder behind an HTTP server that knows GET and HEAD; its address."""
+
+    def __init__(self, folder: Path) -> None:
+        handler = functools.partial(http.server.SimpleHTTPRequestHandler, directory=str(folder))
+        self._server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler)
+
+    def __enter__(self) -> str:
+        threading.Thread(target=self._server.serve_forever, kwargs={"poll_interval": 0.02}, daemon=True).start()
+        return f"http://127.0.0.1:{self._server.server_address[1]}"
+
+    def __exit__(self, *_: object) -> None:
+        self._server.shutdown()
+        self._server.server_close()
+
+
+# --- secrets ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "url",
+    [
+        "s3://me:hunter2@bucket/light",
+        "ftp://hunter2@host/x",
+        "az://account/light?sig=hunter2",
+        "simplecache::s3://a:hunter2@b/c",
+    ],
+)
+def test_a_url_with_a_password_is_refused_and_not_repeated(url: str) -> None:
+    with pytest.raises(StoreUrlError, match="must not hold a password") as raised:
+        Store(url)
+    assert "hunter2" not in str(raised.value)
+
+
+def test_a_store_is_pickled_as_its_url_alone(s3: S3Server) -> None:
+    store = bucket(s3)
+    sent = pickle.dumps((store, store.url))
+    assert not any(secret.encode() in sent for secret in (ACCESS_KEY, SECRET_KEY))
+    assert not any(secret in f"{store!r} {store.url!r} {store.url}" for secret in (ACCESS_KEY, SECRET_KEY))
+    there, url = pickle.loads(sent)
+    assert url == store.url and there.get(KEY) == StoredObject(b"light")
+
+
+def test_a_missing_library_is_named_with_its_install_command(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "obstore", None)
+    with pytest.raises(StoreError, match=r"pip install 'isogi\[s3\]'"):
+        Store("s3://bucket/light").open()
+
+
+# --- copies -------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def copied(s3: S3Server, tmp_path: Path) -> Iterator[Store]:
+    """A store with copies in a folder of this machine."""
+    bucket(s3)
+    yield Store(StoreUrl(s3.url, **IMPATIENT), copies=Copies(s3.url, 1 << 20, tmp_path / "copies"))
+
+
+def test_objects_read_again_are_not_sent_again(s3: S3Server, copied: Store, tmp_path: Path) -> None:
+    again = Store(copied.url, copies=Copies(s3.url, 1 << 20, tmp_path / "copies"))
+    assert copied.view(KEY) == b"light"
+    sent = s3.sent
+    assert [store.view(KEY) for store in (copied, copied)] == [b"light"] * 2
+    assert s3.sent == sent, "told that it still stands"
+    assert again.view(KEY) == b"light"
+    assert s3.sent == sent + len(CONTENT), "another process asks for the sentinel"
+
+
+def test_another_machines_writes_are_seen_at_once(s3: S3Server, copied: Store) -> None:
+    assert copied.view(KEY) == b"light"
+    other = Store(copied.url)
+    other.put(KEY, b"better light", other.get(KEY))
+    assert copied.view(KEY) == b"better light" == copied.view(KEY)
+    other.delete(KEY)
+    assert copied.view(KEY) is None
+
+
+def test_writers_read_no_copy(s3: S3Server, copied: Store) -> None:
+    copied.view(KEY)
+    s3.calls.clear()
+    assert copied.get(KEY) == StoredObject(b"light")
+    assert [call.condition for call in s3.calls] == [""]
+
+
+def test_a_damaged_copy_is_none(copied: Store, tmp_path: Path) -> None:
+    copied.view(KEY)
+    (path,) = (tmp_path / "copies").iterdir()
+    kept = path.read_bytes()
+    for url in range(len(kept)):
+        path.write_bytes(kept[:url] + bytes([kept[url] ^ 1]) + kept[url + 1 :])
+        assert copied.view(KEY) == b"light"
+        assert path.read_bytes() == kept
+
+
+def test_copies_take_no_more_room_than_they_may(tmp_path: Path) -> None:
+    copies = Copies("s3://bucket", 10_000, tmp_path)
+    for number in range(100):
+        copies.put(str(number), StoredObject(bytes(900), '"tag"'))
+        assert sum(path.stat().st_size for path in tmp_path.iterdir()) <= 11_000
+    assert copies.get("99") == StoredObject(bytes(900)) and copies.get("0") is None
+
+
+def test_copies_that_cannot_be_kept_are_none(tmp_path: Path, s3: S3Server) -> None:
+    (tmp_path / "file").write_text("")
+    bucket(s3)
+    store = Store(s3.url, copies=Copies(s3.url, 1 << 20, tmp_path / "file"))
+    assert store.view(KEY) == b"light" == store.view(KEY)

@@ -1,0 +1,141 @@
+"""The cache of costly results: it keeps the newest, within so many bytes."""
+
+import threading
+
+import numpy as np
+import pytest
+
+from isogi_core.lru_cache import OVERHEAD, LruCache
+
+SIZE = OVERHEAD + 100
+"""Bytes that a result of ``made`` is counted with."""
+
+
+def made(kept: LruCache[str], *names: str) -> list[str]:
+    """Ask for results of 100 bytes; the names of those that had to be made."""
+    new: list[str] = []
+
+    def make(name: str) -> np.ndarray:
+        new.append(name)
+        return np.zeros(100, np.uint8)
+
+    for name in names:
+        kept.get(name, lambda name=name: make(name))  # type: ignore[misc]
+    return new
+
+
+def test_results_that_fit_are_made_once() -> None:
+    kept: LruCache[str] = LruCache(3 * SIZE)
+    assert made(kept, "a", "b", "c", "a", "b", "c") == ["a", "b", "c"]
+    assert kept.nbytes == 3 * SIZE
+
+
+def test_the_longest_unused_result_makes_room() -> None:
+    kept: LruCache[str] = LruCache(2 * SIZE + 50)
+    assert made(kept, "a", "b", "a", "c") == ["a", "b", "c"]
+    assert made(kept, "a", "b") == ["b"]
+    assert kept.nbytes == 2 * SIZE
+
+
+def test_the_newest_result_is_kept_at_any_size() -> None:
+    kept: LruCache[str] = LruCache(10)
+    assert made(kept, "a", "a", "b", "b") == ["a", "b"]
+    kept.clear()
+    assert kept.nbytes == 0 and made(kept, "b") == ["b"]
+
+
+def test_two_threads_make_a_result_once() -> None:
+    kept: LruCache[str] = LruCache(1000)
+    begun, go, count = threading.Event(), threading.Event(), []
+
+    def make() -> np.ndarray:
+        count.append(1)
+        begun.set()
+        go.wait(10)
+        return np.zeros(1)
+
+    results: list[np.ndarray] = []
+    threads = [threading.Thread(target=lambda: results.append(kept.get("a", make))) for _ in range(2)]
+    threads[0].start()
+    begun.wait(10)
+    threads[1].start()
+    go.set()
+    for thread in threads:
+        thread.join(10)
+    assert count == [1] and results[0] is results[1]
+
+
+def test_a_failed_result_is_tried_again() -> None:
+    kept: LruCache[str] = LruCache(1000)
+    for _ in range(2):
+        with pytest.raises(ZeroDivisionError):
+            kept.get("a", lambda: np.zeros(1 // 0))
+    assert made(kept, "a") == ["a"]
+    assert kept.nbytes == SIZE
+
+
+def test_a_failed_result_leaves_nothing() -> None:
+    kept: LruCache[str] = LruCache(1000)
+    for name in "abc":
+        with pytest.raises(ZeroDivisionError):
+            kept.get(name, lambda: np.zeros(1 // 0))
+    assert kept.nbytes == 0
+
+
+def test_a_waiting_thread_makes_what_another_failed_to_make() -> None:
+    kept: LruCache[str] = LruCache(1000)
+    begun, go = threading.Event(), threading.Event()
+
+    def fail() -> np.ndarray:
+        begun.set()
+        go.wait(10)
+        raise ValueError("too late")
+
+    def first() -> None:
+        with pytest.raises(ValueError, match="too late"):
+            kept.get("a", fail)
+
+    threads = [threading.Thread(target=first), threading.Thread(target=lambda: made(kept, "a"))]
+    threads[0].start()
+    begun.wait(10)
+    threads[1].start()
+    go.set()
+    for thread in threads:
+        thread.join(10)
+    assert made(kept, "a") == [] and kept.nbytes == SIZE
+
+
+def test_results_without_arrays_make_room_too() -> None:
+    kept: LruCache[int] = LruCache(10 * OVERHEAD)
+    for key in range(100):
+        kept.get(key, lambda: np.zeros(0))
+    assert kept.nbytes == 10 * OVERHEAD
+
+
+def test_a_kind_has_a_limit_of_its_own() -> None:
+    kept: LruCache[tuple[str, int]] = LruCache(10 * SIZE, {"light": 2 * SIZE})
+
+    def new(*keys: tuple[str, int]) -> list[tuple[str, int]]:
+        found: list[tuple[str, int]] = []
+
+        def make(key: tuple[str, int]) -> np.ndarray:
+            found.append(key)
+            return np.zeros(100, np.uint8)
+
+        for key in keys:
+            kept.get(key, lambda key=key: make(key))  # type: ignore[misc]
+        return found
+
+    lights = [("light", turn) for turn in range(5)]
+    surfaces = [("surface", number) for number in range(5)]
+    assert new(*surfaces, *lights) == [*surfaces, *lights] and kept.nbytes == 7 * SIZE
+    assert new(*surfaces, *lights[3:]) == [], "lights drive out lights alone, the oldest first"
+    assert new(lights[2]) == [lights[2]] and new(lights[4], lights[3]) == [lights[3]]
+
+
+def test_the_newest_of_a_kind_is_kept_at_any_size() -> None:
+    kept: LruCache[tuple[str, int]] = LruCache(10 * SIZE, {"light": 1})
+    light = kept.get(("light", 1), lambda: np.zeros(100, np.uint8))
+    assert kept.get(("light", 1), lambda: np.zeros(0)) is light
+    kept.get(("light", 2), lambda: np.zeros(100, np.uint8))
+    assert kept.nbytes == SIZE

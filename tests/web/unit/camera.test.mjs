@@ -1,0 +1,125 @@
+import assert from "node:assert/strict";
+import { test } from "node:test";
+import { AXIS_VIEWS, boxOf, limitTarget, looksAlong, pan, rayThrough } from "../../../web/view/camera.js";
+import { dragObject, hold, pinched, wheelZoom } from "../../../web/view/gestures.js";
+import { pictureSize } from "../../../web/view/picture.js";
+import { cameraAxes } from "../../../web/view/rotation.js";
+import { SCENE, knobs } from "./fixtures.mjs";
+
+const RADIUS = Math.sqrt(75); // half the diagonal of 10 × 10 × 10
+
+function close(actual, expected, within = 1e-9) {
+  actual.forEach((x, i) => assert.ok(Math.abs(x - expected[i]) <= within, `[${actual}] is not [${expected}]`));
+}
+
+const dot = (a, b) => a.reduce((sum, x, i) => sum + x * b[i], 0);
+const minus = (a, b) => a.map((x, i) => x - b[i]);
+
+test("the box ends at the outermost voxels", () => {
+  const { extent, centre, radius } = boxOf(SCENE);
+  close([...extent, ...centre, radius], [10, 10, 10, 5, 5, 5, RADIUS]);
+});
+
+test("a target stays within half a radius of the box", () => {
+  const limit = Number((0.5 * RADIUS).toPrecision(6));
+  assert.deepEqual(limitTarget(SCENE, [-1e9, 5, 1e9]), [-limit, 5, Number((10 + 0.5 * RADIUS).toPrecision(6))]);
+});
+
+test("what is no point is the volume's centre", () => {
+  for (const target of [null, "1,2,3", [1, 2], [1, NaN, 3], [1, 2, 3, 4], undefined]) assert.equal(limitTarget(SCENE, target), null);
+});
+
+test("a target has digits that an address can hold", () => {
+  assert.deepEqual(limitTarget(SCENE, [1 / 3, 2 / 3, 1e-9]), [0.333333, 0.666667, 1e-9]);
+});
+
+test("a picture moved by its height moves by what it spans", () => {
+  const view = knobs({ fov: 90, distance: 2, azimuth: 0, elevation: 0 }); // tan 45° is 1; right is +y, up is +z
+  const span = 2 * 2 * RADIUS;
+  close(pan(SCENE, view, 1, 0).target, [5, 5 - span, 5]);
+  close(pan(SCENE, view, 0, 1).target, [5, 5, 5 + span]);
+});
+
+test("a picture moved there and back is where it was", () => {
+  const view = knobs({ target: [1, 2, 3] });
+  const there = pan(SCENE, view, 0.3, -0.2);
+  close(pan(SCENE, { ...view, ...there }, -0.3, 0.2).target, [1, 2, 3]);
+});
+
+test("the ray through the middle meets the target", () => {
+  const { eye, target, up } = rayThrough(SCENE, knobs({ azimuth: 90, elevation: 0, distance: 3 }), 0, 0);
+  close(eye, [5, 5 + 3 * RADIUS, 5]);
+  close(target, [5, 5, 5]);
+  close(up, [0, 0, 1]);
+});
+
+test("the ray through the upper edge leaves at half the fov", () => {
+  const view = knobs({ fov: 40, azimuth: 12, elevation: 34 });
+  const { eye, target } = rayThrough(SCENE, view, 0, 0.5);
+  const ray = minus(target, eye);
+  const cosine = -dot(ray, cameraAxes(12, 34).out) / Math.hypot(...ray);
+  assert.ok(Math.abs((Math.acos(cosine) * 180) / Math.PI - 20) < 1e-9);
+});
+
+test("axis views look along their axis", () => {
+  for (const [name, { azimuth, elevation }] of Object.entries(AXIS_VIEWS)) {
+    const axis = [0, 0, 0];
+    axis["xyz".indexOf(name[1])] = name[0] === "+" ? 1 : -1;
+    close(cameraAxes(azimuth, elevation).out, axis);
+  }
+});
+
+test("from above and from below x goes to the right", () => {
+  for (const name of ["+z", "-z"]) close(cameraAxes(AXIS_VIEWS[name].azimuth, 0).right, [1, 0, 0]);
+});
+
+test("looking along an axis is the same a turn later", () => {
+  const view = AXIS_VIEWS["-x"];
+  assert.ok(looksAlong(view, { azimuth: -180, elevation: 0.04 }));
+  assert.ok(!looksAlong(view, { azimuth: 179.9, elevation: 0 }));
+  assert.ok(!looksAlong(view, { azimuth: 180, elevation: 0.06 }));
+});
+
+test("an object dragged right is seen from further left", () => {
+  assert.deepEqual(dragObject({ azimuth: 30, elevation: 20 }, 5, 7), { azimuth: 25, elevation: 27 });
+});
+
+test("fingers are held by their middle and their spread", () => {
+  assert.deepEqual(hold([{ x: 0, y: 0 }, { x: 6, y: 8 }]), { x: 3, y: 4, spread: 10 });
+  assert.deepEqual(hold([{ x: 7, y: 9 }]), { x: 7, y: 9, spread: 0 });
+});
+
+test("fingers twice as far apart halve the distance", () => {
+  const grip = { x: 100, y: 100, spread: 50, values: knobs({ distance: 4 }) };
+  const { distance, target } = pinched(200, SCENE, grip, { x: 100, y: 100, spread: 100 });
+  assert.equal(distance, 2);
+  close(target, [5, 5, 5]);
+});
+
+test("fingers that close up do not divide by zero", () => {
+  const grip = { x: 0, y: 0, spread: 50, values: knobs({ distance: 4 }) };
+  assert.equal(pinched(200, SCENE, grip, { x: 0, y: 0, spread: 0 }).distance, 200);
+});
+
+test("a wheel turned there and back keeps the distance", () => {
+  const step = { deltaY: 120, deltaMode: 0, ctrlKey: false };
+  assert.ok(wheelZoom(step) > 1);
+  assert.ok(Math.abs(wheelZoom(step) * wheelZoom({ ...step, deltaY: -120 }) - 1) < 1e-12);
+});
+
+test("a wheel that counts lines zooms as 16 pixels each", () => {
+  const lines = wheelZoom({ deltaY: 3, deltaMode: 1, ctrlKey: false });
+  assert.equal(lines, wheelZoom({ deltaY: 48, deltaMode: 0, ctrlKey: false }));
+});
+
+test("a picture has the box's pixels, at most 1024 a side", () => {
+  assert.deepEqual(pictureSize(600, 400, 1, 1), { width: 600, height: 400 });
+  assert.deepEqual(pictureSize(600, 400, 1.5, 1), { width: 900, height: 600 });
+  assert.deepEqual(pictureSize(600, 400, 3, 1), { width: 900, height: 600 }, "finer screens show no more");
+  assert.deepEqual(pictureSize(2048, 1024, 1, 1), { width: 1024, height: 512 });
+});
+
+test("a draft is smaller, and no side below 64", () => {
+  assert.deepEqual(pictureSize(800, 400, 1, 0.5), { width: 400, height: 200 });
+  assert.deepEqual(pictureSize(800, 100, 1, 0.25), { width: 200, height: 64 });
+});

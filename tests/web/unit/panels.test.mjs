@@ -1,0 +1,229 @@
+import assert from "node:assert/strict";
+import { test } from "node:test";
+import { sizesFor } from "../../../web/net/save.js";
+import { tooLarge, volumeName } from "../../../web/net/upload.js";
+import { errorAxis, timeAxis } from "../../../web/panels/chart.js";
+import { dividerPlace } from "../../../web/panels/comparison.js";
+import { History, courseInWords, legendShare, momentInWords } from "../../../web/panels/error.js";
+import { outline, solidSpan } from "../../../web/panels/histogram.js";
+import { knobInWords } from "../../../web/panels/knobs.js";
+import { parseKept, scenePresets, toggled } from "../../../web/panels/presets.js";
+import { layerInWords, planRows, savingInWords, volumeRows } from "../../../web/panels/scene.js";
+import { announcement } from "../../../web/panels/status.js";
+import { rateOf, timeRows } from "../../../web/panels/times.js";
+import { PAINTED, SCENE, facts } from "./fixtures.mjs";
+
+const labels = ({ ticks }) => ticks.map(({ label }) => label);
+
+test("a time axis ends at a tick no earlier than the time", () => {
+  for (const seconds of [0, 0.3, 1, 7.7, 59, 119, 121, 3599, 1e5]) {
+    const { end, ticks } = timeAxis(seconds);
+    assert.ok(end >= seconds, String(seconds));
+    assert.equal(ticks.at(-1).at, end);
+    assert.ok(ticks.length >= 2 && ticks.length <= 7);
+  }
+});
+
+test("a time axis has the unit that fits", () => {
+  assert.deepEqual([119, 121, 7199, 7201].map((seconds) => timeAxis(seconds).unit), ["seconds", "minutes", "minutes", "hours"]);
+  assert.deepEqual(labels(timeAxis(7.7)), ["0", "2", "4", "6", "8"]);
+  assert.deepEqual(timeAxis(240).ticks.map(({ at }) => at), [0, 60, 120, 180, 240]);
+});
+
+test("an error axis holds all errors, with room below", () => {
+  for (const errors of [[0.02], [1, 0.04, 0.02], [3e-7, 2e-6], [0.5, 0.5]]) {
+    const { low, high } = errorAxis(errors);
+    assert.ok(low <= 0.8 * Math.min(...errors) && high >= Math.max(...errors) * (1 - 1e-9), String(errors));
+  }
+});
+
+test("an error axis has ticks at 1, 2 and 5, few enough to read", () => {
+  assert.deepEqual(labels(errorAxis([0.04, 0.3])), ["2 %", "5 %", "10 %", "20 %", "50 %"]);
+  assert.deepEqual(labels(errorAxis([0.0011, 0.9])), ["0.1 %", "1 %", "10 %", "100 %"]);
+});
+
+test("errors that are not above zero have no place on the axis", () => {
+  assert.deepEqual(errorAxis([0, NaN, -1]), errorAxis([]));
+  assert.deepEqual(errorAxis([0, 0.3]), errorAxis([0.3]));
+});
+
+test("a history counts seconds from the last change", () => {
+  let now = 1000;
+  const history = new History(() => now);
+  now = 2500;
+  history.add(facts());
+  assert.equal(history.latest.seconds, 1.5);
+  history.begin();
+  assert.deepEqual([history.moments, history.latest], [[], undefined]);
+});
+
+test("a history ends with the first final frame", () => {
+  const history = new History(() => 0);
+  for (const provisional of [true, true, false, false, false]) history.add(facts({ provisional }));
+  assert.equal(history.moments.length, 3);
+});
+
+test("a frame without an error is no moment", () => {
+  const history = new History(() => 0);
+  history.add(facts({ error: NaN }));
+  assert.deepEqual(history.moments, []);
+});
+
+test("a long history keeps its first and its last moments", () => {
+  let now = 0;
+  const history = new History(() => now);
+  for (let i = 0; i < 5000; i++) {
+    now = 1000 * i;
+    history.add(facts());
+  }
+  const { moments } = history;
+  assert.ok(moments.length <= 600);
+  assert.deepEqual([moments[0].seconds, moments.at(-1).seconds], [0, 4999]);
+});
+
+test("a moment says its time, and how long is left", () => {
+  const left = { low: 12, likely: 20, high: 41 };
+  const moment = { seconds: 3, error: 0.1, provisional: true };
+  assert.equal(momentInWords(moment, left), "after 3 s · about 20 s left (12 s to 41 s)");
+  assert.equal(momentInWords(moment, null), "after 3 s");
+  assert.equal(momentInWords({ ...moment, provisional: false }, null), "final after 3 s");
+  assert.equal(momentInWords({ ...moment, provisional: false, error: 0 }, null), "final after 3 s · nothing to estimate");
+});
+
+test("the drawing has a sentence from the first to the last", () => {
+  const moments = [
+    { seconds: 1, error: 1, coverage: { final: 0 } }, { seconds: 41, error: 0.034, coverage: { final: 0.609 } },
+  ];
+  const words = courseInWords(moments, 0.02);
+  assert.equal(words, "Estimated error from 100 % to 3.4 %, target 2 %; surface that is final from 0 % to 60 %; over 41 s");
+  assert.ok(courseInWords([], 0.02).endsWith("nothing yet"));
+});
+
+test("what is not final is rounded up", () => {
+  const coverage = { final: 0.609, converging: 0.391, provisional: 0 };
+  assert.deepEqual(["final", "converging", "provisional"].map((state) => legendShare(state, coverage)), ["60 %", "40 %", "0 %"]);
+});
+
+test("a histogram is drawn by the logarithm of its counts", () => {
+  const path = outline({ counts: [0, 9, 99], edges: [0, 1, 2, 3] }, 0, 3);
+  const half = (100 * (1 - 0.94 / 2)).toFixed(1); // log 10 is half of log 100
+  assert.equal(path, `M0 100L0.0 100.0L333.3 100.0L333.3 ${half}L666.7 ${half}L666.7 6.0L1000.0 6.0L1000 100Z`);
+});
+
+test("bars outside the slider's range do not flatten the rest", () => {
+  const path = outline({ counts: [1e9, 9], edges: [0, 1, 2] }, 1, 2);
+  assert.ok(path.endsWith("L0.0 6.0L1000.0 6.0L1000 100Z"), path);
+});
+
+test("a histogram of one value is still a path", () => {
+  assert.ok(!outline({ counts: [0, 0], edges: [1, 1, 1] }, 1, 1).includes("NaN"));
+});
+
+test("the solid side is above the isovalue, or below", () => {
+  assert.deepEqual(solidSpan(0.25, false), { x: 250, width: 750 });
+  assert.deepEqual(solidSpan(0.25, true), { x: 0, width: 250 });
+  assert.deepEqual(solidSpan(7, false), { x: 1000, width: 0 });
+});
+
+test("knobs have their units", () => {
+  assert.equal(knobInWords("azimuth", -70.4, 1), "−70°");
+  assert.equal(knobInWords("albedo", 0.7, 1), "0.70");
+  assert.equal(knobInWords("distance", 3, 1), "3.00 radii");
+});
+
+test("exposure is in stops from the scene's own", () => {
+  assert.deepEqual([0.5, 1, 2, 8].map((exposure) => knobInWords("exposure", exposure, 2)), ["−2 stops", "−1 stops", "0 stops", "+2 stops"]);
+});
+
+test("presets begin with where the scene starts", () => {
+  const shell = { name: "shell", isovalue: 90, suggested: false };
+  assert.deepEqual(scenePresets({ ...SCENE, presets: [shell] }), [{ name: "start", isovalue: 70 }, shell]);
+  const same = [{ name: "bone", isovalue: 70, suggested: false }];
+  assert.equal(scenePresets({ ...SCENE, presets: same }), same, "unless one of them is that");
+});
+
+test("an isovalue is kept in order, and forgotten again", () => {
+  const kept = toggled(toggled([], 100), 20);
+  assert.deepEqual(kept, [20, 100]);
+  assert.deepEqual(toggled(kept, 100), [20]);
+});
+
+test("what was kept without sense is passed over", () => {
+  const texts = [null, '"x"', "{", '{"a":1}', '[null,7,"8",0.4]'];
+  assert.deepEqual(texts.map((text) => parseKept(text, { min: 0.2, max: 0.8 })), [[], [], [], [], [0.4]]);
+});
+
+test("a layer says its order, channels and precision", () => {
+  const layer = { kind: "direct", order: 5, channels: 3, precision: "float16", coarse: null, nodes: [] };
+  assert.equal(layerInWords(layer), "SH order 5 in 3 channels, float16 floats");
+  assert.equal(layerInWords({ ...layer, order: 1, channels: 1 }), "one number, float16 floats");
+  assert.equal(layerInWords({ ...layer, coarse: 2, channels: 1 }), "SH order 5, half floats, bytes from band 2 on");
+  assert.equal(layerInWords({ ...layer, nodes: [0, 0.456] }), "SH order 5 for albedo 0, 0.46, float16 floats");
+});
+
+test("savings are whole where they are large", () => {
+  assert.equal(savingInWords({ amount: 27328.4, unit: "texels", measured: true }), "27\u202f328 texels (measured)");
+  assert.equal(savingInWords({ amount: 0.98765, unit: "s", measured: false }), "0.988 s");
+});
+
+test("a plan says its texels, bytes, lobes and errors", () => {
+  const plan = {
+    representation: "transfer", layers: [], lobes: [{ azimuth: 135.4, elevation: 45, angle: 0.73 }], bytes_per_texel: 45,
+    full_bytes_per_texel: 300, texels: { shown: 1234567, total: 2e6 }, bounces: 12, samples: 4096, errors: { harmonics: 0.01738 },
+  };
+  const rows = planRows({ plan, target_error: 0.02 });
+  assert.equal(rows.Lobes, "0.73° across at azimuth 135°, elevation 45°");
+  assert.equal(rows["Bytes per texel"], "45, instead of 300");
+  assert.equal(rows["Texels shown"], "1\u202f234\u202f567 of 2\u202f000\u202f000");
+  assert.equal(rows["Error of harmonics"], "1.74 %");
+  assert.equal(rows["Final means"], "noise below 2 %");
+});
+
+test("a volume says its size, its values and its holes", () => {
+  const rows = volumeRows(SCENE);
+  assert.deepEqual([rows.Size, rows.Spacing, rows.Values], ["11 × 21 × 31 voxels", "1 × 0.5 × 0.3333", "0 to 255, uint8"]);
+  assert.deepEqual([rows["Not finite"], rows.Albedo, rows["Albedos to choose from"], rows.Lights], [null, "0.7", null, "sky"]);
+  assert.equal(volumeRows({ ...SCENE, volume: { ...SCENE.volume, holes: 3 } })["Not finite"], "3 voxels, treated as empty");
+  assert.equal(volumeRows(PAINTED)["Albedos to choose from"], "0 to 0.9");
+});
+
+test("screen readers hear of quarters, not of every frame", () => {
+  const said = [0.26, 0.49, 0.51].map((final) => announcement(facts({ coverage: { final, converging: 0, provisional: 1 - final } })));
+  assert.deepEqual(said, ["Picture provisional, 25 percent final", said[0], "Picture provisional, 50 percent final"]);
+  assert.equal(announcement(facts({ provisional: false })), "Picture final, noise 3.4 %");
+});
+
+test("the rate of drafts is that of their intervals", () => {
+  assert.deepEqual([rateOf([]), rateOf([5]), rateOf([0, 50, 100, 150, 200])], [0, 0, 20]);
+});
+
+test("stages have names, and their sum is the last but one", () => {
+  const rows = timeRows({ shade: 1.25, new_stage: 20 }, 0);
+  assert.deepEqual(rows, [["Shading", "1.3 ms"], ["new_stage", "20 ms"], ["All", "21 ms"], ["Drafts a second, last moved", "–"]]);
+});
+
+test("pictures are offered in the shape of the one shown", () => {
+  const sizes = sizesFor({ width: 900, height: 600 });
+  assert.deepEqual(sizes.map(({ width, height }) => [width, height]), [[900, 600], [1800, 1200], [1920, 1280], [3840, 2560]]);
+});
+
+test("no picture longer than 4096 is offered", () => {
+  assert.deepEqual(sizesFor({ width: 400, height: 1000 }).map(({ width }) => width), [400, 800]);
+});
+
+test("a file that is too large is refused before it is sent", () => {
+  const limits = { limit_bytes: 3 << 20 };
+  assert.equal(tooLarge({ name: "a.nrrd", size: 3 << 20 }, limits), "");
+  assert.equal(tooLarge({ name: "a.nrrd", size: (3 << 20) + 1 }, limits), "a.nrrd is larger than the 3 MB that an upload may be.");
+});
+
+test("a volume is named by its file without the ending", () => {
+  assert.deepEqual(["My ball.nrrd", "a.NHDR", "a.nrrd.gz", "b\u0000\u200bc.nrrd"].map(volumeName), ["My ball", "a", "a.nrrd.gz", "bc"]);
+  assert.equal(volumeName("x".repeat(200)).length, 80);
+});
+
+test("keys move the divider, and no further than its ends", () => {
+  const place = (key, now, shiftKey = false) => dividerPlace({ key, shiftKey }, now);
+  assert.deepEqual([place("ArrowRight", 50), place("ArrowLeft", 50, true), place("PageUp", 95), place("ArrowLeft", 1)], [52, 40, 100, 0]);
+  assert.deepEqual([place("Home", 50), place("End", 50), place("x", 50)], [0, 100, null]);
+});

@@ -1,0 +1,212 @@
+import assert from "node:assert/strict";
+import { execFileSync } from "node:child_process";
+import { test } from "node:test";
+import { readAddress, writeAddress } from "../../../web/net/address.js";
+import { deleteVolume, frameAddress, readFrame, readScene, surfacePoint, wantsToken } from "../../../web/net/api.js";
+import { changedParameters, curlLine, describe, fileName, frameQuery, pythonLine } from "../../../web/net/request.js";
+import { parsePairs, parseTiming, readFacts, streamedFrame } from "../../../web/net/schemas.js";
+import { Trouble, retryDelay, troubleOf } from "../../../web/net/trouble.js";
+import { ViewModel } from "../../../web/view/model.js";
+import { PAINTED, SCENE, knobs } from "./fixtures.mjs";
+
+globalThis.document = { baseURI: "http://host/behind/a/prefix/" };
+const SIZE = { width: 600, height: 400 };
+
+/** What the page asks for while the server gives these answers; a `status`, `headers` and `body` each. */
+async function asking(answers, run) {
+  const asked = [];
+  const real = globalThis.fetch;
+  globalThis.fetch = async (address, options = {}) => {
+    asked.push({ address: String(address), ...options });
+    const answer = answers.shift();
+    if (answer instanceof Error) throw answer;
+    return new Response(answer.body ?? null, { status: 200, ...answer });
+  };
+  try {
+    return { asked, result: await run().then((value) => ({ value }), (error) => ({ error })) };
+  } finally {
+    globalThis.fetch = real;
+  }
+}
+
+test("an address that was written reads back as the same view", () => {
+  const start = { isovalue: 0.1 + 0.2 + 99, azimuth: -70.5, distance: 2.345, target: [1, 2.5, 3], shading: "phong", overlay: "error", compare: "gi" };
+  const view = new ViewModel(SCENE, start);
+  const read = readAddress(writeAddress(SCENE, view.values));
+  assert.equal(read.scene, "small");
+  assert.deepEqual(new ViewModel(SCENE, read.start).values, view.values);
+});
+
+test("an address holds no choice that is none", () => {
+  const query = new URLSearchParams(writeAddress(SCENE, knobs()));
+  for (const name of ["overlay", "compare", "target", "tint", "albedo"]) assert.ok(!query.has(name), name);
+});
+
+test("an address holds a tint that is not the scene's", () => {
+  const { values } = new ViewModel(PAINTED, { tint: "#ff0000" });
+  assert.equal(new URLSearchParams(writeAddress(PAINTED, values)).get("tint"), "#ff0000");
+  assert.ok(!writeAddress(PAINTED, { ...values, tint: "#ffffff" }).includes("tint"));
+});
+
+test("what is no number in an address is left out", () => {
+  const { scene, start } = readAddress("?isovalue=&azimuth=abc&pitch=1e999&fov=%2040%20&target=4,x,6");
+  assert.equal(scene, null);
+  assert.deepEqual(start, { fov: 40, target: [4, NaN, 6] });
+  assert.equal(new ViewModel(SCENE, start).values.target, null);
+});
+
+test("a frame is asked for by all knobs and its size", () => {
+  const query = frameQuery(SCENE, knobs({ target: [1, 2, 3] }), SIZE);
+  assert.deepEqual(query, {
+    isovalue: 70, azimuth: 30, elevation: 20, distance: 3, fov: 30, yaw: 0, pitch: 0, roll: 0, exposure: 1.234567,
+    target: "1,2,3", ...SIZE, shading: "gi", overlay: "none", f: "png",
+  });
+});
+
+test("a light that cannot be turned is no part of a request", () => {
+  const query = frameQuery({ ...SCENE, turns: false }, knobs({ yaw: 40 }), SIZE);
+  assert.ok(!["yaw", "pitch", "roll"].some((name) => name in query));
+});
+
+test("an albedo is asked for only where the view changed it", () => {
+  const view = new ViewModel(PAINTED);
+  assert.ok(!("albedo" in frameQuery(PAINTED, view.values, SIZE)));
+  view.set({ albedo: 0.25 });
+  assert.equal(frameQuery(PAINTED, view.values, SIZE).albedo, 0.25);
+});
+
+test("a picture's words say the isovalue, the side and the shading", () => {
+  const words = describe(SCENE, knobs({ isovalue: 70.123456789, azimuth: 29.6 }));
+  assert.equal(words, "Isosurface of Small at 70.1235, seen from azimuth 30°, elevation 20°; Global illumination");
+});
+
+test("a file is named by its scene and isovalue", () => {
+  assert.equal(fileName(SCENE, { isovalue: 0.1 + 0.2 }), "small-0.3");
+});
+
+test("a line holds what differs from the defaults", () => {
+  const query = frameQuery(SCENE, knobs({ azimuth: -70.5, overlay: "error" }), { width: 512, height: 400 });
+  assert.deepEqual(changedParameters(SCENE, query), { isovalue: 70, azimuth: -70.5, height: 400, overlay: "error" });
+});
+
+test("a shell line names the token's variable where one is wanted", () => {
+  const address = new URL("http://host/v1/frame?a=1&b=2");
+  assert.equal(curlLine(address, "small-0.3.png", false), "curl -f 'http://host/v1/frame?a=1&b=2' -o small-0.3.png");
+  assert.ok(curlLine(address, "x.png", true).includes('-H "Authorization: Bearer $ISOGI_TOKEN"'));
+});
+
+for (const file of ["it's.png", "a b;$(touch x).png", "`id`.png", '"; rm -r x #.png']) {
+  test(`the name ${file} does not escape its quotes`, () => {
+    const line = curlLine(new URL("http://host/?a=1&b=2"), file, false).replace("curl -f", "printf '%s\\n'");
+    const words = execFileSync("sh", ["-c", line], { encoding: "utf8" }).trimEnd().split("\n");
+    assert.deepEqual(words, ["http://host/?a=1&b=2", "-o", file]);
+    const python = pythonLine("http://host", file, { isovalue: 1e-7, shading: file }, file);
+    const text = JSON.stringify(file);
+    assert.ok(python.endsWith(`frame(${text}, isovalue=1e-7, shading=${text}, wait="final").save(${text})`));
+  });
+}
+
+test("an address of a frame keeps the prefix of the page", () => {
+  const address = frameAddress("a/b", { isovalue: 1, target: "1,2,3" });
+  assert.equal(address.href, "http://host/behind/a/prefix/v1/scenes/a%2Fb/frame?isovalue=1&target=1%2C2%2C3");
+});
+
+test("shares in a header are read as numbers", () => {
+  assert.deepEqual(parsePairs("final=0.81, converging=0.12,provisional=0.07"), { final: 0.81, converging: 0.12, provisional: 0.07 });
+  assert.deepEqual(parsePairs(null), {});
+  assert.deepEqual(parsePairs("final=, =3, x"), { "": 3 });
+});
+
+test("stages in a header are read without their total", () => {
+  assert.deepEqual(parseTiming("primary;dur=3.5, shade;dur=0, total;dur=9, cache"), { primary: 3.5, shade: 0 });
+});
+
+test("a frame's facts are read from its headers", () => {
+  const headers = new Headers({
+    "Isogi-Provisional": "?1", "Isogi-Coverage": "final=0.5, converging=0.5", "Isogi-Chunks": "needed=4, final=3",
+    "Isogi-Error": "0.018; noise=0.006", "Isogi-Time-Left": "low=1, likely=2, high=3", "Server-Timing": "shade;dur=2",
+  });
+  assert.deepEqual(readFacts(headers), {
+    provisional: true, coverage: { final: 0.5, converging: 0.5, provisional: 0 }, error: 0.018,
+    chunks: { needed: 4, final: 3 }, timeLeft: { low: 1, likely: 2, high: 3 }, timing: { shade: 2 },
+  });
+});
+
+test("an answer without facts has none, and no error is NaN", () => {
+  assert.equal(readFacts(new Headers()), null);
+  const { error, timeLeft } = readFacts(new Headers({ "Isogi-Provisional": "?0" }));
+  assert.deepEqual([error, timeLeft], [NaN, null]);
+});
+
+test("a streamed picture has its type and its facts", async () => {
+  const message = { media_type: "image/png", timing: { shade: 2 }, facts: { provisional: false, time_left: null } };
+  const { blob, facts } = streamedFrame(message, new Blob(["abc"]));
+  assert.deepEqual([blob.type, await blob.text()], ["image/png", "abc"]);
+  assert.deepEqual(facts, { provisional: false, timeLeft: null, timing: { shade: 2 } });
+});
+
+test("a position is read from the last pixel of an npy frame", () => {
+  const frame = new ArrayBuffer(128 + 36);
+  const pixel = new DataView(frame, 128);
+  [0.1, 0.2, 0.3, 1, 3, 0, 1.5, 2.5, 3.5].forEach((x, i) => pixel.setFloat32(4 * i, x, true));
+  assert.deepEqual(surfacePoint(frame), [1.5, 2.5, 3.5]);
+  pixel.setFloat32(12, 0, true);
+  assert.equal(surfacePoint(frame), null);
+});
+
+test("an unchanged frame has no picture and keeps its etag", async () => {
+  const { asked, result } = await asking([{ status: 304 }], () => readFrame("small", { f: "png" }, { etag: '"a"' }));
+  assert.deepEqual(asked[0].headers, { "If-None-Match": '"a"' });
+  assert.deepEqual(result.value, { blob: null, etag: '"a"', facts: null });
+});
+
+test("a refusal is a trouble with the server's own sentence", async () => {
+  const body = JSON.stringify({ detail: "albedo must be at most 0.9" });
+  const { result } = await asking([{ status: 422, body }], () => readScene("small"));
+  assert.ok(result.error instanceof Trouble);
+  assert.deepEqual([result.error.detail, result.error.retry], ["albedo must be at most 0.9", false]);
+});
+
+test("a busy server says when to ask again", async () => {
+  const { result } = await asking([{ status: 503, headers: { "Retry-After": "7" } }], () => readScene("small"));
+  assert.deepEqual([result.error.retry, result.error.after, result.error.status], [true, 7, 503]);
+});
+
+test("no answer can be asked for again, an abort stays an abort", async () => {
+  const { result: gone } = await asking([new TypeError("failed to fetch")], () => readScene("small"));
+  assert.deepEqual([gone.error.title, gone.error.retry], ["The server does not answer", true]);
+  const abort = new DOMException("stopped", "AbortError");
+  const { result: stopped } = await asking([abort], () => readScene("small"));
+  assert.equal(stopped.error, abort);
+});
+
+test("a volume is deleted below the prefix of the page", async () => {
+  const { asked } = await asking([{ status: 204 }], () => deleteVolume("/v1/volumes/7"));
+  assert.deepEqual([asked[0].method, asked[0].address], ["DELETE", "http://host/behind/a/prefix/v1/volumes/7"]);
+});
+
+test("a token is wanted where answers are private", async () => {
+  for (const [cache, wanted] of [["private, no-cache", true], ["no-cache", false]]) {
+    const { result } = await asking([{ headers: { "Cache-Control": cache } }], wantsToken);
+    assert.equal(result.value, wanted);
+  }
+});
+
+test("only failures of the server can be asked for again", () => {
+  assert.deepEqual([400, 404, 422, 429, 500, 503].map((status) => troubleOf({ status }).retry), [false, false, false, true, true, true]);
+  assert.equal(troubleOf({ status: 500, detail: { no: "text" } }).detail, "It answered with status 500.");
+});
+
+test("waits grow with the failures, and the last is kept", () => {
+  const waits = [0, 1, 2, 3, 9].map((failures) => retryDelay(troubleOf({ status: 503 }), failures, [300, 600, 1200]));
+  assert.deepEqual(waits, [300, 600, 1200, 1200, 1200]);
+});
+
+test("the server's own wait goes before the page's", () => {
+  assert.equal(retryDelay(troubleOf({ status: 429 }, 7), 0, [300]), 7000);
+});
+
+test("what cannot be cured is not asked for again", () => {
+  assert.equal(retryDelay(troubleOf({ status: 422 }, 7), 0, [300]), null);
+  assert.equal(retryDelay(new TypeError("a mistake of the page"), 0, [300]), null);
+});

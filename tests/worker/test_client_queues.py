@@ -1,0 +1,139 @@
+import random
+
+import numpy as np
+import pytest
+
+from isogi_core.bake.noise import Effort
+from isogi_core.cache.costs import Cost
+from isogi_core.frame.view_texels import Demand
+from tests.worker.clock import Clock
+from worker.bake_requests import BakeRequest, Key, Viewer
+from worker.client_queues import FEW
+from worker.queue import SUNK, BakeQueue
+from worker.tasks import BakeResult
+
+TEXELS = np.arange(4, dtype=np.int32)
+SIBLINGS = {"scene", "scene (near)"}
+VIEWERS = [Viewer(name, single=name != "guest", patient=name == "job") for name in ("anna", "bert", "guest", "job")]
+
+
+def request(queue: BakeQueue, viewer: Viewer, *chunks: int, weight: float = 1.0, bake: str = "scene") -> None:
+    seen, effort = np.ones(len(TEXELS), np.float32), Effort(4, 0.0, 0.0)
+    demands = [Demand((0, 0, x), TEXELS, weight + x, effort, seen) for x in chunks]
+    queue.request([((bake, demand.index), demand) for demand in demands], 0.1, viewer)
+
+
+def shared(one: str, other: str) -> bool:
+    return one == other or {one, other} == SIBLINGS
+
+
+def left(unfinished: int, priority: float) -> BakeResult:
+    return BakeResult(unfinished, priority, Effort(0, 64.0, 64.0), Cost(0.1, 64, 4, 0.1))
+
+
+def places(queue: BakeQueue) -> int:
+    return sum(len(queue.places) for queues in queue._queues._queues.values() for queue in queues.values())
+
+
+def test_a_long_drag_leaves_no_places_behind() -> None:
+    queue = BakeQueue(Clock())
+    for move in range(500):
+        request(queue, VIEWERS[0], *range(move, move + 10))
+    assert len(queue.requests) == 10
+    assert places(queue) <= 2 * FEW + 10
+
+
+def test_a_request_that_grew_for_another_client_moves_up() -> None:
+    queue = BakeQueue(Clock())
+    request(queue, VIEWERS[0], 1, 2, 3)
+    request(queue, VIEWERS[1], 1, weight=9.0)
+    assert queue._first(False, "anna") is queue.requests["scene", (0, 0, 1)]
+
+
+def test_requests_whose_priority_sank_wait_for_others() -> None:
+    queue = BakeQueue(Clock())
+    request(queue, VIEWERS[0], 1, 2, 3)
+    request(queue, VIEWERS[1], 1, weight=9.0)
+    queue.leave(VIEWERS[1])
+    assert queue._first(False, "anna") is queue.requests["scene", (0, 0, 3)]
+
+
+def test_a_bake_with_a_shared_layer_waits_for_the_others_task() -> None:
+    queue = BakeQueue(Clock(), shared)
+    request(queue, VIEWERS[0], 1)
+    request(queue, VIEWERS[1], 1, bake="scene (near)")
+    first = queue.take()
+    assert first is not None and queue.take() is None
+    queue.finish(first.key, first.offsets, first.target, left(0, 0.0))
+    second = queue.take()
+    assert second is not None and {first.key[0], second.key[0]} == SIBLINGS
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_whatever_happens_no_work_is_passed_over(seed: int) -> None:
+    """Against a search of all wants: nothing is taken only where nothing can be, and then what is best or near it."""
+    chance, clock = random.Random(seed), Clock()
+    queue = BakeQueue(clock, shared)
+    flown: dict[Key, tuple[np.ndarray, float]] = {}
+    for _ in range(600):
+        step(queue, chance, clock, flown)
+        possible = [each for each in queue.requests.values() if free(queue, each)]
+        taken = queue.take() if chance.random() < 0.5 else None
+        if taken is not None:
+            assert taken in possible
+            assert worthy(queue, taken, possible)
+            flown[taken.key] = taken.offsets, taken.target
+    while flown:
+        land(queue, flown, 0, 0.0)
+    while (taken := queue.take()) is not None:
+        queue.finish(taken.key, taken.offsets, taken.target, left(0, 0.0))
+    assert not [each for each in queue.requests.values() if not each.given_up]
+    assert not queue._in_flight and not queue._held
+
+
+def step(queue: BakeQueue, chance: random.Random, clock: Clock, flown: dict[Key, tuple[np.ndarray, float]]) -> None:
+    """Something happens: a view, a leaving, a task's end or its failure, time."""
+    viewer, deed = chance.choice(VIEWERS), chance.random()
+    if deed < 0.4:
+        chunks = chance.sample(range(30), 5)
+        request(queue, viewer, *chunks, weight=chance.uniform(1.0, 50.0), bake=chance.choice(sorted(SIBLINGS)))
+    elif deed < 0.5:
+        queue.leave(viewer)
+    elif deed < 0.55:
+        clock.now += 20.0
+    elif flown and deed < 0.6:
+        key = chance.choice(list(flown))
+        del flown[key]
+        queue.fail(key, "no luck", suspect=chance.random() < 0.3)
+    elif flown:
+        land(queue, flown, chance.choice((0, 2)), chance.uniform(0.0, 1.0), chance.randrange(len(flown)))
+
+
+def land(
+    queue: BakeQueue, flown: dict[Key, tuple[np.ndarray, float]], unfinished: int, priority: float, number: int = 0
+) -> None:
+    key = list(flown)[number]
+    queue.finish(key, *flown.pop(key), left(unfinished, priority))
+
+
+def free(queue: BakeQueue, each: BakeRequest) -> bool:
+    """Whether a want could be worked on now."""
+    aloft = [other for other in queue.requests.values() if other.in_flight]
+    beside = any(index == each.key[1] and shared(bake, each.key[0]) for bake, index in (other.key for other in aloft))
+    alone = any(other.suspect for other in aloft) or (each.suspect and aloft)
+    return bool(each.interests) and not each.given_up and not beside and not alone
+
+
+def worthy(queue: BakeQueue, taken: BakeRequest, possible: list[BakeRequest]) -> bool:
+    """Whether for some client nothing is better than what was taken, or not by more than wants may sink unnoticed."""
+    return any(
+        all(not clearly_better(queue, other, taken, client) for other in possible if client in other.interests)
+        for client in taken.interests
+    )
+
+
+def clearly_better(queue: BakeQueue, other: BakeRequest, taken: BakeRequest, client: object) -> bool:
+    (*order, priority, _), (*mine, own, _) = queue.rank(other, client), queue.rank(taken, client)
+    if other.interests[client].viewer.patient != taken.interests[client].viewer.patient or order != mine:
+        return other.interests[client].viewer.patient == taken.interests[client].viewer.patient and order < mine
+    return priority < 1.5 * own - SUNK * abs(own) - 1e-9

@@ -1,0 +1,178 @@
+/** The HTTP API, as far as the page needs it. Addresses are relative, so that a path prefix in front works. */
+
+import { rayThrough } from "../view/camera.js";
+import { readFacts } from "./schemas.js";
+import { Trouble, lost, troubleOf } from "./trouble.js";
+
+/** @typedef {import("./schemas.js").Frame} Frame */
+/** @typedef {import("./schemas.js").FrameQuery} FrameQuery */
+/** @typedef {import("./schemas.js").Scene} Scene */
+/** @typedef {import("./schemas.js").SceneList} SceneList */
+/** @typedef {import("../view/model.js").Knobs} Knobs */
+/** @typedef {import("../view/rotation.js").Vec3} Vec3 */
+
+const ONE_PIXEL = { f: "npy", shading: "lambert", width: 1, height: 1 };
+const PIXEL_BYTES = 36; // nine floats: three of light, hit, state, error, three of position
+const [HIT, POSITION] = [12, 24]; // bytes from the pixel's first
+
+/**
+ * List the scenes, and what may be uploaded.
+ * @returns {Promise<SceneList>}
+ */
+export async function listScenes() {
+  return (await ask("v1/scenes")).json();
+}
+
+/**
+ * Upload a volume. `fetch` reports no progress, so this is an `XMLHttpRequest`.
+ * @param {Blob} file
+ * @param {string} name
+ * @param {(share: number) => void} progress
+ * @returns {Promise<{id: string}>}
+ */
+export function sendVolume(file, name, progress) {
+  const request = new XMLHttpRequest();
+  request.open("POST", new URL(`v1/volumes?${new URLSearchParams({ name })}`, document.baseURI));
+  request.responseType = "json";
+  request.upload.addEventListener("progress", ({ loaded, total }) => progress(loaded / total));
+  return new Promise((resolve, reject) => {
+    request.addEventListener("error", () => reject(lost()));
+    request.addEventListener("load", () => {
+      const { status, response } = request;
+      if (status < 300) resolve(response);
+      else reject(troubleOf({ ...response, status }));
+    });
+    request.send(file);
+  });
+}
+
+/**
+ * Delete an uploaded volume.
+ * @param {string} href its address
+ * @returns {Promise<void>}
+ */
+export async function deleteVolume(href) {
+  await ask(href.replace(/^\//, ""), { method: "DELETE" });
+}
+
+/**
+ * Everything about one scene: volume, histogram, defaults, ranges, plan.
+ * @param {string} id
+ * @returns {Promise<Scene>}
+ */
+export async function readScene(id) {
+  return (await ask(scenePath(id))).json();
+}
+
+/**
+ * Ask for one frame. With `etag`, an unchanged frame comes back with `blob: null`.
+ * @param {string} scene
+ * @param {FrameQuery} query
+ * @param {{etag?: string|null, signal?: AbortSignal}} options
+ * @returns {Promise<Frame>}
+ */
+export async function readFrame(scene, query, { etag, signal } = {}) {
+  /** @type {Record<string, string>} */
+  const headers = etag ? { "If-None-Match": etag } : {};
+  const answer = await ask(frameAddress(scene, query), { headers, signal });
+  const unchanged = answer.status === 304;
+  return {
+    blob: unchanged ? null : await bodyOf(answer),
+    etag: answer.headers.get("ETag") ?? (unchanged && etag ? etag : null),
+    facts: readFacts(answer.headers),
+  };
+}
+
+/**
+ * World position of the surface at a place of the picture; null where there is none, or no answer.
+ * @param {Scene} scene
+ * @param {Knobs} values knobs of the view
+ * @param {number} right of the middle, in heights of the picture
+ * @param {number} up of the middle, in heights of the picture
+ * @returns {Promise<Vec3|null>}
+ */
+export async function readSurfacePoint(scene, values, right, up) {
+  const ray = Object.entries(rayThrough(scene, values, right, up)).map(([name, point]) => [name, point.join(",")]);
+  const query = { ...ONE_PIXEL, isovalue: values.isovalue, ...Object.fromEntries(ray) };
+  try {
+    const { blob } = await readFrame(scene.id, query);
+    return blob && surfacePoint(await blob.arrayBuffer());
+  } catch (error) {
+    if (error instanceof Trouble) return null; // the picture's own requests say what is wrong
+    throw error;
+  }
+}
+
+/**
+ * World position in the last pixel of an `npy` frame; null where it shows no surface.
+ * @param {ArrayBuffer} frame
+ * @returns {Vec3|null}
+ */
+export function surfacePoint(frame) {
+  const pixel = new DataView(frame, frame.byteLength - PIXEL_BYTES);
+  const position = (/** @type {number} */ i) => pixel.getFloat32(POSITION + 4 * i, true);
+  return pixel.getFloat32(HIT, true) > 0 ? [position(0), position(1), position(2)] : null;
+}
+
+/**
+ * A picture of the light around a scene: latitude and longitude, tone-mapped, not turned.
+ * @param {string} scene
+ * @param {number} width pixels
+ * @returns {Promise<Blob>}
+ */
+export async function readSky(scene, width) {
+  return bodyOf(await ask(`${scenePath(scene)}/sky?${new URLSearchParams({ width: String(width) })}`));
+}
+
+/**
+ * The whole address of a frame, as others may ask for it.
+ * @param {string} scene
+ * @param {FrameQuery} query
+ * @returns {URL}
+ */
+export function frameAddress(scene, query) {
+  const texts = Object.entries(query).map(([name, value]) => [name, String(value)]);
+  return new URL(`${scenePath(scene)}/frame?${new URLSearchParams(texts)}`, document.baseURI);
+}
+
+/** Whether the server wants a token from clients that have not this browser's cookie. @returns {Promise<boolean>} */
+export async function wantsToken() {
+  return (await ask("v1/scenes")).headers.get("Cache-Control")?.includes("private") ?? false; // as behind a token only
+}
+
+/**
+ * Open the stream of one scene. Throws where the browser has no sockets.
+ * @param {string} scene
+ * @returns {WebSocket}
+ */
+export function openStream(scene) {
+  const address = new URL(`${scenePath(scene)}/stream`, document.baseURI);
+  address.protocol = address.protocol.replace("http", "ws");
+  return new WebSocket(address);
+}
+
+/** @param {string} id */
+function scenePath(id) {
+  return `v1/scenes/${encodeURIComponent(id)}`;
+}
+
+/**
+ * @param {string|URL} path
+ * @param {RequestInit} [options]
+ */
+async function ask(path, options) {
+  const answer = await fetch(new URL(path, document.baseURI), options).catch(failed);
+  if (answer.ok || answer.status === 304) return answer;
+  const problem = await answer.json().catch(() => ({}));
+  throw troubleOf({ ...problem, status: answer.status }, Number(answer.headers.get("Retry-After")) || 0);
+}
+
+/** @param {Response} answer */
+async function bodyOf(answer) {
+  return answer.blob().catch(failed);
+}
+
+/** Any failure of the network is the same trouble; what was aborted stays so. @param {Error} error @returns {never} */
+function failed(error) {
+  throw error.name === "AbortError" ? error : lost();
+}

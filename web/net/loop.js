@@ -1,0 +1,69 @@
+/** The frame loop: shows the view by a stream where there is one, else by single requests. */
+
+import { Polling } from "./polling.js";
+import { Streaming } from "./streaming.js";
+import { CLOCK } from "./trouble.js";
+
+/** @typedef {import("./polling.js").FrameOptions} FrameOptions */
+/** @typedef {import("./schemas.js").Facts} Facts */
+/** @typedef {import("./schemas.js").Frame} Frame */
+/** @typedef {import("./schemas.js").FrameQuery} FrameQuery */
+
+const SETTLE_MS = 200; // a view that has not changed for this long is at rest
+
+/**
+ * @typedef {object} Hooks what the loop calls
+ * @property {(frame: {blob: Blob|null, facts: Facts|null}, draft: boolean) => Promise<void>} frame a picture came;
+ *   `facts` are the latest also where the answer had none; it is settled once the picture is shown
+ * @property {(error: Error) => void} trouble
+ * @property {(moving: boolean) => void} moving whether the view goes on changing
+ * @property {(busy: boolean) => void} busy whether the newest view waits for its first picture
+ *
+ * @typedef {object} Server
+ * @property {() => WebSocket} open opens a socket
+ * @property {() => FrameQuery} view the parameters that go over it
+ * @property {(options: FrameOptions, signal: AbortSignal) => Promise<Frame>} ask sends one request
+ */
+
+/** Shows a view that may change at any time. */
+export class FrameLoop {
+  /** @type {Streaming|Polling} */
+  #transport;
+  #hooks;
+  #clock;
+  #moving = false;
+  #timer = 0;
+
+  /**
+   * @param {Server} server
+   * @param {Hooks} hooks
+   * @param {import("./trouble.js").Clock} [clock]
+   */
+  constructor({ open, view, ask }, hooks, clock = CLOCK) {
+    this.#hooks = hooks;
+    this.#clock = clock;
+    this.#transport = new Streaming(open, view, hooks, () => {
+      this.#transport = new Polling(ask, hooks, clock);
+      this.#transport.show(this.#moving);
+    }, clock);
+    document.addEventListener("visibilitychange", () => document.hidden || this.#transport.resume());
+    window.addEventListener("online", () => this.#transport.resume());
+  }
+
+  /** The view has changed, and may go on changing: show drafts until it rests. */
+  change() {
+    this.#moving = true;
+    this.#hooks.moving(true);
+    this.#clock.cancel(this.#timer);
+    this.#timer = this.#clock.after(SETTLE_MS, () => this.settle());
+    this.#transport.show(true);
+  }
+
+  /** The view rests: ask for the full picture now. */
+  settle() {
+    this.#clock.cancel(this.#timer);
+    this.#moving = false;
+    this.#hooks.moving(false);
+    this.#transport.show(false);
+  }
+}

@@ -1,0 +1,122 @@
+/** A view as the parameters of a frame request, in words, as the name of a file, and as lines for a shell and Python. */
+
+import { albedoQuery } from "../view/albedo.js";
+import { shadingName } from "../view/format.js";
+import { NUMBERS } from "../view/model.js";
+
+/** @typedef {import("../view/model.js").Knobs} Knobs */
+/** @typedef {import("./schemas.js").FrameQuery} FrameQuery */
+/** @typedef {import("./schemas.js").Scene} Scene */
+
+/**
+ * @typedef {object} Description the view that the page shows, for those who share or save it
+ * @property {() => string} link the address of the page with the view in it
+ * @property {() => FrameQuery & {width: number, height: number}} query the parameters of the picture shown
+ * @property {() => string} file the name of its file, without an ending
+ * @property {() => string} alt what it shows, in words
+ */
+
+const LIGHT_KNOBS = new Set(["yaw", "pitch", "roll"]);
+
+/**
+ * The parameters of the request for a view's picture.
+ * @param {Pick<Scene, "turns"|"albedo"|"albedos">} scene
+ * @param {Knobs} values knobs of the view
+ * @param {{width: number, height: number}} size pixels
+ * @returns {FrameQuery & {width: number, height: number}}
+ */
+export function frameQuery(scene, values, { width, height }) {
+  const given = NUMBERS.filter((name) => name in values && name !== "albedo");
+  const numbers = given.filter((name) => scene.turns || !LIGHT_KNOBS.has(name));
+  return {
+    ...Object.fromEntries(numbers.map((name) => [name, values[name]])),
+    ...albedoQuery(scene, values),
+    ...(values.target && { target: values.target.join(",") }),
+    width,
+    height,
+    shading: values.shading,
+    overlay: values.overlay,
+    f: "png",
+  };
+}
+
+/**
+ * What a view's picture shows.
+ * @param {Pick<Scene, "name">} scene
+ * @param {Pick<Knobs, "isovalue"|"azimuth"|"elevation"|"shading">} values knobs of the view
+ * @returns {string}
+ */
+export function describe(scene, values) {
+  const from = `azimuth ${Math.round(values.azimuth)}°, elevation ${Math.round(values.elevation)}°`;
+  return `Isosurface of ${scene.name} at ${short(values.isovalue)}, seen from ${from}; ${shadingName(values.shading)}`;
+}
+
+/**
+ * The name of a view's file, without an ending.
+ * @param {Pick<Scene, "id">} scene
+ * @param {Pick<Knobs, "isovalue">} values knobs of the view
+ * @returns {string}
+ */
+export function fileName(scene, values) {
+  return `${scene.id}-${short(values.isovalue)}`;
+}
+
+/**
+ * The parameters that differ from the scene's defaults, and the isovalue in any case.
+ * @param {Pick<Scene, "defaults">} scene
+ * @param {FrameQuery} query
+ * @returns {FrameQuery}
+ */
+export function changedParameters(scene, query) {
+  /** @type {Record<string, string|number>} */
+  const defaults = { ...scene.defaults, overlay: "none", f: "png" };
+  /** @type {(parameter: [string, string|number]) => boolean} */
+  const changed = ([name, value]) => name === "isovalue" || String(value) !== String(defaults[name]);
+  return Object.fromEntries(Object.entries(query).filter(changed));
+}
+
+/**
+ * A line for a shell that saves the picture. It names the variable that holds the token, never the token.
+ * @param {URL} address of the frame
+ * @param {string} file
+ * @param {boolean} token whether the server wants one
+ * @returns {string}
+ */
+export function curlLine(address, file, token) {
+  const header = token ? ['-H "Authorization: Bearer $ISOGI_TOKEN"'] : [];
+  return ["curl -f", ...header, quoted(address.href), "-o", plain(file) ? file : quoted(file)].join(" ");
+}
+
+/**
+ * A line of Python that saves the final picture; the client finds the token in the environment itself.
+ * @param {string} server address of the server
+ * @param {string} scene
+ * @param {FrameQuery} view
+ * @param {string} file
+ * @returns {string}
+ */
+export function pythonLine(server, scene, view, file) {
+  const knobs = Object.entries(view).map(([name, value]) => `, ${name}=${literal(value)}`).join("");
+  const frame = `frame(${literal(scene)}${knobs}, wait="final")`;
+  return `from isogi_client import Isogi; Isogi(${literal(server)}).${frame}.save(${literal(file)})`;
+}
+
+/** @param {number} isovalue */
+function short(isovalue) {
+  return Number(isovalue.toPrecision(6));
+}
+
+/** @param {string|number} value */
+function literal(value) {
+  return JSON.stringify(value);
+}
+
+/** @param {string} word */
+function plain(word) {
+  return /^[\w.+-]+$/.test(word);
+}
+
+/** @param {string} word */
+function quoted(word) {
+  return `'${word.replaceAll("'", "'\\''")}'`;
+}

@@ -1,0 +1,171 @@
+/** What the server answers: its documents as types, and the headers of a frame. */
+
+/** @typedef {import("../view/rotation.js").Vec3} Vec3 */
+/** @typedef {{min: number, max: number}} Range both ends included */
+/** @typedef {{id: string, name: string, volume: string|null}} SceneLink `volume` is the address of an uploaded one */
+/** @typedef {{limit_bytes: number, free_bytes: number}} UploadLimits */
+/** @typedef {{scenes: SceneLink[], uploads: UploadLimits|null}} SceneList `uploads` is null where nothing may be uploaded */
+/** @typedef {Record<string, string|number>} FrameQuery parameters of a frame request */
+/** @typedef {{what: string, why: string, saves: {amount: number, unit: string, measured: boolean}[]}} Omission */
+/** @typedef {{name: string, isovalue: number, suggested: boolean}} Preset `suggested` where it was found in the volume */
+/** @typedef {{azimuth: number, elevation: number, angle: number}} Lobe a bright part of the light, degrees */
+
+/**
+ * @typedef {object} Defaults what each parameter is where it is left out
+ * @property {number} isovalue
+ * @property {number} azimuth
+ * @property {number} elevation
+ * @property {number} distance
+ * @property {number} fov
+ * @property {number} yaw
+ * @property {number} pitch
+ * @property {number} roll
+ * @property {number} exposure
+ * @property {number|string} [albedo] a text where it has a colour
+ * @property {string} [shading]
+ */
+
+/**
+ * @typedef {object} Layer one kind of light that each texel keeps
+ * @property {string} kind
+ * @property {number} order of the harmonics
+ * @property {number} channels
+ * @property {string} precision
+ * @property {number|null} coarse first band that is kept in bytes
+ * @property {number[]} nodes albedos that others are interpolated from
+ */
+
+/**
+ * @typedef {object} Plan what the scene needs, and what was left out
+ * @property {string} representation
+ * @property {Layer[]} layers
+ * @property {Lobe[]} lobes
+ * @property {number} bytes_per_texel
+ * @property {number} full_bytes_per_texel
+ * @property {{shown: number, total: number}} texels
+ * @property {number} bounces
+ * @property {number} samples
+ * @property {Record<string, number>} errors relative, by cause
+ * @property {string[]} notes
+ * @property {Omission[]} left_out
+ */
+
+/**
+ * @typedef {object} Volume
+ * @property {string} name
+ * @property {Vec3} size voxels
+ * @property {Vec3} spacing
+ * @property {string} dtype
+ * @property {[number, number]} value_range
+ * @property {number} holes voxels that are not finite
+ */
+
+/**
+ * @typedef {object} Scene everything about one scene
+ * @property {string} id
+ * @property {string} name
+ * @property {Volume} volume
+ * @property {{counts: number[], edges: number[]}} histogram
+ * @property {Defaults} defaults
+ * @property {Record<string, Range>} ranges
+ * @property {Preset[]} presets
+ * @property {string[]} shadings
+ * @property {{type: string, name: string}[]} lights
+ * @property {Vec3} albedo
+ * @property {Range|null} albedos that views may ask for; null where they may not
+ * @property {string} solid "above" or "below" the isovalue
+ * @property {number} target_error relative
+ * @property {boolean} rotating whether the light may be turned
+ * @property {boolean} turns whether turning it shows
+ * @property {{low: number, high: number, colours: string[]}} error_scale
+ * @property {Plan} plan
+ */
+
+/** @typedef {"final"|"converging"|"provisional"} State of a pixel of the surface */
+/** @typedef {Record<State, number>} Coverage shares of the surface pixels */
+
+/**
+ * @typedef {object} Facts what a frame says about itself
+ * @property {boolean} provisional
+ * @property {Coverage} coverage
+ * @property {number} error estimated relative RMSE; NaN where the server gives none
+ * @property {{needed: number, final: number}} chunks
+ * @property {{low: number, likely: number, high: number}|null} timeLeft seconds until all is final; null if unknown
+ * @property {Record<string, number>} timing milliseconds of each stage of its making
+ */
+
+/**
+ * @typedef {object} Frame
+ * @property {Blob|null} blob the encoded picture; null where it has not changed
+ * @property {string|null} etag
+ * @property {Facts|null} facts
+ */
+
+/**
+ * @typedef {object} StreamMessage the JSON that comes before a picture over a stream
+ * @property {number} id of the view that it answers
+ * @property {boolean} draft
+ * @property {string} media_type
+ * @property {Record<string, number>} timing
+ * @property {Omit<Facts, "timeLeft"|"timing"> & {time_left: Facts["timeLeft"]}} facts
+ * @property {{status?: number, detail?: string}} [problem] in place of all others
+ */
+
+/**
+ * The states of pixels, from the best: light becomes provisional, then converging, then final.
+ * @type {State[]}
+ */
+export const STATES = ["final", "converging", "provisional"];
+
+/**
+ * The facts in the headers of a frame; null where there are none.
+ * @param {Headers} headers
+ * @returns {Facts|null}
+ */
+export function readFacts(headers) {
+  if (!headers.has("Isogi-Provisional")) return null;
+  return {
+    provisional: headers.get("Isogi-Provisional") === "?1",
+    coverage: { final: 0, converging: 0, provisional: 0, ...parsePairs(headers.get("Isogi-Coverage")) },
+    error: Number.parseFloat(headers.get("Isogi-Error") ?? ""),
+    chunks: { needed: 0, final: 0, ...parsePairs(headers.get("Isogi-Chunks")) },
+    timeLeft: readTimeLeft(headers.get("Isogi-Time-Left")),
+    timing: parseTiming(headers.get("Server-Timing")),
+  };
+}
+
+/**
+ * A picture that came over a stream, with the facts of the message before it.
+ * @param {Pick<StreamMessage, "media_type"|"timing"|"facts">} message
+ * @param {Blob} data
+ * @returns {{blob: Blob, facts: Facts}}
+ */
+export function streamedFrame({ media_type: type, timing, facts: { time_left: timeLeft, ...facts } }, data) {
+  return { blob: new Blob([data], { type }), facts: { ...facts, timeLeft, timing } };
+}
+
+/**
+ * Read a header of the form `final=0.81, converging=0.12` into numbers.
+ * @param {string|null} text
+ * @returns {Record<string, number>}
+ */
+export function parsePairs(text) {
+  const pairs = (text ?? "").split(",").map((pair) => pair.trim().split("="));
+  return Object.fromEntries(pairs.filter(([, number]) => number).map(([name, number]) => [name, Number(number)]));
+}
+
+/**
+ * Read a `Server-Timing` header into milliseconds of each stage; their total is left out.
+ * @param {string|null} text
+ * @returns {Record<string, number>}
+ */
+export function parseTiming(text) {
+  const stages = (text ?? "").split(",").map((stage) => stage.trim().split(";dur="));
+  const named = stages.filter(([name, ms]) => ms && name !== "total");
+  return Object.fromEntries(named.map(([name, ms]) => [name, Number(ms)]));
+}
+
+/** @param {string|null} text @returns {Facts["timeLeft"]} */
+function readTimeLeft(text) {
+  return text === null ? null : /** @type {Facts["timeLeft"]} */ (parsePairs(text));
+}

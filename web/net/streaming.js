@@ -1,0 +1,123 @@
+/** Pictures by a stream: views go out as they change, and pictures come in as they are drawn. */
+
+import { streamedFrame } from "./schemas.js";
+import { CLOCK, lost, retryDelay, troubleOf } from "./trouble.js";
+
+/** @typedef {import("./loop.js").Hooks} Hooks */
+/** @typedef {import("./schemas.js").FrameQuery} FrameQuery */
+/** @typedef {import("./schemas.js").StreamMessage} StreamMessage */
+/** @typedef {import("./trouble.js").Clock} Clock */
+/** @typedef {import("./trouble.js").Trouble} Trouble */
+
+const RETRY_MS = [300, 600, 1200, 2400, 4000];
+const LONGEST_MS = 60_000; // longer than this a receipt may not report
+const IDLE = 4000; // the code that a stream is closed with when nothing was said for long
+const OPEN = 1; // `WebSocket.OPEN`
+
+/** Keeps one socket open, and opens it anew when it is lost. */
+export class Streaming {
+  #open;
+  #view;
+  #hooks;
+  #refused;
+  #clock;
+  /** @type {WebSocket|null} */
+  #socket = null;
+  #known = false;
+  #moving = false;
+  #drawing = 0;
+  #timer = 0;
+  #failures = 0;
+  #sent = 0;
+  /** @type {StreamMessage|null} */
+  #message = null;
+
+  /**
+   * @param {() => WebSocket} open
+   * @param {() => FrameQuery} view the parameters of the full picture as they are now
+   * @param {Hooks} hooks
+   * @param {() => void} refused is called when no stream can be had from the start
+   * @param {Clock} [clock]
+   */
+  constructor(open, view, hooks, refused, clock = CLOCK) {
+    this.#open = open;
+    this.#view = view;
+    this.#hooks = hooks;
+    this.#refused = refused;
+    this.#clock = clock;
+  }
+
+  /** The view is now another one; show it. @param {boolean} moving whether it goes on changing */
+  show(moving) {
+    this.#moving = moving;
+    this.#hooks.busy(true);
+    cancelAnimationFrame(this.#drawing);
+    if (moving) this.#drawing = requestAnimationFrame(() => this.#send()); // no more often than the screen changes
+    else this.#send();
+  }
+
+  /** The page is seen again, or has a network: try at once, if there is no stream. */
+  resume() {
+    if (!this.#socket && this.#failures) this.#send();
+  }
+
+  #send() {
+    this.#clock.cancel(this.#timer);
+    if (!this.#socket) this.#connect();
+    else if (this.#socket.readyState === OPEN) {
+      this.#sent += 1;
+      this.#socket.send(JSON.stringify({ id: this.#sent, view: this.#view(), moving: this.#moving }));
+    }
+  }
+
+  #connect() {
+    try {
+      this.#socket = this.#open();
+    } catch {
+      this.#refused(); // a browser, or a policy, without sockets
+      return;
+    }
+    this.#socket.binaryType = "blob";
+    this.#socket.onopen = () => {
+      this.#known = true;
+      this.#send();
+    };
+    this.#socket.onmessage = ({ data }) => (typeof data === "string" ? this.#announced(JSON.parse(data)) : this.#came(data));
+    this.#socket.onclose = ({ code }) => this.#closed(code);
+  }
+
+  /** @param {StreamMessage} message about the picture that comes next, or a problem in place of one */
+  #announced(message) {
+    this.#message = message;
+    if (message.problem) this.#failed(troubleOf(message.problem));
+  }
+
+  /** @param {Blob} data */
+  async #came(data) {
+    const [socket, message, came] = [this.#socket, this.#message, this.#clock.now()];
+    if (!socket || !message) return;
+    this.#failures = 0;
+    const shown = this.#hooks.frame(streamedFrame(message, data), message.draft);
+    if (message.id === this.#sent) this.#hooks.busy(false);
+    await shown;
+    if (socket.readyState !== OPEN) return;
+    socket.send(JSON.stringify({ shown: message.id, took: Math.min(this.#clock.now() - came, LONGEST_MS) }));
+  }
+
+  /** @param {number} code */
+  #closed(code) {
+    this.#socket = null;
+    if (!this.#known) this.#refused();
+    else if (code !== IDLE) this.#failed(lost());
+  }
+
+  /** Say what is wrong, and try again where that can help. @param {Trouble} error */
+  #failed(error) {
+    const delay = retryDelay(error, this.#failures, RETRY_MS);
+    this.#failures += 1;
+    this.#hooks.busy(false);
+    this.#hooks.trouble(error);
+    this.#clock.cancel(this.#timer);
+    if (delay !== null) this.#timer = this.#clock.after(delay, () => this.#send());
+  }
+}

@@ -1,0 +1,122 @@
+/** Volumes of one's own: a file that is opened or dropped goes to the server, and becomes a scene; or it is deleted. */
+
+import { find } from "../dom.js";
+import { deleteVolume, sendVolume } from "./api.js";
+
+/** @typedef {import("./schemas.js").UploadLimits} UploadLimits */
+
+const MEGABYTE = 1 << 20;
+
+/**
+ * Offer to open files, and to delete what was uploaded. Does nothing where the server takes no uploads.
+ * @param {HTMLElement} root holds the buttons `#upload-open` and `#upload-delete`, the `#upload-file` input and the
+ *   `#upload-note` popover with a `p` and a `progress`
+ * @param {HTMLElement} stage where files may be dropped
+ * @param {UploadLimits|null} limits what may be uploaded
+ * @param {{name: string, volume: string|null}} scene the one that is shown
+ * @param {(scene: string|null) => void} show goes to a scene; to the first where it is null
+ */
+export function attachUpload(root, stage, limits, scene, show) {
+  if (!limits) return;
+  const [open, erase, note] = [find(root, "#upload-open"), find(root, "#upload-delete"), find(root, "#upload-note")];
+  const file = find(root, "#upload-file", HTMLInputElement);
+  /** @param {File|undefined} chosen */
+  const send = (chosen) => chosen && upload(chosen, limits, note).then(({ id }) => show(id), () => {});
+  root.hidden = false;
+  erase.hidden = !scene.volume;
+  open.addEventListener("click", () => file.click());
+  file.addEventListener("change", () => {
+    send(file.files?.[0]);
+    file.value = "";
+  });
+  erase.addEventListener("click", async () => {
+    if (!scene.volume || !confirm(`Delete the volume “${scene.name}” from the server?`)) return;
+    await reporting(note, deleteVolume(scene.volume)).then(() => show(null), () => {});
+  });
+  attachDrop(stage, send);
+}
+
+/**
+ * Why a file may not be uploaded; "" where it may.
+ * @param {{name: string, size: number}} file
+ * @param {{limit_bytes: number}} limits
+ * @returns {string}
+ */
+export function tooLarge(file, limits) {
+  if (file.size <= limits.limit_bytes) return "";
+  return `${file.name} is larger than the ${Math.floor(limits.limit_bytes / MEGABYTE)} MB that an upload may be.`;
+}
+
+/**
+ * The name of a file as a title: without its ending, and no longer than the server takes.
+ * @param {string} file
+ * @returns {string}
+ */
+export function volumeName(file) {
+  return file.replace(/\.(nrrd|nhdr)$/i, "").replace(/\p{C}/gu, "").slice(0, 80);
+}
+
+/**
+ * @param {HTMLElement} stage
+ * @param {(file: File|undefined) => void} send
+ */
+function attachDrop(stage, send) {
+  stage.addEventListener("dragover", (event) => {
+    if (!event.dataTransfer?.types.includes("Files")) return;
+    event.preventDefault();
+    stage.toggleAttribute("data-drop", true);
+  });
+  stage.addEventListener("dragleave", () => stage.toggleAttribute("data-drop", false));
+  stage.addEventListener("drop", (event) => {
+    event.preventDefault();
+    stage.toggleAttribute("data-drop", false);
+    send(event.dataTransfer?.files[0]);
+  });
+}
+
+/**
+ * Send a file while the note says how far it is.
+ * @param {File} file
+ * @param {UploadLimits} limits
+ * @param {HTMLElement} note
+ * @returns {Promise<{id: string}>} the volume
+ */
+function upload(file, limits, note) {
+  const refusal = tooLarge(file, limits);
+  if (refusal) return reporting(note, Promise.reject(new Error(refusal)));
+  const bar = find(note, "progress", HTMLProgressElement);
+  /** @param {number} share */
+  const progress = (share) => {
+    bar.hidden = false;
+    if (share < 1) bar.value = share;
+    else bar.removeAttribute("value"); // sent: the server reads it
+    say(note, share < 1 ? `Sending ${file.name}: ${Math.floor(100 * share)} %` : `The server reads ${file.name}…`);
+  };
+  progress(0);
+  return reporting(note, sendVolume(file, volumeName(file.name), progress)).finally(() => { bar.hidden = true; });
+}
+
+/**
+ * The same promise; where it fails the note says why, until it is closed.
+ * @template T
+ * @param {HTMLElement} note
+ * @param {Promise<T>} promise
+ * @returns {Promise<T>}
+ */
+async function reporting(note, promise) {
+  try {
+    return await promise;
+  } catch (error) {
+    say(note, /** @type {Error} */ (error).message);
+    throw error;
+  }
+}
+
+/**
+ * @param {HTMLElement} note
+ * @param {string} text
+ */
+function say(note, text) {
+  find(note, "p").textContent = text;
+  note.showPopover();
+}

@@ -1,0 +1,155 @@
+/** The panel of the estimated error: how large it is, how it became so, and how long the rest takes. */
+
+import { find } from "../dom.js";
+import { STATES } from "../net/schemas.js";
+import { errorInWords, rangeInWords, shareInWords, timeInWords } from "../view/format.js";
+import { Chart } from "./chart.js";
+
+/** @typedef {import("../net/schemas.js").Facts} Facts */
+/** @typedef {import("../view/model.js").Knobs} Knobs */
+
+const MOST = 600; // moments kept; a drawing tells no more apart
+
+/**
+ * @typedef {object} Moment
+ * @property {number} seconds since the view last changed
+ * @property {number} error estimated relative RMSE
+ * @property {import("../net/schemas.js").Coverage} coverage
+ * @property {boolean} provisional
+ */
+
+/** The frames of one view at rest, in the order in which they came. */
+export class History {
+  #clock;
+  #start;
+  /** @type {Moment[]} */
+  #moments = [];
+
+  /** @param {() => number} [clock] milliseconds */
+  constructor(clock = () => performance.now()) {
+    this.#clock = clock;
+    this.#start = clock();
+  }
+
+  /** The view has changed: forget what came before. */
+  begin() {
+    this.#start = this.#clock();
+    this.#moments = [];
+  }
+
+  /**
+   * Note a frame that has just come. After the first final one nothing changes, so no more are kept; of very many,
+   * every other one is.
+   * @param {Pick<Facts, "error"|"coverage"|"provisional">} facts
+   */
+  add({ error, coverage, provisional }) {
+    if (!Number.isFinite(error) || (!provisional && this.latest?.provisional === false)) return;
+    if (this.#moments.length >= MOST) this.#moments = this.#moments.filter((_, i) => i % 2 === 0);
+    this.#moments.push({ seconds: (this.#clock() - this.#start) / 1000, error, coverage, provisional });
+  }
+
+  /** All moments, oldest first. @returns {Moment[]} */
+  get moments() {
+    return [...this.#moments];
+  }
+
+  /** The newest moment, if any. @returns {Moment|undefined} */
+  get latest() {
+    return this.#moments.at(-1);
+  }
+}
+
+/** Shows the history of the view that is at rest. */
+export class ErrorPanel {
+  #root;
+  #target;
+  #chart;
+  #history = new History();
+
+  /**
+   * @param {HTMLElement} root holds a `.value`, a `.note`, an `svg` and a `.legend`
+   * @param {number} target relative error at which light counts as final
+   */
+  constructor(root, target) {
+    this.#root = root;
+    this.#target = target;
+    this.#chart = new Chart(find(root, "svg", SVGSVGElement));
+    this.#write();
+  }
+
+  /**
+   * Begin anew at every change of a view that changes its light, which exposure, marks and comparing do not.
+   * @param {import("../view/model.js").ViewModel} view
+   */
+  follow(view) {
+    view.watch(lightKnobs, () => {
+      this.#history.begin();
+      this.#write();
+    });
+  }
+
+  /**
+   * Add a frame.
+   * @param {Facts} facts
+   * @param {boolean} draft whether the view is still moving; such frames are no part of the history
+   */
+  show(facts, draft) {
+    if (draft) return;
+    this.#history.add(facts);
+    this.#write(facts.timeLeft);
+  }
+
+  /** @param {Facts["timeLeft"]} [timeLeft] */
+  #write(timeLeft = null) {
+    const { moments, latest } = this.#history;
+    find(this.#root, ".value").textContent = latest ? errorInWords(latest.error) : "";
+    find(this.#root, ".note").textContent = latest ? momentInWords(latest, timeLeft) : "Waiting for the view to rest.";
+    find(this.#root, "svg", SVGSVGElement).setAttribute("aria-label", courseInWords(moments, this.#target));
+    for (const state of STATES) {
+      find(this.#root, `.legend .${state} b`).textContent = latest ? legendShare(state, latest.coverage) : "";
+    }
+    this.#chart.show(moments, this.#target);
+  }
+}
+
+/** What the light of a view depends on. @param {Knobs} values */
+function lightKnobs({ exposure, overlay, compare, ...rest }) {
+  return rest;
+}
+
+/**
+ * How far a view was at a moment, such as "after 3 s · about 20 s left (12 s to 41 s)".
+ * @param {Moment} moment
+ * @param {Facts["timeLeft"]} timeLeft
+ * @returns {string}
+ */
+export function momentInWords({ seconds, provisional, error }, timeLeft) {
+  const time = `after ${timeInWords(seconds)}`;
+  if (!provisional) return error > 0 ? `final ${time}` : `final ${time} · nothing to estimate`;
+  return timeLeft ? `${time} · ${rangeInWords(timeLeft)}` : time;
+}
+
+/**
+ * The whole drawing in one sentence.
+ * @param {Moment[]} moments
+ * @param {number} target relative error
+ * @returns {string}
+ */
+export function courseInWords(moments, target) {
+  const [first, last] = [moments.at(0), moments.at(-1)];
+  if (!first || !last) return "Estimated error and coverage over time: nothing yet";
+  const aim = target > 0 ? `, target ${errorInWords(target)}` : "";
+  const error = `Estimated error from ${errorInWords(first.error)} to ${errorInWords(last.error)}${aim}`;
+  const shares = `surface that is final from ${shareInWords(first.coverage.final)} to ${shareInWords(last.coverage.final)}`;
+  return `${error}; ${shares}; over ${timeInWords(last.seconds)}`;
+}
+
+/**
+ * A state's share of the surface. What is not final is rounded up, as the server does.
+ * @param {import("../net/schemas.js").State} state
+ * @param {import("../net/schemas.js").Coverage} coverage
+ * @returns {string}
+ */
+export function legendShare(state, coverage) {
+  return state === "final" ? shareInWords(coverage.final) : `${Math.ceil(100 * coverage[state] - 1e-9)} %`;
+}

@@ -1,0 +1,98 @@
+/** The volume's histogram, with the isovalue slider on top of it. */
+
+import { find, svgElement } from "../dom.js";
+import { niceStep, showNumber } from "../view/format.js";
+import { sliderRange } from "../view/model.js";
+import { setLimits } from "./knobs.js";
+
+/** @typedef {import("../net/schemas.js").Scene} Scene */
+/** @typedef {import("../view/model.js").Knobs} Knobs */
+
+const [WIDTH, HEIGHT] = [1000, 100];
+
+/**
+ * Draw the histogram and tie slider and number field to the view's isovalue, both ways; a single one is locked.
+ * @param {HTMLElement} form holds `#isovalue`, `#isovalue-number` and `#histogram`
+ * @param {Scene} scene
+ * @param {import("../view/model.js").ViewModel} view
+ */
+export function attachHistogram(form, scene, view) {
+  const allowed = sliderRange(scene, "isovalue");
+  const single = allowed.min === allowed.max;
+  const [min, max] = single ? scene.volume.value_range : [allowed.min, allowed.max];
+  const [slider, number] = ["#isovalue", "#isovalue-number"].map((id) => find(form, id, HTMLInputElement));
+  const show = (/** @type {number} */ value) => showNumber(value, niceStep(max - min));
+  setLimits(slider, min, max);
+  Object.assign(number, { min, max });
+  slider.disabled = number.disabled = single;
+  find(form, "#isovalue-min").textContent = show(min);
+  find(form, "#isovalue-max").textContent = show(max);
+  slider.addEventListener("input", () => view.set({ isovalue: slider.valueAsNumber }));
+  number.addEventListener("change", () => {
+    view.set({ isovalue: number.valueAsNumber });
+    mirror(view.values);
+  });
+  const solid = drawBars(find(form, "#histogram", SVGSVGElement), outline(scene.histogram, min, max));
+  /** @param {Knobs} values */
+  const mirror = ({ isovalue }) => {
+    slider.value = String(isovalue);
+    slider.setAttribute("aria-valuetext", show(isovalue));
+    if (document.activeElement !== number || number.valueAsNumber !== isovalue) number.value = show(isovalue);
+    const { x, width } = solidSpan((isovalue - min) / (max - min || 1), scene.solid === "below");
+    solid.setAttribute("x", String(x));
+    solid.setAttribute("width", String(width));
+  };
+  mirror(view.values);
+  view.subscribe(mirror);
+}
+
+/**
+ * Outline of the log counts between two values, as the data of an SVG path in a box of 1000 × 100.
+ * @param {{counts: number[], edges: number[]}} histogram
+ * @param {number} min
+ * @param {number} max
+ * @returns {string}
+ */
+export function outline({ counts, edges }, min, max) {
+  const heights = counts.map((count) => Math.log1p(count));
+  const seen = heights.filter((_, i) => edges[i + 1] > min && edges[i] < max);
+  const tallest = Math.max(...seen, 1e-9);
+  const x = (/** @type {number} */ value) => (WIDTH * share(value - min, max - min)).toFixed(1);
+  const y = (/** @type {number} */ height) => (HEIGHT * (1 - 0.94 * Math.min(1, height / tallest))).toFixed(1);
+  const steps = heights.map((height, i) => `L${x(edges[i])} ${y(height)}L${x(edges[i + 1])} ${y(height)}`);
+  return `M0 ${HEIGHT}${steps.join("")}L${WIDTH} ${HEIGHT}Z`;
+}
+
+/**
+ * The part of the drawing whose values are solid.
+ * @param {number} split share of the width at which the isovalue is
+ * @param {boolean} below whether what is below the isovalue is solid
+ * @returns {{x: number, width: number}}
+ */
+export function solidSpan(split, below) {
+  const at = WIDTH * share(split, 1);
+  return below ? { x: 0, width: at } : { x: at, width: WIDTH - at };
+}
+
+/**
+ * @param {number} part
+ * @param {number} whole
+ */
+function share(part, whole) {
+  return Math.min(1, Math.max(0, part / (whole || 1)));
+}
+
+/**
+ * Draw the bars, and over them the solid ones.
+ * @param {SVGSVGElement} svg
+ * @param {string} path
+ * @returns {SVGRectElement} what is seen of the solid ones
+ */
+function drawBars(svg, path) {
+  const clip = svgElement("clipPath", { id: "solid-side" });
+  const window = clip.appendChild(svgElement("rect", { x: 0, y: 0, width: WIDTH, height: HEIGHT }));
+  const all = svgElement("path", { d: path, class: "bars" });
+  const solid = svgElement("path", { d: path, class: "bars solid", "clip-path": "url(#solid-side)" });
+  svg.replaceChildren(clip, all, solid);
+  return window;
+}

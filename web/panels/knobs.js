@@ -1,0 +1,145 @@
+/** Sliders, choices and buttons that mirror the view one to one: camera, light, shading, comparison and marks. */
+
+import { find, textElement } from "../dom.js";
+import { AXIS_VIEWS, looksAlong } from "../view/camera.js";
+import { errorInWords, niceStep, shadingName } from "../view/format.js";
+import { sliderRange } from "../view/model.js";
+
+/** @typedef {import("../net/schemas.js").Scene} Scene */
+/** @typedef {import("../view/model.js").Knobs} Knobs */
+/** @typedef {import("../view/model.js").NumberKnob} NumberKnob */
+/** @typedef {import("../view/model.js").ViewModel} ViewModel */
+/** @typedef {(values: Knobs) => void} Mirror shows the view's values */
+
+const ANGLES = new Set(["azimuth", "elevation", "fov", "yaw", "pitch", "roll"]);
+
+/**
+ * Tie the form's controls to the view, both ways. Knobs that the scene does not have are hidden.
+ * @param {HTMLElement} form
+ * @param {Scene} scene
+ * @param {ViewModel} view
+ */
+export function attachKnobs(form, scene, view) {
+  const select = (/** @type {string} */ id) => find(form, id, HTMLSelectElement);
+  const [shading, compare, overlay] = ["#shading", "#compare", "#overlay"].map(select);
+  const shadings = scene.shadings.map((id) => new Option(shadingName(id), id));
+  shading.replaceChildren(...shadings);
+  compare.replaceChildren(new Option("Nothing", ""), ...shadings.map((option) => option.cloneNode(true)));
+  const sliders = [...form.querySelectorAll(".knob")].map((knob) => attachSlider(knob, scene, view));
+  const mirrors = [
+    ...sliders, attachChoice(shading, "shading", view), attachChoice(compare, "compare", view),
+    attachChoice(overlay, "overlay", view), disableOwn(compare), attachTint(find(form, "#tint", HTMLInputElement), view),
+    attachScale(find(form, "#error-scale"), scene.error_scale), attachAxisViews(find(form, "#axis-views"), view),
+  ];
+  /** @param {Knobs} values */
+  const mirror = (values) => mirrors.forEach((each) => each(values));
+  mirror(view.values);
+  view.subscribe(mirror);
+}
+
+/**
+ * Give a range input the limits and the step of a knob.
+ * @param {HTMLInputElement} input
+ * @param {number} min
+ * @param {number} max
+ */
+export function setLimits(input, min, max) {
+  Object.assign(input, { min, max, step: niceStep(max - min) });
+}
+
+/**
+ * The value of a knob with its unit.
+ * @param {string} name
+ * @param {number} value
+ * @param {number} exposure the scene's own, that others are stops from
+ * @returns {string}
+ */
+export function knobInWords(name, value, exposure) {
+  if (ANGLES.has(name)) return `${Math.round(value)}°`.replace("-", "−");
+  if (name === "albedo") return value.toFixed(2);
+  if (name === "distance") return `${value.toFixed(2)} radii`;
+  const stops = Number(Math.log2(value / exposure).toFixed(1));
+  return `${stops > 0 ? "+" : ""}${stops} stops`.replace("-", "−");
+}
+
+/**
+ * @param {Element} knob holds a range input and an output
+ * @param {Scene} scene
+ * @param {ViewModel} view
+ * @returns {Mirror}
+ */
+function attachSlider(knob, scene, view) {
+  const [input, output] = [find(knob, "input", HTMLInputElement), find(knob, "output", HTMLOutputElement)];
+  const name = /** @type {NumberKnob} */ (input.name);
+  knob.toggleAttribute("hidden", !(name in view.values));
+  if (!(name in view.values)) return () => {};
+  const range = sliderRange(scene, name);
+  const [inward, outward] = range.log ? [Math.log10, (/** @type {number} */ x) => 10 ** x] : [Number, Number];
+  setLimits(input, inward(range.min), inward(range.max));
+  input.addEventListener("input", () => view.set({ [name]: outward(input.valueAsNumber) }));
+  return ({ [name]: value = NaN }) => {
+    input.value = String(inward(value));
+    output.value = knobInWords(name, value, scene.defaults.exposure);
+    input.setAttribute("aria-valuetext", output.value);
+  };
+}
+
+/**
+ * @param {HTMLSelectElement} select
+ * @param {"shading"|"compare"|"overlay"} name
+ * @param {ViewModel} view
+ * @returns {Mirror}
+ */
+function attachChoice(select, name, view) {
+  select.addEventListener("change", () => view.set({ [name]: select.value }));
+  return (values) => { select.value = values[name]; };
+}
+
+/** A shading is compared with others alone. @param {HTMLSelectElement} compare @returns {Mirror} */
+function disableOwn(compare) {
+  return ({ shading }) => {
+    for (const option of compare.options) option.hidden = option.disabled = option.value === shading;
+  };
+}
+
+/**
+ * The colour field; it is hidden where the albedo is fixed.
+ * @param {HTMLInputElement} input
+ * @param {ViewModel} view
+ * @returns {Mirror}
+ */
+function attachTint(input, view) {
+  const fixed = view.values.tint === undefined;
+  if (input.parentElement) input.parentElement.hidden = fixed;
+  if (fixed) return () => {};
+  input.addEventListener("input", () => view.set({ tint: input.value }));
+  return ({ tint = "" }) => { input.value = tint; };
+}
+
+/**
+ * The legend of the colours of errors, shown while they are.
+ * @param {HTMLElement} legend
+ * @param {Scene["error_scale"]} scale
+ * @returns {Mirror}
+ */
+function attachScale(legend, { low, high, colours }) {
+  find(legend, ".colours").style.background = `linear-gradient(90deg, ${colours.join(", ")})`;
+  const decades = Math.round(Math.log10(high / low));
+  const ticks = Array.from({ length: decades + 1 }, (_, i) => textElement("span", errorInWords(low * 10 ** i)));
+  find(legend, ".row").replaceChildren(...ticks);
+  return ({ overlay }) => { legend.hidden = overlay !== "error"; };
+}
+
+/**
+ * The buttons that look along an axis; that of the present view is pressed.
+ * @param {HTMLElement} group holds a button with `data-view` for each of AXIS_VIEWS
+ * @param {ViewModel} view
+ * @returns {Mirror}
+ */
+function attachAxisViews(group, view) {
+  const buttons = Object.entries(AXIS_VIEWS).map(([name, angles]) => ({ angles, button: find(group, `[data-view="${name}"]`) }));
+  for (const { angles, button } of buttons) button.addEventListener("click", () => view.set(angles));
+  return (values) => {
+    for (const { angles, button } of buttons) button.setAttribute("aria-pressed", String(looksAlong(angles, values)));
+  };
+}

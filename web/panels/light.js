@@ -1,0 +1,206 @@
+/** The light: a mirror ball that shows it and how it is turned, as the camera sees it, and that turns it. */
+
+import { find } from "../dom.js";
+import { readSky } from "../net/api.js";
+import { ARROWS } from "../view/keys.js";
+import { cameraAxes, fromAngles, rollLight, turnVector } from "../view/rotation.js";
+
+/** @typedef {import("../net/schemas.js").Scene} Scene */
+/** @typedef {import("../view/model.js").ViewModel} ViewModel */
+/** @typedef {import("../view/rotation.js").LightAndCamera} LightAndCamera */
+/** @typedef {{data: Uint8ClampedArray, width: number, height: number}} Pixels RGBA, row by row */
+
+const DEGREES_ACROSS = 720 / Math.PI; // in the middle, what is mirrored follows the pointer
+const KEY_STEP = 10;
+const SKY_WIDTH = 128; // a pixel of the ball sees about as much as one of these
+const HIGHEST_RATIO = 1.5; // finer than this costs much and shows little
+const FROM_AFAR = new Set(["sky", "probe", "directional"]);
+const RIM = 0.62; // how bright the rim is beside the middle, so that the ball is seen as one
+const RAY = 4; // numbers of a pixel: where its mirror looks, to the right, up and to the eye, and its shade
+
+/**
+ * Show the ball and tie it to the view. Where turning the light would show nothing, say so.
+ * @param {HTMLElement} section holds `#globe`, its knobs and `#light-note`
+ * @param {Scene} scene
+ * @param {ViewModel} view
+ * @param {() => void} onRest called when a drag ends
+ */
+export function attachLight(section, scene, view, onRest) {
+  const globe = find(section, "#globe", HTMLCanvasElement);
+  if (!scene.turns) explainFixed(section, scene);
+  if (find(section, ".light").hidden) return;
+  paintBall(globe, scene, view);
+  if (!scene.turns) return;
+  attachDrag(globe, view, onRest);
+  attachArrows(globe, view);
+}
+
+/**
+ * @param {HTMLElement} section
+ * @param {Scene} scene
+ */
+function explainFixed(section, { rotating, lights }) {
+  const [note, ball, globe] = ["#light-note", ".light", "#globe"].map((each) => find(section, each));
+  note.textContent = rotating ? "The light is the same from all sides." : "The light of this scene is fixed.";
+  note.hidden = false;
+  ball.hidden = rotating || !lights.some(({ type }) => FROM_AFAR.has(type));
+  find(ball, "div").hidden = true;
+  for (const name of ["tabindex", "aria-roledescription"]) globe.removeAttribute(name);
+  globe.role = "img";
+  globe.ariaLabel = "The light, seen in a mirror ball";
+}
+
+/**
+ * @param {HTMLCanvasElement} globe
+ * @param {Scene} scene
+ * @param {ViewModel} view
+ */
+async function paintBall(globe, scene, view) {
+  const ratio = Math.min(window.devicePixelRatio || 1, HIGHEST_RATIO);
+  globe.width = globe.height = Math.round(globe.clientWidth * ratio);
+  const light = await readSky(scene.id, SKY_WIDTH * Math.ceil(ratio)).then(pixelsOf, () => null);
+  if (!light) return; // no ball; the knobs do the same
+  const ball = new MirrorBall(contextOf(globe), globe.width, light);
+  /** @param {LightAndCamera} values */
+  const draw = (values) => ball.draw(values);
+  draw(view.values);
+  view.subscribe(draw);
+  globe.dataset.painted = "";
+}
+
+/** @param {Blob} blob */
+async function pixelsOf(blob) {
+  const picture = await createImageBitmap(blob);
+  const canvas = Object.assign(document.createElement("canvas"), { width: picture.width, height: picture.height });
+  const paint = contextOf(canvas);
+  paint.drawImage(picture, 0, 0);
+  return paint.getImageData(0, 0, canvas.width, canvas.height);
+}
+
+/** @param {HTMLCanvasElement} canvas */
+function contextOf(canvas) {
+  const context = canvas.getContext("2d");
+  if (!context) throw new Error("this browser paints no canvas");
+  return context;
+}
+
+/**
+ * @param {HTMLElement} globe
+ * @param {ViewModel} view
+ * @param {() => void} onRest
+ */
+function attachDrag(globe, view, onRest) {
+  globe.addEventListener("pointerdown", (event) => {
+    globe.setPointerCapture(event.pointerId);
+    globe.dataset.dragging = "light";
+  });
+  globe.addEventListener("pointermove", (event) => {
+    if (!globe.hasPointerCapture(event.pointerId)) return;
+    const degrees = DEGREES_ACROSS / globe.clientWidth;
+    view.set(rollLight(view.values, event.movementX * degrees, event.movementY * degrees));
+  });
+  globe.addEventListener("lostpointercapture", () => {
+    delete globe.dataset.dragging;
+    onRest();
+  });
+}
+
+/**
+ * @param {HTMLElement} globe
+ * @param {ViewModel} view
+ */
+function attachArrows(globe, view) {
+  globe.addEventListener("keydown", (event) => {
+    if (!(event.key in ARROWS) || event.ctrlKey || event.altKey || event.metaKey) return;
+    event.preventDefault();
+    const [right, down] = ARROWS[event.key];
+    view.set(rollLight(view.values, right * KEY_STEP, down * KEY_STEP));
+  });
+}
+
+/** Paints the ball onto a square canvas. */
+export class MirrorBall {
+  #paint;
+  #picture;
+  #light;
+  #places;
+  #rays;
+
+  /**
+   * @param {CanvasRenderingContext2D} paint of the canvas
+   * @param {number} size of the canvas, pixels
+   * @param {Pixels} light latitude and longitude: the top row is +z, column 0 starts at azimuth 0
+   */
+  constructor(paint, size, light) {
+    this.#paint = paint;
+    this.#picture = paint.createImageData(size, size);
+    this.#light = light;
+    const pixels = ballPixels(size);
+    for (const { place, cover } of pixels) this.#picture.data[place + 3] = 255 * cover;
+    this.#places = Uint32Array.from(pixels, ({ place }) => place);
+    this.#rays = Float32Array.from(pixels.flatMap(({ ray }) => ray));
+  }
+
+  /**
+   * Paint it as the view's camera sees it in the view's light.
+   * @param {LightAndCamera} values knobs of the view
+   */
+  draw(values) {
+    const [w, x, y, z] = fromAngles(values);
+    const { right, up, out } = cameraAxes(values.azimuth, values.elevation);
+    const axes = Float64Array.from([right, up, out].flatMap((direction) => turnVector([w, -x, -y, -z], direction)));
+    for (let i = 0; i < this.#places.length; i++) {
+      mirror(this.#light, axes, this.#rays, RAY * i, this.#picture.data, this.#places[i]);
+    }
+    this.#paint.putImageData(this.#picture, 0, 0);
+  }
+}
+
+/**
+ * The pixels on a ball that fills a square picture.
+ * @param {number} size of the picture, pixels
+ * @returns {{place: number, cover: number, ray: number[]}[]} where the pixel's bytes start, how much of it the ball
+ *   covers, and the direction that it mirrors (right, up, towards the eye; a unit vector on the ball) with its shade
+ */
+export function ballPixels(size) {
+  const pixels = [];
+  for (let row = 0; row < size; row++) {
+    for (let column = 0; column < size; column++) {
+      const [right, up] = [(2 * column + 1) / size - 1, 1 - (2 * row + 1) / size];
+      const away = Math.hypot(right, up);
+      const cover = Math.min(1, (1 - away) * (size / 2) + 0.5);
+      const depth = Math.sqrt(Math.max(0, 1 - away * away));
+      const ray = [2 * depth * right, 2 * depth * up, 2 * depth * depth - 1, RIM + (1 - RIM) * depth];
+      if (cover > 0) pixels.push({ place: 4 * (row * size + column), cover, ray });
+    }
+  }
+  return pixels;
+}
+
+/**
+ * Write what one pixel mirrors, between the four nearest of the light's pixels, as three bytes.
+ * @param {Pixels} light
+ * @param {Float64Array} axes of the camera, in the frame of the light
+ * @param {Float32Array} rays of the ball
+ * @param {number} ray where the pixel's begins
+ * @param {Uint8ClampedArray} into
+ * @param {number} place where the pixel's bytes start
+ */
+function mirror({ data, width, height }, axes, rays, ray, into, place) {
+  const x = axes[0] * rays[ray] + axes[3] * rays[ray + 1] + axes[6] * rays[ray + 2];
+  const y = axes[1] * rays[ray] + axes[4] * rays[ray + 1] + axes[7] * rays[ray + 2];
+  const z = axes[2] * rays[ray] + axes[5] * rays[ray + 1] + axes[8] * rays[ray + 2];
+  const column = (Math.atan2(y, x) / (2 * Math.PI) + 1) * width - 0.5;
+  const row = Math.min(height - 1, Math.max(0, (Math.acos(Math.min(1, Math.max(-1, z))) / Math.PI) * height - 0.5));
+  const left = Math.floor(column);
+  const top = Math.floor(row);
+  const first = 4 * top * width;
+  const last = 4 * Math.min(top + 1, height - 1) * width;
+  const near = 4 * (left % width);
+  const far = 4 * ((left + 1) % width);
+  for (let i = 0; i < 3; i++) {
+    const above = data[first + near + i] + (data[first + far + i] - data[first + near + i]) * (column - left);
+    const below = data[last + near + i] + (data[last + far + i] - data[last + near + i]) * (column - left);
+    into[place + i] = rays[ray + 3] * (above + (below - above) * (row - top));
+  }
+}

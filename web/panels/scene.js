@@ -1,0 +1,115 @@
+/** The scene in words: its plan, what was left out, why and what that saves, its volume and its lights. */
+
+import { find, textElement } from "../dom.js";
+
+/** @typedef {import("../net/schemas.js").Scene} Scene */
+/** @typedef {Record<string, string|number|null>} Rows names and values of a list; what is null or "" is left out */
+
+/**
+ * Fill the two folded lists with what the server says about the scene.
+ * @param {HTMLElement} root holds `#plan-facts`, `#plan-notes`, `#plan-left-out` and `#volume-facts`
+ * @param {Scene} scene
+ */
+export function showScene(root, scene) {
+  find(root, "#plan-facts").replaceChildren(...list(planRows(scene)));
+  find(root, "#volume-facts").replaceChildren(...list(volumeRows(scene)));
+  find(root, "#plan-notes").replaceChildren(...scene.plan.notes.map((note) => textElement("p", note)));
+  const leftOut = scene.plan.left_out.map(omission);
+  if (!leftOut.length) leftOut.push(textElement("li", "Nothing: this scene needs it all."));
+  find(root, "#plan-left-out").replaceChildren(...leftOut);
+}
+
+/**
+ * The plan of a scene.
+ * @param {Pick<Scene, "plan"|"target_error">} scene
+ * @returns {Rows}
+ */
+export function planRows({ plan, target_error: target }) {
+  return {
+    Light: plan.representation,
+    ...Object.fromEntries(plan.layers.map((layer) => [capital(layer.kind), layerInWords(layer)])),
+    Lobes: plan.lobes.map(lobeInWords).join("; "),
+    "Bytes per texel": `${plan.bytes_per_texel}, instead of ${plan.full_bytes_per_texel}`,
+    "Texels shown": `${grouped(plan.texels.shown)} of ${grouped(plan.texels.total)}`,
+    Bounces: plan.bounces,
+    "Samples, at most": grouped(plan.samples),
+    "Final means": Number.isFinite(target) ? `noise below ${percent(target)}` : null,
+    ...Object.fromEntries(Object.entries(plan.errors).map(([cause, error]) => [`Error of ${cause}`, percent(error)])),
+  };
+}
+
+/**
+ * The volume of a scene, its lights and its surface.
+ * @param {Pick<Scene, "volume"|"lights"|"albedo"|"albedos">} scene
+ * @returns {Rows}
+ */
+export function volumeRows({ volume, lights, albedo, albedos }) {
+  return {
+    Volume: volume.name,
+    Size: `${volume.size.join(" × ")} voxels`,
+    Spacing: volume.spacing.map((length) => Number(length.toPrecision(4))).join(" × "),
+    Values: `${volume.value_range.map((value) => Number(value.toPrecision(6))).join(" to ")}, ${volume.dtype}`,
+    "Not finite": volume.holes ? `${volume.holes} voxels, treated as empty` : null,
+    Lights: lights.map(({ type, name }) => (name && name !== type ? `${name} (${type})` : type)).join(", "),
+    Albedo: [...new Set(albedo)].map((share) => Number(share.toFixed(3))).join(", "),
+    "Albedos to choose from": albedos && `${Number(albedos.min.toFixed(3))} to ${Number(albedos.max.toFixed(3))}`,
+  };
+}
+
+/**
+ * What one layer keeps for each texel, such as "SH order 5 in 3 channels, float16 floats".
+ * @param {import("../net/schemas.js").Layer} layer
+ * @returns {string}
+ */
+export function layerInWords({ order, channels, precision, coarse, nodes }) {
+  const numbers = order > 1 ? `SH order ${order}` : "one number";
+  const kept = coarse === null ? `${precision} floats` : `half floats, bytes from band ${coarse} on`;
+  const albedos = nodes.map((node) => Number(node.toFixed(2))).join(", ");
+  const each = albedos ? ` for albedo ${albedos}` : channels > 1 ? ` in ${channels} channels` : "";
+  return `${numbers}${each}, ${kept}`;
+}
+
+/**
+ * An amount that was saved, such as "12 000 texels (measured)".
+ * @param {import("../net/schemas.js").Omission["saves"][number]} saving
+ * @returns {string}
+ */
+export function savingInWords({ amount, unit, measured }) {
+  const digits = amount >= 100 ? Math.round(amount) : Number(amount.toPrecision(3));
+  return `${grouped(digits)} ${unit}${measured ? " (measured)" : ""}`;
+}
+
+/** @param {import("../net/schemas.js").Lobe} lobe */
+function lobeInWords({ azimuth, elevation, angle }) {
+  return `${Number(angle.toPrecision(2))}° across at azimuth ${azimuth.toFixed(0)}°, elevation ${elevation.toFixed(0)}°`;
+}
+
+/** @param {Rows} rows */
+function list(rows) {
+  return Object.entries(rows).flatMap(([name, value]) =>
+    value === null || value === "" ? [] : [textElement("dt", name), textElement("dd", value)],
+  );
+}
+
+/** @param {import("../net/schemas.js").Omission} omission */
+function omission({ what, why, saves }) {
+  const node = document.createElement("li");
+  node.append(textElement("b", what), ` — ${why}`);
+  if (saves.length) node.append(textElement("span", `saves ${saves.map(savingInWords).join(", ")}`));
+  return node;
+}
+
+/** @param {number} share */
+function percent(share) {
+  return `${Number((100 * share).toPrecision(3))} %`;
+}
+
+/** @param {number} number */
+function grouped(number) {
+  return number.toLocaleString("en").replaceAll(",", "\u202f");
+}
+
+/** @param {string} word */
+function capital(word) {
+  return word[0].toUpperCase() + word.slice(1);
+}

@@ -1,0 +1,100 @@
+/** Where the camera is: around a target, which is the volume's centre or where the picture was moved to. */
+
+import { cameraAxes } from "./rotation.js";
+
+/** @typedef {import("./rotation.js").Vec3} Vec3 */
+/** @typedef {import("../net/schemas.js").Scene} Scene */
+/** @typedef {{azimuth: number, elevation: number, distance: number, fov: number, target: Vec3|null}} Orbit knobs of the camera */
+/** @typedef {{eye: Vec3, target: Vec3, up: Vec3}} Ray from the eye through the target; `up` in the picture */
+
+const MARGIN = 0.5; // radii by which a target may be outside the volume's box
+const FURTHEST = 1e12; // coordinates that the server takes
+const CLOSE = 0.05; // degrees
+const DEGREE = Math.PI / 180;
+
+/**
+ * Azimuth and elevation of the views along the axes; from above and from below, x goes to the right.
+ * @type {Record<string, {azimuth: number, elevation: number}>}
+ */
+export const AXIS_VIEWS = {
+  "+x": { azimuth: 0, elevation: 0 }, "-x": { azimuth: 180, elevation: 0 },
+  "+y": { azimuth: 90, elevation: 0 }, "-y": { azimuth: -90, elevation: 0 },
+  "+z": { azimuth: -90, elevation: 90 }, "-z": { azimuth: -90, elevation: -90 },
+};
+
+/**
+ * Whether two cameras look the same way, or nearly so.
+ * @param {{azimuth: number, elevation: number}} a
+ * @param {{azimuth: number, elevation: number}} b
+ * @returns {boolean}
+ */
+export function looksAlong(a, b) {
+  const turned = Math.abs(((a.azimuth - b.azimuth + 540) % 360) - 180);
+  return turned < CLOSE && Math.abs(a.elevation - b.elevation) < CLOSE;
+}
+
+/**
+ * The box between the volume's outermost voxels: where it ends, its middle, the radius of the sphere around it.
+ * @param {{volume: Pick<Scene["volume"], "size"|"spacing">}} scene
+ * @returns {{extent: Vec3, centre: Vec3, radius: number}} world units
+ */
+export function boxOf({ volume }) {
+  const extent = each((i) => (volume.size[i] - 1) * volume.spacing[i]);
+  return { extent, centre: each((i) => extent[i] / 2), radius: Math.hypot(...extent) / 2 };
+}
+
+/**
+ * A target that keeps the volume in reach, with digits that an address can hold.
+ * @param {{volume: Pick<Scene["volume"], "size"|"spacing">}} scene
+ * @param {unknown} target a point; null, or what is no point, for the volume's centre
+ * @returns {Vec3|null}
+ */
+export function limitTarget(scene, target) {
+  if (!Array.isArray(target) || target.length !== 3 || !target.every(Number.isFinite)) return null;
+  const { extent, radius } = boxOf(scene);
+  const [before, beyond] = [-MARGIN * radius, MARGIN * radius];
+  const inside = each((i) => Number(Math.min(extent[i] + beyond, Math.max(before, target[i])).toPrecision(6)));
+  return inside.every((x) => Math.abs(x) <= FURTHEST) ? inside : null;
+}
+
+/**
+ * Move the picture: what is in the target's depth moves by exactly so much.
+ * @param {{volume: Pick<Scene["volume"], "size"|"spacing">}} scene
+ * @param {Orbit} values knobs of the view
+ * @param {number} right in heights of the picture
+ * @param {number} down in heights of the picture
+ * @returns {{target: Vec3}}
+ */
+export function pan(scene, values, right, down) {
+  const { centre, radius } = boxOf(scene);
+  const axes = cameraAxes(values.azimuth, values.elevation);
+  const height = 2 * values.distance * radius * Math.tan((values.fov * DEGREE) / 2);
+  const from = values.target ?? centre;
+  return { target: each((i) => from[i] + height * (down * axes.up[i] - right * axes.right[i])) };
+}
+
+/**
+ * The ray through a place of the picture.
+ * @param {{volume: Pick<Scene["volume"], "size"|"spacing">}} scene
+ * @param {Orbit} values knobs of the view
+ * @param {number} right of the middle, in heights of the picture
+ * @param {number} up of the middle, in heights of the picture
+ * @returns {Ray}
+ */
+export function rayThrough(scene, values, right, up) {
+  const { centre, radius } = boxOf(scene);
+  const axes = cameraAxes(values.azimuth, values.elevation);
+  const away = values.distance * radius;
+  const height = 2 * away * Math.tan((values.fov * DEGREE) / 2);
+  const middle = values.target ?? centre;
+  return {
+    eye: each((i) => middle[i] + away * axes.out[i]),
+    target: each((i) => middle[i] + height * (right * axes.right[i] + up * axes.up[i])),
+    up: axes.up,
+  };
+}
+
+/** A vector by its components. @param {(i: number) => number} component @returns {Vec3} */
+function each(component) {
+  return [component(0), component(1), component(2)];
+}

@@ -1,0 +1,125 @@
+/** Numbers, shares, errors, times, shadings and the state of a frame, as a person reads them. */
+
+/** @typedef {import("../net/schemas.js").Facts} Facts */
+
+/** @type {Record<string, string>} */
+const SHADING_NAMES = {
+  gi: "Global illumination", vicinity: "Vicinity shading", lambert: "Diffuse, no shadows",
+  lambert_shadow: "Diffuse, shadows", lambert_fog: "Diffuse, depth fog", phong: "Phong, no shadows",
+  phong_shadow: "Phong, shadows", path_traced: "Path traced (reference, slow)",
+};
+
+/**
+ * What people call a shading.
+ * @param {string} id
+ * @returns {string}
+ */
+export function shadingName(id) {
+  return SHADING_NAMES[id] ?? id;
+}
+
+/**
+ * A step that reads well, 1, 2 or 5 times a power of ten, and cuts a span into no more than so many parts.
+ * @param {number} span
+ * @param {number} [parts] by default as many positions as a slider has
+ * @returns {number}
+ */
+export function niceStep(span, parts = 500) {
+  const rough = span / parts;
+  const power = 10 ** Math.floor(Math.log10(rough));
+  return [1, 2, 5].map((factor) => factor * power).find((step) => step >= rough * 0.999) ?? 10 * power;
+}
+
+/**
+ * A number with the digits that `step` can tell apart, and no more; any magnitude.
+ * @param {number} value
+ * @param {number} step
+ * @returns {string}
+ */
+export function showNumber(value, step) {
+  if (Math.abs(value) <= step * 1e-6) return "0";
+  const digits = Math.ceil(Math.log10(Math.abs(value) / step) + 1e-9) + 2;
+  return String(Number(value.toPrecision(Math.min(17, Math.max(1, digits)))));
+}
+
+/**
+ * A share of the whole, rounded down, so that 100 % means all of it.
+ * @param {number} share within 0..1
+ * @returns {string}
+ */
+export function shareInWords(share) {
+  return `${Math.floor(100 * share + 1e-9)} %`;
+}
+
+/**
+ * A relative error with two digits, such as "3.4 %".
+ * @param {number} error
+ * @returns {string}
+ */
+export function errorInWords(error) {
+  return `${Number((100 * error).toPrecision(2))} %`;
+}
+
+/**
+ * The time of a stage, such as "3.4 ms" or "120 ms".
+ * @param {number} ms milliseconds
+ * @returns {string}
+ */
+export function millisecondsInWords(ms) {
+  return `${ms < 10 ? ms.toFixed(1) : Math.round(ms)} ms`;
+}
+
+/**
+ * A time in the unit that a person would use: "0.4 s", "41 s", "3 min", "2 h".
+ * @param {number} seconds
+ * @returns {string}
+ */
+export function timeInWords(seconds) {
+  const [size, unit] = seconds >= 7200 ? [3600, "h"] : seconds >= 120 ? [60, "min"] : [1, "s"];
+  return `${Number((seconds / size).toFixed(seconds < 1 ? 1 : 0))} ${unit}`;
+}
+
+/**
+ * How long it still takes, such as "about 20 s left".
+ * @param {{likely: number}} left seconds
+ * @returns {string}
+ */
+export function leftInWords({ likely }) {
+  return `about ${atLeastOne(likely)} left`;
+}
+
+/**
+ * The same with its range: "about 20 s left (12 s to 41 s)".
+ * @param {{low: number, likely: number, high: number}} left seconds
+ * @returns {string}
+ */
+export function rangeInWords(left) {
+  const [low, high] = [atLeastOne(left.low), atLeastOne(left.high)];
+  return low === high ? leftInWords(left) : `${leftInWords(left)} (${low} to ${high})`;
+}
+
+/**
+ * The state of a frame: "182 of 240 chunks final, noise 1.8 %, about 40 s left".
+ * @param {Pick<Facts, "provisional"|"coverage"|"error"|"chunks"|"timeLeft">} facts
+ * @returns {string}
+ */
+export function frameInWords({ provisional, coverage, error, chunks, timeLeft }) {
+  const noise = error > 0 && error < 1 ? `noise ${errorInWords(error)}` : "";
+  if (!provisional) return [showsSurface(coverage) ? "final" : "final, no surface in view", noise].filter(Boolean).join(", ");
+  const left = timeLeft ? leftInWords(timeLeft) : "";
+  return [`${chunks.final} of ${chunks.needed} chunks final`, noise, left].filter(Boolean).join(", ");
+}
+
+/**
+ * Whether a frame shows any surface.
+ * @param {import("../net/schemas.js").Coverage} coverage
+ * @returns {boolean}
+ */
+export function showsSurface(coverage) {
+  return coverage.final + coverage.converging + coverage.provisional > 0;
+}
+
+/** @param {number} seconds */
+function atLeastOne(seconds) {
+  return timeInWords(Math.max(1, seconds));
+}

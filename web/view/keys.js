@@ -1,0 +1,107 @@
+/** Keys, as changes of the view. The help in index.html lists the same ones. */
+
+import { AXIS_VIEWS, pan } from "./camera.js";
+import { niceStep, showNumber } from "./format.js";
+import { dragObject } from "./gestures.js";
+import { OVERLAYS, sliderRange } from "./model.js";
+import { dragLight } from "./rotation.js";
+
+/** @typedef {import("./model.js").ViewModel} ViewModel */
+/** @typedef {import("../net/schemas.js").Scene} Scene */
+
+const OBJECT_STEP = 5;
+const LIGHT_STEP = 10;
+const ZOOM_STEP = 1.12;
+const PAN_STEP = 0.05; // heights of the picture
+const ISOVALUE_STEPS = 100;
+
+/**
+ * Right and down that each arrow points.
+ * @type {Record<string, [number, number]>}
+ */
+export const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
+
+/** @type {Record<string, [number, number]>} */
+const MOVES = { a: [-1, 0], d: [1, 0], w: [0, -1], s: [0, 1] };
+
+/**
+ * Listen to keys, except while another control needs them.
+ * @param {Scene} scene
+ * @param {ViewModel} view
+ * @param {{toggleHelp: () => void}} options
+ */
+export function attachKeys(scene, view, { toggleHelp }) {
+  const actions = keyActions(scene, view, toggleHelp);
+  document.addEventListener("keydown", (event) => {
+    const { target } = event;
+    if (!(target instanceof Element) || event.ctrlKey || event.metaKey || event.altKey || takesText(target)) return;
+    const action = event.key in ARROWS ? arrow(view, event, target, scene.turns) : actions[event.key];
+    if (!action) return;
+    event.preventDefault();
+    action();
+  });
+}
+
+/**
+ * What each key does, the arrows left out, which depend on where the focus is.
+ * @param {Scene} scene
+ * @param {Pick<ViewModel, "values"|"set"|"reset">} view
+ * @param {() => void} toggleHelp
+ * @returns {Record<string, () => void>}
+ */
+export function keyActions(scene, view, toggleHelp) {
+  const { min, max } = sliderRange(scene, "isovalue");
+  const step = (max - min) / ISOVALUE_STEPS;
+  /** @param {number} by */
+  const shiftIsovalue = (by) => view.set({ isovalue: Number(showNumber(view.values.isovalue + by, niceStep(step))) });
+  /** @type {(right: number, down: number) => void} */
+  const move = (right, down) => view.set(pan(scene, view.values, right * PAN_STEP, down * PAN_STEP));
+  /** @type {Record<string, () => void>} */
+  const actions = {
+    "+": () => view.set({ distance: view.values.distance / ZOOM_STEP }),
+    "-": () => view.set({ distance: view.values.distance * ZOOM_STEP }),
+    "[": () => shiftIsovalue(-step),
+    "]": () => shiftIsovalue(step),
+    0: () => view.reset(),
+    o: () => view.set({ overlay: next(OVERLAYS, view.values.overlay) }),
+    "?": toggleHelp,
+    ...Object.fromEntries(Object.entries(MOVES).map(([key, way]) => [key, () => move(...way)])),
+    ...Object.fromEntries(Object.entries(AXIS_VIEWS).map(([axis, angles]) => [axisKey(axis), () => view.set(angles)])),
+  };
+  actions["="] = actions["+"];
+  actions["−"] = actions._ = actions["-"];
+  for (const key of ["o", ...Object.keys(MOVES)]) actions[key.toUpperCase()] = actions[key];
+  return actions;
+}
+
+/**
+ * @param {ViewModel} view
+ * @param {KeyboardEvent} event
+ * @param {Element} target
+ * @param {boolean} lightTurns
+ */
+function arrow(view, event, target, lightTurns) {
+  if (!target.closest("#stage") && target !== document.body) return null;
+  const [right, down] = ARROWS[event.key];
+  if (!event.shiftKey) return () => view.set(dragObject(view.values, right * OBJECT_STEP, down * OBJECT_STEP));
+  return lightTurns ? () => view.set(dragLight(view.values, right * LIGHT_STEP, down * LIGHT_STEP)) : null;
+}
+
+/** Key x looks from plus x, and X, with shift, from minus x. @param {string} name of the axis view */
+function axisKey([sign, axis]) {
+  return sign === "+" ? axis : axis.toUpperCase();
+}
+
+/**
+ * @template T
+ * @param {T[]} all
+ * @param {T} one
+ */
+function next(all, one) {
+  return all[(all.indexOf(one) + 1) % all.length];
+}
+
+/** @param {Element} target */
+function takesText(target) {
+  return target.matches("select, textarea, input:not([type=range], [type=checkbox])");
+}

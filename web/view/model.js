@@ -1,0 +1,218 @@
+/** The view that the page shows: one plain object of knobs, kept within what the scene allows. */
+
+import { isTint, startAlbedo } from "./albedo.js";
+import { limitTarget } from "./camera.js";
+
+/** @typedef {import("./rotation.js").Vec3} Vec3 */
+/** @typedef {import("../net/schemas.js").Scene} Scene */
+
+/**
+ * @typedef {"isovalue"|"azimuth"|"elevation"|"distance"|"fov"|"yaw"|"pitch"|"roll"|"albedo"|"exposure"} NumberKnob
+ *
+ * @typedef {object} Knobs all that a person may choose of a view
+ * @property {number} isovalue in the volume's own units
+ * @property {number} azimuth degrees
+ * @property {number} elevation degrees
+ * @property {number} distance of the eye from the target, in radii of the volume
+ * @property {number} fov vertical field of view, degrees
+ * @property {number} yaw of the light, degrees
+ * @property {number} pitch of the light, degrees
+ * @property {number} roll of the light, degrees
+ * @property {number} exposure
+ * @property {number} [albedo] only where the scene lets views choose it
+ * @property {string} [tint] `#rrggbb`, beside the albedo
+ * @property {Vec3|null} target what the camera turns about, world units; null for the volume's centre
+ * @property {string} shading
+ * @property {string} overlay one of OVERLAYS
+ * @property {string} compare a shading, or ""
+ */
+
+/**
+ * Knobs that are numbers, in the order in which the address bar has them.
+ * @type {NumberKnob[]}
+ */
+export const NUMBERS = [
+  "isovalue", "azimuth", "elevation", "distance", "fov", "yaw", "pitch", "roll", "albedo", "exposure",
+];
+
+/** Marks that may lie over the picture. */
+export const OVERLAYS = ["none", "provisional", "error"];
+
+const FULL_TURN = new Set(["azimuth", "yaw", "roll"]);
+const LOGARITHMIC = new Set(["distance", "exposure"]);
+/** @type {Partial<Record<NumberKnob, [number, number]>>} */
+const FALLBACK = {
+  azimuth: [-180, 180], elevation: [-90, 90], distance: [0.2, 20], fov: [5, 100],
+  yaw: [-180, 180], pitch: [-90, 90], roll: [-180, 180],
+};
+
+/**
+ * What the slider of a knob spans. The server may allow more than is handy on a slider.
+ * @param {Scene} scene
+ * @param {NumberKnob} name
+ * @returns {{min: number, max: number, log: boolean}}
+ */
+export function sliderRange(scene, name) {
+  const { min, max } = allowed(scene, name);
+  if (FULL_TURN.has(name)) return { ...turn(min, max), log: false };
+  const [low, high] = handy(scene, name) ?? [min, max];
+  return { min: Math.max(min, low), max: Math.min(max, high), log: LOGARITHMIC.has(name) };
+}
+
+/** Holds the view, limits every change to what the scene allows, and calls its listeners. */
+export class ViewModel {
+  #scene;
+  /** @type {Knobs} */
+  #values;
+  /** @type {Set<(values: Knobs) => void>} */
+  #listeners = new Set();
+
+  /**
+   * @param {Scene} scene
+   * @param {Partial<Knobs>} start knobs to start from; what is missing or has no meaning takes the scene's default
+   */
+  constructor(scene, start = {}) {
+    this.#scene = scene;
+    this.#values = this.#limited(start, this.defaults);
+  }
+
+  /** Where the scene starts: all knobs. @returns {Knobs} */
+  get defaults() {
+    const { defaults } = this.#scene;
+    const numbers = NUMBERS.filter((name) => Number.isFinite(defaults[name])).map((name) => [name, defaults[name]]);
+    const shading = defaults.shading ?? this.#scene.shadings[0];
+    return { ...Object.fromEntries(numbers), ...startAlbedo(this.#scene), target: null, shading, overlay: "none", compare: "" };
+  }
+
+  /** The knobs as they are now (a copy). @returns {Knobs} */
+  get values() {
+    return { ...this.#values };
+  }
+
+  /**
+   * Change some knobs; listeners are called only when something did change.
+   * @param {Partial<Knobs>} patch
+   */
+  set(patch) {
+    const next = this.#limited(patch, this.#values);
+    const names = /** @type {(keyof Knobs)[]} */ (Object.keys(next));
+    if (names.every((name) => String(next[name]) === String(this.#values[name]))) return;
+    this.#values = next;
+    this.#listeners.forEach((listener) => listener(this.values));
+  }
+
+  /** Go back to where the scene starts. */
+  reset() {
+    this.set(this.defaults);
+  }
+
+  /**
+   * Call `listener(values)` after every change.
+   * @param {(values: Knobs) => void} listener
+   */
+  subscribe(listener) {
+    this.#listeners.add(listener);
+  }
+
+  /**
+   * Call `listener(values)` after every change of a part of the view.
+   * @param {(values: Knobs) => unknown} part
+   * @param {(values: Knobs) => void} listener
+   */
+  watch(part, listener) {
+    let seen = JSON.stringify(part(this.#values));
+    this.subscribe((values) => {
+      const now = JSON.stringify(part(values));
+      if (now === seen) return;
+      seen = now;
+      listener(values);
+    });
+  }
+
+  /**
+   * @param {Partial<Knobs>} wanted
+   * @param {Knobs} fallback
+   * @returns {Knobs}
+   */
+  #limited(wanted, fallback) {
+    const limited = { ...fallback, ...this.#choices(wanted, fallback) };
+    limited.target = limitTarget(this.#scene, wanted.target === undefined ? fallback.target : wanted.target);
+    if (fallback.tint) limited.tint = isTint(wanted.tint) ? wanted.tint.toLowerCase() : fallback.tint;
+    for (const name of NUMBERS.filter((each) => each in fallback)) {
+      const value = /** @type {number} */ (Number.isFinite(wanted[name]) ? wanted[name] : fallback[name]);
+      const isDefault = value === this.defaults[name]; // not rounded: the server's picture without this knob
+      limited[name] = isDefault ? value : limit(rounded(value, name), name, allowed(this.#scene, name));
+    }
+    return limited;
+  }
+
+  /**
+   * Shading, overlay and what to compare with; a shading is not compared with itself.
+   * @param {Partial<Knobs>} wanted
+   * @param {Knobs} fallback
+   */
+  #choices(wanted, fallback) {
+    /** @type {(name: "shading"|"overlay"|"compare", offered: string[]) => string} */
+    const chosen = (name, offered) => offered.find((each) => each === wanted[name]) ?? fallback[name];
+    const { shadings } = this.#scene;
+    const shading = chosen("shading", shadings);
+    const compare = chosen("compare", ["", ...shadings]);
+    const other = shading === fallback.shading ? "" : fallback.shading;
+    return { shading, overlay: chosen("overlay", OVERLAYS), compare: compare === shading ? other : compare };
+  }
+}
+
+/**
+ * @param {Scene} scene
+ * @param {NumberKnob} name
+ * @returns {{min: number, max: number}}
+ */
+function allowed(scene, name) {
+  const range = scene.ranges?.[name];
+  if (range && Number.isFinite(range.min) && Number.isFinite(range.max)) return range;
+  const [min, max] = FALLBACK[name] ?? handy(scene, name) ?? scene.volume.value_range;
+  return { min, max };
+}
+
+/**
+ * @param {Scene} scene
+ * @param {NumberKnob} name
+ * @returns {[number, number]|undefined}
+ */
+function handy(scene, name) {
+  if (name !== "exposure") return FALLBACK[name];
+  return [scene.defaults.exposure / 16, scene.defaults.exposure * 16];
+}
+
+/**
+ * Fine enough for any hand, and short enough that the address bar holds the view exactly.
+ * @param {number} value
+ * @param {NumberKnob} name
+ */
+function rounded(value, name) {
+  if (name === "isovalue") return value;
+  return LOGARITHMIC.has(name) ? Number(value.toPrecision(4)) : Math.round(value * 100) / 100;
+}
+
+/**
+ * @param {number} min
+ * @param {number} max
+ */
+function turn(min, max) {
+  const low = Math.max(min, -180);
+  return { min: low, max: Math.min(max, low + 360) };
+}
+
+/**
+ * @param {number} value
+ * @param {NumberKnob} name
+ * @param {{min: number, max: number}} range
+ */
+function limit(value, name, { min, max }) {
+  if (FULL_TURN.has(name)) {
+    const low = turn(min, max).min;
+    const wrapped = value === low + 360 ? value : low + ((((value - low) % 360) + 360) % 360);
+    return Math.min(max, rounded(wrapped, name));
+  }
+  return Math.min(max, Math.max(min, value));
+}

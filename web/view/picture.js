@@ -1,0 +1,97 @@
+/** The picture on the stage: its size in pixels, and swapping frames without a flicker. */
+
+const LONGEST_SIDE = 1024;
+const HIGHEST_RATIO = 1.5; // finer than this costs much and shows little
+const SHORTEST_SIDE = 64;
+
+/**
+ * Pixels of the picture that fills a box on a screen, no more than 1024 a side, times `scale`.
+ * @param {number} width of the box, CSS pixels
+ * @param {number} height of the box, CSS pixels
+ * @param {number} ratio pixels of the screen in a CSS pixel
+ * @param {number} scale 1 for the full picture, less for drafts
+ * @returns {{width: number, height: number}}
+ */
+export function pictureSize(width, height, ratio, scale) {
+  const fit = Math.min(ratio, HIGHEST_RATIO, LONGEST_SIDE / Math.max(width, height, 1)) * scale;
+  const pixels = (/** @type {number} */ length) => Math.max(SHORTEST_SIDE, Math.round(length * fit));
+  return { width: pixels(width), height: pixels(height) };
+}
+
+/** Shows one frame after the other in the stage's image. */
+export class Picture {
+  #stage;
+  #image;
+  #shown = 0; // counts frames, so that a slow one does not overtake a newer one
+
+  /**
+   * @param {HTMLElement} stage box that the picture fills
+   * @param {HTMLImageElement} image
+   */
+  constructor(stage, image) {
+    this.#stage = stage;
+    this.#image = image;
+  }
+
+  /**
+   * Pixels to ask for: those of the box on this screen.
+   * @param {number} scale 1 for the full picture, less for drafts
+   * @returns {{width: number, height: number}}
+   */
+  size(scale) {
+    const { clientWidth, clientHeight } = this.#stage;
+    return pictureSize(clientWidth, clientHeight, window.devicePixelRatio || 1, scale);
+  }
+
+  /**
+   * Show a frame once it is decoded; one that a newer frame has overtaken is dropped.
+   * @param {Blob} blob encoded picture
+   * @param {string} alt what it shows, in words
+   * @returns {Promise<boolean>} whether it is shown now
+   */
+  async show(blob, alt) {
+    const count = ++this.#shown;
+    const address = URL.createObjectURL(blob);
+    const decoded = await decode(address);
+    if (!decoded || count !== this.#shown) {
+      URL.revokeObjectURL(address);
+      return false;
+    }
+    const old = this.#image.src;
+    Object.assign(this.#image, { src: address, alt, hidden: false });
+    if (old.startsWith("blob:")) URL.revokeObjectURL(old);
+    return true;
+  }
+
+  /** Whether nothing is shown. @returns {boolean} */
+  get hidden() {
+    return Boolean(this.#image.hidden);
+  }
+
+  /** Show nothing, also not what is being decoded. */
+  hide() {
+    this.#shown += 1;
+    this.#image.hidden = true;
+  }
+
+  /**
+   * Call `listener` when the box has changed its size.
+   * @param {() => void} listener
+   */
+  onResize(listener) {
+    let seen = "";
+    new ResizeObserver(() => {
+      const { width, height } = this.size(1);
+      const now = `${width}×${height}`;
+      if (seen && seen !== now) listener();
+      seen = now;
+    }).observe(this.#stage);
+  }
+}
+
+/** Whether the browser can show the picture. @param {string} address */
+async function decode(address) {
+  const image = new Image();
+  image.src = address;
+  return image.decode().then(() => true, () => false);
+}

@@ -1,0 +1,110 @@
+/** Rotations in the server's conventions: right-handed, z up; yaw about z, then pitch about y, then roll about x. */
+
+const DEGREE = Math.PI / 180;
+
+/** @typedef {[number, number, number]} Vec3 */
+/** @typedef {[number, number, number, number]} Quaternion w, x, y, z */
+/** @typedef {{yaw: number, pitch: number, roll: number}} Angles degrees */
+/** @typedef {Angles & {azimuth: number, elevation: number}} LightAndCamera knobs of the view, degrees */
+
+/**
+ * Axes of a camera that orbits the target: `right` and `up` on the picture, `out` towards the eye.
+ * @param {number} azimuth degrees; 0 looks from +x, 90 from +y
+ * @param {number} elevation degrees
+ * @returns {{right: Vec3, up: Vec3, out: Vec3}}
+ */
+export function cameraAxes(azimuth, elevation) {
+  const [ca, sa] = [Math.cos(azimuth * DEGREE), Math.sin(azimuth * DEGREE)];
+  const [ce, se] = [Math.cos(elevation * DEGREE), Math.sin(elevation * DEGREE)];
+  return { right: [-sa, ca, 0], up: [-se * ca, -se * sa, ce], out: [ce * ca, ce * sa, se] };
+}
+
+/**
+ * Rotation about a unit axis.
+ * @param {Vec3} axis
+ * @param {number} angle degrees
+ * @returns {Quaternion}
+ */
+export function aboutAxis([x, y, z], angle) {
+  const s = Math.sin((angle * DEGREE) / 2);
+  return [Math.cos((angle * DEGREE) / 2), s * x, s * y, s * z];
+}
+
+/**
+ * The rotation that does `b` first, then `a`.
+ * @param {Quaternion} a
+ * @param {Quaternion} b
+ * @returns {Quaternion}
+ */
+export function compose([aw, ax, ay, az], [bw, bx, by, bz]) {
+  return [
+    aw * bw - ax * bx - ay * by - az * bz,
+    aw * bx + ax * bw + ay * bz - az * by,
+    aw * by - ax * bz + ay * bw + az * bx,
+    aw * bz + ax * by - ay * bx + az * bw,
+  ];
+}
+
+/**
+ * Quaternion of yaw, pitch and roll.
+ * @param {Angles} angles
+ * @returns {Quaternion}
+ */
+export function fromAngles({ yaw, pitch, roll }) {
+  return compose(compose(aboutAxis([0, 0, 1], yaw), aboutAxis([0, 1, 0], pitch)), aboutAxis([1, 0, 0], roll));
+}
+
+/**
+ * Yaw, pitch and roll of a unit quaternion; at pitch ±90°, where only their sum matters, roll is 0.
+ * @param {Quaternion} q
+ * @returns {Angles} pitch within ±90
+ */
+export function toAngles([w, x, y, z]) {
+  const sine = Math.min(1, Math.max(-1, 2 * (w * y - x * z)));
+  const pitch = Math.asin(sine) / DEGREE;
+  if (Math.abs(sine) > 1 - 1e-9) {
+    return { yaw: Math.atan2(2 * (w * z - x * y), 1 - 2 * (x * x + z * z)) / DEGREE, pitch, roll: 0 };
+  }
+  return {
+    yaw: Math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)) / DEGREE,
+    pitch,
+    roll: Math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y)) / DEGREE,
+  };
+}
+
+/**
+ * Turn a vector.
+ * @param {Quaternion} q
+ * @param {Vec3} v
+ * @returns {Vec3}
+ */
+export function turnVector(q, v) {
+  const [, x, y, z] = compose(compose(q, [0, ...v]), [q[0], -q[1], -q[2], -q[3]]);
+  return [x, y, z];
+}
+
+/**
+ * Turn the light as a ball that is dragged across the picture, whichever way the camera looks.
+ * @param {LightAndCamera} values knobs of the view
+ * @param {number} right degrees
+ * @param {number} down degrees
+ * @returns {Angles} the light's new angles
+ */
+export function rollLight(values, right, down) {
+  const axes = cameraAxes(values.azimuth, values.elevation);
+  const turn = compose(aboutAxis(axes.up, right), aboutAxis(axes.right, down));
+  return toAngles(compose(turn, fromAngles(values)));
+}
+
+/**
+ * Turn the light as if its front were dragged across the picture; sideways it goes round the vertical, and stays level.
+ * @param {LightAndCamera} values knobs of the view
+ * @param {number} right degrees
+ * @param {number} down degrees
+ * @returns {Angles} the light's new angles
+ */
+export function dragLight(values, right, down) {
+  const tilt = aboutAxis(cameraAxes(values.azimuth, values.elevation).right, down);
+  const turned = compose(aboutAxis([0, 0, 1], right), compose(tilt, fromAngles(values)));
+  return toAngles(turned);
+}

@@ -1,0 +1,293 @@
+"""Bake requests: light of a chunk that clients wait for, its priority, and the state of its task."""
+
+from collections.abc import Collection, Hashable
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from isogi_core.bake.noise import Effort
+from isogi_core.bake.precision import FIRST_LEVEL
+from isogi_core.frame.view_texels import Demand
+from isogi_core.model.scene_plan import MOST
+from isogi_core.prepared.prepared_scene import Index
+from worker.tasks import BakeResult
+
+FIRST_TASK = 0.1
+"""Processor seconds that a task is assumed to need before any has ended."""
+
+MEMORY = 0.9
+"""Weight of the past in the running mean of a task's length."""
+
+
+@dataclass(frozen=True)
+class Viewer:
+    """One ``visit`` of a ``client``. When it leaves, the requests that it was the last to renew are dropped.
+
+    Clients share the workers evenly. A ``single`` viewer shows one view at a time: its newest view replaces the
+    requests of older ones; otherwise requests add up until they expire. A ``patient`` viewer yields to all others.
+    """
+
+    client: Hashable = ""
+    visit: int = 0
+    single: bool = False
+    patient: bool = False
+
+
+GUEST = Viewer()
+"""A viewer without a name."""
+
+
+@dataclass(eq=False)
+class Shares:
+    """Fair shares of the workers: the client ``served`` fewest processor seconds is next (start-time fair queueing).
+
+    A client that begins to wait starts level with the one served now: it saves nothing up while it asks for nothing.
+    """
+
+    served: dict[Hashable, float] = field(default_factory=dict)
+    level: float = 0.0
+    usual: float = FIRST_TASK
+
+    def turns(self, waiting: Collection[Hashable]) -> list[Hashable]:
+        """Sort waiting clients by the processor seconds they were served; ties keep their order."""
+        kept = {client: seconds for client, seconds in self.served.items() if seconds > self.level}
+        self.served = kept | {client: kept.get(client, self.level) for client in waiting}
+        return sorted(waiting, key=self.served.__getitem__)
+
+    def begin(self, first: Hashable, clients: Collection[Hashable]) -> float:
+        """Begin a task for these clients, in the turn of the ``first``; returns the seconds charged in advance."""
+        self.level = self.served[first]
+        self._charge(clients, self.usual)
+        return self.usual
+
+    def end(self, clients: Collection[Hashable], charged: float, seconds: float) -> None:
+        """End a task that took so many ``seconds``: correct what the clients were ``charged`` when it began."""
+        self._charge(clients, seconds - charged)
+        self.usual = MEMORY * self.usual + (1.0 - MEMORY) * seconds
+
+    def _charge(self, clients: Collection[Hashable], seconds: float) -> None:
+        """Charge each of the clients an even part."""
+        for client in clients:
+            self.served[client] = self.served.get(client, self.level) + seconds / len(clients)
+
+
+Key = tuple[str, Index]
+"""The name of a bake and the index of a chunk."""
+
+MOST_FAILURES = 3
+"""Failed tries after which a chunk is given up, until its request expires."""
+
+STEP = 1.0 / 8.0
+"""Share of the texels' mean priority down to which a task samples.
+
+Small steps follow the error more closely, large ones waste less on tasks of few texels each: to the end of a view of
+82 texels a chunk (the engine at 96 pixels a side) 1/8 took 1.35 times, and 1/32 1.25 times, what single tasks took.
+"""
+
+WHOLE = 0.5
+"""Longest task for patient viewers, in processor seconds: others may have to wait for it."""
+
+SHORT = 0.1
+"""Processor seconds below which a task is not split: each part costs up to 0.02 to hand out, read and write."""
+
+NOTHING = Effort(0, 0.0, 0.0)
+
+
+@dataclass(eq=False)
+class Interest:
+    """The interest of a ``viewer`` in a chunk: texels ``offsets``, seen by their ``footprints``, until ``target``.
+
+    ``priority`` is the squared visible error of the light, over the paths taken. ``view`` numbers the view that asked
+    last, the newest being the highest, at the time ``asked``; the first request came at ``since``. ``ticket`` marks its
+    current place in the client's queue.
+    """
+
+    viewer: Viewer
+    offsets: np.ndarray
+    footprints: np.ndarray
+    target: float
+    priority: float
+    view: int
+    asked: float
+    since: float
+    ticket: int = 0
+
+    def joined(self, newer: "Interest") -> "Interest":
+        """Merge with a ``newer`` interest; priority and age are those of the newer."""
+        both, since = merged((self, newer)), min(self.since, newer.since)
+        return Interest(newer.viewer, *both, newer.priority, newer.view, newer.asked, since)
+
+
+class MergedInterest(NamedTuple):
+    """Several interests as one: texels ``offsets``, the largest ``footprints`` of each, the strictest ``target``."""
+
+    offsets: np.ndarray
+    footprints: np.ndarray
+    target: float
+
+
+NO_INTEREST = MergedInterest(np.empty(0, np.int32), np.empty(0, np.float32), np.inf)
+
+
+@dataclass(eq=False)
+class BakeRequest:
+    """A request for light of the chunk ``key``, with the ``interests`` of its clients.
+
+    ``effort`` is the work that it takes, as far as is known, and ``priority`` the squared visible error in all views,
+    over the paths taken. ``in_flight`` is whether it has a task, which was charged to ``payers``. ``ranked`` holds
+    whether it lacked light, and its priority, when it was last ranked in the queues of all its clients. It is
+    ``suspect`` when a worker died with its task: that task may be the cause, or one beside it. It is ``postponed``
+    while another baker is at the chunk, and has ``waited`` so many seconds for that.
+    """
+
+    key: Key
+    interests: dict[Hashable, Interest] = field(default_factory=dict)
+    effort: Effort = NOTHING
+    failures: int = 0
+    trouble: str = ""
+    suspect: bool = False
+    in_flight: bool = False
+    postponed: bool = False
+    waited: float = 0.0
+    payers: tuple[Hashable, ...] = ()
+    charged: float = 0.0
+    priority: float = 0.0
+    ranked: tuple[bool, float] = (False, 0.0)
+    _merged: MergedInterest = NO_INTEREST
+    _stale: bool = False
+    _least_priority: float | None = None
+
+    @property
+    def offsets(self) -> np.ndarray:
+        """The texels that any client wants."""
+        return self._merge().offsets
+
+    @property
+    def footprints(self) -> np.ndarray:
+        """The largest footprint of each texel."""
+        return self._merge().footprints
+
+    @property
+    def target(self) -> float:
+        """The strictest target."""
+        return self._merge().target
+
+    @property
+    def least_priority(self) -> float | None:
+        """The priority from which on paths are taken next; None until each texel has its first light."""
+        self._merge()
+        return self._least_priority
+
+    @property
+    def asked(self) -> float:
+        """The time of the last request."""
+        return max(interest.asked for interest in self.interests.values())
+
+    @property
+    def since(self) -> float:
+        """The time of the first request by a client that still waits."""
+        return min(interest.since for interest in self.interests.values())
+
+    @property
+    def until(self) -> int:
+        """The sample count beyond which no texel is taken next."""
+        return FIRST_LEVEL if self.least_priority is None else MOST
+
+    @property
+    def given_up(self) -> bool:
+        """Whether its task failed so often that it is not tried again."""
+        return self.failures >= MOST_FAILURES
+
+    @property
+    def ready(self) -> bool:
+        """Whether a task for it may begin now."""
+        return not (self.in_flight or self.postponed or self.given_up)
+
+    def add_interest(self, demand: Demand, target: float, viewer: Viewer, view: int, now: float) -> None:
+        """Add the demand of a ``viewer``'s newest ``view``."""
+        older = self.interests.get(viewer.client)
+        since = now if older is None else older.since
+        interest = Interest(viewer, demand.offsets, demand.footprints, target, priority_of(demand), view, now, since)
+        self.interests[viewer.client] = interest if older is None or viewer.single else older.joined(interest)
+        self._change_priority(interest.priority - (0.0 if older is None else older.priority))
+        self.effort, self._stale = demand.effort, True
+
+    def release(self, client: Hashable) -> None:
+        """Drop the interest of a ``client``."""
+        self._change_priority(-self.interests.pop(client).priority)
+        self._stale = True
+
+    def exceeds(self, offsets: np.ndarray, target: float) -> bool:
+        """Whether more is wanted than texels ``offsets`` until ``target``."""
+        return exceeds(self._merge(), offsets, target)
+
+    def advance(self, result: BakeResult, grown: bool) -> None:
+        """Take over the result of a task; the next one samples texels of lower priority.
+
+        Where newer views made the request grow meanwhile (``grown``), their facts stand, and new texels come first.
+        """
+        if grown:
+            self._least_priority = None
+            return
+        for interest in self.interests.values():
+            interest.priority = result.priority / len(self.interests)
+        patient = all(interest.viewer.patient for interest in self.interests.values())
+        self.priority, self.effort = result.priority, result.effort
+        self._least_priority = next_least_priority(result, patient)
+
+    def _change_priority(self, change: float) -> None:
+        """Add a change of one interest to the sum; summing anew would be slow with a thousand clients."""
+        first = next(iter(self.interests.values())).priority if self.interests else 0.0
+        self.priority = first if len(self.interests) < 2 else max(self.priority + change, 0.0)
+
+    def _merge(self) -> MergedInterest:
+        """All interests as one, merged on use: most of them change again before that.
+
+        New texels, or a stricter target, begin with their first light.
+        """
+        if self._stale and self.interests:
+            before, self._merged, self._stale = self._merged, merged(self.interests.values()), False
+            if exceeds(self._merged, before.offsets, before.target):
+                self._least_priority = None
+        return self._merged
+
+
+def next_least_priority(result: BakeResult, patient: bool) -> float:
+    """The priority from which on the task after one with this ``result`` samples.
+
+    Where the rest of the chunk is short, one task does all of it. The rest may be longer where only patient viewers
+    wait.
+    """
+    rest = result.effort.left * result.cost.seconds / max(result.cost.paths, 1)
+    return 0.0 if rest <= (WHOLE if patient else SHORT) else STEP * result.priority
+
+
+def merged(interests: Collection[Interest]) -> MergedInterest:
+    """The texels of all ``interests``, ascending, the largest footprint of each, and the strictest target."""
+    wanted = np.concatenate([interest.offsets for interest in interests])
+    seen = np.full(1 + int(wanted.max(initial=-1)), -1.0, np.float32)
+    np.maximum.at(seen, wanted, np.concatenate([interest.footprints for interest in interests]))
+    offsets = np.flatnonzero(seen >= 0.0).astype(np.int32)
+    return MergedInterest(offsets, seen[offsets], min(interest.target for interest in interests))
+
+
+def exceeds(wanted: MergedInterest, offsets: np.ndarray, target: float) -> bool:
+    """Whether more is ``wanted`` than texels ``offsets`` until ``target``."""
+    return wanted.target < target or not contained(wanted.offsets, offsets)
+
+
+def contained(offsets: np.ndarray, others: np.ndarray) -> bool:
+    """Whether all ``offsets`` are among ``others``; both ascend."""
+    if len(offsets) > len(others):
+        return False
+    places = np.minimum(np.searchsorted(others, offsets), len(others) - 1)
+    return bool((others[places] == offsets).all())
+
+
+def priority_of(demand: Demand) -> float:
+    """The squared visible error over the paths that the light is of, or the paths of its first level.
+
+    The squared error falls with a power of the samples, so that the next path reduces it in proportion to this.
+    """
+    return demand.weight / (demand.effort.taken + FIRST_LEVEL * demand.effort.unlit or FIRST_LEVEL)

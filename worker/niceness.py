@@ -1,0 +1,134 @@
+"""Niceness: workers run at lower priority than the server, and still lower while a view moves.
+
+Linux shares the cores among sessions first (autogroups), so workers lead sessions of their own, whose niceness changes.
+"""
+
+import os
+import threading
+import time
+from collections.abc import Callable, Collection
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from distributed import WorkerPlugin
+
+NICENESS = 10
+"""Niceness of the workers above the server's."""
+
+FORWARD = 3
+"""Niceness of a worker's session while no view moves.
+
+Two such sessions together have as much of the cores as one of niceness 0, such as the server's.
+"""
+
+
+class Nice(WorkerPlugin):
+    """Gives a worker process lower priority than the server."""
+
+    name = "nice"
+
+    def __init__(self, apart: bool = False) -> None:
+        """Take the priority of this process, the server, as the one to stay below.
+
+        Workers that are set ``apart`` lead sessions of their own, where the kernel has autogroups.
+        """
+        self.niceness = min(os.getpriority(os.PRIO_PROCESS, 0) + NICENESS, 19)
+        self.apart = apart
+
+    def setup(self, worker: Any) -> None:
+        """Lower the process's priority, unless it is as low already."""
+        os.setpriority(os.PRIO_PROCESS, 0, max(self.niceness, os.getpriority(os.PRIO_PROCESS, 0)))
+        if self.apart and Path("/proc/self/autogroup").exists():
+            with suppress(PermissionError):
+                os.setsid()
+                set_session_niceness(os.getpid(), FORWARD)
+
+
+def leads_session(pid: int) -> bool:
+    """Whether a process leads a session, so that the session's niceness affects no other process."""
+    try:
+        return os.getsid(pid) == pid
+    except OSError:
+        return False
+
+
+def set_session_niceness(pid: int, niceness: int) -> bool:
+    """Set the niceness of the session of process ``pid`` (Linux: autogroups).
+
+    Returns False where it should be tried again: the kernel grants all unprivileged processes together one change in
+    0.1 s. Where a kernel has no autogroups, or the process is gone, there is nothing to do.
+    """
+    try:
+        with open(f"/proc/{pid}/autogroup", "wb", buffering=0) as file:
+            return file.write(b"%d" % niceness) is not None
+    except OSError:
+        return True
+
+
+BACK = 10
+"""Niceness of a session while a view moves: one of niceness 0 then has nine times as much of a core."""
+
+TICK = 0.1
+"""Seconds between two rounds of changes: the kernel grants an unprivileged process one change in this time."""
+
+CLOSING = 2.0
+"""Seconds for which closing waits until all sessions have FORWARD again."""
+
+
+class Sessions:
+    """Sessions that worker processes lead: at niceness BACK for a while, and FORWARD at all other times.
+
+    A thread changes them, and ends once all are FORWARD again.
+    """
+
+    def __init__(
+        self,
+        leaders: Callable[[], Collection[int]],
+        change: Callable[[int, int], bool] = set_session_niceness,
+        clock: Callable[[], float] = time.monotonic,
+        pause: Callable[[float], None] = time.sleep,
+    ) -> None:
+        """Change the sessions of the processes in ``leaders()``, called each time, as workers come and go.
+
+        ``change`` takes a process id and a niceness, and returns False where it should be tried again.
+        """
+        self._leaders, self._change, self._clock, self._pause = leaders, change, clock, pause
+        self._back: frozenset[int] = frozenset()
+        self._until = clock()
+        self._thread: threading.Thread | None = None
+        self._lock = threading.Lock()
+
+    def step_back(self, seconds: float) -> None:
+        """Set all sessions BACK for so many seconds from now. Does not wait."""
+        with self._lock:
+            self._until = self._clock() + seconds
+            if self._thread is None:
+                self._thread = threading.Thread(target=self._run, name="sessions", daemon=True)
+                self._thread.start()
+
+    def close(self) -> None:
+        """Set all sessions FORWARD, and wait for that."""
+        with self._lock:
+            self._until, thread = self._clock(), self._thread
+        if thread is not None:
+            thread.join(CLOSING)
+
+    def _run(self) -> None:
+        while not self._round():
+            self._pause(TICK)
+
+    def _round(self) -> bool:
+        """Make the changes that are due and granted. Returns whether all are FORWARD and the thread may end."""
+        leaders = frozenset(self._leaders())
+        self._back &= leaders
+        moving = self._clock() < self._until
+        for leader in leaders - self._back if moving else self._back:
+            if not self._change(leader, BACK if moving else FORWARD):
+                break
+            self._back ^= {leader}
+        with self._lock:
+            if self._back or self._clock() < self._until:
+                return False
+            self._thread = None
+            return True
