@@ -48,6 +48,7 @@ def test_server_timing_is_in_milliseconds() -> None:
 
 def test_time_left_is_in_seconds() -> None:
     assert time_left_header(TimeLeft(1.26, 20.0, 41.04)) == "low=1.3, likely=20.0, high=41.0"
+    assert time_left_header(TimeLeft(0.004, 0.01, 0.04)) == "low=0.0, likely=0.0, high=0.1"
 
 
 @pytest.mark.parametrize(
