@@ -81,7 +81,7 @@ def projection_header(shares: Mapping[str, float]) -> str:
 
 
 def time_left_header(left: TimeLeft) -> str:
-    """Seconds until the frame is final, and the range that they are likely in: it never ends at 0.0, while some are left."""
+    """Seconds until the frame is final, and the range that they are likely in: while some are left, not up to 0.0."""
     return f"low={left.low:.1f}, likely={left.likely:.1f}, high={max(left.high, 0.1):.1f}"
 
 
