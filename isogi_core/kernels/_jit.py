@@ -11,6 +11,7 @@ from typing import Any
 import numba
 from numba import njit, types
 from numba.extending import register_jitable
+from numba.np import linalg
 
 from isogi_core.kernels._cache_folder import cache_folder, hold, locked
 
@@ -23,6 +24,14 @@ FOLDER = cache_folder()
 USED = hold(FOLDER)
 
 numba.config.CACHE_DIR = str(FOLDER)
+
+
+def no_blas() -> None:
+    """Tell Numba that there is no BLAS: to look for it, each process would import SciPy, where that is installed."""
+    raise ImportError("Kernels call no BLAS.")
+
+
+linalg.ensure_blas = no_blas
 
 
 class Entry:
