@@ -11,7 +11,7 @@ from benchmarks.accuracy.projected import projected
 from benchmarks.accuracy.roulette import roulette
 from tests.benchmarks.parts import figures
 
-SMALL = ("--size", "32", "--repeats", "1")
+SMALL = ("--size", "16", "--repeats", "1")
 
 
 def test_lobes() -> None:

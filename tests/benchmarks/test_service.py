@@ -17,7 +17,7 @@ def test_warm_view() -> None:
 
 
 def test_drag() -> None:
-    found = figures(drag, "demo:orbital", "--size", "48", "--seconds", "2", "--pages", "2", "--workers", "1")
+    found = figures(drag, "demo:orbital", "--size", "48", "--seconds", "1", "--pages", "2", "--workers", "1")
     waits = [found[f"input to picture, {which}"] for which in ("median", "95 %", "longest")]
     assert 0.0 < waits[0] <= waits[1] <= waits[2]
     assert found["drafts a second and page"] > 1.0
@@ -26,7 +26,7 @@ def test_drag() -> None:
 
 
 def test_load() -> None:
-    found = figures(load, "demo:orbital", "--clients", "9", "--seconds", "2", "--workers", "1")
+    found = figures(load, "demo:orbital", "--clients", "9", "--seconds", "1", "--workers", "1")
     assert {key for key in found if key.startswith("answered")} <= {f"answered {n}" for n in (200, 304, 429, 503)}
     assert found["answered 200"] > 0 and found["livez, answers"] > 0
     assert found["requests in progress, afterwards"] == 0

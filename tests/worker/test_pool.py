@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import dask.config
 import httpx
@@ -45,6 +45,7 @@ LONG = 240.0
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 OPENING = (fill_ranges, mark_bricks, pack_bricks, fill_macrocells)
+IRRADIANCE = bake_kernels(["irradiance"])
 CALLED = (*bake_kernels(["direct", "indirect"]), *OPENING)
 
 
@@ -60,13 +61,32 @@ def compiled() -> dict[str, tuple[int, int]]:
     return kernel_cache()
 
 
+class Hired(NamedTuple):
+    """A pool, and the rooms that its workers had imported before they baked."""
+
+    pool: WorkerPool
+    rooms: list[set[str]]
+
+
 @pytest.fixture(scope="module")
-def pool(compiled: dict[str, tuple[int, int]]) -> Iterator[WorkerPool]:
+def hired(compiled: dict[str, tuple[int, int]]) -> Iterator[Hired]:
+
+    def rooms() -> set[str]:
+        """What the process has imported of the house, and of what takes long to import."""
+        import sys
+
+        return {name.split(".")[0] for name in sys.modules.copy()} & {"isogi_core", "numba", "zarr"}
+
     pool = WorkerPool(WORKERS)
-    yield pool
+    yield Hired(pool, list(pool._client.run(rooms).values()))
     pids = pool.pids()
     pool.close()
     assert not psutil.wait_procs([psutil.Process(pid) for pid in pids if psutil.pid_exists(pid)], timeout=LONG)[1]
+
+
+@pytest.fixture
+def pool(hired: Hired) -> WorkerPool:
+    return hired.pool
 
 
 def bake_all(pool: WorkerPool, tasks: list[BakeTask]) -> list[BakeResult]:
@@ -167,16 +187,6 @@ def test_worker_sessions_have_low_priority_while_a_view_moves(pool: WorkerPool) 
     reach(pids, FORWARD)
 
 
-@needs_autogroups
-def test_workers_that_are_joined_keep_their_sessions() -> None:
-    with LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address="127.0.0.1:0", silence_logs=50) as others:
-        joined = WorkerPool(1, others.scheduler_address)
-        joined.step_back(1e-3)
-        sessions = [os.getsid(pid) for pid in joined.pids()]
-        joined.close()
-    assert sessions == [os.getsid(0)]
-
-
 def test_all_listen_on_loopback_only(pool: WorkerPool) -> None:
     listening = [
         connection.laddr.ip
@@ -210,18 +220,8 @@ def kernels_of_this_process() -> dict[str, bool]:
     return {name: bool(x.ready.stats.cache_misses) for name, x in entries.items() if x.loaded}
 
 
-def test_workers_load_nothing_before_they_bake(compiled: dict[str, tuple[int, int]]) -> None:
-    def rooms() -> set[str]:
-        """What the process has imported of the house, and of what takes long to import."""
-        import sys
-
-        return {name.split(".")[0] for name in sys.modules.copy()} & {"isogi_core", "numba", "zarr"}
-
-    fresh = WorkerPool(1)
-    try:
-        assert list(fresh._client.run(rooms).values()) == [set()]
-    finally:
-        fresh.close()
+def test_workers_load_nothing_before_they_bake(hired: Hired) -> None:
+    assert hired.rooms == [set()] * WORKERS
 
 
 def test_kernels_are_loaded_and_not_compiled_again(
@@ -236,25 +236,17 @@ def test_kernels_are_loaded_and_not_compiled_again(
     assert {name: after[name] for name in compiled} == compiled
 
 
-def test_kernels_that_are_missing_are_compiled_by_a_worker(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("worker.pool.kernels_missing", lambda kinds: True)
-    fresh = WorkerPool(1)
-    try:
-        deadline = time.monotonic() + LONG
-        while not (kernels := next(iter(fresh._client.run(kernels_of_this_process).values()))):
-            assert time.monotonic() < deadline
-            time.sleep(0.05)
-    finally:
-        fresh.close()
-    assert set(kernels) <= {kernel.name for kernel in BAKE}
-
-
-def test_workers_prepare_until_a_bake_needs_no_kernel(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    missing: set[str] = {layer.kind for layer in SPEC.plan.layers}
+def test_missing_kernels_are_compiled_by_a_worker_meanwhile(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Those of the kinds that a pool is made for at once, others with the first task that needs them."""
+    missing = set(KINDS)
     monkeypatch.setattr("worker.pool.kernels_missing", lambda kinds: bool(missing & set(kinds)))
-    fresh = WorkerPool(1, kinds=())
+    fresh = WorkerPool(1, kinds=("irradiance",))
     try:
+        assert fresh.preparing == "The workers compile their kernels."
+        wait_for(lambda: set(*fresh._client.run(kernels_of_this_process).values()) == {k.name for k in IRRADIANCE})
+        missing.remove("irradiance")
         assert fresh.preparing == ""
+        assert {layer.kind for layer in SPEC.plan.layers} <= missing
         tasks, ended = tasks_for(tmp_path), threading.Semaphore(0)
         fresh.submit(tasks[0], lambda *_: ended.release())
         assert fresh.preparing == "The workers compile their kernels."
@@ -264,19 +256,22 @@ def test_workers_prepare_until_a_bake_needs_no_kernel(monkeypatch: pytest.Monkey
         fresh.close()
 
 
-def test_workers_that_are_joined_have_loaded_their_kernels(
+def test_joined_workers_have_loaded_kernels_and_stay_as_nice(
     compiled: dict[str, tuple[int, int]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Started with the preload of docker-compose.yml; nothing is sent to one of them."""
+    """Started with the preload of docker-compose.yml; nothing is sent to one of them, and its session is its own."""
     preload = re.findall(r'"--preload", "([\w.]+)"', (ROOT / "docker-compose.yml").read_text())
     monkeypatch.setattr("worker.pool.kernels_missing", lambda kinds: True)
     monkeypatch.setattr("worker.pool.fire_and_forget", lambda future: pytest.fail("a job was sent"))
     kwargs: dict[str, Any] = {"host": "127.0.0.1", "dashboard_address": "127.0.0.1:0", "preload": preload}
-    with LocalCluster(n_workers=WORKERS, threads_per_worker=1, processes=True, silence_logs=50, **kwargs) as others:
+    with LocalCluster(n_workers=1, threads_per_worker=1, processes=True, silence_logs=50, **kwargs) as others:
         joined = WorkerPool(1, others.scheduler_address)
         kernels = list(joined._client.run(kernels_of_this_process).values())
+        joined.step_back(1e-3)
+        sessions = [os.getsid(pid) for pid in joined.pids()]
         joined.close()
-    assert kernels == [{kernel.name: False for kernel in BAKE}] * WORKERS
+    assert kernels == [{kernel.name: False for kernel in BAKE}]
+    assert sessions == [os.getsid(0)]
 
 
 @pytest.mark.slow
