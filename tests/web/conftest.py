@@ -1,6 +1,7 @@
 """A browser, and a page in it."""
 
 from collections.abc import Iterator
+from contextlib import contextmanager
 
 import pytest
 from playwright.sync_api import Browser, Page, expect, sync_playwright
@@ -22,8 +23,8 @@ def browser() -> Iterator[Browser]:
         chromium.close()
 
 
-@pytest.fixture
-def page(browser: Browser) -> Iterator[Page]:
+@contextmanager
+def watched(browser: Browser) -> Iterator[Page]:
     """A page whose console must stay free of errors, and that talks to nobody but the server."""
     context = browser.new_context(viewport={"width": 900, "height": 640})
     page = context.new_page()
@@ -37,3 +38,17 @@ def page(browser: Browser) -> Iterator[Page]:
     context.close()
     cut_by_the_test = "net::ERR_FAILED"
     assert [text for text in complaints if cut_by_the_test not in text] == []
+
+
+@pytest.fixture
+def page(browser: Browser) -> Iterator[Page]:
+    """A page that is new to each test."""
+    with watched(browser) as page:
+        yield page
+
+
+@pytest.fixture(scope="module")
+def steady(browser: Browser) -> Iterator[Page]:
+    """A page that stays for all tests of a file: to open one takes a second of the processor."""
+    with watched(browser) as page:
+        yield page

@@ -17,16 +17,26 @@ KNOBS = ("isovalue", "azimuth", "elevation", "distance", "yaw", "pitch", "roll")
 pytestmark = BROWSER
 
 
+def at_defaults(page: Page, base: str, shading: str) -> Page:
+    """The page at the scene's defaults but for the shading, its picture final; opened where it is not yet."""
+    if not page.url.startswith(base):
+        page.goto(base)
+    page.click("#reset")
+    for choice, value in (("shading", shading), ("overlay", "none")):
+        page.select_option(f"#{choice}", value)
+    return wait_final(page)
+
+
 @pytest.fixture
-def shown(page: Page, live_server: str) -> Page:
+def shown(steady: Page, live_server: str) -> Page:
     """The page at the scene's defaults, its picture final."""
-    return open_final(page, live_server)
+    return at_defaults(steady, live_server, "gi")
 
 
 @pytest.fixture
-def sketched(page: Page, live_server: str) -> Page:
+def sketched(steady: Page, live_server: str) -> Page:
     """The page at the scene's defaults but for its shading, for which nothing is baked."""
-    return open_final(page, f"{live_server}/?shading=lambert")
+    return at_defaults(steady, live_server, "lambert")
 
 
 def difference(a: np.ndarray, b: np.ndarray) -> float:
@@ -92,26 +102,21 @@ def scene_of(page: Page, base: str) -> dict[str, Any]:
     return facts
 
 
-def test_becomes_final_without_a_reload(page: Page, live_server: str) -> None:
-    loads: list[str] = []
+def test_becomes_final_without_a_reload_and_asks_the_server_alone(page: Page, live_server: str) -> None:
+    loads, asked = list[str](), list[str]()
     page.on("framenavigated", lambda frame: loads.append(frame.url))
+    page.on("request", lambda request: asked.append(request.url))
     open_final(page, live_server)
     assert len(loads) == 1
+    assert asked
+    here = urlsplit(live_server).netloc
+    assert {urlsplit(url).netloc for url in asked if not url.startswith(("blob:", "data:"))} == {here}
     expect(page.locator("#status-line")).to_have_text(re.compile(r"^final"))
     expect(page.locator("#progress")).to_have_attribute("aria-valuenow", "100")
     expect(page.locator("#badge")).to_be_hidden()
     assert pixels(page).std() > 5.0, "the picture shows nothing"
     SHOTS.mkdir(parents=True, exist_ok=True)
     page.screenshot(path=SHOTS / "final.png")
-
-
-def test_asks_nobody_but_the_server(page: Page, live_server: str) -> None:
-    asked: list[str] = []
-    page.on("request", lambda request: asked.append(request.url))
-    open_final(page, live_server)
-    here = urlsplit(live_server).netloc
-    assert asked
-    assert {urlsplit(url).netloc for url in asked if not url.startswith(("blob:", "data:"))} == {here}
 
 
 def test_says_what_the_scene_needs_and_what_was_left_out(shown: Page, live_server: str) -> None:
@@ -278,6 +283,7 @@ def test_overlay_marks_what_is_provisional(page: Page, live_server: str) -> None
 
 
 def test_moving_shows_small_jpeg_and_rest_the_full_picture(page: Page, live_server: str) -> None:
+    """Each of them is acknowledged."""
     stream = watched(page)
     open_final(page, live_server)
     before = len(stream.answers)
@@ -291,13 +297,6 @@ def test_moving_shows_small_jpeg_and_rest_the_full_picture(page: Page, live_serv
     box = page.locator("#stage").bounding_box()
     assert box is not None
     assert last["width"] == pytest.approx(box["width"], abs=1)
-
-
-def test_every_picture_that_is_shown_is_acknowledged(page: Page, live_server: str) -> None:
-    stream = watched(page)
-    open_final(page, live_server)
-    drag(page, 60, 0)
-    wait_final(page)
     assert stream.receipts == [answer["id"] for answer in stream.answers]
 
 

@@ -35,6 +35,12 @@ def shared(page: Page, address: str) -> Page:
     return page
 
 
+@pytest.fixture
+def menu(steady: Page, live_server: str) -> Page:
+    """A view with its menu open, its picture final; opened where it is not yet."""
+    return steady if steady.url.startswith(live_server) else shared(steady, f"{live_server}/?{VIEW}")
+
+
 def shown(page: Page) -> np.ndarray:
     """The picture on the stage, at its full size."""
     address = page.evaluate(
@@ -53,17 +59,17 @@ def pixels_in(picture: bytes) -> np.ndarray:
     return np.asarray(Image.open(io.BytesIO(picture)).convert("RGB"))
 
 
-def test_the_curl_line_saves_the_picture_that_is_shown(page: Page, live_server: str, tmp_path: Path) -> None:
-    command = line(shared(page, f"{live_server}/?{VIEW}"), "curl")
+def test_the_curl_line_saves_the_picture_that_is_shown(menu: Page, tmp_path: Path) -> None:
+    command = line(menu, "curl")
     subprocess.run(["bash", "-c", command], cwd=tmp_path, check=True, timeout=60, capture_output=True)
-    assert np.array_equal(pixels_in((tmp_path / "small-0.45.png").read_bytes()), shown(page))
+    assert np.array_equal(pixels_in((tmp_path / "small-0.45.png").read_bytes()), shown(menu))
     assert all(part in command for part in ("azimuth=-70.5", "overlay=error", "wait_ms=10000"))
     assert "elevation" not in command and "exposure" not in command, "what the scene's defaults say is left out"
     assert "Authorization" not in command
 
 
 def test_the_python_line_asks_for_the_picture_that_is_shown(
-    page: Page, live_server: str, monkeypatch: pytest.MonkeyPatch
+    menu: Page, live_server: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     called: dict[str, Any] = {}
 
@@ -76,23 +82,22 @@ def test_the_python_line_asks_for_the_picture_that_is_shown(
             return SimpleNamespace(save=lambda file: called.update(file=file))
 
     monkeypatch.setitem(sys.modules, "isogi_client", SimpleNamespace(Isogi=Isogi))
-    exec(line(shared(page, f"{live_server}/?{VIEW}"), "python"), {})
+    exec(line(menu, "python"), {})
     assert (called["address"], called["scene"]) == (live_server, "small")
     assert (called["wait"], called["file"]) == ("final", "small-0.45.png")
-    answer = page.request.get(f"{called['address']}/v1/scenes/{called['scene']}/frame", params=called["view"])
-    assert np.array_equal(pixels_in(answer.body()), shown(page))
+    answer = menu.request.get(f"{called['address']}/v1/scenes/{called['scene']}/frame", params=called["view"])
+    assert np.array_equal(pixels_in(answer.body()), shown(menu))
 
 
-def test_copying_copies_and_says_so(page: Page, live_server: str) -> None:
-    context: BrowserContext = page.context
+def test_copying_copies_and_says_so(menu: Page) -> None:
+    context: BrowserContext = menu.context
     context.grant_permissions(["clipboard-read", "clipboard-write"])
-    shared(page, f"{live_server}/?{VIEW}")
     for name, button in (("link", "Copy link"), ("curl", "Copy curl line"), ("python", "Copy Python line")):
-        page.get_by_role("button", name=button).click()
+        menu.get_by_role("button", name=button).click()
         said = {"link": "Link", "curl": "curl line", "python": "Python line"}[name]
-        expect(page.locator("#share [role=status]")).to_have_text(f"{said} copied")
-        assert page.evaluate("navigator.clipboard.readText()") == line(page, name)
-    assert line(page, "link") == page.url
+        expect(menu.locator("#share [role=status]")).to_have_text(f"{said} copied")
+        assert menu.evaluate("navigator.clipboard.readText()") == line(menu, name)
+    assert line(menu, "link") == menu.url
 
 
 def test_where_a_token_is_wanted_the_line_names_its_variable(page: Page, live_server: str) -> None:
