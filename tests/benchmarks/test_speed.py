@@ -71,7 +71,7 @@ def test_paths() -> None:
 
 
 def test_growth() -> None:
-    found = positive(growth.growth, "demo:casting", "--largest", "32")
+    found = positive(growth.growth, "demo:orbital", "--largest", "32")
     names = {f"{step}: {s}_ms" for step in ("32³", "8²", "16²", "32²") for s in ("gi", "lambert")}
     names |= {f"{n}: {k}_ms" for n in ("one thread", "two threads", "two processes") for k in ("gi", "lambert", "rays")}
     names |= {f"two threads / two processes: {kind}" for kind in ("gi", "lambert", "rays")}

@@ -6,7 +6,7 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import httpx
@@ -20,6 +20,8 @@ from server.cli.command import VIEW_OPTIONS, WORK_OPTIONS, run
 from server.cli.render import rendered
 from server.parameters import FrameParams
 from server.settings import Settings
+from tests.server.inline import InlinePool
+from worker import pool
 
 SIZE = ["--width", "24", "--height", "20"]
 
@@ -162,20 +164,36 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("store")
 
 
+@pytest.fixture
+def told(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
+    """What a command prints that succeeds in this process, which bakes by itself."""
+    monkeypatch.setattr(pool, "WorkerPool", InlinePool)
+
+    def told(*arguments: object) -> str:
+        capsys.readouterr()
+        status = run([str(argument) for argument in arguments])
+        out, error = capsys.readouterr()
+        assert status == 0, error
+        return out
+
+    return told
+
+
 def isogi(*arguments: object) -> subprocess.CompletedProcess[str]:
     """The command in a process of its own."""
     command = [sys.executable, "-m", "server", *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
 
 
-def test_another_albedo_is_rendered_of_the_same_light(small_scene: Path, tmp_path: Path) -> None:
+def test_another_albedo_is_rendered_of_the_same_light(
+    told: Callable[..., str], small_scene: Path, tmp_path: Path
+) -> None:
     scene = small_scene.with_name("dyed.toml")
     scene.write_text(f"albedo = 0.3\nalbedos = [0, 0.9]\n{small_scene.read_text()}")
     work, pictures = ("--workers", 1, "--store", tmp_path / "store", "--json"), []
     for name, albedo in (("own.npy", ()), ("red.npy", ("--albedo", "0.9,0.3,0"))):
-        done = isogi("render", scene, "-o", tmp_path / name, *SIZE, *albedo, *work)
-        assert done.returncode == 0, done.stderr
-        assert (json.loads(done.stdout)["paths"] > 0) == (name == "own.npy"), "no path is taken for it"
+        facts = json.loads(told("render", scene, "-o", tmp_path / name, *SIZE, *albedo, *work))
+        assert (facts["paths"] > 0) == (name == "own.npy"), "no path is taken for it"
         pictures.append(np.load(tmp_path / name)[..., :3].mean(axis=(0, 1)))
     np.testing.assert_allclose(pictures[1] / pictures[0], [3.0, 1.0, 0.0], rtol=0.05)
 
@@ -197,22 +215,24 @@ def test_render_writes_a_final_picture_and_tells_so(small_scene: Path, store: Pa
     assert any("/c/" in path.as_posix() for path in store.rglob("*"))
 
 
-def test_path_traced_is_answered_with_its_samples_and_error(small_scene: Path, store: Path, tmp_path: Path) -> None:
+def test_path_traced_is_answered_with_its_samples_and_error(
+    told: Callable[..., str], small_scene: Path, store: Path, tmp_path: Path
+) -> None:
     output, traced = tmp_path / "a.png", ("--shading", "path_traced", "--samples", "16", "--target-error", "0.0001")
-    done = isogi("render", small_scene, "-o", output, *SIZE, *traced, "--workers", 1, "--store", store, "--json")
-    assert done.returncode == 0, done.stderr
-    facts = json.loads(done.stdout)
+    line = told("render", small_scene, "-o", output, *SIZE, *traced, "--workers", 1, "--store", store, "--json")
+    facts = json.loads(line)
     assert (facts["stopped"], facts["provisional"]) == ("samples", True)
     assert 0.0001 < facts["error"] < 1.0
     assert rendered(facts).startswith(f"{output}: 24 × 20, all samples taken, estimated error {facts['error']:.4f}")
 
 
-def test_render_in_no_time_says_how_far_it_came(small_scene: Path, store: Path, tmp_path: Path) -> None:
+def test_render_in_no_time_says_how_far_it_came(
+    told: Callable[..., str], small_scene: Path, store: Path, tmp_path: Path
+) -> None:
     output = tmp_path / "a.jpg"
-    done = isogi("render", small_scene, "-o", output, *SIZE, "--time", 0, "--workers", 1, "--store", store)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.startswith(f"{output}: 24 × 20, ")
-    assert "of the surface at 0.5" in done.stdout
+    line = told("render", small_scene, "-o", output, *SIZE, "--time", 0, "--workers", 1, "--store", store)
+    assert line.startswith(f"{output}: 24 × 20, ")
+    assert "of the surface at 0.5" in line
     assert Image.open(io.BytesIO(output.read_bytes())).format == "JPEG"
 
 
