@@ -102,7 +102,7 @@ def scene_of(page: Page, base: str) -> dict[str, Any]:
     return facts
 
 
-def test_becomes_final_without_a_reload_and_asks_the_server_alone(page: Page, live_server: str) -> None:
+def test_becomes_final_without_a_reload_and_asks_only_the_server(page: Page, live_server: str) -> None:
     loads, asked = list[str](), list[str]()
     page.on("framenavigated", lambda frame: loads.append(frame.url))
     page.on("request", lambda request: asked.append(request.url))
