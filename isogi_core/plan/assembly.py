@@ -3,6 +3,7 @@
 import hashlib
 import re
 from collections.abc import Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -166,7 +167,15 @@ def _image(light: SkyLight | ProbeLight) -> np.ndarray:
     """The lat-long image (h, w, 3) of a sky or a probe."""
     if isinstance(light, ProbeLight):
         return light.scale * _checked(read_hdr(light.file), f"The probe '{light.file}'").astype(np.float64)
-    return sky_image(light, pixel_directions(*SKY_SIZE), solid_angles(*SKY_SIZE))
+    return _sky(light)
+
+
+@lru_cache(maxsize=4)
+def _sky(light: SkyLight) -> np.ndarray:
+    """The image of a sky, read-only: scenes that are planned anew have the sky they had."""
+    image = sky_image(light, pixel_directions(*SKY_SIZE), solid_angles(*SKY_SIZE))
+    image.flags.writeable = False
+    return image
 
 
 def _checked(image: np.ndarray, what: str) -> np.ndarray:
