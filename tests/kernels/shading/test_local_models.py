@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from numba import njit
 
-from isogi_core.kernels._jit import kernel
 from isogi_core.kernels.shading import local_models as shading
 from isogi_core.kernels.shading.framebuffer import FINAL, Framebuffer, PixelPoints, point_of
 from isogi_core.kernels.shading.local_models import (
@@ -22,11 +21,8 @@ from isogi_core.kernels.transport.integrator import launch
 from isogi_core.kernels.transport.light_paths import Surroundings
 from isogi_core.kernels.transport.lights import fog
 from isogi_core.kernels.transport.paths import PathRules, SampleRange
-from isogi_core.kernels.transport.rng import mix
-from isogi_core.kernels.transport.wavefront import WAVE
 from tests.kernels.fields import field_of, surface_of
-from tests.kernels.transport.lighting import light_path
-from tests.scale import COMPILED, PYTHON, few
+from tests.scale import COMPILED, few
 
 COUNT = few(2000, 60)
 Z, Y, X = np.mgrid[:41, :41, :41] - 20.0
@@ -262,28 +258,3 @@ def test_paths_that_end_by_chance_bring_the_same_light():
     apart = means[0].mean(axis=-1) - means[1].mean(axis=-1)
     error = np.sqrt((means.var(axis=-1, ddof=1) / 8).sum(axis=0))
     assert abs(apart / error) < 4.0
-
-
-@kernel()
-def paths_one_by_one(field, iso, points, light, weights, samples, sums):
-    for m in range(len(points.pixels)):
-        for half in range(2):
-            seed = mix(np.int64(points.pixels[m]), half)
-            for index in range(samples.first, samples.first + samples.count):
-                p, n = point_of(points.points, m), point_of(points.normals, m)
-                sums[m, half] += np.array(light_path(field, iso, p, n, seed, index, weights, light))
-
-
-@pytest.mark.parametrize(("count", "points"), [(3, 300), (WAVE // 2 + 5, 2)])
-def test_paths_in_waves_are_those_one_by_one(count, points):
-    """To the last bit of their sums, also where one point alone has more paths than a wave."""
-    if PYTHON:
-        count, points = min(count, 3), min(points, 20)
-    points, normals = ball_points(points)
-    field, normals = field_of(NOISY), normals.astype(np.float32)
-    pixels, weights = np.arange(len(points), dtype=np.uint32) + 11, 0.7 ** np.arange(1.0, 5.0)[:, None] * np.ones(3)
-    sums = np.zeros((2, len(points), 2, 3))
-    place, light, samples = PixelPoints(points, normals, pixels), half_sky(np.eye(3)), SampleRange(2, count)
-    trace_points(surface_of(field, 0.0), place, light, PathRules(weights, 1.0), 0, samples, sums[0])
-    paths_one_by_one(field, 0.0, place, light, weights, samples, sums[1])
-    assert sums[0].any(axis=(1, 2)).mean() > 0.9 and np.array_equal(*sums)

@@ -1,10 +1,6 @@
-"""Vectors of PATH_WIDTH lanes against NumPy and single numbers: the same bits, on every processor."""
+"""Vectors of PATH_WIDTH lanes against NumPy and single numbers: the same bits."""
 
 import math
-import os
-import subprocess
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -223,19 +219,3 @@ def test_weights_of_the_spline_sum_up():
     for f in np.linspace(0.0, 1.0, 33).tolist():
         assert sum(bspline(f)) == pytest.approx(1.0, abs=1e-15)
         assert sum(bspline_slope(f)) == pytest.approx(0.0, abs=1e-15)
-
-
-@pytest.mark.slow
-@pytest.mark.skipif("NUMBA_CPU_NAME" in os.environ or PYTHON, reason="this is the other run")
-@pytest.mark.parametrize("processor", ["haswell", "nehalem"])
-def test_all_of_it_again_for_other_processors(processor):
-    """Eight lanes with AVX2, four without it; whole paths where it is most unlike this processor."""
-    here = Path(__file__).parents[1]
-    waves = "transport/test_wavefront.py::test_waves_are_the_paths_one_by_one"
-    files = [str(here / each) for each in ("simd/test_path_vectors.py", *[waves] * (processor == "nehalem"))]
-    command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *files]
-    environment = {**os.environ, "NUMBA_CPU_NAME": processor}
-    if processor == "nehalem":
-        environment["NUMBA_CPU_FEATURES"] = "+sse4.2"
-    run = subprocess.run(command, env=environment, cwd=here.parents[1], capture_output=True, text=True, check=False)
-    assert run.returncode == 0, run.stdout + run.stderr

@@ -1,10 +1,6 @@
-"""Vectors of RAY_WIDTH lanes against NumPy, one operation after another, on this processor and on AVX2."""
+"""Vectors of RAY_WIDTH lanes against NumPy, one operation after another."""
 
 import math
-import os
-import subprocess
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,7 +13,6 @@ from isogi_core.kernels.simd.memory import load as load_width
 from isogi_core.kernels.simd.types import RAY_WIDTH, REGISTER
 
 needs_simd = pytest.mark.skipif(REGISTER is None, reason="this processor, or Numba switched off, has no SIMD")
-AVX2 = {"NUMBA_CPU_NAME": "haswell"}
 
 
 @njit
@@ -203,16 +198,3 @@ def test_width_follows_the_processor(monkeypatch):
 def test_vectors_do_not_exist_outside_compiled_code():
     with pytest.raises(NotImplementedError, match="compiled code"):
         fma(1.0, 2.0, 3.0)
-
-
-@pytest.mark.slow
-@needs_simd
-@pytest.mark.skipif("NUMBA_CPU_NAME" in os.environ, reason="this is the run for another processor")
-@pytest.mark.parametrize("module", ["simd/test_ray_vectors", "tracing/test_cast"])
-def test_all_of_it_again_compiled_for_avx2(module):
-    here = Path(__file__).parents[1]
-    command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", str(here / f"{module}.py")]
-    run = subprocess.run(
-        command, env={**os.environ, **AVX2}, cwd=here.parents[1], capture_output=True, text=True, check=False
-    )
-    assert run.returncode == 0, run.stdout + run.stderr

@@ -9,11 +9,12 @@ from isogi_core.kernels.tracing.field import to_index
 from isogi_core.kernels.tracing.intersect import OUTSIDE, cast
 from isogi_core.kernels.tracing.vec import column, dot, madd, put_column
 from isogi_core.kernels.transport.integrator import about, launch, shading_normal
-from isogi_core.kernels.transport.light_paths import PAIRS, Surroundings, light_paths, sample_source, to_world
+from isogi_core.kernels.transport.light_paths import PAIRS, Surroundings, sample_source, to_world
 from isogi_core.kernels.transport.lights import AREA, DIRECTIONAL, NO_LAMPS, POINT, LampArrays, arriving
 from isogi_core.kernels.transport.paths import PathRules, PathStarts, SampleRange
 from isogi_core.kernels.transport.rng import point_2d
 from isogi_core.kernels.transport.sampling import sample_cosine_hemisphere
+from isogi_core.kernels.transport.transfer import bake_irradiance, texel_seed
 from isogi_core.model.environment import cumulative, pixel_directions, solid_angles
 from tests.kernels.fields import cells_of
 
@@ -65,11 +66,6 @@ def one_by_one(field, starts, samples, weights, light, gathered):
         put_column(gathered, m, path)
 
 
-@njit
-def in_waves(field, cells, starts, samples, rules, light, gathered):
-    light_paths(field, cells, starts, samples, rules, light, gathered)
-
-
 def lamps(*rows):
     """Lamps of (kind, place, edges, colour)."""
     kinds, places, edges, colours = zip(*rows, strict=True)
@@ -87,20 +83,29 @@ def surroundings(image=DARK, constant=0.0, table=False, lamps=NO_LAMPS, matrix=N
     return light._replace(table=cumulative(bright * solid_angles(*image.shape[:2])))
 
 
-def gather(field, starts, light, weights, samples):
-    """What paths from the starts gather, (starts, count, 3); ``samples`` a number, or first and count."""
+def gather(field, place, light, weights, samples, sums=None):
+    """E/π at the two halves of each texel, the mean of some samples, (m, 2, 3); those before are in ``sums``.
+
+    ``samples`` are a number, or first and count. A path of ``bake_irradiance`` is one of ``light_paths``.
+    """
     some = SampleRange(0, samples) if isinstance(samples, int) else SampleRange(*samples)
-    gathered = np.empty((3, len(starts.seeds) * some.count))
-    rules, cells = PathRules(weights, 1.0), cells_of(field, starts.isovalues[0])
-    in_waves(field, cells, starts, some, rules, light, gathered)
-    return gathered.T.reshape(some.count, len(starts.seeds), 3).swapaxes(0, 1)
+    sums, cells = np.zeros((len(place[0]), 2, 3)) if sums is None else sums.copy(), cells_of(field, place[3][0])
+    bake_irradiance(field, cells, place, np.arange(len(sums)), some, PathRules(weights, 1.0), light, sums)
+    return sums / (some.first + some.count)
 
 
-def starts_at(points, normals, seeds=None, iso=0.0):
-    """Starts of paths at ``points`` with ``normals`` (3, n), all on one isosurface."""
-    count = points.shape[1]
-    seeds = np.arange(count, dtype=np.uint64) + np.uint64(1) if seeds is None else seeds
-    return PathStarts(points, normals, np.full(count, iso), seeds)
+def place_at(points, normals):
+    """The place of texels (texels, points, normals, isovalues) of points with normals (3, m), on one isosurface."""
+    texels = np.zeros((points.shape[1], 3), np.int32)
+    texels[:, 0] = np.arange(len(texels))
+    return texels, points, normals, np.zeros(len(texels))
+
+
+def halves_of(place):
+    """The ``PathStarts`` of the two halves of each texel."""
+    texels, *others = place
+    seeds = [texel_seed(*texel, half) for texel in texels.tolist() for half in range(2)]
+    return PathStarts(*(np.repeat(each, 2, axis=-1) for each in others), np.array(seeds, np.uint64))
 
 
 def on_ball(count, seed=3):

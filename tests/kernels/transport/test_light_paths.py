@@ -5,11 +5,15 @@ import math
 import numpy as np
 import pytest
 
+from isogi_core.kernels.shading.framebuffer import PixelPoints
+from isogi_core.kernels.shading.local_models import trace_points
 from isogi_core.kernels.tracing.field import OFFSET
 from isogi_core.kernels.transport.lights import AREA, DIRECTIONAL, POINT
-from isogi_core.kernels.transport.paths import SampleRange
+from isogi_core.kernels.transport.paths import PathRules, PathStarts, SampleRange
+from isogi_core.kernels.transport.rng import mix
+from isogi_core.kernels.transport.wavefront import WAVE
 from isogi_core.model.environment import cumulative, pixel_directions, solid_angles
-from tests.kernels.fields import field_of
+from tests.kernels.fields import field_of, surface_of
 from tests.kernels.transport.lighting import (
     BALL,
     LIGHTS,
@@ -21,42 +25,61 @@ from tests.kernels.transport.lighting import (
     UP,
     Z,
     gather,
+    halves_of,
     lamps,
     on_ball,
     one_by_one,
-    starts_at,
+    place_at,
     sunny,
     surroundings,
 )
-from tests.scale import COMPILED, few
+from tests.scale import COMPILED, PYTHON, few
 
 
 @pytest.mark.parametrize("name", LIGHTS)
 @pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), (0.5, 1.0, 2.0)])
 def test_waves_gather_what_paths_one_by_one_do(name, spacing):
-    starts, count = few((300, 20), (20, 2))
+    texels, count = few((150, 20), (10, 2))
     weights = np.array([0.9, 0.7, 0.5]) ** np.arange(5.0)[:, None]
-    light, field = LIGHTS[name], field_of(NOISY, spacing)
-    begin = starts_at(*on_ball(starts), np.random.default_rng(1).integers(0, 2**63, starts).astype(np.uint64))
-    expected = np.empty((3, starts * count))
-    one_by_one(field, begin, SampleRange(3, count), weights, light, expected)
-    found = gather(field, begin, light, weights, (3, count))
-    expected = expected.T.reshape(count, starts, 3).swapaxes(0, 1)
+    light, field, place = LIGHTS[name], field_of(NOISY, spacing), place_at(*on_ball(texels))
+    paths = np.empty((3, 2 * texels * count))
+    one_by_one(field, halves_of(place), SampleRange(3, count), weights, light, paths)
+    nothing = np.zeros((texels, 2, 3))
+    found = gather(field, place, light, weights, (3, count), nothing) * (3 + count)
+    expected = paths.reshape(3, count, texels, 2).sum(axis=1).transpose(1, 2, 0)
     np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-14)
-    assert (found > 0.0).mean() > 0.2
+    assert (paths > 0.0).mean() > 0.2
+
+
+@pytest.mark.parametrize(("count", "points"), [(3, 300), (WAVE // 2 + 5, 2)])
+def test_points_are_traced_by_the_paths_one_by_one(count, points):
+    """To the last bit of their sums, also where one point alone has more paths than a wave."""
+    if PYTHON:
+        count, points = min(count, 3), min(points, 20)
+    field, light = field_of(NOISY), LIGHTS["image"]
+    points, normals = (np.ascontiguousarray(each.T, np.float32) for each in on_ball(points))
+    weights, pixels = 0.7 ** np.arange(1.0, 5.0)[:, None] * np.ones(3), np.arange(len(points), dtype=np.uint32) + 11
+    sums = np.zeros((2, len(points), 2, 3))
+    place, samples = PixelPoints(points, normals, pixels), SampleRange(2, count)
+    trace_points(surface_of(field, 0.0), place, light, PathRules(weights, 1.0), 0, samples, sums[0])
+    seeds = np.array([mix(pixel, half) for pixel in pixels.tolist() for half in range(2)], np.uint64)
+    here, around = (np.repeat(each.T.astype(float), 2, axis=1) for each in (points, normals))
+    paths = np.empty((3, len(seeds) * count))
+    one_by_one(field, PathStarts(here, around, np.zeros(len(seeds)), seeds), samples, weights, light, paths)
+    for sample in paths.reshape(3, count, len(points), 2).transpose(1, 2, 3, 0):
+        sums[1] += sample
+    assert sums[0].any(axis=(1, 2)).mean() > 0.9 and np.array_equal(*sums)
 
 
 def test_a_path_gathers_the_same_bits_in_any_company():
-    starts, count = few((700, 9), (3, 2))
-    points, normals = on_ball(starts)
-    weights, light = np.full((4, 3), 0.8), LIGHTS["all"]
-    seeds = np.arange(starts, dtype=np.uint64) * np.uint64(77)
-    field = field_of(NOISY)
-    together = gather(field, starts_at(points, normals, seeds), light, weights, count)
-    for some in np.array_split(np.random.default_rng(5).permutation(starts), 3):
-        begin = starts_at(points[:, some].copy(), normals[:, some].copy(), seeds[some])
-        late = gather(field, begin, light, weights, (1, count - 1))
-        assert np.array_equal(late, together[some, 1:])
+    texels, count = few((350, 9), (3, 2))
+    weights, light, field = np.full((4, 3), 0.8), LIGHTS["all"], field_of(NOISY)
+    place = place_at(*on_ball(texels))
+    together = gather(field, place, light, weights, count)
+    for some in np.array_split(np.random.default_rng(5).permutation(texels), 3):
+        own = place[0][some], place[1][:, some].copy(), place[2][:, some].copy(), place[3][some]
+        early = gather(field, own, light, weights, 1)
+        assert np.array_equal(gather(field, own, light, weights, (1, count - 1), early), together[some])
 
 
 # --- closed forms ------------------------------------------------------------------------------------------------
@@ -70,7 +93,7 @@ def test_furnace(table):
     if table:
         light = light._replace(table=cumulative(np.random.default_rng(2).random((8, 16)) ** 4))
     count = few(4096, 40)
-    found = gather(field_of(PLANE), starts_at(MIDDLE, UP), light, np.ones((2, 3)), count).mean(axis=1)
+    found = gather(field_of(PLANE), place_at(MIDDLE, UP), light, np.ones((2, 3)), count // 2).mean(axis=1)
     np.testing.assert_allclose(found, 1.0, atol=6.0 / count**0.5 if table else 1e-6)
 
 
@@ -79,7 +102,7 @@ def test_furnace(table):
 def test_no_light_is_made_or_lost_by_bounces_in_the_open(name):
     points, normals = on_ball(50)
     convex = [
-        gather(field_of(BALL), starts_at(points, normals), LIGHTS[name], np.ones((n, 3)), 64).mean(axis=1)
+        gather(field_of(BALL), place_at(points, normals), LIGHTS[name], np.ones((n, 3)), 32).mean(axis=1)
         for n in (1, 4)
     ]
     np.testing.assert_allclose(convex[1], convex[0], rtol=0.01, atol=1e-3)
@@ -94,7 +117,7 @@ def test_a_directional_lamp_over_a_plane(degrees, angle):
     edges = radius * np.array([(0.0, 1.0, 0.0), (-cosine, 0.0, sine)])
     light = surroundings(lamps=lamps((DIRECTIONAL, (sine, 0.0, cosine), edges, (3.0, 2.0, 1.0))))
     count = few(1024, 64)
-    found = gather(field_of(PLANE), starts_at(MIDDLE, UP), light, np.full((1, 3), 0.5), count).mean(axis=1)
+    found = gather(field_of(PLANE), place_at(MIDDLE, UP), light, np.full((1, 3), 0.5), count // 2).mean(axis=1)
     np.testing.assert_allclose(found[0], 0.5 * max(cosine, 0.0) * np.array([3.0, 2.0, 1.0]), rtol=2e-3)
 
 
@@ -104,7 +127,7 @@ def test_a_point_lamp_over_a_plane_and_under_it(spacing):
     start = (np.array([20.0, 20.0, 20.0 + OFFSET])) * spacing
     for away in np.array([(0.0, 0.0, 6.0), (4.0, -3.0, 5.0), (4.0, 3.0, -5.0)]):
         light = surroundings(lamps=lamps((POINT, start + away, None, (1.0, 2.0, 3.0))))
-        found = gather(field_of(PLANE, spacing), starts_at(MIDDLE, UP), light, np.ones((1, 3)), 1)[0, 0]
+        found = gather(field_of(PLANE, spacing), place_at(MIDDLE, UP), light, np.ones((1, 3)), 1)[0, 0]
         share = max(away[2], 0.0) / np.linalg.norm(away) ** 3
         np.testing.assert_allclose(found, share * np.array([1.0, 2.0, 3.0]), rtol=1e-9)
 
@@ -115,7 +138,7 @@ def test_a_lamp_is_hidden_by_what_is_nearer_only():
     floor = np.array([[20.0], [20.0], [10.0]])
     for height, seen in ((16.0, True), (22.9, True), (25.0, False), (39.0, False), (60.0, False)):
         light = surroundings(lamps=lamps((POINT, (22.0, 20.0, height), None, (1.0, 1.0, 1.0))))
-        found = gather(field_of(slab), starts_at(floor, UP), light, np.ones((1, 3)), 1)
+        found = gather(field_of(slab), place_at(floor, UP), light, np.ones((1, 3)), 1)
         assert (found > 0.0).all() == seen and found.any() == seen
 
 
@@ -129,7 +152,7 @@ def test_a_rectangle_over_its_corner_has_its_form_factor(a, b, h):
     count = few(4096, 1000)
     for turned in (False, True):
         light = surroundings(lamps=lamps((AREA, corner, edges[::-1] if turned else edges, np.ones(3) / math.pi)))
-        found = gather(field_of(PLANE), starts_at(MIDDLE, UP), light, np.ones((1, 3)), count).mean(axis=1)
+        found = gather(field_of(PLANE), place_at(MIDDLE, UP), light, np.ones((1, 3)), count // 2).mean(axis=1)
         np.testing.assert_allclose(found[0], 0.0 if turned else form, rtol=few(0.003, 0.1))
 
 
@@ -142,7 +165,7 @@ def test_a_lamp_in_a_hollow_ball(bounces):
     albedo = np.array([0.3, 0.6, 0.9])
     weights = albedo ** np.arange(bounces + 1.0)[:, None]
     light = surroundings(lamps=lamps((POINT, (20.0, 20.0, 20.0), None, (1.0, 1.0, 1.0))))
-    found = gather(field_of(SHELL), starts_at(20.0 - 13.0 * inward, inward), light, weights, 64).mean(axis=(0, 1))
+    found = gather(field_of(SHELL), place_at(20.0 - 13.0 * inward, inward), light, weights, 32).mean(axis=(0, 1))
     np.testing.assert_allclose(found * (13.0 - OFFSET) ** 2, weights.sum(axis=0), rtol=0.02)
 
 
@@ -153,11 +176,14 @@ def test_a_lamp_in_a_hollow_ball(bounces):
 @pytest.mark.parametrize("voxels", [BALL, NOISY], ids=["ball", "noisy ball"])
 def test_rays_towards_bright_parts_change_noise_and_not_the_mean(voxels):
     """Against cosine rays alone, under a turned, broad sun: each start's mean within its noise, at far less of it."""
-    points, normals = on_ball(40)
     weights, image = np.array([0.8, 0.6, 0.4]) ** np.arange(3.0)[:, None], sunny(radiance=60.0)
-    plain = gather(field_of(voxels), starts_at(points, normals), surroundings(image, 0.1, matrix=TURN), weights, 20_000)
-    drawn = gather(
-        field_of(voxels), starts_at(points, normals), surroundings(image, 0.1, table=True, matrix=TURN), weights, 20_000
+    place = place_at(*(np.tile(each, 10_000) for each in on_ball(40)))
+    plain, drawn = (
+        gather(field_of(voxels), place, surroundings(image, 0.1, table=table, matrix=TURN), weights, 1)
+        .reshape(10_000, 40, 2, 3)
+        .swapaxes(0, 1)
+        .reshape(40, 20_000, 3)
+        for table in (False, True)
     )
     noise = np.sqrt((plain.var(axis=1) + drawn.var(axis=1)) / 20_000)
     z = (plain.mean(axis=1) - drawn.mean(axis=1)) / noise
@@ -173,7 +199,7 @@ def test_a_small_sun_is_found_by_few_samples():
     share = solid_angles(256, 512) * np.maximum(pixel_directions(256, 512)[..., 2], 0.0) / math.pi
     expected = (share[..., None] * image).sum(axis=(0, 1))
     assert expected[0] > 1.0
-    found = gather(field_of(PLANE), starts_at(MIDDLE, UP), surroundings(image, table=True), np.ones((1, 3)), 256).mean(
+    found = gather(field_of(PLANE), place_at(MIDDLE, UP), surroundings(image, table=True), np.ones((1, 3)), 128).mean(
         axis=1
     )
     np.testing.assert_allclose(found[0], expected, rtol=0.01)

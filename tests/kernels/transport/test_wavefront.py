@@ -9,14 +9,15 @@ from isogi_core.bake.refine import refine
 from isogi_core.bake.texel_light import Light
 from isogi_core.kernels.tracing.field import OFFSET
 from isogi_core.kernels.tracing.intersect import OUTSIDE
-from isogi_core.kernels.tracing.vec import column, put_column
+from isogi_core.kernels.tracing.vec import column
+from isogi_core.kernels.transport.harmonics import accumulate
 from isogi_core.kernels.transport.integrator import trace_path
-from isogi_core.kernels.transport.paths import PathEnds, PathStarts, SampleRange
-from isogi_core.kernels.transport.wavefront import walk_paths
+from isogi_core.kernels.transport.paths import PathRules, SampleRange
+from isogi_core.kernels.transport.transfer import bake_texels, texel_seed
 from isogi_core.model.volume import make_volume
-from isogi_core.plan.assembly import load_scene
 from isogi_core.prepared.prepared_scene import PreparedScene, make_field
 from tests.kernels.fields import cells_of
+from tests.loaded import load_scene
 from tests.scale import PYTHON
 
 Z, Y, X = np.indices((30, 34, 38)) - 16.0
@@ -24,19 +25,25 @@ BUMPS = 10.0 - np.sqrt(X**2 + Y**2 + Z**2) + 1.5 * np.sin(X) * np.sin(Y) * np.si
 BOUNCES = 4
 
 
-@njit
-def one_by_one(field, starts, samples, survival, ends):
-    g = len(starts.isovalues)
-    for m in range(g * samples.count):
-        i, sample = m % g, samples.first + m // g
-        start = column(starts.points, i), column(starts.normals, i), OUTSIDE
-        ends.bounces[m], w = trace_path(field, starts.isovalues[i], start, starts.seeds[i], sample, BOUNCES, survival)
-        put_column(ends.directions, m, w)
+WEIGHTS = np.array([[0.3, 1.0, 0.8, 0.6, 0.5, 0.2]])
+"""What paths count: no two alike, so that sums tell after how many bounces each has left."""
 
 
 @njit
-def in_waves(field, cells, starts, samples, survival, ends):
-    walk_paths(field, cells, starts, samples, BOUNCES, survival, ends)
+def one_by_one(field, place, samples, survival, sums):
+    """``bake_texels`` by `trace_path`; returns how many paths left after a bounce."""
+    texels, points, normals, isovalues = place
+    bounced = 0
+    for m in range(len(texels)):
+        start = column(points, m), column(normals, m), OUTSIDE
+        z, y, x = texels[m]
+        for half in range(2):
+            for sample in range(samples.first, samples.first + samples.count):
+                seed = texel_seed(z, y, x, half)
+                bounces, w = trace_path(field, isovalues[m], start, seed, sample, BOUNCES, survival)
+                accumulate(2, w[0], w[1], w[2], WEIGHTS[0, bounces + 1], sums[m, half, 0])
+                bounced += bounces > 0
+    return bounced
 
 
 def plateaus(values):
@@ -45,31 +52,30 @@ def plateaus(values):
 
 
 @pytest.mark.parametrize(("survival", "smooth", "offset"), [(1.0, True, OFFSET), (0.6, True, 0.6), (0.6, False, 0.0)])
-@pytest.mark.parametrize("starts, count", [(1, 1), (2, 40), (17, 3), (700, 5), (10, 1200), (5000, 2)])
+@pytest.mark.parametrize("texels, count", [(1, 1), (2, 20), (9, 3), (350, 5), (10, 600), (2500, 2)])
 @pytest.mark.parametrize(
     "body",
     [BUMPS, plateaus(BUMPS), BUMPS[:, :, 16:19], np.repeat(BUMPS[16:17], len(BUMPS), axis=0)],
     ids=["bumps", "plateaus", "thin", "a column, whose normals have no z"],
 )
-def test_waves_are_the_paths_one_by_one(starts, count, body, survival, smooth, offset):
-    if PYTHON and starts * count > 100:
+def test_waves_are_the_paths_one_by_one(texels, count, body, survival, smooth, offset):
+    if PYTHON and texels * count > 50:
         pytest.skip("so many paths need compiled kernels")
     volume = make_volume(body, (0.5, 1.0, 2.0))
     field = make_field(volume, smooth, offset)
     rng = np.random.default_rng(1)
-    normals = rng.normal(size=(3, starts))
+    normals = rng.normal(size=(3, texels))
     normals /= np.linalg.norm(normals, axis=0)
     points = np.clip(16.0 + 9.5 * normals, 0.0, np.array(volume.size)[:, None] - 1.0)
-    isovalues = volume.normalise_isovalue(0.0) + rng.uniform(-0.002, 0.002, starts)
-    seeds = rng.integers(0, 2**63, starts).astype(np.uint64)
-    cells, total = cells_of(field, isovalues.min(), isovalues.max()), starts * count
-    one, other = (PathEnds(np.empty(total, np.int64), np.empty((3, total))) for _ in range(2))
-    begin, samples = PathStarts(points, normals, isovalues, seeds), SampleRange(3, count)
-    one_by_one(field, begin, samples, survival, one)
-    in_waves(field, cells, begin, samples, survival, other)
-    assert np.array_equal(one.bounces, other.bounces)
-    assert np.array_equal(one.directions, other.directions)
-    assert total < 1000 or (one.bounces > 0).mean() > 0.01
+    isovalues = volume.normalise_isovalue(0.0) + rng.uniform(-0.002, 0.002, texels)
+    place = rng.integers(0, 2**31, (texels, 3)).astype(np.int32), points, normals, isovalues
+    cells, samples = cells_of(field, isovalues.min(), isovalues.max()), SampleRange(3, count)
+    one, other = np.zeros((2, texels, 2, 1, 4))
+    bounced = one_by_one(field, place, samples, survival, one)
+    rules, rows = PathRules(WEIGHTS, survival), np.arange(texels)
+    bake_texels(field, cells, place, rows, samples, rules, np.full(1, 2), other)
+    assert one.any() and np.array_equal(one, other)
+    assert texels * count < 500 or bounced > 0.01 * 2 * texels * count
 
 
 @pytest.mark.parametrize("pieces", [2, 7])

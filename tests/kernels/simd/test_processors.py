@@ -1,0 +1,38 @@
+"""Kernels of vectors again, compiled for other processors than this: tests of them in a process of their own."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from isogi_core.kernels.simd.types import REGISTER
+from tests.scale import COMPILED
+
+KERNELS = Path(__file__).parents[1]
+
+RAYS = ["simd/test_ray_vectors.py", "tracing/test_cast.py"] if REGISTER else []
+"""Tests of rays in vectors, which not every processor has."""
+
+PROCESSORS = {
+    "haswell": ({}, ["simd/test_path_vectors.py", *RAYS]),
+    "nehalem": (
+        {"NUMBA_CPU_FEATURES": "+sse4.2"},
+        ["simd/test_path_vectors.py", "transport/test_wavefront.py::test_waves_are_the_paths_one_by_one"],
+    ),
+}
+"""What else Numba is told of each, and the tests."""
+
+
+@pytest.mark.slow
+@COMPILED
+@pytest.mark.parametrize("processor", PROCESSORS)
+def test_all_of_it_again_for_other_processors(processor: str) -> None:
+    """Eight lanes and rays by AVX2, four lanes without it; whole paths where it is most unlike this processor."""
+    told, tests = PROCESSORS[processor]
+    files = [str(KERNELS / each) for each in tests]
+    command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *files]
+    environment = {**os.environ, "NUMBA_CPU_NAME": processor, **told}
+    run = subprocess.run(command, env=environment, cwd=KERNELS.parents[1], capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stdout + run.stderr
