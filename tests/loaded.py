@@ -20,6 +20,6 @@ def load_scene(target: str | Path, **settings: Any) -> Scene:
     return _demo(str(target), told)
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=24)
 def _demo(target: str, told: str) -> Scene:
     return assembly.load_scene(target, **json.loads(told))

@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Callable, Iterable, Iterator
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -164,26 +165,33 @@ for arguments in {QUICK!r}:
     assert "serve" in done.stdout
 
 
-def names_too_long(path: Path) -> list[str]:
-    names = [node.name for node in nodes(path) if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)]
+def names_too_long(tree: Iterable[ast.AST]) -> list[str]:
+    names = [node.name for node in tree if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)]
     return [name for name in names if name.startswith("test_") and len(name) > LONGEST_TEST_NAME]
 
 
+@cache
+def faults_of_tests(path: Path) -> tuple[list[str], list[str], list[str]]:
+    """Long names, imported test modules and replaced clocks in a file of tests, which is parsed once."""
+    tree = list(nodes(path))
+    return names_too_long(tree), imported_test_modules(tree), clocks_replaced(tree)
+
+
 def test_names_of_tests_are_short() -> None:
-    assert offenders(TESTS, names_too_long) == {}
+    assert offenders(TESTS, lambda path: faults_of_tests(path)[0]) == {}
 
 
-def imported_test_modules(tree: Iterator[ast.AST]) -> list[str]:
+def imported_test_modules(tree: Iterable[ast.AST]) -> list[str]:
     """Test modules from which a module imports."""
     modules = [node.module or "" for node in tree if isinstance(node, ast.ImportFrom)]
     return [name for name in modules if name.split(".")[-1].startswith("test_")]
 
 
 def test_no_test_module_is_imported() -> None:
-    assert offenders(TESTS, lambda path: imported_test_modules(nodes(path))) == {}
+    assert offenders(TESTS, lambda path: faults_of_tests(path)[1]) == {}
 
 
-def clocks_replaced(tree: Iterator[ast.AST]) -> list[str]:
+def clocks_replaced(tree: Iterable[ast.AST]) -> list[str]:
     """Functions of the clock that a test replaces in the module ``time`` itself, and so for the whole process."""
     patches = [node for node in tree if isinstance(node, ast.Call) and is_patch(node.func) and node.args]
     targets = [ast.unparse(node.args[0]).strip("'\"") for node in patches]
@@ -195,7 +203,7 @@ def is_patch(function: ast.expr) -> bool:
 
 
 def test_the_clock_is_replaced_for_no_whole_process() -> None:
-    assert offenders(TESTS, lambda path: clocks_replaced(nodes(path))) == {}
+    assert offenders(TESTS, lambda path: faults_of_tests(path)[2]) == {}
 
 
 @pytest.mark.parametrize(

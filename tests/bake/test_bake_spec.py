@@ -13,9 +13,9 @@ from isogi_core.bake.refine import add
 from isogi_core.bake.texel_light import Light, Part
 from isogi_core.model.scene_plan import Layer, ScenePlan
 from isogi_core.model.sky import LUMINANCE
-from isogi_core.plan.assembly import load_scene
 from isogi_core.prepared.prepared_scene import PreparedScene
 from tests.bake.texels import ALBEDO, CONSTANT, SKY, orbital, plan_of, rotations_of, spec_of
+from tests.loaded import load_scene
 
 
 def test_bands_of_coefficients() -> None:

@@ -21,9 +21,9 @@ from isogi_core.bake.noise import (
 from isogi_core.bake.precision import VOID
 from isogi_core.bake.texel_light import Light, Part
 from isogi_core.model.scene_plan import FEWEST, most_samples
-from isogi_core.plan.assembly import load_scene
 from isogi_core.prepared.prepared_scene import PreparedScene
 from tests.bake.texels import baked, climbed, orbital, rotations_of, surface_texels
+from tests.loaded import load_scene
 from tests.scale import COMPILED
 
 FACTOR = np.sqrt(4.0 * np.pi)
@@ -176,10 +176,10 @@ LOOKS = {
 
 @cache
 def referred(name: str) -> tuple[BakeSpec, np.ndarray, Light]:
-    """One of LOOKS, 500 texels of the orbital, and their light after 8192 samples."""
+    """One of LOOKS, 160 texels of the orbital, and their light after 8192 samples."""
     spec = orbital(**LOOKS[name])  # type: ignore[arg-type]
-    texels = surface_texels(spec, 500)
-    assert len(texels) == 500
+    texels = surface_texels(spec, 160)
+    assert len(texels) == 160
     return spec, texels, climbed(spec, texels, 8192)
 
 

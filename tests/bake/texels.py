@@ -12,8 +12,8 @@ from isogi_core.bake.refine import climb, refine
 from isogi_core.bake.texel_light import Light
 from isogi_core.kernels.transport.harmonics import rotate
 from isogi_core.model.scene_plan import Layer, ScenePlan
-from isogi_core.plan.assembly import load_scene
 from isogi_core.prepared.prepared_scene import PreparedScene
+from tests.loaded import load_scene
 
 NEVER = -1.0
 """A target that no texel reaches."""

@@ -12,9 +12,9 @@ from isogi_core.cache.chunk_store import ChunkStore
 from isogi_core.cache.layer import LayerStore
 from isogi_core.kernels.shading.lattice import CHUNK
 from isogi_core.model.scene_plan import Layer, ScenePlan
-from isogi_core.plan.assembly import load_scene
 from isogi_core.prepared.prepared_scene import Index, PreparedScene
 from tests.bake.texels import same
+from tests.loaded import load_scene
 
 SKY = {"type": "sky"}
 CONSTANT = {"type": "constant", "radiance": 1.0}

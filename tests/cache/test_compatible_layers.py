@@ -18,9 +18,9 @@ from isogi_core.cache.layer import LayerStore
 from isogi_core.errors import DamagedChunkError, StoreError
 from isogi_core.kernels.transport.harmonics import MAX_ORDER
 from isogi_core.model.scene_plan import Layer
-from isogi_core.plan.assembly import load_scene
 from isogi_core.prepared.prepared_scene import PreparedScene
 from tests.cache.chunks import CONSTANT, assert_equal, baked, file_of, shown, spec_of
+from tests.loaded import load_scene
 
 INDEX = (1, 1, 1)
 DIRECT, INDIRECT = 0, 1

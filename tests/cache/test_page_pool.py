@@ -1,4 +1,5 @@
 import threading
+from bisect import bisect_left
 from contextlib import ExitStack
 from dataclasses import replace
 from typing import Any
@@ -37,9 +38,8 @@ def empty(spec: BakeSpec, index: Index) -> Chunks:
 
 def pool_of(spec: BakeSpec, pages: int) -> PagePool:
     """A pool with room for so many pages."""
-    budget = 0
-    while len((pool := PagePool(spec, budget)).stamp) < pages * PAGE:
-        budget += 1024
+    budgets = range(0, 1 << 24, 1024)
+    pool = PagePool(spec, budgets[bisect_left(budgets, pages * PAGE, key=lambda n: len(PagePool(spec, n).stamp))])
     assert len(pool.stamp) == pages * PAGE
     return pool
 

@@ -24,9 +24,9 @@ from isogi_core.model.environment import pixel_directions
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import View
 from isogi_core.model.volume import Volume, make_volume
-from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import PreparedScene
+from tests.loaded import load_scene
 
 CONSTANT = {"type": "constant", "radiance": 1.0}
 SKY = {"type": "sky", "sun_azimuth": 30.0, "sun_elevation": 50.0}

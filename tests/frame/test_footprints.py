@@ -8,8 +8,8 @@ import numpy as np
 from isogi_core.frame.view_texels import LEAST_SEEN, most_seen
 from isogi_core.kernels.shading.chunks import add_footprints
 from isogi_core.kernels.shading.lattice import Lattice
-from isogi_core.plan.assembly import load_scene
 from server.cli.bench import make_renderer, view_of
+from tests.loaded import load_scene
 
 RNG = np.random.default_rng(3)
 

@@ -22,10 +22,10 @@ from isogi_core.kernels.transport.harmonics import cosine_lobe_factors
 from isogi_core.kernels.transport.lights import unshadowed
 from isogi_core.kernels.transport.texel_points import PROJECTED, project_texels
 from isogi_core.model.view import Camera, View, quaternion_from_angles
-from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import PreparedScene
 from tests.frame.conftest import CONSTANT, LOOSE, SKY, Workbench, ball, relative_rmse, scene_of, soft_probe
+from tests.loaded import load_scene
 
 LAMP = {"type": "directional", "azimuth": 90.0, "elevation": 30.0, "irradiance": 2.0}
 ODD = quaternion_from_angles(33.0, -20.0, 71.0)

@@ -17,8 +17,8 @@ from isogi_core.kernels.shading.lattice import BURIED
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import IDENTITY, SHADINGS, Camera, View, quaternion_from_angles
 from isogi_core.model.volume import Volume, make_volume
-from isogi_core.plan.assembly import load_scene
 from tests.frame.conftest import CONSTANT, LOOSE, SKY, Workbench, ball, luminance, relative_rmse, scene_of
+from tests.loaded import load_scene
 
 Make = Callable[..., Workbench]
 TURN = quaternion_from_angles(70.0, 20.0, -10.0)
@@ -198,7 +198,7 @@ def test_a_closed_hollow_is_black_from_inside(shading: str, workbench: Make) -> 
 # --- against the path tracer ----------------------------------------------------------------------------------------
 
 
-def against_path_tracer(bench: Workbench, samples: int, size: int = 192) -> tuple[float, Frame]:
+def against_path_tracer(bench: Workbench, samples: int, size: int) -> tuple[float, Frame]:
     """Relative RMSE of the baked `gi` picture against the path tracer with so many samples, and the `gi` frame."""
     view: View = bench.view(size=size)
     frame = bench.bake(view)
@@ -207,7 +207,7 @@ def against_path_tracer(bench: Workbench, samples: int, size: int = 192) -> tupl
 
 
 def test_gi_of_the_orbital_is_the_path_tracers(workbench: Make) -> None:
-    error, frame = against_path_tracer(workbench(load_scene("demo:orbital", **CALM)), 256, 96)
+    error, frame = against_path_tracer(workbench(load_scene("demo:orbital", **CALM)), 256, 64)
     assert error < 0.02
     assert frame.estimated_error < 0.02
 
@@ -215,7 +215,7 @@ def test_gi_of_the_orbital_is_the_path_tracers(workbench: Make) -> None:
 @pytest.mark.slow
 def test_gi_of_the_casting_is_the_path_tracers(workbench: Make) -> None:
     """Thin fins and webs of one or two voxels: light differs most from texel to texel here."""
-    error, frame = against_path_tracer(workbench(load_scene("demo:casting", **CALM)), 256, 128)
+    error, frame = against_path_tracer(workbench(load_scene("demo:casting", **CALM)), 256, 64)
     assert error < 0.03
     assert frame.estimated_error < 0.02
 
@@ -224,6 +224,6 @@ def test_gi_of_the_casting_is_the_path_tracers(workbench: Make) -> None:
 @pytest.mark.data
 def test_gi_of_the_engine_is_the_path_tracers(shared_data: Path, workbench: Make) -> None:
     scene = load_scene(shared_data / "engine_256x256x128_uint8.nhdr", isovalue=70, **CALM)
-    error, frame = against_path_tracer(workbench(scene), 256)
+    error, frame = against_path_tracer(workbench(scene), 256, 80)
     assert error < 0.02
     assert frame.estimated_error < 0.02

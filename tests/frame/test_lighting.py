@@ -16,10 +16,10 @@ from isogi_core.kernels.transport.harmonics import cosine_lobe_factors, evaluate
 from isogi_core.model.environment import pixel_directions, solid_angles
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import IDENTITY, Camera, Quaternion, View, quaternion_from_angles
-from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import AROUND, PreparedScene
 from tests.frame.conftest import CONSTANT, LOOSE, SKY, Workbench, luminance
+from tests.loaded import load_scene
 
 LAMP = {"type": "directional", "azimuth": 90.0, "elevation": 30.0, "irradiance": [2.0, 1.0, 0.5]}
 CAMERA = Camera((10.0, 3.0, 4.0), (0.0, 0.0, 0.0))

@@ -16,8 +16,8 @@ from isogi_core.kernels.transport.lights import DIRECTIONAL
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import quaternion_from_angles
 from isogi_core.model.volume import Volume, make_volume
-from isogi_core.plan.assembly import load_scene
 from tests.frame.conftest import LOOSE, SKY, Workbench, ball, luminance, relative_rmse, scene_of
+from tests.loaded import load_scene
 
 Make = Callable[..., Workbench]
 TURN = quaternion_from_angles(70.0, 20.0, -10.0)

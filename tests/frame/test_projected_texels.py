@@ -20,8 +20,8 @@ from isogi_core.frame.texel_reading import Reading
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL
 from isogi_core.kernels.shading.lattice import BURIED, BURIED_ROW, PARTIAL, UNBAKED, UNLIT, VOID, VOID_ROW
 from isogi_core.model.view import View
-from isogi_core.plan.assembly import load_scene
 from tests.frame.conftest import CONSTANT, LOOSE, Workbench, refine_chunk, relative_rmse
+from tests.loaded import load_scene
 
 MakeBench = Callable[..., Workbench]
 STEEP = 1.0

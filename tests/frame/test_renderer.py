@@ -20,8 +20,8 @@ from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, PROVISIONAL
 from isogi_core.model.view import IDENTITY, SHADINGS, quaternion_from_angles
 from isogi_core.model.volume import make_volume
-from isogi_core.plan.assembly import load_scene
 from tests.frame.conftest import LOOSE, SKY, Workbench, ball, luminance, relative_rmse, scene_of, soft_probe
+from tests.loaded import load_scene
 
 Make = Callable[..., Workbench]
 TURN = quaternion_from_angles(70.0, 20.0, -10.0)

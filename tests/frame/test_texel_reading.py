@@ -13,8 +13,8 @@ from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, PROVISIONA
 from isogi_core.kernels.shading.lattice import BURIED, BURIED_ROW, PARTIAL, UNBAKED, UNLIT, VOID, VOID_ROW
 from isogi_core.model.scene_plan import FEWEST, most_samples
 from isogi_core.model.view import View
-from isogi_core.plan.assembly import load_scene
 from tests.frame.conftest import CONSTANT, SKY, Workbench, refine_chunk
+from tests.loaded import load_scene
 
 TARGET = 0.02
 

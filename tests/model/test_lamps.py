@@ -13,8 +13,8 @@ from isogi_core.model.environment import gather_lamps
 from isogi_core.model.lights import AreaLight, ConstantLight, DirectionalLight, Lamp, PointLight
 from isogi_core.model.scene_plan import Layer
 from isogi_core.model.sky import LUMINANCE
-from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
+from tests.loaded import load_scene
 
 SUN = DirectionalLight(90.0, 30.0, (3.0, 2.0, 1.0), 60.0)
 BULB = PointLight((1.0, 2.0, 8.0), (9.0, 0.0, 18.0))

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from tempfile import mkdtemp
 from typing import Any
@@ -24,9 +25,9 @@ from isogi_core.model.scene_plan import Layer
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import View, quaternion_from_angles
 from isogi_core.model.volume import Volume, make_volume
-from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import PreparedScene
+from tests.loaded import load_scene
 
 Frames = Callable[..., Frame]
 Lobe = Callable[[float], dict[str, Any]]
@@ -44,18 +45,18 @@ SIDE = 40
 @pytest.fixture
 def frame_of(tmp_path: Path) -> Frames:
     """Makes frames, each with light of its own."""
+    return partial(make_frame, tmp_path)
 
-    def make(scene: Scene, samples: int = 64, **settings: Any) -> Frame:
-        """A view, with ``samples`` paths from each texel in each layer, or from each pixel; whatever the error is."""
-        view = view_of(scene, samples=samples, **settings)
-        renderer = Renderer(Caches(PreparedScene(scene), mkdtemp(dir=tmp_path), 1 << 28), Tiles())
-        demands = renderer.render(view).demands
-        if demands:
-            loader = renderer.caches.of(view.shading)
-            renderer.tiles.run(lambda a, b: bake(loader, demands[a:b], samples), len(demands), 1)
-        return renderer.render(view)
 
-    return make
+def make_frame(folder: Path, scene: Scene, samples: int = 64, **settings: Any) -> Frame:
+    """A view, with ``samples`` paths from each texel in each layer, or from each pixel; whatever the error is."""
+    view = view_of(scene, samples=samples, **settings)
+    renderer = Renderer(Caches(PreparedScene(scene), mkdtemp(dir=folder), 1 << 28), Tiles())
+    demands = renderer.render(view).demands
+    if demands:
+        loader = renderer.caches.of(view.shading)
+        renderer.tiles.run(lambda a, b: bake(loader, demands[a:b], samples), len(demands), 1)
+    return renderer.render(view)
 
 
 @pytest.fixture

@@ -8,9 +8,9 @@ import pytest
 from isogi_core.errors import SceneError
 from isogi_core.model.scene_plan import Layer
 from isogi_core.plan.albedos import MOST, choose_nodes, mixing_error, mixing_weights, spread_nodes
-from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.budget import MIXING
 from isogi_core.plan.left_out import percent
+from tests.loaded import load_scene
 
 SKY = {"type": "sky", "sun_azimuth": 20.0, "sun_elevation": 35.0}
 CONSTANT = {"type": "constant", "radiance": 1.0}

@@ -12,13 +12,13 @@ from isogi_core.bake.texel_light import Light
 from isogi_core.frame.lighting import rotated_by
 from isogi_core.model.lights import ConstantLight, ProbeLight
 from isogi_core.model.sky import LUMINANCE
-from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.bands import project_environment
 from isogi_core.plan.budget import harmonics_error, rounding_error, tail_of_bounces
 from isogi_core.plan.inputs import PlanOverrides
 from isogi_core.plan.planner import plan_scene
 from isogi_core.prepared.prepared_scene import PreparedScene
 from tests.bake.texels import climbed, surface_texels
+from tests.loaded import load_scene
 from tests.plan.planning import inputs_of
 from tests.scale import COMPILED
 

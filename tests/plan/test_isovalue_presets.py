@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from isogi_core.model.volume import make_volume
-from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.isovalue_presets import BINS, find_boundaries, peaks, prominence, surface_integrals
+from tests.loaded import load_scene
 
 Z, Y, X = np.mgrid[:32, :36, :40].astype(np.float64)
 

@@ -1,14 +1,33 @@
 """What plans leave out of a texel makes less difference than the target error; where it made more, it is kept."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
+import pytest
 
+from isogi_core.frame.frame import Frame
 from isogi_core.model.scene_plan import Layer
-from tests.plan.conftest import SUN, TARGET, TURN, WIDE, Frames, Lobe, apart, in_bowl, with_layers
+from isogi_core.plan.scene import Scene
+from tests.plan.conftest import SUN, TARGET, TURN, WIDE, Frames, Lobe, apart, in_bowl, make_frame, with_layers
 
 SOFT = 0.3
 """Projection of a light that is nearly the same from all sides."""
+
+
+@pytest.fixture(scope="module")
+def frame_of(tmp_path_factory: pytest.TempPathFactory) -> Frames:
+    """Makes frames, one for each scene, plan and view: the frame of what a plan keeps serves several tests."""
+    made: dict[Any, Frame] = {}
+
+    def make(scene: Scene, samples: int = 64, **settings: Any) -> Frame:
+        key = scene.digest, scene.bounces, repr(scene.plan), samples, repr(settings)
+        if key not in made:
+            made[key] = make_frame(tmp_path_factory.mktemp("light"), scene, samples, **settings)
+        return made[key]
+
+    return make
+
 
 VICINITY = {"representation": "vicinity", "bounces": 0}
 

@@ -9,10 +9,10 @@ import pytest
 from isogi_core.errors import SceneError
 from isogi_core.model.volume import Isovalue
 from isogi_core.plan import stiffness
-from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.projection import INTERPOLATION, ProjectionPlan, plan_projection
 from isogi_core.plan.stiffness import NOISY_ERROR, SMOOTH_ERROR, STEEP_ERROR, measure_stiffness
 from tests.kernels.fields import field_of
+from tests.loaded import load_scene
 
 
 def level(value: float) -> Isovalue:

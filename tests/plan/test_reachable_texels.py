@@ -12,12 +12,12 @@ from isogi_core.frame.tiles import Tiles
 from isogi_core.frame.view_texels import find_texels
 from isogi_core.model.view import View
 from isogi_core.model.volume import make_volume
-from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.reachable_texels import SAMPLE, Sample, count_texels, surface_cells, void_texels
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import PreparedScene
 from tests.frame.conftest import scene_of
 from tests.kernels.fields import bare_field
+from tests.loaded import load_scene
 from tests.plan.shown import shown_texels
 
 CHUNK = 16

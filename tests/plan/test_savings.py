@@ -15,12 +15,12 @@ from isogi_core.kernels.transport.harmonics import rotate
 from isogi_core.kernels.transport.lights import project_lamps
 from isogi_core.model.lights import ConstantLight, DirectionalLight, Light, SkyLight
 from isogi_core.model.scene_plan import Layer, LeftOut, Saving, ScenePlan
-from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.budget import LONGEST_PATH
 from isogi_core.plan.inputs import PlanOverrides
 from isogi_core.plan.left_out import S1_BYTES, unseen
 from isogi_core.plan.reachable_texels import TexelCount
 from isogi_core.prepared.prepared_scene import PreparedScene
+from tests.loaded import load_scene
 from tests.plan.planning import plan_of
 
 LAMP, SKY, WHITE = DirectionalLight(), SkyLight(), ConstantLight()

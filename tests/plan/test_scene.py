@@ -15,6 +15,7 @@ from isogi_core.model.scene_plan import Layer
 from isogi_core.plan.assembly import load_scene, otsu
 from isogi_core.plan.isovalue_presets import Preset, find_boundaries, suggested_presets
 from isogi_core.plan.scene import Scene
+from tests import loaded
 
 RAMP = np.arange(120, dtype=np.float32).reshape(6, 5, 4)
 ORBITAL = "demo:orbital"
@@ -266,7 +267,7 @@ def test_light_and_target_change_frames_and_not_bakes() -> None:
 )
 def test_a_layers_digest_holds_what_it_depends_on_alone(change: dict[str, Any], kinds: list[str]) -> None:
     """Of the layers of the changed scene, those that the plain one has baked too."""
-    plain, other = load_scene(ORBITAL, bounces=5), load_scene(ORBITAL, **{"bounces": 5, **change})
+    plain, other = loaded.load_scene(ORBITAL, bounces=5), load_scene(ORBITAL, **{"bounces": 5, **change})
     known = {plain.layer_digest(layer) for layer in plain.plan.layers}
     assert [layer.kind for layer in other.plan.layers if other.layer_digest(layer) in known] == kinds
 

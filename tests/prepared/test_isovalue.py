@@ -36,9 +36,10 @@ def refused(prepared: PreparedScene, view: View) -> None:
 
 @pytest.mark.slow
 def test_mypy_keeps_isovalues_of_two_units_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With the cache of `make check`, whose settings these are."""
     monkeypatch.chdir(ROOT)
     (tmp_path / "uses.py").write_text(USES)
-    answer, trouble, _ = api.run(["--no-error-summary", f"--cache-dir={tmp_path}", str(tmp_path / "uses.py")])
+    answer, trouble, _ = api.run(["--no-error-summary", str(tmp_path / "uses.py")])
     refused = {int(line) for line in re.findall(r"uses\.py:(\d+): error: .*\[arg-type\]", answer)}
     wrong = {number for number, line in enumerate(USES.splitlines(), 1) if line.endswith("# wrong")}
     assert refused == wrong and len(answer.splitlines()) == len(wrong), answer + trouble

@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 
 from isogi_core.model.view import View
-from isogi_core.plan.assembly import load_scene
 from isogi_core.report.bench import Bench
+from tests.loaded import load_scene
 
 SKY = {"type": "sky", "sun_azimuth": 30.0, "sun_elevation": 50.0}
 CONSTANT = {"type": "constant", "radiance": 1.0}

@@ -10,9 +10,9 @@ import pytest
 from isogi_core.errors import Cancelled, ReportError
 from isogi_core.frame.renderer import Renderer
 from isogi_core.model.sky import LUMINANCE
-from isogi_core.plan.assembly import load_scene
 from isogi_core.report.reference import load_reference, save_reference, trace_reference, with_bounces
 from tests.frame.conftest import CONSTANT, SKY, Workbench, ball, scene_of
+from tests.loaded import load_scene
 
 
 @pytest.fixture(scope="module")

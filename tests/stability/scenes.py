@@ -24,13 +24,13 @@ from isogi_core.kernels.tracing.intersect import UNKNOWN
 from isogi_core.model.scene_plan import most_samples
 from isogi_core.model.view import View
 from isogi_core.model.volume import Isovalue, Volume, make_volume
-from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.planner import plan_scene
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import PreparedScene, make_field
 from isogi_core.report.bake import NEVER, ViewBake
 from isogi_core.report.bench import MEMORY
 from isogi_core.report.metrics import luminance
+from tests.loaded import load_scene
 from tests.stability.volumes import Specimen, ball, body, grid, ramp
 
 CONSTANT: Mapping[str, Any] = {"type": "constant"}

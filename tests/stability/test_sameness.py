@@ -25,7 +25,6 @@ from isogi_core.kernels.tracing.active_cells import ActiveCells
 from isogi_core.model.scene_plan import most_samples
 from isogi_core.model.view import View
 from isogi_core.model.volume import Isovalue
-from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import CHUNKS, Scene
 from isogi_core.prepared.active_cell_maps import ActiveCellMaps
 from isogi_core.prepared.prepared_scene import PreparedScene
@@ -33,6 +32,7 @@ from isogi_core.report.bake import NEVER
 from isogi_core.runs import Run, serially
 from isogi_core.storage.url import StoreUrl
 from server.cli.bench import bake_chunk
+from tests.loaded import load_scene
 from tests.stability.scenes import view_of
 from worker.pool import WorkerPool
 from worker.tasks import BakeTask, bake
@@ -73,7 +73,7 @@ class Site:
 
     def view(self, **settings: Any) -> View:
         """A view of the scene."""
-        return view_of(self.scene, 24, **{"samples": 8, **settings})
+        return view_of(self.scene, 16, **{"samples": 8, **settings})
 
     def tasks(self, view: View, until: int | None = None) -> list[BakeTask]:
         """What is to be baked until all light of a view is final, or has so many samples."""

@@ -19,12 +19,12 @@ from PIL import Image
 
 from isogi_core.model.view import SHADINGS
 from isogi_core.model.volume import make_volume
-from isogi_core.plan.assembly import load_scene
 from server.api.app import create_app
 from server.cli.command import run, settings_from
 from server.inspect.inspection import SurfaceSchema, stiffness_schema
 from server.parameters import FrameParams, ViewParams
 from server.values import Row, Span
+from tests.loaded import load_scene
 from tests.server.inline import EngineWithoutWorkers, InlinePool
 from tests.stability.scenes import CONSTANT, scene_of
 from tests.stability.volumes import REFUSED, VOLUMES, Specimen, ball, body, grid, ramp

@@ -13,10 +13,10 @@ from isogi_core.frame.renderer import Renderer
 from isogi_core.kernels.shading.framebuffer import CONVERGING
 from isogi_core.model.view import SHADINGS, Camera, View
 from isogi_core.model.volume import make_volume
-from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
 from isogi_core.report.bake import ViewBake
 from server.parameters import ViewParams, camera_of, read
+from tests.loaded import load_scene
 from tests.stability.scenes import STAND, is_finite, renderer_of, scene_of, surface_in
 from tests.stability.volumes import body, ramp
 
