@@ -24,6 +24,9 @@ PROCESSORS = {
 }
 """What else Numba is told of each, and the tests."""
 
+PARTS = {"nehalem": ["-k", "not at_a_time"]}
+"""Parts of paths are not tested one at a time where whole paths are."""
+
 
 @pytest.mark.slow
 @COMPILED
@@ -32,7 +35,7 @@ def test_all_of_it_again_for_other_processors(processor: str) -> None:
     """Eight lanes and rays by AVX2, four lanes without it; whole paths where it is most unlike this processor."""
     told, tests = PROCESSORS[processor]
     files = [str(KERNELS / each) for each in tests]
-    command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *files]
+    command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *PARTS.get(processor, []), *files]
     environment = {**os.environ, "NUMBA_CPU_NAME": processor, **told}
     run = subprocess.run(command, env=environment, cwd=KERNELS.parents[1], capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stdout + run.stderr
