@@ -97,7 +97,7 @@ def test_a_new_view_begins_a_new_history_and_exposure_does_not(page: Page, live_
         page.route("**/frame?*", staged(None, end=True))
         slide(page, knob, 0.32)
         wait_final(page)
-        assert len(course(page)) == len(before)
+        assert 2 <= len(course(page)) <= len(before), "an answer to the view in between is no part of it"
 
 
 def test_an_error_of_zero_has_no_place_on_a_logarithmic_axis(page: Page, live_server: str) -> None:
