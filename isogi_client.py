@@ -126,6 +126,9 @@ class Facts:
     error: float
     chunks: Mapping[str, int]
     time_left: TimeLeft | None = None
+    noise: float | None = None
+    interval: tuple[float, float] | None = None
+    controls: int = 0
     etag: str | None = None
     timing: Mapping[str, float] | None = None
 
@@ -136,7 +139,7 @@ class Facts:
         return cls(
             provisional=headers["isogi-provisional"] == "?1",
             coverage=numbers(headers["isogi-coverage"]),
-            error=float(headers["isogi-error"]),
+            **error_of_header(headers["isogi-error"]),
             chunks={name: int(count) for name, count in numbers(headers["isogi-chunks"]).items()},
             time_left=TimeLeft(**left) if left else None,
             etag=headers.get("etag"),
@@ -147,15 +150,26 @@ class Facts:
     def of_document(cls, document: Mapping[str, Any]) -> Self:
         """The facts in the server's document of a view's coverage."""
         left = document["time_left"]
-        names = ("provisional", "coverage", "error", "chunks")
-        return cls(**{name: document[name] for name in names}, time_left=TimeLeft(**left) if left else None)
+        names = ("provisional", "coverage", "error", "chunks", "noise", "controls")
+        interval = None if document["interval"] is None else (document["interval"][0], document["interval"][1])
+        given = {name: document[name] for name in names}
+        return cls(**given, interval=interval, time_left=TimeLeft(**left) if left else None)
 
     def __str__(self) -> str:
-        """For a person, such as ``182 of 240 chunks final, noise 1.8 %, about 40 s``."""
-        noise = f"{100 * self.error:.2g}" if self.error < 0.1 else f"{100 * self.error:.0f}"
-        count = f"{self.chunks['final']} of {self.chunks['needed']} chunks final, noise {noise} %"
+        """For a person, such as ``182 of 240 chunks final, error about 1.8 %, about 40 s``."""
+        error = f"{100 * self.error:.2g}" if self.error < 0.1 else f"{100 * self.error:.0f}"
+        about = "" if self.controls else "about "
+        count = f"{self.chunks['final']} of {self.chunks['needed']} chunks final, error {about}{error} %"
         left = self.time_left if self.provisional else None
         return count if left is None else f"{count}, about {left.likely:.0f} s"
+
+
+def error_of_header(header: str) -> dict[str, Any]:
+    """What a header such as ``0.018; noise=0.006; low=0.015; high=0.021; controls=256`` says of a frame's error."""
+    error, *parts = header.split(";")
+    known = numbers(",".join(part for part in parts if "=" in part))
+    measured = {"interval": (known["low"], known["high"]), "controls": int(known["controls"])} if "low" in known else {}
+    return {"error": float(error), "noise": known.get("noise"), **measured}
 
 
 def numbers(header: str) -> dict[str, float]:
@@ -566,8 +580,8 @@ def tell_target(facts: Facts, target: str | None) -> None:
     """Warn of a final frame whose error is above what was asked for."""
     if target is not None and not facts.provisional and facts.error > float(target):
         warnings.warn(
-            f"The frame is final, but its estimated error is {facts.error:.3g} and not {target}: some texels have"
-            " the most samples that they may take.",
+            f"The frame is final, but its total error is {facts.error:.3g} and not {target}: pixels have taken"
+            " the most paths that they may.",
             TargetWarning,
             stacklevel=3,
         )

@@ -152,7 +152,10 @@ def coverage_schema(frame: Frame, time_left: TimeLeft | None) -> Coverage:
         chunks=ChunkCounts(needed=frame.chunks_needed, final=frame.chunks_final),
         pixels=PixelCounts(surface=frame.surface, **frame.counts),
         coverage=Shares(**frame.coverage),
-        error=frame.estimated_error,
-        provisional=frame.provisional,
+        error=frame.total.likely,
+        noise=frame.noise,
+        interval=None if frame.total.predicted else (frame.total.low, frame.total.high),
+        controls=frame.total.controls,
+        provisional=not frame.final,
         time_left=None if time_left is None else TimeLeftSchema(**asdict(time_left)),
     )

@@ -248,14 +248,19 @@ class TimeLeftSchema(BaseModel):
 
 
 class Coverage(BaseModel):
-    """How far a view is: chunks, pixels by state, estimated relative RMSE of the frame.
+    """How far a view is: chunks, pixels by state, and the ``error`` of the frame: the total relative RMSE.
 
-    ``time_left`` is null where it is unknown, or no worker is at the view.
+    So many ``controls``, pixels with paths of their own, measured it, with a 95 % ``interval``; of none it is a
+    prediction, and the interval null. ``noise`` is the noise in it. ``time_left`` is null where it is unknown, or no
+    worker is at the view.
     """
 
     chunks: ChunkCounts
     pixels: PixelCounts
     coverage: Shares
     error: float
+    noise: float
+    interval: tuple[float, float] | None
+    controls: int
     provisional: bool
     time_left: TimeLeftSchema | None

@@ -13,11 +13,13 @@ from benchmarks.accuracy.roulette import roulette
 from benchmarks.accuracy.sequences import sequences
 from benchmarks.accuracy.stiffness import stiffness
 from benchmarks.accuracy.table import table
+from benchmarks.accuracy.totals import totals
 from benchmarks.common.suite import suite
 
 main = suite(
     "How wrong pictures are, by cause, and what that costs.",
     table,
+    totals,
     reports,
     equal_error,
     plans,

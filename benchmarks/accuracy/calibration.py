@@ -134,11 +134,11 @@ def adaptive(rungs: Rungs, spec: BakeSpec, target: float) -> Light:
 def compared(name: str, number: int, turn: int, light: str, frame: Frame, best: Frame) -> Told:
     """What a frame tells of its error beside what is seen of it against the ``best``."""
     on = best.state > 0
-    apart, told = relative_rmse(frame.radiance, best.radiance, on), frame.estimated_error
+    apart, told = relative_rmse(frame.radiance, best.radiance, on), frame.noise
     seen, exact = (one.radiance[on].astype(np.float64) @ LUMINANCE for one in (frame, best))
     error, shared = frame.error[on] * seen, best.error[on] * exact
     covered = np.abs(seen - exact) <= 1.96 * np.sqrt(np.maximum(error**2 - shared**2, 0.0))
-    true = math.hypot(apart, best.estimated_error)
+    true = math.hypot(apart, best.noise)
     return Told(name, number, turn, light, true, told, true / max(told, 1e-30), float(covered.mean()))
 
 

@@ -118,7 +118,7 @@ def compete(peer: Mitsuba, checked: Sequence[Check]) -> tuple[Race, list[Converg
 def isogi_figures(checked: Sequence[Check], costs: Costs) -> dict[str, Any]:
     """isogi's errors, root mean squares over the checks, and its seconds."""
     total = rms([each.error(each.best.on) for each in checked])
-    noise = rms([each.lit.estimated_error for each in checked])
+    noise = rms([each.lit.noise for each in checked])
     return {
         "isogi: total error, all pixels": total,
         "isogi: pixels from inside": 1.0 - statistics.fmean(each.outside[each.best.on].mean() for each in checked),

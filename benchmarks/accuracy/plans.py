@@ -119,7 +119,7 @@ def measure(name: str, scene: Scene, size: int) -> Row:
         texels=scene.texels,
         by_plan=baked(scene, size, best),
         by_s1=baked(s1, size, best) if s1 else None,
-        reference_noise=best.estimated_error,
+        reference_noise=best.noise,
     )
 
 

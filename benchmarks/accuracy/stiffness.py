@@ -112,7 +112,7 @@ def surface_of(name: str, scene: Scene) -> Surface:
         measured = measure_stiffness(PreparedScene(scene).field, [level], bench.tiles.run)
         bench.tiles.close()
     steep, noisy = (float(measured.share(each)[0]) for each in (measured.steep, measured.noisy))
-    left = math.sqrt(max(error**2 - frame.estimated_error**2, 0.0))
+    left = math.sqrt(max(error**2 - frame.noise**2, 0.0))
     return Surface(name, steep, noisy, measured.expectation(0), max(left, SMALLEST))
 
 

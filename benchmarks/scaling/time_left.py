@@ -99,7 +99,7 @@ def judged(told: list[Told]) -> dict[str, float]:
     within = [left.low <= actual <= left.high for actual, left in lefts]
     return {
         "seconds": end - told[0][0],
-        "estimated error": told[-1][1].estimated_error,
+        "estimated error": told[-1][1].noise,
         "predictions": len(lefts),
         "first, taken over told": ratios[0] if ratios else 0.0,
         "median, taken over told": float(np.median(ratios)) if ratios else 0.0,

@@ -57,6 +57,11 @@ class GBuffer:
                 self._normals = normals
             return self._normals
 
+    def part(self, places: np.ndarray, tiles: Tiles) -> "GBuffer":
+        """The same picture with those points alone that are in rows ``places`` (k,), ascending. Raises Cancelled."""
+        some = self.pixels[places], self.points[places], self.normals(tiles)[places]
+        return GBuffer(self.shape, self.spacing, self.eye, self.surface, *some)
+
     @property
     def nbytes(self) -> int:
         """Bytes that it takes; normals are counted before they are found."""

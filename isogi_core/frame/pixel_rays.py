@@ -1,7 +1,7 @@
 """Rays from the pixels' own points: direct light of lobes, and whole paths, with what is known of their noise."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -16,6 +16,7 @@ from isogi_core.kernels.shading.lobes import light_lobes
 from isogi_core.kernels.shading.local_models import trace_points
 from isogi_core.kernels.transport.paths import PathRules, SampleRange
 from isogi_core.model.sky import LUMINANCE
+from isogi_core.plan.budget import survival_for
 
 LOBE_POINTS = 1024
 """Surface points of a tile."""
@@ -67,17 +68,31 @@ NEAR = np.array([1.0, 4.0, 6.0, 4.0, 1.0])
 
 @dataclass(frozen=True, eq=False)
 class Paths:
-    """Paths from the surface points of ``gbuffer`` under a ``light``, on the threads of ``tiles``."""
+    """Paths from the surface points of ``gbuffer`` under a ``light``, on the threads of ``tiles``.
+
+    They have the plan's own ``bounces`` by default.
+    """
 
     light: RotatedLight
     gbuffer: GBuffer
     tiles: Tiles
+    bounces: int | None = None
+
+    @cached_property
+    def survival(self) -> float:
+        """The chance with which a path goes on from its second and later hits."""
+        plan, (red, green, blue) = self.light.spec.prepared.scene.plan, self.light.albedo.tolist()
+        return plan.survival if self.bounces is None else survival_for((red, green, blue), self.bounces)
 
     @cached_property
     def weights(self) -> np.ndarray:
         """R^(k + 1) after k = 0 … bounces, over the chance to get there; (bounces + 1, 3) float64."""
-        plan = self.light.spec.prepared.scene.plan
-        return path_weights(self.light.albedo, plan.bounces, plan.survival, leaving=1)
+        bounces = self.light.spec.prepared.scene.plan.bounces if self.bounces is None else self.bounces
+        return path_weights(self.light.albedo, bounces, self.survival, leaving=1)
+
+    def of(self, rows: np.ndarray) -> "Paths":
+        """The paths of those points alone that are in these ``rows``, ascending."""
+        return replace(self, gbuffer=self.gbuffer.part(rows, self.tiles))
 
     def add(
         self,
@@ -92,10 +107,10 @@ class Paths:
         Replicas are the randomisations from number ``stream`` on; ``progress`` is called with the number of paths
         that each piece traced. Raises Cancelled.
         """
-        buffer, survival = self.gbuffer, self.light.spec.prepared.scene.plan.survival
+        buffer = self.gbuffer
         points, pixels, normals = buffer.points, buffer.pixels, buffer.normals(self.tiles)
         traced, around = buffer.surface.traced(self.tiles.run), self.light.surroundings
-        rules, samples = PathRules(self.weights, survival), SampleRange(first, count)
+        rules, samples = PathRules(self.weights, self.survival), SampleRange(first, count)
 
         def _piece(a: int, b: int) -> None:
             some = PixelPoints(points[a:b], normals[a:b], pixels[a:b])

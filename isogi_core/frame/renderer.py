@@ -8,8 +8,10 @@ step and the surface that a view shows, by isovalue, camera and size (``surface_
 | ``GBuffer``, ``ViewTexels``, ``Distances``, ``TexelNormals`` | a surface |
 | ``Reading`` | a surface, a bake spec, a target error, and the age of the page pool |
 | ``LobeLight`` | a surface, and the rotation of the light |
+| ``PictureCheck`` | a surface, the rotation of the light, an albedo and a target error |
 
-The last two have a SHARE of its bytes each, so that a light that turns, or a bake that goes on, drives out no surface.
+``Reading`` and ``LobeLight`` have a SHARE of its bytes each, so that a light that turns, or a bake that goes on, drives
+out no surface.
 """
 
 import hashlib
@@ -27,6 +29,7 @@ from isogi_core.cache.scene_caches import Caches
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import GBuffer, trace
 from isogi_core.frame.lighting import RotatedLight
+from isogi_core.frame.picture_check import PictureCheck, luminance_of
 from isogi_core.frame.pixel_rays import LobeLight, find_lobes
 from isogi_core.frame.projected_texels import (
     Distances,
@@ -43,9 +46,11 @@ from isogi_core.frame.shading import (
     light_sources,
     shade_by_paths,
     shade_locally,
+    texel_disagreement,
 )
 from isogi_core.frame.texel_reading import Lacking, Reading, read_texels
 from isogi_core.frame.tiles import Stopwatch, Tiles
+from isogi_core.frame.total_error import expected_error
 from isogi_core.frame.view_texels import (
     TexelNormals,
     ViewTexels,
@@ -92,28 +97,69 @@ class Renderer:
         on with this frame's stages. Raises Cancelled once ``cancelled`` is set, and ViewError where the scene's light
         is not of the albedo that the view asks for.
         """
-        scene, watch = self.prepared.scene, watch or Stopwatch()
         tiles = self.tiles.cancelled_by(cancelled) if cancelled else self.tiles
-        scene.albedo_for(view.albedo)
+        return self._draw(view, target or self.prepared.scene.target_error, tiles, watch or Stopwatch())
+
+    def _draw(self, view: View, target: float, tiles: Tiles, watch: Stopwatch) -> Frame:
+        """The frame of a view, drawn on the threads of ``tiles``."""
+        self.prepared.scene.albedo_for(view.albedo)
         with watch.stage("primary"):
             gbuffer = self.gbuffer(view, tiles)
         light = RotatedLight(self.caches.spec(view.shading), view)
         if view.shading in ("gi", "vicinity"):
-            return self._render_texels(gbuffer, light, target or scene.target_error, tiles, watch)
+            return self._render_texels(gbuffer, light, target, tiles, watch)
         with watch.stage("normals"):
             normals = gbuffer.normals(tiles)
         if view.shading == "path_traced":
             with watch.stage("paths"):
-                framebuffer = shade_by_paths(gbuffer, light, target or scene.target_error, tiles)
+                framebuffer = shade_by_paths(gbuffer, light, target, tiles)
         else:
             with watch.stage("shade"):
                 framebuffer = shade_locally(gbuffer, normals, light, tiles)
         return frame_of(gbuffer, light, framebuffer, watch)
 
+    def refine(self, view: View, target: float | None = None, tiles: Tiles | None = None) -> bool:
+        """Bring the total error of a view whose light is final a step nearer to the ``target``; whether there was one.
+
+        Raises Cancelled once ``tiles`` are cancelled, and what ``render`` raises.
+        """
+        target, tiles = target or self.prepared.scene.target_error, tiles or self.tiles
+        frame = self._draw(view, target, tiles, Stopwatch())
+        if not frame.checkable:
+            return False
+        light = RotatedLight(self.caches.spec(view.shading), view)
+        check = self._check(light, frame.gbuffer, target)
+
+        def uncertainty() -> np.ndarray:
+            with self._lit_texels(frame.gbuffer, light, target, tiles, Stopwatch()) as found:
+                between = light.spec.unit * texel_disagreement(*found)
+            noise = frame.error.ravel()[frame.gbuffer.pixels] * luminance_of(frame.framebuffer, frame.gbuffer.pixels)
+            return np.asarray(np.hypot(between, noise))
+
+        with check.lock:
+            return check.step(frame.framebuffer, uncertainty, tiles)
+
     def _render_texels(
         self, gbuffer: GBuffer, light: RotatedLight, target: float, tiles: Tiles, watch: Stopwatch
     ) -> Frame:
         """The frame out of the illumination cache: global illumination, or vicinity shading (S1, section 4.2)."""
+        with self._lit_texels(gbuffer, light, target, tiles, watch) as (texels, reading, lit):
+            pass
+        framebuffer = self._carry(texels, reading, lit, light, tiles, watch)
+        if light.spec.lobes:
+            with watch.stage("lobes"):
+                straight = self.lobes(light, gbuffer, tiles)
+                add_lobes(gbuffer.pixels, straight.lit, light.spec.unit, framebuffer)
+        check = self._check(light, gbuffer, target) if is_checked(light.view) else None
+        if check is not None:
+            check.put(framebuffer)
+        return frame_of(gbuffer, light, framebuffer, watch, texels, reading, check)
+
+    @contextmanager
+    def _lit_texels(
+        self, gbuffer: GBuffer, light: RotatedLight, target: float, tiles: Tiles, watch: Stopwatch
+    ) -> Iterator[tuple[ViewTexels, Reading, np.ndarray]]:
+        """A view's texels, their reading, and their light (texels, 4); pages stay in memory while the block runs."""
         view, loader = light.view, self.caches.of(light.view.shading)
         with watch.stage("texels"):
             texels = self.texels(view, gbuffer, tiles)
@@ -125,12 +171,13 @@ class Renderer:
                 reading = stack.enter_context(self._project(view, texels, reading, tiles))
             with watch.stage("light"):
                 lit = light_sources(reading.sources(loader.pool), light, tiles)
-        framebuffer = self._carry(texels, reading, lit, light, tiles, watch)
-        if light.spec.lobes:
-            with watch.stage("lobes"):
-                straight = self.lobes(light, gbuffer, tiles)
-                add_lobes(gbuffer.pixels, straight.lit, light.spec.unit, framebuffer)
-        return frame_of(gbuffer, light, framebuffer, watch, texels, reading)
+            yield texels, reading, lit
+
+    def _check(self, light: RotatedLight, gbuffer: GBuffer, target: float) -> PictureCheck:
+        """What is known of the picture of a view besides its texels' light."""
+        view = light.view
+        key = (PictureCheck, surface_key(view), view.light, view.albedo, target)
+        return self._kept.get(key, lambda: PictureCheck(light, gbuffer, target))
 
     def _carry(
         self, texels: ViewTexels, reading: Reading, lit: np.ndarray, light: RotatedLight, tiles: Tiles, watch: Stopwatch
@@ -202,6 +249,11 @@ class Renderer:
         return normals.where(reading.on_surface, texels, self.prepared, tiles)
 
 
+def is_checked(view: View) -> bool:
+    """Whether control pixels tell the total error of a view: of global illumination, at rest."""
+    return view.shading == "gi" and not view.moving
+
+
 def frame_of(
     gbuffer: GBuffer,
     light: RotatedLight,
@@ -209,11 +261,15 @@ def frame_of(
     watch: Stopwatch,
     texels: ViewTexels | None = None,
     reading: Reading | None = None,
+    check: PictureCheck | None = None,
 ) -> Frame:
-    """The frame of a view from its framebuffer, and from the texels and their reading where it was made of any."""
+    """The frame of a view from its framebuffer, from the texels and their reading where it was made of any, and from
+    the ``check`` of its picture where there is one.
+    """
     lacking = Lacking(texels, reading, framebuffer) if texels and reading else None
     projection = Projection(texels, reading, framebuffer) if texels and isinstance(reading, ProjectedReading) else None
     needed, short = (len(lacking.texels.chunks), int(lacking.reading.short.sum())) if lacking else (0, 0)
+    read = (reading.version if reading else b"") + (check.version if check else b"")
     return Frame(
         view=light.view,
         radiance=framebuffer.radiance.reshape(*gbuffer.shape, 3),
@@ -223,9 +279,13 @@ def frame_of(
         chunks_needed=needed,
         chunks_final=needed - short,
         lacking=lacking,
-        version=version_of(light, reading.version if reading else b""),
+        version=version_of(light, read),
         seconds=watch.seconds,
         projection=projection,
+        target=check.target if check else None,
+        measured=check.total(luminance_of(framebuffer, gbuffer.pixels)) if check else None,
+        given_up=check.ended if check else False,
+        expected=expected_error(light.spec.prepared.scene, gbuffer.isovalue) if light.view.shading == "gi" else 0.0,
     )
 
 

@@ -99,6 +99,16 @@ def changed_scatter(rows: np.ndarray, pool: PagePool, change: np.ndarray, spec: 
     return found
 
 
+def texel_disagreement(texels: ViewTexels, reading: Reading, lit: np.ndarray) -> np.ndarray:
+    """Standard deviation of the luminance of the lit texels around each surface point, in ``BakeSpec.unit``; (m,)."""
+    fit, own = np.isin(reading.grade, (CONVERGING, FINAL)), np.zeros(len(lit))
+    own[fit] = lit[fit, :3] @ LUMINANCE
+    known, light = fit[texels.corners], own[texels.corners]
+    count = np.maximum(known.sum(axis=1), 1)
+    mean = light.sum(axis=1) / count
+    return np.asarray(np.sqrt(np.where(known, (light - mean[:, None]) ** 2, 0.0).sum(axis=1) / count))
+
+
 def find_irradiance_ratios(
     reading: Reading, lit: np.ndarray, normals: np.ndarray, light: RotatedLight, tiles: Tiles
 ) -> np.ndarray:

@@ -72,7 +72,7 @@ def study(bench: Bench) -> Section:
     """The frame's error and its parts, as a table and as maps."""
     split = split_error(bench)
     bias = sum(split.spread(part).bias for part in split.parts)
-    reported = bench.planned.frame().estimated_error
+    reported = bench.planned.frame().noise
     rows = (
         *(row_of(part, split) for part in split.parts),
         ("parts together", split.together, bias, "root sum of squares, sum of biases"),

@@ -22,7 +22,7 @@ def study(bench: Bench) -> Section:
     frame = planned.frame()
     own = score_cells(bench.score(frame.radiance))
     columns = (*SCORE_COLUMNS, Column("estimated noise", "share"), Column("bake", "seconds"))
-    headline = Table("The frame", columns, ((*own, frame.estimated_error, planned.seconds),))
+    headline = Table("The frame", columns, ((*own, frame.noise, planned.seconds),))
     measured = (Column("reference's noise", "share"), Column("paths per pixel", "count"), Column("time", "seconds"))
     reference = Table("Its reference", measured, ((best.noise, best.samples, best.seconds),))
     scene = Table("The scene", (Column("what"), Column("is")), facts(bench))

@@ -43,20 +43,20 @@ def frame_headers(frame: Frame, time_left: TimeLeft | None, tag: str, version: s
 
     What a client prefers changes the answer until the frame is final, and never the final one.
     """
-    left = {"Isogi-Time-Left": time_left_header(time_left)} if time_left is not None and frame.provisional else {}
+    left = {"Isogi-Time-Left": time_left_header(time_left)} if time_left is not None and not frame.final else {}
     projected = {} if frame.projection is None else {"Isogi-Projected": projection_header(frame.projection.shares)}
     return (
         left
         | projected
         | {
-            "Isogi-Provisional": "?1" if frame.provisional else "?0",
+            "Isogi-Provisional": "?0" if frame.final else "?1",
             "Isogi-Coverage": coverage_header(frame.coverage),
-            "Isogi-Error": f"{frame.estimated_error:.5f}",
+            "Isogi-Error": error_header(frame),
             "Isogi-Chunks": f"needed={frame.chunks_needed}, final={frame.chunks_final}",
             "ETag": tag,
-            "Cache-Control": FOR_EVER if not frame.provisional and version == tag.strip('"') else "no-cache",
+            "Cache-Control": FOR_EVER if frame.final and version == tag.strip('"') else "no-cache",
             "Cache-Status": cache_status(frame.chunks_needed, frame.chunks_final),
-            "Vary": "Accept, Prefer" if frame.provisional else "Accept",
+            "Vary": "Accept" if frame.final else "Accept, Prefer",
         }
     )
 
@@ -78,6 +78,15 @@ def coverage_header(shares: Mapping[str, float]) -> str:
 def projection_header(shares: Mapping[str, float]) -> str:
     """Shares of the texels, to three digits, by how they are read; see ``Projection.shares``."""
     return ", ".join(f"{name}={share:.3f}" for name, share in shares.items())
+
+
+def error_header(frame: Frame) -> str:
+    """The total error, the noise in it, its 95 % interval and control pixels; or a prediction, before there are any."""
+    total = frame.total
+    told = f"{total.likely:.5f}; noise={frame.noise:.5f}"
+    if total.predicted:
+        return f"{told}; predicted"
+    return f"{told}; low={total.low:.5f}; high={total.high:.5f}; controls={total.controls}"
 
 
 def time_left_header(left: TimeLeft) -> str:

@@ -209,7 +209,7 @@ class Service:
         version, patience = "", REST
         while True:
             shown = await self.show(picture, viewer, Rank.within(patience))
-            given_up = shown.frame.provisional and not shown.coming
+            given_up = not (shown.frame.final or shown.coming)
             if shown.frame.version != version or given_up:
                 version, patience = shown.frame.version, REFINED
                 yield shown

@@ -114,7 +114,7 @@ def answer(request: int, shown: Shown, form: str, draft: bool) -> str:
         {
             "id": request,
             "draft": draft,
-            "final": not draft and not frame.provisional,
+            "final": not draft and frame.final,
             "width": frame.view.width,
             "height": frame.view.height,
             "media_type": MEDIA_TYPES[form],
@@ -261,9 +261,7 @@ class Session:
 
         facts, picture = await self._service.renders.run(made, Rank.within(DRAFT))
         self._window.sent(request.id)
-        self._metrics.count_picture(
-            "draft" if request.moving else "stream", shown.frame.provisional, shown.watch.seconds
-        )
+        self._metrics.count_picture("draft" if request.moving else "stream", not shown.frame.final, shown.watch.seconds)
         await self._send(facts, picture)
 
     async def _send(self, text: str, data: bytes | None = None) -> None:

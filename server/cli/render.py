@@ -72,7 +72,7 @@ def render(
 
 def stopped_by(frame: Frame) -> str:
     """What ended the rendering of a frame: its target, the samples that were asked for, or the time."""
-    if not frame.provisional:
+    if frame.final:
         return "target"
     return "samples" if frame.view.shading == "path_traced" else "time"
 
@@ -80,7 +80,7 @@ def stopped_by(frame: Frame) -> str:
 def rendered(facts: Mapping[str, Any]) -> str:
     """What ``render`` did, for a person."""
     states = {"target": "final", "time": "provisional", "samples": "all samples taken"}
-    quality = f"estimated error {facts['error']:.4f}, {facts['final']:.1%} of the surface at {facts['target_error']:g}"
+    quality = f"error {facts['error']:.4f}, {facts['final']:.1%} of the surface at {facts['target_error']:g}"
     return f"{facts['file']}: {facts['width']} × {facts['height']}, {states[facts['stopped']]}, {quality}"
 
 
@@ -111,9 +111,12 @@ def refine(engine: RenderEngine, scene: str, view: View, max_error: float | None
         while True:
             left = max(0.0, deadline - time.monotonic())
             frame = engine.frame(scene, view, max_error=max_error, wait=min(STEP, left))
+            coming = frame.checkable or engine.lacking(scene, frame)[1]
             bar.show(frame.chunks_final, frame.chunks_needed, engine.time_left(scene, frame, max_error))
-            if not frame.provisional or time.monotonic() >= deadline or not engine.lacking(scene, frame)[1]:
+            if frame.final or time.monotonic() >= deadline or not coming:
                 return frame
+            if frame.checkable:
+                continue
             if engine.trouble():
                 raise WorkersError(engine.trouble())
             patience.check(frame.version, engine.workforce.preparing, engine.unready())

@@ -65,7 +65,7 @@ class Survey:
         """Take in the frame of a view."""
         self.seen += frame.surface
         self.final += frame.counts["final"]
-        self._count(frame.estimated_error, frame.estimated_error, 1)
+        self._count(frame.noise, frame.noise, 1)
         projected = () if frame.projection is None else frame.projection.demands
         for demand in (*frame.demands, *projected):
             other = self.demands.get(place_of(demand))

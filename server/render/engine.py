@@ -25,6 +25,7 @@ from isogi_core.storage.url import StoreUrl
 from server.errors import UnknownSceneError
 from server.render.bakes import BACKGROUND, BackgroundBake, ProjectedBakes, bake_name, make_bake
 from server.render.loaded_scene import LoadedScene, load
+from server.render.picture_checks import CHECK, PictureChecks
 from server.render.resources import shared, whereabouts
 from server.render.workforce import Workforce
 from worker.bake_requests import GUEST, Viewer
@@ -66,6 +67,9 @@ class RenderEngine:
         self.workforce = Workforce(self._baker, self.store.url, workers, scheduler)
         self._loaded: dict[str, LoadedScene] = {}
         self._projected = ProjectedBakes(self._baker, self.store, projected)
+        self._checks = PictureChecks(self.check, self._checked)
+        self._checking = Tiles()
+        self._listeners: list[Listener] = []
         self._stopped = threading.Event()
 
     def start(self, hire: bool = True) -> None:
@@ -128,12 +132,15 @@ class RenderEngine:
         deadline = time.monotonic() + wait
         target = max_error or self._find(scene).scene.target_error
         frame = self.survey(scene, view, target, cancelled, watch)
-        while self._coming(scene, frame, target, watch):
+        while frame.checkable or self._coming(scene, frame, target, watch):
             left = deadline - time.monotonic()
             if left <= 0.0:
                 break
-            with watch.stage("bake"):
-                self._baker.wait(*self._chunks(scene, frame), left)
+            with watch.stage("check" if frame.checkable else "bake"):
+                if frame.checkable:
+                    self.check(scene, view, target, cancelled)
+                else:
+                    self._baker.wait(*self._chunks(scene, frame), left)
             frame = self.survey(scene, view, target, cancelled, watch)
         return frame
 
@@ -151,8 +158,20 @@ class RenderEngine:
         """
         return self._find(scene).render(view, target, cancelled, watch or Stopwatch())
 
+    def check(self, scene: str, view: View, target: float, cancelled: threading.Event | None = None) -> bool:
+        """Check a picture, one step further; whether there was one to take. Raises as ``frame`` does."""
+        tiles = self._checking.cancelled_by(cancelled) if cancelled else self._checking
+        return self._find(scene).renderer.refine(view, target, tiles)
+
     def want(self, scene: str, frame: Frame, target: float, viewer: Viewer) -> frozenset[Index]:
-        """Request the light that a ``frame`` lacks, for a ``viewer``; the chunks that are going to be baked."""
+        """Request the light that a ``frame`` lacks, for a ``viewer``; the chunks that are going to be baked.
+
+        The picture of one that lacks none is checked: CHECK stands for that.
+        """
+        if frame.checkable:
+            self._checks.request(scene, frame.view, target, viewer)
+            return frozenset({CHECK})
+        self._checks.leave(viewer)
         if self.store.only_read():
             return frozenset()
         bake, demands = self.lacking(scene, frame)
@@ -189,14 +208,16 @@ class RenderEngine:
         self._baker.make_way()
 
     def leave(self, viewer: Viewer) -> None:
-        """Have nothing more baked for a ``viewer`` that has gone."""
+        """Have nothing more baked, and no picture checked, for a ``viewer`` that has gone."""
+        self._checks.leave(viewer)
         self._baker.leave(viewer)
 
     def listen(self, listener: Listener) -> None:
         """Call ``listener`` for every chunk of a bake that has new light, or whose task failed; see ``bake_of``.
 
-        Projected texels are reported as the scene's own.
+        Projected texels are reported as the scene's own, and the check of a picture as CHECK.
         """
+        self._listeners.append(listener)
         self._baker.listen(lambda bake, index, more: listener(self._projected.scene(bake), index, more))
 
     def time_left(self, scene: str, frame: Frame, max_error: float | None = None) -> TimeLeft | None:
@@ -204,7 +225,7 @@ class RenderEngine:
         target = max_error or self._find(scene).scene.target_error
         bake, chunks = self._chunks(scene, frame)
         left = self._baker.time_left(bake, (bake, surface_key(frame.view), target), chunks)
-        if not frame.provisional:
+        if frame.final:
             return TimeLeft(0.0, 0.0, 0.0)
         return left if left is not None and left.high > 0.0 else None
 
@@ -266,11 +287,18 @@ class RenderEngine:
     def close(self) -> None:
         """Stop the workers; what they were at is baked again when it is next wanted."""
         self._stopped.set()
+        self._checks.close()
         self._baker.stop()
         self.workforce.close()
         for loaded in list(self._loaded.values()):
             loaded.close()
         self._tiles.close()
+        self._checking.close()
+
+    def _checked(self, scene: str, view: View, more: bool) -> None:
+        """Say that a picture was checked one step further."""
+        for listener in self._listeners:
+            listener(self.bake_of(scene, view), CHECK, more)
 
     def _coming(self, scene: str, frame: Frame, target: float, watch: Stopwatch) -> bool:
         """Request the light that a frame lacks; whether any of it is going to be baked."""

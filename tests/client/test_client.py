@@ -220,8 +220,8 @@ def test_an_error_above_what_was_asked_for_is_told(isogi: Isogi) -> None:
 
 def test_facts_for_a_person() -> None:
     facts = Facts(True, {"final": 0.7}, 0.0183, {"needed": 240, "final": 182}, TimeLeft(20.0, 39.6, 80.0))
-    assert str(facts) == "182 of 240 chunks final, noise 1.8 %, about 40 s"
-    assert str(Facts(False, {"final": 1.0}, 1.0, {"needed": 1, "final": 1})) == "1 of 1 chunks final, noise 100 %"
+    assert str(facts) == "182 of 240 chunks final, error about 1.8 %, about 40 s"
+    assert str(Facts(False, {"final": 1.0}, 1.0, {"needed": 1, "final": 1})) == "1 of 1 chunks final, error about 100 %"
 
 
 @pytest.mark.parametrize(

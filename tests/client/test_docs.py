@@ -37,7 +37,7 @@ def test_python(own_server: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     names["isogi"].close()
     lines = said.getvalue().splitlines()
     assert lines[0].startswith("[24, 20, 16] 0.5 ")
-    assert re.fullmatch(r"(\d+) of \1 chunks final, noise [\d.]+ %", lines[1])
+    assert re.fullmatch(r"(\d+) of \1 chunks final, error [\d.]+ %", lines[1])
     assert re.fullmatch(r"[\d.]+ of unshadowed light, noise of a pixel [\d.]+%", lines[2])
     assert re.fullmatch(r"\d+ texels, about \d+ seconds", lines[3])
     assert re.fullmatch(r"100% of 12 views final, worst error 0\.\d+", lines[4])

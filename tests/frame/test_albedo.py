@@ -155,7 +155,7 @@ def test_errors_are_those_of_the_shown_albedo(live: Workbench, workbench: Make) 
     rough.bake(rough.view(**SMALL), 0.1)
     for albedo in (0.9, 0.3, 0.05):
         frame, true = (bench.renderer.render(bench.view(**SMALL, albedo=grey(albedo))) for bench in (rough, live))
-        assert 0.5 < relative_rmse(frame, true) / frame.estimated_error < 1.5, albedo
+        assert 0.5 < relative_rmse(frame, true) / frame.noise < 1.5, albedo
 
 
 def test_an_albedo_outside_the_scenes_range_is_refused(live: Workbench, orbital: Workbench) -> None:

@@ -165,5 +165,5 @@ def test_ratios_leave_light_from_all_sides_as_it_is(evenly_lit: Workbench, monke
     shared = evenly_lit.renderer.render(view)
     assert relative_rmse(shared, plain) < 0.01
     assert shared.radiance.tobytes() != plain.radiance.tobytes()
-    assert shared.estimated_error == pytest.approx(plain.estimated_error, rel=0.1)
-    assert LOOSE > shared.estimated_error > 0.0
+    assert shared.noise == pytest.approx(plain.noise, rel=0.1)
+    assert LOOSE > shared.noise > 0.0

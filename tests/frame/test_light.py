@@ -145,7 +145,7 @@ def test_vicinity_is_direct_constant_light_of_the_path_tracer(name: str, most: f
     view = bench.view(size=64, shading="vicinity")
     frame = bench.bake(view)
     reference = bare.renderer.render(replace(view, shading="path_traced", samples=1024))
-    assert frame.estimated_error < 0.02
+    assert frame.noise < 0.02
     assert relative_rmse(frame, reference) < most
     assert luminance(frame).mean() == pytest.approx(luminance(reference).mean(), rel=0.004)
     with_bounces = bench.renderer.render(replace(view, shading="path_traced", samples=64))
@@ -192,7 +192,7 @@ def test_a_closed_hollow_is_black_from_inside(shading: str, workbench: Make) -> 
     bench = workbench(scene_of(shell, 0.0, bounces=2))
     camera = Camera((22.0, 22.0, 22.0), (40.0, 23.0, 25.0), fov=70.0)
     frame = bench.bake(View(0.0, camera, width=24, height=24, shading=shading))
-    assert (frame.state == FINAL).all() and not frame.radiance.any() and frame.estimated_error == 0.0
+    assert (frame.state == FINAL).all() and not frame.radiance.any() and frame.noise == 0.0
 
 
 # --- against the path tracer ----------------------------------------------------------------------------------------
@@ -209,7 +209,7 @@ def against_path_tracer(bench: Workbench, samples: int, size: int) -> tuple[floa
 def test_gi_of_the_orbital_is_the_path_tracers(workbench: Make) -> None:
     error, frame = against_path_tracer(workbench(load_scene("demo:orbital", **CALM)), 256, 64)
     assert error < 0.02
-    assert frame.estimated_error < 0.02
+    assert frame.noise < 0.02
 
 
 @pytest.mark.slow
@@ -217,7 +217,7 @@ def test_gi_of_the_casting_is_the_path_tracers(workbench: Make) -> None:
     """Thin fins and webs of one or two voxels: light differs most from texel to texel here."""
     error, frame = against_path_tracer(workbench(load_scene("demo:casting", **CALM)), 256, 64)
     assert error < 0.03
-    assert frame.estimated_error < 0.02
+    assert frame.noise < 0.02
 
 
 @pytest.mark.slow
@@ -226,4 +226,4 @@ def test_gi_of_the_engine_is_the_path_tracers(shared_data: Path, workbench: Make
     scene = load_scene(shared_data / "engine_256x256x128_uint8.nhdr", isovalue=70, **CALM)
     error, frame = against_path_tracer(workbench(scene), 256, 80)
     assert error < 0.02
-    assert frame.estimated_error < 0.02
+    assert frame.noise < 0.02

@@ -67,7 +67,7 @@ def test_path_traced_errors_are_as_large_as_reported(
     expected = 0.6 * (1.0 + normals[:, 2].astype(float)) / 2.0
     wrong = luminance(frame) - expected
     estimated = frame.error[frame.state > 0] * luminance(frame)
-    assert 0.9 < np.sqrt((wrong**2).mean()) / expected.mean() / frame.estimated_error < 1.1
+    assert 0.9 < np.sqrt((wrong**2).mean()) / expected.mean() / frame.noise < 1.1
     assert 0.9 < (np.abs(wrong) < 1.96 * estimated).mean() < 0.99
 
 
@@ -75,7 +75,7 @@ def test_a_ball_under_constant_light_has_its_albedo_and_no_error(workbench: Call
     bench = workbench(scene_of(ball(), 0.0, lights=[CONSTANT], albedo=0.6, bounces=2))
     frame = bench.renderer.render(bench.view(size=24, shading="path_traced"))
     np.testing.assert_allclose(luminance(frame), 0.6, rtol=1e-6)
-    assert frame.estimated_error < 1e-7 and frame.surface > 60 and not frame.provisional
+    assert frame.noise < 1e-7 and frame.surface > 60 and not frame.provisional
 
 
 @pytest.mark.parametrize(("samples", "replicas"), [(1, 2), (7, 2), (8, 4), (255, 4), (256, 8), (4096, 8)])

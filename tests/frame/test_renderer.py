@@ -37,7 +37,7 @@ def test_before_the_bake_a_frame_is_provisional_and_never_black(workbench: Make)
     assert on.sum() > 300 and (frame.state[on] == PROVISIONAL).all()
     assert (frame.radiance[on] > 0.0).all() and not frame.radiance[~on].any()
     assert frame.provisional and frame.coverage == {"final": 0.0, "converging": 0.0, "provisional": 1.0}
-    assert (frame.error[on] == 1.0).all() and frame.estimated_error == 1.0
+    assert (frame.error[on] == 1.0).all() and frame.noise == 1.0
     assert frame.chunks_final == 0 < frame.chunks_needed == len(frame.demands)
     assert bench.layers == set(), "a frame bakes nothing"
 
@@ -48,7 +48,7 @@ def test_after_the_bake_a_frame_is_final(orbital: Workbench) -> None:
     assert (frame.state[on] == FINAL).all() and not frame.provisional
     assert frame.coverage["final"] == 1.0 and frame.demands == ()
     assert frame.chunks_final == frame.chunks_needed > 0
-    assert 0.0 < frame.estimated_error < LOOSE
+    assert 0.0 < frame.noise < LOOSE
     assert np.isfinite(frame.radiance).all() and (frame.radiance[on] > 0.0).mean() > 0.98
 
 
@@ -66,8 +66,8 @@ def test_half_baked_light_is_converging(workbench: Make) -> None:
 def test_the_estimated_error_is_the_rms_of_pixels_over_the_mean(orbital: Workbench) -> None:
     frame = orbital.renderer.render(orbital.view())
     wrong = luminance(frame) * frame.error[frame.state > 0]
-    assert frame.estimated_error == pytest.approx(np.sqrt((wrong**2).mean()) / luminance(frame).mean(), rel=1e-5)
-    assert 0.0 < frame.estimated_error < 0.5
+    assert frame.noise == pytest.approx(np.sqrt((wrong**2).mean()) / luminance(frame).mean(), rel=1e-5)
+    assert 0.0 < frame.noise < 0.5
     assert frame.surface == (frame.state > 0).sum() == sum(frame.counts.values())
 
 
@@ -117,7 +117,7 @@ def test_a_picture_without_surface_is_final_and_empty(workbench: Make) -> None:
     for shading in SHADINGS:
         frame = bench.renderer.render(bench.view(size=8, shading=shading))
         assert not frame.state.any() and not frame.radiance.any()
-        assert not frame.provisional and frame.estimated_error == 0.0 and frame.coverage["final"] == 1.0
+        assert not frame.provisional and frame.noise == 0.0 and frame.coverage["final"] == 1.0
 
 
 def test_one_pixel_is_a_picture(orbital: Workbench) -> None:
@@ -268,4 +268,4 @@ def test_errors_do_not_depend_on_how_bright_the_light_is(tmp_path: Path) -> None
     for frame in frames:
         assert np.isfinite(frame.radiance).all() and frame.radiance.any()
         np.testing.assert_allclose(frame.error, frames[1].error, rtol=1e-4)
-        assert 0.0 < frame.estimated_error == pytest.approx(frames[1].estimated_error, rel=1e-4)
+        assert 0.0 < frame.noise == pytest.approx(frames[1].noise, rel=1e-4)

@@ -47,7 +47,7 @@ def test_each_cause_is_there_where_it_acts(under_sky: Bench) -> None:
 
 def test_the_noise_part_is_what_the_frame_tells(under_sky: Bench) -> None:
     split = split_error(under_sky)
-    told = under_sky.planned.frame().estimated_error
+    told = under_sky.planned.frame().noise
     assert 0.67 < split.spread(split.parts[0]).rmse / told < 1.5
 
 

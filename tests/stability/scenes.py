@@ -148,7 +148,7 @@ def surface_light(frame: Frame) -> np.ndarray:
 def is_finite(frame: Frame) -> bool:
     """Whether all numbers of a frame are finite, and its errors between 0 and 1."""
     finite = np.isfinite(frame.radiance).all() and np.isfinite(frame.position).all()
-    errors = np.append(frame.error.ravel(), frame.estimated_error)
+    errors = np.append(frame.error.ravel(), frame.noise)
     return bool(finite and ((errors >= 0.0) & (errors <= 1.0)).all())
 
 

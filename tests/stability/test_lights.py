@@ -162,7 +162,7 @@ def test_frames_without_light_are_black_and_soon_final(light: Light) -> None:
         frame = bake.renderer.render(view)
     assert not frame.provisional
     assert not frame.radiance.any()
-    assert frame.estimated_error == 0.0
+    assert frame.noise == 0.0
     assert 0 < bake.light.samples.max() <= FEWEST
 
 

@@ -131,7 +131,7 @@ def test_a_frame_at_the_greatest_value_is_empty_and_final(make: Any) -> None:
     """What is solid exceeds the isovalue; a constant volume is nowhere solid."""
     volume = make()
     frame = shown(lit(volume, volume.value_range[1], CONSTANT), 16)
-    assert (frame.surface, frame.provisional, frame.estimated_error) == (0, 0, 0.0)
+    assert (frame.surface, frame.provisional, frame.noise) == (0, 0, 0.0)
 
 
 def test_a_range_of_one_isovalue_shows_it_as_a_wide_one_does() -> None:
@@ -163,7 +163,7 @@ def test_final_light_is_as_good_as_the_target_error(target: float) -> None:
     light = frame.radiance[frame.state > 0, 0] / scene.albedo[0]
     assert len(light)
     assert math.sqrt(float(((light - 1.0) ** 2).mean())) <= target
-    assert frame.estimated_error <= target
+    assert frame.noise <= target
 
 
 def senseless_lights() -> list[dict[str, Any]]:

@@ -116,7 +116,7 @@ def test_the_words_follow_the_header(page: Page, live_server: str, time_left: st
     line, note = page.inner_text("#status-line"), page.inner_text("#error .note")
     chunks, _, rest = line.partition(" chunks final, ")
     assert re.fullmatch(r"\d+ of \d+", chunks)
-    assert rest == ("noise 4 %" if time_left is None else "noise 4 %, about 20 s left")
+    assert rest == ("error about 4 %" if time_left is None else "error about 4 %, about 20 s left")
     assert note.endswith(" · about 20 s left (12 s to 41 s)") == (time_left is not None)
     assert ("left" in note) == (time_left is not None)
     shares = page.locator("#error .legend b").all_inner_texts()

@@ -148,7 +148,7 @@ def test_what_cannot_become_final_may_be_saved_as_it_is(page: Page, live_server:
     page.route("**/frame?*", stuck())
     page.click("#save-start")
     note = page.locator("#save .note")
-    expect(note).to_have_text("No more light is coming: 3 of 4 chunks final, noise 70 %.", timeout=FINAL_MS)
+    expect(note).to_have_text("No more light is coming: 3 of 4 chunks final, error about 70 %.", timeout=FINAL_MS)
     with page.expect_download() as download:
         page.click("#save-now")
     assert download.value.suggested_filename.endswith("-provisional.png")

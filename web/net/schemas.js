@@ -88,7 +88,8 @@
  * @typedef {object} Facts what a frame says about itself
  * @property {boolean} provisional
  * @property {Coverage} coverage
- * @property {number} error estimated relative RMSE; NaN where the server gives none
+ * @property {number} error total relative RMSE; NaN where the server gives none
+ * @property {number} controls pixels that measured it; of none it is a prediction
  * @property {{needed: number, final: number}} chunks
  * @property {{low: number, likely: number, high: number}|null} timeLeft seconds until all is final; null if unknown
  * @property {Record<string, number>} timing milliseconds of each stage of its making
@@ -128,6 +129,7 @@ export function readFacts(headers) {
     provisional: headers.get("Isogi-Provisional") === "?1",
     coverage: { final: 0, converging: 0, provisional: 0, ...parsePairs(headers.get("Isogi-Coverage")) },
     error: Number.parseFloat(headers.get("Isogi-Error") ?? ""),
+    controls: Number(/controls=(\d+)/.exec(headers.get("Isogi-Error") ?? "")?.[1] ?? 0),
     chunks: { needed: 0, final: 0, ...parsePairs(headers.get("Isogi-Chunks")) },
     timeLeft: readTimeLeft(headers.get("Isogi-Time-Left")),
     timing: parseTiming(headers.get("Server-Timing")),

@@ -33,7 +33,7 @@ export function planRows({ plan, target_error: target }) {
     "Texels shown": `${grouped(plan.texels.shown)} of ${grouped(plan.texels.total)}`,
     Bounces: plan.bounces,
     "Samples, at most": grouped(plan.samples),
-    "Final means": Number.isFinite(target) ? `noise below ${percent(target)}` : null,
+    "Final means": Number.isFinite(target) ? `error below ${percent(target)}` : null,
     ...Object.fromEntries(Object.entries(plan.errors).map(([cause, error]) => [`Error of ${cause}`, percent(error)])),
   };
 }

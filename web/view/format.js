@@ -99,15 +99,18 @@ export function rangeInWords(left) {
 }
 
 /**
- * The state of a frame: "182 of 240 chunks final, noise 1.8 %, about 40 s left".
- * @param {Pick<Facts, "provisional"|"coverage"|"error"|"chunks"|"timeLeft">} facts
+ * The state of a frame: "182 of 240 chunks final, error about 1.8 %, about 40 s left".
+ * @param {Pick<Facts, "provisional"|"coverage"|"error"|"controls"|"chunks"|"timeLeft">} facts
  * @returns {string}
  */
-export function frameInWords({ provisional, coverage, error, chunks, timeLeft }) {
-  const noise = error > 0 && error < 1 ? `noise ${errorInWords(error)}` : "";
-  if (!provisional) return [showsSurface(coverage) ? "final" : "final, no surface in view", noise].filter(Boolean).join(", ");
+export function frameInWords({ provisional, coverage, error, controls, chunks, timeLeft }) {
+  const wrong = error > 0 && error < 1 ? `error ${controls ? "" : "about "}${errorInWords(error)}` : "";
+  if (!provisional) return [showsSurface(coverage) ? "final" : "final, no surface in view", wrong].filter(Boolean).join(", ");
   const left = timeLeft ? leftInWords(timeLeft) : "";
-  return [`${chunks.final} of ${chunks.needed} chunks final`, noise, left].filter(Boolean).join(", ");
+  const measuring = chunks.needed > 0 && chunks.final === chunks.needed;
+  return [measuring ? "light final, measuring its error" : `${chunks.final} of ${chunks.needed} chunks final`, wrong, left]
+    .filter(Boolean)
+    .join(", ");
 }
 
 /**

@@ -84,12 +84,12 @@ async def events_of(service: Service, picture: PictureRequest, seen: str) -> Asy
                 async for shown, new in shown_so_far:
                     if not new:
                         yield event("progress", await progress(service, picture, shown, viewer))
-                    elif shown.frame.provisional and not shown.coming:
+                    elif not (shown.frame.final or shown.coming):
                         yield event(
                             "failed", coverage(shown) | {"detail": reason(service, shown.frame)}, shown.frame.version
                         )
                     elif shown.frame.version != seen:
-                        kind = "refined" if shown.frame.provisional else "final"
+                        kind = "final" if shown.frame.final else "refined"
                         yield event(kind, coverage(shown), shown.frame.version)
         finally:
             service.leave(viewer)
@@ -137,7 +137,10 @@ async def progress(service: Service, picture: PictureRequest, shown: Shown, view
 
 def reason(service: Service, frame: Frame) -> str:
     """Why no more light is coming though a frame is not final."""
+    if frame.given_up:
+        error = f"The total error is {frame.total.likely:.3g} after all paths that pixels may take"
+        return f"{error}: ask for a larger max_error."
     if frame.view.shading != "path_traced":
         return service.reason()
-    error = f"the estimated error is {frame.estimated_error:.3g}"
+    error = f"the estimated error is {frame.noise:.3g}"
     return f"All samples are taken ({frame.view.samples} per pixel) and {error}: ask for more samples."

@@ -65,7 +65,7 @@ async def read_frame(
 
     def answer(shown: Shown) -> Response | None:
         frame, watch = shown.frame, shown.watch
-        if frame.provisional and later:
+        if later and not frame.final:
             return None
         tag = entity_tag(frame, form, exposure, params.overlay, params.max_error)
         headers = frame_headers(frame, shown.time_left, tag, params.version) | applied
@@ -164,8 +164,12 @@ async def complete(service: Service, picture: PictureRequest, job: Job) -> Frame
                 job.report(0.0, str(error))
                 await asyncio.sleep(AWAY)
                 continue
-            if not frame.provisional:
+            if frame.final:
                 return frame
+            if frame.checkable:
+                job.report(1.0, "All light is baked; control pixels measure the picture.")
+                await asyncio.to_thread(service.engine.check, picture.scene, picture.view, picture.target)
+                continue
             lacking, demands = await asyncio.to_thread(service.engine.lacking, picture.scene, frame)
             if not demands:
                 return frame

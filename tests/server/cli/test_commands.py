@@ -223,7 +223,7 @@ def test_path_traced_is_answered_with_its_samples_and_error(
     facts = json.loads(line)
     assert (facts["stopped"], facts["provisional"]) == ("samples", True)
     assert 0.0001 < facts["error"] < 1.0
-    assert rendered(facts).startswith(f"{output}: 24 × 20, all samples taken, estimated error {facts['error']:.4f}")
+    assert rendered(facts).startswith(f"{output}: 24 × 20, all samples taken, error {facts['error']:.4f}")
 
 
 def test_render_in_no_time_says_how_far_it_came(

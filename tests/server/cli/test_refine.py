@@ -27,7 +27,8 @@ class Script:
     def frame(self, scene: str, view: View, **more: Any) -> SimpleNamespace:
         self.asked.append(more)
         version = self.versions.pop(0) if len(self.versions) > 1 else self.versions[0]
-        return SimpleNamespace(version=version, provisional=version != "final", chunks_needed=2, chunks_final=1)
+        known = {"final": version == "final", "checkable": version == "to be checked"}
+        return SimpleNamespace(version=version, **known, chunks_needed=2, chunks_final=1)
 
     def lacking(self, scene: str, frame: Any) -> tuple[str, tuple[str, ...]]:
         return scene, self.demands
@@ -100,6 +101,12 @@ def test_a_frame_that_lacks_no_light_is_the_answer() -> None:
     engine.demands = ()
     assert refine(engine).version == "a"
     assert len(engine.asked) == 1
+
+
+def test_it_waits_while_control_pixels_measure_the_picture() -> None:
+    engine = Script(*["to be checked"] * 200, "final")
+    engine.demands = ()
+    assert refine(engine).version == "final"
 
 
 def test_it_ends_at_once_where_the_workers_fail() -> None:

@@ -110,7 +110,7 @@ def test_a_frame_comes_at_once_and_becomes_final(begin: Open, scene: Scene) -> N
     assert (final.demands, final.chunks_final) == ((), final.chunks_needed)
     assert final.version != first.version
     assert (final.radiance[final.state > 0] > 0.0).all()
-    assert 0.0 < final.estimated_error < 0.3
+    assert 0.0 < final.noise < 0.3
 
 
 def test_asking_again_and_again_is_enough(begin: Open, scene: Scene) -> None:
@@ -247,7 +247,7 @@ def test_the_order_of_views_does_not_matter(begin: Open, scene: Scene, store: Pa
 def test_a_path_traced_frame_lacks_no_light_whatever_its_error(begin: Open, scene: Scene) -> None:
     engine, view = begin(), replace(view_of(scene), shading="path_traced", samples=16)
     frame = engine.frame(scene.id, view, max_error=0.001, wait=LONG)
-    assert frame.provisional and frame.estimated_error > 0.001
+    assert frame.provisional and frame.noise > 0.001
     assert engine.lacking(scene.id, frame) == (scene.id, ())
     assert refine(engine, scene.id, view, 0.001, None).version == frame.version
 
@@ -260,7 +260,7 @@ def test_a_stricter_error_is_worked_for(begin: Open, scene: Scene) -> None:
     assert strict.demands
     strict = engine.frame(scene.id, view_of(scene), max_error=0.05, wait=LONG)
     assert not strict.provisional
-    assert strict.estimated_error < loose.estimated_error
+    assert strict.noise < loose.noise
 
 
 DAMAGES: list[Callable[[bytes], bytes]] = [lambda b: b"", lambda b: b[:-1], lambda b: bytes(len(b)), lambda b: b + b"!"]

@@ -52,14 +52,17 @@ test("time left has its range, where that is one", () => {
   assert.equal(rangeInWords({ low: 0.1, likely: 0.2, high: 0.4 }), "about 1 s left");
 });
 
-test("a provisional frame says its chunks, noise and time left", () => {
+test("a provisional frame says its chunks, error and time left", () => {
   const left = { low: 12, likely: 40, high: 60 };
-  assert.equal(frameInWords(facts({ error: 0.018, timeLeft: left })), "182 of 240 chunks final, noise 1.8 %, about 40 s left");
+  assert.equal(frameInWords(facts({ error: 0.018, timeLeft: left })), "182 of 240 chunks final, error about 1.8 %, about 40 s left");
+  const lit = { chunks: { needed: 240, final: 240 } };
+  assert.equal(frameInWords(facts({ error: 0.018, ...lit })), "light final, measuring its error, error about 1.8 %");
   assert.equal(frameInWords(facts({ error: 1 })), "182 of 240 chunks final", "an error of all the light says nothing");
 });
 
-test("a final frame says its noise, if there is any", () => {
-  assert.equal(frameInWords(facts({ provisional: false })), "final, noise 3.4 %");
+test("a final frame says its error, if there is any", () => {
+  assert.equal(frameInWords(facts({ provisional: false })), "final, error about 3.4 %");
+  assert.equal(frameInWords(facts({ provisional: false, controls: 256 })), "final, error 3.4 %");
   assert.equal(frameInWords(facts({ provisional: false, error: NaN })), "final");
 });
 

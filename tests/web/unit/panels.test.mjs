@@ -176,7 +176,7 @@ test("a plan says its texels, bytes, lobes and errors", () => {
   assert.equal(rows["Bytes per texel"], "45, instead of 300");
   assert.equal(rows["Texels shown"], "1\u202f234\u202f567 of 2\u202f000\u202f000");
   assert.equal(rows["Error of harmonics"], "1.74 %");
-  assert.equal(rows["Final means"], "noise below 2 %");
+  assert.equal(rows["Final means"], "error below 2 %");
 });
 
 test("a volume says its size, its values and its holes", () => {
@@ -190,7 +190,7 @@ test("a volume says its size, its values and its holes", () => {
 test("screen readers hear of quarters, not of every frame", () => {
   const said = [0.26, 0.49, 0.51].map((final) => announcement(facts({ coverage: { final, converging: 0, provisional: 1 - final } })));
   assert.deepEqual(said, ["Picture provisional, 25 percent final", said[0], "Picture provisional, 50 percent final"]);
-  assert.equal(announcement(facts({ provisional: false })), "Picture final, noise 3.4 %");
+  assert.equal(announcement(facts({ provisional: false })), "Picture final, error about 3.4 %");
 });
 
 test("the rate of drafts is that of their intervals", () => {

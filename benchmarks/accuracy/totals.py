@@ -1,0 +1,190 @@
+"""What pictures tell of their total error beside the truth, and what it takes to bring it to the target.
+
+    python -m benchmarks.accuracy totals [--size 96] [--paths 1024] [--seed 1 …] [--only TEXT …]
+
+Views of real volumes, and of volumes by formula (see ``formulas``), are baked by their scenes' plans to 2 %, in lights
+of all kinds; their pictures are then checked as the server checks pictures at rest. References are path-traced from
+each pixel, with as many bounces as may matter.
+"""
+
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from statistics import median
+
+import click
+import numpy as np
+
+from benchmarks.accuracy.benches import bench_of, wanted
+from benchmarks.accuracy.formulas import KINDS, made
+from benchmarks.common.measurement import Measurement, markdown
+from benchmarks.common.scenes import CONSTANT, LIGHTS, Subject, scene_of, shared_data
+from benchmarks.common.suite import part
+from isogi_core.files.radiance import write_hdr
+from isogi_core.frame.frame import Frame
+from isogi_core.frame.total_error import TotalError
+from isogi_core.model.view import quaternion_from_angles
+from isogi_core.plan.assembly import load_scene
+from isogi_core.plan.scene import Scene
+from isogi_core.report.bench import Bench
+from isogi_core.report.metrics import score
+
+PLACES = (("engine", 70), ("engine", 170), ("CT head", 110), ("MNI brain", 90), ("carp", 110))
+TURN = (110.0, 25.0, 0.0)
+"""Angles (z, y, x), in degrees, that lights are turned by."""
+
+HEAD = (
+    *("view", "told before", "noise", "true", "first told (95 %)", "told / true"),
+    *("told at the end", "true at the end, 99 %", "pixels' own light", "bake, s", "check, s"),
+)
+
+
+@dataclass(frozen=True)
+class Found:
+    """A view: what was ``predicted``, and first told, of a picture whose true error is ``lit``; and of that at the end.
+
+    ``own`` is the share of pixels with light of their own; seconds are of the processor.
+    """
+
+    name: str
+    noise: float
+    predicted: float
+    first: TotalError
+    lit: float
+    last: TotalError
+    final: bool
+    true: float
+    p99: float
+    own: float
+    bake: float
+    first_seconds: float
+    seconds: float
+
+
+@part(size=96)
+@click.option("--paths", type=click.IntRange(8), default=1024, show_default=True, help="Paths a pixel of references.")
+@click.option("--seed", multiple=True, type=int, default=(1,), show_default=True, help="Of volumes; repeatable.")
+@click.option("--only", multiple=True, help="Part of a view's name; repeatable.")
+def totals(size: int, paths: int, seed: tuple[int, ...], only: tuple[str, ...]) -> Measurement:
+    """What pictures tell of their total error, beside the truth, and what reaching the target takes."""
+    found = []
+    with tempfile.TemporaryDirectory() as folder:
+        for name, scene in scenes(Path(folder), seed, only):
+            found.append(measure(name, bench_of(scene, size, Path(folder) / name.replace(" ", "-")), paths))
+            click.echo(" | ".join(row_of(found[-1])), err=True)
+    if not found:
+        raise click.UsageError("No view has that in its name.")
+    return Measurement("Total errors, told and true", figures(found), markdown(HEAD, map(row_of, found)))
+
+
+def scenes(folder: Path, seeds: Sequence[int], only: Sequence[str]) -> Iterator[tuple[str, Scene]]:
+    """The scenes of all views, by name."""
+    write_hdr(folder / "lamps.hdr", street())
+    lights = {**LIGHTS, "a street at night": {"type": "probe", "file": str(folder / "lamps.hdr")}}
+    if (data := shared_data()) is None:
+        lights = {"constant light": CONSTANT, "a street at night": lights["a street at night"]}
+    for light in lights:
+        for volume, isovalue in PLACES if data is not None else ():
+            if light in LIGHTS and wanted(name := f"{volume} {isovalue} under {light}", only):
+                yield name, scene_of(Subject(volume, isovalue, light))
+        for kind in KINDS:
+            for seed in seeds:
+                if wanted(name := f"{kind} {seed} under {light}", only):
+                    yield name, formula_scene(kind, seed, of_file(dict(lights[light]), data))
+
+
+def of_file(light: dict[str, str], data: Path | None) -> dict[str, str]:
+    """A light whose file, if it has one, is named from anywhere."""
+    return {**light, "file": str(data / light["file"])} if data and "file" in light else light
+
+
+def formula_scene(kind: str, seed: int, light: dict[str, str]) -> Scene:
+    """The scene of a volume by formula."""
+    volume, isovalue = made(kind, seed)
+    scene = load_scene("demo:orbital", lights=[light], albedo=0.7)
+    return replace(scene, volume=volume, isovalue=isovalue, isovalues=volume.value_range)
+
+
+def street() -> np.ndarray:
+    """A night sky with sixty small lamps of all strengths, (64, 128, 3) float32."""
+    rng = np.random.default_rng(7)
+    image = np.full((64, 128, 3), 0.02, np.float32)
+    for _ in range(60):
+        row, column = int(rng.integers(20, 44)), int(rng.integers(0, 128))
+        image[row, column] = 10.0 ** rng.uniform(0.5, 2.5) * rng.uniform(0.6, 1.0, 3)
+    return image
+
+
+def measure(name: str, bench: Bench, paths: int) -> Found:
+    """Bake a view, check its picture, and hold both against the truth."""
+    ours = bench.planned
+    ours.frame()
+    turned = replace(bench.view, light=quaternion_from_angles(*TURN)) if bench.scene.rotating else bench.view
+    best = replace(bench, view=turned, folder=bench.folder / "turned", _made={}).reference(paths)
+    renderer, target = bench.renderer(bench.scene), bench.scene.target_error
+    lit = renderer.render(turned, target)
+    begun, frames = time.process_time(), [lit]
+    spent = []
+    while renderer.refine(turned, target):
+        frames.append(renderer.render(turned, target))
+        spent.append(time.process_time() - begun)
+    first, last = frames[min(1, len(frames) - 1)], frames[-1]
+    before, after = (score(frame.radiance, best, 1.0) for frame in (lit, last))
+    return Found(
+        name=name,
+        noise=lit.noise,
+        predicted=lit.total.likely,
+        first=first.total,
+        lit=before.rmse,
+        last=last.total,
+        final=last.final,
+        true=after.rmse,
+        p99=after.p99,
+        own=changed(lit, last),
+        bake=ours.seconds,
+        first_seconds=spent[0] if spent else 0.0,
+        seconds=spent[-1] if spent else 0.0,
+    )
+
+
+def changed(one: Frame, other: Frame) -> float:
+    """The share of surface pixels that two frames show differently."""
+    return float((one.radiance != other.radiance).any(axis=-1).sum() / max(one.surface, 1))
+
+
+def row_of(found: Found) -> tuple[str, ...]:
+    """A line of the table, in percent and seconds."""
+    first, last = found.first, found.last
+    return (
+        found.name,
+        f"{100 * found.predicted:.2f}",
+        f"{100 * found.noise:.2f}",
+        f"{100 * found.lit:.2f}",
+        f"{100 * first.likely:.2f} ({100 * first.low:.2f} to {100 * first.high:.2f})",
+        f"{first.likely / max(found.lit, 1e-6):.2f}",
+        f"{100 * last.likely:.2f}{'' if found.final else ' (not final)'}",
+        f"{100 * found.true:.2f}, {100 * found.p99:.1f}",
+        f"{found.own:.0%}",
+        f"{found.bake:.1f}",
+        f"{found.first_seconds:.2f}, {found.seconds:.2f}",
+    )
+
+
+def figures(found: Sequence[Found]) -> dict[str, float]:
+    """How well errors are told, and how far pictures are from the truth at the end."""
+    ratios = sorted(each.first.likely / max(each.lit, 1e-6) for each in found)
+    held = [each.first.low <= each.lit <= each.first.high for each in found]
+    met = [each.true <= 0.03 and each.p99 <= 0.1 for each in found]
+    idle = [each.first_seconds / each.bake for each in found if each.own == 0.0]
+    return {
+        "views": len(found),
+        "told / true, median": median(ratios),
+        "told / true within 0.67 and 1.5": sum(0.67 <= ratio <= 1.5 for ratio in ratios) / len(found),
+        "intervals that hold the truth": sum(held) / len(found),
+        "final": sum(each.final for each in found) / len(found),
+        "within 3 % and 99th percentile 10 %": sum(met) / len(found),
+        "worst true error told as final": max((each.true for each in found if each.final), default=0.0),
+        "check / bake where light is good enough, median": median(idle) if idle else 0.0,
+    }

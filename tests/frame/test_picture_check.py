@@ -1,0 +1,152 @@
+"""Control pixels tell a picture's whole error, and pixels get light of their own until it is at the target."""
+
+import math
+import threading
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from isogi_core.errors import Cancelled
+from isogi_core.frame.control_pixels import ControlPixels, chances, draw_places
+from isogi_core.frame.frame import Frame
+from isogi_core.frame.total_error import measure_total
+from isogi_core.model.sky import LUMINANCE
+from isogi_core.model.view import View
+from isogi_core.model.volume import make_volume
+from isogi_core.plan.assembly import load_scene
+from isogi_core.report.reference import Reference, trace_reference
+from tests.frame.conftest import CONSTANT, Workbench, luminance, scene_of
+
+Make = Callable[..., Workbench]
+TARGET = 0.05
+
+
+def checked(bench: Workbench, view: View, target: float | None = None) -> Frame:
+    """The frame of a view once its light is baked and its picture checked to the end."""
+    bench.bake(view, target)
+    while bench.renderer.refine(view, target):
+        pass
+    return bench.renderer.render(view, target)
+
+
+@pytest.fixture(scope="module")
+def coarse(tmp_path_factory: pytest.TempPathFactory) -> Workbench:
+    """The casting with so few texels that light between them is wrong by far more than its noise."""
+    scene = load_scene("demo:casting", lights=[CONSTANT], lattice=0.3, projected=False, target_error=TARGET)
+    return Workbench(scene, tmp_path_factory.mktemp("coarse"))
+
+
+# --- the estimate -----------------------------------------------------------------------------------------------
+
+
+def drawn(rng: np.random.Generator, wrong: np.ndarray, uncertainty: np.ndarray, count: int) -> np.ndarray:
+    """Weighted squares of controls whose halves have noise of their own, of a picture that is ``wrong`` (m,)."""
+    chance = chances(uncertainty)
+    places = rng.choice(len(wrong), count, p=chance)
+    halves = rng.normal(0.0, 0.3, (count, 2))
+    controls = ControlPixels(places, 1.0 / (len(wrong) * chance[places]), halves)
+    return np.asarray(controls.weights * controls.squares(wrong))
+
+
+def test_squares_are_right_on_the_average() -> None:
+    """Some pixels err much: neither where controls are drawn nor the noise of their paths changes the mean."""
+    rng = np.random.default_rng(3)
+    wrong = np.where(rng.random(4000) < 0.05, 1.0, 0.1) * rng.normal(size=4000)
+    for uncertainty in (np.zeros(4000), np.abs(wrong), rng.random(4000)):
+        squares = drawn(rng, wrong, uncertainty, 200_000)
+        apart = (squares.mean() - (wrong**2).mean()) / (squares.std() / math.sqrt(len(squares)))
+        assert abs(apart) < 4.0
+
+
+def test_intervals_hold_the_truth_as_often_as_they_say() -> None:
+    rng = np.random.default_rng(4)
+    wrong = np.where(rng.random(4000) < 0.1, 1.0, 0.2) * rng.normal(size=4000)
+    true = math.sqrt((wrong**2).mean())
+    totals = [measure_total(drawn(rng, wrong, np.abs(wrong) + 0.2, 256), 2.0) for _ in range(400)]
+    assert 0.9 < np.mean([each.low <= true / 2.0 <= each.high for each in totals]) < 0.99
+    assert np.median([each.likely for each in totals]) == pytest.approx(true / 2.0, rel=0.05)
+
+
+def test_controls_are_drawn_where_it_is_uncertain(coarse: Workbench) -> None:
+    gbuffer = coarse.renderer.gbuffer(coarse.view(size=48))
+    points = len(gbuffer.points)
+    uncertainty = np.where(np.arange(points) < points // 10, 1.0, 0.0)
+    places = draw_places(gbuffer, uncertainty, (0, 0), 400)
+    assert np.mean(places < points // 10) == pytest.approx(0.55, abs=0.03)
+    assert np.array_equal(places, draw_places(gbuffer, uncertainty, (0, 0), 400))
+    assert not np.array_equal(places, draw_places(gbuffer, uncertainty, (0, 256), 400))
+    even = draw_places(gbuffer, np.zeros(points), (1, 0), points // 4)
+    assert np.histogram(even, 4)[0] == pytest.approx(points / 16, rel=0.2)
+
+
+def true_error(frame: Frame, true: Reference) -> float:
+    """Relative RMSE of a frame's luminance, by a reference of the same view."""
+    light = true.mean[true.on].astype(float) @ LUMINANCE
+    return float(np.sqrt(((luminance(frame) - light) ** 2).mean()) / light.mean())
+
+
+# --- the picture ------------------------------------------------------------------------------------------------
+
+
+def test_a_picture_reaches_its_target_by_light_of_its_pixels(coarse: Workbench) -> None:
+    view = coarse.view(size=48)
+    lit = coarse.bake(view)
+    assert not lit.provisional and not lit.final and lit.checkable and lit.total.predicted
+    true = trace_reference(coarse.renderer, view, 512)
+    assert true_error(lit, true) > 1.5 * TARGET > 1.5 * lit.noise
+    assert coarse.renderer.refine(view)
+    told = coarse.renderer.render(view)
+    assert not told.final and told.total.controls == 256 and told.version != lit.version
+    assert told.total.low < true_error(lit, true) < told.total.high
+    frame = checked(coarse, view)
+    assert frame.final and frame.total.high <= TARGET
+    assert true_error(frame, true) < TARGET
+    assert not coarse.renderer.refine(view)
+
+
+def test_the_same_view_tells_the_same_after_a_restart(coarse: Workbench) -> None:
+    view = coarse.view(azimuth=150.0, size=32)
+    one, other = (checked(bench, view) for bench in (coarse, coarse.again()))
+    assert (one.version, one.total, one.radiance.tobytes()) == (other.version, other.total, other.radiance.tobytes())
+
+
+def test_a_picture_that_is_good_enough_keeps_its_light(orbital: Workbench) -> None:
+    view = orbital.view()
+    lit = orbital.renderer.render(view)
+    frame = checked(orbital, view, 0.5)
+    assert frame.final and 0.0 < frame.total.likely < frame.total.high <= 0.5
+    assert np.array_equal(frame.radiance, lit.radiance)
+
+
+def test_no_controls_for_what_moves_or_is_shaded_locally(orbital: Workbench) -> None:
+    view = orbital.view()
+    for other in (replace(view, moving=True), replace(view, shading="lambert"), replace(view, shading="vicinity")):
+        orbital.bake(other)
+        frame = orbital.renderer.render(other)
+        assert frame.target is None and frame.final and not orbital.renderer.refine(other)
+
+
+def test_a_check_ends_when_it_is_cancelled(coarse: Workbench) -> None:
+    view, cancelled = coarse.view(azimuth=250.0, size=32), threading.Event()
+    coarse.bake(view)
+    cancelled.set()
+    with pytest.raises(Cancelled):
+        coarse.renderer.refine(view, tiles=coarse.renderer.tiles.cancelled_by(cancelled))
+    assert coarse.renderer.render(view).checkable
+
+
+@pytest.mark.parametrize("wall", [1.33, 2.0, 4.0])
+def test_a_closed_shell_is_dark_inside(workbench: Make, wall: float) -> None:
+    """Texels in a thin wall lie on isosurfaces that are open: their light must not reach the inside of a closed one."""
+    z, y, x = np.mgrid[:24, :24, :24] - 11.5
+    apart = np.abs(np.sqrt(x**2 + y**2 + z**2) - 8.0)
+    noise = np.random.default_rng(1).random(apart.shape)
+    shell = np.clip(1.0 - apart / wall, 0.0, 1.0) * (1.0 - 0.3 * noise)
+    bench = workbench(scene_of(make_volume(shell.astype(np.float32)), isovalue=0.15, projected=False))
+    view = bench.view(size=16)
+    inside = replace(view, camera=replace(view.camera, eye=(11.5, 11.5, 11.5), target=(16.0, 12.0, 13.0), fov=60.0))
+    frame = checked(bench, inside, 0.1)
+    assert frame.final and frame.surface == 256
+    assert luminance(frame).max() == 0.0 and frame.total.likely == frame.total.high == 0.0
