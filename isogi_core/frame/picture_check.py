@@ -51,9 +51,9 @@ class PictureCheck:
 
     @property
     def version(self) -> bytes:
-        """Names how far it has come; empty at the beginning."""
-        known = len(self.controls.places), self.own.count, self.attempt
-        return b"" if not any(known) else repr(known).encode() + hashlib.sha256(self.own.places.data).digest()
+        """Names the light that pixels have of their own; empty where none has any."""
+        own = self.own
+        return b"" if not len(own.places) else repr(own.count).encode() + hashlib.sha256(own.places.data).digest()
 
     def put(self, framebuffer: Framebuffer) -> None:
         """Write the light of pixels that have their own into a picture."""

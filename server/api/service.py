@@ -206,12 +206,12 @@ class Service:
         have the rest; the last picture of each comes at once. Where light was given up, the same picture comes once
         more: it is not final, and no more is coming.
         """
-        version, patience = "", REST
+        known, patience = None, REST
         while True:
             shown = await self.show(picture, viewer, Rank.within(patience))
             given_up = not (shown.frame.final or shown.coming)
-            if shown.frame.version != version or given_up:
-                version, patience = shown.frame.version, REFINED
+            if (now := (shown.frame.version, shown.frame.total)) != known or given_up:
+                known, patience = now, REFINED
                 yield shown
             if not shown.coming:
                 return

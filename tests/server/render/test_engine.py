@@ -260,7 +260,7 @@ def test_a_stricter_error_is_worked_for(begin: Open, scene: Scene) -> None:
     assert strict.demands
     strict = engine.frame(scene.id, view_of(scene), max_error=0.05, wait=LONG)
     assert not strict.provisional
-    assert strict.noise < loose.noise
+    assert strict.total.likely < loose.total.likely
 
 
 DAMAGES: list[Callable[[bytes], bytes]] = [lambda b: b"", lambda b: b[:-1], lambda b: bytes(len(b)), lambda b: b + b"!"]
