@@ -45,7 +45,7 @@ def picture(answer: httpx.Response) -> np.ndarray:
 
 def test_another_albedo_is_final_at_once_and_brighter(ask: Ask) -> None:
     own, bright, warm = ask(), ask(albedo=0.9), ask(albedo="0.9,0.5,0.1")
-    assert bright.headers["isogi-provisional"] == warm.headers["isogi-provisional"] == "?0"
+    assert "final=1.000" in bright.headers["isogi-coverage"] and "final=1.000" in warm.headers["isogi-coverage"]
     assert picture(bright).mean() == pytest.approx(3.0 * picture(own).mean(), rel=0.05), "two balls reflect little"
     reds = [picture(answer)[..., 0] for answer in (warm, bright)]
     np.testing.assert_allclose(*reds, rtol=1e-5, err_msg="red is as bright as grey of that share")

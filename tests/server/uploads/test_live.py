@@ -34,7 +34,7 @@ def test_an_upload_is_a_scene_like_any_other(site: Site) -> None:
     again = site.send(12)
     assert again["id"] == facts["id"]
     shown = site.client.get(f"{facts['scene']}/frame", params=VIEW | {"wait_ms": 0})
-    assert shown.headers["isogi-provisional"] == "?0", "the light of what came again is found in the store"
+    assert "final=1.000" in shown.headers["isogi-coverage"], "the light of what came again is found in the store"
 
 
 def test_what_is_deleted_while_it_is_drawn_ends_in_frames_or_404(site: Site) -> None:

@@ -1,0 +1,29 @@
+"""Total errors told and true, on one small view; and the volumes by formula that they are looked at on."""
+
+import numpy as np
+import pytest
+
+from benchmarks.accuracy.formulas import KINDS, made
+from benchmarks.accuracy.totals import totals
+from tests.benchmarks.parts import figures
+
+
+def test_a_picture_is_as_wrong_as_it_says_and_reaches_its_target() -> None:
+    found = figures(totals, "--size", "24", "--paths", "256", "--only", "nested shells 1 under constant light")
+    assert found["views"] == found["final"] == 1
+    assert 0.5 < found["told / true, median"] < 2.0
+    assert 0.0 < found["worst true error told as final"] <= 0.025
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_volumes_by_formula_have_a_surface(kind: str) -> None:
+    volume, isovalue = made(kind, 1)
+    low, high = volume.value_range
+    assert low < isovalue < high and np.isfinite(volume.voxels).all()
+    inside = float((volume.voxels > volume.normalise_isovalue(isovalue)).mean())
+    assert 0.002 < inside < 0.998
+
+
+def test_a_seed_makes_the_same_volume_and_another_another() -> None:
+    one, same, other = (made("coarse shell", seed)[0].voxels for seed in (1, 1, 2))
+    assert np.array_equal(one, same) and not np.array_equal(one, other)

@@ -1,0 +1,97 @@
+"""Checks of pictures, by a step that follows a script."""
+
+import threading
+from collections.abc import Iterator
+from dataclasses import replace
+
+import pytest
+
+from isogi_core.errors import Cancelled
+from isogi_core.model.view import Camera, View
+from server.render.picture_checks import MOST, PictureChecks
+from worker.bake_requests import Viewer
+
+VIEW = View(0.5, Camera((5.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
+ONE, OTHER = Viewer("one", 1), Viewer("other", 2)
+LONG = 30.0
+
+
+class Steps:
+    """Steps that wait until they may go on; each picture takes so many."""
+
+    def __init__(self, most: int = 1) -> None:
+        self.most = most
+        self.taken: list[float] = []
+        self.told: list[tuple[float, bool]] = []
+        self.go = threading.Semaphore(0)
+        self.begun = threading.Semaphore(0)
+        self.ended = threading.Semaphore(0)
+        self.checks = PictureChecks(self.step, self.note)
+
+    def step(self, scene: str, view: View, target: float, cancelled: threading.Event) -> bool:
+        self.taken.append(view.isovalue)
+        self.begun.release()
+        assert self.go.acquire(timeout=LONG)
+        if cancelled.is_set():
+            raise Cancelled("Nobody waits for it.")
+        return self.taken.count(view.isovalue) < self.most
+
+    def note(self, scene: str, view: View, more: bool) -> None:
+        self.told.append((view.isovalue, more))
+        self.ended.release()
+
+    def ask(self, isovalue: float, viewer: Viewer = ONE) -> None:
+        self.checks.request("scene", replace(VIEW, isovalue=isovalue), 0.02, viewer)
+
+    def end(self, count: int) -> None:
+        """Let so many steps end."""
+        for _ in range(count):
+            self.go.release()
+            assert self.ended.acquire(timeout=LONG)
+
+
+@pytest.fixture
+def steps() -> Iterator[Steps]:
+    made = Steps()
+    yield made
+    for _ in range(100):
+        made.go.release()
+    made.checks.close()
+
+
+def test_a_picture_is_checked_until_no_step_is_left(steps: Steps) -> None:
+    steps.most = 3
+    steps.ask(0.5)
+    steps.end(3)
+    assert steps.told == [(0.5, True), (0.5, True), (0.5, False)]
+
+
+def test_the_newest_picture_comes_first(steps: Steps) -> None:
+    steps.ask(0.1)
+    assert steps.begun.acquire(timeout=LONG)
+    steps.ask(0.2, OTHER)
+    steps.ask(0.3, Viewer("third", 3))
+    steps.end(3)
+    assert steps.taken == [0.1, 0.3, 0.2]
+
+
+def test_who_leaves_or_moves_on_ends_the_check_at_work(steps: Steps) -> None:
+    steps.ask(0.1)
+    assert steps.begun.acquire(timeout=LONG)
+    steps.ask(0.1)
+    steps.ask(0.2)
+    steps.end(1)
+    assert steps.begun.acquire(timeout=LONG)
+    steps.checks.leave(ONE)
+    steps.end(1)
+    assert steps.taken == [0.1, 0.2] and steps.told == [(0.1, False), (0.2, False)]
+
+
+def test_no_more_than_so_many_pictures_wait(steps: Steps) -> None:
+    steps.ask(0.0)
+    assert steps.begun.acquire(timeout=LONG)
+    for number in range(MOST + 5):
+        steps.ask(1.0 + number, Viewer(number, number))
+    steps.end(MOST + 1)
+    assert len(steps.taken) == MOST + 1
+    assert min(steps.taken[1:]) == 1.0 + 5, "those asked for first are dropped"
