@@ -60,14 +60,16 @@ class ControlPixels:
         places, weights = np.append(self.places, other.places), np.append(self.weights, other.weights)
         return ControlPixels(places, weights, np.concatenate([self.halves, other.halves]))
 
-    def mean(self, shown: np.ndarray) -> float:
-        """The true mean luminance of all points: that ``shown`` (m,) less what controls find too much; at least 0."""
-        wrong = shown[self.places] - self.halves.mean(axis=1)
-        return max(float(shown.mean() - (self.weights * wrong).mean()), 0.0)
+    def mean(self, shown: np.ndarray, mean: float) -> float:
+        """The true mean luminance of all points, at least 0: the picture's ``mean`` less what controls find too much.
+
+        The picture shows the luminance ``shown`` (k,) at the controls.
+        """
+        return max(mean - float((self.weights * (shown - self.halves.mean(axis=1))).mean()), 0.0)
 
     def squares(self, shown: np.ndarray) -> np.ndarray:
-        """The squared error of each control's luminance, of those of all points in ``shown`` (m,), unbiased; (k,)."""
-        wrong = shown[self.places, None] - self.halves
+        """The squared error of each control's luminance, ``shown`` (k,), right on the average; (k,)."""
+        wrong = shown[:, None] - self.halves
         return np.asarray(wrong[:, 0] * wrong[:, 1])
 
 

@@ -7,12 +7,14 @@ from functools import cached_property
 
 import numpy as np
 
+from isogi_core.frame.control_pixels import ControlPixels
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.projected_texels import Projection
 from isogi_core.frame.texel_reading import Lacking
-from isogi_core.frame.total_error import TotalError, predict_total
+from isogi_core.frame.total_error import TotalError, measure_total, predict_total
 from isogi_core.frame.view_texels import Demand
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, PROVISIONAL, Framebuffer, tally
+from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import View
 
 UNREACHABLE = 4
@@ -30,8 +32,8 @@ class Frame:
     ``version`` is equal for equal pictures, also after a restart. ``lacking`` is what it was made of, and
     wants more of, None where it reads no texels; ``seconds`` the time of each stage. ``projection`` tells of
     texels projected onto the view's isosurface, None where its scene has none there. ``target`` is the total error that
-    control pixels are to show, None of frames that have none; they have ``measured`` it, None before they are drawn,
-    and may have ``given_up`` to reach it. ``expected`` is what it errs by
+    control pixels are to show, None of frames that have none; ``controls`` are those drawn so far,
+    and it may be ``given_up``. ``expected`` is what it errs by
     besides its noise, as the plan expects.
     """
 
@@ -47,7 +49,7 @@ class Frame:
     seconds: Mapping[str, float]
     projection: Projection | None = None
     target: float | None = None
-    measured: TotalError | None = None
+    controls: ControlPixels | None = None
     given_up: bool = False
     expected: float = 0.0
 
@@ -108,6 +110,34 @@ class Frame:
     def checkable(self) -> bool:
         """Whether its light is final, and control pixels are still to bring its total error to the target."""
         return not (self.provisional or self.final or self.given_up)
+
+    @cached_property
+    def controlled(self) -> np.ndarray:
+        """The luminance that the control pixels show; (k,) float64."""
+        places = self.controls.places if self.controls else np.empty(0, np.int64)
+        return self._luminance(self.gbuffer.pixels[places])
+
+    @property
+    def true_mean(self) -> float:
+        """The true mean luminance of the surface, as far as control pixels know it."""
+        shown = float(self._tally[1][0]) / max(self.surface, 1)
+        return self.controls.mean(self.controlled, shown) if self.controls and len(self.controlled) else shown
+
+    @cached_property
+    def measured(self) -> TotalError | None:
+        """The total relative RMSE by control pixels; None before there are any."""
+        if self.controls is None or not len(self.controlled):
+            return None
+        return measure_total(self.controls.weights * self.controls.squares(self.controlled), self.true_mean)
+
+    @property
+    def pixel_noise(self) -> np.ndarray:
+        """The standard error of each surface point's luminance; (m,) float64."""
+        return self.error.ravel()[self.gbuffer.pixels] * self._luminance(self.gbuffer.pixels)
+
+    def _luminance(self, pixels: np.ndarray) -> np.ndarray:
+        """The luminance of these pixels; float64."""
+        return np.asarray(self.radiance.reshape(-1, 3)[pixels].astype(np.float64) @ LUMINANCE)
 
     @cached_property
     def total(self) -> TotalError:

@@ -12,14 +12,13 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from isogi_core.frame.control_pixels import FIRST, MOST, ControlPixels, chances, draw_places, paths_for, trace_controls
+from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.pixel_light import FIRST as FIRST_PATHS
 from isogi_core.frame.pixel_light import MOST_PATHS, REST, PixelLight, choose_places, enough
 from isogi_core.frame.tiles import Tiles
-from isogi_core.frame.total_error import TotalError, measure_total
 from isogi_core.kernels.shading.framebuffer import Framebuffer
-from isogi_core.model.sky import LUMINANCE
 
 STRICTER = 0.7
 """Factor on what is allowed to pixels, of texels or of noise, with each attempt."""
@@ -60,29 +59,21 @@ class PictureCheck:
         if len(self.own.places):
             self.own.put(framebuffer, self.gbuffer.pixels, self.light.spec.unit)
 
-    def total(self, shown: np.ndarray) -> TotalError | None:
-        """The total error of a picture whose surface points show this luminance, (m,); None without controls."""
-        if not len(self.controls.places):
-            return None
-        return measure_total(self.controls.weights * self.controls.squares(shown), self.controls.mean(shown))
-
-    def step(self, framebuffer: Framebuffer, uncertainty: Callable[[], np.ndarray], tiles: Tiles) -> bool:
-        """Come one step nearer to the target with a picture in the ``framebuffer``; whether there was one to take.
+    def step(self, frame: Frame, uncertainty: Callable[[], np.ndarray], tiles: Tiles) -> bool:
+        """Come one step nearer to the target from a ``frame`` of this picture; whether there was one to take.
 
         ``uncertainty`` finds how uncertain the light of each surface point is, (m,). Raises Cancelled.
         """
-        taken = self._step(luminance_of(framebuffer, self.gbuffer.pixels), uncertainty, tiles)
+        taken = frame.surface > 0 and not frame.final and self._step(frame, uncertainty, tiles)
         self.ended = not taken
         return taken
 
-    def _step(self, shown: np.ndarray, uncertainty: Callable[[], np.ndarray], tiles: Tiles) -> bool:
-        total, drawn = self.total(shown), len(self.controls.places)
-        if not len(shown) or (total is not None and total.high <= self.target):
-            return False
+    def _step(self, frame: Frame, uncertainty: Callable[[], np.ndarray], tiles: Tiles) -> bool:
         if self.growing is not None:
-            return self._grow(shown, self.growing.places, 2 * self.growing.count, tiles)
-        if drawn >= MOST or (total is not None and total.low > self.target):
-            return self._grow(shown, self._choose(shown, uncertainty()), max(self.own.count, FIRST_PATHS), tiles)
+            return self._grow(frame, self.growing.places, 2 * self.growing.count, tiles)
+        decided = frame.measured is not None and frame.measured.low > self.target
+        if decided or len(self.controls.places) >= MOST:
+            return self._grow(frame, self._choose(frame, uncertainty()), max(self.own.count, FIRST_PATHS), tiles)
         return self._add_controls(uncertainty(), tiles)
 
     def _add_controls(self, uncertainty: np.ndarray, tiles: Tiles) -> bool:
@@ -94,12 +85,12 @@ class PictureCheck:
         self.controls = self.controls.joined(ControlPixels(places, weights, halves))
         return True
 
-    def _choose(self, shown: np.ndarray, uncertainty: np.ndarray) -> np.ndarray:
+    def _choose(self, frame: Frame, uncertainty: np.ndarray) -> np.ndarray:
         """The points that are to have light of their own, all that have it among them."""
-        allowed = (REST * self._strictness * self.target * self.controls.mean(shown)) ** 2
-        return np.union1d(choose_places(uncertainty, self.controls, shown, allowed), self.own.places)
+        allowed = (REST * self._strictness * self.target * frame.true_mean) ** 2
+        return np.union1d(choose_places(uncertainty, self.controls, frame.controlled, allowed), self.own.places)
 
-    def _grow(self, shown: np.ndarray, places: np.ndarray, count: int, tiles: Tiles) -> bool:
+    def _grow(self, frame: Frame, places: np.ndarray, count: int, tiles: Tiles) -> bool:
         """Trace the points at ``places`` up to ``count`` paths; they are shown, and controls drawn anew, once that will
         do. Whether there was anything to trace.
         """
@@ -107,7 +98,7 @@ class PictureCheck:
             return False
         grown = (self.growing or self.own).grown(places, count, self.light, self.gbuffer, tiles)
         self.growing = grown
-        if count == MOST_PATHS or enough(grown, self.controls.mean(shown), self._strictness * self.target, len(shown)):
+        if count == MOST_PATHS or enough(grown, frame.true_mean, self._strictness * self.target, frame.surface):
             self.own, self.growing = grown, None
             self.attempt, self.controls = self.attempt + 1, ControlPixels.none()
         return True
@@ -115,8 +106,3 @@ class PictureCheck:
     @property
     def _strictness(self) -> float:
         return float(STRICTER**self.attempt)
-
-
-def luminance_of(framebuffer: Framebuffer, pixels: np.ndarray) -> np.ndarray:
-    """The luminance of these pixels of a picture; (m,) float64."""
-    return np.asarray(framebuffer.radiance[pixels].astype(np.float64) @ LUMINANCE)

@@ -89,7 +89,7 @@ def choose_places(uncertainty: np.ndarray, controls: ControlPixels, shown: np.nd
     """The points that are to have light of their own, so that the others' mean squared error is within ``allowed``.
 
     Points are classed by ``uncertainty`` (m,), as many controls in each class; what a class errs by is told by its
-    controls, of what is ``shown`` (m,). Classes that err most come first. Ascending rows, (≤ m,) int64.
+    controls, whose luminance is ``shown`` (k,). Classes that err most come first. Ascending rows, (≤ m,) int64.
     """
     edges = np.quantile(uncertainty[controls.places], np.arange(1, BINS) / BINS)
     classes = np.searchsorted(edges, uncertainty)
@@ -98,7 +98,7 @@ def choose_places(uncertainty: np.ndarray, controls: ControlPixels, shown: np.nd
     errors = np.maximum(sums / np.maximum(np.bincount(known, weights, BINS), 1e-9), 0.0)
     counts, worst = np.bincount(classes, minlength=BINS), np.argsort(-errors, kind="stable")
     rest = np.cumsum((errors * counts)[worst][::-1])[::-1]
-    return np.flatnonzero(np.isin(classes, worst[rest > allowed * len(shown)]))
+    return np.flatnonzero(np.isin(classes, worst[rest > allowed * len(uncertainty)]))
 
 
 def enough(light: PixelLight, mean: float, target: float, points: int) -> bool:

@@ -29,7 +29,7 @@ from isogi_core.cache.scene_caches import Caches
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import GBuffer, trace
 from isogi_core.frame.lighting import RotatedLight
-from isogi_core.frame.picture_check import PictureCheck, luminance_of
+from isogi_core.frame.picture_check import PictureCheck
 from isogi_core.frame.pixel_rays import LobeLight, find_lobes
 from isogi_core.frame.projected_texels import (
     Distances,
@@ -133,11 +133,10 @@ class Renderer:
         def uncertainty() -> np.ndarray:
             with self._lit_texels(frame.gbuffer, light, target, tiles, Stopwatch()) as found:
                 between = light.spec.unit * texel_disagreement(*found)
-            noise = frame.error.ravel()[frame.gbuffer.pixels] * luminance_of(frame.framebuffer, frame.gbuffer.pixels)
-            return np.asarray(np.hypot(between, noise))
+            return np.asarray(np.hypot(between, frame.pixel_noise))
 
         with check.lock:
-            return check.step(frame.framebuffer, uncertainty, tiles)
+            return check.step(frame, uncertainty, tiles)
 
     def _render_texels(
         self, gbuffer: GBuffer, light: RotatedLight, target: float, tiles: Tiles, watch: Stopwatch
@@ -283,7 +282,7 @@ def frame_of(
         seconds=watch.seconds,
         projection=projection,
         target=check.target if check else None,
-        measured=check.total(luminance_of(framebuffer, gbuffer.pixels)) if check else None,
+        controls=check.controls if check else None,
         given_up=check.ended if check else False,
         expected=expected_error(light.spec.prepared.scene, gbuffer.isovalue) if light.view.shading == "gi" else 0.0,
     )

@@ -47,7 +47,7 @@ def drawn(rng: np.random.Generator, wrong: np.ndarray, uncertainty: np.ndarray, 
     places = rng.choice(len(wrong), count, p=chance)
     halves = rng.normal(0.0, 0.3, (count, 2))
     controls = ControlPixels(places, 1.0 / (len(wrong) * chance[places]), halves)
-    return np.asarray(controls.weights * controls.squares(wrong))
+    return np.asarray(controls.weights * controls.squares(wrong[places]))
 
 
 def test_squares_are_right_on_the_average() -> None:

@@ -30,7 +30,8 @@ def staged(time_left: str | None, end: bool) -> Callable[[Route], None]:
         error, coverage = step or ((0.015, "final=1.000, converging=0.000, provisional=0.000") if end else COURSE[-1])
         headers = {name: text for name, text in true.headers.items() if name != "isogi-time-left"}
         headers |= {"isogi-error": f"{error:.5f}", "isogi-coverage": coverage}
-        headers["isogi-provisional"] = "?0" if end and step is None else "?1"
+        over = end and step is None
+        headers |= {"isogi-provisional": "?0" if over else "?1", "isogi-chunks": f"needed=4, final={4 if over else 3}"}
         route.fulfill(response=true, headers=headers | ({"isogi-time-left": time_left} if time_left else {}))
 
     return answer

@@ -106,7 +106,7 @@ def test_light_comes_from_a_bucket_as_from_a_folder(small_scene: Path, s3: S3Ser
     with server(small_scene, s3.url) as client:
         assert final(client, VIEW) == pictures[0]
     with server(small_scene, s3.url) as client:
-        assert frame(client, VIEW).headers["isogi-provisional"] == "?0"
+        assert "final=1.000" in frame(client, VIEW).headers["isogi-coverage"]
         assert client.get("/v1/scenes/small").json()["read_only"] is False
 
 
@@ -184,7 +184,7 @@ def test_listeners_are_told_that_light_cannot_be_read() -> None:
 def test_a_job_waits_for_the_store(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(completion, "AWAY", 0.0)
     told: list[str] = []
-    shown: list[Any] = [StoreAwayError("The store is gone."), SimpleNamespace(provisional=False)]
+    shown: list[Any] = [StoreAwayError("The store is gone."), SimpleNamespace(final=True)]
 
     async def draw(*_: Any) -> Any:
         if isinstance(next_one := shown.pop(0), Exception):
@@ -198,7 +198,7 @@ def test_a_job_waits_for_the_store(monkeypatch: pytest.MonkeyPatch) -> None:
     job: Any = SimpleNamespace(report=lambda share, message: told.append(message))
     order: Any = SimpleNamespace(scene="small", view=None)
     frame = asyncio.run(completion.complete(service, order, job))
-    assert not frame.provisional and told == ["The store is gone."]
+    assert frame.final and told == ["The store is gone."]
 
 
 def test_secrets_are_told_to_nobody(small_scene: Path, s3: S3Server, caplog: pytest.LogCaptureFixture) -> None:
