@@ -125,10 +125,11 @@ class Frame:
 
     @cached_property
     def measured(self) -> TotalError | None:
-        """The total relative RMSE by control pixels; None before there are any."""
+        """The total relative RMSE by control pixels, at least the noise; None before there are any."""
         if self.controls is None or not len(self.controlled):
             return None
-        return measure_total(self.controls.weights * self.controls.squares(self.controlled), self.true_mean)
+        squares = self.controls.weights * self.controls.squares(self.controlled)
+        return measure_total(squares, self.true_mean).at_least(self.noise)
 
     @property
     def pixel_noise(self) -> np.ndarray:

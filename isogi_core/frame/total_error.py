@@ -1,7 +1,7 @@
 """The total error of a picture, whatever its causes: measured by control pixels, or predicted before there are any."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -26,6 +26,10 @@ class TotalError:
     low: float
     high: float
     controls: int = 0
+
+    def at_least(self, noise: float) -> "TotalError":
+        """The same of a picture whose noise alone is so large: controls of few pixels may find less."""
+        return replace(self, likely=max(self.likely, noise), high=max(self.high, noise))
 
     @property
     def predicted(self) -> bool:
