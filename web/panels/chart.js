@@ -156,7 +156,7 @@ function drawTarget(target, y) {
   const label = { class: "target", x: LEFT + 6, y: under ? y + 13 : y - 5 };
   return [
     svgElement("path", { class: "target", d: `M${LEFT} ${y}H10000` }),
-    svgElement("text", label, `target ${errorInWords(target)}, for every texel`),
+    svgElement("text", label, `target ${errorInWords(target)}`),
   ];
 }
 

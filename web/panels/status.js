@@ -25,7 +25,7 @@ export class Status {
     this.#write({
       state: draft ? "draft" : facts.provisional ? "provisional" : "final",
       line: draft ? `moving · ${frameInWords(facts)}` : frameInWords(facts),
-      badge: facts.provisional ? `provisional · ${shareInWords(facts.coverage.final)} final` : "",
+      badge: facts.provisional ? badge(facts.coverage) : "",
     });
     this.#fill(facts);
     if (!draft) this.#announce(announcement(facts));
@@ -57,6 +57,15 @@ export class Status {
     if (text !== this.#announced) find(this.#root, "#announce").textContent = text;
     this.#announced = text;
   }
+}
+
+/**
+ * What stands on a picture that is not final.
+ * @param {Facts["coverage"]} coverage
+ * @returns {string}
+ */
+function badge({ final }) {
+  return final < 1 ? `provisional · ${shareInWords(final)} final` : "light final · measuring";
 }
 
 /**
