@@ -26,6 +26,7 @@ import numpy as np
 from isogi_core.bake.bake_spec import spec_name
 from isogi_core.cache.page_pool import Held, PagePool
 from isogi_core.cache.scene_caches import Caches
+from isogi_core.frame.control_pixels import expected_error
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import GBuffer, trace
 from isogi_core.frame.lighting import RotatedLight
@@ -50,7 +51,6 @@ from isogi_core.frame.shading import (
 )
 from isogi_core.frame.texel_reading import Lacking, Reading, read_texels
 from isogi_core.frame.tiles import Stopwatch, Tiles
-from isogi_core.frame.total_error import expected_error
 from isogi_core.frame.view_texels import (
     TexelNormals,
     ViewTexels,

@@ -83,10 +83,10 @@ def projection_header(shares: Mapping[str, float]) -> str:
 def error_header(frame: Frame) -> str:
     """The total error, the noise in it, its 95 % interval and control pixels; or a prediction, before there are any."""
     total = frame.total
-    told = f"{total.likely:.5f}; noise={frame.noise:.5f}"
+    stated = f"{total.likely:.5f}; noise={frame.noise:.5f}"
     if total.predicted:
-        return f"{told}; predicted"
-    return f"{told}; low={total.low:.5f}; high={total.high:.5f}; controls={total.controls}"
+        return f"{stated}; predicted"
+    return f"{stated}; low={total.low:.5f}; high={total.high:.5f}; controls={total.controls}"
 
 
 def time_left_header(left: TimeLeft) -> str:

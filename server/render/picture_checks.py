@@ -44,7 +44,7 @@ class PictureChecks:
     """Checks pictures step by step, the one asked for last first. Safe to use from many threads."""
 
     def __init__(self, step: Step, notify: Listener) -> None:
-        """Take each ``step`` that there is; ``notify`` is told of it, and whether ``more`` are to come."""
+        """Take each ``step`` that there is; ``notify`` hears of it, and whether ``more`` are to come."""
         self._step, self._notify = step, notify
         self._wanted: OrderedDict[Viewer, Picture] = OrderedDict()
         self._changed = threading.Condition()
