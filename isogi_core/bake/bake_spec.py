@@ -14,7 +14,7 @@ from isogi_core.model.volume import Isovalue
 from isogi_core.plan.albedos import mixing_weights
 from isogi_core.plan.bands import evaluate_harmonics, project_environment, sphere_nodes
 from isogi_core.plan.inputs import Colour
-from isogi_core.plan.lobe_choice import project_lobes
+from isogi_core.plan.lobe_choice import FEW, project_lobes
 from isogi_core.plan.planner import vicinity_plan
 from isogi_core.prepared.prepared_scene import PreparedScene
 
@@ -74,6 +74,11 @@ class BakeSpec:
         seen = replace(self, seen=albedo)
         vars(seen).update(light=self.light, beside=self.beside, _lights=self._lights)  # as no albedo changes them
         return seen
+
+    @cached_property
+    def moving(self) -> "BakeSpec":
+        """The same light in the store with few lobes beside it: for views that move."""
+        return self if self.plan.lobes <= FEW else replace(self, plan=replace(self.plan, lobes=FEW))
 
     @cached_property
     def digest(self) -> str:

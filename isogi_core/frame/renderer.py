@@ -7,7 +7,7 @@ step and the surface that a view shows, by isovalue, camera and size (``surface_
 |---|---|
 | ``GBuffer``, ``ViewTexels``, ``Distances``, ``TexelNormals`` | a surface |
 | ``Reading`` | a surface, a bake spec, a target error, and the age of the page pool |
-| ``LobeLight`` | a surface, and the rotation of the light |
+| ``LobeLight`` | a surface, the rotation of the light, and how many lobes it has |
 | ``PictureCheck`` | a surface, the rotation of the light, an albedo and a target error |
 
 ``Reading`` and ``LobeLight`` have a SHARE of its bytes each, so that a light that turns, or a bake that goes on, drives
@@ -105,7 +105,7 @@ class Renderer:
         self.prepared.scene.albedo_for(view.albedo)
         with watch.stage("primary"):
             gbuffer = self.gbuffer(view, tiles)
-        light = RotatedLight(self.caches.spec(view.shading), view)
+        light = self._light(view)
         if view.shading in ("gi", "vicinity"):
             return self._render_texels(gbuffer, light, target, tiles, watch)
         with watch.stage("normals"):
@@ -127,7 +127,7 @@ class Renderer:
         frame = self._draw(view, target, tiles, Stopwatch())
         if not frame.checkable:
             return False
-        light = RotatedLight(self.caches.spec(view.shading), view)
+        light = self._light(view)
         check = self._check(light, frame.gbuffer, target)
 
         def uncertainty() -> np.ndarray:
@@ -137,6 +137,11 @@ class Renderer:
 
         with check.lock:
             return check.step(frame, uncertainty, tiles)
+
+    def _light(self, view: View) -> RotatedLight:
+        """The lights of a view, turned: with all their lobes where it is at rest."""
+        spec = self.caches.spec(view.shading)
+        return RotatedLight(spec.moving if view.moving else spec, view)
 
     def _render_texels(
         self, gbuffer: GBuffer, light: RotatedLight, target: float, tiles: Tiles, watch: Stopwatch
@@ -211,7 +216,8 @@ class Renderer:
     def lobes(self, light: RotatedLight, gbuffer: GBuffer, tiles: Tiles | None = None) -> LobeLight:
         """What comes straight from lobes to a view; kept while neither camera nor light moves, for any albedo."""
         make = partial(find_lobes, light, gbuffer, tiles or self.tiles)
-        return self._kept.get((LobeLight, surface_key(light.view), light.view.light), make).tinted(light.tint)
+        key = (LobeLight, surface_key(light.view), light.view.light, light.spec.plan.lobes)
+        return self._kept.get(key, make).tinted(light.tint)
 
     def forget_views(self) -> None:
         """Keep nothing of views, as if every one were new."""

@@ -112,6 +112,16 @@ STEEPEST = -4.0
 _TRANSFER: dict[Kind, np.ndarray] = {"direct": TRANSFER_DIRECT, "indirect": TRANSFER_INDIRECT}
 
 
+FAR_BANDS = 8
+"""The most bands that a plan takes where that pays; a scene may ask for more.
+
+Under uffizi orders 6 and 8 err by 3.2 and 1.7 %, with 48 and 79 bytes of direct light.
+"""
+
+REACH = 0.02
+"""The error that FAR_BANDS pay for at any target below, so that a smaller one never takes fewer bands."""
+
+
 def band_energy(light: np.ndarray) -> np.ndarray:
     """Mean square luminance of each band of a ``light`` (3, n²), linear RGB; (n,) float64.
 

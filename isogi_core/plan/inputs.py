@@ -86,7 +86,7 @@ class PlanInputs:
     @cached_property
     def lobes(self) -> tuple[Lobe, ...]:
         """The environment's lobes; none where it does not turn, as it is then baked as it is."""
-        return find_lobes(self.environment, self.harmonics) if self.rotating else ()
+        return find_lobes(self.environment, self.harmonics, self.target_error) if self.rotating else ()
 
     @cached_property
     def harmonics(self) -> np.ndarray:

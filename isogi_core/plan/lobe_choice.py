@@ -9,16 +9,19 @@ import numpy as np
 from isogi_core.kernels.transport.harmonics import MAX_ORDER
 from isogi_core.model.environment import Environment, Lobe, solid_angles
 from isogi_core.model.sky import LUMINANCE
-from isogi_core.plan.bands import band_energy, evaluate_harmonics, truncation_error
+from isogi_core.plan.bands import FAR_BANDS, REACH, band_energy, evaluate_harmonics, truncation_error
 
-MOST = 4
-"""Most lobes of an environment."""
+FEW, MOST = 4, 64
+"""Lobes that are searched for in any environment, and in one that these leave too sharp for harmonics."""
 
 ORDER = 6
 """The order of harmonics whose error the lobes are to make small."""
 
 GAIN = 0.9
-"""A lobe is taken only where it brings the error below this share of what it was."""
+"""The search ends where lobes no longer bring the error below this share of what it was."""
+
+PATIENCE = 8
+"""Lobes that are to do so together where many are searched for: of sixty lamps each alone changes next to nothing."""
 
 ENOUGH = 0.004
 """Error below which no more lobes are taken."""
@@ -26,27 +29,41 @@ ENOUGH = 0.004
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(MAX_ORDER)
 
 
-def find_lobes(environment: Environment, light: np.ndarray) -> tuple[Lobe, ...]:
+def find_lobes(environment: Environment, light: np.ndarray, target: float) -> tuple[Lobe, ...]:
     """Find the lobes of an environment whose coefficients are ``light`` (3, MAX_ORDER²), each with its best edge.
 
-    The brightest peak comes first. The search ends when the error of harmonics of ORDER is small, or a lobe hardly
-    reduces it.
+    The brightest peak comes first. FEW are enough where harmonics of FAR_BANDS then err by less than the ``target``;
+    of light with more lamps than that, a street at night, up to MOST are taken.
     """
-    lobes: tuple[Lobe, ...] = ()
-    radiance, left = environment.image.astype(np.float64), error_beside(light, lobes)
-    while len(lobes) < MOST and left > ENOUGH:
+    few = search(environment, light, FEW, 1)
+    if error_beside(light, few, FAR_BANDS) <= max(target, REACH):
+        return few
+    return search(environment, light, MOST, PATIENCE)
+
+
+def search(environment: Environment, light: np.ndarray, most: int, patience: int) -> tuple[Lobe, ...]:
+    """Take up to ``most`` lobes out of an environment.
+
+    It ends when the error of ORDER is small, or when the last lobes, so many as the ``patience``, hardly reduced it;
+    these are then left in.
+    """
+    lobes: list[Lobe] = []
+    radiance, errors = environment.image.astype(np.float64), [error_beside(light, ())]
+    while len(lobes) < most and errors[-1] > ENOUGH:
         found = {error_beside(light, (*lobes, each.lobe)): each for each in outlines(radiance)}
-        if not min(found, default=math.inf) <= GAIN * left:
+        if not found:
             break
-        left = min(found)
-        found[left].clear(radiance)
-        lobes = (*lobes, found[left].lobe)
-    return lobes
+        errors.append(min(found))
+        lobes.append(found[errors[-1]].lobe)
+        found[errors[-1]].clear(radiance)
+        if len(lobes) >= patience and errors[-1] > GAIN * errors[-1 - patience]:
+            return tuple(lobes[:-patience])
+    return tuple(lobes)
 
 
-def error_beside(light: np.ndarray, lobes: Sequence[Lobe]) -> float:
-    """Relative error of harmonics of ORDER for a ``light`` (3, MAX_ORDER²) without its ``lobes``."""
-    return truncation_error(energy_beside(light, lobes), ORDER, "direct")
+def error_beside(light: np.ndarray, lobes: Sequence[Lobe], order: int = ORDER) -> float:
+    """Relative error of harmonics of an ``order`` for a ``light`` (3, MAX_ORDER²) without its ``lobes``."""
+    return truncation_error(energy_beside(light, lobes), order, "direct")
 
 
 def energy_beside(light: np.ndarray, lobes: Sequence[Lobe]) -> np.ndarray:

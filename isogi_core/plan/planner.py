@@ -7,7 +7,7 @@ from dataclasses import replace
 from isogi_core.errors import LightError, SceneError
 from isogi_core.model.scene_plan import Layer, ScenePlan, most_samples
 from isogi_core.plan.albedos import choose_nodes, mixing_error
-from isogi_core.plan.bands import choose_order, truncation_error
+from isogi_core.plan.bands import FAR_BANDS, REACH, choose_order, truncation_error
 from isogi_core.plan.budget import (
     HARMONICS,
     MIXING,
@@ -112,15 +112,6 @@ LOWEST_BYTES = 2
 
 MOST_BANDS = 6
 """The order of light that misses the target at any order: bytes grow as n², and the error under a sun falls as 1/√n."""
-
-FAR_BANDS = 8
-"""The most bands that a plan takes where that pays; a scene may ask for more.
-
-Under uffizi orders 6 and 8 err by 3.2 and 1.7 %, with 48 and 79 bytes of direct light.
-"""
-
-REACH = 0.02
-"""The error that FAR_BANDS pay for at any target below, so that a smaller one never takes fewer bands."""
 
 MOST_REFLECTED = 5
 """Highest order of reflected light beside lobes: their reflections stay in harmonics, and direct light needs fewer."""

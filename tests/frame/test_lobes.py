@@ -4,18 +4,21 @@ import math
 import threading
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 from isogi_core.errors import Cancelled
+from isogi_core.files.radiance import write_hdr
 from isogi_core.frame import renderer as module
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.kernels.transport.lights import DIRECTIONAL
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import quaternion_from_angles
 from isogi_core.model.volume import Volume, make_volume
+from isogi_core.plan.lobe_choice import FEW
 from tests.frame.conftest import LOOSE, SKY, Workbench, ball, luminance, relative_rmse, scene_of
 from tests.loaded import load_scene
 
@@ -91,6 +94,21 @@ def test_rays_to_lobes_are_cast_again_when_the_light_rotates(workbench: Make, mo
         assert len(cast) == expected and frame.seconds["lobes"] > 0.0
     bench.renderer.render(bench.view(size=16, shading="vicinity"))
     assert len(cast) == 2, "vicinity shading has no lobes"
+
+
+def test_a_moving_view_has_few_lobes_and_one_at_rest_all(workbench: Make, tmp_path: Path) -> None:
+    image, rng = np.full((32, 64, 3), 0.02, np.float32), np.random.default_rng(3)
+    image[rng.integers(4, 20, 40), rng.integers(0, 64, 40)] = rng.uniform(5.0, 50.0, (40, 1))
+    write_hdr(tmp_path / "street.hdr", image)
+    light = {"type": "probe", "file": str(tmp_path / "street.hdr")}
+    bench = set_out(workbench, table(), lights=[light], bounces=0, target_error=0.02)
+    spec, view = bench.caches.spec("gi"), bench.view(elevation=50.0, size=24)
+    assert len(spec.lobes) > FEW == len(spec.moving.lobes) and spec.moving.digest == spec.digest
+    truth = bench.renderer.render(replace(view, shading="path_traced", samples=4096))
+    at_rest = bench.bake(view)
+    moving = bench.renderer.render(replace(view, moving=True))
+    assert relative_rmse(at_rest, truth) < 0.6 * relative_rmse(moving, truth), "all lobes sharpen all shadows"
+    assert luminance(moving).mean() == pytest.approx(luminance(at_rest).mean(), rel=0.05), "no light is lost"
 
 
 def test_cancelled_rays_to_lobes_stop(workbench: Make) -> None:

@@ -13,7 +13,7 @@ from isogi_core.model.scene_plan import ScenePlan
 from isogi_core.plan.bands import band_energy, project_environment, project_image, truncation_error
 from isogi_core.plan.budget import HARMONICS
 from isogi_core.plan.inputs import PlanInputs, PlanOverrides
-from isogi_core.plan.lobe_choice import ENOUGH, MOST, ORDER, disc_means, find_lobes, project_lobes
+from isogi_core.plan.lobe_choice import ENOUGH, FEW, MOST, ORDER, disc_means, find_lobes, project_lobes
 from isogi_core.plan.planner import MOST_BANDS, MUCH, plan_scene
 
 SHAPE = (128, 256)
@@ -57,12 +57,23 @@ def test_a_lobe_without_size_is_its_harmonics_alone() -> None:
 
 
 @pytest.mark.parametrize("suns", [0, 1, 3, 5])
-def test_suns_are_found_one_by_one_and_four_at_most(suns: int) -> None:
+def test_suns_are_found_until_few_are_enough(suns: int) -> None:
     environment = light_of(*[(3.0, 2000.0 / (1 + n)) for n in range(suns)])
-    lobes = find_lobes(environment, project_environment(environment, MAX_ORDER))
-    assert len(lobes) == min(suns, MOST)
+    lobes = find_lobes(environment, project_environment(environment, MAX_ORDER), 0.02)
+    assert len(lobes) == min(suns, FEW)
     for lobe, towards in zip(lobes, SUNS, strict=False):
         assert np.dot(lobe.towards, towards) > math.cos(math.radians(0.5))
+
+
+def test_a_street_of_lamps_has_more_lobes_than_a_few() -> None:
+    rng = np.random.default_rng(3)
+    image = np.full((32, 64, 3), 0.02, np.float32)
+    image[rng.integers(8, 24, 40), rng.integers(0, 64, 40)] = rng.uniform(5.0, 50.0, (40, 1))
+    street = Environment(np.zeros(3), image, "street", "street")
+    inputs = PlanInputs(street, gather_lamps([]), (0.0, 0.0, 0.0), 1.0, True, (0.7,) * 3, 0.02)
+    errors = [truncation_error(inputs.energy_beside(n), MOST_BANDS, "direct") for n in range(len(inputs.lobes) + 1)]
+    plan = plan_scene(inputs, PlanOverrides())
+    assert FEW < plan.lobes <= MOST and errors[plan.lobes] <= HARMONICS * 0.02 < errors[FEW]
 
 
 def test_what_suns_leave_has_nothing_that_harmonics_lack() -> None:
@@ -77,7 +88,7 @@ def test_what_suns_leave_has_nothing_that_harmonics_lack() -> None:
 
 def test_black_light_and_light_that_stays_have_none() -> None:
     black = light_of(around=0.0)
-    assert find_lobes(black, project_environment(black, MAX_ORDER)) == ()
+    assert find_lobes(black, project_environment(black, MAX_ORDER), 0.02) == ()
     assert inputs_of((3.0, 2000.0), rotating=False).lobes == ()
 
 

@@ -14,10 +14,10 @@ from isogi_core.kernels.transport.harmonics import MAX_ORDER
 from isogi_core.model.environment import pixel_directions
 from isogi_core.model.lights import ConstantLight, DirectionalLight, Light, PointLight, ProbeLight, SkyLight
 from isogi_core.model.scene_plan import Layer, ScenePlan
-from isogi_core.plan.bands import truncation_error
+from isogi_core.plan.bands import FAR_BANDS, truncation_error
 from isogi_core.plan.budget import BOUNCES, EVEN, LONGEST_PATH, ROUNDING, bounces_for, even, rounding_error
 from isogi_core.plan.inputs import PlanOverrides
-from isogi_core.plan.planner import FAR_BANDS, MOST_BANDS, MOST_REFLECTED, plan_scene, vicinity_plan
+from isogi_core.plan.planner import MOST_BANDS, MOST_REFLECTED, plan_scene, vicinity_plan
 from tests.plan.planning import NOTHING, inputs_of, plan_of
 
 GREY, RED = (0.7, 0.7, 0.7), (0.8, 0.2, 0.2)
@@ -154,12 +154,12 @@ def test_a_note_says_where_the_longest_paths_are_too_short(albedo: float, lost: 
 @pytest.mark.data
 @pytest.mark.parametrize(
     ("name", "most"),
-    [("uffizi_256x128", 100), ("grace_256x128", 64), ("noon_grass_1024x512", 64), ("ennis_256x128", 64)],
+    [("uffizi_256x128", 100), ("grace_256x128", 64), ("noon_grass_1024x512", 64), ("ennis_256x128", 120)],
 )
 def test_a_turning_probe_takes_64_bytes_or_reaches_two_percent(shared_data: Path, name: str, most: int) -> None:
     plan = plan_of([ProbeLight(shared_data / f"probe_{name}.hdr")])
     assert plan.representation == "transfer" and plan.bytes_per_texel <= most
-    assert most == 64 or not plan.notes
+    assert most == 64 or dict(plan.errors)["harmonics"] < 0.021
     assert all(layer.order >= 2 for layer in plan.layers), "reflected light turns too"
 
 

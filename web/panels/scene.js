@@ -28,7 +28,7 @@ export function planRows({ plan, target_error: target }) {
   return {
     Light: plan.representation,
     ...Object.fromEntries(plan.layers.map((layer) => [capital(layer.kind), layerInWords(layer)])),
-    Lobes: plan.lobes.map(lobeInWords).join("; "),
+    Lobes: lobesInWords(plan.lobes),
     "Bytes per texel": `${plan.bytes_per_texel}, instead of ${plan.full_bytes_per_texel}`,
     "Texels shown": `${grouped(plan.texels.shown)} of ${grouped(plan.texels.total)}`,
     Bounces: plan.bounces,
@@ -77,6 +77,14 @@ export function layerInWords({ order, channels, precision, coarse, nodes }) {
 export function savingInWords({ amount, unit, measured }) {
   const digits = amount >= 100 ? Math.round(amount) : Number(amount.toPrecision(3));
   return `${grouped(digits)} ${unit}${measured ? " (measured)" : ""}`;
+}
+
+const FEW_LOBES = 4;
+
+/** @param {import("../net/schemas.js").Lobe[]} lobes */
+function lobesInWords(lobes) {
+  const further = lobes.length > FEW_LOBES ? [`and ${lobes.length - FEW_LOBES} more`] : [];
+  return [...lobes.slice(0, FEW_LOBES).map(lobeInWords), ...further].join("; ");
 }
 
 /** @param {import("../net/schemas.js").Lobe} lobe */

@@ -173,6 +173,8 @@ test("a plan says its texels, bytes, lobes and errors", () => {
   };
   const rows = planRows({ plan, target_error: 0.02 });
   assert.equal(rows.Lobes, "0.73° across at azimuth 135°, elevation 45°");
+  const street = planRows({ plan: { ...plan, lobes: Array(21).fill(plan.lobes[0]) }, target_error: 0.02 });
+  assert.match(street.Lobes, /°; and 17 more$/);
   assert.equal(rows["Bytes per texel"], "45, instead of 300");
   assert.equal(rows["Texels shown"], "1\u202f234\u202f567 of 2\u202f000\u202f000");
   assert.equal(rows["Error of harmonics"], "1.74 %");
