@@ -121,6 +121,6 @@ def planes(frame: Frame, first: int, last: int) -> np.ndarray:
     Linear RGB, hit mask, state, relative error, hit position x, y, z.
     """
     rows = slice(first, last)
-    state, error = frame.reported_state[rows, :, None], frame.error[rows, :, None]
+    state, error = frame.reported_state[rows, :, None], frame.total_error[rows, :, None]
     parts = (frame.radiance[rows], state > 0, state, error, frame.gbuffer.positions(first, last))
     return np.concatenate(parts, axis=-1, dtype="<f4", casting="unsafe")

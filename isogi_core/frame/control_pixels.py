@@ -26,8 +26,10 @@ STREAM = 1 << 17
 CUT = 0.001
 """Share of the light that bounces beyond those of control paths may bring, where the plan chose the bounces."""
 
-FIRST, MOST = 256, 1024
-"""Pixels of the first round of controls, and of all rounds together; each further round doubles what there is."""
+FIRST, ENOUGH, MOST = 256, 1024, 4096
+"""Pixels of the first round of controls; of all rounds of a picture that seems to miss its target, and of one that
+seems to reach it, whose interval costs less to narrow than better light. Each further round doubles what there is.
+"""
 
 EVEN = 0.5
 """Share of the controls that is drawn evenly from the picture; the others where it is uncertain."""
@@ -74,6 +76,33 @@ class ControlPixels:
         """The squared error of each control's luminance, ``shown`` (k,), right on the average; (k,)."""
         wrong = shown[:, None] - self.halves
         return np.asarray(wrong[:, 0] * wrong[:, 1])
+
+
+BINS = 8
+"""Classes of points by how uncertain they are; what each errs by is measured by its controls."""
+
+
+def classes_of(uncertainty: np.ndarray, controls: ControlPixels) -> np.ndarray:
+    """The class of each point (m,) by its ``uncertainty``, least first, with as many ``controls`` in each; (m,)."""
+    edges = np.quantile(uncertainty[controls.places], np.arange(1, BINS) / BINS)
+    return np.searchsorted(edges, uncertainty)
+
+
+def squares_of(classes: np.ndarray, controls: ControlPixels, shown: np.ndarray) -> np.ndarray:
+    """The mean squared error of each class by its controls, whose luminance is ``shown`` (k,); (BINS,), at least 0."""
+    known = classes[controls.places]
+    sums = np.bincount(known, controls.weights * controls.squares(shown), BINS)
+    return np.maximum(sums / np.maximum(np.bincount(known, controls.weights, BINS), 1e-9), 0.0)
+
+
+def spread_errors(uncertainty: np.ndarray, controls: ControlPixels, shown: np.ndarray) -> np.ndarray:
+    """The error of each point's luminance: what its class errs by, shared out by the ``uncertainty`` (m,); (m,)."""
+    classes = classes_of(uncertainty, controls)
+    means = np.bincount(classes, uncertainty**2, BINS) / np.maximum(np.bincount(classes, minlength=BINS), 1)
+    shares = uncertainty / np.sqrt(np.maximum(means, 1e-300))[classes]
+    return np.asarray(
+        np.where(means[classes] > 0.0, shares, 1.0) * np.sqrt(squares_of(classes, controls, shown))[classes]
+    )
 
 
 def draw_places(gbuffer: GBuffer, uncertainty: np.ndarray, key: tuple[int, int], count: int) -> np.ndarray:

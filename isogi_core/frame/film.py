@@ -78,6 +78,6 @@ def with_errors(frame: Frame, exposure: float) -> np.ndarray:
     """The picture under the colours of its errors; what has no light, and so no estimate, is hatched."""
     known = frame.state >= CONVERGING
     picture = lit(frame, np.where(known, np.uint8(FINAL), frame.state), exposure, marked=True)
-    below, above = picture[known].astype(np.uint16), colours_of(frame.error[known])
+    below, above = picture[known].astype(np.uint16), colours_of(frame.total_error[known])
     picture[known] = (below * (256 - COVER) + above.astype(np.uint16) * COVER) >> 8
     return picture

@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from isogi_core.frame.control_pixels import ControlPixels, TotalError, measure_total, predict_total
+from isogi_core.frame.control_pixels import ControlPixels, TotalError, measure_total, predict_total, spread_errors
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.projected_texels import Projection
 from isogi_core.frame.texel_reading import Lacking
@@ -31,8 +31,8 @@ class Frame:
     ``version`` is equal for equal pictures, also after a restart. ``lacking`` is what it was made of, and
     wants more of, None where it reads no texels; ``seconds`` the time of each stage. ``projection`` tells of
     texels projected onto the view's isosurface, None where its scene has none there. ``target`` is the total error that
-    control pixels are to show, None of frames that have none; ``controls`` are those drawn so far,
-    and it may be ``given_up``. ``expected`` is what it errs by
+    control pixels are to show, None of frames that have none; ``controls`` are those drawn so far, by the
+    ``uncertainty`` (m,) of surface points, and it may be ``given_up``. ``expected`` is what it errs by
     besides its noise, as the plan expects.
     """
 
@@ -49,6 +49,7 @@ class Frame:
     projection: Projection | None = None
     target: float | None = None
     controls: ControlPixels | None = None
+    uncertainty: np.ndarray | None = None
     given_up: bool = False
     expected: float = 0.0
 
@@ -129,6 +130,26 @@ class Frame:
             return None
         squares = self.controls.weights * self.controls.squares(self.controlled)
         return measure_total(squares, self.true_mean).at_least(self.noise)
+
+    @cached_property
+    def total_error(self) -> np.ndarray:
+        """The relative error of each pixel, whatever its causes, at most 1: measured or expected; (h, w) float32.
+
+        Control pixels measure it where there are some, see ``spread_errors``; it is the noise at least.
+        """
+        if self.view.shading != "gi":
+            return self.error
+        error, pixels = self.error.copy(), self.gbuffer.pixels
+        if self.measured is None or self.controls is None or self.uncertainty is None:
+            other = np.float32(self.expected)
+        else:
+            errors = spread_errors(self.uncertainty, self.controls, self.controlled)
+            other = np.sqrt(np.maximum(errors**2 - self.pixel_noise**2, 0.0)) / np.maximum(
+                self._luminance(pixels), 1e-30
+            )
+        known = self.state.ravel()[pixels] > PROVISIONAL
+        error.ravel()[pixels] = np.where(known, np.minimum(np.hypot(error.ravel()[pixels], other), 1.0), 1.0)
+        return error
 
     @property
     def pixel_noise(self) -> np.ndarray:

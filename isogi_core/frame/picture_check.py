@@ -13,13 +13,18 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from isogi_core.frame.control_pixels import (
+    BINS,
+    ENOUGH,
     FIRST,
     MOST,
     ControlPixels,
+    TotalError,
     bounces_of_truth,
     chances,
+    classes_of,
     draw_places,
     paths_for,
+    squares_of,
     trace_controls,
 )
 from isogi_core.frame.frame import Frame
@@ -40,11 +45,8 @@ REPLICAS, FIRST_PATHS = 4, 16
 MOST_PATHS = 1 << 14
 """Paths of each replica, at most: 65,536 from a pixel."""
 
-REST, NOISE = 0.7, 0.5
+REST, NOISE = 0.6, 0.5
 """Shares of the target error that remain: of pixels with light of texels, and of the noise of those with their own."""
-
-BINS = 8
-"""Classes of pixels by how uncertain they are; each is judged by its control pixels."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,48 +110,48 @@ def choose_places(uncertainty: np.ndarray, controls: ControlPixels, shown: np.nd
     Points are classed by ``uncertainty`` (m,), as many controls in each class; what a class errs by is measured by its
     controls, whose luminance is ``shown`` (k,). Classes that err most come first. Ascending rows, (≤ m,) int64.
     """
-    edges = np.quantile(uncertainty[controls.places], np.arange(1, BINS) / BINS)
-    classes = np.searchsorted(edges, uncertainty)
-    weights, known = controls.weights, classes[controls.places]
-    sums = np.bincount(known, weights * controls.squares(shown), BINS)
-    errors = np.maximum(sums / np.maximum(np.bincount(known, weights, BINS), 1e-9), 0.0)
+    classes = classes_of(uncertainty, controls)
+    errors = squares_of(classes, controls, shown)
     counts, worst = np.bincount(classes, minlength=BINS), np.argsort(-errors, kind="stable")
     rest = np.cumsum((errors * counts)[worst][::-1])[::-1]
     return np.flatnonzero(np.isin(classes, worst[rest > allowed * len(uncertainty)]))
 
 
-def enough(light: PixelLight, mean: float, target: float, points: int) -> bool:
-    """Whether the noise of such pixels is within its share of a ``target`` error of a picture of so many points."""
-    return math.sqrt(light.variance.sum() / max(points, 1)) <= NOISE * target * mean
+def enough(light: PixelLight, allowed: float, points: int) -> bool:
+    """Whether such pixels' noise is within an ``allowed`` error of the luminance, of a picture of so many points."""
+    return math.sqrt(light.variance.sum() / max(points, 1)) <= allowed
 
 
 STRICTER = 0.7
-"""Factor on what is allowed to pixels, of texels or of noise, with each attempt."""
+"""Factor on what is allowed to pixels with light of texels with each attempt, or else to the noise of the others."""
 
 
 @dataclass(eq=False)
 class PictureCheck:
     """What is known of a picture of one view besides its texels' light; ``target`` is its relative error.
 
-    ``controls`` are of this ``attempt`` to reach the target; pixels in ``own`` have light of their own, and
-    those of a next attempt are ``growing``. It has ``ended`` where no step was left. Steps of
-    several threads wait for each other.
+    ``controls`` are of this ``attempt`` to reach the target, drawn by the ``uncertainty`` (m,) of all points; pixels in
+    ``own`` have light of their own, whose ``noise`` is to be within this share of the target, and those of a next
+    attempt are ``growing``. It has ``ended`` where no step was left. Steps of several threads wait for each other.
     """
 
     light: RotatedLight
     gbuffer: GBuffer
     target: float
     controls: ControlPixels = field(default_factory=ControlPixels.none)
+    uncertainty: np.ndarray = field(default_factory=lambda: np.empty(0))
     own: PixelLight = field(default_factory=PixelLight.none)
     growing: PixelLight | None = None
     attempt: int = 0
+    noise: float = NOISE
     ended: bool = False
     lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
 
     @property
     def nbytes(self) -> int:
         """Bytes that it takes."""
-        return sum(each.nbytes for each in (self.controls, self.own, self.growing) if each is not None)
+        parts = (self.controls, self.uncertainty, self.own, self.growing)
+        return sum(each.nbytes for each in parts if each is not None)
 
     @property
     def version(self) -> bytes:
@@ -174,10 +176,14 @@ class PictureCheck:
     def _step(self, frame: Frame, uncertainty: Callable[[], np.ndarray], tiles: Tiles) -> bool:
         if self.growing is not None:
             return self._grow(frame, self.growing.places, 2 * self.growing.count, tiles)
-        decided = frame.measured is not None and frame.measured.low > self.target
-        if decided or len(self.controls.places) >= MOST:
+        if frame.measured is not None and self._decided(frame.measured):
             return self._grow(frame, self._choose(frame, uncertainty()), max(self.own.count, FIRST_PATHS), tiles)
         return self._add_controls(uncertainty(), tiles)
+
+    def _decided(self, measured: TotalError) -> bool:
+        """Whether a picture that is not at its target needs better light, and no further controls."""
+        most = MOST if measured.likely <= self.target else ENOUGH
+        return measured.low > self.target or measured.controls >= most
 
     def _add_controls(self, uncertainty: np.ndarray, tiles: Tiles) -> bool:
         """Draw as many controls again as there are."""
@@ -185,13 +191,19 @@ class PictureCheck:
         places = draw_places(self.gbuffer, uncertainty, (self.attempt, before), max(before, FIRST))
         halves = trace_controls(self.light, self.gbuffer, places, paths_for(self.target), self.attempt, tiles)
         weights = 1.0 / (len(uncertainty) * chances(uncertainty)[places])
-        self.controls = self.controls.joined(ControlPixels(places, weights, halves))
+        self.controls, self.uncertainty = self.controls.joined(ControlPixels(places, weights, halves)), uncertainty
         return True
 
     def _choose(self, frame: Frame, uncertainty: np.ndarray) -> np.ndarray:
-        """The points that are to have light of their own, all that have it among them."""
-        allowed = (REST * self._strictness * self.target * frame.true_mean) ** 2
-        return np.union1d(choose_places(uncertainty, self.controls, frame.controlled, allowed), self.own.places)
+        """The points that are to have light of their own, all that have it among them; less noise where these are all.
+
+        Each attempt allows less error to the others.
+        """
+        allowed = (REST * STRICTER**self.attempt * self.target * frame.true_mean) ** 2
+        places = np.union1d(choose_places(uncertainty, self.controls, frame.controlled, allowed), self.own.places)
+        if len(places) == len(self.own.places):
+            self.noise *= STRICTER
+        return places
 
     def _grow(self, frame: Frame, places: np.ndarray, count: int, tiles: Tiles) -> bool:
         """Trace the points at ``places`` up to ``count`` paths; they are shown, and controls drawn anew, once that will
@@ -201,11 +213,7 @@ class PictureCheck:
             return False
         grown = (self.growing or self.own).grown(places, count, self.light, self.gbuffer, tiles)
         self.growing = grown
-        if count == MOST_PATHS or enough(grown, frame.true_mean, self._strictness * self.target, frame.surface):
+        if count == MOST_PATHS or enough(grown, self.noise * self.target * frame.true_mean, frame.surface):
             self.own, self.growing = grown, None
             self.attempt, self.controls = self.attempt + 1, ControlPixels.none()
         return True
-
-    @property
-    def _strictness(self) -> float:
-        return float(STRICTER**self.attempt)

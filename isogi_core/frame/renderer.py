@@ -133,6 +133,7 @@ class Renderer:
         def uncertainty() -> np.ndarray:
             with self._lit_texels(frame.gbuffer, light, target, tiles, Stopwatch()) as found:
                 between = light.spec.unit * texel_disagreement(*found)
+            between[check.own.places] = 0.0
             return np.asarray(np.hypot(between, frame.pixel_noise))
 
         with check.lock:
@@ -289,6 +290,7 @@ def frame_of(
         projection=projection,
         target=check.target if check else None,
         controls=check.controls if check else None,
+        uncertainty=check.uncertainty if check else None,
         given_up=check.ended if check else False,
         expected=expected_error(light.spec.prepared.scene, gbuffer.isovalue) if light.view.shading == "gi" else 0.0,
     )

@@ -94,9 +94,10 @@ def time_left_header(left: TimeLeft) -> str:
     return f"low={left.low:.1f}, likely={left.likely:.1f}, high={max(left.high, 0.1):.1f}"
 
 
-def entity_tag(frame: Frame, *representation: object) -> str:
-    """A strong ETag: equal where the frame's content and its representation (format, exposure, …) are."""
-    return tag_of(frame.version, *representation)
+def entity_tag(frame: Frame, form: str, exposure: float, overlay: str, target: float | None) -> str:
+    """A strong ETag: equal where the frame's content and its representation are, with errors where it shows them."""
+    controls = len(frame.controls.places) if frame.controls and (form == "npy" or overlay == "error") else 0
+    return tag_of(frame.version, form, exposure, overlay, target, controls)
 
 
 def tag_of(*parts: object) -> str:

@@ -17,7 +17,9 @@ def frame_of(error: np.ndarray, light: float = 0.3) -> Any:
     """Twelve columns each of background, provisional, converging and final; ``error`` is of each row."""
     state = np.repeat(np.array(STATES, np.uint8), 12)[None].repeat(len(error), axis=0)
     radiance = np.full((*state.shape, 3), light, np.float32)
-    return SimpleNamespace(radiance=radiance, state=state, error=np.repeat(error[:, None], 48, 1).astype(np.float32))
+    return SimpleNamespace(
+        radiance=radiance, state=state, total_error=np.repeat(error[:, None], 48, 1).astype(np.float32)
+    )
 
 
 def changed(overlay: str) -> list[float]:

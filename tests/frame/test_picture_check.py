@@ -127,6 +127,21 @@ def test_no_controls_for_what_moves_or_is_shaded_locally(orbital: Workbench) -> 
         assert frame.target is None and frame.final and not orbital.renderer.refine(other)
 
 
+def test_each_pixel_tells_its_whole_error(coarse: Workbench) -> None:
+    """Controls spread what they measure over the picture: in the mean as much as there is, and most where most is."""
+    view = coarse.view(azimuth=70.0, size=48)
+    lit = coarse.bake(view)
+    assert (lit.total_error >= lit.error).all() and lit.total_error.max() <= 1.0
+    coarse.renderer.refine(view)
+    frame = coarse.renderer.render(view)
+    light = trace_reference(coarse.renderer, view, 512).mean[frame.state > 0].astype(float) @ LUMINANCE
+    told, wrong = frame.total_error[frame.state > 0] * luminance(frame), luminance(frame) - light
+    assert math.sqrt((told**2).mean()) / light.mean() == pytest.approx(frame.total.likely, rel=0.1)
+    worst = told > np.quantile(told, 0.75)
+    assert (wrong[worst] ** 2).mean() > 3.0 * (wrong[~worst] ** 2).mean()
+    assert not np.array_equal(frame.total_error, frame.error)
+
+
 def test_a_check_ends_when_it_is_cancelled(coarse: Workbench) -> None:
     view, cancelled = coarse.view(azimuth=250.0, size=32), threading.Event()
     coarse.bake(view)

@@ -100,6 +100,12 @@ def test_npy_is_the_same_in_parts_of_any_size(monkeypatch: pytest.MonkeyPatch, b
     assert whole.dtype == np.float32 and whole.flags.c_contiguous
     position = np.zeros((35, 3), np.float32)
     position[pixels] = points * np.float32([1.0, 2.0, 0.5])
-    expected = [radiance, state[..., None] > 0, state[..., None], error[..., None], position.reshape(7, 5, 3)]
+    expected = [
+        radiance,
+        state[..., None] > 0,
+        state[..., None],
+        frame.total_error[..., None],
+        position.reshape(7, 5, 3),
+    ]
     assert np.array_equal(whole, np.concatenate(expected, axis=-1))
     assert b"".join(parts) == encode(frame, "npy", 1.0)
