@@ -78,7 +78,7 @@ class ProjectedReading(Reading):
 
     ``rows`` are those of the base, UNLIT where the projected texel is read in its place: ``projected_rows`` are of the
     other pool, and UNLIT elsewhere. ``wanted`` (texels,) are the texels that are to be projected and can be,
-    ``unreachable`` those that cannot.
+    ``unreachable`` those that cannot; ``dark`` ones lie where no light arrives on the isosurface, in a closed hollow.
     """
 
     base: Reading
@@ -87,6 +87,7 @@ class ProjectedReading(Reading):
     projected_rows: np.ndarray
     wanted: np.ndarray
     unreachable: np.ndarray
+    dark: np.ndarray
 
     @property
     def whole(self) -> bool:
@@ -96,7 +97,7 @@ class ProjectedReading(Reading):
     @property
     def on_surface(self) -> np.ndarray:
         """Which texels are read on the isosurface that is shown."""
-        return np.asarray(self.projected_rows >= 0)
+        return np.asarray((self.projected_rows >= 0) | self.dark)
 
     def sources(self, pool: PagePool) -> tuple[tuple[np.ndarray, PagePool], ...]:
         """Rows of light, and the pools that they are of, of which ``pool`` is the base's."""
@@ -149,12 +150,13 @@ def join_readings(base: Reading, projected: Reading, distances: Distances, pool:
     beyond, grade = distances.beyond(base.target), projected.grade
     wanted = beyond & (grade != VOID)
     fit = (grade == FINAL) | (wanted & (grade == CONVERGING) & (projected.error <= distances.errors))
-    buried, pending = wanted & (grade == BURIED), wanted & (grade < FINAL)
-    grade = np.where(fit | buried, grade, base.grade)
+    dark, pending = wanted & (grade == BURIED), wanted & (grade < FINAL)
+    grade = np.where(fit, grade, base.grade)
+    grade[dark] = FINAL
     grade[pending & (grade == FINAL)] = CONVERGING
     short = np.logical_or.reduceat(pending, base.bounds[:-1]) if len(grade) else base.short
     return ProjectedReading(
-        rows=np.where(fit, UNLIT, base.rows).astype(np.int32),
+        rows=np.where(fit | dark, UNLIT, base.rows).astype(np.int32),
         grade=grade,
         version=base.version + projected.version + repr(base.target).encode(),
         samples=np.where(fit, projected.samples, base.samples),
@@ -168,6 +170,7 @@ def join_readings(base: Reading, projected: Reading, distances: Distances, pool:
         projected_rows=np.where(fit, projected.rows, UNLIT).astype(np.int32),
         wanted=wanted,
         unreachable=beyond & (projected.grade == VOID),
+        dark=dark,
     )
 
 

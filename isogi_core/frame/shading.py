@@ -68,13 +68,13 @@ def shade_by_paths(gbuffer: GBuffer, light: RotatedLight, target: float, tiles: 
 
 
 def light_sources(sources: Sequence[tuple[np.ndarray, PagePool]], light: RotatedLight, tiles: Tiles) -> np.ndarray:
-    """Linear RGB and standard error of each texel's light in ``BakeSpec.unit``, (texels, 4); undefined where unlit.
+    """Linear RGB and standard error of each texel's light in ``BakeSpec.unit``, (texels, 4); 0 where unlit.
 
     Each of the ``sources`` is rows (texels,) of a pool, of which those are read that are not negative.
     Raises Cancelled.
     """
     lights, change, texels = light.in_units, albedo_change(light), len(sources[0][0])
-    lit = np.empty((texels, 4), np.float32)
+    lit = np.zeros((texels, 4), np.float32)
 
     def _piece(a: int, b: int) -> None:
         for rows, pool in sources:

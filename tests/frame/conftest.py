@@ -63,6 +63,16 @@ class Workbench:
                 rung, frame = 2 * rung, self.renderer.render(view, target)
         return frame
 
+    def project(self, view: View, target: float | None = None) -> Frame:
+        """Bake rung by rung all projected texels that a baked view demands, and render it."""
+        rung, frame = FIRST_LEVEL, self.renderer.render(view, target)
+        while frame.projection and frame.projection.demands:
+            loader = self.caches.projected(frame.gbuffer.isovalue)
+            given = partial(refine_chunk, loader, rung, target or self.scene.target_error)
+            list(map(given, frame.projection.demands))
+            rung, frame = 2 * rung, self.renderer.render(view, target)
+        return frame
+
     @property
     def layers(self) -> set[str]:
         """Folders of the layers that were baked."""

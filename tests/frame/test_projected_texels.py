@@ -10,17 +10,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.cache.loader import Loader
 from isogi_core.errors import StoreError
 from isogi_core.frame import projected_texels as room
-from isogi_core.frame.frame import UNREACHABLE, Frame
+from isogi_core.frame.frame import UNREACHABLE
 from isogi_core.frame.projected_texels import Distances, join_readings
 from isogi_core.frame.texel_reading import Reading
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL
 from isogi_core.kernels.shading.lattice import BURIED, BURIED_ROW, PARTIAL, UNBAKED, UNLIT, VOID, VOID_ROW
 from isogi_core.model.view import View
-from tests.frame.conftest import CONSTANT, LOOSE, Workbench, refine_chunk, relative_rmse
+from tests.frame.conftest import CONSTANT, LOOSE, Workbench, relative_rmse
 from tests.loaded import load_scene
 
 MakeBench = Callable[..., Workbench]
@@ -59,22 +58,12 @@ def whole(made: MakeBench) -> Workbench:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(room, "STEEPNESS", STEEP)
         bench.bake(view_of(bench))
-        project(bench, view_of(bench))
+        bench.project(view_of(bench))
     return bench
 
 
 def view_of(bench: Workbench, **settings: Any) -> View:
     return bench.view(size=32, **settings)
-
-
-def project(bench: Workbench, view: View) -> Frame:
-    """Bake level by level all projected texels that a view demands, and render it."""
-    rung, frame = FIRST_LEVEL, bench.renderer.render(view)
-    while frame.projection and frame.projection.demands:
-        loader = bench.caches.projected(frame.gbuffer.isovalue)
-        list(map(partial(refine_chunk, loader, rung, bench.scene.target_error), frame.projection.demands))
-        rung, frame = 2 * rung, bench.renderer.render(view)
-    return frame
 
 
 def test_a_scene_may_forbid_projected_texels(bench: Workbench) -> None:
@@ -145,7 +134,7 @@ def test_texels_that_cannot_be_projected_are_read_from_the_base(
     bench = made(lattice=0.5)
     view = bench.view(size=24, isovalue=0.6 * bench.scene.isovalue)
     bench.bake(view)
-    frame = project(bench, view)
+    frame = bench.project(view)
     assert not frame.provisional and frame.projection
     reading, corners = frame.projection.reading, frame.projection.texels.corners
     assert 0.0 < frame.projection.shares["unreachable"] < 0.5, "a lattice half as dense has corners out of reach"
@@ -180,15 +169,15 @@ def test_readings_are_join_readings_as_a_walk_through_them_says() -> None:
         steep, void = expected > LOOSE, new.grade[t] == VOID
         good = new.grade[t] == FINAL or (steep and new.grade[t] == CONVERGING and new.error[t] <= expected)
         pending = steep and new.grade[t] < FINAL
-        grade = base.grade[t]
-        if good or (steep and new.grade[t] == BURIED):
-            grade = new.grade[t]
+        grade, dark = base.grade[t], steep and new.grade[t] == BURIED
+        if good or dark:
+            grade = FINAL if dark else new.grade[t]
         elif pending and grade == FINAL:
             grade = CONVERGING
-        rows = (UNLIT, new.rows[t]) if good else (base.rows[t], UNLIT)
+        rows = (UNLIT, new.rows[t]) if good else (UNLIT if dark else base.rows[t], UNLIT)
         assert (found.rows[t], found.projected_rows[t]) == rows
         assert found.grade[t] == grade
-        assert (found.wanted[t], found.unreachable[t]) == (steep and not void, steep and void)
+        assert (found.wanted[t], found.unreachable[t], found.dark[t]) == (steep and not void, steep and void, dark)
     late = (found.wanted & (new.grade < FINAL), base.grade < FINAL)
     assert found.short.tolist() == [any(each[a:b].any() for each in late) for a, b in pairwise(bounds)]
     assert [id(own) for _, own in found.sources(pool)] == [id(pool)] * 2
