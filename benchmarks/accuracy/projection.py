@@ -14,7 +14,7 @@ import numpy as np
 from benchmarks.accuracy import carrying
 from benchmarks.accuracy.carrying import Neighbourhood, carry, compared, neighbourhood, texels_around, trilinear
 from isogi_core.frame.lighting import RotatedLight
-from isogi_core.kernels.shading.irradiance_ratio import DOUBLINGS, LEAST, LEAST_COSINE
+from isogi_core.kernels.shading.irradiance_ratio import LEAST, LEAST_COSINE, TURNED
 from isogi_core.kernels.transport.texel_points import measure_distances
 from isogi_core.plan.bands import evaluate_harmonics
 from isogi_core.report.bench import Bench
@@ -23,9 +23,6 @@ from isogi_core.report.metrics import Spread, luminance
 
 WAYS_OFF = (0.25, 0.5)
 """Voxels from the shown isosurface beyond which texels are projected where not all are."""
-
-POWER = 2.0**DOUBLINGS
-"""Of the cosine between a texel's normal and a pixel's, as a weight; see ``kernels.shading.irradiance_ratio``."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,9 +112,9 @@ def by_shares_and_normals(sides: Sides, around: Neighbourhood) -> Lit:
 
 
 def agreement(sides: Sides, around: Neighbourhood) -> np.ndarray:
-    """The cosine between texels' normals and their pixels', to its POWER; (m, 64), positive."""
+    """What texels count by their normals and their pixels'; (m, 64), positive. See ``irradiance_ratio.agree``."""
     cosines = np.einsum("mkc,mc->mk", around.normals[around.numbers], sides.normals)
-    return np.asarray(np.maximum(cosines, LEAST_COSINE) ** POWER)
+    return np.asarray((np.maximum(cosines, LEAST_COSINE) / (1.0 + (1.0 - cosines) / TURNED)) ** 2)
 
 
 def shared(sides: Sides, around: Neighbourhood, weights: np.ndarray) -> Lit:

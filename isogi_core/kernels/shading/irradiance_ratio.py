@@ -31,11 +31,11 @@ from isogi_core.kernels.shading.lattice import (
 LEAST = 0.05
 """Share of the light's mean that unshadowed light is taken to be at least, so that ratios stay small."""
 
-LEAST_COSINE = np.float32(0.2)
+LEAST_COSINE = np.float32(1e-3)
 """Cosine between a texel's normal and a pixel's that weights count with at least: where all face away, all count."""
 
-DOUBLINGS = 4
-"""How often that cosine is squared: weights have its 16th power, and fall to a half at 17°."""
+TURNED = np.float32(0.1055)
+"""1 - cosine, of 27°, at which weights have fallen to a fifth; they are a half at 16°."""
 
 NONE, ONE = np.float32(0.0), np.float32(1.0)
 
@@ -114,11 +114,14 @@ def find_ratios(grade, lit, normals, unshadowed, ratios):
 
 @kernel()
 def agree(ratios, t, x, y, z):
-    """The cosine between the normal of texel ``t`` and (x, y, z), LEAST_COSINE at least, squared DOUBLINGS times."""
-    cosine = max(x * ratios[t, 4] + y * ratios[t, 5] + z * ratios[t, 6], LEAST_COSINE)
-    for _ in range(DOUBLINGS):
-        cosine *= cosine
-    return cosine
+    """What texel ``t`` counts by the cosine c between its normal and (x, y, z): (c / (1 + (1 - c) / TURNED))².
+
+    It falls off slowly, so that where all texels are turned away from a pixel no single one decides: with the 16th
+    power of the cosine rims of thin walls err by a sixth more at their 99th percentile. What faces away hardly counts.
+    """
+    cosine = x * ratios[t, 4] + y * ratios[t, 5] + z * ratios[t, 6]
+    weight = max(cosine, LEAST_COSINE) / (ONE + (ONE - cosine) / TURNED)
+    return weight * weight
 
 
 @kernel(inline=True)
@@ -159,10 +162,10 @@ def stand_in(corners, m, ratios, unshadowed, under, fz, fy, fx):
 def carry_ratios(lattice, points, corners, ratios, unshadowed, unit, framebuffer):
     """Carry texels' ``ratios`` (texels, RECORD) to the ``framebuffer`` at the pixels of ``PixelPoints``.
 
-    Weights are trilinear (S1, section 4.2), times the cosine between a texel's normal and the point's, as ``agree``
-    has it; ``corners`` (m, 8) are the numbers of the points' texels. Void and buried texels are left out, and of what
-    is not baked yet unshadowed light stands in. Light is counted in ``unit``, the radiance of 1; a point is as good as
-    the least of its texels.
+    Weights are trilinear (S1, section 4.2), times what ``agree`` makes of a texel's normal and the point's;
+    ``corners`` (m, 8) are the numbers of the points' texels. Void and buried texels are left out, and of what is not
+    baked yet unshadowed light stands in. Light is counted in ``unit``, the radiance of 1; a point is as good as the
+    least of its texels.
     """
     normals = points.normals
     for m in range(points.pixels.shape[0]):

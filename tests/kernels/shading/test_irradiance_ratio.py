@@ -18,9 +18,9 @@ from isogi_core.kernels.shading.framebuffer import (
     PixelPoints,
 )
 from isogi_core.kernels.shading.irradiance_ratio import (
-    DOUBLINGS,
     LEAST_COSINE,
     RECORD,
+    TURNED,
     Unshadowed,
     carry_ratios,
     find_ratios,
@@ -88,9 +88,10 @@ def one_by_one(points, grade, lit, towards, normals):
     light, noise, least = np.zeros((len(points), 3)), np.zeros(len(points)), np.zeros(len(points), int)
     for m, (own, f) in enumerate(zip(corners, fractions, strict=True)):
         tri = np.prod(np.where(np.array(list(np.ndindex(2, 2, 2))), f, 1.0 - f), axis=1)
-        cosines = np.maximum(towards[own].astype(float) @ normals[m], LEAST_COSINE)
+        cosines = towards[own].astype(float) @ normals[m]
+        agreed = (np.maximum(cosines, LEAST_COSINE) / (1.0 + (1.0 - cosines) / TURNED)) ** 2
         counts, over = grade[own] <= FINAL, unshadowed_of(towards[own])
-        weights, under = tri * cosines ** (2**DOUBLINGS) * counts, unshadowed_of(normals[m : m + 1])[0]
+        weights, under = tri * agreed * counts, unshadowed_of(normals[m : m + 1])[0]
         unbaked = (grade[own] == UNBAKED)[:, None]
         ratios = np.where(unbaked, over - REFLECTED, lit[own, :3]) / over
         errors = np.where(unbaked[:, 0], 0.0, lit[own, 3] / (over @ WEIGHTS))
