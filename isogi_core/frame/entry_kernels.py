@@ -16,7 +16,19 @@ from isogi_core.kernels.shading.chunks import (
 from isogi_core.kernels.shading.framebuffer import develop_rows, fill_curve, tally
 from isogi_core.kernels.shading.irradiance_ratio import carry_ratios, find_ratios
 from isogi_core.kernels.shading.lattice import carry_light, light_texels
-from isogi_core.kernels.shading.lobes import add_lobes, light_lobes
+from isogi_core.kernels.shading.lobes import (
+    add_halves,
+    add_lobes,
+    aim_at_discs,
+    aim_at_middles,
+    aim_at_rims,
+    cast_shadow_rays,
+    face_lobes,
+    find_around,
+    light_points,
+    mark_edges,
+    spread_edges,
+)
 from isogi_core.kernels.shading.local_models import find_normals
 from isogi_core.kernels.shading.texel_normals import fill_texel_normals
 from isogi_core.kernels.shading.texel_table import add_part, judge_rows, unpack_texels
@@ -30,8 +42,23 @@ from isogi_core.kernels.transport.texel_points import measure_distances
 from isogi_core.plan.left_out import uncalled
 from isogi_core.plan.scene import Scene
 
+LOBES = (
+    cast_shadow_rays,
+    aim_at_discs,
+    aim_at_rims,
+    aim_at_middles,
+    mark_edges,
+    find_around,
+    face_lobes,
+    spread_edges,
+    light_points,
+    add_halves,
+    add_lobes,
+)
+"""Those that only lights with lobes call."""
+
 FRAME = (
-    light_lobes,
+    LOBES[0],
     trace_pixels,
     mark_bricks,
     fill_texel_normals,
@@ -60,7 +87,7 @@ FRAME = (
     find_places,
     find_ratios,
     tally,
-    add_lobes,
+    *LOBES[1:],
 )
 """All of them, those that take longest to compile first."""
 

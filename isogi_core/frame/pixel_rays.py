@@ -12,19 +12,43 @@ from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.framebuffer import PixelPoints
 from isogi_core.kernels.shading.lattice import DARKEST
-from isogi_core.kernels.shading.lobes import light_lobes
+from isogi_core.kernels.shading.lobes import (
+    DARK,
+    EVEN,
+    HALF,
+    LIT,
+    RAYS,
+    RIM,
+    Aimed,
+    Pixels,
+    add_halves,
+    aim_at_discs,
+    aim_at_middles,
+    aim_at_rims,
+    cast_shadow_rays,
+    face_lobes,
+    find_around,
+    light_points,
+    mark_edges,
+    spread_edges,
+)
 from isogi_core.kernels.shading.local_models import trace_points
+from isogi_core.kernels.tracing.cast import TracedSurface
+from isogi_core.kernels.transport.lights import LampArrays
 from isogi_core.kernels.transport.paths import PathRules, SampleRange
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.plan.budget import survival_for
 
-LOBE_POINTS = 1024
-"""Surface points of a tile."""
+LOBE_POINTS, RIMS, HALVES = 4096, 1024, 256
+"""Surface points, pairs of points and lobes at edges of shadows, and such pairs in half-shadow, of a tile."""
+
+RIM_SEEN = np.array([DARK, *[HALF] * (RIM - 1), LIT], np.uint8)
+"""What a point sees of a lobe of which so many rays to the rim get away."""
 
 
 @dataclass(frozen=True, eq=False)
 class LobeLight:
-    """Light of lobes at a view's surface points: ``lit`` (m, 4) float32, in ``BakeSpec.unit``, see ``light_lobes``.
+    """Light of lobes at a view's surface points: ``lit`` (m, 4) float32, in ``BakeSpec.unit``, see ``light_points``.
 
     It leaves a surface of the bake spec's own albedo.
     """
@@ -48,15 +72,116 @@ class LobeLight:
 
 
 def find_lobes(light: RotatedLight, gbuffer: GBuffer, tiles: Tiles) -> LobeLight:
-    """Cast the shadow rays towards the lobes of a ``light``. Raises Cancelled."""
-    points, pixels, normals = gbuffer.points, gbuffer.pixels, gbuffer.normals(tiles)
-    traced, lit = gbuffer.surface.traced(tiles.run), np.empty((len(points), 4), np.float32)
-
-    def _piece(a: int, b: int) -> None:
-        light_lobes(traced, PixelPoints(points[a:b], normals[a:b], pixels[a:b]), light.lobes, lit[a:b])
-
-    tiles.run(_piece, len(points), LOBE_POINTS)
+    """Find what comes straight from the lobes of a ``light``; of a view that moves by fewer rays. Raises Cancelled."""
+    lamps, moving = light.lobes, light.view.moving
+    picture = picture_of(gbuffer, tiles)
+    shadows = Shadows(gbuffer.surface.traced(tiles.run), picture, lamps, tiles)
+    seen = shadows.middles(trusted_from=1 if moving else 2)
+    halves = np.empty(0, np.int64) if moving else shadows.edges(seen)
+    lit = np.empty((len(gbuffer.points), 4), np.float32)
+    tiles.run(lambda a, b: light_points(picture, lamps, (a, b), moving, seen, lit), len(lit), LOBE_POINTS)
+    add_halves(lamps, halves, shadows.halves(halves), lit)
     return LobeLight(lit)
+
+
+def picture_of(gbuffer: GBuffer, tiles: Tiles) -> Pixels:
+    """The points of a G-buffer, and where they are in its picture."""
+    rows = np.full(gbuffer.shape, -1, np.int32)
+    rows.flat[gbuffer.pixels] = np.arange(len(gbuffer.pixels), dtype=np.int32)
+    return Pixels(PixelPoints(gbuffer.points, gbuffer.normals(tiles), gbuffer.pixels), rows)
+
+
+@dataclass(frozen=True, eq=False)
+class Shadows:
+    """What the points of a ``picture`` see of directional ``lamps`` past the ``traced`` surface.
+
+    It is the same however the work is cut into ``tiles``.
+    """
+
+    traced: TracedSurface
+    picture: Pixels
+    lamps: LampArrays
+    tiles: Tiles
+
+    @property
+    def points(self) -> int:
+        """How many points there are."""
+        return len(self.picture.points.pixels)
+
+    def middles(self, trusted_from: int) -> np.ndarray:
+        """What all points see of lobes' middles, (lobes, m) uint8; neighbours are believed from a turn on."""
+        seen = np.empty((len(self.lamps.kinds), self.points), np.uint8)
+        around = np.empty((self.points, 4), np.int32)
+
+        def _begin(a: int, b: int) -> None:
+            face_lobes(self.picture.points, self.lamps, (a, b), seen)
+            find_around(self.picture, (a, b), around)
+
+        self.tiles.run(_begin, self.points, LOBE_POINTS)
+        for turn in range(3):
+            believed = around if turn >= trusted_from else around[:0]
+
+            def _piece(a: int, b: int, turn: int = turn, believed: np.ndarray = believed) -> None:
+                aimed = room_for((b - a) * len(seen))
+                count = aim_at_middles(self.picture, self.lamps, (a, b), turn, believed, seen, aimed)
+                seen.flat[aimed.pairs[:count]] = np.where(self._cast(aimed, count), LIT, DARK)
+
+            self.tiles.run(_piece, self.points, LOBE_POINTS)
+        return seen
+
+    def edges(self, seen: np.ndarray) -> np.ndarray:
+        """Put into ``seen`` what points at the edges of shadows see of lobes' rims; the pairs in half-shadow, int64."""
+        asked = np.empty_like(seen)
+
+        def _piece(a: int, b: int) -> None:
+            mark_edges(self.picture, self.lamps, (a, b), seen, asked)
+
+        self.tiles.run(_piece, self.points, LOBE_POINTS)
+        pairs, found = np.flatnonzero(asked), [np.empty(0, np.int64)]
+        while len(pairs):
+            seen.flat[pairs] = sees = self._rims(pairs)
+            found.append(pairs[sees == HALF])
+            more = np.empty(8 * len(pairs), np.int64)
+            pairs = more[: spread_edges(self.picture, found[-1], seen, asked, more)]
+        return np.sort(np.concatenate(found))
+
+    def _rims(self, pairs: np.ndarray) -> np.ndarray:
+        """What the points and lobes in ``pairs`` see of each other by their rims; (pairs,) uint8."""
+        found = np.empty(len(pairs), np.uint8)
+
+        def _piece(a: int, b: int) -> None:
+            aimed = room_for(RIM * (b - a))
+            count = aim_at_rims(self.picture.points, self.lamps, pairs[a:b], aimed)
+            rays = np.bincount(aimed.pairs[:count][self._cast(aimed, count)], minlength=b - a)
+            found[a:b] = RIM_SEEN[rays]
+
+        self.tiles.run(_piece, len(pairs), RIMS)
+        return found
+
+    def halves(self, pairs: np.ndarray) -> np.ndarray:
+        """Shares of lobes that points see in part, and their variance; (pairs, 2)."""
+        shares = np.empty((len(pairs), 2))
+
+        def _piece(a: int, b: int) -> None:
+            count = RAYS * (b - a)
+            aimed, brought = room_for(count), np.empty(count)
+            aim_at_discs(self.picture.points, self.lamps, pairs[a:b], aimed, brought)
+            each = (brought * self._cast(aimed, count)).reshape(-1, RAYS)
+            shares[a:b, 0], shares[a:b, 1] = each.mean(axis=1), EVEN * each.var(axis=1) / (RAYS - 1)
+
+        self.tiles.run(_piece, len(pairs), HALVES)
+        return shares
+
+    def _cast(self, aimed: Aimed, count: int) -> np.ndarray:
+        """Whether the first ``count`` rays get away; (count,) bool."""
+        reached = np.empty(count, np.bool_)
+        cast_shadow_rays(self.traced, self.picture.points, aimed, count, reached)
+        return reached
+
+
+def room_for(rays: int) -> Aimed:
+    """Room for so many rays."""
+    return Aimed(np.empty(rays, np.int64), np.empty(rays, np.int64), np.empty((3, rays)))
 
 
 PATH_POINTS, PATHS = 256, 1 << 16

@@ -7,7 +7,7 @@ step and the surface that a view shows, by isovalue, camera and size (``surface_
 |---|---|
 | ``GBuffer``, ``ViewTexels``, ``Distances``, ``TexelNormals`` | a surface |
 | ``Reading`` | a surface, a bake spec, a target error, and the age of the page pool |
-| ``LobeLight`` | a surface, the rotation of the light, and how many lobes it has |
+| ``LobeLight`` | a surface, the rotation of the light, and whether it moves |
 | ``PictureCheck`` | a surface, the rotation of the light, an albedo and a target error |
 
 ``Reading`` and ``LobeLight`` have a SHARE of its bytes each, so that a light that turns, or a bake that goes on, drives
@@ -217,7 +217,7 @@ class Renderer:
     def lobes(self, light: RotatedLight, gbuffer: GBuffer, tiles: Tiles | None = None) -> LobeLight:
         """What comes straight from lobes to a view; kept while neither camera nor light moves, for any albedo."""
         make = partial(find_lobes, light, gbuffer, tiles or self.tiles)
-        key = (LobeLight, surface_key(light.view), light.view.light, light.spec.plan.lobes)
+        key = (LobeLight, surface_key(light.view), light.view.light, light.view.moving)
         return self._kept.get(key, make).tinted(light.tint)
 
     def forget_views(self) -> None:

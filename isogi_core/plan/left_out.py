@@ -13,11 +13,17 @@ from isogi_core.plan.inputs import PlanInputs
 from isogi_core.plan.projection import ProjectionPlan
 from isogi_core.plan.reachable_texels import TexelCount
 
+LOBES = (
+    *("face_lobes", "find_around", "aim_at_middles", "cast_shadow_rays", "mark_edges", "aim_at_rims", "spread_edges"),
+    *("aim_at_discs", "light_points", "add_halves", "add_lobes"),
+)
+"""Names of the kernels that only lights with lobes call."""
+
 
 def uncalled(rotating: bool, environment: Environment, lamps: Lamps, lobes: int) -> tuple[str, ...]:
     """Names of kernels that no frame calls: constant and fixed lights are not rotated."""
     called = {"rotate": rotating and bool(environment.image.any()), "project_lamps": lamps.any}
-    called |= {"light_lobes": lobes > 0, "add_lobes": lobes > 0}
+    called |= dict.fromkeys(LOBES, lobes > 0)
     return tuple(name for name, needed in called.items() if not needed)
 
 

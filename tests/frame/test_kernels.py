@@ -3,9 +3,8 @@ import subprocess
 import sys
 from typing import Any
 
-from isogi_core.frame.entry_kernels import FRAME, SHARING, frame_kernels
+from isogi_core.frame.entry_kernels import FRAME, LOBES, SHARING, frame_kernels
 from isogi_core.kernels.shading.lattice import carry_light
-from isogi_core.kernels.shading.lobes import add_lobes, light_lobes
 from isogi_core.kernels.tracing.stiffness import count_stiffness
 from isogi_core.kernels.transport.harmonics import rotate
 from isogi_core.kernels.transport.lights import project_lamps
@@ -84,7 +83,7 @@ def test_a_frame_calls_exactly_its_listed_kernels() -> None:
 def test_kernels_are_left_out_by_what_a_scene_lacks() -> None:
     scenes = (CONSTANT, FIXED, TURNING, SOFT, LAMP, PROJECTED, SURVEYED)
     spared = [set(FRAME) - {*frame_kernels([scene_of(settings)])} for settings in scenes]
-    lobes, far, survey, plain = {light_lobes, add_lobes}, {measure_distances}, {count_stiffness}, {carry_light}
+    lobes, far, survey, plain = {*LOBES}, {measure_distances}, {count_stiffness}, {carry_light}
     still = {rotate, project_lamps} | lobes | far | survey
     soft, lamp = {project_lamps} | lobes | far | survey, {rotate} | lobes | far | survey
     turning = {project_lamps} | far | survey | plain

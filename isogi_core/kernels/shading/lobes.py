@@ -1,15 +1,18 @@
 """Light that comes straight from lobes: small far lights, each seen along shadow rays from a picture's own points.
 
-A lobe is a directional lamp. Rays to its rim tell first whether a point sees all of it or nothing, of which the light
-is known; where they disagree, in the half-shadow, more rays are drawn.
+A lobe is a directional lamp. Few rays find where its shadows have their edges: one to its middle from every second
+pixel, and from the others where those around disagree. Where the answers change from pixel to pixel, rays to the
+lobe's rim tell what sees all of it, or nothing, of which the light is known; about pixels in the half-shadow, whose
+rim rays disagree, all neighbours are asked too. In the half-shadow more rays are drawn.
 """
 
 import math
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import types
 
-from isogi_core.kernels._jit import kernel
+from isogi_core.kernels._jit import kernel, record
 from isogi_core.kernels.shading.framebuffer import (
     BLUE,
     FRAMEBUFFER,
@@ -25,7 +28,7 @@ from isogi_core.kernels.shading.framebuffer import (
 from isogi_core.kernels.shading.lattice import DARKEST
 from isogi_core.kernels.shading.local_models import find_unoccluded
 from isogi_core.kernels.tracing.cast import SURFACE
-from isogi_core.kernels.tracing.vec import dot, madd, put_column, scale
+from isogi_core.kernels.tracing.vec import add, dot, length, madd, put_column, scale, sub
 from isogi_core.kernels.transport.lights import LAMPS, draw_from_disc, row
 from isogi_core.kernels.transport.rng import mix, point_2d
 
@@ -48,6 +51,178 @@ EVEN = 0.25
 the rim miss of them, a tenth of all half-shadow at its ends, is another 0.9 %.
 """
 
+BENT = 0.25
+"""How far a point may be from the middle of two neighbours, over their distance, for what these see to hold for it."""
+
+AWAY, DARK, LIT, HALF, UNKNOWN, LEVEL = range(6)
+"""What a point sees of a lobe: it faces away from it; nothing; all; a part; not known yet; not known, and the lobe is
+cut by the point's horizon.
+"""
+
+SEEN = types.uint8[:, ::1]
+PART = types.UniTuple(types.int64, 2)
+PAIRS = types.int64[::1]
+"""Lobes and points that go together: number of the lobe times the points, plus that of the point."""
+
+AROUND = types.int32[:, ::1]
+
+
+class Aimed(NamedTuple):
+    """Shadow rays: the points that they start from, ``owners`` (n,), directions ``ways`` (3, n), and ``pairs`` (n,)."""
+
+    owners: Any
+    pairs: Any
+    ways: Any
+
+
+AIMED = record(Aimed, types.int64[::1], types.int64[::1], types.float64[:, ::1])
+
+
+class Pixels(NamedTuple):
+    """All surface points of a picture: ``points`` are ``PixelPoints``, ``rows`` (h, w) their numbers, -1 where none."""
+
+    points: Any
+    rows: Any
+
+
+PICTURE = record(Pixels, PIXEL_POINTS, types.int32[:, ::1])
+
+
+@kernel()
+def half_angle(lamps, k):
+    """The sine of the half angle of lobe ``k``."""
+    return length(row(lamps.edges[k], 0))
+
+
+@kernel(types.void(PIXEL_POINTS, LAMPS, PART, SEEN))
+def face_lobes(points, lamps, part, seen):
+    """Begin with what points of a ``part`` have ``seen`` (lobes, m): AWAY, LEVEL or UNKNOWN, by their normals."""
+    for k in range(seen.shape[0]):
+        sine, towards = half_angle(lamps, k), row(lamps.places, k)
+        sine = sine if sine > SHARP else 0.0
+        for m in range(part[0], part[1]):
+            cosine = dot(point_of(points.normals, m), towards)
+            seen[k, m] = AWAY if cosine <= -sine else LEVEL if cosine < sine else UNKNOWN
+
+
+@kernel()
+def row_at(rows, y, x):
+    """The number of the point in a pixel, -1 where there is none or the picture ends."""
+    inside = 0 <= y < rows.shape[0] and 0 <= x < rows.shape[1]
+    return np.int64(rows[y, x]) if inside else -1
+
+
+@kernel()
+def turn_of(x, y):
+    """When a pixel is asked: 0 where x and y are even, 1 where both are odd, 2 else."""
+    return 2 if (x + y) & 1 else x & 1
+
+
+@kernel()
+def between(points, m, a, b):
+    """Whether point ``m`` is in the middle of its neighbours ``a`` and ``b``, as on one smooth surface."""
+    if a < 0 or b < 0:
+        return False
+    p, q = point_of(points, a), point_of(points, b)
+    bend = sub(scale(add(p, q), 0.5), point_of(points, m))
+    return length(bend) <= BENT * length(sub(p, q))
+
+
+@kernel(types.void(PICTURE, PART, AROUND))
+def find_around(picture, part, around):
+    """Fill ``around`` (m, 4): the neighbours that are asked before a point, first -1 where one is not of its surface.
+
+    They are the diagonal ones of a point of turn 1, and the others of turn 2.
+    """
+    rows, points, width = picture.rows, picture.points, picture.rows.shape[1]
+    for m in range(part[0], part[1]):
+        y, x = divmod(np.int64(points.pixels[m]), width)
+        turn = turn_of(x, y)
+        dy = 1 if turn == 1 else 0
+        a, b = row_at(rows, y - dy, x - 1), row_at(rows, y + dy, x + 1)
+        c, d = row_at(rows, y - 1, x + dy), row_at(rows, y + 1, x - dy)
+        smooth = turn > 0 and between(points.points, m, a, b) and between(points.points, m, c, d)
+        around[m, 0], around[m, 1], around[m, 2], around[m, 3] = a if smooth else -1, b, c, d
+
+
+@kernel()
+def agreed(around, m, seen):
+    """What the neighbours ``around`` point ``m`` all have ``seen`` (m,) of a lobe, DARK or LIT; else UNKNOWN."""
+    if around[m, 0] < 0:
+        return UNKNOWN
+    found = seen[around[m, 0]]
+    same = found == seen[around[m, 1]] and found == seen[around[m, 2]] and found == seen[around[m, 3]]
+    return found if same and (found == DARK or found == LIT) else UNKNOWN
+
+
+@kernel(types.void(SURFACE, PIXEL_POINTS, AIMED, types.int64, types.boolean[::1]))
+def cast_shadow_rays(surface, points, aimed, count, reached):
+    """Fill ``reached`` (count,): whether the first ``count`` of the rays that are ``aimed`` get away."""
+    find_unoccluded(surface, points, aimed.owners[:count], aimed.ways[:, :count], reached)
+
+
+@kernel(types.int64(PICTURE, LAMPS, PART, types.int64, AROUND, SEEN, AIMED))
+def aim_at_middles(picture, lamps, part, turn, around, seen, aimed):
+    """Aim a ray to each lobe's middle from UNKNOWN points of a ``part`` and a ``turn``; how many.
+
+    Where the neighbours ``around`` a point agree they are believed; of none (0, 4) no neighbour is. There is room for
+    all lobes of all points.
+    """
+    points, width, count = seen.shape[1], picture.rows.shape[1], 0
+    for k in range(seen.shape[0]):
+        for m in range(part[0], part[1]):
+            if seen[k, m] != UNKNOWN:
+                continue
+            y, x = divmod(np.int64(picture.points.pixels[m]), width)
+            if turn_of(x, y) != turn:
+                continue
+            if around.shape[0] > 0:
+                seen[k, m] = agreed(around, m, seen[k])
+            if seen[k, m] == UNKNOWN:
+                aimed.owners[count], aimed.pairs[count] = m, k * points + m
+                put_column(aimed.ways, count, row(lamps.places, k))
+                count += 1
+    return count
+
+
+@kernel(types.void(PICTURE, LAMPS, PART, SEEN, SEEN))
+def mark_edges(picture, lamps, part, seen, asked):
+    """Set ``asked`` (lobes, m) for points of a ``part`` whose rim rays are to be cast.
+
+    These are LEVEL ones, those at edges of shadows, and those at edges of the surface, behind which such may begin.
+    """
+    points, rows, width = picture.points.points, picture.rows, picture.rows.shape[1]
+    for m in range(part[0], part[1]):
+        y, x = divmod(np.int64(picture.points.pixels[m]), width)
+        a, b, c, d = row_at(rows, y, x - 1), row_at(rows, y, x + 1), row_at(rows, y - 1, x), row_at(rows, y + 1, x)
+        smooth = between(points, m, a, b) and between(points, m, c, d)
+        for k in range(seen.shape[0]):
+            own, other = seen[k, m], LIT + DARK - seen[k, m]
+            edge = own == LEVEL
+            if own == DARK or own == LIT:
+                edge = not smooth or seen[k, a] == other or seen[k, b] == other
+                edge = edge or seen[k, c] == other or seen[k, d] == other
+            asked[k, m] = edge and half_angle(lamps, k) > SHARP
+
+
+@kernel(types.int64(PICTURE, PAIRS, SEEN, SEEN, PAIRS))
+def spread_edges(picture, halves, seen, asked, more):
+    """Write to ``more`` the pairs about those in the half-shadow that are not asked yet, and mark them as ``asked``.
+
+    Returns how many there are, 8 times the ``halves`` at most.
+    """
+    points, width, count = seen.shape[1], picture.rows.shape[1], 0
+    for pair in halves:
+        k, m = divmod(pair, points)
+        y, x = divmod(np.int64(picture.points.pixels[m]), width)
+        for i in range(9):
+            n = row_at(picture.rows, y + i // 3 - 1, x + i % 3 - 1)
+            if n >= 0 and not asked[k, n] and (seen[k, n] == DARK or seen[k, n] == LIT):
+                asked[k, n] = 1
+                more[count] = k * points + n
+                count += 1
+    return count
+
 
 @kernel()
 def rim_way(lamps, k, turn):
@@ -56,43 +231,37 @@ def rim_way(lamps, k, turn):
     return madd(across, math.sqrt(max(1.0 - dot(across, across), 0.0)), row(lamps.places, k))
 
 
-@kernel()
-def aim_at_rim(lamps, k, points, rim, owners, ways):
-    """Write the ``rim`` rays of each point that its own surface does not block; returns how many there are."""
+@kernel(types.int64(PIXEL_POINTS, LAMPS, PAIRS, AIMED))
+def aim_at_rims(points, lamps, pairs, aimed):
+    """Aim RIM rays to the lobes of ``pairs``, but none from below a point's own surface; how many.
+
+    They are ``aimed`` with the place of their pair in place of its number. There is room for all.
+    """
     count = 0
-    for m in range(points.pixels.shape[0]):
+    for j in range(pairs.shape[0]):
+        k, m = divmod(pairs[j], points.pixels.shape[0])
         first = 0.5 * math.pi * point_2d(mix(np.int64(points.pixels[m]), STREAM), 0, k)[0]
-        for i in range(rim):
-            w = row(lamps.places, k) if rim == 1 else rim_way(lamps, k, first + 2.0 * math.pi * i / rim)
+        for i in range(RIM):
+            w = rim_way(lamps, k, first + 2.0 * math.pi * i / RIM)
             if dot(point_of(points.normals, m), w) > 0.0:
-                owners[count] = m
-                put_column(ways, count, w)
+                aimed.owners[count], aimed.pairs[count] = m, j
+                put_column(aimed.ways, count, w)
                 count += 1
     return count
 
 
-@kernel()
-def see_rim(surface, points, lamps, k, rim):
-    """How many of the ``rim`` rays of each point get away, (m,) int64."""
-    n = points.pixels.shape[0]
-    owners, ways, reached = np.empty(rim * n, np.int64), np.empty((3, rim * n)), np.empty(rim * n, np.bool_)
-    count = aim_at_rim(lamps, k, points, rim, owners, ways)
-    find_unoccluded(surface, points, owners[:count], ways, reached)
-    seen = np.zeros(n, np.int64)
-    for i in range(count):
-        seen[owners[i]] += reached[i]
-    return seen
+@kernel(types.void(PIXEL_POINTS, LAMPS, PAIRS, AIMED, types.float64[::1]))
+def aim_at_discs(points, lamps, pairs, aimed, brought):
+    """Aim RAYS rays to the discs of the lobes of ``pairs``; what each brings where it gets away.
 
-
-@kernel()
-def aim_at_disc(lamps, k, points, owners, ways, shares):
-    """Write RAYS rays from each of the points ``owners`` to a lamp's disc, and the shares of its light they bring."""
-    for i in range(RAYS * owners.shape[0]):
-        m = owners[i // RAYS]
+    That is E/π over that of the lobe from straight above, were all of it there.
+    """
+    for i in range(RAYS * pairs.shape[0]):
+        k, m = divmod(pairs[i // RAYS], points.pixels.shape[0])
         u, v = point_2d(mix(np.int64(points.pixels[m]), STREAM), i % RAYS, k)
         w, cosine = draw_from_disc(row(lamps.places, k), lamps.edges[k], u, v)
-        put_column(ways, i, w)
-        shares[i] = max(dot(point_of(points.normals, m), w), 0.0) / cosine
+        aimed.owners[i], brought[i] = m, max(dot(point_of(points.normals, m), w), 0.0) / cosine
+        put_column(aimed.ways, i, w)
 
 
 @kernel()
@@ -104,41 +273,47 @@ def add_light(lit, m, colour, share, variance):
 
 
 @kernel()
-def light_half_shadow(surface, points, lamps, k, owners, lit):
-    """Add what comes from lamp ``k`` to the points ``owners``, by RAYS rays from each, with its variance."""
-    count = RAYS * owners.shape[0]
-    ways, shares, reached = np.empty((3, count)), np.empty(count), np.empty(count, np.bool_)
-    aim_at_disc(lamps, k, points, owners, ways, shares)
-    find_unoccluded(surface, points, np.repeat(owners, RAYS), ways, reached)
-    for i in range(owners.shape[0]):
-        mine = slice(RAYS * i, RAYS * (i + 1))
-        brought = shares[mine] * reached[mine]
-        add_light(lit, owners[i], row(lamps.colours, k), brought.mean(), EVEN * brought.var() / (RAYS - 1))
+def share_around(picture, m, seen):
+    """The share of points in the nine pixels about point ``m`` that have ``seen`` (m,) a lobe, of those facing it."""
+    width, lit, facing = picture.rows.shape[1], 0.0, 0.0
+    y, x = divmod(np.int64(picture.points.pixels[m]), width)
+    for i in range(9):
+        n = row_at(picture.rows, y + i // 3 - 1, x + i % 3 - 1)
+        if n >= 0 and seen[n] != AWAY:
+            lit, facing = lit + (seen[n] == LIT), facing + 1.0
+    return lit / facing
 
 
-@kernel(types.void(SURFACE, PIXEL_POINTS, LAMPS, types.float32[:, ::1]))
-def light_lobes(surface, points, lamps, lit):
+@kernel(types.void(PICTURE, LAMPS, PART, types.boolean, SEEN, types.float32[:, ::1]))
+def light_points(picture, lamps, part, smooth, seen, lit):
     """Fill ``lit`` (m, 4): E/π, linear RGB, straight from directional ``lamps``, and the variance of its luminance.
 
-    ``points`` are ``PixelPoints``, whose pixels own the random numbers. Rays start where paths do. The variance is of
-    the half-shadows' rays.
+    It is of points of a ``part``, of lobes that these have ``seen`` (lobes, m) whole; with edges of shadows that are
+    made ``smooth``, where no rays to rims tell more. The variance is of half-shadows, see ``add_halves``.
     """
-    lit[:] = 0.0
-    for k in range(lamps.kinds.shape[0]):
-        edge = row(lamps.edges[k], 0)
-        rim = 1 if dot(edge, edge) <= SHARP * SHARP else RIM
-        seen = see_rim(surface, points, lamps, k, rim)
-        for m in np.flatnonzero(seen == rim):
-            share = max(dot(point_of(points.normals, m), row(lamps.places, k)), 0.0)
-            add_light(lit, m, row(lamps.colours, k), share, 0.0)
-        half = np.flatnonzero((seen > 0) & (seen < rim))
-        if half.shape[0] > 0:
-            light_half_shadow(surface, points, lamps, k, half, lit)
+    normals = picture.points.normals
+    lit[part[0] : part[1]] = 0.0
+    for k in range(seen.shape[0]):
+        for m in range(part[0], part[1]):
+            if seen[k, m] == AWAY or (seen[k, m] == DARK and not smooth):
+                continue
+            share = share_around(picture, m, seen[k]) if smooth else 1.0 if seen[k, m] == LIT else 0.0
+            if share > 0.0:
+                cosine = max(dot(point_of(normals, m), row(lamps.places, k)), 0.0)
+                add_light(lit, m, row(lamps.colours, k), share * cosine, 0.0)
+
+
+@kernel(types.void(LAMPS, PAIRS, types.float64[:, ::1], types.float32[:, ::1]))
+def add_halves(lamps, pairs, shares, lit):
+    """Add the ``shares`` (pairs, 2) of lobes that points see in part to their light; see ``frame.pixel_rays``."""
+    for j in range(pairs.shape[0]):
+        k, m = divmod(pairs[j], lit.shape[0])
+        add_light(lit, m, row(lamps.colours, k), shares[j, 0], shares[j, 1])
 
 
 @kernel(types.void(PIXELS, types.float32[:, ::1], types.float64, FRAMEBUFFER))
 def add_lobes(pixels, lit, unit, framebuffer):
-    """Add the light of lobes, as ``light_lobes`` has it and in ``unit``, to the ``framebuffer`` at the ``pixels`` (m,).
+    """Add light of lobes, as ``light_points`` has it and in ``unit``, to the ``framebuffer`` at the ``pixels`` (m,).
 
     Errors are then of both, but where nothing is known of the one.
     """

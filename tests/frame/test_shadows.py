@@ -1,0 +1,157 @@
+"""Light of lobes on a floor under a shelf against rays cast one by one, and against closed forms."""
+
+import math
+from collections.abc import Sequence
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from isogi_core.frame.gbuffer import GBuffer
+from isogi_core.frame.pixel_rays import find_lobes
+from isogi_core.frame.tiles import Tiles
+from isogi_core.kernels.shading.framebuffer import BLUE, GREEN, RED
+from isogi_core.kernels.shading.lobes import EVEN, RAYS, RIM, SHARP, STREAM, rim_way
+from isogi_core.kernels.tracing.field import OFFSET, to_index
+from isogi_core.kernels.tracing.intersect import OUTSIDE, cast
+from isogi_core.kernels.transport.integrator import launch
+from isogi_core.kernels.transport.lights import DIRECTIONAL, LampArrays, draw_from_disc
+from isogi_core.kernels.transport.rng import mix, point_2d
+from tests.kernels.fields import field_of, surface_of
+
+Z, Y, X = np.mgrid[:41, :41, :41].astype(float)
+FLOOR, EDGE = 8.0, 18.0
+ROOM = np.maximum(FLOOR - Z, np.minimum(np.minimum(EDGE - X, Z - 24.0), 27.0 - Z))
+"""A floor, and above it a shelf one side of which ends at x = EDGE."""
+LIGHT = np.array([RED, GREEN, BLUE], float)
+SIDE = 64
+UP = np.array([0.0, 0.0, 1.0])
+Spacing = tuple[float, float, float]
+Lobe = tuple[Sequence[float], float, Sequence[float]]
+
+
+def lamps_of(*lobes: Lobe) -> LampArrays:
+    """Directional lamps (towards, degrees across, colour)."""
+    towards = np.array([np.array(t) / np.linalg.norm(t) for t, _, _ in lobes]).reshape(-1, 3)
+    edges = np.empty((len(lobes), 2, 3))
+    for k, (axis, (_, degrees, _)) in enumerate(zip(towards, lobes, strict=True)):
+        east = np.cross(axis, [0.0, 1.0, 0.0])
+        east /= np.linalg.norm(east)
+        edges[k] = math.sin(math.radians(degrees / 2.0)) * np.array([east, np.cross(axis, east)])
+    colours = np.array([c for *_, c in lobes], float).reshape(-1, 3)
+    return LampArrays(np.full(len(lobes), DIRECTIONAL, np.int8), towards, edges, colours)
+
+
+def floor(side: int = SIDE) -> np.ndarray:
+    """Points of the floor in a picture of it from above, (side², 3) float32, index space."""
+    y, x = np.divmod(np.arange(side * side), side)
+    across = 8.0 + 24.0 * (np.stack([x, y], axis=1) + 0.5) / side
+    return np.column_stack([across, np.full(len(across), FLOOR)]).astype(np.float32)
+
+
+def light(
+    lamps: LampArrays, points: np.ndarray, spacing: Spacing = (1.0, 1.0, 1.0), moving: bool = False, threads: int = 1
+) -> np.ndarray:
+    """`find_lobes` of such a picture: (n, 4)."""
+    surface: Any = SimpleNamespace(traced=lambda _: surface_of(field_of(ROOM, spacing), 0.0), isovalue=0.0)
+    side = math.isqrt(len(points))
+    normals, pixels = np.tile(UP.astype(np.float32), (len(points), 1)), np.arange(len(points), dtype=np.uint32)
+    gbuffer = GBuffer((side, side), spacing, (20.0, 20.0, 40.0), surface, pixels, points, normals)
+    given: Any = SimpleNamespace(lobes=lamps, view=SimpleNamespace(moving=moving))
+    return find_lobes(given, gbuffer, Tiles(threads)).lit
+
+
+def twin(lamps: LampArrays, points: np.ndarray, spacing: Spacing) -> np.ndarray:
+    """The same, ray by ray, all of them to all rims."""
+    field, lit = field_of(ROOM, spacing), np.zeros((len(points), 4))
+    for m, p in enumerate(points.astype(float)):
+        for k in range(len(lamps.kinds)):
+            share, variance = seen_of(field, lamps, k, p, np.uint64(mix(m, STREAM)))
+            lit[m, :3] += share * lamps.colours[k]
+            lit[m, 3] += variance * (lamps.colours[k] @ LIGHT) ** 2
+    return lit
+
+
+def seen_of(field: Any, lamps: LampArrays, k: int, p: np.ndarray, seed: np.uint64) -> tuple[float, float]:
+    """What a point gets of a lobe's light, and the variance of that."""
+    origin = launch(field, 0.0, tuple(p), tuple(UP), OUTSIDE)
+
+    def free(w: np.ndarray) -> bool:
+        return not cast(field, 0.0, origin, to_index(tuple(w), field.spacing), OUTSIDE)[0] < math.inf
+
+    rim = [lamps.places[k]]
+    if np.linalg.norm(lamps.edges[k, 0]) > SHARP:
+        first = 0.5 * math.pi * point_2d(seed, 0, k)[0]
+        rim = [np.array(rim_way(lamps, k, first + 2.0 * math.pi * i / RIM)) for i in range(RIM)]
+    seen = [w[2] > 0.0 and free(w) for w in rim]
+    if all(seen) or not any(seen):
+        return all(seen) * max(float(lamps.places[k, 2]), 0.0), 0.0
+    brought = []
+    for i in range(RAYS):
+        w, cosine = draw_from_disc(tuple(lamps.places[k]), lamps.edges[k], *point_2d(seed, i, k))
+        brought.append(max(w[2], 0.0) / cosine * free(np.array(w)))
+    return float(np.mean(brought)), float(EVEN * np.var(brought) / (RAYS - 1))
+
+
+@pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), (0.5, 2.0, 1.0)])
+@pytest.mark.parametrize("degrees", [0.0, 0.4, 3.0, 15.0])
+def test_light_of_lobes_is_that_of_all_rays(degrees: float, spacing: Spacing) -> None:
+    lamps = lamps_of(((0.6, 0.2, 0.8), degrees, (3.0, 2.0, 1.0)), ((-0.5, 0.1, 0.7), degrees, (0.1, 0.2, 0.4)))
+    points = floor(24)
+    lit, expected = light(lamps, points, spacing), twin(lamps, points, spacing)
+    same = np.isclose(lit, expected, rtol=1e-5, atol=1e-6).all(axis=1)
+    assert same.mean() > 0.99 and np.abs((lit - expected)[:, :3]).max() < 0.25
+    assert (expected[:, 3] > 0.0).any() == (degrees > 1.0), "half-shadows are of wide lobes"
+
+
+def test_a_moving_view_has_nearly_the_same_light() -> None:
+    lamps, points = lamps_of(((-0.5, 0.1, 0.7), 3.0, (3.0, 2.0, 1.0))), floor()
+    rest, moving = (light(lamps, points, moving=each)[:, 0] for each in (False, True))
+    assert moving.mean() == pytest.approx(rest.mean(), rel=0.15)
+    assert (np.abs(moving - rest) < 0.01).mean() > 0.9 and not np.array_equal(moving, rest)
+
+
+def test_without_lobes_it_is_dark() -> None:
+    assert not light(lamps_of(), floor(8)).any()
+
+
+def test_what_sees_a_lobe_has_the_cosine_of_its_light() -> None:
+    """Away from the shelf nothing is in the way."""
+    points = floor()
+    lit = light(lamps_of(((0.6, 0.0, 0.8), 5.0, (3.0, 2.0, 1.0))), points)[points[:, 0] > EDGE + 2.0]
+    np.testing.assert_allclose(lit[:, :3], np.broadcast_to([2.4, 1.6, 0.8], lit[:, :3].shape), rtol=1e-6)
+    assert not lit[:, 3].any()
+
+
+def test_of_a_lobe_on_the_horizon_its_upper_half_arrives() -> None:
+    points = floor()
+    below, level = (lamps_of(((1.0, 0.0, z), 8.0, (1.0,) * 3)) for z in (-0.5, 0.0))
+    assert not light(below, points).any()
+    a = math.sin(math.radians(4.0))
+    expected = 4.0 * a / (3.0 * math.pi) / 2.0  # mean height of half a disc, of which there is half
+    assert light(level, points)[points[:, 0] > EDGE + 2.0, 0].mean() == pytest.approx(expected, rel=0.05)
+
+
+def test_a_half_shadow_is_the_share_of_the_disc_left_free() -> None:
+    """Straight above, the shelf hides what is on its side: its lower edge before it, its upper edge from aside."""
+    points, degrees = floor(), 30.0
+    lit = light(lamps_of(((0.0, 1e-9, 1.0), degrees, (1.0,) * 3)), points)
+    radius, near = math.sin(math.radians(degrees / 2.0)), np.abs(points[:, 0] - EDGE) < 3.0
+    away = EDGE - points[near, 0]
+    slope = away / (np.where(away > 0.0, 24.0, 27.0) - FLOOR - OFFSET)
+    d = np.clip(slope / np.sqrt(1.0 + slope**2) / radius, -1.0, 1.0)  # a plane cuts the disc about there
+    free = (np.arccos(d) - d * np.sqrt(1.0 - d**2)) / math.pi
+    wrong = lit[near, 0] - free
+    assert abs(wrong.mean()) < 0.01 and np.sqrt((wrong**2).mean()) < 0.1
+    told = math.sqrt(lit[near, 3].mean())
+    assert 0.5 < told / wrong.std() < 2.0, "and its error is told"
+
+
+@pytest.mark.parametrize("moving", [False, True])
+def test_light_of_lobes_does_not_depend_on_tiles(monkeypatch: pytest.MonkeyPatch, moving: bool) -> None:
+    lamps, points = lamps_of(((0.4, 0.3, 0.8), 12.0, (1.0, 2.0, 3.0)), ((-0.4, 0.3, 0.8), 3.0, (1.0,) * 3)), floor()
+    whole = light(lamps, points, moving=moving)
+    for name in ("LOBE_POINTS", "RIMS", "HALVES"):
+        monkeypatch.setattr(f"isogi_core.frame.pixel_rays.{name}", 97)
+    assert np.array_equal(whole, light(lamps, points, moving=moving, threads=3))
