@@ -14,7 +14,9 @@ from isogi_core.files.formats.source import COLOURS, Scaling, Source, library, l
 from isogi_core.files.grid import PATIENT, Affine, Grid
 from isogi_core.files.zarr_location import stamp_of
 
-PLUGINS = "pylibjpeg-openjpeg pylibjpeg-rle"
+PLUGINS = {"JPEG-LS": "pyjpegls", "JPEG 2000": "pylibjpeg pylibjpeg-openjpeg", "JPEG": "python-gdcm"}
+"""What to install for pixels packed in some way, by a part of its name; all under free licences without conditions."""
+
 LPS = np.diag([-1.0, -1.0, 1.0])
 """From a patient's left, posterior, superior, which DICOM means, to right, anterior, superior."""
 
@@ -24,7 +26,7 @@ HEADER_TAGS = (
     *("Rows", "Columns", "NumberOfFrames", "SamplesPerPixel", "PhotometricInterpretation", "BitsAllocated"),
     *("BitsStored", "HighBit", "PixelRepresentation", "RescaleSlope", "RescaleIntercept"),
     *("PerFrameFunctionalGroupsSequence", "SharedFunctionalGroupsSequence", "TransferSyntaxUID"),
-    *("FloatPixelData", "DoubleFloatPixelData", "AcquisitionNumber", "TemporalPositionIdentifier", "PixelAspectRatio"),
+    *("FloatPixelData", "DoubleFloatPixelData", "GridFrameOffsetVector", "DoseGridScaling"),
 )
 
 
@@ -52,11 +54,13 @@ def open_dicom(source: Source) -> Grid:
     with reading(source.name, "DICOM"):
         folder = source.path is not None and source.path.is_dir()
         headers: Headers = list(_headers(source)) if folder else [(source.path, _header(source))]
-        if not headers:
+        if not headers or "Rows" not in headers[0][1]:
             raise VolumeError(f"'{source.name}' holds no DICOM image: check the volume's path.")
         chosen = _series(source, headers)
         slices = [each for path, header in chosen for each in _slices_of(path, header)]
         stack, notes = stack_of(source.name, slices, partial(pick, source, "time"))
+        if len(stack.layers) == 1 and not folder:
+            raise VolumeError(f"'{source.name}' is one slice: give the folder of its series, or a file of many frames.")
         first = chosen[0][1]
         source.check((len(stack.layers), int(first.Rows), int(first.Columns)))
         scalings = {each.scaling for each in slices}
@@ -81,7 +85,7 @@ def _stamp(source: Source, files: list[Path]) -> str:
 def _header(source: Source) -> Any:
     pydicom = library("pydicom", "DICOM")
     with source.open() as file:
-        return pydicom.dcmread(file, stop_before_pixels=True, specific_tags=list(HEADER_TAGS))
+        return pydicom.dcmread(file, stop_before_pixels=True, force=True, specific_tags=list(HEADER_TAGS))
 
 
 def _headers(source: Source) -> Iterator[tuple[Path | None, Any]]:
@@ -148,18 +152,33 @@ def _slice(place: Place, header: Any, groups: list[Any]) -> Slice:
     )
     spacing = _floats(read("PixelMeasuresSequence", "PixelSpacing"))
     between = read("PixelMeasuresSequence", "SpacingBetweenSlices") or read("PixelMeasuresSequence", "SliceThickness")
+    alone = bool(groups) or int(header.get("NumberOfFrames") or 1) == 1
     scale = "PixelValueTransformationSequence"
     slope, intercept = read(scale, "RescaleSlope"), read(scale, "RescaleIntercept")
+    slope = header.get("DoseGridScaling") if slope is None else slope
     return Slice(
         place=place,
         uid=f"{header.get('SOPInstanceUID', '')} {place.frame}",
         number=(int(header.get("InstanceNumber") or 0), place.frame),
-        position=_floats(position),
+        position=_shifted(_floats(position), pose, header.get("GridFrameOffsetVector"), place.frame, alone),
         pose=pose,
         pixel=(spacing[1], spacing[0]) if spacing else None,
         between=float(between) if between else None,
         scaling=Scaling(1.0 if slope is None else float(slope), float(intercept or 0.0)),
     )
+
+
+def _shifted(
+    position: tuple[float, ...] | None, pose: tuple[float, ...] | None, offsets: Any, frame: int, alone: bool
+) -> tuple[float, ...] | None:
+    """The position of a frame that lies so far from the first along the normal, as those of dose grids do.
+
+    None where it is not ``alone`` with a position that is one for all.
+    """
+    if position is None or pose is None or not offsets:
+        return position if alone else None
+    normal = np.cross(pose[:3], pose[3:])
+    return tuple((np.array(position) + normal * (float(offsets[frame]) - float(offsets[0]))).tolist())
 
 
 def _read(header: Any, groups: list[Any], sequence: str, name: str) -> Any:
@@ -232,7 +251,7 @@ class Frames:
         if self._file is None or self._file[0] != place.path or place.path is None is self._file:
             source = self._source if place.path is None else Source(str(place.path), place.path)
             with source.open() as file:
-                self._file = place.path, pydicom.dcmread(file)
+                self._file = place.path, pydicom.dcmread(file, force=True)
         data = self._file[1]
         values = np.asarray(self._decode(data, place.frame))
         if int(data.get("SamplesPerPixel", 1)) > 1:
@@ -247,7 +266,8 @@ class Frames:
             syntax = data.file_meta.TransferSyntaxUID
             if syntax.is_compressed and "plugin" in str(error):
                 needed = f"The pixels of '{self._source.name}' are packed as {syntax.name}"
-                raise VolumeError(f"{needed}, which needs: pip install {PLUGINS}.") from error
+                plugin = next((each for part, each in PLUGINS.items() if part in syntax.name), "python-gdcm")
+                raise VolumeError(f"{needed}, which needs: pip install {plugin}.") from error
             raise VolumeError(f"The pixels of '{self._source.name}' cannot be decoded ({line_of(error)}).") from error
 
 

@@ -1,11 +1,12 @@
 """Opening volumes of any kind but Zarr: the kind is told by how a file begins, and then by its name."""
 
+import zlib
 from collections.abc import Callable
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from isogi_core.errors import VolumeError
+from isogi_core.files.formats import dicom, hdf5, itk, mrc, nifti, numpy_file, tiff, vti
 from isogi_core.files.formats.source import KEYS, Source
 from isogi_core.files.grid import Grid
 from isogi_core.files.nrrd import open_nrrd, read_attached
@@ -18,26 +19,22 @@ Opener = Callable[[Source], Grid]
 KNOWN = "NRRD, NIfTI, DICOM, TIFF, MRC, HDF5, NumPy, MetaImage, VTI or Zarr"
 
 
-def _opener(module: str, name: str) -> Opener:
-    """The function of a reader's module, loaded now."""
-    found: Opener = getattr(import_module(f"isogi_core.files.formats.{module}"), name)
-    return found
+def opener_for(head: bytes, unpacked: bytes, suffix: str) -> Opener | None:
+    """The function that opens files which begin with ``head``; by their ``suffix`` where that says nothing.
 
-
-def opener_for(head: bytes, suffix: str) -> Opener | None:
-    """The function that opens files which begin with ``head``; by their ``suffix`` where that says nothing."""
-    from isogi_core.files.formats import dicom, hdf5, itk, mrc, nifti, numpy_file, tiff  # noqa: PLC0415 (late)
-
+    ``unpacked`` is how the content of a packed file begins: NIfTI and MRC are read out of such.
+    """
     kinds: list[tuple[bool, Opener]] = [
-        (nifti.is_nifti(head), nifti.open_nifti),
+        (nifti.is_nifti(unpacked), nifti.open_nifti),
         (dicom.is_dicom(head), dicom.open_dicom),
         (tiff.is_tiff(head), tiff.open_tiff),
-        (mrc.is_mrc(head), mrc.open_mrc),
+        (mrc.is_mrc(unpacked), mrc.open_mrc),
         (head.startswith(hdf5.MAGIC), hdf5.open_hdf5),
         (head.startswith((numpy_file.NPY, numpy_file.ZIP)), numpy_file.open_numpy),
-        (b"<VTKFile" in head and b"ImageData" in head, _opener("vti", "open_vti")),
+        (b"<VTKFile" in head and b"ImageData" in head, vti.open_vti),
         (b"NDims" in head or b"ObjectType" in head or head.startswith(b"# vtk DataFile"), itk.open_itk),
-        (suffix == ".vti", _opener("vti", "open_vti")),
+        (suffix in (".dcm", ".ima"), dicom.open_dicom),
+        (suffix == ".vti", vti.open_vti),
         (suffix in itk.SUFFIXES, itk.open_itk),
     ]
     return next((opener for fits, opener in kinds if fits), None)
@@ -49,29 +46,27 @@ def open_file(path: Path, chosen: dict[str, Any]) -> Grid:
     if path.is_dir():
         return _open_folder(source)
     with source.open() as file:
-        plain = file.read(4)
-    if plain.startswith(b"NRRD") or path.suffix.lower() in (".nrrd", ".nhdr"):
+        head = file.read(HEAD)
+    if head.startswith(b"NRRD") or path.suffix.lower() in (".nrrd", ".nhdr"):
         source.refuse_others()
         return open_nrrd(path)
-    opener = opener_for(_head(source), path.suffix.lower())
+    opener = opener_for(head, _unpacked_head(source), path.suffix.lower())
     if opener is None:
         raise VolumeError(f"'{path}' is no volume that is known here: give {KNOWN}.")
     return opener(source)
 
 
-def _head(source: Source) -> bytes:
-    """How a file begins, unpacked; empty where it cannot be."""
+def _unpacked_head(source: Source) -> bytes:
+    """How a file's content begins; empty where it cannot be unpacked."""
     with source.unpacked() as file:
         try:
             return file.read(HEAD)
-        except (OSError, EOFError, ValueError):
+        except (OSError, EOFError, ValueError, zlib.error):
             return b""
 
 
 def _open_folder(source: Source) -> Grid:
     """Open a folder of slices: TIFF where it holds such, else DICOM."""
-    from isogi_core.files.formats import dicom, tiff  # noqa: PLC0415 (late)
-
     assert source.path is not None, "a folder has a path"
     return tiff.open_tiff_folder(source) if tiff.slices_in(source.path) else dicom.open_dicom(source)
 
@@ -82,26 +77,37 @@ def open_upload(file: Any, name: str, most: int) -> Grid:
     Raises VolumeError, also where it has more than ``most`` voxels.
     """
     source = Source(name, file=file, voxels=most)
-    if file.read(4) == b"NRRD":
+    head = file.read(HEAD)
+    if head.startswith(b"NRRD"):
         file.seek(0)
         return read_attached(file, name, most)
-    opener = opener_for(_head(source), Path(name).suffix.lower())
+    opener = opener_for(head, _unpacked_head(source), Path(name).suffix.lower())
     if opener is None:
         raise VolumeError(f"'{name}' is no volume that is known here: give {KNOWN}.")
     return opener(source)
 
+
+CODECS = ("imcd", "zlib", "deflate", "jpeg8", "zstd")
+"""Packings of TIFF that are worth the time to load them, in a library that may be missing."""
+
+TIFF = ("tifffile", "tifffile._imagecodecs", "imagecodecs", *(f"imagecodecs._{codec}" for codec in CODECS))
+
+DECODERS = ("rle", "pillow", "pylibjpeg", "pyjpegls", "gdcm")
+PILLOW = ("Bmp", "Gif", "Ppm", "Png", "Jpeg", "Jpeg2K")
+JPEG = ("openjpeg", *(f"PIL.{name}ImagePlugin" for name in PILLOW))
+"""What DICOM's packed pixels are unpacked by, where it is installed."""
 
 LIBRARIES: tuple[tuple[int, bytes, tuple[str, ...]], ...] = (
     (0, b"\x1f\x8b", ("nibabel", "mrcfile.utils", "mrcfile.mrcinterpreter")),
     (0, b"BZh", ("nibabel", "mrcfile.utils", "mrcfile.mrcinterpreter")),
     (344, b"n", ("nibabel",)),
     (4, b"n", ("nibabel",)),
-    (128, b"DICM", ("pydicom.pixels", "pydicom.pixels.decoders", "openjpeg", "rle")),
-    (0, b"II", ("tifffile", "imagecodecs._imcd", "imagecodecs")),
-    (0, b"MM", ("tifffile", "imagecodecs._imcd", "imagecodecs")),
+    (128, b"DICM", ("pydicom.pixels", *(f"pydicom.pixels.decoders.{name}" for name in DECODERS), *JPEG)),
+    (0, b"II", TIFF),
+    (0, b"MM", TIFF),
     (208, b"MAP", ("mrcfile.utils", "mrcfile.mrcinterpreter")),
-    (0, b"\x89HDF", ("h5py",)),
-    (0, b"PK", ("zipfile",)),
+    (0, b"\x89HDF", ("h5py", "h5py._hl.dims", "h5py._hl.filters")),
+    (0, b"PK", ("encodings.cp437",)),
 )
 """Libraries that a file may need, by what it has at some byte."""
 

@@ -31,7 +31,7 @@ def open_tiff(source: Source) -> Grid:
     """Open the first series of a TIFF file as a grid: only its description is read now. Raises VolumeError."""
     tifffile = library("tifffile", "TIFF")
     source.refuse_others("time", "channel", "series")
-    with reading(source.name, "TIFF"), source.open() as file, tifffile.TiffFile(file) as whole:
+    with reading(source.name, "TIFF"), source.open() as file, tifffile.TiffFile(file, name=source.name) as whole:
         series = _series(source, whole)
         axes, shape, dtype = series.axes, tuple(int(n) for n in series.shape), series.dtype
         pages, deep = _pages(source, axes, shape)
@@ -59,9 +59,10 @@ def _pages(source: Source, axes: str, shape: Shape) -> tuple[list[int], int]:
     if not axes.endswith(inner) or (inner == PLANE and len(axes) < 3):
         raise VolumeError(f"'{source.name}' has the axes {axes}: save a stack of planes.")
     outer = list(zip(axes.removesuffix(inner), shape, strict=False))
+    alone = sum(length > 1 for _, length in outer) == 1  # a stack without z: planes are one upon the other
     picks: list[Any] = []
     for axis, length in outer:
-        key = "time" if axis in TIMES else "channel" if axis in CHANNELS else None
+        key = None if alone and length > 1 else "time" if axis in TIMES else "channel" if axis in CHANNELS else None
         picks.append(slice(None) if key is None else pick(source, key, length, f"elements of {key}"))
     numbers = np.arange(int(np.prod([n for _, n in outer]))).reshape([n for _, n in outer])[tuple(picks)]
     if numbers.ndim > 1 and sum(n > 1 for n in numbers.shape) > 1:
@@ -83,7 +84,7 @@ def _check_page(source: Source, series: Any, coloured: bool) -> None:
 def _slabs(source: Source, pages: list[int], plane: Shape) -> Iterator[np.ndarray]:
     """The planes of a series, one at a time; (1, ny, nx) each."""
     tifffile = library("tifffile", "TIFF")
-    with reading(source.name, "TIFF"), source.open() as file, tifffile.TiffFile(file) as whole:
+    with reading(source.name, "TIFF"), source.open() as file, tifffile.TiffFile(file, name=source.name) as whole:
         series = _series(source, whole)
         for number in pages:
             yield _plane(source, whole, series, number, plane)[None]
