@@ -25,6 +25,7 @@ MODULES = {
     "report": "server.report.command",
     "prewarm": "server.cli.prewarm",
     "prewarm --server": "server.cli.remote_prewarm",
+    "export": "server.cli.export",
     "inspect": "server.inspect.text",
     "bench": "server.cli.bench",
     "store": "server.cli.store",
@@ -284,6 +285,32 @@ def remote() -> Any:
 def inspect(target: str, picture: Path | None, as_json: bool) -> None:
     """Say what is in TARGET, a volume or a scene, how stiff that is, and what will be baked for it."""
     click.echo(module_of("inspect").inspect(target, picture, as_json))
+
+
+@cli.command()
+@click.argument("scene", metavar="TARGET")
+@AXES
+@click.option("-o", "--output", required=True, type=click.Path(path_type=Path, dir_okay=False), help=".ply, .glb, .vti")
+@click.option("--isovalue", "isovalues", multiple=True, help="One; of .vti also more, or first:last.")
+@options({name: VIEW_OPTIONS[name] for name in ("albedo", "yaw", "pitch", "roll", "light")})
+@click.option("--exposure", callback=number(1e-36, 1e36), help="Factor on radiance; default: the scene's.")
+@click.option("--target-error", help="Relative error at which light is final.")
+@options(WORK_OPTIONS)
+@AS_JSON
+def export(
+    scene: str,
+    output: Path,
+    isovalues: tuple[str, ...],
+    exposure: float | None,
+    target_error: str | None,
+    as_json: bool,
+    **given: Any,
+) -> None:
+    """Write TARGET with its light to OUTPUT: an isosurface (.ply, .glb), or values and light (.vti)."""
+    settings, work = settings_from(**{name: given.pop(name) for name in WORK_OPTIONS}), module_of("export")
+    knobs = {name: value for name, value in given.items() if value is not None}
+    wishes = work.Wishes(output, isovalues, target_error, exposure)
+    show(work.export(scene, wishes, knobs, settings), work.exported, as_json)
 
 
 @cli.command()

@@ -48,9 +48,20 @@ def open_tiff(source: Source) -> Grid:
 def _series(source: Source, whole: Any) -> Any:
     """The series that is chosen, the first by default."""
     number = source.count("series") or 0
+    first = whole.series[0]
+    if len(whole.series) > 1 and "series" not in source.chosen and _is_stack(whole.series):
+        pages = [each.pages[0] for each in whole.series]  # planes that were written one by one
+        kind = type(first)
+        return kind(pages, (len(pages), *first.shape), first.dtype, f"Q{first.axes}", name="planes")
     if number >= len(whole.series):
         raise VolumeError(f"'{source.name}' has series 0 to {len(whole.series) - 1}, not {number}.")
     return whole.series[number]
+
+
+def _is_stack(series: Any) -> bool:
+    """Whether all series are planes, of one size and type."""
+    kinds = {(each.axes, each.shape, each.dtype) for each in series}
+    return len(kinds) == 1 and series[0].axes in (PLANE, PLANE + COLOUR)
 
 
 def _pages(source: Source, axes: str, shape: Shape) -> tuple[list[int], int]:
