@@ -55,7 +55,7 @@ class Camera:
         """Unit vectors (right, up, forward), right-handed, each of shape (3,), float64."""
         forward = np.subtract(self.target, self.eye)
         forward = forward / np.linalg.norm(forward)
-        up = np.ldexp(self.up, -int(np.frexp(self.up)[1].max()))  # no product of its parts underflows
+        up = np.ldexp(self.up, -int(np.frexp(max(map(abs, self.up)))[1]))  # no product of its parts underflows
         right = np.cross(forward, up)
         right = right / np.linalg.norm(right)
         return right, np.cross(right, forward), forward

@@ -27,6 +27,9 @@ FORMAT = 1
 NESTED = ("level", "channel", "time", "series")
 """Settings of a scene that choose a part of a file."""
 
+ZARR = NESTED[:3]
+"""Those of them that choose in a Zarr volume."""
+
 AXES = ("world", "raw")
 """What a scene's ``axes`` may be: as the volume's file says, or voxel indices times spacing."""
 
@@ -62,8 +65,11 @@ def open_grid(base: Path, name: str, chosen: dict[str, int]) -> tuple[Grid, str]
     if isinstance(place, str) or is_zarr(place):
         from isogi_core.files.zarr_volume import open_zarr  # noqa: PLC0415 (loads Zarr, which NRRD does not need)
 
-        numbers = {key: int(value) for key, value in inside.items() if value.isdecimal()}
-        return open_zarr(place, **{**chosen, **numbers}), name_of(Path(place))
+        wanted = {key: str(value) for key, value in {**chosen, **inside}.items()}
+        wrong = next((key for key, value in wanted.items() if key not in ZARR or not value.isdecimal()), None)
+        if wrong is not None:
+            raise SceneError(f"{wrong} = {wanted[wrong]} chooses nothing in '{named}': give {' or '.join(ZARR)}.")
+        return open_zarr(place, **{key: int(value) for key, value in wanted.items()}), name_of(Path(place))
     return open_file(place, {**chosen, **inside}), stem_of(place, inside)
 
 

@@ -44,7 +44,7 @@ WORK_OPTIONS = {
 }
 
 
-def AXES(command: Callable[..., Any]) -> Callable[..., Any]:
+def axes_option(command: Callable[..., Any]) -> Callable[..., Any]:
     """Decorator: the option --axes, which becomes a part of the command's target."""
 
     @click.option(

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from isogi_core.errors import IsogiError, LightError, SceneError, StoreUrlError, ViewError, VolumeError
-from server.cli.arguments import AXES, DEVELOPED, REPORT_OPTIONS, VIEW_OPTIONS, WORK_OPTIONS
+from server.cli.arguments import DEVELOPED, REPORT_OPTIONS, VIEW_OPTIONS, WORK_OPTIONS, axes_option
 from server.errors import LibraryError
 
 if TYPE_CHECKING:
@@ -136,7 +136,7 @@ def cli() -> None:
 
 @cli.command(cls=SettingsCommand)
 @click.argument("target", required=False)
-@AXES
+@axes_option
 def serve(target: str | None, config: Path | None, **given: str | None) -> None:
     """Serve TARGET, a scene (.toml) or a volume (NRRD, NIfTI, DICOM, TIFF, Zarr …); with neither, a demo."""
     settings = settings_from(config, **given)
@@ -145,7 +145,7 @@ def serve(target: str | None, config: Path | None, **given: str | None) -> None:
 
 @cli.command()
 @click.argument("scene", metavar="TARGET")
-@AXES
+@axes_option
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path, dir_okay=False))
 @options(VIEW_OPTIONS)
 @click.option("--target-error", callback=number(0.0001, 1), help="Relative error at which a pixel is final.")
@@ -164,7 +164,7 @@ def render(
 
 @cli.command()
 @click.argument("scene", metavar="TARGET")
-@AXES
+@axes_option
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path, dir_okay=False), help="A file, .npz.")
 @options({name: text for name, text in VIEW_OPTIONS.items() if name not in DEVELOPED})
 @click.option("--samples", type=click.IntRange(1), help="Stop at so many paths per pixel.")
@@ -195,7 +195,7 @@ def reference(
 
 @cli.command()
 @click.argument("scene", metavar="TARGET")
-@AXES
+@axes_option
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path, file_okay=False), help="Folder.")
 @click.option("--size", type=click.IntRange(8, 1024), default=112, show_default=True, help="Pixels along each side.")
 @options(REPORT_OPTIONS)
@@ -223,7 +223,7 @@ def report(
 
 @cli.command()
 @click.argument("scene", metavar="TARGET")
-@AXES
+@axes_option
 @click.option("--isovalue", "isovalues", multiple=True, help="One, first:last:step, or first:last for all between.")
 @click.option("--views", help="Directions of each isovalue, spread over all sides; default: 12 where none are given.")
 @click.option("--view", "directions", multiple=True, metavar="azimuth=40,elevation=30", help="One direction.")
@@ -279,7 +279,7 @@ def remote() -> Any:
 
 @cli.command()
 @click.argument("target")
-@AXES
+@axes_option
 @click.option("--picture", type=click.Path(path_type=Path, dir_okay=False), help="Draw the stiffness to a file, .png.")
 @AS_JSON
 def inspect(target: str, picture: Path | None, as_json: bool) -> None:
@@ -289,7 +289,7 @@ def inspect(target: str, picture: Path | None, as_json: bool) -> None:
 
 @cli.command()
 @click.argument("scene", metavar="TARGET")
-@AXES
+@axes_option
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path, dir_okay=False), help=".ply, .glb, .vti")
 @click.option("--isovalue", "isovalues", multiple=True, help="One; of .vti also more, or first:last.")
 @options({name: VIEW_OPTIONS[name] for name in ("albedo", "yaw", "pitch", "roll", "light")})
@@ -315,7 +315,7 @@ def export(
 
 @cli.command()
 @click.argument("target", required=False)
-@AXES
+@axes_option
 @click.option("--isovalue", type=float, help="In the volume's own units; default: the scene's.")
 @click.option("--size", type=click.IntRange(1, 4096), default=512, show_default=True, help="Pixels along each side.")
 @click.option("--repeats", type=click.IntRange(1), default=5, show_default=True, help="Rounds that are timed.")

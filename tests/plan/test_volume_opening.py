@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 import zarr
 
-from isogi_core.errors import VolumeError
+from isogi_core.errors import SceneError, VolumeError
 from isogi_core.files.grid import Grid
 from isogi_core.model.value_survey import no_progress
 from isogi_core.model.volume import BINS, Volume, make_volume
@@ -98,6 +98,9 @@ def test_zarr_volumes_are_opened_with_the_settings_of_the_scene(tmp_path: Path, 
     mapped = load_scene(tmp_path / "s.toml").volume
     same(mapped, make_volume(field[1], (1.0, 2.0, 3.0), "below", "v", (-99.0,)))
     assert len(list(folder.glob("*.voxels"))) == 2  # both names of one file
+    with pytest.raises(SceneError, match=r"series = 1 chooses nothing in 'v.zarr'"):
+        load_scene(tmp_path / "s.toml", series=1)
+    same(load_scene(f"{tmp_path / 'v.zarr'}#channel=0").volume, make_volume(field[0], name="v"))
     nrrd.write(str(tmp_path / "plain.nrrd"), field[0], index_order="C")
     with pytest.raises(VolumeError, match="has no 'level' to choose"):
         load_scene(tmp_path / "plain.nrrd", level=1)
