@@ -1,4 +1,4 @@
-"""Light in files of other tools: meshes with colours (.ply, .glb), and volumes with values and light (.vti)."""
+"""Light in files of other tools: meshes with colours (.ply, .glb), and volumes with values and light (.vti, .nrrd)."""
 
 import json
 from dataclasses import dataclass
@@ -124,6 +124,21 @@ def vti_bytes(arrays: dict[str, np.ndarray], affine: np.ndarray) -> bytes:
     piece = f'<ImageData {attributes}><Piece Extent="{extent}">{points}</Piece></ImageData>'
     head = f'<?xml version="1.0"?>\n<VTKFile {kind}>{piece}<AppendedData encoding="raw">_'
     return head.encode() + b"".join(blocks) + b"</AppendedData></VTKFile>\n"
+
+
+def nrrd_bytes(arrays: dict[str, np.ndarray], affine: np.ndarray) -> bytes:
+    """A NRRD file of arrays of points together: a vector of floats at each voxel, such as value, red, green, blue.
+
+    ``arrays`` and ``affine`` are as for ``vti_bytes``.
+    """
+    parts = [array if array.ndim == 4 else array[..., None] for array in arrays.values()]
+    block = np.concatenate(parts, axis=-1, dtype="<f4", casting="same_kind")
+    directions = " ".join(f"({','.join(repr(float(x)) for x in column)})" for column in affine[:, :3].T)
+    origin = ",".join(repr(float(x)) for x in affine[:, 3])
+    lines = ["NRRD0005", "type: float", "dimension: 4", f"sizes: {' '.join(map(str, block.shape[::-1]))}"]
+    lines += ["space dimension: 3", f"space directions: none {directions}", f"space origin: ({origin})"]
+    lines += ["kinds: list domain domain domain", "endian: little", "encoding: raw", "", ""]
+    return "\n".join(lines).encode() + block.tobytes()
 
 
 def _numbers(values: np.ndarray) -> str:

@@ -290,8 +290,8 @@ def inspect(target: str, picture: Path | None, as_json: bool) -> None:
 @cli.command()
 @click.argument("scene", metavar="TARGET")
 @axes_option
-@click.option("-o", "--output", required=True, type=click.Path(path_type=Path, dir_okay=False), help=".ply, .glb, .vti")
-@click.option("--isovalue", "isovalues", multiple=True, help="One; of .vti also more, or first:last.")
+@click.option("-o", "--output", required=True, type=click.Path(path_type=Path, dir_okay=False), help="Its file.")
+@click.option("--isovalue", "isovalues", multiple=True, help="One; of a volume also more, or first:last.")
 @options({name: VIEW_OPTIONS[name] for name in ("albedo", "yaw", "pitch", "roll", "light")})
 @click.option("--exposure", callback=number(1e-36, 1e36), help="Factor on radiance; default: the scene's.")
 @click.option("--target-error", help="Relative error at which light is final.")
@@ -306,7 +306,7 @@ def export(
     as_json: bool,
     **given: Any,
 ) -> None:
-    """Write TARGET with its light to OUTPUT: an isosurface (.ply, .glb), or values and light (.vti)."""
+    """Write TARGET with its light to OUTPUT: an isosurface (.ply, .glb), or values and light (.vti, .nrrd)."""
     settings, work = settings_from(**{name: given.pop(name) for name in WORK_OPTIONS}), module_of("export")
     knobs = {name: value for name, value in given.items() if value is not None}
     wishes = work.Wishes(output, isovalues, target_error, exposure)

@@ -9,7 +9,7 @@ import numpy as np
 
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.errors import SceneError, ViewError
-from isogi_core.files.light_files import LitMesh, glb_bytes, ply_bytes, vti_bytes
+from isogi_core.files.light_files import LitMesh, glb_bytes, nrrd_bytes, ply_bytes, vti_bytes
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.tiles import Tiles
 from isogi_core.model.view import View
@@ -26,7 +26,7 @@ from server.render.resources import root_of
 from server.settings import Settings
 
 MESHES = {".ply": ply_bytes, ".glb": glb_bytes}
-VOLUMES = (".vti",)
+VOLUMES = {".vti": vti_bytes, ".nrrd": nrrd_bytes}
 
 POINTS = 1 << 17
 """Points that are lit together."""
@@ -76,7 +76,7 @@ def checked_suffix(output: Path) -> str:
 def check_levels(scene: Scene, wishes: Wishes, suffix: str) -> None:
     """Raise ViewError or SceneError where the isovalues or the lattice do not suit the kind of file."""
     if suffix in MESHES and (len(wishes.isovalues) > 1 or any(":" in text for text in wishes.isovalues)):
-        raise ViewError("A mesh is of one isovalue: give --isovalue once, or end the file in .vti.")
+        raise ViewError("A mesh is of one isovalue: give --isovalue once, or end the file in .vti or .nrrd.")
     if suffix in VOLUMES and scene.lattice_shape != scene.volume.shape:
         raise SceneError("A volume with light has a texel at each voxel: set lattice = 1 in the scene.")
 
@@ -110,7 +110,7 @@ def write_volume(renderer: Renderer, view: View, spans: Any, exposure: float, ou
         light[tuple(places[rows].T)] = exposure * found
     values = volume.offset + volume.scale * volume.voxels.astype(np.float64)
     arrays: dict[str, np.ndarray] = {"value": values, "light": light}
-    write_whole(output, vti_bytes(arrays, volume.orientation.affine(volume.spacing)))
+    write_whole(output, VOLUMES[output.suffix.lower()](arrays, volume.orientation.affine(volume.spacing)))
     return {"isovalues": [list(span) for span in spans], "texels": len(places)}
 
 

@@ -3,10 +3,11 @@
 import json
 from pathlib import Path
 
+import nrrd
 import numpy as np
 import pytest
 
-from isogi_core.files.light_files import LitMesh, glb_bytes, ply_bytes, vti_bytes
+from isogi_core.files.light_files import LitMesh, glb_bytes, nrrd_bytes, ply_bytes, vti_bytes
 
 TURN = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 VERTICES = np.array([[1e5, 0.0, 3.0], [1e5 + 1, 2.0, 3.0], [1e5, 2.0, 3.5], [1e5, 0.0, 7.0]])
@@ -57,3 +58,13 @@ def test_vti_is_read_by_vtk_where_it_lies(tmp_path: Path) -> None:
     np.testing.assert_array_equal(grid.whole(), value)
     assert grid.affine is not None
     np.testing.assert_allclose(grid.affine.array, affine)
+
+
+def test_nrrd_holds_values_and_light_together(tmp_path: Path) -> None:
+    value, light = np.arange(24.0).reshape(2, 3, 4), np.random.default_rng(3).random((2, 3, 4, 3))
+    affine = np.column_stack([TURN * (1.0, 2.0, 0.5), (5.0, -6.0, 7.0)])
+    (tmp_path / "a.nrrd").write_bytes(nrrd_bytes({"value": value, "light": light}, affine))
+    found, header = nrrd.read(str(tmp_path / "a.nrrd"), index_order="C")
+    np.testing.assert_allclose(found, np.concatenate([value[..., None], light], axis=-1), rtol=1e-6)
+    np.testing.assert_allclose(header["space directions"][1:], affine[:, :3].T)
+    np.testing.assert_allclose(header["space origin"], affine[:, 3])
