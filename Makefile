@@ -74,9 +74,9 @@ reports: $(BIN)/.tools
 
 lock: $(BIN)/.tools
 	$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-emit-index-url --python-version 3.11 \
-	  --extra report --extra s3 pyproject.toml -o requirements.lock
+	  --extra formats --extra report --extra s3 pyproject.toml -o requirements.lock
 	$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-emit-index-url --python-version 3.11 \
-	  --extra report --extra s3 --extra client --extra dev pyproject.toml -o requirements-dev.lock
+	  --extra formats --extra report --extra s3 --extra client --extra dev pyproject.toml -o requirements-dev.lock
 
 format: $(BIN)/.tools
 	$(BIN)/ruff check --fix .

@@ -447,7 +447,7 @@ class Isogi:
         return job
 
     def upload(self, path: str | Path, name: str | None = None) -> dict[str, Any]:
-        """Send a volume, an NRRD file with its header in it, where the server takes uploads; the volume's facts.
+        """Send a volume, a file of a kind that isogi reads, where the server takes uploads; the volume's facts.
 
         >>> volume = isogi.upload("engine.nrrd", name="The engine")
         >>> isogi.frame(volume["id"]).save("engine.png")

@@ -69,9 +69,17 @@ def scene_schema(scene: Scene) -> SceneSchema:
 
 def volume_schema(scene: Scene) -> VolumeSchema:
     """The facts of a scene's volume."""
-    volume = scene.volume
+    volume, orientation = scene.volume, scene.volume.orientation
     names = ("name", "size", "spacing", "dtype", "value_range", "holes")
-    return VolumeSchema(**{name: getattr(volume, name) for name in names})
+    return VolumeSchema(
+        **{name: getattr(volume, name) for name in names},
+        affine=orientation.affine(volume.spacing).tolist(),
+        unit=orientation.unit,
+        letters=orientation.letters,
+        axes=orientation.axes,
+        bounds=volume.world_bounds,
+        notes=list(orientation.notes),
+    )
 
 
 def light_schema(light: Light) -> LightSchema:

@@ -16,6 +16,7 @@ from isogi_core.model.view import (
     Quaternion,
     Vec3,
     View,
+    light_in_box,
     orbit,
     quaternion_from_angles,
     unit_quaternion,
@@ -213,6 +214,7 @@ def view_of(scene: Scene, params: ViewParams, settings: Settings) -> View:
         shading=params.shading,
         samples=params.samples,
         albedo=albedo_of(scene, params),
+        orientation=scene.volume.orientation,
     )
 
 
@@ -235,20 +237,22 @@ def albedo_of(scene: Scene, params: ViewParams) -> Vec3 | None:
 
 
 def camera_of(scene: Scene, params: ViewParams) -> Camera:
-    """The camera: at the eye where one is given, else on its orbit about the target."""
-    target, radius = params.target or scene.volume.centre, scene.volume.radius
+    """The camera, in the volume's box: at the eye where one is given, else on its orbit about the target."""
+    target, radius = params.target or scene.volume.world_centre, scene.volume.radius
     if params.eye is not None:
-        return Camera(params.eye, target, params.up or (0.0, 0.0, 1.0), params.fov)
-    camera = orbit(target, radius, params.azimuth, params.elevation, params.distance, params.fov)
-    return camera if params.up is None else replace(camera, up=params.up)
+        camera = Camera(params.eye, target, params.up or (0.0, 0.0, 1.0), params.fov)
+    else:
+        camera = orbit(target, radius, params.azimuth, params.elevation, params.distance, params.fov)
+        camera = camera if params.up is None else replace(camera, up=params.up)
+    return camera.in_box(scene.volume.orientation)
 
 
 def light_of(scene: Scene, params: ViewParams) -> Quaternion:
-    """The light rotation as a unit quaternion; ViewError where the scene's light does not turn."""
+    """The light's rotation in the volume's box, a unit quaternion; ViewError where the scene's light does not turn."""
     if params.light is not None:
         turn = unit_quaternion(params.light)
     else:
         turn = quaternion_from_angles(params.yaw, params.pitch, params.roll)
     if not scene.rotating and abs(turn[0]) < 1 - 1e-12:
         raise ViewError("This scene's light does not turn (rotating = false): leave light and its angles out.")
-    return turn if scene.rotating else IDENTITY
+    return light_in_box(turn, scene.volume.orientation) if scene.rotating else IDENTITY

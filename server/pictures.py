@@ -122,5 +122,5 @@ def planes(frame: Frame, first: int, last: int) -> np.ndarray:
     """
     rows = slice(first, last)
     state, error = frame.reported_state[rows, :, None], frame.total_error[rows, :, None]
-    parts = (frame.radiance[rows], state > 0, state, error, frame.gbuffer.positions(first, last))
+    parts = (frame.radiance[rows], state > 0, state, error, frame.positions(first, last))
     return np.concatenate(parts, axis=-1, dtype="<f4", casting="unsafe")

@@ -3,6 +3,7 @@
 from pydantic import BaseModel
 
 Triple = tuple[float, float, float]
+Row = tuple[float, float, float, float]
 
 
 class SceneLink(BaseModel):
@@ -48,7 +49,12 @@ class UploadList(BaseModel):
 
 
 class VolumeSchema(BaseModel):
-    """A volume: voxels and spacing along x, y, z; holes are voxels that are not finite."""
+    """A volume: voxels and spacing along x, y, z; holes are voxels that are not finite.
+
+    ``affine`` brings voxel indices to the world, (3, 4), whose lengths have the ``unit``, empty where unknown.
+    ``letters`` say where the world's axes point in a patient, and ``axes`` where the voxels' do; empty elsewhere.
+    ``bounds`` are the least and the greatest world x, y, z. ``notes`` tell what was done to the file's field.
+    """
 
     name: str
     size: tuple[int, int, int]
@@ -56,6 +62,12 @@ class VolumeSchema(BaseModel):
     dtype: str
     value_range: tuple[float, float]
     holes: int
+    affine: tuple[Row, Row, Row]
+    unit: str
+    letters: str
+    axes: str
+    bounds: tuple[Triple, Triple]
+    notes: list[str]
 
 
 class Histogram(BaseModel):

@@ -19,6 +19,7 @@ import { Status, TroublePanel } from "./panels/status.js";
 import { Times } from "./panels/times.js";
 import { attachGestures, attachPick } from "./view/gestures.js";
 import { attachKeys } from "./view/keys.js";
+import { attachSides } from "./view/sides.js";
 import { ViewModel } from "./view/model.js";
 import { Picture } from "./view/picture.js";
 
@@ -77,6 +78,7 @@ function assemble(scene, knobs, trouble) {
   attachGestures($("stage"), scene, view, options);
   attachPick($("stage"), view, (values, right, up) => readSurfacePoint(scene, values, right, up));
   attachKeys(scene, view, options);
+  attachSides($("sides"), scene, view);
   showScene(form, scene);
   form.addEventListener("submit", (event) => event.preventDefault());
   $("reset").addEventListener("click", () => view.reset());

@@ -16,6 +16,7 @@ from isogi_core.errors import ChangedError, DamagedChunkError, LightError, Store
 from isogi_core.files.scene_file import DEFAULT_DEMO, SceneSource
 from isogi_core.files.volume_copies import find_copy, get_copy, get_file
 from isogi_core.files.voxel_file import Draft
+from isogi_core.model.orientation import PLAIN, Orientation
 from isogi_core.model.value_survey import begin_digest
 from isogi_core.model.volume import Volume
 from isogi_core.plan.scene import Scene
@@ -118,16 +119,20 @@ CHUNK = (32, 256, 256)
 BYTES = 1 << 23
 """Bytes of a file in one object."""
 
-FOLLOWED = ("solid", "spacing", "missing", "level", "channel", "time")
+FOLLOWED = ("solid", "spacing", "missing", "axes", "level", "channel", "time", "series")
 """Settings of a scene that its volume's voxels already contain."""
 
 
 @dataclass(frozen=True)
 class SceneAssets:
-    """The digests of a scene's ``volume``, empty for a demo, and of its lights' ``files``, by their names there."""
+    """The digests of a scene's ``volume``, empty for a demo, and of its lights' ``files``, by their names there.
+
+    The ``orientation`` is the volume's: equal voxels may lie differently in two scenes.
+    """
 
     volume: str
     files: tuple[tuple[str, str], ...]
+    orientation: Orientation = PLAIN
 
 
 def send_assets(scene: Scene, store: Store) -> SceneAssets:
@@ -142,9 +147,9 @@ def send_assets(scene: Scene, store: Store) -> SceneAssets:
         Asset(store, f"files/{files[-1][1]}").put(np.frombuffer(data, np.uint8), (BYTES,), {})
     if str(source.document.get("volume", DEFAULT_DEMO)).startswith("demo:"):
         return SceneAssets("", tuple(files))
-    facts = {name: value for name, value in vars(volume.counted()).items() if name != "voxels"}
+    facts = {name: value for name, value in vars(volume.counted()).items() if name not in ("voxels", "orientation")}
     Asset(store, f"volumes/{volume.digest}").put(volume.voxels, CHUNK, facts)
-    return SceneAssets(volume.digest, tuple(files))
+    return SceneAssets(volume.digest, tuple(files), volume.orientation)
 
 
 def receive_assets(source: SceneSource, assets: SceneAssets, store: Store) -> tuple[SceneSource, Volume | None]:
@@ -160,7 +165,8 @@ def receive_assets(source: SceneSource, assets: SceneAssets, store: Store) -> tu
     if not assets.volume:
         return replace(source, document=document), None
     kept = {key: value for key, value in document.items() if key not in FOLLOWED}
-    return replace(source, document=kept), fetch_volume(assets.volume, store)
+    volume = fetch_volume(assets.volume, store)
+    return replace(source, document=kept), replace(volume, orientation=assets.orientation)
 
 
 def moved(light: Mapping[str, Any], files: Mapping[str, str]) -> Mapping[str, Any]:

@@ -2,15 +2,49 @@
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 Shape = tuple[int, ...]
+Vector = tuple[float, float, float]
 
 SLAB = 1 << 25
 """Approximate bytes of a slab, where the source leaves the choice."""
+
+
+PATIENT = "RAS"
+"""Letters of a world whose axes point to a patient's right, anterior and superior."""
+
+
+@dataclass(frozen=True)
+class Affine:
+    """Where voxels lie in the world: ``world = matrix · (x, y, z) + origin`` of a voxel's indices.
+
+    ``matrix`` is three rows. ``letters`` say where the world's axes point, PATIENT in a patient, else empty.
+    """
+
+    matrix: tuple[Vector, Vector, Vector]
+    origin: Vector
+    letters: str = ""
+
+    @classmethod
+    def of(cls, matrix: Any, letters: str = "") -> "Affine":
+        """From an array (3, 4) or (4, 4): the matrix, and the origin as its last column."""
+        rows = np.asarray(matrix, np.float64)[:3]
+        x, y, z = (_vector(row) for row in rows[:, :3])
+        return cls((x, y, z), _vector(rows[:, 3]), letters)
+
+    @property
+    def array(self) -> np.ndarray:
+        """The matrix with the origin as its last column, (3, 4) float64."""
+        return np.column_stack([np.array(self.matrix), np.array(self.origin)])
+
+
+def _vector(row: np.ndarray) -> Vector:
+    x, y, z = (float(value) for value in row)
+    return x, y, z
 
 
 def _nothing() -> str:
@@ -24,7 +58,8 @@ class Grid:
     ``shape`` is voxels along z, y, x, ``dtype`` the source's type and ``spacing`` (x, y, z) as the source gives it.
     ``slabs`` iterates anew on each call: arrays (layers, ny, nx) that make up the whole from z = 0 on. It raises
     VolumeError where the source is damaged. ``stamp`` names the source's state, as far as sizes and times of files
-    show it.
+    show it. ``affine`` says where voxels lie in the world, None where the source says spacing alone; ``unit`` is that
+    of lengths, empty where unknown. ``notes`` are sentences on what was done to make this field of the source.
     """
 
     shape: Shape
@@ -32,6 +67,9 @@ class Grid:
     spacing: Sequence[float]
     slabs: Callable[[], Iterator[np.ndarray]]
     stamp: Callable[[], str] = _nothing
+    affine: Affine | None = None
+    unit: str = ""
+    notes: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, array: np.ndarray, spacing: Sequence[float] = (1.0, 1.0, 1.0)) -> "Grid":
@@ -46,6 +84,11 @@ class Grid:
     def size(self) -> int:
         """Voxels in all."""
         return math.prod(self.shape)
+
+    def loaded(self) -> "Grid":
+        """The same grid with all values in memory."""
+        array = self.whole()
+        return replace(self, slabs=lambda: iter((array,)))
 
     def whole(self) -> np.ndarray:
         """All values in memory; (nz, ny, nx)."""

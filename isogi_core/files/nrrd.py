@@ -11,6 +11,7 @@ import re
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from pathlib import Path, PurePath
 from typing import IO, Any
@@ -19,7 +20,7 @@ import nrrd
 import numpy as np
 
 from isogi_core.errors import VolumeError
-from isogi_core.files.grid import Grid, layers_of
+from isogi_core.files.grid import PATIENT, Affine, Grid, layers_of
 from isogi_core.files.zarr_location import stamp_of
 
 Spacing = tuple[float, float, float]
@@ -50,6 +51,13 @@ _HEADER_END = re.compile(rb"\n[ \t\r\f\v]*\n")
 _SCALAR_KINDS = {"domain", "space", "time", "none", "???"}
 _BLOCK = 1 << 24
 
+_SPACES = {
+    **dict.fromkeys(("right-anterior-superior", "ras"), ((1, 1, 1), PATIENT)),
+    **dict.fromkeys(("left-anterior-superior", "las"), ((-1, 1, 1), PATIENT)),
+    **dict.fromkeys(("left-posterior-superior", "lps"), ((-1, -1, 1), PATIENT)),
+}
+"""Signs that bring coordinates of a space to those of a patient's right, anterior and superior, and their letters."""
+
 
 def read_nrrd(path: str | Path) -> tuple[np.ndarray, Spacing]:
     """Read one scalar volume: the array (z, y, x) in the file's own type, and spacing (x, y, z).
@@ -77,7 +85,8 @@ def open_nrrd(path: str | Path) -> Grid:
         sizes, dtype = _sizes(path, header), _dtype(path, header)
         with _data(path, header, file) as data:
             files = (path, Path(data.name))
-        return Grid(sizes[::-1], dtype, _spacing(path, header), partial(_slabs, path), partial(stamp_of, files))
+        grid = Grid(sizes[::-1], dtype, _spacing(path, header), partial(_slabs, path), partial(stamp_of, files))
+        return _placed(grid, header)
 
 
 def _slabs(path: Path) -> Iterator[np.ndarray]:
@@ -107,8 +116,8 @@ def _readable(path: Path) -> Iterator[None]:
         raise VolumeError(f"The volume '{path}' cannot be read ({error}): check the file.") from error
 
 
-def read_attached(file: IO[bytes], name: str, most: int) -> tuple[np.ndarray, Spacing]:
-    """Read one scalar volume from an open, untrusted file with the display ``name``.
+def read_attached(file: IO[bytes], name: str, most: int) -> Grid:
+    """Read one scalar volume from an open, untrusted file with the display ``name`` into memory.
 
     Like ``read_nrrd``, but no other file is opened, and the header must end within MAX_HEADER bytes and promise at
     most ``most`` voxels: both are checked before any memory is allocated.
@@ -123,7 +132,7 @@ def read_attached(file: IO[bytes], name: str, most: int) -> tuple[np.ndarray, Sp
     voxels = math.prod(_sizes(path, header))
     if voxels > most:
         raise VolumeError(f"'{path}' has {voxels} voxels, and {most} are the most that may be: save a smaller part.")
-    return _read(path, file, header)
+    return _placed(Grid.of(*_read(path, file, header)), header)
 
 
 def _read(path: Path, file: IO[bytes], header: dict[str, Any]) -> tuple[np.ndarray, Spacing]:
@@ -263,3 +272,17 @@ def _spacing(path: Path, header: dict[str, Any]) -> Spacing:
     if len(steps) != 3:
         raise VolumeError(f"'{path}' gives {len(steps)} spacings for 3 axes: mend its header.")
     return steps[0], steps[1], steps[2]
+
+
+def _placed(grid: Grid, header: dict[str, Any]) -> Grid:
+    """The grid with what its header says of the world; with spacing alone where that is all."""
+    units = {str(unit).strip('"') for unit in header.get("space units", ())}
+    unit = units.pop() if len(units) == 1 else ""
+    rows = np.asarray(header.get("space directions", ()), np.float64)
+    if rows.shape != (3, 3):
+        return replace(grid, unit=unit)
+    signs, letters = _SPACES.get(str(header.get("space", "")).lower().removesuffix("-time"), ((1, 1, 1), ""))
+    origin = np.asarray(header.get("space origin", (0.0, 0.0, 0.0)), np.float64)
+    known = origin if origin.shape == (3,) and np.isfinite(origin).all() else np.zeros(3)
+    affine = np.column_stack([rows.T, known]) * np.array(signs)[:, None]
+    return replace(grid, unit=unit, affine=Affine.of(affine, letters))

@@ -11,6 +11,9 @@ from isogi_core.errors import SceneError
 
 DEFAULT_DEMO = "demo:casting"
 
+METADATA = ("zarr.json", ".zgroup", ".zarray", ".zattrs")
+"""Metadata files of Zarr; every group and array has one of them."""
+
 
 @dataclass(frozen=True)
 class SceneSource:
@@ -26,15 +29,17 @@ class SceneSource:
 
 def find_source(target: str | Path | None, overrides: Mapping[str, Any]) -> SceneSource:
     """Read a scene's document, without opening its volume."""
-    text = str(target or DEFAULT_DEMO)
+    text, lying = split_axes(str(target or DEFAULT_DEMO))
+    overrides = {**overrides, **lying}
     if text.startswith("demo:"):
         return SceneSource(text.removeprefix("demo:"), {"volume": text, **overrides}, Path.cwd())
     if "://" in text:
         return SceneSource(name_of(Path(text)), {"volume": text, **overrides}, Path.cwd())
-    path = Path(text).resolve()
+    whole_name, mark, part = (text, "", "") if Path(text).exists() else text.partition("#")
+    path = Path(whole_name).resolve()
     if path.suffix != ".toml":
         whole = next((each for each in path.parents if each.suffix == ".zarr"), path)
-        name, place = name_of(path), str(path.relative_to(whole.parent))
+        name, place = name_of(path), f"{path.relative_to(whole.parent)}{mark}{part}"
         return SceneSource(name, {"volume": place, **overrides}, whole.parent)
     try:
         document = tomllib.loads(path.read_text(encoding="utf-8"))
@@ -45,15 +50,29 @@ def find_source(target: str | Path | None, overrides: Mapping[str, Any]) -> Scen
     return SceneSource(path.stem, {**document, **overrides}, path.parent)
 
 
+def split_axes(target: str) -> tuple[str, dict[str, str]]:
+    """A target without what follows its # about axes, and that as a setting."""
+    place, mark, part = target.rpartition("#")
+    if not mark or Path(target).exists():
+        return target, {}
+    axes = [each for each in part.split("&") if each.startswith("axes=")]
+    rest = "&".join(each for each in part.split("&") if each not in axes)
+    told = {"axes": axes[-1].removeprefix("axes=")} if axes else {}
+    return f"{place}#{rest}" if rest else place, told
+
+
 def is_zarr(path: Path) -> bool:
-    """Whether a volume at ``path`` is read as Zarr: a folder, or a path inside one that ends in .zarr."""
-    return path.is_dir() or (not path.is_file() and any(each.suffix == ".zarr" for each in (path, *path.parents)))
+    """Whether a volume at ``path`` is read as Zarr: a folder that is one, or a path inside one that ends in .zarr."""
+    if path.is_dir() and any((path / name).is_file() for name in METADATA):
+        return True
+    return not path.is_file() and any(each.suffix == ".zarr" for each in (path, *path.parents))
 
 
 def name_of(path: Path) -> str:
     """Display name of the volume at ``path``: the file's name, and the part that is chosen of a Zarr hierarchy."""
     whole = next((each for each in path.parents if each.suffix == ".zarr"), path)
-    return "-".join([whole.stem, *path.relative_to(whole).parts])
+    stem = Path(whole.name.removesuffix(".gz")).stem if whole.suffix == ".gz" else whole.stem
+    return "-".join([stem, *path.relative_to(whole).parts])
 
 
 Word = TypeVar("Word", str, int)

@@ -13,6 +13,7 @@ from zarr.abc.store import Store
 from zarr.storage import LocalStore, ObjectStore
 
 from isogi_core.errors import VolumeError
+from isogi_core.files.scene_file import METADATA
 from isogi_core.storage.object_store import call_options, retry_options
 from isogi_core.storage.url import BUCKETS, SECRET, StoreUrl
 
@@ -25,9 +26,6 @@ def stamp_of(files: Iterable[Path]) -> str:
         digest.update(f"{path} {state.st_size} {state.st_mtime_ns} {state.st_ctime_ns}\0".encode())
     return digest.hexdigest()
 
-
-METADATA = ("zarr.json", ".zgroup", ".zarray", ".zattrs")
-"""Metadata files; every Zarr group and array has one of them."""
 
 SECONDS = 30.0
 """Seconds for one call to a URL."""

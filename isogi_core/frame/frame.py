@@ -69,7 +69,15 @@ class Frame:
     @property
     def position(self) -> np.ndarray:
         """World coordinates of the surface in each pixel; (h, w, 3) float32."""
-        return self.gbuffer.position
+        return self.positions(0, self.state.shape[0])
+
+    def positions(self, first: int, last: int) -> np.ndarray:
+        """``position`` in the rows from ``first`` to ``last``, zero off the surface; (last - first, w, 3) float32."""
+        found = self.gbuffer.positions(first, last)
+        if self.view.orientation.placed:
+            on = self.state[first:last] > 0
+            found[on] = self.view.orientation.to_world(found[on].astype(np.float64))
+        return found
 
     @cached_property
     def _tally(self) -> tuple[np.ndarray, np.ndarray]:

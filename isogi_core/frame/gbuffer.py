@@ -69,7 +69,7 @@ class GBuffer:
 
     @property
     def position(self) -> np.ndarray:
-        """World coordinates of the surface in each pixel, zero off the surface; (h, w, 3) float32."""
+        """Coordinates, in the volume's box, of the surface in each pixel, zero off it; (h, w, 3) float32."""
         return self.positions(0, self.shape[0])
 
     def positions(self, first: int, last: int) -> np.ndarray:

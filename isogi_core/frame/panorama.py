@@ -24,14 +24,16 @@ MARK = 0.05
 """Radius of the mark of a directional light, radians."""
 
 
-def paint_panorama(environment: Environment, lamps: Lamps, width: int) -> np.ndarray:
+def paint_panorama(environment: Environment, lamps: Lamps, width: int, turn: np.ndarray | None = None) -> np.ndarray:
     """The picture (width // 2, width, 3) uint8 sRGB of what comes from infinitely far, unturned.
 
     Its grid is that of a probe: the top row is +z, column 0 starts at azimuth 0. Directional lights are discs in
-    their own colour. Lamps that stand in the scene are in no direction, and are not shown.
+    their own colour. Lamps that stand in the scene are in no direction, and are not shown. Where the light is that of
+    a volume's box, ``turn`` (3, 3) is the box's rotation in the world, which is shown.
     """
-    picture = tone(glare(resample(environment.overview, width // 2, width)))
-    directions = pixel_directions(*picture.shape[:2])
+    overview = environment if turn is None else environment.turned(turn.T)
+    picture = tone(glare(resample(overview.overview, width // 2, width)))
+    directions = pixel_directions(*picture.shape[:2]) @ (np.eye(3) if turn is None else turn)
     far = lamps.arrays.kinds == DIRECTIONAL
     for towards, colour in zip(lamps.arrays.places[far], lamps.arrays.colours[far], strict=True):
         if colour.any():

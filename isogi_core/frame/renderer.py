@@ -18,6 +18,7 @@ import hashlib
 import threading
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -28,7 +29,7 @@ from isogi_core.cache.page_pool import Held, PagePool
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.frame.control_pixels import expected_error
 from isogi_core.frame.frame import Frame
-from isogi_core.frame.gbuffer import GBuffer, trace
+from isogi_core.frame.gbuffer import GBuffer, to_index, trace
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.picture_check import PictureCheck
 from isogi_core.frame.pixel_rays import LobeLight, find_lobes
@@ -143,6 +144,19 @@ class Renderer:
         """The lights of a view, turned: with all their lobes where it is at rest."""
         spec = self.caches.spec(view.shading)
         return RotatedLight(spec.moving if view.moving else spec, view)
+
+    def light_points(self, view: View, points: np.ndarray) -> tuple[Frame, np.ndarray]:
+        """The light of surface ``points`` (m, 3) in index space that no ray has found, and their normals (m, 3).
+
+        It is a frame of one row, whose pixel i shows point i. The ``view`` says isovalue, albedo and the light's turn.
+        """
+        self.forget_views()  # another row of points would have the same key
+        surface, row = self.prepared.surface(view.isovalue), replace(view, width=len(points), height=1, shading="gi")
+        eye = to_index(np.array(view.camera.eye), surface.field.spacing)
+        pixels, places = np.arange(len(points), dtype=np.uint32), np.ascontiguousarray(points, np.float32)
+        gbuffer = GBuffer((1, len(points)), surface.field.spacing, eye, surface, pixels, places)
+        light, target = self._light(row), self.prepared.scene.target_error
+        return self._render_texels(gbuffer, light, target, self.tiles, Stopwatch()), gbuffer.normals(self.tiles)
 
     def _render_texels(
         self, gbuffer: GBuffer, light: RotatedLight, target: float, tiles: Tiles, watch: Stopwatch

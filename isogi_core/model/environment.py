@@ -17,6 +17,7 @@ from isogi_core.model.lights import (
     PointLight,
     Vector,
 )
+from isogi_core.model.orientation import PLAIN, Orientation
 from isogi_core.model.sky import LUMINANCE
 
 Row = tuple[int, np.ndarray, np.ndarray, np.ndarray]
@@ -77,8 +78,8 @@ class Lamps:
         return float((cosines @ (irradiances @ LUMINANCE)).max(initial=0.0)) / math.pi
 
 
-def gather_lamps(lights: Sequence[Light]) -> Lamps:
-    """Gather the lamps among the lights into arrays."""
+def gather_lamps(lights: Sequence[Light], orientation: Orientation = PLAIN) -> Lamps:
+    """Gather the lamps among the lights into arrays, in the box of a volume with an ``orientation``."""
     rows = [_row(light) for light in lights if isinstance(light, Lamp)]
     arrays = LampArrays(
         np.array([row[0] for row in rows], np.int8),
@@ -86,10 +87,18 @@ def gather_lamps(lights: Sequence[Light]) -> Lamps:
         np.array([row[2] for row in rows], np.float64).reshape(-1, 2, 3),
         np.array([row[3] for row in rows], np.float64).reshape(-1, 3),
     )
+    arrays = _in_box(arrays, orientation) if orientation.placed else arrays
     digest = hashlib.blake2b(digest_size=16)
     for array in arrays:
         digest.update(array.tobytes())
     return Lamps(arrays, digest.hexdigest())
+
+
+def _in_box(lamps: LampArrays, orientation: Orientation) -> LampArrays:
+    """Lamps of the world in the box: directional ones have a direction for their place."""
+    near = (lamps.kinds != DIRECTIONAL)[:, None]
+    places = np.where(near, lamps.places - np.array(orientation.origin), lamps.places)
+    return lamps._replace(places=places @ orientation.matrix, edges=lamps.edges @ orientation.matrix)
 
 
 def _row(light: Lamp) -> Row:
@@ -114,6 +123,9 @@ def _disc(light: DirectionalLight) -> tuple[np.ndarray, np.ndarray]:
 
 OVERVIEW = (256, 512)
 """Rows and columns of an environment's overview."""
+
+FINE = 4
+"""Samples along each side of a pixel of an image that is turned."""
 
 SHARP = 1.0
 """Relative variance of the luminance over the sphere from which shadow rays towards its bright parts pay.
@@ -174,6 +186,24 @@ class Environment:
     def _luminance(self) -> np.ndarray:
         """Luminance (h, w) float64 of all light, constant and image."""
         return np.asarray(self.image @ LUMINANCE + self.constant @ LUMINANCE)
+
+    def turned(self, matrix: np.ndarray) -> "Environment":
+        """This environment as a box sees it that lies in it turned by ``matrix`` (3, 3).
+
+        Each pixel is the mean of FINE² samples. The digest follows from this one's and the matrix.
+        """
+        if not self.image.any():
+            return self
+        height, width = self.image.shape[:2]
+        fine, image = pixel_directions(FINE * height, FINE * width), np.zeros((height, width, 3))
+        weights = np.sin((np.arange(FINE * height) + 0.5) * (np.pi / (FINE * height)))
+        for i in range(height):
+            rows = slice(FINE * i, FINE * (i + 1))
+            seen = self.radiance(fine[rows] @ matrix.T) - self.constant
+            shares = weights[rows] / (weights[rows].sum() * FINE)
+            image[i] = (shares[:, None, None] * seen.reshape(FINE, width, FINE, 3).sum(axis=2)).sum(axis=0)
+        digest = hashlib.blake2b(f"{self.digest} {matrix.round(9).tolist()}".encode(), digest_size=16).hexdigest()
+        return Environment(self.constant, image.astype(np.float32), digest, self.name)
 
     def mean(self) -> np.ndarray:
         """Mean radiance (3,) over the sphere."""

@@ -1,11 +1,12 @@
 """A view: the camera, isovalue, light rotation, picture size and shading of one frame."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from isogi_core.errors import ViewError
+from isogi_core.model.orientation import PLAIN, Orientation, triple
 
 Vec3 = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
@@ -26,7 +27,7 @@ IDENTITY: Quaternion = (1.0, 0.0, 0.0, 0.0)
 
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole camera in world space (voxel index × spacing, z up).
+    """A pinhole camera, in the world (z up) or in a volume's box (voxel index × spacing).
 
     ``fov`` is the vertical field of view in degrees. Raises ViewError where the frame of
     reference degenerates: eye at the target, ``up`` along the view, fov outside (0, 180).
@@ -54,9 +55,22 @@ class Camera:
         """Unit vectors (right, up, forward), right-handed, each of shape (3,), float64."""
         forward = np.subtract(self.target, self.eye)
         forward = forward / np.linalg.norm(forward)
-        right = np.cross(forward, self.up)
+        up = np.ldexp(self.up, -int(np.frexp(max(map(abs, self.up)))[1]))  # no product of its parts underflows
+        right = np.cross(forward, up)
         right = right / np.linalg.norm(right)
         return right, np.cross(right, forward), forward
+
+    def in_box(self, orientation: Orientation) -> "Camera":
+        """This camera of the world in the box of a volume with an ``orientation``."""
+        if not orientation.placed:
+            return self
+        eye, target = orientation.point_to_box(self.eye), orientation.point_to_box(self.target)
+        return replace(self, eye=eye, target=target, up=orientation.direction_to_box(self.up))
+
+    def in_world(self, orientation: Orientation) -> "Camera":
+        """This camera of the box of a volume with an ``orientation`` in the world."""
+        eye, target = (triple(orientation.to_world(point)) for point in (self.eye, self.target))
+        return replace(self, eye=eye, target=target, up=triple(orientation.matrix @ self.up))
 
 
 def orbit(centre: Vec3, radius: float, azimuth: float, elevation: float, distance: float, fov: float) -> Camera:
@@ -106,10 +120,29 @@ def rotation_matrix(q: Quaternion) -> np.ndarray:
     )
 
 
+def quaternion_of(matrix: np.ndarray) -> Quaternion:
+    """The unit quaternion (w, x, y, z), w not negative, of a rotation ``matrix`` (3, 3).
+
+    It is the eigenvector of the greatest eigenvalue of Bar-Itzhack's symmetric matrix, exact to rounding everywhere.
+    Source: Bar-Itzhack, "New method for extracting the quaternion from a rotation matrix", 2000.
+    """
+    m = np.asarray(matrix, np.float64)
+    skew = np.array([m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]])
+    symmetric = np.block([[np.array([[np.trace(m)]]), skew[None]], [skew[:, None], m + m.T - np.trace(m) * np.eye(3)]])
+    w, x, y, z = (float(value) for value in np.linalg.eigh(symmetric)[1][:, -1])
+    return (w, x, y, z) if w >= 0.0 else (-w, -x, -y, -z)
+
+
+def light_in_box(light: Quaternion, orientation: Orientation) -> Quaternion:
+    """A rotation of light in the world, in the box: there it is followed by the box's own rotation, backwards."""
+    return quaternion_of(orientation.matrix.T @ rotation_matrix(light)) if orientation.turned else light
+
+
 @dataclass(frozen=True)
 class View:
     """The parameters of one frame. ``isovalue`` is in the volume's own units; ``light`` rotates the environment.
 
+    Camera and light are those of the volume's box; the ``orientation`` says where that is in the world.
     ``samples`` is the number of paths per pixel and is read by ``path_traced`` alone. ``albedo``, linear RGB, is that
     of the surface, the scene's own by default; see ``Scene.albedo_for``. Texels of a view that is ``moving`` are not
     projected: its pictures are to come quickly.
@@ -124,6 +157,7 @@ class View:
     samples: int = field(default=16)
     albedo: Vec3 | None = None
     moving: bool = field(default=False, repr=False)
+    orientation: Orientation = field(default=PLAIN, repr=False)
 
     def __post_init__(self) -> None:
         if not math.isfinite(self.isovalue):

@@ -3,11 +3,13 @@
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any, NewType
 
 import numpy as np
 
-from isogi_core.files.grid import Grid
+from isogi_core.files.grid import Grid, Vector
+from isogi_core.model.orientation import PLAIN, Orientation, triple
 from isogi_core.model.value_survey import STAGES, Progress, no_progress, normalise, survey
 
 CORE = 4.0
@@ -36,7 +38,8 @@ class Volume:
     "below". ``value_range`` is the finite minimum and maximum in the volume's own units, ``core`` the same without
     outliers, and ``steps`` how many values of that range the source's type can distinguish. ``holes`` is the number of
     voxels that are NaN, ``digest`` a hex digest of everything that light depends on. ``counts`` are those of the
-    ``histogram`` and ``span`` is the ``core_span``, where they were kept.
+    ``histogram`` and ``span`` is the ``core_span``, where they were kept. ``orientation`` says where the box lies in
+    the world; light does not depend on it, but on where the world's lights are in the box.
     """
 
     voxels: np.ndarray
@@ -53,6 +56,7 @@ class Volume:
     holes: int
     counts: tuple[int, ...] = ()
     span: tuple[float, ...] = ()
+    orientation: Orientation = PLAIN
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -68,15 +72,26 @@ class Volume:
 
     @property
     def extent(self) -> tuple[float, float, float]:
-        """World lengths of the box between the outermost voxel centres, along x, y, z."""
+        """Lengths of the box between the outermost voxel centres, along x, y, z."""
         x, y, z = ((n - 1) * step for n, step in zip(self.size, self.spacing, strict=True))
         return x, y, z
 
     @property
     def centre(self) -> tuple[float, float, float]:
-        """The middle of the box, world x, y, z."""
+        """The middle of the box, in the box's own x, y, z."""
         x, y, z = self.extent
         return x / 2, y / 2, z / 2
+
+    @property
+    def world_centre(self) -> Vector:
+        """The middle of the box, world x, y, z."""
+        return triple(self.orientation.to_world(self.centre))
+
+    @property
+    def world_bounds(self) -> tuple[Vector, Vector]:
+        """The least and the greatest world x, y, z of the box's corners."""
+        corners = self.orientation.to_world(np.array(list(product(*((0.0, length) for length in self.extent)))))
+        return triple(corners.min(axis=0)), triple(corners.max(axis=0))
 
     @property
     def radius(self) -> float:

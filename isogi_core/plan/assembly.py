@@ -51,7 +51,7 @@ def build_scene(source: SceneSource, progress: Progress = no_progress, volume: V
     settings = Settings(source)
     volume = volume or open_volume(settings, source.base, progress)
     lights = tuple(light_from_mapping(entry, source.base) for entry in settings.lights())
-    lamps = gather_lamps(lights)
+    lamps = gather_lamps(lights, volume.orientation)
     isovalues = settings.interval("isovalues", volume.value_range, volume.core)
     fallback = min(max(default_isovalue(settings, volume), isovalues[0]), isovalues[1])
     isovalue = settings.number("isovalue", fallback, *isovalues)
@@ -59,6 +59,8 @@ def build_scene(source: SceneSource, progress: Progress = no_progress, volume: V
     overrides = plan_overrides(settings, albedo)
     target_error = settings.number("target_error", 0.02, 1e-4, 1.0)
     light, rotating = assemble_environment(lights), may_rotate(settings, lamps)
+    if volume.orientation.turned and not rotating:
+        light = light.turned(volume.orientation.matrix)
     most = albedo if overrides.albedos is None else (overrides.albedos[1],) * 3
     inputs = PlanInputs(light, lamps, volume.centre, volume.radius, rotating, most, target_error)
     plan = plan_scene(inputs, overrides)

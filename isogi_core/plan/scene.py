@@ -197,12 +197,15 @@ class Scene:
         """Digest (hex) of everything that a frame of this scene depends on, its view left out."""
         lights = [self.environment.digest, self.lamps.digest]
         settled = [] if self.projected is None else ["projected", self.projected]
+        orientation = self.volume.orientation
+        placed = [orientation.rotation, orientation.origin] if orientation.placed else []
         lit = [self.albedo, self.plan.order, self.plan.lobes, self.target_error]
-        return digest_of([self.bake_digest, *lights, *lit, *settled])
+        return digest_of([self.bake_digest, *lights, *lit, *settled, *placed])
 
     def camera(self, azimuth: float, elevation: float, distance: float, fov: float) -> Camera:
-        """Camera around the middle of the volume's box; angles in degrees, distance in its bounding radii."""
-        return orbit(self.volume.centre, self.volume.radius, azimuth, elevation, distance, fov)
+        """Camera, in the volume's box, around its middle; angles in the world, degrees; distance in bounding radii."""
+        camera = orbit(self.volume.world_centre, self.volume.radius, azimuth, elevation, distance, fov)
+        return camera.in_box(self.volume.orientation)
 
 
 def digest_of(parts: list[Any]) -> str:

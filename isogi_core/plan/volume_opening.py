@@ -10,20 +10,28 @@ from typing import Any
 import numpy as np
 
 from isogi_core.errors import SceneError, VolumeError
+from isogi_core.files.formats.opening import open_file, split_part
 from isogi_core.files.grid import Grid
-from isogi_core.files.nrrd import open_nrrd
+from isogi_core.files.right_angles import on_right_angles
 from isogi_core.files.scene_file import DEFAULT_DEMO, Settings, is_zarr, name_of
 from isogi_core.files.volume_copies import get_copy
 from isogi_core.files.voxel_file import OWN, Draft, budget
 from isogi_core.model.demo import DEMOS, demo_volume
+from isogi_core.model.orientation import Orientation
 from isogi_core.model.value_survey import Progress, check, checked_spacing, no_progress, survey
 from isogi_core.model.volume import Volume, make_volume
 
 FORMAT = 1
 """Version of the copies: increased when the same file gives other voxels."""
 
-NESTED = {"level": "resolution", "channel": "channel", "time": "time"}
-"""Settings of a scene that choose a part of a Zarr volume."""
+NESTED = ("level", "channel", "time", "series")
+"""Settings of a scene that choose a part of a file."""
+
+ZARR = NESTED[:3]
+"""Those of them that choose in a Zarr volume."""
+
+AXES = ("world", "raw")
+"""What a scene's ``axes`` may be: as the volume's file says, or voxel indices times spacing."""
 
 
 def open_volume(settings: Settings, base: Path, progress: Progress = no_progress) -> Volume:
@@ -33,30 +41,42 @@ def open_volume(settings: Settings, base: Path, progress: Progress = no_progress
     """
     name = settings.text("volume", DEFAULT_DEMO)
     solid = settings.text("solid", "above")
+    raw = settings.choice("axes", AXES) == "raw"
     spacing, missing = settings.numbers("spacing", 3), settings.listed("missing")
     chosen = {key: value for key in NESTED if (value := settings.count(key, 1 << 20)) is not None}
     if not name.startswith("demo:"):
         grid, stem = open_grid(base, name, chosen)
-        return volume_of(replace(grid, spacing=spacing or grid.spacing), solid, stem, missing, progress)
+        straight = on_right_angles(replace(grid, affine=None) if raw else grid, spacing)
+        volume = volume_of(straight, solid, stem, missing, progress)
+        return replace(volume, orientation=Orientation.of(straight))
     if name.removeprefix("demo:") not in DEMOS:
         raise VolumeError(f"There is no {name}: choose one of {', '.join('demo:' + key for key in DEMOS)}.")
-    if spacing or missing or chosen or solid != "above":
+    if spacing or missing or chosen or raw or solid != "above":
         made = "is made with spacing 1, solid above and nothing missing"
-        named = ", ".join(f"'{key}'" for key in ("spacing", "solid", "missing", *chosen))
+        named = ", ".join(f"'{key}'" for key in ("spacing", "solid", "missing", "axes", *chosen))
         raise SceneError(f"{name} {made}: leave out {named}.")
     return demo_volume(name.removeprefix("demo:"))
 
 
 def open_grid(base: Path, name: str, chosen: dict[str, int]) -> tuple[Grid, str]:
-    """The grid at a path or a URL, and its display name."""
-    place = name if "://" in name else base / name
+    """The grid at a path or a URL, and its display name; what follows a # in the name chooses too."""
+    named, inside = (name, {}) if "://" in name or (base / name).exists() else split_part(name)
+    place = named if "://" in named else base / named
     if isinstance(place, str) or is_zarr(place):
         from isogi_core.files.zarr_volume import open_zarr  # noqa: PLC0415 (loads Zarr, which NRRD does not need)
 
-        return open_zarr(place, **chosen), name_of(Path(place))
-    if chosen:
-        raise SceneError(f"'{name}' is no Zarr volume: leave out '{next(iter(chosen))}'.")
-    return open_nrrd(base / name), Path(name).stem
+        wanted = {key: str(value) for key, value in {**chosen, **inside}.items()}
+        wrong = next((key for key, value in wanted.items() if key not in ZARR or not value.isdecimal()), None)
+        if wrong is not None:
+            raise SceneError(f"{wrong} = {wanted[wrong]} chooses nothing in '{named}': give {' or '.join(ZARR)}.")
+        return open_zarr(place, **{key: int(value) for key, value in wanted.items()}), name_of(Path(place))
+    return open_file(place, {**chosen, **inside}), stem_of(place, inside)
+
+
+def stem_of(path: Path, inside: dict[str, str]) -> str:
+    """The display name of a file and what is chosen in it."""
+    stem = path.name.removesuffix(".gz").removesuffix(".bz2")
+    return "-".join([Path(stem).stem if path.suffix else stem, *(value.strip("/") for value in inside.values())])
 
 
 def volume_of(grid: Grid, solid: str, name: str, missing: Sequence[float], progress: Progress) -> Volume:
@@ -65,7 +85,8 @@ def volume_of(grid: Grid, solid: str, name: str, missing: Sequence[float], progr
     size = grid.size * np.dtype(np.float32).itemsize
     if size <= OWN * budget():
         return make_volume(grid.whole(), grid.spacing, solid, name, missing)
-    parts = [FORMAT, grid.stamp(), checked_spacing(grid.spacing), solid, missing]
+    lying = [] if grid.affine is None else [grid.affine.array.tolist(), grid.shape]  # it may be mirrored or resampled
+    parts = [FORMAT, grid.stamp(), checked_spacing(grid.spacing), solid, missing, *lying]
     key = hashlib.blake2b(json.dumps(parts).encode(), digest_size=16).hexdigest()
     voxels, facts = get_copy(key, size, lambda draft: make_copy(grid, draft, solid, name, missing, progress))
     return Volume(voxels, **{**facts, "name": name})

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from isogi_core.errors import IsogiError, LightError, SceneError, StoreUrlError, ViewError, VolumeError
+from server.cli.arguments import DEVELOPED, REPORT_OPTIONS, VIEW_OPTIONS, WORK_OPTIONS, axes_option
 from server.errors import LibraryError
 
 if TYPE_CHECKING:
@@ -24,6 +25,7 @@ MODULES = {
     "report": "server.report.command",
     "prewarm": "server.cli.prewarm",
     "prewarm --server": "server.cli.remote_prewarm",
+    "export": "server.cli.export",
     "inspect": "server.inspect.text",
     "bench": "server.cli.bench",
     "store": "server.cli.store",
@@ -37,42 +39,6 @@ def module_of(command: str) -> Any:
 
 
 BAD_INPUT = (SceneError, VolumeError, LightError, ViewError, StoreUrlError)
-VIEW_OPTIONS = {
-    "isovalue": "In the volume's own units; default: the scene's.",
-    "azimuth": "Degrees; 0 looks from +x, 90 from +y.",
-    "elevation": "Degrees above the xy plane.",
-    "distance": "From the target, in radii of the volume's bounding sphere.",
-    "fov": "Vertical field of view, degrees.",
-    "eye": "World x,y,z, instead of azimuth, elevation and distance.",
-    "target": "World x,y,z to look at; default: the volume's centre.",
-    "up": "World x,y,z that points up in the picture.",
-    "yaw": "Turns the light about z, degrees.",
-    "pitch": "Then about y, degrees.",
-    "roll": "Then about x, degrees.",
-    "light": "Quaternion w,x,y,z that turns the light, instead of yaw, pitch and roll.",
-    "albedo": "Of the surface, one number or r,g,b, within the scene's albedos; default: the scene's albedo.",
-    "width": "Pixels.",
-    "height": "Pixels.",
-    "shading": "gi, vicinity, lambert[_shadow|_fog], phong[_shadow] or path_traced.",
-    "exposure": "Factor on radiance before the tone curve.",
-    "samples": "Paths per pixel, for path_traced.",
-    "overlay": "none, provisional (hatches what is not final) or error (each pixel's estimate as a colour).",
-}
-DEVELOPED = ("shading", "samples", "exposure", "overlay")
-"""Options that a reference, which is radiance alone, does not read."""
-
-PICTURE_OPTIONS = ("albedo", "width", "height", "shading", "samples", "overlay")
-REPORT_OPTIONS = {
-    **{name: text for name, text in VIEW_OPTIONS.items() if name not in PICTURE_OPTIONS},
-    "azimuth": "Degrees; 0 looks from +x, 90 from +y; default: 40.",
-    "elevation": "Degrees above the xy plane; default: 30.",
-    "distance": "From the target, in radii of the volume's bounding sphere; default: 2.2.",
-}
-WORK_OPTIONS = {
-    "workers": "Baking processes; default: one per core.",
-    "store": "Path or URL of the cache; default: the user's cache folder.",
-    "scheduler": "Address of a Dask scheduler to bake on, instead of own workers.",
-}
 Command = Callable[..., Any]
 
 
@@ -170,14 +136,16 @@ def cli() -> None:
 
 @cli.command(cls=SettingsCommand)
 @click.argument("target", required=False)
+@axes_option
 def serve(target: str | None, config: Path | None, **given: str | None) -> None:
-    """Serve TARGET, a scene (.toml) or a volume (.nrrd, .nhdr, .zarr); with neither, a demo."""
+    """Serve TARGET, a scene (.toml) or a volume (NRRD, NIfTI, DICOM, TIFF, Zarr …); with neither, a demo."""
     settings = settings_from(config, **given)
     module_of("serve").serve(target, settings)
 
 
 @cli.command()
 @click.argument("scene", metavar="TARGET")
+@axes_option
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path, dir_okay=False))
 @options(VIEW_OPTIONS)
 @click.option("--target-error", callback=number(0.0001, 1), help="Relative error at which a pixel is final.")
@@ -196,6 +164,7 @@ def render(
 
 @cli.command()
 @click.argument("scene", metavar="TARGET")
+@axes_option
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path, dir_okay=False), help="A file, .npz.")
 @options({name: text for name, text in VIEW_OPTIONS.items() if name not in DEVELOPED})
 @click.option("--samples", type=click.IntRange(1), help="Stop at so many paths per pixel.")
@@ -226,6 +195,7 @@ def reference(
 
 @cli.command()
 @click.argument("scene", metavar="TARGET")
+@axes_option
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path, file_okay=False), help="Folder.")
 @click.option("--size", type=click.IntRange(8, 1024), default=112, show_default=True, help="Pixels along each side.")
 @options(REPORT_OPTIONS)
@@ -253,6 +223,7 @@ def report(
 
 @cli.command()
 @click.argument("scene", metavar="TARGET")
+@axes_option
 @click.option("--isovalue", "isovalues", multiple=True, help="One, first:last:step, or first:last for all between.")
 @click.option("--views", help="Directions of each isovalue, spread over all sides; default: 12 where none are given.")
 @click.option("--view", "directions", multiple=True, metavar="azimuth=40,elevation=30", help="One direction.")
@@ -308,6 +279,7 @@ def remote() -> Any:
 
 @cli.command()
 @click.argument("target")
+@axes_option
 @click.option("--picture", type=click.Path(path_type=Path, dir_okay=False), help="Draw the stiffness to a file, .png.")
 @AS_JSON
 def inspect(target: str, picture: Path | None, as_json: bool) -> None:
@@ -316,7 +288,34 @@ def inspect(target: str, picture: Path | None, as_json: bool) -> None:
 
 
 @cli.command()
+@click.argument("scene", metavar="TARGET")
+@axes_option
+@click.option("-o", "--output", required=True, type=click.Path(path_type=Path, dir_okay=False), help="Its file.")
+@click.option("--isovalue", "isovalues", multiple=True, help="One; of a volume also more, or first:last.")
+@options({name: VIEW_OPTIONS[name] for name in ("albedo", "yaw", "pitch", "roll", "light")})
+@click.option("--exposure", callback=number(1e-36, 1e36), help="Factor on radiance; default: the scene's.")
+@click.option("--target-error", help="Relative error at which light is final.")
+@options(WORK_OPTIONS)
+@AS_JSON
+def export(
+    scene: str,
+    output: Path,
+    isovalues: tuple[str, ...],
+    exposure: float | None,
+    target_error: str | None,
+    as_json: bool,
+    **given: Any,
+) -> None:
+    """Write TARGET with its light to OUTPUT: an isosurface (.ply, .glb), or values and light (.vti, .nrrd)."""
+    settings, work = settings_from(**{name: given.pop(name) for name in WORK_OPTIONS}), module_of("export")
+    knobs = {name: value for name, value in given.items() if value is not None}
+    wishes = work.Wishes(output, isovalues, target_error, exposure)
+    show(work.export(scene, wishes, knobs, settings), work.exported, as_json)
+
+
+@cli.command()
 @click.argument("target", required=False)
+@axes_option
 @click.option("--isovalue", type=float, help="In the volume's own units; default: the scene's.")
 @click.option("--size", type=click.IntRange(1, 4096), default=512, show_default=True, help="Pixels along each side.")
 @click.option("--repeats", type=click.IntRange(1), default=5, show_default=True, help="Rounds that are timed.")

@@ -39,7 +39,15 @@ def prewarm(target: str, order: PrewarmOrder, settings: Settings, dry: bool = Fa
     Raises SceneError, VolumeError, LightError and ViewError before anything is begun, StoreError and WorkersError
     later. Whatever it ends with, what is baked stays, and the record in the store says what was asked.
     """
-    begun, scene = time.monotonic(), open_scene(target, settings)
+    begun = time.monotonic()
+    return prewarm_scene(open_scene(target, settings), order, settings, dry, begun)
+
+
+def prewarm_scene(
+    scene: Scene, order: PrewarmOrder, settings: Settings, dry: bool = False, begun: float | None = None
+) -> Summary:
+    """``prewarm`` of a scene that is open; time is counted from when it was ``begun``."""
+    begun = time.monotonic() if begun is None else begun
     Views(order, scene, settings)
 
     hired = (settings.workers, None if dry else settings.scheduler)

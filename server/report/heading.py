@@ -10,7 +10,7 @@ from typing import Any
 from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
 from server.answers import scene_schema
-from server.schemas import LayerSchema, Omission, PlanSchema, SavingSchema, SceneSchema
+from server.schemas import LayerSchema, Omission, PlanSchema, SavingSchema, SceneSchema, VolumeSchema
 
 WHAT = 46
 
@@ -20,6 +20,7 @@ def summary(facts: SceneSchema) -> Iterator[tuple[str, str]]:
     volume, low_high = facts.volume, facts.ranges["isovalue"]
     yield "scene", facts.name
     yield "volume", f"{volume.name}, {by(volume.size)} voxels of {volume.dtype}, spacing {by(volume.spacing)}"
+    yield from axes(volume)
     yield "values", f"{volume.value_range[0]:.10g} to {volume.value_range[1]:.10g}, {volume.holes} not finite"
     yield "isovalue", f"{facts.defaults['isovalue']:.10g}, from {low_high.min:.10g} to {low_high.max:.10g}"
     yield "solid", facts.solid
@@ -27,6 +28,16 @@ def summary(facts: SceneSchema) -> Iterator[tuple[str, str]]:
     yield "albedo", ", ".join(f"{channel:g}" for channel in facts.albedo) + others
     yield "lights", ", ".join(light.name for light in facts.lights)
     yield "target error", f"{facts.target_error:g}"
+
+
+def axes(volume: VolumeSchema) -> Iterator[tuple[str, str]]:
+    """Name and text of where the volume lies, unless its world is its voxels' indices times spacing."""
+    low, high = ((", ".join(f"{number:.6g}" for number in corner)) for corner in volume.bounds)
+    pointing = f"voxel axes point to {', '.join(volume.axes)}; " if volume.axes else ""
+    if pointing or any(low != 0.0 for low in volume.bounds[0]) or volume.unit:
+        unit = f" {volume.unit}" if volume.unit else ""
+        yield "world", f"{pointing}from ({low}) to ({high}){unit}{f', {volume.letters}' if volume.letters else ''}"
+    yield from (("note", note) for note in volume.notes)
 
 
 def plan_rows(plan: PlanSchema) -> Iterator[tuple[str, str]]:
@@ -99,7 +110,7 @@ def heading(scene: Scene, view: View) -> dict[str, Any]:
 
 def view_facts(view: View) -> dict[str, Any]:
     """The view that is measured."""
-    camera = view.camera
+    camera = view.camera.in_world(view.orientation)
     return {
         "isovalue": view.isovalue,
         "width": view.width,
@@ -158,7 +169,7 @@ def named(facts: SceneSchema, *names: str) -> Rows:
 
 def view_rows(view: View) -> Rows:
     """Name and text of each fact of a view."""
-    eye = ", ".join(f"{number:.4g}" for number in view.camera.eye)
+    eye = ", ".join(f"{number:.4g}" for number in view.camera.in_world(view.orientation).eye)
     return (
         ("isovalue", f"{view.isovalue:.10g}"),
         ("picture", f"{by((view.width, view.height))} pixels, from {eye}, {view.camera.fov:g} degrees high"),

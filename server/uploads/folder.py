@@ -17,6 +17,8 @@ from urllib.parse import quote, unquote
 
 import numpy as np
 
+from isogi_core.files.grid import PATIENT, Grid
+from isogi_core.model.orientation import Orientation
 from server.errors import FullError, UploadFolderError
 
 TYPES = {
@@ -25,6 +27,9 @@ TYPES = {
 }
 """NRRD's names of types by NumPy's."""
 
+SPACES = {PATIENT: "right-anterior-superior"}
+"""NRRD's names of spaces by their letters."""
+
 HEADER = """\
 NRRD0004
 type: {type}
@@ -32,13 +37,14 @@ dimension: 3
 sizes: {sizes}
 encoding: raw
 endian: little
-spacings: {spacings}
+{place}
 name:={name}
 
 """
 FORM = re.compile(
     rb"NRRD0004\ntype: (\w+)\ndimension: 3\nsizes: (\d+) (\d+) (\d+)\nencoding: raw\nendian: little\n"
-    rb"spacings: [-+.e\d ]+\nname:=([!-~]*)\n\n",
+    rb"(?:spacings: [-+.e\d ]+|space[ a-z]*: [-a-z\d]+\nspace directions: [-+.e\d(), ]+\nspace origin: [-+.e\d(),]+"
+    rb"(?:\nspace units: [^\n]+)?)\nname:=([!-~]*)\n\n",
     re.ASCII,
 )
 LONGEST = 4096
@@ -63,16 +69,18 @@ class UploadedVolume:
         return max(self.bytes, VOXEL * math.prod(self.size))
 
 
-def write(file: IO[bytes], array: np.ndarray, spacing: Sequence[float], name: str) -> str:
-    """Write an array (z, y, x) as a canonical file; gives its id, a digest of all but the name.
+def write(file: IO[bytes], grid: Grid, name: str) -> str:
+    """Write a grid on right angles as a canonical file; gives its id, a digest of all but the name.
 
-    The name of what has none is made of the id.
+    The name of what has none is made of the id. Types that NRRD lacks become the next that it has.
     """
-    voxels = np.ascontiguousarray(array, array.dtype.newbyteorder("<"))
+    array = grid.whole()
+    kind = {"b1": "u1", "f2": "f4"}.get(array.dtype.str[1:], array.dtype.str[1:])
+    voxels = np.ascontiguousarray(array, f"<{kind if kind in TYPES else 'f8'}")
     facts = {
         "type": TYPES[voxels.dtype.str[1:]],
         "sizes": " ".join(str(n) for n in voxels.shape[::-1]),
-        "spacings": " ".join(repr(float(step)) for step in spacing),
+        "place": place_of(grid),
     }
     digest = hashlib.blake2b(HEADER.format(**facts, name="").encode(), digest_size=10)
     digest.update(voxels.data)
@@ -80,6 +88,24 @@ def write(file: IO[bytes], array: np.ndarray, spacing: Sequence[float], name: st
     file.write(HEADER.format(**facts, name=quote(name or f"volume {number[:6]}", safe="")).encode())
     file.write(voxels.data)
     return number
+
+
+def place_of(grid: Grid) -> str:
+    """The lines of a header that say where a grid on right angles lies: spacing alone where that is all."""
+    orientation = Orientation.of(grid)
+    if not orientation.placed and not orientation.letters and not orientation.unit:
+        return f"spacings: {' '.join(repr(float(step)) for step in grid.spacing)}"
+    steps = orientation.matrix.T * np.array(grid.spacing)[:, None]
+    space = f"space: {SPACES[orientation.letters]}" if orientation.letters in SPACES else "space dimension: 3"
+    lines = [space, f"space directions: {' '.join(map(vector, steps))}", f"space origin: {vector(orientation.origin)}"]
+    unit = "".join(letter for letter in orientation.unit if letter.isprintable() and letter != '"')
+    units = [f"space units: {' '.join(3 * (quoted,))}" for quoted in (f'"{unit}"',) if unit]
+    return "\n".join([*lines, *units])
+
+
+def vector(row: Sequence[float]) -> str:
+    """A vector as NRRD writes it."""
+    return f"({','.join(repr(float(value)) for value in row)})"
 
 
 def read_facts(path: Path) -> UploadedVolume | None:

@@ -12,12 +12,15 @@ import os
 import resource
 import sys
 import warnings
+from importlib import import_module
 from typing import Any
 
 import numpy as np
 
 from isogi_core.errors import VolumeError
-from isogi_core.files.nrrd import read_attached
+from isogi_core.files.formats.opening import HEAD, libraries_for, open_upload
+from isogi_core.files.grid import Grid
+from isogi_core.files.right_angles import on_right_angles
 from isogi_core.model.volume import make_volume
 from server.uploads.folder import LONGEST, write
 
@@ -32,13 +35,15 @@ LONGEST_SENTENCE = 500
 
 def main(name: str, out: int, voxels: int, seconds: int) -> dict[str, str]:
     """Read stdin's volume, of at most so many ``voxels`` and in so many processor ``seconds``, into ``out``."""
-    rehearse()
+    rehearse(os.pread(0, HEAD, 0))
     confine(voxels, seconds)
     with open(0, "rb", closefd=False) as upload, open(out, "wb", closefd=False) as canonical:
         try:
-            array, spacing = read_attached(upload, name or "upload", voxels)
-            make_volume(array, spacing)  # what the server cannot show is refused here
-            return {"id": write(canonical, array, spacing, name)}
+            grid = on_right_angles(open_upload(upload, name or "upload", voxels))
+            check_size(grid, voxels)
+            grid = grid.loaded()
+            make_volume(grid.whole(), grid.spacing)  # what the server cannot show is refused here
+            return {"id": write(canonical, grid, name)}
         except VolumeError as error:
             return {"refused": str(error)}
         except MemoryError:
@@ -47,9 +52,20 @@ def main(name: str, out: int, voxels: int, seconds: int) -> dict[str, str]:
             return {"refused": f"The file cannot be read ({type(error).__name__}: {error}): save it again."}
 
 
-def rehearse() -> None:
-    """Have the libraries load what they load late: from then on they cannot."""
+def check_size(grid: Grid, voxels: int) -> None:
+    """Raise VolumeError where a grid has more voxels than may be, once its axes are at right angles."""
+    if grid.size > voxels:
+        raise VolumeError(
+            f"The volume has {grid.size} voxels, and {voxels} are the most that may be: save a smaller part."
+        )
+
+
+def rehearse(head: bytes) -> None:
+    """Have the libraries that a file needs which begins with ``head`` load what they load late: soon they cannot."""
     make_volume(np.array([0.0, 1.0, np.nan, 1e30] * 2).reshape(2, 2, 2))
+    for name in libraries_for(head):
+        with contextlib.suppress(ImportError):
+            import_module(name)
 
 
 def confine(voxels: int, seconds: int) -> None:

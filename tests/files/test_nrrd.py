@@ -217,7 +217,7 @@ def test_real_volumes_are_what_their_list_says(shared_data: Path) -> None:
 
 def attached(fields: str = PLAIN, body: bytes = bytes(range(24)), most: int = 24) -> np.ndarray:
     """A file that nobody vouches for."""
-    return read_attached(io.BytesIO(f"NRRD0004\n{fields}\n".encode() + body), "v.nrrd", most)[0]
+    return read_attached(io.BytesIO(f"NRRD0004\n{fields}\n".encode() + body), "v.nrrd", most).whole()
 
 
 @pytest.mark.parametrize("pack", [bytes, gzip.compress])

@@ -98,8 +98,12 @@ def test_zarr_volumes_are_opened_with_the_settings_of_the_scene(tmp_path: Path, 
     mapped = load_scene(tmp_path / "s.toml").volume
     same(mapped, make_volume(field[1], (1.0, 2.0, 3.0), "below", "v", (-99.0,)))
     assert len(list(folder.glob("*.voxels"))) == 2  # both names of one file
-    with pytest.raises(SceneError, match="is no Zarr volume: leave out 'level'"):
-        load_scene(tmp_path / "none.nrrd", level=1)
+    with pytest.raises(SceneError, match=r"series = 1 chooses nothing in 'v.zarr'"):
+        load_scene(tmp_path / "s.toml", series=1)
+    same(load_scene(f"{tmp_path / 'v.zarr'}#channel=0").volume, make_volume(field[0], name="v"))
+    nrrd.write(str(tmp_path / "plain.nrrd"), field[0], index_order="C")
+    with pytest.raises(VolumeError, match="has no 'level' to choose"):
+        load_scene(tmp_path / "plain.nrrd", level=1)
 
 
 def test_an_array_in_a_zarr_folder_is_named_by_its_path(tmp_path: Path) -> None:

@@ -58,6 +58,11 @@
  * @property {string} dtype
  * @property {[number, number]} value_range
  * @property {number} holes voxels that are not finite
+ * @property {string} unit of lengths; "" where unknown
+ * @property {string} letters where the world's axes point in a patient, such as "RAS"; "" elsewhere
+ * @property {string} axes where the voxels' axes point in a patient
+ * @property {[Vec3, Vec3]} bounds the least and the greatest world coordinates
+ * @property {string[]} notes what was done to the file's field
  */
 
 /**

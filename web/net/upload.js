@@ -53,7 +53,7 @@ export function tooLarge(file, limits) {
  * @returns {string}
  */
 export function volumeName(file) {
-  return file.replace(/\.(nrrd|nhdr)$/i, "").replace(/\p{C}/gu, "").slice(0, 80);
+  return file.replace(/\.(nrrd|nhdr|nii(\.gz)?|dcm|tiff?|mrc|map|h5|hdf5|nc|npy|npz)$/i, "").replace(/\p{C}/gu, "").slice(0, 80);
 }
 
 /**

@@ -47,7 +47,9 @@ export function volumeRows({ volume, lights, albedo, albedos }) {
   return {
     Volume: volume.name,
     Size: `${volume.size.join(" × ")} voxels`,
-    Spacing: volume.spacing.map((length) => Number(length.toPrecision(4))).join(" × "),
+    Spacing: `${volume.spacing.map((length) => Number(length.toPrecision(4))).join(" × ")} ${volume.unit}`.trim(),
+    "Voxel axes point to": [...volume.axes].join(", "),
+    Notes: volume.notes.join(" "),
     Values: `${volume.value_range.map((value) => Number(value.toPrecision(6))).join(" to ")}, ${volume.dtype}`,
     "Not finite": volume.holes ? `${volume.holes} voxels, treated as empty` : null,
     Lights: lights.map(({ type, name }) => (name && name !== type ? `${name} (${type})` : type)).join(", "),

@@ -34,32 +34,33 @@ export function looksAlong(a, b) {
 }
 
 /**
- * The box between the volume's outermost voxels: where it ends, its middle, the radius of the sphere around it.
- * @param {{volume: Pick<Scene["volume"], "size"|"spacing">}} scene
- * @returns {{extent: Vec3, centre: Vec3, radius: number}} world units
+ * The box between the volume's outermost voxels: where it begins and ends, its middle, the radius of the sphere around it.
+ * @param {{volume: Pick<Scene["volume"], "size"|"spacing"|"bounds">}} scene
+ * @returns {{low: Vec3, high: Vec3, centre: Vec3, radius: number}} world units
  */
 export function boxOf({ volume }) {
+  const [low, high] = volume.bounds;
   const extent = each((i) => (volume.size[i] - 1) * volume.spacing[i]);
-  return { extent, centre: each((i) => extent[i] / 2), radius: Math.hypot(...extent) / 2 };
+  return { low, high, centre: each((i) => (low[i] + high[i]) / 2), radius: Math.hypot(...extent) / 2 };
 }
 
 /**
  * A target that keeps the volume in reach, with digits that an address can hold.
- * @param {{volume: Pick<Scene["volume"], "size"|"spacing">}} scene
+ * @param {{volume: Pick<Scene["volume"], "size"|"spacing"|"bounds">}} scene
  * @param {unknown} target a point; null, or what is no point, for the volume's centre
  * @returns {Vec3|null}
  */
 export function limitTarget(scene, target) {
   if (!Array.isArray(target) || target.length !== 3 || !target.every(Number.isFinite)) return null;
-  const { extent, radius } = boxOf(scene);
-  const [before, beyond] = [-MARGIN * radius, MARGIN * radius];
-  const inside = each((i) => Number(Math.min(extent[i] + beyond, Math.max(before, target[i])).toPrecision(6)));
+  const { low, high, radius } = boxOf(scene);
+  const beyond = MARGIN * radius;
+  const inside = each((i) => Number(Math.min(high[i] + beyond, Math.max(low[i] - beyond, target[i])).toPrecision(6)));
   return inside.every((x) => Math.abs(x) <= FURTHEST) ? inside : null;
 }
 
 /**
  * Move the picture: what is in the target's depth moves by exactly so much.
- * @param {{volume: Pick<Scene["volume"], "size"|"spacing">}} scene
+ * @param {{volume: Pick<Scene["volume"], "size"|"spacing"|"bounds">}} scene
  * @param {Orbit} values knobs of the view
  * @param {number} right in heights of the picture
  * @param {number} down in heights of the picture
@@ -75,7 +76,7 @@ export function pan(scene, values, right, down) {
 
 /**
  * The ray through a place of the picture.
- * @param {{volume: Pick<Scene["volume"], "size"|"spacing">}} scene
+ * @param {{volume: Pick<Scene["volume"], "size"|"spacing"|"bounds">}} scene
  * @param {Orbit} values knobs of the view
  * @param {number} right of the middle, in heights of the picture
  * @param {number} up of the middle, in heights of the picture
@@ -92,6 +93,25 @@ export function rayThrough(scene, values, right, up) {
     target: each((i) => middle[i] + height * (right * axes.right[i] + up * axes.up[i])),
     up: axes.up,
   };
+}
+
+const OPPOSITE = /** @type {Record<string, string>} */ ({ R: "L", L: "R", A: "P", P: "A", S: "I", I: "S" });
+
+/**
+ * The sides of a patient that the picture's edges show; "" where the volume is of none.
+ * @param {{volume: Pick<Scene["volume"], "letters">}} scene
+ * @param {Pick<Orbit, "azimuth"|"elevation">} values knobs of the view
+ * @returns {{left: string, right: string, top: string, bottom: string}}
+ */
+export function sidesOf({ volume }, values) {
+  const { right, up } = cameraAxes(values.azimuth, values.elevation);
+  const letter = (/** @type {Vec3} */ direction, /** @type {number} */ sign) => {
+    const sizes = direction.map(Math.abs);
+    const axis = sizes.indexOf(Math.max(...sizes));
+    const name = volume.letters[axis] ?? "";
+    return sign * direction[axis] > 0 ? name : (OPPOSITE[name] ?? "");
+  };
+  return { left: letter(right, -1), right: letter(right, 1), top: letter(up, 1), bottom: letter(up, -1) };
 }
 
 /** A vector by its components. @param {(i: number) => number} component @returns {Vec3} */

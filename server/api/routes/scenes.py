@@ -61,11 +61,13 @@ def read_sky(request: Request, scene: SceneDep, params: SkyParamsDep) -> Respons
     by discs; lamps that stand in the scene are not shown.
     """
 
+    orientation = scene.volume.orientation
+    turn = orientation.matrix if orientation.turned and not scene.rotating else None
     tag = tag_of(FORMAT, scene.environment.digest, scene.lamps.digest, params.width, params.f)
     headers = {"ETag": tag, "Cache-Control": FOR_EVER if params.version == tag.strip('"') else "no-cache"}
     if matches(request.headers.get("if-none-match"), tag):
         return Response(status_code=304, headers=headers)
-    picture = paint_panorama(scene.environment, scene.lamps, params.width)
+    picture = paint_panorama(scene.environment, scene.lamps, params.width, turn)
     return Response(compress(picture, params.f), 200, headers, MEDIA_TYPES[params.f])
 
 
@@ -90,7 +92,7 @@ TAKEN: dict[int | str, dict[str, Any]] = {
     responses=TAKEN | documented_problems(408, 422, 429, 503, 507),
 )
 async def upload(request: Request, response: Response, params: UploadParamsDep, service: ServiceDep) -> UploadSchema:
-    """Take the body, an NRRD file with its data in it, as a volume, and show it as a scene of the same id."""
+    """Take the body, a file with its data in it, as a volume, and show it as a scene of the same id."""
     kept, new = await service.uploads.take(request, params.name)
     response.status_code = 201 if new else 200
     response.headers["Location"] = href(kept.id)

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from isogi_core.files.grid import Grid
 from isogi_core.files.nrrd import read_nrrd
 from server.uploads.folder import TYPES, read_facts, write
 
@@ -15,7 +16,7 @@ RAMP = np.arange(24).reshape(2, 3, 4)
 def kept(folder: Path, array: np.ndarray, name: str = "a") -> Path:
     """The canonical file of an array, under its id."""
     file = io.BytesIO()
-    number = write(file, array, (1.0, 2.0, 0.1), name)
+    number = write(file, Grid.of(array, (1.0, 2.0, 0.1)), name)
     path = folder / f"{number}.nrrd"
     path.write_bytes(file.getvalue())
     return path

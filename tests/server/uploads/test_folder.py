@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from isogi_core.files.grid import Grid
 from server.errors import FullError, UploadFolderError
 from server.uploads.folder import UploadFolder, default_folder, write
 from tests.server.uploads.files import names
@@ -29,7 +30,7 @@ def folder(tmp_path: Path) -> Iterator[UploadFolder]:
 def put(folder: UploadFolder, value: int = 1) -> str:
     """A volume in the folder; its id."""
     with folder.drafts() as (_, draft):
-        return folder.put(draft, write(draft, np.full((2, 2, 2), value, np.uint8), (1.0, 1.0, 1.0), "a")).id
+        return folder.put(draft, write(draft, Grid.of(np.full((2, 2, 2), value, np.uint8)), "a")).id
 
 
 def test_a_volume_is_found_again(folder: UploadFolder) -> None:

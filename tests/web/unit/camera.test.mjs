@@ -1,6 +1,6 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { AXIS_VIEWS, boxOf, limitTarget, looksAlong, pan, rayThrough } from "../../../web/view/camera.js";
+import { AXIS_VIEWS, boxOf, limitTarget, looksAlong, pan, rayThrough, sidesOf } from "../../../web/view/camera.js";
 import { dragObject, hold, pinched, wheelZoom } from "../../../web/view/gestures.js";
 import { pictureSize } from "../../../web/view/picture.js";
 import { cameraAxes } from "../../../web/view/rotation.js";
@@ -16,8 +16,21 @@ const dot = (a, b) => a.reduce((sum, x, i) => sum + x * b[i], 0);
 const minus = (a, b) => a.map((x, i) => x - b[i]);
 
 test("the box ends at the outermost voxels", () => {
-  const { extent, centre, radius } = boxOf(SCENE);
-  close([...extent, ...centre, radius], [10, 10, 10, 5, 5, 5, RADIUS]);
+  const { high, centre, radius } = boxOf(SCENE);
+  close([...high, ...centre, radius], [10, 10, 10, 5, 5, 5, RADIUS]);
+});
+
+test("a box elsewhere in the world keeps its target there", () => {
+  const scene = { volume: { ...SCENE.volume, bounds: [[-110, 20, 0], [-100, 30, 10]] } };
+  close(boxOf(scene).centre, [-105, 25, 5]);
+  assert.deepEqual(limitTarget(scene, [-105, 1e9, -1e9]), [-105, Number((30 + RADIUS / 2).toPrecision(6)), Number((-RADIUS / 2).toPrecision(6))]);
+});
+
+test("the sides of a patient are named, looked at from the front and from the left", () => {
+  const head = { volume: { letters: "RAS" } };
+  assert.deepEqual(sidesOf(head, { azimuth: 90, elevation: 0 }), { left: "R", right: "L", top: "S", bottom: "I" });
+  assert.deepEqual(sidesOf(head, { azimuth: 180, elevation: 0 }), { left: "A", right: "P", top: "S", bottom: "I" });
+  assert.deepEqual(sidesOf(SCENE, { azimuth: 0, elevation: 0 }), { left: "", right: "", top: "", bottom: "" });
 });
 
 test("a target stays within half a radius of the box", () => {

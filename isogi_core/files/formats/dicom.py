@@ -1,0 +1,282 @@
+"""DICOM, read by pydicom: a series in a folder, one of several, or one file of many frames."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from isogi_core.errors import VolumeError
+from isogi_core.files.formats.dicom_stack import Slice, stack_of
+from isogi_core.files.formats.source import COLOURS, Scaling, Source, library, line_of, luminance, pick, reading
+from isogi_core.files.grid import PATIENT, Affine, Grid
+from isogi_core.files.zarr_location import stamp_of
+
+PLUGINS = {"JPEG-LS": "pyjpegls", "JPEG 2000": "pylibjpeg pylibjpeg-openjpeg", "JPEG": "python-gdcm"}
+"""What to install for pixels packed in some way, by a part of its name; all under free licences without conditions."""
+
+LPS = np.diag([-1.0, -1.0, 1.0])
+"""From a patient's left, posterior, superior, which DICOM means, to right, anterior, superior."""
+
+HEADER_TAGS = (
+    *("SeriesInstanceUID", "SeriesNumber", "SeriesDescription", "SOPInstanceUID", "InstanceNumber", "ImageType"),
+    *("ImagePositionPatient", "ImageOrientationPatient", "PixelSpacing", "SpacingBetweenSlices", "SliceThickness"),
+    *("Rows", "Columns", "NumberOfFrames", "SamplesPerPixel", "PhotometricInterpretation", "BitsAllocated"),
+    *("BitsStored", "HighBit", "PixelRepresentation", "RescaleSlope", "RescaleIntercept"),
+    *("PerFrameFunctionalGroupsSequence", "SharedFunctionalGroupsSequence", "TransferSyntaxUID"),
+    *("FloatPixelData", "DoubleFloatPixelData", "GridFrameOffsetVector", "DoseGridScaling"),
+)
+
+
+Headers = list[tuple[Path | None, Any]]
+"""Headers of images, each with its file."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where the pixels of a slice are: a file, None for an upload, and the number of the frame in it."""
+
+    path: Path | None
+    frame: int
+
+
+def is_dicom(head: bytes) -> bool:
+    """Whether a file begins as DICOM does, after its preamble."""
+    return head[128:132] == b"DICM"
+
+
+def open_dicom(source: Source) -> Grid:
+    """Open a file, or a folder with a series, as a grid: only headers are read now. Raises VolumeError."""
+    library("pydicom", "DICOM")
+    source.refuse_others("series", "time")
+    with reading(source.name, "DICOM"):
+        folder = source.path is not None and source.path.is_dir()
+        headers: Headers = list(_headers(source)) if folder else [(source.path, _header(source))]
+        if not headers or "Rows" not in headers[0][1]:
+            raise VolumeError(f"'{source.name}' holds no DICOM image: check the volume's path.")
+        chosen = _series(source, headers)
+        slices = [each for path, header in chosen for each in _slices_of(path, header)]
+        stack, notes = stack_of(source.name, slices, partial(pick, source, "time"))
+        if len(stack.layers) == 1 and not folder:
+            raise VolumeError(f"'{source.name}' is one slice: give the folder of its series, or a file of many frames.")
+        first = chosen[0][1]
+        source.check((len(stack.layers), int(first.Rows), int(first.Columns)))
+        scalings = {each.scaling for each in slices}
+        coloured = int(first.get("SamplesPerPixel", 1)) > 1
+        if str(first.get("PhotometricInterpretation", "")) == "PALETTE COLOR":
+            raise VolumeError(f"'{source.name}' holds colours of a palette: save its values.")
+        stored = _stored_type(first)
+    dtype = _value_type(stored, scalings, coloured or stack.between)
+    affine = Affine.of(LPS @ stack.affine, PATIENT) if stack.affine is not None else None
+    shape = (len(stack.layers), int(first.Rows), int(first.Columns))
+    layers = partial(_layers, source, stack.layers, shape, dtype)
+    files = sorted({path for path, _ in chosen if path is not None})
+    notes = (*notes, *((COLOURS,) if coloured else ()))
+    stamp = partial(_stamp, source, files)
+    return Grid(shape, dtype, stack.spacing, layers, stamp, affine, "mm" if stack.measured else "", notes)
+
+
+def _stamp(source: Source, files: list[Path]) -> str:
+    return f"{stamp_of(files)} {sorted(source.chosen.items())}"
+
+
+def _header(source: Source) -> Any:
+    pydicom = library("pydicom", "DICOM")
+    with source.open() as file:
+        return pydicom.dcmread(file, stop_before_pixels=True, force=True, specific_tags=list(HEADER_TAGS))
+
+
+def _headers(source: Source) -> Iterator[tuple[Path | None, Any]]:
+    """The headers of all images in a folder; files that are none are passed over."""
+    assert source.path is not None, "a folder has a path"
+    for path in sorted(source.path.iterdir()):
+        if not path.is_file() or not _may_be_dicom(path):
+            continue
+        header = _header(Source(str(path), path))
+        if "Rows" in header:
+            yield path, header
+
+
+def _may_be_dicom(path: Path) -> bool:
+    """Whether a file has DICOM's mark, or begins with a tag of its first groups: the mark was not always written."""
+    with path.open("rb") as file:
+        head = file.read(132)
+    return is_dicom(head) or (head[1:2] == b"\0" and head[0] in (2, 8) and head[3:4] == b"\0")
+
+
+def _series(source: Source, headers: Any) -> Headers:
+    """The images of the series that is chosen: one of several must be. Orientation and size divide a series too."""
+    groups: dict[tuple[Any, ...], Headers] = {}
+    for path, header in headers:
+        pose = tuple(np.round(np.array(header.get("ImageOrientationPatient") or (), float), 3))
+        key = str(header.get("SeriesInstanceUID", "")), pose, int(header.Rows), int(header.Columns)
+        groups.setdefault(key, []).append((path, header))
+    found = sorted(groups.values(), key=lambda each: (int(each[0][1].get("SeriesNumber") or 0), -len(each)))
+    number = source.chosen.get("series")
+    if number is None and len(found) == 1:
+        return found[0]
+    uids = [str(each[0][1].get("SeriesInstanceUID", "")) for each in found]
+    if number is not None and (number in uids or (number.isdecimal() and int(number) < len(found))):
+        return found[uids.index(number) if number in uids else int(number)]
+    listed = "; ".join(f"#series={n}: {_about(each)}" for n, each in enumerate(found[:8]))
+    wrong = f"'{source.name}' holds {len(found)} series" if number is None else f"There is no series '{number}'"
+    raise VolumeError(f"{wrong}: choose of {listed}.")
+
+
+def _about(series: Headers) -> str:
+    """A series for a person."""
+    header = series[0][1]
+    frames = sum(int(each.get("NumberOfFrames") or 1) for _, each in series)
+    described = str(header.get("SeriesDescription", "") or "without a name")[:40]
+    return f"{described}, {frames} of {header.Columns} × {header.Rows}"
+
+
+def _slices_of(path: Path | None, header: Any) -> Iterator[Slice]:
+    """The slices in a file: its only one, or each of its frames."""
+    count = int(header.get("NumberOfFrames") or 1)
+    frames = header.get("PerFrameFunctionalGroupsSequence")
+    shared = (header.get("SharedFunctionalGroupsSequence") or [None])[0]
+    for number in range(count):
+        groups = [frames[number]] if frames else []
+        yield _slice(Place(path, number), header, [*groups, *([shared] if shared is not None else [])])
+
+
+def _slice(place: Place, header: Any, groups: list[Any]) -> Slice:
+    """One slice, by what its frame's groups say, else the header."""
+    read = partial(_read, header, groups)
+    position, pose = (
+        read("PlanePositionSequence", "ImagePositionPatient"),
+        _floats(read("PlaneOrientationSequence", "ImageOrientationPatient")),
+    )
+    spacing = _floats(read("PixelMeasuresSequence", "PixelSpacing"))
+    between = read("PixelMeasuresSequence", "SpacingBetweenSlices") or read("PixelMeasuresSequence", "SliceThickness")
+    alone = bool(groups) or int(header.get("NumberOfFrames") or 1) == 1
+    scale = "PixelValueTransformationSequence"
+    slope, intercept = read(scale, "RescaleSlope"), read(scale, "RescaleIntercept")
+    slope = header.get("DoseGridScaling") if slope is None else slope
+    return Slice(
+        place=place,
+        uid=f"{header.get('SOPInstanceUID', '')} {place.frame}",
+        number=(int(header.get("InstanceNumber") or 0), place.frame),
+        position=_shifted(_floats(position), pose, header.get("GridFrameOffsetVector"), place.frame, alone),
+        pose=pose,
+        pixel=(spacing[1], spacing[0]) if spacing else None,
+        between=float(between) if between else None,
+        scaling=Scaling(1.0 if slope is None else float(slope), float(intercept or 0.0)),
+    )
+
+
+def _shifted(
+    position: tuple[float, ...] | None, pose: tuple[float, ...] | None, offsets: Any, frame: int, alone: bool
+) -> tuple[float, ...] | None:
+    """The position of a frame that lies so far from the first along the normal, as those of dose grids do.
+
+    None where it is not ``alone`` with a position that is one for all.
+    """
+    if position is None or pose is None or not offsets:
+        return position if alone else None
+    normal = np.cross(pose[:3], pose[3:])
+    return tuple((np.array(position) + normal * (float(offsets[frame]) - float(offsets[0]))).tolist())
+
+
+def _read(header: Any, groups: list[Any], sequence: str, name: str) -> Any:
+    """A value of the frame's own groups, else of the shared ones, else of the header; None where none has it."""
+    for group in groups:
+        inner = group.get(sequence)
+        if inner and name in inner[0]:
+            return inner[0].get(name)
+    return header.get(name)
+
+
+def _floats(values: Any) -> tuple[float, ...] | None:
+    return tuple(float(value) for value in values) if values else None
+
+
+def _stored_type(header: Any) -> np.dtype[Any]:
+    """The type of stored values."""
+    if "FloatPixelData" in header or "DoubleFloatPixelData" in header:
+        return np.dtype(np.float32 if "FloatPixelData" in header else np.float64)
+    kind = "i" if int(header.get("PixelRepresentation", 0)) else "u"
+    return np.dtype(f"{kind}{max(int(header.BitsAllocated) // 8, 1)}")
+
+
+def _value_type(stored: np.dtype[Any], scalings: set[Scaling], floating: bool) -> np.dtype[Any]:
+    """The type of values: one for all slices, whatever their slopes."""
+    found = np.result_type(*(each.dtype(stored) for each in scalings))
+    return np.result_type(found, np.float32) if floating else found
+
+
+Layer = tuple[tuple[Place, float, Scaling], ...]
+
+
+def _layers(
+    source: Source, layers: tuple[Layer, ...], shape: tuple[int, int, int], dtype: np.dtype[Any]
+) -> Iterator[np.ndarray]:
+    """The layers of a stack, one at a time; (1, rows, columns) each, NaN where no slice is."""
+    frames = Frames(source)
+    for layer in layers:
+        if not layer:
+            yield np.full((1, *shape[1:]), np.nan, dtype)
+            continue
+        parts = [scaling.apply(frames.pixels(place)) for place, _, scaling in layer]
+        if len(parts) == 1:
+            yield parts[0].astype(dtype, copy=False)[None]
+        else:
+            mix = sum(part.astype(np.float64) * weight for part, (_, weight, _) in zip(parts, layer, strict=True))
+            yield np.asarray(mix).astype(dtype)[None]
+
+
+class Frames:
+    """Reads the pixels of slices; those read last are kept, as two layers may be made of one slice."""
+
+    def __init__(self, source: Source) -> None:
+        """Read nothing yet."""
+        self._source = source
+        self._kept: list[tuple[Place, np.ndarray]] = []
+        self._file: tuple[Path | None, Any] | None = None
+
+    def pixels(self, place: Place) -> np.ndarray:
+        """Stored values of a slice, in full signed or unsigned range; luminance of colours."""
+        found = next((pixels for known, pixels in self._kept if known == place), None)
+        if found is None:
+            with reading(self._source.name, "DICOM"):
+                found = self._decoded(place)
+            self._kept = [*self._kept[-1:], (place, found)]
+        return found
+
+    def _decoded(self, place: Place) -> np.ndarray:
+        pydicom = library("pydicom", "DICOM")
+        if self._file is None or self._file[0] != place.path or place.path is None is self._file:
+            source = self._source if place.path is None else Source(str(place.path), place.path)
+            with source.open() as file:
+                self._file = place.path, pydicom.dcmread(file, force=True)
+        data = self._file[1]
+        values = np.asarray(self._decode(data, place.frame))
+        if int(data.get("SamplesPerPixel", 1)) > 1:
+            return luminance(values)
+        return used_bits(values, data) if values.dtype.kind in "iu" else values
+
+    def _decode(self, data: Any, frame: int) -> Any:
+        decode: Callable[..., Any] = library("pydicom.pixels", "DICOM").pixel_array
+        try:
+            return decode(data, index=frame)
+        except (RuntimeError, NotImplementedError) as error:
+            syntax = data.file_meta.TransferSyntaxUID
+            if syntax.is_compressed and "plugin" in str(error):
+                needed = f"The pixels of '{self._source.name}' are packed as {syntax.name}"
+                plugin = next((each for part, each in PLUGINS.items() if part in syntax.name), "python-gdcm")
+                raise VolumeError(f"{needed}, which needs: pip install {plugin}.") from error
+            raise VolumeError(f"The pixels of '{self._source.name}' cannot be decoded ({line_of(error)}).") from error
+
+
+def used_bits(values: np.ndarray, header: Any) -> np.ndarray:
+    """Values of the bits that are used alone: others may hold anything, such as an overlay."""
+    allocated = int(header.BitsAllocated)
+    stored = int(header.get("BitsStored", allocated))
+    high = int(header.get("HighBit", stored - 1))
+    if stored >= allocated or not stored <= high + 1 <= allocated:
+        return values
+    up = np.left_shift(values, allocated - 1 - high)
+    return np.right_shift(up, allocated - stored)

@@ -1,0 +1,82 @@
+"""MetaImage (.mha, .mhd) and what else SimpleITK reads, an extra of its own."""
+
+from collections.abc import Iterator
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from isogi_core.errors import VolumeError
+from isogi_core.files.formats.source import Source, library, pick, reading
+from isogi_core.files.grid import PATIENT, Affine, Grid, layers_of
+
+SUFFIXES = (".mha", ".mhd", ".vtk", ".gipl", ".hdr", ".img")
+LPS = np.diag([-1.0, -1.0, 1.0])
+"""From a patient's left, posterior, superior, which ITK means, to right, anterior, superior."""
+
+ANATOMICAL = (".mha", ".mhd", ".gipl")
+
+
+def open_itk(source: Source) -> Grid:
+    """Open an image as a grid: only its header is read now. Raises VolumeError."""
+    if source.path is None:
+        raise VolumeError(f"'{source.name}' cannot be uploaded in this form: save it as NIfTI or NRRD.")
+    if not source.path.is_file():
+        raise VolumeError(f"There is no file '{source.path}': check the volume's path.")
+    source.refuse_others("time")
+    with reading(source.name, "an image"):
+        reader, size = _reader(source)
+        if reader.GetNumberOfComponents() > 1:
+            raise VolumeError(
+                f"'{source.name}' holds {reader.GetNumberOfComponents()} numbers a voxel: save one field."
+            )
+        if not 3 <= len(size) <= 4:
+            raise VolumeError(f"'{source.name}' has {len(size)} dimensions, not 3: save one scalar field of it.")
+        time = pick(source, "time", size[3], "time steps") if len(size) == 4 else None
+        nx, ny, nz = size[:3]
+        source.check((nz, ny, nx))
+        dtype = _block(source, time, 0, 1).dtype
+        steps = np.array(reader.GetSpacing()[:3])
+        direction = np.array(reader.GetDirection()).reshape(len(size), len(size))[:3, :3]
+        origin = np.array(reader.GetOrigin()[:3])
+    anatomical = source.path.suffix.lower() in ANATOMICAL
+    affine = np.column_stack([direction * steps, origin])
+    placed = Affine.of(LPS @ affine, PATIENT) if anatomical else Affine.of(affine)
+    spacing = (float(steps[0]), float(steps[1]), float(steps[2]))
+    slabs = partial(_slabs, source, time, (nz, ny, nx), dtype.itemsize)
+    unit = "mm" if anatomical else ""
+    return Grid((nz, ny, nx), dtype, spacing, slabs, partial(source.stamp, *_data_files(source)), placed, unit)
+
+
+def _reader(source: Source) -> tuple[Any, tuple[int, ...]]:
+    """A reader that has read the header, and the size along x, y, z and time."""
+    sitk = library("SimpleITK", "MetaImage", "'isogi[itk]'")
+    reader = sitk.ImageFileReader()
+    reader.SetFileName(str(source.path))
+    reader.ReadImageInformation()
+    return reader, tuple(int(n) for n in reader.GetSize())
+
+
+def _data_files(source: Source) -> list[Any]:
+    """Files beside the header that may hold its voxels."""
+    assert source.path is not None, "an image of ITK has a path"
+    beside = [source.path.with_suffix(suffix) for suffix in (".raw", ".zraw", ".img")]
+    return [path for path in beside if path.is_file() and path != source.path]
+
+
+def _slabs(source: Source, time: int | None, shape: tuple[int, ...], itemsize: int) -> Iterator[np.ndarray]:
+    step = layers_of(shape[1] * shape[2] * itemsize)
+    for z in range(0, shape[0], step):
+        with reading(source.name, "an image"):
+            slab = _block(source, time, z, min(step, shape[0] - z))
+        yield slab
+
+
+def _block(source: Source, time: int | None, first: int, count: int) -> np.ndarray:
+    """Some layers, (count, ny, nx)."""
+    reader, size = _reader(source)
+    extra = [] if time is None else [time]
+    reader.SetExtractIndex([0, 0, first, *extra])
+    reader.SetExtractSize([size[0], size[1], count, *(0 for _ in extra)])
+    sitk = library("SimpleITK", "MetaImage", "'isogi[itk]'")
+    return np.asarray(sitk.GetArrayFromImage(reader.Execute()))

@@ -1,0 +1,89 @@
+"""MRC and CCP4 maps, read by mrcfile: axes in any order, cells at any angle."""
+
+import math
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from isogi_core.errors import VolumeError
+from isogi_core.files.formats.source import Source, library, pick, raw_slabs, reading
+from isogi_core.files.grid import Affine, Grid
+
+HEADER = 1024
+
+
+def is_mrc(head: bytes) -> bool:
+    """Whether a file begins as MRC does: by its stamp."""
+    return head[208:211] == b"MAP"
+
+
+def open_mrc(source: Source) -> Grid:
+    """Open a map as a grid: only the header is read now. Raises VolumeError."""
+    library("mrcfile", "MRC")
+    source.refuse_others("time")
+    with reading(source.name, "MRC"):
+        header = _header(source)
+        shape = tuple(int(header[name]) for name in ("nz", "ny", "nx"))
+        source.check(shape)
+        dtype = library("mrcfile.utils", "MRC").data_dtype_from_header(header)
+        volumes = _volumes(header, shape[0])
+        time = pick(source, "time", volumes, "volumes")
+        shape = (shape[0] // volumes, *shape[1:])
+        start = HEADER + int(header["nsymbt"]) + time * math.prod(shape) * dtype.itemsize
+        affine = _affine(header, time * shape[0])
+    spacing = tuple(math.hypot(*column) for column in affine.array[:, :3].T)
+    slabs = partial(raw_slabs, source, start, shape, dtype)
+    return Grid(shape, dtype, spacing, slabs, source.stamp, affine, "Å")
+
+
+def _header(source: Source) -> Any:
+    interpreter = library("mrcfile.mrcinterpreter", "MRC").MrcInterpreter
+    with source.unpacked() as file:
+        found = interpreter(iostream=file, permissive=True, header_only=True)
+        header = found.header.copy()
+        found._iostream = None  # it would close the file
+    return header
+
+
+def _volumes(header: Any, sections: int) -> int:
+    """Volumes in a stack of volumes; one in all other files."""
+    deep = int(header["mz"])
+    return sections // deep if int(header["ispg"]) >= 401 and deep > 0 and sections % deep == 0 else 1
+
+
+def _affine(header: Any, first: int) -> Affine:
+    """Columns, rows and sections to Ångström: the header's axes, cell and origin; a voxel is 1 Å where it has no cell.
+
+    The origin is the header's own (MRC2014), else where the map starts in its cell. Source: the CCP4 map format.
+    """
+    axes = [int(header[name]) - 1 for name in ("mapc", "mapr", "maps")]
+    if sorted(axes) != [0, 1, 2]:
+        if any(int(header[name]) for name in ("mapc", "mapr", "maps")):
+            raise VolumeError(f"The map's axes are {[axis + 1 for axis in axes]}, which cannot be: write it again.")
+        axes = [0, 1, 2]
+    size = np.array([int(header[name]) for name in ("nx", "ny", "nz")])
+    intervals = np.array([float(header[name]) for name in ("mx", "my", "mz")])
+    lengths = np.array([float(header["cella"][name]) for name in "xyz"])
+    along = np.empty(3)
+    along[axes] = size  # voxels along the cell's own axes
+    intervals = np.where(intervals > 0, intervals, along)
+    steps = np.where(lengths > 0.0, lengths, intervals) / intervals
+    cell = _cell([float(header["cellb"][name]) for name in ("alpha", "beta", "gamma")]) * steps
+    starts = np.array([int(header[name]) for name in ("nxstart", "nystart", "nzstart")], float)
+    starts[2] += first
+    matrix, origin = cell[:, axes], np.array([float(header["origin"][name]) for name in "xyz"])
+    if not origin.any():
+        origin = matrix @ starts
+    return Affine.of(np.column_stack([matrix, origin]))
+
+
+def _cell(angles: list[float]) -> np.ndarray:
+    """Unit vectors along a cell's axes a, b, c as columns, at its angles in degrees; a along x, b in the xy plane."""
+    known = angles if all(0.0 < angle < 180.0 for angle in angles) else [90.0] * 3
+    if known == [90.0] * 3:
+        return np.eye(3)
+    cosine, sine = np.cos(np.radians(known)), math.sin(math.radians(known[2]))
+    y = (cosine[0] - cosine[1] * cosine[2]) / sine
+    z = math.sqrt(max(1.0 - cosine[1] ** 2 - y**2, 0.0))
+    return np.array([[1.0, cosine[2], cosine[1]], [0.0, sine, y], [0.0, 0.0, z]])

@@ -1,0 +1,124 @@
+"""NIfTI-1 and -2, one file or a pair, read by nibabel; voxels are streamed, as a packed file is read but once."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from isogi_core.errors import VolumeError
+from isogi_core.files.formats.source import (
+    COLOURS,
+    Scaling,
+    Source,
+    library,
+    luminance,
+    pick,
+    raw_slabs,
+    reading,
+)
+from isogi_core.files.grid import PATIENT, Affine, Grid, Shape
+
+UNITS = {"mm": "mm", "meter": "m", "micron": "µm"}
+UNPLACED = "The file does not say how it lies: its axes are taken as they are."
+
+APART = 0.01
+"""Voxels by which two transforms of a file must differ for this to be told."""
+
+
+def is_nifti(head: bytes) -> bool:
+    """Whether a file begins as NIfTI does: the header's size, and its magic."""
+    size = {head[:4], head[:4][::-1]}
+    one = (348).to_bytes(4, "little") in size and head[344:348] in (b"n+1\0", b"ni1\0")
+    return one or ((540).to_bytes(4, "little") in size and head[4:7] in (b"n+2", b"ni2"))
+
+
+def open_nifti(source: Source) -> Grid:
+    """Open a NIfTI file as a grid: only the header is read now. Raises VolumeError."""
+    nib = library("nibabel", "NIfTI")
+    source.refuse_others("time", "channel")
+    with reading(source.name, "NIfTI"):
+        header = _header(nib, source)
+        shape, dtype = tuple(int(n) for n in header.get_data_shape()), header.get_data_dtype()
+        scaling = _scaling(header)
+        frame, (nx, ny, nz) = _frame(source, shape)
+        source.check((nz, ny, nx))
+        start = int(header.get_data_offset()) + frame * nx * ny * nz * dtype.itemsize
+        voxels = _voxels_of(source, header)
+        unit = UNITS.get(header.get_xyzt_units()[0], "")
+        spacing = tuple(abs(float(step)) for step in header.get_zooms()[:3])
+    others = [voxels.path] if voxels.path is not None and voxels.path != source.path else []
+    slabs = partial(_slabs, voxels, start, (nz, ny, nx), dtype, scaling)
+    values = np.dtype(np.float32) if dtype.names else scaling.dtype(dtype)
+    grid = Grid((nz, ny, nx), values, spacing, slabs, partial(source.stamp, *others), unit=unit)
+    return _placed(replace(grid, notes=(COLOURS,) if dtype.names else ()), header)
+
+
+def _header(nib: Any, source: Source) -> Any:
+    """The header, of whichever version and byte order."""
+    with source.unpacked() as file:
+        head = file.read(348)
+    one, pair = 348 in (int.from_bytes(head[:4], order) for order in ("little", "big")), b"ni" in head[4:8] + head[344:]
+    if pair and source.path is None:
+        raise VolumeError(f"'{source.name}' is a header whose voxels are in another file: save both as one .nii file.")
+    kinds = nib.nifti1.Nifti1PairHeader, nib.nifti1.Nifti1Header, nib.Nifti2Header
+    kind = nib.nifti2.Nifti2PairHeader if pair and not one else kinds[0] if pair else kinds[1] if one else kinds[2]
+    with source.unpacked() as file:
+        return kind.from_fileobj(file)
+
+
+def _voxels_of(source: Source, header: Any) -> Source:
+    """The file with the voxels: the source itself, or the other one of a pair."""
+    if header.is_single or source.path is None:
+        return source
+    name = source.path.name
+    images = [name.replace(".hdr", ".img", 1), name.replace(".hdr", ".img", 1) + ".gz", name.replace(".hdr.gz", ".img")]
+    found = next((each for each in images if each != name and source.path.with_name(each).is_file()), None)
+    if found is None:
+        raise VolumeError(f"'{source.name}' is a header, and '{images[0]}' with its voxels is not beside it.")
+    return replace(source, path=source.path.with_name(found))
+
+
+def _scaling(header: Any) -> Scaling:
+    slope, intercept = header.get_slope_inter()
+    if slope is None or slope == 0.0:
+        return Scaling()
+    return Scaling(float(slope), float(intercept or 0.0))
+
+
+def _frame(source: Source, shape: Shape) -> tuple[int, tuple[int, int, int]]:
+    """Number of the field that is chosen among those in the file, and its size along x, y, z."""
+    nx, ny, nz, *extra = (*shape, *(1,) * (3 - len(shape)))
+    while extra and extra[-1] == 1:
+        extra.pop()
+    times, channels = (*extra[:1], 1)[0], math.prod(extra[1:])
+    time, channel = pick(source, "time", times, "time steps"), pick(source, "channel", channels, "channels")
+    return time + times * channel, (nx, ny, nz)
+
+
+def _slabs(voxels: Source, start: int, shape: Shape, dtype: np.dtype[Any], scaling: Scaling) -> Iterator[np.ndarray]:
+    for slab in raw_slabs(voxels, start, shape, dtype):
+        if dtype.names:
+            yield luminance(np.stack([slab[name] for name in dtype.names], axis=-1))
+        else:
+            yield scaling.apply(slab)
+
+
+def _placed(grid: Grid, header: Any) -> Grid:
+    """The grid with the affine that the header prefers, in a patient's right, anterior, superior."""
+    with reading("its header", "NIfTI"):
+        sform, qform = int(header["sform_code"]), int(header["qform_code"])
+        if not sform and not qform:
+            return replace(
+                grid, notes=(*grid.notes, "The file does not say how it lies: its axes are taken as they are.")
+            )
+        affine = header.get_best_affine()
+        notes = grid.notes
+        if sform and qform:
+            apart = np.linalg.solve(affine[:3, :3], (header.get_qform() - affine)[:3])
+            corner = np.abs(apart) @ np.array([*(n - 1 for n in grid.shape[::-1]), 1.0])
+            if corner.max() > APART:
+                notes = (*notes, f"Its two transforms differ by {corner.max():.3g} voxels: the sform is taken.")
+    return replace(grid, affine=Affine.of(affine, PATIENT), notes=notes)

@@ -1,0 +1,99 @@
+"""NumPy's own files: an array in an .npy file, or one of several in an .npz file."""
+
+import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from functools import partial
+from typing import IO, Any
+
+import numpy as np
+
+from isogi_core.errors import VolumeError
+from isogi_core.files.formats.source import (
+    COLOURS,
+    Source,
+    luminance,
+    pick_axes,
+    read_up_to,
+    reading,
+    skip,
+)
+from isogi_core.files.grid import Grid, Shape, layers_of
+
+NPY, ZIP = b"\x93NUMPY", b"PK\x03\x04"
+
+
+def open_numpy(source: Source) -> Grid:
+    """Open an array (z, y, x) as a grid: only its header is read now. Raises VolumeError.
+
+    Of four or five dimensions, the first choose; a last one of three or four bytes is a colour.
+    """
+    with reading(source.name, "NumPy"), _array(source) as file:
+        shape, _, dtype = _header(file)
+    if dtype.hasobject or dtype.names:
+        raise VolumeError(f"'{source.name}' holds {dtype}: save an array of numbers.")
+    coloured = len(shape) == 4 and dtype == np.uint8 and shape[-1] in (3, 4)
+    field = shape[:-1] if coloured else shape
+    source.refuse_others("part", "time", "channel")
+    picked = pick_axes(source, field)
+    source.check(field[-3:])
+    slabs = partial(_slabs, source, picked, coloured)
+    grid = Grid(field[-3:], np.dtype(np.float32) if coloured else dtype, (1.0, 1.0, 1.0), slabs, source.stamp)
+    return replace(grid, notes=(COLOURS,) if coloured else ())
+
+
+@contextmanager
+def _array(source: Source) -> Iterator[IO[bytes]]:
+    """The file of an array, at its beginning."""
+    with source.open() as file:
+        if file.read(4) != ZIP:
+            file.seek(0)
+            yield file
+            return
+        with zipfile.ZipFile(file) as whole:
+            names = [name.removesuffix(".npy") for name in whole.namelist() if name.endswith(".npy")]
+            chosen = source.chosen.get("part") or (names[0] if len(names) == 1 else None)
+            if chosen not in names:
+                listed = ", ".join(f"'{source.name}#{name}'" for name in names[:8]) or "nothing"
+                raise VolumeError(f"'{source.name}' holds several arrays, or none of that name: choose of {listed}.")
+            with whole.open(f"{chosen}.npy") as member:
+                yield member
+
+
+def _header(file: IO[bytes]) -> tuple[Shape, bool, np.dtype[Any]]:
+    """Shape, order and type of an array, whose values come next."""
+    version = np.lib.format.read_magic(file)
+    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    shape, fortran, dtype = read(file)
+    return tuple(int(n) for n in shape), bool(fortran), dtype
+
+
+def _slabs(source: Source, picked: tuple[int, ...], coloured: bool) -> Iterator[np.ndarray]:
+    """Some layers at a time; the whole at once where the first index is the fastest."""
+    with reading(source.name, "NumPy"), _array(source) as file:
+        shape, fortran, dtype = _header(file)
+        if fortran:
+            size = int(np.prod(shape)) * dtype.itemsize
+            data = read_up_to(file, size)
+            _check_length(source, data, size)
+            yield _values(np.frombuffer(data, dtype).reshape(shape, order="F")[picked], coloured)
+            return
+        inner = shape[len(picked) :]
+        layer = int(np.prod(inner[1:])) * dtype.itemsize
+        before = int(np.ravel_multi_index(picked, shape[: len(picked)])) if picked else 0
+        skip(file, before * inner[0] * layer)
+        for z in range(0, inner[0], layers_of(layer)):
+            size = min(layers_of(layer), inner[0] - z) * layer
+            data = read_up_to(file, size)
+            _check_length(source, data, size)
+            yield _values(np.frombuffer(data, dtype).reshape(-1, *inner[1:]), coloured)
+
+
+def _check_length(source: Source, data: bytearray, size: int) -> None:
+    if len(data) < size:
+        raise VolumeError(f"'{source.name}' ends before its last voxel: copy it again.")
+
+
+def _values(slab: np.ndarray, coloured: bool) -> np.ndarray:
+    return luminance(slab) if coloured else slab

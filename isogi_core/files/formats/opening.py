@@ -1,0 +1,134 @@
+"""Opening volumes of any kind but Zarr: the kind is told by how a file begins, and then by its name."""
+
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from isogi_core.errors import VolumeError
+from isogi_core.files.formats import dicom, hdf5, itk, mrc, nifti, numpy_file, tiff, vti
+from isogi_core.files.formats.source import KEYS, Source
+from isogi_core.files.grid import Grid
+from isogi_core.files.nrrd import open_nrrd, read_attached
+
+HEAD = 544
+"""Bytes by which a kind is told."""
+
+Opener = Callable[[Source], Grid]
+
+KNOWN = "NRRD, NIfTI, DICOM, TIFF, MRC, HDF5, NumPy, MetaImage, VTI or Zarr"
+
+
+def opener_for(head: bytes, unpacked: bytes, suffix: str) -> Opener | None:
+    """The function that opens files which begin with ``head``; by their ``suffix`` where that says nothing.
+
+    ``unpacked`` is how the content of a packed file begins: NIfTI and MRC are read out of such.
+    """
+    kinds: list[tuple[bool, Opener]] = [
+        (nifti.is_nifti(unpacked), nifti.open_nifti),
+        (dicom.is_dicom(head), dicom.open_dicom),
+        (tiff.is_tiff(head), tiff.open_tiff),
+        (mrc.is_mrc(unpacked), mrc.open_mrc),
+        (head.startswith(hdf5.MAGIC), hdf5.open_hdf5),
+        (head.startswith((numpy_file.NPY, numpy_file.ZIP)), numpy_file.open_numpy),
+        (b"<VTKFile" in head and b"ImageData" in head, vti.open_vti),
+        (b"NDims" in head or b"ObjectType" in head or head.startswith(b"# vtk DataFile"), itk.open_itk),
+        (suffix in (".dcm", ".ima"), dicom.open_dicom),
+        (suffix == ".vti", vti.open_vti),
+        (suffix in itk.SUFFIXES, itk.open_itk),
+    ]
+    return next((opener for fits, opener in kinds if fits), None)
+
+
+def open_file(path: Path, chosen: dict[str, Any]) -> Grid:
+    """Open a file or a folder of slices as a grid; only headers are read now. Raises VolumeError."""
+    source = Source(str(path), path, chosen={key: str(value) for key, value in chosen.items()})
+    if path.is_dir():
+        return _open_folder(source)
+    with source.open() as file:
+        head = file.read(HEAD)
+    if head.startswith(b"NRRD") or path.suffix.lower() in (".nrrd", ".nhdr"):
+        source.refuse_others()
+        return open_nrrd(path)
+    opener = opener_for(head, _unpacked_head(source), path.suffix.lower())
+    if opener is None:
+        raise VolumeError(f"'{path}' is no volume that is known here: give {KNOWN}.")
+    return opener(source)
+
+
+def _unpacked_head(source: Source) -> bytes:
+    """How a file's content begins; empty where it cannot be unpacked."""
+    with source.unpacked() as file:
+        try:
+            return file.read(HEAD)
+        except (OSError, EOFError, ValueError, zlib.error):
+            return b""
+
+
+def _open_folder(source: Source) -> Grid:
+    """Open a folder of slices: TIFF where it holds such, else DICOM."""
+    assert source.path is not None, "a folder has a path"
+    return tiff.open_tiff_folder(source) if tiff.slices_in(source.path) else dicom.open_dicom(source)
+
+
+def open_upload(file: Any, name: str, most: int) -> Grid:
+    """Open an untrusted file as a grid: no other file is opened, and no memory is taken on a header's word.
+
+    Raises VolumeError, also where it has more than ``most`` voxels.
+    """
+    source = Source(name, file=file, voxels=most)
+    head = file.read(HEAD)
+    if head.startswith(b"NRRD"):
+        file.seek(0)
+        return read_attached(file, name, most)
+    opener = opener_for(head, _unpacked_head(source), Path(name).suffix.lower())
+    if opener is None:
+        raise VolumeError(f"'{name}' is no volume that is known here: give {KNOWN}.")
+    return opener(source)
+
+
+CODECS = ("imcd", "zlib", "deflate", "jpeg8", "zstd")
+"""Packings of TIFF that are worth the time to load them, in a library that may be missing."""
+
+TIFF = ("tifffile", "tifffile._imagecodecs", "imagecodecs", *(f"imagecodecs._{codec}" for codec in CODECS))
+
+DECODERS = ("rle", "pillow", "pylibjpeg", "pyjpegls", "gdcm")
+PILLOW = ("Bmp", "Gif", "Ppm", "Png", "Jpeg", "Jpeg2K")
+JPEG = ("openjpeg", *(f"PIL.{name}ImagePlugin" for name in PILLOW))
+"""What DICOM's packed pixels are unpacked by, where it is installed."""
+
+LIBRARIES: tuple[tuple[int, bytes, tuple[str, ...]], ...] = (
+    (0, b"\x1f\x8b", ("nibabel", "mrcfile.utils", "mrcfile.mrcinterpreter")),
+    (0, b"BZh", ("nibabel", "mrcfile.utils", "mrcfile.mrcinterpreter")),
+    (344, b"n", ("nibabel",)),
+    (4, b"n", ("nibabel",)),
+    (128, b"DICM", ("pydicom.pixels", *(f"pydicom.pixels.decoders.{name}" for name in DECODERS), *JPEG)),
+    (0, b"II", TIFF),
+    (0, b"MM", TIFF),
+    (208, b"MAP", ("mrcfile.utils", "mrcfile.mrcinterpreter")),
+    (0, b"\x89HDF", ("h5py", "h5py._hl.dims", "h5py._hl.filters")),
+    (0, b"PK", ("encodings.cp437",)),
+)
+"""Libraries that a file may need, by what it has at some byte."""
+
+
+def libraries_for(head: bytes) -> list[str]:
+    """Modules that a file may need which begins with ``head``: more than it does, and never less."""
+    return [name for at, mark, names in LIBRARIES if head[at:].startswith(mark) for name in names]
+
+
+def split_part(name: str) -> tuple[str, dict[str, str]]:
+    """A volume's name without what follows its last #, and what that chooses: ``#time=3``, or a path in the file.
+
+    Raises VolumeError for a key that is none of KEYS.
+    """
+    place, mark, text = name.rpartition("#")
+    if not mark or not place:
+        return name, {}
+    chosen: dict[str, str] = {}
+    for each in text.split("&"):
+        key, equals, value = each.partition("=")
+        if equals and key not in KEYS:
+            raise VolumeError(f"'{each}' of '{name}' chooses nothing: give one of {', '.join(KEYS)}.")
+        chosen[key if equals else "part"] = value if equals else each
+    return place, chosen

@@ -1,0 +1,224 @@
+"""Sources of volumes: a file by its path, or an open and untrusted one; and what all readers share."""
+
+import bz2
+import gzip
+import math
+import zlib
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from importlib import import_module
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+
+from isogi_core.errors import IsogiError, VolumeError
+from isogi_core.files.grid import Shape, layers_of
+from isogi_core.files.nrrd import MAX_VOXELS
+from isogi_core.files.zarr_location import stamp_of
+
+BLOCK = 1 << 24
+"""Most bytes that are read at once."""
+
+KEYS = ("level", "channel", "time", "series", "part")
+"""What may be chosen of a file; ``part`` is a path inside it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """A file, or a folder of slices, at a ``path``; or an open ``file`` that has none. ``name`` is for messages.
+
+    ``chosen`` says which part of it is meant, by KEYS. At most so many ``voxels`` are read.
+    """
+
+    name: str
+    path: Path | None = None
+    file: IO[bytes] | None = None
+    chosen: Mapping[str, str] = field(default_factory=dict)
+    voxels: int = MAX_VOXELS
+
+    @contextmanager
+    def open(self) -> Iterator[IO[bytes]]:
+        """The file at its beginning, as it lies on the disk. Raises VolumeError where it cannot be read."""
+        if self.path is None:
+            assert self.file is not None, "a source has a path or a file"
+            self.file.seek(0)
+            yield self.file
+            return
+        try:
+            file = self.path.open("rb")
+        except FileNotFoundError as error:
+            raise VolumeError(f"There is no file '{self.path}': check the volume's path.") from error
+        except OSError as error:
+            raise VolumeError(f"The volume '{self.path}' cannot be read ({error}): check the file.") from error
+        with file:
+            yield file
+
+    @contextmanager
+    def unpacked(self) -> Iterator[IO[bytes]]:
+        """The file's content: that of gzip and bzip2 files is unpacked while it is read."""
+        with self.open() as file:
+            head = file.read(3)
+            file.seek(0)
+            yield _unpacking(file, head)
+
+    def stamp(self, *others: Path) -> str:
+        """Names the state of the file, of ``others`` that belong to it, and what is chosen; see ``Grid``."""
+        files = [self.path] if self.path is not None else []
+        return f"{stamp_of([*files, *others])} {sorted(self.chosen.items())}"
+
+    def refuse_others(self, *keys: str) -> None:
+        """Raise VolumeError where something is chosen that this kind of file does not have."""
+        other = next((key for key in self.chosen if key not in keys), None)
+        if other is not None:
+            raise VolumeError(f"'{self.name}' has no '{other}' to choose: leave it out.")
+
+    def count(self, key: str) -> int | None:
+        """A number that is chosen; None where none is. Raises VolumeError where it is no whole number."""
+        given = self.chosen.get(key)
+        if given is None:
+            return None
+        if not given.isdecimal():
+            raise VolumeError(f"{key} = '{given}' of '{self.name}' is no whole number from 0 on.")
+        return int(given)
+
+    def check(self, shape: Shape) -> None:
+        """Raise VolumeError where a field of ``shape`` is larger than may be read, before any memory is taken."""
+        if min(shape, default=0) < 1:
+            raise VolumeError(f"'{self.name}' claims sizes {shape[::-1]}, which cannot be: write it again.")
+        voxels = math.prod(shape)
+        if voxels > self.voxels:
+            most = f"{self.voxels} are the most that may be"
+            raise VolumeError(f"'{self.name}' has {voxels} voxels, and {most}: save a smaller part.")
+
+
+def _unpacking(file: IO[bytes], head: bytes) -> Any:
+    if head[:2] == b"\x1f\x8b":
+        return gzip.GzipFile(fileobj=file)
+    return bz2.BZ2File(file) if head == b"BZh" else file
+
+
+def library(name: str, kind: str, install: str = "'isogi[formats]'") -> Any:
+    """The library that reads files of a ``kind``. VolumeError, with the line that installs it, where it is missing."""
+    try:
+        return import_module(name)
+    except ImportError as error:
+        needed = f"{kind} is read by {name.partition('.')[0]}, which is not installed"
+        raise VolumeError(f"{needed}: pip install {install}.") from error
+
+
+@contextmanager
+def reading(name: str, kind: str) -> Iterator[None]:
+    """Raise VolumeError for whatever a library makes of a damaged file."""
+    try:
+        yield
+    except (IsogiError, MemoryError, GeneratorExit):
+        raise
+    except Exception as error:  # of many kinds, from libraries on damage
+        raise VolumeError(f"'{name}' cannot be read as {kind} ({line_of(error)}): copy or write it again.") from error
+
+
+def line_of(error: Exception) -> str:
+    """An error's type and message, on one short line."""
+    message = " ".join(str(error).split())
+    return f"{type(error).__name__}: {message[:200]}" if message else type(error).__name__
+
+
+def raw_slabs(source: Source, start: int, shape: Shape, dtype: np.dtype[Any]) -> Iterator[np.ndarray]:
+    """The voxels (z, y, x) that lie one after the other from byte ``start`` of the content on; some layers at a time.
+
+    VolumeError where the file ends before the last: no memory is taken on a header's word.
+    """
+    layer = shape[1] * shape[2] * dtype.itemsize
+    with source.unpacked() as file:
+        try:
+            skip(file, start)
+            for z in range(0, shape[0], layers_of(layer)):
+                deep = min(layers_of(layer), shape[0] - z)
+                data = read_up_to(file, deep * layer)
+                if len(data) < deep * layer:
+                    raise VolumeError(f"'{source.name}' ends before its last voxel: copy it again.")
+                yield np.frombuffer(data, dtype).reshape(deep, *shape[1:])
+        except (OSError, EOFError, zlib.error) as error:
+            raise VolumeError(f"The voxels of '{source.name}' are damaged ({error}): copy it again.") from error
+
+
+def skip(file: IO[bytes], count: int) -> None:
+    """Read over so many bytes."""
+    while count > 0 and (data := file.read(min(count, BLOCK))):
+        count -= len(data)
+
+
+def read_up_to(file: IO[bytes], count: int) -> bytearray:
+    """The next ``count`` bytes, or as many as there are."""
+    data = bytearray()
+    while len(data) < count and (block := file.read(min(count - len(data), BLOCK))):
+        data += block
+    return data
+
+
+@dataclass(frozen=True)
+class Scaling:
+    """``value = slope · stored + intercept``."""
+
+    slope: float = 1.0
+    intercept: float = 0.0
+
+    @property
+    def trivial(self) -> bool:
+        """Whether values are as they are stored."""
+        return self.slope == 1.0 and self.intercept == 0.0
+
+    def dtype(self, stored: np.dtype[Any]) -> np.dtype[Any]:
+        """The type of values: as stored where that is all, integers of integers where they can be, else floats."""
+        if self.trivial or stored.kind not in "iuf":
+            return stored
+        whole = float(self.slope).is_integer() and float(self.intercept).is_integer()
+        if whole and stored.kind in "iu" and stored.itemsize <= 2 and abs(self.slope) + abs(self.intercept) < 2**14:
+            return np.dtype(np.int32)
+        return np.dtype(np.float32 if stored.itemsize <= 2 else np.float64)
+
+    def apply(self, values: np.ndarray) -> np.ndarray:
+        """The values of stored ones, in ``dtype``."""
+        kind = self.dtype(values.dtype)
+        if kind == values.dtype:
+            return values
+        if kind == np.int32:
+            return values.astype(np.int32) * np.int32(self.slope) + np.int32(self.intercept)
+        return (values.astype(np.float64) * self.slope + self.intercept).astype(kind)
+
+
+LUMINANCE = (0.2126, 0.7152, 0.0722)
+"""Weights of red, green and blue (Rec. 709)."""
+
+COLOURS = "The voxels are colours: their luminance is shown."
+
+
+def luminance(colours: np.ndarray) -> np.ndarray:
+    """The luminance of colours (..., 3 or 4), float32; opacity is left out."""
+    return np.asarray(colours[..., :3].astype(np.float32) @ np.array(LUMINANCE, np.float32))
+
+
+def pick(source: Source, key: str, length: int, steps: str) -> int:
+    """Which of ``length`` elements is chosen by ``key``, the only one by default. Raises VolumeError."""
+    chosen = source.count(key)
+    if chosen is None and length > 1:
+        one = f"choose one by {key} = 0 to {length - 1} in the scene, or as '{source.name}#{key}=0'"
+        raise VolumeError(f"'{source.name}' has {length} {steps}: {one}.")
+    if not 0 <= (chosen or 0) < length:
+        raise VolumeError(f"{key} = {chosen} is not in '{source.name}', which has 0 to {length - 1}.")
+    return chosen or 0
+
+
+def pick_axes(source: Source, shape: Shape) -> tuple[int, ...]:
+    """Which elements are chosen along the axes before the last three of an array: time and then channel, of two.
+
+    An only one is chosen by either key. Raises VolumeError where there are more.
+    """
+    extra = shape[:-3]
+    if len(extra) > 2:
+        raise VolumeError(f"'{source.name}' has {len(shape)} dimensions: save one scalar field of it.")
+    if len(extra) == 1:
+        return (pick(source, "channel" if "channel" in source.chosen else "time", extra[0], "fields"),)
+    return tuple(pick(source, key, n, f"elements of {key}") for key, n in zip(("time", "channel"), extra, strict=False))

@@ -1,0 +1,216 @@
+"""TIFF stacks, OME-TIFF and folders of slices, read by tifffile."""
+
+import re
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from isogi_core.errors import VolumeError
+from isogi_core.files.formats.source import COLOURS, Source, library, luminance, pick, reading
+from isogi_core.files.grid import Grid, Shape
+from isogi_core.files.zarr_location import stamp_of
+
+SUFFIXES = (".tif", ".tiff")
+UNITS = {"micron": "µm", "um": "µm", "\\u00B5m": "µm", "µm": "µm", "nm": "nm", "mm": "mm", "cm": "cm", "pixel": ""}
+PLANE, COLOUR = "YX", "S"
+TIMES, CHANNELS = "TR", "CL"
+"""Letters of axes along which a field is chosen; other ones before y and x are z."""
+
+
+def is_tiff(head: bytes) -> bool:
+    """Whether a file begins as TIFF or BigTIFF does."""
+    return head[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+
+
+def open_tiff(source: Source) -> Grid:
+    """Open the first series of a TIFF file as a grid: only its description is read now. Raises VolumeError."""
+    tifffile = library("tifffile", "TIFF")
+    source.refuse_others("time", "channel", "series")
+    with reading(source.name, "TIFF"), source.open() as file, tifffile.TiffFile(file, name=source.name) as whole:
+        series = _series(source, whole)
+        axes, shape, dtype = series.axes, tuple(int(n) for n in series.shape), series.dtype
+        pages, deep = _pages(source, axes, shape)
+        coloured = axes.endswith(COLOUR)
+        ny, nx = shape[-3:-1] if coloured else shape[-2:]
+        _check_page(source, series, coloured)
+        source.check((deep, ny, nx))
+        spacing, unit = _spacing(whole)
+    slabs = partial(_slabs, source, pages, (ny, nx))
+    grid = Grid((deep, ny, nx), np.dtype(np.float32) if coloured else dtype, spacing, slabs, source.stamp, unit=unit)
+    return replace(grid, notes=(COLOURS,) if coloured else ())
+
+
+def _series(source: Source, whole: Any) -> Any:
+    """The series that is chosen, the first by default."""
+    number = source.count("series") or 0
+    first = whole.series[0]
+    if len(whole.series) > 1 and "series" not in source.chosen and _is_stack(whole.series):
+        pages = [each.pages[0] for each in whole.series]  # planes that were written one by one
+        kind = type(first)
+        return kind(pages, (len(pages), *first.shape), first.dtype, f"Q{first.axes}", name="planes")
+    if number >= len(whole.series):
+        raise VolumeError(f"'{source.name}' has series 0 to {len(whole.series) - 1}, not {number}.")
+    return whole.series[number]
+
+
+def _is_stack(series: Any) -> bool:
+    """Whether all series are planes, of one size and type."""
+    kinds = {(each.axes, each.shape, each.dtype) for each in series}
+    return len(kinds) == 1 and series[0].axes in (PLANE, PLANE + COLOUR)
+
+
+def _pages(source: Source, axes: str, shape: Shape) -> tuple[list[int], int]:
+    """Numbers of the planes that make up the field that is chosen, in its order along z."""
+    inner = PLANE + COLOUR if axes.endswith(COLOUR) else PLANE
+    if not axes.endswith(inner) or (inner == PLANE and len(axes) < 3):
+        raise VolumeError(f"'{source.name}' has the axes {axes}: save a stack of planes.")
+    outer = list(zip(axes.removesuffix(inner), shape, strict=False))
+    alone = sum(length > 1 for _, length in outer) == 1  # a stack without z: planes are one upon the other
+    picks: list[Any] = []
+    for axis, length in outer:
+        key = None if alone and length > 1 else "time" if axis in TIMES else "channel" if axis in CHANNELS else None
+        picks.append(slice(None) if key is None else pick(source, key, length, f"elements of {key}"))
+    numbers = np.arange(int(np.prod([n for _, n in outer]))).reshape([n for _, n in outer])[tuple(picks)]
+    if numbers.ndim > 1 and sum(n > 1 for n in numbers.shape) > 1:
+        raise VolumeError(f"'{source.name}' has the axes {axes}: save one scalar field of it.")
+    pages = [int(number) for number in numbers.ravel()]
+    return pages, len(pages)
+
+
+def _check_page(source: Source, series: Any, coloured: bool) -> None:
+    """Raise VolumeError for what pages of a series cannot be."""
+    page = series.keyframe
+    if int(page.photometric) == 3:
+        raise VolumeError(f"'{source.name}' holds colours of a palette: save its values.")
+    planes = 3 if coloured else 2
+    if len([n for n in page.shape if n > 1]) > planes:
+        raise VolumeError(f"'{source.name}' holds pages of {page.axes}: save a plane a page.")
+
+
+def _slabs(source: Source, pages: list[int], plane: Shape) -> Iterator[np.ndarray]:
+    """The planes of a series, one at a time; (1, ny, nx) each."""
+    tifffile = library("tifffile", "TIFF")
+    with reading(source.name, "TIFF"), source.open() as file, tifffile.TiffFile(file, name=source.name) as whole:
+        series = _series(source, whole)
+        for number in pages:
+            yield _plane(source, whole, series, number, plane)[None]
+
+
+def _plane(source: Source, whole: Any, series: Any, number: int, plane: Shape) -> np.ndarray:
+    """One plane of a series: of its own page, or of one whose voxels hold the planes of all."""
+    coloured = series.axes.endswith(COLOUR)
+    if len(series.pages) == 1 and series.dataoffset is not None and number >= 0:
+        count = int(np.prod(plane)) * (series.shape[-1] if coloured else 1)
+        order = np.dtype(series.dtype).newbyteorder(whole.byteorder)
+        whole.filehandle.seek(series.dataoffset + number * count * order.itemsize)
+        data = whole.filehandle.read(count * order.itemsize)
+        if len(data) < count * order.itemsize:
+            raise VolumeError(f"'{source.name}' ends before its last voxel: copy it again.")
+        values = np.frombuffer(data, order).reshape(*plane, *([series.shape[-1]] if coloured else []))
+    else:
+        page = series.pages[number]
+        if page is None:
+            raise VolumeError(f"Plane {number} of '{source.name}' is missing: write it again.")
+        values = page.asarray()
+    return luminance(values) if coloured else values.reshape(plane)
+
+
+def _spacing(whole: Any) -> tuple[tuple[float, float, float], str]:
+    """Spacing and unit as microscopists' files say them; 1 without unit where a file says none."""
+    if whole.is_ome:
+        return _ome_spacing(whole.ome_metadata or "")
+    if whole.is_imagej:
+        about = whole.imagej_metadata or {}
+        y, x = (_resolution(whole.pages[0], name) for name in ("YResolution", "XResolution"))
+        unit = str(about.get("unit", ""))
+        return (x, y, float(about.get("spacing", 0.0)) or x), UNITS.get(unit, unit)
+    return (1.0, 1.0, 1.0), ""
+
+
+def _resolution(page: Any, name: str) -> float:
+    """World units per pixel, of a tag that gives pixels per unit."""
+    tag = page.tags.get(name)
+    above, below = tag.value if tag is not None else (1, 1)
+    return below / above if above and below else 1.0
+
+
+def _ome_spacing(text: str) -> tuple[tuple[float, float, float], str]:
+    """Physical sizes of the first image; in its x axis's unit where all have the same."""
+    found = re.search(r"<(?:\w+:)?Pixels\b[^>]*>", text)
+    given = dict(re.findall(r'PhysicalSize(\w+)="([^"]*)"', found[0])) if found else {}
+    if not {"X", "Y"} <= set(given):
+        return (1.0, 1.0, 1.0), ""
+    units = {given.get(f"{axis}Unit", "µm") for axis in "XYZ" if axis in given}
+    unit = units.pop() if len(units) == 1 else None
+    if unit is None:
+        return (1.0, 1.0, 1.0), ""
+    x, y = float(given["X"]), float(given["Y"])
+    return (x, y, float(given.get("Z", x))), unit
+
+
+def slices_in(folder: Path) -> list[Path]:
+    """The TIFF files in a folder, in the order of the numbers in their names."""
+    return sorted((path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES), key=_numbers)
+
+
+def _numbers(path: Path) -> list[tuple[int, str]]:
+    """Orders names as people do: by their numbers, not by their digits."""
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", path.name) if part]
+
+
+def open_tiff_folder(source: Source) -> Grid:
+    """Open a folder of TIFF slices as a grid. Raises VolumeError where slices are missing, or unlike the others."""
+    tifffile = library("tifffile", "TIFF")
+    assert source.path is not None, "a folder has a path"
+    source.refuse_others()
+    files = slices_in(source.path)
+    _check_gaps(source, files)
+    kinds: list[tuple[Shape, np.dtype[Any], bool]] = []
+    for file in files:
+        with reading(str(file), "TIFF"), tifffile.TiffFile(file) as whole:
+            page = whole.pages[0]
+            kinds.append((page.shape, page.dtype, page.axes.endswith(COLOUR)))
+            if len(whole.pages) > 1:
+                raise VolumeError(f"'{file}' is a stack among the slices of '{source.name}': move it elsewhere.")
+    usual = Counter(kinds).most_common(1)[0][0]
+    for file, kind in zip(files, kinds, strict=True):
+        if kind != usual:
+            others = f"is {kind[0]} {kind[1]}, and most others are {usual[0]} {usual[1]}"
+            raise VolumeError(f"'{file.name}' in '{source.name}' {others}: move it elsewhere.")
+    (ny, nx, *_), dtype, coloured = usual
+    source.check((len(files), ny, nx))
+    grid = Grid(
+        (len(files), ny, nx),
+        np.dtype(np.float32) if coloured else dtype,
+        (1.0, 1.0, 1.0),
+        partial(_slices, files, coloured),
+        partial(stamp_of, files),
+    )
+    return replace(grid, notes=(COLOURS,) if coloured else ())
+
+
+def _check_gaps(source: Source, files: list[Path]) -> None:
+    """Raise VolumeError where the numbers in the slices' names leave some out."""
+    numbers = [[part for part, text in _numbers(file) if not text] for file in files]
+    lasts = [each[-1] for each in numbers if each]
+    steps = np.diff(lasts)
+    if len(lasts) != len(files) or not len(steps) or len({tuple(each[:-1]) for each in numbers}) > 1:
+        return
+    usual = int(np.median(steps))
+    for file, after, step in zip(files, files[1:], steps, strict=False):
+        if step != usual:
+            wrong = f"'{file.name}' is followed by '{after.name}', where others are {usual} apart"
+            raise VolumeError(f"Slices of '{source.name}' are missing or doubled ({wrong}): complete the folder.")
+
+
+def _slices(files: list[Path], coloured: bool) -> Iterator[np.ndarray]:
+    tifffile = library("tifffile", "TIFF")
+    for file in files:
+        with reading(str(file), "TIFF"):
+            values = tifffile.imread(file, key=0)
+        yield (luminance(values) if coloured else values)[None]

@@ -1,0 +1,63 @@
+"""What commands share: the options of views and of work, in words, and how the axes of a volume are taken."""
+
+from collections.abc import Callable
+from functools import wraps
+from typing import Any
+
+import click
+
+VIEW_OPTIONS = {
+    "isovalue": "In the volume's own units; default: the scene's.",
+    "azimuth": "Degrees; 0 looks from +x, 90 from +y.",
+    "elevation": "Degrees above the xy plane.",
+    "distance": "From the target, in radii of the volume's bounding sphere.",
+    "fov": "Vertical field of view, degrees.",
+    "eye": "World x,y,z, instead of azimuth, elevation and distance.",
+    "target": "World x,y,z to look at; default: the volume's centre.",
+    "up": "World x,y,z that points up in the picture.",
+    "yaw": "Turns the light about z, degrees.",
+    "pitch": "Then about y, degrees.",
+    "roll": "Then about x, degrees.",
+    "light": "Quaternion w,x,y,z that turns the light, instead of yaw, pitch and roll.",
+    "albedo": "Of the surface, one number or r,g,b, within the scene's albedos; default: the scene's albedo.",
+    "width": "Pixels.",
+    "height": "Pixels.",
+    "shading": "gi, vicinity, lambert[_shadow|_fog], phong[_shadow] or path_traced.",
+    "exposure": "Factor on radiance before the tone curve.",
+    "samples": "Paths per pixel, for path_traced.",
+    "overlay": "none, provisional (hatches what is not final) or error (each pixel's estimate as a colour).",
+}
+DEVELOPED = ("shading", "samples", "exposure", "overlay")
+"""Options that a reference, which is radiance alone, does not read."""
+
+PICTURE_OPTIONS = ("albedo", "width", "height", "shading", "samples", "overlay")
+REPORT_OPTIONS = {
+    **{name: text for name, text in VIEW_OPTIONS.items() if name not in PICTURE_OPTIONS},
+    "azimuth": "Degrees; 0 looks from +x, 90 from +y; default: 40.",
+    "elevation": "Degrees above the xy plane; default: 30.",
+    "distance": "From the target, in radii of the volume's bounding sphere; default: 2.2.",
+}
+WORK_OPTIONS = {
+    "workers": "Baking processes; default: one per core.",
+    "store": "Path or URL of the cache; default: the user's cache folder.",
+    "scheduler": "Address of a Dask scheduler to bake on, instead of own workers.",
+}
+
+
+def axes_option(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Decorator: the option --axes, which becomes a part of the command's target."""
+
+    @click.option(
+        "--axes",
+        type=click.Choice(["world", "raw"]),
+        help="Where the volume lies: as its file says, or raw, its voxels' indices times spacing; default: world.",
+    )
+    @wraps(command)
+    def placed(axes: str | None, **given: Any) -> Any:
+        name = "scene" if "scene" in given else "target"
+        if axes is not None:
+            target = given[name] or "demo:casting"
+            given[name] = f"{target}{'&' if '#' in target else '#'}axes={axes}"
+        return command(**given)
+
+    return placed

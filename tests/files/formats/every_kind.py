@@ -1,0 +1,74 @@
+"""The letter F in a file of each kind that may be uploaded, by the libraries that are installed."""
+
+import gzip
+import importlib.util
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tests.files.formats.dicom_files import dataset
+from tests.files.formats.phantom import affine, letter
+
+F = letter()
+
+
+def present(name: str) -> bool:
+    """Whether a library is installed."""
+    return importlib.util.find_spec(name) is not None
+
+
+def written(folder: Path) -> list[Path]:
+    """Files in a ``folder``, which is made."""
+    folder.mkdir(exist_ok=True)
+    return [path for write in (numpy_files, nifti, dicom, tiff, mrc, hdf5) for path in write(folder)]
+
+
+def numpy_files(folder: Path) -> Iterator[Path]:
+    np.save(folder / "f.npy", F)
+    np.savez_compressed(folder / "f.npz", F)
+    yield from (folder / "f.npy", folder / "f.npz")
+
+
+def nifti(folder: Path) -> Iterator[Path]:
+    if present("nibabel"):
+        import nibabel as nib
+
+        nib.save(nib.Nifti1Image(F.T, affine()), folder / "f.nii")
+        (folder / "f.nii.gz").write_bytes(gzip.compress((folder / "f.nii").read_bytes(), mtime=0))
+        yield from (folder / "f.nii", folder / "f.nii.gz")
+
+
+def dicom(folder: Path) -> Iterator[Path]:
+    if present("pydicom"):
+        made: Any = dataset(F[0], affine(), 0, NumberOfFrames=12, PixelData=F.astype("<i2").tobytes())
+        made.save_as(folder / "f.dcm", enforce_file_format=True)
+        yield folder / "f.dcm"
+
+
+def tiff(folder: Path) -> Iterator[Path]:
+    if present("tifffile"):
+        import tifffile
+
+        tifffile.imwrite(folder / "f.tif", F, photometric="minisblack")
+        tifffile.imwrite(folder / "g.tif", F, photometric="minisblack", compression="zlib")
+        yield from (folder / "f.tif", folder / "g.tif")
+
+
+def mrc(folder: Path) -> Iterator[Path]:
+    if present("mrcfile"):
+        import mrcfile
+
+        with mrcfile.new(folder / "f.mrc") as made:
+            made.set_data(F)
+        yield folder / "f.mrc"
+
+
+def hdf5(folder: Path) -> Iterator[Path]:
+    if present("h5py"):
+        import h5py
+
+        with h5py.File(folder / "f.h5", "w") as file:
+            file.create_dataset("x", data=F, chunks=(4, 8, 8), compression="gzip")
+        yield folder / "f.h5"

@@ -1,0 +1,46 @@
+"""Damaged files of every kind are refused in a sentence, or read: nothing crashes."""
+
+import io
+import random
+import warnings
+from pathlib import Path
+
+import pytest
+
+from isogi_core.errors import VolumeError
+from isogi_core.files.formats.opening import open_upload
+from isogi_core.files.right_angles import on_right_angles
+from tests.files.formats.every_kind import written
+
+VOXELS = 1 << 16
+EACH = 24
+
+
+def damaged(whole: bytes, rng: random.Random) -> bytes:
+    """A file cut short, or with some bytes changed, as often in its head as anywhere."""
+    data, kind = bytearray(whole), rng.randrange(4)
+    if kind == 0:
+        return whole[: rng.randrange(len(whole))]
+    within = min(600, len(data)) if kind == 1 else len(data)
+    for _ in range(rng.choice((1, 8, 200)) if kind < 3 else 0):
+        data[rng.randrange(within)] = rng.choice((0, 127, 128, 255, rng.randrange(256)))
+    start = rng.randrange(len(data)) if kind == 3 else len(data)
+    data[start : start + 64] = bytes(len(data[start : start + 64]))
+    return bytes(data)
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_damaged_files_are_refused_or_read(tmp_path: Path) -> None:
+    rng, ends = random.Random(7), {"read": 0, "refused": 0}
+    for path in written(tmp_path / "files"):
+        whole = path.read_bytes()
+        for _ in range(EACH):
+            try:
+                with warnings.catch_warnings():
+                    grid = on_right_angles(open_upload(io.BytesIO(damaged(whole, rng)), path.name, VOXELS))
+                    assert grid.whole().shape == grid.shape
+                    ends["read"] += 1
+            except VolumeError as error:
+                assert str(error).endswith(".")
+                ends["refused"] += 1
+    assert min(ends.values()) > EACH

@@ -1,0 +1,188 @@
+"""DICOM series as scanners leave them: shuffled, missing, doubled, tilted, two in a folder, of packed bits."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from isogi_core.errors import VolumeError
+from isogi_core.files.formats.opening import open_file
+from isogi_core.files.grid import Grid
+from isogi_core.files.right_angles import on_right_angles
+from tests.files.formats.dicom_files import dataset, write_series
+from tests.files.formats.phantom import affine, letter
+
+pytest.importorskip("pydicom")
+
+LPS = np.diag([-1.0, -1.0, 1.0, 1.0]) @ affine()
+F = letter()
+
+
+def opened(path: Path, **chosen: Any) -> Grid:
+    return on_right_angles(open_file(path, chosen))
+
+
+def save(folder: Path, name: str, made: Any) -> None:
+    folder.mkdir(exist_ok=True)
+    made.save_as(folder / name, enforce_file_format=True)
+
+
+def slices_of(folder: Path, layers: list[int], **changes: Any) -> Path:
+    for place, number in enumerate(layers):
+        save(folder, f"{place}.dcm", dataset(F[number], LPS, number, **changes))
+    return folder
+
+
+def test_shuffled_slices_are_sorted_by_where_they_lie(tmp_path: Path) -> None:
+    grid = opened(write_series(tmp_path / "a", F, LPS, InstanceNumber=1))
+    np.testing.assert_array_equal(grid.whole(), F)
+    assert not grid.notes and grid.unit == "mm"
+
+
+def test_a_missing_slice_is_a_layer_of_holes(tmp_path: Path) -> None:
+    grid = opened(slices_of(tmp_path / "a", [n for n in range(12) if n != 5]))
+    voxels = grid.whole()
+    assert np.isnan(voxels[5]).all() and "1 of 12 slices are missing" in grid.notes[0]
+    np.testing.assert_array_equal(np.delete(voxels, 5, 0), np.delete(F, 5, 0))
+
+
+def test_doubled_slices_are_left_out_where_they_are_the_same(tmp_path: Path) -> None:
+    folder = write_series(tmp_path / "a", F, LPS)
+    save(folder, "again.dcm", dataset(F[3], LPS, 3))
+    grid = opened(folder)
+    np.testing.assert_array_equal(grid.whole(), F)
+    assert "1 doubled" in grid.notes[0]
+    save(folder, "other.dcm", dataset(F[4], LPS, 3, SOPInstanceUID="1.2.3.999"))
+    with pytest.raises(VolumeError, match="13 slices at 12 places"):
+        opened(folder)
+
+
+def test_unevenly_spaced_slices_are_interpolated(tmp_path: Path) -> None:
+    ramp = np.broadcast_to(np.arange(8, dtype=np.int16)[:, None, None] * 100, (8, 6, 5))
+    for number in (0, 1, 2, 4, 5, 7):
+        height = number + (0.5 if number == 4 else 0.0)
+        value = np.round(ramp[number] + 100 * (height - number)).astype(np.int16)
+        save(tmp_path / "a", f"{number}.dcm", dataset(value, LPS, number, ImagePositionPatient=[0, 0, height]))
+    grid = opened(tmp_path / "a")
+    assert "unevenly spaced" in grid.notes[0]
+    voxels, (_, _, step) = grid.whole(), grid.spacing
+    np.testing.assert_allclose(voxels[:, 3, 3], 100 * step * np.arange(len(voxels)), atol=1e-3)
+
+
+def test_a_tilted_gantry_is_resampled_once(tmp_path: Path) -> None:
+    tilted = LPS.copy()
+    tilted[1, 2] = 0.5 * LPS[2, 2]
+    smooth = np.add.outer(np.add.outer(np.arange(12) * 0.0, np.arange(20) * 3.0), np.arange(16) * 1.0)
+    for number in range(12):
+        shifted = smooth[number] + 3.0 * number * tilted[1, 2] / LPS[1, 1]
+        save(tmp_path / "a", f"{number}.dcm", dataset(np.round(shifted * 8).astype(np.int16), tilted, number))
+    grid = opened(tmp_path / "a")
+    assert "skewed" in grid.notes[0] and grid.affine is not None
+    voxels = grid.whole()
+    middle = voxels[:, voxels.shape[1] // 2, 8]
+    assert np.isnan(voxels).any() and np.ptp(middle) <= 1.0  # what a tilt moved is where it was
+
+
+def test_one_series_of_two_is_chosen(tmp_path: Path) -> None:
+    folder = write_series(tmp_path / "a", F, LPS)
+    for number in range(6):
+        other = dataset(F[number] + 1, LPS, number, SeriesNumber=2, SeriesDescription="a scout")
+        other.SeriesInstanceUID, other.SOPInstanceUID = "1.2.4.2", f"1.2.5.{number}"
+        save(folder, f"x{number}.dcm", other)
+    with pytest.raises(VolumeError, match=r"2 series.*#series=0: an F, 12 of 16 × 20; #series=1: a scout, 6"):
+        opened(folder)
+    assert opened(folder, series=0).shape == (12, 20, 16)
+    np.testing.assert_array_equal(opened(folder, series="1.2.4.2").whole(), F[:6] + 1)
+
+
+def test_time_steps_are_chosen(tmp_path: Path) -> None:
+    for time, number in np.ndindex(2, 12):
+        made = dataset(F[number] + time, LPS, number, InstanceNumber=12 * time + number)
+        made.SOPInstanceUID = f"1.2.6.{time}.{number}"
+        save(tmp_path / "a", f"{time}-{number}.dcm", made)
+    with pytest.raises(VolumeError, match="2 slices at each place"):
+        opened(tmp_path / "a")
+    np.testing.assert_array_equal(opened(tmp_path / "a", time=1).whole(), F + 1)
+
+
+def test_twelve_bits_of_sixteen_have_a_sign_of_their_own(tmp_path: Path) -> None:
+    values = F - 500
+    stored = (values.astype(np.int32) & 0xFFF) | 0x3000  # what is above may hold anything
+    for number, layer in enumerate(stored):
+        made = dataset(layer.astype("<u2").view("<i2"), LPS, number, BitsStored=12, HighBit=11)
+        save(tmp_path / "a", f"{number}.dcm", made)
+    np.testing.assert_array_equal(opened(tmp_path / "a").whole(), values)
+
+
+def test_each_slice_has_its_own_slope(tmp_path: Path) -> None:
+    for number in range(12):
+        made = dataset(F[number], LPS, number, RescaleSlope=f"{number + 0.5}", RescaleIntercept="-10")
+        save(tmp_path / "a", f"{number}.dcm", made)
+    expected = F * (np.arange(12) + 0.5)[:, None, None] - 10.0
+    np.testing.assert_allclose(opened(tmp_path / "a").whole(), expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize("syntax", ["ImplicitVRLittleEndian", "ExplicitVRBigEndian", "RLELossless"])
+def test_transfer_syntaxes_give_the_same_voxels(tmp_path: Path, syntax: str) -> None:
+    import pydicom
+
+    for number, layer in enumerate(F):
+        made = dataset(layer, LPS, number)
+        if syntax == "RLELossless":
+            made.compress(pydicom.uid.RLELossless, generate_instance_uid=False)
+        else:
+            made.file_meta.TransferSyntaxUID = getattr(pydicom.uid, syntax)
+            made.PixelData = layer.astype(">i2" if "Big" in syntax else "<i2").tobytes()
+        save(tmp_path / "a", f"{number}.dcm", made)
+    np.testing.assert_array_equal(opened(tmp_path / "a").whole(), F)
+
+
+def test_many_frames_in_one_file_lie_where_they_say(tmp_path: Path) -> None:
+    from pydicom.dataset import Dataset
+    from pydicom.sequence import Sequence
+
+    def group(**values: Any) -> Any:
+        inner = Dataset()
+        for name, value in values.items():
+            setattr(inner, name, value)
+        return Sequence([inner])
+
+    made = dataset(F[0], LPS, 0, NumberOfFrames=12, PixelData=F[::-1].astype("<i2").tobytes())
+    shared, frames = Dataset(), []
+    shared.PixelMeasuresSequence = group(PixelSpacing=list(made.PixelSpacing), SliceThickness="1.5")
+    shared.PlaneOrientationSequence = group(ImageOrientationPatient=list(made.ImageOrientationPatient))
+    for number in range(11, -1, -1):
+        frame = Dataset()
+        place = [f"{x:.9g}" for x in LPS[:3, 3] + number * LPS[:3, 2]]
+        frame.PlanePositionSequence = group(ImagePositionPatient=place)
+        frames.append(frame)
+    del made.ImagePositionPatient, made.ImageOrientationPatient, made.PixelSpacing
+    made.SharedFunctionalGroupsSequence, made.PerFrameFunctionalGroupsSequence = Sequence([shared]), Sequence(frames)
+    save(tmp_path, "a.dcm", made)
+    grid = opened(tmp_path / "a.dcm")
+    np.testing.assert_array_equal(grid.whole(), F)
+    assert grid.affine is not None
+    np.testing.assert_allclose(grid.spacing, (1.0, 1.25, 1.5))
+
+
+def test_slices_that_do_not_say_where_they_lie_are_in_order(tmp_path: Path) -> None:
+    for number, layer in enumerate(F):
+        made = dataset(layer, LPS, number)
+        del made.ImagePositionPatient
+        save(tmp_path / "a", f"{(number * 7) % 12}.dcm", made)
+    grid = opened(tmp_path / "a")
+    np.testing.assert_array_equal(grid.whole(), F)
+    assert "do not say where they lie" in grid.notes[0]
+
+
+def test_colours_are_shown_as_luminance(tmp_path: Path) -> None:
+    for number in range(12):
+        grey = np.repeat((F[number] // 4).astype(np.uint8)[..., None], 3, axis=-1)
+        made = dataset(F[number], LPS, number, SamplesPerPixel=3, PhotometricInterpretation="RGB")
+        made.PlanarConfiguration, made.PixelRepresentation = 0, 0
+        made.BitsAllocated, made.BitsStored, made.HighBit, made.PixelData = 8, 8, 7, grey.tobytes()
+        save(tmp_path / "a", f"{number}.dcm", made)
+    grid = opened(tmp_path / "a")
+    np.testing.assert_allclose(grid.whole(), F // 4, atol=1e-3)
+    assert "colours" in grid.notes[0]

@@ -1,0 +1,45 @@
+"""``isogi export``: an isosurface or a volume with its light in files, and what it refuses."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from server.cli.command import run
+from tests.server.inline import InlinePool
+from worker import pool
+
+
+@pytest.fixture(autouse=True)
+def inline(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Bake in this process."""
+    monkeypatch.setattr(pool, "WorkerPool", InlinePool)
+
+
+def test_light_is_written_to_files_of_other_tools(
+    small_scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene = tmp_path / "small.toml"
+    text = small_scene.read_text().replace("small.nrrd", str(small_scene.parent / "small.nrrd"))
+    scene.write_text(text.replace("lattice = 0.5", "lattice = 1"))
+    for name, key in (("a.ply", "triangles"), ("a.glb", "triangles"), ("a.vti", "texels"), ("a.nrrd", "texels")):
+        arguments = ["export", scene, "-o", tmp_path / name, "--store", tmp_path / "store", "--json"]
+        assert run([str(each) for each in arguments]) == 0
+        facts = json.loads(capsys.readouterr().out)
+        assert facts[key] > 500 and facts["final"] == 1.0 and facts["bytes"] == (tmp_path / name).stat().st_size
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["-o", "a.stl"], "end it in .ply, .glb, .vti, .nrrd"),
+        (["-o", "no/a.ply"], "no folder no"),
+        (["-o", "a.ply", "--isovalue", "0.3:0.5"], "a mesh is of one isovalue"),
+        (["-o", "a.vti"], "set lattice = 1"),
+    ],
+)
+def test_what_cannot_be_exported_is_refused(
+    small_scene: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], sentence: str
+) -> None:
+    assert run(["export", str(small_scene), *arguments]) == 2
+    assert sentence.lower() in capsys.readouterr().err.lower()

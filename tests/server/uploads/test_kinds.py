@@ -1,0 +1,58 @@
+"""Files of every kind are read by the confined reader, which can open no file and load no library any more."""
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from isogi_core.files.nrrd import open_nrrd
+from isogi_core.files.right_angles import on_right_angles
+from isogi_core.model.orientation import Orientation
+from server.uploads.folder import read_facts
+from server.uploads.uploads import ROOT
+from tests.files.formats.every_kind import F, written
+from tests.files.formats.phantom import ORIGIN, STEPS
+
+
+def read_confined(path: Path, folder: Path) -> Path:
+    """The canonical file that the reader makes of a file."""
+    with path.open("rb") as upload, tempfile.TemporaryFile(dir=folder) as out:
+        arguments = [path.name, str(out.fileno()), str(1 << 16), "60"]
+        done = subprocess.run(
+            [sys.executable, "-P", "-m", "server.uploads.reader", *arguments],
+            stdin=upload,
+            capture_output=True,
+            pass_fds=[out.fileno()],
+            env={"PYTHONPATH": str(ROOT), "PATH": os.environ["PATH"]},
+            check=True,
+        )
+        answer = json.loads(done.stdout)
+        assert "id" in answer, answer
+        out.seek(0)
+        kept = folder / f"{answer['id']}.nrrd"
+        kept.write_bytes(out.read())
+        return kept
+
+
+def test_files_of_every_kind_are_read_confined(tmp_path: Path) -> None:
+    for path in written(tmp_path / "files"):
+        kept = read_confined(path, tmp_path)
+        facts, grid = read_facts(kept), on_right_angles(open_nrrd(kept))
+        assert facts and facts.name == path.name and facts.size == (16, 20, 12)
+        np.testing.assert_array_equal(np.sort(grid.whole(), axis=None), np.sort(F, axis=None))
+
+
+def test_an_uploaded_file_lies_where_it_did(tmp_path: Path) -> None:
+    pytest.importorskip("nibabel")
+    path = next(path for path in written(tmp_path / "files") if path.name == "f.nii.gz")
+    grid = on_right_angles(open_nrrd(read_confined(path, tmp_path)))
+    orientation = Orientation.of(grid)
+    assert orientation.letters == "RAS"
+    np.testing.assert_array_equal(grid.whole(), F)
+    last = np.array((15.0, 19.0, 11.0)) * STEPS
+    np.testing.assert_allclose(orientation.to_world(last), np.array(ORIGIN) + last)
