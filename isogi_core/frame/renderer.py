@@ -65,7 +65,7 @@ from isogi_core.kernels.simd.types import REGISTER
 from isogi_core.lru_cache import LruCache
 from isogi_core.model.view import View
 
-FORMAT = 2
+FORMAT = 3
 """Counts up when pictures of the same light change: those that browsers keep are then asked for anew."""
 
 KEPT = 256 << 20
