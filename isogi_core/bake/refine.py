@@ -164,14 +164,12 @@ def by_isovalue(
 ) -> Iterator[tuple[ActiveCells, np.ndarray]]:
     """The rows that are not void in groups of near isovalues, each with the map of its isosurfaces.
 
-    They ascend by isovalue, so that paths of one wave meet the same cells.
+    Within a group they stay as they lie in space: sorted by isovalue, paths took a twentieth longer.
     """
     lit = np.flatnonzero(~void)
-    lit = lit[np.argsort(isovalues[lit], kind="stable")]
     groups, ends = prepared.maps.groups(isovalues[lit])
-    found, firsts = np.unique(groups, return_index=True)
-    for group, rows in zip(found, np.split(lit, firsts[1:]), strict=False):
-        yield prepared.maps.covering(ends[group : group + 2]), rows
+    for group in np.unique(groups):
+        yield prepared.maps.covering(ends[group : group + 2]), lit[groups == group]
 
 
 def add_to_mean(mean: np.ndarray, samples: int, added: np.ndarray, total: int) -> np.ndarray:
