@@ -3,7 +3,7 @@
 import logging
 import threading
 import time
-from collections.abc import Callable, Hashable, Iterable
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 from uuid import uuid4
@@ -228,7 +228,7 @@ class Baker:
             if request is None:
                 return
             self._in_flight += 1
-            self._submit(self._pool, request)
+            self._submit(self._pool, self._queue.take_along(request, self._pool.together))
 
     def _room(self, pool: "WorkerPool") -> int:
         """How many tasks may be in flight now: none, or one trial, in a pause; fewer while a view moves."""
@@ -236,43 +236,60 @@ class Baker:
             return min(int(self._pause.over), pool.room)
         return min(max(pool.workers // 2, 1) if self._clock() - self._way < WAY else pool.room, pool.room)
 
-    def _submit(self, pool: "WorkerPool", request: BakeRequest) -> None:
-        scene, index = request.key
+    def _submit(self, pool: "WorkerPool", requests: Sequence[BakeRequest]) -> None:
+        """Hand over the tasks of requests of one bake, to be done together."""
+        scene = requests[0].key[0]
         bake = self._bakes[scene]
+        tasks = [self._task(bake, request) for request in requests]
+        if len(tasks) == 1:
+            pool.submit(tasks[0], lambda result, error: self._done(scene, bake, tasks, [result or error]))
+        else:
+            pool.submit_all(tasks, lambda outcomes: self._done(scene, bake, tasks, outcomes))
+
+    def _task(self, bake: Bake, request: BakeRequest) -> BakeTask:
+        index = request.key[1]
         place = (bake.source, bake.plan, bake.digest, bake.store_url, index)
         what = (request.offsets, request.footprints, request.until, request.least_priority or 0.0, request.target)
-        task = BakeTask(*place, *what, bake.assets, self._name, request.waited >= LONGEST_REST, bake.shown)
-        pool.submit(task, lambda result, error: self._done(scene, bake, task, result, error))
+        return BakeTask(*place, *what, bake.assets, self._name, request.waited >= LONGEST_REST, bake.shown)
 
     def _done(
-        self, scene: str, bake: Bake, task: BakeTask, result: BakeResult | None, error: BaseException | None
+        self, scene: str, bake: Bake, tasks: Sequence[BakeTask], outcomes: Sequence[BakeResult | BaseException | None]
     ) -> None:
-        if result is not None and result.elsewhere:
-            self._postpone((scene, task.index))
-            return
-        if result is not None:
-            bake.costs.add(task.index, result.cost)
-            bake.arrived(task.index)
+        """Take over what became of tasks that were done together."""
+        for task, outcome in zip(tasks, outcomes, strict=True):
+            if isinstance(outcome, BakeResult) and not outcome.elsewhere:
+                bake.costs.add(task.index, outcome.cost)
+                bake.arrived(task.index)
         with self._changed:
             self._in_flight -= 1
-            if result is not None:
-                self._paths += result.cost.paths
-                self._done_tasks += 1
-                self._pause.end()
-                self._duplicate += result.duplicate
-                self._healed += result.healed
-                self._queue.finish((scene, task.index), task.offsets, task.target, result)
-            elif isinstance(error, WorkersAwayError):
-                self._queue.put_off((scene, task.index))
-            elif isinstance(error, StoreAwayError):
-                self._put_off((scene, task.index), error)
-            elif self._pool is not None:
-                self._fail((scene, task.index), error)
+            for task, outcome in zip(tasks, outcomes, strict=True):
+                self._settle(scene, task, outcome)
             self._changed.notify_all()
             self._feed()
-            open_still = bool(self._queue.open([(scene, task.index)]))
-        self._notify(scene, task.index, open_still)
+            open_still = [bool(self._queue.open([(scene, task.index)])) for task in tasks]
+        for task, outcome, more in zip(tasks, outcomes, open_still, strict=True):
+            if not (isinstance(outcome, BakeResult) and outcome.elsewhere):
+                self._notify(scene, task.index, more)
         bake.costs.save(at_once=self._pool is None)
+
+    def _settle(self, scene: str, task: BakeTask, outcome: BakeResult | BaseException | None) -> None:
+        """Note in the queue what became of a task; the caller holds the lock."""
+        key = scene, task.index
+        if isinstance(outcome, BakeResult) and outcome.elsewhere:
+            self._postpone(key)
+        elif isinstance(outcome, BakeResult):
+            self._paths += outcome.cost.paths
+            self._done_tasks += 1
+            self._pause.end()
+            self._duplicate += outcome.duplicate
+            self._healed += outcome.healed
+            self._queue.finish(key, task.offsets, task.target, outcome)
+        elif isinstance(outcome, WorkersAwayError):
+            self._queue.put_off(key)
+        elif isinstance(outcome, StoreAwayError):
+            self._put_off(key, outcome)
+        elif self._pool is not None:
+            self._fail(key, outcome)
 
     def _put_off(self, key: Key, error: StoreAwayError) -> None:
         """Postpone a task that could not reach the store, and pause baking until the store is there again."""
@@ -285,10 +302,7 @@ class Baker:
 
     def _postpone(self, key: Key) -> None:
         """Postpone a chunk that another baker has claimed; other chunks come first."""
-        with self._changed:
-            self._in_flight -= 1
-            self._queue.put_off(key, REST)
-            self._feed()
+        self._queue.put_off(key, REST)
         after(REST, self._resume)
 
     def _resume(self) -> None:

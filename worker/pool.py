@@ -3,7 +3,7 @@
 import logging
 import os
 import threading
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from contextlib import suppress
 from functools import partial
 from typing import Any, cast
@@ -12,9 +12,10 @@ import dask.config
 from distributed import Client, Future, LocalCluster, fire_and_forget
 from distributed.scheduler import KilledWorker
 
+from isogi_core.model.scene_plan import ScenePlan
 from worker.errors import LostWorkerError, WorkersAwayError, WorkersError
 from worker.niceness import Nice, Sessions, leads_session
-from worker.tasks import KINDS, BakeResult, BakeTask, bake, kernels_missing, load_kernels
+from worker.tasks import KINDS, BakeResult, BakeTask, Outcome, bake, bake_all, kernels_missing, load_kernels
 
 SOON = 1.0
 """Seconds that closing a client may take that could not be made."""
@@ -39,6 +40,9 @@ class OwnClient(Client):
     def __del__(self) -> None:
         """Close nothing."""
 
+
+TOGETHER = 2048
+"""Most texels of a task: at 1024 and more their paths fill whole waves."""
 
 AHEAD = 2
 """Tasks in flight per worker: few, as a task in flight can be neither re-ordered nor stopped."""
@@ -76,6 +80,7 @@ NOBODY = "No worker has joined the scheduler at {scheduler}: start one with 'das
 log = logging.getLogger("isogi.worker")
 
 Done = Callable[[BakeResult | None, BaseException | None], None]
+AllDone = Callable[[Sequence[BakeResult | BaseException]], None]
 
 
 class WorkerPool:
@@ -134,6 +139,11 @@ class WorkerPool:
         return AHEAD * self.workers if self.connected else 0
 
     @property
+    def together(self) -> int:
+        """Most texels of a task, of as many chunks as that takes."""
+        return TOGETHER
+
+    @property
     def connected(self) -> bool:
         """Whether the scheduler can be reached."""
         return bool(self._client.status == "running")
@@ -162,9 +172,21 @@ class WorkerPool:
 
     def submit(self, task: BakeTask, done: Done) -> None:
         """Hand a task over; ``done`` is called from another thread with its result or its error."""
-        self._kinds |= (kinds := {layer.kind for layer in task.plan.layers})
+        self._send(bake, task, task.plan, done)
+
+    def submit_all(self, tasks: Sequence[BakeTask], done: AllDone) -> None:
+        """Hand tasks of one bake over, to be done together; ``done`` is called with the result or error of each."""
+
+        def ended(outcomes: Sequence[Outcome] | None, error: BaseException | None) -> None:
+            done(outcomes or [error or WorkersError("Nothing came of it.")] * len(tasks))
+
+        self._send(bake_all, tasks, tasks[0].plan, ended)
+
+    def _send(self, work: Callable[[Any], Any], what: Any, plan: ScenePlan, done: Callable[[Any, Any], None]) -> None:
+        """Have a worker do some ``work`` on ``what``, by a plan."""
+        self._kinds |= (kinds := {layer.kind for layer in plan.layers})
         try:
-            future = self._client.submit(bake, task, pure=False)
+            future = self._client.submit(work, what, pure=False)
         except Exception as error:  # the client closed at this moment
             away = WorkersAwayError(f"The workers cannot be reached: {error}")
             threading.Thread(target=done, args=(None, away), daemon=True).start()

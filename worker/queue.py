@@ -15,9 +15,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.frame.view_texels import Demand
 from isogi_core.prepared.prepared_scene import Index
-from worker.bake_requests import GUEST, BakeRequest, Key, Shares, Viewer
+from worker.bake_requests import GUEST, SHORT, BakeRequest, Key, Shares, Viewer
 from worker.client_queues import ClientQueues, Rank
 from worker.tasks import BakeResult
 
@@ -52,6 +53,7 @@ class BakeQueue:
     _held: dict[Index, list[BakeRequest]] = field(default_factory=dict)
     _postponed: list[tuple[float, BakeRequest]] = field(default_factory=list)
     _alone: bool = False
+    _turn: tuple[bool, Hashable] = (False, "")
 
     def request(self, demands: Iterable[tuple[Key, Demand]], target: float, viewer: Viewer = GUEST) -> None:
         """Add the demands of a ``viewer``'s newest view."""
@@ -90,8 +92,30 @@ class BakeQueue:
             for client in self.shares.turns(self._queues.clients(patient)):
                 request = self._first(patient, client)
                 if request is not None:
+                    self._turn = patient, client
                     return self._take(request, client)
         return None
+
+    def take_along(self, first: BakeRequest, most: int) -> list[BakeRequest]:
+        """Take what goes with the request that was just taken: of the same turn, ``most`` texels and SHORT together.
+
+        They are the next of that client, as long as these are of the same bake, target and sample level.
+        """
+        taken, left, seconds = [first], most - len(first.offsets), self.seconds(first)
+        patient, client = self._turn
+        while left > 0 and seconds < SHORT and not first.suspect and (found := self._first(patient, client)):
+            left, seconds = left - len(found.offsets), seconds + self.seconds(found)
+            if left < 0 or seconds > SHORT or not alike(first, found):
+                self._rank_for(found, client)
+                break
+            self._start(found, client)
+            taken.append(found)
+        return taken
+
+    def seconds(self, request: BakeRequest) -> float:
+        """The most seconds that the next task of a request is predicted to take; 0 where that is unknown."""
+        paths = FIRST_LEVEL * request.effort.unlit if request.until == FIRST_LEVEL else request.effort.left
+        return paths * (self.rate(request.key) or 0.0)
 
     def rank(self, request: BakeRequest, client: Hashable) -> Rank:
         """The rank of a request among those of a client; the smallest comes first."""
@@ -287,6 +311,12 @@ class BakeQueue:
             del self._interesting[client]
         if not request.interests and not request.in_flight:
             del self.requests[request.key]
+
+
+def alike(one: BakeRequest, other: BakeRequest) -> bool:
+    """Whether one task can bake both."""
+    same = (one.key[0], one.target, one.until) == (other.key[0], other.target, other.until)
+    return same and not other.suspect
 
 
 def sunk(rank: Rank, now: Rank) -> bool:

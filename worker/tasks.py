@@ -2,23 +2,26 @@
 
 import asyncio
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
+from itertools import compress, pairwise
+from typing import Any, Self
 
 import numpy as np
 
 from isogi_core.bake.bake_spec import BakeSpec
 from isogi_core.bake.noise import Effort, relative_error, standard_error
 from isogi_core.bake.precision import FIRST_LEVEL
-from isogi_core.bake.refine import next_samples, refine
+from isogi_core.bake.refine import Located, locate, next_samples, refine, some_located
 from isogi_core.bake.texel_light import Light
+from isogi_core.cache.chunk import Chunk
 from isogi_core.cache.chunk_store import ChunkStore
 from isogi_core.cache.claims import Claims
 from isogi_core.cache.costs import Cost
 from isogi_core.cache.scene_assets import SceneAssets, receive_assets
-from isogi_core.errors import SceneError
+from isogi_core.errors import SceneError, StoreAwayError
 from isogi_core.files.scene_file import SceneSource
 from isogi_core.kernels._jit import entries_of, load
 from isogi_core.kernels.transport.texel_points import project_texels
@@ -133,63 +136,144 @@ def open_spec(
     return found, ChunkStore(open_store(store_url), found)
 
 
+Outcome = BakeResult | Exception
+"""What became of a task."""
+
+
+def bake_all(tasks: Sequence[BakeTask]) -> list[Outcome]:
+    """Do tasks of one bake and target together, each as ``bake`` does it, so that their texels' paths fill waves.
+
+    Where that fails each is done alone: what is wrong with one chunk harms no other.
+    """
+    try:
+        return [*bake_together(tasks)]
+    except StoreAwayError as error:
+        return [error for _ in tasks]
+    except Exception:
+        return [outcome_of(task) for task in tasks]
+
+
+def outcome_of(task: BakeTask) -> Outcome:
+    """What becomes of a task that is done alone."""
+    try:
+        return bake(task)
+    except Exception as error:
+        return error
+
+
 def bake(task: BakeTask) -> BakeResult:
     """Do a task, unless another baker has claimed its chunk. Raises StoreAwayError where the store is away."""
-    spec, chunk_store = open_spec(task.source, task.plan, task.digest, task.store_url, task.assets, task.shown)
-    claims, name = claims_of(task.store_url), ".".join(map(str, (chunk_store.layers[0].digest, *task.index)))
-    with claims.on(name, task.owner, task.insists) as ours:
-        return bake_chunk(task, spec, chunk_store, claims) if ours else ELSEWHERE
+    (result,) = bake_together([task])
+    return result
 
 
-def bake_chunk(task: BakeTask, spec: BakeSpec, chunk_store: ChunkStore, claims: Claims) -> BakeResult:
-    """Read the chunk of a task, add samples, write it back as one object.
+def bake_together(tasks: Sequence[BakeTask]) -> list[BakeResult]:
+    """Do tasks of one bake and target, but those whose chunks other bakers have claimed."""
+    first = tasks[0]
+    spec, chunk_store = open_spec(first.source, first.plan, first.digest, first.store_url, first.assets, first.shown)
+    claims, digest = claims_of(first.store_url), chunk_store.layers[0].digest
+    with ExitStack() as held:
+        names = [".".join(map(str, (digest, *task.index))) for task in tasks]
+        ours = [
+            held.enter_context(claims.on(name, task.owner, task.insists))
+            for name, task in zip(names, tasks, strict=True)
+        ]
+        done = iter(bake_chunks([*compress(tasks, ours)], spec, chunk_store, claims))
+        return [next(done) if own else ELSEWHERE for own in ours]
 
-    The outcome depends on the texels and their sample counts alone, so a task that is done twice,
-    or done again after a kill, leaves the same bytes.
+
+@dataclass(frozen=True, eq=False)
+class Work:
+    """A ``task`` on its way: its ``chunk``, the ``rows`` of its texels there, and their ``light``.
+
+    ``known`` are the samples of the chunk's parts as they were read, ``healed`` is whether it was damaged.
     """
-    damaged = chunk_store.damaged
-    chunk = chunk_store.load(task.index).with_texels(task.offsets)
-    known = [part.samples.copy() for part in chunk.light.parts]
-    chunk.light.agree_on_void()
-    rows = chunk.rows_of(task.offsets)
-    light, before = chunk.light.rows(rows), chunk.light.samples[rows]
+
+    task: BakeTask
+    chunk: Chunk
+    rows: np.ndarray
+    light: Light
+    known: list[np.ndarray]
+    healed: bool
+
+    @classmethod
+    def begin(cls, task: BakeTask, chunk_store: ChunkStore) -> Self:
+        """Read the chunk of a task."""
+        damaged = chunk_store.damaged
+        chunk = chunk_store.load(task.index).with_texels(task.offsets)
+        known = [part.samples.copy() for part in chunk.light.parts]
+        chunk.light.agree_on_void()
+        rows = chunk.rows_of(task.offsets)
+        return cls(task, chunk, rows, chunk.light.rows(rows), known, chunk_store.damaged > damaged)
+
+    def end(self, light: Light, seconds: float, chunk_store: ChunkStore, claims: Claims) -> BakeResult:
+        """Write the chunk back as one object, with new ``light`` of its texels that took so many ``seconds``."""
+        self.chunk.light.put(self.rows, light)
+        pairs = zip(self.chunk.light.parts, self.known, strict=True)
+        changed = [not np.array_equal(part.samples, old) for part, old in pairs]
+        if chunk_store.save(self.chunk, changed):
+            claims.note_contention()
+        cost = cost_of(light.samples, self.light.samples, seconds)
+        result = result_of(light, chunk_store.spec, self.task, cost)
+        return replace(result, duplicate=not any(changed), healed=self.healed)
+
+
+def bake_chunks(
+    tasks: Sequence[BakeTask], spec: BakeSpec, chunk_store: ChunkStore, claims: Claims
+) -> Iterator[BakeResult]:
+    """Read the chunks of tasks, add samples to all of them together, write each back as one object.
+
+    The outcome depends on the texels and their sample counts alone, so a task that is done twice, done again after a
+    kill, or done beside others, leaves the same bytes.
+    """
+    if not tasks:
+        return
+    works = [Work.begin(task, chunk_store) for task in tasks]
+    light = Light.joined([work.light for work in works])
+    before, texels = light.samples, [spec.prepared.lattice.positions(task.index, task.offsets) for task in tasks]
     begun = time.process_time()
-    sample_texels(light, spec.prepared.lattice.positions(task.index, task.offsets), spec, task)
+    sample_texels(light, np.concatenate(texels), spec, *tasks)
     seconds = time.process_time() - begun
-    chunk.light.put(rows, light)
-    pairs = zip(chunk.light.parts, known, strict=True)
-    changed = [not np.array_equal(part.samples, old) for part, old in pairs]
-    if chunk_store.save(chunk, changed):
-        claims.note_contention()
-    result = result_of(light, spec, task, cost_of(light.samples, before, seconds))
-    return replace(result, duplicate=not any(changed), healed=chunk_store.damaged > damaged)
+    taken = np.maximum(light.samples, 0) - np.maximum(before, 0)
+    bounds = np.cumsum([0, *(len(task.offsets) for task in tasks)]).tolist()
+    for work, (a, b) in zip(works, pairwise(bounds), strict=True):
+        share = seconds * (taken[a:b].sum() / taken.sum() if taken.any() else (b - a) / max(len(light), 1))
+        yield work.end(light.rows(np.arange(a, b)), float(share), chunk_store, claims)
 
 
-def sample_texels(light: Light, texels: np.ndarray, spec: BakeSpec, task: BakeTask) -> None:
-    """Sample the ``texels`` (m, 3; z, y, x) of a task level by level, where priority allows; ``light`` is in place."""
-    waiting, priority = next_samples(light, spec, task.target), path_priorities(light, spec, task.footprints)
-    while (worthy := (waiting >= 0) & (waiting < task.until) & (priority >= task.least_priority)).any():
+def sample_texels(light: Light, texels: np.ndarray, spec: BakeSpec, *tasks: BakeTask) -> None:
+    """Sample the ``texels`` (m, 3; z, y, x) of tasks of one target, one task's after the other's, where they allow it.
+
+    Level by level; ``light`` is in place. How far a texel goes depends on its own task alone.
+    """
+    target, counts = tasks[0].target, [len(task.offsets) for task in tasks]
+    chunks, footprints = np.repeat(np.arange(len(tasks)), counts), np.concatenate([task.footprints for task in tasks])
+    until, least = (np.array([(task.until, task.least_priority) for task in tasks])[chunks]).T
+    waiting, priority = next_samples(light, spec, target), path_priorities(light, spec, footprints, chunks)
+    located: Located | None = None
+    while (worthy := (waiting >= 0) & (waiting < until) & (priority >= least)).any():
         level = int(waiting[worthy].min())
         rows = np.flatnonzero(worthy & (waiting == level))
-        part = light.rows(rows)
-        refine(part, texels[rows], spec, level + 1, task.target)
+        part, located = light.rows(rows), located or locate(texels, spec.prepared, spec.shown)
+        refine(part, texels[rows], spec, level + 1, target, some_located(located, rows))
         light.put(rows, part)
-        waiting[rows] = next_samples(part, spec, task.target)
-        priority = path_priorities(light, spec, task.footprints)
+        waiting[rows] = next_samples(part, spec, target)
+        priority = path_priorities(light, spec, footprints, chunks)
 
 
-def path_priorities(light: Light, spec: BakeSpec, footprints: np.ndarray) -> np.ndarray:
+def path_priorities(light: Light, spec: BakeSpec, footprints: np.ndarray, chunks: np.ndarray) -> np.ndarray:
     """The priority of each texel's next path: its visible variance over the paths it took; (texels,) float64.
 
     Variance falls with a power of the samples, so the next path reduces it in proportion to this. A frame's error is
     least for all paths together where the next paths of all texels have the same priority. With equal errors instead,
     noisy and hardly seen texels would have taken too many. A few paths may agree by chance and show no variance:
-    half of what is counted is therefore the mean over the chunk's texels.
+    half of what is counted is therefore the mean over the lit texels of its chunk; ``chunks`` (texels,) are these.
     """
-    variance = standard_error(light, spec) ** 2
-    usual = variance[light.samples > 0].mean() if (light.samples > 0).any() else 0.0
-    seen = footprints * (variance + usual) / 2.0
-    return np.asarray(np.where(light.samples > 0, seen / np.maximum(light.samples, 1), np.inf))
+    variance, samples = standard_error(light, spec) ** 2, light.samples
+    lit = samples > 0
+    usual = np.bincount(chunks, weights=variance * lit) / np.maximum(np.bincount(chunks, weights=lit), 1.0)
+    seen = footprints * (variance + usual[chunks]) / 2.0
+    return np.asarray(np.where(lit, seen / np.maximum(samples, 1), np.inf))
 
 
 def cost_of(samples: np.ndarray, before: np.ndarray, seconds: float) -> Cost:

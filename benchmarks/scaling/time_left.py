@@ -36,7 +36,7 @@ TURN = 100.0
 class OneByOne:
     """A pool of one worker, which works when it is told to. ``seconds`` are the processor's, spent on tasks."""
 
-    room, workers, trouble = 2, 1, ""
+    room, together, workers, trouble = 2, 1, 1, ""
 
     def __init__(self) -> None:
         self.tasks: list[tuple[BakeTask, Done]] = []

@@ -27,23 +27,30 @@ NOISE_ORDER = 2
 Place = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 """Texels (m, 3; z, y, x) int32, their points and normals (3, m) and isovalues (m,): see ``locate_texels``."""
 
+Located = tuple[Place, np.ndarray]
+"""Where texels are lit, and which of them are void (m,): see ``locate``."""
 
-def refine(light: Light, texels: np.ndarray, spec: BakeSpec, until: int, target: float) -> None:
+
+def refine(
+    light: Light, texels: np.ndarray, spec: BakeSpec, until: int, target: float, located: Located | None = None
+) -> None:
     """Bring ``light`` of the ``texels`` (m, 3; z, y, x) up to ``until`` samples each, in place.
 
     A texel that has reached the relative error ``target``, and whose parts are level, is left as it is. Of the others
     those parts climb that have the fewest samples: parts at one level do so together, since the same paths serve them.
+    They are ``located`` here where that was not done before.
     """
     while True:
         waiting = next_samples(light, spec, target)
         climbing = (waiting >= 0) & (waiting < until)
         if not climbing.any():
             return
+        located = located or locate(texels, spec.prepared, spec.shown)
         rows = np.flatnonzero(climbing & (waiting == waiting[climbing].min()))
         level = np.array([part.samples[rows] == waiting[rows] for part in light.parts])
         for pattern in np.unique(level, axis=1).T:
             parts = tuple(part for part, climbs in zip(light.parts, pattern, strict=True) if climbs)
-            climb(parts, rows[(level == pattern[:, None]).all(axis=0)], texels, spec)
+            climb(parts, rows[(level == pattern[:, None]).all(axis=0)], located, spec)
 
 
 def next_samples(light: Light, spec: BakeSpec, target: float) -> np.ndarray:
@@ -57,11 +64,11 @@ def next_samples(light: Light, spec: BakeSpec, target: float) -> np.ndarray:
     return np.where(finished(light, spec, target) & ~lags, -1, light.samples)
 
 
-def climb(parts: Sequence[Part], rows: np.ndarray, texels: np.ndarray, spec: BakeSpec) -> None:
+def climb(parts: Sequence[Part], rows: np.ndarray, located: Located, spec: BakeSpec) -> None:
     """Take ``rows`` of some parts, all with as many samples, to the next level."""
     samples = int(parts[0].samples[rows[0]])
     total = next_level(samples)
-    place, void = locate(texels[rows], spec.prepared, spec.shown)
+    place, void = some_located(located, rows)
     sample = sample_irradiance if parts[0].layer.kind == "irradiance" else sample_transfer
     layers = [part.layer for part in parts]
     sampled = sample(layers, place, void, spec, samples, total - samples)
@@ -92,7 +99,14 @@ def noise_of_new(halves: np.ndarray, second: np.ndarray, count: int, layer: Laye
     return noise_of_halves(seen, count, layer.order, even)
 
 
-def locate(texels: np.ndarray, prepared: PreparedScene, shown: Isovalue | None = None) -> tuple[Place, np.ndarray]:
+def some_located(located: Located, rows: np.ndarray) -> Located:
+    """The same of some ``rows`` of texels."""
+    (texels, points, normals, isovalues), void = located
+    points, normals = (np.ascontiguousarray(v[:, rows]) for v in (points, normals))
+    return (texels[rows], points, normals, isovalues[rows]), void[rows]
+
+
+def locate(texels: np.ndarray, prepared: PreparedScene, shown: Isovalue | None = None) -> Located:
     """Where texels are lit, and which of them are void (m,).
 
     On the isosurfaces through their own points, or projected onto the one that is ``shown``: void
@@ -148,7 +162,10 @@ def sample_irradiance(
 def by_isovalue(
     isovalues: np.ndarray, void: np.ndarray, prepared: PreparedScene
 ) -> Iterator[tuple[ActiveCells, np.ndarray]]:
-    """The rows that are not void in groups of near isovalues, each with the map of its isosurfaces."""
+    """The rows that are not void in groups of near isovalues, each with the map of its isosurfaces.
+
+    Within a group they stay as they lie in space: sorted by isovalue, paths took a twentieth longer.
+    """
     lit = np.flatnonzero(~void)
     groups, ends = prepared.maps.groups(isovalues[lit])
     for group in np.unique(groups):

@@ -35,6 +35,12 @@ class Part:
         coefficients = np.empty((texels, layer.channels, layer.order**2), np.float32)
         return cls(layer, np.empty(texels, np.int32), np.empty((texels, layer.noises), np.float32), coefficients)
 
+    @classmethod
+    def joined(cls, parts: Sequence["Part"]) -> "Part":
+        """The texels of several parts of one layer, one part's after the other's."""
+        columns = zip(*((part.samples, part.noise, part.coefficients) for part in parts), strict=True)
+        return cls(parts[0].layer, *map(np.concatenate, columns))
+
     def rows(self, which: np.ndarray) -> "Part":
         """A copy of some rows."""
         return Part(self.layer, self.samples[which], self.noise[which], self.coefficients[which])
@@ -61,6 +67,11 @@ class Light:
     def dark(cls, plan: ScenePlan, texels: int) -> "Light":
         """Texels that no path has been sent from yet."""
         return cls(tuple(Part.dark(layer, texels) for layer in plan.layers))
+
+    @classmethod
+    def joined(cls, lights: Sequence["Light"]) -> "Light":
+        """The texels of several lights of one plan, one light's after the other's."""
+        return cls(tuple(Part.joined(parts) for parts in zip(*(light.parts for light in lights), strict=True)))
 
     def __len__(self) -> int:
         return len(self.parts[0].samples)

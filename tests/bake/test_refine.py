@@ -8,7 +8,7 @@ import pytest
 from isogi_core.bake.bake_spec import BakeSpec
 from isogi_core.bake.noise import DECAYS, blend_noise, finished, most_samples, noise_of_halves, relative_error
 from isogi_core.bake.precision import VOID, noise_codes, noise_of, round_light
-from isogi_core.bake.refine import add_to_mean, climb, next_samples, refine
+from isogi_core.bake.refine import add_to_mean, climb, locate, next_samples, refine
 from isogi_core.bake.texel_light import Light
 from isogi_core.kernels.transport.paths import PathRules, SampleRange
 from isogi_core.kernels.transport.transfer import bake_texels, locate_texels
@@ -50,7 +50,7 @@ def test_the_bits_of_a_part_depend_on_its_samples_alone() -> None:
     texels = surface_texels(spec, 60)
     light = Light.dark(spec.plan, 60)
     light.put(np.arange(30), climbed(spec, texels[:30], 128))
-    climb(light.parts[:1], np.arange(30), texels, spec)
+    climb(light.parts[:1], np.arange(30), locate(texels, spec.prepared, spec.shown), spec)
     refine(light, texels, spec, 128, 0.001)
     assert {*zip(*(part.samples.tolist() for part in light.parts), strict=True)} == {(256, 128), (128, 128)}
     for samples in {int(own) for part in light.parts for own in part.samples}:

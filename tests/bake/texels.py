@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from isogi_core.bake.bake_spec import BakeSpec, spec_for
-from isogi_core.bake.refine import climb, refine
+from isogi_core.bake.refine import climb, locate, refine
 from isogi_core.bake.texel_light import Light
 from isogi_core.kernels.transport.harmonics import rotate
 from isogi_core.model.scene_plan import Layer, ScenePlan
@@ -81,7 +81,7 @@ def climbed(spec: BakeSpec, texels: np.ndarray, samples: int) -> Light:
     light = Light.dark(spec.plan, len(texels))
     for part in light.parts:
         while part.samples.max() < samples:
-            climb([part], np.arange(len(texels)), texels, spec)
+            climb([part], np.arange(len(texels)), locate(texels, spec.prepared, spec.shown), spec)
     return light
 
 

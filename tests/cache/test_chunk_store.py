@@ -15,7 +15,7 @@ import pytest
 
 from isogi_core.bake.bake_spec import BakeSpec
 from isogi_core.bake.precision import VOID
-from isogi_core.bake.refine import climb
+from isogi_core.bake.refine import climb, locate
 from isogi_core.bake.texel_light import Light
 from isogi_core.cache.chunk import Chunk
 from isogi_core.cache.chunk_store import ChunkStore, default_store
@@ -129,7 +129,7 @@ def test_what_is_lost_of_one_layer_is_dark_and_the_other_stays(
     assert same(Light((found.light.parts[kept],)), Light((chunk.light.parts[kept],)))
     assert not found.light.parts[lost].samples.any() and not found.light.parts[lost].coefficients.any()
     texels = spec.prepared.lattice.positions(INNER, found.offsets)
-    climb([found.light.parts[lost]], np.arange(40), texels, spec)
+    climb([found.light.parts[lost]], np.arange(40), locate(texels, spec.prepared, spec.shown), spec)
     chunk_store.save(found, [lost == DIRECT, lost == INDIRECT])
     assert_equal(chunk_store.load(INNER), chunk)
 

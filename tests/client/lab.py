@@ -79,7 +79,7 @@ class Lab:
 class Broken:
     """A pool whose tasks all fail."""
 
-    room, workers, trouble = 2, 1, ""
+    room, together, workers, trouble = 2, 1, 1, ""
 
     def submit(self, task: Any, done: Any) -> None:
         done(None, RuntimeError("The texels are cursed."))

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from isogi_core.bake.bake_spec import BakeSpec
-from isogi_core.bake.refine import climb
+from isogi_core.bake.refine import climb, locate
 from isogi_core.bake.texel_light import Light
 from isogi_core.cache.loader import Loader
 from isogi_core.cache.scene_caches import Caches
@@ -85,7 +85,7 @@ def climb_to(light: Light, texels: np.ndarray, spec: BakeSpec, samples: int) -> 
     """Take every part of texels that have no light yet, and are not void, to ``samples``."""
     for part in light.parts:
         while len(rows := np.flatnonzero((part.samples >= 0) & (part.samples < samples))):
-            climb([part], rows, texels, spec)
+            climb([part], rows, locate(texels, spec.prepared, spec.shown), spec)
 
 
 def view_of(scene: Scene, azimuth: float = 40.0, elevation: float = 55.0, **settings: Any) -> View:

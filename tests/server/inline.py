@@ -21,7 +21,7 @@ class InlinePool:
 
     preparing = ""
 
-    room, workers, deaths, trouble = 2, 1, 0, ""
+    room, together, workers, deaths, trouble = 2, 1, 1, 0, ""
 
     def __init__(self, workers: int = 1, scheduler: str | None = None, kinds: Collection[str] = ()) -> None:
         """Take what a ``WorkerPool`` takes, and start one thread."""

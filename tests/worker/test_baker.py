@@ -1,7 +1,7 @@
 import logging
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +19,7 @@ from worker.bake_requests import GUEST, MOST_FAILURES, STEP, Viewer
 from worker.baker import LONGEST_REST, REST, WAY, Bake, Baker, after
 from worker.errors import WorkersAwayError
 from worker.pause import LONGEST, SHORTEST
-from worker.pool import Done
+from worker.pool import AllDone, Done
 from worker.progress import TimeLeft
 from worker.queue import FORGET_AFTER
 from worker.tasks import ELSEWHERE, BakeResult, BakeTask
@@ -41,12 +41,16 @@ class FakePool:
     """Takes tasks and ends them when the test says so."""
 
     def __init__(self, room: int) -> None:
-        self.room, self.workers, self.deaths = room, 2, 0
+        self.room, self.together, self.workers, self.deaths = room, 1, 2, 0
         self.in_flight: list[tuple[BakeTask, Done]] = []
+        self.all_in_flight: list[tuple[Sequence[BakeTask], AllDone]] = []
         self.stepped_back: list[float] = []
 
     def submit(self, task: BakeTask, done: Done) -> None:
         self.in_flight.append((task, done))
+
+    def submit_all(self, tasks: Sequence[BakeTask], done: AllDone) -> None:
+        self.all_in_flight.append((tasks, done))
 
     def step_back(self, seconds: float) -> bool:
         self.stepped_back.append(seconds)
@@ -522,3 +526,16 @@ def test_no_task_is_tried_after_a_stop_or_without_clients(bench: Bench) -> None:
     assert bench.baker.tally().waiting == 0
     bench.baker.stop()
     assert bench.baker.paused() == "" and pool.tasks() == []
+
+
+def test_chunks_that_are_baked_together_end_each_by_itself(bench: Bench) -> None:
+    bench.request(1, 2, 3, 4)
+    pool = FakePool(1)
+    pool.together = 8
+    bench.baker.employ(pool)  # type: ignore[arg-type]
+    ((tasks, done),) = pool.all_in_flight
+    assert [task.index[2] for task in tasks] == [1, 2, 3, 4]
+    done([DONE, left(1, 1.0), RuntimeError("no"), ELSEWHERE])
+    assert bench.arrived == [(0, 0, 1), (0, 0, 2)]
+    tally = bench.baker.tally()
+    assert (tally.done, tally.failed, tally.in_flight) == (2, 1, 1)

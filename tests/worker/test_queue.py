@@ -7,7 +7,7 @@ from isogi_core.cache.costs import Cost
 from isogi_core.frame.view_texels import Demand
 from isogi_core.model.scene_plan import MOST
 from tests.worker.clock import Clock
-from worker.bake_requests import GUEST, MOST_FAILURES, STEP, Key, Viewer, next_least_priority
+from worker.bake_requests import GUEST, MOST_FAILURES, SHORT, STEP, Key, Viewer, next_least_priority
 from worker.queue import FORGET_AFTER, LOOK, BakeQueue
 from worker.tasks import BakeResult
 
@@ -392,3 +392,29 @@ def test_given_up_chunks_are_not_retried_by_short_visits(queue: BakeQueue) -> No
 def test_a_short_rest_of_a_chunk_is_one_task(left: float, people: float, patient: float) -> None:
     result = BakeResult(3, 2.0, Effort(0, 64.0, left), Cost(0.01, 100, 0, 0.0))
     assert (next_least_priority(result, False), next_least_priority(result, True)) == (people, patient)
+
+
+def test_what_goes_with_a_request_is_alike_and_not_too_much(clock: Clock) -> None:
+    queue = BakeQueue(clock, rate=lambda _: SHORT / 200.0)
+    request(queue, (4, 1.0), target=0.2)
+    request(queue, *((x, 1.0) for x in range(4)))
+    first = queue.take()
+    assert first is not None
+    assert len(queue.take_along(first, 7)) == 2  # texels: three each
+    first = queue.take()
+    assert first is not None
+    assert len(queue.take_along(first, 100)) == 2  # the next has another target
+    request(queue, *((x, 1.0) for x in range(10, 16)))
+    first = queue.take()
+    assert first is not None
+    assert len(queue.take_along(first, 100)) == 4  # seconds: 48 paths each of 200
+
+
+def test_what_may_have_killed_a_worker_is_taken_alone(queue: BakeQueue) -> None:
+    request(queue, (1, 1.0), (2, 1.0))
+    assert take(queue) is not None and take(queue) is not None
+    for x in (1, 2):
+        queue.fail(key(x), "It died.", suspect=True)
+    first = queue.take()
+    assert first is not None
+    assert queue.take_along(first, 100) == [first]

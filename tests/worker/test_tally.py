@@ -28,7 +28,7 @@ DONE = BakeResult(0, 0.0, Effort(0, 100.0, 0.0), Cost(2.0, 100, 2, 0.64))
 class FakePool:
     """Takes one task at a time and ends it when the test says so."""
 
-    room, workers, deaths = 1, 2, 3
+    room, together, workers, deaths = 1, 1, 2, 3
 
     def __init__(self) -> None:
         self.end: Callable[[BakeResult | None, BaseException | None], None] = lambda *_: None

@@ -27,6 +27,7 @@ from worker.tasks import (
     BakeResult,
     BakeTask,
     bake,
+    bake_all,
     bake_kernels,
     claims_of,
     dask_setup,
@@ -115,6 +116,27 @@ def test_the_same_task_leaves_the_same_bytes(tmp_path: Path) -> None:
     again = do(tmp_path / "b")
     assert (again.healed, again.duplicate) == (False, True)
     assert stored(tmp_path / "a") == stored(tmp_path / "b")
+
+
+def test_chunks_baked_together_have_the_bytes_of_single_ones(tmp_path: Path) -> None:
+    """Texels of one chunk are far more visible than those of the other, and one of them has light already."""
+    for root, together in ((tmp_path / "a", False), (tmp_path / "b", True)):
+        do(root, TEXELS[::2], until=32)
+        what = SCENE.source, SPEC.plan, SPEC.digest, made(root)
+        wanted = [(INDEX, TEXELS, SEEN), ((1, 1, 1), TEXELS[::3], 100.0 * SEEN[::3])]
+        tasks = [BakeTask(*what, *each, 256, 2e-7, 0.01) for each in wanted]
+        results = bake_all(tasks) if together else [bake(task) for task in tasks]
+        assert all(isinstance(result, BakeResult) and result.cost.paths for result in results)
+    paths = [path.relative_to(tmp_path / "a") for path in (tmp_path / "a").rglob("c/*/*/*/0")]
+    assert len(paths) == 2 * len(SPEC.plan.layers)
+    assert all((tmp_path / "a" / path).read_bytes() == (tmp_path / "b" / path).read_bytes() for path in paths)
+
+
+def test_a_chunk_that_fails_harms_none_beside_it(tmp_path: Path) -> None:
+    task = BakeTask(SCENE.source, SPEC.plan, SPEC.digest, made(tmp_path), INDEX, TEXELS, SEEN, 16, 0.0, 0.05)
+    sound, broken = bake_all([task, replace(task, index=(1, 1, 1), footprints=SEEN[:3])])
+    assert isinstance(sound, BakeResult) and sound.cost.paths == 16 * len(TEXELS)
+    assert isinstance(broken, ValueError)
 
 
 def test_a_baker_claims_chunks_after_contention(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -62,6 +62,9 @@ class Cluster:
         if conditions.deaths:
             self._await_death()
 
+    together = 1
+    """Chunks are baked one by one here."""
+
     @property
     def room(self) -> int:
         """How many tasks may be in flight."""

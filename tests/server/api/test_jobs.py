@@ -265,7 +265,7 @@ def test_a_dismissed_job_has_nothing_more_baked(idle: Idle) -> None:
 class Broken:
     """A pool whose tasks all fail."""
 
-    room, workers, trouble = 2, 1, ""
+    room, together, workers, trouble = 2, 1, 1, ""
 
     def submit(self, task: BakeTask, done: Done) -> None:
         done(None, RuntimeError("The texels are cursed."))
