@@ -78,15 +78,11 @@ def spoil(store: str, many: int, chance: random.Random) -> Counter[str]:
     return Counter(kinds)
 
 
-def spec(server: Served, number: int, wait: float = 0.0) -> tuple[int, np.ndarray | None]:
-    """One look at a view: the status of the answer, and the planes in it, (h, w, 9)."""
+def look(server: Served, number: int, wait: float) -> tuple[int, np.ndarray | None, bool]:
+    """One look at a view: the status of the answer, the planes in it, (h, w, 9), and whether they are final."""
     answer = server.client.get(f"{server.path}/frame", params=view(number) | {"wait_ms": int(1000 * wait)})
-    return answer.status_code, np.load(io.BytesIO(answer.content)) if answer.status_code == 200 else None
-
-
-def final(planes: np.ndarray) -> bool:
-    """Whether all pixels of the surface are final."""
-    return not np.isin(planes[..., 4], (1, 2)).any()
+    planes = np.load(io.BytesIO(answer.content)) if answer.status_code == 200 else None
+    return answer.status_code, planes, answer.headers.get("isogi-provisional") == "?0"
 
 
 def bake(server: Served, views: int) -> list[np.ndarray]:
@@ -98,7 +94,7 @@ def see(server: Served, number: int, seen: Counter[str], expected: np.ndarray | 
     """Look at a view until it is final, and count the ``seen`` answers and pixels by whether they are right."""
     wait = 0.0
     while True:
-        status, planes = spec(server, number, wait)
+        status, planes, final = look(server, number, wait)
         wait = 1.0
         seen["answers"] += 1
         seen["answers 5xx"] += status >= 500
@@ -106,7 +102,7 @@ def see(server: Served, number: int, seen: Counter[str], expected: np.ndarray | 
             continue
         if expected is not None:
             compare(planes, expected, seen)
-        if final(planes):
+        if final:
             return planes
 
 

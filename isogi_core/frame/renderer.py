@@ -151,7 +151,8 @@ class Renderer:
         It is a frame of one row, whose pixel i shows point i. The ``view`` says isovalue, albedo and the light's turn.
         """
         self.forget_views()  # another row of points would have the same key
-        surface, row = self.prepared.surface(view.isovalue), replace(view, width=len(points), height=1, shading="gi")
+        surface, row = self.prepared.surface(view.isovalue), replace(view, width=len(points), height=1)
+        row = replace(row, shading="gi", moving=False)  # neighbours in a row are none in space
         eye = to_index(np.array(view.camera.eye), surface.field.spacing)
         pixels, places = np.arange(len(points), dtype=np.uint32), np.ascontiguousarray(points, np.float32)
         gbuffer = GBuffer((1, len(points)), surface.field.spacing, eye, surface, pixels, places)

@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any
 
 POINTS = ("before_bake", "before_write", "mid_write", "after_write", "after_bake")
-"""Before a task; before a layer's object is written, when it is but has not its name yet, and when it has; and after a
-task, which nobody hears of then."""
+"""Before a task reads its chunk; before a layer's object is written, when it is but has not its name yet, and when it
+has; and after the task has written, which nobody hears of then."""
 
 ERRORS = ("EIO", "ENOSPC", "EACCES")
 FAULTS = ("kill", *ERRORS, "sleep")
@@ -29,25 +29,28 @@ def dask_setup(worker: Any) -> None:
     from isogi_core.cache.layer import LayerStore
     from worker import tasks
 
-    def chunk_of_task(task: Any) -> tuple[int, ...]:
-        return tuple(task.index)
-
-    def chunk_of_layer(_: Any, index: Any, *__: Any) -> tuple[int, ...]:
-        return tuple(index)
-
-    tasks.bake = around(tasks.bake, "bake", chunk_of_task)
-    LayerStore.save = around(LayerStore.save, "write", chunk_of_layer)  # type: ignore[method-assign]
+    tasks.Work.begin = staticmethod(  # type: ignore[method-assign, assignment]
+        around(tasks.Work.begin, lambda task, _: task.index, before="before_bake")
+    )
+    tasks.Work.end = around(tasks.Work.end, lambda work, *_: work.task.index, after="after_bake")  # type: ignore[method-assign]
+    LayerStore.save = around(  # type: ignore[method-assign]
+        LayerStore.save, lambda _, index, *__: index, before="before_write", after="after_write"
+    )
     os.replace = replacing(os.replace)
 
 
-def around(function: Callable[..., Any], name: str, chunk_of: Callable[..., tuple[int, ...]]) -> Callable[..., Any]:
-    """A function with a point before it and one after."""
+def around(
+    function: Callable[..., Any], chunk_of: Callable[..., tuple[int, ...]], before: str = "", after: str = ""
+) -> Callable[..., Any]:
+    """A function with a point before it and one after, where these have names."""
 
     @wraps(function)
     def wrapped(*args: Any, **kwargs: Any) -> Any:
-        reach(f"before_{name}", chunk_of(*args))
+        if before:
+            reach(before, tuple(chunk_of(*args)))
         result = function(*args, **kwargs)
-        reach(f"after_{name}", chunk_of(*args))
+        if after:
+            reach(after, tuple(chunk_of(*args)))
         return result
 
     return wrapped

@@ -57,7 +57,8 @@ def test_a_chunk_that_kills_its_workers_fails_alone(bench: Bench) -> None:
     assert "event: failed" in last and told in json.loads(last.split("data: ")[1].splitlines()[0])["detail"]
     tally = bench.engine.tally()
     assert (tally.given_up, tally.waiting) == (1, 0)
-    assert MOST_FAILURES <= tally.failed - before.failed <= MOST_FAILURES + 1
+    beside = len(demands)  # chunks of the same task fail once, and are tried alone
+    assert MOST_FAILURES <= tally.failed - before.failed <= MOST_FAILURES + beside
     assert metric(bench, "isogi_chunks_given_up") == 1
     assert told in httpx.get(f"{bench.url}/readyz").text
     coverage = httpx.get(f"{place}/coverage", params=knobs).json()

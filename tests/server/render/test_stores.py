@@ -153,7 +153,7 @@ def test_a_store_that_may_only_be_read_shows_what_it_has(
     kept, Watched.sent = dict(s3.objects), []
     s3.fault = lambda call: 403 if call.method in ("PUT", "DELETE", "POST") else None
     with server(small_scene, s3.url) as client:
-        assert frame(client, VIEW).content == pictures[0]
+        assert final(client, VIEW) == pictures[0]
         answer = frame(client, OTHER, wait=5.0)
         assert (answer.status_code, answer.headers["isogi-provisional"]) == (200, "?1")
         (reason,) = client.get("/readyz").json()["reasons"]
