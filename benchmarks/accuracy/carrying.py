@@ -9,7 +9,7 @@ from isogi_core.bake.refine import locate
 from isogi_core.bake.texel_light import Light
 from isogi_core.cache.page_pool import fill_rows, new_rows, reflected_share
 from isogi_core.frame.lighting import RotatedLight, scatter_at, weights_between
-from isogi_core.kernels.shading.lattice import light_texels
+from isogi_core.kernels.shading.lattice import LIT, light_texels
 from isogi_core.kernels.tracing.field import bspline
 from isogi_core.report.bake import Bake
 from isogi_core.report.bench import Bench
@@ -31,13 +31,15 @@ class Neighbourhood:
     """The 4×4×4 texels about each of m pixels' points.
 
     ``numbers`` (m, 64) of texels in the order of TAPS; ``fractions`` (m, 3; z, y, x) within the cell; of each texel
-    ``light`` (t,) its luminance, ``noise`` (t,) the variance of that, ``lit`` (t,) whether it holds any light,
-    ``apart`` (t,) how far its isovalue is from the picture's, and ``normals`` (t, 3) those that it is lit about.
+    ``light`` (t,) its luminance, of which so much is ``reflected`` (t,), ``noise`` (t,) the variance of that, ``lit``
+    (t,) whether it holds any light, ``apart`` (t,) how far its isovalue is from the picture's, and ``normals`` (t, 3)
+    those that it is lit about.
     """
 
     numbers: np.ndarray
     fractions: np.ndarray
     light: np.ndarray
+    reflected: np.ndarray
     noise: np.ndarray
     lit: np.ndarray
     apart: np.ndarray
@@ -81,6 +83,7 @@ def light_of(bench: Bench, texels: np.ndarray, samples: int, projected: bool) ->
     lit, held = lit_texels(bake.light, RotatedLight(spec, view))
     return {
         "light": luminance(lit[:, :3]),
+        "reflected": luminance(lit[:, 4:]),
         "noise": lit[:, 3].astype(np.float64) ** 2,
         "lit": held,
         "apart": np.abs(isovalues - level),
@@ -110,11 +113,11 @@ def texels_about(cells: np.ndarray, shape: tuple[int, int, int]) -> tuple[np.nda
 
 
 def lit_texels(light: Light, turned: RotatedLight) -> tuple[np.ndarray, np.ndarray]:
-    """Linear RGB and standard error of each texel's luminance under ``turned`` lights, as frames have them; (t, 4).
+    """Each texel's light under ``turned`` lights, as ``light_texels`` has it; (t, LIT).
 
     And whether the texel holds any light, (t,) bool.
     """
-    spec, lit, numbers = turned.spec, np.empty((len(light), 4), np.float32), np.arange(len(light), dtype=np.int32)
+    spec, lit, numbers = turned.spec, np.empty((len(light), LIT), np.float32), np.arange(len(light), dtype=np.int32)
     rows = new_rows(spec, len(light))
     held = fill_rows(rows, numbers, light, spec) >= 0
     scatter = rows.scatter

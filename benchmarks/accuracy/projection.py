@@ -42,7 +42,7 @@ class Sides:
     def beyond(self, way: float) -> Neighbourhood:
         """Texels projected where they are farther than a ``way`` and can be, the others on their own isosurfaces."""
         there = self.far(way)
-        fields = ("light", "noise", "apart", "lit")
+        fields = ("light", "reflected", "noise", "apart", "lit")
         picked = {name: np.where(there, getattr(self.projected, name), getattr(self.own, name)) for name in fields}
         normals = np.where(there[:, None], self.projected.normals, self.own.normals)
         return replace(self.own, **picked, normals=normals)
@@ -73,14 +73,13 @@ def sides_of(bench: Bench) -> Sides:
 
 def bare_light(turned: RotatedLight) -> Callable[[np.ndarray], np.ndarray]:
     """The luminance that unshadowed surfaces with normals (n, 3) have under ``turned`` lights, as frames have it; but
-    by harmonics, each colour LEAST of its mean at least, and the mean of lobes."""
+    by harmonics, each colour LEAST of its mean at least."""
     sky, mean = turned.sky, turned.albedo * turned.mean / turned.spec.unit
-    reflected = mean - sky.light[:, 0] / math.sqrt(4.0 * math.pi)
 
     def bare(normals: np.ndarray) -> np.ndarray:
         theta, phi = np.arccos(np.clip(normals[:, 2], -1.0, 1.0)), np.arctan2(normals[:, 1], normals[:, 0])
         light = (sky.lobe * sky.light) @ evaluate_harmonics(sky.order, theta, phi)
-        return luminance(np.maximum(light.T, LEAST * mean) + reflected)
+        return luminance(np.maximum(light.T, LEAST * mean))
 
     return bare
 
@@ -118,10 +117,18 @@ def agreement(sides: Sides, around: Neighbourhood) -> np.ndarray:
 
 
 def shared(sides: Sides, around: Neighbourhood, weights: np.ndarray) -> Lit:
-    """Light by ``weights`` (m, 64) of shares of unshadowed light."""
+    """Light by ``weights`` (m, 64): direct light as ratios to unshadowed light, reflected light as it is."""
     over, under = sides.bare(around.normals), sides.bare(sides.normals)
-    shares = carry(replace(around, light=around.light / over, noise=around.noise / over**2), weights)
-    return Lit(shares.light * under, shares.noise * under**2)
+    means = {
+        name: carry(replace(around, light=light), weights)
+        for name, light in (
+            ("direct", around.light - around.reflected),
+            ("over", over),
+            ("reflected", around.reflected),
+        )
+    }
+    brighter = under / np.maximum(means["over"].light, 1e-30)
+    return Lit(means["direct"].light * brighter + means["reflected"].light, means["direct"].noise * brighter**2)
 
 
 WAYS: Mapping[str, tuple[float, Callable[[Sides, Neighbourhood], Lit]]] = {

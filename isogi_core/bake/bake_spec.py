@@ -129,7 +129,7 @@ class BakeSpec:
 
     @cached_property
     def terms(self) -> tuple[Term, ...]:
-        """The light by what it meets: all layers meet the same, but for lobes, which are not for direct light's.
+        """The light by what it meets, direct light first: it is without lobes, and all other layers meet the same.
 
         Irradiance is taken for the transfer, times ``unit``, of a light of this radiance. What is kept for several
         albedos meets as much of the light as it counts at the spec's own.
@@ -140,8 +140,7 @@ class BakeSpec:
     def _lights(self) -> tuple[tuple[tuple[int, ...], np.ndarray], ...]:
         """Layers that meet the same light, by their numbers, and that light, (3, n²)."""
         numbers = range(len(self.plan.layers))
-        apart = bool(self.lobes or self.plan.nodes)
-        straight = tuple(i for i in numbers if self.plan.layers[i].kind == "direct") if apart else ()
+        straight = tuple(i for i in numbers if self.plan.layers[i].kind == "direct")
         groups = [group for group in (straight, tuple(i for i in numbers if i not in straight)) if group]
         return tuple((group, self._beside(group, self.lobes if group == straight else ())) for group in groups)
 
@@ -187,6 +186,11 @@ class BakeSpec:
     def firsts(self) -> np.ndarray:
         """The first column of each term; (terms,) int64."""
         return np.cumsum([0, *(term.order**2 for term in self.terms[:-1])])
+
+    @property
+    def straight(self) -> int:
+        """How many of the columns, the first ones, are not of reflected light alone."""
+        return int(self.firsts[1]) if len(self.terms) > 1 else self.columns
 
     @property
     def lobes(self) -> tuple[Lobe, ...]:

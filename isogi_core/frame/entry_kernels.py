@@ -14,7 +14,7 @@ from isogi_core.kernels.shading.chunks import (
     weigh_chunks,
 )
 from isogi_core.kernels.shading.framebuffer import develop_rows, fill_curve, tally
-from isogi_core.kernels.shading.irradiance_ratio import carry_ratios, find_ratios
+from isogi_core.kernels.shading.irradiance_ratio import carry_ratios, fill_records
 from isogi_core.kernels.shading.lattice import carry_light, light_texels
 from isogi_core.kernels.shading.lobes import (
     add_halves,
@@ -85,13 +85,13 @@ FRAME = (
     judge_rows,
     unpack_texels,
     find_places,
-    find_ratios,
+    fill_records,
     tally,
     *LOBES[1:],
 )
 """All of them, those that take longest to compile first."""
 
-SHARING = {fill_texel_normals, find_ratios, carry_ratios}
+SHARING = {fill_texel_normals, fill_records, carry_ratios}
 """Those of them that carry irradiance ratios, in place of ``carry_light``."""
 
 

@@ -125,10 +125,13 @@ class RotatedLight:
         return np.concatenate([rotated_by(term.square[None], self.matrix)[0] for term in self.seen.terms])
 
     @property
-    def in_units(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """``reflected`` and ``square`` in the spec's ``unit``, and where terms begin: as for ``light_texels``."""
+    def in_units(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
+        """``reflected`` and ``square`` in the spec's ``unit``, and where terms begin, and reflected light's: as for
+        ``light_texels``.
+        """
         light = np.ascontiguousarray(self.reflected / self.spec.unit, np.float32)
-        return light, np.ascontiguousarray(self.square, np.float32), self.spec.firsts.astype(np.int32)
+        square = np.ascontiguousarray(self.square, np.float32)
+        return light, square, self.spec.firsts.astype(np.int32), self.spec.straight
 
     @cached_property
     def lobes(self) -> LampArrays:
@@ -153,15 +156,12 @@ class RotatedLight:
     def unshadowed(self) -> Unshadowed:
         """The same by the normal, in single floats; what irradiance ratios of texels are ratios to.
 
-        Of lobes, whose light texels have from other surfaces alone, it holds the mean, as if from all sides. A colour
-        of lamps that the middle of the volume sees nothing of counts as the brightest one there.
+        A colour of lamps that the middle of the volume sees nothing of counts as the brightest one there.
         """
         shining = self.spec.prepared.scene.lamps.arrays.colours.any(axis=0) & (self.mean == 0.0)
         mean = self.albedo * np.where(shining, self.mean.max() or 1.0, self.mean) / self.spec.unit
-        lobes = (self.around - rotated_by(self.spec.beside, self.matrix))[:, 0] / math.sqrt(4.0 * math.pi)
-        reflected = np.maximum(self.albedo * lobes / self.spec.unit, 0.0)
         quadric = quadric_of(self.sky.lobe * self.sky.light)
-        return Unshadowed(*(np.ascontiguousarray(each, np.float32) for each in (quadric, LEAST * mean, reflected)))
+        return Unshadowed(*(np.ascontiguousarray(each, np.float32) for each in (quadric, LEAST * mean)))
 
     @cached_property
     def surroundings(self) -> Surroundings:

@@ -44,7 +44,7 @@ from isogi_core.frame.projected_texels import (
 from isogi_core.frame.shading import (
     carry_irradiance_ratios,
     carry_texel_light,
-    find_irradiance_ratios,
+    fill_texel_records,
     light_sources,
     shade_by_paths,
     shade_locally,
@@ -65,7 +65,7 @@ from isogi_core.kernels.simd.types import REGISTER
 from isogi_core.lru_cache import LruCache
 from isogi_core.model.view import View
 
-FORMAT = 3
+FORMAT = 4
 """Counts up when pictures of the same light change: those that browsers keep are then asked for anew."""
 
 KEPT = 256 << 20
@@ -179,7 +179,7 @@ class Renderer:
     def _lit_texels(
         self, gbuffer: GBuffer, light: RotatedLight, target: float, tiles: Tiles, watch: Stopwatch
     ) -> Iterator[tuple[ViewTexels, Reading, np.ndarray]]:
-        """A view's texels, their reading, and their light (texels, 4); pages stay in memory while the block runs."""
+        """A view's texels, their reading, and their light (texels, LIT); pages stay in memory while the block runs."""
         view, loader = light.view, self.caches.of(light.view.shading)
         with watch.stage("texels"):
             texels = self.texels(view, gbuffer, tiles)
@@ -202,21 +202,21 @@ class Renderer:
     def _carry(
         self, texels: ViewTexels, reading: Reading, lit: np.ndarray, light: RotatedLight, tiles: Tiles, watch: Stopwatch
     ) -> Framebuffer:
-        """Bring the light of texels, ``lit`` (texels, 4), to the picture: as irradiance ratios, or as it is."""
-        gbuffer, ratios = texels.gbuffer, None
+        """Bring the light of texels, ``lit`` (texels, LIT), to the picture: as irradiance ratios, or as it is."""
+        gbuffer, records = texels.gbuffer, None
         projects = isinstance(reading, ProjectedReading)
         if carries_irradiance_ratios(self.prepared.scene, light.view.shading, projects):
             with watch.stage("normals"):
                 about = self._texel_normals(light.view, texels, reading, tiles)
             with watch.stage("light"):
-                ratios = find_irradiance_ratios(reading, lit, about, light, tiles)
+                records = fill_texel_records(reading, lit, about, light, tiles)
         normals = gbuffer.points  # as good as any where they are not read
-        if ratios is not None or not reading.whole:
+        if records is not None or not reading.whole:
             with watch.stage("normals"):
                 normals = gbuffer.normals(tiles)
         with watch.stage("shade"):
-            if ratios is not None:
-                return carry_irradiance_ratios(texels, ratios, normals, light, tiles)
+            if records is not None:
+                return carry_irradiance_ratios(texels, records, normals, light, tiles)
             return carry_texel_light(texels, reading, lit, normals, light, tiles)
 
     def gbuffer(self, view: View, tiles: Tiles | None = None) -> GBuffer:

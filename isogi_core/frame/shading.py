@@ -14,8 +14,8 @@ from isogi_core.frame.texel_reading import Reading
 from isogi_core.frame.tiles import Tiles
 from isogi_core.frame.view_texels import ViewTexels
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, Framebuffer, PixelPoints
-from isogi_core.kernels.shading.irradiance_ratio import RECORD, carry_ratios, find_ratios
-from isogi_core.kernels.shading.lattice import carry_light, light_texels
+from isogi_core.kernels.shading.irradiance_ratio import RECORD, carry_ratios, fill_records
+from isogi_core.kernels.shading.lattice import LIT, carry_light, light_texels
 from isogi_core.kernels.shading.local_models import find_shadows, shade_local
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import View
@@ -68,13 +68,13 @@ def shade_by_paths(gbuffer: GBuffer, light: RotatedLight, target: float, tiles: 
 
 
 def light_sources(sources: Sequence[tuple[np.ndarray, PagePool]], light: RotatedLight, tiles: Tiles) -> np.ndarray:
-    """Linear RGB and standard error of each texel's light in ``BakeSpec.unit``, (texels, 4); 0 where unlit.
+    """Each texel's light in ``BakeSpec.unit``, (texels, LIT) as ``light_texels`` has it; 0 where unlit.
 
     Each of the ``sources`` is rows (texels,) of a pool, of which those are read that are not negative.
     Raises Cancelled.
     """
     lights, change, texels = light.in_units, albedo_change(light), len(sources[0][0])
-    lit = np.zeros((texels, 4), np.float32)
+    lit = np.zeros((texels, LIT), np.float32)
 
     def _piece(a: int, b: int) -> None:
         for rows, pool in sources:
@@ -109,24 +109,24 @@ def texel_disagreement(texels: ViewTexels, reading: Reading, lit: np.ndarray) ->
     return np.asarray(np.sqrt(np.where(known, (light - mean[:, None]) ** 2, 0.0).sum(axis=1) / count))
 
 
-def find_irradiance_ratios(
+def fill_texel_records(
     reading: Reading, lit: np.ndarray, normals: np.ndarray, light: RotatedLight, tiles: Tiles
 ) -> np.ndarray:
-    """Texels' light over unshadowed light about their ``normals``, (texels, RECORD); see ``find_ratios``.
+    """Texels' light and unshadowed light about their ``normals``, (texels, RECORD); see ``fill_records``.
 
     Raises Cancelled.
     """
-    unshadowed, ratios = light.unshadowed, np.empty((len(lit), RECORD), np.float32)
+    unshadowed, records = light.unshadowed, np.empty((len(lit), RECORD), np.float32)
 
     def _piece(a: int, b: int) -> None:
-        find_ratios(reading.grade[a:b], lit[a:b], normals[a:b], unshadowed, ratios[a:b])
+        fill_records(reading.grade[a:b], lit[a:b], normals[a:b], unshadowed, records[a:b])
 
     tiles.run(_piece, len(lit), tiles.even(len(lit)))
-    return ratios
+    return records
 
 
 def carry_irradiance_ratios(
-    texels: ViewTexels, ratios: np.ndarray, normals: np.ndarray, light: RotatedLight, tiles: Tiles
+    texels: ViewTexels, records: np.ndarray, normals: np.ndarray, light: RotatedLight, tiles: Tiles
 ) -> Framebuffer:
     """The picture of irradiance ratios between texels, times unshadowed light about the pixels' ``normals``.
 
@@ -138,7 +138,7 @@ def carry_irradiance_ratios(
 
     def _piece(a: int, b: int) -> None:
         some = PixelPoints(points[a:b], normals[a:b], pixels[a:b])
-        carry_ratios(lattice, some, corners[a:b], ratios, unshadowed, unit, framebuffer)
+        carry_ratios(lattice, some, corners[a:b], records, unshadowed, unit, framebuffer)
 
     tiles.run(_piece, len(points), tiles.even(len(points)))
     return framebuffer

@@ -84,12 +84,16 @@ def test_unoccluded_light_is_the_mean_times_the_albedo(lights: list[Any]) -> Non
 # --- terms ------------------------------------------------------------------------------------------------------
 
 
-def test_without_lobes_all_layers_are_one_term() -> None:
+def test_without_lobes_direct_and_reflected_light_meet_the_same() -> None:
     spec = spec_of(plan_of(Layer("direct", 5), Layer("indirect", 3)))
-    (term,) = spec.terms
-    assert term.layers == (0, 1) and spec.columns == 25 and spec.lobes == ()
-    assert np.array_equal(term.light, spec.light) and np.array_equal(term.luminance, spec.luminance_light)
+    direct, indirect = spec.terms
+    assert (direct.layers, indirect.layers, spec.lobes) == ((0,), (1,), ())
+    assert (spec.columns, spec.straight) == (25 + 9, 25)
+    assert np.array_equal(direct.light, spec.light) and np.array_equal(direct.luminance, spec.luminance_light)
+    assert np.array_equal(indirect.light, spec.light[:, :9])
     assert np.array_equal(spec.beside, spec.prepared.around)
+    (whole,) = (alone := spec_of(plan_of(Layer("whole", 3)))).terms
+    assert whole.layers == (0,) and alone.straight == alone.columns == 9
 
 
 def test_with_lobes_only_direct_light_meets_the_rest() -> None:
@@ -119,8 +123,6 @@ def test_columns_are_those_of_the_terms_side_by_side() -> None:
     assert columns.shape == (5, 3, 9 + 16)
     assert np.array_equal(columns[:, :, :9], np.repeat(light.parts[0].coefficients, 3, axis=1))
     assert np.array_equal(columns[:, :, 9:], light.parts[1].coefficients)
-    (whole,) = spec_of(plan_of(Layer("direct", 3), Layer("indirect", 4, 3))).terms
-    assert np.array_equal(light.columns([whole]), light.transfer)
 
 
 # --- what noise counts ------------------------------------------------------------------------------------------

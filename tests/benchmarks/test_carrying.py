@@ -36,7 +36,7 @@ def linear() -> Neighbourhood:
     count = len(texels)
     light = 10.0 + texels @ SLOPE
     shares = np.full(count, 0.04), np.ones(count, np.bool_), rng.random(count)
-    return Neighbourhood(numbers, fractions, light, *shares, np.tile((0.0, 0.0, 1.0), (count, 1)))
+    return Neighbourhood(numbers, fractions, light, 0.0 * light, *shares, np.tile((0.0, 0.0, 1.0), (count, 1)))
 
 
 def wanted(around: Neighbourhood) -> np.ndarray:

@@ -35,7 +35,8 @@ def sides() -> Sides:
         normals = rng.normal(size=(count, 3)) * 0.3 + (0.0, 0.0, 1.0)
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
         shares = np.full(count, 1e-4), rng.random(count) < 0.9, rng.random(count)
-        return Neighbourhood(numbers, rng.random((40, 3)), 2.0 * normals[:, 2], *shares, normals)
+        light = 2.0 * normals[:, 2], np.zeros(count)
+        return Neighbourhood(numbers, rng.random((40, 3)), *light, *shares, normals)
 
     own, there = around(), around()
     there = replace(there, fractions=own.fractions)

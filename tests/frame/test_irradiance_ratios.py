@@ -48,8 +48,8 @@ def bare_about(light: RotatedLight, normals: np.ndarray) -> np.ndarray:
     """What ``RotatedLight.unshadowed`` says of normals, by its polynomials; (n, 3)."""
     x, y, z = normals.T
     terms = np.stack([np.ones_like(x), y, z, x, x * y, y * z, z * z, x * z, x * x - y * y])
-    quadric, least, reflected = light.unshadowed
-    return np.asarray(np.maximum((quadric @ terms).T, least) + reflected)
+    quadric, least = light.unshadowed
+    return np.asarray(np.maximum((quadric @ terms).T, least))
 
 
 @pytest.mark.parametrize("albedo", [0.7, [0.2, 0.5, 1.0]])
@@ -60,17 +60,7 @@ def test_unshadowed_light_is_the_provisional_light(albedo: Any) -> None:
     least = LEAST * light.albedo * light.mean / light.spec.unit
     assert (expected < least).any() or (expected > least).all()
     np.testing.assert_allclose(bare_about(light, normals), np.maximum(expected, least), rtol=2e-5)
-    assert not light.unshadowed.reflected.any()
     np.testing.assert_allclose(sky.lobe[[0, 1, 4]], cosine_lobe_factors(3) / math.pi)
-
-
-def test_reflected_light_of_lobes_counts_as_from_all_sides() -> None:
-    whole, beside = turned(lights=[SKY], albedo=0.7, lobes=0), turned(lights=[SKY], albedo=0.7, lobes=1)
-    (sun,) = beside.spec.lobes
-    flux = beside.albedo * np.array(sun.flux) / (4.0 * math.pi * beside.spec.unit)
-    np.testing.assert_allclose(beside.unshadowed.reflected, flux, rtol=1e-5)
-    means = [bare_about(light, some_normals(40000)).mean(axis=0) for light in (whole, beside)]
-    np.testing.assert_allclose(means[1], means[0], rtol=0.1)
 
 
 def test_lamps_hidden_from_the_middle_are_not_lost() -> None:

@@ -57,12 +57,12 @@ def test_light_rotates_as_its_directions_do(tmp_path: Path) -> None:
         evaluate(5, *map(float, d), basis)
         expected += area * light[:, None] * basis
     expected[:, 0] += math.sqrt(4 * math.pi)
-    np.testing.assert_allclose(turned.light, expected, atol=0.01 * expected[0, 0])
+    np.testing.assert_allclose(turned.light[:, :25], expected, atol=0.01 * expected[0, 0])
 
 
 def test_rotation_keeps_the_mean_and_the_power_of_each_band() -> None:
     plain, odd = around([SKY]), around([SKY], ODD)
-    assert np.array_equal(plain.light, plain.spec.light)
+    assert np.array_equal(plain.light[:, : plain.spec.straight], plain.spec.light)
     np.testing.assert_allclose(odd.mean, plain.spec.prepared.scene.environment.mean(), rtol=1e-3)
     for l in range(plain.spec.order):
         band = slice(l * l, (l + 1) ** 2)
@@ -112,8 +112,8 @@ def test_unshadowed_light_beside_a_lobe_is_without_it() -> None:
 
 def test_terms_stand_side_by_side_from_their_first_columns() -> None:
     turned = around([SKY], ODD, lobes=1, order=3, indirect_order=2)
-    light, square, firsts = turned.in_units
-    assert (light.shape, square.shape, firsts.tolist()) == ((3, 13), (13,), [0, 9])
+    light, square, firsts, straight = turned.in_units
+    assert (light.shape, square.shape, firsts.tolist(), straight) == ((3, 13), (13,), [0, 9], 9)
     for layer, columns in zip(turned.spec.plan.layers, (slice(0, 9), slice(9, 13)), strict=True):
         expected = turned.albedo[:, None] * turned.light_of(layer) / turned.spec.unit
         np.testing.assert_allclose(light[:, columns], expected, rtol=1e-6)

@@ -1,4 +1,9 @@
-"""Irradiance ratios: texels' light over their unshadowed light, carried to the pixels."""
+"""Irradiance ratios: texels' direct light over their unshadowed light, carried to the pixels.
+
+A pixel's direct light is Σ w D / Σ w U of its texels times its own unshadowed light, where D and U are a texel's direct
+and unshadowed light: what sees little of the light says little of shadows. Reflected light comes from surfaces and
+does not follow the light around: it is interpolated as it is.
+"""
 
 import math
 from typing import Any, NamedTuple
@@ -39,128 +44,131 @@ TURNED = np.float32(0.1055)
 
 NONE, ONE = np.float32(0.0), np.float32(1.0)
 
-RECORD = 8
-"""Numbers of a texel, one half of a cache line: three ratios, the error's, the normal, the grade."""
+DIRECT, NOISE, BARE, GRADE, REFLECTED, NORMAL, RECORD = 0, 3, 4, 7, 8, 11, 16
+"""Where numbers of a texel begin in its record, and how many there are, a cache line: its direct light, linear RGB, the
+standard error of all its light, unshadowed light about its normal, its grade, reflected light, and the normal.
+"""
 
 
 class Unshadowed(NamedTuple):
     """Unshadowed light by the normal.
 
     ``quadric`` (3, 9) float32, of linear RGB over 1, y, z, x, xy, yz, z², xz, x² - y², and ``least`` (3,) of each
-    colour; ``reflected`` (3,) is added to it: what texels hold of lobes, which light them by way of other surfaces.
+    colour.
     """
 
     quadric: Any
     least: Any
-    reflected: Any
 
 
-UNSHADOWED = record(Unshadowed, types.float32[:, ::1], types.float32[::1], types.float32[::1])
+UNSHADOWED = record(Unshadowed, types.float32[:, ::1], types.float32[::1])
 
 
 @kernel()
 def unshadowed_light(unshadowed, x, y, z):
     """Irradiance over π, linear RGB, of what nothing shadows about the unit normal (x, y, z).
 
-    ``least`` at least, and the ``reflected`` light. Source: Ramamoorthi and Hanrahan 2001, eqs. 11 to 13.
+    ``least`` at least. Source: Ramamoorthi and Hanrahan 2001, eqs. 11 to 13.
     """
     xy, yz, zz, xz, across = x * y, y * z, z * z, x * z, x * x - y * y
-    q, low, more = unshadowed.quadric, unshadowed.least, unshadowed.reflected
+    q, low = unshadowed.quadric, unshadowed.least
     r = q[0, 0] + y * q[0, 1] + z * q[0, 2] + x * q[0, 3]
     g = q[1, 0] + y * q[1, 1] + z * q[1, 2] + x * q[1, 3]
     b = q[2, 0] + y * q[2, 1] + z * q[2, 2] + x * q[2, 3]
     r += xy * q[0, 4] + yz * q[0, 5] + zz * q[0, 6] + xz * q[0, 7] + across * q[0, 8]
     g += xy * q[1, 4] + yz * q[1, 5] + zz * q[1, 6] + xz * q[1, 7] + across * q[1, 8]
     b += xy * q[2, 4] + yz * q[2, 5] + zz * q[2, 6] + xz * q[2, 7] + across * q[2, 8]
-    return max(r, low[0]) + more[0], max(g, low[1]) + more[1], max(b, low[2]) + more[2]
+    return max(r, low[0]), max(g, low[1]), max(b, low[2])
 
 
-@kernel()
-def unbaked_light(unshadowed, light):
-    """What stands in for light that is not baked, of unshadowed ``light``: all but what is ``reflected``."""
-    return light[0] - unshadowed.reflected[0], light[1] - unshadowed.reflected[1], light[2] - unshadowed.reflected[2]
+TEXELS = types.float32[:, ::1]
 
 
-@kernel()
-def put_ratio(ratios, t, light, error, over):
-    """Write ``light`` and its ``error`` over unshadowed light to texel ``t`` of ``ratios``; 0 where all is dark."""
-    ratios[t, 0] = light[0] / max(over[0], DARKEST)
-    ratios[t, 1] = light[1] / max(over[1], DARKEST)
-    ratios[t, 2] = light[2] / max(over[2], DARKEST)
-    ratios[t, 3] = error / max(luminance(over[0], over[1], over[2]), DARKEST)
-
-
-RATIOS = types.float32[:, ::1]
-
-
-@kernel(types.void(types.uint8[::1], types.float32[:, ::1], POINTS, UNSHADOWED, RATIOS))
-def find_ratios(grade, lit, normals, unshadowed, ratios):
-    """Fill ``ratios`` (m, RECORD) of texels with the ``grade`` (m,) and the light ``lit`` (m, 4) of ``light_texels``.
+@kernel(types.void(types.uint8[::1], types.float32[:, ::1], POINTS, UNSHADOWED, TEXELS))
+def fill_records(grade, lit, normals, unshadowed, texels):
+    """Fill the records ``texels`` (m, RECORD) by the ``grade`` (m,) and the light ``lit`` (m, LIT) of ``light_texels``.
 
     ``normals`` (m, 3) are those that they are lit about. Of what is not baked unshadowed light stands in; void and
     buried texels have none.
     """
     for t in range(grade.shape[0]):
         x, y, z = normals[t, 0], normals[t, 1], normals[t, 2]
-        over = unshadowed_light(unshadowed, x, y, z)
-        light, error = (NONE, NONE, NONE), NONE
-        if PARTIAL <= grade[t] <= FINAL:
-            light, error = (lit[t, 0], lit[t, 1], lit[t, 2]), lit[t, 3]
-        elif grade[t] == UNBAKED:
-            light = unbaked_light(unshadowed, over)
-        put_ratio(ratios, t, light, error, over)
-        ratios[t, 4], ratios[t, 5], ratios[t, 6], ratios[t, 7] = x, y, z, np.float32(grade[t])
+        under = unshadowed_light(unshadowed, x, y, z)
+        there, unbaked = PARTIAL <= grade[t] <= FINAL, grade[t] == UNBAKED
+        for c in range(3):
+            reflected = lit[t, 4 + c] if there else NONE
+            texels[t, DIRECT + c] = lit[t, c] - reflected if there else under[c] if unbaked else NONE
+            texels[t, BARE + c], texels[t, REFLECTED + c] = under[c], reflected
+        texels[t, NOISE] = lit[t, 3] if there else NONE
+        texels[t, NORMAL], texels[t, NORMAL + 1], texels[t, NORMAL + 2] = x, y, z
+        texels[t, GRADE] = np.float32(grade[t])
 
 
 @kernel()
-def agree(ratios, t, x, y, z):
-    """What texel ``t`` counts by the cosine c between its normal and (x, y, z): (c / (1 + (1 - c) / TURNED))².
+def agree(texels, t, n):
+    """What texel ``t`` counts by the cosine c between its normal and ``n``: (c / (1 + (1 - c) / TURNED))².
 
     It falls off slowly, so that where all texels are turned away from a pixel no single one decides: with the 16th
     power of the cosine rims of thin walls err by a sixth more at their 99th percentile. What faces away hardly counts.
     """
-    cosine = x * ratios[t, 4] + y * ratios[t, 5] + z * ratios[t, 6]
+    cosine = n[0] * texels[t, NORMAL] + n[1] * texels[t, NORMAL + 1] + n[2] * texels[t, NORMAL + 2]
     weight = max(cosine, LEAST_COSINE) / (ONE + (ONE - cosine) / TURNED)
     return weight * weight
 
 
-@kernel(inline=True)
-def blend_ratios(corners, m, ratios, n, f):
-    """Sums over those of point ``m``'s texels that are not void or buried: (r, g, b, variance, weight), float32.
+@kernel()
+def madd_colour(sums, w, texels, t, first):
+    """``sums`` and ``w`` times the colour that begins at ``first`` in the record of texel ``t``."""
+    return sums[0] + w * texels[t, first], sums[1] + w * texels[t, first + 1], sums[2] + w * texels[t, first + 2]
 
-    And the least grade of all eight. Weights are trilinear ones, for fractions ``f`` (z, y, x), times ``agree`` with
-    the point's normal ``n``.
+
+@kernel(inline=True)
+def blend_records(corners, m, texels, n, f):
+    """Sums over those of point ``m``'s texels that are not void or buried, float32, and the least grade of all eight.
+
+    They are of direct, unshadowed and reflected light, of variance, and of the weights: trilinear ones, for fractions
+    ``f`` (z, y, x), times what ``agree`` makes of the point's normal ``n``.
     """
-    r = g = b = variance = weight = NONE
-    least = np.float32(VOID)
-    fz, fy, fx = f
+    direct = unshadowed = reflected = (NONE, NONE, NONE)
+    variance, weight, least, (fz, fy, fx) = NONE, NONE, np.float32(VOID), f
     for c in range(8):
         t = corners[m, c]
-        grade = ratios[t, 7]
+        grade = texels[t, GRADE]
         w = (fz if c & 4 else ONE - fz) * (fy if c & 2 else ONE - fy) * (fx if c & 1 else ONE - fx)
-        w *= agree(ratios, t, n[0], n[1], n[2]) if grade <= FINAL else NONE
-        noise = w * ratios[t, 3]
-        r, g, b, variance = r + w * ratios[t, 0], g + w * ratios[t, 1], b + w * ratios[t, 2], variance + noise * noise
-        weight, least = weight + w, min(least, grade)
-    return r, g, b, variance, weight, least
+        w *= agree(texels, t, n) if grade <= FINAL else NONE
+        direct, unshadowed = madd_colour(direct, w, texels, t, DIRECT), madd_colour(unshadowed, w, texels, t, BARE)
+        reflected, noise = madd_colour(reflected, w, texels, t, REFLECTED), w * texels[t, NOISE]
+        variance, weight, least = variance + noise * noise, weight + w, min(least, grade)
+    return direct, unshadowed, reflected, variance, weight, least
 
 
 @kernel()
-def stand_in(corners, m, ratios, unshadowed, under, fz, fy, fx):
-    """The share of each colour at point ``m`` where no texel counts: none if any is buried, as if unbaked if not."""
+def stand_in(corners, m, texels, under, f):
+    """Light at point ``m`` where no texel counts: none if any is buried, that which is not shadowed, ``under``, if not.
+
+    ``f`` are the point's fractions (z, y, x).
+    """
     buried = 0.0
     for c in range(8):
-        if ratios[corners[m, c], 7] == BURIED:
-            buried += trilinear(c, fz, fy, fx)
-    if buried > 0.0:
-        return NONE, NONE, NONE
-    light = unbaked_light(unshadowed, under)
-    return light[0] / max(under[0], DARKEST), light[1] / max(under[1], DARKEST), light[2] / max(under[2], DARKEST)
+        if texels[corners[m, c], GRADE] == BURIED:
+            buried += trilinear(c, f[0], f[1], f[2])
+    return (NONE, NONE, NONE) if buried > 0.0 else under
 
 
-@kernel(types.void(LATTICE, PIXEL_POINTS, CORNERS, RATIOS, UNSHADOWED, types.float32, FRAMEBUFFER))
-def carry_ratios(lattice, points, corners, ratios, unshadowed, unit, framebuffer):
-    """Carry texels' ``ratios`` (texels, RECORD) to the ``framebuffer`` at the pixels of ``PixelPoints``.
+@kernel()
+def shade_ratio(blended, under):
+    """Light under ``under`` by what ``blend_records`` found, linear RGB, and the standard error of its luminance."""
+    direct, over, reflected, variance, weight, _ = blended
+    r = direct[0] / max(over[0], DARKEST) * under[0] + reflected[0] / weight
+    g = direct[1] / max(over[1], DARKEST) * under[1] + reflected[1] / weight
+    b = direct[2] / max(over[2], DARKEST) * under[2] + reflected[2] / weight
+    brighter = luminance(under[0], under[1], under[2]) / max(luminance(over[0], over[1], over[2]), DARKEST)
+    return (r, g, b), math.sqrt(variance) * brighter
+
+
+@kernel(types.void(LATTICE, PIXEL_POINTS, CORNERS, TEXELS, UNSHADOWED, types.float32, FRAMEBUFFER))
+def carry_ratios(lattice, points, corners, texels, unshadowed, unit, framebuffer):
+    """Carry the light of records ``texels`` (m, RECORD) to the ``framebuffer`` at the pixels of ``PixelPoints``.
 
     Weights are trilinear (S1, section 4.2), times what ``agree`` makes of a texel's normal and the point's;
     ``corners`` (m, 8) are the numbers of the points' texels. Void and buried texels are left out, and of what is not
@@ -171,14 +179,13 @@ def carry_ratios(lattice, points, corners, ratios, unshadowed, unit, framebuffer
     for m in range(points.pixels.shape[0]):
         _, _, _, fz, fy, fx = base_texel(lattice, points.points, m)
         f, n = (np.float32(fz), np.float32(fy), np.float32(fx)), (normals[m, 0], normals[m, 1], normals[m, 2])
-        r, g, b, variance, weight, least = blend_ratios(corners, m, ratios, n, f)
         under = unshadowed_light(unshadowed, n[0], n[1], n[2])
-        if not weight > NONE:
-            r, g, b = stand_in(corners, m, ratios, unshadowed, under, f[0], f[1], f[2])
-            weight = ONE
-        whole = ONE / weight
-        r, g, b = r * whole * under[0], g * whole * under[1], b * whole * under[2]
-        noise = math.sqrt(variance) * whole * luminance(under[0], under[1], under[2])
+        blended = blend_records(corners, m, texels, n, f)
+        least = blended[5]
+        if blended[4] > NONE:
+            (r, g, b), noise = shade_ratio(blended, under)
+        else:
+            (r, g, b), noise = stand_in(corners, m, texels, under, f), NONE
         error = ONE if least <= PARTIAL else min(noise / max(luminance(r, g, b), DARKEST), ONE)
         state = np.uint8(min(max(least, np.float32(PROVISIONAL)), np.float32(FINAL)))
         put_pixel(framebuffer, points.pixels[m], (r * unit, g * unit, b * unit), state, error)

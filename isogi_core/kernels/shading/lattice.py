@@ -43,6 +43,9 @@ lie within 1.96 times their standard error, with it 92.5 %; frames' errors are e
 
 Shape = tuple[int, int, int]
 
+LIT = 7
+"""Numbers of a texel's light: linear RGB, its standard error, and what of it is reflected light, linear RGB."""
+
 DARK = np.float32(0.0)
 DARKEST = np.float32(1e-30)
 ONE = np.float32(1.0)
@@ -125,27 +128,36 @@ def base_texel(lattice, points, m):
         types.float32[:, ::1],
         types.float32[::1],
         types.int32[::1],
+        types.int64,
         types.float32[:, ::1],
     ),
     any_order=True,
 )
-def light_texels(rows, transfer, scatter, light, square, firsts, lit):
-    """Fill ``lit`` (m, 4): linear RGB radiance and standard error of its luminance, per texel, in ``BakeSpec.unit``.
+def light_texels(rows, transfer, scatter, light, square, firsts, straight, lit):
+    """Fill ``lit`` (m, LIT): linear RGB radiance, standard error of its luminance, and what of it is reflected light.
 
-    ``transfer`` (row, channels, n) holds τ, ``scatter`` (row,) the standard error over the standard deviation of one
-    path's luminance; ``light`` (3, n) is the turned environment times the albedo over ``BakeSpec.unit``, ``square``
-    (n,) the square of its luminance. The columns are those of terms that meet lights of their own, side by side; their
-    first ones are ``firsts``. Radiance is τ·ℓ (S1, eq. 9), cut to 0 where negative; one path's variance
-    is τ·q - (τ·ℓ)², see ``bake.noise``. The sums are written out here, so that they run in vectors.
+    All are in ``BakeSpec.unit``. ``transfer`` (row, channels, n) holds τ, ``scatter`` (row,) the standard error over
+    the standard deviation of one path's luminance; ``light`` (3, n) is the turned environment times the albedo over
+    ``BakeSpec.unit``, ``square`` (n,) the square of its luminance. The columns are those of terms that meet lights of
+    their own, side by side; their first ones are ``firsts``, and those from ``straight`` on are of reflected light.
+    Radiance is τ·ℓ (S1, eq. 9), cut to 0 where negative; one path's variance is τ·q - (τ·ℓ)², see ``bake.noise``.
+    The sums are written out here, so that they run in vectors.
     """
     blue = transfer.shape[1] - 1
     green = min(blue, 1)
+    first, columns = np.uint64(straight), np.uint64(transfer.shape[2])
     for m in range(rows.shape[0]):
         row = np.uint32(rows[m])
         if rows[m] < 0:
             continue
         r = g = b = second = DARK
-        for i in range(transfer.shape[2]):
+        for i in range(first, columns):
+            r += transfer[row, 0, i] * light[0, i]
+            g += transfer[row, green, i] * light[1, i]
+            b += transfer[row, blue, i] * light[2, i]
+            second += transfer[row, green, i] * square[i]
+        reflected = r, g, b
+        for i in range(first):
             r += transfer[row, 0, i] * light[0, i]
             g += transfer[row, green, i] * light[1, i]
             b += transfer[row, blue, i] * light[2, i]
@@ -156,6 +168,8 @@ def light_texels(rows, transfer, scatter, light, square, firsts, lit):
         mean = luminance(r, g, b)
         spread = math.sqrt(max(second - mean * mean, DARK) + LEAST_SPREAD * even)
         lit[m, 0], lit[m, 1], lit[m, 2], lit[m, 3] = max(r, DARK), max(g, DARK), max(b, DARK), scatter[row] * spread
+        for c in range(3):
+            lit[m, 4 + c] = min(max(reflected[c], DARK), lit[m, c])
 
 
 class Sky(NamedTuple):
@@ -237,12 +251,12 @@ def span_of(grade, corners, m):
     return least, most
 
 
-LIT, GRADES = types.float32[:, ::1], types.uint8[::1]
+GRADES = types.uint8[::1]
 
 
-@kernel(types.void(LATTICE, PIXEL_POINTS, CORNERS, GRADES, LIT, SKY, types.float32, FRAMEBUFFER))
+@kernel(types.void(LATTICE, PIXEL_POINTS, CORNERS, GRADES, types.float32[:, ::1], SKY, types.float32, FRAMEBUFFER))
 def carry_light(lattice, points, corners, grade, lit, sky, unit, framebuffer):
-    """Carry the texels' light ``lit`` (texels, 4) to the ``framebuffer`` at the pixels of ``PixelPoints``.
+    """Carry the texels' light ``lit`` (texels, LIT) to the ``framebuffer`` at the pixels of ``PixelPoints``.
 
     Trilinear (S1, section 4.2) over the texels that hold light, whose numbers are ``corners`` (m, 8); void and buried
     ones are left out, and what is not baked yet stands in as unshadowed light about the point's normal (read

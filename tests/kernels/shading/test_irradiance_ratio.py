@@ -1,4 +1,4 @@
-"""Light carried as ratios to unshadowed light, against plain NumPy and SciPy's harmonics."""
+"""Direct light carried as ratios to unshadowed light, against plain NumPy and SciPy's harmonics."""
 
 import math
 
@@ -23,16 +23,15 @@ from isogi_core.kernels.shading.irradiance_ratio import (
     TURNED,
     Unshadowed,
     carry_ratios,
-    find_ratios,
+    fill_records,
 )
-from isogi_core.kernels.shading.lattice import BURIED, PARTIAL, UNBAKED, VOID
+from isogi_core.kernels.shading.lattice import BURIED, LIT, PARTIAL, UNBAKED, VOID
 from tests.kernels.shading.lattices import border_points, lattice, lower_texels, view_of
 
 RNG = np.random.default_rng(5)
 LIGHT = RNG.normal(size=(3, 9)) * 0.3 + np.array([4.0] + [0.0] * 8)
 LEASTS = np.array([0.9, 0.7, 0.8], np.float32)
-REFLECTED = np.array([0.2, 0.1, 0.15], np.float32)
-UNSHADOWED = Unshadowed(np.ascontiguousarray(quadric_of(LIGHT), np.float32), LEASTS, REFLECTED)
+UNSHADOWED = Unshadowed(np.ascontiguousarray(quadric_of(LIGHT), np.float32), LEASTS)
 WEIGHTS = np.array([RED, GREEN, BLUE], np.float64)
 
 
@@ -54,31 +53,32 @@ def harmonics(n):
 
 def unshadowed_of(normals):
     """Unshadowed light (n, 3) about ``normals``."""
-    return np.maximum([LIGHT @ harmonics(n / np.linalg.norm(n)) for n in normals.astype(float)], LEASTS) + REFLECTED
+    return np.maximum([LIGHT @ harmonics(n / np.linalg.norm(n)) for n in normals.astype(float)], LEASTS)
 
 
-def ratios_of(grade, lit, normals, unshadowed=UNSHADOWED):
-    """`find_ratios`: (m, RECORD)."""
-    ratios = np.full((len(grade), RECORD), np.nan, np.float32)
-    find_ratios(grade, lit, normals, unshadowed, ratios)
-    return ratios
+def records_of(grade, lit, normals, unshadowed=UNSHADOWED):
+    """`fill_records`: (m, RECORD)."""
+    records = np.full((len(grade), RECORD), np.nan, np.float32)
+    fill_records(grade, lit, normals, unshadowed, records)
+    return records
 
 
-def carry(points, ratios, normals, unshadowed=UNSHADOWED, unit=1.0):
+def carry(points, records, normals, unshadowed=UNSHADOWED, unit=1.0):
     """`carry_ratios`: radiance (n, 3), state (n,), error (n,)."""
     size, corners = 3 * len(points), view_of(points)[2]
     planes = Framebuffer(np.zeros((size, 3), np.float32), np.zeros(size, np.uint8), np.zeros(size, np.float32))
     pixels = np.arange(1, size, 3, dtype=np.uint32)
     some = PixelPoints(points, normals, pixels)
-    carry_ratios(lattice(), some, corners, ratios, unshadowed, np.float32(unit), planes)
+    carry_ratios(lattice(), some, corners, records, unshadowed, np.float32(unit), planes)
     assert not planes.state[::3].any() and not planes.radiance[2::3].any(), "other pixels are left alone"
     return tuple(plane[pixels] for plane in planes)
 
 
 def lit_texels(points, grades=(FINAL,)):
-    """Texels of a view of the points, lit at random: grades, light (m, 4) and normals (m, 3)."""
+    """Texels of a view of the points, lit at random: grades, light (m, LIT) and normals (m, 3)."""
     count = len(view_of(points)[1])
-    lit = (RNG.random((count, 4)) + 0.1).astype(np.float32)
+    lit = (RNG.random((count, LIT)) + 0.1).astype(np.float32)
+    lit[:, 4:] *= 0.5 * lit[:, :3]
     return RNG.choice(grades, count).astype(np.uint8), lit, some_normals(count)
 
 
@@ -93,14 +93,18 @@ def one_by_one(points, grade, lit, towards, normals):
         counts, over = grade[own] <= FINAL, unshadowed_of(towards[own])
         weights, under = tri * agreed * counts, unshadowed_of(normals[m : m + 1])[0]
         unbaked = (grade[own] == UNBAKED)[:, None]
-        ratios = np.where(unbaked, over - REFLECTED, lit[own, :3]) / over
-        errors = np.where(unbaked[:, 0], 0.0, lit[own, 3] / (over @ WEIGHTS))
+        reflected = np.where(unbaked, 0.0, lit[own, 4:])
+        direct = np.where(unbaked, over, lit[own, :3] - reflected)
+        errors = np.where(unbaked[:, 0], 0.0, lit[own, 3])
         least[m] = grade[own].min()
         if weights.sum() > 0.0:
-            weights /= weights.sum()
-            light[m], noise[m] = weights @ ratios * under, np.sqrt(((weights * errors) ** 2).sum()) * (under @ WEIGHTS)
+            bare = np.where(counts, weights, 0.0) @ over
+            light[m] = weights @ np.where(counts[:, None], direct, 0.0) / bare * under
+            light[m] += weights @ np.where(counts[:, None], reflected, 0.0) / weights.sum()
+            errors = np.where(counts, errors, 0.0)
+            noise[m] = np.sqrt(((weights * errors) ** 2).sum()) * (under @ WEIGHTS) / (bare @ WEIGHTS)
         else:
-            light[m] = 0.0 if tri[grade[own] == BURIED].sum() > 0.0 else under - REFLECTED
+            light[m] = 0.0 if tri[grade[own] == BURIED].sum() > 0.0 else under
     return light, noise, least
 
 
@@ -113,19 +117,24 @@ def test_the_quadric_is_the_sum_of_harmonics(order):
     np.testing.assert_allclose((quadric_of(light) @ terms).T, expected, atol=1e-6)
 
 
-def test_a_ratio_is_the_light_over_unshadowed_light():
+def test_a_record_holds_direct_unshadowed_and_reflected_light():
     points = border_points()
     grade, lit, towards = lit_texels(points, (PARTIAL, CONVERGING, FINAL, UNBAKED, BURIED, VOID))
     lit[grade == UNBAKED] = lit[grade > FINAL] = np.nan
-    ratios, there, over = ratios_of(grade, lit, towards), (grade >= PARTIAL) & (grade <= FINAL), unshadowed_of(towards)
-    dark = over - REFLECTED <= 1.0001 * LEASTS
+    records, there, over = (
+        records_of(grade, lit, towards),
+        (grade >= PARTIAL) & (grade <= FINAL),
+        unshadowed_of(towards),
+    )
+    dark = over <= 1.0001 * LEASTS
     assert dark.any() and not dark.all(), "some are as dark as they may be"
-    np.testing.assert_allclose(ratios[there, :3], (lit[:, :3] / over)[there], rtol=1e-5)
-    np.testing.assert_allclose(ratios[there, 3], (lit[:, 3] / (over @ WEIGHTS))[there], rtol=1e-5)
+    np.testing.assert_allclose(records[there, :3], (lit[:, :3] - lit[:, 4:])[there], rtol=1e-5)
+    assert np.array_equal(records[there, 3], lit[there, 3]) and np.array_equal(records[there, 8:11], lit[there, 4:])
+    np.testing.assert_allclose(records[:, 4:7], over, rtol=1e-5)
     unbaked = grade == UNBAKED
-    np.testing.assert_allclose(ratios[unbaked, :3], 1.0 - (REFLECTED / over)[unbaked], rtol=1e-5)
-    assert not ratios[unbaked, 3].any() and not ratios[grade > FINAL, :4].any()
-    assert np.array_equal(ratios[:, 4:7], towards) and np.array_equal(ratios[:, 7], grade)
+    assert np.array_equal(records[unbaked, :3], records[unbaked, 4:7])
+    assert not records[~there][:, [3, 8, 9, 10]].any() and not records[grade > FINAL, :3].any()
+    assert np.array_equal(records[:, 11:14], towards) and np.array_equal(records[:, 7], grade)
 
 
 @pytest.mark.parametrize("grades", [(FINAL,), (FINAL, CONVERGING, PARTIAL, UNBAKED, BURIED, VOID), (BURIED, VOID)])
@@ -134,7 +143,7 @@ def test_ratios_are_carried_as_a_loop_over_texels_has_it(grades):
     grade, lit, towards = lit_texels(points, grades)
     normals = some_normals(len(points))
     light, noise, least = one_by_one(points, grade, lit, towards, normals)
-    radiance, state, error = carry(points, ratios_of(grade, lit, towards), normals)
+    radiance, state, error = carry(points, records_of(grade, lit, towards), normals)
     np.testing.assert_allclose(radiance, light, rtol=2e-4, atol=1e-5)
     assert np.array_equal(state, np.clip(least, PROVISIONAL, FINAL))
     expected = np.minimum(noise / np.maximum(light @ WEIGHTS, 1e-30), 1.0)
@@ -145,24 +154,21 @@ def test_where_all_normals_agree_light_is_blended_as_it_is():
     points = border_points()
     grade, lit, _ = lit_texels(points)
     up = np.tile(np.array([0.6, 0.0, 0.8], np.float32), (max(len(grade), len(points)), 1))
-    radiance, _, _ = carry(points, ratios_of(grade, lit, up[: len(grade)]), up[: len(points)])
+    radiance, _, _ = carry(points, records_of(grade, lit, up[: len(grade)]), up[: len(points)])
     corners, (_, f) = view_of(points)[2], lower_texels(points)
     tri = np.prod(np.where(np.array(list(np.ndindex(2, 2, 2)))[None], f[:, None], 1.0 - f[:, None]), axis=2)
     np.testing.assert_allclose(radiance, np.einsum("mk,mkc->mc", tri, lit[corners, :3]), rtol=1e-5)
 
 
 def test_light_that_follows_the_normals_is_right_for_any_normals():
+    """And light that does not stays as it is."""
     points = border_points()
-    grade, lit, towards = lit_texels(points, (FINAL, UNBAKED, VOID))
-    unshadowed = Unshadowed(*UNSHADOWED[:2], 0.0 * REFLECTED)
-
-    def all_of(normals):
-        return unshadowed_of(normals) - REFLECTED
-
-    lit[:, :3] = all_of(towards)
+    grade, lit, towards = lit_texels(points)
+    lit[:, 4:] = [0.3, 0.2, 0.1]
+    lit[:, :3] = unshadowed_of(towards) + lit[:, 4:]
     normals = some_normals(len(points))
-    radiance, _, _ = carry(points, ratios_of(grade, lit, towards, unshadowed), normals, unshadowed)
-    np.testing.assert_allclose(radiance, all_of(normals), rtol=1e-5)
+    radiance, _, _ = carry(points, records_of(grade, lit, towards), normals)
+    np.testing.assert_allclose(radiance, unshadowed_of(normals) + lit[0, 4:], rtol=1e-5)
 
 
 def test_texels_that_face_away_or_nowhere_hardly_count():
@@ -170,7 +176,7 @@ def test_texels_that_face_away_or_nowhere_hardly_count():
     grade, lit, towards = lit_texels(points)
     corner = view_of(points)[2][0]
     towards[corner], towards[corner[0]], towards[corner[3]] = -up, up, 0.0
-    radiance, _, _ = carry(points, ratios_of(grade, lit, towards), up)
+    radiance, _, _ = carry(points, records_of(grade, lit, towards), up)
     np.testing.assert_allclose(radiance[0], lit[corner[0], :3], rtol=1e-6)
 
 
@@ -178,20 +184,27 @@ def test_where_all_texels_face_away_they_count_as_if_none_did():
     points, up = np.array([[3.4, 2.2, 5.7]], np.float32), np.array([[0.0, 0.0, 1.0]], np.float32)
     grade, lit, towards = lit_texels(points)
     towards[:] = -up
-    away, _, _ = carry(points, ratios_of(grade, lit, towards), up)
-    there, _, _ = carry(points, ratios_of(grade, lit, towards), -up)
-    np.testing.assert_allclose(away[0], there[0] * unshadowed_of(up)[0] / unshadowed_of(-up)[0], rtol=1e-5)
+    away, _, _ = carry(points, records_of(grade, lit, towards), up)
+    there, _, _ = carry(points, records_of(grade, lit, towards), -up)
+    own = view_of(points)[2][0]
+    tri = np.prod(
+        np.where(np.array(list(np.ndindex(2, 2, 2))), lower_texels(points)[1][0], 1.0 - lower_texels(points)[1][0]),
+        axis=1,
+    )
+    reflected = tri @ lit[own, 4:]
+    turned = unshadowed_of(up)[0] / unshadowed_of(-up)[0]
+    np.testing.assert_allclose(away[0] - reflected, (there[0] - reflected) * turned, rtol=1e-5)
 
 
 def test_a_colour_that_the_light_lacks_stays_dark():
     points = border_points()
     grade, lit, towards = lit_texels(points, (FINAL, UNBAKED))
-    lit[:, 1] = 0.0
+    lit[:, [1, 5]] = 0.0
     unshadowed = Unshadowed(*(each.copy() for each in UNSHADOWED))
     for each in unshadowed:
         each[1] = 0.0
     radiance, _, error = carry(
-        points, ratios_of(grade, lit, towards, unshadowed), some_normals(len(points)), unshadowed
+        points, records_of(grade, lit, towards, unshadowed), some_normals(len(points)), unshadowed
     )
     assert not radiance[:, 1].any() and (radiance[:, 0] > 0.0).all() and np.isfinite(error).all()
 
@@ -200,7 +213,7 @@ def test_no_light_at_all_is_black_and_final():
     points = border_points()
     grade, lit, towards = lit_texels(points)
     dark = Unshadowed(*(0.0 * each for each in UNSHADOWED))
-    radiance, state, error = carry(points, ratios_of(grade, 0.0 * lit, towards, dark), some_normals(len(points)), dark)
+    radiance, state, error = carry(points, records_of(grade, 0.0 * lit, towards, dark), some_normals(len(points)), dark)
     assert not radiance.any() and not error.any() and (state == FINAL).all()
 
 
@@ -208,8 +221,8 @@ def test_no_light_at_all_is_black_and_final():
 def test_ratios_are_carried_in_units(unit):
     points = border_points()
     grade, lit, towards = lit_texels(points, (FINAL, UNBAKED, VOID))
-    ratios, normals = ratios_of(grade, lit, towards), some_normals(len(points))
-    one, other = (carry(points, ratios, normals, unit=each) for each in (1.0, unit))
+    records, normals = records_of(grade, lit, towards), some_normals(len(points))
+    one, other = (carry(points, records, normals, unit=each) for each in (1.0, unit))
     assert np.array_equal(other[0], one[0] * np.float32(unit))
     assert all(np.array_equal(*pair) for pair in zip(one[1:], other[1:], strict=True))
 
@@ -217,12 +230,12 @@ def test_ratios_are_carried_in_units(unit):
 def test_a_point_does_not_depend_on_its_company():
     points = border_points()
     grade, lit, towards = lit_texels(points, (FINAL, UNBAKED, VOID, BURIED))
-    ratios, normals = ratios_of(grade, lit, towards), some_normals(len(points))
+    records, normals = records_of(grade, lit, towards), some_normals(len(points))
     corners = view_of(points)[2]
-    whole = carry(points, ratios, normals)
+    whole = carry(points, records, normals)
     for m in range(0, len(points), 37):
         planes = Framebuffer(np.zeros((1, 3), np.float32), np.zeros(1, np.uint8), np.zeros(1, np.float32))
         own = slice(m, m + 1)
         some = PixelPoints(points[own], normals[own], np.zeros(1, np.uint32))
-        carry_ratios(lattice(), some, corners[own], ratios, UNSHADOWED, np.float32(1.0), planes)
+        carry_ratios(lattice(), some, corners[own], records, UNSHADOWED, np.float32(1.0), planes)
         assert all(np.array_equal(one[0], all_of[m]) for one, all_of in zip(planes, whole, strict=True))

@@ -22,6 +22,7 @@ from isogi_core.kernels.shading.lattice import (
     BURIED,
     BURIED_ROW,
     LEAST_SPREAD,
+    LIT,
     PARTIAL,
     UNBAKED,
     UNLIT,
@@ -69,13 +70,17 @@ def test_a_texels_light_is_transfer_times_light(channels, order, firsts):
     light = RNG.normal(size=(3, order**2)).astype(np.float32)
     rows = RNG.permutation(40)[:30].astype(np.int32)
     rows[4:7] = UNLIT, VOID_ROW, BURIED_ROW
-    lit = np.full((30, 4), -7.0, np.float32)
-    square = RNG.normal(size=order**2).astype(np.float32)
-    light_texels(rows, transfer, noise, light, square, firsts, lit)
+    lit = np.full((30, LIT), -7.0, np.float32)
+    square, straight = RNG.normal(size=order**2).astype(np.float32), int(firsts[-1]) or order**2
+    light_texels(rows, transfer, noise, light, square, firsts, straight, lit)
     colour = np.einsum("mcn,cn->mc", np.broadcast_to(transfer[rows], (30, 3, order**2)), light)
     there = rows >= 0
     assert (colour[there] < 0).any(), "some sums must be negative to see them cut"
     np.testing.assert_allclose(lit[there, :3], np.maximum(colour, 0.0)[there], atol=1e-5)
+    reflected = np.einsum(
+        "mcn,cn->mc", np.broadcast_to(transfer[rows], (30, 3, order**2))[..., straight:], light[:, straight:]
+    )
+    np.testing.assert_allclose(lit[there, 4:], np.clip(reflected, 0.0, np.maximum(colour, 0.0))[there], atol=1e-5)
     seen = transfer[rows, channels // 2]
     variance = np.maximum(seen @ square - (colour @ (RED, GREEN, BLUE)) ** 2, 0.0)
     variance += LEAST_SPREAD * np.maximum(seen[:, firsts] * square[firsts], 0.0).sum(axis=1)
