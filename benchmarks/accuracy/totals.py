@@ -1,16 +1,18 @@
 """What pictures tell of their total error beside the truth, and what it takes to bring it to the target.
 
-    python -m benchmarks.accuracy totals [--size 96] [--paths 1024] [--seed 1 …] [--only TEXT …]
+    python -m benchmarks.accuracy totals [--size 96] [--paths 1024] [--seed 1 …] [--only TEXT …] [--part 1/4]
 
-Views of real volumes, and of volumes by formula (see ``formulas``), are baked by their scenes' plans to 2 %, in lights
-of all kinds; their pictures are then checked as the server checks pictures at rest. References are path-traced from
-each pixel, with as many bounces as may matter.
+Views of all real volumes, and of volumes by formula (see ``formulas``), are baked by their scenes' plans to 2 %, in
+lights of all kinds, as they stand and turned; their pictures are then checked as the server checks pictures at rest.
+References are path-traced from each pixel, with as many bounces as may matter.
 """
 
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from itertools import islice
 from pathlib import Path
 from statistics import median
 
@@ -20,7 +22,7 @@ import numpy as np
 from benchmarks.accuracy.benches import bench_of, wanted
 from benchmarks.accuracy.formulas import KINDS, made
 from benchmarks.common.measurement import Measurement, markdown
-from benchmarks.common.scenes import CONSTANT, LIGHTS, Subject, scene_of, shared_data
+from benchmarks.common.scenes import CONSTANT, LIGHTS, shared_data
 from benchmarks.common.suite import part
 from isogi_core.files.radiance import write_hdr
 from isogi_core.frame.control_pixels import TotalError
@@ -31,9 +33,19 @@ from isogi_core.plan.scene import Scene
 from isogi_core.report.bench import Bench
 from isogi_core.report.metrics import score
 
-PLACES = (("engine", 70), ("engine", 170), ("CT head", 110), ("MNI brain", 90), ("carp", 110))
-TURN = (110.0, 25.0, 0.0)
-"""Angles (z, y, x), in degrees, that lights are turned by."""
+PLACES = (
+    *(("engine_256x256x128_uint8", 70), ("engine_256x256x128_uint8", 170), ("ct_head_208x256x225_uint8", 110)),
+    *(("mni152_t1_197x233x189_uint8", 90), ("carp_256x512x256_uint8", 110), ("brain_t1_124x160x140_uint8", 50)),
+    *(("bonsai_256x256x256_uint8", 40), ("heptane_302x302x302_uint8", 100), ("fuel_crop_64x33x32_uint8", 100)),
+    *(("avm_337x319x154_uint8", 120), ("boston_teapot_256x256x178_uint8", 35), ("tooth_103x94x161_uint16", 700)),
+    *(("nucleon_41x41x41_uint8", 140), ("bucky_32x32x32_uint8", 90), ("neghip_66x66x66_uint8", 90)),
+    *(("hydrogen3d_64x64x64_float32", 0.02), ("isabel_t30_wind_125x125x25_float32", 35)),
+    ("lidc_chest_256x256x133_uint8", 60),
+)
+"""All shared volumes by their files, at isovalues of the middle of what their notes name."""
+
+TURNS = {"": None, " turned": (110.0, 25.0, 0.0)}
+"""Angles (z, y, x), in degrees, that lights are turned by; those that stand as their files have them, and others."""
 
 HEAD = (
     *("view", "told before", "noise", "true", "first told (95 %)", "told / true"),
@@ -66,33 +78,42 @@ class Found:
 @part(size=96)
 @click.option("--paths", type=click.IntRange(8), default=1024, show_default=True, help="Paths a pixel of references.")
 @click.option("--seed", multiple=True, type=int, default=(1,), show_default=True, help="Of volumes; repeatable.")
-@click.option("--only", multiple=True, help="Part of a view's name; repeatable.")
-def totals(size: int, paths: int, seed: tuple[int, ...], only: tuple[str, ...]) -> Measurement:
+@click.option("--only", multiple=True, help="Part of a scene's name; repeatable.")
+@click.option("--part", "share", default="1/1", show_default=True, help="Every so many-th scene, from which on.")
+def totals(size: int, paths: int, seed: tuple[int, ...], only: tuple[str, ...], share: str) -> Measurement:
     """What pictures tell of their total error, beside the truth, and what reaching the target takes."""
-    found = []
+    found, (first, step) = [], map(int, share.split("/"))
     with tempfile.TemporaryDirectory() as folder:
-        for name, scene in scenes(Path(folder), seed, only):
-            found.append(measure(name, bench_of(scene, size, Path(folder) / name.replace(" ", "-")), paths))
-            click.echo(" | ".join(row_of(found[-1])), err=True)
+        for name, scene in islice(scenes(Path(folder), seed, only), first - 1, None, step):
+            bench = bench_of(scene(), size, Path(folder) / name.replace(" ", "-"))
+            for turn, angles in TURNS.items() if bench.scene.rotating else [("", None)]:
+                found.append(measure(name + turn, bench, angles, paths))
+                click.echo(" | ".join(row_of(found[-1])), err=True)
     if not found:
         raise click.UsageError("No view has that in its name.")
     return Measurement("Total errors, told and true", figures(found), markdown(HEAD, map(row_of, found)))
 
 
-def scenes(folder: Path, seeds: Sequence[int], only: Sequence[str]) -> Iterator[tuple[str, Scene]]:
-    """The scenes of all views, by name."""
+def scenes(folder: Path, seeds: Sequence[int], only: Sequence[str]) -> Iterator[tuple[str, Callable[[], Scene]]]:
+    """All scenes by name, and what makes them."""
     write_hdr(folder / "lamps.hdr", street())
-    lights = {**LIGHTS, "a street at night": {"type": "probe", "file": str(folder / "lamps.hdr")}}
-    if (data := shared_data()) is None:
-        lights = {"constant light": CONSTANT, "a street at night": lights["a street at night"]}
-    for light in lights:
+    street_lights = {"a street at night": {"type": "probe", "file": str(folder / "lamps.hdr")}}
+    data = shared_data()
+    lights = {**(LIGHTS if data is not None else {"constant light": CONSTANT}), **street_lights}
+    for light, entry in lights.items():
+        lit = of_file(dict(entry), data)
         for volume, isovalue in PLACES if data is not None else ():
-            if light in LIGHTS and wanted(name := f"{volume} {isovalue} under {light}", only):
-                yield name, scene_of(Subject(volume, isovalue, light))
+            if wanted(name := f"{volume.split('_')[0]} {isovalue:g} under {light}", only):
+                yield name, partial(file_scene, f"{data}/{volume}.nhdr", isovalue, lit)
         for kind in KINDS:
             for seed in seeds:
                 if wanted(name := f"{kind} {seed} under {light}", only):
-                    yield name, formula_scene(kind, seed, of_file(dict(lights[light]), data))
+                    yield name, partial(formula_scene, kind, seed, lit)
+
+
+def file_scene(file: str, isovalue: float, light: dict[str, str]) -> Scene:
+    """The scene of a volume of a file."""
+    return load_scene(file, isovalue=isovalue, albedo=0.7, lights=[light])
 
 
 def of_file(light: dict[str, str], data: Path | None) -> dict[str, str]:
@@ -117,12 +138,14 @@ def street() -> np.ndarray:
     return image
 
 
-def measure(name: str, bench: Bench, paths: int) -> Found:
-    """Bake a view, check its picture, and hold both against the truth."""
+def measure(name: str, bench: Bench, angles: tuple[float, float, float] | None, paths: int) -> Found:
+    """Bake a view, check its picture with the light turned by ``angles``, and hold both against the truth."""
     ours = bench.planned
     ours.frame()
-    turned = replace(bench.view, light=quaternion_from_angles(*TURN)) if bench.scene.rotating else bench.view
-    best = replace(bench, view=turned, folder=bench.folder / "turned", _made={}).reference(paths)
+    turned = replace(bench.view, light=quaternion_from_angles(*angles)) if angles else bench.view
+    best = replace(
+        bench, view=turned, folder=bench.folder / (name.split()[-1] if angles else "still"), _made={}
+    ).reference(paths)
     renderer, target = bench.renderer(bench.scene), bench.scene.target_error
     lit = renderer.render(turned, target)
     begun, frames = time.process_time(), [lit]
