@@ -144,7 +144,7 @@ def measure(name: str, bench: Bench, angles: tuple[float, float, float] | None, 
     ours.frame()
     turned = replace(bench.view, light=quaternion_from_angles(*angles)) if angles else bench.view
     best = replace(
-        bench, view=turned, folder=bench.folder / (name.split()[-1] if angles else "still"), _made={}
+        bench, view=turned, folder=bench.folder / (name.rsplit(maxsplit=1)[-1] if angles else "still"), _made={}
     ).reference(paths)
     renderer, target = bench.renderer(bench.scene), bench.scene.target_error
     lit = renderer.render(turned, target)
