@@ -29,8 +29,8 @@ from isogi_core.kernels.shading.lobes import (
     mark_edges,
     spread_edges,
 )
-from isogi_core.kernels.shading.local_models import find_normals
-from isogi_core.kernels.shading.texel_normals import fill_texel_normals
+from isogi_core.kernels.shading.local_models import find_normals, trace_points
+from isogi_core.kernels.shading.texel_normals import fill_texel_normals, keep_normals, look_up_normals
 from isogi_core.kernels.shading.texel_table import add_part, judge_rows, unpack_texels
 from isogi_core.kernels.tracing.active_cells import fill_ranges, mark_bricks, pack_bricks
 from isogi_core.kernels.tracing.camera import trace_pixels
@@ -87,11 +87,14 @@ FRAME = (
     find_places,
     fill_records,
     tally,
+    look_up_normals,
+    keep_normals,
     *LOBES[1:],
+    trace_points,
 )
-"""All of them, those that take longest to compile first."""
+"""All of them, those that take longest to compile first; and last what pictures are checked with, once they are lit."""
 
-SHARING = {fill_texel_normals, fill_records, carry_ratios}
+SHARING = {fill_texel_normals, look_up_normals, keep_normals, fill_records, carry_ratios}
 """Those of them that carry irradiance ratios, in place of ``carry_light``."""
 
 

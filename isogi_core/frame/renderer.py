@@ -50,15 +50,10 @@ from isogi_core.frame.shading import (
     shade_locally,
     texel_disagreement,
 )
+from isogi_core.frame.texel_normals import OwnNormals, TexelNormals, find_texel_normals
 from isogi_core.frame.texel_reading import Lacking, Reading, read_texels
 from isogi_core.frame.tiles import Stopwatch, Tiles
-from isogi_core.frame.view_texels import (
-    TexelNormals,
-    ViewTexels,
-    carries_irradiance_ratios,
-    find_texel_normals,
-    find_texels,
-)
+from isogi_core.frame.view_texels import ViewTexels, carries_irradiance_ratios, find_texels
 from isogi_core.kernels.shading.framebuffer import Framebuffer
 from isogi_core.kernels.shading.lobes import add_lobes
 from isogi_core.kernels.simd.types import REGISTER
@@ -84,6 +79,7 @@ class Renderer:
         self.caches = caches
         self.tiles = tiles
         self._kept: LruCache[Any] = LruCache(most, dict.fromkeys((Reading, LobeLight), int(SHARE * most)))
+        self._normals = OwnNormals()
 
     def render(
         self,
@@ -265,7 +261,7 @@ class Renderer:
 
     def _texel_normals(self, view: View, texels: ViewTexels, reading: Reading, tiles: Tiles) -> np.ndarray:
         """The normals that a view's texels are lit about, as they are read."""
-        make = partial(find_texel_normals, texels, self.prepared, tiles)
+        make = partial(find_texel_normals, texels, self._normals, self.prepared, tiles)
         normals = self._kept.get((TexelNormals, surface_key(view)), make)
         return normals.where(reading.on_surface, texels, self.prepared, tiles)
 

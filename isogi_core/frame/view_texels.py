@@ -1,9 +1,8 @@
 """The texels under a view: which chunks it touches, which texels it reads, and the normals they are lit about."""
 
 import math
-import threading
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 from typing import Any
@@ -24,7 +23,6 @@ from isogi_core.kernels.shading.chunks import (
 )
 from isogi_core.kernels.shading.framebuffer import Framebuffer
 from isogi_core.kernels.shading.lattice import Lattice
-from isogi_core.kernels.shading.texel_normals import fill_texel_normals
 from isogi_core.model.volume import Isovalue
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import Index, PreparedScene
@@ -79,6 +77,13 @@ class ViewTexels:
     def nbytes(self) -> int:
         """Bytes that it takes, without its G-buffer; offsets and footprints are counted before they are found."""
         return 3 * self.places.nbytes + self.bounds.nbytes + self.corners.nbytes
+
+    @property
+    def numbers(self) -> np.ndarray:
+        """The number of each texel in its whole lattice, chunk by chunk; (m,) uint64."""
+        bits, chunks = 3 * self.lattice.bits, np.array(self.chunks, np.int64).reshape(-1, 3)
+        first = np.asarray(np.ravel_multi_index(tuple(chunks.T), self.lattice.chunks)) << bits
+        return (first[self.places >> bits] + self.places % self.lattice.texels).astype(np.uint64)
 
     @property
     def positions(self) -> np.ndarray:
@@ -147,57 +152,6 @@ def most_seen(offsets: np.ndarray, *views: tuple[np.ndarray, np.ndarray]) -> np.
         at = np.searchsorted(offsets, own)
         seen[at] = np.maximum(seen[at], footprints)
     return seen
-
-
-PIECE = 4096
-"""Texels whose normals one thread finds in one go."""
-
-
-@dataclass(eq=False)
-class TexelNormals:
-    """Outward unit world normals of a view's texels: ``own`` (texels, 3) float32, at their own points.
-
-    Of those that are read on the view's isosurface, normals there are found when they are first asked for.
-    """
-
-    own: np.ndarray
-    _there: np.ndarray = field(repr=False)
-    _known: np.ndarray = field(repr=False)
-    _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
-
-    @property
-    def nbytes(self) -> int:
-        """Bytes that it takes."""
-        return self.own.nbytes + self._there.nbytes + self._known.nbytes
-
-    def where(self, projected: np.ndarray, texels: ViewTexels, prepared: PreparedScene, tiles: Tiles) -> np.ndarray:
-        """The normals of the same view's ``texels``, of which those ``projected`` (texels,) lie on its isosurface."""
-        if not projected.any():
-            return self.own
-        with self._lock:
-            new = np.flatnonzero(projected & ~self._known)
-            self._there[new] = normals_of(texels, texels.positions[new], True, prepared, tiles)
-            self._known[new] = True
-            return np.where(projected[:, None], self._there, self.own)
-
-
-def find_texel_normals(texels: ViewTexels, prepared: PreparedScene, tiles: Tiles) -> TexelNormals:
-    """Find the normals of a view's texels at their own points."""
-    own = normals_of(texels, texels.positions, False, prepared, tiles)
-    return TexelNormals(own, np.zeros_like(own), np.zeros(len(own), np.bool_))
-
-
-def normals_of(
-    texels: ViewTexels, places: np.ndarray, projected: bool, prepared: PreparedScene, tiles: Tiles
-) -> np.ndarray:
-    """Normals (m, 3) float32 at ``places`` (m, 3; z, y, x) of a view's texels, ``projected`` or as they are."""
-    normals, level = np.empty((len(places), 3), np.float32), texels.gbuffer.isovalue
-
-    def _piece(a: int, b: int) -> None:
-        fill_texel_normals(prepared.field, prepared.step, level, projected, places[a:b], normals[a:b])
-
-    tiles.run(_piece, len(places), PIECE)
-    return normals
 
 
 def carries_irradiance_ratios(scene: Scene, shading: str, projects: bool) -> bool:

@@ -11,11 +11,12 @@ import pytest
 
 from isogi_core.bake.bake_spec import spec_for
 from isogi_core.frame import renderer as renderer_module
-from isogi_core.frame import view_texels as facings
+from isogi_core.frame import texel_normals as facings
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.renderer import Renderer
+from isogi_core.frame.texel_normals import OwnNormals, find_texel_normals
 from isogi_core.frame.tiles import Tiles
-from isogi_core.frame.view_texels import carries_irradiance_ratios, find_texel_normals
+from isogi_core.frame.view_texels import carries_irradiance_ratios
 from isogi_core.kernels.shading.irradiance_ratio import LEAST
 from isogi_core.kernels.shading.texel_normals import fill_texel_normals
 from isogi_core.kernels.transport.harmonics import cosine_lobe_factors
@@ -129,7 +130,7 @@ def test_normals_of_projected_texels_are_found_once(orbital: Workbench, monkeypa
     view, asked = orbital.view(size=24), []
     gbuffer = orbital.renderer.gbuffer(view)
     texels = orbital.renderer.texels(view, gbuffer)
-    found = find_texel_normals(texels, orbital.prepared, Tiles(2))
+    found = find_texel_normals(texels, OwnNormals(), orbital.prepared, Tiles(2))
     monkeypatch.setattr(
         facings, "fill_texel_normals", lambda *each: (asked.append(len(each[4])), fill_texel_normals(*each))
     )

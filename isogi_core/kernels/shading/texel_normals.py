@@ -84,3 +84,39 @@ def fill_texel_normals(field, step, level, projected, texels, normals):
         if projected:
             n = normal_there(field, p, n, level)
         normals[m, 0], normals[m, 1], normals[m, 2] = n
+
+
+KEYS = types.uint64[::1]
+"""Which texels a table of normals holds, each at the first free place from its own on: number plus 1; 0 is free."""
+
+SPREAD = np.uint64(0x9E3779B97F4A7C15)
+"""An odd number near 2⁶⁴ over the golden ratio: its multiples spread numbers in a row all over."""
+
+
+@kernel()
+def place_of(number, keys):
+    """Where in a table of a power of two of ``keys`` the texel ``number`` is, or where it may be put."""
+    last, key = np.uint64(keys.shape[0] - 1), number + np.uint64(1)
+    at = (number * SPREAD >> np.uint64(32)) & last
+    while keys[at] != key and keys[at] != np.uint64(0):
+        at = (at + np.uint64(1)) & last
+    return at
+
+
+@kernel(types.void(KEYS, KEYS, POINTS, POINTS, types.boolean[::1]))
+def look_up_normals(numbers, keys, table, normals, found):
+    """Fill ``normals`` (m, 3) of the texels ``numbers`` (m,) that a ``table`` holds, and which are ``found`` (m,)."""
+    for m in range(numbers.shape[0]):
+        at = place_of(numbers[m], keys)
+        found[m] = keys[at] != np.uint64(0)
+        if found[m]:
+            normals[m, 0], normals[m, 1], normals[m, 2] = table[at, 0], table[at, 1], table[at, 2]
+
+
+@kernel(types.void(KEYS, POINTS, KEYS, POINTS))
+def keep_normals(numbers, normals, keys, table):
+    """Put the ``normals`` (m, 3) of the texels ``numbers`` (m,) into a ``table`` that has room for them."""
+    for m in range(numbers.shape[0]):
+        at = place_of(numbers[m], keys)
+        keys[at] = numbers[m] + np.uint64(1)
+        table[at, 0], table[at, 1], table[at, 2] = normals[m, 0], normals[m, 1], normals[m, 2]

@@ -1,0 +1,107 @@
+"""The normals that a view's texels are lit about: found where they are first read, and kept for other views."""
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from isogi_core.frame.tiles import Tiles
+from isogi_core.frame.view_texels import ViewTexels
+from isogi_core.kernels.shading.texel_normals import fill_texel_normals, keep_normals, look_up_normals
+from isogi_core.prepared.prepared_scene import PreparedScene
+
+PIECE = 4096
+"""Texels whose normals one thread finds in one go."""
+
+MOST = 1 << 21
+"""Texels that a table has room for, a power of two: 42 MB, which are taken as it fills."""
+
+FULL = MOST // 2
+"""Texels that it holds at most: fuller ones are slow. Then it begins anew."""
+
+
+@dataclass(eq=False)
+class OwnNormals:
+    """Outward unit world normals of a lattice's texels at their own points: no isovalue, camera or light changes them.
+
+    Safe to use from many threads.
+    """
+
+    _keys: np.ndarray = field(default_factory=lambda: np.zeros(MOST, np.uint64), repr=False)
+    _normals: np.ndarray = field(default_factory=lambda: np.empty((MOST, 3), np.float32), repr=False)
+    _held: int = 0
+    _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
+
+    def of(self, numbers: np.ndarray, find: Callable[[np.ndarray], np.ndarray], tiles: Tiles) -> np.ndarray:
+        """The normals of the texels ``numbers`` (m,) uint64, each once; (m, 3) float32.
+
+        Those that are not held are found by ``find``, which is given their rows. Raises Cancelled.
+        """
+        normals, found = np.empty((len(numbers), 3), np.float32), np.empty(len(numbers), np.bool_)
+
+        def _piece(a: int, b: int) -> None:
+            look_up_normals(numbers[a:b], self._keys, self._normals, normals[a:b], found[a:b])
+
+        with self._lock:
+            tiles.run(_piece, len(numbers), PIECE)
+            new = np.flatnonzero(~found)
+            if len(new):
+                normals[new] = find(new)
+                self._keep(numbers[new[:FULL]], normals[new[:FULL]])
+        return normals
+
+    def _keep(self, numbers: np.ndarray, normals: np.ndarray) -> None:
+        if self._held + len(numbers) > FULL:
+            self._keys[:], self._held = 0, 0
+        keep_normals(numbers, normals, self._keys, self._normals)
+        self._held += len(numbers)
+
+
+@dataclass(eq=False)
+class TexelNormals:
+    """Outward unit world normals of a view's texels: ``own`` (texels, 3) float32, at their own points.
+
+    Of those that are read on the view's isosurface, normals there are found when they are first asked for.
+    """
+
+    own: np.ndarray
+    _there: np.ndarray = field(repr=False)
+    _known: np.ndarray = field(repr=False)
+    _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that it takes."""
+        return self.own.nbytes + self._there.nbytes + self._known.nbytes
+
+    def where(self, projected: np.ndarray, texels: ViewTexels, prepared: PreparedScene, tiles: Tiles) -> np.ndarray:
+        """The normals of the same view's ``texels``, of which those ``projected`` (texels,) lie on its isosurface."""
+        if not projected.any():
+            return self.own
+        with self._lock:
+            new = np.flatnonzero(projected & ~self._known)
+            self._there[new] = normals_of(texels, texels.positions[new], True, prepared, tiles)
+            self._known[new] = True
+            return np.where(projected[:, None], self._there, self.own)
+
+
+def find_texel_normals(texels: ViewTexels, known: OwnNormals, prepared: PreparedScene, tiles: Tiles) -> TexelNormals:
+    """Find the normals of a view's texels at their own points, which may be ``known``."""
+    own = known.of(
+        texels.numbers, lambda rows: normals_of(texels, texels.positions[rows], False, prepared, tiles), tiles
+    )
+    return TexelNormals(own, np.zeros_like(own), np.zeros(len(own), np.bool_))
+
+
+def normals_of(
+    texels: ViewTexels, places: np.ndarray, projected: bool, prepared: PreparedScene, tiles: Tiles
+) -> np.ndarray:
+    """Normals (m, 3) float32 at ``places`` (m, 3; z, y, x) of a view's texels, ``projected`` or as they are."""
+    normals, level = np.empty((len(places), 3), np.float32), texels.gbuffer.isovalue
+
+    def _piece(a: int, b: int) -> None:
+        fill_texel_normals(prepared.field, prepared.step, level, projected, places[a:b], normals[a:b])
+
+    tiles.run(_piece, len(places), PIECE)
+    return normals
