@@ -11,6 +11,7 @@ It needs httpx, httpx-retries, httpx-sse, NumPy and Pillow: isogi's extra ``clie
 
 from __future__ import annotations
 
+import base64
 import io
 import json
 import os
@@ -235,6 +236,52 @@ class Frame:
         return buffer.getvalue()
 
 
+@dataclass(frozen=True, eq=False)
+class Film:
+    """Frames that follow each other, so many a second; a notebook shows them as an animation."""
+
+    frames: Sequence[Frame]
+    fps: float = 24.0
+
+    def save(self, path: str | Path) -> Path:
+        """Write them to a GIF or WebP that loops, or as numbered pictures into a folder. ValueError for other files."""
+        path = Path(path)
+        if not path.suffix:
+            path.mkdir(exist_ok=True)
+            for n, frame in enumerate(self.frames):
+                frame.save(path / f"frame-{n + 1:05d}{SUFFIXES[frame.f][0]}")
+        elif path.suffix.lower() in (".gif", ".webp"):
+            path.write_bytes(self._animation(path.suffix[1:].lower()))
+        else:
+            raise ValueError(f"A film is written to .gif or .webp, or to a folder: {path.name} is neither.")
+        return path
+
+    def _repr_html_(self) -> str:
+        """The animation, as notebooks show it."""
+        data = base64.b64encode(self._animation("webp")).decode()
+        return f'<img src="data:image/webp;base64,{data}" alt="{len(self.frames)} frames">'
+
+    def _animation(self, form: str) -> bytes:
+        buffer, (first, *others) = io.BytesIO(), (frame.image for frame in self.frames)
+        first.save(buffer, form, save_all=True, append_images=others, duration=round(1000.0 / self.fps), loop=0)
+        return buffer.getvalue()
+
+
+def sweep(frames: int, **knobs: Values | tuple[float, float]) -> list[dict[str, Values]]:
+    """The views of so many frames, where numbers go from one to another and the rest stays.
+
+    An azimuth that comes around to where it began, alone, goes evenly; all else begins and ends at rest.
+
+    >>> sweep(48, azimuth=(0, 360), elevation=20)
+    """
+    moving = {name: value for name, value in knobs.items() if isinstance(value, tuple) and len(value) == 2}
+    way = {name: last - first for name, (first, last) in moving.items()}
+    around = set(way) <= {"azimuth", "yaw", "pitch", "roll"} and all(value % 360.0 == 0.0 for value in way.values())
+    t = np.arange(frames) / (frames if around else max(frames - 1, 1))
+    share = t if around else t * t * (3.0 - 2.0 * t)
+    return [{**knobs, **{name: moving[name][0] + way[name] * at for name in way}} for at in share.tolist()]
+
+
 @dataclass(frozen=True)
 class Event:
     """An event of a view: its ``kind`` is refined, progress, final or failed, and ``data`` its document.
@@ -417,6 +464,28 @@ class Isogi:
             frame = self._waited(path, asked, 0.0 if wait == "now" else float(wait), progress)
         tell_target(frame.facts, asked.get("max_error"))
         return frame
+
+    def film(
+        self,
+        scene: str,
+        views: Sequence[Mapping[str, Values]],
+        *,
+        fps: float = 24.0,
+        progress: Callable[[int, int], object] | None = None,
+        **more: Any,
+    ) -> Film:
+        """The frames of ``views``, such as those of ``sweep``, each as ``frame`` has it with what ``more`` says.
+
+        ``progress`` is called with how many frames are there, and how many there will be.
+
+        >>> isogi.film("casting", sweep(48, azimuth=(0, 360)), width=320, height=240, wait="final").save("turn.gif")
+        """
+        frames = []
+        for view in views:
+            frames.append(self.frame(scene, **{**more, **view}))
+            if progress is not None:
+                progress(len(frames), len(views))
+        return Film(frames, fps)
 
     def watch(self, scene: str, **view: Values) -> Iterator[Event]:
         """How a view becomes final, event by event; its light is baked while a client listens.
