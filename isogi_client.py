@@ -15,10 +15,13 @@ import base64
 import io
 import json
 import os
+import socket
+import subprocess
+import sys
 import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -48,6 +51,9 @@ LOOK = 1.0
 
 BLOCK = 1 << 20
 """Bytes that are read from a file at a time."""
+
+BAR = 20
+"""Characters of a progress bar."""
 
 PICTURE = ("f", "exposure", "overlay", "version")
 """Parameters of a picture, which say nothing of its light."""
@@ -227,12 +233,18 @@ class Frame:
         path.write_bytes(self.content)
         return path
 
-    def _repr_png_(self) -> bytes | None:
-        """The picture, as notebooks show it."""
-        if self.f in ("png", "npy"):
-            return self.content if self.f == "png" else None
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
+        """The picture's bytes (h, w, 3), or the numbers as they came (h, w, 9)."""
+        held = np.load(io.BytesIO(self.content), allow_pickle=False) if self.f == "npy" else np.asarray(self.image)
+        return held if dtype is None else held.astype(dtype)
+
+    def _repr_png_(self) -> bytes:
+        """The picture, as notebooks show it; of numbers that of their radiance."""
+        if self.f == "png":
+            return self.content
         buffer = io.BytesIO()
-        self.image.save(buffer, "png")
+        shown = Image.fromarray(srgb_of(self.array.rgb)) if self.f == "npy" else self.image
+        shown.save(buffer, "png")
         return buffer.getvalue()
 
 
@@ -280,6 +292,27 @@ def sweep(frames: int, **knobs: Values | tuple[float, float]) -> list[dict[str, 
     t = np.arange(frames) / (frames if around else max(frames - 1, 1))
     share = t if around else t * t * (3.0 - 2.0 * t)
     return [{**knobs, **{name: moving[name][0] + way[name] * at for name in way}} for at in share.tolist()]
+
+
+class Bar:
+    """A progress bar, in a notebook or a terminal, for whatever takes ``progress=``.
+
+    >>> isogi.frame("casting", wait="final", progress=Bar())
+    """
+
+    def __call__(self, news: Facts | Progress | int, total: int = 0) -> None:
+        """Draw how far a frame, a job or a film is."""
+        if isinstance(news, Facts):
+            self._draw(news.chunks["final"], news.chunks["needed"], str(news), not news.provisional)
+        elif isinstance(news, Progress):
+            self._draw(news.progress, 100, news.message, news.over)
+        else:
+            self._draw(news, total, f"{news} of {total} frames", news == total)
+
+    def _draw(self, done: int, total: int, note: str, over: bool) -> None:
+        filled = BAR * done // max(total, 1)
+        sys.stderr.write(f"\r{'█' * filled}{'░' * (BAR - filled)} {note:<60}" + "\n" * over)
+        sys.stderr.flush()
 
 
 @dataclass(frozen=True)
@@ -384,6 +417,7 @@ class Isogi:
         patience: float = PATIENCE,
     ) -> None:
         token = token or os.environ.get("ISOGI_TOKEN")
+        self._server: subprocess.Popen[bytes] | None = None
         self._patience, self._wait = patience, min(LONGEST_WAIT, timeout / 2)
         self._retry = Retry(
             total=1000,
@@ -410,8 +444,41 @@ class Isogi:
         self.close()
 
     def close(self) -> None:
-        """Close the connections."""
+        """Close the connections, and end a server of one's own."""
         self._client.close()
+        if self._server is not None:
+            self._server.terminate()
+            self._server.wait()
+            self._server = None
+
+    @classmethod
+    def serving(cls, target: str | Path, **settings: Any) -> Self:
+        """A server of one's own for a scene or a volume, which ends with ``close``; isogi must be installed.
+
+        ``settings`` are those of ``isogi serve``, such as ``workers=2``. Raises UnreachableError where it ends at once.
+
+        >>> isogi = Isogi.serving("engine.toml")
+        """
+        with socket.create_server(("127.0.0.1", 0)) as free:
+            port = free.getsockname()[1]
+        options = [f"--{name.replace('_', '-')}={value}" for name, value in {"port": port, **settings}.items()]
+        isogi = cls(f"http://127.0.0.1:{port}")
+        isogi._server = subprocess.Popen([sys.executable, "-m", "server", "serve", str(target), *options])
+        try:
+            isogi._await_server()
+        except BaseException:
+            isogi.close()
+            raise
+        return isogi
+
+    def _await_server(self) -> None:
+        """Return when the server that was started answers. Raises UnreachableError where it has ended."""
+        while self._server is not None and self._server.poll() is None:
+            with suppress(httpx.TransportError):
+                if httpx.get(self._client.base_url.join("/readyz")).is_success:
+                    return
+            time.sleep(PAUSE)
+        raise UnreachableError("The server ended at once: it has said above why.")
 
     def scenes(self) -> list[dict[str, Any]]:
         """All scenes, each with its ``id``, ``name`` and ``href``.
@@ -643,6 +710,13 @@ def text_of(value: float | str | Sequence[float]) -> str:
         return value
     row = np.atleast_1d(value).tolist()
     return ",".join(repr(number) for number in row)
+
+
+def srgb_of(linear: np.ndarray) -> np.ndarray:
+    """Linear radiance as sRGB bytes (IEC 61966-2-1)."""
+    share = np.clip(linear, 0.0, 1.0)
+    curve = np.where(share <= 0.0031308, 12.92 * share, 1.055 * share ** (1.0 / 2.4) - 0.055)
+    return np.asarray(255.0 * curve + 0.5, np.uint8)
 
 
 def tell_target(facts: Facts, target: str | None) -> None:
