@@ -254,7 +254,10 @@ def export(
     as_json: bool,
     **given: Any,
 ) -> None:
-    """Write TARGET with its light to OUTPUT: an isosurface (.ply, .glb), or values and light (.vti, .nrrd)."""
+    """Write TARGET with its light to OUTPUT.
+
+    An isosurface as a mesh (.ply, .glb, .obj), or values and light as a volume (.vti, .nrrd, .nii.gz, .zarr).
+    """
     settings, work = settings_from(**{name: given.pop(name) for name in WORK_OPTIONS}), module_of("export")
     knobs = {name: value for name, value in given.items() if value is not None}
     wishes = work.Wishes(output, isovalues, target_error, exposure)
