@@ -22,6 +22,7 @@ MODULES = {
     "prewarm --server": "server.cli.remote_prewarm",
     "export": "server.cli.export",
     "film": "server.cli.film",
+    "publish": "server.cli.publish",
     "inspect": "server.inspect.text",
     "bench": "server.cli.bench",
     "store": "server.cli.store",
@@ -67,9 +68,12 @@ REPORT_OPTIONS = {
     "elevation": "Degrees above the xy plane; default: 30.",
     "distance": "From the target, in radii of the volume's bounding sphere; default: 2.2.",
 }
-FILM_OPTIONS = {
-    name: f"{text[:-1]}; or first:last." if name in ("isovalue", "azimuth", "elevation", "distance", "yaw") else text
-    for name, text in VIEW_OPTIONS.items()
+MOVING = ("isovalue", "azimuth", "elevation", "distance", "yaw")
+"""Options of a view that also take ranges, where there are many views."""
+
+FILM_OPTIONS = {name: f"{text[:-1]}; or first:last." if name in MOVING else text for name, text in VIEW_OPTIONS.items()}
+GRID_OPTIONS = {
+    name: f"{text[:-1]}; or first:last:step." if name in MOVING else text for name, text in VIEW_OPTIONS.items()
 }
 WORK_OPTIONS = {
     "workers": "Baking processes; default: one per core.",

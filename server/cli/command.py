@@ -14,6 +14,7 @@ from server.cli.arguments import (
     AS_JSON,
     DEVELOPED,
     FILM_OPTIONS,
+    GRID_OPTIONS,
     REPORT_OPTIONS,
     VIEW_OPTIONS,
     WORK_OPTIONS,
@@ -288,6 +289,26 @@ def film(scene: str, as_json: bool, **given: Any) -> None:
     settings, work = settings_from(**{name: given.pop(name) for name in WORK_OPTIONS}), module_of("film")
     knobs = {name: value for name in FILM_OPTIONS if (value := given.pop(name)) is not None}
     show(work.film(scene, work.Wishes(**given), knobs, settings), work.filmed, as_json)
+
+
+@cli.command()
+@click.argument("scene", metavar="TARGET")
+@axes_option
+@click.option("-o", "--output", required=True, type=click.Path(path_type=Path, file_okay=False), help="A folder.")
+@options(GRID_OPTIONS)
+@click.option("--target-error", callback=number(0.0001, 1), help="Relative error at which a picture is final.")
+@click.option("--time", "seconds", callback=duration, help="Longest time for a picture: 5, 5s or 1m.")
+@click.option("--deadline", callback=duration, help="Longest time for all pictures together, shared evenly.")
+@options(WORK_OPTIONS)
+@AS_JSON
+def publish(scene: str, as_json: bool, **given: Any) -> None:
+    """Write a page that leafs through pictures of TARGET by sliders, without a server; stopped, the same goes on.
+
+    What is given as first:last:step becomes a slider; with none, the azimuth.
+    """
+    settings, work = settings_from(**{name: given.pop(name) for name in WORK_OPTIONS}), module_of("publish")
+    knobs = {name: value for name in GRID_OPTIONS if (value := given.pop(name)) is not None}
+    show(work.publish(scene, work.Wishes(**given), knobs, settings), work.published, as_json)
 
 
 @cli.command()

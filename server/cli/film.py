@@ -1,31 +1,22 @@
 """``isogi film``: the frames of a film, each as good as asked, as pictures in a folder or as a movie."""
 
 import json
-import math
 import shutil
 import time
 import tomllib
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import closing
+from collections.abc import Mapping
 from dataclasses import dataclass
-from hashlib import blake2b
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from isogi_core.errors import ViewError
 from isogi_core.plan.scene import Scene
-from isogi_core.storage.atomic_file import write_whole
 from server.cli.film_path import film_path, view_in, views_in
 from server.cli.movie import FRAMES, check_movie, write_movie
-from server.cli.render import awaited
+from server.cli.reel import Budget, Reel, said
 from server.errors import ParameterError
 from server.parameters import FrameParams, read, view_of
-from server.pictures import encode
-from server.progress import Progress, open_scene
-from server.render.engine import RenderEngine
-from server.render.resources import root_of
+from server.progress import open_scene
 from server.settings import Settings
 
 MOST_FRAMES = 100_000
@@ -59,32 +50,6 @@ class Wishes:
         return self.output.with_name(f"{self.output.name}.frames") if self.is_movie else self.output
 
 
-class Reel:
-    """The frames of a film in a ``folder``, and what is known of each; those of the same film are gone on from."""
-
-    def __init__(self, folder: Path, digest: str) -> None:
-        """Look at what is there. Raises ViewError where the folder holds another film."""
-        self._folder, self._digest, self._list = folder, digest, folder / "film.json"
-        self.frames: dict[int, dict[str, Any]] = {}
-        if self._list.exists():
-            kept = json.loads(self._list.read_text(encoding="utf-8"))
-            if kept["film"] != digest:
-                raise ViewError(f"{folder} holds frames of another film: name another file, or delete that folder.")
-            self.frames = {int(n): facts for n, facts in kept["frames"].items() if self.path(int(n)).exists()}
-
-    def path(self, n: int) -> Path:
-        """The picture of a frame, counted from 0."""
-        return self._folder / (FRAMES % (n + 1))
-
-    def keep(self, n: int, picture: bytes, facts: Mapping[str, Any]) -> None:
-        """Write a frame, and what is known of it."""
-        self._folder.mkdir(exist_ok=True)
-        write_whole(self.path(n), picture)
-        self.frames[n] = dict(facts)
-        document = {"film": self._digest, "frames": {str(each): self.frames[each] for each in sorted(self.frames)}}
-        write_whole(self._list, json.dumps(document, indent=1).encode())
-
-
 def film(target: str, wishes: Wishes, knobs: Mapping[str, str], settings: Settings) -> dict[str, Any]:
     """Render the frames that are not there yet, make the movie of all, and say how good they are.
 
@@ -101,26 +66,15 @@ def film(target: str, wishes: Wishes, knobs: Mapping[str, str], settings: Settin
         check_movie(wishes.output, **size)
     for shot in shots:
         view_of(scene, shot, settings)
-    reel = Reel(wishes.folder, digest_of(scene, shots))
-    kept = len(reel.frames)
-    if kept < len(shots):
-        shoot(scene, shots, reel, Budget(wishes.seconds, wishes.deadline, begun), settings)
+    reel = Reel(wishes.folder, scene, {FRAMES % n: shot for n, shot in enumerate(shots, 1)})
+    kept = len(reel.facts)
+    if reel.missing:
+        reel.shoot(Budget(wishes.seconds, wishes.deadline, begun), settings)
     if wishes.is_movie:
-        write_movie(wishes.output, [reel.path(n) for n in range(len(shots))], wishes.fps)
+        write_movie(wishes.output, [reel.path(name) for name in reel.shots], wishes.fps)
         shutil.rmtree(wishes.folder)
-    errors = [facts["error"] for facts in reel.frames.values()]
-    return {
-        "file": str(wishes.output),
-        "scene": scene.name,
-        "frames": len(shots),
-        "kept": kept,
-        **size,
-        "fps": wishes.fps,
-        "final": sum(facts["final"] for facts in reel.frames.values()) / len(shots),
-        "target_error": wishes.target_error or scene.target_error,
-        "error": {"median": float(np.median(errors)), "worst": max(errors)},
-        "seconds": time.monotonic() - begun,
-    }
+    about = {"file": str(wishes.output), "scene": scene.name, "pictures": len(shots), "kept": kept, **size}
+    return {**about, "fps": wishes.fps, **reel.summary(), "seconds": time.monotonic() - begun}
 
 
 def shots_of(scene: Scene, wishes: Wishes, knobs: Mapping[str, str]) -> list[FrameParams]:
@@ -151,48 +105,6 @@ def document_in(file: Path) -> Any:
         raise ParameterError(f"{file.name} cannot be read: {error}.", "views-file") from None
 
 
-def digest_of(scene: Scene, shots: Sequence[FrameParams]) -> str:
-    """Hex name of all that frames show, and of how good they are to be."""
-    asked = [shot.model_dump(mode="json", exclude_unset=True) for shot in shots]
-    return blake2b(json.dumps([scene.digest, asked]).encode(), digest_size=12).hexdigest()
-
-
-@dataclass(frozen=True)
-class Budget:
-    """Seconds that frames may take: each so many, and all of them so many since they were ``begun``."""
-
-    each: float | None
-    all: float | None
-    begun: float
-    clock: Callable[[], float] = time.monotonic
-
-    def share(self, frames: int) -> float | None:
-        """Seconds for the next frame where so many are left; None for as long as it takes."""
-        left = math.inf if self.all is None else max(self.begun + self.all - self.clock(), 0.0) / frames
-        share = min(left, math.inf if self.each is None else self.each)
-        return None if math.isinf(share) else share
-
-
-def shoot(scene: Scene, shots: Sequence[FrameParams], reel: Reel, budget: Budget, settings: Settings) -> None:
-    """Render the frames that are not on the ``reel`` yet. Raises StoreError and WorkersError."""
-    missing = [n for n in range(len(shots)) if n not in reel.frames]
-    place, memory = (root_of(settings), settings.workers, settings.scheduler), settings.memory_mb << 20
-    with (
-        closing(RenderEngine([scene], *place, memory, projected=settings.projected_mb << 20)) as engine,
-        Progress("filming", "frame") as bar,
-    ):
-        engine.start()
-        for done, n in enumerate(missing):
-            shot, seconds = shots[n], budget.share(len(missing) - done)
-            frame = awaited(engine, scene.id, view_of(scene, shot, settings), shot.max_error, seconds)
-            exposure = scene.default_exposure if shot.exposure is None else shot.exposure
-            facts = {"error": frame.total.likely, "final": frame.final}
-            reel.keep(n, encode(frame, "png", exposure, shot.overlay), facts)
-            bar.count(done + 1, len(missing))
-
-
 def filmed(facts: Mapping[str, Any]) -> str:
     """What ``film`` did, for a person."""
-    size = f"{facts['frames']} frames of {facts['width']} × {facts['height']}"
-    error = f"error {facts['error']['median']:.4f}, at worst {facts['error']['worst']:.4f}"
-    return f"{facts['file']}: {size}, {facts['final']:.0%} final at {facts['target_error']:g}, {error}"
+    return said(facts, "frames")

@@ -9,8 +9,8 @@ import pytest
 from PIL import Image
 
 from server.cli.command import run
-from server.cli.film import Budget
 from server.cli.film_path import film_path, view_in, views_in
+from server.cli.reel import Budget
 from server.errors import ParameterError
 from tests.server.inline import InlinePool
 from worker import pool
@@ -103,7 +103,7 @@ def test_a_film_goes_on_and_becomes_a_movie(
         return dict(json.loads(capsys.readouterr().out))
 
     facts = film("turn")
-    assert (facts["frames"], facts["kept"], facts["final"]) == (4, 0, 1.0)
+    assert (facts["pictures"], facts["kept"], facts["final"]) == (4, 0, 1.0)
     pictures = sorted((tmp_path / "turn").glob("*.png"))
     assert len({path.read_bytes() for path in pictures}) == len(pictures) == 4
     pictures[2].unlink()
@@ -119,8 +119,12 @@ def test_other_films_and_odd_names_are_refused(
     small_scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "turn").mkdir()
-    (tmp_path / "turn" / "film.json").write_text('{"film": "another", "frames": {}}')
-    for name, sentence in (("turn", "another film"), ("a.avi", "end it in .gif, .webp, .mp4"), ("no/a.gif", "folder")):
+    (tmp_path / "turn" / "pictures.json").write_text('{"asked": "another", "pictures": {}}')
+    for name, sentence in (
+        ("turn", "something else"),
+        ("a.avi", "end it in .gif, .webp, .mp4"),
+        ("no/a.gif", "folder"),
+    ):
         assert run(["film", str(small_scene), "-o", str(tmp_path / name), *SIZE]) == 2
         assert sentence in capsys.readouterr().err
 
