@@ -46,7 +46,7 @@ class LitVolume:
 
 
 def vti_bytes(lit: LitVolume) -> bytes:
-    """An image file of VTK with arrays of points, little-endian, raw at its end.
+    """An image file of VTK with arrays of points, bytes or floats, little-endian, raw at its end.
 
     Format: VTK's XML image data, version 1.0.
     """
@@ -62,10 +62,11 @@ def vti_bytes(lit: LitVolume) -> bytes:
     }
     rows, blocks, offset = [], [], 0
     for name, array in arrays.items():
-        block = np.ascontiguousarray(array, "<f4").tobytes()
+        whole = array.dtype == np.uint8
+        block = np.ascontiguousarray(array, "u1" if whole else "<f4").tobytes()
         parts = array.shape[3] if array.ndim == 4 else 1
-        described = f'type="Float32" Name={quoteattr(name)} NumberOfComponents="{parts}" format="appended"'
-        rows.append(f'<DataArray {described} offset="{offset}"/>')
+        kind = f'type="{"UInt8" if whole else "Float32"}" Name={quoteattr(name)} NumberOfComponents="{parts}"'
+        rows.append(f'<DataArray {kind} format="appended" offset="{offset}"/>')
         blocks.append(np.array([len(block)], "<u8").tobytes() + block)
         offset += len(blocks[-1])
     attributes = " ".join(f'{name}="{value}"' for name, value in place.items())

@@ -9,7 +9,7 @@ import numpy as np
 
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.errors import SceneError, ViewError
-from isogi_core.files.light_files import LitMesh, glb_bytes, obj_bytes, ply_bytes
+from isogi_core.files.light_files import LitMesh, glb_bytes, obj_bytes, ply_bytes, srgb_bytes
 from isogi_core.files.light_volumes import WRITERS, LitVolume, nibabel
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.tiles import Tiles
@@ -118,6 +118,8 @@ def write_volume(renderer: Renderer, view: View, spans: Any, exposure: float, ou
         light[tuple(places[rows].T)] = exposure * found
     values = volume.offset + volume.scale * volume.voxels.astype(np.float64)
     arrays: dict[str, np.ndarray] = {"value": values, "light": light}
+    if suffix_of(output) == ".vti":
+        arrays["colour"] = srgb_bytes(light)
     place = volume.orientation
     lit = LitVolume(arrays, place.affine(volume.spacing), place.unit)
     WRITERS[suffix_of(output)](output, lit)

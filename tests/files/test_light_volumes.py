@@ -19,14 +19,22 @@ TOGETHER = np.concatenate([VALUE[..., None], LIGHT], axis=-1)
 
 
 def test_vti_is_read_by_vtk_where_it_lies(tmp_path: Path) -> None:
-    pytest.importorskip("vtk")
+    vtk = pytest.importorskip("vtk")
+    from vtk.util import numpy_support
+
     from isogi_core.files.formats.opening import open_file
 
-    (tmp_path / "a.vti").write_bytes(vti_bytes(LIT))
+    colour = (255 * LIGHT).astype(np.uint8)
+    (tmp_path / "a.vti").write_bytes(vti_bytes(LitVolume({**LIT.arrays, "colour": colour}, AFFINE)))
     grid = open_file(tmp_path / "a.vti", {})
     np.testing.assert_array_equal(grid.whole(), VALUE)
     assert grid.affine is not None
     np.testing.assert_allclose(grid.affine.array, AFFINE)
+    reader = vtk.vtkXMLImageDataReader()
+    reader.SetFileName(str(tmp_path / "a.vti"))
+    reader.Update()
+    found = numpy_support.vtk_to_numpy(reader.GetOutput().GetPointData().GetArray("colour"))
+    assert found.dtype == np.uint8 and np.array_equal(found, colour.reshape(-1, 3))
 
 
 def test_nrrd_holds_values_and_light_together(tmp_path: Path) -> None:
