@@ -21,13 +21,14 @@ from isogi_core.storage.atomic_file import PARTIAL, write_whole
 class LitVolume:
     """``arrays`` of points by name, (nz, ny, nx) or (nz, ny, nx, k) each, in the world.
 
-    ``affine`` (3, 4) brings indices to the world, whose ``unit`` of length is empty where unknown; in a patient it is
-    RAS.
+    ``affine`` (3, 4) brings indices to the world, whose ``unit`` of length is empty where unknown, and which is RAS
+    in a ``patient``.
     """
 
     arrays: dict[str, np.ndarray]
     affine: np.ndarray
     unit: str = ""
+    patient: bool = False
 
     @property
     def together(self) -> np.ndarray:
@@ -83,7 +84,8 @@ def nrrd_bytes(lit: LitVolume) -> bytes:
     directions = " ".join(f"({','.join(repr(float(x)) for x in column)})" for column in affine[:, :3].T)
     origin = ",".join(repr(float(x)) for x in affine[:, 3])
     lines = ["NRRD0005", "type: float", "dimension: 4", f"sizes: {' '.join(map(str, block.shape[::-1]))}"]
-    lines += ["space dimension: 3", f"space directions: none {directions}", f"space origin: ({origin})"]
+    lines += ["space: right-anterior-superior" if lit.patient else "space dimension: 3"]
+    lines += [f"space directions: none {directions}", f"space origin: ({origin})"]
     lines += ["kinds: list domain domain domain", "endian: little", "encoding: raw", "", ""]
     return "\n".join(lines).encode() + block.tobytes()
 
@@ -120,10 +122,9 @@ NGFF_UNITS = {"mm": "millimeter", "m": "meter", "µm": "micrometer", "nm": "nano
 def write_zarr(path: Path, lit: LitVolume) -> None:
     """An OME-Zarr image (NGFF 0.5) of one resolution, whose channels are the numbers of each point.
 
-    Raises VolumeError where the volume does not lie along the world's axes, or the folder is there already.
+    Raises VolumeError as ``check_zarr`` does.
     """
-    if path.exists():
-        raise VolumeError(f"{path} is there already: delete it, or name another.")
+    check_zarr(path, lit.affine)
     block, steps, origin = straightened(lit.together, lit.affine)
     space: dict[str, Any] = {"type": "space", **({"unit": NGFF_UNITS[lit.unit]} if lit.unit in NGFF_UNITS else {})}
     axes: list[Any] = [{"name": "c", "type": "channel"}, *({"name": name, **space} for name in "zyx")]
@@ -148,6 +149,15 @@ def write_zarr(path: Path, lit: LitVolume) -> None:
     os.replace(half, path)
 
 
+def check_zarr(path: Path, affine: np.ndarray) -> None:
+    """Raise VolumeError where a volume does not lie along the world's axes, or the folder is there already."""
+    if path.exists():
+        raise VolumeError(f"{path} is there already: delete it, or name another.")
+    sizes = np.abs(affine[:, :3])
+    if (sizes.sum(axis=0) - sizes.max(axis=0)).max() > 1e-6 * sizes.max():
+        raise VolumeError("OME-Zarr says no turns, and this volume lies obliquely: write .nii.gz, .vti or .nrrd.")
+
+
 def channels(lit: LitVolume) -> list[dict[str, Any]]:
     """What viewers are told of the channels: name, colour and the range to show."""
     colours = {"red": "FF0000", "green": "00FF00", "blue": "0000FF"}
@@ -164,13 +174,10 @@ def channels(lit: LitVolume) -> list[dict[str, Any]]:
 def straightened(block: np.ndarray, affine: np.ndarray) -> tuple[np.ndarray, list[float], list[float]]:
     """An array (nz, ny, nx, k) with its axes along the world's, the steps along x, y, z, and the first voxel's place.
 
-    Raises VolumeError where the ``affine`` turns by other than right angles.
+    The ``affine`` turns by right angles.
     """
     matrix, origin = affine[:, :3], affine[:, 3].copy()
-    steps = np.abs(matrix).max(axis=0)
-    axes = np.abs(matrix).argmax(axis=0)
-    if np.abs(np.abs(matrix).sum(axis=0) - steps).max() > 1e-6 * steps.max():
-        raise VolumeError("OME-Zarr says no turns, and this volume lies obliquely: write .nii.gz, .vti or .nrrd.")
+    steps, axes = np.abs(matrix).max(axis=0), np.abs(matrix).argmax(axis=0)
     order = [int(np.flatnonzero(axes == axis)[0]) for axis in range(3)]
     for column in range(3):
         if matrix[axes[column], column] < 0.0:

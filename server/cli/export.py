@@ -10,7 +10,7 @@ import numpy as np
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.errors import SceneError, ViewError
 from isogi_core.files.light_files import LitMesh, glb_bytes, obj_bytes, ply_bytes, srgb_bytes
-from isogi_core.files.light_volumes import WRITERS, LitVolume, nibabel
+from isogi_core.files.light_volumes import WRITERS, LitVolume, check_zarr, nibabel
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.tiles import Tiles
 from isogi_core.model.view import View
@@ -82,11 +82,13 @@ def suffix_of(output: Path) -> str:
 
 
 def check_levels(scene: Scene, wishes: Wishes, suffix: str) -> None:
-    """Raise ViewError or SceneError where the isovalues or the lattice do not suit the kind of file."""
+    """Raise ViewError, SceneError or VolumeError where isovalues, lattice or place do not suit the kind of file."""
     if suffix in MESHES and (len(wishes.isovalues) > 1 or any(":" in text for text in wishes.isovalues)):
         raise ViewError(f"A mesh is of one isovalue: give --isovalue once, or write a volume: {', '.join(WRITERS)}.")
     if suffix in WRITERS and scene.lattice_shape != scene.volume.shape:
         raise SceneError("A volume with light has a texel at each voxel: set lattice = 1 in the scene.")
+    if suffix == ".zarr":
+        check_zarr(wishes.output, scene.volume.orientation.affine(scene.volume.spacing))
 
 
 def write_mesh(renderer: Renderer, view: View, _: Any, exposure: float, output: Path) -> dict[str, Any]:
@@ -121,7 +123,7 @@ def write_volume(renderer: Renderer, view: View, spans: Any, exposure: float, ou
     if suffix_of(output) == ".vti":
         arrays["colour"] = srgb_bytes(light)
     place = volume.orientation
-    lit = LitVolume(arrays, place.affine(volume.spacing), place.unit)
+    lit = LitVolume(arrays, place.affine(volume.spacing), place.unit, bool(place.letters))
     WRITERS[suffix_of(output)](output, lit)
     return {"isovalues": [list(span) for span in spans], "texels": len(places)}
 

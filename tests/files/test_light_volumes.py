@@ -1,5 +1,6 @@
 """Volumes with values and light, as other readers take them: VTK's image files, NRRD, NIfTI and OME-Zarr."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import nrrd
@@ -39,6 +40,7 @@ def test_vti_is_read_by_vtk_where_it_lies(tmp_path: Path) -> None:
 
 def test_nrrd_holds_values_and_light_together(tmp_path: Path) -> None:
     (tmp_path / "a.nrrd").write_bytes(nrrd_bytes(LIT))
+    assert b"space: right-anterior-superior" in nrrd_bytes(replace(LIT, patient=True))
     found, header = nrrd.read(str(tmp_path / "a.nrrd"), index_order="C")
     np.testing.assert_allclose(found, TOGETHER, rtol=1e-6)
     np.testing.assert_allclose(header["space directions"][1:], AFFINE[:, :3].T)
