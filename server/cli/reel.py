@@ -23,6 +23,9 @@ from server.render.engine import RenderEngine
 from server.render.resources import root_of
 from server.settings import Settings
 
+PAUSE = 1.0
+"""Seconds between two writings of what is known of the pictures; after a crash, the last ones are made again."""
+
 
 class Reel:
     """The pictures of ``shots`` in a ``folder``, and what is known of each; those that are there stay."""
@@ -33,6 +36,7 @@ class Reel:
         asked = [[name, shot.model_dump(mode="json", exclude_unset=True)] for name, shot in shots.items()]
         self._digest = blake2b(json.dumps([scene.digest, asked]).encode(), digest_size=12).hexdigest()
         self.facts: dict[str, dict[str, Any]] = {}
+        self._written = -math.inf
         if self._list.exists():
             kept = json.loads(self._list.read_text(encoding="utf-8"))
             if kept["asked"] != self._digest:
@@ -53,8 +57,12 @@ class Reel:
         self.path(name).parent.mkdir(parents=True, exist_ok=True)
         write_whole(self.path(name), picture)
         self.facts[name] = dict(facts)
-        document = {"asked": self._digest, "pictures": self.facts}
-        write_whole(self._list, json.dumps(document, indent=1).encode())
+        if time.monotonic() - self._written >= PAUSE:
+            self._write_list()
+
+    def _write_list(self) -> None:
+        write_whole(self._list, json.dumps({"asked": self._digest, "pictures": self.facts}, indent=1).encode())
+        self._written = time.monotonic()
 
     def summary(self) -> dict[str, Any]:
         """How good the pictures are: the share that is final, the target, and the median and the worst error."""
@@ -66,34 +74,41 @@ class Reel:
 
     def shoot(self, budget: "Budget", settings: Settings) -> None:
         """Make the pictures that are missing. Raises StoreError and WorkersError."""
-        missing, scene = self.missing, self._scene
         place, memory = (root_of(settings), settings.workers, settings.scheduler), settings.memory_mb << 20
         with (
-            closing(RenderEngine([scene], *place, memory, projected=settings.projected_mb << 20)) as engine,
+            closing(RenderEngine([self._scene], *place, memory, projected=settings.projected_mb << 20)) as engine,
             Progress("rendering", "picture") as bar,
         ):
             engine.start()
-            for done, name in enumerate(missing):
-                shot, seconds = self.shots[name], budget.share(len(missing) - done)
-                frame = awaited(engine, scene.id, view_of(scene, shot, settings), shot.max_error, seconds)
-                exposure = scene.default_exposure if shot.exposure is None else shot.exposure
-                picture = encode(frame, SUFFIXES[self.path(name).suffix], exposure, shot.overlay)
-                self.keep(name, picture, {"error": frame.total.likely, "final": frame.final})
-                bar.count(done + 1, len(missing))
+            try:
+                self._shoot(engine, budget, settings, bar)
+            finally:
+                if self.facts:
+                    self._write_list()
+
+    def _shoot(self, engine: RenderEngine, budget: "Budget", settings: Settings, bar: Progress) -> None:
+        missing, scene = self.missing, self._scene
+        for done, name in enumerate(missing):
+            shot, seconds = self.shots[name], budget.share(len(missing) - done)
+            frame = awaited(engine, scene.id, view_of(scene, shot, settings), shot.max_error, seconds)
+            exposure = scene.default_exposure if shot.exposure is None else shot.exposure
+            picture = encode(frame, SUFFIXES[self.path(name).suffix], exposure, shot.overlay)
+            self.keep(name, picture, {"error": frame.total.likely, "final": frame.final})
+            bar.count(done + 1, len(missing))
 
 
 @dataclass(frozen=True)
 class Budget:
-    """Seconds that frames may take: each so many, and all of them so many since they were ``begun``."""
+    """Seconds that pictures may take: each so many, and all of them so many since they were ``begun``."""
 
     each: float | None
     all: float | None
     begun: float
     clock: Callable[[], float] = time.monotonic
 
-    def share(self, frames: int) -> float | None:
-        """Seconds for the next frame where so many are left; None for as long as it takes."""
-        left = math.inf if self.all is None else max(self.begun + self.all - self.clock(), 0.0) / frames
+    def share(self, pictures: int) -> float | None:
+        """Seconds for the next picture where so many are left; None for as long as it takes."""
+        left = math.inf if self.all is None else max(self.begun + self.all - self.clock(), 0.0) / pictures
         share = min(left, math.inf if self.each is None else self.each)
         return None if math.isinf(share) else share
 
