@@ -11,13 +11,17 @@ It needs httpx, httpx-retries, httpx-sse, NumPy and Pillow: isogi's extra ``clie
 
 from __future__ import annotations
 
+import base64
 import io
 import json
 import os
+import socket
+import subprocess
+import sys
 import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -47,6 +51,9 @@ LOOK = 1.0
 
 BLOCK = 1 << 20
 """Bytes that are read from a file at a time."""
+
+BAR = 20
+"""Characters of a progress bar."""
 
 PICTURE = ("f", "exposure", "overlay", "version")
 """Parameters of a picture, which say nothing of its light."""
@@ -226,13 +233,86 @@ class Frame:
         path.write_bytes(self.content)
         return path
 
-    def _repr_png_(self) -> bytes | None:
-        """The picture, as notebooks show it."""
-        if self.f in ("png", "npy"):
-            return self.content if self.f == "png" else None
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
+        """The picture's bytes (h, w, 3), or the numbers as they came (h, w, 9)."""
+        held = np.load(io.BytesIO(self.content), allow_pickle=False) if self.f == "npy" else np.asarray(self.image)
+        return held if dtype is None else held.astype(dtype)
+
+    def _repr_png_(self) -> bytes:
+        """The picture, as notebooks show it; of numbers that of their radiance."""
+        if self.f == "png":
+            return self.content
         buffer = io.BytesIO()
-        self.image.save(buffer, "png")
+        shown = Image.fromarray(srgb_of(self.array.rgb)) if self.f == "npy" else self.image
+        shown.save(buffer, "png")
         return buffer.getvalue()
+
+
+@dataclass(frozen=True, eq=False)
+class Film:
+    """Frames that follow each other, so many a second; a notebook shows them as an animation."""
+
+    frames: Sequence[Frame]
+    fps: float = 24.0
+
+    def save(self, path: str | Path) -> Path:
+        """Write them to a GIF or WebP that loops, or as numbered pictures into a folder. ValueError for other files."""
+        path = Path(path)
+        if not path.suffix:
+            path.mkdir(exist_ok=True)
+            for n, frame in enumerate(self.frames):
+                frame.save(path / f"frame-{n + 1:05d}{SUFFIXES[frame.f][0]}")
+        elif path.suffix.lower() in (".gif", ".webp"):
+            path.write_bytes(self._animation(path.suffix[1:].lower()))
+        else:
+            raise ValueError(f"A film is written to .gif or .webp, or to a folder: {path.name} is neither.")
+        return path
+
+    def _repr_html_(self) -> str:
+        """The animation, as notebooks show it."""
+        data = base64.b64encode(self._animation("webp")).decode()
+        return f'<img src="data:image/webp;base64,{data}" alt="{len(self.frames)} frames">'
+
+    def _animation(self, form: str) -> bytes:
+        buffer, (first, *others) = io.BytesIO(), (frame.image for frame in self.frames)
+        first.save(buffer, form, save_all=True, append_images=others, duration=round(1000.0 / self.fps), loop=0)
+        return buffer.getvalue()
+
+
+def sweep(frames: int, **knobs: Values | tuple[float, float]) -> list[dict[str, Values]]:
+    """The views of so many frames, where numbers go from one to another and the rest stays.
+
+    An azimuth that comes around to where it began, alone, goes evenly; all else begins and ends at rest.
+
+    >>> sweep(48, azimuth=(0, 360), elevation=20)
+    """
+    moving = {name: value for name, value in knobs.items() if isinstance(value, tuple) and len(value) == 2}
+    way = {name: last - first for name, (first, last) in moving.items()}
+    around = set(way) <= {"azimuth", "yaw", "pitch", "roll"} and all(value % 360.0 == 0.0 for value in way.values())
+    t = np.arange(frames) / (frames if around else max(frames - 1, 1))
+    share = t if around else t * t * (3.0 - 2.0 * t)
+    return [{**knobs, **{name: moving[name][0] + way[name] * at for name in way}} for at in share.tolist()]
+
+
+class Bar:
+    """A progress bar, in a notebook or a terminal, for whatever takes ``progress=``.
+
+    >>> isogi.frame("casting", wait="final", progress=Bar())
+    """
+
+    def __call__(self, news: Facts | Progress | int, total: int = 0) -> None:
+        """Draw how far a frame, a job or a film is."""
+        if isinstance(news, Facts):
+            self._draw(news.chunks["final"], news.chunks["needed"], str(news), not news.provisional)
+        elif isinstance(news, Progress):
+            self._draw(news.progress, 100, news.message, news.over)
+        else:
+            self._draw(news, total, f"{news} of {total} frames", news == total)
+
+    def _draw(self, done: int, total: int, note: str, over: bool) -> None:
+        filled = BAR * done // max(total, 1)
+        sys.stderr.write(f"\r{'█' * filled}{'░' * (BAR - filled)} {note:<60}" + "\n" * over)
+        sys.stderr.flush()
 
 
 @dataclass(frozen=True)
@@ -337,6 +417,7 @@ class Isogi:
         patience: float = PATIENCE,
     ) -> None:
         token = token or os.environ.get("ISOGI_TOKEN")
+        self._server: subprocess.Popen[bytes] | None = None
         self._patience, self._wait = patience, min(LONGEST_WAIT, timeout / 2)
         self._retry = Retry(
             total=1000,
@@ -363,8 +444,41 @@ class Isogi:
         self.close()
 
     def close(self) -> None:
-        """Close the connections."""
+        """Close the connections, and end a server of one's own."""
         self._client.close()
+        if self._server is not None:
+            self._server.terminate()
+            self._server.wait()
+            self._server = None
+
+    @classmethod
+    def serving(cls, target: str | Path, **settings: Any) -> Self:
+        """A server of one's own for a scene or a volume, which ends with ``close``; isogi must be installed.
+
+        ``settings`` are those of ``isogi serve``, such as ``workers=2``. Raises UnreachableError where it ends at once.
+
+        >>> isogi = Isogi.serving("engine.toml")
+        """
+        with socket.create_server(("127.0.0.1", 0)) as free:
+            port = free.getsockname()[1]
+        options = [f"--{name.replace('_', '-')}={value}" for name, value in {"port": port, **settings}.items()]
+        isogi = cls(f"http://127.0.0.1:{port}")
+        isogi._server = subprocess.Popen([sys.executable, "-m", "server", "serve", str(target), *options])
+        try:
+            isogi._await_server()
+        except BaseException:
+            isogi.close()
+            raise
+        return isogi
+
+    def _await_server(self) -> None:
+        """Return when the server that was started answers. Raises UnreachableError where it has ended."""
+        while self._server is not None and self._server.poll() is None:
+            with suppress(httpx.TransportError):
+                if httpx.get(self._client.base_url.join("/readyz")).is_success:
+                    return
+            time.sleep(PAUSE)
+        raise UnreachableError("The server ended at once: it has said above why.")
 
     def scenes(self) -> list[dict[str, Any]]:
         """All scenes, each with its ``id``, ``name`` and ``href``.
@@ -417,6 +531,28 @@ class Isogi:
             frame = self._waited(path, asked, 0.0 if wait == "now" else float(wait), progress)
         tell_target(frame.facts, asked.get("max_error"))
         return frame
+
+    def film(
+        self,
+        scene: str,
+        views: Sequence[Mapping[str, Values]],
+        *,
+        fps: float = 24.0,
+        progress: Callable[[int, int], object] | None = None,
+        **more: Any,
+    ) -> Film:
+        """The frames of ``views``, such as those of ``sweep``, each as ``frame`` has it with what ``more`` says.
+
+        ``progress`` is called with how many frames are there, and how many there will be.
+
+        >>> isogi.film("casting", sweep(48, azimuth=(0, 360)), width=320, height=240, wait="final").save("turn.gif")
+        """
+        frames = []
+        for view in views:
+            frames.append(self.frame(scene, **{**more, **view}))
+            if progress is not None:
+                progress(len(frames), len(views))
+        return Film(frames, fps)
 
     def watch(self, scene: str, **view: Values) -> Iterator[Event]:
         """How a view becomes final, event by event; its light is baked while a client listens.
@@ -574,6 +710,13 @@ def text_of(value: float | str | Sequence[float]) -> str:
         return value
     row = np.atleast_1d(value).tolist()
     return ",".join(repr(number) for number in row)
+
+
+def srgb_of(linear: np.ndarray) -> np.ndarray:
+    """Linear radiance as sRGB bytes (IEC 61966-2-1)."""
+    share = np.clip(linear, 0.0, 1.0)
+    curve = np.where(share <= 0.0031308, 12.92 * share, 1.055 * share ** (1.0 / 2.4) - 0.055)
+    return np.asarray(255.0 * curve + 0.5, np.uint8)
 
 
 def tell_target(facts: Facts, target: str | None) -> None:

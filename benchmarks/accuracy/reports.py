@@ -15,8 +15,8 @@ from benchmarks.accuracy.summary import summary_of
 from benchmarks.common.measurement import Measurement
 from benchmarks.common.scenes import Subject, scene_of
 from benchmarks.common.suite import part
+from server.cli.arguments import duration
 from server.cli.bench import view_of
-from server.cli.command import duration
 from server.report.command import STAND, Wishes, report_of, sentence
 
 LIGHTS = ("grace", "uffizi", "constant light")

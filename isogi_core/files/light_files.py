@@ -1,9 +1,8 @@
-"""Light in files of other tools: meshes with colours (.ply, .glb), and volumes with values and light (.vti, .nrrd)."""
+"""Meshes with their light as colours, in files of other tools: .ply, .glb and .obj."""
 
 import json
 from dataclasses import dataclass
 from typing import Any
-from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
@@ -34,6 +33,15 @@ def ply_bytes(mesh: LitMesh) -> bytes:
     lines = [f"element vertex {len(points)}", *(f"property {names[kind]} {name}" for name, kind in fields)]
     lines += [f"element face {len(faces)}", "property list uchar int vertex_indices", "end_header", ""]
     return "\n".join(["ply", "format binary_little_endian 1.0", *lines]).encode() + points.tobytes() + faces.tobytes()
+
+
+def obj_bytes(mesh: LitMesh) -> bytes:
+    """A Wavefront OBJ file with normals; its colours are sRGB from 0 to 1 behind each vertex, as many readers take."""
+    points = np.column_stack([mesh.vertices, srgb_bytes(mesh.colours) / 255.0]).tolist()
+    lines = [f"v {x:.9g} {y:.9g} {z:.9g} {r:.4g} {g:.4g} {b:.4g}" for x, y, z, r, g, b in points]
+    lines += [f"vn {x:.5g} {y:.5g} {z:.5g}" for x, y, z in mesh.normals.tolist()]
+    lines += [f"f {a}//{a} {b}//{b} {c}//{c}" for a, b, c in (mesh.triangles + 1).tolist()]
+    return "\n".join(["# isogi", *lines, ""]).encode()
 
 
 def srgb_bytes(linear: np.ndarray) -> np.ndarray:
@@ -94,52 +102,3 @@ def _chunk(kind: int, data: bytes, filler: bytes) -> bytes:
     """A chunk of a binary glTF file, filled up to whole words."""
     padded = data + filler * (-len(data) % 4)
     return np.array([len(padded), kind], "<u4").tobytes() + padded
-
-
-def vti_bytes(arrays: dict[str, np.ndarray], affine: np.ndarray) -> bytes:
-    """An image file of VTK with arrays (nz, ny, nx) or (nz, ny, nx, k) of points, little-endian, raw at its end.
-
-    ``affine`` (3, 4) brings indices to the world. Format: VTK's XML image data, version 1.0.
-    """
-    steps = np.linalg.norm(affine[:, :3], axis=0)
-    nz, ny, nx = next(iter(arrays.values())).shape[:3]
-    extent = f"0 {nx - 1} 0 {ny - 1} 0 {nz - 1}"
-    place = {
-        "WholeExtent": extent,
-        "Origin": _numbers(affine[:, 3]),
-        "Spacing": _numbers(steps),
-        "Direction": _numbers((affine[:, :3] / steps).ravel()),
-    }
-    rows, blocks, offset = [], [], 0
-    for name, array in arrays.items():
-        block = np.ascontiguousarray(array, "<f4").tobytes()
-        parts = array.shape[3] if array.ndim == 4 else 1
-        described = f'type="Float32" Name={quoteattr(name)} NumberOfComponents="{parts}" format="appended"'
-        rows.append(f'<DataArray {described} offset="{offset}"/>')
-        blocks.append(np.array([len(block)], "<u8").tobytes() + block)
-        offset += len(blocks[-1])
-    attributes = " ".join(f'{name}="{value}"' for name, value in place.items())
-    kind = 'type="ImageData" version="1.0" byte_order="LittleEndian" header_type="UInt64"'
-    points = f"<PointData Scalars={quoteattr(next(iter(arrays)))}>{''.join(rows)}</PointData>"
-    piece = f'<ImageData {attributes}><Piece Extent="{extent}">{points}</Piece></ImageData>'
-    head = f'<?xml version="1.0"?>\n<VTKFile {kind}>{piece}<AppendedData encoding="raw">_'
-    return head.encode() + b"".join(blocks) + b"</AppendedData></VTKFile>\n"
-
-
-def nrrd_bytes(arrays: dict[str, np.ndarray], affine: np.ndarray) -> bytes:
-    """A NRRD file of arrays of points together: a vector of floats at each voxel, such as value, red, green, blue.
-
-    ``arrays`` and ``affine`` are as for ``vti_bytes``.
-    """
-    parts = [array if array.ndim == 4 else array[..., None] for array in arrays.values()]
-    block = np.concatenate(parts, axis=-1, dtype="<f4", casting="same_kind")
-    directions = " ".join(f"({','.join(repr(float(x)) for x in column)})" for column in affine[:, :3].T)
-    origin = ",".join(repr(float(x)) for x in affine[:, 3])
-    lines = ["NRRD0005", "type: float", "dimension: 4", f"sizes: {' '.join(map(str, block.shape[::-1]))}"]
-    lines += ["space dimension: 3", f"space directions: none {directions}", f"space origin: ({origin})"]
-    lines += ["kinds: list domain domain domain", "endian: little", "encoding: raw", "", ""]
-    return "\n".join(lines).encode() + block.tobytes()
-
-
-def _numbers(values: np.ndarray) -> str:
-    return " ".join(repr(float(value)) for value in values)

@@ -1,10 +1,41 @@
-"""What commands share: the options of views and of work, in words, and how the axes of a volume are taken."""
+"""What commands share: the modules that do their work, the options of views and of work, and their checks."""
 
+import json
 from collections.abc import Callable
 from functools import wraps
-from typing import Any
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
+
+if TYPE_CHECKING:
+    from server.settings import Settings
+
+MODULES = {
+    "options": "server.cli.options",
+    "serve": "server.cli.serve",
+    "render": "server.cli.render",
+    "reference": "server.cli.render",
+    "report": "server.report.command",
+    "prewarm": "server.cli.prewarm",
+    "prewarm --server": "server.cli.remote_prewarm",
+    "export": "server.cli.export",
+    "film": "server.cli.film",
+    "publish": "server.cli.publish",
+    "inspect": "server.inspect.text",
+    "bench": "server.cli.bench",
+    "store": "server.cli.store",
+}
+"""The module that does a command's work; ``options`` checks what commands are given, for which it loads pydantic."""
+
+
+def module_of(command: str) -> Any:
+    """The module that does a command's work, loaded now: help is answered without any of them."""
+    return import_module(MODULES[command])
+
+
+Command = Callable[..., Any]
 
 VIEW_OPTIONS = {
     "isovalue": "In the volume's own units; default: the scene's.",
@@ -37,6 +68,13 @@ REPORT_OPTIONS = {
     "elevation": "Degrees above the xy plane; default: 30.",
     "distance": "From the target, in radii of the volume's bounding sphere; default: 2.2.",
 }
+MOVING = ("isovalue", "azimuth", "elevation", "distance", "yaw")
+"""Options of a view that also take ranges, where there are many views."""
+
+FILM_OPTIONS = {name: f"{text[:-1]}; or first:last." if name in MOVING else text for name, text in VIEW_OPTIONS.items()}
+GRID_OPTIONS = {
+    name: f"{text[:-1]}; or first:last:step." if name in MOVING else text for name, text in VIEW_OPTIONS.items()
+}
 WORK_OPTIONS = {
     "workers": "Baking processes; default: one per core.",
     "store": "Path or URL of the cache; default: the user's cache folder.",
@@ -61,3 +99,47 @@ def axes_option(command: Callable[..., Any]) -> Callable[..., Any]:
         return command(**given)
 
     return placed
+
+
+AS_JSON = click.option("--json", "as_json", is_flag=True, help="Print the facts as JSON.")
+
+
+def options(table: dict[str, str]) -> Callable[[Command], Command]:
+    """Decorator: one text option per row; they are checked where they are read, as HTTP's are."""
+
+    def decorate(command: Command) -> Command:
+        for name, text in reversed(table.items()):
+            command = click.option(f"--{name}", help=text)(command)
+        return command
+
+    return decorate
+
+
+Check = Callable[[click.Context, click.Parameter, str | None], float | None]
+"""A callback of an option that is a number."""
+
+
+def number(low: float, high: float) -> Check:
+    """Callback of an option that is a number from ``low`` to ``high``."""
+    return lambda _, __, text: None if text is None else float(module_of("options").number(text, low, high))
+
+
+def duration(_: click.Context, __: click.Parameter, text: str | None) -> float | None:
+    """Callback of an option that is a span of time: seconds."""
+    return None if text is None else float(module_of("options").duration(text))
+
+
+def age(_: click.Context, __: click.Parameter, text: str | None) -> float | None:
+    """Callback of an option that is an age: seconds."""
+    return None if text is None else float(module_of("options").age(text))
+
+
+def settings_from(config: Path | None = None, **given: Any) -> "Settings":
+    """The settings: options first, then the environment, then a file; UsageError names what is wrong."""
+    settings: Settings = module_of("options").settings_from(config, **given)
+    return settings
+
+
+def show(facts: dict[str, Any], text: Callable[[dict[str, Any]], str], as_json: bool) -> None:
+    """Print facts, for a script or for a person."""
+    click.echo(json.dumps(facts, allow_nan=False) if as_json else text(facts))

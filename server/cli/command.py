@@ -3,43 +3,36 @@
 import gc
 import json
 import sys
-from collections.abc import Callable, Sequence
-from importlib import import_module
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from isogi_core.errors import IsogiError, LightError, SceneError, StoreUrlError, ViewError, VolumeError
-from server.cli.arguments import DEVELOPED, REPORT_OPTIONS, VIEW_OPTIONS, WORK_OPTIONS, axes_option
+from server.cli.arguments import (
+    AS_JSON,
+    DEVELOPED,
+    FILM_OPTIONS,
+    GRID_OPTIONS,
+    REPORT_OPTIONS,
+    VIEW_OPTIONS,
+    WORK_OPTIONS,
+    age,
+    axes_option,
+    duration,
+    module_of,
+    number,
+    options,
+    settings_from,
+    show,
+)
 from server.errors import LibraryError
 
 if TYPE_CHECKING:
-    from server.settings import Settings
-
-MODULES = {
-    "options": "server.cli.options",
-    "serve": "server.cli.serve",
-    "render": "server.cli.render",
-    "reference": "server.cli.render",
-    "report": "server.report.command",
-    "prewarm": "server.cli.prewarm",
-    "prewarm --server": "server.cli.remote_prewarm",
-    "export": "server.cli.export",
-    "inspect": "server.inspect.text",
-    "bench": "server.cli.bench",
-    "store": "server.cli.store",
-}
-"""The module that does a command's work; ``options`` checks what commands are given, for which it loads pydantic."""
-
-
-def module_of(command: str) -> Any:
-    """The module that does a command's work, loaded now: help is answered without any of them."""
-    return import_module(MODULES[command])
-
+    pass
 
 BAD_INPUT = (SceneError, VolumeError, LightError, ViewError, StoreUrlError)
-Command = Callable[..., Any]
 
 
 def main() -> None:
@@ -70,47 +63,6 @@ def complain(message: str, status: int) -> int:
     return status
 
 
-def options(table: dict[str, str]) -> Callable[[Command], Command]:
-    """Decorator: one text option per row; they are checked where they are read, as HTTP's are."""
-
-    def decorate(command: Command) -> Command:
-        for name, text in reversed(table.items()):
-            command = click.option(f"--{name}", help=text)(command)
-        return command
-
-    return decorate
-
-
-Check = Callable[[click.Context, click.Parameter, str | None], float | None]
-"""A callback of an option that is a number."""
-
-
-def number(low: float, high: float) -> Check:
-    """Callback of an option that is a number from ``low`` to ``high``."""
-    return lambda _, __, text: None if text is None else float(module_of("options").number(text, low, high))
-
-
-def duration(_: click.Context, __: click.Parameter, text: str | None) -> float | None:
-    """Callback of an option that is a span of time: seconds."""
-    return None if text is None else float(module_of("options").duration(text))
-
-
-def age(_: click.Context, __: click.Parameter, text: str | None) -> float | None:
-    """Callback of an option that is an age: seconds."""
-    return None if text is None else float(module_of("options").age(text))
-
-
-def settings_from(config: Path | None = None, **given: Any) -> "Settings":
-    """The settings: options first, then the environment, then a file; UsageError names what is wrong."""
-    settings: Settings = module_of("options").settings_from(config, **given)
-    return settings
-
-
-def show(facts: dict[str, Any], text: Callable[[dict[str, Any]], str], as_json: bool) -> None:
-    """Print facts, for a script or for a person."""
-    click.echo(json.dumps(facts, allow_nan=False) if as_json else text(facts))
-
-
 class SettingsCommand(click.Command):
     """A command that takes all settings. Its help is made late, for settings load a library that takes its time."""
 
@@ -123,9 +75,6 @@ class SettingsCommand(click.Command):
         """List the settings that have no option."""
         with formatter.section("Only in the environment or the file"):
             formatter.write_dl(module_of("options").secrets())
-
-
-AS_JSON = click.option("--json", "as_json", is_flag=True, help="Print the facts as JSON.")
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})
@@ -306,11 +255,60 @@ def export(
     as_json: bool,
     **given: Any,
 ) -> None:
-    """Write TARGET with its light to OUTPUT: an isosurface (.ply, .glb), or values and light (.vti, .nrrd)."""
+    """Write TARGET with its light to OUTPUT.
+
+    An isosurface as a mesh (.ply, .glb, .obj), or values and light as a volume (.vti, .nrrd, .nii.gz, .zarr).
+    """
     settings, work = settings_from(**{name: given.pop(name) for name in WORK_OPTIONS}), module_of("export")
     knobs = {name: value for name, value in given.items() if value is not None}
     wishes = work.Wishes(output, isovalues, target_error, exposure)
     show(work.export(scene, wishes, knobs, settings), work.exported, as_json)
+
+
+@cli.command()
+@click.argument("scene", metavar="TARGET")
+@axes_option
+@click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="A movie, or a folder.")
+@options(FILM_OPTIONS)
+@click.option("--view", "views", multiple=True, metavar="LINK|azimuth=40,…", help="A keyframe; give two or more.")
+@click.option(
+    "--views-file", type=click.Path(path_type=Path, exists=True, dir_okay=False), help="Keyframes, in a file."
+)
+@click.option("--length", callback=duration, default="10s", show_default=True, help="Of the film.")
+@click.option("--fps", callback=number(0.1, 240), default="24", show_default=True, help="Frames of a second.")
+@click.option("--target-error", callback=number(0.0001, 1), help="Relative error at which a frame is final.")
+@click.option("--time", "seconds", callback=duration, help="Longest time for a frame: 5, 5s or 1m.")
+@click.option("--deadline", callback=duration, help="Longest time for all frames together, shared evenly.")
+@options(WORK_OPTIONS)
+@AS_JSON
+def film(scene: str, as_json: bool, **given: Any) -> None:
+    """Film TARGET: a whole turn, what is given as first:last, or a way along views; stopped, the same goes on.
+
+    The suffix of the output chooses GIF, WebP, MP4 or WebM; without one, it is a folder of PNGs.
+    """
+    settings, work = settings_from(**{name: given.pop(name) for name in WORK_OPTIONS}), module_of("film")
+    knobs = {name: value for name in FILM_OPTIONS if (value := given.pop(name)) is not None}
+    show(work.film(scene, work.Wishes(**given), knobs, settings), work.filmed, as_json)
+
+
+@cli.command()
+@click.argument("scene", metavar="TARGET")
+@axes_option
+@click.option("-o", "--output", required=True, type=click.Path(path_type=Path, file_okay=False), help="A folder.")
+@options(GRID_OPTIONS)
+@click.option("--target-error", callback=number(0.0001, 1), help="Relative error at which a picture is final.")
+@click.option("--time", "seconds", callback=duration, help="Longest time for a picture: 5, 5s or 1m.")
+@click.option("--deadline", callback=duration, help="Longest time for all pictures together, shared evenly.")
+@options(WORK_OPTIONS)
+@AS_JSON
+def publish(scene: str, as_json: bool, **given: Any) -> None:
+    """Write a page that leafs through pictures of TARGET by sliders, without a server; stopped, the same goes on.
+
+    What is given as first:last:step becomes a slider; with none, the azimuth.
+    """
+    settings, work = settings_from(**{name: given.pop(name) for name in WORK_OPTIONS}), module_of("publish")
+    knobs = {name: value for name in GRID_OPTIONS if (value := given.pop(name)) is not None}
+    show(work.publish(scene, work.Wishes(**given), knobs, settings), work.published, as_json)
 
 
 @cli.command()

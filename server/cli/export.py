@@ -9,7 +9,8 @@ import numpy as np
 
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.errors import SceneError, ViewError
-from isogi_core.files.light_files import LitMesh, glb_bytes, nrrd_bytes, ply_bytes, vti_bytes
+from isogi_core.files.light_files import LitMesh, glb_bytes, obj_bytes, ply_bytes, srgb_bytes
+from isogi_core.files.light_volumes import WRITERS, LitVolume, check_zarr, nibabel
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.tiles import Tiles
 from isogi_core.model.view import View
@@ -25,8 +26,7 @@ from server.progress import Progress, open_scene
 from server.render.resources import root_of
 from server.settings import Settings
 
-MESHES = {".ply": ply_bytes, ".glb": glb_bytes}
-VOLUMES = {".vti": vti_bytes, ".nrrd": nrrd_bytes}
+MESHES = {".ply": ply_bytes, ".glb": glb_bytes, ".obj": obj_bytes}
 
 POINTS = 1 << 17
 """Points that are lit together."""
@@ -49,7 +49,7 @@ def export(target: str, wishes: Wishes, knobs: Mapping[str, str], settings: Sett
     OSError later.
     """
     suffix = checked_suffix(wishes.output)
-    scene = open_scene(target, settings, **({"rotating": False} if suffix in VOLUMES else {}))
+    scene = open_scene(target, settings, **({"rotating": False} if suffix in WRITERS else {}))
     check_levels(scene, wishes, suffix)
     isovalues = wishes.isovalues or (f"{scene.isovalue!r}",)
     view = view_of(scene, read(ViewParams, [*knobs.items(), ("isovalue", isovalues[0].partition(":")[0])]), settings)
@@ -60,25 +60,35 @@ def export(target: str, wishes: Wishes, knobs: Mapping[str, str], settings: Sett
     lit = write_mesh if suffix in MESHES else write_volume
     facts = lit(renderer, view, levels_of(isovalues).spans, exposure, wishes.output)
     baked = {"final": summary.final, "error": summary.error, "target_error": summary.target_error}
-    return {"file": str(wishes.output), "scene": scene.name, **facts, **baked, "bytes": wishes.output.stat().st_size}
+    return {"file": str(wishes.output), "scene": scene.name, **facts, **baked, "bytes": size_of(wishes.output)}
 
 
 def checked_suffix(output: Path) -> str:
     """The suffix of a file that can be written; ViewError for others, and where its folder is missing."""
-    known = (*MESHES, *VOLUMES)
-    if output.suffix.lower() not in known:
-        raise ViewError(f"{output} names no kind of file that light goes into: end it in {', '.join(known)}.")
+    suffix = suffix_of(output)
+    if not suffix:
+        known = ", ".join((*MESHES, *WRITERS))
+        raise ViewError(f"{output} names no kind of file that light goes into: end it in {known}.")
     if not output.parent.is_dir():
         raise ViewError(f"There is no folder {output.parent} for {output.name}: make it first.")
-    return output.suffix.lower()
+    if suffix == ".nii.gz":
+        nibabel()
+    return suffix
+
+
+def suffix_of(output: Path) -> str:
+    """The ending of a file's name that says its kind; empty for others."""
+    return next((suffix for suffix in (*MESHES, *WRITERS) if output.name.lower().endswith(suffix)), "")
 
 
 def check_levels(scene: Scene, wishes: Wishes, suffix: str) -> None:
-    """Raise ViewError or SceneError where the isovalues or the lattice do not suit the kind of file."""
+    """Raise ViewError, SceneError or VolumeError where isovalues, lattice or place do not suit the kind of file."""
     if suffix in MESHES and (len(wishes.isovalues) > 1 or any(":" in text for text in wishes.isovalues)):
-        raise ViewError("A mesh is of one isovalue: give --isovalue once, or end the file in .vti or .nrrd.")
-    if suffix in VOLUMES and scene.lattice_shape != scene.volume.shape:
+        raise ViewError(f"A mesh is of one isovalue: give --isovalue once, or write a volume: {', '.join(WRITERS)}.")
+    if suffix in WRITERS and scene.lattice_shape != scene.volume.shape:
         raise SceneError("A volume with light has a texel at each voxel: set lattice = 1 in the scene.")
+    if suffix == ".zarr":
+        check_zarr(wishes.output, scene.volume.orientation.affine(scene.volume.spacing))
 
 
 def write_mesh(renderer: Renderer, view: View, _: Any, exposure: float, output: Path) -> dict[str, Any]:
@@ -94,7 +104,7 @@ def write_mesh(renderer: Renderer, view: View, _: Any, exposure: float, output: 
     orientation = scene.volume.orientation
     places = orientation.to_world(mesh.vertices.astype(np.float64) * np.array(scene.volume.spacing))
     lit = LitMesh(places, normals @ orientation.matrix.T, exposure * colours, mesh.triangles)
-    write_whole(output, MESHES[output.suffix.lower()](lit))
+    write_whole(output, MESHES[suffix_of(output)](lit))
     return {"isovalue": view.isovalue, "vertices": len(places), "triangles": len(mesh.triangles)}
 
 
@@ -110,7 +120,11 @@ def write_volume(renderer: Renderer, view: View, spans: Any, exposure: float, ou
         light[tuple(places[rows].T)] = exposure * found
     values = volume.offset + volume.scale * volume.voxels.astype(np.float64)
     arrays: dict[str, np.ndarray] = {"value": values, "light": light}
-    write_whole(output, VOLUMES[output.suffix.lower()](arrays, volume.orientation.affine(volume.spacing)))
+    if suffix_of(output) == ".vti":
+        arrays["colour"] = srgb_bytes(light)
+    place = volume.orientation
+    lit = LitVolume(arrays, place.affine(volume.spacing), place.unit, bool(place.letters))
+    WRITERS[suffix_of(output)](output, lit)
     return {"isovalues": [list(span) for span in spans], "texels": len(places)}
 
 
@@ -122,6 +136,12 @@ def lit_pieces(renderer: Renderer, view: View, points: np.ndarray) -> Iterator[t
             frame, normals = renderer.light_points(view, points[rows])
             bar.show(rows.stop, len(points), None)
             yield rows, frame.radiance[0], normals
+
+
+def size_of(output: Path) -> int:
+    """Bytes of a file, or of all files in a folder."""
+    files = [output] if output.is_file() else [path for path in output.rglob("*") if path.is_file()]
+    return sum(path.stat().st_size for path in files)
 
 
 def exported(facts: Mapping[str, Any]) -> str:

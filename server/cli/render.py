@@ -3,7 +3,7 @@
 import math
 import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -100,26 +100,42 @@ def format_of(output: Path) -> str:
 
 
 def refine(engine: RenderEngine, scene: str, view: View, max_error: float | None, seconds: float | None) -> Frame:
-    """The frame once it is final or the time is spent; chunks are counted on a bar meanwhile.
+    """As ``awaited``, with the chunks on a bar meanwhile."""
+    with Progress("baking", "chunk") as bar:
+
+        def show(frame: Frame) -> None:
+            bar.show(frame.chunks_final, frame.chunks_needed, engine.time_left(scene, frame, max_error))
+
+        return awaited(engine, scene, view, max_error, seconds, show)
+
+
+def awaited(
+    engine: RenderEngine,
+    scene: str,
+    view: View,
+    max_error: float | None,
+    seconds: float | None,
+    show: Callable[[Frame], object] = lambda _: None,
+) -> Frame:
+    """The frame once it is final or the time is spent; those on the way are shown.
 
     A path-traced frame is as good as its samples: it is returned at once. Raises WorkersError where the workers fail,
     or nothing has changed for PATIENCE seconds.
     """
     patience = Patience(clock=time.monotonic)
     deadline = math.inf if seconds is None else time.monotonic() + seconds
-    with Progress("baking", "chunk") as bar:
-        while True:
-            left = max(0.0, deadline - time.monotonic())
-            frame = engine.frame(scene, view, max_error=max_error, wait=min(STEP, left))
-            coming = frame.checkable or engine.lacking(scene, frame)[1]
-            bar.show(frame.chunks_final, frame.chunks_needed, engine.time_left(scene, frame, max_error))
-            if frame.final or time.monotonic() >= deadline or not coming:
-                return frame
-            if frame.checkable:
-                continue
-            if engine.trouble():
-                raise WorkersError(engine.trouble())
-            patience.check(frame.version, engine.workforce.preparing, engine.unready())
+    while True:
+        left = max(0.0, deadline - time.monotonic())
+        frame = engine.frame(scene, view, max_error=max_error, wait=min(STEP, left))
+        coming = frame.checkable or engine.lacking(scene, frame)[1]
+        show(frame)
+        if frame.final or time.monotonic() >= deadline or not coming:
+            return frame
+        if frame.checkable:
+            continue
+        if engine.trouble():
+            raise WorkersError(engine.trouble())
+        patience.check(frame.version, engine.workforce.preparing, engine.unready())
 
 
 def reference(

@@ -1,13 +1,10 @@
-"""Files of light, as other readers take them: PLY, binary glTF, and VTK's image files."""
+"""Meshes with their light, as other readers take them: PLY, binary glTF and OBJ."""
 
 import json
-from pathlib import Path
 
-import nrrd
 import numpy as np
-import pytest
 
-from isogi_core.files.light_files import LitMesh, glb_bytes, nrrd_bytes, ply_bytes, vti_bytes
+from isogi_core.files.light_files import LitMesh, glb_bytes, obj_bytes, ply_bytes
 
 TURN = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 VERTICES = np.array([[1e5, 0.0, 3.0], [1e5 + 1, 2.0, 3.0], [1e5, 2.0, 3.5], [1e5, 0.0, 7.0]])
@@ -47,24 +44,11 @@ def test_glb_is_unlit_linear_and_upright() -> None:
     np.testing.assert_allclose(placed, np.column_stack([VERTICES[:, 0], VERTICES[:, 2], -VERTICES[:, 1]]), atol=1e-5)
 
 
-def test_vti_is_read_by_vtk_where_it_lies(tmp_path: Path) -> None:
-    pytest.importorskip("vtk")
-    from isogi_core.files.formats.opening import open_file
-
-    value, light = np.arange(24.0).reshape(2, 3, 4), np.random.default_rng(3).random((2, 3, 4, 3))
-    affine = np.column_stack([TURN * (1.0, 2.0, 0.5), (5.0, -6.0, 7.0)])
-    (tmp_path / "a.vti").write_bytes(vti_bytes({"value": value, "light": light}, affine))
-    grid = open_file(tmp_path / "a.vti", {})
-    np.testing.assert_array_equal(grid.whole(), value)
-    assert grid.affine is not None
-    np.testing.assert_allclose(grid.affine.array, affine)
-
-
-def test_nrrd_holds_values_and_light_together(tmp_path: Path) -> None:
-    value, light = np.arange(24.0).reshape(2, 3, 4), np.random.default_rng(3).random((2, 3, 4, 3))
-    affine = np.column_stack([TURN * (1.0, 2.0, 0.5), (5.0, -6.0, 7.0)])
-    (tmp_path / "a.nrrd").write_bytes(nrrd_bytes({"value": value, "light": light}, affine))
-    found, header = nrrd.read(str(tmp_path / "a.nrrd"), index_order="C")
-    np.testing.assert_allclose(found, np.concatenate([value[..., None], light], axis=-1), rtol=1e-6)
-    np.testing.assert_allclose(header["space directions"][1:], affine[:, :3].T)
-    np.testing.assert_allclose(header["space origin"], affine[:, 3])
+def test_obj_has_its_colours_behind_the_vertices() -> None:
+    rows = [line.split() for line in obj_bytes(MESH).decode().splitlines()]
+    found = {kind: [row[1:] for row in rows if row[0] == kind] for kind in ("v", "vn", "f")}
+    points = np.array(found["v"], float)
+    np.testing.assert_allclose(points[:, :3], VERTICES, rtol=1e-6)
+    np.testing.assert_allclose(points[0, 3:], [0, 188 / 255, 1], atol=1e-4)
+    assert found["vn"][0] == ["0", "0", "1"]
+    assert found["f"] == [["1//1", "2//2", "3//3"], ["1//1", "3//3", "4//4"]]

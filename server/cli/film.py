@@ -1,0 +1,110 @@
+"""``isogi film``: the frames of a film, each as good as asked, as pictures in a folder or as a movie."""
+
+import json
+import shutil
+import time
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from isogi_core.errors import ViewError
+from isogi_core.plan.scene import Scene
+from server.cli.film_path import film_path, view_in, views_in
+from server.cli.movie import FRAMES, check_movie, write_movie
+from server.cli.reel import Budget, Reel, said
+from server.errors import ParameterError
+from server.parameters import FrameParams, read, view_of
+from server.progress import open_scene
+from server.settings import Settings
+
+MOST_FRAMES = 100_000
+"""Frames of a film, at most."""
+
+
+@dataclass(frozen=True)
+class Wishes:
+    """What is to be filmed: the file or folder, keyframes, seconds of film, and when a frame is good enough.
+
+    A frame ends at the ``target_error``, or after ``seconds``; all of them by the ``deadline``, also in seconds.
+    """
+
+    output: Path
+    views: tuple[str, ...] = ()
+    views_file: Path | None = None
+    length: float = 10.0
+    fps: float = 24.0
+    target_error: float | None = None
+    seconds: float | None = None
+    deadline: float | None = None
+
+    @property
+    def is_movie(self) -> bool:
+        """Whether the film is one file, and no folder of pictures."""
+        return bool(self.output.suffix)
+
+    @property
+    def folder(self) -> Path:
+        """Where the pictures are kept."""
+        return self.output.with_name(f"{self.output.name}.frames") if self.is_movie else self.output
+
+
+def film(target: str, wishes: Wishes, knobs: Mapping[str, str], settings: Settings) -> dict[str, Any]:
+    """Render the frames that are not there yet, make the movie of all, and say how good they are.
+
+    Raises SceneError, VolumeError, LightError, ViewError and LibraryError before anything is begun, StoreError,
+    WorkersError and OSError later.
+    """
+    begun = time.monotonic()
+    if not wishes.output.parent.is_dir():
+        raise ViewError(f"There is no folder {wishes.output.parent} for {wishes.output.name}: make it first.")
+    scene = open_scene(target, settings)
+    shots = shots_of(scene, wishes, knobs)
+    size = {"width": shots[0].width, "height": shots[0].height}
+    if wishes.is_movie:
+        check_movie(wishes.output, **size)
+    for shot in shots:
+        view_of(scene, shot, settings)
+    reel = Reel(wishes.folder, scene, {FRAMES % n: shot for n, shot in enumerate(shots, 1)})
+    kept = len(reel.facts)
+    if reel.missing:
+        reel.shoot(Budget(wishes.seconds, wishes.deadline, begun), settings)
+    if wishes.is_movie:
+        write_movie(wishes.output, [reel.path(name) for name in reel.shots], wishes.fps)
+        shutil.rmtree(wishes.folder)
+    about = {"file": str(wishes.output), "scene": scene.name, "pictures": len(shots), "kept": kept, **size}
+    return {**about, "fps": wishes.fps, **reel.summary(), "seconds": time.monotonic() - begun}
+
+
+def shots_of(scene: Scene, wishes: Wishes, knobs: Mapping[str, str]) -> list[FrameParams]:
+    """The parameters of each frame; ParameterError where a view is none, or the frames are none or too many."""
+    count = round(wishes.length * wishes.fps)
+    if not 1 <= count <= MOST_FRAMES:
+        raise ParameterError(f"length × fps must be 1 to {MOST_FRAMES:,} frames, not {count:,}.", "length")
+    views = [view_in(text) for text in wishes.views]
+    if wishes.views_file is not None:
+        views += views_in(document_in(wishes.views_file))
+    if len(views) == 1:
+        raise ParameterError("One view is no path: give two or more.", "view")
+    own = {"isovalue": repr(scene.isovalue), "exposure": repr(scene.default_exposure)}
+    own["albedo"] = ",".join(map(repr, scene.albedo))
+    own |= {"max_error": repr(wishes.target_error or scene.target_error), "f": "png"}
+    path = film_path(knobs, views, own, count)
+    return [read(FrameParams, {**shot, "max_error": own["max_error"], "f": "png"}.items()) for shot in path]
+
+
+def document_in(file: Path) -> Any:
+    """What is in a JSON or TOML file, or the lines of any other. Raises ParameterError."""
+    try:
+        text = file.read_text(encoding="utf-8")
+        if file.suffix == ".json":
+            return json.loads(text)
+        return tomllib.loads(text) if file.suffix == ".toml" else [line for line in text.split() if line]
+    except ValueError as error:
+        raise ParameterError(f"{file.name} cannot be read: {error}.", "views-file") from None
+
+
+def filmed(facts: Mapping[str, Any]) -> str:
+    """What ``film`` did, for a person."""
+    return said(facts, "frames")

@@ -1,0 +1,152 @@
+"""The path of a film: the parameters of its views, frame by frame, eased along keyframes."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+from urllib.parse import parse_qsl, urlsplit
+
+import numpy as np
+
+from server.errors import ParameterError
+from server.parameters import FrameParams
+from server.values import finite, shown
+
+Knobs = Mapping[str, str]
+"""Parameters of a view, as text."""
+
+TURNS = ("azimuth", "yaw", "pitch", "roll")
+"""Angles that are the same after a whole turn."""
+
+STILL = ("width", "height", "shading", "samples", "overlay")
+"""Parameters that are no quantity: all views have the same."""
+
+ON_THE_PAGE = ("scene", "compare")
+"""Parameters of a page's link that are none of a picture."""
+
+
+def film_path(given: Knobs, views: Sequence[Knobs], scene: Knobs, frames: int) -> list[dict[str, str]]:
+    """The views of so many frames: along the ``views``, between the ends of what is ``given`` as first:last, or around.
+
+    ``scene`` are parameters that a view leaves to it. Raises ParameterError.
+    """
+    swept = [name for name, text in given.items() if ":" in text]
+    if views and swept:
+        raise ParameterError(f"{swept[0]}={given[swept[0]]} and views both say what moves: keep one.", swept[0])
+    if views:
+        return along([{**given, **view} for view in views], scene, frames, short=True)
+    if not swept:
+        start = given.get("azimuth", defaults(scene)["azimuth"])
+        given, swept = {**given, "azimuth": f"{start}:{number('azimuth', start) + 360.0!r}"}, ["azimuth"]
+    ends = [ends_of(name, given[name]) for name in swept]
+    keys = [{**given, **{name: end[k] for name, end in zip(swept, ends, strict=True)}} for k in (0, 1)]
+    return along(keys, scene, frames, short=False)
+
+
+def along(keys: Sequence[Knobs], scene: Knobs, frames: int, short: bool) -> list[dict[str, str]]:
+    """The views of so many frames along the ``keys``, which angles reach by the ``short`` way or as they are.
+
+    A path that ends where it began goes round evenly; any other begins and ends at rest. Raises ParameterError.
+    """
+    names = list(dict.fromkeys(name for key in keys for name in key))
+    usual = defaults(scene)
+    whole = [{name: key.get(name, usual.get(name, "")) for name in names} for key in keys]
+    fixed = {name: whole[0][name] for name in names if len({key[name] for key in whole}) == 1}
+    tracks = {name: track(name, [key[name] for key in whole], short) for name in names if name not in fixed}
+    closed = bool(tracks) and all(is_closed(name, rows) for name, rows in tracks.items())
+    places = (len(keys) - 1) * np.arange(frames) / max(frames if closed else frames - 1, 1)
+    moving = {name: eased(rows, places, closed) for name, rows in tracks.items()}
+    return [{**fixed, **{name: text_of(name, rows[n]) for name, rows in moving.items()}} for n in range(frames)]
+
+
+def eased(rows: np.ndarray, places: np.ndarray, closed: bool) -> np.ndarray:
+    """Values at ``places`` (m,) from 0 to k-1 of a curve through ``rows`` (k, n), one row at each whole place.
+
+    A monotone cubic (Fritsch and Carlson 1980, with harmonic means as slopes): it passes no row's value on its way to
+    the next. Slopes at the ends of a path that is not ``closed`` are zero.
+    """
+    steps = np.diff(rows, axis=0)
+    rest = np.zeros_like(steps[:1])
+    before = np.concatenate([steps[-1:] if closed else rest, steps])
+    after = np.concatenate([steps, steps[:1] if closed else rest])
+    same = before * after > 0.0
+    slopes = np.where(same, 2.0 * before * after / np.where(same, before + after, 1.0), 0.0)
+    at = np.clip(places.astype(np.intp), 0, len(steps) - 1)
+    t = (places - at)[:, None]
+    rise = t * t * (3.0 - 2.0 * t)
+    bend = t * (1.0 - t)
+    return rows[at] + rise * steps[at] + bend * ((1.0 - t) * slopes[at] - t * slopes[at + 1])
+
+
+def track(name: str, texts: Sequence[str], short: bool) -> np.ndarray:
+    """The values of a parameter at the keyframes, (k, n). Raises ParameterError where it is none that can move."""
+    if name in STILL:
+        raise ParameterError(f"{name} cannot change in a film: give all views the same.", name)
+    if "" in texts:
+        raise ParameterError(f"{name} is given by some views and not by others: give it in all of them.", name)
+    parts = [[number(name, part) for part in text.split(",")] for text in texts]
+    most = max(map(len, parts))
+    if any(len(row) not in (1, most) for row in parts):
+        raise ParameterError(f"{name} has more numbers in some views than in others: give it alike.", name)
+    rows = np.array([row if len(row) == most else row * most for row in parts])
+    if name == "light":
+        rows[1:] *= np.cumprod(np.where(np.sum(rows[1:] * rows[:-1], axis=1) < 0.0, -1.0, 1.0))[:, None]
+    return np.unwrap(rows, period=360.0, axis=0) if short and name in TURNS else rows
+
+
+def is_closed(name: str, rows: np.ndarray) -> bool:
+    """Whether a parameter ends where it began, angles after whole turns."""
+    way = np.abs(rows[-1] - rows[0])
+    return bool(np.all((np.minimum(way % 360.0, -way % 360.0) if name in TURNS else way) < 1e-9))
+
+
+def text_of(name: str, row: np.ndarray) -> str:
+    """The values of a parameter as text."""
+    return ",".join(repr(math.fmod(value, 360.0) if name in TURNS else value) for value in row.tolist())
+
+
+def defaults(scene: Knobs) -> dict[str, str]:
+    """What a view says that leaves a parameter out."""
+    usual = {name: field.default for name, field in FrameParams.model_fields.items() if field.default is not None}
+    return {**{name: str(value) for name, value in usual.items()}, **scene}
+
+
+def number(name: str, text: str) -> float:
+    """The number in a text. Raises ParameterError."""
+    value = finite(text)
+    if math.isnan(value):
+        raise ParameterError(f"{name} must be a number, or first:last, not {shown(text)}.", name)
+    return value
+
+
+def ends_of(name: str, text: str) -> tuple[str, str]:
+    """The two ends in a text such as 60:120. Raises ParameterError."""
+    first, _, last = text.partition(":")
+    if ":" in last:
+        raise ParameterError(f"{name} must be a number, or first:last, not {shown(text)}.", name)
+    return first, last
+
+
+def view_in(text: str) -> dict[str, str]:
+    """The parameters in a link that the page shares, or in a text such as ``azimuth=40,elevation=30``."""
+    if "://" in text or text.startswith("?"):
+        return {name: value for name, value in parse_qsl(urlsplit(text).query) if name not in ON_THE_PAGE}
+    pairs = [part.partition("=") for part in text.split(",")]
+    if not all(name and equals for name, equals, _ in pairs):
+        raise ParameterError(f"view must be a link, or such as azimuth=40,elevation=30, not {shown(text)}.", "view")
+    return {name.strip(): value.strip() for name, _, value in pairs}
+
+
+def views_in(document: Any) -> list[dict[str, str]]:
+    """The views in a document: a list of links, or of tables of parameters. Raises ParameterError."""
+    found = document.get("views") if isinstance(document, dict) else document
+    if not isinstance(found, list) or not found:
+        raise ParameterError('A file of views needs a list "views", such as [{"azimuth": 40}].', "views-file")
+    return [view_in(each) if isinstance(each, str) else known(each) for each in found]
+
+
+def known(view: Any) -> dict[str, str]:
+    """The parameters of a view in a document as text. Raises ParameterError."""
+    if not isinstance(view, dict):
+        raise ParameterError(f"A view must be a link or a table of parameters, not {shown(view)}.", "views-file")
+    rows = {name: value if isinstance(value, list) else [value] for name, value in view.items()}
+    return {name: ",".join(map(str, row)) for name, row in rows.items() if name not in ON_THE_PAGE}

@@ -1,0 +1,117 @@
+"""``isogi publish``: pictures of a scene for a grid of cameras, isovalues and light, and a page for them."""
+
+import itertools
+import json
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from isogi_core.errors import ViewError
+from isogi_core.plan.scene import Scene
+from isogi_core.storage.atomic_file import write_whole
+from server.cli.reel import Budget, Reel, said
+from server.errors import ParameterError
+from server.parameters import FrameParams, read, view_of
+from server.prewarm.order import stepped
+from server.progress import open_scene
+from server.settings import Settings
+from server.values import finite, shown
+
+MOST_PICTURES = 100_000
+"""Pictures of a grid, at most."""
+
+AROUND = "0:345:15"
+"""Azimuths of the grid where nothing else moves."""
+
+PAGE = Path(__file__).with_name("published.html")
+
+
+@dataclass(frozen=True)
+class Wishes:
+    """What is to be published: the folder, and when a picture is good enough: at an error, or after seconds."""
+
+    output: Path
+    target_error: float | None = None
+    seconds: float | None = None
+    deadline: float | None = None
+
+
+def publish(target: str, wishes: Wishes, knobs: Mapping[str, str], settings: Settings) -> dict[str, Any]:
+    """Render the pictures that are not there yet, write the page, and say how good they are.
+
+    Raises SceneError, VolumeError, LightError and ViewError before anything is begun, StoreError, WorkersError and
+    OSError later.
+    """
+    begun = time.monotonic()
+    if not wishes.output.parent.is_dir():
+        raise ViewError(f"There is no folder {wishes.output.parent} for {wishes.output.name}: make it first.")
+    scene = open_scene(target, settings)
+    sliders = sliders_of(knobs)
+    shots = shots_of(sliders, {**knobs, "max_error": repr(wishes.target_error or scene.target_error)})
+    for shot in shots.values():
+        view_of(scene, shot, settings)
+    reel = Reel(wishes.output, scene, shots)
+    kept = len(reel.facts)
+    if reel.missing:
+        reel.shoot(Budget(wishes.seconds, wishes.deadline, begun), settings)
+    size = {name: getattr(next(iter(shots.values())), name) for name in ("width", "height")}
+    write_whole(wishes.output / "index.html", page_of(scene, sliders, reel, size).encode())
+    about = {"file": str(wishes.output), "scene": scene.name, "pictures": len(shots), "kept": kept, **size}
+    about["sliders"] = {name: len(values) for name, values in sliders.items()}
+    return {**about, **reel.summary(), "seconds": time.monotonic() - begun}
+
+
+def sliders_of(knobs: Mapping[str, str]) -> dict[str, list[float]]:
+    """The values of each parameter that is given as first:last:step; azimuths all around where none is.
+
+    Raises ParameterError.
+    """
+    given = {name: values_in(name, text) for name, text in knobs.items() if ":" in text}
+    sliders = given or {"azimuth": values_in("azimuth", AROUND)}
+    count = 1
+    for values in sliders.values():
+        count *= len(values)
+        if count > MOST_PICTURES:
+            raise ParameterError(f"The grid has more than {MOST_PICTURES:,} pictures: ask for larger steps.")
+    return sliders
+
+
+def values_in(name: str, text: str) -> list[float]:
+    """The numbers in a text such as 0:90:15. Raises ParameterError."""
+    numbers = [finite(part) for part in text.split(":")]
+    sensible = len(numbers) == 3 and numbers[2] > 0.0 and 0.0 <= numbers[1] - numbers[0] < MOST_PICTURES * numbers[2]
+    if not sensible:
+        raise ParameterError(f"{name} must be a number, or first:last:step such as 0:90:15, not {shown(text)}.", name)
+    return [float(f"{value:.12g}") for value in stepped(*numbers)]
+
+
+def shots_of(sliders: Mapping[str, list[float]], knobs: Mapping[str, str]) -> dict[str, FrameParams]:
+    """The parameters of each picture of the grid, by the name of its file: the places of its sliders."""
+    shots = {}
+    for places in itertools.product(*(range(len(values)) for values in sliders.values())):
+        at = {name: repr(values[n]) for (name, values), n in zip(sliders.items(), places, strict=True)}
+        name = f"pictures/{'-'.join(map(str, places))}.webp"
+        shots[name] = read(FrameParams, {**knobs, **at, "f": "webp"}.items())
+    return shots
+
+
+def page_of(scene: Scene, sliders: Mapping[str, list[float]], reel: Reel, size: Mapping[str, int]) -> str:
+    """The page, with all that it shows but the pictures: it needs no server, nor another file of text."""
+    facts = reel.summary()
+    quality = f"{facts['final']:.0%} of the pictures final at a relative error of {facts['target_error']:g}"
+    document = {
+        "name": scene.name,
+        **size,
+        "quality": quality,
+        "sliders": [{"name": name, "values": values} for name, values in sliders.items()],
+        "errors": [float(f"{reel.facts[name]['error']:.3g}") for name in reel.shots],
+    }
+    return PAGE.read_text(encoding="utf-8").replace("{DATA}", json.dumps(document).replace("<", "\\u003c"))
+
+
+def published(facts: Mapping[str, Any]) -> str:
+    """What ``publish`` did, for a person."""
+    grid = " × ".join(f"{count} {name}" for name, count in facts["sliders"].items())
+    return f"{said(facts, 'pictures')} ({grid}): open {facts['file']}/index.html"

@@ -1,0 +1,120 @@
+"""Pictures of many views of a scene in a folder, each as good as asked; those that are there are not made again."""
+
+import json
+import math
+import time
+from collections.abc import Callable, Mapping
+from contextlib import closing
+from dataclasses import dataclass
+from hashlib import blake2b
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from isogi_core.errors import ViewError
+from isogi_core.plan.scene import Scene
+from isogi_core.storage.atomic_file import write_whole
+from server.cli.render import awaited
+from server.parameters import FrameParams, view_of
+from server.pictures import SUFFIXES, encode
+from server.progress import Progress
+from server.render.engine import RenderEngine
+from server.render.resources import root_of
+from server.settings import Settings
+
+PAUSE = 1.0
+"""Seconds between two writings of what is known of the pictures; after a crash, the last ones are made again."""
+
+
+class Reel:
+    """The pictures of ``shots`` in a ``folder``, and what is known of each; those that are there stay."""
+
+    def __init__(self, folder: Path, scene: Scene, shots: Mapping[str, FrameParams]) -> None:
+        """Look at what is there of ``shots``, by the names of their files. Raises ViewError where it is another's."""
+        self.shots, self._folder, self._scene, self._list = shots, folder, scene, folder / "pictures.json"
+        asked = [[name, shot.model_dump(mode="json", exclude_unset=True)] for name, shot in shots.items()]
+        self._digest = blake2b(json.dumps([scene.digest, asked]).encode(), digest_size=12).hexdigest()
+        self.facts: dict[str, dict[str, Any]] = {}
+        self._written = -math.inf
+        if self._list.exists():
+            kept = json.loads(self._list.read_text(encoding="utf-8"))
+            if kept["asked"] != self._digest:
+                raise ViewError(f"{folder} holds pictures of something else: name another one, or delete that folder.")
+            self.facts = {name: facts for name, facts in kept["pictures"].items() if self.path(name).exists()}
+
+    def path(self, name: str) -> Path:
+        """The file of a picture."""
+        return self._folder / name
+
+    @property
+    def missing(self) -> list[str]:
+        """The names of pictures that are not there yet."""
+        return [name for name in self.shots if name not in self.facts]
+
+    def keep(self, name: str, picture: bytes, facts: Mapping[str, Any]) -> None:
+        """Write a picture, and what is known of it."""
+        self.path(name).parent.mkdir(parents=True, exist_ok=True)
+        write_whole(self.path(name), picture)
+        self.facts[name] = dict(facts)
+        if time.monotonic() - self._written >= PAUSE:
+            self._write_list()
+
+    def _write_list(self) -> None:
+        write_whole(self._list, json.dumps({"asked": self._digest, "pictures": self.facts}, indent=1).encode())
+        self._written = time.monotonic()
+
+    def summary(self) -> dict[str, Any]:
+        """How good the pictures are: the share that is final, the target, and the median and the worst error."""
+        errors = [facts["error"] for facts in self.facts.values()]
+        target = next(iter(self.shots.values())).max_error or self._scene.target_error
+        final = sum(facts["final"] for facts in self.facts.values()) / len(self.shots)
+        worst = {"median": float(np.median(errors)), "worst": max(errors)}
+        return {"final": final, "target_error": target, "error": worst}
+
+    def shoot(self, budget: "Budget", settings: Settings) -> None:
+        """Make the pictures that are missing. Raises StoreError and WorkersError."""
+        place, memory = (root_of(settings), settings.workers, settings.scheduler), settings.memory_mb << 20
+        with (
+            closing(RenderEngine([self._scene], *place, memory, projected=settings.projected_mb << 20)) as engine,
+            Progress("rendering", "picture") as bar,
+        ):
+            engine.start()
+            try:
+                self._shoot(engine, budget, settings, bar)
+            finally:
+                if self.facts:
+                    self._write_list()
+
+    def _shoot(self, engine: RenderEngine, budget: "Budget", settings: Settings, bar: Progress) -> None:
+        missing, scene = self.missing, self._scene
+        for done, name in enumerate(missing):
+            shot, seconds = self.shots[name], budget.share(len(missing) - done)
+            frame = awaited(engine, scene.id, view_of(scene, shot, settings), shot.max_error, seconds)
+            exposure = scene.default_exposure if shot.exposure is None else shot.exposure
+            picture = encode(frame, SUFFIXES[self.path(name).suffix], exposure, shot.overlay)
+            self.keep(name, picture, {"error": frame.total.likely, "final": frame.final})
+            bar.count(done + 1, len(missing))
+
+
+@dataclass(frozen=True)
+class Budget:
+    """Seconds that pictures may take: each so many, and all of them so many since they were ``begun``."""
+
+    each: float | None
+    all: float | None
+    begun: float
+    clock: Callable[[], float] = time.monotonic
+
+    def share(self, pictures: int) -> float | None:
+        """Seconds for the next picture where so many are left; None for as long as it takes."""
+        left = math.inf if self.all is None else max(self.begun + self.all - self.clock(), 0.0) / pictures
+        share = min(left, math.inf if self.each is None else self.each)
+        return None if math.isinf(share) else share
+
+
+def said(facts: Mapping[str, Any], what: str) -> str:
+    """How good the pictures of a summary are, for a person; ``what`` names and counts them."""
+    size = f"{facts['pictures']} {what} of {facts['width']} × {facts['height']}"
+    error = f"error {facts['error']['median']:.4f}, at worst {facts['error']['worst']:.4f}"
+    return f"{facts['file']}: {size}, {facts['final']:.0%} final at {facts['target_error']:g}, {error}"

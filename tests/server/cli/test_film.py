@@ -1,0 +1,140 @@
+"""``isogi film``: paths of views, frames that are gone on from, and movies."""
+
+import json
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from server.cli.command import run
+from server.cli.film_path import film_path, view_in, views_in
+from server.cli.reel import Budget
+from server.errors import ParameterError
+from tests.server.inline import InlinePool
+from worker import pool
+
+SIZE = ["--width", "24", "--height", "20"]
+
+
+@pytest.fixture(autouse=True)
+def inline(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Bake in this process."""
+    monkeypatch.setattr(pool, "WorkerPool", InlinePool)
+
+
+def values(path: list[dict[str, str]], name: str) -> list[float]:
+    return [float(view[name]) for view in path]
+
+
+def test_with_nothing_given_the_camera_goes_round_evenly() -> None:
+    path = film_path({"elevation": "10"}, [], {}, 4)
+    assert values(path, "azimuth") == [30, 120, 210, 300]
+    assert {view["elevation"] for view in path} == {"10"}
+
+
+def test_a_sweep_begins_and_ends_at_rest() -> None:
+    path = film_path({"isovalue": "60:120", "yaw": "-90:90"}, [], {}, 101)
+    isovalues = np.array(values(path, "isovalue"))
+    t = np.linspace(0, 1, 101)
+    np.testing.assert_allclose(isovalues, 60 + 60 * (3 * t**2 - 2 * t**3), rtol=1e-12)
+    np.testing.assert_allclose((np.array(values(path, "yaw")) + 90) / 180, (isovalues - 60) / 60, atol=1e-12)
+    assert "azimuth" not in path[0]
+
+
+def test_a_way_along_views_meets_each_and_passes_none() -> None:
+    views = [{"azimuth": "350", "distance": "3"}, {"azimuth": "20"}, {"azimuth": "20", "distance": "5"}]
+    path = film_path({}, views, {"distance": "4"}, 21)
+    azimuths, distances = np.array(values(path, "azimuth")), np.array(values(path, "distance"))
+    assert azimuths[[0, 10, 20]] % 360 == pytest.approx([350, 20, 20])
+    assert distances[[0, 10, 20]] == pytest.approx([3, 4, 5])
+    steps = np.diff(np.unwrap(azimuths, period=360))
+    assert steps.min() > -1e-9 and steps.sum() == pytest.approx(30)
+    assert np.diff(distances).min() >= 0
+
+
+def test_a_closed_way_has_no_corner_where_it_begins() -> None:
+    views = [{"azimuth": text} for text in ("0", "90", "180", "270", "360")]
+    assert np.diff(values(film_path({}, views, {}, 36), "azimuth")) == pytest.approx(10)
+
+
+def test_light_goes_the_short_way_whatever_its_sign() -> None:
+    path = film_path({}, [{"light": "1,0,0,0"}, {"light": "-1,0,0,-0.1"}], {}, 3)
+    assert path[-1]["light"].startswith("1.0")
+
+
+def test_links_and_files_are_views() -> None:
+    link = "http://127.0.0.1:8000/?scene=engine&isovalue=70&azimuth=-40.5&target=1,2,3&shading=gi&compare=phong"
+    wanted = {"isovalue": "70", "azimuth": "-40.5", "target": "1,2,3", "shading": "gi"}
+    assert view_in(link) == wanted
+    assert views_in([link, {"isovalue": 70, "target": [1, 2, 3]}])[1] == {"isovalue": "70", "target": "1,2,3"}
+    for wrong in ({}, [], [7]):
+        with pytest.raises(ParameterError):
+            views_in(wrong)
+
+
+@pytest.mark.parametrize(
+    ("given", "views", "sentence"),
+    [
+        ({"isovalue": "1:2"}, [{"azimuth": "1"}, {"azimuth": "2"}], "keep one"),
+        ({"isovalue": "1:2:3"}, [], "first:last"),
+        ({"isovalue": "low:high"}, [], "first:last"),
+        ({"width": "10:20"}, [], "width cannot change"),
+        ({}, [{"eye": "1,2,3"}, {"azimuth": "2"}], "eye is given by some"),
+    ],
+)
+def test_paths_that_make_no_sense(given: dict[str, str], views: list[dict[str, str]], sentence: str) -> None:
+    with pytest.raises(ParameterError, match=sentence):
+        film_path(given, views, {}, 3)
+
+
+def test_budgets_share_what_is_left() -> None:
+    for each, whole, share in ((None, None, None), (3, None, 3), (3, 20, 2), (None, 5, 0)):
+        assert Budget(each, whole, 100, lambda: 110.0).share(5) == share
+
+
+def test_a_film_goes_on_and_becomes_a_movie(
+    small_scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def film(name: str, *more: str) -> dict[str, object]:
+        arguments = ["film", small_scene, "-o", tmp_path / name, "--store", tmp_path / "store", "--json", *SIZE, *more]
+        assert run([*map(str, arguments), "--length", "1", "--fps", "4"]) == 0
+        return dict(json.loads(capsys.readouterr().out))
+
+    facts = film("turn")
+    assert (facts["pictures"], facts["kept"], facts["final"]) == (4, 0, 1.0)
+    pictures = sorted((tmp_path / "turn").glob("*.png"))
+    assert len({path.read_bytes() for path in pictures}) == len(pictures) == 4
+    pictures[2].unlink()
+    assert film("turn")["kept"] == 3
+    (tmp_path / "turn").rename(tmp_path / "turn.gif.frames")
+    assert film("turn.gif")["kept"] == 4
+    with Image.open(tmp_path / "turn.gif") as movie:
+        assert (movie.size, movie.n_frames, movie.info["duration"]) == ((24, 20), 4, 250)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["store", "turn.gif"]
+
+
+def test_other_films_and_odd_names_are_refused(
+    small_scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "turn").mkdir()
+    (tmp_path / "turn" / "pictures.json").write_text('{"asked": "another", "pictures": {}}')
+    for name, sentence in (
+        ("turn", "something else"),
+        ("a.avi", "end it in .gif, .webp, .mp4"),
+        ("no/a.gif", "folder"),
+    ):
+        assert run(["film", str(small_scene), "-o", str(tmp_path / name), *SIZE]) == 2
+        assert sentence in capsys.readouterr().err
+
+
+def test_mp4_is_what_players_read(small_scene: Path, tmp_path: Path) -> None:
+    ffmpeg = pytest.importorskip("imageio_ffmpeg")
+    more = ["--length", "1", "--fps", "4", "--store", str(tmp_path / "store"), *SIZE]
+    for name in ("a.mp4", "a.webm"):
+        assert run(["film", str(small_scene), "-o", str(tmp_path / name), *more]) == 0
+        reading = [ffmpeg.get_ffmpeg_exe(), "-i", tmp_path / name, "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
+        pixels = subprocess.run(reading, capture_output=True, check=True).stdout
+        frames = np.frombuffer(pixels, np.uint8).reshape(4, 20, 24, 3)
+        assert frames.max() > 100 > frames.min()

@@ -1,0 +1,54 @@
+"""``isogi publish``: a grid of pictures and a page that needs nothing else."""
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+from server.cli.command import run
+from server.cli.publish import sliders_of, values_in
+from server.errors import ParameterError
+from tests.server.inline import InlinePool
+from worker import pool
+
+
+@pytest.fixture(autouse=True)
+def inline(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Bake in this process."""
+    monkeypatch.setattr(pool, "WorkerPool", InlinePool)
+
+
+def test_a_grid_is_published_and_gone_on_with(
+    small_scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    size = ["--width", "24", "--height", "20", "--store", str(tmp_path / "store")]
+    grid = ["--azimuth", "0:270:90", "--isovalue", "0.4:0.6:0.1", "--json"]
+    folder = tmp_path / "out"
+    for kept in (0, 11):
+        assert run(["publish", str(small_scene), "-o", str(folder), *grid, *size]) == 0
+        facts = json.loads(capsys.readouterr().out)
+        assert (facts["pictures"], facts["kept"], facts["final"]) == (12, kept, 1.0)
+        (folder / "pictures" / "2-1.webp").unlink()
+    page = (folder / "index.html").read_text()
+    data = json.loads(re.search(r"const data = (.*);", page)[1])  # type: ignore[index]
+    assert [len(each["values"]) for each in data["sliders"]] == [3, 4] and len(data["errors"]) == 12
+    assert not re.search(r"https?:|src=|href=", page)
+    names = {f"{n}-{m}.webp" for n in range(3) for m in range(4)}
+    assert {path.name for path in (folder / "pictures").iterdir()} == names - {"2-1.webp"}
+    with Image.open(folder / "pictures" / "0-0.webp") as picture:
+        assert picture.size == (24, 20)
+
+
+def test_sliders_are_what_is_given_as_ranges() -> None:
+    assert sliders_of({"fov": "30"}) == {"azimuth": [15.0 * n for n in range(24)]}
+    assert sliders_of({"isovalue": "60:70:5", "fov": "30"}) == {"isovalue": [60, 65, 70]}
+
+
+@pytest.mark.parametrize("text", ["1:2", "a:b:c", "2:1:1", "1:2:0", "0:1:1e-9"])
+def test_ranges_that_make_no_sense(text: str) -> None:
+    with pytest.raises(ParameterError, match="first:last:step"):
+        values_in("isovalue", text)
+    with pytest.raises(ParameterError, match="more than"):
+        sliders_of({"azimuth": "0:300:1", "yaw": "0:300:1", "elevation": "0:80:1"})
