@@ -17,7 +17,7 @@ FURTHEST = 1e12
 
 def shown(value: object) -> str:
     """What was given, as a quotation short enough for a sentence."""
-    text = str(value)
+    text = str(value).encode(errors="backslashreplace").decode()  # half a surrogate pair, which JSON can spell
     return f"'{text}'" if len(text) <= 40 else f"'{text[:39]}…'"
 
 

@@ -3,9 +3,11 @@
 import asyncio
 import json
 import random
+import time
 from collections import Counter
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
+from dataclasses import dataclass, field
 from typing import Any
 
 import httpx
@@ -25,16 +27,27 @@ PAUSE = 0.2
 """Seconds that a client looks at what it got, on average."""
 
 
+@dataclass
+class Answers:
+    """What a crowd was answered: how often which status came; and of streams whose views move, each one's pictures a
+    second (``rates``), and the ``ages`` of pictures: seconds from when a view was sent until its picture came."""
+
+    counts: Counter[str] = field(default_factory=Counter)
+    rates: list[float] = field(default_factory=list)
+    ages: list[float] = field(default_factory=list)
+
+
 class Client:
     """One of the crowd. It does one kind of thing until told to end, and counts what comes of it."""
 
-    def __init__(self, number: int, url: str, path: str, isovalues: tuple[float, ...], counts: Counter[str]) -> None:
+    def __init__(self, number: int, url: str, path: str, isovalues: tuple[float, ...], answers: Answers) -> None:
         self._random = random.Random(number)
-        self._url, self._path, self._counts = url, path, counts
+        self._url, self._path, self._answers, self._counts = url, path, answers, answers.counts
         self._views = [self._view(isovalues) for _ in range(VIEWS)]
         self._tags: dict[int, str] = {}
         kinds: tuple[Callable[[httpx.AsyncClient], Awaitable[None]], ...]
-        kinds = (self.spec, self.spec, self.wait, self.cover, self.listen, self.drag, self.abort, self.spec)
+        kinds = (self.spec, self.drag, self.cover, self.wait, self.spec, self.listen, self.drag, self.abort)
+        self._heard = 0
         self._do = kinds[number % len(kinds)]
 
     async def run(self, end: asyncio.Event) -> None:
@@ -84,12 +97,14 @@ class Client:
         """A stream: a hand that drags, rests, and leaves, sometimes without a word."""
         try:
             async with connect(f"{self._url.replace('http', 'ws', 1)}{self._path}/stream", max_size=None) as socket:
-                view, steps = self._any(), self._random.randrange(20, 90)
-                hearing = asyncio.create_task(self._hear(socket))
-                for step in range(steps):
-                    moved = view | {"azimuth": view["azimuth"] + step}
+                view, sent = self._any(), list[float]()
+                hearing = asyncio.create_task(self._hear(socket, sent))
+                for step in range(steps := self._random.randrange(60, 150)):
+                    sent.append(time.monotonic())
+                    moved = view | {"azimuth": (view["azimuth"] + step) % 360}
                     await socket.send(json.dumps({"id": step, "view": moved, "moving": step + 1 < steps}))
                     await asyncio.sleep(1.0 / 30.0)
+                self._answers.rates.append(self._heard / (time.monotonic() - sent[0]))
                 await asyncio.sleep(self._random.uniform(0.0, 2.0))
                 hearing.cancel()
                 if self._random.random() < 0.5:
@@ -99,8 +114,9 @@ class Client:
         except ConnectionClosed as closed:
             self._counts[f"stream closed with {closed.rcvd or 'nothing'}"] += 1
 
-    async def _hear(self, socket: Any) -> None:
-        """Take what a stream tells; each picture counts as an answer."""
+    async def _hear(self, socket: Any, sent: list[float]) -> None:
+        """Take what a stream tells of views that were ``sent`` then; each picture counts as an answer."""
+        newest, self._heard = -1, 0
         with suppress(ConnectionClosed):
             while True:
                 told = json.loads(await socket.recv())
@@ -109,6 +125,10 @@ class Client:
                     continue
                 await socket.recv()
                 self._counts["200"] += 1
+                self._heard += 1
+                if told["id"] > newest:
+                    newest = told["id"]
+                    self._answers.ages.append(time.monotonic() - sent[newest])
                 await socket.send(json.dumps({"shown": told["id"]}))
 
     def _any(self) -> dict[str, Any]:
@@ -125,8 +145,8 @@ class Client:
         }
 
 
-async def crowd(url: str, path: str, isovalues: tuple[float, ...], clients: int, end: asyncio.Event) -> Counter[str]:
-    """So many clients until the ``end``; how often each status came, or what else."""
-    counts: Counter[str] = Counter()
-    await asyncio.gather(*(Client(number, url, path, isovalues, counts).run(end) for number in range(clients)))
-    return counts
+async def crowd(url: str, path: str, isovalues: tuple[float, ...], clients: int, end: asyncio.Event) -> Answers:
+    """So many clients until the ``end``, and what they were answered."""
+    answers = Answers()
+    await asyncio.gather(*(Client(number, url, path, isovalues, answers).run(end) for number in range(clients)))
+    return answers

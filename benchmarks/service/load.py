@@ -3,8 +3,9 @@
     python -m benchmarks.service load [SCENE.toml] [--clients 64] [--before 0] [--seconds 20] [--memory-mb 128]
 
 Starts `isogi serve` on an empty store. Clients look (with the tags of what they know), wait for light, ask for
-coverage, listen to events, drag on streams, and leave early. Tells how often which status came (200, 304, 429 and 503
-are as they should be), how long `/livez` took meanwhile, and what the server took: memory, open files, processes.
+coverage, listen to events, drag on streams, and leave early. Tells how many pictures streams had while views moved and
+how old these were, how often which status came (200, 304 and 429 are as they should be), how long `/livez` took
+meanwhile, and what the server took: memory, open files, processes.
 What they ask `before` is not counted, but its light is baked.
 """
 
@@ -24,7 +25,7 @@ from benchmarks.common.measurement import Figures, Measurement
 from benchmarks.common.scenes import scene_file
 from benchmarks.common.serving import Served, serving
 from benchmarks.common.suite import part
-from benchmarks.service.crowd import crowd
+from benchmarks.service.crowd import Answers, crowd
 
 LOOKS = (30.0, 60.0, 120.0, 300.0)
 """Seconds after which it is looked at what the server takes, besides half of the time and the end."""
@@ -65,7 +66,7 @@ Footprints = dict[float, dict[str, float]]
 """What the server took after so many seconds."""
 
 
-async def loaded(server: Served, clients: int, seconds: float) -> tuple[Counter[str], Footprints]:
+async def loaded(server: Served, clients: int, seconds: float) -> tuple[Answers, Footprints]:
     """What clients were answered, and what the server took meanwhile."""
     end, footprints = asyncio.Event(), Footprints()
     scene = server.client.get(server.path).json()
@@ -80,11 +81,19 @@ async def loaded(server: Served, clients: int, seconds: float) -> tuple[Counter[
     return await going, footprints
 
 
-def figures(counts: Counter[str], probe: Probe, footprints: Footprints) -> Figures:
+def figures(answers: Answers, probe: Probe, footprints: Footprints) -> Figures:
     """All that was found."""
     waits = 1000.0 * np.array(probe.seconds)
+    rates, ages = np.array(answers.rates or [0.0]), np.array(answers.ages or [np.inf])
     return {
-        **{f"answered {status}": count for status, count in sorted(counts.items())},
+        "pictures a second, worst stream": float(rates.min()),
+        "pictures a second, 5 % of streams": float(np.percentile(rates, 5)),
+        "pictures a second, median": float(np.median(rates)),
+        "streams": len(answers.rates),
+        "streams without a picture": int((rates == 0.0).sum()),
+        "age of a picture, median, s": float(np.median(ages)),
+        "age of a picture, 95 %, s": float(np.percentile(ages, 95)),
+        **{f"answered {status}": count for status, count in sorted(answers.counts.items())},
         "livez, answers": len(waits),
         "livez, median, ms": float(np.median(waits)),
         "livez, 99 %, ms": float(np.percentile(waits, 99)),
@@ -111,7 +120,7 @@ def load(target: str | None, clients: int, before: float, seconds: float, worker
                 asyncio.run(loaded(server, clients, before))
             probe = Probe(server.url)
             probe.start()
-            counts, footprints = asyncio.run(loaded(server, clients, seconds))
+            answers, footprints = asyncio.run(loaded(server, clients, seconds))
             probe.stop()
             time.sleep(AFTER)
             left = {
@@ -119,5 +128,5 @@ def load(target: str | None, clients: int, before: float, seconds: float, worker
                 "chunks wanted, afterwards": server.metric("isogi_queue_chunks"),
                 "open files, afterwards": server.footprint()["open files"],
             }
-    found = {**figures(counts, probe, footprints), **left}
+    found = {**figures(answers, probe, footprints), **left}
     return Measurement(f"{Path(scene).stem}, {clients} clients, {seconds:g} s", found)

@@ -29,7 +29,7 @@ from isogi_core.kernels.shading.lobes import (
     mark_edges,
     spread_edges,
 )
-from isogi_core.kernels.shading.local_models import find_normals, trace_points
+from isogi_core.kernels.shading.local_models import find_normals, find_shadows, shade_local, trace_points
 from isogi_core.kernels.shading.texel_normals import fill_texel_normals, keep_normals, look_up_normals
 from isogi_core.kernels.shading.texel_table import add_part, judge_rows, unpack_texels
 from isogi_core.kernels.tracing.active_cells import fill_ranges, mark_bricks, pack_bricks
@@ -90,9 +90,11 @@ FRAME = (
     look_up_normals,
     keep_normals,
     *LOBES[1:],
-    trace_points,
 )
-"""All of them, those that take longest to compile first; and last what pictures are checked with, once they are lit."""
+"""All of them, those that take longest to compile first."""
+
+OTHERS = (trace_points, find_shadows, shade_local)
+"""Those of pictures without light from texels, local shadings and path-traced ones; and of checks of pictures."""
 
 SHARING = {fill_texel_normals, look_up_normals, keep_normals, fill_records, carry_ratios}
 """Those of them that carry irradiance ratios, in place of ``carry_light``."""

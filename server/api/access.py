@@ -2,6 +2,7 @@
 
 import hashlib
 import hmac
+import re
 from http.cookies import CookieError, SimpleCookie
 from urllib.parse import parse_qsl, urlencode, urlsplit
 
@@ -10,6 +11,9 @@ from starlette.responses import HTMLResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from server.problems import problem
+
+HOST = re.compile(r"(\[(?P<six>[0-9a-f:.]*:[0-9a-f:.]*)\]|(?P<name>[^\[\]:]*))(:[0-9]*)?", re.ASCII)
+"""A Host header: a name or an address, that of six in brackets, and perhaps a port (RFC 9110, 7.2)."""
 
 
 class KnownHosts:
@@ -30,9 +34,8 @@ class KnownHosts:
 
     def knows(self, headers: Headers) -> bool:
         """Whether the Host header, its port aside, is one of the allowed names."""
-        host = headers.get("host", "").lower()
-        name = host[1:].partition("]")[0] if host.startswith("[") else host.partition(":")[0]
-        return self.hosts is not None and name in self.hosts
+        match = HOST.fullmatch(headers.get("host", "").lower())
+        return self.hosts is not None and match is not None and (match["six"] or match["name"]) in self.hosts
 
 
 SAFE = ("GET", "HEAD")

@@ -106,3 +106,30 @@ class Window:
                 await asyncio.wait_for(self._moved.wait(), left)
             except TimeoutError:
                 continue
+
+
+GAP = 1.0
+"""Seconds after the last view of a hand that moves for which it is taken to move on."""
+
+
+class Motion:
+    """How well a stream follows: ``drafts`` that were sent, and the ``seconds`` in which its view moved.
+
+    ``since`` is when the newest view came. Belongs to its event loop.
+    """
+
+    def __init__(self) -> None:
+        self.drafts, self.seconds, self.since = 0, 0.0, 0.0
+        self._moving_since: float | None = None
+
+    def took(self, moving: bool) -> None:
+        """A view came, and it moves or rests."""
+        now = asyncio.get_running_loop().time()
+        if self._moving_since is not None:
+            self.seconds += min(now - self._moving_since, GAP)
+        self._moving_since, self.since = now if moving else None, now
+
+    def sent(self, came: float, draft: bool) -> float:
+        """A picture is sent of the view that ``came`` then; how old it is."""
+        self.drafts += draft
+        return asyncio.get_running_loop().time() - came

@@ -26,8 +26,8 @@ from server.prewarm.context import PrewarmContext, Step
 from server.prewarm.order import PrewarmOrder
 from server.prewarm.record import BEAT, OPEN, Record, RecordDocument, Summary, recorded_prewarms
 from server.prewarm.work import carry_out, carry_out_dry, wanted
+from server.render.bakes import BACKGROUND
 from server.render.jobs import Job, Result, Status
-from server.render.scheduling import Rank
 from worker.bake_requests import Viewer
 from worker.errors import WorkersError
 
@@ -156,7 +156,8 @@ class Prewarm:
     async def _frame(self, view: View) -> Frame:
         """The frame of a view; where clients wait for frames, they have as much time as it took."""
         begun, target = time.monotonic(), self.order.target_error or self.scene.target_error
-        frame = await self.service.frame(PictureRequest(self.scene.id, view, target), Rank.within(LATER), Stopwatch())
+        picture, rank = PictureRequest(self.scene.id, view, target), self.service.rank(BACKGROUND, LATER)
+        frame = await self.service.frame(picture, rank, Stopwatch())
         if self.service.attended:
             await asyncio.sleep(time.monotonic() - begun)
         return frame

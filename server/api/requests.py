@@ -75,7 +75,10 @@ UPLOAD = ("POST", "/v1/volumes")
 
 
 class SmallBodies:
-    """ASGI middleware: 413 for bodies above a limit, whether their length is given or they come in chunks."""
+    """ASGI middleware: 413 for bodies above a limit, whether their length is given or they come in chunks.
+
+    A body with two lengths is refused with 400, and the connection closed (RFC 9112, 6.1).
+    """
 
     def __init__(self, app: ASGIApp, limit: int, upload: int = 0) -> None:
         """Let at most ``limit`` bytes pass, in an UPLOAD at most so many."""
@@ -88,10 +91,17 @@ class SmallBodies:
         if scope["type"] != "http":
             await self.app(scope, receive, send)
             return
+        headers = Headers(scope=scope)
+        if (
+            "content-length" in headers and "transfer-encoding" in headers
+        ):  # two lengths: what follows is anyone's guess
+            twofold = problem(400, "Content-Length and Transfer-Encoding are given: give one.", scope["path"])
+            twofold.headers["Connection"] = "close"
+            await twofold(scope, receive, send)
+            return
         limit = self.upload if (scope["method"], scope["path"]) == UPLOAD else self.limit
         refusal = problem(413, f"The body of a request may be {limit} bytes, no more.", scope["path"])
-        length = Headers(scope=scope).get("content-length", "0")
-        if int(length) > limit:  # the protocol lets digits pass alone
+        if int(headers.get("content-length", "0")) > limit:  # the protocol lets digits pass alone
             await refusal(scope, receive, send)
             return
         body = Body(receive, limit)

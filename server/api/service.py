@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import threading
 from collections.abc import AsyncGenerator, Callable
 from contextlib import AbstractContextManager, suppress
@@ -12,12 +13,13 @@ from typing import Annotated, Self, TypeVar
 from fastapi import Depends, Request
 from fastapi.requests import HTTPConnection
 
+from isogi_core.bake.bake_spec import SPECS
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.tiles import Stopwatch
 from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import Index
-from server.errors import StartingError, UnknownJobError, UnknownSceneError
+from server.errors import BusyError, StartingError, UnknownJobError, UnknownSceneError
 from server.parameters import ViewParams, view_of
 from server.render.engine import RenderEngine
 from server.render.jobs import Job, Jobs
@@ -63,6 +65,11 @@ Result = TypeVar("Result")
 CHECK = 0.02
 """Seconds between two checks of whether the service is ready."""
 
+STREAM, ADDRESS, PATIENT = 1.0, 4.0, 0.25
+"""Weights of clients where they share the threads: a stream, all requests of an address, and work that yields."""
+
+COMPILING = "What draws {shading} pictures is being compiled, once on this machine: ask again in a while."
+
 HEARTBEAT = 20.0
 """Seconds without an update after which light is requested again, before the baker forgets the request."""
 
@@ -78,6 +85,8 @@ class Service:
         self.engine = engine
         self.settings = settings
         self.settled = asyncio.Event()
+        self._compiled = asyncio.Event()
+        self._compiling: asyncio.Task[None] | None = None
         self.resumed = asyncio.Event()
         self.failure: Exception | None = None
         self.connections = AdmissionLimit(settings.streams, "streams are open")
@@ -97,12 +106,23 @@ class Service:
             self.engine.listen(self.updates.publish)
         except Exception as error:
             self.failure = error
+        self._compiling = asyncio.create_task(self._compile())
         self.settled.set()
+
+    async def _compile(self) -> None:
+        """Have what no scene needs by itself compiled, beside all else."""
+        try:
+            await asyncio.to_thread(self.engine.compile_others)
+        finally:
+            self._compiled.set()
 
     async def close(self) -> None:
         """Drop waiting work and close the engine, once its start has ended."""
         await self.jobs.close()
         await self.settled.wait()
+        if self._compiling:
+            self.engine.stop()
+            await self._compiling
         self.renders.close()
         self.uploads.close()
         await asyncio.to_thread(self.engine.close)
@@ -168,6 +188,14 @@ class Service:
             answer = self._answer(picture, viewer or request_viewer(request), params.wait_ms / 1000, finish)
             return await attended(request, answer)
 
+    def rank(self, viewer: Viewer, patience: float, longest: float = math.inf) -> Rank:
+        """Where work for a ``viewer`` stands that may wait so many seconds, and waits for ``longest`` at most.
+
+        Streams and addresses are clients that share the threads, and several programs may ask from one address.
+        """
+        weight = PATIENT if viewer.patient else STREAM if viewer.single else ADDRESS
+        return Rank.within(patience, longest, self.renders.client(viewer.client, weight))
+
     async def show(self, picture: PictureRequest, viewer: Viewer, rank: Rank, watch: Stopwatch | None = None) -> Shown:
         """The picture with the light baked so far; the light that it lacks is requested for the ``viewer``."""
         watch, since = watch or Stopwatch(), self._newest(picture)
@@ -190,8 +218,13 @@ class Service:
     async def frame(self, picture: PictureRequest, rank: Rank, watch: Stopwatch) -> Frame:
         """The frame of a picture, drawn once for all requests that come meanwhile; no light is requested for it.
 
-        A request that joins another counts all of the time as time in the queue.
+        A request that joins another counts all of the time as time in the queue. Raises BusyError where what draws such
+        pictures is still compiled.
         """
+        if picture.view.shading not in SPECS and not self._compiled.is_set():
+            await within(self.settings.queue_seconds, self._compiled)
+            if not self._compiled.is_set():
+                raise BusyError(COMPILING.format(shading=picture.view.shading))
 
         def work(cancelled: threading.Event) -> Frame:
             return self.engine.survey(picture.scene, picture.view, picture.target, cancelled, watch)
@@ -208,7 +241,7 @@ class Service:
         """
         known, patience = None, REST
         while True:
-            shown = await self.show(picture, viewer, Rank.within(patience))
+            shown = await self.show(picture, viewer, self.rank(viewer, patience))
             given_up = not (shown.frame.final or shown.coming)
             if (now := (shown.frame.version, shown.frame.total)) != known or given_up:
                 known, patience = now, REFINED
@@ -225,7 +258,11 @@ class Service:
         self, picture: PictureRequest, viewer: Viewer, wait: float, finish: Callable[[Shown], Result]
     ) -> Result:
         """``finish`` of the picture once its light is baked, or after ``wait`` seconds."""
-        watch, loop, rank = Stopwatch(), asyncio.get_running_loop(), Rank.within(ASKED, self.settings.queue_seconds)
+        watch, loop, rank = (
+            Stopwatch(),
+            asyncio.get_running_loop(),
+            self.rank(viewer, ASKED, self.settings.queue_seconds),
+        )
         deadline = loop.time() + wait
         try:
             shown = await self.show(picture, viewer, rank, watch)

@@ -17,8 +17,8 @@ from isogi_core.errors import IsogiError
 from isogi_core.frame.tiles import Stopwatch
 from isogi_core.plan.scene import Scene
 from server.answers import coverage_schema
-from server.api.pacing import Drafts, Window
-from server.api.service import PictureRequest, Service, ServiceDep, Shown, work_of
+from server.api.pacing import Drafts, Motion, Window
+from server.api.service import PictureRequest, Service, ServiceDep, Shown
 from server.errors import ParameterError, StreamError
 from server.parameters import FrameParams, NoParams, read
 from server.pictures import MEDIA_TYPES, encode, format_for
@@ -154,13 +154,14 @@ class Session:
         self._metrics: Metrics = socket.app.state.metrics
         self._viewer = stream_viewer()
         self._inbox = Inbox(socket, service.settings)
-        self._drafts, self._window = Drafts(), Window()
+        self._drafts, self._window, self._motion = Drafts(), Window(), Motion()
         self._sending = asyncio.Lock()
         self._newest: tuple[ViewRequest, FrameParams] | None = None
         self._changed = asyncio.Event()
         self._showing: asyncio.Task[None] | None = None
         self._wanted = -WANT_EVERY
         self._still = -1
+        self._shows: float | None = None
 
     async def run(self) -> None:
         """Returns when the client has left, or broke a limit; nothing is baked for it any more."""
@@ -179,6 +180,8 @@ class Session:
             working.cancel()
             await asyncio.wait({reading, working})
             self._service.leave(self._viewer)
+            self._motion.took(moving=False)
+            self._metrics.count_motion(self._motion.drafts, self._motion.seconds)
 
     async def _read(self) -> None:
         """Take in messages until the client leaves."""
@@ -199,6 +202,7 @@ class Session:
             return
         self._still = self._still if message.moving else message.id
         older, self._newest = self._newest, (message, message.params())
+        self._motion.took(message.moving)
         self._changed.set()
         if self._showing and not (older and older[0].moving and message.moving):
             self._showing.cancel()
@@ -209,6 +213,7 @@ class Session:
             await self._changed.wait()
             await self._window.room()
             self._changed.clear()
+            self._shows = self._motion.since
             assert self._newest
             self._showing = asyncio.create_task(self._show(*self._newest))
             try:
@@ -232,11 +237,11 @@ class Session:
     async def _draft(self, request: ViewRequest, params: FrameParams, picture: PictureRequest) -> None:
         """One picture of a view that moves, as large as it can come quickly, and coded as fast."""
         self._service.engine.make_way()
-        small, watch, rank = picture.draft(self._drafts.scale), Stopwatch(), Rank.within(DRAFT)
+        small, watch, rank = picture.draft(self._drafts.scale), Stopwatch(), self._rank()
         frame = await self._service.frame(small, rank, watch)
         shown = Shown(frame, None, watch, frozenset(), 0)
-        await self._picture(request, params, shown, "jpeg")
-        self._drafts.drawn(work_of(shown), self._window.way)
+        self._drafts.drawn(sum(watch.seconds.values()), self._window.way)  # smaller ones where many wait
+        await self._picture(request, params, shown, "jpeg", rank)
         now = asyncio.get_running_loop().time()
         if now - self._wanted >= WANT_EVERY:
             self._wanted = now
@@ -247,10 +252,14 @@ class Session:
         """The full picture of a view at rest, and each better one, until it is final."""
         async with aclosing(self._service.refinements(picture, self._viewer)) as refinements:
             async for shown in refinements:
-                await self._picture(request, params, shown, form)
+                await self._picture(request, params, shown, form, self._rank())
                 await self._window.room()
 
-    async def _picture(self, request: ViewRequest, params: FrameParams, shown: Shown, form: str) -> None:
+    def _rank(self) -> Rank:
+        """Where the next picture stands."""
+        return self._service.rank(self._viewer, DRAFT)
+
+    async def _picture(self, request: ViewRequest, params: FrameParams, shown: Shown, form: str, rank: Rank) -> None:
         """Send a picture and its facts."""
         exposure = self._scene.default_exposure if params.exposure is None else params.exposure
 
@@ -259,9 +268,12 @@ class Session:
                 picture = encode(shown.frame, form, exposure, params.overlay)
             return answer(request.id, shown, form, request.moving), picture
 
-        facts, picture = await self._service.renders.run(made, Rank.within(DRAFT))
+        facts, picture = await self._service.renders.run(made, rank)
         self._window.sent(request.id)
         self._metrics.count_picture("draft" if request.moving else "stream", not shown.frame.final, shown.watch.seconds)
+        if self._shows is not None:
+            self._metrics.ages.observe(self._motion.sent(self._shows, request.moving))
+            self._shows = None
         await self._send(facts, picture)
 
     async def _send(self, text: str, data: bytes | None = None) -> None:

@@ -164,10 +164,10 @@ class PrewarmOrder(NoParams):
     fov: Annotated[float, Span(0.01, 179)] = as_of_a_view("fov")
     width: Annotated[int, Span(1, 16383, whole=True)] = as_of_a_view("width")
     height: Annotated[int, Span(1, 16383, whole=True)] = as_of_a_view("height")
-    target_error: Annotated[float | None, Span(0.0001, 1)] = Field(
+    target_error: Annotated[float, Span(0.0001, 1)] | None = Field(
         None, description="Relative error at which light is final; default: the scene's target_error."
     )
-    deadline: Annotated[float | None, Span(0, LONGEST)] = Field(
+    deadline: Annotated[float, Span(0, LONGEST)] | None = Field(
         None, description="Seconds after which it ends, whatever is baked by then; default: none."
     )
 

@@ -9,13 +9,14 @@ from isogi_core.bake.bake_spec import SPECS, spec_name
 from isogi_core.cache.chunk_store import default_store
 from isogi_core.cache.costs import Cost
 from isogi_core.errors import StoreFullError, StoreReadOnlyError
-from isogi_core.frame.entry_kernels import frame_kernels
+from isogi_core.frame.entry_kernels import OTHERS, frame_kernels
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.renderer import Renderer, surface_key
 from isogi_core.frame.tiles import Stopwatch, Tiles
 from isogi_core.frame.view_texels import Demand
 from isogi_core.kernels._cache_folder import prune
-from isogi_core.kernels._jit import FOLDER, warm
+from isogi_core.kernels._jit import FOLDER, compile_beside, entries_of, warm
+from isogi_core.kernels._jit import load as load_kernels
 from isogi_core.model.view import View
 from isogi_core.model.volume import Isovalue
 from isogi_core.plan.scene import Scene
@@ -87,6 +88,12 @@ class RenderEngine:
         for scene in list(self.scenes.values()):
             self._load(scene)
         prune(FOLDER)
+
+    def compile_others(self) -> None:
+        """Compile, or load, the kernels of pictures without light from texels, in other processes as far as it can."""
+        if not all(kernel.stored for kernel in entries_of(OTHERS)):
+            compile_beside([kernel.name for kernel in entries_of(OTHERS)], self._stopped)
+        load_kernels(OTHERS, self._stopped)
 
     def stop(self) -> None:
         """Have ``start``, if it is at work in another thread, return without an engine that can be used."""

@@ -18,6 +18,12 @@ ENDLESS = "text/event-stream"
 SECONDS = (0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
 """Upper ends of the bins of times."""
 
+RATES = (0.0, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
+"""Upper ends of the bins of pictures a second."""
+
+MOVED = 0.5
+"""Seconds that a stream's view must have moved for its pictures to be counted."""
+
 
 class Metrics:
     """One server's counters, in a registry of their own."""
@@ -41,6 +47,18 @@ class Metrics:
         self.stages = Histogram(
             "isogi_frame_stage_seconds", "Time of a frame's stages.", ["stage"], buckets=SECONDS, registry=registry
         )
+        self.ages = Histogram(
+            "isogi_stream_picture_age_seconds",
+            "Time from when a stream's view came until the first picture of it is sent.",
+            buckets=SECONDS,
+            registry=registry,
+        )
+        self.rates = Histogram(
+            "isogi_stream_pictures_per_second",
+            "Drafts a second of each stream that ended, while its view moved.",
+            buckets=RATES,
+            registry=registry,
+        )
         self.errors = Counter("isogi_errors", "Errors that were logged, by class.", ["kind"], registry=registry)
         self.closed = Counter(
             "isogi_connections_closed", "Connections that the server gave up, and why.", ["why"], registry=registry
@@ -60,6 +78,11 @@ class Metrics:
         self.frames.labels("provisional" if provisional else "final", way).inc()
         for stage, seconds in stages.items():
             self.stages.labels(stage).observe(seconds)
+
+    def count_motion(self, drafts: int, seconds: float) -> None:
+        """Count a stream that ends, by its ``drafts`` in so many ``seconds`` of moving."""
+        if seconds >= MOVED:
+            self.rates.observe(drafts / seconds)
 
     @contextmanager
     def counting_errors(self) -> Iterator[None]:

@@ -53,6 +53,9 @@ def keep_memory_small() -> None:
 KEPT = 5.0
 """Seconds for which a finding stands: probes come often, and from many."""
 
+PATIENCE = 0.5
+"""Seconds that a probe waits for the store: it answers whatever the store does."""
+
 
 class StoreProbe:
     """Looks for a store's sentinel, and tries whether it could be written. Safe to use from many threads."""
@@ -62,19 +65,36 @@ class StoreProbe:
         self._root = Store.of(store)
         self._clock = clock
         self._lock = threading.Lock()
-        self._found: list[str] = []
-        self._until = -1.0
+        self._found = self._silent()
+        self._until, self._late = -1.0, -1.0
+        self._looking: threading.Thread | None = None
 
     def reasons(self) -> list[str]:
         """Why light cannot be read or kept; none where it can, or where the store is one that is only read.
 
-        Looked up at most every ``KEPT`` seconds.
+        Looked up at most every ``KEPT`` seconds, in a thread of its own: a store that hangs holds nobody. What was
+        found before stands for as long again.
         """
         with self._lock:
-            if self._clock() >= self._until:
-                self._found = self._look()
-                self._until = self._clock() + KEPT
-            return self._found
+            if self._looking is None and self._clock() >= self._until:
+                self._late = self._clock() + KEPT
+                self._looking = threading.Thread(target=self._look_up, name="probe", daemon=True)
+                self._looking.start()
+            looking = self._looking
+        if looking is not None:
+            looking.join(PATIENCE)
+        with self._lock:
+            late = self._looking is not None and self._clock() >= self._late
+            return self._silent() if late else self._found
+
+    def _silent(self) -> list[str]:
+        return [f"The store at {self._root.url} does not answer."]
+
+    def _look_up(self) -> None:
+        """Note what is found."""
+        found = self._look()
+        with self._lock:
+            self._found, self._until, self._looking = found, self._clock() + KEPT, None
 
     def _look(self) -> list[str]:
         try:

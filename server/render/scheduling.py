@@ -1,65 +1,131 @@
 """Scheduling: which work renders next, how much at once, and the threads it renders on."""
 
 import asyncio
-import heapq
-import itertools
 import math
 import threading
 from collections.abc import AsyncIterator, Callable, Hashable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager, contextmanager
 from contextvars import copy_context
-from dataclasses import dataclass, field
-from typing import Any, NamedTuple, TypeVar
+from dataclasses import dataclass, field, replace
+from typing import Any, TypeVar
 
 from server.errors import BusyError
 
+USUAL = 0.02
+"""Seconds that a client's work is taken to need before any has ended."""
 
-class Rank(NamedTuple):
-    """Where work stands in the queue: before all that is ``due`` later. It gives up at ``until``.
+FRESH = 0.3
+"""How much the newest work of a client counts in what its work usually takes."""
 
-    Both are seconds on the event loop's clock. All places of one request have its rank, so that what was begun is ended
-    before the next begins.
+DEBT = 2.0
+"""Seconds by which a client may be behind the others for what it took before: nobody waits for long for the past."""
+
+
+@dataclass(eq=False)
+class Client:
+    """One that has work done, and has its turn when it took less than all others that wait.
+
+    ``spent`` are the seconds that its work took, by its ``weight``, on the queue's own clock. While it has a ``claim``
+    it waits, or left the queue before it had a place: what it brings next stands where that stood.
+    """
+
+    weight: float = 1.0
+    spent: float = 0.0
+    usual: float = USUAL
+    claim: bool = False
+    open: int = 0
+
+    def pay(self, seconds: float, now: float) -> None:
+        """Its work takes so many seconds more; the queue's clock is at ``now``."""
+        self.spent = min(self.spent + seconds / self.weight, now + DEBT)
+
+
+@dataclass(eq=False)
+class Rank:
+    """Where work stands in the queue: by its ``client``, and before what else that client has ``due`` later.
+
+    It gives up at ``until``. Both are seconds on the event loop's clock. All places of one request have its rank, and
+    the turn of the first, so that what was begun is ended before the next begins.
     """
 
     due: float
     until: float = math.inf
+    client: Client = field(default_factory=Client)
+    turn: float | None = None
 
     @classmethod
-    def within(cls, patience: float, longest: float = math.inf) -> "Rank":
+    def within(cls, patience: float, longest: float = math.inf, client: Client | None = None) -> "Rank":
         """That of work which can wait for ``patience`` seconds from now, and waits for ``longest`` at most."""
         now = asyncio.get_running_loop().time()
-        return cls(now + patience, now + longest)
+        return cls(now + patience, now + longest, client or Client())
 
     @property
     def begun(self) -> "Rank":
         """The same for work that was begun: it does not give up any more."""
-        return Rank(self.due)
+        return replace(self, until=math.inf)
+
+    @property
+    def order(self) -> tuple[float, float]:
+        """What is compared: the lowest comes first."""
+        return self.client.spent if self.turn is None else self.turn, self.due
 
 
-class PrioritySemaphore:
-    """So many ``places``; the lowest rank comes first, so that nothing waits forever."""
+class FairSemaphore:
+    """So many ``places``, shared evenly among clients by the time that their work takes (start-time fair queueing).
+
+    A client that comes anew begins where the queue's clock is: nothing that waited before gives it a turn of its own,
+    and nobody waits longer than all others take once.
+    """
 
     def __init__(self, places: int) -> None:
         self._free = places
-        self._waiting: list[tuple[float, int, asyncio.Future[None]]] = []
-        self._count = itertools.count()
+        self._now = 0.0
+        self._waiting: list[tuple[Rank, asyncio.Future[None]]] = []
 
     @asynccontextmanager
     async def place(self, rank: Rank) -> AsyncIterator[None]:
         """A place for the block. Raises BusyError where there is none until the rank gives up."""
-        if self._free:
-            self._free -= 1
-        else:
-            await self._wait(rank)
+        client = rank.client
+        if not client.claim and not client.open:
+            client.spent = max(client.spent, self._now)
+        client.claim = True
+        client.open += 1
+        try:
+            if self._free:
+                self._free -= 1
+            else:
+                await self._wait(rank)
+            try:
+                with self._paid(rank):
+                    yield
+            finally:
+                self._pass_on()
+        finally:
+            client.open -= 1
+
+    def at_rest(self, client: Client) -> bool:
+        """Whether a client neither waits nor works, nor took more than the others."""
+        return not client.open and client.spent <= self._now
+
+    @contextmanager
+    def _paid(self, rank: Rank) -> Iterator[None]:
+        """Have the client pay for the block: what is usual when it begins, and the rest at its end."""
+        client, loop = rank.client, asyncio.get_running_loop()
+        begun, usual, client.claim = loop.time(), client.usual, False
+        rank.turn = client.spent if rank.turn is None else rank.turn
+        self._now = max(self._now, rank.turn)
+        client.pay(usual, self._now)
         try:
             yield
         finally:
-            self._pass_on()
+            took = loop.time() - begun
+            client.usual += FRESH * (took - usual)
+            client.pay(took - usual, self._now)
 
     async def _wait(self, rank: Rank) -> None:
         place: asyncio.Future[None] = asyncio.get_running_loop().create_future()
-        heapq.heappush(self._waiting, (rank.due, next(self._count), place))
+        self._waiting.append((rank, place))
         try:
             async with asyncio.timeout_at(None if math.isinf(rank.until) else rank.until):
                 await place
@@ -76,13 +142,13 @@ class PrioritySemaphore:
             self._pass_on()
 
     def _pass_on(self) -> None:
-        """Give a place to the one that is due first; those that left meanwhile are passed over."""
-        while self._waiting:
-            _, _, place = heapq.heappop(self._waiting)
-            if not place.done():
-                place.set_result(None)
-                return
-        self._free += 1
+        """Give a place to the one whose turn it is; those that left meanwhile are passed over."""
+        self._waiting = [each for each in self._waiting if not each[1].done()]
+        if not self._waiting:
+            self._free += 1
+            return
+        first = min(self._waiting, key=lambda each: each[0].order)
+        first[1].set_result(None)
 
 
 class AdmissionLimit:
@@ -107,8 +173,8 @@ class AdmissionLimit:
 Result = TypeVar("Result")
 
 DRAFT, REST, ASKED, REFINED = 0.0, 0.1, 0.4, 0.8
-"""Seconds that work may wait for a thread before it goes first: drafts of a view that moves, the first picture of one
-at rest, pictures that were asked for once, and pictures that are better than the one already shown."""
+"""Seconds that work may wait before it goes ahead of what else its client has: drafts of a view that moves, the first
+picture of one at rest, pictures that were asked for once, and pictures that are better than the one already shown."""
 
 
 @dataclass(eq=False)
@@ -125,8 +191,16 @@ class Renders:
 
     def __init__(self, threads: int) -> None:
         self._pool = ThreadPoolExecutor(threads, thread_name_prefix="render")
-        self._places = PrioritySemaphore(threads)
+        self._places = FairSemaphore(threads)
         self._flights: dict[Hashable, Flight] = {}
+        self._clients: dict[Hashable, Client] = {}
+
+    def client(self, name: Hashable, weight: float) -> Client:
+        """The client that goes by ``name``; those that are at rest are forgotten when another comes."""
+        if name not in self._clients:
+            self._clients = {each: kept for each, kept in self._clients.items() if not self._places.at_rest(kept)}
+            self._clients[name] = Client(weight)
+        return self._clients[name]
 
     async def run(self, work: Callable[[], Result], rank: Rank) -> Result:
         """The work's result, or what it raises; BusyError where its ``rank`` gives up before it has a place.
@@ -145,8 +219,10 @@ class Renders:
     async def share(self, key: Hashable, work: Callable[[threading.Event], Result], rank: Rank) -> Result:
         """The result of the work that goes by ``key``: done once for all that ask for it meanwhile.
 
-        The event that the work is given is set once all of them have been cancelled.
+        The event that the work is given is set once all of them have been cancelled. One that does not give up joins
+        none that may.
         """
+        key = key, rank.until == math.inf
         flight = self._flights.get(key) or self._begin(key, work, rank)
         flight.waiting += 1
         try:

@@ -25,7 +25,6 @@ SURVEYED = {"lights": LAMPS}
 """The plan decides: at some isovalues texels are projected."""
 RENDER = """\
 import json, os, sys, tempfile
-from dataclasses import replace
 from isogi_core.prepared.prepared_scene import PreparedScene
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.cache.chunk import Chunk, Chunks
@@ -54,7 +53,6 @@ def compare(settings):
         frame = renderer.render(view)
         assert frame.provisional and frame.demands
         develop(frame, 1.0)
-        renderer.render(replace(view, shading="path_traced", samples=1))  # paths, as pictures are checked with them
     called = {name for name, kernel in entries.items() if kernel.loaded}
     listed = {kernel.name for kernel in frame_kernels([scene])}
     print(f"called but not listed: {called - listed}, listed but not called: {listed - called}", flush=True)

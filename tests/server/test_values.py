@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from server.values import Choice, Row, Span, finite
+from server.values import Choice, Row, Span, finite, shown
 
 HOSTILE = [
     *("nan", "NaN", "inf", "-inf", "Infinity", "1e999", "-1e999", "1_0", "1__0", "0x10", "1e", "e5", "."),
@@ -21,6 +21,10 @@ def test_hostile_text_is_no_number(text: str) -> None:
         Span(-10, 10).read(text)
     with pytest.raises(ValueError, match="must be a whole number from 1 to 512"):
         Span(1, 512, whole=True).read(text)
+
+
+def test_half_a_surrogate_pair_can_be_told() -> None:
+    assert shown("a\ud800").encode() == b"'a\\ud800'"
 
 
 @pytest.mark.parametrize("value", [None, True, [], {}, object(), b"1", math.inf, 10**400])

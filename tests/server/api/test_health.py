@@ -43,3 +43,16 @@ def test_why_it_is_not_ready(
     answer = ask(app, "GET", "/readyz")
     assert (answer.status_code, answer.json()["reasons"]) == (503, said)
     assert answer.headers["retry-after"] == "1"
+
+
+def test_a_store_that_became_read_only_is_no_reason(ask: Callable[..., httpx.Response]) -> None:
+    """The baker waits for it until the probe has found what is the matter."""
+    app, read_only = FastAPI(), list[bool]()
+    app.include_router(health.health_router)
+    app.state.closing = Closing()
+    engine = SimpleNamespace(notes=lambda: ["The store can only be read."])
+    reasons = lambda: [] if read_only else ["Baking waits for the store."]  # noqa: E731
+    app.state.service = SimpleNamespace(reasons=reasons, engine=engine)
+    app.state.probe = SimpleNamespace(reasons=lambda: read_only.append(True) or [])
+    answer = ask(app, "GET", "/readyz")
+    assert (answer.status_code, answer.json()["reasons"]) == (200, ["The store can only be read."])

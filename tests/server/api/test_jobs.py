@@ -14,7 +14,7 @@ import pytest
 from isogi_core.errors import StoreError
 from isogi_core.plan.assembly import load_scene
 from server.api.app import create_app
-from server.api.routes.jobs import RESULTS
+from server.api.routes.jobs import RESULTS, SCHEMA
 from server.errors import BusyError, UnknownJobError
 from server.render.engine import RenderEngine
 from server.render.jobs import Job, Jobs, Result, Status
@@ -286,3 +286,10 @@ def test_a_job_fails_where_its_light_cannot_be_baked(small_scene: Path, tmp_path
     assert over["status"] == "failed"
     assert "cursed" in over["message"]
     assert over["links"][1:] == []
+
+
+def test_what_may_be_left_out_may_be_null_in_the_schema() -> None:
+    properties = SCHEMA["properties"]
+    for name in (name for name, each in properties.items() if each["default"] is None):
+        assert {"type": "null"} in properties[name]["anyOf"], name
+    assert {"target_error", "deadline"} < properties.keys()

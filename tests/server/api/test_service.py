@@ -4,6 +4,7 @@ import asyncio
 import re
 import threading
 from collections.abc import Callable, Iterator
+from types import SimpleNamespace
 from typing import Any
 
 import httpx
@@ -21,6 +22,9 @@ from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import Index
 from isogi_core.storage.store import Store
 from server.api.app import create_app
+from server.api.service import Service
+from server.errors import BusyError
+from server.render.scheduling import Rank
 from server.settings import Settings
 from tests.server.sockets import wait_for
 from worker.bake_requests import Viewer
@@ -51,6 +55,9 @@ class FakeEngine:
     def start(self) -> None:
         if self.startable:
             raise self.startable
+
+    def compile_others(self) -> None:
+        """All is compiled."""
 
     def stop(self) -> None:
         self.stopped = True
@@ -336,3 +343,10 @@ def test_the_lifespan_starts_and_closes_the_engine(engine: FakeEngine, app: Fast
 
     assert asyncio.run(live()) is False
     assert engine.closed
+
+
+def test_a_picture_whose_kernels_are_compiled_does_not_hang(engine: FakeEngine) -> None:
+    service: Any = Service(engine, Settings(queue_seconds=0.01))  # type: ignore[arg-type]
+    picture: Any = SimpleNamespace(view=SimpleNamespace(shading="path_traced"))
+    with pytest.raises(BusyError, match="path_traced pictures is being compiled"):
+        asyncio.run(service.frame(picture, Rank(0.0), Stopwatch()))

@@ -164,6 +164,8 @@ BAD = [
     ('{"view": {}}', "id"),
     ('{"shown": "x"}', "shown"),
     ('{"id": 5, "view": {"fov": NaN}}', "JSON"),
+    ('{"id": 5, "view": {"overlay": "\\ud800"}}', "overlay must be one of"),
+    ('{"id": 5, "view": {"isovalue": "\\ud800"}}', "isovalue"),
     ("[" * 5000, "JSON"),
     ("[]", "object"),
     ("hello", "JSON"),

@@ -2,6 +2,7 @@
 
 import errno
 import os
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -9,8 +10,15 @@ import pytest
 
 from isogi_core.storage import folder
 from isogi_core.storage.store import Store
+from server.render import resources
 from server.render.resources import KEPT, StoreProbe
 from tests.worker.clock import Clock
+
+
+@pytest.fixture(autouse=True)
+def patience(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A slow disk is waited for."""
+    monkeypatch.setattr(resources, "PATIENCE", 60.0)
 
 
 def test_a_store_that_works_has_nothing_left_of_it(tmp_path: Path) -> None:
@@ -71,4 +79,18 @@ def test_a_finding_stands_for_a_while(tmp_path: Path) -> None:
     store.unlink()
     assert probe.reasons() != []
     clock.now += KEPT
+    assert probe.reasons() == []
+
+
+def test_a_store_that_hangs_holds_no_probe(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    probe, hangs = StoreProbe(Store(tmp_path), clock := Clock()), threading.Event()
+    assert probe.reasons() == []
+    monkeypatch.setattr(resources, "PATIENCE", 0.01)
+    monkeypatch.setattr(Store, "check_writable", lambda _: hangs.wait(60))
+    clock.now += KEPT
+    assert probe.reasons() == [], "what was found before stands for a while"
+    clock.now += KEPT
+    assert probe.reasons() == [f"The store at {tmp_path} does not answer."]
+    hangs.set()
+    monkeypatch.setattr(resources, "PATIENCE", 60.0)
     assert probe.reasons() == []

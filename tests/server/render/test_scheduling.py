@@ -9,7 +9,7 @@ import pytest
 from isogi_core.prepared.prepared_scene import Index
 from server.errors import BusyError
 from server.logs import REQUEST_ID
-from server.render.scheduling import ASKED, DRAFT, REFINED, REST, AdmissionLimit, PrioritySemaphore, Rank, Renders
+from server.render.scheduling import ASKED, DRAFT, REFINED, REST, AdmissionLimit, Client, FairSemaphore, Rank, Renders
 from server.render.updates import UpdateBus
 from tests.server.loops import played
 
@@ -43,13 +43,13 @@ def test_work_comes_in_the_order_of_its_deadlines(renders: Renders) -> None:
 def test_patient_work_does_not_wait_forever() -> None:
     order: list[str] = []
 
-    async def take(places: PrioritySemaphore, name: str, patience: float) -> None:
+    async def take(places: FairSemaphore, name: str, patience: float) -> None:
         async with places.place(Rank.within(patience)):
             order.append(name)
             await asyncio.sleep(0.02)
 
     async def play() -> None:
-        places = PrioritySemaphore(1)
+        places = FairSemaphore(1)
         tasks = [asyncio.create_task(take(places, "first", 0.0)), asyncio.create_task(take(places, "patient", 0.1))]
         for number in range(12):
             tasks.append(asyncio.create_task(take(places, f"draft {number}", 0.0)))
@@ -62,7 +62,7 @@ def test_patient_work_does_not_wait_forever() -> None:
 
 def test_work_that_waits_too_long_is_refused_and_blocks_no_other() -> None:
     async def play() -> None:
-        places = PrioritySemaphore(1)
+        places = FairSemaphore(1)
         async with places.place(Rank(0.0)):
             with pytest.raises(BusyError, match="ask again"):
                 async with places.place(Rank.within(0.0, longest=0.01)):
@@ -76,14 +76,14 @@ def test_work_that_waits_too_long_is_refused_and_blocks_no_other() -> None:
 def test_what_was_begun_is_ended_before_a_later_request_begins() -> None:
     order: list[str] = []
 
-    async def request(places: PrioritySemaphore, name: str, rank: Rank) -> None:
+    async def request(places: FairSemaphore, name: str, rank: Rank) -> None:
         for part in range(3):
             async with places.place(rank):
                 order.append(f"{name}{part}")
                 await asyncio.sleep(0.0)
 
     async def play() -> None:
-        places = PrioritySemaphore(1)
+        places = FairSemaphore(1)
         await asyncio.gather(*(request(places, name, Rank(due)) for due, name in enumerate("abc")))
 
     asyncio.run(play())
@@ -93,7 +93,7 @@ def test_what_was_begun_is_ended_before_a_later_request_begins() -> None:
 
 def test_a_turn_that_is_not_waited_for_any_more_goes_to_the_next() -> None:
     async def play() -> None:
-        places = PrioritySemaphore(1)
+        places = FairSemaphore(1)
         async with places.place(Rank(0.0)):
             leaving = asyncio.create_task(places.place(Rank(0.0)).__aenter__())
             await asyncio.sleep(0)
@@ -202,3 +202,70 @@ def test_updates_before_the_wait_count_from_its_number_on() -> None:
             assert not waiting.some.is_set()
 
     asyncio.run(play())
+
+
+def test_a_client_that_comes_anew_is_not_behind_all_that_waits() -> None:
+    """Requests of one address have waited for long; the draft of a stream that comes now has its turn between them."""
+    order: list[str] = []
+
+    async def take(places: FairSemaphore, name: str, rank: Rank) -> None:
+        async with places.place(rank):
+            order.append(name)
+            await asyncio.sleep(0.1)
+
+    async def play() -> None:
+        places, crowd = FairSemaphore(1), Client()
+        tasks = [asyncio.create_task(take(places, "request", Rank(0.0, client=crowd))) for _ in range(40)]
+        await asyncio.sleep(1.0)
+        stream = Client()
+        for _ in range(5):
+            await take(places, "draft", Rank.within(0.0, client=stream))
+        assert order.count("request") <= 10 + 5 + 2
+        await asyncio.gather(*tasks)
+
+    played(play())
+    assert order.count("request") == 40
+
+
+def test_a_view_that_is_replaced_keeps_its_place_in_line() -> None:
+    order: list[str] = []
+
+    async def take(places: FairSemaphore, name: str, client: Client) -> None:
+        async with places.place(Rank(0.0, client=client)):
+            order.append(name)
+            await asyncio.sleep(0.1)
+
+    async def play() -> None:
+        places, first, second, third = FairSemaphore(1), Client(), Client(), Client()
+        working = asyncio.create_task(take(places, "first", first))
+        await asyncio.sleep(0.01)
+        older = asyncio.create_task(take(places, "older", second))
+        await asyncio.sleep(0.01)
+        older.cancel()
+        again = [asyncio.create_task(take(places, "first", first)) for _ in range(3)]
+        later = asyncio.create_task(take(places, "third", third))
+        await asyncio.sleep(0.15)
+        newer = asyncio.create_task(take(places, "newer", second))
+        await asyncio.gather(working, later, newer, *again)
+
+    played(play())
+    assert order.index("newer") <= 2 and "older" not in order
+
+
+def test_who_took_much_is_not_behind_for_long() -> None:
+    order: list[str] = []
+
+    async def take(places: FairSemaphore, name: str, client: Client, seconds: float) -> None:
+        async with places.place(Rank(0.0, client=client)):
+            order.append(name)
+            await asyncio.sleep(seconds)
+
+    async def play() -> None:
+        places, greedy, other = FairSemaphore(1), Client(), Client()
+        await take(places, "long", greedy, 100.0)
+        tasks = [asyncio.create_task(take(places, "other", other, 0.1)) for _ in range(60)]
+        tasks.append(asyncio.create_task(take(places, "greedy", greedy, 0.1)))
+        await asyncio.gather(*tasks)
+
+    played(play())
+    assert 2 <= order.index("greedy") <= 30

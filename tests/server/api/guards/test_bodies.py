@@ -26,3 +26,9 @@ def test_one_byte_more_is_413(ask: Ask, guarded: Callable[..., FastAPI], told: b
     assert answer.status_code == 413
     assert answer.headers["content-type"] == "application/problem+json"
     assert str(LIMIT) in answer.json()["detail"]
+
+
+def test_a_body_with_two_lengths_is_refused(ask: Ask, guarded: Callable[..., FastAPI]) -> None:
+    headers = {"Content-Length": "1", "Transfer-Encoding": "chunked"}
+    answer = ask(guarded(SmallBodies, limit=LIMIT), "POST", "/length", content=b"x", headers=headers)
+    assert (answer.status_code, answer.headers["connection"]) == (400, "close")

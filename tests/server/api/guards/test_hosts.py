@@ -13,7 +13,10 @@ from server.settings import LOOPBACK
 from tests.server.api.guards.handshakes import handshake, status
 
 Ask = Callable[..., httpx.Response]
-OTHERS = ["evil.example", "127.0.0.1.evil.example", "evil.example:80", "localhost.", "", "[::2]", "[", "a@localhost"]
+OTHERS = [
+    *("evil.example", "127.0.0.1.evil.example", "evil.example:80", "localhost.", "", "[::2]", "[", "a@localhost"),
+    *("[127.0.0.1]evil", "[127.0.0.1]", "[::1]evil", "[::1]:8000.evil", "localhost:evil"),
+]
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "127.0.0.1:80", "localhost:8000", "LOCALHOST", "[::1]", "[::1]:8000"])
