@@ -46,7 +46,7 @@ async function start() {
     try {
       const { scenes, uploads } = await listScenes();
       const link = scenes.find((each) => each.id === wanted) ?? scenes[0];
-      const scene = await readScene(link.id);
+      const scene = await readScene(link.id, new Picture($("stage"), $("picture", HTMLImageElement)).size(1));
       offerScenes(scenes, link.id);
       attachUpload($("upload"), $("stage"), uploads, link, openScene);
       return assemble(scene, knobs, trouble);
@@ -105,7 +105,7 @@ function assemble(scene, knobs, trouble) {
  * @param {TroublePanel} trouble
  */
 function startLoop(scene, view, picture, trouble) {
-  const status = new Status(document);
+  const status = new Status(document, scene.target_error);
   const panel = new ErrorPanel($("error"), scene.target_error);
   const times = new Times($("times", HTMLDetailsElement));
   /** @type {(values: Knobs, scale?: number) => ReturnType<typeof frameQuery>} */

@@ -10,7 +10,7 @@ VIEW_OPTIONS = {
     "isovalue": "In the volume's own units; default: the scene's.",
     "azimuth": "Degrees; 0 looks from +x, 90 from +y.",
     "elevation": "Degrees above the xy plane.",
-    "distance": "From the target, in radii of the volume's bounding sphere.",
+    "distance": "From the target, in radii of the volume's bounding sphere; of a picture, default: all of it is seen.",
     "fov": "Vertical field of view, degrees.",
     "eye": "World x,y,z, instead of azimuth, elevation and distance.",
     "target": "World x,y,z to look at; default: the volume's centre.",
@@ -22,10 +22,10 @@ VIEW_OPTIONS = {
     "albedo": "Of the surface, one number or r,g,b, within the scene's albedos; default: the scene's albedo.",
     "width": "Pixels.",
     "height": "Pixels.",
-    "shading": "gi, vicinity, lambert[_shadow|_fog], phong[_shadow] or path_traced.",
-    "exposure": "Factor on radiance before the tone curve.",
+    "shading": "gi (light from all around), vicinity, lambert[_shadow|_fog], phong[_shadow] or path_traced.",
+    "exposure": "How much brighter: a factor on the light; default: the scene's.",
     "samples": "Paths per pixel, for path_traced.",
-    "overlay": "none, provisional (hatches what is not final) or error (each pixel's estimate as a colour).",
+    "overlay": "Over the picture: none, provisional (hatches what is not done) or error (colours each pixel by it).",
 }
 DEVELOPED = ("shading", "samples", "exposure", "overlay")
 """Options that a reference, which is radiance alone, does not read."""
@@ -38,9 +38,9 @@ REPORT_OPTIONS = {
     "distance": "From the target, in radii of the volume's bounding sphere; default: 2.2.",
 }
 WORK_OPTIONS = {
-    "workers": "Baking processes; default: one per core.",
-    "store": "Path or URL of the cache; default: the user's cache folder.",
-    "scheduler": "Address of a Dask scheduler to bake on, instead of own workers.",
+    "workers": "Processes that compute light; default: one per core.",
+    "store": "Path or URL where light is kept; default: the user's cache folder.",
+    "scheduler": "Address of a Dask scheduler to compute on, instead of own workers.",
 }
 
 

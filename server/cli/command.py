@@ -12,6 +12,7 @@ import click
 
 from isogi_core.errors import IsogiError, LightError, SceneError, StoreUrlError, ViewError, VolumeError
 from server.cli.arguments import DEVELOPED, REPORT_OPTIONS, VIEW_OPTIONS, WORK_OPTIONS, axes_option
+from server.cli.help import Commands, SettingsCommand
 from server.errors import LibraryError
 
 if TYPE_CHECKING:
@@ -111,27 +112,13 @@ def show(facts: dict[str, Any], text: Callable[[dict[str, Any]], str], as_json: 
     click.echo(json.dumps(facts, allow_nan=False) if as_json else text(facts))
 
 
-class SettingsCommand(click.Command):
-    """A command that takes all settings. Its help is made late, for settings load a library that takes its time."""
-
-    def get_params(self, ctx: click.Context) -> list[click.Parameter]:
-        """The command's own parameters and the settings' options."""
-        *own, help_option = super().get_params(ctx)
-        return [*own, *module_of("options").setting_options(), help_option]
-
-    def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """List the settings that have no option."""
-        with formatter.section("Only in the environment or the file"):
-            formatter.write_dl(module_of("options").secrets())
-
-
 AS_JSON = click.option("--json", "as_json", is_flag=True, help="Print the facts as JSON.")
 
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+@click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(package_name="isogi")
 def cli() -> None:
-    """Isosurfaces of volumes with global illumination, baked lazily."""
+    """Look at isosurfaces of volumes in light from all around."""
 
 
 @cli.command(cls=SettingsCommand)
@@ -244,7 +231,7 @@ def report(
 def prewarm(
     scene: str, dry_run: bool, go_on: bool, server: str | None, detach: bool, as_json: bool, **given: Any
 ) -> int:
-    """Bake ahead what views of TARGET from all sides need, or whole isosurfaces; stopped, it goes on (--continue)."""
+    """Compute ahead the light that views of TARGET need, or whole isosurfaces; stopped, it goes on (--continue)."""
     work, workers = module_of("prewarm"), {name: given.pop(name) for name in WORK_OPTIONS}
     fields = work.fields_given(given)
     if go_on and (set(fields) - {"deadline"} or dry_run or server):
@@ -280,10 +267,14 @@ def remote() -> Any:
 @cli.command()
 @click.argument("target")
 @axes_option
-@click.option("--picture", type=click.Path(path_type=Path, dir_okay=False), help="Draw the stiffness to a file, .png.")
+@click.option(
+    "--picture",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Draw how steep its surfaces are to a file, .png.",
+)
 @AS_JSON
 def inspect(target: str, picture: Path | None, as_json: bool) -> None:
-    """Say what is in TARGET, a volume or a scene, how stiff that is, and what will be baked for it."""
+    """Say what is in TARGET, a volume or a scene, how steep its surfaces are, and what will be computed for it."""
     click.echo(module_of("inspect").inspect(target, picture, as_json))
 
 

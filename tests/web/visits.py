@@ -31,6 +31,12 @@ def wait_final(page: Page) -> Page:
     return page
 
 
+def unfold(page: Page) -> Page:
+    """Open what the page folds away for those who want to know more."""
+    page.eval_on_selector("#details", "details => { details.open = true; }")
+    return page
+
+
 def slide(page: Page, knob: str, share: float) -> None:
     """Put a slider at a share of its range, as a hand would."""
     page.eval_on_selector(

@@ -109,8 +109,8 @@ export class Saver {
   async #finish() {
     if (!this.#best || !this.#work) return;
     const [{ blob, facts }, { link, file, alt, size }] = [this.#best, this.#work];
-    const name = `${file}${facts.provisional ? "-provisional" : ""}.png`;
-    const state = [size, frameInWords(facts), this.#missed(facts)].filter(Boolean).join(", ");
+    const name = `${file}${facts.provisional ? "-preview" : ""}.png`;
+    const state = [frameInWords(facts), size, this.#missed(facts)].filter(Boolean).join(", ");
     download(await withNotes(blob, { Title: latin(alt), Software: "isogi", Source: link, Comment: latin(state) }), name);
     this.#end(`Saved ${name}: ${state}.`);
   }
