@@ -48,7 +48,7 @@ LOOK = 1.0
 BLOCK = 1 << 20
 """Bytes that are read from a file at a time."""
 
-PICTURE = ("f", "exposure", "overlay", "version")
+PICTURE = ("f", "exposure", "overlay", "background", "version")
 """Parameters of a picture, which say nothing of its light."""
 
 SUFFIXES = {"png": (".png",), "jpeg": (".jpg", ".jpeg"), "webp": (".webp",), "npy": (".npy",)}
@@ -381,6 +381,15 @@ class Isogi:
         {'min': 0.0, 'max': 1.0}
         """
         return self._json("GET", scene_path(scene))
+
+    def fit(self, scene: str, **view: Values) -> dict[str, Any]:
+        """The camera that shows a surface whole and large: parameters of ``frame``.
+
+        ``view`` may hold isovalue, azimuth, elevation, fov, width and height.
+
+        >>> isogi.frame("casting", **isogi.fit("casting"))
+        """
+        return self._json("GET", f"{scene_path(scene)}/fit", params=query(view))
 
     def coverage(self, scene: str, **view: Values) -> Facts:
         """How far a view is baked, without its picture."""

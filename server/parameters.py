@@ -24,7 +24,7 @@ from isogi_core.model.view import (
 from isogi_core.plan.scene import Scene
 from server.errors import ParameterError
 from server.settings import Settings
-from server.values import Choice, Colour, Row, Span
+from server.values import Choice, Colour, Ground, Row, Span
 
 FORMATS = ("png", "jpeg", "webp", "npy")
 VERSION = r"^[0-9a-f]{32}$"
@@ -100,6 +100,24 @@ class ViewParams(NoParams):
             raise ValueError(f"The {what} is given twice, by {one} and by {other}: keep one.")
 
 
+class FitParams(NoParams):
+    """The surface that a camera is to show whole, from where, and in a picture of which size."""
+
+    isovalue: Annotated[float | str | None, WithJsonSchema({"type": "number"})] = Field(
+        None, description="In the volume's own units, within the scene's range; default: the scene's."
+    )
+    azimuth: Annotated[float | None, TURN] = Field(None, description="Degrees; default: from three quarters.")
+    elevation: Annotated[float | None, Span(-90, 90)] = Field(None, description="Degrees; default: somewhat above.")
+    fov: Annotated[float, Span(0.01, 179)] = Field(30.0, description="Vertical field of view, degrees.")
+    width: Annotated[int, Span(1, LONGEST_SIDE, whole=True)] = Field(512, description="Pixels.")
+    height: Annotated[int, Span(1, LONGEST_SIDE, whole=True)] = Field(512, description="Pixels.")
+
+    @property
+    def view(self) -> ViewParams:
+        """What of it is of a view."""
+        return ViewParams.model_validate(self.model_dump(include={"isovalue", "fov", "width", "height"}))
+
+
 class UploadParams(NoParams):
     """What to call an uploaded volume."""
 
@@ -125,6 +143,9 @@ class FrameParams(ViewParams):
     )
     exposure: Annotated[float | None, Span(1e-36, 1e36)] = Field(
         None, description="Factor on radiance before the tone curve; default: the scene's."
+    )
+    background: Annotated[str, Ground()] = Field(
+        "dark", description="Behind the surface: dark, light, transparent (not in jpeg), or sRGB such as #ffffff."
     )
     version: Annotated[str | None, WithJsonSchema({"type": "string", "pattern": VERSION})] = Field(
         None,
@@ -195,6 +216,7 @@ NoParamsDep = _reader(NoParams)
 ViewParamsDep = Annotated[ViewParams, _reader(ViewParams)]
 UploadParamsDep = Annotated[UploadParams, _reader(UploadParams)]
 FrameParamsDep = Annotated[FrameParams, _reader(FrameParams)]
+FitParamsDep = Annotated[FitParams, _reader(FitParams)]
 SkyParamsDep = Annotated[SkyParams, _reader(SkyParams)]
 
 

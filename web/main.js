@@ -1,10 +1,10 @@
 /** Puts the page together: one scene, one view, one frame loop, and the controls around them. */
 
 import { find } from "./dom.js";
-import { followAddress, readAddress } from "./net/address.js";
+import { complaints, followAddress, readAddress } from "./net/address.js";
 import { listScenes, openStream, readFrame, readScene, readSurfacePoint } from "./net/api.js";
 import { FrameLoop } from "./net/loop.js";
-import { describe, fileName, frameQuery } from "./net/request.js";
+import { describe, fileName, frameQuery, ground } from "./net/request.js";
 import { Saver } from "./net/save.js";
 import { attachShare } from "./net/share.js";
 import { attachUpload } from "./net/upload.js";
@@ -15,7 +15,7 @@ import { attachKnobs } from "./panels/knobs.js";
 import { attachLight } from "./panels/light.js";
 import { attachPresets } from "./panels/presets.js";
 import { showScene } from "./panels/scene.js";
-import { Status, TroublePanel } from "./panels/status.js";
+import { Notice, Status, TroublePanel } from "./panels/status.js";
 import { Times } from "./panels/times.js";
 import { attachGestures, attachPick } from "./view/gestures.js";
 import { attachKeys } from "./view/keys.js";
@@ -69,10 +69,11 @@ function assemble(scene, knobs, trouble) {
   const view = new ViewModel(scene, knobs);
   const picture = new Picture($("stage"), $("picture", HTMLImageElement));
   const loop = startLoop(scene, view, picture, trouble);
-  const options = { onRest: () => loop.settle(), toggleHelp: () => $("help").togglePopover() };
+  const options = { onRest: () => loop.settle(), toggleHelp: () => $("help").togglePopover(), toggleFull };
+  const { say } = new Notice($("notice"));
   const form = $("controls");
   attachKnobs(form, scene, view);
-  attachHistogram(form, scene, view);
+  attachHistogram(form, scene, view, say);
   attachPresets($("presets"), scene, view);
   attachLight($("light"), scene, view, options.onRest);
   attachGestures($("stage"), scene, view, options);
@@ -95,7 +96,23 @@ function assemble(scene, knobs, trouble) {
   form.inert = false;
   for (const id of ["share-button", "save-button", "reset"]) $(id, HTMLButtonElement).disabled = false;
   view.watch(({ compare, ...shown }) => shown, () => loop.change());
+  const paintGround = () => { $("stage").dataset.ground = ground(view.values); };
+  view.subscribe(paintGround);
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
+    paintGround();
+    loop.settle();
+  });
+  paintGround();
+  $("full-screen").hidden = !document.fullscreenEnabled;
+  $("full-screen").addEventListener("click", toggleFull);
+  say(complaints(location.search, scene).join(" "));
   loop.settle();
+}
+
+/** Show the picture alone on the whole screen, or the page again. */
+function toggleFull() {
+  if (document.fullscreenElement) document.exitFullscreen();
+  else if (document.fullscreenEnabled) $("stage").requestFullscreen();
 }
 
 /**

@@ -168,6 +168,11 @@ class Service:
             answer = self._answer(picture, viewer or request_viewer(request), params.wait_ms / 1000, finish)
             return await attended(request, answer)
 
+    async def compute(self, request: Request, work: Callable[[], Result]) -> Result:
+        """The result of some ``work`` for a request, off the event loop. Raises as ``render`` does."""
+        with self._requests.admitted():
+            return await attended(request, self.renders.run(work, Rank.within(ASKED, self.settings.queue_seconds)))
+
     async def show(self, picture: PictureRequest, viewer: Viewer, rank: Rank, watch: Stopwatch | None = None) -> Shown:
         """The picture with the light baked so far; the light that it lacks is requested for the ``viewer``."""
         watch, since = watch or Stopwatch(), self._newest(picture)

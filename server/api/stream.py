@@ -256,7 +256,7 @@ class Session:
 
         def made() -> tuple[str, bytes]:
             with shown.watch.stage("encode"):
-                picture = encode(shown.frame, form, exposure, params.overlay)
+                picture = encode(shown.frame, form, exposure, params.overlay, params.background)
             return answer(request.id, shown, form, request.moving), picture
 
         facts, picture = await self._service.renders.run(made, Rank.within(DRAFT))

@@ -16,7 +16,7 @@ from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
 from isogi_core.report.reference import Goal, Reference, grow, load_reference, save_reference, with_bounces
 from isogi_core.storage.atomic_file import write_whole
-from server.answers import coverage_schema
+from server.answers import camera_schema, coverage_schema
 from server.cli.bench import make_renderer
 from server.parameters import FrameParams, ViewParams, read, view_of
 from server.pictures import SUFFIXES, encode, format_for
@@ -27,6 +27,9 @@ from server.render.resources import root_of
 from server.settings import Settings
 from worker.errors import WorkersError
 from worker.progress import TimeLeft
+
+PLACED = {"distance", "eye", "target", "up"}
+"""Options that say where the camera is: with none of them, all of the surface is seen."""
 
 STEP = 2.0
 """Seconds between two frames, while light is baked."""
@@ -49,15 +52,16 @@ def render(
     scene = open_scene(target, settings)
     params = read(FrameParams, [*knobs.items(), ("f", form)])
     format_for(params, None)
-    view = view_of(scene, params, settings)
+    view_of(scene, params, settings)
 
     place, memory = (root_of(settings), settings.workers, settings.scheduler), settings.memory_mb << 20
     with closing(RenderEngine([scene], *place, memory, projected=settings.projected_mb << 20)) as engine:
         engine.start()
+        view = view_of(scene, params if PLACED & set(knobs) else seen_whole(engine, scene, params, settings), settings)
         frame = refine(engine, scene.id, view, params.max_error, seconds)
         left, paths = engine.time_left(scene.id, frame, params.max_error), engine.paths
     exposure = scene.default_exposure if params.exposure is None else params.exposure
-    write_whole(output, encode(frame, form, exposure, params.overlay))
+    write_whole(output, encode(frame, form, exposure, params.overlay, params.background))
     return {
         "file": str(output),
         "format": form,
@@ -68,6 +72,13 @@ def render(
         "stopped": stopped_by(frame),
         "seconds": time.monotonic() - started,
     }
+
+
+def seen_whole(engine: RenderEngine, scene: Scene, params: FrameParams, settings: Settings) -> FrameParams:
+    """The same picture from a camera that shows all of its surface; from the direction that is given, if any is."""
+    view = view_of(scene, params, settings)
+    angles = [getattr(params, name) if name in params.model_fields_set else None for name in ("azimuth", "elevation")]
+    return params.model_copy(update=camera_schema(engine.renderer(scene.id), view, *angles).model_dump())
 
 
 def stopped_by(frame: Frame) -> str:
@@ -81,6 +92,8 @@ def rendered(facts: Mapping[str, Any]) -> str:
     """What ``render`` did, for a person."""
     states = {"target": "final", "time": "provisional", "samples": "all samples taken"}
     quality = f"error {facts['error']:.4f}, {facts['final']:.1%} of the surface at {facts['target_error']:g}"
+    if not facts["pixels"]["surface"]:
+        quality = "no surface in view"
     return f"{facts['file']}: {facts['width']} × {facts['height']}, {states[facts['stopped']]}, {quality}"
 
 

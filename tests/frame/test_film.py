@@ -35,6 +35,23 @@ def test_each_overlay_marks_its_pixels() -> None:
     assert changed("error") == [0.0, 1.0, 1.0, 1.0]
 
 
+@pytest.mark.parametrize(
+    ("background", "codes"), [("light", (244, 244, 242)), ("#1f00a7", (31, 0, 167)), ("#ffffff", (255, 255, 255))]
+)
+def test_a_background_is_behind_the_surface_alone(background: str, codes: tuple[int, ...]) -> None:
+    frame = frame_of(np.full(24, 0.05))
+    picture, dark = develop(frame, 1.0, "none", background), develop(frame, 1.0)
+    assert (picture[frame.state == 0] == codes).all()
+    assert (picture[frame.state > 0] == dark[frame.state > 0]).all()
+
+
+def test_a_transparent_picture_covers_its_surface() -> None:
+    frame = frame_of(np.full(24, 0.05))
+    picture = develop(frame, 1.0, "error", "transparent")
+    assert picture.shape[-1] == 4
+    assert ((picture[..., 3] == 255) == (frame.state > 0)).all() and set(np.unique(picture[..., 3])) == {0, 255}
+
+
 def test_unlit_pixels_are_hatched_without_an_error_colour() -> None:
     few, many = (develop(frame_of(np.full(24, error)), 1.0, "error") for error in (0.002, 0.9))
     hatched = develop(frame_of(np.full(24, 0.5)), 1.0, "provisional")

@@ -334,6 +334,7 @@ def test_address_without_meaning_is_put_right(page: Page, live_server: str) -> N
     assert page.input_value("#isovalue") == page.get_attribute("#isovalue", "max")
     assert float(page.input_value("#azimuth")) == 45.0
     expect(page.locator("#trouble")).to_be_hidden()
+    expect(page.locator("#notice")).to_contain_text("There is no scene “nothing”: this is small. No surface at 1e+300:")
 
 
 def test_narrow_screens_scroll_only_down(browser: Browser, live_server: str) -> None:
@@ -433,10 +434,13 @@ def test_every_control_has_a_name(shown: Page) -> None:
 
 
 def scene_angles(page: Page) -> dict[str, float]:
-    """The knobs of the scene's defaults, asked of the server that the page came from."""
+    """The knobs where the page starts, asked of the server that it came from."""
     parts = urlsplit(page.url)
-    defaults = scene_of(page, f"{parts.scheme}://{parts.netloc}")["defaults"]
-    return {name: float(defaults[name]) for name in KNOBS}
+    base = f"{parts.scheme}://{parts.netloc}"
+    width, height = page.eval_on_selector("#stage", "stage => [stage.clientWidth, stage.clientHeight]")
+    fit = page.request.get(f"{base}/v1/scenes/small/fit", params={"width": width, "height": height}).json()
+    start = {**scene_of(page, base)["defaults"], **fit}
+    return {name: float(start[name]) for name in KNOBS}
 
 
 def turn_light(page: Page, hand: str) -> None:

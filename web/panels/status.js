@@ -85,6 +85,27 @@ export function announcement(facts) {
   return facts.provisional ? `Refining, ${quarter} percent done` : frameInWords(facts);
 }
 
+const READ_MS = 10_000; // a sentence is read long before
+
+/** A sentence over the picture, which goes by itself. */
+export class Notice {
+  #node;
+  #timer = 0;
+
+  /** @param {HTMLElement} node */
+  constructor(node) {
+    this.#node = node;
+    this.say = this.say.bind(this);
+  }
+
+  /** Say something; nothing takes back what was said. @param {string} words */
+  say(words) {
+    clearTimeout(this.#timer);
+    this.#node.textContent = words;
+    if (words) this.#timer = setTimeout(() => this.say(""), READ_MS);
+  }
+}
+
 /** The panel that says what is wrong; "Try now" is offered where the page would ask again anyway. */
 export class TroublePanel {
   #panel;
