@@ -1,4 +1,4 @@
-"""What commands share: the options of views and of work, in words, and how the axes of a volume are taken."""
+"""What commands share: the options of views and of work, in words, and how a volume is taken."""
 
 from collections.abc import Callable
 from functools import wraps
@@ -24,13 +24,14 @@ VIEW_OPTIONS = {
     "height": "Pixels.",
     "shading": "gi (light from all around), vicinity, lambert[_shadow|_fog], phong[_shadow] or path_traced.",
     "exposure": "How much brighter: a factor on the light; default: the scene's.",
+    "background": "Behind the surface: dark, light, transparent (png, webp), or a colour such as #ffffff.",
     "samples": "Paths per pixel, for path_traced.",
     "overlay": "Over the picture: none, provisional (hatches what is not done) or error (colours each pixel by it).",
 }
-DEVELOPED = ("shading", "samples", "exposure", "overlay")
+DEVELOPED = ("shading", "samples", "exposure", "background", "overlay")
 """Options that a reference, which is radiance alone, does not read."""
 
-PICTURE_OPTIONS = ("albedo", "width", "height", "shading", "samples", "overlay")
+PICTURE_OPTIONS = ("albedo", "width", "height", "shading", "background", "samples", "overlay")
 REPORT_OPTIONS = {
     **{name: text for name, text in VIEW_OPTIONS.items() if name not in PICTURE_OPTIONS},
     "azimuth": "Degrees; 0 looks from +x, 90 from +y; default: 40.",
@@ -44,20 +45,26 @@ WORK_OPTIONS = {
 }
 
 
-def axes_option(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Decorator: the option --axes, which becomes a part of the command's target."""
+def volume_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Decorator: the options --axes and --solid, which become parts of the command's target."""
 
     @click.option(
         "--axes",
         type=click.Choice(["world", "raw"]),
         help="Where the volume lies: as its file says, or raw, its voxels' indices times spacing; default: world.",
     )
+    @click.option(
+        "--solid",
+        type=click.Choice(["above", "below"]),
+        help="Which side of the isovalue is solid; default: above; below where most of the border is above.",
+    )
     @wraps(command)
-    def placed(axes: str | None, **given: Any) -> Any:
+    def placed(axes: str | None, solid: str | None, **given: Any) -> Any:
         name = "scene" if "scene" in given else "target"
-        if axes is not None:
-            target = given[name] or "demo:casting"
-            given[name] = f"{target}{'&' if '#' in target else '#'}axes={axes}"
+        for key, value in (("axes", axes), ("solid", solid)):
+            if value is not None:
+                target = given[name] or "demo:casting"
+                given[name] = f"{target}{'&' if '#' in target else '#'}{key}={value}"
         return command(**given)
 
     return placed

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from isogi_core.errors import IsogiError, LightError, SceneError, StoreUrlError, ViewError, VolumeError
-from server.cli.arguments import DEVELOPED, REPORT_OPTIONS, VIEW_OPTIONS, WORK_OPTIONS, axes_option
+from server.cli.arguments import DEVELOPED, REPORT_OPTIONS, VIEW_OPTIONS, WORK_OPTIONS, volume_options
 from server.cli.help import Commands, SettingsCommand
 from server.errors import LibraryError
 
@@ -123,7 +123,7 @@ def cli() -> None:
 
 @cli.command(cls=SettingsCommand)
 @click.argument("target", required=False)
-@axes_option
+@volume_options
 def serve(target: str | None, config: Path | None, **given: str | None) -> None:
     """Serve TARGET, a scene (.toml) or a volume (NRRD, NIfTI, DICOM, TIFF, Zarr …); with neither, a demo."""
     settings = settings_from(config, **given)
@@ -132,7 +132,7 @@ def serve(target: str | None, config: Path | None, **given: str | None) -> None:
 
 @cli.command()
 @click.argument("scene", metavar="TARGET")
-@axes_option
+@volume_options
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path, dir_okay=False))
 @options(VIEW_OPTIONS)
 @click.option("--target-error", callback=number(0.0001, 1), help="Relative error at which a pixel is final.")
@@ -151,7 +151,7 @@ def render(
 
 @cli.command()
 @click.argument("scene", metavar="TARGET")
-@axes_option
+@volume_options
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path, dir_okay=False), help="A file, .npz.")
 @options({name: text for name, text in VIEW_OPTIONS.items() if name not in DEVELOPED})
 @click.option("--samples", type=click.IntRange(1), help="Stop at so many paths per pixel.")
@@ -182,7 +182,7 @@ def reference(
 
 @cli.command()
 @click.argument("scene", metavar="TARGET")
-@axes_option
+@volume_options
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path, file_okay=False), help="Folder.")
 @click.option("--size", type=click.IntRange(8, 1024), default=112, show_default=True, help="Pixels along each side.")
 @options(REPORT_OPTIONS)
@@ -210,7 +210,7 @@ def report(
 
 @cli.command()
 @click.argument("scene", metavar="TARGET")
-@axes_option
+@volume_options
 @click.option("--isovalue", "isovalues", multiple=True, help="One, first:last:step, or first:last for all between.")
 @click.option("--views", help="Directions of each isovalue, spread over all sides; default: 12 where none are given.")
 @click.option("--view", "directions", multiple=True, metavar="azimuth=40,elevation=30", help="One direction.")
@@ -266,7 +266,7 @@ def remote() -> Any:
 
 @cli.command()
 @click.argument("target")
-@axes_option
+@volume_options
 @click.option(
     "--picture",
     type=click.Path(path_type=Path, dir_okay=False),
@@ -280,7 +280,7 @@ def inspect(target: str, picture: Path | None, as_json: bool) -> None:
 
 @cli.command()
 @click.argument("scene", metavar="TARGET")
-@axes_option
+@volume_options
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path, dir_okay=False), help="Its file.")
 @click.option("--isovalue", "isovalues", multiple=True, help="One; of a volume also more, or first:last.")
 @options({name: VIEW_OPTIONS[name] for name in ("albedo", "yaw", "pitch", "roll", "light")})
@@ -306,7 +306,7 @@ def export(
 
 @cli.command()
 @click.argument("target", required=False)
-@axes_option
+@volume_options
 @click.option("--isovalue", type=float, help="In the volume's own units; default: the scene's.")
 @click.option("--size", type=click.IntRange(1, 4096), default=512, show_default=True, help="Pixels along each side.")
 @click.option("--repeats", type=click.IntRange(1), default=5, show_default=True, help="Rounds that are timed.")

@@ -75,6 +75,16 @@ def test_the_fit_of_a_surface_from_above(live_server: str) -> None:
     assert httpx.get(f"{live_server}/v1/scenes/small/fit", params={"isovalue": 9}).status_code == 422
 
 
+def test_a_volume_that_is_turned_out_is_told(tmp_path: Path) -> None:
+    bowl = np.ones((9, 9, 9), np.float32)
+    bowl[3:6, 3:6, 3:6] = 0.0
+    np.save(tmp_path / "bowl.npy", bowl)
+    for given, notes in ({}, 1), ({"solid": "below"}, 0):
+        facts = scene_schema(load_scene(tmp_path / "bowl.npy", isovalue=0.5, **given))
+        assert facts.solid == "below"
+        assert sum("border" in note for note in facts.plan.notes) == notes
+
+
 def test_what_the_scene_says_of_itself(scene: dict[str, object]) -> None:
     assert scene["shadings"] == list(SHADINGS)
     assert [light["type"] for light in scene["lights"]] == ["constant", "sky"]  # type: ignore[attr-defined]
