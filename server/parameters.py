@@ -76,6 +76,10 @@ class ViewParams(NoParams):
     )
     width: Annotated[int, Span(1, LONGEST_SIDE, whole=True)] = Field(512, description="Pixels.")
     height: Annotated[int, Span(1, LONGEST_SIDE, whole=True)] = Field(512, description="Pixels.")
+    antialias: Annotated[int, Span(1, 4, whole=True)] = Field(
+        1,
+        description="Samples along each side of a pixel, whose mean it is; each costs as much as a pixel. Not in npy.",
+    )
     shading: Annotated[str, Choice(SHADINGS)] = Field("gi", description="How the surface is lit.")
     samples: Annotated[int, Span(1, 4096, whole=True)] = Field(16, description="Paths per pixel; path_traced alone.")
     wait_ms: Annotated[int, Span(0, LONGEST_WAIT, whole=True)] = Field(0, description="Longest wait for baking.")
@@ -222,17 +226,19 @@ SkyParamsDep = Annotated[SkyParams, _reader(SkyParams)]
 
 def view_of(scene: Scene, params: ViewParams, settings: Settings) -> View:
     """The view that the parameters ask for; ViewError where this scene or these settings do not allow it."""
-    pixels, paths = params.width * params.height, params.width * params.height * params.samples
+    width, height = params.antialias * params.width, params.antialias * params.height
+    pixels, paths = width * height, width * height * params.samples
     if pixels > settings.max_pixels:
-        raise ViewError(f"width × height must be at most {settings.max_pixels} pixels, not {pixels}.")
+        what = "width × height" if params.antialias == 1 else "width × height × antialias²"
+        raise ViewError(f"{what} must be at most {settings.max_pixels} pixels, not {pixels}.")
     if params.shading == "path_traced" and paths > settings.max_paths:
         raise ViewError(f"width × height × samples must be at most {settings.max_paths} paths, not {paths}.")
     return View(
         isovalue=isovalue_of(scene, params),
         camera=camera_of(scene, params),
         light=light_of(scene, params),
-        width=params.width,
-        height=params.height,
+        width=width,
+        height=height,
         shading=params.shading,
         samples=params.samples,
         albedo=albedo_of(scene, params),

@@ -15,7 +15,7 @@ from server.parameters import FORMATS, FrameParams
 
 MEDIA_TYPES = {"png": "image/png", "jpeg": "image/jpeg", "webp": "image/webp", "npy": "application/x-npy"}
 SUFFIXES = {".png": "png", ".jpg": "jpeg", ".jpeg": "jpeg", ".webp": "webp", ".npy": "npy"}
-DEVELOPED = {"exposure", "overlay", "background"}
+DEVELOPED = {"exposure", "overlay", "background", "antialias"}
 """Parameters of developing, which the linear format does not read."""
 
 PLANES = 9
@@ -81,12 +81,15 @@ def quality(media_type: str, ranges: dict[str, float]) -> float:
     return 0.0
 
 
-def encode(frame: Frame, form: str, exposure: float, overlay: str = "none", background: str = "dark") -> bytes:
-    """The frame's bytes; what follows ``form`` is read by the 8-bit formats alone. A draft in jpeg is never clear."""
+PLAIN = FrameParams.model_validate({})
+
+
+def encode(frame: Frame, form: str, exposure: float, params: FrameParams = PLAIN) -> bytes:
+    """The frame's bytes; ``exposure`` and ``params`` are read by the 8-bit formats alone. No draft in jpeg is clear."""
 
     if form != "npy":
-        behind = "dark" if (form, background) == ("jpeg", "transparent") else background
-        return compress(develop(frame, exposure, overlay, behind), form)
+        behind = "dark" if (form, params.background) == ("jpeg", "transparent") else params.background
+        return compress(develop(frame, exposure, params.overlay, behind, params.antialias), form)
     buffer = io.BytesIO()
     buffer.writelines(npy_parts(frame))
     return buffer.getvalue()

@@ -7,6 +7,7 @@ import { FrameLoop } from "./net/loop.js";
 import { describe, fileName, frameQuery, ground } from "./net/request.js";
 import { Saver } from "./net/save.js";
 import { attachShare } from "./net/share.js";
+import { Trouble } from "./net/trouble.js";
 import { attachUpload } from "./net/upload.js";
 import { Comparison } from "./panels/comparison.js";
 import { ErrorPanel } from "./panels/error.js";
@@ -29,6 +30,7 @@ import { Picture } from "./view/picture.js";
 /** @typedef {import("./view/model.js").Knobs} Knobs */
 
 const RETRY_MS = 1500;
+const REFUSED = 422;
 
 /**
  * An element of the page by its id.
@@ -95,7 +97,7 @@ function assemble(scene, knobs, trouble) {
   document.title = `${scene.name} · isogi`;
   form.inert = false;
   for (const id of ["share-button", "save-button", "reset"]) $(id, HTMLButtonElement).disabled = false;
-  view.watch(({ compare, ...shown }) => shown, () => loop.change());
+  view.watch(({ compare, ...shown }) => shown, () => startAnew(picture, loop));
   const paintGround = () => { $("stage").dataset.ground = ground(view.values); };
   view.subscribe(paintGround);
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
@@ -126,7 +128,9 @@ function startLoop(scene, view, picture, trouble) {
   const panel = new ErrorPanel($("error"), scene.target_error);
   const times = new Times($("times", HTMLDetailsElement));
   /** @type {(values: Knobs, scale?: number) => ReturnType<typeof frameQuery>} */
-  const query = (values, scale = 1) => frameQuery(scene, values, picture.size(scale));
+  const query = (values, scale = 1) => ({
+    ...frameQuery(scene, values, picture.size(scale)), ...(picture.samples > 1 && { antialias: picture.samples }),
+  });
   /** @type {(values: () => Knobs) => (options: FrameOptions, signal: AbortSignal) => ReturnType<typeof readFrame>} */
   const ask = (values) => async (options, signal) =>
     readFrame(scene.id, { ...query(values(), options.scale), ...formatOf(options) }, { etag: options.etag, signal });
@@ -136,14 +140,21 @@ function startLoop(scene, view, picture, trouble) {
   const loop = new FrameLoop(server, {
     async frame({ blob, facts }, draft) {
       trouble.hide();
-      if (facts) {
-        status.show(facts, draft);
+      if (facts) times.show(facts, draft);
+      if (facts && !(picture.sharp && facts.provisional)) {
+        status.show(facts, draft); // a picture that was done stays so while it becomes sharp
         panel.show(facts, draft);
-        times.show(facts, draft);
       }
+      const whole = facts !== null && !draft && !facts.provisional && picture.sharp;
       if (blob) await picture.show(blob, describe(scene, view.values));
+      $("stage").toggleAttribute("data-sharp", whole);
+      if (facts && !draft && !facts.provisional && !picture.sharp && picture.sharpen()) loop.improve();
     },
     trouble(error) {
+      if (picture.sharp && error instanceof Trouble && error.status === REFUSED) {
+        picture.blunt();
+        return;
+      }
       status.stale();
       trouble.show(error);
     },
@@ -152,8 +163,19 @@ function startLoop(scene, view, picture, trouble) {
   });
   panel.follow(view);
   trouble.onRetry = () => loop.settle();
-  picture.onResize(() => loop.change());
+  picture.onResize(() => startAnew(picture, loop));
   return loop;
+}
+
+/**
+ * Show a view that has changed, at first with as many pixels as come quickly.
+ * @param {Picture} picture
+ * @param {FrameLoop} loop
+ */
+function startAnew(picture, loop) {
+  picture.sharp = false;
+  $("stage").removeAttribute("data-sharp");
+  loop.change();
 }
 
 /** @param {FrameOptions} options */

@@ -62,17 +62,19 @@ def ground_of(background: str) -> tuple[float, ...]:
     """Linear RGB of a background: dark, light, or sRGB as ``#rrggbb``."""
     if background == "dark":
         return BACKGROUND
-    shares = [code / 255.0 for code in bytes.fromhex(background[1:] if background.startswith("#") else LIGHT)]
-    return tuple(x / 12.92 if x <= 0.04045 else ((x + 0.055) / 1.055) ** 2.4 for x in shares)  # IEC 61966-2-1
+    codes = bytes.fromhex(background[1:] if background.startswith("#") else LIGHT)
+    return tuple(linear_of(code / 255.0) for code in codes)
 
 
-def develop(frame: Frame, exposure: float, overlay: str = "none", background: str = "dark") -> np.ndarray:
+def develop(
+    frame: Frame, exposure: float, overlay: str = "none", background: str = "dark", antialias: int = 1
+) -> np.ndarray:
     """The picture of a frame, (h, w, 3) uint8 sRGB. ``exposure`` multiplies the light.
 
     ``background`` is behind the surface: dark, light, ``#rrggbb``, or transparent: then the picture is (h, w, 4), its
     last channel 0 where there is no surface. ``overlay`` is one of the view's OVERLAYS: ``provisional`` hatches what
     is not final, broad where provisional, fine where converging; ``error`` colours what has light by its estimated
-    relative error, and hatches the rest.
+    relative error, and hatches the rest. A pixel is the mean of ``antialias`` ones of the frame along each side.
     """
     clear = background == "transparent"
     ground = BACKGROUND if clear else ground_of(background)
@@ -80,7 +82,42 @@ def develop(frame: Frame, exposure: float, overlay: str = "none", background: st
         picture = with_errors(frame, exposure, ground)
     else:
         picture = lit(frame, frame.state, exposure, overlay == "provisional", ground)
-    return np.dstack([picture, np.where(frame.state > 0, np.uint8(255), np.uint8(0))]) if clear else picture
+    if clear:
+        picture = np.dstack([picture, np.where(frame.state > 0, np.uint8(255), np.uint8(0))])
+    return averaged(picture, antialias) if antialias > 1 else picture
+
+
+def averaged(picture: np.ndarray, side: int) -> np.ndarray:
+    """The picture (h, w, channels) uint8 sRGB with ``side`` × ``side`` pixels to one: the mean of their linear light.
+
+    Pixels count by their last channel where there are four, and that is the mean of theirs.
+    """
+    high, wide = (length // side for length in picture.shape[:2])
+    blocks = picture[: high * side, : wide * side].reshape(high, side, wide, side, -1)
+    whole = np.zeros((high, wide, picture.shape[2]), np.float32)
+    weights = np.zeros((high, wide, 1), np.float32)
+    for row in range(side):
+        for column in range(side):
+            part = blocks[:, row, :, column]
+            weight = part[..., 3:] / np.float32(255) if part.shape[-1] == 4 else np.ones((1, 1, 1), np.float32)
+            whole[..., :3] += weight * linear_table()[part[..., :3]]
+            weights += weight
+    light = whole[..., :3] / np.maximum(weights, 1e-6)
+    codes = tone_table()[(light * (LEVELS - 1) + 0.5).astype(np.intp)]
+    if picture.shape[2] == 3:
+        return codes
+    return np.dstack([codes, (255.0 / side**2 * weights + 0.5).astype(np.uint8)])
+
+
+@cache
+def linear_table() -> np.ndarray:
+    """The linear light of each sRGB code, (256,) float32."""
+    return np.array([linear_of(code / 255.0) for code in range(256)], np.float32)
+
+
+def linear_of(code: float) -> float:
+    """Linear light of an sRGB code from 0 to 1 (IEC 61966-2-1)."""
+    return code / 12.92 if code <= 0.04045 else ((code + 0.055) / 1.055) ** 2.4
 
 
 def lit(

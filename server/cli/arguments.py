@@ -24,14 +24,15 @@ VIEW_OPTIONS = {
     "height": "Pixels.",
     "shading": "gi (light from all around), vicinity, lambert[_shadow|_fog], phong[_shadow] or path_traced.",
     "exposure": "How much brighter: a factor on the light; default: the scene's.",
+    "antialias": "Samples along each side of a pixel, 1 to 4; default: 2 where the picture is not too large for it.",
     "background": "Behind the surface: dark, light, transparent (png, webp), or a colour such as #ffffff.",
     "samples": "Paths per pixel, for path_traced.",
     "overlay": "Over the picture: none, provisional (hatches what is not done) or error (colours each pixel by it).",
 }
-DEVELOPED = ("shading", "samples", "exposure", "background", "overlay")
+DEVELOPED = ("shading", "samples", "exposure", "antialias", "background", "overlay")
 """Options that a reference, which is radiance alone, does not read."""
 
-PICTURE_OPTIONS = ("albedo", "width", "height", "shading", "background", "samples", "overlay")
+PICTURE_OPTIONS = ("albedo", "width", "height", "shading", "antialias", "background", "samples", "overlay")
 REPORT_OPTIONS = {
     **{name: text for name, text in VIEW_OPTIONS.items() if name not in PICTURE_OPTIONS},
     "azimuth": "Degrees; 0 looks from +x, 90 from +y; default: 40.",

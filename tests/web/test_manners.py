@@ -3,7 +3,7 @@
 import re
 
 import pytest
-from playwright.sync_api import Page, expect
+from playwright.sync_api import Browser, Page, expect
 
 from tests.web.visits import BROWSER, open_final, slide, wait_final
 
@@ -49,3 +49,15 @@ def test_full_screen_and_back(sketched: Page) -> None:
     wait_final(sketched)
     sketched.keyboard.press("f")
     sketched.wait_for_function("document.fullscreenElement === null")
+
+
+def test_a_picture_at_rest_has_the_screens_own_pixels(browser: Browser, live_server: str) -> None:
+    context = browser.new_context(viewport={"width": 390, "height": 700}, device_scale_factor=3)
+    page = open_final(context.new_page(), f"{live_server}/?shading=lambert")
+    whole = 3 * int(page.evaluate("document.querySelector('#stage').clientWidth"))
+    page.wait_for_function("width => document.querySelector('#picture').naturalWidth === width", arg=whole)
+    page.focus("#stage")
+    page.keyboard.press("ArrowLeft")
+    page.wait_for_function("width => document.querySelector('#picture').naturalWidth < width", arg=whole)
+    page.wait_for_function("width => document.querySelector('#picture').naturalWidth === width", arg=whole)
+    context.close()

@@ -26,7 +26,7 @@ def open_final(page: Page, address: str) -> Page:
 def wait_final(page: Page) -> Page:
     """Wait until the view rests, its picture is final, and the browser has it on the screen."""
     page.wait_for_timeout(400)  # the page itself waits 200 ms before it calls a view at rest
-    page.wait_for_selector("#stage[data-state=final]:not([data-busy])", timeout=FINAL_MS)
+    page.wait_for_selector("#stage[data-state=final][data-sharp]:not([data-busy])", timeout=FINAL_MS)
     page.wait_for_timeout(200)
     return page
 

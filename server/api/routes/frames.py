@@ -83,7 +83,7 @@ async def read_frame(
         if form == "npy":
             return in_parts(frame, headers | {"Server-Timing": server_timing(watch)})
         with watch.stage("encode"):
-            body = encode(frame, form, exposure, params.overlay, params.background)
+            body = encode(frame, form, exposure, params)
         return Response(body, 200, headers | {"Server-Timing": server_timing(watch)}, MEDIA_TYPES[form])
 
     viewer = stream_viewer() if later else request_viewer(request)

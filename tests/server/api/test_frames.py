@@ -240,6 +240,18 @@ def test_a_background_is_in_the_picture_and_its_tag(client: httpx.Client) -> Non
     assert "jpeg" in frame(client, **{**afar, "f": "jpeg", "background": "transparent"}).json()["detail"]
 
 
+def test_antialiased_pictures_have_their_size_and_mean(client: httpx.Client) -> None:
+    view = {"f": "png", "shading": "lambert", "overlay": "none"}
+    plain, smooth = (
+        np.array(Image.open(io.BytesIO(frame(client, **view, antialias=samples).content)), float) for samples in (1, 3)
+    )
+    assert plain.shape == smooth.shape
+    assert smooth.mean() == pytest.approx(plain.mean(), rel=0.05)
+    assert len(np.unique(smooth)) > len(np.unique(plain))
+    assert "antialias" in frame(client, f="npy", antialias=2).json()["detail"]
+    assert "antialias²" in frame(client, antialias=4, width=2048, height=2048).json()["detail"]
+
+
 BAD = [
     ("isovalue", "nan"),
     ("isovalue", "0.81"),
