@@ -55,7 +55,7 @@ BLOCK = 1 << 20
 BAR = 20
 """Characters of a progress bar."""
 
-PICTURE = ("f", "exposure", "overlay", "version")
+PICTURE = ("f", "exposure", "overlay", "background", "version")
 """Parameters of a picture, which say nothing of its light."""
 
 SUFFIXES = {"png": (".png",), "jpeg": (".jpg", ".jpeg"), "webp": (".webp",), "npy": (".npy",)}
@@ -495,6 +495,15 @@ class Isogi:
         {'min': 0.0, 'max': 1.0}
         """
         return self._json("GET", scene_path(scene))
+
+    def fit(self, scene: str, **view: Values) -> dict[str, Any]:
+        """The camera that shows a surface whole and large: parameters of ``frame``.
+
+        ``view`` may hold isovalue, azimuth, elevation, fov, width and height.
+
+        >>> isogi.frame("casting", **isogi.fit("casting"))
+        """
+        return self._json("GET", f"{scene_path(scene)}/fit", params=query(view))
 
     def coverage(self, scene: str, **view: Values) -> Facts:
         """How far a view is baked, without its picture."""

@@ -4,15 +4,18 @@ from dataclasses import asdict
 from typing import Any
 
 from isogi_core.frame.film import COLOURS, SCALE
+from isogi_core.frame.fitting import fitted, front_of
 from isogi_core.frame.frame import Frame
+from isogi_core.frame.renderer import Renderer
 from isogi_core.model.environment import Lobe
 from isogi_core.model.lights import Light
 from isogi_core.model.scene_plan import Layer
-from isogi_core.model.view import SHADINGS
+from isogi_core.model.view import SHADINGS, View
 from isogi_core.plan.left_out import S1_BYTES
 from isogi_core.plan.scene import Scene
 from server.parameters import FrameParams
 from server.schemas import (
+    CameraSchema,
     ChunkCounts,
     Coverage,
     ErrorScale,
@@ -87,6 +90,19 @@ def light_schema(light: Light) -> LightSchema:
     return LightSchema(type=type(light).__name__.removesuffix("Light").lower(), name=light.name)
 
 
+def camera_schema(renderer: Renderer, view: View, azimuth: float | None, elevation: float | None) -> CameraSchema:
+    """The camera that shows a view's surface whole and large; the whole volume, where none is to be seen of it."""
+    front, above = front_of(view.orientation)
+    azimuth, elevation = front if azimuth is None else azimuth, above if elevation is None else elevation
+    found = fitted(renderer, view, azimuth, elevation)
+    target, distance = found or (
+        renderer.prepared.scene.volume.world_centre,
+        FrameParams.model_fields["distance"].default,
+    )
+    x, y, z = (float(f"{value:.6g}") for value in target)
+    return CameraSchema(azimuth=azimuth, elevation=elevation, distance=float(f"{distance:.4g}"), target=(x, y, z))
+
+
 def plan_schema(scene: Scene) -> PlanSchema:
     """The scene's plan, and which of its texels are ever lit."""
     plan = scene.plan
@@ -104,10 +120,19 @@ def plan_schema(scene: Scene) -> PlanSchema:
         projected=projected_isovalues(scene),
         layers=[layer_schema(layer) for layer in plan.layers],
         errors=dict(plan.errors),
-        notes=list(plan.notes),
+        notes=[*plan.notes, *turned_out(scene)],
         texels=TexelSchema(**asdict(scene.texels)),
         left_out=[Omission(**asdict(each)) for each in scene.left_out],
     )
+
+
+def turned_out(scene: Scene) -> list[str]:
+    """What was decided about a volume that is inside out, in a sentence."""
+    if scene.solid == "above" or "solid" in scene.source.document:
+        return []
+    return [
+        'Most of the volume\'s border is above the isovalue, so what is below it is solid; solid = "above" undoes it.'
+    ]
 
 
 def projected_isovalues(scene: Scene) -> list[tuple[float, float]]:

@@ -24,7 +24,7 @@ from isogi_core.model.view import (
 from isogi_core.plan.scene import Scene
 from server.errors import ParameterError
 from server.settings import Settings
-from server.values import Choice, Colour, Row, Span
+from server.values import Choice, Colour, Ground, Row, Span
 
 FORMATS = ("png", "jpeg", "webp", "npy")
 VERSION = r"^[0-9a-f]{32}$"
@@ -76,6 +76,10 @@ class ViewParams(NoParams):
     )
     width: Annotated[int, Span(1, LONGEST_SIDE, whole=True)] = Field(512, description="Pixels.")
     height: Annotated[int, Span(1, LONGEST_SIDE, whole=True)] = Field(512, description="Pixels.")
+    antialias: Annotated[int, Span(1, 4, whole=True)] = Field(
+        1,
+        description="Samples along each side of a pixel, whose mean it is; each costs as much as a pixel. Not in npy.",
+    )
     shading: Annotated[str, Choice(SHADINGS)] = Field("gi", description="How the surface is lit.")
     samples: Annotated[int, Span(1, 4096, whole=True)] = Field(16, description="Paths per pixel; path_traced alone.")
     wait_ms: Annotated[int, Span(0, LONGEST_WAIT, whole=True)] = Field(0, description="Longest wait for baking.")
@@ -98,6 +102,24 @@ class ViewParams(NoParams):
         if some and others:
             one, other = ", ".join(some), ", ".join(others)
             raise ValueError(f"The {what} is given twice, by {one} and by {other}: keep one.")
+
+
+class FitParams(NoParams):
+    """The surface that a camera is to show whole, from where, and in a picture of which size."""
+
+    isovalue: Annotated[float | str | None, WithJsonSchema({"type": "number"})] = Field(
+        None, description="In the volume's own units, within the scene's range; default: the scene's."
+    )
+    azimuth: Annotated[float | None, TURN] = Field(None, description="Degrees; default: from three quarters.")
+    elevation: Annotated[float | None, Span(-90, 90)] = Field(None, description="Degrees; default: somewhat above.")
+    fov: Annotated[float, Span(0.01, 179)] = Field(30.0, description="Vertical field of view, degrees.")
+    width: Annotated[int, Span(1, LONGEST_SIDE, whole=True)] = Field(512, description="Pixels.")
+    height: Annotated[int, Span(1, LONGEST_SIDE, whole=True)] = Field(512, description="Pixels.")
+
+    @property
+    def view(self) -> ViewParams:
+        """What of it is of a view."""
+        return ViewParams.model_validate(self.model_dump(include={"isovalue", "fov", "width", "height"}))
 
 
 class UploadParams(NoParams):
@@ -125,6 +147,9 @@ class FrameParams(ViewParams):
     )
     exposure: Annotated[float | None, Span(1e-36, 1e36)] = Field(
         None, description="Factor on radiance before the tone curve; default: the scene's."
+    )
+    background: Annotated[str, Ground()] = Field(
+        "dark", description="Behind the surface: dark, light, transparent (not in jpeg), or sRGB such as #ffffff."
     )
     version: Annotated[str | None, WithJsonSchema({"type": "string", "pattern": VERSION})] = Field(
         None,
@@ -195,22 +220,25 @@ NoParamsDep = _reader(NoParams)
 ViewParamsDep = Annotated[ViewParams, _reader(ViewParams)]
 UploadParamsDep = Annotated[UploadParams, _reader(UploadParams)]
 FrameParamsDep = Annotated[FrameParams, _reader(FrameParams)]
+FitParamsDep = Annotated[FitParams, _reader(FitParams)]
 SkyParamsDep = Annotated[SkyParams, _reader(SkyParams)]
 
 
 def view_of(scene: Scene, params: ViewParams, settings: Settings) -> View:
     """The view that the parameters ask for; ViewError where this scene or these settings do not allow it."""
-    pixels, paths = params.width * params.height, params.width * params.height * params.samples
+    width, height = params.antialias * params.width, params.antialias * params.height
+    pixels, paths = width * height, width * height * params.samples
     if pixels > settings.max_pixels:
-        raise ViewError(f"width × height must be at most {settings.max_pixels} pixels, not {pixels}.")
+        what = "width × height" if params.antialias == 1 else "width × height × antialias²"
+        raise ViewError(f"{what} must be at most {settings.max_pixels} pixels, not {pixels}.")
     if params.shading == "path_traced" and paths > settings.max_paths:
         raise ViewError(f"width × height × samples must be at most {settings.max_paths} paths, not {paths}.")
     return View(
         isovalue=isovalue_of(scene, params),
         camera=camera_of(scene, params),
         light=light_of(scene, params),
-        width=params.width,
-        height=params.height,
+        width=width,
+        height=height,
         shading=params.shading,
         samples=params.samples,
         albedo=albedo_of(scene, params),

@@ -15,6 +15,9 @@ from server.parameters import FORMATS, FrameParams
 
 MEDIA_TYPES = {"png": "image/png", "jpeg": "image/jpeg", "webp": "image/webp", "npy": "application/x-npy"}
 SUFFIXES = {".png": "png", ".jpg": "jpeg", ".jpeg": "jpeg", ".webp": "webp", ".npy": "npy"}
+DEVELOPED = {"exposure", "overlay", "background", "antialias"}
+"""Parameters of developing, which the linear format does not read."""
+
 PLANES = 9
 """Numbers of a pixel in an npy file; see ``planes``."""
 
@@ -40,10 +43,12 @@ def format_for(params: FrameParams, accept: str | None) -> str:
     NotAcceptableError where no format fits; ParameterError where the format does not read a given parameter.
     """
     chosen = params.f or negotiate(accept)
-    unread = sorted(params.model_fields_set & {"exposure", "overlay"})
+    unread = sorted(params.model_fields_set & DEVELOPED)
     if chosen == "npy" and unread:
         names = " and ".join(unread)
         raise ParameterError(f"npy holds linear radiance and does not read {names}: leave that out.", unread[0])
+    if chosen == "jpeg" and params.background == "transparent":
+        raise ParameterError("jpeg knows no transparent background: take png or webp, or another one.", "background")
     return chosen
 
 
@@ -76,18 +81,22 @@ def quality(media_type: str, ranges: dict[str, float]) -> float:
     return 0.0
 
 
-def encode(frame: Frame, form: str, exposure: float, overlay: str = "none") -> bytes:
-    """The frame's bytes; ``exposure`` and ``overlay`` are read by the 8-bit formats alone."""
+PLAIN = FrameParams.model_validate({})
+
+
+def encode(frame: Frame, form: str, exposure: float, params: FrameParams = PLAIN) -> bytes:
+    """The frame's bytes; ``exposure`` and ``params`` are read by the 8-bit formats alone. No draft in jpeg is clear."""
 
     if form != "npy":
-        return compress(develop(frame, exposure, overlay), form)
+        behind = "dark" if (form, params.background) == ("jpeg", "transparent") else params.background
+        return compress(develop(frame, exposure, params.overlay, behind, params.antialias), form)
     buffer = io.BytesIO()
     buffer.writelines(npy_parts(frame))
     return buffer.getvalue()
 
 
 def compress(picture: np.ndarray, form: str) -> bytes:
-    """The bytes of a picture (h, w, 3) uint8 in one of the 8-bit formats."""
+    """The bytes of a picture (h, w, 3), or (h, w, 4), uint8 in one of the 8-bit formats."""
     buffer = io.BytesIO()
     Image.fromarray(picture).save(buffer, form, **ENCODER_OPTIONS[form])
     return buffer.getvalue()

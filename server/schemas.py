@@ -227,6 +227,15 @@ class SceneSchema(BaseModel):
     read_only: bool
 
 
+class CameraSchema(BaseModel):
+    """A camera on its orbit: angles in degrees, and the distance from the world's target in radii of the volume."""
+
+    azimuth: float
+    elevation: float
+    distance: float
+    target: Triple
+
+
 class ChunkCounts(BaseModel):
     """Chunks that the view reads, and how many of them are final."""
 

@@ -91,6 +91,25 @@ class Colour(GroupedMetadata):
         return red, green, blue
 
 
+GROUNDS = ("dark", "light", "transparent")
+
+
+@dataclass(frozen=True)
+class Ground(GroupedMetadata):
+    """What is behind a surface: one of GROUNDS, or sRGB as ``#rrggbb``."""
+
+    def __iter__(self) -> Iterator[Any]:
+        yield BeforeValidator(self.read)
+        yield WithJsonSchema({"type": "string", "example": "light"})
+
+    def read(self, value: object) -> str:
+        """The background in ``value``, in small letters; ValueError where it is none."""
+        text = str(value).lower()
+        if text not in GROUNDS and not re.fullmatch("#[0-9a-f]{6}", text):
+            raise ValueError(f"must be {', '.join(GROUNDS)}, or a colour such as #ffffff, not {shown(value)}.")
+        return text
+
+
 @dataclass(frozen=True)
 class Choice(GroupedMetadata):
     """One of a few words."""

@@ -1,12 +1,13 @@
 /** Puts the page together: one scene, one view, one frame loop, and the controls around them. */
 
 import { find } from "./dom.js";
-import { followAddress, readAddress } from "./net/address.js";
+import { complaints, followAddress, readAddress } from "./net/address.js";
 import { listScenes, openStream, readFrame, readScene, readSurfacePoint } from "./net/api.js";
 import { FrameLoop } from "./net/loop.js";
-import { describe, fileName, frameQuery } from "./net/request.js";
+import { describe, fileName, frameQuery, ground } from "./net/request.js";
 import { Saver } from "./net/save.js";
 import { attachShare } from "./net/share.js";
+import { Trouble } from "./net/trouble.js";
 import { attachUpload } from "./net/upload.js";
 import { Comparison } from "./panels/comparison.js";
 import { ErrorPanel } from "./panels/error.js";
@@ -15,7 +16,7 @@ import { attachKnobs } from "./panels/knobs.js";
 import { attachLight } from "./panels/light.js";
 import { attachPresets } from "./panels/presets.js";
 import { showScene } from "./panels/scene.js";
-import { Status, TroublePanel } from "./panels/status.js";
+import { Notice, Status, TroublePanel } from "./panels/status.js";
 import { Times } from "./panels/times.js";
 import { attachGestures, attachPick } from "./view/gestures.js";
 import { attachKeys } from "./view/keys.js";
@@ -29,6 +30,7 @@ import { Picture } from "./view/picture.js";
 /** @typedef {import("./view/model.js").Knobs} Knobs */
 
 const RETRY_MS = 1500;
+const REFUSED = 422;
 
 /**
  * An element of the page by its id.
@@ -46,7 +48,7 @@ async function start() {
     try {
       const { scenes, uploads } = await listScenes();
       const link = scenes.find((each) => each.id === wanted) ?? scenes[0];
-      const scene = await readScene(link.id);
+      const scene = await readScene(link.id, new Picture($("stage"), $("picture", HTMLImageElement)).size(1));
       offerScenes(scenes, link.id);
       attachUpload($("upload"), $("stage"), uploads, link, openScene);
       return assemble(scene, knobs, trouble);
@@ -69,10 +71,11 @@ function assemble(scene, knobs, trouble) {
   const view = new ViewModel(scene, knobs);
   const picture = new Picture($("stage"), $("picture", HTMLImageElement));
   const loop = startLoop(scene, view, picture, trouble);
-  const options = { onRest: () => loop.settle(), toggleHelp: () => $("help").togglePopover() };
+  const options = { onRest: () => loop.settle(), toggleHelp: () => $("help").togglePopover(), toggleFull };
+  const { say } = new Notice($("notice"));
   const form = $("controls");
   attachKnobs(form, scene, view);
-  attachHistogram(form, scene, view);
+  attachHistogram(form, scene, view, say);
   attachPresets($("presets"), scene, view);
   attachLight($("light"), scene, view, options.onRest);
   attachGestures($("stage"), scene, view, options);
@@ -94,8 +97,24 @@ function assemble(scene, knobs, trouble) {
   document.title = `${scene.name} · isogi`;
   form.inert = false;
   for (const id of ["share-button", "save-button", "reset"]) $(id, HTMLButtonElement).disabled = false;
-  view.watch(({ compare, ...shown }) => shown, () => loop.change());
+  view.watch(({ compare, ...shown }) => shown, () => startAnew(picture, loop));
+  const paintGround = () => { $("stage").dataset.ground = ground(view.values); };
+  view.subscribe(paintGround);
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
+    paintGround();
+    loop.settle();
+  });
+  paintGround();
+  $("full-screen").hidden = !document.fullscreenEnabled;
+  $("full-screen").addEventListener("click", toggleFull);
+  say(complaints(location.search, scene).join(" "));
   loop.settle();
+}
+
+/** Show the picture alone on the whole screen, or the page again. */
+function toggleFull() {
+  if (document.fullscreenElement) document.exitFullscreen();
+  else if (document.fullscreenEnabled) $("stage").requestFullscreen();
 }
 
 /**
@@ -105,11 +124,13 @@ function assemble(scene, knobs, trouble) {
  * @param {TroublePanel} trouble
  */
 function startLoop(scene, view, picture, trouble) {
-  const status = new Status(document);
+  const status = new Status(document, scene.target_error);
   const panel = new ErrorPanel($("error"), scene.target_error);
   const times = new Times($("times", HTMLDetailsElement));
   /** @type {(values: Knobs, scale?: number) => ReturnType<typeof frameQuery>} */
-  const query = (values, scale = 1) => frameQuery(scene, values, picture.size(scale));
+  const query = (values, scale = 1) => ({
+    ...frameQuery(scene, values, picture.size(scale)), ...(picture.samples > 1 && { antialias: picture.samples }),
+  });
   /** @type {(values: () => Knobs) => (options: FrameOptions, signal: AbortSignal) => ReturnType<typeof readFrame>} */
   const ask = (values) => async (options, signal) =>
     readFrame(scene.id, { ...query(values(), options.scale), ...formatOf(options) }, { etag: options.etag, signal });
@@ -119,14 +140,21 @@ function startLoop(scene, view, picture, trouble) {
   const loop = new FrameLoop(server, {
     async frame({ blob, facts }, draft) {
       trouble.hide();
-      if (facts) {
-        status.show(facts, draft);
+      if (facts) times.show(facts, draft);
+      if (facts && !(picture.sharp && facts.provisional)) {
+        status.show(facts, draft); // a picture that was done stays so while it becomes sharp
         panel.show(facts, draft);
-        times.show(facts, draft);
       }
+      const whole = facts !== null && !draft && !facts.provisional && picture.sharp;
       if (blob) await picture.show(blob, describe(scene, view.values));
+      $("stage").toggleAttribute("data-sharp", whole);
+      if (facts && !draft && !facts.provisional && !picture.sharp && picture.sharpen()) loop.improve();
     },
     trouble(error) {
+      if (picture.sharp && error instanceof Trouble && error.status === REFUSED) {
+        picture.blunt();
+        return;
+      }
       status.stale();
       trouble.show(error);
     },
@@ -135,8 +163,19 @@ function startLoop(scene, view, picture, trouble) {
   });
   panel.follow(view);
   trouble.onRetry = () => loop.settle();
-  picture.onResize(() => loop.change());
+  picture.onResize(() => startAnew(picture, loop));
   return loop;
+}
+
+/**
+ * Show a view that has changed, at first with as many pixels as come quickly.
+ * @param {Picture} picture
+ * @param {FrameLoop} loop
+ */
+function startAnew(picture, loop) {
+  picture.sharp = false;
+  $("stage").removeAttribute("data-sharp");
+  loop.change();
 }
 
 /** @param {FrameOptions} options */

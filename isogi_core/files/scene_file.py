@@ -29,7 +29,7 @@ class SceneSource:
 
 def find_source(target: str | Path | None, overrides: Mapping[str, Any]) -> SceneSource:
     """Read a scene's document, without opening its volume."""
-    text, lying = split_axes(str(target or DEFAULT_DEMO))
+    text, lying = split_settings(str(target or DEFAULT_DEMO))
     overrides = {**overrides, **lying}
     if text.startswith("demo:"):
         return SceneSource(text.removeprefix("demo:"), {"volume": text, **overrides}, Path.cwd())
@@ -50,14 +50,17 @@ def find_source(target: str | Path | None, overrides: Mapping[str, Any]) -> Scen
     return SceneSource(path.stem, {**document, **overrides}, path.parent)
 
 
-def split_axes(target: str) -> tuple[str, dict[str, str]]:
-    """A target without what follows its # about axes, and that as a setting."""
+LYING = ("axes", "solid")
+"""Settings that may follow the # of a target: how its volume lies, and which side of the isovalue is solid."""
+
+
+def split_settings(target: str) -> tuple[str, dict[str, str]]:
+    """A target without what follows its # about LYING, and that as settings."""
     place, mark, part = target.rpartition("#")
     if not mark or Path(target).exists():
         return target, {}
-    axes = [each for each in part.split("&") if each.startswith("axes=")]
-    rest = "&".join(each for each in part.split("&") if each not in axes)
-    told = {"axes": axes[-1].removeprefix("axes=")} if axes else {}
+    told = {key: value for key, _, value in (each.partition("=") for each in part.split("&")) if key in LYING}
+    rest = "&".join(each for each in part.split("&") if each.partition("=")[0] not in LYING)
     return f"{place}#{rest}" if rest else place, told
 
 

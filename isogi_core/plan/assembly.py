@@ -32,6 +32,10 @@ from isogi_core.plan.volume_opening import open_volume
 SKY_SIZE = (512, 1024)
 """Rows and columns of the grid on which a sky is laid out."""
 
+INSIDE_OUT = 0.6
+"""Share of a volume's border above the isovalue from which the volume is taken as inside out. Seventeen volumes with
+their objects in air had 0 to 0.11 of it there, a ramp has half."""
+
 
 def load_scene(target: str | Path | None = None, **settings: Any) -> Scene:
     """Load a scene file (.toml), a volume (.nrrd, .nhdr, .zarr) or a demo ("demo:casting", also the default).
@@ -49,7 +53,7 @@ def build_scene(source: SceneSource, progress: Progress = no_progress, volume: V
     scene names. Raises SceneError, VolumeError or LightError.
     """
     settings = Settings(source)
-    volume = volume or open_volume(settings, source.base, progress)
+    volume = volume or right_side_out(settings, open_volume(settings, source.base, progress), source.base, progress)
     lights = tuple(light_from_mapping(entry, source.base) for entry in settings.lights())
     lamps = gather_lamps(lights, volume.orientation)
     isovalues = settings.interval("isovalues", volume.value_range, volume.core)
@@ -114,6 +118,22 @@ def may_rotate(settings: Settings, lamps: Lamps) -> bool:
     if rotating and lamps.any:
         raise SceneError("Lamps stay where they are: leave out rotating = true, or the lamps.")
     return rotating
+
+
+def right_side_out(settings: Settings, volume: Volume, base: Path, progress: Progress) -> Volume:
+    """The same volume, solid below where the scene does not say and its object is low: a distance field, pores."""
+    if settings.text("solid", "") or settings.text("volume", DEFAULT_DEMO).startswith("demo:"):
+        return volume
+    isovalue = settings.number("isovalue", default_isovalue(settings, volume), *volume.value_range)
+    outside = border_above(volume, isovalue)
+    return open_volume(settings, base, progress, "below") if outside > INSIDE_OUT else volume
+
+
+def border_above(volume: Volume, isovalue: float) -> float:
+    """The share of the box's border above an ``isovalue``; faces across x are left out: they are all over the file."""
+    voxels, level = volume.voxels, volume.normalise_isovalue(isovalue)
+    faces = (voxels[0], voxels[-1], voxels[:, 0], voxels[:, -1])
+    return sum(int((face > level).sum()) for face in faces) / sum(face.size for face in faces)
 
 
 def default_isovalue(settings: Settings, volume: Volume) -> float:

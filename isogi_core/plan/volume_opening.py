@@ -34,13 +34,14 @@ AXES = ("world", "raw")
 """What a scene's ``axes`` may be: as the volume's file says, or voxel indices times spacing."""
 
 
-def open_volume(settings: Settings, base: Path, progress: Progress = no_progress) -> Volume:
+def open_volume(settings: Settings, base: Path, progress: Progress = no_progress, fallback: str = "above") -> Volume:
     """Open the volume that the scene names, a demo or a file, with the scene's spacing, solid side and missing values.
 
-    ``progress`` is called while a copy is made. Raises VolumeError and SceneError.
+    ``fallback`` is that side where the scene names none. ``progress`` is called while a copy is made. Raises
+    VolumeError and SceneError.
     """
     name = settings.text("volume", DEFAULT_DEMO)
-    solid = settings.text("solid", "above")
+    solid = settings.text("solid", fallback)
     raw = settings.choice("axes", AXES) == "raw"
     spacing, missing = settings.numbers("spacing", 3), settings.listed("missing")
     chosen = {key: value for key in NESTED if (value := settings.count(key, 1 << 20)) is not None}

@@ -13,7 +13,7 @@ from fastapi import Depends, Header
 
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.tiles import Stopwatch
-from server.parameters import LONGEST_WAIT, ViewParams
+from server.parameters import LONGEST_WAIT, FrameParams, ViewParams
 from worker.progress import TimeLeft
 
 FOR_EVER = "max-age=31536000, immutable"
@@ -94,10 +94,11 @@ def time_left_header(left: TimeLeft) -> str:
     return f"low={left.low:.1f}, likely={left.likely:.1f}, high={max(left.high, 0.1):.1f}"
 
 
-def entity_tag(frame: Frame, form: str, exposure: float, overlay: str, target: float | None) -> str:
+def entity_tag(frame: Frame, form: str, exposure: float, params: FrameParams) -> str:
     """A strong ETag: equal where the frame's content and its representation are, with errors where it shows them."""
+    overlay, target, background = params.overlay, params.max_error, params.background
     controls = len(frame.controls.places) if frame.controls and (form == "npy" or overlay == "error") else 0
-    return tag_of(frame.version, form, exposure, overlay, target, controls)
+    return tag_of(frame.version, form, exposure, overlay, target, controls, background, params.antialias)
 
 
 def tag_of(*parts: object) -> str:

@@ -188,6 +188,12 @@ class Service:
             answer = self._answer(picture, viewer or request_viewer(request), params.wait_ms / 1000, finish)
             return await attended(request, answer)
 
+    async def compute(self, request: Request, work: Callable[[], Result]) -> Result:
+        """The result of some ``work`` for a request, off the event loop. Raises as ``render`` does."""
+        rank = self.rank(request_viewer(request), ASKED, self.settings.queue_seconds)
+        with self._requests.admitted():
+            return await attended(request, self.renders.run(work, rank))
+
     def rank(self, viewer: Viewer, patience: float, longest: float = math.inf) -> Rank:
         """Where work for a ``viewer`` stands that may wait so many seconds, and waits for ``longest`` at most.
 

@@ -107,7 +107,7 @@ def read_message(message: dict[str, Any]) -> ViewRequest | Receipt:
     return read(Receipt, message.items()) if "shown" in message else read(ViewRequest, message.items())
 
 
-def answer(request: int, shown: Shown, form: str, draft: bool) -> str:
+def answer(request: int, shown: Shown, form: str, draft: bool, antialias: int = 1) -> str:
     """The facts of the picture that follows, an answer to the ``request`` of this id."""
     frame = shown.frame
     return json.dumps(
@@ -115,8 +115,8 @@ def answer(request: int, shown: Shown, form: str, draft: bool) -> str:
             "id": request,
             "draft": draft,
             "final": not draft and frame.final,
-            "width": frame.view.width,
-            "height": frame.view.height,
+            "width": frame.view.width // antialias,
+            "height": frame.view.height // antialias,
             "media_type": MEDIA_TYPES[form],
             "facts": coverage_schema(frame, shown.time_left).model_dump(),
             "timing": {stage: round(1000.0 * seconds, 2) for stage, seconds in shown.watch.seconds.items()},
@@ -265,8 +265,8 @@ class Session:
 
         def made() -> tuple[str, bytes]:
             with shown.watch.stage("encode"):
-                picture = encode(shown.frame, form, exposure, params.overlay)
-            return answer(request.id, shown, form, request.moving), picture
+                picture = encode(shown.frame, form, exposure, params)
+            return answer(request.id, shown, form, request.moving, params.antialias), picture
 
         facts, picture = await self._service.renders.run(made, rank)
         self._window.sent(request.id)

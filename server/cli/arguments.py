@@ -1,4 +1,4 @@
-"""What commands share: the modules that do their work, the options of views and of work, and their checks."""
+"""What commands share: the modules that do their work, the options of views and of work, and how a volume is taken."""
 
 import json
 from collections.abc import Callable
@@ -41,7 +41,7 @@ VIEW_OPTIONS = {
     "isovalue": "In the volume's own units; default: the scene's.",
     "azimuth": "Degrees; 0 looks from +x, 90 from +y.",
     "elevation": "Degrees above the xy plane.",
-    "distance": "From the target, in radii of the volume's bounding sphere.",
+    "distance": "From the target, in radii of the volume's bounding sphere; of a picture, default: all of it is seen.",
     "fov": "Vertical field of view, degrees.",
     "eye": "World x,y,z, instead of azimuth, elevation and distance.",
     "target": "World x,y,z to look at; default: the volume's centre.",
@@ -53,15 +53,17 @@ VIEW_OPTIONS = {
     "albedo": "Of the surface, one number or r,g,b, within the scene's albedos; default: the scene's albedo.",
     "width": "Pixels.",
     "height": "Pixels.",
-    "shading": "gi, vicinity, lambert[_shadow|_fog], phong[_shadow] or path_traced.",
-    "exposure": "Factor on radiance before the tone curve.",
+    "shading": "gi (light from all around), vicinity, lambert[_shadow|_fog], phong[_shadow] or path_traced.",
+    "exposure": "How much brighter: a factor on the light; default: the scene's.",
+    "antialias": "Samples along each side of a pixel, 1 to 4; default: 2 where the picture is not too large for it.",
+    "background": "Behind the surface: dark, light, transparent (png, webp), or a colour such as #ffffff.",
     "samples": "Paths per pixel, for path_traced.",
-    "overlay": "none, provisional (hatches what is not final) or error (each pixel's estimate as a colour).",
+    "overlay": "Over the picture: none, provisional (hatches what is not done) or error (colours each pixel by it).",
 }
-DEVELOPED = ("shading", "samples", "exposure", "overlay")
+DEVELOPED = ("shading", "samples", "exposure", "antialias", "background", "overlay")
 """Options that a reference, which is radiance alone, does not read."""
 
-PICTURE_OPTIONS = ("albedo", "width", "height", "shading", "samples", "overlay")
+PICTURE_OPTIONS = ("albedo", "width", "height", "shading", "antialias", "background", "samples", "overlay")
 REPORT_OPTIONS = {
     **{name: text for name, text in VIEW_OPTIONS.items() if name not in PICTURE_OPTIONS},
     "azimuth": "Degrees; 0 looks from +x, 90 from +y; default: 40.",
@@ -76,26 +78,32 @@ GRID_OPTIONS = {
     name: f"{text[:-1]}; or first:last:step." if name in MOVING else text for name, text in VIEW_OPTIONS.items()
 }
 WORK_OPTIONS = {
-    "workers": "Baking processes; default: one per core.",
-    "store": "Path or URL of the cache; default: the user's cache folder.",
-    "scheduler": "Address of a Dask scheduler to bake on, instead of own workers.",
+    "workers": "Processes that compute light; default: one per core.",
+    "store": "Path or URL where light is kept; default: the user's cache folder.",
+    "scheduler": "Address of a Dask scheduler to compute on, instead of own workers.",
 }
 
 
-def axes_option(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Decorator: the option --axes, which becomes a part of the command's target."""
+def volume_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Decorator: the options --axes and --solid, which become parts of the command's target."""
 
     @click.option(
         "--axes",
         type=click.Choice(["world", "raw"]),
         help="Where the volume lies: as its file says, or raw, its voxels' indices times spacing; default: world.",
     )
+    @click.option(
+        "--solid",
+        type=click.Choice(["above", "below"]),
+        help="Which side of the isovalue is solid; default: above; below where most of the border is above.",
+    )
     @wraps(command)
-    def placed(axes: str | None, **given: Any) -> Any:
+    def placed(axes: str | None, solid: str | None, **given: Any) -> Any:
         name = "scene" if "scene" in given else "target"
-        if axes is not None:
-            target = given[name] or "demo:casting"
-            given[name] = f"{target}{'&' if '#' in target else '#'}axes={axes}"
+        for key, value in (("axes", axes), ("solid", solid)):
+            if value is not None:
+                target = given[name] or "demo:casting"
+                given[name] = f"{target}{'&' if '#' in target else '#'}{key}={value}"
         return command(**given)
 
     return placed

@@ -5,7 +5,7 @@ import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
@@ -19,18 +19,16 @@ from server.cli.arguments import (
     VIEW_OPTIONS,
     WORK_OPTIONS,
     age,
-    axes_option,
     duration,
     module_of,
     number,
     options,
     settings_from,
     show,
+    volume_options,
 )
+from server.cli.help import Commands, SettingsCommand
 from server.errors import LibraryError
-
-if TYPE_CHECKING:
-    pass
 
 BAD_INPUT = (SceneError, VolumeError, LightError, ViewError, StoreUrlError)
 
@@ -63,29 +61,15 @@ def complain(message: str, status: int) -> int:
     return status
 
 
-class SettingsCommand(click.Command):
-    """A command that takes all settings. Its help is made late, for settings load a library that takes its time."""
-
-    def get_params(self, ctx: click.Context) -> list[click.Parameter]:
-        """The command's own parameters and the settings' options."""
-        *own, help_option = super().get_params(ctx)
-        return [*own, *module_of("options").setting_options(), help_option]
-
-    def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """List the settings that have no option."""
-        with formatter.section("Only in the environment or the file"):
-            formatter.write_dl(module_of("options").secrets())
-
-
-@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+@click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(package_name="isogi")
 def cli() -> None:
-    """Isosurfaces of volumes with global illumination, baked lazily."""
+    """Look at isosurfaces of volumes in light from all around."""
 
 
 @cli.command(cls=SettingsCommand)
 @click.argument("target", required=False)
-@axes_option
+@volume_options
 def serve(target: str | None, config: Path | None, **given: str | None) -> None:
     """Serve TARGET, a scene (.toml) or a volume (NRRD, NIfTI, DICOM, TIFF, Zarr …); with neither, a demo."""
     settings = settings_from(config, **given)
@@ -94,7 +78,7 @@ def serve(target: str | None, config: Path | None, **given: str | None) -> None:
 
 @cli.command()
 @click.argument("scene", metavar="TARGET")
-@axes_option
+@volume_options
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path, dir_okay=False))
 @options(VIEW_OPTIONS)
 @click.option("--target-error", callback=number(0.0001, 1), help="Relative error at which a pixel is final.")
@@ -113,7 +97,7 @@ def render(
 
 @cli.command()
 @click.argument("scene", metavar="TARGET")
-@axes_option
+@volume_options
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path, dir_okay=False), help="A file, .npz.")
 @options({name: text for name, text in VIEW_OPTIONS.items() if name not in DEVELOPED})
 @click.option("--samples", type=click.IntRange(1), help="Stop at so many paths per pixel.")
@@ -144,7 +128,7 @@ def reference(
 
 @cli.command()
 @click.argument("scene", metavar="TARGET")
-@axes_option
+@volume_options
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path, file_okay=False), help="Folder.")
 @click.option("--size", type=click.IntRange(8, 1024), default=112, show_default=True, help="Pixels along each side.")
 @options(REPORT_OPTIONS)
@@ -172,7 +156,7 @@ def report(
 
 @cli.command()
 @click.argument("scene", metavar="TARGET")
-@axes_option
+@volume_options
 @click.option("--isovalue", "isovalues", multiple=True, help="One, first:last:step, or first:last for all between.")
 @click.option("--views", help="Directions of each isovalue, spread over all sides; default: 12 where none are given.")
 @click.option("--view", "directions", multiple=True, metavar="azimuth=40,elevation=30", help="One direction.")
@@ -193,7 +177,7 @@ def report(
 def prewarm(
     scene: str, dry_run: bool, go_on: bool, server: str | None, detach: bool, as_json: bool, **given: Any
 ) -> int:
-    """Bake ahead what views of TARGET from all sides need, or whole isosurfaces; stopped, it goes on (--continue)."""
+    """Compute ahead the light that views of TARGET need, or whole isosurfaces; stopped, it goes on (--continue)."""
     work, workers = module_of("prewarm"), {name: given.pop(name) for name in WORK_OPTIONS}
     fields = work.fields_given(given)
     if go_on and (set(fields) - {"deadline"} or dry_run or server):
@@ -228,17 +212,21 @@ def remote() -> Any:
 
 @cli.command()
 @click.argument("target")
-@axes_option
-@click.option("--picture", type=click.Path(path_type=Path, dir_okay=False), help="Draw the stiffness to a file, .png.")
+@volume_options
+@click.option(
+    "--picture",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Draw how steep its surfaces are to a file, .png.",
+)
 @AS_JSON
 def inspect(target: str, picture: Path | None, as_json: bool) -> None:
-    """Say what is in TARGET, a volume or a scene, how stiff that is, and what will be baked for it."""
+    """Say what is in TARGET, a volume or a scene, how steep its surfaces are, and what will be computed for it."""
     click.echo(module_of("inspect").inspect(target, picture, as_json))
 
 
 @cli.command()
 @click.argument("scene", metavar="TARGET")
-@axes_option
+@volume_options
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path, dir_okay=False), help="Its file.")
 @click.option("--isovalue", "isovalues", multiple=True, help="One; of a volume also more, or first:last.")
 @options({name: VIEW_OPTIONS[name] for name in ("albedo", "yaw", "pitch", "roll", "light")})
@@ -267,7 +255,7 @@ def export(
 
 @cli.command()
 @click.argument("scene", metavar="TARGET")
-@axes_option
+@volume_options
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="A movie, or a folder.")
 @options(FILM_OPTIONS)
 @click.option("--view", "views", multiple=True, metavar="LINK|azimuth=40,…", help="A keyframe; give two or more.")
@@ -293,7 +281,7 @@ def film(scene: str, as_json: bool, **given: Any) -> None:
 
 @cli.command()
 @click.argument("scene", metavar="TARGET")
-@axes_option
+@volume_options
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path, file_okay=False), help="A folder.")
 @options(GRID_OPTIONS)
 @click.option("--target-error", callback=number(0.0001, 1), help="Relative error at which a picture is final.")
@@ -313,7 +301,7 @@ def publish(scene: str, as_json: bool, **given: Any) -> None:
 
 @cli.command()
 @click.argument("target", required=False)
-@axes_option
+@volume_options
 @click.option("--isovalue", type=float, help="In the volume's own units; default: the scene's.")
 @click.option("--size", type=click.IntRange(1, 4096), default=512, show_default=True, help="Pixels along each side.")
 @click.option("--repeats", type=click.IntRange(1), default=5, show_default=True, help="Rounds that are timed.")

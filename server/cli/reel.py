@@ -92,7 +92,7 @@ class Reel:
             shot, seconds = self.shots[name], budget.share(len(missing) - done)
             frame = awaited(engine, scene.id, view_of(scene, shot, settings), shot.max_error, seconds)
             exposure = scene.default_exposure if shot.exposure is None else shot.exposure
-            picture = encode(frame, SUFFIXES[self.path(name).suffix], exposure, shot.overlay)
+            picture = encode(frame, SUFFIXES[self.path(name).suffix], exposure, shot)
             self.keep(name, picture, {"error": frame.total.likely, "final": frame.final})
             bar.count(done + 1, len(missing))
 

@@ -3,7 +3,7 @@
 import math
 import tempfile
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
 from isogi_core.report.reference import Goal, Reference, grow, load_reference, save_reference, with_bounces
 from isogi_core.storage.atomic_file import write_whole
-from server.answers import coverage_schema
+from server.answers import camera_schema, coverage_schema
 from server.cli.bench import make_renderer
 from server.parameters import FrameParams, ViewParams, read, view_of
 from server.pictures import SUFFIXES, encode, format_for
@@ -27,6 +27,12 @@ from server.render.resources import root_of
 from server.settings import Settings
 from worker.errors import WorkersError
 from worker.progress import TimeLeft
+
+PLACED = {"distance", "eye", "target", "up"}
+"""Options that say where the camera is: with none of them, all of the surface is seen."""
+
+SMOOTH = 2
+"""Samples along each side of a pixel."""
 
 STEP = 2.0
 """Seconds between two frames, while light is baked."""
@@ -47,27 +53,43 @@ def render(
     started = time.monotonic()
     form = format_of(output)
     scene = open_scene(target, settings)
-    params = read(FrameParams, [*knobs.items(), ("f", form)])
+    params = read(FrameParams, [*smoothed(knobs, form, settings), ("f", form)])
     format_for(params, None)
-    view = view_of(scene, params, settings)
+    view_of(scene, params, settings)
 
     place, memory = (root_of(settings), settings.workers, settings.scheduler), settings.memory_mb << 20
     with closing(RenderEngine([scene], *place, memory, projected=settings.projected_mb << 20)) as engine:
         engine.start()
+        view = view_of(scene, params if PLACED & set(knobs) else seen_whole(engine, scene, params, settings), settings)
         frame = refine(engine, scene.id, view, params.max_error, seconds)
         left, paths = engine.time_left(scene.id, frame, params.max_error), engine.paths
     exposure = scene.default_exposure if params.exposure is None else params.exposure
-    write_whole(output, encode(frame, form, exposure, params.overlay))
+    write_whole(output, encode(frame, form, exposure, params))
     return {
         "file": str(output),
         "format": form,
-        **frame_facts(frame, left),
+        **frame_facts(frame, left, params.antialias),
         "target_error": params.max_error or scene.target_error,
         "final": frame.coverage["final"],
         "paths": paths,
         "stopped": stopped_by(frame),
         "seconds": time.monotonic() - started,
     }
+
+
+def seen_whole(engine: RenderEngine, scene: Scene, params: FrameParams, settings: Settings) -> FrameParams:
+    """The same picture from a camera that shows all of its surface; from the direction that is given, if any is."""
+    view = view_of(scene, params, settings)
+    angles = [getattr(params, name) if name in params.model_fields_set else None for name in ("azimuth", "elevation")]
+    return params.model_copy(update=camera_schema(engine.renderer(scene.id), view, *angles).model_dump())
+
+
+def smoothed(knobs: Mapping[str, str], form: str, settings: Settings) -> Iterable[tuple[str, str]]:
+    """The knobs, and SMOOTH samples a pixel where they do not say how many, and that many fit."""
+    asked = read(FrameParams, knobs.items())
+    fits = asked.width * asked.height * SMOOTH**2 <= settings.max_pixels and asked.shading != "path_traced"
+    add = form != "npy" and "antialias" not in knobs and fits
+    return [*knobs.items(), *([("antialias", str(SMOOTH))] if add else [])]
 
 
 def stopped_by(frame: Frame) -> str:
@@ -81,12 +103,14 @@ def rendered(facts: Mapping[str, Any]) -> str:
     """What ``render`` did, for a person."""
     states = {"target": "final", "time": "provisional", "samples": "all samples taken"}
     quality = f"error {facts['error']:.4f}, {facts['final']:.1%} of the surface at {facts['target_error']:g}"
+    if not facts["pixels"]["surface"]:
+        quality = "no surface in view"
     return f"{facts['file']}: {facts['width']} × {facts['height']}, {states[facts['stopped']]}, {quality}"
 
 
-def frame_facts(frame: Frame, left: TimeLeft | None) -> dict[str, Any]:
+def frame_facts(frame: Frame, left: TimeLeft | None, antialias: int = 1) -> dict[str, Any]:
     """Size, quality and version of a frame, and the time until it would be final."""
-    size = {"width": frame.view.width, "height": frame.view.height}
+    size = {"width": frame.view.width // antialias, "height": frame.view.height // antialias}
     return {**size, **coverage_schema(frame, left).model_dump(), "version": frame.version}
 
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from isogi_core.frame import film as error_map
+from isogi_core.frame import film
 from isogi_core.frame.film import COVER, develop
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, PROVISIONAL
 
@@ -35,6 +35,35 @@ def test_each_overlay_marks_its_pixels() -> None:
     assert changed("error") == [0.0, 1.0, 1.0, 1.0]
 
 
+@pytest.mark.parametrize(
+    ("background", "codes"), [("light", (244, 244, 242)), ("#1f00a7", (31, 0, 167)), ("#ffffff", (255, 255, 255))]
+)
+def test_a_background_is_behind_the_surface_alone(background: str, codes: tuple[int, ...]) -> None:
+    frame = frame_of(np.full(24, 0.05))
+    picture, dark = develop(frame, 1.0, "none", background), develop(frame, 1.0)
+    assert (picture[frame.state == 0] == codes).all()
+    assert (picture[frame.state > 0] == dark[frame.state > 0]).all()
+
+
+def test_a_transparent_picture_covers_its_surface() -> None:
+    frame = frame_of(np.full(24, 0.05))
+    picture = develop(frame, 1.0, "error", "transparent")
+    assert picture.shape[-1] == 4
+    assert ((picture[..., 3] == 255) == (frame.state > 0)).all() and set(np.unique(picture[..., 3])) == {0, 255}
+
+
+def test_samples_of_a_pixel_are_averaged_as_light() -> None:
+    frame = frame_of(np.full(24, 0.05), light=0.5)
+    frame.state[:, 1::2] = 0  # every other column is background
+    whole, smooth = develop(frame, 1.0, "none", "#ffffff"), develop(frame, 1.0, "none", "#ffffff", 2)
+    assert smooth.shape == (12, 24, 3)
+    lights = [film.linear_of(int(whole[0, column, 0]) / 255) for column in (12, 13)]
+    assert film.linear_of(int(smooth[0, 6, 0]) / 255) == pytest.approx(np.mean(lights), abs=0.01)
+    assert (develop(frame, 1.0, "none", "transparent", 2)[0, [0, 6], 3] == (0, 128)).all()
+    clear = develop(frame, 1.0, "none", "transparent", 2)
+    assert clear[0, 6, 0] == whole[0, 12, 0], "what is not covered has no colour"
+
+
 def test_unlit_pixels_are_hatched_without_an_error_colour() -> None:
     few, many = (develop(frame_of(np.full(24, error)), 1.0, "error") for error in (0.002, 0.9))
     hatched = develop(frame_of(np.full(24, 0.5)), 1.0, "provisional")
@@ -46,8 +75,8 @@ def test_unlit_pixels_are_hatched_without_an_error_colour() -> None:
 def test_equal_factors_of_error_are_equal_steps_of_the_scale() -> None:
     errors = np.array([0.0, 1e-4, 1e-3, 1e-2, 1e-1, 1.0, 7.0])
     shares = [0, 0, 0, 85, 170, 255, 255]
-    table = error_map.colour_table()
-    assert np.array_equal(error_map.colours_of(errors), table[shares])
+    table = film.colour_table()
+    assert np.array_equal(film.colours_of(errors), table[shares])
     black = develop(frame_of(errors, light=0.0), 1.0, "error")
     np.testing.assert_allclose(black[:, 30], table[shares] * (COVER / 256), atol=1)
 
@@ -60,9 +89,9 @@ def test_the_form_shows_through_the_colours() -> None:
 def test_the_table_is_viridis_and_its_lightness_rises_evenly() -> None:
     matplotlib = pytest.importorskip("matplotlib")
     viridis = 255 * matplotlib.colormaps["viridis"](np.arange(256))[:, :3]
-    assert np.abs(error_map.colour_table() - viridis).mean() < 2
+    assert np.abs(film.colour_table() - viridis).mean() < 2
     linear = np.vectorize(lambda code: ((code / 255 + 0.055) / 1.055) ** 2.4 if code > 10 else code / 255 / 12.92)
-    luminance = linear(error_map.colour_table()) @ [0.2126, 0.7152, 0.0722]
+    luminance = linear(film.colour_table()) @ [0.2126, 0.7152, 0.0722]
     lightness = 116 * np.cbrt(luminance) - 16
     assert (np.diff(lightness[::8]) > 1).all()
     assert np.abs(lightness - np.linspace(lightness[0], lightness[-1], 256)).max() < 5

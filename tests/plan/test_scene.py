@@ -321,6 +321,23 @@ def test_otsu_parts_two_heaps() -> None:
     assert 30 < otsu(*np.histogram(values, 256)) < 65
 
 
+@pytest.mark.parametrize(
+    ("sign", "text", "solid"),
+    [(1, "", "above"), (-1, "", "below"), (-1, 'solid = "above"', "above"), (1, 'solid = "below"', "below")],
+)
+def test_a_volume_inside_out_is_turned_out(tmp_path: Path, sign: int, text: str, solid: str) -> None:
+    """A ball in the middle: its values are high, or it is a field of distances from its centre."""
+    z, y, x = np.mgrid[-6:7, -6:7, -6:7]
+    np.save(tmp_path / "ball.npy", (sign * (6.0 - np.sqrt(x**2 + y**2 + z**2))).astype(np.float32))
+    scene = scene_of(tmp_path, f'volume = "ball.npy"\nisovalue = {2.0 * sign}\n{text}')
+    assert scene.solid == solid
+
+
+def test_which_side_is_solid_may_follow_a_volumes_name(tmp_path: Path) -> None:
+    np.save(tmp_path / "low.npy", np.arange(64.0, dtype=np.float32).reshape(4, 4, 4))
+    assert [load_scene(f"{tmp_path / 'low.npy'}{told}").solid for told in ("", "#solid=below")] == ["above", "below"]
+
+
 @pytest.mark.parametrize("factor", [1e-310, 1e-200, 1e200, 1.7e308])
 def test_otsu_does_not_depend_on_the_unit(factor: float) -> None:
     counts = np.array([9, 5, 1, 1, 7, 3])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from playwright.sync_api import Browser, Page, Route, WebSocket, WebSocketRoute, expect
 
-from tests.web.visits import BROWSER, FINAL_MS, SHOTS, open_final, pixels, slide, wait_final, without_sockets
+from tests.web.visits import BROWSER, FINAL_MS, SHOTS, open_final, pixels, slide, unfold, wait_final, without_sockets
 
 ROLES = "slider|combobox|switch|button|spinbutton|progressbar"
 KNOBS = ("isovalue", "azimuth", "elevation", "distance", "yaw", "pitch", "roll")
@@ -21,7 +21,7 @@ def at_defaults(page: Page, base: str, shading: str) -> Page:
     """The page at the scene's defaults but for the shading, its picture final; opened where it is not yet."""
     if not page.url.startswith(base):
         page.goto(base)
-    page.click("#reset")
+    unfold(page).click("#reset")
     for choice, value in (("shading", shading), ("overlay", "none")):
         page.select_option(f"#{choice}", value)
     return wait_final(page)
@@ -111,7 +111,7 @@ def test_becomes_final_without_a_reload_and_asks_only_the_server(page: Page, liv
     assert asked
     here = urlsplit(live_server).netloc
     assert {urlsplit(url).netloc for url in asked if not url.startswith(("blob:", "data:"))} == {here}
-    expect(page.locator("#status-line")).to_have_text(re.compile(r"^final"))
+    expect(page.locator("#status-line")).to_have_text(re.compile(r"^Done, .* error$"))
     expect(page.locator("#progress")).to_have_attribute("aria-valuenow", "100")
     expect(page.locator("#badge")).to_be_hidden()
     assert pixels(page).std() > 5.0, "the picture shows nothing"
@@ -273,7 +273,7 @@ def test_overlay_marks_what_is_provisional(page: Page, live_server: str) -> None
     views = watched(page).views
     page.goto(f"{live_server}/?overlay=provisional&azimuth=211&elevation=-17")
     page.wait_for_selector("#stage[data-state=provisional], #stage[data-state=final]", timeout=FINAL_MS)
-    assert page.input_value("#overlay") == "provisional"
+    assert unfold(page).input_value("#overlay") == "provisional"
     for overlay in ("none", "error", "provisional"):
         page.select_option("#overlay", overlay)
         assert page.locator("#error-scale").is_visible() == (overlay == "error")
@@ -334,6 +334,7 @@ def test_address_without_meaning_is_put_right(page: Page, live_server: str) -> N
     assert page.input_value("#isovalue") == page.get_attribute("#isovalue", "max")
     assert float(page.input_value("#azimuth")) == 45.0
     expect(page.locator("#trouble")).to_be_hidden()
+    expect(page.locator("#notice")).to_contain_text("There is no scene “nothing”: this is small. No surface at 1e+300:")
 
 
 def test_narrow_screens_scroll_only_down(browser: Browser, live_server: str) -> None:
@@ -351,6 +352,21 @@ def test_narrow_screens_scroll_only_down(browser: Browser, live_server: str) -> 
         assert stage["y"] + stage["height"] <= controls["y"]
         assert page.evaluate("document.documentElement.scrollWidth") <= width
         page.screenshot(path=SHOTS / f"width-{width}.png", full_page=True)
+    context.close()
+
+
+@pytest.mark.parametrize(("width", "height", "first"), [(1280, 800, 3), (390, 844, 0)])
+def test_light_and_camera_come_first(browser: Browser, live_server: str, width: int, height: int, first: int) -> None:
+    context = browser.new_context(viewport={"width": width, "height": height})
+    page = context.new_page()
+    page.goto(live_server)
+    page.wait_for_selector("#picture:not([hidden])")
+    tops = [page.locator(f"#{name}-title").bounding_box() for name in ("isovalue", "light", "camera")]
+    ends = [box["y"] + box["height"] for box in tops if box is not None]
+    assert ends == sorted(ends) and len(ends) == 3
+    assert all(end < height for end in ends[:first])
+    assert not re.search(r"\b(texels?|chunks?|void|SH|noise|[Mm]arks|provisional)\b", page.inner_text("body"))
+    expect(page.locator("#error")).to_be_hidden()
     context.close()
 
 
@@ -382,7 +398,7 @@ def test_server_gone_and_back(page: Page, live_server: str) -> None:
     expect(page.locator("#trouble h2")).to_have_text("The server does not answer")
     page.focus("#stage")
     page.keyboard.press("ArrowLeft")
-    expect(page.locator("#status-line")).to_have_text(re.compile("^not up to date"))
+    expect(page.locator("#status-line")).to_have_text(re.compile("^Not up to date"))
     SHOTS.mkdir(parents=True, exist_ok=True)
     page.screenshot(path=SHOTS / "gone.png")
     away = False
@@ -418,10 +434,13 @@ def test_every_control_has_a_name(shown: Page) -> None:
 
 
 def scene_angles(page: Page) -> dict[str, float]:
-    """The knobs of the scene's defaults, asked of the server that the page came from."""
+    """The knobs where the page starts, asked of the server that it came from."""
     parts = urlsplit(page.url)
-    defaults = scene_of(page, f"{parts.scheme}://{parts.netloc}")["defaults"]
-    return {name: float(defaults[name]) for name in KNOBS}
+    base = f"{parts.scheme}://{parts.netloc}"
+    width, height = page.eval_on_selector("#stage", "stage => [stage.clientWidth, stage.clientHeight]")
+    fit = page.request.get(f"{base}/v1/scenes/small/fit", params={"width": width, "height": height}).json()
+    start = {**scene_of(page, base)["defaults"], **fit}
+    return {name: float(start[name]) for name in KNOBS}
 
 
 def turn_light(page: Page, hand: str) -> None:

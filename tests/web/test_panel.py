@@ -6,7 +6,7 @@ from collections.abc import Callable
 import pytest
 from playwright.sync_api import Page, Route, expect
 
-from tests.web.visits import BROWSER, FINAL_MS, SHOTS, open_final, slide, wait_final, without_sockets
+from tests.web.visits import BROWSER, FINAL_MS, SHOTS, open_final, slide, unfold, wait_final, without_sockets
 
 pytestmark = BROWSER
 
@@ -53,12 +53,12 @@ def area(page: Page, state: str) -> float:
 
 def test_the_error_falls_until_the_view_is_final(page: Page, live_server: str) -> None:
     open_final(page, f"{live_server}/?isovalue=0.201")  # far from what other tests have baked
-    points = course(page)
+    points = course(unfold(page))
     assert len(points) >= 3
     assert points[-1][1] > points[0][1] + 10.0, "a smaller error is lower in the drawing"
     assert [x for x, _ in points] == sorted(x for x, _ in points)
     assert area(page, "final") > 0.0
-    expect(page.locator("#error .note")).to_have_text(re.compile(r"^final after [\d.]+ s$"))
+    expect(page.locator("#error .note")).to_have_text(re.compile(r"^done after [\d.]+ s$"))
     expect(page.locator("#error .legend .final b")).to_have_text("100 %")
     words = page.locator("#error svg").get_attribute("aria-label") or ""
     assert re.search(r"error from \d+ % to [\d.]+ %, target 50 %; .* from \d+ % to 100 %; over", words)
@@ -69,7 +69,7 @@ def test_the_error_falls_until_the_view_is_final(page: Page, live_server: str) -
 def test_the_drawing_is_to_scale(page: Page, live_server: str) -> None:
     without_sockets(page).route("**/frame?*", staged(None, end=True))
     open_final(page, live_server)
-    first, second, third, final, held = (y for _, y in course(page))
+    first, second, third, final, held = (y for _, y in course(unfold(page)))
     per_decade = second - first
     assert (third - first) / per_decade == pytest.approx(1.3979 / 0.5229, rel=0.02), "log10 of 25, of 3.33"
     assert final == held > third
@@ -84,7 +84,7 @@ def test_the_drawing_is_to_scale(page: Page, live_server: str) -> None:
 
 def test_a_new_view_begins_a_new_history_and_exposure_does_not(page: Page, live_server: str) -> None:
     without_sockets(page).route("**/frame?*", staged(None, end=True))
-    before = course(open_final(page, live_server))
+    before = course(unfold(open_final(page, live_server)))
     slide(page, "exposure", 0.6)
     wait_final(page)
     assert course(page) == before
@@ -114,10 +114,8 @@ def test_the_words_follow_the_header(page: Page, live_server: str, time_left: st
     without_sockets(page).route("**/frame?*", staged(time_left, end=False))
     page.goto(live_server)
     expect(page.locator("#error .value")).to_have_text("4 %", timeout=FINAL_MS)
-    line, note = page.inner_text("#status-line"), page.inner_text("#error .note")
-    chunks, _, rest = line.partition(" chunks final, ")
-    assert re.fullmatch(r"\d+ of \d+", chunks)
-    assert rest == ("error about 4 %" if time_left is None else "error about 4 %, about 20 s left")
+    line, note = unfold(page).inner_text("#status-line"), page.inner_text("#error .note")
+    assert line == ("Refining, about 4 % error" if time_left is None else "Refining, about 4 % error, about 20 s left")
     assert note.endswith(" · about 20 s left (12 s to 41 s)") == (time_left is not None)
     assert ("left" in note) == (time_left is not None)
     shares = page.locator("#error .legend b").all_inner_texts()

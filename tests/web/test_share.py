@@ -14,7 +14,7 @@ import pytest
 from PIL import Image
 from playwright.sync_api import BrowserContext, Page, Route, expect
 
-from tests.web.visits import BROWSER, FINAL_MS, open_final, wait_final
+from tests.web.visits import BROWSER, FINAL_MS, open_final, unfold, wait_final
 
 pytestmark = BROWSER
 PLAIN = "shading=phong"
@@ -121,7 +121,7 @@ def test_a_picture_is_saved_large_and_final_with_its_notes(page: Page, live_serv
         assert picture.info["Source"].startswith(f"{live_server}/?") and "azimuth=-70.5" in picture.info["Source"]
         assert "at 0.45" in picture.info["Title"]
         comment = picture.info["Comment"]
-    assert comment.endswith(", final")
+    assert comment.startswith("Done, 1920 × ")
     expect(page.locator("#save .note")).to_have_text(f"Saved small-0.45.png: {comment}.")
 
 
@@ -148,10 +148,10 @@ def test_what_cannot_become_final_may_be_saved_as_it_is(page: Page, live_server:
     page.route("**/frame?*", stuck())
     page.click("#save-start")
     note = page.locator("#save .note")
-    expect(note).to_have_text("No more light is coming: 3 of 4 chunks final, error about 70 %.", timeout=FINAL_MS)
+    expect(note).to_have_text("No more light is coming: Refining, about 70 % error.", timeout=FINAL_MS)
     with page.expect_download() as download:
         page.click("#save-now")
-    assert download.value.suggested_filename.endswith("-provisional.png")
+    assert download.value.suggested_filename.endswith("-preview.png")
     expect(note).to_contain_text("the target of 50 % is not reached")
 
 
@@ -169,7 +169,7 @@ def stuck() -> Callable[[Route], None]:
 
 
 def test_the_times_of_frames_are_listed(page: Page, live_server: str) -> None:
-    open_final(page, f"{live_server}/?{PLAIN}").click("#times summary")
+    unfold(open_final(page, f"{live_server}/?{PLAIN}")).click("#times summary")
     page.locator("#times dt").last.wait_for()  # a fold tells of itself a little later
     names = page.locator("#times dt").all_inner_texts()
     assert {"Making the file", "All", "Drafts a second, last moved"} <= set(names)

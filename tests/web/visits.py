@@ -26,8 +26,14 @@ def open_final(page: Page, address: str) -> Page:
 def wait_final(page: Page) -> Page:
     """Wait until the view rests, its picture is final, and the browser has it on the screen."""
     page.wait_for_timeout(400)  # the page itself waits 200 ms before it calls a view at rest
-    page.wait_for_selector("#stage[data-state=final]:not([data-busy])", timeout=FINAL_MS)
+    page.wait_for_selector("#stage[data-state=final][data-sharp]:not([data-busy])", timeout=FINAL_MS)
     page.wait_for_timeout(200)
+    return page
+
+
+def unfold(page: Page) -> Page:
+    """Open what the page folds away for those who want to know more."""
+    page.eval_on_selector("#details", "details => { details.open = true; }")
     return page
 
 

@@ -7,8 +7,10 @@ import { NUMBERS } from "../view/model.js";
 /** @typedef {import("../view/model.js").ViewModel} ViewModel */
 /** @typedef {import("./schemas.js").Scene} Scene */
 
-const CHOICES = ["shading", "overlay", "compare", "tint"];
+const CHOICES = ["shading", "overlay", "compare", "tint", "background"];
+const KNOWN = new Set([...CHOICES, "scene", "target", "token"]);
 const PAUSE_MS = 150;
+const REST_MS = 1000; // a view that was at rest for so long is one to come back to
 
 /**
  * Read knobs from an address. What is no number is left out; the view then takes the scene's default.
@@ -21,6 +23,7 @@ export function readAddress(search) {
   const start = Object.fromEntries(numbers.filter(([, value]) => Number.isFinite(value)));
   const target = query.get("target");
   if (target !== null) start.target = target.split(",").map(Number);
+  else if (query.has("distance")) start.target = null; // a camera is meant with all that it has
   for (const name of CHOICES.filter((each) => query.has(each))) start[name] = query.get(name);
   return { scene: query.get("scene"), start };
 }
@@ -38,26 +41,82 @@ export function writeAddress(scene, values) {
   if (values.tint !== undefined && values.tint !== startAlbedo(scene).tint) query.set("tint", values.tint);
   query.set("shading", values.shading);
   if (values.overlay !== "none") query.set("overlay", values.overlay);
+  if (values.background !== "page") query.set("background", values.background);
   if (values.compare) query.set("compare", values.compare);
   return `?${query}`;
 }
 
 /**
- * Keep the address bar up with the view; browsers limit how often, so it waits for a short pause.
+ * What an address says that cannot be shown, in sentences.
+ * @param {string} search the part of the address from `?` on
+ * @param {Pick<Scene, "id"|"name"|"shadings"|"ranges"|"volume">} scene that is shown
+ * @returns {string[]}
+ */
+export function complaints(search, scene) {
+  const query = new URLSearchParams(search);
+  const named = query.get("scene");
+  /** @type {(name: string, value: string) => string} */
+  const complaint = (name, value) => {
+    const number = NUMBERS.find((each) => each === name);
+    if (!number) return choiceComplaint(scene, name, value);
+    if (!value.trim() || !Number.isFinite(Number(value))) return `“${value}” is no number for ${name}.`;
+    return number === "isovalue" ? isovalueComplaint(scene, Number(value)) : "";
+  };
+  const lost = named && named !== scene.id ? [`There is no scene “${named}”: this is ${scene.name}.`] : [];
+  return [...lost, ...[...query].map(([name, value]) => complaint(name, value)).filter(Boolean)];
+}
+
+/**
+ * What is wrong with an isovalue, if anything is.
+ * @param {Pick<Scene, "ranges"|"volume">} scene
+ * @param {number} isovalue
+ * @returns {string}
+ */
+export function isovalueComplaint({ ranges, volume }, isovalue) {
+  const [low, high] = volume.value_range;
+  const { min, max } = ranges.isovalue ?? { min: low, max: high };
+  if (isovalue >= min && isovalue <= max) return "";
+  const [from, to] = [min, max].map((value) => Number(value.toPrecision(6)));
+  const what = min > low || max < high ? "this scene shows" : "values go from";
+  return `No surface at ${isovalue}: ${what} ${from} to ${to}.`;
+}
+
+/** @type {(scene: Pick<Scene, "shadings">, name: string, value: string) => string} */
+function choiceComplaint({ shadings }, name, value) {
+  const shading = ["shading", "compare"].includes(name);
+  if (shading && value && !shadings.includes(value)) return `There is no shading “${value}”.`;
+  return KNOWN.has(name) ? "" : `The link says ${name}, which this page does not know.`;
+}
+
+/**
+ * Keep the address bar up with the view; browsers limit how often, so it waits for a short pause. A view that was at
+ * rest is one to go back to; going back and forward shows what the address then says.
  * @param {Scene} scene
  * @param {ViewModel} view
  * @returns {() => string} writes what is due, at once, and gives the whole address
  */
 export function followAddress(scene, view) {
-  let timer = 0;
+  let [timer, changed] = [0, -Infinity]; // the latter is when the view last did
+  /** @type {"replaceState"|"pushState"} */
+  let entry = "replaceState";
   const write = () => {
     clearTimeout(timer);
-    history.replaceState(null, "", writeAddress(scene, view.values));
+    const address = writeAddress(scene, view.values);
+    if (address !== location.search) history[entry](null, "", address);
+    entry = "replaceState";
     return location.href;
   };
   view.subscribe(() => {
+    const now = performance.now();
+    if (now - changed > REST_MS) entry = "pushState";
+    changed = now;
     clearTimeout(timer);
     timer = setTimeout(write, PAUSE_MS);
+  });
+  window.addEventListener("popstate", () => {
+    view.set({ ...view.defaults, ...readAddress(location.search).start });
+    entry = "replaceState";
+    changed = -Infinity;
   });
   return write;
 }

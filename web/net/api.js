@@ -56,12 +56,15 @@ export async function deleteVolume(href) {
 }
 
 /**
- * Everything about one scene: volume, histogram, defaults, ranges, plan.
+ * Everything about one scene: volume, histogram, defaults, ranges, plan, and the camera that shows its surface whole.
  * @param {string} id
+ * @param {{width: number, height: number}} size of the picture
  * @returns {Promise<Scene>}
  */
-export async function readScene(id) {
-  return (await ask(scenePath(id))).json();
+export async function readScene(id, { width, height }) {
+  const scene = await (await ask(scenePath(id))).json();
+  const size = new URLSearchParams({ width: String(width), height: String(height) });
+  return { ...scene, start: await (await ask(`${scenePath(id)}/fit?${size}`)).json() };
 }
 
 /**

@@ -59,6 +59,11 @@ export class FrameLoop {
     this.#transport.show(true);
   }
 
+  /** The view is as it was, but more is asked of its picture. */
+  improve() {
+    if (!this.#moving) this.#transport.show(false);
+  }
+
   /** The view rests: ask for the full picture now. */
   settle() {
     this.#clock.cancel(this.#timer);

@@ -36,8 +36,19 @@ export function frameQuery(scene, values, { width, height }) {
     height,
     shading: values.shading,
     overlay: values.overlay,
+    background: ground(values),
     f: "png",
   };
+}
+
+/**
+ * What is behind the surface: light or dark, as the page is where the view leaves it to that.
+ * @param {Pick<Knobs, "background">} values knobs of the view
+ * @returns {string}
+ */
+export function ground({ background }) {
+  if (background !== "page") return background;
+  return globalThis.matchMedia?.("(prefers-color-scheme: dark)").matches === false ? "light" : "dark";
 }
 
 /**
@@ -69,7 +80,7 @@ export function fileName(scene, values) {
  */
 export function changedParameters(scene, query) {
   /** @type {Record<string, string|number>} */
-  const defaults = { ...scene.defaults, overlay: "none", f: "png" };
+  const defaults = { ...scene.defaults, overlay: "none", background: "dark", f: "png" };
   /** @type {(parameter: [string, string|number]) => boolean} */
   const changed = ([name, value]) => name === "isovalue" || String(value) !== String(defaults[name]);
   return Object.fromEntries(Object.entries(query).filter(changed));

@@ -2,9 +2,11 @@
 
 import { find } from "../dom.js";
 import { errorInWords, frameInWords } from "../view/format.js";
+import { samplesFor } from "../view/picture.js";
 import { readFrame } from "./api.js";
 import { withNotes } from "./png.js";
 import { untilFinal } from "./polling.js";
+import { Trouble } from "./trouble.js";
 
 /** @typedef {import("./request.js").Description} Description */
 /** @typedef {import("./schemas.js").Facts} Facts */
@@ -70,12 +72,15 @@ export class Saver {
     const { link, query, file, alt } = this.#description;
     const controller = new AbortController();
     this.#begin({ controller, size: `${width} × ${height}`, link: link(), file: file(), alt: alt() });
-    await this.#refine({ ...query(), width, height, f: "png" }, controller.signal);
+    const samples = samplesFor({ width, height });
+    const wanted = { ...query(), ...(samples > 1 && { antialias: samples }), width, height, f: "png" };
+    await this.#refine(wanted, controller.signal);
   }
 
   /**
    * @param {import("./schemas.js").FrameQuery} query
    * @param {AbortSignal} signal
+   * @returns {Promise<void>}
    */
   async #refine(query, signal) {
     /** @type {(waitMs: number, etag: string|null) => Promise<import("./schemas.js").Frame>} */
@@ -85,6 +90,8 @@ export class Saver {
       if (this.#best?.facts.provisional) this.#say(`No more light is coming: ${frameInWords(this.#best.facts)}.`);
       else await this.#finish();
     } catch (error) {
+      const { antialias, ...plain } = query;
+      if (antialias && error instanceof Trouble && error.status === 422) return this.#refine(plain, signal);
       if (!signal.aborted) this.#end(/** @type {Error} */ (error).message);
     }
   }
@@ -109,8 +116,8 @@ export class Saver {
   async #finish() {
     if (!this.#best || !this.#work) return;
     const [{ blob, facts }, { link, file, alt, size }] = [this.#best, this.#work];
-    const name = `${file}${facts.provisional ? "-provisional" : ""}.png`;
-    const state = [size, frameInWords(facts), this.#missed(facts)].filter(Boolean).join(", ");
+    const name = `${file}${facts.provisional ? "-preview" : ""}.png`;
+    const state = [frameInWords(facts), size, this.#missed(facts)].filter(Boolean).join(", ");
     download(await withNotes(blob, { Title: latin(alt), Software: "isogi", Source: link, Comment: latin(state) }), name);
     this.#end(`Saved ${name}: ${state}.`);
   }

@@ -72,6 +72,7 @@
  * @property {Volume} volume
  * @property {{counts: number[], edges: number[]}} histogram
  * @property {Defaults} defaults
+ * @property {{azimuth: number, elevation: number, distance: number, target: Vec3}} start the camera at first
  * @property {Record<string, Range>} ranges
  * @property {Preset[]} presets
  * @property {string[]} shadings

@@ -9,7 +9,7 @@ import { shadingName } from "../view/format.js";
 const [STEP, STRIDE] = [2, 10]; // percent that an arrow moves the divider by; and one with shift, or a page key
 /** @type {Record<State, string>} */
 const WORDS = {
-  moving: " · when the view rests", coming: " · drawing…", lost: " · not up to date", provisional: " · provisional", final: "",
+  moving: " · when the view rests", coming: " · drawing…", lost: " · not up to date", provisional: " · refining", final: "",
 };
 
 /** The right side: a picture of the view as it is now, or none. While the view moves it is dim, for drafts are of the left. */

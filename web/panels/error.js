@@ -113,7 +113,7 @@ export class ErrorPanel {
 }
 
 /** What the light of a view depends on. @param {Knobs} values */
-function lightKnobs({ exposure, overlay, compare, ...rest }) {
+function lightKnobs({ exposure, overlay, compare, background, ...rest }) {
   return rest;
 }
 
@@ -125,7 +125,7 @@ function lightKnobs({ exposure, overlay, compare, ...rest }) {
  */
 export function momentInWords({ seconds, provisional, error }, timeLeft) {
   const time = `after ${timeInWords(seconds)}`;
-  if (!provisional) return error > 0 ? `final ${time}` : `final ${time} · nothing to estimate`;
+  if (!provisional) return error > 0 ? `done ${time}` : `done ${time} · nothing to estimate`;
   return timeLeft ? `${time} · ${rangeInWords(timeLeft)}` : time;
 }
 
@@ -140,7 +140,7 @@ export function courseInWords(moments, target) {
   if (!first || !last) return "Estimated error and coverage over time: nothing yet";
   const aim = target > 0 ? `, target ${errorInWords(target)}` : "";
   const error = `Estimated error from ${errorInWords(first.error)} to ${errorInWords(last.error)}${aim}`;
-  const shares = `surface that is final from ${shareInWords(first.coverage.final)} to ${shareInWords(last.coverage.final)}`;
+  const shares = `surface that is done from ${shareInWords(first.coverage.final)} to ${shareInWords(last.coverage.final)}`;
   return `${error}; ${shares}; over ${timeInWords(last.seconds)}`;
 }
 

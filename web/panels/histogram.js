@@ -1,6 +1,7 @@
 /** The volume's histogram, with the isovalue slider on top of it. */
 
 import { find, svgElement } from "../dom.js";
+import { isovalueComplaint } from "../net/address.js";
 import { niceStep, showNumber } from "../view/format.js";
 import { sliderRange } from "../view/model.js";
 import { setLimits } from "./knobs.js";
@@ -15,8 +16,9 @@ const [WIDTH, HEIGHT] = [1000, 100];
  * @param {HTMLElement} form holds `#isovalue`, `#isovalue-number` and `#histogram`
  * @param {Scene} scene
  * @param {import("../view/model.js").ViewModel} view
+ * @param {(words: string) => void} say tells a person what cannot be shown
  */
-export function attachHistogram(form, scene, view) {
+export function attachHistogram(form, scene, view, say) {
   const allowed = sliderRange(scene, "isovalue");
   const single = allowed.min === allowed.max;
   const [min, max] = single ? scene.volume.value_range : [allowed.min, allowed.max];
@@ -29,9 +31,11 @@ export function attachHistogram(form, scene, view) {
   find(form, "#isovalue-max").textContent = show(max);
   slider.addEventListener("input", () => view.set({ isovalue: slider.valueAsNumber }));
   number.addEventListener("change", () => {
+    say(isovalueComplaint(scene, number.valueAsNumber));
     view.set({ isovalue: number.valueAsNumber });
     mirror(view.values);
   });
+  if (scene.solid === "below") find(form, "#histogram-note").textContent = "values below are solid";
   const solid = drawBars(find(form, "#histogram", SVGSVGElement), outline(scene.histogram, min, max));
   /** @param {Knobs} values */
   const mirror = ({ isovalue }) => {

@@ -9,11 +9,16 @@ import { frameInWords, shareInWords, showsSurface } from "../view/format.js";
 /** Shows the facts of the frame on the stage. */
 export class Status {
   #root;
+  #target;
   #announced = "";
 
-  /** @param {ParentNode} root holds `#stage`, `#badge`, `#progress`, `#status-line`, `#announce` */
-  constructor(root) {
+  /**
+   * @param {ParentNode} root holds `#stage`, `#badge`, `#progress`, `#status-line`, `#announce`
+   * @param {number} target relative error at which a picture is good enough to go without a badge
+   */
+  constructor(root, target) {
     this.#root = root;
+    this.#target = target;
   }
 
   /**
@@ -24,8 +29,8 @@ export class Status {
   show(facts, draft) {
     this.#write({
       state: draft ? "draft" : facts.provisional ? "provisional" : "final",
-      line: draft ? `moving · ${frameInWords(facts)}` : frameInWords(facts),
-      badge: facts.provisional ? badge(facts.coverage) : "",
+      line: draft ? "Preview" : frameInWords(facts),
+      badge: badge(facts, this.#target),
     });
     this.#fill(facts);
     if (!draft) this.#announce(announcement(facts));
@@ -33,7 +38,7 @@ export class Status {
 
   /** No new frame came: what is shown belongs to an earlier view. */
   stale() {
-    this.#write({ state: "trouble", line: "not up to date · the picture is the last one received", badge: "" });
+    this.#write({ state: "trouble", line: "Not up to date: the picture is the last one received", badge: "" });
   }
 
   /** @param {{state: string, line: string, badge: string}} texts */
@@ -49,7 +54,7 @@ export class Status {
     const whole = provisional || showsSurface(coverage) ? coverage : { final: 1, converging: 0, provisional: 0 };
     for (const state of STATES) find(bar, `.${state}`).style.width = `${100 * whole[state]}%`;
     bar.setAttribute("aria-valuenow", String(Math.floor(100 * whole.final)));
-    bar.setAttribute("aria-valuetext", `${shareInWords(whole.final)} final`);
+    bar.setAttribute("aria-valuetext", `${shareInWords(whole.final)} done`);
   }
 
   /** @param {string} text */
@@ -60,12 +65,14 @@ export class Status {
 }
 
 /**
- * What stands on a picture that is not final.
- * @param {Facts["coverage"]} coverage
+ * What stands on a picture that is not within its target.
+ * @param {Pick<Facts, "provisional"|"coverage"|"error">} facts
+ * @param {number} target relative error
  * @returns {string}
  */
-function badge({ final }) {
-  return final < 1 ? `provisional · ${shareInWords(final)} final` : "light final · measuring";
+export function badge({ provisional, coverage, error }, target) {
+  if (!provisional || error <= target) return "";
+  return error < 1 ? `Refining · ${shareInWords(coverage.final)}` : "Preview";
 }
 
 /**
@@ -75,7 +82,28 @@ function badge({ final }) {
  */
 export function announcement(facts) {
   const quarter = Math.floor(4 * facts.coverage.final) * 25;
-  return facts.provisional ? `Picture provisional, ${quarter} percent final` : `Picture ${frameInWords(facts)}`;
+  return facts.provisional ? `Refining, ${quarter} percent done` : frameInWords(facts);
+}
+
+const READ_MS = 10_000; // a sentence is read long before
+
+/** A sentence over the picture, which goes by itself. */
+export class Notice {
+  #node;
+  #timer = 0;
+
+  /** @param {HTMLElement} node */
+  constructor(node) {
+    this.#node = node;
+    this.say = this.say.bind(this);
+  }
+
+  /** Say something; nothing takes back what was said. @param {string} words */
+  say(words) {
+    clearTimeout(this.#timer);
+    this.#node.textContent = words;
+    if (words) this.#timer = setTimeout(() => this.say(""), READ_MS);
+  }
 }
 
 /** The panel that says what is wrong; "Try now" is offered where the page would ask again anyway. */

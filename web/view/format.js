@@ -99,18 +99,16 @@ export function rangeInWords(left) {
 }
 
 /**
- * The state of a frame: "182 of 240 chunks final, error about 1.8 %, about 40 s left".
- * @param {Pick<Facts, "provisional"|"coverage"|"error"|"controls"|"chunks"|"timeLeft">} facts
+ * The state of a frame: "Preview, about 40 s left", "Refining, about 1.8 % error", "Done, 0.8 % error".
+ * @param {Pick<Facts, "provisional"|"coverage"|"error"|"controls"|"timeLeft">} facts
  * @returns {string}
  */
-export function frameInWords({ provisional, coverage, error, controls, chunks, timeLeft }) {
-  const wrong = error > 0 && error < 1 ? `error ${controls ? "" : "about "}${errorInWords(error)}` : "";
-  if (!provisional) return [showsSurface(coverage) ? "final" : "final, no surface in view", wrong].filter(Boolean).join(", ");
-  const left = timeLeft ? leftInWords(timeLeft) : "";
-  const measuring = chunks.needed > 0 && chunks.final === chunks.needed;
-  return [measuring ? "light final, measuring its error" : `${chunks.final} of ${chunks.needed} chunks final`, wrong, left]
-    .filter(Boolean)
-    .join(", ");
+export function frameInWords({ provisional, coverage, error, controls, timeLeft }) {
+  if (!provisional && !showsSurface(coverage)) return "Done, no surface in view";
+  const known = error > 0 && error < 1;
+  const wrong = known ? `${controls ? "" : "about "}${errorInWords(error)} error` : "";
+  const left = provisional && timeLeft ? leftInWords(timeLeft) : "";
+  return [!provisional ? "Done" : known ? "Refining" : "Preview", wrong, left].filter(Boolean).join(", ");
 }
 
 /**

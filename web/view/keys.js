@@ -28,10 +28,11 @@ const MOVES = { a: [-1, 0], d: [1, 0], w: [0, -1], s: [0, 1] };
  * Listen to keys, except while another control needs them.
  * @param {Scene} scene
  * @param {ViewModel} view
- * @param {{toggleHelp: () => void}} options
+ * @param {{toggleHelp: () => void, toggleFull: () => void}} options
  */
-export function attachKeys(scene, view, { toggleHelp }) {
-  const actions = keyActions(scene, view, toggleHelp);
+export function attachKeys(scene, view, { toggleHelp, toggleFull }) {
+  /** @type {Record<string, () => void>} */
+  const actions = { ...keyActions(scene, view, toggleHelp), f: toggleFull, F: toggleFull };
   document.addEventListener("keydown", (event) => {
     const { target } = event;
     if (!(target instanceof Element) || event.ctrlKey || event.metaKey || event.altKey || takesText(target)) return;

@@ -25,6 +25,7 @@ import { limitTarget } from "./camera.js";
  * @property {string} shading
  * @property {string} overlay one of OVERLAYS
  * @property {string} compare a shading, or ""
+ * @property {string} background one of BACKGROUNDS
  */
 
 /**
@@ -37,6 +38,9 @@ export const NUMBERS = [
 
 /** Marks that may lie over the picture. */
 export const OVERLAYS = ["none", "provisional", "error"];
+
+/** What may be behind the surface: as the page, or always one. */
+export const BACKGROUNDS = ["page", "dark", "light"];
 
 const FULL_TURN = new Set(["azimuth", "yaw", "roll"]);
 const LOGARITHMIC = new Set(["distance", "exposure"]);
@@ -78,10 +82,11 @@ export class ViewModel {
 
   /** Where the scene starts: all knobs. @returns {Knobs} */
   get defaults() {
-    const { defaults } = this.#scene;
+    const { start } = this.#scene;
+    const defaults = { ...this.#scene.defaults, ...start };
     const numbers = NUMBERS.filter((name) => Number.isFinite(defaults[name])).map((name) => [name, defaults[name]]);
     const shading = defaults.shading ?? this.#scene.shadings[0];
-    return { ...Object.fromEntries(numbers), ...startAlbedo(this.#scene), target: null, shading, overlay: "none", compare: "" };
+    return { ...Object.fromEntries(numbers), ...startAlbedo(this.#scene), target: start.target, shading, overlay: "none", compare: "", background: "page" };
   }
 
   /** The knobs as they are now (a copy). @returns {Knobs} */
@@ -152,13 +157,14 @@ export class ViewModel {
    * @param {Knobs} fallback
    */
   #choices(wanted, fallback) {
-    /** @type {(name: "shading"|"overlay"|"compare", offered: string[]) => string} */
+    /** @type {(name: "shading"|"overlay"|"compare"|"background", offered: string[]) => string} */
     const chosen = (name, offered) => offered.find((each) => each === wanted[name]) ?? fallback[name];
     const { shadings } = this.#scene;
     const shading = chosen("shading", shadings);
     const compare = chosen("compare", ["", ...shadings]);
     const other = shading === fallback.shading ? "" : fallback.shading;
-    return { shading, overlay: chosen("overlay", OVERLAYS), compare: compare === shading ? other : compare };
+    const background = chosen("background", BACKGROUNDS);
+    return { shading, background, overlay: chosen("overlay", OVERLAYS), compare: compare === shading ? other : compare };
   }
 }
 

@@ -1,19 +1,35 @@
 /** The picture on the stage: its size in pixels, and swapping frames without a flicker. */
 
 const LONGEST_SIDE = 1024;
-const HIGHEST_RATIO = 1.5; // finer than this costs much and shows little
+const HIGHEST_RATIO = 1.5; // of a picture whose light is still to come: finer costs much and shows little
 const SHORTEST_SIDE = 64;
+const MOST_PIXELS = 1 << 24; // that a server takes
+const FINE_RATIO = 2; // from which on a screen's pixels are too small for their stairs to be seen
+const SIDE = 2; // samples along each side of a pixel that is larger
 
 /**
- * Pixels of the picture that fills a box on a screen, no more than 1024 a side, times `scale`.
+ * Samples along each side of a picture's pixels: as many as hide the stairs of its edges, if a server takes so many.
+ * @param {{width: number, height: number}} size
+ * @returns {number}
+ */
+export function samplesFor({ width, height }) {
+  return width * height * SIDE * SIDE <= MOST_PIXELS ? SIDE : 1;
+}
+
+/**
+ * Pixels of the picture that fills a box on a screen, times `scale`: all that the screen has where it is `sharp`, else
+ * no more than 1024 a side.
  * @param {number} width of the box, CSS pixels
  * @param {number} height of the box, CSS pixels
  * @param {number} ratio pixels of the screen in a CSS pixel
  * @param {number} scale 1 for the full picture, less for drafts
+ * @param {boolean} [sharp]
  * @returns {{width: number, height: number}}
  */
-export function pictureSize(width, height, ratio, scale) {
-  const fit = Math.min(ratio, HIGHEST_RATIO, LONGEST_SIDE / Math.max(width, height, 1)) * scale;
+export function pictureSize(width, height, ratio, scale, sharp = false) {
+  const few = Math.min(ratio, HIGHEST_RATIO, LONGEST_SIDE / Math.max(width, height, 1));
+  const all = Math.min(ratio, Math.sqrt(MOST_PIXELS / Math.max(width * height, 1)) * 0.999);
+  const fit = (sharp ? all : few) * scale;
   const pixels = (/** @type {number} */ length) => Math.max(SHORTEST_SIDE, Math.round(length * fit));
   return { width: pixels(width), height: pixels(height) };
 }
@@ -22,6 +38,9 @@ export function pictureSize(width, height, ratio, scale) {
 export class Picture {
   #stage;
   #image;
+  /** Whether all of the screen's pixels are asked for: once a picture has its light. */
+  sharp = false;
+  #refused = false;
   #shown = 0; // counts frames, so that a slow one does not overtake a newer one
 
   /**
@@ -40,7 +59,26 @@ export class Picture {
    */
   size(scale) {
     const { clientWidth, clientHeight } = this.#stage;
-    return pictureSize(clientWidth, clientHeight, window.devicePixelRatio || 1, scale);
+    return pictureSize(clientWidth, clientHeight, window.devicePixelRatio || 1, scale, this.sharp);
+  }
+
+  /** Samples along each side of a pixel. @returns {number} */
+  get samples() {
+    return this.sharp && (window.devicePixelRatio || 1) < FINE_RATIO ? samplesFor(this.size(1)) : 1;
+  }
+
+  /** Ask for all of the screen's pixels, and for smooth edges, from now on. @returns {boolean} whether that is more */
+  sharpen() {
+    if (this.#refused) return false;
+    const before = this.size(1).width;
+    this.sharp = true;
+    return this.size(1).width > before || this.samples > 1;
+  }
+
+  /** The server does not take so many pixels: ask for no more than before, from now on. */
+  blunt() {
+    this.sharp = false;
+    this.#refused = true;
   }
 
   /**

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Iterable
+from functools import partial
 from typing import Any
 from urllib.parse import urlencode
 
@@ -13,18 +14,26 @@ from starlette.responses import StreamingResponse
 from isogi_core.errors import StoreAwayError
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.tiles import Stopwatch
-from server.answers import coverage_schema
+from server.answers import camera_schema, coverage_schema
 from server.api.headers import STAGES, PreferencesDep, entity_tag, frame_headers, matches, server_timing
 from server.api.routes.jobs import JobSchema, address, job_schema
 from server.api.service import PictureRequest, SceneDep, Service, ServiceDep, Shown, within
-from server.parameters import FrameParams, FrameParamsDep, ViewParams, ViewParamsDep, documented
+from server.parameters import (
+    FitParams,
+    FitParamsDep,
+    FrameParams,
+    FrameParamsDep,
+    ViewParams,
+    ViewParamsDep,
+    documented,
+)
 from server.pictures import MEDIA_TYPES, encode, format_for, npy_bytes, npy_parts
 from server.problems import documented_problems
 from server.render.bakes import BackgroundBake
 from server.render.jobs import Job, Result
 from server.render.scheduling import REFINED
 from server.render.updates import background_viewer, request_viewer, stream_viewer
-from server.schemas import Coverage
+from server.schemas import CameraSchema, Coverage
 from worker.errors import WorkersError
 
 router = APIRouter(prefix="/v1/scenes/{scene}", tags=["frames"])
@@ -67,14 +76,14 @@ async def read_frame(
         frame, watch = shown.frame, shown.watch
         if later and not frame.final:
             return None
-        tag = entity_tag(frame, form, exposure, params.overlay, params.max_error)
+        tag = entity_tag(frame, form, exposure, params)
         headers = frame_headers(frame, shown.time_left, tag, params.version) | applied
         if matches(request.headers.get("if-none-match"), tag):
             return Response(status_code=304, headers=headers | {"Server-Timing": server_timing(watch)})
         if form == "npy":
             return in_parts(frame, headers | {"Server-Timing": server_timing(watch)})
         with watch.stage("encode"):
-            body = encode(frame, form, exposure, params.overlay)
+            body = encode(frame, form, exposure, params)
         return Response(body, 200, headers | {"Server-Timing": server_timing(watch)}, MEDIA_TYPES[form])
 
     viewer = stream_viewer() if later else request_viewer(request)
@@ -110,6 +119,15 @@ async def read_coverage(
     return await service.render(request, scene, params, lambda shown: coverage_schema(shown.frame, shown.time_left))
 
 
+@router.get("/fit", openapi_extra=documented(FitParams), responses=documented_problems(404, 422, 429, 503))
+async def read_fit(request: Request, scene: SceneDep, params: FitParamsDep, service: ServiceDep) -> CameraSchema:
+    """The camera that shows the whole surface as large as the picture takes it."""
+    picture = service.picture_of(scene, params.view)
+    renderer = service.engine.renderer(scene.id)
+    make = partial(camera_schema, renderer, picture.view, params.azimuth, params.elevation)
+    return await service.compute(request, make)
+
+
 REPLACED = ("f", "version", "wait_ms")
 """Parameters that the address of a job's picture replaces or leaves out."""
 
@@ -129,7 +147,7 @@ def defer(
 
     async def work(job: Job) -> Iterable[Result]:
         frame = await complete(service, picture, job)
-        tag = entity_tag(frame, form, exposure, params.overlay, params.max_error)
+        tag = entity_tag(frame, form, exposure, params)
         named = [*(pair for pair in query if pair[0] not in REPLACED), ("f", form), ("version", tag.strip('"'))]
         href = f"/v1/scenes/{picture.scene}/frame?{urlencode(named)}"
         return [Result(href, MEDIA_TYPES[form], "The picture")]

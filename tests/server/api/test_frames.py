@@ -231,6 +231,27 @@ def test_an_empty_picture_is_final(client: httpx.Client) -> None:
     assert (np.load(io.BytesIO(answer.content)) == 0).all()
 
 
+def test_a_background_is_in_the_picture_and_its_tag(client: httpx.Client) -> None:
+    afar = {"distance": 100, "f": "png", "shading": "lambert"}
+    answers = [frame(client, background=each, **afar) for each in ("dark", "light", "transparent", "#ff0000")]
+    corners = [Image.open(io.BytesIO(answer.content)).getpixel((0, 0)) for answer in answers]
+    assert corners[1:] == [(244, 244, 242), (26, 29, 34, 0), (255, 0, 0)]
+    assert len({answer.headers["etag"] for answer in answers}) == 4
+    assert "jpeg" in frame(client, **{**afar, "f": "jpeg", "background": "transparent"}).json()["detail"]
+
+
+def test_antialiased_pictures_have_their_size_and_mean(client: httpx.Client) -> None:
+    view = {"f": "png", "shading": "lambert", "overlay": "none"}
+    plain, smooth = (
+        np.array(Image.open(io.BytesIO(frame(client, **view, antialias=samples).content)), float) for samples in (1, 3)
+    )
+    assert plain.shape == smooth.shape
+    assert smooth.mean() == pytest.approx(plain.mean(), rel=0.05)
+    assert len(np.unique(smooth)) > len(np.unique(plain))
+    assert "antialias" in frame(client, f="npy", antialias=2).json()["detail"]
+    assert "antialias²" in frame(client, antialias=4, width=2048, height=2048).json()["detail"]
+
+
 BAD = [
     ("isovalue", "nan"),
     ("isovalue", "0.81"),
@@ -247,6 +268,8 @@ BAD = [
     ("shading", "radiosity"),
     ("f", "gif"),
     ("overlay", "yes"),
+    ("background", "grey"),
+    ("background", "#12345"),
     ("wait_ms", "10001"),
     ("max_error", "0"),
     ("exposure", "-1"),

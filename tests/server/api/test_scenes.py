@@ -1,11 +1,13 @@
 """The list of scenes and one scene's document, over a real socket."""
 
+import io
 import json
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import httpx
+import numpy as np
 import pytest
 
 from isogi_core.model.view import SHADINGS
@@ -51,6 +53,36 @@ def test_defaults_are_in_their_ranges_and_make_a_frame(live_server: str, scene: 
         assert ranges[name]["min"] <= defaults[name] <= ranges[name]["max"]  # type: ignore[index]
     small = {**defaults, "width": 8, "height": 8}
     assert httpx.get(f"{live_server}/v1/scenes/small/frame", params=small).status_code == 200
+
+
+@pytest.mark.parametrize(("width", "height"), [(48, 48), (80, 40), (30, 60)])
+def test_the_fit_shows_the_surface_whole_and_large(live_server: str, width: int, height: int) -> None:
+    size = {"width": width, "height": height}
+    camera = httpx.get(f"{live_server}/v1/scenes/small/fit", params=size).json()
+    assert camera["elevation"] > 10 and camera["azimuth"] % 90 > 10, "from three quarters"
+    target = ",".join(map(str, camera.pop("target")))
+    view = {**camera, **size, "target": target, "shading": "lambert", "f": "npy"}
+    frame = np.load(io.BytesIO(httpx.get(f"{live_server}/v1/scenes/small/frame", params=view).content))
+    rows, columns = np.nonzero(frame[..., 3])
+    spans = (np.ptp(rows) + 1) / height, (np.ptp(columns) + 1) / width
+    assert 0.8 < max(spans) < 1.0
+    assert rows.min() > 0 and rows.max() < height - 1 and columns.min() > 0 and columns.max() < width - 1
+
+
+def test_the_fit_of_a_surface_from_above(live_server: str) -> None:
+    camera = httpx.get(f"{live_server}/v1/scenes/small/fit", params={"isovalue": 0.6, "elevation": 90}).json()
+    assert camera["elevation"] == 90
+    assert httpx.get(f"{live_server}/v1/scenes/small/fit", params={"isovalue": 9}).status_code == 422
+
+
+def test_a_volume_that_is_turned_out_is_told(tmp_path: Path) -> None:
+    bowl = np.ones((9, 9, 9), np.float32)
+    bowl[3:6, 3:6, 3:6] = 0.0
+    np.save(tmp_path / "bowl.npy", bowl)
+    for given, notes in ({}, 1), ({"solid": "below"}, 0):
+        facts = scene_schema(load_scene(tmp_path / "bowl.npy", isovalue=0.5, **given))
+        assert facts.solid == "below"
+        assert sum("border" in note for note in facts.plan.notes) == notes
 
 
 def test_what_the_scene_says_of_itself(scene: dict[str, object]) -> None:

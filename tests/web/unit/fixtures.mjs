@@ -8,6 +8,7 @@ export const SCENE = {
     isovalue: 70, azimuth: 30, elevation: 20, distance: 3, fov: 30, yaw: 0, pitch: 0, roll: 0, exposure: 1.234567,
     shading: "gi", width: 512, height: 512,
   },
+  start: { azimuth: 30, elevation: 20, distance: 3, target: null },
   ranges: { isovalue: { min: 40, max: 240 }, azimuth: { min: -360, max: 360 }, distance: { min: 0.01, max: 1000 } },
   shadings: ["gi", "lambert", "phong"],
   presets: [], lights: [{ type: "sky", name: "sky" }],
@@ -21,7 +22,7 @@ export const PAINTED = { ...SCENE, albedos: { min: 0, max: 0.9 }, ranges: { ...S
 /** A view of SCENE, with other knobs where they are given. */
 export function knobs(values = {}) {
   const { width, height, ...numbers } = SCENE.defaults;
-  return { ...numbers, target: null, overlay: "none", compare: "", ...values };
+  return { ...numbers, target: null, overlay: "none", compare: "", background: "page", ...values };
 }
 
 /** A clock that stands still until it is told to pass; timers run in the order of their times. */

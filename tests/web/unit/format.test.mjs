@@ -52,23 +52,22 @@ test("time left has its range, where that is one", () => {
   assert.equal(rangeInWords({ low: 0.1, likely: 0.2, high: 0.4 }), "about 1 s left");
 });
 
-test("a provisional frame says its chunks, error and time left", () => {
+test("a frame says how good it is, and how long is left", () => {
   const left = { low: 12, likely: 40, high: 60 };
-  assert.equal(frameInWords(facts({ error: 0.018, timeLeft: left })), "182 of 240 chunks final, error about 1.8 %, about 40 s left");
-  const lit = { chunks: { needed: 240, final: 240 } };
-  assert.equal(frameInWords(facts({ error: 0.018, ...lit })), "light final, measuring its error, error about 1.8 %");
-  assert.equal(frameInWords(facts({ error: 1 })), "182 of 240 chunks final", "an error of all the light says nothing");
+  assert.equal(frameInWords(facts({ error: 0.018, timeLeft: left })), "Refining, about 1.8 % error, about 40 s left");
+  assert.equal(frameInWords(facts({ error: 0.018, controls: 256 })), "Refining, 1.8 % error");
+  assert.equal(frameInWords(facts({ error: 1, timeLeft: left })), "Preview, about 40 s left", "an error of all the light says nothing");
 });
 
-test("a final frame says its error, if there is any", () => {
-  assert.equal(frameInWords(facts({ provisional: false })), "final, error about 3.4 %");
-  assert.equal(frameInWords(facts({ provisional: false, controls: 256 })), "final, error 3.4 %");
-  assert.equal(frameInWords(facts({ provisional: false, error: NaN })), "final");
+test("a finished frame says its error, if there is any", () => {
+  assert.equal(frameInWords(facts({ provisional: false })), "Done, about 3.4 % error");
+  assert.equal(frameInWords(facts({ provisional: false, controls: 256 })), "Done, 3.4 % error");
+  assert.equal(frameInWords(facts({ provisional: false, error: NaN })), "Done");
 });
 
-test("a final frame without a surface says so", () => {
+test("a finished frame without a surface says so", () => {
   const coverage = { final: 0, converging: 0, provisional: 0 };
-  assert.equal(frameInWords(facts({ provisional: false, error: 0, coverage })), "final, no surface in view");
+  assert.equal(frameInWords(facts({ provisional: false, error: 0, coverage })), "Done, no surface in view");
 });
 
 test("an unknown shading is called by its id", () => {

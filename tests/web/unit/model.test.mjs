@@ -63,6 +63,16 @@ test("a reset brings the start back", () => {
   assert.deepEqual(view.values, new ViewModel(SCENE).values);
 });
 
+test("a view starts where the surface is seen whole, and goes back there", () => {
+  const start = { azimuth: 35, elevation: 25, distance: 2.5, target: [4, 5, 6] };
+  const view = new ViewModel({ ...SCENE, start });
+  const { azimuth, elevation, distance, target } = view.values;
+  assert.deepEqual({ azimuth, elevation, distance, target }, start);
+  view.set({ distance: 9, target: null });
+  view.reset();
+  assert.deepEqual(view.values.target, start.target);
+});
+
 test("the values are a copy", () => {
   const view = new ViewModel(SCENE);
   view.values.azimuth = 77;

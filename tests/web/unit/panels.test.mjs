@@ -9,7 +9,7 @@ import { outline, solidSpan } from "../../../web/panels/histogram.js";
 import { knobInWords } from "../../../web/panels/knobs.js";
 import { parseKept, scenePresets, toggled } from "../../../web/panels/presets.js";
 import { layerInWords, planRows, savingInWords, volumeRows } from "../../../web/panels/scene.js";
-import { announcement } from "../../../web/panels/status.js";
+import { announcement, badge } from "../../../web/panels/status.js";
 import { rateOf, timeRows } from "../../../web/panels/times.js";
 import { PAINTED, SCENE, facts } from "./fixtures.mjs";
 
@@ -86,8 +86,8 @@ test("a moment says its time, and how long is left", () => {
   const moment = { seconds: 3, error: 0.1, provisional: true };
   assert.equal(momentInWords(moment, left), "after 3 s · about 20 s left (12 s to 41 s)");
   assert.equal(momentInWords(moment, null), "after 3 s");
-  assert.equal(momentInWords({ ...moment, provisional: false }, null), "final after 3 s");
-  assert.equal(momentInWords({ ...moment, provisional: false, error: 0 }, null), "final after 3 s · nothing to estimate");
+  assert.equal(momentInWords({ ...moment, provisional: false }, null), "done after 3 s");
+  assert.equal(momentInWords({ ...moment, provisional: false, error: 0 }, null), "done after 3 s · nothing to estimate");
 });
 
 test("the drawing has a sentence from the first to the last", () => {
@@ -95,7 +95,7 @@ test("the drawing has a sentence from the first to the last", () => {
     { seconds: 1, error: 1, coverage: { final: 0 } }, { seconds: 41, error: 0.034, coverage: { final: 0.609 } },
   ];
   const words = courseInWords(moments, 0.02);
-  assert.equal(words, "Estimated error from 100 % to 3.4 %, target 2 %; surface that is final from 0 % to 60 %; over 41 s");
+  assert.equal(words, "Estimated error from 100 % to 3.4 %, target 2 %; surface that is done from 0 % to 60 %; over 41 s");
   assert.ok(courseInWords([], 0.02).endsWith("nothing yet"));
 });
 
@@ -191,8 +191,14 @@ test("a volume says its size, its values and its holes", () => {
 
 test("screen readers hear of quarters, not of every frame", () => {
   const said = [0.26, 0.49, 0.51].map((final) => announcement(facts({ coverage: { final, converging: 0, provisional: 1 - final } })));
-  assert.deepEqual(said, ["Picture provisional, 25 percent final", said[0], "Picture provisional, 50 percent final"]);
-  assert.equal(announcement(facts({ provisional: false })), "Picture final, error about 3.4 %");
+  assert.deepEqual(said, ["Refining, 25 percent done", said[0], "Refining, 50 percent done"]);
+  assert.equal(announcement(facts({ provisional: false })), "Done, about 3.4 % error");
+});
+
+test("a badge goes when the picture is within its target", () => {
+  assert.equal(badge(facts(), 0.02), "Refining · 50 %");
+  assert.equal(badge(facts({ error: 1 }), 0.02), "Preview");
+  assert.deepEqual([facts({ error: 0.019 }), facts({ provisional: false })].map((each) => badge(each, 0.02)), ["", ""]);
 });
 
 test("the rate of drafts is that of their intervals", () => {

@@ -1,7 +1,7 @@
 import assert from "node:assert/strict";
 import { execFileSync } from "node:child_process";
 import { test } from "node:test";
-import { readAddress, writeAddress } from "../../../web/net/address.js";
+import { complaints, readAddress, writeAddress } from "../../../web/net/address.js";
 import { deleteVolume, frameAddress, readFrame, readScene, surfacePoint, wantsToken } from "../../../web/net/api.js";
 import { changedParameters, curlLine, describe, fileName, frameQuery, pythonLine } from "../../../web/net/request.js";
 import { parsePairs, parseTiming, readFacts, streamedFrame } from "../../../web/net/schemas.js";
@@ -55,11 +55,22 @@ test("what is no number in an address is left out", () => {
   assert.equal(new ViewModel(SCENE, start).values.target, null);
 });
 
+test("a link says what of it cannot be shown", () => {
+  assert.deepEqual(complaints("?scene=small&isovalue=70&azimuth=5&shading=gi&compare=&target=1,2,3&overlay=none", SCENE), []);
+  assert.deepEqual(complaints("?scene=brain&isovalue=9999&pitch=abc&shading=none&fov=&colour=red", SCENE), [
+    "There is no scene “brain”: this is Small.", "No surface at 9999: this scene shows 40 to 240.",
+    "“abc” is no number for pitch.", "There is no shading “none”.", "“” is no number for fov.",
+    "The link says colour, which this page does not know.",
+  ]);
+  const whole = { ...SCENE, ranges: { isovalue: { min: 0, max: 255 } } };
+  assert.deepEqual(complaints("?isovalue=9999", whole), ["No surface at 9999: values go from 0 to 255."]);
+});
+
 test("a frame is asked for by all knobs and its size", () => {
   const query = frameQuery(SCENE, knobs({ target: [1, 2, 3] }), SIZE);
   assert.deepEqual(query, {
     isovalue: 70, azimuth: 30, elevation: 20, distance: 3, fov: 30, yaw: 0, pitch: 0, roll: 0, exposure: 1.234567,
-    target: "1,2,3", ...SIZE, shading: "gi", overlay: "none", f: "png",
+    target: "1,2,3", ...SIZE, shading: "gi", overlay: "none", background: "dark", f: "png",
   });
 });
 
@@ -162,21 +173,21 @@ test("an unchanged frame has no picture and keeps its etag", async () => {
 
 test("a refusal is a trouble with the server's own sentence", async () => {
   const body = JSON.stringify({ detail: "albedo must be at most 0.9" });
-  const { result } = await asking([{ status: 422, body }], () => readScene("small"));
+  const { result } = await asking([{ status: 422, body }], () => readScene("small", { width: 4, height: 3 }));
   assert.ok(result.error instanceof Trouble);
   assert.deepEqual([result.error.detail, result.error.retry], ["albedo must be at most 0.9", false]);
 });
 
 test("a busy server says when to ask again", async () => {
-  const { result } = await asking([{ status: 503, headers: { "Retry-After": "7" } }], () => readScene("small"));
+  const { result } = await asking([{ status: 503, headers: { "Retry-After": "7" } }], () => readScene("small", { width: 4, height: 3 }));
   assert.deepEqual([result.error.retry, result.error.after, result.error.status], [true, 7, 503]);
 });
 
 test("no answer can be asked for again, an abort stays an abort", async () => {
-  const { result: gone } = await asking([new TypeError("failed to fetch")], () => readScene("small"));
+  const { result: gone } = await asking([new TypeError("failed to fetch")], () => readScene("small", { width: 4, height: 3 }));
   assert.deepEqual([gone.error.title, gone.error.retry], ["The server does not answer", true]);
   const abort = new DOMException("stopped", "AbortError");
-  const { result: stopped } = await asking([abort], () => readScene("small"));
+  const { result: stopped } = await asking([abort], () => readScene("small", { width: 4, height: 3 }));
   assert.equal(stopped.error, abort);
 });
 

@@ -1,0 +1,71 @@
+"""A camera as near as the shown surface fits, from three quarters where nobody says from where."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from isogi_core.frame.renderer import Renderer
+from isogi_core.model.orientation import Orientation, triple
+from isogi_core.model.view import Vec3, View, orbit
+
+SIDE = 96
+"""Pixels along each side of the picture that finds the surface."""
+
+FRONT = (50.0, 25.0)
+"""Azimuth and elevation from which a volume is seen."""
+
+FACE = (65.0, 15.0)
+"""The same for a patient, whose face is at azimuth 90."""
+
+FILLED = 0.9
+"""Share of the picture's height, or width, that the surface fills."""
+
+SPECKS = 0.003
+"""Share of the surface's pixels that may be outside at each side: noise afar does not push the camera away."""
+
+
+def front_of(orientation: Orientation) -> tuple[float, float]:
+    """The azimuth and the elevation from which a volume is seen at first."""
+    return FACE if orientation.letters else FRONT
+
+
+def fitted(renderer: Renderer, view: View, azimuth: float, elevation: float) -> tuple[Vec3, float] | None:
+    """The world's target and the distance from it, in radii, at which a ``view`` shows its surface whole and large.
+
+    None where no surface is to be seen. Raises Cancelled.
+    """
+    volume, orientation = renderer.prepared.scene.volume, view.orientation
+    fov = view.camera.fov
+    across = math.tan(math.radians(fov) / 2.0) * min(1.0, view.width / view.height)
+    afar = orbit(volume.world_centre, volume.radius, azimuth, elevation, math.hypot(1.0, 1.0 / across), fov)
+    high = max(SIDE, round(SIDE * view.height / view.width))
+    wide = max(SIDE, round(SIDE * view.width / view.height))
+    seen = renderer.gbuffer(replace(view, camera=afar.in_box(orientation), width=wide, height=high))
+    if not len(seen.points):
+        return None
+    right, up, forward = afar.basis()
+    axes = np.stack([right, up, -forward])
+    points = orientation.to_world(seen.points * np.array(seen.spacing))
+    slope = FILLED * math.tan(math.radians(fov) / 2.0)
+    aim, away = nearest(points @ axes.T, (slope * view.width / view.height, slope))
+    return triple(aim @ axes), away / volume.radius
+
+
+def nearest(points: np.ndarray, slopes: tuple[float, float]) -> tuple[np.ndarray, float]:
+    """Where a camera that looks along -z aims, (3,), and its distance from there, so that it just sees all ``points``.
+
+    From (p, q, d) it sees those of |x - p| ≤ s (d - z), s of ``slopes``, and of y likewise: what is greatest of
+    s z + x and of s z - x gives p, and the least d. The aim is as deep as the middle of ``points`` (n, 3).
+    """
+    above, below = (
+        [most(slope * points[:, 2] + sign * points[:, axis]) for axis, slope in enumerate(slopes)] for sign in (1, -1)
+    )
+    middle = float(np.median(points[:, 2]))
+    away = max((a + b) / (2.0 * slope) for a, b, slope in zip(above, below, slopes, strict=True))
+    return np.array([(above[0] - below[0]) / 2.0, (above[1] - below[1]) / 2.0, middle]), away - middle
+
+
+def most(values: np.ndarray) -> float:
+    """The greatest of ``values`` (n,), a few specks aside."""
+    return float(np.quantile(values, 1.0 - SPECKS))

@@ -1,0 +1,68 @@
+"""Help: options in groups, each by what it is for."""
+
+from importlib import import_module
+
+import click
+
+GROUPS = {
+    "Camera": ("azimuth", "elevation", "distance", "fov", "eye", "target", "up"),
+    "Light": ("yaw", "pitch", "roll", "light"),
+    "Picture": ("width", "height", "shading", "albedo", "exposure", "background", "antialias", "samples", "overlay"),
+    "Light that is kept": (
+        *("store", "store_seconds", "store_retries", "store_cache_mb", "projected_mb", "memory_mb"),
+        *("volume_mb", "volume_cache", "volume_cache_mb"),
+    ),
+    "Who computes": ("workers", "scheduler", "render_threads", "render_queue", "queue_seconds", "jobs"),
+    "Who may ask, and for how much": ("allowed_hosts", "allowed_origins", "max_pixels", "max_paths", "max_body_bytes"),
+    "Uploads": ("uploads_mb", "uploads", "max_upload_mb", "upload_seconds", "reading_seconds"),
+    "Connections": (
+        *("max_connections", "max_client_connections", "head_seconds", "body_seconds", "stall_seconds"),
+        *("max_unsent_mb", "idle_seconds", "shutdown_seconds"),
+    ),
+    "Streams": ("streams", "stream_bytes", "stream_rate", "stream_idle_seconds"),
+    "Log": ("log_format", "log_level"),
+}
+"""The options of each group, by name; those of none come first, under Options."""
+
+FIRST = "Options"
+
+
+class GroupedCommand(click.Command):
+    """A command whose help lists its options in groups."""
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the options, group by group."""
+        rows: dict[str, list[tuple[str, str]]] = {FIRST: [], **{title: [] for title in GROUPS}}
+        for param in self.get_params(ctx):
+            record = param.get_help_record(ctx)
+            if record is not None and isinstance(param, click.Option):
+                rows[group_of(param.name or "")].append(record)
+        for title, records in rows.items():
+            if records:
+                with formatter.section(title):
+                    formatter.write_dl(records)
+
+
+def group_of(name: str) -> str:
+    """The group that an option is in."""
+    return next((title for title, names in GROUPS.items() if name in names), FIRST)
+
+
+class Commands(click.Group):
+    """A group of commands with such help."""
+
+    command_class = GroupedCommand
+
+
+class SettingsCommand(GroupedCommand):
+    """A command that takes all settings. Its help is made late, for settings load a library that takes its time."""
+
+    def get_params(self, ctx: click.Context) -> list[click.Parameter]:
+        """The command's own parameters and the settings' options."""
+        *own, help_option = super().get_params(ctx)
+        return [*own, *import_module("server.cli.options").setting_options(), help_option]
+
+    def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """List the settings that have no option."""
+        with formatter.section("Only in the environment or the file"):
+            formatter.write_dl(import_module("server.cli.options").secrets())

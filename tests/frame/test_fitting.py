@@ -1,0 +1,34 @@
+"""A camera that shows the whole surface: what it sees of points, and from how near."""
+
+import numpy as np
+import pytest
+
+from isogi_core.frame.fitting import FILLED, nearest
+from isogi_core.model.view import orbit
+
+SLOPES = (0.3, 0.2)
+
+
+def seen(points: np.ndarray, aim: np.ndarray, away: float) -> np.ndarray:
+    """Where points are in the picture, 1 at its edges, (n, 2)."""
+    from_eye = points - aim - [0.0, 0.0, away]
+    return np.asarray(np.abs(from_eye[:, :2] / from_eye[:, 2:]) / SLOPES)
+
+
+@pytest.mark.parametrize("size", [(1.0, 1.0, 1.0), (9.0, 1.0, 3.0), (1.0, 5.0, 20.0)])
+def test_all_points_are_seen_and_some_at_an_edge(size: tuple[float, float, float]) -> None:
+    points = np.random.default_rng(5).uniform(-1.0, 1.0, (400, 3)) * size + [7.0, -3.0, 11.0]
+    aim, away = nearest(points, SLOPES)
+    assert 0.95 < seen(points, aim, away).max() < 1.0 / FILLED
+
+
+def test_a_speck_afar_does_not_push_the_camera_away() -> None:
+    points = np.random.default_rng(6).uniform(-1.0, 1.0, (2000, 3))
+    _, near = nearest(points, SLOPES)
+    _, with_speck = nearest(np.vstack([points, [[500.0, 0.0, 0.0]]]), SLOPES)
+    assert with_speck == pytest.approx(near, rel=0.02)
+
+
+def test_an_orbit_aims_where_the_fit_says() -> None:
+    camera = orbit((1.0, 2.0, 3.0), 2.0, 35.0, 25.0, 4.0, 30.0)
+    assert np.linalg.norm(np.subtract(camera.eye, (1.0, 2.0, 3.0))) == pytest.approx(8.0)

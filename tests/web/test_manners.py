@@ -1,0 +1,63 @@
+"""Manners of the page in a real browser: the way back, the whole screen, and what it says of what cannot be shown."""
+
+import re
+
+import pytest
+from playwright.sync_api import Browser, Page, expect
+
+from tests.web.visits import BROWSER, open_final, slide, wait_final
+
+pytestmark = BROWSER
+
+
+@pytest.fixture
+def sketched(steady: Page, live_server: str) -> Page:
+    """The page with a shading for which nothing is baked."""
+    return open_final(steady, f"{live_server}/?shading=lambert")
+
+
+def test_a_typed_isovalue_without_a_surface_is_told(sketched: Page) -> None:
+    most = float(sketched.get_attribute("#isovalue", "max") or "nan")
+    sketched.fill("#isovalue-number", "9999")
+    sketched.press("#isovalue-number", "Enter")
+    expect(sketched.locator("#notice")).to_have_text(re.compile("^No surface at 9999: .* to 0.8.$"))
+    expect(sketched.locator("#isovalue")).to_have_js_property("valueAsNumber", most)
+    sketched.fill("#isovalue-number", "0.5")
+    sketched.press("#isovalue-number", "Enter")
+    expect(sketched.locator("#notice")).to_be_hidden()
+
+
+def test_back_and_forward_walk_through_views(page: Page, live_server: str) -> None:
+    open_final(page, f"{live_server}/?shading=lambert")
+    start = float(page.input_value("#azimuth"))
+    for share in (0.2, 0.7):
+        slide(page, "azimuth", share)
+        slide(page, "azimuth", share + 0.05)
+        page.wait_for_timeout(1300)  # a pause makes an entry
+    assert float(page.input_value("#azimuth")) == 90.0
+    for wanted in (-90.0, start):
+        page.go_back()
+        expect(page.locator("#azimuth")).to_have_js_property("valueAsNumber", wanted)
+    page.go_forward()
+    expect(page.locator("#azimuth")).to_have_js_property("valueAsNumber", -90)
+    assert wait_final(page).locator("#trouble").is_hidden()
+
+
+def test_full_screen_and_back(sketched: Page) -> None:
+    sketched.click("#full-screen")
+    sketched.wait_for_function("document.fullscreenElement?.id === 'stage'")
+    wait_final(sketched)
+    sketched.keyboard.press("f")
+    sketched.wait_for_function("document.fullscreenElement === null")
+
+
+def test_a_picture_at_rest_has_the_screens_own_pixels(browser: Browser, live_server: str) -> None:
+    context = browser.new_context(viewport={"width": 390, "height": 700}, device_scale_factor=3)
+    page = open_final(context.new_page(), f"{live_server}/?shading=lambert")
+    whole = 3 * int(page.evaluate("document.querySelector('#stage').clientWidth"))
+    page.wait_for_function("width => document.querySelector('#picture').naturalWidth === width", arg=whole)
+    page.focus("#stage")
+    page.keyboard.press("ArrowLeft")
+    page.wait_for_function("width => document.querySelector('#picture').naturalWidth < width", arg=whole)
+    page.wait_for_function("width => document.querySelector('#picture').naturalWidth === width", arg=whole)
+    context.close()
