@@ -126,9 +126,11 @@ class Viewer(anywidget.AnyWidget):
         return {**self._more, **{name: getattr(self, name) for name in KNOBS}}
 
     def close(self) -> None:
-        """Show nothing more."""
+        """Show nothing more, once the picture that is under way has come."""
         self._closed = True
         self._moved.set()
+        if threading.current_thread() is not self._thread:
+            self._thread.join()
         super().close()
 
     def _follow(self) -> None:
@@ -142,7 +144,7 @@ class Viewer(anywidget.AnyWidget):
                 frame = self._show("now")
                 while frame.facts.provisional and not self._moved.is_set():
                     frame = self._show(REFINED)
-            except IsogiError as error:
+            except (IsogiError, RuntimeError) as error:  # a RuntimeError where the connections were closed
                 self.told = str(error)
 
     def _show(self, wait: Any) -> Frame:
