@@ -87,7 +87,7 @@ function assemble(scene, knobs, trouble) {
   $("reset").addEventListener("click", () => view.reset());
   const description = {
     link: followAddress(scene, view),
-    query: () => frameQuery(scene, view.values, picture.size(1)),
+    query: () => queryOf(scene, view.values, picture),
     file: () => fileName(scene, view.values),
     alt: () => describe(scene, view.values),
   };
@@ -128,9 +128,7 @@ function startLoop(scene, view, picture, trouble) {
   const panel = new ErrorPanel($("error"), scene.target_error);
   const times = new Times($("times", HTMLDetailsElement));
   /** @type {(values: Knobs, scale?: number) => ReturnType<typeof frameQuery>} */
-  const query = (values, scale = 1) => ({
-    ...frameQuery(scene, values, picture.size(scale)), ...(picture.samples > 1 && { antialias: picture.samples }),
-  });
+  const query = (values, scale = 1) => queryOf(scene, values, picture, scale);
   /** @type {(values: () => Knobs) => (options: FrameOptions, signal: AbortSignal) => ReturnType<typeof readFrame>} */
   const ask = (values) => async (options, signal) =>
     readFrame(scene.id, { ...query(values(), options.scale), ...formatOf(options) }, { etag: options.etag, signal });
@@ -148,7 +146,10 @@ function startLoop(scene, view, picture, trouble) {
       const whole = facts !== null && !draft && !facts.provisional && picture.sharp;
       if (blob) await picture.show(blob, describe(scene, view.values));
       $("stage").toggleAttribute("data-sharp", whole);
-      if (facts && !draft && !facts.provisional && !picture.sharp && picture.sharpen()) loop.improve();
+      if (facts && !draft && !facts.provisional && !picture.sharp && picture.sharpen()) {
+        loop.improve();
+        comparison.improve();
+      }
     },
     trouble(error) {
       if (picture.sharp && error instanceof Trouble && error.status === REFUSED) {
@@ -165,6 +166,18 @@ function startLoop(scene, view, picture, trouble) {
   trouble.onRetry = () => loop.settle();
   picture.onResize(() => startAnew(picture, loop));
   return loop;
+}
+
+/**
+ * The parameters of the request for what the stage shows.
+ * @param {Scene} scene
+ * @param {Knobs} values
+ * @param {Picture} picture
+ * @param {number} [scale] 1 for the full picture, less for drafts
+ */
+function queryOf(scene, values, picture, scale = 1) {
+  const { samples } = picture;
+  return { ...frameQuery(scene, values, picture.size(scale)), ...(samples > 1 && { antialias: samples }) };
 }
 
 /**

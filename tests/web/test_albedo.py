@@ -37,6 +37,7 @@ def tint(page: Page, colour: str) -> None:
 
 
 def test_the_slider_brightens_and_the_link_keeps_it(page: Page, server: str) -> None:
+    page.emulate_media(color_scheme="dark")  # or the background is the brightest
     open_final(page, server)
     expect(page.locator("output[for=albedo]")).to_have_text("0.30")
     expect(page.locator("#tint")).to_have_value("#ffffff")
@@ -55,6 +56,7 @@ def test_the_slider_brightens_and_the_link_keeps_it(page: Page, server: str) -> 
 
 
 def test_a_tint_colours_the_surface_and_is_in_the_lines(page: Page, server: str) -> None:
+    page.emulate_media(color_scheme="dark")
     open_final(page, f"{server}/?albedo=0.8")
     tint(page, "#ff8000")
     wait_final(page)

@@ -64,7 +64,7 @@ def test_the_curl_line_saves_the_picture_that_is_shown(menu: Page, tmp_path: Pat
     subprocess.run(["bash", "-c", command], cwd=tmp_path, check=True, timeout=60, capture_output=True)
     assert np.array_equal(pixels_in((tmp_path / "small-0.45.png").read_bytes()), shown(menu))
     assert all(part in command for part in ("azimuth=-70.5", "overlay=error", "wait_ms=10000"))
-    assert "elevation" not in command and "exposure" not in command, "what the scene's defaults say is left out"
+    assert "yaw" not in command and "exposure" not in command, "what the scene's defaults say is left out"
     assert "Authorization" not in command
 
 

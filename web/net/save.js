@@ -72,8 +72,7 @@ export class Saver {
     const { link, query, file, alt } = this.#description;
     const controller = new AbortController();
     this.#begin({ controller, size: `${width} × ${height}`, link: link(), file: file(), alt: alt() });
-    const samples = samplesFor({ width, height });
-    const wanted = { ...query(), ...(samples > 1 && { antialias: samples }), width, height, f: "png" };
+    const wanted = { ...query(), antialias: samplesFor({ width, height }), width, height, f: "png" };
     await this.#refine(wanted, controller.signal);
   }
 
@@ -91,7 +90,7 @@ export class Saver {
       else await this.#finish();
     } catch (error) {
       const { antialias, ...plain } = query;
-      if (antialias && error instanceof Trouble && error.status === 422) return this.#refine(plain, signal);
+      if (antialias !== 1 && error instanceof Trouble && error.status === 422) return this.#refine({ ...plain, antialias: 1 }, signal);
       if (!signal.aborted) this.#end(/** @type {Error} */ (error).message);
     }
   }

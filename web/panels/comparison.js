@@ -46,6 +46,13 @@ export class Comparison {
     else if (this.#picture.hidden) this.#ask();
   }
 
+  /** The view is as it was, but more is asked of its pictures; the present one stays meanwhile. */
+  improve() {
+    if (!this.#on || this.#moving) return;
+    this.#mark("provisional");
+    this.#polling.show(false);
+  }
+
   get #on() {
     return this.#view.values.compare !== "";
   }
