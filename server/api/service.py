@@ -10,12 +10,15 @@ from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, replace
 from typing import Annotated, Self, TypeVar
 
+import numpy as np
 from fastapi import Depends, Request
 from fastapi.requests import HTTPConnection
 
 from isogi_core.bake.bake_spec import SPECS
+from isogi_core.errors import NoRoomError
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.tiles import Stopwatch
+from isogi_core.kernels.shading.framebuffer import PROVISIONAL
 from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import Index
@@ -69,6 +72,9 @@ STREAM, ADDRESS, PATIENT = 1.0, 4.0, 0.25
 """Weights of clients where they share the threads: a stream, all requests of an address, and work that yields."""
 
 COMPILING = "What draws {shading} pictures is being compiled, once on this machine: ask again in a while."
+
+PREVIEW = "lambert"
+"""The shading of views whose light does not fit the memory."""
 
 HEARTBEAT = 20.0
 """Seconds without an update after which light is requested again, before the baker forgets the request."""
@@ -205,7 +211,7 @@ class Service:
     async def show(self, picture: PictureRequest, viewer: Viewer, rank: Rank, watch: Stopwatch | None = None) -> Shown:
         """The picture with the light baked so far; the light that it lacks is requested for the ``viewer``."""
         watch, since = watch or Stopwatch(), self._newest(picture)
-        frame = await self.frame(picture, rank, watch)
+        frame = await self.frame_or_preview(picture, rank, watch)
 
         def request() -> Shown:
             with watch.stage("demand"):
@@ -237,6 +243,14 @@ class Service:
 
         with watch.stage("queue"):
             return await self.renders.share((picture, self._newest(picture)), work, rank)
+
+    async def frame_or_preview(self, picture: PictureRequest, rank: Rank, watch: Stopwatch) -> Frame:
+        """The frame of a picture; where its light does not fit the memory, an unshadowed one, all of it provisional."""
+        try:
+            return await self.frame(picture, rank, watch)
+        except NoRoomError:
+            preview = replace(picture, view=replace(picture.view, shading=PREVIEW))
+            return provisional(await self.frame(preview, rank.begun, watch))
 
     async def refinements(self, picture: PictureRequest, viewer: Viewer) -> AsyncGenerator[Shown, None]:
         """The picture at once, then a better one as light comes, until it is final or no more light is coming.
@@ -304,6 +318,11 @@ class Service:
 
     def _newest(self, picture: PictureRequest) -> int:
         return self.updates.newest(self._bake(picture))
+
+
+def provisional(frame: Frame) -> Frame:
+    """The same frame, no pixel of which is taken for good."""
+    return replace(frame, state=np.minimum(frame.state, PROVISIONAL))
 
 
 def work_of(shown: Shown) -> float:

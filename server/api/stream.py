@@ -238,7 +238,7 @@ class Session:
         """One picture of a view that moves, as large as it can come quickly, and coded as fast."""
         self._service.engine.make_way()
         small, watch, rank = picture.draft(self._drafts.scale), Stopwatch(), self._rank()
-        frame = await self._service.frame(small, rank, watch)
+        frame = await self._service.frame_or_preview(small, rank, watch)
         shown = Shown(frame, None, watch, frozenset(), 0)
         self._drafts.drawn(sum(watch.seconds.values()), self._window.way)  # smaller ones where many wait
         await self._picture(request, params, shown, "jpeg", rank)
