@@ -26,7 +26,7 @@ from server.errors import BusyError, StartingError, UnknownJobError, UnknownScen
 from server.parameters import ViewParams, view_of
 from server.render.engine import RenderEngine
 from server.render.jobs import Job, Jobs
-from server.render.scheduling import ASKED, REFINED, REST, AdmissionLimit, Rank, Renders
+from server.render.scheduling import ASKED, DRAFT, REFINED, REST, AdmissionLimit, Rank, Renders
 from server.render.updates import Pending, UpdateBus, attended, request_viewer
 from server.settings import Settings
 from server.uploads.uploads import Uploads
@@ -68,8 +68,9 @@ Result = TypeVar("Result")
 CHECK = 0.02
 """Seconds between two checks of whether the service is ready."""
 
-STREAM, ADDRESS, PATIENT = 1.0, 4.0, 0.25
-"""Weights of clients where they share the threads: a stream, all requests of an address, and work that yields."""
+STREAM, DRAFTING, ADDRESS, PATIENT = 1.0, 4.0, 4.0, 0.25
+"""Weights of clients where they share the threads: a stream whose view rests, one whose view moves, all requests of an
+address, and work that yields."""
 
 COMPILING = "What draws {shading} pictures is being compiled, once on this machine: ask again in a while."
 
@@ -207,6 +208,10 @@ class Service:
         """
         weight = PATIENT if viewer.patient else STREAM if viewer.single else ADDRESS
         return Rank.within(patience, longest, self.renders.client(viewer.client, weight))
+
+    def draft_rank(self, viewer: Viewer) -> Rank:
+        """Where a draft of a stream's view that moves stands: what the stream took at rest does not count."""
+        return Rank.within(DRAFT, client=self.renders.client(("draft", viewer.client), DRAFTING))
 
     async def show(self, picture: PictureRequest, viewer: Viewer, rank: Rank, watch: Stopwatch | None = None) -> Shown:
         """The picture with the light baked so far; the light that it lacks is requested for the ``viewer``."""
