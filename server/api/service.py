@@ -68,9 +68,11 @@ Result = TypeVar("Result")
 CHECK = 0.02
 """Seconds between two checks of whether the service is ready."""
 
-STREAM, DRAFTING, ADDRESS, PATIENT = 1.0, 4.0, 4.0, 0.25
-"""Weights of clients where they share the threads: a stream whose view rests, one whose view moves, all requests of an
-address, and work that yields."""
+STREAM, ADDRESS, PATIENT = 1.0, 4.0, 0.25
+"""Weights of clients where they share the threads: a stream, all requests of an address, and work that yields."""
+
+DRAFTS = 2
+"""Threads for drafts alone, so that none waits for a full picture to end."""
 
 COMPILING = "What draws {shading} pictures is being compiled, once on this machine: ask again in a while."
 
@@ -100,6 +102,7 @@ class Service:
         self.updates: UpdateBus
         self.jobs = Jobs(settings.jobs)
         self.renders = Renders(settings.render_threads)
+        self.drafts = Renders(DRAFTS)
         self.uploads = Uploads(engine, settings)
         self._requests = AdmissionLimit(settings.render_threads + settings.render_queue, "frames wait")
         self._refining = 0
@@ -131,6 +134,7 @@ class Service:
             self.engine.stop()
             await self._compiling
         self.renders.close()
+        self.drafts.close()
         self.uploads.close()
         await asyncio.to_thread(self.engine.close)
 
@@ -210,8 +214,8 @@ class Service:
         return Rank.within(patience, longest, self.renders.client(viewer.client, weight))
 
     def draft_rank(self, viewer: Viewer) -> Rank:
-        """Where a draft of a stream's view that moves stands: what the stream took at rest does not count."""
-        return Rank.within(DRAFT, client=self.renders.client(("draft", viewer.client), DRAFTING))
+        """Where a draft of a stream's view that moves stands, among drafts alone."""
+        return Rank.within(DRAFT, client=self.drafts.client(viewer.client, STREAM))
 
     async def show(self, picture: PictureRequest, viewer: Viewer, rank: Rank, watch: Stopwatch | None = None) -> Shown:
         """The picture with the light baked so far; the light that it lacks is requested for the ``viewer``."""
@@ -247,7 +251,8 @@ class Service:
             return self.engine.survey(picture.scene, picture.view, picture.target, cancelled, watch)
 
         with watch.stage("queue"):
-            return await self.renders.share((picture, self._newest(picture)), work, rank)
+            renders = self.drafts if picture.view.moving else self.renders
+            return await renders.share((picture, self._newest(picture)), work, rank)
 
     async def frame_or_preview(self, picture: PictureRequest, rank: Rank, watch: Stopwatch) -> Frame:
         """The frame of a picture; where its light does not fit the memory, an unshadowed one, all of it provisional."""

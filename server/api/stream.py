@@ -24,7 +24,7 @@ from server.parameters import FrameParams, NoParams, read
 from server.pictures import MEDIA_TYPES, encode, format_for
 from server.problems import Problem, problem, status_of
 from server.render.metrics import Metrics
-from server.render.scheduling import DRAFT
+from server.render.scheduling import DRAFT, Rank
 from server.render.updates import stream_viewer
 from server.settings import Settings
 from server.values import Span
@@ -241,21 +241,21 @@ class Session:
         frame = await self._service.frame_or_preview(small, rank, watch)
         shown = Shown(frame, None, watch, frozenset(), 0)
         self._drafts.drawn(sum(watch.seconds.values()), self._window.way)  # smaller ones where many wait
-        await self._picture(request, params, shown, "jpeg")
+        await self._picture(request, params, shown, "jpeg", rank)
         now = asyncio.get_running_loop().time()
         if now - self._wanted >= WANT_EVERY:
             self._wanted = now
             work = partial(self._service.request_light, small, frame, self._viewer)
-            await self._service.renders.finish(work)
+            await self._service.drafts.run(work, rank)
 
     async def _rest(self, request: ViewRequest, params: FrameParams, picture: PictureRequest, form: str) -> None:
         """The full picture of a view at rest, and each better one, until it is final."""
         async with aclosing(self._service.refinements(picture, self._viewer)) as refinements:
             async for shown in refinements:
-                await self._picture(request, params, shown, form)
+                await self._picture(request, params, shown, form, self._service.rank(self._viewer, DRAFT))
                 await self._window.room()
 
-    async def _picture(self, request: ViewRequest, params: FrameParams, shown: Shown, form: str) -> None:
+    async def _picture(self, request: ViewRequest, params: FrameParams, shown: Shown, form: str, rank: Rank) -> None:
         """Send a picture and its facts."""
         exposure = self._scene.default_exposure if params.exposure is None else params.exposure
 
@@ -264,9 +264,8 @@ class Session:
                 picture = encode(shown.frame, form, exposure, params)
             return answer(request.id, shown, form, request.moving, params.antialias), picture
 
-        renders = self._service.renders
-        waits = renders.finish(made) if request.moving else renders.run(made, self._service.rank(self._viewer, DRAFT))
-        facts, picture = await waits
+        renders = self._service.drafts if request.moving else self._service.renders
+        facts, picture = await renders.run(made, rank)
         self._window.sent(request.id)
         self._metrics.count_picture("draft" if request.moving else "stream", not shown.frame.final, shown.watch.seconds)
         if self._shows is not None:

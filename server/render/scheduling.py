@@ -186,16 +186,11 @@ class Flight:
     waiting: int = 0
 
 
-FINISHING = 2
-"""Threads for what is short."""
-
-
 class Renders:
     """Runs blocking work, so much at once, and stops it when no caller waits for it any more."""
 
     def __init__(self, threads: int) -> None:
         self._pool = ThreadPoolExecutor(threads, thread_name_prefix="render")
-        self._finishing = ThreadPoolExecutor(FINISHING, thread_name_prefix="finish")
         self._places = FairSemaphore(threads)
         self._flights: dict[Hashable, Flight] = {}
         self._clients: dict[Hashable, Client] = {}
@@ -221,10 +216,6 @@ class Renders:
                 await asyncio.gather(working, return_exceptions=True)
                 raise
 
-    async def finish(self, work: Callable[[], Result]) -> Result:
-        """The result of short work at the end of some that had its turn: it waits for no other turn."""
-        return await asyncio.get_running_loop().run_in_executor(self._finishing, copy_context().run, work)
-
     async def share(self, key: Hashable, work: Callable[[threading.Event], Result], rank: Rank) -> Result:
         """The result of the work that goes by ``key``: done once for all that ask for it meanwhile.
 
@@ -243,8 +234,7 @@ class Renders:
 
     def close(self) -> None:
         """Take no more work; what still waits is dropped."""
-        for pool in (self._pool, self._finishing):
-            pool.shutdown(wait=False, cancel_futures=True)
+        self._pool.shutdown(wait=False, cancel_futures=True)
 
     def _begin(self, key: Hashable, work: Callable[[threading.Event], Any], rank: Rank) -> Flight:
         cancelled = threading.Event()
