@@ -154,7 +154,7 @@ class Session:
         self._metrics: Metrics = socket.app.state.metrics
         self._viewer = stream_viewer()
         self._inbox = Inbox(socket, service.settings)
-        self._drafts, self._window, self._motion = Drafts(), Window(), Motion()
+        self._drafts, self._window, self._motion = Drafts(service.drafts.crowded), Window(), Motion()
         self._sending = asyncio.Lock()
         self._newest: tuple[ViewRequest, FrameParams] | None = None
         self._changed = asyncio.Event()
