@@ -25,6 +25,10 @@ class StoreError(IsogiError):
     """The cache's store cannot be read or written, or holds another scene's light."""
 
 
+class NoRoomError(StoreError):
+    """The light of a view does not fit the memory that it may take."""
+
+
 class StoreAwayError(StoreError):
     """The store cannot be used at the moment; what is asked of it later may come. Nothing that it keeps is lost."""
 

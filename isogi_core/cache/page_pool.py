@@ -15,7 +15,7 @@ from isogi_core.bake.noise import DARKEST, deviations, least_level, powers, whit
 from isogi_core.bake.precision import samples_of
 from isogi_core.bake.texel_light import Light
 from isogi_core.cache.chunk import Chunks
-from isogi_core.errors import StoreError
+from isogi_core.errors import NoRoomError
 from isogi_core.kernels.shading.lattice import UNLIT, Lattice
 from isogi_core.kernels.shading.texel_table import Judge, Role, Rows, Sums, add_part, judge_rows
 from isogi_core.model.scene_plan import FEWEST, Layer
@@ -88,7 +88,7 @@ class PagePool:
     def insert(self, chunks: Chunks, keep: Collection[Index] = ()) -> None:
         """Put decoded chunks into the pool, replacing older light; the chunks ``keep`` are not dropped for them.
 
-        Raises StoreError, and drops none, where the budget cannot hold them.
+        Raises NoRoomError, and drops none, where the budget cannot hold them.
         """
         counts = np.diff(chunks.bounds)
         with self._lock:
@@ -140,11 +140,11 @@ class PagePool:
     def _make_room(self, pages: int, slots: int, spare: Sequence[Index]) -> None:
         """Drop chunks of ``spare``, in this order, until so many pages and slots are free.
 
-        Raises StoreError, and drops none, where all of them are too few.
+        Raises NoRoomError, and drops none, where all of them are too few.
         """
         most = len(self._free_pages) + sum(len(self._entries[index].pages) for index in spare)
         if most < pages or len(self._free_slots) + len(spare) < slots:
-            raise StoreError(
+            raise NoRoomError(
                 f"The light of this view does not fit the memory for {len(self.scatter)} texels:"
                 " ask for a closer view or fewer pixels, or give light more memory."
             )

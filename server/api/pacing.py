@@ -26,8 +26,9 @@ FRESH_DRAFT = 0.5
 class Drafts:
     """The scale of one connection's drafts."""
 
-    def __init__(self) -> None:
-        self._rung = 2
+    def __init__(self, crowded: bool = False) -> None:
+        """Begin in the middle, or with the smallest where others wait for theirs."""
+        self._rung = 0 if crowded else 2
         self._drawn = self._shown = 0.0
 
     @property

@@ -10,12 +10,15 @@ from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, replace
 from typing import Annotated, Self, TypeVar
 
+import numpy as np
 from fastapi import Depends, Request
 from fastapi.requests import HTTPConnection
 
 from isogi_core.bake.bake_spec import SPECS
+from isogi_core.errors import NoRoomError
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.tiles import Stopwatch
+from isogi_core.kernels.shading.framebuffer import PROVISIONAL
 from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import Index
@@ -23,7 +26,7 @@ from server.errors import BusyError, StartingError, UnknownJobError, UnknownScen
 from server.parameters import ViewParams, view_of
 from server.render.engine import RenderEngine
 from server.render.jobs import Job, Jobs
-from server.render.scheduling import ASKED, REFINED, REST, AdmissionLimit, Rank, Renders
+from server.render.scheduling import ASKED, DRAFT, REFINED, REST, AdmissionLimit, Rank, Renders
 from server.render.updates import Pending, UpdateBus, attended, request_viewer
 from server.settings import Settings
 from server.uploads.uploads import Uploads
@@ -68,7 +71,13 @@ CHECK = 0.02
 STREAM, ADDRESS, PATIENT = 1.0, 4.0, 0.25
 """Weights of clients where they share the threads: a stream, all requests of an address, and work that yields."""
 
+DRAFTS = 2
+"""Threads for drafts alone, so that none waits for a full picture to end."""
+
 COMPILING = "What draws {shading} pictures is being compiled, once on this machine: ask again in a while."
+
+PREVIEW = "lambert"
+"""The shading of views whose light does not fit the memory."""
 
 HEARTBEAT = 20.0
 """Seconds without an update after which light is requested again, before the baker forgets the request."""
@@ -93,6 +102,7 @@ class Service:
         self.updates: UpdateBus
         self.jobs = Jobs(settings.jobs)
         self.renders = Renders(settings.render_threads)
+        self.drafts = Renders(DRAFTS)
         self.uploads = Uploads(engine, settings)
         self._requests = AdmissionLimit(settings.render_threads + settings.render_queue, "frames wait")
         self._refining = 0
@@ -124,6 +134,7 @@ class Service:
             self.engine.stop()
             await self._compiling
         self.renders.close()
+        self.drafts.close()
         self.uploads.close()
         await asyncio.to_thread(self.engine.close)
 
@@ -202,10 +213,14 @@ class Service:
         weight = PATIENT if viewer.patient else STREAM if viewer.single else ADDRESS
         return Rank.within(patience, longest, self.renders.client(viewer.client, weight))
 
+    def draft_rank(self, viewer: Viewer) -> Rank:
+        """Where a draft of a stream's view that moves stands, among drafts alone."""
+        return Rank.within(DRAFT, client=self.drafts.client(viewer.client, STREAM))
+
     async def show(self, picture: PictureRequest, viewer: Viewer, rank: Rank, watch: Stopwatch | None = None) -> Shown:
         """The picture with the light baked so far; the light that it lacks is requested for the ``viewer``."""
         watch, since = watch or Stopwatch(), self._newest(picture)
-        frame = await self.frame(picture, rank, watch)
+        frame = await self.frame_or_preview(picture, rank, watch)
 
         def request() -> Shown:
             with watch.stage("demand"):
@@ -236,7 +251,16 @@ class Service:
             return self.engine.survey(picture.scene, picture.view, picture.target, cancelled, watch)
 
         with watch.stage("queue"):
-            return await self.renders.share((picture, self._newest(picture)), work, rank)
+            renders = self.drafts if picture.view.moving else self.renders
+            return await renders.share((picture, self._newest(picture)), work, rank)
+
+    async def frame_or_preview(self, picture: PictureRequest, rank: Rank, watch: Stopwatch) -> Frame:
+        """The frame of a picture; where its light does not fit the memory, an unshadowed one, all of it provisional."""
+        try:
+            return await self.frame(picture, rank, watch)
+        except NoRoomError:
+            preview = replace(picture, view=replace(picture.view, shading=PREVIEW))
+            return provisional(await self.frame(preview, rank.begun, watch))
 
     async def refinements(self, picture: PictureRequest, viewer: Viewer) -> AsyncGenerator[Shown, None]:
         """The picture at once, then a better one as light comes, until it is final or no more light is coming.
@@ -304,6 +328,11 @@ class Service:
 
     def _newest(self, picture: PictureRequest) -> int:
         return self.updates.newest(self._bake(picture))
+
+
+def provisional(frame: Frame) -> Frame:
+    """The same frame, no pixel of which is taken for good."""
+    return replace(frame, state=np.minimum(frame.state, PROVISIONAL))
 
 
 def work_of(shown: Shown) -> float:

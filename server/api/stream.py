@@ -154,7 +154,7 @@ class Session:
         self._metrics: Metrics = socket.app.state.metrics
         self._viewer = stream_viewer()
         self._inbox = Inbox(socket, service.settings)
-        self._drafts, self._window, self._motion = Drafts(), Window(), Motion()
+        self._drafts, self._window, self._motion = Drafts(service.drafts.crowded), Window(), Motion()
         self._sending = asyncio.Lock()
         self._newest: tuple[ViewRequest, FrameParams] | None = None
         self._changed = asyncio.Event()
@@ -237,8 +237,8 @@ class Session:
     async def _draft(self, request: ViewRequest, params: FrameParams, picture: PictureRequest) -> None:
         """One picture of a view that moves, as large as it can come quickly, and coded as fast."""
         self._service.engine.make_way()
-        small, watch, rank = picture.draft(self._drafts.scale), Stopwatch(), self._rank()
-        frame = await self._service.frame(small, rank, watch)
+        small, watch, rank = picture.draft(self._drafts.scale), Stopwatch(), self._service.draft_rank(self._viewer)
+        frame = await self._service.frame_or_preview(small, rank, watch)
         shown = Shown(frame, None, watch, frozenset(), 0)
         self._drafts.drawn(sum(watch.seconds.values()), self._window.way)  # smaller ones where many wait
         await self._picture(request, params, shown, "jpeg", rank)
@@ -246,18 +246,14 @@ class Session:
         if now - self._wanted >= WANT_EVERY:
             self._wanted = now
             work = partial(self._service.request_light, small, frame, self._viewer)
-            await self._service.renders.run(work, rank)
+            await self._service.drafts.run(work, rank)
 
     async def _rest(self, request: ViewRequest, params: FrameParams, picture: PictureRequest, form: str) -> None:
         """The full picture of a view at rest, and each better one, until it is final."""
         async with aclosing(self._service.refinements(picture, self._viewer)) as refinements:
             async for shown in refinements:
-                await self._picture(request, params, shown, form, self._rank())
+                await self._picture(request, params, shown, form, self._service.rank(self._viewer, DRAFT))
                 await self._window.room()
-
-    def _rank(self) -> Rank:
-        """Where the next picture stands."""
-        return self._service.rank(self._viewer, DRAFT)
 
     async def _picture(self, request: ViewRequest, params: FrameParams, shown: Shown, form: str, rank: Rank) -> None:
         """Send a picture and its facts."""
@@ -268,7 +264,8 @@ class Session:
                 picture = encode(shown.frame, form, exposure, params)
             return answer(request.id, shown, form, request.moving, params.antialias), picture
 
-        facts, picture = await self._service.renders.run(made, rank)
+        renders = self._service.drafts if request.moving else self._service.renders
+        facts, picture = await renders.run(made, rank)
         self._window.sent(request.id)
         self._metrics.count_picture("draft" if request.moving else "stream", not shown.frame.final, shown.watch.seconds)
         if self._shows is not None:

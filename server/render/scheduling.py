@@ -104,6 +104,11 @@ class FairSemaphore:
         finally:
             client.open -= 1
 
+    @property
+    def crowded(self) -> bool:
+        """Whether anybody waits."""
+        return any(not place.done() for _, place in self._waiting)
+
     def at_rest(self, client: Client) -> bool:
         """Whether a client neither waits nor works, nor took more than the others."""
         return not client.open and client.spent <= self._now
@@ -194,6 +199,11 @@ class Renders:
         self._places = FairSemaphore(threads)
         self._flights: dict[Hashable, Flight] = {}
         self._clients: dict[Hashable, Client] = {}
+
+    @property
+    def crowded(self) -> bool:
+        """Whether any work waits for its turn."""
+        return self._places.crowded
 
     def client(self, name: Hashable, weight: float) -> Client:
         """The client that goes by ``name``; those that are at rest are forgotten when another comes."""

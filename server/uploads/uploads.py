@@ -141,15 +141,21 @@ class Uploads:
         self._ready = False
 
     def open(self) -> None:
-        """Show the volumes in the folder, where uploads are on; one that cannot be shown is logged and left.
+        """Show the volumes in the folder, where uploads are on, as far as the quota goes; others are logged and left.
 
         Raises UploadFolderError.
         """
         if not self.on:
             return
         self.folder.open()
+        left = self.quota
         for kept in self.folder.volumes.values():
             try:
+                left -= kept.held
+                if left < 0:
+                    raise FullError(
+                        f"Uploads may take {self._settings.uploads_mb} MB: delete volumes, or give them more."
+                    )
                 self._engine.admit(self._scene(kept))
             except IsogiError as error:
                 log.error("the upload %s cannot be shown: %s", kept.id, error)

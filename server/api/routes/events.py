@@ -15,7 +15,7 @@ from fastapi.sse import EventSourceResponse, format_sse_event
 from isogi_core.errors import StoreError
 from isogi_core.frame.frame import Frame
 from server.answers import coverage_schema
-from server.api.service import PictureRequest, SceneDep, Service, ServiceDep, Shown
+from server.api.service import PREVIEW, PictureRequest, SceneDep, Service, ServiceDep, Shown
 from server.errors import ParameterError, UnknownSceneError
 from server.parameters import ViewParams, ViewParamsDep, documented
 from server.problems import documented_problems
@@ -140,6 +140,8 @@ def reason(service: Service, frame: Frame) -> str:
     if frame.given_up:
         error = f"The total error is {frame.total.likely:.3g} after all paths that pixels may take"
         return f"{error}: ask for a larger max_error."
+    if frame.view.shading == PREVIEW:
+        return "The light of this view does not fit the memory: look closer, or give the server more --memory-mb."
     if frame.view.shading != "path_traced":
         return service.reason()
     error = f"the estimated error is {frame.noise:.3g}"

@@ -51,6 +51,10 @@ def test_drafts_that_are_too_slow_at_any_size_are_the_smallest() -> None:
     assert settle(lambda _: 1.0)[-1] == SCALES[0]
 
 
+def test_drafts_begin_smaller_where_others_wait() -> None:
+    assert Drafts(crowded=True).scale < Drafts().scale
+
+
 def test_a_single_slow_draft_does_not_shrink_the_next_for_long() -> None:
     drafts = Drafts()
     before = settle(lambda scale: 0.03 * scale, drafts)[-1]

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from fastapi import FastAPI
 
-from isogi_core.errors import Cancelled, StoreError
+from isogi_core.errors import Cancelled, NoRoomError, StoreError
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.tiles import Stopwatch
@@ -350,3 +350,14 @@ def test_a_picture_whose_kernels_are_compiled_does_not_hang(engine: FakeEngine) 
     picture: Any = SimpleNamespace(view=SimpleNamespace(shading="path_traced"))
     with pytest.raises(BusyError, match="path_traced pictures is being compiled"):
         asyncio.run(service.frame(picture, Rank(0.0), Stopwatch()))
+
+
+def test_a_view_whose_light_does_not_fit_is_shown_without(engine: FakeEngine, app: FastAPI) -> None:
+    def refuse(_: threading.Event) -> None:
+        if engine.views[-1][0].shading == "gi":
+            raise NoRoomError("The light of this view does not fit the memory.")
+
+    engine.doing = refuse
+    (answer,) = started(app, {})
+    assert (answer.status_code, answer.headers["isogi-provisional"]) == (200, "?1")
+    assert [view.shading for view, _ in engine.views] == ["gi", "lambert"]

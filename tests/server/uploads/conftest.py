@@ -24,7 +24,7 @@ def open_app(folder: Path) -> Iterator[Open]:
     opened: list[Uploads] = []
 
     def open_app(engine: Poster | None = None, **settings: Any) -> FastAPI:
-        told = Settings(**{"uploads_mb": 1, "uploads": str(folder), **PATIENT, **settings})
+        told = Settings(**{"uploads_mb": 64, "uploads": str(folder), **PATIENT, **settings})
         app = create_app(engine or Poster(), told)  # type: ignore[arg-type]
         opened.append(app.state.service.uploads)
         opened[-1].open()

@@ -63,6 +63,6 @@ def opened(scene: Path, folder: Path) -> Iterator[Site]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(pool, "WorkerPool", InlinePool)
         engine = RenderEngine([load_scene(scene)], str(folder / "light"))
-        app = create_app(engine, Settings(uploads_mb=8, uploads=str(volumes), **PATIENT))  # type: ignore[arg-type]
+        app = create_app(engine, Settings(uploads_mb=64, uploads=str(volumes), **PATIENT))  # type: ignore[arg-type]
         with live(app) as url, httpx.Client(base_url=url, timeout=120) as client:
             yield Site(engine, client, volumes)

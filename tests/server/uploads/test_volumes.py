@@ -13,7 +13,7 @@ import pytest
 from fastapi import FastAPI
 
 from isogi_core.errors import StoreError
-from server.uploads.folder import UploadFolder
+from server.uploads.folder import SCENE, UploadFolder
 from tests.server.uploads.files import FIELDS, ball, headed, names
 from tests.server.uploads.site import Open, Poster
 
@@ -47,8 +47,8 @@ def test_a_volume_is_taken_shown_listed_found_again_and_deleted(ask: Ask, open_a
     listed = ask(app, "GET", "/v1/volumes").json()
     assert listed["volumes"] == [facts] == [ask(app, "GET", facts["href"]).json()]
     assert listed["uploads"] == {
-        **{"limit_bytes": 256 << 20, "quota_bytes": 1 << 20},
-        "free_bytes": (1 << 20) - facts["bytes"],
+        **{"limit_bytes": 256 << 20, "quota_bytes": 64 << 20},
+        "free_bytes": (64 << 20) - facts["bytes"] - SCENE,
     }
     (link,) = ask(app, "GET", "/v1/scenes").json()["scenes"]
     assert link == {key: facts[key] for key in ("id", "name")} | {"href": facts["scene"], "volume": facts["href"]}
@@ -123,13 +123,22 @@ def test_one_that_may_not_be_that_large_is_413(ask: Ask, open_app: Open, folder:
 
 
 def test_the_quota_is_held(ask: Ask, open_app: Open, folder: Path) -> None:
-    app = open_app()
+    app = open_app(uploads_mb=7)
     first = ask(app, "POST", "/v1/volumes", content=ball(50)).json()
     answer = ask(app, "POST", "/v1/volumes", content=ball(56))
     assert answer.status_code == 507 and "delete volumes" in answer.json()["detail"]
     assert names(folder) == {f"{first['id']}.nrrd"}
     assert ask(app, "DELETE", first["href"]).status_code == 204
     assert ask(app, "POST", "/v1/volumes", content=ball(56)).status_code == 201
+
+
+def test_small_volumes_count_too_also_after_a_restart(ask: Ask, open_app: Open) -> None:
+    app = open_app(uploads_mb=19)
+    answers = [ask(app, "POST", "/v1/volumes", content=ball(side)).status_code for side in (2, 3, 4, 5)]
+    assert answers == [201, 201, 201, 507]
+    app.state.service.uploads.close()
+    open_app(engine := Poster(), uploads_mb=13)
+    assert len(engine.scenes) == 2
 
 
 def test_a_volume_that_the_store_has_no_room_for_is_not_kept(ask: Ask, open_app: Open, folder: Path) -> None:
