@@ -2,6 +2,7 @@
 
 import os
 import re
+import shutil
 import socket
 import subprocess
 import sys
@@ -77,7 +78,8 @@ class Cluster:
     """Processes that end with the ``with`` block. They speak TLS with the ``certificates`` in a folder, or new ones."""
 
     def __init__(self, certificates: Path | None = None) -> None:
-        self.environment = {**os.environ, "PYTHONPATH": str(ROOT), **HEALTH}
+        programs = os.pathsep.join((str(Path(sys.executable).parent), os.environ["PATH"]))
+        self.environment = {**os.environ, "PATH": programs, "PYTHONPATH": str(ROOT), **HEALTH}
         self.port = free_port()
         self.address = f"tls://127.0.0.1:{self.port}"
         self._running: list[Started] = []
@@ -97,8 +99,10 @@ class Cluster:
 
     def run(self, *command: str, environment: Mapping[str, str] | None = None, **kwargs: Any) -> Started:
         """Start a command of the environment that the tests run in."""
-        path = [str(Path(sys.executable).with_name(command[0])), *command[1:]]
-        process = subprocess.Popen(path, env={**self.environment, **(environment or {})}, **kwargs)
+        program = shutil.which(command[0], path=self.environment["PATH"])
+        process = subprocess.Popen(
+            [program or command[0], *command[1:]], env={**self.environment, **(environment or {})}, **kwargs
+        )
         self._running.append(process)
         return process
 
