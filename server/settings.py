@@ -3,15 +3,20 @@
 import os
 from ipaddress import ip_address
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, SecretStr, field_validator, model_validator
+from pydantic import Field, FilePath, SecretStr, field_validator, model_validator
 from pydantic_settings import (
     BaseSettings,
     NoDecode,
     PydanticBaseSettingsSource,
     SettingsConfigDict,
     TomlConfigSettingsSource,
+)
+
+UNKNOWN_SCHEDULER = (
+    "whoever reaches a scheduler without certificates can run code there: name one at tls://… with scheduler_ca,"
+    " scheduler_cert and scheduler_key (docs/cluster.md), or say --insecure-scheduler"
 )
 
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
@@ -68,13 +73,24 @@ class Settings(BaseSettings):
         le=1 << 30,
         description="Megabytes of such copies; those used last are kept.",
     )
-    scheduler: str | None = Field(None, description="Address of a Dask scheduler instead of own workers.")
+    scheduler: str | None = Field(None, description="Address of a Dask scheduler instead of own workers, tls://….")
+    scheduler_ca: FilePath | None = Field(
+        None, description="File of the authority, PEM, that signed the certificates of that scheduler and its workers."
+    )
+    scheduler_cert: FilePath | None = Field(
+        None, description="File of the certificate, PEM, that the scheduler is shown."
+    )
+    scheduler_key: FilePath | None = Field(None, description="File of that certificate's key, PEM.")
+    insecure_scheduler: bool = Field(
+        False, description="Join a scheduler without certificates: all who reach it can run code as its workers' user."
+    )
     token: SecretStr | None = Field(
         None,
         min_length=16,
         description="What clients show as 'Authorization: Bearer', or a browser once as /?token=; needed where the"
         " host is not loopback. No option, for all users of a machine see those.",
     )
+    token_file: str | None = Field(None, description="File that holds the token, where the environment does not.")
     allowed_hosts: Names | None = Field(
         None,
         description="Host names that requests may use, comma-separated; default: the loopback names when"
@@ -149,12 +165,36 @@ class Settings(BaseSettings):
             raise ValueError(f"{former} is called {FORMER[former]} now: rename it")
         return given
 
+    @model_validator(mode="before")
+    @classmethod
+    def token_from_file(cls, given: Any) -> Any:
+        """What is given, with the token that a file holds."""
+        if "token" in given or not given.get("token_file"):
+            return given
+        try:
+            return {**given, "token": Path(given["token_file"]).read_text(encoding="utf-8").strip()}
+        except (OSError, ValueError) as error:
+            raise ValueError(f"the token cannot be read: {error}") from None
+
+    @model_validator(mode="after")
+    def scheduler_is_known(self) -> Self:
+        """The settings, where a scheduler to join has certificates, or needs none."""
+        known = all(self.certificates) and (self.scheduler or "").startswith("tls://")
+        if self.scheduler and not (known or self.insecure_scheduler):
+            raise ValueError(UNKNOWN_SCHEDULER)
+        return self
+
     @classmethod
     def settings_customise_sources(
         cls, settings_cls: type[BaseSettings], init_settings: PydanticBaseSettingsSource, *_: Any, **others: Any
     ) -> tuple[PydanticBaseSettingsSource, ...]:
         """Options come first, then the environment, then the file where there is one."""
         return init_settings, others["env_settings"], TomlConfigSettingsSource(settings_cls)
+
+    @property
+    def certificates(self) -> tuple[Path | None, Path | None, Path | None]:
+        """The files for a scheduler: of the authority, the certificate and its key."""
+        return self.scheduler_ca, self.scheduler_cert, self.scheduler_key
 
     @property
     def exposed(self) -> bool:

@@ -13,6 +13,7 @@ from distributed import Client, Future, LocalCluster, fire_and_forget
 from distributed.scheduler import KilledWorker
 
 from isogi_core.model.scene_plan import ScenePlan
+from worker.certificates import temporary_security
 from worker.errors import LostWorkerError, WorkersAwayError, WorkersError
 from worker.niceness import Nice, Sessions, leads_session
 from worker.tasks import KINDS, BakeResult, BakeTask, Outcome, bake, bake_all, kernels_missing, load_kernels
@@ -304,6 +305,8 @@ def addresses(client: Client) -> frozenset[str]:
 def start_cluster(workers: int) -> LocalCluster:
     """Start worker processes on the loopback interface, spawned and not forked, without a dashboard.
 
+    They speak TLS with a key of their own, as any user of the machine can reach loopback.
+
     Dask serves a health page all the same, on a free port: two servers must not compete for one.
     """
     dask.config.set(FOREVER)
@@ -312,6 +315,7 @@ def start_cluster(workers: int) -> LocalCluster:
         threads_per_worker=1,
         processes=True,
         host="127.0.0.1",
+        security=temporary_security(),
         dashboard_address="127.0.0.1:0",
         scheduler_kwargs={"dashboard": False},
         memory_limit=None,

@@ -80,8 +80,14 @@ GRID_OPTIONS = {
 WORK_OPTIONS = {
     "workers": "Processes that compute light; default: one per core.",
     "store": "Path or URL where light is kept; default: the user's cache folder.",
-    "scheduler": "Address of a Dask scheduler to compute on, instead of own workers.",
+    "scheduler": "Address of a Dask scheduler to compute on, tls://…, instead of own workers.",
+    "scheduler_ca": "File of the authority, PEM, that signed its certificate.",
+    "scheduler_cert": "File of the certificate, PEM, that it is shown.",
+    "scheduler_key": "File of that certificate's key, PEM.",
+    "insecure_scheduler": "Join a scheduler without certificates.",
 }
+SWITCHES = ("insecure_scheduler",)
+"""Options that take no value."""
 
 
 def volume_options(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -117,7 +123,8 @@ def options(table: dict[str, str]) -> Callable[[Command], Command]:
 
     def decorate(command: Command) -> Command:
         for name, text in reversed(table.items()):
-            command = click.option(f"--{name}", help=text)(command)
+            flag = f"--{name.replace('_', '-')}"
+            command = click.option(flag, is_flag=name in SWITCHES, default=None, help=text)(command)
         return command
 
     return decorate

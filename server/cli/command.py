@@ -190,7 +190,7 @@ def prewarm(
         summary = (
             work.go_on(scene, settings, order.deadline) if go_on else work.prewarm(scene, order, settings, dry_run)
         )
-    elif named := [name for name, value in workers.items() if value is not None]:
+    elif named := [name.replace("_", "-") for name, value in workers.items() if value is not None]:
         raise click.UsageError(f"--{named[0]} is the server's own: leave it out, or leave --server out.")
     elif detach:
         address = remote().detach(server, scene, order, dry_run)

@@ -12,8 +12,13 @@ GROUPS = {
         *("store", "store_seconds", "store_retries", "store_cache_mb", "projected_mb", "memory_mb"),
         *("volume_mb", "volume_cache", "volume_cache_mb"),
     ),
-    "Who computes": ("workers", "scheduler", "render_threads", "render_queue", "queue_seconds", "jobs"),
-    "Who may ask, and for how much": ("allowed_hosts", "allowed_origins", "max_pixels", "max_paths", "max_body_bytes"),
+    "Who computes": (
+        *("workers", "scheduler", "scheduler_ca", "scheduler_cert", "scheduler_key", "insecure_scheduler"),
+        *("render_threads", "render_queue", "queue_seconds", "jobs"),
+    ),
+    "Who may ask, and for how much": (
+        *("token_file", "allowed_hosts", "allowed_origins", "max_pixels", "max_paths", "max_body_bytes"),
+    ),
     "Uploads": ("uploads_mb", "uploads", "max_upload_mb", "upload_seconds", "reading_seconds"),
     "Connections": (
         *("max_connections", "max_client_connections", "head_seconds", "body_seconds", "stall_seconds"),

@@ -1,5 +1,6 @@
 """Options: those that settings make, their documentation, and the checks of values that a command is given."""
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -17,9 +18,14 @@ CONFIG = "A TOML file with settings, such as port = 8080; options and the enviro
 
 
 def settings_from(config: Path | None = None, **given: Any) -> Settings:
-    """The settings: options first, then the environment, then a file; UsageError names what is wrong."""
+    """The settings: options first, then the environment, then a file; UsageError names what is wrong.
+
+    The token is taken out of the environment, which workers inherit.
+    """
     try:
-        return read_settings(config, **{name: value for name, value in given.items() if value is not None})
+        settings = read_settings(config, **{name: value for name, value in given.items() if value is not None})
+        os.environ.pop(variable("token"), None)
+        return settings
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         if not first["loc"]:
@@ -59,8 +65,16 @@ def setting_options() -> list[click.Parameter]:
     file = click.Option(["--config"], type=click.Path(path_type=Path, exists=True, dir_okay=False), help=CONFIG)
     names = [name for name in Settings.model_fields if name not in SECRET]
     former = [click.Option([flag(name)], hidden=True) for name in FORMER]
-    own = [click.Option([flag(name)], help=f"{described(name)} [{variable(name)}]") for name in names]
+    own = [
+        click.Option([flag(name)], is_flag=switched(name), default=None, help=f"{described(name)} [{variable(name)}]")
+        for name in names
+    ]
     return [file, *own, *former]
+
+
+def switched(name: str) -> bool:
+    """Whether a setting is on or off, so that its option takes no value."""
+    return Settings.model_fields[name].annotation is bool
 
 
 def secrets() -> list[tuple[str, str]]:
@@ -72,7 +86,7 @@ def described(name: str) -> str:
     """What a setting is for, with its default where the description does not name it."""
     field = Settings.model_fields[name]
     text = field.description or ""
-    complete = field.default_factory is not None or field.default in (None, ()) or "default:" in text
+    complete = switched(name) or field.default_factory is not None or field.default in (None, ()) or "default:" in text
     return text if complete else f"{text.removesuffix('.')}; default: {field.default}."
 
 

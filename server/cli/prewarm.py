@@ -22,6 +22,7 @@ from server.render.bakes import PATIENCE
 from server.render.engine import RenderEngine
 from server.render.jobs import Status
 from server.render.resources import root_of
+from server.render.workforce import scheduler_of
 from server.settings import Settings
 from worker.bake_requests import Viewer
 
@@ -50,7 +51,7 @@ def prewarm_scene(
     begun = time.monotonic() if begun is None else begun
     Views(order, scene, settings)
 
-    hired = (settings.workers, None if dry else settings.scheduler)
+    hired = (settings.workers, None if dry else scheduler_of(settings))
     root = root_of(settings)
     record = Record(root, scene, order, "command")
     with closing(RenderEngine([scene], root, *hired, settings.memory_mb << 20)) as engine, Progress() as bar:

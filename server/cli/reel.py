@@ -21,6 +21,7 @@ from server.pictures import SUFFIXES, encode
 from server.progress import Progress
 from server.render.engine import RenderEngine
 from server.render.resources import root_of
+from server.render.workforce import scheduler_of
 from server.settings import Settings
 
 PAUSE = 1.0
@@ -74,7 +75,7 @@ class Reel:
 
     def shoot(self, budget: "Budget", settings: Settings) -> None:
         """Make the pictures that are missing. Raises StoreError and WorkersError."""
-        place, memory = (root_of(settings), settings.workers, settings.scheduler), settings.memory_mb << 20
+        place, memory = (root_of(settings), settings.workers, scheduler_of(settings)), settings.memory_mb << 20
         with (
             closing(RenderEngine([self._scene], *place, memory, projected=settings.projected_mb << 20)) as engine,
             Progress("rendering", "picture") as bar,

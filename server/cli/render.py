@@ -24,6 +24,7 @@ from server.progress import Progress, open_scene
 from server.render.bakes import Patience
 from server.render.engine import RenderEngine
 from server.render.resources import root_of
+from server.render.workforce import scheduler_of
 from server.settings import Settings
 from worker.errors import WorkersError
 from worker.progress import TimeLeft
@@ -57,7 +58,7 @@ def render(
     format_for(params, None)
     view_of(scene, params, settings)
 
-    place, memory = (root_of(settings), settings.workers, settings.scheduler), settings.memory_mb << 20
+    place, memory = (root_of(settings), settings.workers, scheduler_of(settings)), settings.memory_mb << 20
     with closing(RenderEngine([scene], *place, memory, projected=settings.projected_mb << 20)) as engine:
         engine.start()
         view = view_of(scene, params if PLACED & set(knobs) else seen_whole(engine, scene, params, settings), settings)

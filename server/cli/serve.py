@@ -22,6 +22,7 @@ from server.api.shutdown import Closing
 from server.progress import open_scene
 from server.render.engine import RenderEngine
 from server.render.resources import keep_memory_small, root_of
+from server.render.workforce import scheduler_of
 from server.settings import Settings
 
 LAST = 3.0
@@ -45,7 +46,7 @@ def serve(target: str | None, settings: Settings) -> None:
     keep_memory_small()
     scene = open_scene(target, settings)
     with listen(settings.host, settings.port) as listener:
-        workers, memory = (settings.workers, settings.scheduler), settings.memory_mb << 20
+        workers, memory = (settings.workers, scheduler_of(settings)), settings.memory_mb << 20
         engine = RenderEngine([scene], root_of(settings), *workers, memory, projected=settings.projected_mb << 20)
         engine.hire()
         asyncio.run(run(create_app(engine, settings), listener))

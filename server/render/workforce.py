@@ -6,8 +6,10 @@ from collections.abc import Collection
 
 from isogi_core.errors import IsogiError
 from isogi_core.storage.url import StoreUrl
+from server.settings import Settings
 from worker import pool
 from worker.baker import Baker
+from worker.certificates import show_certificate
 from worker.errors import WorkersAwayError, WorkersError
 
 log = logging.getLogger("isogi.server")
@@ -18,6 +20,14 @@ STARTING = "The workers are starting."
 
 AGAIN = 2.0
 """Seconds after which a scheduler that was not there when the server began is tried again."""
+
+
+def scheduler_of(settings: Settings) -> str | None:
+    """The address of the scheduler to join, which from now on is shown the certificate that the settings name."""
+    authority, certificate, key = settings.certificates
+    if authority and certificate and key:
+        show_certificate(str(authority), str(certificate), str(key))
+    return settings.scheduler
 
 
 class Workforce:

@@ -2,8 +2,8 @@
 
 ``python -m server.uploads.reader NAME OUT VOXELS SECONDS`` reads the file on stdin and writes it as a canonical file
 to the descriptor OUT. One line of JSON on stdout holds its id, or a sentence why it is refused. What the process
-may take is limited, and before it reads the file it gives up opening any other: no path, URL or socket that the
-file names can be reached.
+may take is limited, and before it reads the file it gives up all that it does not need for that (see ``sandbox``): no
+path, URL or socket that the file names can be reached, and what a hole in a library lets in can harm nothing.
 """
 
 import contextlib
@@ -23,6 +23,7 @@ from isogi_core.files.grid import Grid
 from isogi_core.files.right_angles import on_right_angles
 from isogi_core.model.volume import make_volume
 from server.uploads.folder import LONGEST, write
+from server.uploads.sandbox import confine
 
 BASE = 1 << 30
 """Bytes of address space for Python and its libraries, used or not."""
@@ -36,7 +37,8 @@ LONGEST_SENTENCE = 500
 def main(name: str, out: int, voxels: int, seconds: int) -> dict[str, str]:
     """Read stdin's volume, of at most so many ``voxels`` and in so many processor ``seconds``, into ``out``."""
     rehearse(os.pread(0, HEAD, 0))
-    confine(voxels, seconds)
+    limit(voxels, seconds)
+    confine()
     with open(0, "rb", closefd=False) as upload, open(out, "wb", closefd=False) as canonical:
         try:
             grid = on_right_angles(open_upload(upload, name or "upload", voxels))
@@ -68,7 +70,7 @@ def rehearse(head: bytes) -> None:
             import_module(name)
 
 
-def confine(voxels: int, seconds: int) -> None:
+def limit(voxels: int, seconds: int) -> None:
     """Limit what this process may take from now on; it opens no more files."""
     limits = {
         resource.RLIMIT_AS: BASE + PER_VOXEL * voxels,
@@ -77,10 +79,10 @@ def confine(voxels: int, seconds: int) -> None:
         resource.RLIMIT_CORE: 0,
         resource.RLIMIT_NOFILE: 0,
     }
-    for limit, most in limits.items():
-        _, ceiling = resource.getrlimit(limit)
+    for what, most in limits.items():
+        _, ceiling = resource.getrlimit(what)
         least = most if ceiling == resource.RLIM_INFINITY else min(most, ceiling)
-        resource.setrlimit(limit, (least, least))
+        resource.setrlimit(what, (least, least))
 
 
 def line_of(answer: dict[str, Any]) -> str:

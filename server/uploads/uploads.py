@@ -26,6 +26,7 @@ from server.render.scheduling import AdmissionLimit
 from server.render.updates import attended
 from server.settings import Settings
 from server.uploads.folder import VOXEL, UploadedVolume, UploadFolder, default_folder, named, read_facts
+from server.uploads.sandbox import lacking
 
 BLOCK = 1 << 20
 """Bytes that are written at once."""
@@ -139,6 +140,7 @@ class Uploads:
         self._admission = AdmissionLimit(AT_ONCE, "uploads are being taken")
         self._changing = asyncio.Lock()
         self._ready = False
+        self._lacking = ""
 
     def open(self) -> None:
         """Show the volumes in the folder, where uploads are on, as far as the quota goes; others are logged and left.
@@ -147,6 +149,7 @@ class Uploads:
         """
         if not self.on:
             return
+        self._lacking = lacking()
         self.folder.open()
         left = self.quota
         for kept in self.folder.volumes.values():
@@ -164,6 +167,10 @@ class Uploads:
     def close(self) -> None:
         """Leave the folder to another server."""
         self.folder.close()
+
+    def notes(self) -> list[str]:
+        """What a person should know of the reader: what its sandbox lacks on this system."""
+        return [self._lacking] if self._lacking else []
 
     @property
     def free(self) -> int:

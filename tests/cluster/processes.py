@@ -2,11 +2,13 @@
 
 import os
 import re
+import shutil
 import socket
 import subprocess
 import sys
+import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
@@ -14,13 +16,36 @@ from typing import Any
 import httpx
 import psutil
 
+from worker.certificates import temporary_security
+
 ROOT = Path(__file__).resolve().parent.parent.parent
 LONG = 240.0
 """Seconds within which a process has started, baked or noticed something, also on a slow machine."""
 
+HEALTH = {f"DASK_DISTRIBUTED__{who}__HTTP__ROUTES": '["distributed.http.health"]' for who in ("SCHEDULER", "WORKER")}
+"""By default Dask's health pages tell everybody of workers and tasks too."""
+
 QUIET = ("--no-dashboard", "--dashboard-address", "127.0.0.1:0")
 
+DASK = "--tls-ca-file", "--tls-cert", "--tls-key"
+OWN = "--scheduler-ca", "--scheduler-cert", "--scheduler-key"
+"""Options of Dask and of isogi for the files of certificates."""
+
+FILES = "ca.pem", "node.pem", "node.key"
+
 Started = subprocess.Popen[bytes]
+
+
+def write_certificates(folder: Path) -> None:
+    """Files of a new authority, a certificate and its key."""
+    made = temporary_security()
+    for name, own in zip(FILES, ("tls_ca_file", "tls_client_cert", "tls_client_key"), strict=True):
+        (folder / name).write_text(str(getattr(made, own)), encoding="ascii")
+
+
+def named(options: Sequence[str], certificates: Path) -> list[str]:
+    """Options that name the certificates in a folder."""
+    return [part for option, name in zip(options, FILES, strict=True) for part in (option, str(certificates / name))]
 
 
 def free_port() -> int:
@@ -49,49 +74,56 @@ def end(process: Started) -> None:
 
 
 class Cluster:
-    """Processes that end with the ``with`` block; ``environment`` is added to that of all."""
+    """Processes that end with the ``with`` block. They speak TLS with the ``certificates`` in a folder, or new ones."""
 
-    def __init__(self, environment: Mapping[str, str] | None = None, scheme: str = "tcp") -> None:
-        self.environment = {**os.environ, "PYTHONPATH": str(ROOT), **(environment or {})}
+    def __init__(self, certificates: Path | None = None) -> None:
+        programs = os.pathsep.join((str(Path(sys.executable).parent), os.environ["PATH"]))
+        self.environment = {**os.environ, "PATH": programs, "PYTHONPATH": str(ROOT), **HEALTH}
         self.port = free_port()
-        self.address = f"{scheme}://127.0.0.1:{self.port}"
+        self.address = f"tls://127.0.0.1:{self.port}"
         self._running: list[Started] = []
         self._clients = ExitStack()
+        self.certificates = certificates or Path(self._clients.enter_context(tempfile.TemporaryDirectory()))
+        if certificates is None:
+            write_certificates(self.certificates)
 
     def __enter__(self) -> "Cluster":
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._clients.close()
         for process in self._running:
             if process.poll() is None:
                 end(process)
+        self._clients.close()
 
     def run(self, *command: str, environment: Mapping[str, str] | None = None, **kwargs: Any) -> Started:
         """Start a command of the environment that the tests run in."""
-        path = [str(Path(sys.executable).with_name(command[0])), *command[1:]]
-        process = subprocess.Popen(path, env={**self.environment, **(environment or {})}, **kwargs)
+        program = shutil.which(command[0], path=self.environment["PATH"])
+        process = subprocess.Popen(
+            [program or command[0], *command[1:]], env={**self.environment, **(environment or {})}, **kwargs
+        )
         self._running.append(process)
         return process
 
     def scheduler(self) -> Started:
         """Start the scheduler."""
         where = ("--host", self.address.rpartition(":")[0], "--port", str(self.port))
-        started = self.run("dask", "scheduler", *where, *QUIET, stderr=subprocess.DEVNULL)
+        started = self.run(
+            "dask", "scheduler", *where, *named(DASK, self.certificates), *QUIET, stderr=subprocess.DEVNULL
+        )
         until(lambda: listens(self.port))
         return started
 
-    def worker(self, **kwargs: Any) -> Started:
-        """Start a worker; it joins when it has loaded its kernels."""
+    def worker(self, *known: str, **kwargs: Any) -> Started:
+        """Start a worker; it joins when it has loaded its kernels. Others than its own options may say who it is."""
         alone = ("--nworkers", "1", "--nthreads", "1", "--host", "127.0.0.1", *QUIET, "--memory-limit", "0")
-        return self.run(
-            "dask", "worker", self.address, *alone, "--preload", "worker.tasks", stderr=subprocess.DEVNULL, **kwargs
-        )
+        options = (*alone, *(known or named(DASK, self.certificates)), "--preload", "worker.tasks")
+        return self.run("dask", "worker", self.address, *options, stderr=subprocess.DEVNULL, **kwargs)
 
     def server(self, scene: Path, store: str) -> tuple[Started, httpx.Client]:
         """Start a server, which may not be ready yet."""
         port = free_port()
-        listening = ("--port", str(port), "--store", store, "--scheduler", self.address)
+        listening = ("--port", str(port), "--store", store, "--scheduler", self.address, *named(OWN, self.certificates))
         started = self.run("python", "-m", "server", "serve", str(scene), *listening, cwd=ROOT)
         client = self._clients.enter_context(httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=60.0))
         until(lambda: status(client, "/livez") == 200)

@@ -78,3 +78,30 @@ def test_nonsense_is_refused(monkeypatch: pytest.MonkeyPatch, name: str, value: 
     monkeypatch.setenv(name, value)
     with pytest.raises(ValidationError):
         Settings()
+
+
+def certificates(folder: Path) -> dict[str, Path]:
+    """Files of the names that certificates have."""
+    files = {f"scheduler_{what}": folder / f"{what}.pem" for what in ("ca", "cert", "key")}
+    for file in files.values():
+        file.touch()
+    return files
+
+
+def test_a_scheduler_without_certificates_is_refused(tmp_path: Path) -> None:
+    address, known = "tls://lab:8786", certificates(tmp_path)
+    assert Settings(scheduler=address, **known).certificates == tuple(known.values())
+    for wrong in ({}, {"scheduler": "tcp://lab:8786", **known}, {**known, "scheduler_key": None}):
+        with pytest.raises(ValidationError, match="can run code there"):
+            Settings(**{"scheduler": address, **wrong})
+    assert Settings(scheduler="tcp://lab:8786", insecure_scheduler=True).certificates == (None, None, None)
+    with pytest.raises(ValidationError, match="not point to a file"):
+        Settings(scheduler=address, **{**known, "scheduler_ca": tmp_path / "none.pem"})
+
+
+def test_a_file_may_hold_the_token(tmp_path: Path) -> None:
+    (tmp_path / "token").write_text("correct horse battery\n")
+    read = Settings(token_file=str(tmp_path / "token")).token
+    assert read is not None and read.get_secret_value() == "correct horse battery"
+    with pytest.raises(ValidationError, match="cannot be read"):
+        Settings(token_file=str(tmp_path / "none"))

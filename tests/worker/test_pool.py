@@ -324,10 +324,18 @@ def test_a_result_that_is_lost_on_its_way_is_an_error(status: str, error: Except
     assert type(why) is kind
 
 
+def known_to(cluster: LocalCluster) -> Any:
+    """A context in which this process shows the certificate of a cluster."""
+    made, tls = cluster.security, "distributed.comm.tls"
+    own = {f"{tls}.client.cert": made.tls_client_cert, f"{tls}.client.key": made.tls_client_key}
+    return dask.config.set({f"{tls}.ca-file": made.tls_ca_file, **own})
+
+
 @pytest.mark.slow
 def test_workers_of_others_are_joined_and_left_alone(pool: WorkerPool, tmp_path: Path) -> None:
     assert pool._cluster is not None
-    joined = WorkerPool(1, pool._cluster.scheduler_address)
+    with known_to(pool._cluster):
+        joined = WorkerPool(1, pool._cluster.scheduler_address)
     assert sorted(joined.pids()) == sorted(pool.pids())
     assert joined.room == AHEAD * WORKERS
     assert joined.connected
@@ -343,7 +351,9 @@ def test_a_pool_that_leaves_a_scheduler_leaves_no_error_there(pool: WorkerPool) 
     handler = logging.Handler()
     handler.emit = reported.append  # type: ignore[method-assign]
     logging.getLogger("distributed.scheduler").addHandler(handler)
-    clients, joined = set(scheduler.clients), WorkerPool(1, pool._cluster.scheduler_address)
+    clients = set(scheduler.clients)
+    with known_to(pool._cluster):
+        joined = WorkerPool(1, pool._cluster.scheduler_address)
     joined.close()
     deadline = time.monotonic() + LONG
     while set(scheduler.clients) != clients and time.monotonic() < deadline:

@@ -97,7 +97,7 @@ class Live(BaseModel):
 
 
 class Ready(BaseModel):
-    """Whether frames can be served, and if not, why not; if so, why all the same nothing is baked."""
+    """Whether frames can be served, and if not, why not; if so, what one should know all the same."""
 
     ready: bool = True
     reasons: list[str] = []
@@ -116,7 +116,7 @@ def readyz(request: Request, service: ServiceDep) -> Response | Ready:
     of_store = request.app.state.probe.reasons()  # it is the probe that finds a store read-only, which is no reason
     reasons = stopping or service.reasons() or of_store
     if not reasons:
-        return Ready(reasons=service.engine.notes())
+        return Ready(reasons=[*service.engine.notes(), *service.uploads.notes()])
     return problem(503, " ".join(reasons), request.url.path, ready=False, reasons=reasons)
 
 

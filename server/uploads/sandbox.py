@@ -1,0 +1,180 @@
+"""The sandbox of the reader of uploads: what its process gives up before it reads, asked of the kernel itself.
+
+``python -m server.uploads.sandbox`` tries it, and prints as JSON what this system lacks.
+"""
+
+import ctypes
+import errno
+import json
+import os
+import platform
+import struct
+import subprocess
+import sys
+from pathlib import Path
+from typing import NamedTuple
+
+NOBODY = 65534
+"""The user and the group that the reader becomes where it was started as root."""
+
+
+class Machine(NamedTuple):
+    """A processor: its number in <linux/audit.h>, that of seccomp(2), and its column in CALLS."""
+
+    audit: int
+    seccomp: int
+    column: int
+
+
+MACHINES = {"x86_64": Machine(0xC000003E, 317, 0), "aarch64": Machine(0xC00000B7, 277, 1)}
+
+CALLS = {
+    "brk": (12, 214),
+    "clock_gettime": (228, 113),
+    "clock_nanosleep": (230, 115),
+    "close": (3, 57),
+    "exit": (60, 93),
+    "exit_group": (231, 94),
+    "fdatasync": (75, 83),
+    "fstat": (5, 80),
+    "fsync": (74, 82),
+    "ftruncate": (77, 46),
+    "futex": (202, 98),
+    "getpid": (39, 172),
+    "getrandom": (318, 278),
+    "getrusage": (98, 165),
+    "gettid": (186, 178),
+    "gettimeofday": (96, 169),
+    "lseek": (8, 62),
+    "madvise": (28, 233),
+    "mmap": (9, 222),
+    "mprotect": (10, 226),
+    "mremap": (25, 216),
+    "munmap": (11, 215),
+    "nanosleep": (35, 101),
+    "newfstatat": (262, 79),
+    "pread64": (17, 67),
+    "pwrite64": (18, 68),
+    "read": (0, 63),
+    "readv": (19, 65),
+    "restart_syscall": (219, 128),
+    "rt_sigaction": (13, 134),
+    "rt_sigprocmask": (14, 135),
+    "rt_sigreturn": (15, 139),
+    "sched_getaffinity": (204, 123),
+    "sched_yield": (24, 124),
+    "sigaltstack": (131, 132),
+    "sysinfo": (99, 179),
+    "write": (1, 64),
+    "writev": (20, 66),
+}
+"""The system calls that the reader needs once all is open, with their numbers on each machine."""
+
+NO_NEW_PRIVILEGES = 38
+"""PR_SET_NO_NEW_PRIVS of <linux/prctl.h>: without it only root may confine itself."""
+
+FILTER, ALL_THREADS = 1, 1
+"""SECCOMP_SET_MODE_FILTER, and its flag for threads that run already."""
+
+LOAD, EQUAL, ANSWER = 0x20, 0x15, 0x06
+"""Steps of a filter: load a word of a call, jump where it equals a number, answer."""
+
+ALLOW, REFUSE = 0x7FFF0000, 0x00050000 | errno.EPERM
+
+CREATE_RULESET, RESTRICT_SELF = 444, 446
+"""Landlock's system calls, which have the same numbers on all machines."""
+
+RIGHTS = {1: 13, 2: 14, 3: 15, 5: 16}
+"""Rights to files that Landlock knows, by the first of its versions to know so many."""
+
+
+def confine() -> list[str]:
+    """Give up files, sockets, processes and signals, but for descriptors that are open; names what this system lacks.
+
+    Where one protection is missing the others hold.
+    """
+    lacking = []
+    for name, protect in {"another user": become_nobody, "Landlock": give_up_paths, "seccomp": give_up_calls}.items():
+        try:
+            protect()
+        except (AttributeError, KeyError, OSError):
+            lacking.append(name)
+    return lacking
+
+
+def become_nobody() -> None:
+    """Be another user from now on, where this is root. Raises OSError."""
+    if os.geteuid() == 0:
+        os.setgroups([])
+        os.setresgid(NOBODY, NOBODY, NOBODY)
+        os.setresuid(NOBODY, NOBODY, NOBODY)
+
+
+def give_up_paths() -> None:
+    """Open, make, rename and remove nothing by its path from now on, by Landlock; nor bind, connect or signal.
+
+    Raises OSError where the kernel has none.
+    """
+    version = call(CREATE_RULESET, None, 0, 1)
+    files = max(count for since, count in RIGHTS.items() if since <= version)
+    handled = (1 << files) - 1, 3 if version >= 4 else 0, 3 if version >= 6 else 0
+    rules = call(CREATE_RULESET, struct.pack("QQQ", *handled), 24, 0)
+    try:
+        refuse_privileges()
+        call(RESTRICT_SELF, rules, 0)
+    finally:
+        os.close(rules)
+
+
+def give_up_calls() -> None:
+    """Refuse all system calls but those in CALLS from now on, by seccomp.
+
+    Raises OSError where the kernel has none, and KeyError on another machine.
+    """
+    machine = MACHINES[platform.machine()]
+    steps = filter_of(machine)
+    code = ctypes.create_string_buffer(steps)
+    refuse_privileges()
+    call(machine.seccomp, FILTER, ALL_THREADS, struct.pack("HP", len(steps) // 8, ctypes.addressof(code)))
+
+
+def filter_of(machine: Machine) -> bytes:
+    """The filter: refuse another machine's calls, allow those that are needed, and refuse the rest."""
+    numbers = [row[machine.column] for row in CALLS.values()]
+    count = len(numbers)
+    steps = [(LOAD, 0, 0, 4), (EQUAL, 0, count + 1, machine.audit), (LOAD, 0, 0, 0)]
+    steps += [(EQUAL, count - index, 0, number) for index, number in enumerate(numbers)]
+    return b"".join(struct.pack("HBBI", *step) for step in [*steps, (ANSWER, 0, 0, REFUSE), (ANSWER, 0, 0, ALLOW)])
+
+
+def refuse_privileges() -> None:
+    """Gain no rights by running a program from now on. Raises OSError."""
+    checked(ctypes.CDLL(None, use_errno=True).prctl(NO_NEW_PRIVILEGES, 1, 0, 0, 0))
+
+
+def call(number: int, *arguments: int | bytes | None) -> int:
+    """What a system call answers. Raises OSError."""
+    if sys.platform != "linux":
+        raise OSError(errno.ENOSYS, os.strerror(errno.ENOSYS))
+    words = [ctypes.c_long(each) if isinstance(each, int) else each for each in arguments]
+    return checked(ctypes.CDLL(None, use_errno=True).syscall(ctypes.c_long(number), *words))
+
+
+def checked(answer: int) -> int:
+    """The answer of a call. Raises OSError where it failed."""
+    if answer < 0:
+        raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
+    return answer
+
+
+def lacking() -> str:
+    """What the reader is confined without on this system, as a sentence; empty where it has all. Blocks for a child."""
+    trial = [sys.executable, "-P", "-m", "server.uploads.sandbox"]
+    given = {"PYTHONPATH": str(Path(__file__).resolve().parents[2]), "PYTHONDONTWRITEBYTECODE": "1"}
+    done = subprocess.run(trial, cwd="/", env=given, capture_output=True, check=False)
+    names = json.loads(done.stdout) if done.returncode == 0 else ["Landlock", "seccomp"]
+    return f"Uploads are read without {' and '.join(names)}: this system refuses that." if names else ""
+
+
+if __name__ == "__main__":
+    print(json.dumps(confine()))  # noqa: T201

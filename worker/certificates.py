@@ -1,0 +1,48 @@
+"""Certificates by which the processes of a cluster know each other: made for one's own, or given for one to join."""
+
+from datetime import UTC, datetime, timedelta
+
+import dask.config
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ec
+from distributed import Security
+
+NAME = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, "isogi")])
+
+YEARS = timedelta(days=36500)
+"""How long a certificate is good: longer than any process. Dask's own temporary ones end after a year."""
+
+PLAIN = serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
+
+
+def temporary_security() -> Security:
+    """TLS for both sides of each connection, with a new key whose certificate is its own authority.
+
+    Only who has the key can connect, and only to who has it. Workers have it through the pipe of their start.
+    """
+    key = ec.generate_private_key(ec.SECP256R1())
+    certificate = own_certificate(key).public_bytes(serialization.Encoding.PEM).decode()
+    roles = ("client", "scheduler", "worker")
+    return Security(
+        require_encryption=True,
+        tls_ca_file=certificate,
+        **{f"tls_{role}_cert": certificate for role in roles},
+        **{f"tls_{role}_key": key.private_bytes(*PLAIN).decode() for role in roles},
+    )
+
+
+def own_certificate(key: ec.EllipticCurvePrivateKey) -> x509.Certificate:
+    """A certificate for a key, signed with that key."""
+    begun = datetime.now(UTC) - timedelta(days=1)
+    unsigned = x509.CertificateBuilder(NAME, NAME, key.public_key(), x509.random_serial_number())
+    period = unsigned.not_valid_before(begun).not_valid_after(begun + YEARS)
+    authority = x509.BasicConstraints(ca=True, path_length=0)
+    return period.add_extension(authority, critical=True).sign(key, hashes.SHA256())
+
+
+def show_certificate(authority: str, certificate: str, key: str) -> None:
+    """Show a certificate to each scheduler that this process joins, and trust those of an ``authority``: PEM files."""
+    tls = "distributed.comm.tls"
+    own = {f"{tls}.client.cert": certificate, f"{tls}.client.key": key}
+    dask.config.set({f"{tls}.ca-file": authority, **own, "distributed.comm.require-encryption": True})
