@@ -54,7 +54,7 @@ VOXEL = 4
 """Bytes of a voxel in the server's memory, where all are float32."""
 
 SCENE = 6 << 20
-"""Bytes that the scene of a volume takes in the server's memory besides its voxels: 4 to 6 MB were measured."""
+"""Bytes that the scene of a volume takes in the server's memory besides its voxels: 156 small ones took 919 MB."""
 
 
 @dataclass(frozen=True)
