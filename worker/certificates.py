@@ -41,8 +41,11 @@ def own_certificate(key: ec.EllipticCurvePrivateKey) -> x509.Certificate:
     return period.add_extension(authority, critical=True).sign(key, hashes.SHA256())
 
 
-def show_certificate(authority: str, certificate: str, key: str) -> None:
-    """Show a certificate to each scheduler that this process joins, and trust those of an ``authority``: PEM files."""
+def show_certificate(authority: str, certificate: str, key: str) -> "dask.config.set":
+    """Show a certificate to each scheduler that this process joins, and trust those of an ``authority``: PEM files.
+
+    It is so from now on, or until the end of a ``with`` block of what is returned.
+    """
     tls = "distributed.comm.tls"
     own = {f"{tls}.client.cert": certificate, f"{tls}.client.key": key}
-    dask.config.set({f"{tls}.ca-file": authority, **own, "distributed.comm.require-encryption": True})
+    return dask.config.set({f"{tls}.ca-file": authority, **own, "distributed.comm.require-encryption": True})

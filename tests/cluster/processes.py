@@ -16,7 +16,7 @@ from typing import Any
 import httpx
 import psutil
 
-from worker.certificates import temporary_security
+from worker.certificates import show_certificate, temporary_security
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 LONG = 240.0
@@ -175,8 +175,8 @@ def final(client: httpx.Client, azimuth: float = 30.0, size: int = 40, seconds: 
 
 @contextmanager
 def cluster(workers: int = 1, **given: Any) -> Iterator[Cluster]:
-    """A scheduler and workers."""
-    with Cluster(**given) as started:
+    """A scheduler and workers, which this process may join as well."""
+    with Cluster(**given) as started, show_certificate(*(str(started.certificates / name) for name in FILES)):
         started.scheduler()
         for _ in range(workers):
             started.worker()
