@@ -66,8 +66,9 @@ FORMAT = 4
 KEPT = 256 << 20
 """Bytes that are kept of views, for turning light and for asking again."""
 
-SHARE = 1 / 16
-"""Share of these bytes that is for what changes while a view stays."""
+SHARE, NORMALS = 1 / 16, 1 / 6
+"""Shares of these bytes: for what changes while a view stays, and for texels' normals, which all views have in common.
+"""
 
 
 class Renderer:
@@ -78,8 +79,9 @@ class Renderer:
         self.prepared = caches.prepared
         self.caches = caches
         self.tiles = tiles
-        self._kept: LruCache[Any] = LruCache(most, dict.fromkeys((Reading, LobeLight), int(SHARE * most)))
-        self._normals = OwnNormals()
+        self._normals = OwnNormals(int(NORMALS * most))
+        changing = dict.fromkeys((Reading, LobeLight), int(SHARE * most))
+        self._kept: LruCache[Any] = LruCache(most - self._normals.nbytes, changing)
 
     def render(
         self,

@@ -3,6 +3,7 @@
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -15,23 +16,37 @@ PIECE = 4096
 """Texels whose normals one thread finds in one go."""
 
 MOST = 1 << 21
-"""Texels that a table has room for, a power of two: 42 MB, which are taken as it fills."""
+"""Texels that a table has room for at most."""
 
-FULL = MOST // 2
-"""Texels that it holds at most: fuller ones are slow. Then it begins anew."""
+ENTRY = 20
+"""Bytes of a texel in it: its number and its normal."""
 
 
-@dataclass(eq=False)
 class OwnNormals:
     """Outward unit world normals of a lattice's texels at their own points: no isovalue, camera or light changes them.
 
     Safe to use from many threads.
     """
 
-    _keys: np.ndarray = field(default_factory=lambda: np.zeros(MOST, np.uint64), repr=False)
-    _normals: np.ndarray = field(default_factory=lambda: np.empty((MOST, 3), np.float32), repr=False)
-    _held: int = 0
-    _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
+    def __init__(self, budget: int) -> None:
+        """Know none yet, in ``budget`` bytes at most; they are taken when the first are asked for."""
+        self._room = min(1 << max((budget // ENTRY).bit_length() - 1, 0), MOST)  # a power of two, as keys are hashed
+        self._full = self._room // 2  # fuller tables are slow
+        self._held = 0
+        self._lock = threading.Lock()
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that they may take."""
+        return self._room * ENTRY
+
+    @cached_property
+    def _keys(self) -> np.ndarray:
+        return np.zeros(self._room, np.uint64)
+
+    @cached_property
+    def _normals(self) -> np.ndarray:
+        return np.empty((self._room, 3), np.float32)
 
     def of(self, numbers: np.ndarray, find: Callable[[np.ndarray], np.ndarray], tiles: Tiles) -> np.ndarray:
         """The normals of the texels ``numbers`` (m,) uint64, each once; (m, 3) float32.
@@ -41,18 +56,19 @@ class OwnNormals:
         normals, found = np.empty((len(numbers), 3), np.float32), np.empty(len(numbers), np.bool_)
 
         def _piece(a: int, b: int) -> None:
-            look_up_normals(numbers[a:b], self._keys, self._normals, normals[a:b], found[a:b])
+            look_up_normals(numbers[a:b], *table, normals[a:b], found[a:b])
 
         with self._lock:
+            table = self._keys, self._normals
             tiles.run(_piece, len(numbers), PIECE)
             new = np.flatnonzero(~found)
             if len(new):
                 normals[new] = find(new)
-                self._keep(numbers[new[:FULL]], normals[new[:FULL]])
+                self._keep(numbers[new[: self._full]], normals[new[: self._full]])
         return normals
 
     def _keep(self, numbers: np.ndarray, normals: np.ndarray) -> None:
-        if self._held + len(numbers) > FULL:
+        if self._held + len(numbers) > self._full:
             self._keys[:], self._held = 0, 0
         keep_normals(numbers, normals, self._keys, self._normals)
         self._held += len(numbers)

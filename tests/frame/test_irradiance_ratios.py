@@ -130,7 +130,7 @@ def test_normals_of_projected_texels_are_found_once(orbital: Workbench, monkeypa
     view, asked = orbital.view(size=24), []
     gbuffer = orbital.renderer.gbuffer(view)
     texels = orbital.renderer.texels(view, gbuffer)
-    found = find_texel_normals(texels, OwnNormals(), orbital.prepared, Tiles(2))
+    found = find_texel_normals(texels, OwnNormals(1 << 20), orbital.prepared, Tiles(2))
     monkeypatch.setattr(
         facings, "fill_texel_normals", lambda *each: (asked.append(len(each[4])), fill_texel_normals(*each))
     )

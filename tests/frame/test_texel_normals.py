@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from isogi_core.frame import texel_normals
-from isogi_core.frame.texel_normals import OwnNormals, find_texel_normals
+from isogi_core.frame.texel_normals import ENTRY, OwnNormals, find_texel_normals
 from isogi_core.frame.tiles import Tiles
 from tests.frame.conftest import Workbench
 
@@ -28,17 +28,16 @@ def test_normals_of_other_views_are_not_found_again(orbital: Workbench, monkeypa
     fill = texel_normals.fill_texel_normals
     monkeypatch.setattr(texel_normals, "fill_texel_normals", lambda *each: (asked.append(len(each[4])), fill(*each)))
     texels = orbital.renderer.texels(view, orbital.renderer.gbuffer(view))
-    known = OwnNormals()
+    known = OwnNormals(1 << 20)
     first, again = (find_texel_normals(texels, known, orbital.prepared, tiles).own for _ in range(2))
     assert sum(asked) == len(first) > 100
     assert first.tobytes() == again.tobytes()
-    assert find_texel_normals(texels, OwnNormals(), orbital.prepared, tiles).own.tobytes() == first.tobytes()
+    assert find_texel_normals(texels, OwnNormals(1 << 20), orbital.prepared, tiles).own.tobytes() == first.tobytes()
 
 
-def test_a_full_table_begins_anew(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(texel_normals, "MOST", 256)
-    monkeypatch.setattr(texel_normals, "FULL", 128)
-    known, asked = OwnNormals(), []
+def test_a_full_table_begins_anew() -> None:
+    known, asked = OwnNormals(300 * ENTRY), list[int]()
+    assert known.nbytes == 256 * ENTRY
 
     def find(numbers: np.ndarray, rows: np.ndarray) -> np.ndarray:
         asked.append(len(rows))
