@@ -52,7 +52,7 @@ def test_a_store_that_became_read_only_is_no_reason(ask: Callable[..., httpx.Res
     app.state.closing = Closing()
     engine = SimpleNamespace(notes=lambda: ["The store can only be read."])
     reasons = lambda: [] if read_only else ["Baking waits for the store."]  # noqa: E731
-    app.state.service = SimpleNamespace(reasons=reasons, engine=engine)
+    app.state.service = SimpleNamespace(reasons=reasons, engine=engine, uploads=SimpleNamespace(notes=list))
     app.state.probe = SimpleNamespace(reasons=lambda: read_only.append(True) or [])
     answer = ask(app, "GET", "/readyz")
     assert (answer.status_code, answer.json()["reasons"]) == (200, ["The store can only be read."])

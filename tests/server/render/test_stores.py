@@ -193,7 +193,11 @@ def test_a_job_waits_for_the_store(monkeypatch: pytest.MonkeyPatch) -> None:
 
     engine = SimpleNamespace(bake_of=lambda *_: "bake")
     service: Any = SimpleNamespace(
-        engine=engine, updates=SimpleNamespace(newest=lambda _: 0), frame=draw, leave=lambda _: None
+        engine=engine,
+        updates=SimpleNamespace(newest=lambda _: 0),
+        rank=lambda *_: None,
+        frame=draw,
+        leave=lambda _: None,
     )
     job: Any = SimpleNamespace(report=lambda share, message: told.append(message))
     order: Any = SimpleNamespace(scene="small", view=None)
