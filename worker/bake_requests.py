@@ -265,6 +265,9 @@ def next_least_priority(result: BakeResult, patient: bool) -> float:
 
 def merged(interests: Collection[Interest]) -> MergedInterest:
     """The texels of all ``interests``, ascending, the largest footprint of each, and the strictest target."""
+    if len(interests) == 1:
+        (alone,) = interests
+        return MergedInterest(alone.offsets, alone.footprints, alone.target)
     wanted = np.concatenate([interest.offsets for interest in interests])
     seen = np.full(1 + int(wanted.max(initial=-1)), -1.0, np.float32)
     np.maximum.at(seen, wanted, np.concatenate([interest.footprints for interest in interests]))
@@ -279,8 +282,8 @@ def exceeds(wanted: MergedInterest, offsets: np.ndarray, target: float) -> bool:
 
 def contained(offsets: np.ndarray, others: np.ndarray) -> bool:
     """Whether all ``offsets`` are among ``others``; both ascend."""
-    if len(offsets) > len(others):
-        return False
+    if offsets is others or len(offsets) > len(others):
+        return offsets is others
     places = np.minimum(np.searchsorted(others, offsets), len(others) - 1)
     return bool((others[places] == offsets).all())
 

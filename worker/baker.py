@@ -5,6 +5,7 @@ import threading
 import time
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 from uuid import uuid4
 
@@ -22,7 +23,7 @@ from worker.errors import LostWorkerError, WorkersAwayError
 from worker.pause import Pause
 from worker.progress import Tally, TimeEstimator, TimeLeft, request_seconds
 from worker.queue import BakeQueue
-from worker.tasks import BakeResult, BakeTask
+from worker.tasks import BakeResult, BakeTask, open_spec
 
 if TYPE_CHECKING:
     from worker.pool import WorkerPool
@@ -100,6 +101,12 @@ class Baker:
         with self._changed:
             self._pool = pool
             self._feed()
+
+    def prepare(self, scene: str | None = None) -> None:
+        """Have every worker open what a bake of a scene needs, by default the first one, before a view asks for it."""
+        pool, bake = self._pool, self._bakes.get(scene or next(iter(self._bakes), ""))
+        if pool is not None and bake is not None:
+            pool.prepare(partial(open_spec, bake.source, bake.plan, bake.digest, bake.store_url, bake.assets))
 
     def stir(self) -> None:
         """Hand out the tasks that there is room for: workers have come, or can be reached again."""

@@ -16,7 +16,7 @@ from isogi_core.model.scene_plan import ScenePlan
 from worker.certificates import temporary_security
 from worker.errors import LostWorkerError, WorkersAwayError, WorkersError
 from worker.niceness import Nice, Sessions, leads_session
-from worker.tasks import KINDS, BakeResult, BakeTask, Outcome, bake, bake_all, kernels_missing, load_kernels
+from worker.tasks import KINDS, BakeResult, BakeTask, Outcome, attempt, bake, bake_all, kernels_missing, load_kernels
 
 SOON = 1.0
 """Seconds that closing a client may take that could not be made."""
@@ -182,6 +182,13 @@ class WorkerPool:
             done(outcomes or [error or WorkersError("Nothing came of it.")] * len(tasks))
 
         self._send(bake_all, tasks, tasks[0].plan, ended)
+
+    def prepare(self, work: Callable[[], object]) -> None:
+        """Have each worker started here do some ``work`` ahead of its tasks; what fails then fails again with these."""
+        if self._cluster is not None:
+            with suppress(Exception):  # the client closed at this moment
+                for address in self._addresses:
+                    fire_and_forget(self._client.submit(attempt, work, workers=[address], pure=False))
 
     def _send(self, work: Callable[[Any], Any], what: Any, plan: ScenePlan, done: Callable[[Any, Any], None]) -> None:
         """Have a worker do some ``work`` on ``what``, by a plan."""

@@ -2,8 +2,8 @@
 
 import asyncio
 import time
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import compress, pairwise
@@ -134,6 +134,12 @@ def open_spec(
     if shown is not None:
         load((project_texels,))
     return found, ChunkStore(open_store(store_url), found)
+
+
+def attempt(work: Callable[[], object]) -> None:
+    """Do some work ahead of its time: where it fails, it will fail again when it is due, and be told then."""
+    with suppress(Exception):
+        work()
 
 
 Outcome = BakeResult | Exception

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import product
 from typing import Any, NewType
 
@@ -137,12 +138,17 @@ class Volume:
 
     def histogram(self, bins: int = BINS) -> tuple[np.ndarray, np.ndarray]:
         """Counts (bins,) int64 of the voxels in the core, and the ``bins + 1`` edges, float64, in own units."""
-        counts = np.array(self.counts) if bins == len(self.counts) else self._count(bins)
+        counts = self._usual if bins == BINS else self._count(bins)
         low, high = self.core
         if low == high:
             low, high = low - 0.5, high + 0.5
         t = np.linspace(0.0, 1.0, bins + 1)
         return counts[:: 1 if self.scale > 0 else -1].copy(), low * (1 - t) + high * t
+
+    @cached_property
+    def _usual(self) -> np.ndarray:
+        """The counts that were kept with the volume, or those of BINS bins, which are counted once."""
+        return np.array(self.counts) if len(self.counts) == BINS else self._count(BINS)
 
     def _count(self, bins: int, progress: Progress = no_progress) -> np.ndarray:
         """Counts (bins,) int64 of the voxels in the core, ascending in the voxels' units."""

@@ -1,6 +1,7 @@
 """Scene assembly: from a scene file, a volume or a demo to a scene with checked settings and a plan."""
 
 import hashlib
+import math
 import re
 from collections.abc import Sequence
 from functools import lru_cache
@@ -57,8 +58,7 @@ def build_scene(source: SceneSource, progress: Progress = no_progress, volume: V
     lights = tuple(light_from_mapping(entry, source.base) for entry in settings.lights())
     lamps = gather_lamps(lights, volume.orientation)
     isovalues = settings.interval("isovalues", volume.value_range, volume.core)
-    fallback = min(max(default_isovalue(settings, volume), isovalues[0]), isovalues[1])
-    isovalue = settings.number("isovalue", fallback, *isovalues)
+    isovalue = start_isovalue(settings, volume, isovalues)
     albedo = settings.colour("albedo", 0.7)
     overrides = plan_overrides(settings, albedo)
     target_error = settings.number("target_error", 0.02, 1e-4, 1.0)
@@ -124,8 +124,7 @@ def right_side_out(settings: Settings, volume: Volume, base: Path, progress: Pro
     """The same volume, solid below where the scene does not say and its object is low: a distance field, pores."""
     if settings.text("solid", "") or settings.text("volume", DEFAULT_DEMO).startswith("demo:"):
         return volume
-    isovalue = settings.number("isovalue", default_isovalue(settings, volume), *volume.value_range)
-    outside = border_above(volume, isovalue)
+    outside = border_above(volume, start_isovalue(settings, volume, volume.value_range))
     return open_volume(settings, base, progress, "below") if outside > INSIDE_OUT else volume
 
 
@@ -136,8 +135,14 @@ def border_above(volume: Volume, isovalue: float) -> float:
     return sum(int((face > level).sum()) for face in faces) / sum(face.size for face in faces)
 
 
+def start_isovalue(settings: Settings, volume: Volume, within: tuple[float, float]) -> float:
+    """The isovalue where views start: the scene's own, or the default as near as it is to that ``within`` a range."""
+    given = settings.number("isovalue", math.nan, *within)
+    return min(max(default_isovalue(settings, volume), within[0]), within[1]) if math.isnan(given) else given
+
+
 def default_isovalue(settings: Settings, volume: Volume) -> float:
-    """The isovalue where views start if the scene gives none: the demo's, or Otsu's threshold."""
+    """An isovalue for a scene that gives none: the demo's, or Otsu's threshold."""
     name = settings.text("volume", DEFAULT_DEMO)
     if name.startswith("demo:"):
         return float(DEMOS[name.removeprefix("demo:")][1])

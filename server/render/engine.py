@@ -324,5 +324,6 @@ class RenderEngine:
         loaded = load(scene, self.store, self._tiles, self._memory, send=self.workforce.joins)
         for spec in SPECS:
             self._baker.add(bake_name(scene.id, spec), make_bake(loaded.renderer.caches, spec, loaded.assets))
+        self._baker.prepare(bake_name(scene.id, "gi"))
         self._loaded[scene.id] = loaded
         self.scenes = {**self.scenes, scene.id: loaded.scene}

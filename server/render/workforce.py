@@ -107,3 +107,4 @@ class Workforce:
         self._pool = pool.WorkerPool(self._workers, self._scheduler, kinds)
         self._pool.attend(self._baker.stir)
         self._baker.employ(self._pool)
+        self._baker.prepare()
