@@ -13,6 +13,7 @@ from isogi_core.kernels.shading.chunks import (
     touch_chunks,
     weigh_chunks,
 )
+from isogi_core.kernels.shading.filtering import filter_texels
 from isogi_core.kernels.shading.framebuffer import develop_rows, fill_curve, tally
 from isogi_core.kernels.shading.irradiance_ratio import carry_ratios, fill_records
 from isogi_core.kernels.shading.lattice import carry_light, light_texels
@@ -86,6 +87,7 @@ FRAME = (
     unpack_texels,
     find_places,
     fill_records,
+    filter_texels,
     tally,
     look_up_normals,
     keep_normals,
@@ -95,9 +97,6 @@ FRAME = (
 
 OTHERS = (trace_points, find_shadows, shade_local)
 """Those of pictures without light from texels, local shadings and path-traced ones; and of checks of pictures."""
-
-SHARING = {fill_texel_normals, look_up_normals, keep_normals, fill_records, carry_ratios}
-"""Those of them that carry irradiance ratios, in place of ``carry_light``."""
 
 
 def frame_kernels(scenes: Iterable[Scene]) -> tuple[Any, ...]:
@@ -115,4 +114,4 @@ def uncalled_by(scene: Scene) -> set[Any]:
     never |= set() if projects else {measure_distances}
     if carries_irradiance_ratios(scene, "gi", False):
         return never | {carry_light}
-    return never if projects else never | SHARING
+    return never if projects else never | {carry_ratios}

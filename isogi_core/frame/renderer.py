@@ -45,6 +45,7 @@ from isogi_core.frame.shading import (
     carry_irradiance_ratios,
     carry_texel_light,
     fill_texel_records,
+    filter_texel_light,
     light_sources,
     shade_by_paths,
     shade_locally,
@@ -54,13 +55,13 @@ from isogi_core.frame.texel_normals import OwnNormals, TexelNormals, find_texel_
 from isogi_core.frame.texel_reading import Lacking, Reading, read_texels
 from isogi_core.frame.tiles import Stopwatch, Tiles
 from isogi_core.frame.view_texels import ViewTexels, carries_irradiance_ratios, find_texels
-from isogi_core.kernels.shading.framebuffer import Framebuffer
+from isogi_core.kernels.shading.framebuffer import CONVERGING, Framebuffer
 from isogi_core.kernels.shading.lobes import add_lobes
 from isogi_core.kernels.simd.types import REGISTER
 from isogi_core.lru_cache import LruCache
 from isogi_core.model.view import View
 
-FORMAT = 4
+FORMAT = 5
 """Counts up when pictures of the same light change: those that browsers keep are then asked for anew."""
 
 KEPT = 256 << 20
@@ -200,12 +201,20 @@ class Renderer:
     def _carry(
         self, texels: ViewTexels, reading: Reading, lit: np.ndarray, light: RotatedLight, tiles: Tiles, watch: Stopwatch
     ) -> Framebuffer:
-        """Bring the light of texels, ``lit`` (texels, LIT), to the picture: as irradiance ratios, or as it is."""
+        """Bring the light of texels, ``lit`` (texels, LIT), to the picture: as irradiance ratios, or as it is.
+
+        Light that converges is filtered before.
+        """
         gbuffer, records = texels.gbuffer, None
-        projects = isinstance(reading, ProjectedReading)
-        if carries_irradiance_ratios(self.prepared.scene, light.view.shading, projects):
+        projects, converges = isinstance(reading, ProjectedReading), bool((reading.grade == CONVERGING).any())
+        ratios = carries_irradiance_ratios(self.prepared.scene, light.view.shading, projects)
+        if ratios or converges:
             with watch.stage("normals"):
                 about = self._texel_normals(light.view, texels, reading, tiles)
+        if converges:
+            with watch.stage("filter"):
+                lit = filter_texel_light(texels, reading, lit, about, light, tiles)
+        if ratios:
             with watch.stage("light"):
                 records = fill_texel_records(reading, lit, about, light, tiles)
         normals = gbuffer.points  # as good as any where they are not read

@@ -13,13 +13,28 @@ from isogi_core.frame.pixel_rays import Paths, pooled_variance, replicas_for, va
 from isogi_core.frame.texel_reading import Reading
 from isogi_core.frame.tiles import Tiles
 from isogi_core.frame.view_texels import ViewTexels
+from isogi_core.kernels.shading.filtering import PATHS, VARIANCE, filter_texels
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, Framebuffer, PixelPoints
-from isogi_core.kernels.shading.irradiance_ratio import RECORD, carry_ratios, fill_records
+from isogi_core.kernels.shading.irradiance_ratio import (
+    DIRECT,
+    NOISE,
+    RECORD,
+    REFLECTED,
+    carry_ratios,
+    fill_records,
+)
 from isogi_core.kernels.shading.lattice import LIT, carry_light, light_texels
 from isogi_core.kernels.shading.local_models import find_shadows, shade_local
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import View
 from isogi_core.model.volume import Volume
+
+STEPS = (1, 2)
+"""Distances between the neighbours that light which converges is filtered by, pass by pass.
+
+Of the engine under uffizi after 16 samples each texel by itself errs by 12.4 %, filtered once by 7.4 %, twice by 5.1 %;
+after 256 samples by 1.18, 0.89 and 0.83 %.
+"""
 
 
 def empty_framebuffer(gbuffer: GBuffer) -> Framebuffer:
@@ -123,6 +138,30 @@ def fill_texel_records(
 
     tiles.run(_piece, len(lit), tiles.even(len(lit)))
     return records
+
+
+def filter_texel_light(
+    texels: ViewTexels, reading: Reading, lit: np.ndarray, normals: np.ndarray, light: RotatedLight, tiles: Tiles
+) -> np.ndarray:
+    """Texels' light ``lit`` (texels, LIT), filtered where it converges; see ``kernels.shading.filtering``.
+
+    ``normals`` (texels, 3) are those that they are lit about. Raises Cancelled.
+    """
+    records, positions = fill_texel_records(reading, lit, normals, light, tiles), texels.positions
+    records[:, PATHS], records[:, VARIANCE] = reading.samples, records[:, NOISE] ** 2
+    for step in STEPS:
+        before, after = records, np.empty_like(records)
+
+        def _piece(a: int, b: int) -> None:
+            filter_texels(texels.numbering, texels.lattice.bits, positions[a:b], a, step, before, after)  # noqa: B023
+
+        tiles.run(_piece, len(lit), tiles.even(len(lit)))
+        records = after
+    rows, filtered = np.flatnonzero(reading.grade == CONVERGING), lit.copy()
+    reflected = records[rows, REFLECTED : REFLECTED + 3]
+    filtered[rows, :3] = records[rows, DIRECT : DIRECT + 3] + reflected
+    filtered[rows, 3], filtered[rows, 4:] = records[rows, NOISE], reflected
+    return filtered
 
 
 def carry_irradiance_ratios(

@@ -21,6 +21,7 @@ from isogi_core.kernels.shading.chunks import (
     touch_chunks,
     weigh_chunks,
 )
+from isogi_core.kernels.shading.filtering import Numbering
 from isogi_core.kernels.shading.framebuffer import Framebuffer
 from isogi_core.kernels.shading.lattice import Lattice
 from isogi_core.model.volume import Isovalue
@@ -63,7 +64,8 @@ class ViewTexels:
     """The texels of a ``lattice`` that a G-buffer reads, numbered 0 … m - 1, chunk by chunk.
 
     ``chunks`` lists the chunks touched; texel t is at ``places[t]`` = i · texels of a chunk + offset, those
-    of chunk i are ``bounds[i]`` … ``bounds[i + 1]``; ``corners`` (points, 8) numbers the texels around each point.
+    of chunk i are ``bounds[i]`` … ``bounds[i + 1]``; ``corners`` (points, 8) numbers the texels around each point, and
+    ``numbering`` finds those around a texel.
     """
 
     gbuffer: GBuffer
@@ -72,11 +74,13 @@ class ViewTexels:
     places: np.ndarray
     bounds: np.ndarray
     corners: np.ndarray
+    numbering: Numbering
 
     @property
     def nbytes(self) -> int:
         """Bytes that it takes, without its G-buffer; offsets and footprints are counted before they are found."""
-        return 3 * self.places.nbytes + self.bounds.nbytes + self.corners.nbytes
+        numbering = sum(each.nbytes for each in self.numbering)
+        return 3 * self.places.nbytes + self.bounds.nbytes + self.corners.nbytes + numbering
 
     @property
     def numbers(self) -> np.ndarray:
@@ -142,7 +146,8 @@ def find_texels(gbuffer: GBuffer, prepared: PreparedScene, tiles: Tiles) -> View
     corners = np.empty((len(points), 8), np.uint32)
     _over_points(find_corners, piece, lambda a, b: (slots, read, first, corners[a:b]))
     chunks = tuple((z, y, x) for z, y, x in indices.tolist())
-    return ViewTexels(gbuffer, lattice, chunks, places, first[:: lattice.rows].copy(), corners)
+    numbering = Numbering(slots, read, first)
+    return ViewTexels(gbuffer, lattice, chunks, places, first[:: lattice.rows].copy(), corners, numbering)
 
 
 def most_seen(offsets: np.ndarray, *views: tuple[np.ndarray, np.ndarray]) -> np.ndarray:

@@ -28,6 +28,7 @@ STAGES = {
     "texels": "finding the texels that the picture reads",
     "load": "bringing light from the store",
     "read": "looking the texels up",
+    "filter": "taking noise out of light that converges",
     "light": "putting the texels under the turned light",
     "shade": "carrying their light to the picture",
     "normals": "finding the surface's normals",

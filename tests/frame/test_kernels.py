@@ -3,7 +3,8 @@ import subprocess
 import sys
 from typing import Any
 
-from isogi_core.frame.entry_kernels import FRAME, LOBES, SHARING, frame_kernels
+from isogi_core.frame.entry_kernels import FRAME, LOBES, frame_kernels
+from isogi_core.kernels.shading.irradiance_ratio import carry_ratios
 from isogi_core.kernels.shading.lattice import carry_light
 from isogi_core.kernels.tracing.stiffness import count_stiffness
 from isogi_core.kernels.transport.harmonics import rotate
@@ -52,6 +53,11 @@ def compare(settings):
         view = View(scene.isovalue, scene.camera(30, 20, 3, 30), width=20, height=20, light=light)
         frame = renderer.render(view)
         assert frame.provisional and frame.demands
+        chunk = Chunk.empty(frame.demands[0].index, cache.chunk_store.spec.plan).with_texels(frame.demands[0].offsets)
+        for part in chunk.light.parts:
+            part.samples[:], part.coefficients[:] = 16, 0.5
+        cache.pool.insert(Chunks.of_one(chunk))
+        renderer.render(view)
         develop(frame, 1.0)
     called = {name for name, kernel in entries.items() if kernel.loaded}
     listed = {kernel.name for kernel in frame_kernels([scene])}
@@ -88,7 +94,7 @@ def test_kernels_are_left_out_by_what_a_scene_lacks() -> None:
     soft, lamp = {project_lamps} | lobes | far | survey, {rotate} | lobes | far | survey
     turning = {project_lamps} | far | survey | plain
     projected = (lamp | plain) - far
-    assert spared[:4] == [still | SHARING, still | plain, turning, soft | plain]
+    assert spared[:4] == [still | {carry_ratios}, still | plain, turning, soft | plain]
     assert spared[4:] == [lamp | plain, projected, projected - survey]
 
 

@@ -39,6 +39,9 @@ class InlinePool:
     def attend(self, stir: Callable[[], None]) -> None:
         """Do nothing: the thread neither comes nor goes."""
 
+    def prepare(self, work: Callable[[], object]) -> None:
+        """Open nothing ahead: this process has it."""
+
     def step_back(self, seconds: float) -> bool:
         """Stay: a thread shares the session of its process."""
         return True

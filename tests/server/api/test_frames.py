@@ -163,7 +163,7 @@ def test_no_stage_takes_longer_than_all_together(client: httpx.Client) -> None:
     seconds = {name: float(spent) for name, spent in TIMING.findall(answer.headers["server-timing"])}
     total = seconds.pop("total")
     stages = {"queue", "demand", "bake", "primary", "texels", "load", "read", "light", "shade", "normals", "encode"}
-    assert seconds.keys() == stages
+    assert seconds.keys() - {"filter"} == stages
     assert 0.5 * total < sum(seconds.values()) <= total
 
 

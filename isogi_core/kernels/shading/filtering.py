@@ -1,0 +1,166 @@
+"""Filtering of light that converges: a texel of few paths takes over what its neighbours on the surface agree on.
+
+An à-trous filter (Dammertz and others 2010) over the texels of a view: each pass looks at the 3 × 3 × 3 texels about
+one, the second at twice the distance. As between texels and pixels, direct light is filtered as a ratio to unshadowed
+light, Σ w D / Σ w U, and reflected light as it is. How far a texel follows is Wiener's (Lee 1980): where the neighbours
+differ by no more than their noise it follows them, where they differ by more it stays. Final light is left as it is.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import types
+
+from isogi_core.kernels._jit import kernel, record
+from isogi_core.kernels.shading.chunks import SLOTS, WORDS, ones, row_of, within
+from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, luminance
+from isogi_core.kernels.shading.irradiance_ratio import BARE, DIRECT, GRADE, NOISE, NORMAL, REFLECTED, TEXELS
+from isogi_core.kernels.shading.lattice import DARKEST
+from isogi_core.kernels.transport.transfer import TEXELS as POSITIONS
+
+PATHS, VARIANCE = 14, 15
+"""Where a record has how many samples a texel took, and the variance of its own light's luminance, for filtering."""
+
+NEAR = np.exp(np.arange(4, dtype=np.float32) / np.float32(-2.0))
+"""What a neighbour counts by its squared distance, 0 … 3, in steps: a Gauss curve of a step's width."""
+
+SHARED = np.float32(27 / 8)
+"""How much more the variance of what neighbours share counts in pixels than that of each texel's own noise.
+
+Pixels mix eight texels with trilinear weights, whose squares sum up to (2/3)³ in the mean over a cell: to so little of
+a texel's own variance. What all of them took over from the same neighbours does not average out.
+"""
+
+NONE, ONE = np.float32(0.0), np.float32(1.0)
+
+
+class Numbering(NamedTuple):
+    """How a view numbers its texels: ``slots`` (chunks z, y, x) of the chunks it touches, -1 elsewhere, and of each row
+    along x which of its texels are ``read``, a bit for each, and the number of the ``first``; (slots · rows,).
+    """
+
+    slots: Any
+    read: Any
+    first: Any
+
+
+NUMBERING = record(Numbering, SLOTS, WORDS, WORDS)
+
+
+@kernel()
+def number_of(numbering, bits, z, y, x):
+    """The view's own number of the texel at (z, y, x); -1 where it reads none there."""
+    slots = numbering.slots
+    if min(z, y, x) < 0:
+        return -1
+    k, j, i = z >> bits, y >> bits, x >> bits
+    if k >= slots.shape[0] or j >= slots.shape[1] or i >= slots.shape[2] or slots[k, j, i] < 0:
+        return -1
+    r, place = row_of(slots, bits, z, y, x), within(x, bits)
+    word = np.int64(numbering.read[r])
+    if not word >> place & 1:
+        return -1
+    return np.int64(numbering.first[r]) + ones(word & ((1 << place) - 1))
+
+
+@kernel(inline=True)
+def likeness(texels, t, s):
+    """What texel ``s`` counts for ``t`` by the cosine between their normals: its 16th power, half at 17°."""
+    cosine = texels[t, NORMAL] * texels[s, NORMAL]
+    cosine += texels[t, NORMAL + 1] * texels[s, NORMAL + 1] + texels[t, NORMAL + 2] * texels[s, NORMAL + 2]
+    square = max(cosine, NONE) ** 2
+    return square**2 * square**2 * (square**2 * square**2)
+
+
+@kernel()
+def neighbours_of(numbering, bits, texels, at, step, found, weights):
+    """Fill ``found`` (27,) with the lit texels about the one ``at`` (t, z, y, x), and what they count in ``weights``.
+
+    Returns how many there are, itself among them.
+    """
+    t, z, y, x = at
+    count = 0
+    for k in range(-1, 2):
+        for j in range(-1, 2):
+            for i in range(-1, 2):
+                s = number_of(numbering, bits, z + k * step, y + j * step, x + i * step)
+                if s >= 0 and CONVERGING <= texels[s, GRADE] <= FINAL:
+                    weight = NEAR[k * k + j * j + i * i] * likeness(texels, t, s)
+                    if weight > NONE:
+                        found[count], weights[count] = s, weight
+                        count += 1
+    return count
+
+
+@kernel()
+def mean_of(texels, found, weights, count):
+    """Neighbours' direct light over unshadowed light, their reflected light, and the variance of both's luminance.
+
+    They count by their samples too.
+    """
+    direct = bare = reflected = (NONE, NONE, NONE)
+    total, variance = DARKEST, NONE
+    for n in range(count):
+        s = found[n]
+        w = weights[n] * texels[s, PATHS]
+        direct = direct[0] + w * texels[s, 0], direct[1] + w * texels[s, 1], direct[2] + w * texels[s, 2]
+        bare = bare[0] + w * texels[s, BARE], bare[1] + w * texels[s, BARE + 1], bare[2] + w * texels[s, BARE + 2]
+        r, g, b = texels[s, REFLECTED], texels[s, REFLECTED + 1], texels[s, REFLECTED + 2]
+        reflected = reflected[0] + w * r, reflected[1] + w * g, reflected[2] + w * b
+        total, variance = total + w, variance + w * w * texels[s, VARIANCE]
+    ratio = direct[0] / max(bare[0], DARKEST), direct[1] / max(bare[1], DARKEST), direct[2] / max(bare[2], DARKEST)
+    return ratio, (reflected[0] / total, reflected[1] / total, reflected[2] / total), variance / (total * total)
+
+
+@kernel(inline=True)
+def expected(texels, s, ratio, reflected):
+    """The light of texel ``s`` by the ``ratio`` and the ``reflected`` light of its neighbours; linear RGB, twice."""
+    direct = ratio[0] * texels[s, BARE], ratio[1] * texels[s, BARE + 1], ratio[2] * texels[s, BARE + 2]
+    return direct, reflected
+
+
+@kernel()
+def own_share(texels, t, found, weights, count, ratio, reflected):
+    """How much of its own light texel ``t`` keeps: the share of noise-free variance among its neighbours in all.
+
+    Variance is that of the luminance about what is ``expected``; what noise explains of it is taken off.
+    """
+    apart, total = NONE, DARKEST
+    for n in range(count):
+        s, w = found[n], weights[n]
+        direct, around = expected(texels, s, ratio, reflected)
+        r = texels[s, 0] + texels[s, REFLECTED] - direct[0] - around[0]
+        g = texels[s, 1] + texels[s, REFLECTED + 1] - direct[1] - around[1]
+        b = texels[s, 2] + texels[s, REFLECTED + 2] - direct[2] - around[2]
+        difference = luminance(r, g, b)
+        apart, total = apart + w * (difference * difference - texels[s, VARIANCE]), total + w
+    signal = max(apart, NONE) / total
+    return signal / max(signal + texels[t, VARIANCE], DARKEST)
+
+
+@kernel(types.void(NUMBERING, types.int64, POSITIONS, types.int64, types.int64, TEXELS, TEXELS))
+def filter_texels(numbering, bits, positions, first, step, texels, filtered):
+    """Write to ``filtered`` (texels, RECORD) the records ``texels``, from the ``first`` on one for each position.
+
+    ``positions`` (m, 3; z, y, x) are those texels' own, ``step`` is the distance between neighbours. Their VARIANCE is
+    what is left of it, and NOISE what pixels are to be told of it.
+    """
+    found, weights = np.empty(27, np.int64), np.empty(27, np.float32)
+    for m in range(positions.shape[0]):
+        t = first + m
+        filtered[t] = texels[t]
+        if texels[t, GRADE] != CONVERGING:
+            continue
+        at = t, np.int64(positions[m, 0]), np.int64(positions[m, 1]), np.int64(positions[m, 2])
+        count = neighbours_of(numbering, bits, texels, at, step, found, weights)
+        if count < 2:
+            continue
+        ratio, reflected, variance = mean_of(texels, found, weights, count)
+        own = own_share(texels, t, found, weights, count, ratio, reflected)
+        direct, around = expected(texels, t, ratio, reflected)
+        for c in range(3):
+            filtered[t, DIRECT + c] = own * texels[t, DIRECT + c] + (ONE - own) * direct[c]
+            filtered[t, REFLECTED + c] = own * texels[t, REFLECTED + c] + (ONE - own) * around[c]
+        kept, taken = own * texels[t, VARIANCE], (ONE - own) ** 2 * variance
+        filtered[t, VARIANCE], filtered[t, NOISE] = kept + taken, math.sqrt(kept + SHARED * taken)

@@ -1,0 +1,137 @@
+"""Light that converges, filtered over the texels of a view, against plain NumPy."""
+
+import numpy as np
+import pytest
+
+from isogi_core.kernels.shading.filtering import NEAR, PATHS, SHARED, VARIANCE, Numbering, filter_texels
+from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL
+from isogi_core.kernels.shading.irradiance_ratio import BARE, GRADE, NOISE, NORMAL, RECORD, REFLECTED
+from isogi_core.kernels.shading.lattice import UNBAKED
+from isogi_core.model.sky import LUMINANCE
+
+BITS, CHUNKS = 2, (2, 3, 2)
+
+
+def numbered(positions):
+    """The `Numbering` of texels at positions (m, 3; z, y, x), and the positions in its order."""
+    chunks = np.unique(positions >> BITS, axis=0)
+    slots = np.full(CHUNKS, -1, np.int32)
+    slots[tuple(chunks.T)] = np.arange(len(chunks))
+    side = 1 << BITS
+    inside = positions & (side - 1)
+    rows = slots[tuple((positions >> BITS).T)] * side**2 + inside[:, 0] * side + inside[:, 1]
+    order = np.lexsort((inside[:, 2], rows))
+    read = np.zeros(len(chunks) * side**2, np.uint32)
+    np.bitwise_or.at(read, rows, np.uint32(1) << inside[:, 2].astype(np.uint32))
+    first = np.zeros(len(read) + 1, np.uint32)
+    np.cumsum(np.bitwise_count(read), out=first[1:])
+    return Numbering(slots, read, first), np.ascontiguousarray(positions[order], np.int32)
+
+
+def scattered(count, seed):
+    """So many texels anywhere in the chunks."""
+    shape = tuple(n << BITS for n in CHUNKS)
+    chosen = np.random.default_rng(seed).choice(np.prod(shape), count, replace=False)
+    return numbered(np.stack(np.unravel_index(chosen, shape), axis=-1))
+
+
+def random_records(count, seed):
+    """Light of all kinds, with normals that look upwards more or less."""
+    rng = np.random.default_rng(seed)
+    records = rng.uniform(0.2, 1.0, (count, RECORD)).astype(np.float32)
+    normals = rng.normal(size=(count, 3)) * 0.3 + np.array([0.0, 0.0, 1.0])
+    records[:, NORMAL : NORMAL + 3] = normals / np.linalg.norm(normals, axis=1, keepdims=True)
+    records[:, GRADE] = rng.choice([UNBAKED, CONVERGING, CONVERGING, FINAL], count)
+    records[:, PATHS] = rng.choice([16, 64], count)
+    records[:, VARIANCE] = rng.uniform(0.0, 0.1, count)
+    return records
+
+
+def filtered(numbering, positions, records, step=1):
+    """`filter_texels`."""
+    found = np.full_like(records, np.nan)
+    half = len(records) // 2
+    for a, b in ((0, half), (half, len(records))):
+        filter_texels(numbering, BITS, positions[a:b], a, step, records, found)
+    return found
+
+
+def one_by_one(positions, records, step):
+    """The same, texel by texel, in double precision."""
+    found, kept = records.astype(float), records.astype(float)
+    for t in np.flatnonzero(records[:, GRADE] == CONVERGING):
+        apart = positions - positions[t]
+        near = (np.abs(apart) <= step).all(axis=1) & (apart % step == 0).all(axis=1)
+        near &= np.isin(records[:, GRADE], (CONVERGING, FINAL))
+        cosine = kept[near, NORMAL : NORMAL + 3] @ kept[t, NORMAL : NORMAL + 3]
+        weights = np.exp(((apart[near] / step) ** 2).sum(axis=1) / -2.0) * np.maximum(cosine, 0.0) ** 16
+        around, weights = kept[near][weights > 0.0], weights[weights > 0.0]
+        if len(weights) < 2:
+            continue
+        counts = weights * around[:, PATHS]
+        ratio = counts @ around[:, :3] / (counts @ around[:, BARE : BARE + 3])
+        reflected = counts @ around[:, REFLECTED : REFLECTED + 3] / counts.sum()
+        variance = counts**2 @ around[:, VARIANCE] / counts.sum() ** 2
+        differences = (
+            around[:, :3] + around[:, REFLECTED : REFLECTED + 3] - ratio * around[:, BARE : BARE + 3] - reflected
+        )
+        signal = max(weights @ ((differences @ LUMINANCE) ** 2 - around[:, VARIANCE]), 0.0) / weights.sum()
+        own = signal / (signal + kept[t, VARIANCE])
+        found[t, :3] = own * kept[t, :3] + (1 - own) * ratio * kept[t, BARE : BARE + 3]
+        found[t, REFLECTED : REFLECTED + 3] = own * kept[t, REFLECTED : REFLECTED + 3] + (1 - own) * reflected
+        left, shared = own * kept[t, VARIANCE], (1 - own) ** 2 * variance
+        found[t, VARIANCE], found[t, NOISE] = left + shared, np.sqrt(left + SHARED * shared)
+    return found
+
+
+@pytest.mark.parametrize("step", [1, 2])
+def test_a_pass_is_that_of_plain_numpy(step):
+    (numbering, positions), records = scattered(300, 1), random_records(300, 2)
+    found, expected = filtered(numbering, positions, records, step), one_by_one(positions, records, step)
+    np.testing.assert_allclose(found, expected, rtol=2e-4, atol=2e-5)
+    assert (found != records).any(axis=1).sum() > 100
+
+
+def test_what_is_final_unlit_or_alone_stays_as_it_is():
+    (numbering, positions), records = scattered(60, 3), random_records(60, 4)
+    records[:30, GRADE] = FINAL
+    found = filtered(numbering, positions, records)
+    still = records[:, GRADE] != CONVERGING
+    np.testing.assert_array_equal(found[still], records[still])
+    lone, place = numbered(np.array([[1, 1, 1], [3, 6, 7]]))
+    alone = random_records(2, 5)
+    alone[:, GRADE] = CONVERGING
+    np.testing.assert_array_equal(filtered(lone, place, alone), alone)
+
+
+def sheet(edge):
+    """A flat sheet of texels whose light is 1, and 3 beyond an ``edge`` along x, with noise of 0.1; its x too."""
+    positions = np.stack(np.meshgrid([3], np.arange(12), np.arange(8), indexing="ij"), axis=-1).reshape(-1, 3)
+    numbering, positions = numbered(positions)
+    records = np.zeros((len(positions), RECORD), np.float32)
+    records[:, NORMAL + 2], records[:, GRADE], records[:, PATHS] = 1.0, CONVERGING, 16
+    records[:, BARE : BARE + 3], records[:, VARIANCE] = 4.0, 0.01
+    noise = 0.1 * np.random.default_rng(6).normal(size=len(positions))
+    records[:, :3] = (np.where(positions[:, 2] < edge, 1.0, 3.0) + noise)[:, None]
+    return numbering, positions, records
+
+
+def test_even_light_loses_its_noise_and_says_how_much():
+    numbering, positions, records = sheet(edge=99)
+    for step in (1, 2):
+        records = filtered(numbering, positions, records, step)
+    errors = records[:, 1] - 1.0
+    assert errors.std() < 0.06
+    assert 0.5 < np.sqrt((records[:, NOISE] ** 2).mean() / SHARED) / errors.std() < 1.5
+
+
+def test_the_edge_of_a_shadow_stays():
+    numbering, positions, records = sheet(edge=4)
+    for step in (1, 2):
+        records = filtered(numbering, positions, records, step)
+    truth = np.where(positions[:, 2] < 4, 1.0, 3.0)
+    assert np.abs(records[:, 1] - truth).max() < 0.4
+
+
+def test_neighbours_count_by_a_gauss_curve():
+    np.testing.assert_allclose(NEAR, np.exp([0.0, -0.5, -1.0, -1.5]), rtol=1e-6)
