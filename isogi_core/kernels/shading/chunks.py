@@ -78,12 +78,12 @@ def mark_texels(lattice, points, slots, read):
 
 @kernel()
 def ones(word):
-    """Bits that are set in a non-negative number."""
-    count = 0
-    while word:
-        word &= word - 1
-        count += 1
-    return count
+    """Bits that are set in a ``word`` of 32; sums of pairs of bits, then of fours, of bytes, and of all."""
+    pairs = word - (word >> np.uint32(1) & np.uint32(0x55555555))
+    fours = (pairs & np.uint32(0x33333333)) + (pairs >> np.uint32(2) & np.uint32(0x33333333))
+    return (
+        (fours + (fours >> np.uint32(4)) & np.uint32(0x0F0F0F0F)) * np.uint32(0x01010101) & np.uint32(0xFFFFFFFF)
+    ) >> np.uint32(24)
 
 
 @kernel(types.void(LATTICE, POINTS, SLOTS, WORDS, PLACES, CORNERS))
@@ -98,7 +98,7 @@ def find_corners(lattice, points, slots, read, first, corners):
         z, y, x, _, _, _ = base_texel(lattice, points, m)
         i = within(x, bits)
         for c, r in enumerate(rows_around(slots, bits, z, y, x)):
-            number = first[r] + ones(int(read[r]) & ((1 << i) - 1))
+            number = first[r] + np.uint32(ones(read[r] & ((np.uint32(1) << np.uint32(i)) - np.uint32(1))))
             corners[m, 2 * c], corners[m, 2 * c + 1] = number, number + 1
         if i == (1 << bits) - 1:
             for c, r in enumerate(rows_around(slots, bits, z, y, x + 1)):

@@ -13,9 +13,9 @@ import numpy as np
 from numba import types
 
 from isogi_core.kernels._jit import kernel, record
-from isogi_core.kernels.shading.chunks import SLOTS, WORDS, ones, row_of, within
+from isogi_core.kernels.shading.chunks import SLOTS, WORDS, ones, within
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, luminance
-from isogi_core.kernels.shading.irradiance_ratio import BARE, DIRECT, GRADE, NOISE, NORMAL, REFLECTED, TEXELS
+from isogi_core.kernels.shading.irradiance_ratio import BARE, DIRECT, GRADE, NOISE, NORMAL, RECORD, REFLECTED, TEXELS
 from isogi_core.kernels.shading.lattice import DARKEST
 from isogi_core.kernels.transport.transfer import TEXELS as POSITIONS
 
@@ -49,19 +49,25 @@ NUMBERING = record(Numbering, SLOTS, WORDS, WORDS)
 
 
 @kernel()
-def number_of(numbering, bits, z, y, x):
-    """The view's own number of the texel at (z, y, x); -1 where it reads none there."""
+def row_at(numbering, bits, z, y, x):
+    """The row of the texel at (z, y, x); -1 in chunks that the view does not touch, and outside the lattice."""
     slots = numbering.slots
-    if min(z, y, x) < 0:
+    k, j, i = np.uint64(z >> bits), np.uint64(y >> bits), np.uint64(x >> bits)  # what is negative becomes huge
+    if k >= np.uint64(slots.shape[0]) or j >= np.uint64(slots.shape[1]) or i >= np.uint64(slots.shape[2]):
         return -1
-    k, j, i = z >> bits, y >> bits, x >> bits
-    if k >= slots.shape[0] or j >= slots.shape[1] or i >= slots.shape[2] or slots[k, j, i] < 0:
+    slot = np.int64(slots[k, j, i])
+    return (slot << 2 * bits) + (within(z, bits) << bits) + within(y, bits) if slot >= 0 else -1
+
+
+@kernel(inline=True)
+def number_of(numbering, row, place):
+    """The view's own number of the texel at a ``place`` in a row; -1 where it reads none there."""
+    row = np.uint64(row)
+    word = np.uint32(numbering.read[row])
+    if not word >> np.uint32(place) & np.uint32(1):
         return -1
-    r, place = row_of(slots, bits, z, y, x), within(x, bits)
-    word = np.int64(numbering.read[r])
-    if not word >> place & 1:
-        return -1
-    return np.int64(numbering.first[r]) + ones(word & ((1 << place) - 1))
+    before = word & ((np.uint32(1) << np.uint32(place)) - np.uint32(1))
+    return np.int64(numbering.first[row]) + np.int64(ones(before))
 
 
 @kernel(inline=True)
@@ -80,12 +86,17 @@ def neighbours_of(numbering, bits, texels, at, step, found, weights):
     Returns how many there are, itself among them.
     """
     t, z, y, x = at
-    count = 0
+    count, inside = 0, step <= within(x, bits) < (1 << bits) - step
     for k in range(-1, 2):
         for j in range(-1, 2):
+            row = row_at(numbering, bits, z + k * step, y + j * step, x)
+            if inside and row < 0:
+                continue
             for i in range(-1, 2):
-                s = number_of(numbering, bits, z + k * step, y + j * step, x + i * step)
-                if s >= 0 and CONVERGING <= texels[s, GRADE] <= FINAL:
+                own = row if inside else row_at(numbering, bits, z + k * step, y + j * step, x + i * step)
+                number = number_of(numbering, own, within(x + i * step, bits)) if own >= 0 else -1
+                s = np.uint64(max(number, 0))
+                if number >= 0 and CONVERGING <= texels[s, GRADE] <= FINAL:
                     weight = NEAR[k * k + j * j + i * i] * likeness(texels, t, s)
                     if weight > NONE:
                         found[count], weights[count] = s, weight
@@ -101,8 +112,8 @@ def mean_of(texels, found, weights, count):
     """
     direct = bare = reflected = (NONE, NONE, NONE)
     total, variance = DARKEST, NONE
-    for n in range(count):
-        s = found[n]
+    for n in range(np.uint64(count)):
+        s = np.uint64(found[n])
         w = weights[n] * texels[s, PATHS]
         direct = direct[0] + w * texels[s, 0], direct[1] + w * texels[s, 1], direct[2] + w * texels[s, 2]
         bare = bare[0] + w * texels[s, BARE], bare[1] + w * texels[s, BARE + 1], bare[2] + w * texels[s, BARE + 2]
@@ -121,22 +132,23 @@ def expected(texels, s, ratio, reflected):
 
 
 @kernel()
-def own_share(texels, t, found, weights, count, ratio, reflected):
-    """How much of its own light texel ``t`` keeps: the share of noise-free variance among its neighbours in all.
+def own_share(texels, found, weights, count, ratio, reflected):
+    """How much of its own light a texel keeps: the share of noise-free variance among its neighbours; and their noise.
 
-    Variance is that of the luminance about what is ``expected``; what noise explains of it is taken off.
+    Variance is that of the luminance about what is ``expected``; what noise explains of it is taken off. The noise is
+    the mean of all their variances, as a few paths may agree by chance and show none.
     """
-    apart, total = NONE, DARKEST
-    for n in range(count):
-        s, w = found[n], weights[n]
+    apart, noise, total = NONE, NONE, DARKEST
+    for n in range(np.uint64(count)):
+        s, w = np.uint64(found[n]), weights[n]
         direct, around = expected(texels, s, ratio, reflected)
         r = texels[s, 0] + texels[s, REFLECTED] - direct[0] - around[0]
         g = texels[s, 1] + texels[s, REFLECTED + 1] - direct[1] - around[1]
         b = texels[s, 2] + texels[s, REFLECTED + 2] - direct[2] - around[2]
         difference = luminance(r, g, b)
-        apart, total = apart + w * (difference * difference - texels[s, VARIANCE]), total + w
-    signal = max(apart, NONE) / total
-    return signal / max(signal + texels[t, VARIANCE], DARKEST)
+        apart, noise, total = apart + w * difference * difference, noise + w * texels[s, VARIANCE], total + w
+    signal = max(apart - noise, NONE)
+    return signal / max(signal + noise, DARKEST), noise / total
 
 
 @kernel(types.void(NUMBERING, types.int64, POSITIONS, types.int64, types.int64, TEXELS, TEXELS))
@@ -146,10 +158,11 @@ def filter_texels(numbering, bits, positions, first, step, texels, filtered):
     ``positions`` (m, 3; z, y, x) are those texels' own, ``step`` is the distance between neighbours. Their VARIANCE is
     what is left of it, and NOISE what pixels are to be told of it.
     """
-    found, weights = np.empty(27, np.int64), np.empty(27, np.float32)
+    found, weights = np.empty(27, np.uint32), np.empty(27, np.float32)
     for m in range(positions.shape[0]):
-        t = first + m
-        filtered[t] = texels[t]
+        t = np.uint64(first + m)
+        for c in range(RECORD):
+            filtered[t, c] = texels[t, c]
         if texels[t, GRADE] != CONVERGING:
             continue
         at = t, np.int64(positions[m, 0]), np.int64(positions[m, 1]), np.int64(positions[m, 2])
@@ -157,10 +170,10 @@ def filter_texels(numbering, bits, positions, first, step, texels, filtered):
         if count < 2:
             continue
         ratio, reflected, variance = mean_of(texels, found, weights, count)
-        own = own_share(texels, t, found, weights, count, ratio, reflected)
+        own, noise = own_share(texels, found, weights, count, ratio, reflected)
         direct, around = expected(texels, t, ratio, reflected)
         for c in range(3):
             filtered[t, DIRECT + c] = own * texels[t, DIRECT + c] + (ONE - own) * direct[c]
             filtered[t, REFLECTED + c] = own * texels[t, REFLECTED + c] + (ONE - own) * around[c]
-        kept, taken = own * texels[t, VARIANCE], (ONE - own) ** 2 * variance
+        kept, taken = own * noise, (ONE - own) ** 2 * variance
         filtered[t, VARIANCE], filtered[t, NOISE] = kept + taken, math.sqrt(kept + SHARED * taken)

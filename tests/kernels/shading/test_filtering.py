@@ -75,11 +75,12 @@ def one_by_one(positions, records, step):
         differences = (
             around[:, :3] + around[:, REFLECTED : REFLECTED + 3] - ratio * around[:, BARE : BARE + 3] - reflected
         )
-        signal = max(weights @ ((differences @ LUMINANCE) ** 2 - around[:, VARIANCE]), 0.0) / weights.sum()
-        own = signal / (signal + kept[t, VARIANCE])
+        noise = weights @ around[:, VARIANCE] / weights.sum()
+        signal = max(weights @ (differences @ LUMINANCE) ** 2 / weights.sum() - noise, 0.0)
+        own = signal / (signal + noise)
         found[t, :3] = own * kept[t, :3] + (1 - own) * ratio * kept[t, BARE : BARE + 3]
         found[t, REFLECTED : REFLECTED + 3] = own * kept[t, REFLECTED : REFLECTED + 3] + (1 - own) * reflected
-        left, shared = own * kept[t, VARIANCE], (1 - own) ** 2 * variance
+        left, shared = own * noise, (1 - own) ** 2 * variance
         found[t, VARIANCE], found[t, NOISE] = left + shared, np.sqrt(left + SHARED * shared)
     return found
 
