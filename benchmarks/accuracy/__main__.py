@@ -4,6 +4,7 @@ from benchmarks.accuracy.albedo import albedo
 from benchmarks.accuracy.calibration import calibration
 from benchmarks.accuracy.choices import choices
 from benchmarks.accuracy.equal_error import equal_error
+from benchmarks.accuracy.filtering import filtering
 from benchmarks.accuracy.interpolation import interpolation
 from benchmarks.accuracy.lobes import lobes
 from benchmarks.accuracy.plans import plans
@@ -24,6 +25,7 @@ main = suite(
     equal_error,
     plans,
     calibration,
+    filtering,
     interpolation,
     projected,
     choices,

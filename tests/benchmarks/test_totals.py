@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from benchmarks.accuracy.filtering import filtering
 from benchmarks.accuracy.formulas import KINDS, made
 from benchmarks.accuracy.totals import totals
 from tests.benchmarks.parts import figures
@@ -13,6 +14,12 @@ def test_a_picture_is_as_wrong_as_it_says_and_reaches_its_target() -> None:
     assert (found["views"], found["final"]) == (2, 1.0)
     assert 0.5 < found["told / true, median"] < 2.0
     assert 0.0 < found["worst true error told as final"] <= 0.025
+
+
+def test_filtering_brings_light_that_converges_nearer_to_the_truth() -> None:
+    found = figures(filtering, "--size", "24", "--paths", "256", "--only", "nested shells 1 under constant light")
+    assert len(found) == 3
+    assert found["nested shells 1 under constant light, 16 samples: filtered / alone"] < 0.95
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -1,0 +1,64 @@
+"""What filtering takes out of light that converges, and whether the noise that is told then is true.
+
+    python -m benchmarks.accuracy filtering [--size 96] [--paths 1024] [--seed 1 …] [--only TEXT …] [--json]
+
+All texels of a view have the same number of samples. Its picture, filtered as frames are and each texel by itself, is
+held against paths from each pixel, and so are the errors that both tell of their noise. What is not noise, such as
+interpolation, is in the true errors alone.
+"""
+
+import tempfile
+from pathlib import Path
+from unittest.mock import patch
+
+import click
+
+from benchmarks.accuracy.benches import bench_of
+from benchmarks.accuracy.totals import scenes
+from benchmarks.common.measurement import Measurement, markdown
+from benchmarks.common.suite import part
+from isogi_core.frame import renderer
+from isogi_core.frame.frame import Frame
+from isogi_core.report.bake import ViewBake
+from isogi_core.report.metrics import Score, score
+
+LEVELS = (16, 64, 256)
+"""Samples of each texel."""
+
+VIEWS = ("engine 70 under uffizi", "engine 70 under grace", "ct 110 under constant", "foam", "plates", "vessels")
+"""What is measured where nothing else is asked for: parts of the names of ``totals``."""
+
+HEAD = ("view", "samples", "each by itself, told", "true, 99 %", "filtered, told", "true, 99 %")
+
+
+@part(size=96)
+@click.option("--paths", type=click.IntRange(8), default=1024, show_default=True, help="Paths a pixel of references.")
+@click.option("--seed", multiple=True, type=int, default=(1,), show_default=True, help="Of volumes; repeatable.")
+@click.option("--only", multiple=True, default=VIEWS, help="Part of a scene's name; repeatable.")
+def filtering(size: int, paths: int, seed: tuple[int, ...], only: tuple[str, ...]) -> Measurement:
+    """What filtering takes out of light that converges, and what is told of it."""
+    rows, figures = [], dict[str, float]()
+    with tempfile.TemporaryDirectory() as folder:
+        for name, scene in scenes(Path(folder), seed, only):
+            bench = bench_of(scene(), size, Path(folder) / name.replace(" ", "-"))
+            bake, best = ViewBake(bench.renderer(bench.scene), bench.view), bench.reference(paths)
+            for samples in LEVELS:
+                bake.grow(samples)
+                pictures = (alone(bake), bake.frame())
+                plain, calm = (score(each.radiance, best, 1.0) for each in pictures)
+                rows.append((name, str(samples), *texts(pictures[0], plain), *texts(pictures[1], calm)))
+                figures[f"{name}, {samples} samples: filtered / alone"] = calm.rmse / plain.rmse
+    if not rows:
+        raise click.UsageError("No view has that in its name.")
+    return Measurement("Light that converges, filtered", figures, markdown(HEAD, rows))
+
+
+def alone(bake: ViewBake) -> Frame:
+    """The frame of a bake with each texel's light as it is."""
+    with patch.object(renderer, "filter_texel_light", lambda texels, reading, lit, *others: lit):
+        return bake.frame()
+
+
+def texts(picture: Frame, found: Score) -> tuple[str, str]:
+    """The error that a picture tells, and the true one with its 99th percentile; in percent."""
+    return f"{100 * picture.noise:.2f}", f"{100 * found.rmse:.2f}, {100 * found.p99:.1f}"
