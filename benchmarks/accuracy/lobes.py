@@ -17,13 +17,13 @@ from benchmarks.common.measurement import Figures, Measurement
 from benchmarks.common.scenes import benchmark_scene
 from benchmarks.common.suite import part
 from benchmarks.common.timing import milliseconds
-from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.frame.renderer import Renderer
+from isogi_core.model.scene_plan import FEWEST
 from isogi_core.model.view import View
 from isogi_core.plan.inputs import PlanOverrides
 from isogi_core.plan.planner import plan_scene
 from isogi_core.plan.scene import Scene
-from server.cli.bench import Candidate, bake_view, make_renderer, medians, relight, seconds, turned, view_of
+from server.cli.bench import DONE, Candidate, bake_view, make_renderer, medians, relight, seconds, turned, view_of
 
 TURNS = 1000
 """A turn of the light that no other candidate comes to."""
@@ -43,7 +43,7 @@ def lobes(target: str | None, size: int, repeats: int) -> Measurement:
         for n, each in scenes.items():
             renderer = make_renderer(each, stack.enter_context(tempfile.TemporaryDirectory()))
             view = view_of(each, size)
-            bake_view(renderer, view, FIRST_LEVEL)
+            bake_view(renderer, view, FEWEST)
             candidates |= {f"{n} turned": relight(renderer, view), f"{n} at rest": at_rest(renderer, view)}
             candidates[f"{n} turned, processor"] = processor(renderer, view)
         median = medians(candidates, repeats)
@@ -62,7 +62,7 @@ def processor(renderer: Renderer, view: View) -> Candidate:
 
     def render(turn: int) -> float:
         begun = time.process_time()
-        renderer.render(turned(view, turn + TURNS))
+        renderer.render(turned(view, turn + TURNS), DONE)
         return time.process_time() - begun
 
     return render
@@ -72,8 +72,8 @@ def at_rest(renderer: Renderer, view: View) -> Candidate:
     """A frame that is as the one before."""
 
     def render(turn: int) -> float:
-        renderer.render(turned(view, turn))
-        return seconds(lambda: renderer.render(turned(view, turn)))
+        renderer.render(turned(view, turn), DONE)
+        return seconds(lambda: renderer.render(turned(view, turn), DONE))
 
     return render
 

@@ -2,8 +2,9 @@
 
     python -m benchmarks.speed frames [TARGET] [--size 512] [--repeats 15] [--json]
 
-Every camera is new to the renderer, so that each frame casts its primary rays; shadings are
-interleaved, and ratios are of medians (S1, table 2 has SH at 1.45 × Lambert and 0.75 × with shadow).
+Every camera is new to the renderer, so that each frame casts its primary rays; light is final, but where it is said
+to converge, and is filtered. Shadings are interleaved, and ratios are of medians (S1, table 2 has SH at 1.45 × Lambert
+and 0.75 × with shadow).
 """
 
 import math
@@ -16,11 +17,23 @@ from benchmarks.common.measurement import Measurement
 from benchmarks.common.scenes import benchmark_scene
 from benchmarks.common.suite import part
 from benchmarks.common.timing import milliseconds
-from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.frame.film import develop
 from isogi_core.frame.renderer import Renderer
+from isogi_core.model.scene_plan import FEWEST
 from isogi_core.model.view import View
-from server.cli.bench import Candidate, bake_view, make_renderer, medians, new_camera, relight, seconds, turned, view_of
+from isogi_core.report.bake import NEVER
+from server.cli.bench import (
+    DONE,
+    Candidate,
+    bake_view,
+    make_renderer,
+    medians,
+    new_camera,
+    relight,
+    seconds,
+    turned,
+    view_of,
+)
 
 SHADINGS = ("gi", "lambert", "lambert_shadow", "lambert_fog", "phong", "phong_shadow")
 
@@ -33,7 +46,7 @@ def frames(target: str | None, size: int, repeats: int) -> Measurement:
     with tempfile.TemporaryDirectory() as store:
         renderer = make_renderer(scene, store)
         view = view_of(scene, size)
-        frame = bake_view(renderer, view, FIRST_LEVEL)
+        frame = bake_view(renderer, view, FEWEST)
         texels = sum(len(demand.offsets) for demand in frame.demands)
         figures = summarise(medians(candidates(renderer, view), repeats))
         figures["lattice / texels of this view"] = math.prod(renderer.prepared.shape) / texels
@@ -42,14 +55,17 @@ def frames(target: str | None, size: int, repeats: int) -> Measurement:
 
 
 def candidates(renderer: Renderer, view: View) -> dict[str, Candidate]:
-    """A frame by each shading, "relight", the light turned and nothing else, and "develop", the tone curve."""
+    """A frame by each shading, and of light that converges, "relight", the light turned alone, and "develop", the tone
+    curve.
+    """
     exposure = renderer.prepared.scene.default_exposure
 
     def tone(turn: int) -> float:
-        lit = renderer.render(turned(view, turn))
+        lit = renderer.render(turned(view, turn), DONE)
         return seconds(lambda: develop(lit, exposure))
 
     frames = {shading: new_camera(renderer, replace(view, shading=shading)) for shading in SHADINGS}
+    frames["gi, converging"] = new_camera(renderer, view, NEVER)
     return {**frames, "relight": relight(renderer, view), "develop": tone}
 
 
@@ -57,6 +73,7 @@ def summarise(median: dict[str, float]) -> dict[str, float]:
     """Medians in milliseconds, and the ratios that are asked for."""
     return {
         **milliseconds(median),
+        "gi, converging / gi": median["gi, converging"] / median["gi"],
         "gi / lambert": median["gi"] / median["lambert"],
         "gi / lambert_shadow": median["gi"] / median["lambert_shadow"],
         "relight / gi": median["relight"] / median["gi"],

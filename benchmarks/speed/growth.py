@@ -24,8 +24,8 @@ from benchmarks.common.measurement import Measurement
 from benchmarks.common.scenes import benchmark_scene
 from benchmarks.common.suite import part
 from benchmarks.common.timing import milliseconds
-from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.frame.renderer import Renderer
+from isogi_core.model.scene_plan import FEWEST
 from isogi_core.model.volume import Volume, make_volume
 from isogi_core.plan.scene import Scene
 from server.cli.bench import (
@@ -64,7 +64,7 @@ def baked(scene: Scene, store: str, sizes: Iterable[int], threads: int | None = 
     """A renderer with the light of the view at all ``sizes`` baked."""
     renderer = make_renderer(scene, store, threads)
     for size in sizes:
-        bake_view(renderer, view_of(scene, size), FIRST_LEVEL)
+        bake_view(renderer, view_of(scene, size), FEWEST)
     return renderer
 
 

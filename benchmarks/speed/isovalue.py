@@ -25,14 +25,15 @@ from benchmarks.common.timing import milliseconds
 from benchmarks.speed import embree, vtk
 from benchmarks.speed.embree_frame import EmbreeFrame
 from isogi_core.bake.bake_spec import spec_for
-from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.frame.film import develop
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.tiles import Tiles
+from isogi_core.model.scene_plan import FEWEST
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import PreparedScene
 from server.cli.bench import (
+    DONE,
     Candidate,
     bake_view,
     isovalues_near,
@@ -50,9 +51,7 @@ Painter = Callable[[float], np.ndarray]
 def lit_renderer(scene: Scene, size: int, levels: list[float], store: str, threads: int) -> Renderer:
     """A renderer that has seen no isovalue, with the light of all ``levels`` in memory."""
     renderer = make_renderer(scene, store, threads)
-    chunks = {
-        d.index for v in levels for d in bake_view(renderer, view_of(scene, size, isovalue=v), FIRST_LEVEL).demands
-    }
+    chunks = {d.index for v in levels for d in bake_view(renderer, view_of(scene, size, isovalue=v), FEWEST).demands}
     fresh = make_renderer(scene, store, threads)
     fresh.caches.of("gi").ensure(sorted(chunks))
     return fresh
@@ -63,7 +62,7 @@ def own(renderer: Renderer, size: int, shading: str) -> Painter:
     scene = renderer.prepared.scene
 
     def paint(isovalue: float) -> np.ndarray:
-        frame = renderer.render(view_of(scene, size, isovalue=isovalue, shading=shading))
+        frame = renderer.render(view_of(scene, size, isovalue=isovalue, shading=shading), DONE)
         return develop(frame, scene.default_exposure)
 
     return paint

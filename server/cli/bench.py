@@ -14,7 +14,6 @@ import numpy as np
 from tqdm import tqdm
 
 from isogi_core.bake.bake_spec import SPECS, spec_for
-from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.bake.refine import refine
 from isogi_core.bake.texel_light import Light
 from isogi_core.cache.scene_caches import Caches
@@ -29,6 +28,7 @@ from isogi_core.kernels.simd.types import RAY_WIDTH, REGISTER
 from isogi_core.kernels.tracing.cast import cast_rays
 from isogi_core.kernels.tracing.intersect import UNKNOWN
 from isogi_core.kernels.transport.integrator import bounce_rays
+from isogi_core.model.scene_plan import FEWEST
 from isogi_core.model.view import SHADINGS, View, quaternion_from_angles
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import PreparedScene
@@ -41,6 +41,9 @@ from server.settings import cores
 
 MEMORY = 1 << 30
 """Bytes of light that a measured renderer may hold."""
+
+DONE = 1.0
+"""A target error that FEWEST samples meet: what is measured are frames of light that is final, as most light is."""
 
 Candidate = Callable[[int], float]
 """Does its work in the given round and tells the seconds that it took."""
@@ -182,12 +185,12 @@ def medians(candidates: Mapping[str, Candidate], repeats: int) -> dict[str, floa
     return {name: statistics.median(taken) for name, taken in take_turns(candidates, repeats).items()}
 
 
-def new_camera(renderer: Renderer, view: View) -> Candidate:
-    """A frame of ``view`` from a camera that is new to the renderer."""
+def new_camera(renderer: Renderer, view: View, target: float = DONE) -> Candidate:
+    """A frame of ``view`` from a camera that is new to the renderer, whose light is final at the ``target``."""
 
     def render(_: int) -> float:
         renderer.forget_views()
-        return seconds(lambda: renderer.render(view))
+        return seconds(lambda: renderer.render(view, target))
 
     return render
 
@@ -201,8 +204,8 @@ def relight(renderer: Renderer, view: View) -> Candidate:
     """A frame that differs from the last one by its light's rotation alone."""
 
     def render(turn: int) -> float:
-        renderer.render(view)
-        return seconds(lambda: renderer.render(turned(view, turn)))
+        renderer.render(view, DONE)
+        return seconds(lambda: renderer.render(turned(view, turn), DONE))
 
     return render
 
@@ -246,7 +249,7 @@ class Bench:
     @cached_property
     def frame(self) -> Frame:
         """The view's frame, all of its texels baked; ViewError where there are none."""
-        frame = bake_view(self.renderer, self.view, FIRST_LEVEL)
+        frame = bake_view(self.renderer, self.view, FEWEST)
         if not frame.surface:
             raise ViewError(f"Nothing is to be seen at isovalue {self.scene.isovalue:g}: choose another.")
         return frame
@@ -277,7 +280,7 @@ class Bench:
         """``frame_ms``, by shading, of a camera that is new, light baked; ``relight_ms``: only the light is turned."""
         views = {name: replace(self.view, shading=name) for name in QUICK}
         for spec in SPECS:
-            bake_view(self.renderer, views[spec], FIRST_LEVEL)
+            bake_view(self.renderer, views[spec], FEWEST)
         candidates = {name: new_camera(self.renderer, view) for name, view in views.items()}
         taken = milliseconds({**candidates, "relight": relight(self.renderer, self.view)}, self.repeats)
         return {"relight_ms": taken.pop("relight"), "frame_ms": taken}
