@@ -76,7 +76,7 @@ def find_lobes(light: RotatedLight, gbuffer: GBuffer, tiles: Tiles) -> LobeLight
     lamps, moving = light.lobes, light.view.moving
     picture = picture_of(gbuffer, tiles)
     shadows = Shadows(gbuffer.surface.traced(tiles.run), picture, lamps, tiles)
-    seen = shadows.middles(trusted_from=1 if moving else 2)
+    seen = shadows.middles()
     halves = np.empty(0, np.int64) if moving else shadows.edges(seen)
     lit = np.empty((len(gbuffer.points), 4), np.float32)
     tiles.run(lambda a, b: light_points(picture, lamps, (a, b), moving, seen, lit), len(lit), LOBE_POINTS)
@@ -108,8 +108,8 @@ class Shadows:
         """How many points there are."""
         return len(self.picture.points.pixels)
 
-    def middles(self, trusted_from: int) -> np.ndarray:
-        """What all points see of lobes' middles, (lobes, m) uint8; neighbours are believed from a turn on."""
+    def middles(self) -> np.ndarray:
+        """What all points see of lobes' middles, (lobes, m) uint8."""
         seen = np.empty((len(self.lamps.kinds), self.points), np.uint8)
         around = np.empty((self.points, 4), np.int32)
 
@@ -119,7 +119,7 @@ class Shadows:
 
         self.tiles.run(_begin, self.points, LOBE_POINTS)
         for turn in range(3):
-            believed = around if turn >= trusted_from else around[:0]
+            believed = around if turn else around[:0]
 
             def _piece(a: int, b: int, turn: int = turn, believed: np.ndarray = believed) -> None:
                 aimed = room_for((b - a) * len(seen))

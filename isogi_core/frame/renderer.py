@@ -55,7 +55,7 @@ from isogi_core.frame.texel_normals import OwnNormals, TexelNormals, find_texel_
 from isogi_core.frame.texel_reading import Lacking, Reading, read_texels
 from isogi_core.frame.tiles import Stopwatch, Tiles
 from isogi_core.frame.view_texels import ViewTexels, carries_irradiance_ratios, find_texels
-from isogi_core.kernels.shading.framebuffer import CONVERGING, Framebuffer
+from isogi_core.kernels.shading.framebuffer import Framebuffer
 from isogi_core.kernels.shading.lobes import add_lobes
 from isogi_core.kernels.simd.types import REGISTER
 from isogi_core.lru_cache import LruCache
@@ -203,15 +203,16 @@ class Renderer:
     ) -> Framebuffer:
         """Bring the light of texels, ``lit`` (texels, LIT), to the picture: as irradiance ratios, or as it is.
 
-        Light that converges is filtered before.
+        Global illumination that is noisy is filtered before.
         """
         gbuffer, records = texels.gbuffer, None
-        projects, converges = isinstance(reading, ProjectedReading), bool((reading.grade == CONVERGING).any())
-        ratios = carries_irradiance_ratios(self.prepared.scene, light.view.shading, projects)
-        if ratios or converges:
+        projects, shading = isinstance(reading, ProjectedReading), light.view.shading
+        ratios = carries_irradiance_ratios(self.prepared.scene, shading, projects)
+        filtered = spec_name(shading) == "gi" and bool(reading.noisy.any())
+        if ratios or filtered:
             with watch.stage("normals"):
                 about = self._texel_normals(light.view, texels, reading, tiles)
-        if converges:
+        if filtered:
             with watch.stage("filter"):
                 lit = filter_texel_light(texels, reading, lit, about, light, tiles)
         if ratios:

@@ -17,6 +17,7 @@ from isogi_core.kernels.shading.filtering import PATHS, VARIANCE, filter_texels
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, Framebuffer, PixelPoints
 from isogi_core.kernels.shading.irradiance_ratio import (
     DIRECT,
+    GRADE,
     NOISE,
     RECORD,
     REFLECTED,
@@ -143,12 +144,14 @@ def fill_texel_records(
 def filter_texel_light(
     texels: ViewTexels, reading: Reading, lit: np.ndarray, normals: np.ndarray, light: RotatedLight, tiles: Tiles
 ) -> np.ndarray:
-    """Texels' light ``lit`` (texels, LIT), filtered where it converges; see ``kernels.shading.filtering``.
+    """Texels' light ``lit`` (texels, LIT), filtered where it is noisy; see ``kernels.shading.filtering``.
 
     ``normals`` (texels, 3) are those that they are lit about. Raises Cancelled.
     """
     records, positions = fill_texel_records(reading, lit, normals, light, tiles), texels.positions
     records[:, PATHS], records[:, VARIANCE] = reading.samples, records[:, NOISE] ** 2
+    noisy = reading.noisy
+    records[~noisy & (reading.grade == CONVERGING), GRADE] = FINAL
     for step in STEPS:
         before, after = records, np.empty_like(records)
 
@@ -157,7 +160,7 @@ def filter_texel_light(
 
         tiles.run(_piece, len(lit), tiles.even(len(lit)))
         records = after
-    rows, filtered = np.flatnonzero(reading.grade == CONVERGING), lit.copy()
+    rows, filtered = np.flatnonzero(noisy), lit.copy()
     reflected = records[rows, REFLECTED : REFLECTED + 3]
     filtered[rows, :3] = records[rows, DIRECT : DIRECT + 3] + reflected
     filtered[rows, 3], filtered[rows, 4:] = records[rows, NOISE], reflected

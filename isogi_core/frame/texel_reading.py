@@ -56,6 +56,11 @@ class Reading:
         return not (self.rows < 0).any()
 
     @property
+    def noisy(self) -> np.ndarray:
+        """Which texels' light is still noisy, whatever else they lack; (texels,) bool."""
+        return np.asarray((self.grade == CONVERGING) & ~good_enough(self.error, self.samples, self.target))
+
+    @property
     def on_surface(self) -> np.ndarray:
         """Which texels are read on the isosurface that is shown, and not on their own; (texels,) bool."""
         return np.zeros(len(self.rows), np.bool_)

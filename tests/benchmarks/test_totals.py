@@ -16,7 +16,7 @@ def test_a_picture_is_as_wrong_as_it_says_and_reaches_its_target() -> None:
     assert 0.0 < found["worst true error told as final"] <= 0.025
 
 
-def test_filtering_brings_light_that_converges_nearer_to_the_truth() -> None:
+def test_filtered_light_is_nearer_to_the_truth() -> None:
     found = figures(filtering, "--size", "24", "--paths", "256", "--only", "nested shells 1 under constant light")
     assert len(found) == 3
     assert found["nested shells 1 under constant light, 16 samples: filtered / alone"] < 0.95

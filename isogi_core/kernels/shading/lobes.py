@@ -1,6 +1,6 @@
 """Light that comes straight from lobes: small far lights, each seen along shadow rays from a picture's own points.
 
-A lobe is a directional lamp. Few rays find where its shadows have their edges: one to its middle from every second
+A lobe is a directional lamp. Few rays find where its shadows have their edges: one to its middle from every fourth
 pixel, and from the others where those around disagree. Where the answers change from pixel to pixel, rays to the
 lobe's rim tell what sees all of it, or nothing, of which the light is known; about pixels in the half-shadow, whose
 rim rays disagree, all neighbours are asked too. In the half-shadow more rays are drawn.
