@@ -54,6 +54,7 @@ def build_scene(source: SceneSource, progress: Progress = no_progress, volume: V
     scene names. Raises SceneError, VolumeError or LightError.
     """
     settings = Settings(source)
+    settings.text("volume", DEFAULT_DEMO)  # named by the scene, also where another way led to it
     volume = volume or right_side_out(settings, open_volume(settings, source.base, progress), source.base, progress)
     lights = tuple(light_from_mapping(entry, source.base) for entry in settings.lights())
     lamps = gather_lamps(lights, volume.orientation)
