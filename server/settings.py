@@ -55,7 +55,10 @@ class Settings(BaseSettings):
         " another isovalue is shown.",
     )
     memory_mb: int = Field(
-        1024, ge=1, le=1 << 20, description="Megabytes of light, views and maps that a scene keeps in memory."
+        1024,
+        ge=1,
+        le=1 << 20,
+        description="Megabytes of light, views and maps that all scenes together keep in memory.",
     )
     volume_mb: int = Field(
         2048,

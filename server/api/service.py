@@ -15,7 +15,7 @@ from fastapi import Depends, Request
 from fastapi.requests import HTTPConnection
 
 from isogi_core.bake.bake_spec import SPECS
-from isogi_core.errors import NoRoomError
+from isogi_core.errors import NoRoomError, StoreError
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.tiles import Stopwatch
 from isogi_core.kernels.shading.framebuffer import PROVISIONAL
@@ -172,6 +172,14 @@ class Service:
         scene = self.engine.scenes.get(name)
         if scene is None:
             raise UnknownSceneError(f"There is no scene '{name[:64]}': /v1/scenes lists them all.")
+        return scene
+
+    def planned(self, scene: Scene) -> Scene:
+        """The same scene with the plan of the light that its store has, where that can be read now."""
+        if not self.settled.is_set() or self.failure:
+            return scene
+        with suppress(StoreError):
+            return self.engine.planned(scene.id)
         return scene
 
     def picture_of(self, scene: Scene, params: ViewParams) -> PictureRequest:

@@ -32,7 +32,7 @@ async def list_scenes(service: ServiceDep) -> SceneList:
 @router.get("/{scene}", responses=documented_problems(404, 422))
 def read_scene(scene: SceneDep, service: ServiceDep) -> SceneSchema:
     """One scene: volume, histogram, defaults and ranges of every knob, and the plan of what is baked."""
-    facts, notes = scene_schema(scene), service.engine.notes()
+    facts, notes = scene_schema(service.planned(scene)), service.engine.notes()
     facts.read_only = bool(notes)
     facts.plan.notes += notes
     return facts
