@@ -34,7 +34,7 @@ from server.render.engine import RenderEngine
 from server.render.scheduling import AdmissionLimit
 from server.render.updates import attended
 from server.settings import Settings
-from server.uploads.folder import VOXEL, UploadedVolume, UploadFolder, default_folder, named, read_facts
+from server.uploads.folder import SCENE, VOXEL, UploadedVolume, UploadFolder, default_folder, named, read_facts
 from server.uploads.sandbox import lacking
 
 BLOCK = 1 << 20
@@ -204,7 +204,7 @@ class Uploads:
             raise UploadsOffError(OFF)
         self._check_ready()
         with self._admission.admitted(), self.folder.drafts() as (body, draft):
-            self._check_room(1)
+            self._check_room(SCENE)  # no volume takes less
             with named(self.folder.path):
                 await receive(request, body, self._settings.body_seconds)
             limits = self.limit // VOXEL, self._settings.reading_seconds
