@@ -474,6 +474,7 @@ class Idle:
     room, trouble, preparing = 0, "", ""
     def __init__(self, *_): pass
     def attend(self, stir): pass
+    def prepare(self, work): pass
     def close(self): pass
 
 if __name__ == "__main__":
