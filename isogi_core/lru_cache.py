@@ -74,6 +74,22 @@ class LruCache(Generic[K]):
             self._forget(key)
         return value
 
+    def held(self, key: K) -> Any | None:
+        """The result for ``key`` where it is kept; that makes it no newer."""
+        with self._lock:
+            cell = self._made.get(key)
+            return cell.value[0] if cell is not None and cell.value else None
+
+    def drop(self, key: K) -> None:
+        """Let go of the result for ``key``, if it is kept."""
+        with self._lock:
+            self._made.pop(key, None)
+
+    def settle(self) -> None:
+        """Let go of the oldest results until the rest fits: results may have grown."""
+        with self._lock:
+            self._shrink(list(self._made), self._most)
+
     def clear(self) -> None:
         """Keep nothing."""
         with self._lock:

@@ -47,6 +47,10 @@ class StreamError(IsogiError):
         self.code = code
 
 
+class ForbiddenError(IsogiError):
+    """What is to be changed belongs to somebody else."""
+
+
 class UploadsOffError(IsogiError):
     """This server takes no uploads."""
 

@@ -23,6 +23,7 @@ from isogi_core.errors import (
 )
 from server.errors import (
     BusyError,
+    ForbiddenError,
     FullError,
     LateError,
     NotAcceptableError,
@@ -49,6 +50,7 @@ STATUS: Mapping[type[Exception], int] = {
     SceneError: 422,
     StreamError: 400,
     UploadsOffError: 403,
+    ForbiddenError: 403,
     UnknownSceneError: 404,
     UnknownJobError: 404,
     UnknownResultError: 404,

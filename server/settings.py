@@ -14,6 +14,8 @@ from pydantic_settings import (
     TomlConfigSettingsSource,
 )
 
+from server.bearers import Bearer, read_bearers
+
 UNKNOWN_SCHEDULER = (
     "whoever reaches a scheduler without certificates can run code there: name one at tls://… with scheduler_ca,"
     " scheduler_cert and scheduler_key (docs/cluster.md), or say --insecure-scheduler"
@@ -55,7 +57,10 @@ class Settings(BaseSettings):
         " another isovalue is shown.",
     )
     memory_mb: int = Field(
-        1024, ge=1, le=1 << 20, description="Megabytes of light, views and maps that a scene keeps in memory."
+        1024,
+        ge=1,
+        le=1 << 20,
+        description="Megabytes of light, views and maps that all scenes together keep in memory.",
     )
     volume_mb: int = Field(
         2048,
@@ -91,6 +96,9 @@ class Settings(BaseSettings):
         " host is not loopback. No option, for all users of a machine see those.",
     )
     token_file: str | None = Field(None, description="File that holds the token, where the environment does not.")
+    tokens_file: FilePath | None = Field(
+        None, description="TOML file of tokens by name, each with what it may: look, bake, upload, admin."
+    )
     allowed_hosts: Names | None = Field(
         None,
         description="Host names that requests may use, comma-separated; default: the loopback names when"
@@ -176,6 +184,14 @@ class Settings(BaseSettings):
         except (OSError, ValueError) as error:
             raise ValueError(f"the token cannot be read: {error}") from None
 
+    @field_validator("tokens_file")
+    @classmethod
+    def tokens(cls, value: Path | None) -> Path | None:
+        """The file, where it holds tokens."""
+        if value is not None:
+            read_bearers(value)
+        return value
+
     @model_validator(mode="after")
     def scheduler_is_known(self) -> Self:
         """The settings, where a scheduler to join has certificates, or needs none."""
@@ -190,6 +206,12 @@ class Settings(BaseSettings):
     ) -> tuple[PydanticBaseSettingsSource, ...]:
         """Options come first, then the environment, then the file where there is one."""
         return init_settings, others["env_settings"], TomlConfigSettingsSource(settings_cls)
+
+    @property
+    def bearers(self) -> tuple[Bearer, ...]:
+        """Those who may ask, by their tokens; none where no token is needed."""
+        one = () if self.token is None else (Bearer(self.token.get_secret_value()),)
+        return (*one, *(read_bearers(self.tokens_file) if self.tokens_file else ()))
 
     @property
     def certificates(self) -> tuple[Path | None, Path | None, Path | None]:

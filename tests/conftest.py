@@ -1,16 +1,19 @@
 """Fixtures that several rooms share."""
 
+import logging
 import os
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
+from uuid import uuid4
 
+import httpx
 import nrrd
 import numpy as np
 import pytest
 
 from tests.live import serving
-from tests.s3 import S3Server
+from tests.s3 import BUCKET, S3Server, environment_of
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -43,6 +46,26 @@ def s3(monkeypatch: pytest.MonkeyPatch) -> Iterator[S3Server]:
         for name, value in server.environment.items():
             monkeypatch.setenv(name, value)
         yield server
+
+
+@pytest.fixture(scope="session")
+def motos() -> Iterator[str]:
+    """The address of moto's server: a standard S3, that somebody else has made; with an empty bucket."""
+    server = pytest.importorskip("moto.server").ThreadedMotoServer("127.0.0.1", 0, verbose=False)
+    logging.getLogger("werkzeug").setLevel(logging.WARNING)
+    server.start()
+    host, port = server.get_host_and_port()
+    httpx.put(f"http://{host}:{port}/{BUCKET}").raise_for_status()
+    yield f"http://{host}:{port}"
+    server.stop()
+
+
+@pytest.fixture
+def standard_s3(motos: str, monkeypatch: pytest.MonkeyPatch) -> str:
+    """A place in a bucket of a standard S3, that this process, and those that it starts, have the keys of."""
+    for name, value in environment_of(motos).items():
+        monkeypatch.setenv(name, value)
+    return f"s3://{BUCKET}/light-{uuid4().hex}"
 
 
 SMALL_SCENE = """\

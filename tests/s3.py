@@ -31,6 +31,17 @@ Fault = int | Literal["hang", "short", "drop", "lost", "no-bucket"]
 was asked is done, and the connection ends without an answer; ``no-bucket``: as if there were no bucket."""
 
 
+def environment_of(endpoint: str) -> dict[str, str]:
+    """Variables with which clients find an S3 at an address, and are let in."""
+    return {
+        "AWS_ACCESS_KEY_ID": ACCESS_KEY,
+        "AWS_SECRET_ACCESS_KEY": SECRET_KEY,
+        "AWS_ENDPOINT_URL": endpoint,
+        "AWS_ALLOW_HTTP": "true",
+        "AWS_REGION": "us-east-1",
+    }
+
+
 @dataclass(frozen=True)
 class Call:
     """One request: its ``number`` from 1, its method, the key in the bucket (empty for the bucket itself), its query.
@@ -87,13 +98,7 @@ class S3Server:
     @property
     def environment(self) -> dict[str, str]:
         """Variables with which clients find the server, and are let in."""
-        return {
-            "AWS_ACCESS_KEY_ID": ACCESS_KEY,
-            "AWS_SECRET_ACCESS_KEY": SECRET_KEY,
-            "AWS_ENDPOINT_URL": self.endpoint,
-            "AWS_ALLOW_HTTP": "true",
-            "AWS_REGION": "us-east-1",
-        }
+        return environment_of(self.endpoint)
 
     def began(self, method: str, key: str, query: str, condition: str) -> Fault | None:
         """Note a call; what shall become of it."""

@@ -25,13 +25,15 @@ class Viewer:
     """One ``visit`` of a ``client``. When it leaves, the requests that it was the last to renew are dropped.
 
     Clients share the workers evenly. A ``single`` viewer shows one view at a time: its newest view replaces the
-    requests of older ones; otherwise requests add up until they expire. A ``patient`` viewer yields to all others.
+    requests of older ones; otherwise requests add up until they expire. A ``patient`` viewer yields to all others. One
+    that ``bakes`` not is shown what is there.
     """
 
     client: Hashable = ""
     visit: int = 0
     single: bool = False
     patient: bool = False
+    bakes: bool = True
 
 
 GUEST = Viewer()

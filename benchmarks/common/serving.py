@@ -11,6 +11,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
+from typing import IO
 
 import httpx
 import psutil
@@ -75,15 +76,24 @@ class Served:
 
 @contextmanager
 def serving(
-    scene: str, store: str, workers: int, *options: str, environment: Mapping[str, str] | None = None
+    scene: str,
+    store: str,
+    workers: int,
+    *options: str,
+    environment: Mapping[str, str] | None = None,
+    errors: IO[bytes] | None = None,
 ) -> Iterator[Served]:
-    """A server process with a scene and a store, until the end of the block; its ``environment`` is added to ours."""
+    """A server process with a scene and a store, until the end of the block; its ``environment`` is added to ours.
+
+    What it logs goes to the file ``errors``, where one is given.
+    """
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     command = [sys.executable, "-m", "server", "serve", scene, "--port", str(port), "--store", store, *options]
     begun = time.perf_counter()
     surroundings = {**os.environ, **(environment or {})}
-    process = subprocess.Popen([*command, "--workers", str(workers)], stdout=subprocess.DEVNULL, env=surroundings)
+    command += ["--workers", str(workers)]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=errors, env=surroundings)
     try:
         with httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=60.0) as client:
             while not ready(client):

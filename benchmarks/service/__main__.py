@@ -2,12 +2,14 @@
 
 from benchmarks.common.suite import suite
 from benchmarks.service.drag import drag
+from benchmarks.service.fuzz import fuzz
 from benchmarks.service.load import load
 from benchmarks.service.malformed import malformed
+from benchmarks.service.memory import memory
 from benchmarks.service.page import page
 from benchmarks.service.warm_view import warm_view
 
-main = suite("One server, as its clients see it.", drag, load, malformed, warm_view, page)
+main = suite("One server, as its clients see it.", drag, load, malformed, memory, fuzz, warm_view, page)
 
 if __name__ == "__main__":
     main(prog_name="python -m benchmarks.service")

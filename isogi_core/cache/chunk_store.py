@@ -222,7 +222,8 @@ class ChunkStore:
 
     def _report_damage(self, error: DamagedChunkError) -> None:
         self.damaged += 1
-        log.warning("%s", error)
+        if self.store.is_news(str(error)):  # a damaged chunk is read again and again until it is baked
+            log.warning("%s", error)
 
 
 def completed(

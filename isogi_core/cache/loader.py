@@ -6,12 +6,14 @@ from collections import deque
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import closing
+from functools import partial
 from typing import TypeVar
 
 from isogi_core.cache.chunk import Chunks
 from isogi_core.cache.chunk_store import ChunkStore
 from isogi_core.cache.page_pool import PagePool
 from isogi_core.prepared.prepared_scene import Index
+from isogi_core.storage.store import Store
 
 ASK_AGAIN = 1.0
 """Seconds after which an absent chunk is read again: another machine may have baked it."""
@@ -48,7 +50,8 @@ class Loader:
         """Load the newest light of ``chunks`` into the pool.
 
         Calls ``check`` between batches, which may raise Cancelled. Raises StoreError when the store cannot be read, or
-        the pool cannot hold them all at once.
+        the pool cannot hold them all at once, and StoreAwayError when a remote store gives nothing for longer than one
+        call may take.
         """
         missing = [index for index in self.pool.missing(chunks) if self._due(index)]
         together = frozenset(chunks) if missing else frozenset()
@@ -70,10 +73,11 @@ class Loader:
 
     def _shown(self, indices: Sequence[Index]) -> Generator[tuple[Sequence[Index], Chunks], None, None]:
         """Batches of the chunks with the light that the store has of them, in order; several are read at once."""
-        batches = self._batches(indices)
-        if len(batches) > 1:
-            self.chunk_store.store.check_reachable()
-            with closing(ahead(self._hands, self._brought, batches)) as brought:
+        batches, store = self._batches(indices), self.chunk_store.store
+        if len(batches) > 1 or (batches and store.url.remote):
+            if not store.url.remote:
+                store.check_reachable()
+            with closing(ahead(self._hands, self._brought, batches, partial(patiently, store))) as brought:
                 yield from zip(batches, brought, strict=True)
         elif batches:
             yield indices, self._brought(indices)
@@ -97,16 +101,32 @@ class Loader:
                 self._absent.update(dict.fromkeys(absent, time.monotonic()))
 
 
-def ahead(hands: Executor, work: Callable[[Item], Made], items: Sequence[Item]) -> Generator[Made, None, None]:
+def patiently(store: Store, reading: Future[Made]) -> Made:
+    """What is read from a ``store``, once it is; StoreAwayError where it is remote and silent for a call's time."""
+    while store.url.remote:
+        try:
+            return reading.result(store.url.seconds)
+        except TimeoutError:
+            if store.quiet >= store.url.seconds:
+                raise store.silent() from None
+    return reading.result()
+
+
+def ahead(
+    hands: Executor,
+    work: Callable[[Item], Made],
+    items: Sequence[Item],
+    wait: Callable[[Future[Made]], Made] = lambda reading: reading.result(),
+) -> Generator[Made, None, None]:
     """The results of ``work`` for the items, in order; AHEAD of them are begun, and the rest cancelled on closing."""
     waiting: deque[Future[Made]] = deque()
     try:
         for item in items:
             waiting.append(hands.submit(work, item))
             if len(waiting) >= AHEAD:
-                yield waiting.popleft().result()
+                yield wait(waiting.popleft())
         while waiting:
-            yield waiting.popleft().result()
+            yield wait(waiting.popleft())
     finally:
         for future in waiting:
             future.cancel()

@@ -39,6 +39,30 @@ class Entry:
     listed: bool = True
 
 
+class Numbers:
+    """Free numbers below ``most``: those given back last are taken first, and others in ascending order."""
+
+    def __init__(self, most: int) -> None:
+        """All are free."""
+        self._most, self.taken = most, 0
+        self._back: list[int] = []
+
+    def __len__(self) -> int:
+        """How many are free."""
+        return len(self._back) + self._most - self.taken
+
+    def take(self) -> int:
+        """One of those that are free; ``taken`` counts the different ones that were ever taken."""
+        if self._back:
+            return self._back.pop()
+        self.taken += 1
+        return self.taken - 1
+
+    def give_back(self, numbers: Sequence[int]) -> None:
+        """Free these numbers; the last is taken first."""
+        self._back.extend(numbers)
+
+
 class Held(NamedTuple):
     """Held chunks: their ``slots`` (n,) int32, -1 where absent, and the ``age`` of the pool.
 
@@ -67,11 +91,16 @@ class PagePool:
         self.transfer, self.scatter, self.error, self.stamp = self.rows
         self.reflected = np.empty(pages * PAGE if spec.plan.nodes else 0, np.float32)
         self.table = np.empty((slots, texels), np.int32)
-        self._free_pages = list(range(pages))[::-1]
-        self._free_slots = list(range(slots))
+        self._free_pages = Numbers(pages)
+        self._free_slots = Numbers(slots)
         self._entries: OrderedDict[Index, Entry] = OrderedDict()
         self._age = 0
         self._lock = threading.Lock()
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of memory that were taken so far."""
+        return self._free_pages.taken * page_bytes(self.spec)
 
     def missing(self, indices: Sequence[Index]) -> list[Index]:
         """The chunks that are not in the pool, or outdated there."""
@@ -130,9 +159,9 @@ class PagePool:
         total = int(pages.sum())
         if not self._has_room(total, len(pages)):
             self._make_room(total, len(pages), [i for i, e in self._entries.items() if not e.held and i not in keep])
-        taken = np.array([self._free_pages.pop() for _ in range(total)], np.int32)
+        taken = np.array([self._free_pages.take() for _ in range(total)], np.int32)
         bounds = [0, *np.cumsum(pages).tolist()]
-        return [Entry(self._free_slots.pop(), taken[a:b]) for a, b in pairwise(bounds)]
+        return [Entry(self._free_slots.take(), taken[a:b]) for a, b in pairwise(bounds)]
 
     def _has_room(self, pages: int, slots: int) -> bool:
         return len(self._free_pages) >= pages and len(self._free_slots) >= slots
@@ -161,8 +190,8 @@ class PagePool:
     def _give_back(self, entry: Entry) -> None:
         """Free an entry's pages, the last first: they are then taken upwards again, the fastest order to read."""
         if entry.held == 0 and not entry.listed and entry.slot >= 0:
-            self._free_pages.extend(entry.pages[::-1].tolist())
-            self._free_slots.append(entry.slot)
+            self._free_pages.give_back(entry.pages[::-1].tolist())
+            self._free_slots.give_back([entry.slot])
             entry.slot = -1
 
 

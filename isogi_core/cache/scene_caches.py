@@ -81,6 +81,12 @@ class Caches:
                 self._projected.popitem(last=False)
             return self._projected[shown]
 
+    @property
+    def nbytes(self) -> int:
+        """Bytes of memory that light takes."""
+        with self._lock:
+            return sum(loader.pool.nbytes for loader in (*self._loaders.values(), *self._projected.values()))
+
     def refresh(self, name: str, index: Index, shown: Isovalue | None = None) -> None:
         """Note that the store has new light of a chunk, of a spec or of the isosurface ``shown``."""
         with self._lock:

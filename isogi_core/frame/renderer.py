@@ -15,6 +15,7 @@ out no surface.
 """
 
 import hashlib
+import math
 import threading
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -51,7 +52,7 @@ from isogi_core.frame.shading import (
     shade_locally,
     texel_disagreement,
 )
-from isogi_core.frame.texel_normals import OwnNormals, TexelNormals, find_texel_normals
+from isogi_core.frame.texel_normals import ENTRY, OwnNormals, TexelNormals, find_texel_normals
 from isogi_core.frame.texel_reading import Lacking, Reading, read_texels
 from isogi_core.frame.tiles import Stopwatch, Tiles
 from isogi_core.frame.view_texels import ViewTexels, carries_irradiance_ratios, find_texels
@@ -80,9 +81,14 @@ class Renderer:
         self.prepared = caches.prepared
         self.caches = caches
         self.tiles = tiles
-        self._normals = OwnNormals(int(NORMALS * most))
+        self._normals = OwnNormals(min(int(NORMALS * most), 4 * ENTRY * math.prod(self.prepared.shape)))
         changing = dict.fromkeys((Reading, LobeLight), int(SHARE * most))
-        self._kept: LruCache[Any] = LruCache(most - self._normals.nbytes, changing)
+        self._kept: LruCache[Any] = LruCache(most - int(NORMALS * most), changing)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of memory that views, maps and light take."""
+        return self._kept.nbytes + self._normals.nbytes + self.prepared.maps.nbytes + self.caches.nbytes
 
     def render(
         self,

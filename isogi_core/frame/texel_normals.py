@@ -37,8 +37,8 @@ class OwnNormals:
 
     @property
     def nbytes(self) -> int:
-        """Bytes that they may take."""
-        return self._room * ENTRY
+        """Bytes that they take."""
+        return self._room * ENTRY if "_keys" in vars(self) else 0
 
     @cached_property
     def _keys(self) -> np.ndarray:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
+from weakref import WeakValueDictionary
 
 import numpy as np
 
@@ -165,14 +166,26 @@ def otsu(counts: np.ndarray, edges: np.ndarray) -> float:
     return float(edges[1 + int(np.argmax(between))])
 
 
+ASSEMBLED: WeakValueDictionary[Sequence[Light], Environment] = WeakValueDictionary()
+"""The environments in use that come from no file: scenes under the same lights share one, which takes megabytes."""
+
+
 def assemble_environment(lights: Sequence[Light]) -> Environment:
     """Sum the lights that are no lamps. Images are resampled to the largest grid without change of energy.
 
     Raises LightError where a probe cannot be read or holds a negative or non-finite radiance.
     """
+    around = tuple(light for light in lights if not isinstance(light, Lamp))
+    if any(isinstance(light, ProbeLight) for light in around):  # its file may have changed
+        return _sum(around)
+    known = ASSEMBLED.get(around)
+    return known if known is not None else ASSEMBLED.setdefault(around, _sum(around))
+
+
+def _sum(around: Sequence[ConstantLight | SkyLight | ProbeLight]) -> Environment:
+    """The sum of lights that are no lamps."""
     constant = np.zeros(3)
     images = []
-    around = [light for light in lights if not isinstance(light, Lamp)]
     for light in around:
         if isinstance(light, ConstantLight):
             constant += light.radiance

@@ -1,8 +1,11 @@
 """Inputs of the planner: lights, albedo and target, and the choices that a scene makes itself."""
 
 import math
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
+from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -14,6 +17,18 @@ from isogi_core.plan.bands import band_energy, project_environment
 from isogi_core.plan.lobe_choice import energy_beside, find_lobes
 
 Colour = tuple[float, float, float]
+
+
+FOUND: WeakKeyDictionary[Environment, dict[Hashable, Any]] = WeakKeyDictionary()
+"""What was worked out of the environments in use, which scenes under the same lights share."""
+
+
+def found(environment: Environment, what: Hashable, find: Callable[[], Any]) -> Any:
+    """What was found of an environment, or is found now."""
+    known = FOUND.setdefault(environment, {})
+    if what not in known:
+        known[what] = find()
+    return known[what]
 
 
 @dataclass(frozen=True)
@@ -86,9 +101,13 @@ class PlanInputs:
     @cached_property
     def lobes(self) -> tuple[Lobe, ...]:
         """The environment's lobes; none where it does not turn, as it is then baked as it is."""
-        return find_lobes(self.environment, self.harmonics, self.target_error) if self.rotating else ()
+        find = partial(find_lobes, self.environment, self.harmonics, self.target_error)
+        kept: tuple[Lobe, ...] = found(self.environment, self.target_error, find) if self.rotating else ()
+        return kept
 
     @cached_property
     def harmonics(self) -> np.ndarray:
         """The environment's coefficients, linear RGB; (3, MAX_ORDER²) float64."""
-        return project_environment(self.environment, MAX_ORDER)
+        project = partial(project_environment, self.environment, MAX_ORDER)
+        kept: np.ndarray = found(self.environment, "harmonics", project)
+        return kept

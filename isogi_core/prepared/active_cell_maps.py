@@ -75,6 +75,11 @@ class ActiveCellMaps:
         self._most, self._sizes, self._lock = most, dict[tuple[int, int], int](), threading.Lock()
         self._width, self._asked = NARROW, np.zeros(len(self.levels) - 1, np.bool_)
 
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the maps that are kept."""
+        return self._kept.nbytes
+
     def at(self, isovalue: Isovalue, run: Run = serially) -> ActiveCells:
         """The map of one isosurface and those near it, made by means of ``run`` when it is not kept."""
         return self._between(float(isovalue), float(isovalue), run)

@@ -28,6 +28,12 @@ CONTENT = json.dumps({"kind": "isogi light", "format": FORMAT}).encode()
 CHECKED = 1.0
 """Seconds for which a check of the sentinel stands, and after which an unreachable store is checked again."""
 
+PATIENCE = 0.5
+"""Seconds that one caller waits for a check of a remote store that was away."""
+
+TOLD = 600.0
+"""Seconds for which news of an object is told once."""
+
 RETRIED = 10.0
 """Seconds after which a read-only store is tested again for writing."""
 
@@ -78,6 +84,9 @@ class Store:
         self._tried = 0.0
         self._lock = threading.RLock()
         self._opening = threading.Lock()
+        self._looking: threading.Thread | None = None
+        self._told: dict[str, float] = {}
+        self._answered = 0.0
 
     def __repr__(self) -> str:
         return f"Store({self.url.url!r})"
@@ -164,9 +173,16 @@ class Store:
     def check_reachable(self) -> None:
         """Raise StoreAwayError unless the sentinel can be read; a check stands for CHECKED seconds.
 
-        While one thread checks a store that was away, the others get the former error at once.
+        While one thread checks a store that was away, the others get the former error at once; so does the one that
+        asks, where a remote store does not answer soon.
         """
         away = self._away
+        if away is not None and self.url.remote:
+            self._look_again()
+            away = self._away
+            if away is not None:
+                raise type(away)(str(away))
+            return
         if not self._lock.acquire(blocking=away is None):
             raise StoreAwayError(str(away))
         try:
@@ -177,6 +193,24 @@ class Store:
                 raise type(self._away)(str(self._away))
         finally:
             self._lock.release()
+
+    @property
+    def quiet(self) -> float:
+        """Seconds since an object was last read."""
+        return self._clock() - self._answered
+
+    def silent(self) -> StoreAwayError:
+        """Note that the store does not answer; the error for whoever waited for it."""
+        self._away = StoreAwayError(f"The store at {self.url} does not answer.")
+        self._checked_until = self._clock() + CHECKED
+        return self._away
+
+    def is_news(self, text: str) -> bool:
+        """Whether this was not told of an object in the last TOLD seconds: it is told now."""
+        now = self._clock()
+        with self._opening:
+            self._told = {each: at for each, at in self._told.items() if now - at < TOLD}
+            return self._told.setdefault(text, now) == now
 
     def check_writable(self) -> None:
         """Check that the store is there and takes writes; sets ``read_only``. Raises StoreAwayError and its kinds."""
@@ -198,6 +232,24 @@ class Store:
                 self.check_writable()
         return self.read_only
 
+    def _look_again(self) -> None:
+        """Have a thread check the store, unless one does or has just done so, and wait a little for what it finds."""
+        with self._opening:
+            if self._clock() < self._checked_until or (self._looking is not None and self._looking.is_alive()):
+                return
+            self._looking = looking = threading.Thread(target=self._look, name="store", daemon=True)
+            looking.start()
+        looking.join(PATIENCE)
+
+    def _look(self) -> None:
+        """Note whether the store is away."""
+        with self._lock:
+            try:
+                self._away = self._check()
+            except StoreError as error:
+                self._away = StoreAwayError(str(error))
+            self._checked_until = self._clock() + CHECKED
+
     @property
     def _backend(self) -> Backend:
         """The backend, made on first use, as that may load a library."""
@@ -210,6 +262,7 @@ class Store:
         self._check_after_failure()
         with self._translated_errors(f"read {key} from"):
             found = self._backend.get(key, known)
+        self._answered = self._clock()
         if found is None:
             self.check_reachable()
         return found
@@ -275,6 +328,8 @@ class Store:
             if writing and isinstance(trouble, StoreFullError | StoreReadOnlyError):
                 raise trouble from error
             self._checked_until = -1.0
+            if self.url.remote:
+                self._away = self._away or trouble
             (self.check_writable if writing else self.check_reachable)()
             raise StoreError(str(trouble)) from error
 

@@ -3,6 +3,7 @@
 import hashlib
 import hmac
 import re
+from collections.abc import Sequence
 from http.cookies import CookieError, SimpleCookie
 from urllib.parse import parse_qsl, urlencode, urlsplit
 
@@ -10,6 +11,7 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import HTMLResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from server.bearers import BEARER, Bearer
 from server.problems import problem
 
 HOST = re.compile(r"(\[(?P<six>[0-9a-f:.]*:[0-9a-f:.]*)\]|(?P<name>[^\[\]:]*))(:[0-9]*)?", re.ASCII)
@@ -98,43 +100,83 @@ PAGE = """<!doctype html><html lang="en"><meta charset="utf-8"><title>isogi: tok
 <p>If it has it already, and you came by a link from elsewhere: <a href="">go on</a>.</p></html>"""
 
 
+FORBIDDEN = "The token '{name}' does not allow this ({scope}): ask whoever runs this server for one that does."
+
+
+def needed_scope(scope: Scope) -> str:
+    """What a request or socket needs its token to allow."""
+    if scope["path"] == "/metrics":
+        return "admin"
+    if scope["type"] == "websocket" or scope["method"] in SAFE:
+        return "look"
+    return "upload" if scope["path"].startswith("/v1/volumes") else "bake"
+
+
+class Token:
+    """The token of a ``bearer``, and the cookie that stands for it: a digest of it, named after it."""
+
+    def __init__(self, bearer: Bearer) -> None:
+        self.bearer = bearer
+        self.token = bearer.token.encode()
+        self.cookie = hmac.new(self.token, b"isogi cookie", hashlib.sha256).hexdigest()
+        self.name = f"isogi-{hashlib.sha256(self.cookie.encode()).hexdigest()[:8]}"
+
+    def is_shown(self, given: bytes) -> bool:
+        """Whether this is the token."""
+        return hmac.compare_digest(given, self.token)
+
+    def is_in(self, cookies: SimpleCookie) -> bool:
+        """Whether its cookie is among those of a request."""
+        cookie = cookies.get(self.name)
+        return cookie is not None and hmac.compare_digest(cookie.value.encode(), self.cookie.encode())
+
+
 class TokenBearers:
-    """ASGI middleware: 401 for requests without the token.
+    """ASGI middleware: 401 for requests without a token, 403 for what the token does not allow.
 
     It is shown in the Authorization header, or by a cookie that a browser is given when the page is opened with
     ``?token=``. The cookie holds a digest and not the token, and is named after it, as ports share their cookies.
     """
 
-    def __init__(self, app: ASGIApp, token: str) -> None:
-        """Ask for ``token``."""
+    def __init__(self, app: ASGIApp, bearers: Sequence[Bearer]) -> None:
+        """Ask for the token of one of the ``bearers``."""
         self.app = app
-        self.token = token.encode()
-        self.cookie = hmac.new(self.token, b"isogi cookie", hashlib.sha256).hexdigest()
-        self.name = f"isogi-{hashlib.sha256(self.cookie.encode()).hexdigest()[:8]}"
+        self.tokens = [Token(bearer) for bearer in bearers]
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass the request on where it shows the token; a page that is opened with it gets the cookie."""
+        """Pass the request on where it shows a token that allows it; a page that is opened with one gets the cookie."""
         if scope["type"] not in ("http", "websocket") or scope["path"] in OPEN:
             await self.app(scope, receive, send)
             return
         headers, given = Headers(scope=scope), self.given(scope)
-        if given is not None and hmac.compare_digest(given.encode(errors="replace"), self.token):
-            await self.admission(scope)(scope, receive, send)
-        elif given is None and self.knows(headers):
-            await self.app(scope, receive, lambda message: send(private(message)))
+        if given is not None and (token := self.shown(given.encode(errors="replace"))):
+            await self.admission(scope, token)(scope, receive, send)
+        elif given is None and (token := self.known(headers)):
+            await self.passed(scope, token.bearer)(scope, receive, lambda message: send(private(message)))
         else:
             await self.refusal(scope, headers)(scope, receive, send)
 
-    def knows(self, headers: Headers) -> bool:
-        """Whether the headers show the token or its cookie."""
+    def passed(self, scope: Scope, bearer: Bearer) -> ASGIApp:
+        """What answers the request of a bearer: the app, where it may ask that."""
+        if bearer.may(needed := needed_scope(scope)):
+            scope[BEARER] = bearer
+            return self.app
+        return problem(403, FORBIDDEN.format(name=bearer.name, scope=needed), scope["path"])
+
+    def known(self, headers: Headers) -> Token | None:
+        """The token that the headers show, themselves or by its cookie."""
         scheme, _, given = headers.get("authorization", "").partition(" ")
         if scheme.lower() == "bearer":
-            return hmac.compare_digest(given.strip().encode("latin-1"), self.token)
+            return self.shown(given.strip().encode("latin-1"))
         try:
-            cookie = SimpleCookie(headers.get("cookie", "")).get(self.name)
+            cookies = SimpleCookie(headers.get("cookie", ""))
         except CookieError:
-            return False
-        return cookie is not None and hmac.compare_digest(cookie.value.encode(), self.cookie.encode())
+            return None
+        return next((token for token in self.tokens if token.is_in(cookies)), None)
+
+    def shown(self, given: bytes) -> Token | None:
+        """The token that this is, if any; how long that takes tells nothing."""
+        return next((token for token in [each for each in self.tokens if each.is_shown(given)]), None)
 
     def given(self, scope: Scope) -> str | None:
         """The token in the page's own address; None where there is none, or the address is another."""
@@ -142,13 +184,13 @@ class TokenBearers:
             return None
         return dict(parse_qsl(scope["query_string"].decode("latin-1"), keep_blank_values=True)).get("token")
 
-    def admission(self, scope: Scope) -> Response:
+    def admission(self, scope: Scope, token: Token) -> Response:
         """The same address without the token, and the cookie; the browser's history forgets the token."""
         pairs = parse_qsl(scope["query_string"].decode("latin-1"), keep_blank_values=True)
         rest = urlencode([(name, value) for name, value in pairs if name != "token"])
         answer = RedirectResponse(f"./?{rest}" if rest else "./", 303, {"Cache-Control": "no-store"})
         secure = scope["scheme"] == "https"
-        answer.set_cookie(self.name, self.cookie, httponly=True, samesite="strict", secure=secure)
+        answer.set_cookie(token.name, token.cookie, httponly=True, samesite="strict", secure=secure)
         return answer
 
     def refusal(self, scope: Scope, headers: Headers) -> Response:

@@ -78,7 +78,7 @@ def middleware(settings: Settings, metrics: Metrics, closing: Closing) -> list[M
         allow_headers=SHARED,
         expose_headers=EXPOSED,
     )
-    token = settings.token
+    bearers = settings.bearers
     return [
         Middleware(Requests, metrics=metrics),
         Middleware(SafeHeaders),
@@ -86,7 +86,7 @@ def middleware(settings: Settings, metrics: Metrics, closing: Closing) -> list[M
         Middleware(KnownHosts, hosts=settings.hosts()),
         Middleware(KnownOrigins, origins=origins),
         *([shared] if origins else []),
-        *([Middleware(TokenBearers, token=token.get_secret_value())] if token is not None else []),
+        *([Middleware(TokenBearers, bearers=bearers)] if bearers else []),
         Middleware(SmallBodies, limit=settings.max_body_bytes, upload=settings.max_upload_mb << 20),
         Middleware(HeadAsGet),
     ]

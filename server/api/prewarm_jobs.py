@@ -46,15 +46,15 @@ NICENESS = 5
 _visits = count(1)
 
 
-def begin(service: Service, scene: Scene, order: PrewarmOrder, dry: bool = False) -> Job:
+def begin(service: Service, scene: Scene, order: PrewarmOrder, dry: bool = False, owner: str = "") -> Job:
     """The job that carries out an order, or, where it is ``dry``, forecasts what it takes. Raises BusyError.
 
     The same order once more is the same job until that has ended.
     """
-    prewarm = Prewarm(service, scene, order, dry)
+    prewarm = Prewarm(service, scene, order, dry, owner)
     if dry:
-        return service.jobs.begin("prewarm", f"What a prewarm of {scene.id} takes", prewarm.work)
-    return service.jobs.begin("prewarm", f"A prewarm of {scene.id}", prewarm.work, order.digest(scene))
+        return service.jobs.begin("prewarm", f"What a prewarm of {scene.id} takes", prewarm.work, owner=owner)
+    return service.jobs.begin("prewarm", f"A prewarm of {scene.id}", prewarm.work, order.digest(scene), owner)
 
 
 @dataclass(eq=False)
@@ -65,6 +65,7 @@ class Prewarm:
     scene: Scene
     order: PrewarmOrder
     dry: bool
+    owner: str = ""
     cancelled: threading.Event = field(default_factory=threading.Event)
     begun: float = field(default_factory=time.monotonic)
 
@@ -85,7 +86,8 @@ class Prewarm:
         return [Result(f"/v1/jobs/{job.id}/results", "application/json", "The summary")]
 
     def _record(self) -> Record | None:
-        return None if self.dry else Record(self.service.engine.store, self.scene, self.order, "server")
+        store, given = self.service.engine.store, (self.scene, self.order)
+        return None if self.dry else Record(store, *given, "server", self.owner)
 
     def _run(self, loop: asyncio.AbstractEventLoop, job: Job, record: Record | None) -> Summary:
         """What the thread does."""
@@ -225,7 +227,7 @@ def ours(service: Service, document: RecordDocument) -> bool:
 def begun(service: Service, document: RecordDocument) -> bool:
     """Begin a prewarm again, under its former id and until its former deadline; whether there was room for it."""
     try:
-        begin(service, service.engine.scenes[document.scene], document.rest)
+        begin(service, service.engine.scenes[document.scene], document.rest, owner=document.owner)
     except BusyError:
         return False
     return True

@@ -15,14 +15,15 @@ from fastapi import Depends, Request
 from fastapi.requests import HTTPConnection
 
 from isogi_core.bake.bake_spec import SPECS
-from isogi_core.errors import NoRoomError
+from isogi_core.errors import NoRoomError, StoreError
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.tiles import Stopwatch
 from isogi_core.kernels.shading.framebuffer import PROVISIONAL
 from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import Index
-from server.errors import BusyError, StartingError, UnknownJobError, UnknownSceneError
+from server.bearers import Bearer, bearer_of
+from server.errors import BusyError, ForbiddenError, StartingError, UnknownJobError, UnknownSceneError
 from server.parameters import ViewParams, view_of
 from server.render.engine import RenderEngine
 from server.render.jobs import Job, Jobs
@@ -153,6 +154,13 @@ class Service:
                 raise StartingError("isogi is starting, and takes up the jobs that it had: ask again.") from None
             raise
 
+    async def dismiss(self, key: str, bearer: Bearer) -> Job:
+        """End a job of this bearer's. Raises ForbiddenError, and as ``job`` does."""
+        job = self.job(key)
+        if not bearer.owns(job.owner):
+            raise ForbiddenError(f"The job '{job.id}' belongs to '{job.owner}', who may dismiss it, as an admin may.")
+        return await self.jobs.dismiss(job.id)
+
     def reason(self) -> str:
         """Why light is not baked."""
         return self.engine.trouble() or "Some light that the view needs cannot be baked: see /readyz."
@@ -172,6 +180,14 @@ class Service:
         scene = self.engine.scenes.get(name)
         if scene is None:
             raise UnknownSceneError(f"There is no scene '{name[:64]}': /v1/scenes lists them all.")
+        return scene
+
+    def planned(self, scene: Scene) -> Scene:
+        """The same scene with the plan of the light that its store has, where that can be read now."""
+        if not self.settled.is_set() or self.failure:
+            return scene
+        with suppress(StoreError):
+            return self.engine.planned(scene.id)
         return scene
 
     def picture_of(self, scene: Scene, params: ViewParams) -> PictureRequest:
@@ -233,6 +249,8 @@ class Service:
         self, picture: PictureRequest, frame: Frame, viewer: Viewer
     ) -> tuple[frozenset[Index], TimeLeft | None]:
         """Request the light that a frame lacks; the chunks that are coming, and the time until all are. Blocks."""
+        if not viewer.bakes:
+            return frozenset(), None
         coming = self.engine.want(picture.scene, frame, picture.target, viewer)
         return coming, self.engine.time_left(picture.scene, frame, picture.target)
 
@@ -360,5 +378,12 @@ async def scene_of(scene: str, service: ServiceDep) -> Scene:
     """The scene that the path names."""
     return service.scene(scene)
 
+
+async def bearer(connection: HTTPConnection) -> Bearer:
+    """Who sends the request."""
+    return bearer_of(connection.scope)
+
+
+BearerDep = Annotated[Bearer, Depends(bearer)]
 
 SceneDep = Annotated[Scene, Depends(scene_of)]

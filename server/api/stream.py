@@ -152,7 +152,7 @@ class Session:
     def __init__(self, socket: WebSocket, service: Service, scene: Scene) -> None:
         self._socket, self._service, self._scene = socket, service, scene
         self._metrics: Metrics = socket.app.state.metrics
-        self._viewer = stream_viewer()
+        self._viewer = stream_viewer(socket)
         self._inbox = Inbox(socket, service.settings)
         self._drafts, self._window, self._motion = Drafts(service.drafts.crowded), Window(), Motion()
         self._sending = asyncio.Lock()

@@ -17,7 +17,7 @@ GROUPS = {
         *("render_threads", "render_queue", "queue_seconds", "jobs"),
     ),
     "Who may ask, and for how much": (
-        *("token_file", "allowed_hosts", "allowed_origins", "max_pixels", "max_paths", "max_body_bytes"),
+        *("token_file", "tokens_file", "allowed_hosts", "allowed_origins", "max_pixels", "max_paths", "max_body_bytes"),
     ),
     "Uploads": ("uploads_mb", "uploads", "max_upload_mb", "upload_seconds", "reading_seconds"),
     "Connections": (

@@ -30,7 +30,7 @@ LAST = 3.0
 
 EXPOSED = (
     "Others can reach {host}, so that a token is needed: put one of 16 characters or more into ISOGI_TOKEN or the"
-    " configuration file, or listen on 127.0.0.1."
+    " configuration file, name a file of tokens by --tokens-file, or listen on 127.0.0.1."
 )
 
 
@@ -40,7 +40,7 @@ def serve(target: str | None, settings: Settings) -> None:
     Raises UsageError where others could reach it without a token, and IsogiError where the scene, the port or the
     engine fails.
     """
-    if settings.exposed and settings.token is None:
+    if settings.exposed and not settings.bearers:
         raise click.UsageError(EXPOSED.format(host=settings.host))
     logs.configure(settings.log_format, settings.log_level)
     keep_memory_small()

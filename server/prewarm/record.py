@@ -121,6 +121,7 @@ OPEN = (Status.ACCEPTED, Status.RUNNING)
 
 class RecordDocument(BaseModel):
     """What a record holds. Prewarms ``by`` a server are taken up by servers; ``worker`` is the last process at it.
+    ``owner`` names the token that asked for it.
 
     ``scene_digest`` names all that the light depends on; ``progress`` is in percent, and ``spent`` are the seconds that
     this worker has worked on it.
@@ -131,6 +132,7 @@ class RecordDocument(BaseModel):
     scene: str
     scene_digest: str
     by: Literal["command", "server"]
+    owner: str = ""
     order: PrewarmOrder
     status: Status = Status.ACCEPTED
     message: str = "This begins soon."
@@ -179,10 +181,19 @@ def gone(worker: str) -> bool:
 class Record:
     """One prewarm's ``document`` in a store. Call from no event loop: it blocks."""
 
-    def __init__(self, store: StoreLike, scene: Scene, order: PrewarmOrder, by: Literal["command", "server"]) -> None:
+    def __init__(
+        self,
+        store: StoreLike,
+        scene: Scene,
+        order: PrewarmOrder,
+        by: Literal["command", "server"],
+        owner: str = "",
+    ) -> None:
         """Write nothing yet. A deadline is not part of the name, which is the same for the same light."""
         digest = order.digest(scene)
-        self.document = RecordDocument(id=digest, scene=scene.id, scene_digest=scene.digest, by=by, order=order)
+        self.document = RecordDocument(
+            id=digest, scene=scene.id, scene_digest=scene.digest, by=by, owner=owner, order=order
+        )
         self._documents = Documents(store, FOLDER)
         self._begun, self._written = time.monotonic(), -BEAT
 

@@ -27,18 +27,29 @@ def bake_name(scene: str, spec: str) -> str:
     return scene if spec == "gi" else f"{scene} ({spec})"
 
 
-def make_bake(caches: Caches, name: str, assets: SceneAssets | None, shown: Isovalue | None = None) -> Bake:
+Arrived = Callable[[str, Index, Isovalue | None], None]
+
+
+def make_bake(
+    caches: Caches, name: str, assets: SceneAssets | None, arrived: Arrived, shown: Isovalue | None = None
+) -> Bake:
     """The bake of a spec, by its name; workers that were joined, and lack the scene's files, read the ``assets``.
 
-    Of texels projected onto an isosurface where one is ``shown``.
+    Of texels projected onto an isosurface where one is ``shown``. Nothing of the ``caches`` is kept: ``arrived`` is
+    called with the spec's name, a chunk that has new light, and the isosurface.
     """
     spec, store = replace(caches.spec(name), shown=shown), caches.store
     scene, plan = spec.prepared.scene, replace(spec.plan, left_out=(), notes=())
     layers = frozenset(scene.layer_digest(layer, shown) for layer in plan.layers)
-    arrived = partial(caches.refresh, name, shown=shown)
     costs = Costs(store, spec.digest)
     costs.read()
-    return Bake(scene.source, plan, spec.digest, layers, store.url, arrived, costs, assets, shown)
+    note = partial(note_light, arrived, name, shown)
+    return Bake(scene.source, plan, spec.digest, layers, store.url, note, costs, assets, shown)
+
+
+def note_light(arrived: Arrived, name: str, shown: Isovalue | None, index: Index) -> None:
+    """Tell that a chunk of a bake has new light."""
+    arrived(name, index, shown)
 
 
 BACKGROUND = Viewer("background", patient=True)

@@ -4,6 +4,7 @@ import threading
 import time
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
+from functools import partial
 
 from isogi_core.bake.bake_spec import SPECS, spec_name
 from isogi_core.cache.chunk_store import default_store
@@ -26,17 +27,21 @@ from isogi_core.storage.url import StoreUrl
 from server.errors import UnknownSceneError
 from server.render.bakes import BACKGROUND, BackgroundBake, ProjectedBakes, bake_name, make_bake
 from server.render.loaded_scene import LoadedScene, load
+from server.render.loaded_scenes import LoadedScenes
 from server.render.picture_checks import CHECK, PictureChecks
 from server.render.resources import shared, whereabouts
 from server.render.workforce import Workforce
 from worker.bake_requests import GUEST, Viewer
-from worker.baker import Baker, Listener
+from worker.baker import Bake, Baker, Listener
 from worker.progress import Tally, TimeLeft
 
 READ_ONLY = "The store at {store} can only be read: what is baked there is shown, and nothing more is baked."
 
 MEMORY = 1 << 30
-"""Bytes of light, views and maps that a scene may keep in memory."""
+"""Bytes of light, views and maps that all scenes together may keep in memory."""
+
+TIDY = 60.0
+"""Seconds between two looks for scenes that nobody looks at any more."""
 
 PROJECTED = 4 << 30
 """Bytes of projected texels that a store may keep."""
@@ -63,10 +68,12 @@ class RenderEngine:
         self.scenes = {scene.id: scene for scene in scenes}
         self.store = store if isinstance(store, Store) else Store(whereabouts(StoreUrl.of(store or default_store())))
         self._memory = shared(memory)
+        self._loaded = LoadedScenes(self._load, memory)
+        self._bakes: dict[str, str] = {}
+        self._changing = threading.RLock()
         self._tiles = Tiles()
         self._baker = baker or Baker(workers=None if scheduler else workers)
         self.workforce = Workforce(self._baker, self.store.url, workers, scheduler)
-        self._loaded: dict[str, LoadedScene] = {}
         self._projected = ProjectedBakes(self._baker, self.store, projected)
         self._checks = PictureChecks(self.check, self._checked)
         self._checking = Tiles()
@@ -86,7 +93,8 @@ class RenderEngine:
         with suppress(StoreReadOnlyError, StoreFullError):
             self.store.check_writable()
         for scene in list(self.scenes.values()):
-            self._load(scene)
+            self._loaded.at(scene)
+        threading.Thread(target=self._tidy, name="tidying", daemon=True).start()
         prune(FOLDER)
 
     def compile_others(self) -> None:
@@ -104,21 +112,27 @@ class RenderEngine:
         self.workforce.hire({layer.kind for scene in self.scenes.values() for layer in scene.plan.layers})
 
     def admit(self, scene: Scene) -> None:
-        """Show one more scene, once the engine has started. Raises StoreError."""
+        """Show one more scene, once the engine has started; it is loaded when it is first looked at."""
         warm(frame_kernels([scene]), self._stopped)
-        self._load(scene)
+        with self._changing:
+            self.scenes = {**self.scenes, scene.id: scene}
+
+    def planned(self, scene: str) -> Scene:
+        """A scene with the plan of the light that its store has. Raises StoreError and UnknownSceneError."""
+        return self._find(scene).scene
 
     def dismiss(self, scene: str) -> None:
         """Show a scene no more: frames that are drawn come to their end, and nothing more is baked for it.
 
         Its light stays in the store.
         """
-        loaded = self._loaded.pop(scene)
-        self.scenes = {name: each for name, each in self.scenes.items() if name != scene}
-        for spec in SPECS:
-            self._baker.forget(bake_name(scene, spec))
+        with self._changing:
+            self.scenes = {name: each for name, each in self.scenes.items() if name != scene}
+            known = [bake for spec in SPECS if self._bakes.pop(bake := bake_name(scene, spec), None)]
+        for bake in known:
+            self._baker.forget(bake)
         self._projected.forget(scene)
-        loaded.close()
+        self._loaded.drop(scene)
 
     def frame(
         self,
@@ -163,7 +177,10 @@ class RenderEngine:
 
         Raises as ``frame`` does, and UnknownSceneError where the scene was dismissed.
         """
-        return self._find(scene).render(view, target, cancelled, watch or Stopwatch())
+        try:
+            return self._find(scene).render(view, target, cancelled, watch or Stopwatch())
+        finally:
+            self._loaded.settle()
 
     def check(self, scene: str, view: View, target: float, cancelled: threading.Event | None = None) -> bool:
         """Check a picture, one step further; whether there was one to take. Raises as ``frame`` does."""
@@ -189,8 +206,8 @@ class RenderEngine:
 
         A path-traced frame lacks none, however far it is from its target.
         """
-        bake, loaded = self.bake_of(scene, frame.view), self._loaded.get(scene)
-        if loaded is None or frame.demands or frame.projection is None or not frame.projection.demands:
+        bake = self.bake_of(scene, frame.view)
+        if scene not in self.scenes or frame.demands or frame.projection is None or not frame.projection.demands:
             return bake, frame.demands
         return self.bake_onto(scene, frame.gbuffer.isovalue), frame.projection.demands
 
@@ -198,8 +215,9 @@ class RenderEngine:
         """The name of a scene's own bake, or of that of its texels projected onto the isosurface ``shown``."""
         if shown is None:
             return bake_name(scene, "gi")
-        loaded = self._find(scene)
-        return self._projected.name(scene, shown, lambda: make_bake(loaded.renderer.caches, "gi", loaded.assets, shown))
+        loaded, arrived = self._find(scene), partial(self._arrived, scene)
+        make = partial(make_bake, loaded.renderer.caches, "gi", loaded.assets, arrived, shown)
+        return self._projected.name(scene, shown, make)
 
     def _chunks(self, scene: str, frame: Frame) -> tuple[str, list[Index]]:
         """The bake that a ``frame`` lacks light of, and the chunks of it."""
@@ -297,8 +315,7 @@ class RenderEngine:
         self._checks.close()
         self._baker.stop()
         self.workforce.close()
-        for loaded in list(self._loaded.values()):
-            loaded.close()
+        self._loaded.close()
         self._tiles.close()
         self._checking.close()
 
@@ -313,17 +330,42 @@ class RenderEngine:
             return bool(self.lacking(scene, frame)[1] and self.want(scene, frame, target, GUEST))
 
     def _find(self, scene: str) -> LoadedScene:
-        """A loaded scene; UnknownSceneError where it was dismissed."""
-        loaded = self._loaded.get(scene)
-        if loaded is None:
-            raise UnknownSceneError(f"The scene '{scene}' is not shown any more.")
+        """A loaded scene, which is loaded where it is not. Raises StoreError; UnknownSceneError if it was dismissed."""
+        named = self.scenes.get(scene)
+        if named is not None:
+            loaded = self._loaded.at(named)
+            if scene in self.scenes:
+                return loaded
+            self._loaded.drop(scene)
+        raise UnknownSceneError(f"The scene '{scene}' is not shown any more.")
+
+    def _load(self, scene: Scene) -> LoadedScene:
+        """Load a scene; the former scenes may be iterated over meanwhile. Raises StoreError."""
+        loaded = load(scene, self.store, self._tiles, self._memory, send=self.workforce.joins)
+        bakes = [self._bake_by(loaded, spec) for spec in SPECS]
+        with self._changing:
+            if scene.id in self.scenes:
+                new = {name: bake for name, bake in bakes if self._bakes.get(name) != bake.digest}
+                self._bakes |= {name: bake.digest for name, bake in new.items()}
+                for name, bake in new.items():
+                    self._baker.add(name, bake)
+                if bake_name(scene.id, "gi") in new:
+                    self._baker.prepare(bake_name(scene.id, "gi"))
+                self.scenes = {**self.scenes, scene.id: loaded.scene}
         return loaded
 
-    def _load(self, scene: Scene) -> None:
-        """Load a scene, and have it found; the former scenes may be iterated over meanwhile. Raises StoreError."""
-        loaded = load(scene, self.store, self._tiles, self._memory, send=self.workforce.joins)
-        for spec in SPECS:
-            self._baker.add(bake_name(scene.id, spec), make_bake(loaded.renderer.caches, spec, loaded.assets))
-        self._baker.prepare(bake_name(scene.id, "gi"))
-        self._loaded[scene.id] = loaded
-        self.scenes = {**self.scenes, scene.id: loaded.scene}
+    def _bake_by(self, loaded: LoadedScene, spec: str) -> tuple[str, Bake]:
+        """The bake of a loaded scene by a spec, and its name."""
+        scene = loaded.scene.id
+        arrived = partial(self._arrived, scene)
+        return bake_name(scene, spec), make_bake(loaded.renderer.caches, spec, loaded.assets, arrived)
+
+    def _arrived(self, scene: str, spec: str, index: Index, shown: Isovalue | None) -> None:
+        """Have a scene, where it is loaded, read a chunk again: it has new light."""
+        if (loaded := self._loaded.held(scene)) is not None:
+            loaded.renderer.caches.refresh(spec, index, shown)
+
+    def _tidy(self) -> None:
+        """Let go of scenes that nobody looks at, until stopped."""
+        while not self._stopped.wait(TIDY):
+            self._loaded.drop_idle()

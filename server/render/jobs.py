@@ -57,7 +57,7 @@ def now() -> datetime:
 
 @dataclass(eq=False)
 class Job:
-    """One piece of work of a ``process``, such as "frame"; the ``title`` says what of.
+    """One piece of work of a ``process``, such as "frame"; the ``title`` says what of. It belongs to its ``owner``.
 
     ``progress`` is in percent and never falls. Work says how far it is by ``report``; a ``document`` that it leaves
     is the job's own result.
@@ -66,6 +66,7 @@ class Job:
     process: str
     title: str
     id: str = field(default_factory=lambda: str(uuid4()))
+    owner: str = ""
     status: Status = Status.ACCEPTED
     message: str = "This begins soon."
     progress: int = 0
@@ -113,17 +114,18 @@ class Jobs:
         self._jobs: dict[str, Job] = {}
         self._tasks: dict[str, asyncio.Task[None]] = {}
 
-    def begin(self, process: str, title: str, work: Work, key: str | None = None) -> Job:
+    def begin(self, process: str, title: str, work: Work, key: str | None = None, owner: str = "") -> Job:
         """A new job, whose work begins once the caller waits for something. Raises BusyError where there are enough.
 
-        Its id is ``key`` where one is given; a job that has that id and has not ended is the answer then.
+        Its id is ``key`` where one is given; a job that has that id and has not ended is the answer then, whoever its
+        ``owner`` is.
         """
         if (running := self.running(key)) is not None:
             return running
         if len(self._tasks) >= self._most:
             raise BusyError(f"{len(self._tasks)} jobs are at work already: wait for one, or dismiss one.")
         self._forget()
-        job = Job(process, title) if key is None else Job(process, title, key)
+        job = Job(process, title, owner=owner) if key is None else Job(process, title, key, owner)
         self._jobs.pop(job.id, None)
         self._jobs[job.id] = job
         self._tasks[job.id] = task = asyncio.create_task(run(job, work))

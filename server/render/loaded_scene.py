@@ -25,6 +25,9 @@ from isogi_core.prepared.prepared_scene import PreparedScene
 from isogi_core.storage.store import Store
 from server.render.resources import Memory
 
+OWN = 1 << 20
+"""Bytes that a scene of a few voxels took besides what it keeps: tables, pools and threads."""
+
 AHEAD = 2
 """Values to come that are prepared."""
 
@@ -144,6 +147,11 @@ class LoadedScene:
         """The frame of a view with the light baked so far; prefetching stops meanwhile. Raises as Renderer does."""
         with self.prefetch.frame(self.renderer.prepared.surface(view.isovalue).isovalue):
             return self.renderer.render(view, target, cancelled, watch)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of light, views and maps that it keeps, and what it takes besides."""
+        return OWN + self.renderer.nbytes
 
     def close(self) -> None:
         """Stop prefetching."""

@@ -50,6 +50,13 @@ def keep_memory_small() -> None:
         mallopt(MMAP_THRESHOLD, LARGE)
 
 
+def give_memory_back() -> None:
+    """Give back to the system what is free between things that are in use, where the C library can."""
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
+    if trim is not None:
+        trim(0)
+
+
 KEPT = 5.0
 """Seconds for which a finding stands: probes come often, and from many."""
 

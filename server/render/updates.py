@@ -10,9 +10,11 @@ from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 from fastapi import Request
+from starlette.requests import HTTPConnection
 
 from isogi_core.errors import Cancelled
 from isogi_core.prepared.prepared_scene import Index
+from server.bearers import bearer_of
 from worker.bake_requests import Viewer
 
 
@@ -87,13 +89,14 @@ _visits = itertools.count(1)
 
 def request_viewer(request: Request) -> Viewer:
     """The viewer of one request: all requests of an address are one client's."""
-    return Viewer(request.client.host if request.client else "", next(_visits))
+    bakes = bearer_of(request.scope).may("bake")
+    return Viewer(request.client.host if request.client else "", next(_visits), bakes=bakes)
 
 
-def stream_viewer() -> Viewer:
+def stream_viewer(connection: HTTPConnection) -> Viewer:
     """The viewer of a stream: a client of its own, which looks at one view at a time."""
     visit = next(_visits)
-    return Viewer(visit, visit, single=True)
+    return Viewer(visit, visit, single=True, bakes=bearer_of(connection.scope).may("bake"))
 
 
 def background_viewer() -> Viewer:

@@ -3,6 +3,7 @@
 import errno
 import fcntl
 import hashlib
+import json
 import logging
 import math
 import os
@@ -19,6 +20,7 @@ import numpy as np
 
 from isogi_core.files.grid import PATIENT, Grid
 from isogi_core.model.orientation import Orientation
+from isogi_core.storage.atomic_file import write_whole
 from server.errors import FullError, UploadFolderError
 
 TYPES = {
@@ -53,8 +55,9 @@ LONGEST = 4096
 VOXEL = 4
 """Bytes of a voxel in the server's memory, where all are float32."""
 
-SCENE = 6 << 20
-"""Bytes that the scene of a volume takes in the server's memory besides its voxels: 156 small ones took 919 MB."""
+SCENE = 256 << 10
+"""Bytes that the scene of a volume takes in the server's memory besides its voxels, while nobody looks at it: 10 to 30
+kB were measured."""
 
 
 @dataclass(frozen=True)
@@ -131,7 +134,19 @@ NUMBER = re.compile(r"[0-9a-f]{20}")
 """What ids look like."""
 
 UNFINISHED = ".part"
+OWNERS = "owners.json"
+"""The file of who has sent a volume by name."""
+
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+
+
+def read_owners(path: Path) -> dict[str, list[str]]:
+    """The names of those whom volumes belong to, by the volumes' ids. Raises UploadFolderError where it is damaged."""
+    try:
+        owners = json.loads(path.read_bytes()) if path.exists() else {}
+        return {str(number): [str(name) for name in names] for number, names in owners.items()}
+    except (ValueError, AttributeError, TypeError):
+        raise UploadFolderError(f"{path}, which says whose volumes are, is damaged: mend it, or delete it.") from None
 
 
 def default_folder() -> Path:
@@ -149,6 +164,7 @@ class UploadFolder:
         """Name the folder; nothing is opened yet."""
         self.path = path
         self.volumes: dict[str, UploadedVolume] = {}
+        self._owners: dict[str, list[str]] = {}
         self._lock: IO[bytes] | None = None
 
     @property
@@ -164,6 +180,7 @@ class UploadFolder:
             self._lock = self._take()
             for path in self.path.glob(f"*{UNFINISHED}"):
                 path.unlink()
+            self._owners = read_owners(self.path / OWNERS)
             self.volumes = {kept.id: kept for kept in map(self._read, sorted(self.path.glob("*.nrrd"))) if kept}
 
     def close(self) -> None:
@@ -201,8 +218,29 @@ class UploadFolder:
         self.volumes = {**self.volumes, number: kept}
         return kept
 
+    def owners_of(self, number: str) -> list[str]:
+        """The names of those whom a volume belongs to; none where nobody is named."""
+        return self._owners.get(number, [])
+
+    def give(self, number: str, owner: str) -> None:
+        """Have a volume belong to one more, unless that is nobody."""
+        if owner and number in self.volumes and owner not in self.owners_of(number):
+            self._own({**self._owners, number: [*self.owners_of(number), owner]})
+
+    def take_back(self, number: str, owner: str) -> None:
+        """Have a volume belong to one less."""
+        self._own({**self._owners, number: [each for each in self.owners_of(number) if each != owner]})
+
+    def _own(self, owners: dict[str, list[str]]) -> None:
+        """Keep who owns what."""
+        with named(self.path):
+            write_whole(self.path / OWNERS, json.dumps(owners).encode())
+        self._owners = owners
+
     def remove(self, number: str) -> None:
         """Delete a volume."""
+        if number in self._owners:
+            self._own({key: owners for key, owners in self._owners.items() if key != number})
         with named(self.path):
             self.place(number).unlink(missing_ok=True)
             self.volumes = {key: kept for key, kept in self.volumes.items() if key != number}

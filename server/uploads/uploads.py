@@ -20,12 +20,21 @@ from isogi_core.errors import Cancelled, IsogiError, VolumeError
 from isogi_core.files.scene_file import SceneSource
 from isogi_core.plan.assembly import build_scene
 from isogi_core.plan.scene import Scene
-from server.errors import FullError, LateError, SlowUploadError, StartingError, UnknownVolumeError, UploadsOffError
+from server.bearers import ANYBODY, Bearer, bearer_of
+from server.errors import (
+    ForbiddenError,
+    FullError,
+    LateError,
+    SlowUploadError,
+    StartingError,
+    UnknownVolumeError,
+    UploadsOffError,
+)
 from server.render.engine import RenderEngine
 from server.render.scheduling import AdmissionLimit
 from server.render.updates import attended
 from server.settings import Settings
-from server.uploads.folder import VOXEL, UploadedVolume, UploadFolder, default_folder, named, read_facts
+from server.uploads.folder import SCENE, VOXEL, UploadedVolume, UploadFolder, default_folder, named, read_facts
 from server.uploads.sandbox import lacking
 
 BLOCK = 1 << 20
@@ -186,6 +195,8 @@ class Uploads:
     async def take(self, request: Request, name: str) -> tuple[UploadedVolume, bool]:
         """Take the body of a request as a volume and show it; the volume, and whether it is new.
 
+        It belongs to all who have sent it by name.
+
         Raises UploadsOffError, StartingError, BusyError, SlowUploadError, VolumeError, LateError, FullError,
         UploadFolderError, and Cancelled where the client has left.
         """
@@ -193,23 +204,33 @@ class Uploads:
             raise UploadsOffError(OFF)
         self._check_ready()
         with self._admission.admitted(), self.folder.drafts() as (body, draft):
-            self._check_room(1)
+            self._check_room(SCENE)  # no volume takes less
             with named(self.folder.path):
                 await receive(request, body, self._settings.body_seconds)
             limits = self.limit // VOXEL, self._settings.reading_seconds
             number = await attended(request, read_confined(body, draft, name, *limits))
             async with self._changing:
-                return await asyncio.to_thread(self._keep, draft, number)
+                kept = await asyncio.to_thread(self._keep, draft, number)
+                if kept[1] or self.folder.owners_of(number):
+                    await asyncio.to_thread(self.folder.give, number, bearer_of(request.scope).name)
+                return kept
 
-    async def remove(self, number: str) -> None:
+    async def remove(self, number: str, bearer: Bearer = ANYBODY) -> None:
         """Show a volume no more, and have its file gone. Its light is left in the store: it may come again.
 
-        Raises UnknownVolumeError, StartingError and UploadFolderError.
+        It stays where it belongs to others besides this bearer. Raises UnknownVolumeError, ForbiddenError,
+        StartingError and UploadFolderError.
         """
         self.find(number)
         self._check_ready()
         async with self._changing:
             self.find(number)
+            owners = self.folder.owners_of(number)
+            if not any(map(bearer.owns, owners or [""])):
+                raise ForbiddenError(f"The volume '{number}' is another's: who sent it may delete it, and an admin.")
+            if not bearer.may("admin") and len(owners) > 1:
+                await asyncio.to_thread(self.folder.take_back, number, bearer.name)
+                return
             await asyncio.to_thread(self.folder.remove, number)
             if number in self._engine.scenes:
                 await asyncio.to_thread(self._engine.dismiss, number)

@@ -3,8 +3,10 @@
 import pytest
 
 from benchmarks.service.drag import drag
+from benchmarks.service.fuzz import fuzz
 from benchmarks.service.load import load
 from benchmarks.service.malformed import malformed
+from benchmarks.service.memory import memory
 from benchmarks.service.warm_view import warm_view
 from tests.benchmarks.parts import figures
 
@@ -30,6 +32,20 @@ def test_load() -> None:
     assert {key for key in found if key.startswith("answered")} <= {f"answered {n}" for n in (200, 304, 429, 503)}
     assert found["answered 200"] > 0 and found["livez, answers"] > 0
     assert found["requests in progress, afterwards"] == 0
+
+
+@pytest.mark.slow
+def test_memory() -> None:
+    found = figures(memory, "--uploads", "6", "--uploads-mb", "1", "--views", "4")
+    assert (found["uploads: answered 201"], found["uploads: answered 507"]) == (3, 3)
+    assert found["kept"] == found["volumes looked at: answered 200"] == 3
+    assert found["all views: answered 200"] == 2 and found["all views: server, MiB"] > 0.0
+
+
+def test_fuzz() -> None:
+    found = figures(fuzz, "--messages", "200")
+    assert found["server alive"] is True and found["tracebacks"] == 0
+    assert found["problems"] > 20
 
 
 @pytest.mark.slow

@@ -127,7 +127,10 @@ def test_damage_counts_as_absence_and_is_logged(loader: Loader, clock: Clock, ca
         path.write_bytes(path.read_bytes()[:-1])
     with caplog.at_level(logging.WARNING, "isogi.cache"):
         assert brought(loader, A) == ("",)
-    assert caplog.text.count("checksum") == 2
+        clock.now += ASK_AGAIN
+        assert brought(loader, A) == ("",)
+    assert loader.chunk_store.damaged == 4, "it is read anew"
+    assert caplog.text.count("checksum") == 2, "and told once"
     assert transfer(loader, A) is None
     assert bake(loader, A) == light
     loader.refresh(A)

@@ -33,9 +33,11 @@ KEY, OTHER = "layer/c/0/0/0/0", "layer/c/0/0/1/0"
 IMPATIENT = {"seconds": 0.3, "retries": 0}
 
 
-@pytest.fixture(params=["folder", "s3", "memory"])
+@pytest.fixture(params=["folder", "s3", "standard_s3", "memory"])
 def location(request: pytest.FixtureRequest, tmp_path: Path) -> str:
     """A folder or URL of each kind of store, with nothing in it."""
+    if request.param == "standard_s3":
+        return str(request.getfixturevalue("standard_s3"))
     if request.param == "s3":
         return str(request.getfixturevalue("s3").url)
     return {"folder": str(tmp_path / "light"), "memory": f"memory://{uuid.uuid4().hex}"}[request.param]

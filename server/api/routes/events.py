@@ -50,7 +50,8 @@ async def read_events(
     """How a view is refined, as it happens; its light is baked while a client listens."""
     if "wait_ms" in params.model_fields_set:
         raise ParameterError("wait_ms is for requests, events come by themselves: leave it out.", "wait_ms")
-    events = events_of(service, service.picture_of(scene, params), last_event_id or "")
+    viewer = stream_viewer(request)
+    events = events_of(service, service.picture_of(scene, params), last_event_id or "", viewer)
     first = await anext(events, None)
     if first is None:
         return Response(status_code=204)
@@ -72,12 +73,13 @@ PROGRESS = 1.0
 """Seconds without other events after which an event says how much time is left."""
 
 
-async def events_of(service: Service, picture: PictureRequest, seen: str) -> AsyncGenerator[bytes, None]:
+async def events_of(
+    service: Service, picture: PictureRequest, seen: str, viewer: Viewer
+) -> AsyncGenerator[bytes, None]:
     """Events of a picture until it is final or has failed; none where it is final and was ``seen`` so.
 
     Its light is baked while a client listens. Raises BusyError where too many do, and StoreError.
     """
-    viewer = stream_viewer()
     with service.connections.admitted():
         try:
             async with aclosing(answers(service, picture, viewer)) as shown_so_far:
@@ -86,7 +88,9 @@ async def events_of(service: Service, picture: PictureRequest, seen: str) -> Asy
                         yield event("progress", await progress(service, picture, shown, viewer))
                     elif not (shown.frame.final or shown.coming):
                         yield event(
-                            "failed", coverage(shown) | {"detail": reason(service, shown.frame)}, shown.frame.version
+                            "failed",
+                            coverage(shown) | {"detail": reason(service, shown.frame, viewer)},
+                            shown.frame.version,
                         )
                     elif shown.frame.version != seen:
                         kind = "final" if shown.frame.final else "refined"
@@ -135,13 +139,15 @@ async def progress(service: Service, picture: PictureRequest, shown: Shown, view
     return {"waiting": waiting, "time_left": asdict(left) if left else None}
 
 
-def reason(service: Service, frame: Frame) -> str:
+def reason(service: Service, frame: Frame, viewer: Viewer) -> str:
     """Why no more light is coming though a frame is not final."""
     if frame.given_up:
         error = f"The total error is {frame.total.likely:.3g} after all paths that pixels may take"
         return f"{error}: ask for a larger max_error."
     if frame.view.shading == PREVIEW:
         return "The light of this view does not fit the memory: look closer, or give the server more --memory-mb."
+    if not viewer.bakes:
+        return "Your token allows to look, and not to have light baked: ask for one that does."
     if frame.view.shading != "path_traced":
         return service.reason()
     error = f"the estimated error is {frame.noise:.3g}"

@@ -17,7 +17,7 @@ from isogi_core.frame.tiles import Stopwatch
 from server.answers import camera_schema, coverage_schema
 from server.api.headers import STAGES, PreferencesDep, entity_tag, frame_headers, matches, server_timing
 from server.api.routes.jobs import JobSchema, address, job_schema
-from server.api.service import PictureRequest, SceneDep, Service, ServiceDep, Shown, within
+from server.api.service import BearerDep, PictureRequest, SceneDep, Service, ServiceDep, Shown, within
 from server.parameters import (
     FitParams,
     FitParamsDep,
@@ -64,13 +64,18 @@ ANSWERS: dict[int | str, dict[str, Any]] = {
     responses=ANSWERS | documented_problems(404, 406, 422, 429, 503),
 )
 async def read_frame(
-    request: Request, scene: SceneDep, params: FrameParamsDep, service: ServiceDep, preferences: PreferencesDep
+    request: Request,
+    scene: SceneDep,
+    params: FrameParamsDep,
+    service: ServiceDep,
+    preferences: PreferencesDep,
+    bearer: BearerDep,
 ) -> Response:
     """A picture at once, with what is baked so far; the headers say how good it is."""
     form = format_for(params, request.headers.get("accept"))
     exposure = scene.default_exposure if params.exposure is None else params.exposure
     params, applied = preferences.fill(params)
-    later = preferences.respond_async
+    later = preferences.respond_async and bearer.may("bake")
 
     def answer(shown: Shown) -> Response | None:
         frame, watch = shown.frame, shown.watch
@@ -86,12 +91,12 @@ async def read_frame(
             body = encode(frame, form, exposure, params)
         return Response(body, 200, headers | {"Server-Timing": server_timing(watch)}, MEDIA_TYPES[form])
 
-    viewer = stream_viewer() if later else request_viewer(request)
+    viewer = stream_viewer(request) if later else request_viewer(request)
     if (now := await service.render(request, scene, params, answer, viewer)) is not None:
         return now
     service.leave(viewer)
     picture = service.picture_of(scene, params)
-    return defer(service, picture, params, request.query_params.multi_items(), (form, exposure))
+    return defer(service, picture, params, request.query_params.multi_items(), (form, exposure), bearer.name)
 
 
 def in_parts(frame: Frame, headers: dict[str, str]) -> Response:
@@ -138,6 +143,7 @@ def defer(
     params: FrameParams,
     query: list[tuple[str, str]],
     output: tuple[str, float],
+    owner: str = "",
 ) -> Response:
     """202 and a job that has the light of a picture baked; ``query`` are the parameters as they were given.
 
@@ -152,7 +158,7 @@ def defer(
         href = f"/v1/scenes/{picture.scene}/frame?{urlencode(named)}"
         return [Result(href, MEDIA_TYPES[form], "The picture")]
 
-    job = service.jobs.begin("frame", f"A frame of {picture.scene}", work)
+    job = service.jobs.begin("frame", f"A frame of {picture.scene}", work, owner=owner)
     headers = {"Location": address(job), "Preference-Applied": "respond-async", "Cache-Control": "no-store"}
     return Response(
         job_schema(job).model_dump_json(), 202, headers | {"Vary": "Accept, Prefer"}, media_type="application/json"

@@ -13,7 +13,7 @@ from pydantic import BaseModel
 
 from isogi_core.plan.scene import Scene
 from server.api.prewarm_jobs import begin
-from server.api.service import SceneDep, ServiceDep
+from server.api.service import BearerDep, SceneDep, ServiceDep
 from server.errors import ParameterError, StartingError, UnknownResultError
 from server.parameters import NoParamsDep, read
 from server.prewarm.order import PrewarmOrder, PrewarmRequest, Views
@@ -115,9 +115,9 @@ async def read_results(job: JobId, service: ServiceDep, response: Response) -> S
 
 
 @router.delete("/{job}", responses=UNKNOWN)
-async def dismiss_job(job: JobId, service: ServiceDep) -> JobSchema:
+async def dismiss_job(job: JobId, service: ServiceDep, bearer: BearerDep) -> JobSchema:
     """End a job: nothing more is baked for it. One that has ended is forgotten at once."""
-    return job_schema(await service.jobs.dismiss(service.job(job).id))
+    return job_schema(await service.dismiss(job, bearer))
 
 
 prewarm_router = APIRouter(prefix="/v1/scenes/{scene}", tags=["jobs"], dependencies=[NoParamsDep])
@@ -169,7 +169,11 @@ async def order_in(request: Request) -> PrewarmRequest:
     responses=ANSWERS | documented_problems(404, 422, 429, 503),
 )
 async def prewarm(
-    scene: SceneDep, asked: Annotated[PrewarmRequest, Depends(order_in)], service: ServiceDep, response: Response
+    scene: SceneDep,
+    asked: Annotated[PrewarmRequest, Depends(order_in)],
+    service: ServiceDep,
+    response: Response,
+    bearer: BearerDep,
 ) -> JobSchema:
     """Bake light ahead, or forecast (dry_run) how much that is and how long it takes.
 
@@ -178,7 +182,7 @@ async def prewarm(
     if not service.settled.is_set() or service.failure:
         raise StartingError(service.reasons()[0])
     await asyncio.to_thread(check, scene, asked.order, service.settings)
-    job = begin(service, scene, asked.order, asked.dry_run)
+    job = begin(service, scene, asked.order, asked.dry_run, bearer.name)
     response.headers.update({"Location": address(job), "Cache-Control": "no-store"})
     return job_schema(job)
 

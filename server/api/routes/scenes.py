@@ -9,7 +9,7 @@ from fastapi import APIRouter, Request, Response
 from isogi_core.frame.panorama import FORMAT, paint_panorama
 from server.answers import scene_schema
 from server.api.headers import FOR_EVER, matches, tag_of
-from server.api.service import SceneDep, ServiceDep
+from server.api.service import BearerDep, SceneDep, ServiceDep
 from server.parameters import NoParamsDep, SkyParams, SkyParamsDep, UploadParams, UploadParamsDep, documented
 from server.pictures import MEDIA_TYPES, compress
 from server.problems import documented_problems
@@ -32,7 +32,7 @@ async def list_scenes(service: ServiceDep) -> SceneList:
 @router.get("/{scene}", responses=documented_problems(404, 422))
 def read_scene(scene: SceneDep, service: ServiceDep) -> SceneSchema:
     """One scene: volume, histogram, defaults and ranges of every knob, and the plan of what is baked."""
-    facts, notes = scene_schema(scene), service.engine.notes()
+    facts, notes = scene_schema(service.planned(scene)), service.engine.notes()
     facts.read_only = bool(notes)
     facts.plan.notes += notes
     return facts
@@ -115,9 +115,9 @@ async def read_volume(volume: str, service: ServiceDep) -> UploadSchema:
 @volume_router.delete(
     "/{volume}", status_code=204, dependencies=[NoParamsDep], responses=documented_problems(404, 422, 503)
 )
-async def delete_volume(volume: str, service: ServiceDep) -> None:
+async def delete_volume(volume: str, service: ServiceDep, bearer: BearerDep) -> None:
     """Show a volume no more and delete its file; light that was baked for it stays in the store."""
-    await service.uploads.remove(volume)
+    await service.uploads.remove(volume, bearer)
 
 
 def facts(kept: UploadedVolume) -> UploadSchema:

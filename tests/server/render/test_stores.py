@@ -132,6 +132,25 @@ def test_a_store_that_is_away_is_not_empty_and_baking_waits(
         until(lambda: client.get("/readyz").status_code == 200)
 
 
+def test_a_store_that_hangs_holds_a_frame_for_one_call(
+    small_scene: Path, s3: S3Server, pictures: list[bytes], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Tries and checks of 6 seconds each once held it for 12, and one frame after the other."""
+    monkeypatch.setattr("isogi_core.storage.store.CHECKED", 1.0)
+    opened = Store(StoreUrl(s3.url, seconds=2.0, retries=2))
+    app = create_app(RenderEngine([load_scene(small_scene)], opened), Settings())
+    with live(app) as url, httpx.Client(base_url=url, timeout=LONG) as client:
+        until(lambda: client.get("/readyz").status_code == 200)
+        s3.fault = lambda call: "hang"
+        begun = time.monotonic()
+        answers = [frame(client, VIEW) for _ in range(3)]
+        assert time.monotonic() - begun < 6.0
+        assert [answer.status_code for answer in answers] == 3 * [503]
+        assert "does not answer" in answers[0].json()["detail"]
+        s3.fault = lambda call: None
+        assert final(client, VIEW) == pictures[0]
+
+
 def test_a_bake_that_loses_its_store_waits_and_goes_on_by_itself(
     small_scene: Path, s3: S3Server, pictures: list[bytes]
 ) -> None:

@@ -123,7 +123,7 @@ def test_one_that_may_not_be_that_large_is_413(ask: Ask, open_app: Open, folder:
 
 
 def test_the_quota_is_held(ask: Ask, open_app: Open, folder: Path) -> None:
-    app = open_app(uploads_mb=7)
+    app = open_app(uploads_mb=1)
     first = ask(app, "POST", "/v1/volumes", content=ball(50)).json()
     answer = ask(app, "POST", "/v1/volumes", content=ball(56))
     assert answer.status_code == 507 and "delete volumes" in answer.json()["detail"]
@@ -132,7 +132,10 @@ def test_the_quota_is_held(ask: Ask, open_app: Open, folder: Path) -> None:
     assert ask(app, "POST", "/v1/volumes", content=ball(56)).status_code == 201
 
 
-def test_small_volumes_count_too_also_after_a_restart(ask: Ask, open_app: Open) -> None:
+def test_small_volumes_count_too_also_after_a_restart(
+    ask: Ask, open_app: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("server.uploads.folder.SCENE", 6 << 20)
     app = open_app(uploads_mb=19)
     answers = [ask(app, "POST", "/v1/volumes", content=ball(side)).status_code for side in (2, 3, 4, 5)]
     assert answers == [201, 201, 201, 507]

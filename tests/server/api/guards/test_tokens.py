@@ -6,7 +6,8 @@ import httpx
 import pytest
 from fastapi import FastAPI, WebSocket
 
-from server.api.access import TokenBearers
+from server.api.access import Token, TokenBearers
+from server.bearers import Bearer
 from tests.server.api.guards.handshakes import handshake, status
 
 Ask = Callable[..., httpx.Response]
@@ -16,7 +17,7 @@ BEARER = {"Authorization": f"Bearer {TOKEN}"}
 
 @pytest.fixture
 def app(guarded: Callable[..., FastAPI]) -> FastAPI:
-    app = guarded(TokenBearers, token=TOKEN)
+    app = guarded(TokenBearers, bearers=[Bearer(TOKEN)])
 
     @app.websocket("/socket")
     async def socket(socket: WebSocket) -> None:
@@ -71,7 +72,7 @@ def test_a_browser_shows_it_once_and_then_a_cookie(ask: Ask, app: FastAPI) -> No
 
 def test_a_cookie_goes_over_tls_alone_where_it_was_set_so(guarded: Callable[..., FastAPI]) -> None:
     scope = {"type": "http", "scheme": "https", "query_string": b""}
-    assert "; Secure" in TokenBearers(guarded(), TOKEN).admission(scope).headers["set-cookie"]
+    assert "; Secure" in TokenBearers(guarded(), ()).admission(scope, Token(Bearer(TOKEN))).headers["set-cookie"]
 
 
 @pytest.mark.parametrize(("method", "path"), [("GET", "/page"), ("POST", "/data"), ("GET", "/data")])

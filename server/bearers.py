@@ -1,0 +1,73 @@
+"""Bearers: who shows a token, what that lets them do, and what is theirs."""
+
+import tomllib
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+SCOPES = ("look", "bake", "upload", "admin")
+"""What a token may allow: to see pictures of what is baked; to have light baked, by looking too, and to dismiss one's
+own jobs; to upload volumes, and delete one's own; and everything, /metrics and what is others' among it."""
+
+SHORTEST = 16
+"""Characters of a token, at least."""
+
+
+@dataclass(frozen=True)
+class Bearer:
+    """Who shows a ``token``: a ``name``, empty where the server has one token or none, and the ``scopes``."""
+
+    token: str = field(default="", repr=False)
+    name: str = ""
+    scopes: frozenset[str] = frozenset(SCOPES)
+
+    def may(self, scope: str) -> bool:
+        """Whether the token allows what the scope stands for."""
+        return scope in self.scopes or "admin" in self.scopes
+
+    def owns(self, owner: str) -> bool:
+        """Whether what belongs to an ``owner``, or to nobody where that is empty, is this one's to change."""
+        return owner in ("", self.name) or "admin" in self.scopes
+
+
+ANYBODY = Bearer()
+"""Whoever asks a server that wants no token."""
+
+BEARER = "isogi.bearer"
+"""Where a request's scope (ASGI) holds its bearer."""
+
+
+def bearer_of(scope: Mapping[str, Any]) -> Bearer:
+    """Who sends a request or opens a socket, by its ASGI ``scope``."""
+    bearer = scope.get(BEARER, ANYBODY)
+    assert isinstance(bearer, Bearer)
+    return bearer
+
+
+def read_bearers(path: Path) -> tuple[Bearer, ...]:
+    """The bearers in a TOML file: tables by name, each with a ``token`` and ``scopes``. Raises ValueError."""
+    try:
+        tables = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise ValueError(f"the tokens in {path} cannot be read: {error}") from None
+    bearers = tuple(read_bearer(name, table) for name, table in tables.items())
+    if not bearers or len({bearer.token for bearer in bearers}) < len(bearers):
+        raise ValueError(f"{path} must hold tokens, each another one")
+    return bearers
+
+
+def read_bearer(name: str, table: Any) -> Bearer:
+    """One bearer. Raises ValueError, which tells no token."""
+    right = f"[{name}] must have a token of {SHORTEST} characters or more, and scopes, such as {list(SCOPES[:2])}"
+    if not isinstance(table, dict) or set(table) != {"token", "scopes"} or not name:
+        raise ValueError(right)
+    token, scopes = table["token"], table["scopes"]
+    if not isinstance(token, str) or len(token) < SHORTEST or not are_scopes(scopes):
+        raise ValueError(f"{right}; scopes are {', '.join(SCOPES)}")
+    return Bearer(token, name, frozenset(scopes))
+
+
+def are_scopes(given: object) -> bool:
+    """Whether these are scopes, and any at all."""
+    return isinstance(given, Collection) and bool(given) and all(each in SCOPES for each in given)

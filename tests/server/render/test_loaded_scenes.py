@@ -1,0 +1,94 @@
+"""Scenes that share the memory: loaded when they are looked at, dropped for others, and the same when they are back."""
+
+import gc
+import weakref
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from isogi_core.plan.assembly import load_scene
+from isogi_core.plan.scene import Scene
+from server.errors import UnknownSceneError
+from server.render import loaded_scenes
+from server.render.engine import RenderEngine
+from server.render.loaded_scenes import IDLE, LoadedScenes
+from tests.server.inline import LONG, InlinePool, view_of
+from worker import pool
+
+SMALL = 4 << 20
+"""Bytes of memory that a view of one scene fits into, and those of two do not."""
+
+
+@pytest.fixture(scope="module")
+def scenes() -> list[Scene]:
+    """Two scenes under the same light, and one under its own."""
+    settings: dict[str, Any] = {"lattice": 0.5, "bounces": 0, "target_error": 0.5}
+    lights = [{"type": "constant", "radiance": 1.0}]
+    own = load_scene("demo:orbital", lights=lights, **settings)
+    return [load_scene("demo:orbital", **settings), load_scene("demo:casting", **settings), own]
+
+
+@pytest.fixture
+def engine(scenes: list[Scene], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[RenderEngine]:
+    """An engine in little memory that starts with one of the scenes."""
+    monkeypatch.setattr(pool, "WorkerPool", InlinePool)
+    with closing(RenderEngine(scenes[:1], str(tmp_path), memory=SMALL)) as engine:
+        engine.start()
+        yield engine
+
+
+def test_scenes_under_the_same_light_share_it(scenes: list[Scene]) -> None:
+    first, second, third = scenes
+    assert first.environment is second.environment is not third.environment
+    assert first.inputs.harmonics is second.inputs.harmonics
+
+
+def test_a_scene_makes_way_and_is_the_same_when_it_is_back(engine: RenderEngine, scenes: list[Scene]) -> None:
+    one, other, _ = scenes
+    engine.admit(other)
+    assert engine._loaded.held(other.id) is None, "nobody has looked at it"
+    first = engine.frame(one.id, view_of(one), wait=LONG)
+    renderer = weakref.ref(engine.renderer(one.id))
+    lacking = engine.frame(one.id, view_of(one, 120.0))
+    engine.frame(other.id, view_of(other), wait=LONG)
+    gc.collect()
+    assert engine._loaded.held(one.id) is None and renderer() is None
+    bake, demands = engine.lacking(one.id, lacking)
+    engine.bake(bake, demands, one.target_error).wait(LONG)
+    again = engine.frame(one.id, view_of(one), wait=LONG)
+    assert again.version == first.version and again.radiance.tobytes() == first.radiance.tobytes()
+    assert not engine.frame(one.id, view_of(one, 120.0)).demands, "light that came meanwhile is seen"
+
+
+def test_a_dismissed_scene_is_found_no_more(engine: RenderEngine, scenes: list[Scene]) -> None:
+    one, other, _ = scenes
+    engine.admit(other)
+    engine.dismiss(other.id)
+    for scene in (other.id, "nobody"):
+        with pytest.raises(UnknownSceneError):
+            engine.planned(scene)
+    assert engine.planned(one.id).id == one.id
+
+
+def test_what_nobody_looks_at_is_dropped_and_given_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    now, closed, trimmed = [0.0], list[str](), list[None]()
+    monkeypatch.setattr(loaded_scenes, "give_memory_back", lambda: trimmed.append(None))
+
+    def load(scene: Any) -> Any:
+        return SimpleNamespace(nbytes=10, close=lambda: closed.append(scene.id))
+
+    kept = LoadedScenes(load, 1 << 20, lambda: now[0])
+    first, second = (SimpleNamespace(id=name) for name in ("first", "second"))
+    kept.at(first)  # type: ignore[arg-type]
+    now[0] = 0.6 * IDLE
+    kept.at(second)  # type: ignore[arg-type]
+    kept.drop_idle()
+    assert not closed and not trimmed
+    now[0] = 1.2 * IDLE
+    kept.drop_idle()
+    assert closed == ["first"] and len(trimmed) == 1
+    assert kept.held("first") is None and kept.held("second") is not None

@@ -1,0 +1,93 @@
+"""Servers on a bucket of a standard S3: the bytes of a folder, whoever bakes, is killed, or spoils an object."""
+
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing, contextmanager
+from hashlib import sha256
+from pathlib import Path
+
+import pytest
+
+from isogi_core.plan.assembly import load_scene
+from isogi_core.storage.store import Store
+from server.render.engine import RenderEngine
+from tests.cluster.processes import ROOT, end, until
+from tests.server.inline import LONG, InlinePool, chunks_in, view_of
+from worker import pool
+
+
+@pytest.fixture(autouse=True)
+def inline(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pool, "WorkerPool", InlinePool)
+
+
+@contextmanager
+def engine_at(scene: Path, store: str) -> Iterator[RenderEngine]:
+    """An engine over a store, begun."""
+    with closing(RenderEngine([load_scene(scene)], store)) as engine:
+        engine.start()
+        yield engine
+
+
+def picture(engine: RenderEngine) -> bytes:
+    """The final picture of a view."""
+    scene = engine.scenes["small"]
+    frame = engine.frame("small", view_of(scene), wait=LONG)
+    assert not frame.provisional
+    return frame.radiance.tobytes()
+
+
+def chunks_at(url: str) -> dict[str, str]:
+    """The chunks in a bucket by name, and the digest of each."""
+    store = Store(url)
+    keys = [entry.key for entry in store.entries() if "/c/" in entry.key]
+    return {key: sha256(store.read(key) or b"").hexdigest() for key in keys}
+
+
+@pytest.fixture(scope="module")
+def whole(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[bytes, dict[str, str]]:
+    """A view as one server over a folder leaves it, and its chunks."""
+    folder = tmp_path_factory.mktemp("light")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(pool, "WorkerPool", InlinePool)
+        with engine_at(small_scene, str(folder)) as engine:
+            return picture(engine), chunks_in(folder)
+
+
+def test_two_servers_on_a_bucket_leave_what_one_leaves(
+    small_scene: Path, standard_s3: str, whole: tuple[bytes, dict[str, str]]
+) -> None:
+    one, other = engine_at(small_scene, standard_s3), engine_at(small_scene, standard_s3)
+    with one as first, other as second, ThreadPoolExecutor(2) as threads:
+        pictures = list(threads.map(picture, (first, second)))
+    assert pictures == [whole[0], whole[0]]
+    assert chunks_at(standard_s3) == whole[1]
+
+
+@pytest.mark.slow
+def test_what_a_killed_server_left_is_mended(
+    small_scene: Path, standard_s3: str, whole: tuple[bytes, dict[str, str]], tmp_path: Path
+) -> None:
+    """And an object that was spoilt, and one that was lost."""
+    command = [sys.executable, "-m", "server", "render", str(small_scene), "-o", str(tmp_path / "frame.png")]
+    settings = ["--store", standard_s3, "--workers", "1", "--azimuth", "30", "--elevation", "20", "--distance", "3"]
+    killed = subprocess.Popen(
+        [*command, *settings, "--fov", "30", "--width", "40", "--height", "40"],
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    until(lambda: len(chunks_at(standard_s3)) > 0 or killed.poll() is not None)
+    if killed.poll() is None:
+        end(killed)
+    store = Store(standard_s3)
+    spoilt, *rest = sorted(chunks_at(standard_s3))
+    store.put(spoilt, b"spoilt", store.get(spoilt))
+    for lost in rest[:1]:
+        store.delete(lost)
+    with engine_at(small_scene, standard_s3) as engine:
+        assert picture(engine) == whole[0]
+    assert {key: chunks_at(standard_s3).get(key) for key in whole[1]} == whole[1]
