@@ -38,8 +38,8 @@ def colours_of(error: np.ndarray) -> np.ndarray:
 BACKGROUND = (0.0103, 0.0123, 0.0160)
 """Linear RGB behind the surface: a quiet, almost black blue."""
 
-LIGHT = "f4f4f2"
-"""sRGB behind the surface of pictures on a light ground: paper."""
+LIGHT = "e2e4e6"
+"""sRGB behind the surface of pictures on a light ground: a grey as of a studio, from which what is lit stands out."""
 
 MARK = (0.95, 0.42, 0.05)
 """Linear RGB of the overlay's hatching: amber, which no grey surface has."""

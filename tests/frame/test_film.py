@@ -37,7 +37,7 @@ def test_each_overlay_marks_its_pixels() -> None:
 
 
 @pytest.mark.parametrize(
-    ("background", "codes"), [("light", (244, 244, 242)), ("#1f00a7", (31, 0, 167)), ("#ffffff", (255, 255, 255))]
+    ("background", "codes"), [("light", (226, 228, 230)), ("#1f00a7", (31, 0, 167)), ("#ffffff", (255, 255, 255))]
 )
 def test_a_background_is_behind_the_surface_alone(background: str, codes: tuple[int, ...]) -> None:
     frame = frame_of(np.full(24, 0.05))
