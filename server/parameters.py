@@ -24,7 +24,7 @@ from isogi_core.model.view import (
 from isogi_core.plan.scene import Scene
 from server.errors import ParameterError
 from server.settings import Settings
-from server.values import Choice, Colour, Ground, Row, Span
+from server.values import Choice, Colour, Ground, Row, Rows, Span
 
 FORMATS = ("png", "jpeg", "webp", "npy")
 VERSION = r"^[0-9a-f]{32}$"
@@ -76,10 +76,6 @@ class ViewParams(NoParams):
     )
     width: Annotated[int, Span(1, LONGEST_SIDE, whole=True)] = Field(512, description="Pixels.")
     height: Annotated[int, Span(1, LONGEST_SIDE, whole=True)] = Field(512, description="Pixels.")
-    antialias: Annotated[int, Span(1, 4, whole=True)] = Field(
-        1,
-        description="Samples along each side of a pixel, whose mean it is; each costs as much as a pixel. Not in npy.",
-    )
     shading: Annotated[str, Choice(SHADINGS)] = Field("gi", description="How the surface is lit.")
     samples: Annotated[int, Span(1, 4096, whole=True)] = Field(16, description="Paths per pixel; path_traced alone.")
     wait_ms: Annotated[int, Span(0, LONGEST_WAIT, whole=True)] = Field(0, description="Longest wait for baking.")
@@ -150,6 +146,13 @@ class FrameParams(ViewParams):
     )
     background: Annotated[str, Ground()] = Field(
         "dark", description="Behind the surface: dark, light, transparent (not in jpeg), or sRGB such as #ffffff."
+    )
+    antialias: Annotated[str | None, Choice(("on", "off"))] = Field(
+        None,
+        description="Whether pixels at edges are the mean of 8 to 16 samples; default: on, off in npy.",
+    )
+    strip: Annotated[tuple[int, int] | None, Rows()] = Field(
+        None, description="The rows of the picture to draw, first,last: from the first up to before the last."
     )
     version: Annotated[str | None, WithJsonSchema({"type": "string", "pattern": VERSION})] = Field(
         None,
@@ -226,22 +229,25 @@ SkyParamsDep = Annotated[SkyParams, _reader(SkyParams)]
 
 def view_of(scene: Scene, params: ViewParams, settings: Settings) -> View:
     """The view that the parameters ask for; ViewError where this scene or these settings do not allow it."""
-    width, height = params.antialias * params.width, params.antialias * params.height
-    pixels, paths = width * height, width * height * params.samples
+    first, last = params.strip if isinstance(params, FrameParams) and params.strip else (0, params.height)
+    if last > params.height:
+        raise ParameterError(f"strip ends at row {last} of a picture of {params.height}.", "strip")
+    pixels, paths = params.width * (last - first), params.width * (last - first) * params.samples
     if pixels > settings.max_pixels:
-        what = "width × height" if params.antialias == 1 else "width × height × antialias²"
-        raise ViewError(f"{what} must be at most {settings.max_pixels} pixels, not {pixels}.")
+        raise ViewError(f"width × height must be at most {settings.max_pixels} pixels, not {pixels}.")
     if params.shading == "path_traced" and paths > settings.max_paths:
         raise ViewError(f"width × height × samples must be at most {settings.max_paths} paths, not {paths}.")
     return View(
         isovalue=isovalue_of(scene, params),
         camera=camera_of(scene, params),
         light=light_of(scene, params),
-        width=width,
-        height=height,
+        width=params.width,
+        height=last - first,
+        strip=None if last - first == params.height else (first, params.height),
         shading=params.shading,
         samples=params.samples,
         albedo=albedo_of(scene, params),
+        smooth=isinstance(params, FrameParams) and params.antialias == "on" and params.shading != "path_traced",
         orientation=scene.volume.orientation,
     )
 

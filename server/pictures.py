@@ -15,7 +15,7 @@ from server.parameters import FORMATS, FrameParams
 
 MEDIA_TYPES = {"png": "image/png", "jpeg": "image/jpeg", "webp": "image/webp", "npy": "application/x-npy"}
 SUFFIXES = {".png": "png", ".jpg": "jpeg", ".jpeg": "jpeg", ".webp": "webp", ".npy": "npy"}
-DEVELOPED = {"exposure", "overlay", "background", "antialias"}
+DEVELOPED = {"exposure", "overlay", "background"}
 """Parameters of developing, which the linear format does not read."""
 
 PLANES = 9
@@ -50,6 +50,12 @@ def format_for(params: FrameParams, accept: str | None) -> str:
     if chosen == "jpeg" and params.background == "transparent":
         raise ParameterError("jpeg knows no transparent background: take png or webp, or another one.", "background")
     return chosen
+
+
+def smoothed(params: FrameParams, form: str) -> FrameParams:
+    """The parameters with antialiasing settled: on in pictures, off in what is measured, where they do not say."""
+    settled = params.antialias or ("off" if form == "npy" else "on")
+    return params.model_copy(update={"antialias": settled})
 
 
 def negotiate(accept: str | None) -> str:
@@ -89,7 +95,7 @@ def encode(frame: Frame, form: str, exposure: float, params: FrameParams = PLAIN
 
     if form != "npy":
         behind = "dark" if (form, params.background) == ("jpeg", "transparent") else params.background
-        return compress(develop(frame, exposure, params.overlay, behind, params.antialias), form)
+        return compress(develop(frame, exposure, params.overlay, behind), form)
     buffer = io.BytesIO()
     buffer.writelines(npy_parts(frame))
     return buffer.getvalue()
@@ -127,9 +133,15 @@ def npy_header(height: int, width: int) -> bytes:
 def planes(frame: Frame, first: int, last: int) -> np.ndarray:
     """Rows ``first`` to ``last`` of a frame, float32 (rows, w, 9).
 
-    Linear RGB, hit mask, state, relative error, hit position x, y, z.
+    Linear RGB, hit mask, state, relative error, hit position x, y, z. Of pixels at edges that have samples, the first
+    is the mean of those on the surface, and the second the share of them.
     """
     rows = slice(first, last)
     state, error = frame.reported_state[rows, :, None], frame.total_error[rows, :, None]
     parts = (frame.radiance[rows], state > 0, state, error, frame.positions(first, last))
-    return np.concatenate(parts, axis=-1, dtype="<f4", casting="unsafe")
+    whole = np.concatenate(parts, axis=-1, dtype="<f4", casting="unsafe")
+    if frame.edges:
+        width, edges = whole.shape[1], frame.edges
+        here = slice(*np.searchsorted(edges.pixels, (first * width, last * width)))
+        whole.reshape(-1, PLANES)[edges.pixels[here] - first * width, :4] = edges.covered[here]
+    return whole

@@ -74,6 +74,24 @@ class Row(GroupedMetadata):
 
 
 @dataclass(frozen=True)
+class Rows(GroupedMetadata):
+    """Rows of a picture, ``first,last``, whole numbers, of which the last is not among them."""
+
+    def __iter__(self) -> Iterator[Any]:
+        yield BeforeValidator(self.read)
+        yield WithJsonSchema({"type": "string", "example": "0,512"})
+
+    def read(self, value: object) -> tuple[int, int]:
+        """The two numbers; ValueError where they are not these."""
+        parts = value.split(",") if isinstance(value, str) else []
+        if len(parts) == 2 and all(len(part) <= 6 and part.isascii() and part.isdigit() for part in parts):
+            first, last = map(int, parts)
+            if first < last:
+                return first, last
+        raise ValueError(f"must be two whole numbers first,last, the first below the last, not {shown(value)}.")
+
+
+@dataclass(frozen=True)
 class Colour(GroupedMetadata):
     """Linear RGB, each from 0 to 1, such as ``albedo=0.7,0.5,0.3``; one number is that of all three."""
 

@@ -176,8 +176,7 @@ function startLoop(scene, view, picture, trouble) {
  * @param {number} [scale] 1 for the full picture, less for drafts
  */
 function queryOf(scene, values, picture, scale = 1) {
-  const { samples } = picture;
-  return { ...frameQuery(scene, values, picture.size(scale)), ...(samples > 1 && { antialias: samples }) };
+  return frameQuery(scene, values, picture.size(scale));
 }
 
 /**

@@ -13,6 +13,7 @@ from isogi_core.kernels.shading.chunks import (
     touch_chunks,
     weigh_chunks,
 )
+from isogi_core.kernels.shading.edges import borrow_light, find_contrasts
 from isogi_core.kernels.shading.filtering import filter_texels
 from isogi_core.kernels.shading.framebuffer import develop_rows, fill_curve, tally
 from isogi_core.kernels.shading.irradiance_ratio import carry_ratios, fill_records
@@ -34,7 +35,7 @@ from isogi_core.kernels.shading.local_models import find_normals, find_shadows, 
 from isogi_core.kernels.shading.texel_normals import fill_texel_normals, keep_normals, look_up_normals
 from isogi_core.kernels.shading.texel_table import add_part, judge_rows, unpack_texels
 from isogi_core.kernels.tracing.active_cells import fill_ranges, mark_bricks, pack_bricks
-from isogi_core.kernels.tracing.camera import trace_pixels
+from isogi_core.kernels.tracing.camera import trace_pixels, trace_places
 from isogi_core.kernels.tracing.macrocells import fill_macrocells
 from isogi_core.kernels.tracing.stiffness import count_stiffness
 from isogi_core.kernels.transport.harmonics import rotate
@@ -61,6 +62,8 @@ LOBES = (
 FRAME = (
     LOBES[0],
     trace_pixels,
+    trace_places,
+    borrow_light,
     mark_bricks,
     fill_texel_normals,
     carry_light,
@@ -89,6 +92,7 @@ FRAME = (
     fill_records,
     filter_texels,
     tally,
+    find_contrasts,
     look_up_normals,
     keep_normals,
     *LOBES[1:],

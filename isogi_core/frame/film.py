@@ -4,7 +4,7 @@ from functools import cache
 
 import numpy as np
 
-from isogi_core.frame.frame import Frame
+from isogi_core.frame.frame import EdgeSamples, Frame
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, develop_rows, fill_curve
 
 SCALE = (0.001, 1.0)
@@ -38,8 +38,8 @@ def colours_of(error: np.ndarray) -> np.ndarray:
 BACKGROUND = (0.0103, 0.0123, 0.0160)
 """Linear RGB behind the surface: a quiet, almost black blue."""
 
-LIGHT = "f4f4f2"
-"""sRGB behind the surface of pictures on a light ground: paper."""
+LIGHT = "e2e4e6"
+"""sRGB behind the surface of pictures on a light ground: a grey as of a studio, from which what is lit stands out."""
 
 MARK = (0.95, 0.42, 0.05)
 """Linear RGB of the overlay's hatching: amber, which no grey surface has."""
@@ -66,47 +66,43 @@ def ground_of(background: str) -> tuple[float, ...]:
     return tuple(linear_of(code / 255.0) for code in codes)
 
 
-def develop(
-    frame: Frame, exposure: float, overlay: str = "none", background: str = "dark", antialias: int = 1
-) -> np.ndarray:
+def develop(frame: Frame, exposure: float, overlay: str = "none", background: str = "dark") -> np.ndarray:
     """The picture of a frame, (h, w, 3) uint8 sRGB. ``exposure`` multiplies the light.
 
     ``background`` is behind the surface: dark, light, ``#rrggbb``, or transparent: then the picture is (h, w, 4), its
-    last channel 0 where there is no surface. ``overlay`` is one of the view's OVERLAYS: ``provisional`` hatches what
-    is not final, broad where provisional, fine where converging; ``error`` colours what has light by its estimated
-    relative error, and hatches the rest. A pixel is the mean of ``antialias`` ones of the frame along each side.
+    last channel how much of a pixel the surface covers. ``overlay`` is one of the view's OVERLAYS: ``provisional``
+    hatches what is not final, broad where provisional, fine where converging; ``error`` colours what has light by its
+    estimated relative error, and hatches the rest. Pixels at edges are the mean of their samples, under no overlay.
     """
     clear = background == "transparent"
     ground = BACKGROUND if clear else ground_of(background)
     if overlay == "error":
         picture = with_errors(frame, exposure, ground)
     else:
-        picture = lit(frame, frame.state, exposure, overlay == "provisional", ground)
+        picture = lit(frame.radiance, frame.state, exposure, overlay == "provisional", ground)
     if clear:
         picture = np.dstack([picture, np.where(frame.state > 0, np.uint8(255), np.uint8(0))])
-    return averaged(picture, antialias) if antialias > 1 else picture
+    if frame.edges and overlay == "none":
+        picture.reshape(-1, picture.shape[2])[frame.edges.pixels] = averaged(frame.edges, exposure, ground, clear)
+    return picture
 
 
-def averaged(picture: np.ndarray, side: int) -> np.ndarray:
-    """The picture (h, w, channels) uint8 sRGB with ``side`` × ``side`` pixels to one: the mean of their linear light.
+def averaged(edges: EdgeSamples, exposure: float, ground: tuple[float, ...], clear: bool) -> np.ndarray:
+    """The pixels at ``edges``, (k, 3) uint8 sRGB, as the mean of what their samples shine on a screen.
 
-    Pixels count by their last channel where there are four, and that is the mean of theirs.
+    Where the picture is ``clear`` that is of samples on the surface, and (k, 4): the last is the share of those.
     """
-    high, wide = (length // side for length in picture.shape[:2])
-    blocks = picture[: high * side, : wide * side].reshape(high, side, wide, side, -1)
-    whole = np.zeros((high, wide, picture.shape[2]), np.float32)
-    weights = np.zeros((high, wide, 1), np.float32)
-    for row in range(side):
-        for column in range(side):
-            part = blocks[:, row, :, column]
-            weight = part[..., 3:] / np.float32(255) if part.shape[-1] == 4 else np.ones((1, 1, 1), np.float32)
-            whole[..., :3] += weight * linear_table()[part[..., :3]]
-            weights += weight
-    light = whole[..., :3] / np.maximum(weights, 1e-6)
-    codes = tone_table()[(light * (LEVELS - 1) + 0.5).astype(np.intp)]
-    if picture.shape[2] == 3:
-        return codes
-    return np.dstack([codes, (255.0 / side**2 * weights + 0.5).astype(np.uint8)])
+    shown = linear_table()[lit(edges.light, edges.on.astype(np.uint8), exposure, False, ground)]
+    if not clear:
+        return coded(shown.mean(axis=1))
+    sums = np.where(edges.on[..., None], shown, np.float32(0)).sum(axis=1)
+    light = sums / np.maximum(edges.on.sum(axis=1), 1)[:, None]
+    return np.column_stack([coded(light), (255.0 * edges.covered[:, 3] + 0.5).astype(np.uint8)])
+
+
+def coded(light: np.ndarray) -> np.ndarray:
+    """The sRGB codes of linear ``light`` from 0 to 1, uint8."""
+    return np.asarray(tone_table()[(light * (LEVELS - 1) + 0.5).astype(np.intp)])
 
 
 @cache
@@ -121,19 +117,19 @@ def linear_of(code: float) -> float:
 
 
 def lit(
-    frame: Frame, state: np.ndarray, exposure: float, marked: bool, ground: tuple[float, ...] = BACKGROUND
+    radiance: np.ndarray, state: np.ndarray, exposure: float, marked: bool, ground: tuple[float, ...] = BACKGROUND
 ) -> np.ndarray:
-    """The picture of a frame, with the marks of ``state`` (h, w) over it where ``marked``."""
-    picture = np.empty(frame.radiance.shape, np.uint8)
+    """The picture of ``radiance`` (h, w, 3), with the marks of ``state`` (h, w) over it where ``marked``."""
+    picture = np.empty(radiance.shape, np.uint8)
     colours = np.array([ground, MARK], np.float32)
-    develop_rows(frame.radiance, state, 0, exposure, colours, marked, tone_table(), picture)
+    develop_rows(radiance, state, 0, exposure, colours, marked, tone_table(), picture)
     return picture
 
 
 def with_errors(frame: Frame, exposure: float, ground: tuple[float, ...] = BACKGROUND) -> np.ndarray:
     """The picture under the colours of its errors; what has no light, and so no estimate, is hatched."""
     known = frame.state >= CONVERGING
-    picture = lit(frame, np.where(known, np.uint8(FINAL), frame.state), exposure, True, ground)
+    picture = lit(frame.radiance, np.where(known, np.uint8(FINAL), frame.state), exposure, True, ground)
     below, above = picture[known].astype(np.uint16), colours_of(frame.total_error[known])
     picture[known] = (below * (256 - COVER) + above.astype(np.uint16) * COVER) >> 8
     return picture

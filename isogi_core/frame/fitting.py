@@ -6,14 +6,18 @@ from dataclasses import replace
 import numpy as np
 
 from isogi_core.frame.renderer import Renderer
-from isogi_core.model.orientation import Orientation, triple
+from isogi_core.model.orientation import triple
 from isogi_core.model.view import Vec3, View, orbit
+from isogi_core.model.volume import Volume
 
 SIDE = 96
 """Pixels along each side of the picture that finds the surface."""
 
 FRONT = (50.0, 25.0)
-"""Azimuth and elevation from which a volume is seen."""
+"""Azimuth and elevation from which a volume is seen that is as wide as it is deep."""
+
+ASKEW = (20.0, 70.0)
+"""Azimuths between which others are seen: of the longer they are, the more from the side."""
 
 FACE = (65.0, 15.0)
 """The same for a patient, whose face is at azimuth 90."""
@@ -25,9 +29,13 @@ SPECKS = 0.003
 """Share of the surface's pixels that may be outside at each side: noise afar does not push the camera away."""
 
 
-def front_of(orientation: Orientation) -> tuple[float, float]:
-    """The azimuth and the elevation from which a volume is seen at first."""
-    return FACE if orientation.letters else FRONT
+def front_of(volume: Volume) -> tuple[float, float]:
+    """The azimuth and the elevation from which a ``volume`` is seen at first: its longer side lies across."""
+    if volume.orientation.letters:
+        return FACE
+    (_, deep, wide), (x, y, _) = volume.shape, volume.spacing
+    azimuth = FRONT[0] - 45.0 + math.degrees(math.atan2(wide * x, deep * y))
+    return float(round(min(max(azimuth, ASKEW[0]), ASKEW[1]))), FRONT[1]
 
 
 def fitted(renderer: Renderer, view: View, azimuth: float, elevation: float) -> tuple[Vec3, float] | None:

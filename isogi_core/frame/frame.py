@@ -23,6 +23,25 @@ STATES = {"final": FINAL, "converging": CONVERGING, "provisional": PROVISIONAL}
 
 
 @dataclass(frozen=True, eq=False)
+class EdgeSamples:
+    """What the samples of the ``pixels`` (k,) at edges show: linear ``light`` (k, samples, 3), and which are ``on``.
+
+    ``pixels`` are picture indices, ascending; ``on`` (k, samples) says which samples show the surface.
+    """
+
+    pixels: np.ndarray
+    light: np.ndarray
+    on: np.ndarray
+
+    @cached_property
+    def covered(self) -> np.ndarray:
+        """The mean light of each pixel's samples on the surface, and the share of those; (k, 4) float32."""
+        sums = np.where(self.on[..., None], self.light, np.float32(0)).sum(axis=1)
+        count = self.on.sum(axis=1)[:, None]
+        return np.column_stack([sums / np.maximum(count, 1), count / np.float32(self.on.shape[1])]).astype(np.float32)
+
+
+@dataclass(frozen=True, eq=False)
 class Frame:
     """A rendered view. All arrays are zero off the surface.
 
@@ -33,7 +52,7 @@ class Frame:
     texels projected onto the view's isosurface, None where its scene has none there. ``target`` is the total error that
     control pixels are to show, None of frames that have none; ``controls`` are those drawn so far, by the
     ``uncertainty`` (m,) of surface points, and it may be ``given_up``. ``expected`` is what it errs by
-    besides its noise, as the plan expects.
+    besides its noise, as the plan expects. Of a view that is smooth, ``edges`` have more samples.
     """
 
     view: View
@@ -52,6 +71,7 @@ class Frame:
     uncertainty: np.ndarray | None = None
     given_up: bool = False
     expected: float = 0.0
+    edges: EdgeSamples | None = None
 
     @cached_property
     def demands(self) -> tuple[Demand, ...]:

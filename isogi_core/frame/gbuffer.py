@@ -89,6 +89,14 @@ def pinhole(camera: Camera, width: int, height: int, spacing: Vector) -> Pinhole
     return Pinhole(*(to_index(v, spacing) for v in (np.array(camera.eye), corner, right * pixel, -up * pixel)))
 
 
+def view_pinhole(view: View, spacing: Vector) -> Pinhole:
+    """The camera of a view in index space, from the first row of its picture on."""
+    first, rows = view.whole
+    hole = pinhole(view.camera, view.width, rows, spacing)
+    x, y, z = (a + first * b for a, b in zip(hole.corner, hole.down, strict=True))
+    return hole._replace(corner=(x, y, z))
+
+
 def to_index(v: np.ndarray, spacing: Vector) -> Vector:
     """A world vector in index space, as a tuple for the kernels."""
     x, y, z = (float(a / s) for a, s in zip(v, spacing, strict=True))
@@ -98,7 +106,7 @@ def to_index(v: np.ndarray, spacing: Vector) -> Vector:
 def trace(view: View, surface: Surface, tiles: Tiles) -> GBuffer:
     """Cast the primary rays of ``view`` at the ``surface`` that it shows. Raises Cancelled."""
     spacing = surface.field.spacing
-    camera = pinhole(view.camera, view.width, view.height, spacing)
+    camera = view_pinhole(view, spacing)
     traced = surface.traced(tiles.run)
     found: dict[int, tuple[np.ndarray, np.ndarray]] = {}
 

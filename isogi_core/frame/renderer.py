@@ -28,6 +28,7 @@ import numpy as np
 from isogi_core.bake.bake_spec import spec_name
 from isogi_core.cache.page_pool import Held, PagePool
 from isogi_core.cache.scene_caches import Caches
+from isogi_core.frame.antialiasing import sample_edges
 from isogi_core.frame.control_pixels import expected_error
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import GBuffer, to_index, trace
@@ -104,7 +105,12 @@ class Renderer:
         is not of the albedo that the view asks for.
         """
         tiles = self.tiles.cancelled_by(cancelled) if cancelled else self.tiles
-        return self._draw(view, target or self.prepared.scene.target_error, tiles, watch or Stopwatch())
+        target, watch = target or self.prepared.scene.target_error, watch or Stopwatch()
+        frame = self._draw(view, target, tiles, watch)
+        if view.moving or not view.smooth:
+            return frame
+        with watch.stage("edges"):
+            return replace(frame, edges=sample_edges(frame, self.prepared.scene.default_exposure, tiles))
 
     def _draw(self, view: View, target: float, tiles: Tiles, watch: Stopwatch) -> Frame:
         """The frame of a view, drawn on the threads of ``tiles``."""
@@ -327,7 +333,7 @@ def frame_of(
 
 def surface_key(view: View) -> tuple[Any, ...]:
     """What the surface in a picture depends on."""
-    return view.isovalue, view.camera, view.width, view.height
+    return view.isovalue, view.camera, view.width, view.height, view.strip
 
 
 def version_of(light: RotatedLight, read: bytes) -> str:

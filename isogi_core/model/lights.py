@@ -42,7 +42,7 @@ class SkyLight:
     sun_azimuth: float = 135.0
     sun_elevation: float = 45.0
     turbidity: float = 3.0
-    ground: Colour = (0.2, 0.2, 0.2)
+    ground: Colour = (0.4, 0.36, 0.3)
     scale: float = 1.0
 
     def __post_init__(self) -> None:

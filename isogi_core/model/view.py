@@ -145,7 +145,8 @@ class View:
     Camera and light are those of the volume's box; the ``orientation`` says where that is in the world.
     ``samples`` is the number of paths per pixel and is read by ``path_traced`` alone. ``albedo``, linear RGB, is that
     of the surface, the scene's own by default; see ``Scene.albedo_for``. Texels of a view that is ``moving`` are not
-    projected: its pictures are to come quickly.
+    projected: its pictures are to come quickly. Else, where it is ``smooth``, pixels at edges have more samples. A
+    ``strip`` is rows of a larger picture: the first of them there, and how many that picture has.
     """
 
     isovalue: float
@@ -157,7 +158,14 @@ class View:
     samples: int = field(default=16)
     albedo: Vec3 | None = None
     moving: bool = field(default=False, repr=False)
+    smooth: bool = False
+    strip: tuple[int, int] | None = None
     orientation: Orientation = field(default=PLAIN, repr=False)
+
+    @property
+    def whole(self) -> tuple[int, int]:
+        """The first row of the picture in the whole that its camera sees, and how many rows that has."""
+        return self.strip or (0, self.height)
 
     def __post_init__(self) -> None:
         if not math.isfinite(self.isovalue):

@@ -136,7 +136,9 @@ def subject_of(scene: Scene, view: View) -> str:
 def save_reference(path: Path, reference: Reference, scene: Scene, view: View) -> None:
     """Write a reference of ``view``, whole or not at all, as .npz; ``about`` in it is JSON that says what it is of."""
     surface = {"normals": scene.normals, "offset": scene.offset}
-    shown = {name: value for name, value in asdict(view).items() if name not in ("moving", "orientation")}
+    shown = {
+        name: value for name, value in asdict(view).items() if name not in ("moving", "smooth", "strip", "orientation")
+    }
     about = {"format": FORMAT, "scene": scene.name, "bounces": scene.bounces, **surface, "view": shown}
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:

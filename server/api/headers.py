@@ -99,7 +99,7 @@ def entity_tag(frame: Frame, form: str, exposure: float, params: FrameParams) ->
     """A strong ETag: equal where the frame's content and its representation are, with errors where it shows them."""
     overlay, target, background = params.overlay, params.max_error, params.background
     controls = len(frame.controls.places) if frame.controls and (form == "npy" or overlay == "error") else 0
-    return tag_of(frame.version, form, exposure, overlay, target, controls, background, params.antialias)
+    return tag_of(frame.version, form, exposure, overlay, target, controls, background)
 
 
 def tag_of(*parts: object) -> str:

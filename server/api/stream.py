@@ -21,7 +21,7 @@ from server.api.pacing import Drafts, Motion, Window
 from server.api.service import PictureRequest, Service, ServiceDep, Shown
 from server.errors import ParameterError, StreamError
 from server.parameters import FrameParams, NoParams, read
-from server.pictures import MEDIA_TYPES, encode, format_for
+from server.pictures import MEDIA_TYPES, encode, format_for, smoothed
 from server.problems import Problem, problem, status_of
 from server.render.metrics import Metrics
 from server.render.scheduling import DRAFT, Rank
@@ -107,7 +107,7 @@ def read_message(message: dict[str, Any]) -> ViewRequest | Receipt:
     return read(Receipt, message.items()) if "shown" in message else read(ViewRequest, message.items())
 
 
-def answer(request: int, shown: Shown, form: str, draft: bool, antialias: int = 1) -> str:
+def answer(request: int, shown: Shown, form: str, draft: bool) -> str:
     """The facts of the picture that follows, an answer to the ``request`` of this id."""
     frame = shown.frame
     return json.dumps(
@@ -115,8 +115,8 @@ def answer(request: int, shown: Shown, form: str, draft: bool, antialias: int = 
             "id": request,
             "draft": draft,
             "final": not draft and frame.final,
-            "width": frame.view.width // antialias,
-            "height": frame.view.height // antialias,
+            "width": frame.view.width,
+            "height": frame.view.height,
             "media_type": MEDIA_TYPES[form],
             "facts": coverage_schema(frame, shown.time_left).model_dump(),
             "timing": {stage: round(1000.0 * seconds, 2) for stage, seconds in shown.watch.seconds.items()},
@@ -227,7 +227,8 @@ class Session:
     async def _show(self, request: ViewRequest, params: FrameParams) -> None:
         """Answer a view request, or send what is wrong with it."""
         try:
-            form, picture = format_for(params, None), self._service.picture_of(self._scene, params)
+            form = format_for(params, None)
+            picture = self._service.picture_of(self._scene, smoothed(params, form))
             await (
                 self._draft(request, params, picture) if request.moving else self._rest(request, params, picture, form)
             )
@@ -262,7 +263,7 @@ class Session:
         def made() -> tuple[str, bytes]:
             with shown.watch.stage("encode"):
                 picture = encode(shown.frame, form, exposure, params)
-            return answer(request.id, shown, form, request.moving, params.antialias), picture
+            return answer(request.id, shown, form, request.moving), picture
 
         renders = self._service.drafts if request.moving else self._service.renders
         facts, picture = await renders.run(made, rank)

@@ -16,6 +16,7 @@ from server.cli.movie import FRAMES, check_movie, write_movie
 from server.cli.reel import Budget, Reel, said
 from server.errors import ParameterError
 from server.parameters import FrameParams, read, view_of
+from server.pictures import smoothed
 from server.progress import open_scene
 from server.settings import Settings
 
@@ -91,7 +92,8 @@ def shots_of(scene: Scene, wishes: Wishes, knobs: Mapping[str, str]) -> list[Fra
     own["albedo"] = ",".join(map(repr, scene.albedo))
     own |= {"max_error": repr(wishes.target_error or scene.target_error), "f": "png"}
     path = film_path(knobs, views, own, count)
-    return [read(FrameParams, {**shot, "max_error": own["max_error"], "f": "png"}.items()) for shot in path]
+    shots = (read(FrameParams, {**shot, "max_error": own["max_error"], "f": "png"}.items()) for shot in path)
+    return [smoothed(shot, "png") for shot in shots]
 
 
 def document_in(file: Path) -> Any:

@@ -14,6 +14,7 @@ from isogi_core.storage.atomic_file import write_whole
 from server.cli.reel import Budget, Reel, said
 from server.errors import ParameterError
 from server.parameters import FrameParams, read, view_of
+from server.pictures import smoothed
 from server.prewarm.order import stepped
 from server.progress import open_scene
 from server.settings import Settings
@@ -93,7 +94,7 @@ def shots_of(sliders: Mapping[str, list[float]], knobs: Mapping[str, str]) -> di
     for places in itertools.product(*(range(len(values)) for values in sliders.values())):
         at = {name: repr(values[n]) for (name, values), n in zip(sliders.items(), places, strict=True)}
         name = f"pictures/{'-'.join(map(str, places))}.webp"
-        shots[name] = read(FrameParams, {**knobs, **at, "f": "webp"}.items())
+        shots[name] = smoothed(read(FrameParams, {**knobs, **at, "f": "webp"}.items()), "webp")
     return shots
 
 

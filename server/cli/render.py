@@ -3,7 +3,7 @@
 import math
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ from isogi_core.storage.atomic_file import write_whole
 from server.answers import camera_schema, coverage_schema
 from server.cli.bench import make_renderer
 from server.parameters import FrameParams, ViewParams, read, view_of
-from server.pictures import SUFFIXES, encode, format_for
+from server.pictures import SUFFIXES, encode, format_for, smoothed
 from server.progress import Progress, open_scene
 from server.render.bakes import Patience
 from server.render.engine import RenderEngine
@@ -31,9 +31,6 @@ from worker.progress import TimeLeft
 
 PLACED = {"distance", "eye", "target", "up"}
 """Options that say where the camera is: with none of them, all of the surface is seen."""
-
-SMOOTH = 2
-"""Samples along each side of a pixel."""
 
 STEP = 2.0
 """Seconds between two frames, while light is baked."""
@@ -54,7 +51,7 @@ def render(
     started = time.monotonic()
     form = format_of(output)
     scene = open_scene(target, settings)
-    params = read(FrameParams, [*smoothed(knobs, form, settings), ("f", form)])
+    params = smoothed(read(FrameParams, [*knobs.items(), ("f", form)]), form)
     format_for(params, None)
     view_of(scene, params, settings)
 
@@ -69,7 +66,7 @@ def render(
     return {
         "file": str(output),
         "format": form,
-        **frame_facts(frame, left, params.antialias),
+        **frame_facts(frame, left),
         "target_error": params.max_error or scene.target_error,
         "final": frame.coverage["final"],
         "paths": paths,
@@ -83,14 +80,6 @@ def seen_whole(engine: RenderEngine, scene: Scene, params: FrameParams, settings
     view = view_of(scene, params, settings)
     angles = [getattr(params, name) if name in params.model_fields_set else None for name in ("azimuth", "elevation")]
     return params.model_copy(update=camera_schema(engine.renderer(scene.id), view, *angles).model_dump())
-
-
-def smoothed(knobs: Mapping[str, str], form: str, settings: Settings) -> Iterable[tuple[str, str]]:
-    """The knobs, and SMOOTH samples a pixel where they do not say how many, and that many fit."""
-    asked = read(FrameParams, knobs.items())
-    fits = asked.width * asked.height * SMOOTH**2 <= settings.max_pixels and asked.shading != "path_traced"
-    add = form != "npy" and "antialias" not in knobs and fits
-    return [*knobs.items(), *([("antialias", str(SMOOTH))] if add else [])]
 
 
 def stopped_by(frame: Frame) -> str:
@@ -109,9 +98,9 @@ def rendered(facts: Mapping[str, Any]) -> str:
     return f"{facts['file']}: {facts['width']} × {facts['height']}, {states[facts['stopped']]}, {quality}"
 
 
-def frame_facts(frame: Frame, left: TimeLeft | None, antialias: int = 1) -> dict[str, Any]:
+def frame_facts(frame: Frame, left: TimeLeft | None) -> dict[str, Any]:
     """Size, quality and version of a frame, and the time until it would be final."""
-    size = {"width": frame.view.width // antialias, "height": frame.view.height // antialias}
+    size = {"width": frame.view.width, "height": frame.view.height}
     return {**size, **coverage_schema(frame, left).model_dump(), "version": frame.version}
 
 

@@ -30,8 +30,10 @@ from isogi_client import (
     TimeLeft,
     TokenError,
     UnreachableError,
+    nrrd_of,
 )
 from tests.client.lab import TOKEN, Broken, Faults, Lab, lab_of
+from tests.loaded import load_scene
 from worker.pool import WorkerPool
 
 VIEW: dict[str, Any] = {"width": 40, "height": 30}
@@ -86,7 +88,8 @@ def test_a_final_frame_is_the_one_that_the_server_has_in_the_end(isogi: Isogi) -
     assert [facts.coverage["final"] for facts in told] == sorted(facts.coverage["final"] for facts in told)
     again = isogi.frame("small", f="npy", azimuth=50, **VIEW)
     assert again.content == frame.content
-    planes = frame.array
+    planes = frame.planes
+    assert frame.array.shape[2] == 9 and "npy, " in repr(frame) and "\n" not in repr(frame)
     assert planes.rgb.shape == planes.position.shape == (30, 40, 3)
     assert planes.mask.any() and not planes.mask.all()
     assert (planes.state[planes.mask] == 3).all()
@@ -118,12 +121,12 @@ def test_pictures_are_saved_and_shown(isogi: Isogi, tmp_path: Path, f: str, suff
     with pytest.raises(ValueError, match=f"This frame is {f}"):
         frame.save(tmp_path / "a.npy")
     with pytest.raises(ValueError, match="ask for f='npy'"):
-        _ = frame.array
+        _ = frame.planes
 
 
 def test_numbers_are_no_picture(isogi: Isogi) -> None:
     frame = isogi.frame("small", f="npy", **VIEW)
-    assert Image.open(io.BytesIO(frame._repr_png_())).size == frame.array.mask.shape[::-1]
+    assert Image.open(io.BytesIO(frame._repr_png_())).size == frame.planes.mask.shape[::-1]
     with pytest.raises(ValueError, match="ask for f='png'"):
         _ = frame.image
 
@@ -250,3 +253,15 @@ def test_an_upload_is_sent_again_whole(tmp_path: Path, monkeypatch: pytest.Monke
     with Isogi() as isogi:
         assert isogi.upload(volume, name="A ball") == {"id": "ball"}
     assert bodies == [volume.read_bytes()] * 2
+
+
+def test_arrays_are_sent_as_nrrd(tmp_path: Path) -> None:
+    for array in [np.arange(24).reshape(2, 3, 4).astype(kind) for kind in (">i2", "f2", "u4")]:
+        (tmp_path / "sent.nrrd").write_bytes(nrrd_of(array, (1, 2, 0.5)))
+        volume = load_scene(tmp_path / "sent.nrrd").volume
+        assert volume.shape == (2, 3, 4) and volume.spacing == (1.0, 2.0, 0.5)
+    for wrong in (np.ones((3, 4)), np.ones((2, 2, 2), complex)):
+        with pytest.raises(ValueError, match="A volume is an array"):
+            nrrd_of(wrong, (1, 1, 1))
+    with pytest.raises(ValueError, match="three distances above 0"):
+        nrrd_of(np.ones((2, 2, 2)), (1, 0, 1))

@@ -8,6 +8,7 @@ import pytest
 
 from isogi_core.frame import film
 from isogi_core.frame.film import COVER, develop
+from isogi_core.frame.frame import EdgeSamples
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, PROVISIONAL
 
 STATES = (0, PROVISIONAL, CONVERGING, FINAL)
@@ -18,7 +19,7 @@ def frame_of(error: np.ndarray, light: float = 0.3) -> Any:
     state = np.repeat(np.array(STATES, np.uint8), 12)[None].repeat(len(error), axis=0)
     radiance = np.full((*state.shape, 3), light, np.float32)
     return SimpleNamespace(
-        radiance=radiance, state=state, total_error=np.repeat(error[:, None], 48, 1).astype(np.float32)
+        edges=None, radiance=radiance, state=state, total_error=np.repeat(error[:, None], 48, 1).astype(np.float32)
     )
 
 
@@ -36,7 +37,7 @@ def test_each_overlay_marks_its_pixels() -> None:
 
 
 @pytest.mark.parametrize(
-    ("background", "codes"), [("light", (244, 244, 242)), ("#1f00a7", (31, 0, 167)), ("#ffffff", (255, 255, 255))]
+    ("background", "codes"), [("light", (226, 228, 230)), ("#1f00a7", (31, 0, 167)), ("#ffffff", (255, 255, 255))]
 )
 def test_a_background_is_behind_the_surface_alone(background: str, codes: tuple[int, ...]) -> None:
     frame = frame_of(np.full(24, 0.05))
@@ -53,15 +54,15 @@ def test_a_transparent_picture_covers_its_surface() -> None:
 
 
 def test_samples_of_a_pixel_are_averaged_as_light() -> None:
-    frame = frame_of(np.full(24, 0.05), light=0.5)
-    frame.state[:, 1::2] = 0  # every other column is background
-    whole, smooth = develop(frame, 1.0, "none", "#ffffff"), develop(frame, 1.0, "none", "#ffffff", 2)
-    assert smooth.shape == (12, 24, 3)
-    lights = [film.linear_of(int(whole[0, column, 0]) / 255) for column in (12, 13)]
-    assert film.linear_of(int(smooth[0, 6, 0]) / 255) == pytest.approx(np.mean(lights), abs=0.01)
-    assert (develop(frame, 1.0, "none", "transparent", 2)[0, [0, 6], 3] == (0, 128)).all()
-    clear = develop(frame, 1.0, "none", "transparent", 2)
-    assert clear[0, 6, 0] == whole[0, 12, 0], "what is not covered has no colour"
+    frame, on = frame_of(np.full(2, 0.05)), np.array([[True, False], [True, True]])
+    frame.edges = EdgeSamples(np.array([0, 95], np.uint32), np.full((2, 2, 3), 0.5, np.float32), on)
+    picture = develop(frame, 1.0, "none", "#ffffff")
+    shown = film.linear_of(int(picture[1, 47, 0]) / 255)
+    assert film.linear_of(int(picture[0, 0, 0]) / 255) == pytest.approx((shown + 1.0) / 2, abs=0.01)
+    clear = develop(frame, 1.0, "none", "transparent")
+    assert clear[0, 0, 3] == 128 and clear[1, 47, 3] == 255
+    assert clear[0, 0, 0] == clear[1, 47, 0], "what is not covered has no colour"
+    assert (develop(frame, 1.0, "provisional")[1, 47] == develop(frame, 1.0, "provisional")[0, 47]).all()
 
 
 def test_unlit_pixels_are_hatched_without_an_error_colour() -> None:

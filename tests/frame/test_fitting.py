@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from isogi_core.frame.fitting import FILLED, nearest
+from isogi_core.frame.fitting import ASKEW, FILLED, FRONT, front_of, nearest
 from isogi_core.model.view import orbit
+from isogi_core.model.volume import make_volume
 
 SLOPES = (0.3, 0.2)
 
@@ -32,3 +33,8 @@ def test_a_speck_afar_does_not_push_the_camera_away() -> None:
 def test_an_orbit_aims_where_the_fit_says() -> None:
     camera = orbit((1.0, 2.0, 3.0), 2.0, 35.0, 25.0, 4.0, 30.0)
     assert np.linalg.norm(np.subtract(camera.eye, (1.0, 2.0, 3.0))) == pytest.approx(8.0)
+
+
+def test_the_longer_side_lies_across_the_first_picture() -> None:
+    cube, long, wide = (front_of(make_volume(np.zeros(shape))) for shape in ((4, 8, 8), (4, 16, 8), (4, 8, 80)))
+    assert cube == FRONT and long[0] < cube[0] and wide == (ASKEW[1], FRONT[1])

@@ -50,7 +50,7 @@ def compare(settings):
         renderer = Renderer(Caches(PreparedScene(scene), store, 1 << 26), Tiles())
         cache = renderer.caches.of("gi")
         cache.pool.insert(Chunks.of_one(Chunk.empty((0, 0, 0), cache.chunk_store.spec.plan)))
-        view = View(scene.isovalue, scene.camera(30, 20, 3, 30), width=20, height=20, light=light)
+        view = View(scene.isovalue, scene.camera(30, 20, 3, 30), width=20, height=20, light=light, smooth=True)
         frame = renderer.render(view)
         assert frame.provisional and frame.demands
         chunk = Chunk.empty(frame.demands[0].index, cache.chunk_store.spec.plan).with_texels(frame.demands[0].offsets)

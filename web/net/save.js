@@ -2,19 +2,27 @@
 
 import { find } from "../dom.js";
 import { errorInWords, frameInWords } from "../view/format.js";
-import { samplesFor } from "../view/picture.js";
 import { readFrame } from "./api.js";
 import { withNotes } from "./png.js";
 import { untilFinal } from "./polling.js";
-import { Trouble } from "./trouble.js";
+import { Sheet, stripsOf, worstOf } from "./strips.js";
 
 /** @typedef {import("./request.js").Description} Description */
 /** @typedef {import("./schemas.js").Facts} Facts */
 /** @typedef {import("./schemas.js").Scene} Scene */
-/** @typedef {{controller: AbortController, size: string, link: string, file: string, alt: string}} Work one picture */
+/** @typedef {{blob: Blob, facts: Facts}} Picture */
+/**
+ * @typedef {object} Work one picture
+ * @property {AbortController} controller stops it
+ * @property {AbortController} hurry has it end with what is there
+ * @property {string} size
+ * @property {string} link
+ * @property {string} file
+ * @property {string} alt
+ */
 
-const WIDTHS = [1920, 3840];
-const LONGEST_SIDE = 4096;
+const WIDTHS = [1920, 3840, 7680];
+const LONGEST_SIDE = 8192;
 const LEAST_WIDTH = 1920; // what is offered first
 
 /**
@@ -36,8 +44,6 @@ export class Saver {
   #description;
   /** @type {Work|null} */
   #work = null;
-  /** @type {{blob: Blob, facts: Facts}|null} */
-  #best = null;
 
   /**
    * @param {HTMLElement} panel a popover that holds `#save-size`, `#save-progress`, a `.note` and three buttons
@@ -51,7 +57,7 @@ export class Saver {
     panel.addEventListener("beforetoggle", ({ newState }) => newState === "open" && this.#offer());
     panel.addEventListener("keydown", ({ key }) => key === "Escape" && this.#close());
     find(panel, "#save-start").addEventListener("click", () => this.#start());
-    find(panel, "#save-now").addEventListener("click", () => this.#finish());
+    find(panel, "#save-now").addEventListener("click", () => this.#work?.hurry.abort());
     find(panel, "#save-close").addEventListener("click", () => this.#close());
   }
 
@@ -70,51 +76,82 @@ export class Saver {
   async #start() {
     const [width, height] = find(this.#panel, "#save-size", HTMLSelectElement).value.split("×").map(Number);
     const { link, query, file, alt } = this.#description;
-    const controller = new AbortController();
-    this.#begin({ controller, size: `${width} × ${height}`, link: link(), file: file(), alt: alt() });
-    const wanted = { ...query(), antialias: samplesFor({ width, height }), width, height, f: "png" };
-    await this.#refine(wanted, controller.signal);
+    const [controller, hurry] = [new AbortController(), new AbortController()];
+    const work = { controller, hurry, size: `${width} × ${height}`, link: link(), file: file(), alt: alt() };
+    this.#begin(work);
+    try {
+      await this.#make({ ...query(), width, height, f: "png" }, { width, height }, work);
+    } catch (error) {
+      if (!controller.signal.aborted) this.#end(/** @type {Error} */ (error).message);
+    }
   }
 
   /**
+   * Ask for a picture, strip by strip, and hand it over.
    * @param {import("./schemas.js").FrameQuery} query
-   * @param {AbortSignal} signal
-   * @returns {Promise<void>}
+   * @param {{width: number, height: number}} size
+   * @param {Work} work
    */
-  async #refine(query, signal) {
-    /** @type {(waitMs: number, etag: string|null) => Promise<import("./schemas.js").Frame>} */
-    const ask = (waitMs, etag) => readFrame(this.#scene.id, { ...query, wait_ms: waitMs }, { etag, signal });
-    try {
-      for await (const picture of untilFinal(ask, signal, ({ detail }) => this.#say(detail))) this.#came(picture);
-      if (this.#best?.facts.provisional) this.#say(`No more light is coming: ${frameInWords(this.#best.facts)}.`);
-      else await this.#finish();
-    } catch (error) {
-      const { antialias, ...plain } = query;
-      if (antialias !== 1 && error instanceof Trouble && error.status === 422) return this.#refine({ ...plain, antialias: 1 }, signal);
-      if (!signal.aborted) this.#end(/** @type {Error} */ (error).message);
+  async #make(query, size, work) {
+    const strips = stripsOf(size);
+    if (strips.length === 1) return this.#finish(await this.#refine(query, work, 0, 1), work);
+    /** @type {Facts[]} */
+    const known = [];
+    const sheet = new Sheet(size);
+    for (const [n, strip] of strips.entries()) {
+      const { blob, facts } = await this.#refine({ ...query, strip: strip.rows.join(",") }, work, n, strips.length);
+      await sheet.add(blob, strip);
+      known.push(facts);
     }
+    this.#say("Putting the picture together…");
+    await this.#finish({ blob: await sheet.file(), facts: worstOf(known) }, work);
+  }
+
+  /**
+   * The best picture of strip `n` of so many: the final one, unless there is a hurry.
+   * @param {import("./schemas.js").FrameQuery} query
+   * @param {Work} work
+   * @param {number} n
+   * @param {number} strips
+   * @returns {Promise<Picture>}
+   */
+  async #refine(query, { controller: { signal }, hurry }, n, strips) {
+    /** @type {Picture|null} */
+    let best = null;
+    const stop = new AbortController();
+    const over = AbortSignal.any([signal, stop.signal]);
+    const part = strips > 1 ? `Part ${n + 1} of ${strips}: ` : "";
+    /** @type {(waitMs: number, etag: string|null) => Promise<import("./schemas.js").Frame>} */
+    const ask = (waitMs, etag) => readFrame(this.#scene.id, { ...query, wait_ms: waitMs }, { etag, signal: over });
+    const hurried = new Promise((resolve) => hurry.signal.addEventListener("abort", () => best && resolve(best)));
+    const refined = async () => {
+      for await (const picture of untilFinal(ask, over, ({ detail }) => this.#say(detail))) {
+        best = picture;
+        find(this.#panel, "#save-progress", HTMLProgressElement).value = (n + picture.facts.coverage.final) / strips;
+        find(this.#panel, "#save-now").hidden = hurry.signal.aborted;
+        this.#say(`${part}${frameInWords(picture.facts)}.`);
+        if (hurry.signal.aborted) break;
+      }
+      if (!best?.facts.provisional || hurry.signal.aborted) return best;
+      this.#say(`${part}No more light is coming: ${frameInWords(best.facts)}.`);
+      return hurried;
+    };
+    return Promise.race([hurried, refined()]).finally(() => stop.abort());
   }
 
   /** @param {Work} work */
   #begin(work) {
     this.#work = work;
-    this.#best = null;
     this.#show({ busy: true });
     this.#say("Asking for the picture…");
   }
 
-  /** @param {{blob: Blob, facts: Facts}} picture */
-  #came(picture) {
-    this.#best = picture;
-    find(this.#panel, "#save-progress", HTMLProgressElement).value = picture.facts.coverage.final;
-    find(this.#panel, "#save-now").hidden = false;
-    this.#say(`${frameInWords(picture.facts)}.`);
-  }
-
-  /** Hand over the best picture that came. */
-  async #finish() {
-    if (!this.#best || !this.#work) return;
-    const [{ blob, facts }, { link, file, alt, size }] = [this.#best, this.#work];
+  /**
+   * Hand over a picture.
+   * @param {Picture} picture
+   * @param {Work} work
+   */
+  async #finish({ blob, facts }, { link, file, alt, size }) {
     const name = `${file}${facts.provisional ? "-preview" : ""}.png`;
     const state = [frameInWords(facts), size, this.#missed(facts)].filter(Boolean).join(", ");
     download(await withNotes(blob, { Title: latin(alt), Software: "isogi", Source: link, Comment: latin(state) }), name);

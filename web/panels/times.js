@@ -8,7 +8,7 @@ const SPAN_MS = 2000; // of which drafts are counted
 const STAGES = {
   queue: "Waiting for a thread", demand: "Asking for light", bake: "Waiting for light", primary: "Camera’s rays",
   texels: "Finding texels", load: "Light from the store", read: "Looking texels up", light: "Turning the light",
-  shade: "Shading", normals: "Normals", paths: "Paths", encode: "Making the file",
+  shade: "Shading", normals: "Normals", paths: "Paths", edges: "Smooth edges", encode: "Making the file",
 };
 
 /** A folded list of times. */

@@ -4,17 +4,6 @@ const LONGEST_SIDE = 1024;
 const HIGHEST_RATIO = 1.5; // of a picture whose light is still to come: finer costs much and shows little
 const SHORTEST_SIDE = 64;
 const MOST_PIXELS = 1 << 24; // that a server takes
-const FINE_RATIO = 2; // from which on a screen's pixels are too small for their stairs to be seen
-const SIDE = 2; // samples along each side of a pixel that is larger
-
-/**
- * Samples along each side of a picture's pixels: as many as hide the stairs of its edges, if a server takes so many.
- * @param {{width: number, height: number}} size
- * @returns {number}
- */
-export function samplesFor({ width, height }) {
-  return width * height * SIDE * SIDE <= MOST_PIXELS ? SIDE : 1;
-}
 
 /**
  * Pixels of the picture that fills a box on a screen, times `scale`: all that the screen has where it is `sharp`, else
@@ -62,17 +51,12 @@ export class Picture {
     return pictureSize(clientWidth, clientHeight, window.devicePixelRatio || 1, scale, this.sharp);
   }
 
-  /** Samples along each side of a pixel. @returns {number} */
-  get samples() {
-    return this.sharp && (window.devicePixelRatio || 1) < FINE_RATIO ? samplesFor(this.size(1)) : 1;
-  }
-
-  /** Ask for all of the screen's pixels, and for smooth edges, from now on. @returns {boolean} whether that is more */
+  /** Ask for all of the screen's pixels from now on. @returns {boolean} whether that is more */
   sharpen() {
     if (this.#refused) return false;
     const before = this.size(1).width;
     this.sharp = true;
-    return this.size(1).width > before || this.samples > 1;
+    return this.size(1).width > before;
   }
 
   /** The server does not take so many pixels: ask for no more than before, from now on. */

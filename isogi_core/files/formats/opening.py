@@ -8,6 +8,7 @@ from typing import Any
 from isogi_core.errors import VolumeError
 from isogi_core.files.formats import dicom, hdf5, itk, mrc, nifti, numpy_file, tiff, vti
 from isogi_core.files.formats.source import KEYS, Source
+from isogi_core.files.formats.wrong_files import sort_of
 from isogi_core.files.grid import Grid
 from isogi_core.files.nrrd import open_nrrd, read_attached
 
@@ -47,13 +48,28 @@ def open_file(path: Path, chosen: dict[str, Any]) -> Grid:
         return _open_folder(source)
     with source.open() as file:
         head = file.read(HEAD)
+    refuse_others(str(path), head)
     if head.startswith(b"NRRD") or path.suffix.lower() in (".nrrd", ".nhdr"):
         source.refuse_others()
         return open_nrrd(path)
     opener = opener_for(head, _unpacked_head(source), path.suffix.lower())
     if opener is None:
-        raise VolumeError(f"'{path}' is no volume that is known here: give {KNOWN}.")
+        raise unknown(str(path), head, path.suffix.lower())
     return opener(source)
+
+
+def refuse_others(name: str, head: bytes) -> None:
+    """Raise VolumeError where a file begins as one of another sort does, whatever its name is."""
+    if sort_of(head):
+        raise unknown(name, head)
+
+
+def unknown(name: str, head: bytes, suffix: str = "") -> VolumeError:
+    """What is wrong with a file that is no volume, with what it seems to be where that is known."""
+    sort = sort_of(head, suffix)
+    return VolumeError(
+        f"'{name}' seems to be {sort}." if sort else f"'{name}' is no volume that is known here: give {KNOWN}."
+    )
 
 
 def _unpacked_head(source: Source) -> bytes:
@@ -78,12 +94,13 @@ def open_upload(file: Any, name: str, most: int) -> Grid:
     """
     source = Source(name, file=file, voxels=most)
     head = file.read(HEAD)
+    refuse_others(name, head)
     if head.startswith(b"NRRD"):
         file.seek(0)
         return read_attached(file, name, most)
     opener = opener_for(head, _unpacked_head(source), Path(name).suffix.lower())
     if opener is None:
-        raise VolumeError(f"'{name}' is no volume that is known here: give {KNOWN}.")
+        raise unknown(name, head, Path(name).suffix.lower())
     return opener(source)
 
 

@@ -43,18 +43,40 @@ def trace_pixels(surface, camera, first, width, pixels, points):
     index space, to ``points`` (n, 3).
     """
     count = pixels.shape[0]
-    origins, directions = np.empty((3, count)), np.empty((3, count))
+    directions = np.empty((3, count))
     for i in range(count):
         y, x = divmod(first + i, width)
-        put_column(origins, i, camera.eye)
         put_column(directions, i, pixel_ray(camera, x + 0.5, y + 0.5))
+    return meet_surface(surface, camera, directions, first, pixels, points)
+
+
+@kernel(types.int64(SURFACE, PINHOLE, types.float32[:, ::1], types.uint32[::1], types.float32[:, ::1]))
+def trace_places(surface, camera, places, found, points):
+    """Cast the rays through the ``places`` (n, 2; x, y) of a picture; returns how many show the surface.
+
+    Their rows are written to ``found`` (n,), ascending, and where the surface is there to ``points``, as above.
+    """
+    count = places.shape[0]
+    directions = np.empty((3, count))
+    for i in range(count):
+        put_column(directions, i, pixel_ray(camera, places[i, 0], places[i, 1]))
+    return meet_surface(surface, camera, directions, 0, found, points)
+
+
+@kernel()
+def meet_surface(surface, camera, directions, first, found, points):
+    """Cast rays from the eye; write the numbers, from ``first``, of those that meet the surface, and where."""
+    count = directions.shape[1]
+    origins = np.empty((3, count))
+    for i in range(count):
+        put_column(origins, i, camera.eye)
     t, came = np.empty(count), np.empty(count, np.int8)
     rays = Rays(np.full(count, surface.isovalue), origins, directions, np.full(count, UNKNOWN, np.int8))
     cast_batch(surface.field, surface.cells, rays, t, came)
     hits = 0
     for i in range(count):
         if t[i] < math.inf:
-            pixels[hits] = first + i
+            found[hits] = first + i
             points[hits, 0], points[hits, 1], points[hits, 2] = madd(camera.eye, t[i], column(directions, i))
             hits += 1
     return hits

@@ -27,7 +27,7 @@ from server.parameters import (
     ViewParamsDep,
     documented,
 )
-from server.pictures import MEDIA_TYPES, encode, format_for, npy_bytes, npy_parts
+from server.pictures import MEDIA_TYPES, encode, format_for, npy_bytes, npy_parts, smoothed
 from server.problems import documented_problems
 from server.render.bakes import BackgroundBake
 from server.render.jobs import Job, Result
@@ -74,7 +74,7 @@ async def read_frame(
     """A picture at once, with what is baked so far; the headers say how good it is."""
     form = format_for(params, request.headers.get("accept"))
     exposure = scene.default_exposure if params.exposure is None else params.exposure
-    params, applied = preferences.fill(params)
+    params, applied = preferences.fill(smoothed(params, form))
     later = preferences.respond_async and bearer.may("bake")
 
     def answer(shown: Shown) -> Response | None:

@@ -1,6 +1,7 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { sizesFor } from "../../../web/net/save.js";
+import { stripsOf, worstOf } from "../../../web/net/strips.js";
 import { tooLarge, volumeName } from "../../../web/net/upload.js";
 import { errorAxis, timeAxis } from "../../../web/panels/chart.js";
 import { dividerPlace } from "../../../web/panels/comparison.js";
@@ -212,11 +213,28 @@ test("stages have names, and their sum is the last but one", () => {
 
 test("pictures are offered in the shape of the one shown", () => {
   const sizes = sizesFor({ width: 900, height: 600 });
-  assert.deepEqual(sizes.map(({ width, height }) => [width, height]), [[900, 600], [1800, 1200], [1920, 1280], [3840, 2560]]);
+  assert.deepEqual(sizes.map(({ width, height }) => [width, height]), [[900, 600], [1800, 1200], [1920, 1280], [3840, 2560], [7680, 5120]]);
 });
 
-test("no picture longer than 4096 is offered", () => {
-  assert.deepEqual(sizesFor({ width: 400, height: 1000 }).map(({ width }) => width), [400, 800]);
+test("no picture longer than 8192 is offered", () => {
+  assert.deepEqual(sizesFor({ width: 400, height: 1000 }).map(({ width }) => width), [400, 800, 1920]);
+});
+
+test("strips of a large picture cover it once, and overlap their neighbours", () => {
+  assert.deepEqual(stripsOf({ width: 1920, height: 1200 }), [{ rows: [0, 1200], from: 0, to: 1200 }]);
+  const strips = stripsOf({ width: 8192, height: 8192 });
+  assert.equal(strips[0].from, 0);
+  assert.equal(strips.at(-1)?.to, 8192);
+  for (const [n, { rows: [first, last], from, to }] of strips.entries()) {
+    assert.ok((last - first) * 8192 <= 1 << 23 && first <= from && last >= to);
+    if (n > 0) assert.ok(strips[n - 1].to === from && first < from);
+  }
+});
+
+test("a picture of strips is as good as its worst", () => {
+  const [good, bad, worst] = [{ provisional: false, error: 0.01 }, { provisional: false, error: 0.02 }, { provisional: true, error: 0.001 }];
+  assert.equal(worstOf(/** @type {any} */ ([good, bad])), bad);
+  assert.equal(worstOf(/** @type {any} */ ([worst, good, bad])), worst);
 });
 
 test("a file that is too large is refused before it is sent", () => {

@@ -1,0 +1,30 @@
+"""What a file that is no volume seems to be, and what to do then."""
+
+PICTURE = "a picture, and a volume is many slices: give the folder of a stack of TIFFs, or one NRRD"
+MESH = "a mesh of triangles, which has no values inside: give the volume that it was made from"
+BARE = "bare voxels without a header: write their type, sizes and encoding into an .nhdr that names the file"
+PROBE = "a light probe: name it in a scene, [[lights]] type = 'probe'"
+
+KINDS: tuple[tuple[bytes, str], ...] = (
+    (b"\x89PNG", PICTURE),
+    (b"\xff\xd8\xff", PICTURE),
+    (b"GIF8", PICTURE),
+    (b"#?R", PROBE),
+    (b"%PDF", "a PDF document: give the file of the volume itself"),
+    (b"solid ", MESH),
+    (b"ply\n", MESH),
+    (b"ply\r", MESH),
+    (b"glTF", MESH),
+    (b"<!DOCTYPE html", "a web page, as of a download that went wrong: fetch the file again"),
+    (b"<html", "a web page, as of a download that went wrong: fetch the file again"),
+    (b"version https://git-lfs", "a pointer of Git LFS, not the file: fetch that by git lfs pull"),
+)
+"""How files begin, and what they are."""
+
+SUFFIXES = {".stl": MESH, ".obj": MESH, ".ply": MESH, ".raw": BARE, ".gz": BARE, ".bin": BARE}
+"""What the endings of names say of files that begin as nothing that is known."""
+
+
+def sort_of(head: bytes, suffix: str = "") -> str:
+    """What a file that begins with ``head`` seems to be, and what to do then; empty where nothing tells."""
+    return next((words for mark, words in KINDS if head.startswith(mark)), SUFFIXES.get(suffix, ""))

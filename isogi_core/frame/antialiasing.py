@@ -1,0 +1,86 @@
+"""Antialiasing: more samples in the pixels of a picture where edges are: silhouettes, creases and shadows' edges.
+
+A sample costs a ray. Its light is that of the pixels around it, where they show the surface next to it.
+"""
+
+import math
+
+import numpy as np
+
+from isogi_core.frame.film import lit
+from isogi_core.frame.frame import EdgeSamples, Frame
+from isogi_core.frame.gbuffer import RAYS, view_pinhole
+from isogi_core.frame.tiles import Tiles
+from isogi_core.kernels.shading.edges import Shown, borrow_light, find_contrasts
+from isogi_core.kernels.tracing.camera import trace_places
+
+COUNTS = (16, 8)
+"""Samples that a pixel at an edge may have: the more where the BUDGET allows that for all silhouettes."""
+
+BUDGET = 0.4
+"""Samples of a picture, at most, over its pixels: where edges are everywhere, the strongest have them."""
+
+LEAST = 12
+"""How much neighbours differ, of 255 steps, where a pixel counts as at an edge."""
+
+SILHOUETTE = 255
+"""What that is where one of them alone shows the surface."""
+
+
+def find_edges(picture: np.ndarray, state: np.ndarray) -> tuple[np.ndarray, int]:
+    """The pixels at edges of a ``picture`` (h, w, 3) uint8, by ``state`` (h, w); and samples for each of them."""
+    found, most = np.empty(state.shape, np.uint8), int(BUDGET * state.size)
+    find_contrasts(picture, state, found)
+    contrast = found.ravel()
+    silhouettes = int((contrast == SILHOUETTE).sum())
+    count = next((each for each in COUNTS if silhouettes * each <= most), COUNTS[-1])
+    edges = np.flatnonzero(contrast >= LEAST)
+    if len(edges) * count > most:
+        strongest = np.argsort(contrast[edges], kind="stable")[::-1][: max(most // count, 1)]
+        edges = np.sort(edges[strongest])
+    return edges.astype(np.uint32), count
+
+
+def pattern(count: int) -> np.ndarray:
+    """Places of ``count`` samples in a pixel, (count, 2) float32 in [0, 1): each in its own row and column.
+
+    Source: Halton 1964 in base 2, Hammersley's set, shifted so that its middle is the pixel's.
+    """
+    order, reverse, bits = np.arange(count), np.zeros(count), count.bit_length() - 1
+    for bit in range(bits):
+        reverse += (order >> bit & 1) / 2.0 ** (bit + 1)
+    return np.stack([(order + 0.5) / count, reverse + 0.5 / count], axis=-1).astype(np.float32)
+
+
+def sample_edges(frame: Frame, exposure: float, tiles: Tiles) -> EdgeSamples | None:
+    """More samples where a ``frame`` has edges at its ``exposure``; None where it has none. Raises Cancelled."""
+    pixels, count = find_edges(lit(frame.radiance, frame.state, exposure, marked=False), frame.state)
+    if not len(pixels):
+        return None
+    corners = np.stack(np.divmod(pixels, frame.view.width)[::-1], axis=-1).astype(np.float32)
+    places = (corners[:, None] + pattern(count)).reshape(-1, 2)
+    light, on = np.zeros((len(places), 3), np.float32), np.zeros(len(places), np.bool_)
+    view, gbuffer = frame.view, frame.gbuffer
+    camera, traced = view_pinhole(view, gbuffer.spacing), gbuffer.surface.traced(tiles.run)
+    shown = shown_by(frame)
+
+    def _piece(a: int, b: int) -> None:
+        found, points = np.empty(b - a, np.uint32), np.empty((b - a, 3), np.float32)
+        hits = trace_places(traced, camera, places[a:b], found, points)
+        on[a:b][found[:hits]] = True
+        borrow_light(shown, places[a:b], found[:hits], points[:hits], light[a:b])
+
+    tiles.run(_piece, len(places), RAYS)
+    return EdgeSamples(pixels, light.reshape(len(pixels), count, 3), on.reshape(len(pixels), count))
+
+
+def shown_by(frame: Frame) -> Shown:
+    """What the pixels of a ``frame`` show, as the kernels take it."""
+    view, gbuffer = frame.view, frame.gbuffer
+    rows = np.full(frame.state.shape, -1, np.int32)
+    rows.flat[gbuffer.pixels] = np.arange(len(gbuffer.pixels), dtype=np.int32)
+    pixel = 2.0 * math.tan(math.radians(view.camera.fov) / 2.0) / view.whole[1]
+    x, y, z = gbuffer.spacing
+    scale = np.float32(x), np.float32(y), np.float32(z)
+    eye = np.float32(gbuffer.eye[0]), np.float32(gbuffer.eye[1]), np.float32(gbuffer.eye[2])
+    return Shown(rows, gbuffer.points, frame.radiance.reshape(-1, 3), scale, eye, np.float32(1.0 / pixel**2))
