@@ -6,8 +6,9 @@ from dataclasses import replace
 import numpy as np
 
 from isogi_core.frame.renderer import Renderer
-from isogi_core.model.orientation import Orientation, triple
+from isogi_core.model.orientation import triple
 from isogi_core.model.view import Vec3, View, orbit
+from isogi_core.plan.scene import Scene
 
 SIDE = 96
 """Pixels along each side of the picture that finds the surface."""
@@ -18,6 +19,9 @@ FRONT = (50.0, 25.0)
 FACE = (65.0, 15.0)
 """The same for a patient, whose face is at azimuth 90."""
 
+INSIDE = (90.0, 5.0)
+"""The same in a room, from its open side."""
+
 FILLED = 0.9
 """Share of the picture's height, or width, that the surface fills."""
 
@@ -25,9 +29,11 @@ SPECKS = 0.003
 """Share of the surface's pixels that may be outside at each side: noise afar does not push the camera away."""
 
 
-def front_of(orientation: Orientation) -> tuple[float, float]:
-    """The azimuth and the elevation from which a volume is seen at first."""
-    return FACE if orientation.letters else FRONT
+def front_of(scene: Scene) -> tuple[float, float]:
+    """The azimuth and the elevation from which the volume of a ``scene`` is seen at first."""
+    if scene.room.any:
+        return INSIDE
+    return FACE if scene.volume.orientation.letters else FRONT
 
 
 def fitted(renderer: Renderer, view: View, azimuth: float, elevation: float) -> tuple[Vec3, float] | None:
