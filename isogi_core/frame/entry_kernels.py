@@ -34,12 +34,15 @@ from isogi_core.kernels.shading.lobes import (
 from isogi_core.kernels.shading.local_models import find_normals, find_shadows, shade_local, trace_points
 from isogi_core.kernels.shading.texel_normals import fill_texel_normals, keep_normals, look_up_normals
 from isogi_core.kernels.shading.texel_table import add_part, judge_rows, unpack_texels
+from isogi_core.kernels.shading.wall_light import light_walls
 from isogi_core.kernels.tracing.active_cells import fill_ranges, mark_bricks, pack_bricks
 from isogi_core.kernels.tracing.camera import trace_pixels, trace_places
 from isogi_core.kernels.tracing.macrocells import fill_macrocells
 from isogi_core.kernels.tracing.stiffness import count_stiffness
+from isogi_core.kernels.tracing.walls import trace_pixels_in_room
 from isogi_core.kernels.transport.harmonics import rotate
 from isogi_core.kernels.transport.lights import project_lamps
+from isogi_core.kernels.transport.room_paths import fill_seeds, light_in_room
 from isogi_core.kernels.transport.texel_points import measure_distances
 from isogi_core.plan.left_out import uncalled
 from isogi_core.plan.scene import Scene
@@ -58,6 +61,9 @@ LOBES = (
     add_lobes,
 )
 """Those that only lights with lobes call."""
+
+ROOM = (light_in_room, trace_pixels_in_room, light_walls, fill_seeds)
+"""Those that only scenes with walls call, besides; not their ``trace_pixels``."""
 
 FRAME = (
     LOBES[0],
@@ -97,16 +103,18 @@ FRAME = (
     keep_normals,
     *LOBES[1:],
 )
-"""All of them, those that take longest to compile first."""
+"""All of them but ROOM, those that take longest to compile first."""
 
 OTHERS = (trace_points, find_shadows, shade_local)
 """Those of pictures without light from texels, local shadings and path-traced ones; and of checks of pictures."""
 
 
 def frame_kernels(scenes: Iterable[Scene]) -> tuple[Any, ...]:
-    """Those that frames of any of the ``scenes`` call, in the order of FRAME."""
-    uncalled = set.intersection({*FRAME}, *map(uncalled_by, scenes))
-    return tuple(kernel for kernel in FRAME if kernel not in uncalled)
+    """Those that frames of any of the ``scenes`` call: ROOM where one has walls, then in the order of FRAME."""
+    shown = tuple(scenes)
+    uncalled = set.intersection({*FRAME}, *map(uncalled_by, shown))
+    rooms = ROOM if any(scene.room.any for scene in shown) else ()
+    return (*rooms, *(kernel for kernel in FRAME if kernel not in uncalled))
 
 
 def uncalled_by(scene: Scene) -> set[Any]:
@@ -116,6 +124,7 @@ def uncalled_by(scene: Scene) -> set[Any]:
     never |= set() if scene.projected is None else {count_stiffness}
     projects = scene.projection.any
     never |= set() if projects else {measure_distances}
+    never |= {trace_pixels} if scene.room.any else set()
     if carries_irradiance_ratios(scene, "gi", False):
         return never | {carry_light}
     return never if projects else never | {carry_ratios}

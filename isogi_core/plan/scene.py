@@ -14,6 +14,7 @@ from isogi_core.kernels.shading.lattice import CHUNK
 from isogi_core.kernels.tracing.field import OFFSET, Field
 from isogi_core.model.environment import Environment, Lamps
 from isogi_core.model.lights import Light
+from isogi_core.model.room import NO_ROOM, Room
 from isogi_core.model.scene_plan import Layer, LeftOut, ScenePlan
 from isogi_core.model.view import Camera, orbit
 from isogi_core.model.volume import Isovalue, Volume
@@ -32,6 +33,12 @@ NORMALS = ("bspline", "gradient")
 SURVEYED = ("texels", "projection", "presets")
 """Properties of a scene that take a pass over its volume, and that no plan changes."""
 
+ROOM = "room"
+"""Stands for the kinds of layers that are baked among walls."""
+
+IN_WALL = 1e-6
+"""How near the camera may come to a wall, in radii of the volume."""
+
 CHUNKS = (8, 16, 32)
 """Sides that a chunk may have, in texels. Small chunks spread over more workers; large ones are fewer objects."""
 
@@ -47,6 +54,7 @@ class Scene:
     ``offset`` voxels above a surface. ``plan`` was made for ``inputs``, with the scene's own ``overrides``.
     ``named`` are the isovalues that the scene names. ``projected`` settles whether texels that are far from the
     isosurface of a view at rest are projected onto it; None leaves that to the plan, see ``plan.projection``.
+    ``lamps`` are those of the ``lights`` and the luminaires of the ``room``.
     """
 
     id: str
@@ -70,6 +78,12 @@ class Scene:
     named: tuple[Preset, ...] = ()
     projected: bool | None = None
     albedos: tuple[float, float] | None = None
+    room: Room = NO_ROOM
+
+    @property
+    def bakes(self) -> frozenset[str]:
+        """The kinds of layers that are baked, or ROOM: those among walls are baked by kernels of their own."""
+        return frozenset({ROOM} if self.room.any else {layer.kind for layer in self.plan.layers})
 
     @property
     def name(self) -> str:
@@ -161,6 +175,12 @@ class Scene:
             raise ViewError(f"albedo must be from {lowest:g} to {highest:g} in this scene, not {given}.")
         return asked
 
+    def refuse_camera(self, camera: Camera) -> None:
+        """Raise ViewError where a ``camera``, in the volume's box, stands in a wall: all it would see is that."""
+        wall = self.room.wall_at(camera.eye, IN_WALL * self.volume.radius)
+        if wall is not None:
+            raise ViewError(f"The camera stands in wall {wall + 1}: move it to either side.")
+
     def layer_digest(self, layer: Layer, shown: Isovalue | None = None) -> str:
         """Digest (hex) of everything that a layer's light depends on, and of nothing else.
 
@@ -175,6 +195,7 @@ class Scene:
             parts += [["nodes", *nodes] if nodes else self.albedo[: layer.channels], self.bounces, self.plan.survival]
         if layer.kind == "irradiance":
             parts += [self.environment.digest, self.lamps.digest, self.albedo]
+            parts += ["walls", self.room.digest] if self.room.any else []
         return digest_of(parts)
 
     @property
@@ -200,7 +221,8 @@ class Scene:
         orientation = self.volume.orientation
         placed = [orientation.rotation, orientation.origin] if orientation.placed else []
         lit = [self.albedo, self.plan.order, self.plan.lobes, self.target_error]
-        return digest_of([self.bake_digest, *lights, *lit, *settled, *placed])
+        walls = ["walls", self.room.digest] if self.room.any else []
+        return digest_of([self.bake_digest, *lights, *lit, *settled, *placed, *walls])
 
     def camera(self, azimuth: float, elevation: float, distance: float, fov: float) -> Camera:
         """Camera, in the volume's box, around its middle; angles in the world, degrees; distance in bounding radii."""

@@ -1,13 +1,17 @@
 """A camera that shows the whole surface: what it sees of points, and from how near."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from isogi_core.frame.fitting import ASKEW, FILLED, FRONT, front_of, nearest
 from isogi_core.model.view import orbit
 from isogi_core.model.volume import make_volume
+from tests.loaded import load_scene
 
 SLOPES = (0.3, 0.2)
+SCENE = load_scene("demo:orbital")
 
 
 def seen(points: np.ndarray, aim: np.ndarray, away: float) -> np.ndarray:
@@ -36,5 +40,7 @@ def test_an_orbit_aims_where_the_fit_says() -> None:
 
 
 def test_the_longer_side_lies_across_the_first_picture() -> None:
-    cube, long, wide = (front_of(make_volume(np.zeros(shape))) for shape in ((4, 8, 8), (4, 16, 8), (4, 8, 80)))
+    cube, long, wide = (
+        front_of(replace(SCENE, volume=make_volume(np.zeros(shape)))) for shape in ((4, 8, 8), (4, 16, 8), (4, 8, 80))
+    )
     assert cube == FRONT and long[0] < cube[0] and wide == (ASKEW[1], FRONT[1])
