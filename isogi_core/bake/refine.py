@@ -14,7 +14,9 @@ from isogi_core.bake.noise import DECAYS, blend_noise, evenness, finished, noise
 from isogi_core.bake.precision import VOID, next_level, noise_codes, noise_of, round_light
 from isogi_core.bake.texel_light import Light, Part
 from isogi_core.kernels.tracing.active_cells import ActiveCells
+from isogi_core.kernels.tracing.walls import NOWHERE
 from isogi_core.kernels.transport.paths import PathRules, SampleRange
+from isogi_core.kernels.transport.room_paths import RoomStarts, fill_seeds, light_in_room
 from isogi_core.kernels.transport.texel_points import PROJECTED, project_texels
 from isogi_core.kernels.transport.transfer import bake_irradiance, bake_texels, locate_texels
 from isogi_core.model.scene_plan import Layer, most_samples
@@ -99,6 +101,13 @@ def noise_of_new(halves: np.ndarray, second: np.ndarray, count: int, layer: Laye
     return noise_of_halves(seen, count, layer.order, even)
 
 
+def seeds_of(words: np.ndarray) -> np.ndarray:
+    """The sequences that belong to rows of ``words`` (g, 2 or more); (g,) uint64."""
+    seeds = np.empty(len(words), np.uint64)
+    fill_seeds(np.ascontiguousarray(words, np.int64), seeds)
+    return seeds
+
+
 def some_located(located: Located, rows: np.ndarray) -> Located:
     """The same of some ``rows`` of texels."""
     (texels, points, normals, isovalues), void = located
@@ -154,9 +163,33 @@ def sample_irradiance(
     weights = np.broadcast_to(spec.weights(layers[0]), (spec.plan.bounces + 1, 3)).copy()
     for bricks, rows in by_isovalue(place[3], void, spec.prepared):
         some, rules = SampleRange(samples // 2, count // 2), PathRules(weights, spec.plan.survival)
-        bake_irradiance(spec.prepared.field, bricks, place, rows, some, rules, surroundings, sums)
+        if spec.prepared.scene.room.any:
+            light_texels_in_room(place, rows, bricks, spec, some, rules, sums)
+        else:
+            bake_irradiance(spec.prepared.field, bricks, place, rows, some, rules, surroundings, sums)
     for layer in layers:
         yield sums[:, :, : layer.channels, None], np.zeros(len(void))
+
+
+def light_texels_in_room(
+    place: Place,
+    rows: np.ndarray,
+    bricks: ActiveCells,
+    spec: BakeSpec,
+    samples: SampleRange,
+    rules: PathRules,
+    sums: np.ndarray,
+) -> None:
+    """``bake_irradiance`` among walls: luminaires are seen and cast shadows, and walls reflect."""
+    texels, points, normals, isovalues = place
+    both = np.repeat(rows, 2)
+    seeds = seeds_of(np.column_stack([texels[both], np.tile([0, 1], len(rows))]))
+    here, around = (np.ascontiguousarray(each[:, both]) for each in (points, normals))
+    starts = RoomStarts(here, around, isovalues[both], seeds, np.full(len(both), NOWHERE))
+    prepared, added = spec.prepared, np.zeros((len(both), 3))
+    room, light = prepared.room(prepared.scene.albedo), prepared.surroundings(np.eye(3))
+    light_in_room(prepared.field, bricks, room, starts, samples, rules, light, added)
+    sums[rows] += added.reshape(-1, 2, 3)
 
 
 def by_isovalue(

@@ -191,9 +191,9 @@ class Settings:
         r, g, b = (float(v) for v in listed)
         return r, g, b
 
-    def lights(self) -> list[Mapping[str, Any]]:
-        """The [[lights]] tables; a sky with a sun where the scene has none."""
-        return self.tables("lights") or [{"type": "sky"}]
+    def lights(self, others: Sequence[Any] = ()) -> list[Mapping[str, Any]]:
+        """The [[lights]] tables; a sky with a sun where the scene has none, nor any ``others`` that are lights."""
+        return self.tables("lights") or ([] if others else [{"type": "sky"}])
 
     def tables(self, key: str, most: int | None = None) -> list[Mapping[str, Any]]:
         """The tables of a list, ``most`` at most; none where it is left out."""

@@ -158,9 +158,9 @@ def trace_controls(
 
 def bounces_of_truth(light: RotatedLight) -> int:
     """Bounces of paths that nothing of worth is cut off from; the scene's own where somebody gave them."""
-    plan, (red, green, blue) = light.spec.prepared.scene.plan, light.albedo.tolist()
+    plan = light.spec.prepared.scene.plan
     chosen = "bounces" in dict(plan.errors)
-    return max(bounces_for((red, green, blue), CUT / BOUNCES), plan.bounces) if chosen else plan.bounces
+    return max(bounces_for(light.reflecting, CUT / BOUNCES), plan.bounces) if chosen else plan.bounces
 
 
 QUANTILE = 2.2

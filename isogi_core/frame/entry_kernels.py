@@ -38,8 +38,10 @@ from isogi_core.kernels.tracing.active_cells import fill_ranges, mark_bricks, pa
 from isogi_core.kernels.tracing.camera import trace_pixels, trace_places
 from isogi_core.kernels.tracing.macrocells import fill_macrocells
 from isogi_core.kernels.tracing.stiffness import count_stiffness
+from isogi_core.kernels.tracing.walls import trace_pixels_in_room
 from isogi_core.kernels.transport.harmonics import rotate
 from isogi_core.kernels.transport.lights import project_lamps
+from isogi_core.kernels.transport.room_paths import fill_seeds, light_in_room
 from isogi_core.kernels.transport.texel_points import measure_distances
 from isogi_core.plan.left_out import uncalled
 from isogi_core.plan.scene import Scene
@@ -59,7 +61,11 @@ LOBES = (
 )
 """Those that only lights with lobes call."""
 
+ROOM = (light_in_room, trace_pixels_in_room, fill_seeds)
+"""Those that only scenes with walls call."""
+
 FRAME = (
+    *ROOM[:2],
     LOBES[0],
     trace_pixels,
     trace_places,
@@ -95,6 +101,7 @@ FRAME = (
     find_contrasts,
     look_up_normals,
     keep_normals,
+    *ROOM[2:],
     *LOBES[1:],
 )
 """All of them, those that take longest to compile first."""
@@ -116,6 +123,7 @@ def uncalled_by(scene: Scene) -> set[Any]:
     never |= set() if scene.projected is None else {count_stiffness}
     projects = scene.projection.any
     never |= set() if projects else {measure_distances}
+    never |= {trace_pixels} if scene.room.any else set(ROOM)
     if carries_irradiance_ratios(scene, "gi", False):
         return never | {carry_light}
     return never if projects else never | {carry_ratios}

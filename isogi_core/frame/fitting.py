@@ -8,7 +8,7 @@ import numpy as np
 from isogi_core.frame.renderer import Renderer
 from isogi_core.model.orientation import triple
 from isogi_core.model.view import Vec3, View, orbit
-from isogi_core.model.volume import Volume
+from isogi_core.plan.scene import Scene
 
 SIDE = 96
 """Pixels along each side of the picture that finds the surface."""
@@ -22,6 +22,9 @@ ASKEW = (20.0, 70.0)
 FACE = (65.0, 15.0)
 """The same for a patient, whose face is at azimuth 90."""
 
+INSIDE = (90.0, 5.0)
+"""The same in a room, from its open side."""
+
 FILLED = 0.9
 """Share of the picture's height, or width, that the surface fills."""
 
@@ -29,8 +32,14 @@ SPECKS = 0.003
 """Share of the surface's pixels that may be outside at each side: noise afar does not push the camera away."""
 
 
-def front_of(volume: Volume) -> tuple[float, float]:
-    """The azimuth and the elevation from which a ``volume`` is seen at first: its longer side lies across."""
+def front_of(scene: Scene) -> tuple[float, float]:
+    """The azimuth and the elevation from which the volume of a ``scene`` is seen at first: its longer side lies across.
+
+    A room is seen from its open side.
+    """
+    volume = scene.volume
+    if scene.room.any:
+        return INSIDE
     if volume.orientation.letters:
         return FACE
     (_, deep, wide), (x, y, _) = volume.shape, volume.spacing

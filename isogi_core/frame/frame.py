@@ -52,7 +52,8 @@ class Frame:
     texels projected onto the view's isosurface, None where its scene has none there. ``target`` is the total error that
     control pixels are to show, None of frames that have none; ``controls`` are those drawn so far, by the
     ``uncertainty`` (m,) of surface points, and it may be ``given_up``. ``expected`` is what it errs by
-    besides its noise, as the plan expects. Of a view that is smooth, ``edges`` have more samples.
+    besides its noise, as the plan expects. Of a view that is smooth, ``edges`` have more samples. So many pixels of
+    walls are ``walls_waiting``: they are not final, and become so as the picture is refined.
     """
 
     view: View
@@ -72,6 +73,7 @@ class Frame:
     given_up: bool = False
     expected: float = 0.0
     edges: EdgeSamples | None = None
+    walls_waiting: int = 0
 
     @cached_property
     def demands(self) -> tuple[Demand, ...]:
@@ -132,11 +134,13 @@ class Frame:
     def final(self) -> bool:
         """Whether nothing becomes better: every surface pixel is final, and the total error measured at the target."""
         settled = self.target is None or (self.measured is not None and self.measured.high <= self.target)
-        return not self.provisional and (settled or not self.surface)
+        return not self.provisional and (settled or not len(self.gbuffer.pixels))
 
     @property
     def checkable(self) -> bool:
-        """Whether its light is final, and control pixels are still to bring its total error to the target."""
+        """Whether texels in the store are final, and walls or control pixels are still to bring it to its target."""
+        if self.walls_waiting:
+            return self.surface - self.counts["final"] == self.walls_waiting
         return not (self.provisional or self.final or self.given_up)
 
     @cached_property
@@ -148,7 +152,10 @@ class Frame:
     @property
     def true_mean(self) -> float:
         """The true mean luminance of the surface, as far as control pixels know it."""
-        shown = float(self._tally[1][0]) / max(self.surface, 1)
+        if len(self.gbuffer.walls.pixels):
+            shown = float(self._luminance(self.gbuffer.pixels).mean())
+        else:
+            shown = float(self._tally[1][0]) / max(self.surface, 1)
         return self.controls.mean(self.controlled, shown) if self.controls and len(self.controlled) else shown
 
     @cached_property

@@ -9,6 +9,7 @@ import numpy as np
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.local_models import find_normals
 from isogi_core.kernels.tracing.camera import Pinhole, trace_pixels
+from isogi_core.kernels.tracing.walls import Walls, trace_pixels_in_room
 from isogi_core.model.view import Camera, View
 from isogi_core.model.volume import Isovalue
 from isogi_core.prepared.surface import Surface
@@ -22,12 +23,33 @@ POINTS = 4096
 Vector = tuple[float, float, float]
 
 
+@dataclass(frozen=True, eq=False)
+class WallPoints:
+    """Where rays of a camera meet walls: ``pixels`` (m,) uint32, ascending, ``points`` (m, 3) float32 in index space,
+    and the ``numbers`` (m,) int8 of the walls.
+    """
+
+    pixels: np.ndarray
+    points: np.ndarray
+    numbers: np.ndarray
+
+    @classmethod
+    def none(cls) -> "WallPoints":
+        """No wall is seen."""
+        return cls(np.empty(0, np.uint32), np.empty((0, 3), np.float32), np.empty(0, np.int8))
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that they take."""
+        return self.pixels.nbytes + self.points.nbytes + self.numbers.nbytes
+
+
 @dataclass(eq=False)
 class GBuffer:
     """Where the rays of one camera, whose ``eye`` is in index space, meet a ``surface``.
 
     ``shape`` (height, width) of the picture; ``pixels`` (m,) uint32 are the picture indices that show
-    the surface, ascending; ``points`` (m, 3) float32 where they meet it, in index space.
+    the surface, ascending; ``points`` (m, 3) float32 where they meet it, in index space. ``walls`` are seen beside it.
     """
 
     shape: tuple[int, int]
@@ -36,6 +58,7 @@ class GBuffer:
     surface: Surface
     pixels: np.ndarray
     points: np.ndarray
+    walls: WallPoints = field(default_factory=WallPoints.none)
     _normals: np.ndarray | None = field(default=None, repr=False)
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
 
@@ -65,19 +88,20 @@ class GBuffer:
     @property
     def nbytes(self) -> int:
         """Bytes that it takes; normals are counted before they are found."""
-        return self.pixels.nbytes + 2 * self.points.nbytes
+        return self.pixels.nbytes + 2 * self.points.nbytes + self.walls.nbytes
 
     @property
     def position(self) -> np.ndarray:
-        """Coordinates, in the volume's box, of the surface in each pixel, zero off it; (h, w, 3) float32."""
+        """Coordinates, in the volume's box, of what is seen in each pixel, zero where nothing is; (h, w, 3) float32."""
         return self.positions(0, self.shape[0])
 
     def positions(self, first: int, last: int) -> np.ndarray:
         """``position`` in the rows from ``first`` to ``last``; (last - first, w, 3) float32."""
         width = self.shape[1]
-        a, b = np.searchsorted(self.pixels, (first * width, last * width))
         rows = np.zeros(((last - first) * width, 3), np.float32)
-        rows[self.pixels[a:b] - first * width] = self.points[a:b] * np.array(self.spacing, np.float32)
+        for each in (self, self.walls):
+            a, b = np.searchsorted(each.pixels, (first * width, last * width))
+            rows[each.pixels[a:b] - first * width] = each.points[a:b] * np.array(self.spacing, np.float32)
         return rows.reshape(last - first, width, 3)
 
 
@@ -103,18 +127,25 @@ def to_index(v: np.ndarray, spacing: Vector) -> Vector:
     return x, y, z
 
 
-def trace(view: View, surface: Surface, tiles: Tiles) -> GBuffer:
-    """Cast the primary rays of ``view`` at the ``surface`` that it shows. Raises Cancelled."""
+def trace(view: View, surface: Surface, tiles: Tiles, walls: Walls | None = None) -> GBuffer:
+    """Cast the primary rays of ``view`` at the ``surface`` that it shows, and at ``walls``. Raises Cancelled."""
     spacing = surface.field.spacing
     camera = view_pinhole(view, spacing)
     traced = surface.traced(tiles.run)
-    found: dict[int, tuple[np.ndarray, np.ndarray]] = {}
+    found: dict[int, tuple[np.ndarray, ...]] = {}
 
     def _piece(a: int, b: int) -> None:
         pixels, points = np.empty(b - a, np.uint32), np.empty((b - a, 3), np.float32)
         count = trace_pixels(traced, camera, a, view.width, pixels, points)
         found[a] = pixels[:count], points[:count]
 
-    tiles.run(_piece, view.width * view.height, RAYS)
-    pixels, points = (np.concatenate(parts) for parts in zip(*(found[a] for a in sorted(found)), strict=True))
-    return GBuffer((view.height, view.width), spacing, camera.eye, surface, pixels, points)
+    def _piece_in_room(a: int, b: int) -> None:
+        pixels, points = np.empty((2, b - a), np.uint32), np.empty((2, b - a, 3), np.float32)
+        numbers = np.empty(b - a, np.int8)
+        count, walled = trace_pixels_in_room(traced, walls, camera, a, view.width, pixels, points, numbers)
+        found[a] = pixels[0, :count], points[0, :count], pixels[1, :walled], points[1, :walled], numbers[:walled]
+
+    tiles.run(_piece if walls is None else _piece_in_room, view.width * view.height, RAYS)
+    pixels, points, *others = (np.concatenate(parts) for parts in zip(*(found[a] for a in sorted(found)), strict=True))
+    seen = WallPoints(*others) if others else WallPoints.none()
+    return GBuffer((view.height, view.width), spacing, camera.eye, surface, pixels, points, seen)

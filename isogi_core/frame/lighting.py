@@ -1,7 +1,7 @@
 """The light around a view: the rotated environment, as coefficients, as a picture, and as one key light."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -110,6 +110,11 @@ class RotatedLight:
         return np.array(self.seen.albedo)
 
     @property
+    def reflecting(self) -> tuple[float, float, float]:
+        """The most that anything reflects of each colour, the surface or a wall."""
+        return replace(self.spec.prepared.scene.inputs, albedo=self.seen.albedo).reflecting
+
+    @property
     def tint(self) -> np.ndarray:
         """How much more a surface of the view's albedo reflects than one of the spec's own, (3,)."""
         return self.albedo / np.maximum(self.spec.albedo, 1e-30) if self.seen is not self.spec else np.ones(3)
@@ -173,14 +178,18 @@ class RotatedLight:
         """Mean radiance of the environment, (3,) linear RGB."""
         return self.around[:, 0] / math.sqrt(4.0 * math.pi)
 
-    def local_model(self, shading: str, depths: tuple[float, float]) -> LocalModel:
-        """The constants of a local model under this environment: one key light and an ambient rest."""
+    def local_model(self, shading: str, depths: tuple[float, float], albedo: np.ndarray | None = None) -> LocalModel:
+        """The constants of a local model under this environment: one key light and an ambient rest.
+
+        Of another ``albedo`` (3,) than the surface's where that is given.
+        """
+        albedo = self.albedo if albedo is None else albedo
         key, sun, ambient = self.key_light()
         near, far = depths if shading.endswith("fog") else (0.0, 0.0)
         return LocalModel(
             key=key,
-            sun=triple(self.albedo * sun),
-            ambient=triple(self.albedo * ambient),
+            sun=triple(albedo * sun),
+            ambient=triple(albedo * ambient),
             shine=SHINE if shading.startswith("phong") else 0.0,
             exponent=EXPONENT,
             shadow=shading.endswith("shadow"),

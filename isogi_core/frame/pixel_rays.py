@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from isogi_core.bake.bake_spec import path_weights
+from isogi_core.bake.refine import seeds_of
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.tiles import Tiles
@@ -34,8 +35,11 @@ from isogi_core.kernels.shading.lobes import (
 )
 from isogi_core.kernels.shading.local_models import trace_points
 from isogi_core.kernels.tracing.cast import TracedSurface
+from isogi_core.kernels.tracing.walls import NOWHERE
+from isogi_core.kernels.transport.light_paths import Surroundings
 from isogi_core.kernels.transport.lights import LampArrays
 from isogi_core.kernels.transport.paths import PathRules, SampleRange
+from isogi_core.kernels.transport.room_paths import Room, RoomStarts, light_in_room
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.plan.budget import survival_for
 
@@ -184,6 +188,29 @@ def room_for(rays: int) -> Aimed:
     return Aimed(np.empty(rays, np.int64), np.empty(rays, np.int64), np.empty((3, rays)))
 
 
+def trace_in_room(
+    traced: TracedSurface,
+    room: Room,
+    points: PixelPoints,
+    light: Surroundings,
+    rules: PathRules,
+    replicas: range,
+    samples: SampleRange,
+) -> np.ndarray:
+    """What ``trace_points`` adds for some ``replicas``, by number, in a ``room``; (m, replicas, 3)."""
+    each, replica = (part.ravel() for part in np.indices((len(points.pixels), len(replicas))))
+    starts = RoomStarts(
+        np.ascontiguousarray(points.points[each].T, np.float64),
+        np.ascontiguousarray(points.normals[each].T, np.float64),
+        np.full(len(each), traced.isovalue),
+        seeds_of(np.column_stack([points.pixels[each], replicas.start + replica])),
+        np.full(len(each), NOWHERE),
+    )
+    sums = np.zeros((len(each), 3))
+    light_in_room(traced.field, traced.cells, room, starts, samples, rules, light, sums)
+    return sums.reshape(-1, len(replicas), 3)
+
+
 PATH_POINTS, PATHS = 256, 1 << 16
 """Surface points of a tile when each of them sends paths, and paths of one, at most: some 30 ms until it can end."""
 
@@ -206,8 +233,8 @@ class Paths:
     @cached_property
     def survival(self) -> float:
         """The chance with which a path goes on from its second and later hits."""
-        plan, (red, green, blue) = self.light.spec.prepared.scene.plan, self.light.albedo.tolist()
-        return plan.survival if self.bounces is None else survival_for((red, green, blue), self.bounces)
+        plan = self.light.spec.prepared.scene.plan
+        return plan.survival if self.bounces is None else survival_for(self.light.reflecting, self.bounces)
 
     @cached_property
     def weights(self) -> np.ndarray:
@@ -235,15 +262,26 @@ class Paths:
         buffer = self.gbuffer
         points, pixels, normals = buffer.points, buffer.pixels, buffer.normals(self.tiles)
         traced, around = buffer.surface.traced(self.tiles.run), self.light.surroundings
+        room = self._room
         rules, samples = PathRules(self.weights, self.survival), SampleRange(first, count)
 
         def _piece(a: int, b: int) -> None:
             some = PixelPoints(points[a:b], normals[a:b], pixels[a:b])
-            trace_points(traced, some, around, rules, stream, samples, sums[a:b])
+            if room is None:
+                trace_points(traced, some, around, rules, stream, samples, sums[a:b])
+            else:
+                replicas = range(stream, stream + sums.shape[1])
+                sums[a:b] += trace_in_room(traced, room, some, around, rules, replicas, samples)
             if progress is not None:
                 progress((b - a) * sums.shape[1] * count)
 
         self.tiles.run(_piece, len(sums), max(min(PATH_POINTS, PATHS // (sums.shape[1] * count)), 1))
+
+    @property
+    def _room(self) -> Room | None:
+        """The walls that paths meet, None where there are none."""
+        prepared = self.light.spec.prepared
+        return prepared.room(self.light.seen.albedo) if prepared.scene.room.any else None
 
     def prepare(self) -> None:
         """Do what comes before the first paths, by tracing one: find normals, map the surface, compile."""
@@ -264,18 +302,20 @@ def replicas_for(samples: int) -> int:
     return 2 if samples < 8 else 4 if samples < 256 else 8
 
 
-def pooled_variance(variance: np.ndarray, gbuffer: GBuffer) -> np.ndarray:
+def pooled_variance(variance: np.ndarray, gbuffer: GBuffer, shown: np.ndarray | None = None) -> np.ndarray:
     """Variances (m,) of the surface pixels, each a mean with its neighbours', by the weights NEAR both ways.
+
+    Or of the pixels ``shown`` (m,), of something else.
 
     A few replicas say too little of one pixel alone: of four, 1.96 standard deviations would hold 86 % of Gaussian
     errors, and none where all replicas met the same by chance. With these they held 91 to 96 % of the pixels
     of frames of 8 to 256 paths (engine under uffizi and grace, CT head under noon_grass, MNI under constant light).
     """
-    both = np.zeros((2, *gbuffer.shape))
-    both.reshape(2, -1)[:, gbuffer.pixels] = variance, np.ones_like(variance)
+    pixels, both = gbuffer.pixels if shown is None else shown, np.zeros((2, *gbuffer.shape))
+    both.reshape(2, -1)[:, pixels] = variance, np.ones_like(variance)
     for axis in (1, 2):
         padded = np.pad(both, [(2 * int(a == axis),) * 2 for a in range(3)])
         windows = np.lib.stride_tricks.sliding_window_view(padded, len(NEAR), axis)
         both = windows @ NEAR
-    total, weight = both.reshape(2, -1)[:, gbuffer.pixels]
+    total, weight = both.reshape(2, -1)[:, pixels]
     return np.asarray(total / weight)

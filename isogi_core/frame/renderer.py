@@ -9,6 +9,7 @@ step and the surface that a view shows, by isovalue, camera and size (``surface_
 | ``Reading`` | a surface, a bake spec, a target error, and the age of the page pool |
 | ``LobeLight`` | a surface, the rotation of the light, and whether it moves |
 | ``PictureCheck`` | a surface, the rotation of the light, an albedo and a target error |
+| ``WallLight`` | a wall, an isovalue and an albedo |
 
 ``Reading`` and ``LobeLight`` have a SHARE of its bytes each, so that a light that turns, or a bake that goes on, drives
 out no surface.
@@ -48,6 +49,7 @@ from isogi_core.frame.shading import (
     carry_texel_light,
     fill_texel_records,
     filter_texel_light,
+    fog_depths,
     light_sources,
     shade_by_paths,
     shade_locally,
@@ -57,6 +59,7 @@ from isogi_core.frame.texel_normals import ENTRY, OwnNormals, TexelNormals, find
 from isogi_core.frame.texel_reading import Lacking, Reading, read_texels
 from isogi_core.frame.tiles import Stopwatch, Tiles
 from isogi_core.frame.view_texels import ViewTexels, carries_irradiance_ratios, find_texels
+from isogi_core.frame.wall_light import COARSE, WallLight, WallTexels, WallView
 from isogi_core.kernels.shading.framebuffer import Framebuffer
 from isogi_core.kernels.shading.lobes import add_lobes
 from isogi_core.kernels.simd.types import REGISTER
@@ -128,6 +131,9 @@ class Renderer:
         else:
             with watch.stage("shade"):
                 framebuffer = shade_locally(gbuffer, normals, light, tiles)
+        if len(gbuffer.walls.pixels):
+            with watch.stage("walls"):
+                self._put_walls(gbuffer, light, target, framebuffer, tiles)
         return frame_of(gbuffer, light, framebuffer, watch)
 
     def refine(self, view: View, target: float | None = None, tiles: Tiles | None = None) -> bool:
@@ -140,6 +146,8 @@ class Renderer:
         if not frame.checkable:
             return False
         light = self._light(view)
+        if frame.walls_waiting:
+            return self._grow_walls(frame.gbuffer, light, target, tiles)
         check = self._check(light, frame.gbuffer, target)
 
         def uncertainty() -> np.ndarray:
@@ -184,7 +192,40 @@ class Renderer:
         check = self._check(light, gbuffer, target) if is_checked(light.view) else None
         if check is not None:
             check.put(framebuffer)
-        return frame_of(gbuffer, light, framebuffer, watch, texels, reading, check)
+        frame = frame_of(gbuffer, light, framebuffer, watch, texels, reading, check)
+        if not len(gbuffer.walls.pixels):
+            return frame
+        with watch.stage("walls"):
+            waiting, version = self._put_walls(gbuffer, light, target, framebuffer, tiles)
+        return replace(frame, walls_waiting=waiting, version=f"{frame.version}{version}")
+
+    def _put_walls(
+        self, gbuffer: GBuffer, light: RotatedLight, target: float, framebuffer: Framebuffer, tiles: Tiles
+    ) -> tuple[int, str]:
+        """Write the walls into a picture; how many of their pixels are not final, and what names the paths taken."""
+        view, walls = light.view, WallView.of(gbuffer, light)
+        if view.shading == "path_traced":
+            walls.put_paths(target, framebuffer, tiles)
+        elif view.shading != "gi":
+            shading = "lambert" if view.shading == "vicinity" else view.shading
+            walls.put_locally(shading, fog_depths(view, self.prepared.scene.volume), framebuffer, tiles)
+        else:
+            texels = [self._wall_light(gbuffer, light, *seen).begun(tiles) for seen in walls.seen]
+            return walls.put(texels, target, framebuffer), "".join(f"-{each.count:x}" for each in texels)
+        return 0, ""
+
+    def _grow_walls(self, gbuffer: GBuffer, light: RotatedLight, target: float, tiles: Tiles) -> bool:
+        """Have the walls in a picture, that are not final, take as many paths again. Raises Cancelled."""
+        walls = WallView.of(gbuffer, light)
+        lit = [self._wall_light(gbuffer, light, *seen) for seen in walls.seen]
+        taken = [each.step(walls.albedo(each.texels.wall), target, tiles) for each in lit]
+        return any(taken)
+
+    def _wall_light(self, gbuffer: GBuffer, light: RotatedLight, wall: int, side: int) -> WallLight:
+        """The light of a side of a wall, for the isovalue and the albedo that are shown; kept beside views."""
+        key = (WallLight, light.view.isovalue, light.view.albedo, wall, side)
+        begun = WallTexels.begun(light, wall, side, COARSE)
+        return self._kept.get(key, lambda: WallLight(light, gbuffer.surface, begun))
 
     @contextmanager
     def _lit_texels(
@@ -242,7 +283,9 @@ class Renderer:
     def gbuffer(self, view: View, tiles: Tiles | None = None) -> GBuffer:
         """The G-buffer of a view. Raises Cancelled, as every step does, once its ``tiles`` are cancelled."""
         surface, tiles = self.prepared.surface(view.isovalue), tiles or self.tiles
-        return self._kept.get((GBuffer, surface_key(view)), lambda: trace(view, surface, tiles))
+        return self._kept.get(
+            (GBuffer, surface_key(view)), lambda: trace(view, surface, tiles, self.prepared.walls_in_view)
+        )
 
     def texels(self, view: View, gbuffer: GBuffer, tiles: Tiles | None = None) -> ViewTexels:
         """The texels under a view; they hold its G-buffer, so that both are kept, or neither."""

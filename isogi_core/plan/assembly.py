@@ -20,6 +20,7 @@ from isogi_core.kernels.transport.harmonics import MAX_ORDER
 from isogi_core.model.demo import DEMOS
 from isogi_core.model.environment import Environment, Lamps, gather_lamps, pixel_directions, resample, solid_angles
 from isogi_core.model.lights import ConstantLight, Lamp, Light, ProbeLight, SkyLight, light_from_mapping
+from isogi_core.model.room import ROOMS, Room, cornell_room, place_walls, wall_from_mapping
 from isogi_core.model.scene_plan import REPRESENTATIONS
 from isogi_core.model.sky import sky_image
 from isogi_core.model.value_survey import Progress, no_progress
@@ -57,18 +58,19 @@ def build_scene(source: SceneSource, progress: Progress = no_progress, volume: V
     settings = Settings(source)
     settings.text("volume", DEFAULT_DEMO)  # named by the scene, also where another way led to it
     volume = volume or right_side_out(settings, open_volume(settings, source.base, progress), source.base, progress)
-    lights = tuple(light_from_mapping(entry, source.base) for entry in settings.lights())
-    lamps = gather_lamps(lights, volume.orientation)
+    room = read_room(settings, volume)
+    lights = tuple(light_from_mapping(entry, source.base) for entry in settings.lights(room.lamps))
+    lamps = gather_lamps((*lights, *room.lamps), volume.orientation)
     isovalues = settings.interval("isovalues", volume.value_range, volume.core)
     isovalue = start_isovalue(settings, volume, isovalues)
     albedo = settings.colour("albedo", 0.7)
     overrides = plan_overrides(settings, albedo)
     target_error = settings.number("target_error", 0.02, 1e-4, 1.0)
-    light, rotating = assemble_environment(lights), may_rotate(settings, lamps)
+    light, rotating = assemble_environment(lights), may_rotate(settings, lamps, room)
     if volume.orientation.turned and not rotating:
         light = light.turned(volume.orientation.matrix)
     most = albedo if overrides.albedos is None else (overrides.albedos[1],) * 3
-    inputs = PlanInputs(light, lamps, volume.centre, volume.radius, rotating, most, target_error)
+    inputs = PlanInputs(light, lamps, volume.centre, volume.radius, rotating, most, target_error, room.albedos)
     plan = plan_scene(inputs, overrides)
     scene = Scene(
         id=re.sub(r"[^a-z0-9_-]+", "-", source.name.lower()).strip("-")[:64] or "scene",
@@ -77,6 +79,7 @@ def build_scene(source: SceneSource, progress: Progress = no_progress, volume: V
         lights=lights,
         environment=light,
         lamps=lamps,
+        room=room,
         isovalue=isovalue,
         isovalues=isovalues,
         albedo=albedo,
@@ -114,11 +117,20 @@ def plan_overrides(settings: Settings, albedo: tuple[float, float, float]) -> Pl
     )
 
 
-def may_rotate(settings: Settings, lamps: Lamps) -> bool:
-    """Whether the light may be turned: the scene decides, by default yes; never where there are lamps (SceneError)."""
-    rotating = settings.flag("rotating", not lamps.any)
-    if rotating and lamps.any:
-        raise SceneError("Lamps stay where they are: leave out rotating = true, or the lamps.")
+def read_room(settings: Settings, volume: Volume) -> Room:
+    """The scene's walls: those of a whole room that it names, and its own. SceneError where one has no meaning."""
+    named = cornell_room(volume) if settings.choice("room", ROOMS) else ()
+    return place_walls((*named, *map(wall_from_mapping, settings.tables("walls"))), volume)
+
+
+def may_rotate(settings: Settings, lamps: Lamps, room: Room) -> bool:
+    """Whether the light may be turned: the scene decides, by default yes; never where there are lamps, or walls
+    (SceneError).
+    """
+    rotating = settings.flag("rotating", not (lamps.any or room.any))
+    for what, there in (("walls", room.any), ("lamps", lamps.any)):
+        if rotating and there:
+            raise SceneError(f"{what.capitalize()} stay where they are: leave out rotating = true, or the {what}.")
     return rotating
 
 

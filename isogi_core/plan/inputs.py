@@ -49,7 +49,7 @@ class PlanInputs:
     """Facts of a scene that its plan depends on: lights, whether they may turn, albedo, and relative target error.
 
     ``centre`` and ``radius`` are of the ball around the volume, in world units. ``albedo`` is the highest that views
-    may ask for.
+    may ask for, ``walls`` are the albedos of walls.
     """
 
     environment: Environment
@@ -59,11 +59,18 @@ class PlanInputs:
     rotating: bool
     albedo: Colour
     target_error: float
+    walls: tuple[Colour, ...] = ()
+
+    @property
+    def reflecting(self) -> Colour:
+        """The most that anything reflects of each colour, the surface or a wall."""
+        red, green, blue = (max(shares) for shares in zip(self.albedo, *self.walls, strict=True))
+        return red, green, blue
 
     @property
     def grey(self) -> bool:
         """Whether reflected light keeps its colour."""
-        return self.albedo[0] == self.albedo[1] == self.albedo[2]
+        return all(red == green == blue for red, green, blue in (self.albedo, *self.walls))
 
     @cached_property
     def grey_light(self) -> bool:

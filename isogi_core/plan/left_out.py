@@ -125,7 +125,7 @@ def nodes(plan: ScenePlan, _: PlanInputs) -> Iterator[LeftOut]:
 
 def reflections(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
     """Reflected light, or what paths of more bounces would bring of it."""
-    tail = tail_of_bounces(inputs.albedo, plan.bounces)
+    tail = tail_of_bounces(inputs.reflecting, plan.bounces)
     if plan.bounces == 0:
         why = (
             "Nothing is reflected at albedo 0." if tail == 0.0 else f"It would be at most {percent(tail)} of the light."
@@ -145,8 +145,8 @@ def ends(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
     if plan.survival == 1.0:
         return
     why = f"From its second hit on a path goes on with the chance {plan.survival:.2g}, and stands for those that end."
-    long = plan.bounces >= bounces_for(inputs.albedo, inputs.target_error)
-    saved = (Saving(ROULETTE_RAYS, "percent of rays", True),) if long and max(inputs.albedo) <= BRIGHTEST else ()
+    long = plan.bounces >= bounces_for(inputs.reflecting, inputs.target_error)
+    saved = (Saving(ROULETTE_RAYS, "percent of rays", True),) if long and max(inputs.reflecting) <= BRIGHTEST else ()
     yield LeftOut("the rest of paths that end by chance", why, saved)
 
 
@@ -210,8 +210,9 @@ def shadow_rays(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
 
 def kernels(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
     """Kernels that neither frames under global illumination nor their bake call."""
-    bake = "bake_texels" if plan.representation == "irradiance" else "bake_irradiance"
-    idle = (bake, *uncalled(inputs.rotating, inputs.environment, inputs.lamps, plan.lobes))
+    bakes = ["bake_texels"] if plan.representation == "irradiance" else ["bake_irradiance"]
+    bakes += ["bake_irradiance", "trace_pixels"] if inputs.walls else []
+    idle = (*bakes, *uncalled(inputs.rotating, inputs.environment, inputs.lamps, plan.lobes))
     why = (
         "Neither frames under global illumination nor their bake call them: a server of this scene alone does not"
         " compile them for either."

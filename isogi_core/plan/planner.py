@@ -48,6 +48,10 @@ def refuse_lights(representation: str, inputs: PlanInputs) -> None:
         raise SceneError(f"representation = '{representation}' shows constant light alone: leave it out.")
     if representation == "transfer" and inputs.lamps.any:
         raise SceneError("representation = 'transfer' is of light from far away, and lamps are near: leave it out.")
+    if representation != "irradiance" and inputs.walls:
+        raise SceneError(
+            f"representation = '{representation}' is of a surface alone, and there are walls: leave it out."
+        )
     if representation == "irradiance" and inputs.rotating:
         raise SceneError("representation = 'irradiance' is of light that does not turn: set rotating = false.")
 
@@ -83,7 +87,7 @@ def refuse_reflections(bounces: int, inputs: PlanInputs, overrides: PlanOverride
     """Raise SceneError for overrides of reflected light where there is none."""
     if overrides.representation == "vicinity" and overrides.bounces:
         raise SceneError("representation = 'vicinity' is of light before it is reflected: leave out 'bounces'.")
-    if overrides.bounces and max(inputs.albedo) == 0.0:
+    if overrides.bounces and max(inputs.reflecting) == 0.0:
         raise SceneError(f"bounces = {overrides.bounces} is of reflected light, and albedo 0 has none: leave it out.")
     if overrides.representation == "constant" and not bounces:
         raise SceneError("representation = 'constant' is of reflected light too, and there is none: leave it out.")
@@ -127,15 +131,15 @@ def plan_scene(inputs: PlanInputs, overrides: PlanOverrides) -> ScenePlan:
     them or change nothing.
     """
     refuse_brightness(inputs)
-    bounces = bounces_for(inputs.albedo, inputs.target_error) if overrides.bounces is None else overrides.bounces
-    if overrides.representation == "vicinity" or max(inputs.albedo) == 0.0:
+    bounces = bounces_for(inputs.reflecting, inputs.target_error) if overrides.bounces is None else overrides.bounces
+    if overrides.representation == "vicinity" or max(inputs.reflecting) == 0.0:
         bounces = 0
     representation = overrides.representation or choose(inputs, overrides, bounces)
     refuse_idle(representation, bounces, inputs, overrides)
     lobes = lobes_for(inputs, overrides) if representation == "transfer" else 0
     layers = rounded(layers_of(representation, inputs, overrides, bounces, lobes), inputs, overrides, lobes)
     order, samples = max(layer.order for layer in layers), most_samples(inputs.target_error)
-    plan = ScenePlan(representation, layers, order, bounces, survival_for(inputs.albedo, bounces), samples, lobes)
+    plan = ScenePlan(representation, layers, order, bounces, survival_for(inputs.reflecting, bounces), samples, lobes)
     return complete(plan, inputs, overrides)
 
 
@@ -147,6 +151,8 @@ def complete(plan: ScenePlan, inputs: PlanInputs, overrides: PlanOverrides) -> S
 
 def choose(inputs: PlanInputs, overrides: PlanOverrides, bounces: int) -> str:
     """Choose the representation that keeps the least."""
+    if inputs.walls:
+        return "irradiance"
     if even(inputs) and (overrides.order is None or inputs.constant):
         return "constant" if bounces else "vicinity"
     return "transfer" if inputs.rotating else "irradiance"
@@ -267,7 +273,7 @@ def errors_of(plan: ScenePlan, inputs: PlanInputs, overrides: PlanOverrides) -> 
     read = tuple(replace(layer, order=min(layer.order, plan.order)) for layer in plan.layers)
     errors = (
         ("harmonics", harmonics_error(read, inputs, plan.lobes)),
-        ("bounces", tail_of_bounces(inputs.albedo, plan.bounces) if chosen else 0.0),
+        ("bounces", tail_of_bounces(inputs.reflecting, plan.bounces) if chosen else 0.0),
         ("albedo", mixing_error(plan.nodes, plan.bounces) if plan.nodes else 0.0),
         ("rounding", rounding_error(read, inputs, plan.lobes)),
     )

@@ -14,6 +14,7 @@ from isogi_core.kernels.shading.lattice import CHUNK
 from isogi_core.kernels.tracing.field import OFFSET, Field
 from isogi_core.model.environment import Environment, Lamps
 from isogi_core.model.lights import Light
+from isogi_core.model.room import NO_ROOM, Room
 from isogi_core.model.scene_plan import Layer, LeftOut, ScenePlan
 from isogi_core.model.view import Camera, orbit
 from isogi_core.model.volume import Isovalue, Volume
@@ -47,6 +48,7 @@ class Scene:
     ``offset`` voxels above a surface. ``plan`` was made for ``inputs``, with the scene's own ``overrides``.
     ``named`` are the isovalues that the scene names. ``projected`` settles whether texels that are far from the
     isosurface of a view at rest are projected onto it; None leaves that to the plan, see ``plan.projection``.
+    ``lamps`` are those of the ``lights`` and the luminaires of the ``room``.
     """
 
     id: str
@@ -70,6 +72,7 @@ class Scene:
     named: tuple[Preset, ...] = ()
     projected: bool | None = None
     albedos: tuple[float, float] | None = None
+    room: Room = NO_ROOM
 
     @property
     def name(self) -> str:
@@ -175,6 +178,7 @@ class Scene:
             parts += [["nodes", *nodes] if nodes else self.albedo[: layer.channels], self.bounces, self.plan.survival]
         if layer.kind == "irradiance":
             parts += [self.environment.digest, self.lamps.digest, self.albedo]
+            parts += ["walls", self.room.digest] if self.room.any else []
         return digest_of(parts)
 
     @property
@@ -200,7 +204,8 @@ class Scene:
         orientation = self.volume.orientation
         placed = [orientation.rotation, orientation.origin] if orientation.placed else []
         lit = [self.albedo, self.plan.order, self.plan.lobes, self.target_error]
-        return digest_of([self.bake_digest, *lights, *lit, *settled, *placed])
+        walls = ["walls", self.room.digest] if self.room.any else []
+        return digest_of([self.bake_digest, *lights, *lit, *settled, *placed, *walls])
 
     def camera(self, azimuth: float, elevation: float, distance: float, fov: float) -> Camera:
         """Camera, in the volume's box, around its middle; angles in the world, degrees; distance in bounding radii."""

@@ -8,7 +8,10 @@ import numpy as np
 from isogi_core.kernels.shading.lattice import Lattice
 from isogi_core.kernels.tracing.field import OFFSET, Field
 from isogi_core.kernels.tracing.macrocells import fill_macrocells, macrocell_shape
+from isogi_core.kernels.tracing.walls import Walls
 from isogi_core.kernels.transport.light_paths import Surroundings
+from isogi_core.kernels.transport.lights import LampArrays
+from isogi_core.kernels.transport.room_paths import Room
 from isogi_core.model.volume import Volume
 from isogi_core.plan.bands import project_environment
 from isogi_core.plan.scene import Scene
@@ -74,10 +77,39 @@ class PreparedScene:
         order = AROUND if lamps.any or environment.image.any() else 1
         return project_environment(environment, order) + lamps.approximate(order, volume.centre, volume.radius)
 
+    def room(self, albedo: tuple[float, float, float]) -> Room:
+        """The walls of the scene as paths meet them, about an isosurface with this ``albedo``."""
+        return self._room._replace(albedo=np.array(albedo))
+
+    @cached_property
+    def _room(self) -> Room:
+        """The walls about a black isosurface; none of them lets any ray through."""
+        room, spacing = self.scene.room, np.array(self.scene.volume.spacing)
+        normals = np.cross(room.edges[:, 0], room.edges[:, 1])
+        areas = np.linalg.norm(normals, axis=1)
+        normals = normals / areas[:, None]
+        across = room.edges / (room.edges**2).sum(axis=2, keepdims=True) * spacing
+        walls = Walls(room.corners / spacing, normals * spacing, across, np.full(len(areas), np.inf))
+        given = [(wall.albedo, wall.radiance) for wall in room.walls]
+        albedos, radiances = np.array(given, np.float64).transpose(1, 0, 2).copy()
+        twofold = np.array([wall.sides == 2 for wall in room.walls], np.float64)
+        return Room(walls, room.corners, room.edges, normals, areas, albedos, radiances, twofold, np.zeros(3))
+
+    @cached_property
+    def walls_in_view(self) -> Walls | None:
+        """The walls as the camera meets them, which looks through backs that are not lit; None where there are none."""
+        if not self.scene.room.any:
+            return None
+        backs = np.where(self._room.twofold > 0.0, np.inf, 0.0)
+        return self._room.walls._replace(backs=backs)
+
     def surroundings(self, matrix: np.ndarray) -> Surroundings:
-        """All light as it is, for paths that meet it; the environment turned by ``matrix`` (3, 3)."""
-        environment = self.scene.environment
-        arrays = self.scene.lamps.arrays
+        """All light as it is, for paths that meet it; the environment turned by ``matrix`` (3, 3).
+
+        Luminaires are left to the walls, which paths meet: see ``room``.
+        """
+        environment, luminaires = self.scene.environment, len(self.scene.room.lamps)
+        arrays = LampArrays(*(each[: len(each) - luminaires] for each in self.scene.lamps.arrays))
         return Surroundings(environment.constant, environment.image, matrix, environment.table, arrays)
 
 

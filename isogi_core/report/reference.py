@@ -119,14 +119,15 @@ def from_sums(gbuffer: GBuffer, sums: np.ndarray, count: int, seconds: float, su
 def with_bounces(scene: Scene, bounces: int | None = None) -> Scene:
     """The scene with paths of so many ``bounces``; by default with so many that less than CUT of its light is cut."""
     if bounces is None:
-        bounces = bounces_for(scene.inputs.albedo, CUT / BOUNCES)
-    survival = survival_for(scene.inputs.albedo, bounces)
+        bounces = bounces_for(scene.inputs.reflecting, CUT / BOUNCES)
+    survival = survival_for(scene.inputs.reflecting, bounces)
     return replace(scene, plan=replace(scene.plan, bounces=bounces, survival=survival))
 
 
 def subject_of(scene: Scene, view: View) -> str:
     """Hex name of all that a reference's light depends on."""
     lights, albedo = [scene.environment.digest, scene.lamps.digest], scene.albedo_for(view.albedo)
+    lights += [scene.room.digest] if scene.room.any else []
     world = [scene.volume.digest, *lights, albedo, *scene.departures]
     camera = [view.camera.eye, view.camera.target, view.camera.up, view.camera.fov]
     picture = [view.isovalue, *camera, view.light, view.width, view.height]

@@ -1,0 +1,267 @@
+"""The light of walls: texels of a lattice on each wall, lit for the isovalue that is shown, as fine as time allowed.
+
+They are kept in memory with the views that show them, and are not in the store. The first picture has a few coarse
+ones; each step while the view rests then makes them fine, and takes as many paths again.
+"""
+
+import math
+import threading
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from isogi_core.bake.bake_spec import path_weights
+from isogi_core.bake.refine import seeds_of
+from isogi_core.frame.gbuffer import GBuffer
+from isogi_core.frame.lighting import RotatedLight
+from isogi_core.frame.pixel_rays import NEAR, PATH_POINTS, pooled_variance, replicas_for, variance_of_mean
+from isogi_core.frame.tiles import Tiles
+from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, PROVISIONAL, Framebuffer, PixelPoints
+from isogi_core.kernels.shading.lattice import DARKEST
+from isogi_core.kernels.shading.local_models import find_shadows, shade_local
+from isogi_core.kernels.transport.paths import PathRules, SampleRange
+from isogi_core.kernels.transport.room_paths import RoomStarts, light_in_room
+from isogi_core.model.sky import LUMINANCE
+from isogi_core.prepared.surface import Surface
+
+COARSE, FINE = 16, 64
+"""Texels along the longest edge of any wall: of the first picture, and of all others."""
+
+FIRST, MOST = 8, 1 << 12
+"""Paths of each half of a texel at first, and at most."""
+
+WALL_STREAM = 1 << 19
+"""Sets the sequences of walls' texels apart from those of the lattice's, whose first word is smaller."""
+
+
+def light_starts(
+    light: RotatedLight, surface: Surface, starts: RoomStarts, rules: PathRules, samples: SampleRange, tiles: Tiles
+) -> np.ndarray:
+    """Sums (g, 3) of a ``SampleRange`` of E/π at ``starts`` about a ``surface``; see ``light_in_room``.
+
+    Raises Cancelled.
+    """
+    traced, sums = surface.traced(tiles.run), np.zeros((len(starts.seeds), 3))
+    room, around = light.spec.prepared.room(light.seen.albedo), light.surroundings
+
+    def _piece(a: int, b: int) -> None:
+        some = RoomStarts(*(np.ascontiguousarray(each[..., a:b]) for each in starts))
+        light_in_room(traced.field, traced.cells, room, some, samples, rules, around, sums[a:b])
+
+    tiles.run(_piece, len(sums), PATH_POINTS)
+    return sums
+
+
+@dataclass(frozen=True, eq=False)
+class WallTexels:
+    """Texels on a side of the wall number ``wall``: ``sums`` (rows, columns, 2, 3) of E/π of ``count`` paths each half.
+
+    Rows are along the wall's second edge, and ``side`` is 1 for its front, -1 for its back. ``fine`` ones stay.
+    """
+
+    wall: int
+    side: int
+    sums: np.ndarray
+    count: int = 0
+    fine: bool = False
+
+    @classmethod
+    def begun(cls, light: RotatedLight, wall: int, side: int, across: int) -> "WallTexels":
+        """Texels that no path has been sent from yet, ``across`` of them along the longest edge of any wall."""
+        edges = np.linalg.norm(light.spec.prepared.scene.room.edges, axis=2)
+        columns, rows = np.maximum(np.ceil(across * edges[wall] / edges.max()), 2).astype(int).tolist()
+        return cls(wall, side, np.zeros((rows, columns, 2, 3)), fine=across == FINE)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that they take."""
+        return self.sums.nbytes
+
+    @property
+    def means(self) -> np.ndarray:
+        """E/π by each half; (rows, columns, 2, 3)."""
+        return np.asarray(self.sums / max(self.count, 1))
+
+    def variance(self, albedo: np.ndarray) -> np.ndarray:
+        """Variance of the luminance that leaves each texel, a mean with its neighbours', by NEAR; (rows, columns)."""
+        halves = self.means @ (LUMINANCE * albedo)
+        each = ((halves[..., 0] - halves[..., 1]) / 2.0) ** 2
+        for axis in (0, 1):
+            padded = np.pad(each, [(2 * int(a == axis),) * 2 for a in range(2)], "edge")
+            each = np.lib.stride_tricks.sliding_window_view(padded, len(NEAR), axis) @ (NEAR / NEAR.sum())
+        return np.asarray(each)
+
+    def noise(self, albedo: np.ndarray) -> float:
+        """The relative noise of all of them together, in luminance; 0 where no light arrives."""
+        mean = float((self.means.mean(axis=2) @ (LUMINANCE * albedo)).mean())
+        return math.sqrt(float(self.variance(albedo).mean())) / mean if mean > 0.0 else 0.0
+
+    def final(self, albedo: np.ndarray, target: float) -> bool:
+        """Whether their noise is within a ``target``, or they have taken all paths that they may."""
+        return self.fine and self.count > 0 and (self.count >= MOST or self.noise(albedo) <= target)
+
+    def grown(self, light: RotatedLight, surface: Surface, tiles: Tiles) -> "WallTexels":
+        """The same after as many paths again, or fine ones after the first. Raises Cancelled."""
+        if self.count and not self.fine:
+            return WallTexels.begun(light, self.wall, self.side, FINE).grown(light, surface, tiles)
+        plan, more = light.spec.plan, self.count or FIRST
+        rules = PathRules(path_weights(np.ones(3), plan.bounces, 1.0), plan.survival)
+        added = light_starts(light, surface, self._starts(light, surface), rules, SampleRange(self.count, more), tiles)
+        return replace(self, sums=self.sums + added.reshape(self.sums.shape), count=self.count + more)
+
+    def _starts(self, light: RotatedLight, surface: Surface) -> RoomStarts:
+        """Where the paths of each texel's halves start: in its middle."""
+        room, (rows, columns) = light.spec.prepared.room(light.seen.albedo), self.sums.shape[:2]
+        row, column, half = (each.ravel() for each in np.indices((rows, columns, 2)))
+        edges = room.edges[self.wall]
+        points = room.corners[self.wall] + np.outer((column + 0.5) / columns, edges[0])
+        points += np.outer((row + 0.5) / rows, edges[1])
+        points /= surface.field.spacing
+        normals = np.tile(self.side * room.normals[self.wall], (len(points), 1))
+        words = np.column_stack([np.full(len(row), WALL_STREAM + 2 * self.wall + (self.side < 0)), row, column, half])
+        return starts_on(points, normals, np.full(len(row), self.wall), surface, seeds_of(words))
+
+    def at(self, shares: np.ndarray, albedo: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """E/π (m, 3) at ``shares`` (m, 2) of the wall's edges, and the variance of the luminance that leaves; (m,)."""
+        means, variance = self.means.mean(axis=2), self.variance(albedo)
+        size = np.array(variance.shape[::-1])
+        place = np.clip(shares * size - 0.5, 0.0, size - 1.0)
+        low = np.minimum(place.astype(np.int64), size - 2)
+        (x, y), (i, j) = (place - low).T, low.T
+        light, noise = np.zeros((len(shares), 3)), np.zeros(len(shares))
+        for right, above in np.ndindex(2, 2):
+            weight = (x if right else 1.0 - x) * (y if above else 1.0 - y)
+            light += weight[:, None] * means[j + above, i + right]
+            noise += weight * variance[j + above, i + right]
+        return light, noise
+
+
+@dataclass(eq=False)
+class WallLight:
+    """The light of a side of a wall about the ``surface`` that is shown: its ``texels``, as far as they have come.
+
+    Threads wait for each other.
+    """
+
+    light: RotatedLight
+    surface: Surface
+    texels: WallTexels
+    lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that it takes once its texels are fine."""
+        return self.texels.nbytes * (1 if self.texels.fine else (FINE // COARSE) ** 2)
+
+    def begun(self, tiles: Tiles) -> WallTexels:
+        """Its texels with some light at least. Raises Cancelled."""
+        with self.lock:
+            if not self.texels.count:
+                self.texels = self.texels.grown(self.light, self.surface, tiles)
+            return self.texels
+
+    def step(self, albedo: np.ndarray, target: float, tiles: Tiles) -> bool:
+        """Bring them a step nearer to a ``target`` error; whether there was one to take. Raises Cancelled."""
+        with self.lock:
+            if self.texels.final(albedo, target):
+                return False
+            self.texels = self.texels.grown(self.light, self.surface, tiles)
+            return True
+
+
+def starts_on(
+    points: np.ndarray, normals: np.ndarray, walls: np.ndarray, surface: Surface, seeds: np.ndarray
+) -> RoomStarts:
+    """Starts of paths at ``points`` and ``normals`` (g, 3) on ``walls`` (g,), by number, about a ``surface``."""
+    here, around = (np.ascontiguousarray(each.T, np.float64) for each in (points, normals))
+    levels = np.full(len(seeds), float(surface.isovalue))
+    return RoomStarts(here, around, levels, seeds, walls.astype(np.float64))
+
+
+@dataclass(frozen=True, eq=False)
+class WallView:
+    """The walls in a picture: what each of their pixels shows. ``sides`` (m,) int are 1 for fronts, -1 for backs."""
+
+    gbuffer: GBuffer
+    light: RotatedLight
+    sides: np.ndarray
+
+    @classmethod
+    def of(cls, gbuffer: GBuffer, light: RotatedLight) -> "WallView":
+        """The walls that a G-buffer shows."""
+        room, eye = light.spec.prepared.room(light.seen.albedo), np.multiply(gbuffer.eye, gbuffer.spacing)
+        front = ((eye - room.corners) * room.normals).sum(axis=1) > 0.0
+        return cls(gbuffer, light, np.where(front, 1, -1)[gbuffer.walls.numbers])
+
+    @property
+    def seen(self) -> list[tuple[int, int]]:
+        """The walls that are seen, by number, each with the side that is seen."""
+        return sorted(set(zip(self.gbuffer.walls.numbers.tolist(), self.sides.tolist(), strict=True)))
+
+    def albedo(self, wall: int) -> np.ndarray:
+        """The albedo of a wall, (3,)."""
+        return np.array(self.light.spec.prepared.scene.room.walls[wall].albedo)
+
+    def put(self, texels: Any, target: float, framebuffer: Framebuffer) -> int:
+        """Write the light of ``texels``, the WallTexels of each wall that is seen, into a picture.
+
+        Returns how many pixels are not final.
+        """
+        walls, waiting = self.gbuffer.walls, 0
+        room = self.light.spec.prepared.room(self.light.seen.albedo)
+        for each in texels:
+            rows, albedo = np.flatnonzero(walls.numbers == each.wall), self.albedo(each.wall)
+            away = walls.points[rows] * np.array(self.gbuffer.spacing) - room.corners[each.wall]
+            edges = room.edges[each.wall]
+            arriving, variance = each.at(away @ edges.T / (edges**2).sum(axis=1), albedo)
+            final = each.final(albedo, target)
+            state = FINAL if final else CONVERGING if each.fine else PROVISIONAL
+            self._write(rows, room.radiances[each.wall] + albedo * arriving, variance, state, framebuffer)
+            waiting += 0 if final else len(rows)
+        return waiting
+
+    def _write(
+        self, rows: np.ndarray, light: np.ndarray, variance: np.ndarray, state: Any, framebuffer: Framebuffer
+    ) -> None:
+        """Write the radiance of some of the pixels, whose luminance has this ``variance``."""
+        pixels, light = self.gbuffer.walls.pixels[rows], np.minimum(light, np.finfo(np.float32).max)
+        darkest = DARKEST * self.light.spec.unit
+        framebuffer.radiance[pixels] = light
+        framebuffer.state[pixels] = state
+        framebuffer.error[pixels] = np.clip(np.sqrt(variance) / np.maximum(light @ LUMINANCE, darkest), 0.0, 1.0)
+
+    def put_paths(self, target: float, framebuffer: Framebuffer, tiles: Tiles) -> None:
+        """Write the walls into a path-traced picture, as many paths from each pixel. Raises Cancelled."""
+        walls, plan, samples = self.gbuffer.walls, self.light.spec.prepared.scene.plan, self.light.view.samples
+        replicas = replicas_for(samples)
+        count, room = max(samples // replicas, 1), self.light.spec.prepared.room(self.light.seen.albedo)
+        each, replica = (part.ravel() for part in np.indices((len(walls.pixels), replicas)))
+        seeds = seeds_of(np.column_stack([walls.pixels[each], replica]))
+        starts = starts_on(walls.points[each], self._normals[each], walls.numbers[each], self.gbuffer.surface, seeds)
+        rules = PathRules(path_weights(np.ones(3), plan.bounces, 1.0), plan.survival)
+        sums = light_starts(self.light, self.gbuffer.surface, starts, rules, SampleRange(0, count), tiles)
+        means = room.albedos[walls.numbers][:, None] * sums.reshape(-1, replicas, 3) / count
+        variance = pooled_variance(variance_of_mean(means), self.gbuffer, walls.pixels)
+        light = means.mean(axis=1) + room.radiances[walls.numbers]
+        self._write(np.arange(len(light)), light, variance, CONVERGING, framebuffer)
+        framebuffer.state[walls.pixels] = np.where(framebuffer.error[walls.pixels] <= target, FINAL, CONVERGING)
+
+    @property
+    def _normals(self) -> np.ndarray:
+        """The normals of the sides that are seen; (m, 3)."""
+        room = self.light.spec.prepared.room(self.light.seen.albedo)
+        return np.asarray(self.sides[:, None] * room.normals[self.gbuffer.walls.numbers])
+
+    def put_locally(self, shading: str, depths: tuple[float, float], framebuffer: Framebuffer, tiles: Tiles) -> None:
+        """Write the walls into a picture by a local model, whose shadows are those of the surface. Raises Cancelled."""
+        walls, gbuffer, room = self.gbuffer.walls, self.gbuffer, self.light.spec.prepared.scene.room
+        traced, normals = gbuffer.surface.traced(tiles.run), self._normals.astype(np.float32)
+        for number, _ in self.seen:
+            rows = np.flatnonzero(walls.numbers == number)
+            model = self.light.local_model(shading, depths, np.array(room.walls[number].albedo))
+            some = PixelPoints(walls.points[rows], normals[rows], walls.pixels[rows])
+            reached = np.empty(len(rows), np.bool_)
+            if model.shadow:
+                find_shadows(traced, some, model.key, reached)
+            shade_local(some, reached, gbuffer.eye, gbuffer.spacing, model, framebuffer)

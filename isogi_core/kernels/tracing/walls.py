@@ -1,0 +1,112 @@
+"""Walls: flat rectangles beside the isosurface. Rays meet them one at a time or in lanes, to the same bits."""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import types
+
+from isogi_core.kernels._jit import kernel, record
+from isogi_core.kernels.simd.maths import divide, where
+from isogi_core.kernels.simd.memory import load, store
+from isogi_core.kernels.simd.types import PATH_WIDTH
+from isogi_core.kernels.tracing.camera import PINHOLE, pixel_ray
+from isogi_core.kernels.tracing.cast import SURFACE, cast_batch
+from isogi_core.kernels.tracing.intersect import UNKNOWN
+from isogi_core.kernels.tracing.ray_stream import Rays
+from isogi_core.kernels.tracing.vec import column, load_columns, madd, put_column
+
+NOWHERE = -1.0
+"""The number of no wall."""
+
+RIM = 1e-9
+"""Share of its edges by which a wall reaches beyond them, so that no ray slips between two that meet."""
+
+
+class Walls(NamedTuple):
+    """k >= 0 rectangles, as rays in index space meet them; all float64.
+
+    ``corners`` (k, 3) in index space. The ``planes`` (k, 3) times an index-space direction give its world component
+    along the wall's normal, and ``across`` (k, 2, 3) times the way from the corner its shares of the two edges. Rays
+    whose component is below ``backs`` (k,) are stopped: all where that is inf, those that meet the front where it is 0.
+    """
+
+    corners: Any
+    planes: Any
+    across: Any
+    backs: Any
+
+
+ROWS, NUMBERS = types.float64[:, ::1], types.float64[::1]
+WALLS = record(Walls, ROWS, ROWS, types.float64[:, :, ::1], NUMBERS)
+
+
+@kernel(exact=True)
+def inner(rows, k, v):
+    """Row ``k`` of a (k, 3) array times the vector ``v``."""
+    return rows[k, 0] * v[0] + rows[k, 1] * v[1] + rows[k, 2] * v[2]
+
+
+@kernel(exact=True)
+def nearest_wall(walls, o, d, own, reach):
+    """The first wall that the ray o + t·d meets, 0 < t < ``reach``: (t, its number), or (reach, NOWHERE).
+
+    It never meets its ``own`` wall, that it starts on. Takes vectors of rays too.
+    """
+    found = own * 0.0 + NOWHERE
+    for k in range(walls.corners.shape[0]):
+        x, y, z = o[0] - walls.corners[k, 0], o[1] - walls.corners[k, 1], o[2] - walls.corners[k, 2]
+        slope = inner(walls.planes, k, d)
+        t = divide(-inner(walls.planes, k, (x, y, z)), slope)
+        p = x + t * d[0], y + t * d[1], z + t * d[2]
+        a, b = inner(walls.across[k], 0, p), inner(walls.across[k], 1, p)
+        within = (a >= -RIM) & (a <= 1.0 + RIM) & (b >= -RIM) & (b <= 1.0 + RIM)
+        met = within & (t > 0.0) & (t < reach) & (own != float(k)) & (slope < walls.backs[k])
+        reach, found = where(met, t, reach), where(met, float(k), found)
+    return reach, found
+
+
+@kernel()
+def meet_walls(walls, origins, directions, own, t, met):
+    """Shorten the ways ``t`` (n,) of rays ``origins`` + t · ``directions`` (3, n) to the walls that they meet first.
+
+    ``own`` (n,) are the walls that they start on; ``met`` (n,) those that they meet, or NOWHERE. n is whole vectors.
+    """
+    for i in range(0, t.shape[0], PATH_WIDTH):
+        o, d = load_columns(origins, i), load_columns(directions, i)
+        reach, found = nearest_wall(walls, o, d, load(own, i, PATH_WIDTH), load(t, i, PATH_WIDTH))
+        store(t, i, reach)
+        store(met, i, found)
+
+
+SEEN = types.UniTuple(types.int64, 2)
+PIXELS, POINTS = types.uint32[:, ::1], types.float32[:, :, ::1]
+
+
+@kernel(SEEN(SURFACE, WALLS, PINHOLE, types.int64, types.int64, PIXELS, POINTS, types.int8[::1]))
+def trace_pixels_in_room(surface, walls, camera, first, width, pixels, points, numbers):
+    """``trace_pixels`` among ``walls``: returns how many pixels show the surface, and how many a wall.
+
+    The first row of ``pixels`` (2, n) and ``points`` (2, n, 3) is of the surface, the second one of walls, whose
+    ``numbers`` (n,) are those of the pixels in that row.
+    """
+    count = pixels.shape[1]
+    origins, directions = np.empty((3, count)), np.empty((3, count))
+    for i in range(count):
+        y, x = divmod(first + i, width)
+        put_column(origins, i, camera.eye)
+        put_column(directions, i, pixel_ray(camera, x + 0.5, y + 0.5))
+    t, came = np.empty(count), np.empty(count, np.int8)
+    rays = Rays(np.full(count, surface.isovalue), origins, directions, np.full(count, UNKNOWN, np.int8))
+    cast_batch(surface.field, surface.cells, rays, t, came)
+    hits = walled = 0
+    for i in range(count):
+        d = column(directions, i)
+        reach, wall = nearest_wall(walls, camera.eye, d, NOWHERE, t[i])
+        kind, place = (0, hits) if wall == NOWHERE else (1, walled)
+        if reach < math.inf:
+            pixels[kind, place] = first + i
+            points[kind, place, 0], points[kind, place, 1], points[kind, place, 2] = madd(camera.eye, reach, d)
+            numbers[place] = np.int8(wall) if kind else numbers[place]
+            hits, walled = hits + 1 - kind, walled + kind
+    return hits, walled

@@ -1,0 +1,203 @@
+"""Walls: flat rectangles beside the isosurface, read from ``[[walls]]`` tables, or a whole room about the volume."""
+
+import hashlib
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from isogi_core.errors import SceneError
+from isogi_core.files.scene_file import is_number
+from isogi_core.model.lights import LARGEST, AreaLight, Colour, Vector
+from isogi_core.model.orientation import triple
+from isogi_core.model.volume import Volume
+
+MOST_WALLS = 64
+"""Most walls of a scene: every ray asks each of them."""
+
+SKEW = 1e-6
+"""Cosine up to which two edges are at a right angle."""
+
+
+@dataclass(frozen=True)
+class Wall:
+    """A rectangle with a ``corner`` and two ``edges``, in the world, that reflects ``albedo`` and gives off
+    ``radiance``, both linear RGB. With one of its ``sides`` lit that is the one which the product of its edges points
+    to; the other is black, and the camera looks through it.
+    """
+
+    corner: Vector
+    edges: tuple[Vector, Vector]
+    albedo: Colour = (0.7, 0.7, 0.7)
+    radiance: Colour = (0.0, 0.0, 0.0)
+    sides: int = 2
+
+    def __post_init__(self) -> None:
+        _check_edges(*map(np.array, self.edges))
+        if not all(0.0 <= share <= 1.0 for share in self.albedo):
+            raise SceneError(f"A wall's albedo is {_listed(self.albedo)}: it must be from 0 to 1.")
+        if not all(0.0 <= light <= LARGEST for light in self.radiance):
+            raise SceneError(f"A wall's radiance is {_listed(self.radiance)}: it must be from 0 to {LARGEST:g}.")
+
+    @property
+    def lamps(self) -> tuple[AreaLight, ...]:
+        """What it gives off as area lights, one for each of its lit sides; none where it gives off nothing."""
+        u, v = self.edges
+        both = (AreaLight(self.corner, u, v, self.radiance), AreaLight(self.corner, v, u, self.radiance))
+        return both[: self.sides] if any(self.radiance) else ()
+
+
+def _check_edges(u: np.ndarray, v: np.ndarray) -> None:
+    """SceneError where two edges do not span a rectangle."""
+    longest = max(float(np.linalg.norm(u)), float(np.linalg.norm(v)))
+    if not 0.0 < np.linalg.norm(np.cross(u, v)) <= LARGEST or longest > LARGEST:
+        raise SceneError("A wall's edges span no area: give two edges that are not parallel.")
+    if abs(u @ v) > SKEW * np.linalg.norm(u) * np.linalg.norm(v):
+        raise SceneError("A wall's edges are not at a right angle: walls are rectangles.")
+
+
+def _listed(values: Sequence[float]) -> str:
+    return ", ".join(f"{value:g}" for value in values)
+
+
+@dataclass(frozen=True, eq=False)
+class Room:
+    """The ``walls`` of a scene. ``corners`` (k, 3) and ``edges`` (k, 2, 3) are those in the volume's box."""
+
+    walls: tuple[Wall, ...]
+    corners: np.ndarray
+    edges: np.ndarray
+
+    @property
+    def any(self) -> bool:
+        """Whether there is a wall at all."""
+        return bool(self.walls)
+
+    @property
+    def lamps(self) -> tuple[AreaLight, ...]:
+        """What its walls give off, as area lights."""
+        return tuple(lamp for wall in self.walls for lamp in wall.lamps)
+
+    @property
+    def albedos(self) -> tuple[Colour, ...]:
+        """The albedo of each wall."""
+        return tuple(wall.albedo for wall in self.walls)
+
+    @cached_property
+    def digest(self) -> str:
+        """Hex digest of all that light depends on."""
+        rest = [[wall.albedo, wall.radiance, wall.sides] for wall in self.walls]
+        text = repr([self.corners.tolist(), self.edges.tolist(), rest])
+        return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
+
+    def wall_at(self, point: Vector, near: float) -> int | None:
+        """The number of the wall that a ``point`` of the box stands in, ``near`` as it may be; None where in none."""
+        for k, (corner, (u, v)) in enumerate(zip(self.corners, self.edges, strict=True)):
+            away, normal = np.subtract(point, corner), np.cross(u, v)
+            shares = away @ u / (u @ u), away @ v / (v @ v)
+            if abs(away @ normal) <= near * np.linalg.norm(normal) and all(0.0 <= share <= 1.0 for share in shares):
+                return k
+        return None
+
+
+NO_ROOM = Room((), np.empty((0, 3)), np.empty((0, 2, 3)))
+
+
+def place_walls(walls: Sequence[Wall], volume: Volume) -> Room:
+    """The room that some ``walls`` of the world make about a ``volume``. SceneError where there are too many."""
+    if len(walls) > MOST_WALLS:
+        raise SceneError(f"The scene has {len(walls)} walls: give it at most {MOST_WALLS}.")
+    if not walls:
+        return NO_ROOM
+    matrix, origin = volume.orientation.matrix, np.array(volume.orientation.origin)
+    corners, edges = np.array([wall.corner for wall in walls]), np.array([wall.edges for wall in walls])
+    return Room(tuple(walls), (corners - origin) @ matrix, edges @ matrix)
+
+
+def wall_from_mapping(table: Mapping[str, Any]) -> Wall:
+    """The wall that one ``[[walls]]`` table describes. SceneError where a key is unknown, missing or has no meaning."""
+    unknown = [key for key in table if key not in READERS]
+    if unknown:
+        raise SceneError(f"A wall has no '{unknown[0]}': choose from {', '.join(READERS)}.")
+    missing = [key for key in ("corner", "edges") if key not in table]
+    if missing:
+        raise SceneError(f"A wall lacks its '{missing[0]}': add it to the scene.")
+    given: dict[str, Any] = {key: READERS[key](key, value) for key, value in table.items()}
+    return Wall(**given)
+
+
+def _vector(key: str, value: Any) -> Vector:
+    """``[x, y, z]``."""
+    if not isinstance(value, list) or len(value) != 3 or not all(map(is_number, value)):
+        raise SceneError(f"A wall's {key} is {value!r}: give [x, y, z].")
+    return triple(value)
+
+
+def _edges(key: str, value: Any) -> tuple[Vector, Vector]:
+    """Two vectors."""
+    if not isinstance(value, list) or len(value) != 2:
+        raise SceneError(f"A wall's {key} are {value!r}: give two, [[x, y, z], [x, y, z]].")
+    return _vector("edge", value[0]), _vector("edge", value[1])
+
+
+def _colour(key: str, value: Any) -> Colour:
+    """A number for all three channels, or ``[r, g, b]``."""
+    given = [value] * 3 if is_number(value) else value
+    if not isinstance(given, list) or len(given) != 3 or not all(map(is_number, given)):
+        raise SceneError(f"A wall's {key} is {value!r}: give a number or [r, g, b].")
+    return triple(given)
+
+
+def _sides(key: str, value: Any) -> int:
+    """One or two."""
+    if value not in (1, 2) or isinstance(value, bool):
+        raise SceneError(f"A wall's {key} are {value!r}: 1 or 2 of them are lit.")
+    return int(value)
+
+
+READERS = {"corner": _vector, "edges": _edges, "albedo": _colour, "radiance": _colour, "sides": _sides}
+"""How the keys of a ``[[walls]]`` table are read."""
+
+ROOMS = ("cornell",)
+"""Names of whole rooms."""
+
+WHITE, RED, GREEN = (0.73, 0.73, 0.73), (0.63, 0.065, 0.05), (0.14, 0.45, 0.09)
+"""Albedos of a Cornell room's walls."""
+
+WIDTH, GAP = 1.5, 0.05
+"""The side of the room, and how far its floor is below the volume's box, over the box's longest side."""
+
+LAMP, HANG = 1.0 / 3.0, 0.005
+"""The side of its luminaire, and how far that hangs below the ceiling, over the side of the room."""
+
+SHINE = 0.25 * math.pi / LAMP**2
+"""Radiance of the luminaire: it gives a white surface in the middle of the room, that faces it, a radiance of 1."""
+
+
+def cornell_room(volume: Volume) -> tuple[Wall, ...]:
+    """A cube about the box of a ``volume``, open towards +y, with a luminaire at its ceiling.
+
+    All walls are lit on their inner sides; red is at the left of who looks in from +y, and green at the right.
+    """
+    low, high = np.array(volume.world_bounds, np.float64)
+    longest = float((high - low).max())
+    side = WIDTH * longest
+    x, y = ((low + high) / 2.0 - side / 2.0)[:2]
+    z = low[2] - GAP * longest
+    along = np.eye(3) * side
+
+    def wall(corner: Sequence[float], u: np.ndarray, v: np.ndarray, albedo: Colour, radiance: float = 0.0) -> Wall:
+        return Wall(triple(corner), (triple(u), triple(v)), albedo, (radiance,) * 3, sides=1)
+
+    rim, hung = 0.5 * (1.0 - LAMP) * side, z + (1.0 - HANG) * side
+    return (
+        wall((x, y, z), along[0], along[1], WHITE),
+        wall((x, y, z + side), along[1], along[0], WHITE),
+        wall((x, y, z), along[2], along[0], WHITE),
+        wall((x + side, y, z), along[2], along[1], RED),
+        wall((x, y, z), along[1], along[2], GREEN),
+        wall((x + rim, y + rim, hung), LAMP * along[1], LAMP * along[0], (0.0, 0.0, 0.0), SHINE),
+    )
