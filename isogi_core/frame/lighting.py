@@ -62,6 +62,9 @@ def all_weights(spec: BakeSpec) -> np.ndarray:
 KEY_SHARE = 0.1
 """An environment whose first band carries less than this share of its mean has no key light of its own."""
 
+KEY = 0.6
+"""Share of a light that comes from its direction, where the rest is taken to come from everywhere."""
+
 SHINE, EXPONENT = 0.3, 32.0
 """Phong's highlight: strength and exponent."""
 
@@ -200,24 +203,28 @@ class RotatedLight:
     def key_light(self) -> tuple[tuple[float, float, float], np.ndarray, np.ndarray]:
         """Direction towards the key light, its irradiance over π, and the ambient radiance; both (3,) linear RGB.
 
-        The strongest lamp as the middle of the volume sees it, and all else as ambient light. Without one,
+        The strongest lamp as the middle of the volume sees it, and all else as ambient light; among walls, which
+        reflect it, the share KEY of that lamp. Without one,
         the directional light and constant with the same bands 0 and 1 as the environment: D·Y_1 = ℓ_1,
         at most what band 0 holds. Without a direction of its own, a light over the camera's shoulder
-        carries six tenths of the mean.
+        carries the share KEY of the mean.
         """
         scene = self.spec.prepared.scene
         directions, irradiances = scene.lamps.seen_from(scene.volume.centre)
         strengths = irradiances @ LUMINANCE
         if strengths.any():
             best = int(strengths.argmax())
-            rest = (irradiances.sum(axis=0) - irradiances[best]) / (4.0 * math.pi)
-            return triple(directions[best]), irradiances[best] / math.pi, scene.environment.mean() + rest
+            rest = (irradiances.sum(axis=0) - irradiances[best]) / (4.0 * math.pi) + scene.environment.mean()
+            key = irradiances[best] / math.pi
+            if scene.room.any:
+                return triple(directions[best]), KEY * key, (1.0 - KEY) * key + rest
+            return triple(directions[best]), key, rest
         first = np.array([self.around[:, i] if i < self.around.shape[1] else np.zeros(3) for i in (3, 1, 2)])
         pull = first @ LUMINANCE
         strength = float(np.linalg.norm(pull)) * math.sqrt(4.0 * math.pi / 3.0)
         mean = float(self.mean @ LUMINANCE)
         if strength <= KEY_SHARE * 4.0 * math.pi * mean:
-            return shoulder_light(self.view.camera), 0.6 * self.mean, 0.4 * self.mean
+            return shoulder_light(self.view.camera), KEY * self.mean, (1.0 - KEY) * self.mean
         share = min(strength / (4.0 * math.pi * mean), 0.9)
         towards = pull / np.linalg.norm(pull)
         return triple(towards), 4.0 * share * self.mean, (1.0 - share) * self.mean

@@ -118,6 +118,7 @@ class Renderer:
     def _draw(self, view: View, target: float, tiles: Tiles, watch: Stopwatch) -> Frame:
         """The frame of a view, drawn on the threads of ``tiles``."""
         self.prepared.scene.albedo_for(view.albedo)
+        self.prepared.scene.refuse_camera(view.camera)
         with watch.stage("primary"):
             gbuffer = self.gbuffer(view, tiles)
         light = self._light(view)

@@ -33,6 +33,9 @@ NORMALS = ("bspline", "gradient")
 SURVEYED = ("texels", "projection", "presets")
 """Properties of a scene that take a pass over its volume, and that no plan changes."""
 
+IN_WALL = 1e-6
+"""How near the camera may come to a wall, in radii of the volume."""
+
 CHUNKS = (8, 16, 32)
 """Sides that a chunk may have, in texels. Small chunks spread over more workers; large ones are fewer objects."""
 
@@ -163,6 +166,12 @@ class Scene:
             given = ",".join(f"{share:g}" for share in asked)
             raise ViewError(f"albedo must be from {lowest:g} to {highest:g} in this scene, not {given}.")
         return asked
+
+    def refuse_camera(self, camera: Camera) -> None:
+        """Raise ViewError where a ``camera``, in the volume's box, stands in a wall: all it would see is that."""
+        wall = self.room.wall_at(camera.eye, IN_WALL * self.volume.radius)
+        if wall is not None:
+            raise ViewError(f"The camera stands in wall {wall + 1}: move it to either side.")
 
     def layer_digest(self, layer: Layer, shown: Isovalue | None = None) -> str:
         """Digest (hex) of everything that a layer's light depends on, and of nothing else.

@@ -1,0 +1,104 @@
+"""Frames in a room: walls and luminaires in the picture, their light on the surface, and how it becomes final."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from isogi_core.errors import ViewError
+from isogi_core.frame.entry_kernels import ROOM, frame_kernels
+from isogi_core.kernels.shading.framebuffer import FINAL, PROVISIONAL
+from isogi_core.kernels.tracing.camera import trace_pixels
+from isogi_core.model.orientation import triple
+from tests.frame.conftest import CONSTANT, LOOSE, Workbench, relative_rmse
+from tests.loaded import load_scene
+
+SIZE = 32
+
+
+@pytest.fixture(scope="module")
+def room(tmp_path_factory: pytest.TempPathFactory) -> Workbench:
+    """The orbital in a Cornell room, baked to a tenth in the view from its open side."""
+    scene = load_scene("demo:orbital", room="cornell", bounces=2, target_error=LOOSE, projected=False)
+    bench = Workbench(scene, tmp_path_factory.mktemp("room"))
+    bench.bake(bench.view(90.0, 0.0, SIZE, distance=4.0))
+    return bench
+
+
+def test_a_room_becomes_final_and_is_what_paths_say(room: Workbench) -> None:
+    view = room.view(90.0, 0.0, SIZE, distance=4.0)
+    first = room.renderer.render(view)
+    walls = first.gbuffer.walls
+    assert set(walls.numbers.tolist()) == {0, 1, 2, 3, 4, 5}
+    assert first.surface == len(walls.pixels) + len(first.gbuffer.pixels)
+    assert set(first.state.ravel()[walls.pixels]) == {PROVISIONAL}
+    assert first.walls_waiting == len(walls.pixels)
+    assert first.checkable
+    while room.renderer.refine(view):
+        pass
+    frame = room.renderer.render(view)
+    assert frame.walls_waiting == 0
+    assert (frame.state[first.state > 0] == FINAL).all()
+    assert frame.version != first.version
+    traced = room.renderer.render(room.view(90.0, 0.0, SIZE, distance=4.0, shading="path_traced", samples=256))
+    assert relative_rmse(frame, traced) < 1.5 * LOOSE
+    assert frame.noise < LOOSE
+    red, green = (frame.radiance.reshape(-1, 3)[walls.pixels[walls.numbers == k]].mean(axis=0) for k in (3, 4))
+    assert red[0] > 2.0 * red[1]
+    assert green[1] > 2.0 * green[0]
+    lamp = frame.radiance.reshape(-1, 3)[walls.pixels[walls.numbers == 5]]
+    np.testing.assert_allclose(lamp, room.scene.room.walls[5].radiance[0], rtol=1e-6)
+
+
+def test_positions_are_those_of_walls_too(room: Workbench) -> None:
+    frame = room.renderer.render(room.view(90.0, 0.0, SIZE, distance=4.0))
+    walls = frame.gbuffer.walls
+    places = frame.position.reshape(-1, 3)[walls.pixels]
+    corners, edges = room.scene.room.corners[walls.numbers], room.scene.room.edges[walls.numbers]
+    heights = ((places - corners) * np.cross(edges[:, 0], edges[:, 1])).sum(axis=1)
+    assert np.abs(heights).max() < 1e-2 * room.scene.volume.radius
+    np.testing.assert_array_equal(frame.positions(3, 5), frame.position[3:5])
+
+
+@pytest.mark.parametrize("shading", ["vicinity", "lambert", "phong_shadow", "lambert_fog"])
+def test_other_shadings_show_the_walls(room: Workbench, shading: str) -> None:
+    frame = room.renderer.render(room.view(90.0, 0.0, SIZE, distance=4.0, shading=shading))
+    walls = frame.gbuffer.walls
+    shown = frame.radiance.reshape(-1, 3)[walls.pixels[walls.numbers == 3]]
+    assert frame.walls_waiting == 0
+    assert (frame.state.ravel()[walls.pixels] == FINAL).all()
+    assert (shown[:, 0] > 2.0 * shown[:, 1]).all()
+
+
+def test_the_camera_may_not_stand_in_a_wall(room: Workbench) -> None:
+    view, wall = room.view(size=8), room.scene.room.walls[0]
+    eye = triple(np.array(wall.corner) + np.array(wall.edges).sum(axis=0) / 3.0)
+    with pytest.raises(ViewError, match="The camera stands in wall 1: move it"):
+        room.renderer.render(replace(view, camera=replace(view.camera, eye=eye)))
+
+
+def test_only_scenes_with_walls_need_their_kernels(room: Workbench) -> None:
+    assert {*ROOM} <= {*frame_kernels([room.scene])}
+    assert trace_pixels not in frame_kernels([room.scene])
+    assert not {*ROOM} & {*frame_kernels([load_scene("demo:orbital", lights=[CONSTANT])])}
+
+
+def test_a_white_furnace_stays_one_in_a_closed_room(tmp_path: Path) -> None:
+    """Walls that all give off 1 and reflect nothing are a constant light of radiance 1 to a surface in them."""
+    low, high = -30.0, 130.0
+    a, b, c = (high - low) * np.eye(3)
+    p, q = np.full(3, low), np.full(3, high)
+    faces = [(p, b, c), (q, -c, -b), (p, c, a), (q, -a, -c), (p, a, b), (q, -b, -a)]
+    walls = [
+        {"corner": x.tolist(), "edges": [u.tolist(), v.tolist()], "albedo": 0, "radiance": 1, "sides": 1}
+        for x, u, v in faces
+    ]
+    settings = {"bounces": 1, "target_error": 0.05, "albedo": 0.5, "projected": False}
+    closed = Workbench(load_scene("demo:orbital", walls=walls, **settings), tmp_path / "closed")
+    alone = load_scene("demo:orbital", lights=[CONSTANT], rotating=False, representation="irradiance", **settings)
+    outside = Workbench(alone, tmp_path / "open")
+    view = closed.view(40.0, 30.0, 16, distance=1.5)
+    surface = closed.bake(view).gbuffer.pixels
+    found, expected = (bench.bake(view).radiance.reshape(-1, 3)[surface] for bench in (closed, outside))
+    assert abs(found.mean() / expected.mean() - 1.0) < 0.01

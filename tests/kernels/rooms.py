@@ -1,0 +1,56 @@
+"""Rooms of a few walls, and starts of paths on them, as the kernels take them."""
+
+import numpy as np
+
+from isogi_core.kernels.tracing.walls import Walls
+from isogi_core.kernels.transport.light_paths import Surroundings
+from isogi_core.kernels.transport.paths import PathRules, SampleRange
+from isogi_core.kernels.transport.room_paths import Room, RoomStarts, light_in_room
+from tests.kernels.fields import cells_of
+
+X, Y, Z = np.eye(3)
+
+
+def wall(corner, u, v, albedo=0.0, radiance=0.0, twofold=False):
+    """A wall as ``room_of`` takes it."""
+    return corner, (u, v), albedo, radiance, twofold
+
+
+def box(side, albedo=0.0, radiance=0.0):
+    """The six walls of a cube from 0 to ``side``, lit inside: x low and high, y, z."""
+    a, b, c = side * np.eye(3)
+    low, high = np.zeros(3), np.full(3, side)
+    faces = [(low, b, c), (high, -c, -b), (low, c, a), (high, -a, -c), (low, a, b), (high, -b, -a)]
+    return [wall(*face, albedo, radiance) for face in faces]
+
+
+def room_of(walls, spacing=(1.0, 1.0, 1.0), albedo=0.0):
+    """The room that some walls of the world make about an isosurface."""
+    corners, edges = np.array([each[0] for each in walls], float), np.array([each[1] for each in walls], float)
+    corners, edges = corners.reshape(-1, 3), edges.reshape(-1, 2, 3)
+    normals = np.cross(edges[:, 0], edges[:, 1])
+    areas = np.linalg.norm(normals, axis=1)
+    normals /= areas[:, None]
+    across = edges / (edges**2).sum(axis=2, keepdims=True) * np.array(spacing)
+    kept = Walls(corners / spacing, normals * spacing, across, np.full(len(walls), np.inf))
+    albedos, radiances = (np.array([np.full(3, each[i]) for each in walls]).reshape(-1, 3) for i in (2, 3))
+    twofold = np.array([each[4] for each in walls], float)
+    return Room(kept, corners, edges, normals, areas, albedos, radiances, twofold, np.full(3, albedo))
+
+
+def sky(radiance):
+    """The same light from everywhere."""
+    return Surroundings(np.full(3, radiance), np.zeros((1, 1, 3), np.float32), np.eye(3))
+
+
+def gather(field, room, starts, samples, bounces=0, light=None, survival=1.0):
+    """E/π (g, 3) at ``starts``: world points and normals (g, 3), on walls by number or on the isosurface 0 (-1)."""
+    points, normals, walls = starts
+    g = len(points)
+    here = np.ascontiguousarray(np.divide(points, field.spacing).T)
+    around, levels = np.ascontiguousarray(np.array(normals, float).T), np.zeros(g)
+    starts = RoomStarts(here, around, levels, np.arange(1, g + 1, dtype=np.uint64), np.array(walls, float))
+    rules, sums = PathRules(np.ones((bounces + 1, 3)), survival), np.zeros((g, 3))
+    cells = cells_of(field, 0.0)
+    light_in_room(field, cells, room, starts, SampleRange(0, samples), rules, light or sky(0.0), sums)
+    return sums / samples

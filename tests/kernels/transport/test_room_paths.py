@@ -1,0 +1,110 @@
+"""Paths in rooms against closed forms."""
+
+import numpy as np
+import pytest
+
+from isogi_core.kernels.tracing.walls import NOWHERE
+from isogi_core.kernels.transport.paths import PathRules, SampleRange
+from isogi_core.kernels.transport.room_paths import RoomStarts, light_in_room
+from tests.kernels.fields import cells_of, field_of
+from tests.kernels.rooms import X, Y, Z, box, gather, room_of, sky, wall
+from tests.kernels.transport.lighting import BALL, LIGHTS, NOISY, halves_of, on_ball, place_at
+from tests.kernels.transport.lighting import gather as gather_without
+from tests.scale import few
+
+EMPTY = field_of(np.full((3, 3, 3), -1.0) + np.linspace(0.0, 0.5, 3))
+"""A field without a surface at 0."""
+
+
+def grid(count):
+    """Middles of count² squares of the unit square, (count², 2)."""
+    places = (np.arange(count) + 0.5) / count
+    return np.stack(np.meshgrid(places, places), axis=-1).reshape(-1, 2)
+
+
+@pytest.mark.parametrize("survival", [1.0, 0.6])
+def test_a_closed_room_that_glows_all_over(survival: float) -> None:
+    """L (1 - ρ^(n + 1)) / (1 - ρ) arrives at its walls, and no sky."""
+    (samples,) = few((4096,), (64,))
+    room = room_of(box(40.0, 0.5, 2.0), albedo=0.5)
+    points, normals = [(11.0, 14.0, 0.0), (20.0, 0.0, 3.0), (40.0, 1.0, 39.0)], [Z, Y, -X]
+    found = gather(EMPTY, room, (points, normals, [4, 2, 1]), samples, 4, sky(9.0), survival=survival)
+    expected = 2.0 * (1.0 - 0.5**5) / 0.5
+    np.testing.assert_allclose(found.mean(axis=0), expected, rtol=0.005 if samples > 64 else 0.2)
+
+
+def test_a_glowing_room_lights_a_ball_in_it_evenly() -> None:
+    """Black walls of radiance L are all that a convex body sees, whichever way its surface looks."""
+    (samples,) = few((2048,), (16,))
+    room = room_of([(corner - 30.0, *rest) for corner, *rest in box(100.0, 0.0, 3.0)])
+    points, normals = on_ball(8)
+    found = gather(field_of(BALL), room, (points.T, normals.T, [NOWHERE] * 8), samples)
+    np.testing.assert_allclose(found, 3.0, rtol=1e-3)
+
+
+def polygon(p, n, corners):
+    """E/π of a polygon of radiance 1 above a point: Σ Θ_i cosγ_i / 2π (Lambert 1760)."""
+    towards = [np.subtract(corner, p) / np.linalg.norm(np.subtract(corner, p)) for corner in corners]
+    total = 0.0
+    for a, b in zip(towards, towards[1:] + towards[:1], strict=True):
+        across = np.cross(a, b)
+        total += np.arccos(a @ b) * (across / np.linalg.norm(across)) @ n
+    return abs(total) / (2.0 * np.pi)
+
+
+def test_floor_points_see_a_lamp_as_a_polygon() -> None:
+    (samples,) = few((4096,), (64,))
+    corner, u, v = np.array([12.0, 10.0, 30.0]), 9.0 * Y, 14.0 * X
+    room = room_of([wall((0.0, 0.0, 0.0), 40.0 * X, 40.0 * Y), wall(corner, u, v, radiance=5.0)])
+    points = [(19.0, 14.5, 0.0), (1.0, 2.0, 0.0), (39.0, 39.0, 0.0), (19.0, 14.0, 28.0)]
+    found = gather(EMPTY, room, (points, [Z] * 4, [0] * 4), samples)[:, 0]
+    expected = [5.0 * polygon(p, Z, [corner, corner + u, corner + u + v, corner + v]) for p in points]
+    np.testing.assert_allclose(found, expected, rtol=0.005 if samples > 64 else 0.5)
+
+
+def test_what_stands_before_a_lamp_shadows_it() -> None:
+    (samples,) = few((256,), (8,))
+    lamp = wall((10.0, 10.0, 30.0), 8.0 * Y, 8.0 * X, radiance=5.0)
+    screen = wall((5.0, 5.0, 20.0), 18.0 * X, 18.0 * Y)
+    room = room_of([wall((0.0, 0.0, 0.0), 40.0 * X, 40.0 * Y), lamp, screen])
+    starts = [(14.0, 14.0, 0.0), (39.0, 39.0, 0.0), (14.0, 14.0, 35.0)], [Z, Z, -Z], [0, 0, NOWHERE]
+    dark, beside, behind = gather(EMPTY, room, starts, samples)[:, 0]
+    assert dark == 0.0
+    assert beside > 0.0
+    assert behind == 0.0  # a lamp is dark from behind
+
+
+def test_a_black_ball_over_a_floor_under_a_sky() -> None:
+    """E = π L (1 - (R/h)²) right below it."""
+    (samples,) = few((4096,), (64,))
+    floor = room_of([wall((-400.0, -400.0, -4.0), 900.0 * X, 900.0 * Y, 0.5)])
+    found = gather(field_of(BALL), floor, ([(20.0, 20.0, -4.0)], [Z], [0]), samples, light=sky(2.0))
+    np.testing.assert_allclose(found, 2.0 * (1.0 - (12.0 / 24.0) ** 2), rtol=0.005 if samples > 64 else 0.2)
+
+
+@pytest.mark.parametrize(("number", "factor"), [(1, 0.1998), (2, 0.2000), (4, 0.2000)])
+def test_walls_of_a_cube_see_each_other_by_their_factors(number: int, factor: float) -> None:
+    """What a wall that shines gives the others: F = 0.2000 adjacent, 0.1998 opposite."""
+    across, samples = few((16, 256), (4, 8))
+    walls = box(10.0)
+    walls[0] = wall(*(walls[0][0], *walls[0][1]), radiance=1.0)
+    room = room_of(walls)
+    corner, (u, v), normal = room.corners[number], room.edges[number], room.normals[number]
+    points = corner + grid(across) @ np.stack([u, v])
+    found = gather(EMPTY, room, (points, [normal] * len(points), [number] * len(points)), samples)[:, 0]
+    np.testing.assert_allclose(found.mean(), factor, rtol=0.005 if across > 4 else 0.2)
+
+
+@pytest.mark.parametrize("name", ["table", "all"])
+def test_a_room_without_walls_is_no_room(name: str) -> None:
+    """The very paths that are traced without a room, to the last bit."""
+    texels, samples = few((40, 20), (5, 2))
+    field, place, light = field_of(NOISY), place_at(*on_ball(texels)), LIGHTS[name]
+    weights = np.array([0.9, 0.7, 0.5]) ** np.arange(4.0)[:, None]
+    expected = gather_without(field, place, light, weights, samples)
+    points, normals, isovalues, seeds = halves_of(place)
+    starts = RoomStarts(points.copy(), normals.copy(), isovalues.copy(), seeds, np.full(2 * texels, NOWHERE))
+    room, sums = room_of([])._replace(albedo=np.array([0.9, 0.7, 0.5])), np.zeros((2 * texels, 3))
+    rules = PathRules(np.ones((4, 3)), 1.0)
+    light_in_room(field, cells_of(field, 0.0), room, starts, SampleRange(0, samples), rules, light, sums)
+    np.testing.assert_allclose(sums.reshape(texels, 2, 3) / samples, expected, rtol=1e-12, atol=1e-14)
