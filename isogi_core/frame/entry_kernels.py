@@ -34,6 +34,7 @@ from isogi_core.kernels.shading.lobes import (
 from isogi_core.kernels.shading.local_models import find_normals, find_shadows, shade_local, trace_points
 from isogi_core.kernels.shading.texel_normals import fill_texel_normals, keep_normals, look_up_normals
 from isogi_core.kernels.shading.texel_table import add_part, judge_rows, unpack_texels
+from isogi_core.kernels.shading.wall_light import light_walls
 from isogi_core.kernels.tracing.active_cells import fill_ranges, mark_bricks, pack_bricks
 from isogi_core.kernels.tracing.camera import trace_pixels, trace_places
 from isogi_core.kernels.tracing.macrocells import fill_macrocells
@@ -61,7 +62,7 @@ LOBES = (
 )
 """Those that only lights with lobes call."""
 
-ROOM = (light_in_room, trace_pixels_in_room, fill_seeds)
+ROOM = (light_in_room, trace_pixels_in_room, light_walls, fill_seeds)
 """Those that only scenes with walls call."""
 
 FRAME = (

@@ -212,7 +212,7 @@ class Renderer:
             walls.put_locally(shading, fog_depths(view, self.prepared.scene.volume), framebuffer, tiles)
         else:
             texels = [self._wall_light(gbuffer, light, *seen).begun(tiles) for seen in walls.seen]
-            return walls.put(texels, target, framebuffer), "".join(f"-{each.count:x}" for each in texels)
+            return walls.put(texels, target, framebuffer, tiles), "".join(f"-{each.count:x}" for each in texels)
         return 0, ""
 
     def _grow_walls(self, gbuffer: GBuffer, light: RotatedLight, target: float, tiles: Tiles) -> bool:

@@ -6,8 +6,8 @@ ones; each step while the view rests then makes them fine, and takes as many pat
 
 import math
 import threading
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, PROVISIONAL, Framebuffer, PixelPoints
 from isogi_core.kernels.shading.lattice import DARKEST
 from isogi_core.kernels.shading.local_models import find_shadows, shade_local
+from isogi_core.kernels.shading.wall_light import WallTable, light_walls
 from isogi_core.kernels.transport.paths import PathRules, SampleRange
 from isogi_core.kernels.transport.room_paths import RoomStarts, light_in_room
 from isogi_core.model.sky import LUMINANCE
@@ -122,19 +123,10 @@ class WallTexels:
         words = np.column_stack([np.full(len(row), WALL_STREAM + 2 * self.wall + (self.side < 0)), row, column, half])
         return starts_on(points, normals, np.full(len(row), self.wall), surface, seeds_of(words))
 
-    def at(self, shares: np.ndarray, albedo: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """E/π (m, 3) at ``shares`` (m, 2) of the wall's edges, and the variance of the luminance that leaves; (m,)."""
-        means, variance = self.means.mean(axis=2), self.variance(albedo)
-        size = np.array(variance.shape[::-1])
-        place = np.clip(shares * size - 0.5, 0.0, size - 1.0)
-        low = np.minimum(place.astype(np.int64), size - 2)
-        (x, y), (i, j) = (place - low).T, low.T
-        light, noise = np.zeros((len(shares), 3)), np.zeros(len(shares))
-        for right, above in np.ndindex(2, 2):
-            weight = (x if right else 1.0 - x) * (y if above else 1.0 - y)
-            light += weight[:, None] * means[j + above, i + right]
-            noise += weight * variance[j + above, i + right]
-        return light, noise
+    def leaving(self, albedo: np.ndarray, radiance: np.ndarray) -> np.ndarray:
+        """Linear RGB that leaves each texel, and the variance of its luminance; (texels, 4) float32."""
+        light = np.minimum(radiance + albedo * self.means.mean(axis=2), np.finfo(np.float32).max)
+        return np.concatenate([light, self.variance(albedo)[..., None]], axis=2, dtype=np.float32).reshape(-1, 4)
 
 
 @dataclass(eq=False)
@@ -197,39 +189,41 @@ class WallView:
     @property
     def seen(self) -> list[tuple[int, int]]:
         """The walls that are seen, by number, each with the side that is seen."""
-        return sorted(set(zip(self.gbuffer.walls.numbers.tolist(), self.sides.tolist(), strict=True)))
+        numbers, first = np.unique(self.gbuffer.walls.numbers, return_index=True)
+        return list(zip(numbers.tolist(), self.sides[first].tolist(), strict=True))
 
     def albedo(self, wall: int) -> np.ndarray:
         """The albedo of a wall, (3,)."""
         return np.array(self.light.spec.prepared.scene.room.walls[wall].albedo)
 
-    def put(self, texels: Any, target: float, framebuffer: Framebuffer) -> int:
-        """Write the light of ``texels``, the WallTexels of each wall that is seen, into a picture.
+    def put(self, texels: Sequence[WallTexels], target: float, framebuffer: Framebuffer, tiles: Tiles) -> int:
+        """Write the light of ``texels``, those of each wall that is seen, into a picture; pixels that are not final.
 
-        Returns how many pixels are not final.
+        Raises Cancelled.
         """
-        walls, waiting = self.gbuffer.walls, 0
-        room = self.light.spec.prepared.room(self.light.seen.albedo)
-        for each in texels:
-            rows, albedo = np.flatnonzero(walls.numbers == each.wall), self.albedo(each.wall)
-            away = walls.points[rows] * np.array(self.gbuffer.spacing) - room.corners[each.wall]
-            edges = room.edges[each.wall]
-            arriving, variance = each.at(away @ edges.T / (edges**2).sum(axis=1), albedo)
-            final = each.final(albedo, target)
-            state = FINAL if final else CONVERGING if each.fine else PROVISIONAL
-            self._write(rows, room.radiances[each.wall] + albedo * arriving, variance, state, framebuffer)
-            waiting += 0 if final else len(rows)
-        return waiting
+        walls, prepared = self.gbuffer.walls, self.light.spec.prepared
+        finals = {each.wall: each.final(self.albedo(each.wall), target) for each in texels}
+        table, darkest = self._table(texels, finals), np.float32(DARKEST * self.light.spec.unit)
+        met = prepared.room(self.light.seen.albedo).walls
 
-    def _write(
-        self, rows: np.ndarray, light: np.ndarray, variance: np.ndarray, state: Any, framebuffer: Framebuffer
-    ) -> None:
-        """Write the radiance of some of the pixels, whose luminance has this ``variance``."""
-        pixels, light = self.gbuffer.walls.pixels[rows], np.minimum(light, np.finfo(np.float32).max)
-        darkest = DARKEST * self.light.spec.unit
-        framebuffer.radiance[pixels] = light
-        framebuffer.state[pixels] = state
-        framebuffer.error[pixels] = np.clip(np.sqrt(variance) / np.maximum(light @ LUMINANCE, darkest), 0.0, 1.0)
+        def _piece(a: int, b: int) -> None:
+            some = walls.pixels[a:b], walls.points[a:b], walls.numbers[a:b]
+            light_walls(met, table, *some, darkest, framebuffer)
+
+        tiles.run(_piece, len(walls.pixels), tiles.even(len(walls.pixels)))
+        return int(np.isin(walls.numbers, [wall for wall, final in finals.items() if not final]).sum())
+
+    def _table(self, texels: Sequence[WallTexels], finals: dict[int, bool]) -> WallTable:
+        """The texels as kernels take them, and which walls are final."""
+        room = self.light.spec.prepared.room(self.light.seen.albedo)
+        light = [each.leaving(self.albedo(each.wall), room.radiances[each.wall]) for each in texels]
+        firsts, rows, columns = np.zeros((3, len(room.areas)), np.int64)
+        states, ends = np.zeros(len(room.areas), np.uint8), np.cumsum([0, *map(len, light)])
+        for each, first in zip(texels, ends, strict=False):
+            k = each.wall
+            firsts[k], (rows[k], columns[k]) = first, each.sums.shape[:2]
+            states[k] = FINAL if finals[k] else CONVERGING if each.fine else PROVISIONAL
+        return WallTable(np.concatenate(light), firsts, rows, columns, states)
 
     def put_paths(self, target: float, framebuffer: Framebuffer, tiles: Tiles) -> None:
         """Write the walls into a path-traced picture, as many paths from each pixel. Raises Cancelled."""
@@ -243,9 +237,11 @@ class WallView:
         sums = light_starts(self.light, self.gbuffer.surface, starts, rules, SampleRange(0, count), tiles)
         means = room.albedos[walls.numbers][:, None] * sums.reshape(-1, replicas, 3) / count
         variance = pooled_variance(variance_of_mean(means), self.gbuffer, walls.pixels)
-        light = means.mean(axis=1) + room.radiances[walls.numbers]
-        self._write(np.arange(len(light)), light, variance, CONVERGING, framebuffer)
-        framebuffer.state[walls.pixels] = np.where(framebuffer.error[walls.pixels] <= target, FINAL, CONVERGING)
+        light = np.minimum(means.mean(axis=1) + room.radiances[walls.numbers], np.finfo(np.float32).max)
+        error = np.sqrt(variance) / np.maximum(light @ LUMINANCE, DARKEST * self.light.spec.unit)
+        framebuffer.radiance[walls.pixels] = light
+        framebuffer.state[walls.pixels] = np.where(error <= target, FINAL, CONVERGING)
+        framebuffer.error[walls.pixels] = np.clip(error, 0.0, 1.0)
 
     @property
     def _normals(self) -> np.ndarray:

@@ -157,7 +157,9 @@ def report(
 @cli.command()
 @click.argument("scene", metavar="TARGET")
 @volume_options
-@click.option("--isovalue", "isovalues", multiple=True, help="One, first:last:step, or first:last for all between.")
+@click.option(
+    "--isovalue", "isovalues", multiple=True, help="One, first:last:step, first:last for all between, or adaptive:20."
+)
 @click.option("--views", help="Directions of each isovalue, spread over all sides; default: 12 where none are given.")
 @click.option("--view", "directions", multiple=True, metavar="azimuth=40,elevation=30", help="One direction.")
 @click.option(

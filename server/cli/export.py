@@ -52,13 +52,14 @@ def export(target: str, wishes: Wishes, knobs: Mapping[str, str], settings: Sett
     scene = open_scene(target, settings, **({"rotating": False} if suffix in WRITERS else {}))
     check_levels(scene, wishes, suffix)
     isovalues = wishes.isovalues or (f"{scene.isovalue!r}",)
-    view = view_of(scene, read(ViewParams, [*knobs.items(), ("isovalue", isovalues[0].partition(":")[0])]), settings)
+    levels = levels_of(isovalues).found_in(scene)
+    view = view_of(scene, read(ViewParams, [*knobs.items(), ("isovalue", levels.spans[0][0])]), settings)
     order = {"isovalues": isovalues, "all_directions": True, "target_error": wishes.target_error}
     summary = prewarm_scene(scene, order_of({name: given for name, given in order.items() if given}), settings)
     renderer = Renderer(Caches(PreparedScene(scene), root_of(settings), settings.memory_mb << 20), Tiles())
     exposure = scene.default_exposure if wishes.exposure is None else wishes.exposure
     lit = write_mesh if suffix in MESHES else write_volume
-    facts = lit(renderer, view, levels_of(isovalues).spans, exposure, wishes.output)
+    facts = lit(renderer, view, levels.spans, exposure, wishes.output)
     baked = {"final": summary.final, "error": summary.error, "target_error": summary.target_error}
     return {"file": str(wishes.output), "scene": scene.name, **facts, **baked, "bytes": size_of(wishes.output)}
 

@@ -6,6 +6,7 @@ import hashlib
 import itertools
 import json
 import math
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -14,6 +15,8 @@ from typing import Annotated, Any, Self
 from pydantic import BeforeValidator, Field, StrictBool, WithJsonSchema, model_validator
 
 from isogi_core.model.view import View
+from isogi_core.plan.range_sampling import WAYS as SAMPLINGS
+from isogi_core.plan.range_sampling import sample_range
 from isogi_core.plan.scene import Scene
 from server.errors import ParameterError
 from server.parameters import TURN, NoParams, ViewParams, isovalue_of, read, view_of
@@ -42,17 +45,27 @@ MOST_ISOVALUES = 10_000
 """Isovalues that are given with a step or one by one, at most."""
 
 WANTED = (
-    f"a number such as 70, first:last:step such as 60:120:5 with at most {MOST_ISOVALUES} of them, or first:last for"
-    " all between"
+    f"a number such as 70, first:last:step such as 60:120:5 with at most {MOST_ISOVALUES} of them, first:last for"
+    " all between, or so many of the scene's range, adaptive:20 or uniform:20"
 )
 
 
 @dataclass(frozen=True)
 class Levels:
-    """The isovalues that are asked for: ``single`` ones, each once, and ``ranges`` of all from one to another."""
+    """The isovalues that are asked for: ``single`` ones, each once, and ``ranges`` of all from one to another.
+
+    And how many are to be ``sampled`` from a scene's own range, by which of SAMPLINGS.
+    """
 
     single: tuple[float, ...] = ()
     ranges: tuple[tuple[float, float], ...] = ()
+    sampled: tuple[tuple[str, int], ...] = ()
+
+    def found_in(self, scene: Scene) -> Levels:
+        """The same with those that are sampled from the range of a ``scene``."""
+        sets = (sample_range(scene.volume, scene.isovalues, count, way).levels for way, count in self.sampled)
+        found = (float(f"{level:.12g}") for levels in sets for level in levels)
+        return Levels(tuple(dict.fromkeys((*self.single, *found))), self.ranges)
 
     @property
     def all(self) -> tuple[float, ...]:
@@ -69,7 +82,11 @@ def levels_of(texts: Sequence[str]) -> Levels:
     """The isovalues that the texts name; ParameterError for a text that names none."""
     single: dict[float, None] = {}
     ranges: dict[tuple[float, float], None] = {}
+    sampled: dict[tuple[str, int], None] = {}
     for text in texts:
+        if (way := text.partition(":")[0]) in SAMPLINGS:
+            sampled[way, sampled_count(text)] = None
+            continue
         numbers = numbers_in(text)
         if len(numbers) == 2:
             ranges[numbers[0], numbers[1]] = None
@@ -77,7 +94,15 @@ def levels_of(texts: Sequence[str]) -> Levels:
             single |= dict.fromkeys(float(f"{level:.12g}") for level in stepped(*numbers))
         if len(single) > MOST_ISOVALUES:
             raise ParameterError(f"isovalues are more than {MOST_ISOVALUES:,} together: ask for fewer.", "isovalues")
-    return Levels(tuple(single), tuple(ranges))
+    return Levels(tuple(single), tuple(ranges), tuple(sampled))
+
+
+def sampled_count(text: str) -> int:
+    """How many isovalues a text such as adaptive:20 asks for; ParameterError where it does not say."""
+    count = text.partition(":")[2]
+    if not re.fullmatch(r"[1-9]\d{0,4}", count, re.ASCII) or int(count) > MOST_ISOVALUES:
+        raise ParameterError(f"isovalue must be {WANTED}, not {shown(text)}.", "isovalues")
+    return int(count)
 
 
 def numbers_in(text: str) -> list[float]:
@@ -150,7 +175,8 @@ class PrewarmOrder(NoParams):
         (),
         max_length=MOST_GIVEN,
         description="Numbers, ranges with a step (60:120:5), or ranges that mean every isovalue between (60:120), which"
-        " takes all_directions; default: the scene's isovalue.",
+        " takes all_directions, or so many of the scene's range, evenly (uniform:20) or so that the surfaces are evenly"
+        " spaced (adaptive:20); default: the scene's isovalue.",
     )
     views: Count | None = Field(
         None, description=f"Directions, spread evenly over all sides; default: {USUAL} where no others are given."
@@ -204,9 +230,10 @@ class PrewarmOrder(NoParams):
 
     def isovalues_of(self, scene: Scene) -> Levels:
         """The isovalues, the scene's own where none is given; ParameterError where the scene does not allow one."""
-        for level in {min(self.levels.all), max(self.levels.all)} if self.isovalues else ():
+        levels = self.levels.found_in(scene) if self.isovalues else Levels((scene.isovalue,))
+        for level in {min(levels.all), max(levels.all)}:
             isovalue_of(scene, read(ViewParams, [("isovalue", level)]))
-        return self.levels if self.isovalues else Levels((scene.isovalue,))
+        return levels
 
     def digest(self, scene: Scene) -> str:
         """Hex name of all that decides which light is baked in a scene; not of when that ends."""

@@ -47,6 +47,24 @@ def test_a_range_without_a_step_is_all_between() -> None:
     assert set(found.spans) == {(70.0, 70.0), (60.0, 120.0)}
 
 
+def test_so_many_levels_of_the_scenes_range(blocks: Path) -> None:
+    scene = load_scene(blocks)
+    order = order_of({"isovalues": ["uniform:4", "adaptive:6", "0.5"]})
+    levels, (low, high) = order.isovalues_of(scene).single, scene.isovalues
+    assert len(levels) == 11
+    assert all(low < level < high for level in levels)
+    assert levels[1:5] == pytest.approx([low + (high - low) * share for share in (0.125, 0.375, 0.625, 0.875)])
+    assert levels[5:] == tuple(sorted(levels[5:]))
+
+
+@pytest.mark.parametrize(
+    "text", ["adaptive", "adaptive:", "uniform:0", "adaptive:1.5", "uniform:10001", "adaptive:2:3"]
+)
+def test_other_counts_of_levels_are_refused(text: str) -> None:
+    with pytest.raises(ParameterError, match=r"^isovalue must be a number such as 70, .* adaptive:20 or uniform:20"):
+        levels_of([text])
+
+
 @pytest.mark.parametrize("text", ["", "a", "nan", "2:1", "1:2:0", "2:1:1", "1:2:-1", "1:2:3:4", "0:1:1e-9", "1:inf:1"])
 def test_other_isovalues_are_refused(text: str) -> None:
     with pytest.raises(ParameterError, match=r"^isovalue must be a number such as 70, first:last:step"):

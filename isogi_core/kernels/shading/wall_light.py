@@ -1,0 +1,73 @@
+"""Walls in the framebuffer: light between the texels of a lattice on each wall."""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import types
+
+from isogi_core.kernels._jit import kernel, record
+from isogi_core.kernels.shading.framebuffer import FRAMEBUFFER, PIXELS, POINTS, luminance, point_of, put_pixel
+from isogi_core.kernels.tracing.vec import sub
+from isogi_core.kernels.tracing.walls import WALLS, inner
+from isogi_core.kernels.transport.lights import row
+
+VARIANCE = 3
+"""The column of a wall's texel, after its colours, that holds the variance of its luminance."""
+
+
+class WallTable(NamedTuple):
+    """The texels of k walls: ``light`` float32 (texels, 4), linear RGB that leaves them and its luminance's variance.
+
+    ``first`` (k,) is each wall's first row of them, ``rows`` and ``columns`` (k,) how many it has along its second and
+    its first edge, at least 2, and ``states`` uint8 (k,) the state of pixels that show it.
+    """
+
+    light: Any
+    first: Any
+    rows: Any
+    columns: Any
+    states: Any
+
+
+WHOLE = types.int64[::1]
+WALL_TABLE = record(WallTable, types.float32[:, ::1], WHOLE, WHOLE, WHOLE, types.uint8[::1])
+
+
+@kernel()
+def between(share, count):
+    """The texel before a ``share`` of an edge with ``count`` texels, in their middles, and the way on to the next."""
+    place = min(max(share * count - 0.5, 0.0), count - 1.0)
+    low = min(int(place), count - 2)
+    return low, place - low
+
+
+@kernel()
+def mixed(table, first, columns, way, c):
+    """Column ``c`` of a wall's texels between the four from row ``first`` on, at a ``way`` (x, y) between them."""
+    light, (x, y) = table.light, way
+    low = (1.0 - x) * light[first, c] + x * light[first + 1, c]
+    high = (1.0 - x) * light[first + columns, c] + x * light[first + columns + 1, c]
+    return (1.0 - y) * low + y * high
+
+
+@kernel(types.void(WALLS, WALL_TABLE, PIXELS, POINTS, types.int8[::1], types.float32, FRAMEBUFFER))
+def light_walls(walls, table, pixels, points, numbers, darkest, framebuffer):
+    """Write the light of walls at ``points`` (m, 3), in index space, of walls ``numbers`` (m,), to their ``pixels``.
+
+    The error is relative to the luminance, or to that of ``darkest``.
+    """
+    for m in range(pixels.shape[0]):
+        k = int(numbers[m])
+        away = sub(point_of(points, m), row(walls.corners, k))
+        i, x = between(inner(walls.across[k], 0, away), table.columns[k])
+        j, y = between(inner(walls.across[k], 1, away), table.rows[k])
+        first, way = table.first[k] + j * table.columns[k] + i, (x, y)
+        r, g, b = (
+            mixed(table, first, table.columns[k], way, 0),
+            mixed(table, first, table.columns[k], way, 1),
+            mixed(table, first, table.columns[k], way, 2),
+        )
+        noise = math.sqrt(mixed(table, first, table.columns[k], way, VARIANCE))
+        error = min(noise / max(luminance(r, g, b), darkest), 1.0)
+        put_pixel(framebuffer, pixels[m], (r, g, b), table.states[k], np.float32(error))
