@@ -24,19 +24,24 @@ from isogi_core.cache.scene_assets import SceneAssets, receive_assets
 from isogi_core.errors import SceneError, StoreAwayError
 from isogi_core.files.scene_file import SceneSource
 from isogi_core.kernels._jit import entries_of, load
+from isogi_core.kernels.transport.room_paths import fill_seeds, light_in_room
 from isogi_core.kernels.transport.texel_points import project_texels
 from isogi_core.kernels.transport.transfer import bake_irradiance, bake_texels, locate_texels
 from isogi_core.model.scene_plan import ScenePlan
 from isogi_core.model.volume import Isovalue
 from isogi_core.plan.assembly import build_scene
+from isogi_core.plan.scene import ROOM
 from isogi_core.prepared.prepared_scene import Index, PreparedScene
 from isogi_core.storage.store import Store
 from isogi_core.storage.url import StoreUrl
 
-PATHS = {"direct": bake_texels, "indirect": bake_texels, "whole": bake_texels, "irradiance": bake_irradiance}
-"""Entry kernels by the kind of layer that they bake."""
+PATHS = {
+    **{"direct": (bake_texels,), "indirect": (bake_texels,), "whole": (bake_texels,)},
+    **{"irradiance": (bake_irradiance,), ROOM: (light_in_room, fill_seeds)},
+}
+"""Entry kernels by the kind of layer that they bake; among walls they are others."""
 
-KINDS = tuple(PATHS)
+KINDS = tuple(kind for kind in PATHS if kind != ROOM)
 """The kinds of layers that can be baked."""
 
 
@@ -130,7 +135,7 @@ def open_spec(
         found = BakeSpec(prepared_scene(source, assets, store_url), plan, shown)
     if found.digest != digest:
         raise SceneError(f"The files of the scene '{source.name}' have changed since the server began: restart it.")
-    load_kernels({layer.kind for layer in plan.layers})
+    load_kernels(found.kinds)
     if shown is not None:
         load((project_texels,))
     return found, ChunkStore(open_store(store_url), found)
@@ -299,8 +304,8 @@ def result_of(light: Light, spec: BakeSpec, task: BakeTask, cost: Cost) -> BakeR
 
 
 def bake_kernels(kinds: Iterable[str]) -> tuple[Any, ...]:
-    """The entry kernels for baking layers of these ``kinds``, besides those that open a scene."""
-    return (*{PATHS[kind] for kind in kinds}, locate_texels)
+    """The entry kernels for baking layers of these ``kinds``, and those in ROOM, besides those that open a scene."""
+    return (*{kernel for kind in kinds for kernel in PATHS[kind]}, locate_texels)
 
 
 def kernels_missing(kinds: Iterable[str]) -> bool:

@@ -16,6 +16,7 @@ from isogi_core.plan.bands import evaluate_harmonics, project_environment, spher
 from isogi_core.plan.inputs import Colour
 from isogi_core.plan.lobe_choice import FEW, project_lobes
 from isogi_core.plan.planner import vicinity_plan
+from isogi_core.plan.scene import ROOM
 from isogi_core.prepared.prepared_scene import PreparedScene
 
 
@@ -84,6 +85,12 @@ class BakeSpec:
     def digest(self) -> str:
         """Hex name of everything that its light in the store depends on."""
         return self.prepared.scene.plan_digest(self.plan, self.shown)
+
+    @property
+    def kinds(self) -> frozenset[str]:
+        """The kinds of layers that are baked; ROOM in place of irradiance among walls, whose kernels are others."""
+        among = self.prepared.scene.room.any
+        return frozenset(ROOM if among and layer.kind == "irradiance" else layer.kind for layer in self.plan.layers)
 
     @property
     def order(self) -> int:

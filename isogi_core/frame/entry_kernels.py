@@ -63,10 +63,9 @@ LOBES = (
 """Those that only lights with lobes call."""
 
 ROOM = (light_in_room, trace_pixels_in_room, light_walls, fill_seeds)
-"""Those that only scenes with walls call."""
+"""Those that only scenes with walls call, besides; not their ``trace_pixels``."""
 
 FRAME = (
-    *ROOM[:2],
     LOBES[0],
     trace_pixels,
     trace_places,
@@ -102,19 +101,20 @@ FRAME = (
     find_contrasts,
     look_up_normals,
     keep_normals,
-    *ROOM[2:],
     *LOBES[1:],
 )
-"""All of them, those that take longest to compile first."""
+"""All of them but ROOM, those that take longest to compile first."""
 
 OTHERS = (trace_points, find_shadows, shade_local)
 """Those of pictures without light from texels, local shadings and path-traced ones; and of checks of pictures."""
 
 
 def frame_kernels(scenes: Iterable[Scene]) -> tuple[Any, ...]:
-    """Those that frames of any of the ``scenes`` call, in the order of FRAME."""
-    uncalled = set.intersection({*FRAME}, *map(uncalled_by, scenes))
-    return tuple(kernel for kernel in FRAME if kernel not in uncalled)
+    """Those that frames of any of the ``scenes`` call: ROOM where one has walls, then in the order of FRAME."""
+    shown = tuple(scenes)
+    uncalled = set.intersection({*FRAME}, *map(uncalled_by, shown))
+    rooms = ROOM if any(scene.room.any for scene in shown) else ()
+    return (*rooms, *(kernel for kernel in FRAME if kernel not in uncalled))
 
 
 def uncalled_by(scene: Scene) -> set[Any]:
@@ -124,7 +124,7 @@ def uncalled_by(scene: Scene) -> set[Any]:
     never |= set() if scene.projected is None else {count_stiffness}
     projects = scene.projection.any
     never |= set() if projects else {measure_distances}
-    never |= {trace_pixels} if scene.room.any else set(ROOM)
+    never |= {trace_pixels} if scene.room.any else set()
     if carries_irradiance_ratios(scene, "gi", False):
         return never | {carry_light}
     return never if projects else never | {carry_ratios}

@@ -219,7 +219,7 @@ class Renderer:
         """Have the walls in a picture, that are not final, take as many paths again. Raises Cancelled."""
         walls = WallView.of(gbuffer, light)
         lit = [self._wall_light(gbuffer, light, *seen) for seen in walls.seen]
-        taken = [each.step(walls.albedo(each.texels.wall), target, tiles) for each in lit]
+        taken = [each.step(target, tiles) for each in lit]
         return any(taken)
 
     def _wall_light(self, gbuffer: GBuffer, light: RotatedLight, wall: int, side: int) -> WallLight:

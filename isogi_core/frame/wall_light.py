@@ -8,6 +8,7 @@ import math
 import threading
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -58,11 +59,14 @@ def light_starts(
 class WallTexels:
     """Texels on a side of the wall number ``wall``: ``sums`` (rows, columns, 2, 3) of E/π of ``count`` paths each half.
 
-    Rows are along the wall's second edge, and ``side`` is 1 for its front, -1 for its back. ``fine`` ones stay.
+    Rows are along the wall's second edge, and ``side`` is 1 for its front, -1 for its back. ``fine`` ones stay. The
+    wall has an ``albedo`` and gives off ``radiance`` (3,).
     """
 
     wall: int
     side: int
+    albedo: np.ndarray
+    radiance: np.ndarray
     sums: np.ndarray
     count: int = 0
     fine: bool = False
@@ -70,37 +74,41 @@ class WallTexels:
     @classmethod
     def begun(cls, light: RotatedLight, wall: int, side: int, across: int) -> "WallTexels":
         """Texels that no path has been sent from yet, ``across`` of them along the longest edge of any wall."""
-        edges = np.linalg.norm(light.spec.prepared.scene.room.edges, axis=2)
+        room = light.spec.prepared.room(light.seen.albedo)
+        edges = np.linalg.norm(room.edges, axis=2)
         columns, rows = np.maximum(np.ceil(across * edges[wall] / edges.max()), 2).astype(int).tolist()
-        return cls(wall, side, np.zeros((rows, columns, 2, 3)), fine=across == FINE)
+        sums = np.zeros((rows, columns, 2, 3))
+        return cls(wall, side, room.albedos[wall], room.radiances[wall], sums, fine=across == FINE)
 
     @property
     def nbytes(self) -> int:
-        """Bytes that they take."""
-        return self.sums.nbytes
+        """Bytes that they take, with what is found of them."""
+        return self.sums.nbytes * 3 // 2
 
     @property
     def means(self) -> np.ndarray:
         """E/π by each half; (rows, columns, 2, 3)."""
         return np.asarray(self.sums / max(self.count, 1))
 
-    def variance(self, albedo: np.ndarray) -> np.ndarray:
+    @cached_property
+    def variance(self) -> np.ndarray:
         """Variance of the luminance that leaves each texel, a mean with its neighbours', by NEAR; (rows, columns)."""
-        halves = self.means @ (LUMINANCE * albedo)
+        halves = self.means @ (LUMINANCE * self.albedo)
         each = ((halves[..., 0] - halves[..., 1]) / 2.0) ** 2
         for axis in (0, 1):
             padded = np.pad(each, [(2 * int(a == axis),) * 2 for a in range(2)], "edge")
             each = np.lib.stride_tricks.sliding_window_view(padded, len(NEAR), axis) @ (NEAR / NEAR.sum())
         return np.asarray(each)
 
-    def noise(self, albedo: np.ndarray) -> float:
+    @cached_property
+    def noise(self) -> float:
         """The relative noise of all of them together, in luminance; 0 where no light arrives."""
-        mean = float((self.means.mean(axis=2) @ (LUMINANCE * albedo)).mean())
-        return math.sqrt(float(self.variance(albedo).mean())) / mean if mean > 0.0 else 0.0
+        mean = float((self.means.mean(axis=2) @ (LUMINANCE * self.albedo)).mean())
+        return math.sqrt(float(self.variance.mean())) / mean if mean > 0.0 else 0.0
 
-    def final(self, albedo: np.ndarray, target: float) -> bool:
+    def final(self, target: float) -> bool:
         """Whether their noise is within a ``target``, or they have taken all paths that they may."""
-        return self.fine and self.count > 0 and (self.count >= MOST or self.noise(albedo) <= target)
+        return self.fine and self.count > 0 and (self.count >= MOST or self.noise <= target)
 
     def grown(self, light: RotatedLight, surface: Surface, tiles: Tiles) -> "WallTexels":
         """The same after as many paths again, or fine ones after the first. Raises Cancelled."""
@@ -123,10 +131,11 @@ class WallTexels:
         words = np.column_stack([np.full(len(row), WALL_STREAM + 2 * self.wall + (self.side < 0)), row, column, half])
         return starts_on(points, normals, np.full(len(row), self.wall), surface, seeds_of(words))
 
-    def leaving(self, albedo: np.ndarray, radiance: np.ndarray) -> np.ndarray:
+    @cached_property
+    def leaving(self) -> np.ndarray:
         """Linear RGB that leaves each texel, and the variance of its luminance; (texels, 4) float32."""
-        light = np.minimum(radiance + albedo * self.means.mean(axis=2), np.finfo(np.float32).max)
-        return np.concatenate([light, self.variance(albedo)[..., None]], axis=2, dtype=np.float32).reshape(-1, 4)
+        light = np.minimum(self.radiance + self.albedo * self.means.mean(axis=2), np.finfo(np.float32).max)
+        return np.concatenate([light, self.variance[..., None]], axis=2, dtype=np.float32).reshape(-1, 4)
 
 
 @dataclass(eq=False)
@@ -153,10 +162,10 @@ class WallLight:
                 self.texels = self.texels.grown(self.light, self.surface, tiles)
             return self.texels
 
-    def step(self, albedo: np.ndarray, target: float, tiles: Tiles) -> bool:
+    def step(self, target: float, tiles: Tiles) -> bool:
         """Bring them a step nearer to a ``target`` error; whether there was one to take. Raises Cancelled."""
         with self.lock:
-            if self.texels.final(albedo, target):
+            if self.texels.final(target):
                 return False
             self.texels = self.texels.grown(self.light, self.surface, tiles)
             return True
@@ -192,17 +201,13 @@ class WallView:
         numbers, first = np.unique(self.gbuffer.walls.numbers, return_index=True)
         return list(zip(numbers.tolist(), self.sides[first].tolist(), strict=True))
 
-    def albedo(self, wall: int) -> np.ndarray:
-        """The albedo of a wall, (3,)."""
-        return np.array(self.light.spec.prepared.scene.room.walls[wall].albedo)
-
     def put(self, texels: Sequence[WallTexels], target: float, framebuffer: Framebuffer, tiles: Tiles) -> int:
         """Write the light of ``texels``, those of each wall that is seen, into a picture; pixels that are not final.
 
         Raises Cancelled.
         """
         walls, prepared = self.gbuffer.walls, self.light.spec.prepared
-        finals = {each.wall: each.final(self.albedo(each.wall), target) for each in texels}
+        finals = {each.wall: each.final(target) for each in texels}
         table, darkest = self._table(texels, finals), np.float32(DARKEST * self.light.spec.unit)
         met = prepared.room(self.light.seen.albedo).walls
 
@@ -215,10 +220,9 @@ class WallView:
 
     def _table(self, texels: Sequence[WallTexels], finals: dict[int, bool]) -> WallTable:
         """The texels as kernels take them, and which walls are final."""
-        room = self.light.spec.prepared.room(self.light.seen.albedo)
-        light = [each.leaving(self.albedo(each.wall), room.radiances[each.wall]) for each in texels]
-        firsts, rows, columns = np.zeros((3, len(room.areas)), np.int64)
-        states, ends = np.zeros(len(room.areas), np.uint8), np.cumsum([0, *map(len, light)])
+        light, count = [each.leaving for each in texels], len(self.light.spec.prepared.scene.room.walls)
+        firsts, rows, columns = np.zeros((3, count), np.int64)
+        states, ends = np.zeros(count, np.uint8), np.cumsum([0, *map(len, light)])
         for each, first in zip(texels, ends, strict=False):
             k = each.wall
             firsts[k], (rows[k], columns[k]) = first, each.sums.shape[:2]

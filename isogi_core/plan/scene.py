@@ -33,6 +33,9 @@ NORMALS = ("bspline", "gradient")
 SURVEYED = ("texels", "projection", "presets")
 """Properties of a scene that take a pass over its volume, and that no plan changes."""
 
+ROOM = "room"
+"""Stands for the kinds of layers that are baked among walls."""
+
 IN_WALL = 1e-6
 """How near the camera may come to a wall, in radii of the volume."""
 
@@ -76,6 +79,11 @@ class Scene:
     projected: bool | None = None
     albedos: tuple[float, float] | None = None
     room: Room = NO_ROOM
+
+    @property
+    def bakes(self) -> frozenset[str]:
+        """The kinds of layers that are baked, or ROOM: those among walls are baked by kernels of their own."""
+        return frozenset({ROOM} if self.room.any else {layer.kind for layer in self.plan.layers})
 
     @property
     def name(self) -> str:

@@ -108,8 +108,9 @@ class PreparedScene:
 
         Luminaires are left to the walls, which paths meet: see ``room``.
         """
-        environment, luminaires = self.scene.environment, len(self.scene.room.lamps)
-        arrays = LampArrays(*(each[: len(each) - luminaires] for each in self.scene.lamps.arrays))
+        environment, arrays = self.scene.environment, self.scene.lamps.arrays
+        if luminaires := len(self.scene.room.lamps):
+            arrays = LampArrays(*(each[:-luminaires] for each in arrays))
         return Surroundings(environment.constant, environment.image, matrix, environment.table, arrays)
 
 

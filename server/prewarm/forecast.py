@@ -132,7 +132,7 @@ def forecast(
     """
     if not demands:
         return CostEstimate()
-    load_kernels({layer.kind for layer in renderer.caches.spec("gi").plan.layers})
+    load_kernels(renderer.caches.spec("gi").kinds)
     threads, chosen = min(workers, cores()), stratified(demands)
     tried = Tried(budget, cancelled)
     with ThreadPoolExecutor(threads, "rehearsal") as pool:

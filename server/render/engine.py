@@ -109,7 +109,7 @@ class RenderEngine:
 
     def hire(self) -> None:
         """Have the workers come, beside whatever else there is to do."""
-        self.workforce.hire({layer.kind for scene in self.scenes.values() for layer in scene.plan.layers})
+        self.workforce.hire({kind for scene in self.scenes.values() for kind in scene.bakes})
 
     def admit(self, scene: Scene) -> None:
         """Show one more scene, once the engine has started; it is loaded when it is first looked at."""
