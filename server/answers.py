@@ -92,7 +92,8 @@ def light_schema(light: Light) -> LightSchema:
 
 def camera_schema(renderer: Renderer, view: View, azimuth: float | None, elevation: float | None) -> CameraSchema:
     """The camera that shows a view's surface whole and large; the whole volume, where none is to be seen of it."""
-    front, above = front_of(renderer.prepared.scene)
+    scene = renderer.prepared.scene
+    front, above = front_of(scene.volume, scene.room.any)
     azimuth, elevation = front if azimuth is None else azimuth, above if elevation is None else elevation
     found = fitted(renderer, view, azimuth, elevation)
     target, distance = found or (

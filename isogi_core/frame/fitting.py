@@ -8,7 +8,7 @@ import numpy as np
 from isogi_core.frame.renderer import Renderer
 from isogi_core.model.orientation import triple
 from isogi_core.model.view import Vec3, View, orbit
-from isogi_core.plan.scene import Scene
+from isogi_core.model.volume import Volume
 
 SIDE = 96
 """Pixels along each side of the picture that finds the surface."""
@@ -32,13 +32,12 @@ SPECKS = 0.003
 """Share of the surface's pixels that may be outside at each side: noise afar does not push the camera away."""
 
 
-def front_of(scene: Scene) -> tuple[float, float]:
-    """The azimuth and the elevation from which the volume of a ``scene`` is seen at first: its longer side lies across.
+def front_of(volume: Volume, walled: bool = False) -> tuple[float, float]:
+    """The azimuth and the elevation from which a ``volume`` is seen at first: its longer side lies across.
 
-    A room is seen from its open side.
+    One that is ``walled`` is seen from the open side of its room.
     """
-    volume = scene.volume
-    if scene.room.any:
+    if walled:
         return INSIDE
     if volume.orientation.letters:
         return FACE
