@@ -105,12 +105,13 @@ class Renderer:
 
         ``target`` is the relative error at which light counts as final, the scene's own by default; ``watch`` goes
         on with this frame's stages. Raises Cancelled once ``cancelled`` is set, and ViewError where the scene's light
-        is not of the albedo that the view asks for.
+        is not of the albedo that the view asks for, or the camera stands in a wall. A picture that shows walls has no
+        smooth edges.
         """
         tiles = self.tiles.cancelled_by(cancelled) if cancelled else self.tiles
         target, watch = target or self.prepared.scene.target_error, watch or Stopwatch()
         frame = self._draw(view, target, tiles, watch)
-        if view.moving or not view.smooth:
+        if view.moving or not view.smooth or len(frame.gbuffer.walls.pixels):
             return frame
         with watch.stage("edges"):
             return replace(frame, edges=sample_edges(frame, self.prepared.scene.default_exposure, tiles))
