@@ -143,10 +143,11 @@ function startLoop(scene, view, picture, trouble) {
         status.show(facts, draft); // a picture that was done stays so while it becomes sharp
         panel.show(facts, draft);
       }
-      const whole = facts !== null && !draft && !facts.provisional && picture.sharp;
+      const done = facts !== null && !draft && !facts.provisional;
       if (blob) await picture.show(blob, describe(scene, view.values));
-      $("stage").toggleAttribute("data-sharp", whole);
-      if (facts && !draft && !facts.provisional && !picture.sharp && picture.sharpen()) {
+      const more = done && !picture.sharp && picture.sharpen();
+      $("stage").toggleAttribute("data-sharp", done && !more);
+      if (more) {
         loop.improve();
         comparison.improve();
       }

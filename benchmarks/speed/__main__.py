@@ -1,6 +1,7 @@
 """``python -m benchmarks.speed``."""
 
 from benchmarks.common.suite import suite
+from benchmarks.speed.edges import edges
 from benchmarks.speed.first_view import first_view
 from benchmarks.speed.frames import frames
 from benchmarks.speed.growth import growth
@@ -18,6 +19,7 @@ main = suite(
     paths,
     growth,
     points,
+    edges,
 )
 
 if __name__ == "__main__":

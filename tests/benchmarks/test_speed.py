@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from benchmarks.speed import growth, points
+from benchmarks.speed.edges import edges
 from benchmarks.speed.frames import frames
 from benchmarks.speed.isovalue import isovalue
 from benchmarks.speed.paths import paths
@@ -41,6 +42,12 @@ def test_frames() -> None:
     names = {f"{name}_ms" for name in (*shadings, "relight", "develop")}
     names |= {"gi / lambert", "gi / lambert_shadow", "relight / gi", "lattice / texels of this view"}
     assert set(positive(frames, "demo:casting")) == names
+
+
+def test_edges() -> None:
+    found = positive(edges, "demo:casting")
+    assert found["RMSE, smooth"] < found["RMSE, plain"]
+    assert {"plain_ms", "smooth_ms", "smooth / plain", "smooth / plain, RMSE", "samples / pixels"} < set(found)
 
 
 def test_rays() -> None:

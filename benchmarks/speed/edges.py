@@ -1,0 +1,87 @@
+"""Smooth edges: what they cost at rest, and how much nearer than plain pixels they are to 256 samples a pixel.
+
+    python -m benchmarks.speed edges [TARGET] [--size 512] [--repeats 9] [--json]
+
+Every camera is new to the renderer, light is baked, and both end with a picture of eight bits. The error is the root
+mean square over pixels that the surface covers in part, in linear light as the screen shows it.
+"""
+
+import tempfile
+from dataclasses import replace
+from unittest.mock import patch
+
+import click
+import numpy as np
+
+from benchmarks.common.measurement import Measurement
+from benchmarks.common.scenes import benchmark_scene
+from benchmarks.common.suite import part
+from benchmarks.common.timing import milliseconds
+from isogi_core.bake.precision import FIRST_LEVEL
+from isogi_core.frame import antialiasing
+from isogi_core.frame.film import BACKGROUND, averaged, develop, linear_table
+from isogi_core.frame.frame import Frame
+from isogi_core.frame.renderer import Renderer
+from isogi_core.kernels.shading.edges import find_contrasts
+from isogi_core.model.view import View
+from server.cli.bench import Candidate, bake_view, make_renderer, medians, seconds, view_of
+
+TRUE = 256
+"""Samples of a pixel that counts as true."""
+
+PIECE = 1 << 12
+"""Pixels that are sampled so together."""
+
+
+@part(size=512, repeats=9)
+@click.argument("target", required=False)
+def edges(target: str | None, size: int, repeats: int) -> Measurement:
+    """What smooth edges cost, and how near they are to the true ones."""
+    scene = benchmark_scene(target)
+    with tempfile.TemporaryDirectory() as store:
+        renderer = make_renderer(scene, store)
+        plain = view_of(scene, size)
+        bake_view(renderer, plain, FIRST_LEVEL)
+        smooth = replace(plain, smooth=True)
+        took = medians({"plain": pictured(renderer, plain), "smooth": pictured(renderer, smooth)}, repeats)
+        errors = errors_of(renderer.render(plain), renderer.render(smooth), renderer)
+    figures = {**milliseconds(took), "smooth / plain": took["smooth"] / took["plain"], **errors}
+    return Measurement(f"{scene.name} at {scene.isovalue:g}, {size} × {size}", figures)
+
+
+def pictured(renderer: Renderer, view: View) -> Candidate:
+    """A picture of a ``view`` from a camera that is new to the renderer."""
+
+    def work(_: int) -> float:
+        renderer.forget_views()
+        return seconds(lambda: develop(renderer.render(view), renderer.prepared.scene.default_exposure))
+
+    return work
+
+
+def errors_of(plain: Frame, smooth: Frame, renderer: Renderer) -> dict[str, float]:
+    """The errors of both along silhouettes, and their ratio."""
+    exposure, found = renderer.prepared.scene.default_exposure, np.empty(plain.state.shape, np.uint8)
+    find_contrasts(develop(plain, exposure), plain.state, found)
+    silhouettes = np.flatnonzero(found == antialiasing.SILHOUETTE).astype(np.uint32)
+    partly, true = [], []
+    for some in np.split(silhouettes, range(PIECE, len(silhouettes), PIECE)):
+        with patch.object(antialiasing, "find_edges", lambda *_, some=some: (some, TRUE)):
+            samples = antialiasing.sample_edges(plain, exposure, renderer.tiles)
+        if samples is not None:
+            cut = (samples.covered[:, 3] > 0.0) & (samples.covered[:, 3] < 1.0)
+            partly.append(some[cut])
+            true.append(linear_table()[averaged(samples, exposure, BACKGROUND, clear=False)][cut])
+    pixels, wanted = np.concatenate(partly), np.concatenate(true)
+    stairs, soft = (
+        float(np.sqrt(np.mean((linear_table()[develop(each, exposure).reshape(-1, 3)[pixels]] - wanted) ** 2)))
+        for each in (plain, smooth)
+    )
+    samples = smooth.edges
+    share = 0.0 if samples is None else samples.on.size / smooth.state.size
+    return {
+        "RMSE, plain": stairs,
+        "RMSE, smooth": soft,
+        "smooth / plain, RMSE": soft / stairs,
+        "samples / pixels": share,
+    }
