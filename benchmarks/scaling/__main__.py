@@ -4,6 +4,7 @@ from benchmarks.common.suite import suite
 from benchmarks.scaling.cluster import cluster
 from benchmarks.scaling.damage import damage
 from benchmarks.scaling.kills import kills
+from benchmarks.scaling.kinds import kinds
 from benchmarks.scaling.large import large
 from benchmarks.scaling.prewarm import prewarm
 from benchmarks.scaling.simulate import simulate
@@ -15,6 +16,7 @@ main = suite(
     cluster,
     simulate,
     large,
+    kinds,
     prewarm,
     time_left,
     together,

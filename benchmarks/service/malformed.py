@@ -2,8 +2,8 @@
 
     python -m benchmarks.service malformed [--files 800] [--seed 1] [--json]
 
-Starts `isogi serve` with uploads on, sends it files made by hand and mutations of good ones, two at once, and deletes
-what turned out to be a volume. At the end the server is killed in the middle of an upload.
+Starts `isogi serve` with uploads on, sends it files made by hand and mutations of good ones of every kind, two at
+once, and deletes what turned out to be a volume. At the end the server is killed in the middle of an upload.
 """
 
 import signal

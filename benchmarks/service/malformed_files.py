@@ -3,14 +3,21 @@
 import bz2
 import gzip
 import io
+import tempfile
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import nrrd
 import numpy as np
 
+from tests.files.formats.every_kind import written
+
 FIELDS = {"type": "uint8", "dimension": "3", "sizes": "4 3 2", "encoding": "raw"}
 VOXELS = bytes(range(24))
+OTHERS = 600
+"""Bytes that are taken as the header of a file that is no NRRD."""
+
 LARGE = 1 << 26
 """Bytes of zeros in a bomb, which are small when they are packed."""
 
@@ -140,13 +147,20 @@ def good(encoding: str) -> bytes:
 
 
 def mutations(count: int, seed: int) -> Iterator[bytes]:
-    """So many good files, each with its bytes changed in one way; the same for the same ``seed``."""
+    """So many good files of each kind in turn, their bytes changed in one way; the same for the same ``seed``."""
     random = np.random.default_rng(seed)
-    files = [good(encoding) for encoding in ("raw", "gzip", "bzip2")]
+    with tempfile.TemporaryDirectory() as folder:
+        others = [path.read_bytes() for path in written(Path(folder))]
+    files = [*(good(encoding) for encoding in ("raw", "gzip", "bzip2")), *others]
     for number in range(count):
         file = bytearray(files[number % len(files)])
         WAYS[number // len(files) % len(WAYS)](file, random)
         yield bytes(file)
+
+
+def header_of(file: bytearray) -> int:
+    """Bytes of the header of a file: of NRRD, as it says; of other kinds, as most have."""
+    return file.index(b"\n\n") if file.startswith(b"NRRD") else min(OTHERS, len(file))
 
 
 def flip(file: bytearray, random: np.random.Generator) -> None:
@@ -157,7 +171,7 @@ def flip(file: bytearray, random: np.random.Generator) -> None:
 
 def flip_header(file: bytearray, random: np.random.Generator) -> None:
     """Set some bytes of the header to anything."""
-    for place in random.integers(4, file.index(b"\n\n"), 1 + random.integers(4)):
+    for place in random.integers(4, header_of(file), 1 + random.integers(4)):
         file[place] = int(random.integers(256))
 
 
@@ -180,9 +194,9 @@ def drop(file: bytearray, random: np.random.Generator) -> None:
 
 def renumber(file: bytearray, random: np.random.Generator) -> None:
     """Put an odd number in the place of a digit of the header."""
-    digits = [place for place in range(file.index(b"\n\n")) if file[place : place + 1].isdigit()]
+    digits = [place for place in range(header_of(file)) if file[place : place + 1].isdigit()]
     odd = (b"-1", b"0", b"999999999999", b"1e308", b"nan", b"0x10", b"", b"2147483648")
-    place = digits[int(random.integers(len(digits)))]
+    place = digits[int(random.integers(len(digits)))] if digits else 0
     file[place : place + 1] = odd[int(random.integers(len(odd)))]
 
 

@@ -119,7 +119,7 @@ CHUNK = (32, 256, 256)
 BYTES = 1 << 23
 """Bytes of a file in one object."""
 
-FOLLOWED = ("solid", "spacing", "missing", "axes", "level", "channel", "time", "series")
+FOLLOWED = ("solid", "spacing", "missing", "axes", "volumes", "level", "channel", "time", "series")
 """Settings of a scene that its volume's voxels already contain."""
 
 

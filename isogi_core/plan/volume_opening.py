@@ -20,6 +20,7 @@ from isogi_core.model.demo import DEMOS, demo_volume
 from isogi_core.model.orientation import Orientation
 from isogi_core.model.value_survey import Progress, check, checked_spacing, no_progress, survey
 from isogi_core.model.volume import Volume, make_volume
+from isogi_core.plan.masks import cut_out, place, read_tables
 
 FORMAT = 1
 """Version of the copies: increased when the same file gives other voxels."""
@@ -37,30 +38,43 @@ AXES = ("world", "raw")
 def open_volume(settings: Settings, base: Path, progress: Progress = no_progress, fallback: str = "above") -> Volume:
     """Open the volume that the scene names, a demo or a file, with the scene's spacing, solid side and missing values.
 
-    ``fallback`` is that side where the scene names none. ``progress`` is called while a copy is made. Raises
-    VolumeError and SceneError.
+    Outside of the scene's masks it has no surface. ``fallback`` is that side where the scene names none. ``progress``
+    is called while a copy is made. Raises VolumeError and SceneError.
     """
     name = settings.text("volume", DEFAULT_DEMO)
     solid = settings.text("solid", fallback)
     raw = settings.choice("axes", AXES) == "raw"
     spacing, missing = settings.numbers("spacing", 3), settings.listed("missing")
     chosen = {key: value for key in NESTED if (value := settings.count(key, 1 << 20)) is not None}
+    tables = read_tables(settings)
     if not name.startswith("demo:"):
-        grid, stem = open_grid(base, name, chosen)
-        straight = on_right_angles(replace(grid, affine=None) if raw else grid, spacing)
+        grid, stem = open_grid(base, name, chosen, raw)
+        straight = on_right_angles(grid, spacing)
+        if tables and spacing and grid.affine is not None:
+            raise SceneError("spacing moves the volume away from its masks: leave it out, or add axes = 'raw'.")
+        masks = [place(table, open_grid(base, table.file, {}, raw)[0], grid, straight) for table in tables]
+        straight = cut_out(straight, masks, solid, missing) if masks else straight
         volume = volume_of(straight, solid, stem, missing, progress)
         return replace(volume, orientation=Orientation.of(straight))
     if name.removeprefix("demo:") not in DEMOS:
         raise VolumeError(f"There is no {name}: choose one of {', '.join('demo:' + key for key in DEMOS)}.")
-    if spacing or missing or chosen or raw or solid != "above":
+    if spacing or missing or chosen or raw or tables or solid != "above":
         made = "is made with spacing 1, solid above and nothing missing"
-        named = ", ".join(f"'{key}'" for key in ("spacing", "solid", "missing", "axes", *chosen))
+        named = ", ".join(f"'{key}'" for key in ("spacing", "solid", "missing", "axes", "volumes", *chosen))
         raise SceneError(f"{name} {made}: leave out {named}.")
     return demo_volume(name.removeprefix("demo:"))
 
 
-def open_grid(base: Path, name: str, chosen: dict[str, int]) -> tuple[Grid, str]:
-    """The grid at a path or a URL, and its display name; what follows a # in the name chooses too."""
+def open_grid(base: Path, name: str, chosen: dict[str, int], raw: bool = False) -> tuple[Grid, str]:
+    """The grid at a path or a URL, and its display name; what follows a # in the name chooses too.
+
+    Where the file says that it lies in the world is left out of a ``raw`` one.
+    """
+    grid, stem = _open_placed(base, name, chosen)
+    return replace(grid, affine=None) if raw else grid, stem
+
+
+def _open_placed(base: Path, name: str, chosen: dict[str, int]) -> tuple[Grid, str]:
     named, inside = (name, {}) if "://" in name or (base / name).exists() else split_part(name)
     place = named if "://" in named else base / named
     if isinstance(place, str) or is_zarr(place):

@@ -12,7 +12,7 @@ def dataset(array: np.ndarray, lps: np.ndarray, number: int, **changes: Any) -> 
     from pydicom.uid import CTImageStorage, ExplicitVRLittleEndian
 
     steps = np.linalg.norm(lps[:3, :3], axis=0)
-    made = Dataset()
+    made: Any = Dataset()
     made.file_meta = FileMetaDataset()
     made.file_meta.MediaStorageSOPClassUID = made.SOPClassUID = CTImageStorage
     made.file_meta.TransferSyntaxUID = ExplicitVRLittleEndian

@@ -3,6 +3,7 @@
 import gzip
 import importlib.util
 from collections.abc import Iterator
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +34,7 @@ def numpy_files(folder: Path) -> Iterator[Path]:
 
 def nifti(folder: Path) -> Iterator[Path]:
     if present("nibabel"):
-        import nibabel as nib
+        nib = import_module("nibabel")
 
         nib.save(nib.Nifti1Image(F.T, affine()), folder / "f.nii")
         (folder / "f.nii.gz").write_bytes(gzip.compress((folder / "f.nii").read_bytes(), mtime=0))
@@ -58,7 +59,7 @@ def tiff(folder: Path) -> Iterator[Path]:
 
 def mrc(folder: Path) -> Iterator[Path]:
     if present("mrcfile"):
-        import mrcfile
+        mrcfile = import_module("mrcfile")
 
         with mrcfile.new(folder / "f.mrc") as made:
             made.set_data(F)
@@ -67,7 +68,7 @@ def mrc(folder: Path) -> Iterator[Path]:
 
 def hdf5(folder: Path) -> Iterator[Path]:
     if present("h5py"):
-        import h5py
+        h5py = import_module("h5py")
 
         with h5py.File(folder / "f.h5", "w") as file:
             file.create_dataset("x", data=F, chunks=(4, 8, 8), compression="gzip")

@@ -1,0 +1,173 @@
+"""Masks: volumes of a scene's world, outside of which there is no surface. They lie there in grids of their own."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, reduce
+from typing import Any
+
+import numpy as np
+
+from isogi_core.errors import SceneError, VolumeError
+from isogi_core.files.grid import Grid
+from isogi_core.files.scene_file import SceneSource, Settings
+from isogi_core.files.voxel_file import budget
+from isogi_core.model.value_survey import check, survey
+
+MOST = 8
+"""Most tables [[volumes]] of a scene."""
+
+FAR = 1 << 40
+"""An index beyond any voxel."""
+
+USES = ("mask",)
+"""What a volume beside the first can be used for."""
+
+
+@dataclass(frozen=True)
+class MaskTable:
+    """A table [[volumes]]: the mask's ``file``, and the values in it that are inside, or none for all but zero."""
+
+    file: str
+    labels: tuple[float, ...]
+
+
+def read_tables(settings: Settings) -> list[MaskTable]:
+    """The tables [[volumes]] of a scene. Raises SceneError, also for keys that are unknown in them."""
+    return [
+        _read_table(SceneSource(f"{settings.source.name}: [[volumes]]", entry, settings.source.base))
+        for entry in settings.tables("volumes", MOST)
+    ]
+
+
+def _read_table(source: SceneSource) -> MaskTable:
+    table = Settings(source)
+    file, use, labels = table.text("file", ""), table.choice("use", USES), table.listed("labels")
+    table.refuse_unknown()
+    if not file or use is None:
+        raise SceneError(f"A table in the scene '{source.name}' lacks 'file' or use = 'mask': give both.")
+    return MaskTable(file, labels)
+
+
+@dataclass(frozen=True, eq=False)
+class Mask:
+    """A mask's ``grid``, with the ``matrix`` (3, 4) from a volume's voxel indices x, y, z to its own."""
+
+    table: MaskTable
+    grid: Grid
+    matrix: np.ndarray
+
+    @property
+    def stamp(self) -> list[Any]:
+        """What the mask's voxels follow from."""
+        return [self.grid.stamp(), self.table.labels, self.matrix.tolist()]
+
+    @cached_property
+    def _inside(self) -> np.ndarray:
+        """Whether each of the mask's own voxels is inside, (nz, ny, nx) bool. VolumeError where they are too many."""
+        if self.grid.size > budget():
+            need = f"The mask '{self.table.file}' takes {self.grid.size / 1e6:.0f} MB of memory"
+            raise VolumeError(f"{need}: give a coarser one, or more by ISOGI_VOLUME_MB.")
+        inside, z = np.empty(self.grid.shape, bool), 0
+        for slab in self.grid.slabs():
+            inside[z : z + len(slab)] = np.isin(slab, self.table.labels) if self.table.labels else _is_something(slab)
+            z += len(slab)
+        return inside
+
+    def layer(self, z: int, shape: Sequence[int]) -> np.ndarray:
+        """Whether each voxel of layer ``z`` of a volume is inside, by the mask's nearest voxel; (ny, nx) bool."""
+        ny, nx = shape[1:]
+        steps = (np.arange(nx), np.arange(ny)[:, None])
+        sides = self.grid.shape[::-1]
+        found = [_nearest(row, steps, z) for row in self.matrix]
+        reached = reduce(np.logical_and, [(index >= 0) & (index < n) for index, n in zip(found, sides, strict=True)])
+        x, y, z_index = (np.clip(index, 0, n - 1) for index, n in zip(found, sides, strict=True))
+        return np.broadcast_to(reached & self._inside[z_index, y, x], (ny, nx))
+
+
+def _is_something(slab: np.ndarray) -> np.ndarray:
+    """Whether values are neither zero nor NaN."""
+    return np.asarray((slab != 0) & ~np.isnan(slab))
+
+
+def _nearest(row: np.ndarray, steps: tuple[np.ndarray, np.ndarray], z: int) -> np.ndarray:
+    """One index of the mask's nearest voxels, of a shape that broadcasts to a layer's: an axis that does not matter
+    costs nothing."""
+    place: Any = row[3] + row[2] * z
+    for factor, along in zip(row, steps, strict=False):
+        if abs(factor) * along.size > 1e-6:
+            place = place + factor * along
+    return np.clip(np.floor(np.asarray(place) + 0.5), -1, FAR).astype(np.int64)
+
+
+@dataclass(frozen=True, eq=False)
+class Masked:
+    """The slabs of a ``grid`` whose voxels outside of one of the ``masks`` have the value farthest outside.
+
+    That is the least value of the volume, or the greatest where ``solid`` is "below"; ``missing`` ones do not count.
+    """
+
+    grid: Grid
+    masks: tuple[Mask, ...]
+    solid: str
+    missing: tuple[float, ...]
+
+    @cached_property
+    def _outermost(self) -> float:
+        low, high = survey(self.grid, self.solid, self.missing).value_range
+        return low if self.solid == "above" else high
+
+    def slabs(self) -> Iterator[np.ndarray]:
+        """The slabs; VolumeError where no voxel is inside."""
+        z, kept = 0, False
+        for slab in self.grid.slabs():
+            filled = np.array(slab)
+            for layer in filled:
+                inside = np.logical_and.reduce([mask.layer(z, self.grid.shape) for mask in self.masks])
+                layer[~inside] = self._outermost
+                kept |= bool(inside.any())
+                z += 1
+            yield filled
+        if not kept:
+            names = ", ".join(f"'{mask.table.file}'" for mask in self.masks)
+            raise VolumeError(f"No voxel of the volume is inside {names}: check its labels, and where it lies.")
+
+    def stamp(self) -> str:
+        """The state of the volume's source and of those of its masks."""
+        return repr([self.grid.stamp(), *(mask.stamp for mask in self.masks)])
+
+
+def cut_out(grid: Grid, masks: Sequence[Mask], solid: str, missing: tuple[float, ...]) -> Grid:
+    """A volume's ``grid`` without surface outside of its ``masks``: only files' headers are read now."""
+    masked = Masked(grid, tuple(masks), solid, missing)
+    notes = tuple(f"Outside of '{mask.table.file}' there is no surface." for mask in masks)
+    return replace(grid, slabs=masked.slabs, stamp=masked.stamp, notes=(*grid.notes, *notes))
+
+
+def place(table: MaskTable, grid: Grid, whole: Grid, volume: Grid) -> Mask:
+    """The mask in a ``grid``, placed for a ``volume`` on right angles that the file's grid ``whole`` became.
+
+    Both lie where their files say. Where one does not say, both have the same voxels, or neither says and their first
+    voxels lie together. Raises SceneError where these do not hold, and where their units differ.
+    """
+    try:
+        check(grid, "above")
+    except VolumeError as error:
+        raise VolumeError(f"The mask '{table.file}' cannot be used. {error}") from error
+    if grid.unit and whole.unit and grid.unit != whole.unit:
+        raise SceneError(f"The mask '{table.file}' is in {grid.unit} and the volume in {whole.unit}: convert one.")
+    silent = grid.affine is None or whole.affine is None
+    if silent and grid.shape == whole.shape:
+        grid = replace(grid, affine=whole.affine, spacing=volume.spacing)
+    elif (grid.affine is None) != (whole.affine is None):
+        reason = f"Of the mask '{table.file}' and the volume, one does not say where it lies"
+        raise SceneError(f"{reason}: give both the same voxels, or axes = 'raw'.")
+    theirs, ours = _to_world(grid), _to_world(volume)
+    if abs(np.linalg.det(theirs[:3, :3])) == 0.0 or not np.isfinite(theirs).all():
+        raise SceneError(f"The axes of the mask '{table.file}' lie in one plane: mend its affine.")
+    return Mask(table, grid, (np.linalg.inv(theirs) @ ours)[:3])
+
+
+def _to_world(grid: Grid) -> np.ndarray:
+    """From voxel indices x, y, z to the world, (4, 4)."""
+    rows = np.column_stack([np.diag(grid.spacing), np.zeros(3)]) if grid.affine is None else grid.affine.array
+    return np.vstack([rows, [0.0, 0.0, 0.0, 1.0]])
