@@ -34,15 +34,15 @@ class Served:
 
     @cached_property
     def path(self) -> str:
-        """The path of the only scene."""
-        (scene,) = self.client.get("/v1/scenes").json()["scenes"]
+        """The path of the scene that it was started with; uploads are others."""
+        scene, *_ = self.client.get("/v1/scenes").json()["scenes"]
         return f"/v1/scenes/{scene['id']}"
 
     @property
     def workers(self) -> list[psutil.Process]:
         """The processes that bake."""
         children = psutil.Process(self.process.pid).children(recursive=True)
-        return [child for child in children if "spawn_main" in " ".join(child.cmdline())]
+        return [child for child in children if "spawn_main" in " ".join(command(child))]
 
     def footprint(self) -> dict[str, float]:
         """What the server and its workers take now: memory in MiB, open files, processes."""
@@ -102,6 +102,14 @@ def serving(
     finally:
         process.send_signal(signal.SIGTERM)  # nothing where it has ended
         process.wait(30)
+
+
+def command(process: psutil.Process) -> list[str]:
+    """The words of its command; none where it has just ended."""
+    try:
+        return process.cmdline()
+    except psutil.NoSuchProcess:
+        return []
 
 
 def ready(client: httpx.Client) -> bool:

@@ -6,6 +6,7 @@ Messages are good ones, changed: other types, numbers and names, cut, doubled, w
 A stream that the server closes is opened anew.
 """
 
+import itertools
 import json
 import random
 import tempfile
@@ -70,20 +71,20 @@ def drained(stream: ClientConnection, told: Counter[str]) -> None:
 
 
 def fuzzed(served: Served, messages: int, seed: int) -> Counter[str]:
-    """What came of so many messages."""
+    """What came of so many messages, to one stream after another."""
     chance, told = random.Random(seed), Counter[str]()
     address = f"{served.url.replace('http', 'ws', 1)}{served.path}/stream"
-    stream = connect(address)
-    for _ in range(messages):
+    texts = (message(chance) for _ in range(messages))
+    while (first := next(texts, None)) is not None:
         try:
-            stream.send(message(chance))
-            drained(stream, told)
+            with connect(address) as stream:
+                for text in itertools.chain([first], texts):
+                    stream.send(text)
+                    drained(stream, told)
         except ConnectionClosed as closed:
             told[f"closed with {closed.rcvd.code if closed.rcvd else 'nothing'}"] += 1
-            stream = connect(address)
         except InvalidStatus as refused:
             told[f"refused with {refused.response.status_code}"] += 1
-    stream.close()
     return told
 
 

@@ -172,7 +172,8 @@ class Session:
                 if task.done():
                     await task
         except StreamError as error:
-            await self._socket.close(error.code, str(error))
+            with suppress(WebSocketDisconnect, RuntimeError):  # the client, or its broken frame, may have closed it
+                await self._socket.close(error.code, str(error))
         except WebSocketDisconnect:
             pass
         finally:
