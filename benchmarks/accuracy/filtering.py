@@ -9,7 +9,6 @@ interpolation, is in the true errors alone.
 
 import tempfile
 from pathlib import Path
-from unittest.mock import patch
 
 import click
 
@@ -17,9 +16,9 @@ from benchmarks.accuracy.benches import bench_of
 from benchmarks.accuracy.totals import scenes
 from benchmarks.common.measurement import Measurement, markdown
 from benchmarks.common.suite import part
-from isogi_core.frame import renderer
 from isogi_core.frame.frame import Frame
-from isogi_core.report.bake import ViewBake
+from isogi_core.frame.renderer import Renderer
+from isogi_core.report.bake import NEVER, ViewBake
 from isogi_core.report.metrics import Score, score
 
 LEVELS = (16, 64, 256)
@@ -42,9 +41,10 @@ def filtering(size: int, paths: int, seed: tuple[int, ...], only: tuple[str, ...
         for name, scene in scenes(Path(folder), seed, only):
             bench = bench_of(scene(), size, Path(folder) / name.replace(" ", "-"))
             bake, best = ViewBake(bench.renderer(bench.scene), bench.view), bench.reference(paths)
+            filters = Renderer(bake.renderer.caches, bench.tiles)
             for samples in LEVELS:
                 bake.grow(samples)
-                pictures = (alone(bake), bake.frame())
+                pictures = pictures_of(bake, filters)
                 plain, calm = (score(each.radiance, best, 1.0) for each in pictures)
                 rows.append((name, str(samples), *texts(pictures[0], plain), *texts(pictures[1], calm)))
                 figures[f"{name}, {samples} samples: filtered / alone"] = calm.rmse / plain.rmse
@@ -53,10 +53,9 @@ def filtering(size: int, paths: int, seed: tuple[int, ...], only: tuple[str, ...
     return Measurement("Light that converges, filtered", figures, markdown(HEAD, rows))
 
 
-def alone(bake: ViewBake) -> Frame:
-    """The frame of a bake with each texel's light as it is."""
-    with patch.object(renderer, "filter_texel_light", lambda texels, reading, lit, *others: lit):
-        return bake.frame()
+def pictures_of(bake: ViewBake, filters: Renderer) -> tuple[Frame, Frame]:
+    """The frame with each texel's light as it is, and that of a renderer that ``filters``."""
+    return bake.frame(), filters.render(bake.view, NEVER)
 
 
 def texts(picture: Frame, found: Score) -> tuple[str, str]:

@@ -82,8 +82,8 @@ class GBuffer:
 
     def part(self, places: np.ndarray, tiles: Tiles) -> "GBuffer":
         """The same picture with those points alone that are in rows ``places`` (k,), ascending. Raises Cancelled."""
-        some = self.pixels[places], self.points[places], self.normals(tiles)[places]
-        return GBuffer(self.shape, self.spacing, self.eye, self.surface, *some)
+        some, normals = (self.pixels[places], self.points[places]), self.normals(tiles)[places]
+        return GBuffer(self.shape, self.spacing, self.eye, self.surface, *some, _normals=normals)
 
     @property
     def nbytes(self) -> int:

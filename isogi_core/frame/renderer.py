@@ -80,11 +80,15 @@ SHARE, NORMALS = 1 / 16, 1 / 6
 class Renderer:
     """Renders views of one scene. Frames may be asked for from several threads."""
 
-    def __init__(self, caches: Caches, tiles: Tiles, most: int = KEPT) -> None:
-        """Render with the light that ``caches`` bring, on the threads of ``tiles``; keep ``most`` bytes of views."""
+    def __init__(self, caches: Caches, tiles: Tiles, most: int = KEPT, filters: bool = True) -> None:
+        """Render with the light that ``caches`` bring, on the threads of ``tiles``; keep ``most`` bytes of views.
+
+        Who measures what bakes are worth ``filters`` no light that is noisy still.
+        """
         self.prepared = caches.prepared
         self.caches = caches
         self.tiles = tiles
+        self._filters = filters
         self._normals = OwnNormals(min(int(NORMALS * most), 4 * ENTRY * math.prod(self.prepared.shape)))
         changing = dict.fromkeys((Reading, LobeLight), int(SHARE * most))
         self._kept: LruCache[Any] = LruCache(most - int(NORMALS * most), changing)
@@ -263,7 +267,7 @@ class Renderer:
         gbuffer, records = texels.gbuffer, None
         projects, shading = isinstance(reading, ProjectedReading), light.view.shading
         ratios = carries_irradiance_ratios(self.prepared.scene, shading, projects)
-        filtered = spec_name(shading) == "gi" and bool(reading.noisy.any())
+        filtered = self._filters and spec_name(shading) == "gi" and bool(reading.noisy.any())
         if ratios or filtered:
             with watch.stage("normals"):
                 about = self._texel_normals(light.view, texels, reading, tiles)

@@ -89,7 +89,7 @@ class Bench:
         store = self.folder / "light" / scene.digest
 
         def make() -> Renderer:
-            return Renderer(Caches(PreparedScene(scene), store, MEMORY), self.tiles)
+            return Renderer(Caches(PreparedScene(scene), store, MEMORY), self.tiles, filters=False)
 
         return self.once(("renderer", scene.digest, scene.bounces, scene.plan.survival), make)
 

@@ -81,7 +81,7 @@ def test_a_texel_that_faces_away_hardly_counts(sides: Sides) -> None:
 
 def test_unshadowed_light_is_that_of_a_surface_which_sees_all(tmp_path: Path) -> None:
     normals = np.array([(0.0, 0.0, 1.0), (0.6, 0.0, -0.8), (0.0, 1.0, 0.0)])
-    constant, under_sky = bench_of(tmp_path, lights=[CONSTANT]), bench_of(tmp_path)
+    constant, under_sky = (bench_of(tmp_path, lights=[light]) for light in (CONSTANT, {"type": "sky", "ground": 0.1}))
     spec = constant.renderer(constant.scene).caches.spec("gi")
     flat = bare_light(RotatedLight(spec, constant.view))(normals) * spec.unit
     assert np.allclose(flat, luminance(np.array([constant.scene.albedo]))), "albedo under a radiance of 1"

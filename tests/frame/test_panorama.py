@@ -36,7 +36,8 @@ def test_the_picture_is_half_as_high_as_it_is_wide(width: int) -> None:
 def test_the_sun_is_where_the_scene_puts_it(azimuth: float, elevation: float) -> None:
     picture = painted(SkyLight(azimuth, elevation))
     assert brightest(picture) == pytest.approx((azimuth, elevation), abs=4.0)
-    assert picture[:32].mean() > picture[32:].mean(), "the sky is above"
+    blue = picture[..., 2].astype(int) - picture[..., 0]
+    assert blue[:32].mean() > 0.0 > blue[32:].mean(), "the sky is above, and the ground is warm"
 
 
 @pytest.mark.parametrize(("azimuth", "elevation"), [(0.0, 0.0), (100.0, -40.0), (77.0, 89.0)])

@@ -57,7 +57,7 @@ def light(
     surface: Any = SimpleNamespace(traced=lambda _: surface_of(field_of(ROOM, spacing), 0.0), isovalue=0.0)
     side = math.isqrt(len(points))
     normals, pixels = np.tile(UP.astype(np.float32), (len(points), 1)), np.arange(len(points), dtype=np.uint32)
-    gbuffer = GBuffer((side, side), spacing, (20.0, 20.0, 40.0), surface, pixels, points, normals)
+    gbuffer = GBuffer((side, side), spacing, (20.0, 20.0, 40.0), surface, pixels, points, _normals=normals)
     given: Any = SimpleNamespace(lobes=lamps, view=SimpleNamespace(moving=moving))
     return find_lobes(given, gbuffer, Tiles(threads)).lit
 

@@ -51,7 +51,7 @@ def frame_of(tmp_path: Path) -> Frames:
 def make_frame(folder: Path, scene: Scene, samples: int = 64, **settings: Any) -> Frame:
     """A view, with ``samples`` paths from each texel in each layer, or from each pixel; whatever the error is."""
     view = view_of(scene, samples=samples, **settings)
-    renderer = Renderer(Caches(PreparedScene(scene), mkdtemp(dir=folder), 1 << 28), Tiles())
+    renderer = Renderer(Caches(PreparedScene(scene), mkdtemp(dir=folder), 1 << 28), Tiles(), filters=False)
     demands = renderer.render(view).demands
     if demands:
         loader = renderer.caches.of(view.shading)

@@ -254,7 +254,7 @@ def test_light_and_target_change_frames_and_not_bakes() -> None:
         ({"target_error": 0.018, "bounces": 5}, ["direct", "indirect"]),
         ({"precision": "single"}, []),
         ({"lattice": 0.5}, []),
-        ({"order": 5, "indirect_order": 5}, ["indirect"]),
+        ({"order": 4, "indirect_order": 4}, ["indirect"]),
         ({"order": 3, "indirect_order": 3, "lobes": 0, "precision": "bytes"}, ["direct"]),
         ({"rotating": False}, []),
         ({"normals": "gradient"}, []),

@@ -258,7 +258,7 @@ def test_requests_for_the_same_at_the_same_time_share_one_render(engine: FakeEng
             together.set()
 
     engine.doing = work
-    answers = started(app, {}, {"f": "npy"}, {"azimuth": 7}, {})
+    answers = started(app, {}, {"f": "jpeg"}, {"azimuth": 7}, {})
     assert [answer.status_code for answer in answers] == [200] * 4
     assert len(engine.views) == 2
     assert len(engine.wants) == 4

@@ -18,7 +18,7 @@ NUMBERS = [
 ]
 """Spellings of numbers that no numeric parameter takes."""
 
-WORDS = ("shading", "f", "overlay")
+WORDS = ("shading", "f", "overlay", "strip")
 HOSTS = [
     *("evil.example", "evil.example:8000", "127.0.0.1.evil.example", "localhost.evil.example", "localhost."),
     *("127.0.0.1@evil.example", "[::2]", "0.0.0.0", "127.1", "2130706433", "", "127.0.0.1, evil.example"),
