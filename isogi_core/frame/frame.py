@@ -53,7 +53,9 @@ class Frame:
     control pixels are to show, None of frames that have none; ``controls`` are those drawn so far, by the
     ``uncertainty`` (m,) of surface points, and it may be ``given_up``. ``expected`` is what it errs by
     besides its noise, as the plan expects. Of a view that is smooth, ``edges`` have more samples. So many pixels of
-    walls are ``walls_waiting``: they are not final, and become so as the picture is refined.
+    walls are ``walls_waiting``: they are not final, and become so as the picture is refined. So many pixels have light
+    of their ``own``. Its texels are finer than the plan's by ``fineness`` steps, see ``plan.finer``; a ``finer`` frame
+    is coming, and waits for its light.
     """
 
     view: View
@@ -74,6 +76,9 @@ class Frame:
     expected: float = 0.0
     edges: EdgeSamples | None = None
     walls_waiting: int = 0
+    own: int = 0
+    fineness: int = 0
+    finer: "Frame | None" = None
 
     @cached_property
     def demands(self) -> tuple[Demand, ...]:

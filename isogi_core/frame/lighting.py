@@ -1,5 +1,6 @@
 """The light around a view: the rotated environment, as coefficients, as a picture, and as one key light."""
 
+import hashlib
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -10,6 +11,7 @@ from isogi_core.bake.bake_spec import BakeSpec, band_of
 from isogi_core.kernels.shading.irradiance_ratio import LEAST, Unshadowed
 from isogi_core.kernels.shading.lattice import Sky
 from isogi_core.kernels.shading.local_models import LocalModel
+from isogi_core.kernels.simd.types import REGISTER
 from isogi_core.kernels.transport.harmonics import cosine_lobe_factors, rotate
 from isogi_core.kernels.transport.light_paths import Surroundings
 from isogi_core.kernels.transport.lights import DIRECTIONAL, LampArrays
@@ -17,6 +19,9 @@ from isogi_core.model.scene_plan import Layer
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import Camera, View, rotation_matrix
 from isogi_core.plan.albedos import mixing_weights
+
+FORMAT = 5
+"""Counts up when pictures of the same light change: those that browsers keep are then asked for anew."""
 
 MOST = 100.0
 """How much the mean square of paths may fall at most: where next to nothing arrives unreflected."""
@@ -268,3 +273,12 @@ def triple(v: np.ndarray) -> tuple[float, float, float]:
     """Three floats, as the kernels take vectors."""
     x, y, z = (float(a) for a in v)
     return x, y, z
+
+
+def version_of(light: RotatedLight, read: bytes) -> str:
+    """Hex digest of all that a picture was made of: scene, bake spec, view, and how far the light it read is baked.
+
+    Light is summed in the order that fills the processor's registers, whose width is part of it.
+    """
+    spec, scene = light.spec.digest, light.spec.prepared.scene.digest
+    return hashlib.blake2b(repr((FORMAT, scene, spec, light.view, read, REGISTER)).encode(), digest_size=12).hexdigest()

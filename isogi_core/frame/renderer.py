@@ -15,7 +15,6 @@ step and the surface that a view shows, by isovalue, camera and size (``surface_
 out no surface.
 """
 
-import hashlib
 import math
 import threading
 from collections.abc import Iterator
@@ -33,7 +32,7 @@ from isogi_core.frame.antialiasing import sample_edges
 from isogi_core.frame.control_pixels import expected_error
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import GBuffer, to_index, trace
-from isogi_core.frame.lighting import RotatedLight
+from isogi_core.frame.lighting import RotatedLight, version_of
 from isogi_core.frame.picture_check import PictureCheck
 from isogi_core.frame.pixel_rays import LobeLight, find_lobes
 from isogi_core.frame.projected_texels import (
@@ -62,12 +61,8 @@ from isogi_core.frame.view_texels import ViewTexels, carries_irradiance_ratios, 
 from isogi_core.frame.wall_light import COARSE, WallLight, WallTexels, WallView
 from isogi_core.kernels.shading.framebuffer import Framebuffer
 from isogi_core.kernels.shading.lobes import add_lobes
-from isogi_core.kernels.simd.types import REGISTER
 from isogi_core.lru_cache import LruCache
 from isogi_core.model.view import View
-
-FORMAT = 5
-"""Counts up when pictures of the same light change: those that browsers keep are then asked for anew."""
 
 KEPT = 256 << 20
 """Bytes that are kept of views, for turning light and for asking again."""
@@ -142,10 +137,11 @@ class Renderer:
                 self._put_walls(gbuffer, light, target, framebuffer, tiles)
         return frame_of(gbuffer, light, framebuffer, watch)
 
-    def refine(self, view: View, target: float | None = None, tiles: Tiles | None = None) -> bool:
+    def refine(self, view: View, target: float | None = None, tiles: Tiles | None = None, finer: bool = False) -> bool:
         """Bring the total error of a view whose light is final a step nearer to the ``target``; whether there was one.
 
-        Raises Cancelled once ``tiles`` are cancelled, and what ``render`` raises.
+        Where there is ``finer`` light it may ask for that: see ``asks_finer``. Raises Cancelled once ``tiles`` are
+        cancelled, and what ``render`` raises.
         """
         target, tiles = target or self.prepared.scene.target_error, tiles or self.tiles
         frame = self._draw(view, target, tiles, Stopwatch())
@@ -155,6 +151,7 @@ class Renderer:
         if frame.walls_waiting:
             return self._grow_walls(frame.gbuffer, light, target, tiles)
         check = self._check(light, frame.gbuffer, target)
+        check.finer = finer if check.finer is None else check.finer
 
         def uncertainty() -> np.ndarray:
             with self._lit_texels(frame.gbuffer, light, target, tiles, Stopwatch()) as found:
@@ -164,6 +161,16 @@ class Renderer:
 
         with check.lock:
             return check.step(frame, uncertainty, tiles)
+
+    def asks_finer(self, view: View, target: float) -> bool:
+        """Whether the check of a view's picture found that finer texels are to be shown in its place."""
+        check = self._kept.held(check_key(view, target)) if is_checked(view) else None
+        return check is not None and check.coarse
+
+    def decline_finer(self, view: View, target: float) -> None:
+        """Have a view's picture reach its target without finer texels: there is no memory for them."""
+        if (check := self._kept.held(check_key(view, target))) is not None:
+            check.decline()
 
     def _light(self, view: View) -> RotatedLight:
         """The lights of a view, turned: with all their lobes where it is at rest."""
@@ -253,9 +260,7 @@ class Renderer:
 
     def _check(self, light: RotatedLight, gbuffer: GBuffer, target: float) -> PictureCheck:
         """What is known of the picture of a view besides its texels' light."""
-        view = light.view
-        key = (PictureCheck, surface_key(view), view.light, view.albedo, target)
-        return self._kept.get(key, lambda: PictureCheck(light, gbuffer, target))
+        return self._kept.get(check_key(light.view, target), lambda: PictureCheck(light, gbuffer, target))
 
     def _carry(
         self, texels: ViewTexels, reading: Reading, lit: np.ndarray, light: RotatedLight, tiles: Tiles, watch: Stopwatch
@@ -376,6 +381,7 @@ def frame_of(
         controls=check.controls if check else None,
         uncertainty=check.uncertainty if check else None,
         given_up=check.ended if check else False,
+        own=len(check.own.places) if check else 0,
         expected=expected_error(light.spec.prepared.scene, gbuffer.isovalue) if light.view.shading == "gi" else 0.0,
     )
 
@@ -385,10 +391,6 @@ def surface_key(view: View) -> tuple[Any, ...]:
     return view.isovalue, view.camera, view.width, view.height, view.strip
 
 
-def version_of(light: RotatedLight, read: bytes) -> str:
-    """Hex digest of all that a picture was made of: scene, bake spec, view, and how far the light it read is baked.
-
-    Light is summed in the order that fills the processor's registers, whose width is part of it.
-    """
-    spec, scene = light.spec.digest, light.spec.prepared.scene.digest
-    return hashlib.blake2b(repr((FORMAT, scene, spec, light.view, read, REGISTER)).encode(), digest_size=12).hexdigest()
+def check_key(view: View, target: float) -> tuple[Any, ...]:
+    """What the check of a picture depends on."""
+    return PictureCheck, surface_key(view), view.light, view.albedo, target

@@ -42,6 +42,12 @@ class PreparedScene:
         """The active-cell maps of the volume."""
         return ActiveCellMaps(self.scene.volume.voxels, self.most)
 
+    def finer(self, scene: Scene) -> "PreparedScene":
+        """The ``scene`` whose light is finer than this one's: what was worked out of the voxels serves both."""
+        made = PreparedScene(scene, self.most)
+        vars(made).update(field=self.field, maps=self.maps)
+        return made
+
     def surface(self, isovalue: float) -> Surface:
         """The isosurface at an ``isovalue`` in the units of the volume's file, as scenes and views have it."""
         return Surface(self.scene.volume.normalise_isovalue(isovalue), self.field, self.maps)

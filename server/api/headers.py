@@ -13,6 +13,7 @@ from fastapi import Depends, Header
 
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.tiles import Stopwatch
+from isogi_core.plan.finer import DENSER
 from server.parameters import LONGEST_WAIT, FrameParams, ViewParams
 from worker.progress import TimeLeft
 
@@ -46,9 +47,11 @@ def frame_headers(frame: Frame, time_left: TimeLeft | None, tag: str, version: s
     """
     left = {"Isogi-Time-Left": time_left_header(time_left)} if time_left is not None and not frame.final else {}
     projected = {} if frame.projection is None else {"Isogi-Projected": projection_header(frame.projection.shares)}
+    refined = {"Isogi-Refined": refined_header(frame)} if frame.fineness or frame.own else {}
     return (
         left
         | projected
+        | refined
         | {
             "Isogi-Provisional": "?0" if frame.final else "?1",
             "Isogi-Coverage": coverage_header(frame.coverage),
@@ -79,6 +82,11 @@ def coverage_header(shares: Mapping[str, float]) -> str:
 def projection_header(shares: Mapping[str, float]) -> str:
     """Shares of the texels, to three digits, by how they are read; see ``Projection.shares``."""
     return ", ".join(f"{name}={share:.3f}" for name, share in shares.items())
+
+
+def refined_header(frame: Frame) -> str:
+    """By what a picture is better than its plan: texels along each axis, times the plan's, and pixels' own light."""
+    return f"texels={DENSER**frame.fineness:g}, pixels={frame.own / max(frame.surface, 1):.3f}"
 
 
 def error_header(frame: Frame) -> str:

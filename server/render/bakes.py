@@ -1,4 +1,4 @@
-"""Bakes of a scene as the workers know them, bakes of projected texels, background bakes, and patience."""
+"""Bakes of a scene as the workers know them, bakes of projected and finer texels, background bakes, and patience."""
 
 import threading
 import time
@@ -86,11 +86,11 @@ class BackgroundBake:
 
 
 MOST = 32
-"""Isovalues, of all scenes, whose projected texels may be baked at a time: those asked for last."""
+"""Bakes of projected or finer texels, of all scenes, that may be at work at a time: those asked for last."""
 
 
-class ProjectedBakes:
-    """The bakes of projected texels that a ``baker`` knows. Safe to use from many threads."""
+class SideBakes:
+    """The bakes of projected or finer texels that a ``baker`` knows. Safe to use from many threads."""
 
     def __init__(self, baker: Baker, store: Store, most: int) -> None:
         """None yet. When one is added, a thread trims the ``store`` to ``most`` bytes of projected texels."""
@@ -100,9 +100,12 @@ class ProjectedBakes:
         self._trimming = threading.Lock()
         self._trimmer: threading.Thread | None = None
 
-    def name(self, scene: str, shown: Isovalue, make: Callable[[], Bake]) -> str:
-        """The name of the bake of a scene's texels projected onto the isosurface ``shown``, made where it is new."""
-        name = f"{scene} (projected at {shown!r})"
+    def name(self, scene: str, shown: Isovalue | None, fineness: int, make: Callable[[], Bake]) -> str:
+        """The name of a bake of a scene's texels, made where it is new.
+
+        They are finer than its own by ``fineness`` steps, and projected onto the isosurface ``shown``, where one is.
+        """
+        name = f"{scene} (texels finer by {fineness}, projected at {shown!r})"
         with self._lock:
             new = name not in self._names
             if new:
@@ -112,7 +115,7 @@ class ProjectedBakes:
             old = [self._names.popitem(last=False)[0] for _ in range(len(self._names) - MOST)]
         for each in old:
             self._baker.forget(each)
-        if new:
+        if new and shown is not None:
             self._trimmer = threading.Thread(target=self._trim_once, name="trimming", daemon=True)
             self._trimmer.start()
         return name
@@ -123,11 +126,11 @@ class ProjectedBakes:
             self._trimmer.join()
 
     def scene(self, bake: str) -> str:
-        """The name of the bake that views read besides one of projected texels; any other is its own."""
+        """The name of the bake that views read besides one of projected or finer texels; any other is its own."""
         return self._names.get(bake, bake)
 
     def forget(self, scene: str) -> None:
-        """Bake no more projected texels of a scene."""
+        """Bake no more projected or finer texels of a scene."""
         with self._lock:
             gone = [name for name, own in self._names.items() if own == scene]
             for name in gone:

@@ -25,7 +25,7 @@ from isogi_core.prepared.prepared_scene import Index
 from isogi_core.storage.store import Store, StoreLike
 from isogi_core.storage.url import StoreUrl
 from server.errors import UnknownSceneError
-from server.render.bakes import BACKGROUND, BackgroundBake, ProjectedBakes, bake_name, make_bake
+from server.render.bakes import BACKGROUND, BackgroundBake, SideBakes, bake_name, make_bake
 from server.render.loaded_scene import LoadedScene, load
 from server.render.loaded_scenes import LoadedScenes
 from server.render.picture_checks import CHECK, PictureChecks
@@ -74,7 +74,7 @@ class RenderEngine:
         self._tiles = Tiles()
         self._baker = baker or Baker(workers=None if scheduler else workers)
         self.workforce = Workforce(self._baker, self.store.url, workers, scheduler)
-        self._projected = ProjectedBakes(self._baker, self.store, projected)
+        self._beside = SideBakes(self._baker, self.store, projected)
         self._checks = PictureChecks(self.check, self._checked)
         self._checking = Tiles()
         self._listeners: list[Listener] = []
@@ -131,7 +131,7 @@ class RenderEngine:
             known = [bake for spec in SPECS if self._bakes.pop(bake := bake_name(scene, spec), None)]
         for bake in known:
             self._baker.forget(bake)
-        self._projected.forget(scene)
+        self._beside.forget(scene)
         self._loaded.drop(scene)
 
     def frame(
@@ -185,7 +185,7 @@ class RenderEngine:
     def check(self, scene: str, view: View, target: float, cancelled: threading.Event | None = None) -> bool:
         """Check a picture, one step further; whether there was one to take. Raises as ``frame`` does."""
         tiles = self._checking.cancelled_by(cancelled) if cancelled else self._checking
-        return self._find(scene).renderer.refine(view, target, tiles)
+        return self._find(scene).check(view, target, tiles)
 
     def want(self, scene: str, frame: Frame, target: float, viewer: Viewer) -> frozenset[Index]:
         """Request the light that a ``frame`` lacks, for a ``viewer``; the chunks that are going to be baked.
@@ -204,20 +204,27 @@ class RenderEngine:
     def lacking(self, scene: str, frame: Frame) -> tuple[str, tuple[Demand, ...]]:
         """The bake that a ``frame`` lacks light of, and what of it: projected texels once all else is final.
 
-        A path-traced frame lacks none, however far it is from its target.
+        Of one in whose place a finer one is coming, what that lacks. A path-traced frame lacks none, however far it is
+        from its target.
         """
-        bake = self.bake_of(scene, frame.view)
-        if scene not in self.scenes or frame.demands or frame.projection is None or not frame.projection.demands:
-            return bake, frame.demands
-        return self.bake_onto(scene, frame.gbuffer.isovalue), frame.projection.demands
+        frame = frame.finer or frame
+        projected = () if frame.demands or frame.projection is None else frame.projection.demands
+        if scene not in self.scenes or not (projected or frame.fineness):
+            return self.bake_of(scene, frame.view), frame.demands
+        return self.bake_onto(scene, frame.gbuffer.isovalue if projected else None, frame.fineness), (
+            projected or frame.demands
+        )
 
-    def bake_onto(self, scene: str, shown: Isovalue | None) -> str:
-        """The name of a scene's own bake, or of that of its texels projected onto the isosurface ``shown``."""
-        if shown is None:
+    def bake_onto(self, scene: str, shown: Isovalue | None, fineness: int = 0) -> str:
+        """The name of a scene's own bake, or of that of its texels projected onto the isosurface ``shown``.
+
+        Or of texels finer by so many steps.
+        """
+        if shown is None and not fineness:
             return bake_name(scene, "gi")
-        loaded, arrived = self._find(scene), partial(self._arrived, scene)
+        loaded, arrived = self._find(scene).level(fineness), partial(self._arrived, scene, fineness)
         make = partial(make_bake, loaded.renderer.caches, "gi", loaded.assets, arrived, shown)
-        return self._projected.name(scene, shown, make)
+        return self._beside.name(scene, shown, fineness, make)
 
     def _chunks(self, scene: str, frame: Frame) -> tuple[str, list[Index]]:
         """The bake that a ``frame`` lacks light of, and the chunks of it."""
@@ -240,10 +247,10 @@ class RenderEngine:
     def listen(self, listener: Listener) -> None:
         """Call ``listener`` for every chunk of a bake that has new light, or whose task failed; see ``bake_of``.
 
-        Projected texels are reported as the scene's own, and the check of a picture as CHECK.
+        Projected and finer texels are reported as the scene's own, and the check of a picture as CHECK.
         """
         self._listeners.append(listener)
-        self._baker.listen(lambda bake, index, more: listener(self._projected.scene(bake), index, more))
+        self._baker.listen(lambda bake, index, more: listener(self._beside.scene(bake), index, more))
 
     def time_left(self, scene: str, frame: Frame, max_error: float | None = None) -> TimeLeft | None:
         """Seconds until the view of a ``frame`` is final; None where that is unknown, or no worker is at it."""
@@ -357,12 +364,13 @@ class RenderEngine:
     def _bake_by(self, loaded: LoadedScene, spec: str) -> tuple[str, Bake]:
         """The bake of a loaded scene by a spec, and its name."""
         scene = loaded.scene.id
-        arrived = partial(self._arrived, scene)
+        arrived = partial(self._arrived, scene, 0)
         return bake_name(scene, spec), make_bake(loaded.renderer.caches, spec, loaded.assets, arrived)
 
-    def _arrived(self, scene: str, spec: str, index: Index, shown: Isovalue | None) -> None:
-        """Have a scene, where it is loaded, read a chunk again: it has new light."""
-        if (loaded := self._loaded.held(scene)) is not None:
+    def _arrived(self, scene: str, fineness: int, spec: str, index: Index, shown: Isovalue | None) -> None:
+        """Have a scene, where it is loaded, read a chunk of its texels again: it has new light."""
+        loaded = self._loaded.held(scene)
+        if loaded is not None and (loaded := loaded.held(fineness)) is not None:
             loaded.renderer.caches.refresh(spec, index, shown)
 
     def _tidy(self) -> None:

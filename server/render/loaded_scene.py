@@ -1,29 +1,33 @@
 """A loaded scene: its renderer over the store, and the prefetching of what the next isovalues of a slider need."""
 
+import logging
 import math
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
 
 from isogi_core.cache.scene_assets import SceneAssets, send_assets
 from isogi_core.cache.scene_caches import Caches
-from isogi_core.errors import Cancelled, StoreFullError, StoreReadOnlyError
+from isogi_core.errors import Cancelled, NoRoomError, StoreFullError, StoreReadOnlyError
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.tiles import Stopwatch, Tiles
 from isogi_core.model.view import View
 from isogi_core.model.volume import Isovalue
+from isogi_core.plan.finer import finer, has_finer
 from isogi_core.plan.planner import complete
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.active_cell_maps import ActiveCellMaps
 from isogi_core.prepared.prepared_scene import PreparedScene
 from isogi_core.storage.store import Store
 from server.render.resources import Memory
+
+log = logging.getLogger("isogi.render")
 
 OWN = 1 << 20
 """Bytes that a scene of a few voxels took besides what it keeps: tables, pools and threads."""
@@ -134,39 +138,101 @@ def group_of(isovalue: float, levels: np.ndarray) -> int:
     return min(int(np.searchsorted(levels, isovalue, "right")), len(levels) - 1) - 1
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class LoadedScene:
-    """One scene, ready to be rendered; ``assets`` are what workers that lack its files read in their place."""
+    """One scene, ready to be rendered; ``assets`` are what workers that lack its files read in their place.
+
+    Its texels are finer than the scene's own by ``fineness`` steps. Pictures whose control pixels ask for finer ones
+    are those of ``finer``, which is loaded then, from the ``memory`` and on the ``tiles`` of this one.
+    """
 
     scene: Scene
     renderer: Renderer
     prefetch: Prefetch
+    memory: Memory
     assets: SceneAssets | None = None
+    fineness: int = 0
+    _finer: "LoadedScene | None" = None
+    _lock: threading.Lock = field(default_factory=threading.Lock)
+
+    @property
+    def finer(self) -> "LoadedScene":
+        """The same scene with finer texels, loaded when first asked for. Raises StoreError."""
+        with self._lock:
+            if self._finer is None:
+                prepared = self.renderer.prepared.finer(finer(self.scene))
+                caches = Caches(prepared, self.renderer.caches.store, self.memory.light)
+                self._finer = loaded(caches, self.renderer.tiles, self.memory, self.assets, self.fineness + 1)
+            return self._finer
+
+    def level(self, fineness: int) -> "LoadedScene":
+        """The same scene with texels so many steps finer than its own. Raises StoreError."""
+        return self if fineness == self.fineness else self.finer.level(fineness)
+
+    def held(self, fineness: int) -> "LoadedScene | None":
+        """The same, where it is loaded."""
+        return self if fineness == self.fineness else self._finer and self._finer.held(fineness)
 
     def render(self, view: View, target: float, cancelled: threading.Event | None, watch: Stopwatch) -> Frame:
-        """The frame of a view with the light baked so far; prefetching stops meanwhile. Raises as Renderer does."""
+        """The frame of a view with the light baked so far; prefetching stops meanwhile. Raises as Renderer does.
+
+        Finer texels are shown once all of them are final, and until then those of this scene.
+        """
         with self.prefetch.frame(self.renderer.prepared.surface(view.isovalue).isovalue):
-            return self.renderer.render(view, target, cancelled, watch)
+            coming = self._render_finer(view, target, cancelled, watch)
+            if coming is not None and not coming.provisional:
+                return coming
+            frame = self.renderer.render(view, target, cancelled, watch)
+        if coming is None:
+            return replace(frame, fineness=self.fineness)
+        last = coming.finer or coming
+        frame = replace(frame, chunks_needed=last.chunks_needed, chunks_final=last.chunks_final)
+        return replace(frame, fineness=self.fineness, finer=last)
+
+    def _render_finer(
+        self, view: View, target: float, cancelled: threading.Event | None, watch: Stopwatch
+    ) -> Frame | None:
+        """The frame by finer texels, where a view's picture asks for them and the memory can hold them."""
+        if not self.renderer.asks_finer(view, target):
+            return None
+        try:
+            return self.finer.render(view, target, cancelled, watch)
+        except NoRoomError as error:
+            log.info("a view is shown without finer texels: %s", error)
+            self.renderer.decline_finer(view, target)
+            return None
+
+    def check(self, view: View, target: float, tiles: Tiles) -> bool:
+        """Check the picture of a view, one step further; whether there was one to take. Raises as Renderer does."""
+        if self.renderer.asks_finer(view, target):
+            return self.finer.check(view, target, tiles)
+        return self.renderer.refine(view, target, tiles, has_finer(self.scene))
 
     @property
     def nbytes(self) -> int:
         """Bytes of light, views and maps that it keeps, and what it takes besides."""
-        return OWN + self.renderer.nbytes
+        return OWN + self.renderer.nbytes + (self._finer.nbytes if self._finer else 0)
 
     def close(self) -> None:
         """Stop prefetching."""
         self.prefetch.close()
+        if self._finer:
+            self._finer.close()
 
 
 def load(scene: Scene, store: Store, tiles: Tiles, memory: Memory, send: bool = False) -> LoadedScene:
     """Prepare a scene and open its layers in a ``store``; ``send`` puts its assets there. Raises StoreError."""
-    prepared = PreparedScene(scene, memory.maps)
-    caches = Caches(prepared, store, memory.light)
+    caches = Caches(PreparedScene(scene, memory.maps), store, memory.light)
+    return loaded(caches, tiles, memory, sent(scene, store) if send else None)
+
+
+def loaded(caches: Caches, tiles: Tiles, memory: Memory, assets: SceneAssets | None, fineness: int = 0) -> LoadedScene:
+    """The scene of some ``caches``: its layers open, and worked out what its first frame needs. Raises StoreError."""
+    prepared, scene = caches.prepared, caches.prepared.scene
     prepared.field, prepared.maps, scene.projection, caches.chunk_store("gi")  # worked out now, not in the first frame
     planned = scene.with_plan(complete(caches.spec("gi").plan, scene.inputs, scene.overrides))
     prefetch = Prefetch(partial(prepare, prepared.maps, tiles), prepared.maps.levels, scene.span)
-    assets = sent(scene, store) if send else None
-    return LoadedScene(planned, Renderer(caches, tiles, memory.views), prefetch, assets)
+    return LoadedScene(planned, Renderer(caches, tiles, memory.views), prefetch, memory, assets, fineness)
 
 
 def prepare(maps: ActiveCellMaps, tiles: Tiles, isovalue: float, cancelled: threading.Event) -> None:

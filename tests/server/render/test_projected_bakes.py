@@ -18,7 +18,7 @@ from isogi_core.storage.store import Store
 from server.api.headers import projection_header
 from server.pictures import planes
 from server.render import bakes as room
-from server.render.bakes import ProjectedBakes
+from server.render.bakes import SideBakes
 from server.render.engine import RenderEngine
 from tests.server.inline import LONG, InlinePool, view_of
 from worker import pool
@@ -70,11 +70,11 @@ def test_a_bake_is_made_once_and_the_oldest_is_forgotten(monkeypatch: pytest.Mon
     monkeypatch.setattr(room, "MOST", 2)
     baker: Any = FakeBaker()
     monkeypatch.setattr(room, "trim_projected", lambda store, most: 0)
-    bakes = ProjectedBakes(baker, Store("memory://projected"), 0)
+    bakes = SideBakes(baker, Store("memory://projected"), 0)
     made: list[float] = []
 
     def name(scene: str, shown: float) -> str:
-        return bakes.name(scene, shown, lambda: made.append(shown))  # type: ignore[arg-type, func-returns-value]
+        return bakes.name(scene, shown, 0, lambda: made.append(shown))  # type: ignore[arg-type, func-returns-value]
 
     first, second = name("a", 0.25), name("b", 0.25)
     assert first != second and name("a", 0.25) == first
@@ -89,9 +89,9 @@ def test_light_is_trimmed_when_an_isovalue_is_new(monkeypatch: pytest.MonkeyPatc
     baker: Any = FakeBaker()
     store, trimmed = Store("memory://projected"), []
     monkeypatch.setattr(room, "trim_projected", lambda *given: trimmed.append(given))
-    bakes = ProjectedBakes(baker, store, 7)
+    bakes = SideBakes(baker, store, 7)
     for shown in (0.25, 0.25, 0.5):
-        bakes.name("a", shown, lambda: None)  # type: ignore[arg-type, return-value]
+        bakes.name("a", shown, 0, lambda: None)  # type: ignore[arg-type, return-value]
         bakes.settle()
     assert trimmed == [(store, 7)] * 2
 

@@ -1,0 +1,95 @@
+"""Finer texels where control pixels ask for them: baked, shown once they are final, and left where there is no room."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from isogi_core.cache.upkeep.census import census_of
+from isogi_core.errors import NoRoomError
+from isogi_core.frame import picture_check
+from isogi_core.frame.renderer import Renderer
+from isogi_core.model.view import View
+from isogi_core.plan.assembly import load_scene
+from isogi_core.plan.finer import finer
+from isogi_core.plan.scene import Scene
+from server.api.headers import refined_header
+from server.render.engine import RenderEngine
+from tests.server.inline import LONG, InlinePool
+from tests.server.inline import view_of as small_view_of
+from worker import pool
+from worker.bake_requests import GUEST
+
+TARGET = 0.05
+
+
+def view_of(scene: Scene) -> View:
+    """A view of many more pixels than texels."""
+    return replace(small_view_of(scene), width=128, height=128)
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pool, "WorkerPool", InlinePool)
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    """So few texels that light between them is wrong by far more than its noise."""
+    constant = [{"type": "constant"}]
+    return load_scene("demo:casting", lights=constant, lattice=0.125, bounces=1, projected=False, target_error=TARGET)
+
+
+@pytest.fixture
+def engine(scene: Scene, tmp_path: Path) -> Iterator[RenderEngine]:
+    engine = RenderEngine([scene], str(tmp_path / "light"))
+    engine.start()
+    yield engine
+    engine.close()
+
+
+def test_a_view_that_asks_for_finer_texels_has_them(engine: RenderEngine, scene: Scene) -> None:
+    """Of so few texels they cost less than light for each pixel."""
+    news = set()
+    engine.listen(lambda bake, index, more: news.add(bake))
+    frame = engine.frame(scene.id, view_of(scene), wait=LONG)
+    assert frame.final and frame.fineness > 0 and frame.finer is None
+    assert refined_header(frame).startswith(f"texels={2**frame.fineness}, pixels=0.")
+    assert news == {scene.id}, "who waits for the scene's light hears of finer texels too"
+    better = finer(scene)
+    assert {better.layer_digest(layer) for layer in better.plan.layers} <= set(census_of(engine.store).counts)
+
+
+def test_what_is_coming_is_asked_for_and_not_shown(engine: RenderEngine, scene: Scene) -> None:
+    view, target = view_of(scene), scene.target_error
+    while (frame := engine.survey(scene.id, view, target)).finer is None:
+        engine.frame(scene.id, view, wait=0.01)
+    bake, demands = engine.lacking(scene.id, frame)
+    assert bake != scene.id and demands == frame.finer.demands != ()
+    assert frame.fineness == 0 and not frame.final and not frame.checkable and frame.measured
+    assert frame.measured.low > target
+    assert engine.want(scene.id, frame, target, GUEST) == {demand.index for demand in demands}
+
+
+def test_without_room_for_them_pixels_get_light_of_their_own(
+    engine: RenderEngine, scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(self: Renderer, *given: object) -> None:
+        raise NoRoomError("The light of a view does not fit.")
+
+    plain = Renderer.render
+    monkeypatch.setattr(
+        Renderer, "render", lambda self, *given: (full if self.prepared.scene.lattice > 0.125 else plain)(self, *given)
+    )
+    frame = engine.frame(scene.id, view_of(scene), wait=LONG)
+    assert frame.final and frame.fineness == 0 and 0 < frame.own <= frame.surface
+
+
+def test_where_few_pixels_err_they_get_light_of_their_own(
+    engine: RenderEngine, scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(picture_check, "AGAIN", 10**6)
+    frame = engine.frame(scene.id, view_of(scene), wait=LONG)
+    assert frame.final and frame.fineness == 0 and frame.own > 0
+    assert not engine.lacking(scene.id, frame)[1]
