@@ -5,6 +5,7 @@ from benchmarks.accuracy.calibration import calibration
 from benchmarks.accuracy.choices import choices
 from benchmarks.accuracy.equal_error import equal_error
 from benchmarks.accuracy.filtering import filtering
+from benchmarks.accuracy.furnace import furnace
 from benchmarks.accuracy.interpolation import interpolation
 from benchmarks.accuracy.lobes import lobes
 from benchmarks.accuracy.plans import plans
@@ -21,6 +22,7 @@ main = suite(
     "How wrong pictures are, by cause, and what that costs.",
     table,
     totals,
+    furnace,
     reports,
     equal_error,
     plans,

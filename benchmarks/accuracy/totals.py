@@ -111,9 +111,9 @@ def scenes(folder: Path, seeds: Sequence[int], only: Sequence[str]) -> Iterator[
                     yield name, partial(formula_scene, kind, seed, lit)
 
 
-def file_scene(file: str, isovalue: float, light: dict[str, str]) -> Scene:
+def file_scene(file: str, isovalue: float, light: dict[str, str], albedo: float = 0.7) -> Scene:
     """The scene of a volume of a file."""
-    return load_scene(file, isovalue=isovalue, albedo=0.7, lights=[light])
+    return load_scene(file, isovalue=isovalue, albedo=albedo, lights=[light])
 
 
 def of_file(light: dict[str, str], data: Path | None) -> dict[str, str]:
@@ -121,10 +121,10 @@ def of_file(light: dict[str, str], data: Path | None) -> dict[str, str]:
     return {**light, "file": str(data / light["file"])} if data and "file" in light else light
 
 
-def formula_scene(kind: str, seed: int, light: dict[str, str]) -> Scene:
+def formula_scene(kind: str, seed: int, light: dict[str, str], albedo: float = 0.7) -> Scene:
     """The scene of a volume by formula."""
     volume, isovalue = made(kind, seed)
-    scene = load_scene("demo:orbital", lights=[light], albedo=0.7)
+    scene = load_scene("demo:orbital", lights=[light], albedo=albedo)
     return replace(scene, volume=volume, isovalue=isovalue, isovalues=volume.value_range)
 
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks.accuracy.filtering import filtering
+from benchmarks.accuracy.furnace import furnace
 from benchmarks.accuracy.formulas import KINDS, made
 from benchmarks.accuracy.totals import totals
 from tests.benchmarks.parts import figures
@@ -20,6 +21,11 @@ def test_filtered_light_is_nearer_to_the_truth() -> None:
     found = figures(filtering, "--size", "24", "--paths", "256", "--only", "nested shells 1 under constant light")
     assert len(found) == 3
     assert found["nested shells 1 under constant light, 16 samples: filtered / alone"] < 0.95
+
+
+def test_a_white_furnace_is_white() -> None:
+    found = figures(furnace, "--size", "24", "--paths", "32", "--only", "coarse shell 1")
+    assert found["volumes"] == 1 and found["worst mean, off by"] < 0.005 and found["worst pixel, off by"] < 0.05
 
 
 @pytest.mark.parametrize("kind", KINDS)
