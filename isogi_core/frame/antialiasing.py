@@ -13,6 +13,7 @@ from isogi_core.frame.gbuffer import RAYS, view_pinhole
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.edges import Shown, borrow_light, find_contrasts
 from isogi_core.kernels.tracing.camera import trace_places
+from isogi_core.kernels.tracing.walls import Walls, trace_places_in_room
 
 COUNTS = (16, 8)
 """Samples that a pixel at an edge may have: the more where the BUDGET allows that for all silhouettes."""
@@ -52,8 +53,11 @@ def pattern(count: int) -> np.ndarray:
     return np.stack([(order + 0.5) / count, reverse + 0.5 / count], axis=-1).astype(np.float32)
 
 
-def sample_edges(frame: Frame, exposure: float, tiles: Tiles) -> EdgeSamples | None:
-    """More samples where a ``frame`` has edges at its ``exposure``; None where it has none. Raises Cancelled."""
+def sample_edges(frame: Frame, exposure: float, tiles: Tiles, walls: Walls | None = None) -> EdgeSamples | None:
+    """More samples where a ``frame`` has edges at its ``exposure``; None where it has none. Raises Cancelled.
+
+    Walls, where there are ``walls``, have edges as the surface has.
+    """
     pixels, count = find_edges(lit(frame.radiance, frame.state, exposure, marked=False), frame.state)
     if not len(pixels):
         return None
@@ -66,7 +70,10 @@ def sample_edges(frame: Frame, exposure: float, tiles: Tiles) -> EdgeSamples | N
 
     def _piece(a: int, b: int) -> None:
         found, points = np.empty(b - a, np.uint32), np.empty((b - a, 3), np.float32)
-        hits = trace_places(traced, camera, places[a:b], found, points)
+        if walls is None:
+            hits = trace_places(traced, camera, places[a:b], found, points)
+        else:
+            hits = trace_places_in_room(traced, walls, camera, places[a:b], found, points)
         on[a:b][found[:hits]] = True
         borrow_light(shown, places[a:b], found[:hits], points[:hits], light[a:b])
 
@@ -76,11 +83,14 @@ def sample_edges(frame: Frame, exposure: float, tiles: Tiles) -> EdgeSamples | N
 
 def shown_by(frame: Frame) -> Shown:
     """What the pixels of a ``frame`` show, as the kernels take it."""
-    view, gbuffer = frame.view, frame.gbuffer
-    rows = np.full(frame.state.shape, -1, np.int32)
+    view, gbuffer, walls = frame.view, frame.gbuffer, frame.gbuffer.walls
+    rows, points = np.full(frame.state.shape, -1, np.int32), gbuffer.points
     rows.flat[gbuffer.pixels] = np.arange(len(gbuffer.pixels), dtype=np.int32)
+    if len(walls.pixels):
+        rows.flat[walls.pixels] = np.arange(len(points), len(points) + len(walls.pixels), dtype=np.int32)
+        points = np.concatenate([points, walls.points])
     pixel = 2.0 * math.tan(math.radians(view.camera.fov) / 2.0) / view.whole[1]
     x, y, z = gbuffer.spacing
     scale = np.float32(x), np.float32(y), np.float32(z)
     eye = np.float32(gbuffer.eye[0]), np.float32(gbuffer.eye[1]), np.float32(gbuffer.eye[2])
-    return Shown(rows, gbuffer.points, frame.radiance.reshape(-1, 3), scale, eye, np.float32(1.0 / pixel**2))
+    return Shown(rows, points, frame.radiance.reshape(-1, 3), scale, eye, np.float32(1.0 / pixel**2))

@@ -39,7 +39,7 @@ from isogi_core.kernels.tracing.active_cells import fill_ranges, mark_bricks, pa
 from isogi_core.kernels.tracing.camera import trace_pixels, trace_places
 from isogi_core.kernels.tracing.macrocells import fill_macrocells
 from isogi_core.kernels.tracing.stiffness import count_stiffness
-from isogi_core.kernels.tracing.walls import trace_pixels_in_room
+from isogi_core.kernels.tracing.walls import trace_pixels_in_room, trace_places_in_room
 from isogi_core.kernels.transport.harmonics import rotate
 from isogi_core.kernels.transport.lights import project_lamps
 from isogi_core.kernels.transport.room_paths import fill_seeds, light_in_room
@@ -62,8 +62,8 @@ LOBES = (
 )
 """Those that only lights with lobes call."""
 
-ROOM = (light_in_room, trace_pixels_in_room, light_walls, fill_seeds)
-"""Those that only scenes with walls call, besides; not their ``trace_pixels``."""
+ROOM = (light_in_room, trace_pixels_in_room, trace_places_in_room, light_walls, fill_seeds)
+"""Those that only scenes with walls call, besides; not their ``trace_pixels`` and ``trace_places``."""
 
 FRAME = (
     LOBES[0],
@@ -124,7 +124,7 @@ def uncalled_by(scene: Scene) -> set[Any]:
     never |= set() if scene.projected is None else {count_stiffness}
     projects = scene.projection.any
     never |= set() if projects else {measure_distances}
-    never |= {trace_pixels} if scene.room.any else set()
+    never |= {trace_pixels, trace_places} if scene.room.any else set()
     if carries_irradiance_ratios(scene, "gi", False):
         return never | {carry_light}
     return never if projects else never | {carry_ratios}

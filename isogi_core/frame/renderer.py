@@ -104,16 +104,16 @@ class Renderer:
 
         ``target`` is the relative error at which light counts as final, the scene's own by default; ``watch`` goes
         on with this frame's stages. Raises Cancelled once ``cancelled`` is set, and ViewError where the scene's light
-        is not of the albedo that the view asks for, or the camera stands in a wall. A picture that shows walls has no
-        smooth edges.
+        is not of the albedo that the view asks for, or the camera stands in a wall.
         """
         tiles = self.tiles.cancelled_by(cancelled) if cancelled else self.tiles
         target, watch = target or self.prepared.scene.target_error, watch or Stopwatch()
         frame = self._draw(view, target, tiles, watch)
-        if view.moving or not view.smooth or len(frame.gbuffer.walls.pixels):
+        if view.moving or not view.smooth:
             return frame
         with watch.stage("edges"):
-            return replace(frame, edges=sample_edges(frame, self.prepared.scene.default_exposure, tiles))
+            exposure, walls = self.prepared.scene.default_exposure, self.prepared.walls_in_view
+            return replace(frame, edges=sample_edges(frame, exposure, tiles, walls))
 
     def _draw(self, view: View, target: float, tiles: Tiles, watch: Stopwatch) -> Frame:
         """The frame of a view, drawn on the threads of ``tiles``."""

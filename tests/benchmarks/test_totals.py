@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from benchmarks.accuracy.filtering import filtering
-from benchmarks.accuracy.furnace import furnace
 from benchmarks.accuracy.formulas import KINDS, made
+from benchmarks.accuracy.furnace import furnace
 from benchmarks.accuracy.totals import totals
 from tests.benchmarks.parts import figures
 

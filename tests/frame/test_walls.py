@@ -51,6 +51,24 @@ def test_a_room_becomes_final_and_is_what_paths_say(room: Workbench) -> None:
     np.testing.assert_allclose(lamp, room.scene.room.walls[5].radiance[0], rtol=1e-6)
 
 
+def test_edges_of_walls_and_before_walls_are_smooth(room: Workbench) -> None:
+    """Against the mean of six times as many pixels along each side, of the same light."""
+    while room.renderer.refine(room.view(90.0, 0.0, SIZE, distance=4.0)):
+        pass
+    view = room.view(90.0, 0.0, 3 * SIZE, distance=2.5, smooth=True)
+    fine = replace(view, width=18 * SIZE, height=18 * SIZE, smooth=False)
+    room.bake(view)
+    room.bake(fine)
+    smooth, stairs, many = (room.renderer.render(each) for each in (view, replace(view, smooth=False), fine))
+    true = many.radiance.reshape(3 * SIZE, 6, 3 * SIZE, 6, 3).mean(axis=(1, 3)).reshape(-1, 3)
+    assert smooth.edges is not None
+    pixels = smooth.edges.pixels
+    assert np.isin(smooth.gbuffer.walls.pixels, pixels).any() and np.isin(smooth.gbuffer.pixels, pixels).any()
+    found = smooth.edges.covered[:, :3], stairs.radiance.reshape(-1, 3)[pixels]
+    off = [np.sqrt(np.mean((each - true[pixels]) ** 2)) for each in found]
+    assert off[0] < off[1] / 3, off
+
+
 def test_positions_are_those_of_walls_too(room: Workbench) -> None:
     frame = room.renderer.render(room.view(90.0, 0.0, SIZE, distance=4.0))
     walls = frame.gbuffer.walls

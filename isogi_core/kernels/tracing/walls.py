@@ -91,22 +91,53 @@ def trace_pixels_in_room(surface, walls, camera, first, width, pixels, points, n
     ``numbers`` (n,) are those of the pixels in that row.
     """
     count = pixels.shape[1]
-    origins, directions = np.empty((3, count)), np.empty((3, count))
+    directions, t, met = np.empty((3, count)), np.empty(count), np.empty(count)
     for i in range(count):
         y, x = divmod(first + i, width)
-        put_column(origins, i, camera.eye)
         put_column(directions, i, pixel_ray(camera, x + 0.5, y + 0.5))
-    t, came = np.empty(count), np.empty(count, np.int8)
-    rays = Rays(np.full(count, surface.isovalue), origins, directions, np.full(count, UNKNOWN, np.int8))
-    cast_batch(surface.field, surface.cells, rays, t, came)
+    cast_in_room(surface, walls, camera.eye, directions, t, met)
     hits = walled = 0
     for i in range(count):
-        d = column(directions, i)
-        reach, wall = nearest_wall(walls, camera.eye, d, NOWHERE, t[i])
-        kind, place = (0, hits) if wall == NOWHERE else (1, walled)
-        if reach < math.inf:
+        kind, place = (0, hits) if met[i] == NOWHERE else (1, walled)
+        if t[i] < math.inf:
             pixels[kind, place] = first + i
-            points[kind, place, 0], points[kind, place, 1], points[kind, place, 2] = madd(camera.eye, reach, d)
-            numbers[place] = np.int8(wall) if kind else numbers[place]
+            put_point(points[kind], place, madd(camera.eye, t[i], column(directions, i)))
+            numbers[place] = np.int8(met[i]) if kind else numbers[place]
             hits, walled = hits + 1 - kind, walled + kind
     return hits, walled
+
+
+@kernel(types.int64(SURFACE, WALLS, PINHOLE, types.float32[:, ::1], types.uint32[::1], types.float32[:, ::1]))
+def trace_places_in_room(surface, walls, camera, places, found, points):
+    """``trace_places`` among ``walls``, which count as the surface does."""
+    count = places.shape[0]
+    directions, t, met = np.empty((3, count)), np.empty(count), np.empty(count)
+    for i in range(count):
+        put_column(directions, i, pixel_ray(camera, places[i, 0], places[i, 1]))
+    cast_in_room(surface, walls, camera.eye, directions, t, met)
+    hits = 0
+    for i in range(count):
+        if t[i] < math.inf:
+            found[hits] = i
+            put_point(points, hits, madd(camera.eye, t[i], column(directions, i)))
+            hits += 1
+    return hits
+
+
+@kernel()
+def cast_in_room(surface, walls, eye, directions, t, met):
+    """Cast rays from the ``eye``: how far they come, ``t`` (n,) or inf, and what walls are ``met`` (n,), or NOWHERE."""
+    count = t.shape[0]
+    origins, came = np.empty((3, count)), np.empty(count, np.int8)
+    for i in range(count):
+        put_column(origins, i, eye)
+    rays = Rays(np.full(count, surface.isovalue), origins, directions, np.full(count, UNKNOWN, np.int8))
+    cast_batch(surface.field, surface.cells, rays, t, came)
+    for i in range(count):
+        t[i], met[i] = nearest_wall(walls, eye, column(directions, i), NOWHERE, t[i])
+
+
+@kernel()
+def put_point(points, row, p):
+    """Write a vector into a row of ``points`` (n, 3)."""
+    points[row, 0], points[row, 1], points[row, 2] = p
