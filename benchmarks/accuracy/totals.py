@@ -1,20 +1,23 @@
 """What pictures tell of their total error beside the truth, and what it takes to bring it to the target.
 
     python -m benchmarks.accuracy totals [--size 96] [--paths 1024] [--seed 1 …] [--only TEXT …] [--part 1/4]
+        [--kept FILE]
 
 Views of all real volumes, and of volumes by formula (see ``formulas``), are baked by their scenes' plans to 2 %, in
 lights of all kinds, as they stand and turned; their pictures are then checked as the server checks pictures at rest.
 References are path-traced from each pixel, with as many bounces as may matter.
 """
 
+import json
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import cache, partial
 from itertools import islice
 from pathlib import Path
 from statistics import median
+from typing import Any
 
 import click
 import numpy as np
@@ -74,24 +77,58 @@ class Found:
     first_seconds: float
     seconds: float
 
+    @classmethod
+    def of(cls, given: Mapping[str, Any]) -> "Found":
+        """One that was written as JSON."""
+        return cls(**{**given, "first": TotalError(**given["first"]), "last": TotalError(**given["last"])})
+
 
 @part(size=96)
 @click.option("--paths", type=click.IntRange(8), default=1024, show_default=True, help="Paths a pixel of references.")
 @click.option("--seed", multiple=True, type=int, default=(1,), show_default=True, help="Of volumes; repeatable.")
 @click.option("--only", multiple=True, help="Part of a scene's name; repeatable.")
 @click.option("--part", "share", default="1/1", show_default=True, help="Every so many-th scene, from which on.")
-def totals(size: int, paths: int, seed: tuple[int, ...], only: tuple[str, ...], share: str) -> Measurement:
+@click.option("--kept", type=Path, help="A file of views measured before, and where others are added.")
+def totals(
+    size: int, paths: int, seed: tuple[int, ...], only: tuple[str, ...], share: str, kept: Path | None
+) -> Measurement:
     """What pictures tell of their total error, beside the truth, and what reaching the target takes."""
-    found, (first, step) = [], map(int, share.split("/"))
+    found, (first, step), known = [], map(int, share.split("/")), Kept(kept)
     with tempfile.TemporaryDirectory() as folder:
         for name, scene in islice(scenes(Path(folder), seed, only), first - 1, None, step):
-            bench = bench_of(scene(), size, Path(folder) / name.replace(" ", "-"))
-            for turn, angles in TURNS.items() if bench.scene.rotating else [("", None)]:
-                found.append(measure(name + turn, bench, angles, paths))
+            bench = cache(partial(made_bench, scene, size, Path(folder) / name.replace(" ", "-")))
+            for turn, angles in TURNS.items():
+                found.append(known.get(name + turn) or known.put(measure(name + turn, bench(), angles, paths)))
                 click.echo(" | ".join(row_of(found[-1])), err=True)
     if not found:
         raise click.UsageError("No view has that in its name.")
     return Measurement("Total errors, told and true", figures(found), markdown(HEAD, map(row_of, found)))
+
+
+def made_bench(scene: Callable[[], Scene], size: int, folder: Path) -> Bench:
+    """The bench of a scene that is still to be made."""
+    return bench_of(scene(), size, folder)
+
+
+class Kept:
+    """Views that were measured, a line of JSON each in a file: long tables are made in parts."""
+
+    def __init__(self, path: Path | None) -> None:
+        """Read those in a file, if there is one."""
+        self._path = path
+        lines = path.read_text(encoding="utf-8").splitlines() if path and path.exists() else ()
+        self._found = {each["name"]: Found.of(each) for each in map(json.loads, lines)}
+
+    def get(self, name: str) -> Found | None:
+        """A view that was measured."""
+        return self._found.get(name)
+
+    def put(self, found: Found) -> Found:
+        """Add a view."""
+        if self._path:
+            with self._path.open("a", encoding="utf-8") as file:
+                file.write(f"{json.dumps(asdict(found))}\n")
+        return found
 
 
 def scenes(folder: Path, seeds: Sequence[int], only: Sequence[str]) -> Iterator[tuple[str, Callable[[], Scene]]]:

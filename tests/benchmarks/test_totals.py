@@ -1,5 +1,7 @@
 """Total errors told and true, on one small view; and the volumes by formula that they are looked at on."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -10,8 +12,13 @@ from benchmarks.accuracy.totals import totals
 from tests.benchmarks.parts import figures
 
 
-def test_a_picture_is_as_wrong_as_it_says_and_reaches_its_target() -> None:
-    found = figures(totals, "--size", "24", "--paths", "256", "--only", "nested shells 1 under constant light")
+def test_a_picture_is_as_wrong_as_it_says_and_reaches_its_target(tmp_path: Path) -> None:
+    """Views that are kept are not measured again."""
+    kept = tmp_path / "kept.jsonl"
+    asked = "--size", "24", "--paths", "256", "--only", "nested shells 1 under constant light", "--kept", str(kept)
+    found = figures(totals, *asked)
+    lines = kept.read_text()
+    assert figures(totals, *asked) == found and kept.read_text() == lines and len(lines.splitlines()) == 2
     assert (found["views"], found["final"]) == (2, 1.0)
     assert 0.5 < found["told / true, median"] < 2.0
     assert 0.0 < found["worst true error told as final"] <= 0.025
