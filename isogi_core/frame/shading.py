@@ -146,13 +146,14 @@ def filter_texel_light(
 ) -> np.ndarray:
     """Texels' light ``lit`` (texels, LIT), filtered where it is noisy; see ``kernels.shading.filtering``.
 
-    ``normals`` (texels, 3) are those that they are lit about. Raises Cancelled.
+    ``normals`` (texels, 3) are those that they are lit about. Of a view that moves the first step has to do. Raises
+    Cancelled.
     """
     records, positions = fill_texel_records(reading, lit, normals, light, tiles), texels.positions
     records[:, PATHS], records[:, VARIANCE] = reading.samples, records[:, NOISE] ** 2
     noisy = reading.noisy
     records[~noisy & (reading.grade == CONVERGING), GRADE] = FINAL
-    for step in STEPS:
+    for step in STEPS[:1] if light.view.moving else STEPS:
         before, after = records, np.empty_like(records)
 
         def _piece(a: int, b: int) -> None:
