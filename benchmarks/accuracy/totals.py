@@ -5,7 +5,7 @@
 
 Views of all real volumes, and of volumes by formula (see ``formulas``), are baked by their scenes' plans to 2 %, in
 lights of all kinds, as they stand and turned; their pictures are then checked as the server checks pictures at rest.
-References are path-traced from each pixel, with as many bounces as may matter.
+References are path-traced from each pixel, with as many bounces as may matter, until their noise is within NOISE.
 """
 
 import json
@@ -35,6 +35,7 @@ from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
 from isogi_core.report.bench import Bench
 from isogi_core.report.metrics import score
+from isogi_core.report.reference import Reference
 
 PLACES = (
     *(("engine_256x256x128_uint8", 70), ("engine_256x256x128_uint8", 170), ("ct_head_208x256x225_uint8", 110)),
@@ -49,6 +50,9 @@ PLACES = (
 
 TURNS = {"": None, " turned": (110.0, 25.0, 0.0)}
 """Angles (z, y, x), in degrees, that lights are turned by; those that stand as their files have them, and others."""
+
+NOISE, MOST = 0.005, 64
+"""The relative noise that references may have, and times ``--paths`` that they may take for that."""
 
 HEAD = (
     *("view", "told before", "noise", "true", "first told (95 %)", "told / true"),
@@ -180,9 +184,8 @@ def measure(name: str, bench: Bench, angles: tuple[float, float, float] | None, 
     ours = bench.planned
     ours.frame()
     turned = replace(bench.view, light=quaternion_from_angles(*angles)) if angles else bench.view
-    best = replace(
-        bench, view=turned, folder=bench.folder / (name.rsplit(maxsplit=1)[-1] if angles else "still"), _made={}
-    ).reference(paths)
+    folder = bench.folder / (name.rsplit(maxsplit=1)[-1] if angles else "still")
+    best = quiet_reference(replace(bench, view=turned, folder=folder, _made={}), paths)
     renderer, target = bench.renderer(bench.scene), bench.scene.target_error
     lit = renderer.render(turned, target)
     begun, frames = time.process_time(), [lit]
@@ -207,6 +210,14 @@ def measure(name: str, bench: Bench, angles: tuple[float, float, float] | None, 
         first_seconds=spent[0] if spent else 0.0,
         seconds=spent[-1] if spent else 0.0,
     )
+
+
+def quiet_reference(bench: Bench, paths: int) -> Reference:
+    """The reference of a view after so many ``paths`` a pixel, or more where small lamps leave it noisy."""
+    best = bench.reference(paths)
+    while best.noise > NOISE and best.samples < MOST * paths:
+        best = bench.reference(2 * best.samples)
+    return best
 
 
 def changed(one: Frame, other: Frame) -> float:
