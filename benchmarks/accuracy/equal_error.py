@@ -1,19 +1,15 @@
-"""Time to equal total error: isogi beside Mitsuba 3, one view and 36 views under 12 turns of a probe each.
+"""Time to equal total error: isogi beside Mitsuba 3, one view and 36 views under 12 turns of the light each.
 
-    python -m benchmarks.accuracy equal-error [VOLUME] [--size 512] [--probe FILE] [--isovalue 70] [--checks 3]
+    python -m benchmarks.accuracy equal-error [TARGET] [--size 512] [--checks 3] [--only TEXT …]
 
-The isosurface is diffuse with albedo 0.7 on both sides and reflects as often in both. Seconds are of the wall, on all
-cores, in one run; those of the processor, which other work on the machine hardly touches, are told beside them.
-Kernels of both are compiled before.
+Six scenes of the shared volumes, or the scene TARGET. The isosurface is diffuse with albedo 0.7 on both sides and
+reflects as often in both. Seconds are of the wall, on all cores, in one run; those of the processor, which other work
+on the machine hardly touches, are told beside them. Kernels of both are compiled before.
 
 isogi starts from nothing: it makes its maps, bakes to an empty store what the views read, each chunk once for all of
 them as ``isogi prewarm`` does, though with as many paths for each texel, and renders every picture of the set. Its
 error is the total one, all causes together: relative RMSE of the luminance against long paths from each pixel, on some
 pictures from all over the set ("checks").
-
-128 paths were chosen on two views of the engine at 256 × 256. There 64, 128, 256 and 512 left errors of 4.3, 3.4, 3.1
-and 3.0 %, and 5.4, 3.9, 3.4 and 3.2 %; the second view's baking took 9.8, 14.6, 21.9 and 33.4 processor seconds.
-Targets of 10 and 7 % for each texel took 104 and 176 paths on average in the first view, and left 3.9 and 3.4 %.
 
 Mitsuba path-traces scikit-image's marching-cubes mesh of the same isosurface (`llvm_ad_rgb`, integrator `path`, which
 joins every hit to the probe as well, by multiple importance sampling). Its error on each of the checks is against its
@@ -32,33 +28,40 @@ not measured here.
 """
 
 import statistics
-from collections.abc import Sequence
-from pathlib import Path
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import click
 import numpy as np
 from tqdm import tqdm
 
+from benchmarks.accuracy.benches import wanted
 from benchmarks.accuracy.errors import rms
 from benchmarks.accuracy.isogi_race import Check, Costs, PictureSet, check, run, warm
 from benchmarks.accuracy.mitsuba_race import VARIANT, Converged, Mitsuba, Reached
 from benchmarks.common import mesh, mitsuba
-from benchmarks.common.measurement import Measurement
-from benchmarks.common.scenes import LIGHTS, benchmark_scene, shared_data
+from benchmarks.common.measurement import Measurement, markdown, shown
+from benchmarks.common.mitsuba import SAMPLERS
+from benchmarks.common.scenes import SIX, scene_of
 from benchmarks.common.suite import part
 from benchmarks.common.timing import Seconds
 from isogi_core.model.sky import LUMINANCE
+from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
 
 Race = dict[str, list[Reached]]
 """By the sampler, what Mitsuba took for each of the checks."""
 
+TIMED = ("one view", "whole set")
+"""What is raced: figures have these words."""
+
+SURFACE = {"albedo": 0.7, "bounces": 4}
+"""What all surfaces have in common, as Mitsuba has it."""
+
 
 @part(size=512)
-@click.argument("volume", required=False)
-@click.option("--probe", type=click.Path(exists=True, dir_okay=False), help="The light; uffizi by default.")
-@click.option("--isovalue", type=float, help="The scene's own by default.")
+@click.argument("target", required=False)
+@click.option("--only", multiple=True, help="Part of a scene's name.")
 @click.option("--views", type=click.IntRange(1), default=36, show_default=True, help="Cameras of the set.")
 @click.option("--turns", type=click.IntRange(1), default=12, show_default=True, help="Turns of the light for each.")
 @click.option("--checks", type=click.IntRange(1), default=3, show_default=True, help="Pictures that are compared.")
@@ -67,10 +70,9 @@ Race = dict[str, list[Reached]]
     "--paths", type=click.IntRange(8), default=128, show_default=True, help="Paths per pixel of the references."
 )
 def equal_error(
-    volume: str | None,
+    target: str | None,
     size: int,
-    probe: str | None,
-    isovalue: float | None,
+    only: tuple[str, ...],
     views: int,
     turns: int,
     checks: int,
@@ -78,29 +80,57 @@ def equal_error(
     paths: int,
 ) -> Measurement:
     """Time to equal total error: isogi beside Mitsuba 3, for one view and for a set of pictures."""
-    scene = probe_scene(volume, probe, isovalue)
-    pictures = PictureSet(scene, size, views, turns)
+    races = {}
+    for name, scene in scenes(target, only):
+        races[name] = raced(PictureSet(scene, size, views, turns), samples, checks, paths)
+        click.echo("  ".join((f"{name}:", *row_of(races[name]))), err=True)
+    title = f"Time to equal total error: {size} × {size}, {views} views × {turns} turns of the light"
+    figures = {f"{name}: {key}": value for name, race in races.items() for key, value in race.items()}
+    return Measurement(title, figures, markdown(HEAD, ((name, *row_of(race)) for name, race in races.items())))
+
+
+def scenes(target: str | None, only: Sequence[str]) -> Iterator[tuple[str, Scene]]:
+    """The scene ``target``, or those of the six whose names have any part of ``only``, with their names."""
+    if target is not None:
+        yield target, load_scene(target, **SURFACE)
+        return
+    for subject in (each for each in SIX if wanted(each.name, only)):
+        yield subject.name, scene_of(subject, **SURFACE)
+
+
+def raced(pictures: PictureSet, samples: int, checks: int, paths: int) -> dict[str, Any]:
+    """The figures of a race: isogi's errors and seconds, and what Mitsuba takes to the same errors."""
     warm(pictures, samples)
     frames, costs = run(pictures, samples, pictures.picks(checks))
-    checked = check(scene, frames, paths)
+    checked = check(pictures.scene, frames, paths)
     figures = isogi_figures(checked, costs)
-    if mitsuba.installed() and mesh.installed() and mitsuba.usable(VARIANT):
-        peer = Mitsuba(scene, frames[0].view)
-        race, converged = compete(peer, checked)
-        figures |= mitsuba_figures(race, peer.set_up, len(pictures), costs) | likeness(checked, converged)
-    else:
-        figures["mitsuba"] = "not installed"
-    title = f"{scene.name} at {scene.isovalue:g}, {size} × {size}, {views} views × {turns} turns"
-    return Measurement(title, figures)
+    if not (mitsuba.installed() and mesh.installed() and mitsuba.usable(VARIANT)):
+        return {**figures, "mitsuba": "not installed"}
+    peer = Mitsuba(pictures.scene, frames[0].view)
+    race, converged = compete(peer, checked)
+    return figures | mitsuba_figures(race, peer.set_up, len(pictures), costs) | likeness(checked, converged)
 
 
-def probe_scene(volume: str | None, probe: str | None, isovalue: float | None) -> Scene:
-    """The ``volume``, or the benchmarks' own, under the ``probe`` or uffizi; under a sky where there are no data."""
-    data = shared_data()
-    file = Path(probe) if probe else data / LIGHTS["uffizi"]["file"] if data else None
-    light: dict[str, Any] = {"type": "probe", "file": str(file.resolve())} if file else {"type": "sky"}
-    at: dict[str, Any] = {} if isovalue is None else {"isovalue": isovalue}
-    return benchmark_scene(volume, albedo=0.7, bounces=4, lights=[light], rotating=True, **at)
+HEAD = (
+    *("scene", "isogi's total error, %", "of it noise, %"),
+    *(f"{what}: {who}" for what in TIMED for who in ("isogi, s", *(f"Mitsuba {each}, times" for each in SAMPLERS))),
+    *("brightness, isogi / Mitsuba", "median difference, %"),
+)
+
+
+def row_of(figures: dict[str, Any]) -> tuple[str, ...]:
+    """A row of the table: errors, seconds, how many times as long Mitsuba takes, and how alike both are."""
+
+    def mean(name: str, scale: float) -> str:
+        found = [value for key, value in figures.items() if key.startswith("picture") and key.endswith(name)]
+        return shown(scale * statistics.fmean(found)) if found else "–"
+
+    errors = (figures[f"isogi: {name}"] for name in ("total error, all pixels", "estimated noise / total error"))
+    cells = [f"{100.0 * value:.1f}" for value in errors]
+    for what in TIMED:
+        ratios = (figures.get(f"mitsuba {sampler} / isogi: {what}") for sampler in SAMPLERS)
+        cells += [f"{figures[f'isogi: {what}, s']:.1f}", *("–" if each is None else f"{each:.3g}" for each in ratios)]
+    return (*cells, mean("brightness", 1.0), mean("likeness, difference", 100.0))
 
 
 def compete(peer: Mitsuba, checked: Sequence[Check]) -> tuple[Race, list[Converged]]:

@@ -1,6 +1,6 @@
 """Volumes of all kinds in a white furnace: with albedo 1 under constant light every pixel is exactly as bright as that.
 
-    python -m benchmarks.accuracy furnace [--size 96] [--seed 1 …] [--only TEXT …]
+    python -m benchmarks.accuracy furnace [--size 96] [--paths 128] [--seed 1 …] [--only TEXT …]
 
 Pictures are baked by their scenes' plans to 2 %, and checked as the server checks pictures at rest. What is missing is
 light that leaks or is lost, and paths that end too soon; nothing is random in it. Pixels in closed bubbles, and others
@@ -8,22 +8,19 @@ whose own paths do not find the light within the bounces of the truth, are count
 """
 
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 import click
 import numpy as np
 
 from benchmarks.accuracy.benches import bench_of, wanted
-from benchmarks.accuracy.formulas import KINDS
-from benchmarks.accuracy.totals import PLACES, file_scene, formula_scene
+from benchmarks.accuracy.totals import volumes
 from benchmarks.common.measurement import Measurement, markdown
-from benchmarks.common.scenes import CONSTANT, shared_data
+from benchmarks.common.scenes import CONSTANT
 from benchmarks.common.suite import part
 from isogi_core.frame.frame import Frame
-from isogi_core.plan.scene import Scene
 from isogi_core.report.bench import Bench
 
 WHITE = 1.0
@@ -73,8 +70,10 @@ def furnace(size: int, paths: int, seed: tuple[int, ...], only: tuple[str, ...])
     """Volumes of all kinds with albedo 1 under constant light, where every pixel is to be 1."""
     rows, found = [], []
     with tempfile.TemporaryDirectory() as folder:
-        for name, scene in furnaces(seed, only):
-            bench = bench_of(scene(), size, Path(folder) / name.replace(" ", "-"))
+        for name, make in volumes(seed):
+            if not wanted(name, only):
+                continue
+            bench = bench_of(make(dict(CONSTANT), WHITE), size, Path(folder) / name.replace(" ", "-"))
             frame = measure(bench)
             found.append(Pixels.of(frame, bench.reference(paths).mean))
             rows.append(row_of(name, found[-1], frame))
@@ -82,18 +81,6 @@ def furnace(size: int, paths: int, seed: tuple[int, ...], only: tuple[str, ...])
     if not found:
         raise click.UsageError("No volume has that in its name.")
     return Measurement("A white furnace", figures(found), markdown(HEAD, rows))
-
-
-def furnaces(seeds: Sequence[int], only: Sequence[str]) -> Iterator[tuple[str, Callable[[], Scene]]]:
-    """All volumes by name, and what makes their scenes."""
-    data = shared_data()
-    for volume, isovalue in PLACES if data is not None else ():
-        if wanted(name := f"{volume.split('_')[0]} {isovalue:g}", only):
-            yield name, partial(file_scene, f"{data}/{volume}.nhdr", isovalue, dict(CONSTANT), WHITE)
-    for kind in KINDS:
-        for seed in seeds:
-            if wanted(name := f"{kind} {seed}", only):
-                yield name, partial(formula_scene, kind, seed, dict(CONSTANT), WHITE)
 
 
 def measure(bench: Bench) -> Frame:

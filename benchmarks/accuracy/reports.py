@@ -1,4 +1,4 @@
-"""Error against run time, by cause: ``isogi report`` of real volumes under several lights, summed up.
+"""Error against run time, by cause: ``isogi report`` of six scenes of real volumes, summed up.
 
     python -m benchmarks.accuracy reports -o DIR [--size 112] [--deadline 4m] [--write]
 
@@ -13,22 +13,11 @@ import click
 
 from benchmarks.accuracy.summary import summary_of
 from benchmarks.common.measurement import Measurement
-from benchmarks.common.scenes import Subject, scene_of
+from benchmarks.common.scenes import SIX, Subject, scene_of
 from benchmarks.common.suite import part
 from server.cli.arguments import duration
 from server.cli.bench import view_of
 from server.report.command import STAND, Wishes, report_of, sentence
-
-LIGHTS = ("grace", "uffizi", "constant light")
-ENGINES = tuple(Subject("engine", isovalue, light) for isovalue in (70, 170) for light in LIGHTS)
-OTHERS = (Subject("CT head", 110, "uffizi"), Subject("MNI brain", 90, "grace"))
-SUBJECTS = (*ENGINES, *OTHERS)
-
-PICTURED = (ENGINES[0], *OTHERS)
-"""Subjects whose pictures are shown."""
-
-CURVED = ENGINES[: len(LIGHTS)]
-"""Subjects whose curves of error against run time are shown."""
 
 
 @part(size=112)
@@ -36,14 +25,13 @@ CURVED = ENGINES[: len(LIGHTS)]
 @click.option("--deadline", callback=duration, help="Of each report, such as 4m.")
 def reports(output: Path, size: int, deadline: float | None) -> Measurement:
     """How wrong isogi's light is, by cause, and what it costs: reports of real volumes, summed up."""
-    for subject in SUBJECTS:
+    for subject in SIX:
         click.echo(subject.name, err=True)
         facts = make(subject, output / subject.folder, size, deadline)
         click.echo(sentence(facts), err=True)
         if facts["stopped"]:
             raise click.Abort
-    folders = {each.name: output / each.folder for each in SUBJECTS}
-    return summary_of(folders, [each.name for each in PICTURED], [each.name for each in CURVED])
+    return summary_of({each.name: output / each.folder for each in SIX})
 
 
 def make(subject: Subject, folder: Path, size: int, deadline: float | None) -> dict[str, Any]:

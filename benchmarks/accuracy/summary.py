@@ -41,15 +41,12 @@ BAKE = "bake"
 """The column of the summary with what the light took."""
 
 
-def summary_of(folders: Mapping[str, Path], pictured: Iterable[str] = (), curved: Iterable[str] = ()) -> Measurement:
-    """The summary of the reports in ``folders``, by their names.
-
-    Pictures are those of the reports ``pictured``, curves those of the reports ``curved``. Raises OSError.
-    """
+def summary_of(folders: Mapping[str, Path]) -> Measurement:
+    """The summary of the reports in ``folders``, by their names, with their pictures and curves. Raises OSError."""
     reports = {name: json.loads((folder / "report.json").read_text("utf-8")) for name, folder in folders.items()}
     files: Files = {}
     parts = [INTRODUCTION, overview(reports), f"{MADE} {measured_on(reports)}", *missing(reports)]
-    parts += [*shown(reports, folders, pictured, files), *curves(reports, folders, curved, files), *scores(reports)]
+    parts += [*shown(reports, folders, files), *curves(reports, folders, files), *scores(reports)]
     return Measurement("Error against run time", dict(figures(reports)), "\n\n".join(parts), files)
 
 
@@ -119,25 +116,21 @@ def headline(data: Data) -> Sequence[Any]:
     return section(data, "summary").get("tables", ())[:1]
 
 
-def curves(
-    reports: Mapping[str, Data], folders: Mapping[str, Path], names: Iterable[str], files: Files
-) -> Iterator[str]:
+def curves(reports: Mapping[str, Data], folders: Mapping[str, Path], files: Files) -> Iterator[str]:
     """Plots of error against run time."""
     yield "## Error against run time"
-    for name in names:
-        for i, plot in enumerate(section(reports[name], "convergence").get("plots", ())):
+    for name, data in reports.items():
+        for i, plot in enumerate(section(data, "convergence").get("plots", ())):
             file = copied(folders[name] / plot["svg"], files, f"{name}-curves-{i + 1}")
             yield f"![{name}: {plot['caption']}]({file})"
             yield f"*{name}: {', '.join(curve['name'] for curve in plot['curves'])}.*"
 
 
-def shown(
-    reports: Mapping[str, Data], folders: Mapping[str, Path], names: Iterable[str], files: Files
-) -> Iterator[str]:
+def shown(reports: Mapping[str, Data], folders: Mapping[str, Path], files: Files) -> Iterator[str]:
     """Frames, references and error maps side by side, twice as large as they are."""
     yield "## The frames, their references, and where they differ"
-    for name in names:
-        drawn, width = section(reports[name], "summary").get("pictures", ()), 2 * reports[name]["view"]["width"]
+    for name, data in reports.items():
+        drawn, width = section(data, "summary").get("pictures", ()), 2 * data["view"]["width"]
         copies = [f"{name}-{i + 1}" for i in range(len(drawn))]
         places = [copied(folders[name] / each["png"], files, to) for each, to in zip(drawn, copies, strict=True)]
         if drawn:

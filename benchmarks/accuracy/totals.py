@@ -143,13 +143,19 @@ def scenes(folder: Path, seeds: Sequence[int], only: Sequence[str]) -> Iterator[
     lights = {**(LIGHTS if data is not None else {"constant light": CONSTANT}), **street_lights}
     for light, entry in lights.items():
         lit = of_file(dict(entry), data)
-        for volume, isovalue in PLACES if data is not None else ():
-            if wanted(name := f"{volume.split('_')[0]} {isovalue:g} under {light}", only):
-                yield name, partial(file_scene, f"{data}/{volume}.nhdr", isovalue, lit)
-        for kind in KINDS:
-            for seed in seeds:
-                if wanted(name := f"{kind} {seed} under {light}", only):
-                    yield name, partial(formula_scene, kind, seed, lit)
+        for volume, make in volumes(seeds):
+            if wanted(name := f"{volume} under {light}", only):
+                yield name, partial(make, lit)
+
+
+def volumes(seeds: Sequence[int]) -> Iterator[tuple[str, Callable[..., Scene]]]:
+    """All volumes by name, and what makes a scene of each: of a light, and an albedo."""
+    data = shared_data()
+    for file, isovalue in PLACES if data is not None else ():
+        yield f"{file.split('_')[0]} {isovalue:g}", partial(file_scene, f"{data}/{file}.nhdr", isovalue)
+    for kind in KINDS:
+        for seed in seeds:
+            yield f"{kind} {seed}", partial(formula_scene, kind, seed)
 
 
 def file_scene(file: str, isovalue: float, light: dict[str, str], albedo: float = 0.7) -> Scene:

@@ -1,6 +1,7 @@
 """Mitsuba's path tracer on the mesh of an isosurface, under constant light or a probe."""
 
 import importlib.util
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,10 @@ FROM_MITSUBA = np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 grow the other way round and are mirrored before."""
 
 
+EVEN = np.ones((1, 1, 3), np.float32)
+"""The image of light of radiance 1 from everywhere."""
+
+
 def installed() -> bool:
     """Whether Mitsuba is there."""
     return importlib.util.find_spec("mitsuba") is not None
@@ -35,8 +40,13 @@ def usable(variant: str) -> bool:
         return False
 
 
+def rgb(value: Sequence[float] | np.ndarray) -> dict[str, Any]:
+    """A colour as Mitsuba takes it."""
+    return {"type": "rgb", "value": [float(each) for each in value]}
+
+
 class PathTracer:
-    """One variant of Mitsuba: a mesh in world units, diffuse on both sides, in light of radiance 1 or of a probe."""
+    """One variant of Mitsuba: a mesh in world units, diffuse on both sides, in even light or that of a probe."""
 
     def __init__(
         self,
@@ -45,30 +55,33 @@ class PathTracer:
         view: View,
         albedo: float,
         depth: int,
-        probe: np.ndarray | None = None,
+        probe: np.ndarray = EVEN,
         sampler: str = SAMPLERS[0],
     ) -> None:
         """Set the scene up for paths of at most ``depth`` segments, none ended by chance.
 
-        ``probe`` is a lat-long image (h, w, 3) as isogi has them, turned as the view says; it is not seen itself.
+        ``probe`` is a lat-long image (h, w, 3) as isogi has them, turned as the view says; one pixel is even light.
+        Light is not seen itself.
         """
         import mitsuba  # noqa: PLC0415
 
         self.mitsuba, self.variant = mitsuba, variant
         mitsuba.set_variant(variant)
         mitsuba.set_log_level(mitsuba.LogLevel.Error)
-        light = {"type": "constant", "radiance": 1.0} if probe is None else self._envmap(probe, view)
+        self.turns = probe.size > EVEN.size
+        light = self._envmap(probe, view) if self.turns else {"type": "constant", "radiance": rgb(probe[0, 0])}
         parts = {"light": light, "mesh": self._shape(mesh, albedo), "sensor": self._sensor(view, sampler)}
         self.scene = mitsuba.load_dict({"type": "scene", **parts})
-        hidden = {"hide_emitters": probe is not None}
-        self.integrator = mitsuba.load_dict({"type": "path", "max_depth": depth, "rr_depth": NEVER, **hidden})
+        how = {"max_depth": depth, "rr_depth": NEVER, "hide_emitters": True}
+        self.integrator = mitsuba.load_dict({"type": "path", **how})
 
     def spec(self, view: View) -> None:
         """Move the camera, and turn the probe, to those of ``view``, of the same size and field of view."""
         self.mitsuba.set_variant(self.variant)
         parameters = self.mitsuba.traverse(self.scene)
         parameters["sensor.to_world"] = self._camera(view)
-        parameters["light.to_world"] = self._turned(view)
+        if self.turns:
+            parameters["light.to_world"] = self._turned(view)
         parameters.update()
 
     def picture(self, samples: int, threads: int, seed: int = 0) -> np.ndarray:
@@ -103,7 +116,7 @@ class PathTracer:
 
     def _shape(self, mesh: Mesh, albedo: float) -> Any:
         points, triangles = mesh
-        diffuse = {"type": "diffuse", "reflectance": {"type": "rgb", "value": albedo}}
+        diffuse = {"type": "diffuse", "reflectance": rgb([albedo] * 3)}
         properties = self.mitsuba.Properties()
         properties["bsdf"] = self.mitsuba.load_dict({"type": "twosided", "bsdf": diffuse})
         shape = self.mitsuba.Mesh("isosurface", len(points), len(triangles), props=properties)

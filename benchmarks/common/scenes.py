@@ -21,6 +21,7 @@ VOLUMES = {
     "CT head": "ct_head_208x256x225_uint8.nhdr",
     "MNI brain": "mni152_t1_197x233x189_uint8.nhdr",
     "carp": "carp_256x512x256_uint8.nhdr",
+    "chest CT": "lidc_chest_256x256x133_uint8.nhdr",
 }
 """Files of the shared volumes, by what a person calls them."""
 
@@ -102,6 +103,12 @@ THREE = (
     Subject("CT head", 110, "uffizi"),
     Subject("MNI brain", 90, "constant light"),
 )
+
+SIX = (
+    *(*THREE, Subject("engine", 170, "uffizi"), Subject("carp", 110, "noon_grass")),
+    Subject("chest CT", 60, "uffizi"),
+)
+"""As unlike each other as the shared volumes are: smooth, porous, thin, coarse and anisotropic ones."""
 
 
 def three_scenes(target: str | None) -> Iterator[Scene]:

@@ -2,7 +2,7 @@
 
     python -m benchmarks.speed edges [TARGET] [--size 512] [--repeats 9] [--json]
 
-Every camera is new to the renderer, light is baked, and both end with a picture of eight bits. The error is the root
+Every camera is new to the renderer, light is final, and both end with a picture of eight bits. The error is the root
 mean square over pixels that the surface covers in part, in linear light as the screen shows it.
 """
 
@@ -17,14 +17,14 @@ from benchmarks.common.measurement import Measurement
 from benchmarks.common.scenes import benchmark_scene
 from benchmarks.common.suite import part
 from benchmarks.common.timing import milliseconds
-from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.frame import antialiasing
 from isogi_core.frame.film import BACKGROUND, averaged, develop, linear_table
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.renderer import Renderer
 from isogi_core.kernels.shading.edges import find_contrasts
+from isogi_core.model.scene_plan import FEWEST
 from isogi_core.model.view import View
-from server.cli.bench import Candidate, bake_view, make_renderer, medians, seconds, view_of
+from server.cli.bench import DONE, Candidate, bake_view, make_renderer, medians, seconds, view_of
 
 TRUE = 256
 """Samples of a pixel that counts as true."""
@@ -41,10 +41,10 @@ def edges(target: str | None, size: int, repeats: int) -> Measurement:
     with tempfile.TemporaryDirectory() as store:
         renderer = make_renderer(scene, store)
         plain = view_of(scene, size)
-        bake_view(renderer, plain, FIRST_LEVEL)
+        bake_view(renderer, plain, FEWEST)
         smooth = replace(plain, smooth=True)
         took = medians({"plain": pictured(renderer, plain), "smooth": pictured(renderer, smooth)}, repeats)
-        errors = errors_of(renderer.render(plain), renderer.render(smooth), renderer)
+        errors = errors_of(renderer.render(plain, DONE), renderer.render(smooth, DONE), renderer)
     figures = {**milliseconds(took), "smooth / plain": took["smooth"] / took["plain"], **errors}
     return Measurement(f"{scene.name} at {scene.isovalue:g}, {size} × {size}", figures)
 
@@ -54,7 +54,7 @@ def pictured(renderer: Renderer, view: View) -> Candidate:
 
     def work(_: int) -> float:
         renderer.forget_views()
-        return seconds(lambda: develop(renderer.render(view), renderer.prepared.scene.default_exposure))
+        return seconds(lambda: develop(renderer.render(view, DONE), renderer.prepared.scene.default_exposure))
 
     return work
 

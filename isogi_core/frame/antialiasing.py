@@ -84,8 +84,7 @@ def sample_edges(frame: Frame, exposure: float, tiles: Tiles, walls: Walls | Non
 def shown_by(frame: Frame) -> Shown:
     """What the pixels of a ``frame`` show, as the kernels take it."""
     view, gbuffer, walls = frame.view, frame.gbuffer, frame.gbuffer.walls
-    rows, points = np.full(frame.state.shape, -1, np.int32), gbuffer.points
-    rows.flat[gbuffer.pixels] = np.arange(len(gbuffer.pixels), dtype=np.int32)
+    rows, points = gbuffer.rows, gbuffer.points
     if len(walls.pixels):
         rows.flat[walls.pixels] = np.arange(len(points), len(points) + len(walls.pixels), dtype=np.int32)
         points = np.concatenate([points, walls.points])

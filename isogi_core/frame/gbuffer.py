@@ -80,6 +80,13 @@ class GBuffer:
                 self._normals = normals
             return self._normals
 
+    @property
+    def rows(self) -> np.ndarray:
+        """The row of the point that each pixel shows, -1 off the surface; (h, w) int32."""
+        rows = np.full(self.shape, -1, np.int32)
+        rows.flat[self.pixels] = np.arange(len(self.pixels), dtype=np.int32)
+        return rows
+
     def part(self, places: np.ndarray, tiles: Tiles) -> "GBuffer":
         """The same picture with those points alone that are in rows ``places`` (k,), ascending. Raises Cancelled."""
         some, normals = (self.pixels[places], self.points[places]), self.normals(tiles)[places]

@@ -35,6 +35,7 @@ from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.framebuffer import FINAL, Framebuffer
 from isogi_core.kernels.shading.lattice import DARKEST
 from isogi_core.model.sky import LUMINANCE
+from isogi_core.plan.finer import DENSER
 
 STREAM = 1 << 18
 """Number of the first randomisation: controls and references draw other random numbers."""
@@ -122,7 +123,7 @@ def enough(light: PixelLight, allowed: float, points: int) -> bool:
     return math.sqrt(light.variance.sum() / max(points, 1)) <= allowed
 
 
-AGAIN = 4
+AGAIN = DENSER**2
 """How many times as many texels of a surface there are where the lattice is twice as fine, about: 2.2 to 4."""
 
 STRICTER = 0.7
@@ -144,7 +145,9 @@ class PictureCheck:
 
     ``controls`` are of this ``attempt`` to reach the target, drawn by the ``uncertainty`` (m,) of all points; pixels in
     ``own`` have light of their own, whose ``noise`` is to be within this share of the target, and those of a next
-    attempt are ``growing``. It has ``ended`` where no step was left. Steps of several threads wait for each other.
+    attempt are ``growing``. It has ``ended`` where no step was left; ``coarse`` says that finer texels are to be
+    shown in this picture's place, which is not asked for once they were ``declined``. Steps of several threads wait for
+    each other.
     """
 
     light: RotatedLight
@@ -157,8 +160,8 @@ class PictureCheck:
     attempt: int = 0
     noise: float = NOISE
     ended: bool = False
-    finer: bool | None = None
     coarse: bool = False
+    declined: bool = False
     lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
 
     @property
@@ -178,27 +181,28 @@ class PictureCheck:
         if len(self.own.places):
             self.own.put(framebuffer, self.gbuffer.pixels, self.light.spec.unit)
 
-    def step(self, frame: Frame, uncertainty: Callable[[], np.ndarray], tiles: Tiles) -> bool:
+    def step(self, frame: Frame, uncertainty: Callable[[], np.ndarray], tiles: Tiles, finer: bool) -> bool:
         """Come one step nearer to the target from a ``frame`` of this picture; whether there was one to take.
 
-        ``uncertainty`` finds how uncertain the light of each surface point is, (m,). Raises Cancelled.
+        ``uncertainty`` finds how uncertain the light of each surface point is, (m,); whether there are ``finer``
+        texels that may be asked for. Raises Cancelled.
         """
-        taken = frame.surface > 0 and not frame.final and self._step(frame, uncertainty, tiles)
+        taken = frame.surface > 0 and not frame.final and self._step(frame, uncertainty, tiles, finer)
         self.ended = not taken
         return taken
 
-    def _step(self, frame: Frame, uncertainty: Callable[[], np.ndarray], tiles: Tiles) -> bool:
+    def _step(self, frame: Frame, uncertainty: Callable[[], np.ndarray], tiles: Tiles, finer: bool) -> bool:
         if self.growing is not None:
             return self._grow(frame, self.growing.places, 2 * self.growing.count, tiles)
         if frame.measured is None or not self._decided(frame.measured):
             return self._add_controls(uncertainty(), tiles)
         places = self._choose(frame, uncertainty())
-        self.coarse = bool(self.finer) and finer_pays(frame, len(places))
+        self.coarse = finer and not self.declined and finer_pays(frame, len(places))
         return not self.coarse and self._grow(frame, places, max(self.own.count, FIRST_PATHS), tiles)
 
     def decline(self) -> None:
         """Go on without finer texels: there is no memory for them."""
-        self.finer = self.coarse = self.ended = False
+        self.coarse, self.ended, self.declined = False, False, True
 
     def _decided(self, measured: TotalError) -> bool:
         """Whether a picture that is not at its target needs better light, and no further controls."""

@@ -90,9 +90,7 @@ def find_lobes(light: RotatedLight, gbuffer: GBuffer, tiles: Tiles) -> LobeLight
 
 def picture_of(gbuffer: GBuffer, tiles: Tiles) -> Pixels:
     """The points of a G-buffer, and where they are in its picture."""
-    rows = np.full(gbuffer.shape, -1, np.int32)
-    rows.flat[gbuffer.pixels] = np.arange(len(gbuffer.pixels), dtype=np.int32)
-    return Pixels(PixelPoints(gbuffer.points, gbuffer.normals(tiles), gbuffer.pixels), rows)
+    return Pixels(PixelPoints(gbuffer.points, gbuffer.normals(tiles), gbuffer.pixels), gbuffer.rows)
 
 
 @dataclass(frozen=True, eq=False)

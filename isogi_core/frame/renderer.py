@@ -151,7 +151,6 @@ class Renderer:
         if frame.walls_waiting:
             return self._grow_walls(frame.gbuffer, light, target, tiles)
         check = self._check(light, frame.gbuffer, target)
-        check.finer = finer if check.finer is None else check.finer
 
         def uncertainty() -> np.ndarray:
             with self._lit_texels(frame.gbuffer, light, target, tiles, Stopwatch()) as found:
@@ -160,7 +159,7 @@ class Renderer:
             return np.asarray(np.hypot(between, frame.pixel_noise))
 
         with check.lock:
-            return check.step(frame, uncertainty, tiles)
+            return check.step(frame, uncertainty, tiles, finer)
 
     def asks_finer(self, view: View, target: float) -> bool:
         """Whether the check of a view's picture found that finer texels are to be shown in its place."""

@@ -32,9 +32,7 @@ def finer(scene: Scene) -> Scene:
     lattice = DENSER * scene.lattice
     source = replace(scene.source, document={**scene.source.document, "lattice": lattice})
     plan = complete(further(scene.plan), scene.inputs, scene.overrides)
-    made = replace(scene, source=source, lattice=lattice, plan=plan)
-    vars(made).update({name: found for name, found in vars(scene).items() if name in KEPT})
-    return made
+    return scene.altered(KEPT, source=source, lattice=lattice, plan=plan)
 
 
 def further(plan: ScenePlan) -> ScenePlan:

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+from collections.abc import Collection
 from dataclasses import astuple, dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -157,8 +158,12 @@ class Scene:
 
     def with_plan(self, plan: ScenePlan) -> "Scene":
         """The same scene by another ``plan``; what was surveyed of its volume stays."""
-        scene = replace(self, plan=plan)
-        vars(scene).update({name: found for name, found in vars(self).items() if name in SURVEYED})
+        return self.altered(SURVEYED, plan=plan)
+
+    def altered(self, kept: Collection[str], **changes: Any) -> "Scene":
+        """The same scene with ``changes``; properties ``kept``, as far as they were worked out, hold for it too."""
+        scene = replace(self, **changes)
+        vars(scene).update({name: found for name, found in vars(self).items() if name in kept})
         return scene
 
     def albedo_for(self, asked: tuple[float, float, float] | None) -> tuple[float, float, float]:

@@ -211,14 +211,13 @@ class RenderEngine:
         projected = () if frame.demands or frame.projection is None else frame.projection.demands
         if scene not in self.scenes or not (projected or frame.fineness):
             return self.bake_of(scene, frame.view), frame.demands
-        return self.bake_onto(scene, frame.gbuffer.isovalue if projected else None, frame.fineness), (
-            projected or frame.demands
-        )
+        shown = frame.gbuffer.isovalue if projected else None
+        return self.bake_onto(scene, shown, frame.fineness), projected or frame.demands
 
     def bake_onto(self, scene: str, shown: Isovalue | None, fineness: int = 0) -> str:
         """The name of a scene's own bake, or of that of its texels projected onto the isosurface ``shown``.
 
-        Or of texels finer by so many steps.
+        They are finer than its own by ``fineness`` steps.
         """
         if shown is None and not fineness:
             return bake_name(scene, "gi")

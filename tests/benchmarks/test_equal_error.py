@@ -10,11 +10,13 @@ import pytest
 from click import ClickException
 
 from benchmarks.accuracy import mitsuba_race
-from benchmarks.accuracy.equal_error import equal_error, likeness, probe_scene
+from benchmarks.accuracy.equal_error import SURFACE, equal_error, likeness, scenes
 from benchmarks.accuracy.errors import PowerLaw, relative_rmse, without
 from benchmarks.accuracy.isogi_race import PictureSet, check
 from benchmarks.common import mitsuba
 from isogi_core.model.view import quaternion_from_angles
+from isogi_core.plan.assembly import load_scene
+from isogi_core.plan.scene import Scene
 from server.cli.bench import make_renderer
 from tests.benchmarks.parts import figures
 
@@ -25,6 +27,11 @@ TINY = ("demo:casting", "--size", "24", "--views", "2", "--turns", "2", "--check
 def bare(monkeypatch: pytest.MonkeyPatch, tmp_path: Any) -> None:
     """There are no shared data."""
     monkeypatch.setenv("ISOGI_SHARED_DATA", str(tmp_path / "none"))
+
+
+def casting() -> Scene:
+    """The demo's casting, as it is raced."""
+    return load_scene("demo:casting", **SURFACE)
 
 
 def test_relative_rmse_is_of_the_luminance_of_counted_pixels() -> None:
@@ -55,7 +62,7 @@ def test_an_error_below_the_converged_noise_is_refused() -> None:
 
 
 def test_a_closed_surface_is_seen_from_outside() -> None:
-    scene = probe_scene("demo:casting", None, None)
+    scene = casting()
     with tempfile.TemporaryDirectory() as store:
         each = check(scene, [make_renderer(scene, store).render(PictureSet(scene, 24, 3, 3).view(1))], 8)[0]
     assert each.outside[each.best.on].mean() > 0.97
@@ -63,7 +70,7 @@ def test_a_closed_surface_is_seen_from_outside() -> None:
 
 
 def test_views_are_spread_evenly_and_picks_differ() -> None:
-    pictures = PictureSet(probe_scene("demo:casting", None, None), 8, 36, 12)
+    pictures = PictureSet(casting(), 8, 36, 12)
     scene = pictures.scene
     towards = np.array([pictures.view(i).camera.eye for i in range(36)]) - np.array(scene.volume.centre)
     towards /= np.linalg.norm(towards, axis=1)[:, None]
@@ -80,7 +87,8 @@ def test_views_are_spread_evenly_and_picks_differ() -> None:
 def test_without_mitsuba_our_side_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     find = importlib.util.find_spec
     monkeypatch.setattr(importlib.util, "find_spec", lambda name, *a: None if name == "mitsuba" else find(name, *a))
-    found = figures(equal_error, *TINY, "--paths", "32")
+    told = figures(equal_error, *TINY, "--paths", "32")
+    found = {key.removeprefix("demo:casting: "): value for key, value in told.items()}
     assert found.pop("mitsuba") == "not installed"
     assert all(value >= 0.0 for value in found.values())
     assert found["isogi: one view, s"] < found["isogi: whole set, s"]
@@ -93,7 +101,7 @@ def test_mitsuba_sees_the_light_turned_as_ours_does(monkeypatch: pytest.MonkeyPa
     if not mitsuba.usable(mitsuba_race.VARIANT):
         pytest.skip("Mitsuba's llvm variant finds no LLVM")
     monkeypatch.setattr(mitsuba_race, "CONVERGED", 64)
-    scene = probe_scene("demo:casting", None, None)
+    scene = casting()
     view = replace(PictureSet(scene, 48, 3, 3).view(1), light=quaternion_from_angles(30.0, 60.0, 20.0))
     with tempfile.TemporaryDirectory() as store:
         each = check(scene, [make_renderer(scene, store).render(view)], 64)[0]
@@ -105,3 +113,8 @@ def test_mitsuba_sees_the_light_turned_as_ours_does(monkeypatch: pytest.MonkeyPa
     peer.converge(view, each.best.on)
     reached = peer.reach("multijitter", best, 0.05)
     assert reached.error == pytest.approx(0.05, rel=0.25)
+
+
+def test_without_shared_volumes_a_person_hears_it() -> None:
+    with pytest.raises(ClickException, match="ISOGI_SHARED_DATA"):
+        next(scenes(None, ()))

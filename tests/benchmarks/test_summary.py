@@ -6,7 +6,6 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.accuracy.reports import CURVED, PICTURED, SUBJECTS
 from benchmarks.accuracy.summary import PICTURES, summary_of
 from benchmarks.common.measurement import Measurement
 from isogi_core.report.sections import Column, Section, Table
@@ -34,7 +33,7 @@ def found(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Measur
         (place / name).mkdir()
         notes = () if done else ("Stopped by hand.",)
         write_report(place / name, report_of(small_scene, [Entry(section, 1.0) for section in done], notes))
-    return summary_of({name: place / name for name in (FULL, SHORT)}, [FULL, SHORT], [FULL])
+    return summary_of({name: place / name for name in (FULL, SHORT)})
 
 
 def test_it_begins_with_the_parts_of_all_subjects(found: Measurement) -> None:
@@ -60,12 +59,3 @@ def test_every_picture_is_there_and_none_besides(found: Measurement) -> None:
     assert sorted(named) == sorted(f"{PICTURES}/{file}" for file in found.pictures)
     assert "blue 5 % too dark, red too bright" in text
     assert text.count('width="48"') == 4, "twice as large"
-
-
-def test_the_subjects_are_those_asked_for() -> None:
-    named = {(subject.volume, subject.isovalue, subject.light) for subject in SUBJECTS}
-    assert named >= {("engine", v, light) for v in (70, 170) for light in ("grace", "uffizi", "constant light")}
-    assert {("CT head", 110), ("MNI brain", 90)} <= {(volume, isovalue) for volume, isovalue, _ in named}
-    assert len({subject.folder for subject in SUBJECTS}) == len(SUBJECTS)
-    assert {"engine", "CT head", "MNI brain"} == {subject.volume for subject in PICTURED}
-    assert {"grace", "uffizi", "constant light"} == {subject.light for subject in CURVED}

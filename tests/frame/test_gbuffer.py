@@ -161,3 +161,12 @@ def test_a_ball_sampled_unevenly_looks_the_same(
     assert np.quantile(apart, 0.95) < 0.35 and np.median(apart) < 0.15
     light = [frame.radiance[both].astype(float) for frame in frames]
     assert np.sqrt(((light[0] - light[1]) ** 2).mean()) / light[0].mean() < 0.04
+
+
+def test_a_part_has_the_points_and_the_normals_of_the_whole() -> None:
+    whole = seen(marks(), 0.0, 30.0)
+    places = np.arange(0, len(whole.points), 3)
+    part, other = whole.part(places, TILES), seen(marks(), 0.0, 30.0)
+    assert len(places) > 20 and np.array_equal(part.points, whole.points[places]) and not len(part.walls.pixels)
+    assert part.normals(TILES) is part._normals and np.array_equal(part._normals, other.normals(TILES)[places])
+    assert (whole.rows.flat[part.pixels] == places).all() and (whole.rows >= 0).sum() == len(whole.points)

@@ -66,17 +66,35 @@ def trace_places(surface, camera, places, found, points):
 @kernel()
 def meet_surface(surface, camera, directions, first, found, points):
     """Cast rays from the eye; write the numbers, from ``first``, of those that meet the surface, and where."""
-    count = directions.shape[1]
-    origins = np.empty((3, count))
+    t = np.empty(directions.shape[1])
+    cast_from_eye(surface, camera.eye, directions, t)
+    return write_hits(camera.eye, directions, t, first, found, points)
+
+
+@kernel()
+def cast_from_eye(surface, eye, directions, t):
+    """Cast rays in ``directions`` (3, n) from the ``eye``: fill ``t`` (n,) with their ways to the surface, or inf."""
+    count = t.shape[0]
+    origins, came = np.empty((3, count)), np.empty(count, np.int8)
     for i in range(count):
-        put_column(origins, i, camera.eye)
-    t, came = np.empty(count), np.empty(count, np.int8)
+        put_column(origins, i, eye)
     rays = Rays(np.full(count, surface.isovalue), origins, directions, np.full(count, UNKNOWN, np.int8))
     cast_batch(surface.field, surface.cells, rays, t, came)
+
+
+@kernel()
+def write_hits(eye, directions, t, first, found, points):
+    """Write the numbers, from ``first``, of rays from the ``eye`` whose ways ``t`` end, and where; returns how many."""
     hits = 0
-    for i in range(count):
+    for i in range(t.shape[0]):
         if t[i] < math.inf:
             found[hits] = first + i
-            points[hits, 0], points[hits, 1], points[hits, 2] = madd(camera.eye, t[i], column(directions, i))
+            put_point(points, hits, madd(eye, t[i], column(directions, i)))
             hits += 1
     return hits
+
+
+@kernel()
+def put_point(points, row, p):
+    """Write a vector into a row of ``points`` (n, 3)."""
+    points[row, 0], points[row, 1], points[row, 2] = p

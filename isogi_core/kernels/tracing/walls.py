@@ -10,10 +10,8 @@ from isogi_core.kernels._jit import kernel, record
 from isogi_core.kernels.simd.maths import divide, where
 from isogi_core.kernels.simd.memory import load, store
 from isogi_core.kernels.simd.types import PATH_WIDTH
-from isogi_core.kernels.tracing.camera import PINHOLE, pixel_ray
-from isogi_core.kernels.tracing.cast import SURFACE, cast_batch
-from isogi_core.kernels.tracing.intersect import UNKNOWN
-from isogi_core.kernels.tracing.ray_stream import Rays
+from isogi_core.kernels.tracing.camera import PINHOLE, cast_from_eye, pixel_ray, put_point, write_hits
+from isogi_core.kernels.tracing.cast import SURFACE
 from isogi_core.kernels.tracing.vec import column, load_columns, madd, put_column
 
 NOWHERE = -1.0
@@ -115,29 +113,12 @@ def trace_places_in_room(surface, walls, camera, places, found, points):
     for i in range(count):
         put_column(directions, i, pixel_ray(camera, places[i, 0], places[i, 1]))
     cast_in_room(surface, walls, camera.eye, directions, t, met)
-    hits = 0
-    for i in range(count):
-        if t[i] < math.inf:
-            found[hits] = i
-            put_point(points, hits, madd(camera.eye, t[i], column(directions, i)))
-            hits += 1
-    return hits
+    return write_hits(camera.eye, directions, t, 0, found, points)
 
 
 @kernel()
 def cast_in_room(surface, walls, eye, directions, t, met):
     """Cast rays from the ``eye``: how far they come, ``t`` (n,) or inf, and what walls are ``met`` (n,), or NOWHERE."""
-    count = t.shape[0]
-    origins, came = np.empty((3, count)), np.empty(count, np.int8)
-    for i in range(count):
-        put_column(origins, i, eye)
-    rays = Rays(np.full(count, surface.isovalue), origins, directions, np.full(count, UNKNOWN, np.int8))
-    cast_batch(surface.field, surface.cells, rays, t, came)
-    for i in range(count):
+    cast_from_eye(surface, eye, directions, t)
+    for i in range(t.shape[0]):
         t[i], met[i] = nearest_wall(walls, eye, column(directions, i), NOWHERE, t[i])
-
-
-@kernel()
-def put_point(points, row, p):
-    """Write a vector into a row of ``points`` (n, 3)."""
-    points[row, 0], points[row, 1], points[row, 2] = p
