@@ -8,7 +8,7 @@ TESTS ?=
 # Every process would compile all modules anew: a server with two workers starts three times as fast without it.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: install serve test kernels test-bounds test-python check lock format pictures figures reports clean
+.PHONY: install serve test kernels test-campaigns test-bounds test-python check lock format pictures figures reports clean
 
 install: $(BIN)/.installed
 
@@ -40,10 +40,14 @@ check: $(BIN)/.tools
 # Kernels compile while the tools install and the checks run.
 test:
 	$(MAKE) --no-print-directory --jobs 3 check kernels $(NODE_TOOLS)
-	$(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder --durations 20
+	$(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder --durations 20 -m "not campaign"
 
 kernels: $(BIN)/.installed
 	$(BIN)/python -m tests.compile_kernels
+
+# Parts of the suites of benchmarks, small, that start servers and workers of their own.
+test-campaigns: $(BIN)/.tools
+	$(BIN)/python -m pytest -m campaign $(TESTS)
 
 # The tests of kernels with every index of an array checked (slow: all is compiled anew), and with Python in Numba's place.
 test-bounds: $(BIN)/.tools

@@ -32,7 +32,7 @@ def tiny(tmp_path_factory: pytest.TempPathFactory) -> str:
     return str(scene)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_kills(tiny: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of a server that soon dies; kills of workers and prewarms have tests of their own, beside what they are about."""
     monkeypatch.setitem(kills_module.LATEST, "server", 0.5)
@@ -45,7 +45,7 @@ def test_kills(tiny: str, monkeypatch: pytest.MonkeyPatch) -> None:
     assert not any(found[name] for name in (*wrong, *differ, "final pictures that differ")), found
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_damage(tiny: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(damage_module, "WORKERS", 1)
     found = figures(damage, tiny, "--damaged", "11", "--views", "1")
@@ -55,7 +55,7 @@ def test_damage(tiny: str, monkeypatch: pytest.MonkeyPatch) -> None:
     assert found["pictures that differ in the end"] == 0
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_cluster() -> None:
     arguments = ["demo:orbital", "--size", "16", "--tasks", "2", "--rounds", "1", "--workers", "1", "--same", "1"]
     done = run(cluster, *arguments, "--json")
@@ -73,7 +73,7 @@ def test_cluster() -> None:
     assert "round 1 of 1" in done.stderr
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_volume_beyond_the_budget_is_rendered_and_served(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ISOGI_VOLUME_MB", "1")
     small = ("--size", "80", "--pixels", "24", "--seconds", "1", "--folder", str(tmp_path))

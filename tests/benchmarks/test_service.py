@@ -27,6 +27,7 @@ def test_drag() -> None:
     assert found["rest to full picture, longest"] > 0.0
 
 
+@pytest.mark.campaign
 def test_load() -> None:
     found = figures(load, "demo:orbital", "--clients", "9", "--seconds", "1", "--workers", "1")
     assert {key for key in found if key.startswith("answered")} <= {f"answered {n}" for n in (200, 304, 429, 503)}
@@ -34,7 +35,7 @@ def test_load() -> None:
     assert found["requests in progress, afterwards"] == 0
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_memory() -> None:
     found = figures(memory, "--uploads", "6", "--uploads-mb", "1", "--views", "4")
     assert (found["uploads: answered 201"], found["uploads: answered 507"]) == (3, 3)
@@ -48,7 +49,7 @@ def test_fuzz() -> None:
     assert found["problems"] > 20
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_malformed() -> None:
     found = figures(malformed, "--files", "6")
     assert found["files"] == 6 and found["server alive"] is True

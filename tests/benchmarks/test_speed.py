@@ -78,6 +78,7 @@ def test_paths() -> None:
     assert 0.3 < found["radiance: isogi"] < 0.7
 
 
+@pytest.mark.campaign
 def test_growth() -> None:
     found = positive(growth.growth, "demo:orbital", "--largest", "32")
     names = {f"{step}: {s}_ms" for step in ("32³", "8²", "16²", "32²") for s in ("gi", "lambert")}

@@ -17,25 +17,19 @@ RAYS = ["simd/test_ray_vectors.py", "tracing/test_cast.py"] if REGISTER else []
 
 PROCESSORS = {
     "haswell": ({}, ["simd/test_path_vectors.py", *RAYS]),
-    "nehalem": (
-        {"NUMBA_CPU_FEATURES": "+sse4.2"},
-        ["simd/test_path_vectors.py", "transport/test_wavefront.py::test_waves_are_the_paths_one_by_one"],
-    ),
+    "nehalem": ({"NUMBA_CPU_FEATURES": "+sse4.2"}, ["simd/test_path_vectors.py"]),
 }
 """What else Numba is told of each, and the tests."""
-
-PARTS = {"nehalem": ["-k", "not at_a_time"]}
-"""Parts of paths are not tested one at a time where whole paths are."""
 
 
 @pytest.mark.slow
 @COMPILED
 @pytest.mark.parametrize("processor", PROCESSORS)
 def test_all_of_it_again_for_other_processors(processor: str) -> None:
-    """Eight lanes and rays by AVX2, four lanes without it; whole paths where it is most unlike this processor."""
+    """Eight lanes and rays by AVX2, four lanes without it."""
     told, tests = PROCESSORS[processor]
     files = [str(KERNELS / each) for each in tests]
-    command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *PARTS.get(processor, []), *files]
+    command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *files]
     environment = {**os.environ, "NUMBA_CPU_NAME": processor, **told}
     run = subprocess.run(command, env=environment, cwd=KERNELS.parents[1], capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stdout + run.stderr
