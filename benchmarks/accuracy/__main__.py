@@ -2,6 +2,7 @@
 
 from benchmarks.accuracy.albedo import albedo
 from benchmarks.accuracy.calibration import calibration
+from benchmarks.accuracy.checking import checking
 from benchmarks.accuracy.choices import choices
 from benchmarks.accuracy.equal_error import equal_error
 from benchmarks.accuracy.filtering import filtering
@@ -23,6 +24,7 @@ main = suite(
     table,
     totals,
     furnace,
+    checking,
     reports,
     equal_error,
     plans,

@@ -4,6 +4,7 @@ import math
 from pathlib import Path
 
 from benchmarks.accuracy.albedo import albedo
+from benchmarks.accuracy.checking import checking
 from benchmarks.accuracy.choices import choices
 from benchmarks.accuracy.interpolation import interpolation
 from benchmarks.accuracy.lobes import lobes
@@ -63,3 +64,13 @@ def test_interpolation_has_a_row_for_each_way() -> None:
     found = figures(interpolation, "demo:orbital", "--size", "12")
     assert found["nearest: RMSE, %"] > found["trilinear: RMSE, %"]
     assert found["trilinear: RMSE, %"] == found["on their own isosurfaces: RMSE, %"]
+
+
+def test_checks_are_told_beside_the_bake() -> None:
+    found = {
+        key.removeprefix("demo:orbital: "): value
+        for key, value in figures(checking, "demo:orbital", "--size", "24").items()
+    }
+    assert found["final"] == 1.0 and 0.0 < found["told"] <= 0.05
+    assert found["all steps, s"] >= found["first step, s"] > 0.0 < found["bake, s"]
+    assert found["bytes"] > 0 and found["first step / bake"] == found["first step / bake, median"]
