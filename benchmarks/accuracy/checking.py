@@ -29,7 +29,8 @@ HEAD = ("scene", "told at first, %", "told, %", "own light", "bake, s", "first s
 @click.option("--only", multiple=True, help="Part of a scene's name; repeatable.")
 def checking(target: str | None, size: int, only: tuple[str, ...]) -> Measurement:
     """What it takes to measure total errors, and to reach the target, beside the bake."""
-    figures, rows = {}, []
+    figures: dict[str, float] = {}
+    rows: list[tuple[str, ...]] = []
     with tempfile.TemporaryDirectory() as folder:
         for name, bench in benches(target, SIX, lambda _: {}, Path(folder), size, only):
             found = measure(bench)
