@@ -14,7 +14,7 @@ from isogi_core.plan.assembly import load_scene
 from server.prewarm.forecast import FEWEST_TRIED, MOST_TRIED, forecast, rehearse, stratified
 from server.render.engine import RenderEngine
 from tests.server.inline import LONG, InlinePool, view_of
-from worker import pool
+from worker import bake_requests, pool
 from worker.bake_requests import Viewer
 from worker.pool import Done
 from worker.progress import ChunkCost, extrapolated
@@ -40,10 +40,14 @@ def rehearsal(texels: int, seconds: float) -> ChunkCost:
     return ChunkCost(texels, seconds, seconds / 2, 0.0, 0.1, 3 * texels)
 
 
+@pytest.mark.parametrize("whole", [0.0, math.inf], ids=["in steps", "at once"])
 def test_a_rehearsal_does_the_tasks_of_a_bake_and_keeps_nothing(
-    blocks: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    blocks: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, whole: float
 ) -> None:
+    """How long a task took decides whether the rest is split: here it always is, or never, however fast the machine."""
     monkeypatch.setattr(pool, "WorkerPool", Counting)
+    monkeypatch.setattr(bake_requests, "WHOLE", whole)
+    monkeypatch.setattr(Counting, "tasks", 0)
     scene = load_scene(blocks)
     with closing(RenderEngine([scene], str(tmp_path), workers=1)) as engine:
         engine.start()
