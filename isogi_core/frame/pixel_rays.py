@@ -20,12 +20,14 @@ from isogi_core.kernels.shading.lobes import (
     LIT,
     RAYS,
     RIM,
+    TURNS,
     Aimed,
     Pixels,
     add_halves,
     aim_at_discs,
     aim_at_middles,
     aim_at_rims,
+    believe,
     cast_shadow_rays,
     face_lobes,
     find_around,
@@ -120,13 +122,13 @@ class Shadows:
             find_around(self.picture, (a, b), around)
 
         self.tiles.run(_begin, self.points, LOBE_POINTS)
-        for turn in range(3):
-            believed = around if turn else around[:0]
+        flat = seen.reshape(-1)
+        for turn in range(TURNS):
 
-            def _piece(a: int, b: int, turn: int = turn, believed: np.ndarray = believed) -> None:
-                aimed = room_for((b - a) * len(seen))
-                count = aim_at_middles(self.picture, self.lamps, (a, b), turn, believed, seen, aimed)
-                seen.flat[aimed.pairs[:count]] = np.where(self._cast(aimed, count), LIT, DARK)
+            def _piece(a: int, b: int, turn: int = turn) -> None:
+                aimed = room_for(count := believe(self.picture, (a, b), turn, around, seen))
+                aim_at_middles(self.picture, self.lamps, (a, b), turn, seen, aimed)
+                flat[aimed.pairs] = np.where(self._cast(aimed, count), LIT, DARK)
 
             self.tiles.run(_piece, self.points, LOBE_POINTS)
         return seen
@@ -141,10 +143,10 @@ class Shadows:
         self.tiles.run(_piece, self.points, LOBE_POINTS)
         pairs, found = np.flatnonzero(asked), [np.empty(0, np.int64)]
         while len(pairs):
-            seen.flat[pairs] = sees = self._rims(pairs)
+            seen.reshape(-1)[pairs] = sees = self._rims(pairs)
             found.append(pairs[sees == HALF])
             more = np.empty(8 * len(pairs), np.int64)
-            pairs = more[: spread_edges(self.picture, found[-1], seen, asked, more)]
+            pairs = more[: spread_edges(self.picture, self.lamps, found[-1], seen, asked, more)]
         return np.sort(np.concatenate(found))
 
     def _rims(self, pairs: np.ndarray) -> np.ndarray:

@@ -1,9 +1,10 @@
 """Light that comes straight from lobes: small far lights, each seen along shadow rays from a picture's own points.
 
 A lobe is a directional lamp. Few rays find where its shadows have their edges: one to its middle from every fourth
-pixel, and from the others where those around disagree. Where the answers change from pixel to pixel, rays to the
-lobe's rim tell what sees all of it, or nothing, of which the light is known; about pixels in the half-shadow, whose
-rim rays disagree, all neighbours are asked too. In the half-shadow more rays are drawn.
+pixel of every fourth row, and from the others where those around disagree. Where the answers change from pixel to
+pixel, rays to the lobe's rim tell what sees all of it, or nothing, of which the light is known; about pixels in the
+half-shadow, whose rim rays disagree, all neighbours are asked too. In the half-shadow more rays are drawn. A point
+that a lobe only grazes gets so little of it that the ray to its middle is enough.
 """
 
 import math
@@ -54,10 +55,14 @@ the rim miss of them, a tenth of all half-shadow at its ends, is another 0.9 %.
 BENT = 0.25
 """How far a point may be from the middle of two neighbours, over their distance, for what these see to hold for it."""
 
-AWAY, DARK, LIT, HALF, UNKNOWN, LEVEL = range(6)
-"""What a point sees of a lobe: it faces away from it; nothing; all; a part; not known yet; not known, and the lobe is
-cut by the point's horizon.
-"""
+GRAZING = 0.03
+"""What a lobe brings at most, over what it would from straight above, where its half-shadows are not looked for."""
+
+AWAY, DARK, LIT, HALF, UNKNOWN = range(5)
+"""What a point sees of what is above its horizon of a lobe: none is there; nothing; all; a part; not known yet."""
+
+TURNS = 5
+"""Turns in which pixels are asked, each of them amid four of the turns before."""
 
 SEEN = types.uint8[:, ::1]
 PART = types.UniTuple(types.int64, 2)
@@ -94,15 +99,40 @@ def half_angle(lamps, k):
     return length(row(lamps.edges[k], 0))
 
 
+@kernel()
+def radius(lamps, k):
+    """The same, but 0 for a lobe that is seen along one ray."""
+    sine = half_angle(lamps, k)
+    return sine if sine > SHARP else 0.0
+
+
+@kernel()
+def cosine_of(points, lamps, k, m):
+    """The cosine at point ``m`` of the direction to the middle of lobe ``k``."""
+    return dot(point_of(points.normals, m), row(lamps.places, k))
+
+
+@kernel()
+def irradiance(points, lamps, k, m):
+    """E of lobe ``k`` at point ``m`` over that from straight above, where nothing but the horizon hides it.
+
+    The mean cosine over a flat disc of radius s whose middle has the cosine x s, what is below the horizon being 0:
+    s/π (x (π/2 + x √(1 - x²) + asin x) + 2/3 (1 - x²)^1.5), and x s for a disc that is all above.
+    """
+    cosine, s = cosine_of(points, lamps, k, m), radius(lamps, k)
+    if cosine >= s:
+        return cosine
+    x = max(cosine / s, -1.0)
+    root = math.sqrt(1.0 - x * x)
+    return s / math.pi * (x * (0.5 * math.pi + x * root + math.asin(x)) + 2.0 / 3.0 * root**3)
+
+
 @kernel(types.void(PIXEL_POINTS, LAMPS, PART, SEEN))
 def face_lobes(points, lamps, part, seen):
-    """Begin with what points of a ``part`` have ``seen`` (lobes, m): AWAY, LEVEL or UNKNOWN, by their normals."""
+    """Begin with what points of a ``part`` have ``seen`` (lobes, m): AWAY or UNKNOWN, by their normals."""
     for k in range(seen.shape[0]):
-        sine, towards = half_angle(lamps, k), row(lamps.places, k)
-        sine = sine if sine > SHARP else 0.0
         for m in range(part[0], part[1]):
-            cosine = dot(point_of(points.normals, m), towards)
-            seen[k, m] = AWAY if cosine <= -sine else LEVEL if cosine < sine else UNKNOWN
+            seen[k, m] = AWAY if cosine_of(points, lamps, k, m) <= -radius(lamps, k) else UNKNOWN
 
 
 @kernel()
@@ -114,8 +144,10 @@ def row_at(rows, y, x):
 
 @kernel()
 def turn_of(x, y):
-    """When a pixel is asked: 0 where x and y are even, 1 where both are odd, 2 else."""
-    return 2 if (x + y) & 1 else x & 1
+    """When a pixel is asked: 0 where 4 divides x and y; the last two turns amid next neighbours, others two apart."""
+    if (x | y) & 1:
+        return 3 if x & y & 1 else 4
+    return 2 if (x + y) & 2 else (x & 2) // 2
 
 
 @kernel()
@@ -132,15 +164,16 @@ def between(points, m, a, b):
 def find_around(picture, part, around):
     """Fill ``around`` (m, 4): the neighbours that are asked before a point, first -1 where one is not of its surface.
 
-    They are the diagonal ones of a point of turn 1, and the others of turn 2.
+    They are the diagonal ones of a point of an odd turn, and those beside, above and below it of an even one.
     """
     rows, points, width = picture.rows, picture.points, picture.rows.shape[1]
     for m in range(part[0], part[1]):
         y, x = divmod(np.int64(points.pixels[m]), width)
         turn = turn_of(x, y)
-        dy = 1 if turn == 1 else 0
-        a, b = row_at(rows, y - dy, x - 1), row_at(rows, y + dy, x + 1)
-        c, d = row_at(rows, y - 1, x + dy), row_at(rows, y + 1, x - dy)
+        step = 2 if turn < 3 else 1
+        aside = step * (turn & 1)
+        a, b = row_at(rows, y - aside, x - step), row_at(rows, y + aside, x + step)
+        c, d = row_at(rows, y - step, x + aside), row_at(rows, y + step, x - aside)
         smooth = turn > 0 and between(points.points, m, a, b) and between(points.points, m, c, d)
         around[m, 0], around[m, 1], around[m, 2], around[m, 3] = a if smooth else -1, b, c, d
 
@@ -161,35 +194,49 @@ def cast_shadow_rays(surface, points, aimed, count, reached):
     find_unoccluded(surface, points, aimed.owners[:count], aimed.ways[:, :count], reached)
 
 
-@kernel(types.int64(PICTURE, LAMPS, PART, types.int64, AROUND, SEEN, AIMED))
-def aim_at_middles(picture, lamps, part, turn, around, seen, aimed):
-    """Aim a ray to each lobe's middle from UNKNOWN points of a ``part`` and a ``turn``; how many.
+@kernel(types.int64(PICTURE, PART, types.int64, AROUND, SEEN))
+def believe(picture, part, turn, around, seen):
+    """Have points of a ``part`` and a ``turn`` see what all ``around`` them do; how many pairs are UNKNOWN still."""
+    width, unknown = picture.rows.shape[1], 0
+    for m in range(part[0], part[1]):
+        y, x = divmod(np.int64(picture.points.pixels[m]), width)
+        if turn_of(x, y) != turn:
+            continue
+        for k in range(seen.shape[0]):
+            if seen[k, m] == UNKNOWN and turn > 0:
+                seen[k, m] = agreed(around, m, seen[k])
+            unknown += seen[k, m] == UNKNOWN
+    return unknown
 
-    Where the neighbours ``around`` a point agree they are believed; of none (0, 4) no neighbour is. There is room for
-    all lobes of all points.
-    """
-    points, width, count = seen.shape[1], picture.rows.shape[1], 0
+
+@kernel(types.void(PICTURE, LAMPS, PART, types.int64, SEEN, AIMED))
+def aim_at_middles(picture, lamps, part, turn, seen, aimed):
+    """Aim rays from UNKNOWN points of a ``part`` and a ``turn`` to the middles of what is above their horizon."""
+    points, width, count = picture.points, picture.rows.shape[1], 0
     for k in range(seen.shape[0]):
         for m in range(part[0], part[1]):
             if seen[k, m] != UNKNOWN:
                 continue
-            y, x = divmod(np.int64(picture.points.pixels[m]), width)
-            if turn_of(x, y) != turn:
-                continue
-            if around.shape[0] > 0:
-                seen[k, m] = agreed(around, m, seen[k])
-            if seen[k, m] == UNKNOWN:
-                aimed.owners[count], aimed.pairs[count] = m, k * points + m
-                put_column(aimed.ways, count, row(lamps.places, k))
+            y, x = divmod(np.int64(points.pixels[m]), width)
+            if turn_of(x, y) == turn:
+                below = max(radius(lamps, k) - cosine_of(points, lamps, k, m), 0.0)
+                aimed.owners[count], aimed.pairs[count] = m, k * seen.shape[1] + m
+                put_column(aimed.ways, count, madd(row(lamps.places, k), 0.5 * below, point_of(points.normals, m)))
                 count += 1
-    return count
+
+
+@kernel()
+def may_be_half(points, lamps, k, m, seen):
+    """Whether point ``m`` may see a part of lobe ``k`` that is worth more rays."""
+    known = seen[k, m] == DARK or seen[k, m] == LIT
+    return known and radius(lamps, k) > 0.0 and irradiance(points, lamps, k, m) > GRAZING
 
 
 @kernel(types.void(PICTURE, LAMPS, PART, SEEN, SEEN))
 def mark_edges(picture, lamps, part, seen, asked):
     """Set ``asked`` (lobes, m) for points of a ``part`` whose rim rays are to be cast.
 
-    These are LEVEL ones, those at edges of shadows, and those at edges of the surface, behind which such may begin.
+    These are at edges of shadows, and at edges of the surface, behind which such may begin.
     """
     points, rows, width = picture.points.points, picture.rows, picture.rows.shape[1]
     for m in range(part[0], part[1]):
@@ -197,16 +244,14 @@ def mark_edges(picture, lamps, part, seen, asked):
         a, b, c, d = row_at(rows, y, x - 1), row_at(rows, y, x + 1), row_at(rows, y - 1, x), row_at(rows, y + 1, x)
         smooth = between(points, m, a, b) and between(points, m, c, d)
         for k in range(seen.shape[0]):
-            own, other = seen[k, m], LIT + DARK - seen[k, m]
-            edge = own == LEVEL
-            if own == DARK or own == LIT:
-                edge = not smooth or seen[k, a] == other or seen[k, b] == other
-                edge = edge or seen[k, c] == other or seen[k, d] == other
-            asked[k, m] = edge and half_angle(lamps, k) > SHARP
+            other = LIT + DARK - seen[k, m]
+            edge = not smooth or seen[k, a] == other or seen[k, b] == other
+            edge = edge or seen[k, c] == other or seen[k, d] == other
+            asked[k, m] = edge and may_be_half(picture.points, lamps, k, m, seen)
 
 
-@kernel(types.int64(PICTURE, PAIRS, SEEN, SEEN, PAIRS))
-def spread_edges(picture, halves, seen, asked, more):
+@kernel(types.int64(PICTURE, LAMPS, PAIRS, SEEN, SEEN, PAIRS))
+def spread_edges(picture, lamps, halves, seen, asked, more):
     """Write to ``more`` the pairs about those in the half-shadow that are not asked yet, and mark them as ``asked``.
 
     Returns how many there are, 8 times the ``halves`` at most.
@@ -217,7 +262,7 @@ def spread_edges(picture, halves, seen, asked, more):
         y, x = divmod(np.int64(picture.points.pixels[m]), width)
         for i in range(9):
             n = row_at(picture.rows, y + i // 3 - 1, x + i % 3 - 1)
-            if n >= 0 and not asked[k, n] and (seen[k, n] == DARK or seen[k, n] == LIT):
+            if n >= 0 and not asked[k, n] and may_be_half(picture.points, lamps, k, n, seen):
                 asked[k, n] = 1
                 more[count] = k * points + n
                 count += 1
@@ -291,7 +336,6 @@ def light_points(picture, lamps, part, smooth, seen, lit):
     It is of points of a ``part``, of lobes that these have ``seen`` (lobes, m) whole; with edges of shadows that are
     made ``smooth``, where no rays to rims tell more. The variance is of half-shadows, see ``add_halves``.
     """
-    normals = picture.points.normals
     lit[part[0] : part[1]] = 0.0
     for k in range(seen.shape[0]):
         for m in range(part[0], part[1]):
@@ -299,8 +343,7 @@ def light_points(picture, lamps, part, smooth, seen, lit):
                 continue
             share = share_around(picture, m, seen[k]) if smooth else 1.0 if seen[k, m] == LIT else 0.0
             if share > 0.0:
-                cosine = max(dot(point_of(normals, m), row(lamps.places, k)), 0.0)
-                add_light(lit, m, row(lamps.colours, k), share * cosine, 0.0)
+                add_light(lit, m, row(lamps.colours, k), share * irradiance(picture.points, lamps, k, m), 0.0)
 
 
 @kernel(types.void(LAMPS, PAIRS, types.float64[:, ::1], types.float32[:, ::1]))
