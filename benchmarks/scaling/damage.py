@@ -1,6 +1,7 @@
 """Damaged chunks under a running server: all are noticed and baked again, and no pixel is ever wrong.
 
-    python -m benchmarks.scaling damage [SCENE.toml] [--damaged 200] [--views 8] [--seed 0] [--json]
+    python -m benchmarks.scaling damage [SCENE.toml] [--damaged 200] [--only "one bit flipped"]
+        [--views 8] [--seed 0] [--json]
 
 Views are baked. Then objects of their light are damaged, each in another way, while a server runs that has not read
 them yet, and all views are asked for until they are final again. Where the store has fewer objects than are to be
@@ -14,6 +15,7 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -67,12 +69,12 @@ def elsewhere(path: Path) -> Path:
     return next((each for each in others if each.is_file()), next(each for each in layer.glob("c/*/*/*/0")))
 
 
-def spoil(store: str, many: int, chance: random.Random) -> Counter[str]:
-    """Damage so many objects, at most all but one of them; how many in which way."""
+def spoil(store: str, many: int, ways: Sequence[str], chance: random.Random) -> Counter[str]:
+    """Damage so many objects in these ways, at most all but one of them; how many in which way."""
     keys = sorted(light_in(store))
     chosen = chance.sample(keys, min(many, len(keys) - 1))
     whole = sorted(set(keys) - set(chosen))
-    kinds = [list(DAMAGES)[number % len(DAMAGES)] for number in range(len(chosen))]
+    kinds = [ways[number % len(ways)] for number in range(len(chosen))]
     for key, kind in zip(chosen, kinds, strict=True):
         DAMAGES[kind](Path(store, key), Path(store, chance.choice(whole)), chance)
     return Counter(kinds)
@@ -127,11 +129,13 @@ def settle(server: Served) -> None:
         time.sleep(0.1)
 
 
-def round_of(scene: str, store: str, many: int, expected: Sequence[np.ndarray], chance: random.Random) -> Counter[str]:
-    """Damage so many objects under a server, and look at all views until they are final again."""
+def round_of(
+    scene: str, store: str, damage: Callable[[str], Counter[str]], expected: Sequence[np.ndarray]
+) -> Counter[str]:
+    """Damage objects of a store under a server, and look at all views until they are final again."""
     with serving(scene, store, WORKERS) as server:
         found: Counter[str] = Counter()
-        kinds = spoil(store, many, chance)
+        kinds = damage(store)
         for number, planes in enumerate(expected):
             see(server, number, found, planes)
         settle(server)
@@ -146,7 +150,7 @@ def round_of(scene: str, store: str, many: int, expected: Sequence[np.ndarray], 
     return found
 
 
-def measure(scene: str, store: str, damaged: int, views: int, seed: int) -> Figures:
+def measure(scene: str, store: str, damaged: int, ways: Sequence[str], views: int, seed: int) -> Figures:
     """Bake, damage and heal."""
     chance, found = random.Random(seed), Counter[str]()
     with serving(scene, store, WORKERS) as server:
@@ -154,7 +158,8 @@ def measure(scene: str, store: str, damaged: int, views: int, seed: int) -> Figu
     whole = light_in(store)
     differ = 0
     while found["damaged"] < damaged:
-        found += round_of(scene, store, damaged - found["damaged"], expected, chance)
+        spoiled = partial(spoil, many=damaged - found["damaged"], ways=ways, chance=chance)
+        found += round_of(scene, store, spoiled, expected)
         differ += sum(light_in(store).get(key) != value for key, value in whole.items())
     names = ("damaged", "told as damaged", "not to be noticed: deleted", "healed by workers", "failed tasks")
     seen = ("answers", "answers 5xx", "final pixels", "of fewer paths for a while", "wrong pixels")
@@ -169,11 +174,13 @@ def measure(scene: str, store: str, damaged: int, views: int, seed: int) -> Figu
 @part()
 @click.argument("target", required=False)
 @click.option("--damaged", default=200, show_default=True, help="Objects that are damaged.")
+@click.option("--only", type=click.Choice(list(DAMAGES)), help="Damage them in this way alone.")
 @click.option("--views", default=8, show_default=True, help="Views that are looked at.")
 @click.option("--seed", default=0, show_default=True, help="Decides which, and how.")
-def damage(target: str | None, damaged: int, views: int, seed: int) -> Measurement:
+def damage(target: str | None, damaged: int, only: str | None, views: int, seed: int) -> Measurement:
     """Damaged chunks under a running server: all are noticed and baked again."""
     with tempfile.TemporaryDirectory() as folder:
         scene = target or small_scene(Path(folder))
-        found = measure(scene, f"{folder}/light", damaged, views, seed)
-    return Measurement(f"{Path(scene).stem}, {damaged} damaged objects", found)
+        found = measure(scene, f"{folder}/light", damaged, [only] if only else list(DAMAGES), views, seed)
+    variant = only.replace(" ", "-") if only else ""
+    return Measurement(f"{Path(scene).stem}, {damaged} damaged objects", found, variant=variant)
