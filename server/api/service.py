@@ -75,6 +75,9 @@ STREAM, ADDRESS, PATIENT = 1.0, 4.0, 0.25
 DRAFTS = 2
 """Threads for drafts alone, so that none waits for a full picture to end."""
 
+ASKING = 2
+"""Threads that ask for light alone: they wait for each other at the queue of bakes, where no picture shall wait."""
+
 COMPILING = "What draws {shading} pictures is being compiled, once on this machine: ask again in a while."
 
 PREVIEW = "lambert"
@@ -104,6 +107,7 @@ class Service:
         self.jobs = Jobs(settings.jobs)
         self.renders = Renders(settings.render_threads)
         self.drafts = Renders(DRAFTS)
+        self._asking = Renders(ASKING)
         self.uploads = Uploads(engine, settings)
         self._requests = AdmissionLimit(settings.render_threads + settings.render_queue, "frames wait")
         self._refining = 0
@@ -136,6 +140,7 @@ class Service:
             await self._compiling
         self.renders.close()
         self.drafts.close()
+        self._asking.close()
         self.uploads.close()
         await asyncio.to_thread(self.engine.close)
 
@@ -238,21 +243,22 @@ class Service:
         watch, since = watch or Stopwatch(), self._newest(picture)
         frame = await self.frame_or_preview(picture, rank, watch)
 
-        def request() -> Shown:
-            with watch.stage("demand"):
-                coming, left = self.request_light(picture, frame, viewer)
-            return Shown(frame, left, watch, coming, since)
+        with watch.stage("demand"):
+            coming, left = await self.request_light(picture, frame, viewer)
+        return Shown(frame, left, watch, coming, since)
 
-        return await self.renders.run(request, rank.begun)
-
-    def request_light(
+    async def request_light(
         self, picture: PictureRequest, frame: Frame, viewer: Viewer
     ) -> tuple[frozenset[Index], TimeLeft | None]:
-        """Request the light that a frame lacks; the chunks that are coming, and the time until all are. Blocks."""
+        """Request the light that a frame lacks; the chunks that are coming, and the time until all are."""
         if not viewer.bakes:
             return frozenset(), None
-        coming = self.engine.want(picture.scene, frame, picture.target, viewer)
-        return coming, self.engine.time_left(picture.scene, frame, picture.target)
+
+        def request() -> tuple[frozenset[Index], TimeLeft | None]:
+            coming = self.engine.want(picture.scene, frame, picture.target, viewer)
+            return coming, self.engine.time_left(picture.scene, frame, picture.target)
+
+        return await self._asking.run(request, Rank.within(DRAFT))
 
     async def frame(self, picture: PictureRequest, rank: Rank, watch: Stopwatch) -> Frame:
         """The frame of a picture, drawn once for all requests that come meanwhile; no light is requested for it.

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import json
 from contextlib import aclosing, suppress
-from functools import partial
 from http import HTTPStatus
 from typing import Annotated, Any, NoReturn
 
@@ -247,8 +246,7 @@ class Session:
         now = asyncio.get_running_loop().time()
         if now - self._wanted >= WANT_EVERY:
             self._wanted = now
-            work = partial(self._service.request_light, small, frame, self._viewer)
-            await self._service.drafts.run(work, rank)
+            await self._service.request_light(small, frame, self._viewer)
 
     async def _rest(self, request: ViewRequest, params: FrameParams, picture: PictureRequest, form: str) -> None:
         """The full picture of a view at rest, and each better one, until it is final."""
