@@ -310,6 +310,23 @@ def test_a_frame_is_drawn_again_once_all_its_light_is_there(engine: FakeEngine, 
     assert 100.0 < bake_ms < 5000.0
 
 
+def test_pictures_are_drawn_while_asking_for_light_takes_long(engine: FakeEngine, app: FastAPI) -> None:
+    """The queue of bakes may be busy for as many requests as there are threads that render."""
+    drawn = threading.Event()
+
+    def want(scene: str, frame: Frame, target: float, viewer: Viewer) -> frozenset[Index]:
+        assert wait_for(drawn.is_set)
+        return frozenset()
+
+    def work(_: threading.Event) -> None:
+        if len(engine.views) == 8:
+            drawn.set()
+
+    engine.want, engine.doing = want, work  # type: ignore[method-assign]
+    answers = started(app, *({"azimuth": azimuth} for azimuth in range(8)))
+    assert [answer.status_code for answer in answers] == [200] * 8
+
+
 async def leave(app: FastAPI, begun: threading.Event, wait_ms: int = 0) -> None:
     """Ask for a frame and disconnect once its work has begun."""
     await app.state.service.start()
