@@ -1,11 +1,11 @@
 """Damaged chunks under a running server: all are noticed and baked again, and no pixel is ever wrong.
 
-    python -m benchmarks.scaling damage [SCENE.toml] [--damaged 200] [--only "one bit flipped"]
-        [--views 8] [--seed 0] [--json]
+    python -m benchmarks.scaling damage [SCENE.toml] [--damaged 200] [--flips 10000] [--views 8] [--seed 0] [--json]
 
 Views are baked. Then objects of their light are damaged, each in another way, while a server runs that has not read
 them yet, and all views are asked for until they are final again. Where the store has fewer objects than are to be
-damaged, that is done again with another server.
+damaged, that is done again with another server. Before that, single bits of single objects are flipped, each object is
+read as servers and workers read it, and has its bytes back.
 """
 
 import io
@@ -27,6 +27,8 @@ from benchmarks.common.serving import Served, serving
 from benchmarks.common.suite import part
 from benchmarks.scaling.visiting import small_scene, view
 from benchmarks.scaling.watching import light_in
+from isogi_core.cache.upkeep.census import census_of, samples_in
+from isogi_core.storage.store import Store
 
 WORKERS = 2
 HUGE = 16 << 20
@@ -69,12 +71,26 @@ def elsewhere(path: Path) -> Path:
     return next((each for each in others if each.is_file()), next(each for each in layer.glob("c/*/*/*/0")))
 
 
-def spoil(store: str, many: int, ways: Sequence[str], chance: random.Random) -> Counter[str]:
-    """Damage so many objects in these ways, at most all but one of them; how many in which way."""
+def missed(store: str, flips: int, chance: random.Random) -> int:
+    """Flip so many bits, one at a time, of one object each; how many of these a reader does not notice."""
+    root, unnoticed = Store(store, make=False), 0
+    counts = census_of(root, texels=False).counts.values()
+    chunks = [(count, index, each.key) for count in counts for index, each in sorted(count.files.chunks.items())]
+    for _ in range(flips):
+        count, index, key = chance.choice(chunks)
+        whole = Path(store, key).read_bytes()
+        flipped(Path(store, key), Path(store, key), chance)
+        unnoticed += samples_in(root, count, index) is not None
+        Path(store, key).write_bytes(whole)
+    return unnoticed
+
+
+def spoil(store: str, many: int, chance: random.Random) -> Counter[str]:
+    """Damage so many objects, at most all but one of them; how many in which way."""
     keys = sorted(light_in(store))
     chosen = chance.sample(keys, min(many, len(keys) - 1))
     whole = sorted(set(keys) - set(chosen))
-    kinds = [ways[number % len(ways)] for number in range(len(chosen))]
+    kinds = [list(DAMAGES)[number % len(DAMAGES)] for number in range(len(chosen))]
     for key, kind in zip(chosen, kinds, strict=True):
         DAMAGES[kind](Path(store, key), Path(store, chance.choice(whole)), chance)
     return Counter(kinds)
@@ -150,21 +166,23 @@ def round_of(
     return found
 
 
-def measure(scene: str, store: str, damaged: int, ways: Sequence[str], views: int, seed: int) -> Figures:
+def measure(scene: str, store: str, damaged: int, flips: int, views: int, seed: int) -> Figures:
     """Bake, damage and heal."""
     chance, found = random.Random(seed), Counter[str]()
     with serving(scene, store, WORKERS) as server:
         expected = bake(server, views)
     whole = light_in(store)
-    differ = 0
+    unnoticed, differ = missed(store, flips, chance), 0
     while found["damaged"] < damaged:
-        spoiled = partial(spoil, many=damaged - found["damaged"], ways=ways, chance=chance)
+        spoiled = partial(spoil, many=damaged - found["damaged"], chance=chance)
         found += round_of(scene, store, spoiled, expected)
         differ += sum(light_in(store).get(key) != value for key, value in whole.items())
     names = ("damaged", "told as damaged", "not to be noticed: deleted", "healed by workers", "failed tasks")
     seen = ("answers", "answers 5xx", "final pixels", "of fewer paths for a while", "wrong pixels")
     return {
         "objects": len(whole),
+        "bits flipped, one at a time": flips,
+        "not noticed by a reader": unnoticed,
         **{name: found[name] for name in (*names, *seen)},
         "pictures that differ in the end": found["pictures that differ in the end"],
         "objects with other bytes in the end": differ,
@@ -174,13 +192,12 @@ def measure(scene: str, store: str, damaged: int, ways: Sequence[str], views: in
 @part()
 @click.argument("target", required=False)
 @click.option("--damaged", default=200, show_default=True, help="Objects that are damaged.")
-@click.option("--only", type=click.Choice(list(DAMAGES)), help="Damage them in this way alone.")
+@click.option("--flips", default=10_000, show_default=True, help="Bits that are flipped before, one at a time.")
 @click.option("--views", default=8, show_default=True, help="Views that are looked at.")
 @click.option("--seed", default=0, show_default=True, help="Decides which, and how.")
-def damage(target: str | None, damaged: int, only: str | None, views: int, seed: int) -> Measurement:
+def damage(target: str | None, damaged: int, flips: int, views: int, seed: int) -> Measurement:
     """Damaged chunks under a running server: all are noticed and baked again."""
     with tempfile.TemporaryDirectory() as folder:
         scene = target or small_scene(Path(folder))
-        found = measure(scene, f"{folder}/light", damaged, [only] if only else list(DAMAGES), views, seed)
-    variant = only.replace(" ", "-") if only else ""
-    return Measurement(f"{Path(scene).stem}, {damaged} damaged objects", found, variant=variant)
+        found = measure(scene, f"{folder}/light", damaged, flips, views, seed)
+    return Measurement(f"{Path(scene).stem}, {damaged} damaged objects", found)

@@ -23,8 +23,9 @@ CONFIG = """
 """
 """What is not generated: a scene that there is, and parameters that would have a machine render for hours."""
 
-ENDLESS = "/events$"
-"""Answers that do not end by themselves."""
+LEFT_OUT = "/events$|^/v1/volumes$"
+"""Answers that do not end by themselves, and uploads, each of which has a process of its own read it: the part
+``malformed`` sends those."""
 
 
 def generated(served: Served, folder: Path, requests: int) -> tuple[Counter[int], str]:
@@ -37,9 +38,9 @@ def generated(served: Served, folder: Path, requests: int) -> tuple[Counter[int]
         return Counter(), f"{PROGRAM} is not installed"
     (folder / "schemathesis.toml").write_text(CONFIG.format(scene=served.path.rpartition("/")[2]), encoding="utf-8")
     document = served.client.get("/openapi.json").json()
-    operations = sum(len(methods) for path, methods in document["paths"].items() if not re.search(ENDLESS, path))
+    operations = sum(len(methods) for path, methods in document["paths"].items() if not re.search(LEFT_OUT, path))
     command = [program, "run", f"{served.url}/openapi.json", "--max-examples", str(-(-requests // operations))]
-    command += ["--checks", "not_a_server_error", "--phases", "coverage,fuzzing", "--exclude-path-regex", ENDLESS]
+    command += ["--checks", "not_a_server_error", "--phases", "coverage,fuzzing", "--exclude-path-regex", LEFT_OUT]
     command += ["--suppress-health-check", "all", "--request-timeout", "30", "--seed", "1", "--no-shrink"]
     before = answered(served)
     subprocess.run([*command, "--continue-on-failure"], cwd=folder, stdout=subprocess.DEVNULL, check=False)

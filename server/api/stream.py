@@ -153,7 +153,7 @@ class Session:
         self._metrics: Metrics = socket.app.state.metrics
         self._viewer = stream_viewer(socket)
         self._inbox = Inbox(socket, service.settings)
-        self._drafts, self._window, self._motion = Drafts(service.drafts.crowded), Window(), Motion()
+        self._drafts, self._window, self._motion = Drafts(service.threads.drafts.crowded), Window(), Motion()
         self._sending = asyncio.Lock()
         self._newest: tuple[ViewRequest, FrameParams] | None = None
         self._changed = asyncio.Event()
@@ -264,8 +264,7 @@ class Session:
                 picture = encode(shown.frame, form, exposure, params)
             return answer(request.id, shown, form, request.moving), picture
 
-        renders = self._service.drafts if request.moving else self._service.renders
-        facts, picture = await renders.run(made, rank)
+        facts, picture = await self._service.threads.of(shown.frame.view).run(made, rank)
         self._window.sent(request.id)
         self._metrics.count_picture("draft" if request.moving else "stream", not shown.frame.final, shown.watch.seconds)
         if self._shows is not None:
