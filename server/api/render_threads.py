@@ -17,8 +17,9 @@ class RenderThreads:
     """Threads for each kind of work, so that none of them waits for another kind."""
 
     def __init__(self, pictures: int) -> None:
-        """So many for ``pictures`` that are neither drafts nor large."""
-        self.pictures, self.drafts = Renders(pictures), Renders(DRAFTS)
+        """So many for ``pictures`` that are neither drafts nor large; one of them while drafts wait for their turn."""
+        self.drafts = Renders(DRAFTS, even=True)  # drafts are sized to take about as long
+        self.pictures = Renders(pictures, lambda: self.drafts.crowded)
         self.large, self.asking = Renders(1), Renders(ASKING)
 
     def of(self, view: View) -> Renders:
