@@ -133,7 +133,7 @@ def compare(planes: np.ndarray, expected: np.ndarray, seen: Counter[str]) -> Non
     A texel that lost one of its layers has reached its error when that has caught up in part, and the pixel may be
     final with fewer paths than before: another number, as good as it is told to be. What is told is a standard error,
     which every third number exceeds; one that is off by more than SURELY times as much is wrong.
-    So are pixels of a picture that is still to be checked, whose texels are final: without any damage there are as many.
+    So are pixels of pictures that are still to be checked, whose texels are final: without damage there are as many.
     """
     sure = planes[..., 4] == 3
     off = np.abs(planes[sure][:, :3] - expected[sure][:, :3]).max(axis=1)
