@@ -172,8 +172,8 @@ class BakeRequest:
 
     @property
     def target(self) -> float:
-        """The strictest target."""
-        return self._merge().target
+        """The strictest target: known without merging the texels, which frames that ask for the time left need not."""
+        return min((interest.target for interest in self.interests.values()), default=self._merged.target)
 
     @property
     def least_priority(self) -> float | None:

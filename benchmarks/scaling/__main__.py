@@ -2,6 +2,7 @@
 
 from benchmarks.common.suite import suite
 from benchmarks.scaling.cluster import cluster
+from benchmarks.scaling.compose import compose
 from benchmarks.scaling.damage import damage
 from benchmarks.scaling.kills import kills
 from benchmarks.scaling.kinds import kinds
@@ -22,6 +23,7 @@ main = suite(
     together,
     kills,
     damage,
+    compose,
 )
 
 if __name__ == "__main__":

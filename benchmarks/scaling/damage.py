@@ -1,10 +1,11 @@
 """Damaged chunks under a running server: all are noticed and baked again, and no pixel is ever wrong.
 
-    python -m benchmarks.scaling damage [SCENE.toml] [--damaged 200] [--views 8] [--seed 0] [--json]
+    python -m benchmarks.scaling damage [SCENE.toml] [--damaged 200] [--flips 10000] [--views 8] [--seed 0] [--json]
 
 Views are baked. Then objects of their light are damaged, each in another way, while a server runs that has not read
 them yet, and all views are asked for until they are final again. Where the store has fewer objects than are to be
-damaged, that is done again with another server.
+damaged, that is done again with another server. Before that, single bits of single objects are flipped, each object is
+read as servers and workers read it, and has its bytes back.
 """
 
 import io
@@ -14,6 +15,7 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,10 +27,15 @@ from benchmarks.common.serving import Served, serving
 from benchmarks.common.suite import part
 from benchmarks.scaling.visiting import small_scene, view
 from benchmarks.scaling.watching import light_in
+from isogi_core.cache.upkeep.census import census_of, samples_in
+from isogi_core.storage.store import Store
 
 WORKERS = 2
 HUGE = 16 << 20
 """Bytes that an object grows by which is made huge."""
+
+SURELY = 4.0
+"""Standard errors that nothing exceeds by chance, of some ten thousand pixels."""
 
 SETTLED = 120.0
 """Seconds within which nothing is baked any more, once all views are final."""
@@ -65,6 +72,20 @@ def elsewhere(path: Path) -> Path:
     layer = path.parents[4]
     others = [each / path.relative_to(layer) for each in layer.parent.iterdir() if each not in (layer, path)]
     return next((each for each in others if each.is_file()), next(each for each in layer.glob("c/*/*/*/0")))
+
+
+def missed(store: str, flips: int, chance: random.Random) -> int:
+    """Flip so many bits, one at a time, of one object each; how many of these a reader does not notice."""
+    root, unnoticed = Store(store, make=False), 0
+    counts = census_of(root, texels=False).counts.values()
+    chunks = [(count, index, each.key) for count in counts for index, each in sorted(count.files.chunks.items())]
+    for _ in range(flips):
+        count, index, key = chance.choice(chunks)
+        whole = Path(store, key).read_bytes()
+        flipped(Path(store, key), Path(store, key), chance)
+        unnoticed += samples_in(root, count, index) is not None
+        Path(store, key).write_bytes(whole)
+    return unnoticed
 
 
 def spoil(store: str, many: int, chance: random.Random) -> Counter[str]:
@@ -110,14 +131,17 @@ def compare(planes: np.ndarray, expected: np.ndarray, seen: Counter[str]) -> Non
     """Count the final pixels of a picture, and those of them that are not as expected.
 
     A texel that lost one of its layers has reached its error when that has caught up in part, and the pixel may be
-    final with fewer paths than before: another number, as good as it is told to be. One that is off by more is wrong.
+    final with fewer paths than before: another number, as good as it is told to be. What is told is a standard error,
+    which every third number exceeds; one that is off by more than SURELY times as much is wrong.
+    So are pixels of pictures that are still to be checked, whose texels are final: without damage there are as many.
     """
     sure = planes[..., 4] == 3
     off = np.abs(planes[sure][:, :3] - expected[sure][:, :3]).max(axis=1)
     told = planes[sure][:, 5] * expected[sure][:, :3].max(axis=1)
     seen["final pixels"] += int(sure.sum())
     seen["of fewer paths for a while"] += int((off > 0.0).sum())
-    seen["wrong pixels"] += int((off > told).sum())
+    seen["of these beyond the error told"] += int((off > told).sum())
+    seen["wrong pixels"] += int((off > SURELY * told).sum())
 
 
 def settle(server: Served) -> None:
@@ -127,11 +151,13 @@ def settle(server: Served) -> None:
         time.sleep(0.1)
 
 
-def round_of(scene: str, store: str, many: int, expected: Sequence[np.ndarray], chance: random.Random) -> Counter[str]:
-    """Damage so many objects under a server, and look at all views until they are final again."""
+def round_of(
+    scene: str, store: str, damage: Callable[[str], Counter[str]], expected: Sequence[np.ndarray]
+) -> Counter[str]:
+    """Damage objects of a store under a server, and look at all views until they are final again."""
     with serving(scene, store, WORKERS) as server:
         found: Counter[str] = Counter()
-        kinds = spoil(store, many, chance)
+        kinds = damage(store)
         for number, planes in enumerate(expected):
             see(server, number, found, planes)
         settle(server)
@@ -146,20 +172,24 @@ def round_of(scene: str, store: str, many: int, expected: Sequence[np.ndarray], 
     return found
 
 
-def measure(scene: str, store: str, damaged: int, views: int, seed: int) -> Figures:
+def measure(scene: str, store: str, damaged: int, flips: int, views: int, seed: int) -> Figures:
     """Bake, damage and heal."""
     chance, found = random.Random(seed), Counter[str]()
     with serving(scene, store, WORKERS) as server:
         expected = bake(server, views)
     whole = light_in(store)
-    differ = 0
+    unnoticed, differ = missed(store, flips, chance), 0
     while found["damaged"] < damaged:
-        found += round_of(scene, store, damaged - found["damaged"], expected, chance)
+        spoiled = partial(spoil, many=damaged - found["damaged"], chance=chance)
+        found += round_of(scene, store, spoiled, expected)
         differ += sum(light_in(store).get(key) != value for key, value in whole.items())
     names = ("damaged", "told as damaged", "not to be noticed: deleted", "healed by workers", "failed tasks")
-    seen = ("answers", "answers 5xx", "final pixels", "of fewer paths for a while", "wrong pixels")
+    pixels = ("final pixels", "of fewer paths for a while", "of these beyond the error told", "wrong pixels")
+    seen = ("answers", "answers 5xx", *pixels)
     return {
         "objects": len(whole),
+        "bits flipped, one at a time": flips,
+        "not noticed by a reader": unnoticed,
         **{name: found[name] for name in (*names, *seen)},
         "pictures that differ in the end": found["pictures that differ in the end"],
         "objects with other bytes in the end": differ,
@@ -169,11 +199,12 @@ def measure(scene: str, store: str, damaged: int, views: int, seed: int) -> Figu
 @part()
 @click.argument("target", required=False)
 @click.option("--damaged", default=200, show_default=True, help="Objects that are damaged.")
+@click.option("--flips", default=10_000, show_default=True, help="Bits that are flipped before, one at a time.")
 @click.option("--views", default=8, show_default=True, help="Views that are looked at.")
 @click.option("--seed", default=0, show_default=True, help="Decides which, and how.")
-def damage(target: str | None, damaged: int, views: int, seed: int) -> Measurement:
+def damage(target: str | None, damaged: int, flips: int, views: int, seed: int) -> Measurement:
     """Damaged chunks under a running server: all are noticed and baked again."""
     with tempfile.TemporaryDirectory() as folder:
         scene = target or small_scene(Path(folder))
-        found = measure(scene, f"{folder}/light", damaged, views, seed)
+        found = measure(scene, f"{folder}/light", damaged, flips, views, seed)
     return Measurement(f"{Path(scene).stem}, {damaged} damaged objects", found)

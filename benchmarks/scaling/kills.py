@@ -1,10 +1,11 @@
-"""Killing workers, servers or prewarms while they bake: nothing kept is lost or torn, and the light is the same.
+"""Killing workers, servers, schedulers or prewarms while they bake: nothing kept is lost or torn, or other light.
 
-    python -m benchmarks.scaling kills [SCENE.toml] [--victim worker|server|prewarm] [--cycles 100] [--seed 0]
+    python -m benchmarks.scaling kills [SCENE.toml] [--victim worker|server|scheduler|prewarm] [--cycles 100] [--seed 0]
 
 A visitor looks at one view after the other while a process is killed at a random time, again and again; somebody else
 reads every object of the store all the time. Then the same views are baked undisturbed, and all bytes are compared.
 A prewarm that was killed is gone on with by the next; where one came to its end, the next is of another isovalue.
+A scheduler is started again at its address, and so are its workers, which end when it is gone.
 """
 
 import os
@@ -26,12 +27,13 @@ from benchmarks.common.serving import Served, serving
 from benchmarks.common.suite import part
 from benchmarks.scaling.visiting import Visitor, small_scene, view
 from benchmarks.scaling.watching import Watcher, light_in
+from tests.cluster.processes import OWN, Cluster, Started, named
 
 WORKERS = 2
 SOON = 5.0
 """Seconds after which nothing may be left of what was killed."""
 
-LATEST = {"worker": 0.5, "server": 2.0, "prewarm": 1.0}
+LATEST = {"worker": 0.5, "server": 2.0, "scheduler": 1.0, "prewarm": 1.0}
 """Seconds after which the next is killed at the latest, once light has come."""
 
 PATIENCE = 120.0
@@ -53,9 +55,9 @@ class Killer:
         self._chance = random.Random(seed)
         self._mark = uuid4().hex
 
-    def serving(self) -> AbstractContextManager[Served]:
+    def serving(self, *options: str) -> AbstractContextManager[Served]:
         """The server, whose processes can be told by a mark in their environment."""
-        return serving(self.scene, self.store, WORKERS, environment={MARK: self._mark})
+        return serving(self.scene, self.store, WORKERS, *options, environment={MARK: self._mark})
 
     def workers(self, server: Served, watcher: Watcher, cycles: int) -> None:
         """Kill one worker after the other."""
@@ -74,6 +76,15 @@ class Killer:
             begun = time.perf_counter()
             server.client.get(f"{server.path}/frame", params=view(0)).raise_for_status()
             self.restarts.append(server.ready_after + time.perf_counter() - begun)
+
+    def schedulers(self, joined: "Joined", watcher: Watcher, cycles: int) -> None:
+        """Kill one scheduler after the other, and start it again, and its workers once they have ended."""
+        for _ in range(cycles):
+            self._wait(watcher, "scheduler", lambda: False)
+            self._kill(psutil.Process(joined.first.pid))
+            gone = [psutil.Process(each.pid) for each in joined.workers]
+            self.orphans += len(psutil.wait_procs(gone, timeout=SOON)[1])
+            joined.begin()
 
     def prewarms(self, watcher: Watcher, cycles: int) -> None:
         """Kill one prewarm after the other, and have the next go on; the last comes to its end."""
@@ -110,6 +121,22 @@ class Killer:
         process.kill()
         self.kills += 1
         self.orphans += len(psutil.wait_procs(family, timeout=SOON)[1])
+
+
+class Joined(Cluster):
+    """A scheduler, ``first``, and workers that join it."""
+
+    first: Started
+    workers: list[Started]
+
+    def begin(self) -> None:
+        """Start them all."""
+        self.first, self.workers = self.scheduler(), [self.worker() for _ in range(WORKERS)]
+
+    @property
+    def options(self) -> tuple[str, ...]:
+        """Those of a server that joins the scheduler too."""
+        return "--scheduler", self.address, *named(OWN, self.certificates)
 
 
 def workers_of(server: Served) -> list[psutil.Process]:
@@ -179,11 +206,16 @@ def prewarmed(killer: Killer, watcher: Watcher, cycles: int) -> tuple[Figures, R
 
 
 def visited(killer: Killer, watcher: Watcher, victim: str, cycles: int) -> tuple[Figures, Repeat]:
-    """Kill servers, or the workers of one, while somebody looks."""
+    """Kill servers, or the workers or schedulers of one, while somebody looks."""
     with ExitStack() as stack:
-        server = stack.enter_context(killer.serving())
+        joined = stack.enter_context(Joined())
+        if victim == "scheduler":
+            joined.begin()
+        server = stack.enter_context(killer.serving(*joined.options) if victim == "scheduler" else killer.serving())
         visitor = stack.enter_context(Visitor(f"{server.url}{server.path}"))
-        if victim == "worker":
+        if victim == "scheduler":
+            killer.schedulers(joined, watcher, cycles)
+        elif victim == "worker":
             killer.workers(server, watcher, cycles)
         else:
             killer.servers(stack, server, visitor, watcher, cycles)
@@ -215,7 +247,7 @@ def compared(folder: str, repeat: Repeat) -> Figures:
 @click.option("--cycles", default=100, show_default=True, help="Kills.")
 @click.option("--seed", default=0, show_default=True, help="Decides when, and whom.")
 def kills(target: str | None, victim: str, cycles: int, seed: int) -> Measurement:
-    """Workers, servers or prewarms killed while they bake: what is lost, torn or other than undisturbed."""
+    """Workers, servers, schedulers or prewarms killed while they bake: what is lost, torn, other than undisturbed."""
     with tempfile.TemporaryDirectory() as folder:
         scene = target or small_scene(Path(folder))
         found, repeat = disturbed(scene, f"{folder}/light", victim, cycles, seed)

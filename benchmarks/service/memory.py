@@ -1,17 +1,19 @@
 """Memory of one server that is asked for much: small uploads, all of them looked at, and views that all differ.
 
-    python -m benchmarks.service memory [--uploads 10000] [--uploads-mb 64] [--views 3000] [--memory-mb 1024] [--json]
+    python -m benchmarks.service memory [--uploads 10000] [--uploads-mb 64] [--requests 10000] [--views 3000]
+        [--memory-mb 1024] [--json]
 
 Volumes of eight voxels are sent, each another one, far more than the quota takes. The server is started again, and
-every volume that it kept is looked at; so are views of its own scene, none like another. Tells what was answered, and
-the server's memory (RSS) each time.
+every volume that it kept is looked at. Then come requests that Schemathesis makes of the API's own document (none where
+it is not installed), those of a list that means harm, and views of the server's own scene, none like another. Tells
+what was answered, and the server's memory (RSS) each time.
 """
 
 import random
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -20,6 +22,7 @@ import click
 from benchmarks.common.measurement import Figures, Measurement
 from benchmarks.common.serving import Served, serving
 from benchmarks.common.suite import part
+from benchmarks.service.hostile import generated, hostile
 
 HEADER = b"NRRD0004\ntype: uint16\ndimension: 3\nsizes: 2 2 2\nencoding: raw\nendian: little\nspacings: 1 1 1\n\n"
 SIDE = 96
@@ -73,20 +76,23 @@ def told(what: str, statuses: Counter[int], served: Served) -> Figures:
     return {**counts, f"{what}: server, MiB": served.footprint()["server, MiB"]}
 
 
-def measure(target: str, folder: str, uploads: int, views: int, memory_mb: int, uploads_mb: int) -> Figures:
-    """All of it, with one server and then another."""
-    quota = {"ISOGI_UPLOADS": f"{folder}/volumes", "ISOGI_UPLOADS_MB": str(uploads_mb)}
-    at = f"{folder}/light", 1, "--memory-mb", str(memory_mb)
-    with serving(target, *at, environment=quota) as served:
+def measure(target: str, folder: Path, uploads: int, requests: int, views: int, options: Sequence[str]) -> Figures:
+    """All of it, with one server and then another. ``options`` are the servers'."""
+    quota = {"ISOGI_UPLOADS": f"{folder}/volumes"}
+    with serving(target, f"{folder}/light", 1, *options, environment=quota) as served:
         found = dict(told("before", Counter(), served))
         begun = time.perf_counter()
         found |= told("uploads", sent(served, uploads), served)
         found["uploads: s"] = time.perf_counter() - begun
-    kept = len(list(Path(folder, "volumes").glob("*.nrrd")))
-    with serving(target, *at, environment=quota) as served:
+    kept = len(list((folder / "volumes").glob("*.nrrd")))
+    with serving(target, f"{folder}/light", 1, *options, environment=quota) as served:
         found |= {"kept": kept, "restart: ready after, s": served.ready_after}
         found |= told("restart", Counter(), served)
         found |= told("volumes looked at", looked(served), served)
+        counts, lacking = generated(served, folder, requests)
+        found |= {"Schemathesis": lacking or "ran"}
+        found |= told("Schemathesis", counts, served)
+        found |= told("hostile requests", hostile(served, folder), served)
         found |= told("half of the views", viewed(served, range(views // 2)), served)
         found |= told("all views", viewed(served, range(views // 2, views)), served)
     drift = float(found["all views: server, MiB"]) / float(found["half of the views: server, MiB"]) - 1.0
@@ -97,10 +103,12 @@ def measure(target: str, folder: str, uploads: int, views: int, memory_mb: int, 
 @click.argument("target", default="demo:orbital")
 @click.option("--uploads", default=10_000, show_default=True, help="Volumes to send.")
 @click.option("--uploads-mb", default=64, show_default=True, help="Megabytes that they may take.")
+@click.option("--requests", default=10_000, show_default=True, help="Requests that Schemathesis makes, at least.")
 @click.option("--views", default=3000, show_default=True, help="Views, none like another.")
 @click.option("--memory-mb", default=1024, show_default=True, help="Megabytes that scenes keep in memory.")
-def memory(target: str, uploads: int, uploads_mb: int, views: int, memory_mb: int) -> Measurement:
-    """What a server takes that is sent many small volumes, and asked for many views."""
+def memory(target: str, uploads: int, uploads_mb: int, requests: int, views: int, memory_mb: int) -> Measurement:
+    """What a server takes that is sent many small volumes and hostile requests, and asked for many views."""
+    options = "--memory-mb", str(memory_mb), "--uploads-mb", str(uploads_mb)
     with tempfile.TemporaryDirectory() as folder:
-        found = measure(target, folder, uploads, views, memory_mb, uploads_mb)
+        found = measure(target, Path(folder), uploads, requests, views, options)
     return Measurement(f"Memory at --memory-mb {memory_mb}, --uploads-mb {uploads_mb}", found)

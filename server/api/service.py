@@ -22,12 +22,13 @@ from isogi_core.kernels.shading.framebuffer import PROVISIONAL
 from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import Index
+from server.api.render_threads import RenderThreads
 from server.bearers import Bearer, bearer_of
 from server.errors import BusyError, ForbiddenError, StartingError, UnknownJobError, UnknownSceneError
 from server.parameters import ViewParams, view_of
 from server.render.engine import RenderEngine
 from server.render.jobs import Job, Jobs
-from server.render.scheduling import ASKED, DRAFT, REFINED, REST, AdmissionLimit, Rank, Renders
+from server.render.scheduling import ASKED, DRAFT, REFINED, REST, AdmissionLimit, Rank
 from server.render.updates import Pending, UpdateBus, attended, request_viewer
 from server.settings import Settings
 from server.uploads.uploads import Uploads
@@ -72,9 +73,6 @@ CHECK = 0.02
 STREAM, ADDRESS, PATIENT = 1.0, 4.0, 0.25
 """Weights of clients where they share the threads: a stream, all requests of an address, and work that yields."""
 
-DRAFTS = 2
-"""Threads for drafts alone, so that none waits for a full picture to end."""
-
 COMPILING = "What draws {shading} pictures is being compiled, once on this machine: ask again in a while."
 
 PREVIEW = "lambert"
@@ -102,8 +100,7 @@ class Service:
         self.connections = AdmissionLimit(settings.streams, "streams are open")
         self.updates: UpdateBus
         self.jobs = Jobs(settings.jobs)
-        self.renders = Renders(settings.render_threads)
-        self.drafts = Renders(DRAFTS)
+        self.threads = RenderThreads(settings.render_threads)
         self.uploads = Uploads(engine, settings)
         self._requests = AdmissionLimit(settings.render_threads + settings.render_queue, "frames wait")
         self._refining = 0
@@ -134,8 +131,7 @@ class Service:
         if self._compiling:
             self.engine.stop()
             await self._compiling
-        self.renders.close()
-        self.drafts.close()
+        self.threads.close()
         self.uploads.close()
         await asyncio.to_thread(self.engine.close)
 
@@ -219,7 +215,7 @@ class Service:
         """The result of some ``work`` for a request, off the event loop. Raises as ``render`` does."""
         rank = self.rank(request_viewer(request), ASKED, self.settings.queue_seconds)
         with self._requests.admitted():
-            return await attended(request, self.renders.run(work, rank))
+            return await attended(request, self.threads.pictures.run(work, rank))
 
     def rank(self, viewer: Viewer, patience: float, longest: float = math.inf) -> Rank:
         """Where work for a ``viewer`` stands that may wait so many seconds, and waits for ``longest`` at most.
@@ -227,32 +223,33 @@ class Service:
         Streams and addresses are clients that share the threads, and several programs may ask from one address.
         """
         weight = PATIENT if viewer.patient else STREAM if viewer.single else ADDRESS
-        return Rank.within(patience, longest, self.renders.client(viewer.client, weight))
+        return Rank.within(patience, longest, self.threads.pictures.client(viewer.client, weight))
 
     def draft_rank(self, viewer: Viewer) -> Rank:
         """Where a draft of a stream's view that moves stands, among drafts alone."""
-        return Rank.within(DRAFT, client=self.drafts.client(viewer.client, STREAM))
+        return Rank.within(DRAFT, client=self.threads.drafts.client(viewer.client, STREAM))
 
     async def show(self, picture: PictureRequest, viewer: Viewer, rank: Rank, watch: Stopwatch | None = None) -> Shown:
         """The picture with the light baked so far; the light that it lacks is requested for the ``viewer``."""
         watch, since = watch or Stopwatch(), self._newest(picture)
         frame = await self.frame_or_preview(picture, rank, watch)
 
-        def request() -> Shown:
-            with watch.stage("demand"):
-                coming, left = self.request_light(picture, frame, viewer)
-            return Shown(frame, left, watch, coming, since)
+        with watch.stage("demand"):
+            coming, left = await self.request_light(picture, frame, viewer)
+        return Shown(frame, left, watch, coming, since)
 
-        return await self.renders.run(request, rank.begun)
-
-    def request_light(
+    async def request_light(
         self, picture: PictureRequest, frame: Frame, viewer: Viewer
     ) -> tuple[frozenset[Index], TimeLeft | None]:
-        """Request the light that a frame lacks; the chunks that are coming, and the time until all are. Blocks."""
+        """Request the light that a frame lacks; the chunks that are coming, and the time until all are."""
         if not viewer.bakes:
             return frozenset(), None
-        coming = self.engine.want(picture.scene, frame, picture.target, viewer)
-        return coming, self.engine.time_left(picture.scene, frame, picture.target)
+
+        def request() -> tuple[frozenset[Index], TimeLeft | None]:
+            coming = self.engine.want(picture.scene, frame, picture.target, viewer)
+            return coming, self.engine.time_left(picture.scene, frame, picture.target)
+
+        return await self.threads.asking.run(request, Rank.within(DRAFT))
 
     async def frame(self, picture: PictureRequest, rank: Rank, watch: Stopwatch) -> Frame:
         """The frame of a picture, drawn once for all requests that come meanwhile; no light is requested for it.
@@ -269,8 +266,7 @@ class Service:
             return self.engine.survey(picture.scene, picture.view, picture.target, cancelled, watch)
 
         with watch.stage("queue"):
-            renders = self.drafts if picture.view.moving else self.renders
-            return await renders.share((picture, self._newest(picture)), work, rank)
+            return await self.threads.of(picture.view).share((picture, self._newest(picture)), work, rank)
 
     async def frame_or_preview(self, picture: PictureRequest, rank: Rank, watch: Stopwatch) -> Frame:
         """The frame of a picture; where its light does not fit the memory, an unshadowed one, all of it provisional."""
@@ -321,7 +317,7 @@ class Service:
                 ):
                     await within(left, pending.all)
                 shown = await self.show(picture, viewer, rank.begun, watch)
-            return await self.renders.run(lambda: finish(shown), rank.begun)
+            return await self.threads.of(picture.view).run(lambda: finish(shown), rank.begun)
         except asyncio.CancelledError:
             self.leave(viewer)
             raise

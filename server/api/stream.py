@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import json
 from contextlib import aclosing, suppress
-from functools import partial
 from http import HTTPStatus
 from typing import Annotated, Any, NoReturn
 
@@ -154,7 +153,7 @@ class Session:
         self._metrics: Metrics = socket.app.state.metrics
         self._viewer = stream_viewer(socket)
         self._inbox = Inbox(socket, service.settings)
-        self._drafts, self._window, self._motion = Drafts(service.drafts.crowded), Window(), Motion()
+        self._drafts, self._window, self._motion = Drafts(service.threads.drafts.crowded), Window(), Motion()
         self._sending = asyncio.Lock()
         self._newest: tuple[ViewRequest, FrameParams] | None = None
         self._changed = asyncio.Event()
@@ -247,8 +246,7 @@ class Session:
         now = asyncio.get_running_loop().time()
         if now - self._wanted >= WANT_EVERY:
             self._wanted = now
-            work = partial(self._service.request_light, small, frame, self._viewer)
-            await self._service.drafts.run(work, rank)
+            await self._service.request_light(small, frame, self._viewer)
 
     async def _rest(self, request: ViewRequest, params: FrameParams, picture: PictureRequest, form: str) -> None:
         """The full picture of a view at rest, and each better one, until it is final."""
@@ -266,8 +264,7 @@ class Session:
                 picture = encode(shown.frame, form, exposure, params)
             return answer(request.id, shown, form, request.moving), picture
 
-        renders = self._service.drafts if request.moving else self._service.renders
-        facts, picture = await renders.run(made, rank)
+        facts, picture = await self._service.threads.of(shown.frame.view).run(made, rank)
         self._window.sent(request.id)
         self._metrics.count_picture("draft" if request.moving else "stream", not shown.frame.final, shown.watch.seconds)
         if self._shows is not None:

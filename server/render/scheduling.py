@@ -75,11 +75,13 @@ class FairSemaphore:
     """So many ``places``, shared evenly among clients by the time that their work takes (start-time fair queueing).
 
     A client that comes anew begins where the queue's clock is: nothing that waited before gives it a turn of its own,
-    and nobody waits longer than all others take once.
+    and nobody waits longer than all others take once. While others are ``pressed`` one place alone is given: that
+    which ends passes on as many as may be by then. Where turns are ``even``, each counts alike however long it takes.
     """
 
-    def __init__(self, places: int) -> None:
-        self._free = places
+    def __init__(self, places: int, pressed: Callable[[], bool] = lambda: False, even: bool = False) -> None:
+        self._places = self._free = places
+        self._pressed, self._even = pressed, even
         self._now = 0.0
         self._waiting: list[tuple[Rank, asyncio.Future[None]]] = []
 
@@ -92,15 +94,12 @@ class FairSemaphore:
         client.claim = True
         client.open += 1
         try:
-            if self._free:
-                self._free -= 1
-            else:
-                await self._wait(rank)
+            await self._wait(rank)
             try:
                 with self._paid(rank):
                     yield
             finally:
-                self._pass_on()
+                self._give_back()
         finally:
             client.open -= 1
 
@@ -124,13 +123,14 @@ class FairSemaphore:
         try:
             yield
         finally:
-            took = loop.time() - begun
+            took = usual if self._even else loop.time() - begun
             client.usual += FRESH * (took - usual)
             client.pay(took - usual, self._now)
 
     async def _wait(self, rank: Rank) -> None:
         place: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._waiting.append((rank, place))
+        self._pass_on()
         try:
             async with asyncio.timeout_at(None if math.isinf(rank.until) else rank.until):
                 await place
@@ -144,16 +144,20 @@ class FairSemaphore:
     def _leave(self, place: "asyncio.Future[None]") -> None:
         """Pass on the place of one that left when it was just given it."""
         if place.done() and not place.cancelled():
-            self._pass_on()
+            self._give_back()
+
+    def _give_back(self) -> None:
+        self._free += 1
+        self._pass_on()
 
     def _pass_on(self) -> None:
-        """Give a place to the one whose turn it is; those that left meanwhile are passed over."""
+        """Give places to those whose turn it is; those that left meanwhile are passed over."""
         self._waiting = [each for each in self._waiting if not each[1].done()]
-        if not self._waiting:
-            self._free += 1
-            return
-        first = min(self._waiting, key=lambda each: each[0].order)
-        first[1].set_result(None)
+        while self._waiting and self._free and (self._free == self._places or not self._pressed()):
+            first = min(self._waiting, key=lambda each: each[0].order)
+            self._waiting.remove(first)
+            self._free -= 1
+            first[1].set_result(None)
 
 
 class AdmissionLimit:
@@ -194,9 +198,10 @@ class Flight:
 class Renders:
     """Runs blocking work, so much at once, and stops it when no caller waits for it any more."""
 
-    def __init__(self, threads: int) -> None:
+    def __init__(self, threads: int, pressed: Callable[[], bool] = lambda: False, even: bool = False) -> None:
+        """So many at once; one alone while other work is ``pressed``. Turns count by time, or if ``even`` alike."""
         self._pool = ThreadPoolExecutor(threads, thread_name_prefix="render")
-        self._places = FairSemaphore(threads)
+        self._places = FairSemaphore(threads, pressed, even)
         self._flights: dict[Hashable, Flight] = {}
         self._clients: dict[Hashable, Client] = {}
 

@@ -48,7 +48,8 @@ def test_kills(tiny: str, monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.campaign
 def test_damage(tiny: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(damage_module, "WORKERS", 1)
-    found = figures(damage, tiny, "--damaged", "11", "--views", "1")
+    found = figures(damage, tiny, "--damaged", "11", "--flips", "50", "--views", "1")
+    assert found["bits flipped, one at a time"] == 50 and found["not noticed by a reader"] == 0
     assert found["damaged"] == 11 and found["final pixels"] > 0
     assert found["told as damaged"] >= 11 - found["not to be noticed: deleted"] > 0
     assert found["answers 5xx"] == found["wrong pixels"] == found["objects with other bytes in the end"] == 0

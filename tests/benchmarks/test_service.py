@@ -37,9 +37,11 @@ def test_load() -> None:
 
 @pytest.mark.campaign
 def test_memory() -> None:
-    found = figures(memory, "--uploads", "6", "--uploads-mb", "1", "--views", "4")
+    found = figures(memory, "--uploads", "6", "--uploads-mb", "1", "--views", "4", "--requests", "1")
     assert (found["uploads: answered 201"], found["uploads: answered 507"]) == (3, 3)
     assert found["kept"] == found["volumes looked at: answered 200"] == 3
+    refused = {int(name[-3:]) for name in found if name.startswith("hostile requests: answered ")}
+    assert {404, 421, 422} <= refused and max(refused) < 500
     assert found["all views: answered 200"] == 2 and found["all views: server, MiB"] > 0.0
 
 

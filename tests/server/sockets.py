@@ -81,7 +81,8 @@ class Running:
 
     def unsent(self) -> int:
         """Bytes of answers that the server keeps, for its clients do not take them."""
-        return sum(connection.unsent for connection in list(self.server.server_state.connections))
+        connections: list[Any] = list(self.server.server_state.connections)
+        return sum(connection.unsent for connection in connections)
 
 
 @contextmanager

@@ -7,6 +7,7 @@ from isogi_core.cache.costs import Cost
 from isogi_core.frame.view_texels import Demand
 from isogi_core.model.scene_plan import MOST
 from tests.worker.clock import Clock
+from worker import bake_requests
 from worker.bake_requests import GUEST, MOST_FAILURES, SHORT, STEP, Key, Viewer, next_least_priority
 from worker.queue import FORGET_AFTER, LOOK, BakeQueue
 from worker.tasks import BakeResult
@@ -136,6 +137,14 @@ def test_texels_and_targets_of_several_views_are_merged(queue: BakeQueue) -> Non
     assert taken.offsets.tolist() == [2, 5, 9, 11]
     assert taken.footprints.tolist() == [2.0, 5.0, 9.0, 11.0]
     assert (taken.target, taken.priority) == (0.05, 3.0 / (3 * FIRST_LEVEL))
+
+
+def test_the_target_is_known_without_merging_texels(queue: BakeQueue, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every frame asks for the time left of hundreds of chunks, each of which many views may want."""
+    for target in (0.1, 0.05, 0.2):
+        request(queue, (1, 1.0), target=target, viewer=Viewer(target, 1))
+    monkeypatch.setattr(bake_requests, "merged", lambda _: pytest.fail("texels were merged"))
+    assert queue.requests[key(1)].target == 0.05
 
 
 def test_new_texels_start_from_the_first_level(queue: BakeQueue) -> None:

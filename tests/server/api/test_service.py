@@ -3,6 +3,7 @@
 import asyncio
 import re
 import threading
+import time
 from collections.abc import Callable, Iterator
 from types import SimpleNamespace
 from typing import Any
@@ -21,6 +22,7 @@ from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import Index
 from isogi_core.storage.store import Store
+from server.api import render_threads
 from server.api.app import create_app
 from server.api.service import Service
 from server.errors import BusyError
@@ -117,7 +119,7 @@ def settings() -> Settings:
 def app(engine: FakeEngine, settings: Settings) -> Iterator[FastAPI]:
     app = create_app(engine, settings)  # type: ignore[arg-type]
     yield app
-    app.state.service.renders.close()
+    app.state.service.threads.close()
 
 
 def started(app: FastAPI, *queries: dict[str, Any]) -> list[httpx.Response]:
@@ -249,7 +251,7 @@ def test_a_client_that_leaves_has_no_light_baked_any_more(engine: FakeEngine, ap
 
 
 def test_requests_for_the_same_at_the_same_time_share_one_render(engine: FakeEngine, app: FastAPI) -> None:
-    renders = app.state.service.renders
+    renders = app.state.service.threads.pictures
     together = threading.Event()
 
     def work(_: threading.Event) -> None:
@@ -308,6 +310,42 @@ def test_a_frame_is_drawn_again_once_all_its_light_is_there(engine: FakeEngine, 
     assert len(engine.views) == 2
     bake_ms = float(re.findall(r"bake;dur=([\d.]+)", answer.headers["server-timing"])[0])
     assert 100.0 < bake_ms < 5000.0
+
+
+def test_pictures_are_drawn_while_asking_for_light_takes_long(engine: FakeEngine, app: FastAPI) -> None:
+    """The queue of bakes may be busy for as many requests as there are threads that render."""
+    drawn = threading.Event()
+
+    def want(scene: str, frame: Frame, target: float, viewer: Viewer) -> frozenset[Index]:
+        assert wait_for(drawn.is_set)
+        return frozenset()
+
+    def work(_: threading.Event) -> None:
+        if len(engine.views) == 8:
+            drawn.set()
+
+    engine.want, engine.doing = want, work  # type: ignore[method-assign]
+    answers = started(app, *({"azimuth": azimuth} for azimuth in range(8)))
+    assert [answer.status_code for answer in answers] == [200] * 8
+
+
+def test_large_pictures_are_drawn_one_at_a_time(
+    engine: FakeEngine, app: FastAPI, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each takes memory besides what is kept."""
+    monkeypatch.setattr(render_threads, "LARGE", 100)
+    drawing, most = set[int](), [0]
+
+    def work(_: threading.Event) -> None:
+        drawing.add(threading.get_ident())
+        most[0] = max(most[0], len(drawing))
+        time.sleep(0.05)
+        drawing.discard(threading.get_ident())
+
+    engine.doing = work
+    answers = started(app, *({"azimuth": azimuth, "height": 64} for azimuth in range(4)))
+    assert [answer.status_code for answer in answers] == [200] * 4
+    assert len(engine.views) == 4 and most == [1]
 
 
 async def leave(app: FastAPI, begun: threading.Event, wait_ms: int = 0) -> None:

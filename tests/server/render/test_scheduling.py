@@ -40,6 +40,46 @@ def test_work_comes_in_the_order_of_its_deadlines(renders: Renders) -> None:
     assert order == [DRAFT, REST, ASKED, REFINED]
 
 
+def test_one_place_alone_is_given_while_others_are_pressed() -> None:
+    pressed, working, most = [True], [0], [0]
+
+    async def take(places: FairSemaphore) -> None:
+        async with places.place(Rank.within(0.0)):
+            working[0] += 1
+            most[0] = max(most[0], working[0])
+            await asyncio.sleep(0.01)
+            working[0] -= 1
+
+    async def play() -> int:
+        places = FairSemaphore(3, lambda: pressed[0])
+        await asyncio.gather(*(take(places) for _ in range(4)))
+        alone, pressed[0] = most[0], False
+        await asyncio.gather(*(take(places) for _ in range(4)))
+        return alone
+
+    assert (played(play()), most[0]) == (1, 3)
+
+
+@pytest.mark.parametrize(("even", "slow"), [(True, 10), (False, 5)])
+def test_even_turns_count_alike_and_others_by_time(even: bool, slow: int) -> None:
+    """Of 20 turns; one client's take three times as long."""
+    turns: list[str] = []
+
+    async def draw(places: FairSemaphore, name: str, seconds: float, client: Client) -> None:
+        while len(turns) < 20:
+            async with places.place(Rank.within(0.0, client=client)):
+                turns.append(name)
+                await asyncio.sleep(seconds)
+
+    async def play() -> None:
+        places = FairSemaphore(1, even=even)
+        kinds = [("quick", 0.02, Client()), ("slow", 0.06, Client())]
+        await asyncio.gather(*(draw(places, *kind) for kind in kinds for _ in range(2)))
+
+    played(play())
+    assert abs(turns[:20].count("slow") - slow) <= 2
+
+
 def test_patient_work_does_not_wait_forever() -> None:
     order: list[str] = []
 
