@@ -6,7 +6,7 @@ import asyncio
 import math
 import threading
 from collections.abc import AsyncGenerator, Callable
-from contextlib import AbstractContextManager, suppress
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Annotated, Self, TypeVar
 
@@ -28,7 +28,8 @@ from server.parameters import ViewParams, view_of
 from server.render.engine import RenderEngine
 from server.render.jobs import Job, Jobs
 from server.render.scheduling import ASKED, DRAFT, REFINED, REST, AdmissionLimit, Rank, Renders
-from server.render.updates import Pending, UpdateBus, attended, request_viewer
+from server.render.updates import UpdateBus, attended, request_viewer
+from server.render.variants import MARK, Variants
 from server.settings import Settings
 from server.uploads.uploads import Uploads
 from worker.bake_requests import Viewer
@@ -105,6 +106,7 @@ class Service:
         self.renders = Renders(settings.render_threads)
         self.drafts = Renders(DRAFTS)
         self.uploads = Uploads(engine, settings)
+        self.variants = Variants(engine, self.uploads.environment_at)
         self._requests = AdmissionLimit(settings.render_threads + settings.render_queue, "frames wait")
         self._refining = 0
 
@@ -177,10 +179,24 @@ class Service:
 
     def scene(self, name: str) -> Scene:
         """The scene with this id; UnknownSceneError where there is none."""
-        scene = self.engine.scenes.get(name)
+        scene = None if MARK in name else self.engine.scenes.get(name)
         if scene is None:
             raise UnknownSceneError(f"There is no scene '{name[:64]}': /v1/scenes lists them all.")
         return scene
+
+    async def lit(self, scene: Scene, environment: str | None) -> Scene:
+        """The scene in the light of an environment by its name or id; in its own where that is None.
+
+        Raises ParameterError where there is no such, and StartingError until the engine is up.
+        """
+        if environment is None:
+            return scene
+        self._check_started()
+        return await self.variants.lit(scene, environment)
+
+    def _check_started(self) -> None:
+        if not self.settled.is_set() or self.failure:
+            raise StartingError(self.reasons()[0])
 
     def planned(self, scene: Scene) -> Scene:
         """The same scene with the plan of the light that its store has, where that can be read now."""
@@ -193,8 +209,7 @@ class Service:
     def picture_of(self, scene: Scene, params: ViewParams) -> PictureRequest:
         """The picture that the parameters ask for. Raises ViewError, and StartingError until the engine is up."""
         view = view_of(scene, params, self.settings)
-        if not self.settled.is_set() or self.failure:
-            raise StartingError(self.reasons()[0])
+        self._check_started()
         return PictureRequest(scene.id, view, params.max_error or scene.target_error)
 
     async def render(
@@ -330,16 +345,12 @@ class Service:
         """Returns when it is time to draw the picture again."""
         self._refining += 1
         try:
-            with self._pending(picture, shown) as pending:
+            with self.updates.pending(self._bake(picture), shown.coming, shown.since) as pending:
                 await within(HEARTBEAT, pending.some)
                 pause = (1.0 / REFINING - 1.0) * work_of(shown) * self._refining
                 await within(max(pause, SHORTEST_PAUSE), pending.all)
         finally:
             self._refining -= 1
-
-    def _pending(self, picture: PictureRequest, shown: Shown) -> AbstractContextManager[Pending]:
-        """What is still to come of the light that a picture lacks."""
-        return self.updates.pending(self._bake(picture), shown.coming, shown.since)
 
     def _bake(self, picture: PictureRequest) -> str:
         return self.engine.bake_of(picture.scene, picture.view)

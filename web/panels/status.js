@@ -72,7 +72,7 @@ export class Status {
  */
 export function badge({ provisional, coverage, error }, target) {
   if (!provisional || error <= target) return "";
-  return error < 1 ? `Refining · ${shareInWords(coverage.final)}` : "Preview";
+  return error < 1 ? `Refining · ${shareInWords(coverage.final)} done` : "Preview";
 }
 
 /**

@@ -26,6 +26,7 @@ import { limitTarget } from "./camera.js";
  * @property {string} overlay one of OVERLAYS
  * @property {string} compare a shading, or ""
  * @property {string} background one of BACKGROUNDS
+ * @property {string} environment the id of one of the scene's environments; "" for its own light
  */
 
 /**
@@ -86,7 +87,7 @@ export class ViewModel {
     const defaults = { ...this.#scene.defaults, ...start };
     const numbers = NUMBERS.filter((name) => Number.isFinite(defaults[name])).map((name) => [name, defaults[name]]);
     const shading = defaults.shading ?? this.#scene.shadings[0];
-    return { ...Object.fromEntries(numbers), ...startAlbedo(this.#scene), target: start.target, shading, overlay: "none", compare: "", background: "page" };
+    return { ...Object.fromEntries(numbers), ...startAlbedo(this.#scene), target: start.target, shading, overlay: "none", compare: "", background: "page", environment: "" };
   }
 
   /** The knobs as they are now (a copy). @returns {Knobs} */
@@ -157,14 +158,15 @@ export class ViewModel {
    * @param {Knobs} fallback
    */
   #choices(wanted, fallback) {
-    /** @type {(name: "shading"|"overlay"|"compare"|"background", offered: string[]) => string} */
+    /** @type {(name: "shading"|"overlay"|"compare"|"background"|"environment", offered: string[]) => string} */
     const chosen = (name, offered) => offered.find((each) => each === wanted[name]) ?? fallback[name];
-    const { shadings } = this.#scene;
+    const { shadings, environments = [] } = this.#scene;
     const shading = chosen("shading", shadings);
     const compare = chosen("compare", ["", ...shadings]);
     const other = shading === fallback.shading ? "" : fallback.shading;
     const background = chosen("background", BACKGROUNDS);
-    return { shading, background, overlay: chosen("overlay", OVERLAYS), compare: compare === shading ? other : compare };
+    const environment = chosen("environment", ["", ...environments.map(({ id }) => id)]);
+    return { shading, background, environment, overlay: chosen("overlay", OVERLAYS), compare: compare === shading ? other : compare };
   }
 }
 
