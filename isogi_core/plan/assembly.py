@@ -19,8 +19,9 @@ from isogi_core.kernels.shading.lattice import CHUNK
 from isogi_core.kernels.tracing.field import OFFSET
 from isogi_core.kernels.transport.harmonics import MAX_ORDER
 from isogi_core.model.demo import DEMOS
-from isogi_core.model.environment import Environment, Lamps, gather_lamps, pixel_directions, resample, solid_angles
+from isogi_core.model.environment import Environment, Lamps, gather_lamps
 from isogi_core.model.environments import environment_image
+from isogi_core.model.latlong import pixel_directions, resample, solid_angles
 from isogi_core.model.lights import (
     ConstantLight,
     EnvironmentLight,

@@ -22,7 +22,7 @@ from isogi_core.errors import LightError, VolumeError
 from isogi_core.files.formats.opening import HEAD, libraries_for, open_upload
 from isogi_core.files.grid import Grid
 from isogi_core.files.right_angles import on_right_angles
-from isogi_core.model.environment import resample
+from isogi_core.model.latlong import resample
 from isogi_core.model.volume import make_volume
 from server.uploads.environments import ENVIRONMENT, VOLUME, write_environment
 from server.uploads.folder import LONGEST, write

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from isogi_core.errors import SceneError
-from isogi_core.model.environment import pixel_directions, solid_angles
 from isogi_core.model.environments import BOXES, FORMULAS, GROUND, ROOM, SKYLIGHTS, environment_image
+from isogi_core.model.latlong import pixel_directions, solid_angles
 from isogi_core.model.lights import ENVIRONMENTS, EnvironmentLight, ProbeLight, light_named
 from isogi_core.model.sky import LUMINANCE
 
