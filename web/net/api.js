@@ -60,12 +60,15 @@ export async function deleteUpload(href) {
  * Everything about one scene: volume, histogram, defaults, ranges, plan, and the camera that shows its surface whole.
  * @param {string} id
  * @param {{width: number, height: number}} size of the picture
+ * @param {number} [isovalue] of the surface; the scene's where it is left out, or has no meaning
  * @returns {Promise<Scene>}
  */
-export async function readScene(id, { width, height }) {
+export async function readScene(id, { width, height }, isovalue) {
   const scene = await (await ask(scenePath(id))).json();
-  const size = new URLSearchParams({ width: String(width), height: String(height) });
-  return { ...scene, start: await (await ask(`${scenePath(id)}/fit?${size}`)).json() };
+  const { min, max } = scene.ranges?.isovalue ?? {};
+  const asked = new URLSearchParams({ width: String(width), height: String(height) });
+  if (isovalue !== undefined && isovalue >= min && isovalue <= max) asked.set("isovalue", String(isovalue));
+  return { ...scene, start: await (await ask(`${scenePath(id)}/fit?${asked}`)).json() };
 }
 
 /**
