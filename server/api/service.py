@@ -86,7 +86,10 @@ HEARTBEAT = 20.0
 
 SHORTEST_PAUSE, REFINING = 0.1, 0.25
 """Seconds between two pictures of a view at rest, at least; and the share of the time that all views at rest together
-may be drawn in while light is baked for them. The last picture of a view waits for neither."""
+may be drawn in while light is baked for them. The last picture of a view waits for neither, nor the first with light.
+"""
+
+ONCE = ("queue", "primary", "texels", "normals", "lobes")  # what they find is kept for a view's next pictures
 
 
 class Service:
@@ -293,7 +296,8 @@ class Service:
             return await self.frame(picture, rank, watch)
         except NoRoomError:
             preview = replace(picture, view=replace(picture.view, shading=PREVIEW))
-            return provisional(await self.frame(preview, rank.begun, watch))
+            frame = await self.frame(preview, rank.begun, watch)
+            return replace(frame, state=np.minimum(frame.state, PROVISIONAL))
 
     async def refinements(self, picture: PictureRequest, viewer: Viewer) -> AsyncGenerator[Shown, None]:
         """The picture at once, then a better one as light comes, until it is final or no more light is coming.
@@ -347,7 +351,8 @@ class Service:
         try:
             with self.updates.pending(self._bake(picture), shown.coming, shown.since) as pending:
                 await within(HEARTBEAT, pending.some)
-                pause = (1.0 / REFINING - 1.0) * work_of(shown) * self._refining
+                lit = shown.frame.coverage["provisional"] < 1.0
+                pause = (1.0 / REFINING - 1.0) * work_of(shown) * self._refining if lit else 0.0
                 await within(max(pause, SHORTEST_PAUSE), pending.all)
         finally:
             self._refining -= 1
@@ -359,14 +364,9 @@ class Service:
         return self.updates.newest(self._bake(picture))
 
 
-def provisional(frame: Frame) -> Frame:
-    """The same frame, no pixel of which is taken for good."""
-    return replace(frame, state=np.minimum(frame.state, PROVISIONAL))
-
-
 def work_of(shown: Shown) -> float:
-    """Seconds of work on a picture, without those in the queue."""
-    return sum(seconds for stage, seconds in shown.watch.seconds.items() if stage != "queue")
+    """Seconds of work on a picture that the next one of its view takes again, without those in the queue."""
+    return sum(seconds for stage, seconds in shown.watch.seconds.items() if stage not in ONCE)
 
 
 async def within(seconds: float, event: asyncio.Event) -> None:

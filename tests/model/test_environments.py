@@ -55,7 +55,7 @@ def test_the_studio_has_two_boxes_where_they_stand() -> None:
     assert not bright[np.maximum(*apart) < math.cos(math.radians(45.0))].any(), "nothing else is bright"
 
 
-def test_the_gallerys_glass_is_as_much_of_its_ceiling_as_it_should() -> None:
+def test_the_gallery_has_as_much_glass_as_it_should() -> None:
     """Rays to even points of the ceiling meet glass in the share of it that is glass."""
     across, along = np.meshgrid(np.linspace(-1, 1, 201) * ROOM[0], np.linspace(-1, 1, 441) * ROOM[1])
     points = np.stack([across, along, np.full_like(across, ROOM[2])], axis=-1)[1:-1, 1:-1]

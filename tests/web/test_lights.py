@@ -10,8 +10,7 @@ from playwright.sync_api import Browser, Page, expect
 
 from isogi_core.files.radiance import write_hdr
 from tests.server.uploads.site import Site, opened
-from tests.web.test_upload import DROP, give
-from tests.web.visits import BROWSER, FINAL_MS, open_final, pixels, slide, wait_final
+from tests.web.visits import BROWSER, DROP, FINAL_MS, give, open_final, pixels, slide, wait_final
 
 pytestmark = BROWSER
 
