@@ -109,9 +109,9 @@ export function followAddress(scene, view) {
     entry = "replaceState";
     return location.href;
   };
-  view.subscribe(() => {
+  view.subscribe((_, follows) => {
     const now = performance.now();
-    if (now - changed > REST_MS) entry = "pushState";
+    if (now - changed > REST_MS && !follows) entry = "pushState";
     changed = now;
     clearTimeout(timer);
     timer = setTimeout(write, PAUSE_MS);

@@ -7,6 +7,8 @@ import { deleteUpload, readLight } from "../net/api.js";
 /** @typedef {import("../view/model.js").Knobs} Knobs */
 /** @typedef {import("../view/model.js").ViewModel} ViewModel */
 
+const SAME = 1e-3; // addresses hold four digits of an exposure
+
 /**
  * Tie the choice to the view. When the view's light changes, what the scene says of its light is read anew.
  * @param {HTMLElement} section holds the choice `#environment` and the button `#environment-delete`
@@ -36,7 +38,7 @@ export function attachEnvironments(section, scene, view, relit, say) {
       if (view.values.environment !== wanted) return; // another was chosen meanwhile
       const exposure = exposureIn(light.defaults.exposure, view.values.exposure, former.exposure, scene.defaults.exposure);
       Object.assign(scene, light);
-      view.set({ exposure });
+      view.set({ exposure }, true);
       relit();
     } catch (error) {
       say(/** @type {Error} */ (error).message);
@@ -56,7 +58,8 @@ export function attachEnvironments(section, scene, view, relit, say) {
  */
 export function exposureIn(usual, now, before, former) {
   if (now === former) return usual;
-  return now === before ? (usual * now) / former : now;
+  const wanted = now === before ? (usual * now) / former : now;
+  return Math.abs(wanted / usual - 1) < SAME ? usual : wanted;
 }
 
 /** @type {(scene: Scene, environment: string) => import("../net/schemas.js").Environment|undefined} */

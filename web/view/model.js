@@ -69,7 +69,7 @@ export class ViewModel {
   #scene;
   /** @type {Knobs} */
   #values;
-  /** @type {Set<(values: Knobs) => void>} */
+  /** @type {Set<(values: Knobs, follows: boolean) => void>} */
   #listeners = new Set();
 
   /**
@@ -98,13 +98,14 @@ export class ViewModel {
   /**
    * Change some knobs; listeners are called only when something did change.
    * @param {Partial<Knobs>} patch
+   * @param {boolean} [follows] whether another change brings this one about: it makes no view of its own
    */
-  set(patch) {
+  set(patch, follows = false) {
     const next = this.#limited(patch, this.#values);
     const names = /** @type {(keyof Knobs)[]} */ (Object.keys(next));
     if (names.every((name) => String(next[name]) === String(this.#values[name]))) return;
     this.#values = next;
-    this.#listeners.forEach((listener) => listener(this.values));
+    this.#listeners.forEach((listener) => listener(this.values, follows));
   }
 
   /** Go back to where the scene starts. */
@@ -113,8 +114,8 @@ export class ViewModel {
   }
 
   /**
-   * Call `listener(values)` after every change.
-   * @param {(values: Knobs) => void} listener
+   * Call `listener(values, follows)` after every change; see `set`.
+   * @param {(values: Knobs, follows: boolean) => void} listener
    */
   subscribe(listener) {
     this.#listeners.add(listener);
