@@ -112,7 +112,7 @@ export function frameInWords({ provisional, coverage, error, controls, timeLeft 
 }
 
 /** Relative error from which on a picture is called a preview. */
-export const PREVIEW = 0.5;
+export const PREVIEW = 0.9;
 
 /**
  * Whether a frame shows any surface.
