@@ -8,10 +8,12 @@ person would, at that pace; what the film shows is what this machine showed.
 
 import io
 import math
+import re
 import tempfile
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 
 import click
@@ -31,6 +33,12 @@ PATIENCE_MS = 600_000
 MOST = 2 << 20
 """Bytes that the film may have."""
 
+GOOD = 5.0
+"""Percent of error at which a picture has been watched for long enough."""
+
+SHARE = "(() => { const s = document.querySelector('#isovalue'); return (s.value - s.min) / (s.max - s.min); })()"
+"""Where the slider of isovalues is, as a share of its way."""
+
 POINTER = """() => {
   const dot = document.createElement("div");
   dot.style.cssText = "position:fixed;z-index:99;width:18px;height:18px;margin:-9px;border-radius:50%;" +
@@ -46,23 +54,35 @@ POINTER = """() => {
 
 @dataclass
 class Camera:
-    """Takes pictures of a ``page``, FPS a second."""
+    """Takes pictures of a ``page``, FPS a second where the machine keeps up, and notes when each was ``taken``."""
 
     page: Page
     frames: list[Image.Image] = field(default_factory=list)
+    taken: list[float] = field(default_factory=list)
     due: float = field(default_factory=time.monotonic)
 
     def take(self) -> None:
         """The next picture, when it is due."""
         self.page.wait_for_timeout(max(0.0, 1000.0 * (self.due - time.monotonic())))
         self.due = max(self.due + 1.0 / FPS, time.monotonic())
+        self.taken.append(time.monotonic())
         with Image.open(io.BytesIO(self.page.screenshot())) as shot:
             self.frames.append(shot.convert("RGB").resize(SHOWN, Image.Resampling.LANCZOS))
 
-    def rest(self, seconds: float) -> None:
-        """Watch what happens by itself."""
-        for _ in range(round(seconds * FPS)):
+    def durations(self) -> list[int]:
+        """Milliseconds from each picture to the next, as they were taken."""
+        return [round(1000.0 * (after - before)) for before, after in pairwise([*self.taken, time.monotonic()])]
+
+    def rest(self, least: float, most: float = 0.0) -> None:
+        """Watch what happens by itself, ``least`` seconds, and up to ``most`` until the picture's error is GOOD."""
+        begun = time.monotonic()
+        while (spent := time.monotonic() - begun) < least or (spent < most and not self.good()):
             self.take()
+
+    def good(self) -> bool:
+        """Whether the line under the picture tells an error of GOOD or less."""
+        told = re.search(r"([\d.]+) % error", self.page.inner_text("#status-line"))
+        return told is not None and float(told[1]) <= GOOD
 
 
 def steps(count: int) -> Iterator[float]:
@@ -91,24 +111,20 @@ def middle(page: Page, selector: str) -> tuple[float, float]:
 def play(camera: Camera) -> None:
     """What the film shows."""
     page, stage = camera.page, middle(camera.page, "#stage")
-    camera.rest(3.5)
-    drag(camera, stage, (170.0, -30.0), 2.0)
-    camera.rest(1.0)
+    camera.rest(3.0, 8.0)
+    drag(camera, stage, (-120.0, -20.0), 2.0)
+    camera.rest(1.5, 7.0)
     box = page.locator("#isovalue").bounding_box()
     assert box is not None
-    at = float(
-        page.evaluate(
-            "(() => { const s = document.querySelector('#isovalue'); return (s.value - s.min) / (s.max - s.min); })()"
-        )
-    )
-    drag(camera, (box["x"] + 8 + at * (box["width"] - 16), box["y"] + 9), (0.14 * box["width"], 0.0), 1.6)
-    camera.rest(1.4)
+    at = float(page.evaluate(SHARE))
+    drag(camera, (box["x"] + 8 + at * (box["width"] - 16), box["y"] + 9), (-0.06 * box["width"], 0.0), 1.6)
+    camera.rest(1.5, 7.0)
     for light in ("studio", "evening"):
         page.mouse.move(*middle(page, "#environment"))
         page.select_option("#environment", light)
-        camera.rest(2.2)
-    drag(camera, middle(page, "#globe"), (46.0, 6.0), 1.6)
-    camera.rest(2.4)
+        camera.rest(2.0, 7.0)
+    drag(camera, middle(page, "#globe"), (-40.0, 6.0), 1.6)
+    camera.rest(2.5, 7.0)
 
 
 @click.command()
@@ -130,11 +146,10 @@ def main(target: str, output: Path, quality: int) -> None:
         page.evaluate(POINTER)
         camera = Camera(page)
         play(camera)
+        durations = camera.durations()
         browser.close()
     first, *others = camera.frames
-    first.save(
-        output, save_all=True, append_images=others, duration=round(1000 / FPS), loop=0, quality=quality, method=6
-    )
+    first.save(output, save_all=True, append_images=others, duration=durations, loop=0, quality=quality, method=6)
     size = output.stat().st_size
     click.echo(f"{output}: {len(camera.frames)} frames, {size // 1024} KiB")
     if size > MOST:
