@@ -75,14 +75,18 @@ class Camera:
 
     def rest(self, least: float, most: float = 0.0) -> None:
         """Watch what happens by itself, ``least`` seconds, and up to ``most`` until the picture's error is GOOD."""
-        begun = time.monotonic()
-        while (spent := time.monotonic() - begun) < least or (spent < most and not self.good()):
+        begun, former = time.monotonic(), self.shown()
+        while (spent := time.monotonic() - begun) < least or (spent < most and not self.good(former)):
             self.take()
 
-    def good(self) -> bool:
-        """Whether the line under the picture tells an error of GOOD or less."""
+    def shown(self) -> str:
+        """The picture on the stage."""
+        return str(self.page.get_attribute("#picture", "src"))
+
+    def good(self, former: str) -> bool:
+        """Whether another picture than the ``former`` is shown, and the line under it tells at most GOOD."""
         told = re.search(r"([\d.]+) % error", self.page.inner_text("#status-line"))
-        return told is not None and float(told[1]) <= GOOD
+        return self.shown() != former and told is not None and float(told[1]) <= GOOD
 
 
 def steps(count: int) -> Iterator[float]:
@@ -122,7 +126,7 @@ def play(camera: Camera) -> None:
     for light in ("studio", "evening"):
         page.mouse.move(*middle(page, "#environment"))
         page.select_option("#environment", light)
-        camera.rest(2.0, 7.0)
+        camera.rest(2.5, 9.0)
     drag(camera, middle(page, "#globe"), (-40.0, 6.0), 1.6)
     camera.rest(2.5, 7.0)
 
