@@ -617,9 +617,24 @@ class Isogi:
         headers = {"Content-Type": "application/octet-stream", "Content-Length": str(size)}
         return self._json("POST", "/v1/volumes", params={"name": name} if name else {}, content=sent, headers=headers)
 
+    def upload_environment(self, probe: str | Path, name: str | None = None) -> dict[str, Any]:
+        """Send a light probe (.hdr, latitude-longitude) where the server takes uploads; its facts.
+
+        >>> light = isogi.upload_environment("grace.hdr")
+        >>> isogi.frame("casting", environment=light["id"])
+        """
+        size = Path(probe).stat().st_size
+        headers = {"Content-Type": "application/octet-stream", "Content-Length": str(size)}
+        asked = {"name": name} if name else {}
+        return self._json("POST", "/v1/environments", params=asked, content=Blocks(Path(probe)), headers=headers)
+
     def delete(self, volume: str) -> None:
         """Delete a volume that was uploaded, and its scene."""
         self._ask("DELETE", f"/v1/volumes/{quote(volume, safe='')}")
+
+    def delete_environment(self, environment: str) -> None:
+        """Delete a light probe that was uploaded."""
+        self._ask("DELETE", f"/v1/environments/{quote(environment, safe='')}")
 
     def _waited(
         self, path: str, asked: dict[str, str], seconds: float, progress: Callable[[Facts], object] | None

@@ -8,7 +8,7 @@ from isogi_core.frame.fitting import fitted, front_of
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.renderer import Renderer
 from isogi_core.model.environment import Lobe
-from isogi_core.model.lights import Light
+from isogi_core.model.lights import ENVIRONMENTS, Light
 from isogi_core.model.scene_plan import Layer
 from isogi_core.model.view import SHADINGS, View
 from isogi_core.plan.left_out import S1_BYTES
@@ -18,6 +18,7 @@ from server.schemas import (
     CameraSchema,
     ChunkCounts,
     Coverage,
+    EnvironmentSchema,
     ErrorScale,
     Histogram,
     LayerSchema,
@@ -62,6 +63,7 @@ def scene_schema(scene: Scene) -> SceneSchema:
         bounces=scene.bounces,
         solid=scene.solid,
         target_error=scene.target_error,
+        environments=[EnvironmentSchema(id=number, name=name) for number, name in ENVIRONMENTS.items()],
         rotating=scene.rotating,
         turns=scene.rotating and scene.plan.representation == "transfer",
         error_scale=ErrorScale(low=SCALE[0], high=SCALE[1], colours=list(COLOURS)),

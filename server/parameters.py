@@ -8,6 +8,7 @@ from fastapi import Depends, Request
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, WithJsonSchema, field_validator, model_validator
 
 from isogi_core.errors import ViewError
+from isogi_core.model.lights import ENVIRONMENTS
 from isogi_core.model.view import (
     IDENTITY,
     OVERLAYS,
@@ -44,7 +45,18 @@ class NoParams(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class ViewParams(NoParams):
+class LightParams(NoParams):
+    """The light that a scene is shown in."""
+
+    environment: Annotated[str | None, WithJsonSchema({"type": "string", "example": "studio"})] = Field(
+        None,
+        max_length=40,
+        description=f"Light in place of the scene's own: {', '.join(ENVIRONMENTS)}, or the id of an uploaded"
+        " environment; default: the scene's own.",
+    )
+
+
+class ViewParams(LightParams):
     """What to look at, from where and in which light; what is left out takes the scene's defaults."""
 
     isovalue: Annotated[float | str | None, WithJsonSchema({"type": "number"})] = Field(
@@ -161,7 +173,7 @@ class FrameParams(ViewParams):
     )
 
 
-class SkyParams(NoParams):
+class SkyParams(LightParams):
     """A picture of the light around a scene."""
 
     width: Annotated[int, Span(16, 512, whole=True)] = Field(256, description="Pixels; the height is half of it.")
@@ -220,6 +232,7 @@ def _reader(model: type[Model]) -> Any:
 
 
 NoParamsDep = _reader(NoParams)
+LightParamsDep = Annotated[LightParams, _reader(LightParams)]
 ViewParamsDep = Annotated[ViewParams, _reader(ViewParams)]
 UploadParamsDep = Annotated[UploadParams, _reader(UploadParams)]
 FrameParamsDep = Annotated[FrameParams, _reader(FrameParams)]

@@ -196,8 +196,26 @@ class PlanSchema(BaseModel):
     left_out: list[Omission]
 
 
+class EnvironmentSchema(BaseModel):
+    """Light that a scene may be shown in: what views call it, its name, and its address where it was uploaded."""
+
+    id: str
+    name: str
+    href: str | None = None
+
+
+class EnvironmentList(BaseModel):
+    """Light that scenes may be shown in, and what may be uploaded; null where nothing may."""
+
+    environments: list[EnvironmentSchema]
+    uploads: UploadLimits | None
+
+
 class SceneSchema(BaseModel):
     """What a client needs to show a scene: facts, histogram, defaults and ranges of every knob, plan.
+
+    ``environment`` is the id of the light that this is about, null for the scene's own; ``environments`` are those
+    that views may name.
 
     ``read_only`` is whether the store can only be read, so that nothing more is baked: a note of the plan says so too.
 
@@ -220,6 +238,8 @@ class SceneSchema(BaseModel):
     bounces: int
     solid: str
     target_error: float
+    environment: str | None = None
+    environments: list[EnvironmentSchema] = []
     rotating: bool
     turns: bool
     error_scale: ErrorScale

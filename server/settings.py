@@ -110,10 +110,8 @@ class Settings(BaseSettings):
     max_pixels: int = Field(4096 * 4096, ge=1, description="Most pixels in one picture.")
     max_paths: int = Field(2**26, ge=1, description="Most paths (pixels × samples) in one path-traced picture.")
     max_body_bytes: int = Field(64 * 1024, ge=0, description="Most bytes in the body of a request; beyond that: 413.")
-    uploads_mb: int = Field(
-        0, ge=0, le=1 << 20, description="Megabytes that uploaded volumes may take in all; 0: no uploads."
-    )
-    uploads: str | None = Field(None, description="Folder of uploaded volumes; default: in the user's data folder.")
+    uploads_mb: int = Field(0, ge=0, le=1 << 20, description="Megabytes that uploads may take in all; 0: no uploads.")
+    uploads: str | None = Field(None, description="Folder of uploads; default: in the user's data folder.")
     max_upload_mb: int = Field(
         256, ge=1, le=1 << 16, description="Most megabytes of one upload, and of its voxels at 4 bytes each."
     )

@@ -2,7 +2,7 @@
 
 import { find } from "./dom.js";
 import { complaints, followAddress, readAddress } from "./net/address.js";
-import { listScenes, openStream, readFrame, readScene, readSurfacePoint } from "./net/api.js";
+import { listScenes, openStream, readFrame, readLight, readScene, readSurfacePoint } from "./net/api.js";
 import { FrameLoop } from "./net/loop.js";
 import { describe, fileName, frameQuery, ground } from "./net/request.js";
 import { Saver } from "./net/save.js";
@@ -10,6 +10,7 @@ import { attachShare } from "./net/share.js";
 import { Trouble } from "./net/trouble.js";
 import { attachUpload } from "./net/upload.js";
 import { Comparison } from "./panels/comparison.js";
+import { attachEnvironments } from "./panels/environment.js";
 import { ErrorPanel } from "./panels/error.js";
 import { attachHistogram } from "./panels/histogram.js";
 import { attachKnobs } from "./panels/knobs.js";
@@ -48,9 +49,13 @@ async function start() {
     try {
       const { scenes, uploads } = await listScenes();
       const link = scenes.find((each) => each.id === wanted) ?? scenes[0];
-      const scene = await readScene(link.id, new Picture($("stage"), $("picture", HTMLImageElement)).size(1));
+      const size = new Picture($("stage"), $("picture", HTMLImageElement)).size(1);
+      const scene = await readScene(link.id, size, knobs.isovalue);
       offerScenes(scenes, link.id);
-      attachUpload($("upload"), $("stage"), uploads, link, openScene);
+      attachUpload($("upload"), $("stage"), uploads, link, openScene, openLight);
+      if (scene.environments.some(({ id }) => id === knobs.environment)) {
+        Object.assign(scene, await readLight(scene.id, knobs.environment ?? ""));
+      }
       return assemble(scene, knobs, trouble);
     } catch (error) {
       $("stage").dataset.state = "trouble";
@@ -77,7 +82,8 @@ function assemble(scene, knobs, trouble) {
   attachKnobs(form, scene, view);
   attachHistogram(form, scene, view, say);
   attachPresets($("presets"), scene, view);
-  attachLight($("light"), scene, view, options.onRest);
+  const showLight = attachLight($("light"), scene, view, options.onRest);
+  attachEnvironments($("light"), scene, view, () => { showLight(); showScene(form, scene); }, say);
   attachGestures($("stage"), scene, view, options);
   attachPick($("stage"), view, (values, right, up) => readSurfacePoint(scene, values, right, up));
   attachKeys(scene, view, options);
@@ -211,6 +217,14 @@ function offerScenes(scenes, current) {
 /** Go to a scene; to the first where it is null. @param {string|null} id */
 function openScene(id) {
   location.search = id === null ? "" : String(new URLSearchParams({ scene: id }));
+}
+
+/** Show the same view in the light of a probe that was uploaded. @param {string} id */
+function openLight(id) {
+  const query = new URLSearchParams(location.search);
+  query.set("environment", id);
+  query.delete("exposure"); // that of the former light
+  location.search = String(query);
 }
 
 start();

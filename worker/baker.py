@@ -189,7 +189,7 @@ class Baker:
             workers = self._expected if self._pool is None else self._pool.workers
             if seconds is None or workers is None:
                 return None
-            return self._estimator.estimate(subject, max(sum(seconds) / workers, *seconds, 0.0))
+            return self._estimator.estimate(subject, max(sum(seconds) / workers, *seconds, 0.0), self._paths)
 
     @property
     def paths(self) -> int:

@@ -82,10 +82,11 @@ SUBJECTS = 16
 
 
 class Estimate(NamedTuple):
-    """An estimate of so many seconds of ``work`` left, and the time at which it was made."""
+    """An estimate of so many seconds of ``work`` left, when it was made, and what had been ``worked`` by then."""
 
     work: float
     made: float
+    worked: float = 0.0
 
 
 @dataclass
@@ -108,13 +109,16 @@ class TimeEstimator:
         self._ratios: deque[float] = deque(maxlen=KEPT)
         self._subjects: OrderedDict[Hashable, Subject] = OrderedDict()
 
-    def estimate(self, subject: Hashable, work: float) -> TimeLeft:
-        """The time left of a ``subject`` with so many seconds of ``work``; its earlier estimates are judged by this."""
+    def estimate(self, subject: Hashable, work: float, worked: float = 0.0) -> TimeLeft:
+        """The time left of a ``subject`` with so many seconds of ``work``; its earlier estimates are judged by this.
+
+        ``worked`` counts all that has been done so far, in a unit of its own: it grows while workers are at work.
+        """
         now, known = self._clock(), self._subject(subject)
-        self._judge(known, work, now)
+        self._judge(known, Estimate(work, now, worked))
         last = known.estimates[-1].made if known.estimates else -math.inf
         if work > 0.0 and now - last >= max(APART, SHARE * work):
-            known.estimates.append(Estimate(work, now))
+            known.estimates.append(Estimate(work, now, worked))
         return TimeLeft.of(work, (*self._prior, *self._ratios))
 
     def _subject(self, name: Hashable) -> Subject:
@@ -127,17 +131,22 @@ class TimeEstimator:
             self._subjects.popitem(last=False)
         return subject
 
-    def _judge(self, subject: Subject, work: float, now: float) -> None:
+    def _judge(self, subject: Subject, now: Estimate) -> None:
         """Note the time that estimates took per second of their work, of which at least JUDGED counts as done.
 
-        Where nothing was done, nobody worked on it, which says nothing of the time that work takes.
+        Where workers were at work for as long as an estimate said, and less of it was done, it takes as long as that
+        and what is estimated ``now``. Where nothing was worked, that says nothing of the time that work takes.
         """
         for each in tuple(subject.estimates):
-            elapsed, done = now - each.made, each.work - work
+            elapsed, done = now.made - each.made, each.work - now.work
             overdue = done > 0.0 and elapsed >= self._prior[-1] * each.work
             if elapsed > 0.0 and (done >= JUDGED * each.work or overdue):
                 self._ratios.append(elapsed / max(done, JUDGED * each.work))
-                subject.estimates.remove(each)
+            elif now.worked > each.worked and elapsed >= each.work:
+                self._ratios.append((elapsed + now.work) / each.work)
+            else:
+                continue
+            subject.estimates.remove(each)
 
 
 # --- cost of open requests, by measured costs

@@ -1,6 +1,7 @@
 """Tasks: more light for texels of one chunk, baked in a worker process."""
 
 import asyncio
+import json
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, suppress
@@ -8,6 +9,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import compress, pairwise
 from typing import Any, Self
+from weakref import WeakValueDictionary
 
 import numpy as np
 
@@ -22,7 +24,7 @@ from isogi_core.cache.claims import Claims
 from isogi_core.cache.costs import Cost
 from isogi_core.cache.scene_assets import SceneAssets, receive_assets
 from isogi_core.errors import SceneError, StoreAwayError
-from isogi_core.files.scene_file import SceneSource
+from isogi_core.files.scene_file import FOLLOWED, SceneSource
 from isogi_core.kernels._jit import entries_of, load
 from isogi_core.kernels.transport.room_paths import fill_seeds, light_in_room
 from isogi_core.kernels.transport.texel_points import project_texels
@@ -111,9 +113,30 @@ def claims_of(store_url: StoreUrl) -> Claims:
 def prepared_scene(source: SceneSource, assets: SceneAssets | None, store_url: StoreUrl) -> PreparedScene:
     """The prepared scene, opened once a process for all of its bakes: from its files, or its assets in the store."""
     if assets is None:
-        return PreparedScene(build_scene(source))
+        return opened(source)
     received, volume = receive_assets(source, assets, open_store(store_url))
     return PreparedScene(build_scene(received, volume=volume))
+
+
+OPEN: WeakValueDictionary[str, PreparedScene] = WeakValueDictionary()
+"""The scenes that this process has open, by their volumes and how rays meet these."""
+
+LIGHT = ("lights", "environment", "lattice")
+"""Settings of a scene that nothing depends on which is worked out of its voxels."""
+
+
+def opened(source: SceneSource) -> PreparedScene:
+    """A scene opened from its files; another of the same volume that is open shares what it has worked out of it."""
+    rest = {key: value for key, value in source.document.items() if key not in LIGHT}
+    key = json.dumps([str(source.base), rest], sort_keys=True, default=str)
+    known = OPEN.get(key)
+    if known is None:
+        prepared = PreparedScene(build_scene(source))
+    else:
+        bare = {name: value for name, value in source.document.items() if name not in FOLLOWED}
+        prepared = known.beside(build_scene(replace(source, document=bare), volume=known.scene.volume))
+    OPEN[key] = prepared
+    return prepared
 
 
 @lru_cache(maxsize=16)
@@ -132,6 +155,7 @@ def open_spec(
     found = BakeSpec(prepared_scene(source, assets, store_url), plan, shown)
     if found.digest != digest:
         prepared_scene.cache_clear()
+        OPEN.clear()
         found = BakeSpec(prepared_scene(source, assets, store_url), plan, shown)
     if found.digest != digest:
         raise SceneError(f"The files of the scene '{source.name}' have changed since the server began: restart it.")

@@ -13,9 +13,10 @@ import numpy as np
 from zarr.codecs import Crc32cCodec, ZstdCodec
 
 from isogi_core.errors import ChangedError, DamagedChunkError, LightError, StoreError
-from isogi_core.files.scene_file import DEFAULT_DEMO, SceneSource
+from isogi_core.files.scene_file import DEFAULT_DEMO, FOLLOWED, SceneSource
 from isogi_core.files.volume_copies import find_copy, get_copy, get_file
 from isogi_core.files.voxel_file import Draft
+from isogi_core.model.lights import ENVIRONMENTS
 from isogi_core.model.orientation import PLAIN, Orientation
 from isogi_core.model.value_survey import begin_digest
 from isogi_core.model.volume import Volume
@@ -119,9 +120,6 @@ CHUNK = (32, 256, 256)
 BYTES = 1 << 23
 """Bytes of a file in one object."""
 
-FOLLOWED = ("solid", "spacing", "missing", "axes", "volumes", "level", "channel", "time", "series")
-"""Settings of a scene that its volume's voxels already contain."""
-
 
 @dataclass(frozen=True)
 class SceneAssets:
@@ -141,7 +139,7 @@ def send_assets(scene: Scene, store: Store) -> SceneAssets:
     Raises StoreError, and LightError where a file of a light is gone.
     """
     source, volume, files = scene.source, scene.volume, []
-    for name in [str(light["file"]) for light in source.document.get("lights", ()) if "file" in light]:
+    for name in files_of(source.document):
         data = read_file(source.base / name)
         files.append((name, digest_of_file(data)))
         Asset(store, f"files/{files[-1][1]}").put(np.frombuffer(data, np.uint8), (BYTES,), {})
@@ -160,13 +158,22 @@ def receive_assets(source: SceneSource, assets: SceneAssets, store: Store) -> tu
     """
     files = {name: str(fetch_file(digest, Path(name).name, store)) for name, digest in assets.files}
     document = dict(source.document)
-    if "lights" in document:
+    if "lights" in document and "environment" not in document:
         document["lights"] = [moved(light, files) for light in document["lights"]]
+    if "environment" in document:
+        document["environment"] = files.get(document["environment"], document["environment"])
     if not assets.volume:
         return replace(source, document=document), None
     kept = {key: value for key, value in document.items() if key not in FOLLOWED}
     volume = fetch_volume(assets.volume, store)
     return replace(source, document=kept), replace(volume, orientation=assets.orientation)
+
+
+def files_of(document: Mapping[str, Any]) -> list[str]:
+    """The files of a scene's lights, as its document names them."""
+    if "environment" in document:
+        return [str(document["environment"])] if document["environment"] not in ENVIRONMENTS else []
+    return [str(light["file"]) for light in document.get("lights", ()) if "file" in light]
 
 
 def moved(light: Mapping[str, Any], files: Mapping[str, str]) -> Mapping[str, Any]:

@@ -30,7 +30,12 @@ def read_hdr(path: Path) -> np.ndarray:
         data = Path(path).read_bytes()
     except OSError as error:
         raise LightError(f"The light '{path}' cannot be read ({error.strerror}): check its path.") from error
-    height, width, gain, start = _read_header(path, data)
+    return parse_hdr(data, str(path))
+
+
+def parse_hdr(data: bytes, path: str, most: int = MAX_PIXELS) -> np.ndarray:
+    """The picture in the bytes of a file called ``path``, of ``most`` pixels at most; see ``read_hdr``."""
+    height, width, gain, start = _read_header(path, data, most)
     body = data[start:]
     try:
         coded = body[:2] == b"\2\2" and body[2] < 128 and 8 <= width < 32768
@@ -52,11 +57,11 @@ def write_hdr(path: Path, rgb: np.ndarray) -> None:
         raise LightError(f"'{path}' was not written: RGBE holds no value below 0, above 1e38 or not finite.")
     height, width, _ = values.shape
     header = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n" + b"-Y %d +X %d\n" % (height, width)
-    write_whole(Path(path), header + _encode(values))
+    write_whole(Path(path), header + encode_rgbe(values))
 
 
-def _encode(values: np.ndarray) -> bytes:
-    """RGBE quads of values (h, w, 3) that the format can hold; the largest mantissa is 128 to 255 or 0."""
+def encode_rgbe(values: np.ndarray) -> bytes:
+    """RGBE quads of values (h, w, 3) float64 that the format can hold; the largest mantissa is 128 to 255 or 0."""
     fraction, exponent = np.frexp(values.max(axis=-1))
     exponent += np.rint(fraction * 256.0) == 256.0
     exponent = np.where(exponent > -128, exponent, -128)
@@ -67,7 +72,7 @@ def _encode(values: np.ndarray) -> bytes:
     return quads.tobytes()
 
 
-def _read_header(path: Path, data: bytes) -> tuple[int, int, np.ndarray, int]:
+def _read_header(path: str, data: bytes, most: int) -> tuple[int, int, np.ndarray, int]:
     """Read height, width, the factor of each channel (3,) float32, and the offset of the pixels."""
     text, _, rest = data[:_HEADER_BYTES].partition(b"\n\n")
     if not text.startswith(b"#?") or not rest:
@@ -78,12 +83,16 @@ def _read_header(path: Path, data: bytes) -> tuple[int, int, np.ndarray, int]:
         name = line[:40].decode("ascii", "replace")
         raise LightError(f"'{path}' is stored as '{name}': save it from the top left, '-Y height +X width'.")
     height, width = int(match[1]), int(match[2])
+    if MAX_PIXELS >= height * width > most:
+        raise LightError(
+            f"'{path}' has {width} × {height} pixels, and {most} are the most that may be: make it smaller."
+        )
     if not 1 <= height * width <= MAX_PIXELS:
         raise LightError(f"'{path}' claims {width} × {height} pixels, which cannot be: copy it again.")
     return height, width, _gain(path, text), len(text) + 2 + len(line) + 1
 
 
-def _gain(path: Path, header: bytes) -> np.ndarray:
+def _gain(path: str, header: bytes) -> np.ndarray:
     """The product of all EXPOSURE and COLORCORR lines, (3,) float32. LightError for formats other than RGBE."""
     gain = np.ones(3)
     for line in header.decode("latin-1").splitlines():
@@ -95,7 +104,7 @@ def _gain(path: Path, header: bytes) -> np.ndarray:
     return gain.astype(np.float32)
 
 
-def _positive_numbers(path: Path, line: str, count: int) -> list[float]:
+def _positive_numbers(path: str, line: str, count: int) -> list[float]:
     """``count`` positive finite numbers after the equals sign of a header line."""
     try:
         numbers = [float(word) for word in line.partition("=")[2].split()]

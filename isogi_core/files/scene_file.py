@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
+from urllib.parse import unquote
 
 from isogi_core.errors import SceneError
 
@@ -50,8 +51,9 @@ def find_source(target: str | Path | None, overrides: Mapping[str, Any]) -> Scen
     return SceneSource(path.stem, {**document, **overrides}, path.parent)
 
 
-LYING = ("axes", "solid")
-"""Settings that may follow the # of a target: how its volume lies, and which side of the isovalue is solid."""
+LYING = ("axes", "solid", "environment")
+"""Settings that may follow the # of a target: how its volume lies, which side of the isovalue is solid, and its light.
+"""
 
 
 def split_settings(target: str) -> tuple[str, dict[str, str]]:
@@ -59,9 +61,13 @@ def split_settings(target: str) -> tuple[str, dict[str, str]]:
     place, mark, part = target.rpartition("#")
     if not mark or Path(target).exists():
         return target, {}
-    told = {key: value for key, _, value in (each.partition("=") for each in part.split("&")) if key in LYING}
+    told = {key: unquote(value) for key, _, value in (each.partition("=") for each in part.split("&")) if key in LYING}
     rest = "&".join(each for each in part.split("&") if each.partition("=")[0] not in LYING)
     return f"{place}#{rest}" if rest else place, told
+
+
+FOLLOWED = ("solid", "spacing", "missing", "axes", "volumes", "level", "channel", "time", "series")
+"""Settings of a scene that its volume's voxels already contain."""
 
 
 def is_zarr(path: Path) -> bool:

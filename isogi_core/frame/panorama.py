@@ -4,7 +4,8 @@ import numpy as np
 
 from isogi_core.frame.film import LEVELS, tone_table
 from isogi_core.kernels.transport.lights import DIRECTIONAL
-from isogi_core.model.environment import Environment, Lamps, pixel_directions, resample, solid_angles
+from isogi_core.model.environment import Environment, Lamps
+from isogi_core.model.latlong import pixel_directions, resample, solid_angles
 from isogi_core.model.sky import LUMINANCE
 
 FORMAT = 1

@@ -142,8 +142,40 @@ class AreaLight:
         return "area"
 
 
+ENVIRONMENTS = {
+    "overcast": "Overcast sky",
+    "studio": "Studio, two soft boxes",
+    "noon": "Clear sky at noon",
+    "evening": "Clear sky in the evening",
+    "gallery": "Gallery under skylights",
+}
+"""The environments that come by formula, and what a person calls them: see ``environments``."""
+
+
+@dataclass(frozen=True)
+class EnvironmentLight:
+    """One of ENVIRONMENTS, by its name; its mean luminance over the sphere is 1, as a sky's is."""
+
+    environment: str
+
+    @property
+    def name(self) -> str:
+        """The environment's name, for display."""
+        return ENVIRONMENTS[self.environment]
+
+
 Lamp = DirectionalLight | PointLight | AreaLight
-Light = ConstantLight | SkyLight | ProbeLight | Lamp
+Light = ConstantLight | SkyLight | ProbeLight | EnvironmentLight | Lamp
+
+
+def light_named(environment: str, base: Path) -> EnvironmentLight | ProbeLight:
+    """The environment of that name, or the probe in a file, relative to ``base``. SceneError where it is neither."""
+    if environment in ENVIRONMENTS:
+        return EnvironmentLight(environment)
+    if environment.lower().endswith(".hdr"):
+        return ProbeLight(base / environment)
+    names = ", ".join(ENVIRONMENTS)
+    raise SceneError(f"There is no environment '{environment[:80]}': choose {names}, or the file of a probe, .hdr.")
 
 
 def _cross(a: Vector, b: Vector) -> Vector:

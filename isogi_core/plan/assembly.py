@@ -4,6 +4,7 @@ import hashlib
 import math
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -13,13 +14,24 @@ import numpy as np
 
 from isogi_core.errors import LightError, SceneError
 from isogi_core.files.radiance import read_hdr
-from isogi_core.files.scene_file import DEFAULT_DEMO, SceneSource, Settings, find_source
+from isogi_core.files.scene_file import DEFAULT_DEMO, FOLLOWED, SceneSource, Settings, find_source
 from isogi_core.kernels.shading.lattice import CHUNK
 from isogi_core.kernels.tracing.field import OFFSET
 from isogi_core.kernels.transport.harmonics import MAX_ORDER
 from isogi_core.model.demo import DEMOS
-from isogi_core.model.environment import Environment, Lamps, gather_lamps, pixel_directions, resample, solid_angles
-from isogi_core.model.lights import ConstantLight, Lamp, Light, ProbeLight, SkyLight, light_from_mapping
+from isogi_core.model.environment import Environment, Lamps, gather_lamps
+from isogi_core.model.environments import environment_image
+from isogi_core.model.latlong import pixel_directions, resample, solid_angles
+from isogi_core.model.lights import (
+    ConstantLight,
+    EnvironmentLight,
+    Lamp,
+    Light,
+    ProbeLight,
+    SkyLight,
+    light_from_mapping,
+    light_named,
+)
 from isogi_core.model.room import ROOMS, Room, cornell_room, place_walls, wall_from_mapping
 from isogi_core.model.scene_plan import REPRESENTATIONS
 from isogi_core.model.sky import sky_image
@@ -29,7 +41,7 @@ from isogi_core.plan.inputs import PlanInputs, PlanOverrides
 from isogi_core.plan.isovalue_presets import read_presets
 from isogi_core.plan.lobe_choice import MOST as MOST_LOBES
 from isogi_core.plan.planner import plan_scene
-from isogi_core.plan.scene import CHUNKS, NORMALS, Scene
+from isogi_core.plan.scene import CHUNKS, NORMALS, SURVEYED, Scene
 from isogi_core.plan.volume_opening import open_volume
 
 SKY_SIZE = (512, 1024)
@@ -59,7 +71,7 @@ def build_scene(source: SceneSource, progress: Progress = no_progress, volume: V
     settings.text("volume", DEFAULT_DEMO)  # named by the scene, also where another way led to it
     volume = volume or right_side_out(settings, open_volume(settings, source.base, progress), source.base, progress)
     room = read_room(settings, volume)
-    lights = tuple(light_from_mapping(entry, source.base) for entry in settings.lights(room.lamps))
+    lights = read_lights(settings, room)
     lamps = gather_lamps((*lights, *room.lamps), volume.orientation)
     isovalues = settings.interval("isovalues", volume.value_range, volume.core)
     isovalue = start_isovalue(settings, volume, isovalues)
@@ -115,6 +127,30 @@ def plan_overrides(settings: Settings, albedo: tuple[float, float, float]) -> Pl
         lobes=settings.count("lobes", MOST_LOBES),
         albedos=albedos,
     )
+
+
+def read_lights(settings: Settings, room: Room) -> tuple[Light, ...]:
+    """The scene's lights: the environment that it names, in whose place its [[lights]] are not read, or those.
+
+    Raises SceneError, and LightError where a value has no meaning.
+    """
+    tables, base = settings.lights(room.lamps), settings.source.base
+    named = settings.text("environment", "")
+    return (light_named(named, base),) if named else tuple(light_from_mapping(entry, base) for entry in tables)
+
+
+def under(scene: Scene, environment: str, name: str) -> Scene:
+    """The same scene in the light of an ``environment``, as a scene file names it, by another id, ``name``.
+
+    It replaces all of the scene's [[lights]]; walls stay, and their luminaires. The volume and what was surveyed of it
+    are shared. Raises SceneError where the scene's own choices do not fit that light, and LightError.
+    """
+    document = {**scene.source.document, "environment": environment}
+    bare = {key: value for key, value in document.items() if key not in FOLLOWED}
+    other = build_scene(replace(scene.source, document=bare), volume=scene.volume)
+    other = replace(other, id=name, source=replace(scene.source, document=document))
+    vars(other).update({kept: found for kept, found in vars(scene).items() if kept in SURVEYED})
+    return other
 
 
 def read_room(settings: Settings, volume: Volume) -> Room:
@@ -178,8 +214,9 @@ def otsu(counts: np.ndarray, edges: np.ndarray) -> float:
     return float(edges[1 + int(np.argmax(between))])
 
 
-ASSEMBLED: WeakValueDictionary[Sequence[Light], Environment] = WeakValueDictionary()
-"""The environments in use that come from no file: scenes under the same lights share one, which takes megabytes."""
+ASSEMBLED: WeakValueDictionary[Sequence[Light] | str, Environment] = WeakValueDictionary()
+"""The environments in use: scenes under the same lights share one, which takes megabytes. Those that come from no file
+are found by their lights, others by their digest."""
 
 
 def assemble_environment(lights: Sequence[Light]) -> Environment:
@@ -189,12 +226,13 @@ def assemble_environment(lights: Sequence[Light]) -> Environment:
     """
     around = tuple(light for light in lights if not isinstance(light, Lamp))
     if any(isinstance(light, ProbeLight) for light in around):  # its file may have changed
-        return _sum(around)
+        read = _sum(around)
+        return ASSEMBLED.setdefault(read.digest, read)
     known = ASSEMBLED.get(around)
     return known if known is not None else ASSEMBLED.setdefault(around, _sum(around))
 
 
-def _sum(around: Sequence[ConstantLight | SkyLight | ProbeLight]) -> Environment:
+def _sum(around: Sequence[ConstantLight | SkyLight | ProbeLight | EnvironmentLight]) -> Environment:
     """The sum of lights that are no lamps."""
     constant = np.zeros(3)
     images = []
@@ -216,17 +254,18 @@ def _sum(around: Sequence[ConstantLight | SkyLight | ProbeLight]) -> Environment
     return Environment(constant, total, digest.hexdigest(), name)
 
 
-def _image(light: SkyLight | ProbeLight) -> np.ndarray:
-    """The lat-long image (h, w, 3) of a sky or a probe."""
+def _image(light: SkyLight | ProbeLight | EnvironmentLight) -> np.ndarray:
+    """The lat-long image (h, w, 3) of a sky, a probe or an environment by formula."""
     if isinstance(light, ProbeLight):
         return light.scale * _checked(read_hdr(light.file), f"The probe '{light.file}'").astype(np.float64)
     return _sky(light)
 
 
 @lru_cache(maxsize=4)
-def _sky(light: SkyLight) -> np.ndarray:
-    """The image of a sky, read-only: scenes that are planned anew have the sky they had."""
-    image = sky_image(light, pixel_directions(*SKY_SIZE), solid_angles(*SKY_SIZE))
+def _sky(light: SkyLight | EnvironmentLight) -> np.ndarray:
+    """The image of light by formula, read-only: scenes that are planned anew have the sky they had."""
+    grid = pixel_directions(*SKY_SIZE), solid_angles(*SKY_SIZE)
+    image = sky_image(light, *grid) if isinstance(light, SkyLight) else environment_image(light, *grid)
     image.flags.writeable = False
     return image
 

@@ -42,8 +42,8 @@ class PreparedScene:
         """The active-cell maps of the volume."""
         return ActiveCellMaps(self.scene.volume.voxels, self.most)
 
-    def finer(self, scene: Scene) -> "PreparedScene":
-        """The ``scene`` whose light is finer than this one's: what was worked out of the voxels serves both."""
+    def beside(self, scene: Scene) -> "PreparedScene":
+        """A ``scene`` of the same volume in finer or other light: what was worked out of the voxels serves both."""
         made = PreparedScene(scene, self.most)
         vars(made).update(field=self.field, maps=self.maps)
         return made

@@ -109,7 +109,7 @@ def needed_scope(scope: Scope) -> str:
         return "admin"
     if scope["type"] == "websocket" or scope["method"] in SAFE:
         return "look"
-    return "upload" if scope["path"].startswith("/v1/volumes") else "bake"
+    return "upload" if scope["path"].startswith(("/v1/volumes", "/v1/environments")) else "bake"
 
 
 class Token:

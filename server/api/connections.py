@@ -15,7 +15,7 @@ from uvicorn import Config
 from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.server import ServerState
 
-from server.api.requests import UPLOAD
+from server.api.requests import UPLOADS
 from server.problems import problem
 from server.render.metrics import Metrics
 from server.settings import Settings
@@ -185,7 +185,7 @@ class Connection(H11Protocol):
     @property
     def body_seconds(self) -> int:
         """Seconds for the body of the present request; once an upload is answered its rest is a body as any other."""
-        uploading = (self.scope["method"], self.scope["path"]) == UPLOAD and self.conn.our_state is h11.SEND_RESPONSE
+        uploading = (self.scope["method"], self.scope["path"]) in UPLOADS and self.conn.our_state is h11.SEND_RESPONSE
         return self.settings.upload_seconds if uploading else self.settings.body_seconds
 
     @property

@@ -70,8 +70,8 @@ def route_of(scope: Scope) -> str:
     return str(getattr(scope.get("route"), "path", "none"))
 
 
-UPLOAD = ("POST", "/v1/volumes")
-"""The method and the path of requests whose bodies may be larger, and take longer."""
+UPLOADS = (("POST", "/v1/volumes"), ("POST", "/v1/environments"))
+"""Methods and paths of requests whose bodies may be larger, and take longer."""
 
 
 class SmallBodies:
@@ -81,7 +81,7 @@ class SmallBodies:
     """
 
     def __init__(self, app: ASGIApp, limit: int, upload: int = 0) -> None:
-        """Let at most ``limit`` bytes pass, in an UPLOAD at most so many."""
+        """Let at most ``limit`` bytes pass, in UPLOADS at most so many."""
         self.app = app
         self.limit = limit
         self.upload = upload
@@ -99,7 +99,7 @@ class SmallBodies:
             twofold.headers["Connection"] = "close"
             await twofold(scope, receive, send)
             return
-        limit = self.upload if (scope["method"], scope["path"]) == UPLOAD else self.limit
+        limit = self.upload if (scope["method"], scope["path"]) in UPLOADS else self.limit
         refusal = problem(413, f"The body of a request may be {limit} bytes, no more.", scope["path"])
         if int(headers.get("content-length", "0")) > limit:  # the protocol lets digits pass alone
             await refusal(scope, receive, send)

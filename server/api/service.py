@@ -6,7 +6,7 @@ import asyncio
 import math
 import threading
 from collections.abc import AsyncGenerator, Callable
-from contextlib import AbstractContextManager, suppress
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Annotated, Self, TypeVar
 
@@ -30,6 +30,7 @@ from server.render.engine import RenderEngine
 from server.render.jobs import Job, Jobs
 from server.render.scheduling import ASKED, DRAFT, REFINED, REST, AdmissionLimit, Rank
 from server.render.updates import Pending, UpdateBus, attended, request_viewer
+from server.render.variants import MARK, Variants
 from server.settings import Settings
 from server.uploads.uploads import Uploads
 from worker.bake_requests import Viewer
@@ -83,7 +84,10 @@ HEARTBEAT = 20.0
 
 SHORTEST_PAUSE, REFINING = 0.1, 0.25
 """Seconds between two pictures of a view at rest, at least; and the share of the time that all views at rest together
-may be drawn in while light is baked for them. The last picture of a view waits for neither."""
+may be drawn in while light is baked for them. The last picture of a view waits for neither, nor the first with light.
+"""
+
+ONCE = ("queue", "primary", "texels", "normals", "lobes")  # what they find is kept for a view's next pictures
 
 
 class Service:
@@ -102,6 +106,7 @@ class Service:
         self.jobs = Jobs(settings.jobs)
         self.threads = RenderThreads(settings.render_threads)
         self.uploads = Uploads(engine, settings)
+        self.variants = Variants(engine, self.uploads.environment_at)
         self._requests = AdmissionLimit(settings.render_threads + settings.render_queue, "frames wait")
         self._refining = 0
 
@@ -173,10 +178,24 @@ class Service:
 
     def scene(self, name: str) -> Scene:
         """The scene with this id; UnknownSceneError where there is none."""
-        scene = self.engine.scenes.get(name)
+        scene = None if MARK in name else self.engine.scenes.get(name)
         if scene is None:
             raise UnknownSceneError(f"There is no scene '{name[:64]}': /v1/scenes lists them all.")
         return scene
+
+    async def lit(self, scene: Scene, environment: str | None) -> Scene:
+        """The scene in the light of an environment by its name or id; in its own where that is None.
+
+        Raises ParameterError where there is no such, and StartingError until the engine is up.
+        """
+        if environment is None:
+            return scene
+        self._check_started()
+        return await self.variants.lit(scene, environment)
+
+    def _check_started(self) -> None:
+        if not self.settled.is_set() or self.failure:
+            raise StartingError(self.reasons()[0])
 
     def planned(self, scene: Scene) -> Scene:
         """The same scene with the plan of the light that its store has, where that can be read now."""
@@ -189,8 +208,7 @@ class Service:
     def picture_of(self, scene: Scene, params: ViewParams) -> PictureRequest:
         """The picture that the parameters ask for. Raises ViewError, and StartingError until the engine is up."""
         view = view_of(scene, params, self.settings)
-        if not self.settled.is_set() or self.failure:
-            raise StartingError(self.reasons()[0])
+        self._check_started()
         return PictureRequest(scene.id, view, params.max_error or scene.target_error)
 
     async def render(
@@ -274,7 +292,8 @@ class Service:
             return await self.frame(picture, rank, watch)
         except NoRoomError:
             preview = replace(picture, view=replace(picture.view, shading=PREVIEW))
-            return provisional(await self.frame(preview, rank.begun, watch))
+            frame = await self.frame(preview, rank.begun, watch)
+            return replace(frame, state=np.minimum(frame.state, PROVISIONAL))
 
     async def refinements(self, picture: PictureRequest, viewer: Viewer) -> AsyncGenerator[Shown, None]:
         """The picture at once, then a better one as light comes, until it is final or no more light is coming.
@@ -326,16 +345,13 @@ class Service:
         """Returns when it is time to draw the picture again."""
         self._refining += 1
         try:
-            with self._pending(picture, shown) as pending:
+            with self.updates.pending(self._bake(picture), shown.coming, shown.since) as pending:
                 await within(HEARTBEAT, pending.some)
-                pause = (1.0 / REFINING - 1.0) * work_of(shown) * self._refining
+                lit = shown.frame.coverage["provisional"] < 1.0
+                pause = (1.0 / REFINING - 1.0) * work_of(shown) * self._refining if lit else 0.0
                 await within(max(pause, SHORTEST_PAUSE), pending.all)
         finally:
             self._refining -= 1
-
-    def _pending(self, picture: PictureRequest, shown: Shown) -> AbstractContextManager[Pending]:
-        """What is still to come of the light that a picture lacks."""
-        return self.updates.pending(self._bake(picture), shown.coming, shown.since)
 
     def _bake(self, picture: PictureRequest) -> str:
         return self.engine.bake_of(picture.scene, picture.view)
@@ -344,14 +360,9 @@ class Service:
         return self.updates.newest(self._bake(picture))
 
 
-def provisional(frame: Frame) -> Frame:
-    """The same frame, no pixel of which is taken for good."""
-    return replace(frame, state=np.minimum(frame.state, PROVISIONAL))
-
-
 def work_of(shown: Shown) -> float:
-    """Seconds of work on a picture, without those in the queue."""
-    return sum(seconds for stage, seconds in shown.watch.seconds.items() if stage != "queue")
+    """Seconds of work on a picture that the next one of its view takes again, without those in the queue."""
+    return sum(seconds for stage, seconds in shown.watch.seconds.items() if stage not in ONCE)
 
 
 async def within(seconds: float, event: asyncio.Event) -> None:

@@ -149,7 +149,7 @@ class Session:
     """
 
     def __init__(self, socket: WebSocket, service: Service, scene: Scene) -> None:
-        self._socket, self._service, self._scene = socket, service, scene
+        self._socket, self._service, self._scene, self._lit = socket, service, scene, scene
         self._metrics: Metrics = socket.app.state.metrics
         self._viewer = stream_viewer(socket)
         self._inbox = Inbox(socket, service.settings)
@@ -228,7 +228,8 @@ class Session:
         """Answer a view request, or send what is wrong with it."""
         try:
             form = format_for(params, None)
-            picture = self._service.picture_of(self._scene, smoothed(params, form))
+            self._lit = await self._service.lit(self._scene, params.environment)
+            picture = self._service.picture_of(self._lit, smoothed(params, form))
             await (
                 self._draft(request, params, picture) if request.moving else self._rest(request, params, picture, form)
             )
@@ -257,7 +258,7 @@ class Session:
 
     async def _picture(self, request: ViewRequest, params: FrameParams, shown: Shown, form: str, rank: Rank) -> None:
         """Send a picture and its facts."""
-        exposure = self._scene.default_exposure if params.exposure is None else params.exposure
+        exposure = self._lit.default_exposure if params.exposure is None else params.exposure
 
         def made() -> tuple[str, bytes]:
             with shown.watch.stage("encode"):

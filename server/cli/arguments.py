@@ -6,6 +6,7 @@ from functools import wraps
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
 
 import click
 
@@ -90,8 +91,11 @@ SWITCHES = ("insecure_scheduler",)
 """Options that take no value."""
 
 
+ENVIRONMENT = "Light: overcast, studio, noon, evening or gallery, or a probe's file (.hdr); default: the scene's."
+
+
 def volume_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Decorator: the options --axes and --solid, which become parts of the command's target."""
+    """Decorator: the options --axes, --solid and --environment, which become parts of the command's target."""
 
     @click.option(
         "--axes",
@@ -103,10 +107,12 @@ def volume_options(command: Callable[..., Any]) -> Callable[..., Any]:
         type=click.Choice(["above", "below"]),
         help="Which side of the isovalue is solid; default: above; below where most of the border is above.",
     )
+    @click.option("--environment", help=ENVIRONMENT)
     @wraps(command)
-    def placed(axes: str | None, solid: str | None, **given: Any) -> Any:
+    def placed(axes: str | None, solid: str | None, environment: str | None, **given: Any) -> Any:
         name = "scene" if "scene" in given else "target"
-        for key, value in (("axes", axes), ("solid", solid)):
+        light = environment and quote(str(Path(environment).resolve()) if "." in environment else environment)
+        for key, value in (("axes", axes), ("solid", solid), ("environment", light)):
             if value is not None:
                 target = given[name] or "demo:casting"
                 given[name] = f"{target}{'&' if '#' in target else '#'}{key}={value}"

@@ -30,6 +30,7 @@ from server.render.loaded_scene import LoadedScene, load
 from server.render.loaded_scenes import LoadedScenes
 from server.render.picture_checks import CHECK, PictureChecks
 from server.render.resources import shared, whereabouts
+from server.render.variants import own_name
 from server.render.workforce import Workforce
 from worker.bake_requests import GUEST, Viewer
 from worker.baker import Bake, Baker, Listener
@@ -122,10 +123,15 @@ class RenderEngine:
         return self._find(scene).scene
 
     def dismiss(self, scene: str) -> None:
-        """Show a scene no more: frames that are drawn come to their end, and nothing more is baked for it.
+        """Show a scene no more, nor its variants: frames that are drawn come to their end, and nothing more is baked.
 
-        Its light stays in the store.
+        Their light stays in the store.
         """
+        for each in [scene, *(name for name in self.scenes if name != scene and own_name(name) == scene)]:
+            self._dismiss(each)
+
+    def _dismiss(self, scene: str) -> None:
+        """Show one scene no more."""
         with self._changing:
             self.scenes = {name: each for name, each in self.scenes.items() if name != scene}
             known = [bake for spec in SPECS if self._bakes.pop(bake := bake_name(scene, spec), None)]
@@ -347,7 +353,8 @@ class RenderEngine:
 
     def _load(self, scene: Scene) -> LoadedScene:
         """Load a scene; the former scenes may be iterated over meanwhile. Raises StoreError."""
-        loaded = load(scene, self.store, self._tiles, self._memory, send=self.workforce.joins)
+        own = self._loaded.held(own_name(scene.id))
+        loaded = load(scene, self.store, self._tiles, self._memory, send=self.workforce.joins, beside=own)
         bakes = [self._bake_by(loaded, spec) for spec in SPECS]
         with self._changing:
             if scene.id in self.scenes:

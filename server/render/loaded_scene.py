@@ -160,7 +160,7 @@ class LoadedScene:
         """The same scene with finer texels, loaded when first asked for. Raises StoreError."""
         with self._lock:
             if self._finer is None:
-                prepared = self.renderer.prepared.finer(finer(self.scene))
+                prepared = self.renderer.prepared.beside(finer(self.scene))
                 caches = Caches(prepared, self.renderer.caches.store, self.memory.light)
                 self._finer = loaded(caches, self.renderer.tiles, self.memory, self.assets, self.fineness + 1)
             return self._finer
@@ -220,9 +220,15 @@ class LoadedScene:
             self._finer.close()
 
 
-def load(scene: Scene, store: Store, tiles: Tiles, memory: Memory, send: bool = False) -> LoadedScene:
-    """Prepare a scene and open its layers in a ``store``; ``send`` puts its assets there. Raises StoreError."""
-    caches = Caches(PreparedScene(scene, memory.maps), store, memory.light)
+def load(
+    scene: Scene, store: Store, tiles: Tiles, memory: Memory, send: bool = False, beside: LoadedScene | None = None
+) -> LoadedScene:
+    """Prepare a scene and open its layers in a ``store``; ``send`` puts its assets there. Raises StoreError.
+
+    One that is loaded ``beside`` another, of the same volume, shares what that has worked out of the voxels.
+    """
+    prepared = beside.renderer.prepared.beside(scene) if beside else PreparedScene(scene, memory.maps)
+    caches = Caches(prepared, store, memory.light)
     return loaded(caches, tiles, memory, sent(scene, store) if send else None)
 
 

@@ -22,6 +22,7 @@ from isogi_core.files.grid import PATIENT, Grid
 from isogi_core.model.orientation import Orientation
 from isogi_core.storage.atomic_file import write_whole
 from server.errors import FullError, UploadFolderError
+from server.uploads.environments import UploadedEnvironment, read_environment
 
 TYPES = {
     **{f"{kind}{size}": f"{name}{8 * size}" for kind, name in (("i", "int"), ("u", "uint")) for size in (1, 2, 4, 8)},
@@ -164,13 +165,15 @@ class UploadFolder:
         """Name the folder; nothing is opened yet."""
         self.path = path
         self.volumes: dict[str, UploadedVolume] = {}
+        self.environments: dict[str, UploadedEnvironment] = {}
         self._owners: dict[str, list[str]] = {}
         self._lock: IO[bytes] | None = None
 
     @property
     def held(self) -> int:
         """Bytes that count towards the quota."""
-        return sum(kept.held for kept in self.volumes.values())
+        volumes, environments = self.volumes.values(), self.environments.values()
+        return sum(kept.held for kept in volumes) + sum(kept.held for kept in environments)
 
     def open(self) -> None:
         """Take the folder, for its owner alone; throw away what was half-written, and find what is whole."""
@@ -182,6 +185,7 @@ class UploadFolder:
                 path.unlink()
             self._owners = read_owners(self.path / OWNERS)
             self.volumes = {kept.id: kept for kept in map(self._read, sorted(self.path.glob("*.nrrd"))) if kept}
+            self.environments = {kept.id: kept for kept in map(self._light, sorted(self.path.glob("*.hdr"))) if kept}
 
     def close(self) -> None:
         """Leave the folder to others."""
@@ -189,8 +193,8 @@ class UploadFolder:
             self._lock.close()
 
     def place(self, number: str) -> Path:
-        """The file of a volume in the folder."""
-        return self.path / f"{self.volumes[number].id}.nrrd"
+        """The file of a volume, or of an environment, in the folder."""
+        return self.path / (f"{number}.nrrd" if number in self.volumes else f"{self.environments[number].id}.hdr")
 
     @contextmanager
     def drafts(self) -> Iterator[tuple[IO[bytes], IO[bytes]]]:
@@ -205,26 +209,40 @@ class UploadFolder:
             Path(draft.name).unlink(missing_ok=True)
 
     def put(self, draft: IO[bytes], number: str) -> UploadedVolume:
-        """Keep a canonical draft under its id: once this returns no power cut takes it away."""
+        """Keep a canonical draft of a volume under its id: once this returns no power cut takes it away."""
         place = self.path / f"{number}.nrrd"
-        with named(self.path):
-            draft.flush()
-            os.fsync(draft.fileno())
-            os.replace(draft.name, place)
-            self._settle()
+        self._move(draft, place)
         kept = self._read(place)
         if kept is None:
             raise UploadFolderError(f"The volume in {place} did not come out as it went in: check the disk.")
         self.volumes = {**self.volumes, number: kept}
         return kept
 
+    def put_environment(self, draft: IO[bytes], number: str) -> UploadedEnvironment:
+        """Keep a canonical draft of an environment likewise."""
+        place = self.path / f"{number}.hdr"
+        self._move(draft, place)
+        kept = self._light(place)
+        if kept is None:
+            raise UploadFolderError(f"The light in {place} did not come out as it went in: check the disk.")
+        self.environments = {**self.environments, number: kept}
+        return kept
+
+    def _move(self, draft: IO[bytes], place: Path) -> None:
+        """Give a draft its name, for good."""
+        with named(self.path):
+            draft.flush()
+            os.fsync(draft.fileno())
+            os.replace(draft.name, place)
+            self._settle()
+
     def owners_of(self, number: str) -> list[str]:
         """The names of those whom a volume belongs to; none where nobody is named."""
         return self._owners.get(number, [])
 
     def give(self, number: str, owner: str) -> None:
-        """Have a volume belong to one more, unless that is nobody."""
-        if owner and number in self.volumes and owner not in self.owners_of(number):
+        """Have an upload belong to one more, unless that is nobody."""
+        if owner and (number in self.volumes or number in self.environments) and owner not in self.owners_of(number):
             self._own({**self._owners, number: [*self.owners_of(number), owner]})
 
     def take_back(self, number: str, owner: str) -> None:
@@ -238,12 +256,13 @@ class UploadFolder:
         self._owners = owners
 
     def remove(self, number: str) -> None:
-        """Delete a volume."""
+        """Delete a volume, or an environment."""
         if number in self._owners:
             self._own({key: owners for key, owners in self._owners.items() if key != number})
         with named(self.path):
             self.place(number).unlink(missing_ok=True)
             self.volumes = {key: kept for key, kept in self.volumes.items() if key != number}
+            self.environments = {key: kept for key, kept in self.environments.items() if key != number}
             self._settle()
 
     def _take(self) -> IO[bytes]:
@@ -269,6 +288,12 @@ class UploadFolder:
         kept = read_facts(path) if NUMBER.fullmatch(path.stem) and not path.is_symlink() else None
         if kept is None:
             log.warning("%s is no volume that isogi has kept: it is left alone", path)
+        return kept
+
+    def _light(self, path: Path) -> UploadedEnvironment | None:
+        kept = read_environment(path) if NUMBER.fullmatch(path.stem) and not path.is_symlink() else None
+        if kept is None:
+            log.warning("%s is no light that isogi has kept: it is left alone", path)
         return kept
 
 

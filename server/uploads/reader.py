@@ -1,9 +1,10 @@
 """The reader of uploads: a process of its own, for one file that may be hostile.
 
-``python -m server.uploads.reader NAME OUT VOXELS SECONDS`` reads the file on stdin and writes it as a canonical file
-to the descriptor OUT. One line of JSON on stdout holds its id, or a sentence why it is refused. What the process
-may take is limited, and before it reads the file it gives up all that it does not need for that (see ``sandbox``): no
-path, URL or socket that the file names can be reached, and what a hole in a library lets in can harm nothing.
+``python -m server.uploads.reader NAME OUT VOXELS SECONDS KIND`` reads the file on stdin, a volume or an environment,
+and writes it as a canonical file to the descriptor OUT. One line of JSON on stdout holds its id, or a sentence why it
+is refused. What the process may take is limited, and before it reads the file it gives up all that it does not need for
+that (see ``sandbox``): no path, URL or socket that the file names can be reached, and what a hole in a library lets in
+can harm nothing.
 """
 
 import contextlib
@@ -17,11 +18,13 @@ from typing import Any
 
 import numpy as np
 
-from isogi_core.errors import VolumeError
+from isogi_core.errors import LightError, VolumeError
 from isogi_core.files.formats.opening import HEAD, libraries_for, open_upload
 from isogi_core.files.grid import Grid
 from isogi_core.files.right_angles import on_right_angles
+from isogi_core.model.latlong import resample
 from isogi_core.model.volume import make_volume
+from server.uploads.environments import ENVIRONMENT, VOLUME, write_environment
 from server.uploads.folder import LONGEST, write
 from server.uploads.sandbox import confine
 
@@ -34,19 +37,21 @@ PER_VOXEL = 32
 LONGEST_SENTENCE = 500
 
 
-def main(name: str, out: int, voxels: int, seconds: int) -> dict[str, str]:
-    """Read stdin's volume, of at most so many ``voxels`` and in so many processor ``seconds``, into ``out``."""
+def main(name: str, out: int, voxels: int, seconds: int, kind: str = VOLUME) -> dict[str, str]:
+    """Read stdin's file, of at most so many ``voxels`` and in so many processor ``seconds``, into ``out``."""
     rehearse(os.pread(0, HEAD, 0))
     limit(voxels, seconds)
     confine()
     with open(0, "rb", closefd=False) as upload, open(out, "wb", closefd=False) as canonical:
         try:
+            if kind == ENVIRONMENT:
+                return {"id": write_environment(canonical, upload.read(), name)}
             grid = on_right_angles(open_upload(upload, name or "upload", voxels))
             check_size(grid, voxels)
             grid = grid.loaded()
             make_volume(grid.whole(), grid.spacing)  # what the server cannot show is refused here
             return {"id": write(canonical, grid, name)}
-        except VolumeError as error:
+        except (VolumeError, LightError) as error:
             return {"refused": str(error)}
         except MemoryError:
             return {"refused": "The file needs more memory than an upload may take: save a smaller part of it."}
@@ -65,6 +70,7 @@ def check_size(grid: Grid, voxels: int) -> None:
 def rehearse(head: bytes) -> None:
     """Have the libraries that a file needs which begins with ``head`` load what they load late: soon they cannot."""
     make_volume(np.array([0.0, 1.0, np.nan, 1e30] * 2).reshape(2, 2, 2))
+    resample(np.ones((4, 8, 3)), 2, 4)
     for name in libraries_for(head):
         with contextlib.suppress(ImportError):
             import_module(name)
@@ -93,6 +99,6 @@ def line_of(answer: dict[str, Any]) -> str:
 if __name__ == "__main__":
     warnings.simplefilter("ignore")
     os.umask(0o077)
-    NAME, *NUMBERS = sys.argv[1:]
+    NAME, OUT, VOXELS, SECONDS, KIND = sys.argv[1:]
     with contextlib.suppress(BrokenPipeError):
-        print(line_of(main(NAME, *map(int, NUMBERS))), flush=True)  # noqa: T201
+        print(line_of(main(NAME, int(OUT), int(VOXELS), int(SECONDS), KIND)), flush=True)  # noqa: T201

@@ -7,17 +7,18 @@ import math
 import os
 import sys
 from asyncio.subprocess import DEVNULL, PIPE, Process
-from collections.abc import AsyncGenerator, AsyncIterator
+from collections.abc import AsyncGenerator, AsyncIterator, Callable
 from contextlib import aclosing
 from dataclasses import replace
 from pathlib import Path
-from typing import IO
+from typing import IO, TypeVar
 
 from fastapi import Request
 from starlette.requests import ClientDisconnect
 
 from isogi_core.errors import Cancelled, IsogiError, VolumeError
 from isogi_core.files.scene_file import SceneSource
+from isogi_core.model.lights import ENVIRONMENTS
 from isogi_core.plan.assembly import build_scene
 from isogi_core.plan.scene import Scene
 from server.bearers import ANYBODY, Bearer, bearer_of
@@ -33,9 +34,13 @@ from server.errors import (
 from server.render.engine import RenderEngine
 from server.render.scheduling import AdmissionLimit
 from server.render.updates import attended
+from server.render.variants import MARK
 from server.settings import Settings
+from server.uploads.environments import ENVIRONMENT, VOLUME, UploadedEnvironment, read_environment
 from server.uploads.folder import SCENE, VOXEL, UploadedVolume, UploadFolder, default_folder, named, read_facts
 from server.uploads.sandbox import lacking
+
+Kept = TypeVar("Kept")
 
 BLOCK = 1 << 20
 """Bytes that are written at once."""
@@ -87,15 +92,18 @@ SHARE = 0.6
 """Share of the reader's time that may be processor time: a file that needs more is refused."""
 
 
-async def read_confined(upload: IO[bytes], into: IO[bytes], name: str, voxels: int, seconds: float) -> str:
+async def read_confined(
+    upload: IO[bytes], into: IO[bytes], name: str, voxels: int, seconds: float, kind: str = VOLUME
+) -> str:
     """Have a child read ``upload`` from its beginning and write it as a canonical file ``into`` another; its id.
 
+    It is of a ``kind``, VOLUME or ENVIRONMENT.
     It may have ``voxels`` at most, and the child so many ``seconds`` besides those for its size. Raises VolumeError,
     with the child's own sentence or one about its end, and LateError.
     """
     upload.seek(0)
     patience = seconds + os.fstat(upload.fileno()).st_size / PACE
-    arguments = [name, into.fileno(), voxels, math.ceil(SHARE * patience)]
+    arguments = [name, into.fileno(), voxels, math.ceil(SHARE * patience), kind]
     process = await asyncio.create_subprocess_exec(
         *(sys.executable, "-P", "-m", "server.uploads.reader", *map(str, arguments)),
         stdin=upload,
@@ -200,17 +208,27 @@ class Uploads:
         Raises UploadsOffError, StartingError, BusyError, SlowUploadError, VolumeError, LateError, FullError,
         UploadFolderError, and Cancelled where the client has left.
         """
+        return await self._take(request, name, VOLUME, self._keep)
+
+    async def take_environment(self, request: Request, name: str) -> tuple[UploadedEnvironment, bool]:
+        """Take the body of a request as light, a Radiance picture; see ``take``, which this does likewise."""
+        return await self._take(request, name, ENVIRONMENT, self._keep_environment)
+
+    async def _take(
+        self, request: Request, name: str, kind: str, keep: Callable[[IO[bytes], str], tuple[Kept, bool]]
+    ) -> tuple[Kept, bool]:
+        """Take the body of a request as a file of a ``kind``, and ``keep`` its canonical form."""
         if not self.on:
             raise UploadsOffError(OFF)
         self._check_ready()
         with self._admission.admitted(), self.folder.drafts() as (body, draft):
-            self._check_room(SCENE)  # no volume takes less
+            self._check_room(SCENE if kind == VOLUME else 0)  # no volume takes less
             with named(self.folder.path):
                 await receive(request, body, self._settings.body_seconds)
             limits = self.limit // VOXEL, self._settings.reading_seconds
-            number = await attended(request, read_confined(body, draft, name, *limits))
+            number = await attended(request, read_confined(body, draft, name, *limits, kind))
             async with self._changing:
-                kept = await asyncio.to_thread(self._keep, draft, number)
+                kept = await asyncio.to_thread(keep, draft, number)
                 if kept[1] or self.folder.owners_of(number):
                     await asyncio.to_thread(self.folder.give, number, bearer_of(request.scope).name)
                 return kept
@@ -222,18 +240,37 @@ class Uploads:
         StartingError and UploadFolderError.
         """
         self.find(number)
+        if await self._remove(number, bearer) and number in self._engine.scenes:
+            await asyncio.to_thread(self._engine.dismiss, number)
+
+    async def remove_environment(self, number: str, bearer: Bearer = ANYBODY) -> None:
+        """Have an environment gone, and what is shown in it; see ``remove``."""
+        if number not in self.folder.environments:
+            raise UnknownVolumeError(f"There is no environment '{number[:64]}': /v1/environments lists them all.")
+        if await self._remove(number, bearer):
+            for lit in [name for name in self._engine.scenes if name.endswith(f"{MARK}{number}")]:
+                await asyncio.to_thread(self._engine.dismiss, lit)
+
+    async def _remove(self, number: str, bearer: Bearer) -> bool:
+        """Have an upload's file gone, unless it belongs to others besides; whether it is."""
         self._check_ready()
         async with self._changing:
-            self.find(number)
+            if number not in self.folder.volumes and number not in self.folder.environments:
+                raise UnknownVolumeError(f"There is no upload '{number}' any more.")
             owners = self.folder.owners_of(number)
             if not any(map(bearer.owns, owners or [""])):
-                raise ForbiddenError(f"The volume '{number}' is another's: who sent it may delete it, and an admin.")
+                raise ForbiddenError(f"The upload '{number}' is another's: who sent it may delete it, and an admin.")
             if not bearer.may("admin") and len(owners) > 1:
                 await asyncio.to_thread(self.folder.take_back, number, bearer.name)
-                return
+                return False
             await asyncio.to_thread(self.folder.remove, number)
-            if number in self._engine.scenes:
-                await asyncio.to_thread(self._engine.dismiss, number)
+            return True
+
+    def environment_at(self, name: str) -> str | None:
+        """An environment as a scene file names it, by its name or the id of an uploaded one; None where none is."""
+        if name in ENVIRONMENTS:
+            return name
+        return str(self.folder.place(name).resolve()) if name in self.folder.environments else None
 
     def _keep(self, draft: IO[bytes], number: str) -> tuple[UploadedVolume, bool]:
         """Keep a volume in the folder and show it, unless it is there already; all or nothing."""
@@ -248,6 +285,14 @@ class Uploads:
             self.folder.remove(number)
             raise
         return kept, True
+
+    def _keep_environment(self, draft: IO[bytes], number: str) -> tuple[UploadedEnvironment, bool]:
+        """Keep an environment in the folder, unless it is there already."""
+        if number in self.folder.environments:
+            return self.folder.environments[number], False
+        drafted = read_environment(Path(draft.name))
+        self._check_room(drafted.held if drafted else 0)
+        return self.folder.put_environment(draft, number), True
 
     def _check_ready(self) -> None:
         if not self._ready:

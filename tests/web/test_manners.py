@@ -43,6 +43,21 @@ def test_back_and_forward_walk_through_views(page: Page, live_server: str) -> No
     assert wait_final(page).locator("#trouble").is_hidden()
 
 
+def test_a_view_that_was_lost_is_found_again(page: Page, live_server: str) -> None:
+    """Reset, and a step back: the view is as it was."""
+    open_final(page, f"{live_server}/?shading=lambert")
+    for knob, share in (("azimuth", 0.25), ("elevation", 0.75)):
+        slide(page, knob, share)
+    page.wait_for_timeout(1300)
+    lost = page.url
+    page.click("#reset")
+    page.wait_for_function("before => location.href !== before", arg=lost)
+    page.go_back()
+    expect(page.locator("#azimuth")).to_have_js_property("valueAsNumber", -90)
+    expect(page.locator("#elevation")).to_have_js_property("valueAsNumber", 45)
+    assert page.url == lost
+
+
 def test_full_screen_and_back(sketched: Page) -> None:
     sketched.click("#full-screen")
     sketched.wait_for_function("document.fullscreenElement?.id === 'stage'")

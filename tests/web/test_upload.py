@@ -9,17 +9,9 @@ from playwright.sync_api import Browser, Page, expect
 
 from tests.server.uploads.files import ball, headed
 from tests.server.uploads.site import Site, opened
-from tests.web.visits import BROWSER, FINAL_MS, SHOTS
+from tests.web.visits import BROWSER, DROP, FINAL_MS, SHOTS, give
 
 pytestmark = BROWSER
-
-DROP = """([text, name]) => {
-  const bytes = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
-  const data = new DataTransfer();
-  data.items.add(new File([bytes], name));
-  const event = new DragEvent("drop", { dataTransfer: data, bubbles: true, cancelable: true });
-  document.querySelector("#stage").dispatchEvent(event);
-}"""
 
 
 @pytest.fixture(scope="module")
@@ -33,11 +25,6 @@ def shown(page: Page, site: Site) -> Page:
     page.goto(str(site.client.base_url))
     page.wait_for_selector("#picture:not([hidden])", timeout=FINAL_MS)
     return page
-
-
-def give(page: Page, name: str, content: bytes) -> None:
-    """Choose a file, as in the dialog that the button opens."""
-    page.set_input_files("#upload-file", {"name": name, "mimeType": "application/octet-stream", "buffer": content})
 
 
 def test_without_uploads_the_page_offers_none(page: Page, live_server: str) -> None:
@@ -88,4 +75,6 @@ def test_why_a_file_is_refused_is_said(browser: Browser, site: Site) -> None:
     give(page, "a.nrrd", headed("type: block\n"))
     expect(page.locator("#upload-note p")).to_contain_text("header of 'a' has no dimension", timeout=FINAL_MS)
     expect(page.locator("#upload-note progress")).to_be_hidden()
+    give(page, "slice.nrrd", b"\x89PNG\r\n\x1a\n" + bytes(64))
+    expect(page.locator("#upload-note p")).to_contain_text("seems to be a picture", timeout=FINAL_MS)
     page.close()

@@ -15,6 +15,15 @@ BROWSER = [
 ]
 """The marks of tests of the page."""
 
+DROP = """([text, name]) => {
+  const bytes = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
+  const data = new DataTransfer();
+  data.items.add(new File([bytes], name));
+  const event = new DragEvent("drop", { dataTransfer: data, bubbles: true, cancelable: true });
+  document.querySelector("#stage").dispatchEvent(event);
+}"""
+"""Drops a file on the picture."""
+
 FINAL_MS = 180_000  # baking a view for the first time on a small machine
 
 
@@ -47,6 +56,11 @@ def slide(page: Page, knob: str, share: float) -> None:
         }""",
         share,
     )
+
+
+def give(page: Page, name: str, content: bytes) -> None:
+    """Choose a file, as in the dialog that the button opens."""
+    page.set_input_files("#upload-file", {"name": name, "mimeType": "application/octet-stream", "buffer": content})
 
 
 def without_sockets(page: Page) -> Page:

@@ -85,3 +85,14 @@ def test_what_is_overdue_is_judged_before_it_is_done(estimator: TimeEstimator, c
         clock.now += max(PRIOR) / 2
         after = estimator.estimate("view", 10.0 * 0.99)
     assert after.likely / 0.99 > before.likely or after.high / 0.99 > before.high
+
+
+def test_work_that_does_not_end_when_it_should_is_told_as_longer(estimator: TimeEstimator, clock: Clock) -> None:
+    """Light that needs more paths than was thought: ten seconds are left, and left again, while workers work."""
+    reported = []
+    for second in range(60):
+        reported.append(estimator.estimate("view", 10.0, worked=float(second)))
+        clock.now += 1.0
+    assert reported[0].likely == 10.0
+    assert reported[30].likely >= 15.0, "after three times as long it is told"
+    assert reported[-1].likely == pytest.approx(20.0) and reported[-1].high >= 20.0

@@ -24,6 +24,7 @@ from isogi_core.storage.url import StoreUrl
 from worker.tasks import (
     ELSEWHERE,
     KINDS,
+    OPEN,
     BakeResult,
     BakeTask,
     bake,
@@ -32,6 +33,7 @@ from worker.tasks import (
     claims_of,
     dask_setup,
     open_spec,
+    opened,
     sample_texels,
 )
 
@@ -328,6 +330,7 @@ def test_a_worker_without_the_files_leaves_the_same_bytes(
     )
     assert [layer.read((0, 0, 0)) for layer in other.layers] == [layer.read((0, 0, 0)) for layer in own.layers]
     assert all(layer.read((0, 0, 0)) for layer in own.layers)
+    OPEN.clear()  # as in a process that has not had them
     with pytest.raises(VolumeError, match="There is no file"):
         bake(replace(task, store_url=made(tmp_path / "third")))
 
@@ -350,3 +353,13 @@ def test_projected_texels_have_the_same_bytes_in_any_order(tmp_path: Path) -> No
     void = locate(places, spec.prepared, spec.shown)[1]
     np.testing.assert_array_equal(chunk.light.void, void)
     assert 0 < void.sum() < len(void)
+
+
+def test_scenes_in_other_light_share_what_is_open(small_scene: Path) -> None:
+    own = load_scene(small_scene)
+    first = opened(own.source)
+    lit = opened(replace(own.source, document={**own.source.document, "environment": "studio"}))
+    assert lit.scene.volume is first.scene.volume and lit.field is first.field
+    assert lit.scene.digest == load_scene(small_scene, environment="studio").digest != first.scene.digest
+    raw = opened(replace(own.source, document={**own.source.document, "spacing": [1.0, 1.0, 2.0]}))
+    assert raw.scene.volume is not first.scene.volume, "it lies otherwise"

@@ -7,7 +7,7 @@ import { NUMBERS } from "../view/model.js";
 /** @typedef {import("../view/model.js").ViewModel} ViewModel */
 /** @typedef {import("./schemas.js").Scene} Scene */
 
-const CHOICES = ["shading", "overlay", "compare", "tint", "background"];
+const CHOICES = ["shading", "overlay", "compare", "tint", "background", "environment"];
 const KNOWN = new Set([...CHOICES, "scene", "target", "token"]);
 const PAUSE_MS = 150;
 const REST_MS = 1000; // a view that was at rest for so long is one to come back to
@@ -41,6 +41,7 @@ export function writeAddress(scene, values) {
   if (values.tint !== undefined && values.tint !== startAlbedo(scene).tint) query.set("tint", values.tint);
   query.set("shading", values.shading);
   if (values.overlay !== "none") query.set("overlay", values.overlay);
+  if (values.environment) query.set("environment", values.environment);
   if (values.background !== "page") query.set("background", values.background);
   if (values.compare) query.set("compare", values.compare);
   return `?${query}`;
@@ -49,7 +50,7 @@ export function writeAddress(scene, values) {
 /**
  * What an address says that cannot be shown, in sentences.
  * @param {string} search the part of the address from `?` on
- * @param {Pick<Scene, "id"|"name"|"shadings"|"ranges"|"volume">} scene that is shown
+ * @param {Pick<Scene, "id"|"name"|"shadings"|"ranges"|"volume"> & Partial<Pick<Scene, "environments">>} scene that is shown
  * @returns {string[]}
  */
 export function complaints(search, scene) {
@@ -81,8 +82,10 @@ export function isovalueComplaint({ ranges, volume }, isovalue) {
   return `No surface at ${isovalue}: ${what} ${from} to ${to}.`;
 }
 
-/** @type {(scene: Pick<Scene, "shadings">, name: string, value: string) => string} */
-function choiceComplaint({ shadings }, name, value) {
+/** @type {(scene: Pick<Scene, "shadings"> & Partial<Pick<Scene, "environments">>, name: string, value: string) => string} */
+function choiceComplaint({ shadings, environments = [] }, name, value) {
+  const lit = name !== "environment" || !value || environments.some(({ id }) => id === value);
+  if (!lit) return `There is no light “${value}” here.`;
   const shading = ["shading", "compare"].includes(name);
   if (shading && value && !shadings.includes(value)) return `There is no shading “${value}”.`;
   return KNOWN.has(name) ? "" : `The link says ${name}, which this page does not know.`;
@@ -106,9 +109,9 @@ export function followAddress(scene, view) {
     entry = "replaceState";
     return location.href;
   };
-  view.subscribe(() => {
+  view.subscribe((_, follows) => {
     const now = performance.now();
-    if (now - changed > REST_MS) entry = "pushState";
+    if (now - changed > REST_MS && !follows) entry = "pushState";
     changed = now;
     clearTimeout(timer);
     timer = setTimeout(write, PAUSE_MS);

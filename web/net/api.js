@@ -24,15 +24,16 @@ export async function listScenes() {
 }
 
 /**
- * Upload a volume. `fetch` reports no progress, so this is an `XMLHttpRequest`.
+ * Upload a volume, or a light probe. `fetch` reports no progress, so this is an `XMLHttpRequest`.
+ * @param {"volumes"|"environments"} kind
  * @param {Blob} file
  * @param {string} name
  * @param {(share: number) => void} progress
  * @returns {Promise<{id: string}>}
  */
-export function sendVolume(file, name, progress) {
+export function sendFile(kind, file, name, progress) {
   const request = new XMLHttpRequest();
-  request.open("POST", new URL(`v1/volumes?${new URLSearchParams({ name })}`, document.baseURI));
+  request.open("POST", new URL(`v1/${kind}?${new URLSearchParams({ name })}`, document.baseURI));
   request.responseType = "json";
   request.upload.addEventListener("progress", ({ loaded, total }) => progress(loaded / total));
   return new Promise((resolve, reject) => {
@@ -47,11 +48,11 @@ export function sendVolume(file, name, progress) {
 }
 
 /**
- * Delete an uploaded volume.
+ * Delete what was uploaded.
  * @param {string} href its address
  * @returns {Promise<void>}
  */
-export async function deleteVolume(href) {
+export async function deleteUpload(href) {
   await ask(href.replace(/^\//, ""), { method: "DELETE" });
 }
 
@@ -59,12 +60,27 @@ export async function deleteVolume(href) {
  * Everything about one scene: volume, histogram, defaults, ranges, plan, and the camera that shows its surface whole.
  * @param {string} id
  * @param {{width: number, height: number}} size of the picture
+ * @param {number} [isovalue] of the surface; the scene's where it is left out, or has no meaning
  * @returns {Promise<Scene>}
  */
-export async function readScene(id, { width, height }) {
+export async function readScene(id, { width, height }, isovalue) {
   const scene = await (await ask(scenePath(id))).json();
-  const size = new URLSearchParams({ width: String(width), height: String(height) });
-  return { ...scene, start: await (await ask(`${scenePath(id)}/fit?${size}`)).json() };
+  const { min, max } = scene.ranges?.isovalue ?? {};
+  const asked = new URLSearchParams({ width: String(width), height: String(height) });
+  if (isovalue !== undefined && isovalue >= min && isovalue <= max) asked.set("isovalue", String(isovalue));
+  return { ...scene, start: await (await ask(`${scenePath(id)}/fit?${asked}`)).json() };
+}
+
+/**
+ * What a scene is in other light: what of its document depends on that.
+ * @param {string} id
+ * @param {string} environment "" for the scene's own
+ * @returns {Promise<Pick<Scene, "lights"|"plan"|"defaults"|"rotating"|"turns">>}
+ */
+export async function readLight(id, environment) {
+  const query = environment && `?${new URLSearchParams({ environment })}`;
+  const { lights, plan, defaults, rotating, turns } = await (await ask(`${scenePath(id)}${query}`)).json();
+  return { lights, plan, defaults, rotating, turns };
 }
 
 /**
@@ -121,10 +137,12 @@ export function surfacePoint(frame) {
  * A picture of the light around a scene: latitude and longitude, tone-mapped, not turned.
  * @param {string} scene
  * @param {number} width pixels
+ * @param {string} environment "" for the scene's own
  * @returns {Promise<Blob>}
  */
-export async function readSky(scene, width) {
-  return bodyOf(await ask(`${scenePath(scene)}/sky?${new URLSearchParams({ width: String(width) })}`));
+export async function readSky(scene, width, environment) {
+  const query = { width: String(width), ...(environment && { environment }) };
+  return bodyOf(await ask(`${scenePath(scene)}/sky?${new URLSearchParams(query)}`));
 }
 
 /**

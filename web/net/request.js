@@ -20,18 +20,20 @@ const LIGHT_KNOBS = new Set(["yaw", "pitch", "roll"]);
 
 /**
  * The parameters of the request for a view's picture.
- * @param {Pick<Scene, "turns"|"albedo"|"albedos">} scene
+ * @param {Pick<Scene, "turns"|"albedo"|"albedos"> & Partial<Pick<Scene, "defaults">>} scene
  * @param {Knobs} values knobs of the view
  * @param {{width: number, height: number}} size pixels
  * @returns {FrameQuery & {width: number, height: number}}
  */
 export function frameQuery(scene, values, { width, height }) {
   const given = NUMBERS.filter((name) => name in values && name !== "albedo");
-  const numbers = given.filter((name) => scene.turns || !LIGHT_KNOBS.has(name));
+  const plain = (/** @type {string} */ name) => name === "exposure" && values.exposure === scene.defaults?.exposure;
+  const numbers = given.filter((name) => !plain(name) && (scene.turns || !LIGHT_KNOBS.has(name)));
   return {
     ...Object.fromEntries(numbers.map((name) => [name, values[name]])),
     ...albedoQuery(scene, values),
     ...(values.target && { target: values.target.join(",") }),
+    ...(values.environment && { environment: values.environment }),
     width,
     height,
     shading: values.shading,

@@ -5,6 +5,7 @@
 /** @typedef {{id: string, name: string, volume: string|null}} SceneLink `volume` is the address of an uploaded one */
 /** @typedef {{limit_bytes: number, free_bytes: number}} UploadLimits */
 /** @typedef {{scenes: SceneLink[], uploads: UploadLimits|null}} SceneList `uploads` is null where nothing may be uploaded */
+/** @typedef {{id: string, name: string, href: string|null}} Environment light by its id; `href` is the address of an uploaded one */
 /** @typedef {Record<string, string|number>} FrameQuery parameters of a frame request */
 /** @typedef {{what: string, why: string, saves: {amount: number, unit: string, measured: boolean}[]}} Omission */
 /** @typedef {{name: string, isovalue: number, suggested: boolean}} Preset `suggested` where it was found in the volume */
@@ -77,6 +78,7 @@
  * @property {Preset[]} presets
  * @property {string[]} shadings
  * @property {{type: string, name: string}[]} lights
+ * @property {Environment[]} environments light that the scene may be shown in, besides its own
  * @property {Vec3} albedo
  * @property {Range|null} albedos that views may ask for; null where they may not
  * @property {string} solid "above" or "below" the isovalue

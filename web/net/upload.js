@@ -1,7 +1,7 @@
-/** Volumes of one's own: a file that is opened or dropped goes to the server, and becomes a scene; or it is deleted. */
+/** Volumes and light probes of one's own: a file that is opened or dropped goes to the server, and is shown; or deleted. */
 
 import { find } from "../dom.js";
-import { deleteVolume, sendVolume } from "./api.js";
+import { deleteUpload, sendFile } from "./api.js";
 
 /** @typedef {import("./schemas.js").UploadLimits} UploadLimits */
 
@@ -15,13 +15,14 @@ const MEGABYTE = 1 << 20;
  * @param {UploadLimits|null} limits what may be uploaded
  * @param {{name: string, volume: string|null}} scene the one that is shown
  * @param {(scene: string|null) => void} show goes to a scene; to the first where it is null
+ * @param {(environment: string) => void} light shows the scene in the light of an uploaded probe
  */
-export function attachUpload(root, stage, limits, scene, show) {
+export function attachUpload(root, stage, limits, scene, show, light) {
   if (!limits) return;
   const [open, erase, note] = [find(root, "#upload-open"), find(root, "#upload-delete"), find(root, "#upload-note")];
   const file = find(root, "#upload-file", HTMLInputElement);
   /** @param {File|undefined} chosen */
-  const send = (chosen) => chosen && upload(chosen, limits, note).then(({ id }) => show(id), () => {});
+  const send = (chosen) => chosen && upload(chosen, limits, note).then(({ id }) => (isProbe(chosen.name) ? light(id) : show(id)), () => {});
   root.hidden = false;
   erase.hidden = !scene.volume;
   open.addEventListener("click", () => file.click());
@@ -31,7 +32,7 @@ export function attachUpload(root, stage, limits, scene, show) {
   });
   erase.addEventListener("click", async () => {
     if (!scene.volume || !confirm(`Delete the volume “${scene.name}” from the server?`)) return;
-    await reporting(note, deleteVolume(scene.volume)).then(() => show(null), () => {});
+    await reporting(note, deleteUpload(scene.volume)).then(() => show(null), () => {});
   });
   attachDrop(stage, send);
 }
@@ -48,12 +49,21 @@ export function tooLarge(file, limits) {
 }
 
 /**
+ * Whether a file is light and no volume, by its name.
+ * @param {string} file
+ * @returns {boolean}
+ */
+export function isProbe(file) {
+  return /\.hdr$/i.test(file);
+}
+
+/**
  * The name of a file as a title: without its ending, and no longer than the server takes.
  * @param {string} file
  * @returns {string}
  */
 export function volumeName(file) {
-  return file.replace(/\.(nrrd|nhdr|nii(\.gz)?|dcm|tiff?|mrc|map|h5|hdf5|nc|npy|npz)$/i, "").replace(/\p{C}/gu, "").slice(0, 80);
+  return file.replace(/\.(hdr|nrrd|nhdr|nii(\.gz)?|dcm|tiff?|mrc|map|h5|hdf5|nc|npy|npz)$/i, "").replace(/\p{C}/gu, "").slice(0, 80);
 }
 
 /**
@@ -79,7 +89,7 @@ function attachDrop(stage, send) {
  * @param {File} file
  * @param {UploadLimits} limits
  * @param {HTMLElement} note
- * @returns {Promise<{id: string}>} the volume
+ * @returns {Promise<{id: string}>} the volume, or the environment
  */
 function upload(file, limits, note) {
   const refusal = tooLarge(file, limits);
@@ -93,7 +103,7 @@ function upload(file, limits, note) {
     say(note, share < 1 ? `Sending ${file.name}: ${Math.floor(100 * share)} %` : `The server reads ${file.name}…`);
   };
   progress(0);
-  return reporting(note, sendVolume(file, volumeName(file.name), progress)).finally(() => { bar.hidden = true; });
+  return reporting(note, sendFile(isProbe(file.name) ? "environments" : "volumes", file, volumeName(file.name), progress)).finally(() => { bar.hidden = true; });
 }
 
 /**

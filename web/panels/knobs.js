@@ -73,11 +73,15 @@ function attachSlider(knob, scene, view) {
   const name = /** @type {NumberKnob} */ (input.name);
   knob.toggleAttribute("hidden", !(name in view.values));
   if (!(name in view.values)) return () => {};
-  const range = sliderRange(scene, name);
+  let range = sliderRange(scene, name);
   const [inward, outward] = range.log ? [Math.log10, (/** @type {number} */ x) => 10 ** x] : [Number, Number];
   setLimits(input, inward(range.min), inward(range.max));
   input.addEventListener("input", () => view.set({ [name]: outward(input.valueAsNumber) }));
   return ({ [name]: value = NaN }) => {
+    if (name === "exposure") { // another light has others
+      range = sliderRange(scene, name);
+      setLimits(input, inward(range.min), inward(range.max));
+    }
     input.value = String(inward(value));
     output.value = knobInWords(name, value, scene.defaults.exposure);
     input.setAttribute("aria-valuetext", output.value);

@@ -14,7 +14,7 @@ const DEGREES_ACROSS = 720 / Math.PI; // in the middle, what is mirrored follows
 const KEY_STEP = 10;
 const SKY_WIDTH = 128; // a pixel of the ball sees about as much as one of these
 const HIGHEST_RATIO = 1.5; // finer than this costs much and shows little
-const FROM_AFAR = new Set(["sky", "probe", "directional"]);
+const FROM_AFAR = new Set(["sky", "probe", "environment", "directional"]);
 const RIM = 0.62; // how bright the rim is beside the middle, so that the ball is seen as one
 const RAY = 4; // numbers of a pixel: where its mirror looks, to the right, up and to the eye, and its shade
 
@@ -24,48 +24,58 @@ const RAY = 4; // numbers of a pixel: where its mirror looks, to the right, up a
  * @param {Scene} scene
  * @param {ViewModel} view
  * @param {() => void} onRest called when a drag ends
+ * @returns {() => void} shows it anew when the scene is in other light
  */
 export function attachLight(section, scene, view, onRest) {
   const globe = find(section, "#globe", HTMLCanvasElement);
-  if (!scene.turns) explainFixed(section, scene);
-  if (find(section, ".light").hidden) return;
-  paintBall(globe, scene, view);
-  if (!scene.turns) return;
-  attachDrag(globe, view, onRest);
-  attachArrows(globe, view);
+  /** @type {MirrorBall|null} */
+  let ball = null;
+  const show = async () => {
+    explain(section, scene);
+    if (find(section, ".light").hidden) return;
+    const painted = await makeBall(globe, scene, view.values.environment);
+    if (!painted) return; // no ball; the knobs do the same
+    ball = painted;
+    ball.draw(view.values);
+    globe.dataset.painted = "";
+  };
+  view.subscribe((values) => ball?.draw(values));
+  attachDrag(globe, scene, view, onRest);
+  attachArrows(globe, scene, view);
+  show();
+  return show;
 }
 
+const TURNED = { tabindex: "0", role: "application", "aria-roledescription": "mirror ball", "aria-label": "Light, seen in a mirror ball. Arrow keys turn it." };
+const FIXED = { role: "img", "aria-label": "The light, seen in a mirror ball" };
+
 /**
+ * Say what there is to turn, and hide what turns nothing.
  * @param {HTMLElement} section
  * @param {Scene} scene
  */
-function explainFixed(section, { rotating, lights }) {
+function explain(section, { turns, rotating, lights }) {
   const [note, ball, globe] = ["#light-note", ".light", "#globe"].map((each) => find(section, each));
   note.textContent = rotating ? "The light is the same from all sides." : "The light of this scene is fixed.";
-  note.hidden = false;
-  ball.hidden = rotating || !lights.some(({ type }) => FROM_AFAR.has(type));
-  find(ball, "div").hidden = true;
-  for (const name of ["tabindex", "aria-roledescription"]) globe.removeAttribute(name);
-  globe.role = "img";
-  globe.ariaLabel = "The light, seen in a mirror ball";
+  note.hidden = turns;
+  ball.hidden = !turns && (rotating || !lights.some(({ type }) => FROM_AFAR.has(type)));
+  find(ball, "div").hidden = !turns;
+  for (const name of Object.keys(TURNED)) globe.removeAttribute(name);
+  for (const [name, text] of Object.entries(turns ? TURNED : FIXED)) globe.setAttribute(name, text);
 }
 
 /**
  * @param {HTMLCanvasElement} globe
  * @param {Scene} scene
- * @param {ViewModel} view
+ * @param {string} environment that the scene is shown in; "" for its own light
+ * @returns {Promise<MirrorBall|null>} null where there is no picture of the light
  */
-async function paintBall(globe, scene, view) {
+async function makeBall(globe, scene, environment) {
   const ratio = Math.min(window.devicePixelRatio || 1, HIGHEST_RATIO);
+  const light = await readSky(scene.id, SKY_WIDTH * Math.ceil(ratio), environment).then(pixelsOf, () => null);
+  if (!light) return null;
   globe.width = globe.height = Math.round(globe.clientWidth * ratio);
-  const light = await readSky(scene.id, SKY_WIDTH * Math.ceil(ratio)).then(pixelsOf, () => null);
-  if (!light) return; // no ball; the knobs do the same
-  const ball = new MirrorBall(contextOf(globe), globe.width, light);
-  /** @param {LightAndCamera} values */
-  const draw = (values) => ball.draw(values);
-  draw(view.values);
-  view.subscribe(draw);
-  globe.dataset.painted = "";
+  return new MirrorBall(contextOf(globe), globe.width, light);
 }
 
 /** @param {Blob} blob */
@@ -86,11 +96,13 @@ function contextOf(canvas) {
 
 /**
  * @param {HTMLElement} globe
+ * @param {Scene} scene
  * @param {ViewModel} view
  * @param {() => void} onRest
  */
-function attachDrag(globe, view, onRest) {
+function attachDrag(globe, scene, view, onRest) {
   globe.addEventListener("pointerdown", (event) => {
+    if (!scene.turns) return;
     globe.setPointerCapture(event.pointerId);
     globe.dataset.dragging = "light";
   });
@@ -107,11 +119,12 @@ function attachDrag(globe, view, onRest) {
 
 /**
  * @param {HTMLElement} globe
+ * @param {Scene} scene
  * @param {ViewModel} view
  */
-function attachArrows(globe, view) {
+function attachArrows(globe, scene, view) {
   globe.addEventListener("keydown", (event) => {
-    if (!(event.key in ARROWS) || event.ctrlKey || event.altKey || event.metaKey) return;
+    if (!scene.turns || !(event.key in ARROWS) || event.ctrlKey || event.altKey || event.metaKey) return;
     event.preventDefault();
     const [right, down] = ARROWS[event.key];
     view.set(rollLight(view.values, right * KEY_STEP, down * KEY_STEP));

@@ -2,7 +2,7 @@
 
 import { find } from "../dom.js";
 import { STATES } from "../net/schemas.js";
-import { frameInWords, shareInWords, showsSurface } from "../view/format.js";
+import { PREVIEW, frameInWords, shareInWords, showsSurface } from "../view/format.js";
 
 /** @typedef {import("../net/schemas.js").Facts} Facts */
 
@@ -72,7 +72,7 @@ export class Status {
  */
 export function badge({ provisional, coverage, error }, target) {
   if (!provisional || error <= target) return "";
-  return error < 1 ? `Refining · ${shareInWords(coverage.final)}` : "Preview";
+  return error < PREVIEW ? `Refining · ${shareInWords(coverage.final)} done` : "Preview";
 }
 
 /**

@@ -105,11 +105,14 @@ export function rangeInWords(left) {
  */
 export function frameInWords({ provisional, coverage, error, controls, timeLeft }) {
   if (!provisional && !showsSurface(coverage)) return "Done, no surface in view";
-  const known = error > 0 && error < 1;
+  const known = error > 0 && error < PREVIEW;
   const wrong = known ? `${controls ? "" : "about "}${errorInWords(error)} error` : "";
   const left = provisional && timeLeft ? leftInWords(timeLeft) : "";
   return [!provisional ? "Done" : known ? "Refining" : "Preview", wrong, left].filter(Boolean).join(", ");
 }
+
+/** Relative error from which on a picture is called a preview. */
+export const PREVIEW = 0.9;
 
 /**
  * Whether a frame shows any surface.

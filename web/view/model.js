@@ -26,6 +26,7 @@ import { limitTarget } from "./camera.js";
  * @property {string} overlay one of OVERLAYS
  * @property {string} compare a shading, or ""
  * @property {string} background one of BACKGROUNDS
+ * @property {string} environment the id of one of the scene's environments; "" for its own light
  */
 
 /**
@@ -68,7 +69,7 @@ export class ViewModel {
   #scene;
   /** @type {Knobs} */
   #values;
-  /** @type {Set<(values: Knobs) => void>} */
+  /** @type {Set<(values: Knobs, follows: boolean) => void>} */
   #listeners = new Set();
 
   /**
@@ -86,7 +87,7 @@ export class ViewModel {
     const defaults = { ...this.#scene.defaults, ...start };
     const numbers = NUMBERS.filter((name) => Number.isFinite(defaults[name])).map((name) => [name, defaults[name]]);
     const shading = defaults.shading ?? this.#scene.shadings[0];
-    return { ...Object.fromEntries(numbers), ...startAlbedo(this.#scene), target: start.target, shading, overlay: "none", compare: "", background: "page" };
+    return { ...Object.fromEntries(numbers), ...startAlbedo(this.#scene), target: start.target, shading, overlay: "none", compare: "", background: "page", environment: "" };
   }
 
   /** The knobs as they are now (a copy). @returns {Knobs} */
@@ -97,13 +98,14 @@ export class ViewModel {
   /**
    * Change some knobs; listeners are called only when something did change.
    * @param {Partial<Knobs>} patch
+   * @param {boolean} [follows] whether another change brings this one about: it makes no view of its own
    */
-  set(patch) {
+  set(patch, follows = false) {
     const next = this.#limited(patch, this.#values);
     const names = /** @type {(keyof Knobs)[]} */ (Object.keys(next));
     if (names.every((name) => String(next[name]) === String(this.#values[name]))) return;
     this.#values = next;
-    this.#listeners.forEach((listener) => listener(this.values));
+    this.#listeners.forEach((listener) => listener(this.values, follows));
   }
 
   /** Go back to where the scene starts. */
@@ -112,8 +114,8 @@ export class ViewModel {
   }
 
   /**
-   * Call `listener(values)` after every change.
-   * @param {(values: Knobs) => void} listener
+   * Call `listener(values, follows)` after every change; see `set`.
+   * @param {(values: Knobs, follows: boolean) => void} listener
    */
   subscribe(listener) {
     this.#listeners.add(listener);
@@ -157,14 +159,15 @@ export class ViewModel {
    * @param {Knobs} fallback
    */
   #choices(wanted, fallback) {
-    /** @type {(name: "shading"|"overlay"|"compare"|"background", offered: string[]) => string} */
+    /** @type {(name: "shading"|"overlay"|"compare"|"background"|"environment", offered: string[]) => string} */
     const chosen = (name, offered) => offered.find((each) => each === wanted[name]) ?? fallback[name];
-    const { shadings } = this.#scene;
+    const { shadings, environments = [] } = this.#scene;
     const shading = chosen("shading", shadings);
     const compare = chosen("compare", ["", ...shadings]);
     const other = shading === fallback.shading ? "" : fallback.shading;
     const background = chosen("background", BACKGROUNDS);
-    return { shading, background, overlay: chosen("overlay", OVERLAYS), compare: compare === shading ? other : compare };
+    const environment = chosen("environment", ["", ...environments.map(({ id }) => id)]);
+    return { shading, background, environment, overlay: chosen("overlay", OVERLAYS), compare: compare === shading ? other : compare };
   }
 }
 

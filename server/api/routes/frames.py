@@ -33,6 +33,7 @@ from server.render.bakes import BackgroundBake
 from server.render.jobs import Job, Result
 from server.render.scheduling import REFINED
 from server.render.updates import background_viewer, request_viewer, stream_viewer
+from server.render.variants import own_name
 from server.schemas import CameraSchema, Coverage
 from worker.errors import WorkersError
 
@@ -73,6 +74,7 @@ async def read_frame(
 ) -> Response:
     """A picture at once, with what is baked so far; the headers say how good it is."""
     form = format_for(params, request.headers.get("accept"))
+    scene = await service.lit(scene, params.environment)
     exposure = scene.default_exposure if params.exposure is None else params.exposure
     params, applied = preferences.fill(smoothed(params, form))
     later = preferences.respond_async and bearer.may("bake")
@@ -120,6 +122,7 @@ async def read_coverage(
 ) -> Coverage:
     """How far the same view is baked: chunks, pixels by state, the estimated error, and the time until it is final."""
     params, applied = preferences.fill(params)
+    scene = await service.lit(scene, params.environment)
     response.headers.update(applied | {"Cache-Control": "no-cache", "Vary": "Prefer"})
     return await service.render(request, scene, params, lambda shown: coverage_schema(shown.frame, shown.time_left))
 
@@ -155,10 +158,10 @@ def defer(
         frame = await complete(service, picture, job)
         tag = entity_tag(frame, form, exposure, params)
         named = [*(pair for pair in query if pair[0] not in REPLACED), ("f", form), ("version", tag.strip('"'))]
-        href = f"/v1/scenes/{picture.scene}/frame?{urlencode(named)}"
+        href = f"/v1/scenes/{own_name(picture.scene)}/frame?{urlencode(named)}"
         return [Result(href, MEDIA_TYPES[form], "The picture")]
 
-    job = service.jobs.begin("frame", f"A frame of {picture.scene}", work, owner=owner)
+    job = service.jobs.begin("frame", f"A frame of {own_name(picture.scene)}", work, owner=owner)
     headers = {"Location": address(job), "Preference-Applied": "respond-async", "Cache-Control": "no-store"}
     return Response(
         job_schema(job).model_dump_json(), 202, headers | {"Vary": "Accept, Prefer"}, media_type="application/json"

@@ -2,37 +2,69 @@
 
 from __future__ import annotations
 
+import asyncio
 from typing import Any
 
 from fastapi import APIRouter, Request, Response
 
 from isogi_core.frame.panorama import FORMAT, paint_panorama
+from isogi_core.model.lights import ENVIRONMENTS
+from isogi_core.plan.scene import Scene
 from server.answers import scene_schema
 from server.api.headers import FOR_EVER, matches, tag_of
-from server.api.service import BearerDep, SceneDep, ServiceDep
-from server.parameters import NoParamsDep, SkyParams, SkyParamsDep, UploadParams, UploadParamsDep, documented
+from server.api.service import BearerDep, SceneDep, Service, ServiceDep
+from server.parameters import (
+    LightParams,
+    LightParamsDep,
+    NoParamsDep,
+    SkyParams,
+    SkyParamsDep,
+    UploadParams,
+    UploadParamsDep,
+    documented,
+)
 from server.pictures import MEDIA_TYPES, compress
 from server.problems import documented_problems
-from server.schemas import SceneLink, SceneList, SceneSchema, UploadLimits, UploadList, UploadSchema
+from server.render.variants import MARK
+from server.schemas import (
+    EnvironmentList,
+    EnvironmentSchema,
+    SceneLink,
+    SceneList,
+    SceneSchema,
+    UploadLimits,
+    UploadList,
+    UploadSchema,
+)
+from server.uploads.environments import UploadedEnvironment
 from server.uploads.folder import UploadedVolume
 from server.uploads.uploads import Uploads
 
-router = APIRouter(prefix="/v1/scenes", tags=["scenes"], dependencies=[NoParamsDep])
+router = APIRouter(prefix="/v1/scenes", tags=["scenes"])
 
 
-@router.get("", responses=documented_problems(422))
+@router.get("", dependencies=[NoParamsDep], responses=documented_problems(422))
 async def list_scenes(service: ServiceDep) -> SceneList:
     """All scenes, each with the address of its document."""
-    links = [SceneLink(id=s.id, name=s.name, href=f"/v1/scenes/{s.id}") for s in service.engine.scenes.values()]
+    own = [scene for scene in service.engine.scenes.values() if MARK not in scene.id]
+    links = [SceneLink(id=s.id, name=s.name, href=f"/v1/scenes/{s.id}") for s in own]
     for link in links:
         link.volume = href(link.id) if link.id in service.uploads.folder.volumes else None
     return SceneList(scenes=links, uploads=limits(service.uploads))
 
 
-@router.get("/{scene}", responses=documented_problems(404, 422))
-def read_scene(scene: SceneDep, service: ServiceDep) -> SceneSchema:
+@router.get("/{scene}", openapi_extra=documented(LightParams), responses=documented_problems(404, 422, 503))
+async def read_scene(scene: SceneDep, params: LightParamsDep, service: ServiceDep) -> SceneSchema:
     """One scene: volume, histogram, defaults and ranges of every knob, and the plan of what is baked."""
-    facts, notes = scene_schema(service.planned(scene)), service.engine.notes()
+    lit = await service.lit(scene, params.environment)
+    return await asyncio.to_thread(scene_facts, scene, lit, params.environment, service)
+
+
+def scene_facts(scene: Scene, lit: Scene, environment: str | None, service: Service) -> SceneSchema:
+    """The document of a scene, as it is ``lit`` in an ``environment``, if one is named."""
+    facts, notes = scene_schema(service.planned(lit)), service.engine.notes()
+    facts.id, facts.environment = scene.id, environment
+    facts.environments = environments(service.uploads)
     facts.read_only = bool(notes)
     facts.plan.notes += notes
     return facts
@@ -54,13 +86,18 @@ ANSWERS: dict[int | str, dict[str, Any]] = {
     openapi_extra=documented(SkyParams),
     responses=ANSWERS | documented_problems(404, 422),
 )
-def read_sky(request: Request, scene: SceneDep, params: SkyParamsDep) -> Response:
+async def read_sky(request: Request, scene: SceneDep, params: SkyParamsDep, service: ServiceDep) -> Response:
     """The scene's unturned light from all around, with an exposure of its own; black where there is none.
 
     The top row is +z, column 0 starts at azimuth 0, and azimuth grows with the column. Directional lights are marked
     by discs; lamps that stand in the scene are not shown.
     """
+    lit = await service.lit(scene, params.environment)
+    return await asyncio.to_thread(painted, request, lit, params)
 
+
+def painted(request: Request, scene: Scene, params: SkyParams) -> Response:
+    """The picture of a scene's light, or that it is the one that the client has."""
     orientation = scene.volume.orientation
     turn = orientation.matrix if orientation.turned and not scene.rotating else None
     tag = tag_of(FORMAT, scene.environment.digest, scene.lamps.digest, params.width, params.f)
@@ -118,6 +155,62 @@ async def read_volume(volume: str, service: ServiceDep) -> UploadSchema:
 async def delete_volume(volume: str, service: ServiceDep, bearer: BearerDep) -> None:
     """Show a volume no more and delete its file; light that was baked for it stays in the store."""
     await service.uploads.remove(volume, bearer)
+
+
+environment_router = APIRouter(prefix="/v1/environments", tags=["environments"])
+TAKEN_LIGHT: dict[int | str, dict[str, Any]] = {
+    200: {"description": "The same probe was uploaded before.", "model": EnvironmentSchema},
+    201: {
+        "description": "The probe is on the disk, and views may name it.",
+        "headers": {"Location": {"description": "The environment's address.", "schema": {"type": "string"}}},
+    },
+}
+
+
+@environment_router.post(
+    "",
+    status_code=201,
+    openapi_extra=documented(UploadParams) | {"requestBody": UPLOAD_BODY},
+    responses=TAKEN_LIGHT | documented_problems(408, 422, 429, 503, 507),
+)
+async def upload_environment(
+    request: Request, response: Response, params: UploadParamsDep, service: ServiceDep
+) -> EnvironmentSchema:
+    """Take the body, a lat-long Radiance picture (.hdr), as light that every scene may be shown in."""
+    kept, new = await service.uploads.take_environment(request, params.name)
+    response.status_code = 201 if new else 200
+    response.headers["Location"] = light_href(kept.id)
+    return uploaded_light(kept)
+
+
+@environment_router.get("", dependencies=[NoParamsDep], responses=documented_problems(422))
+async def list_environments(service: ServiceDep) -> EnvironmentList:
+    """Light that scenes may be shown in besides their own: by formula, and uploaded."""
+    return EnvironmentList(environments=environments(service.uploads), uploads=limits(service.uploads))
+
+
+@environment_router.delete(
+    "/{environment}", status_code=204, dependencies=[NoParamsDep], responses=documented_problems(404, 422, 503)
+)
+async def delete_environment(environment: str, service: ServiceDep, bearer: BearerDep) -> None:
+    """Delete an uploaded environment; light that was baked in it stays in the store."""
+    await service.uploads.remove_environment(environment, bearer)
+
+
+def environments(uploads: Uploads) -> list[EnvironmentSchema]:
+    """Light that scenes may be shown in besides their own."""
+    own = [EnvironmentSchema(id=number, name=name) for number, name in ENVIRONMENTS.items()]
+    return own + [uploaded_light(kept) for kept in uploads.folder.environments.values()]
+
+
+def uploaded_light(kept: UploadedEnvironment) -> EnvironmentSchema:
+    """The document of one uploaded environment."""
+    return EnvironmentSchema(id=kept.id, name=kept.name, href=light_href(kept.id))
+
+
+def light_href(number: str) -> str:
+    """The address of the environment with this id."""
+    return f"/v1/environments/{number}"
 
 
 def facts(kept: UploadedVolume) -> UploadSchema:

@@ -15,7 +15,8 @@ from isogi_core.kernels.transport.paths import PathRules, PathStarts, SampleRang
 from isogi_core.kernels.transport.rng import point_2d
 from isogi_core.kernels.transport.sampling import sample_cosine_hemisphere
 from isogi_core.kernels.transport.transfer import bake_irradiance, texel_seed
-from isogi_core.model.environment import cumulative, pixel_directions, solid_angles
+from isogi_core.model.environment import cumulative
+from isogi_core.model.latlong import pixel_directions, solid_angles
 from tests.kernels.fields import cells_of
 
 Z, Y, X = np.mgrid[:41, :41, :41] - 20.0

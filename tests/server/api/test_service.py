@@ -5,6 +5,8 @@ import re
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import aclosing
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -17,6 +19,7 @@ from isogi_core.errors import Cancelled, NoRoomError, StoreError
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.tiles import Stopwatch
+from isogi_core.kernels.shading.framebuffer import CONVERGING, PROVISIONAL
 from isogi_core.model.view import View
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
@@ -26,6 +29,7 @@ from server.api import render_threads
 from server.api.app import create_app
 from server.api.service import Service
 from server.errors import BusyError
+from server.parameters import ViewParams
 from server.render.scheduling import Rank
 from server.settings import Settings
 from tests.server.sockets import wait_for
@@ -371,6 +375,35 @@ async def leave(app: FastAPI, begun: threading.Event, wait_ms: int = 0) -> None:
         **{"server": ("localhost", 80), "client": ("localhost", 1)},
     }
     await app(scope, receive, send)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("state", "at_once"), [(PROVISIONAL, True), (CONVERGING, False)])
+def test_first_light_is_shown_as_soon_as_it_comes(
+    engine: FakeEngine, app: FastAPI, state: int, at_once: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A picture of a quarter of a second is drawn again after three; without any light in it, at once."""
+    service: Service = app.state.service
+    engine.coming, plain = frozenset({(0, 0, 1), (0, 0, 2)}), engine.survey
+
+    def survey(scene: str, view: View, target: float, cancelled: threading.Event, watch: Stopwatch) -> Frame:
+        watch.seconds |= {"shade": 0.25, "primary": 60.0}  # the latter is kept
+        frame = plain(scene, view, target, cancelled, watch)
+        return replace(frame, state=np.full_like(frame.state, state), version=f"v{len(engine.views)}")
+
+    async def second_after() -> float:
+        await service.start()
+        clock = asyncio.get_running_loop().time
+        picture = service.picture_of(engine.scenes["orbital"], ViewParams(width=4, height=4))
+        async with aclosing(service.refinements(picture, Viewer("a"))) as refinements:
+            await anext(refinements)
+            asyncio.get_running_loop().call_later(0.1, engine.publish, "orbital", (0, 0, 1), True)
+            begun = clock()
+            await anext(refinements)
+            return clock() - begun
+
+    monkeypatch.setattr(engine, "survey", survey)
+    took = asyncio.run(second_after())
+    assert took < 0.7 if at_once else 0.7 < took < 30.0
 
 
 def test_the_lifespan_starts_and_closes_the_engine(engine: FakeEngine, app: FastAPI) -> None:

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from isogi_core.files.radiance import write_hdr
 from isogi_core.plan.assembly import load_scene
 from isogi_core.storage.atomic_file import write_whole
 from server.cli.command import VIEW_OPTIONS, WORK_OPTIONS, run
@@ -46,7 +47,7 @@ def test_help_is_quick_to_import() -> None:
 
 
 def test_options_are_those_of_http_and_of_the_settings() -> None:
-    http_only = {"wait_ms", "max_error", "f", "version", "strip"}
+    http_only = {"wait_ms", "max_error", "f", "version", "strip", "environment"}  # the last is of the target
     assert set(VIEW_OPTIONS) == set(FrameParams.model_fields) - http_only
     assert set(WORK_OPTIONS) <= set(Settings.model_fields)
 
@@ -157,6 +158,14 @@ def test_inspect_as_json_is_what_http_says(
     document = json.loads(capsys.readouterr().out)
     assert document.pop("stiffness")
     assert document == httpx.get(f"{live_server}/v1/scenes/small").json()
+
+
+def test_a_command_is_given_other_light(capsys: pytest.CaptureFixture[str], small_scene: Path, tmp_path: Path) -> None:
+    write_hdr(tmp_path / "a&b.hdr", np.ones((4, 8, 3)))
+    for given, light in (("overcast", "Overcast sky"), (tmp_path / "a&b.hdr", "probe a&b.hdr")):
+        assert run(["inspect", str(small_scene), "--environment", str(given), "--json"]) == 0
+        assert [each["name"] for each in json.loads(capsys.readouterr().out)["lights"]] == [light]
+    assert "no environment 'moon'" in refused(capsys, "inspect", small_scene, "--environment", "moon")
 
 
 @pytest.fixture(scope="module")

@@ -22,7 +22,7 @@ from tests.files.formats.phantom import ORIGIN, STEPS
 def read_confined(path: Path, folder: Path) -> Path:
     """The canonical file that the reader makes of a file."""
     with path.open("rb") as upload, tempfile.TemporaryFile(dir=folder) as out:
-        arguments = [path.name, str(out.fileno()), str(1 << 16), "60"]
+        arguments = [path.name, str(out.fileno()), str(1 << 16), "60", "volume"]
         done = subprocess.run(
             [sys.executable, "-P", "-m", "server.uploads.reader", *arguments],
             stdin=upload,

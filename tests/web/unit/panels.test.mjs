@@ -2,7 +2,8 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import { sizesFor } from "../../../web/net/save.js";
 import { stripsOf, worstOf } from "../../../web/net/strips.js";
-import { tooLarge, volumeName } from "../../../web/net/upload.js";
+import { isProbe, tooLarge, volumeName } from "../../../web/net/upload.js";
+import { exposureIn } from "../../../web/panels/environment.js";
 import { errorAxis, timeAxis } from "../../../web/panels/chart.js";
 import { dividerPlace } from "../../../web/panels/comparison.js";
 import { History, courseInWords, legendShare, momentInWords } from "../../../web/panels/error.js";
@@ -132,6 +133,16 @@ test("knobs have their units", () => {
   assert.equal(knobInWords("distance", 3, 1), "3.00 radii");
 });
 
+test("another light is as many stops from its own exposure as the former was", () => {
+  assert.equal(exposureIn(0.5, 2, 2, 2), 0.5, "the usual one stays the usual one");
+  assert.equal(exposureIn(0.5, 4, 4, 2), 1, "one stop above");
+  assert.equal(exposureIn(0.5, 3, 4, 2), 3, "chosen together with the light");
+});
+
+test("a light probe is told by its name", () => {
+  assert.deepEqual(["a.hdr", "B.HDR", "a.nrrd", "hdr"].map(isProbe), [true, true, false, false]);
+});
+
 test("exposure is in stops from the scene's own", () => {
   assert.deepEqual([0.5, 1, 2, 8].map((exposure) => knobInWords("exposure", exposure, 2)), ["−2 stops", "−1 stops", "0 stops", "+2 stops"]);
 });
@@ -197,7 +208,7 @@ test("screen readers hear of quarters, not of every frame", () => {
 });
 
 test("a badge goes when the picture is within its target", () => {
-  assert.equal(badge(facts(), 0.02), "Refining · 50 %");
+  assert.equal(badge(facts(), 0.02), "Refining · 50 % done");
   assert.equal(badge(facts({ error: 1 }), 0.02), "Preview");
   assert.deepEqual([facts({ error: 0.019 }), facts({ provisional: false })].map((each) => badge(each, 0.02)), ["", ""]);
 });

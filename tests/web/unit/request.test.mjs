@@ -2,7 +2,7 @@ import assert from "node:assert/strict";
 import { execFileSync } from "node:child_process";
 import { test } from "node:test";
 import { complaints, readAddress, writeAddress } from "../../../web/net/address.js";
-import { deleteVolume, frameAddress, readFrame, readScene, surfacePoint, wantsToken } from "../../../web/net/api.js";
+import { deleteUpload, frameAddress, readFrame, readScene, surfacePoint, wantsToken } from "../../../web/net/api.js";
 import { changedParameters, curlLine, describe, fileName, frameQuery, pythonLine } from "../../../web/net/request.js";
 import { parsePairs, parseTiming, readFacts, streamedFrame } from "../../../web/net/schemas.js";
 import { Trouble, retryDelay, troubleOf } from "../../../web/net/trouble.js";
@@ -69,9 +69,24 @@ test("a link says what of it cannot be shown", () => {
 test("a frame is asked for by all knobs and its size", () => {
   const query = frameQuery(SCENE, knobs({ target: [1, 2, 3] }), SIZE);
   assert.deepEqual(query, {
-    isovalue: 70, azimuth: 30, elevation: 20, distance: 3, fov: 30, yaw: 0, pitch: 0, roll: 0, exposure: 1.234567,
+    isovalue: 70, azimuth: 30, elevation: 20, distance: 3, fov: 30, yaw: 0, pitch: 0, roll: 0,
     target: "1,2,3", ...SIZE, shading: "gi", overlay: "none", background: "dark", f: "png",
   });
+});
+
+test("the light's own exposure is left to the server, another is asked for", () => {
+  assert.ok(!("exposure" in frameQuery(SCENE, knobs({ environment: "studio" }), SIZE)));
+  assert.equal(frameQuery(SCENE, knobs({ environment: "studio", exposure: 2 }), SIZE).exposure, 2);
+});
+
+test("an environment is part of the request and of the address", () => {
+  const lit = { ...SCENE, environments: [{ id: "studio", name: "Studio", href: null }] };
+  assert.equal(frameQuery(lit, knobs({ environment: "studio" }), SIZE).environment, "studio");
+  assert.ok(!("environment" in frameQuery(lit, knobs({ environment: "" }), SIZE)));
+  const address = writeAddress(lit, knobs({ environment: "studio" }));
+  assert.equal(readAddress(address).start.environment, "studio");
+  assert.deepEqual(complaints(address, lit), []);
+  assert.deepEqual(complaints("?environment=moon", lit), ["There is no light “moon” here."]);
 });
 
 test("a light that cannot be turned is no part of a request", () => {
@@ -192,7 +207,7 @@ test("no answer can be asked for again, an abort stays an abort", async () => {
 });
 
 test("a volume is deleted below the prefix of the page", async () => {
-  const { asked } = await asking([{ status: 204 }], () => deleteVolume("/v1/volumes/7"));
+  const { asked } = await asking([{ status: 204 }], () => deleteUpload("/v1/volumes/7"));
   assert.deepEqual([asked[0].method, asked[0].address], ["DELETE", "http://host/behind/a/prefix/v1/volumes/7"]);
 });
 

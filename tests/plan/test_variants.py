@@ -1,0 +1,85 @@
+"""Scenes in other light: what changes, what they share, and what they keep of the light that is baked."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from isogi_core.cache.scene_assets import files_of
+from isogi_core.errors import SceneError
+from isogi_core.files.radiance import write_hdr
+from isogi_core.files.scene_file import split_settings
+from isogi_core.model.lights import EnvironmentLight, ProbeLight
+from isogi_core.plan.assembly import load_scene, under
+from isogi_core.plan.scene import Scene
+
+TEXT = """
+volume = "demo:orbital"
+environment = "{}"
+[[lights]]
+type = "directional"
+"""
+
+
+@pytest.fixture(scope="module")
+def own() -> Scene:
+    return load_scene("demo:orbital")
+
+
+@pytest.fixture(scope="module")
+def probe(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    place = tmp_path_factory.mktemp("probes") / "glow.hdr"
+    image = np.ones((16, 32, 3))
+    image[3, 5] = 64.0
+    write_hdr(place, image)
+    return place
+
+
+def test_it_is_the_scene_that_its_file_would_be(own: Scene) -> None:
+    lit = under(own, "studio", "orbital@studio")
+    written = load_scene("demo:orbital", environment="studio")
+    assert lit.lights == (EnvironmentLight("studio"),) == written.lights
+    assert (lit.digest, lit.bake_digest, lit.plan) == (written.digest, written.bake_digest, written.plan)
+    assert lit.digest != own.digest and lit.id == "orbital@studio"
+
+
+def test_it_shares_the_volume_and_what_was_surveyed(own: Scene) -> None:
+    assert own.texels and own.presets is not None
+    lit = under(own, "evening", "orbital@evening")
+    assert lit.volume is own.volume and lit.texels is own.texels and lit.presets is own.presets
+    assert lit.environment is under(own, "evening", "other").environment
+
+
+def test_a_layer_of_transfer_depends_on_no_environment(own: Scene) -> None:
+    noon, overcast = (under(own, name, name) for name in ("noon", "overcast"))
+    layer = replace(noon.plan.layers[0], order=4)
+    assert noon.layer_digest(layer) == overcast.layer_digest(layer) == own.layer_digest(layer)
+
+
+def test_it_replaces_lamps_and_turns_then(tmp_path: Path) -> None:
+    (tmp_path / "a.toml").write_text(TEXT.format("studio"))
+    scene = load_scene(tmp_path / "a.toml")
+    assert scene.lights == (EnvironmentLight("studio"),) and not scene.lamps.any and scene.rotating
+
+
+def test_a_probe_is_found_beside_the_scene(probe: Path) -> None:
+    (probe.parent / "a.toml").write_text(TEXT.format("glow.hdr"))
+    scene = load_scene(probe.parent / "a.toml")
+    assert scene.lights == (ProbeLight(probe.parent.resolve() / "glow.hdr"),)
+    assert files_of(scene.source.document) == ["glow.hdr"]
+    assert files_of({"environment": "studio", "lights": [{"type": "probe", "file": "x.hdr"}]}) == []
+    assert under(scene, str(probe), "a@b").environment is scene.environment, "equal probes are kept once"
+
+
+def test_a_targets_light_may_follow_its_name() -> None:
+    assert split_settings("a.nrrd#environment=studio") == ("a.nrrd", {"environment": "studio"})
+    assert split_settings("a.nrrd#axes=raw&environment=/b%26c.hdr")[1] == {"axes": "raw", "environment": "/b&c.hdr"}
+
+
+def test_choices_that_do_not_fit_the_light_are_refused() -> None:
+    even = load_scene("demo:orbital", lights=[{"type": "constant"}], representation="constant")
+    with pytest.raises(SceneError, match="shows constant light alone"):
+        under(even, "studio", "x")
+    with pytest.raises(SceneError, match="no environment 'moon'"):
+        under(even, "moon", "x")

@@ -1,0 +1,115 @@
+"""Light probes that clients send: on a real socket, through the confined reader, kept and deleted."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import httpx
+import numpy as np
+import pytest
+
+from isogi_core.files.radiance import read_hdr, write_hdr
+from isogi_core.model.latlong import mean_radiance
+from server.uploads.environments import LARGEST
+from server.uploads.folder import UploadFolder
+from tests.server.uploads.site import Site, opened
+
+LIGHTS = "/v1/environments"
+SMALL = {"width": 32, "height": 32}
+
+
+def picture(folder: Path, image: np.ndarray) -> bytes:
+    """The bytes of an .hdr file."""
+    write_hdr(folder / "sent.hdr", image)
+    return (folder / "sent.hdr").read_bytes()
+
+
+def lamp(height: int = 16) -> np.ndarray:
+    image = np.full((height, 2 * height, 3), 0.25)
+    image[height // 4, height // 2] = (64.0, 32.0, 16.0)
+    return image
+
+
+@pytest.fixture(scope="module")
+def site(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
+    with opened(small_scene, tmp_path_factory.mktemp("site")) as site:
+        yield site
+
+
+@pytest.fixture
+def sent(site: Site, tmp_path: Path) -> Iterator[dict[str, str]]:
+    """An environment that is there while a test runs."""
+    answer = site.client.post(LIGHTS, params={"name": "Hall"}, content=picture(tmp_path, lamp())).raise_for_status()
+    yield answer.json()
+    site.client.delete(answer.json()["href"])
+
+
+def test_it_lights_every_scene(site: Site, sent: dict[str, str]) -> None:
+    assert sent["name"] == "Hall" and sent["href"] == f"{LIGHTS}/{sent['id']}"
+    scene = site.client.get("/v1/scenes/small").json()
+    assert scene["environments"][-1] == sent
+    lit = site.client.get("/v1/scenes/small", params={"environment": sent["id"]}).json()
+    assert [light["type"] for light in lit["lights"]] == ["probe"]
+    frames = [
+        site.client.get("/v1/scenes/small/frame", params={**SMALL, **query}).raise_for_status().content
+        for query in ({}, {"environment": sent["id"]})
+    ]
+    assert frames[0] != frames[1]
+
+
+def test_it_is_kept_as_it_was_sent(site: Site, sent: dict[str, str]) -> None:
+    kept = read_hdr(site.folder / f"{sent['id']}.hdr")
+    assert np.allclose(kept, lamp(), rtol=0.01)
+
+
+def test_the_same_light_is_kept_once(site: Site, sent: dict[str, str], tmp_path: Path) -> None:
+    again = site.client.post(LIGHTS, content=picture(tmp_path, lamp()))
+    assert (again.status_code, again.json()["id"]) == (200, sent["id"])
+
+
+def test_a_large_one_is_made_smaller_with_its_energy(site: Site, tmp_path: Path) -> None:
+    image = lamp(2 * LARGEST[0])
+    facts = site.client.post(LIGHTS, content=picture(tmp_path, image)).raise_for_status().json()
+    kept = read_hdr(site.folder / f"{facts['id']}.hdr")
+    assert kept.shape == (*LARGEST, 3)
+    assert np.allclose(mean_radiance(kept), mean_radiance(image), rtol=0.01)
+    assert site.client.delete(facts["href"]).status_code == 204
+
+
+def test_what_is_no_light_is_refused_in_a_sentence(site: Site, tmp_path: Path) -> None:
+    refused = {
+        b"NRRD0004\n": "no Radiance picture|not a Radiance picture",
+        picture(tmp_path, np.ones((8, 8, 3))): "twice as wide as high",
+        picture(tmp_path, np.zeros((8, 16, 3))): "black",
+        picture(tmp_path, lamp())[:-40]: "damaged or cut short",
+        b"#?RADIANCE\n\n-Y 9000 +X 18000\n": "make it smaller",
+    }
+    for content, words in refused.items():
+        answer = site.client.post(LIGHTS, content=content)
+        assert answer.status_code == 422, answer.text
+        assert any(each in answer.json()["detail"] for each in words.split("|")), answer.json()["detail"]
+
+
+def test_a_light_that_is_deleted_is_named_by_no_view(site: Site, tmp_path: Path) -> None:
+    facts = site.client.post(LIGHTS, content=picture(tmp_path, lamp(8))).raise_for_status().json()
+    query = {**SMALL, "environment": facts["id"]}
+    assert site.client.get("/v1/scenes/small/frame", params=query).status_code == 200
+    assert site.client.delete(facts["href"]).status_code == 204
+    assert site.client.get("/v1/scenes/small/frame", params=query).status_code == 422
+    assert site.client.delete(facts["href"]).status_code == 404
+    assert not any(name.endswith(facts["id"]) for name in site.engine.scenes)
+    assert not (site.folder / f"{facts['id']}.hdr").exists()
+
+
+def test_it_is_found_again_and_counts(site: Site, sent: dict[str, str]) -> None:
+    held = site.client.get(LIGHTS).json()["uploads"]
+    assert held["free_bytes"] < held["quota_bytes"]
+    folder = UploadFolder(site.folder)
+    assert folder._light(site.folder / f"{sent['id']}.hdr") is not None
+
+
+def test_a_server_without_uploads_says_so(live_server: str, tmp_path: Path) -> None:
+    answer = httpx.post(f"{live_server}{LIGHTS}", content=picture(tmp_path, lamp()))
+    assert answer.status_code == 403
+    assert "takes no uploads" in answer.json()["detail"]
+    listed = httpx.get(f"{live_server}{LIGHTS}").json()
+    assert listed["uploads"] is None and len(listed["environments"]) == 5
