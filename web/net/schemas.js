@@ -22,6 +22,9 @@
  * @property {number} roll
  * @property {number} exposure
  * @property {number|string} [albedo] a text where it has a colour
+ * @property {string} [shine] where the surface shines
+ * @property {number} [roughness]
+ * @property {number} [strength]
  * @property {string} [shading]
  */
 
@@ -79,6 +82,7 @@
  * @property {{type: string, name: string}[]} lights
  * @property {Vec3} albedo
  * @property {Range|null} albedos that views may ask for; null where they may not
+ * @property {string[]} shines kinds of shine that views may ask for; none where the surface is diffuse
  * @property {string} solid "above" or "below" the isovalue
  * @property {number} target_error relative
  * @property {boolean} rotating whether the light may be turned
