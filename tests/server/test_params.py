@@ -154,5 +154,5 @@ def test_scenes_that_shine_say_as_what_views_may_ask_for() -> None:
 
 def test_prewarms_look_at_the_diffuse_surface() -> None:
     scene = load_scene("demo:casting", shine={})
-    views = Views(order_of({"isovalue": ["70"], "views": 2}), scene, Settings())
+    views = Views(order_of({"isovalues": ["70"], "views": 2}), scene, Settings())
     assert {view.shine for view in views} == {DULL}
