@@ -10,6 +10,7 @@ from isogi_core.frame.renderer import Renderer
 from isogi_core.model.environment import Lobe
 from isogi_core.model.lights import ENVIRONMENTS, Light
 from isogi_core.model.scene_plan import Layer
+from isogi_core.model.shine import KINDS
 from isogi_core.model.view import SHADINGS, View
 from isogi_core.plan.left_out import S1_BYTES
 from isogi_core.plan.scene import Scene
@@ -60,6 +61,7 @@ def scene_schema(scene: Scene) -> SceneSchema:
         lights=[light_schema(light) for light in scene.lights],
         albedo=scene.albedo,
         albedos=None if scene.albedos is None else Range(min=scene.albedos[0], max=scene.albedos[1]),
+        shines=list(KINDS) if scene.shine else [],
         bounces=scene.bounces,
         solid=scene.solid,
         target_error=scene.target_error,
@@ -160,7 +162,9 @@ def defaults(scene: Scene) -> dict[str, float | str]:
     """What each parameter is where it is left out."""
     fixed: dict[str, Any] = {name: FrameParams.model_fields[name].default for name in DEFAULTS}
     albedo = {} if scene.albedos is None else {"albedo": albedo_text(scene)}
-    return {"isovalue": scene.isovalue, **fixed, **albedo, "exposure": scene.default_exposure}
+    shine = asdict(scene.shine) if scene.shine else {}
+    shine = {"shine": shine.pop("kind"), **shine} if shine else {}
+    return {"isovalue": scene.isovalue, **fixed, **albedo, **shine, "exposure": scene.default_exposure}
 
 
 def albedo_text(scene: Scene) -> float | str:

@@ -9,6 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, WithJsonSche
 
 from isogi_core.errors import ViewError
 from isogi_core.model.lights import ENVIRONMENTS
+from isogi_core.model.shine import KINDS, SMOOTHEST, Shine
 from isogi_core.model.view import (
     IDENTITY,
     OVERLAYS,
@@ -85,6 +86,15 @@ class ViewParams(LightParams):
         None,
         description="What share of the light the surface reflects, one number or r,g,b, within the scene's albedos;"
         " default: the scene's albedo.",
+    )
+    shine: Annotated[str | None, Choice(KINDS)] = Field(
+        None, description="What the surface shines as, where the scene has a shine; default: the scene's."
+    )
+    roughness: Annotated[float | None, Span(SMOOTHEST, 1)] = Field(
+        None, description="Of that shine; default: the scene's."
+    )
+    strength: Annotated[float | None, Span(0, 1)] = Field(
+        None, description="How much that shine counts; default: the scene's."
     )
     width: Annotated[int, Span(1, LONGEST_SIDE, whole=True)] = Field(512, description="Pixels.")
     height: Annotated[int, Span(1, LONGEST_SIDE, whole=True)] = Field(512, description="Pixels.")
@@ -260,6 +270,7 @@ def view_of(scene: Scene, params: ViewParams, settings: Settings) -> View:
         shading=params.shading,
         samples=params.samples,
         albedo=albedo_of(scene, params),
+        shine=shine_of(scene, params),
         smooth=isinstance(params, FrameParams) and params.antialias == "on" and params.shading != "path_traced",
         orientation=scene.volume.orientation,
     )
@@ -281,6 +292,19 @@ def albedo_of(scene: Scene, params: ViewParams) -> Vec3 | None:
         return None if scene.albedo_for(params.albedo) == scene.albedo else params.albedo
     except ViewError as error:
         raise ParameterError(str(error), "albedo") from None
+
+
+def shine_of(scene: Scene, params: ViewParams) -> Shine | None:
+    """The shine asked for, None where it is the scene's; ParameterError where the scene has none to be changed."""
+    asked = {"kind": params.shine, "roughness": params.roughness, "strength": params.strength}
+    given: dict[str, Any] = {name: value for name, value in asked.items() if value is not None}
+    if not given:
+        return None
+    if scene.shine is None:
+        name = next(name for name in ("shine", "roughness", "strength") if getattr(params, name) is not None)
+        raise ParameterError(f"{name} is for scenes that shine: leave it out, or give the scene a [shine] table.", name)
+    shine = replace(scene.shine, **given)
+    return None if shine == scene.shine else shine
 
 
 def camera_of(scene: Scene, params: ViewParams) -> Camera:

@@ -221,7 +221,8 @@ class SceneSchema(BaseModel):
 
     ``presets`` are isovalues worth a look: the scene's own, else boundaries between materials in its volume.
     ``rotating`` is whether the light may be turned, ``turns`` whether that shows: not where the light is the
-    same from all sides. ``albedos`` are those that a view may ask for, null where it may not.
+    same from all sides. ``albedos`` are those that a view may ask for, null where it may not. ``shines`` are the kinds
+    of shine that it may ask for, none where the surface is diffuse.
     """
 
     id: str
@@ -235,6 +236,7 @@ class SceneSchema(BaseModel):
     lights: list[LightSchema]
     albedo: Triple
     albedos: Range | None
+    shines: list[str]
     bounces: int
     solid: str
     target_error: float

@@ -212,6 +212,13 @@ class Settings:
             raise self._wrong(key, f"a list of at most {most} [[{key}]] tables")
         return value
 
+    def table(self, key: str) -> Mapping[str, Any] | None:
+        """A table, or None where it is left out."""
+        value = self._get(key)
+        if value is not None and not isinstance(value, Mapping):
+            raise self._wrong(key, f"a table [{key}]")
+        return value
+
     def refuse_unknown(self) -> None:
         """Raise SceneError for settings that nothing has read, such as a typing error. Former ones say what to do."""
         unknown = sorted(set(self.source.document) - self.known)

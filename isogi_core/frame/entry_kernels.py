@@ -33,6 +33,7 @@ from isogi_core.kernels.shading.lobes import (
     spread_edges,
 )
 from isogi_core.kernels.shading.local_models import find_normals, find_shadows, shade_local, trace_points
+from isogi_core.kernels.shading.shine import cast_shine, fill_below, light_ends, pool_noise
 from isogi_core.kernels.shading.texel_normals import fill_texel_normals, keep_normals, look_up_normals
 from isogi_core.kernels.shading.texel_table import add_part, judge_rows, unpack_texels
 from isogi_core.kernels.shading.wall_light import light_walls
@@ -43,6 +44,7 @@ from isogi_core.kernels.tracing.stiffness import count_stiffness
 from isogi_core.kernels.tracing.walls import trace_pixels_in_room, trace_places_in_room
 from isogi_core.kernels.transport.harmonics import rotate
 from isogi_core.kernels.transport.lights import project_lamps
+from isogi_core.kernels.transport.microfacets import fill_energy
 from isogi_core.kernels.transport.room_paths import fill_seeds, light_in_room
 from isogi_core.kernels.transport.texel_points import measure_distances
 from isogi_core.plan.left_out import uncalled
@@ -66,6 +68,9 @@ LOBES = (
 
 ROOM = (light_in_room, trace_pixels_in_room, trace_places_in_room, light_walls, fill_seeds)
 """Those that only scenes with walls call, besides; not their ``trace_pixels`` and ``trace_places``."""
+
+SHINE = (cast_shine, fill_below, fill_energy, pool_noise)
+"""Those that only scenes with a shine call; and, where lights have lobes, ``light_ends``."""
 
 FRAME = (
     LOBES[0],
@@ -112,11 +117,16 @@ OTHERS = (trace_points, find_shadows, shade_local)
 
 
 def frame_kernels(scenes: Iterable[Scene]) -> tuple[Any, ...]:
-    """Those that frames of any of the ``scenes`` call: ROOM where one has walls, then in the order of FRAME."""
+    """Those that frames of any of the ``scenes`` call: ROOM where one has walls, SHINE where one shines, then in the
+    order of FRAME.
+    """
     shown = tuple(scenes)
     uncalled = set.intersection({*FRAME}, *map(uncalled_by, shown))
     rooms = ROOM if any(scene.room.any for scene in shown) else ()
-    return (*rooms, *(kernel for kernel in FRAME if kernel not in uncalled))
+    shining = [scene for scene in shown if scene.shine]
+    shines = SHINE if shining else ()
+    lobes = (light_ends,) if any(scene.plan.lobes for scene in shining) else ()
+    return (*rooms, *shines, *lobes, *(kernel for kernel in FRAME if kernel not in uncalled))
 
 
 def uncalled_by(scene: Scene) -> set[Any]:

@@ -16,6 +16,7 @@ from isogi_core.kernels.transport.harmonics import cosine_lobe_factors, rotate
 from isogi_core.kernels.transport.light_paths import Surroundings
 from isogi_core.kernels.transport.lights import DIRECTIONAL, LampArrays
 from isogi_core.model.scene_plan import Layer
+from isogi_core.model.shine import Shine
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import Camera, View, rotation_matrix
 from isogi_core.plan.albedos import mixing_weights
@@ -116,6 +117,11 @@ class RotatedLight:
     def albedo(self) -> np.ndarray:
         """The albedo of the surface, (3,)."""
         return np.array(self.seen.albedo)
+
+    @property
+    def shine(self) -> Shine | None:
+        """The shine of the surface, None where it is diffuse. ViewError where views of the scene may ask for none."""
+        return self.spec.prepared.scene.shine_for(self.view.shine)
 
     @property
     def reflecting(self) -> tuple[float, float, float]:

@@ -10,6 +10,7 @@ from isogi_core.bake.bake_spec import path_weights
 from isogi_core.bake.refine import seeds_of
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.lighting import RotatedLight
+from isogi_core.frame.shine import add_shine
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.framebuffer import PixelPoints
 from isogi_core.kernels.shading.lattice import DARKEST
@@ -257,9 +258,9 @@ class Paths:
         """Add samples first … first + count of each replica to ``sums`` (points, replicas, 3) float64, in place.
 
         Replicas are the randomisations from number ``stream`` on; ``progress`` is called with the number of paths
-        that each piece traced. Raises Cancelled.
+        that each piece traced. Of a surface that shines as many rays of shine are among them. Raises Cancelled.
         """
-        buffer = self.gbuffer
+        buffer, own = self.gbuffer, sums if self.light.shine is None else np.zeros_like(sums)
         points, pixels, normals = buffer.points, buffer.pixels, buffer.normals(self.tiles)
         traced, around = buffer.surface.traced(self.tiles.run), self.light.surroundings
         room = self._room
@@ -268,14 +269,18 @@ class Paths:
         def _piece(a: int, b: int) -> None:
             some = PixelPoints(points[a:b], normals[a:b], pixels[a:b])
             if room is None:
-                trace_points(traced, some, around, rules, stream, samples, sums[a:b])
+                trace_points(traced, some, around, rules, stream, samples, own[a:b])
             else:
                 replicas = range(stream, stream + sums.shape[1])
-                sums[a:b] += trace_in_room(traced, room, some, around, rules, replicas, samples)
+                own[a:b] += trace_in_room(traced, room, some, around, rules, replicas, samples)
             if progress is not None:
                 progress((b - a) * sums.shape[1] * count)
 
         self.tiles.run(_piece, len(sums), max(min(PATH_POINTS, PATHS // (sums.shape[1] * count)), 1))
+        if self.light.shine is not None:
+            given = range(first, first + count), len(self.weights) - 1
+            add_shine(own, self.light, buffer, stream, *given, self.tiles)
+            sums += own
 
     @property
     def _room(self) -> Room | None:

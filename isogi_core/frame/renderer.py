@@ -8,11 +8,12 @@ step and the surface that a view shows, by isovalue, camera and size (``surface_
 | ``GBuffer``, ``ViewTexels``, ``Distances``, ``TexelNormals`` | a surface |
 | ``Reading`` | a surface, a bake spec, a target error, and the age of the page pool |
 | ``LobeLight`` | a surface, the rotation of the light, and whether it moves |
-| ``PictureCheck`` | a surface, the rotation of the light, an albedo and a target error |
+| ``PictureCheck`` | a surface, the rotation of the light, an albedo, a shine and a target error |
 | ``WallLight`` | a wall, an isovalue and an albedo |
+| ``ShineLight`` | a surface, its shine and albedo, the rotation of the light, and whether it moves |
 
-``Reading`` and ``LobeLight`` have a SHARE of its bytes each, so that a light that turns, or a bake that goes on, drives
-out no surface.
+``Reading``, ``LobeLight`` and ``ShineLight`` have a SHARE of its bytes each, so that a light that turns, or a bake that
+goes on, drives out no surface.
 """
 
 import math
@@ -29,16 +30,16 @@ from isogi_core.bake.bake_spec import spec_name
 from isogi_core.cache.page_pool import Held, PagePool
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.frame.antialiasing import sample_edges
-from isogi_core.frame.control_pixels import expected_error
+from isogi_core.frame.control_pixels import bounces_of_truth
 from isogi_core.frame.frame import Frame
+from isogi_core.frame.framing import frame_of
 from isogi_core.frame.gbuffer import GBuffer, to_index, trace
-from isogi_core.frame.lighting import RotatedLight, version_of
+from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.picture_check import PictureCheck
 from isogi_core.frame.pixel_rays import LobeLight, find_lobes
 from isogi_core.frame.projected_texels import (
     Distances,
     ProjectedReading,
-    Projection,
     find_distances,
     held_chunks,
     join_readings,
@@ -48,20 +49,23 @@ from isogi_core.frame.shading import (
     carry_texel_light,
     fill_texel_records,
     filter_texel_light,
-    fog_depths,
     light_sources,
     shade_by_paths,
     shade_locally,
     texel_disagreement,
 )
+from isogi_core.frame.shine import ShineRays
+from isogi_core.frame.shine_light import SHARE as SHINE_SHARE
+from isogi_core.frame.shine_light import SeenLight, ShineLight, add_lobes_seen, walls_seen
 from isogi_core.frame.texel_normals import ENTRY, OwnNormals, TexelNormals, find_texel_normals
-from isogi_core.frame.texel_reading import Lacking, Reading, read_texels
+from isogi_core.frame.texel_reading import Reading, read_texels
 from isogi_core.frame.tiles import Stopwatch, Tiles
 from isogi_core.frame.view_texels import ViewTexels, carries_irradiance_ratios, find_texels
-from isogi_core.frame.wall_light import COARSE, WallLight, WallTexels, WallView
+from isogi_core.frame.view_walls import ViewWalls
 from isogi_core.kernels.shading.framebuffer import Framebuffer
 from isogi_core.kernels.shading.lobes import add_lobes
 from isogi_core.lru_cache import LruCache
+from isogi_core.model.shine import DULL
 from isogi_core.model.view import View
 
 KEPT = 256 << 20
@@ -85,8 +89,9 @@ class Renderer:
         self.tiles = tiles
         self._filters = filters
         self._normals = OwnNormals(min(int(NORMALS * most), 4 * ENTRY * math.prod(self.prepared.shape)))
-        changing = dict.fromkeys((Reading, LobeLight), int(SHARE * most))
+        changing = dict.fromkeys((Reading, LobeLight, ShineLight), int(SHARE * most))
         self._kept: LruCache[Any] = LruCache(most - int(NORMALS * most), changing)
+        self._walls = ViewWalls(self._kept, self.prepared.scene.volume)
 
     @property
     def nbytes(self) -> int:
@@ -134,7 +139,7 @@ class Renderer:
                 framebuffer = shade_locally(gbuffer, normals, light, tiles)
         if len(gbuffer.walls.pixels):
             with watch.stage("walls"):
-                self._put_walls(gbuffer, light, target, framebuffer, tiles)
+                self._walls.put(gbuffer, light, target, framebuffer, tiles)
         return frame_of(gbuffer, light, framebuffer, watch)
 
     def refine(self, view: View, target: float | None = None, tiles: Tiles | None = None, finer: bool = False) -> bool:
@@ -149,7 +154,9 @@ class Renderer:
             return False
         light = self._light(view)
         if frame.walls_waiting:
-            return self._grow_walls(frame.gbuffer, light, target, tiles)
+            return self._walls.grow(frame.gbuffer, light, target, tiles)
+        if self._grow_shine(frame, light, target, tiles):
+            return True
         check = self._check(light, frame.gbuffer, target)
 
         def uncertainty() -> np.ndarray:
@@ -183,7 +190,7 @@ class Renderer:
         """
         self.forget_views()  # another row of points would have the same key
         surface, row = self.prepared.surface(view.isovalue), replace(view, width=len(points), height=1)
-        row = replace(row, shading="gi", moving=False)  # neighbours in a row are none in space
+        row = replace(row, shading="gi", moving=False, shine=DULL)  # neighbours in a row are none in space
         eye = to_index(np.array(view.camera.eye), surface.field.spacing)
         pixels, places = np.arange(len(points), dtype=np.uint32), np.ascontiguousarray(points, np.float32)
         gbuffer = GBuffer((1, len(points)), surface.field.spacing, eye, surface, pixels, places)
@@ -196,48 +203,61 @@ class Renderer:
         """The frame out of the illumination cache: global illumination, or vicinity shading (S1, section 4.2)."""
         with self._lit_texels(gbuffer, light, target, tiles, watch) as (texels, reading, lit):
             pass
-        framebuffer = self._carry(texels, reading, lit, light, tiles, watch)
+        framebuffer, shine = self._carry(texels, reading, lit, light, tiles, watch), b""
         if light.spec.lobes:
             with watch.stage("lobes"):
                 straight = self.lobes(light, gbuffer, tiles)
                 add_lobes(gbuffer.pixels, straight.lit, light.spec.unit, framebuffer)
+        if light.shine is not None and spec_name(light.view.shading) == "gi":
+            with watch.stage("shine"):
+                shine = self._add_shine(gbuffer, light, target, framebuffer, tiles)
         check = self._check(light, gbuffer, target) if is_checked(light.view) else None
         if check is not None:
             check.put(framebuffer)
-        frame = frame_of(gbuffer, light, framebuffer, watch, texels, reading, check)
+        frame = frame_of(gbuffer, light, framebuffer, watch, texels, reading, check, shine)
         if not len(gbuffer.walls.pixels):
             return frame
         with watch.stage("walls"):
-            waiting, version = self._put_walls(gbuffer, light, target, framebuffer, tiles)
+            waiting, version = self._walls.put(gbuffer, light, target, framebuffer, tiles)
         return replace(frame, walls_waiting=waiting, version=f"{frame.version}{version}")
 
-    def _put_walls(
+    def _add_shine(
         self, gbuffer: GBuffer, light: RotatedLight, target: float, framebuffer: Framebuffer, tiles: Tiles
-    ) -> tuple[int, str]:
-        """Write the walls into a picture; how many of their pixels are not final, and what names the paths taken."""
-        view, walls = light.view, WallView.of(gbuffer, light)
-        if view.shading == "path_traced":
-            walls.put_paths(target, framebuffer, tiles)
-        elif view.shading != "gi":
-            shading = "lambert" if view.shading == "vicinity" else view.shading
-            walls.put_locally(shading, fog_depths(view, self.prepared.scene.volume), framebuffer, tiles)
-        else:
-            texels = [self._wall_light(gbuffer, light, *seen).begun(tiles) for seen in walls.seen]
-            return walls.put(texels, target, framebuffer, tiles), "".join(f"-{each.count:x}" for each in texels)
-        return 0, ""
+    ) -> bytes:
+        """Let the surface in a picture shine; what names the rays that were taken, and the light that they read."""
+        shine = self._shine(gbuffer, light, tiles)
+        ends = None if shine.count else self._light_ends(shine.rays, light, target, tiles)
+        shine.gleam(ends, tiles).put(shine.below, gbuffer, light.spec.unit, framebuffer)
+        return shine.version + (ends.version if ends else b"")
 
-    def _grow_walls(self, gbuffer: GBuffer, light: RotatedLight, target: float, tiles: Tiles) -> bool:
-        """Have the walls in a picture, that are not final, take as many paths again. Raises Cancelled."""
-        walls = WallView.of(gbuffer, light)
-        lit = [self._wall_light(gbuffer, light, *seen) for seen in walls.seen]
-        taken = [each.step(target, tiles) for each in lit]
-        return any(taken)
+    def _grow_shine(self, frame: Frame, light: RotatedLight, target: float, tiles: Tiles) -> bool:
+        """Cast more rays of shine for a frame whose texels are final; whether there were any to cast."""
+        if light.shine is None or not len(frame.gbuffer.pixels):
+            return False
 
-    def _wall_light(self, gbuffer: GBuffer, light: RotatedLight, wall: int, side: int) -> WallLight:
-        """The light of a side of a wall, for the isovalue and the albedo that are shown; kept beside views."""
-        key = (WallLight, light.view.isovalue, light.view.albedo, wall, side)
-        begun = WallTexels.begun(light, wall, side, COARSE)
-        return self._kept.get(key, lambda: WallLight(light, gbuffer.surface, begun))
+        def lit(rays: ShineRays) -> SeenLight:
+            found = self._light_ends(rays, light, target, tiles)
+            for kind in (ViewTexels, TexelNormals):
+                self._kept.drop((kind, surface_key(rays.view(light.view))))
+            return found
+
+        shine, allowed = self._shine(frame.gbuffer, light, tiles), SHINE_SHARE * target * frame.true_mean
+        return shine.step(allowed, lit, bounces_of_truth(light), tiles)
+
+    def _shine(self, gbuffer: GBuffer, light: RotatedLight, tiles: Tiles) -> ShineLight:
+        """The shine of a view, with its first rays at least."""
+        view, make = light.view, partial(ShineLight.begun, light, gbuffer, tiles)
+        return self._kept.get((ShineLight, surface_key(view), view.light, view.albedo, light.shine, view.moving), make)
+
+    def _light_ends(self, rays: ShineRays, light: RotatedLight, target: float, tiles: Tiles) -> SeenLight:
+        """What rays of shine see by texels and walls as they are lit now; unshadowed light where nothing is lit yet."""
+        hits, seen = rays.hits, RotatedLight(light.spec, rays.view(light.view))
+        with self._lit_texels(hits, seen, target, tiles, Stopwatch()) as (texels, reading, lit):
+            pass
+        framebuffer = self._carry(texels, reading, lit, seen, tiles, Stopwatch())
+        add_lobes_seen(rays, seen, framebuffer, tiles)
+        version = self._walls.put_seen(walls_seen(rays, seen), target, framebuffer, tiles)
+        return SeenLight(framebuffer.radiance, framebuffer.state, reading.version + version.encode())
 
     @contextmanager
     def _lit_texels(
@@ -348,43 +368,6 @@ def is_checked(view: View) -> bool:
     return view.shading == "gi" and not view.moving
 
 
-def frame_of(
-    gbuffer: GBuffer,
-    light: RotatedLight,
-    framebuffer: Framebuffer,
-    watch: Stopwatch,
-    texels: ViewTexels | None = None,
-    reading: Reading | None = None,
-    check: PictureCheck | None = None,
-) -> Frame:
-    """The frame of a view from its framebuffer, from the texels and their reading where it was made of any, and from
-    the ``check`` of its picture where there is one.
-    """
-    lacking = Lacking(texels, reading, framebuffer) if texels and reading else None
-    projection = Projection(texels, reading, framebuffer) if texels and isinstance(reading, ProjectedReading) else None
-    needed, short = (len(lacking.texels.chunks), int(lacking.reading.short.sum())) if lacking else (0, 0)
-    read = (reading.version if reading else b"") + (check.version if check else b"")
-    return Frame(
-        view=light.view,
-        radiance=framebuffer.radiance.reshape(*gbuffer.shape, 3),
-        state=framebuffer.state.reshape(gbuffer.shape),
-        error=framebuffer.error.reshape(gbuffer.shape),
-        gbuffer=gbuffer,
-        chunks_needed=needed,
-        chunks_final=needed - short,
-        lacking=lacking,
-        version=version_of(light, read),
-        seconds=watch.seconds,
-        projection=projection,
-        target=check.target if check else None,
-        controls=check.controls if check else None,
-        uncertainty=check.uncertainty if check else None,
-        given_up=check.ended if check else False,
-        own=len(check.own.places) if check else 0,
-        expected=expected_error(light.spec.prepared.scene, gbuffer.isovalue) if light.view.shading == "gi" else 0.0,
-    )
-
-
 def surface_key(view: View) -> tuple[Any, ...]:
     """What the surface in a picture depends on."""
     return view.isovalue, view.camera, view.width, view.height, view.strip
@@ -392,4 +375,4 @@ def surface_key(view: View) -> tuple[Any, ...]:
 
 def check_key(view: View, target: float) -> tuple[Any, ...]:
     """What the check of a picture depends on."""
-    return PictureCheck, surface_key(view), view.light, view.albedo, target
+    return PictureCheck, surface_key(view), view.light, view.albedo, view.shine, target

@@ -7,6 +7,7 @@ import numpy as np
 
 from isogi_core.errors import ViewError
 from isogi_core.model.orientation import PLAIN, Orientation, triple
+from isogi_core.model.shine import Shine
 
 Vec3 = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
@@ -144,9 +145,10 @@ class View:
 
     Camera and light are those of the volume's box; the ``orientation`` says where that is in the world.
     ``samples`` is the number of paths per pixel and is read by ``path_traced`` alone. ``albedo``, linear RGB, is that
-    of the surface, the scene's own by default; see ``Scene.albedo_for``. Texels of a view that is ``moving`` are not
-    projected: its pictures are to come quickly. Else, where it is ``smooth``, pixels at edges have more samples. A
-    ``strip`` is rows of a larger picture: the first of them there, and how many that picture has.
+    of the surface, the scene's own by default, see ``Scene.albedo_for``; so is its ``shine``, see ``shine_for``.
+    Texels of a view that is ``moving`` are not projected: its pictures are to come quickly. Else, where it is
+    ``smooth``, pixels at edges have more samples. A ``strip`` is rows of a larger picture: the first of them there, and
+    how many that picture has.
     """
 
     isovalue: float
@@ -160,6 +162,7 @@ class View:
     moving: bool = field(default=False, repr=False)
     smooth: bool = False
     strip: tuple[int, int] | None = None
+    shine: Shine | None = field(default=None, repr=False)
     orientation: Orientation = field(default=PLAIN, repr=False)
 
     @property

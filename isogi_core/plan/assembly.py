@@ -34,6 +34,7 @@ from isogi_core.model.lights import (
 )
 from isogi_core.model.room import ROOMS, Room, cornell_room, place_walls, wall_from_mapping
 from isogi_core.model.scene_plan import REPRESENTATIONS
+from isogi_core.model.shine import Shine, shine_from_mapping
 from isogi_core.model.sky import sky_image
 from isogi_core.model.value_survey import Progress, no_progress
 from isogi_core.model.volume import Volume
@@ -107,6 +108,7 @@ def build_scene(source: SceneSource, progress: Progress = no_progress, volume: V
         named=read_presets(settings, isovalues),
         projected=settings.flag("projected", None),
         albedos=overrides.albedos or ((0.0, 1.0) if overrides.bounces == 0 and max(albedo) > 0.0 else None),
+        shine=read_shine(settings),
     )
     settings.refuse_unknown()
     return scene
@@ -157,6 +159,12 @@ def read_room(settings: Settings, volume: Volume) -> Room:
     """The scene's walls: those of a whole room that it names, and its own. SceneError where one has no meaning."""
     named = cornell_room(volume) if settings.choice("room", ROOMS) else ()
     return place_walls((*named, *map(wall_from_mapping, settings.tables("walls"))), volume)
+
+
+def read_shine(settings: Settings) -> Shine | None:
+    """The scene's shine; None where its surface is diffuse. SceneError where it has no meaning."""
+    table = settings.table("shine")
+    return None if table is None else shine_from_mapping(table)
 
 
 def may_rotate(settings: Settings, lamps: Lamps, room: Room) -> bool:

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 from isogi_core.model.environment import Environment, Lamps
 from isogi_core.model.scene_plan import Layer, LeftOut, Saving, ScenePlan
+from isogi_core.model.shine import Shine
 from isogi_core.model.volume import Isovalue
 from isogi_core.plan.albedos import mixing_error
 from isogi_core.plan.bands import truncation_error
@@ -245,6 +246,14 @@ def unprojected(projection: ProjectionPlan, isovalue: Isovalue) -> tuple[LeftOut
     why = f"Interpolation errs by about {percent(error)} where views start; {percent(allowed)} is allowed for it."
     why = why if allowed else "The scene forbids them."
     return (LeftOut("surface-projected texels", why, (Saving(100, "percent of a view's texels, at most"),)),)
+
+
+def unshining(shine: Shine | None) -> tuple[LeftOut, ...]:
+    """Rays that a surface without ``shine`` does not mirror, or light that one with it does not keep."""
+    if shine is not None:
+        return (LeftOut("baked light of shine", "Its rays read the diffuse light of texels where they end."),)
+    why = "The surface is diffuse: no ray is mirrored, and no kernel of shine is compiled."
+    return (LeftOut("shine", why, (Saving(1, "ray per pixel, or more"),)),)
 
 
 def lattice_bytes(chunks: int, side: int, bytes_per_texel: int) -> int:

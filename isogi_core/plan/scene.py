@@ -17,11 +17,12 @@ from isogi_core.model.environment import Environment, Lamps
 from isogi_core.model.lights import Light
 from isogi_core.model.room import NO_ROOM, Room
 from isogi_core.model.scene_plan import Layer, LeftOut, ScenePlan
+from isogi_core.model.shine import Shine
 from isogi_core.model.view import Camera, orbit
 from isogi_core.model.volume import Isovalue, Volume
 from isogi_core.plan.inputs import PlanInputs, PlanOverrides
 from isogi_core.plan.isovalue_presets import Preset, find_boundaries, suggested_presets
-from isogi_core.plan.left_out import unprojected, unseen
+from isogi_core.plan.left_out import unprojected, unseen, unshining
 from isogi_core.plan.projection import ProjectionPlan, plan_projection
 from isogi_core.plan.reachable_texels import TexelCount, count_texels
 
@@ -55,7 +56,8 @@ class Scene:
     ``offset`` voxels above a surface. ``plan`` was made for ``inputs``, with the scene's own ``overrides``.
     ``named`` are the isovalues that the scene names. ``projected`` settles whether texels that are far from the
     isosurface of a view at rest are projected onto it; None leaves that to the plan, see ``plan.projection``.
-    ``lamps`` are those of the ``lights`` and the luminaires of the ``room``.
+    ``lamps`` are those of the ``lights`` and the luminaires of the ``room``. ``shine`` is None where the surface is
+    diffuse, and views may then ask for none.
     """
 
     id: str
@@ -80,6 +82,7 @@ class Scene:
     projected: bool | None = None
     albedos: tuple[float, float] | None = None
     room: Room = NO_ROOM
+    shine: Shine | None = None
 
     @property
     def bakes(self) -> frozenset[str]:
@@ -153,8 +156,9 @@ class Scene:
 
     @cached_property
     def left_out(self) -> tuple[LeftOut, ...]:
-        """Everything that is left out: by the plan, texels that are never lit, and those that are not projected."""
-        return (*self.plan.left_out, *unseen(self.texels, self.plan), *unprojected(self.projection, self.start))
+        """Everything that is left out: by the plan, texels that are never lit or not projected, and shine."""
+        texels = (*unseen(self.texels, self.plan), *unprojected(self.projection, self.start))
+        return (*self.plan.left_out, *texels, *unshining(self.shine))
 
     def with_plan(self, plan: ScenePlan) -> "Scene":
         """The same scene by another ``plan``; what was surveyed of its volume stays."""
@@ -179,6 +183,18 @@ class Scene:
             given = ",".join(f"{share:g}" for share in asked)
             raise ViewError(f"albedo must be from {lowest:g} to {highest:g} in this scene, not {given}.")
         return asked
+
+    def shine_for(self, asked: Shine | None) -> Shine | None:
+        """The shine that a view has ``asked`` for, else the scene's own; None where nothing shines.
+
+        ViewError where views of this scene may not ask for any.
+        """
+        shine = asked or self.shine
+        if shine is None or shine.strength == 0.0:
+            return None
+        if self.shine is None:
+            raise ViewError("This scene's surface is diffuse: give the scene a [shine] table, or leave shine out.")
+        return shine
 
     def refuse_camera(self, camera: Camera) -> None:
         """Raise ViewError where a ``camera``, in the volume's box, stands in a wall: all it would see is that."""
@@ -227,7 +243,8 @@ class Scene:
         placed = [orientation.rotation, orientation.origin] if orientation.placed else []
         lit = [self.albedo, self.plan.order, self.plan.lobes, self.target_error]
         walls = ["walls", self.room.digest] if self.room.any else []
-        return digest_of([self.bake_digest, *lights, *lit, *settled, *placed, *walls])
+        shine = ["shine", *astuple(self.shine)] if self.shine else []
+        return digest_of([self.bake_digest, *lights, *lit, *settled, *placed, *walls, *shine])
 
     def camera(self, azimuth: float, elevation: float, distance: float, fov: float) -> Camera:
         """Camera, in the volume's box, around its middle; angles in the world, degrees; distance in bounding radii."""

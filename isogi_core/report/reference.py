@@ -128,6 +128,8 @@ def subject_of(scene: Scene, view: View) -> str:
     """Hex name of all that a reference's light depends on."""
     lights, albedo = [scene.environment.digest, scene.lamps.digest], scene.albedo_for(view.albedo)
     lights += [scene.room.digest] if scene.room.any else []
+    shine = scene.shine_for(view.shine)
+    lights += [repr(shine)] if shine else []
     world = [scene.volume.digest, *lights, albedo, *scene.departures]
     camera = [view.camera.eye, view.camera.target, view.camera.up, view.camera.fov]
     picture = [view.isovalue, *camera, view.light, view.width, view.height]

@@ -29,7 +29,7 @@ from server.parameters import ViewParams, view_of
 from server.render.engine import RenderEngine
 from server.render.jobs import Job, Jobs
 from server.render.scheduling import ASKED, DRAFT, REFINED, REST, AdmissionLimit, Rank
-from server.render.updates import Pending, UpdateBus, attended, request_viewer
+from server.render.updates import UpdateBus, attended, request_viewer
 from server.render.variants import MARK, Variants
 from server.settings import Settings
 from server.uploads.uploads import Uploads

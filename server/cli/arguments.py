@@ -52,6 +52,9 @@ VIEW_OPTIONS = {
     "roll": "Then about x, degrees.",
     "light": "Quaternion w,x,y,z that turns the light, instead of yaw, pitch and roll.",
     "albedo": "Of the surface, one number or r,g,b, within the scene's albedos; default: the scene's albedo.",
+    "shine": "Of a scene with a shine: plastic or metal; default: the scene's.",
+    "roughness": "Of that shine, 0.02 (a mirror) to 1; default: the scene's.",
+    "strength": "How much that shine counts, 0 to 1; default: the scene's.",
     "width": "Pixels.",
     "height": "Pixels.",
     "shading": "gi (light from all around), vicinity, lambert[_shadow|_fog], phong[_shadow] or path_traced.",
@@ -64,7 +67,10 @@ VIEW_OPTIONS = {
 DEVELOPED = ("shading", "samples", "exposure", "antialias", "background", "overlay")
 """Options that a reference, which is radiance alone, does not read."""
 
-PICTURE_OPTIONS = ("albedo", "width", "height", "shading", "antialias", "background", "samples", "overlay")
+SHINE_OPTIONS = ("shine", "roughness", "strength")
+PICTURE_OPTIONS = (
+    *("albedo", *SHINE_OPTIONS, "width", "height", "shading", "antialias", "background", "samples", "overlay"),
+)
 REPORT_OPTIONS = {
     **{name: text for name, text in VIEW_OPTIONS.items() if name not in PICTURE_OPTIONS},
     "azimuth": "Degrees; 0 looks from +x, 90 from +y; default: 40.",

@@ -90,6 +90,9 @@ def shots_of(scene: Scene, wishes: Wishes, knobs: Mapping[str, str]) -> list[Fra
         raise ParameterError("One view is no path: give two or more.", "view")
     own = {"isovalue": repr(scene.isovalue), "exposure": repr(scene.default_exposure)}
     own["albedo"] = ",".join(map(repr, scene.albedo))
+    if scene.shine is not None:
+        own |= {"shine": scene.shine.kind, "roughness": repr(scene.shine.roughness)}
+        own["strength"] = repr(scene.shine.strength)
     own |= {"max_error": repr(wishes.target_error or scene.target_error), "f": "png"}
     path = film_path(knobs, views, own, count)
     shots = (read(FrameParams, {**shot, "max_error": own["max_error"], "f": "png"}.items()) for shot in path)

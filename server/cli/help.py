@@ -7,7 +7,10 @@ import click
 GROUPS = {
     "Camera": ("azimuth", "elevation", "distance", "fov", "eye", "target", "up"),
     "Light": ("yaw", "pitch", "roll", "light"),
-    "Picture": ("width", "height", "shading", "albedo", "exposure", "background", "antialias", "samples", "overlay"),
+    "Picture": (
+        *("width", "height", "shading", "albedo", "shine", "roughness", "strength"),
+        *("exposure", "background", "antialias", "samples", "overlay"),
+    ),
     "Light that is kept": (
         *("store", "store_seconds", "store_retries", "store_cache_mb", "projected_mb", "memory_mb"),
         *("volume_mb", "volume_cache", "volume_cache_mb"),

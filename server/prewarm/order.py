@@ -8,12 +8,13 @@ import json
 import math
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Annotated, Any, Self
 
 from pydantic import BeforeValidator, Field, StrictBool, WithJsonSchema, model_validator
 
+from isogi_core.model.shine import DULL
 from isogi_core.model.view import View
 from isogi_core.plan.range_sampling import WAYS as SAMPLINGS
 from isogi_core.plan.range_sampling import sample_range
@@ -278,7 +279,8 @@ class Views:
 
     def _view(self, level: float, direction: Direction) -> View:
         place = {"isovalue": level, "azimuth": direction[0], "elevation": direction[1]}
-        return view_of(self._scene, read(ViewParams, [*place.items(), *self._knobs.items()]), self._settings)
+        view = view_of(self._scene, read(ViewParams, [*place.items(), *self._knobs.items()]), self._settings)
+        return view if self._scene.shine is None else replace(view, shine=DULL)  # nothing is baked for shine
 
 
 def order_of(fields: dict[str, Any]) -> PrewarmOrder:

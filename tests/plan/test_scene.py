@@ -12,6 +12,7 @@ from isogi_core.errors import IsogiError, LightError, SceneError, VolumeError
 from isogi_core.files.scene_file import FORMER
 from isogi_core.model.lights import ConstantLight, SkyLight
 from isogi_core.model.scene_plan import Layer
+from isogi_core.model.shine import Shine
 from isogi_core.plan.assembly import load_scene, otsu
 from isogi_core.plan.isovalue_presets import Preset, find_boundaries, suggested_presets
 from isogi_core.plan.scene import Scene
@@ -155,6 +156,13 @@ def test_isovalue_falls_into_the_range_that_views_may_ask_for(folder: Path) -> N
         ("target_error = 0", "target_error"),
         ("target_error = 2", "target_error"),
         ("rotating = 1", "rotating"),
+        ("shine = 0.5", "shine"),
+        ("[shine]\nkind = 'glass'", "cannot shine as 'glass': choose plastic or metal"),
+        ("[shine]\nkind = 3", "The kind of shine is 3: give a word"),
+        ("[shine]\nroughness = -0.1", "The roughness of shine is -0.1: it must be from 0.02 to 1"),
+        ("[shine]\nroughness = 'low'", "The roughness of shine is 'low': give a number"),
+        ("[shine]\nstrength = 2", "The strength of shine is 2: it must be from 0 to 1"),
+        ("[shine]\ncolour = 1", "Shine has no 'colour': choose from kind, roughness, strength"),
         ("solid = 3", "solid"),
         ("spacing = [1, 1]", "spacing"),
         ('missing = "none"', "missing"),
@@ -231,6 +239,17 @@ def test_baked_light_has_a_name_of_its_own_for_all_it_depends_on() -> None:
     names = [load_scene(ORBITAL, **change).bake_digest for change in changes]
     assert len(set(names)) == len(changes)
     assert load_scene("demo:casting").bake_digest not in names
+
+
+def test_shine_changes_frames_and_not_bakes(folder: Path) -> None:
+    plain, plastic, metal = (
+        scene_of(folder, f'volume = "ramp.nrrd"\n{text}')
+        for text in ("", "[shine]", "[shine]\nkind = 'metal'\nroughness = 1\nstrength = 0")
+    )
+    assert (plain.shine, plastic.shine, metal.shine) == (None, Shine("plastic", 0.3, 1.0), Shine("metal", 1, 0))
+    assert plain.bake_digest == plastic.bake_digest == metal.bake_digest
+    assert len({plain.digest, plastic.digest, metal.digest}) == 3
+    assert metal.shine_for(None) is None and metal.shine_for(Shine()) == Shine()
 
 
 def test_light_and_target_change_frames_and_not_bakes() -> None:

@@ -2,13 +2,18 @@
 
 import pytest
 
+from isogi_core.model.shine import DULL, Shine
+from server.answers import scene_schema
 from server.errors import ParameterError
-from server.parameters import FrameParams, NoParams, ViewParams, documented, read
+from server.parameters import FrameParams, NoParams, ViewParams, documented, read, view_of
+from server.prewarm.order import Views, order_of
+from server.settings import Settings
 from server.values import Choice, Span
+from tests.loaded import load_scene
 
 NUMBERS = [
     *("azimuth", "elevation", "distance", "fov", "yaw", "pitch", "roll"),
-    *("width", "height", "wait_ms", "max_error", "exposure"),
+    *("roughness", "strength", "width", "height", "wait_ms", "max_error", "exposure"),
 ]
 
 
@@ -114,3 +119,40 @@ def test_every_parameter_is_documented() -> None:
     listed = documented(FrameParams)["parameters"]
     assert [each["name"] for each in listed] == list(FrameParams.model_fields)
     assert all(each["description"] and each["in"] == "query" for each in listed)
+
+
+def test_shine_is_asked_for_where_the_scene_shines() -> None:
+    scene, settings = load_scene("demo:casting", shine={"kind": "plastic", "roughness": 0.4}), Settings()
+    given = [("shine", "metal"), ("roughness", "0.1")]
+    assert view_of(scene, read(ViewParams, given), settings).shine == Shine("metal", 0.1, 1.0)
+    assert view_of(scene, read(ViewParams, [("strength", "0.5")]), settings).shine == Shine("plastic", 0.4, 0.5)
+    assert view_of(scene, read(ViewParams, [("roughness", "0.4")]), settings).shine is None
+    assert str(refusal(("shine", "glass"))).startswith("shine must be")
+
+
+@pytest.mark.parametrize(("name", "value"), [("shine", "metal"), ("roughness", "0.3"), ("strength", "0")])
+def test_a_diffuse_scene_refuses_to_shine(name: str, value: str) -> None:
+    with pytest.raises(ParameterError) as caught:
+        view_of(load_scene("demo:casting"), read(ViewParams, [(name, value)]), Settings())
+    assert caught.value.parameter == name
+    assert str(caught.value) == f"{name} is for scenes that shine: leave it out, or give the scene a [shine] table."
+
+
+def test_scenes_that_shine_say_as_what_views_may_ask_for() -> None:
+    shining, dull = load_scene("demo:casting", shine={"roughness": 0.5}), load_scene("demo:casting")
+    document = scene_schema(shining)
+    assert document.shines == ["plastic", "metal"]
+    assert {name: document.defaults[name] for name in ("shine", "roughness", "strength")} == {
+        "shine": "plastic",
+        "roughness": 0.5,
+        "strength": 1.0,
+    }
+    assert (document.ranges["roughness"].min, document.ranges["roughness"].max) == (0.02, 1.0)
+    assert scene_schema(dull).shines == []
+    assert not {"shine", "roughness", "strength"} & {*scene_schema(dull).defaults}
+
+
+def test_prewarms_look_at_the_diffuse_surface() -> None:
+    scene = load_scene("demo:casting", shine={})
+    views = Views(order_of({"isovalues": ["70"], "views": 2}), scene, Settings())
+    assert {view.shine for view in views} == {DULL}

@@ -7,7 +7,7 @@ import { NUMBERS } from "../view/model.js";
 /** @typedef {import("../view/model.js").ViewModel} ViewModel */
 /** @typedef {import("./schemas.js").Scene} Scene */
 
-const CHOICES = ["shading", "overlay", "compare", "tint", "background", "environment"];
+const CHOICES = ["shading", "overlay", "compare", "tint", "background", "environment", "shine"];
 const KNOWN = new Set([...CHOICES, "scene", "target", "token"]);
 const PAUSE_MS = 150;
 const REST_MS = 1000; // a view that was at rest for so long is one to come back to
@@ -39,6 +39,7 @@ export function writeAddress(scene, values) {
   for (const name of NUMBERS.filter((each) => each in values)) query.set(name, String(values[name]));
   if (values.target) query.set("target", values.target.join(","));
   if (values.tint !== undefined && values.tint !== startAlbedo(scene).tint) query.set("tint", values.tint);
+  if (values.shine) query.set("shine", values.shine);
   query.set("shading", values.shading);
   if (values.overlay !== "none") query.set("overlay", values.overlay);
   if (values.environment) query.set("environment", values.environment);

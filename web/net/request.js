@@ -32,6 +32,7 @@ export function frameQuery(scene, values, { width, height }) {
   return {
     ...Object.fromEntries(numbers.map((name) => [name, values[name]])),
     ...albedoQuery(scene, values),
+    ...(values.shine && { shine: values.shine }),
     ...(values.target && { target: values.target.join(",") }),
     ...(values.environment && { environment: values.environment }),
     width,

@@ -23,6 +23,9 @@
  * @property {number} roll
  * @property {number} exposure
  * @property {number|string} [albedo] a text where it has a colour
+ * @property {string} [shine] where the surface shines
+ * @property {number} [roughness]
+ * @property {number} [strength]
  * @property {string} [shading]
  */
 
@@ -81,6 +84,7 @@
  * @property {Environment[]} environments light that the scene may be shown in, besides its own
  * @property {Vec3} albedo
  * @property {Range|null} albedos that views may ask for; null where they may not
+ * @property {string[]} shines kinds of shine that views may ask for; none where the surface is diffuse
  * @property {string} solid "above" or "below" the isovalue
  * @property {number} target_error relative
  * @property {boolean} rotating whether the light may be turned

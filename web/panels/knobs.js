@@ -12,6 +12,7 @@ import { sliderRange } from "../view/model.js";
 /** @typedef {(values: Knobs) => void} Mirror shows the view's values */
 
 const ANGLES = new Set(["azimuth", "elevation", "fov", "yaw", "pitch", "roll"]);
+const SHARES = new Set(["albedo", "roughness", "strength"]);
 
 /**
  * Tie the form's controls to the view, both ways. Knobs that the scene does not have are hidden.
@@ -28,7 +29,7 @@ export function attachKnobs(form, scene, view) {
   const sliders = [...form.querySelectorAll(".knob")].map((knob) => attachSlider(knob, scene, view));
   const mirrors = [
     ...sliders, attachChoice(shading, "shading", view), attachChoice(compare, "compare", view),
-    attachChoice(overlay, "overlay", view), attachChoice(background, "background", view), disableOwn(compare), attachTint(find(form, "#tint", HTMLInputElement), view),
+    attachChoice(overlay, "overlay", view), attachChoice(background, "background", view), disableOwn(compare), attachTint(find(form, "#tint", HTMLInputElement), view), attachShine(select("#shine"), scene, view),
     attachScale(find(form, "#error-scale"), scene.error_scale), attachAxisViews(find(form, "#axis-views"), view),
   ];
   /** @param {Knobs} values */
@@ -56,7 +57,7 @@ export function setLimits(input, min, max) {
  */
 export function knobInWords(name, value, exposure) {
   if (ANGLES.has(name)) return `${Math.round(value)}°`.replace("-", "−");
-  if (name === "albedo") return value.toFixed(2);
+  if (SHARES.has(name)) return value.toFixed(2);
   if (name === "distance") return `${value.toFixed(2)} radii`;
   const stops = Number(Math.log2(value / exposure).toFixed(1));
   return `${stops > 0 ? "+" : ""}${stops} stops`.replace("-", "−");
@@ -118,6 +119,22 @@ function attachTint(input, view) {
   if (fixed) return () => {};
   input.addEventListener("input", () => view.set({ tint: input.value }));
   return ({ tint = "" }) => { input.value = tint; };
+}
+
+/**
+ * What the surface shines as; it is hidden where that is diffuse.
+ * @param {HTMLSelectElement} select
+ * @param {Scene} scene
+ * @param {ViewModel} view
+ * @returns {Mirror}
+ */
+function attachShine(select, scene, view) {
+  const dull = view.values.shine === undefined;
+  if (select.parentElement) select.parentElement.hidden = dull;
+  if (dull) return () => {};
+  select.replaceChildren(...scene.shines.map((kind) => new Option(kind[0].toUpperCase() + kind.slice(1), kind)));
+  select.addEventListener("change", () => view.set({ shine: select.value }));
+  return ({ shine = "" }) => { select.value = shine; };
 }
 
 /**

@@ -7,7 +7,7 @@ import { limitTarget } from "./camera.js";
 /** @typedef {import("../net/schemas.js").Scene} Scene */
 
 /**
- * @typedef {"isovalue"|"azimuth"|"elevation"|"distance"|"fov"|"yaw"|"pitch"|"roll"|"albedo"|"exposure"} NumberKnob
+ * @typedef {"isovalue"|"azimuth"|"elevation"|"distance"|"fov"|"yaw"|"pitch"|"roll"|"albedo"|"roughness"|"strength"|"exposure"} NumberKnob
  *
  * @typedef {object} Knobs all that a person may choose of a view
  * @property {number} isovalue in the volume's own units
@@ -21,6 +21,9 @@ import { limitTarget } from "./camera.js";
  * @property {number} exposure
  * @property {number} [albedo] only where the scene lets views choose it
  * @property {string} [tint] `#rrggbb`, beside the albedo
+ * @property {string} [shine] what the surface shines as, only where the scene has a shine
+ * @property {number} [roughness] of that shine
+ * @property {number} [strength] of that shine
  * @property {Vec3|null} target what the camera turns about, world units; null for the volume's centre
  * @property {string} shading
  * @property {string} overlay one of OVERLAYS
@@ -34,7 +37,7 @@ import { limitTarget } from "./camera.js";
  * @type {NumberKnob[]}
  */
 export const NUMBERS = [
-  "isovalue", "azimuth", "elevation", "distance", "fov", "yaw", "pitch", "roll", "albedo", "exposure",
+  "isovalue", "azimuth", "elevation", "distance", "fov", "yaw", "pitch", "roll", "albedo", "roughness", "strength", "exposure",
 ];
 
 /** Marks that may lie over the picture. */
@@ -87,7 +90,8 @@ export class ViewModel {
     const defaults = { ...this.#scene.defaults, ...start };
     const numbers = NUMBERS.filter((name) => Number.isFinite(defaults[name])).map((name) => [name, defaults[name]]);
     const shading = defaults.shading ?? this.#scene.shadings[0];
-    return { ...Object.fromEntries(numbers), ...startAlbedo(this.#scene), target: start.target, shading, overlay: "none", compare: "", background: "page", environment: "" };
+    const shine = defaults.shine === undefined ? {} : { shine: defaults.shine };
+    return { ...Object.fromEntries(numbers), ...startAlbedo(this.#scene), ...shine, target: start.target, shading, overlay: "none", compare: "", background: "page", environment: "" };
   }
 
   /** The knobs as they are now (a copy). @returns {Knobs} */
@@ -144,6 +148,7 @@ export class ViewModel {
   #limited(wanted, fallback) {
     const limited = { ...fallback, ...this.#choices(wanted, fallback) };
     limited.target = limitTarget(this.#scene, wanted.target === undefined ? fallback.target : wanted.target);
+    if (fallback.shine) limited.shine = this.#scene.shines.find((each) => each === wanted.shine) ?? fallback.shine;
     if (fallback.tint) limited.tint = isTint(wanted.tint) ? wanted.tint.toLowerCase() : fallback.tint;
     for (const name of NUMBERS.filter((each) => each in fallback)) {
       const value = /** @type {number} */ (Number.isFinite(wanted[name]) ? wanted[name] : fallback[name]);

@@ -11,13 +11,19 @@ export const SCENE = {
   start: { azimuth: 30, elevation: 20, distance: 3, target: null },
   ranges: { isovalue: { min: 40, max: 240 }, azimuth: { min: -360, max: 360 }, distance: { min: 0.01, max: 1000 } },
   shadings: ["gi", "lambert", "phong"],
-  presets: [], lights: [{ type: "sky", name: "sky" }],
+  presets: [], shines: [], lights: [{ type: "sky", name: "sky" }],
   albedo: [0.7, 0.7, 0.7], albedos: null,
   histogram: { counts: [0, 9, 99], edges: [0, 85, 170, 255] },
 };
 
 /** The same scene, where views may ask for any albedo from 0 to 0.9. */
 export const PAINTED = { ...SCENE, albedos: { min: 0, max: 0.9 }, ranges: { ...SCENE.ranges, albedo: { min: 0, max: 0.9 } } };
+
+/** The same scene, which shines as plastic. */
+export const POLISHED = {
+  ...SCENE, shines: ["plastic", "metal"], defaults: { ...SCENE.defaults, shine: "plastic", roughness: 0.3, strength: 1 },
+  ranges: { ...SCENE.ranges, roughness: { min: 0.02, max: 1 }, strength: { min: 0, max: 1 } },
+};
 
 /** A view of SCENE, with other knobs where they are given. */
 export function knobs(values = {}) {

@@ -7,7 +7,7 @@ import { changedParameters, curlLine, describe, fileName, frameQuery, pythonLine
 import { parsePairs, parseTiming, readFacts, streamedFrame } from "../../../web/net/schemas.js";
 import { Trouble, retryDelay, troubleOf } from "../../../web/net/trouble.js";
 import { ViewModel } from "../../../web/view/model.js";
-import { PAINTED, SCENE, knobs } from "./fixtures.mjs";
+import { PAINTED, POLISHED, SCENE, knobs } from "./fixtures.mjs";
 
 globalThis.document = { baseURI: "http://host/behind/a/prefix/" };
 const SIZE = { width: 600, height: 400 };
@@ -235,4 +235,18 @@ test("the server's own wait goes before the page's", () => {
 test("what cannot be cured is not asked for again", () => {
   assert.equal(retryDelay(troubleOf({ status: 422 }, 7), 0, [300]), null);
   assert.equal(retryDelay(new TypeError("a mistake of the page"), 0, [300]), null);
+});
+
+test("shine is part of requests and addresses where the scene shines", () => {
+  const view = new ViewModel(POLISHED);
+  assert.equal(view.values.shine, "plastic");
+  view.set({ shine: "metal", roughness: 0.05, strength: 7 });
+  const query = frameQuery(POLISHED, view.values, SIZE);
+  assert.deepEqual([query.shine, query.roughness, query.strength], ["metal", 0.05, 1], "limits are the scene's");
+  view.set({ shine: "glass" });
+  assert.equal(view.values.shine, "metal", "what no scene offers is left as it is");
+  const { start } = readAddress(writeAddress(POLISHED, view.values));
+  assert.deepEqual([start.shine, start.roughness], ["metal", 0.05]);
+  const dull = new ViewModel(SCENE, { shine: "metal", roughness: 0.5 });
+  for (const name of ["shine", "roughness", "strength"]) assert.ok(!(name in frameQuery(SCENE, dull.values, SIZE)), name);
 });

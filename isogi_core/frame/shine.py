@@ -1,0 +1,289 @@
+"""Shine: rays of a microfacet lobe from the points of a picture; what they bring, and what is seen where they end.
+
+A shiny surface mirrors light to the eye alone: light that it sends to other places of the scene is diffuse, as in the
+texels. So shine needs nothing baked, and what a ray sees of the surface is what its texels, or paths from there, show.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from itertools import count
+
+import numpy as np
+
+from isogi_core.bake.bake_spec import path_weights
+from isogi_core.bake.refine import seeds_of
+from isogi_core.frame.gbuffer import GBuffer, WallPoints
+from isogi_core.frame.lighting import RotatedLight, triple
+from isogi_core.frame.tiles import Tiles
+from isogi_core.kernels.shading.framebuffer import PixelPoints
+from isogi_core.kernels.shading.local_models import trace_points
+from isogi_core.kernels.shading.shine import (
+    ISOSURFACE,
+    NEVER,
+    ShineDraws,
+    ShineEnds,
+    cast_shine,
+    fill_below,
+)
+from isogi_core.kernels.tracing.walls import NOWHERE, Walls
+from isogi_core.kernels.transport.lights import AREA, DIRECTIONAL, LampArrays
+from isogi_core.kernels.transport.microfacets import NODES, ShineLobe, fill_energy
+from isogi_core.kernels.transport.paths import PathRules, SampleRange
+from isogi_core.kernels.transport.ray_lights import Discs, Panels, ShineLights
+from isogi_core.kernels.transport.room_paths import Room, RoomStarts, light_in_room
+from isogi_core.model.shine import DULL
+from isogi_core.model.sky import LUMINANCE
+from isogi_core.model.view import View
+from isogi_core.plan.budget import survival_for
+from isogi_core.prepared.surface import Surface
+
+PLASTIC = 0.04
+"""What plastic mirrors head on: Fresnel's ((n - 1)/(n + 1))² for an index of refraction of 1.5."""
+
+ASIDE, ROUGH = 0.5, 0.4
+"""Share of the rays that are drawn towards lights from this roughness on; of smoother lobes the less, as their own rays
+find lights better.
+"""
+
+WAYS = 8
+"""Ways of which each ray is chosen, where there are lights to be drawn towards: each ray is then worth several."""
+
+STREAM = 1 << 20
+"""Sets the sequences of shine's rays apart from those of all other paths from a pixel, and those of its ends."""
+
+RAYS, PATHS, RAYS_OF_PATHS = 1 << 14, 256, 1 << 17
+"""Rays that are cast together, paths from their ends, and rays whose ends are kept together where all send paths."""
+
+NO_ROOM = Room(
+    Walls(np.empty((0, 3)), np.empty((0, 3)), np.empty((0, 2, 3)), np.empty(0)),
+    *(np.empty((0, 3)), np.empty((0, 2, 3)), np.empty((0, 3)), np.empty(0)),
+    *(np.empty((0, 3)), np.empty((0, 3)), np.empty(0), np.zeros(3)),
+)
+"""No walls about the isosurface."""
+
+
+@lru_cache(maxsize=64)
+def energy_of(alpha: float) -> np.ndarray:
+    """The table of ``fill_energy``."""
+    energy = np.empty((NODES + 1, 2))
+    fill_energy(alpha, energy)
+    return energy
+
+
+def lobe_of(light: RotatedLight) -> ShineLobe:
+    """The lobe of the surface in a ``light``; metal mirrors its albedo head on. A surface without shine has none."""
+    shine, albedo = light.shine or DULL, light.albedo
+    metal, aside = shine.kind == "metal", ASIDE * min(1.0, shine.roughness / ROUGH)
+    facing = triple(albedo if metal else np.full(3, PLASTIC))
+    return ShineLobe(shine.alpha, facing, shine.strength, metal, aside, energy_of(shine.alpha))
+
+
+def lights_of(light: RotatedLight, ways: int) -> ShineLights:
+    """What rays of shine may be drawn towards and bring, of a turned ``light``; each is chosen of so many ``ways``."""
+    around, room = light.surroundings, light.spec.prepared.scene.room
+    kinds, places, edges, colours = around.lamps
+    discs = (kinds == DIRECTIONAL) & edges.any(axis=(1, 2))
+    flat, sharp = kinds == AREA, (kinds != AREA) & ~discs
+    squares = (edges[discs, 0] ** 2).sum(axis=1)[:, None]
+    lit = np.array([any(wall.radiance) for wall in room.walls], bool)
+    twofold = np.array([wall.sides == 2 for wall in room.walls], np.float64)[lit]
+    given = np.array([wall.radiance for wall in room.walls], np.float64).reshape(-1, 3)[lit]
+    panels = Panels(
+        np.concatenate([places[flat], room.corners[lit]]),
+        np.concatenate([edges[flat], room.edges[lit]]),
+        np.concatenate([np.pi * colours[flat], given]),
+        np.concatenate([np.zeros(int(flat.sum())), twofold]),
+        np.concatenate([np.ones(int(flat.sum())), np.zeros(int(lit.sum()))]),
+    )
+    lamps = LampArrays(kinds[sharp], places[sharp], edges[sharp], colours[sharp])
+    far = Discs(places[discs], edges[discs], colours[discs] / squares)
+    several = len(around.table[0]) or len(panels.corners) or len(far.towards)
+    ambient = max(float(light.mean @ LUMINANCE), 1e-30)
+    return ShineLights(around._replace(lamps=lamps), panels, far, ambient, ways if several else 1)
+
+
+def light_below(light: RotatedLight, gbuffer: GBuffer, tiles: Tiles) -> np.ndarray:
+    """The share of diffuse light that shine leaves at each point of a G-buffer; (m, 3) float32. Raises Cancelled."""
+    lobe, normals = lobe_of(light), gbuffer.normals(tiles)
+    below = np.empty_like(gbuffer.points)
+
+    def _piece(a: int, b: int) -> None:
+        some = PixelPoints(gbuffer.points[a:b], normals[a:b], gbuffer.pixels[a:b])
+        fill_below(some, gbuffer.eye, gbuffer.spacing, lobe, below[a:b])
+
+    tiles.run(_piece, len(below), RAYS)
+    return below
+
+
+@dataclass(frozen=True, eq=False)
+class ShineRays:
+    """Rays of shine, ``each`` from as many points of a G-buffer, in order, and what they have ``brought`` (rays, 3).
+
+    The rays ``seen`` (h,), ascending, end on something lit, which counts ``weights`` (h, 3): at ``points`` (h, 3) in
+    index space with ``normals`` (h, 3), on what they ``met`` (h,), see ``ShineEnds``. Random numbers there belong to
+    ``seeds`` (h,). ``hits`` shows what these rays see, as a picture of one row, which has a ``number`` of its own.
+    """
+
+    each: int
+    brought: np.ndarray
+    seen: np.ndarray
+    weights: np.ndarray
+    points: np.ndarray
+    normals: np.ndarray
+    met: np.ndarray
+    seeds: np.ndarray
+    hits: GBuffer
+    number: int
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that they take."""
+        ends = (self.brought, self.seen, self.weights, self.points, self.normals, self.met, self.seeds)
+        return sum(each.nbytes for each in ends) + self.hits.nbytes
+
+    def view(self, view: View) -> View:
+        """The view of ``hits`` beside the ``view`` whose points they started from; of diffuse light."""
+        row = replace(view, width=max(len(self.seen), 1), height=1, strip=(self.number, self.number + 1))
+        return replace(row, moving=True, smooth=False, shine=DULL)
+
+    def gather(self, light: np.ndarray) -> np.ndarray:
+        """What each ray brings where ``light`` (h, 3) leaves what the rays see; (points, each, 3) float64."""
+        total = self.brought.astype(np.float64)
+        total[self.seen] += self.weights * light.astype(np.float64)
+        return total.reshape(-1, self.each, 3)
+
+
+NUMBERS = count()
+"""Numbers of pictures that no two of them share."""
+
+
+def room_of(light: RotatedLight) -> Room:
+    """The walls about a surface of the albedo that is seen."""
+    prepared = light.spec.prepared
+    return prepared.room(light.seen.albedo) if prepared.scene.room.any else NO_ROOM
+
+
+def cast_rays(
+    light: RotatedLight, gbuffer: GBuffer, replicas: range, samples: range, tiles: Tiles, ways: int = WAYS
+) -> ShineRays:
+    """Cast rays of shine from each point of a G-buffer: of each of the ``replicas`` the ``samples``.
+
+    Replicas are numbers of independent randomisations; each ray is chosen of so many ``ways``. Raises Cancelled.
+    """
+    points, pixels, normals = gbuffer.points, gbuffer.pixels, gbuffer.normals(tiles)
+    lobe, lights, room = lobe_of(light), lights_of(light, ways), room_of(light)
+    traced, each = gbuffer.surface.traced(tiles.run), len(replicas) * len(samples)
+    total = each * len(points)
+    brought, weights, here, around = np.empty((4, total, 3), np.float32)
+    ends = ShineEnds(brought, weights, here, around, np.empty(total, np.int8))
+
+    def _piece(a: int, b: int) -> None:
+        some, own = PixelPoints(points[a:b], normals[a:b], pixels[a:b]), slice(a * each, b * each)
+        point, replica, sample = (part.ravel() for part in np.indices((b - a, len(replicas), len(samples))))
+        seeds = seeds_of(np.column_stack([pixels[a:b][point], STREAM + replicas.start + replica]))
+        draws = ShineDraws(point, seeds, samples.start + sample)
+        cast_shine(traced, room, some, gbuffer.eye, lobe, lights, draws, some_of(ends, own))
+
+    tiles.run(_piece, len(points), max(min(RAYS // each, tiles.even(len(points))), 1))
+    seen = np.flatnonzero(ends.met > NEVER)
+    point, rest = np.divmod(seen, each)
+    replica, sample = np.divmod(rest, len(samples))
+    words = [pixels[point], STREAM + replicas.start + replica, samples.start + sample]
+    kept, seeds = some_of(ends, seen), seeds_of(np.column_stack(words))
+    hits = seen_by(kept.points, kept.normals, kept.met, gbuffer)
+    lit = (kept.weights, kept.points, kept.normals, kept.met)
+    return ShineRays(each, brought, seen, *lit, seeds, hits, next(NUMBERS))
+
+
+def some_of(ends: ShineEnds, rows: slice | np.ndarray) -> ShineEnds:
+    """The ``ends`` of some rays."""
+    brought, weights, points, normals, met = (part[rows] for part in ends)
+    return ShineEnds(brought, weights, points, normals, met)
+
+
+def seen_by(points: np.ndarray, normals: np.ndarray, met: np.ndarray, gbuffer: GBuffer) -> GBuffer:
+    """The picture of one row that shows the ``points`` (h, 3), with their ``normals``, on what was ``met`` (h,)."""
+    shown, on = np.arange(len(met), dtype=np.uint32), met == ISOSURFACE
+    walls = WallPoints(shown[~on], points[~on], met[~on])
+    place = (1, len(met)), gbuffer.spacing, gbuffer.eye, gbuffer.surface
+    return GBuffer(*place, shown[on], points[on], walls, _normals=normals[on])
+
+
+def paths_from(rays: ShineRays, rows: np.ndarray, light: RotatedLight, bounces: int, tiles: Tiles) -> np.ndarray:
+    """What leaves where rays end that are ``seen``, those in ``rows`` (k,), by one path each; (k, 3) float64.
+
+    Paths have so many ``bounces``. Raises Cancelled.
+    """
+    room, surface, found = room_of(light), rays.hits.surface, np.zeros((len(rows), 3))
+    here, normals, met, seeds = rays.points[rows], rays.normals[rows], rays.met[rows], rays.seeds[rows]
+    rules = bounces, survival_for(light.reflecting, bounces)
+    trace = among_walls if len(room.albedos) else in_the_open
+
+    def _piece(a: int, b: int) -> None:
+        starts = RoomStarts(here[a:b], normals[a:b], np.full(b - a, float(surface.isovalue)), seeds[a:b], met[a:b])
+        found[a:b] = trace(surface, starts, light, rules, tiles)
+
+    tiles.run(_piece, len(rows), PATHS)
+    on = met == ISOSURFACE
+    albedos, given = np.tile(light.albedo, (len(rows), 1)), np.zeros((len(rows), 3))
+    albedos[~on], given[~on] = room.albedos[met[~on]], room.radiances[met[~on]]
+    return np.asarray(given + albedos * found)
+
+
+Trace = Callable[[Surface, RoomStarts, RotatedLight, tuple[int, float], Tiles], np.ndarray]
+
+
+def in_the_open(
+    surface: Surface, starts: RoomStarts, light: RotatedLight, rules: tuple[int, float], tiles: Tiles
+) -> np.ndarray:
+    """E/π by one path from each of the ``starts``, whose vectors are rows; (k, 3)."""
+    points = PixelPoints(starts.points, starts.normals, (starts.seeds & np.uint64(0xFFFFFFFF)).astype(np.uint32))
+    weights = path_weights(light.albedo, *rules)
+    sums = np.zeros((len(starts.seeds), 1, 3))
+    given = PathRules(weights, rules[1]), STREAM, SampleRange(0, 1)
+    trace_points(surface.traced(tiles.run), points, light.surroundings, *given, sums)
+    return sums[:, 0]
+
+
+def among_walls(
+    surface: Surface, starts: RoomStarts, light: RotatedLight, rules: tuple[int, float], tiles: Tiles
+) -> np.ndarray:
+    """The same in the room of a scene."""
+    here, normals = (np.ascontiguousarray(each.T, np.float64) for each in starts[:2])
+    walls = np.where(starts.walls == ISOSURFACE, NOWHERE, starts.walls.astype(np.float64))
+    given = RoomStarts(here, normals, starts.isovalues, starts.seeds, walls)
+    sums, traced = np.zeros((len(walls), 3)), surface.traced(tiles.run)
+    weights = PathRules(path_weights(np.ones(3), rules[0], 1.0), rules[1])
+    light_in_room(
+        traced.field, traced.cells, room_of(light), given, SampleRange(0, 1), weights, light.surroundings, sums
+    )
+    return sums
+
+
+def trace_shine(
+    light: RotatedLight, gbuffer: GBuffer, replicas: range, samples: range, bounces: int, tiles: Tiles
+) -> np.ndarray:
+    """Sums of what shine brings to each point, by whole paths: rays of all ``samples``, and a path from each end.
+
+    Returns (points, replicas, 3) float64. Raises Cancelled.
+    """
+    rays = cast_rays(light, gbuffer, replicas, samples, tiles)
+    seen = paths_from(rays, np.arange(len(rays.seen)), light, bounces, tiles)
+    return rays.gather(seen).reshape(-1, len(replicas), len(samples), 3).sum(axis=2)
+
+
+def add_shine(
+    sums: np.ndarray, light: RotatedLight, gbuffer: GBuffer, stream: int, samples: range, bounces: int, tiles: Tiles
+) -> None:
+    """Let a surface shine that scatters ``sums`` (points, replicas, 3) of so many samples, in place; see ``Paths.add``.
+
+    Shine takes its share of what is scattered, and adds what it mirrors. Raises Cancelled.
+    """
+    replicas = range(stream, stream + sums.shape[1])
+    sums *= light_below(light, gbuffer, tiles)[:, None]
+    step = max(RAYS_OF_PATHS // (len(replicas) * len(samples)), 1)
+    for a in range(0, len(sums), step):
+        rows = np.arange(a, min(a + step, len(sums)))
+        some = gbuffer.part(rows, tiles)
+        sums[rows] += trace_shine(light, some, replicas, samples, bounces, tiles)

@@ -1,0 +1,191 @@
+"""The shine of a view: one ray a pixel at once, of what texels show now, and more while the view rests.
+
+Pixels side by side tell the noise of the first rays. Once the texels' light is final, more are cast, in halves that
+tell it, until it is a share of the target error. They are kept, in memory, with the view.
+"""
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from isogi_core.frame.gbuffer import GBuffer, WallPoints
+from isogi_core.frame.lighting import RotatedLight
+from isogi_core.frame.shine import RAYS, ShineRays, cast_rays, light_below, paths_from
+from isogi_core.frame.tiles import Tiles
+from isogi_core.frame.wall_light import WallView
+from isogi_core.kernels.shading.framebuffer import FINAL, PROVISIONAL, Framebuffer, PixelPoints
+from isogi_core.kernels.shading.lattice import DARKEST
+from isogi_core.kernels.shading.shine import light_ends, pool_noise
+from isogi_core.model.sky import LUMINANCE
+
+HALVES = 2
+"""Independent randomisations."""
+
+LEAST, MOST = 8, 1 << 12
+"""Rays of each half from a point: so many find highlights that a few miss; and at most."""
+
+STEP, TOGETHER = 1 << 20, 1 << 18
+"""Rays of a step, about, of a point at least one of each half, and as many again as there are at most; and those whose
+ends are looked up together.
+"""
+
+SHARE = 0.5
+"""Share of the target error that the noise of shine may have."""
+
+
+@dataclass(frozen=True, eq=False)
+class SeenLight:
+    """What rays see where they end: ``light`` (h, 3) linear RGB, its ``states`` (h,), and what names it."""
+
+    light: np.ndarray
+    states: np.ndarray
+    version: bytes
+
+
+@dataclass(frozen=True, eq=False)
+class Gleam:
+    """What shine brings to each point of a picture: ``light`` (m, 3) linear RGB, and its luminance's ``variance``."""
+
+    light: np.ndarray
+    variance: np.ndarray
+
+    @classmethod
+    def of(cls, means: np.ndarray, gbuffer: GBuffer, tiles: Tiles) -> "Gleam":
+        """That of halves' ``means`` (m, 1 or 2, 3); of a single one neighbouring pixels tell the noise.
+
+        Raises Cancelled.
+        """
+        values, rows, variance = np.ascontiguousarray(means @ LUMINANCE), gbuffer.rows, np.empty(len(means))
+
+        def _piece(a: int, b: int) -> None:
+            pool_noise(rows, gbuffer.pixels, a, values, variance[a:b])
+
+        tiles.run(_piece, len(means), tiles.even(len(means)))
+        return cls(means.mean(axis=1), variance)
+
+    def put(self, below: np.ndarray, gbuffer: GBuffer, unit: float, framebuffer: Framebuffer) -> None:
+        """Write it into a picture of diffuse light, of which the share ``below`` (m, 3) stays; errors are of both."""
+        pixels = gbuffer.pixels
+        diffuse = framebuffer.radiance[pixels] * below
+        noise = framebuffer.error[pixels] * (diffuse @ LUMINANCE)
+        light = diffuse + self.light
+        error = np.sqrt(noise**2 + self.variance) / np.maximum(light @ LUMINANCE, DARKEST * unit)
+        framebuffer.radiance[pixels] = np.minimum(light, np.finfo(np.float32).max)
+        unknown = framebuffer.state[pixels] <= PROVISIONAL
+        framebuffer.error[pixels] = np.where(unknown, 1.0, np.minimum(error, 1.0))
+
+
+@dataclass(eq=False)
+class ShineLight:
+    """The shine of a view in a ``light``: what it leaves of diffuse light, ``below``; its first ``rays``; and the
+    ``sums`` (m, HALVES, 3) of ``counts`` (m,) rays of each half, that were cast since the texels' light is final.
+
+    Points whose noise is small enough take no more: the others have as many rays as any. Threads wait for each other.
+    """
+
+    light: RotatedLight
+    gbuffer: GBuffer
+    below: np.ndarray
+    rays: ShineRays
+    sums: np.ndarray
+    counts: np.ndarray
+    lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
+
+    @classmethod
+    def begun(cls, light: RotatedLight, gbuffer: GBuffer, tiles: Tiles) -> "ShineLight":
+        """The shine of a surface that shines in a ``light``, with its first rays. Raises Cancelled."""
+        rays = cast_rays(light, gbuffer, range(1), range(1), tiles, ways=1)
+        sums = np.zeros((len(gbuffer.points), HALVES, 3))
+        return cls(light, gbuffer, light_below(light, gbuffer, tiles), rays, sums, np.zeros(len(sums), np.int64))
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that it takes."""
+        return self.below.nbytes + self.rays.nbytes + self.sums.nbytes + self.counts.nbytes
+
+    @property
+    def count(self) -> int:
+        """The most rays of each half that any point has; 0 where nothing but the first rays was cast."""
+        return int(self.counts.max(initial=0))
+
+    @property
+    def version(self) -> bytes:
+        """Names the rays that it is made of, but for what texels show where the first ones end."""
+        return repr((self.light.shine, int(self.counts.sum()))).encode()
+
+    def gleam(self, seen: SeenLight | None, tiles: Tiles) -> Gleam:
+        """What it brings to the picture: by all rays, or by the first ones where these have ``seen`` light."""
+        return self._gleam(tiles) if seen is None else Gleam.of(self.rays.gather(seen.light), self.gbuffer, tiles)
+
+    def _gleam(self, tiles: Tiles) -> Gleam:
+        """What all rays bring that were cast since the texels' light is final."""
+        return Gleam.of(self.sums / np.maximum(self.counts, 1)[:, None, None], self.gbuffer, tiles)
+
+    def step(self, allowed: float, lit: Callable[[ShineRays], SeenLight], bounces: int, tiles: Tiles) -> bool:
+        """Cast more rays where the noise is above what is ``allowed``, a luminance; whether there were any to cast.
+
+        What they see is ``lit`` by texels and walls, and by a path of so many ``bounces`` where these are not final.
+        Raises Cancelled.
+        """
+        with self.lock:
+            places, count = self._noisy(allowed, tiles), self.count
+            if not len(places) or count >= MOST:
+                return False
+            some, each = self.gbuffer.part(places, tiles), HALVES * len(places)
+            last = count + min(max(STEP // each, 1), count or 1)
+            added, together = np.zeros((len(places), HALVES, 3)), max(TOGETHER // each, 1)
+            for first in range(count, last, together):
+                rays = cast_rays(self.light, some, range(HALVES), range(first, min(first + together, last)), tiles)
+                seen = lit(rays)
+                short = np.flatnonzero(seen.states != FINAL)
+                seen.light[short] = paths_from(rays, short, self.light, bounces, tiles)
+                added += rays.gather(seen.light).reshape(len(places), HALVES, -1, 3).sum(axis=2)
+            self.sums, self.counts = self.sums.copy(), self.counts.copy()
+            self.sums[places] += added
+            self.counts[places] = last
+            return True
+
+    def _noisy(self, allowed: float, tiles: Tiles) -> np.ndarray:
+        """Rows of the points that are to have more rays: all at first, none where the picture's noise is allowed."""
+        count = self.count
+        if count < LEAST:
+            return np.arange(len(self.counts))
+        variance = self._gleam(tiles).variance
+        if float(variance.mean()) <= allowed**2:
+            return np.empty(0, np.int64)
+        return np.flatnonzero((variance > allowed**2) & (self.counts == count))
+
+
+def walls_seen(rays: ShineRays, light: RotatedLight) -> list[WallView]:
+    """The walls that rays see, fronts and backs apart: what was met of each is one side."""
+    walls, hits = rays.hits.walls, rays.hits
+    if not len(walls.pixels):
+        return []
+    fronts = light.spec.prepared.room(light.seen.albedo).normals[walls.numbers]
+    sides = np.where((fronts * rays.normals[walls.pixels]).sum(axis=1) > 0.0, 1, -1)
+    found = []
+    for side in np.unique(sides):
+        own = sides == side
+        seen = WallPoints(walls.pixels[own], walls.points[own], walls.numbers[own])
+        found.append(WallView(replace(hits, walls=seen), light, sides[own]))
+    return found
+
+
+def add_lobes_seen(rays: ShineRays, light: RotatedLight, framebuffer: Framebuffer, tiles: Tiles) -> None:
+    """Add what comes straight from lobes of a ``light`` where rays end, one shadow ray to each, to the picture of that.
+
+    Raises Cancelled.
+    """
+    if not light.spec.lobes:
+        return
+    hits, lamps = rays.hits, light.lobes
+    normals, seeds = hits.normals(tiles), rays.seeds[hits.pixels]
+    lit, traced = np.empty((len(hits.pixels), 3), np.float32), hits.surface.traced(tiles.run)
+
+    def _piece(a: int, b: int) -> None:
+        light_ends(traced, PixelPoints(hits.points[a:b], normals[a:b], hits.pixels[a:b]), lamps, seeds[a:b], lit[a:b])
+
+    tiles.run(_piece, len(lit), RAYS)
+    framebuffer.radiance[hits.pixels] += light.spec.unit * light.tint.astype(np.float32) * lit

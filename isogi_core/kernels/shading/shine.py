@@ -1,0 +1,350 @@
+"""Shine: rays that a microfacet lobe sends from the points of a picture, and what they bring or meet.
+
+Ways are drawn either by the lobe or towards a light: the bright parts of a sharp environment, a lamp with an extent, or
+a luminaire; their density is that of all these together (Veach and Guibas 1995, balance heuristic for one sample). Of
+several ways one has a ray, by what it would bring were nothing before the lights (Talbot et al. 2005, resampled
+importance sampling). So its light is right on the average, whatever it meets. Lamps without an extent have shadow rays
+of their own.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import types
+
+from isogi_core.kernels._jit import kernel, record
+from isogi_core.kernels.shading.framebuffer import PIXEL_POINTS, point_of
+from isogi_core.kernels.tracing.cast import SURFACE, cast_batch
+from isogi_core.kernels.tracing.field import normal, to_index
+from isogi_core.kernels.tracing.intersect import OUTSIDE
+from isogi_core.kernels.tracing.ray_stream import Rays
+from isogi_core.kernels.tracing.vec import (
+    SMALLEST,
+    column,
+    dot,
+    is_zero,
+    madd,
+    normalize,
+    orthonormal_basis,
+    put_column,
+    scale,
+    sub,
+)
+from isogi_core.kernels.tracing.walls import NOWHERE, nearest_wall
+from isogi_core.kernels.transport.integrator import about, launch
+from isogi_core.kernels.transport.light_paths import FAR, to_world
+from isogi_core.kernels.transport.lights import (
+    LAMPS,
+    NOTHING,
+    illuminate,
+    row,
+)
+from isogi_core.kernels.transport.microfacets import (
+    GRAZING,
+    SHINE_LOBE,
+    fresnel,
+    light_below,
+    reflected,
+    reflected_pdf,
+    sample_reflected,
+)
+from isogi_core.kernels.transport.ray_lights import (
+    SHINE_LIGHTS,
+    arriving_along,
+    count_lights,
+    draw_light,
+    expect_along,
+)
+from isogi_core.kernels.transport.rng import point_2d
+from isogi_core.kernels.transport.room_paths import ROOM, lit_from
+from isogi_core.kernels.transport.sampling import BELOW_ONE
+
+WAY, CHOICE, LAMP = 0, 1, 2
+"""Pairs of random numbers of a ray: those of a way, and which way has the ray; each lamp has one more."""
+
+NEAR = 2
+"""Pixels to either side that are asked for the noise of one."""
+
+BINOMIAL = (1.0, 4.0, 6.0, 4.0, 1.0)
+"""What neighbours count along an axis."""
+
+NEVER, ISOSURFACE = -2, -1
+"""What a ray ``met``, besides the numbers of walls: nothing, or the isosurface."""
+
+
+ROWS, NUMBERS = types.float64[:, ::1], types.float64[::1]
+
+
+class ShineDraws(NamedTuple):
+    """n rays: the points that they start from, ``owners`` int64, and sample numbers of sequences ``seeds`` uint64."""
+
+    owners: Any
+    seeds: Any
+    samples: Any
+
+
+class ShineEnds(NamedTuple):
+    """What n rays bring and meet: light ``brought``, what light counts that leaves where they end, ``weights``, and
+    ``points`` in index space and ``normals`` there, all float32 (n, 3); ``met`` int8 (n,) is a wall, ISOSURFACE or
+    NEVER.
+    """
+
+    brought: Any
+    weights: Any
+    points: Any
+    normals: Any
+    met: Any
+
+
+COLUMNS = types.float32[:, ::1]
+SHINE_DRAWS = record(ShineDraws, types.int64[::1], types.uint64[::1], types.int64[::1])
+SHINE_ENDS = record(ShineEnds, COLUMNS, COLUMNS, COLUMNS, COLUMNS, types.int8[::1])
+VECTOR = types.UniTuple(types.float64, 3)
+
+
+@kernel()
+def to_local(n, w):
+    """The world direction ``w`` about the normal ``n``: z is along that."""
+    s, t = orthonormal_basis(n)
+    return dot(s, w), dot(t, w), dot(n, w)
+
+
+@kernel()
+def to_viewer(p, n, eye, spacing):
+    """The unit direction from ``p`` to the ``eye``, both in index space, about the normal ``n``: z is along that.
+
+    A normal that is turned away from the viewer counts as seen from its other side.
+    """
+    v = normalize(to_world(sub(eye, p), spacing))
+    x, y, z = to_local(n, v)
+    return normalize((x, y, max(abs(z), GRAZING)))
+
+
+@kernel()
+def draw_way(lobe, lights, p, n, v, seed, sample):
+    """A world direction from the world point ``p``, by the lobe or towards a light."""
+    a, b = point_2d(seed, sample, WAY)
+    aside = share_aside(lobe, lights)
+    if a < 1.0 - aside:
+        return about(n, sample_reflected(lobe.alpha, v, a / (1.0 - aside), b))
+    count = count_lights(lights)
+    place = (a - 1.0 + aside) / aside * count
+    which = min(int(place), count - 1)
+    return draw_light(lights, which, p, min(place - which, BELOW_ONE), b)
+
+
+@kernel()
+def share_aside(lobe, lights):
+    """The share of ways that are drawn towards lights."""
+    return lobe.aside if count_lights(lights) > 0 else 0.0
+
+
+@kernel()
+def mirrored(lobe, v, l):
+    """What the lobe mirrors from ``l`` to ``v``, times cosθ and its strength; linear RGB."""
+    return scale(fresnel(lobe.facing, v, l), lobe.strength * reflected(lobe.alpha, v, l))
+
+
+@kernel()
+def judge_way(lobe, lights, p, v, l, w):
+    """What light along the way ``w``, locally ``l``, counts, linear RGB; what is expected of it, and over its density.
+
+    The density is that of ``draw_way``.
+    """
+    if not l[2] > 0.0:
+        return NOTHING, 0.0, 0.0
+    share, aside = mirrored(lobe, v, l), share_aside(lobe, lights)
+    light, density = expect_along(lights, p, w)
+    hope = dot(share, light) + lights.ambient * (share[0] + share[1] + share[2])
+    return share, hope, hope / max((1.0 - aside) * reflected_pdf(lobe.alpha, v, l) + aside * density, SMALLEST)
+
+
+@kernel()
+def choose_way(lobe, lights, p, n, v, seed, sample):
+    """The way of a ray from the world point ``p``, and what light from there counts, linear RGB.
+
+    Of the ways x drawn with densities p(x) one is chosen as often as t(x)/p(x), t being what is expected; it counts
+    f cosθ/t times the mean of all t/p.
+    """
+    chance, total, expected = point_2d(seed, sample, CHOICE)[0], 0.0, 1.0
+    chosen, colour = n, NOTHING
+    for j in range(lights.ways):
+        w = draw_way(lobe, lights, p, n, v, seed, sample * lights.ways + j)
+        share, hope, part = judge_way(lobe, lights, p, v, to_local(n, w), w)
+        total += part
+        taken = part / total if total > 0.0 else 0.0
+        if chance < taken:
+            chosen, colour, expected, chance = w, share, hope, chance / taken
+        else:
+            chance = (chance - taken) / max(1.0 - taken, SMALLEST)
+    return chosen, scale(colour, total / (lights.ways * expected))
+
+
+@kernel()
+def put_row(rows, m, v):
+    """Write a vector to row ``m`` of a float32 (n, 3) array."""
+    rows[m, 0], rows[m, 1], rows[m, 2] = v
+
+
+@kernel()
+def add_row(rows, m, weight, light):
+    """Add the product of two colours to row ``m`` of a float32 (n, 3) array."""
+    for c in range(3):
+        rows[m, c] += np.float32(weight[c] * light[c])
+
+
+@kernel()
+def cast_from(surface, origins, directions, t):
+    """Fill ``t`` (n,) with how far rays (3, n), which start off the surface, come to it: inf where they never do."""
+    count = t.shape[0]
+    came = np.empty(count, np.int8)
+    rays = Rays(np.full(count, surface.isovalue), origins, directions, np.full(count, OUTSIDE, np.int8))
+    cast_batch(surface.field, surface.cells, rays, t, came)
+
+
+@kernel()
+def end_ray(surface, room, ray, t, k, ends, i):
+    """Write where ray number ``i``, (origin, direction, way), ends: on wall ``k``, on the surface, or nowhere.
+
+    The back of a wall that is lit from its front alone is black.
+    """
+    o, d, w = ray
+    p = madd(o, t, d)
+    if k >= 0:
+        slope = dot(row(room.normals, k), w)
+        ends.met[i] = k if lit_from(room, k, slope) else NEVER
+        n = scale(row(room.normals, k), -1.0 if slope > 0.0 else 1.0)
+    else:
+        ends.met[i] = ISOSURFACE
+        n = normal(surface.field, p)
+        n = scale(w, -1.0) if is_zero(n) else n
+    put_row(ends.points, i, p)
+    put_row(ends.normals, i, n)
+
+
+@kernel(
+    types.void(SURFACE, ROOM, PIXEL_POINTS, VECTOR, SHINE_LOBE, SHINE_LIGHTS, SHINE_DRAWS, SHINE_ENDS),
+)
+def cast_shine(surface, room, points, eye, lobe, lights, draws, ends):
+    """Cast the rays of a ``lobe`` from ``PixelPoints``, as ``draws`` has them, and fill their ``ends``.
+
+    The ``eye`` is in index space. Rays meet the isosurface and the walls of a ``room``, which may have none.
+    """
+    count, field = draws.owners.shape[0], surface.field
+    origins, directions, ways, t = np.empty((3, count)), np.ones((3, count)), np.empty((3, count)), np.empty(count)
+    for i in range(count):
+        m = draws.owners[i]
+        p, n = point_of(points.points, m), point_of(points.normals, m)
+        o = launch(field, surface.isovalue, p, n, OUTSIDE)
+        v = to_viewer(p, n, eye, field.spacing)
+        w, weight = choose_way(lobe, lights, to_world(o, field.spacing), n, v, draws.seeds[i], draws.samples[i])
+        alive = max(weight[0], weight[1], weight[2]) > 0.0
+        put_column(ways, i, w)
+        put_column(origins, i, o if alive else FAR)
+        put_row(ends.weights, i, weight)
+        if alive:
+            put_column(directions, i, to_index(w, field.spacing))
+    cast_from(surface, origins, directions, t)
+    for i in range(count):
+        put_row(ends.brought, i, NOTHING)
+        ends.met[i] = NEVER
+        if not origins[0, i] < math.inf:
+            continue
+        o, d, w = column(origins, i), column(directions, i), column(ways, i)
+        reach, wall = nearest_wall(room.walls, o, d, NOWHERE, t[i])
+        if reach < math.inf:
+            end_ray(surface, room, (o, d, w), reach, int(wall), ends, i)
+        weight = (np.float64(ends.weights[i, 0]), np.float64(ends.weights[i, 1]), np.float64(ends.weights[i, 2]))
+        add_row(ends.brought, i, weight, arriving_along(lights, to_world(o, field.spacing), w, reach))
+    for k in range(lights.around.lamps.kinds.shape[0]):
+        add_lamp(surface, room, points, eye, lobe, (lights.around.lamps, k), draws, ends)
+
+
+@kernel()
+def add_lamp(surface, room, points, eye, lobe, lamp, draws, ends):
+    """Add what a ``lamp``, (lamps, its number), without an extent brings where nothing is before it; a ray each."""
+    lamps, k = lamp
+    count, field = draws.owners.shape[0], surface.field
+    origins, directions, lights = np.empty((3, count)), np.ones((3, count)), np.empty((3, count))
+    t, reach = np.empty(count), np.empty(count)
+    for i in range(count):
+        m = draws.owners[i]
+        p, n = point_of(points.points, m), point_of(points.normals, m)
+        o, v = launch(field, surface.isovalue, p, n, OUTSIDE), to_viewer(p, n, eye, field.spacing)
+        w, reach[i], light = illuminate(lamps, k, to_world(o, field.spacing), n, 0.5, 0.5)
+        l = to_local(n, w)
+        put_column(origins, i, FAR)
+        put_column(lights, i, NOTHING)
+        if l[2] > 0.0:
+            share = scale(mirrored(lobe, v, l), math.pi / l[2])
+            put_column(origins, i, o)
+            put_column(directions, i, to_index(w, field.spacing))
+            put_column(lights, i, (share[0] * light[0], share[1] * light[1], share[2] * light[2]))
+    cast_from(surface, origins, directions, t)
+    for i in range(count):
+        if origins[0, i] < math.inf:
+            o, d = column(origins, i), column(directions, i)
+            if not nearest_wall(room.walls, o, d, NOWHERE, t[i])[0] < reach[i]:
+                add_row(ends.brought, i, (1.0, 1.0, 1.0), column(lights, i))
+
+
+@kernel(types.void(PIXEL_POINTS, VECTOR, VECTOR, SHINE_LOBE, COLUMNS))
+def fill_below(points, eye, spacing, lobe, below):
+    """Fill ``below`` (m, 3) with ``light_below`` of ``PixelPoints`` that are seen from the ``eye``, in index space."""
+    for m in range(points.pixels.shape[0]):
+        v = to_viewer(point_of(points.points, m), point_of(points.normals, m), eye, spacing)
+        put_row(below, m, light_below(lobe, v[2]))
+
+
+@kernel(types.void(SURFACE, PIXEL_POINTS, LAMPS, types.uint64[::1], COLUMNS))
+def light_ends(surface, points, lamps, seeds, lit):
+    """Fill ``lit`` (m, 3) with an estimate of E/π straight from directional ``lamps`` at ``PixelPoints``.
+
+    One shadow ray from each point to each lamp, drawn from the disc of that by the sequences ``seeds``.
+    """
+    count, field = points.pixels.shape[0], surface.field
+    lit[:] = 0.0
+    origins, directions, lights, t = np.empty((3, count)), np.ones((3, count)), np.empty((3, count)), np.empty(count)
+    for k in range(lamps.kinds.shape[0]):
+        for i in range(count):
+            p, n = point_of(points.points, i), point_of(points.normals, i)
+            a, b = point_2d(seeds[i], 0, LAMP + k)
+            w, _, light = illuminate(lamps, k, p, n, a, b)
+            facing = max(light[0], light[1], light[2]) > 0.0
+            put_column(origins, i, launch(field, surface.isovalue, p, n, OUTSIDE) if facing else FAR)
+            put_column(directions, i, to_index(w, field.spacing))
+            put_column(lights, i, light)
+        cast_from(surface, origins, directions, t)
+        for i in range(count):
+            if origins[0, i] < math.inf and t[i] == math.inf:
+                add_row(lit, i, (1.0, 1.0, 1.0), column(lights, i))
+
+
+@kernel()
+def spread_between(values, m, n):
+    """The variance that point ``n`` near ``m`` lets expect: of the mean of its two ``values``, or of one from both."""
+    if values.shape[1] == 1:
+        return 0.5 * (values[m, 0] - values[n, 0]) ** 2
+    return 0.25 * (values[n, 0] - values[n, 1]) ** 2
+
+
+@kernel(types.void(types.int32[:, ::1], types.uint32[::1], types.int64, ROWS, NUMBERS))
+def pool_noise(rows, pixels, first, values, variance):
+    """Fill ``variance`` (k,) of points from number ``first`` on: a mean of what those near them in the picture tell.
+
+    ``rows`` (h, w) are the numbers of the points in a picture, -1 where none is, ``pixels`` (m,) where they show, and
+    ``values`` (m, 1 or 2) of each, by as many independent halves. Nearer points count more: binomially.
+    """
+    for i in range(variance.shape[0]):
+        m = first + i
+        y, x = divmod(np.int64(pixels[m]), rows.shape[1])
+        total, weights = 0.0, 0.0
+        for dy in range(-NEAR, NEAR + 1):
+            for dx in range(-NEAR, NEAR + 1):
+                inside = 0 <= y + dy < rows.shape[0] and 0 <= x + dx < rows.shape[1]
+                n = np.int64(rows[y + dy, x + dx]) if inside else -1
+                if n >= 0 and (n != m or values.shape[1] > 1):
+                    weight = BINOMIAL[dy + NEAR] * BINOMIAL[dx + NEAR]
+                    total, weights = total + weight * spread_between(values, m, n), weights + weight
+        variance[i] = total / max(weights, 1.0)

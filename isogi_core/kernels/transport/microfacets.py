@@ -1,0 +1,191 @@
+"""Microfacets: the GGX lobe of a rough mirror, its sampling, and the share of light that it reflects.
+
+Directions are local, unit, with z along the normal; ``v`` is that to the viewer, above the surface, and ``l`` that to
+the light. Sources: Walter et al. 2007 (GGX); Heitz 2014 (masking) and 2018 (sampling); Schlick 1994 (Fresnel).
+"""
+
+import math
+from typing import Any, NamedTuple
+
+from numba import types
+
+from isogi_core.kernels._jit import kernel, record
+from isogi_core.kernels.tracing.vec import add, cross, dot, madd, normalize, scale
+from isogi_core.kernels.transport.sampling import sample_disc
+
+NODES = 128
+"""Steps of the table of energy, even in √cosθ: it changes most where the view grazes."""
+
+GRAZING = 1e-3
+"""The least cosine between normal and viewer that lobes are evaluated at."""
+
+GRID = 40
+"""Facets along each side of the square that an entry of the table is the mean over."""
+
+
+class ShineLobe(NamedTuple):
+    """A microfacet lobe: ``alpha``, the roughness squared, and what it reflects head on, ``facing``, linear RGB.
+
+    It counts ``strength`` times. Of a ``metal`` light below falls to 1 - strength, else to what the lobe leaves of it:
+    see ``light_below``. ``energy`` (NODES + 1, 2) is that of ``fill_energy``. Of its rays the share ``aside`` is drawn
+    towards lights.
+    """
+
+    alpha: float
+    facing: Any
+    strength: float
+    metal: bool
+    aside: float
+    energy: Any
+
+
+COLOUR = types.UniTuple(types.float64, 3)
+ENERGY = types.float64[:, ::1]
+SHINE_LOBE = record(ShineLobe, types.float64, COLOUR, types.float64, types.boolean, types.float64, ENERGY)
+
+
+@kernel()
+def facets_facing(alpha, cosine):
+    """D(h) of GGX: facets whose normals have the ``cosine`` to that of the surface, per steradian and area."""
+    square = alpha * alpha
+    width = cosine * cosine * (square - 1.0) + 1.0
+    return square / (math.pi * width * width)
+
+
+@kernel()
+def hidden(alpha, cosine):
+    """Λ of Smith's masking of GGX: (√(1 + α² tan²θ) - 1)/2."""
+    square = cosine * cosine
+    return 0.5 * (math.sqrt(1.0 + alpha * alpha * max(1.0 - square, 0.0) / square) - 1.0)
+
+
+@kernel()
+def seen_from(alpha, cosine):
+    """G₁: the share of facets turned towards a direction that are seen from there."""
+    return 1.0 / (1.0 + hidden(alpha, cosine))
+
+
+@kernel()
+def seen_and_lit(alpha, to_viewer, to_light):
+    """G₂: the share that is seen and lit, height-correlated."""
+    return 1.0 / (1.0 + hidden(alpha, to_viewer) + hidden(alpha, to_light))
+
+
+@kernel()
+def grazing(cosine):
+    """(1 - cosθ)⁵ of Schlick's Fresnel F₀ + (1 - F₀)(1 - cosθ)⁵, where θ is between a facet and the light."""
+    rest = 1.0 - min(max(cosine, 0.0), 1.0)
+    return rest * rest * rest * rest * rest
+
+
+@kernel()
+def facet_between(v, l):
+    """The normal of the facets that mirror ``v`` to ``l``."""
+    return normalize(add(v, l))
+
+
+@kernel()
+def reflected(alpha, v, l):
+    """D G₂/(4 cosθ_v): what facets bring of light from ``l`` to ``v``, cosθ_l included, but for Fresnel."""
+    if not l[2] > 0.0:
+        return 0.0
+    return facets_facing(alpha, facet_between(v, l)[2]) * seen_and_lit(alpha, v[2], l[2]) / (4.0 * v[2])
+
+
+@kernel()
+def reflected_pdf(alpha, v, l):
+    """Density of ``sample_reflected`` per steradian: G₁ D/(4 cosθ_v), also below the surface."""
+    h = facet_between(v, l)
+    if not (h[2] > 0.0 and dot(v, h) > 0.0):
+        return 0.0
+    return seen_from(alpha, v[2]) * facets_facing(alpha, h[2]) / (4.0 * v[2])
+
+
+@kernel()
+def sample_reflected(alpha, v, a, b):
+    """A direction to which a facet that is seen from ``v`` mirrors it, from (a, b) in [0, 1)²; some are below."""
+    around = normalize((alpha * v[0], alpha * v[1], v[2]))
+    flat = math.sqrt(around[0] * around[0] + around[1] * around[1])
+    s = (-around[1] / flat, around[0] / flat, 0.0) if flat > 0.0 else (1.0, 0.0, 0.0)
+    t = cross(around, s)
+    x, y = sample_disc(a, b)
+    share = 0.5 * (1.0 + around[2])
+    y = (1.0 - share) * math.sqrt(max(1.0 - x * x, 0.0)) + share * y
+    facet = madd(madd(scale(s, x), y, t), math.sqrt(max(1.0 - x * x - y * y, 0.0)), around)
+    h = normalize((alpha * facet[0], alpha * facet[1], max(facet[2], 1e-12)))
+    return madd(scale(v, -1.0), 2.0 * dot(v, h), h)
+
+
+@kernel()
+def fresnel(facing, v, l):
+    """Schlick's Fresnel of facets that mirror ``v`` to ``l``; linear RGB."""
+    edge = grazing(dot(v, facet_between(v, l)))
+    return (
+        facing[0] + (1.0 - facing[0]) * edge,
+        facing[1] + (1.0 - facing[1]) * edge,
+        facing[2] + (1.0 - facing[2]) * edge,
+    )
+
+
+@kernel()
+def towards_ends(k):
+    """Place number ``k`` of GRID in [0, 1], denser towards both ends, and what it counts: by t²(3 - 2t)."""
+    t = (k + 0.5) / GRID
+    return t * t * (3.0 - 2.0 * t), 6.0 * t * (1.0 - t)
+
+
+@kernel()
+def mean_energy(alpha, cosine):
+    """(A, B) such that a lobe seen at a ``cosine`` reflects F₀ A + B of light that is the same from everywhere.
+
+    Facets at the rim of the disc that they are drawn from are steep, and change much: there are more of them.
+    """
+    v, a, b, total = (math.sqrt(1.0 - cosine * cosine), 0.0, cosine), 0.0, 0.0, 0.0
+    for i in range(GRID):
+        for j in range(GRID):
+            (x, width), (y, height) = towards_ends(i), towards_ends(j)
+            l, total = sample_reflected(alpha, v, x, y), total + width * height
+            if l[2] > 0.0:
+                share = width * height * seen_and_lit(alpha, v[2], l[2]) / seen_from(alpha, v[2])
+                edge = grazing(dot(v, facet_between(v, l)))
+                a, b = a + share * (1.0 - edge), b + share * edge
+    return a / total, b / total
+
+
+@kernel(types.void(types.float64, ENERGY))
+def fill_energy(alpha, energy):
+    """Fill ``energy`` (NODES + 1, 2) with ``mean_energy`` at the cosines (k/NODES)²: single scattering.
+
+    The split is Karis's, "Real Shading in Unreal Engine 4", 2013.
+    """
+    for k in range(NODES + 1):
+        energy[k, 0], energy[k, 1] = mean_energy(alpha, max((k / NODES) ** 2, GRAZING))
+
+
+@kernel()
+def energy_at(energy, cosine):
+    """(A, B) at a ``cosine``, between the table's nodes."""
+    place = NODES * math.sqrt(min(max(cosine, 0.0), 1.0))
+    k = min(int(place), NODES - 1)
+    way = place - k
+    return (
+        (1.0 - way) * energy[k, 0] + way * energy[k + 1, 0],
+        (1.0 - way) * energy[k, 1] + way * energy[k + 1, 1],
+    )
+
+
+@kernel()
+def light_below(lobe, cosine):
+    """The share of diffuse light that a lobe leaves to who looks at a ``cosine``; linear RGB.
+
+    Of a metal 1 - strength; of a coat 1 - strength · (F₀ A + B), so that a white surface stays white in white light.
+    """
+    a, b = energy_at(lobe.energy, cosine)
+    strength = lobe.strength
+    if lobe.metal:
+        return 1.0 - strength, 1.0 - strength, 1.0 - strength
+    return (
+        1.0 - strength * (lobe.facing[0] * a + b),
+        1.0 - strength * (lobe.facing[1] * a + b),
+        1.0 - strength * (lobe.facing[2] * a + b),
+    )
