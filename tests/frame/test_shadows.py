@@ -11,8 +11,8 @@ import pytest
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.pixel_rays import find_lobes
 from isogi_core.frame.tiles import Tiles
-from isogi_core.kernels.shading.framebuffer import BLUE, GREEN, RED
-from isogi_core.kernels.shading.lobes import EVEN, RAYS, RIM, SHARP, STREAM, rim_way
+from isogi_core.kernels.shading.framebuffer import BLUE, GREEN, RED, PixelPoints
+from isogi_core.kernels.shading.lobes import APART, EVEN, RAYS, RIM, SHARP, STREAM, Pixels, find_around, rim_way
 from isogi_core.kernels.tracing.field import OFFSET, to_index
 from isogi_core.kernels.tracing.intersect import OUTSIDE, cast
 from isogi_core.kernels.transport.integrator import launch
@@ -103,6 +103,20 @@ def test_light_of_lobes_is_that_of_all_rays(degrees: float, spacing: Spacing) ->
     same = np.isclose(lit, expected, rtol=1e-5, atol=1e-6).all(axis=1)
     assert same.mean() > 0.99 and np.abs((lit - expected)[:, :3]).max() < 0.25
     assert (expected[:, 3] > 0.0).any() == (degrees > 1.0), "half-shadows are of wide lobes"
+
+
+@pytest.mark.parametrize(("side", "believed"), [(32, True), (16, False)])
+def test_neighbours_far_apart_on_the_surface_are_not_believed(side: int, believed: bool) -> None:
+    """Four pixels are 3 voxels of the finer picture, and 6 of the coarser one, whose next neighbours still count."""
+    assert 3.0 < APART < 6.0
+    points, pixels = floor(side), np.arange(side * side, dtype=np.uint32)
+    normals, around = np.tile(UP.astype(np.float32), (len(points), 1)), np.empty((len(points), 4), np.int32)
+    picture = Pixels(PixelPoints(points, normals, pixels), pixels.astype(np.int32).reshape(side, side))
+    find_around(picture, (0, len(points)), around)
+    first = around[:, 0].reshape(side, side)[4:-4, 4:-4]
+    assert (first[::4, ::4] == -1).all(), "those that are asked first"
+    assert ((first[2::4, 2::4] >= 0) == believed).all() and ((first[::4, 2::4] >= 0) == believed).all()
+    assert (first[1::2, 1::2] >= 0).all() and (first[::2, 1::2] >= 0).all()
 
 
 def test_a_moving_view_has_nearly_the_same_light() -> None:

@@ -58,6 +58,9 @@ BENT = 0.25
 GRAZING = 0.03
 """What a lobe brings at most, over what it would from straight above, where its half-shadows are not looked for."""
 
+APART = 4.0
+"""Voxels between two neighbours, at most, that are four pixels apart and believed: surfaces hide nothing smaller."""
+
 AWAY, DARK, LIT, HALF, UNKNOWN = range(5)
 """What a point sees of what is above its horizon of a lobe: none is there; nothing; all; a part; not known yet."""
 
@@ -160,6 +163,12 @@ def between(points, m, a, b):
     return length(bend) <= BENT * length(sub(p, q))
 
 
+@kernel()
+def apart(points, a, b):
+    """How far points ``a`` and ``b`` are from each other, in index space."""
+    return length(sub(point_of(points, a), point_of(points, b)))
+
+
 @kernel(types.void(PICTURE, PART, AROUND))
 def find_around(picture, part, around):
     """Fill ``around`` (m, 4): the neighbours that are asked before a point, first -1 where one is not of its surface.
@@ -175,6 +184,8 @@ def find_around(picture, part, around):
         a, b = row_at(rows, y - aside, x - step), row_at(rows, y + aside, x + step)
         c, d = row_at(rows, y - step, x + aside), row_at(rows, y + step, x - aside)
         smooth = turn > 0 and between(points.points, m, a, b) and between(points.points, m, c, d)
+        if smooth and step > 1:
+            smooth = max(apart(points.points, a, b), apart(points.points, c, d)) <= APART
         around[m, 0], around[m, 1], around[m, 2], around[m, 3] = a if smooth else -1, b, c, d
 
 
