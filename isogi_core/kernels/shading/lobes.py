@@ -97,15 +97,9 @@ PICTURE = record(Pixels, PIXEL_POINTS, types.int32[:, ::1])
 
 
 @kernel()
-def half_angle(lamps, k):
-    """The sine of the half angle of lobe ``k``."""
-    return length(row(lamps.edges[k], 0))
-
-
-@kernel()
 def radius(lamps, k):
-    """The same, but 0 for a lobe that is seen along one ray."""
-    sine = half_angle(lamps, k)
+    """The sine of the half angle of lobe ``k``; 0 for one that is seen along one ray."""
+    sine = length(row(lamps.edges[k], 0))
     return sine if sine > SHARP else 0.0
 
 
