@@ -23,10 +23,11 @@ from isogi_core.model.view import (
     quaternion_from_angles,
     unit_quaternion,
 )
+from isogi_core.model.window import read_window
 from isogi_core.plan.scene import Scene
 from server.errors import ParameterError
 from server.settings import Settings
-from server.values import Choice, Colour, Ground, Row, Rows, Span
+from server.values import Choice, Colour, Ground, Planes, Row, Rows, Span
 
 FORMATS = ("png", "jpeg", "webp", "npy")
 VERSION = r"^[0-9a-f]{32}$"
@@ -95,6 +96,11 @@ class ViewParams(LightParams):
     )
     strength: Annotated[float | None, Span(0, 1)] = Field(
         None, description="How much that shine counts; default: the scene's."
+    )
+    window: Annotated[str | None, Planes()] = Field(
+        None,
+        description="Planes that take away what the eye would see there, in world units: x>40, or a normal such as"
+        " 0,1,-1<12.5, with ; between them. All light stays; what is cut open shows its values.",
     )
     width: Annotated[int, Span(1, LONGEST_SIDE, whole=True)] = Field(512, description="Pixels.")
     height: Annotated[int, Span(1, LONGEST_SIDE, whole=True)] = Field(512, description="Pixels.")
@@ -273,6 +279,7 @@ def view_of(scene: Scene, params: ViewParams, settings: Settings) -> View:
         shine=shine_of(scene, params),
         smooth=isinstance(params, FrameParams) and params.antialias == "on" and params.shading != "path_traced",
         orientation=scene.volume.orientation,
+        window=None if params.window is None else read_window(params.window).in_box(scene.volume.orientation),
     )
 
 

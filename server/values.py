@@ -10,6 +10,9 @@ from typing import Any
 from annotated_types import GroupedMetadata
 from pydantic import BeforeValidator, WithJsonSchema
 
+from isogi_core.errors import ViewError
+from isogi_core.model.window import read_window
+
 NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 WHOLE = re.compile(r"[+-]?\d+", re.ASCII)
 FURTHEST = 1e12
@@ -107,6 +110,23 @@ class Colour(GroupedMetadata):
             raise ValueError(f"must be one number from 0 to 1, or three with commas between, not {shown(value)}.")
         red, green, blue = numbers if len(numbers) == 3 else numbers * 3
         return red, green, blue
+
+
+@dataclass(frozen=True)
+class Planes(GroupedMetadata):
+    """Planes with ; between them, such as ``window=x>40;0,1,-1<12.5``: each takes away what it is true of."""
+
+    def __iter__(self) -> Iterator[Any]:
+        yield BeforeValidator(self.read)
+        yield WithJsonSchema({"type": "string", "example": "x>40"})
+
+    def read(self, value: object) -> str:
+        """``value`` where it spells planes; ValueError else."""
+        try:
+            read_window(str(value))
+        except ViewError as error:
+            raise ValueError(f"cannot be read. {error}") from None
+        return str(value)
 
 
 GROUNDS = ("dark", "light", "transparent")

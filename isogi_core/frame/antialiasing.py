@@ -9,11 +9,12 @@ import numpy as np
 
 from isogi_core.frame.film import lit
 from isogi_core.frame.frame import EdgeSamples, Frame
-from isogi_core.frame.gbuffer import RAYS, view_pinhole
+from isogi_core.frame.gbuffer import RAYS, sight_of, view_pinhole
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.edges import Shown, borrow_light, find_contrasts
 from isogi_core.kernels.tracing.camera import trace_places
-from isogi_core.kernels.tracing.walls import Walls, trace_places_in_room
+from isogi_core.kernels.tracing.sight import trace_places_in_sight
+from isogi_core.kernels.tracing.walls import Walls
 
 COUNTS = (16, 8)
 """Samples that a pixel at an edge may have: the more where the BUDGET allows that for all silhouettes."""
@@ -56,7 +57,7 @@ def pattern(count: int) -> np.ndarray:
 def sample_edges(frame: Frame, exposure: float, tiles: Tiles, walls: Walls | None = None) -> EdgeSamples | None:
     """More samples where a ``frame`` has edges at its ``exposure``; None where it has none. Raises Cancelled.
 
-    Walls, where there are ``walls``, have edges as the surface has.
+    Walls, where there are ``walls``, have edges as the surface has, and so have the faces of a window.
     """
     pixels, count = find_edges(lit(frame.radiance, frame.state, exposure, marked=False), frame.state)
     if not len(pixels):
@@ -66,14 +67,14 @@ def sample_edges(frame: Frame, exposure: float, tiles: Tiles, walls: Walls | Non
     light, on = np.zeros((len(places), 3), np.float32), np.zeros(len(places), np.bool_)
     view, gbuffer = frame.view, frame.gbuffer
     camera, traced = view_pinhole(view, gbuffer.spacing), gbuffer.surface.traced(tiles.run)
-    shown = shown_by(frame)
+    shown, sight = shown_by(frame), sight_of(view, gbuffer.spacing, walls)
 
     def _piece(a: int, b: int) -> None:
         found, points = np.empty(b - a, np.uint32), np.empty((b - a, 3), np.float32)
-        if walls is None:
+        if sight is None:
             hits = trace_places(traced, camera, places[a:b], found, points)
         else:
-            hits = trace_places_in_room(traced, walls, camera, places[a:b], found, points)
+            hits = trace_places_in_sight(traced, sight, camera, places[a:b], found, points)
         on[a:b][found[:hits]] = True
         borrow_light(shown, places[a:b], found[:hits], points[:hits], light[a:b])
 
@@ -83,11 +84,12 @@ def sample_edges(frame: Frame, exposure: float, tiles: Tiles, walls: Walls | Non
 
 def shown_by(frame: Frame) -> Shown:
     """What the pixels of a ``frame`` show, as the kernels take it."""
-    view, gbuffer, walls = frame.view, frame.gbuffer, frame.gbuffer.walls
+    view, gbuffer = frame.view, frame.gbuffer
     rows, points = gbuffer.rows, gbuffer.points
-    if len(walls.pixels):
-        rows.flat[walls.pixels] = np.arange(len(points), len(points) + len(walls.pixels), dtype=np.int32)
-        points = np.concatenate([points, walls.points])
+    for beside in (gbuffer.walls, gbuffer.faces):
+        if len(beside.pixels):
+            rows.flat[beside.pixels] = np.arange(len(points), len(points) + len(beside.pixels), dtype=np.int32)
+            points = np.concatenate([points, beside.points])
     pixel = 2.0 * math.tan(math.radians(view.camera.fov) / 2.0) / view.whole[1]
     x, y, z = gbuffer.spacing
     scale = np.float32(x), np.float32(y), np.float32(z)

@@ -40,8 +40,8 @@ from isogi_core.kernels.shading.wall_light import light_walls
 from isogi_core.kernels.tracing.active_cells import fill_ranges, mark_bricks, pack_bricks
 from isogi_core.kernels.tracing.camera import trace_pixels, trace_places
 from isogi_core.kernels.tracing.macrocells import fill_macrocells
+from isogi_core.kernels.tracing.sight import read_values, trace_pixels_in_sight, trace_places_in_sight
 from isogi_core.kernels.tracing.stiffness import count_stiffness
-from isogi_core.kernels.tracing.walls import trace_pixels_in_room, trace_places_in_room
 from isogi_core.kernels.transport.harmonics import rotate
 from isogi_core.kernels.transport.lights import project_lamps
 from isogi_core.kernels.transport.microfacets import fill_energy
@@ -66,7 +66,7 @@ LOBES = (
 )
 """Those that only lights with lobes call."""
 
-ROOM = (light_in_room, trace_pixels_in_room, trace_places_in_room, light_walls, fill_seeds)
+ROOM = (light_in_room, trace_pixels_in_sight, trace_places_in_sight, light_walls, fill_seeds)
 """Those that only scenes with walls call, besides; not their ``trace_pixels`` and ``trace_places``."""
 
 SHINE = (cast_shine, fill_below, fill_energy, pool_noise)
@@ -112,8 +112,10 @@ FRAME = (
 )
 """All of them but ROOM, those that take longest to compile first."""
 
-OTHERS = (trace_points, find_shadows, shade_local)
-"""Those of pictures without light from texels, local shadings and path-traced ones; and of checks of pictures."""
+OTHERS = (trace_points, find_shadows, shade_local, trace_pixels_in_sight, read_values, trace_places_in_sight)
+"""Those of pictures without light from texels, local shadings and path-traced ones; of checks of pictures; and those of
+views through a window.
+"""
 
 
 def frame_kernels(scenes: Iterable[Scene]) -> tuple[Any, ...]:

@@ -157,7 +157,7 @@ class Frame:
     @property
     def true_mean(self) -> float:
         """The true mean luminance of the surface, as far as control pixels know it."""
-        if len(self.gbuffer.walls.pixels):
+        if not self.gbuffer.alone:
             shown = float(self._luminance(self.gbuffer.pixels).mean())
         else:
             shown = float(self._tally[1][0]) / max(self.surface, 1)

@@ -1,6 +1,11 @@
 """The frame of a view, put together from what its steps have made."""
 
+from functools import cache
+
+import numpy as np
+
 from isogi_core.frame.control_pixels import expected_error
+from isogi_core.frame.film import linear_of
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.lighting import RotatedLight, version_of
@@ -9,7 +14,12 @@ from isogi_core.frame.projected_texels import ProjectedReading, Projection
 from isogi_core.frame.texel_reading import Lacking, Reading
 from isogi_core.frame.tiles import Stopwatch
 from isogi_core.frame.view_texels import ViewTexels
-from isogi_core.kernels.shading.framebuffer import Framebuffer
+from isogi_core.kernels.shading.framebuffer import FINAL, Framebuffer
+from isogi_core.kernels.tracing.sight import read_values
+from isogi_core.plan.scene import Scene
+
+PAPER = 0.8
+"""What the greatest value on the face of a window reflects of the light that a surface turned to it has."""
 
 
 def frame_of(
@@ -23,12 +33,16 @@ def frame_of(
     shine: bytes = b"",
 ) -> Frame:
     """The frame of a view from its framebuffer, from the texels and their reading where it was made of any, and from
-    the ``check`` of its picture where there is one. The rays of its ``shine`` are named by that.
+    the ``check`` of its picture where there is one. The rays of its ``shine`` are named by that. Faces of a window are
+    painted into the framebuffer.
     """
+    if len(gbuffer.faces.pixels):
+        paint_faces(gbuffer, light.spec.prepared.scene, framebuffer)
     lacking = Lacking(texels, reading, framebuffer) if texels and reading else None
     projection = Projection(texels, reading, framebuffer) if texels and isinstance(reading, ProjectedReading) else None
     needed, short = (len(lacking.texels.chunks), int(lacking.reading.short.sum())) if lacking else (0, 0)
     read = (reading.version if reading else b"") + (check.version if check else b"") + shine
+    read += repr(light.view.window).encode() if light.view.window else b""
     return Frame(
         view=light.view,
         radiance=framebuffer.radiance.reshape(*gbuffer.shape, 3),
@@ -48,3 +62,21 @@ def frame_of(
         own=len(check.own.places) if check else 0,
         expected=expected_error(light.spec.prepared.scene, gbuffer.isovalue) if light.view.shading == "gi" else 0.0,
     )
+
+
+@cache
+def linear_greys() -> np.ndarray:
+    """Linear light of 256 even steps of grey, float64."""
+    return np.array([linear_of(code / 255.0) for code in range(256)])
+
+
+def paint_faces(gbuffer: GBuffer, scene: Scene, framebuffer: Framebuffer) -> None:
+    """Show the volume's values where a window opens what is solid: greys over the core of its range, evenly lit."""
+    faces, volume, voxels = gbuffer.faces, scene.volume, np.empty(len(gbuffer.faces.pixels), np.float32)
+    read_values(volume.voxels, faces.points, voxels)
+    values = volume.offset + volume.scale * voxels.astype(np.float64)
+    share = (values - volume.core[0]) / max(volume.core[1] - volume.core[0], np.finfo(np.float64).tiny)
+    light = np.interp(255.0 * share, np.arange(256), linear_greys()) * PAPER / scene.default_exposure
+    framebuffer.radiance[faces.pixels] = light[:, None]
+    framebuffer.state[faces.pixels] = FINAL
+    framebuffer.error[faces.pixels] = 0.0

@@ -9,7 +9,8 @@ import numpy as np
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.local_models import find_normals
 from isogi_core.kernels.tracing.camera import Pinhole, trace_pixels
-from isogi_core.kernels.tracing.walls import Walls, trace_pixels_in_room
+from isogi_core.kernels.tracing.sight import FACE, Sight, trace_pixels_in_sight
+from isogi_core.kernels.tracing.walls import Walls
 from isogi_core.model.view import Camera, View
 from isogi_core.model.volume import Isovalue
 from isogi_core.prepared.surface import Surface
@@ -22,11 +23,14 @@ POINTS = 4096
 
 Vector = tuple[float, float, float]
 
+NO_WALLS = Walls(np.empty((0, 3)), np.empty((0, 3)), np.empty((0, 2, 3)), np.empty(0))
+"""No walls, as kernels take them."""
+
 
 @dataclass(frozen=True, eq=False)
-class WallPoints:
-    """Where rays of a camera meet walls: ``pixels`` (m,) uint32, ascending, ``points`` (m, 3) float32 in index space,
-    and the ``numbers`` (m,) int8 of the walls.
+class PointsBeside:
+    """Where rays of a camera meet what is beside the isosurface: ``pixels`` (m,) uint32, ascending, ``points`` (m, 3)
+    float32 in index space, and the ``numbers`` (m,) int8 of the walls, or FACE on the faces of a window.
     """
 
     pixels: np.ndarray
@@ -34,9 +38,13 @@ class WallPoints:
     numbers: np.ndarray
 
     @classmethod
-    def none(cls) -> "WallPoints":
-        """No wall is seen."""
+    def none(cls) -> "PointsBeside":
+        """Nothing else is seen."""
         return cls(np.empty(0, np.uint32), np.empty((0, 3), np.float32), np.empty(0, np.int8))
+
+    def part(self, some: np.ndarray) -> "PointsBeside":
+        """Those of ``some`` rows."""
+        return PointsBeside(self.pixels[some], self.points[some], self.numbers[some])
 
     @property
     def nbytes(self) -> int:
@@ -49,7 +57,8 @@ class GBuffer:
     """Where the rays of one camera, whose ``eye`` is in index space, meet a ``surface``.
 
     ``shape`` (height, width) of the picture; ``pixels`` (m,) uint32 are the picture indices that show
-    the surface, ascending; ``points`` (m, 3) float32 where they meet it, in index space. ``walls`` are seen beside it.
+    the surface, ascending; ``points`` (m, 3) float32 where they meet it, in index space. ``walls`` are seen beside it,
+    and ``faces`` that a window opens in what is solid.
     """
 
     shape: tuple[int, int]
@@ -58,7 +67,8 @@ class GBuffer:
     surface: Surface
     pixels: np.ndarray
     points: np.ndarray
-    walls: WallPoints = field(default_factory=WallPoints.none)
+    walls: PointsBeside = field(default_factory=PointsBeside.none)
+    faces: PointsBeside = field(default_factory=PointsBeside.none)
     _normals: np.ndarray | None = field(default=None, repr=False)
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
 
@@ -81,6 +91,11 @@ class GBuffer:
             return self._normals
 
     @property
+    def alone(self) -> bool:
+        """Whether every pixel that shows anything shows the surface."""
+        return not len(self.walls.pixels) and not len(self.faces.pixels)
+
+    @property
     def rows(self) -> np.ndarray:
         """The row of the point that each pixel shows, -1 off the surface; (h, w) int32."""
         rows = np.full(self.shape, -1, np.int32)
@@ -95,7 +110,7 @@ class GBuffer:
     @property
     def nbytes(self) -> int:
         """Bytes that it takes; normals are counted before they are found."""
-        return self.pixels.nbytes + 2 * self.points.nbytes + self.walls.nbytes
+        return self.pixels.nbytes + 2 * self.points.nbytes + self.walls.nbytes + self.faces.nbytes
 
     @property
     def position(self) -> np.ndarray:
@@ -106,7 +121,7 @@ class GBuffer:
         """``position`` in the rows from ``first`` to ``last``; (last - first, w, 3) float32."""
         width = self.shape[1]
         rows = np.zeros(((last - first) * width, 3), np.float32)
-        for each in (self, self.walls):
+        for each in (self, self.walls, self.faces):
             a, b = np.searchsorted(each.pixels, (first * width, last * width))
             rows[each.pixels[a:b] - first * width] = each.points[a:b] * np.array(self.spacing, np.float32)
         return rows.reshape(last - first, width, 3)
@@ -134,10 +149,18 @@ def to_index(v: np.ndarray, spacing: Vector) -> Vector:
     return x, y, z
 
 
+def sight_of(view: View, spacing: Vector, walls: Walls | None) -> Sight | None:
+    """What a ``view`` sees beside the surface, as kernels take it; None where there are no ``walls`` and no window."""
+    if walls is None and view.window is None:
+        return None
+    planes = np.empty((0, 4)) if view.window is None else view.window.in_index(spacing)
+    return Sight(NO_WALLS if walls is None else walls, planes)
+
+
 def trace(view: View, surface: Surface, tiles: Tiles, walls: Walls | None = None) -> GBuffer:
     """Cast the primary rays of ``view`` at the ``surface`` that it shows, and at ``walls``. Raises Cancelled."""
     spacing = surface.field.spacing
-    camera = view_pinhole(view, spacing)
+    camera, sight = view_pinhole(view, spacing), sight_of(view, spacing, walls)
     traced = surface.traced(tiles.run)
     found: dict[int, tuple[np.ndarray, ...]] = {}
 
@@ -146,13 +169,15 @@ def trace(view: View, surface: Surface, tiles: Tiles, walls: Walls | None = None
         count = trace_pixels(traced, camera, a, view.width, pixels, points)
         found[a] = pixels[:count], points[:count]
 
-    def _piece_in_room(a: int, b: int) -> None:
+    def _piece_in_sight(a: int, b: int) -> None:
         pixels, points = np.empty((2, b - a), np.uint32), np.empty((2, b - a, 3), np.float32)
         numbers = np.empty(b - a, np.int8)
-        count, walled = trace_pixels_in_room(traced, walls, camera, a, view.width, pixels, points, numbers)
-        found[a] = pixels[0, :count], points[0, :count], pixels[1, :walled], points[1, :walled], numbers[:walled]
+        count, beside = trace_pixels_in_sight(traced, sight, camera, a, view.width, pixels, points, numbers)
+        found[a] = pixels[0, :count], points[0, :count], pixels[1, :beside], points[1, :beside], numbers[:beside]
 
-    tiles.run(_piece if walls is None else _piece_in_room, view.width * view.height, RAYS)
+    tiles.run(_piece if sight is None else _piece_in_sight, view.width * view.height, RAYS)
     pixels, points, *others = (np.concatenate(parts) for parts in zip(*(found[a] for a in sorted(found)), strict=True))
-    seen = WallPoints(*others) if others else WallPoints.none()
-    return GBuffer((view.height, view.width), spacing, camera.eye, surface, pixels, points, seen)
+    seen = PointsBeside(*others) if others else PointsBeside.none()
+    on_face = seen.numbers == FACE
+    shown = (view.height, view.width), spacing, camera.eye, surface, pixels, points
+    return GBuffer(*shown, walls=seen.part(~on_face), faces=seen.part(on_face))

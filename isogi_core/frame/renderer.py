@@ -370,7 +370,7 @@ def is_checked(view: View) -> bool:
 
 def surface_key(view: View) -> tuple[Any, ...]:
     """What the surface in a picture depends on."""
-    return view.isovalue, view.camera, view.width, view.height, view.strip
+    return view.isovalue, view.camera, view.width, view.height, view.strip, view.window
 
 
 def check_key(view: View, target: float) -> tuple[Any, ...]:

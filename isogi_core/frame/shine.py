@@ -13,7 +13,7 @@ import numpy as np
 
 from isogi_core.bake.bake_spec import path_weights
 from isogi_core.bake.refine import seeds_of
-from isogi_core.frame.gbuffer import GBuffer, WallPoints
+from isogi_core.frame.gbuffer import GBuffer, PointsBeside
 from isogi_core.frame.lighting import RotatedLight, triple
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.framebuffer import PixelPoints
@@ -205,7 +205,7 @@ def some_of(ends: ShineEnds, rows: slice | np.ndarray) -> ShineEnds:
 def seen_by(points: np.ndarray, normals: np.ndarray, met: np.ndarray, gbuffer: GBuffer) -> GBuffer:
     """The picture of one row that shows the ``points`` (h, 3), with their ``normals``, on what was ``met`` (h,)."""
     shown, on = np.arange(len(met), dtype=np.uint32), met == ISOSURFACE
-    walls = WallPoints(shown[~on], points[~on], met[~on])
+    walls = PointsBeside(shown[~on], points[~on], met[~on])
     place = (1, len(met)), gbuffer.spacing, gbuffer.eye, gbuffer.surface
     return GBuffer(*place, shown[on], points[on], walls, _normals=normals[on])
 

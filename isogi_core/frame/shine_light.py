@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from isogi_core.frame.gbuffer import GBuffer, WallPoints
+from isogi_core.frame.gbuffer import GBuffer, PointsBeside
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.shine import RAYS, ShineRays, cast_rays, light_below, paths_from
 from isogi_core.frame.tiles import Tiles
@@ -168,7 +168,7 @@ def walls_seen(rays: ShineRays, light: RotatedLight) -> list[WallView]:
     found = []
     for side in np.unique(sides):
         own = sides == side
-        seen = WallPoints(walls.pixels[own], walls.points[own], walls.numbers[own])
+        seen = PointsBeside(walls.pixels[own], walls.points[own], walls.numbers[own])
         found.append(WallView(replace(hits, walls=seen), light, sides[own]))
     return found
 

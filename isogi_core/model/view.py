@@ -8,6 +8,7 @@ import numpy as np
 from isogi_core.errors import ViewError
 from isogi_core.model.orientation import PLAIN, Orientation, triple
 from isogi_core.model.shine import Shine
+from isogi_core.model.window import Window
 
 Vec3 = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
@@ -148,7 +149,7 @@ class View:
     of the surface, the scene's own by default, see ``Scene.albedo_for``; so is its ``shine``, see ``shine_for``.
     Texels of a view that is ``moving`` are not projected: its pictures are to come quickly. Else, where it is
     ``smooth``, pixels at edges have more samples. A ``strip`` is rows of a larger picture: the first of them there, and
-    how many that picture has.
+    how many that picture has. A ``window`` is what planes in the box leave to the eye; None where all is seen.
     """
 
     isovalue: float
@@ -164,6 +165,7 @@ class View:
     strip: tuple[int, int] | None = None
     shine: Shine | None = field(default=None, repr=False)
     orientation: Orientation = field(default=PLAIN, repr=False)
+    window: Window | None = field(default=None, repr=False)
 
     @property
     def whole(self) -> tuple[int, int]:

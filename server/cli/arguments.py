@@ -55,6 +55,7 @@ VIEW_OPTIONS = {
     "shine": "Of a scene with a shine: plastic or metal; default: the scene's.",
     "roughness": "Of that shine, 0.02 (a mirror) to 1; default: the scene's.",
     "strength": "How much that shine counts, 0 to 1; default: the scene's.",
+    "window": "Planes that take away what the eye would see there: x>40, or 0,1,-1<12.5, with ; between them.",
     "width": "Pixels.",
     "height": "Pixels.",
     "shading": "gi (light from all around), vicinity, lambert[_shadow|_fog], phong[_shadow] or path_traced.",
@@ -69,7 +70,7 @@ DEVELOPED = ("shading", "samples", "exposure", "antialias", "background", "overl
 
 SHINE_OPTIONS = ("shine", "roughness", "strength")
 PICTURE_OPTIONS = (
-    *("albedo", *SHINE_OPTIONS, "width", "height", "shading", "antialias", "background", "samples", "overlay"),
+    *("albedo", *SHINE_OPTIONS, "window", "width", "height", "shading", "antialias", "background", "samples", "overlay"),
 )
 REPORT_OPTIONS = {
     **{name: text for name, text in VIEW_OPTIONS.items() if name not in PICTURE_OPTIONS},

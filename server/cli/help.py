@@ -5,7 +5,7 @@ from importlib import import_module
 import click
 
 GROUPS = {
-    "Camera": ("azimuth", "elevation", "distance", "fov", "eye", "target", "up"),
+    "Camera": ("azimuth", "elevation", "distance", "fov", "eye", "target", "up", "window"),
     "Light": ("yaw", "pitch", "roll", "light"),
     "Picture": (
         *("width", "height", "shading", "albedo", "shine", "roughness", "strength"),

@@ -1,18 +1,14 @@
 """Walls: flat rectangles beside the isosurface. Rays meet them one at a time or in lanes, to the same bits."""
 
-import math
 from typing import Any, NamedTuple
 
-import numpy as np
 from numba import types
 
 from isogi_core.kernels._jit import kernel, record
 from isogi_core.kernels.simd.maths import divide, where
 from isogi_core.kernels.simd.memory import load, store
 from isogi_core.kernels.simd.types import PATH_WIDTH
-from isogi_core.kernels.tracing.camera import PINHOLE, cast_from_eye, pixel_ray, put_point, write_hits
-from isogi_core.kernels.tracing.cast import SURFACE
-from isogi_core.kernels.tracing.vec import column, load_columns, madd, put_column
+from isogi_core.kernels.tracing.vec import load_columns
 
 NOWHERE = -1.0
 """The number of no wall."""
@@ -75,50 +71,3 @@ def meet_walls(walls, origins, directions, own, t, met):
         reach, found = nearest_wall(walls, o, d, load(own, i, PATH_WIDTH), load(t, i, PATH_WIDTH))
         store(t, i, reach)
         store(met, i, found)
-
-
-SEEN = types.UniTuple(types.int64, 2)
-PIXELS, POINTS = types.uint32[:, ::1], types.float32[:, :, ::1]
-
-
-@kernel(SEEN(SURFACE, WALLS, PINHOLE, types.int64, types.int64, PIXELS, POINTS, types.int8[::1]))
-def trace_pixels_in_room(surface, walls, camera, first, width, pixels, points, numbers):
-    """``trace_pixels`` among ``walls``: returns how many pixels show the surface, and how many a wall.
-
-    The first row of ``pixels`` (2, n) and ``points`` (2, n, 3) is of the surface, the second one of walls, whose
-    ``numbers`` (n,) are those of the pixels in that row.
-    """
-    count = pixels.shape[1]
-    directions, t, met = np.empty((3, count)), np.empty(count), np.empty(count)
-    for i in range(count):
-        y, x = divmod(first + i, width)
-        put_column(directions, i, pixel_ray(camera, x + 0.5, y + 0.5))
-    cast_in_room(surface, walls, camera.eye, directions, t, met)
-    hits = walled = 0
-    for i in range(count):
-        kind, place = (0, hits) if met[i] == NOWHERE else (1, walled)
-        if t[i] < math.inf:
-            pixels[kind, place] = first + i
-            put_point(points[kind], place, madd(camera.eye, t[i], column(directions, i)))
-            numbers[place] = np.int8(met[i]) if kind else numbers[place]
-            hits, walled = hits + 1 - kind, walled + kind
-    return hits, walled
-
-
-@kernel(types.int64(SURFACE, WALLS, PINHOLE, types.float32[:, ::1], types.uint32[::1], types.float32[:, ::1]))
-def trace_places_in_room(surface, walls, camera, places, found, points):
-    """``trace_places`` among ``walls``, which count as the surface does."""
-    count = places.shape[0]
-    directions, t, met = np.empty((3, count)), np.empty(count), np.empty(count)
-    for i in range(count):
-        put_column(directions, i, pixel_ray(camera, places[i, 0], places[i, 1]))
-    cast_in_room(surface, walls, camera.eye, directions, t, met)
-    return write_hits(camera.eye, directions, t, 0, found, points)
-
-
-@kernel()
-def cast_in_room(surface, walls, eye, directions, t, met):
-    """Cast rays from the ``eye``: how far they come, ``t`` (n,) or inf, and what walls are ``met`` (n,), or NOWHERE."""
-    cast_from_eye(surface, eye, directions, t)
-    for i in range(t.shape[0]):
-        t[i], met[i] = nearest_wall(walls, eye, column(directions, i), NOWHERE, t[i])

@@ -1,0 +1,128 @@
+"""What the camera sees beside the isosurface: walls, and the faces that a window opens in what is solid."""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import types
+
+from isogi_core.kernels._jit import kernel, record
+from isogi_core.kernels.tracing.camera import PINHOLE, pixel_ray, put_point, write_hits
+from isogi_core.kernels.tracing.cast import SURFACE, cast_batch
+from isogi_core.kernels.tracing.field import VOXELS, value
+from isogi_core.kernels.tracing.intersect import UNKNOWN
+from isogi_core.kernels.tracing.ray_stream import Rays
+from isogi_core.kernels.tracing.vec import column, madd, put_column
+from isogi_core.kernels.tracing.walls import NOWHERE, ROWS, WALLS, inner, nearest_wall
+
+FACE = -2.0
+"""Stands for a face of the window in place of a wall's number."""
+
+
+class Sight(NamedTuple):
+    """The ``walls``, and the planes of a ``window`` (k, 4) in index space, k >= 0: n · p + w >= 0 is left to see."""
+
+    walls: Any
+    window: Any
+
+
+SIGHT = record(Sight, WALLS, ROWS)
+PIXELS, POINTS = types.uint32[:, ::1], types.float32[:, :, ::1]
+
+
+@kernel()
+def look_through(window, eye, d):
+    """Part (near, far) of the ray eye + t·d, t >= 0, that a ``window`` leaves to see; (0, -inf) where none."""
+    near, far = 0.0, math.inf
+    for k in range(window.shape[0]):
+        height, slope = inner(window, k, eye) + window[k, 3], inner(window, k, d)
+        if slope > 0.0:
+            near = max(near, -height / slope)
+        elif slope < 0.0:
+            far = min(far, -height / slope)
+        elif height < 0.0:
+            far = -math.inf
+    return (near, far) if near <= far else (0.0, -math.inf)
+
+
+@kernel()
+def is_solid(surface, p):
+    """Whether a point in index space is in the volume's box, and above the isovalue there; never beside a hole."""
+    nz, ny, nx = surface.field.voxels.shape
+    x, y, z = p
+    within = 0.0 <= x <= nx - 1.0 and 0.0 <= y <= ny - 1.0 and 0.0 <= z <= nz - 1.0
+    return within and value(surface.field.voxels, p) > surface.isovalue
+
+
+@kernel()
+def cast_through(surface, window, eye, directions, t, met):
+    """``camera.cast_from_eye`` through a ``window``: what is ``met`` (n,) is one of its faces, FACE, or NOWHERE."""
+    count = t.shape[0]
+    origins, came, near, far = np.empty((3, count)), np.empty(count, np.int8), np.empty(count), np.empty(count)
+    for i in range(count):
+        d = column(directions, i)
+        near[i], far[i] = look_through(window, eye, d)
+        put_column(origins, i, madd(eye, near[i], d))
+    rays = Rays(np.full(count, surface.isovalue), origins, directions, np.full(count, UNKNOWN, np.int8))
+    cast_batch(surface.field, surface.cells, rays, t, came)
+    for i in range(count):
+        opened = near[i] > 0.0 and is_solid(surface, column(origins, i))
+        t[i] = near[i] if opened else near[i] + t[i]
+        seen = t[i] <= far[i]
+        t[i], met[i] = t[i] if seen else math.inf, FACE if opened and seen else NOWHERE
+
+
+@kernel()
+def cast_sight(surface, sight, eye, directions, t, met):
+    """Cast rays from the ``eye``: their ways ``t`` (n,) or inf, and the numbers of the walls ``met`` (n,), or those of
+    ``cast_through``. No window takes walls away.
+    """
+    cast_through(surface, sight.window, eye, directions, t, met)
+    for i in range(t.shape[0]):
+        t[i], wall = nearest_wall(sight.walls, eye, column(directions, i), NOWHERE, t[i])
+        met[i] = met[i] if wall == NOWHERE else wall
+
+
+SEEN = types.UniTuple(types.int64, 2)
+
+
+@kernel(SEEN(SURFACE, SIGHT, PINHOLE, types.int64, types.int64, PIXELS, POINTS, types.int8[::1]))
+def trace_pixels_in_sight(surface, sight, camera, first, width, pixels, points, numbers):
+    """``trace_pixels`` where there are walls or a window: how many pixels show the surface, and how many these.
+
+    The first row of ``pixels`` (2, n) and ``points`` (2, n, 3) is of the surface, the second one of walls and faces,
+    of which ``numbers`` (n,) are the walls' or FACE.
+    """
+    count = pixels.shape[1]
+    directions, t, met = np.empty((3, count)), np.empty(count), np.empty(count)
+    for i in range(count):
+        y, x = divmod(first + i, width)
+        put_column(directions, i, pixel_ray(camera, x + 0.5, y + 0.5))
+    cast_sight(surface, sight, camera.eye, directions, t, met)
+    hits = beside = 0
+    for i in range(count):
+        kind, place = (0, hits) if met[i] == NOWHERE else (1, beside)
+        if t[i] < math.inf:
+            pixels[kind, place] = first + i
+            put_point(points[kind], place, madd(camera.eye, t[i], column(directions, i)))
+            numbers[place] = np.int8(met[i]) if kind else numbers[place]
+            hits, beside = hits + 1 - kind, beside + kind
+    return hits, beside
+
+
+@kernel(types.int64(SURFACE, SIGHT, PINHOLE, types.float32[:, ::1], types.uint32[::1], types.float32[:, ::1]))
+def trace_places_in_sight(surface, sight, camera, places, found, points):
+    """``trace_places`` where there are walls or a window: these count as the surface does."""
+    count = places.shape[0]
+    directions, t, met = np.empty((3, count)), np.empty(count), np.empty(count)
+    for i in range(count):
+        put_column(directions, i, pixel_ray(camera, places[i, 0], places[i, 1]))
+    cast_sight(surface, sight, camera.eye, directions, t, met)
+    return write_hits(camera.eye, directions, t, 0, found, points)
+
+
+@kernel(types.void(VOXELS, types.float32[:, ::1], types.float32[::1]))
+def read_values(voxels, points, values):
+    """Fill ``values`` (n,) with the voxels' trilinear values at ``points`` (n, 3) in index space, within the box."""
+    for i in range(values.shape[0]):
+        values[i] = value(voxels, (float(points[i, 0]), float(points[i, 1]), float(points[i, 2])))
