@@ -58,7 +58,17 @@ class LightParams(NoParams):
     )
 
 
-class ViewParams(LightParams):
+class VariantParams(LightParams):
+    """The light that a scene is shown in, and what is cut away of it."""
+
+    cut: Annotated[str | None, Planes()] = Field(
+        None,
+        description="Planes along the volume's axes, in world units, such as x>40;z<10: what they are true of is taken"
+        " away, and light comes in. What is left has light of its own, which is baked.",
+    )
+
+
+class ViewParams(VariantParams):
     """What to look at, from where and in which light; what is left out takes the scene's defaults."""
 
     isovalue: Annotated[float | str | None, WithJsonSchema({"type": "number"})] = Field(
@@ -248,7 +258,7 @@ def _reader(model: type[Model]) -> Any:
 
 
 NoParamsDep = _reader(NoParams)
-LightParamsDep = Annotated[LightParams, _reader(LightParams)]
+VariantParamsDep = Annotated[VariantParams, _reader(VariantParams)]
 ViewParamsDep = Annotated[ViewParams, _reader(ViewParams)]
 UploadParamsDep = Annotated[UploadParams, _reader(UploadParams)]
 FrameParamsDep = Annotated[FrameParams, _reader(FrameParams)]

@@ -51,8 +51,9 @@ def find_source(target: str | Path | None, overrides: Mapping[str, Any]) -> Scen
     return SceneSource(path.stem, {**document, **overrides}, path.parent)
 
 
-LYING = ("axes", "solid", "environment")
-"""Settings that may follow the # of a target: how its volume lies, which side of the isovalue is solid, and its light.
+LYING = ("axes", "solid", "environment", "cut")
+"""Settings that may follow the # of a target: how its volume lies, which side of the isovalue is solid, its light, and
+what is cut away.
 """
 
 
@@ -66,7 +67,7 @@ def split_settings(target: str) -> tuple[str, dict[str, str]]:
     return f"{place}#{rest}" if rest else place, told
 
 
-FOLLOWED = ("solid", "spacing", "missing", "axes", "volumes", "level", "channel", "time", "series")
+FOLLOWED = ("cut", "solid", "spacing", "missing", "axes", "volumes", "level", "channel", "time", "series")
 """Settings of a scene that its volume's voxels already contain."""
 
 

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from isogi_core.errors import ViewError
-from isogi_core.model.orientation import Orientation, Vector, triple
+from isogi_core.files.grid import Vector
+from isogi_core.model.orientation import Orientation, triple
 
 MOST = 12
 """Most planes of a window: six at any angle, and the six of a box."""
@@ -67,6 +68,8 @@ def _read_term(term: str) -> Plane:
     normal = AXES.get(named) or triple([float(each) for each in named.split(",")])
     length = math.hypot(*normal)
     if not LEAST <= length <= FURTHEST or not abs(limit) <= FURTHEST * length:
-        raise ViewError(f"The plane '{term}' has no direction, or is too far away: give a longer normal or a less limit.")
+        raise ViewError(
+            f"The plane '{term}' has no direction, or is too far away: give a longer normal or a less limit."
+        )
     x, y, z = (sign * each / length + 0.0 for each in normal)  # no -0
     return x, y, z, -sign * limit / length + 0.0

@@ -38,6 +38,7 @@ from isogi_core.model.shine import Shine, shine_from_mapping
 from isogi_core.model.sky import sky_image
 from isogi_core.model.value_survey import Progress, no_progress
 from isogi_core.model.volume import Volume
+from isogi_core.plan.cuts import cut_away, voxels_left
 from isogi_core.plan.inputs import PlanInputs, PlanOverrides
 from isogi_core.plan.isovalue_presets import read_presets
 from isogi_core.plan.lobe_choice import MOST as MOST_LOBES
@@ -70,7 +71,10 @@ def build_scene(source: SceneSource, progress: Progress = no_progress, volume: V
     """
     settings = Settings(source)
     settings.text("volume", DEFAULT_DEMO)  # named by the scene, also where another way led to it
-    volume = volume or right_side_out(settings, open_volume(settings, source.base, progress), source.base, progress)
+    cut = settings.text("cut", "")
+    if volume is None:
+        whole = right_side_out(settings, open_volume(settings, source.base, progress), source.base, progress)
+        volume = cut_away(whole, cut) if cut else whole
     room = read_room(settings, volume)
     lights = read_lights(settings, room)
     lamps = gather_lamps((*lights, *room.lamps), volume.orientation)
@@ -153,6 +157,22 @@ def under(scene: Scene, environment: str, name: str) -> Scene:
     other = replace(other, id=name, source=replace(scene.source, document=document))
     vars(other).update({kept: found for kept, found in vars(scene).items() if kept in SURVEYED})
     return other
+
+
+def cut_open(scene: Scene, cut: str, name: str, volume: Volume | None = None) -> Scene:
+    """The same scene with a ``cut``, besides its own, by another id, ``name``: see ``cut_away``.
+
+    Where there is a ``volume`` that is cut so, it is taken.
+
+    Raises SceneError and VolumeError.
+    """
+    own = scene.source.document.get("cut")
+    both = f"{own};{cut}" if own else cut
+    voxels_left(scene.volume, both)  # each by itself may leave something
+    document = {**scene.source.document, "cut": both}
+    bare = {key: value for key, value in document.items() if key not in FOLLOWED}
+    other = build_scene(replace(scene.source, document=bare), volume=volume or cut_away(scene.volume, cut))
+    return replace(other, id=name, source=replace(scene.source, document=document))
 
 
 def read_room(settings: Settings, volume: Volume) -> Room:

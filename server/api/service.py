@@ -183,15 +183,14 @@ class Service:
             raise UnknownSceneError(f"There is no scene '{name[:64]}': /v1/scenes lists them all.")
         return scene
 
-    async def lit(self, scene: Scene, environment: str | None) -> Scene:
-        """The scene in the light of an environment by its name or id; in its own where that is None.
+    async def variant(self, scene: Scene, environment: str | None, cut: str | None = None) -> Scene:
+        """The scene in the light of an environment by its name or id, and with a ``cut``; itself where both are None.
 
         Raises ParameterError where there is no such, and StartingError until the engine is up.
         """
-        if environment is None:
-            return scene
-        self._check_started()
-        return await self.variants.lit(scene, environment)
+        if environment is not None or cut is not None:
+            self._check_started()
+        return await self.variants.of(scene, environment, cut)
 
     def _check_started(self) -> None:
         if not self.settled.is_set() or self.failure:

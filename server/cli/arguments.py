@@ -70,7 +70,18 @@ DEVELOPED = ("shading", "samples", "exposure", "antialias", "background", "overl
 
 SHINE_OPTIONS = ("shine", "roughness", "strength")
 PICTURE_OPTIONS = (
-    *("albedo", *SHINE_OPTIONS, "window", "width", "height", "shading", "antialias", "background", "samples", "overlay"),
+    *(
+        "albedo",
+        *SHINE_OPTIONS,
+        "window",
+        "width",
+        "height",
+        "shading",
+        "antialias",
+        "background",
+        "samples",
+        "overlay",
+    ),
 )
 REPORT_OPTIONS = {
     **{name: text for name, text in VIEW_OPTIONS.items() if name not in PICTURE_OPTIONS},
@@ -101,8 +112,11 @@ SWITCHES = ("insecure_scheduler",)
 ENVIRONMENT = "Light: overcast, studio, noon, evening or gallery, or a probe's file (.hdr); default: the scene's."
 
 
+CUT = "Planes along the volume's axes that take away what lies there, so that light comes in: x>40, with ; between."
+
+
 def volume_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Decorator: the options --axes, --solid and --environment, which become parts of the command's target."""
+    """Decorator: the options --axes, --solid, --environment and --cut, which become parts of the command's target."""
 
     @click.option(
         "--axes",
@@ -115,11 +129,12 @@ def volume_options(command: Callable[..., Any]) -> Callable[..., Any]:
         help="Which side of the isovalue is solid; default: above; below where most of the border is above.",
     )
     @click.option("--environment", help=ENVIRONMENT)
+    @click.option("--cut", help=CUT)
     @wraps(command)
-    def placed(axes: str | None, solid: str | None, environment: str | None, **given: Any) -> Any:
+    def placed(axes: str | None, solid: str | None, environment: str | None, cut: str | None, **given: Any) -> Any:
         name = "scene" if "scene" in given else "target"
         light = environment and quote(str(Path(environment).resolve()) if "." in environment else environment)
-        for key, value in (("axes", axes), ("solid", solid), ("environment", light)):
+        for key, value in (("axes", axes), ("solid", solid), ("environment", light), ("cut", cut and quote(cut))):
             if value is not None:
                 target = given[name] or "demo:casting"
                 given[name] = f"{target}{'&' if '#' in target else '#'}{key}={value}"

@@ -353,8 +353,9 @@ class RenderEngine:
 
     def _load(self, scene: Scene) -> LoadedScene:
         """Load a scene; the former scenes may be iterated over meanwhile. Raises StoreError."""
-        own = self._loaded.held(own_name(scene.id))
-        loaded = load(scene, self.store, self._tiles, self._memory, send=self.workforce.joins, beside=own)
+        kin = [name for name, each in self.scenes.items() if each.volume is scene.volume]
+        beside = next(filter(None, map(self._loaded.held, kin)), None)
+        loaded = load(scene, self.store, self._tiles, self._memory, send=self.workforce.joins, beside=beside)
         bakes = [self._bake_by(loaded, spec) for spec in SPECS]
         with self._changing:
             if scene.id in self.scenes:

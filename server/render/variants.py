@@ -1,18 +1,22 @@
-"""Variants: an engine's scenes in other light, each made when a view first asks for it.
+"""Variants: an engine's scenes in other light, or cut open, each made when a view first asks for it.
 
-A variant is a scene like any other: it has a plan, and its layers are those that the light needs. Transfer does not
-depend on the environment, so variants read and bake the same layers where their plans are of one kind.
+A variant is a scene like any other: it has a plan, and its layers are those that it needs. Transfer does not depend on
+the environment, so variants in other light read and bake the same layers where their plans are of one kind. What is cut
+open is another volume, which those in other light share.
 """
 
 import asyncio
+import hashlib
 import threading
 from collections import OrderedDict
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from isogi_core.errors import LightError, SceneError
+from isogi_core.errors import LightError, SceneError, VolumeError
 from isogi_core.model.lights import ENVIRONMENTS
-from isogi_core.plan.assembly import under
+from isogi_core.model.window import read_window
+from isogi_core.plan.assembly import cut_open, under
+from isogi_core.plan.cuts import cut_digest
 from isogi_core.plan.scene import Scene
 from server.errors import ParameterError
 from server.values import shown
@@ -21,10 +25,13 @@ if TYPE_CHECKING:
     from server.render.engine import RenderEngine
 
 MARK = "@"
-"""Between a scene's id and its environment's in the id of a variant; ids of scenes have none."""
+"""Between a scene's id and what a variant is named by; ids of scenes have none."""
 
 MOST = 64
 """Variants that an engine has at a time: those asked for last."""
+
+MOST_CUTS = 4
+"""Those of them that are cut open: each has voxels of its own."""
 
 
 Place = Callable[[str], str | None]
@@ -36,60 +43,97 @@ def own_name(scene: str) -> str:
     return scene.partition(MARK)[0]
 
 
+def variant_name(scene: str, environment: str | None, cut: str | None) -> str:
+    """The id of the variant of a ``scene`` in an environment and with a cut, of which one at least is given."""
+    lit = f"{scene}{MARK}{environment or ''}"
+    if cut is None:
+        return lit
+    return f"{lit}{MARK}{hashlib.blake2b(repr(read_window(cut)).encode(), digest_size=6).hexdigest()}"
+
+
+def is_cut(variant: str) -> bool:
+    """Whether the variant with this id is cut open."""
+    return variant.count(MARK) > 1
+
+
 class Variants:
     """The variants of an ``engine``. Safe to use from many threads."""
 
-    def __init__(self, engine: "RenderEngine", place: Place, most: int = MOST) -> None:
+    def __init__(self, engine: "RenderEngine", place: Place, most: int = MOST, most_cuts: int = MOST_CUTS) -> None:
         """None yet; ``place`` tells where an environment is.
 
-        When there are more than ``most``, the engine dismisses what was asked for longest ago.
+        When there are more than ``most``, or more than ``most_cuts`` that are cut open, the engine dismisses what was
+        asked for longest ago.
         """
-        self._engine, self._place, self._most = engine, place, most
+        self._engine, self._place, self._most, self._most_cuts = engine, place, most, most_cuts
         self._asked: OrderedDict[str, None] = OrderedDict()
         self._making, self._lock = threading.Lock(), threading.Lock()
 
-    async def lit(self, scene: Scene, name: str) -> Scene:
-        """The scene in the environment of this name, or id, made off the event loop where there is none yet.
+    async def of(self, scene: Scene, environment: str | None, cut: str | None = None) -> Scene:
+        """The scene in the environment of this name, or id, and with a ``cut``; itself where neither is given.
 
-        Raises ParameterError where there is no such environment, and as ``make`` does.
+        It is made off the event loop where there is none yet. Raises ParameterError where there is no such environment,
+        and as ``make`` does.
         """
-        place = self._place(name)
-        if place is None:
+        if environment is None and cut is None:
+            return scene
+        place = None if environment is None else self._place(environment)
+        if place is None and environment is not None:
             names = ", ".join(ENVIRONMENTS)
-            sentence = f"environment must be one of {names}, or the id of one that was uploaded, not {shown(name)}."
-            raise ParameterError(sentence, "environment")
-        known = self.known(scene, name)
-        return known if known is not None else await asyncio.to_thread(self.make, scene, name, place)
+            sentence = f"environment must be one of {names}, or the id of one that was uploaded, not"
+            raise ParameterError(f"{sentence} {shown(environment)}.", "environment")
+        name = variant_name(scene.id, environment, cut)
+        known = self.known(name)
+        return known if known is not None else await asyncio.to_thread(self.make, scene, name, place, cut)
 
-    def known(self, scene: Scene, name: str) -> Scene | None:
-        """The scene in the environment of this name, where there is one already; never waits long."""
-        known = self._engine.scenes.get(f"{scene.id}{MARK}{name}")
+    def known(self, name: str) -> Scene | None:
+        """The variant of this id, where there is one already; never waits long."""
+        known = self._engine.scenes.get(name)
         if known is not None:
             with self._lock:
                 self._asked[known.id] = None
                 self._asked.move_to_end(known.id)
         return known
 
-    def make(self, scene: Scene, name: str, environment: str) -> Scene:
-        """The scene in an ``environment``, as scene files name it; ``name`` is what views call it.
+    def make(self, scene: Scene, name: str, environment: str | None, cut: str | None = None) -> Scene:
+        """The scene in an ``environment``, as scene files name it, and with a ``cut``; ``name`` is its id.
 
-        Raises ParameterError where the scene's own choices do not fit that light, or its file is damaged.
+        Raises ParameterError where the scene's own choices do not fit that light, its file is damaged, or the volume
+        cannot be cut so.
         """
         with self._making:
-            if (known := self.known(scene, name)) is not None:
+            if (known := self.known(name)) is not None:
                 return known
-            made = self._made(scene, f"{scene.id}{MARK}{name}", environment)
+            made = scene if environment is None else self._lit(scene, name, environment)
+            made = made if cut is None else self._cut(made, name, cut)
             self._engine.admit(made)
-        self.known(scene, name)
-        with self._lock:
-            old = [self._asked.popitem(last=False)[0] for _ in range(len(self._asked) - self._most)]
-        for each in (each for each in old if each in self._engine.scenes):
+        self.known(name)
+        for each in (each for each in self._outdated() if each in self._engine.scenes):
             self._engine.dismiss(each)
         return made
 
+    def _outdated(self) -> list[str]:
+        """Those that are too many: they count as not asked for."""
+        with self._lock:
+            cuts = [each for each in self._asked if is_cut(each)]
+            old = cuts[: max(len(cuts) - self._most_cuts, 0)]
+            rest = [each for each in self._asked if each not in old]
+            old += rest[: max(len(rest) - self._most, 0)]
+            for each in old:
+                del self._asked[each]
+        return old
+
     @staticmethod
-    def _made(scene: Scene, name: str, environment: str) -> Scene:
+    def _lit(scene: Scene, name: str, environment: str) -> Scene:
         try:
             return under(scene, environment, name)
         except (SceneError, LightError) as error:
             raise ParameterError(f"This scene cannot be shown in that environment: {error}", "environment") from None
+
+    def _cut(self, scene: Scene, name: str, cut: str) -> Scene:
+        try:
+            digest = cut_digest(scene.volume, cut)
+            volume = next((each.volume for each in self._engine.scenes.values() if each.volume.digest == digest), None)
+            return cut_open(scene, cut, name, volume)
+        except (SceneError, VolumeError) as error:
+            raise ParameterError(str(error), "cut") from None

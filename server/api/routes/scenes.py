@@ -14,13 +14,13 @@ from server.answers import scene_schema
 from server.api.headers import FOR_EVER, matches, tag_of
 from server.api.service import BearerDep, SceneDep, Service, ServiceDep
 from server.parameters import (
-    LightParams,
-    LightParamsDep,
     NoParamsDep,
     SkyParams,
     SkyParamsDep,
     UploadParams,
     UploadParamsDep,
+    VariantParams,
+    VariantParamsDep,
     documented,
 )
 from server.pictures import MEDIA_TYPES, compress
@@ -53,10 +53,10 @@ async def list_scenes(service: ServiceDep) -> SceneList:
     return SceneList(scenes=links, uploads=limits(service.uploads))
 
 
-@router.get("/{scene}", openapi_extra=documented(LightParams), responses=documented_problems(404, 422, 503))
-async def read_scene(scene: SceneDep, params: LightParamsDep, service: ServiceDep) -> SceneSchema:
+@router.get("/{scene}", openapi_extra=documented(VariantParams), responses=documented_problems(404, 422, 503))
+async def read_scene(scene: SceneDep, params: VariantParamsDep, service: ServiceDep) -> SceneSchema:
     """One scene: volume, histogram, defaults and ranges of every knob, and the plan of what is baked."""
-    lit = await service.lit(scene, params.environment)
+    lit = await service.variant(scene, params.environment, params.cut)
     return await asyncio.to_thread(scene_facts, scene, lit, params.environment, service)
 
 
@@ -92,7 +92,7 @@ async def read_sky(request: Request, scene: SceneDep, params: SkyParamsDep, serv
     The top row is +z, column 0 starts at azimuth 0, and azimuth grows with the column. Directional lights are marked
     by discs; lamps that stand in the scene are not shown.
     """
-    lit = await service.lit(scene, params.environment)
+    lit = await service.variant(scene, params.environment)
     return await asyncio.to_thread(painted, request, lit, params)
 
 

@@ -6,14 +6,16 @@ import numpy as np
 from numba import njit
 
 from isogi_core.kernels.tracing.camera import Pinhole
-from isogi_core.kernels.tracing.vec import column
 from isogi_core.kernels.tracing.sight import Sight, trace_pixels_in_sight
+from isogi_core.kernels.tracing.vec import column
 from isogi_core.kernels.tracing.walls import NOWHERE, meet_walls, nearest_wall
 from tests.kernels.fields import field_of, surface_of
 from tests.kernels.rooms import X, Y, box, room_of, wall
 from tests.scale import few
 
 SPACING = (0.5, 1.0, 2.0)
+WHOLE = np.empty((0, 4))
+"""The planes of no window."""
 
 
 @njit
@@ -54,7 +56,9 @@ def test_the_camera_looks_through_backs_that_are_dark() -> None:
     camera = Pinhole((80.0, 10.0, 10.0), (-1.0, 0.5, 0.5), (0.0, -0.0625, 0.0), (0.0, 0.0, -0.0625))
     pixels, points = np.empty((2, 256), np.uint32), np.empty((2, 256, 3), np.float32)
     numbers = np.empty(256, np.int8)
-    seen, walled = trace_pixels_in_sight(surface_of(field, 0.0), Sight(walls, np.empty((0, 4))), camera, 0, 16, pixels, points, numbers)
+    seen, walled = trace_pixels_in_sight(
+        surface_of(field, 0.0), Sight(walls, WHOLE), camera, 0, 16, pixels, points, numbers
+    )
     assert seen > 0
     assert seen + walled < 256  # what passes beside the room
     assert 0 in numbers[:walled]
@@ -63,6 +67,8 @@ def test_the_camera_looks_through_backs_that_are_dark() -> None:
     radii = np.linalg.norm(points[0, :seen] - 10.0, axis=1)
     np.testing.assert_allclose(radii, 4.0, atol=0.1)
     closed = room.walls
-    seen, _ = trace_pixels_in_sight(surface_of(field, 0.0), Sight(closed, np.empty((0, 4))), camera, 0, 16, pixels, points, numbers)
+    seen, _ = trace_pixels_in_sight(
+        surface_of(field, 0.0), Sight(closed, WHOLE), camera, 0, 16, pixels, points, numbers
+    )
     assert seen == 0
     assert math.isfinite(float(points[1, 0, 0]))

@@ -132,7 +132,7 @@ def test_few_variants_are_kept(small_scene: Path, tmp_path: Path) -> None:
         own = engine.scenes["small"]
         variants = Variants(engine, lambda name: name if name in ENVIRONMENTS else None, most=2)
         for name in ("studio", "noon", "studio", "evening"):
-            asyncio.run(variants.lit(own, name))
+            asyncio.run(variants.of(own, name))
         assert set(engine.scenes) == {"small", "small@studio", "small@evening"}
         engine.dismiss("small")
         assert engine.scenes == {}, "variants go with their scene"

@@ -1,0 +1,108 @@
+"""Cuts: parts of a volume that are taken away, so that light comes in. What is left is a volume like any other.
+
+Voxels that are taken away lie FAR outside of every isosurface. Between them and what is left the field falls so steeply
+that each isosurface has its face at the last voxels left: flat, and at the same place for all isovalues.
+"""
+
+import hashlib
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from isogi_core.errors import SceneError, ViewError
+from isogi_core.files.volume_copies import get_copy
+from isogi_core.files.voxel_file import OWN, Draft, budget
+from isogi_core.model.volume import Volume
+from isogi_core.model.window import Plane, read_window
+
+FAR = -8.0
+"""What voxels that are taken away hold, in units of voxels: those that are left are from 0 to 1, but for outliers.
+
+A face of the isovalue c lies (f - c) / (f - FAR) of a voxel before the last voxels left, f. Were it farther, faces
+would be flatter, and edges beside them rounder: normals are smoothed over four voxels.
+"""
+
+ALONG = 1e-6
+"""How much a plane's normal may be off an axis of the voxels."""
+
+NEAR = 1e-6
+"""Voxels by which a plane may miss those that it leaves, and leave them still."""
+
+Ranges = tuple[range, range, range]
+"""The voxels that are left, along x, y, z."""
+
+
+def cut_away(volume: Volume, text: str) -> Volume:
+    """What planes leave of a ``volume``; ``text`` is as ``read_window`` has it, in the world.
+
+    Planes lie along the axes of the voxels; voxels on a plane are left. Raises SceneError where they cannot be read,
+    lie otherwise or leave nothing, and VolumeError where the copy of a large volume cannot be kept.
+    """
+    left, digest = voxels_left(volume, text), cut_digest(volume, text)
+    if digest == volume.digest:
+        return volume
+    known = replace(volume.counted(), digest=digest)
+    if volume.voxels.nbytes <= OWN * budget():
+        return replace(known, voxels=np.concatenate(list(slabs_left(volume, left))))
+
+    def write(draft: Draft) -> dict[str, Any]:
+        for plane in (plane for slab in slabs_left(volume, left) for plane in slab):
+            draft.write(plane)
+        facts = {name: value for name, value in vars(known).items() if name not in ("voxels", "orientation")}
+        draft.seal(volume.shape, facts)
+        return facts
+
+    return replace(known, voxels=get_copy(digest, volume.voxels.nbytes, write)[0])
+
+
+def cut_digest(volume: Volume, text: str) -> str:
+    """The digest of a ``volume`` that is cut: plane by plane, so that one cut after another is both at once."""
+    digest, whole = volume.digest, tuple(map(range, volume.size))
+    for left in (voxels_left(volume, term) for term in text.split(";")):
+        if left != whole:
+            digest = hashlib.blake2b(f"{digest} {left} {FAR}".encode(), digest_size=16).hexdigest()
+    return digest
+
+
+def voxels_left(volume: Volume, text: str) -> Ranges:
+    """The voxels of a ``volume`` that planes leave. Raises SceneError, see ``cut_away``."""
+    try:
+        planes = read_window(text).in_box(volume.orientation).planes
+    except ViewError as error:
+        raise SceneError(f"cut = '{text}' cannot be read. {error}") from None
+    left = [range(n) for n in volume.size]
+    for plane in planes:
+        axis = _axis_of(plane, text)
+        place = -plane[3] / plane[axis] / volume.spacing[axis]
+        first, last = left[axis].start, left[axis].stop
+        if plane[axis] > 0.0:
+            first = max(first, math.ceil(min(place - NEAR, last)))
+        else:
+            last = min(last, math.floor(max(place + NEAR, -1.0)) + 1)
+        left[axis] = range(first, max(last, first))
+    if not all(left):
+        raise SceneError(f"cut = '{text}' leaves nothing of the volume '{volume.name}': take less away.")
+    x, y, z = left
+    return x, y, z
+
+
+def _axis_of(plane: Plane, text: str) -> int:
+    """The axis that a plane's normal is along."""
+    axis = int(np.argmax(np.abs(plane[:3])))
+    if 1.0 - abs(plane[axis]) > ALONG:
+        raise SceneError(f"cut = '{text}' lies across the voxels: cut along their axes, or look through a window=.")
+    return axis
+
+
+def slabs_left(volume: Volume, left: Ranges) -> Iterator[np.ndarray]:
+    """The slabs of a ``volume``, with FAR in place of the voxels that are not ``left``."""
+    z, inside = 0, tuple(slice(each.start, each.stop) for each in (left[1], left[0]))
+    for slab in volume.slabs():
+        cut = np.full_like(slab, FAR)
+        first, last = (min(max(end - z, 0), len(slab)) for end in (left[2].start, left[2].stop))
+        cut[(slice(first, last), *inside)] = slab[(slice(first, last), *inside)]
+        z += len(slab)
+        yield cut
