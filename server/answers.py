@@ -63,6 +63,7 @@ def scene_schema(scene: Scene) -> SceneSchema:
         albedos=None if scene.albedos is None else Range(min=scene.albedos[0], max=scene.albedos[1]),
         shines=list(KINDS) if scene.shine else [],
         bounces=scene.bounces,
+        cuts=scene.volume.orientation.straight,
         solid=scene.solid,
         target_error=scene.target_error,
         environments=[EnvironmentSchema(id=number, name=name) for number, name in ENVIRONMENTS.items()],

@@ -222,7 +222,8 @@ class SceneSchema(BaseModel):
     ``presets`` are isovalues worth a look: the scene's own, else boundaries between materials in its volume.
     ``rotating`` is whether the light may be turned, ``turns`` whether that shows: not where the light is the
     same from all sides. ``albedos`` are those that a view may ask for, null where it may not. ``shines`` are the kinds
-    of shine that it may ask for, none where the surface is diffuse.
+    of shine that it may ask for, none where the surface is diffuse. ``cuts`` is whether planes across the world's axes
+    may cut it: its voxels lie along them.
     """
 
     id: str
@@ -238,6 +239,7 @@ class SceneSchema(BaseModel):
     albedos: Range | None
     shines: list[str]
     bounces: int
+    cuts: bool
     solid: str
     target_error: float
     environment: str | None = None

@@ -10,6 +10,7 @@ import { attachShare } from "./net/share.js";
 import { Trouble } from "./net/trouble.js";
 import { attachUpload } from "./net/upload.js";
 import { Comparison } from "./panels/comparison.js";
+import { attachCuts } from "./panels/cuts.js";
 import { attachEnvironments } from "./panels/environment.js";
 import { ErrorPanel } from "./panels/error.js";
 import { attachHistogram } from "./panels/histogram.js";
@@ -82,6 +83,7 @@ function assemble(scene, knobs, trouble) {
   attachKnobs(form, scene, view);
   attachHistogram(form, scene, view, say);
   attachPresets($("presets"), scene, view);
+  attachCuts($("cuts"), scene, view);
   const showLight = attachLight($("light"), scene, view, options.onRest);
   attachEnvironments($("light"), scene, view, () => { showLight(); showScene(form, scene); }, say);
   attachGestures($("stage"), scene, view, options);
@@ -133,12 +135,12 @@ function startLoop(scene, view, picture, trouble) {
   const status = new Status(document, scene.target_error);
   const panel = new ErrorPanel($("error"), scene.target_error);
   const times = new Times($("times", HTMLDetailsElement));
-  /** @type {(values: Knobs, scale?: number) => ReturnType<typeof frameQuery>} */
-  const query = (values, scale = 1) => queryOf(scene, values, picture, scale);
+  /** @type {(values: Knobs, scale?: number, moving?: boolean) => ReturnType<typeof frameQuery>} */
+  const query = (values, scale = 1, moving = false) => queryOf(scene, values, picture, scale, moving);
   /** @type {(values: () => Knobs) => (options: FrameOptions, signal: AbortSignal) => ReturnType<typeof readFrame>} */
   const ask = (values) => async (options, signal) =>
-    readFrame(scene.id, { ...query(values(), options.scale), ...formatOf(options) }, { etag: options.etag, signal });
-  const server = { open: () => openStream(scene.id), view: () => query(view.values), ask: ask(() => view.values) };
+    readFrame(scene.id, { ...query(values(), options.scale, options.draft), ...formatOf(options) }, { etag: options.etag, signal });
+  const server = { open: () => openStream(scene.id), view: (/** @type {boolean} */ moving) => query(view.values, 1, moving), ask: ask(() => view.values) };
   const other = ask(() => ({ ...view.values, shading: view.values.compare }));
   const comparison = new Comparison($("comparison"), new Picture($("stage"), $("other", HTMLImageElement)), other, view);
   const loop = new FrameLoop(server, {
@@ -181,9 +183,10 @@ function startLoop(scene, view, picture, trouble) {
  * @param {Knobs} values
  * @param {Picture} picture
  * @param {number} [scale] 1 for the full picture, less for drafts
+ * @param {boolean} [moving] whether the view goes on changing
  */
-function queryOf(scene, values, picture, scale = 1) {
-  return frameQuery(scene, values, picture.size(scale));
+function queryOf(scene, values, picture, scale = 1, moving = false) {
+  return frameQuery(scene, values, picture.size(scale), moving);
 }
 
 /**

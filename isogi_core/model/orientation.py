@@ -46,6 +46,12 @@ class Orientation:
         return self.rotation != STRAIGHT
 
     @property
+    def straight(self) -> bool:
+        """Whether the box's axes lie along the world's, in whatever order and direction."""
+        parts = np.abs(self.matrix)
+        return bool(np.isclose(parts, np.round(parts), atol=1e-6).all())
+
+    @property
     def matrix(self) -> np.ndarray:
         """The rotation from the box to the world, (3, 3) float64."""
         return np.array(self.rotation)

@@ -2,13 +2,14 @@
 
 import { startAlbedo } from "../view/albedo.js";
 import { NUMBERS } from "../view/model.js";
+import { arePlanes } from "../view/planes.js";
 
 /** @typedef {import("../view/model.js").Knobs} Knobs */
 /** @typedef {import("../view/model.js").ViewModel} ViewModel */
 /** @typedef {import("./schemas.js").Scene} Scene */
 
 const CHOICES = ["shading", "overlay", "compare", "tint", "background", "environment", "shine"];
-const KNOWN = new Set([...CHOICES, "scene", "target", "token"]);
+const KNOWN = new Set([...CHOICES, "scene", "target", "token", "cut", "window"]);
 const PAUSE_MS = 150;
 const REST_MS = 1000; // a view that was at rest for so long is one to come back to
 
@@ -25,6 +26,8 @@ export function readAddress(search) {
   if (target !== null) start.target = target.split(",").map(Number);
   else if (query.has("distance")) start.target = null; // a camera is meant with all that it has
   for (const name of CHOICES.filter((each) => query.has(each))) start[name] = query.get(name);
+  const planes = query.get("cut") ?? query.get("window");
+  if (planes !== null) Object.assign(start, { planes, opened: query.has("cut") });
   return { scene: query.get("scene"), start };
 }
 
@@ -44,6 +47,7 @@ export function writeAddress(scene, values) {
   if (values.overlay !== "none") query.set("overlay", values.overlay);
   if (values.environment) query.set("environment", values.environment);
   if (values.background !== "page") query.set("background", values.background);
+  if (values.planes) query.set(values.opened ? "cut" : "window", values.planes);
   if (values.compare) query.set("compare", values.compare);
   return `?${query}`;
 }
@@ -87,6 +91,7 @@ export function isovalueComplaint({ ranges, volume }, isovalue) {
 function choiceComplaint({ shadings, environments = [] }, name, value) {
   const lit = name !== "environment" || !value || environments.some(({ id }) => id === value);
   if (!lit) return `There is no light “${value}” here.`;
+  if (["cut", "window"].includes(name) && !arePlanes(value)) return `“${value}” is no ${name}: it is planes such as x>40.`;
   const shading = ["shading", "compare"].includes(name);
   if (shading && value && !shadings.includes(value)) return `There is no shading “${value}”.`;
   return KNOWN.has(name) ? "" : `The link says ${name}, which this page does not know.`;

@@ -21,7 +21,7 @@ const SETTLE_MS = 200; // a view that has not changed for this long is at rest
  *
  * @typedef {object} Server
  * @property {() => WebSocket} open opens a socket
- * @property {() => FrameQuery} view the parameters that go over it
+ * @property {(moving: boolean) => FrameQuery} view the parameters that go over it
  * @property {(options: FrameOptions, signal: AbortSignal) => Promise<Frame>} ask sends one request
  */
 

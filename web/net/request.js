@@ -23,9 +23,10 @@ const LIGHT_KNOBS = new Set(["yaw", "pitch", "roll"]);
  * @param {Pick<Scene, "turns"|"albedo"|"albedos"> & Partial<Pick<Scene, "defaults">>} scene
  * @param {Knobs} values knobs of the view
  * @param {{width: number, height: number}} size pixels
+ * @param {boolean} [moving] whether the view goes on changing: light then stays as it is for all of the object
  * @returns {FrameQuery & {width: number, height: number}}
  */
-export function frameQuery(scene, values, { width, height }) {
+export function frameQuery(scene, values, { width, height }, moving = false) {
   const given = NUMBERS.filter((name) => name in values && name !== "albedo");
   const plain = (/** @type {string} */ name) => name === "exposure" && values.exposure === scene.defaults?.exposure;
   const numbers = given.filter((name) => !plain(name) && (scene.turns || !LIGHT_KNOBS.has(name)));
@@ -35,6 +36,7 @@ export function frameQuery(scene, values, { width, height }) {
     ...(values.shine && { shine: values.shine }),
     ...(values.target && { target: values.target.join(",") }),
     ...(values.environment && { environment: values.environment }),
+    ...(values.planes && { [values.opened && !moving ? "cut" : "window"]: values.planes }),
     width,
     height,
     shading: values.shading,

@@ -85,6 +85,7 @@
  * @property {Vec3} albedo
  * @property {Range|null} albedos that views may ask for; null where they may not
  * @property {string[]} shines kinds of shine that views may ask for; none where the surface is diffuse
+ * @property {boolean} cuts whether planes across the world's axes may cut it: its voxels lie along them
  * @property {string} solid "above" or "below" the isovalue
  * @property {number} target_error relative
  * @property {boolean} rotating whether the light may be turned

@@ -34,7 +34,7 @@ export class Streaming {
 
   /**
    * @param {() => WebSocket} open
-   * @param {() => FrameQuery} view the parameters of the full picture as they are now
+   * @param {(moving: boolean) => FrameQuery} view the parameters of the full picture as they are now
    * @param {Hooks} hooks
    * @param {() => void} refused is called when no stream can be had from the start
    * @param {Clock} [clock]
@@ -66,7 +66,7 @@ export class Streaming {
     if (!this.#socket) this.#connect();
     else if (this.#socket.readyState === OPEN) {
       this.#sent += 1;
-      this.#socket.send(JSON.stringify({ id: this.#sent, view: this.#view(), moving: this.#moving }));
+      this.#socket.send(JSON.stringify({ id: this.#sent, view: this.#view(this.#moving), moving: this.#moving }));
     }
   }
 

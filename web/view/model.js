@@ -2,6 +2,7 @@
 
 import { isTint, startAlbedo } from "./albedo.js";
 import { limitTarget } from "./camera.js";
+import { arePlanes } from "./planes.js";
 
 /** @typedef {import("./rotation.js").Vec3} Vec3 */
 /** @typedef {import("../net/schemas.js").Scene} Scene */
@@ -30,6 +31,8 @@ import { limitTarget } from "./camera.js";
  * @property {string} compare a shading, or ""
  * @property {string} background one of BACKGROUNDS
  * @property {string} environment the id of one of the scene's environments; "" for its own light
+ * @property {string} planes what is cut away, as `planes.js` reads it; "" for nothing
+ * @property {boolean} opened whether light comes in there
  */
 
 /**
@@ -91,7 +94,7 @@ export class ViewModel {
     const numbers = NUMBERS.filter((name) => Number.isFinite(defaults[name])).map((name) => [name, defaults[name]]);
     const shading = defaults.shading ?? this.#scene.shadings[0];
     const shine = defaults.shine === undefined ? {} : { shine: defaults.shine };
-    return { ...Object.fromEntries(numbers), ...startAlbedo(this.#scene), ...shine, target: start.target, shading, overlay: "none", compare: "", background: "page", environment: "" };
+    return { ...Object.fromEntries(numbers), ...startAlbedo(this.#scene), ...shine, target: start.target, shading, overlay: "none", compare: "", background: "page", environment: "", planes: "", opened: this.#scene.cuts };
   }
 
   /** The knobs as they are now (a copy). @returns {Knobs} */
@@ -148,6 +151,8 @@ export class ViewModel {
   #limited(wanted, fallback) {
     const limited = { ...fallback, ...this.#choices(wanted, fallback) };
     limited.target = limitTarget(this.#scene, wanted.target === undefined ? fallback.target : wanted.target);
+    limited.planes = wanted.planes === "" || arePlanes(wanted.planes) ? wanted.planes : fallback.planes;
+    limited.opened = this.#scene.cuts && (wanted.opened ?? fallback.opened);
     if (fallback.shine) limited.shine = this.#scene.shines.find((each) => each === wanted.shine) ?? fallback.shine;
     if (fallback.tint) limited.tint = isTint(wanted.tint) ? wanted.tint.toLowerCase() : fallback.tint;
     for (const name of NUMBERS.filter((each) => each in fallback)) {

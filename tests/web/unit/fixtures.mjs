@@ -11,7 +11,7 @@ export const SCENE = {
   start: { azimuth: 30, elevation: 20, distance: 3, target: null },
   ranges: { isovalue: { min: 40, max: 240 }, azimuth: { min: -360, max: 360 }, distance: { min: 0.01, max: 1000 } },
   shadings: ["gi", "lambert", "phong"],
-  presets: [], shines: [], lights: [{ type: "sky", name: "sky" }],
+  presets: [], shines: [], cuts: true, lights: [{ type: "sky", name: "sky" }],
   albedo: [0.7, 0.7, 0.7], albedos: null,
   histogram: { counts: [0, 9, 99], edges: [0, 85, 170, 255] },
 };
@@ -28,7 +28,7 @@ export const POLISHED = {
 /** A view of SCENE, with other knobs where they are given. */
 export function knobs(values = {}) {
   const { width, height, ...numbers } = SCENE.defaults;
-  return { ...numbers, target: null, overlay: "none", compare: "", background: "page", ...values };
+  return { ...numbers, target: null, overlay: "none", compare: "", background: "page", planes: "", opened: true, ...values };
 }
 
 /** A clock that stands still until it is told to pass; timers run in the order of their times. */
