@@ -4,6 +4,7 @@ from benchmarks.accuracy.albedo import albedo
 from benchmarks.accuracy.calibration import calibration
 from benchmarks.accuracy.checking import checking
 from benchmarks.accuracy.choices import choices
+from benchmarks.accuracy.cuts import cuts
 from benchmarks.accuracy.equal_error import equal_error
 from benchmarks.accuracy.filtering import filtering
 from benchmarks.accuracy.furnace import furnace
@@ -25,6 +26,7 @@ main = suite(
     totals,
     furnace,
     checking,
+    cuts,
     reports,
     equal_error,
     plans,

@@ -21,6 +21,7 @@ from isogi_core.frame.film import develop
 from isogi_core.frame.renderer import Renderer
 from isogi_core.model.scene_plan import FEWEST
 from isogi_core.model.view import View
+from isogi_core.model.window import Window
 from isogi_core.report.bake import NEVER
 from server.cli.bench import (
     DONE,
@@ -55,8 +56,8 @@ def frames(target: str | None, size: int, repeats: int) -> Measurement:
 
 
 def candidates(renderer: Renderer, view: View) -> dict[str, Candidate]:
-    """A frame by each shading, and of light that converges, "relight", the light turned alone, and "develop", the tone
-    curve.
+    """A frame by each shading, of light that converges, and through a "window" whose plane has moved; "relight", the
+    light turned alone, and "develop", the tone curve.
     """
     exposure = renderer.prepared.scene.default_exposure
 
@@ -66,7 +67,21 @@ def candidates(renderer: Renderer, view: View) -> dict[str, Candidate]:
 
     frames = {shading: new_camera(renderer, replace(view, shading=shading)) for shading in SHADINGS}
     frames["gi, converging"] = new_camera(renderer, view, NEVER)
+    frames["window"] = new_plane(renderer, view)
     return {**frames, "relight": relight(renderer, view), "develop": tone}
+
+
+def new_plane(renderer: Renderer, view: View) -> Candidate:
+    """A frame through a window whose one plane has moved: half of the object is taken away, more or less."""
+    volume = renderer.prepared.scene.volume
+
+    def render(turn: int) -> float:
+        renderer.forget_views()
+        place = volume.centre[2] + volume.spacing[2] * (turn % 16 - 8)
+        window = Window(((0.0, 0.0, -1.0, place),))
+        return seconds(lambda: renderer.render(replace(view, window=window), DONE))
+
+    return render
 
 
 def summarise(median: dict[str, float]) -> dict[str, float]:
@@ -74,6 +89,7 @@ def summarise(median: dict[str, float]) -> dict[str, float]:
     return {
         **milliseconds(median),
         "gi, converging / gi": median["gi, converging"] / median["gi"],
+        "window / gi": median["window"] / median["gi"],
         "gi / lambert": median["gi"] / median["lambert"],
         "gi / lambert_shadow": median["gi"] / median["lambert_shadow"],
         "relight / gi": median["relight"] / median["gi"],
