@@ -1,12 +1,16 @@
 """What a frame's response says about itself."""
 
+import re
 import time
+from pathlib import Path
 
 import pytest
 
 from isogi_core.frame.tiles import Stopwatch
 from server.api.headers import STAGES, cache_status, coverage_header, matches, server_timing, time_left_header
 from worker.progress import TimeLeft
+
+ROOT = Path(__file__).resolve().parents[3]
 
 
 @pytest.mark.parametrize(
@@ -44,6 +48,12 @@ def test_server_timing_is_in_milliseconds() -> None:
     assert float(stages.pop("total")) == pytest.approx(2000.0, abs=100.0)
     assert stages == {"primary": "12.50", "encode": "1000.00"}
     assert stages.keys() < STAGES.keys()
+
+
+def test_every_stage_that_is_timed_is_explained() -> None:
+    sources = [path for room in ("isogi_core", "server") for path in (ROOT / room).rglob("*.py")]
+    timed = {name for path in sources for name in re.findall(r'stage\("(\w+)"', path.read_text(encoding="utf-8"))}
+    assert {"primary", "lobes", "encode"} <= timed <= STAGES.keys()
 
 
 def test_time_left_is_in_seconds() -> None:
