@@ -34,6 +34,17 @@ LOOSE = 0.1
 """Target error of scenes that must bake fast."""
 
 
+MIDDLE = 16.0
+"""The middle of the ``shell``, voxels along each axis."""
+
+
+def shell(hollow: float = 6.0, spacing: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> Volume:
+    """A ball of radius 12 voxels about the MIDDLE, with a hollow: solid where the field is above 0."""
+    z, y, x = np.mgrid[:33, :33, :33] - MIDDLE
+    r = np.sqrt(x**2 + y**2 + z**2)
+    return make_volume(np.minimum(12.0 - r, r - hollow).astype(np.float32), spacing)
+
+
 class Workbench:
     """One scene, the caches of its light in a folder, and a renderer that reads them."""
 

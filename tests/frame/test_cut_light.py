@@ -4,8 +4,7 @@ import numpy as np
 
 from isogi_core.model.view import View
 from isogi_core.plan.cuts import cut_away
-from tests.frame.conftest import Workbench, scene_of
-from tests.plan.test_cuts import MIDDLE, shell
+from tests.frame.conftest import MIDDLE, Workbench, scene_of, shell
 
 
 def test_a_face_under_even_light_has_all_of_it(workbench: Workbench) -> None:

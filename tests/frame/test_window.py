@@ -9,25 +9,18 @@ from isogi_core.frame.gbuffer import GBuffer, trace
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.framebuffer import FINAL
 from isogi_core.model.view import View
-from isogi_core.model.volume import Volume, make_volume
 from isogi_core.model.window import Window, read_window
 from isogi_core.prepared.prepared_scene import PreparedScene
-from tests.frame.conftest import Workbench, scene_of
+from tests.frame.conftest import MIDDLE, Workbench, scene_of, shell
 
 TILES = Tiles(2)
-SIDE, MIDDLE = 33, 16.0
-
-
-def shell() -> Volume:
-    """A ball of radius 12 with a hollow of radius 6, about the middle: solid where the field is above 0."""
-    z, y, x = np.mgrid[:SIDE, :SIDE, :SIDE] - MIDDLE
-    r = np.sqrt(x**2 + y**2 + z**2)
-    return make_volume(np.minimum(12.0 - r, r - 6.0).astype(np.float32), (1.0, 1.0, 0.5))
+THIN = (1.0, 1.0, 0.5)
+"""Spacing of the shell."""
 
 
 def look(window: str | None, elevation: float = 0.0) -> GBuffer:
     """The shell from +x through a window."""
-    scene = scene_of(shell(), 0.0)
+    scene = scene_of(shell(spacing=THIN), 0.0)
     view = View(0.0, scene.camera(0.0, elevation, 3.0, 30.0), width=64, height=64)
     view = replace(view, window=None if window is None else read_window(window))
     return trace(view, PreparedScene(scene).surface(0.0), TILES)
@@ -63,7 +56,7 @@ def test_what_lies_behind_the_last_plane_is_not_seen() -> None:
 
 def test_faces_and_points_are_those_of_a_march() -> None:
     window = read_window("1,2,-1>18;0,1,0.3<8")
-    scene = scene_of(shell(), 0.0)
+    scene = scene_of(shell(spacing=THIN), 0.0)
     view = View(0.0, scene.camera(40.0, 25.0, 3.0, 30.0), width=48, height=48, window=window)
     gbuffer = trace(view, PreparedScene(scene).surface(0.0), TILES)
     kinds = np.zeros(48 * 48, int)
@@ -97,7 +90,7 @@ def marched(view: View, window: Window, pixel: int) -> tuple[int, np.ndarray]:
 
 
 def test_faces_show_values_as_greys_and_are_final(workbench: Workbench) -> None:
-    scene = scene_of(shell(), 0.0)
+    scene = scene_of(shell(spacing=THIN), 0.0)
     bench = workbench(scene)
     view = View(0.0, scene.camera(0.0, 0.0, 3.0, 30.0), width=48, height=48, window=read_window("x>16"))
     frame = bench.renderer.render(view)
@@ -110,7 +103,7 @@ def test_faces_show_values_as_greys_and_are_final(workbench: Workbench) -> None:
 
 
 def test_the_window_belongs_to_a_picture_and_not_to_its_light(workbench: Workbench) -> None:
-    scene = scene_of(shell(), 0.0)
+    scene = scene_of(shell(spacing=THIN), 0.0)
     bench = workbench(scene)
     view = View(0.0, scene.camera(0.0, 0.0, 3.0, 30.0), width=32, height=32)
     whole, cut = (bench.renderer.render(each) for each in (view, replace(view, window=read_window("z>12"))))
@@ -126,7 +119,7 @@ def test_the_window_belongs_to_a_picture_and_not_to_its_light(workbench: Workben
 
 @pytest.mark.parametrize("shading", ["lambert", "vicinity", "path_traced"])
 def test_every_shading_has_faces(workbench: Workbench, shading: str) -> None:
-    scene = scene_of(shell(), 0.0)
+    scene = scene_of(shell(spacing=THIN), 0.0)
     view = View(0.0, scene.camera(0, 0, 3, 30), width=24, height=24, shading=shading, window=read_window("x>16"))
     frame = workbench(scene).renderer.render(view)
     assert len(frame.gbuffer.faces.pixels) > 20

@@ -10,21 +10,11 @@ from isogi_core.frame.gbuffer import trace
 from isogi_core.frame.tiles import Tiles
 from isogi_core.model.orientation import Orientation
 from isogi_core.model.view import View
-from isogi_core.model.volume import Volume, make_volume
 from isogi_core.plan.assembly import cut_open
 from isogi_core.plan.cuts import FAR, cut_away, voxels_left
 from isogi_core.prepared.prepared_scene import PreparedScene
-from tests.frame.conftest import scene_of
+from tests.frame.conftest import MIDDLE, scene_of, shell
 from tests.loaded import load_scene
-
-SIDE, MIDDLE = 33, 16.0
-
-
-def shell(hollow: float = 6.0) -> Volume:
-    """A ball of radius 12 about the middle, with a hollow: solid where the field is above 0."""
-    z, y, x = np.mgrid[:SIDE, :SIDE, :SIDE] - MIDDLE
-    r = np.sqrt(x**2 + y**2 + z**2)
-    return make_volume(np.minimum(12.0 - r, r - hollow).astype(np.float32))
 
 
 @pytest.mark.parametrize(
