@@ -3,10 +3,14 @@
 from dataclasses import asdict
 from typing import Any
 
-from isogi_core.frame.film import COLOURS, SCALE
+import numpy as np
+
+from isogi_core.frame.film import COLOURS, SCALE, lit
 from isogi_core.frame.fitting import fitted, front_of
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.renderer import Renderer
+from isogi_core.frame.surface_point import point_at
+from isogi_core.kernels.shading.framebuffer import FINAL
 from isogi_core.model.environment import Lobe
 from isogi_core.model.lights import ENVIRONMENTS, Light
 from isogi_core.model.scene_plan import Layer
@@ -28,6 +32,7 @@ from server.schemas import (
     Omission,
     PixelCounts,
     PlanSchema,
+    PointSchema,
     PresetSchema,
     Range,
     SceneSchema,
@@ -183,6 +188,28 @@ def ranges(scene: Scene) -> dict[str, Range]:
     }
     of_scene = {"isovalue": scene.isovalues} | ({} if scene.albedos is None else {"albedo": scene.albedos})
     return {**{name: Range(min=low, max=high) for name, (low, high) in of_scene.items()}, **spans}
+
+
+def point_schema(scene: Scene, frame: Frame, pixel: tuple[int, int], exposure: float) -> PointSchema:
+    """What a pixel, by column and row, of a frame shows."""
+    orientation, point = scene.volume.orientation, point_at(frame, *pixel, scene.room)
+    if point is None:
+        return PointSchema(hit=False, unit=orientation.unit)
+    shown = lit(np.array([[point.radiance]], np.float32), np.full((1, 1), FINAL, np.uint8), exposure, marked=False)
+    return PointSchema(
+        hit=True,
+        unit=orientation.unit,
+        position=point.position,
+        sides=orientation.sides(point.position),
+        voxel=point.voxel,
+        value=frame.view.isovalue if point.wall is None else None,
+        wall=point.wall,
+        normal=point.normal,
+        light=point.radiance,
+        displayed=f"#{shown.tobytes().hex()}",
+        state=point.state,
+        error=point.error,
+    )
 
 
 def coverage_schema(frame: Frame, time_left: TimeLeft | None) -> Coverage:

@@ -183,6 +183,26 @@ class FrameParams(ViewParams):
     )
 
 
+class PointParams(ViewParams):
+    """A view, and the place in its picture that is asked about."""
+
+    x: Annotated[float, Span(0, LONGEST_SIDE)] = Field(
+        description="From the left edge of the picture, in pixels; a pixel's middle is at a half."
+    )
+    y: Annotated[float, Span(0, LONGEST_SIDE)] = Field(description="From the top edge, likewise.")
+    exposure: Annotated[float | None, Span(1e-36, 1e36)] = Field(
+        None, description="Factor on radiance before the tone curve; default: the scene's."
+    )
+
+    @property
+    def pixel(self) -> tuple[int, int]:
+        """Column and row of the pixel at that place; ParameterError outside the picture."""
+        for name, place, pixels in (("x", self.x, self.width), ("y", self.y, self.height)):
+            if place >= pixels:
+                raise ParameterError(f"{name}={place:g} is outside a picture of {pixels} pixels that way.", name)
+        return int(self.x), int(self.y)
+
+
 class SkyParams(LightParams):
     """A picture of the light around a scene."""
 
@@ -216,19 +236,24 @@ def complaint(model: type[BaseModel], error: ValidationError) -> ParameterError:
     if first["type"] == "extra_forbidden" and len(first["loc"]) == 1:
         known = ", ".join(model.model_fields) or "none"
         return ParameterError(f"There is no parameter '{name[:40]}' here; the parameters are: {known}.", name)
+    if first["type"] == "missing":
+        return ParameterError(f"{name} is missing: give it.", name)
     reason = first["msg"].removeprefix("Value error, ").rstrip(".")
     return ParameterError(f"{name} {reason}.".strip(), name)
 
 
 def documented(model: type[BaseModel]) -> dict[str, Any]:
     """The model's fields as query parameters of an OpenAPI operation; None is no default that a query can spell."""
-    described: Mapping[str, dict[str, Any]] = model.model_json_schema()["properties"]
+    document = model.model_json_schema()
+    described: Mapping[str, dict[str, Any]] = document["properties"]
+    needed = {name: {"required": True} for name in document.get("required", ())}
     for schema in described.values():
-        if schema["default"] is None:
+        if schema.get("default", 0) is None:
             del schema["default"]
     return {
         "parameters": [
             {"name": name, "in": "query", "description": schema.pop("description"), "schema": schema}
+            | needed.get(name, {})
             for name, schema in described.items()
         ]
     }
@@ -247,6 +272,7 @@ ViewParamsDep = Annotated[ViewParams, _reader(ViewParams)]
 UploadParamsDep = Annotated[UploadParams, _reader(UploadParams)]
 FrameParamsDep = Annotated[FrameParams, _reader(FrameParams)]
 FitParamsDep = Annotated[FitParams, _reader(FitParams)]
+PointParamsDep = Annotated[PointParams, _reader(PointParams)]
 SkyParamsDep = Annotated[SkyParams, _reader(SkyParams)]
 
 

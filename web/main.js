@@ -2,9 +2,9 @@
 
 import { find } from "./dom.js";
 import { complaints, followAddress, readAddress } from "./net/address.js";
-import { listScenes, openStream, readFrame, readLight, readScene, readSurfacePoint } from "./net/api.js";
+import { listScenes, openStream, readFrame, readLight, readPoint, readScene, readSurfacePoint } from "./net/api.js";
 import { FrameLoop } from "./net/loop.js";
-import { describe, fileName, frameQuery, ground } from "./net/request.js";
+import { describe, fileName, frameQuery, ground, pointQuery } from "./net/request.js";
 import { Saver } from "./net/save.js";
 import { attachShare } from "./net/share.js";
 import { Trouble } from "./net/trouble.js";
@@ -15,12 +15,14 @@ import { ErrorPanel } from "./panels/error.js";
 import { attachHistogram } from "./panels/histogram.js";
 import { attachKnobs } from "./panels/knobs.js";
 import { attachLight } from "./panels/light.js";
+import { PointCard } from "./panels/point.js";
 import { attachPresets } from "./panels/presets.js";
 import { showScene } from "./panels/scene.js";
 import { Notice, Status, TroublePanel } from "./panels/status.js";
 import { Times } from "./panels/times.js";
-import { attachGestures, attachPick } from "./view/gestures.js";
+import { attachClicks, attachGestures } from "./view/gestures.js";
 import { attachKeys } from "./view/keys.js";
+import { Marks } from "./view/marks.js";
 import { attachSides } from "./view/sides.js";
 import { ViewModel } from "./view/model.js";
 import { Picture } from "./view/picture.js";
@@ -75,8 +77,10 @@ async function start() {
 function assemble(scene, knobs, trouble) {
   const view = new ViewModel(scene, knobs);
   const picture = new Picture($("stage"), $("picture", HTMLImageElement));
-  const loop = startLoop(scene, view, picture, trouble);
-  const options = { onRest: () => loop.settle(), toggleHelp: () => $("help").togglePopover(), toggleFull };
+  const card = attachReading(scene, view, picture);
+  const loop = startLoop(scene, view, picture, trouble, card);
+  const keys = { f: toggleFull, p: () => card.open(0, 0) };
+  const options = { onRest: () => loop.settle(), toggleHelp: () => $("help").togglePopover(), keys };
   const { say } = new Notice($("notice"));
   const form = $("controls");
   attachKnobs(form, scene, view);
@@ -85,7 +89,6 @@ function assemble(scene, knobs, trouble) {
   const showLight = attachLight($("light"), scene, view, options.onRest);
   attachEnvironments($("light"), scene, view, () => { showLight(); showScene(form, scene); }, say);
   attachGestures($("stage"), scene, view, options);
-  attachPick($("stage"), view, (values, right, up) => readSurfacePoint(scene, values, right, up));
   attachKeys(scene, view, options);
   attachSides($("sides"), scene, view);
   showScene(form, scene);
@@ -117,6 +120,33 @@ function assemble(scene, knobs, trouble) {
   loop.settle();
 }
 
+/**
+ * Clicks and double clicks on the picture: the first read a point, the second bring it to the middle.
+ * @param {Scene} scene
+ * @param {ViewModel} view
+ * @param {Picture} picture
+ * @returns {PointCard}
+ */
+function attachReading(scene, view, picture) {
+  /** @type {import("./view/marks.js").Pick} */
+  const pick = (values, right, up) => readSurfacePoint(scene, values, right, up);
+  const marks = new Marks($("marks", SVGElement), scene, view, pick);
+  const card = new PointCard($("point"), scene, marks, (right, up) =>
+    readPoint(scene.id, pointQuery(queryOf(scene, view.values, picture), right, up)));
+  marks.onDraw = () => card.place();
+  attachClicks($("stage"), {
+    click: (right, up) => card.open(right, up),
+    async double(right, up) {
+      card.close();
+      const target = await pick(view.values, right, up);
+      if (target) view.set({ target });
+    },
+  });
+  document.addEventListener("keydown", ({ key }) => key === "Escape" && card.close());
+  view.watch(({ isovalue }) => isovalue, () => card.close());
+  return card;
+}
+
 /** Show the picture alone on the whole screen, or the page again. */
 function toggleFull() {
   if (document.fullscreenElement) document.exitFullscreen();
@@ -128,8 +158,9 @@ function toggleFull() {
  * @param {ViewModel} view
  * @param {Picture} picture
  * @param {TroublePanel} trouble
+ * @param {PointCard} card
  */
-function startLoop(scene, view, picture, trouble) {
+function startLoop(scene, view, picture, trouble, card) {
   const status = new Status(document, scene.target_error);
   const panel = new ErrorPanel($("error"), scene.target_error);
   const times = new Times($("times", HTMLDetailsElement));
@@ -153,6 +184,7 @@ function startLoop(scene, view, picture, trouble) {
       if (blob) await picture.show(blob, describe(scene, view.values));
       const more = done && !picture.sharp && picture.sharpen();
       $("stage").toggleAttribute("data-sharp", done && !more);
+      if (!draft) card.refresh();
       if (more) {
         loop.improve();
         comparison.improve();

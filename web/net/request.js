@@ -45,6 +45,19 @@ export function frameQuery(scene, values, { width, height }) {
 }
 
 /**
+ * The parameters of the request for the point at a place of a view's picture.
+ * @param {FrameQuery & {width: number, height: number}} query of the picture
+ * @param {number} right of the middle, in heights of the picture
+ * @param {number} up of the middle, in heights of the picture
+ * @returns {FrameQuery}
+ */
+export function pointQuery({ overlay, background, f, ...view }, right, up) {
+  const { width, height } = view;
+  const inside = (/** @type {number} */ place, /** @type {number} */ pixels) => Math.min(Math.max(place, 0), pixels - 0.5);
+  return { ...view, x: inside(width / 2 + right * height, width), y: inside(height / 2 - up * height, height) };
+}
+
+/**
  * What is behind the surface: light or dark, as the page is where the view leaves it to that.
  * @param {Pick<Knobs, "background">} values knobs of the view
  * @returns {string}

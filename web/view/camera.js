@@ -95,6 +95,29 @@ export function rayThrough(scene, values, right, up) {
   };
 }
 
+/**
+ * Where a point of the world is in the picture.
+ * @param {{volume: Pick<Scene["volume"], "size"|"spacing"|"bounds">}} scene
+ * @param {Orbit} values knobs of the view
+ * @param {Vec3} point
+ * @returns {{right: number, up: number, depth: number}} of the middle, in heights of the picture; and from the eye along
+ *   the view, in world units: behind the eye it is not positive, and the place has no meaning
+ */
+export function placeOf(scene, values, point) {
+  const { centre, radius } = boxOf(scene);
+  const axes = cameraAxes(values.azimuth, values.elevation);
+  const middle = values.target ?? centre;
+  const from = each((i) => point[i] - middle[i]);
+  const depth = values.distance * radius - dot(from, axes.out);
+  const height = 2 * depth * Math.tan((values.fov * DEGREE) / 2);
+  return { right: dot(from, axes.right) / height, up: dot(from, axes.up) / height, depth };
+}
+
+/** @param {Vec3} a @param {Vec3} b */
+function dot(a, b) {
+  return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+}
+
 const OPPOSITE = /** @type {Record<string, string>} */ ({ R: "L", L: "R", A: "P", P: "A", S: "I", I: "S" });
 
 /**

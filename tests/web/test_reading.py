@@ -1,0 +1,158 @@
+"""Points of the picture that a person clicks: what the card says, and where its mark is as the camera turns."""
+
+import io
+from typing import Any
+from urllib.parse import parse_qsl, urlsplit
+
+import numpy as np
+import pytest
+from playwright.sync_api import Browser, Page, expect
+
+from tests.web.visits import BROWSER
+
+ADDRESS = "?shading=lambert&azimuth=25&elevation=15&distance=3"
+
+pytestmark = BROWSER
+
+
+@pytest.fixture
+def shown(page: Page, live_server: str) -> Page:
+    """The page with a picture, for which nothing is baked."""
+    page.goto(f"{live_server}/{ADDRESS}")
+    page.wait_for_selector("#picture:not([hidden])")
+    return page
+
+
+def stage_of(page: Page) -> tuple[float, float, int, int]:
+    """Left, top, width and height of the stage."""
+    box = page.locator("#stage").bounding_box()
+    assert box is not None
+    return box["x"], box["y"], round(box["width"]), round(box["height"])
+
+
+def surface(page: Page) -> np.ndarray:
+    """World positions (h, w, 3) of the surface in the stage's pixels, NaN where none is."""
+    page.wait_for_timeout(300)  # the address is written 150 ms after a change
+    view = {name: value for name, value in parse_qsl(urlsplit(page.url).query) if name not in ("scene", "exposure")}
+    *_, width, height = stage_of(page)
+    origin = "{0.scheme}://{0.netloc}".format(urlsplit(page.url))
+    query: dict[str, Any] = {**view, "f": "npy", "width": width, "height": height}
+    answer = page.request.get(f"{origin}/v1/scenes/small/frame", params=query)
+    assert answer.ok, answer.text()
+    planes: np.ndarray = np.load(io.BytesIO(answer.body()))
+    return np.where(planes[..., 3:4] > 0, planes[..., 6:], np.nan)
+
+
+def click(page: Page, column: int, row: int) -> None:
+    left, top, *_ = stage_of(page)
+    page.mouse.click(left + column + 0.5, top + row + 0.5)
+
+
+def fact(page: Page, name: str) -> str:
+    return page.locator(f"#point dt:text-is('{name}') + dd").inner_text()
+
+
+def position(page: Page) -> list[float]:
+    return [float(x.replace("−", "-")) for x in fact(page, "Position").split(",")]
+
+
+def mark(page: Page) -> tuple[float, float]:
+    """Column and row of the mark."""
+    node = page.locator("#marks circle")
+    return float(node.get_attribute("cx") or "nan"), float(node.get_attribute("cy") or "nan")
+
+
+def nearest(points: np.ndarray, position: list[float]) -> tuple[int, int, float]:
+    """Column and row of the pixel that shows what is nearest to a position, and how near that is."""
+    away = np.nan_to_num(np.linalg.norm(points - position, axis=-1), nan=np.inf)
+    row, column = np.unravel_index(np.argmin(away), away.shape)
+    return int(column), int(row), float(away.min())
+
+
+def test_a_click_tells_the_point_under_it(shown: Page) -> None:
+    points = surface(shown)
+    *_, width, height = stage_of(shown)
+    for column, row in ((width // 2, height // 2), (width // 2 - 60, height // 2 + 30)):
+        click(shown, column, row)
+        expect(shown.locator("#point")).to_be_visible()
+        shown.wait_for_timeout(300)
+        assert position(shown) == pytest.approx(points[row, column], abs=0.05)
+        assert mark(shown) == pytest.approx((column + 0.5, row + 0.5), abs=1.0)
+        assert fact(shown, "Value") == "0.5"
+        assert len(fact(shown, "Normal").split(",")) == 3 and "shown as #" in fact(shown, "Light")
+
+
+def test_the_mark_stays_on_its_point_as_the_camera_turns(shown: Page) -> None:
+    *_, width, height = stage_of(shown)
+    click(shown, width // 2 + 20, height // 2 - 10)
+    expect(shown.locator("#marks circle")).to_be_visible()
+    point = position(shown)
+    shown.focus("#stage")
+    for key in ("ArrowLeft", "ArrowLeft", "ArrowUp", "+", "d"):
+        shown.keyboard.press(key)
+    column, row, away = nearest(surface(shown), point)
+    assert away < 0.1
+    assert mark(shown) == pytest.approx((column + 0.5, row + 0.5), abs=2.0)
+    assert position(shown) == point
+
+
+def test_the_mark_hides_behind_the_surface_and_comes_back(shown: Page) -> None:
+    *_, width, height = stage_of(shown)
+    click(shown, width // 2, height // 2)
+    expect(shown.locator("#marks circle")).to_be_visible()
+    shown.focus("#stage")
+    shown.keyboard.press("Shift+X")
+    expect(shown.locator("#marks circle")).to_have_count(0)
+    expect(shown.locator("#point .note")).to_have_text("Behind the surface from here")
+    shown.keyboard.press("x")
+    expect(shown.locator("#marks circle")).to_have_count(1)
+    expect(shown.locator("#point .note")).to_be_empty()
+
+
+def test_the_card_goes_when_it_is_not_wanted(shown: Page) -> None:
+    *_, width, height = stage_of(shown)
+    card = shown.locator("#point")
+    for leave in (
+        lambda: shown.keyboard.press("Escape"),
+        lambda: click(shown, 3, 3),
+        lambda: shown.click("#point .close"),
+        lambda: shown.keyboard.press("]"),
+    ):
+        shown.focus("#stage")
+        shown.keyboard.press("p")
+        expect(card).to_be_visible()
+        assert mark(shown) == pytest.approx((width / 2, height / 2), abs=1.0)
+        leave()
+        expect(card).to_be_hidden()
+        expect(shown.locator("#marks circle")).to_have_count(0)
+
+
+def test_a_drag_is_no_click_and_neither_is_shift(shown: Page) -> None:
+    left, top, width, height = stage_of(shown)
+    x, y = left + width / 2, top + height / 2
+    shown.mouse.move(x, y)
+    shown.mouse.down()
+    shown.mouse.move(x + 30, y, steps=3)
+    shown.mouse.move(x, y, steps=3)
+    shown.mouse.up()
+    shown.keyboard.down("Shift")
+    shown.mouse.click(x, y)
+    shown.keyboard.up("Shift")
+    shown.mouse.click(x, y, button="right")
+    shown.wait_for_timeout(500)
+    expect(shown.locator("#point")).to_be_hidden()
+
+
+def test_a_tap_on_a_phone_shows_the_card_at_the_bottom(browser: Browser, live_server: str) -> None:
+    context = browser.new_context(viewport={"width": 390, "height": 844}, has_touch=True)
+    page = context.new_page()
+    page.goto(f"{live_server}/{ADDRESS}")
+    page.wait_for_selector("#picture:not([hidden])")
+    left, top, width, height = stage_of(page)
+    page.touchscreen.tap(left + width / 2, top + height / 2)
+    expect(page.locator("#point")).to_be_visible()
+    card = page.locator("#point").bounding_box()
+    assert card is not None
+    assert card["x"] >= left and card["x"] + card["width"] <= left + width
+    assert top + height / 2 < card["y"] and card["y"] + card["height"] <= top + height
+    context.close()
