@@ -16,6 +16,7 @@ import { attachHistogram } from "./panels/histogram.js";
 import { attachKnobs } from "./panels/knobs.js";
 import { attachLight } from "./panels/light.js";
 import { PointCard } from "./panels/point.js";
+import { Reading, attachMeasures } from "./panels/reading.js";
 import { attachPresets } from "./panels/presets.js";
 import { showScene } from "./panels/scene.js";
 import { Notice, Status, TroublePanel } from "./panels/status.js";
@@ -77,15 +78,16 @@ async function start() {
 function assemble(scene, knobs, trouble) {
   const view = new ViewModel(scene, knobs);
   const picture = new Picture($("stage"), $("picture", HTMLImageElement));
-  const card = attachReading(scene, view, picture);
-  const loop = startLoop(scene, view, picture, trouble, card);
-  const keys = { f: toggleFull, p: () => card.open(0, 0) };
-  const options = { onRest: () => loop.settle(), toggleHelp: () => $("help").togglePopover(), keys };
   const { say } = new Notice($("notice"));
+  const { card, reading } = attachReading(scene, view, picture, say);
+  const loop = startLoop(scene, view, picture, trouble, card);
+  const keys = { f: toggleFull, p: () => reading.click(0, 0), m: () => reading.measure() };
+  const options = { onRest: () => loop.settle(), toggleHelp: () => $("help").togglePopover(), keys };
   const form = $("controls");
   attachKnobs(form, scene, view);
   attachHistogram(form, scene, view, say);
   attachPresets($("presets"), scene, view);
+  attachMeasures($("measures"), scene, view);
   const showLight = attachLight($("light"), scene, view, options.onRest);
   attachEnvironments($("light"), scene, view, () => { showLight(); showScene(form, scene); }, say);
   attachGestures($("stage"), scene, view, options);
@@ -106,7 +108,7 @@ function assemble(scene, knobs, trouble) {
   document.title = `${scene.name} · isogi`;
   form.inert = false;
   for (const id of ["share-button", "save-button", "reset"]) $(id, HTMLButtonElement).disabled = false;
-  view.watch(({ compare, ...shown }) => shown, () => startAnew(picture, loop));
+  view.watch(({ compare, measures, ...shown }) => shown, () => startAnew(picture, loop));
   const paintGround = () => { $("stage").dataset.ground = ground(view.values); };
   view.subscribe(paintGround);
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
@@ -121,30 +123,32 @@ function assemble(scene, knobs, trouble) {
 }
 
 /**
- * Clicks and double clicks on the picture: the first read a point, the second bring it to the middle.
+ * Clicks and double clicks on the picture: the first read a point, or measure; the second bring it to the middle.
  * @param {Scene} scene
  * @param {ViewModel} view
  * @param {Picture} picture
- * @returns {PointCard}
+ * @param {(words: string) => void} say
+ * @returns {{card: PointCard, reading: Reading}}
  */
-function attachReading(scene, view, picture) {
-  /** @type {import("./view/marks.js").Pick} */
+function attachReading(scene, view, picture, say) {
+  /** @type {import("./view/marks.js").FindSurface} */
   const pick = (values, right, up) => readSurfacePoint(scene, values, right, up);
   const marks = new Marks($("marks", SVGElement), scene, view, pick);
   const card = new PointCard($("point"), scene, marks, (right, up) =>
     readPoint(scene.id, pointQuery(queryOf(scene, view.values, picture), right, up)));
+  const reading = new Reading($("measuring"), card, marks, view, pick, say);
   marks.onDraw = () => card.place();
   attachClicks($("stage"), {
-    click: (right, up) => card.open(right, up),
+    click: (right, up) => reading.click(right, up),
     async double(right, up) {
       card.close();
       const target = await pick(view.values, right, up);
       if (target) view.set({ target });
     },
   });
-  document.addEventListener("keydown", ({ key }) => key === "Escape" && card.close());
-  view.watch(({ isovalue }) => isovalue, () => card.close());
-  return card;
+  $("point-measure").addEventListener("click", () => reading.measure());
+  document.addEventListener("keydown", ({ key }) => key === "Escape" && reading.stop());
+  return { card, reading };
 }
 
 /** Show the picture alone on the whole screen, or the page again. */

@@ -143,7 +143,86 @@ def test_a_drag_is_no_click_and_neither_is_shift(shown: Page) -> None:
     expect(shown.locator("#point")).to_be_hidden()
 
 
-def test_a_tap_on_a_phone_shows_the_card_at_the_bottom(browser: Browser, live_server: str) -> None:
+def measured(page: Page) -> list[str]:
+    """The measures in the list."""
+    return [text.replace("×", "").strip() for text in page.locator("#measures li").all_inner_texts()]
+
+
+def in_voxels(text: str) -> float:
+    assert text.startswith("Distance ") and text.endswith(" voxels")
+    return float(text.split()[1])
+
+
+def test_two_points_give_a_distance_and_three_an_angle(shown: Page) -> None:
+    points = surface(shown)
+    *_, width, height = stage_of(shown)
+    places = [(width // 2 + 60, height // 2), (width // 2 - 70, height // 2 + 10), (width // 2, height // 2 - 40)]
+    a, b, c = (points[row, column] for column, row in places)
+    click(shown, *places[0])
+    shown.click("#point-measure")
+    expect(shown.locator("#point")).to_be_hidden()
+    expect(shown.locator("#measuring")).to_contain_text("second point")
+    click(shown, *places[1])
+    expect(shown.locator("#measures li")).to_have_count(1)
+    assert in_voxels(measured(shown)[0]) == pytest.approx(np.linalg.norm(a - b), abs=0.1)
+    click(shown, *places[2])
+    expect(shown.locator("#measuring")).to_be_hidden()
+    u, v = a - b, c - b
+    angle = np.degrees(np.arccos(u @ v / np.linalg.norm(u) / np.linalg.norm(v)))
+    assert [float(text.removeprefix("Angle ").rstrip("°")) for text in measured(shown)] == pytest.approx(
+        [angle], abs=1.0
+    )
+    assert shown.locator("#marks text").inner_html() == measured(shown)[0].removeprefix("Angle ")
+
+
+def test_measures_live_in_the_address_until_they_are_removed(shown: Page) -> None:
+    *_, width, height = stage_of(shown)
+    shown.focus("#stage")
+    for column in (width // 2 - 40, width // 2 + 40):
+        shown.keyboard.press("m")
+        click(shown, column, height // 2)
+        expect(shown.locator("#measuring")).to_contain_text("second point")
+        shown.keyboard.press("p")
+        expect(shown.locator("#measuring")).to_contain_text("third point")
+        shown.keyboard.press("Escape")
+        expect(shown.locator("#measuring")).to_be_hidden()
+    before = measured(shown)
+    assert len(before) == 2
+    shown.wait_for_timeout(400)  # the address is written 150 ms after a change
+    shown.reload()
+    expect(shown.locator("#measures li")).to_have_count(2)
+    assert measured(shown) == before
+    expect(shown.locator("#marks text")).to_have_count(2)
+    shown.get_by_role("button", name="Remove").first.click()
+    assert measured(shown) == before[1:]
+    shown.get_by_role("button", name="Remove").first.click()
+    expect(shown.locator("#measures")).to_be_hidden()
+    expect(shown.locator("#marks > *")).to_have_count(0)
+    shown.wait_for_timeout(400)
+    assert "measure" not in shown.url
+
+
+def test_lines_end_on_their_points_as_the_camera_turns(shown: Page) -> None:
+    a, b = (16.0, 9.5, 11.5), (8.0, 9.5, 11.5)
+    shown.goto(f"{shown.url}&measure={','.join(map(str, a))};{','.join(map(str, b))}")
+    shown.wait_for_selector("#picture:not([hidden])")
+    shown.focus("#stage")
+    shown.keyboard.press("ArrowLeft")
+    shown.keyboard.press("z")
+    *_, width, height = stage_of(shown)
+    line = shown.locator("#marks polyline.line").get_attribute("points") or ""
+    ends = [tuple(map(float, end.split(","))) for end in line.split()]
+    eye = np.array([11.5, 9.5, 7.5]) + 3 * np.linalg.norm([11.5, 9.5, 7.5]) * np.array([0, 0, 1])
+    for point, end in zip((a, b), ends, strict=True):  # from above, x goes to the right and y up
+        right, up, out = np.subtract(point, eye)
+        scale = height / (2 * -out * np.tan(np.radians(15)))
+        assert end == pytest.approx((width / 2 + right * scale, height / 2 - up * scale), abs=0.5)
+    expect(shown.locator("#marks polyline.line.hidden")).to_have_count(0)
+    shown.keyboard.press("Shift+Z")
+    expect(shown.locator("#marks polyline.line.hidden")).to_have_count(1)
+
+
+def test_a_tap_on_a_phone_docks_the_card_away_from_it(browser: Browser, live_server: str) -> None:
     context = browser.new_context(viewport={"width": 390, "height": 844}, has_touch=True)
     page = context.new_page()
     page.goto(f"{live_server}/{ADDRESS}")
@@ -155,4 +234,8 @@ def test_a_tap_on_a_phone_shows_the_card_at_the_bottom(browser: Browser, live_se
     assert card is not None
     assert card["x"] >= left and card["x"] + card["width"] <= left + width
     assert top + height / 2 < card["y"] and card["y"] + card["height"] <= top + height
+    page.touchscreen.tap(left + width / 2, top + 0.65 * height)
+    expect(page.locator("#point[data-low]")).to_be_visible()
+    card = page.locator("#point").bounding_box()
+    assert card is not None and top <= card["y"] and card["y"] + card["height"] < top + 0.65 * height
     context.close()

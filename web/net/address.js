@@ -1,6 +1,7 @@
 /** The view in the address bar: read on load, written shortly after a change, so a link shows the same picture. */
 
 import { startAlbedo } from "../view/albedo.js";
+import { readMeasure, writeMeasure } from "../view/measures.js";
 import { NUMBERS } from "../view/model.js";
 
 /** @typedef {import("../view/model.js").Knobs} Knobs */
@@ -8,7 +9,7 @@ import { NUMBERS } from "../view/model.js";
 /** @typedef {import("./schemas.js").Scene} Scene */
 
 const CHOICES = ["shading", "overlay", "compare", "tint", "background", "environment", "shine"];
-const KNOWN = new Set([...CHOICES, "scene", "target", "token"]);
+const KNOWN = new Set([...CHOICES, "scene", "target", "token", "measure"]);
 const PAUSE_MS = 150;
 const REST_MS = 1000; // a view that was at rest for so long is one to come back to
 
@@ -25,6 +26,8 @@ export function readAddress(search) {
   if (target !== null) start.target = target.split(",").map(Number);
   else if (query.has("distance")) start.target = null; // a camera is meant with all that it has
   for (const name of CHOICES.filter((each) => query.has(each))) start[name] = query.get(name);
+  const measures = query.getAll("measure").map(readMeasure).filter((points) => points !== null);
+  if (measures.length) start.measures = measures;
   return { scene: query.get("scene"), start };
 }
 
@@ -45,6 +48,7 @@ export function writeAddress(scene, values) {
   if (values.environment) query.set("environment", values.environment);
   if (values.background !== "page") query.set("background", values.background);
   if (values.compare) query.set("compare", values.compare);
+  for (const points of values.measures) query.append("measure", writeMeasure(points));
   return `?${query}`;
 }
 
@@ -87,6 +91,7 @@ export function isovalueComplaint({ ranges, volume }, isovalue) {
 function choiceComplaint({ shadings, environments = [] }, name, value) {
   const lit = name !== "environment" || !value || environments.some(({ id }) => id === value);
   if (!lit) return `There is no light “${value}” here.`;
+  if (name === "measure" && !readMeasure(value)) return `“${value}” is no measure: it has two or three points.`;
   const shading = ["shading", "compare"].includes(name);
   if (shading && value && !shadings.includes(value)) return `There is no shading “${value}”.`;
   return KNOWN.has(name) ? "" : `The link says ${name}, which this page does not know.`;

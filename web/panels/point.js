@@ -26,6 +26,9 @@ export class PointCard {
   #asked = 0; // counts questions, so that a slow answer does not overtake a newer one
   #timer = 0;
 
+  /** Is called when another point is shown, or none. @type {() => void} */
+  onChange = () => {};
+
   /**
    * @param {HTMLElement} card
    * @param {Scene} scene
@@ -59,7 +62,7 @@ export class PointCard {
     this.#point = found.position;
     this.#write(found);
     this.#card.hidden = false;
-    this.#marks.show([found.position]);
+    this.onChange();
   }
 
   /** Show none. */
@@ -69,7 +72,7 @@ export class PointCard {
     this.#timer = 0;
     this.#point = null;
     this.#card.hidden = true;
-    this.#marks.show([]);
+    this.onChange();
   }
 
   /** The picture has become better: ask for its light again, soon. */
@@ -85,6 +88,7 @@ export class PointCard {
     const left = x + OFF + offsetWidth + EDGE <= clientWidth ? x + OFF : x - OFF - offsetWidth;
     this.#card.style.left = `${within(left, EDGE, clientWidth - offsetWidth - EDGE)}px`;
     this.#card.style.top = `${within(y + OFF, EDGE, clientHeight - offsetHeight - EDGE)}px`;
+    this.#card.toggleAttribute("data-low", y > clientHeight / 2);
     const hidden = this.#marks.hides(this.#point);
     this.#card.toggleAttribute("data-hidden", hidden);
     find(this.#card, ".note").textContent = hidden ? HIDDEN : "";
@@ -131,7 +135,7 @@ export function pointRows({ volume }, { position, sides, unit, voxel, value, wal
     Voxel: indices === places ? "" : indices,
     Value: value === null ? "" : minus(String(Number(value.toPrecision(6)))),
     Wall: wall === null ? "" : String(wall + 1),
-    Normal: normal.map((x) => minus(x.toFixed(2))).join(", "),
+    Normal: normal.map((x) => minus(x.toFixed(2).replace("-0.00", "0.00"))).join(", "),
     Light: `${light.map((x) => Number(x.toPrecision(3))).join(", ")}, shown as ${displayed}`,
     Error: errorOf(state, error),
   };

@@ -2,6 +2,7 @@
 
 import { isTint, startAlbedo } from "./albedo.js";
 import { limitTarget } from "./camera.js";
+import { limitMeasures } from "./measures.js";
 
 /** @typedef {import("./rotation.js").Vec3} Vec3 */
 /** @typedef {import("../net/schemas.js").Scene} Scene */
@@ -29,6 +30,7 @@ import { limitTarget } from "./camera.js";
  * @property {string} overlay one of OVERLAYS
  * @property {string} compare a shading, or ""
  * @property {string} background one of BACKGROUNDS
+ * @property {import("./measures.js").Measure[]} measures what was measured between points of the world
  * @property {string} environment the id of one of the scene's environments; "" for its own light
  */
 
@@ -91,7 +93,7 @@ export class ViewModel {
     const numbers = NUMBERS.filter((name) => Number.isFinite(defaults[name])).map((name) => [name, defaults[name]]);
     const shading = defaults.shading ?? this.#scene.shadings[0];
     const shine = defaults.shine === undefined ? {} : { shine: defaults.shine };
-    return { ...Object.fromEntries(numbers), ...startAlbedo(this.#scene), ...shine, target: start.target, shading, overlay: "none", compare: "", background: "page", environment: "" };
+    return { ...Object.fromEntries(numbers), ...startAlbedo(this.#scene), ...shine, target: start.target, shading, overlay: "none", compare: "", background: "page", environment: "", measures: [] };
   }
 
   /** The knobs as they are now (a copy). @returns {Knobs} */
@@ -107,14 +109,14 @@ export class ViewModel {
   set(patch, follows = false) {
     const next = this.#limited(patch, this.#values);
     const names = /** @type {(keyof Knobs)[]} */ (Object.keys(next));
-    if (names.every((name) => String(next[name]) === String(this.#values[name]))) return;
+    if (names.every((name) => JSON.stringify(next[name]) === JSON.stringify(this.#values[name]))) return;
     this.#values = next;
     this.#listeners.forEach((listener) => listener(this.values, follows));
   }
 
-  /** Go back to where the scene starts. */
+  /** Go back to where the scene starts; what was measured stays. */
   reset() {
-    this.set(this.defaults);
+    this.set({ ...this.defaults, measures: this.#values.measures });
   }
 
   /**
@@ -148,6 +150,7 @@ export class ViewModel {
   #limited(wanted, fallback) {
     const limited = { ...fallback, ...this.#choices(wanted, fallback) };
     limited.target = limitTarget(this.#scene, wanted.target === undefined ? fallback.target : wanted.target);
+    limited.measures = limitMeasures(wanted.measures ?? fallback.measures);
     if (fallback.shine) limited.shine = this.#scene.shines.find((each) => each === wanted.shine) ?? fallback.shine;
     if (fallback.tint) limited.tint = isTint(wanted.tint) ? wanted.tint.toLowerCase() : fallback.tint;
     for (const name of NUMBERS.filter((each) => each in fallback)) {

@@ -267,7 +267,7 @@ test("keys move the divider, and no further than its ends", () => {
 });
 
 const POINT = {
-  unit: "mm", sides: "", position: [1.23456, -4.5, 10], voxel: [1.23456, 9, 30], value: 70, wall: null, normal: [0.6, -0.8, 0],
+  unit: "mm", sides: "", position: [1.23456, -4.5, 10], voxel: [1.23456, 9, 30], value: 70, wall: null, normal: [0.6, -0.8, -0.001],
   light: [0.123456, 0.5, 1.25], displayed: "#abcdef", state: "final", error: 0.0123,
 };
 
