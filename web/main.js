@@ -24,6 +24,7 @@ import { Times } from "./panels/times.js";
 import { attachClicks, attachGestures } from "./view/gestures.js";
 import { attachKeys } from "./view/keys.js";
 import { Marks } from "./view/marks.js";
+import { attachRulers, rulerShapes } from "./view/rulers.js";
 import { attachSides } from "./view/sides.js";
 import { ViewModel } from "./view/model.js";
 import { Picture } from "./view/picture.js";
@@ -81,7 +82,7 @@ function assemble(scene, knobs, trouble) {
   const { say } = new Notice($("notice"));
   const { card, reading } = attachReading(scene, view, picture, say);
   const loop = startLoop(scene, view, picture, trouble, card);
-  const keys = { f: toggleFull, p: () => reading.click(0, 0), m: () => reading.measure() };
+  const keys = { f: toggleFull, p: () => reading.click(0, 0), m: () => reading.measure(), r: () => toggleRulers(view) };
   const options = { onRest: () => loop.settle(), toggleHelp: () => $("help").togglePopover(), keys };
   const form = $("controls");
   attachKnobs(form, scene, view);
@@ -93,6 +94,7 @@ function assemble(scene, knobs, trouble) {
   attachGestures($("stage"), scene, view, options);
   attachKeys(scene, view, options);
   attachSides($("sides"), scene, view);
+  attachRulers($("rulers", SVGElement), scene, view);
   showScene(form, scene);
   form.addEventListener("submit", (event) => event.preventDefault());
   $("reset").addEventListener("click", () => view.reset());
@@ -101,6 +103,7 @@ function assemble(scene, knobs, trouble) {
     query: () => queryOf(scene, view.values, picture),
     file: () => fileName(scene, view.values),
     alt: () => describe(scene, view.values),
+    rulers: (/** @type {{width: number, height: number}} */ size) => rulerShapes(scene, view.values, size),
   };
   attachShare($("share"), scene, view, description);
   new Saver($("save"), scene, description);
@@ -108,7 +111,7 @@ function assemble(scene, knobs, trouble) {
   document.title = `${scene.name} · isogi`;
   form.inert = false;
   for (const id of ["share-button", "save-button", "reset"]) $(id, HTMLButtonElement).disabled = false;
-  view.watch(({ compare, measures, ...shown }) => shown, () => startAnew(picture, loop));
+  view.watch(({ compare, measures, rulers, ...shown }) => shown, () => startAnew(picture, loop));
   const paintGround = () => { $("stage").dataset.ground = ground(view.values); };
   view.subscribe(paintGround);
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
@@ -149,6 +152,11 @@ function attachReading(scene, view, picture, say) {
   $("point-measure").addEventListener("click", () => reading.measure());
   document.addEventListener("keydown", ({ key }) => key === "Escape" && reading.stop());
   return { card, reading };
+}
+
+/** Show scale bar and axes, or hide them. @param {ViewModel} view */
+function toggleRulers(view) {
+  view.set({ rulers: view.values.rulers === "on" ? "off" : "on" });
 }
 
 /** Show the picture alone on the whole screen, or the page again. */

@@ -79,7 +79,7 @@ def test_a_click_tells_the_point_under_it(shown: Page) -> None:
         assert position(shown) == pytest.approx(points[row, column], abs=0.05)
         assert mark(shown) == pytest.approx((column + 0.5, row + 0.5), abs=1.0)
         assert fact(shown, "Value") == "0.5"
-        assert len(fact(shown, "Normal").split(",")) == 3 and "shown as #" in fact(shown, "Light")
+        assert len(fact(shown, "Normal").split(",")) == 3 and "linear, #" in fact(shown, "Light")
 
 
 def test_the_mark_stays_on_its_point_as_the_camera_turns(shown: Page) -> None:
@@ -220,6 +220,25 @@ def test_lines_end_on_their_points_as_the_camera_turns(shown: Page) -> None:
     expect(shown.locator("#marks polyline.line.hidden")).to_have_count(0)
     shown.keyboard.press("Shift+Z")
     expect(shown.locator("#marks polyline.line.hidden")).to_have_count(1)
+
+
+def test_scale_and_axes_are_switched_by_a_key(shown: Page) -> None:
+    rulers = shown.locator("#rulers")
+    expect(rulers.locator("text")).to_have_count(5)
+    expect(rulers).to_contain_text("voxels")
+    line = rulers.locator("polyline.line").last.get_attribute("points") or ""
+    (left, _), (right, _) = (map(float, place.split(",")) for place in line.split()[1:3])
+    *_, height = stage_of(shown)
+    pixel = 2 * 3 * np.linalg.norm([11.5, 9.5, 7.5]) * np.tan(np.radians(15)) / height
+    words = rulers.locator("text").nth(3).inner_html()
+    assert (right - left) * pixel == pytest.approx(float(words.removesuffix(" voxels")), rel=1e-3)
+    shown.focus("#stage")
+    shown.keyboard.press("r")
+    expect(rulers).to_be_hidden()
+    shown.wait_for_timeout(400)
+    assert "rulers=off" in shown.url
+    shown.keyboard.press("r")
+    expect(rulers.locator("text")).to_have_count(5)
 
 
 def test_a_tap_on_a_phone_docks_the_card_away_from_it(browser: Browser, live_server: str) -> None:

@@ -14,6 +14,7 @@ import { NUMBERS } from "../view/model.js";
  * @property {() => FrameQuery & {width: number, height: number}} query the parameters of the picture shown
  * @property {() => string} file the name of its file, without an ending
  * @property {() => string} alt what it shows, in words
+ * @property {(size: {width: number, height: number}) => import("../view/rulers.js").Shapes} rulers its scale bar and axes
  */
 
 const LIGHT_KNOBS = new Set(["yaw", "pitch", "roll"]);

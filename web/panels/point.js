@@ -136,7 +136,7 @@ export function pointRows({ volume }, { position, sides, unit, voxel, value, wal
     Value: value === null ? "" : minus(String(Number(value.toPrecision(6)))),
     Wall: wall === null ? "" : String(wall + 1),
     Normal: normal.map((x) => minus(x.toFixed(2).replace("-0.00", "0.00"))).join(", "),
-    Light: `${light.map((x) => Number(x.toPrecision(3))).join(", ")}, shown as ${displayed}`,
+    Light: `${light.map((x) => Number(x.toPrecision(3))).join(", ")} linear, ${displayed}`,
     Error: errorOf(state, error),
   };
 }

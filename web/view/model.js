@@ -3,6 +3,7 @@
 import { isTint, startAlbedo } from "./albedo.js";
 import { limitTarget } from "./camera.js";
 import { limitMeasures } from "./measures.js";
+import { RULERS } from "./rulers.js";
 
 /** @typedef {import("./rotation.js").Vec3} Vec3 */
 /** @typedef {import("../net/schemas.js").Scene} Scene */
@@ -30,6 +31,7 @@ import { limitMeasures } from "./measures.js";
  * @property {string} overlay one of OVERLAYS
  * @property {string} compare a shading, or ""
  * @property {string} background one of BACKGROUNDS
+ * @property {string} rulers one of RULERS: whether a scale bar and the axes are shown
  * @property {import("./measures.js").Measure[]} measures what was measured between points of the world
  * @property {string} environment the id of one of the scene's environments; "" for its own light
  */
@@ -93,7 +95,7 @@ export class ViewModel {
     const numbers = NUMBERS.filter((name) => Number.isFinite(defaults[name])).map((name) => [name, defaults[name]]);
     const shading = defaults.shading ?? this.#scene.shadings[0];
     const shine = defaults.shine === undefined ? {} : { shine: defaults.shine };
-    return { ...Object.fromEntries(numbers), ...startAlbedo(this.#scene), ...shine, target: start.target, shading, overlay: "none", compare: "", background: "page", environment: "", measures: [] };
+    return { ...Object.fromEntries(numbers), ...startAlbedo(this.#scene), ...shine, target: start.target, shading, overlay: "none", compare: "", background: "page", environment: "", rulers: "on", measures: [] };
   }
 
   /** The knobs as they are now (a copy). @returns {Knobs} */
@@ -167,7 +169,7 @@ export class ViewModel {
    * @param {Knobs} fallback
    */
   #choices(wanted, fallback) {
-    /** @type {(name: "shading"|"overlay"|"compare"|"background"|"environment", offered: string[]) => string} */
+    /** @type {(name: "shading"|"overlay"|"compare"|"background"|"environment"|"rulers", offered: string[]) => string} */
     const chosen = (name, offered) => offered.find((each) => each === wanted[name]) ?? fallback[name];
     const { shadings, environments = [] } = this.#scene;
     const shading = chosen("shading", shadings);
@@ -175,7 +177,7 @@ export class ViewModel {
     const other = shading === fallback.shading ? "" : fallback.shading;
     const background = chosen("background", BACKGROUNDS);
     const environment = chosen("environment", ["", ...environments.map(({ id }) => id)]);
-    return { shading, background, environment, overlay: chosen("overlay", OVERLAYS), compare: compare === shading ? other : compare };
+    return { shading, background, environment, rulers: chosen("rulers", RULERS), overlay: chosen("overlay", OVERLAYS), compare: compare === shading ? other : compare };
   }
 }
 

@@ -277,7 +277,7 @@ test("a point is told to a part of a voxel", () => {
   const same = { ...POINT, position: [1, 2, 3], voxel: [1, 2, 3], unit: "" };
   assert.deepEqual([pointRows(SCENE, same).Position, pointRows(SCENE, same).Voxel], ["1, 2, 3", ""], "nothing is told twice");
   assert.deepEqual([rows.Voxel, rows.Value, rows.Wall], ["1.23, 9, 30", "70", ""]);
-  assert.deepEqual([rows.Normal, rows.Light], ["0.60, −0.80, 0.00", "0.123, 0.5, 1.25, shown as #abcdef"]);
+  assert.deepEqual([rows.Normal, rows.Light], ["0.60, −0.80, 0.00", "0.123, 0.5, 1.25 linear, #abcdef"]);
   assert.equal(pointRows(SCENE, { ...POINT, unit: "" }).Position, "1.235, −4.5, 10");
 });
 
