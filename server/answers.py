@@ -99,11 +99,21 @@ def light_schema(light: Light) -> LightSchema:
     return LightSchema(type=type(light).__name__.removesuffix("Light").lower(), name=light.name)
 
 
-def camera_schema(renderer: Renderer, view: View, azimuth: float | None, elevation: float | None) -> CameraSchema:
-    """The camera that shows a view's surface whole and large; the whole volume, where none is to be seen of it."""
+def camera_schema(
+    renderer: Renderer,
+    view: View,
+    azimuth: float | None,
+    elevation: float | None,
+    projection: str | None = None,
+) -> CameraSchema:
+    """The camera that shows a view's surface whole and large; the whole volume, where none is to be seen of it.
+
+    The ``view`` is in perspective; the camera is for a ``projection``, the scene's own by default.
+    """
     front, above = front_of(renderer.prepared.scene)
     azimuth, elevation = front if azimuth is None else azimuth, above if elevation is None else elevation
-    found = fitted(renderer, view, azimuth, elevation)
+    projection = projection or renderer.prepared.scene.camera_projection
+    found = fitted(renderer, view, azimuth, elevation, projection)
     target, distance = found or (
         renderer.prepared.scene.volume.world_centre,
         FrameParams.model_fields["distance"].default,
@@ -169,6 +179,7 @@ def defaults(scene: Scene) -> dict[str, float | str]:
     albedo = {} if scene.albedos is None else {"albedo": albedo_text(scene)}
     shine = asdict(scene.shine) if scene.shine else {}
     shine = {"shine": shine.pop("kind"), **shine} if shine else {}
+    fixed["projection"] = scene.camera_projection
     return {"isovalue": scene.isovalue, **fixed, **albedo, **shine, "exposure": scene.default_exposure}
 
 

@@ -13,6 +13,7 @@ from isogi_core.model.shine import KINDS, SMOOTHEST, Shine
 from isogi_core.model.view import (
     IDENTITY,
     OVERLAYS,
+    PROJECTIONS,
     SHADINGS,
     Camera,
     Quaternion,
@@ -69,6 +70,11 @@ class ViewParams(LightParams):
         3.4, description="From the target, in radii of the volume's bounding sphere."
     )
     fov: Annotated[float, Span(0.01, 179)] = Field(30.0, description="Vertical field of view, degrees.")
+    projection: Annotated[str | None, Choice(PROJECTIONS)] = Field(
+        None,
+        description="How rays leave the camera: perspective, from the eye, or orthographic, side by side; what is at"
+        " the target is as large in both; default: the scene's.",
+    )
     eye: Annotated[Vec3 | None, XYZ] = Field(None, description="Instead of azimuth, elevation, distance: world x,y,z.")
     target: Annotated[Vec3 | None, XYZ] = Field(
         None, description="World x,y,z that is in the middle of the picture; default: the volume's centre."
@@ -131,13 +137,17 @@ class FitParams(NoParams):
     azimuth: Annotated[float | None, TURN] = Field(None, description="Degrees; default: from three quarters.")
     elevation: Annotated[float | None, Span(-90, 90)] = Field(None, description="Degrees; default: somewhat above.")
     fov: Annotated[float, Span(0.01, 179)] = Field(30.0, description="Vertical field of view, degrees.")
+    projection: Annotated[str | None, Choice(PROJECTIONS)] = Field(
+        None, description="perspective or orthographic; default: the scene's."
+    )
     width: Annotated[int, Span(1, LONGEST_SIDE, whole=True)] = Field(512, description="Pixels.")
     height: Annotated[int, Span(1, LONGEST_SIDE, whole=True)] = Field(512, description="Pixels.")
 
     @property
     def view(self) -> ViewParams:
-        """What of it is of a view."""
-        return ViewParams.model_validate(self.model_dump(include={"isovalue", "fov", "width", "height"}))
+        """What of it is of a view, in perspective: see ``frame.fitting``."""
+        own = self.model_dump(include={"isovalue", "fov", "width", "height"})
+        return ViewParams.model_validate(own | {"projection": PROJECTIONS[0]})
 
 
 class UploadParams(NoParams):
@@ -341,7 +351,7 @@ def camera_of(scene: Scene, params: ViewParams) -> Camera:
     else:
         camera = orbit(target, radius, params.azimuth, params.elevation, params.distance, params.fov)
         camera = camera if params.up is None else replace(camera, up=params.up)
-    return camera.in_box(scene.volume.orientation)
+    return scene.in_box(camera, params.projection)
 
 
 def light_of(scene: Scene, params: ViewParams) -> Quaternion:

@@ -241,6 +241,28 @@ def test_scale_and_axes_are_switched_by_a_key(shown: Page) -> None:
     expect(rulers.locator("text")).to_have_count(5)
 
 
+def test_marks_hold_under_parallel_rays(shown: Page) -> None:
+    shown.eval_on_selector("#camera", "details => { details.open = true; }")
+    shown.select_option("#projection", "orthographic")
+    points = surface(shown)
+    assert "projection=orthographic" in shown.url
+    *_, width, height = stage_of(shown)
+    column, row = width // 2 - 50, height // 2 + 25
+    click(shown, column, row)
+    expect(shown.locator("#marks circle")).to_be_visible()
+    point = position(shown)
+    assert point == pytest.approx(points[row, column], abs=0.05)
+    assert "depth" not in shown.locator("#rulers").inner_html()
+    shown.focus("#stage")
+    for key in ("ArrowLeft", "ArrowUp", "d"):
+        shown.keyboard.press(key)
+    column, row, away = nearest(surface(shown), point)
+    assert away < 0.1
+    assert mark(shown) == pytest.approx((column + 0.5, row + 0.5), abs=2.0)
+    shown.keyboard.press("Shift+X")
+    expect(shown.locator("#marks circle")).to_have_count(0)
+
+
 def test_a_tap_on_a_phone_docks_the_card_away_from_it(browser: Browser, live_server: str) -> None:
     context = browser.new_context(viewport={"width": 390, "height": 844}, has_touch=True)
     page = context.new_page()

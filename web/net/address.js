@@ -8,7 +8,7 @@ import { NUMBERS } from "../view/model.js";
 /** @typedef {import("../view/model.js").ViewModel} ViewModel */
 /** @typedef {import("./schemas.js").Scene} Scene */
 
-const CHOICES = ["shading", "overlay", "compare", "tint", "background", "environment", "shine", "rulers"];
+const CHOICES = ["shading", "overlay", "compare", "tint", "background", "environment", "shine", "rulers", "projection"];
 const KNOWN = new Set([...CHOICES, "scene", "target", "token", "measure"]);
 const PAUSE_MS = 150;
 const REST_MS = 1000; // a view that was at rest for so long is one to come back to
@@ -33,7 +33,7 @@ export function readAddress(search) {
 
 /**
  * The address query of a view. The names are those of the frame request.
- * @param {Pick<Scene, "id"|"albedo"|"albedos">} scene
+ * @param {Pick<Scene, "id"|"albedo"|"albedos"> & Partial<Pick<Scene, "defaults">>} scene
  * @param {Knobs} values knobs of the view
  * @returns {string}
  */
@@ -47,6 +47,7 @@ export function writeAddress(scene, values) {
   if (values.overlay !== "none") query.set("overlay", values.overlay);
   if (values.environment) query.set("environment", values.environment);
   if (values.background !== "page") query.set("background", values.background);
+  if (values.projection !== (scene.defaults?.projection ?? "perspective")) query.set("projection", values.projection);
   if (values.rulers !== "on") query.set("rulers", values.rulers);
   if (values.compare) query.set("compare", values.compare);
   for (const points of values.measures) query.append("measure", writeMeasure(points));

@@ -34,6 +34,7 @@ export function frameQuery(scene, values, { width, height }) {
     ...Object.fromEntries(numbers.map((name) => [name, values[name]])),
     ...albedoQuery(scene, values),
     ...(values.shine && { shine: values.shine }),
+    ...(values.projection !== (scene.defaults?.projection ?? "perspective") && { projection: values.projection }),
     ...(values.target && { target: values.target.join(",") }),
     ...(values.environment && { environment: values.environment }),
     width,

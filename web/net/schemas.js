@@ -27,6 +27,7 @@
  * @property {number} [roughness]
  * @property {number} [strength]
  * @property {string} [shading]
+ * @property {string} [projection] of the camera
  */
 
 /**

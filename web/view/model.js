@@ -1,7 +1,7 @@
 /** The view that the page shows: one plain object of knobs, kept within what the scene allows. */
 
 import { isTint, startAlbedo } from "./albedo.js";
-import { limitTarget } from "./camera.js";
+import { PROJECTIONS, limitTarget } from "./camera.js";
 import { limitMeasures } from "./measures.js";
 import { RULERS } from "./rulers.js";
 
@@ -27,6 +27,7 @@ import { RULERS } from "./rulers.js";
  * @property {number} [roughness] of that shine
  * @property {number} [strength] of that shine
  * @property {Vec3|null} target what the camera turns about, world units; null for the volume's centre
+ * @property {string} projection one of PROJECTIONS
  * @property {string} shading
  * @property {string} overlay one of OVERLAYS
  * @property {string} compare a shading, or ""
@@ -95,7 +96,8 @@ export class ViewModel {
     const numbers = NUMBERS.filter((name) => Number.isFinite(defaults[name])).map((name) => [name, defaults[name]]);
     const shading = defaults.shading ?? this.#scene.shadings[0];
     const shine = defaults.shine === undefined ? {} : { shine: defaults.shine };
-    return { ...Object.fromEntries(numbers), ...startAlbedo(this.#scene), ...shine, target: start.target, shading, overlay: "none", compare: "", background: "page", environment: "", rulers: "on", measures: [] };
+    const projection = this.#scene.defaults.projection ?? PROJECTIONS[0];
+    return { ...Object.fromEntries(numbers), ...startAlbedo(this.#scene), ...shine, target: start.target, projection, shading, overlay: "none", compare: "", background: "page", environment: "", rulers: "on", measures: [] };
   }
 
   /** The knobs as they are now (a copy). @returns {Knobs} */
@@ -169,7 +171,7 @@ export class ViewModel {
    * @param {Knobs} fallback
    */
   #choices(wanted, fallback) {
-    /** @type {(name: "shading"|"overlay"|"compare"|"background"|"environment"|"rulers", offered: string[]) => string} */
+    /** @type {(name: "shading"|"overlay"|"compare"|"background"|"environment"|"rulers"|"projection", offered: string[]) => string} */
     const chosen = (name, offered) => offered.find((each) => each === wanted[name]) ?? fallback[name];
     const { shadings, environments = [] } = this.#scene;
     const shading = chosen("shading", shadings);
@@ -177,7 +179,7 @@ export class ViewModel {
     const other = shading === fallback.shading ? "" : fallback.shading;
     const background = chosen("background", BACKGROUNDS);
     const environment = chosen("environment", ["", ...environments.map(({ id }) => id)]);
-    return { shading, background, environment, rulers: chosen("rulers", RULERS), overlay: chosen("overlay", OVERLAYS), compare: compare === shading ? other : compare };
+    return { shading, background, environment, rulers: chosen("rulers", RULERS), projection: chosen("projection", PROJECTIONS), overlay: chosen("overlay", OVERLAYS), compare: compare === shading ? other : compare };
   }
 }
 

@@ -18,6 +18,7 @@ const [AXIS, LETTER] = [24, 33]; // pixels from where the axes meet to their end
 /** @type {Place} */
 const CROSS = [40, 40];
 const [BAR_LEFT, BAR_UP, TICK] = [84, 20, 5];
+const DEPTH = "at the target’s depth"; // where a scale bar is right in perspective
 const LONGEST = { share: 0.25, pixels: 150 }; // of a scale bar: of the picture's width, and in any picture
 
 /** What may be shown of these. */
@@ -35,7 +36,7 @@ export function roundLength(most) {
 }
 
 /**
- * A scale bar: what it stands for at the target's depth, and how long it is.
+ * A scale bar: what it stands for, in perspective at the target's depth, and how long it is.
  * @param {Pick<Scene, "volume">} scene
  * @param {Pick<Knobs, "distance"|"fov">} values knobs of the view
  * @param {{width: number, height: number}} size of the picture, pixels
@@ -71,6 +72,8 @@ export function rulerShapes(scene, values, size) {
   const { length, pixels } = scaleBar(scene, values, size);
   const [left, right] = [BAR_LEFT, BAR_LEFT + pixels];
   const axes = tripod(scene, values);
+  /** @type {Words[]} */
+  const where = values.projection === "orthographic" ? [] : [{ at: [left, BAR_UP - 13], text: DEPTH, size: 11, middle: false }];
   /** @type {(axis: {right: number, up: number}, way: number) => Place} */
   const end = (axis, way) => [CROSS[0] + way * axis.right, CROSS[1] + way * axis.up];
   return {
@@ -81,7 +84,7 @@ export function rulerShapes(scene, values, size) {
     words: [
       ...axes.map((axis) => ({ at: end(axis, LETTER), text: axis.letter, size: 13, middle: true })),
       { at: [left, BAR_UP + 9], text: `${length} ${unitOf(scene.volume)}`, size: 13, middle: false },
-      { at: [left, BAR_UP - 13], text: "at the target’s depth", size: 11, middle: false },
+      ...where,
     ],
   };
 }

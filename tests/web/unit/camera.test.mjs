@@ -155,6 +155,24 @@ test("what a ray goes through is at its place in the picture", () => {
   }
 });
 
+test("parallel rays go through their places, and nothing is behind the eye", () => {
+  const view = knobs({ azimuth: -130, elevation: 70, distance: 1.5, target: [1, 2, 3], projection: "orthographic" });
+  const middle = rayThrough(SCENE, view, 0, 0);
+  const way = minus(middle.target, middle.eye);
+  for (const [right, up] of [[0.4, -0.3], [-0.7, 0.5]]) {
+    const { eye, target } = rayThrough(SCENE, view, right, up);
+    close(minus(target, eye), way, 1e-6);
+    for (const along of [-20, 0, 20]) {
+      const point = target.map((x, i) => x + (along * way[i]) / Math.hypot(...way));
+      const place = placeOf(SCENE, view, point);
+      close([place.right, place.up], [right, up], 1e-9);
+      assert.ok(place.depth > 0);
+    }
+  }
+  const perspective = rayThrough(SCENE, { ...view, projection: "perspective" }, 0.4, -0.3).target;
+  close(rayThrough(SCENE, view, 0.4, -0.3).target, perspective, 1e-9);
+});
+
 test("a spot is on the stage, or it is not", () => {
   assert.deepEqual(spotOf({ right: 0.25, up: -0.5, depth: 3 }, 400, 200), { x: 250, y: 200, inside: true });
   assert.equal(spotOf({ right: 1.1, up: 0, depth: 3 }, 400, 200).inside, false);

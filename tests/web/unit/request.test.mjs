@@ -256,3 +256,13 @@ test("a point is asked for by pixels of the same picture", () => {
   assert.deepEqual(pointQuery({ ...view, overlay, background, f }, 0.25, -0.1), { ...view, x: 400, y: 240 });
   assert.deepEqual(pointQuery({ ...view, overlay, background, f }, -1, -0.5), { ...view, x: 0, y: 399.5 }, "no pixel is outside");
 });
+
+test("the projection is asked for where it is not the scene's own", () => {
+  const flat = { ...SCENE, defaults: { ...SCENE.defaults, projection: "orthographic" } };
+  const parallel = knobs({ projection: "orthographic" });
+  assert.equal(frameQuery(SCENE, parallel, SIZE).projection, "orthographic");
+  assert.ok(!("projection" in frameQuery(SCENE, knobs(), SIZE)) && !("projection" in frameQuery(flat, parallel, SIZE)));
+  assert.equal(frameQuery(flat, knobs(), SIZE).projection, "perspective");
+  assert.equal(new ViewModel(flat).values.projection, "orthographic");
+  assert.equal(new ViewModel(flat, readAddress(writeAddress(flat, knobs())).start).values.projection, "perspective");
+});

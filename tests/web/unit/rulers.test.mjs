@@ -43,6 +43,12 @@ test("axes have the letters of a patient, and the bar the unit", () => {
   assert.equal(lines.length, 4);
 });
 
+test("a scale bar of parallel rays is right at every depth, and says no other", () => {
+  const { words } = rulerShapes(HEAD, knobs({ projection: "orthographic" }), SIZE);
+  assert.equal(words.length, 4);
+  assert.deepEqual(scaleBar(HEAD, knobs({ projection: "orthographic" }), SIZE), scaleBar(HEAD, knobs(), SIZE));
+});
+
 test("an address says where they are hidden", () => {
   assert.ok(!writeAddress(SCENE, knobs()).includes("rulers"));
   assert.equal(readAddress(writeAddress(SCENE, knobs({ rulers: "off" }))).start.rulers, "off");
