@@ -193,26 +193,6 @@ class FrameParams(ViewParams):
     )
 
 
-class PointParams(ViewParams):
-    """A view, and the place in its picture that is asked about."""
-
-    x: Annotated[float, Span(0, LONGEST_SIDE)] = Field(
-        description="From the left edge of the picture, in pixels; a pixel's middle is at a half."
-    )
-    y: Annotated[float, Span(0, LONGEST_SIDE)] = Field(description="From the top edge, likewise.")
-    exposure: Annotated[float | None, Span(1e-36, 1e36)] = Field(
-        None, description="Factor on radiance before the tone curve; default: the scene's."
-    )
-
-    @property
-    def pixel(self) -> tuple[int, int]:
-        """Column and row of the pixel at that place; ParameterError outside the picture."""
-        for name, place, pixels in (("x", self.x, self.width), ("y", self.y, self.height)):
-            if place >= pixels:
-                raise ParameterError(f"{name}={place:g} is outside a picture of {pixels} pixels that way.", name)
-        return int(self.x), int(self.y)
-
-
 class SkyParams(LightParams):
     """A picture of the light around a scene."""
 
@@ -269,21 +249,22 @@ def documented(model: type[BaseModel]) -> dict[str, Any]:
     }
 
 
-def _reader(model: type[Model]) -> Any:
+def reader(model: type[Model]) -> Any:
+    """What gives a route the query as a ``model``; ParameterError where that says something is wrong."""
+
     async def query(request: Request) -> Model:
         return read(model, request.query_params.multi_items())
 
     return Depends(query)
 
 
-NoParamsDep = _reader(NoParams)
-LightParamsDep = Annotated[LightParams, _reader(LightParams)]
-ViewParamsDep = Annotated[ViewParams, _reader(ViewParams)]
-UploadParamsDep = Annotated[UploadParams, _reader(UploadParams)]
-FrameParamsDep = Annotated[FrameParams, _reader(FrameParams)]
-FitParamsDep = Annotated[FitParams, _reader(FitParams)]
-PointParamsDep = Annotated[PointParams, _reader(PointParams)]
-SkyParamsDep = Annotated[SkyParams, _reader(SkyParams)]
+NoParamsDep = reader(NoParams)
+LightParamsDep = Annotated[LightParams, reader(LightParams)]
+ViewParamsDep = Annotated[ViewParams, reader(ViewParams)]
+UploadParamsDep = Annotated[UploadParams, reader(UploadParams)]
+FrameParamsDep = Annotated[FrameParams, reader(FrameParams)]
+FitParamsDep = Annotated[FitParams, reader(FitParams)]
+SkyParamsDep = Annotated[SkyParams, reader(SkyParams)]
 
 
 def view_of(scene: Scene, params: ViewParams, settings: Settings) -> View:

@@ -15,7 +15,7 @@ import { ErrorPanel } from "./panels/error.js";
 import { attachHistogram } from "./panels/histogram.js";
 import { attachKnobs } from "./panels/knobs.js";
 import { attachLight } from "./panels/light.js";
-import { PointCard } from "./panels/point.js";
+import { PointCard, attachSlices } from "./panels/point.js";
 import { Reading, attachMeasures } from "./panels/reading.js";
 import { attachPresets } from "./panels/presets.js";
 import { showScene } from "./panels/scene.js";
@@ -139,6 +139,8 @@ function attachReading(scene, view, picture, say) {
   const marks = new Marks($("marks", SVGElement), scene, view, pick);
   const card = new PointCard($("point"), scene, marks, (right, up) =>
     readPoint(scene.id, pointQuery(queryOf(scene, view.values, picture), right, up)));
+  const showSlices = attachSlices($("slices", HTMLDetailsElement), scene, () => card.place());
+  card.onWrite = ({ voxel }) => showSlices(voxel);
   const reading = new Reading($("measuring"), card, marks, view, pick, say);
   marks.onDraw = () => card.place();
   attachClicks($("stage"), {

@@ -172,6 +172,17 @@ export function frameAddress(scene, query) {
   return sceneAddress(scene, "frame", query);
 }
 
+/**
+ * The address of a slice through a scene's volume.
+ * @param {string} scene
+ * @param {"x"|"y"|"z"} axis of the voxels, that the plane is across
+ * @param {number} at voxel index
+ * @returns {URL}
+ */
+export function sliceAddress(scene, axis, at) {
+  return sceneAddress(scene, "slice", { axis, at: at.toFixed(2) });
+}
+
 /** Whether the server wants a token from clients that have not this browser's cookie. @returns {Promise<boolean>} */
 export async function wantsToken() {
   return (await ask("v1/scenes")).headers.get("Cache-Control")?.includes("private") ?? false; // as behind a token only

@@ -76,3 +76,53 @@ def test_the_document_says_that_both_are_needed(client: httpx.Client) -> None:
     operation = client.get("/openapi.json").json()["paths"]["/v1/scenes/{scene}/point"]["get"]
     assert {each["name"] for each in operation["parameters"] if each.get("required")} >= {"x", "y"}
     assert not any(each.get("required") for each in operation["parameters"] if each["name"] in VIEW)
+
+
+def values() -> np.ndarray:
+    """The voxels (z, y, x) of the scene ``small``, by its formula."""
+    z, y, x = np.mgrid[:16, :20, :24]
+    return sum(np.exp(-(((x - middle) / 5) ** 2) - ((y - 9.5) / 5) ** 2 - ((z - 7.5) / 4) ** 2) for middle in (8, 16))
+
+
+def cut(client: httpx.Client, headers: dict[str, str] | None = None, **asked: str | float) -> httpx.Response:
+    return client.get("/v1/scenes/small/slice", params=asked, headers=headers)
+
+
+def test_a_slice_shows_the_values_of_its_plane(client: httpx.Client) -> None:
+    field = values()
+    planes = {"z": 0.75 * field[7] + 0.25 * field[8], "y": field[:, 19], "x": field[:, :, 0]}
+    for (axis, plane), at in zip(planes.items(), (7.25, 19, 0), strict=True):
+        answer = cut(client, axis=axis, at=at)
+        assert (answer.status_code, answer.headers["content-type"]) == (200, "image/png")
+        picture = np.array(Image.open(io.BytesIO(answer.content)))
+        share = (plane[::-1] - field.min()) / np.ptp(field)
+        assert picture.dtype == np.uint8 and np.abs(picture - 255 * share).max() <= 1.0
+    near = np.array(Image.open(io.BytesIO(cut(client, axis="z", at=7.25, low=0.4, high=0.6).content)))
+    assert np.abs(near - 255 * np.clip((planes["z"][::-1] - 0.4) / 0.2, 0, 1)).max() <= 1.0
+
+
+def test_a_slice_that_is_known_is_not_sent_again(client: httpx.Client) -> None:
+    tag = cut(client, axis="x", at=3).headers["etag"]
+    again = cut(client, {"If-None-Match": tag}, axis="x", at=3)
+    assert (again.status_code, again.content, again.headers["etag"]) == (304, b"", tag)
+    others = [{"axis": "x", "at": 4}, {"axis": "y", "at": 3}, {"axis": "x", "at": 3, "low": 0.1}]
+    assert tag not in {cut(client, **other).headers["etag"] for other in others}  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("asked", "parameter", "words"),
+    [
+        ({"axis": "z", "at": 16}, "at", "z goes from 0 to 15"),
+        ({"axis": "w", "at": 1}, "axis", "x, y"),
+        ({"axis": "z"}, "at", "is missing"),
+        ({"axis": "z", "at": 1, "low": 0.5, "high": 0.5}, "low", "not below high"),
+        ({"axis": "z", "at": 1, "low": 9}, "low", "not below high"),
+    ],
+)
+def test_a_slice_without_meaning_is_refused(
+    client: httpx.Client, asked: dict[str, str | float], parameter: str, words: str
+) -> None:
+    answer = cut(client, **asked)
+    assert answer.status_code == 422
+    assert answer.json()["parameter"] == parameter
+    assert words in answer.json()["detail"]
