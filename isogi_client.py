@@ -64,6 +64,7 @@ KINDS = {"image/png": "png", "image/jpeg": "jpeg", "image/webp": "webp", "applic
 Wait = float | Literal["now", "final"]
 """How long to wait for light: not at all, until all of it is final, or so many seconds."""
 
+Vector = tuple[float, float, float]
 Values = float | str | Sequence[float] | None
 
 
@@ -256,6 +257,61 @@ class Frame:
         shown = Image.fromarray(srgb_of(self.planes.rgb)) if self.f == "npy" else self.image
         shown.save(buffer, "png")
         return buffer.getvalue()
+
+
+@dataclass(frozen=True)
+class Point:
+    """A point of the surface that a view shows; lengths have the volume's ``unit``, "" where unknown.
+
+    ``position`` and the outward unit ``normal`` are in the world, ``voxel`` are voxel indices, x first, and ``sides``
+    those of a patient on which the coordinates lie, "" elsewhere. ``value`` is the isovalue, None on the ``wall`` with
+    that number. ``light`` is linear RGB, ``displayed`` the same in sRGB, ``state`` final, converging or provisional,
+    and ``error`` the relative error of that pixel.
+    """
+
+    unit: str
+    position: Vector
+    sides: str
+    voxel: Vector
+    value: float | None
+    wall: int | None
+    normal: Vector
+    light: Vector
+    displayed: str
+    state: str
+    error: float
+
+    @classmethod
+    def of_document(cls, document: Mapping[str, Any]) -> Self:
+        """The point in the server's document of one."""
+        facts: dict[str, Any] = {name: fact for name, fact in document.items() if name != "hit"}
+        rows = {name: tuple(fact) for name, fact in facts.items() if isinstance(fact, list)}
+        return cls(**{**facts, **rows})
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
+        """``position``, for NumPy."""
+        return np.asarray(self.position, dtype or np.float64)
+
+
+def distance(a: Point | Sequence[float], b: Point | Sequence[float]) -> float:
+    """How far two points of the world are from each other, in its unit.
+
+    >>> distance((0, 0, 0), (3, 0, 4))
+    5.0
+    """
+    return float(np.linalg.norm(np.subtract(b, a)))
+
+
+def angle(a: Point | Sequence[float], b: Point | Sequence[float], c: Point | Sequence[float]) -> float:
+    """The angle at ``b`` between the ways to ``a`` and to ``c``, in degrees from 0 to 180; NaN where one has no length.
+
+    >>> angle((1, 0, 0), (0, 0, 0), (0, 2, 0))
+    90.0
+    """
+    u, v = np.subtract(a, b), np.subtract(c, b)
+    if not (u.any() and v.any()):
+        return float("nan")
+    return float(np.degrees(np.arctan2(np.linalg.norm(np.cross(u, v)), u @ v)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -518,6 +574,16 @@ class Isogi:
     def coverage(self, scene: str, **view: Values) -> Facts:
         """How far a view is baked, without its picture."""
         return Facts.of_document(self._json("GET", f"{scene_path(scene)}/coverage", params=query(view)))
+
+    def point(self, scene: str, x: float, y: float, **view: Values) -> Point | None:
+        """The surface at the place ``x``, ``y`` of a view's picture, in pixels from its top left; None off the surface.
+
+        ``view`` are the parameters of ``frame`` that say what the picture shows, and wait_ms for its light.
+
+        >>> isogi.point("casting", 256, 256, azimuth=40).position
+        """
+        document = self._json("GET", f"{scene_path(scene)}/point", params=query({"x": x, "y": y, **view}))
+        return Point.of_document(document) if document["hit"] else None
 
     def frame(
         self,

@@ -3,10 +3,14 @@
 from dataclasses import asdict
 from typing import Any
 
-from isogi_core.frame.film import COLOURS, SCALE
+import numpy as np
+
+from isogi_core.frame.film import COLOURS, SCALE, lit
 from isogi_core.frame.fitting import fitted, front_of
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.renderer import Renderer
+from isogi_core.frame.surface_point import point_at
+from isogi_core.kernels.shading.framebuffer import FINAL
 from isogi_core.model.environment import Lobe
 from isogi_core.model.lights import ENVIRONMENTS, Light
 from isogi_core.model.scene_plan import Layer
@@ -28,6 +32,7 @@ from server.schemas import (
     Omission,
     PixelCounts,
     PlanSchema,
+    PointSchema,
     PresetSchema,
     Range,
     SceneSchema,
@@ -95,11 +100,21 @@ def light_schema(light: Light) -> LightSchema:
     return LightSchema(type=type(light).__name__.removesuffix("Light").lower(), name=light.name)
 
 
-def camera_schema(renderer: Renderer, view: View, azimuth: float | None, elevation: float | None) -> CameraSchema:
-    """The camera that shows a view's surface whole and large; the whole volume, where none is to be seen of it."""
+def camera_schema(
+    renderer: Renderer,
+    view: View,
+    azimuth: float | None,
+    elevation: float | None,
+    projection: str | None = None,
+) -> CameraSchema:
+    """The camera that shows a view's surface whole and large; the whole volume, where none is to be seen of it.
+
+    The ``view`` is in perspective; the camera is for a ``projection``, the scene's own by default.
+    """
     front, above = front_of(renderer.prepared.scene)
     azimuth, elevation = front if azimuth is None else azimuth, above if elevation is None else elevation
-    found = fitted(renderer, view, azimuth, elevation)
+    projection = projection or renderer.prepared.scene.camera_projection
+    found = fitted(renderer, view, azimuth, elevation, projection)
     target, distance = found or (
         renderer.prepared.scene.volume.world_centre,
         FrameParams.model_fields["distance"].default,
@@ -165,6 +180,7 @@ def defaults(scene: Scene) -> dict[str, float | str]:
     albedo = {} if scene.albedos is None else {"albedo": albedo_text(scene)}
     shine = asdict(scene.shine) if scene.shine else {}
     shine = {"shine": shine.pop("kind"), **shine} if shine else {}
+    fixed["projection"] = scene.camera_projection
     return {"isovalue": scene.isovalue, **fixed, **albedo, **shine, "exposure": scene.default_exposure}
 
 
@@ -184,6 +200,28 @@ def ranges(scene: Scene) -> dict[str, Range]:
     }
     of_scene = {"isovalue": scene.isovalues} | ({} if scene.albedos is None else {"albedo": scene.albedos})
     return {**{name: Range(min=low, max=high) for name, (low, high) in of_scene.items()}, **spans}
+
+
+def point_schema(scene: Scene, frame: Frame, pixel: tuple[int, int], exposure: float) -> PointSchema:
+    """What a pixel, by column and row, of a frame shows."""
+    orientation, point = scene.volume.orientation, point_at(frame, *pixel, scene.room)
+    if point is None:
+        return PointSchema(hit=False, unit=orientation.unit)
+    shown = lit(np.array([[point.radiance]], np.float32), np.full((1, 1), FINAL, np.uint8), exposure, marked=False)
+    return PointSchema(
+        hit=True,
+        unit=orientation.unit,
+        position=point.position,
+        sides=orientation.sides(point.position),
+        voxel=point.voxel,
+        value=frame.view.isovalue if point.wall is None else None,
+        wall=point.wall,
+        normal=point.normal,
+        light=point.radiance,
+        displayed=f"#{shown.tobytes().hex()}",
+        state=point.state,
+        error=point.error,
+    )
 
 
 def coverage_schema(frame: Frame, time_left: TimeLeft | None) -> Coverage:

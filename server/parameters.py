@@ -13,6 +13,7 @@ from isogi_core.model.shine import KINDS, SMOOTHEST, Shine
 from isogi_core.model.view import (
     IDENTITY,
     OVERLAYS,
+    PROJECTIONS,
     SHADINGS,
     Camera,
     Quaternion,
@@ -80,6 +81,11 @@ class ViewParams(VariantParams):
         3.4, description="From the target, in radii of the volume's bounding sphere."
     )
     fov: Annotated[float, Span(0.01, 179)] = Field(30.0, description="Vertical field of view, degrees.")
+    projection: Annotated[str | None, Choice(PROJECTIONS)] = Field(
+        None,
+        description="How rays leave the camera: perspective, from the eye, or orthographic, side by side; what is at"
+        " the target is as large in both; default: the scene's.",
+    )
     eye: Annotated[Vec3 | None, XYZ] = Field(None, description="Instead of azimuth, elevation, distance: world x,y,z.")
     target: Annotated[Vec3 | None, XYZ] = Field(
         None, description="World x,y,z that is in the middle of the picture; default: the volume's centre."
@@ -147,13 +153,17 @@ class FitParams(NoParams):
     azimuth: Annotated[float | None, TURN] = Field(None, description="Degrees; default: from three quarters.")
     elevation: Annotated[float | None, Span(-90, 90)] = Field(None, description="Degrees; default: somewhat above.")
     fov: Annotated[float, Span(0.01, 179)] = Field(30.0, description="Vertical field of view, degrees.")
+    projection: Annotated[str | None, Choice(PROJECTIONS)] = Field(
+        None, description="perspective or orthographic; default: the scene's."
+    )
     width: Annotated[int, Span(1, LONGEST_SIDE, whole=True)] = Field(512, description="Pixels.")
     height: Annotated[int, Span(1, LONGEST_SIDE, whole=True)] = Field(512, description="Pixels.")
 
     @property
     def view(self) -> ViewParams:
-        """What of it is of a view."""
-        return ViewParams.model_validate(self.model_dump(include={"isovalue", "fov", "width", "height"}))
+        """What of it is of a view, in perspective: see ``frame.fitting``."""
+        own = self.model_dump(include={"isovalue", "fov", "width", "height"})
+        return ViewParams.model_validate(own | {"projection": PROJECTIONS[0]})
 
 
 class UploadParams(NoParams):
@@ -232,38 +242,45 @@ def complaint(model: type[BaseModel], error: ValidationError) -> ParameterError:
     if first["type"] == "extra_forbidden" and len(first["loc"]) == 1:
         known = ", ".join(model.model_fields) or "none"
         return ParameterError(f"There is no parameter '{name[:40]}' here; the parameters are: {known}.", name)
+    if first["type"] == "missing":
+        return ParameterError(f"{name} is missing: give it.", name)
     reason = first["msg"].removeprefix("Value error, ").rstrip(".")
     return ParameterError(f"{name} {reason}.".strip(), name)
 
 
 def documented(model: type[BaseModel]) -> dict[str, Any]:
     """The model's fields as query parameters of an OpenAPI operation; None is no default that a query can spell."""
-    described: Mapping[str, dict[str, Any]] = model.model_json_schema()["properties"]
+    document = model.model_json_schema()
+    described: Mapping[str, dict[str, Any]] = document["properties"]
+    needed = {name: {"required": True} for name in document.get("required", ())}
     for schema in described.values():
-        if schema["default"] is None:
+        if schema.get("default", 0) is None:
             del schema["default"]
     return {
         "parameters": [
             {"name": name, "in": "query", "description": schema.pop("description"), "schema": schema}
+            | needed.get(name, {})
             for name, schema in described.items()
         ]
     }
 
 
-def _reader(model: type[Model]) -> Any:
+def reader(model: type[Model]) -> Any:
+    """What gives a route the query as a ``model``; ParameterError where that says something is wrong."""
+
     async def query(request: Request) -> Model:
         return read(model, request.query_params.multi_items())
 
     return Depends(query)
 
 
-NoParamsDep = _reader(NoParams)
-VariantParamsDep = Annotated[VariantParams, _reader(VariantParams)]
-ViewParamsDep = Annotated[ViewParams, _reader(ViewParams)]
-UploadParamsDep = Annotated[UploadParams, _reader(UploadParams)]
-FrameParamsDep = Annotated[FrameParams, _reader(FrameParams)]
-FitParamsDep = Annotated[FitParams, _reader(FitParams)]
-SkyParamsDep = Annotated[SkyParams, _reader(SkyParams)]
+NoParamsDep = reader(NoParams)
+VariantParamsDep = Annotated[VariantParams, reader(VariantParams)]
+ViewParamsDep = Annotated[ViewParams, reader(ViewParams)]
+UploadParamsDep = Annotated[UploadParams, reader(UploadParams)]
+FrameParamsDep = Annotated[FrameParams, reader(FrameParams)]
+FitParamsDep = Annotated[FitParams, reader(FitParams)]
+SkyParamsDep = Annotated[SkyParams, reader(SkyParams)]
 
 
 def view_of(scene: Scene, params: ViewParams, settings: Settings) -> View:
@@ -332,7 +349,7 @@ def camera_of(scene: Scene, params: ViewParams) -> Camera:
     else:
         camera = orbit(target, radius, params.azimuth, params.elevation, params.distance, params.fov)
         camera = camera if params.up is None else replace(camera, up=params.up)
-    return camera.in_box(scene.volume.orientation)
+    return scene.in_box(camera, params.projection)
 
 
 def light_of(scene: Scene, params: ViewParams) -> Quaternion:

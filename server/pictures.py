@@ -102,10 +102,21 @@ def encode(frame: Frame, form: str, exposure: float, params: FrameParams = PLAIN
 
 
 def compress(picture: np.ndarray, form: str) -> bytes:
-    """The bytes of a picture (h, w, 3), or (h, w, 4), uint8 in one of the 8-bit formats."""
+    """The bytes of a picture (h, w, 3), (h, w, 4), or grey (h, w), uint8 in one of the 8-bit formats."""
     buffer = io.BytesIO()
     Image.fromarray(picture).save(buffer, form, **ENCODER_OPTIONS[form])
     return buffer.getvalue()
+
+
+def grey(values: np.ndarray, low: float, high: float) -> np.ndarray:
+    """A picture (h, w) uint8 of ``values`` (h, w): black at ``low`` and below, white at ``high`` and above, black for
+    NaN. Where these are one value all of it is middle grey.
+    """
+    if low == high:
+        return np.where(np.isnan(values), np.uint8(0), np.uint8(128))
+    middle = low / 2.0 + high / 2.0  # whose difference from either end is finite
+    share = np.nan_to_num((values / 2.0 - middle / 2.0) / (high / 2.0 - low / 2.0) + 0.5, nan=0.0)
+    return np.asarray(255.0 * np.clip(share, 0.0, 1.0) + 0.5, np.uint8)
 
 
 def npy_parts(frame: Frame) -> Iterator[bytes]:

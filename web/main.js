@@ -2,9 +2,9 @@
 
 import { find } from "./dom.js";
 import { complaints, followAddress, readAddress } from "./net/address.js";
-import { listScenes, openStream, readFrame, readLight, readScene, readSurfacePoint } from "./net/api.js";
+import { listScenes, openStream, readFrame, readLight, readPoint, readScene, readSurfacePoint } from "./net/api.js";
 import { FrameLoop } from "./net/loop.js";
-import { describe, fileName, frameQuery, ground } from "./net/request.js";
+import { describe, fileName, frameQuery, ground, pointQuery } from "./net/request.js";
 import { Saver } from "./net/save.js";
 import { attachShare } from "./net/share.js";
 import { Trouble } from "./net/trouble.js";
@@ -16,12 +16,16 @@ import { ErrorPanel } from "./panels/error.js";
 import { attachHistogram } from "./panels/histogram.js";
 import { attachKnobs } from "./panels/knobs.js";
 import { attachLight } from "./panels/light.js";
+import { PointCard, attachSlices } from "./panels/point.js";
+import { Reading, attachMeasures } from "./panels/reading.js";
 import { attachPresets } from "./panels/presets.js";
 import { showScene } from "./panels/scene.js";
 import { Notice, Status, TroublePanel } from "./panels/status.js";
 import { Times } from "./panels/times.js";
-import { attachGestures, attachPick } from "./view/gestures.js";
+import { attachClicks, attachGestures } from "./view/gestures.js";
 import { attachKeys } from "./view/keys.js";
+import { Marks } from "./view/marks.js";
+import { attachRulers, rulerShapes } from "./view/rulers.js";
 import { attachSides } from "./view/sides.js";
 import { ViewModel } from "./view/model.js";
 import { Picture } from "./view/picture.js";
@@ -76,20 +80,23 @@ async function start() {
 function assemble(scene, knobs, trouble) {
   const view = new ViewModel(scene, knobs);
   const picture = new Picture($("stage"), $("picture", HTMLImageElement));
-  const loop = startLoop(scene, view, picture, trouble);
-  const options = { onRest: () => loop.settle(), toggleHelp: () => $("help").togglePopover(), toggleFull };
   const { say } = new Notice($("notice"));
+  const { card, reading } = attachReading(scene, view, picture, say);
+  const loop = startLoop(scene, view, picture, trouble, card);
+  const keys = { f: toggleFull, p: () => reading.click(0, 0), m: () => reading.measure(), r: () => toggleRulers(view) };
+  const options = { onRest: () => loop.settle(), toggleHelp: () => $("help").togglePopover(), keys };
   const form = $("controls");
   attachKnobs(form, scene, view);
   attachHistogram(form, scene, view, say);
   attachPresets($("presets"), scene, view);
   attachCuts($("cuts"), scene, view);
+  attachMeasures($("measures"), scene, view);
   const showLight = attachLight($("light"), scene, view, options.onRest);
   attachEnvironments($("light"), scene, view, () => { showLight(); showScene(form, scene); }, say);
   attachGestures($("stage"), scene, view, options);
-  attachPick($("stage"), view, (values, right, up) => readSurfacePoint(scene, values, right, up));
   attachKeys(scene, view, options);
   attachSides($("sides"), scene, view);
+  attachRulers($("rulers", SVGElement), scene, view);
   showScene(form, scene);
   form.addEventListener("submit", (event) => event.preventDefault());
   $("reset").addEventListener("click", () => view.reset());
@@ -98,6 +105,7 @@ function assemble(scene, knobs, trouble) {
     query: () => queryOf(scene, view.values, picture),
     file: () => fileName(scene, view.values),
     alt: () => describe(scene, view.values),
+    rulers: (/** @type {{width: number, height: number}} */ size) => rulerShapes(scene, view.values, size),
   };
   attachShare($("share"), scene, view, description);
   new Saver($("save"), scene, description);
@@ -105,7 +113,7 @@ function assemble(scene, knobs, trouble) {
   document.title = `${scene.name} · isogi`;
   form.inert = false;
   for (const id of ["share-button", "save-button", "reset"]) $(id, HTMLButtonElement).disabled = false;
-  view.watch(({ compare, ...shown }) => shown, () => startAnew(picture, loop));
+  view.watch(({ compare, measures, rulers, ...shown }) => shown, () => startAnew(picture, loop));
   const paintGround = () => { $("stage").dataset.ground = ground(view.values); };
   view.subscribe(paintGround);
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
@@ -119,6 +127,42 @@ function assemble(scene, knobs, trouble) {
   loop.settle();
 }
 
+/**
+ * Clicks and double clicks on the picture: the first read a point, or measure; the second bring it to the middle.
+ * @param {Scene} scene
+ * @param {ViewModel} view
+ * @param {Picture} picture
+ * @param {(words: string) => void} say
+ * @returns {{card: PointCard, reading: Reading}}
+ */
+function attachReading(scene, view, picture, say) {
+  /** @type {import("./view/marks.js").FindSurface} */
+  const pick = (values, right, up) => readSurfacePoint(scene, values, right, up);
+  const marks = new Marks($("marks", SVGElement), scene, view, pick);
+  const card = new PointCard($("point"), scene, marks, (right, up) =>
+    readPoint(scene.id, pointQuery(queryOf(scene, view.values, picture), right, up)));
+  const showSlices = attachSlices($("slices", HTMLDetailsElement), scene, () => card.place());
+  card.onWrite = ({ voxel }) => showSlices(voxel);
+  const reading = new Reading($("measuring"), card, marks, view, pick, say);
+  marks.onDraw = () => card.place();
+  attachClicks($("stage"), {
+    click: (right, up) => reading.click(right, up),
+    async double(right, up) {
+      card.close();
+      const target = await pick(view.values, right, up);
+      if (target) view.set({ target });
+    },
+  });
+  $("point-measure").addEventListener("click", () => reading.measure());
+  document.addEventListener("keydown", ({ key }) => key === "Escape" && reading.stop());
+  return { card, reading };
+}
+
+/** Show scale bar and axes, or hide them. @param {ViewModel} view */
+function toggleRulers(view) {
+  view.set({ rulers: view.values.rulers === "on" ? "off" : "on" });
+}
+
 /** Show the picture alone on the whole screen, or the page again. */
 function toggleFull() {
   if (document.fullscreenElement) document.exitFullscreen();
@@ -130,8 +174,9 @@ function toggleFull() {
  * @param {ViewModel} view
  * @param {Picture} picture
  * @param {TroublePanel} trouble
+ * @param {PointCard} card
  */
-function startLoop(scene, view, picture, trouble) {
+function startLoop(scene, view, picture, trouble, card) {
   const status = new Status(document, scene.target_error);
   const panel = new ErrorPanel($("error"), scene.target_error);
   const times = new Times($("times", HTMLDetailsElement));
@@ -155,6 +200,7 @@ function startLoop(scene, view, picture, trouble) {
       if (blob) await picture.show(blob, describe(scene, view.values));
       const more = done && !picture.sharp && picture.sharpen();
       $("stage").toggleAttribute("data-sharp", done && !more);
+      if (!draft) card.refresh();
       if (more) {
         loop.improve();
         comparison.improve();

@@ -7,7 +7,7 @@ import numpy as np
 
 from isogi_core.frame.renderer import Renderer
 from isogi_core.model.orientation import triple
-from isogi_core.model.view import Vec3, View, orbit
+from isogi_core.model.view import PROJECTIONS, Vec3, View, orbit
 from isogi_core.plan.scene import Scene
 
 SIDE = 96
@@ -44,9 +44,12 @@ def front_of(scene: Scene) -> tuple[float, float]:
     return float(round(min(max(azimuth, ASKEW[0]), ASKEW[1]))), FRONT[1]
 
 
-def fitted(renderer: Renderer, view: View, azimuth: float, elevation: float) -> tuple[Vec3, float] | None:
+def fitted(
+    renderer: Renderer, view: View, azimuth: float, elevation: float, projection: str = PROJECTIONS[0]
+) -> tuple[Vec3, float] | None:
     """The world's target and the distance from it, in radii, at which a ``view`` shows its surface whole and large.
 
+    The view itself is in perspective; distance and target are for a camera with that ``projection``.
     None where no surface is to be seen. Raises Cancelled.
     """
     volume, orientation = renderer.prepared.scene.volume, view.orientation
@@ -62,7 +65,8 @@ def fitted(renderer: Renderer, view: View, azimuth: float, elevation: float) -> 
     axes = np.stack([right, up, -forward])
     points = orientation.to_world(seen.points * np.array(seen.spacing))
     slope = FILLED * math.tan(math.radians(fov) / 2.0)
-    aim, away = nearest(points @ axes.T, (slope * view.width / view.height, slope))
+    nearest_of = nearest if projection == PROJECTIONS[0] else nearest_beside
+    aim, away = nearest_of(points @ axes.T, (slope * view.width / view.height, slope))
     return triple(aim @ axes), away / volume.radius
 
 
@@ -78,6 +82,12 @@ def nearest(points: np.ndarray, slopes: tuple[float, float]) -> tuple[np.ndarray
     middle = float(np.median(points[:, 2]))
     away = max((a + b) / (2.0 * slope) for a, b, slope in zip(above, below, slopes, strict=True))
     return np.array([(above[0] - below[0]) / 2.0, (above[1] - below[1]) / 2.0, middle]), away - middle
+
+
+def nearest_beside(points: np.ndarray, slopes: tuple[float, float]) -> tuple[np.ndarray, float]:
+    """The same for a camera whose rays are parallel: depths do not matter."""
+    aim, away = nearest(points * [1.0, 1.0, 0.0], slopes)
+    return np.array([aim[0], aim[1], float(np.median(points[:, 2]))]), away
 
 
 def most(values: np.ndarray) -> float:

@@ -80,6 +80,11 @@ class Orientation:
         letter = self.letters[axis]
         return letter if direction[axis] > 0.0 else OPPOSITE[letter]
 
+    def sides(self, point: Vector) -> str:
+        """The sides of the patient that a world ``point`` lies on, seen from the world's origin, such as "LAS"."""
+        pairs = zip(self.letters, point, strict=False)
+        return "".join(letter if coordinate >= 0.0 else OPPOSITE[letter] for letter, coordinate in pairs)
+
     @property
     def axes(self) -> str:
         """Where voxel axes x, y, z point in a patient, as three letters; empty without letters."""

@@ -24,6 +24,12 @@ SHADINGS = (
     "path_traced",
 )
 OVERLAYS = ("none", "provisional", "error")
+PROJECTIONS = ("perspective", "orthographic")
+AFAR = 1e7
+"""Radii of the volume from which an orthographic camera looks: its rays meet no more than a ten-millionth of their way,
+which is what the float32 coordinates of the points hold that they find.
+"""
+
 IDENTITY: Quaternion = (1.0, 0.0, 0.0, 0.0)
 
 
@@ -85,6 +91,19 @@ def orbit(centre: Vec3, radius: float, azimuth: float, elevation: float, distanc
     up = (-math.sin(e) * math.cos(a), -math.sin(e) * math.sin(a), math.cos(e))
     x, y, z = (c + distance * radius * o for c, o in zip(centre, out, strict=True))
     return Camera((x, y, z), centre, up, fov)
+
+
+def orthographic(camera: Camera, radius: float) -> Camera:
+    """A ``camera`` of a volume with that ``radius``, with parallel rays; what is at the target is as large as before.
+
+    It is the same camera AFAR radii away, with the field of view that keeps the height of the picture at the target.
+    It sees all that lies along its rays, also behind the eye of the perspective one.
+    """
+    away, afar = math.dist(camera.eye, camera.target), AFAR * radius
+    _, _, (x, y, z) = camera.basis()
+    fov = 2.0 * math.degrees(math.atan(math.tan(math.radians(camera.fov) / 2.0) * away / afar))
+    eye = (camera.target[0] - afar * x, camera.target[1] - afar * y, camera.target[2] - afar * z)
+    return replace(camera, eye=eye, fov=fov)
 
 
 def quaternion_from_angles(yaw: float, pitch: float, roll: float) -> Quaternion:

@@ -126,6 +126,18 @@ class Volume:
         ends = [(float(inner.min()), float(inner.max())) for inner in self.core_voxels() if inner.size]
         return min(low for low, _ in ends), max(high for _, high in ends)
 
+    def plane(self, axis: int, at: float) -> np.ndarray:
+        """The file's values on the plane at index ``at`` across an ``axis``, 0 for x; linear between voxels, float64.
+
+        Columns go along the first of the other two axes, rows down the second: its end is at the top. NaN in holes.
+        """
+        planes = np.moveaxis(self.voxels, 2 - axis, 0)
+        first = min(int(at), len(planes) - 1)
+        values, share = planes[first].astype(np.float64), at - first
+        if share > 0.0:
+            values = (1.0 - share) * values + share * planes[first + 1]
+        return self.offset + self.scale * values[::-1]
+
     def counted(self, bins: int = BINS, progress: Progress = no_progress) -> "Volume":
         """The same volume with its histogram's counts and the core's span kept: these take passes over all voxels.
 

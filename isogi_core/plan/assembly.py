@@ -37,6 +37,7 @@ from isogi_core.model.scene_plan import REPRESENTATIONS
 from isogi_core.model.shine import Shine, shine_from_mapping
 from isogi_core.model.sky import sky_image
 from isogi_core.model.value_survey import Progress, no_progress
+from isogi_core.model.view import PROJECTIONS
 from isogi_core.model.volume import Volume
 from isogi_core.plan.cuts import cut_away, voxels_left
 from isogi_core.plan.inputs import PlanInputs, PlanOverrides
@@ -113,6 +114,7 @@ def build_scene(source: SceneSource, progress: Progress = no_progress, volume: V
         projected=settings.flag("projected", None),
         albedos=overrides.albedos or ((0.0, 1.0) if overrides.bounces == 0 and max(albedo) > 0.0 else None),
         shine=read_shine(settings),
+        camera_projection=settings.choice("projection", PROJECTIONS) or PROJECTIONS[0],
     )
     settings.refuse_unknown()
     return scene

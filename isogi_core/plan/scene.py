@@ -18,7 +18,7 @@ from isogi_core.model.lights import Light
 from isogi_core.model.room import NO_ROOM, Room
 from isogi_core.model.scene_plan import Layer, LeftOut, ScenePlan
 from isogi_core.model.shine import Shine
-from isogi_core.model.view import Camera, orbit
+from isogi_core.model.view import Camera, orbit, orthographic
 from isogi_core.model.volume import Isovalue, Volume
 from isogi_core.plan.inputs import PlanInputs, PlanOverrides
 from isogi_core.plan.isovalue_presets import Preset, find_boundaries, suggested_presets
@@ -57,7 +57,8 @@ class Scene:
     ``named`` are the isovalues that the scene names. ``projected`` settles whether texels that are far from the
     isosurface of a view at rest are projected onto it; None leaves that to the plan, see ``plan.projection``.
     ``lamps`` are those of the ``lights`` and the luminaires of the ``room``. ``shine`` is None where the surface is
-    diffuse, and views may then ask for none.
+    diffuse, and views may then ask for none. ``camera_projection``, one of PROJECTIONS, is that of views that ask for
+    none.
     """
 
     id: str
@@ -83,6 +84,7 @@ class Scene:
     albedos: tuple[float, float] | None = None
     room: Room = NO_ROOM
     shine: Shine | None = None
+    camera_projection: str = "perspective"
 
     @property
     def bakes(self) -> frozenset[str]:
@@ -249,6 +251,14 @@ class Scene:
     def camera(self, azimuth: float, elevation: float, distance: float, fov: float) -> Camera:
         """Camera, in the volume's box, around its middle; angles in the world, degrees; distance in bounding radii."""
         camera = orbit(self.volume.world_centre, self.volume.radius, azimuth, elevation, distance, fov)
+        return self.in_box(camera)
+
+    def in_box(self, camera: Camera, projection: str | None = None) -> Camera:
+        """A perspective ``camera`` of the world, in the volume's box, with another ``projection``: by default the
+        scene's.
+        """
+        if (projection or self.camera_projection) == "orthographic":
+            camera = orthographic(camera, self.volume.radius)
         return camera.in_box(self.volume.orientation)
 
 

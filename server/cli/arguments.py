@@ -44,6 +44,7 @@ VIEW_OPTIONS = {
     "elevation": "Degrees above the xy plane.",
     "distance": "From the target, in radii of the volume's bounding sphere; of a picture, default: all of it is seen.",
     "fov": "Vertical field of view, degrees.",
+    "projection": "perspective or orthographic; default: the scene's.",
     "eye": "World x,y,z, instead of azimuth, elevation and distance.",
     "target": "World x,y,z to look at; default: the volume's centre.",
     "up": "World x,y,z that points up in the picture.",

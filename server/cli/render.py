@@ -12,7 +12,7 @@ from tqdm import tqdm
 
 from isogi_core.errors import ViewError
 from isogi_core.frame.frame import Frame
-from isogi_core.model.view import View
+from isogi_core.model.view import PROJECTIONS, View
 from isogi_core.plan.scene import Scene
 from isogi_core.report.reference import Goal, Reference, grow, load_reference, save_reference, with_bounces
 from isogi_core.storage.atomic_file import write_whole
@@ -77,9 +77,10 @@ def render(
 
 def seen_whole(engine: RenderEngine, scene: Scene, params: FrameParams, settings: Settings) -> FrameParams:
     """The same picture from a camera that shows all of its surface; from the direction that is given, if any is."""
-    view = view_of(scene, params, settings)
+    view = view_of(scene, params.model_copy(update={"projection": PROJECTIONS[0]}), settings)
     angles = [getattr(params, name) if name in params.model_fields_set else None for name in ("azimuth", "elevation")]
-    return params.model_copy(update=camera_schema(engine.renderer(scene.id), view, *angles).model_dump())
+    camera = camera_schema(engine.renderer(scene.id), view, *angles, params.projection)
+    return params.model_copy(update=camera.model_dump())
 
 
 def stopped_by(frame: Frame) -> str:

@@ -30,6 +30,8 @@ from isogi_client import (
     TimeLeft,
     TokenError,
     UnreachableError,
+    angle,
+    distance,
     nrrd_of,
 )
 from tests.client.lab import TOKEN, Broken, Faults, Lab, lab_of
@@ -122,6 +124,23 @@ def test_pictures_are_saved_and_shown(isogi: Isogi, tmp_path: Path, f: str, suff
         frame.save(tmp_path / "a.npy")
     with pytest.raises(ValueError, match="ask for f='npy'"):
         _ = frame.planes
+
+
+def test_a_point_has_the_planes_of_its_pixel(isogi: Isogi) -> None:
+    planes = isogi.frame("small", f="npy", shading="lambert", **VIEW).planes
+    point = isogi.point("small", 20.5, 15.5, shading="lambert", **VIEW)
+    assert point is not None and point.value == 0.5
+    assert np.array(point) == pytest.approx(planes.position[15, 20])
+    assert point.light == pytest.approx(planes.rgb[15, 20])
+    assert isogi.point("small", 0, 0, shading="lambert", **VIEW) is None
+
+
+def test_distances_and_angles_of_points() -> None:
+    a, b, c = (3.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 4.0, 0.0)
+    assert (distance(a, c), distance(a, a)) == (5.0, 0.0)
+    assert (angle(a, b, c), angle(a, b, (-1e-9, 0, 0)), angle(a, b, a)) == (90.0, 180.0, 0.0)
+    assert angle(a, c, b) == pytest.approx(np.degrees(np.arctan(3 / 4)))
+    assert np.isnan(angle(a, a, c))
 
 
 def test_numbers_are_no_picture(isogi: Isogi) -> None:

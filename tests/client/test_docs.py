@@ -39,8 +39,10 @@ def test_python(own_server: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     assert lines[0].startswith("[24, 20, 16] 0.5 ")
     assert re.fullmatch(r"(\d+) of \1 chunks final, error [\d.]+ %", lines[1])
     assert re.fullmatch(r"[\d.]+ of unshadowed light, noise of a pixel [\d.]+%", lines[2])
-    assert re.fullmatch(r"\d+ texels, about \d+ seconds", lines[3])
-    assert re.fullmatch(r"100% of 12 views final, worst error 0\.\d+", lines[4])
+    assert re.fullmatch(r"0\.5 at \([\d., ]+\) , light \([\d., ]+\), error [\d.]+%", lines[3])
+    assert lines[4] == "5.0 90.0"
+    assert re.fullmatch(r"\d+ texels, about \d+ seconds", lines[5])
+    assert re.fullmatch(r"100% of 12 views final, worst error 0\.\d+", lines[6])
     assert lines[-1].startswith("final ")
     assert names["ratio"].min() > 0.0
     assert names["highest"] <= 16.0

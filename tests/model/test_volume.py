@@ -291,3 +291,20 @@ def test_a_volume_cannot_be_changed() -> None:
 def test_refusals_say_what_is_wrong(array: np.ndarray, options: dict, word: str) -> None:
     with pytest.raises(VolumeError, match=word):
         make_volume(array, **options)
+
+
+@pytest.mark.parametrize("solid", SOLIDS)
+def test_a_plane_is_what_lies_between_two_layers(solid: str) -> None:
+    array = UNIT * 200.0 - 50.0
+    volume = make_volume(array, solid=solid)
+    for axis, layers in enumerate((array.transpose(2, 0, 1), array.transpose(1, 0, 2), array)):
+        for at, layer in ((0.0, layers[0]), (1.25, 0.75 * layers[1] + 0.25 * layers[2]), (len(layers) - 1, layers[-1])):
+            np.testing.assert_allclose(volume.plane(axis, at), layer[::-1], atol=1e-4)
+
+
+def test_a_plane_on_a_layer_has_no_holes_of_the_next_one() -> None:
+    array = UNIT.copy()
+    array[2, 1, 1] = np.nan
+    volume = make_volume(array)
+    assert np.isfinite(volume.plane(2, 1.0)).all()
+    assert np.isnan(volume.plane(2, 1.5)).sum() == np.isnan(volume.plane(2, 2.0)).sum() == 1

@@ -50,6 +50,7 @@ def test_a_scene_file_says_everything(folder: Path) -> None:
         lattice = 0.5
         target_error = 0.05
         rotating = false
+        projection = "orthographic"
         [[lights]]
         type = "constant"
         radiance = [1.0, 2.0, 3.0]
@@ -61,6 +62,7 @@ def test_a_scene_file_says_everything(folder: Path) -> None:
     assert (scene.isovalue, scene.isovalues, scene.albedo) == (70.0, (40.0, 100.5), (0.7, 0.6, 0.5))
     assert (scene.bounces, scene.plan.representation, scene.plan.channels) == (4, "irradiance", 3)
     assert (scene.solid, scene.lattice, scene.target_error, scene.rotating) == ("below", 0.5, 0.05, False)
+    assert scene.camera_projection == "orthographic" and scene.camera(0.0, 0.0, 3.0, 30.0).fov < 1e-4
     assert scene.volume.shape == (6, 5, 4) and scene.volume.spacing == (1.0, 1.0, 3.0)
     assert [type(light) for light in scene.lights] == [ConstantLight, SkyLight]
     assert scene.environment.constant.tolist() == [1.0, 2.0, 3.0]
@@ -156,6 +158,7 @@ def test_isovalue_falls_into_the_range_that_views_may_ask_for(folder: Path) -> N
         ("target_error = 0", "target_error"),
         ("target_error = 2", "target_error"),
         ("rotating = 1", "rotating"),
+        ('projection = "fisheye"', "projection"),
         ("shine = 0.5", "shine"),
         ("[shine]\nkind = 'glass'", "cannot shine as 'glass': choose plastic or metal"),
         ("[shine]\nkind = 3", "The kind of shine is 3: give a word"),

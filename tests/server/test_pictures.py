@@ -13,7 +13,7 @@ from isogi_core.plan.assembly import load_scene
 from server import pictures
 from server.errors import NotAcceptableError, ParameterError
 from server.parameters import FrameParams, read
-from server.pictures import ENCODER_OPTIONS, encode, format_for, media_range, negotiate, npy_bytes, npy_parts
+from server.pictures import ENCODER_OPTIONS, encode, format_for, grey, media_range, negotiate, npy_bytes, npy_parts
 
 CHROMIUM = "image/avif,image/webp,image/apng,image/svg+xml,image/*,*/*;q=0.8"
 
@@ -109,3 +109,11 @@ def test_npy_is_the_same_in_parts_of_any_size(monkeypatch: pytest.MonkeyPatch, b
     ]
     assert np.array_equal(whole, np.concatenate(expected, axis=-1))
     assert b"".join(parts) == encode(frame, "npy", 1.0)
+
+
+def test_grey_goes_from_low_to_high_and_holes_are_black() -> None:
+    values = np.array([[-9.0, 0.0, 1.0], [2.0, 9.0, np.nan]])
+    assert grey(values, 0.0, 2.0).tolist() == [[0, 0, 128], [255, 255, 0]]
+    assert grey(values, 3.0, 3.0).tolist() == [[128, 128, 128], [128, 128, 0]]
+    most = np.finfo(np.float64).max
+    assert grey(np.array([[-most, 0.0, most]]), -most, most).tolist() == [[0, 128, 255]]

@@ -11,7 +11,7 @@ from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.errors import ViewError
 from isogi_core.frame.renderer import Renderer
 from isogi_core.kernels.shading.framebuffer import CONVERGING
-from isogi_core.model.view import SHADINGS, Camera, View
+from isogi_core.model.view import SHADINGS, Camera, View, orthographic
 from isogi_core.model.volume import make_volume
 from isogi_core.plan.scene import Scene
 from isogi_core.report.bake import ViewBake
@@ -83,6 +83,8 @@ def eyes(scene: Scene, on: np.ndarray) -> dict[str, Camera]:
         "on a face of the box, along it": looking(face, face + np.array((0, 1, 0)), 90.0),
         "on a face of the box, inwards": looking(face, middle, 120.0),
         "a million boxes away": far_eye(scene, 1e6 * max(volume.extent)),
+        "parallel rays": orthographic(looking(2.0 * far_corner, middle), volume.radius),
+        "parallel rays from within": orthographic(looking(within, middle, 120.0), volume.radius),
         "looking away": looking(3.0 * far_corner, 4.0 * far_corner),
     }
 

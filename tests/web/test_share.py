@@ -125,6 +125,27 @@ def test_a_picture_is_saved_large_and_final_with_its_notes(page: Page, live_serv
     expect(page.locator("#save .note")).to_have_text(f"Saved small-0.45.png: {comment}.")
 
 
+def saved(page: Page, path: Path) -> np.ndarray:
+    """The picture that the open panel saves, as linear numbers (h, w, 3)."""
+    with page.expect_download(timeout=FINAL_MS) as download:
+        page.click("#save-start")
+    download.value.save_as(path)
+    with Image.open(path) as picture:
+        assert "Comment" in picture.info
+        return np.asarray(picture.convert("RGB"), float)
+
+
+def test_scale_and_axes_are_in_a_saved_picture_on_wish(page: Page, live_server: str, tmp_path: Path) -> None:
+    open_final(page, f"{live_server}/?{PLAIN}").click("#save-button")
+    plain = saved(page, tmp_path / "plain.png")
+    page.check("#save-rulers")
+    stamped = saved(page, tmp_path / "stamped.png")
+    rows, columns = np.nonzero(np.abs(stamped - plain).max(axis=-1) > 2)
+    high, wide, _ = plain.shape
+    assert len(rows) > 1000
+    assert rows.min() > 0.7 * high and rows.max() < high and columns.min() >= 0 and columns.max() < 0.4 * wide
+
+
 def test_saving_survives_a_lost_server_and_can_be_stopped(page: Page, live_server: str) -> None:
     open_final(page, f"{live_server}/?{PLAIN}").click("#save-button")
     page.route("**/frame?*", lambda route: route.abort())

@@ -1,6 +1,7 @@
 /** The view in the address bar: read on load, written shortly after a change, so a link shows the same picture. */
 
 import { startAlbedo } from "../view/albedo.js";
+import { readMeasure, writeMeasure } from "../view/measures.js";
 import { NUMBERS } from "../view/model.js";
 import { arePlanes } from "../view/planes.js";
 
@@ -8,8 +9,8 @@ import { arePlanes } from "../view/planes.js";
 /** @typedef {import("../view/model.js").ViewModel} ViewModel */
 /** @typedef {import("./schemas.js").Scene} Scene */
 
-const CHOICES = ["shading", "overlay", "compare", "tint", "background", "environment", "shine"];
-const KNOWN = new Set([...CHOICES, "scene", "target", "token", "cut", "window"]);
+const CHOICES = ["shading", "overlay", "compare", "tint", "background", "environment", "shine", "rulers", "projection"];
+const KNOWN = new Set([...CHOICES, "scene", "target", "token", "measure", "cut", "window"]);
 const PAUSE_MS = 150;
 const REST_MS = 1000; // a view that was at rest for so long is one to come back to
 
@@ -28,12 +29,14 @@ export function readAddress(search) {
   for (const name of CHOICES.filter((each) => query.has(each))) start[name] = query.get(name);
   const planes = query.get("cut") ?? query.get("window");
   if (planes !== null) Object.assign(start, { planes, opened: query.has("cut") });
+  const measures = query.getAll("measure").map(readMeasure).filter((points) => points !== null);
+  if (measures.length) start.measures = measures;
   return { scene: query.get("scene"), start };
 }
 
 /**
  * The address query of a view. The names are those of the frame request.
- * @param {Pick<Scene, "id"|"albedo"|"albedos">} scene
+ * @param {Pick<Scene, "id"|"albedo"|"albedos"> & Partial<Pick<Scene, "defaults">>} scene
  * @param {Knobs} values knobs of the view
  * @returns {string}
  */
@@ -48,7 +51,10 @@ export function writeAddress(scene, values) {
   if (values.environment) query.set("environment", values.environment);
   if (values.background !== "page") query.set("background", values.background);
   if (values.planes) query.set(values.opened ? "cut" : "window", values.planes);
+  if (values.projection !== (scene.defaults?.projection ?? "perspective")) query.set("projection", values.projection);
+  if (values.rulers !== "on") query.set("rulers", values.rulers);
   if (values.compare) query.set("compare", values.compare);
+  for (const points of values.measures) query.append("measure", writeMeasure(points));
   return `?${query}`;
 }
 
@@ -92,6 +98,7 @@ function choiceComplaint({ shadings, environments = [] }, name, value) {
   const lit = name !== "environment" || !value || environments.some(({ id }) => id === value);
   if (!lit) return `There is no light “${value}” here.`;
   if (["cut", "window"].includes(name) && !arePlanes(value)) return `“${value}” is no ${name}: it is planes such as x>40.`;
+  if (name === "measure" && !readMeasure(value)) return `“${value}” is no measure: it has two or three points.`;
   const shading = ["shading", "compare"].includes(name);
   if (shading && value && !shadings.includes(value)) return `There is no shading “${value}”.`;
   return KNOWN.has(name) ? "" : `The link says ${name}, which this page does not know.`;

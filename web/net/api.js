@@ -8,6 +8,7 @@ import { Trouble, lost, troubleOf } from "./trouble.js";
 /** @typedef {import("./schemas.js").FrameQuery} FrameQuery */
 /** @typedef {import("./schemas.js").Scene} Scene */
 /** @typedef {import("./schemas.js").SceneList} SceneList */
+/** @typedef {import("./schemas.js").SurfacePoint} SurfacePoint */
 /** @typedef {import("../view/model.js").Knobs} Knobs */
 /** @typedef {import("../view/rotation.js").Vec3} Vec3 */
 
@@ -123,6 +124,22 @@ export async function readSurfacePoint(scene, values, right, up) {
 }
 
 /**
+ * What the surface is like in one pixel of a view; null where there is none, or no answer.
+ * @param {string} scene
+ * @param {FrameQuery} query of the view, and the place: see `pointQuery`
+ * @returns {Promise<SurfacePoint|null>}
+ */
+export async function readPoint(scene, query) {
+  try {
+    const { hit, ...point } = await (await ask(sceneAddress(scene, "point", query))).json();
+    return hit ? point : null;
+  } catch (error) {
+    if (error instanceof Trouble) return null; // the picture's own requests say what is wrong
+    throw error;
+  }
+}
+
+/**
  * World position in the last pixel of an `npy` frame; null where it shows no surface.
  * @param {ArrayBuffer} frame
  * @returns {Vec3|null}
@@ -152,8 +169,18 @@ export async function readSky(scene, width, environment) {
  * @returns {URL}
  */
 export function frameAddress(scene, query) {
-  const texts = Object.entries(query).map(([name, value]) => [name, String(value)]);
-  return new URL(`${scenePath(scene)}/frame?${new URLSearchParams(texts)}`, document.baseURI);
+  return sceneAddress(scene, "frame", query);
+}
+
+/**
+ * The address of a slice through a scene's volume.
+ * @param {string} scene
+ * @param {"x"|"y"|"z"} axis of the voxels, that the plane is across
+ * @param {number} at voxel index
+ * @returns {URL}
+ */
+export function sliceAddress(scene, axis, at) {
+  return sceneAddress(scene, "slice", { axis, at: at.toFixed(2) });
 }
 
 /** Whether the server wants a token from clients that have not this browser's cookie. @returns {Promise<boolean>} */
@@ -170,6 +197,16 @@ export function openStream(scene) {
   const address = new URL(`${scenePath(scene)}/stream`, document.baseURI);
   address.protocol = address.protocol.replace("http", "ws");
   return new WebSocket(address);
+}
+
+/**
+ * @param {string} scene
+ * @param {string} what is asked for of it
+ * @param {FrameQuery} query
+ */
+function sceneAddress(scene, what, query) {
+  const texts = Object.entries(query).map(([name, value]) => [name, String(value)]);
+  return new URL(`${scenePath(scene)}/${what}?${new URLSearchParams(texts)}`, document.baseURI);
 }
 
 /** @param {string} id */

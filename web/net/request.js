@@ -14,6 +14,7 @@ import { NUMBERS } from "../view/model.js";
  * @property {() => FrameQuery & {width: number, height: number}} query the parameters of the picture shown
  * @property {() => string} file the name of its file, without an ending
  * @property {() => string} alt what it shows, in words
+ * @property {(size: {width: number, height: number}) => import("../view/rulers.js").Shapes} rulers its scale bar and axes
  */
 
 const LIGHT_KNOBS = new Set(["yaw", "pitch", "roll"]);
@@ -34,6 +35,7 @@ export function frameQuery(scene, values, { width, height }, moving = false) {
     ...Object.fromEntries(numbers.map((name) => [name, values[name]])),
     ...albedoQuery(scene, values),
     ...(values.shine && { shine: values.shine }),
+    ...(values.projection !== (scene.defaults?.projection ?? "perspective") && { projection: values.projection }),
     ...(values.target && { target: values.target.join(",") }),
     ...(values.environment && { environment: values.environment }),
     ...(values.planes && { [values.opened && !moving ? "cut" : "window"]: values.planes }),
@@ -44,6 +46,19 @@ export function frameQuery(scene, values, { width, height }, moving = false) {
     background: ground(values),
     f: "png",
   };
+}
+
+/**
+ * The parameters of the request for the point at a place of a view's picture.
+ * @param {FrameQuery & {width: number, height: number}} query of the picture
+ * @param {number} right of the middle, in heights of the picture
+ * @param {number} up of the middle, in heights of the picture
+ * @returns {FrameQuery}
+ */
+export function pointQuery({ overlay, background, f, ...view }, right, up) {
+  const { width, height } = view;
+  const inside = (/** @type {number} */ place, /** @type {number} */ pixels) => Math.min(Math.max(place, 0), pixels - 0.5);
+  return { ...view, x: inside(width / 2 + right * height, width), y: inside(height / 2 - up * height, height) };
 }
 
 /**

@@ -15,6 +15,7 @@ import { Sheet, stripsOf, worstOf } from "./strips.js";
  * @typedef {object} Work one picture
  * @property {AbortController} controller stops it
  * @property {AbortController} hurry has it end with what is there
+ * @property {import("./strips.js").Stamp|null} stamp what is drawn over it, at a corner
  * @property {string} size
  * @property {string} link
  * @property {string} file
@@ -75,9 +76,10 @@ export class Saver {
 
   async #start() {
     const [width, height] = find(this.#panel, "#save-size", HTMLSelectElement).value.split("×").map(Number);
-    const { link, query, file, alt } = this.#description;
+    const { link, query, file, alt, rulers } = this.#description;
+    const stamp = find(this.#panel, "#save-rulers", HTMLInputElement).checked ? stampOf(rulers, { width, height }) : null;
     const [controller, hurry] = [new AbortController(), new AbortController()];
-    const work = { controller, hurry, size: `${width} × ${height}`, link: link(), file: file(), alt: alt() };
+    const work = { controller, hurry, stamp, size: `${width} × ${height}`, link: link(), file: file(), alt: alt() };
     this.#begin(work);
     try {
       await this.#make({ ...query(), width, height, f: "png" }, { width, height }, work);
@@ -94,16 +96,18 @@ export class Saver {
    */
   async #make(query, size, work) {
     const strips = stripsOf(size);
-    if (strips.length === 1) return this.#finish(await this.#refine(query, work, 0, 1), work);
+    if (strips.length === 1 && !work.stamp) return this.#finish(await this.#refine(query, work, 0, 1), work);
     /** @type {Facts[]} */
     const known = [];
     const sheet = new Sheet(size);
     for (const [n, strip] of strips.entries()) {
-      const { blob, facts } = await this.#refine({ ...query, strip: strip.rows.join(",") }, work, n, strips.length);
+      const part = strips.length > 1 ? { ...query, strip: strip.rows.join(",") } : query;
+      const { blob, facts } = await this.#refine(part, work, n, strips.length);
       await sheet.add(blob, strip);
       known.push(facts);
     }
     this.#say("Putting the picture together…");
+    if (work.stamp) sheet.stamp(work.stamp, query.background === "light");
     await this.#finish({ blob: await sheet.file(), facts: worstOf(known) }, work);
   }
 
@@ -192,6 +196,19 @@ export class Saver {
   #say(words) {
     find(this.#panel, ".note").textContent = words;
   }
+}
+
+const STAMPED_WIDTH = 960; // of a picture, in whose pixels a stamp is drawn; in larger ones it grows
+
+/**
+ * Scale bar and axes for a picture of a size.
+ * @param {Description["rulers"]} rulers
+ * @param {{width: number, height: number}} size pixels
+ * @returns {import("./strips.js").Stamp}
+ */
+function stampOf(rulers, { width, height }) {
+  const scale = Math.max(1, width / STAMPED_WIDTH);
+  return { shapes: rulers({ width: width / scale, height: height / scale }), scale };
 }
 
 /** What PNG's notes can hold. @param {string} text */

@@ -27,6 +27,7 @@
  * @property {number} [roughness]
  * @property {number} [strength]
  * @property {string} [shading]
+ * @property {string} [projection] of the camera
  */
 
 /**
@@ -95,6 +96,22 @@
  */
 
 /** @typedef {"final"|"converging"|"provisional"} State of a pixel of the surface */
+
+/**
+ * @typedef {object} SurfacePoint what one pixel of a view shows
+ * @property {string} unit of lengths; "" where unknown
+ * @property {Vec3} position world
+ * @property {string} sides of a patient on which the coordinates lie; "" elsewhere
+ * @property {Vec3} voxel indices, x first
+ * @property {number|null} value the isovalue; null on a wall
+ * @property {number|null} wall its number; null on the isosurface
+ * @property {Vec3} normal world, outward, of length 1
+ * @property {Vec3} light linear RGB
+ * @property {string} displayed the same in sRGB, `#rrggbb`
+ * @property {State} state
+ * @property {number} error relative
+ */
+
 /** @typedef {Record<State, number>} Coverage shares of the surface pixels */
 
 /**

@@ -1,6 +1,7 @@
 /** A large picture in strips: each is asked for by itself, and all are put together where there is more than one. */
 
 /** @typedef {import("./schemas.js").Facts} Facts */
+/** @typedef {{shapes: import("../view/rulers.js").Shapes, scale: number}} Stamp shapes at the lower left corner */
 /** @typedef {{rows: [number, number], from: number, to: number}} Strip `rows` are asked for, `from` to `to` are shown */
 
 const STRIP = 1 << 23; // pixels: what a server draws without taking much memory
@@ -50,6 +51,20 @@ export class Sheet {
     picture.close();
   }
 
+  /**
+   * Draw shapes over the lower left corner.
+   * @param {Stamp} stamp
+   * @param {boolean} light whether the ground is
+   */
+  stamp({ shapes, scale }, light) {
+    const paint = this.#paint;
+    if (!paint) return;
+    const colours = light ? { over: "#3a4048", under: "#e2e4e6" } : { over: "#f4ead8", under: "#1a1d22" };
+    paint.setTransform(scale, 0, 0, scale, 0, this.#canvas.height);
+    shapes.lines.forEach((line) => strokeLine(paint, line, colours));
+    shapes.words.forEach((words) => paintWords(paint, words, colours));
+  }
+
   /** All of it as a file. @returns {Promise<Blob>} */
   async file() {
     /** @type {Blob|null} */
@@ -57,4 +72,35 @@ export class Sheet {
     if (!blob) throw new Error("This browser cannot put together so large a picture: choose a smaller one.");
     return blob;
   }
+}
+
+/** @typedef {{over: string, under: string}} Colours of a line, and of what sets it off from the picture */
+
+/**
+ * @param {CanvasRenderingContext2D} paint
+ * @param {import("../view/rulers.js").Line} line
+ * @param {Colours} colours
+ */
+function strokeLine(paint, { kind, points }, { over, under }) {
+  const path = new Path2D(points.map(([x, y], n) => `${n ? "L" : "M"}${x} ${-y}`).join(""));
+  Object.assign(paint, { lineJoin: "round", lineCap: "round", lineWidth: 4.5, strokeStyle: under });
+  paint.setLineDash([]);
+  paint.stroke(path);
+  Object.assign(paint, { lineWidth: 1.75, strokeStyle: over });
+  paint.setLineDash(kind ? [2, 4] : []);
+  paint.stroke(path);
+}
+
+/**
+ * @param {CanvasRenderingContext2D} paint
+ * @param {import("../view/rulers.js").Words} words
+ * @param {Colours} colours
+ */
+function paintWords(paint, { at: [x, y], text, size, middle }, { over, under }) {
+  const [textAlign, textBaseline] = middle ? ["center", "middle"] : ["start", "alphabetic"];
+  const font = `${size}px system-ui, sans-serif`;
+  Object.assign(paint, { font, textAlign, textBaseline, lineWidth: 3.5, lineJoin: "round", strokeStyle: under, fillStyle: over });
+  paint.setLineDash([]);
+  paint.strokeText(text, x, -y);
+  paint.fillText(text, x, -y);
 }

@@ -113,7 +113,7 @@ export class ErrorPanel {
 }
 
 /** What the light of a view depends on. @param {Knobs} values */
-function lightKnobs({ exposure, overlay, compare, background, ...rest }) {
+function lightKnobs({ exposure, overlay, compare, background, measures, rulers, ...rest }) {
   return rest;
 }
 

@@ -22,14 +22,15 @@ const SHARES = new Set(["albedo", "roughness", "strength"]);
  */
 export function attachKnobs(form, scene, view) {
   const select = (/** @type {string} */ id) => find(form, id, HTMLSelectElement);
-  const [shading, compare, overlay, background] = ["#shading", "#compare", "#overlay", "#background"].map(select);
+  const [shading, compare, overlay] = ["#shading", "#compare", "#overlay"].map(select);
+  const [background, rulers, projection] = ["#background", "#rulers-choice", "#projection"].map(select);
   const shadings = scene.shadings.map((id) => new Option(shadingName(id), id));
   shading.replaceChildren(...shadings);
   compare.replaceChildren(new Option("Nothing", ""), ...shadings.map((option) => option.cloneNode(true)));
   const sliders = [...form.querySelectorAll(".knob")].map((knob) => attachSlider(knob, scene, view));
   const mirrors = [
     ...sliders, attachChoice(shading, "shading", view), attachChoice(compare, "compare", view),
-    attachChoice(overlay, "overlay", view), attachChoice(background, "background", view), disableOwn(compare), attachTint(find(form, "#tint", HTMLInputElement), view), attachShine(select("#shine"), scene, view),
+    attachChoice(overlay, "overlay", view), attachChoice(background, "background", view), attachChoice(rulers, "rulers", view), attachChoice(projection, "projection", view), disableOwn(compare), attachTint(find(form, "#tint", HTMLInputElement), view), attachShine(select("#shine"), scene, view),
     attachScale(find(form, "#error-scale"), scene.error_scale), attachAxisViews(find(form, "#axis-views"), view),
   ];
   /** @param {Knobs} values */
@@ -91,7 +92,7 @@ function attachSlider(knob, scene, view) {
 
 /**
  * @param {HTMLSelectElement} select
- * @param {"shading"|"compare"|"overlay"|"background"} name
+ * @param {"shading"|"compare"|"overlay"|"background"|"rulers"|"projection"} name
  * @param {ViewModel} view
  * @returns {Mirror}
  */

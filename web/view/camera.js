@@ -4,13 +4,17 @@ import { cameraAxes } from "./rotation.js";
 
 /** @typedef {import("./rotation.js").Vec3} Vec3 */
 /** @typedef {import("../net/schemas.js").Scene} Scene */
-/** @typedef {{azimuth: number, elevation: number, distance: number, fov: number, target: Vec3|null}} Orbit knobs of the camera */
+/** @typedef {{azimuth: number, elevation: number, distance: number, fov: number, target: Vec3|null, projection?: string}} Orbit knobs of the camera */
 /** @typedef {{eye: Vec3, target: Vec3, up: Vec3}} Ray from the eye through the target; `up` in the picture */
 
 const MARGIN = 0.5; // radii by which a target may be outside the volume's box
 const FURTHEST = 1e12; // coordinates that the server takes
 const CLOSE = 0.05; // degrees
+const AFAR = 1e3; // radii from which parallel rays begin: before all of a volume
 const DEGREE = Math.PI / 180;
+
+/** How rays may leave the camera: from the eye, or side by side. */
+export const PROJECTIONS = ["perspective", "orthographic"];
 
 /**
  * Azimuth and elevation of the views along the axes; from above and from below, x goes to the right.
@@ -74,6 +78,11 @@ export function pan(scene, values, right, down) {
   return { target: each((i) => from[i] + height * (down * axes.up[i] - right * axes.right[i])) };
 }
 
+/** Whether a camera's rays are parallel. @param {Pick<Orbit, "projection">} values */
+function isParallel({ projection }) {
+  return projection === "orthographic";
+}
+
 /**
  * The ray through a place of the picture.
  * @param {{volume: Pick<Scene["volume"], "size"|"spacing"|"bounds">}} scene
@@ -88,11 +97,33 @@ export function rayThrough(scene, values, right, up) {
   const away = values.distance * radius;
   const height = 2 * away * Math.tan((values.fov * DEGREE) / 2);
   const middle = values.target ?? centre;
-  return {
-    eye: each((i) => middle[i] + away * axes.out[i]),
-    target: each((i) => middle[i] + height * (right * axes.right[i] + up * axes.up[i])),
-    up: axes.up,
-  };
+  const target = each((i) => middle[i] + height * (right * axes.right[i] + up * axes.up[i]));
+  const [from, far] = isParallel(values) ? [target, AFAR * radius] : [middle, away];
+  return { eye: each((i) => from[i] + far * axes.out[i]), target, up: axes.up };
+}
+
+/**
+ * Where a point of the world is in the picture.
+ * @param {{volume: Pick<Scene["volume"], "size"|"spacing"|"bounds">}} scene
+ * @param {Orbit} values knobs of the view
+ * @param {Vec3} point
+ * @returns {{right: number, up: number, depth: number}} of the middle, in heights of the picture; and along the view, in
+ *   world units: behind the eye it is not positive, and the place has no meaning
+ */
+export function placeOf(scene, values, point) {
+  const { centre, radius } = boxOf(scene);
+  const axes = cameraAxes(values.azimuth, values.elevation);
+  const middle = values.target ?? centre;
+  const from = each((i) => point[i] - middle[i]);
+  const away = values.distance * radius;
+  const depth = (isParallel(values) ? AFAR * radius : away) - dot(from, axes.out);
+  const height = 2 * (isParallel(values) ? away : depth) * Math.tan((values.fov * DEGREE) / 2);
+  return { right: dot(from, axes.right) / height, up: dot(from, axes.up) / height, depth };
+}
+
+/** @param {Vec3} a @param {Vec3} b */
+function dot(a, b) {
+  return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 }
 
 const OPPOSITE = /** @type {Record<string, string>} */ ({ R: "L", L: "R", A: "P", P: "A", S: "I", I: "S" });

@@ -16,6 +16,7 @@ const PINCH_WHEEL_RATE = 0.008; // a pinch on a touchpad comes as small wheel st
 const LINE_PIXELS = 16;
 const BY_LINE = 1; // `WheelEvent.DOM_DELTA_LINE`
 const [MIDDLE, RIGHT] = [1, 2];
+const [SLIP, FINGER_SLIP] = [4, 10]; // pixels that a click, and a tap, may move by
 
 /**
  * Turn the object as if held: dragged right its front moves right, dragged down it tips towards the viewer.
@@ -42,7 +43,7 @@ export function attachGestures(stage, scene, view, { onRest }) {
   let grip = { ...hold([]), values: view.values }; // where the fingers were, and the view was, when the last one came
 
   stage.addEventListener("pointerdown", (event) => {
-    if (onProblem(event)) return;
+    if (onPanel(event)) return;
     stage.setPointerCapture(event.pointerId);
     fingers.set(event.pointerId, place(event));
     stage.dataset.dragging = fingers.size > 1 ? "picture" : dragTarget(event, scene);
@@ -75,21 +76,37 @@ export function attachGestures(stage, scene, view, { onRest }) {
 }
 
 /**
- * Listen to double clicks on the stage: they bring a point of the surface to the middle of the picture.
+ * Listen to clicks and double clicks on the stage, or taps: a click is where the pointer has not moved meanwhile.
  * @param {HTMLElement} stage
- * @param {ViewModel} view
- * @param {(values: Knobs, right: number, up: number) => Promise<Vec3|null>} pick gives the surface's point at a place
- *   of the picture, in heights of the picture from its middle; null where there is none
+ * @param {{click: (right: number, up: number) => void, double: (right: number, up: number) => void}} hooks called with
+ *   the place in the picture, in heights of the picture from its middle; a double click is a click first
  */
-export function attachPick(stage, view, pick) {
-  stage.addEventListener("dblclick", async (event) => {
-    if (onProblem(event)) return;
-    const box = stage.getBoundingClientRect();
-    const right = (event.clientX - box.left - box.width / 2) / box.height;
-    const up = (box.top + box.height / 2 - event.clientY) / box.height;
-    const target = await pick(view.values, right, up);
-    if (target) view.set({ target });
+export function attachClicks(stage, { click, double }) {
+  /** @type {Place|null} */
+  let pressed = null; // null after a drag, and where a click is no plain one
+  let fingers = 0;
+  stage.addEventListener("pointerdown", (event) => {
+    fingers += 1;
+    const modified = event.button !== 0 || event.shiftKey || event.ctrlKey || event.altKey || event.metaKey;
+    pressed = fingers > 1 || modified || onPanel(event) ? null : place(event);
   });
+  stage.addEventListener("pointermove", ({ clientX: x, clientY: y, pointerType }) => {
+    if (pressed && Math.hypot(x - pressed.x, y - pressed.y) > (pointerType === "mouse" ? SLIP : FINGER_SLIP)) pressed = null;
+  });
+  for (const end of ["pointerup", "pointercancel"]) stage.addEventListener(end, () => { fingers = Math.max(0, fingers - 1); });
+  stage.addEventListener("click", (event) => pressed && event.detail < 2 && click(...placeIn(stage, event)));
+  stage.addEventListener("dblclick", (event) => onPanel(event) || double(...placeIn(stage, event)));
+}
+
+/**
+ * A place on the stage, in heights of the picture from its middle: to the right, and up.
+ * @param {HTMLElement} stage
+ * @param {MouseEvent} event
+ * @returns {[number, number]}
+ */
+function placeIn(stage, { clientX, clientY }) {
+  const { left, top, width, height } = stage.getBoundingClientRect();
+  return [(clientX - left - width / 2) / height, (top + height / 2 - clientY) / height];
 }
 
 /**
@@ -130,9 +147,9 @@ export function wheelZoom({ deltaY, deltaMode, ctrlKey }) {
   return Math.exp(pixels * (ctrlKey ? PINCH_WHEEL_RATE : WHEEL_RATE));
 }
 
-/** Whether an event belongs to the panel that lies over the picture. @param {Event} event */
-function onProblem({ target }) {
-  return target instanceof Element && target.closest("#trouble") !== null;
+/** Whether an event belongs to a panel that lies over the picture. @param {Event} event */
+function onPanel({ target }) {
+  return target instanceof Element && target.closest(".over") !== null;
 }
 
 /**

@@ -28,11 +28,12 @@ const MOVES = { a: [-1, 0], d: [1, 0], w: [0, -1], s: [0, 1] };
  * Listen to keys, except while another control needs them.
  * @param {Scene} scene
  * @param {ViewModel} view
- * @param {{toggleHelp: () => void, toggleFull: () => void}} options
+ * @param {{toggleHelp: () => void, keys: Record<string, () => void>}} options `keys` are others, by their small letters
  */
-export function attachKeys(scene, view, { toggleHelp, toggleFull }) {
+export function attachKeys(scene, view, { toggleHelp, keys }) {
+  const capitals = Object.entries(keys).map(([key, action]) => [key.toUpperCase(), action]);
   /** @type {Record<string, () => void>} */
-  const actions = { ...keyActions(scene, view, toggleHelp), f: toggleFull, F: toggleFull };
+  const actions = { ...keyActions(scene, view, toggleHelp), ...keys, ...Object.fromEntries(capitals) };
   document.addEventListener("keydown", (event) => {
     const { target } = event;
     if (!(target instanceof Element) || event.ctrlKey || event.metaKey || event.altKey || takesText(target)) return;

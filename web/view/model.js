@@ -1,8 +1,10 @@
 /** The view that the page shows: one plain object of knobs, kept within what the scene allows. */
 
 import { isTint, startAlbedo } from "./albedo.js";
-import { limitTarget } from "./camera.js";
+import { PROJECTIONS, limitTarget } from "./camera.js";
+import { limitMeasures } from "./measures.js";
 import { arePlanes } from "./planes.js";
+import { RULERS } from "./rulers.js";
 
 /** @typedef {import("./rotation.js").Vec3} Vec3 */
 /** @typedef {import("../net/schemas.js").Scene} Scene */
@@ -26,10 +28,13 @@ import { arePlanes } from "./planes.js";
  * @property {number} [roughness] of that shine
  * @property {number} [strength] of that shine
  * @property {Vec3|null} target what the camera turns about, world units; null for the volume's centre
+ * @property {string} projection one of PROJECTIONS
  * @property {string} shading
  * @property {string} overlay one of OVERLAYS
  * @property {string} compare a shading, or ""
  * @property {string} background one of BACKGROUNDS
+ * @property {string} rulers one of RULERS: whether a scale bar and the axes are shown
+ * @property {import("./measures.js").Measure[]} measures what was measured between points of the world
  * @property {string} environment the id of one of the scene's environments; "" for its own light
  * @property {string} planes what is cut away, as `planes.js` reads it; "" for nothing
  * @property {boolean} opened whether light comes in there
@@ -94,7 +99,8 @@ export class ViewModel {
     const numbers = NUMBERS.filter((name) => Number.isFinite(defaults[name])).map((name) => [name, defaults[name]]);
     const shading = defaults.shading ?? this.#scene.shadings[0];
     const shine = defaults.shine === undefined ? {} : { shine: defaults.shine };
-    return { ...Object.fromEntries(numbers), ...startAlbedo(this.#scene), ...shine, target: start.target, shading, overlay: "none", compare: "", background: "page", environment: "", planes: "", opened: this.#scene.cuts };
+    const projection = this.#scene.defaults.projection ?? PROJECTIONS[0];
+    return { ...Object.fromEntries(numbers), ...startAlbedo(this.#scene), ...shine, target: start.target, projection, shading, overlay: "none", compare: "", background: "page", environment: "", rulers: "on", measures: [], planes: "", opened: this.#scene.cuts };
   }
 
   /** The knobs as they are now (a copy). @returns {Knobs} */
@@ -110,14 +116,14 @@ export class ViewModel {
   set(patch, follows = false) {
     const next = this.#limited(patch, this.#values);
     const names = /** @type {(keyof Knobs)[]} */ (Object.keys(next));
-    if (names.every((name) => String(next[name]) === String(this.#values[name]))) return;
+    if (names.every((name) => JSON.stringify(next[name]) === JSON.stringify(this.#values[name]))) return;
     this.#values = next;
     this.#listeners.forEach((listener) => listener(this.values, follows));
   }
 
-  /** Go back to where the scene starts. */
+  /** Go back to where the scene starts; what was measured stays. */
   reset() {
-    this.set(this.defaults);
+    this.set({ ...this.defaults, measures: this.#values.measures });
   }
 
   /**
@@ -153,6 +159,7 @@ export class ViewModel {
     limited.target = limitTarget(this.#scene, wanted.target === undefined ? fallback.target : wanted.target);
     limited.planes = wanted.planes === "" || arePlanes(wanted.planes) ? wanted.planes : fallback.planes;
     limited.opened = this.#scene.cuts && (wanted.opened ?? fallback.opened);
+    limited.measures = limitMeasures(wanted.measures ?? fallback.measures);
     if (fallback.shine) limited.shine = this.#scene.shines.find((each) => each === wanted.shine) ?? fallback.shine;
     if (fallback.tint) limited.tint = isTint(wanted.tint) ? wanted.tint.toLowerCase() : fallback.tint;
     for (const name of NUMBERS.filter((each) => each in fallback)) {
@@ -169,7 +176,7 @@ export class ViewModel {
    * @param {Knobs} fallback
    */
   #choices(wanted, fallback) {
-    /** @type {(name: "shading"|"overlay"|"compare"|"background"|"environment", offered: string[]) => string} */
+    /** @type {(name: "shading"|"overlay"|"compare"|"background"|"environment"|"rulers"|"projection", offered: string[]) => string} */
     const chosen = (name, offered) => offered.find((each) => each === wanted[name]) ?? fallback[name];
     const { shadings, environments = [] } = this.#scene;
     const shading = chosen("shading", shadings);
@@ -177,7 +184,7 @@ export class ViewModel {
     const other = shading === fallback.shading ? "" : fallback.shading;
     const background = chosen("background", BACKGROUNDS);
     const environment = chosen("environment", ["", ...environments.map(({ id }) => id)]);
-    return { shading, background, environment, overlay: chosen("overlay", OVERLAYS), compare: compare === shading ? other : compare };
+    return { shading, background, environment, rulers: chosen("rulers", RULERS), projection: chosen("projection", PROJECTIONS), overlay: chosen("overlay", OVERLAYS), compare: compare === shading ? other : compare };
   }
 }
 

@@ -132,7 +132,7 @@ async def read_fit(request: Request, scene: SceneDep, params: FitParamsDep, serv
     """The camera that shows the whole surface as large as the picture takes it."""
     picture = service.picture_of(scene, params.view)
     renderer = service.engine.renderer(scene.id)
-    make = partial(camera_schema, renderer, picture.view, params.azimuth, params.elevation)
+    make = partial(camera_schema, renderer, picture.view, params.azimuth, params.elevation, params.projection)
     return await service.compute(request, make)
 
 

@@ -1,5 +1,6 @@
 """The view that parameters make: its camera, on an orbit or at an eye."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 from isogi_core.errors import ViewError
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
+from server.errors import ParameterError
 from server.parameters import ViewParams, camera_of, read
 
 
@@ -45,3 +47,14 @@ def test_an_eye_looks_at_the_middle_with_z_up(scene: Scene) -> None:
     camera = camera_of(scene, params("eye=50,60,70"))
     assert (camera.eye, camera.target, camera.up) == ((50.0, 60.0, 70.0), scene.volume.centre, (0.0, 0.0, 1.0))
     assert camera_of(scene, params("eye=50,60,70 target=0,0,0")).target == (0.0, 0.0, 0.0)
+
+
+def test_a_view_is_in_the_projection_that_it_or_its_scene_names(scene: Scene) -> None:
+    flat = replace(scene, camera_projection="orthographic")
+    usual, parallel = camera_of(scene, params("azimuth=10")), camera_of(flat, params("azimuth=10"))
+    assert parallel.fov < 1e-4 < usual.fov == 30.0
+    assert camera_of(scene, params("azimuth=10 projection=orthographic")) == parallel
+    assert camera_of(flat, params("azimuth=10 projection=perspective")) == usual
+    assert camera_of(scene, params("azimuth=10 projection=perspective")) == usual
+    with pytest.raises(ParameterError, match="projection"):
+        params("projection=fisheye")

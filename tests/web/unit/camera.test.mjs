@@ -1,7 +1,8 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { AXIS_VIEWS, boxOf, limitTarget, looksAlong, pan, rayThrough, sidesOf } from "../../../web/view/camera.js";
+import { AXIS_VIEWS, boxOf, limitTarget, looksAlong, pan, placeOf, rayThrough, sidesOf } from "../../../web/view/camera.js";
 import { dragObject, hold, pinched, wheelZoom } from "../../../web/view/gestures.js";
+import { spotOf } from "../../../web/view/marks.js";
 import { pictureSize } from "../../../web/view/picture.js";
 import { cameraAxes } from "../../../web/view/rotation.js";
 import { SCENE, knobs } from "./fixtures.mjs";
@@ -138,4 +139,42 @@ test("a picture has the box's pixels, at most 1024 a side", () => {
 test("a draft is smaller, and no side below 64", () => {
   assert.deepEqual(pictureSize(800, 400, 1, 0.5), { width: 400, height: 200 });
   assert.deepEqual(pictureSize(800, 100, 1, 0.25), { width: 200, height: 64 });
+});
+
+test("what a ray goes through is at its place in the picture", () => {
+  for (const view of [knobs(), knobs({ azimuth: -130, elevation: 70, fov: 90, distance: 1.5, target: [1, 2, 3] })]) {
+    for (const [right, up] of [[0, 0], [0.4, -0.3], [-0.7, 0.5]]) {
+      const { eye, target } = rayThrough(SCENE, view, right, up);
+      const ray = minus(target, eye);
+      for (const far of [0.5, 1, 3]) {
+        const place = placeOf(SCENE, view, eye.map((x, i) => x + far * ray[i]));
+        close([place.right, place.up, place.depth], [right, up, far * view.distance * RADIUS], 1e-9);
+      }
+      assert.ok(placeOf(SCENE, view, eye.map((x, i) => x - ray[i])).depth < 0, "behind the eye");
+    }
+  }
+});
+
+test("parallel rays go through their places, and nothing is behind the eye", () => {
+  const view = knobs({ azimuth: -130, elevation: 70, distance: 1.5, target: [1, 2, 3], projection: "orthographic" });
+  const middle = rayThrough(SCENE, view, 0, 0);
+  const way = minus(middle.target, middle.eye);
+  for (const [right, up] of [[0.4, -0.3], [-0.7, 0.5]]) {
+    const { eye, target } = rayThrough(SCENE, view, right, up);
+    close(minus(target, eye), way, 1e-6);
+    for (const along of [-20, 0, 20]) {
+      const point = target.map((x, i) => x + (along * way[i]) / Math.hypot(...way));
+      const place = placeOf(SCENE, view, point);
+      close([place.right, place.up], [right, up], 1e-9);
+      assert.ok(place.depth > 0);
+    }
+  }
+  const perspective = rayThrough(SCENE, { ...view, projection: "perspective" }, 0.4, -0.3).target;
+  close(rayThrough(SCENE, view, 0.4, -0.3).target, perspective, 1e-9);
+});
+
+test("a spot is on the stage, or it is not", () => {
+  assert.deepEqual(spotOf({ right: 0.25, up: -0.5, depth: 3 }, 400, 200), { x: 250, y: 200, inside: true });
+  assert.equal(spotOf({ right: 1.1, up: 0, depth: 3 }, 400, 200).inside, false);
+  assert.equal(spotOf({ right: 0, up: 0, depth: -3 }, 400, 200).inside, false);
 });

@@ -9,6 +9,7 @@ import { dividerPlace } from "../../../web/panels/comparison.js";
 import { History, courseInWords, legendShare, momentInWords } from "../../../web/panels/error.js";
 import { outline, solidSpan } from "../../../web/panels/histogram.js";
 import { knobInWords } from "../../../web/panels/knobs.js";
+import { pointRows, slicesAt } from "../../../web/panels/point.js";
 import { parseKept, scenePresets, toggled } from "../../../web/panels/presets.js";
 import { layerInWords, planRows, savingInWords, volumeRows } from "../../../web/panels/scene.js";
 import { announcement, badge } from "../../../web/panels/status.js";
@@ -263,4 +264,38 @@ test("keys move the divider, and no further than its ends", () => {
   const place = (key, now, shiftKey = false) => dividerPlace({ key, shiftKey }, now);
   assert.deepEqual([place("ArrowRight", 50), place("ArrowLeft", 50, true), place("PageUp", 95), place("ArrowLeft", 1)], [52, 40, 100, 0]);
   assert.deepEqual([place("Home", 50), place("End", 50), place("x", 50)], [0, 100, null]);
+});
+
+const POINT = {
+  unit: "mm", sides: "", position: [1.23456, -4.5, 10], voxel: [1.23456, 9, 30], value: 70, wall: null, normal: [0.6, -0.8, -0.001],
+  light: [0.123456, 0.5, 1.25], displayed: "#abcdef", state: "final", error: 0.0123,
+};
+
+test("a point is told to a part of a voxel", () => {
+  const rows = pointRows(SCENE, POINT);
+  assert.equal(rows.Position, "1.235, −4.5, 10 mm", "the finest voxel is a third of a millimetre");
+  const same = { ...POINT, position: [1, 2, 3], voxel: [1, 2, 3], unit: "" };
+  assert.deepEqual([pointRows(SCENE, same).Position, pointRows(SCENE, same).Voxel], ["1, 2, 3", ""], "nothing is told twice");
+  assert.deepEqual([rows.Voxel, rows.Value, rows.Wall], ["1.23, 9, 30", "70", ""]);
+  assert.deepEqual([rows.Normal, rows.Light], ["0.60, −0.80, 0.00", "0.123, 0.5, 1.25 linear, #abcdef"]);
+  assert.equal(pointRows(SCENE, { ...POINT, unit: "" }).Position, "1.235, −4.5, 10");
+});
+
+test("a point in a patient is told by sides", () => {
+  assert.equal(pointRows(SCENE, { ...POINT, sides: "LAS" }).Position, "L 1.235 · A 4.5 · S 10 mm");
+});
+
+test("a point says how far its light is", () => {
+  assert.equal(pointRows(SCENE, POINT).Error, "1.2 %");
+  assert.equal(pointRows(SCENE, { ...POINT, state: "converging" }).Error, "1.2 %, being refined");
+  assert.equal(pointRows(SCENE, { ...POINT, error: 0 }).Error, "", "without global illumination there is none");
+  assert.equal(pointRows(SCENE, { ...POINT, state: "provisional", error: 1 }).Error, "not known yet");
+  assert.deepEqual([pointRows(SCENE, { ...POINT, wall: 0, value: null })].map(({ Wall, Value }) => [Wall, Value]), [["1", ""]]);
+});
+
+test("slices go through the point, each as wide and high as its voxels", () => {
+  const [z, y, x] = slicesAt({ size: [10, 20, 5], spacing: [1, 0.5, 2] }, [4.5, 0, 3.96]);
+  assert.deepEqual(z, { axis: "z", at: 3.96, ratio: 1, right: 0.5, up: 0.025, name: "z 4" });
+  assert.deepEqual([y.axis, y.at, y.ratio, y.right, y.up.toFixed(3)], ["y", 0, 1, 0.5, "0.892"]);
+  assert.deepEqual([x.axis, x.at, x.ratio, x.right], ["x", 4.5, 1, 0.025]);
 });

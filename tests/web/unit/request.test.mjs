@@ -3,7 +3,7 @@ import { execFileSync } from "node:child_process";
 import { test } from "node:test";
 import { complaints, readAddress, writeAddress } from "../../../web/net/address.js";
 import { deleteUpload, frameAddress, readFrame, readScene, surfacePoint, wantsToken } from "../../../web/net/api.js";
-import { changedParameters, curlLine, describe, fileName, frameQuery, pythonLine } from "../../../web/net/request.js";
+import { changedParameters, curlLine, describe, fileName, frameQuery, pointQuery, pythonLine } from "../../../web/net/request.js";
 import { parsePairs, parseTiming, readFacts, streamedFrame } from "../../../web/net/schemas.js";
 import { Trouble, retryDelay, troubleOf } from "../../../web/net/trouble.js";
 import { ViewModel } from "../../../web/view/model.js";
@@ -249,4 +249,20 @@ test("shine is part of requests and addresses where the scene shines", () => {
   assert.deepEqual([start.shine, start.roughness], ["metal", 0.05]);
   const dull = new ViewModel(SCENE, { shine: "metal", roughness: 0.5 });
   for (const name of ["shine", "roughness", "strength"]) assert.ok(!(name in frameQuery(SCENE, dull.values, SIZE)), name);
+});
+
+test("a point is asked for by pixels of the same picture", () => {
+  const { overlay, background, f, ...view } = frameQuery(SCENE, knobs({ overlay: "error" }), SIZE);
+  assert.deepEqual(pointQuery({ ...view, overlay, background, f }, 0.25, -0.1), { ...view, x: 400, y: 240 });
+  assert.deepEqual(pointQuery({ ...view, overlay, background, f }, -1, -0.5), { ...view, x: 0, y: 399.5 }, "no pixel is outside");
+});
+
+test("the projection is asked for where it is not the scene's own", () => {
+  const flat = { ...SCENE, defaults: { ...SCENE.defaults, projection: "orthographic" } };
+  const parallel = knobs({ projection: "orthographic" });
+  assert.equal(frameQuery(SCENE, parallel, SIZE).projection, "orthographic");
+  assert.ok(!("projection" in frameQuery(SCENE, knobs(), SIZE)) && !("projection" in frameQuery(flat, parallel, SIZE)));
+  assert.equal(frameQuery(flat, knobs(), SIZE).projection, "perspective");
+  assert.equal(new ViewModel(flat).values.projection, "orthographic");
+  assert.equal(new ViewModel(flat, readAddress(writeAddress(flat, knobs())).start).values.projection, "perspective");
 });

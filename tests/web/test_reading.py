@@ -1,0 +1,305 @@
+"""Points of the picture that a person clicks: what the card says, and where its mark is as the camera turns."""
+
+import io
+from typing import Any
+from urllib.parse import parse_qsl, urlsplit
+
+import numpy as np
+import pytest
+from playwright.sync_api import Browser, Page, expect
+
+from tests.web.visits import BROWSER
+
+ADDRESS = "?shading=lambert&azimuth=25&elevation=15&distance=3"
+
+pytestmark = BROWSER
+
+
+@pytest.fixture
+def shown(page: Page, live_server: str) -> Page:
+    """The page with a picture, for which nothing is baked."""
+    page.goto(f"{live_server}/{ADDRESS}")
+    page.wait_for_selector("#picture:not([hidden])")
+    return page
+
+
+def stage_of(page: Page) -> tuple[float, float, int, int]:
+    """Left, top, width and height of the stage."""
+    box = page.locator("#stage").bounding_box()
+    assert box is not None
+    return box["x"], box["y"], round(box["width"]), round(box["height"])
+
+
+def surface(page: Page) -> np.ndarray:
+    """World positions (h, w, 3) of the surface in the stage's pixels, NaN where none is."""
+    page.wait_for_timeout(300)  # the address is written 150 ms after a change
+    view = {name: value for name, value in parse_qsl(urlsplit(page.url).query) if name not in ("scene", "exposure")}
+    *_, width, height = stage_of(page)
+    origin = "{0.scheme}://{0.netloc}".format(urlsplit(page.url))
+    query: dict[str, Any] = {**view, "f": "npy", "width": width, "height": height}
+    answer = page.request.get(f"{origin}/v1/scenes/small/frame", params=query)
+    assert answer.ok, answer.text()
+    planes: np.ndarray = np.load(io.BytesIO(answer.body()))
+    return np.where(planes[..., 3:4] > 0, planes[..., 6:], np.nan)
+
+
+def click(page: Page, column: int, row: int) -> None:
+    left, top, *_ = stage_of(page)
+    page.mouse.click(left + column + 0.5, top + row + 0.5)
+
+
+def fact(page: Page, name: str) -> str:
+    return page.locator(f"#point dt:text-is('{name}') + dd").inner_text()
+
+
+def position(page: Page) -> list[float]:
+    return [float(x.replace("−", "-")) for x in fact(page, "Position").split(",")]
+
+
+def mark(page: Page) -> tuple[float, float]:
+    """Column and row of the mark."""
+    node = page.locator("#marks circle")
+    return float(node.get_attribute("cx") or "nan"), float(node.get_attribute("cy") or "nan")
+
+
+def nearest(points: np.ndarray, position: list[float]) -> tuple[int, int, float]:
+    """Column and row of the pixel that shows what is nearest to a position, and how near that is."""
+    away = np.nan_to_num(np.linalg.norm(points - position, axis=-1), nan=np.inf)
+    row, column = np.unravel_index(np.argmin(away), away.shape)
+    return int(column), int(row), float(away.min())
+
+
+def test_a_click_tells_the_point_under_it(shown: Page) -> None:
+    points = surface(shown)
+    *_, width, height = stage_of(shown)
+    for column, row in ((width // 2, height // 2), (width // 2 - 60, height // 2 + 30)):
+        click(shown, column, row)
+        expect(shown.locator("#point")).to_be_visible()
+        shown.wait_for_timeout(300)
+        assert position(shown) == pytest.approx(points[row, column], abs=0.05)
+        assert mark(shown) == pytest.approx((column + 0.5, row + 0.5), abs=1.0)
+        assert fact(shown, "Value") == "0.5"
+        assert len(fact(shown, "Normal").split(",")) == 3 and "linear, #" in fact(shown, "Light")
+
+
+def test_the_mark_stays_on_its_point_as_the_camera_turns(shown: Page) -> None:
+    *_, width, height = stage_of(shown)
+    click(shown, width // 2 + 20, height // 2 - 10)
+    expect(shown.locator("#marks circle")).to_be_visible()
+    point = position(shown)
+    shown.focus("#stage")
+    for key in ("ArrowLeft", "ArrowLeft", "ArrowUp", "+", "d"):
+        shown.keyboard.press(key)
+    column, row, away = nearest(surface(shown), point)
+    assert away < 0.1
+    assert mark(shown) == pytest.approx((column + 0.5, row + 0.5), abs=2.0)
+    assert position(shown) == point
+
+
+def test_the_mark_hides_behind_the_surface_and_comes_back(shown: Page) -> None:
+    *_, width, height = stage_of(shown)
+    click(shown, width // 2, height // 2)
+    expect(shown.locator("#marks circle")).to_be_visible()
+    shown.focus("#stage")
+    shown.keyboard.press("Shift+X")
+    expect(shown.locator("#marks circle")).to_have_count(0)
+    expect(shown.locator("#point .note")).to_have_text("Behind the surface from here")
+    shown.keyboard.press("x")
+    expect(shown.locator("#marks circle")).to_have_count(1)
+    expect(shown.locator("#point .note")).to_be_empty()
+
+
+def test_the_card_goes_when_it_is_not_wanted(shown: Page) -> None:
+    *_, width, height = stage_of(shown)
+    card = shown.locator("#point")
+    for leave in (
+        lambda: shown.keyboard.press("Escape"),
+        lambda: click(shown, 3, 3),
+        lambda: shown.click("#point .close"),
+        lambda: shown.keyboard.press("]"),
+    ):
+        shown.focus("#stage")
+        shown.keyboard.press("p")
+        expect(card).to_be_visible()
+        assert mark(shown) == pytest.approx((width / 2, height / 2), abs=1.0)
+        leave()
+        expect(card).to_be_hidden()
+        expect(shown.locator("#marks circle")).to_have_count(0)
+
+
+def test_a_drag_is_no_click_and_neither_is_shift(shown: Page) -> None:
+    left, top, width, height = stage_of(shown)
+    x, y = left + width / 2, top + height / 2
+    shown.mouse.move(x, y)
+    shown.mouse.down()
+    shown.mouse.move(x + 30, y, steps=3)
+    shown.mouse.move(x, y, steps=3)
+    shown.mouse.up()
+    shown.keyboard.down("Shift")
+    shown.mouse.click(x, y)
+    shown.keyboard.up("Shift")
+    shown.mouse.click(x, y, button="right")
+    shown.wait_for_timeout(500)
+    expect(shown.locator("#point")).to_be_hidden()
+
+
+def measured(page: Page) -> list[str]:
+    """The measures in the list."""
+    return [text.replace("×", "").strip() for text in page.locator("#measures li").all_inner_texts()]
+
+
+def in_voxels(text: str) -> float:
+    assert text.startswith("Distance ") and text.endswith(" voxels")
+    return float(text.split()[1])
+
+
+def test_two_points_give_a_distance_and_three_an_angle(shown: Page) -> None:
+    points = surface(shown)
+    *_, width, height = stage_of(shown)
+    places = [(width // 2 + 60, height // 2), (width // 2 - 70, height // 2 + 10), (width // 2, height // 2 - 40)]
+    a, b, c = (points[row, column] for column, row in places)
+    click(shown, *places[0])
+    shown.click("#point-measure")
+    expect(shown.locator("#point")).to_be_hidden()
+    expect(shown.locator("#measuring")).to_contain_text("second point")
+    click(shown, *places[1])
+    expect(shown.locator("#measures li")).to_have_count(1)
+    assert in_voxels(measured(shown)[0]) == pytest.approx(np.linalg.norm(a - b), abs=0.1)
+    click(shown, *places[2])
+    expect(shown.locator("#measuring")).to_be_hidden()
+    u, v = a - b, c - b
+    angle = np.degrees(np.arccos(u @ v / np.linalg.norm(u) / np.linalg.norm(v)))
+    assert [float(text.removeprefix("Angle ").rstrip("°")) for text in measured(shown)] == pytest.approx(
+        [angle], abs=1.0
+    )
+    assert shown.locator("#marks text").inner_html() == measured(shown)[0].removeprefix("Angle ")
+
+
+def test_measures_live_in_the_address_until_they_are_removed(shown: Page) -> None:
+    *_, width, height = stage_of(shown)
+    shown.focus("#stage")
+    for column in (width // 2 - 40, width // 2 + 40):
+        shown.keyboard.press("m")
+        click(shown, column, height // 2)
+        expect(shown.locator("#measuring")).to_contain_text("second point")
+        shown.keyboard.press("p")
+        expect(shown.locator("#measuring")).to_contain_text("third point")
+        shown.keyboard.press("Escape")
+        expect(shown.locator("#measuring")).to_be_hidden()
+    before = measured(shown)
+    assert len(before) == 2
+    shown.wait_for_timeout(400)  # the address is written 150 ms after a change
+    shown.reload()
+    expect(shown.locator("#measures li")).to_have_count(2)
+    assert measured(shown) == before
+    expect(shown.locator("#marks text")).to_have_count(2)
+    shown.get_by_role("button", name="Remove").first.click()
+    assert measured(shown) == before[1:]
+    shown.get_by_role("button", name="Remove").first.click()
+    expect(shown.locator("#measures")).to_be_hidden()
+    expect(shown.locator("#marks > *")).to_have_count(0)
+    shown.wait_for_timeout(400)
+    assert "measure" not in shown.url
+
+
+def test_lines_end_on_their_points_as_the_camera_turns(shown: Page) -> None:
+    a, b = (16.0, 9.5, 11.5), (8.0, 9.5, 11.5)
+    shown.goto(f"{shown.url}&measure={','.join(map(str, a))};{','.join(map(str, b))}")
+    shown.wait_for_selector("#picture:not([hidden])")
+    shown.focus("#stage")
+    shown.keyboard.press("ArrowLeft")
+    shown.keyboard.press("z")
+    *_, width, height = stage_of(shown)
+    line = shown.locator("#marks polyline.line").get_attribute("points") or ""
+    ends = [tuple(map(float, end.split(","))) for end in line.split()]
+    eye = np.array([11.5, 9.5, 7.5]) + 3 * np.linalg.norm([11.5, 9.5, 7.5]) * np.array([0, 0, 1])
+    for point, end in zip((a, b), ends, strict=True):  # from above, x goes to the right and y up
+        right, up, out = np.subtract(point, eye)
+        scale = height / (2 * -out * np.tan(np.radians(15)))
+        assert end == pytest.approx((width / 2 + right * scale, height / 2 - up * scale), abs=0.5)
+    expect(shown.locator("#marks polyline.line.hidden")).to_have_count(0)
+    shown.keyboard.press("Shift+Z")
+    expect(shown.locator("#marks polyline.line.hidden")).to_have_count(1)
+
+
+def test_scale_and_axes_are_switched_by_a_key(shown: Page) -> None:
+    rulers = shown.locator("#rulers")
+    expect(rulers.locator("text")).to_have_count(5)
+    expect(rulers).to_contain_text("voxels")
+    line = rulers.locator("polyline.line").last.get_attribute("points") or ""
+    (left, _), (right, _) = (map(float, place.split(",")) for place in line.split()[1:3])
+    *_, height = stage_of(shown)
+    pixel = 2 * 3 * np.linalg.norm([11.5, 9.5, 7.5]) * np.tan(np.radians(15)) / height
+    words = rulers.locator("text").nth(3).inner_html()
+    assert (right - left) * pixel == pytest.approx(float(words.removesuffix(" voxels")), rel=1e-3)
+    shown.focus("#stage")
+    shown.keyboard.press("r")
+    expect(rulers).to_be_hidden()
+    shown.wait_for_timeout(400)
+    assert "rulers=off" in shown.url
+    shown.keyboard.press("r")
+    expect(rulers.locator("text")).to_have_count(5)
+
+
+def test_marks_hold_under_parallel_rays(shown: Page) -> None:
+    shown.eval_on_selector("#camera", "details => { details.open = true; }")
+    shown.select_option("#projection", "orthographic")
+    points = surface(shown)
+    assert "projection=orthographic" in shown.url
+    *_, width, height = stage_of(shown)
+    column, row = width // 2 - 50, height // 2 + 25
+    click(shown, column, row)
+    expect(shown.locator("#marks circle")).to_be_visible()
+    point = position(shown)
+    assert point == pytest.approx(points[row, column], abs=0.05)
+    assert "depth" not in shown.locator("#rulers").inner_html()
+    shown.focus("#stage")
+    for key in ("ArrowLeft", "ArrowUp", "d"):
+        shown.keyboard.press(key)
+    column, row, away = nearest(surface(shown), point)
+    assert away < 0.1
+    assert mark(shown) == pytest.approx((column + 0.5, row + 0.5), abs=2.0)
+    shown.keyboard.press("Shift+X")
+    expect(shown.locator("#marks circle")).to_have_count(0)
+
+
+def test_slices_go_through_the_point_once_they_are_wanted(shown: Page) -> None:
+    asked: list[str] = []
+    shown.on("request", lambda request: asked.append(request.url) if "/slice?" in request.url else None)
+    *_, width, height = stage_of(shown)
+    click(shown, width // 2 + 20, height // 2 - 10)
+    expect(shown.locator("#point")).to_be_visible()
+    assert asked == []
+    shown.click("#slices summary")
+    expect(shown.locator("#slices img")).to_have_count(3)
+    shown.wait_for_function("[...document.querySelectorAll('#slices img')].every(image => image.naturalWidth > 1)")
+    sizes = shown.eval_on_selector_all(
+        "#slices img", "all => all.map(image => [image.naturalWidth, image.naturalHeight])"
+    )
+    assert sizes == [[24, 20], [24, 16], [20, 16]]
+    at = {
+        dict(parse_qsl(urlsplit(url).query))["axis"]: float(dict(parse_qsl(urlsplit(url).query))["at"]) for url in asked
+    }
+    assert [at[axis] for axis in "xyz"] == pytest.approx(position(shown), abs=0.01), "this volume's spacing is 1"
+    click(shown, width // 2, height // 2)
+    expect(shown.locator("#slices figcaption").first).not_to_have_text(f"z {round(at['z'], 1):g}")
+    assert len(asked) == 6
+
+
+def test_a_tap_on_a_phone_docks_the_card_away_from_it(browser: Browser, live_server: str) -> None:
+    context = browser.new_context(viewport={"width": 390, "height": 844}, has_touch=True)
+    page = context.new_page()
+    page.goto(f"{live_server}/{ADDRESS}")
+    page.wait_for_selector("#picture:not([hidden])")
+    left, top, width, height = stage_of(page)
+    page.touchscreen.tap(left + width / 2, top + height / 2)
+    expect(page.locator("#point")).to_be_visible()
+    card = page.locator("#point").bounding_box()
+    assert card is not None
+    assert card["x"] >= left and card["x"] + card["width"] <= left + width
+    assert top + height / 2 < card["y"] and card["y"] + card["height"] <= top + height
+    page.touchscreen.tap(left + width / 2, top + 0.65 * height)
+    expect(page.locator("#point[data-low]")).to_be_visible()
+    card = page.locator("#point").bounding_box()
+    assert card is not None and top <= card["y"] and card["y"] + card["height"] < top + 0.65 * height
+    context.close()

@@ -1,0 +1,229 @@
+/** The card of a point of the surface: what is known of it, beside the mark on it, and slices through it. */
+
+import { find, textElement } from "../dom.js";
+import { sliceAddress } from "../net/api.js";
+import { errorInWords } from "../view/format.js";
+
+/** @typedef {import("../net/schemas.js").Scene} Scene */
+/** @typedef {import("../net/schemas.js").SurfacePoint} SurfacePoint */
+/** @typedef {import("../view/marks.js").Marks} Marks */
+/** @typedef {import("../view/rotation.js").Vec3} Vec3 */
+/** @typedef {Record<string, string>} Rows names and values; what is "" is left out */
+/** @typedef {{axis: "x"|"y"|"z", at: number, ratio: number, right: number, up: number, name: string}} Slice `ratio` is its
+ *   width over its height in the world; `right` and `up` are where the point is, in shares of them */
+
+const DIGITS = 2; // decimals of a voxel that coordinates tell apart
+const OFF = 14; // pixels between a mark and its card
+const EDGE = 8; // pixels between a card and the edge of the stage
+const REST_MS = 600; // between two questions about the same point
+const HIDDEN = "Behind the surface from here";
+
+/** Shows one point at a time, and keeps what it says up with the light. */
+export class PointCard {
+  #card;
+  #scene;
+  #marks;
+  #ask;
+  /** @type {Vec3|null} */
+  #point = null;
+  #asked = 0; // counts questions, so that a slow answer does not overtake a newer one
+  #timer = 0;
+
+  /** Is called when another point is shown, or none. @type {() => void} */
+  onChange = () => {};
+
+  /** Is called when something is written about a point. @type {(point: SurfacePoint) => void} */
+  onWrite = () => {};
+
+  /**
+   * @param {HTMLElement} card
+   * @param {Scene} scene
+   * @param {Marks} marks
+   * @param {(right: number, up: number) => Promise<SurfacePoint|null>} ask gives the surface at a place of the picture,
+   *   in heights of the picture from its middle
+   */
+  constructor(card, scene, marks, ask) {
+    this.#card = card;
+    this.#scene = scene;
+    this.#marks = marks;
+    this.#ask = ask;
+    find(card, ".close").addEventListener("click", () => this.close());
+  }
+
+  /** The point that is shown; null where none is. @returns {Vec3|null} */
+  get point() {
+    return this.#point;
+  }
+
+  /**
+   * Show what is at a place of the picture; nothing, where no surface is.
+   * @param {number} right of the middle, in heights of the picture
+   * @param {number} up of the middle, in heights of the picture
+   */
+  async open(right, up) {
+    const count = ++this.#asked;
+    const found = await this.#ask(right, up);
+    if (count !== this.#asked) return;
+    if (!found) return this.close();
+    this.#point = found.position;
+    this.#write(found);
+    this.#card.hidden = false;
+    this.onChange();
+  }
+
+  /** Show none. */
+  close() {
+    this.#asked += 1;
+    clearTimeout(this.#timer);
+    this.#timer = 0;
+    this.#point = null;
+    this.#card.hidden = true;
+    this.onChange();
+  }
+
+  /** The picture has become better: ask for its light again, soon. */
+  refresh() {
+    if (this.#point && !this.#timer) this.#timer = setTimeout(() => this.#again(), REST_MS);
+  }
+
+  /** Put the card beside its mark; docked cards are placed by the style sheet. */
+  place() {
+    if (!this.#point || !this.#card.parentElement) return;
+    const { clientWidth, clientHeight } = this.#card.parentElement;
+    const [{ x, y }, { offsetWidth, offsetHeight }] = [this.#marks.spot(this.#point), this.#card];
+    const left = x + OFF + offsetWidth + EDGE <= clientWidth ? x + OFF : x - OFF - offsetWidth;
+    this.#card.style.left = `${within(left, EDGE, clientWidth - offsetWidth - EDGE)}px`;
+    this.#card.style.top = `${within(y + OFF, EDGE, clientHeight - offsetHeight - EDGE)}px`;
+    this.#card.toggleAttribute("data-low", y > clientHeight / 2);
+    const hidden = this.#marks.hides(this.#point);
+    this.#card.toggleAttribute("data-hidden", hidden);
+    find(this.#card, ".note").textContent = hidden ? HIDDEN : "";
+  }
+
+  async #again() {
+    this.#timer = 0;
+    const [point, count] = [this.#point, this.#asked];
+    if (!point || this.#marks.hides(point)) return;
+    const place = this.#marks.place(point);
+    const found = await this.#ask(place.right, place.up);
+    if (!found || count !== this.#asked || !this.#same(found.position, point)) return;
+    this.#write({ ...found, position: point });
+  }
+
+  /** Whether a pixel shows a point: its middle is a little beside it. @param {Vec3} a @param {Vec3} b */
+  #same(a, b) {
+    return Math.hypot(...a.map((x, i) => x - b[i])) < 2 * Math.max(...this.#scene.volume.spacing);
+  }
+
+  /** @param {SurfacePoint} point */
+  #write(point) {
+    const rows = Object.entries(pointRows(this.#scene, point)).filter(([, value]) => value);
+    find(this.#card, "dl").replaceChildren(...rows.flatMap(([name, value]) => [textElement("dt", name), textElement("dd", value)]));
+    find(this.#card, ".swatch").style.background = point.displayed;
+    this.onWrite(point);
+    this.place();
+  }
+}
+
+/**
+ * What is known of a point, for a person.
+ * @param {Pick<Scene, "volume">} scene
+ * @param {SurfacePoint} point
+ * @returns {Rows}
+ */
+export function pointRows({ volume }, { position, sides, unit, voxel, value, wall, normal, light, displayed, state, error }) {
+  const decimals = Math.min(20, Math.max(0, Math.ceil(-Math.log10(Math.min(...volume.spacing))) + DIGITS));
+  const coordinate = (/** @type {number} */ x) => minus(String(Number(x.toFixed(decimals))));
+  const sided = position.map((x, i) => `${sides[i]} ${coordinate(Math.abs(x))}`);
+  const places = (sides ? sided : position.map(coordinate)).join(sides ? " · " : ", ");
+  const indices = voxel.map((x) => minus(String(Number(x.toFixed(DIGITS))))).join(", ");
+  return {
+    Position: `${places} ${unit}`.trim(),
+    Voxel: indices === places ? "" : indices,
+    Value: value === null ? "" : minus(String(Number(value.toPrecision(6)))),
+    Wall: wall === null ? "" : String(wall + 1),
+    Normal: normal.map((x) => minus(x.toFixed(2).replace("-0.00", "0.00"))).join(", "),
+    Light: `${light.map((x) => Number(x.toPrecision(3))).join(", ")} linear, ${displayed}`,
+    Error: errorOf(state, error),
+  };
+}
+
+/**
+ * @param {SurfacePoint["state"]} state
+ * @param {number} error
+ */
+function errorOf(state, error) {
+  if (state === "provisional") return "not known yet";
+  if (error === 0) return ""; // of a shading that has none
+  return `${errorInWords(error)}${state === "final" ? "" : ", being refined"}`;
+}
+
+/** @param {string} number */
+function minus(number) {
+  return number.replace("-", "−");
+}
+
+/**
+ * @param {number} x
+ * @param {number} low
+ * @param {number} high
+ */
+function within(x, low, high) {
+  return Math.max(low, Math.min(high, x));
+}
+
+/** @type {["x"|"y"|"z", number, number, number][]} */
+const PLANES = [["z", 2, 0, 1], ["y", 1, 0, 2], ["x", 0, 1, 2]]; // an axis, its number, and those of columns and rows
+
+/**
+ * The slices through a point.
+ * @param {Pick<Scene["volume"], "size"|"spacing">} volume
+ * @param {Vec3} voxel indices, x first
+ * @returns {Slice[]}
+ */
+export function slicesAt({ size, spacing }, voxel) {
+  return PLANES.map(([axis, across, column, row]) => {
+    const at = Math.min(size[across] - 1, Math.max(0, voxel[across]));
+    const share = (/** @type {number} */ i) => (voxel[i] + 0.5) / size[i]; // a voxel is as wide as its pixel
+    const ratio = (size[column] * spacing[column]) / (size[row] * spacing[row]);
+    return { axis, at, ratio, right: share(column), up: share(row), name: `${axis} ${Number(at.toFixed(1))}` };
+  });
+}
+
+/**
+ * Show slices in a part of the page that is folded at first: none is asked for before it is opened.
+ * @param {HTMLDetailsElement} root
+ * @param {Pick<Scene, "id"|"volume">} scene
+ * @param {() => void} onFold called when it is opened or folded
+ * @returns {(voxel: Vec3) => void} shows those through a point
+ */
+export function attachSlices(root, scene, onFold) {
+  /** @type {Vec3|null} */
+  let shown = null;
+  const draw = () => {
+    if (!shown || !root.open) return;
+    find(root, "div").replaceChildren(...slicesAt(scene.volume, shown).map((slice) => figureOf(scene.id, slice)));
+  };
+  root.addEventListener("toggle", () => {
+    draw();
+    onFold();
+  });
+  return (voxel) => {
+    if (String(voxel) === String(shown)) return;
+    shown = voxel;
+    draw();
+  };
+}
+
+/** @param {string} scene @param {Slice} slice */
+function figureOf(scene, { axis, at, ratio, right, up, name }) {
+  const figure = document.createElement("figure");
+  const picture = Object.assign(new Image(), { src: sliceAddress(scene, axis, at).href, alt: `Slice at ${name}`, draggable: false });
+  const plane = document.createElement("div");
+  plane.style.aspectRatio = String(ratio);
+  plane.style.setProperty("--right", `${100 * right}%`);
+  plane.style.setProperty("--up", `${100 * up}%`);
+  plane.append(picture);
+  figure.append(plane, textElement("figcaption", name));
+  return figure;
+}

@@ -1,0 +1,163 @@
+/** Marks over the picture that stay on points of the world while the camera moves, hidden behind the surface. */
+
+import { svgElement } from "../dom.js";
+import { placeOf } from "./camera.js";
+import { arcOf, measureInWords } from "./measures.js";
+
+/** @typedef {import("./camera.js").Vec3} Vec3 */
+/** @typedef {import("./measures.js").Measure} Measure */
+/** @typedef {import("./model.js").Knobs} Knobs */
+/** @typedef {import("./model.js").ViewModel} ViewModel */
+/** @typedef {import("../net/schemas.js").Scene} Scene */
+/** @typedef {{x: number, y: number, inside: boolean}} Spot pixels from the stage's top left, and whether it is on it */
+/** @typedef {(values: Knobs, right: number, up: number) => Promise<Vec3|null>} FindSurface gives the surface's point at a place
+ *   of the picture, in heights of the picture from its middle; null where there is none */
+
+const NEARER = 0.5; // voxels by which a surface must be before a point to hide it
+const RADIUS = 5; // pixels
+const LABEL_UP = 8; // pixels from a line to the words about it
+const BEYOND = 24; // pixels from an arc to the words about it
+
+/** Draws marks on points and lines between them, and knows which of them the surface hides. */
+export class Marks {
+  #root;
+  #scene;
+  #view;
+  #pick;
+  /** @type {Vec3[]} */
+  #points = [];
+  /** @type {Measure[]} */
+  #measures = [];
+  /** @type {Set<string>} */
+  #hidden = new Set();
+  #looking = false;
+  #turned = false;
+
+  /** Is called whenever marks are drawn. @type {() => void} */
+  onDraw = () => {};
+
+  /**
+   * @param {SVGElement} root fills the stage
+   * @param {Scene} scene
+   * @param {ViewModel} view
+   * @param {FindSurface} pick
+   */
+  constructor(root, scene, view, pick) {
+    this.#root = root;
+    this.#scene = scene;
+    this.#view = view;
+    this.#pick = pick;
+    view.subscribe(() => this.#changed());
+    new ResizeObserver(() => this.#draw()).observe(root);
+  }
+
+  /**
+   * Mark these points, and no others.
+   * @param {Vec3[]} points
+   * @param {Measure[]} measures lines between some of them
+   */
+  show(points, measures) {
+    [this.#points, this.#measures] = [points, measures];
+    this.#changed();
+  }
+
+  /** Whether the surface is before a point, as far as is known. @param {Vec3} point @returns {boolean} */
+  hides(point) {
+    return this.#hidden.has(String(point));
+  }
+
+  /** Where a point is in the picture, as the view is now; see `placeOf`. @param {Vec3} point */
+  place(point) {
+    return placeOf(this.#scene, this.#view.values, point);
+  }
+
+  /** Where a point is on the stage, as the view is now. @param {Vec3} point @returns {Spot} */
+  spot(point) {
+    return spotOf(this.place(point), this.#root.clientWidth, this.#root.clientHeight);
+  }
+
+  #changed() {
+    this.#draw();
+    this.#turned = true;
+    if (!this.#looking && this.#points.length) this.#look();
+  }
+
+  /** Ask for the surface before the points, one after the other, until all are known in the newest view. */
+  async #look() {
+    this.#looking = true;
+    while (this.#turned) {
+      this.#turned = false;
+      const values = this.#view.values;
+      for (const point of new Map(this.#points.map((each) => [String(each), each])).values()) {
+        const hidden = await this.#behind(values, point);
+        this.#hidden[hidden ? "add" : "delete"](String(point));
+        this.#draw();
+        if (this.#turned) break;
+      }
+    }
+    this.#looking = false;
+  }
+
+  /**
+   * Whether the surface is before a point.
+   * @param {Knobs} values
+   * @param {Vec3} point
+   */
+  async #behind(values, point) {
+    const { right, up, depth } = placeOf(this.#scene, values, point);
+    if (depth <= 0 || !this.spot(point).inside) return false;
+    const met = await this.#pick(values, right, up);
+    return met !== null && placeOf(this.#scene, values, met).depth < depth - NEARER * Math.max(...this.#scene.volume.spacing);
+  }
+
+  #draw() {
+    const shown = this.#points.filter((point) => !this.hides(point)).map((point) => this.spot(point));
+    const lines = this.#measures.flatMap((points) => this.#lines(points));
+    this.#root.replaceChildren(...lines, ...shown.filter(({ inside }) => inside).map(ring));
+    this.onDraw();
+  }
+
+  /** The lines of a measure and its words; dashed where an end is hidden, none where one is behind the eye. @param {Measure} points */
+  #lines(points) {
+    const all = [points, arcOf(points)];
+    if (all.flat().some((point) => this.place(point).depth <= 0)) return [];
+    const [line, arc] = all.map((row) => row.map((point) => this.spot(point)));
+    const hidden = points.some((point) => this.hides(point)) ? "hidden" : "";
+    const words = measureInWords(this.#scene.volume, points);
+    return [...pathOf(line, hidden), ...pathOf(arc, hidden), labelOf(line, arc, words)];
+  }
+}
+
+/**
+ * Where a place of the picture is on a stage.
+ * @param {{right: number, up: number, depth: number}} place in heights of the picture from its middle
+ * @param {number} width of the stage, pixels
+ * @param {number} height of the stage, pixels
+ * @returns {Spot}
+ */
+export function spotOf({ right, up, depth }, width, height) {
+  const [x, y] = [width / 2 + right * height, height / 2 - up * height];
+  return { x, y, inside: depth > 0 && x >= 0 && x <= width && y >= 0 && y <= height };
+}
+
+/** @param {Spot} spot */
+function ring({ x, y }) {
+  return svgElement("circle", { class: "mark", cx: x.toFixed(2), cy: y.toFixed(2), r: RADIUS });
+}
+
+/** A line over the picture, with a darker one under it. @param {Spot[]} spots @param {string} kind @returns {SVGElement[]} */
+function pathOf(spots, kind) {
+  const points = spots.map(({ x, y }) => `${x.toFixed(2)},${y.toFixed(2)}`).join(" ");
+  return points ? ["under", "line"].map((each) => svgElement("polyline", { class: `${each} ${kind}`, points })) : [];
+}
+
+/** Words above the middle of a line, or beyond the arc of an angle. @param {Spot[]} line @param {Spot[]} arc @param {string} words */
+function labelOf([a, b], arc, words) {
+  const middle = arc[arc.length >> 1];
+  const away = middle ? Math.hypot(middle.x - b.x, middle.y - b.y) : 0;
+  const share = away > 0 ? 1 + BEYOND / away : 0;
+  const [x, y] = middle
+    ? [b.x + share * (middle.x - b.x), b.y + share * (middle.y - b.y) + LABEL_UP / 2]
+    : [(a.x + b.x) / 2, (a.y + b.y) / 2 - LABEL_UP];
+  return svgElement("text", { class: "measure", x: x.toFixed(2), y: y.toFixed(2) }, words);
+}

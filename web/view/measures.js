@@ -1,0 +1,135 @@
+/** Measures between points of the world: a distance of two, the angle at the second of three. */
+
+/** @typedef {import("./rotation.js").Vec3} Vec3 */
+/** @typedef {import("../net/schemas.js").Volume} Volume */
+/** @typedef {Vec3[]} Measure two points, or three */
+
+const DIGITS = 6; // of a coordinate: what an address can hold, and a voxel of any volume needs
+const FURTHEST = 1e12;
+const ARC_SHARE = 0.3; // of the shorter side of an angle
+const ARC_STEPS = 16;
+
+/** How many measures a view may have. */
+export const MOST = 20;
+
+/**
+ * Measures with digits that an address can hold; what is none is left out.
+ * @param {unknown} wanted
+ * @returns {Measure[]}
+ */
+export function limitMeasures(wanted) {
+  if (!Array.isArray(wanted)) return [];
+  return wanted.filter(isMeasure).slice(0, MOST).map((points) => points.map(rounded));
+}
+
+/**
+ * A measure as the address has it, `x,y,z;x,y,z`.
+ * @param {Measure} points
+ * @returns {string}
+ */
+export function writeMeasure(points) {
+  return points.map((point) => point.join(",")).join(";");
+}
+
+/**
+ * A measure that an address has; null where it is none.
+ * @param {string} text
+ * @returns {Measure|null}
+ */
+export function readMeasure(text) {
+  const points = text.split(";").map((point) => point.split(",").map((x) => (x.trim() ? Number(x) : NaN)));
+  return isMeasure(points) ? points : null;
+}
+
+/**
+ * How far two points are from each other.
+ * @param {Vec3} a
+ * @param {Vec3} b
+ * @returns {number} in the unit of the world
+ */
+export function distanceOf(a, b) {
+  return Math.hypot(...a.map((x, i) => b[i] - x));
+}
+
+/**
+ * The angle at `b` between the ways to `a` and to `c`.
+ * @param {Vec3} a
+ * @param {Vec3} b
+ * @param {Vec3} c
+ * @returns {number} degrees, 0 to 180; NaN where one of the ways has no length
+ */
+export function angleOf(a, b, c) {
+  const [u, v] = [from(b, a), from(b, c)];
+  if (!Math.hypot(...u) || !Math.hypot(...v)) return NaN;
+  const cross = Math.hypot(u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]);
+  return (Math.atan2(cross, u[0] * v[0] + u[1] * v[1] + u[2] * v[2]) * 180) / Math.PI;
+}
+
+/**
+ * The unit of a volume's lengths, for a person.
+ * @param {Pick<Volume, "unit"|"spacing">} volume
+ * @returns {string}
+ */
+export function unitOf({ unit, spacing }) {
+  return unit || (spacing.every((step) => step === 1) ? "voxels" : "units");
+}
+
+/**
+ * What a measure comes to, such as "23.4 mm" or "41.2°".
+ * @param {Pick<Volume, "unit"|"spacing">} volume
+ * @param {Measure} points
+ * @returns {string}
+ */
+export function measureInWords(volume, [a, b, c]) {
+  if (c === undefined) return `${Number(distanceOf(a, b).toPrecision(4))} ${unitOf(volume)}`;
+  const angle = angleOf(a, b, c);
+  return Number.isNaN(angle) ? "no angle" : `${angle.toFixed(1)}°`;
+}
+
+/**
+ * The arc of an angle: points of the world from the one side to the other; none of a distance.
+ * @param {Measure} points
+ * @returns {Vec3[]}
+ */
+export function arcOf([a, b, c]) {
+  if (c === undefined) return [];
+  const [u, v] = [from(b, a), from(b, c)];
+  const radius = ARC_SHARE * Math.min(Math.hypot(...u), Math.hypot(...v));
+  return Array.from({ length: ARC_STEPS + 1 }, (_, step) => {
+    const share = step / ARC_STEPS;
+    const way = vector((i) => (1 - share) * unit(u)[i] + share * unit(v)[i]);
+    return vector((i) => b[i] + radius * unit(way)[i]);
+  });
+}
+
+/** @param {unknown} points @returns {points is Measure} */
+function isMeasure(points) {
+  const row = (/** @type {unknown} */ point) => Array.isArray(point) && point.length === 3 && point.every(isNear);
+  return Array.isArray(points) && [2, 3].includes(points.length) && points.every(row);
+}
+
+/** @param {unknown} x */
+function isNear(x) {
+  return typeof x === "number" && Math.abs(x) <= FURTHEST;
+}
+
+/** @param {Vec3} point */
+function rounded(point) {
+  return vector((i) => Number(point[i].toPrecision(DIGITS)));
+}
+
+/** @param {Vec3} a @param {Vec3} b */
+function from(a, b) {
+  return vector((i) => b[i] - a[i]);
+}
+
+/** @param {Vec3} v */
+function unit(v) {
+  const length = Math.hypot(...v) || 1;
+  return vector((i) => v[i] / length);
+}
+
+/** @param {(i: number) => number} component @returns {Vec3} */
+function vector(component) {
+  return [component(0), component(1), component(2)];
+}

@@ -1,0 +1,121 @@
+/** A scale bar and the world's axes in the corner of the picture: as shapes, and as a drawing that follows the view. */
+
+import { svgElement } from "../dom.js";
+import { boxOf } from "./camera.js";
+import { unitOf } from "./measures.js";
+import { cameraAxes } from "./rotation.js";
+
+/** @typedef {import("./model.js").Knobs} Knobs */
+/** @typedef {import("./model.js").ViewModel} ViewModel */
+/** @typedef {import("../net/schemas.js").Scene} Scene */
+/** @typedef {[number, number]} Place right and up of the lower left corner, pixels */
+/** @typedef {{kind: string, points: Place[]}} Line */
+/** @typedef {{at: Place, text: string, size: number, middle: boolean}} Words `middle`: centred there, both ways */
+/** @typedef {{lines: Line[], words: Words[]}} Shapes */
+
+const DEGREE = Math.PI / 180;
+const [AXIS, LETTER] = [24, 33]; // pixels from where the axes meet to their ends, and to their letters
+/** @type {Place} */
+const CROSS = [40, 40];
+const [BAR_LEFT, BAR_UP, TICK] = [84, 20, 5];
+const DEPTH = "at the target’s depth"; // where a scale bar is right in perspective
+const LONGEST = { share: 0.25, pixels: 150 }; // of a scale bar: of the picture's width, and in any picture
+
+/** What may be shown of these. */
+export const RULERS = ["on", "off"];
+
+/**
+ * The greatest length that reads well, 1, 2 or 5 times a power of ten, and is no longer than another.
+ * @param {number} most
+ * @returns {number}
+ */
+export function roundLength(most) {
+  const power = 10 ** Math.floor(Math.log10(most));
+  const length = [5, 2, 1].map((factor) => factor * power).find((each) => each <= most * (1 + 1e-9)) ?? power;
+  return Number(length.toPrecision(1));
+}
+
+/**
+ * A scale bar: what it stands for, in perspective at the target's depth, and how long it is.
+ * @param {Pick<Scene, "volume">} scene
+ * @param {Pick<Knobs, "distance"|"fov">} values knobs of the view
+ * @param {{width: number, height: number}} size of the picture, pixels
+ * @returns {{length: number, pixels: number}} in world units
+ */
+export function scaleBar(scene, { distance, fov }, { width, height }) {
+  const pixel = (2 * distance * boxOf(scene).radius * Math.tan((fov * DEGREE) / 2)) / height;
+  const length = roundLength(pixel * Math.min(LONGEST.pixels, LONGEST.share * width));
+  return { length, pixels: length / pixel };
+}
+
+/**
+ * The world's axes as the camera sees them, those that point away first.
+ * @param {Pick<Scene, "volume">} scene
+ * @param {Pick<Knobs, "azimuth"|"elevation">} values knobs of the view
+ * @returns {{letter: string, right: number, up: number, out: number}[]} unit vectors; the letters of a patient's sides
+ *   where the volume has them
+ */
+export function tripod({ volume }, { azimuth, elevation }) {
+  const { right, up, out } = cameraAxes(azimuth, elevation);
+  const letters = [...(volume.letters || "xyz")];
+  return letters.map((letter, i) => ({ letter, right: right[i], up: up[i], out: out[i] })).sort((a, b) => a.out - b.out);
+}
+
+/**
+ * Scale bar and axes for the lower left corner of a picture.
+ * @param {Pick<Scene, "volume">} scene
+ * @param {Knobs} values knobs of the view
+ * @param {{width: number, height: number}} size of the picture, pixels
+ * @returns {Shapes}
+ */
+export function rulerShapes(scene, values, size) {
+  const { length, pixels } = scaleBar(scene, values, size);
+  const [left, right] = [BAR_LEFT, BAR_LEFT + pixels];
+  const axes = tripod(scene, values);
+  /** @type {Words[]} */
+  const where = values.projection === "orthographic" ? [] : [{ at: [left, BAR_UP - 13], text: DEPTH, size: 11, middle: false }];
+  /** @type {(axis: {right: number, up: number}, way: number) => Place} */
+  const end = (axis, way) => [CROSS[0] + way * axis.right, CROSS[1] + way * axis.up];
+  return {
+    lines: [
+      ...axes.map((axis) => ({ kind: axis.out < -0.01 ? "away" : "", points: [CROSS, end(axis, AXIS)] })),
+      { kind: "", points: [[left, BAR_UP + TICK], [left, BAR_UP], [right, BAR_UP], [right, BAR_UP + TICK]] },
+    ],
+    words: [
+      ...axes.map((axis) => ({ at: end(axis, LETTER), text: axis.letter, size: 13, middle: true })),
+      { at: [left, BAR_UP + 9], text: `${length} ${unitOf(scene.volume)}`, size: 13, middle: false },
+      ...where,
+    ],
+  };
+}
+
+/**
+ * Keep scale bar and axes up with the view and with the size of the picture.
+ * @param {SVGElement} root in the lower left corner
+ * @param {Scene} scene
+ * @param {ViewModel} view
+ */
+export function attachRulers(root, scene, view) {
+  const stage = /** @type {HTMLElement} */ (root.parentElement);
+  const draw = () => {
+    const { values } = view;
+    root.toggleAttribute("hidden", values.rulers === "off");
+    if (values.rulers === "off") return;
+    const { lines, words } = rulerShapes(scene, values, { width: stage.clientWidth, height: stage.clientHeight });
+    root.replaceChildren(...lines.flatMap(lineOf), ...words.map(wordsOf));
+  };
+  view.subscribe(draw);
+  new ResizeObserver(draw).observe(stage);
+}
+
+/** @param {Line} line */
+function lineOf({ kind, points }) {
+  const row = points.map(([x, y]) => `${x.toFixed(2)},${(-y).toFixed(2)}`).join(" ");
+  return ["under", "line"].map((each) => svgElement("polyline", { class: `${each} ${kind}`, points: row }));
+}
+
+/** @param {Words} words */
+function wordsOf({ at: [x, y], text, size, middle }) {
+  const anchor = { "text-anchor": middle ? "middle" : "start", "dominant-baseline": middle ? "central" : "auto" };
+  return svgElement("text", { x: x.toFixed(2), y: (-y).toFixed(2), "font-size": size, ...anchor }, text);
+}
