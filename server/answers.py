@@ -204,7 +204,7 @@ def ranges(scene: Scene) -> dict[str, Range]:
 
 def point_schema(scene: Scene, frame: Frame, pixel: tuple[int, int], exposure: float) -> PointSchema:
     """What a pixel, by column and row, of a frame shows."""
-    orientation, point = scene.volume.orientation, point_at(frame, *pixel, scene.room)
+    orientation, point = scene.volume.orientation, point_at(frame, *pixel, scene)
     if point is None:
         return PointSchema(hit=False, unit=orientation.unit)
     shown = lit(np.array([[point.radiance]], np.float32), np.full((1, 1), FINAL, np.uint8), exposure, marked=False)
@@ -214,7 +214,7 @@ def point_schema(scene: Scene, frame: Frame, pixel: tuple[int, int], exposure: f
         position=point.position,
         sides=orientation.sides(point.position),
         voxel=point.voxel,
-        value=frame.view.isovalue if point.wall is None else None,
+        value=point.value,
         wall=point.wall,
         normal=point.normal,
         light=point.radiance,

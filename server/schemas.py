@@ -265,9 +265,9 @@ class PointSchema(BaseModel):
 
     ``position`` and the outward unit ``normal`` are in the world, whose lengths have the ``unit``, empty where
     unknown; ``sides`` are the sides of a patient on which the coordinates lie, "LAS", empty elsewhere. ``voxel`` are
-    voxel indices, x first. ``value`` is the isovalue, null on the ``wall`` with that number. ``light`` is linear RGB,
-    ``displayed`` the same as a picture shows it, sRGB; ``state`` is final, converging or provisional, and ``error``
-    the relative error of this pixel.
+    voxel indices, x first. ``value`` is the volume's there, null on the ``wall`` with that number. ``light`` is linear
+    RGB, ``displayed`` the same as a picture shows it, sRGB; ``state`` is final, converging or provisional, and
+    ``error`` the relative error of this pixel.
     """
 
     hit: bool

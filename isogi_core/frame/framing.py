@@ -16,6 +16,7 @@ from isogi_core.frame.tiles import Stopwatch
 from isogi_core.frame.view_texels import ViewTexels
 from isogi_core.kernels.shading.framebuffer import FINAL, Framebuffer
 from isogi_core.kernels.tracing.sight import read_values
+from isogi_core.model.volume import Volume
 from isogi_core.plan.scene import Scene
 
 PAPER = 0.8
@@ -70,11 +71,17 @@ def linear_greys() -> np.ndarray:
     return np.array([linear_of(code / 255.0) for code in range(256)])
 
 
+def values_at(volume: Volume, points: np.ndarray) -> np.ndarray:
+    """The values of a volume's file at ``points`` (n, 3) float32 in index space, within its box; (n,) float64."""
+    voxels = np.empty(len(points), np.float32)
+    read_values(volume.voxels, points, voxels)
+    return np.asarray(volume.offset + volume.scale * voxels.astype(np.float64))
+
+
 def paint_faces(gbuffer: GBuffer, scene: Scene, framebuffer: Framebuffer) -> None:
     """Show the volume's values where a window opens what is solid: greys over the core of its range, evenly lit."""
-    faces, volume, voxels = gbuffer.faces, scene.volume, np.empty(len(gbuffer.faces.pixels), np.float32)
-    read_values(volume.voxels, faces.points, voxels)
-    values = volume.offset + volume.scale * voxels.astype(np.float64)
+    faces, volume = gbuffer.faces, scene.volume
+    values = values_at(volume, faces.points)
     share = (values - volume.core[0]) / max(volume.core[1] - volume.core[0], np.finfo(np.float64).tiny)
     light = np.interp(255.0 * share, np.arange(256), linear_greys()) * PAPER / scene.default_exposure
     framebuffer.radiance[faces.pixels] = light[:, None]

@@ -5,39 +5,44 @@ from dataclasses import dataclass
 import numpy as np
 
 from isogi_core.frame.frame import STATES, Frame
+from isogi_core.frame.framing import values_at
 from isogi_core.kernels.shading.local_models import find_normals
 from isogi_core.model.orientation import triple
-from isogi_core.model.room import Room
 from isogi_core.model.view import Vec3
+from isogi_core.plan.scene import Scene
 
 
 @dataclass(frozen=True)
 class SurfacePoint:
     """What one pixel shows: ``position`` and outward unit ``normal``, world, and the ``voxel`` indices there, x first.
 
-    ``wall`` is the number of the wall that is there in place of the isosurface. ``radiance`` is linear RGB, ``state``
-    one of STATES, and ``error`` the relative error of the pixel, whatever its causes.
+    ``value`` is the volume's there, in the units of its file: the isovalue, or another where a window shows a face. On
+    a wall it is None, and ``wall`` its number. ``radiance`` is linear RGB, ``state`` one of STATES, and ``error`` the
+    relative error of the pixel, whatever its causes.
     """
 
     position: Vec3
     normal: Vec3
     voxel: Vec3
+    value: float | None
     wall: int | None
     radiance: Vec3
     state: str
     error: float
 
 
-def point_at(frame: Frame, column: int, row: int, room: Room) -> SurfacePoint | None:
-    """What the pixel in a ``column`` and a ``row`` of a ``frame`` shows, in a scene with that ``room``; None off it."""
+def point_at(frame: Frame, column: int, row: int, scene: Scene) -> SurfacePoint | None:
+    """What the pixel in a ``column`` and a ``row`` of a ``frame`` of a ``scene`` shows; None where nothing is."""
     gbuffer, pixel = frame.gbuffer, np.uint32(row * frame.state.shape[1] + column)
-    wall, place = None, int(np.searchsorted(gbuffer.pixels, pixel))
-    if place < len(gbuffer.pixels) and gbuffer.pixels[place] == pixel:
-        index, normal = gbuffer.points[place], surface_normal(frame, place)
-    elif pixel in gbuffer.walls.pixels:
-        place = int(np.searchsorted(gbuffer.walls.pixels, pixel))
+    wall, value = None, None
+    if (place := place_of(gbuffer.pixels, pixel)) is not None:
+        index, normal, value = gbuffer.points[place], surface_normal(frame, place), frame.view.isovalue
+    elif (place := place_of(gbuffer.walls.pixels, pixel)) is not None:
         index, wall = gbuffer.walls.points[place], int(gbuffer.walls.numbers[place])
-        normal = wall_normal(frame, index, room.edges[wall])
+        normal = wall_normal(frame, index, scene.room.edges[wall])
+    elif (place := place_of(gbuffer.faces.pixels, pixel)) is not None:
+        index = gbuffer.faces.points[place]
+        normal, value = face_normal(frame, index), float(values_at(scene.volume, index[None])[0])
     else:
         return None
     orientation = frame.view.orientation
@@ -45,11 +50,27 @@ def point_at(frame: Frame, column: int, row: int, room: Room) -> SurfacePoint | 
         position=triple(orientation.to_world(index.astype(np.float64) * gbuffer.spacing)),
         normal=triple(orientation.matrix @ normal),
         voxel=triple(index),
+        value=value,
         wall=wall,
         radiance=triple(frame.radiance[row, column]),
         state=next(name for name, state in STATES.items() if state == frame.state[row, column]),
         error=float(frame.total_error[row, column]),
     )
+
+
+def place_of(pixels: np.ndarray, pixel: np.uint32) -> int | None:
+    """Where a ``pixel`` is among ascending ``pixels``; None where it is not."""
+    place = int(np.searchsorted(pixels, pixel))
+    return place if place < len(pixels) and pixels[place] == pixel else None
+
+
+def face_normal(frame: Frame, index: np.ndarray) -> np.ndarray:
+    """The normal, in the volume's box, of the plane of the frame's window that is nearest to a point: towards the eye
+    from what is left.
+    """
+    planes = np.array(frame.view.window.planes) if frame.view.window else np.empty((0, 4))
+    heights = planes[:, :3] @ (index * frame.gbuffer.spacing) + planes[:, 3]
+    return np.asarray(-planes[np.abs(heights).argmin(), :3])
 
 
 def surface_normal(frame: Frame, place: int) -> np.ndarray:

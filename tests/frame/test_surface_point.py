@@ -11,8 +11,9 @@ from isogi_core.frame.surface_point import point_at
 from isogi_core.model.orientation import Orientation, triple
 from isogi_core.model.view import View
 from isogi_core.model.volume import Volume
+from isogi_core.model.window import read_window
 from isogi_core.plan.scene import Scene
-from tests.frame.conftest import Workbench, ball, scene_of
+from tests.frame.conftest import MIDDLE, Workbench, ball, scene_of, shell
 from tests.loaded import load_scene
 
 TURNED = Orientation(((0.0, -1.0, 0.0), (0.6, 0.0, -0.8), (0.8, 0.0, 0.6)), (100.0, -50.0, 7.0), "mm", "LPS")
@@ -35,7 +36,7 @@ def test_a_point_of_a_ball_is_where_the_ball_is(turned: Workbench) -> None:
     frame = turned.renderer.render(lambert(turned))
     centre = np.array(turned.scene.volume.world_centre)
     for row, column in ((32, 32), (25, 40), (40, 25)):
-        point = point_at(frame, column, row, turned.scene.room)
+        point = point_at(frame, column, row, turned.scene)
         assert point is not None
         away = np.subtract(point.position, centre)
         assert np.linalg.norm(away) == pytest.approx(12.0, abs=0.1)
@@ -50,7 +51,7 @@ def test_it_is_the_point_under_the_pixels_ray(turned: Workbench) -> None:
     right, up, forward = camera.basis()
     pixel = 2.0 * np.tan(np.radians(camera.fov / 2.0)) / view.height
     ray = forward + pixel * ((40.5 - view.width / 2) * right + (view.height / 2 - 25.5) * up)
-    point = point_at(frame, 40, 25, turned.scene.room)
+    point = point_at(frame, 40, 25, turned.scene)
     assert point is not None
     away = np.subtract(point.position, camera.eye)
     assert np.cross(away / np.linalg.norm(away), ray / np.linalg.norm(ray)) == pytest.approx(0.0, abs=1e-5)
@@ -60,13 +61,13 @@ def test_off_the_surface_there_is_no_point(turned: Workbench) -> None:
     frame = turned.renderer.render(lambert(turned))
     for row, column in ((0, 0), (0, 63), (63, 0), (63, 63)):
         assert frame.state[row, column] == 0
-        assert point_at(frame, column, row, turned.scene.room) is None
+        assert point_at(frame, column, row, turned.scene) is None
 
 
 def test_every_pixel_is_told_as_the_frame_has_it(orbital: Workbench) -> None:
     frame = orbital.renderer.render(orbital.view())
     for row, column in np.ndindex(frame.state.shape):
-        point = point_at(frame, column, row, orbital.scene.room)
+        point = point_at(frame, column, row, orbital.scene)
         assert (point is not None) == (frame.state[row, column] > 0)
         if point is not None:
             assert point.position == pytest.approx(triple(frame.position[row, column]), abs=1e-5)
@@ -81,7 +82,7 @@ def test_a_wall_is_told_by_its_number(tmp_path: Path) -> None:
     walls = bench.scene.room
     seen = set()
     for pixel, number in zip(frame.gbuffer.walls.pixels, frame.gbuffer.walls.numbers, strict=True):
-        point = point_at(frame, int(pixel) % 64, int(pixel) // 64, walls)
+        point = point_at(frame, int(pixel) % 64, int(pixel) // 64, bench.scene)
         assert point is not None and point.wall == number
         seen.add(number)
         u, v = walls.walls[number].edges
@@ -96,3 +97,15 @@ def test_coordinates_lie_on_sides_of_a_patient() -> None:
     assert TURNED.sides((1.0, -2.0, 3.0)) == "LAS"
     assert TURNED.sides((-1.0, 0.0, -3.0)) == "RPI"
     assert Orientation().sides((1.0, 2.0, 3.0)) == ""
+
+
+def test_the_face_of_a_window_has_its_value_and_its_plane(workbench: Callable[[Scene], Workbench]) -> None:
+    bench = workbench(scene_of(shell(), 0.0))
+    view = View(0.0, bench.scene.camera(0.0, 0.0, 3.0, 30.0), width=48, height=48, shading="lambert")
+    frame = bench.renderer.render(replace(view, window=read_window("x>16")))
+    row, column = divmod(int(frame.gbuffer.faces.pixels[len(frame.gbuffer.faces.pixels) // 3]), 48)
+    point = point_at(frame, column, row, bench.scene)
+    assert point is not None and point.value is not None
+    assert point.normal == (1.0, 0.0, 0.0) and point.position[0] == pytest.approx(16.0, abs=1e-4)
+    away = float(np.linalg.norm(np.subtract(point.position, MIDDLE)))
+    assert point.value == pytest.approx(min(12.0 - away, away - 6.0), abs=0.1) and point.value > 0.0
