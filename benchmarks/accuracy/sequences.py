@@ -20,7 +20,7 @@ import numpy as np
 from benchmarks.common.measurement import Measurement
 from benchmarks.common.scenes import benchmark_scene
 from benchmarks.common.suite import part
-from isogi_core.frame.pixel_rays import variance_of_mean
+from isogi_core.frame.rays.pixel_rays import variance_of_mean
 from isogi_core.model.scene_plan import most_samples
 from isogi_core.model.view import View, quaternion_from_angles
 from isogi_core.report.bake import ViewBake

@@ -28,8 +28,8 @@ from benchmarks.common.measurement import Measurement, markdown
 from benchmarks.common.scenes import CONSTANT, LIGHTS, shared_data
 from benchmarks.common.suite import part
 from isogi_core.files.radiance import write_hdr
-from isogi_core.frame.control_pixels import TotalError
 from isogi_core.frame.frame import Frame
+from isogi_core.frame.rays.control_pixels import TotalError
 from isogi_core.model.view import quaternion_from_angles
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene

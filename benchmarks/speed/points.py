@@ -30,7 +30,7 @@ from benchmarks.speed.paths import view_texels
 from isogi_core.bake.bake_spec import spec_for
 from isogi_core.bake.refine import Place, locate, sample_irradiance, sample_transfer
 from isogi_core.frame.lighting import RotatedLight
-from isogi_core.frame.pixel_rays import Paths, replicas_for
+from isogi_core.frame.rays.pixel_rays import Paths, replicas_for
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.tiles import Tiles
 from isogi_core.model.sky import LUMINANCE

@@ -7,9 +7,9 @@ from functools import cached_property
 
 import numpy as np
 
-from isogi_core.frame.control_pixels import ControlPixels, TotalError, measure_total, predict_total, spread_errors
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.projected_texels import Projection
+from isogi_core.frame.rays.control_pixels import ControlPixels, TotalError, measure_total, predict_total, spread_errors
 from isogi_core.frame.texel_reading import Lacking
 from isogi_core.frame.view_texels import Demand
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, PROVISIONAL, Framebuffer, tally

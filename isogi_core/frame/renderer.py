@@ -30,13 +30,10 @@ from isogi_core.bake.bake_spec import spec_name
 from isogi_core.cache.page_pool import Held, PagePool
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.frame.antialiasing import sample_edges
-from isogi_core.frame.control_pixels import bounces_of_truth
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.framing import frame_of
 from isogi_core.frame.gbuffer import GBuffer, to_index, trace
 from isogi_core.frame.lighting import RotatedLight
-from isogi_core.frame.picture_check import PictureCheck
-from isogi_core.frame.pixel_rays import LobeLight, find_lobes
 from isogi_core.frame.projected_texels import (
     Distances,
     ProjectedReading,
@@ -44,6 +41,13 @@ from isogi_core.frame.projected_texels import (
     held_chunks,
     join_readings,
 )
+from isogi_core.frame.rays.control_pixels import bounces_of_truth
+from isogi_core.frame.rays.picture_check import PictureCheck
+from isogi_core.frame.rays.pixel_rays import LobeLight, find_lobes
+from isogi_core.frame.rays.shine import ShineRays
+from isogi_core.frame.rays.shine_light import SHARE as SHINE_SHARE
+from isogi_core.frame.rays.shine_light import SeenLight, ShineLight, add_lobes_seen, walls_seen
+from isogi_core.frame.rays.view_walls import ViewWalls
 from isogi_core.frame.shading import (
     carry_irradiance_ratios,
     carry_texel_light,
@@ -54,14 +58,10 @@ from isogi_core.frame.shading import (
     shade_locally,
     texel_disagreement,
 )
-from isogi_core.frame.shine import ShineRays
-from isogi_core.frame.shine_light import SHARE as SHINE_SHARE
-from isogi_core.frame.shine_light import SeenLight, ShineLight, add_lobes_seen, walls_seen
 from isogi_core.frame.texel_normals import ENTRY, OwnNormals, TexelNormals, find_texel_normals
 from isogi_core.frame.texel_reading import Reading, read_texels
 from isogi_core.frame.tiles import Stopwatch, Tiles
 from isogi_core.frame.view_texels import ViewTexels, carries_irradiance_ratios, find_texels
-from isogi_core.frame.view_walls import ViewWalls
 from isogi_core.kernels.shading.framebuffer import Framebuffer
 from isogi_core.kernels.shading.lobes import add_lobes
 from isogi_core.lru_cache import LruCache

@@ -9,7 +9,7 @@ from isogi_core.bake.noise import DARKEST
 from isogi_core.cache.page_pool import PagePool
 from isogi_core.frame.gbuffer import POINTS, GBuffer
 from isogi_core.frame.lighting import RotatedLight, scatter_at, weights_between
-from isogi_core.frame.pixel_rays import Paths, pooled_variance, replicas_for, variance_of_mean
+from isogi_core.frame.rays.pixel_rays import Paths, pooled_variance, replicas_for, variance_of_mean
 from isogi_core.frame.texel_reading import Reading
 from isogi_core.frame.tiles import Tiles
 from isogi_core.frame.view_texels import ViewTexels

@@ -8,7 +8,7 @@ from isogi_core.bake.refine import Place, sample_transfer
 from isogi_core.bake.texel_light import Light
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.lighting import RotatedLight
-from isogi_core.frame.pixel_rays import variance_of_mean
+from isogi_core.frame.rays.pixel_rays import variance_of_mean
 from isogi_core.model.scene_plan import Layer
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.volume import Isovalue

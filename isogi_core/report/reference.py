@@ -14,7 +14,7 @@ import numpy as np
 from isogi_core.errors import ReportError
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.lighting import RotatedLight
-from isogi_core.frame.pixel_rays import Paths, variance_of_mean
+from isogi_core.frame.rays.pixel_rays import Paths, variance_of_mean
 from isogi_core.frame.renderer import Renderer
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import View

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from isogi_core.frame.gbuffer import GBuffer
-from isogi_core.frame.pixel_rays import find_lobes
+from isogi_core.frame.rays.pixel_rays import find_lobes
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.framebuffer import BLUE, GREEN, RED, PixelPoints
 from isogi_core.kernels.shading.lobes import APART, EVEN, RAYS, RIM, SHARP, STREAM, Pixels, find_around, rim_way
@@ -167,5 +167,5 @@ def test_light_of_lobes_does_not_depend_on_tiles(monkeypatch: pytest.MonkeyPatch
     lamps, points = lamps_of(((0.4, 0.3, 0.8), 12.0, (1.0, 2.0, 3.0)), ((-0.4, 0.3, 0.8), 3.0, (1.0,) * 3)), floor()
     whole = light(lamps, points, moving=moving)
     for name in ("LOBE_POINTS", "RIMS", "HALVES"):
-        monkeypatch.setattr(f"isogi_core.frame.pixel_rays.{name}", 97)
+        monkeypatch.setattr(f"isogi_core.frame.rays.pixel_rays.{name}", 97)
     assert np.array_equal(whole, light(lamps, points, moving=moving, threads=3))

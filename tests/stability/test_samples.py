@@ -13,7 +13,7 @@ from isogi_core.bake.precision import FIRST_LEVEL, round_light
 from isogi_core.bake.refine import add_to_mean, locate, refine, sample_transfer
 from isogi_core.bake.texel_light import Light
 from isogi_core.frame.lighting import RotatedLight
-from isogi_core.frame.pixel_rays import Paths
+from isogi_core.frame.rays.pixel_rays import Paths
 from isogi_core.model.scene_plan import MOST, Layer
 from isogi_core.plan.budget import BYTE, HALF_ONE
 from isogi_core.report.bake import NEVER, ViewBake

@@ -8,7 +8,7 @@ import pytest
 
 from isogi_core.cache.upkeep.census import census_of
 from isogi_core.errors import NoRoomError
-from isogi_core.frame import picture_check
+from isogi_core.frame.rays import picture_check
 from isogi_core.frame.renderer import Renderer
 from isogi_core.model.view import View
 from isogi_core.plan.assembly import load_scene

@@ -16,7 +16,7 @@ from isogi_core.bake.bake_spec import path_weights
 from isogi_core.bake.refine import seeds_of
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.lighting import RotatedLight
-from isogi_core.frame.pixel_rays import NEAR, PATH_POINTS, pooled_variance, replicas_for, variance_of_mean
+from isogi_core.frame.rays.pixel_rays import NEAR, PATH_POINTS, pooled_variance, replicas_for, variance_of_mean
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, PROVISIONAL, Framebuffer, PixelPoints
 from isogi_core.kernels.shading.lattice import DARKEST

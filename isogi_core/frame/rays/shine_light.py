@@ -12,9 +12,9 @@ import numpy as np
 
 from isogi_core.frame.gbuffer import GBuffer, PointsBeside
 from isogi_core.frame.lighting import RotatedLight
-from isogi_core.frame.shine import RAYS, ShineRays, cast_rays, light_below, paths_from
+from isogi_core.frame.rays.shine import RAYS, ShineRays, cast_rays, light_below, paths_from
+from isogi_core.frame.rays.wall_light import WallView
 from isogi_core.frame.tiles import Tiles
-from isogi_core.frame.wall_light import WallView
 from isogi_core.kernels.shading.framebuffer import FINAL, PROVISIONAL, Framebuffer, PixelPoints
 from isogi_core.kernels.shading.lattice import DARKEST
 from isogi_core.kernels.shading.shine import light_ends, pool_noise

@@ -13,7 +13,7 @@ import numpy as np
 
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.lighting import RotatedLight
-from isogi_core.frame.pixel_rays import Paths
+from isogi_core.frame.rays.pixel_rays import Paths
 from isogi_core.frame.tiles import Tiles
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.volume import Isovalue

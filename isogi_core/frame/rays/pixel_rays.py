@@ -10,7 +10,7 @@ from isogi_core.bake.bake_spec import path_weights
 from isogi_core.bake.refine import seeds_of
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.lighting import RotatedLight
-from isogi_core.frame.shine import add_shine
+from isogi_core.frame.rays.shine import add_shine
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.framebuffer import PixelPoints
 from isogi_core.kernels.shading.lattice import DARKEST

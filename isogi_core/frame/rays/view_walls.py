@@ -5,9 +5,9 @@ from typing import Any
 
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.lighting import RotatedLight
+from isogi_core.frame.rays.wall_light import COARSE, WallLight, WallTexels, WallView
 from isogi_core.frame.shading import fog_depths
 from isogi_core.frame.tiles import Tiles
-from isogi_core.frame.wall_light import COARSE, WallLight, WallTexels, WallView
 from isogi_core.kernels.shading.framebuffer import Framebuffer
 from isogi_core.lru_cache import LruCache
 from isogi_core.model.volume import Volume

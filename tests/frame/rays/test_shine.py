@@ -11,8 +11,8 @@ from isogi_core.errors import ViewError
 from isogi_core.frame.entry_kernels import SHINE, frame_kernels
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.lighting import RotatedLight
-from isogi_core.frame.pixel_rays import Paths
-from isogi_core.frame.shine import cast_rays, paths_from
+from isogi_core.frame.rays.pixel_rays import Paths
+from isogi_core.frame.rays.shine import cast_rays, paths_from
 from isogi_core.model.shine import DULL, Shine
 from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene

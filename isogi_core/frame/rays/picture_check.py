@@ -12,7 +12,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from isogi_core.frame.control_pixels import (
+from isogi_core.frame.frame import Frame
+from isogi_core.frame.gbuffer import GBuffer
+from isogi_core.frame.lighting import RotatedLight
+from isogi_core.frame.rays.control_pixels import (
     BINS,
     ENOUGH,
     FIRST,
@@ -27,10 +30,7 @@ from isogi_core.frame.control_pixels import (
     squares_of,
     trace_controls,
 )
-from isogi_core.frame.frame import Frame
-from isogi_core.frame.gbuffer import GBuffer
-from isogi_core.frame.lighting import RotatedLight
-from isogi_core.frame.pixel_rays import Paths, variance_of_mean
+from isogi_core.frame.rays.pixel_rays import Paths, variance_of_mean
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.framebuffer import FINAL, Framebuffer
 from isogi_core.kernels.shading.lattice import DARKEST

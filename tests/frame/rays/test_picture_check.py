@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from isogi_core.errors import Cancelled
-from isogi_core.frame.control_pixels import ControlPixels, chances, draw_places, measure_total
 from isogi_core.frame.frame import Frame
+from isogi_core.frame.rays.control_pixels import ControlPixels, chances, draw_places, measure_total
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import View
 from isogi_core.model.volume import make_volume
