@@ -247,7 +247,7 @@ def export(
 ) -> None:
     """Write TARGET with its light to OUTPUT.
 
-    An isosurface as a mesh (.ply, .glb, .obj), or values and light as a volume (.vti, .nrrd, .nii.gz, .zarr).
+    An isosurface as a mesh (.ply, .glb, .obj, .usdz), or values and light as a volume (.vti, .nrrd, .nii.gz, .zarr).
     """
     settings, work = settings_from(**{name: given.pop(name) for name in WORK_OPTIONS}), module_of("export")
     knobs = {name: value for name, value in given.items() if value is not None}

@@ -23,7 +23,7 @@ def test_light_is_written_to_files_of_other_tools(
     scene = tmp_path / "small.toml"
     text = small_scene.read_text().replace("small.nrrd", str(small_scene.parent / "small.nrrd"))
     scene.write_text(text.replace("lattice = 0.5", "lattice = 1"))
-    for name, key in (("a.glb", "triangles"), ("a.vti", "texels"), ("a.zarr", "texels")):
+    for name, key in (("a.glb", "triangles"), ("a.usdz", "triangles"), ("a.vti", "texels"), ("a.zarr", "texels")):
         arguments = ["export", scene, "-o", tmp_path / name, "--store", tmp_path / "store", "--json"]
         assert run([str(each) for each in arguments]) == 0
         facts = json.loads(capsys.readouterr().out)
@@ -33,7 +33,7 @@ def test_light_is_written_to_files_of_other_tools(
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (["-o", "a.stl"], "end it in .ply, .glb, .obj, .vti, .nrrd, .nii.gz, .zarr"),
+        (["-o", "a.stl"], "end it in .ply, .glb, .obj, .usdz, .vti, .nrrd, .nii.gz, .zarr"),
         (["-o", "no/a.ply"], "no folder no"),
         (["-o", "a.ply", "--isovalue", "0.3:0.5"], "a mesh is of one isovalue"),
         (["-o", "a.vti"], "set lattice = 1"),
