@@ -1,6 +1,6 @@
 """``isogi export``: an isosurface or a whole volume with its light, for the tools that people already use."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,13 +15,18 @@ from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import PreparedScene
 from isogi_core.storage.atomic_file import write_whole
 from server.cli.prewarm import order_of, prewarm_scene
+from server.cli.publish import values_in
+from server.errors import ParameterError
 from server.exports.kinds import MESHES, checked_suffix, suffix_of
 from server.exports.lighting import check_lattice, lit_mesh, lit_volume, lit_voxels, surface_mesh, with_colour
-from server.parameters import ViewParams, read, view_of
+from server.parameters import ANGLES, ViewParams, read, view_of
 from server.prewarm.order import Levels, levels_of
 from server.progress import Progress, open_scene
 from server.render.resources import root_of
 from server.settings import Settings
+
+MOST_TURNS = 1000
+"""Turns of the light that are written at once, at most."""
 
 
 @dataclass(frozen=True)
@@ -41,47 +46,72 @@ def export(target: str, wishes: Wishes, knobs: Mapping[str, str], settings: Sett
     OSError later.
     """
     suffix = checked_suffix(wishes.output)
-    scene = open_scene(target, settings, **({"rotating": False} if suffix in WRITERS else {}))
-    check_levels(scene, wishes, suffix)
+    still = suffix in WRITERS and not knobs.keys() & {*ANGLES, "light"}
+    scene = open_scene(target, settings, **({"rotating": False} if still else {}))
+    files = files_of(wishes.output, knobs)
+    check_levels(scene, wishes, files)
     isovalues = wishes.isovalues or (f"{scene.isovalue!r}",)
     levels = levels_of(isovalues).found_in(scene)
-    view = view_of(scene, read(ViewParams, [*knobs.items(), ("isovalue", levels.spans[0][0])]), settings)
+    places = {path: read(ViewParams, {**turn, "isovalue": levels.spans[0][0]}.items()) for path, turn in files.items()}
+    views = {path: view_of(scene, params, settings) for path, params in places.items()}
     order = {"isovalues": isovalues, "all_directions": True, "target_error": wishes.target_error}
     summary = prewarm_scene(scene, order_of({name: given for name, given in order.items() if given}), settings)
     renderer = Renderer(Caches(PreparedScene(scene), root_of(settings), settings.memory_mb << 20), Tiles())
     exposure = scene.default_exposure if wishes.exposure is None else wishes.exposure
-    write = write_mesh if suffix in MESHES else write_volume
-    facts = write(renderer, view, levels, exposure, wishes.output)
+    write = write_meshes if suffix in MESHES else write_volumes
+    facts = write(renderer, views, levels, exposure)
     baked = {"final": summary.final, "error": summary.error, "target_error": summary.target_error}
-    return {"file": str(wishes.output), "scene": scene.name, **facts, **baked, "bytes": size_of(wishes.output)}
+    about = {"file": str(wishes.output), "files": [str(path) for path in views], "scene": scene.name}
+    return {**about, **facts, **baked, "bytes": sum(map(size_of, views))}
 
 
-def check_levels(scene: Scene, wishes: Wishes, suffix: str) -> None:
+def files_of(output: Path, knobs: Mapping[str, str]) -> dict[Path, dict[str, str]]:
+    """The parameters of each file: one, or a numbered one for each turn of a yaw such as 0:330:30.
+
+    Raises ParameterError.
+    """
+    yaw = knobs.get("yaw", "")
+    if ":" not in yaw:
+        return {output: dict(knobs)}
+    turns, suffix = values_in("yaw", yaw), suffix_of(output)
+    if len(turns) > MOST_TURNS:
+        raise ParameterError(f"yaw {yaw} are {len(turns):,} turns: ask for {MOST_TURNS:,} at most.", "yaw")
+    stem, digits = output.name[: -len(suffix)], len(str(len(turns)))
+    names = (f"{stem}-{number:0{digits}}{output.name[-len(suffix) :]}" for number in range(1, len(turns) + 1))
+    return {output.with_name(name): {**knobs, "yaw": repr(turn)} for name, turn in zip(names, turns, strict=True)}
+
+
+def check_levels(scene: Scene, wishes: Wishes, files: Iterable[Path]) -> None:
     """Raise ViewError, SceneError or VolumeError where isovalues, lattice or place do not suit the kind of file."""
+    suffix = suffix_of(wishes.output)
     if suffix in MESHES and (len(wishes.isovalues) > 1 or any(":" in text for text in wishes.isovalues)):
         raise ViewError(f"A mesh is of one isovalue: give --isovalue once, or write a volume: {', '.join(WRITERS)}.")
     if suffix in WRITERS:
         check_lattice(scene)
     if suffix == ".zarr":
-        check_zarr(wishes.output, scene.volume.orientation.affine(scene.volume.spacing))
+        for path in files:
+            check_zarr(path, scene.volume.orientation.affine(scene.volume.spacing))
 
 
-def write_mesh(renderer: Renderer, view: View, _: Levels, exposure: float, output: Path) -> dict[str, Any]:
-    """Write the isosurface of a view with the light at its vertices."""
-    mesh = surface_mesh(renderer, view)
-    with Progress("lighting", "point") as bar:
-        lit = lit_mesh(renderer, view, mesh, exposure, bar.show)
-    write_whole(output, MESHES[suffix_of(output)](lit))
-    return {"isovalue": view.isovalue, "vertices": len(mesh.vertices), "triangles": 2 * len(mesh.quads)}
+def write_meshes(renderer: Renderer, views: Mapping[Path, View], _: Levels, exposure: float) -> dict[str, Any]:
+    """Write an isosurface with the light at its vertices, a file for each view; these differ in the light's turn."""
+    isovalue = next(iter(views.values())).isovalue
+    mesh = surface_mesh(renderer, isovalue)
+    for output, view in views.items():
+        with Progress(f"lighting {output.name}", "point") as bar:
+            lit = lit_mesh(renderer, view, mesh, exposure, bar.show)
+        write_whole(output, MESHES[suffix_of(output)](lit))
+    return {"isovalue": isovalue, "vertices": len(mesh.vertices), "triangles": 2 * len(mesh.quads)}
 
 
-def write_volume(renderer: Renderer, view: View, levels: Levels, exposure: float, output: Path) -> dict[str, Any]:
-    """Write values and light at all voxels; light is zero where no isosurface of the ``levels`` reads it."""
+def write_volumes(renderer: Renderer, views: Mapping[Path, View], levels: Levels, exposure: float) -> dict[str, Any]:
+    """Write values and light at all voxels, a file for each view; light is zero where no isosurface reads it."""
     voxels = lit_voxels(renderer, levels.spans)
-    with Progress("lighting", "point") as bar:
-        lit = lit_volume(renderer, view, voxels, exposure, bar.show)
-    suffix = suffix_of(output)
-    WRITERS[suffix](output, with_colour(lit) if suffix == ".vti" else lit)
+    for output, view in views.items():
+        with Progress(f"lighting {output.name}", "point") as bar:
+            lit = lit_volume(renderer, view, voxels, exposure, bar.show)
+        suffix = suffix_of(output)
+        WRITERS[suffix](output, with_colour(lit) if suffix == ".vti" else lit)
     return {"isovalues": [list(span) for span in levels.spans], "texels": len(voxels)}
 
 
@@ -98,4 +128,6 @@ def exported(facts: Mapping[str, Any]) -> str:
     else:
         what = f"light at {facts['texels']:,} voxels"
     good = f"{facts['final']:.0%} final at a relative error of {facts['target_error']:g}"
-    return f"{facts['file']}: {what}, {good}, {facts['bytes'] / 1e6:.1f} MB"
+    files = facts["files"]
+    named = files[0] if len(files) == 1 else f"{len(files)} files, {files[0]} to {files[-1]}"
+    return f"{named}: {what}, {good}, {facts['bytes'] / 1e6:.1f} MB"

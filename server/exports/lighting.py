@@ -20,12 +20,12 @@ Report = Callable[[int, int], None]
 """Takes how many points are lit, of how many."""
 
 
-def surface_mesh(renderer: Renderer, view: View) -> Mesh:
-    """The mesh of the isosurface that a view shows; ViewError where there is none."""
-    surface = renderer.prepared.surface(view.isovalue)
+def surface_mesh(renderer: Renderer, isovalue: float) -> Mesh:
+    """The mesh of an isosurface, in the volume's units; ViewError where there is none."""
+    surface = renderer.prepared.surface(isovalue)
     mesh = isosurface_mesh(renderer.prepared.scene.volume.voxels, surface.isovalue)
     if not len(mesh.quads):
-        raise ViewError(f"No surface passes any cell at {view.isovalue:g}: choose another isovalue.")
+        raise ViewError(f"No surface passes any cell at {isovalue:g}: choose another isovalue.")
     return mesh
 
 
