@@ -51,6 +51,11 @@ def isosurface_mesh(voxels: np.ndarray, isovalue: Isovalue) -> Mesh:
     return Mesh(vertices.astype(np.float32), quads.astype(np.int32))
 
 
+def vertex_count(voxels: np.ndarray, isovalue: Isovalue) -> int:
+    """How many vertices the mesh of a surface has, and about as many quadrilaterals; see ``isosurface_mesh``."""
+    return len(_passed(voxels, float(isovalue)))
+
+
 def _passed(voxels: np.ndarray, level: float) -> np.ndarray:
     """Indices (n, 3; x, y, z) of the cells that the surface passes, z ascending."""
     found = []

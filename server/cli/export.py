@@ -13,12 +13,11 @@ from isogi_core.frame.tiles import Tiles
 from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import PreparedScene
-from isogi_core.storage.atomic_file import write_whole
 from server.cli.prewarm import order_of, prewarm_scene
 from server.cli.publish import values_in
 from server.errors import ParameterError
-from server.exports.kinds import MESHES, checked_suffix, suffix_of
-from server.exports.lighting import check_lattice, lit_mesh, lit_volume, lit_voxels, surface_mesh, with_colour
+from server.exports.kinds import MESHES, checked_suffix, suffix_of, write_mesh, write_volume
+from server.exports.lighting import check_lattice, lit_mesh, lit_volume, lit_voxels, surface_mesh
 from server.parameters import ANGLES, ViewParams, read, view_of
 from server.prewarm.order import Levels, levels_of
 from server.progress import Progress, open_scene
@@ -100,7 +99,7 @@ def write_meshes(renderer: Renderer, views: Mapping[Path, View], _: Levels, expo
     for output, view in views.items():
         with Progress(f"lighting {output.name}", "point") as bar:
             lit = lit_mesh(renderer, view, mesh, exposure, bar.show)
-        write_whole(output, MESHES[suffix_of(output)](lit))
+        write_mesh(output, lit)
     return {"isovalue": isovalue, "vertices": len(mesh.vertices), "triangles": 2 * len(mesh.quads)}
 
 
@@ -110,8 +109,7 @@ def write_volumes(renderer: Renderer, views: Mapping[Path, View], levels: Levels
     for output, view in views.items():
         with Progress(f"lighting {output.name}", "point") as bar:
             lit = lit_volume(renderer, view, voxels, exposure, bar.show)
-        suffix = suffix_of(output)
-        WRITERS[suffix](output, with_colour(lit) if suffix == ".vti" else lit)
+        write_volume(output, lit)
     return {"isovalues": [list(span) for span in levels.spans], "texels": len(voxels)}
 
 

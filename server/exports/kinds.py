@@ -3,10 +3,15 @@
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
+
 from isogi_core.errors import ViewError
-from isogi_core.files.light_files import LitMesh, glb_bytes, obj_bytes, ply_bytes
-from isogi_core.files.light_volumes import WRITERS, nibabel
+from isogi_core.files.light_files import LitMesh, glb_bytes, obj_bytes, ply_bytes, srgb_bytes
+from isogi_core.files.light_volumes import WRITERS, LitVolume, nibabel
 from isogi_core.files.usd_files import light_texture, usd_layer, usdz_package
+from isogi_core.prepared.isosurface_mesh import vertex_count
+from isogi_core.prepared.prepared_scene import PreparedScene
+from isogi_core.storage.atomic_file import write_whole
 from server.pictures import compress
 
 TEXTURE = "light.png"
@@ -44,3 +49,35 @@ def checked_suffix(output: Path) -> str:
     if suffix == ".nii.gz":
         nibabel()
     return suffix
+
+
+def write_mesh(output: Path, lit: LitMesh) -> None:
+    """Write a mesh with its light to a file of the kind that its name says."""
+    write_whole(output, MESHES[suffix_of(output)](lit))
+
+
+def write_volume(output: Path, lit: LitVolume) -> None:
+    """Write a volume with its light to a file of the kind that its name says."""
+    suffix = suffix_of(output)
+    WRITERS[suffix](output, with_colour(lit) if suffix == ".vti" else lit)
+
+
+def with_colour(lit: LitVolume) -> LitVolume:
+    """The same with light as sRGB bytes besides, for tools that show no floats as colours."""
+    colour = np.stack([srgb_bytes(layer) for layer in lit.arrays["light"]])
+    return LitVolume({**lit.arrays, "colour": colour}, lit.affine, lit.unit, lit.patient)
+
+
+SIZES = {".ply": 53, ".glb": 60, ".usdz": 130, ".obj": 190}
+"""Bytes of a mesh's file for each vertex and its face, about."""
+
+VOXEL = 19
+"""Bytes of a volume's file for each voxel, at most: value, light and colour."""
+
+
+def expected_bytes(prepared: PreparedScene, isovalue: float, suffix: str) -> int:
+    """How large the file of an isosurface, or of the volume around it, will be, about."""
+    volume = prepared.scene.volume
+    if suffix in WRITERS:
+        return VOXEL * volume.voxels.size
+    return SIZES[suffix] * vertex_count(volume.voxels, prepared.surface(isovalue).isovalue)

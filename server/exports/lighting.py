@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 
 from isogi_core.errors import SceneError, ViewError
-from isogi_core.files.light_files import LitMesh, srgb_bytes
+from isogi_core.files.light_files import LitMesh
 from isogi_core.files.light_volumes import LitVolume
 from isogi_core.frame.renderer import Renderer
 from isogi_core.model.view import View
@@ -61,15 +61,11 @@ def lit_volume(renderer: Renderer, view: View, voxels: np.ndarray, exposure: flo
     light = np.zeros((*volume.shape, 3), np.float32)
     for rows, found, _ in lit_pieces(renderer, view, voxels[:, ::-1].astype(np.float32), report):
         light[tuple(voxels[rows].T)] = exposure * found
-    values = volume.offset + volume.scale * volume.voxels.astype(np.float64)
+    values = np.empty(volume.shape, np.float32)
+    for z, layer in enumerate(volume.voxels):
+        values[z] = volume.offset + volume.scale * layer.astype(np.float64)
     place = volume.orientation
     return LitVolume({"value": values, "light": light}, place.affine(volume.spacing), place.unit, bool(place.letters))
-
-
-def with_colour(lit: LitVolume) -> LitVolume:
-    """The same with light as sRGB bytes besides, for tools that show no floats as colours."""
-    colour = np.stack([srgb_bytes(layer) for layer in lit.arrays["light"]])
-    return LitVolume({**lit.arrays, "colour": colour}, lit.affine, lit.unit, lit.patient)
 
 
 def lit_pieces(

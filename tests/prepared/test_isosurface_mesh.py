@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from isogi_core.model.volume import make_volume
-from isogi_core.prepared.isosurface_mesh import Mesh, isosurface_mesh
+from isogi_core.prepared.isosurface_mesh import Mesh, isosurface_mesh, vertex_count
 
 RADIUS = 7.3
 
@@ -49,6 +49,8 @@ def test_vertices_lie_on_the_trilinear_surface() -> None:
         weight = np.where(np.array([x, y, z]) == 1, share, 1.0 - share).prod(axis=1)
         found += weight * values[cell[:, 2] + z, cell[:, 1] + y, cell[:, 0] + x]
     np.testing.assert_allclose(found, 1.5, atol=2e-3)
+    volume = make_volume(values.astype(np.float32))
+    assert vertex_count(volume.voxels, volume.normalise_isovalue(1.5)) == len(mesh.vertices)
 
 
 def test_there_is_no_surface_beside_a_hole_or_beyond_the_values() -> None:
