@@ -3,6 +3,7 @@
 import { find } from "./dom.js";
 import { complaints, followAddress, readAddress } from "./net/address.js";
 import { listScenes, openStream, readFrame, readLight, readScene, readSurfacePoint } from "./net/api.js";
+import { Exporter } from "./net/export.js";
 import { FrameLoop } from "./net/loop.js";
 import { describe, fileName, frameQuery, ground } from "./net/request.js";
 import { Saver } from "./net/save.js";
@@ -19,6 +20,7 @@ import { attachPresets } from "./panels/presets.js";
 import { showScene } from "./panels/scene.js";
 import { Notice, Status, TroublePanel } from "./panels/status.js";
 import { Times } from "./panels/times.js";
+import { attachViews } from "./panels/views.js";
 import { attachGestures, attachPick } from "./view/gestures.js";
 import { attachKeys } from "./view/keys.js";
 import { attachSides } from "./view/sides.js";
@@ -98,7 +100,9 @@ function assemble(scene, knobs, trouble) {
     alt: () => describe(scene, view.values),
   };
   attachShare($("share"), scene, view, description);
+  attachViews($("views"), scene, view, description.query);
   new Saver($("save"), scene, description);
+  new Exporter($("export"), scene, description);
   $("scene-name").textContent = scene.name;
   document.title = `${scene.name} · isogi`;
   form.inert = false;
