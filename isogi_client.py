@@ -444,6 +444,11 @@ class Job:
 
         Raises JobError where it failed or was dismissed.
         """
+        self.end(progress)
+        return self.summary()
+
+    def end(self, progress: Callable[[Progress], object] | None = None) -> None:
+        """Returns once it has ended; as ``wait`` does, of a job without a summary."""
         while not (now := self.progress()).over:
             if progress is not None:
                 progress(now)
@@ -452,7 +457,6 @@ class Job:
             progress(now)
         if now.status != "successful":
             raise JobError(f"The job is {now.status}: {now.message}")
-        return self.summary()
 
     def summary(self) -> dict[str, Any]:
         """What it came to. NotFoundError where there is nothing yet."""
@@ -660,6 +664,25 @@ class Isogi:
         """
         body = {**order, "dry_run": dry_run}
         return Job(self, self._json("POST", f"{scene_path(scene)}/prewarm", json=body)["jobID"])
+
+    def export(
+        self, scene: str, path: str | Path, *, progress: Callable[[Progress], object] | None = None, **view: Values
+    ) -> Path:
+        """Write an isosurface, or the volume, with its light to a file, whose suffix says the kind; its path.
+
+        ``view`` are the fields of the HTTP interface: isovalue, yaw, exposure, max_error, deadline, … What it bakes is
+        dropped where this is interrupted.
+
+        >>> isogi.export("casting", "casting.glb", isovalue=0.5, yaw=90, deadline=300)
+        """
+        asked = query({**view, "f": Path(path).suffix.removeprefix(".")})
+        job = Job(self, self._json("POST", f"{scene_path(scene)}/export", params=asked)["jobID"])
+        try:
+            job.end(progress)
+            Path(path).write_bytes(self._ask("GET", f"{job._path}/file").content)
+        finally:
+            job.dismiss()
+        return Path(path)
 
     def job(self, key: str) -> Job:
         """The job with this id. Raises NotFoundError."""

@@ -68,7 +68,7 @@ class LateError(IsogiError):
 
 
 class FullError(IsogiError):
-    """An upload is more than the quota, or the disk, has room for."""
+    """An upload, or an export, is more than the quota, or the disk, has room for."""
 
 
 class UploadFolderError(IsogiError):

@@ -28,9 +28,10 @@ from isogi_core.model.window import read_window
 from isogi_core.plan.scene import Scene
 from server.errors import ParameterError
 from server.settings import Settings
-from server.values import Choice, Colour, Ground, Planes, Row, Rows, Span
+from server.values import LONGEST, Choice, Colour, Ground, Planes, Row, Rows, Span
 
 FORMATS = ("png", "jpeg", "webp", "npy")
+EXPORTS = ("glb", "usdz", "ply", "obj", "vti", "nrrd")
 VERSION = r"^[0-9a-f]{32}$"
 LONGEST_SIDE = 16383  # WebP's own limit
 LONGEST_WAIT = 10_000
@@ -209,6 +210,39 @@ class FrameParams(ViewParams):
     )
 
 
+class ExportParams(VariantParams):
+    """A file with the light of a scene in it: of the isosurface, or of the volume around it."""
+
+    f: Annotated[str, Choice(EXPORTS)] = Field("glb", description="Kind of file: a mesh, or a volume (vti, nrrd).")
+    isovalue: Annotated[float | str | None, WithJsonSchema({"type": "number"})] = Field(
+        None, description="In the volume's own units, within the scene's range; default: the scene's."
+    )
+    light: Annotated[Quaternion | None, Row(("w", "x", "y", "z"))] = Field(
+        None, description="Quaternion w,x,y,z that turns the light; instead of yaw, pitch, roll."
+    )
+    yaw: Annotated[float, TURN] = Field(0.0, description="Turns the light about z, degrees.")
+    pitch: Annotated[float, TURN] = Field(0.0, description="Then about y, degrees.")
+    roll: Annotated[float, TURN] = Field(0.0, description="Then about x, degrees.")
+    albedo: Annotated[Vec3 | None, Colour()] = Field(
+        None, description="One number or r,g,b, within the scene's albedos; default: the scene's albedo."
+    )
+    exposure: Annotated[float | None, Span(1e-36, 1e36)] = Field(
+        None, description="Factor on radiance; default: the scene's."
+    )
+    max_error: Annotated[float | None, Span(0.0001, 1)] = Field(
+        None, description="Relative error at which light is final; default: the scene's target_error."
+    )
+    deadline: Annotated[float | None, Span(0, LONGEST)] = Field(
+        None, description="Seconds of baking after which the file is made with the light that is there; default: none."
+    )
+
+    @property
+    def view(self) -> ViewParams:
+        """What of it is of a view. Raises ParameterError where the light's turn is given twice."""
+        names = self.model_fields_set - {"f", "exposure", "deadline"}
+        return read(ViewParams, self.model_dump(include=names).items())
+
+
 class SkyParams(LightParams):
     """A picture of the light around a scene."""
 
@@ -281,6 +315,7 @@ UploadParamsDep = Annotated[UploadParams, reader(UploadParams)]
 FrameParamsDep = Annotated[FrameParams, reader(FrameParams)]
 FitParamsDep = Annotated[FitParams, reader(FitParams)]
 SkyParamsDep = Annotated[SkyParams, reader(SkyParams)]
+ExportParamsDep = Annotated[ExportParams, reader(ExportParams)]
 
 
 def view_of(scene: Scene, params: ViewParams, settings: Settings) -> View:

@@ -119,6 +119,12 @@ class Settings(BaseSettings):
     reading_seconds: float = Field(
         4, ge=0.1, description="Time to read an upload that came, and for every 8 MB of it a second more."
     )
+    exports_mb: int = Field(
+        384,
+        ge=0,
+        le=1 << 16,
+        description="Megabytes of exported files, each and in all, the newest kept; 0: no exports.",
+    )
     max_connections: int = Field(512, ge=1, description="Connections at once.")
     max_client_connections: int = Field(256, ge=1, description="Connections at once from one address.")
     head_seconds: int = Field(10, ge=1, description="Time for the head of a request.")

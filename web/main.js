@@ -3,6 +3,7 @@
 import { find } from "./dom.js";
 import { complaints, followAddress, readAddress } from "./net/address.js";
 import { listScenes, openStream, readFrame, readLight, readPoint, readScene, readSurfacePoint } from "./net/api.js";
+import { Exporter } from "./net/export.js";
 import { FrameLoop } from "./net/loop.js";
 import { describe, fileName, frameQuery, ground, pointQuery } from "./net/request.js";
 import { Saver } from "./net/save.js";
@@ -22,6 +23,7 @@ import { attachPresets } from "./panels/presets.js";
 import { showScene } from "./panels/scene.js";
 import { Notice, Status, TroublePanel } from "./panels/status.js";
 import { Times } from "./panels/times.js";
+import { attachViews } from "./panels/views.js";
 import { attachClicks, attachGestures } from "./view/gestures.js";
 import { attachKeys } from "./view/keys.js";
 import { Marks } from "./view/marks.js";
@@ -108,7 +110,9 @@ function assemble(scene, knobs, trouble) {
     rulers: (/** @type {{width: number, height: number}} */ size) => rulerShapes(scene, view.values, size),
   };
   attachShare($("share"), scene, view, description);
+  attachViews($("views"), scene, view, description.query);
   new Saver($("save"), scene, description);
+  new Exporter($("export"), scene, description);
   $("scene-name").textContent = scene.name;
   document.title = `${scene.name} · isogi`;
   form.inert = false;

@@ -17,6 +17,7 @@ from benchmarks.accuracy.roulette import roulette
 from benchmarks.accuracy.sequences import sequences
 from benchmarks.accuracy.stiffness import stiffness
 from benchmarks.accuracy.table import table
+from benchmarks.accuracy.tools import tools
 from benchmarks.accuracy.totals import totals
 from benchmarks.common.suite import suite
 
@@ -40,6 +41,7 @@ main = suite(
     albedo,
     stiffness,
     roulette,
+    tools,
 )
 
 if __name__ == "__main__":

@@ -8,8 +8,9 @@ from benchmarks.service.malformed import malformed
 from benchmarks.service.memory import memory
 from benchmarks.service.page import page
 from benchmarks.service.warm_view import warm_view
+from benchmarks.service.widget import widget
 
-main = suite("One server, as its clients see it.", drag, load, malformed, memory, fuzz, warm_view, page)
+main = suite("One server, as its clients see it.", drag, load, malformed, memory, fuzz, warm_view, page, widget)
 
 if __name__ == "__main__":
     main(prog_name="python -m benchmarks.service")

@@ -11,7 +11,7 @@ from typing import Any
 import nrrd
 import numpy as np
 
-from tests.files.formats.every_kind import written
+from tests.files.formats.every_kind import metaimage, written
 
 FIELDS = {"type": "uint8", "dimension": "3", "sizes": "4 3 2", "encoding": "raw"}
 VOXELS = bytes(range(24))
@@ -31,7 +31,7 @@ def headed(body: bytes = VOXELS, magic: str = "NRRD0004", end: str = "\n", **fie
 
 def by_hand() -> dict[str, bytes]:
     """Files by what is wrong with them."""
-    return {**headers(), **sizes(), **detached(), **packed(), **values()}
+    return {**headers(), **sizes(), **detached(), **packed(), **values(), **images()}
 
 
 def headers() -> dict[str, bytes]:
@@ -137,6 +137,27 @@ def values() -> dict[str, bytes]:
     return fields | {f"spacings: {step}": headed(spacings=step) for step in steps}
 
 
+def images() -> dict[str, bytes]:
+    """Images of ITK and VTK that name other files, or are larger than they look."""
+    meta = "ObjectType = Image\nNDims = 3\nDimSize = {}\nElementType = MET_UCHAR\nElementDataFile = {}\n"
+    told = {"another file": ("4 3 2", "/etc/passwd"), "a pattern": ("4 3 2", "%03d 1 9 1"), "2^63": ("9" * 19, "LOCAL")}
+    extent = '<ImageData WholeExtent="0 {} 0 1 0 1"><Piece Extent="0 {} 0 1 0 1"><PointData>{}</PointData></Piece>'
+    array = '<DataArray type="UInt8" Name="a" format="ascii">{}</DataArray>'
+    vti = '<?xml version="1.0"?>{}<VTKFile type="ImageData">' + extent + "</ImageData></VTKFile>"
+    laughs = "".join(f'<!ENTITY e{n} "{10 * f"&e{n - 1};"}">' for n in range(1, 12))
+    bomb = f'<!DOCTYPE x [<!ENTITY e0 "1 ">{laughs}]>'
+    foreign = '<!DOCTYPE x [<!ENTITY e SYSTEM "file:///etc/passwd">]>'
+    made = {
+        "endless arrays": vti.format("", 1, 1, array.format("1 ") * 20000),
+        "a bomb of entities": vti.format(bomb, 1, 1, array.format("&e11;")),
+        "an entity elsewhere": vti.format(foreign, 1, 1, array.format("&e;")),
+        "2^31 points": vti.format("", 2**31 - 1, 2**31 - 1, array.format("1 2 3")),
+        "no end": vti.format("", 1, 1, array.format("1 2"))[:-60],
+    }
+    images = {f"MetaImage: {name}": meta.format(*words).encode() + VOXELS for name, words in told.items()}
+    return images | {f"VTI: {name}": text.encode() for name, text in made.items()}
+
+
 def good(encoding: str) -> bytes:
     """A volume that can be shown."""
     z, y, x = np.mgrid[:8, :8, :8] - 3.5
@@ -150,7 +171,7 @@ def mutations(count: int, seed: int) -> Iterator[bytes]:
     """So many good files of each kind in turn, their bytes changed in one way; the same for the same ``seed``."""
     random = np.random.default_rng(seed)
     with tempfile.TemporaryDirectory() as folder:
-        others = [path.read_bytes() for path in written(Path(folder))]
+        others = [path.read_bytes() for path in (*written(Path(folder)), *metaimage(Path(folder)))]
     files = [*(good(encoding) for encoding in ("raw", "gzip", "bzip2")), *others]
     for number in range(count):
         file = bytearray(files[number % len(files)])

@@ -2,6 +2,7 @@
 
 from benchmarks.common.suite import suite
 from benchmarks.speed.edges import edges
+from benchmarks.speed.film import film
 from benchmarks.speed.first_view import first_view
 from benchmarks.speed.frames import frames
 from benchmarks.speed.growth import growth
@@ -20,6 +21,7 @@ main = suite(
     growth,
     points,
     edges,
+    film,
 )
 
 if __name__ == "__main__":

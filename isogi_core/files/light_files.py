@@ -1,4 +1,4 @@
-"""Meshes with their light as colours, in files of other tools: .ply, .glb and .obj."""
+"""Meshes with their light as colours of vertices, in files of other tools: .ply, .glb and .obj."""
 
 import json
 from dataclasses import dataclass
@@ -9,12 +9,21 @@ import numpy as np
 
 @dataclass(frozen=True, eq=False)
 class LitMesh:
-    """A mesh in the world: ``vertices``, outward unit ``normals`` and linear RGB ``colours`` (n, 3), ``triangles``."""
+    """A mesh in the world: ``vertices``, outward unit ``normals`` and linear RGB ``colours`` (n, 3), ``quads`` (m, 4).
+
+    Corners of quadrilaterals are numbered anticlockwise from outside. The ``unit`` of length is empty where unknown.
+    """
 
     vertices: np.ndarray
     normals: np.ndarray
     colours: np.ndarray
-    triangles: np.ndarray
+    quads: np.ndarray
+    unit: str = ""
+
+    @property
+    def triangles(self) -> np.ndarray:
+        """Two for each quadrilateral, (2m, 3)."""
+        return np.concatenate([self.quads[:, [0, 1, 2]], self.quads[:, [0, 2, 3]]])
 
 
 def ply_bytes(mesh: LitMesh) -> bytes:
@@ -27,7 +36,7 @@ def ply_bytes(mesh: LitMesh) -> bytes:
         points[name] = column
     for (name, _), column in zip(fields[6:], srgb_bytes(mesh.colours).T, strict=True):
         points[name] = column
-    faces = np.empty(len(mesh.triangles), [("count", "u1"), ("corners", "<i4", 3)])
+    faces = np.empty(2 * len(mesh.quads), [("count", "u1"), ("corners", "<i4", 3)])
     faces["count"], faces["corners"] = 3, mesh.triangles
     names = {"<f4": "float", "u1": "uchar"}
     lines = [f"element vertex {len(points)}", *(f"property {names[kind]} {name}" for name, kind in fields)]

@@ -10,6 +10,9 @@ import numpy as np
 
 from isogi_core.model.volume import Isovalue
 
+CELLS = 1 << 16
+"""Cells whose vertices are found together."""
+
 STEPS = 6
 """Newton steps from the mean of a cell's crossings onto the surface."""
 
@@ -22,10 +25,13 @@ RING = np.concatenate([AROUND, [[[-1, -1, 0], [0, -1, 0], [0, 0, 0], [-1, 0, 0]]
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """``vertices`` (n, 3) float32 in index space, x first; ``triangles`` (m, 3) int32, anticlockwise from outside."""
+    """``vertices`` (n, 3) float32 in index space, x first; ``quads`` (m, 4) int32, anticlockwise from outside.
+
+    The diagonal from the first to the third corner divides a quadrilateral.
+    """
 
     vertices: np.ndarray
-    triangles: np.ndarray
+    quads: np.ndarray
 
 
 def isosurface_mesh(voxels: np.ndarray, isovalue: Isovalue) -> Mesh:
@@ -35,13 +41,19 @@ def isosurface_mesh(voxels: np.ndarray, isovalue: Isovalue) -> Mesh:
     """
     level, cells = float(isovalue), _passed(voxels, float(isovalue))
     corners = np.stack([voxels[tuple((cells + corner).T[::-1])] for corner in CORNERS], axis=1).astype(np.float64)
-    vertices = cells + _settled(corners, level)
+    starts = range(0, len(cells), CELLS)
+    inside = [_settled(corners[start : start + CELLS], level) for start in starts]
+    vertices = cells + np.concatenate([np.zeros((0, 3)), *inside])
     quads = _quads(cells, corners > level, voxels.shape)
     first, second = vertices[quads[:, 0]] - vertices[quads[:, 2]], vertices[quads[:, 1]] - vertices[quads[:, 3]]
     turned = (second**2).sum(axis=1) < (first**2).sum(axis=1)  # the shorter diagonal divides
     quads = np.where(turned[:, None], np.roll(quads, -1, axis=1), quads)
-    triangles = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]).astype(np.int32)
-    return Mesh(vertices.astype(np.float32), triangles)
+    return Mesh(vertices.astype(np.float32), quads.astype(np.int32))
+
+
+def vertex_count(voxels: np.ndarray, isovalue: Isovalue) -> int:
+    """How many vertices the mesh of a surface has, and about as many quadrilaterals; see ``isosurface_mesh``."""
+    return len(_passed(voxels, float(isovalue)))
 
 
 def _passed(voxels: np.ndarray, level: float) -> np.ndarray:

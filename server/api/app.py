@@ -31,7 +31,14 @@ GUARDED = problems.documented_problems(401, 403, 413, 421)
 
 ROUTERS = (
     *(pages.router, pages.health_router, scenes.router, scenes.sky_router, frames.router, points.router, events.router),
-    *(stream_router, jobs.prewarm_router, jobs.router, scenes.volume_router, scenes.environment_router),
+    *(
+        stream_router,
+        jobs.prewarm_router,
+        jobs.export_router,
+        jobs.router,
+        scenes.volume_router,
+        scenes.environment_router,
+    ),
 )
 
 SHARED = ("Authorization", "If-None-Match", "Last-Event-ID", "Prefer", "X-Request-ID")

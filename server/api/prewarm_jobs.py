@@ -30,6 +30,7 @@ from server.render.bakes import BACKGROUND
 from server.render.jobs import Job, Result, Status
 from worker.bake_requests import Viewer
 from worker.errors import WorkersError
+from worker.progress import TimeLeft
 
 LATER = 5.0
 """Seconds that the frame of a survey waits for a thread before it goes first."""
@@ -42,6 +43,9 @@ AGAIN, LONGEST_AWAY = 10.0, 3600.0
 
 NICENESS = 5
 """How far the thread of a prewarm stands behind those of frames."""
+
+Report = Callable[[float, str, TimeLeft | None], None]
+"""Takes how large a share of work is done, what is done now, and the time that the rest takes."""
 
 _visits = count(1)
 
@@ -59,23 +63,35 @@ def begin(service: Service, scene: Scene, order: PrewarmOrder, dry: bool = False
 
 @dataclass(eq=False)
 class Prewarm:
-    """One order on its way: what is between the event loop, where the job lives, and the thread that works."""
+    """One order on its way: what is between the event loop, where the job lives, and the thread that works.
+
+    One that is not ``recorded`` is not taken up by the next server.
+    """
 
     service: Service
     scene: Scene
     order: PrewarmOrder
-    dry: bool
+    dry: bool = False
     owner: str = ""
+    recorded: bool = True
     cancelled: threading.Event = field(default_factory=threading.Event)
     begun: float = field(default_factory=time.monotonic)
 
     async def work(self, job: Job) -> Iterable[Result]:
-        """Do all of it on a thread of its own; returns when that has ended, also when this is cancelled."""
+        """Do all of it for a job. Raises WorkersError where some light could not be baked."""
+        job.document = await self.carry_out(job.report)
+        return [Result(f"/v1/jobs/{job.id}/results", "application/json", "The summary")]
+
+    async def carry_out(self, report: Report) -> Summary:
+        """Do all of it on a thread of its own; returns when that has ended, also when this is cancelled.
+
+        Raises WorkersError where some light could not be baked.
+        """
         loop, record = asyncio.get_running_loop(), self._record()
         with ThreadPoolExecutor(1, "prewarm") as thread:
-            working = loop.run_in_executor(thread, self._run, loop, job, record)
+            working = loop.run_in_executor(thread, self._run, loop, report, record)
             try:
-                job.document = summary = await asyncio.shield(working)
+                summary = await asyncio.shield(working)
             except asyncio.CancelledError:
                 self.cancelled.set()
                 await asyncio.wait({working})
@@ -83,18 +99,18 @@ class Prewarm:
                 raise
         if summary.failures:
             raise WorkersError(str(summary))
-        return [Result(f"/v1/jobs/{job.id}/results", "application/json", "The summary")]
+        return summary
 
     def _record(self) -> Record | None:
         store, given = self.service.engine.store, (self.scene, self.order)
-        return None if self.dry else Record(store, *given, "server", self.owner)
+        return None if self.dry or not self.recorded else Record(store, *given, "server", self.owner)
 
-    def _run(self, loop: asyncio.AbstractEventLoop, job: Job, record: Record | None) -> Summary:
+    def _run(self, loop: asyncio.AbstractEventLoop, tell: Report, record: Record | None) -> Summary:
         """What the thread does."""
         stand_back()
 
         def report(step: Step) -> None:
-            loop.call_soon_threadsafe(job.report, step.share, str(step), step.left)
+            loop.call_soon_threadsafe(tell, step.share, str(step), step.left)
             if record is not None:
                 record.report(step)
 
@@ -106,17 +122,15 @@ class Prewarm:
         viewer = Viewer(("prewarm", next(_visits)), patient=True)
         place = (self.service.engine, self.scene, target, viewer, frame_of, report, deadline)
         context = PrewarmContext(*place, cancelled=self.cancelled, begun=self.begun)
-        return self._dry(context) if record is None else self._recorded(context, record)
-
-    def _dry(self, context: PrewarmContext) -> Summary:
-
-        return carry_out_dry(context, wanted(context, self.order, self.service.settings))
+        if self.dry:
+            return carry_out_dry(context, wanted(context, self.order, self.service.settings))
+        return self._carried_out(context) if record is None else self._recorded(context, record)
 
     def _recorded(self, context: PrewarmContext, record: Record) -> Summary:
         """Carry it out, and keep a record of it; what a stopping server leaves is taken up by the next."""
         record.keep(status=Status.RUNNING)
         try:
-            summary = self._carried_out(context, record)
+            summary = self._carried_out(context, lambda ahead: record.keep(ahead=ahead))
         except Cancelled:
             if not self.service.jobs.closed:
                 record.keep(status=Status.DISMISSED, message="This was dismissed.")
@@ -127,14 +141,13 @@ class Prewarm:
             raise
         return record.close(summary)
 
-    def _carried_out(self, context: PrewarmContext, record: Record) -> Summary:
+    def _carried_out(self, context: PrewarmContext, begun: Callable[[Summary], None] = lambda _: None) -> Summary:
         """Carry it out; what fails for the store is begun again a little later, for what is baked stays."""
-
         given_up = math.inf
         while True:
             try:
                 what = wanted(context, self.order, self.service.settings)
-                return carry_out(context, what, lambda ahead: record.keep(ahead=ahead))
+                return carry_out(context, what, begun)
             except StoreError as error:
                 given_up = min(given_up, time.monotonic() + LONGEST_AWAY)
                 if time.monotonic() > given_up:

@@ -25,6 +25,7 @@ from isogi_core.prepared.prepared_scene import Index
 from server.api.render_threads import RenderThreads
 from server.bearers import Bearer, bearer_of
 from server.errors import BusyError, ForbiddenError, StartingError, UnknownJobError, UnknownSceneError
+from server.exports.folder import ExportFolder
 from server.parameters import ViewParams, view_of
 from server.render.engine import RenderEngine
 from server.render.jobs import Job, Jobs
@@ -106,6 +107,7 @@ class Service:
         self.jobs = Jobs(settings.jobs)
         self.threads = RenderThreads(settings.render_threads)
         self.uploads = Uploads(engine, settings)
+        self.exports = ExportFolder(settings.exports_mb << 20)
         self.variants = Variants(engine, self.uploads.environment_at)
         self._requests = AdmissionLimit(settings.render_threads + settings.render_queue, "frames wait")
         self._refining = 0
@@ -138,6 +140,7 @@ class Service:
             await self._compiling
         self.threads.close()
         self.uploads.close()
+        self.exports.close()
         await asyncio.to_thread(self.engine.close)
 
     def reasons(self) -> list[str]:

@@ -231,7 +231,7 @@ def inspect(target: str, picture: Path | None, as_json: bool) -> None:
 @volume_options
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path, dir_okay=False), help="Its file.")
 @click.option("--isovalue", "isovalues", multiple=True, help="One; of a volume also more, or first:last.")
-@options({name: VIEW_OPTIONS[name] for name in ("albedo", "yaw", "pitch", "roll", "light")})
+@options({name: GRID_OPTIONS[name] for name in ("albedo", "yaw", "pitch", "roll", "light")})
 @click.option("--exposure", callback=number(1e-36, 1e36), help="Factor on radiance; default: the scene's.")
 @click.option("--target-error", help="Relative error at which light is final.")
 @options(WORK_OPTIONS)
@@ -247,7 +247,8 @@ def export(
 ) -> None:
     """Write TARGET with its light to OUTPUT.
 
-    An isosurface as a mesh (.ply, .glb, .obj), or values and light as a volume (.vti, .nrrd, .nii.gz, .zarr).
+    An isosurface as a mesh (.ply, .glb, .obj, .usdz), or values and light as a volume (.vti, .nrrd, .nii.gz, .zarr).
+    A yaw as first:last:step makes a numbered file for each turn of the light.
     """
     settings, work = settings_from(**{name: given.pop(name) for name in WORK_OPTIONS}), module_of("export")
     knobs = {name: value for name, value in given.items() if value is not None}

@@ -1,35 +1,31 @@
 """``isogi export``: an isosurface or a whole volume with its light, for the tools that people already use."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from isogi_core.cache.scene_caches import Caches
-from isogi_core.errors import SceneError, ViewError
-from isogi_core.files.light_files import LitMesh, glb_bytes, obj_bytes, ply_bytes, srgb_bytes
-from isogi_core.files.light_volumes import WRITERS, LitVolume, check_zarr, nibabel
+from isogi_core.errors import ViewError
+from isogi_core.files.light_volumes import WRITERS, check_zarr
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.tiles import Tiles
 from isogi_core.model.view import View
-from isogi_core.plan.reachable_texels import surface_texels
 from isogi_core.plan.scene import Scene
-from isogi_core.prepared.isosurface_mesh import isosurface_mesh
 from isogi_core.prepared.prepared_scene import PreparedScene
-from isogi_core.storage.atomic_file import write_whole
 from server.cli.prewarm import order_of, prewarm_scene
-from server.parameters import ViewParams, read, view_of
-from server.prewarm.order import levels_of
+from server.cli.publish import values_in
+from server.errors import ParameterError
+from server.exports.kinds import MESHES, checked_suffix, suffix_of, write_mesh, write_volume
+from server.exports.lighting import check_lattice, lit_mesh, lit_volume, lit_voxels, surface_mesh
+from server.parameters import ANGLES, ViewParams, read, view_of
+from server.prewarm.order import Levels, levels_of
 from server.progress import Progress, open_scene
 from server.render.resources import root_of
 from server.settings import Settings
 
-MESHES = {".ply": ply_bytes, ".glb": glb_bytes, ".obj": obj_bytes}
-
-POINTS = 1 << 17
-"""Points that are lit together."""
+MOST_TURNS = 1000
+"""Turns of the light that are written at once, at most."""
 
 
 @dataclass(frozen=True)
@@ -49,94 +45,72 @@ def export(target: str, wishes: Wishes, knobs: Mapping[str, str], settings: Sett
     OSError later.
     """
     suffix = checked_suffix(wishes.output)
-    scene = open_scene(target, settings, **({"rotating": False} if suffix in WRITERS else {}))
-    check_levels(scene, wishes, suffix)
+    still = suffix in WRITERS and not knobs.keys() & {*ANGLES, "light"}
+    scene = open_scene(target, settings, **({"rotating": False} if still else {}))
+    files = files_of(wishes.output, knobs)
+    check_levels(scene, wishes, files)
     isovalues = wishes.isovalues or (f"{scene.isovalue!r}",)
     levels = levels_of(isovalues).found_in(scene)
-    view = view_of(scene, read(ViewParams, [*knobs.items(), ("isovalue", levels.spans[0][0])]), settings)
+    places = {path: read(ViewParams, {**turn, "isovalue": levels.spans[0][0]}.items()) for path, turn in files.items()}
+    views = {path: view_of(scene, params, settings) for path, params in places.items()}
     order = {"isovalues": isovalues, "all_directions": True, "target_error": wishes.target_error}
     summary = prewarm_scene(scene, order_of({name: given for name, given in order.items() if given}), settings)
     renderer = Renderer(Caches(PreparedScene(scene), root_of(settings), settings.memory_mb << 20), Tiles())
     exposure = scene.default_exposure if wishes.exposure is None else wishes.exposure
-    lit = write_mesh if suffix in MESHES else write_volume
-    facts = lit(renderer, view, levels.spans, exposure, wishes.output)
+    write = write_meshes if suffix in MESHES else write_volumes
+    facts = write(renderer, views, levels, exposure)
     baked = {"final": summary.final, "error": summary.error, "target_error": summary.target_error}
-    return {"file": str(wishes.output), "scene": scene.name, **facts, **baked, "bytes": size_of(wishes.output)}
+    about = {"file": str(wishes.output), "files": [str(path) for path in views], "scene": scene.name}
+    return {**about, **facts, **baked, "bytes": sum(map(size_of, views))}
 
 
-def checked_suffix(output: Path) -> str:
-    """The suffix of a file that can be written; ViewError for others, and where its folder is missing."""
-    suffix = suffix_of(output)
-    if not suffix:
-        known = ", ".join((*MESHES, *WRITERS))
-        raise ViewError(f"{output} names no kind of file that light goes into: end it in {known}.")
-    if not output.parent.is_dir():
-        raise ViewError(f"There is no folder {output.parent} for {output.name}: make it first.")
-    if suffix == ".nii.gz":
-        nibabel()
-    return suffix
+def files_of(output: Path, knobs: Mapping[str, str]) -> dict[Path, dict[str, str]]:
+    """The parameters of each file: one, or a numbered one for each turn of a yaw such as 0:330:30.
+
+    Raises ParameterError.
+    """
+    yaw = knobs.get("yaw", "")
+    if ":" not in yaw:
+        return {output: dict(knobs)}
+    turns, suffix = values_in("yaw", yaw), suffix_of(output)
+    if len(turns) > MOST_TURNS:
+        raise ParameterError(f"yaw {yaw} are {len(turns):,} turns: ask for {MOST_TURNS:,} at most.", "yaw")
+    stem, digits = output.name[: -len(suffix)], len(str(len(turns)))
+    names = (f"{stem}-{number:0{digits}}{output.name[-len(suffix) :]}" for number in range(1, len(turns) + 1))
+    return {output.with_name(name): {**knobs, "yaw": repr(turn)} for name, turn in zip(names, turns, strict=True)}
 
 
-def suffix_of(output: Path) -> str:
-    """The ending of a file's name that says its kind; empty for others."""
-    return next((suffix for suffix in (*MESHES, *WRITERS) if output.name.lower().endswith(suffix)), "")
-
-
-def check_levels(scene: Scene, wishes: Wishes, suffix: str) -> None:
+def check_levels(scene: Scene, wishes: Wishes, files: Iterable[Path]) -> None:
     """Raise ViewError, SceneError or VolumeError where isovalues, lattice or place do not suit the kind of file."""
+    suffix = suffix_of(wishes.output)
     if suffix in MESHES and (len(wishes.isovalues) > 1 or any(":" in text for text in wishes.isovalues)):
         raise ViewError(f"A mesh is of one isovalue: give --isovalue once, or write a volume: {', '.join(WRITERS)}.")
-    if suffix in WRITERS and scene.lattice_shape != scene.volume.shape:
-        raise SceneError("A volume with light has a texel at each voxel: set lattice = 1 in the scene.")
+    if suffix in WRITERS:
+        check_lattice(scene)
     if suffix == ".zarr":
-        check_zarr(wishes.output, scene.volume.orientation.affine(scene.volume.spacing))
+        for path in files:
+            check_zarr(path, scene.volume.orientation.affine(scene.volume.spacing))
 
 
-def write_mesh(renderer: Renderer, view: View, _: Any, exposure: float, output: Path) -> dict[str, Any]:
-    """Write the isosurface of a view with the light at its vertices."""
-    scene = renderer.prepared.scene
-    surface = renderer.prepared.surface(view.isovalue)
-    mesh = isosurface_mesh(scene.volume.voxels, surface.isovalue)
-    if not len(mesh.triangles):
-        raise ViewError(f"No surface passes any cell at {view.isovalue:g}: choose another isovalue.")
-    colours, normals = (np.empty_like(mesh.vertices) for _ in range(2))
-    for rows, light, towards in lit_pieces(renderer, view, mesh.vertices):
-        colours[rows], normals[rows] = light, towards
-    orientation = scene.volume.orientation
-    places = orientation.to_world(mesh.vertices.astype(np.float64) * np.array(scene.volume.spacing))
-    lit = LitMesh(places, normals @ orientation.matrix.T, exposure * colours, mesh.triangles)
-    write_whole(output, MESHES[suffix_of(output)](lit))
-    return {"isovalue": view.isovalue, "vertices": len(places), "triangles": len(mesh.triangles)}
+def write_meshes(renderer: Renderer, views: Mapping[Path, View], _: Levels, exposure: float) -> dict[str, Any]:
+    """Write an isosurface with the light at its vertices, a file for each view; these differ in the light's turn."""
+    isovalue = next(iter(views.values())).isovalue
+    mesh = surface_mesh(renderer, isovalue)
+    for output, view in views.items():
+        with Progress(f"lighting {output.name}", "point") as bar:
+            lit = lit_mesh(renderer, view, mesh, exposure, bar.show)
+        write_mesh(output, lit)
+    return {"isovalue": isovalue, "vertices": len(mesh.vertices), "triangles": 2 * len(mesh.quads)}
 
 
-def write_volume(renderer: Renderer, view: View, spans: Any, exposure: float, output: Path) -> dict[str, Any]:
-    """Write values and light at all voxels; light is zero where no isosurface in the ``spans`` reads it."""
-    prepared, scene = renderer.prepared, renderer.prepared.scene
-    volume, lattice = scene.volume, prepared.lattice
-    ranges = [(min(pair), max(pair)) for pair in (tuple(map(volume.normalise_isovalue, span)) for span in spans)]
-    texels = surface_texels(volume.voxels, prepared.shape, lattice.chunk, ranges)
-    places = np.concatenate([lattice.positions(index, offsets) for index, offsets in texels] or [np.zeros((0, 3), int)])
-    light = np.zeros((*volume.shape, 3), np.float32)
-    for rows, found, _ in lit_pieces(renderer, view, places[:, ::-1].astype(np.float32)):
-        light[tuple(places[rows].T)] = exposure * found
-    values = volume.offset + volume.scale * volume.voxels.astype(np.float64)
-    arrays: dict[str, np.ndarray] = {"value": values, "light": light}
-    if suffix_of(output) == ".vti":
-        arrays["colour"] = srgb_bytes(light)
-    place = volume.orientation
-    lit = LitVolume(arrays, place.affine(volume.spacing), place.unit, bool(place.letters))
-    WRITERS[suffix_of(output)](output, lit)
-    return {"isovalues": [list(span) for span in spans], "texels": len(places)}
-
-
-def lit_pieces(renderer: Renderer, view: View, points: np.ndarray) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
-    """Linear RGB and normals of ``points`` (m, 3), some rows at a time."""
-    with Progress("lighting", "point") as bar:
-        for start in range(0, len(points), POINTS):
-            rows = slice(start, min(start + POINTS, len(points)))
-            frame, normals = renderer.light_points(view, points[rows])
-            bar.show(rows.stop, len(points), None)
-            yield rows, frame.radiance[0], normals
+def write_volumes(renderer: Renderer, views: Mapping[Path, View], levels: Levels, exposure: float) -> dict[str, Any]:
+    """Write values and light at all voxels, a file for each view; light is zero where no isosurface reads it."""
+    voxels = lit_voxels(renderer, levels.spans)
+    for output, view in views.items():
+        with Progress(f"lighting {output.name}", "point") as bar:
+            lit = lit_volume(renderer, view, voxels, exposure, bar.show)
+        write_volume(output, lit)
+    return {"isovalues": [list(span) for span in levels.spans], "texels": len(voxels)}
 
 
 def size_of(output: Path) -> int:
@@ -152,4 +126,6 @@ def exported(facts: Mapping[str, Any]) -> str:
     else:
         what = f"light at {facts['texels']:,} voxels"
     good = f"{facts['final']:.0%} final at a relative error of {facts['target_error']:g}"
-    return f"{facts['file']}: {what}, {good}, {facts['bytes'] / 1e6:.1f} MB"
+    files = facts["files"]
+    named = files[0] if len(files) == 1 else f"{len(files)} files, {files[0]} to {files[-1]}"
+    return f"{named}: {what}, {good}, {facts['bytes'] / 1e6:.1f} MB"

@@ -4,10 +4,11 @@ import json
 import shutil
 import time
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 from isogi_core.errors import ViewError
 from isogi_core.plan.scene import Scene
@@ -60,8 +61,9 @@ def film(target: str, wishes: Wishes, knobs: Mapping[str, str], settings: Settin
     begun = time.monotonic()
     if not wishes.output.parent.is_dir():
         raise ViewError(f"There is no folder {wishes.output.parent} for {wishes.output.name}: make it first.")
-    scene = open_scene(target, settings)
-    shots = shots_of(scene, wishes, knobs)
+    views = keyframes(wishes)
+    scene = open_scene(variant_of(target, views), settings)
+    shots = shots_of(scene, wishes, views, knobs)
     size = {"width": shots[0].width, "height": shots[0].height}
     if wishes.is_movie:
         check_movie(wishes.output, **size)
@@ -78,16 +80,32 @@ def film(target: str, wishes: Wishes, knobs: Mapping[str, str], settings: Settin
     return {**about, "fps": wishes.fps, **reel.summary(), "seconds": time.monotonic() - begun}
 
 
-def shots_of(scene: Scene, wishes: Wishes, knobs: Mapping[str, str]) -> list[FrameParams]:
-    """The parameters of each frame; ParameterError where a view is none, or the frames are none or too many."""
-    count = round(wishes.length * wishes.fps)
-    if not 1 <= count <= MOST_FRAMES:
-        raise ParameterError(f"length × fps must be 1 to {MOST_FRAMES:,} frames, not {count:,}.", "length")
+def keyframes(wishes: Wishes) -> list[dict[str, str]]:
+    """The parameters of each view that is given. Raises ParameterError where one is none, or alone."""
     views = [view_in(text) for text in wishes.views]
     if wishes.views_file is not None:
         views += views_in(document_in(wishes.views_file))
     if len(views) == 1:
         raise ParameterError("One view is no path: give two or more.", "view")
+    return views
+
+
+def variant_of(target: str, views: Sequence[Mapping[str, str]]) -> str:
+    """The same target in the environment, and with the cut, that all views name, if they do."""
+    for key in ("environment", "cut"):
+        named = {view.get(key, "") for view in views}
+        if len(named) == 1 and named != {""}:
+            target += f"{'&' if '#' in target else '#'}{key}={quote(named.pop())}"
+    return target
+
+
+def shots_of(
+    scene: Scene, wishes: Wishes, views: Sequence[Mapping[str, str]], knobs: Mapping[str, str]
+) -> list[FrameParams]:
+    """The parameters of each frame along the ``views``; ParameterError where frames are none, or too many."""
+    count = round(wishes.length * wishes.fps)
+    if not 1 <= count <= MOST_FRAMES:
+        raise ParameterError(f"length × fps must be 1 to {MOST_FRAMES:,} frames, not {count:,}.", "length")
     own = {"isovalue": repr(scene.isovalue), "exposure": repr(scene.default_exposure)}
     own["albedo"] = ",".join(map(repr, scene.albedo))
     if scene.shine is not None:

@@ -17,7 +17,7 @@ Knobs = Mapping[str, str]
 TURNS = ("azimuth", "yaw", "pitch", "roll")
 """Angles that are the same after a whole turn."""
 
-STILL = ("width", "height", "shading", "samples", "overlay", "shine", "window")
+STILL = ("width", "height", "shading", "samples", "overlay", "shine", "environment", "background", "window", "cut")
 """Parameters that are no quantity: all views have the same."""
 
 ON_THE_PAGE = ("scene", "compare")

@@ -21,6 +21,7 @@ GROUPS = {
     ),
     "Who may ask, and for how much": (
         *("token_file", "tokens_file", "allowed_hosts", "allowed_origins", "max_pixels", "max_paths", "max_body_bytes"),
+        "exports_mb",
     ),
     "Uploads": ("uploads_mb", "uploads", "max_upload_mb", "upload_seconds", "reading_seconds"),
     "Connections": (

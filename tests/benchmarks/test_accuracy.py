@@ -3,6 +3,8 @@
 import math
 from pathlib import Path
 
+import pytest
+
 from benchmarks.accuracy.albedo import albedo
 from benchmarks.accuracy.checking import checking
 from benchmarks.accuracy.choices import choices
@@ -10,6 +12,7 @@ from benchmarks.accuracy.interpolation import interpolation
 from benchmarks.accuracy.lobes import lobes
 from benchmarks.accuracy.projected import projected
 from benchmarks.accuracy.roulette import roulette
+from benchmarks.accuracy.tools import tools
 from tests.benchmarks.parts import figures
 
 SMALL = ("--size", "16", "--repeats", "1")
@@ -74,3 +77,16 @@ def test_checks_are_told_beside_the_bake() -> None:
     assert found["final"] == 1.0 and 0.0 < found["told"] <= 0.05
     assert found["all steps, s"] >= found["first step, s"] > 0.0 < found["bake, s"]
     assert found["bytes"] > 0 and found["first step / bake"] == found["first step / bake, median"]
+
+
+@pytest.mark.campaign
+def test_tools(small_scene: Path) -> None:
+    scene = small_scene.with_name("tools.toml")
+    scene.write_text(small_scene.read_text().replace("lattice = 0.5", "rotating = false"))
+    found = figures(tools, str(scene), "--size", "48", "--error", "0.3")
+    assert found["final light"] == 1.0
+    assert all(found[f"{kind}: MB"] > 0.0 for kind in ("glb", "ply", "usdz", "vti", "zarr"))
+    if "ParaView" not in found:
+        assert found["ParaView: sRGB RMSE, of 1"] < 0.1
+    if "trimesh: vertices of .glb" in found:
+        assert found["trimesh: colours of .glb and .ply apart at most, of 255"] <= 1

@@ -3,6 +3,7 @@
 import importlib.util
 import json
 import math
+from pathlib import Path
 from typing import Any
 
 import click
@@ -11,6 +12,7 @@ import pytest
 
 from benchmarks.speed import growth, points
 from benchmarks.speed.edges import edges
+from benchmarks.speed.film import film
 from benchmarks.speed.frames import frames
 from benchmarks.speed.isovalue import isovalue
 from benchmarks.speed.paths import paths
@@ -130,3 +132,15 @@ def test_points_tell_of_texels_and_of_pixels() -> None:
     for found in map(json.loads, lines):
         assert 0.3 < found["16 samples: random / low-discrepancy"] < 10.0
         assert 0.0 < found["16 samples: error"] < 1.0 and 0.0 < found["16 samples: random error"] < 2.0
+
+
+@pytest.mark.campaign
+def test_film(small_scene: Path) -> None:
+    small = ("--frames", "3", "--degrees", "6", "--singles", "1", "--size", "16", "--workers", "1", "--error", "0.5")
+    found = figures(film, str(small_scene), *small)
+    assert found["film: final frames"] == 1.0 and found["mitsuba"] == "not installed"
+    assert 0.0 <= found["film: median error"] <= found["film: worst error"] <= 0.5
+    for store in ("a store of its own", "one store"):
+        every, each = (found[f"single pictures, {store}: {what}"] for what in ("all frames, s", "s each"))
+        assert every == pytest.approx(3 * each)
+        assert found[f"single pictures, {store} / film"] == pytest.approx(every / found["film, s"])

@@ -32,6 +32,15 @@ def test_a_prewarm_is_asked_about_and_waited_for(isogi: Isogi) -> None:
     assert not isogi.frame("small", isovalue=0.45, azimuth=0.0, elevation=30.0, width=24, height=20).facts.error > 0.5
 
 
+def test_an_export_is_a_file_and_leaves_no_job(isogi: Isogi, tmp_path: Path) -> None:
+    told: list[Progress] = []
+    path = isogi.export("small", tmp_path / "a.glb", isovalue=0.5, yaw=40, progress=told.append)
+    assert path.read_bytes().startswith(b"glTF") and told[-1].status == "successful"
+    assert all(job["processID"] != "export" for job in isogi._json("GET", "/v1/jobs")["jobs"])
+    with pytest.raises(RefusedError, match="glb, usdz"):
+        isogi.export("small", tmp_path / "a.stl")
+
+
 def test_what_is_refused_says_why(isogi: Isogi) -> None:
     with pytest.raises(RefusedError, match="no parameter 'paint'") as caught:
         isogi.prewarm("small", paint=1)

@@ -9,7 +9,7 @@ from isogi_core.files.light_files import LitMesh, glb_bytes, obj_bytes, ply_byte
 TURN = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 VERTICES = np.array([[1e5, 0.0, 3.0], [1e5 + 1, 2.0, 3.0], [1e5, 2.0, 3.5], [1e5, 0.0, 7.0]])
 COLOURS = np.array([[0.0, 0.5, 1.0], [0.2, 0.2, 0.2], [2.0, 0.0, 0.001], [1.0, 1.0, 1.0]])
-MESH = LitMesh(VERTICES, np.tile([0.0, 0.0, 1.0], (4, 1)), COLOURS, np.array([[0, 1, 2], [0, 2, 3]]))
+MESH = LitMesh(VERTICES, np.tile([0.0, 0.0, 1.0], (4, 1)), COLOURS, np.array([[0, 1, 2, 3]]))
 
 
 def test_ply_has_its_colours_in_srgb() -> None:

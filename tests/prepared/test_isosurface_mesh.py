@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from isogi_core.model.volume import make_volume
-from isogi_core.prepared.isosurface_mesh import Mesh, isosurface_mesh
+from isogi_core.prepared.isosurface_mesh import Mesh, isosurface_mesh, vertex_count
 
 RADIUS = 7.3
 
@@ -19,9 +19,13 @@ def mesh_of(values: np.ndarray, isovalue: float, solid: str = "above") -> Mesh:
     return isosurface_mesh(volume.voxels, volume.normalise_isovalue(isovalue))
 
 
+def triangles_of(mesh: Mesh) -> np.ndarray:
+    return np.concatenate([mesh.quads[:, [0, 1, 2]], mesh.quads[:, [0, 2, 3]]])
+
+
 def enclosed(mesh: Mesh) -> float:
     """The volume that is enclosed by triangles, positive where they are anticlockwise from outside."""
-    a, b, c = (mesh.vertices[mesh.triangles[:, n]].astype(float) for n in range(3))
+    a, b, c = (mesh.vertices[triangles_of(mesh)[:, n]].astype(float) for n in range(3))
     return float((a * np.cross(b, c)).sum() / 6.0)
 
 
@@ -29,10 +33,11 @@ def enclosed(mesh: Mesh) -> float:
 def test_a_ball_is_closed_and_faces_outwards(solid: str) -> None:
     mesh = mesh_of(ball(), 0.0, solid)
     assert enclosed(mesh) == pytest.approx((1 if solid == "above" else -1) * 4 / 3 * np.pi * RADIUS**3, rel=0.02)
-    sides = np.sort(np.concatenate([mesh.triangles[:, [a, b]] for a, b in ((0, 1), (1, 2), (2, 0))]), axis=1)
+    triangles = triangles_of(mesh)
+    sides = np.sort(np.concatenate([triangles[:, [a, b]] for a, b in ((0, 1), (1, 2), (2, 0))]), axis=1)
     _, counts = np.unique(sides, axis=0, return_counts=True)
     assert (counts == 2).all()
-    assert len(mesh.vertices) - len(counts) + len(mesh.triangles) == 2  # Euler
+    assert len(mesh.vertices) - len(counts) + len(triangles) == 2  # Euler
 
 
 def test_vertices_lie_on_the_trilinear_surface() -> None:
@@ -44,6 +49,8 @@ def test_vertices_lie_on_the_trilinear_surface() -> None:
         weight = np.where(np.array([x, y, z]) == 1, share, 1.0 - share).prod(axis=1)
         found += weight * values[cell[:, 2] + z, cell[:, 1] + y, cell[:, 0] + x]
     np.testing.assert_allclose(found, 1.5, atol=2e-3)
+    volume = make_volume(values.astype(np.float32))
+    assert vertex_count(volume.voxels, volume.normalise_isovalue(1.5)) == len(mesh.vertices)
 
 
 def test_there_is_no_surface_beside_a_hole_or_beyond_the_values() -> None:
@@ -51,4 +58,4 @@ def test_there_is_no_surface_beside_a_hole_or_beyond_the_values() -> None:
     values[9, 10, 17] = np.nan
     mesh = mesh_of(values, 0.0)
     assert np.abs(mesh.vertices - (17, 10, 9)).max(axis=1).min() >= 1.0
-    assert len(mesh.triangles) and not len(mesh_of(ball(), 100.0).triangles)
+    assert len(mesh.quads) and not len(mesh_of(ball(), 100.0).quads)

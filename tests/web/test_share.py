@@ -122,7 +122,7 @@ def test_a_picture_is_saved_large_and_final_with_its_notes(page: Page, live_serv
         assert "at 0.45" in picture.info["Title"]
         comment = picture.info["Comment"]
     assert comment.startswith("Done, 1920 × ")
-    expect(page.locator("#save .note")).to_have_text(f"Saved small-0.45.png: {comment}.")
+    expect(page.locator("#save > .note")).to_have_text(f"Saved small-0.45.png: {comment}.")
 
 
 def saved(page: Page, path: Path) -> np.ndarray:
@@ -150,7 +150,7 @@ def test_saving_survives_a_lost_server_and_can_be_stopped(page: Page, live_serve
     open_final(page, f"{live_server}/?{PLAIN}").click("#save-button")
     page.route("**/frame?*", lambda route: route.abort())
     page.click("#save-start")
-    note = page.locator("#save .note")
+    note = page.locator("#save > .note")
     expect(note).to_contain_text("continues by itself")
     page.click("#save-close")
     expect(note).to_have_text("Stopped, nothing is saved.")
@@ -168,7 +168,7 @@ def test_what_cannot_become_final_may_be_saved_as_it_is(page: Page, live_server:
     open_final(page, f"{live_server}/?{PLAIN}").click("#save-button")
     page.route("**/frame?*", stuck())
     page.click("#save-start")
-    note = page.locator("#save .note")
+    note = page.locator("#save > .note")
     expect(note).to_have_text("No more light is coming: Refining, about 70 % error.", timeout=FINAL_MS)
     with page.expect_download() as download:
         page.click("#save-now")

@@ -183,6 +183,28 @@ export function sliceAddress(scene, axis, at) {
   return sceneAddress(scene, "slice", { axis, at: at.toFixed(2) });
 }
 
+/**
+ * Have a file made of the surface, or the volume, with its light: the address of the job.
+ * @param {string} scene
+ * @param {FrameQuery} query
+ * @returns {Promise<string>}
+ */
+export async function beginExport(scene, query) {
+  const texts = Object.entries(query).map(([name, value]) => [name, String(value)]);
+  const answer = await ask(`${scenePath(scene)}/export?${new URLSearchParams(texts)}`, { method: "POST" });
+  return `v1/jobs/${(await answer.json()).jobID}`;
+}
+
+/** How far a job is. @param {string} address @returns {Promise<import("./schemas.js").Job>} */
+export async function readJob(address) {
+  return (await ask(address)).json();
+}
+
+/** End a job, also of a page that goes. @param {string} address */
+export async function stopJob(address) {
+  await ask(address, { method: "DELETE", keepalive: true });
+}
+
 /** Whether the server wants a token from clients that have not this browser's cookie. @returns {Promise<boolean>} */
 export async function wantsToken() {
   return (await ask("v1/scenes")).headers.get("Cache-Control")?.includes("private") ?? false; // as behind a token only

@@ -95,6 +95,15 @@
  * @property {Plan} plan
  */
 
+/**
+ * @typedef {object} Job work of the server that goes on when its request has been answered
+ * @property {"accepted"|"running"|"successful"|"failed"|"dismissed"} status
+ * @property {string} message
+ * @property {number} progress in percent
+ * @property {{low: number, likely: number, high: number}|null} time_left seconds
+ * @property {{rel: string, href: string, title: string}[]} links
+ */
+
 /** @typedef {"final"|"converging"|"provisional"} State of a pixel of the surface */
 
 /**

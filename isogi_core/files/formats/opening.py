@@ -114,6 +114,8 @@ PILLOW = ("Bmp", "Gif", "Ppm", "Png", "Jpeg", "Jpeg2K")
 JPEG = ("openjpeg", *(f"PIL.{name}ImagePlugin" for name in PILLOW))
 """What DICOM's packed pixels are unpacked by, where it is installed."""
 
+VTK = ("vtk", *(f"vtkmodules.{name}" for name in ("vtkIOXML", "vtkCommonExecutionModel", "util.numpy_support")))
+
 LIBRARIES: tuple[tuple[int, bytes, tuple[str, ...]], ...] = (
     (0, b"\x1f\x8b", ("nibabel", "mrcfile.utils", "mrcfile.mrcinterpreter")),
     (0, b"BZh", ("nibabel", "mrcfile.utils", "mrcfile.mrcinterpreter")),
@@ -125,6 +127,7 @@ LIBRARIES: tuple[tuple[int, bytes, tuple[str, ...]], ...] = (
     (208, b"MAP", ("mrcfile.utils", "mrcfile.mrcinterpreter")),
     (0, b"\x89HDF", ("h5py", "h5py._hl.dims", "h5py._hl.filters")),
     (0, b"PK", ("encodings.cp437",)),
+    (0, b"<", VTK),
 )
 """Libraries that a file may need, by what it has at some byte."""
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -12,49 +11,91 @@ from isogi_core.files.grid import Affine, Grid, layers_of
 
 INSTALL = "'isogi[vtk]'"
 
+END, TAIL = b"</VTKFile>", 64
+"""How a file ends that is whole, and how many of its last bytes are looked at: VTK reads others as if they were."""
+
 
 def open_vti(source: Source) -> Grid:
     """Open an array of an image file as a grid: only its description is read now. Raises VolumeError."""
-    if source.path is None:
-        raise VolumeError(f"'{source.name}' cannot be uploaded in this form: save it as NIfTI or NRRD.")
     source.refuse_others("part")
     with reading(source.name, "VTI"):
-        reader, about = _reader(source)
-        extent = _extent(about)
+        image = ImageFile(source)
+        extent = image.extent
         shape = tuple(extent[2 * axis + 1] - extent[2 * axis] + 1 for axis in (2, 1, 0))
         source.check(shape)
-        name = _name(source, reader)
-        dtype = _block(source, name, extent, 0, 1).dtype
-        pipeline = library("vtkmodules.vtkCommonDataModel", "VTI", INSTALL).vtkDataObject
-        steps = np.array(about.Get(pipeline.SPACING()))
-        direction = about.Get(pipeline.DIRECTION()) if about.Has(pipeline.DIRECTION()) else np.eye(3).ravel()
-        matrix = np.array(direction).reshape(3, 3) * steps
-        origin = np.array(about.Get(pipeline.ORIGIN())) + matrix @ np.array(extent[::2])
+        name = _name(source, image.names)
+        dtype = image.layers(name, 0, 1).dtype
+        matrix = image.direction * image.spacing
+        origin = image.origin + matrix @ np.array(extent[::2])
+    steps = image.spacing
     spacing = (float(steps[0]), float(steps[1]), float(steps[2]))
-    slabs = partial(_slabs, source, name, extent, layers_of(shape[1] * shape[2] * dtype.itemsize))
+    slabs = partial(_slabs, image, name, layers_of(shape[1] * shape[2] * dtype.itemsize))
     affine = Affine.of(np.column_stack([matrix, origin]))
     return Grid(shape, dtype, spacing, slabs, source.stamp, affine)
 
 
-def _reader(source: Source) -> tuple[Any, Any]:
-    """A reader that has read the description, and that."""
-    library("vtk", "VTI", INSTALL)
-    reader = library("vtkmodules.vtkIOXML", "VTI", INSTALL).vtkXMLImageDataReader()
-    if source.path is None or not reader.CanReadFile(str(source.path)):
-        raise VolumeError(f"'{source.name}' is no image file of VTK: check the volume's path.")
-    reader.SetFileName(str(source.path))
-    reader.UpdateInformation()
-    return reader, reader.GetOutputInformation(0)
+class ImageFile:
+    """An image file that VTK reads: from its path, or, of an upload, from memory. Raises VolumeError on damage."""
+
+    def __init__(self, source: Source) -> None:
+        """Read the description."""
+        self.name = source.name
+        self._errors: list[str] = []
+        self._check_end(source)
+        library("vtk", "VTI", INSTALL)
+        library("vtkmodules.vtkCommonCore", "VTI", INSTALL).vtkObject.GlobalWarningDisplayOff()
+        self._reader = library("vtkmodules.vtkIOXML", "VTI", INSTALL).vtkXMLImageDataReader()
+        self._reader.AddObserver("ErrorEvent", lambda _, event: self._errors.append(event))
+        if source.path is not None:
+            self._reader.SetFileName(str(source.path))
+        else:
+            with source.open() as file:
+                self._reader.ReadFromInputStringOn()
+                self._reader.SetInputString(file.read())
+        self._reader.UpdateInformation()
+        self._check()
+        about = self._reader.GetOutputInformation(0)
+        keys = library("vtkmodules.vtkCommonDataModel", "VTI", INSTALL).vtkDataObject
+        steps = library("vtkmodules.vtkCommonExecutionModel", "VTI", INSTALL).vtkStreamingDemandDrivenPipeline
+        self.extent = [int(n) for n in about.Get(steps.WHOLE_EXTENT())]
+        self.spacing, self.origin = np.array(about.Get(keys.SPACING())), np.array(about.Get(keys.ORIGIN()))
+        turned = about.Get(keys.DIRECTION()) if about.Has(keys.DIRECTION()) else np.eye(3).ravel()
+        self.direction = np.array(turned).reshape(3, 3)
+
+    @property
+    def names(self) -> list[str]:
+        """The arrays of points."""
+        return [self._reader.GetPointArrayName(n) for n in range(self._reader.GetNumberOfPointArrays())]
+
+    def layers(self, name: str, first: int, count: int) -> np.ndarray:
+        """Some layers of an array, (count, ny, nx)."""
+        lowest = self.extent[4] + first
+        self._reader.UpdateExtent([*self.extent[:4], lowest, lowest + count - 1])
+        self._check()
+        image = self._reader.GetOutput()
+        array = image.GetPointData().GetArray(name)
+        if array is None or array.GetNumberOfComponents() != 1:
+            raise VolumeError(f"'{self.name}#{name}' is no array of one number a point: choose another.")
+        values = library("vtkmodules.util.numpy_support", "VTI", INSTALL).vtk_to_numpy(array)
+        nx, ny, nz = image.GetDimensions()
+        start = lowest - image.GetExtent()[4]
+        return np.array(values.reshape(nz, ny, nx)[start : start + count])
+
+    def _check_end(self, source: Source) -> None:
+        with source.open() as file:
+            size = file.seek(0, 2)
+            file.seek(max(size - TAIL, 0))
+            if END not in file.read(TAIL):
+                raise VolumeError(f"'{self.name}' ends too early for an image file of VTK: copy it again.")
+            file.seek(0)
+
+    def _check(self) -> None:
+        if self._errors:
+            raise VolumeError(f"'{self.name}' is a damaged image file of VTK: write it again.")
 
 
-def _extent(about: Any) -> list[int]:
-    pipeline = library("vtkmodules.vtkCommonExecutionModel", "VTI", INSTALL).vtkStreamingDemandDrivenPipeline
-    return [int(n) for n in about.Get(pipeline.WHOLE_EXTENT())]
-
-
-def _name(source: Source, reader: Any) -> str:
+def _name(source: Source, names: list[str]) -> str:
     """The name of the array of points that is chosen, the only one by default."""
-    names = [reader.GetPointArrayName(n) for n in range(reader.GetNumberOfPointArrays())]
     chosen = source.chosen.get("part") or ("value" if "value" in names else names[0] if len(names) == 1 else None)
     if chosen not in names:
         listed = ", ".join(f"'{source.name}#{name}'" for name in names) or "none"
@@ -62,23 +103,9 @@ def _name(source: Source, reader: Any) -> str:
     return str(chosen)
 
 
-def _slabs(source: Source, name: str, extent: list[int], step: int) -> Iterator[np.ndarray]:
-    depth = extent[5] - extent[4] + 1
+def _slabs(image: ImageFile, name: str, step: int) -> Iterator[np.ndarray]:
+    depth = image.extent[5] - image.extent[4] + 1
     for z in range(0, depth, step):
-        with reading(source.name, "VTI"):
-            slab = _block(source, name, extent, z, min(step, depth - z))
+        with reading(image.name, "VTI"):
+            slab = image.layers(name, z, min(step, depth - z))
         yield slab
-
-
-def _block(source: Source, name: str, extent: list[int], first: int, count: int) -> np.ndarray:
-    """Some layers of an array, (count, ny, nx)."""
-    reader, _ = _reader(source)
-    reader.UpdateExtent([*extent[:4], extent[4] + first, extent[4] + first + count - 1])
-    image = reader.GetOutput()
-    array = image.GetPointData().GetArray(name)
-    if array is None or array.GetNumberOfComponents() != 1:
-        raise VolumeError(f"'{source.name}#{name}' is no array of one number a point: choose another.")
-    values = library("vtkmodules.util.numpy_support", "VTI", INSTALL).vtk_to_numpy(array)
-    nx, ny, nz = image.GetDimensions()
-    first -= image.GetExtent()[4] - extent[4]
-    return np.array(values.reshape(nz, ny, nx)[first : first + count])

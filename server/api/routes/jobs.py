@@ -9,13 +9,16 @@ from datetime import datetime
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Path, Request, Response
+from fastapi.responses import FileResponse
 from pydantic import BaseModel
 
 from isogi_core.plan.scene import Scene
+from server.api import export_jobs
+from server.api.export_jobs import media_type
 from server.api.prewarm_jobs import begin
 from server.api.service import BearerDep, SceneDep, ServiceDep
 from server.errors import ParameterError, StartingError, UnknownResultError
-from server.parameters import NoParamsDep, read
+from server.parameters import ExportParams, ExportParamsDep, NoParamsDep, documented, read
 from server.prewarm.order import PrewarmOrder, PrewarmRequest, Views
 from server.prewarm.record import Summary
 from server.problems import documented_problems
@@ -114,6 +117,13 @@ async def read_results(job: JobId, service: ServiceDep, response: Response) -> S
     return found.document
 
 
+@router.get("/{job}/file", response_class=FileResponse, responses=UNKNOWN)
+async def read_file(job: JobId, service: ServiceDep) -> FileResponse:
+    """The file that an export has made; it is kept while its job is known, and there is room for it."""
+    file = service.exports.find(service.job(job).id)
+    return FileResponse(file, media_type=media_type(file), filename=file.name, headers={"Cache-Control": "no-store"})
+
+
 @router.delete("/{job}", responses=UNKNOWN)
 async def dismiss_job(job: JobId, service: ServiceDep, bearer: BearerDep) -> JobSchema:
     """End a job: nothing more is baked for it. One that has ended is forgotten at once."""
@@ -183,6 +193,27 @@ async def prewarm(
         raise StartingError(service.reasons()[0])
     await asyncio.to_thread(check, scene, asked.order, service.settings)
     job = begin(service, scene, asked.order, asked.dry_run, bearer.name)
+    response.headers.update({"Location": address(job), "Cache-Control": "no-store"})
+    return job_schema(job)
+
+
+export_router = APIRouter(prefix="/v1/scenes/{scene}", tags=["jobs"])
+
+
+@export_router.post(
+    "/export",
+    status_code=202,
+    openapi_extra=documented(ExportParams),
+    responses=ANSWERS | documented_problems(404, 422, 429, 503),
+)
+async def export(
+    scene: SceneDep, params: ExportParamsDep, service: ServiceDep, response: Response, bearer: BearerDep
+) -> JobSchema:
+    """Bake a whole isosurface, and make a file with its light in it: `/v1/jobs/{job}/file`, when that has ended."""
+    if not service.settled.is_set() or service.failure:
+        raise StartingError(service.reasons()[0])
+    scene = await service.variant(scene, params.environment, params.cut)
+    job = export_jobs.begin(service, scene, params, bearer.name)
     response.headers.update({"Location": address(job), "Cache-Control": "no-store"})
     return job_schema(job)
 

@@ -2,6 +2,7 @@
 
 import gzip
 import importlib.util
+import zlib
 from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from isogi_core.files.light_volumes import LitVolume, vti_bytes
 from tests.files.formats.dicom_files import dataset
 from tests.files.formats.phantom import affine, letter
 
@@ -23,7 +25,7 @@ def present(name: str) -> bool:
 def written(folder: Path) -> list[Path]:
     """Files in a ``folder``, which is made."""
     folder.mkdir(exist_ok=True)
-    return [path for write in (numpy_files, nifti, dicom, tiff, mrc, hdf5) for path in write(folder)]
+    return [path for write in (numpy_files, nifti, dicom, tiff, mrc, hdf5, vti) for path in write(folder)]
 
 
 def numpy_files(folder: Path) -> Iterator[Path]:
@@ -73,3 +75,21 @@ def hdf5(folder: Path) -> Iterator[Path]:
         with h5py.File(folder / "f.h5", "w") as file:
             file.create_dataset("x", data=F, chunks=(4, 8, 8), compression="gzip")
         yield folder / "f.h5"
+
+
+def metaimage(folder: Path) -> Iterator[Path]:
+    """Files that no upload may be: what reads them needs a path."""
+    nz, ny, nx = F.shape
+    lines = ["ObjectType = Image", "NDims = 3", "BinaryData = True", "BinaryDataByteOrderMSB = False"]
+    lines += ["CompressedData = {packed}", f"DimSize = {nx} {ny} {nz}", "ElementSpacing = 1 1.25 1.5"]
+    header = "\n".join([*lines, "ElementType = MET_SHORT", "ElementDataFile = LOCAL", ""])
+    body = F.astype("<i2").tobytes()
+    for name, packed, data in (("f.mha", "False", body), ("g.mha", "True", zlib.compress(body))):
+        (folder / name).write_bytes(header.format(packed=packed).encode() + data)
+        yield folder / name
+
+
+def vti(folder: Path) -> Iterator[Path]:
+    if present("vtk"):
+        (folder / "f.vti").write_bytes(vti_bytes(LitVolume({"value": F}, affine()[:3])))
+        yield folder / "f.vti"

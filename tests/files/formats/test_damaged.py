@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from isogi_core.errors import VolumeError
-from isogi_core.files.formats.opening import open_upload
+from isogi_core.files.formats.opening import open_file, open_upload
 from isogi_core.files.right_angles import on_right_angles
-from tests.files.formats.every_kind import written
+from tests.files.formats.every_kind import metaimage, written
 
 VOXELS = 1 << 16
 EACH = 24
@@ -32,7 +32,7 @@ def damaged(whole: bytes, rng: random.Random) -> bytes:
 @pytest.mark.filterwarnings("ignore")
 def test_damaged_files_are_refused_or_read(tmp_path: Path) -> None:
     rng, ends = random.Random(7), {"read": 0, "refused": 0}
-    for path in written(tmp_path / "files"):
+    for path in (*written(tmp_path / "files"), *metaimage(tmp_path / "files")):
         whole = path.read_bytes()
         for _ in range(EACH):
             try:
@@ -44,3 +44,16 @@ def test_damaged_files_are_refused_or_read(tmp_path: Path) -> None:
                 assert str(error).endswith(".")
                 ends["refused"] += 1
     assert min(ends.values()) > EACH
+
+
+def test_an_image_of_vtk_that_is_cut_is_no_volume(tmp_path: Path) -> None:
+    pytest.importorskip("vtk")
+    (path,) = (path for path in written(tmp_path) if path.suffix == ".vti")
+    whole, begin = path.read_bytes(), path.read_bytes().index(b'">_') + 3
+    short = whole[:begin] + (100).to_bytes(8, "little") + whole[begin + 8 :]
+    for data, why in ((whole[: len(whole) // 2], "ends too early"), (short, "damaged image file")):
+        with pytest.raises(VolumeError, match=why):
+            open_upload(io.BytesIO(data), path.name, VOXELS).whole()
+        path.write_bytes(data)
+        with pytest.raises(VolumeError, match=why):
+            open_file(path, {}).whole()

@@ -81,12 +81,26 @@ def test_links_and_files_are_views() -> None:
         ({"isovalue": "1:2:3"}, [], "first:last"),
         ({"isovalue": "low:high"}, [], "first:last"),
         ({"width": "10:20"}, [], "width cannot change"),
+        ({}, [{"environment": "studio"}, {"azimuth": "2"}], "environment cannot change"),
         ({}, [{"eye": "1,2,3"}, {"azimuth": "2"}], "eye is given by some"),
     ],
 )
 def test_paths_that_make_no_sense(given: dict[str, str], views: list[dict[str, str]], sentence: str) -> None:
     with pytest.raises(ParameterError, match=sentence):
         film_path(given, views, {}, 3)
+
+
+def test_views_of_the_page_are_filmed_in_their_light(small_scene: Path, tmp_path: Path) -> None:
+    views = [{"isovalue": 0.5, "azimuth": azimuth, "exposure": 2, "background": "light"} for azimuth in (10, 50)]
+    (tmp_path / "lit.json").write_text(json.dumps({"views": [{**view, "environment": "studio"} for view in views]}))
+    (tmp_path / "own.json").write_text(json.dumps({"views": views}))
+    options = ["--store", str(tmp_path / "store"), "--length", "1", "--fps", "2", *SIZE]
+    for name, more in (("lit", []), ("own", []), ("told", ["--environment", "studio"])):
+        keys = str(tmp_path / f"{name.replace('told', 'own')}.json")
+        assert run(["film", str(small_scene), "-o", str(tmp_path / name), "--views-file", keys, *options, *more]) == 0
+    lit, own, told = (sorted((tmp_path / name).glob("*.png")) for name in ("lit", "own", "told"))
+    for number in range(2):
+        assert lit[number].read_bytes() == told[number].read_bytes() != own[number].read_bytes()
 
 
 def test_budgets_share_what_is_left() -> None:

@@ -1,0 +1,31 @@
+"""Contours an exported volume by its value, coloured by its light: run by ParaView's own ``pvpython``, in batch.
+
+Its only argument is a JSON object of what ``draw`` takes.
+"""
+
+import json
+import sys
+from collections.abc import Sequence
+
+from paraview.simple import Contour, CreateView, Render, SaveScreenshot, Show, XMLImageDataReader
+
+Row = Sequence[float]
+
+
+def draw(file: str, isovalue: float, eye: Row, target: Row, up: Row, fov: float, size: int, out: str) -> None:
+    """Draw the isosurface to a picture; light is emitted as it is."""
+    volume = XMLImageDataReader(FileName=[file])
+    surface = Contour(Input=volume, ContourBy=["POINTS", "value"], Isosurfaces=[isovalue])
+    view = CreateView("RenderView")
+    view.ViewSize, view.OrientationAxesVisibility = [size, size], 0
+    view.UseColorPaletteForBackground, view.Background = 0, [0.0, 0.0, 0.0]
+    shown = Show(surface, view)
+    shown.ColorArrayName, shown.MapScalars = ["POINTS", "colour"], 0
+    shown.Ambient, shown.Diffuse, shown.Specular = 1.0, 0.0, 0.0
+    view.CameraPosition, view.CameraFocalPoint, view.CameraViewUp, view.CameraViewAngle = eye, target, up, fov
+    Render(view)
+    SaveScreenshot(out, view, ImageResolution=[size, size])
+    sys.stdout.write(str(surface.GetDataInformation().GetNumberOfPoints()))
+
+
+draw(**json.loads(sys.argv[1]))

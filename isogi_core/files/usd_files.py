@@ -1,0 +1,167 @@
+"""Meshes with their light as a texture, in packages of OpenUSD: .usdz.
+
+Format: OpenUSD's text layers, its UsdPreviewSurface, and its specification of usdz packages.
+"""
+
+import io
+import struct
+import zipfile
+
+import numpy as np
+
+from isogi_core.errors import VolumeError
+from isogi_core.files.light_files import LitMesh, srgb_bytes
+
+METRES = {"m": 1.0, "mm": 1e-3, "µm": 1e-6, "nm": 1e-9, "Å": 1e-10}
+"""Metres of the units that volumes have; those of others are taken for USD's own, centimetres."""
+
+BLOCK = 4
+"""Texels a side of each quadrilateral's own part of the texture: its four corners, and a rim that repeats them."""
+
+WIDEST = 16384
+"""Texels a side of a texture, at most: what graphics processors take."""
+
+LAYER = """\
+#usda 1.0
+(
+    defaultPrim = "Isosurface"
+    metersPerUnit = {metres!r}
+    upAxis = "Y"
+)
+
+def Xform "Isosurface" (
+    kind = "component"
+)
+{{
+    double3 xformOp:translate = {middle}
+    float xformOp:rotateX = -90
+    uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:rotateX"]
+
+    def Mesh "Surface" (
+        prepend apiSchemas = ["MaterialBindingAPI"]
+    )
+    {{
+        uniform bool doubleSided = 1
+        float3[] extent = {extent}
+        int[] faceVertexCounts = {counts}
+        int[] faceVertexIndices = {corners}
+        rel material:binding = </Isosurface/Light>
+        point3f[] points = {points}
+        texCoord2f[] primvars:st = {places} (
+            interpolation = "faceVarying"
+        )
+        uniform token subdivisionScheme = "none"
+    }}
+
+    def Material "Light"
+    {{
+        token outputs:surface.connect = </Isosurface/Light/Surface.outputs:surface>
+
+        def Shader "Surface"
+        {{
+            uniform token info:id = "UsdPreviewSurface"
+            color3f inputs:diffuseColor = (0, 0, 0)
+            color3f inputs:emissiveColor.connect = </Isosurface/Light/Texture.outputs:rgb>
+            float inputs:roughness = 1
+            color3f inputs:specularColor = (0, 0, 0)
+            int inputs:useSpecularWorkflow = 1
+            token outputs:surface
+        }}
+
+        def Shader "Texture"
+        {{
+            uniform token info:id = "UsdUVTexture"
+            asset inputs:file = @{texture}@
+            token inputs:sourceColorSpace = "sRGB"
+            float2 inputs:st.connect = </Isosurface/Light/Places.outputs:result>
+            token inputs:wrapS = "clamp"
+            token inputs:wrapT = "clamp"
+            float3 outputs:rgb
+        }}
+
+        def Shader "Places"
+        {{
+            uniform token info:id = "UsdPrimvarReader_float2"
+            string inputs:varname = "st"
+            float2 outputs:result
+        }}
+    }}
+}}
+"""
+
+
+def usd_layer(mesh: LitMesh, texture: str) -> bytes:
+    """The layer of a mesh that emits the light of the file ``texture`` and reflects none.
+
+    Points are about the mesh's middle, whose place is that of the root; a turn brings z up to USD's y up.
+    """
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    x, y, z = ((low + high) / 2.0).tolist()
+    half = (high - low) / 2.0
+    text = LAYER.format(
+        metres=METRES.get(mesh.unit, 0.01),
+        middle=(x, z, -y),
+        extent=_rows(np.stack([-half, half])),
+        counts=[4] * len(mesh.quads),
+        corners=mesh.quads.ravel().tolist(),
+        points=_rows(mesh.vertices - (x, y, z)),
+        places=_rows(texture_places(len(mesh.quads)).reshape(-1, 2)),
+        texture=texture,
+    )
+    return text.encode()
+
+
+def light_texture(mesh: LitMesh) -> np.ndarray:
+    """The texture of a mesh, sRGB bytes (h, w, 3): a block of BLOCK × BLOCK texels for each quadrilateral.
+
+    Its middle texels are the corners' colours, so that between them a bilinear filter interpolates the light.
+    Raises VolumeError where it would be too large.
+    """
+    columns, rows = _blocks(len(mesh.quads))
+    if columns * BLOCK > WIDEST:
+        most = (WIDEST // BLOCK) ** 2
+        raise VolumeError(f"The texture of {len(mesh.quads):,} faces is too large, {most:,} fit: write .glb instead.")
+    corners = srgb_bytes(mesh.colours)[mesh.quads[:, [[0, 1], [3, 2]]]]
+    blocks = np.zeros((rows * columns, BLOCK, BLOCK, 3), np.uint8)
+    blocks[: len(corners)] = corners.repeat(BLOCK // 2, axis=1).repeat(BLOCK // 2, axis=2)
+    whole = blocks.reshape(rows, columns, BLOCK, BLOCK, 3).transpose(0, 2, 1, 3, 4)
+    return np.ascontiguousarray(whole.reshape(rows * BLOCK, columns * BLOCK, 3))
+
+
+def texture_places(quads: int) -> np.ndarray:
+    """Where the corners of each of so many quadrilaterals are in their texture: u, v from its lower left (n, 4, 2)."""
+    columns, rows = _blocks(quads)
+    row, column = np.divmod(np.arange(quads), columns)
+    right, down = np.array([0, 1, 1, 0]), np.array([0, 0, 1, 1])
+    middle = BLOCK / 2.0 - 0.5
+    u = (column[:, None] * BLOCK + middle + right) / (columns * BLOCK)
+    v = 1.0 - (row[:, None] * BLOCK + middle + down) / (rows * BLOCK)
+    return np.stack([u, v], axis=-1)
+
+
+ALIGNED, PADDING, LOCAL_HEADER = 64, 0x1986, 30
+"""Bytes that each file of a package begins at a multiple of; the extra field that fills up; a ZIP header's bytes."""
+
+
+def usdz_package(files: dict[str, bytes]) -> bytes:
+    """A usdz package: a ZIP archive of stored files whose bytes are aligned; the first is the layer to open."""
+    package = io.BytesIO()
+    with zipfile.ZipFile(package, "w", zipfile.ZIP_STORED) as archive:
+        for name, data in files.items():
+            entry = zipfile.ZipInfo(name)
+            start = package.tell() + LOCAL_HEADER + len(name.encode()) + 4
+            entry.extra = struct.pack("<HH", PADDING, -start % ALIGNED) + bytes(-start % ALIGNED)
+            archive.writestr(entry, data)
+    return package.getvalue()
+
+
+def _blocks(quads: int) -> tuple[int, int]:
+    """Columns and rows of a texture's blocks, as square as may be."""
+    columns = max(int(np.ceil(np.sqrt(quads))), 1)
+    return columns, max(-(-quads // columns), 1)
+
+
+def _rows(values: np.ndarray) -> str:
+    """Rows of numbers as USD's text has them; no digit more than a float32 tells."""
+    one = "(" + ", ".join(["%.8g"] * values.shape[1]) + ")"
+    return f"[{', '.join([one] * len(values)) % tuple(values.astype(np.float32).ravel().tolist())}]"

@@ -1,0 +1,131 @@
+"""Exports over HTTP: jobs that bake an isosurface, and make a file with its light in it."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections.abc import Callable, Iterable
+from contextlib import closing
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import TypeVar
+
+from isogi_core.errors import ViewError
+from isogi_core.files.light_volumes import WRITERS
+from isogi_core.frame.renderer import Renderer
+from isogi_core.frame.tiles import Tiles
+from isogi_core.model.view import View
+from isogi_core.plan.scene import Scene
+from server.api.prewarm_jobs import Prewarm, stand_back
+from server.api.service import Service
+from server.exports.kinds import MESHES, expected_bytes, write_mesh, write_volume
+from server.exports.lighting import check_lattice, lit_mesh, lit_volume, lit_voxels, surface_mesh
+from server.parameters import ExportParams, view_of
+from server.prewarm.order import PrewarmOrder, order_of
+from server.render.jobs import Job, Result
+from server.render.variants import own_name
+
+TYPES = {".glb": "model/gltf-binary", ".usdz": "model/vnd.usdz+zip", ".obj": "model/obj"}
+"""Media types of files that have one."""
+
+BAKED = 0.9
+"""The share of an export's progress at which all its light is baked."""
+
+Made = TypeVar("Made")
+
+KEPT = 64 << 20
+"""Bytes that the renderer of an export keeps."""
+
+
+def begin(service: Service, scene: Scene, params: ExportParams, owner: str = "") -> Job:
+    """The job that makes a file. Raises BusyError, ViewError, SceneError where the scene fits no such file."""
+    view = view_of(scene, params.view, service.settings)
+    if f".{params.f}" in WRITERS:
+        check_lattice(scene)
+    export = Export(service, scene, params, view, owner)
+    return service.jobs.begin("export", f"An export of {own_name(scene.id)}", export.work, owner=owner)
+
+
+def media_type(file: Path) -> str:
+    """The media type of a file that is exported."""
+    return TYPES.get(file.suffix, "application/octet-stream")
+
+
+def reporter(job: Job) -> Callable[[int, int], None]:
+    """What threads tell how many points are lit, of how many; the ``job`` reports it on this event loop."""
+    loop = asyncio.get_running_loop()
+
+    def report(done: int, total: int) -> None:
+        share = BAKED + (1.0 - BAKED) * done / total
+        loop.call_soon_threadsafe(job.report, share, f"Lighting: {done:,} of {total:,} points.")
+
+    return report
+
+
+@dataclass(eq=False)
+class Export:
+    """One export on its way, as ``params`` ask for it: light is baked first, then a thread makes the file."""
+
+    service: Service
+    scene: Scene
+    params: ExportParams
+    view: View
+    owner: str = ""
+    cancelled: threading.Event = field(default_factory=threading.Event)
+
+    async def work(self, job: Job) -> Iterable[Result]:
+        """Do all of it; returns when that has ended, also when this is cancelled. Raises FullError and ViewError."""
+        exports, needed = self.service.exports, await self._in_thread(self._check)
+        prewarm = Prewarm(self.service, self.scene, self._order(), owner=self.owner, recorded=False)
+        summary = await prewarm.carry_out(lambda share, text, left: job.report(BAKED * share, text, left))
+        async with exports.turn:
+            exports.make_room({each.id for each in self.service.jobs.all()}, needed)
+            output = exports.place(job.id, f"{own_name(self.scene.id)}-{self.view.isovalue:g}{self._suffix}")
+            await self._in_thread(partial(self._make, output, reporter(job)))
+        good = f"{summary.final:.0%} of its light final at a relative error of {summary.target_error:g}"
+        return [Result(f"/v1/jobs/{job.id}/file", media_type(output), f"The file, {good}")]
+
+    @property
+    def _suffix(self) -> str:
+        return f".{self.params.f}"
+
+    def _order(self) -> PrewarmOrder:
+        params = self.params
+        asked = {"target_error": params.max_error, "deadline": params.deadline}
+        given = {name: value for name, value in asked.items() if value is not None}
+        return order_of({"isovalues": [repr(self.view.isovalue)], "all_directions": True, **given})
+
+    async def _in_thread(self, work: Callable[[], Made]) -> Made:
+        """Do some work on a thread; cancelled, it is told to stop, and waited for."""
+        working = asyncio.get_running_loop().run_in_executor(None, work)
+        try:
+            return await asyncio.shield(working)
+        except asyncio.CancelledError:
+            self.cancelled.set()
+            await asyncio.wait({working})
+            working.exception()
+            raise
+
+    def _check(self) -> int:
+        """About the file's bytes. Raises FullError where that is too large, and ViewError where there is no surface."""
+        prepared = self.service.engine.renderer(self.scene.id).prepared
+        needed = expected_bytes(prepared, self.view.isovalue, self._suffix)
+        if not needed:
+            raise ViewError(f"No surface passes any cell at {self.view.isovalue:g}: choose another isovalue.")
+        self.service.exports.check(needed)
+        return needed
+
+    def _make(self, output: Path, report: Callable[[int, int], None]) -> None:
+        """Make the file, on one thread that stands behind those of frames. Raises Cancelled, and VolumeError."""
+        stand_back()
+        view, exposure = self.view, self.params.exposure or self.scene.default_exposure
+        with closing(Tiles(1)) as tiles:
+            caches = self.service.engine.renderer(self.scene.id).caches
+            renderer = Renderer(caches, tiles.cancelled_by(self.cancelled), KEPT)
+            if self._suffix in MESHES:
+                mesh = surface_mesh(renderer, view.isovalue)
+                write_mesh(output, lit_mesh(renderer, view, mesh, exposure, report))
+            else:
+                voxels = lit_voxels(renderer, [(view.isovalue, view.isovalue)])
+                write_volume(output, lit_volume(renderer, view, voxels, exposure, report))

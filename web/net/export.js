@@ -1,0 +1,141 @@
+/** The part of the panel of files that has the server export the surface, or the volume, with its light. */
+
+import { find } from "../dom.js";
+import { leftInWords } from "../view/format.js";
+import { beginExport, readJob, stopJob } from "./api.js";
+import { Trouble } from "./trouble.js";
+
+/** @typedef {import("./schemas.js").FrameQuery} FrameQuery */
+/** @typedef {import("./schemas.js").Job} Job */
+
+const OF_LIGHT = ["isovalue", "yaw", "pitch", "roll", "albedo", "exposure", "environment", "cut"];
+const ASK_MS = 1000; // between two questions how far the job is
+const GONE = 404;
+
+/**
+ * What of a picture's parameters an export reads: camera and size change no light.
+ * @param {FrameQuery} query
+ * @returns {FrameQuery}
+ */
+export function exportQuery(query) {
+  return Object.fromEntries(Object.entries(query).filter(([name]) => OF_LIGHT.includes(name)));
+}
+
+/**
+ * How far a job is, for a person.
+ * @param {Pick<Job, "message"|"progress"|"time_left">} job
+ * @returns {string}
+ */
+export function jobInWords({ message, progress, time_left: left }) {
+  return `${progress} %${left ? `, ${leftInWords(left)}` : ""}. ${message}`;
+}
+
+/** Has one file made at a time, and hands it to the browser. It goes on while the panel is closed. */
+export class Exporter {
+  #part;
+  #scene;
+  #query;
+  #name;
+  /** @type {{address: string}|null} */
+  #work = null;
+
+  /**
+   * @param {HTMLElement} part holds `#export-kind`, `#export-time`, a `progress`, a `.note` and two buttons
+   * @param {Pick<import("./schemas.js").Scene, "id"|"plan"|"volume">} scene
+   * @param {Pick<import("./request.js").Description, "query"|"file">} description of the view
+   */
+  constructor(part, scene, { query, file }) {
+    this.#part = part;
+    this.#scene = scene.id;
+    this.#query = query;
+    this.#name = file;
+    const [x, y, z] = scene.volume.size;
+    if (scene.plan.texels.total !== x * y * z) find(part, "option[value=vti]").remove(); // light is not at voxels
+    find(part, "#export-start").addEventListener("click", () => this.#start());
+    find(part, "#export-stop").addEventListener("click", () => this.#stop("Stopped, nothing is saved."));
+    addEventListener("pagehide", () => this.#work && this.#stop(""));
+  }
+
+  async #start() {
+    const { value: f } = find(this.#part, "#export-kind", HTMLSelectElement);
+    const { value: deadline } = find(this.#part, "#export-time", HTMLSelectElement);
+    const work = { address: "" };
+    const name = `${this.#name()}.${f}`;
+    this.#work = work;
+    this.#show(true);
+    this.#say("Asking for the file…");
+    try {
+      work.address = await beginExport(this.#scene, { ...exportQuery(this.#query()), f, ...(deadline && { deadline }) });
+      if (this.#work !== work) return void stopJob(work.address).catch(() => {});
+      await this.#follow(work, name);
+    } catch (error) {
+      if (this.#work === work) this.#end(/** @type {Error} */ (error).message);
+    }
+  }
+
+  /**
+   * Tell how far a job is until it has ended, and fetch what it has made.
+   * @param {{address: string}} work
+   * @param {string} name of the file
+   */
+  async #follow(work, name) {
+    while (this.#work === work) {
+      const job = await this.#ask(work.address);
+      if (this.#work !== work) return;
+      const file = job?.links.find(({ rel }) => rel.endsWith("/results"));
+      if (job?.status === "successful" && file) {
+        Object.assign(document.createElement("a"), { href: file.href.replace(/^\//, ""), download: name }).click();
+        return this.#end(`${name} is on its way. ${file.title}.`);
+      }
+      if (job && !["accepted", "running"].includes(job.status)) return this.#end(job.message);
+      if (job) {
+        find(this.#part, "progress", HTMLProgressElement).value = job.progress / 100;
+        this.#say(jobInWords(job));
+      }
+      await new Promise((resolve) => setTimeout(resolve, ASK_MS));
+    }
+  }
+
+  /**
+   * How far a job is; null where the server does not answer now.
+   * @param {string} address
+   * @returns {Promise<Job|null>}
+   */
+  async #ask(address) {
+    try {
+      return await readJob(address);
+    } catch (error) {
+      if (!(error instanceof Trouble && error.retry) || error.status === GONE) throw error;
+      this.#say(error.detail);
+      return null;
+    }
+  }
+
+  /** @param {string} words */
+  #stop(words) {
+    if (this.#work?.address) stopJob(this.#work.address).catch(() => {}); // it is over by now, or the server is away
+    this.#end(words);
+  }
+
+  /** @param {string} words */
+  #end(words) {
+    this.#work = null;
+    this.#show(false);
+    this.#say(words);
+  }
+
+  /** @param {boolean} busy */
+  #show(busy) {
+    const progress = find(this.#part, "progress", HTMLProgressElement);
+    progress.hidden = !busy;
+    progress.value = 0;
+    for (const id of ["#export-kind", "#export-time"]) find(this.#part, id, HTMLSelectElement).disabled = busy;
+    find(this.#part, "#export-start").hidden = busy;
+    find(this.#part, "#export-stop").hidden = !busy;
+  }
+
+  /** @param {string} words */
+  #say(words) {
+    find(this.#part, ".note").textContent = words;
+  }
+}
