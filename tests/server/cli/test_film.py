@@ -90,12 +90,13 @@ def test_paths_that_make_no_sense(given: dict[str, str], views: list[dict[str, s
         film_path(given, views, {}, 3)
 
 
-def test_views_of_the_page_are_filmed_in_their_light(small_scene: Path, tmp_path: Path) -> None:
+def test_views_of_the_page_are_filmed_as_it_shows_them(small_scene: Path, tmp_path: Path) -> None:
     views = [{"isovalue": 0.5, "azimuth": azimuth, "exposure": 2, "background": "light"} for azimuth in (10, 50)]
-    (tmp_path / "lit.json").write_text(json.dumps({"views": [{**view, "environment": "studio"} for view in views]}))
+    shown = {"environment": "studio", "cut": "x>16"}
+    (tmp_path / "lit.json").write_text(json.dumps({"views": [{**view, **shown} for view in views]}))
     (tmp_path / "own.json").write_text(json.dumps({"views": views}))
     options = ["--store", str(tmp_path / "store"), "--length", "1", "--fps", "2", *SIZE]
-    for name, more in (("lit", []), ("own", []), ("told", ["--environment", "studio"])):
+    for name, more in (("lit", []), ("own", []), ("told", ["--environment", "studio", "--cut", "x>16"])):
         keys = str(tmp_path / f"{name.replace('told', 'own')}.json")
         assert run(["film", str(small_scene), "-o", str(tmp_path / name), "--views-file", keys, *options, *more]) == 0
     lit, own, told = (sorted((tmp_path / name).glob("*.png")) for name in ("lit", "own", "told"))
