@@ -58,6 +58,7 @@ from isogi_core.frame.shading import (
     shade_locally,
     texel_disagreement,
 )
+from isogi_core.frame.stand_in import StandIn
 from isogi_core.frame.texel_normals import ENTRY, OwnNormals, TexelNormals, find_texel_normals
 from isogi_core.frame.texel_reading import Reading, read_texels
 from isogi_core.frame.tiles import Stopwatch, Tiles
@@ -79,15 +80,18 @@ SHARE, NORMALS = 1 / 16, 1 / 6
 class Renderer:
     """Renders views of one scene. Frames may be asked for from several threads."""
 
-    def __init__(self, caches: Caches, tiles: Tiles, most: int = KEPT, filters: bool = True) -> None:
+    def __init__(
+        self, caches: Caches, tiles: Tiles, most: int = KEPT, filters: bool = True, stand_in: StandIn | None = None
+    ) -> None:
         """Render with the light that ``caches`` bring, on the threads of ``tiles``; keep ``most`` bytes of views.
 
-        Who measures what bakes are worth ``filters`` no light that is noisy still.
+        Who measures what bakes are worth ``filters`` no light that is noisy still. Other light may ``stand_in`` where
+        there is none yet.
         """
         self.prepared = caches.prepared
         self.caches = caches
         self.tiles = tiles
-        self._filters = filters
+        self._filters, self._stand_in = filters, stand_in
         self._normals = OwnNormals(min(int(NORMALS * most), 4 * ENTRY * math.prod(self.prepared.shape)))
         changing = dict.fromkeys((Reading, LobeLight, ShineLight), int(SHARE * most))
         self._kept: LruCache[Any] = LruCache(most - int(NORMALS * most), changing)
@@ -275,6 +279,8 @@ class Renderer:
                 reading = stack.enter_context(self._project(view, texels, reading, tiles))
             with watch.stage("light"):
                 lit = light_sources(reading.sources(loader.pool), light, tiles)
+                if self._stand_in is not None:
+                    reading, lit = self._stand_in.light(texels, reading, lit, light, tiles)
             yield texels, reading, lit
 
     def _check(self, light: RotatedLight, gbuffer: GBuffer, target: float) -> PictureCheck:

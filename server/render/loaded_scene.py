@@ -16,9 +16,11 @@ from isogi_core.cache.scene_caches import Caches
 from isogi_core.errors import Cancelled, NoRoomError, StoreFullError, StoreReadOnlyError
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.renderer import Renderer
+from isogi_core.frame.stand_in import StandIn
 from isogi_core.frame.tiles import Stopwatch, Tiles
 from isogi_core.model.view import View
 from isogi_core.model.volume import Isovalue
+from isogi_core.plan.cuts import voxels_left
 from isogi_core.plan.finer import finer, has_finer
 from isogi_core.plan.planner import complete
 from isogi_core.plan.scene import Scene
@@ -221,24 +223,43 @@ class LoadedScene:
 
 
 def load(
-    scene: Scene, store: Store, tiles: Tiles, memory: Memory, send: bool = False, beside: LoadedScene | None = None
+    scene: Scene,
+    store: Store,
+    tiles: Tiles,
+    memory: Memory,
+    send: bool = False,
+    beside: LoadedScene | None = None,
+    whole: LoadedScene | None = None,
 ) -> LoadedScene:
     """Prepare a scene and open its layers in a ``store``; ``send`` puts its assets there. Raises StoreError.
 
-    One that is loaded ``beside`` another, of the same volume, shares what that has worked out of the voxels.
+    One that is loaded ``beside`` another, of the same volume, shares what that has worked out of the voxels. The light
+    of a ``whole`` stands in for that of one that is cut.
     """
     prepared = beside.renderer.prepared.beside(scene) if beside else PreparedScene(scene, memory.maps)
     caches = Caches(prepared, store, memory.light)
-    return loaded(caches, tiles, memory, sent(scene, store) if send else None)
+    stand_in = None
+    if whole is not None:
+        left = voxels_left(whole.scene.volume, str(scene.source.document["cut"]))
+        stand_in = StandIn(whole.renderer.caches, left)
+    return loaded(caches, tiles, memory, sent(scene, store) if send else None, stand_in=stand_in)
 
 
-def loaded(caches: Caches, tiles: Tiles, memory: Memory, assets: SceneAssets | None, fineness: int = 0) -> LoadedScene:
+def loaded(
+    caches: Caches,
+    tiles: Tiles,
+    memory: Memory,
+    assets: SceneAssets | None,
+    fineness: int = 0,
+    stand_in: StandIn | None = None,
+) -> LoadedScene:
     """The scene of some ``caches``: its layers open, and worked out what its first frame needs. Raises StoreError."""
     prepared, scene = caches.prepared, caches.prepared.scene
     prepared.field, prepared.maps, scene.projection, caches.chunk_store("gi")  # worked out now, not in the first frame
     planned = scene.with_plan(complete(caches.spec("gi").plan, scene.inputs, scene.overrides))
     prefetch = Prefetch(partial(prepare, prepared.maps, tiles), prepared.maps.levels, scene.span)
-    return LoadedScene(planned, Renderer(caches, tiles, memory.views), prefetch, memory, assets, fineness)
+    renderer = Renderer(caches, tiles, memory.views, stand_in=stand_in)
+    return LoadedScene(planned, renderer, prefetch, memory, assets, fineness)
 
 
 def prepare(maps: ActiveCellMaps, tiles: Tiles, isovalue: float, cancelled: threading.Event) -> None:

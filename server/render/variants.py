@@ -56,6 +56,11 @@ def is_cut(variant: str) -> bool:
     return variant.count(MARK) > 1
 
 
+def whole_name(variant: str) -> str:
+    """The id of the same scene in the same light that is not cut open: a variant, or the scene itself."""
+    return variant.rpartition(MARK)[0].removesuffix(MARK)
+
+
 class Variants:
     """The variants of an ``engine``. Safe to use from many threads."""
 

@@ -1,0 +1,62 @@
+"""Light that stands in: what is cut open shows the whole volume's light where it has none of its own yet."""
+
+import hashlib
+import weakref
+from dataclasses import replace
+
+import numpy as np
+
+from isogi_core.cache.scene_caches import Caches
+from isogi_core.frame.lighting import RotatedLight
+from isogi_core.frame.shading import light_sources
+from isogi_core.frame.texel_reading import Reading, read_texels
+from isogi_core.frame.tiles import Tiles
+from isogi_core.frame.view_texels import ViewTexels
+from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL
+from isogi_core.kernels.shading.lattice import BURIED, PARTIAL, UNBAKED
+from isogi_core.plan.cuts import Ranges
+
+REACH = 2.5
+"""Voxels from a face within which a texel is lit about another normal than in the whole volume: four are smoothed."""
+
+
+class StandIn:
+    """The light of a whole volume for views of one that is cut: of those texels that are far from its faces."""
+
+    def __init__(self, whole: Caches, left: Ranges) -> None:
+        """``whole`` are the caches of the whole volume, of which the voxels that are ``left`` are shown.
+
+        They are not kept in memory for this alone.
+        """
+        self._whole, size = weakref.ref(whole), whole.prepared.scene.volume.size
+        self._low = np.array([each.start + REACH if each.start else -np.inf for each in left])
+        self._high = np.array(
+            [each.stop - 1 - REACH if each.stop < n else np.inf for each, n in zip(left, size, strict=True)]
+        )
+
+    def light(
+        self, texels: ViewTexels, reading: Reading, lit: np.ndarray, light: RotatedLight, tiles: Tiles
+    ) -> tuple[Reading, np.ndarray]:
+        """The ``reading`` of a view and its texels' light ``lit``, with the whole's for those that have none: dark too,
+        where the whole is closed.
+
+        They are then partly lit: pixels that read them are provisional still. Raises Cancelled.
+        """
+        caches, waiting = self._whole(), reading.grade == UNBAKED
+        if caches is None or not waiting.any() or caches.spec(light.view.shading).plan != light.spec.plan:
+            return reading, lit
+        loader = caches.of(light.view.shading)
+        loader.ensure(texels.chunks, tiles.check)
+        with loader.pool.hold(texels.chunks) as held:
+            other = read_texels(texels, held.slots, loader.pool, reading.target, tiles)
+            fit = waiting & np.isin(other.grade, (CONVERGING, FINAL, BURIED)) & self._is_far(texels, caches)
+            rows = np.where(fit, other.rows, -1).astype(np.int32)
+            borrowed = light_sources(((rows, loader.pool),), light, tiles)
+        version = hashlib.sha256(other.version + fit.tobytes()).digest()
+        grade = np.where(fit, np.uint8(PARTIAL), reading.grade)
+        return replace(reading, grade=grade, version=reading.version + version), np.where(fit[:, None], borrowed, lit)
+
+    def _is_far(self, texels: ViewTexels, caches: Caches) -> np.ndarray:
+        """Which texels are far from the faces of the cut; (texels,) bool."""
+        places = texels.positions[:, ::-1] * caches.prepared.step
+        return np.asarray(((places >= self._low) & (places <= self._high)).all(axis=1))
