@@ -54,7 +54,7 @@ async function start() {
       const { scenes, uploads } = await listScenes();
       const link = scenes.find((each) => each.id === wanted) ?? scenes[0];
       const size = new Picture($("stage"), $("picture", HTMLImageElement)).size(1);
-      const scene = await readScene(link.id, size, knobs.isovalue);
+      const scene = await readScene(link.id, size, knobs);
       offerScenes(scenes, link.id);
       attachUpload($("upload"), $("stage"), uploads, link, openScene, openLight);
       if (scene.environments.some(({ id }) => id === knobs.environment)) {

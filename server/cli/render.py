@@ -78,7 +78,8 @@ def render(
 def seen_whole(engine: RenderEngine, scene: Scene, params: FrameParams, settings: Settings) -> FrameParams:
     """The same picture from a camera that shows all of its surface; from the direction that is given, if any is."""
     view = view_of(scene, params.model_copy(update={"projection": PROJECTIONS[0]}), settings)
-    angles = [getattr(params, name) if name in params.model_fields_set else None for name in ("azimuth", "elevation")]
+    named = params.model_dump(include=params.model_fields_set & {"azimuth", "elevation"})
+    angles = named.get("azimuth"), named.get("elevation")
     camera = camera_schema(engine.renderer(scene.id), view, *angles, params.projection)
     return params.model_copy(update=camera.model_dump())
 

@@ -244,6 +244,7 @@ def test_scale_and_axes_are_switched_by_a_key(shown: Page) -> None:
 def test_marks_hold_under_parallel_rays(shown: Page) -> None:
     shown.eval_on_selector("#camera", "details => { details.open = true; }")
     shown.select_option("#projection", "orthographic")
+    shown.evaluate("scrollTo(0, 0)")  # where the stage begins at a whole pixel
     points = surface(shown)
     assert "projection=orthographic" in shown.url
     *_, width, height = stage_of(shown)
@@ -298,6 +299,7 @@ def test_a_tap_on_a_phone_docks_the_card_away_from_it(browser: Browser, live_ser
     assert card is not None
     assert card["x"] >= left and card["x"] + card["width"] <= left + width
     assert top + height / 2 < card["y"] and card["y"] + card["height"] <= top + height
+    page.locator("#point .close").tap()
     page.touchscreen.tap(left + width / 2, top + 0.65 * height)
     expect(page.locator("#point[data-low]")).to_be_visible()
     card = page.locator("#point").bounding_box()

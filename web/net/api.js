@@ -1,6 +1,6 @@
 /** The HTTP API, as far as the page needs it. Addresses are relative, so that a path prefix in front works. */
 
-import { rayThrough } from "../view/camera.js";
+import { PROJECTIONS, rayThrough } from "../view/camera.js";
 import { readFacts } from "./schemas.js";
 import { Trouble, lost, troubleOf } from "./trouble.js";
 
@@ -61,14 +61,15 @@ export async function deleteUpload(href) {
  * Everything about one scene: volume, histogram, defaults, ranges, plan, and the camera that shows its surface whole.
  * @param {string} id
  * @param {{width: number, height: number}} size of the picture
- * @param {number} [isovalue] of the surface; the scene's where it is left out, or has no meaning
+ * @param {Partial<Pick<Knobs, "isovalue"|"projection">>} [knobs] of the view; the scene's where they are left out, or have no meaning
  * @returns {Promise<Scene>}
  */
-export async function readScene(id, { width, height }, isovalue) {
+export async function readScene(id, { width, height }, { isovalue, projection } = {}) {
   const scene = await (await ask(scenePath(id))).json();
   const { min, max } = scene.ranges?.isovalue ?? {};
   const asked = new URLSearchParams({ width: String(width), height: String(height) });
   if (isovalue !== undefined && isovalue >= min && isovalue <= max) asked.set("isovalue", String(isovalue));
+  if (PROJECTIONS.some((each) => each === projection)) asked.set("projection", String(projection));
   return { ...scene, start: await (await ask(`${scenePath(id)}/fit?${asked}`)).json() };
 }
 

@@ -266,3 +266,11 @@ test("the projection is asked for where it is not the scene's own", () => {
   assert.equal(new ViewModel(flat).values.projection, "orthographic");
   assert.equal(new ViewModel(flat, readAddress(writeAddress(flat, knobs())).start).values.projection, "perspective");
 });
+
+test("a scene is fitted for the isovalue and the projection of the link", async () => {
+  const answers = () => [{ body: JSON.stringify(SCENE) }, { body: "{}" }];
+  const { asked } = await asking(answers(), () => readScene("small", { width: 4, height: 3 }, { isovalue: 99, projection: "orthographic" }));
+  assert.match(asked[1].address, /fit\?width=4&height=3&isovalue=99&projection=orthographic$/);
+  const { asked: odd } = await asking(answers(), () => readScene("small", { width: 4, height: 3 }, { isovalue: 999, projection: "fisheye" }));
+  assert.match(odd[1].address, /fit\?width=4&height=3$/);
+});
