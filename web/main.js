@@ -82,7 +82,7 @@ function assemble(scene, knobs, trouble) {
   const { say } = new Notice($("notice"));
   const { card, reading } = attachReading(scene, view, picture, say);
   const loop = startLoop(scene, view, picture, trouble, card);
-  const keys = { f: toggleFull, p: () => reading.click(0, 0), m: () => reading.measure(), r: () => toggleRulers(view) };
+  const keys = { f: toggleFull, p: () => reading.middle(), m: () => reading.measure(), r: () => toggleRulers(view) };
   const options = { onRest: () => loop.settle(), toggleHelp: () => $("help").togglePopover(), keys };
   const form = $("controls");
   attachKnobs(form, scene, view);
