@@ -1,6 +1,7 @@
 /** The HTTP API, as far as the page needs it. Addresses are relative, so that a path prefix in front works. */
 
 import { PROJECTIONS, rayThrough } from "../view/camera.js";
+import { frameQuery } from "./request.js";
 import { readFacts } from "./schemas.js";
 import { Trouble, lost, troubleOf } from "./trouble.js";
 
@@ -13,6 +14,7 @@ import { Trouble, lost, troubleOf } from "./trouble.js";
 /** @typedef {import("../view/rotation.js").Vec3} Vec3 */
 
 const ONE_PIXEL = { f: "npy", shading: "lambert", width: 1, height: 1 };
+const OF_SURFACE = ["isovalue", "window", "cut"]; // parameters of a view that say where its surface is
 const PIXEL_BYTES = 36; // nine floats: three of light, hit, state, error, three of position
 const [HIT, POSITION] = [12, 24]; // bytes from the pixel's first
 
@@ -114,7 +116,8 @@ export async function readFrame(scene, query, { etag, signal } = {}) {
  */
 export async function readSurfacePoint(scene, values, right, up) {
   const ray = Object.entries(rayThrough(scene, values, right, up)).map(([name, point]) => [name, point.join(",")]);
-  const query = { ...ONE_PIXEL, isovalue: values.isovalue, ...Object.fromEntries(ray) };
+  const view = Object.entries(frameQuery(scene, values, ONE_PIXEL)).filter(([name]) => OF_SURFACE.includes(name));
+  const query = { ...ONE_PIXEL, ...Object.fromEntries([...view, ...ray]) };
   try {
     const { blob } = await readFrame(scene.id, query);
     return blob && surfacePoint(await blob.arrayBuffer());
