@@ -127,6 +127,23 @@ def test_the_card_goes_when_it_is_not_wanted(shown: Page) -> None:
         expect(shown.locator("#marks circle")).to_have_count(0)
 
 
+def test_a_press_that_leaves_the_card_spoils_no_click(shown: Page) -> None:
+    left, top, width, height = stage_of(shown)
+    click(shown, width // 2, height // 2)
+    card = shown.locator("#point").bounding_box()
+    assert card is not None
+    shown.mouse.move(card["x"] + 20, card["y"] + 20)
+    shown.mouse.down()
+    shown.mouse.move(left + width / 2, top + height + 60, steps=4)
+    shown.mouse.up()
+    before = mark(shown)
+    click(shown, width // 2 - 60, height // 2 + 30)
+    shown.wait_for_function(
+        "([x]) => document.querySelector('#marks circle')?.getAttribute('cx') !== String(x)", arg=[before[0]]
+    )
+    assert mark(shown) == pytest.approx((width // 2 - 59.5, height // 2 + 30.5), abs=1.0)
+
+
 def test_a_drag_is_no_click_and_neither_is_shift(shown: Page) -> None:
     left, top, width, height = stage_of(shown)
     x, y = left + width / 2, top + height / 2
