@@ -57,7 +57,7 @@ async function start() {
       const { scenes, uploads } = await listScenes();
       const link = scenes.find((each) => each.id === wanted) ?? scenes[0];
       const size = new Picture($("stage"), $("picture", HTMLImageElement)).size(1);
-      const scene = await readScene(link.id, size, knobs.isovalue);
+      const scene = await readScene(link.id, size, knobs);
       offerScenes(scenes, link.id);
       attachUpload($("upload"), $("stage"), uploads, link, openScene, openLight);
       if (scene.environments.some(({ id }) => id === knobs.environment)) {
@@ -85,7 +85,7 @@ function assemble(scene, knobs, trouble) {
   const { say } = new Notice($("notice"));
   const { card, reading } = attachReading(scene, view, picture, say);
   const loop = startLoop(scene, view, picture, trouble, card);
-  const keys = { f: toggleFull, p: () => reading.click(0, 0), m: () => reading.measure(), r: () => toggleRulers(view) };
+  const keys = { f: toggleFull, p: () => reading.middle(), m: () => reading.measure(), r: () => toggleRulers(view) };
   const options = { onRest: () => loop.settle(), toggleHelp: () => $("help").togglePopover(), keys };
   const form = $("controls");
   attachKnobs(form, scene, view);

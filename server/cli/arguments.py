@@ -85,7 +85,7 @@ PICTURE_OPTIONS = (
     ),
 )
 REPORT_OPTIONS = {
-    **{name: text for name, text in VIEW_OPTIONS.items() if name not in PICTURE_OPTIONS},
+    **{name: text for name, text in VIEW_OPTIONS.items() if name not in (*PICTURE_OPTIONS, "projection")},
     "azimuth": "Degrees; 0 looks from +x, 90 from +y; default: 40.",
     "elevation": "Degrees above the xy plane; default: 30.",
     "distance": "From the target, in radii of the volume's bounding sphere; default: 2.2.",

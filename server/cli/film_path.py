@@ -17,10 +17,13 @@ Knobs = Mapping[str, str]
 TURNS = ("azimuth", "yaw", "pitch", "roll")
 """Angles that are the same after a whole turn."""
 
-STILL = ("width", "height", "shading", "samples", "overlay", "shine", "environment", "background", "window", "cut")
+STILL = (
+    *("width", "height", "shading", "samples", "overlay", "shine"),
+    *("projection", "environment", "background", "window", "cut"),
+)
 """Parameters that are no quantity: all views have the same."""
 
-ON_THE_PAGE = ("scene", "compare")
+ON_THE_PAGE = ("scene", "compare", "rulers", "measure")
 """Parameters of a page's link that are none of a picture."""
 
 

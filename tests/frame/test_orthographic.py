@@ -126,5 +126,6 @@ def test_a_surface_is_fitted_to_parallel_rays(bench: Workbench, width: int, heig
     shown = bench.renderer.gbuffer(replace(view, camera=bench.scene.in_box(near, "orthographic")))
     row, column = np.divmod(shown.pixels.astype(np.int64), width)
     rows, columns = (int(np.ptp(part)) + 1 for part in (row, column))
-    assert max(rows / height, columns / width) == pytest.approx(0.9, abs=0.04)
+    filled = max(rows / height, columns / width)
+    assert 0.88 < filled < 0.98, "it is found in a small picture, to a pixel of that"
     assert abs(row.mean() + 0.5 - height / 2) < 1.5 and abs(column.mean() + 0.5 - width / 2) < 1.5

@@ -127,6 +127,21 @@ def test_the_card_goes_when_it_is_not_wanted(shown: Page) -> None:
         expect(shown.locator("#marks circle")).to_have_count(0)
 
 
+def test_a_press_that_leaves_the_card_spoils_no_click(shown: Page) -> None:
+    left, top, width, height = stage_of(shown)
+    click(shown, width // 2, height // 2)
+    card = shown.locator("#point").bounding_box()
+    assert card is not None
+    shown.mouse.move(card["x"] + 20, card["y"] + 20)
+    shown.mouse.down()
+    shown.mouse.move(left + width / 2, top + height + 60, steps=4)
+    shown.mouse.up()
+    before = shown.locator("#marks circle").get_attribute("cx") or ""
+    click(shown, width // 2 - 60, height // 2 + 30)
+    expect(shown.locator("#marks circle")).not_to_have_attribute("cx", before)
+    assert mark(shown) == pytest.approx((width // 2 - 59.5, height // 2 + 30.5), abs=1.0)
+
+
 def test_a_drag_is_no_click_and_neither_is_shift(shown: Page) -> None:
     left, top, width, height = stage_of(shown)
     x, y = left + width / 2, top + height / 2
@@ -244,6 +259,7 @@ def test_scale_and_axes_are_switched_by_a_key(shown: Page) -> None:
 def test_marks_hold_under_parallel_rays(shown: Page) -> None:
     shown.eval_on_selector("#camera", "details => { details.open = true; }")
     shown.select_option("#projection", "orthographic")
+    shown.evaluate("scrollTo(0, 0)")  # where the stage begins at a whole pixel
     points = surface(shown)
     assert "projection=orthographic" in shown.url
     *_, width, height = stage_of(shown)
@@ -298,6 +314,7 @@ def test_a_tap_on_a_phone_docks_the_card_away_from_it(browser: Browser, live_ser
     assert card is not None
     assert card["x"] >= left and card["x"] + card["width"] <= left + width
     assert top + height / 2 < card["y"] and card["y"] + card["height"] <= top + height
+    page.locator("#point .close").tap()
     page.touchscreen.tap(left + width / 2, top + 0.65 * height)
     expect(page.locator("#point[data-low]")).to_be_visible()
     card = page.locator("#point").bounding_box()

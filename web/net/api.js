@@ -1,6 +1,7 @@
 /** The HTTP API, as far as the page needs it. Addresses are relative, so that a path prefix in front works. */
 
-import { rayThrough } from "../view/camera.js";
+import { PROJECTIONS, rayThrough } from "../view/camera.js";
+import { frameQuery } from "./request.js";
 import { readFacts } from "./schemas.js";
 import { Trouble, lost, troubleOf } from "./trouble.js";
 
@@ -13,6 +14,7 @@ import { Trouble, lost, troubleOf } from "./trouble.js";
 /** @typedef {import("../view/rotation.js").Vec3} Vec3 */
 
 const ONE_PIXEL = { f: "npy", shading: "lambert", width: 1, height: 1 };
+const OF_SURFACE = ["isovalue", "window", "cut"]; // parameters of a view that say where its surface is
 const PIXEL_BYTES = 36; // nine floats: three of light, hit, state, error, three of position
 const [HIT, POSITION] = [12, 24]; // bytes from the pixel's first
 
@@ -61,14 +63,15 @@ export async function deleteUpload(href) {
  * Everything about one scene: volume, histogram, defaults, ranges, plan, and the camera that shows its surface whole.
  * @param {string} id
  * @param {{width: number, height: number}} size of the picture
- * @param {number} [isovalue] of the surface; the scene's where it is left out, or has no meaning
+ * @param {Partial<Pick<Knobs, "isovalue"|"projection">>} [knobs] of the view; the scene's where they are left out, or have no meaning
  * @returns {Promise<Scene>}
  */
-export async function readScene(id, { width, height }, isovalue) {
+export async function readScene(id, { width, height }, { isovalue, projection } = {}) {
   const scene = await (await ask(scenePath(id))).json();
   const { min, max } = scene.ranges?.isovalue ?? {};
   const asked = new URLSearchParams({ width: String(width), height: String(height) });
   if (isovalue !== undefined && isovalue >= min && isovalue <= max) asked.set("isovalue", String(isovalue));
+  if (PROJECTIONS.some((each) => each === projection)) asked.set("projection", String(projection));
   return { ...scene, start: await (await ask(`${scenePath(id)}/fit?${asked}`)).json() };
 }
 
@@ -113,7 +116,8 @@ export async function readFrame(scene, query, { etag, signal } = {}) {
  */
 export async function readSurfacePoint(scene, values, right, up) {
   const ray = Object.entries(rayThrough(scene, values, right, up)).map(([name, point]) => [name, point.join(",")]);
-  const query = { ...ONE_PIXEL, isovalue: values.isovalue, ...Object.fromEntries(ray) };
+  const view = Object.entries(frameQuery(scene, values, ONE_PIXEL)).filter(([name]) => OF_SURFACE.includes(name));
+  const query = { ...ONE_PIXEL, ...Object.fromEntries([...view, ...ray]) };
   try {
     const { blob } = await readFrame(scene.id, query);
     return blob && surfacePoint(await blob.arrayBuffer());

@@ -59,16 +59,21 @@ export class PointCard {
    * Show what is at a place of the picture; nothing, where no surface is.
    * @param {number} right of the middle, in heights of the picture
    * @param {number} up of the middle, in heights of the picture
+   * @returns {Promise<boolean>} false where no surface is
    */
   async open(right, up) {
     const count = ++this.#asked;
     const found = await this.#ask(right, up);
-    if (count !== this.#asked) return;
-    if (!found) return this.close();
+    if (count !== this.#asked) return true;
+    if (!found) {
+      this.close();
+      return false;
+    }
     this.#point = found.position;
     this.#write(found);
     this.#card.hidden = false;
     this.onChange();
+    return true;
   }
 
   /** Show none. */

@@ -12,6 +12,7 @@ import { MOST, measureInWords } from "../view/measures.js";
 /** @typedef {import("./point.js").PointCard} PointCard */
 
 const FULL = `A link holds ${MOST} measures: remove one first.`;
+const EMPTY = "There is no surface in the middle of the picture.";
 const MISSED = "There is no surface: click another place.";
 /** What is asked for, by the number of points that there are. */
 const ASKED = [
@@ -59,10 +60,19 @@ export class Reading {
    * @param {number} up of the middle, in heights of the picture
    */
   async click(right, up) {
-    if (!this.#measured) return this.#card.open(right, up);
+    if (!this.#measured) {
+      await this.#card.open(right, up); // a click beside the surface only closes the card
+      return;
+    }
     const point = await this.#pick(this.#view.values, right, up);
     if (!point) this.#say(MISSED);
     else if (this.#measured) this.#add(this.#measured, point);
+  }
+
+  /** The same as a click in the middle of the picture, for those who use keys: it says where nothing is there. */
+  async middle() {
+    if (this.#measured) await this.click(0, 0);
+    else if (!(await this.#card.open(0, 0))) this.#say(EMPTY);
   }
 
   /** Measure from the point that is shown, if one is; or stop measuring. */

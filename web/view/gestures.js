@@ -84,16 +84,13 @@ export function attachGestures(stage, scene, view, { onRest }) {
 export function attachClicks(stage, { click, double }) {
   /** @type {Place|null} */
   let pressed = null; // null after a drag, and where a click is no plain one
-  let fingers = 0;
   stage.addEventListener("pointerdown", (event) => {
-    fingers += 1;
     const modified = event.button !== 0 || event.shiftKey || event.ctrlKey || event.altKey || event.metaKey;
-    pressed = fingers > 1 || modified || onPanel(event) ? null : place(event);
+    pressed = !event.isPrimary || modified || onPanel(event) ? null : place(event);
   });
   stage.addEventListener("pointermove", ({ clientX: x, clientY: y, pointerType }) => {
     if (pressed && Math.hypot(x - pressed.x, y - pressed.y) > (pointerType === "mouse" ? SLIP : FINGER_SLIP)) pressed = null;
   });
-  for (const end of ["pointerup", "pointercancel"]) stage.addEventListener(end, () => { fingers = Math.max(0, fingers - 1); });
   stage.addEventListener("click", (event) => pressed && event.detail < 2 && click(...placeIn(stage, event)));
   stage.addEventListener("dblclick", (event) => onPanel(event) || double(...placeIn(stage, event)));
 }

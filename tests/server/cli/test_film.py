@@ -66,6 +66,7 @@ def test_light_goes_the_short_way_whatever_its_sign() -> None:
 
 def test_links_and_files_are_views() -> None:
     link = "http://127.0.0.1:8000/?scene=engine&isovalue=70&azimuth=-40.5&target=1,2,3&shading=gi&compare=phong"
+    link += "&rulers=off&measure=1,2,3;4,5,6&measure=1,2,3;4,5,6;7,8,9"
     wanted = {"isovalue": "70", "azimuth": "-40.5", "target": "1,2,3", "shading": "gi"}
     assert view_in(link) == wanted
     assert views_in([link, {"isovalue": 70, "target": [1, 2, 3]}])[1] == {"isovalue": "70", "target": "1,2,3"}

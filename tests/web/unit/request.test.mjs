@@ -2,7 +2,7 @@ import assert from "node:assert/strict";
 import { execFileSync } from "node:child_process";
 import { test } from "node:test";
 import { complaints, readAddress, writeAddress } from "../../../web/net/address.js";
-import { deleteUpload, frameAddress, readFrame, readScene, surfacePoint, wantsToken } from "../../../web/net/api.js";
+import { deleteUpload, frameAddress, readFrame, readScene, readSurfacePoint, surfacePoint, wantsToken } from "../../../web/net/api.js";
 import { changedParameters, curlLine, describe, fileName, frameQuery, pointQuery, pythonLine } from "../../../web/net/request.js";
 import { parsePairs, parseTiming, readFacts, streamedFrame } from "../../../web/net/schemas.js";
 import { Trouble, retryDelay, troubleOf } from "../../../web/net/trouble.js";
@@ -265,4 +265,23 @@ test("the projection is asked for where it is not the scene's own", () => {
   assert.equal(frameQuery(flat, knobs(), SIZE).projection, "perspective");
   assert.equal(new ViewModel(flat).values.projection, "orthographic");
   assert.equal(new ViewModel(flat, readAddress(writeAddress(flat, knobs())).start).values.projection, "perspective");
+});
+
+test("a scene is fitted for the isovalue and the projection of the link", async () => {
+  const answers = () => [{ body: JSON.stringify(SCENE) }, { body: "{}" }];
+  const { asked } = await asking(answers(), () => readScene("small", { width: 4, height: 3 }, { isovalue: 99, projection: "orthographic" }));
+  assert.match(asked[1].address, /fit\?width=4&height=3&isovalue=99&projection=orthographic$/);
+  const { asked: odd } = await asking(answers(), () => readScene("small", { width: 4, height: 3 }, { isovalue: 999, projection: "fisheye" }));
+  assert.match(odd[1].address, /fit\?width=4&height=3$/);
+});
+
+test("the surface at a place is met by one ray, wherever the view has it", async () => {
+  const pixel = new Uint8Array(new Float32Array([0, 0, 0, 1, 3, 0, 1, 2, 3]).buffer);
+  const { asked, result } = await asking([{ body: pixel }], () => readSurfacePoint(SCENE, knobs({ isovalue: 99 }), 0.1, -0.2));
+  assert.deepEqual(result.value, [1, 2, 3]);
+  const query = new URL(asked[0].address).searchParams;
+  assert.deepEqual([...query.keys()].sort(), ["eye", "f", "height", "isovalue", "shading", "target", "up", "width"]);
+  assert.deepEqual([query.get("isovalue"), query.get("width"), query.get("f")], ["99", "1", "npy"]);
+  const { result: lost } = await asking([{ status: 422, body: "{}" }], () => readSurfacePoint(SCENE, knobs(), 0, 0));
+  assert.equal(lost.value, null, "the picture's own requests say what is wrong");
 });
