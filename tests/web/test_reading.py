@@ -76,8 +76,8 @@ def test_a_click_tells_the_point_under_it(shown: Page) -> None:
         click(shown, column, row)
         expect(shown.locator("#point")).to_be_visible()
         shown.wait_for_timeout(300)
-        assert position(shown) == pytest.approx(points[row, column], abs=0.05)
-        assert mark(shown) == pytest.approx((column + 0.5, row + 0.5), abs=1.0)
+        assert position(shown) == pytest.approx(points[row, column], abs=0.02)
+        assert mark(shown) == pytest.approx((column + 0.5, row + 0.5), abs=0.6)
         assert fact(shown, "Value") == "0.5"
         assert len(fact(shown, "Normal").split(",")) == 3 and "linear, #" in fact(shown, "Light")
 
@@ -267,7 +267,7 @@ def test_marks_hold_under_parallel_rays(shown: Page) -> None:
     click(shown, column, row)
     expect(shown.locator("#marks circle")).to_be_visible()
     point = position(shown)
-    assert point == pytest.approx(points[row, column], abs=0.05)
+    assert point == pytest.approx(points[row, column], abs=0.02)
     assert "depth" not in shown.locator("#rulers").inner_html()
     shown.focus("#stage")
     for key in ("ArrowLeft", "ArrowUp", "d"):

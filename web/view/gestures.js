@@ -103,7 +103,8 @@ export function attachClicks(stage, { click, double }) {
  */
 function placeIn(stage, { clientX, clientY }) {
   const { left, top, width, height } = stage.getBoundingClientRect();
-  return [(clientX - left - width / 2) / height, (top + height / 2 - clientY) / height];
+  const [x, y] = [clientX, clientY].map((at) => (Number.isInteger(at) ? at + 0.5 : at)); // a whole pixel is meant
+  return [(x - left - width / 2) / height, (top + height / 2 - y) / height];
 }
 
 /**
