@@ -11,6 +11,7 @@ compared with isogi's of the same camera as sRGB, in pixels where both show the 
 import importlib.util
 import io
 import json
+import os
 import shutil
 import subprocess
 import tempfile
@@ -103,10 +104,21 @@ def layers(folder: Path) -> dict[str, Any]:
     }
 
 
+def paraview(asked: str) -> int:
+    """Have ParaView draw a picture, on a screen that nobody sees and by its own Python; the contour's points."""
+    script = str(Path(__file__).with_name("paraview_view.py"))
+    command = ["xvfb-run", "-a", "pvpython", "--force-offscreen-rendering", script, asked]
+    own = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    done = subprocess.run(command, env=own, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise click.ClickException(f"pvpython ended with {done.returncode}: {done.stderr.strip()[-200:]}")
+    return int(done.stdout.split()[-1])
+
+
 def beside_paraview(scene: str, folder: Path, size: int, error: float) -> tuple[dict[str, Any], dict[str, bytes]]:
     """ParaView's picture of the volume beside isogi's: figures, and both pictures as one."""
-    if shutil.which("pvpython") is None:
-        return {"ParaView": "not installed"}, {}
+    if shutil.which("pvpython") is None or shutil.which("xvfb-run") is None:
+        return {"ParaView": "pvpython or xvfb-run is not installed"}, {}
     loaded = load_scene(scene, rotating=False)
     side = {"width": str(size), "height": str(size)}
     camera = view_of(loaded, read(FrameParams, {**VIEW, **side}.items()), settings_from()).camera
@@ -116,16 +128,14 @@ def beside_paraview(scene: str, folder: Path, size: int, error: float) -> tuple[
     own = np.load(folder / "own.npy")
     place = {"eye": camera.eye, "target": camera.target, "up": camera.up, "fov": camera.fov}
     asked = {"file": str(folder / "lit.vti"), "isovalue": loaded.isovalue, **place, "size": size}
-    script = str(Path(__file__).with_name("paraview_view.py"))
-    command = ["pvpython", "--force-offscreen-rendering", script, json.dumps({**asked, "out": str(folder / "pv.png")})]
-    points = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    points = paraview(json.dumps({**asked, "out": str(folder / "pv.png")}))
     theirs = np.asarray(Image.open(folder / "pv.png").convert("RGB"))
     ours = srgb_bytes(loaded.default_exposure * own[..., :3])
     both = (own[..., 3] > 0) & (theirs.max(axis=-1) > 0)
     apart = (ours[both].astype(float) - theirs[both]) / 255.0
     outline = ((own[..., 3] > 0) != (theirs.max(axis=-1) > 0)).mean()
     figures = {
-        "ParaView: points of the contour": int(points.split()[-1]),
+        "ParaView: points of the contour": points,
         "ParaView: sRGB RMSE, of 1": float(np.sqrt((apart**2).mean())),
         "ParaView: mean difference, of 1": float(apart.mean()),
         "ParaView: pixels of the picture that one alone shows": float(outline),

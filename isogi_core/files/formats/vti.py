@@ -43,7 +43,6 @@ class ImageFile:
         self._errors: list[str] = []
         self._check_end(source)
         library("vtk", "VTI", INSTALL)
-        library("vtkmodules.vtkCommonCore", "VTI", INSTALL).vtkObject.GlobalWarningDisplayOff()
         self._reader = library("vtkmodules.vtkIOXML", "VTI", INSTALL).vtkXMLImageDataReader()
         self._reader.AddObserver("ErrorEvent", lambda _, event: self._errors.append(event))
         if source.path is not None:

@@ -19,6 +19,11 @@ from tests.files.formats.every_kind import F, written
 from tests.files.formats.phantom import ORIGIN, STEPS
 
 
+def installed() -> list[str]:
+    """Folders of libraries that this process has beside its environment's own."""
+    return [path for path in os.environ.get("PYTHONPATH", "").split(os.pathsep) if path]
+
+
 def read_confined(path: Path, folder: Path) -> Path:
     """The canonical file that the reader makes of a file."""
     with path.open("rb") as upload, tempfile.TemporaryFile(dir=folder) as out:
@@ -28,7 +33,7 @@ def read_confined(path: Path, folder: Path) -> Path:
             stdin=upload,
             capture_output=True,
             pass_fds=[out.fileno()],
-            env={"PYTHONPATH": str(ROOT), "PATH": os.environ["PATH"]},
+            env={"PYTHONPATH": os.pathsep.join([str(ROOT), *installed()]), "PATH": os.environ["PATH"]},
             check=True,
         )
         answer = json.loads(done.stdout)
