@@ -61,8 +61,10 @@ On texels of the engine at 70 and the CT head at 110 reflected light took 1.18 a
 ROULETTE_RAYS = 21
 """Percent of rays that roulette saves, for albedos from 0.5 to 0.95 on those texels: 13 to 30."""
 
-LONGEST_PATH = 64
-"""The most bounces of any path."""
+LONGEST_PATH = 1000
+"""The most bounces of any path. The darkest pixel of thirty volumes in a white furnace was 0.78 after 64, 0.89 after
+256 and 0.99 after these; paths that find the light sooner end there.
+"""
 
 
 def rounding_error(layers: tuple[Layer, ...], inputs: PlanInputs, lobes: int = 0) -> float:

@@ -143,7 +143,7 @@ def test_notes_show_small_targets_with_all_digits() -> None:
 
 @pytest.mark.parametrize(
     ("albedo", "lost"),
-    [(0.93, None), (0.95, "Paths end after 64 bounces: what is lost is 3.56% at most"), (1.0, "100%")],
+    [(0.99, None), (0.997, "Paths end after 1000 bounces: what is lost is 4.94% at most"), (1.0, "100%")],
 )
 def test_a_note_says_where_the_longest_paths_are_too_short(albedo: float, lost: str | None) -> None:
     notes = plan_of([WHITE], albedo=albedo).notes
