@@ -22,6 +22,7 @@ def draw(file: str, isovalue: float, eye: Row, target: Row, up: Row, fov: float,
     shown = Show(surface, view)
     shown.ColorArrayName, shown.MapScalars = ["POINTS", "colour"], 0
     shown.Ambient, shown.Diffuse, shown.Specular = 1.0, 0.0, 0.0
+    Render(view)  # the first one places the camera anew
     view.CameraPosition, view.CameraFocalPoint, view.CameraViewUp, view.CameraViewAngle = eye, target, up, fov
     Render(view)
     SaveScreenshot(out, view, ImageResolution=[size, size])
