@@ -341,7 +341,7 @@ def test_narrow_screens_scroll_only_down(browser: Browser, live_server: str) -> 
     SHOTS.mkdir(parents=True, exist_ok=True)
     context = browser.new_context(viewport={"width": 320, "height": 844}, has_touch=True)
     page = open_final(context.new_page(), live_server)
-    for summary in page.locator("summary").all():
+    for summary in page.locator("#controls summary").all():
         summary.click()
     for width in (320, 390, 768):
         page.set_viewport_size({"width": width, "height": 844})
