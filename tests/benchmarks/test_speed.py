@@ -43,7 +43,7 @@ def test_frames() -> None:
     shadings = ("gi", "lambert", "lambert_shadow", "lambert_fog", "phong", "phong_shadow")
     names = {f"{name}_ms" for name in (*shadings, "relight", "develop")}
     names |= {"gi / lambert", "gi / lambert_shadow", "relight / gi", "lattice / texels of this view"}
-    names |= {"gi, converging_ms", "gi, converging / gi"}
+    names |= {"gi, converging_ms", "gi, converging / gi", "window_ms", "window / gi"}
     assert set(positive(frames, "demo:casting")) == names
 
 

@@ -116,7 +116,7 @@ def test_a_file_of_another_version_is_told_as_such(
         load_reference(path, bench.scene, view)
 
 
-@pytest.mark.parametrize(("albedo", "bounces"), [(0.7, 19), (0.0, 0), (1.0, 64), ([0.2, 0.5, 0.1], 9)])
+@pytest.mark.parametrize(("albedo", "bounces"), [(0.7, 19), (0.0, 0), (1.0, 1000), ([0.2, 0.5, 0.1], 9)])
 def test_by_default_less_than_a_thousandth_of_the_light_is_cut(albedo: object, bounces: int) -> None:
     scene = with_bounces(load_scene("demo:orbital", albedo=albedo))
     assert scene.bounces == bounces

@@ -24,7 +24,7 @@ def test_no_finding(browser: Browser, live_server: str, scheme: str) -> None:
     page.wait_for_selector("#stage[data-state=provisional], #stage[data-state=final]", timeout=FINAL_MS)
     assert findings(page) == [], "while provisional"
     wait_final(page)
-    for summary in page.locator("summary").all():
+    for summary in page.locator("#controls summary").all():
         summary.click()
     page.click("#share-button" if scheme == "light" else "#save-button")
     assert findings(page) == [], "when final"

@@ -101,7 +101,7 @@ def test_directions_of_all_kinds_add_up_and_are_taken_once(blocks: Path) -> None
         ({"isovalues": [[1]]}, "isovalue must be a number such as 70"),
         ({"isovalues": ["1"] * 1001}, "isovalues Tuple should have at most 1000 items"),
         ({"directions": [{"azimuth": 1000}]}, "directions.0.azimuth must be a number from -360 to 360, not '1000'."),
-        ({"directions": [{}]}, "directions.0.azimuth Field required."),
+        ({"directions": [{}]}, "directions.0.azimuth is missing: give it."),
         ({"orbits": [{"count": 2, "at": 3}]}, "orbits.0.at"),
         ({"all_directions": "yes"}, "all_directions Input should be a valid boolean."),
         ({"deadline": -1}, "deadline must be a number from 0"),
