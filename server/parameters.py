@@ -28,10 +28,9 @@ from isogi_core.model.window import read_window
 from isogi_core.plan.scene import Scene
 from server.errors import ParameterError
 from server.settings import Settings
-from server.values import LONGEST, Choice, Colour, Ground, Planes, Row, Rows, Span
+from server.values import Choice, Colour, Ground, Planes, Row, Rows, Span
 
 FORMATS = ("png", "jpeg", "webp", "npy")
-EXPORTS = ("glb", "usdz", "ply", "obj", "vti", "nrrd")
 VERSION = r"^[0-9a-f]{32}$"
 LONGEST_SIDE = 16383  # WebP's own limit
 LONGEST_WAIT = 10_000
@@ -41,6 +40,20 @@ ORBIT = ("azimuth", "elevation", "distance")
 ANGLES = ("yaw", "pitch", "roll")
 XYZ = Row(("x", "y", "z"))
 TURN = Span(-360, 360)
+
+Isovalue = Annotated[
+    float | str | None,
+    WithJsonSchema({"type": "number"}),
+    Field(description="In the volume's own units, within the scene's range; default: the scene's."),
+]
+LightTurn = Annotated[
+    Quaternion | None,
+    Row(("w", "x", "y", "z")),
+    Field(description="Quaternion w,x,y,z that turns the light; instead of yaw, pitch, roll."),
+]
+Yaw = Annotated[float, TURN, Field(description="Turns the light about z, degrees.")]
+Pitch = Annotated[float, TURN, Field(description="Then about y, degrees.")]
+Roll = Annotated[float, TURN, Field(description="Then about x, degrees.")]
 
 
 class NoParams(BaseModel):
@@ -73,9 +86,7 @@ class VariantParams(LightParams):
 class ViewParams(VariantParams):
     """What to look at, from where and in which light; what is left out takes the scene's defaults."""
 
-    isovalue: Annotated[float | str | None, WithJsonSchema({"type": "number"})] = Field(
-        None, description="In the volume's own units, within the scene's range; default: the scene's."
-    )
+    isovalue: Isovalue = None
     azimuth: Annotated[float, TURN] = Field(30.0, description="Degrees; 0 looks from +x, 90 from +y.")
     elevation: Annotated[float, Span(-90, 90)] = Field(20.0, description="Degrees above the xy plane.")
     distance: Annotated[float, Span(0.01, 1e7)] = Field(
@@ -94,12 +105,10 @@ class ViewParams(VariantParams):
     up: Annotated[Vec3 | None, XYZ] = Field(
         None, description="World x,y,z that points up in the picture; default: 0,0,1 with eye, else the orbit's own."
     )
-    light: Annotated[Quaternion | None, Row(("w", "x", "y", "z"))] = Field(
-        None, description="Quaternion w,x,y,z that turns the light; instead of yaw, pitch, roll."
-    )
-    yaw: Annotated[float, TURN] = Field(0.0, description="Turns the light about z, degrees.")
-    pitch: Annotated[float, TURN] = Field(0.0, description="Then about y, degrees.")
-    roll: Annotated[float, TURN] = Field(0.0, description="Then about x, degrees.")
+    light: LightTurn = None
+    yaw: Yaw = 0.0
+    pitch: Pitch = 0.0
+    roll: Roll = 0.0
     albedo: Annotated[Vec3 | None, Colour()] = Field(
         None,
         description="What share of the light the surface reflects, one number or r,g,b, within the scene's albedos;"
@@ -148,9 +157,7 @@ class ViewParams(VariantParams):
 class FitParams(NoParams):
     """The surface that a camera is to show whole, from where, and in a picture of which size."""
 
-    isovalue: Annotated[float | str | None, WithJsonSchema({"type": "number"})] = Field(
-        None, description="In the volume's own units, within the scene's range; default: the scene's."
-    )
+    isovalue: Isovalue = None
     azimuth: Annotated[float | None, TURN] = Field(None, description="Degrees; default: from three quarters.")
     elevation: Annotated[float | None, Span(-90, 90)] = Field(None, description="Degrees; default: somewhat above.")
     fov: Annotated[float, Span(0.01, 179)] = Field(30.0, description="Vertical field of view, degrees.")
@@ -208,39 +215,6 @@ class FrameParams(ViewParams):
         pattern=VERSION,
         description="An ETag without its quotes: the final picture that has it may be kept for ever.",
     )
-
-
-class ExportParams(VariantParams):
-    """A file with the light of a scene in it: of the isosurface, or of the volume around it."""
-
-    f: Annotated[str, Choice(EXPORTS)] = Field("glb", description="Kind of file: a mesh, or a volume (vti, nrrd).")
-    isovalue: Annotated[float | str | None, WithJsonSchema({"type": "number"})] = Field(
-        None, description="In the volume's own units, within the scene's range; default: the scene's."
-    )
-    light: Annotated[Quaternion | None, Row(("w", "x", "y", "z"))] = Field(
-        None, description="Quaternion w,x,y,z that turns the light; instead of yaw, pitch, roll."
-    )
-    yaw: Annotated[float, TURN] = Field(0.0, description="Turns the light about z, degrees.")
-    pitch: Annotated[float, TURN] = Field(0.0, description="Then about y, degrees.")
-    roll: Annotated[float, TURN] = Field(0.0, description="Then about x, degrees.")
-    albedo: Annotated[Vec3 | None, Colour()] = Field(
-        None, description="One number or r,g,b, within the scene's albedos; default: the scene's albedo."
-    )
-    exposure: Annotated[float | None, Span(1e-36, 1e36)] = Field(
-        None, description="Factor on radiance; default: the scene's."
-    )
-    max_error: Annotated[float | None, Span(0.0001, 1)] = Field(
-        None, description="Relative error at which light is final; default: the scene's target_error."
-    )
-    deadline: Annotated[float | None, Span(0, LONGEST)] = Field(
-        None, description="Seconds of baking after which the file is made with the light that is there; default: none."
-    )
-
-    @property
-    def view(self) -> ViewParams:
-        """What of it is of a view. Raises ParameterError where the light's turn is given twice."""
-        names = self.model_fields_set - {"f", "exposure", "deadline"}
-        return read(ViewParams, self.model_dump(include=names).items())
 
 
 class SkyParams(LightParams):
@@ -315,7 +289,6 @@ UploadParamsDep = Annotated[UploadParams, reader(UploadParams)]
 FrameParamsDep = Annotated[FrameParams, reader(FrameParams)]
 FitParamsDep = Annotated[FitParams, reader(FitParams)]
 SkyParamsDep = Annotated[SkyParams, reader(SkyParams)]
-ExportParamsDep = Annotated[ExportParams, reader(ExportParams)]
 
 
 def view_of(scene: Scene, params: ViewParams, settings: Settings) -> View:

@@ -11,17 +11,17 @@ from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
-from isogi_core.errors import ViewError
 from isogi_core.files.light_volumes import WRITERS
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.tiles import Tiles
 from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
-from server.api.prewarm_jobs import Prewarm, stand_back
+from server.api.prewarm_jobs import Prewarm, stand_back, to_its_end
 from server.api.service import Service
+from server.export_parameters import ExportParams
 from server.exports.kinds import MESHES, expected_bytes, write_mesh, write_volume
-from server.exports.lighting import check_lattice, lit_mesh, lit_volume, lit_voxels, surface_mesh
-from server.parameters import ExportParams, view_of
+from server.exports.lighting import check_lattice, lit_mesh, lit_volume, lit_voxels, no_surface, surface_mesh
+from server.parameters import view_of
 from server.prewarm.order import PrewarmOrder, order_of
 from server.render.jobs import Job, Result
 from server.render.variants import own_name
@@ -98,21 +98,14 @@ class Export:
 
     async def _in_thread(self, work: Callable[[], Made]) -> Made:
         """Do some work on a thread; cancelled, it is told to stop, and waited for."""
-        working = asyncio.get_running_loop().run_in_executor(None, work)
-        try:
-            return await asyncio.shield(working)
-        except asyncio.CancelledError:
-            self.cancelled.set()
-            await asyncio.wait({working})
-            working.exception()
-            raise
+        return await to_its_end(asyncio.get_running_loop().run_in_executor(None, work), self.cancelled)
 
     def _check(self) -> int:
         """About the file's bytes. Raises FullError where that is too large, and ViewError where there is no surface."""
         prepared = self.service.engine.renderer(self.scene.id).prepared
         needed = expected_bytes(prepared, self.view.isovalue, self._suffix)
         if not needed:
-            raise ViewError(f"No surface passes any cell at {self.view.isovalue:g}: choose another isovalue.")
+            raise no_surface(self.view.isovalue)
         self.service.exports.check(needed)
         return needed
 

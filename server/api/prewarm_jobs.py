@@ -14,6 +14,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import datetime
 from itertools import count
+from typing import TypeVar
 
 from isogi_core.errors import Cancelled, IsogiError, StoreError
 from isogi_core.frame.frame import Frame
@@ -46,6 +47,8 @@ NICENESS = 5
 
 Report = Callable[[float, str, TimeLeft | None], None]
 """Takes how large a share of work is done, what is done now, and the time that the rest takes."""
+
+Done = TypeVar("Done")
 
 _visits = count(1)
 
@@ -90,13 +93,7 @@ class Prewarm:
         loop, record = asyncio.get_running_loop(), self._record()
         with ThreadPoolExecutor(1, "prewarm") as thread:
             working = loop.run_in_executor(thread, self._run, loop, report, record)
-            try:
-                summary = await asyncio.shield(working)
-            except asyncio.CancelledError:
-                self.cancelled.set()
-                await asyncio.wait({working})
-                working.exception()
-                raise
+            summary = await to_its_end(working, self.cancelled)
         if summary.failures:
             raise WorkersError(str(summary))
         return summary
@@ -176,6 +173,17 @@ class Prewarm:
         if self.service.attended:
             await asyncio.sleep(time.monotonic() - begun)
         return frame
+
+
+async def to_its_end(working: asyncio.Future[Done], cancelled: threading.Event) -> Done:
+    """What a thread's work comes to. Where this is cancelled, the thread is told so, and waited for."""
+    try:
+        return await asyncio.shield(working)
+    except asyncio.CancelledError:
+        cancelled.set()
+        await asyncio.wait({working})
+        working.exception()
+        raise
 
 
 def stand_back() -> None:

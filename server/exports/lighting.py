@@ -25,8 +25,13 @@ def surface_mesh(renderer: Renderer, isovalue: float) -> Mesh:
     surface = renderer.prepared.surface(isovalue)
     mesh = isosurface_mesh(renderer.prepared.scene.volume.voxels, surface.isovalue)
     if not len(mesh.quads):
-        raise ViewError(f"No surface passes any cell at {isovalue:g}: choose another isovalue.")
+        raise no_surface(isovalue)
     return mesh
+
+
+def no_surface(isovalue: float) -> ViewError:
+    """What to raise where no surface is."""
+    return ViewError(f"No surface passes any cell at {isovalue:g}: choose another isovalue.")
 
 
 def lit_mesh(renderer: Renderer, view: View, mesh: Mesh, exposure: float, report: Report) -> LitMesh:

@@ -44,13 +44,18 @@ def world(gbuffer: GBuffer) -> np.ndarray:
     return TURNED.to_world(gbuffer.points.astype(np.float64) * gbuffer.spacing)
 
 
-@pytest.mark.parametrize(("azimuth", "elevation"), WAYS)
-def test_points_lie_on_parallel_rays_through_pixels(bench: Workbench, azimuth: float, elevation: float) -> None:
+def parallel_rays(bench: Workbench, azimuth: float, elevation: float) -> tuple[GBuffer, np.ndarray, np.ndarray]:
+    """What an orthographic camera sees, and the rays of these pixels: origins (m, 3), and their one direction."""
     camera = perspective(bench, azimuth, elevation)
     gbuffer, places = seen(bench, camera, "orthographic")
     right, up, forward = camera.basis()
     pixel = 2.0 * np.linalg.norm(np.subtract(camera.target, camera.eye)) * np.tan(np.radians(20.0)) / SIZE
-    origins = camera.target + pixel * places @ np.stack([right, up])
+    return gbuffer, camera.target + pixel * places @ np.stack([right, up]), forward
+
+
+@pytest.mark.parametrize(("azimuth", "elevation"), WAYS)
+def test_points_lie_on_parallel_rays_through_pixels(bench: Workbench, azimuth: float, elevation: float) -> None:
+    gbuffer, origins, forward = parallel_rays(bench, azimuth, elevation)
     away = world(gbuffer) - origins
     assert len(away) > 500
     assert np.abs(away - (away @ forward)[:, None] * forward).max() < 1e-4
@@ -58,11 +63,8 @@ def test_points_lie_on_parallel_rays_through_pixels(bench: Workbench, azimuth: f
 
 @pytest.mark.parametrize(("azimuth", "elevation"), WAYS)
 def test_the_nearest_point_of_the_ball_is_seen(bench: Workbench, azimuth: float, elevation: float) -> None:
-    camera = perspective(bench, azimuth, elevation)
-    gbuffer, places = seen(bench, camera, "orthographic")
-    right, up, forward = camera.basis()
-    pixel = 2.0 * np.linalg.norm(np.subtract(camera.target, camera.eye)) * np.tan(np.radians(20.0)) / SIZE
-    origins = camera.target + pixel * places @ np.stack([right, up]) - bench.scene.volume.world_centre
+    gbuffer, origins, forward = parallel_rays(bench, azimuth, elevation)
+    origins -= bench.scene.volume.world_centre
     b = origins @ forward
     inside = 12.0**2 - (origins**2).sum(axis=1) + b**2
     hit = origins + (-b - np.sqrt(np.maximum(inside, 0.0)))[:, None] * forward

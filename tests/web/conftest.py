@@ -6,6 +6,7 @@ from contextlib import contextmanager
 import pytest
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
+from tests.server.uploads.site import site  # noqa: F401 (a fixture)
 from tests.web.visits import CHROMIUM
 
 PATIENCE_MS = 30_000  # for what a page does at once on an idle machine

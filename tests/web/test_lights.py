@@ -1,7 +1,6 @@
 """Light on the page: chosen, kept in the address, brought as a file, and deleted again."""
 
 from base64 import b64encode
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -9,16 +8,10 @@ import pytest
 from playwright.sync_api import Browser, Page, expect
 
 from isogi_core.files.radiance import write_hdr
-from tests.server.uploads.site import Site, opened
+from tests.server.uploads.site import Site
 from tests.web.visits import BROWSER, DROP, FINAL_MS, give, open_final, pixels, slide, wait_final
 
 pytestmark = BROWSER
-
-
-@pytest.fixture(scope="module")
-def site(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
-    with opened(small_scene, tmp_path_factory.mktemp("site")) as site:
-        yield site
 
 
 @pytest.fixture

@@ -1,23 +1,15 @@
 """Volumes of one's own on the page: opened, dropped, refused and deleted."""
 
 from base64 import b64encode
-from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 from playwright.sync_api import Browser, Page, expect
 
 from tests.server.uploads.files import ball, headed
-from tests.server.uploads.site import Site, opened
+from tests.server.uploads.site import Site
 from tests.web.visits import BROWSER, DROP, FINAL_MS, SHOTS, give
 
 pytestmark = BROWSER
-
-
-@pytest.fixture(scope="module")
-def site(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
-    with opened(small_scene, tmp_path_factory.mktemp("site")) as site:
-        yield site
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ import numpy as np
 
 from isogi_core.bake.bake_spec import path_weights
 from isogi_core.bake.refine import seeds_of
-from isogi_core.frame.gbuffer import GBuffer, PointsBeside
+from isogi_core.frame.gbuffer import NO_WALLS, GBuffer, PointsBeside
 from isogi_core.frame.lighting import RotatedLight, triple
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.framebuffer import PixelPoints
@@ -26,7 +26,7 @@ from isogi_core.kernels.shading.shine import (
     cast_shine,
     fill_below,
 )
-from isogi_core.kernels.tracing.walls import NOWHERE, Walls
+from isogi_core.kernels.tracing.walls import NOWHERE
 from isogi_core.kernels.transport.lights import AREA, DIRECTIONAL, LampArrays
 from isogi_core.kernels.transport.microfacets import NODES, ShineLobe, fill_energy
 from isogi_core.kernels.transport.paths import PathRules, SampleRange
@@ -56,7 +56,7 @@ RAYS, PATHS, RAYS_OF_PATHS = 1 << 14, 256, 1 << 17
 """Rays that are cast together, paths from their ends, and rays whose ends are kept together where all send paths."""
 
 NO_ROOM = Room(
-    Walls(np.empty((0, 3)), np.empty((0, 3)), np.empty((0, 2, 3)), np.empty(0)),
+    NO_WALLS,
     *(np.empty((0, 3)), np.empty((0, 2, 3)), np.empty((0, 3)), np.empty(0)),
     *(np.empty((0, 3)), np.empty((0, 3)), np.empty(0), np.zeros(3)),
 )

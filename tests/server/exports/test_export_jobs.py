@@ -2,9 +2,7 @@
 
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import httpx
 import pytest
@@ -12,9 +10,9 @@ import pytest
 from server.cli.command import run
 from server.errors import FullError, UnknownResultError
 from server.exports.folder import ExportFolder
-from tests.client.lab import TOKEN, lab_of
 from tests.server.idle import Idle, idle_server
 from tests.server.inline import LONG, InlinePool
+from tests.server.jobs import baking, until_over
 from worker import pool
 
 SCENE = """\
@@ -36,28 +34,10 @@ def scene(small_scene: Path) -> Path:
     return path
 
 
-@contextmanager
-def lab(scene: Path, store: Path) -> Iterator[httpx.Client]:
-    """A client of a server that bakes."""
-    bearer = {"Authorization": f"Bearer {TOKEN}"}
-    with lab_of(scene, store) as each, httpx.Client(base_url=each.url, headers=bearer, timeout=60) as client:
-        yield client
-
-
-def until_over(client: httpx.Client, address: str) -> dict[str, Any]:
-    """The document of a job once it has ended."""
-    deadline = time.monotonic() + LONG
-    while (facts := client.get(address).json())["status"] in ("accepted", "running"):
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
-    answer: dict[str, Any] = facts
-    return answer
-
-
 def test_files_are_those_of_the_command(scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pool, "WorkerPool", InlinePool)
     fetched = {}
-    with lab(scene, tmp_path / "store") as client:
+    with baking(scene, tmp_path / "store") as client:
         for kind in ("glb", "usdz", "vti"):
             begun = client.post(EXPORT, params={**VIEW, "f": kind})
             assert (begun.status_code, begun.json()["processID"]) == (202, "export")

@@ -5,7 +5,6 @@ import json
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -17,34 +16,14 @@ from server.cli.prewarm import prewarm
 from server.prewarm.order import order_of
 from server.prewarm.record import recorded_prewarms
 from server.settings import Settings
-from tests.client.lab import TOKEN, lab_of
 from tests.server.idle import Idle, idle_server
 from tests.server.inline import LONG, InlinePool, chunks_in
+from tests.server.jobs import baking, until_over
 from worker import pool
 from worker.bake_requests import GUEST
 
 ORDER: dict[str, Any] = {"isovalues": [0.5], "views": 3, "width": 24, "height": 20}
 PREWARM = "/v1/scenes/blocks/prewarm"
-
-
-@contextmanager
-def baking(scene: Path, store: Path) -> Iterator[httpx.Client]:
-    """A client of a server that bakes."""
-    with (
-        lab_of(scene, store) as lab,
-        httpx.Client(base_url=lab.url, headers={"Authorization": f"Bearer {TOKEN}"}, timeout=60) as client,
-    ):
-        yield client
-
-
-def until_over(client: httpx.Client, address: str) -> dict[str, Any]:
-    """The document of a job once it has ended."""
-    deadline = time.monotonic() + LONG
-    while (facts := client.get(address).json())["status"] in ("accepted", "running"):
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
-    answer: dict[str, Any] = facts
-    return answer
 
 
 @pytest.fixture(scope="module")

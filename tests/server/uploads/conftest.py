@@ -10,7 +10,12 @@ from fastapi import FastAPI
 from server.api.app import create_app
 from server.settings import Settings
 from server.uploads.uploads import Uploads
-from tests.server.uploads.site import PATIENT, Open, Poster
+from tests.server.uploads.site import (
+    PATIENT,
+    Open,
+    Poster,
+    site,  # noqa: F401 (a fixture)
+)
 
 
 @pytest.fixture

@@ -66,3 +66,10 @@ def opened(scene: Path, folder: Path) -> Iterator[Site]:
         app = create_app(engine, Settings(uploads_mb=64, uploads=str(volumes), **PATIENT))  # type: ignore[arg-type]
         with live(app) as url, httpx.Client(base_url=url, timeout=120) as client:
             yield Site(engine, client, volumes)
+
+
+@pytest.fixture(scope="module")
+def site(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
+    """A site that the tests of a module share; rooms whose tests ask for it import it into their conftest."""
+    with opened(small_scene, tmp_path_factory.mktemp("site")) as site:
+        yield site

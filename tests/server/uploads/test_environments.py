@@ -11,7 +11,7 @@ from isogi_core.files.radiance import read_hdr, write_hdr
 from isogi_core.model.latlong import mean_radiance
 from server.uploads.environments import LARGEST
 from server.uploads.folder import UploadFolder
-from tests.server.uploads.site import Site, opened
+from tests.server.uploads.site import Site
 
 LIGHTS = "/v1/environments"
 SMALL = {"width": 32, "height": 32}
@@ -27,12 +27,6 @@ def lamp(height: int = 16) -> np.ndarray:
     image = np.full((height, 2 * height, 3), 0.25)
     image[height // 4, height // 2] = (64.0, 32.0, 16.0)
     return image
-
-
-@pytest.fixture(scope="module")
-def site(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
-    with opened(small_scene, tmp_path_factory.mktemp("site")) as site:
-        yield site
 
 
 @pytest.fixture

@@ -3,22 +3,13 @@
 import gc
 import threading
 import weakref
-from collections.abc import Iterator
-from pathlib import Path
 
 import httpx
-import pytest
 
 from tests.server.uploads.files import names
-from tests.server.uploads.site import Site, opened
+from tests.server.uploads.site import Site
 
 VIEW = {"width": 48, "height": 48, "wait_ms": 10_000, "max_error": 0.5}
-
-
-@pytest.fixture(scope="module")
-def site(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
-    with opened(small_scene, tmp_path_factory.mktemp("site")) as site:
-        yield site
 
 
 def test_an_upload_is_a_scene_like_any_other(site: Site) -> None:
