@@ -13,6 +13,7 @@ from isogi_core.cache.costs import Cost, Costs
 from isogi_core.cache.scene_assets import SceneAssets
 from isogi_core.errors import StoreAwayError
 from isogi_core.files.scene_file import SceneSource
+from isogi_core.frame.texel_reading import Stage
 from isogi_core.frame.view_texels import Demand
 from isogi_core.model.scene_plan import ScenePlan
 from isogi_core.model.volume import Isovalue
@@ -21,7 +22,7 @@ from isogi_core.storage.url import StoreUrl
 from worker.bake_requests import GUEST, BakeRequest, Key, Viewer
 from worker.errors import LostWorkerError, WorkersAwayError
 from worker.pause import Pause
-from worker.progress import Tally, TimeEstimator, TimeLeft, request_seconds
+from worker.progress import Tally, TimeEstimator, TimeLeft, Work, work_seconds
 from worker.queue import BakeQueue
 from worker.tasks import BakeResult, BakeTask, open_spec
 
@@ -179,13 +180,20 @@ class Baker:
         pool = self._pool
         return pool.workers if pool is not None else self._expected or 1
 
-    def time_left(self, scene: str, subject: Hashable, indices: Iterable[Index]) -> TimeLeft | None:
-        """Estimate the time until all requests of these chunks are done; None where their cost is unknown."""
+    def time_left(
+        self, scene: str, subject: Hashable, indices: Iterable[Index], later: Iterable[Stage] = ()
+    ) -> TimeLeft | None:
+        """Estimate the time until all requests of these chunks, and ``later`` stages of the same picture, are done.
+
+        None where their cost is unknown.
+        """
         with self._changed:
             if scene not in self._bakes:
                 return None
-            requests = self._queue.open((scene, index) for index in indices)
-            seconds = request_seconds(requests, self._bakes[scene].costs)
+            open_now = self._queue.open((scene, index) for index in indices)
+            work = [Work(each.key[1], each.effort, each.target) for each in open_now]
+            work += [Work(each.index, each.effort, stage.target) for stage in later for each in stage.demands]
+            seconds = work_seconds(work, self._bakes[scene].costs)
             workers = self._expected if self._pool is None else self._pool.workers
             if seconds is None or workers is None:
                 return None

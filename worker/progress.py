@@ -10,10 +10,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from isogi_core.bake.noise import RATE, Effort
 from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.cache.costs import Costs
 from isogi_core.model.scene_plan import FEWEST, most_samples
-from worker.bake_requests import BakeRequest
+from isogi_core.prepared.prepared_scene import Index
 
 
 @dataclass(frozen=True)
@@ -152,22 +153,35 @@ class TimeEstimator:
 # --- cost of open requests, by measured costs
 
 
-def request_seconds(requests: Sequence[BakeRequest], costs: Costs) -> list[float] | None:
-    """Processor seconds that each of the requests will take, by the measured ``costs`` of their bake; None if unknown.
+class Work(NamedTuple):
+    """Work at a ``chunk``: the ``effort`` that its texels want to come to the relative error ``target``."""
 
-    A texel without light is assumed to need as many paths as others of the bake did, or will. Those may have been lit
-    elsewhere, or for another target, so the paths are bounded by what the request's own target allows.
+    chunk: Index
+    effort: Effort
+    target: float
+
+
+def work_seconds(work: Sequence[Work], costs: Costs) -> list[float] | None:
+    """Processor seconds that each piece of ``work`` will take, by the measured ``costs`` of a bake; None if unknown.
+
+    What is at hand comes first, what has the same target goes with it. A texel without light is assumed to need as many
+    paths as others of the bake did, or will, or as many more as its own target is stricter. Those may have been lit
+    elsewhere, or for another target, so the paths are bounded by what its own target allows.
     """
-    total, left = costs.total, sum(request.effort.left for request in requests)
-    rates = [costs.rate(request.key[1]) for request in requests]
-    if None in rates or (not total.texels and any(request.effort.unlit for request in requests)):
+    total, left = costs.total, sum(each.effort.left for each in work if each.target == work[0].target)
+    rates = [costs.rate(each.chunk) for each in work]
+    if None in rates or (not total.texels and any(each.effort.unlit for each in work)):
         return None
     texels = max(total.texels, 1)
     usual, first = (total.paths + left) / texels, total.first / texels
+
+    def _paths(each: Work) -> float:
+        stricter = (work[0].target / each.target) ** RATE
+        return each.effort.left + paths_after_first(stricter * usual, each.target) * each.effort.unlit
+
     return [
-        rate * (request.effort.left + paths_after_first(usual, request.target) * request.effort.unlit)
-        + first * request.effort.unlit
-        for rate, request in zip(rates, requests, strict=True)
+        rate * _paths(each) + first * each.effort.unlit
+        for rate, each in zip(rates, work, strict=True)
         if rate is not None
     ]
 

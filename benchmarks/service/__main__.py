@@ -2,6 +2,7 @@
 
 from benchmarks.common.suite import suite
 from benchmarks.service.drag import drag
+from benchmarks.service.first_look import first_look
 from benchmarks.service.fuzz import fuzz
 from benchmarks.service.load import load
 from benchmarks.service.malformed import malformed
@@ -10,7 +11,10 @@ from benchmarks.service.page import page
 from benchmarks.service.warm_view import warm_view
 from benchmarks.service.widget import widget
 
-main = suite("One server, as its clients see it.", drag, load, malformed, memory, fuzz, warm_view, page, widget)
+main = suite(
+    "One server, as its clients see it.",
+    *(drag, load, malformed, memory, fuzz, warm_view, page, widget, first_look),
+)
 
 if __name__ == "__main__":
     main(prog_name="python -m benchmarks.service")

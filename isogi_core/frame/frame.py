@@ -10,7 +10,7 @@ import numpy as np
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.projected_texels import Projection
 from isogi_core.frame.rays.control_pixels import ControlPixels, TotalError, measure_total, predict_total, spread_errors
-from isogi_core.frame.texel_reading import Lacking
+from isogi_core.frame.texel_reading import Lacking, Stage
 from isogi_core.frame.view_texels import Demand
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, PROVISIONAL, Framebuffer, tally
 from isogi_core.model.sky import LUMINANCE
@@ -82,8 +82,13 @@ class Frame:
 
     @cached_property
     def demands(self) -> tuple[Demand, ...]:
-        """The light that was not final, chunk by chunk."""
+        """The light on texels' own isosurfaces that was not final, chunk by chunk, were no texels projected."""
         return self.lacking.demands if self.lacking else ()
+
+    @property
+    def stages(self) -> tuple[Stage, ...]:
+        """All light that is to be baked until the picture is final, stage after stage."""
+        return self.lacking.stages if self.lacking else ()
 
     @cached_property
     def reported_state(self) -> np.ndarray:

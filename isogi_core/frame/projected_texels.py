@@ -8,11 +8,11 @@ from functools import cached_property
 
 import numpy as np
 
-from isogi_core.bake.noise import Effort, efforts
+from isogi_core.bake.noise import good_enough
 from isogi_core.cache.loader import Loader
 from isogi_core.cache.page_pool import Held, PagePool
 from isogi_core.errors import StoreError
-from isogi_core.frame.texel_reading import Reading
+from isogi_core.frame.texel_reading import Lacking, Reading, Stage
 from isogi_core.frame.tiles import Tiles
 from isogi_core.frame.view_texels import Demand, ViewTexels
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, Framebuffer
@@ -30,6 +30,9 @@ Texels that are nearer than the target error over this are left as they are. Und
 quarter of a voxel; projecting the others too changes the interpolation error from 0.39 to 0.34 % (engine at 180), from
 0.77 to 0.40 % (at 170), and takes half as many texels again (``docs/measurements/accuracy-interpolation.md``).
 """
+
+STAND_IN = 0.1
+"""Relative error that light may have at most while it stands in for that of projected texels."""
 
 PIECE = 16384
 """Texels whose distances one thread estimates in one go."""
@@ -79,6 +82,7 @@ class ProjectedReading(Reading):
     ``rows`` are those of the base, UNLIT where the projected texel is read in its place: ``projected_rows`` are of the
     other pool, and UNLIT elsewhere. ``wanted`` (texels,) are the texels that are to be projected and can be,
     ``unreachable`` those that cannot; ``dark`` ones lie where no light arrives on the isosurface, in a closed hollow.
+    Light that stands in for projected texels is good enough at the relative error ``stand_in``.
     """
 
     base: Reading
@@ -88,6 +92,7 @@ class ProjectedReading(Reading):
     wanted: np.ndarray
     unreachable: np.ndarray
     dark: np.ndarray
+    stand_in: float
 
     @property
     def whole(self) -> bool:
@@ -103,29 +108,31 @@ class ProjectedReading(Reading):
         """Rows of light, and the pools that they are of, of which ``pool`` is the base's."""
         return (self.rows, pool), (self.projected_rows, self.pool)
 
-    def demands(self, texels: ViewTexels, planes: Framebuffer) -> tuple[Demand, ...]:
-        """What the view still wants of texels on their own isosurfaces."""
-        return self.base.demands(texels, planes)
+    def demands(self, lacking: Lacking) -> tuple[Demand, ...]:
+        """What the view still wants of texels on their own isosurfaces, were it to read all of them there."""
+        return self.base.demands(lacking)
 
-    def projected_demands(self, texels: ViewTexels, planes: Framebuffer) -> tuple[Demand, ...]:
+    def projected_demands(self, lacking: Lacking) -> tuple[Demand, ...]:
         """What it wants of projected texels, whatever the base still lacks."""
-        lacking = np.flatnonzero(np.logical_or.reduceat(self.pending, self.bounds[:-1]) if len(self.rows) else ())
-        weights = texels.weights(planes).tolist() if len(lacking) else ()
-        return tuple(self._demand(texels, i, weights[i]) for i in lacking.tolist())
+        return lacking.of(self.projected, self.pending, self.target, self.wanted, lacking.texels.gbuffer.isovalue)
+
+    def stages(self, lacking: Lacking) -> tuple[Stage, ...]:
+        """All texels on their own isosurfaces, as good as they must be to stand in; those to be projected; the rest.
+
+        Light that is soon replaced need not be better than what interpolation errs by while it stands in.
+        """
+        base, lit = self.base, good_enough(self.base.error, self.base.samples, self.stand_in)
+        rest = lacking.of(base, (base.grade < FINAL) & ~self.wanted, self.target, ~self.wanted)
+        return (
+            Stage(lacking.of(base, (base.grade < FINAL) & ~lit, self.stand_in), self.stand_in),
+            Stage(self.projected_demands(lacking), self.target),
+            Stage(rest, self.target),
+        )
 
     @property
     def pending(self) -> np.ndarray:
         """Which projected texels are not final; (texels,) bool."""
         return np.asarray(self.wanted & (self.projected.grade < FINAL))
-
-    def _demand(self, texels: ViewTexels, i: int, weight: float) -> Demand:
-        """What it wants of chunk ``i``."""
-        own = slice(*self.bounds[i : i + 2].tolist())
-        wanted, lacking = self.wanted[own], self.pending[own]
-        given = self.projected.error[own][lacking], self.projected.samples[own][lacking], self.target
-        effort = Effort(*efforts(np.zeros(len(given[0]), np.int64), 1, *given)[0].tolist())
-        seen, shown = texels.footprints[i][wanted], texels.gbuffer.isovalue
-        return Demand(texels.chunks[i], texels.offsets[i][wanted], weight, effort, seen, shown)
 
 
 @contextmanager
@@ -145,16 +152,18 @@ def held_chunks(loader: Loader, chunks: Sequence[Index]) -> Iterator[Held | None
 def join_readings(base: Reading, projected: Reading, distances: Distances, pool: PagePool) -> ProjectedReading:
     """What a view reads where the ``pool`` has some ``projected`` texels.
 
-    One is read once its own error is less than what interpolation is expected to err by without it.
+    One is read once its own error is less than what is expected without it, of interpolation and of noise.
     """
     beyond, grade = distances.beyond(base.target), projected.grade
     wanted = beyond & (grade != VOID)
-    fit = (grade == FINAL) | (wanted & (grade == CONVERGING) & (projected.error <= distances.errors))
+    without = np.hypot(distances.errors, np.where(base.samples > 0, base.error, 1.0))
+    fit = (grade == FINAL) | (wanted & (grade == CONVERGING) & (projected.error <= without))
     dark, pending = wanted & (grade == BURIED), wanted & (grade < FINAL)
     grade = np.where(fit, grade, base.grade)
     grade[dark] = FINAL
     grade[pending & (grade == FINAL)] = CONVERGING
-    short = np.logical_or.reduceat(pending, base.bounds[:-1]) if len(grade) else base.short
+    lacks = pending | (base.grade < FINAL) & ~wanted
+    short = np.logical_or.reduceat(lacks, base.bounds[:-1]) if len(grade) else base.short
     return ProjectedReading(
         rows=np.where(fit | dark, UNLIT, base.rows).astype(np.int32),
         grade=grade,
@@ -162,7 +171,7 @@ def join_readings(base: Reading, projected: Reading, distances: Distances, pool:
         samples=np.where(fit, projected.samples, base.samples),
         error=np.where(fit, projected.error, base.error),
         bounds=base.bounds,
-        short=base.short | short,
+        short=short,
         target=base.target,
         base=base,
         projected=projected,
@@ -171,6 +180,7 @@ def join_readings(base: Reading, projected: Reading, distances: Distances, pool:
         wanted=wanted,
         unreachable=beyond & (projected.grade == VOID),
         dark=dark,
+        stand_in=max(base.target, min(STAND_IN, float(np.median(distances.errors[wanted])) if wanted.any() else 0.0)),
     )
 
 
@@ -185,7 +195,7 @@ class Projection:
     @cached_property
     def demands(self) -> tuple[Demand, ...]:
         """The projected texels that the view lacks; see ``ProjectedReading``."""
-        return self.reading.projected_demands(self.texels, self.planes)
+        return self.reading.projected_demands(Lacking(self.texels, self.reading, self.planes))
 
     @property
     def shares(self) -> dict[str, float]:

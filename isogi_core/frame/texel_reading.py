@@ -13,6 +13,7 @@ from isogi_core.frame.view_texels import Demand, ViewTexels
 from isogi_core.kernels.shading.chunks import Pages, find_rows
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, Framebuffer
 from isogi_core.kernels.shading.lattice import BURIED, BURIED_ROW, PARTIAL, UNBAKED, UNLIT, VOID, VOID_ROW
+from isogi_core.model.volume import Isovalue
 
 PIECE = 16384
 """Texels that are looked up, and digested, together; the same on any number of threads."""
@@ -43,13 +44,6 @@ class Reading:
         """Bytes that it takes, without the bounds."""
         return sum(each.nbytes for each in (self.rows, self.grade, self.samples, self.error, self.short))
 
-    @cached_property
-    def efforts(self) -> np.ndarray:
-        """What the texels of each chunk that are not final have taken and will: see ``Effort``; (chunks, 3) float64."""
-        rows = np.flatnonzero(self.grade < FINAL)
-        chunks = np.repeat(np.arange(len(self.short)), np.diff(self.bounds))
-        return efforts(chunks[rows], len(self.short), self.error[rows], self.samples[rows], self.target)
-
     @property
     def whole(self) -> bool:
         """Whether every texel holds light."""
@@ -69,15 +63,13 @@ class Reading:
         """Rows of light, and the pools that they are of: all of them of the ``pool`` that was read."""
         return ((self.rows, pool),)
 
-    def demands(self, texels: ViewTexels, framebuffer: Framebuffer) -> tuple[Demand, ...]:
-        """What the view still wants, whose picture is in the ``framebuffer``."""
-        if not self.short.any():
-            return ()
-        weights, seen = texels.weights(framebuffer).tolist(), texels.footprints
-        return tuple(
-            Demand(texels.chunks[i], texels.offsets[i], weights[i], Effort(*self.efforts[i].tolist()), seen[i])
-            for i in np.flatnonzero(self.short)
-        )
+    def demands(self, lacking: "Lacking") -> tuple[Demand, ...]:
+        """The light on texels' own isosurfaces that is not final, for a picture that is ``lacking`` it."""
+        return lacking.of(self, self.grade < FINAL, self.target)
+
+    def stages(self, lacking: "Lacking") -> tuple["Stage", ...]:
+        """What a picture wants, stage after stage."""
+        return (Stage(self.demands(lacking), self.target),)
 
 
 def read_texels(texels: ViewTexels, slots: np.ndarray, pool: PagePool, target: float, tiles: Tiles) -> Reading:
@@ -102,6 +94,19 @@ def read_texels(texels: ViewTexels, slots: np.ndarray, pool: PagePool, target: f
 
 
 @dataclass(frozen=True, eq=False)
+class Stage:
+    """A stage of what a picture wants: ``demands`` of one bake, until the relative error ``target``."""
+
+    demands: tuple[Demand, ...]
+    target: float
+
+    @property
+    def shown(self) -> Isovalue | None:
+        """The isosurface that its texels are projected onto; None where they lie on their own."""
+        return self.demands[0].shown if self.demands else None
+
+
+@dataclass(frozen=True, eq=False)
 class Lacking:
     """What the picture in a ``framebuffer`` still wants of its ``texels``, by their ``reading``."""
 
@@ -109,10 +114,45 @@ class Lacking:
     reading: Reading
     framebuffer: Framebuffer
 
-    @property
+    @cached_property
     def demands(self) -> tuple[Demand, ...]:
-        """The light that was not final, chunk by chunk."""
-        return self.reading.demands(self.texels, self.framebuffer)
+        """The light on texels' own isosurfaces that was not final, chunk by chunk."""
+        return self.reading.demands(self)
+
+    @cached_property
+    def stages(self) -> tuple[Stage, ...]:
+        """All that is wanted until the picture is final, stage after stage; none is empty."""
+        return tuple(stage for stage in self.reading.stages(self) if stage.demands)
+
+    @cached_property
+    def _weights(self) -> list[float]:
+        """The squared visible error that the picture has left in each chunk."""
+        found: list[float] = self.texels.weights(self.framebuffer).tolist()
+        return found
+
+    def of(
+        self,
+        reading: Reading,
+        lacking: np.ndarray,
+        target: float,
+        wanted: np.ndarray | None = None,
+        shown: Isovalue | None = None,
+    ) -> tuple[Demand, ...]:
+        """The demands of the chunks that have texels ``lacking`` light, by what a ``reading`` says of these.
+
+        All texels of such a chunk that are ``wanted`` are demanded. Both are (texels,) bool; None stands for all.
+        """
+        texels, rows = self.texels, np.flatnonzero(lacking)
+        chunks = np.searchsorted(reading.bounds, rows, side="right") - 1
+        sums = efforts(chunks, len(texels.chunks), reading.error[rows], reading.samples[rows], target)
+
+        def _demand(i: int) -> Demand:
+            own = slice(*reading.bounds[i : i + 2].tolist())
+            some = slice(None) if wanted is None else wanted[own]
+            offsets, seen = texels.offsets[i][some], texels.footprints[i][some]
+            return Demand(texels.chunks[i], offsets, self._weights[i], Effort(*sums[i].tolist()), seen, shown)
+
+        return tuple(map(_demand, np.unique(chunks).tolist()))
 
 
 GRADES = {UNLIT: UNBAKED, VOID_ROW: VOID, BURIED_ROW: BURIED}

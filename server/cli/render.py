@@ -143,7 +143,7 @@ def awaited(
     while True:
         left = max(0.0, deadline - time.monotonic())
         frame = engine.frame(scene, view, max_error=max_error, wait=min(STEP, left))
-        coming = frame.checkable or engine.lacking(scene, frame)[1]
+        coming = frame.checkable or engine.lacking(scene, frame)[1].demands
         show(frame)
         if frame.final or time.monotonic() >= deadline or not coming:
             return frame

@@ -13,6 +13,7 @@ from isogi_core.errors import StoreFullError, StoreReadOnlyError
 from isogi_core.frame.entry_kernels import OTHERS, frame_kernels
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.renderer import Renderer, surface_key
+from isogi_core.frame.texel_reading import Stage
 from isogi_core.frame.tiles import Stopwatch, Tiles
 from isogi_core.frame.view_texels import Demand
 from isogi_core.kernels._cache_folder import prune
@@ -204,21 +205,20 @@ class RenderEngine:
         self._checks.leave(viewer)
         if self.store.only_read():
             return frozenset()
-        bake, demands = self.lacking(scene, frame)
-        return self._baker.request(bake, demands, target, viewer)
+        bake, stage = self.lacking(scene, frame)
+        return self._baker.request(bake, stage.demands, stage.target, viewer)
 
-    def lacking(self, scene: str, frame: Frame) -> tuple[str, tuple[Demand, ...]]:
-        """The bake that a ``frame`` lacks light of, and what of it: projected texels once all else is final.
+    def lacking(self, scene: str, frame: Frame) -> tuple[str, Stage]:
+        """The bake that a ``frame`` lacks light of next, and what of it: see ``Frame.stages``.
 
         Of one in whose place a finer one is coming, what that lacks. A path-traced frame lacks none, however far it is
         from its target.
         """
         frame = frame.finer or frame
-        projected = () if frame.demands or frame.projection is None else frame.projection.demands
-        if scene not in self.scenes or not (projected or frame.fineness):
-            return self.bake_of(scene, frame.view), frame.demands
-        shown = frame.gbuffer.isovalue if projected else None
-        return self.bake_onto(scene, shown, frame.fineness), projected or frame.demands
+        stage = next(iter(frame.stages), Stage((), self.planned(scene).target_error))
+        if scene not in self.scenes or (stage.shown is None and not frame.fineness):
+            return self.bake_of(scene, frame.view), stage
+        return self.bake_onto(scene, stage.shown, frame.fineness), stage
 
     def bake_onto(self, scene: str, shown: Isovalue | None, fineness: int = 0) -> str:
         """The name of a scene's own bake, or of that of its texels projected onto the isosurface ``shown``.
@@ -233,8 +233,8 @@ class RenderEngine:
 
     def _chunks(self, scene: str, frame: Frame) -> tuple[str, list[Index]]:
         """The bake that a ``frame`` lacks light of, and the chunks of it."""
-        bake, demands = self.lacking(scene, frame)
-        return bake, [demand.index for demand in demands]
+        bake, stage = self.lacking(scene, frame)
+        return bake, [demand.index for demand in stage.demands]
 
     def waiting(self, scene: str, frame: Frame, viewer: Viewer) -> int:
         """How many chunks that a ``frame`` lacks are still to be baked; what the ``viewer`` wants stays wanted."""
@@ -261,7 +261,8 @@ class RenderEngine:
         """Seconds until the view of a ``frame`` is final; None where that is unknown, or no worker is at it."""
         target = max_error or self._find(scene).scene.target_error
         bake, chunks = self._chunks(scene, frame)
-        left = self._baker.time_left(bake, (bake, surface_key(frame.view), target), chunks)
+        subject, later = (scene, surface_key(frame.view), target), (frame.finer or frame).stages[1:]
+        left = self._baker.time_left(bake, subject, chunks, later)
         if frame.final:
             return TimeLeft(0.0, 0.0, 0.0)
         return left if left is not None and left.high > 0.0 else None
@@ -339,7 +340,7 @@ class RenderEngine:
     def _coming(self, scene: str, frame: Frame, target: float, watch: Stopwatch) -> bool:
         """Request the light that a frame lacks; whether any of it is going to be baked."""
         with watch.stage("demand"):
-            return bool(self.lacking(scene, frame)[1] and self.want(scene, frame, target, GUEST))
+            return bool(self.lacking(scene, frame)[1].demands and self.want(scene, frame, target, GUEST))
 
     def _find(self, scene: str) -> LoadedScene:
         """A loaded scene, which is loaded where it is not. Raises StoreError; UnknownSceneError if it was dismissed."""

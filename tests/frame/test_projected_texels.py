@@ -167,7 +167,8 @@ def test_readings_are_join_readings_as_a_walk_through_them_says() -> None:
     for t in range(count):
         expected = STEEP * ways.voxels[t]
         steep, void = expected > LOOSE, new.grade[t] == VOID
-        good = new.grade[t] == FINAL or (steep and new.grade[t] == CONVERGING and new.error[t] <= expected)
+        without = np.hypot(expected, base.error[t] if base.samples[t] else 1.0)
+        good = new.grade[t] == FINAL or (steep and new.grade[t] == CONVERGING and new.error[t] <= without)
         pending = steep and new.grade[t] < FINAL
         grade, dark = base.grade[t], steep and new.grade[t] == BURIED
         if good or dark:
@@ -178,7 +179,8 @@ def test_readings_are_join_readings_as_a_walk_through_them_says() -> None:
         assert (found.rows[t], found.projected_rows[t]) == rows
         assert found.grade[t] == grade
         assert (found.wanted[t], found.unreachable[t], found.dark[t]) == (steep and not void, steep and void, dark)
-    late = (found.wanted & (new.grade < FINAL), base.grade < FINAL)
+    late = (found.wanted & (new.grade < FINAL), ~found.wanted & (base.grade < FINAL))
+    assert found.stand_in == max(LOOSE, min(room.STAND_IN, float(np.median(ways.errors[found.wanted]))))
     assert found.short.tolist() == [any(each[a:b].any() for each in late) for a, b in pairwise(bounds)]
     assert [id(own) for _, own in found.sources(pool)] == [id(pool)] * 2
     assert not found.whole

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from isogi_core.frame.texel_reading import Reading, grade_rows, read_texels
+from isogi_core.frame.texel_reading import Lacking, Reading, grade_rows, read_texels
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, PROVISIONAL, Framebuffer
 from isogi_core.kernels.shading.lattice import BURIED, BURIED_ROW, PARTIAL, UNBAKED, UNLIT, VOID, VOID_ROW
@@ -56,19 +56,19 @@ def test_light_short_of_final_is_demanded_chunk_by_chunk(workbench: Callable[...
     texels = bench.renderer.texels(view, bench.renderer.gbuffer(view))
     before = reading_of(bench, view, Tiles(1))
     assert before.short.all() and not before.whole and (before.grade == UNBAKED).all()
-    assert [unlit for unlit, _, _ in before.efforts] == np.diff(texels.bounds).tolist()
-    assert [demand.index for demand in before.demands(texels, planes_of(view, 1.0))] == list(texels.chunks)
+    wanted = Lacking(texels, before, planes_of(view, 1.0)).demands
+    assert [demand.effort.unlit for demand in wanted] == np.diff(texels.bounds).tolist()
+    assert [demand.index for demand in wanted] == list(texels.chunks)
     bench.bake(view)
     after = reading_of(bench, view, Tiles(1))
-    assert (
-        not after.short.any() and after.demands(texels, planes_of(view, 0.0)) == () and after.version != before.version
-    )
+    assert not after.short.any() and after.version != before.version
+    assert Lacking(texels, after, planes_of(view, 0.0)).demands == ()
     other = replace(view, width=40)
     some = reading_of(bench, other, Tiles(1))
     wider = bench.renderer.texels(other, bench.renderer.gbuffer(other))
     own = [some.grade[a:b] for a, b in zip(wider.bounds[:-1], wider.bounds[1:], strict=True)]
     assert some.short.tolist() == [bool((grade < FINAL).any()) for grade in own]
-    assert [demand.index for demand in some.demands(wider, planes_of(other, 1.0))] == [
+    assert [demand.index for demand in Lacking(wider, some, planes_of(other, 1.0)).demands] == [
         index for index, short in zip(wider.chunks, some.short, strict=True) if short
     ]
 
@@ -86,10 +86,13 @@ def test_efforts_of_chunks_in_pieces_are_those_of_their_texels(
     whole = reading_of(bench, view, Tiles(1))
     monkeypatch.setattr("isogi_core.frame.texel_reading.PIECE", 7)
     pieces = reading_of(bench, view, Tiles(2))
-    assert np.array_equal(pieces.efforts, whole.efforts) and len(whole.efforts) == len(texels.chunks)
+    efforts, same = (
+        [d.effort for d in Lacking(texels, each, planes_of(view, 1.0)).demands] for each in (whole, pieces)
+    )
+    assert efforts == same and len(efforts) == len(texels.chunks)
     unlit = [int((whole.rows[a:b] == UNLIT).sum()) for a, b in pairwise(texels.bounds.tolist())]
-    assert whole.efforts[:, 0].tolist() == unlit and 0 < sum(unlit) < len(whole.rows)
-    assert (whole.efforts[np.array(unlit) == 0, 1] > 0.0).all()
+    assert [effort.unlit for effort in efforts] == unlit and 0 < sum(unlit) < len(whole.rows)
+    assert all(effort.taken > 0.0 for effort in efforts if not effort.unlit)
 
 
 def test_threads_change_no_reading(workbench: Callable[..., Workbench]) -> None:

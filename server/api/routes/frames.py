@@ -197,12 +197,12 @@ async def complete(service: Service, picture: PictureRequest, job: Job) -> Frame
                 job.report(1.0, "All light is baked; control pixels measure the picture.")
                 await asyncio.to_thread(service.engine.check, picture.scene, picture.view, picture.target)
                 continue
-            lacking, demands = await asyncio.to_thread(service.engine.lacking, picture.scene, frame)
-            if not demands:
+            lacking, stage = await asyncio.to_thread(service.engine.lacking, picture.scene, frame)
+            if not stage.demands:
                 return frame
-            baking = await asyncio.to_thread(service.engine.bake, lacking, demands, picture.target, viewer)
+            baking = await asyncio.to_thread(service.engine.bake, lacking, stage.demands, stage.target, viewer)
             needed = frame.chunks_needed
-            del frame, demands  # they may be large, and the rest long
+            del frame, stage  # they may be large, and the rest long
             if not baking.coming:
                 raise WorkersError(service.reason())
             await follow(service, bake, baking, needed, since, job)

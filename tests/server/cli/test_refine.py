@@ -30,8 +30,8 @@ class Script:
         known = {"final": version == "final", "checkable": version == "to be checked"}
         return SimpleNamespace(version=version, **known, chunks_needed=2, chunks_final=1)
 
-    def lacking(self, scene: str, frame: Any) -> tuple[str, tuple[str, ...]]:
-        return scene, self.demands
+    def lacking(self, scene: str, frame: Any) -> tuple[str, SimpleNamespace]:
+        return scene, SimpleNamespace(demands=self.demands)
 
     def trouble(self) -> str:
         return self.failing if len(self.versions) == 1 else ""

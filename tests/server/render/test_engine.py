@@ -248,7 +248,7 @@ def test_a_path_traced_frame_lacks_no_light_whatever_its_error(begin: Open, scen
     engine, view = begin(), replace(view_of(scene), shading="path_traced", samples=16)
     frame = engine.frame(scene.id, view, max_error=0.001, wait=LONG)
     assert frame.provisional and frame.noise > 0.001
-    assert engine.lacking(scene.id, frame) == (scene.id, ())
+    assert engine.lacking(scene.id, frame)[1].demands == ()
     assert refine(engine, scene.id, view, 0.001, None).version == frame.version
 
 

@@ -65,8 +65,9 @@ def test_what_is_coming_is_asked_for_and_not_shown(engine: RenderEngine, scene: 
     view, target = view_of(scene), scene.target_error
     while (frame := engine.survey(scene.id, view, target)).finer is None:
         engine.frame(scene.id, view, wait=0.01)
-    bake, demands = engine.lacking(scene.id, frame)
-    assert bake != scene.id and demands == frame.finer.demands != ()
+    bake, stage = engine.lacking(scene.id, frame)
+    demands = stage.demands
+    assert bake != scene.id and demands == frame.finer.stages[0].demands != ()
     assert frame.fineness == 0 and not frame.final and not frame.checkable and frame.measured
     assert frame.measured.low > target
     assert engine.want(scene.id, frame, target, GUEST) == {demand.index for demand in demands}
@@ -92,4 +93,4 @@ def test_where_few_pixels_err_they_get_light_of_their_own(
     monkeypatch.setattr(picture_check, "AGAIN", 10**6)
     frame = engine.frame(scene.id, view_of(scene), wait=LONG)
     assert frame.final and frame.fineness == 0 and frame.own > 0
-    assert not engine.lacking(scene.id, frame)[1]
+    assert not engine.lacking(scene.id, frame)[1].demands

@@ -6,14 +6,19 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from isogi_core.cache.upkeep import prune as pruning
 from isogi_core.cache.upkeep.census import census_of
 from isogi_core.cache.upkeep.prune import trim_projected
 from isogi_core.frame import projected_texels
+from isogi_core.frame.projected_texels import STAND_IN
+from isogi_core.frame.view_texels import Demand
+from isogi_core.kernels.shading.framebuffer import FINAL
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
+from isogi_core.prepared.prepared_scene import Index
 from isogi_core.storage.store import Store
 from server.api.headers import projection_header
 from server.pictures import planes
@@ -104,7 +109,7 @@ def test_a_view_at_rest_has_projected_texels(begin: Open, scene: Scene) -> None:
     shares = frame.projection.shares
     assert shares["projected"] > 0.2 and shares["pending"] == 0.0
     assert {bake for bake, _ in news} == {scene.id}, "who waits for the scene's light hears of projected texels too"
-    assert engine.lacking(scene.id, frame) == (scene.id, ())
+    assert engine.lacking(scene.id, frame)[1].demands == () == frame.stages
     assert projection_header(shares).startswith(f"projected={shares['projected']:.3f}, near=")
     whole = planes(frame, 0, frame.view.height)
     assert (whole[..., 4] == frame.reported_state).all()
@@ -116,18 +121,34 @@ def test_a_view_at_rest_has_projected_texels(begin: Open, scene: Scene) -> None:
 def test_projected_texels_have_a_bake_and_a_time_left(begin: Open, scene: Scene) -> None:
     engine = begin()
     view, name, target = view_of(scene), scene.id, scene.target_error
-    while (frame := engine.survey(name, view, target)).demands:
-        assert engine.lacking(name, frame) == (name, frame.demands)
+    while (frame := engine.survey(name, view, target)).stages[0].shown is None:
+        assert engine.lacking(name, frame)[0] == name and frame.stages[0].target >= target
         engine.want(name, frame, target, GUEST)
         time.sleep(0.01)
-    bake, demands = engine.lacking(name, frame)
-    assert frame.provisional and frame.projection
-    assert bake != name and demands == frame.projection.demands != ()
+    bake, stage = engine.lacking(name, frame)
+    assert frame.provisional and frame.projection and bake != name
+    assert places_of(stage.demands) == places_of(frame.projection.demands) != [] and stage.target == target
     moving = engine.survey(name, replace(view, moving=True), target)
-    assert engine.lacking(name, moving) == (name, ()) and not moving.provisional
+    assert engine.lacking(name, moving)[0] == name and moving.projection is None
     final = engine.frame(name, view, wait=LONG)
     left = engine.time_left(name, final)
     assert not final.provisional and left is not None and left.high == 0.0
+
+
+def places_of(demands: tuple[Demand, ...]) -> list[tuple[Index, bytes]]:
+    return [(demand.index, demand.offsets.tobytes()) for demand in demands]
+
+
+def test_light_that_is_replaced_is_not_brought_to_the_target(begin: Open, scene: Scene) -> None:
+    """Light on texels' own isosurfaces that only stands in stays as it is; the picture is the same."""
+    engine, view, strict = begin(), view_of(scene), STAND_IN / 4
+    lazy = engine.frame(scene.id, view, max_error=strict, wait=LONG)
+    assert not lazy.provisional and lazy.projection and lazy.demands
+    wanted = lazy.projection.reading.wanted
+    assert (lazy.projection.reading.base.grade[~wanted] >= FINAL).all()
+    engine.bake(engine.bake_of(scene.id, view), lazy.demands, strict).wait(LONG)
+    whole = engine.frame(scene.id, view, max_error=strict)
+    assert not whole.demands and np.array_equal(whole.radiance, lazy.radiance)
 
 
 def test_a_store_keeps_a_bounded_part_of_them(begin: Open, scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
