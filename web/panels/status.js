@@ -2,7 +2,7 @@
 
 import { find } from "../dom.js";
 import { STATES } from "../net/schemas.js";
-import { PREVIEW, frameInWords, shareInWords, showsSurface } from "../view/format.js";
+import { PREVIEW, errorInWords, frameInWords, shareInWords, showsSurface } from "../view/format.js";
 
 /** @typedef {import("../net/schemas.js").Facts} Facts */
 
@@ -65,14 +65,14 @@ export class Status {
 }
 
 /**
- * What stands on a picture that is not within its target.
- * @param {Pick<Facts, "provisional"|"coverage"|"error">} facts
+ * What stands on a picture that is not within its target: it counts down to that.
+ * @param {Pick<Facts, "provisional"|"error">} facts
  * @param {number} target relative error
  * @returns {string}
  */
-export function badge({ provisional, coverage, error }, target) {
+export function badge({ provisional, error }, target) {
   if (!provisional || error <= target) return "";
-  return error < PREVIEW ? `Refining · ${shareInWords(coverage.final)} done` : "Preview";
+  return error < PREVIEW ? `Refining · ${errorInWords(error)} error` : "Preview";
 }
 
 /**

@@ -209,7 +209,7 @@ test("screen readers hear of quarters, not of every frame", () => {
 });
 
 test("a badge goes when the picture is within its target", () => {
-  assert.equal(badge(facts(), 0.02), "Refining · 50 % done");
+  assert.equal(badge(facts(), 0.02), "Refining · 3.4 % error");
   assert.equal(badge(facts({ error: 1 }), 0.02), "Preview");
   assert.deepEqual([facts({ error: 0.019 }), facts({ provisional: false })].map((each) => badge(each, 0.02)), ["", ""]);
 });
