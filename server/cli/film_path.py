@@ -1,12 +1,14 @@
 """The path of a film: the parameters of its views, frame by frame, eased along keyframes."""
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 from urllib.parse import parse_qsl, urlsplit
 
 import numpy as np
 
+from isogi_core.frame.film import ground_of
 from server.errors import ParameterError
 from server.parameters import FrameParams
 from server.values import finite, shown
@@ -23,6 +25,8 @@ STILL = (
 )
 """Parameters that are no quantity: all views have the same."""
 
+HEX = re.compile(r"#[0-9a-fA-F]{6}")
+
 ON_THE_PAGE = ("scene", "compare", "rulers", "measure")
 """Parameters of a page's link that are none of a picture."""
 
@@ -32,6 +36,7 @@ def film_path(given: Knobs, views: Sequence[Knobs], scene: Knobs, frames: int) -
 
     ``scene`` are parameters that a view leaves to it. Raises ParameterError.
     """
+    given, views = untinted(given, scene), [untinted(view, scene) for view in views]
     swept = [name for name, text in given.items() if ":" in text]
     if views and swept:
         raise ParameterError(f"{swept[0]}={given[swept[0]]} and views both say what moves: keep one.", swept[0])
@@ -137,6 +142,21 @@ def view_in(text: str) -> dict[str, str]:
     if not all(name and equals for name, equals, _ in pairs):
         raise ParameterError(f"view must be a link, or such as azimuth=40,elevation=30, not {shown(text)}.", "view")
     return {name.strip(): value.strip() for name, _, value in pairs}
+
+
+def untinted(view: Knobs, scene: Knobs) -> dict[str, str]:
+    """A view whose ``tint``, the colour that a page's link has beside the albedo, is part of the albedo.
+
+    Raises ParameterError.
+    """
+    view = dict(view)
+    tint = view.pop("tint", None)
+    if tint is None:
+        return view
+    if not HEX.fullmatch(tint):
+        raise ParameterError(f"tint must be a colour such as #ff8800, not {shown(tint)}.", "tint")
+    most = max(number("albedo", share) for share in view.get("albedo", scene["albedo"]).split(","))
+    return {**view, "albedo": ",".join(repr(most * share) for share in ground_of(tint))}
 
 
 def views_in(document: Any) -> list[dict[str, str]]:

@@ -1,6 +1,6 @@
 /** The view in the address bar: read on load, written shortly after a change, so a link shows the same picture. */
 
-import { startAlbedo } from "../view/albedo.js";
+import { WHITE, startAlbedo } from "../view/albedo.js";
 import { readMeasure, writeMeasure } from "../view/measures.js";
 import { NUMBERS } from "../view/model.js";
 import { arePlanes } from "../view/planes.js";
@@ -44,7 +44,7 @@ export function writeAddress(scene, values) {
   const query = new URLSearchParams({ scene: scene.id });
   for (const name of NUMBERS.filter((each) => each in values)) query.set(name, String(values[name]));
   if (values.target) query.set("target", values.target.join(","));
-  if (values.tint !== undefined && values.tint !== startAlbedo(scene).tint) query.set("tint", values.tint);
+  if (values.tint && [values.tint, startAlbedo(scene).tint].some((tint) => tint !== WHITE)) query.set("tint", values.tint);
   if (values.shine) query.set("shine", values.shine);
   query.set("shading", values.shading);
   if (values.overlay !== "none") query.set("overlay", values.overlay);

@@ -2,7 +2,8 @@
 
 /** @typedef {import("../net/schemas.js").Scene} Scene */
 
-const WHITE = "#ffffff"; // the tint of a grey surface
+/** The tint of a grey surface. */
+export const WHITE = "#ffffff";
 
 /**
  * Albedo and tint where a scene starts; none where its albedo is fixed.

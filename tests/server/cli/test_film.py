@@ -105,6 +105,17 @@ def test_views_of_the_page_are_filmed_as_it_shows_them(small_scene: Path, tmp_pa
         assert lit[number].read_bytes() == told[number].read_bytes() != own[number].read_bytes()
 
 
+def test_the_tint_of_a_link_colours_the_albedo() -> None:
+    """As the page does it: shares of the albedo, linear in the light."""
+    links = ["http://here/?scene=s&albedo=0.5&tint=%23ff0080", "http://here/?scene=s&tint=%23ff0080"]
+    path = film_path({}, [view_in(link) for link in links], {"albedo": "0.8,0.4,0.1"}, 2)
+    assert "tint" not in path[0]
+    found = [[float(share) for share in view["albedo"].split(",")] for view in path]
+    np.testing.assert_allclose(found, [[0.5, 0.0, 0.5 * 0.21586], [0.8, 0.0, 0.8 * 0.21586]], rtol=1e-4)
+    with pytest.raises(ParameterError, match="tint must be a colour such as #ff8800, not 'red'"):
+        film_path({}, [view_in("?tint=red")], {"albedo": "0.7,0.7,0.7"}, 2)
+
+
 def test_budgets_share_what_is_left() -> None:
     for each, whole, share in ((None, None, None), (3, None, 3), (3, 20, 2), (None, 5, 0)):
         assert Budget(each, whole, 100, lambda: 110.0).share(5) == share
