@@ -9,6 +9,7 @@ import pytest
 
 from isogi_core.errors import ViewError
 from isogi_core.frame.frame import Frame
+from isogi_core.kernels.shading.framebuffer import PROVISIONAL
 from isogi_core.plan.scene import Scene
 from tests.frame.conftest import CONSTANT, SKY, Workbench, relative_rmse
 from tests.loaded import load_scene
@@ -98,6 +99,23 @@ def test_reflected_light_takes_the_colours_of_what_it_met(workbench: Callable[..
     vicinity = bench.bake(bench.view(size=24, shading="vicinity"))
     straight = vicinity.radiance.reshape(-1, 3)[vicinity.gbuffer.pixels] / own
     np.testing.assert_allclose(straight[:, 0], straight[:, 2], rtol=1e-4)
+
+
+def test_unshadowed_light_stands_in_in_the_colours(workbench: Callable[..., Workbench]) -> None:
+    """Before anything is baked: all light of the sky, times the albedo of each point, and marked."""
+    bench = workbench(painted(CONSTANT))
+    frame = bench.renderer.render(bench.view(size=24))
+    own = frame.gbuffer.albedos(bench.prepared.colours, bench.renderer.tiles)
+    assert (frame.state[frame.state > 0] == PROVISIONAL).all()
+    np.testing.assert_allclose(frame.radiance.reshape(-1, 3)[frame.gbuffer.pixels], own, rtol=1e-4)
+
+
+def test_exported_points_have_the_colours(workbench: Callable[..., Workbench]) -> None:
+    bench = workbench(painted(CONSTANT))
+    view = bench.view(size=16)
+    frame = bench.bake(view)
+    lit, _ = bench.renderer.light_points(view, frame.gbuffer.points)
+    np.testing.assert_allclose(lit.radiance[0], frame.radiance.reshape(-1, 3)[frame.gbuffer.pixels], rtol=1e-4)
 
 
 def test_local_shading_shows_the_colours(workbench: Callable[..., Workbench]) -> None:
