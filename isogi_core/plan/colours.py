@@ -114,12 +114,13 @@ def capped(albedo: Colour | list[float]) -> Colour:
 def source_of(table: ColourTable, settings: Settings, base: Path, volume: Volume) -> tuple[str, Layer, float]:
     """Where values come from: their name, how a layer is filled, and what filled values are multiplied by."""
     if table.of is not None:
-        spacing = np.array(volume.spacing)
+        shortest = min(volume.spacing)  # in its units slopes stay far from the ends of float32
+        spacing = np.array(volume.spacing) / shortest
 
         def _slope(z: float, step: np.ndarray, values: np.ndarray) -> None:
             slope_layer(volume.voxels, spacing, z, step, values)
 
-        return "gradient", _slope, abs(volume.scale)
+        return "gradient", _slope, abs(volume.scale) / shortest
     voxels, matrix = placed_file(table.file, settings, base, volume)
 
     def _sample(z: float, step: np.ndarray, values: np.ndarray) -> None:
@@ -137,7 +138,9 @@ def placed_file(file: str, settings: Settings, base: Path, volume: Volume) -> tu
     if 4 * grid.size > budget():
         need = f"The volume of colour '{file}' takes {4e-6 * grid.size:.0f} MB of memory"
         raise VolumeError(f"{need}: give a coarser one, or more by ISOGI_VOLUME_MB.")
-    return np.ascontiguousarray(grid.whole(), np.float32), matrix
+    with np.errstate(over="ignore"):
+        values = np.ascontiguousarray(grid.whole(), np.float32)
+    return np.where(np.isfinite(values), values, np.float32(np.nan)), matrix
 
 
 def volume_grids(settings: Settings, base: Path, volume: Volume, raw: bool) -> tuple[Grid, Grid]:

@@ -95,6 +95,34 @@ def test_the_usual_range_is_of_the_surface_alone(tmp_path: Path) -> None:
     assert 1.0 <= low < 4.0 and 8.0 < high <= 11.0
 
 
+def test_holes_have_the_colour_outside(tmp_path: Path) -> None:
+    """NaN, infinities and what floats do not hold are no values, and do not spread the range."""
+    save(tmp_path / "v.nrrd", BALL)
+    marks = np.indices(BALL.shape)[2].astype(np.float64)
+    marks[:, :4, 5], marks[:, :4, 6], marks[:, :4, 7] = np.nan, np.inf, 1e300
+    save(tmp_path / "c.nrrd", marks)
+    scene = scene_of(tmp_path)
+    found = values_of(scene)
+    assert np.isnan(found[:, :4, 5:8]).all() and not np.isnan(found[:, 5:]).any()
+    assert colours_of(scene).scale.span[1] < 13.0 and colours_of(scene).table[0] == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize("spacing", [1e-12, 1e12])
+def test_the_gradient_of_a_volume_of_any_size(tmp_path: Path, spacing: float) -> None:
+    save(tmp_path / "v.nrrd", BALL)
+    plain = scene_of(tmp_path, 'use = "colour"\nof = "gradient"')
+    scene = scene_of(tmp_path, 'use = "colour"\nof = "gradient"', f"spacing = [{spacing}, {spacing}, {spacing}]")
+    np.testing.assert_array_equal(colours_of(scene).codes, colours_of(plain).codes)
+    np.testing.assert_allclose(np.array(colours_of(scene).scale.span) * spacing, colours_of(plain).scale.span)
+
+
+def test_values_that_are_all_the_same_have_a_range(tmp_path: Path) -> None:
+    save(tmp_path / "v.nrrd", BALL)
+    save(tmp_path / "c.nrrd", np.full_like(BALL, -8.0))
+    colours = colours_of(scene_of(tmp_path))
+    assert colours.scale.span == (-12.0, -4.0) and np.unique(colours.codes).tolist() == [128]
+
+
 def test_map_and_range_change_reflected_light_alone(tmp_path: Path) -> None:
     save(tmp_path / "v.nrrd", BALL)
     save(tmp_path / "c.nrrd", BALL)
