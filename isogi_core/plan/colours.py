@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -90,17 +91,17 @@ def read_table(source: SceneSource) -> ColourTable:
     return ColourTable(file, of, name, named or (None if own else "viridis"), own, span, capped(outside))
 
 
-def own_colours(listed: object, scene: str) -> tuple[Colour, ...]:
+def own_colours(listed: Any, scene: str) -> tuple[Colour, ...]:
     """A list of two or more albedos. Raises SceneError."""
     whole = isinstance(listed, list) and 2 <= len(listed) <= VALUES
-    if not whole or not all(is_albedo(each) for each in listed):  # type: ignore[attr-defined]
+    if not whole or not all(map(is_albedo, listed)):
         raise SceneError(
             f"colours in the scene '{scene}' is not a list of 2 to {VALUES} albedos [r, g, b] from 0 to 1."
         )
-    return tuple(capped(each) for each in listed)  # type: ignore[attr-defined]
+    return tuple(map(capped, listed))
 
 
-def is_albedo(each: object) -> bool:
+def is_albedo(each: Any) -> bool:
     """Whether this is a list of three shares."""
     return isinstance(each, list) and len(each) == 3 and all(is_number(share) and 0 <= share <= 1 for share in each)
 
