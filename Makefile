@@ -64,6 +64,8 @@ pictures: $(BIN)/.tools
 	  --width 960 --height 600 --target-error 0.03
 	for kind in window cut; do $(BIN)/isogi render demo:casting -o docs/$$kind.png --$$kind "y>32" --azimuth 60 \
 	  --elevation 30 --width 640 --height 480 --target-error 0.05; done
+	$(BIN)/isogi render docs/colours.toml -o docs/colours.webp --azimuth 35 --elevation 28 --distance 3 \
+	  --width 480 --height 360 --target-error 0.03
 	for albedo in 0.3 0.9; do $(BIN)/isogi render docs/albedo.toml -o docs/albedo-$$albedo.png --albedo $$albedo \
 	  --azimuth 35 --elevation 28 --distance 3 --width 480 --height 360 --target-error 0.03; done
 	$(BIN)/isogi inspect $(ISOGI_SHARED_DATA)/engine_256x256x128_uint8.nhdr --picture docs/stiffness.png

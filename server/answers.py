@@ -11,6 +11,7 @@ from isogi_core.frame.frame import Frame
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.surface_point import point_at
 from isogi_core.kernels.shading.framebuffer import FINAL
+from isogi_core.model.colours import hex_of
 from isogi_core.model.environment import Lobe
 from isogi_core.model.lights import ENVIRONMENTS, Light
 from isogi_core.model.scene_plan import Layer
@@ -22,6 +23,7 @@ from server.parameters import FrameParams
 from server.schemas import (
     CameraSchema,
     ChunkCounts,
+    ColourScale,
     Coverage,
     EnvironmentSchema,
     ErrorScale,
@@ -66,7 +68,8 @@ def scene_schema(scene: Scene) -> SceneSchema:
         lights=[light_schema(light) for light in scene.lights],
         albedo=scene.albedo,
         albedos=None if scene.albedos is None else Range(min=scene.albedos[0], max=scene.albedos[1]),
-        shines=list(KINDS) if scene.shine else [],
+        colours=colour_scale(scene),
+        shines=(list(KINDS) if scene.colours is None else ["plastic"]) if scene.shine else [],
         bounces=scene.bounces,
         cuts=scene.volume.orientation.straight,
         solid=scene.solid,
@@ -93,6 +96,15 @@ def volume_schema(scene: Scene) -> VolumeSchema:
         bounds=volume.world_bounds,
         notes=list(orientation.notes),
     )
+
+
+def colour_scale(scene: Scene) -> ColourScale | None:
+    """The colours of the surface by data, None where it has one albedo."""
+    if scene.colours is None:
+        return None
+    scale = scene.colours.scale
+    (low, high), outside = scale.span, hex_of(scale.outside)
+    return ColourScale(name=scale.name, map=scale.map, low=low, high=high, colours=scale.anchors, outside=outside)
 
 
 def light_schema(light: Light) -> LightSchema:

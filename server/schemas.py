@@ -100,6 +100,20 @@ class ErrorScale(BaseModel):
     colours: list[str]
 
 
+class ColourScale(BaseModel):
+    """The surface's colours by data: what of, the name of the map, and sRGB at equal steps from ``low`` to ``high``.
+
+    ``outside`` is where there is no value.
+    """
+
+    name: str
+    map: str
+    low: float
+    high: float
+    colours: list[str]
+    outside: str
+
+
 class LightSchema(BaseModel):
     """One light of a scene."""
 
@@ -223,7 +237,8 @@ class SceneSchema(BaseModel):
     ``rotating`` is whether the light may be turned, ``turns`` whether that shows: not where the light is the
     same from all sides. ``albedos`` are those that a view may ask for, null where it may not. ``shines`` are the kinds
     of shine that it may ask for, none where the surface is diffuse. ``cuts`` is whether planes across the world's axes
-    may cut it: its voxels lie along them.
+    may cut it: its voxels lie along them. ``colours`` are those of a surface whose albedo comes from data, null where
+    it has one ``albedo``; that is then the most that colours reflect.
     """
 
     id: str
@@ -237,6 +252,7 @@ class SceneSchema(BaseModel):
     lights: list[LightSchema]
     albedo: Triple
     albedos: Range | None
+    colours: ColourScale | None
     shines: list[str]
     bounces: int
     cuts: bool

@@ -22,28 +22,29 @@ from isogi_core.cache.chunk import Chunk
 from isogi_core.cache.chunk_store import ChunkStore
 from isogi_core.cache.claims import Claims
 from isogi_core.cache.costs import Cost
-from isogi_core.cache.scene_assets import SceneAssets, receive_assets
+from isogi_core.cache.scene_assets import SceneAssets, receive_assets, receive_colours
 from isogi_core.errors import SceneError, StoreAwayError
 from isogi_core.files.scene_file import FOLLOWED, SceneSource
 from isogi_core.kernels._jit import entries_of, load
+from isogi_core.kernels.transport.coloured_transfer import bake_coloured_texels
 from isogi_core.kernels.transport.room_paths import fill_seeds, light_in_room
 from isogi_core.kernels.transport.texel_points import project_texels
 from isogi_core.kernels.transport.transfer import bake_irradiance, bake_texels, locate_texels
 from isogi_core.model.scene_plan import ScenePlan
 from isogi_core.model.volume import Isovalue
 from isogi_core.plan.assembly import build_scene
-from isogi_core.plan.scene import ROOM
+from isogi_core.plan.scene import COLOURED, ROOM
 from isogi_core.prepared.prepared_scene import Index, PreparedScene
 from isogi_core.storage.store import Store
 from isogi_core.storage.url import StoreUrl
 
 PATHS = {
     **{"direct": (bake_texels,), "indirect": (bake_texels,), "whole": (bake_texels,)},
-    **{"irradiance": (bake_irradiance,), ROOM: (light_in_room, fill_seeds)},
+    **{"irradiance": (bake_irradiance,), ROOM: (light_in_room, fill_seeds), COLOURED: (bake_coloured_texels,)},
 }
-"""Entry kernels by the kind of layer that they bake; among walls they are others."""
+"""Entry kernels by the kind of layer that they bake; among walls and on colours they are others."""
 
-KINDS = tuple(kind for kind in PATHS if kind != ROOM)
+KINDS = tuple(kind for kind in PATHS if kind not in (ROOM, COLOURED))
 """The kinds of layers that can be baked."""
 
 
@@ -115,7 +116,7 @@ def prepared_scene(source: SceneSource, assets: SceneAssets | None, store_url: S
     if assets is None:
         return opened(source)
     received, volume = receive_assets(source, assets, open_store(store_url))
-    return PreparedScene(build_scene(received, volume=volume))
+    return PreparedScene(build_scene(received, volume=volume, colours=receive_colours(assets, open_store(store_url))))
 
 
 OPEN: WeakValueDictionary[str, PreparedScene] = WeakValueDictionary()
@@ -134,7 +135,8 @@ def opened(source: SceneSource) -> PreparedScene:
         prepared = PreparedScene(build_scene(source))
     else:
         bare = {name: value for name, value in source.document.items() if name not in FOLLOWED}
-        prepared = known.beside(build_scene(replace(source, document=bare), volume=known.scene.volume))
+        scene = known.scene
+        prepared = known.beside(build_scene(replace(source, document=bare), volume=scene.volume, colours=scene.colours))
     OPEN[key] = prepared
     return prepared
 

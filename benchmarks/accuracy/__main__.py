@@ -4,6 +4,7 @@ from benchmarks.accuracy.albedo import albedo
 from benchmarks.accuracy.calibration import calibration
 from benchmarks.accuracy.checking import checking
 from benchmarks.accuracy.choices import choices
+from benchmarks.accuracy.colours import colours
 from benchmarks.accuracy.cuts import cuts
 from benchmarks.accuracy.equal_error import equal_error
 from benchmarks.accuracy.filtering import filtering
@@ -28,6 +29,7 @@ main = suite(
     furnace,
     checking,
     cuts,
+    colours,
     reports,
     equal_error,
     plans,

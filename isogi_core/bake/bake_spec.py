@@ -7,6 +7,7 @@ from functools import cache, cached_property
 
 import numpy as np
 
+from isogi_core.kernels.transport.coloured_transfer import ColouredRules
 from isogi_core.model.environment import Lobe
 from isogi_core.model.scene_plan import Layer, ScenePlan
 from isogi_core.model.sky import LUMINANCE
@@ -16,7 +17,7 @@ from isogi_core.plan.bands import evaluate_harmonics, project_environment, spher
 from isogi_core.plan.inputs import Colour
 from isogi_core.plan.lobe_choice import FEW, project_lobes
 from isogi_core.plan.planner import vicinity_plan
-from isogi_core.plan.scene import ROOM
+from isogi_core.plan.scene import COLOURED
 from isogi_core.prepared.prepared_scene import PreparedScene
 
 
@@ -88,9 +89,13 @@ class BakeSpec:
 
     @property
     def kinds(self) -> frozenset[str]:
-        """The kinds of layers that are baked; ROOM in place of irradiance among walls, whose kernels are others."""
-        among = self.prepared.scene.room.any
-        return frozenset(ROOM if among and layer.kind == "irradiance" else layer.kind for layer in self.plan.layers)
+        """The kinds of layers that are baked; see ``Scene.kind_of``."""
+        return frozenset(self.prepared.scene.kind_of(layer, self.plan) for layer in self.plan.layers)
+
+    @property
+    def coloured(self) -> bool:
+        """Whether paths carry the colours of what they hit to harmonics."""
+        return COLOURED in self.kinds
 
     @property
     def order(self) -> int:
@@ -258,6 +263,23 @@ class BakeSpec:
     def squares(self, layers: Sequence[Layer]) -> np.ndarray:
         """The squares of what a path counts in the luminance of ``layers``; (layers, bounces + 2), as ``shares``."""
         return self._stacked([(self.mix(layer) @ self._shares(layer))[None] ** 2 for layer in layers])
+
+    def coloured_rules(self, layers: Sequence[Layer], orders: np.ndarray) -> ColouredRules:
+        """``shares`` and ``squares`` on a surface with colours, in rows with harmonics of these ``orders``."""
+        mixes = [np.eye(layer.channels, 3) for layer in layers]
+        squares = [np.pad(self.mix(layer), (0, 3 - layer.channels))[None] for layer in layers]
+        reflected = np.array([float(layer.reflected) for layer in layers])
+        straight = np.array([float(layer.kind != "indirect") for layer in layers])
+        channels = [layer.channels for layer in layers]
+        return ColouredRules(
+            orders,
+            np.append(np.repeat(straight, channels), straight),
+            np.append(np.repeat(reflected, channels), reflected),
+            np.vstack([*mixes, *squares]),
+            np.arange(sum(channels) + len(layers)) >= sum(channels),
+            self.plan.bounces if reflected.any() else 0,
+            self.plan.survival,
+        )
 
     def _stacked(self, own: Sequence[np.ndarray]) -> np.ndarray:
         longest = max(shares.shape[1] for shares in own)

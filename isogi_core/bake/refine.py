@@ -15,6 +15,7 @@ from isogi_core.bake.precision import VOID, next_level, noise_codes, noise_of, r
 from isogi_core.bake.texel_light import Light, Part
 from isogi_core.kernels.tracing.active_cells import ActiveCells
 from isogi_core.kernels.tracing.walls import NOWHERE
+from isogi_core.kernels.transport.coloured_transfer import bake_coloured_texels
 from isogi_core.kernels.transport.paths import PathRules, SampleRange
 from isogi_core.kernels.transport.room_paths import RoomStarts, fill_seeds, light_in_room
 from isogi_core.kernels.transport.texel_points import PROJECTED, project_texels
@@ -141,13 +142,17 @@ def sample_transfer(
     Harmonics of the ways that paths leave: for each layer, and each half of them, (m, 2, channels, N²) float64; and
     band 0 of the squares of what paths bring, of both halves, (m,).
     """
-    shares = np.vstack([spec.shares(layers), spec.squares(layers)])
     orders = np.repeat([max(layer.order, NOISE_ORDER) for layer in layers], [layer.channels for layer in layers])
     orders = np.append(orders, np.ones(len(layers), np.int64))
     sums = np.zeros((len(void), 2, len(orders), int(orders.max()) ** 2))
-    for bricks, rows in by_isovalue(place[3], void, spec.prepared):
-        some, rules = SampleRange(samples // 2, count // 2), PathRules(shares, spec.plan.survival)
-        bake_texels(spec.prepared.field, bricks, place, rows, some, rules, orders, sums)
+    some, prepared = SampleRange(samples // 2, count // 2), spec.prepared
+    for bricks, rows in by_isovalue(place[3], void, prepared):
+        if spec.coloured:
+            rules = spec.coloured_rules(layers, orders)
+            bake_coloured_texels(prepared.field, bricks, prepared.colours, place, rows, some, rules, sums)
+        else:
+            shares = np.vstack([spec.shares(layers), spec.squares(layers)])
+            bake_texels(prepared.field, bricks, place, rows, some, PathRules(shares, spec.plan.survival), orders, sums)
     first = 0
     for number, layer in enumerate(layers):
         halves = sums[:, :, first : first + layer.channels, : max(layer.order, NOISE_ORDER) ** 2]
@@ -163,7 +168,7 @@ def sample_irradiance(
     weights = np.broadcast_to(spec.weights(layers[0]), (spec.plan.bounces + 1, 3)).copy()
     for bricks, rows in by_isovalue(place[3], void, spec.prepared):
         some, rules = SampleRange(samples // 2, count // 2), PathRules(weights, spec.plan.survival)
-        if spec.prepared.scene.room.any:
+        if spec.prepared.scene.many_albedos:
             light_texels_in_room(place, rows, bricks, spec, some, rules, sums)
         else:
             bake_irradiance(spec.prepared.field, bricks, place, rows, some, rules, surroundings, sums)
@@ -180,7 +185,7 @@ def light_texels_in_room(
     rules: PathRules,
     sums: np.ndarray,
 ) -> None:
-    """``bake_irradiance`` among walls: luminaires are seen and cast shadows, and walls reflect."""
+    """``bake_irradiance`` among walls, which reflect, and on colours: luminaires are seen and cast shadows."""
     texels, points, normals, isovalues = place
     both = np.repeat(rows, 2)
     seeds = seeds_of(np.column_stack([texels[both], np.tile([0, 1], len(rows))]))

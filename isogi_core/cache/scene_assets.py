@@ -16,6 +16,7 @@ from isogi_core.errors import ChangedError, DamagedChunkError, LightError, Store
 from isogi_core.files.scene_file import DEFAULT_DEMO, FOLLOWED, SceneSource
 from isogi_core.files.volume_copies import find_copy, get_copy, get_file
 from isogi_core.files.voxel_file import Draft
+from isogi_core.model.colours import Scale, SurfaceColours
 from isogi_core.model.lights import ENVIRONMENTS
 from isogi_core.model.orientation import PLAIN, Orientation
 from isogi_core.model.value_survey import begin_digest
@@ -125,12 +126,14 @@ BYTES = 1 << 23
 class SceneAssets:
     """The digests of a scene's ``volume``, empty for a demo, and of its lights' ``files``, by their names there.
 
-    The ``orientation`` is the volume's: equal voxels may lie differently in two scenes.
+    The ``orientation`` is the volume's: equal voxels may lie differently in two scenes. ``colours`` is the digest of
+    the surface's, empty where it has none.
     """
 
     volume: str
     files: tuple[tuple[str, str], ...]
     orientation: Orientation = PLAIN
+    colours: str = ""
 
 
 def send_assets(scene: Scene, store: Store) -> SceneAssets:
@@ -143,11 +146,34 @@ def send_assets(scene: Scene, store: Store) -> SceneAssets:
         data = read_file(source.base / name)
         files.append((name, digest_of_file(data)))
         Asset(store, f"files/{files[-1][1]}").put(np.frombuffer(data, np.uint8), (BYTES,), {})
+    colours = send_colours(scene.colours, store) if scene.colours else ""
     if str(source.document.get("volume", DEFAULT_DEMO)).startswith("demo:"):
-        return SceneAssets("", tuple(files))
+        return SceneAssets("", tuple(files), colours=colours)
     facts = {name: value for name, value in vars(volume.counted()).items() if name not in ("voxels", "orientation")}
     Asset(store, f"volumes/{volume.digest}").put(volume.voxels, CHUNK, facts)
-    return SceneAssets(volume.digest, tuple(files), volume.orientation)
+    return SceneAssets(volume.digest, tuple(files), volume.orientation, colours)
+
+
+def send_colours(colours: SurfaceColours, store: Store) -> str:
+    """Write the colours of a surface to the ``store``, unless they are there; their digest. Raises StoreError."""
+    scale = {**vars(colours.scale), "table": colours.scale.table.tolist()}
+    Asset(store, f"colours/{colours.digest}").put(colours.codes, CHUNK, {"step": colours.step, "scale": scale})
+    return colours.digest
+
+
+def receive_colours(assets: SceneAssets, store: Store) -> SurfaceColours | None:
+    """The colours among a scene's assets, None where it has none. Raises StoreError."""
+    if not assets.colours:
+        return None
+    asset = Asset(store, f"colours/{assets.colours}")
+    facts, codes = asset.describe()[3], np.concatenate(list(asset.slabs()))
+    scale = facts["scale"]
+    pairs = {key: tuple(scale[key]) for key in ("span", "outside")}
+    found = Scale(scale["name"], map=scale["map"], table=np.array(scale["table"]), **pairs)
+    colours = SurfaceColours(codes, tuple(facts["step"]), found)
+    if colours.digest != assets.colours:
+        raise asset.damaged("it holds other colours")
+    return colours
 
 
 def receive_assets(source: SceneSource, assets: SceneAssets, store: Store) -> tuple[SceneSource, Volume | None]:

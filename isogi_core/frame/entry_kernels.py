@@ -42,6 +42,7 @@ from isogi_core.kernels.tracing.camera import trace_pixels, trace_places
 from isogi_core.kernels.tracing.macrocells import fill_macrocells
 from isogi_core.kernels.tracing.sight import read_values, trace_pixels_in_sight, trace_places_in_sight
 from isogi_core.kernels.tracing.stiffness import count_stiffness
+from isogi_core.kernels.transport.colours import fill_albedos
 from isogi_core.kernels.transport.harmonics import rotate
 from isogi_core.kernels.transport.lights import project_lamps
 from isogi_core.kernels.transport.microfacets import fill_energy
@@ -68,6 +69,9 @@ LOBES = (
 
 ROOM = (light_in_room, trace_pixels_in_sight, trace_places_in_sight, light_walls, fill_seeds)
 """Those that only scenes with walls call, besides; not their ``trace_pixels`` and ``trace_places``."""
+
+COLOURED = (fill_albedos,)
+"""Those that only scenes with colours by data call; their paths are those of a room."""
 
 SHINE = (cast_shine, fill_below, fill_energy, pool_noise)
 """Those that only scenes with a shine call; and, where lights have lobes, ``light_ends``."""
@@ -119,8 +123,8 @@ views through a window.
 
 
 def frame_kernels(scenes: Iterable[Scene]) -> tuple[Any, ...]:
-    """Those that frames of any of the ``scenes`` call: ROOM where one has walls, SHINE where one shines, then in the
-    order of FRAME.
+    """Those that frames of any of the ``scenes`` call: ROOM where one has walls, COLOURED where one has
+    colours, SHINE where one shines, then in the order of FRAME.
     """
     shown = tuple(scenes)
     uncalled = set.intersection({*FRAME}, *map(uncalled_by, shown))
@@ -128,7 +132,13 @@ def frame_kernels(scenes: Iterable[Scene]) -> tuple[Any, ...]:
     shining = [scene for scene in shown if scene.shine]
     shines = SHINE if shining else ()
     lobes = (light_ends,) if any(scene.plan.lobes for scene in shining) else ()
+    rooms += COLOURED if any(scene.colours for scene in shown) else ()
     return (*rooms, *shines, *lobes, *(kernel for kernel in FRAME if kernel not in uncalled))
+
+
+def other_kernels(scenes: Iterable[Scene]) -> tuple[Any, ...]:
+    """OTHERS, and those of whole paths over colours where one of the ``scenes`` has these."""
+    return (*OTHERS, *((light_in_room, fill_seeds) if any(scene.colours for scene in scenes) else ()))
 
 
 def uncalled_by(scene: Scene) -> set[Any]:

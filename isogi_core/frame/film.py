@@ -6,6 +6,7 @@ import numpy as np
 
 from isogi_core.frame.frame import EdgeSamples, Frame
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, develop_rows, fill_curve
+from isogi_core.model.colours import linear_of
 
 SCALE = (0.001, 1.0)
 """Relative errors at the ends of the scale; what lies beyond has the colour of the end."""
@@ -109,11 +110,6 @@ def coded(light: np.ndarray) -> np.ndarray:
 def linear_table() -> np.ndarray:
     """The linear light of each sRGB code, (256,) float32."""
     return np.array([linear_of(code / 255.0) for code in range(256)], np.float32)
-
-
-def linear_of(code: float) -> float:
-    """Linear light of an sRGB code from 0 to 1 (IEC 61966-2-1)."""
-    return code / 12.92 if code <= 0.04045 else ((code + 0.055) / 1.055) ** 2.4
 
 
 def lit(

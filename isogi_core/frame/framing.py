@@ -4,7 +4,6 @@ from functools import cache
 
 import numpy as np
 
-from isogi_core.frame.film import linear_of
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.lighting import RotatedLight, version_of
@@ -16,6 +15,7 @@ from isogi_core.frame.tiles import Stopwatch
 from isogi_core.frame.view_texels import ViewTexels
 from isogi_core.kernels.shading.framebuffer import FINAL, Framebuffer
 from isogi_core.kernels.tracing.sight import read_values
+from isogi_core.model.colours import linear_of
 from isogi_core.model.volume import Volume
 from isogi_core.plan.scene import Scene
 

@@ -11,6 +11,7 @@ from isogi_core.kernels.shading.local_models import find_normals
 from isogi_core.kernels.tracing.camera import Pinhole, trace_pixels
 from isogi_core.kernels.tracing.sight import FACE, Sight, trace_pixels_in_sight
 from isogi_core.kernels.tracing.walls import Walls
+from isogi_core.kernels.transport.colours import Colours, fill_albedos
 from isogi_core.model.view import Camera, View
 from isogi_core.model.volume import Isovalue
 from isogi_core.prepared.surface import Surface
@@ -70,6 +71,7 @@ class GBuffer:
     walls: PointsBeside = field(default_factory=PointsBeside.none)
     faces: PointsBeside = field(default_factory=PointsBeside.none)
     _normals: np.ndarray | None = field(default=None, repr=False)
+    _albedos: np.ndarray | None = field(default=None, repr=False)
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
 
     @property
@@ -89,6 +91,18 @@ class GBuffer:
                 tiles.run(_piece, len(self.points), POINTS)
                 self._normals = normals
             return self._normals
+
+    def albedos(self, colours: Colours, tiles: Tiles) -> np.ndarray:
+        """The albedo of each point by the scene's ``colours``, (m, 3) float32, found when first asked for.
+
+        Raises Cancelled.
+        """
+        with self._lock:
+            if self._albedos is None:
+                albedos = np.empty_like(self.points)
+                tiles.run(lambda a, b: fill_albedos(colours, self.points[a:b], albedos[a:b]), len(albedos), POINTS)
+                self._albedos = albedos
+            return self._albedos
 
     @property
     def alone(self) -> bool:
@@ -110,7 +124,8 @@ class GBuffer:
     @property
     def nbytes(self) -> int:
         """Bytes that it takes; normals are counted before they are found."""
-        return self.pixels.nbytes + 2 * self.points.nbytes + self.walls.nbytes + self.faces.nbytes
+        albedos = 0 if self._albedos is None else self._albedos.nbytes
+        return self.pixels.nbytes + 2 * self.points.nbytes + albedos + self.walls.nbytes + self.faces.nbytes
 
     @property
     def position(self) -> np.ndarray:

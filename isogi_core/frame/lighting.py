@@ -8,6 +8,8 @@ from functools import cached_property
 import numpy as np
 
 from isogi_core.bake.bake_spec import BakeSpec, band_of
+from isogi_core.frame.gbuffer import GBuffer
+from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.irradiance_ratio import LEAST, Unshadowed
 from isogi_core.kernels.shading.lattice import Sky
 from isogi_core.kernels.shading.local_models import LocalModel
@@ -117,6 +119,19 @@ class RotatedLight:
     def albedo(self) -> np.ndarray:
         """The albedo of the surface, (3,)."""
         return np.array(self.seen.albedo)
+
+    @property
+    def coloured(self) -> bool:
+        """Whether the surface has colours by data: ``albedo`` is then their brightest."""
+        return self.spec.prepared.scene.colours is not None
+
+    def tints(self, gbuffer: GBuffer, tiles: Tiles) -> np.ndarray:
+        """The albedo of a coloured surface over ``albedo`` at each point of a G-buffer; (m, 3) float32, 0 to 1.
+
+        Raises Cancelled.
+        """
+        found = gbuffer.albedos(self.spec.prepared.colours, tiles)
+        return np.asarray(found / np.maximum(self.albedo, 1e-30).astype(np.float32))
 
     @property
     def shine(self) -> Shine | None:

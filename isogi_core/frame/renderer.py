@@ -51,6 +51,7 @@ from isogi_core.frame.rays.view_walls import ViewWalls
 from isogi_core.frame.shading import (
     carry_irradiance_ratios,
     carry_texel_light,
+    colour_surface,
     fill_texel_records,
     filter_texel_light,
     light_sources,
@@ -67,6 +68,7 @@ from isogi_core.kernels.shading.framebuffer import Framebuffer
 from isogi_core.kernels.shading.lobes import add_lobes
 from isogi_core.lru_cache import LruCache
 from isogi_core.model.shine import DULL
+from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import View
 
 KEPT = 256 << 20
@@ -141,6 +143,7 @@ class Renderer:
         else:
             with watch.stage("shade"):
                 framebuffer = shade_locally(gbuffer, normals, light, tiles)
+                colour_surface(gbuffer, light, framebuffer, tiles)
         if len(gbuffer.walls.pixels):
             with watch.stage("walls"):
                 self._walls.put(gbuffer, light, target, framebuffer, tiles)
@@ -166,6 +169,8 @@ class Renderer:
         def uncertainty() -> np.ndarray:
             with self._lit_texels(frame.gbuffer, light, target, tiles, Stopwatch()) as found:
                 between = light.spec.unit * texel_disagreement(*found)
+            if light.coloured:
+                between *= light.tints(frame.gbuffer, tiles) @ LUMINANCE
             between[check.own.places] = 0.0
             return np.asarray(np.hypot(between, frame.pixel_noise))
 
@@ -212,6 +217,7 @@ class Renderer:
             with watch.stage("lobes"):
                 straight = self.lobes(light, gbuffer, tiles)
                 add_lobes(gbuffer.pixels, straight.lit, light.spec.unit, framebuffer)
+        colour_surface(gbuffer, light, framebuffer, tiles)
         if light.shine is not None and spec_name(light.view.shading) == "gi":
             with watch.stage("shine"):
                 shine = self._add_shine(gbuffer, light, target, framebuffer, tiles)
@@ -260,6 +266,7 @@ class Renderer:
             pass
         framebuffer = self._carry(texels, reading, lit, seen, tiles, Stopwatch())
         add_lobes_seen(rays, seen, framebuffer, tiles)
+        colour_surface(hits, seen, framebuffer, tiles)
         version = self._walls.put_seen(walls_seen(rays, seen), target, framebuffer, tiles)
         return SeenLight(framebuffer.radiance, framebuffer.state, reading.version + version.encode())
 

@@ -68,6 +68,12 @@ def fog_depths(view: View, volume: Volume) -> tuple[float, float]:
     return max(middle - volume.radius, 0.0), middle + volume.radius
 
 
+def colour_surface(gbuffer: GBuffer, light: RotatedLight, framebuffer: Framebuffer, tiles: Tiles) -> None:
+    """Give the surface in a picture its colours by data, where it has any; relative errors stay. Raises Cancelled."""
+    if light.coloured:
+        framebuffer.radiance[gbuffer.pixels] *= light.tints(gbuffer, tiles)
+
+
 def shade_by_paths(gbuffer: GBuffer, light: RotatedLight, target: float, tiles: Tiles) -> Framebuffer:
     """The path-traced reference, its error estimated from replicas; final at the ``target``. Raises Cancelled."""
     pixels, samples, framebuffer = gbuffer.pixels, light.view.samples, empty_framebuffer(gbuffer)

@@ -18,6 +18,7 @@ from isogi_core.files.scene_file import DEFAULT_DEMO, FOLLOWED, SceneSource, Set
 from isogi_core.kernels.shading.lattice import CHUNK
 from isogi_core.kernels.tracing.field import OFFSET
 from isogi_core.kernels.transport.harmonics import MAX_ORDER
+from isogi_core.model.colours import SurfaceColours
 from isogi_core.model.demo import DEMOS
 from isogi_core.model.environment import Environment, Lamps, gather_lamps
 from isogi_core.model.environments import environment_image
@@ -39,6 +40,7 @@ from isogi_core.model.sky import sky_image
 from isogi_core.model.value_survey import Progress, no_progress
 from isogi_core.model.view import PROJECTIONS
 from isogi_core.model.volume import Volume
+from isogi_core.plan.colours import find_table, read_colours
 from isogi_core.plan.cuts import cut_away, voxels_left
 from isogi_core.plan.inputs import PlanInputs, PlanOverrides
 from isogi_core.plan.isovalue_presets import read_presets
@@ -49,6 +51,9 @@ from isogi_core.plan.volume_opening import open_volume
 
 SKY_SIZE = (512, 1024)
 """Rows and columns of the grid on which a sky is laid out."""
+
+BARE = (0.0, 1.0)
+"""The albedos that views may ask for where nothing is reflected."""
 
 INSIDE_OUT = 0.6
 """Share of a volume's border above the isovalue from which the volume is taken as inside out. Seventeen volumes with
@@ -64,31 +69,40 @@ def load_scene(target: str | Path | None = None, **settings: Any) -> Scene:
     return build_scene(find_source(target, settings))
 
 
-def build_scene(source: SceneSource, progress: Progress = no_progress, volume: Volume | None = None) -> Scene:
+def build_scene(
+    source: SceneSource,
+    progress: Progress = no_progress,
+    volume: Volume | None = None,
+    colours: SurfaceColours | None = None,
+) -> Scene:
     """Open the volume and the lights of ``source``, check every setting, and make the plan.
 
     ``progress`` is called while a copy of a large volume is made. A ``volume`` that is given replaces the one that the
-    scene names. Raises SceneError, VolumeError or LightError.
+    scene names, and ``colours`` its own. Raises SceneError, VolumeError or LightError.
     """
     settings = Settings(source)
     settings.text("volume", DEFAULT_DEMO)  # named by the scene, also where another way led to it
     cut = settings.text("cut", "")
     if volume is None:
         whole = right_side_out(settings, open_volume(settings, source.base, progress), source.base, progress)
+        colours = colours or colours_by_data(settings, whole)
         volume = cut_away(whole, cut) if cut else whole
     room = read_room(settings, volume)
     lights = read_lights(settings, room)
     lamps = gather_lamps((*lights, *room.lamps), volume.orientation)
     isovalues = settings.interval("isovalues", volume.value_range, volume.core)
     isovalue = start_isovalue(settings, volume, isovalues)
-    albedo = settings.colour("albedo", 0.7)
+    albedo = read_albedo(settings, colours)
     overrides = plan_overrides(settings, albedo)
+    shine = read_shine(settings, colours)
     target_error = settings.number("target_error", 0.02, 1e-4, 1.0)
     light, rotating = assemble_environment(lights), may_rotate(settings, lamps, room)
     if volume.orientation.turned and not rotating:
         light = light.turned(volume.orientation.matrix)
     most = albedo if overrides.albedos is None else (overrides.albedos[1],) * 3
-    inputs = PlanInputs(light, lamps, volume.centre, volume.radius, rotating, most, target_error, room.albedos)
+    coloured = colours is not None and not colours.grey
+    facts = light, lamps, volume.centre, volume.radius, rotating
+    inputs = PlanInputs(*facts, most, target_error, room.albedos, coloured, colours is not None)
     plan = plan_scene(inputs, overrides)
     scene = Scene(
         id=re.sub(r"[^a-z0-9_-]+", "-", source.name.lower()).strip("-")[:64] or "scene",
@@ -112,12 +126,36 @@ def build_scene(source: SceneSource, progress: Progress = no_progress, volume: V
         plan=plan,
         named=read_presets(settings, isovalues),
         projected=settings.flag("projected", None),
-        albedos=overrides.albedos or ((0.0, 1.0) if overrides.bounces == 0 and max(albedo) > 0.0 else None),
-        shine=read_shine(settings),
+        albedos=overrides.albedos or (BARE if overrides.bounces == 0 and max(albedo) > 0.0 and not colours else None),
+        shine=shine,
+        colours=colours,
         camera_projection=settings.choice("projection", PROJECTIONS) or PROJECTIONS[0],
     )
     settings.refuse_unknown()
     return scene
+
+
+def colours_by_data(settings: Settings, whole: Volume) -> SurfaceColours | None:
+    """The colours of a scene, None where it has one albedo; ``whole`` is its volume before it is cut.
+
+    Raises SceneError and VolumeError.
+    """
+    table = find_table(settings)
+    if table is None:
+        return None
+    return read_colours(table, settings, whole, start_isovalue(settings, whole, whole.value_range))
+
+
+def read_albedo(settings: Settings, colours: SurfaceColours | None) -> tuple[float, float, float]:
+    """The albedo of the surface; the most that ``colours`` reflect where it has these. SceneError where both are given,
+    or a range of albedos.
+    """
+    if colours is None:
+        return settings.colour("albedo", 0.7)
+    for key in ("albedo", "albedos"):
+        if key in settings.source.document:
+            raise SceneError(f"The surface has its albedo from '{colours.scale.name}': leave out {key}.")
+    return colours.brightest
 
 
 def plan_overrides(settings: Settings, albedo: tuple[float, float, float]) -> PlanOverrides:
@@ -155,7 +193,7 @@ def under(scene: Scene, environment: str, name: str) -> Scene:
     """
     document = {**scene.source.document, "environment": environment}
     bare = {key: value for key, value in document.items() if key not in FOLLOWED}
-    other = build_scene(replace(scene.source, document=bare), volume=scene.volume)
+    other = build_scene(replace(scene.source, document=bare), volume=scene.volume, colours=scene.colours)
     other = replace(other, id=name, source=replace(scene.source, document=document))
     vars(other).update({kept: found for kept, found in vars(scene).items() if kept in SURVEYED})
     return other
@@ -173,7 +211,8 @@ def cut_open(scene: Scene, cut: str, name: str, volume: Volume | None = None) ->
     voxels_left(scene.volume, both)  # each by itself may leave something
     document = {**scene.source.document, "cut": both}
     bare = {key: value for key, value in document.items() if key not in FOLLOWED}
-    other = build_scene(replace(scene.source, document=bare), volume=volume or cut_away(scene.volume, cut))
+    left = volume or cut_away(scene.volume, cut)
+    other = build_scene(replace(scene.source, document=bare), volume=left, colours=scene.colours)
     return replace(other, id=name, source=replace(scene.source, document=document))
 
 
@@ -183,10 +222,15 @@ def read_room(settings: Settings, volume: Volume) -> Room:
     return place_walls((*named, *map(wall_from_mapping, settings.tables("walls"))), volume)
 
 
-def read_shine(settings: Settings) -> Shine | None:
-    """The scene's shine; None where its surface is diffuse. SceneError where it has no meaning."""
+def read_shine(settings: Settings, colours: SurfaceColours | None) -> Shine | None:
+    """The scene's shine; None where its surface is diffuse. SceneError where it has no meaning, or none with
+    ``colours``.
+    """
     table = settings.table("shine")
-    return None if table is None else shine_from_mapping(table)
+    shine = None if table is None else shine_from_mapping(table)
+    if shine is not None and shine.kind == "metal" and colours is not None:
+        raise SceneError("Metal mirrors one albedo, and this surface has colours: choose plastic.")
+    return shine
 
 
 def may_rotate(settings: Settings, lamps: Lamps, room: Room) -> bool:

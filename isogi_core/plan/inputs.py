@@ -49,7 +49,8 @@ class PlanInputs:
     """Facts of a scene that its plan depends on: lights, whether they may turn, albedo, and relative target error.
 
     ``centre`` and ``radius`` are of the ball around the volume, in world units. ``albedo`` is the highest that views
-    may ask for, ``walls`` are the albedos of walls.
+    may ask for, ``walls`` are the albedos of walls. The surface may have its albedo ``by_data``, at most this
+    one, and is then ``coloured`` where these are not all grey.
     """
 
     environment: Environment
@@ -60,6 +61,8 @@ class PlanInputs:
     albedo: Colour
     target_error: float
     walls: tuple[Colour, ...] = ()
+    coloured: bool = False
+    by_data: bool = False
 
     @property
     def reflecting(self) -> Colour:
@@ -70,7 +73,8 @@ class PlanInputs:
     @property
     def grey(self) -> bool:
         """Whether reflected light keeps its colour."""
-        return all(red == green == blue for red, green, blue in (self.albedo, *self.walls))
+        alike = all(red == green == blue for red, green, blue in (self.albedo, *self.walls))
+        return alike and not self.coloured
 
     @cached_property
     def grey_light(self) -> bool:

@@ -114,6 +114,16 @@ CHANNELS = {
 """Light by the kind of its layer, and why one channel is enough."""
 
 
+def one_albedo(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
+    """What one albedo would allow, where the surface has colours."""
+    if inputs.by_data and plan.bounces:
+        one = [layer for layer in plan.layers if layer.reflected and layer.channels == 3]
+        more = sum(added(replace(layer, channels=1), layer).amount for layer in one)
+        cost = f", which takes {more:g} bytes a texel more than that of one grey albedo" if more else ""
+        why = f"Reflected light carries the colours of what it met{cost}: it is baked for these alone."
+        yield LeftOut("albedos that views choose", why)
+
+
 def nodes(plan: ScenePlan, _: PlanInputs) -> Iterator[LeftOut]:
     """Light after each bounce on its own, where views may ask for another albedo."""
     for layer in plan.layers:
@@ -212,7 +222,9 @@ def shadow_rays(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
 def kernels(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
     """Kernels that neither frames under global illumination nor their bake call."""
     bakes = ["bake_texels"] if plan.representation == "irradiance" else ["bake_irradiance"]
-    bakes += ["bake_irradiance", "trace_pixels"] if inputs.walls else []
+    bakes += ["bake_irradiance"] if plan.representation == "irradiance" and (inputs.walls or inputs.by_data) else []
+    bakes += ["bake_texels"] if plan.representation != "irradiance" and inputs.by_data and plan.bounces else []
+    bakes += ["trace_pixels"] if inputs.walls else []
     idle = (*bakes, *uncalled(inputs.rotating, inputs.environment, inputs.lamps, plan.lobes))
     why = (
         "Neither frames under global illumination nor their bake call them: a server of this scene alone does not"
@@ -272,7 +284,7 @@ def added(layer: Layer, larger: Layer) -> Saving:
 
 
 FINDERS: tuple[Callable[[ScenePlan, PlanInputs], Iterator[LeftOut]], ...] = (
-    *(harmonics, bands, lobes, channels, nodes, reflections, ends, halves, records),
+    *(harmonics, bands, lobes, channels, one_albedo, nodes, reflections, ends, halves, records),
     *(turning, shadow_rays, kernels),
 )
 """Each finds one sort of what a plan leaves out."""

@@ -19,7 +19,7 @@ MOST = 8
 FAR = 1 << 40
 """An index beyond any voxel."""
 
-USES = ("mask",)
+USES = ("mask", "colour")
 """What a volume beside the first can be used for."""
 
 
@@ -32,10 +32,14 @@ class MaskTable:
 
 
 def read_tables(settings: Settings) -> list[MaskTable]:
-    """The tables [[volumes]] of a scene. Raises SceneError, also for keys that are unknown in them."""
+    """The tables [[volumes]] of a scene that are masks; those of colour are read by ``plan.colours``.
+
+    Raises SceneError, also for keys that are unknown in them.
+    """
     return [
         _read_table(SceneSource(f"{settings.source.name}: [[volumes]]", entry, settings.source.base))
         for entry in settings.tables("volumes", MOST)
+        if entry.get("use") != "colour"
     ]
 
 
@@ -44,7 +48,7 @@ def _read_table(source: SceneSource) -> MaskTable:
     file, use, labels = table.text("file", ""), table.choice("use", USES), table.listed("labels")
     table.refuse_unknown()
     if not file or use is None:
-        raise SceneError(f"A table in the scene '{source.name}' lacks 'file' or use = 'mask': give both.")
+        raise SceneError(f"A table in the scene '{source.name}' lacks 'file' or use = 'mask' or 'colour': give both.")
     return MaskTable(file, labels)
 
 
@@ -146,25 +150,35 @@ def cut_out(grid: Grid, masks: Sequence[Mask], solid: str, missing: tuple[float,
 def place(table: MaskTable, grid: Grid, whole: Grid, volume: Grid) -> Mask:
     """The mask in a ``grid``, placed for a ``volume`` on right angles that the file's grid ``whole`` became.
 
+    Raises SceneError, and VolumeError where it cannot be used; see ``matrix_into``.
+    """
+    return Mask(table, grid, matrix_into(f"mask '{table.file}'", grid, whole, volume))
+
+
+def matrix_into(what: str, grid: Grid, whole: Grid, volume: Grid) -> np.ndarray:
+    """From voxel indices x, y, z of a ``volume`` on right angles, that the file's grid ``whole`` became, to those of a
+    ``grid``; (3, 4).
+
     Both lie where their files say. Where one does not say, both have the same voxels, or neither says and their first
-    voxels lie together. Raises SceneError where these do not hold, and where their units differ.
+    voxels lie together. Raises SceneError where these do not hold, and where their units differ; it says ``what`` the
+    grid is of.
     """
     try:
         check(grid, "above")
     except VolumeError as error:
-        raise VolumeError(f"The mask '{table.file}' cannot be used. {error}") from error
+        raise VolumeError(f"The {what} cannot be used. {error}") from error
     if grid.unit and whole.unit and grid.unit != whole.unit:
-        raise SceneError(f"The mask '{table.file}' is in {grid.unit} and the volume in {whole.unit}: convert one.")
+        raise SceneError(f"The {what} is in {grid.unit} and the volume in {whole.unit}: convert one.")
     silent = grid.affine is None or whole.affine is None
     if silent and grid.shape == whole.shape:
         grid = replace(grid, affine=whole.affine, spacing=volume.spacing)
     elif (grid.affine is None) != (whole.affine is None):
-        reason = f"Of the mask '{table.file}' and the volume, one does not say where it lies"
+        reason = f"Of the {what} and the volume, one does not say where it lies"
         raise SceneError(f"{reason}: give both the same voxels, or axes = 'raw'.")
     theirs, ours = _to_world(grid), _to_world(volume)
     if abs(np.linalg.det(theirs[:3, :3])) == 0.0 or not np.isfinite(theirs).all():
-        raise SceneError(f"The axes of the mask '{table.file}' lie in one plane: mend its affine.")
-    return Mask(table, grid, (np.linalg.inv(theirs) @ ours)[:3])
+        raise SceneError(f"The axes of the {what} lie in one plane: mend its affine.")
+    return np.asarray((np.linalg.inv(theirs) @ ours)[:3])
 
 
 def _to_world(grid: Grid) -> np.ndarray:

@@ -13,6 +13,7 @@ from isogi_core.errors import ViewError
 from isogi_core.files.scene_file import SceneSource
 from isogi_core.kernels.shading.lattice import CHUNK
 from isogi_core.kernels.tracing.field import OFFSET, Field
+from isogi_core.model.colours import SurfaceColours
 from isogi_core.model.environment import Environment, Lamps
 from isogi_core.model.lights import Light
 from isogi_core.model.room import NO_ROOM, Room
@@ -35,8 +36,8 @@ NORMALS = ("bspline", "gradient")
 SURVEYED = ("texels", "projection", "presets")
 """Properties of a scene that take a pass over its volume, and that no plan changes."""
 
-ROOM = "room"
-"""Stands for the kinds of layers that are baked among walls."""
+ROOM, COLOURED = "room", "coloured"
+"""Stand for the kinds of layers that are baked among walls, or on a surface with colours where its light may turn."""
 
 IN_WALL = 1e-6
 """How near the camera may come to a wall, in radii of the volume."""
@@ -56,6 +57,7 @@ class Scene:
     ``offset`` voxels above a surface. ``plan`` was made for ``inputs``, with the scene's own ``overrides``.
     ``named`` are the isovalues that the scene names. ``projected`` settles whether texels that are far from the
     isosurface of a view at rest are projected onto it; None leaves that to the plan, see ``plan.projection``.
+    ``colours`` are those of the surface by data, None where it has the one ``albedo``; that is then their brightest.
     ``lamps`` are those of the ``lights`` and the luminaires of the ``room``. ``shine`` is None where the surface is
     diffuse, and views may then ask for none. ``camera_projection``, one of PROJECTIONS, is that of views that ask for
     none.
@@ -85,11 +87,23 @@ class Scene:
     room: Room = NO_ROOM
     shine: Shine | None = None
     camera_projection: str = "perspective"
+    colours: SurfaceColours | None = None
 
     @property
     def bakes(self) -> frozenset[str]:
-        """The kinds of layers that are baked, or ROOM: those among walls are baked by kernels of their own."""
-        return frozenset({ROOM} if self.room.any else {layer.kind for layer in self.plan.layers})
+        """The kinds of layers that are baked; see ``kind_of``."""
+        return frozenset(self.kind_of(layer, self.plan) for layer in self.plan.layers)
+
+    @property
+    def many_albedos(self) -> bool:
+        """Whether paths meet more than one albedo: of walls, or of colours."""
+        return self.room.any or self.colours is not None
+
+    def kind_of(self, layer: Layer, plan: ScenePlan) -> str:
+        """The kind of a ``layer`` of a ``plan``, or ROOM or COLOURED, by whose kernels it is baked."""
+        if layer.kind == "irradiance":
+            return ROOM if self.many_albedos else layer.kind
+        return COLOURED if self.colours and any(each.reflected for each in plan.layers) else layer.kind
 
     @property
     def name(self) -> str:
@@ -174,6 +188,8 @@ class Scene:
 
     def albedo_for(self, asked: tuple[float, float, float] | None) -> tuple[float, float, float]:
         """The albedo that a view has ``asked`` for, else the scene's own. ViewError where no light is baked for it."""
+        if asked is not None and self.colours is not None:
+            raise ViewError(f"The surface has its albedo from '{self.colours.scale.name}' in this scene: leave it out.")
         if asked is None or asked == self.albedo:
             return self.albedo
         if self.albedos is None:
@@ -196,6 +212,8 @@ class Scene:
             return None
         if self.shine is None:
             raise ViewError("This scene's surface is diffuse: give the scene a [shine] table, or leave shine out.")
+        if self.colours is not None and shine.kind == "metal":
+            raise ViewError("Metal mirrors one albedo, and this surface has colours: choose plastic.")
         return shine
 
     def refuse_camera(self, camera: Camera) -> None:
@@ -219,7 +237,12 @@ class Scene:
         if layer.kind == "irradiance":
             parts += [self.environment.digest, self.lamps.digest, self.albedo]
             parts += ["walls", self.room.digest] if self.room.any else []
-        return digest_of(parts)
+        return digest_of(parts + (self._coloured if layer.reflected else []))
+
+    @property
+    def _coloured(self) -> list[Any]:
+        """What digests hold of the surface's colours; nothing where there are none."""
+        return [] if self.colours is None else ["colours", self.colours.digest]
 
     @property
     def departures(self) -> list[Any]:
@@ -246,7 +269,7 @@ class Scene:
         lit = [self.albedo, self.plan.order, self.plan.lobes, self.target_error]
         walls = ["walls", self.room.digest] if self.room.any else []
         shine = ["shine", *astuple(self.shine)] if self.shine else []
-        return digest_of([self.bake_digest, *lights, *lit, *settled, *placed, *walls, *shine])
+        return digest_of([self.bake_digest, *lights, *lit, *settled, *placed, *walls, *shine, *self._coloured])
 
     def camera(self, azimuth: float, elevation: float, distance: float, fov: float) -> Camera:
         """Camera, in the volume's box, around its middle; angles in the world, degrees; distance in bounding radii."""

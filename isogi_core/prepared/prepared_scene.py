@@ -9,6 +9,7 @@ from isogi_core.kernels.shading.lattice import Lattice
 from isogi_core.kernels.tracing.field import OFFSET, Field
 from isogi_core.kernels.tracing.macrocells import fill_macrocells, macrocell_shape
 from isogi_core.kernels.tracing.walls import Walls
+from isogi_core.kernels.transport.colours import NO_COLOURS, Colours
 from isogi_core.kernels.transport.light_paths import Surroundings
 from isogi_core.kernels.transport.lights import LampArrays
 from isogi_core.kernels.transport.room_paths import Room
@@ -84,8 +85,14 @@ class PreparedScene:
         return project_environment(environment, order) + lamps.approximate(order, volume.centre, volume.radius)
 
     def room(self, albedo: tuple[float, float, float]) -> Room:
-        """The walls of the scene as paths meet them, about an isosurface with this ``albedo``."""
-        return self._room._replace(albedo=np.array(albedo))
+        """The walls of the scene as paths meet them, about an isosurface with its colours, or with this ``albedo``."""
+        return self._room._replace(albedo=np.array(albedo), colours=self.colours)
+
+    @cached_property
+    def colours(self) -> Colours:
+        """The isosurface's colours by data; none where it has one albedo."""
+        given = self.scene.colours
+        return NO_COLOURS if given is None else Colours(given.codes, np.array(given.step), given.table)
 
     @cached_property
     def _room(self) -> Room:
@@ -97,9 +104,10 @@ class PreparedScene:
         across = room.edges / (room.edges**2).sum(axis=2, keepdims=True) * spacing
         walls = Walls(room.corners / spacing, normals * spacing, across, np.full(len(areas), np.inf))
         given = [(wall.albedo, wall.radiance) for wall in room.walls]
-        albedos, radiances = np.array(given, np.float64).transpose(1, 0, 2).copy()
+        albedos, radiances = np.array(given, np.float64).reshape(-1, 2, 3).transpose(1, 0, 2).copy()
         twofold = np.array([wall.sides == 2 for wall in room.walls], np.float64)
-        return Room(walls, room.corners, room.edges, normals, areas, albedos, radiances, twofold, np.zeros(3))
+        lit = albedos, radiances, twofold
+        return Room(walls, room.corners, room.edges, normals, areas, *lit, np.zeros(3), NO_COLOURS)
 
     @cached_property
     def walls_in_view(self) -> Walls | None:

@@ -102,6 +102,8 @@ def lit_by_transfer(bench: Bench, samples: int) -> Lit:
         halves[a:b] = light_of_halves(turned, place, samples)
 
     bench.tiles.run(piece, len(halves), PIECE)
+    if turned.coloured:
+        halves *= turned.tints(gbuffer, bench.tiles)[:, None]
     half = (halves[:, 0] - halves[:, 1]) @ LUMINANCE / 2.0
     return Lit(np.maximum(halves.mean(axis=1), 0.0) @ LUMINANCE + straight_light(bench), half**2)
 
@@ -109,9 +111,10 @@ def lit_by_transfer(bench: Bench, samples: int) -> Lit:
 def straight_light(bench: Bench) -> np.ndarray:
     """Luminance that comes straight from lobes, which no texel keeps, to the surface pixels; (m,) float64."""
     renderer, view = bench.renderer(bench.scene), bench.view
-    spec = renderer.caches.spec(view.shading)
-    lit = renderer.lobes(RotatedLight(spec, view), renderer.gbuffer(view)).lit
-    return spec.unit * luminance(lit[:, :3])
+    spec, gbuffer = renderer.caches.spec(view.shading), renderer.gbuffer(view)
+    light = RotatedLight(spec, view)
+    lit = renderer.lobes(light, gbuffer).lit[:, :3]
+    return spec.unit * luminance(lit * light.tints(gbuffer, bench.tiles) if light.coloured else lit)
 
 
 def place_of(pixels: np.ndarray, points: np.ndarray, normals: np.ndarray, isovalue: Isovalue) -> Place:

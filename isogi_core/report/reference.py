@@ -128,6 +128,7 @@ def subject_of(scene: Scene, view: View) -> str:
     """Hex name of all that a reference's light depends on."""
     lights, albedo = [scene.environment.digest, scene.lamps.digest], scene.albedo_for(view.albedo)
     lights += [scene.room.digest] if scene.room.any else []
+    lights += [scene.colours.digest] if scene.colours else []
     shine = scene.shine_for(view.shine)
     lights += [repr(shine)] if shine else []
     world = [scene.volume.digest, *lights, albedo, *scene.departures]

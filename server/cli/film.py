@@ -107,7 +107,8 @@ def shots_of(
     if not 1 <= count <= MOST_FRAMES:
         raise ParameterError(f"length × fps must be 1 to {MOST_FRAMES:,} frames, not {count:,}.", "length")
     own = {"isovalue": repr(scene.isovalue), "exposure": repr(scene.default_exposure)}
-    own["albedo"] = ",".join(map(repr, scene.albedo))
+    if scene.colours is None:
+        own["albedo"] = ",".join(map(repr, scene.albedo))
     if scene.shine is not None:
         own |= {"shine": scene.shine.kind, "roughness": repr(scene.shine.roughness)}
         own["strength"] = repr(scene.shine.strength)

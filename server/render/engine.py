@@ -10,7 +10,7 @@ from isogi_core.bake.bake_spec import SPECS, spec_name
 from isogi_core.cache.chunk_store import default_store
 from isogi_core.cache.costs import Cost
 from isogi_core.errors import StoreFullError, StoreReadOnlyError
-from isogi_core.frame.entry_kernels import OTHERS, frame_kernels
+from isogi_core.frame.entry_kernels import frame_kernels, other_kernels
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.renderer import Renderer, surface_key
 from isogi_core.frame.texel_reading import Stage
@@ -101,9 +101,10 @@ class RenderEngine:
 
     def compile_others(self) -> None:
         """Compile, or load, the kernels of pictures without light from texels, in other processes as far as it can."""
-        if not all(kernel.stored for kernel in entries_of(OTHERS)):
-            compile_beside([kernel.name for kernel in entries_of(OTHERS)], self._stopped)
-        load_kernels(OTHERS, self._stopped)
+        others = other_kernels(list(self.scenes.values()))
+        if not all(kernel.stored for kernel in entries_of(others)):
+            compile_beside([kernel.name for kernel in entries_of(others)], self._stopped)
+        load_kernels(others, self._stopped)
 
     def stop(self) -> None:
         """Have ``start``, if it is at work in another thread, return without an engine that can be used."""

@@ -24,10 +24,18 @@ def summary(facts: SceneSchema) -> Iterator[tuple[str, str]]:
     yield "values", f"{volume.value_range[0]:.10g} to {volume.value_range[1]:.10g}, {volume.holes} not finite"
     yield "isovalue", f"{facts.defaults['isovalue']:.10g}, from {low_high.min:.10g} to {low_high.max:.10g}"
     yield "solid", facts.solid
-    others = "" if facts.albedos is None else f"; views may ask for {facts.albedos.min:g} to {facts.albedos.max:g}"
-    yield "albedo", ", ".join(f"{channel:g}" for channel in facts.albedo) + others
+    yield reflects(facts)
     yield "lights", ", ".join(light.name for light in facts.lights)
     yield "target error", f"{facts.target_error:g}"
+
+
+def reflects(facts: SceneSchema) -> tuple[str, str]:
+    """What the surface reflects: its albedo, or its colours by data."""
+    if facts.colours is not None:
+        scale = facts.colours
+        return "colours", f"{scale.map} of {scale.name}, {scale.low:.4g} to {scale.high:.4g}"
+    others = "" if facts.albedos is None else f"; views may ask for {facts.albedos.min:g} to {facts.albedos.max:g}"
+    return "albedo", ", ".join(f"{channel:g}" for channel in facts.albedo) + others
 
 
 def axes(volume: VolumeSchema) -> Iterator[tuple[str, str]]:

@@ -3,12 +3,13 @@ import subprocess
 import sys
 from typing import Any
 
-from isogi_core.frame.entry_kernels import FRAME, LOBES, frame_kernels
+from isogi_core.frame.entry_kernels import COLOURED, FRAME, LOBES, OTHERS, frame_kernels, other_kernels
 from isogi_core.kernels.shading.irradiance_ratio import carry_ratios
 from isogi_core.kernels.shading.lattice import carry_light
 from isogi_core.kernels.tracing.stiffness import count_stiffness
 from isogi_core.kernels.transport.harmonics import rotate
 from isogi_core.kernels.transport.lights import project_lamps
+from isogi_core.kernels.transport.room_paths import light_in_room
 from isogi_core.kernels.transport.texel_points import measure_distances
 from isogi_core.plan.scene import Scene
 from tests.loaded import load_scene
@@ -96,6 +97,13 @@ def test_kernels_are_left_out_by_what_a_scene_lacks() -> None:
     projected = (lamp | plain) - far
     assert spared[:4] == [still | {carry_ratios}, still | plain, turning, soft | plain]
     assert spared[4:] == [lamp | plain, projected, projected - survey]
+
+
+def test_colours_need_kernels_of_their_own() -> None:
+    plain = load_scene("demo:orbital", **CONSTANT)
+    scene = load_scene("demo:orbital", volumes=[{"use": "colour", "of": "gradient"}], **CONSTANT)
+    assert {*frame_kernels([scene])} - {*frame_kernels([plain])} == {*COLOURED}
+    assert {*other_kernels([plain])} == {*OTHERS} and light_in_room in other_kernels([plain, scene])
 
 
 def test_several_scenes_need_the_kernels_of_each() -> None:

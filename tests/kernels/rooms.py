@@ -3,6 +3,7 @@
 import numpy as np
 
 from isogi_core.kernels.tracing.walls import Walls
+from isogi_core.kernels.transport.colours import NO_COLOURS
 from isogi_core.kernels.transport.light_paths import Surroundings
 from isogi_core.kernels.transport.paths import PathRules, SampleRange
 from isogi_core.kernels.transport.room_paths import Room, RoomStarts, light_in_room
@@ -24,7 +25,7 @@ def box(side, albedo=0.0, radiance=0.0):
     return [wall(*face, albedo, radiance) for face in faces]
 
 
-def room_of(walls, spacing=(1.0, 1.0, 1.0), albedo=0.0):
+def room_of(walls, spacing=(1.0, 1.0, 1.0), albedo=0.0, colours=NO_COLOURS):
     """The room that some walls of the world make about an isosurface."""
     corners, edges = np.array([each[0] for each in walls], float), np.array([each[1] for each in walls], float)
     corners, edges = corners.reshape(-1, 3), edges.reshape(-1, 2, 3)
@@ -35,7 +36,7 @@ def room_of(walls, spacing=(1.0, 1.0, 1.0), albedo=0.0):
     kept = Walls(corners / spacing, normals * spacing, across, np.full(len(walls), np.inf))
     albedos, radiances = (np.array([np.full(3, each[i]) for each in walls]).reshape(-1, 3) for i in (2, 3))
     twofold = np.array([each[4] for each in walls], float)
-    return Room(kept, corners, edges, normals, areas, albedos, radiances, twofold, np.full(3, albedo))
+    return Room(kept, corners, edges, normals, areas, albedos, radiances, twofold, np.full(3, albedo), colours)
 
 
 def sky(radiance):

@@ -119,7 +119,7 @@ def test_workers_elsewhere_get_the_masked_volume(tmp_path: Path, monkeypatch: py
 
 
 MISTAKES = [
-    ({}, "", 'use = "colour"', SceneError, "use = 'colour'"),
+    ({}, "", 'use = "label"', SceneError, "use = 'label'"),
     ({}, "", "tint = 3", SceneError, "sets tint, unknown here"),
     ({"m": np.zeros_like(FIELD)}, "", "", VolumeError, "No voxel of the volume is inside 'm.nrrd'"),
     ({"m": FIELD}, "", "labels = [200]", VolumeError, "No voxel of the volume is inside"),

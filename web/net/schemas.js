@@ -71,6 +71,16 @@
  */
 
 /**
+ * @typedef {object} ColourScale what colours of the surface stand for
+ * @property {string} name of the data
+ * @property {string} map the name of the colours
+ * @property {number} low the value of the first colour
+ * @property {number} high the value of the last one
+ * @property {string[]} colours `#rrggbb`, at equal steps
+ * @property {string} outside `#rrggbb`, where there is no value
+ */
+
+/**
  * @typedef {object} Scene everything about one scene
  * @property {string} id
  * @property {string} name
@@ -85,6 +95,7 @@
  * @property {Environment[]} environments light that the scene may be shown in, besides its own
  * @property {Vec3} albedo
  * @property {Range|null} albedos that views may ask for; null where they may not
+ * @property {ColourScale|null} colours of a surface whose albedo comes from data; null where it has one albedo
  * @property {string[]} shines kinds of shine that views may ask for; none where the surface is diffuse
  * @property {boolean} cuts whether planes across the world's axes may cut it: its voxels lie along them
  * @property {string} solid "above" or "below" the isovalue

@@ -37,6 +37,7 @@ export function attachKnobs(form, scene, view) {
   const mirror = (values) => mirrors.forEach((each) => each(values));
   mirror(view.values);
   view.subscribe(mirror);
+  showColours(find(form, "#colour-scale"), scene.colours);
 }
 
 /**
@@ -150,6 +151,31 @@ function attachScale(legend, { low, high, colours }) {
   const ticks = Array.from({ length: decades + 1 }, (_, i) => textElement("span", errorInWords(low * 10 ** i)));
   find(legend, ".row").replaceChildren(...ticks);
   return ({ overlay }) => { legend.hidden = overlay !== "error"; };
+}
+
+/**
+ * The legend of the surface's colours, where it has these from data.
+ * @param {HTMLElement} legend
+ * @param {Scene["colours"]} scale
+ */
+function showColours(legend, scale) {
+  legend.hidden = !scale;
+  if (!scale) return;
+  const { name, low, high, colours } = scale;
+  find(legend, "h2").textContent = `Colour: ${name}`;
+  find(legend, ".colours").style.background = `linear-gradient(90deg, ${colours.join(", ")})`;
+  find(legend, ".row").replaceChildren(...legendNumbers(low, high).map((text) => textElement("span", text)));
+}
+
+/**
+ * The numbers under a bar of colours, from one end to the other.
+ * @param {number} low
+ * @param {number} high
+ * @returns {string[]}
+ */
+export function legendNumbers(low, high) {
+  const values = Array.from({ length: 5 }, (_, i) => low + (i * (high - low)) / 4);
+  return values.map((value) => String(Number(value.toPrecision(3))).replace("-", "−"));
 }
 
 /**

@@ -40,10 +40,10 @@ export function planRows({ plan, target_error: target }) {
 
 /**
  * The volume of a scene, its lights and its surface.
- * @param {Pick<Scene, "volume"|"lights"|"albedo"|"albedos">} scene
+ * @param {Pick<Scene, "volume"|"lights"|"albedo"|"albedos"> & Partial<Pick<Scene, "colours">>} scene
  * @returns {Rows}
  */
-export function volumeRows({ volume, lights, albedo, albedos }) {
+export function volumeRows({ volume, lights, albedo, albedos, colours }) {
   return {
     Volume: volume.name,
     Size: `${volume.size.join(" × ")} voxels`,
@@ -53,7 +53,8 @@ export function volumeRows({ volume, lights, albedo, albedos }) {
     Values: `${volume.value_range.map((value) => Number(value.toPrecision(6))).join(" to ")}, ${volume.dtype}`,
     "Not finite": volume.holes ? `${volume.holes} voxels, treated as empty` : null,
     Lights: lights.map(({ type, name }) => (name && name !== type ? `${name} (${type})` : type)).join(", "),
-    Albedo: [...new Set(albedo)].map((share) => Number(share.toFixed(3))).join(", "),
+    Albedo: colours ? null : [...new Set(albedo)].map((share) => Number(share.toFixed(3))).join(", "),
+    Colours: colours ? `${colours.map} of ${colours.name}` : null,
     "Albedos to choose from": albedos && `${Number(albedos.min.toFixed(3))} to ${Number(albedos.max.toFixed(3))}`,
   };
 }

@@ -239,8 +239,13 @@ class Paths:
 
     @cached_property
     def weights(self) -> np.ndarray:
-        """R^(k + 1) after k = 0 … bounces, over the chance to get there; (bounces + 1, 3) float64."""
+        """R^(k + 1) after k = 0 … bounces, over the chance to get there; (bounces + 1, 3) float64.
+
+        Where paths carry the colours that they meet they count 1 at the start, which is all that is read of these.
+        """
         bounces = self.light.spec.prepared.scene.plan.bounces if self.bounces is None else self.bounces
+        if self.light.coloured:
+            return path_weights(np.ones(3), bounces, 1.0)
         return path_weights(self.light.albedo, bounces, self.survival, leaving=1)
 
     def of(self, rows: np.ndarray) -> "Paths":
@@ -260,7 +265,8 @@ class Paths:
         Replicas are the randomisations from number ``stream`` on; ``progress`` is called with the number of paths
         that each piece traced. Of a surface that shines as many rays of shine are among them. Raises Cancelled.
         """
-        buffer, own = self.gbuffer, sums if self.light.shine is None else np.zeros_like(sums)
+        buffer, alone = self.gbuffer, self.light.shine is None and not self.light.coloured
+        own = sums if alone else np.zeros_like(sums)
         points, pixels, normals = buffer.points, buffer.pixels, buffer.normals(self.tiles)
         traced, around = buffer.surface.traced(self.tiles.run), self.light.surroundings
         room = self._room
@@ -277,16 +283,19 @@ class Paths:
                 progress((b - a) * sums.shape[1] * count)
 
         self.tiles.run(_piece, len(sums), max(min(PATH_POINTS, PATHS // (sums.shape[1] * count)), 1))
+        if self.light.coloured:
+            own *= buffer.albedos(self.light.spec.prepared.colours, self.tiles)[: len(own), None]
         if self.light.shine is not None:
             given = range(first, first + count), len(self.weights) - 1
             add_shine(own, self.light, buffer, stream, *given, self.tiles)
+        if not alone:
             sums += own
 
     @property
     def _room(self) -> Room | None:
-        """The walls that paths meet, None where there are none."""
+        """The walls and colours that paths meet, None where there are none."""
         prepared = self.light.spec.prepared
-        return prepared.room(self.light.seen.albedo) if prepared.scene.room.any else None
+        return prepared.room(self.light.seen.albedo) if prepared.scene.many_albedos else None
 
     def prepare(self) -> None:
         """Do what comes before the first paths, by tracing one: find normals, map the surface, compile."""

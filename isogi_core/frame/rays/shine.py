@@ -27,6 +27,7 @@ from isogi_core.kernels.shading.shine import (
     fill_below,
 )
 from isogi_core.kernels.tracing.walls import NOWHERE
+from isogi_core.kernels.transport.colours import NO_COLOURS, fill_albedos
 from isogi_core.kernels.transport.lights import AREA, DIRECTIONAL, LampArrays
 from isogi_core.kernels.transport.microfacets import NODES, ShineLobe, fill_energy
 from isogi_core.kernels.transport.paths import PathRules, SampleRange
@@ -59,6 +60,7 @@ NO_ROOM = Room(
     NO_WALLS,
     *(np.empty((0, 3)), np.empty((0, 2, 3)), np.empty((0, 3)), np.empty(0)),
     *(np.empty((0, 3)), np.empty((0, 3)), np.empty(0), np.zeros(3)),
+    NO_COLOURS,
 )
 """No walls about the isosurface."""
 
@@ -159,9 +161,9 @@ NUMBERS = count()
 
 
 def room_of(light: RotatedLight) -> Room:
-    """The walls about a surface of the albedo that is seen."""
+    """The walls about a surface with its colours, or of the albedo that is seen."""
     prepared = light.spec.prepared
-    return prepared.room(light.seen.albedo) if prepared.scene.room.any else NO_ROOM
+    return prepared.room(light.seen.albedo) if prepared.scene.many_albedos else NO_ROOM
 
 
 def cast_rays(
@@ -218,7 +220,7 @@ def paths_from(rays: ShineRays, rows: np.ndarray, light: RotatedLight, bounces: 
     room, surface, found = room_of(light), rays.hits.surface, np.zeros((len(rows), 3))
     here, normals, met, seeds = rays.points[rows], rays.normals[rows], rays.met[rows], rays.seeds[rows]
     rules = bounces, survival_for(light.reflecting, bounces)
-    trace = among_walls if len(room.albedos) else in_the_open
+    trace = among_walls if light.spec.prepared.scene.many_albedos else in_the_open
 
     def _piece(a: int, b: int) -> None:
         starts = RoomStarts(here[a:b], normals[a:b], np.full(b - a, float(surface.isovalue)), seeds[a:b], met[a:b])
@@ -226,9 +228,18 @@ def paths_from(rays: ShineRays, rows: np.ndarray, light: RotatedLight, bounces: 
 
     tiles.run(_piece, len(rows), PATHS)
     on = met == ISOSURFACE
-    albedos, given = np.tile(light.albedo, (len(rows), 1)), np.zeros((len(rows), 3))
+    albedos, given = albedos_at(here, light), np.zeros((len(rows), 3))
     albedos[~on], given[~on] = room.albedos[met[~on]], room.radiances[met[~on]]
     return np.asarray(given + albedos * found)
+
+
+def albedos_at(points: np.ndarray, light: RotatedLight) -> np.ndarray:
+    """The albedo of the surface at ``points`` (k, 3) float32 in index space; (k, 3) float64."""
+    if not light.coloured:
+        return np.tile(light.albedo, (len(points), 1))
+    found = np.empty((len(points), 3), np.float32)
+    fill_albedos(light.spec.prepared.colours, np.ascontiguousarray(points), found)
+    return found.astype(np.float64)
 
 
 Trace = Callable[[Surface, RoomStarts, RotatedLight, tuple[int, float], Tiles], np.ndarray]

@@ -12,6 +12,7 @@ from isogi_core.kernels.tracing.field import FIELD, to_index
 from isogi_core.kernels.tracing.intersect import OUTSIDE, UNKNOWN
 from isogi_core.kernels.tracing.vec import SMALLEST, column, dot, length, madd, put_column, scale, sub
 from isogi_core.kernels.tracing.walls import NUMBERS, ROWS, WALLS, meet_walls
+from isogi_core.kernels.transport.colours import COLOURS, albedo_at
 from isogi_core.kernels.transport.integrator import launch
 from isogi_core.kernels.transport.light_paths import (
     FAR,
@@ -47,7 +48,7 @@ class Room(NamedTuple):
 
     Of k walls ``corners`` (k, 3), ``edges`` (k, 2, 3), unit ``normals`` (k, 3) of their fronts, ``areas`` (k,),
     ``albedos`` and ``radiances`` that they give off (k, 3); both are of the front, and of the back where ``twofold``
-    (k,) is 1. The isosurface has the ``albedo`` (3,).
+    (k,) is 1. The isosurface has the ``colours``, or the ``albedo`` (3,) where there are none.
     """
 
     walls: Any
@@ -59,9 +60,10 @@ class Room(NamedTuple):
     radiances: Any
     twofold: Any
     albedo: Any
+    colours: Any
 
 
-ROOM = record(Room, WALLS, ROWS, types.float64[:, :, ::1], ROWS, NUMBERS, ROWS, ROWS, NUMBERS, NUMBERS)
+ROOM = record(Room, WALLS, ROWS, types.float64[:, :, ::1], ROWS, NUMBERS, ROWS, ROWS, NUMBERS, NUMBERS, COLOURS)
 
 
 class RoomStarts(NamedTuple):
@@ -212,14 +214,24 @@ def gather_walls(wave, vertices, hits, room):
 
 
 @kernel()
-def carry(wave, hits, bounce, room, survival):
-    """Multiply what paths carry by the albedo of what they hit, over the chance that they go on."""
-    rays = wave.shadow.wave
-    chance = survival if bounce > 0 else 1.0
+def surface_albedo(room, p):
+    """The albedo of the isosurface in a room at ``p``, in index space."""
+    if room.colours.codes.shape[0] > 0:
+        return albedo_at(room.colours, p)
+    return room.albedo[0], room.albedo[1], room.albedo[2]
+
+
+@kernel()
+def carry(wave, vertices, hits, chance, room):
+    """Multiply what paths carry by the albedo of what they hit, over the ``chance`` that they go on."""
+    rays, count = wave.shadow.wave, vertices.count
+    origins, directions = columns(vertices.points, count), columns(rays.directions, count)
     for i in rays.hits[:hits]:
         k, m = int(wave.met[i]), rays.owners[i]
+        p = madd(column(origins, i), rays.t[i], column(directions, i))
+        albedo = row(room.albedos, k) if k >= 0 else surface_albedo(room, p)
         for c in range(3):
-            wave.carried[c, m] *= (room.albedos[k, c] if k >= 0 else room.albedo[c]) / chance
+            wave.carried[c, m] *= albedo[c] / chance
 
 
 @kernel()
@@ -258,7 +270,7 @@ def light_wave(field, cells, wave, vertices, spare, room, rules, light):
         hits = russian_roulette(rays, hits, bounce, rules.survival)
         if hits == 0 or bounce == last:
             return
-        carry(wave, hits, bounce, room, rules.survival)
+        carry(wave, vertices, hits, rules.survival if bounce > 0 else 1.0, room)
         following = Vertices(spare.points, spare.normals, hits)
         compact(rays, vertices, following)
         for h in range(hits):

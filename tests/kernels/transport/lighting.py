@@ -14,7 +14,7 @@ from isogi_core.kernels.transport.lights import AREA, DIRECTIONAL, NO_LAMPS, POI
 from isogi_core.kernels.transport.paths import PathRules, PathStarts, SampleRange
 from isogi_core.kernels.transport.rng import point_2d
 from isogi_core.kernels.transport.sampling import sample_cosine_hemisphere
-from isogi_core.kernels.transport.transfer import bake_irradiance, texel_seed
+from isogi_core.kernels.transport.transfer import bake_irradiance, locate_texels, texel_seed
 from isogi_core.model.environment import cumulative
 from isogi_core.model.latlong import pixel_directions, solid_angles
 from tests.kernels.fields import cells_of
@@ -25,6 +25,7 @@ BALL = 12.0 - DISTANCE
 NOISY = BALL + np.random.default_rng(7).normal(size=BALL.shape) * 2.0
 PLANE = -Z
 SHELL = 3.0 - np.abs(DISTANCE - 16.0)
+TORUS = 5.0 - np.hypot(np.hypot(X, Y) - 12.0, Z)
 DARK = np.zeros((1, 1, 3), np.float32)
 UP = np.array([[0.0], [0.0], [1.0]])
 MIDDLE = np.full((3, 1), 20.0)
@@ -138,3 +139,13 @@ LIGHTS = {
     "lamps": surroundings(lamps=EVERY_LAMP),
     "all": surroundings(sunny(), 0.1, table=True, lamps=EVERY_LAMP, matrix=TURN),
 }
+
+
+def place_of(field, texels):
+    """What `locate_texels` tells, and the map of their isosurfaces."""
+    m = len(texels)
+    place = (np.ascontiguousarray(texels, np.int32), np.empty((3, m)), np.empty((3, m)), np.empty(m))
+    void = np.empty(m, np.bool_)
+    locate_texels(field, np.ones(3), *place, void)
+    assert not void.any()
+    return place, cells_of(field, place[3].min(), place[3].max())

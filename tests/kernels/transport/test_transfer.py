@@ -8,25 +8,13 @@ import pytest
 from isogi_core.kernels.tracing.field import OFFSET
 from isogi_core.kernels.transport.lights import DIRECTIONAL, POINT
 from isogi_core.kernels.transport.paths import PathRules, SampleRange
-from isogi_core.kernels.transport.transfer import bake_irradiance, bake_texels, locate_texels
-from tests.kernels.fields import cells_of, field_of
-from tests.kernels.transport.lighting import BALL, LIGHTS, PLANE, lamps, surroundings
+from isogi_core.kernels.transport.transfer import bake_irradiance, bake_texels
+from tests.kernels.fields import field_of
+from tests.kernels.transport.lighting import BALL, LIGHTS, PLANE, TORUS, lamps, place_of, surroundings
 from tests.scale import COMPILED, few
 
-Z, Y, X = np.mgrid[:41, :41, :41] - 20.0
-TORUS = 5.0 - np.hypot(np.hypot(X, Y) - 12.0, Z)
 COUNT = few(40, 3)
 WEIGHTS = np.array([0.9, 0.6, 0.3]) ** np.arange(4.0)[:, None]
-
-
-def place_of(field, texels):
-    """What `locate_texels` tells, and the map of their isosurfaces."""
-    m = len(texels)
-    place = (np.ascontiguousarray(texels, np.int32), np.empty((3, m)), np.empty((3, m)), np.empty(m))
-    void = np.empty(m, np.bool_)
-    locate_texels(field, np.ones(3), *place, void)
-    assert not void.any()
-    return place, cells_of(field, place[3].min(), place[3].max())
 
 
 def bake(voxels, texels, light, weights=WEIGHTS, count=COUNT, first=0, rows=None):

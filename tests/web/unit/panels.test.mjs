@@ -8,7 +8,7 @@ import { errorAxis, timeAxis } from "../../../web/panels/chart.js";
 import { dividerPlace } from "../../../web/panels/comparison.js";
 import { History, courseInWords, legendShare, momentInWords } from "../../../web/panels/error.js";
 import { outline, solidSpan } from "../../../web/panels/histogram.js";
-import { knobInWords } from "../../../web/panels/knobs.js";
+import { knobInWords, legendNumbers } from "../../../web/panels/knobs.js";
 import { pointRows, slicesAt } from "../../../web/panels/point.js";
 import { parseKept, scenePresets, toggled } from "../../../web/panels/presets.js";
 import { layerInWords, planRows, savingInWords, volumeRows } from "../../../web/panels/scene.js";
@@ -200,6 +200,14 @@ test("a volume says its size, its values and its holes", () => {
   assert.deepEqual([rows["Not finite"], rows.Albedo, rows["Albedos to choose from"], rows.Lights], [null, "0.7", null, "sky"]);
   assert.equal(volumeRows({ ...SCENE, volume: { ...SCENE.volume, holes: 3 } })["Not finite"], "3 voxels, treated as empty");
   assert.equal(volumeRows(PAINTED)["Albedos to choose from"], "0 to 0.9");
+  const coloured = volumeRows({ ...SCENE, colours: { name: "flow", map: "magma", low: 0, high: 9, colours: [], outside: "#808080" } });
+  assert.deepEqual([coloured.Albedo, coloured.Colours], [null, "magma of flow"]);
+});
+
+test("a legend has numbers at even steps, from the first colour to the last", () => {
+  assert.deepEqual(legendNumbers(0, 80), ["0", "20", "40", "60", "80"]);
+  assert.deepEqual(legendNumbers(-1, 1), ["−1", "−0.5", "0", "0.5", "1"]);
+  assert.deepEqual(legendNumbers(0.00123456, 0.00623456), ["0.00123", "0.00248", "0.00373", "0.00498", "0.00623"]);
 });
 
 test("screen readers hear of quarters, not of every frame", () => {

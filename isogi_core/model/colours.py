@@ -1,0 +1,115 @@
+"""Colours of a surface by data: what a value's albedo is, and where a volume has which value."""
+
+import hashlib
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+Colour = tuple[float, float, float]
+
+MAPS = {
+    "viridis": "440154 48186a 472d7b 424086 3b528b 33638d 2c728e 26828e 21918c"
+    " 1fa088 28ae80 3fbc73 5ec962 84d44b addc30 d8e219 fde725",
+    "magma": "000004 0a0822 1d1147 36106b 51127c 6a1c81 832681 9c2e7f b73779"
+    " d0416f e75263 f56b5c fc8961 fea772 fec488 fde2a3 fcfdbf",
+    "cividis": "00224e 002e6a 1a386f 32436d 434e6c 535a6d 61656f 6f7073 7d7c78"
+    " 8c8878 9b9476 aba072 bcae6c cdbb63 dec958 f0d846 fee838",
+    "coolwarm": "3b4cc0 4e68d8 6282ea 779af7 8db0fe a3c2fe b9d0f9 ccd9ed dddcdc"
+    " ecd3c5 f5c4ac f7b093 f4987a eb7d62 dd5f4b ca3b37 b40426",
+    "grey": "000000 ffffff",
+}
+"""Colour maps by name: sRGB at equal steps from the lowest value to the highest. Sources: viridis and magma (Smith and
+van der Walt 2015), cividis (Nuñez, Anderton and Renslow 2018), coolwarm (Moreland 2009).
+"""
+
+MOST = 0.95
+"""The highest albedo that colours may give: of more, light would hardly leave a hollow."""
+
+VALUES = 255
+"""Codes of values, from 1 on."""
+
+
+def linear_of(code: float) -> float:
+    """Linear light of an sRGB code from 0 to 1 (IEC 61966-2-1)."""
+    return code / 12.92 if code <= 0.04045 else ((code + 0.055) / 1.055) ** 2.4
+
+
+def code_of(light: float) -> float:
+    """The sRGB code, from 0 to 1, of linear light."""
+    return 12.92 * light if light <= 0.0031308 else 1.055 * light ** (1.0 / 2.4) - 0.055
+
+
+def table_of(name: str) -> np.ndarray:
+    """The albedos of all VALUES by the map of this ``name``, (255, 3) float64, linear RGB, at most MOST."""
+    anchors = np.array([list(bytes.fromhex(colour)) for colour in MAPS[name].split()]) / 255.0
+    return np.vectorize(linear_of)(spread(anchors)).clip(0.0, MOST)
+
+
+def spread(colours: np.ndarray) -> np.ndarray:
+    """Colours (n, 3) for all VALUES, linear between those given, which lie at equal steps; (255, 3)."""
+    place, at = np.linspace(0.0, 1.0, VALUES), np.linspace(0.0, 1.0, len(colours))
+    return np.stack([np.interp(place, at, channel) for channel in colours.T], axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class Scale:
+    """What values look like: the ``name`` of what they are, the ``span`` of values from the first colour to the last.
+
+    ``map`` is the name of the colours, one of MAPS or "own"; ``table`` (255, 3) are their albedos, linear RGB, and
+    ``outside`` is the albedo of places without a value.
+    """
+
+    name: str
+    span: tuple[float, float]
+    map: str
+    table: np.ndarray
+    outside: Colour
+
+    @property
+    def anchors(self) -> list[str]:
+        """Some of the colours at equal steps, as ``#rrggbb``: what a legend shows."""
+        return [hex_of(self.table[round(place)]) for place in np.linspace(0, VALUES - 1, 17)]
+
+
+def hex_of(albedo: np.ndarray | Colour) -> str:
+    """An albedo, linear RGB, as sRGB ``#rrggbb``."""
+    return "#" + bytes(round(255.0 * code_of(float(share))) for share in albedo).hex()
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceColours:
+    """The albedo of isosurfaces by data.
+
+    ``codes`` (nz, ny, nx) uint8 are 0 where there is no value, else from 1 to 255 along the ``scale``; they lie
+    ``step`` voxels of the scene's volume apart, along x, y, z.
+    """
+
+    codes: np.ndarray
+    step: tuple[float, float, float]
+    scale: Scale
+
+    @cached_property
+    def table(self) -> np.ndarray:
+        """The albedo of each code, linear RGB; (256, 3) float64."""
+        return np.vstack([self.scale.outside, self.scale.table])
+
+    @cached_property
+    def brightest(self) -> Colour:
+        """The most that any place reflects of each colour."""
+        there = np.bincount(self.codes.ravel(), minlength=VALUES + 1) > 0
+        red, green, blue = self.table[there].max(axis=0).tolist()
+        return red, green, blue
+
+    @property
+    def grey(self) -> bool:
+        """Whether no place changes the colour of light."""
+        return bool((self.table[:, 1:] == self.table[:, :1]).all())
+
+    @cached_property
+    def digest(self) -> str:
+        """Hex name of all that light depends on."""
+        found = hashlib.blake2b(f"{self.codes.shape} {self.step}".encode(), digest_size=16)
+        found.update(np.ascontiguousarray(self.codes).data)
+        found.update(np.ascontiguousarray(self.table).data)
+        return found.hexdigest()

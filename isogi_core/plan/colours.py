@@ -1,0 +1,202 @@
+"""Colours of a scene: the table [[volumes]] with use = "colour", and its values at the voxels of the scene's volume."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from isogi_core.errors import SceneError, VolumeError
+from isogi_core.files.grid import Grid
+from isogi_core.files.right_angles import on_right_angles
+from isogi_core.files.scene_file import DEFAULT_DEMO, SceneSource, Settings, is_number
+from isogi_core.files.voxel_file import budget
+from isogi_core.kernels.transport.colours import sample_layer, slope_layer
+from isogi_core.model.colours import MAPS, MOST, VALUES, Colour, Scale, SurfaceColours, spread, table_of
+from isogi_core.model.volume import Isovalue, Volume
+from isogi_core.plan.masks import matrix_into
+from isogi_core.plan.volume_opening import AXES, NESTED, open_grid, stem_of
+
+OF = ("gradient",)
+"""What of the scene's own volume colours can be of."""
+
+MOST_CODES = 1 << 26
+"""Places of a grid of codes, at most: a larger volume has them some voxels apart."""
+
+LAYERS = 48
+"""Layers of the volume in which the usual range of values is looked up."""
+
+USUAL = (1.0, 99.0)
+"""Percentiles of the values on the surface that views start with: the range where a scene gives none."""
+
+FEWEST = 64
+"""Values of which percentiles tell something."""
+
+Layer = Callable[[float, np.ndarray, np.ndarray], None]
+"""Fills values (ny, nx) float32 at places of layer z that lie a step (3,) of voxels apart; NaN where there is none."""
+
+
+@dataclass(frozen=True)
+class ColourTable:
+    """The table [[volumes]] of colours: its ``file``, or what ``of`` the volume itself it is.
+
+    ``map`` is None where the scene gives its own ``colours``; ``span`` is None where the values on the surface decide.
+    """
+
+    file: str
+    of: str | None
+    name: str
+    map: str | None
+    colours: tuple[Colour, ...]
+    span: tuple[float, float] | None
+    outside: Colour
+
+
+def find_table(settings: Settings) -> ColourTable | None:
+    """The table of a scene's colours, None where it has none. Raises SceneError."""
+    tables = [entry for entry in settings.tables("volumes") if entry.get("use") == "colour"]
+    if not tables:
+        return None
+    if len(tables) > 1:
+        raise SceneError(f"The scene '{settings.source.name}' has {len(tables)} volumes of colour: give one.")
+    return read_table(SceneSource(f"{settings.source.name}: [[volumes]]", tables[0], settings.source.base))
+
+
+def read_colours(table: ColourTable, settings: Settings, volume: Volume, isovalue: float) -> SurfaceColours:
+    """The colours of a scene by its ``table``; ``volume`` is the whole of it, and views start at an ``isovalue``.
+
+    Raises SceneError, and VolumeError where a file cannot be read.
+    """
+    name, layer, factor = source_of(table, settings, settings.source.base, volume)
+    return coloured(table, name, volume, layer, factor, volume.normalise_isovalue(isovalue))
+
+
+def read_table(source: SceneSource) -> ColourTable:
+    """The table of colours. Raises SceneError, also for keys that are unknown in it."""
+    table = Settings(source)
+    table.choice("use", ("colour",))
+    file, of = table.text("file", ""), table.choice("of", OF)
+    if bool(file) == (of is not None):
+        raise SceneError(f"Colours in the scene '{source.name}' need a file, or of = 'gradient': give one of them.")
+    named, listed = table.choice("map", tuple(MAPS)), source.document.get("colours")
+    own = own_colours(listed, source.name) if listed is not None else ()
+    if named and own:
+        raise SceneError(f"The scene '{source.name}' gives a map and colours: leave one out.")
+    table.known.add("colours")
+    span = table.span("range", -math.inf, math.inf)
+    name, outside = table.text("name", ""), table.colour("outside", 0.5)
+    table.refuse_unknown()
+    return ColourTable(file, of, name, named or (None if own else "viridis"), own, span, capped(outside))
+
+
+def own_colours(listed: Any, scene: str) -> tuple[Colour, ...]:
+    """A list of two or more albedos. Raises SceneError."""
+    whole = isinstance(listed, list) and 2 <= len(listed) <= VALUES
+    if not whole or not all(map(is_albedo, listed)):
+        raise SceneError(
+            f"colours in the scene '{scene}' is not a list of 2 to {VALUES} albedos [r, g, b] from 0 to 1."
+        )
+    return tuple(map(capped, listed))
+
+
+def is_albedo(each: Any) -> bool:
+    """Whether this is a list of three shares."""
+    return isinstance(each, list) and len(each) == 3 and all(is_number(share) and 0 <= share <= 1 for share in each)
+
+
+def capped(albedo: Colour | list[float]) -> Colour:
+    """An albedo as dark as colours have to be."""
+    red, green, blue = (min(float(share), MOST) for share in albedo)
+    return red, green, blue
+
+
+def source_of(table: ColourTable, settings: Settings, base: Path, volume: Volume) -> tuple[str, Layer, float]:
+    """Where values come from: their name, how a layer is filled, and what filled values are multiplied by."""
+    if table.of is not None:
+        shortest = min(volume.spacing)  # in its units slopes stay far from the ends of float32
+        spacing = np.array(volume.spacing) / shortest
+
+        def _slope(z: float, step: np.ndarray, values: np.ndarray) -> None:
+            slope_layer(volume.voxels, spacing, z, step, values)
+
+        return "gradient", _slope, abs(volume.scale) / shortest
+    voxels, matrix = placed_file(table.file, settings, base, volume)
+
+    def _sample(z: float, step: np.ndarray, values: np.ndarray) -> None:
+        sample_layer(voxels, matrix, z, step, values)
+
+    return stem_of(Path(table.file), {}), _sample, 1.0
+
+
+def placed_file(file: str, settings: Settings, base: Path, volume: Volume) -> tuple[np.ndarray, np.ndarray]:
+    """The values (nz, ny, nx) float32 in a file of colours, and the matrix (3, 4) into its voxels' indices."""
+    raw = settings.choice("axes", AXES) == "raw"
+    grid, _ = open_grid(base, file, {}, raw)
+    whole, straight = volume_grids(settings, base, volume, raw)
+    matrix = np.ascontiguousarray(matrix_into(f"volume of colour '{file}'", grid, whole, straight))
+    if 4 * grid.size > budget():
+        need = f"The volume of colour '{file}' takes {4e-6 * grid.size:.0f} MB of memory"
+        raise VolumeError(f"{need}: give a coarser one, or more by ISOGI_VOLUME_MB.")
+    with np.errstate(over="ignore"):
+        values = np.ascontiguousarray(grid.whole(), np.float32)
+    return np.where(np.isfinite(values), values, np.float32(np.nan)), matrix
+
+
+def volume_grids(settings: Settings, base: Path, volume: Volume, raw: bool) -> tuple[Grid, Grid]:
+    """The grid of the scene's volume as its file says, and on right angles."""
+    name, spacing = settings.text("volume", DEFAULT_DEMO), settings.numbers("spacing", 3)
+    if name.startswith("demo:"):
+        grid = Grid.of(volume.voxels, volume.spacing)
+        return grid, grid
+    chosen = {key: value for key in NESTED if (value := settings.count(key, 1 << 20)) is not None}
+    grid, _ = open_grid(base, name, chosen, raw)
+    if spacing and grid.affine is not None:
+        raise SceneError("spacing moves the volume away from its colours: leave it out, or add axes = 'raw'.")
+    return grid, on_right_angles(grid, spacing)
+
+
+def coloured(
+    table: ColourTable, name: str, volume: Volume, layer: Layer, factor: float, isovalue: Isovalue
+) -> SurfaceColours:
+    """The colours of a ``volume`` whose values a ``layer`` fills, times the ``factor``."""
+    step = max(math.ceil((math.prod(volume.shape) / MOST_CODES) ** (1.0 / 3.0)), 1)
+    span = table.span or usual_span(volume, layer, factor, isovalue, table.file or "its gradient")
+    shape = [max(math.ceil((n - 1) / step) + 1, 2) for n in volume.shape]
+    codes, values, steps = np.empty(shape, np.uint8), np.empty(shape[1:], np.float32), np.full(3, float(step))
+    for z in range(shape[0]):
+        layer(float(min(z * step, volume.shape[0] - 1)), steps, values)
+        codes[z] = codes_of(factor * values.astype(np.float64), span)
+    colours = table_of(table.map) if table.map else spread(np.array(table.colours))
+    scale = Scale(table.name or name, span, table.map or "own", colours, table.outside)
+    return SurfaceColours(codes, (float(step),) * 3, scale)
+
+
+def codes_of(values: np.ndarray, span: tuple[float, float]) -> np.ndarray:
+    """The codes of values: 1 at the low end of the ``span`` and below, 255 at the high end, 0 where there is none."""
+    place = np.clip((values - span[0]) / (span[1] - span[0]), 0.0, 1.0)
+    return np.where(np.isnan(place), 0.0, 1.0 + np.rint(place * (VALUES - 1))).astype(np.uint8)
+
+
+def usual_span(volume: Volume, layer: Layer, factor: float, isovalue: Isovalue, source: str) -> tuple[float, float]:
+    """The USUAL percentiles of values beside the surface at an ``isovalue``; of all values where that is nowhere.
+
+    Raises SceneError where there is no value at all.
+    """
+    near, everywhere = [], []
+    for z in np.unique(np.linspace(0, volume.shape[0] - 1, LAYERS).round()).astype(int):
+        values = np.empty(volume.shape[1:], np.float32)
+        layer(float(z), np.ones(3), values)
+        inside = volume.voxels[z] > isovalue
+        beside = np.zeros_like(inside)
+        beside[:, :-1] |= inside[:, 1:] != inside[:, :-1]
+        beside[:-1] |= inside[1:] != inside[:-1]
+        near.append(values[beside & ~np.isnan(values)])
+        everywhere.append(values[~np.isnan(values)][::7])
+    found = np.concatenate(near)
+    found = np.concatenate(everywhere) if len(found) < FEWEST else found
+    if not len(found):
+        raise SceneError(f"The volume has no value of '{source}' anywhere: check where both lie, or give another file.")
+    low, high = (factor * np.percentile(found.astype(np.float64), USUAL)).tolist()
+    return (low, high) if low < high else (low - 0.5 * (abs(low) or 1.0), low + 0.5 * (abs(low) or 1.0))

@@ -1,0 +1,157 @@
+"""Albedos by data against NumPy, and transfer that carries them against a twin path by path and against one albedo."""
+
+import numpy as np
+import pytest
+
+from isogi_core.kernels.tracing.intersect import OUTSIDE, cast
+from isogi_core.kernels.tracing.vec import madd
+from isogi_core.kernels.transport.coloured_transfer import ColouredRules, bake_coloured_texels
+from isogi_core.kernels.transport.colours import Colours, fill_albedos, sample_layer, slope_layer
+from isogi_core.kernels.transport.paths import PathRules, SampleRange
+from isogi_core.kernels.transport.transfer import bake_texels
+from tests.kernels.fields import field_of
+from tests.kernels.transport.lighting import TORUS, place_of
+from tests.scale import few
+
+COUNT, BOUNCES = few(40, 3), 4
+
+
+def table_of(low, high, outside=(0.5, 0.5, 0.5)):
+    """A table of colours from ``low`` to ``high``, linear in the code."""
+    share = np.linspace(0.0, 1.0, 255)[:, None]
+    return np.vstack([outside, (1.0 - share) * np.array(low) + share * np.array(high)])
+
+
+def colours_of(codes, step=1.0, table=None):
+    """Colours of the codes (z, y, x), by a table of red to blue."""
+    made = table_of((0.9, 0.1, 0.2), (0.0, 0.3, 0.8)) if table is None else table
+    return Colours(np.ascontiguousarray(codes, np.uint8), np.full(3, step), made)
+
+
+def one_colour(albedo):
+    """Colours that are the same everywhere on the torus."""
+    return colours_of(np.full((41, 41, 41), 7), table=table_of(albedo, albedo))
+
+
+def twin(colours, p):
+    """``albedo_at`` by NumPy: the mean code of corners with a value, and the share that these have."""
+    place = p / colours.step
+    cell = np.clip(np.floor(place).astype(int), 0, np.array(colours.codes.shape)[::-1] - 2)
+    f, known, total = np.clip(place - cell, 0.0, 1.0), 0.0, 0.0
+    for corner in np.ndindex(2, 2, 2):
+        weight = np.prod(np.where(np.array(corner) == 1, f, 1.0 - f))
+        code = int(colours.codes[tuple((cell + corner)[::-1])])
+        known, total = known + weight * (code > 0), total + weight * code
+    mapped = [np.interp(total / max(known, 1e-30), np.arange(1, 256), column) for column in colours.table[1:].T]
+    return known * np.array(mapped) + (1.0 - known) * colours.table[0]
+
+
+@pytest.mark.parametrize("step", [1.0, 2.5])
+def test_albedos_between_codes_are_those_of_numpy(step: float) -> None:
+    rng = np.random.default_rng(5)
+    colours = colours_of(rng.integers(0, 256, (4, 5, 6)) * (rng.random((4, 5, 6)) < 0.7), step)
+    points = (rng.random((200, 3)) * [5.4, 4.4, 3.4] * step - 0.2 * step).astype(np.float32)
+    found = np.empty_like(points)
+    fill_albedos(colours, points, found)
+    np.testing.assert_allclose(found, [twin(colours, p.astype(float)) for p in points], atol=1e-6)
+
+
+def test_sampling_brings_a_linear_volume_over() -> None:
+    """a + b·x stays so through any affine map; outside of the other volume there is no value."""
+    z, y, x = np.mgrid[:7, :8, :9].astype(float)
+    voxels = (1.0 + 2.0 * x - 0.5 * y + 0.25 * z).astype(np.float32)
+    matrix = np.array([[0.6, 0.3, 0.0, 1.0], [-0.2, 0.7, 0.1, 2.0], [0.0, 0.1, 0.9, 0.5]])
+    step, values = np.array([0.5, 2.0, 1.0]), np.empty((5, 40), np.float32)
+    sample_layer(voxels, matrix, 3.0, step, values)
+    row, column = np.mgrid[:5, :40]
+    a, b, c = (m[0] * 0.5 * column + m[1] * 2.0 * row + m[2] * 3.0 + m[3] for m in matrix)
+    inside = (a >= 0) & (a <= 8) & (b >= 0) & (b <= 7) & (c >= 0) & (c <= 6)
+    assert inside.any() and not inside.all()
+    np.testing.assert_allclose(values[inside], (1.0 + 2.0 * a - 0.5 * b + 0.25 * c)[inside], rtol=1e-5)
+    assert np.isnan(values[~inside]).all()
+
+
+def test_the_slope_of_a_ramp_is_per_unit_of_the_world() -> None:
+    z, y, x = np.mgrid[:9, :9, :9].astype(np.float32)
+    values, spacing = np.empty((9, 9), np.float32), np.array([0.5, 2.0, 4.0])
+    slope_layer(x + 2.0 * y + 4.0 * z, spacing, 4.0, np.ones(3), values)
+    np.testing.assert_allclose(values[2:-2, 2:-2], np.sqrt(2.0**2 + 1.0 + 1.0), rtol=1e-5)
+
+
+def rules_of(survival=1.0):
+    """Rows of direct light, of the three channels of reflected light, and of the square of its sum."""
+    mixes = np.vstack([np.eye(3)[:1], np.eye(3), np.ones((1, 3))])
+    straight, reflected = np.array([1.0, 0.0, 0.0, 0.0, 0.0]), np.array([0.0, 1.0, 1.0, 1.0, 1.0])
+    squared = np.array([False, False, False, False, True])
+    return ColouredRules(np.array([3, 2, 2, 2, 1]), straight, reflected, mixes, squared, BOUNCES, survival)
+
+
+def bake(texels, colours, survival=1.0):
+    """``bake_coloured_texels`` from nothing: sums (m, 2, 5, 9)."""
+    field, sums = field_of(TORUS), np.zeros((len(texels), 2, 5, 9))
+    place, cells = place_of(field, texels)
+    some = SampleRange(3, COUNT)
+    bake_coloured_texels(field, cells, colours, place, np.arange(len(texels)), some, rules_of(survival), sums)
+    return sums
+
+
+@pytest.fixture(scope="module")
+def texels():
+    """Texels on the torus."""
+    every = np.argwhere(np.abs(TORUS) < 0.3)
+    return every[:: len(every) // few(60, 3)]
+
+
+@pytest.mark.parametrize("survival", [1.0, 0.7])
+def test_one_colour_everywhere_is_one_albedo(texels: np.ndarray, survival: float) -> None:
+    """Direct light has the same bits as without colours, and reflected light is Σ R^k Y_i."""
+    albedo = np.array([0.9, 0.6, 0.3])
+    field, sums, k = field_of(TORUS), np.zeros((len(texels), 2, 4, 9)), np.arange(BOUNCES + 1.0)[:, None]
+    place, cells = place_of(field, texels)
+    weights = albedo**k / survival ** np.maximum(k - 1.0, 0.0)
+    shares = np.vstack([np.eye(BOUNCES + 2)[1], np.hstack([np.zeros((3, 2)), weights[1:].T])])
+    rules, orders = PathRules(np.ascontiguousarray(shares), survival), np.array([3, 2, 2, 2])
+    bake_texels(field, cells, place, np.arange(len(texels)), SampleRange(3, COUNT), rules, orders, sums)
+    found = bake(texels, one_colour(albedo), survival)
+    assert sums[:, :, 1:].any()
+    assert np.array_equal(found[:, :, 0], sums[:, :, 0])
+    np.testing.assert_allclose(found[:, :, 1:4], sums[:, :, 1:], rtol=1e-9, atol=1e-9)
+
+
+def test_squares_are_those_of_what_each_path_counts(texels: np.ndarray) -> None:
+    """With one colour the square of the sum of three channels is that of one channel with three times the albedo."""
+    found = bake(texels, one_colour((0.5, 0.5, 0.5)))
+    squared = bake(texels, one_colour((0.25, 0.25, 0.25)))
+    np.testing.assert_allclose(found[:, :, 4, 0], 9.0 * squared[:, :, 1, 0], rtol=1e-9)
+
+
+def test_a_path_takes_the_colour_of_what_it_hits(texels: np.ndarray) -> None:
+    """Red above the torus's plane, blue below: one bounce, ray by ray."""
+    from isogi_core.kernels.tracing.field import normal, to_index
+    from isogi_core.kernels.transport.integrator import about, launch
+    from isogi_core.kernels.transport.rng import point_2d
+    from isogi_core.kernels.transport.sampling import sample_cosine_hemisphere
+    from isogi_core.kernels.transport.transfer import texel_seed
+
+    codes = np.ones((41, 41, 41))
+    codes[20:] = 255
+    field, colours, some = field_of(TORUS), colours_of(codes), texels[::6]
+    place, cells = place_of(field, some)
+    rules = rules_of()._replace(bounces=1)
+    sums, expected = np.zeros((len(some), 2, 5, 9)), np.zeros((len(some), 2, 3))
+    bake_coloured_texels(field, cells, colours, place, np.arange(len(some)), SampleRange(0, COUNT), rules, sums)
+    for m, half, sample in np.ndindex(len(some), 2, COUNT):
+        seed, p = np.uint64(texel_seed(*map(int, some[m]), half)), tuple(place[1][:, m])
+        n, iso = tuple(place[2][:, m]), place[3][m]
+        d = to_index(about(n, sample_cosine_hemisphere(*point_2d(seed, sample, 0))), field.spacing)
+        o = launch(field, iso, p, n, OUTSIDE)
+        t, side = cast(field, iso, o, d, OUTSIDE)
+        if not t < np.inf:
+            continue
+        hit = madd(o, t, d)
+        m2 = normal(field, hit)
+        e = to_index(about(m2, sample_cosine_hemisphere(*point_2d(seed, sample, 1))), field.spacing)
+        if not cast(field, iso, launch(field, iso, hit, m2, OUTSIDE), e, side)[0] < np.inf:
+            expected[m, half] += twin(colours, np.array(hit)) / np.sqrt(4.0 * np.pi)
+    assert expected.any()
+    np.testing.assert_allclose(sums[:, :, 1:4, 0], expected, rtol=1e-5, atol=1e-7)

@@ -1,0 +1,47 @@
+"""What a server tells of a surface with colours by data, and what it refuses."""
+
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+
+from isogi_core.plan.assembly import load_scene
+from server.answers import colour_scale, scene_schema
+
+TABLE: dict[str, Any] = {"use": "colour", "of": "gradient", "map": "magma", "range": [0.0, 0.05], "name": "steepness"}
+
+
+def test_the_document_has_what_a_legend_needs() -> None:
+    schema = scene_schema(load_scene("demo:orbital", volumes=[TABLE], shine={"kind": "plastic"}))
+    assert schema.colours is not None and schema.albedos is None and schema.shines == ["plastic"]
+    scale = schema.colours
+    assert (scale.name, scale.map, scale.low, scale.high) == ("steepness", "magma", 0.0, 0.05)
+    assert scale.colours[0] == "#000004" and len(scale.colours) == 17
+    assert any("colours" in each.why for each in schema.plan.left_out)
+
+
+def test_the_document_of_one_albedo_has_no_colours() -> None:
+    assert colour_scale(load_scene("demo:orbital")) is None
+
+
+@pytest.fixture
+def coloured(small_scene: Path) -> Path:
+    """The small scene in colours."""
+    scene = small_scene.with_name("coloured.toml")
+    scene.write_text(f'{small_scene.read_text()}\n[[volumes]]\nuse = "colour"\nof = "gradient"\n')
+    return scene
+
+
+def test_a_server_lights_the_colours_and_takes_no_albedo(coloured: Path, tmp_path: Path) -> None:
+    from tests.live import serving
+
+    with serving(coloured, tmp_path / "store") as url:
+        assert httpx.get(f"{url}/v1/scenes/coloured").json()["colours"]["name"] == "gradient"
+        place, view = f"{url}/v1/scenes/coloured/frame", {"width": 16, "height": 12, "wait_ms": 5000, "max_error": 0.5}
+        while httpx.get(place, params=view, timeout=90).headers["Isogi-Provisional"] == "?1":
+            pass
+        assert "final=1" in httpx.get(place, params=view).headers["Isogi-Coverage"]
+        refused = httpx.get(place, params={**view, "albedo": 0.5})
+        assert (refused.status_code, refused.json()["parameter"]) == (422, "albedo")
+        assert "has its albedo from 'gradient'" in refused.json()["detail"]
