@@ -82,7 +82,7 @@ class ProjectedReading(Reading):
     ``rows`` are those of the base, UNLIT where the projected texel is read in its place: ``projected_rows`` are of the
     other pool, and UNLIT elsewhere. ``wanted`` (texels,) are the texels that are to be projected and can be,
     ``unreachable`` those that cannot; ``dark`` ones lie where no light arrives on the isosurface, in a closed hollow.
-    Light that stands in for projected texels is good enough at the relative error ``stand_in``.
+    ``distances`` are those of all texels.
     """
 
     base: Reading
@@ -92,7 +92,16 @@ class ProjectedReading(Reading):
     wanted: np.ndarray
     unreachable: np.ndarray
     dark: np.ndarray
-    stand_in: float
+    distances: Distances
+
+    @cached_property
+    def stand_in(self) -> float:
+        """The relative error at which light is good enough that stands in for projected texels.
+
+        It is what interpolation between those is expected to err by.
+        """
+        errors = self.distances.errors[self.wanted]
+        return max(self.target, min(STAND_IN, float(np.median(errors)) if len(errors) else 0.0))
 
     @property
     def whole(self) -> bool:
@@ -180,7 +189,7 @@ def join_readings(base: Reading, projected: Reading, distances: Distances, pool:
         wanted=wanted,
         unreachable=beyond & (projected.grade == VOID),
         dark=dark,
-        stand_in=max(base.target, min(STAND_IN, float(np.median(distances.errors[wanted])) if wanted.any() else 0.0)),
+        distances=distances,
     )
 
 
