@@ -1,18 +1,22 @@
 """What stands at the head of a report: its scene, view and plan, the machine, and the versions of what measured."""
 
+import math
 import os
 import platform
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from isogi_core.model.view import View
+from isogi_core.model.view import Camera, View
 from isogi_core.plan.scene import Scene
 from server.answers import scene_schema
 from server.schemas import LayerSchema, Omission, PlanSchema, SavingSchema, SceneSchema, VolumeSchema
 
 WHAT = 46
+
+PARALLEL = 1e-3
+"""Degrees of a field of view below which rays count as parallel: those of an orthographic camera are narrower."""
 
 
 def summary(facts: SceneSchema) -> Iterator[tuple[str, str]]:
@@ -177,11 +181,23 @@ def named(facts: SceneSchema, *names: str) -> Rows:
 
 def view_rows(view: View) -> Rows:
     """Name and text of each fact of a view."""
-    eye = ", ".join(f"{number:.4g}" for number in view.camera.in_world(view.orientation).eye)
     return (
         ("isovalue", f"{view.isovalue:.10g}"),
-        ("picture", f"{by((view.width, view.height))} pixels, from {eye}, {view.camera.fov:g} degrees high"),
+        ("picture", f"{by((view.width, view.height))} pixels, {standpoint(view.camera.in_world(view.orientation))}"),
     )
+
+
+def standpoint(camera: Camera) -> str:
+    """Where a camera of the world stands, and what it sees; of one with parallel rays, where it looks."""
+    if camera.fov > PARALLEL:
+        return f"from {listed(camera.eye)}, {camera.fov:g} degrees high"
+    height = 2.0 * math.dist(camera.eye, camera.target) * math.tan(math.radians(camera.fov / 2.0))
+    return f"orthographic, along {listed(camera.basis()[2])} to {listed(camera.target)}, {height:.4g} high there"
+
+
+def listed(numbers: Iterable[float]) -> str:
+    """Numbers to four digits."""
+    return ", ".join(f"{number:.4g}" for number in numbers)
 
 
 def plan_facts_rows(scene: Scene) -> Rows:
