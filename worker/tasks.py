@@ -25,6 +25,7 @@ from isogi_core.cache.costs import Cost
 from isogi_core.cache.scene_assets import SceneAssets, receive_assets
 from isogi_core.errors import SceneError, StoreAwayError
 from isogi_core.files.scene_file import FOLLOWED, SceneSource
+from isogi_core.files.voxel_file import budget
 from isogi_core.kernels._jit import entries_of, load
 from isogi_core.kernels.transport.room_paths import fill_seeds, light_in_room
 from isogi_core.kernels.transport.texel_points import project_texels
@@ -115,7 +116,16 @@ def prepared_scene(source: SceneSource, assets: SceneAssets | None, store_url: S
     if assets is None:
         return opened(source)
     received, volume = receive_assets(source, assets, open_store(store_url))
-    return PreparedScene(build_scene(received, volume=volume))
+    return PreparedScene(build_scene(received, volume=volume), most_maps())
+
+
+MAPS = 3 / 8
+"""Bytes of active-cell maps that a worker keeps of a volume, over those that it may hold of mapped voxels."""
+
+
+def most_maps() -> int:
+    """Most bytes of a volume's active-cell maps."""
+    return int(MAPS * budget())
 
 
 OPEN: WeakValueDictionary[str, PreparedScene] = WeakValueDictionary()
@@ -131,7 +141,7 @@ def opened(source: SceneSource) -> PreparedScene:
     key = json.dumps([str(source.base), rest], sort_keys=True, default=str)
     known = OPEN.get(key)
     if known is None:
-        prepared = PreparedScene(build_scene(source))
+        prepared = PreparedScene(build_scene(source), most_maps())
     else:
         bare = {name: value for name, value in source.document.items() if name not in FOLLOWED}
         prepared = known.beside(build_scene(replace(source, document=bare), volume=known.scene.volume))

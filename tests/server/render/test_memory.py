@@ -9,7 +9,7 @@ from server.render.resources import shared
 
 THREADS = """
 import ctypes, re, sys, threading
-from server.render.resources import keep_memory_small
+from isogi_core.allocation import keep_memory_small
 if "small" in sys.argv:
     keep_memory_small()
 barrier = threading.Barrier(8)
@@ -54,7 +54,7 @@ def test_threads_share_one_arena() -> None:
 LARGE = """
 import resource, sys
 import numpy as np
-from server.render.resources import keep_memory_small
+from isogi_core.allocation import keep_memory_small
 def resident():
     return int(open("/proc/self/statm").read().split()[1]) * resource.getpagesize()
 if "small" in sys.argv:
