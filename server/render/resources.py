@@ -14,6 +14,9 @@ from isogi_core.storage.store import Store, StoreLike
 from isogi_core.storage.url import StoreUrl
 from server.settings import Settings
 
+FINER = 5
+"""How many times less memory finer texels have: few views ask for them, and those that find no room do without."""
+
 
 class Memory(NamedTuple):
     """Bytes of decoded ``light``, of ``views`` (surfaces, and where the light in them is) and of ``maps``."""
@@ -21,6 +24,11 @@ class Memory(NamedTuple):
     light: int
     views: int
     maps: int
+
+    @property
+    def finer(self) -> "Memory":
+        """That of the same scene with finer texels, which has the same maps: all steps together a quarter more."""
+        return Memory(self.light // FINER, self.views // FINER, self.maps)
 
 
 def shared(total: int) -> Memory:
