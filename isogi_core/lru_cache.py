@@ -85,6 +85,15 @@ class LruCache(Generic[K]):
         with self._lock:
             self._made.pop(key, None)
 
+    def make_room(self, size: int) -> None:
+        """Let go of the oldest results until one of ``size`` bytes fits beside the rest: before it is made."""
+        with self._lock:
+            total = self._sum() + size
+            for key in [key for key, cell in self._made.items() if cell.value]:
+                if total <= self._most:
+                    return
+                total -= self._made.pop(key).nbytes
+
     def settle(self) -> None:
         """Let go of the oldest results until the rest fits: results may have grown."""
         with self._lock:

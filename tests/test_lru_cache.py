@@ -37,6 +37,15 @@ def test_the_longest_unused_result_makes_room() -> None:
     assert kept.nbytes == 2 * SIZE
 
 
+def test_room_is_made_before_a_result_is() -> None:
+    kept: LruCache[str] = LruCache(3 * SIZE)
+    made(kept, "a", "b", "c", "a")
+    kept.make_room(SIZE)
+    assert made(kept, "a", "c") == []
+    kept.make_room(4 * SIZE)
+    assert kept.nbytes == 0
+
+
 def test_the_newest_result_is_kept_at_any_size() -> None:
     kept: LruCache[str] = LruCache(10)
     assert made(kept, "a", "a", "b", "b") == ["a", "b"]

@@ -25,6 +25,7 @@ from isogi_core.cache.costs import Cost
 from isogi_core.cache.scene_assets import SceneAssets, receive_assets, receive_colours
 from isogi_core.errors import SceneError, StoreAwayError
 from isogi_core.files.scene_file import FOLLOWED, SceneSource
+from isogi_core.files.voxel_file import budget
 from isogi_core.kernels._jit import entries_of, load
 from isogi_core.kernels.transport.coloured_transfer import bake_coloured_texels
 from isogi_core.kernels.transport.room_paths import fill_seeds, light_in_room
@@ -116,7 +117,17 @@ def prepared_scene(source: SceneSource, assets: SceneAssets | None, store_url: S
     if assets is None:
         return opened(source)
     received, volume = receive_assets(source, assets, open_store(store_url))
-    return PreparedScene(build_scene(received, volume=volume, colours=receive_colours(assets, open_store(store_url))))
+    colours = receive_colours(assets, open_store(store_url))
+    return PreparedScene(build_scene(received, volume=volume, colours=colours), most_maps())
+
+
+MAPS = 3 / 8
+"""Bytes of active-cell maps that a worker keeps of a volume, over those that it may hold of mapped voxels."""
+
+
+def most_maps() -> int:
+    """Most bytes of a volume's active-cell maps."""
+    return int(MAPS * budget())
 
 
 OPEN: WeakValueDictionary[str, PreparedScene] = WeakValueDictionary()
@@ -132,7 +143,7 @@ def opened(source: SceneSource) -> PreparedScene:
     key = json.dumps([str(source.base), rest], sort_keys=True, default=str)
     known = OPEN.get(key)
     if known is None:
-        prepared = PreparedScene(build_scene(source))
+        prepared = PreparedScene(build_scene(source), most_maps())
     else:
         bare = {name: value for name, value in source.document.items() if name not in FOLLOWED}
         scene = known.scene

@@ -205,9 +205,9 @@ def by_isovalue(
     Within a group they stay as they lie in space: sorted by isovalue, paths took a twentieth longer.
     """
     lit = np.flatnonzero(~void)
-    groups, ends = prepared.maps.groups(isovalues[lit])
+    groups, spans = prepared.maps.groups(isovalues[lit])
     for group in np.unique(groups):
-        yield prepared.maps.covering(ends[group : group + 2]), lit[groups == group]
+        yield prepared.maps.covering(spans[group]), lit[groups == group]
 
 
 def add_to_mean(mean: np.ndarray, samples: int, added: np.ndarray, total: int) -> np.ndarray:

@@ -25,16 +25,13 @@ BUDGET = 2048
 OWN = 1 / 8
 """Share of the budget up to which a volume's voxels are in each process's own memory, and not mapped."""
 
-PERIOD = 0.02
-"""Seconds between two checks of resident memory."""
-
-STRIDE = 16 << 20
-"""Bytes that are released together."""
-
-LEFT = 0.9
-"""Share of the budget down to which pages are released once it is exceeded."""
+PERIOD = 0.002
+"""Seconds between two checks of resident memory. The system maps some 130 kB around each voxel that is read."""
 
 STATUS = Path("/proc/self/statm")
+
+LINE = 256
+"""Bytes that a line of it fits into."""
 
 
 def budget() -> int:
@@ -48,21 +45,28 @@ def budget() -> int:
 def file_bytes() -> int:
     """Bytes of files in this process's memory; 0 where the system does not report them."""
     try:
-        return int(STATUS.read_text().split()[2]) * mmap.PAGESIZE
+        return pages_in(STATUS.read_bytes())
     except OSError:
         return 0
 
 
+def pages_in(status: bytes) -> int:
+    """Bytes of files that a line of STATUS tells."""
+    return int(status.split()[2]) * mmap.PAGESIZE
+
+
 class Resident:
-    """The mappings of this process, with a thread that bounds their resident pages."""
+    """The mappings of this process, with a thread that bounds their resident pages.
+
+    It lets go of all of them at once: each step waits for the interpreter, which work on voxels may hold, and what is
+    needed again is still in the system's cache.
+    """
 
     def __init__(self) -> None:
         """Begin without mappings, and without the thread."""
         self._mappings: weakref.WeakSet[mmap.mmap] = weakref.WeakSet()
         self._lock = threading.Lock()
         self._thread: threading.Thread | None = None
-        self._hand = 0
-        self._others = 0
 
     def watch(self, mapping: mmap.mmap) -> None:
         """Add a mapping, for as long as it lives."""
@@ -70,27 +74,23 @@ class Resident:
         with self._lock:
             self._mappings.add(mapping)
             if self._thread is None and STATUS.exists():
-                self._others = file_bytes()  # code of libraries
+                most += file_bytes()  # code of libraries
                 self._thread = threading.Thread(target=self._watch, args=[most], name="resident", daemon=True)
                 self._thread.start()
 
-    def release(self, most: int) -> None:
-        """Release pages, round and round the mappings, until they hold at most ``most`` bytes."""
+    def release(self) -> None:
+        """Let go of the pages of all mappings."""
         with self._lock:
             mappings = list(self._mappings)
-        strides = [(each, at) for each in mappings for at in range(0, len(each), STRIDE)]
-        for _ in strides:
-            if file_bytes() - self._others <= most:
-                return
-            self._hand = (self._hand + 1) % len(strides)
-            mapping, at = strides[self._hand]
-            mapping.madvise(mmap.MADV_DONTNEED, at, min(STRIDE, len(mapping) - at))
+        for mapping in mappings:
+            mapping.madvise(mmap.MADV_DONTNEED)
 
     def _watch(self, most: int) -> None:
-        while True:
-            time.sleep(PERIOD)
-            if file_bytes() - self._others > most:
-                self.release(int(LEFT * most))
+        with open(STATUS, "rb", buffering=0) as status:
+            while True:
+                time.sleep(PERIOD)
+                if pages_in(os.pread(status.fileno(), LINE, 0)) > most:
+                    self.release()
 
 
 RESIDENT = Resident()

@@ -37,7 +37,7 @@ from isogi_core.kernels.shading.shine import cast_shine, fill_below, light_ends,
 from isogi_core.kernels.shading.texel_normals import fill_texel_normals, keep_normals, look_up_normals
 from isogi_core.kernels.shading.texel_table import add_part, judge_rows, unpack_texels
 from isogi_core.kernels.shading.wall_light import light_walls
-from isogi_core.kernels.tracing.active_cells import fill_ranges, mark_bricks, pack_bricks
+from isogi_core.kernels.tracing.active_cells import fill_ranges, mark_bricks, number_bricks, pack_bricks
 from isogi_core.kernels.tracing.camera import trace_pixels, trace_places
 from isogi_core.kernels.tracing.macrocells import fill_macrocells
 from isogi_core.kernels.tracing.sight import read_values, trace_pixels_in_sight, trace_places_in_sight
@@ -95,6 +95,7 @@ FRAME = (
     develop_rows,
     touch_chunks,
     pack_bricks,
+    number_bricks,
     fill_macrocells,
     find_corners,
     add_footprints,

@@ -87,8 +87,11 @@ class Tiles:
             work()
         finally:
             troubles = [helper.exception() for helper in helpers if not helper.cancel()]
-        for trouble in filter(None, troubles):
-            raise trouble
+        try:
+            if (trouble := next(filter(None, troubles), None)) is not None:
+                raise trouble
+        finally:
+            del helpers, troubles, trouble  # else they hold this frame and all arrays in it till garbage is sought
         self.check()
 
     def even(self, total: int, share: int = 4) -> int:

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import reduce
+from functools import partial, reduce
 
 import numpy as np
 
@@ -137,8 +137,8 @@ def any_within(marks: np.ndarray, firsts: list[np.ndarray], counts: list[np.ndar
         most = marks.shape[axis] - 1
         if np.array_equal(first, np.arange(most + 1)) and (count == 1).all():
             continue
-        steps = [marks.take(np.minimum(first + np.minimum(k, count - 1), most), axis) for k in range(count.max())]
-        marks = reduce(np.logical_or, steps)
+        steps = (np.minimum(first + np.minimum(k, count - 1), most) for k in range(count.max()))
+        marks = reduce(np.logical_or, map(partial(marks.take, axis=axis), steps))
     return marks
 
 

@@ -1,12 +1,13 @@
 """The active-cell maps of one volume, kept for the isovalues that come next."""
 
+import math
 import threading
 from functools import partial
 from itertools import chain, pairwise
 
 import numpy as np
 
-from isogi_core.kernels.tracing.active_cells import ActiveCells, brick_ranges, make_active_cells
+from isogi_core.kernels.tracing.active_cells import ActiveCells, brick_shape, macrocell_ranges, make_active_cells
 from isogi_core.lru_cache import OVERHEAD, LruCache
 from isogi_core.model.value_survey import sample_values
 from isogi_core.model.volume import Isovalue
@@ -24,6 +25,10 @@ CROWDED = 15 / 16
 """Share of a volume's values in one group from which on it is parted by their ranks: smooth fields reach 0.86."""
 
 
+ABOVE = 2.0**-30
+"""A level next to 0, which empty space often is: maps of isovalues above it hold none of that."""
+
+
 def find_levels(voxels: np.ndarray) -> np.ndarray:
     """The levels of a volume, ascending from -inf to inf, float64: parts of the core, and of a crowded group.
 
@@ -32,7 +37,7 @@ def find_levels(voxels: np.ndarray) -> np.ndarray:
     """
     values = sample_values(voxels).astype(np.float64)
     levels = [-np.inf, *(np.arange(PARTS + 1) / PARTS), np.inf]
-    return np.unique([*chain.from_iterable(parted(values, *ends) for ends in pairwise(levels)), np.inf])
+    return np.unique([*chain.from_iterable(parted(values, *ends) for ends in pairwise(levels)), ABOVE, np.inf])
 
 
 def parted(values: np.ndarray, low: float, high: float) -> list[float]:
@@ -67,9 +72,10 @@ class ActiveCellMaps:
     """
 
     def __init__(self, voxels: np.ndarray, most: int = KEPT) -> None:
-        """Find the ranges of the ``voxels``' bricks; keep maps of at most ``most`` bytes."""
+        """Find the ranges of the ``voxels``' macrocells; keep maps of at most ``most`` bytes."""
         self._voxels = voxels
-        self._ranges = brick_ranges(voxels)
+        self._ranges = macrocell_ranges(voxels)
+        self._bricks = math.prod(brick_shape(voxels.shape))
         self.levels = find_levels(voxels)
         self._kept: LruCache[tuple[int, int]] = LruCache(most)
         self._most, self._sizes, self._lock = most, dict[tuple[int, int], int](), threading.Lock()
@@ -95,15 +101,16 @@ class ActiveCellMaps:
         return self._kept.get((first, last), lambda: self._make(first, last, run))
 
     def groups(self, isovalues: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """For isovalues (m,), none NaN: the number of the group that each is in; and the groups' ends.
+        """For isovalues (m,), none NaN: the number of the group that each is in; and the span (2,) of each group.
 
-        Groups are NARROW, or so wide that the maps of all that were asked for are kept: each may be needed again and
-        again. They become wider as more is asked for; each call has its own.
+        Spans reach over what was asked for. Groups are NARROW, or so wide that the maps of all that were asked for
+        are kept: each may be needed again and again. They become wider as more is asked for; each call has its own.
         """
         with self._lock:
             self._asked[np.searchsorted(self.levels, isovalues, "right") - 1] = True
-            ends = self.levels[self._edges()]
-        return np.searchsorted(ends, isovalues, "right") - 1, ends
+            self._widen()
+            ends, spans = self.levels[self._edges()], self.levels[self._spans()]
+        return np.searchsorted(ends, isovalues, "right") - 1, spans
 
     def forget(self) -> None:
         """Keep no map, as if every isovalue were new."""
@@ -112,20 +119,35 @@ class ActiveCellMaps:
     def _make(self, first: int, last: int, run: Run) -> ActiveCells:
         """The map from one level to another."""
         ends = float(self.levels[first]), float(self.levels[last])
+        self._kept.make_room(USUAL * self._bricks)
         made = make_active_cells(self._voxels, self._ranges, *ends, partial(run, size=LAYERS))
         with self._lock:
             self._sizes[first, last] = made.nbytes
-            while self._together() > self._most and self._width < len(self._asked):
-                self._width += 1
+            self._widen()
         return made
+
+    def _widen(self) -> None:
+        """Make groups so wide that the maps of all that were asked for are kept."""
+        while self._together() > self._most and self._width < len(self._asked):
+            self._width += 1
 
     def _edges(self) -> np.ndarray:
         """Places of the groups' ends among the levels."""
         last = len(self._asked)
         return np.array([0, *range(1, last, self._width), last])
 
+    def _spans(self) -> np.ndarray:
+        """Places of the ends of what was asked for in each group, of the group's own where that is nothing; (m, 2)."""
+        edges = self._edges()
+        asked = [np.flatnonzero(self._asked[first:last]) for first, last in pairwise(edges)]
+        spans = [
+            (first + inner[0], first + inner[-1] + 1) if len(inner) else (first, last)
+            for (first, last), inner in zip(pairwise(edges), asked, strict=True)
+        ]
+        return np.array(spans)
+
     def _together(self) -> int:
         """Bytes of the maps of all groups that were asked for, as far as their sizes are known."""
-        edges, usual = self._edges().tolist(), USUAL * self._ranges[0].size
-        asked = [ends for ends in pairwise(edges) if self._asked[slice(*ends)].any()]
-        return sum(self._sizes.get(ends, usual) + OVERHEAD for ends in asked)
+        usual, spans = USUAL * self._bricks, map(tuple, self._spans().tolist())
+        asked = [span for span in spans if self._asked[slice(*span)].any()]
+        return sum(self._sizes.get(span, usual) + OVERHEAD for span in asked)

@@ -21,7 +21,8 @@ from isogi_core.frame.frame import Frame
 from isogi_core.frame.tiles import Stopwatch
 from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
-from server.api.service import PictureRequest, Service
+from server.api.service import Service
+from server.api.shown import PictureRequest
 from server.errors import BusyError
 from server.prewarm.context import PrewarmContext, Step
 from server.prewarm.order import PrewarmOrder

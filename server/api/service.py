@@ -7,8 +7,8 @@ import math
 import threading
 from collections.abc import AsyncGenerator, Callable
 from contextlib import suppress
-from dataclasses import dataclass, replace
-from typing import Annotated, Self, TypeVar
+from dataclasses import replace
+from typing import Annotated, TypeVar
 
 import numpy as np
 from fastapi import Depends, Request
@@ -19,10 +19,10 @@ from isogi_core.errors import NoRoomError, StoreError
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.tiles import Stopwatch
 from isogi_core.kernels.shading.framebuffer import PROVISIONAL
-from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import Index
 from server.api.render_threads import RenderThreads
+from server.api.shown import PictureRequest, Shown, Wait
 from server.bearers import Bearer, bearer_of
 from server.errors import BusyError, ForbiddenError, StartingError, UnknownJobError, UnknownSceneError
 from server.exports.folder import ExportFolder
@@ -36,36 +36,6 @@ from server.settings import Settings
 from server.uploads.uploads import Uploads
 from worker.bake_requests import Viewer
 from worker.progress import TimeLeft
-
-
-@dataclass(frozen=True)
-class PictureRequest:
-    """A picture: a ``view`` of a scene, by its id, whose light is final at the relative error ``target``."""
-
-    scene: str
-    view: View
-    target: float
-
-    def draft(self, scale: float) -> Self:
-        """The same of a view that moves, in a picture of ``scale`` times the width and the height."""
-        width, height = (max(round(scale * side), 1) for side in (self.view.width, self.view.height))
-        return replace(self, view=replace(self.view, width=width, height=height, moving=True))
-
-
-@dataclass(frozen=True, eq=False)
-class Shown:
-    """The answer to a picture request: a ``frame``, the time until it is final, and the ``watch`` of its stages.
-
-    ``coming`` are the chunks that are going to be baked for it, and ``since`` numbers the newest update of light when
-    the frame was begun.
-    """
-
-    frame: Frame
-    time_left: TimeLeft | None
-    watch: Stopwatch
-    coming: frozenset[Index]
-    since: int
-
 
 Result = TypeVar("Result")
 
@@ -87,8 +57,6 @@ SHORTEST_PAUSE, REFINING = 0.1, 0.25
 """Seconds between two pictures of a view at rest, at least; and the share of the time that all views at rest together
 may be drawn in while light is baked for them. The last picture of a view waits for neither, nor the first with light.
 """
-
-ONCE = ("queue", "primary", "texels", "normals", "lobes")  # what they find is kept for a view's next pictures
 
 
 class Service:
@@ -313,7 +281,9 @@ class Service:
                 yield shown
             if not shown.coming:
                 return
-            await self._next_update(picture, shown)
+            wait = Wait.after(shown)
+            del shown  # megabytes, which nobody needs while light is baked
+            await self._next_update(picture, wait)
 
     def leave(self, viewer: Viewer) -> None:
         """A viewer has left: bake nothing more for it alone. Does not wait for that."""
@@ -332,10 +302,9 @@ class Service:
         try:
             shown = await self.show(picture, viewer, rank, watch)
             while shown.coming and (left := deadline - loop.time()) > 0:
-                with (
-                    watch.stage("bake"),
-                    self.updates.pending(self._bake(picture), shown.coming, shown.since) as pending,
-                ):
+                coming, since = shown.coming, shown.since
+                del shown  # megabytes, which nobody needs while light is baked
+                with watch.stage("bake"), self.updates.pending(self._bake(picture), coming, since) as pending:
                     await within(left, pending.all)
                 shown = await self.show(picture, viewer, rank.begun, watch)
             return await self.threads.of(picture.view).run(lambda: finish(shown), rank.begun)
@@ -343,14 +312,13 @@ class Service:
             self.leave(viewer)
             raise
 
-    async def _next_update(self, picture: PictureRequest, shown: Shown) -> None:
+    async def _next_update(self, picture: PictureRequest, wait: Wait) -> None:
         """Returns when it is time to draw the picture again."""
         self._refining += 1
         try:
-            with self.updates.pending(self._bake(picture), shown.coming, shown.since) as pending:
+            with self.updates.pending(self._bake(picture), wait.coming, wait.since) as pending:
                 await within(HEARTBEAT, pending.some)
-                lit = shown.frame.coverage["provisional"] < 1.0
-                pause = (1.0 / REFINING - 1.0) * work_of(shown) * self._refining if lit else 0.0
+                pause = (1.0 / REFINING - 1.0) * wait.work * self._refining
                 await within(max(pause, SHORTEST_PAUSE), pending.all)
         finally:
             self._refining -= 1
@@ -360,11 +328,6 @@ class Service:
 
     def _newest(self, picture: PictureRequest) -> int:
         return self.updates.newest(self._bake(picture))
-
-
-def work_of(shown: Shown) -> float:
-    """Seconds of work on a picture that the next one of its view takes again, without those in the queue."""
-    return sum(seconds for stage, seconds in shown.watch.seconds.items() if stage not in ONCE)
 
 
 async def within(seconds: float, event: asyncio.Event) -> None:

@@ -156,3 +156,4 @@ async def until(work: Awaitable[None], end: asyncio.Event) -> None:
     finally:
         working.cancel()
         ending.cancel()
+        del both, working, ending  # an error in them would hold itself until garbage is looked for

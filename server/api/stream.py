@@ -17,7 +17,8 @@ from isogi_core.frame.tiles import Stopwatch
 from isogi_core.plan.scene import Scene
 from server.answers import coverage_schema
 from server.api.pacing import Drafts, Motion, Window
-from server.api.service import PictureRequest, Service, ServiceDep, Shown
+from server.api.service import Service, ServiceDep
+from server.api.shown import PictureRequest, Shown
 from server.errors import ParameterError, StreamError
 from server.parameters import FrameParams, NoParams, read
 from server.pictures import MEDIA_TYPES, encode, format_for, smoothed
@@ -254,6 +255,7 @@ class Session:
         async with aclosing(self._service.refinements(picture, self._viewer)) as refinements:
             async for shown in refinements:
                 await self._picture(request, params, shown, form, self._service.rank(self._viewer, DRAFT))
+                del shown  # megabytes, while the client catches up and light is baked
                 await self._window.room()
 
     async def _picture(self, request: ViewRequest, params: FrameParams, shown: Shown, form: str, rank: Rank) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 
 import click
 
+from isogi_core.allocation import keep_memory_small
 from isogi_core.errors import IsogiError, LightError, SceneError, StoreUrlError, ViewError, VolumeError
 from server.cli.arguments import (
     AS_JSON,
@@ -35,6 +36,7 @@ BAD_INPUT = (SceneError, VolumeError, LightError, ViewError, StoreUrlError)
 
 def main() -> None:
     """Run the command line and leave with its exit status."""
+    keep_memory_small()
     gc.set_threshold(50_000)  # a command makes 200,000 objects that stay: to look at them took a tenth of its start
     sys.exit(run(sys.argv[1:]))
 

@@ -21,7 +21,7 @@ from server.api.service import Service
 from server.api.shutdown import Closing
 from server.progress import open_scene
 from server.render.engine import RenderEngine
-from server.render.resources import keep_memory_small, root_of
+from server.render.resources import root_of
 from server.render.workforce import scheduler_of
 from server.settings import Settings
 
@@ -43,7 +43,6 @@ def serve(target: str | None, settings: Settings) -> None:
     if settings.exposed and not settings.bearers:
         raise click.UsageError(EXPOSED.format(host=settings.host))
     logs.configure(settings.log_format, settings.log_level)
-    keep_memory_small()
     scene = open_scene(target, settings)
     with listen(settings.host, settings.port) as listener:
         workers, memory = (settings.workers, scheduler_of(settings)), settings.memory_mb << 20

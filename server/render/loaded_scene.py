@@ -145,7 +145,7 @@ class LoadedScene:
     """One scene, ready to be rendered; ``assets`` are what workers that lack its files read in their place.
 
     Its texels are finer than the scene's own by ``fineness`` steps. Pictures whose control pixels ask for finer ones
-    are those of ``finer``, which is loaded then, from the ``memory`` and on the ``tiles`` of this one.
+    are those of ``finer``, which is loaded then, beside the ``memory`` and on the ``tiles`` of this one.
     """
 
     scene: Scene
@@ -163,8 +163,9 @@ class LoadedScene:
         with self._lock:
             if self._finer is None:
                 prepared = self.renderer.prepared.beside(finer(self.scene))
-                caches = Caches(prepared, self.renderer.caches.store, self.memory.light)
-                self._finer = loaded(caches, self.renderer.tiles, self.memory, self.assets, self.fineness + 1)
+                memory = self.memory.finer
+                caches = Caches(prepared, self.renderer.caches.store, memory.light)
+                self._finer = loaded(caches, self.renderer.tiles, memory, self.assets, self.fineness + 1)
             return self._finer
 
     def level(self, fineness: int) -> "LoadedScene":

@@ -4,10 +4,10 @@ import threading
 import time
 from collections.abc import Callable
 
+from isogi_core.allocation import give_memory_back
 from isogi_core.lru_cache import LruCache
 from isogi_core.plan.scene import Scene
 from server.render.loaded_scene import LoadedScene
-from server.render.resources import give_memory_back
 
 IDLE = 900.0
 """Seconds after which a scene is dropped that nobody has looked at."""

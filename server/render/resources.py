@@ -1,6 +1,5 @@
 """Resources: memory for scenes, the store that the settings name, and whether it takes light."""
 
-import ctypes
 import threading
 import time
 from collections.abc import Callable
@@ -15,11 +14,8 @@ from isogi_core.storage.store import Store, StoreLike
 from isogi_core.storage.url import StoreUrl
 from server.settings import Settings
 
-MMAP_THRESHOLD, ARENA_MAX = -3, -8
-"""The numbers of glibc's parameters for what goes back to the system when freed, and for arenas (malloc.h: M_…)."""
-
-LARGE = 256 << 10
-"""Bytes from which on memory comes from the system, and goes back to it: a view's arrays, not those of a draft."""
+FINER = 5
+"""How many times less memory finer texels have: few views ask for them, and those that find no room do without."""
 
 
 class Memory(NamedTuple):
@@ -29,32 +25,16 @@ class Memory(NamedTuple):
     views: int
     maps: int
 
+    @property
+    def finer(self) -> "Memory":
+        """That of the same scene with finer texels, which has the same maps: all steps together a quarter more."""
+        return Memory(self.light // FINER, self.views // FINER, self.maps)
+
 
 def shared(total: int) -> Memory:
     """A memory of ``total`` bytes: half of it for light, and a quarter each for views and for maps."""
     quarter = total // 4
     return Memory(total - 2 * quarter, quarter, quarter)
-
-
-def keep_memory_small() -> None:
-    """Have memory that is freed used again, or given back; for all threads that are still to start.
-
-    Left to itself glibc gives threads arenas of their own, up to eight a core, each of which keeps the most that its
-    threads ever had at once; threads that hold the interpreter's lock to take memory gain nothing by that. And it
-    gives ever larger arrays a place among small things, which hold on to it. Where the C library is another one,
-    nothing is done.
-    """
-    mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
-    if mallopt is not None:
-        mallopt(ARENA_MAX, 1)
-        mallopt(MMAP_THRESHOLD, LARGE)
-
-
-def give_memory_back() -> None:
-    """Give back to the system what is free between things that are in use, where the C library can."""
-    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
-    if trim is not None:
-        trim(0)
 
 
 KEPT = 5.0

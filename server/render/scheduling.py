@@ -230,6 +230,8 @@ class Renders:
             except asyncio.CancelledError:
                 await asyncio.gather(working, return_exceptions=True)
                 raise
+            finally:
+                del working  # an error in it would hold itself, and all arrays on its way, until garbage is looked for
 
     async def share(self, key: Hashable, work: Callable[[threading.Event], Result], rank: Rank) -> Result:
         """The result of the work that goes by ``key``: done once for all that ask for it meanwhile.
@@ -246,6 +248,7 @@ class Renders:
             flight.waiting -= 1
             if not flight.waiting:
                 self._end(key, flight)
+            del flight  # see ``run``
 
     def close(self) -> None:
         """Take no more work; what still waits is dropped."""

@@ -116,6 +116,7 @@ async def attended(request: Request, answer: Coroutine[Any, Any, Result]) -> Res
     finally:
         working.cancel()
         leaving.cancel()
+        del working, leaving  # an error in them would hold itself until garbage is looked for
 
 
 async def gone(request: Request) -> None:

@@ -1,8 +1,11 @@
 """Tiles: every piece once, on several threads, and none that nobody waits for."""
 
+import gc
 import threading
 import time
+import weakref
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 
 import pytest
 
@@ -80,6 +83,38 @@ def test_a_helpers_error_comes_out_after_the_other_pieces(failing: str) -> None:
     with pytest.raises(ValueError, match=failing):
         tiles.run(piece, 3, 1)
     assert len(ended) == 2
+
+
+class Array:
+    """Stands for an array that a piece works on."""
+
+
+def fail_beside(tiles: Tiles) -> "weakref.ref[Array]":
+    """Have a helper's piece fail; the array that it worked on."""
+    array, failed = Array(), threading.Event()
+
+    def piece(first: int, last: int) -> None:
+        if threading.current_thread() is threading.main_thread():
+            assert failed.wait(10)
+            return
+        failed.set()
+        raise ValueError(f"{array} at {first} to {last}")
+
+    with suppress(ValueError):
+        tiles.run(piece, 2, 1)
+    return weakref.ref(array)
+
+
+def test_what_has_failed_is_freed_at_once() -> None:
+    tiles = Tiles(2)
+    gc.disable()
+    try:
+        left = fail_beside(tiles)
+        tiles.run(lambda first, last: None, 2, 1)
+        tiles.close()
+        assert left() is None
+    finally:
+        gc.enable()
 
 
 def test_no_piece_is_begun_after_one_has_failed() -> None:

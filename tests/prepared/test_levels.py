@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from isogi_core.prepared.active_cell_maps import CROWDED, PARTS, ActiveCellMaps, find_levels
+from isogi_core.prepared.active_cell_maps import ABOVE, CROWDED, PARTS, ActiveCellMaps, find_levels
 
 EVEN = np.random.default_rng(1).random((20, 21, 22)).astype(np.float32)
-UNIFORM = [-np.inf, *(np.arange(PARTS + 1) / PARTS), np.inf]
+UNIFORM = [-np.inf, 0.0, ABOVE, *(np.arange(1, PARTS + 1) / PARTS), np.inf]
 
 
 def crowd(voxels: np.ndarray) -> float:
@@ -42,6 +42,15 @@ def test_groups_are_two_levels_wide_and_hold_their_isovalues() -> None:
     for voxels in (EVEN, np.concatenate([EVEN / 100, EVEN[:1] + 1])):
         maps = ActiveCellMaps(voxels)
         isovalues = np.concatenate([voxels.ravel()[::7].astype(np.float64), [-1e36, 0.0, 1.0, 1e36]])
-        groups, ends = maps.groups(isovalues)
-        assert (ends[groups] <= isovalues).all() and (isovalues < ends[groups + 1]).all()
-        assert set(ends.tolist()) <= set(maps.levels.tolist()) and len(ends) <= len(maps.levels) // 2 + 2
+        groups, spans = maps.groups(isovalues)
+        assert (spans[groups, 0] <= isovalues).all() and (isovalues < spans[groups, 1]).all()
+        assert set(spans.ravel().tolist()) <= set(maps.levels.tolist()) and len(spans) <= len(maps.levels) // 2 + 1
+
+
+def test_empty_space_at_zero_is_in_no_map_of_isovalues_above() -> None:
+    voxels = np.zeros((40, 40, 40), np.float32)
+    voxels[18:22, 18:22, 18:22] = 1.0
+    maps = ActiveCellMaps(voxels)
+    groups, spans = maps.groups(np.array([1e-3, 0.999]))
+    wide = maps.covering(np.array([spans[groups[0], 0], spans[groups[1], 1]]))
+    assert np.count_nonzero((wide.tops >> 28) == 0) <= 27 < wide.tops.size

@@ -8,7 +8,7 @@ from numba import types
 from isogi_core.kernels._jit import kernel, plain, record
 from isogi_core.kernels.simd.memory import prefetch
 from isogi_core.kernels.tracing.field import VOXELS
-from isogi_core.kernels.tracing.macrocells import INFINITE, RANGES, blocks_along, find_ranges
+from isogi_core.kernels.tracing.macrocells import INFINITE, RANGES, SIZE, blocks_along, find_ranges, macrocell_shape
 
 LONGEST = 15
 """Longest skip, in bricks: what four bits hold."""
@@ -55,15 +55,13 @@ def sweep_octant(empty, octant, skips, nearest):
 def fill_skips(empty, tops):
     """Write the skips of bricks that are ``empty`` (z, y, x) to ``tops`` (bricks,); the others keep their word."""
     skips = np.empty(empty.shape, np.uint8)
-    flat, hollow, words = skips.reshape(skips.size), empty.reshape(empty.size), np.zeros(empty.size, np.uint32)
-    nearest = np.empty(empty.shape[2], np.uint8)
+    flat, hollow, nearest = skips.reshape(skips.size), empty.reshape(empty.size), np.empty(empty.shape[2], np.uint8)
     for octant in range(8):
         sweep_octant(empty, octant, skips, nearest)
-        for b in range(words.size):
-            words[b] |= np.uint32(flat[b]) << np.uint32(BITS * octant)
-    for b in range(words.size):
-        if hollow[b]:
-            tops[b] = np.int32(words[b])
+        for b in range(tops.size):
+            if hollow[b]:
+                others = tops[b] if octant else np.int32(0)
+                tops[b] = others | np.int32(np.uint32(flat[b]) << np.uint32(BITS * octant))
 
 
 BRICK = 4
@@ -84,7 +82,7 @@ class ActiveCells(NamedTuple):
     ``tops`` int32 (bricks): where cells are marked the brick's place in ``cells`` / BRICK, less than
     2²⁸; else its skips (see ``fill_skips``). ``cells`` int32, one for each layer of a marked brick along z:
     bit i = y % 4 * 4 + x % 4 for a marked cell, and bit 16 + i where any cell of its aligned 2³ block is
-    marked. ``margins`` float32 (bricks): values nearer to zero than this have no certain sign;
+    marked. ``margins`` float32 (macrocells): values nearer to zero than this have no certain sign there;
     ``shape`` bricks along z, y, x.
     """
 
@@ -110,10 +108,10 @@ def brick_shape(shape):
 
 @kernel(types.void(VOXELS, RANGES, RANGES, RANGES))
 def fill_ranges(voxels, low, high, margins):
-    """Fill ``low``, ``high`` and ``margins`` (bricks along z, y, x), which serve every isovalue of the volume."""
+    """Fill ``low``, ``high`` and ``margins`` (macrocells along z, y, x), which serve every isovalue of the volume."""
     nz, ny, nx = voxels.shape
     stray = 3.0 * POSITION_ERROR * max(nx, ny, nz)
-    find_ranges(voxels, BRICK, 1, low, high)
+    find_ranges(voxels, SIZE, 1, low, high)
     least, most, margin = low.reshape(low.size), high.reshape(high.size), margins.reshape(margins.size)
     for b in range(margin.shape[0]):
         largest = max(abs(least[b]), abs(most[b]))
@@ -125,6 +123,9 @@ GROUP = 4
 
 ROW = GROUP * BRICK
 """Cells along x in a group."""
+
+PAIR = SIZE // BRICK
+"""Bricks along each side of a macrocell."""
 
 
 @kernel()
@@ -189,31 +190,46 @@ def mark_group(block, levels, marks, words, empty, b, count):
 
 
 @kernel()
-def set_levels(margins, b, count, iso_low, iso_high, levels):
-    """Write, for each cell along a group, the ``levels`` above and below which a voxel's side is certain."""
-    for g in range(count):
-        solid, outside = below(iso_high + margins[b + g]), -below(margins[b + g] - iso_low)
-        for i in range(BRICK * g, BRICK * g + BRICK):
+def set_levels(margins, first, count, iso_low, iso_high, levels):
+    """Write, for each cell along ``count`` macrocells from ``first`` on, the ``levels`` beyond which it is certain."""
+    for m in range(count):
+        solid, outside = below(iso_high + margins[first + m]), -below(margins[first + m] - iso_low)
+        for i in range(SIZE * m, SIZE * m + SIZE):
             levels[0, i], levels[1, i] = solid, outside
 
 
 @kernel()
-def find_groups(low, high, margins, iso_low, iso_high, first, shape, groups):
-    """List in ``groups`` the first bricks (j * bx + i) of the groups of a layer that may hold the surface.
+def find_groups(ranges, iso_low, iso_high, k, shape, groups):
+    """List in ``groups`` the first bricks (j * bx + i) of the groups of layer ``k`` that may hold the surface.
 
-    The layer's first brick is ``first``. Returns how many there are.
+    Returns how many there are.
     """
+    low, high, margins = ranges
     _, by, bx = shape
     count = 0
     for j in range(by):
         for i in range(0, bx, GROUP):
             holds = False
-            for b in range(first + j * bx + i, first + j * bx + min(i + GROUP, bx)):
-                holds |= (low[b] <= iso_high + margins[b]) & (high[b] >= iso_low - margins[b])
+            first = macrocell_at(k, j, i, shape)
+            for m in range(first, first + across(i, bx)):
+                holds |= (low[m] <= iso_high + margins[m]) & (high[m] >= iso_low - margins[m])
             groups[count] = j * bx + i
             count += holds
     groups[count] = 0
     return count
+
+
+@kernel()
+def macrocell_at(k, j, i, shape):
+    """Place of the macrocell that brick (k, j, i) is in; there are ``shape`` bricks along z, y, x."""
+    _, by, bx = shape
+    return ((k // PAIR) * (-(-by // PAIR)) + j // PAIR) * (-(-bx // PAIR)) + i // PAIR
+
+
+@kernel()
+def across(i, bx):
+    """Macrocells along x in the group of bricks that begins at ``i``, of ``bx``."""
+    return -(-min(GROUP, bx - i) // PAIR)
 
 
 @kernel()
@@ -227,36 +243,34 @@ def prefetch_group(flat, place, row, plane):
             prefetch(flat, min(p + ROW, last))
 
 
-BRICK_RANGES = types.UniTuple(FLAT, 3)
+MACROCELL_RANGES = types.UniTuple(FLAT, 3)
 
 
-@kernel(types.void(VOXELS, BRICK_RANGES, types.float64, types.float64, types.int64, types.int64, WORDS, EMPTY))
+@kernel(types.void(VOXELS, MACROCELL_RANGES, types.float64, types.float64, types.int64, types.int64, WORDS, EMPTY))
 def mark_bricks(voxels, ranges, iso_low, iso_high, first, last, words, empty):
-    """Write the words of bricks, and which are ``empty``, in layers ``first`` … ``last`` - 1 along z.
+    """Write the ``words`` of the bricks in layers ``first`` … ``last`` - 1 along z, and which are ``empty``.
 
     Only bricks whose ``ranges`` (low, high, margins) hold isovalues ``iso_low`` … ``iso_high`` are looked into; the
     words of others stay.
     """
-    low, high, margins = ranges
     nz, ny, nx = voxels.shape
-    bz, by, bx = brick_shape(voxels.shape)
+    bz, by, bx = shape = brick_shape(voxels.shape)
     flat, block = voxels.reshape(voxels.size), np.empty((BRICK + 1) ** 2 * (ROW + 1), np.float32)
     levels, marks = np.empty((2, ROW), np.float32), np.empty(ROW, np.int32)
     groups = np.empty(by * (bx // GROUP + 1) + 1, np.int64)
+    empty[:] = True
     for k in range(first, last):
-        layer = k * by * bx
-        empty[layer : layer + by * bx] = True
-        for n in range(find_groups(low, high, margins, iso_low, iso_high, layer, (bz, by, bx), groups)):
+        for n in range(find_groups(ranges, iso_low, iso_high, k, shape, groups)):
             j, i = groups[n] // bx, groups[n] % bx
-            i0, j0, k0, b, count = i * BRICK, j * BRICK, k * BRICK, layer + groups[n], min(GROUP, bx - i)
+            i0, j0, k0, b = i * BRICK, j * BRICK, k * BRICK, (k - first) * by * bx + groups[n]
             ahead = groups[n + 1]
             prefetch_group(flat, (k0 * ny + ahead // bx * BRICK) * nx + ahead % bx * BRICK, nx, ny * nx)
-            set_levels(margins, b, count, iso_low, iso_high, levels)
+            set_levels(ranges[2], macrocell_at(k, j, i, shape), across(i, bx), iso_low, iso_high, levels)
             source, place, row, plane = flat, (k0 * ny + j0) * nx + i0, nx, ny * nx
             if i0 + ROW >= nx or j0 + BRICK >= ny or k0 + BRICK >= nz:
                 copy_voxels(voxels, i0, j0, k0, block)
                 source, place, row, plane = block, 0, ROW + 1, (BRICK + 1) * (ROW + 1)
-            mark_group((source, place, row, plane), levels, marks, words, empty, b, count)
+            mark_group((source, place, row, plane), levels, marks, words, empty, b, min(GROUP, bx - i))
 
 
 @kernel()
@@ -272,41 +286,67 @@ def mark_blocks(cells, first):
         cells[first + k + 1] |= block << 16
 
 
-@kernel(types.void(WORDS, EMPTY, types.UniTuple(types.int64, 3), WORDS, WORDS))
-def pack_bricks(words, empty, shape, tops, cells):
-    """Put the ``words`` of bricks that are not ``empty`` together in ``cells``, and places and skips in ``tops``."""
+@kernel(types.void(WORDS, EMPTY, WORDS))
+def pack_bricks(words, empty, cells):
+    """Put the ``words`` of bricks that are not ``empty`` together in ``cells``."""
+    first = 0
+    for b in range(empty.shape[0]):
+        if not empty[b]:
+            cells[first : first + BRICK] = words[BRICK * b : BRICK * (b + 1)]
+            mark_blocks(cells, first)
+            first += BRICK
+
+
+@kernel(types.void(EMPTY, types.UniTuple(types.int64, 3), WORDS))
+def number_bricks(empty, shape, tops):
+    """Write the places of bricks that are not ``empty`` among each other to ``tops``, and the skips of the others."""
     marked = 0
     for b in range(empty.shape[0]):
         if not empty[b]:
-            first = BRICK * marked
-            cells[first : first + BRICK] = words[BRICK * b : BRICK * (b + 1)]
-            mark_blocks(cells, first)
             tops[b] = marked
             marked += 1
     fill_skips(empty.reshape(shape), tops)
 
 
-def brick_ranges(voxels):
-    """Smallest and largest voxel in and around each brick, and the margins: what serves every isovalue."""
-    low, high, margins = np.empty((3, *brick_shape(voxels.shape)), np.float32)
+def macrocell_ranges(voxels):
+    """Smallest and largest voxel in and around each macrocell, and the margins: what serves every isovalue."""
+    low, high, margins = np.empty((3, *macrocell_shape(voxels.shape)), np.float32)
     fill_ranges(voxels, low, high, margins)
     return low.ravel(), high.ravel(), margins.ravel()
 
 
 def make_active_cells(voxels, ranges, lowest, highest, run=None):
-    """The map of isovalues from ``lowest`` to ``highest``; ``ranges`` are the volume's ``brick_ranges``.
+    """The map of isovalues from ``lowest`` to ``highest``; ``ranges`` are the volume's ``macrocell_ranges``.
 
-    ``run(piece, total)`` may call ``piece(first, last)`` for parts of the whole on many threads.
+    ``run(piece, total)`` may call ``piece(first, last)`` for parts of the whole on many threads. Words of bricks
+    without marks take memory for one part alone.
     """
-    margins = ranges[2]
-    shape = brick_shape(voxels.shape)
-    words, empty = np.zeros(BRICK * len(margins), np.int32), np.empty(len(margins), np.bool_)
+    bz, by, bx = shape = brick_shape(voxels.shape)
+    empty, layer = np.empty(bz * by * bx, np.bool_), by * bx
+    packed = {}
 
     def _mark(first, last):
-        mark_bricks(voxels, ranges, lowest, highest, first, last, words, empty)
+        own = empty[first * layer : last * layer]
+        words = np.zeros(BRICK * len(own), np.int32)
+        mark_bricks(voxels, ranges, lowest, highest, first, last, words, own)
+        packed[first] = np.empty(BRICK * (len(own) - np.count_nonzero(own)), np.int32)
+        pack_bricks(words, own, packed[first])
 
-    run(_mark, shape[0]) if run else _mark(0, shape[0])
-    tops = np.empty(len(margins), np.int32)
-    cells = np.zeros(BRICK * max(len(margins) - np.count_nonzero(empty), 1), np.int32)
-    pack_bricks(words, empty, shape, tops, cells)
-    return ActiveCells(tops, cells, margins, shape)
+    run(_mark, bz) if run else _mark(0, bz)
+    cells = joined(packed)
+    tops = np.empty(len(empty), np.int32)
+    number_bricks(empty, shape, tops)
+    return ActiveCells(tops, cells, ranges[2], shape)
+
+
+def joined(packed):
+    """The ``packed`` words of parts, by their first layers, as one array; each part goes once it is copied.
+
+    At least one brick of zeros, as lanes read there that read nothing.
+    """
+    cells, end = np.zeros(max(sum(map(len, packed.values())), BRICK), np.int32), 0
+    for first in sorted(packed):
+        part = packed.pop(first)
+        cells[end : end + len(part)] = part
+        end += len(part)
+    return cells

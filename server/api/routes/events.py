@@ -15,7 +15,8 @@ from fastapi.sse import EventSourceResponse, format_sse_event
 from isogi_core.errors import StoreError
 from isogi_core.frame.frame import Frame
 from server.answers import coverage_schema
-from server.api.service import PREVIEW, PictureRequest, SceneDep, Service, ServiceDep, Shown
+from server.api.service import PREVIEW, SceneDep, Service, ServiceDep
+from server.api.shown import PictureRequest, Shown
 from server.errors import ParameterError, UnknownSceneError
 from server.parameters import ViewParams, ViewParamsDep, documented
 from server.problems import documented_problems

@@ -7,10 +7,11 @@ from isogi_core.kernels.tracing.active_cells import (
     BITS,
     BRICK,
     LONGEST,
-    brick_ranges,
     brick_shape,
+    macrocell_ranges,
     make_active_cells,
 )
+from isogi_core.kernels.tracing.macrocells import SIZE, macrocell_shape
 
 BALL = 12.0 - np.linalg.norm(np.indices((41, 41, 41)) - 20.0, axis=0)
 
@@ -29,7 +30,7 @@ def marked_cells(cells):
 def test_active_cells_hold_the_surface_and_few_more_do(shape):
     voxels = np.random.default_rng(15).normal(size=shape).astype(np.float32)
     low, high = 1.5, 1.6
-    cells = make_active_cells(voxels, brick_ranges(voxels), low, high)
+    cells = make_active_cells(voxels, macrocell_ranges(voxels), low, high)
     corners = [
         voxels[c : shape[0] - 1 + c, b : shape[1] - 1 + b, a : shape[2] - 1 + a] for c, b, a in np.ndindex(2, 2, 2)
     ]
@@ -47,20 +48,20 @@ def test_active_cells_hold_the_surface_and_few_more_do(shape):
 
 @pytest.mark.parametrize("holes", [0.0, 0.002])
 @pytest.mark.parametrize("shape", [(2, 2, 2), (5, 9, 17), (21, 18, 38)])
-def test_ranges_are_those_of_the_cells_in_and_around_a_brick(shape, holes):
+def test_ranges_are_of_the_cells_in_and_around_a_macrocell(shape, holes):
     rng = np.random.default_rng(16)
     voxels = rng.normal(size=shape).astype(np.float32)
     voxels[rng.random(shape) < holes] = np.nan
-    low, high, margins = (values.reshape(brick_shape(shape)) for values in brick_ranges(voxels))
+    low, high, margins = (values.reshape(macrocell_shape(shape)) for values in macrocell_ranges(voxels))
     for index in np.ndindex(low.shape):
-        around = voxels[tuple(slice(max(BRICK * i - 1, 0), BRICK * i + BRICK + 2) for i in index)]
+        around = voxels[tuple(slice(max(SIZE * i - 1, 0), SIZE * i + SIZE + 2) for i in index)]
         hole = np.isnan(around).any()
         assert (low[index], high[index]) == ((-np.inf, np.inf) if hole else (around.min(), around.max()))
         assert margins[index] == np.inf if hole else 0 < margins[index] < 1e-4 * max(shape) * np.abs(around).max()
 
 
 def test_pieces_make_the_same_map():
-    ranges = brick_ranges(BALL.astype(np.float32))
+    ranges = macrocell_ranges(BALL.astype(np.float32))
     whole = make_active_cells(BALL.astype(np.float32), ranges, 0.0, 1.0)
 
     def run(piece, total):
@@ -86,7 +87,7 @@ def largest_cube(marked, corner, way):
 def test_skips_are_the_largest_empty_cubes_ahead():
     voxels = np.zeros((70, 50, 90), np.float32)
     voxels[10, 40, 7] = voxels[60, 5, 80] = 1.0
-    cells = make_active_cells(voxels, brick_ranges(voxels), 0.5, 0.5)
+    cells = make_active_cells(voxels, macrocell_ranges(voxels), 0.5, 0.5)
     assert cells.shape == brick_shape(voxels.shape)
     marked = ((cells.tops >> 28) == 0).reshape(cells.shape)
     assert marked.any()

@@ -9,7 +9,7 @@ from server.render.resources import shared
 
 THREADS = """
 import ctypes, re, sys, threading
-from server.render.resources import keep_memory_small
+from isogi_core.allocation import keep_memory_small
 if "small" in sys.argv:
     keep_memory_small()
 barrier = threading.Barrier(8)
@@ -37,6 +37,12 @@ def test_a_memory_is_shared_to_the_last_byte(total: int) -> None:
     assert memory.light == pytest.approx(total / 2, abs=2)
 
 
+def test_all_steps_of_finer_texels_take_a_quarter_more() -> None:
+    memory = shared(1 << 30)
+    steps = [memory := memory.finer for _ in range(4)]
+    assert 0 < sum(step.light + step.views for step in steps) <= (1 << 30) / 4
+
+
 def arenas(*how: str) -> int:
     """How many arenas glibc has after eight threads took memory."""
     told = subprocess.run([sys.executable, "-c", THREADS, *how], capture_output=True, check=True, text=True).stdout
@@ -54,7 +60,7 @@ def test_threads_share_one_arena() -> None:
 LARGE = """
 import resource, sys
 import numpy as np
-from server.render.resources import keep_memory_small
+from isogi_core.allocation import keep_memory_small
 def resident():
     return int(open("/proc/self/statm").read().split()[1]) * resource.getpagesize()
 if "small" in sys.argv:

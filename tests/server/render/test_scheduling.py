@@ -1,8 +1,11 @@
 """Scheduling: what work goes first, and what is done once; and the update bus."""
 
 import asyncio
+import gc
 import threading
+import weakref
 from collections.abc import Iterator
+from contextlib import suppress
 
 import pytest
 
@@ -194,6 +197,32 @@ def test_errors_reach_all_that_share(renders: Renders) -> None:
         )
 
     assert [str(error) for error in asyncio.run(play())] == ["full"] * 3
+
+
+class Array:
+    """Stands for an array that work is about."""
+
+
+def test_work_that_fails_is_freed_at_once(renders: Renders) -> None:
+    left: list[weakref.ref[Array]] = []
+
+    def fail(_: threading.Event) -> None:
+        array = Array()
+        left.append(weakref.ref(array))
+        raise ValueError(f"{array}")
+
+    async def play() -> None:
+        with suppress(ValueError):
+            await renders.share("picture", fail, Rank.within(ASKED))
+        await renders.run(lambda: None, Rank.within(ASKED))
+        await asyncio.sleep(0.0)
+        assert left[0]() is None
+
+    gc.disable()
+    try:
+        asyncio.run(play())
+    finally:
+        gc.enable()
 
 
 def test_a_gate_lets_no_more_in_than_it_may() -> None:
