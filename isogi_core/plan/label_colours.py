@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from isogi_core.errors import VolumeError
-from isogi_core.files.scene_file import DEFAULT_DEMO, Settings
+from isogi_core.files.scene_file import Settings
 from isogi_core.model.colours import VALUES, Colour, Scale, SurfaceColours
 from isogi_core.model.volume import Volume
 from isogi_core.plan.colours import capped, volume_grids
@@ -35,7 +35,7 @@ def colours_of_labels(listed: tuple[LabelTable, ...], settings: Settings, volume
     stride = stride_of(volume.shape)
     codes = between(sampled(spread(found.codes), matrix, volume.shape, stride))
     step = 0.5 * stride
-    return SurfaceColours(codes, (step, step, step), scale_of(found, settings))
+    return SurfaceColours(codes, (step, step, step), scale_of(found, volume.name))
 
 
 def stride_of(shape: tuple[int, ...]) -> int:
@@ -79,12 +79,11 @@ def between(codes: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(codes)
 
 
-def scale_of(found: Segmentation, settings: Settings) -> Scale:
+def scale_of(found: Segmentation, name: str) -> Scale:
     """The labels as a table of albedos; places between two of them have the mean of those that are shown."""
     shown = [capped(label.colour) for label in found.labels if label.shown]
     outside: Colour = capped(np.mean(shown, axis=0).tolist())
     table = np.tile(outside, (VALUES, 1))
     table[: len(shown)] = shown
     values = [label.value for label in found.labels if label.shown]
-    name = settings.text("volume", DEFAULT_DEMO)
     return Scale(name, (float(values[0]), float(values[-1])), "labels", table, outside, found.labels)

@@ -9,8 +9,7 @@ import numpy as np
 
 from isogi_core.plan.labels import smooth
 from isogi_core.plan.scene import Scene
-from tests.frame.conftest import CONSTANT, SKY, Workbench
-from tests.frame.test_colours import chunks_of, rmse_of_colours
+from tests.frame.conftest import CONSTANT, SKY, Workbench, chunks_of, rmse_of_colours
 from tests.loaded import load_scene
 
 Z, Y, X = np.indices((18, 18, 18)) - 8.5

@@ -132,7 +132,7 @@ def test_all_labels_are_shown_where_none_is_listed(tmp_path: Path) -> None:
     scene = scene_of(tmp_path, volume=HALVES.astype(np.float32))
     found = colours_of(scene).scale.labels
     assert [(label.value, label.name, label.shown) for label in found] == [(3, "label 3", True), (5, "label 5", True)]
-    assert found[0].colour != found[1].colour and scene.isovalue == 0.5
+    assert found[0].colour != found[1].colour and (scene.isovalue, scene.presets) == (0.5, ())
 
 
 def test_hex_and_linear_colours_agree(tmp_path: Path) -> None:
