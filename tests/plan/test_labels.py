@@ -218,3 +218,26 @@ def test_large_segmentations_are_refused(tmp_path: Path, monkeypatch: pytest.Mon
     monkeypatch.setattr(module, "budget", lambda: 100)
     with pytest.raises(VolumeError, match=r"The segmentation takes .* give a coarser one"):
         scene_of(tmp_path)
+
+
+def test_a_table_of_volumes_may_name_the_labels(tmp_path: Path) -> None:
+    own = scene_of(tmp_path, [table(3, name="liver")])
+    named = '[[volumes]]\nfile = "seg.nrrd"\nuse = "labels"\n'
+    (tmp_path / "t.toml").write_text(named)
+    scene = load_scene(tmp_path / "t.toml", labels=[table(3, name="liver")])
+    assert scene.digest == own.digest and colours_of(scene).scale.labels == colours_of(own).scale.labels
+    assert colours_of(load_scene(tmp_path / "t.toml")).digest == colours_of(own).digest
+    (tmp_path / "t.toml").write_text(f'volume = "seg.nrrd"\n{named}')
+    with pytest.raises(SceneError, match="labels are the volume itself"):
+        load_scene(tmp_path / "t.toml")
+
+
+def test_a_copy_of_labels_is_that_of_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also of a volume so large that its voxels are mapped; other hidden labels make another copy."""
+    large = np.repeat(np.repeat(HALVES, 3, axis=0), 3, axis=1)
+    own = scene_of(tmp_path, volume=large)
+    monkeypatch.setenv("ISOGI_VOLUME_CACHE", str(tmp_path / "copies"))
+    monkeypatch.setenv("ISOGI_VOLUME_MB", "1")
+    copied = scene_of(tmp_path, volume=large)
+    assert list((tmp_path / "copies").glob("*.voxels")) and copied.bake_digest == own.bake_digest
+    assert scene_of(tmp_path, [table(3, hidden=True)], large).volume.digest != own.volume.digest
