@@ -28,6 +28,7 @@ from server.schemas import (
     EnvironmentSchema,
     ErrorScale,
     Histogram,
+    LabelSchema,
     LayerSchema,
     LightSchema,
     LobeSchema,
@@ -104,7 +105,18 @@ def colour_scale(scene: Scene) -> ColourScale | None:
         return None
     scale = scene.colours.scale
     (low, high), outside = scale.span, hex_of(scale.outside)
-    return ColourScale(name=scale.name, map=scale.map, low=low, high=high, colours=scale.anchors, outside=outside)
+    return ColourScale(
+        name=scale.name,
+        map=scale.map,
+        low=low,
+        high=high,
+        colours=scale.anchors,
+        outside=outside,
+        labels=[
+            LabelSchema(value=label.value, name=label.name, colour=hex_of(label.colour), shown=label.shown)
+            for label in scale.labels
+        ],
+    )
 
 
 def light_schema(light: Light) -> LightSchema:

@@ -100,10 +100,20 @@ class ErrorScale(BaseModel):
     colours: list[str]
 
 
+class LabelSchema(BaseModel):
+    """A label of a segmentation: its value, its name, its colour as sRGB, and whether it is shown."""
+
+    value: int
+    name: str
+    colour: str
+    shown: bool
+
+
 class ColourScale(BaseModel):
     """The surface's colours by data: what of, the name of the map, and sRGB at equal steps from ``low`` to ``high``.
 
-    ``outside`` is where there is no value.
+    ``outside`` is where there is no value. ``labels`` are those of a segmentation; the ``colours`` are then those of
+    the labels that are shown.
     """
 
     name: str
@@ -112,6 +122,7 @@ class ColourScale(BaseModel):
     high: float
     colours: list[str]
     outside: str
+    labels: list[LabelSchema]
 
 
 class LightSchema(BaseModel):

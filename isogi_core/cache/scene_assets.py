@@ -4,7 +4,7 @@ import hashlib
 import math
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from isogi_core.errors import ChangedError, DamagedChunkError, LightError, Store
 from isogi_core.files.scene_file import DEFAULT_DEMO, FOLLOWED, SceneSource
 from isogi_core.files.volume_copies import find_copy, get_copy, get_file
 from isogi_core.files.voxel_file import Draft
-from isogi_core.model.colours import Scale, SurfaceColours
+from isogi_core.model.colours import Label, Scale, SurfaceColours
 from isogi_core.model.lights import ENVIRONMENTS
 from isogi_core.model.orientation import PLAIN, Orientation
 from isogi_core.model.value_survey import begin_digest
@@ -156,7 +156,7 @@ def send_assets(scene: Scene, store: Store) -> SceneAssets:
 
 def send_colours(colours: SurfaceColours, store: Store) -> str:
     """Write the colours of a surface to the ``store``, unless they are there; their digest. Raises StoreError."""
-    scale = {**vars(colours.scale), "table": colours.scale.table.tolist()}
+    scale = {**asdict(colours.scale), "table": colours.scale.table.tolist()}
     Asset(store, f"colours/{colours.digest}").put(colours.codes, CHUNK, {"step": colours.step, "scale": scale})
     return colours.digest
 
@@ -169,7 +169,8 @@ def receive_colours(assets: SceneAssets, store: Store) -> SurfaceColours | None:
     facts, codes = asset.describe()[3], np.concatenate(list(asset.slabs()))
     scale = facts["scale"]
     pairs = {key: tuple(scale[key]) for key in ("span", "outside")}
-    found = Scale(scale["name"], map=scale["map"], table=np.array(scale["table"]), **pairs)
+    labels = tuple(Label(**{**each, "colour": tuple(each["colour"])}) for each in scale.get("labels", ()))
+    found = Scale(scale["name"], map=scale["map"], table=np.array(scale["table"]), labels=labels, **pairs)
     colours = SurfaceColours(codes, tuple(facts["step"]), found)
     if colours.digest != assets.colours:
         raise asset.damaged("it holds other colours")

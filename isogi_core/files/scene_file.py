@@ -48,7 +48,25 @@ def find_source(target: str | Path | None, overrides: Mapping[str, Any]) -> Scen
         raise SceneError(f"Cannot read the scene {path}: {error.strerror}.") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise SceneError(f"The scene {path} is not valid TOML: {error}.") from error
-    return SceneSource(path.stem, {**document, **overrides}, path.parent)
+    return SceneSource(path.stem, labels_as_volume({**document, **overrides}, path.stem), path.parent)
+
+
+def labels_as_volume(document: Mapping[str, Any], name: str) -> Mapping[str, Any]:
+    """A scene's ``document``; a table [[volumes]] with use = "labels" names its volume, all labels of which are shown.
+
+    SceneError where there are more volumes than one then.
+    """
+    tables = document.get("volumes")
+    listed = [each for each in tables if isinstance(each, Mapping)] if isinstance(tables, list) else []
+    found = [each for each in listed if each.get("use") == "labels"]
+    if not found:
+        return document
+    if len(found) > 1 or "volume" in document or set(found[0]) != {"file", "use"}:
+        wanted = "give the file and use of one such table of [[volumes]], and no volume"
+        raise SceneError(f"In the scene '{name}' labels are the volume itself: {wanted}.")
+    others = [each for each in listed if each is not found[0]]
+    rest = {key: value for key, value in document.items() if key != "volumes"}
+    return {"labels": "all", **rest, "volume": found[0]["file"], **({"volumes": others} if others else {})}
 
 
 LYING = ("axes", "solid", "environment", "cut")

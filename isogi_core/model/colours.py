@@ -52,12 +52,23 @@ def spread(colours: np.ndarray) -> np.ndarray:
     return np.stack([np.interp(place, at, channel) for channel in colours.T], axis=1)
 
 
+@dataclass(frozen=True)
+class Label:
+    """A part of a segmentation: its ``value`` there, its ``name``, its albedo, and whether it is ``shown``."""
+
+    value: int
+    name: str
+    colour: Colour
+    shown: bool
+
+
 @dataclass(frozen=True, eq=False)
 class Scale:
     """What values look like: the ``name`` of what they are, the ``span`` of values from the first colour to the last.
 
-    ``map`` is the name of the colours, one of MAPS or "own"; ``table`` (255, 3) are their albedos, linear RGB, and
-    ``outside`` is the albedo of places without a value.
+    ``map`` is the name of the colours, one of MAPS, "own" or "labels"; ``table`` (255, 3) are their albedos, linear
+    RGB, and ``outside`` is the albedo of places without a value. ``labels`` are those of a segmentation, none of other
+    data: the shown ones have the codes from 1 on.
     """
 
     name: str
@@ -65,10 +76,13 @@ class Scale:
     map: str
     table: np.ndarray
     outside: Colour
+    labels: tuple[Label, ...] = ()
 
     @property
     def anchors(self) -> list[str]:
-        """Some of the colours at equal steps, as ``#rrggbb``: what a legend shows."""
+        """Some of the colours at equal steps, or those of the shown labels, as ``#rrggbb``: what a legend shows."""
+        if self.labels:
+            return [hex_of(label.colour) for label in self.labels if label.shown]
         return [hex_of(self.table[round(place)]) for place in np.linspace(0, VALUES - 1, 17)]
 
 
@@ -97,7 +111,7 @@ class SurfaceColours:
     @cached_property
     def brightest(self) -> Colour:
         """The most that any place reflects of each colour."""
-        there = np.bincount(self.codes.ravel(), minlength=VALUES + 1) > 0
+        there = np.any([np.bincount(layer.ravel(), minlength=VALUES + 1) > 0 for layer in self.codes], axis=0)
         red, green, blue = self.table[there].max(axis=0).tolist()
         return red, green, blue
 

@@ -44,6 +44,8 @@ from isogi_core.plan.colours import find_table, read_colours
 from isogi_core.plan.cuts import cut_away, voxels_left
 from isogi_core.plan.inputs import PlanInputs, PlanOverrides
 from isogi_core.plan.isovalue_presets import read_presets
+from isogi_core.plan.label_colours import colours_of_labels
+from isogi_core.plan.labels import HALF, find_labels
 from isogi_core.plan.lobe_choice import MOST as MOST_LOBES
 from isogi_core.plan.planner import plan_scene
 from isogi_core.plan.scene import CHUNKS, NORMALS, SURVEYED, Scene
@@ -140,7 +142,11 @@ def colours_by_data(settings: Settings, whole: Volume) -> SurfaceColours | None:
 
     Raises SceneError and VolumeError.
     """
-    table = find_table(settings)
+    table, labels = find_table(settings), find_labels(settings)
+    if labels is not None:
+        if table is not None:
+            raise SceneError(f"Labels of the scene '{settings.source.name}' have colours: leave the other volume out.")
+        return colours_of_labels(labels, settings, whole)
     if table is None:
         return None
     return read_colours(table, settings, whole, start_isovalue(settings, whole, whole.value_range))
@@ -246,7 +252,8 @@ def may_rotate(settings: Settings, lamps: Lamps, room: Room) -> bool:
 
 def right_side_out(settings: Settings, volume: Volume, base: Path, progress: Progress) -> Volume:
     """The same volume, solid below where the scene does not say and its object is low: a distance field, pores."""
-    if settings.text("solid", "") or settings.text("volume", DEFAULT_DEMO).startswith("demo:"):
+    given = settings.text("solid", "") or find_labels(settings) is not None
+    if given or settings.text("volume", DEFAULT_DEMO).startswith("demo:"):
         return volume
     outside = border_above(volume, start_isovalue(settings, volume, volume.value_range))
     return open_volume(settings, base, progress, "below") if outside > INSIDE_OUT else volume
@@ -266,7 +273,9 @@ def start_isovalue(settings: Settings, volume: Volume, within: tuple[float, floa
 
 
 def default_isovalue(settings: Settings, volume: Volume) -> float:
-    """An isovalue for a scene that gives none: the demo's, or Otsu's threshold."""
+    """An isovalue for a scene that gives none: the demo's, that of a segmentation, or Otsu's threshold."""
+    if find_labels(settings) is not None:
+        return HALF
     name = settings.text("volume", DEFAULT_DEMO)
     if name.startswith("demo:"):
         return float(DEMOS[name.removeprefix("demo:")][1])

@@ -80,12 +80,20 @@ class Mask:
     def layer(self, z: int, shape: Sequence[int]) -> np.ndarray:
         """Whether each voxel of layer ``z`` of a volume is inside, by the mask's nearest voxel; (ny, nx) bool."""
         ny, nx = shape[1:]
-        steps = (np.arange(nx), np.arange(ny)[:, None])
-        sides = self.grid.shape[::-1]
-        found = [_nearest(row, steps, z) for row in self.matrix]
-        reached = reduce(np.logical_and, [(index >= 0) & (index < n) for index, n in zip(found, sides, strict=True)])
-        x, y, z_index = (np.clip(index, 0, n - 1) for index, n in zip(found, sides, strict=True))
-        return np.broadcast_to(reached & self._inside[z_index, y, x], (ny, nx))
+        return nearest_layer(self._inside, self.matrix, (np.arange(nx), np.arange(ny)[:, None]), z)
+
+
+def nearest_layer(voxels: np.ndarray, matrix: np.ndarray, steps: tuple[np.ndarray, np.ndarray], z: int) -> np.ndarray:
+    """The nearest ``voxels`` of places x (nx,) and y (ny, 1), the ``steps``, of a layer ``z`` of another grid.
+
+    ``matrix`` (3, 4) is from that grid's voxel indices x, y, z. Returns (ny, nx), zero beyond the voxels.
+    """
+    sides = voxels.shape[::-1]
+    found = [_nearest(row, steps, z) for row in matrix]
+    reached = reduce(np.logical_and, [(index >= 0) & (index < n) for index, n in zip(found, sides, strict=True)])
+    x, y, z_index = (np.clip(index, 0, n - 1) for index, n in zip(found, sides, strict=True))
+    values = np.where(reached, voxels[z_index, y, x], voxels.dtype.type(0))
+    return np.broadcast_to(values, (steps[1].size, steps[0].size))
 
 
 def _is_something(slab: np.ndarray) -> np.ndarray:

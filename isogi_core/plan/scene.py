@@ -167,7 +167,11 @@ class Scene:
 
     @cached_property
     def presets(self) -> tuple[Preset, ...]:
-        """Isovalues worth seeing: those that the scene names, else boundaries in its volume; found on first use."""
+        """Isovalues worth seeing: those that the scene names, else boundaries in its volume, of labels none; found on
+        first use.
+        """
+        if self.colours is not None and self.colours.scale.labels:
+            return self.named
         return self.named or suggested_presets(find_boundaries(self.volume, self.isovalues))
 
     @cached_property

@@ -20,6 +20,7 @@ from isogi_core.model.demo import DEMOS, demo_volume
 from isogi_core.model.orientation import Orientation
 from isogi_core.model.value_survey import Progress, check, checked_spacing, no_progress, survey
 from isogi_core.model.volume import Volume, make_volume
+from isogi_core.plan.labels import find_labels, solid_of_labels
 from isogi_core.plan.masks import cut_out, place, read_tables
 
 FORMAT = 1
@@ -38,17 +39,19 @@ AXES = ("world", "raw")
 def open_volume(settings: Settings, base: Path, progress: Progress = no_progress, fallback: str = "above") -> Volume:
     """Open the volume that the scene names, a demo or a file, with the scene's spacing, solid side and missing values.
 
-    Outside of the scene's masks it has no surface. ``fallback`` is that side where the scene names none. ``progress``
-    is called while a copy is made. Raises VolumeError and SceneError.
+    Outside of the scene's masks it has no surface. A segmentation is made a field of its labels. ``fallback`` is that
+    side where the scene names none. ``progress`` is called while a copy is made. Raises VolumeError and SceneError.
     """
     name = settings.text("volume", DEFAULT_DEMO)
     solid = settings.text("solid", fallback)
     raw = settings.choice("axes", AXES) == "raw"
     spacing, missing = settings.numbers("spacing", 3), settings.listed("missing")
     chosen = {key: value for key in NESTED if (value := settings.count(key, 1 << 20)) is not None}
-    tables = read_tables(settings)
+    tables, labels = read_tables(settings), find_labels(settings)
     if not name.startswith("demo:"):
         grid, stem = open_grid(base, name, chosen, raw)
+        if labels is not None:
+            grid = solid_of_labels(grid, labels, settings)
         straight = on_right_angles(grid, spacing)
         if tables and spacing and grid.affine is not None:
             raise SceneError("spacing moves the volume away from its masks: leave it out, or add axes = 'raw'.")
@@ -58,9 +61,9 @@ def open_volume(settings: Settings, base: Path, progress: Progress = no_progress
         return replace(volume, orientation=Orientation.of(straight))
     if name.removeprefix("demo:") not in DEMOS:
         raise VolumeError(f"There is no {name}: choose one of {', '.join('demo:' + key for key in DEMOS)}.")
-    if spacing or missing or chosen or raw or tables or solid != "above":
+    if spacing or missing or chosen or raw or tables or labels is not None or solid != "above":
         made = "is made with spacing 1, solid above and nothing missing"
-        named = ", ".join(f"'{key}'" for key in ("spacing", "solid", "missing", "axes", "volumes", *chosen))
+        named = ", ".join(f"'{key}'" for key in ("spacing", "solid", "missing", "axes", "volumes", "labels", *chosen))
         raise SceneError(f"{name} {made}: leave out {named}.")
     return demo_volume(name.removeprefix("demo:"))
 

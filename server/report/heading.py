@@ -37,6 +37,8 @@ def reflects(facts: SceneSchema) -> tuple[str, str]:
     """What the surface reflects: its albedo, or its colours by data."""
     if facts.colours is not None:
         scale = facts.colours
+        if scale.labels:
+            return "labels", ", ".join(label.name for label in scale.labels if label.shown)
         return "colours", f"{scale.map} of {scale.name}, {scale.low:.4g} to {scale.high:.4g}"
     others = "" if facts.albedos is None else f"; views may ask for {facts.albedos.min:g} to {facts.albedos.max:g}"
     return "albedo", ", ".join(f"{channel:g}" for channel in facts.albedo) + others

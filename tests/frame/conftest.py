@@ -162,3 +162,16 @@ def relative_rmse(frame: Frame, reference: Frame) -> float:
     assert np.array_equal(frame.state > 0, reference.state > 0)
     wrong = luminance(frame) - luminance(reference)
     return float(np.sqrt((wrong**2).mean()) / luminance(reference).mean())
+
+
+def rmse_of_colours(frame: Frame, other: Frame) -> float:
+    """RMSE of the worst channel over the surface, over the other's mean of its brightest channel."""
+    on = (frame.state > 0) & (other.state > 0)
+    wrong = (frame.radiance[on] - other.radiance[on]).astype(np.float64)
+    return float(np.sqrt((wrong**2).mean(axis=0)).max() / other.radiance[on].mean(axis=0).max())
+
+
+def chunks_of(folder: Path, digest: str) -> dict[str, bytes]:
+    """The chunk objects of a layer."""
+    layer = folder / digest
+    return {str(path.relative_to(layer)): path.read_bytes() for path in (layer / "c").rglob("*") if path.is_file()}

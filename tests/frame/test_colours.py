@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from isogi_core.errors import ViewError
-from isogi_core.frame.frame import Frame
 from isogi_core.kernels.shading.framebuffer import PROVISIONAL
 from isogi_core.plan.scene import Scene
-from tests.frame.conftest import CONSTANT, SKY, Workbench, relative_rmse
+from tests.frame.conftest import CONSTANT, SKY, Workbench, chunks_of, relative_rmse, rmse_of_colours
 from tests.loaded import load_scene
 
 ALBEDO = [0.8, 0.5, 0.2]
@@ -22,19 +21,6 @@ KEPT = {"bounces": 5, "target_error": 0.03}
 def painted(light: dict[str, Any], table: dict[str, Any] = GRADIENT, **settings: Any) -> Scene:
     """The orbital with colours by its gradient."""
     return load_scene("demo:orbital", lights=[light], volumes=[table], **{**KEPT, **settings})
-
-
-def rmse_of_colours(frame: Frame, other: Frame) -> float:
-    """RMSE of the worst channel over the surface, over the other's mean of its brightest channel."""
-    on = (frame.state > 0) & (other.state > 0)
-    wrong = (frame.radiance[on] - other.radiance[on]).astype(np.float64)
-    return float(np.sqrt((wrong**2).mean(axis=0)).max() / other.radiance[on].mean(axis=0).max())
-
-
-def chunks_of(folder: Path, digest: str) -> dict[str, bytes]:
-    """The chunk objects of a layer."""
-    layer = folder / digest
-    return {str(path.relative_to(layer)): path.read_bytes() for path in (layer / "c").rglob("*") if path.is_file()}
 
 
 @pytest.mark.parametrize("fixed", [False, True], ids=["turning", "staying"])

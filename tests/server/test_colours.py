@@ -4,6 +4,8 @@ from pathlib import Path
 from typing import Any
 
 import httpx
+import nrrd
+import numpy as np
 import pytest
 
 from isogi_core.plan.assembly import load_scene
@@ -23,6 +25,17 @@ def test_the_document_has_what_a_legend_needs() -> None:
 
 def test_the_document_of_one_albedo_has_no_colours() -> None:
     assert colour_scale(load_scene("demo:orbital")) is None
+
+
+def test_the_document_names_labels_and_their_colours(tmp_path: Path) -> None:
+    parts = np.zeros((9, 9, 9), np.uint8)
+    parts[2:7, 2:7, 2:5], parts[2:7, 2:7, 5:7] = 3, 8
+    nrrd.write(str(tmp_path / "seg.nrrd"), parts, index_order="C")
+    labels = [{"value": 3, "name": "liver", "colour": "#b5523a"}, {"value": 8, "hidden": True}]
+    scale = colour_scale(load_scene(tmp_path / "seg.nrrd", labels=labels))
+    assert scale is not None and (scale.name, scale.map, scale.colours) == ("seg", "labels", ["#b5523a"])
+    told = [(label.value, label.name, label.shown) for label in scale.labels]
+    assert told == [(3, "liver", True), (8, "label 8", False)] and scale.labels[0].colour == "#b5523a"
 
 
 @pytest.fixture

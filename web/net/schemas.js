@@ -71,6 +71,14 @@
  */
 
 /**
+ * @typedef {object} Label a part of a segmentation
+ * @property {number} value
+ * @property {string} name
+ * @property {string} colour `#rrggbb`
+ * @property {boolean} shown
+ */
+
+/**
  * @typedef {object} ColourScale what colours of the surface stand for
  * @property {string} name of the data
  * @property {string} map the name of the colours
@@ -78,6 +86,7 @@
  * @property {number} high the value of the last one
  * @property {string[]} colours `#rrggbb`, at equal steps
  * @property {string} outside `#rrggbb`, where there is no value
+ * @property {Label[]} labels of a segmentation; none of other data
  */
 
 /**

@@ -161,10 +161,25 @@ function attachScale(legend, { low, high, colours }) {
 function showColours(legend, scale) {
   legend.hidden = !scale;
   if (!scale) return;
-  const { name, low, high, colours } = scale;
-  find(legend, "h2").textContent = `Colour: ${name}`;
+  const { name, low, high, colours, labels } = scale;
+  find(legend, ".labels").replaceChildren(...labels.map(labelRow));
+  for (const part of [".colours", ".row"]) find(legend, part).hidden = labels.length > 0;
+  find(legend, "h2").textContent = labels.length ? "Labels" : `Colour: ${name}`;
+  if (labels.length) return;
   find(legend, ".colours").style.background = `linear-gradient(90deg, ${colours.join(", ")})`;
   find(legend, ".row").replaceChildren(...legendNumbers(low, high).map((text) => textElement("span", text)));
+}
+
+/**
+ * A label of a segmentation: its swatch and its name.
+ * @param {import("../net/schemas.js").Label} label
+ * @returns {HTMLElement}
+ */
+function labelRow({ name, colour, shown }) {
+  const row = textElement("li", shown ? name : `${name} (hidden)`);
+  row.classList.toggle("absent", !shown);
+  row.style.setProperty("--swatch", colour);
+  return row;
 }
 
 /**

@@ -54,7 +54,8 @@ export function volumeRows({ volume, lights, albedo, albedos, colours }) {
     "Not finite": volume.holes ? `${volume.holes} voxels, treated as empty` : null,
     Lights: lights.map(({ type, name }) => (name && name !== type ? `${name} (${type})` : type)).join(", "),
     Albedo: colours ? null : [...new Set(albedo)].map((share) => Number(share.toFixed(3))).join(", "),
-    Colours: colours ? `${colours.map} of ${colours.name}` : null,
+    Colours: colours && !colours.labels.length ? `${colours.map} of ${colours.name}` : null,
+    Labels: colours?.labels.length ? `${colours.colours.length} of ${colours.labels.length} shown` : null,
     "Albedos to choose from": albedos && `${Number(albedos.min.toFixed(3))} to ${Number(albedos.max.toFixed(3))}`,
   };
 }

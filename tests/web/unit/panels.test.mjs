@@ -200,8 +200,12 @@ test("a volume says its size, its values and its holes", () => {
   assert.deepEqual([rows["Not finite"], rows.Albedo, rows["Albedos to choose from"], rows.Lights], [null, "0.7", null, "sky"]);
   assert.equal(volumeRows({ ...SCENE, volume: { ...SCENE.volume, holes: 3 } })["Not finite"], "3 voxels, treated as empty");
   assert.equal(volumeRows(PAINTED)["Albedos to choose from"], "0 to 0.9");
-  const coloured = volumeRows({ ...SCENE, colours: { name: "flow", map: "magma", low: 0, high: 9, colours: [], outside: "#808080" } });
-  assert.deepEqual([coloured.Albedo, coloured.Colours], [null, "magma of flow"]);
+  const coloured = volumeRows({ ...SCENE, colours: { name: "flow", map: "magma", low: 0, high: 9, colours: [], outside: "#808080", labels: [] } });
+  assert.deepEqual([coloured.Albedo, coloured.Colours, coloured.Labels], [null, "magma of flow", null]);
+  const labels = [{ value: 3, name: "liver", colour: "#b5523a", shown: true }, { value: 4, name: "skin", colour: "#ffffff", shown: false }];
+  const parts = { name: "seg", map: "labels", low: 3, high: 3, colours: ["#b5523a"], outside: "#b5523a", labels };
+  const labelled = volumeRows({ ...SCENE, colours: parts });
+  assert.deepEqual([labelled.Colours, labelled.Labels], [null, "1 of 2 shown"]);
 });
 
 test("a legend has numbers at even steps, from the first colour to the last", () => {

@@ -1,0 +1,230 @@
+"""Labels of a segmentation: which are shown, and the field whose surfaces are theirs, smoothed over a voxel."""
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from isogi_core.errors import SceneError, VolumeError
+from isogi_core.files.grid import Grid, layers_of
+from isogi_core.files.scene_file import SceneSource, Settings
+from isogi_core.files.voxel_file import budget
+from isogi_core.model.colours import Colour, Label, linear_of
+from isogi_core.model.value_survey import check
+
+ALL = "all"
+"""What ``labels`` is where a scene lists none: its volume is a segmentation, and all that is not zero is shown."""
+
+MOST = 255
+"""Most labels that are shown: codes of a byte, less the one of places without a label."""
+
+HALF = 0.5
+"""The isovalue of the labels' surfaces: half-way from voxels within to voxels without."""
+
+SIGMA, REACH = 1.0, 3
+"""Width of the Gaussian that smooths labels, and how far it is summed, in voxels along each axis."""
+
+THIN = 0.8
+"""What the field is in parts that the Gaussian would take away: of a lone voxel 0.8 of its width stays."""
+
+LARGEST = 2.0**53
+"""Values of labels are less: floats hold all whole numbers up to there."""
+
+PALETTE = re.findall(
+    "......",
+    "e6194b3cb44b4363d8f58231911eb442d4f4ffe119f032e64699909a6324"
+    "bfef45fabed4800000dcbeff808000aaffc3000075ffd8b1a9a9a9fffac8",
+)
+"""Colours of labels that have none of their own, sRGB: twenty that differ well (S. Trubetskoy 2017), and again."""
+
+
+@dataclass(frozen=True)
+class LabelTable:
+    """A table [[labels]] of a scene; ``colour`` is linear, None where the palette gives it."""
+
+    value: int
+    name: str
+    colour: Colour | None
+    hidden: bool
+
+
+def find_labels(settings: Settings) -> tuple[LabelTable, ...] | None:
+    """The labels that a scene lists; None where its volume is no segmentation. Raises SceneError."""
+    settings.known.add("labels")
+    if settings.source.document.get("labels") == ALL:
+        return ()
+    found = tuple(
+        _read_label(SceneSource(f"{settings.source.name}: [[labels]]", entry, settings.source.base))
+        for entry in settings.tables("labels")
+    )
+    values = [label.value for label in found]
+    twice = next((value for value in values if values.count(value) > 1), None)
+    if twice is not None:
+        raise SceneError(f"The scene '{settings.source.name}' lists label {twice} twice: leave one out.")
+    return found or None
+
+
+def _read_label(source: SceneSource) -> LabelTable:
+    table = Settings(source)
+    value = source.document.get("value")
+    if not isinstance(value, int) or isinstance(value, bool) or value == 0:
+        raise SceneError(f"value = {value!r} in the scene '{source.name}' is not a whole number other than 0.")
+    table.known.update(("value", "colour"))
+    given = source.document.get("colour")
+    colour = (
+        None if given is None else _hex(given, source.name) if isinstance(given, str) else table.colour("colour", 0)
+    )
+    name, hidden = table.text("name", "") or f"label {value}", table.flag("hidden", False)
+    table.refuse_unknown()
+    return LabelTable(value, name, colour, bool(hidden))
+
+
+def _hex(code: str, scene: str) -> Colour:
+    """The linear colour of ``#rrggbb``; SceneError where it is none."""
+    if not re.fullmatch(r"#[0-9a-fA-F]{6}", code):
+        raise SceneError(f"colour = '{code}' in the scene '{scene}' is neither '#rrggbb' nor linear [r, g, b].")
+    return linear_hex(code[1:])
+
+
+def linear_hex(code: str) -> Colour:
+    """The linear colour of sRGB ``rrggbb``."""
+    red, green, blue = (linear_of(byte / 255.0) for byte in bytes.fromhex(code))
+    return red, green, blue
+
+
+@dataclass(frozen=True, eq=False)
+class Segmentation:
+    """A ``grid`` of labels, whole numbers of which 0 is nothing, and the labels that a scene has ``listed``."""
+
+    grid: Grid
+    listed: tuple[LabelTable, ...]
+
+    @cached_property
+    def values(self) -> np.ndarray:
+        """The values that are there, ascending; with 0. VolumeError where one is no whole number."""
+        found = [np.zeros(1, np.int64)]
+        for slab in self.grid.slabs():
+            distinct = _distinct(slab)
+            wrong = distinct[(distinct != np.rint(distinct)) | ~(np.abs(distinct.astype(float)) < LARGEST)]
+            if len(wrong):
+                raise VolumeError(
+                    f"The segmentation holds {wrong[0]:g}: labels are whole numbers; or leave labels out."
+                )
+            found.append(distinct.astype(np.int64))
+        return np.unique(np.concatenate(found))
+
+    @cached_property
+    def labels(self) -> tuple[Label, ...]:
+        """All labels that are there. Raises SceneError and VolumeError where they cannot be shown."""
+        values = [value for value in self.values.tolist() if value]
+        if not values:
+            raise VolumeError("The segmentation has no label: every voxel is 0.")
+        tables = {label.value: label for label in self.listed}
+        lacking = next((label for label in self.listed if label.value not in values), None)
+        if lacking is not None:
+            there = ", ".join(map(str, values[:8])) + (" …" if len(values) > 8 else "")
+            raise SceneError(f"The segmentation has no voxel of label {lacking.value}: it has {there}.")
+        found = tuple(_label(value, place, tables.get(value)) for place, value in enumerate(values))
+        shown = sum(label.shown for label in found)
+        if not shown:
+            raise SceneError("All labels of the segmentation are hidden: show one.")
+        if shown > MOST:
+            raise VolumeError(f"The segmentation has {shown} labels, and {MOST} can be shown: hide or join some.")
+        return found
+
+    @cached_property
+    def codes(self) -> np.ndarray:
+        """The place among the shown labels, from 1 on, of each voxel's, 0 where there is none; (nz, ny, nx) uint8."""
+        if self.grid.size > budget():
+            need = f"The segmentation takes {self.grid.size / 1e6:.0f} MB of memory"
+            raise VolumeError(f"{need}: give a coarser one, or more by ISOGI_VOLUME_MB.")
+        table = np.zeros(len(self.values), np.uint8)
+        shown = [label.value for label in self.labels if label.shown]
+        table[np.searchsorted(self.values, shown)] = np.arange(1, len(shown) + 1)
+        codes, z = np.empty(self.grid.shape, np.uint8), 0
+        for slab in self.grid.slabs():
+            codes[z : z + len(slab)] = table[np.searchsorted(self.values, slab)]
+            z += len(slab)
+        return codes
+
+    def field(self) -> Iterator[np.ndarray]:
+        """The slabs of the field whose surface at HALF is that of the shown labels."""
+        return smooth(self.codes > 0)
+
+    def stamp(self) -> str:
+        """What the field follows from."""
+        return repr(["labels", self.grid.stamp(), [label.value for label in self.listed if label.hidden]])
+
+
+def _distinct(slab: np.ndarray) -> np.ndarray:
+    """The values of a slab, ascending."""
+    values = slab.view(np.uint8) if slab.dtype.kind == "b" else slab
+    if values.dtype.kind in "iu" and values.dtype.itemsize <= 2:
+        low = int(values.min())
+        return np.flatnonzero(np.bincount((values.astype(np.int32) - low).ravel())) + low
+    return np.unique(values)
+
+
+def _label(value: int, place: int, given: LabelTable | None) -> Label:
+    """The label of a ``value``, the one at a ``place`` among all that are there."""
+    colour = linear_hex(PALETTE[place % len(PALETTE)]) if given is None or given.colour is None else given.colour
+    return Label(value, given.name if given else f"label {value}", colour, not (given and given.hidden))
+
+
+def smooth(shown: np.ndarray) -> Iterator[np.ndarray]:
+    """The field of voxels that are ``shown`` (nz, ny, nx): from 0 to 1 by a Gaussian, float32, slab by slab.
+
+    Parts so thin that nothing of them or beside them would be above HALF are THIN instead, up to what is. The volume's
+    outermost voxels go on beyond it.
+    """
+    nz, halo = len(shown), REACH + 2
+    layers = layers_of(4 * shown[0].size)
+    for z in range(0, nz, layers):
+        end = min(z + layers, nz)
+        part = shown[np.clip(np.arange(z - halo, end + halo), 0, nz - 1)]
+        field = part.astype(np.float32)
+        for axis in range(3):
+            field = _blurred(field, axis)
+        kept = part & (field >= HALF)
+        lost = part & ~kept & _widened(part & ~_widened(kept))
+        field[lost] = THIN
+        yield field[halo : halo + end - z]
+
+
+def _moved(array: np.ndarray, axis: int, step: int) -> np.ndarray:
+    """The array moved by a ``step`` along an axis; its ends go on."""
+    n = array.shape[axis]
+    return array.take(np.clip(np.arange(n) + step, 0, n - 1), axis)
+
+
+def _blurred(field: np.ndarray, axis: int) -> np.ndarray:
+    """The field's Gaussian sums along an axis: the same numbers whichever way round it lies."""
+    weights = np.exp(-0.5 * (np.arange(REACH + 1) / SIGMA) ** 2)
+    weights = (weights / (2.0 * weights.sum() - weights[0])).astype(np.float32)
+    total = weights[0] * field
+    for step in range(1, REACH + 1):
+        total += weights[step] * (_moved(field, axis, -step) + _moved(field, axis, step))
+    return np.asarray(total)
+
+
+def _widened(part: np.ndarray) -> np.ndarray:
+    """Whether a voxel or one of its 26 neighbours is in a ``part``."""
+    for axis in range(3):
+        part = part | _moved(part, axis, -1) | _moved(part, axis, 1)
+    return part
+
+
+def solid_of_labels(grid: Grid, listed: tuple[LabelTable, ...], settings: Settings) -> Grid:
+    """The field of the labels in a segmentation's ``grid``. Raises SceneError and VolumeError."""
+    check(grid, "above")
+    for key in ("solid", "missing"):
+        if key in settings.source.document:
+            raise SceneError(f"The scene '{settings.source.name}' shows labels, which need no {key}: leave it out.")
+    found = Segmentation(grid, listed)
+    hidden = [label.name for label in found.labels if not label.shown]
+    notes = (f"Hidden: {', '.join(hidden)}.",) if hidden else ()
+    facts: dict[str, Any] = {"dtype": np.dtype(np.float32), "slabs": found.field, "stamp": found.stamp}
+    return replace(grid, **facts, notes=(*grid.notes, *notes))

@@ -1,0 +1,243 @@
+"""Segmentations as volumes: the field of their labels, the colours, what hidden ones change, and mistakes."""
+
+from pathlib import Path
+from typing import Any
+
+import nrrd
+import numpy as np
+import pytest
+
+from isogi_core.cache.scene_assets import receive_assets, receive_colours, send_assets
+from isogi_core.errors import IsogiError, SceneError, VolumeError
+from isogi_core.files import grid as grids
+from isogi_core.kernels.transport.colours import Colours, fill_albedos
+from isogi_core.model.colours import SurfaceColours
+from isogi_core.plan import labels as module
+from isogi_core.plan.assembly import build_scene, cut_open
+from isogi_core.plan.label_colours import between, spread, stride_of
+from isogi_core.plan.labels import smooth
+from isogi_core.plan.scene import Scene
+from isogi_core.storage.store import Store
+from tests.loaded import load_scene
+
+Z, Y, X = np.indices((17, 18, 19)).astype(float)
+RADIUS = np.sqrt((X - 9) ** 2 + (Y - 8) ** 2 + (Z - 8) ** 2)
+HALVES = np.where(RADIUS < 6.2, np.where(X < 9, 3, 5), 0).astype(np.int16)
+RED, GREEN = [0.8, 0.1, 0.1], [0.1, 0.6, 0.1]
+
+
+def scene_of(folder: Path, labels: Any = "all", volume: np.ndarray = HALVES, **settings: Any) -> Scene:
+    """The scene of a segmentation in a folder."""
+    header: dict[str, Any] = settings.pop("header", {})
+    nrrd.write(str(folder / "seg.nrrd"), np.ascontiguousarray(volume), header, index_order="C")
+    (folder / "s.toml").write_text('volume = "seg.nrrd"\n')
+    return load_scene(folder / "s.toml", labels=labels, **settings)
+
+
+def table(value: int, **more: Any) -> dict[str, Any]:
+    """An entry of [[labels]]."""
+    return {"value": value, **more}
+
+
+def colours_of(scene: Scene) -> SurfaceColours:
+    """The colours that it has."""
+    assert scene.colours is not None
+    return scene.colours
+
+
+def albedos(scene: Scene, points: np.ndarray) -> np.ndarray:
+    """The albedos at points x, y, z (n, 3) in voxels."""
+    colours = colours_of(scene)
+    found = np.empty((len(points), 3), np.float32)
+    fill_albedos(Colours(colours.codes, np.array(colours.step), colours.table), points.astype(np.float32), found)
+    return found
+
+
+def test_the_field_is_that_of_scipy() -> None:
+    """Where nothing is thin: the Gaussian of the parts that are shown."""
+    filters = pytest.importorskip("scipy.ndimage")
+    expected = filters.gaussian_filter((RADIUS < 6.2).astype(float), 1.0, mode="nearest", radius=3)
+    found = np.concatenate(list(smooth(RADIUS < 6.2)))
+    np.testing.assert_allclose(found, expected, atol=1e-6)
+
+
+def test_a_ball_has_its_radius_without_stairs() -> None:
+    """But for the curvature's share, σ² / r: by the slope of a smoothed edge, each voxel tells where the surface is."""
+    z, y, x = np.indices((33, 33, 33)) - 16.0
+    far = np.sqrt(x**2 + y**2 + z**2)
+    field = np.concatenate(list(smooth(far < 12.3)))
+    near = (np.abs(field - 0.5) < 0.25) & (far > 0)
+    placed = far[near] + (field[near] - 0.5) * np.sqrt(2 * np.pi)
+    assert near.sum() > 1000 and abs(placed.mean() - 12.3 + 1 / 12.3) < 0.06 and placed.std() < 0.17
+
+
+def test_slabs_make_no_difference(monkeypatch: pytest.MonkeyPatch) -> None:
+    part = (RADIUS < 5.0) | (Z == 15)
+    whole = np.concatenate(list(smooth(part)))
+    monkeypatch.setattr(grids, "SLAB", 3 * 4 * part[0].size)
+    slabs = list(smooth(part))
+    assert len(slabs) == 6
+    np.testing.assert_array_equal(np.concatenate(slabs), whole)
+
+
+@pytest.mark.parametrize("thin", [(Z == 8), (Z == 8) & (Y == 8), (Z == 8) & (Y == 8) & (X == 9)])
+def test_thin_parts_do_not_vanish(thin: np.ndarray) -> None:
+    """A sheet, a rod and a voxel, which the Gaussian alone would take away."""
+    field = np.concatenate(list(smooth(thin)))
+    assert (field[thin] > 0.5).all() and (field[~thin] < 0.5).all()
+
+
+def test_a_sheet_reaches_what_it_stands_on() -> None:
+    part = (Z < 6) | (Y == 9)
+    field = np.concatenate(list(smooth(part)))
+    assert (field[(Y == 9)] > 0.5).all() and field[15, 5, 9] < 0.5
+
+
+def test_two_halves_have_two_colours(tmp_path: Path) -> None:
+    """Each its own up to the middle of the last voxel; between these no third label, but their mean."""
+    scene = scene_of(tmp_path, [table(3, colour=RED), table(5, colour=GREEN)])
+    y, z = np.meshgrid(np.linspace(5, 11, 13), np.linspace(5, 11, 13))
+    for x, expected in ((8.0, RED), (9.0, GREEN), (8.5, np.mean([RED, GREEN], axis=0)), (4.3, RED), (14.9, GREEN)):
+        points = np.stack([np.full(y.size, x), y.ravel(), z.ravel()], axis=1)
+        np.testing.assert_allclose(albedos(scene, points), np.tile(expected, (y.size, 1)), atol=1e-6)
+
+
+def test_cells_never_mix_labels() -> None:
+    codes = np.random.default_rng(3).integers(0, 4, (7, 8, 9)).astype(np.uint8)
+    fine = between(codes)
+    np.testing.assert_array_equal(fine[::2, ::2, ::2], codes)
+    cells = np.lib.stride_tricks.sliding_window_view(fine, (2, 2, 2)).reshape(-1, 8)
+    lowest = np.where(cells == 0, 255, cells).min(axis=1)
+    assert (np.where(cells == 0, lowest[:, None], cells) == lowest[:, None]).all()
+
+
+def test_labels_keep_their_voxels_when_spread() -> None:
+    codes = np.zeros((9, 9, 9), np.uint8)
+    codes[4, 4, 3], codes[4, 4, 6] = 7, 2
+    grown = spread(codes)
+    assert (grown[codes > 0] == codes[codes > 0]).all() and (grown > 0).all()
+
+
+def test_mirrored_axes_keep_colours_in_place(tmp_path: Path) -> None:
+    """The volume is read the other way round along x, and so are its labels."""
+    rows = {"space directions": np.diag([-1.0, 1.0, 1.0]), "space origin": np.zeros(3)}
+    header = {"space": "right-anterior-superior", **rows}
+    scene = scene_of(tmp_path, [table(3, colour=RED), table(5, colour=GREEN)], header=header)
+    plain = scene_of(tmp_path, [table(3, colour=RED), table(5, colour=GREEN)])
+    np.testing.assert_array_equal(scene.volume.voxels[..., ::-1], plain.volume.voxels)
+    np.testing.assert_array_equal(colours_of(scene).codes[..., ::-1], colours_of(plain).codes)
+
+
+def test_all_labels_are_shown_where_none_is_listed(tmp_path: Path) -> None:
+    scene = scene_of(tmp_path, volume=HALVES.astype(np.float32))
+    found = colours_of(scene).scale.labels
+    assert [(label.value, label.name, label.shown) for label in found] == [(3, "label 3", True), (5, "label 5", True)]
+    assert found[0].colour != found[1].colour and (scene.isovalue, scene.presets) == (0.5, ())
+
+
+def test_hex_and_linear_colours_agree(tmp_path: Path) -> None:
+    named = scene_of(tmp_path, [table(3, colour="#bc4080", name="liver")])
+    linear = scene_of(tmp_path, [table(3, colour=list(colours_of(named).scale.labels[0].colour))])
+    np.testing.assert_allclose(colours_of(named).scale.labels[0].colour, [0.5029, 0.0513, 0.2159], atol=1e-4)
+    assert colours_of(named).digest == colours_of(linear).digest and named.bake_digest == linear.bake_digest
+
+
+def test_a_hidden_label_is_another_volume(tmp_path: Path) -> None:
+    """It is taken out of the field, so all light has another key; another colour changes reflected light alone."""
+    scene = scene_of(tmp_path)
+    hidden = scene_of(tmp_path, [table(3, hidden=True)])
+    painted = scene_of(tmp_path, [table(3, colour=RED)])
+    direct, reflected = scene.plan.layers[0], scene.plan.layers[-1]
+    assert (direct.kind, reflected.kind) == ("direct", "indirect")
+    assert hidden.layer_digest(direct) != scene.layer_digest(direct) == painted.layer_digest(direct)
+    assert painted.layer_digest(reflected) != scene.layer_digest(reflected)
+    alone = scene_of(tmp_path, volume=np.where(HALVES == 5, 5, 0))
+    np.testing.assert_array_equal(hidden.volume.voxels, alone.volume.voxels)
+    assert not any(label.shown for label in colours_of(hidden).scale.labels if label.value == 3)
+
+
+def test_cuts_keep_the_labels(tmp_path: Path) -> None:
+    scene, written = scene_of(tmp_path), scene_of(tmp_path, cut="z>8")
+    assert cut_open(scene, "z>8", "cut").bake_digest == written.bake_digest != scene.bake_digest
+
+
+def test_workers_elsewhere_get_the_labels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ISOGI_VOLUME_CACHE", str(tmp_path / "copies"))
+    scene, store = scene_of(tmp_path, [table(5, name="lung")]), Store(tmp_path / "store")
+    assets = send_assets(scene, store)
+    source, volume = receive_assets(scene.source, assets, store)
+    made = build_scene(source, volume=volume, colours=receive_colours(assets, store))
+    assert made.bake_digest == scene.bake_digest and made.isovalue == scene.isovalue
+    assert colours_of(made).scale.labels == colours_of(scene).scale.labels
+
+
+def test_large_segmentations_have_labels_farther_apart() -> None:
+    assert [stride_of((n, n, n)) for n in (64, 256, 300, 512, 1024)] == [1, 1, 2, 2, 4]
+
+
+MANY = np.arange(8 * 8 * 8).reshape(8, 8, 8)
+MISTAKES = [
+    (HALVES * 0.5, "all", VolumeError, "holds 1.5: labels are whole numbers"),
+    (np.where(HALVES == 3, np.nan, HALVES), "all", VolumeError, "holds nan"),
+    (HALVES, [table(4)], SceneError, "no voxel of label 4: it has 3, 5"),
+    (HALVES, [table(3, hidden=True), table(5, hidden=True)], SceneError, "are hidden: show one"),
+    (HALVES * 0, "all", VolumeError, "has no label"),
+    (MANY, "all", VolumeError, "has 511 labels, and 255 can be shown"),
+    (HALVES, [table(3), table(3)], SceneError, "lists label 3 twice"),
+    (HALVES, [table(0)], SceneError, "not a whole number other than 0"),
+    (HALVES, [{"name": "liver"}], SceneError, "value = None"),
+    (HALVES, [table(3, colour="red")], SceneError, "neither '#rrggbb' nor linear"),
+    (HALVES, [table(3, colour=[2, 0, 0])], SceneError, "colour = "),
+    (HALVES, [table(3, tint=1)], SceneError, "sets tint, unknown here"),
+    (HALVES, "some", SceneError, r"\[\[labels\]\]"),
+]
+
+
+@pytest.mark.parametrize(("volume", "labels", "error", "message"), MISTAKES)
+def test_mistakes_with_labels_are_told(
+    tmp_path: Path, volume: np.ndarray, labels: Any, error: type[IsogiError], message: str
+) -> None:
+    with pytest.raises(error, match=message):
+        scene_of(tmp_path, labels, volume)
+
+
+@pytest.mark.parametrize("key", [{"solid": "below"}, {"missing": 3}, {"albedo": 0.5}])
+def test_keys_that_labels_do_not_take(tmp_path: Path, key: dict[str, Any]) -> None:
+    with pytest.raises(SceneError, match=r"leave (it|out)"):
+        scene_of(tmp_path, **key)
+
+
+def test_labels_need_a_file_and_no_other_colours(tmp_path: Path) -> None:
+    with pytest.raises(SceneError, match=r"leave out .*'labels'"):
+        load_scene("demo:orbital", labels="all")
+    with pytest.raises(SceneError, match="leave the other volume out"):
+        scene_of(tmp_path, volumes=[{"use": "colour", "of": "gradient"}])
+
+
+def test_large_segmentations_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "budget", lambda: 100)
+    with pytest.raises(VolumeError, match=r"The segmentation takes .* give a coarser one"):
+        scene_of(tmp_path)
+
+
+def test_a_table_of_volumes_may_name_the_labels(tmp_path: Path) -> None:
+    own = scene_of(tmp_path, [table(3, name="liver")])
+    named = '[[volumes]]\nfile = "seg.nrrd"\nuse = "labels"\n'
+    (tmp_path / "t.toml").write_text(named)
+    scene = load_scene(tmp_path / "t.toml", labels=[table(3, name="liver")])
+    assert scene.digest == own.digest and colours_of(scene).scale.labels == colours_of(own).scale.labels
+    assert colours_of(load_scene(tmp_path / "t.toml")).digest == colours_of(own).digest
+    (tmp_path / "t.toml").write_text(f'volume = "seg.nrrd"\n{named}')
+    with pytest.raises(SceneError, match="labels are the volume itself"):
+        load_scene(tmp_path / "t.toml")
+
+
+def test_a_copy_of_labels_is_that_of_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also of a volume so large that its voxels are mapped; other hidden labels make another copy."""
+    large = np.repeat(np.repeat(HALVES, 3, axis=0), 3, axis=1)
+    own = scene_of(tmp_path, volume=large)
+    monkeypatch.setenv("ISOGI_VOLUME_CACHE", str(tmp_path / "copies"))
+    monkeypatch.setenv("ISOGI_VOLUME_MB", "1")
+    copied = scene_of(tmp_path, volume=large)
+    assert list((tmp_path / "copies").glob("*.voxels")) and copied.bake_digest == own.bake_digest
+    assert scene_of(tmp_path, [table(3, hidden=True)], large).volume.digest != own.volume.digest
