@@ -8,6 +8,7 @@ from typing import Any
 
 from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
+from isogi_core.storage.atomic_file import PARTIAL
 from server.render.engine import RenderEngine
 from worker.pool import Done
 from worker.tasks import BakeResult, BakeTask, bake
@@ -70,6 +71,6 @@ def view_of(scene: Scene, azimuth: float = 30.0, isovalue: float | None = None, 
 
 
 def chunks_in(store: Path) -> dict[str, str]:
-    """The stored chunks by name, and the digest of each."""
-    files = [path for path in store.glob("*/c/**/*") if path.is_file()]
+    """The stored chunks by name, and the digest of each; what a kill left half-written is none."""
+    files = [path for path in store.glob("*/c/**/*") if path.is_file() and path.suffix != PARTIAL]
     return {str(path.relative_to(store)): sha256(path.read_bytes()).hexdigest() for path in files}

@@ -23,7 +23,7 @@ from distributed.utils import LoopRunner
 from isogi_core.bake.bake_spec import spec_for
 from isogi_core.cache.chunk_store import ChunkStore
 from isogi_core.kernels._jit import warm
-from isogi_core.kernels.tracing.active_cells import fill_ranges, mark_bricks, pack_bricks
+from isogi_core.kernels.tracing.active_cells import fill_ranges, mark_bricks, number_bricks, pack_bricks
 from isogi_core.kernels.tracing.macrocells import fill_macrocells
 from isogi_core.plan.assembly import load_scene
 from isogi_core.prepared.prepared_scene import PreparedScene
@@ -44,7 +44,7 @@ LONG = 240.0
 """Seconds within which workers have come, baked or gone, also on a slow machine."""
 
 ROOT = Path(__file__).resolve().parent.parent.parent
-OPENING = (fill_ranges, mark_bricks, pack_bricks, fill_macrocells)
+OPENING = (fill_ranges, mark_bricks, pack_bricks, number_bricks, fill_macrocells)
 IRRADIANCE = bake_kernels(["irradiance"])
 CALLED = (*bake_kernels(["direct", "indirect"]), *OPENING)
 
