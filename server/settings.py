@@ -42,7 +42,9 @@ class Settings(BaseSettings):
 
     host: str = Field("127.0.0.1", description="Address to listen on.")
     port: int = Field(8000, ge=0, le=65535, description="Port to listen on; 0 takes a free one.")
-    workers: int = Field(default_factory=cores, ge=1, le=1024, description="Baking processes; default: one per core.")
+    workers: int = Field(
+        default_factory=cores, ge=1, le=1024, description="Processes that compute light; default: one per core."
+    )
     store: str | None = Field(None, description="Path or URL of the cache; default: the user's cache folder.")
     store_seconds: float = Field(5, gt=0, le=600, description="Time for one call to an object store.")
     store_retries: int = Field(2, ge=0, le=100, description="Times that such a call is tried again when it fails.")
@@ -53,7 +55,7 @@ class Settings(BaseSettings):
         4096,
         ge=0,
         le=1 << 30,
-        description="Megabytes of surface-projected texels that the store keeps; what was unused longest goes when"
+        description="Megabytes of light for single isovalues that the store keeps; what was unused longest goes when"
         " another isovalue is shown.",
     )
     memory_mb: int = Field(

@@ -66,8 +66,7 @@ def first_look(
             told = looked_at(served.url, (width, height), ratio, until, folder)
             yield Measurement(
                 f"{name}, {window} at {ratio:g} device pixels",
-                {"ready after, s": served.ready_after} | figures(told),
-                variant=f"{name}-{window}-{ratio:g}",
+                {"ready after, s": served.ready_after} | figures(told, until),
             )
 
 
@@ -111,15 +110,21 @@ def first(told: list[Told], holds: Callable[[Told], bool]) -> float:
     return next((each.seconds for each in told if holds(each)), math.inf)
 
 
-def figures(told: list[Told]) -> dict[str, float | str | bool]:
+def figures(told: list[Told], until: float) -> dict[str, float | str | bool]:
     """When the first picture came, what was said at each moment, when it was done, and whether the time left held."""
     found: dict[str, float | str | bool] = {}
-    found["first picture after, s"] = first(told, lambda each: each.state not in ("", "loading"))
-    found["lit, s"] = first(told, lambda each: each.words.startswith(("Refining", "Done")))
-    found["done after, s"] = end = first(told, lambda each: each.state == "final")
+    end = first(told, lambda each: each.state == "final")
+    for name, seconds in (
+        ("first picture", first(told, lambda each: each.state not in ("", "loading"))),
+        ("with light", first(told, lambda each: each.words.startswith(("Refining", "Done")))),
+        ("done", end),
+    ):
+        found[f"{name} after, s"] = seconds if math.isfinite(seconds) else f"not within {until:g}"
     for moment in MOMENTS:
         at = next((each for each in told if each.seconds >= moment), told[-1])
         found[f"at {moment:g} s"] = at.words or at.state
-        if at.left is not None and end < math.inf:
-            found[f"time left held, {moment:g} s"] = (end - at.seconds) / 2 <= at.left <= 2 * (end - at.seconds)
+        if at.left is not None and math.isfinite(end):
+            held = (end - at.seconds) / 2 <= at.left <= 2 * (end - at.seconds)
+            found[f"left at {moment:g} s, s"] = end - at.seconds
+            found[f"time left held, {moment:g} s"] = held
     return found
