@@ -3,7 +3,7 @@
 import { PROJECTIONS, rayThrough } from "../view/camera.js";
 import { frameQuery } from "./request.js";
 import { readFacts } from "./schemas.js";
-import { Trouble, lost, troubleOf } from "./trouble.js";
+import { Trouble, lost, retryDelay, troubleOf } from "./trouble.js";
 
 /** @typedef {import("./schemas.js").Frame} Frame */
 /** @typedef {import("./schemas.js").FrameQuery} FrameQuery */
@@ -118,12 +118,31 @@ export async function readSurfacePoint(scene, values, right, up) {
   const ray = Object.entries(rayThrough(scene, values, right, up)).map(([name, point]) => [name, point.join(",")]);
   const view = Object.entries(frameQuery(scene, values, ONE_PIXEL)).filter(([name]) => OF_SURFACE.includes(name));
   const query = { ...ONE_PIXEL, ...Object.fromEntries([...view, ...ray]) };
-  try {
+  return persistently(async () => {
     const { blob } = await readFrame(scene.id, query);
     return blob && surfacePoint(await blob.arrayBuffer());
-  } catch (error) {
-    if (error instanceof Trouble) return null; // the picture's own requests say what is wrong
-    throw error;
+  });
+}
+
+/** Milliseconds before what a click asks for is asked for again, while the server is busy. */
+const AGAIN_MS = [300, 1000, 3000];
+
+/**
+ * What is read, also where a busy server answers late; null where it does not, and the picture's own requests say why.
+ * @template T
+ * @param {() => Promise<T>} read
+ * @returns {Promise<T|null>}
+ */
+async function persistently(read) {
+  for (let failures = 0; ; failures += 1) {
+    try {
+      return await read();
+    } catch (error) {
+      if (!(error instanceof Trouble)) throw error;
+      const delay = failures < AGAIN_MS.length ? retryDelay(error, failures, AGAIN_MS) : null;
+      if (delay === null) return null;
+      await new Promise((done) => { setTimeout(done, delay); });
+    }
   }
 }
 
@@ -134,13 +153,10 @@ export async function readSurfacePoint(scene, values, right, up) {
  * @returns {Promise<SurfacePoint|null>}
  */
 export async function readPoint(scene, query) {
-  try {
+  return persistently(async () => {
     const { hit, ...point } = await (await ask(sceneAddress(scene, "point", query))).json();
     return hit ? point : null;
-  } catch (error) {
-    if (error instanceof Trouble) return null; // the picture's own requests say what is wrong
-    throw error;
-  }
+  });
 }
 
 /**

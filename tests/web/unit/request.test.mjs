@@ -285,3 +285,10 @@ test("the surface at a place is met by one ray, wherever the view has it", async
   const { result: lost } = await asking([{ status: 422, body: "{}" }], () => readSurfacePoint(SCENE, knobs(), 0, 0));
   assert.equal(lost.value, null, "the picture's own requests say what is wrong");
 });
+
+test("a click is answered also where the server is busy", async () => {
+  const pixel = new Uint8Array(new Float32Array([0, 0, 0, 1, 3, 0, 1, 2, 3]).buffer);
+  const busy = { status: 503, body: "{}" };
+  const { asked, result } = await asking([busy, new TypeError("away"), { body: pixel }], () => readSurfacePoint(SCENE, knobs(), 0, 0));
+  assert.deepEqual([result.value, asked.length], [[1, 2, 3], 3]);
+});
