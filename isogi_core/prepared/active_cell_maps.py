@@ -7,7 +7,7 @@ from itertools import chain, pairwise
 
 import numpy as np
 
-from isogi_core.kernels.tracing.active_cells import ActiveCells, brick_shape, macrocell_ranges, make_active_cells
+from isogi_core.kernels.tracing.active_cells import ActiveCells, block_ranges, brick_shape, make_active_cells
 from isogi_core.lru_cache import OVERHEAD, LruCache
 from isogi_core.model.value_survey import sample_values
 from isogi_core.model.volume import Isovalue
@@ -74,7 +74,7 @@ class ActiveCellMaps:
     def __init__(self, voxels: np.ndarray, most: int = KEPT) -> None:
         """Find the ranges of the ``voxels``' macrocells; keep maps of at most ``most`` bytes."""
         self._voxels = voxels
-        self._ranges = macrocell_ranges(voxels)
+        self._ranges = block_ranges(voxels)
         self._bricks = math.prod(brick_shape(voxels.shape))
         self.levels = find_levels(voxels)
         self._kept: LruCache[tuple[int, int]] = LruCache(most)

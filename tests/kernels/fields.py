@@ -3,7 +3,7 @@
 import numpy as np
 from numba import njit
 
-from isogi_core.kernels.tracing.active_cells import macrocell_ranges, make_active_cells
+from isogi_core.kernels.tracing.active_cells import block_ranges, make_active_cells
 from isogi_core.kernels.tracing.cast import TracedSurface
 from isogi_core.kernels.tracing.field import Field
 from isogi_core.kernels.tracing.intersect import cast
@@ -26,9 +26,7 @@ def bare_field(voxels, spacing=(1.0, 1.0, 1.0)):
 
 def cells_of(field, lowest, highest=None):
     """The active-cell map of isovalues from ``lowest`` to ``highest``, or of that one."""
-    return make_active_cells(
-        field.voxels, macrocell_ranges(field.voxels), lowest, lowest if highest is None else highest
-    )
+    return make_active_cells(field.voxels, block_ranges(field.voxels), lowest, lowest if highest is None else highest)
 
 
 def surface_of(field, isovalue):

@@ -8,7 +8,7 @@ import pytest
 
 from isogi_core.errors import Cancelled
 from isogi_core.frame.tiles import Tiles
-from isogi_core.kernels.tracing.active_cells import ActiveCells, macrocell_ranges, make_active_cells
+from isogi_core.kernels.tracing.active_cells import ActiveCells, block_ranges, make_active_cells
 from isogi_core.lru_cache import OVERHEAD
 from isogi_core.model.volume import Isovalue
 from isogi_core.prepared import active_cell_maps as module
@@ -46,7 +46,7 @@ def assert_same(one: ActiveCells, other: ActiveCells) -> None:
 
 def test_a_map_is_that_of_the_whole_step() -> None:
     cells = between(ActiveCellMaps(VOXELS), 0.5 + STEP / 3, 0.5 + STEP / 2)
-    expected = make_active_cells(VOXELS, macrocell_ranges(VOXELS), 0.5, 0.5 + STEP)
+    expected = make_active_cells(VOXELS, block_ranges(VOXELS), 0.5, 0.5 + STEP)
     assert_same(cells, expected)
     assert np.array_equal(cells.margins, expected.margins)
     assert cells.shape == expected.shape

@@ -17,7 +17,7 @@ from isogi_core.frame.film import develop
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.tiles import Tiles
-from isogi_core.kernels.tracing.active_cells import ActiveCells, macrocell_ranges, make_active_cells
+from isogi_core.kernels.tracing.active_cells import ActiveCells, block_ranges, make_active_cells
 from isogi_core.kernels.tracing.cast import cast_rays, cast_rays_one_by_one
 from isogi_core.kernels.tracing.field import Field
 from isogi_core.kernels.tracing.intersect import UNKNOWN
@@ -190,5 +190,5 @@ def surface_of(array: np.ndarray, isovalue: float, **changes: Any) -> Surface:
 def surface_in(volume: Volume, isovalue: float, **changes: Any) -> Surface:
     """The isosurface of a volume that is made."""
     level = volume.normalise_isovalue(isovalue)
-    bricks = make_active_cells(volume.voxels, macrocell_ranges(volume.voxels), level, level)
+    bricks = make_active_cells(volume.voxels, block_ranges(volume.voxels), level, level)
     return Surface(make_field(volume)._replace(**changes), bricks, level)

@@ -8,7 +8,7 @@ from numba import types
 from isogi_core.kernels._jit import kernel, plain, record
 from isogi_core.kernels.simd.memory import prefetch
 from isogi_core.kernels.tracing.field import VOXELS
-from isogi_core.kernels.tracing.macrocells import INFINITE, RANGES, SIZE, blocks_along, find_ranges, macrocell_shape
+from isogi_core.kernels.tracing.macrocells import INFINITE, RANGES, SIZE, blocks_along, find_ranges
 
 LONGEST = 15
 """Longest skip, in bricks: what four bits hold."""
@@ -82,7 +82,7 @@ class ActiveCells(NamedTuple):
     ``tops`` int32 (bricks): where cells are marked the brick's place in ``cells`` / BRICK, less than
     2²⁸; else its skips (see ``fill_skips``). ``cells`` int32, one for each layer of a marked brick along z:
     bit i = y % 4 * 4 + x % 4 for a marked cell, and bit 16 + i where any cell of its aligned 2³ block is
-    marked. ``margins`` float32 (macrocells): values nearer to zero than this have no certain sign there;
+    marked. ``margins`` float32 (bricks): values nearer to zero than this have no certain sign there;
     ``shape`` bricks along z, y, x.
     """
 
@@ -106,12 +106,12 @@ def brick_shape(shape):
     return blocks_along(shape, BRICK)
 
 
-@kernel(types.void(VOXELS, RANGES, RANGES, RANGES))
-def fill_ranges(voxels, low, high, margins):
-    """Fill ``low``, ``high`` and ``margins`` (macrocells along z, y, x), which serve every isovalue of the volume."""
+@kernel(types.void(VOXELS, types.int64, RANGES, RANGES, RANGES))
+def fill_ranges(voxels, size, low, high, margins):
+    """Fill ``low``, ``high`` and ``margins`` (blocks of ``size``³ cells along z, y, x), which serve every isovalue."""
     nz, ny, nx = voxels.shape
     stray = 3.0 * POSITION_ERROR * max(nx, ny, nz)
-    find_ranges(voxels, SIZE, 1, low, high)
+    find_ranges(voxels, size, 1, low, high)
     least, most, margin = low.reshape(low.size), high.reshape(high.size), margins.reshape(margins.size)
     for b in range(margin.shape[0]):
         largest = max(abs(least[b]), abs(most[b]))
@@ -124,8 +124,8 @@ GROUP = 4
 ROW = GROUP * BRICK
 """Cells along x in a group."""
 
-PAIR = SIZE // BRICK
-"""Bricks along each side of a macrocell."""
+FINE = 1 << 21
+"""Bricks up to which each has ranges of its own, 24 MB; in larger volumes each macrocell has."""
 
 
 @kernel()
@@ -190,16 +190,19 @@ def mark_group(block, levels, marks, words, empty, b, count):
 
 
 @kernel()
-def set_levels(margins, first, count, iso_low, iso_high, levels):
-    """Write, for each cell along ``count`` macrocells from ``first`` on, the ``levels`` beyond which it is certain."""
+def set_levels(margins, first, count, side, iso_low, iso_high, levels):
+    """Write, for each cell along ``count`` blocks from ``first`` on, the ``levels`` beyond which it is certain.
+
+    Blocks have ``side`` bricks along each side.
+    """
     for m in range(count):
         solid, outside = below(iso_high + margins[first + m]), -below(margins[first + m] - iso_low)
-        for i in range(SIZE * m, SIZE * m + SIZE):
+        for i in range(BRICK * side * m, BRICK * side * (m + 1)):
             levels[0, i], levels[1, i] = solid, outside
 
 
 @kernel()
-def find_groups(ranges, iso_low, iso_high, k, shape, groups):
+def find_groups(ranges, side, iso_low, iso_high, k, shape, groups):
     """List in ``groups`` the first bricks (j * bx + i) of the groups of layer ``k`` that may hold the surface.
 
     Returns how many there are.
@@ -210,8 +213,8 @@ def find_groups(ranges, iso_low, iso_high, k, shape, groups):
     for j in range(by):
         for i in range(0, bx, GROUP):
             holds = False
-            first = macrocell_at(k, j, i, shape)
-            for m in range(first, first + across(i, bx)):
+            first = block_at(k, j, i, side, shape)
+            for m in range(first, first + across(i, side, bx)):
                 holds |= (low[m] <= iso_high + margins[m]) & (high[m] >= iso_low - margins[m])
             groups[count] = j * bx + i
             count += holds
@@ -220,16 +223,16 @@ def find_groups(ranges, iso_low, iso_high, k, shape, groups):
 
 
 @kernel()
-def macrocell_at(k, j, i, shape):
-    """Place of the macrocell that brick (k, j, i) is in; there are ``shape`` bricks along z, y, x."""
+def block_at(k, j, i, side, shape):
+    """Place of the block of ``side``³ bricks that brick (k, j, i) is in; there are ``shape`` bricks along z, y, x."""
     _, by, bx = shape
-    return ((k // PAIR) * (-(-by // PAIR)) + j // PAIR) * (-(-bx // PAIR)) + i // PAIR
+    return ((k // side) * (-(-by // side)) + j // side) * (-(-bx // side)) + i // side
 
 
 @kernel()
-def across(i, bx):
-    """Macrocells along x in the group of bricks that begins at ``i``, of ``bx``."""
-    return -(-min(GROUP, bx - i) // PAIR)
+def across(i, side, bx):
+    """Blocks along x in the group of bricks that begins at ``i``, of ``bx``."""
+    return -(-min(GROUP, bx - i) // side)
 
 
 @kernel()
@@ -243,16 +246,18 @@ def prefetch_group(flat, place, row, plane):
             prefetch(flat, min(p + ROW, last))
 
 
-MACROCELL_RANGES = types.UniTuple(FLAT, 3)
+BLOCK_RANGES = types.UniTuple(FLAT, 3)
+INTEGER, NUMBER = types.int64, types.float64
 
 
-@kernel(types.void(VOXELS, MACROCELL_RANGES, types.float64, types.float64, types.int64, types.int64, WORDS, EMPTY))
-def mark_bricks(voxels, ranges, iso_low, iso_high, first, last, words, empty):
+@kernel(types.void(VOXELS, BLOCK_RANGES, INTEGER, types.UniTuple(NUMBER, 2), INTEGER, INTEGER, WORDS, EMPTY))
+def mark_bricks(voxels, ranges, side, isovalues, first, last, words, empty):
     """Write the ``words`` of the bricks in layers ``first`` … ``last`` - 1 along z, and which are ``empty``.
 
-    Only bricks whose ``ranges`` (low, high, margins) hold isovalues ``iso_low`` … ``iso_high`` are looked into; the
-    words of others stay.
+    Only bricks are looked into whose ``ranges`` (low, high, margins), of blocks of ``side``³ bricks, hold ``isovalues``
+    from the lowest to the highest; the words of others stay.
     """
+    iso_low, iso_high = isovalues
     nz, ny, nx = voxels.shape
     bz, by, bx = shape = brick_shape(voxels.shape)
     flat, block = voxels.reshape(voxels.size), np.empty((BRICK + 1) ** 2 * (ROW + 1), np.float32)
@@ -260,12 +265,13 @@ def mark_bricks(voxels, ranges, iso_low, iso_high, first, last, words, empty):
     groups = np.empty(by * (bx // GROUP + 1) + 1, np.int64)
     empty[:] = True
     for k in range(first, last):
-        for n in range(find_groups(ranges, iso_low, iso_high, k, shape, groups)):
+        for n in range(find_groups(ranges, side, iso_low, iso_high, k, shape, groups)):
             j, i = groups[n] // bx, groups[n] % bx
             i0, j0, k0, b = i * BRICK, j * BRICK, k * BRICK, (k - first) * by * bx + groups[n]
             ahead = groups[n + 1]
             prefetch_group(flat, (k0 * ny + ahead // bx * BRICK) * nx + ahead % bx * BRICK, nx, ny * nx)
-            set_levels(ranges[2], macrocell_at(k, j, i, shape), across(i, bx), iso_low, iso_high, levels)
+            block_first, count = block_at(k, j, i, side, shape), across(i, side, bx)
+            set_levels(ranges[2], block_first, count, side, iso_low, iso_high, levels)
             source, place, row, plane = flat, (k0 * ny + j0) * nx + i0, nx, ny * nx
             if i0 + ROW >= nx or j0 + BRICK >= ny or k0 + BRICK >= nz:
                 copy_voxels(voxels, i0, j0, k0, block)
@@ -308,27 +314,47 @@ def number_bricks(empty, shape, tops):
     fill_skips(empty.reshape(shape), tops)
 
 
-def macrocell_ranges(voxels):
-    """Smallest and largest voxel in and around each macrocell, and the margins: what serves every isovalue."""
-    low, high, margins = np.empty((3, *macrocell_shape(voxels.shape)), np.float32)
-    fill_ranges(voxels, low, high, margins)
-    return low.ravel(), high.ravel(), margins.ravel()
+class BlockRanges(NamedTuple):
+    """What serves every isovalue of a volume: the ranges of its blocks, which have ``side``³ bricks.
+
+    ``low``, ``high`` and ``margins`` (blocks,) float32 are of the voxels in and around each; ``of_bricks`` (bricks,)
+    are the margins of each brick's block.
+    """
+
+    low: np.ndarray
+    high: np.ndarray
+    margins: np.ndarray
+    of_bricks: np.ndarray
+    side: int
+
+
+def block_ranges(voxels, fine=FINE):
+    """The ranges of a volume's bricks; of its macrocells where there are more than ``fine`` bricks."""
+    bz, by, bx = shape = brick_shape(voxels.shape)
+    size = BRICK if bz * by * bx <= fine else SIZE
+    low, high, margins = np.empty((3, *blocks_along(voxels.shape, size)), np.float32)
+    fill_ranges(voxels, size, low, high, margins)
+    side, of_bricks = size // BRICK, margins
+    if side > 1:
+        z, y, x = (np.arange(bricks) // side for bricks in shape)
+        of_bricks = margins[z[:, None, None], y[:, None], x]
+    return BlockRanges(low.ravel(), high.ravel(), margins.ravel(), of_bricks.ravel(), side)
 
 
 def make_active_cells(voxels, ranges, lowest, highest, run=None):
-    """The map of isovalues from ``lowest`` to ``highest``; ``ranges`` are the volume's ``macrocell_ranges``.
+    """The map of isovalues from ``lowest`` to ``highest``; ``ranges`` are the volume's ``block_ranges``.
 
     ``run(piece, total)`` may call ``piece(first, last)`` for parts of the whole on many threads. Words of bricks
     without marks take memory for one part alone.
     """
     bz, by, bx = shape = brick_shape(voxels.shape)
     empty, layer = np.empty(bz * by * bx, np.bool_), by * bx
-    packed = {}
+    packed, ends = {}, (float(lowest), float(highest))
 
     def _mark(first, last):
         own = empty[first * layer : last * layer]
         words = np.zeros(BRICK * len(own), np.int32)
-        mark_bricks(voxels, ranges, lowest, highest, first, last, words, own)
+        mark_bricks(voxels, ranges[:3], ranges.side, ends, first, last, words, own)
         packed[first] = np.empty(BRICK * (len(own) - np.count_nonzero(own)), np.int32)
         pack_bricks(words, own, packed[first])
 
@@ -336,7 +362,7 @@ def make_active_cells(voxels, ranges, lowest, highest, run=None):
     cells = joined(packed)
     tops = np.empty(len(empty), np.int32)
     number_bricks(empty, shape, tops)
-    return ActiveCells(tops, cells, ranges[2], shape)
+    return ActiveCells(tops, cells, ranges.of_bricks, shape)
 
 
 def joined(packed):

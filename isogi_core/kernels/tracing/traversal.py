@@ -117,16 +117,6 @@ def least_node(c, mirror, shape):
 
 
 @kernel()
-def macrocell_of(c, mirror, shape):
-    """Place of the macrocells that mirrored cells ``c`` are in; there are ``shape`` bricks along z, y, x."""
-    bz, by, bx = shape
-    x = where((mirror & 1) != 0, BRICK * bx - 1 - c[0], c[0]) >> 3
-    y = where((mirror & 2) != 0, BRICK * by - 1 - c[1], c[1]) >> 3
-    z = where((mirror & 4) != 0, BRICK * bz - 1 - c[2], c[2]) >> 3
-    return (z * ((by + 1) >> 1) + y) * ((bx + 1) >> 1) + x
-
-
-@kernel()
 def look_up(cells, c, ray):
     """What the active-cell map says of cells ``c``: (active, corner's bits of c, side of the empty cube there)."""
     top = gather(cells.tops, linear((c[0] >> 2, c[1] >> 2, c[2] >> 2), ray.stride, ray.base))
@@ -214,7 +204,7 @@ def certain(volume, cells, ray, c, span, sign, lanes):
     corner = f32(c[0]), f32(c[1]), f32(c[2])
     p = ray.o[0] - corner[0], ray.o[1] - corner[1], ray.o[2] - corner[2]
     b = bernstein(v, along(p, span[0], ray.d), along(p, span[1], ray.d))
-    margin = gather(cells.margins, macrocell_of(c, ray.mirror, cells.shape))
+    margin = gather(cells.margins, linear((c[0] >> 2, c[1] >> 2, c[2] >> 2), ray.stride, ray.base))
     inner = (b[0] * sign > margin) & (b[1] * sign > margin)
     return lanes & inner & (b[2] * sign > margin) & (b[3] * sign > margin)
 

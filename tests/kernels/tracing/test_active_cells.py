@@ -6,12 +6,13 @@ import pytest
 from isogi_core.kernels.tracing.active_cells import (
     BITS,
     BRICK,
+    FINE,
     LONGEST,
+    block_ranges,
     brick_shape,
-    macrocell_ranges,
     make_active_cells,
 )
-from isogi_core.kernels.tracing.macrocells import SIZE, macrocell_shape
+from isogi_core.kernels.tracing.macrocells import SIZE, blocks_along
 
 BALL = 12.0 - np.linalg.norm(np.indices((41, 41, 41)) - 20.0, axis=0)
 
@@ -30,7 +31,7 @@ def marked_cells(cells):
 def test_active_cells_hold_the_surface_and_few_more_do(shape):
     voxels = np.random.default_rng(15).normal(size=shape).astype(np.float32)
     low, high = 1.5, 1.6
-    cells = make_active_cells(voxels, macrocell_ranges(voxels), low, high)
+    cells = make_active_cells(voxels, block_ranges(voxels), low, high)
     corners = [
         voxels[c : shape[0] - 1 + c, b : shape[1] - 1 + b, a : shape[2] - 1 + a] for c, b, a in np.ndindex(2, 2, 2)
     ]
@@ -48,20 +49,33 @@ def test_active_cells_hold_the_surface_and_few_more_do(shape):
 
 @pytest.mark.parametrize("holes", [0.0, 0.002])
 @pytest.mark.parametrize("shape", [(2, 2, 2), (5, 9, 17), (21, 18, 38)])
-def test_ranges_are_of_the_cells_in_and_around_a_macrocell(shape, holes):
+@pytest.mark.parametrize("fine", [0, FINE], ids=["macrocells", "bricks"])
+def test_ranges_are_of_the_cells_in_and_around_a_block(shape, holes, fine):
     rng = np.random.default_rng(16)
     voxels = rng.normal(size=shape).astype(np.float32)
     voxels[rng.random(shape) < holes] = np.nan
-    low, high, margins = (values.reshape(macrocell_shape(shape)) for values in macrocell_ranges(voxels))
+    ranges, size = block_ranges(voxels, fine), BRICK if fine else SIZE
+    low, high, margins = (values.reshape(blocks_along(shape, size)) for values in ranges[:3])
+    of_bricks = ranges.of_bricks.reshape(brick_shape(shape))
+    for brick in np.ndindex(of_bricks.shape):
+        assert of_bricks[brick] == margins[tuple(i * BRICK // size for i in brick)]
     for index in np.ndindex(low.shape):
-        around = voxels[tuple(slice(max(SIZE * i - 1, 0), SIZE * i + SIZE + 2) for i in index)]
+        around = voxels[tuple(slice(max(size * i - 1, 0), size * i + size + 2) for i in index)]
         hole = np.isnan(around).any()
         assert (low[index], high[index]) == ((-np.inf, np.inf) if hole else (around.min(), around.max()))
         assert margins[index] == np.inf if hole else 0 < margins[index] < 1e-4 * max(shape) * np.abs(around).max()
 
 
+def test_ranges_of_macrocells_mark_a_little_more_at_most():
+    voxels = np.random.default_rng(5).normal(size=(33, 41, 70)).astype(np.float32)
+    fine, coarse = (make_active_cells(voxels, block_ranges(voxels, most), -0.2, 0.1) for most in (FINE, 0))
+    (own, _), (other, _) = map(marked_cells, (fine, coarse))
+    assert (other >= own).all() and other.sum() <= own.sum() + 5
+    assert (coarse.margins >= fine.margins).all()
+
+
 def test_pieces_make_the_same_map():
-    ranges = macrocell_ranges(BALL.astype(np.float32))
+    ranges = block_ranges(BALL.astype(np.float32))
     whole = make_active_cells(BALL.astype(np.float32), ranges, 0.0, 1.0)
 
     def run(piece, total):
@@ -87,7 +101,7 @@ def largest_cube(marked, corner, way):
 def test_skips_are_the_largest_empty_cubes_ahead():
     voxels = np.zeros((70, 50, 90), np.float32)
     voxels[10, 40, 7] = voxels[60, 5, 80] = 1.0
-    cells = make_active_cells(voxels, macrocell_ranges(voxels), 0.5, 0.5)
+    cells = make_active_cells(voxels, block_ranges(voxels), 0.5, 0.5)
     assert cells.shape == brick_shape(voxels.shape)
     marked = ((cells.tops >> 28) == 0).reshape(cells.shape)
     assert marked.any()

@@ -7,7 +7,7 @@ import pytest
 
 from isogi_core.files.nrrd import read_nrrd
 from isogi_core.kernels.simd.types import REGISTER
-from isogi_core.kernels.tracing.active_cells import BRICK, ActiveCells, brick_shape, macrocell_ranges, make_active_cells
+from isogi_core.kernels.tracing.active_cells import BRICK, ActiveCells, block_ranges, brick_shape, make_active_cells
 from isogi_core.kernels.tracing.cast import cast_rays, cast_rays_one_by_one
 from isogi_core.kernels.tracing.field import Field
 from isogi_core.kernels.tracing.intersect import OUTSIDE, SOLID, UNKNOWN
@@ -26,7 +26,7 @@ def cast_both(voxels, isovalues, origins, directions, sides, spread=0.0):
     scale = np.array([volume.normalise_isovalue(v) for v in np.atleast_1d(isovalues)])
     isovalues = np.broadcast_to(scale, len(origins)).copy()
     field = make_field(volume)
-    ranges = macrocell_ranges(volume.voxels)
+    ranges = block_ranges(volume.voxels)
     cells = make_active_cells(volume.voxels, ranges, isovalues.min() - spread, isovalues.max() + spread)
     sides = np.broadcast_to(np.asarray(sides, np.int8), len(origins)).copy()
     results = []
@@ -151,7 +151,7 @@ def test_batches_of_any_size(count):
 
 def cast_nothing():
     volume = make_volume(BALL)
-    cells = make_active_cells(volume.voxels, macrocell_ranges(volume.voxels), 0.5, 0.5)
+    cells = make_active_cells(volume.voxels, block_ranges(volume.voxels), 0.5, 0.5)
     none = np.empty((3, 0))
     cast_rays(
         make_field(volume), cells, np.empty(0), none, none, np.empty(0, np.int8), np.empty(0), np.empty(0, np.int8)
@@ -169,8 +169,8 @@ def vast(shape):
     voxels[-24:, -24:, -24:] = np.maximum(6.0 - np.linalg.norm(np.indices((24, 24, 24)) - 11.5, axis=0), 0.0)
     low, high = np.zeros((2, *macrocell_shape(shape)), np.float32)
     high[-4:, -4:, -4:] = 6.0
-    tops, margins = np.zeros(brick_shape(shape), np.int32), np.zeros(macrocell_shape(shape), np.float32)
-    tops[-7:, -7:, -7:], margins[-4:, -4:, -4:] = 1, 0.1
+    tops, margins = np.zeros(brick_shape(shape), np.int32), np.zeros(brick_shape(shape), np.float32)
+    tops[-7:, -7:, -7:], margins[-7:, -7:, -7:] = 1, 0.1
     words = np.repeat(np.array([0, -1], np.int32), BRICK)
     return Field(voxels, low, high, (1.0, 1.0, 1.0)), ActiveCells(tops.ravel(), words, margins.ravel(), tops.shape)
 
