@@ -92,7 +92,7 @@ class BakeSpec:
         """The kinds of layers that are baked; see ``Scene.kind_of``."""
         return frozenset(self.prepared.scene.kind_of(layer, self.plan) for layer in self.plan.layers)
 
-    @property
+    @cached_property
     def coloured(self) -> bool:
         """Whether paths carry the colours of what they hit to harmonics."""
         return COLOURED in self.kinds

@@ -5,7 +5,7 @@ keeps, so that a texel with n samples has the same bits for any number of worker
 climb next follows from what is kept of it alone.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
@@ -145,19 +145,38 @@ def sample_transfer(
     orders = np.repeat([max(layer.order, NOISE_ORDER) for layer in layers], [layer.channels for layer in layers])
     orders = np.append(orders, np.ones(len(layers), np.int64))
     sums = np.zeros((len(void), 2, len(orders), int(orders.max()) ** 2))
-    some, prepared = SampleRange(samples // 2, count // 2), spec.prepared
-    for bricks, rows in by_isovalue(place[3], void, prepared):
-        if spec.coloured:
-            rules = spec.coloured_rules(layers, orders)
-            bake_coloured_texels(prepared.field, bricks, prepared.colours, place, rows, some, rules, sums)
-        else:
-            shares = np.vstack([spec.shares(layers), spec.squares(layers)])
-            bake_texels(prepared.field, bricks, place, rows, some, PathRules(shares, spec.plan.survival), orders, sums)
+    sample = (sample_colours if spec.coloured else sample_greys)(layers, orders, spec)
+    for bricks, rows in by_isovalue(place[3], void, spec.prepared):
+        sample(bricks, place, rows, SampleRange(samples // 2, count // 2), sums)
     first = 0
     for number, layer in enumerate(layers):
         halves = sums[:, :, first : first + layer.channels, : max(layer.order, NOISE_ORDER) ** 2]
         yield halves, sums[:, :, number - len(layers), 0].sum(axis=1)
         first += layer.channels
+
+
+Sample = Callable[[ActiveCells, Place, np.ndarray, SampleRange, np.ndarray], None]
+"""Adds what paths from some rows bring to the sums: map, place, rows, samples, sums."""
+
+
+def sample_greys(layers: Sequence[Layer], orders: np.ndarray, spec: BakeSpec) -> Sample:
+    """The paths of a surface with one albedo, whose weights are worked out once for all groups of texels."""
+    rules = PathRules(np.vstack([spec.shares(layers), spec.squares(layers)]), spec.plan.survival)
+
+    def _sample(bricks: ActiveCells, place: Place, rows: np.ndarray, some: SampleRange, sums: np.ndarray) -> None:
+        bake_texels(spec.prepared.field, bricks, place, rows, some, rules, orders, sums)
+
+    return _sample
+
+
+def sample_colours(layers: Sequence[Layer], orders: np.ndarray, spec: BakeSpec) -> Sample:
+    """The same of a surface with colours by data."""
+    rules = spec.coloured_rules(layers, orders)
+
+    def _sample(bricks: ActiveCells, place: Place, rows: np.ndarray, some: SampleRange, sums: np.ndarray) -> None:
+        bake_coloured_texels(spec.prepared.field, bricks, spec.prepared.colours, place, rows, some, rules, sums)
+
+    return _sample
 
 
 def sample_irradiance(

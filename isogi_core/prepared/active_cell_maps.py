@@ -72,7 +72,7 @@ class ActiveCellMaps:
     """
 
     def __init__(self, voxels: np.ndarray, most: int = KEPT) -> None:
-        """Find the ranges of the ``voxels``' macrocells; keep maps of at most ``most`` bytes."""
+        """Find the ranges of the ``voxels``' blocks; keep maps of at most ``most`` bytes."""
         self._voxels = voxels
         self._ranges = block_ranges(voxels)
         self._bricks = math.prod(brick_shape(voxels.shape))
@@ -80,6 +80,7 @@ class ActiveCellMaps:
         self._kept: LruCache[tuple[int, int]] = LruCache(most)
         self._most, self._sizes, self._lock = most, dict[tuple[int, int], int](), threading.Lock()
         self._width, self._asked = NARROW, np.zeros(len(self.levels) - 1, np.bool_)
+        self._grouped: tuple[np.ndarray, np.ndarray] | None = None
 
     @property
     def nbytes(self) -> int:
@@ -106,10 +107,13 @@ class ActiveCellMaps:
         Spans reach over what was asked for. Groups are NARROW, or so wide that the maps of all that were asked for
         are kept: each may be needed again and again. They become wider as more is asked for; each call has its own.
         """
+        places = np.searchsorted(self.levels, isovalues, "right") - 1
         with self._lock:
-            self._asked[np.searchsorted(self.levels, isovalues, "right") - 1] = True
-            self._widen()
-            ends, spans = self.levels[self._edges()], self.levels[self._spans()]
+            if not self._asked[places].all():
+                self._asked[places] = True
+                self._widen()
+                self._grouped = None
+            ends, spans = self._grouped = self._grouped or (self.levels[self._edges()], self.levels[self._spans()])
         return np.searchsorted(ends, isovalues, "right") - 1, spans
 
     def forget(self) -> None:
@@ -129,7 +133,7 @@ class ActiveCellMaps:
     def _widen(self) -> None:
         """Make groups so wide that the maps of all that were asked for are kept."""
         while self._together() > self._most and self._width < len(self._asked):
-            self._width += 1
+            self._width, self._grouped = self._width + 1, None
 
     def _edges(self) -> np.ndarray:
         """Places of the groups' ends among the levels."""
