@@ -15,8 +15,8 @@ from typing import Any
 import click
 
 from benchmarks.accuracy.benches import bench_of, wanted
-from benchmarks.accuracy.totals import Found, measure
-from benchmarks.common.measurement import Measurement, markdown
+from benchmarks.accuracy.totals import CHECKED, Found, measure, measurement_of
+from benchmarks.common.measurement import Measurement
 from benchmarks.common.scenes import LIGHTS, VOLUMES, Subject, shared_data
 from benchmarks.common.suite import part
 from isogi_core.files.scene_file import SceneSource
@@ -34,7 +34,7 @@ CASES: tuple[tuple[Subject, str, Mapping[str, Any]], ...] = (
 )
 """What is shown, and what its colours are of."""
 
-HEAD = ("view", "texels' light, %", "told at the end, %", "true at the end, 99 %, %", "own light", "bake, s", "bounces")
+HEAD = (*CHECKED, "bounces")
 
 
 @part(size=64)
@@ -51,17 +51,9 @@ def colours(size: int, paths: int, only: tuple[str, ...]) -> Measurement:
                 continue
             scene = coloured(subject, table)
             found.append(measure(name, bench_of(scene, size, Path(folder) / str(len(found))), None, paths))
-            rows.append(row_of(found[-1], scene))
+            rows.append((*found[-1].row, f"{scene.plan.bounces}"))
             click.echo(" | ".join(rows[-1]), err=True)
-    if not found:
-        raise click.UsageError("No view has that in its name.")
-    figures = {
-        "views": len(found),
-        "within 3 % and 99th percentile 10 %": sum(each.true <= 0.03 and each.p99 <= 0.1 for each in found),
-        "final": sum(each.final for each in found),
-        "worst, %": 100 * max(each.true for each in found),
-    }
-    return Measurement(f"Colours by data, {size} × {size}", figures, markdown(HEAD, rows))
+    return measurement_of(f"Colours by data, {size} × {size}", found, HEAD, rows)
 
 
 def coloured(subject: Subject, table: Mapping[str, Any]) -> Scene:
@@ -71,16 +63,3 @@ def coloured(subject: Subject, table: Mapping[str, Any]) -> Scene:
         raise click.ClickException("There are no shared volumes: set ISOGI_SHARED_DATA to a folder that has them.")
     own = {"volume": VOLUMES[subject.volume], "isovalue": subject.isovalue, "lights": [dict(LIGHTS[subject.light])]}
     return build_scene(SceneSource(subject.scene, {**own, "volumes": [{"use": "colour", **table}]}, data))
-
-
-def row_of(found: Found, scene: Scene) -> tuple[str, ...]:
-    """A line of the table."""
-    return (
-        found.name,
-        f"{100 * found.lit:.2f}",
-        f"{100 * found.last.likely:.2f}{'' if found.final else ' (not final)'}",
-        f"{100 * found.true:.2f}, {100 * found.p99:.1f}",
-        f"{found.own:.0%}",
-        f"{found.bake:.1f}",
-        f"{scene.plan.bounces}",
-    )

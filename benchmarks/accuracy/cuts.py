@@ -13,8 +13,8 @@ from pathlib import Path
 import click
 
 from benchmarks.accuracy.benches import bench_of, wanted
-from benchmarks.accuracy.totals import Found, measure
-from benchmarks.common.measurement import Measurement, markdown
+from benchmarks.accuracy.totals import CHECKED, Found, measure, measurement_of
+from benchmarks.common.measurement import Measurement
 from benchmarks.common.scenes import Subject, scene_of
 from benchmarks.common.suite import part
 from isogi_core.plan.assembly import cut_open
@@ -29,15 +29,7 @@ SUBJECTS = tuple(
 CUTS = (((0, ">", 0.5),), ((2, ">", 0.6),), ((1, ">", 0.7), (2, ">", 0.8)))
 """Planes of each cut: an axis, the side that is taken away, and where, as a share of the box."""
 
-HEAD = (
-    "view",
-    "texels' light, %",
-    "told at the end, %",
-    "true at the end, 99 %, %",
-    "own light",
-    "bake, s",
-    "whole, s",
-)
+HEAD = (*CHECKED, "whole, s")
 
 
 @part(size=48)
@@ -60,17 +52,9 @@ def cuts(size: int, paths: int, only: tuple[str, ...]) -> Measurement:
                     opened = cut_open(scene, cut, f"{scene.id}-{number}")
                     bench = bench_of(opened, size, Path(folder) / subject.folder / str(number))
                     found.append(measure(name, bench, None, paths))
-                    rows.append((*row_of(found[-1]), f"{whole.planned.seconds:.1f}"))
+                    rows.append((*found[-1].row, f"{whole.planned.seconds:.1f}"))
                     click.echo(" | ".join(rows[-1]), err=True)
-    if not found:
-        raise click.UsageError("No view has that in its name.")
-    figures = {
-        "views": len(found),
-        "within 3 % and 99th percentile 10 %": sum(each.true <= 0.03 and each.p99 <= 0.1 for each in found),
-        "final": sum(each.final for each in found),
-        "worst, %": 100 * max(each.true for each in found),
-    }
-    return Measurement(f"Volumes cut open, {size} × {size}", figures, markdown(HEAD, rows))
+    return measurement_of(f"Volumes cut open, {size} × {size}", found, HEAD, rows)
 
 
 def texts(scene: Scene) -> Iterator[str]:
@@ -78,15 +62,3 @@ def texts(scene: Scene) -> Iterator[str]:
     low, high = scene.volume.world_bounds
     for planes in CUTS:
         yield ";".join(f"{'xyz'[a]}{side}{low[a] + share * (high[a] - low[a]):g}" for a, side, share in planes)
-
-
-def row_of(found: Found) -> tuple[str, ...]:
-    """A line of the table but for what the whole takes."""
-    return (
-        found.name,
-        f"{100 * found.lit:.2f}",
-        f"{100 * found.last.likely:.2f}{'' if found.final else ' (not final)'}",
-        f"{100 * found.true:.2f}, {100 * found.p99:.1f}",
-        f"{found.own:.0%}",
-        f"{found.bake:.1f}",
-    )

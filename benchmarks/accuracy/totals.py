@@ -86,6 +86,37 @@ class Found:
         """One that was written as JSON."""
         return cls(**{**given, "first": TotalError(**given["first"]), "last": TotalError(**given["last"])})
 
+    @property
+    def row(self) -> tuple[str, ...]:
+        """What stands below CHECKED in a table."""
+        return (
+            self.name,
+            f"{100 * self.lit:.2f}",
+            f"{100 * self.last.likely:.2f}{'' if self.final else ' (not final)'}",
+            f"{100 * self.true:.2f}, {100 * self.p99:.1f}",
+            f"{self.own:.0%}",
+            f"{self.bake:.1f}",
+        )
+
+
+CHECKED = ("view", "texels' light, %", "told at the end, %", "true at the end, 99 %, %", "own light", "bake, s")
+"""Heads of the columns of ``Found.row``."""
+
+
+def measurement_of(
+    title: str, found: Sequence[Found], head: Sequence[str], rows: Sequence[Sequence[str]]
+) -> Measurement:
+    """What views were found to be like, as figures and a table; UsageError where there is none."""
+    if not found:
+        raise click.UsageError("No view has that in its name.")
+    figures = {
+        "views": len(found),
+        "within 3 % and 99th percentile 10 %": sum(each.true <= 0.03 and each.p99 <= 0.1 for each in found),
+        "final": sum(each.final for each in found),
+        "worst, %": 100 * max(each.true for each in found),
+    }
+    return Measurement(title, figures, markdown(head, rows))
+
 
 @part(size=96)
 @click.option("--paths", type=click.IntRange(8), default=1024, show_default=True, help="Paths a pixel of references.")
