@@ -2,6 +2,7 @@
 
 import json
 import re
+from collections.abc import Callable
 from typing import Any, Literal
 from urllib.parse import parse_qs, urlsplit
 
@@ -61,6 +62,22 @@ def drag(page: Page, right: int, down: int, button: Literal["left", "right"] = "
     page.mouse.down(button=button)
     page.mouse.move(x + right, y + down, steps=8)
     page.mouse.up(button=button)
+
+
+def drag_until_drafts(page: Page, drafts: Callable[[], list[dict[str, Any]]]) -> list[dict[str, Any]]:
+    """Drag to and fro until a draft is shown, as a hand does on a machine that is slow to answer."""
+    box = page.locator("#stage").bounding_box()
+    assert box is not None
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    page.mouse.move(x, y)
+    page.mouse.down()
+    for step in range(600):
+        page.mouse.move(x + 20 + step % 40, y)
+        page.wait_for_timeout(50)
+        if drafts():
+            break
+    page.mouse.up()
+    return drafts()
 
 
 def turned(after: float, before: float) -> float:
@@ -287,9 +304,8 @@ def test_moving_shows_small_jpeg_and_rest_the_full_picture(page: Page, live_serv
     stream = watched(page)
     open_final(page, live_server)
     before = len(stream.answers)
-    drag(page, 60, 0)
+    drafts = drag_until_drafts(page, lambda: [answer for answer in stream.answers[before:] if answer["draft"]])
     wait_final(page)
-    drafts = [answer for answer in stream.answers[before:] if answer["draft"]]
     assert drafts[0]["media_type"] == "image/jpeg"
     last = stream.answers[-1]
     assert (last["media_type"], last["final"], last["id"]) == ("image/png", True, stream.views[-1]["id"])
