@@ -22,7 +22,7 @@ from isogi_core.storage.url import StoreUrl
 from worker.bake_requests import GUEST, BakeRequest, Key, Viewer
 from worker.errors import LostWorkerError, WorkersAwayError
 from worker.pause import Pause
-from worker.progress import Tally, TimeEstimator, TimeLeft, Work, work_seconds
+from worker.progress import Pace, Tally, TimeEstimator, TimeLeft, Work, work_seconds
 from worker.queue import BakeQueue
 from worker.tasks import BakeResult, BakeTask, open_spec
 
@@ -71,13 +71,13 @@ class Baker:
         self._clock = clock
         self._name = uuid4().hex
         self._queue = BakeQueue(clock, self._shared, lambda key: self._bakes[key[0]].costs.rate(key[1]))
-        self._estimator = TimeEstimator(clock)
+        self._estimator, self._pace = TimeEstimator(clock), Pace(clock)
         self._bakes: dict[str, Bake] = {}
         self._pool: WorkerPool | None = None
         self._in_flight = 0
         self._done_tasks = self._failed_tasks = 0
         self._duplicate = self._healed = 0
-        self._paths = 0
+        self._paths, self._seconds = 0, 0.0
         self._way = -WAY
         self._pause = Pause(clock, self._resume)
         self._changed = threading.Condition()
@@ -197,7 +197,8 @@ class Baker:
             workers = self._expected if self._pool is None else self._pool.workers
             if seconds is None or workers is None:
                 return None
-            return self._estimator.estimate(subject, max(sum(seconds) / workers, *seconds, 0.0), self._paths)
+            left = max(sum(seconds) / workers, *seconds, 0.0)
+            return self._estimator.estimate(subject, left, self._seconds / workers).times(self._pace.value)
 
     @property
     def paths(self) -> int:
@@ -242,8 +243,13 @@ class Baker:
             request = self._queue.take()
             if request is None:
                 return
-            self._in_flight += 1
+            self._fly(1)
             self._submit(self._pool, self._queue.take_along(request, self._pool.together))
+
+    def _fly(self, more: int) -> None:
+        """Count so many ``more`` tasks as in flight; the caller holds the lock."""
+        self._in_flight += more
+        self._pace.working(min(self._in_flight, self.workers))
 
     def _room(self, pool: "WorkerPool") -> int:
         """How many tasks may be in flight now: none, or one trial, in a pause; fewer while a view moves."""
@@ -276,7 +282,7 @@ class Baker:
                 bake.costs.add(task.index, outcome.cost)
                 bake.arrived(task.index)
         with self._changed:
-            self._in_flight -= 1
+            self._fly(-1)
             for task, outcome in zip(tasks, outcomes, strict=True):
                 self._settle(scene, task, outcome)
             self._changed.notify_all()
@@ -294,6 +300,8 @@ class Baker:
             self._postpone(key)
         elif isinstance(outcome, BakeResult):
             self._paths += outcome.cost.paths
+            self._seconds += outcome.cost.seconds
+            self._pace.spent(outcome.cost.seconds)
             self._done_tasks += 1
             self._pause.end()
             self._duplicate += outcome.duplicate

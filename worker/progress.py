@@ -56,6 +56,10 @@ class TimeLeft:
         low, *_, high = statistics.quantiles(ratios, n=10, method="inclusive")
         return cls(low * work + rest, statistics.median(ratios) * work + rest, high * work + rest)
 
+    def times(self, pace: float) -> "TimeLeft":
+        """The same work where each second of it takes ``pace`` seconds."""
+        return TimeLeft(pace * self.low, pace * self.likely, pace * self.high)
+
 
 def log_normal_ratios(spread: float) -> tuple[float, ...]:
     """The deciles of ratios of true to estimated times whose logarithm has the standard deviation ``spread``."""
@@ -64,16 +68,13 @@ def log_normal_ratios(spread: float) -> tuple[float, ...]:
 
 
 PRIOR = (0.25, 0.5, 1.0, 2.0, 4.0)
-"""Assumed ratios of true to estimated times, besides the known ones: the range is wide at first."""
+"""Assumed ratios of true to estimated work, besides the known ones: the range is wide at first."""
 
 KEPT = 50
 """Known ratios that are kept; the oldest are dropped first."""
 
 APART, SHARE = 0.5, 0.25
 """Least seconds between two estimates of one subject that are judged later, and the same as a share of their work."""
-
-JUDGED = 0.25
-"""Share of the estimated work that must be done before an estimate is judged, unless it is long overdue."""
 
 AWAY = 60.0
 """Seconds without an estimate after which a subject is new: what happened meanwhile says nothing of work."""
@@ -83,11 +84,11 @@ SUBJECTS = 16
 
 
 class Estimate(NamedTuple):
-    """An estimate of so many seconds of ``work`` left, when it was made, and what had been ``worked`` by then."""
+    """An estimate of so many seconds of ``work`` left, when it was made, and the seconds ``worked`` by then."""
 
     work: float
     made: float
-    worked: float = 0.0
+    worked: float
 
 
 @dataclass
@@ -110,16 +111,17 @@ class TimeEstimator:
         self._ratios: deque[float] = deque(maxlen=KEPT)
         self._subjects: OrderedDict[Hashable, Subject] = OrderedDict()
 
-    def estimate(self, subject: Hashable, work: float, worked: float = 0.0) -> TimeLeft:
+    def estimate(self, subject: Hashable, work: float, worked: float) -> TimeLeft:
         """The time left of a ``subject`` with so many seconds of ``work``; its earlier estimates are judged by this.
 
-        ``worked`` counts all that has been done so far, in a unit of its own: it grows while workers are at work.
+        ``worked`` are the seconds of work that were done so far, whosesoever.
         """
         now, known = self._clock(), self._subject(subject)
-        self._judge(known, Estimate(work, now, worked))
+        estimate = Estimate(work, now, worked)
+        self._judge(known, estimate)
         last = known.estimates[-1].made if known.estimates else -math.inf
         if work > 0.0 and now - last >= max(APART, SHARE * work):
-            known.estimates.append(Estimate(work, now, worked))
+            known.estimates.append(estimate)
         return TimeLeft.of(work, (*self._prior, *self._ratios))
 
     def _subject(self, name: Hashable) -> Subject:
@@ -133,21 +135,53 @@ class TimeEstimator:
         return subject
 
     def _judge(self, subject: Subject, now: Estimate) -> None:
-        """Note the time that estimates took per second of their work, of which at least JUDGED counts as done.
+        """Judge estimates once as much was worked as they said, or nothing is left.
 
-        Where workers were at work for as long as an estimate said, and less of it was done, it takes as long as that
-        and what is estimated ``now``. Where nothing was worked, that says nothing of the time that work takes.
+        What was worked since, and what is left ``now``, over what was estimated is noted. Where nothing was worked,
+        that says nothing of the time that work takes.
         """
         for each in tuple(subject.estimates):
-            elapsed, done = now.made - each.made, each.work - now.work
-            overdue = done > 0.0 and elapsed >= self._prior[-1] * each.work
-            if elapsed > 0.0 and (done >= JUDGED * each.work or overdue):
-                self._ratios.append(elapsed / max(done, JUDGED * each.work))
-            elif now.worked > each.worked and elapsed >= each.work:
-                self._ratios.append((elapsed + now.work) / each.work)
-            else:
-                continue
-            subject.estimates.remove(each)
+            worked = now.worked - each.worked
+            if worked > 0.0 and (worked >= each.work or not now.work):
+                self._ratios.append((worked + now.work) / each.work)
+                subject.estimates.remove(each)
+
+
+LATELY = 20.0
+"""Processor seconds of tasks that the pace is measured over; what was before counts half as much."""
+
+
+class Pace:
+    """How many seconds a worker takes for a counted processor second of its tasks, by what they took lately.
+
+    Others use its core too, and tasks are handed out, read and write. Before the first is done workers open what they
+    need, which says nothing of others. Call under one lock.
+    """
+
+    def __init__(self, clock: Callable[[], float]) -> None:
+        """Assume one second, until more is known."""
+        self._clock = clock
+        self._busy, self._spent, self._begun = 1.0, 1.0, False
+        self._working, self._since = 0, clock()
+
+    @property
+    def value(self) -> float:
+        """Seconds of a worker for a processor second."""
+        return self._busy / self._spent
+
+    def working(self, workers: int) -> None:
+        """Count so many ``workers`` as busy from now on."""
+        now = self._clock()
+        self._busy += self._begun * self._working * (now - self._since)
+        self._working, self._since = workers, now
+
+    def spent(self, seconds: float) -> None:
+        """Count so many processor ``seconds`` of tasks that are done."""
+        if self._begun:
+            self._spent += seconds
+        self._begun = True
+        if self._spent >= 2.0 * LATELY:
+            self._busy, self._spent = self._busy / 2.0, self._spent / 2.0
 
 
 # --- cost of open requests, by measured costs
@@ -164,9 +198,9 @@ class Work(NamedTuple):
 def work_seconds(work: Sequence[Work], costs: Costs) -> list[float] | None:
     """Processor seconds that each piece of ``work`` will take, by the measured ``costs`` of a bake; None if unknown.
 
-    What is at hand comes first, what has the same target goes with it. A texel without light is assumed to need as many
-    paths as others of the bake did, or will, or as many more as its own target is stricter. Those may have been lit
-    elsewhere, or for another target, so the paths are bounded by what its own target allows.
+    What is at hand comes first, what has the same target goes with it. A texel without light needs what is ``expected``
+    of it; where that is unknown, as many paths as others of the bake did, or will, or as many more as its own target is
+    stricter. Those may have been lit elsewhere, or for another target, so the paths are bounded by what its own allows.
     """
     total, left = costs.total, sum(each.effort.left for each in work if each.target == work[0].target)
     rates = [costs.rate(each.chunk) for each in work]
@@ -176,8 +210,10 @@ def work_seconds(work: Sequence[Work], costs: Costs) -> list[float] | None:
     usual, first = (total.paths + left) / texels, total.first / texels
 
     def _paths(each: Work) -> float:
-        stricter = (work[0].target / each.target) ** RATE
-        return each.effort.left + paths_after_first(stricter * usual, each.target) * each.effort.unlit
+        unlit, stricter = each.effort.unlit, (work[0].target / each.target) ** RATE
+        if unlit and each.effort.expected:
+            return each.effort.left + each.effort.expected - FIRST_LEVEL * unlit
+        return each.effort.left + paths_after_first(stricter * usual, each.target) * unlit
 
     return [
         rate * _paths(each) + first * each.effort.unlit

@@ -3,7 +3,7 @@
 import asyncio
 import json
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -254,39 +254,44 @@ class Work:
         rows = chunk.rows_of(task.offsets)
         return cls(task, chunk, rows, chunk.light.rows(rows), known, chunk_store.damaged > damaged)
 
-    def end(self, light: Light, seconds: float, chunk_store: ChunkStore, claims: Claims) -> BakeResult:
-        """Write the chunk back as one object, with new ``light`` of its texels that took so many ``seconds``."""
+    def end(self, light: Light, chunk_store: ChunkStore, claims: Claims) -> BakeResult:
+        """Write the chunk back as one object, with new ``light`` of its texels; what that cost is still to be told."""
         self.chunk.light.put(self.rows, light)
         pairs = zip(self.chunk.light.parts, self.known, strict=True)
         changed = [not np.array_equal(part.samples, old) for part, old in pairs]
         if chunk_store.save(self.chunk, changed):
             claims.note_contention()
-        cost = cost_of(light.samples, self.light.samples, seconds)
-        result = result_of(light, chunk_store.spec, self.task, cost)
+        result = result_of(light, chunk_store.spec, self.task, Cost())
         return replace(result, duplicate=not any(changed), healed=self.healed)
 
 
-def bake_chunks(
-    tasks: Sequence[BakeTask], spec: BakeSpec, chunk_store: ChunkStore, claims: Claims
-) -> Iterator[BakeResult]:
+def bake_chunks(tasks: Sequence[BakeTask], spec: BakeSpec, chunk_store: ChunkStore, claims: Claims) -> list[BakeResult]:
     """Read the chunks of tasks, add samples to all of them together, write each back as one object.
 
     The outcome depends on the texels and their sample counts alone, so a task that is done twice, done again after a
-    kill, or done beside others, leaves the same bytes.
+    kill, or done beside others, leaves the same bytes. What it took, to read and write as well, is shared by paths.
     """
     if not tasks:
-        return
+        return []
+    begun = time.process_time()
     works = [Work.begin(task, chunk_store) for task in tasks]
     light = Light.joined([work.light for work in works])
     before, texels = light.samples, [spec.prepared.lattice.positions(task.index, task.offsets) for task in tasks]
-    begun = time.process_time()
     sample_texels(light, np.concatenate(texels), spec, *tasks)
-    seconds = time.process_time() - begun
-    taken = np.maximum(light.samples, 0) - np.maximum(before, 0)
     bounds = np.cumsum([0, *(len(task.offsets) for task in tasks)]).tolist()
-    for work, (a, b) in zip(works, pairwise(bounds), strict=True):
-        share = seconds * (taken[a:b].sum() / taken.sum() if taken.any() else (b - a) / max(len(light), 1))
-        yield work.end(light.rows(np.arange(a, b)), float(share), chunk_store, claims)
+    rows = [slice(a, b) for a, b in pairwise(bounds)]
+    results = [
+        work.end(light.rows(np.arange(len(light))[own]), chunk_store, claims)
+        for work, own in zip(works, rows, strict=True)
+    ]
+    seconds, samples = time.process_time() - begun, light.samples
+    taken = np.maximum(samples, 0) - np.maximum(before, 0)
+    shares = taken if taken.any() else np.ones(len(light))
+    each = seconds / max(shares.sum(), 1)
+    return [
+        replace(result, cost=cost_of(samples[own], before[own], float(each * shares[own].sum())))
+        for result, own in zip(results, rows, strict=True)
+    ]
 
 
 def sample_texels(light: Light, texels: np.ndarray, spec: BakeSpec, *tasks: BakeTask) -> None:

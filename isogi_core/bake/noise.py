@@ -192,18 +192,20 @@ RATE = 1.5
 class Effort(NamedTuple):
     """What texels that are not final want: ``unlit`` of them hold no light yet.
 
-    The others have ``taken`` so many samples together, and are predicted to take ``left`` more.
+    The others have ``taken`` so many samples together, and are predicted to take ``left`` more. The unlit ones are
+    ``expected`` to take so many; 0 where nothing is known of them.
     """
 
     unlit: int
     taken: float
     left: float
+    expected: float = 0.0
 
     @classmethod
     def of(cls, error: np.ndarray, samples: np.ndarray, target: float) -> Self:
         """The effort of texels by their relative ``error`` and their ``samples``, void ones left out."""
-        unlit, taken, left = efforts(np.zeros(len(error), np.intp), 1, error, samples, target)[0].tolist()
-        return cls(int(unlit), taken, left)
+        unlit, *rest = efforts(np.zeros(len(error), np.intp), 1, error, samples, target)[0].tolist()
+        return cls(int(unlit), *rest)
 
 
 def samples_left(error: np.ndarray, samples: np.ndarray, target: float) -> np.ndarray:
@@ -211,15 +213,33 @@ def samples_left(error: np.ndarray, samples: np.ndarray, target: float) -> np.nd
 
     They must be lit and not final: each climbs one sample level at least.
     """
+    return np.asarray(np.maximum(samples_needed(error, samples, target), 2.0 * samples) - samples)
+
+
+def samples_needed(error: np.ndarray, samples: np.ndarray, target: float) -> np.ndarray:
+    """The sample level at which lit texels of this relative ``error`` reach a ``target``; (texels,) float64."""
     needed = np.clip(samples * (error / target) ** RATE, FEWEST, most_samples(target))
-    goal = 2.0 ** np.ceil(np.log2(needed))
-    return np.asarray(np.maximum(goal, 2.0 * samples) - samples)
+    return np.asarray(2.0 ** np.ceil(np.log2(needed)))
 
 
 def efforts(chunks: np.ndarray, count: int, error: np.ndarray, samples: np.ndarray, target: float) -> np.ndarray:
-    """``Effort.of`` the texels of each of ``count`` chunks, (count, 3) float64; ``chunks`` is where each texel is."""
+    """``Effort.of`` the texels of each of ``count`` chunks, (count, 4) float64; ``chunks`` is where each texel is."""
     unlit, waiting = samples == 0, (samples > 0) & ~good_enough(error, samples, target)
     left = samples_left(error[waiting], samples[waiting], target)
     columns = ((unlit, None), (waiting, samples[waiting]), (waiting, left))
     sums = [np.bincount(chunks[rows], weights=weights, minlength=count) for rows, weights in columns]
-    return np.stack(sums, axis=1).astype(np.float64)
+    return np.stack([*sums, np.zeros(count)], axis=1).astype(np.float64)
+
+
+def expected_samples(
+    chunks: np.ndarray, count: int, error: np.ndarray, samples: np.ndarray, target: float
+) -> np.ndarray:
+    """What texels of each of ``count`` chunks will take that are like others of this ``error`` after ``samples``.
+
+    Where these are unlit, as many as the rest of the chunk's; 0 where all are. (count,) float64.
+    """
+    lit = samples > 0
+    needed = samples_needed(error[lit], samples[lit], target)
+    sums = np.bincount(chunks[lit], weights=needed, minlength=count)
+    known, every = (np.bincount(some, minlength=count) for some in (chunks[lit], chunks))
+    return np.asarray(sums * every / np.maximum(known, 1))

@@ -123,7 +123,8 @@ class ProjectedReading(Reading):
 
     def projected_demands(self, lacking: Lacking) -> tuple[Demand, ...]:
         """What it wants of projected texels, whatever the base still lacks."""
-        return lacking.of(self.projected, self.pending, self.target, self.wanted, lacking.texels.gbuffer.isovalue)
+        shown = lacking.texels.gbuffer.isovalue
+        return lacking.of(self.projected, self.pending, self.target, self.wanted, shown, like=self.base)
 
     def stages(self, lacking: Lacking) -> tuple[Stage, ...]:
         """All texels on their own isosurfaces, as good as they must be to stand in; those to be projected; the rest.

@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from isogi_core.bake.noise import Effort, efforts, good_enough
+from isogi_core.bake.noise import Effort, efforts, expected_samples, good_enough
 from isogi_core.cache.page_pool import PagePool, fewest_samples
 from isogi_core.frame.tiles import Tiles
 from isogi_core.frame.view_texels import Demand, ViewTexels
@@ -137,14 +137,20 @@ class Lacking:
         target: float,
         wanted: np.ndarray | None = None,
         shown: Isovalue | None = None,
+        like: "Reading | None" = None,
     ) -> tuple[Demand, ...]:
         """The demands of the chunks that have texels ``lacking`` light, by what a ``reading`` says of these.
 
         All texels of such a chunk that are ``wanted`` are demanded. Both are (texels,) bool; None stands for all.
+        Texels without light are expected to need what those of a reading that they are ``like`` do.
         """
         texels, rows = self.texels, np.flatnonzero(lacking)
         chunks = np.searchsorted(reading.bounds, rows, side="right") - 1
+        touched = np.unique(chunks)
         sums = efforts(chunks, len(texels.chunks), reading.error[rows], reading.samples[rows], target)
+        if like is not None:
+            rows, chunks = (each[reading.samples[rows] == 0] for each in (rows, chunks))
+            sums[:, 3] = expected_samples(chunks, len(texels.chunks), like.error[rows], like.samples[rows], target)
 
         def _demand(i: int) -> Demand:
             own = slice(*reading.bounds[i : i + 2].tolist())
@@ -152,7 +158,7 @@ class Lacking:
             offsets, seen = texels.offsets[i][some], texels.footprints[i][some]
             return Demand(texels.chunks[i], offsets, self._weights[i], Effort(*sums[i].tolist()), seen, shown)
 
-        return tuple(map(_demand, np.unique(chunks).tolist()))
+        return tuple(map(_demand, touched.tolist()))
 
 
 GRADES = {UNLIT: UNBAKED, VOID_ROW: VOID, BURIED_ROW: BURIED}

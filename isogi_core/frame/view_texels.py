@@ -53,9 +53,9 @@ class Demand:
         offsets = np.union1d(self.offsets, other.offsets)
         each = len(offsets) / (len(self.offsets) + len(other.offsets))
         sums = (each * (mine + theirs) for mine, theirs in zip(self.effort, other.effort, strict=True))
-        unlit, taken, left = sums
+        unlit, *rest = sums
         seen = most_seen(offsets, (self.offsets, self.footprints), (other.offsets, other.footprints))
-        effort = Effort(math.ceil(unlit), taken, left)
+        effort = Effort(math.ceil(unlit), *rest)
         return Demand(self.index, offsets, self.weight + other.weight, effort, seen, self.shown)
 
 

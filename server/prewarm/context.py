@@ -21,7 +21,7 @@ from server.render.bakes import BackgroundBake, Patience
 from server.render.engine import RenderEngine
 from worker.bake_requests import Viewer
 from worker.errors import WorkersError
-from worker.progress import TimeEstimator, TimeLeft
+from worker.progress import Pace, TimeEstimator, TimeLeft
 
 
 @dataclass(frozen=True)
@@ -121,7 +121,8 @@ class Baking:
         self.done, self.late = 0, False
         self._context, self._end, self._span = context, end, span
         self._expected = expected
-        self._estimator = TimeEstimator(prior=PRIOR)
+        self._estimator, self._pace = TimeEstimator(prior=PRIOR), Pace(time.monotonic)
+        self._worked = 0.0
         self._open: list[BackgroundBake] = []
         self._patience = Patience(context.patience)
         self._before = self._cost()
@@ -183,8 +184,15 @@ class Baking:
         done = total - coming - sum(part.waiting() for part in self._open)
         first, last = self._span
         share = done / max(total, 1)
-        left = self._estimator.estimate("baking", (1.0 - share) * self._expected)
-        self._context.report(Step("Baking", "chunk", done, total, first + (last - first) * share, left))
+        self._context.report(Step("Baking", "chunk", done, total, first + (last - first) * share, self._left(share)))
+
+    def _left(self, share: float) -> TimeLeft:
+        """The time that the rest takes once a ``share`` is done, at the pace of late."""
+        worked = share * self._expected
+        self._pace.working(1)
+        self._pace.spent(worked - self._worked)
+        self._worked = worked
+        return self._estimator.estimate("baking", self._expected - worked, worked).times(self._pace.value)
 
     def _cost(self) -> Cost:
         context, total = self._context, Cost()

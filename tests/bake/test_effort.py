@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from isogi_core.bake.noise import Effort, efforts, good_enough, samples_left
+from isogi_core.bake.noise import Effort, efforts, expected_samples, good_enough, samples_left, samples_needed
 from isogi_core.bake.precision import VOID
 from isogi_core.model.scene_plan import FEWEST, most_samples
 
@@ -33,7 +33,16 @@ def test_efforts_are_summed_chunk_by_chunk() -> None:
         own = [(e, n) for e, n, at in zip(error, samples, chunks, strict=True) if at == chunk]
         lit = [(e, n) for e, n in own if n > 0 and not good_enough(np.array(e), np.array(n), TARGET)]
         left = sum(float(samples_left(np.array([e]), np.array([n]), TARGET)[0]) for e, n in lit)
-        expected = sum(n == 0 for _, n in own), sum(n for _, n in lit), left
+        expected = sum(n == 0 for _, n in own), sum(n for _, n in lit), left, 0.0
         assert found[chunk].tolist() == pytest.approx(expected)
         mine = chunks == chunk
         assert Effort.of(error[mine], samples[mine], TARGET) == pytest.approx(expected)
+
+
+def test_unlit_texels_are_expected_to_need_what_others_do() -> None:
+    """What the unlit ones among the others would need is the mean of the chunk's lit ones."""
+    samples, chunks = np.array([64, 64, 0, 0, 16]), np.array([0, 0, 0, 1, 3])
+    error = np.array([0.2, 0.1, 9.0, 9.0, 0.01])
+    first, second, last = samples_needed(error[[0, 1, 4]], samples[[0, 1, 4]], TARGET)
+    assert (first, second, last) == (512, 256, FEWEST)
+    assert expected_samples(chunks, 4, error, samples, TARGET).tolist() == [1.5 * (512 + 256), 0.0, 0.0, FEWEST]
