@@ -10,7 +10,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from tests.cluster.processes import LONG, ROOT, Cluster, end, reasons, until
+from tests.cluster.processes import LONG, QUIET, ROOT, Cluster, end, listens, reasons, until
 
 pytestmark = pytest.mark.slow
 
@@ -118,6 +118,14 @@ def test_no_port_of_a_cluster_lets_another_user_in(small_scene: Path, tmp_path: 
         ports = ports_of(*(psutil.Process(each.pid) for each in (scheduler, worker, server)))
         assert len(ports) >= 6
         assert fallen(ports) == []
+
+
+def test_a_scheduler_without_tls_lets_another_user_in() -> None:
+    """The attack succeeds where nothing stands in its way: the tests above would fail without certificates."""
+    with Cluster() as running:
+        plain = running.run("dask", "scheduler", "--host", "127.0.0.1", "--port", str(running.port), *QUIET)
+        until(lambda: listens(running.port))
+        assert fallen(ports_of(psutil.Process(plain.pid))) == [running.port]
 
 
 def test_workers_do_not_know_the_token(embedded: psutil.Process) -> None:
