@@ -19,8 +19,11 @@ from isogi_core.model.volume import Isovalue, Volume
 from isogi_core.plan.masks import matrix_into
 from isogi_core.plan.volume_opening import AXES, NESTED, open_grid, stem_of
 
-OF = ("gradient",)
+OF = ("gradient", "curvature")
 """What of the scene's own volume colours can be of."""
+
+SMOOTH = 1.5
+"""Standard deviation in voxels of the Gaussian that curvature is smoothed by: else it would be that of stairs."""
 
 MOST_CODES = 1 << 26
 """Places of a grid of codes, at most: a larger volume has them some voxels apart."""
@@ -30,6 +33,9 @@ LAYERS = 48
 
 USUAL = (1.0, 99.0)
 """Percentiles of the values on the surface that views start with: the range where a scene gives none."""
+
+USUAL_EVEN = 90.0
+"""Percentile of the magnitudes of values that lie about 0: that of the ends of their range."""
 
 FEWEST = 64
 """Values of which percentiles tell something."""
@@ -79,7 +85,9 @@ def read_table(source: SceneSource) -> ColourTable:
     table.choice("use", ("colour",))
     file, of = table.text("file", ""), table.choice("of", OF)
     if bool(file) == (of is not None):
-        raise SceneError(f"Colours in the scene '{source.name}' need a file, or of = 'gradient': give one of them.")
+        raise SceneError(
+            f"Colours in the scene '{source.name}' need a file, or of = 'gradient' or 'curvature': give one."
+        )
     named, listed = table.choice("map", tuple(MAPS)), source.document.get("colours")
     own = own_colours(listed, source.name) if listed is not None else ()
     if named and own:
@@ -88,7 +96,8 @@ def read_table(source: SceneSource) -> ColourTable:
     span = table.span("range", -math.inf, math.inf)
     name, outside = table.text("name", ""), table.colour("outside", 0.5)
     table.refuse_unknown()
-    return ColourTable(file, of, name, named or (None if own else "viridis"), own, span, capped(outside))
+    usual = "coolwarm" if of == "curvature" else "viridis"
+    return ColourTable(file, of, name, named or (None if own else usual), own, span, capped(outside))
 
 
 def own_colours(listed: Any, scene: str) -> tuple[Colour, ...]:
@@ -115,19 +124,74 @@ def capped(albedo: Colour | list[float]) -> Colour:
 def source_of(table: ColourTable, settings: Settings, base: Path, volume: Volume) -> tuple[str, Layer, float]:
     """Where values come from: their name, how a layer is filled, and what filled values are multiplied by."""
     if table.of is not None:
-        shortest = min(volume.spacing)  # in its units slopes stay far from the ends of float32
-        spacing = np.array(volume.spacing) / shortest
-
-        def _slope(z: float, step: np.ndarray, values: np.ndarray) -> None:
-            slope_layer(volume.voxels, spacing, z, step, values)
-
-        return "gradient", _slope, abs(volume.scale) / shortest
+        return table.of, *own_layers(table.of, volume)
     voxels, matrix = placed_file(table.file, settings, base, volume)
 
     def _sample(z: float, step: np.ndarray, values: np.ndarray) -> None:
         sample_layer(voxels, matrix, z, step, values)
 
     return stem_of(Path(table.file), {}), _sample, 1.0
+
+
+def own_layers(of: str, volume: Volume) -> tuple[Layer, float]:
+    """How layers are filled with what of the ``volume`` itself colours are, and what these values are multiplied by."""
+    shortest = min(volume.spacing)  # in its units slopes stay far from the ends of float32
+    spacing = np.array(volume.spacing) / shortest
+
+    def _slope(z: float, step: np.ndarray, values: np.ndarray) -> None:
+        slope_layer(volume.voxels, spacing, z, step, values)
+
+    def _bend(z: float, step: np.ndarray, values: np.ndarray) -> None:
+        whole = mean_curvature(volume.voxels, spacing, int(z))
+        places = [
+            np.minimum(np.arange(n) * int(step[0]), m - 1) for n, m in zip(values.shape, whole.shape, strict=True)
+        ]
+        values[:] = whole[np.ix_(*places)]
+
+    return (_slope, abs(volume.scale) / shortest) if of == "gradient" else (_bend, 1.0 / shortest)
+
+
+def mean_curvature(voxels: np.ndarray, spacing: np.ndarray, z: int) -> np.ndarray:
+    """The mean curvature of the isosurfaces through the voxels of layer ``z``, per unit of ``spacing``; (ny, nx).
+
+    H = (gᵀ∇²ρ g − |g|² Δρ) / 2|g|³ with g = ∇ρ, smoothed: 1/r on a ball of radius r, less than 0 in hollows; NaN where
+    g is 0. (Kindlmann et al., Curvature-based transfer functions, 2003.)
+    """
+    weights = gaussian_derivatives(SMOOTH).astype(np.float32)
+    around = np.clip(z + np.arange(weights.shape[1]) - weights.shape[1] // 2, 0, len(voxels) - 1)
+    along_z = np.tensordot(weights, voxels[around].astype(np.float32), 1)
+
+    def _derivative(x: int, y: int, z: int) -> np.ndarray:
+        found = combine_rows(combine_rows(along_z[z], weights[y]).T, weights[x]).T
+        return np.asarray(found / np.float32(np.prod(spacing ** (x, y, z))))
+
+    gx, gy, gz = _derivative(1, 0, 0), _derivative(0, 1, 0), _derivative(0, 0, 1)
+    xx, yy, zz = _derivative(2, 0, 0), _derivative(0, 2, 0), _derivative(0, 0, 2)
+    xy, xz, yz = _derivative(1, 1, 0), _derivative(1, 0, 1), _derivative(0, 1, 1)
+    square = gx * gx + gy * gy + gz * gz
+    along = gx * gx * xx + gy * gy * yy + gz * gz * zz + 2.0 * (gx * gy * xy + gx * gz * xz + gy * gz * yz)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray((along / square - (xx + yy + zz)) / (2.0 * np.sqrt(square)))
+
+
+def gaussian_derivatives(sigma: float) -> np.ndarray:
+    """What samples in a row count in a Gaussian mean at the middle one, and in its two derivatives; (3, n) float64.
+
+    They are exact on squares: those of 1, x and x² / 2 are 1, 1 and 1.
+    """
+    reach = math.ceil(3.0 * sigma)
+    x = np.arange(-reach, reach + 1.0)
+    bell = np.exp(-0.5 * (x / sigma) ** 2)
+    bell /= bell.sum()
+    second = bell * (x**2 - (bell * x**2).sum())
+    return np.stack([bell, bell * x / (bell * x**2).sum(), second / (0.5 * second * x**2).sum()])
+
+
+def combine_rows(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Each row of ``values`` (n, m) with those around it, by ``weights`` (odd); rows at the ends go on for ever."""
+    reach, count = len(weights) // 2, len(values)
+    padded = np.pad(values, ((reach, reach), (0, 0)), mode="edge")
+    return np.asarray(sum(weight * padded[i : i + count] for i, weight in enumerate(weights.tolist())))
 
 
 def placed_file(file: str, settings: Settings, base: Path, volume: Volume) -> tuple[np.ndarray, np.ndarray]:
@@ -162,7 +226,8 @@ def coloured(
 ) -> SurfaceColours:
     """The colours of a ``volume`` whose values a ``layer`` fills, times the ``factor``."""
     step = max(math.ceil((math.prod(volume.shape) / MOST_CODES) ** (1.0 / 3.0)), 1)
-    span = table.span or usual_span(volume, layer, factor, isovalue, table.file or "its gradient")
+    source = table.file or f"its {table.of}"
+    span = table.span or usual_span(volume, layer, factor, isovalue, source, even=table.of == "curvature")
     shape = [max(math.ceil((n - 1) / step) + 1, 2) for n in volume.shape]
     codes, values, steps = np.empty(shape, np.uint8), np.empty(shape[1:], np.float32), np.full(3, float(step))
     for z in range(shape[0]):
@@ -179,10 +244,12 @@ def codes_of(values: np.ndarray, span: tuple[float, float]) -> np.ndarray:
     return np.where(np.isnan(place), 0.0, 1.0 + np.rint(place * (VALUES - 1))).astype(np.uint8)
 
 
-def usual_span(volume: Volume, layer: Layer, factor: float, isovalue: Isovalue, source: str) -> tuple[float, float]:
+def usual_span(
+    volume: Volume, layer: Layer, factor: float, isovalue: Isovalue, source: str, even: bool = False
+) -> tuple[float, float]:
     """The USUAL percentiles of values beside the surface at an ``isovalue``; of all values where that is nowhere.
 
-    Raises SceneError where there is no value at all.
+    An ``even`` range has 0 in its middle. Raises SceneError where there is no value at all.
     """
     near, everywhere = [], []
     for z in np.unique(np.linspace(0, volume.shape[0] - 1, LAYERS).round()).astype(int):
@@ -199,4 +266,7 @@ def usual_span(volume: Volume, layer: Layer, factor: float, isovalue: Isovalue, 
     if not len(found):
         raise SceneError(f"The volume has no value of '{source}' anywhere: check where both lie, or give another file.")
     low, high = (factor * np.percentile(found.astype(np.float64), USUAL)).tolist()
+    if even:
+        high = factor * float(np.percentile(np.abs(found), USUAL_EVEN))
+        low = -high
     return (low, high) if low < high else (low - 0.5 * (abs(low) or 1.0), low + 0.5 * (abs(low) or 1.0))

@@ -86,6 +86,27 @@ def test_the_gradient_is_in_units_of_the_file(tmp_path: Path) -> None:
     np.testing.assert_allclose(found[near], 30.0, rtol=0.1)
 
 
+def test_the_curvature_of_a_ball_is_one_over_its_radius(tmp_path: Path) -> None:
+    """Whatever its values and its spacing are, and less than 0 where it is a hollow."""
+    z, y, x = np.indices((24, 24, 24))
+    distance = np.hypot(np.hypot((x - 11.5), (y - 11.5)), (z - 11.5) * 2.0)
+    for solid, sign in (("below", 1.0), ("above", -1.0)):
+        save(tmp_path / "v.nrrd", (7.0 * distance**2).astype(np.float32))
+        table = 'use = "colour"\nof = "curvature"\nrange = [-1, 1]'
+        known = f'volume = "v.nrrd"\nspacing = [0.5, 0.5, 1.0]\nsolid = "{solid}"\nisovalue = 400'
+        text = f"{known}\n[[volumes]]\n{table}\n"
+        (tmp_path / "s.toml").write_text(text)
+        found = values_of(load_scene(tmp_path / "s.toml"))
+        near = (distance > 5.0) & (distance < 8.0) & (z > 1) & (z < 22)
+        np.testing.assert_allclose(found[near], sign / (0.5 * distance[near]), rtol=0.05, atol=1 / 127)
+
+
+def test_curvature_has_its_zero_in_the_middle(tmp_path: Path) -> None:
+    save(tmp_path / "v.nrrd", BALL)
+    scale = colours_of(scene_of(tmp_path, 'use = "colour"\nof = "curvature"')).scale
+    assert scale.map == "coolwarm" and scale.span[0] == -scale.span[1] < 0.0
+
+
 def test_the_usual_range_is_of_the_surface_alone(tmp_path: Path) -> None:
     """Values far from the surface, however large, do not spread the colours."""
     save(tmp_path / "v.nrrd", BALL)
@@ -165,7 +186,7 @@ def test_workers_elsewhere_get_the_colours(tmp_path: Path, monkeypatch: pytest.M
 MISTAKES = [
     ({}, "", SceneError, "need a file, or of = 'gradient'"),
     ({}, 'file = "c.nrrd"\nof = "gradient"', SceneError, "need a file, or of = 'gradient'"),
-    ({}, 'of = "curvature"', SceneError, "is not one of gradient"),
+    ({}, 'of = "height"', SceneError, "is not one of gradient, curvature"),
     ({}, 'file = "c.nrrd"\nmap = "jet"', SceneError, "one of viridis, magma, cividis, coolwarm, grey"),
     ({}, 'file = "c.nrrd"\nrange = [9, 3]', SceneError, "two ascending numbers"),
     ({}, 'file = "c.nrrd"\ncolours = [[1, 0, 0]]', SceneError, "is not a list of 2 to 255 albedos"),
