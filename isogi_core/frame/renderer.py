@@ -30,6 +30,7 @@ from isogi_core.bake.bake_spec import spec_name
 from isogi_core.cache.page_pool import Held, PagePool
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.frame.antialiasing import sample_edges
+from isogi_core.frame.eye_glow import EyeGlow, add_glow_seen
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.framing import frame_of
 from isogi_core.frame.gbuffer import GBuffer, to_index, trace
@@ -124,10 +125,18 @@ class Renderer:
             return frame
         with watch.stage("edges"):
             exposure, walls = self.prepared.scene.default_exposure, self.prepared.walls_in_view
-            return replace(frame, edges=sample_edges(frame, exposure, tiles, walls))
+            return replace(frame, edges=sample_edges(frame, exposure, tiles, walls, EyeGlow.of(self.prepared)))
 
     def _draw(self, view: View, target: float, tiles: Tiles, watch: Stopwatch) -> Frame:
-        """The frame of a view, drawn on the threads of ``tiles``."""
+        """The frame of a view with what glows before it, drawn on the threads of ``tiles``."""
+        frame, glow = self._draw_lit(view, target, tiles, watch), EyeGlow.of(self.prepared)
+        if glow is None:
+            return frame
+        with watch.stage("glow"):
+            return add_glow_seen(frame, glow, tiles)
+
+    def _draw_lit(self, view: View, target: float, tiles: Tiles, watch: Stopwatch) -> Frame:
+        """The frame of what is lit in a view."""
         self.prepared.scene.albedo_for(view.albedo)
         self.prepared.scene.refuse_camera(view.camera)
         with watch.stage("primary"):

@@ -20,8 +20,8 @@ NO_WAY = (0.0, -math.inf)
 class Glows(NamedTuple):
     """k >= 0 regions that give off light, in the world; all float64.
 
-    Boxes about ``centres`` (3, k) with half edges ``halves`` (3, k), or balls where ``round`` (k,) is 1: their radius then,
-    thrice. ``radii`` (k,) are of the balls about them. Of each it is the part whose voxels are from
+    Boxes about ``centres`` (3, k) with half edges ``halves`` (3, k), or balls where ``round`` (k,) is 1: then their
+    radius, thrice. ``radii`` (k,) are of the balls about them. Of each it is the part whose voxels are from
     ``lows`` to ``highs`` (k,), which are infinite where all of it glows. A ray gathers the radiance ``rates`` (k,) on
     each unit of its way.
     """
