@@ -115,6 +115,11 @@ class Frame:
         return found
 
     @cached_property
+    def leaving(self) -> np.ndarray:
+        """The ``radiance`` that leaves what is seen, without what glows before it; (h, w, 3) float32."""
+        return self.radiance if self.glow is None else self.radiance - self.glow.reshape(self.radiance.shape)
+
+    @cached_property
     def _tally(self) -> tuple[np.ndarray, np.ndarray]:
         """Pixels in each state, (4,); sums of luminance and of (luminance · error)² over the surface, (2,)."""
         counts, sums = np.zeros(4, np.int64), np.zeros(2)
@@ -160,9 +165,7 @@ class Frame:
     def controlled(self) -> np.ndarray:
         """The luminance that the control pixels show of the surface itself; (k,) float64."""
         places = self.controls.places if self.controls else np.empty(0, np.int64)
-        pixels = self.gbuffer.pixels[places]
-        before = 0.0 if self.glow is None else self.glow[pixels].astype(np.float64) @ LUMINANCE
-        return self._luminance(pixels) - before
+        return np.asarray(self.leaving.reshape(-1, 3)[self.gbuffer.pixels[places]].astype(np.float64) @ LUMINANCE)
 
     @property
     def true_mean(self) -> float:

@@ -139,8 +139,9 @@ class Scene:
 
     @cached_property
     def default_exposure(self) -> float:
-        """The exposure at which a surface turned to the light shows its own albedo."""
-        brightest = self.inputs.brightest or float(self.glow_around @ LUMINANCE)
+        """The exposure at which a surface turned to the light shows its own albedo, also beside what glows."""
+        brightest = self.inputs.brightest
+        brightest += float(self.glow_around @ LUMINANCE) if self.glowing.any else 0.0
         return 1.0 / brightest if brightest > 0.0 else 1.0
 
     @property

@@ -168,7 +168,7 @@ def points(bench: Bench, best: Reference, frame: Callable[[int], tuple[Frame, fl
         if found and not fits(bench, found[-1].foresee(samples)):
             break
         picture, seconds = frame(samples)
-        found.append(Point(samples, seconds, bench.score(picture.radiance, best)))
+        found.append(Point(samples, seconds, bench.score(picture.leaving, best)))
     return found
 
 
