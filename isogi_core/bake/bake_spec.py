@@ -25,7 +25,8 @@ from isogi_core.prepared.prepared_scene import PreparedScene
 class Term:
     """The sum of some ``layers`` of a plan, by their numbers, under one unturned ``light`` (3, n²), linear RGB.
 
-    Of a layer that is kept for several albedos it is the channel ``node`` alone.
+    Of a layer that is kept for several albedos, or of several glows, it is the channel ``node`` alone. It may be of
+    what ``glows``.
     ``order`` is that of the light; ``luminance`` (channels, n²) is what is reflected of it, see ``to_luminance``, and
     ``square`` (n²,) the square of that luminance in the unit of a bake spec, see ``bake.noise``.
     """
@@ -36,6 +37,7 @@ class Term:
     luminance: np.ndarray
     square: np.ndarray
     node: int | None = None
+    glows: bool = False
 
 
 SPECS = ("gi", "vicinity")
@@ -158,7 +160,7 @@ class BakeSpec:
                 for node, light in enumerate(layer.lights(self.prepared.scene.glowing.radiances)):
                     luminance = to_luminance(light, self.albedo, self.channels)
                     square = MOST_GATHERED * (luminance.sum(axis=0) / self.unit) ** 2
-                    yield Term((number,), 1, light, luminance, square, None if layer.glows == 1 else node)
+                    yield Term((number,), 1, light, luminance, square, None if layer.glows == 1 else node, True)
 
     def glow_weights(self, layer: GlowLayer) -> np.ndarray:
         """Luminance that leaves a texel for each channel of what glows; (channels,) float64."""

@@ -18,6 +18,9 @@ from isogi_core.model.volume import Volume
 MOST_GLOWS = 8
 """Most tables of a scene: every ray asks each of them."""
 
+STRONGEST = 16.0
+"""How many times as bright as a scene says views may show what glows, at most."""
+
 ALL = (-math.inf, math.inf)
 """The range of all values."""
 
@@ -150,7 +153,8 @@ def glow_from_mapping(table: Mapping[str, Any]) -> Glow:
     unknown = [key for key in table if key not in READERS]
     if unknown:
         raise SceneError(f"A glow has no '{unknown[0]}': choose from {', '.join(READERS)}.")
-    return Glow(**{key: READERS[key](value) for key, value in table.items()})
+    given: dict[str, Any] = {key: READERS[key](value) for key, value in table.items()}
+    return Glow(**given)
 
 
 def _listed(value: Any, count: int) -> bool:

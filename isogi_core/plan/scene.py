@@ -15,7 +15,7 @@ from isogi_core.kernels.shading.lattice import CHUNK
 from isogi_core.kernels.tracing.field import OFFSET, Field
 from isogi_core.model.colours import SurfaceColours
 from isogi_core.model.environment import Environment, Lamps
-from isogi_core.model.glow import NO_GLOW, Glowing
+from isogi_core.model.glow import NO_GLOW, STRONGEST, Glowing
 from isogi_core.model.lights import Light
 from isogi_core.model.room import NO_ROOM, Room
 from isogi_core.model.scene_plan import GLOW, GlowLayer, Layer, LeftOut, ScenePlan
@@ -232,6 +232,16 @@ class Scene:
         if self.colours is not None and shine.kind == "metal":
             raise ViewError("Metal mirrors one albedo, and this surface has colours: choose plastic.")
         return shine
+
+    def glow_for(self, asked: float) -> float:
+        """How bright what glows is to be, over the scene's own, as ``asked``; ViewError where nothing glows."""
+        if asked == 1.0 or (self.glowing.any and 0.0 <= asked <= STRONGEST):
+            return asked
+        if self.glowing.any:
+            raise ViewError(f"glow must be from 0 to {STRONGEST:g} times the scene's own, not {asked:g}.")
+        raise ViewError(
+            "glow is for scenes in which something glows: leave it out, or give the scene a [[glow]] table."
+        )
 
     def refuse_camera(self, camera: Camera) -> None:
         """Raise ViewError where a ``camera``, in the volume's box, stands in a wall: all it would see is that."""

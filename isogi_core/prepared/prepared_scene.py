@@ -104,9 +104,9 @@ class PreparedScene:
     def glows(self) -> Glows:
         """What glows in the scene, as rays gather it."""
         given = self.scene.glowing
-        places = (np.ascontiguousarray(each.T) for each in (given.middles, given.halves))
+        middles, halves = (np.ascontiguousarray(each.T) for each in (given.middles, given.halves))
         lows, highs = np.ascontiguousarray(given.ranges.T)
-        return Glows(*places, given.round.astype(np.float64), given.radii, lows, highs, 1.0 / given.chords)
+        return Glows(middles, halves, given.round.astype(np.float64), given.radii, lows, highs, 1.0 / given.chords)
 
     @cached_property
     def _room(self) -> Room:

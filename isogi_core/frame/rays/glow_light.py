@@ -24,7 +24,7 @@ def add_glow(
     prepared = light.spec.prepared
     if not prepared.scene.glowing.any:
         return
-    radiances, room = prepared.scene.glowing.radiances, prepared.dark_room(light.seen.albedo)
+    radiances, room = light.glow * prepared.scene.glowing.radiances, prepared.dark_room(light.seen.albedo)
     own = np.zeros((len(sums), radiances.size))
     glow_in_room(traced.field, traced.cells, room, starts, samples, rules, prepared.glows, own)
     sums += np.einsum("gkc,kc->gc", own.reshape(-1, *radiances.shape), radiances)

@@ -103,6 +103,9 @@ def test_colour_and_strength_change_no_chunk(tmp_path: Path) -> None:
         benches.append(bench)
     assert len({bench.scene.bake_digest for bench in benches}) == 1 and len({b.scene.digest for b in benches}) == 3
     assert benches[0].scene.plan.layers[-1].channels == 6
+    brighter = benches[0].renderer.render(benches[0].view(size=SIZE, glow=3.0))
+    np.testing.assert_allclose(brighter.radiance, 3.0 * frames[0].radiance, rtol=1e-5, atol=1e-9)
+    assert brighter.version != frames[0].version
     found = frames[0].radiance + frames[1].radiance
     np.testing.assert_allclose(frames[2].radiance, found, atol=1e-3 * found.max())
     assert frames[2].radiance[..., 0].any() and frames[2].radiance[..., 2].any()
