@@ -78,8 +78,8 @@ COLOURED = (fill_albedos,)
 SHINE = (cast_shine, fill_below, fill_energy, pool_noise)
 """Those that only scenes with a shine call; and, where lights have lobes, ``light_ends``."""
 
-GLOW = (gather_from_eye, glow_in_room, fill_seeds)
-"""Those that only scenes call in which something glows."""
+GLOW = (gather_from_eye,)
+"""Those that only scenes call in which something glows; and, among walls, ``glow_in_room``."""
 
 FRAME = (
     LOBES[0],
@@ -140,12 +140,16 @@ def frame_kernels(scenes: Iterable[Scene]) -> tuple[Any, ...]:
     lobes = (light_ends,) if any(scene.plan.lobes for scene in shining) else ()
     rooms += COLOURED if any(scene.colours for scene in shown) else ()
     rooms += GLOW if any(scene.glowing.any for scene in shown) else ()
+    rooms += (glow_in_room,) if any(scene.glowing.any and scene.room.any for scene in shown) else ()
     return (*rooms, *shines, *lobes, *(kernel for kernel in FRAME if kernel not in uncalled))
 
 
 def other_kernels(scenes: Iterable[Scene]) -> tuple[Any, ...]:
-    """OTHERS, and those of whole paths over colours where one of the ``scenes`` has these."""
-    return (*OTHERS, *((light_in_room, fill_seeds) if any(scene.colours for scene in scenes) else ()))
+    """OTHERS, and those of whole paths over colours, and of what glows, where one of the ``scenes`` has these."""
+    shown = tuple(scenes)
+    coloured = (light_in_room, fill_seeds) if any(scene.colours for scene in shown) else ()
+    glowing = (glow_in_room, fill_seeds) if any(scene.glowing.any for scene in shown) else ()
+    return (*OTHERS, *coloured, *glowing)
 
 
 def uncalled_by(scene: Scene) -> set[Any]:
