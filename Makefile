@@ -64,6 +64,8 @@ pictures: $(BIN)/.tools
 	  --width 960 --height 600 --target-error 0.03
 	$(BIN)/isogi render docs/lamp.toml -o docs/lamp.png --azimuth 35 --elevation 28 --distance 3 \
 	  --width 960 --height 600 --target-error 0.03
+	$(BIN)/isogi render docs/glow.toml -o docs/glow.png --azimuth 35 --elevation 18 --distance 2.6 --exposure 6 \
+	  --width 640 --height 480 --target-error 0.03
 	for kind in window cut; do $(BIN)/isogi render demo:casting -o docs/$$kind.png --$$kind "y>32" --azimuth 60 \
 	  --elevation 30 --width 640 --height 480 --target-error 0.05; done
 	$(BIN)/isogi render docs/colours.toml -o docs/colours.webp --azimuth 35 --elevation 28 --distance 3 \

@@ -205,7 +205,8 @@ def defaults(scene: Scene) -> dict[str, float | str]:
     shine = asdict(scene.shine) if scene.shine else {}
     shine = {"shine": shine.pop("kind"), **shine} if shine else {}
     fixed["projection"] = scene.camera_projection
-    return {"isovalue": scene.isovalue, **fixed, **albedo, **shine, "exposure": scene.default_exposure}
+    glow = {"glow": 1.0} if scene.glowing.any else {}
+    return {"isovalue": scene.isovalue, **fixed, **albedo, **shine, **glow, "exposure": scene.default_exposure}
 
 
 def albedo_text(scene: Scene) -> float | str:

@@ -8,6 +8,7 @@ from fastapi import Depends, Request
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, WithJsonSchema, field_validator, model_validator
 
 from isogi_core.errors import ViewError
+from isogi_core.model.glow import STRONGEST
 from isogi_core.model.lights import ENVIRONMENTS
 from isogi_core.model.shine import KINDS, SMOOTHEST, Shine
 from isogi_core.model.view import (
@@ -122,6 +123,9 @@ class ViewParams(VariantParams):
     )
     strength: Annotated[float | None, Span(0, 1)] = Field(
         None, description="How much that shine counts; default: the scene's."
+    )
+    glow: Annotated[float, Span(0, STRONGEST)] = Field(
+        1.0, description="How bright what glows is, where something does, over the scene's own."
     )
     window: Annotated[str | None, Planes()] = Field(
         None,
@@ -312,6 +316,7 @@ def view_of(scene: Scene, params: ViewParams, settings: Settings) -> View:
         samples=params.samples,
         albedo=albedo_of(scene, params),
         shine=shine_of(scene, params),
+        glow=glow_of(scene, params),
         smooth=isinstance(params, FrameParams) and params.antialias == "on" and params.shading != "path_traced",
         orientation=scene.volume.orientation,
         window=None if params.window is None else read_window(params.window).in_box(scene.volume.orientation),
@@ -347,6 +352,14 @@ def shine_of(scene: Scene, params: ViewParams) -> Shine | None:
         raise ParameterError(f"{name} is for scenes that shine: leave it out, or give the scene a [shine] table.", name)
     shine = replace(scene.shine, **given)
     return None if shine == scene.shine else shine
+
+
+def glow_of(scene: Scene, params: ViewParams) -> float:
+    """How bright what glows is over the scene's own; ParameterError where nothing glows."""
+    try:
+        return scene.glow_for(params.glow)
+    except ViewError as error:
+        raise ParameterError(str(error), "glow") from None
 
 
 def camera_of(scene: Scene, params: ViewParams) -> Camera:

@@ -28,10 +28,11 @@ from isogi_core.files.scene_file import FOLLOWED, SceneSource
 from isogi_core.files.voxel_file import budget
 from isogi_core.kernels._jit import entries_of, load
 from isogi_core.kernels.transport.coloured_transfer import bake_coloured_texels
+from isogi_core.kernels.transport.glow_paths import glow_in_room
 from isogi_core.kernels.transport.room_paths import fill_seeds, light_in_room
 from isogi_core.kernels.transport.texel_points import project_texels
 from isogi_core.kernels.transport.transfer import bake_irradiance, bake_texels, locate_texels
-from isogi_core.model.scene_plan import ScenePlan
+from isogi_core.model.scene_plan import GLOW, ScenePlan
 from isogi_core.model.volume import Isovalue
 from isogi_core.plan.assembly import build_scene
 from isogi_core.plan.scene import COLOURED, ROOM
@@ -42,11 +43,12 @@ from isogi_core.storage.url import StoreUrl
 PATHS = {
     **{"direct": (bake_texels,), "indirect": (bake_texels,), "whole": (bake_texels,)},
     **{"irradiance": (bake_irradiance,), ROOM: (light_in_room, fill_seeds), COLOURED: (bake_coloured_texels,)},
+    GLOW: (glow_in_room, fill_seeds),
 }
 """Entry kernels by the kind of layer that they bake; among walls and on colours they are others."""
 
-KINDS = tuple(kind for kind in PATHS if kind not in (ROOM, COLOURED))
-"""The kinds of layers that can be baked."""
+KINDS = tuple(kind for kind in PATHS if kind not in (ROOM, COLOURED, GLOW))
+"""The kinds of layers of scenes without walls, colours and glow."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,7 @@ import numpy as np
 
 from isogi_core.kernels.transport.coloured_transfer import ColouredRules
 from isogi_core.model.environment import Lobe
-from isogi_core.model.scene_plan import Layer, ScenePlan
+from isogi_core.model.scene_plan import GLOW, GlowLayer, Layer, ScenePlan
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.volume import Isovalue
 from isogi_core.plan.albedos import mixing_weights
@@ -25,7 +25,8 @@ from isogi_core.prepared.prepared_scene import PreparedScene
 class Term:
     """The sum of some ``layers`` of a plan, by their numbers, under one unturned ``light`` (3, n²), linear RGB.
 
-    Of a layer that is kept for several albedos it is the channel ``node`` alone.
+    Of a layer that is kept for several albedos, or of several glows, it is the channel ``node`` alone. It may be of
+    what ``glows``.
     ``order`` is that of the light; ``luminance`` (channels, n²) is what is reflected of it, see ``to_luminance``, and
     ``square`` (n²,) the square of that luminance in the unit of a bake spec, see ``bake.noise``.
     """
@@ -36,6 +37,7 @@ class Term:
     luminance: np.ndarray
     square: np.ndarray
     node: int | None = None
+    glows: bool = False
 
 
 SPECS = ("gi", "vicinity")
@@ -129,6 +131,8 @@ class BakeSpec:
     def unoccluded(self) -> float:
         """Luminance that leaves a surface which sees all of the light, a mean over its turns; whatever is ``seen``."""
         mean = self.prepared.around[:, 0] / np.sqrt(4.0 * np.pi)
+        if self.prepared.scene.glowing.any:
+            mean = mean + self.prepared.scene.glow_around
         return float(mean * self.prepared.scene.inputs.albedo @ LUMINANCE)
 
     @cached_property
@@ -146,12 +150,29 @@ class BakeSpec:
         Irradiance is taken for the transfer, times ``unit``, of a light of this radiance. What is kept for several
         albedos meets as much of the light as it counts at the spec's own.
         """
-        return tuple(part for layers, light in self._lights for part in self._by_node(self._term(layers, light)))
+        lit = (part for layers, light in self._lights for part in self._by_node(self._term(layers, light)))
+        return (*lit, *self._glow_terms())
+
+    def _glow_terms(self) -> Iterator[Term]:
+        """The terms of what glows, each under its own radiance: of single channels where there are several."""
+        for number, layer in enumerate(self.plan.layers):
+            if isinstance(layer, GlowLayer):
+                for node, light in enumerate(layer.lights(self.prepared.scene.glowing.radiances)):
+                    luminance = to_luminance(light, self.albedo, self.channels)
+                    square = MOST_GATHERED * (luminance.sum(axis=0) / self.unit) ** 2
+                    yield Term((number,), 1, light, luminance, square, None if layer.glows == 1 else node, True)
+
+    def glow_weights(self, layer: GlowLayer) -> np.ndarray:
+        """Luminance that leaves a texel for each channel of what glows; (channels,) float64."""
+        each = [term.luminance[:, 0] for term in self._glow_terms()]
+        if layer.glows == 1:
+            return each[0] if len(each[0]) == layer.channels else each[0].sum(keepdims=True)
+        return np.array([weights.sum() for weights in each])
 
     @cached_property
     def _lights(self) -> tuple[tuple[tuple[int, ...], np.ndarray], ...]:
         """Layers that meet the same light, by their numbers, and that light, (3, n²)."""
-        numbers = range(len(self.plan.layers))
+        numbers = [number for number, layer in enumerate(self.plan.layers) if layer.kind != GLOW]
         straight = tuple(i for i in numbers if self.plan.layers[i].kind == "direct")
         groups = [group for group in (straight, tuple(i for i in numbers if i not in straight)) if group]
         return tuple((group, self._beside(group, self.lobes if group == straight else ())) for group in groups)
@@ -224,6 +245,9 @@ class BakeSpec:
         direct light on five surfaces, from v_5 / v_0 = 20 after 16 samples to 2 after 1024, within a fifth.
         Channels are of the same paths, and so are their errors.
         """
+        if isinstance(layer, GlowLayer):
+            brightest = self.glow_weights(layer).reshape(layer.glows, -1).sum(axis=1).max()
+            return np.array([(layer.glows * brightest) ** 2])
         bands = np.arange(min(layer.order, self.term_of(layer).order))
         light = self.term_of(layer).luminance.sum(axis=0)[: len(bands) ** 2]
         energy = np.add.reduceat(light**2, bands**2)
@@ -241,12 +265,14 @@ class BakeSpec:
     def mix(self, layer: Layer) -> np.ndarray:
         """Shares of a layer's channels in the luminance that leaves a texel under white light; (channels,) float64.
 
-        Of what is kept for several albedos it is the highest alone, which errors are held against.
+        Of what is kept for several albedos it is the highest alone, which errors are held against. Of what glows it is
+        the mean, and ``gains`` take all to be as bright as the brightest.
         """
         if layer.nodes:
             return np.eye(layer.channels)[-1]
         mix = LUMINANCE * np.array(self.albedo)
-        return mix / max(mix.sum(), 1e-30) if layer.channels == 3 else np.ones(1)
+        mix = mix / max(mix.sum(), 1e-30) if layer.colours == 3 else np.ones(1)
+        return np.tile(mix, layer.channels // len(mix)) * (len(mix) / layer.channels)
 
     def weights(self, layer: Layer) -> np.ndarray:
         """R^k for k = 0 … bounces, over the chance to get there, of the layer's channels; (bounces + 1, channels)."""
@@ -292,6 +318,10 @@ class BakeSpec:
         if layer.kind == "indirect":
             shares[:, 1] = 0.0
         return shares
+
+
+MOST_GATHERED = 1.5
+"""The most that a ray gathers of a ball that glows with radiance 1: its diameter over its mean chord."""
 
 
 def path_weights(albedo: np.ndarray, bounces: int, survival: float, leaving: int = 0) -> np.ndarray:

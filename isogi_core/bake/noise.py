@@ -10,7 +10,7 @@ import numpy as np
 from isogi_core.bake.bake_spec import BakeSpec, band_of
 from isogi_core.bake.texel_light import Light, Part
 from isogi_core.kernels.shading.lattice import LEAST_SPREAD
-from isogi_core.model.scene_plan import FEWEST, Layer, most_samples
+from isogi_core.model.scene_plan import FEWEST, GlowLayer, Layer, most_samples
 from isogi_core.plan.albedos import mixing_weights
 
 FLOOR = 0.5
@@ -21,6 +21,7 @@ DECAYS: Mapping[str, tuple[float, float]] = {
     "indirect": (0.46, 0.49),
     "whole": (0.46, 0.35),
     "irradiance": (0.42, 0.42),
+    "glow": (0.42, 0.42),
 }
 """What twice the samples do to the variance of band 0, and to what the bands above have more than that, by kind.
 
@@ -70,6 +71,8 @@ def white(layer: Layer, spec: BakeSpec) -> np.ndarray:
     Where views may ask for other albedos, reflected light counts as it does at the lowest, all else as at the highest:
     an error of the most noise over the least light holds at each of them.
     """
+    if isinstance(layer, GlowLayer):
+        return spec.glow_weights(layer)
     weights = spec.luminance_light[:, 0]
     if layer.nodes:
         return np.asarray(weights.sum() * mixing_weights(spec.prepared.scene.lowest, layer.nodes, spec.plan.bounces))

@@ -16,11 +16,12 @@ from isogi_core.bake.texel_light import Light, Part
 from isogi_core.kernels.tracing.active_cells import ActiveCells
 from isogi_core.kernels.tracing.walls import NOWHERE
 from isogi_core.kernels.transport.coloured_transfer import bake_coloured_texels
+from isogi_core.kernels.transport.glow_paths import glow_in_room
 from isogi_core.kernels.transport.paths import PathRules, SampleRange
 from isogi_core.kernels.transport.room_paths import RoomStarts, fill_seeds, light_in_room
 from isogi_core.kernels.transport.texel_points import PROJECTED, project_texels
 from isogi_core.kernels.transport.transfer import bake_irradiance, bake_texels, locate_texels
-from isogi_core.model.scene_plan import Layer, most_samples
+from isogi_core.model.scene_plan import GLOW, Layer, most_samples
 from isogi_core.model.volume import Isovalue
 from isogi_core.prepared.prepared_scene import PreparedScene
 
@@ -72,12 +73,26 @@ def climb(parts: Sequence[Part], rows: np.ndarray, located: Located, spec: BakeS
     samples = int(parts[0].samples[rows[0]])
     total = next_level(samples)
     place, void = some_located(located, rows)
-    sample = sample_irradiance if parts[0].layer.kind == "irradiance" else sample_transfer
-    layers = [part.layer for part in parts]
-    sampled = sample(layers, place, void, spec, samples, total - samples)
-    for part, (halves, second) in zip(parts, sampled, strict=True):
-        add(part, rows, halves, second, total, spec)
-        part.samples[rows] = np.where(void, VOID, total)
+    for sample, some in by_sampler(parts):
+        layers = [part.layer for part in some]
+        sampled = sample(layers, place, void, spec, samples, total - samples)
+        for part, (halves, second) in zip(some, sampled, strict=True):
+            add(part, rows, halves, second, total, spec)
+            part.samples[rows] = np.where(void, VOID, total)
+
+
+Sampler = Callable[[Sequence[Layer], Place, np.ndarray, BakeSpec, int, int], Iterator[tuple[np.ndarray, np.ndarray]]]
+"""Draws samples for some layers: see ``sample_transfer``."""
+
+
+def by_sampler(parts: Sequence[Part]) -> Iterator[tuple[Sampler, list[Part]]]:
+    """Some parts by who samples them: those that the same harmonics serve, irradiance, and what glows."""
+    own: dict[str, Sampler] = {"irradiance": sample_irradiance, GLOW: sample_glow}
+    if lit := [part for part in parts if part.layer.kind not in own]:
+        yield sample_transfer, lit
+    for part in parts:
+        if part.layer.kind in own:
+            yield own[part.layer.kind], [part]
 
 
 def add(part: Part, rows: np.ndarray, halves: np.ndarray, second: np.ndarray, total: int, spec: BakeSpec) -> None:
@@ -96,7 +111,7 @@ def add(part: Part, rows: np.ndarray, halves: np.ndarray, second: np.ndarray, to
 def noise_of_new(halves: np.ndarray, second: np.ndarray, count: int, layer: Layer, spec: BakeSpec) -> np.ndarray:
     """The noise of a layer, estimated from the sums of ``count`` new samples; see ``noise_of_halves``."""
     seen = spec.judged(halves, layer)
-    if layer.order > 1 or layer.kind == "irradiance":
+    if layer.order > 1 or layer.kind in ("irradiance", GLOW):
         return noise_of_halves(seen, count, layer.order)
     even = evenness(seen.sum(axis=1) / count, second / count, count)
     return noise_of_halves(seen, count, layer.order, even)
@@ -195,6 +210,31 @@ def sample_irradiance(
         yield sums[:, :, : layer.channels, None], np.zeros(len(void))
 
 
+def sample_glow(
+    layers: Sequence[Layer], place: Place, void: np.ndarray, spec: BakeSpec, samples: int, count: int
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """The same of what glows, one glow's channels after the other's, each of radiance 1."""
+    prepared, plan = spec.prepared, spec.plan
+    glows, room = prepared.glows, prepared.dark_room(prepared.scene.albedo)
+    some, rules = SampleRange(samples // 2, count // 2), PathRules(np.ones((plan.bounces + 1, 3)), plan.survival)
+    sums = np.zeros((len(void), 2, 3 * len(glows.rates)))
+    for bricks, rows in by_isovalue(place[3], void, prepared):
+        added = np.zeros((2 * len(rows), sums.shape[2]))
+        glow_in_room(prepared.field, bricks, room, starts_of(place, rows), some, rules, glows, added)
+        sums[rows] += added.reshape(-1, 2, sums.shape[2])
+    for layer in layers:
+        yield sums[:, :, :: 3 // layer.colours, None], np.zeros(len(void))
+
+
+def starts_of(place: Place, rows: np.ndarray) -> RoomStarts:
+    """Where paths start, of both halves of the texels in these ``rows`` of a place."""
+    texels, points, normals, isovalues = place
+    both = np.repeat(rows, 2)
+    seeds = seeds_of(np.column_stack([texels[both], np.tile([0, 1], len(rows))]))
+    here, around = (np.ascontiguousarray(each[:, both]) for each in (points, normals))
+    return RoomStarts(here, around, isovalues[both], seeds, np.full(len(both), NOWHERE))
+
+
 def light_texels_in_room(
     place: Place,
     rows: np.ndarray,
@@ -205,12 +245,7 @@ def light_texels_in_room(
     sums: np.ndarray,
 ) -> None:
     """``bake_irradiance`` among walls, which reflect, and on colours: luminaires are seen and cast shadows."""
-    texels, points, normals, isovalues = place
-    both = np.repeat(rows, 2)
-    seeds = seeds_of(np.column_stack([texels[both], np.tile([0, 1], len(rows))]))
-    here, around = (np.ascontiguousarray(each[:, both]) for each in (points, normals))
-    starts = RoomStarts(here, around, isovalues[both], seeds, np.full(len(both), NOWHERE))
-    prepared, added = spec.prepared, np.zeros((len(both), 3))
+    starts, prepared, added = starts_of(place, rows), spec.prepared, np.zeros((2 * len(rows), 3))
     room, light = prepared.room(prepared.scene.albedo), prepared.surroundings(np.eye(3))
     light_in_room(prepared.field, bricks, room, starts, samples, rules, light, added)
     sums[rows] += added.reshape(-1, 2, 3)

@@ -108,7 +108,7 @@ class Light:
 
     def columns(self, terms: Sequence[Term]) -> np.ndarray:
         """The sums of the parts of each of the ``terms``, side by side; (m, channels, Σ n²) float32."""
-        channels = max(1 if part.layer.nodes else part.layer.channels for part in self.parts)
+        channels = max(part.layer.colours for part in self.parts)
         sums = [sum_of(self._of(term), channels)[:, :, : term.order**2] for term in terms]
         return sums[0] if len(sums) == 1 else np.concatenate(sums, axis=2)
 

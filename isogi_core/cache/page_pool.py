@@ -18,7 +18,7 @@ from isogi_core.cache.chunk import Chunks
 from isogi_core.errors import NoRoomError
 from isogi_core.kernels.shading.lattice import UNLIT, Lattice
 from isogi_core.kernels.shading.texel_table import Judge, Role, Rows, Sums, add_part, judge_rows
-from isogi_core.model.scene_plan import FEWEST, Layer
+from isogi_core.model.scene_plan import FEWEST, GLOW, Layer
 from isogi_core.prepared.prepared_scene import Index
 
 PAGE = 64
@@ -268,7 +268,7 @@ def role_of(number: int, layer: Layer, at: int, spec: BakeSpec) -> Role:
         width=term.order**2,
         first=number == min(term.layers),
         rung=LEVELS**number if last else 0,
-        straight=layer.kind != "indirect",
+        straight=layer.kind not in ("indirect", GLOW),
         telling=layer.kind != "irradiance",
         fewest=FEWEST,
     )

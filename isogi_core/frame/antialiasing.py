@@ -7,6 +7,7 @@ import math
 
 import numpy as np
 
+from isogi_core.frame.eye_glow import EyeGlow
 from isogi_core.frame.film import lit
 from isogi_core.frame.frame import EdgeSamples, Frame
 from isogi_core.frame.gbuffer import RAYS, sight_of, view_pinhole
@@ -54,10 +55,13 @@ def pattern(count: int) -> np.ndarray:
     return np.stack([(order + 0.5) / count, reverse + 0.5 / count], axis=-1).astype(np.float32)
 
 
-def sample_edges(frame: Frame, exposure: float, tiles: Tiles, walls: Walls | None = None) -> EdgeSamples | None:
+def sample_edges(
+    frame: Frame, exposure: float, tiles: Tiles, walls: Walls | None = None, glow: EyeGlow | None = None
+) -> EdgeSamples | None:
     """More samples where a ``frame`` has edges at its ``exposure``; None where it has none. Raises Cancelled.
 
-    Walls, where there are ``walls``, have edges as the surface has, and so have the faces of a window.
+    Walls, where there are ``walls``, have edges as the surface has, and so have the faces of a window. Samples beside
+    all of these show what glows, where there is any ``glow``.
     """
     pixels, count = find_edges(lit(frame.radiance, frame.state, exposure, marked=False), frame.state)
     if not len(pixels):
@@ -79,6 +83,10 @@ def sample_edges(frame: Frame, exposure: float, tiles: Tiles, walls: Walls | Non
         borrow_light(shown, places[a:b], found[:hits], points[:hits], light[a:b])
 
     tiles.run(_piece, len(places), RAYS)
+    if glow is not None:
+        beside = np.flatnonzero(~on)
+        light[beside] = glow.through(frame, places[beside], tiles)
+        on[beside] = light[beside].any(axis=1)
     return EdgeSamples(pixels, light.reshape(len(pixels), count, 3), on.reshape(len(pixels), count))
 
 

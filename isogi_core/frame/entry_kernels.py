@@ -39,10 +39,12 @@ from isogi_core.kernels.shading.texel_table import add_part, judge_rows, unpack_
 from isogi_core.kernels.shading.wall_light import light_walls
 from isogi_core.kernels.tracing.active_cells import fill_ranges, mark_bricks, number_bricks, pack_bricks
 from isogi_core.kernels.tracing.camera import trace_pixels, trace_places
+from isogi_core.kernels.tracing.glow import gather_from_eye
 from isogi_core.kernels.tracing.macrocells import fill_macrocells
 from isogi_core.kernels.tracing.sight import read_values, trace_pixels_in_sight, trace_places_in_sight
 from isogi_core.kernels.tracing.stiffness import count_stiffness
 from isogi_core.kernels.transport.colours import fill_albedos
+from isogi_core.kernels.transport.glow_paths import glow_in_room
 from isogi_core.kernels.transport.harmonics import rotate
 from isogi_core.kernels.transport.lights import project_lamps
 from isogi_core.kernels.transport.microfacets import fill_energy
@@ -75,6 +77,9 @@ COLOURED = (fill_albedos,)
 
 SHINE = (cast_shine, fill_below, fill_energy, pool_noise)
 """Those that only scenes with a shine call; and, where lights have lobes, ``light_ends``."""
+
+GLOW = (gather_from_eye,)
+"""Those that only scenes call in which something glows; and, among walls, ``glow_in_room``."""
 
 FRAME = (
     LOBES[0],
@@ -125,7 +130,7 @@ views through a window.
 
 def frame_kernels(scenes: Iterable[Scene]) -> tuple[Any, ...]:
     """Those that frames of any of the ``scenes`` call: ROOM where one has walls, COLOURED where one has
-    colours, SHINE where one shines, then in the order of FRAME.
+    colours, GLOW where something glows, SHINE where one shines, then in the order of FRAME.
     """
     shown = tuple(scenes)
     uncalled = set.intersection({*FRAME}, *map(uncalled_by, shown))
@@ -134,12 +139,17 @@ def frame_kernels(scenes: Iterable[Scene]) -> tuple[Any, ...]:
     shines = SHINE if shining else ()
     lobes = (light_ends,) if any(scene.plan.lobes for scene in shining) else ()
     rooms += COLOURED if any(scene.colours for scene in shown) else ()
+    rooms += GLOW if any(scene.glowing.any for scene in shown) else ()
+    rooms += (glow_in_room,) if any(scene.glowing.any and scene.room.any for scene in shown) else ()
     return (*rooms, *shines, *lobes, *(kernel for kernel in FRAME if kernel not in uncalled))
 
 
 def other_kernels(scenes: Iterable[Scene]) -> tuple[Any, ...]:
-    """OTHERS, and those of whole paths over colours where one of the ``scenes`` has these."""
-    return (*OTHERS, *((light_in_room, fill_seeds) if any(scene.colours for scene in scenes) else ()))
+    """OTHERS, and those of whole paths over colours, and of what glows, where one of the ``scenes`` has these."""
+    shown = tuple(scenes)
+    coloured = (light_in_room, fill_seeds) if any(scene.colours for scene in shown) else ()
+    glowing = (glow_in_room, fill_seeds) if any(scene.glowing.any for scene in shown) else ()
+    return (*OTHERS, *coloured, *glowing)
 
 
 def uncalled_by(scene: Scene) -> set[Any]:

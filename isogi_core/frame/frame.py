@@ -55,7 +55,8 @@ class Frame:
     besides its noise, as the plan expects. Of a view that is smooth, ``edges`` have more samples. So many pixels of
     walls are ``walls_waiting``: they are not final, and become so as the picture is refined. So many pixels have light
     of their ``own``. Its texels are finer than the plan's by ``fineness`` steps, see ``plan.finer``; a ``finer`` frame
-    is coming, and waits for its light.
+    is coming, and waits for its light. What glows adds ``glow`` (pixels, 3) float32 to the radiance; None where nothing
+    does.
     """
 
     view: View
@@ -79,6 +80,7 @@ class Frame:
     own: int = 0
     fineness: int = 0
     finer: "Frame | None" = None
+    glow: np.ndarray | None = None
 
     @cached_property
     def demands(self) -> tuple[Demand, ...]:
@@ -108,8 +110,14 @@ class Frame:
         found = self.gbuffer.positions(first, last)
         if self.view.orientation.placed:
             on = self.state[first:last] > 0
+            on &= self.glow is None or found.any(axis=-1)  # what glows beside the surface is nowhere
             found[on] = self.view.orientation.to_world(found[on].astype(np.float64))
         return found
+
+    @cached_property
+    def leaving(self) -> np.ndarray:
+        """The ``radiance`` that leaves what is seen, without what glows before it; (h, w, 3) float32."""
+        return self.radiance if self.glow is None else self.radiance - self.glow.reshape(self.radiance.shape)
 
     @cached_property
     def _tally(self) -> tuple[np.ndarray, np.ndarray]:
@@ -155,14 +163,14 @@ class Frame:
 
     @cached_property
     def controlled(self) -> np.ndarray:
-        """The luminance that the control pixels show; (k,) float64."""
+        """The luminance that the control pixels show of the surface itself; (k,) float64."""
         places = self.controls.places if self.controls else np.empty(0, np.int64)
-        return self._luminance(self.gbuffer.pixels[places])
+        return np.asarray(self.leaving.reshape(-1, 3)[self.gbuffer.pixels[places]].astype(np.float64) @ LUMINANCE)
 
     @property
     def true_mean(self) -> float:
         """The true mean luminance of the surface, as far as control pixels know it."""
-        if not self.gbuffer.alone:
+        if self.glow is not None or not self.gbuffer.alone:
             shown = float(self._luminance(self.gbuffer.pixels).mean())
         else:
             shown = float(self._tally[1][0]) / max(self.surface, 1)

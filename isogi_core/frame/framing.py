@@ -44,6 +44,7 @@ def frame_of(
     needed, short = (len(lacking.texels.chunks), int(lacking.reading.short.sum())) if lacking else (0, 0)
     read = (reading.version if reading else b"") + (check.version if check else b"") + shine
     read += repr(light.view.window).encode() if light.view.window else b""
+    read += repr(light.view.glow).encode() if light.view.glow != 1.0 else b""
     return Frame(
         view=light.view,
         radiance=framebuffer.radiance.reshape(*gbuffer.shape, 3),

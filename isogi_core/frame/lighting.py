@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from isogi_core.bake.bake_spec import BakeSpec, band_of
+from isogi_core.bake.bake_spec import BakeSpec, Term, band_of
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.irradiance_ratio import LEAST, Unshadowed
@@ -97,7 +97,11 @@ class RotatedLight:
     @cached_property
     def light(self) -> np.ndarray:
         """What texels' columns are multiplied by: the rotated light of each term in turn; (3, Σ n²) linear RGB."""
-        return np.concatenate([rotated_by(term.light, self.matrix) for term in self.seen.terms], axis=1)
+        return np.concatenate([rotated_by(self._met(term), self.matrix) for term in self.seen.terms], axis=1)
+
+    def _met(self, term: Term) -> np.ndarray:
+        """The unturned light of a ``term``, (3, n²): what glows is as bright as the view asks."""
+        return self.glow * term.light if term.glows else term.light
 
     def light_of(self, layer: Layer) -> np.ndarray:
         """What a ``layer``'s coefficients are multiplied by in all, rotated; (3, n²) float64 linear RGB."""
@@ -139,6 +143,11 @@ class RotatedLight:
         return self.spec.prepared.scene.shine_for(self.view.shine)
 
     @property
+    def glow(self) -> float:
+        """How bright what glows is over the scene's own. ViewError where nothing glows and the view asks for it."""
+        return self.spec.prepared.scene.glow_for(self.view.glow)
+
+    @property
     def reflecting(self) -> tuple[float, float, float]:
         """The most that anything reflects of each colour, the surface or a wall."""
         return replace(self.spec.prepared.scene.inputs, albedo=self.seen.albedo).reflecting
@@ -156,7 +165,8 @@ class RotatedLight:
     @cached_property
     def square(self) -> np.ndarray:
         """The square of the luminance that ``reflected`` brings, in the spec's ``unit``; (Σ n²,) float64."""
-        return np.concatenate([rotated_by(term.square[None], self.matrix)[0] for term in self.seen.terms])
+        squares = [self.glow**2 * term.square if term.glows else term.square for term in self.seen.terms]
+        return np.concatenate([rotated_by(square[None], self.matrix)[0] for square in squares])
 
     @property
     def in_units(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:

@@ -5,12 +5,12 @@ step and the surface that a view shows, by isovalue, camera and size (``surface_
 
 | step | kept for |
 |---|---|
-| ``GBuffer``, ``ViewTexels``, ``Distances``, ``TexelNormals`` | a surface |
+| ``GBuffer``, ``ViewTexels``, ``Distances``, ``TexelNormals``, ``EyeGlow`` | a surface |
 | ``Reading`` | a surface, a bake spec, a target error, and the age of the page pool |
 | ``LobeLight`` | a surface, the rotation of the light, and whether it moves |
-| ``PictureCheck`` | a surface, the rotation of the light, an albedo, a shine and a target error |
-| ``WallLight`` | a wall, an isovalue and an albedo |
-| ``ShineLight`` | a surface, its shine and albedo, the rotation of the light, and whether it moves |
+| ``PictureCheck`` | a surface, the rotation of the light, an albedo, a shine, a glow and a target error |
+| ``WallLight`` | a wall, an isovalue, an albedo and a glow |
+| ``ShineLight`` | a surface, its shine and albedo, the rotation of the light, a glow, and whether it moves |
 
 ``Reading``, ``LobeLight`` and ``ShineLight`` have a SHARE of its bytes each, so that a light that turns, or a bake that
 goes on, drives out no surface.
@@ -30,6 +30,7 @@ from isogi_core.bake.bake_spec import spec_name
 from isogi_core.cache.page_pool import Held, PagePool
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.frame.antialiasing import sample_edges
+from isogi_core.frame.eye_glow import EyeGlow, with_glow
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.framing import frame_of
 from isogi_core.frame.gbuffer import GBuffer, to_index, trace
@@ -124,10 +125,17 @@ class Renderer:
             return frame
         with watch.stage("edges"):
             exposure, walls = self.prepared.scene.default_exposure, self.prepared.walls_in_view
-            return replace(frame, edges=sample_edges(frame, exposure, tiles, walls))
+            return replace(
+                frame, edges=sample_edges(frame, exposure, tiles, walls, EyeGlow.of(self.prepared, view.glow))
+            )
 
     def _draw(self, view: View, target: float, tiles: Tiles, watch: Stopwatch) -> Frame:
-        """The frame of a view, drawn on the threads of ``tiles``."""
+        """The frame of a view with what glows before it, drawn on the threads of ``tiles``."""
+        frame, key = self._draw_lit(view, target, tiles, watch), surface_key(view)
+        return with_glow(frame, self._kept, key, self.prepared, tiles, watch)
+
+    def _draw_lit(self, view: View, target: float, tiles: Tiles, watch: Stopwatch) -> Frame:
+        """The frame of what is lit in a view."""
         self.prepared.scene.albedo_for(view.albedo)
         self.prepared.scene.refuse_camera(view.camera)
         with watch.stage("primary"):
@@ -257,7 +265,7 @@ class Renderer:
     def _shine(self, gbuffer: GBuffer, light: RotatedLight, tiles: Tiles) -> ShineLight:
         """The shine of a view, with its first rays at least."""
         view, make = light.view, partial(ShineLight.begun, light, gbuffer, tiles)
-        return self._kept.get((ShineLight, surface_key(view), view.light, view.albedo, light.shine, view.moving), make)
+        return self._kept.get((ShineLight, *check_key(view, 0.0), view.moving), make)
 
     def _light_ends(self, rays: ShineRays, light: RotatedLight, target: float, tiles: Tiles) -> SeenLight:
         """What rays of shine see by texels and walls as they are lit now; unshadowed light where nothing is lit yet."""
@@ -388,4 +396,4 @@ def surface_key(view: View) -> tuple[Any, ...]:
 
 def check_key(view: View, target: float) -> tuple[Any, ...]:
     """What the check of a picture depends on."""
-    return PictureCheck, surface_key(view), view.light, view.albedo, view.shine, target
+    return PictureCheck, surface_key(view), view.light, view.albedo, view.shine, view.glow, target

@@ -3,7 +3,7 @@
 import hashlib
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -92,6 +92,12 @@ class Room:
         rest = [[wall.albedo, wall.radiance, wall.sides] for wall in self.walls]
         text = repr([self.corners.tolist(), self.edges.tolist(), rest])
         return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
+
+    @property
+    def dark_digest(self) -> str:
+        """The same of what reflects light, whatever the walls give off."""
+        dark = tuple(replace(wall, radiance=(0.0, 0.0, 0.0)) for wall in self.walls)
+        return Room(dark, self.corners, self.edges).digest
 
     def wall_at(self, point: Vector, near: float) -> int | None:
         """The number of the wall that a ``point`` of the box stands in, ``near`` as it may be; None where in none."""

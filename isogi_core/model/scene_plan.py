@@ -3,6 +3,8 @@
 import math
 from dataclasses import dataclass
 
+import numpy as np
+
 FEWEST, MOST = 64, 1 << 20
 """Bounds of the samples for any target error. With fewer than FEWEST a dark texel may have met no light at all."""
 
@@ -18,10 +20,11 @@ REPRESENTATIONS = ("vicinity", "constant", "irradiance", "transfer")
 class Layer:
     """One kind of light that each texel keeps, in an array of its own in the store.
 
-    ``kind`` is "direct" (light that arrives unreflected), "indirect" (reflected light), "whole" (both), or
-    "irradiance" (both, under the scene's own lights). ``order``² coefficients for each of the ``channels``, as half
-    floats where ``half``, and from band ``coarse`` on, if given, as bytes. They are multiples of ``scale``, a power of
-    two. Where there are ``nodes``, channels are not colours: each is of a grey surface with that albedo.
+    ``kind`` is "direct" (light that arrives unreflected), "indirect" (reflected light), "whole" (both),
+    "irradiance" (both, under the scene's own lights), or "glow" (both, of what glows alone). ``order``² coefficients
+    for each of the ``channels``, as half floats where ``half``, and from band ``coarse`` on, if given, as bytes. They
+    are multiples of ``scale``, a power of two. Where there are ``nodes``, channels are not colours: each is of a grey
+    surface with that albedo.
     """
 
     kind: str
@@ -62,6 +65,36 @@ class Layer:
     def reflected(self) -> bool:
         """Whether it holds light that was reflected, and so depends on albedo and bounces."""
         return self.kind != "direct"
+
+    @property
+    def colours(self) -> int:
+        """How many of its channels are colours of the same light."""
+        return 1 if self.nodes else self.channels
+
+
+GLOW = "glow"
+"""The kind of layers of what glows."""
+
+
+@dataclass(frozen=True)
+class GlowLayer(Layer):
+    """What arrives of so many ``glows`` of radiance 1, direct and reflected, one after the other: their colours and
+    strengths are those of frames. Each has as many channels as the others, those of the surfaces' colours.
+    """
+
+    glows: int = 1
+
+    @property
+    def colours(self) -> int:
+        """How many of its channels are colours of the same light."""
+        return self.channels // self.glows
+
+    def lights(self, radiances: np.ndarray) -> list[np.ndarray]:
+        """Light, (3, 1) linear RGB, that its channels meet where the glows give off ``radiances`` (glows, 3): of all
+        channels together where there is one glow, else of each by itself.
+        """
+        shares = np.ones((1, 3)) if self.glows == 1 or self.colours == 1 else np.eye(3)
+        return [(light * share)[:, None] for light in radiances for share in shares]
 
 
 @dataclass(frozen=True)
@@ -107,7 +140,7 @@ class ScenePlan:
     @property
     def channels(self) -> int:
         """The channels that light is shown in: the most colours of any layer."""
-        return max(1 if layer.nodes else layer.channels for layer in self.layers)
+        return max(layer.colours for layer in self.layers)
 
     @property
     def nodes(self) -> tuple[float, ...]:

@@ -166,6 +166,7 @@ class View:
     Camera and light are those of the volume's box; the ``orientation`` says where that is in the world.
     ``samples`` is the number of paths per pixel and is read by ``path_traced`` alone. ``albedo``, linear RGB, is that
     of the surface, the scene's own by default, see ``Scene.albedo_for``; so is its ``shine``, see ``shine_for``.
+    What glows in the scene is ``glow`` times as bright as that says.
     Texels of a view that is ``moving`` are not projected: its pictures are to come quickly. Else, where it is
     ``smooth``, pixels at edges have more samples. A ``strip`` is rows of a larger picture: the first of them there, and
     how many that picture has. A ``window`` is what planes in the box leave to the eye; None where all is seen.
@@ -183,6 +184,7 @@ class View:
     smooth: bool = False
     strip: tuple[int, int] | None = None
     shine: Shine | None = field(default=None, repr=False)
+    glow: float = field(default=1.0, repr=False)
     orientation: Orientation = field(default=PLAIN, repr=False)
     window: Window | None = field(default=None, repr=False)
 

@@ -22,6 +22,7 @@ from isogi_core.model.colours import SurfaceColours
 from isogi_core.model.demo import DEMOS
 from isogi_core.model.environment import Environment, Lamps, gather_lamps
 from isogi_core.model.environments import environment_image
+from isogi_core.model.glow import Glowing, glow_from_mapping, place_glows
 from isogi_core.model.latlong import pixel_directions, resample, solid_angles
 from isogi_core.model.lights import (
     ConstantLight,
@@ -89,7 +90,7 @@ def build_scene(
         whole = right_side_out(settings, open_volume(settings, source.base, progress), source.base, progress)
         colours = colours or colours_by_data(settings, whole)
         volume = cut_away(whole, cut) if cut else whole
-    room = read_room(settings, volume)
+    room, glowing = read_room(settings, volume), read_glow(settings, volume)
     lights = read_lights(settings, room)
     lamps = gather_lamps((*lights, *room.lamps), volume.orientation)
     isovalues = settings.interval("isovalues", volume.value_range, volume.core)
@@ -104,7 +105,7 @@ def build_scene(
     most = albedo if overrides.albedos is None else (overrides.albedos[1],) * 3
     coloured = colours is not None and not colours.grey
     facts = light, lamps, volume.centre, volume.radius, rotating
-    inputs = PlanInputs(*facts, most, target_error, room.albedos, coloured, colours is not None)
+    inputs = PlanInputs(*facts, most, target_error, room.albedos, coloured, colours is not None, len(glowing.glows))
     plan = plan_scene(inputs, overrides)
     scene = Scene(
         id=re.sub(r"[^a-z0-9_-]+", "-", source.name.lower()).strip("-")[:64] or "scene",
@@ -131,6 +132,7 @@ def build_scene(
         albedos=overrides.albedos or (BARE if overrides.bounces == 0 and max(albedo) > 0.0 and not colours else None),
         shine=shine,
         colours=colours,
+        glowing=glowing,
         camera_projection=settings.choice("projection", PROJECTIONS) or PROJECTIONS[0],
     )
     settings.refuse_unknown()
@@ -226,6 +228,11 @@ def read_room(settings: Settings, volume: Volume) -> Room:
     """The scene's walls: those of a whole room that it names, and its own. SceneError where one has no meaning."""
     named = cornell_room(volume) if settings.choice("room", ROOMS) else ()
     return place_walls((*named, *map(wall_from_mapping, settings.tables("walls"))), volume)
+
+
+def read_glow(settings: Settings, volume: Volume) -> Glowing:
+    """What glows in the volume. SceneError where a table has no meaning."""
+    return place_glows([glow_from_mapping(table) for table in settings.tables("glow")], volume)
 
 
 def read_shine(settings: Settings, colours: SurfaceColours | None) -> Shine | None:

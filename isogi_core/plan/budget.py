@@ -7,7 +7,7 @@ are chosen so that it stays about as large as the noise, or smaller.
 import math
 from dataclasses import replace
 
-from isogi_core.model.scene_plan import Layer
+from isogi_core.model.scene_plan import GLOW, Layer
 from isogi_core.plan.bands import truncation_error
 from isogi_core.plan.inputs import Colour, PlanInputs
 
@@ -109,13 +109,17 @@ def even(inputs: PlanInputs) -> bool:
     return not inputs.lamps.any and truncation_error(inputs.energy, 1, "direct") <= EVEN * inputs.target_error
 
 
+UNCUT = ("irradiance", GLOW)
+"""The kinds of layers that no harmonics are cut off from."""
+
+
 def harmonics_error(layers: tuple[Layer, ...], inputs: PlanInputs, lobes: int = 0) -> float:
     """Relative error of cutting off the bands beyond the layers', a root mean square over rotations of the light.
 
-    Errors of direct and of reflected light are taken as independent. Irradiance cuts off nothing. The first ``lobes``
-    lobes are lit apart from direct light's harmonics.
+    Errors of direct and of reflected light are taken as independent. Layers that are UNCUT cut off nothing. The first
+    ``lobes`` lobes are lit apart from direct light's harmonics.
     """
-    return math.sqrt(sum(cut_error(layer, inputs, lobes) ** 2 for layer in layers if layer.kind != "irradiance"))
+    return math.sqrt(sum(cut_error(layer, inputs, lobes) ** 2 for layer in layers if layer.kind not in UNCUT))
 
 
 def cut_error(layer: Layer, inputs: PlanInputs, lobes: int = 0) -> float:

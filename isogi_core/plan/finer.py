@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from isogi_core.kernels.transport.harmonics import MAX_ORDER
-from isogi_core.model.scene_plan import Layer, ScenePlan
+from isogi_core.model.scene_plan import GLOW, Layer, ScenePlan
 from isogi_core.plan.planner import complete
 from isogi_core.plan.scene import Scene
 
@@ -44,5 +44,7 @@ def further(plan: ScenePlan) -> ScenePlan:
 
 
 def further_layer(layer: Layer) -> Layer:
-    """A ``layer`` with more bands."""
+    """A ``layer`` with more bands; what glows keeps none."""
+    if layer.kind == GLOW:
+        return layer
     return replace(layer, order=min(layer.order + FURTHER, MAX_ORDER))

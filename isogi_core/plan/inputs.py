@@ -50,7 +50,7 @@ class PlanInputs:
 
     ``centre`` and ``radius`` are of the ball around the volume, in world units. ``albedo`` is the highest that views
     may ask for, ``walls`` are the albedos of walls. The surface may have its albedo ``by_data``, at most this
-    one, and is then ``coloured`` where these are not all grey.
+    one, and is then ``coloured`` where these are not all grey. So many ``glows`` are in the volume.
     """
 
     environment: Environment
@@ -63,6 +63,7 @@ class PlanInputs:
     walls: tuple[Colour, ...] = ()
     coloured: bool = False
     by_data: bool = False
+    glows: int = 0
 
     @property
     def reflecting(self) -> Colour:

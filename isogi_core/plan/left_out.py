@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 from isogi_core.model.environment import Environment, Lamps
-from isogi_core.model.scene_plan import Layer, LeftOut, Saving, ScenePlan
+from isogi_core.model.scene_plan import GLOW, Layer, LeftOut, Saving, ScenePlan
 from isogi_core.model.shine import Shine
 from isogi_core.model.volume import Isovalue
 from isogi_core.plan.albedos import mixing_error
@@ -63,7 +63,7 @@ def bands(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
     """Bands of direct light that S1 keeps, and bands of reflected light that direct light keeps."""
     if plan.representation != "transfer":
         return
-    direct, *reflected = plan.layers
+    direct, *reflected = (layer for layer in plan.layers if layer.kind != GLOW)
     if direct.order < BANDS:
         error = truncation_error(inputs.energy_beside(plan.lobes), direct.order, "direct")
         yield cut(direct, BANDS, error, inputs)
@@ -100,9 +100,10 @@ def lobes(plan: ScenePlan, inputs: PlanInputs) -> Iterator[LeftOut]:
 def channels(plan: ScenePlan, _: PlanInputs) -> Iterator[LeftOut]:
     """Colour channels that would all be the same."""
     for layer in plan.layers:
-        if layer.channels == 1 and not layer.nodes:
+        if layer.colours == 1 and not layer.nodes:
             what, why = CHANNELS[layer.kind]
-            yield LeftOut(f"two of three channels of {what}", why, (added(layer, replace(layer, channels=3)),))
+            more = added(layer, replace(layer, channels=3 * layer.channels))
+            yield LeftOut(f"two of three channels of {what}", why, (more,))
 
 
 CHANNELS = {
@@ -110,6 +111,7 @@ CHANNELS = {
     "indirect": ("reflected light", "The albedo is grey, so that reflected light keeps its colour."),
     "whole": ("light", "The albedo is grey, so that reflected light keeps its colour."),
     "irradiance": ("irradiance", "The albedo and all lights are grey."),
+    GLOW: ("what glows", "The albedo is grey: what glows has the colour that frames give it."),
 }
 """Light by the kind of its layer, and why one channel is enough."""
 

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from isogi_core.errors import LightError, SceneError
-from isogi_core.model.scene_plan import Layer, ScenePlan, most_samples
+from isogi_core.model.scene_plan import GLOW, GlowLayer, Layer, ScenePlan, most_samples
 from isogi_core.plan.albedos import choose_nodes, mixing_error
 from isogi_core.plan.bands import FAR_BANDS, REACH, choose_order, truncation_error
 from isogi_core.plan.budget import (
@@ -40,6 +40,7 @@ def refuse_idle(representation: str, bounces: int, inputs: PlanInputs, overrides
     refuse_lobes(representation, inputs, overrides)
     refuse_reflections(bounces, inputs, overrides)
     refuse_albedos(representation, bounces, overrides)
+    refuse_glow(bounces, inputs, overrides)
 
 
 def refuse_lights(representation: str, inputs: PlanInputs) -> None:
@@ -101,6 +102,13 @@ def refuse_albedos(representation: str, bounces: int, overrides: PlanOverrides) 
         raise SceneError(f"{given} is of light that may turn, and this is baked as it stands: {advice}.")
 
 
+def refuse_glow(bounces: int, inputs: PlanInputs, overrides: PlanOverrides) -> None:
+    """Raise SceneError where views may ask for other albedos, and texels keep what was reflected of glows."""
+    if overrides.albedos is not None and inputs.glows and bounces:
+        given = f"albedos = [{overrides.albedos[0]:g}, {overrides.albedos[1]:g}]"
+        raise SceneError(f"{given} is of lights alone, and something glows: set bounces = 0, or leave it out.")
+
+
 def refuse_no_bytes(layers: tuple[Layer, ...]) -> tuple[Layer, ...]:
     """Return the layers; SceneError where none of them has a band that is kept in bytes."""
     if all(layer.coarse is None for layer in layers):
@@ -138,6 +146,7 @@ def plan_scene(inputs: PlanInputs, overrides: PlanOverrides) -> ScenePlan:
     refuse_idle(representation, bounces, inputs, overrides)
     lobes = lobes_for(inputs, overrides) if representation == "transfer" else 0
     layers = rounded(layers_of(representation, inputs, overrides, bounces, lobes), inputs, overrides, lobes)
+    layers += glow_layers(inputs, bounces)
     order, samples = max(layer.order for layer in layers), most_samples(inputs.target_error)
     plan = ScenePlan(representation, layers, order, bounces, survival_for(inputs.reflecting, bounces), samples, lobes)
     return complete(plan, inputs, overrides)
@@ -189,6 +198,17 @@ def layers_of(
     most = max(direct.order, MOST_REFLECTED) if lobes and overrides.order is None else direct.order
     order = overrides.indirect_order or indirect_order(inputs, direct.order, lobes, most)
     return direct, reflected(order, inputs, overrides, bounces)
+
+
+GLOW_SCALE = 2.0**-6
+"""The unit that the light of glows is kept in: half floats hold what is a millionth of radiance 1 to a thousandth."""
+
+
+def glow_layers(inputs: PlanInputs, bounces: int) -> tuple[GlowLayer, ...]:
+    """The layer of what glows, beside any other light; none where nothing does."""
+    colours = 1 if inputs.grey or not bounces else 3
+    layer = GlowLayer(GLOW, channels=colours * inputs.glows, scale=GLOW_SCALE, glows=inputs.glows)
+    return (layer,) if inputs.glows else ()
 
 
 def reflected(order: int, inputs: PlanInputs, overrides: PlanOverrides, bounces: int) -> Layer:

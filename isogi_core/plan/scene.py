@@ -15,10 +15,12 @@ from isogi_core.kernels.shading.lattice import CHUNK
 from isogi_core.kernels.tracing.field import OFFSET, Field
 from isogi_core.model.colours import SurfaceColours
 from isogi_core.model.environment import Environment, Lamps
+from isogi_core.model.glow import NO_GLOW, STRONGEST, Glowing
 from isogi_core.model.lights import Light
 from isogi_core.model.room import NO_ROOM, Room
-from isogi_core.model.scene_plan import Layer, LeftOut, ScenePlan
+from isogi_core.model.scene_plan import GLOW, GlowLayer, Layer, LeftOut, ScenePlan
 from isogi_core.model.shine import Shine
+from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import Camera, orbit, orthographic
 from isogi_core.model.volume import Isovalue, Volume
 from isogi_core.plan.inputs import PlanInputs, PlanOverrides
@@ -60,7 +62,7 @@ class Scene:
     ``colours`` are those of the surface by data, None where it has the one ``albedo``; that is then their brightest.
     ``lamps`` are those of the ``lights`` and the luminaires of the ``room``. ``shine`` is None where the surface is
     diffuse, and views may then ask for none. ``camera_projection``, one of PROJECTIONS, is that of views that ask for
-    none.
+    none. ``glowing`` is what glows in the volume.
     """
 
     id: str
@@ -88,6 +90,7 @@ class Scene:
     shine: Shine | None = None
     camera_projection: str = "perspective"
     colours: SurfaceColours | None = None
+    glowing: Glowing = NO_GLOW
 
     @property
     def bakes(self) -> frozenset[str]:
@@ -103,7 +106,10 @@ class Scene:
         """The kind of a ``layer`` of a ``plan``, or ROOM or COLOURED, by whose kernels it is baked."""
         if layer.kind == "irradiance":
             return ROOM if self.many_albedos else layer.kind
-        return COLOURED if self.colours and any(each.reflected for each in plan.layers) else layer.kind
+        if layer.kind == GLOW:
+            return layer.kind
+        reflected = any(each.reflected and each.kind != GLOW for each in plan.layers)
+        return COLOURED if self.colours and reflected else layer.kind
 
     @property
     def name(self) -> str:
@@ -133,8 +139,15 @@ class Scene:
 
     @cached_property
     def default_exposure(self) -> float:
-        """The exposure at which a surface turned to the light shows its own albedo."""
-        return 1.0 / self.inputs.brightest if self.inputs.brightest > 0.0 else 1.0
+        """The exposure at which a surface turned to the light shows its own albedo, also beside what glows."""
+        brightest = self.inputs.brightest
+        brightest += float(self.glow_around @ LUMINANCE) if self.glowing.any else 0.0
+        return 1.0 / brightest if brightest > 0.0 else 1.0
+
+    @property
+    def glow_around(self) -> np.ndarray:
+        """What arrives of glows, E/π linear RGB (3,), as far from them as the volume reaches from its middle."""
+        return self.glowing.seen_from(self.volume.radius)
 
     @property
     def start(self) -> Isovalue:
@@ -220,6 +233,16 @@ class Scene:
             raise ViewError("Metal mirrors one albedo, and this surface has colours: choose plastic.")
         return shine
 
+    def glow_for(self, asked: float) -> float:
+        """How bright what glows is to be, over the scene's own, as ``asked``; ViewError where nothing glows."""
+        if asked == 1.0 or (self.glowing.any and 0.0 <= asked <= STRONGEST):
+            return asked
+        if self.glowing.any:
+            raise ViewError(f"glow must be from 0 to {STRONGEST:g} times the scene's own, not {asked:g}.")
+        raise ViewError(
+            "glow is for scenes in which something glows: leave it out, or give the scene a [[glow]] table."
+        )
+
     def refuse_camera(self, camera: Camera) -> None:
         """Raise ViewError where a ``camera``, in the volume's box, stands in a wall: all it would see is that."""
         wall = self.room.wall_at(camera.eye, IN_WALL * self.volume.radius)
@@ -232,6 +255,8 @@ class Scene:
         Irradiance depends on the scene's lights (S1, eq. 6), and reflected light on bounces and albedos. Texels that
         lie on the isosurface ``shown``, a normalised isovalue, depend on that.
         """
+        if isinstance(layer, GlowLayer):
+            return self._glow_digest(layer, shown)
         *kept, nodes = astuple(layer)
         parts = [BAKE_FORMAT, self.volume.digest, self.lattice, *kept, *self.departures]
         if shown is not None:
@@ -242,6 +267,12 @@ class Scene:
             parts += [self.environment.digest, self.lamps.digest, self.albedo]
             parts += ["walls", self.room.digest] if self.room.any else []
         return digest_of(parts + (self._coloured if layer.reflected else []))
+
+    def _glow_digest(self, layer: GlowLayer, shown: Isovalue | None) -> str:
+        """The same of what glows: where that is, and what reflects it; no colour or strength, and no other light."""
+        parts = [BAKE_FORMAT, self.volume.digest, self.lattice, *astuple(layer), *self.departures, "shown", shown]
+        parts += [self.albedo[: layer.colours], self.bounces, self.plan.survival, self.glowing.digest]
+        return digest_of(parts + (["walls", self.room.dark_digest] if self.room.any else []) + self._coloured)
 
     @property
     def _coloured(self) -> list[Any]:
@@ -273,7 +304,8 @@ class Scene:
         lit = [self.albedo, self.plan.order, self.plan.lobes, self.target_error]
         walls = ["walls", self.room.digest] if self.room.any else []
         shine = ["shine", *astuple(self.shine)] if self.shine else []
-        return digest_of([self.bake_digest, *lights, *lit, *settled, *placed, *walls, *shine, *self._coloured])
+        glow = ["glow", self.glowing.digest, self.glowing.radiances.tolist()] if self.glowing.any else []
+        return digest_of([self.bake_digest, *lights, *lit, *settled, *placed, *walls, *shine, *self._coloured, *glow])
 
     def camera(self, azimuth: float, elevation: float, distance: float, fov: float) -> Camera:
         """Camera, in the volume's box, around its middle; angles in the world, degrees; distance in bounding radii."""

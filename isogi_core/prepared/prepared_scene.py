@@ -7,6 +7,7 @@ import numpy as np
 
 from isogi_core.kernels.shading.lattice import Lattice
 from isogi_core.kernels.tracing.field import OFFSET, Field
+from isogi_core.kernels.tracing.glow import Glows
 from isogi_core.kernels.tracing.macrocells import fill_macrocells, macrocell_shape
 from isogi_core.kernels.tracing.walls import Walls
 from isogi_core.kernels.transport.colours import NO_COLOURS, Colours
@@ -93,6 +94,19 @@ class PreparedScene:
         """The isosurface's colours by data; none where it has one albedo."""
         given = self.scene.colours
         return NO_COLOURS if given is None else Colours(given.codes, np.array(given.step), given.table)
+
+    def dark_room(self, albedo: tuple[float, float, float]) -> Room:
+        """The ``room`` with walls that give off no light, for paths that gather other light alone."""
+        room = self.room(albedo)
+        return room._replace(radiances=np.zeros_like(room.radiances))
+
+    @cached_property
+    def glows(self) -> Glows:
+        """What glows in the scene, as rays gather it."""
+        given = self.scene.glowing
+        middles, halves = (np.ascontiguousarray(each.T) for each in (given.middles, given.halves))
+        lows, highs = np.ascontiguousarray(given.ranges.T)
+        return Glows(middles, halves, given.round.astype(np.float64), given.radii, lows, highs, 1.0 / given.chords)
 
     @cached_property
     def _room(self) -> Room:

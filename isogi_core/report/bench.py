@@ -120,7 +120,7 @@ class Bench:
     @cached_property
     def _first_error(self) -> float:
         """The relative error of the plan's frame, by the shortest reference."""
-        return self.score(self.planned.frame().radiance, self.reference(FIRST)).rmse
+        return self.score(self.planned.frame().leaving, self.reference(FIRST)).rmse
 
     def grown(self, noise: float) -> Reference:
         """The view's reference, grown once until its own ``noise`` is so small, or as far as the time left allows."""

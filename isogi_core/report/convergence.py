@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 from isogi_core.frame.frame import Frame
-from isogi_core.model.scene_plan import Layer
+from isogi_core.model.scene_plan import GLOW, Layer
 from isogi_core.plan.left_out import BANDS
 from isogi_core.plan.planner import unit_of
 from isogi_core.plan.scene import Scene
@@ -109,14 +109,21 @@ def as_s1(scene: Scene) -> Scene | None:
     if scene.lamps.any:
         return None
     whole = Layer("whole", BANDS, 3, half=False)
-    return with_plan(scene, representation="transfer", layers=(whole,), order=BANDS, lobes=0, survival=1.0)
+    return with_plan(
+        scene, representation="transfer", layers=(whole, *of_glow(scene)), order=BANDS, lobes=0, survival=1.0
+    )
 
 
 def as_irradiance(scene: Scene) -> Scene:
     """The scene under lights that stay: a texel keeps the light that it receives."""
     channels = 1 if scene.inputs.grey and scene.inputs.grey_light else 3
     layer = Layer("irradiance", channels=channels, scale=unit_of(scene.inputs))
-    return with_plan(scene, representation="irradiance", layers=(layer,), order=1, lobes=0)
+    return with_plan(scene, representation="irradiance", layers=(layer, *of_glow(scene)), order=1, lobes=0)
+
+
+def of_glow(scene: Scene) -> tuple[Layer, ...]:
+    """The layer of what glows in a scene, which is the same whatever else is kept; none where nothing does."""
+    return tuple(layer for layer in scene.plan.layers if layer.kind == GLOW)
 
 
 def curve(name: str, own: list[Point]) -> Curve:
@@ -168,7 +175,7 @@ def points(bench: Bench, best: Reference, frame: Callable[[int], tuple[Frame, fl
         if found and not fits(bench, found[-1].foresee(samples)):
             break
         picture, seconds = frame(samples)
-        found.append(Point(samples, seconds, bench.score(picture.radiance, best)))
+        found.append(Point(samples, seconds, bench.score(picture.leaving, best)))
     return found
 
 

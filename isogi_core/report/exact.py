@@ -4,12 +4,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from isogi_core.bake.refine import Place, sample_transfer
+from isogi_core.bake.refine import Place, sample_glow, sample_transfer
 from isogi_core.bake.texel_light import Light
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.pixel_rays import variance_of_mean
-from isogi_core.model.scene_plan import Layer
+from isogi_core.model.scene_plan import GLOW, GlowLayer, Layer
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.volume import Isovalue
 from isogi_core.plan.scene import Scene
@@ -46,7 +46,7 @@ class Lit:
 def lit_by_frame(frame: Frame) -> Lit:
     """A frame's surface pixels, with the noise that their texels tell."""
     on = frame.state > 0
-    light = luminance(frame.radiance[on])
+    light = luminance(frame.leaving[on])
     return Lit(light, (frame.error[on] * light) ** 2)
 
 
@@ -128,12 +128,25 @@ def place_of(pixels: np.ndarray, points: np.ndarray, normals: np.ndarray, isoval
 def light_of_halves(turned: RotatedLight, place: Place, samples: int) -> np.ndarray:
     """Linear RGB (m, 2, 3) of each half of ``samples`` paths, under ``turned`` lights."""
     spec, void = turned.spec, np.zeros(len(place[3]), np.bool_)
-    layers, halves = spec.plan.layers, np.zeros((len(void), 2, 3))
+    halves = light_of_glow(turned, place, samples)
+    layers = tuple(layer for layer in spec.plan.layers if layer.kind != GLOW)
     for layer, (sums, _) in zip(layers, sample_transfer(layers, place, void, spec, 0, samples), strict=True):
         light = turned.albedo[:, None] * turned.light_of(layer)
         n = min(layer.order**2, light.shape[1])
         colours = turned.colours_of(layer, sums)
         halves += np.einsum("mhcn,cn->mhc", colours[..., :n], light[:, :n]) / (samples // 2)
+    return halves
+
+
+def light_of_glow(turned: RotatedLight, place: Place, samples: int) -> np.ndarray:
+    """The same of what glows, zero where nothing does; (m, 2, 3)."""
+    spec, void, halves = turned.spec, np.zeros(len(place[3]), np.bool_), np.zeros((len(place[3]), 2, 3))
+    for layer in spec.plan.layers:
+        if isinstance(layer, GlowLayer):
+            ((sums, _),) = sample_glow([layer], place, void, spec, 0, samples)
+            lights = np.hstack(layer.lights(spec.prepared.scene.glowing.radiances))
+            arriving = sums[..., 0] * lights[:, 0] if layer.glows == 1 else sums[..., 0] @ lights.T
+            halves += turned.albedo * arriving / (samples // 2)
     return halves
 
 

@@ -20,7 +20,7 @@ def study(bench: Bench) -> Section:
     """The headline, the facts, and the pictures."""
     planned, best = bench.planned, bench.best
     frame = planned.frame()
-    own = score_cells(bench.score(frame.radiance))
+    own = score_cells(bench.score(frame.leaving))
     columns = (*SCORE_COLUMNS, Column("estimated noise", "share"), Column("bake", "seconds"))
     headline = Table("The frame", columns, ((*own, frame.noise, planned.seconds),))
     measured = (Column("reference's noise", "share"), Column("paths per pixel", "count"), Column("time", "seconds"))
@@ -29,7 +29,7 @@ def study(bench: Bench) -> Section:
     pictures = (
         Picture("the frame", "radiance", frame.radiance),
         Picture(f"the reference, {best.samples} paths per pixel", "radiance", best.mean),
-        Picture("the frame's error", "error", error_map(frame.radiance, best)),
+        Picture("the frame's error", "error", error_map(frame.leaving, best)),
     )
     return Section(KEY, TITLE, ABOUT, (headline, reference, scene), (), pictures)
 

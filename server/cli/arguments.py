@@ -56,6 +56,7 @@ VIEW_OPTIONS = {
     "shine": "Of a scene with a shine: plastic or metal; default: the scene's.",
     "roughness": "Of that shine, 0.02 (a mirror) to 1; default: the scene's.",
     "strength": "How much that shine counts, 0 to 1; default: the scene's.",
+    "glow": "How bright what glows is, over the scene's own, 0 to 16; default: 1.",
     "window": "Planes that take away what the eye would see there: x>40, or 0,1,-1<12.5, with ; between them.",
     "width": "Pixels.",
     "height": "Pixels.",
@@ -74,6 +75,7 @@ PICTURE_OPTIONS = (
     *(
         "albedo",
         *SHINE_OPTIONS,
+        "glow",
         "window",
         "width",
         "height",

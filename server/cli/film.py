@@ -112,6 +112,7 @@ def shots_of(
     if scene.shine is not None:
         own |= {"shine": scene.shine.kind, "roughness": repr(scene.shine.roughness)}
         own["strength"] = repr(scene.shine.strength)
+    own |= {"glow": "1.0"} if scene.glowing.any else {}
     own |= {"max_error": repr(wishes.target_error or scene.target_error), "f": "png"}
     path = film_path(knobs, views, own, count)
     shots = (read(FrameParams, {**shot, "max_error": own["max_error"], "f": "png"}.items()) for shot in path)

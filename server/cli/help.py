@@ -8,7 +8,7 @@ GROUPS = {
     "Camera": ("azimuth", "elevation", "distance", "fov", "eye", "target", "up", "window"),
     "Light": ("yaw", "pitch", "roll", "light"),
     "Picture": (
-        *("width", "height", "shading", "albedo", "shine", "roughness", "strength"),
+        *("width", "height", "shading", "albedo", "shine", "roughness", "strength", "glow"),
         *("exposure", "background", "antialias", "samples", "overlay"),
     ),
     "Light that is kept": (

@@ -3,13 +3,14 @@ import subprocess
 import sys
 from typing import Any
 
-from isogi_core.frame.entry_kernels import COLOURED, FRAME, LOBES, OTHERS, frame_kernels, other_kernels
+from isogi_core.frame.entry_kernels import COLOURED, FRAME, GLOW, LOBES, OTHERS, frame_kernels, other_kernels
 from isogi_core.kernels.shading.irradiance_ratio import carry_ratios
 from isogi_core.kernels.shading.lattice import carry_light
 from isogi_core.kernels.tracing.stiffness import count_stiffness
+from isogi_core.kernels.transport.glow_paths import glow_in_room
 from isogi_core.kernels.transport.harmonics import rotate
 from isogi_core.kernels.transport.lights import project_lamps
-from isogi_core.kernels.transport.room_paths import light_in_room
+from isogi_core.kernels.transport.room_paths import fill_seeds, light_in_room
 from isogi_core.kernels.transport.texel_points import measure_distances
 from isogi_core.plan.scene import Scene
 from tests.loaded import load_scene
@@ -22,6 +23,7 @@ TURNING = SKY
 SOFT = {**SKY, "lobes": 0}
 LAMPS = [{"type": "constant"}, {"type": "directional", "azimuth": 30.0, "elevation": 50.0}]
 LAMP = {"lights": LAMPS, "projected": False}
+GLOWING = {**CONSTANT, "glow": [{"sphere": [48.0, 48.0, 48.0, 4.0]}]}
 PROJECTED = {"lights": LAMPS, "projected": True}
 SURVEYED = {"lights": LAMPS}
 """The plan decides: at some isovalues texels are projected."""
@@ -80,7 +82,7 @@ def scene_of(settings: dict[str, Any]) -> Scene:
 @COMPILED
 def test_a_frame_calls_exactly_its_listed_kernels() -> None:
     """Each scene in a process of its own, which has loaded no kernel yet."""
-    scenes = [CONSTANT, FIXED, TURNING, SOFT, LAMP, PROJECTED]
+    scenes = [CONSTANT, FIXED, TURNING, SOFT, LAMP, PROJECTED, GLOWING]
     command = [sys.executable, "-c", RENDER, json.dumps(scenes)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     exact = "called but not listed: set(), listed but not called: set()"
@@ -104,6 +106,13 @@ def test_colours_need_kernels_of_their_own() -> None:
     scene = load_scene("demo:orbital", volumes=[{"use": "colour", "of": "gradient"}], **CONSTANT)
     assert {*frame_kernels([scene])} - {*frame_kernels([plain])} == {*COLOURED}
     assert {*other_kernels([plain])} == {*OTHERS} and light_in_room in other_kernels([plain, scene])
+
+
+def test_glow_needs_kernels_of_its_own() -> None:
+    plain, scene = scene_of(CONSTANT), scene_of(GLOWING)
+    assert {*frame_kernels([scene])} - {*frame_kernels([plain])} == {*GLOW}
+    assert {*other_kernels([plain, scene])} - {*OTHERS} == {glow_in_room, fill_seeds}
+    assert glow_in_room in frame_kernels([load_scene("demo:orbital", room="cornell", glow=GLOWING["glow"])])
 
 
 def test_several_scenes_need_the_kernels_of_each() -> None:

@@ -13,7 +13,7 @@ from tests.loaded import load_scene
 
 NUMBERS = [
     *("azimuth", "elevation", "distance", "fov", "yaw", "pitch", "roll"),
-    *("roughness", "strength", "width", "height", "wait_ms", "max_error", "exposure"),
+    *("roughness", "strength", "glow", "width", "height", "wait_ms", "max_error", "exposure"),
 ]
 
 
@@ -150,6 +150,19 @@ def test_scenes_that_shine_say_as_what_views_may_ask_for() -> None:
     assert (document.ranges["roughness"].min, document.ranges["roughness"].max) == (0.02, 1.0)
     assert scene_schema(dull).shines == []
     assert not {"shine", "roughness", "strength"} & {*scene_schema(dull).defaults}
+
+
+def test_glow_is_asked_for_where_something_glows() -> None:
+    glowing = load_scene("demo:casting", glow=[{"sphere": [84, 64, 70, 8]}])
+    assert view_of(glowing, read(ViewParams, [("glow", "2.5")]), Settings()).glow == 2.5
+    assert scene_schema(glowing).defaults["glow"] == 1.0
+    assert (scene_schema(glowing).ranges["glow"].min, scene_schema(glowing).ranges["glow"].max) == (0.0, 16.0)
+    assert str(refusal(("glow", "17"))).startswith("glow must be")
+    dark = load_scene("demo:casting")
+    assert "glow" not in scene_schema(dark).defaults and view_of(dark, read(ViewParams, []), Settings()).glow == 1.0
+    with pytest.raises(ParameterError, match="glow is for scenes in which something glows: leave it out") as caught:
+        view_of(dark, read(ViewParams, [("glow", "2")]), Settings())
+    assert caught.value.parameter == "glow"
 
 
 def test_prewarms_look_at_the_diffuse_surface() -> None:

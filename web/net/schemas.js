@@ -26,6 +26,7 @@
  * @property {string} [shine] where the surface shines
  * @property {number} [roughness]
  * @property {number} [strength]
+ * @property {number} [glow] where something glows
  * @property {string} [shading]
  * @property {string} [projection] of the camera
  */

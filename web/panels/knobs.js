@@ -12,7 +12,7 @@ import { sliderRange } from "../view/model.js";
 /** @typedef {(values: Knobs) => void} Mirror shows the view's values */
 
 const ANGLES = new Set(["azimuth", "elevation", "fov", "yaw", "pitch", "roll"]);
-const SHARES = new Set(["albedo", "roughness", "strength"]);
+const SHARES = new Set(["albedo", "roughness", "strength", "glow"]);
 
 /**
  * Tie the form's controls to the view, both ways. Knobs that the scene does not have are hidden.

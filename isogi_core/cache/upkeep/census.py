@@ -20,8 +20,8 @@ from isogi_core.plan.scene import digest_of
 from isogi_core.storage.store import Store
 from isogi_core.storage.zarr_codec import unwrap
 
-MOST_LAYERS = 2
-"""Most layers of a bake: direct and indirect light."""
+MOST_LAYERS = 3
+"""Most layers of a bake: direct and indirect light, and glow."""
 
 
 @dataclass(eq=False)

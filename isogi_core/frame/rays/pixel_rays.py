@@ -10,6 +10,7 @@ from isogi_core.bake.bake_spec import path_weights
 from isogi_core.bake.refine import seeds_of
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.lighting import RotatedLight
+from isogi_core.frame.rays.glow_light import add_glow
 from isogi_core.frame.rays.shine import add_shine
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.framebuffer import PixelPoints
@@ -199,17 +200,22 @@ def trace_in_room(
     samples: SampleRange,
 ) -> np.ndarray:
     """What ``trace_points`` adds for some ``replicas``, by number, in a ``room``; (m, replicas, 3)."""
+    starts = starts_at(traced, points, replicas)
+    sums = np.zeros((len(starts.seeds), 3))
+    light_in_room(traced.field, traced.cells, room, starts, samples, rules, light, sums)
+    return sums.reshape(-1, len(replicas), 3)
+
+
+def starts_at(traced: TracedSurface, points: PixelPoints, replicas: range) -> RoomStarts:
+    """Starts of paths at m surface points, one for each of some ``replicas``, by number."""
     each, replica = (part.ravel() for part in np.indices((len(points.pixels), len(replicas))))
-    starts = RoomStarts(
+    return RoomStarts(
         np.ascontiguousarray(points.points[each].T, np.float64),
         np.ascontiguousarray(points.normals[each].T, np.float64),
         np.full(len(each), traced.isovalue),
         seeds_of(np.column_stack([points.pixels[each], replicas.start + replica])),
         np.full(len(each), NOWHERE),
     )
-    sums = np.zeros((len(each), 3))
-    light_in_room(traced.field, traced.cells, room, starts, samples, rules, light, sums)
-    return sums.reshape(-1, len(replicas), 3)
 
 
 PATH_POINTS, PATHS = 256, 1 << 16
@@ -266,6 +272,7 @@ class Paths:
         that each piece traced. Of a surface that shines as many rays of shine are among them. Raises Cancelled.
         """
         buffer, alone = self.gbuffer, self.light.shine is None and not self.light.coloured
+        glowing, replicas = self.light.spec.prepared.scene.glowing.any, range(stream, stream + sums.shape[1])
         own = sums if alone else np.zeros_like(sums)
         points, pixels, normals = buffer.points, buffer.pixels, buffer.normals(self.tiles)
         traced, around = buffer.surface.traced(self.tiles.run), self.light.surroundings
@@ -277,8 +284,10 @@ class Paths:
             if room is None:
                 trace_points(traced, some, around, rules, stream, samples, own[a:b])
             else:
-                replicas = range(stream, stream + sums.shape[1])
                 own[a:b] += trace_in_room(traced, room, some, around, rules, replicas, samples)
+            if glowing:
+                starts = starts_at(traced, some, replicas)
+                add_glow(own[a:b].reshape(-1, 3), self.light, traced, starts, rules, samples)
             if progress is not None:
                 progress((b - a) * sums.shape[1] * count)
 

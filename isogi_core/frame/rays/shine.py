@@ -15,6 +15,7 @@ from isogi_core.bake.bake_spec import path_weights
 from isogi_core.bake.refine import seeds_of
 from isogi_core.frame.gbuffer import NO_WALLS, GBuffer, PointsBeside
 from isogi_core.frame.lighting import RotatedLight, triple
+from isogi_core.frame.rays.glow_light import add_glow
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.framebuffer import PixelPoints
 from isogi_core.kernels.shading.local_models import trace_points
@@ -220,11 +221,13 @@ def paths_from(rays: ShineRays, rows: np.ndarray, light: RotatedLight, bounces: 
     room, surface, found = room_of(light), rays.hits.surface, np.zeros((len(rows), 3))
     here, normals, met, seeds = rays.points[rows], rays.normals[rows], rays.met[rows], rays.seeds[rows]
     rules = bounces, survival_for(light.reflecting, bounces)
+    carried = PathRules(path_weights(np.ones(3), bounces, 1.0), rules[1])
     trace = among_walls if light.spec.prepared.scene.many_albedos else in_the_open
 
     def _piece(a: int, b: int) -> None:
         starts = RoomStarts(here[a:b], normals[a:b], np.full(b - a, float(surface.isovalue)), seeds[a:b], met[a:b])
         found[a:b] = trace(surface, starts, light, rules, tiles)
+        add_glow(found[a:b], light, surface.traced(tiles.run), in_columns(starts), carried, SampleRange(0, 1))
 
     tiles.run(_piece, len(rows), PATHS)
     on = met == ISOSURFACE
@@ -261,15 +264,20 @@ def among_walls(
     surface: Surface, starts: RoomStarts, light: RotatedLight, rules: tuple[int, float], tiles: Tiles
 ) -> np.ndarray:
     """The same in the room of a scene."""
-    here, normals = (np.ascontiguousarray(each.T, np.float64) for each in starts[:2])
-    walls = np.where(starts.walls == ISOSURFACE, NOWHERE, starts.walls.astype(np.float64))
-    given = RoomStarts(here, normals, starts.isovalues, starts.seeds, walls)
-    sums, traced = np.zeros((len(walls), 3)), surface.traced(tiles.run)
+    given = in_columns(starts)
+    sums, traced = np.zeros((len(given.walls), 3)), surface.traced(tiles.run)
     weights = PathRules(path_weights(np.ones(3), rules[0], 1.0), rules[1])
     light_in_room(
         traced.field, traced.cells, room_of(light), given, SampleRange(0, 1), weights, light.surroundings, sums
     )
     return sums
+
+
+def in_columns(starts: RoomStarts) -> RoomStarts:
+    """The ``starts`` of rays' ends, whose vectors are rows, as kernels take them."""
+    here, normals = (np.ascontiguousarray(each.T, np.float64) for each in starts[:2])
+    walls = np.where(starts.walls == ISOSURFACE, NOWHERE, starts.walls.astype(np.float64))
+    return RoomStarts(here, normals, starts.isovalues, starts.seeds, walls)
 
 
 def trace_shine(

@@ -57,6 +57,6 @@ class ViewWalls:
     def _light(self, walls: WallView, wall: int, side: int) -> WallLight:
         """The light of a side of a wall, for the isovalue and the albedo that are shown; kept beside views."""
         light = walls.light
-        key = (WallLight, light.view.isovalue, light.view.albedo, wall, side)
+        key = (WallLight, light.view.isovalue, light.view.albedo, light.view.glow, wall, side)
         begun = WallTexels.begun(light, wall, side, COARSE)
         return self._kept.get(key, lambda: WallLight(light, walls.gbuffer.surface, begun))

@@ -16,6 +16,7 @@ from isogi_core.bake.bake_spec import path_weights
 from isogi_core.bake.refine import seeds_of
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.lighting import RotatedLight
+from isogi_core.frame.rays.glow_light import add_glow
 from isogi_core.frame.rays.pixel_rays import NEAR, PATH_POINTS, pooled_variance, replicas_for, variance_of_mean
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, PROVISIONAL, Framebuffer, PixelPoints
@@ -40,7 +41,7 @@ WALL_STREAM = 1 << 19
 def light_starts(
     light: RotatedLight, surface: Surface, starts: RoomStarts, rules: PathRules, samples: SampleRange, tiles: Tiles
 ) -> np.ndarray:
-    """Sums (g, 3) of a ``SampleRange`` of E/π at ``starts`` about a ``surface``; see ``light_in_room``.
+    """Sums (g, 3) of a ``SampleRange`` of E/π, glow's too, at ``starts`` about a ``surface``; see ``light_in_room``.
 
     Raises Cancelled.
     """
@@ -50,6 +51,7 @@ def light_starts(
     def _piece(a: int, b: int) -> None:
         some = RoomStarts(*(np.ascontiguousarray(each[..., a:b]) for each in starts))
         light_in_room(traced.field, traced.cells, room, some, samples, rules, around, sums[a:b])
+        add_glow(sums[a:b], light, traced, some, rules, samples)
 
     tiles.run(_piece, len(sums), PATH_POINTS)
     return sums

@@ -251,6 +251,16 @@ test("shine is part of requests and addresses where the scene shines", () => {
   for (const name of ["shine", "roughness", "strength"]) assert.ok(!(name in frameQuery(SCENE, dull.values, SIZE)), name);
 });
 
+test("glow is part of requests and addresses where something glows", () => {
+  const glowing = { ...SCENE, defaults: { ...SCENE.defaults, glow: 1 }, ranges: { ...SCENE.ranges, glow: { min: 0, max: 16 } } };
+  const view = new ViewModel(glowing);
+  assert.equal(view.values.glow, 1);
+  view.set({ glow: 2.5 });
+  assert.equal(frameQuery(glowing, view.values, SIZE).glow, 2.5);
+  assert.equal(readAddress(writeAddress(glowing, view.values)).start.glow, 2.5);
+  assert.ok(!("glow" in frameQuery(SCENE, new ViewModel(SCENE, { glow: 3 }).values, SIZE)));
+});
+
 test("a point is asked for by pixels of the same picture", () => {
   const { overlay, background, f, ...view } = frameQuery(SCENE, knobs({ overlay: "error" }), SIZE);
   assert.deepEqual(pointQuery({ ...view, overlay, background, f }, 0.25, -0.1), { ...view, x: 400, y: 240 });

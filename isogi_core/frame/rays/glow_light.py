@@ -1,0 +1,30 @@
+"""Light of what glows, by paths from points of their own: see ``kernels.transport.glow_paths``."""
+
+import numpy as np
+
+from isogi_core.frame.lighting import RotatedLight
+from isogi_core.kernels.tracing.cast import TracedSurface
+from isogi_core.kernels.transport.glow_paths import glow_in_room
+from isogi_core.kernels.transport.paths import PathRules, SampleRange
+from isogi_core.kernels.transport.room_paths import RoomStarts
+
+
+def add_glow(
+    sums: np.ndarray,
+    light: RotatedLight,
+    traced: TracedSurface,
+    starts: RoomStarts,
+    rules: PathRules,
+    samples: SampleRange,
+) -> None:
+    """Add a ``SampleRange`` of E/π of what glows at ``starts`` about a surface to ``sums`` (g, 3), where there is any.
+
+    Bounces count as in ``light_in_room``, the first weight of the ``rules`` all.
+    """
+    prepared = light.spec.prepared
+    if not prepared.scene.glowing.any:
+        return
+    radiances, room = light.glow * prepared.scene.glowing.radiances, prepared.dark_room(light.seen.albedo)
+    own = np.zeros((len(sums), radiances.size))
+    glow_in_room(traced.field, traced.cells, room, starts, samples, rules, prepared.glows, own)
+    sums += np.einsum("gkc,kc->gc", own.reshape(-1, *radiances.shape), radiances)

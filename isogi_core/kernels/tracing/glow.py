@@ -1,0 +1,127 @@
+"""Glow: parts of the volume that give off light and stop none, and what a ray gathers on its way through them."""
+
+import math
+from typing import Any, NamedTuple
+
+from numba import types
+
+from isogi_core.kernels._jit import kernel, record
+from isogi_core.kernels.tracing.field import FIELD, value
+from isogi_core.kernels.tracing.vec import column, dot, length, madd, scale, sub
+from isogi_core.kernels.tracing.walls import NUMBERS, ROWS
+
+STEP = 0.5
+"""Steps in which a range of values is looked for along a ray, in voxels of the least spacing."""
+
+NO_WAY = (0.0, -math.inf)
+"""The way of a ray that misses a region."""
+
+
+class Glows(NamedTuple):
+    """k >= 0 regions that give off light, in the world; all float64.
+
+    Boxes about ``centres`` (3, k) with half edges ``halves`` (3, k), or balls where ``round`` (k,) is 1: then their
+    radius, thrice. ``radii`` (k,) are of the balls about them. Of each it is the part whose voxels are from
+    ``lows`` to ``highs`` (k,), which are infinite where all of it glows. A ray gathers the radiance ``rates`` (k,) on
+    each unit of its way.
+    """
+
+    centres: Any
+    halves: Any
+    round: Any
+    radii: Any
+    lows: Any
+    highs: Any
+    rates: Any
+
+
+GLOWS = record(Glows, ROWS, ROWS, *[NUMBERS] * 5)
+
+
+@kernel()
+def way_through_ball(away, radius, w):
+    """Part (near, far) of a ray along the unit vector ``w`` within a ball whose middle is ``away`` from its start.
+
+    It begins at the start, 0, at the earliest.
+    """
+    middle = dot(away, w)
+    across = madd(away, -middle, w)
+    square = radius * radius - dot(across, across)
+    if not square > 0.0:
+        return NO_WAY
+    half = math.sqrt(square)
+    return max(middle - half, 0.0), middle + half
+
+
+@kernel()
+def way_through_box(away, half, w):
+    """The same of a box with half edges ``half``."""
+    near, far = 0.0, math.inf
+    for c in range(3):
+        if w[c] != 0.0:
+            middle, reach = away[c] / w[c], abs(half[c] / w[c])
+            near, far = max(near, middle - reach), min(far, middle + reach)
+        elif abs(away[c]) > half[c]:
+            far = -math.inf
+    return (near, far) if near < far else NO_WAY
+
+
+@kernel()
+def way_through(glows, k, p, w):
+    """Part (near, far) of the ray from the world point ``p`` along the unit vector ``w`` within region ``k``."""
+    away = sub(column(glows.centres, k), p)
+    half = column(glows.halves, k)
+    if glows.round[k] > 0.0:
+        return way_through_ball(away, half[0], w)
+    return way_through_box(away, half, w)
+
+
+@kernel()
+def share_within(field, low, high, p, w, near, far):
+    """Share of the way from ``near`` to ``far`` along a ray on which the field is from ``low`` to ``high``.
+
+    The midpoint rule, in steps of at most STEP voxels.
+    """
+    sx, sy, sz = field.spacing
+    steps = int(math.ceil((far - near) / (STEP * min(sx, sy, sz))))
+    length, inside = (far - near) / steps, 0
+    for i in range(steps):
+        x, y, z = madd(p, near + (i + 0.5) * length, w)
+        found = value(field.voxels, (x / sx, y / sy, z / sz))
+        inside += low <= found <= high
+    return inside / steps
+
+
+@kernel()
+def gather_on_way(field, glows, k, p, w, reach):
+    """Radiance that the ray from the world point ``p`` along the unit vector ``w`` gathers of region ``k``, which has
+    radiance 1, before ``reach``: the rate times the way in it. Emission without absorption is exact to integrate.
+    """
+    near, far = way_through(glows, k, p, w)
+    far = min(far, reach)
+    if not near < far:
+        return 0.0
+    way = glows.rates[k] * (far - near)
+    if glows.lows[k] == -math.inf and glows.highs[k] == math.inf:
+        return way
+    return way * share_within(field, glows.lows[k], glows.highs[k], p, w, near, far)
+
+
+RAYS, LIGHT = types.float64[:, ::1], types.float64[:, ::1]
+EYE = types.UniTuple(types.float64, 3)
+
+
+@kernel(types.void(FIELD, GLOWS, EYE, RAYS, NUMBERS, LIGHT))
+def gather_from_eye(field, glows, eye, directions, reaches, light):
+    """Fill ``light`` (n, k) with what rays from the ``eye`` gather of each of k regions, which have radiance 1.
+
+    The eye and the ``directions`` (3, n) are in index space; rays go ``reaches`` (n,) times their direction.
+    """
+    sx, sy, sz = field.spacing
+    start = eye[0] * sx, eye[1] * sy, eye[2] * sz
+    for m in range(reaches.shape[0]):
+        x, y, z = column(directions, m)
+        way = x * sx, y * sy, z * sz
+        size = length(way)
+        for k in range(glows.rates.shape[0]):
+            light[m, k] = gather_on_way(field, glows, k, start, scale(way, 1.0 / size), size * reaches[m])

@@ -1,0 +1,195 @@
+"""Glow: parts of the volume that give off light and stop none, read from ``[[glow]]`` tables."""
+
+import hashlib
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from isogi_core.errors import SceneError
+from isogi_core.files.scene_file import is_number
+from isogi_core.model.lights import LARGEST, Colour, Vector
+from isogi_core.model.orientation import triple
+from isogi_core.model.volume import Volume
+
+MOST_GLOWS = 8
+"""Most tables of a scene: every ray asks each of them."""
+
+STRONGEST = 16.0
+"""How many times as bright as a scene says views may show what glows, at most."""
+
+ALL = (-math.inf, math.inf)
+"""The range of all values."""
+
+BEYOND = 1e-9
+"""Share of the volume's radius by which a region may reach out of its box, by rounding."""
+
+
+@dataclass(frozen=True)
+class Glow:
+    """A part of the volume that gives off ``radiance``, linear RGB: what a ray gathers over its mean chord.
+
+    It is a ``box``, two opposite corners in the world whose edges lie along the volume's axes, or a ``sphere``, world
+    x, y, z and radius, or else all of the volume's box; and within it what has ``values`` of the file from one to
+    another.
+    """
+
+    radiance: Colour = (1.0, 1.0, 1.0)
+    box: tuple[Vector, Vector] | None = None
+    sphere: tuple[float, float, float, float] | None = None
+    values: tuple[float, float] = ALL
+
+    def __post_init__(self) -> None:
+        if self.box is not None and self.sphere is not None:
+            raise SceneError("A glow has a box and a sphere: give one of them.")
+        if self.box is None and self.sphere is None and self.values == ALL:
+            raise SceneError("A glow says nowhere what glows: give it a box, a sphere or a range of values.")
+        if not all(0.0 <= light <= LARGEST for light in self.radiance):
+            given = ", ".join(f"{light:g}" for light in self.radiance)
+            raise SceneError(f"A glow's radiance is {given}: it must be from 0 to {LARGEST:g}.")
+        if self.sphere is not None and not self.sphere[3] > 0.0:
+            raise SceneError(f"A glow's sphere has the radius {self.sphere[3]:g}: give it one above 0.")
+        if self.box is not None and any(a == b for a, b in zip(*self.box, strict=True)):
+            raise SceneError("A glow's box has no volume: give two opposite corners that differ in x, y and z.")
+
+    def place(self, volume: Volume) -> tuple[np.ndarray, np.ndarray]:
+        """Its middle and half edges in the box of a ``volume``, (3,) each; SceneError where it reaches out of it."""
+        orientation, extent = volume.orientation, np.array(volume.extent)
+        if self.sphere is not None:
+            middle, half = np.array(orientation.point_to_box(triple(self.sphere[:3]))), np.full(3, self.sphere[3])
+        elif self.box is not None:
+            corners = np.array([orientation.point_to_box(corner) for corner in self.box])
+            middle, half = corners.mean(axis=0), np.abs(corners[1] - corners[0]) / 2.0
+        else:
+            middle, half = extent / 2.0, extent / 2.0
+        if (np.abs(middle - extent / 2.0) + half > extent / 2.0 + BEYOND * volume.radius).any():
+            low, high = ("[" + ", ".join(f"{x:g}" for x in corner) + "]" for corner in volume.world_bounds)
+            raise SceneError(f"A glow reaches out of the volume's box, {low} to {high}: move it, or make it smaller.")
+        return middle, half
+
+
+@dataclass(frozen=True, eq=False)
+class Glowing:
+    """The ``glows`` of a scene in the box of its volume: their ``middles`` and ``halves``, half edges or radii (k, 3).
+
+    ``ranges`` (k, 2) are of the voxels that glow, of which all do from -inf to inf.
+    """
+
+    glows: tuple[Glow, ...]
+    middles: np.ndarray
+    halves: np.ndarray
+    ranges: np.ndarray
+
+    @property
+    def any(self) -> bool:
+        """Whether anything glows."""
+        return bool(self.glows)
+
+    @property
+    def round(self) -> np.ndarray:
+        """Whether each is a ball, (k,) bool."""
+        return np.array([glow.sphere is not None for glow in self.glows], bool)
+
+    @property
+    def radiances(self) -> np.ndarray:
+        """What each gives off, linear RGB, (k, 3)."""
+        return np.array([glow.radiance for glow in self.glows], np.float64).reshape(-1, 3)
+
+    @property
+    def chords(self) -> np.ndarray:
+        """The mean chord of each: 4 V / S of a convex body (Cauchy 1841), 4 r / 3 of a ball; (k,) world units."""
+        x, y, z = self.halves.T
+        return np.where(self.round, 4.0 / 3.0 * x, 4.0 * x * y * z / np.maximum(x * y + y * z + z * x, 1e-300))
+
+    @property
+    def radii(self) -> np.ndarray:
+        """The radii of the balls about them, (k,)."""
+        return np.where(self.round, self.halves[:, 0], np.linalg.norm(self.halves, axis=1))
+
+    def seen_from(self, distance: float) -> np.ndarray:
+        """E/π of all of them on a surface that faces them at a ``distance``, linear RGB, (3,): L S / (4 π d²)."""
+        x, y, z = self.halves.T
+        areas = np.where(self.round, 4.0 * math.pi * x**2, 8.0 * (x * y + y * z + z * x))
+        return np.asarray((areas / (4.0 * math.pi * distance**2)) @ self.radiances)
+
+    @cached_property
+    def digest(self) -> str:
+        """Hex digest of where they are, and not of their colour and strength."""
+        places = [self.middles.tolist(), self.halves.tolist(), self.round.tolist(), self.ranges.tolist()]
+        return hashlib.blake2b(repr(places).encode(), digest_size=16).hexdigest()
+
+
+NO_GLOW = Glowing((), np.empty((0, 3)), np.empty((0, 3)), np.empty((0, 2)))
+
+
+def place_glows(glows: Sequence[Glow], volume: Volume) -> Glowing:
+    """The ``glows`` of the world in a ``volume``. SceneError where one is not in it, or there are too many."""
+    if len(glows) > MOST_GLOWS:
+        raise SceneError(f"The scene has {len(glows)} glows: give it at most {MOST_GLOWS}.")
+    if not glows:
+        return NO_GLOW
+    middles, halves = (np.array(each) for each in zip(*(glow.place(volume) for glow in glows), strict=True))
+    return Glowing(tuple(glows), middles, halves, np.array([_voxels(glow.values, volume) for glow in glows]))
+
+
+def _voxels(values: tuple[float, float], volume: Volume) -> tuple[float, float]:
+    """A range of values in the units of a volume's voxels. SceneError where no value is in it."""
+    if values == ALL:
+        return ALL
+    low, high = volume.value_range
+    if values[0] > high or values[1] < low:
+        raise SceneError(
+            f"A glow's values are {values[0]:g} to {values[1]:g}, and the volume's {low:g} to {high:g}: none glows."
+        )
+    one, other = (float(volume.normalise_isovalue(value)) for value in values)
+    return min(one, other), max(one, other)
+
+
+def glow_from_mapping(table: Mapping[str, Any]) -> Glow:
+    """The glow that one ``[[glow]]`` table describes. SceneError where a key is unknown, or has no meaning."""
+    unknown = [key for key in table if key not in READERS]
+    if unknown:
+        raise SceneError(f"A glow has no '{unknown[0]}': choose from {', '.join(READERS)}.")
+    given: dict[str, Any] = {key: READERS[key](value) for key, value in table.items()}
+    return Glow(**given)
+
+
+def _listed(value: Any, count: int) -> bool:
+    return isinstance(value, list) and len(value) == count and all(map(is_number, value))
+
+
+def _radiance(value: Any) -> Colour:
+    """A number for all three channels, or ``[r, g, b]``."""
+    given = [value] * 3 if is_number(value) else value
+    if not _listed(given, 3):
+        raise SceneError(f"A glow's radiance is {value!r}: give a number or [r, g, b].")
+    return triple(given)
+
+
+def _box(value: Any) -> tuple[Vector, Vector]:
+    """Two corners."""
+    if not isinstance(value, list) or len(value) != 2 or not all(_listed(corner, 3) for corner in value):
+        raise SceneError(f"A glow's box is {value!r}: give two opposite corners, [[x, y, z], [x, y, z]].")
+    return triple(value[0]), triple(value[1])
+
+
+def _sphere(value: Any) -> tuple[float, float, float, float]:
+    """A middle and a radius."""
+    if not _listed(value, 4):
+        raise SceneError(f"A glow's sphere is {value!r}: give its middle and radius, [x, y, z, radius].")
+    x, y, z, radius = (float(number) for number in value)
+    return x, y, z, radius
+
+
+def _values(value: Any) -> tuple[float, float]:
+    """Two ascending values."""
+    if not _listed(value, 2) or value[0] > value[1]:
+        raise SceneError(f"A glow's values are {value!r}: give the least and the greatest, [low, high].")
+    return float(value[0]), float(value[1])
+
+
+READERS = {"box": _box, "sphere": _sphere, "values": _values, "radiance": _radiance}
+"""How the keys of a ``[[glow]]`` table are read."""

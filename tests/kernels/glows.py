@@ -1,0 +1,52 @@
+"""Glowing regions as the kernels take them, and what they give by brute force."""
+
+import numpy as np
+
+from isogi_core.kernels.tracing.glow import Glows
+from isogi_core.kernels.transport.glow_paths import glow_in_room
+from isogi_core.kernels.transport.paths import PathRules, SampleRange
+from isogi_core.kernels.transport.room_paths import RoomStarts
+from tests.kernels.fields import cells_of
+
+
+def ball(centre, radius, low=-np.inf, high=np.inf):
+    """A glowing ball as ``glows_of`` takes it, with the rate that makes rays across it gather 1 in the mean."""
+    return centre, [radius] * 3, 1.0, radius, low, high, 0.75 / radius
+
+
+def block(centre, half, low=-np.inf, high=np.inf):
+    """The same of a box with half edges ``half``."""
+    x, y, z = half
+    rate = 2.0 * (x * y + y * z + z * x) / (8.0 * x * y * z)
+    return centre, half, 0.0, float(np.linalg.norm(half)), low, high, rate
+
+
+def glows_of(*regions):
+    """Some regions as kernels take them."""
+    centres, halves, *rest = zip(*regions, strict=True)
+    rows = (np.ascontiguousarray(np.array(each, float).T) for each in (centres, halves))
+    return Glows(*rows, *(np.array(each, float) for each in rest))
+
+
+def gather_glow(field, room, starts, glows, samples, bounces=0, survival=1.0):
+    """E/π (g, k, 3) at ``starts``: world points and normals (g, 3), on walls by number or on the isosurface 0 (-1)."""
+    points, normals, walls = starts
+    g, k = len(points), len(glows.rates)
+    here = np.ascontiguousarray(np.divide(points, field.spacing).T)
+    around = np.ascontiguousarray(np.array(normals, float).T)
+    given = RoomStarts(here, around, np.zeros(g), np.arange(1, g + 1, dtype=np.uint64), np.array(walls, float))
+    rules, sums = PathRules(np.ones((bounces + 1, 3)), survival), np.zeros((g, 3 * k))
+    glow_in_room(field, cells_of(field, 0.0), room, given, SampleRange(0, samples), rules, glows, sums)
+    return sums.reshape(g, k, 3) / samples
+
+
+def brute_force(p, n, region, inside, count=120):
+    """E/π of a region without anything before it, from ``count``³ points of it: Σ rate cosθ dV / (π r²)."""
+    centre, half, _, _, _, _, rate = region
+    steps = (np.arange(count) + 0.5) / count * 2.0 - 1.0
+    places = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3) * half + centre
+    places = places[inside(places)]
+    away = places - p
+    square = (away**2).sum(axis=1)
+    each = np.maximum(away @ n, 0.0) / square**1.5
+    return rate * each.sum() * 8.0 * np.prod(half) / count**3 / np.pi

@@ -1,0 +1,105 @@
+"""Light of glowing regions against closed forms and brute force."""
+
+import numpy as np
+import pytest
+
+from isogi_core.kernels.tracing.glow import gather_from_eye
+from isogi_core.kernels.tracing.walls import NOWHERE
+from tests.kernels.fields import field_of
+from tests.kernels.glows import ball, block, brute_force, gather_glow, glows_of
+from tests.kernels.rooms import X, Y, Z, box, room_of, wall
+from tests.kernels.transport.lighting import BALL, on_ball
+from tests.scale import few
+
+RAMP = field_of(np.broadcast_to(np.linspace(-1.0, -0.2, 9), (9, 9, 9)), (5.0, 5.0, 5.0))
+"""A field without a surface at 0, which grows along x over 40 units of the world."""
+
+FLOOR = room_of([wall((0.0, 0.0, 0.0), 40.0 * X, 40.0 * Y)], RAMP.spacing)
+
+
+def test_a_floor_sees_a_glowing_ball_as_a_lambert_ball() -> None:
+    """E = π L (r/d)² cosθ, at any distance that leaves all of it above the horizon."""
+    (samples,) = few((4096,), (64,))
+    centre, radius = np.array([20.0, 20.0, 12.0]), 3.0
+    points = np.array([[20.0, 20.0, 0.0], [8.0, 20.0, 0.0], [39.0, 39.0, 0.0], [20.0, 16.0, 4.5]])
+    walls = [0, 0, 0, NOWHERE]
+    found = gather_glow(RAMP, FLOOR, (points, [Z] * 4, walls), glows_of(ball(centre, radius)), samples)[:, 0, 1]
+    away = centre - points
+    away[3, 2] -= 0.3 * 5.0  # rays from the isosurface start above it
+    square = (away**2).sum(axis=1)
+    np.testing.assert_allclose(found, radius**2 * away[:, 2] / square**1.5, rtol=0.01 if samples > 64 else 0.2)
+
+
+def test_a_glowing_block_is_what_brute_force_says() -> None:
+    (samples,) = few((4096,), (64,))
+    region = block([20.0, 22.0, 9.0], [6.0, 2.0, 4.0])
+    points = np.array([[20.0, 20.0, 0.0], [3.0, 30.0, 0.0]])
+    found = gather_glow(RAMP, FLOOR, (points, [Z] * 2, [0, 0]), glows_of(region), samples)[:, 0, 0]
+    expected = [brute_force(p, Z, region, lambda q: np.full(len(q), True)) for p in points]
+    np.testing.assert_allclose(found, expected, rtol=0.01 if samples > 64 else 0.2)
+
+
+@pytest.mark.parametrize("shape", ["ball", "block"])
+def test_a_range_of_values_glows_within_its_region(shape: str) -> None:
+    """Values from -0.6 on are those beyond x = 20; a point amid the region is lit too."""
+    (samples,) = few((8192,), (256,))
+    middle, low = [20.0, 20.0, 9.0], -0.6
+    region = ball(middle, 8.0, low) if shape == "ball" else block(middle, [8.0, 8.0, 8.0], low)
+    points = np.array([[12.0, 20.0, 0.0], [33.0, 30.0, 0.0]])
+
+    def inside(q: np.ndarray) -> np.ndarray:
+        return (q[:, 0] >= 20.0) & ((np.linalg.norm(q - middle, axis=1) <= 8.0) | (shape == "block"))
+
+    found = gather_glow(RAMP, FLOOR, (points, [Z] * 2, [0, 0]), glows_of(region), samples)[:, 0, 0]
+    expected = [brute_force(p, Z, region, inside) for p in points]
+    np.testing.assert_allclose(found, expected, rtol=0.01 if samples > 256 else 0.2)
+
+
+def test_what_is_behind_the_surface_is_not_lit() -> None:
+    """A ball that glows above another one: half of that sees none of it, and none is mixed up with a second one."""
+    (samples,) = few((256,), (16,))
+    points, normals = on_ball(64)
+    glows = glows_of(ball([20.0, 20.0, 38.0], 2.0), ball([20.0, 20.0, 2.0], 2.0))
+    found = gather_glow(field_of(BALL), room_of([]), (points.T, normals.T, [NOWHERE] * 64), glows, samples)[..., 0]
+    above, below = normals[2] > 0.9, normals[2] < -0.9
+    assert (found[above, 0] > 0.0).all() and (found[below, 0] == 0.0).all()
+    assert (found[below, 1] > 0.0).all() and (found[above, 1] == 0.0).all()
+
+
+@pytest.mark.parametrize("survival", [1.0, 0.6])
+def test_a_closed_room_keeps_what_glows_in_it(survival: float) -> None:
+    """Light is kept: E/π is (1 - ρ^(n + 1)) / (1 - ρ) in the mean over the walls, as the rate is that of the room."""
+    count, samples = few((2048, 256), (256, 8))
+    side, albedo, bounces = 40.0, 0.5, 3
+    walls = box(side, albedo)
+    room, rng = room_of(walls, RAMP.spacing), np.random.default_rng(1)
+    numbers, shares = rng.integers(0, 6, count), rng.random((count, 2, 1))
+    points = room.corners[numbers] + (shares * room.edges[numbers]).sum(axis=1)
+    glows = glows_of(block([20.0] * 3, [20.0] * 3))
+    starts = points, room.normals[numbers], numbers
+    found = gather_glow(RAMP, room, starts, glows, samples, bounces, survival)
+    expected = (1.0 - albedo ** (bounces + 1)) / (1.0 - albedo)
+    assert found.mean() == pytest.approx(expected, rel=0.01 if samples > 8 else 0.1)
+
+
+def test_walls_colour_the_glow_that_they_reflect() -> None:
+    """Of a room whose walls reflect red alone, the other colours are those of the first meeting."""
+    (samples,) = few((64,), (8,))
+    room = room_of(box(40.0), RAMP.spacing)
+    red = room._replace(albedos=np.tile([0.9, 0.0, 0.0], (6, 1)))
+    starts, glows = ([(15.0, 20.0, 0.0)], [Z], [4]), glows_of(ball([20.0, 20.0, 20.0], 4.0))
+    (first,), (more,) = (gather_glow(RAMP, each, starts, glows, samples, 2)[0] for each in (room, red))
+    assert more[0] > 1.1 * first[0]
+    np.testing.assert_allclose(more[1:], first[1:], rtol=1e-12)
+
+
+def test_an_eye_gathers_chords() -> None:
+    """Rate times chord, as far as the ray goes: of a ball 2 √(r² - b²), of a box its edge."""
+    field = field_of(np.full((3, 3, 3), -1.0), (2.0, 4.0, 5.0))
+    glows = glows_of(ball([20.0, 0.0, 0.0], 5.0), block([20.0, 0.0, 0.0], [2.0, 9.0, 9.0]))
+    directions = np.ascontiguousarray(np.array([[0.5, 0.0, 0.0]] * 4 + [[0.5, -0.05, 0.0]]).T)
+    reaches, light = np.array([np.inf, 20.0, 16.0, 1.0, np.inf]), np.zeros((5, 2))
+    gather_from_eye(field, glows, (0.0, 0.75, 0.0), directions, reaches, light)  # 3 units above the middle
+    expected = 0.15 * np.array([8.0, 4.0, 0.0, 0.0]), glows.rates[1] * np.array([4.0, 2.0, 0.0, 0.0])
+    np.testing.assert_allclose(light[:4], np.transpose(expected), atol=1e-12)
+    assert light[4, 0] > 1.2 and light[4, 1] > glows.rates[1] * 4.0
