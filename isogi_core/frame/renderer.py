@@ -48,6 +48,7 @@ from isogi_core.frame.rays.shine import ShineRays
 from isogi_core.frame.rays.shine_light import SHARE as SHINE_SHARE
 from isogi_core.frame.rays.shine_light import SeenLight, ShineLight, add_lobes_seen, walls_seen
 from isogi_core.frame.rays.view_walls import ViewWalls
+from isogi_core.frame.several.composer import Composer
 from isogi_core.frame.shading import (
     carry_irradiance_ratios,
     carry_texel_light,
@@ -83,12 +84,18 @@ class Renderer:
     """Renders views of one scene. Frames may be asked for from several threads."""
 
     def __init__(
-        self, caches: Caches, tiles: Tiles, most: int = KEPT, filters: bool = True, stand_in: StandIn | None = None
+        self,
+        caches: Caches,
+        tiles: Tiles,
+        most: int = KEPT,
+        filters: bool = True,
+        stand_in: StandIn | None = None,
+        alone: bool = False,
     ) -> None:
         """Render with the light that ``caches`` bring, on the threads of ``tiles``; keep ``most`` bytes of views.
 
         Who measures what bakes are worth ``filters`` no light that is noisy still. Other light may ``stand_in`` where
-        there is none yet.
+        there is none yet. Of several surfaces one may be shown ``alone``, as the others light it.
         """
         self.prepared = caches.prepared
         self.caches = caches
@@ -98,11 +105,15 @@ class Renderer:
         changing = dict.fromkeys((Reading, LobeLight, ShineLight), int(SHARE * most))
         self._kept: LruCache[Any] = LruCache(most - int(NORMALS * most), changing)
         self._walls = ViewWalls(self._kept, self.prepared.scene.volume)
+        make = partial(Renderer, tiles=tiles, most=most // 4, filters=filters, alone=True)
+        several = self.prepared.scene.several and not alone
+        self._composer = Composer(caches, self, make, self._kept) if several else None
 
     @property
     def nbytes(self) -> int:
         """Bytes of memory that views, maps and light take."""
-        return self._kept.nbytes + self._normals.nbytes + self.prepared.maps.nbytes + self.caches.nbytes
+        sides = self._composer.nbytes if self._composer else 0
+        return self._kept.nbytes + self._normals.nbytes + self.prepared.maps.nbytes + self.caches.nbytes + sides
 
     def render(
         self,
@@ -120,7 +131,7 @@ class Renderer:
         tiles = self.tiles.cancelled_by(cancelled) if cancelled else self.tiles
         target, watch = target or self.prepared.scene.target_error, watch or Stopwatch()
         frame = self._draw(view, target, tiles, watch)
-        if view.moving or not view.smooth:
+        if view.moving or not view.smooth or self._composer:
             return frame
         with watch.stage("edges"):
             exposure, walls = self.prepared.scene.default_exposure, self.prepared.walls_in_view
@@ -130,8 +141,14 @@ class Renderer:
         """The frame of a view, drawn on the threads of ``tiles``."""
         self.prepared.scene.albedo_for(view.albedo)
         self.prepared.scene.refuse_camera(view.camera)
+        if self._composer is not None:
+            return self._composer.draw(view, target, tiles, watch)
         with watch.stage("primary"):
             gbuffer = self.gbuffer(view, tiles)
+        return self.draw_on(gbuffer, view, target, tiles, watch)
+
+    def draw_on(self, gbuffer: GBuffer, view: View, target: float, tiles: Tiles, watch: Stopwatch) -> Frame:
+        """The frame of a view of the surface points in a G-buffer. Raises Cancelled."""
         light = self._light(view)
         if view.shading in ("gi", "vicinity"):
             return self._render_texels(gbuffer, light, target, tiles, watch)
@@ -156,10 +173,15 @@ class Renderer:
         cancelled, and what ``render`` raises.
         """
         target, tiles = target or self.prepared.scene.target_error, tiles or self.tiles
-        frame = self._draw(view, target, tiles, Stopwatch())
+        if self._composer is not None:
+            return self._composer.refine(view, target, tiles)
+        return self.refine_frame(self._draw(view, target, tiles, Stopwatch()), target, tiles, finer)
+
+    def refine_frame(self, frame: Frame, target: float, tiles: Tiles, finer: bool) -> bool:
+        """``refine`` of a view with this ``frame``."""
         if not frame.checkable:
             return False
-        light = self._light(view)
+        light = self._light(frame.view)
         if frame.walls_waiting:
             return self._walls.grow(frame.gbuffer, light, target, tiles)
         if self._grow_shine(frame, light, target, tiles):

@@ -41,8 +41,9 @@ from isogi_core.kernels.tracing.cast import TracedSurface
 from isogi_core.kernels.tracing.walls import NOWHERE
 from isogi_core.kernels.transport.light_paths import Surroundings
 from isogi_core.kernels.transport.lights import LampArrays
-from isogi_core.kernels.transport.paths import PathRules, SampleRange
+from isogi_core.kernels.transport.paths import PathRules, PathStarts, SampleRange
 from isogi_core.kernels.transport.room_paths import Room, RoomStarts, light_in_room
+from isogi_core.kernels.transport.surface_paths import Surfaces, light_among_surfaces
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.plan.budget import survival_for
 
@@ -199,16 +200,36 @@ def trace_in_room(
     samples: SampleRange,
 ) -> np.ndarray:
     """What ``trace_points`` adds for some ``replicas``, by number, in a ``room``; (m, replicas, 3)."""
+    starts = path_starts(traced, points, replicas)
+    walls, sums = np.full(len(starts.seeds), NOWHERE), np.zeros((len(starts.seeds), 3))
+    light_in_room(traced.field, traced.cells, room, RoomStarts(*starts, walls), samples, rules, light, sums)
+    return sums.reshape(-1, len(replicas), 3)
+
+
+def path_starts(traced: TracedSurface, points: PixelPoints, replicas: range) -> PathStarts:
+    """Where paths of some ``replicas``, by number, start from the points of a picture: all of a point side by side."""
     each, replica = (part.ravel() for part in np.indices((len(points.pixels), len(replicas))))
-    starts = RoomStarts(
+    return PathStarts(
         np.ascontiguousarray(points.points[each].T, np.float64),
         np.ascontiguousarray(points.normals[each].T, np.float64),
         np.full(len(each), traced.isovalue),
         seeds_of(np.column_stack([points.pixels[each], replicas.start + replica])),
-        np.full(len(each), NOWHERE),
     )
-    sums = np.zeros((len(each), 3))
-    light_in_room(traced.field, traced.cells, room, starts, samples, rules, light, sums)
+
+
+def trace_among_surfaces(
+    traced: TracedSurface,
+    surfaces: Surfaces,
+    points: PixelPoints,
+    light: Surroundings,
+    rules: PathRules,
+    replicas: range,
+    samples: SampleRange,
+) -> np.ndarray:
+    """What ``trace_points`` adds for some ``replicas``, by number, among ``surfaces``; (m, replicas, 3)."""
+    starts = path_starts(traced, points, replicas)
+    sums = np.zeros((len(starts.seeds), 3))
+    light_among_surfaces(traced.field, surfaces, starts, samples, rules, light, sums)
     return sums.reshape(-1, len(replicas), 3)
 
 
@@ -269,15 +290,17 @@ class Paths:
         own = sums if alone else np.zeros_like(sums)
         points, pixels, normals = buffer.points, buffer.pixels, buffer.normals(self.tiles)
         traced, around = buffer.surface.traced(self.tiles.run), self.light.surroundings
-        room = self._room
+        room, company = self._room, self._company
         rules, samples = PathRules(self.weights, self.survival), SampleRange(first, count)
 
         def _piece(a: int, b: int) -> None:
             some = PixelPoints(points[a:b], normals[a:b], pixels[a:b])
-            if room is None:
+            replicas = range(stream, stream + sums.shape[1])
+            if company is not None:
+                own[a:b] += trace_among_surfaces(traced, company, some, around, rules, replicas, samples)
+            elif room is None:
                 trace_points(traced, some, around, rules, stream, samples, own[a:b])
             else:
-                replicas = range(stream, stream + sums.shape[1])
                 own[a:b] += trace_in_room(traced, room, some, around, rules, replicas, samples)
             if progress is not None:
                 progress((b - a) * sums.shape[1] * count)
@@ -296,6 +319,12 @@ class Paths:
         """The walls and colours that paths meet, None where there are none."""
         prepared = self.light.spec.prepared
         return prepared.room(self.light.seen.albedo) if prepared.scene.many_albedos else None
+
+    @property
+    def _company(self) -> Surfaces | None:
+        """The surfaces that paths meet, None where there is one, which stops all."""
+        prepared, run = self.light.spec.prepared, self.tiles.run
+        return prepared.company(self.gbuffer.surface.cells(run), run) if prepared.scene.several else None
 
     def prepare(self) -> None:
         """Do what comes before the first paths, by tracing one: find normals, map the surface, compile."""
