@@ -219,6 +219,8 @@ class RenderEngine:
         """
         frame = frame.finer or frame
         stage = next(iter(frame.stages), Stage((), self.planned(scene).target_error))
+        if stage.caches is not None and scene in self.scenes:
+            return self._beside.side(scene, spec_name(frame.view.shading), stage, self.workforce.joins), stage
         if scene not in self.scenes or (stage.shown is None and not frame.fineness):
             return self.bake_of(scene, frame.view), stage
         return self.bake_onto(scene, stage.shown, frame.fineness), stage

@@ -13,7 +13,7 @@ from isogi_core.errors import ViewError
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.several.peels import Peels, first_of, layers_of, peel
-from isogi_core.frame.several.surfaces_frame import Part, SurfacesFrame, compose
+from isogi_core.frame.several.surfaces_frame import Part, SurfacesFrame, compose, wrong_of
 from isogi_core.frame.tiles import Stopwatch, Tiles
 from isogi_core.lru_cache import LruCache
 from isogi_core.model.view import View
@@ -140,8 +140,3 @@ class Composer:
 def key_of(view: View) -> tuple[Any, ...]:
     """What peels depend on."""
     return view.isovalue, view.camera, view.width, view.height, view.strip
-
-
-def wrong_of(part: Part) -> float:
-    """How much a part errs, as far as is known."""
-    return part.frame.total.likely * part.frame.true_mean * part.weight**0.5

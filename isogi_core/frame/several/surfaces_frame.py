@@ -59,10 +59,10 @@ class SurfacesFrame(Frame):
 
     @property
     def stages(self) -> tuple[Stage, ...]:
-        """All light that is to be baked until the picture is final, side after side."""
+        """All light that is to be baked until the picture is final: first that of the side which errs most."""
         return tuple(
             replace(stage, caches=None if part.side == OUTER else part.caches)
-            for part in self.parts
+            for part in sorted(self.parts, key=wrong_of, reverse=True)
             for stage in part.frame.stages
         )
 
@@ -105,6 +105,11 @@ class SurfacesFrame(Frame):
         parts = zip(errors, self.parts, strict=True)
         squares = sum((error * part.frame.true_mean) ** 2 * part.weight for error, part in parts)
         return min(math.sqrt(squares / max(self.surface, 1)) / max(self.true_mean, DARK), 1.0)
+
+
+def wrong_of(part: Part) -> float:
+    """How much a part errs in the picture, as far as is known."""
+    return part.frame.total.likely * part.frame.true_mean * part.weight**0.5
 
 
 def summed_errors(errors: Sequence[tuple[Part, np.ndarray]], radiance: np.ndarray) -> np.ndarray:
