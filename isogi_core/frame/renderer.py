@@ -64,6 +64,7 @@ from isogi_core.frame.stand_in import StandIn
 from isogi_core.frame.texel_normals import ENTRY, OwnNormals, TexelNormals, find_texel_normals
 from isogi_core.frame.texel_reading import Reading, read_texels
 from isogi_core.frame.tiles import Stopwatch, Tiles
+from isogi_core.frame.view_keys import check_key, is_checked, surface_key
 from isogi_core.frame.view_texels import ViewTexels, carries_irradiance_ratios, find_texels
 from isogi_core.kernels.shading.framebuffer import Framebuffer
 from isogi_core.kernels.shading.lobes import add_lobes
@@ -76,8 +77,7 @@ KEPT = 256 << 20
 """Bytes that are kept of views, for turning light and for asking again."""
 
 SHARE, NORMALS = 1 / 16, 1 / 6
-"""Shares of these bytes: for what changes while a view stays, and for texels' normals, which all views have in common.
-"""
+"""Shares of these bytes: for what changes while a view stays, and for texels' normals, which views have in common."""
 
 
 class Renderer:
@@ -92,10 +92,10 @@ class Renderer:
         stand_in: StandIn | None = None,
         alone: bool = False,
     ) -> None:
-        """Render with the light that ``caches`` bring, on the threads of ``tiles``; keep ``most`` bytes of views.
+        """Render with the light of ``caches``, on the threads of ``tiles``; keep ``most`` bytes of views.
 
-        Who measures what bakes are worth ``filters`` no light that is noisy still. Other light may ``stand_in`` where
-        there is none yet. Of several surfaces one may be shown ``alone``, as the others light it.
+        Who measures bakes ``filters`` no noisy light. Other light may ``stand_in`` where there is none yet. Of several
+        surfaces one may be shown ``alone``, as the others light it.
         """
         self.prepared = caches.prepared
         self.caches = caches
@@ -106,14 +106,14 @@ class Renderer:
         self._kept: LruCache[Any] = LruCache(most - int(NORMALS * most), changing)
         self._walls = ViewWalls(self._kept, self.prepared.scene.volume)
         make = partial(Renderer, tiles=tiles, most=most // 4, filters=filters, alone=True)
-        several = self.prepared.scene.several and not alone
-        self._composer = Composer(caches, self, make, self._kept) if several else None
+        composed = self.prepared.scene.several and not alone
+        self._composer = Composer(caches, self, make, self._kept) if composed else None
 
     @property
     def nbytes(self) -> int:
         """Bytes of memory that views, maps and light take."""
-        sides = self._composer.nbytes if self._composer else 0
-        return self._kept.nbytes + self._normals.nbytes + self.prepared.maps.nbytes + self.caches.nbytes + sides
+        parts = (self._kept, self._normals, self.prepared.maps, self.caches, self._composer)
+        return sum(part.nbytes for part in parts if part is not None)
 
     def render(
         self,
@@ -348,6 +348,8 @@ class Renderer:
     def gbuffer(self, view: View, tiles: Tiles | None = None) -> GBuffer:
         """The G-buffer of a view. Raises Cancelled, as every step does, once its ``tiles`` are cancelled."""
         surface, tiles = self.prepared.surface(view.isovalue), tiles or self.tiles
+        if self._composer:
+            return self._composer.peels(view, tiles).first
         return self._kept.get(
             (GBuffer, surface_key(view)), lambda: trace(view, surface, tiles, self.prepared.walls_in_view)
         )
@@ -396,18 +398,3 @@ class Renderer:
         make = partial(find_texel_normals, texels, self._normals, self.prepared, tiles)
         normals = self._kept.get((TexelNormals, surface_key(view)), make)
         return normals.where(reading.on_surface, texels, self.prepared, tiles)
-
-
-def is_checked(view: View) -> bool:
-    """Whether control pixels tell the total error of a view: of global illumination, at rest."""
-    return view.shading == "gi" and not view.moving
-
-
-def surface_key(view: View) -> tuple[Any, ...]:
-    """What the surface in a picture depends on."""
-    return view.isovalue, view.camera, view.width, view.height, view.strip, view.window
-
-
-def check_key(view: View, target: float) -> tuple[Any, ...]:
-    """What the check of a picture depends on."""
-    return PictureCheck, surface_key(view), view.light, view.albedo, view.shine, target

@@ -1,5 +1,6 @@
 """Several isosurfaces: those that are pinned beside the one that slides, and how much passes straight through each."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import astuple, dataclass
 from typing import Any
@@ -11,6 +12,9 @@ from isogi_core.model.volume import Volume
 
 MOST_PINNED = 3
 """Most isosurfaces beside the one that slides: every ray is cast at each of them."""
+
+LAYERS = 8
+"""Surfaces that a pixel shows behind each other, at most. The last of them is the first opaque one that is left."""
 
 KEYS = ("isovalue", "albedo", "clear", "name")
 """What a ``[[surfaces]]`` table may have."""
@@ -43,9 +47,10 @@ def pinned_from_mapping(table: Mapping[str, Any], volume: Volume) -> PinnedSurfa
     if unknown := sorted(set(table) - set(KEYS)):
         raise SceneError(f"A surface has no '{unknown[0]}': choose from {', '.join(KEYS)}.")
     low, high = volume.value_range
-    isovalue, clear, name = table.get("isovalue"), table.get("clear", 0.0), table.get("name", "")
+    isovalue, clear, name = table.get("isovalue", math.nan), table.get("clear", 0.0), table.get("name", "")
     if not is_number(isovalue) or not low < isovalue < high:
-        raise SceneError(f"A surface's isovalue is {isovalue!r}: give a number between the values {low:g} and {high:g}.")
+        given = table.get("isovalue")
+        raise SceneError(f"A surface's isovalue is {given!r}: give a number between {low:g} and {high:g}.")
     if not is_number(clear) or not 0.0 <= clear <= 1.0:
         raise SceneError(f"The surface at {isovalue:g} has clear = {clear!r}: give a number from 0, opaque, to 1.")
     if not isinstance(name, str) or not (name == "" or name.isprintable()):

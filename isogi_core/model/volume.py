@@ -186,9 +186,9 @@ INSIDE_OUT: WeakKeyDictionary[Volume, Volume] = WeakKeyDictionary()
 def _turned(volume: Volume) -> Volume:
     """A ``volume`` whose voxels v are 1 - v."""
     digest = hashlib.blake2b(f"{volume.digest} inside out".encode(), digest_size=16).hexdigest()
-    facts = {"offset": volume.offset + volume.scale, "scale": -volume.scale, "digest": digest, "counts": (), "span": ()}
-    solid = "below" if volume.solid == "above" else "above"
-    return replace(volume, voxels=np.float32(1.0) - volume.voxels, solid=solid, **facts)
+    solid, voxels = "below" if volume.solid == "above" else "above", np.float32(1.0) - volume.voxels
+    turned = replace(volume, voxels=voxels, solid=solid, digest=digest, counts=(), span=())
+    return replace(turned, offset=volume.offset + volume.scale, scale=-volume.scale)
 
 
 def make_volume(

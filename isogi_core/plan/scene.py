@@ -24,7 +24,7 @@ from isogi_core.model.view import Camera, orbit, orthographic
 from isogi_core.model.volume import Isovalue, Volume
 from isogi_core.plan.inputs import PlanInputs, PlanOverrides
 from isogi_core.plan.isovalue_presets import Preset, find_boundaries, suggested_presets
-from isogi_core.plan.left_out import unprojected, unseen, unshining
+from isogi_core.plan.left_out import unprojected, unseen, unshared, unshining
 from isogi_core.plan.projection import ProjectionPlan, plan_projection
 from isogi_core.plan.reachable_texels import TexelCount, count_texels
 
@@ -38,8 +38,8 @@ SURVEYED = ("texels", "projection", "presets")
 """Properties of a scene that take a pass over its volume, and that no plan changes."""
 
 ROOM, COLOURED, AMONG = "room", "coloured", "among"
-"""Stand for the kinds of layers that are baked among walls, on a surface with colours where its light may turn, or among
-several surfaces.
+"""Stand for the kinds of layers that are baked among walls, on a surface with colours where its light may turn, or
+among several surfaces.
 """
 
 IN_WALL = 1e-6
@@ -106,7 +106,7 @@ class Scene:
 
     @property
     def several(self) -> bool:
-        """Whether a ray may meet more than one surface: there are pinned ones, or the one that slides lets rays pass."""
+        """Whether rays may meet more than one surface: there are pinned ones, or the one that slides is clear."""
         return bool(self.pinned) or self.clear > 0.0
 
     def kind_of(self, layer: Layer, plan: ScenePlan) -> str:
@@ -188,7 +188,8 @@ class Scene:
     def left_out(self) -> tuple[LeftOut, ...]:
         """Everything that is left out: by the plan, texels that are never lit or not projected, and shine."""
         texels = (*unseen(self.texels, self.plan), *unprojected(self.projection, self.start))
-        return (*self.plan.left_out, *texels, *unshining(self.shine))
+        beside = unshared(len(self.pinned), self.plan) if self.several else ()
+        return (*self.plan.left_out, *texels, *beside, *unshining(self.shine))
 
     def with_plan(self, plan: ScenePlan) -> "Scene":
         """The same scene by another ``plan``; what was surveyed of its volume stays."""

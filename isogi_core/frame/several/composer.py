@@ -15,6 +15,7 @@ from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.several.peels import Peels, first_of, layers_of, peel
 from isogi_core.frame.several.surfaces_frame import Part, SurfacesFrame, compose, wrong_of
 from isogi_core.frame.tiles import Stopwatch, Tiles
+from isogi_core.frame.view_keys import surface_key
 from isogi_core.lru_cache import LruCache
 from isogi_core.model.view import View
 from isogi_core.plan.scene import SURVEYED
@@ -69,7 +70,7 @@ class Composer:
         if view.window is not None:
             raise ViewError("A window looks into one surface, and this scene has several: leave window out, or cut.")
         with watch.stage("primary"):
-            peels = self._kept.get((Peels, *key_of(view)), lambda: self._peels(view, tiles))
+            peels = self.peels(view, tiles)
         parts = []
         for side, layers in peels.sides.items():
             renderer = self.renderer(side, view.isovalue)
@@ -77,6 +78,10 @@ class Composer:
             parts.append(Part(side, layers, frame, renderer.caches))
         with watch.stage("compose"):
             return compose(view, peels, parts, watch, target)
+
+    def peels(self, view: View, tiles: Tiles) -> Peels:
+        """All that a view shows, layer behind layer. Raises Cancelled."""
+        return self._kept.get((Peels, surface_key(view)), lambda: self._peels(view, tiles))
 
     def refine(self, view: View, target: float, tiles: Tiles) -> bool:
         """Bring the picture of a view whose light is final a step nearer to the ``target``; whether there was one.
@@ -135,8 +140,3 @@ class Composer:
                 prepared = self.renderer(side, view.isovalue).caches.prepared
                 sides[side] = layers_of(hits, some, first, prepared.surface(every[side.number].isovalue))
         return Peels(first, sides, left)
-
-
-def key_of(view: View) -> tuple[Any, ...]:
-    """What peels depend on."""
-    return view.isovalue, view.camera, view.width, view.height, view.strip

@@ -10,12 +10,10 @@ from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.tracing.camera import Pinhole
 from isogi_core.kernels.tracing.cast import TracedSurface, cast_rays
 from isogi_core.kernels.tracing.intersect import SOLID, UNKNOWN
+from isogi_core.model.surfaces import LAYERS
 from isogi_core.model.view import View
 from isogi_core.plan.sides import Side
 from isogi_core.prepared.surface import Surface
-
-LAYERS = 8
-"""Surfaces that a pixel shows behind each other, at most. The last of them is the first opaque one that is left."""
 
 LEAST = 1.0 / 512.0
 """Share of a pixel's light below which what lies behind is left out."""
@@ -23,9 +21,10 @@ LEAST = 1.0 / 512.0
 
 @dataclass(frozen=True, eq=False)
 class Hits:
-    """Where rays meet surfaces, ray by ray and front to back, (n,) each: picture indices of their ``pixels``, ``points``
-    (n, 3) float32 in index space, the surfaces' ``numbers``, whether their ``inner`` side is seen, and the share of the
-    pixel's light that comes from there, ``weights``.
+    """Where rays meet surfaces, ray by ray and front to back, (n,) each.
+
+    They are the picture indices of ``pixels``, ``points`` (n, 3) float32 in index space, the surfaces' ``numbers``,
+    whether their ``inner`` side is seen, and the share of the pixel's light that comes from there, ``weights``.
     """
 
     pixels: np.ndarray
@@ -103,7 +102,7 @@ class Rays:
         t[some], came[some] = start + found, sides
 
     def layers(self, left: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
-        """Rays that meet something, ways, surfaces, sides, weights: layer by layer; what is ``left`` (n,) is reduced."""
+        """Rays that meet something, ways, surfaces, sides, weights: layer by layer; ``left`` (n,) is reduced."""
         shape = len(self.surfaces), self.directions.shape[1]
         t, came, opaque = np.full(shape, np.nan), np.full(shape, UNKNOWN, np.int8), self.clears <= 0.0
         for number in range(shape[0]):

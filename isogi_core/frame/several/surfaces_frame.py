@@ -53,7 +53,7 @@ class SurfacesFrame(Frame):
     parts: tuple[Part, ...] = ()
 
     @property
-    def demands(self) -> tuple[Demand, ...]:  # type: ignore[override]
+    def demands(self) -> tuple[Demand, ...]:
         """The light that was not final on the outer side of the surface that slides."""
         return next((part.frame.demands for part in self.parts if part.side == OUTER), ())
 
@@ -72,12 +72,12 @@ class SurfacesFrame(Frame):
         return not (self.provisional or self.final) and any(part.frame.checkable for part in self.parts)
 
     @cached_property
-    def true_mean(self) -> float:  # type: ignore[override]
+    def true_mean(self) -> float:
         """The mean luminance of the pixels that show something."""
         return float((self.radiance[self.state > 0].astype(np.float64) @ LUMINANCE).sum()) / max(self.surface, 1)
 
     @cached_property
-    def measured(self) -> TotalError | None:  # type: ignore[override]
+    def measured(self) -> TotalError | None:
         """The total relative RMSE by the control pixels of all sides, whose errors count as independent of each other;
         None before each side has some.
         """
@@ -89,14 +89,14 @@ class SurfacesFrame(Frame):
         return TotalError(likely, low, high, sum(each.controls for each in every)).at_least(self.noise)
 
     @cached_property
-    def total(self) -> TotalError:  # type: ignore[override]
+    def total(self) -> TotalError:
         """The total relative RMSE of the frame: measured or predicted; without global illumination all noise."""
         if self.view.shading != "gi":
             return TotalError(self.noise, self.noise, self.noise)
         return self.measured or predict_total(self.noise, self.expected)
 
     @cached_property
-    def total_error(self) -> np.ndarray:  # type: ignore[override]
+    def total_error(self) -> np.ndarray:
         """The relative error of each pixel, whatever its causes, at most 1; (h, w) float32."""
         return summed_errors([(part, part.frame.total_error) for part in self.parts], self.radiance)
 

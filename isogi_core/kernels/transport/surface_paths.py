@@ -10,7 +10,7 @@ from isogi_core.kernels._jit import kernel, record
 from isogi_core.kernels.tracing.active_cells import ACTIVE_CELLS
 from isogi_core.kernels.tracing.cast import cast_batch
 from isogi_core.kernels.tracing.field import FIELD
-from isogi_core.kernels.tracing.intersect import OUTSIDE, UNKNOWN
+from isogi_core.kernels.tracing.intersect import UNKNOWN
 from isogi_core.kernels.tracing.ray_stream import Rays
 from isogi_core.kernels.tracing.vec import column, dot, madd, put_column
 from isogi_core.kernels.transport.integrator import ROULETTE

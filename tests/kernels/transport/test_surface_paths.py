@@ -39,8 +39,9 @@ def crossings(field, isovalues, on, side, o, d):
 
 
 @njit
-def path_among(field, isovalues, albedos, clears, start, seed, index, bounces, light):
+def path_among(field, surfaces, start, seed, index, bounces, light):
     """One path, each of its rays by itself: what it gathers, linear RGB."""
+    _, isovalues, albedos, clears = surfaces
     (p, n), total, carried, side, on = start, np.zeros(3), np.ones(3), OUTSIDE, 0
     first = 0 if light.table[0].shape[0] > 0 else 1
     for bounce in range(bounces + 1):
@@ -57,12 +58,11 @@ def path_among(field, isovalues, albedos, clears, start, seed, index, bounces, l
         u, v = point_2d(seed, index, bounce)
         w = about(n, sample_cosine_hemisphere(u, v))
         d = to_index(w, field.spacing)
-        way, met, came, crossing = math.inf, 0, 0, 0
-        for t, k, s in crossings(field, isovalues, on, side, o, d):
+        way, met, came = math.inf, 0, 0
+        for crossing, (t, k, s) in enumerate(crossings(field, isovalues, on, side, o, d)):
             if not point_2d(seed, index, PASSING + crossing * PAIRS + bounce)[0] < clears[k]:
                 way, met, came = t, k, s
                 break
-            crossing += 1
         if way == math.inf:
             end = arriving(light.constant, light.image, light.matrix, light.table, w, dot(n, w))
             for c in range(3):
@@ -109,9 +109,7 @@ def test_paths_are_those_of_one_ray_at_a_time(light: str) -> None:
     for i in range(6):
         start = column(points, i), column(normals, i)
         for s in range(samples):
-            expected[i] += path_among(
-                field, surfaces.isovalues, surfaces.albedos, surfaces.clears, start, i + 1, s, 3, LIGHTS[light]
-            )
+            expected[i] += path_among(field, surfaces, start, i + 1, s, 3, LIGHTS[light])
     np.testing.assert_allclose(found, expected / samples, rtol=1e-6)
 
 
