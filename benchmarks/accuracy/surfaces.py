@@ -7,6 +7,7 @@ checked by an engine with two workers, and held against path-traced pictures. Wh
 baked, are those of one isovalue after the others.
 """
 
+import math
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
@@ -81,7 +82,7 @@ def surfaces(size: int, paths: int, only: tuple[str, ...]) -> Measurement:
         "true error, worst": max(each.rmse for each in found),
         "true error, median": median(each.rmse for each in found),
         "99th percentile, worst": max(each.p99 for each in found),
-        "told / true, median": median(each.told / each.rmse for each in found),
+        "told / true, median": median(each.told / max(each.rmse, 1e-6) for each in found),
         "final": sum(each.final for each in found) / len(found),
     }
     table = markdown(HEAD, [each.row for each in found])
@@ -135,8 +136,12 @@ def stored(folder: Path, scene: Scene) -> tuple[int, int]:
 
 
 def beside(frame: Frame, traced: Frame) -> tuple[float, float]:
-    """RMSE and 99th percentile of the error of a frame's luminance, over the mean of a path-traced one."""
+    """RMSE and 99th percentile of the error of a frame's luminance, over the mean of a path-traced one.
+
+    The noise that this one tells of itself is taken from the RMSE.
+    """
     on = traced.state > 0
     light, true = (each.radiance[on].astype(np.float64) @ LUMINANCE for each in (frame, traced))
     wrong = np.abs(light - true)
-    return float(np.sqrt((wrong**2).mean()) / true.mean()), float(np.quantile(wrong, 0.99) / true.mean())
+    square = float((wrong**2).mean() / true.mean() ** 2) - traced.noise**2
+    return math.sqrt(max(square, 0.0)), float(np.quantile(wrong, 0.99) / true.mean())
