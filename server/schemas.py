@@ -236,6 +236,17 @@ class EnvironmentList(BaseModel):
     uploads: UploadLimits | None
 
 
+class SurfaceSchema(BaseModel):
+    """A pinned isosurface: its ``name``, empty where it has none, the ``albedo`` of both its sides, linear RGB, and the
+    share of rays that passes straight through it, ``clear``.
+    """
+
+    isovalue: float
+    name: str
+    albedo: Triple
+    clear: float
+
+
 class SceneSchema(BaseModel):
     """What a client needs to show a scene: facts, histogram, defaults and ranges of every knob, plan.
 
@@ -249,7 +260,8 @@ class SceneSchema(BaseModel):
     same from all sides. ``albedos`` are those that a view may ask for, null where it may not. ``shines`` are the kinds
     of shine that it may ask for, none where the surface is diffuse. ``cuts`` is whether planes across the world's axes
     may cut it: its voxels lie along them. ``colours`` are those of a surface whose albedo comes from data, null where
-    it has one ``albedo``; that is then the most that colours reflect.
+    it has one ``albedo``; that is then the most that colours reflect. ``surfaces`` are pinned beside the one that
+    slides, which lets the share ``clear`` of rays pass.
     """
 
     id: str
@@ -264,6 +276,8 @@ class SceneSchema(BaseModel):
     albedo: Triple
     albedos: Range | None
     colours: ColourScale | None
+    surfaces: list[SurfaceSchema]
+    clear: float
     shines: list[str]
     bounces: int
     cuts: bool

@@ -30,12 +30,13 @@ from isogi_core.kernels._jit import entries_of, load
 from isogi_core.kernels.transport.coloured_transfer import bake_coloured_texels
 from isogi_core.kernels.transport.glow_paths import glow_in_room
 from isogi_core.kernels.transport.room_paths import fill_seeds, light_in_room
+from isogi_core.kernels.transport.surface_paths import light_among_surfaces
 from isogi_core.kernels.transport.texel_points import project_texels
 from isogi_core.kernels.transport.transfer import bake_irradiance, bake_texels, locate_texels
 from isogi_core.model.scene_plan import GLOW, ScenePlan
 from isogi_core.model.volume import Isovalue
 from isogi_core.plan.assembly import build_scene
-from isogi_core.plan.scene import COLOURED, ROOM
+from isogi_core.plan.scene import AMONG, COLOURED, ROOM
 from isogi_core.prepared.prepared_scene import Index, PreparedScene
 from isogi_core.storage.store import Store
 from isogi_core.storage.url import StoreUrl
@@ -44,11 +45,12 @@ PATHS = {
     **{"direct": (bake_texels,), "indirect": (bake_texels,), "whole": (bake_texels,)},
     **{"irradiance": (bake_irradiance,), ROOM: (light_in_room, fill_seeds), COLOURED: (bake_coloured_texels,)},
     GLOW: (glow_in_room, fill_seeds),
+    AMONG: (light_among_surfaces, fill_seeds),
 }
-"""Entry kernels by the kind of layer that they bake; among walls and on colours they are others."""
+"""Entry kernels by the kind of layer that they bake; among walls or surfaces and on colours they are others."""
 
-KINDS = tuple(kind for kind in PATHS if kind not in (ROOM, COLOURED, GLOW))
-"""The kinds of layers of scenes without walls, colours and glow."""
+KINDS = tuple(kind for kind in PATHS if kind not in (ROOM, COLOURED, AMONG, GLOW))
+"""The kinds of layers of scenes with one surface, without walls, colours and glow."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +137,7 @@ def most_maps() -> int:
 OPEN: WeakValueDictionary[str, PreparedScene] = WeakValueDictionary()
 """The scenes that this process has open, by their volumes and how rays meet these."""
 
-LIGHT = ("lights", "environment", "lattice")
+LIGHT = ("lights", "environment", "lattice", "albedo", "surfaces", "clear")
 """Settings of a scene that nothing depends on which is worked out of its voxels."""
 
 

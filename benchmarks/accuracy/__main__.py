@@ -17,6 +17,7 @@ from benchmarks.accuracy.reports import reports
 from benchmarks.accuracy.roulette import roulette
 from benchmarks.accuracy.sequences import sequences
 from benchmarks.accuracy.stiffness import stiffness
+from benchmarks.accuracy.surfaces import surfaces
 from benchmarks.accuracy.table import table
 from benchmarks.accuracy.tools import tools
 from benchmarks.accuracy.totals import totals
@@ -30,6 +31,7 @@ main = suite(
     checking,
     cuts,
     colours,
+    surfaces,
     reports,
     equal_error,
     plans,

@@ -17,8 +17,9 @@ from isogi_core.kernels.tracing.active_cells import ActiveCells
 from isogi_core.kernels.tracing.walls import NOWHERE
 from isogi_core.kernels.transport.coloured_transfer import bake_coloured_texels
 from isogi_core.kernels.transport.glow_paths import glow_in_room
-from isogi_core.kernels.transport.paths import PathRules, SampleRange
+from isogi_core.kernels.transport.paths import PathRules, PathStarts, SampleRange
 from isogi_core.kernels.transport.room_paths import RoomStarts, fill_seeds, light_in_room
+from isogi_core.kernels.transport.surface_paths import light_among_surfaces
 from isogi_core.kernels.transport.texel_points import PROJECTED, project_texels
 from isogi_core.kernels.transport.transfer import bake_irradiance, bake_texels, locate_texels
 from isogi_core.model.scene_plan import GLOW, Layer, most_samples
@@ -202,7 +203,9 @@ def sample_irradiance(
     weights = np.broadcast_to(spec.weights(layers[0]), (spec.plan.bounces + 1, 3)).copy()
     for bricks, rows in by_isovalue(place[3], void, spec.prepared):
         some, rules = SampleRange(samples // 2, count // 2), PathRules(weights, spec.plan.survival)
-        if spec.prepared.scene.many_albedos:
+        if spec.prepared.scene.several:
+            light_texels_among_surfaces(place, rows, bricks, spec, some, rules, sums)
+        elif spec.prepared.scene.many_albedos:
             light_texels_in_room(place, rows, bricks, spec, some, rules, sums)
         else:
             bake_irradiance(spec.prepared.field, bricks, place, rows, some, rules, surroundings, sums)
@@ -248,6 +251,27 @@ def light_texels_in_room(
     starts, prepared, added = starts_of(place, rows), spec.prepared, np.zeros((2 * len(rows), 3))
     room, light = prepared.room(prepared.scene.albedo), prepared.surroundings(np.eye(3))
     light_in_room(prepared.field, bricks, room, starts, samples, rules, light, added)
+    sums[rows] += added.reshape(-1, 2, 3)
+
+
+def light_texels_among_surfaces(
+    place: Place,
+    rows: np.ndarray,
+    bricks: ActiveCells,
+    spec: BakeSpec,
+    samples: SampleRange,
+    rules: PathRules,
+    sums: np.ndarray,
+) -> None:
+    """``bake_irradiance`` among several surfaces, which reflect, and let a share of all rays pass."""
+    texels, points, normals, isovalues = place
+    both = np.repeat(rows, 2)
+    seeds = seeds_of(np.column_stack([texels[both], np.tile([0, 1], len(rows))]))
+    here, around = (np.ascontiguousarray(each[:, both]) for each in (points, normals))
+    starts, added = PathStarts(here, around, isovalues[both], seeds), np.zeros((len(both), 3))
+    prepared = spec.prepared
+    surfaces, light = prepared.company(bricks), prepared.surroundings(np.eye(3))
+    light_among_surfaces(prepared.field, surfaces, starts, samples, rules, light, added)
     sums[rows] += added.reshape(-1, 2, 3)
 
 

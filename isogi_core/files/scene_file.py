@@ -85,7 +85,7 @@ def split_settings(target: str) -> tuple[str, dict[str, str]]:
     return f"{place}#{rest}" if rest else place, told
 
 
-FOLLOWED = ("cut", "solid", "spacing", "missing", "axes", "volumes", "level", "channel", "time", "series")
+FOLLOWED = ("cut", "solid", "inside_out", "spacing", "missing", "axes", "volumes", "level", "channel", "time", "series")
 """Settings of a scene that its volume's voxels already contain."""
 
 

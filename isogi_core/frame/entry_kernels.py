@@ -39,6 +39,7 @@ from isogi_core.kernels.shading.texel_table import add_part, judge_rows, unpack_
 from isogi_core.kernels.shading.wall_light import light_walls
 from isogi_core.kernels.tracing.active_cells import fill_ranges, mark_bricks, number_bricks, pack_bricks
 from isogi_core.kernels.tracing.camera import trace_pixels, trace_places
+from isogi_core.kernels.tracing.cast import cast_rays
 from isogi_core.kernels.tracing.glow import gather_from_eye
 from isogi_core.kernels.tracing.macrocells import fill_macrocells
 from isogi_core.kernels.tracing.sight import read_values, trace_pixels_in_sight, trace_places_in_sight
@@ -49,6 +50,7 @@ from isogi_core.kernels.transport.harmonics import rotate
 from isogi_core.kernels.transport.lights import project_lamps
 from isogi_core.kernels.transport.microfacets import fill_energy
 from isogi_core.kernels.transport.room_paths import fill_seeds, light_in_room
+from isogi_core.kernels.transport.surface_paths import light_among_surfaces
 from isogi_core.kernels.transport.texel_points import measure_distances
 from isogi_core.plan.left_out import uncalled
 from isogi_core.plan.scene import Scene
@@ -74,6 +76,9 @@ ROOM = (light_in_room, trace_pixels_in_sight, trace_places_in_sight, light_walls
 
 COLOURED = (fill_albedos,)
 """Those that only scenes with colours by data call; their paths are those of a room."""
+
+AMONG = (light_among_surfaces, cast_rays, fill_seeds)
+"""Those that only scenes with several surfaces call; not their ``trace_pixels`` and ``trace_places``."""
 
 SHINE = (cast_shine, fill_below, fill_energy, pool_noise)
 """Those that only scenes with a shine call; and, where lights have lobes, ``light_ends``."""
@@ -130,7 +135,8 @@ views through a window.
 
 def frame_kernels(scenes: Iterable[Scene]) -> tuple[Any, ...]:
     """Those that frames of any of the ``scenes`` call: ROOM where one has walls, COLOURED where one has
-    colours, GLOW where something glows, SHINE where one shines, then in the order of FRAME.
+    colours, AMONG where one has several surfaces, GLOW where something glows, SHINE where one shines, then in the order
+    of FRAME.
     """
     shown = tuple(scenes)
     uncalled = set.intersection({*FRAME}, *map(uncalled_by, shown))
@@ -141,6 +147,7 @@ def frame_kernels(scenes: Iterable[Scene]) -> tuple[Any, ...]:
     rooms += COLOURED if any(scene.colours for scene in shown) else ()
     rooms += GLOW if any(scene.glowing.any for scene in shown) else ()
     rooms += (glow_in_room,) if any(scene.glowing.any and scene.room.any for scene in shown) else ()
+    rooms += AMONG if any(scene.several for scene in shown) else ()
     return (*rooms, *shines, *lobes, *(kernel for kernel in FRAME if kernel not in uncalled))
 
 
@@ -159,7 +166,7 @@ def uncalled_by(scene: Scene) -> set[Any]:
     never |= set() if scene.projected is None else {count_stiffness}
     projects = scene.projection.any
     never |= set() if projects else {measure_distances}
-    never |= {trace_pixels, trace_places} if scene.room.any else set()
+    never |= {trace_pixels, trace_places} if scene.room.any or scene.several else set()
     if carries_irradiance_ratios(scene, "gi", False):
         return never | {carry_light}
     return never if projects else never | {carry_ratios}

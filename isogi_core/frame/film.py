@@ -76,16 +76,37 @@ def develop(frame: Frame, exposure: float, overlay: str = "none", background: st
     estimated relative error, and hatches the rest. Pixels at edges are the mean of their samples, under no overlay.
     """
     clear = background == "transparent"
+    left = None if frame.left is None else np.where(frame.state > 0, frame.left, np.float32(1.0))
     ground = BACKGROUND if clear else ground_of(background)
     if overlay == "error":
         picture = with_errors(frame, exposure, ground)
     else:
         picture = lit(frame.radiance, frame.state, exposure, overlay == "provisional", ground)
+    if left is not None and not clear:
+        picture = seen_through(picture, left, ground)
     if clear:
-        picture = np.dstack([picture, np.where(frame.state > 0, np.uint8(255), np.uint8(0))])
+        cover = np.where(frame.state > 0, np.float32(1.0), np.float32(0.0)) if left is None else 1.0 - left
+        picture = np.dstack([bared(picture, cover), (255.0 * cover + 0.5).astype(np.uint8)])
     if frame.edges and overlay == "none":
         picture.reshape(-1, picture.shape[2])[frame.edges.pixels] = averaged(frame.edges, exposure, ground, clear)
     return picture
+
+
+def seen_through(picture: np.ndarray, left: np.ndarray, ground: tuple[float, ...]) -> np.ndarray:
+    """A ``picture`` (h, w, 3) uint8 of surfaces that let the share ``left`` (h, w) of a ``ground`` through."""
+    some = (left > 0.0) & (left < 1.0)
+    found = picture.copy()
+    light = linear_table()[picture[some]] + left[some][:, None] * np.array(ground, np.float32)
+    found[some] = coded(np.minimum(light, 1.0))
+    return found
+
+
+def bared(picture: np.ndarray, cover: np.ndarray) -> np.ndarray:
+    """The colours that a ``picture`` (h, w, 3) uint8 has where it covers a pixel in part, by a ``cover`` (h, w)."""
+    some = (cover > 0.0) & (cover < 1.0)
+    found = picture.copy()
+    found[some] = coded(np.minimum(linear_table()[picture[some]] / cover[some][:, None], 1.0))
+    return found
 
 
 def averaged(edges: EdgeSamples, exposure: float, ground: tuple[float, ...], clear: bool) -> np.ndarray:

@@ -49,6 +49,7 @@ from isogi_core.frame.rays.shine import ShineRays
 from isogi_core.frame.rays.shine_light import SHARE as SHINE_SHARE
 from isogi_core.frame.rays.shine_light import SeenLight, ShineLight, add_lobes_seen, walls_seen
 from isogi_core.frame.rays.view_walls import ViewWalls
+from isogi_core.frame.several.composer import Composer
 from isogi_core.frame.shading import (
     carry_irradiance_ratios,
     carry_texel_light,
@@ -64,6 +65,7 @@ from isogi_core.frame.stand_in import StandIn
 from isogi_core.frame.texel_normals import ENTRY, OwnNormals, TexelNormals, find_texel_normals
 from isogi_core.frame.texel_reading import Reading, read_texels
 from isogi_core.frame.tiles import Stopwatch, Tiles
+from isogi_core.frame.view_keys import check_key, is_checked, surface_key
 from isogi_core.frame.view_texels import ViewTexels, carries_irradiance_ratios, find_texels
 from isogi_core.kernels.shading.framebuffer import Framebuffer
 from isogi_core.kernels.shading.lobes import add_lobes
@@ -76,20 +78,25 @@ KEPT = 256 << 20
 """Bytes that are kept of views, for turning light and for asking again."""
 
 SHARE, NORMALS = 1 / 16, 1 / 6
-"""Shares of these bytes: for what changes while a view stays, and for texels' normals, which all views have in common.
-"""
+"""Shares of these bytes: for what changes while a view stays, and for texels' normals, which views have in common."""
 
 
 class Renderer:
     """Renders views of one scene. Frames may be asked for from several threads."""
 
     def __init__(
-        self, caches: Caches, tiles: Tiles, most: int = KEPT, filters: bool = True, stand_in: StandIn | None = None
+        self,
+        caches: Caches,
+        tiles: Tiles,
+        most: int = KEPT,
+        filters: bool = True,
+        stand_in: StandIn | None = None,
+        alone: bool = False,
     ) -> None:
-        """Render with the light that ``caches`` bring, on the threads of ``tiles``; keep ``most`` bytes of views.
+        """Render with the light of ``caches``, on the threads of ``tiles``; keep ``most`` bytes of views.
 
-        Who measures what bakes are worth ``filters`` no light that is noisy still. Other light may ``stand_in`` where
-        there is none yet.
+        Who measures bakes ``filters`` no noisy light. Other light may ``stand_in`` where there is none yet. Of several
+        surfaces one may be shown ``alone``, as the others light it.
         """
         self.prepared = caches.prepared
         self.caches = caches
@@ -99,11 +106,15 @@ class Renderer:
         changing = dict.fromkeys((Reading, LobeLight, ShineLight), int(SHARE * most))
         self._kept: LruCache[Any] = LruCache(most - int(NORMALS * most), changing)
         self._walls = ViewWalls(self._kept, self.prepared.scene.volume)
+        make = partial(Renderer, tiles=tiles, most=most // 4, filters=filters, alone=True)
+        composed = self.prepared.scene.several and not alone
+        self._composer = Composer(caches, self, make, self._kept) if composed else None
 
     @property
     def nbytes(self) -> int:
         """Bytes of memory that views, maps and light take."""
-        return self._kept.nbytes + self._normals.nbytes + self.prepared.maps.nbytes + self.caches.nbytes
+        parts = (self._kept, self._normals, self.prepared.maps, self.caches, self._composer)
+        return sum(part.nbytes for part in parts if part is not None)
 
     def render(
         self,
@@ -121,7 +132,7 @@ class Renderer:
         tiles = self.tiles.cancelled_by(cancelled) if cancelled else self.tiles
         target, watch = target or self.prepared.scene.target_error, watch or Stopwatch()
         frame = self._draw(view, target, tiles, watch)
-        if view.moving or not view.smooth:
+        if view.moving or not view.smooth or self._composer:
             return frame
         with watch.stage("edges"):
             exposure, walls = self.prepared.scene.default_exposure, self.prepared.walls_in_view
@@ -138,8 +149,14 @@ class Renderer:
         """The frame of what is lit in a view."""
         self.prepared.scene.albedo_for(view.albedo)
         self.prepared.scene.refuse_camera(view.camera)
+        if self._composer is not None:
+            return self._composer.draw(view, target, tiles, watch)
         with watch.stage("primary"):
             gbuffer = self.gbuffer(view, tiles)
+        return self.draw_on(gbuffer, view, target, tiles, watch)
+
+    def draw_on(self, gbuffer: GBuffer, view: View, target: float, tiles: Tiles, watch: Stopwatch) -> Frame:
+        """The frame of a view of the surface points in a G-buffer. Raises Cancelled."""
         light = self._light(view)
         if view.shading in ("gi", "vicinity"):
             return self._render_texels(gbuffer, light, target, tiles, watch)
@@ -164,10 +181,15 @@ class Renderer:
         cancelled, and what ``render`` raises.
         """
         target, tiles = target or self.prepared.scene.target_error, tiles or self.tiles
-        frame = self._draw(view, target, tiles, Stopwatch())
+        if self._composer is not None:
+            return self._composer.refine(view, target, tiles)
+        return self.refine_frame(self._draw(view, target, tiles, Stopwatch()), target, tiles, finer)
+
+    def refine_frame(self, frame: Frame, target: float, tiles: Tiles, finer: bool) -> bool:
+        """``refine`` of a view with this ``frame``."""
         if not frame.checkable:
             return False
-        light = self._light(view)
+        light = self._light(frame.view)
         if frame.walls_waiting:
             return self._walls.grow(frame.gbuffer, light, target, tiles)
         if self._grow_shine(frame, light, target, tiles):
@@ -334,6 +356,8 @@ class Renderer:
     def gbuffer(self, view: View, tiles: Tiles | None = None) -> GBuffer:
         """The G-buffer of a view. Raises Cancelled, as every step does, once its ``tiles`` are cancelled."""
         surface, tiles = self.prepared.surface(view.isovalue), tiles or self.tiles
+        if self._composer:
+            return self._composer.peels(view, tiles).first
         return self._kept.get(
             (GBuffer, surface_key(view)), lambda: trace(view, surface, tiles, self.prepared.walls_in_view)
         )
@@ -382,18 +406,3 @@ class Renderer:
         make = partial(find_texel_normals, texels, self._normals, self.prepared, tiles)
         normals = self._kept.get((TexelNormals, surface_key(view)), make)
         return normals.where(reading.on_surface, texels, self.prepared, tiles)
-
-
-def is_checked(view: View) -> bool:
-    """Whether control pixels tell the total error of a view: of global illumination, at rest."""
-    return view.shading == "gi" and not view.moving
-
-
-def surface_key(view: View) -> tuple[Any, ...]:
-    """What the surface in a picture depends on."""
-    return view.isovalue, view.camera, view.width, view.height, view.strip, view.window
-
-
-def check_key(view: View, target: float) -> tuple[Any, ...]:
-    """What the check of a picture depends on."""
-    return PictureCheck, surface_key(view), view.light, view.albedo, view.shine, view.glow, target

@@ -10,6 +10,7 @@ from isogi_core.kernels.shading.local_models import find_normals
 from isogi_core.model.orientation import triple
 from isogi_core.model.view import Vec3
 from isogi_core.plan.scene import Scene
+from isogi_core.plan.sides import surfaces_of
 
 
 @dataclass(frozen=True)
@@ -36,7 +37,7 @@ def point_at(frame: Frame, column: int, row: int, scene: Scene) -> SurfacePoint 
     gbuffer, pixel = frame.gbuffer, np.uint32(row * frame.state.shape[1] + column)
     wall, value = None, None
     if (place := place_of(gbuffer.pixels, pixel)) is not None:
-        index, normal, value = gbuffer.points[place], surface_normal(frame, place), frame.view.isovalue
+        index, normal, value = gbuffer.points[place], surface_normal(frame, place), isovalue_at(frame, place, scene)
     elif (place := place_of(gbuffer.walls.pixels, pixel)) is not None:
         index, wall = gbuffer.walls.points[place], int(gbuffer.walls.numbers[place])
         normal = wall_normal(frame, index, scene.room.edges[wall])
@@ -56,6 +57,15 @@ def point_at(frame: Frame, column: int, row: int, scene: Scene) -> SurfacePoint 
         state=next(name for name, state in STATES.items() if state == frame.state[row, column]),
         error=float(frame.total_error[row, column]),
     )
+
+
+def isovalue_at(frame: Frame, place: int, scene: Scene) -> float:
+    """The isovalue of what is in front at a ``place`` of the G-buffer: that of the view, or of a pinned surface."""
+    shown = frame.view.isovalue
+    if not scene.pinned:
+        return shown
+    value = float(values_at(scene.volume, frame.gbuffer.points[place : place + 1])[0])
+    return min((each.isovalue for each in surfaces_of(scene, shown)), key=lambda level: abs(level - value))
 
 
 def place_of(pixels: np.ndarray, pixel: np.uint32) -> int | None:

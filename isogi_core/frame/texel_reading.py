@@ -8,6 +8,7 @@ import numpy as np
 
 from isogi_core.bake.noise import Effort, efforts, expected_samples, good_enough
 from isogi_core.cache.page_pool import PagePool, fewest_samples
+from isogi_core.cache.scene_caches import Caches
 from isogi_core.frame.tiles import Tiles
 from isogi_core.frame.view_texels import Demand, ViewTexels
 from isogi_core.kernels.shading.chunks import Pages, find_rows
@@ -95,10 +96,14 @@ def read_texels(texels: ViewTexels, slots: np.ndarray, pool: PagePool, target: f
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """A stage of what a picture wants: ``demands`` of one bake, until the relative error ``target``."""
+    """A stage of what a picture wants: ``demands`` of one bake, until the relative error ``target``.
+
+    Of one of several surfaces' sides, but the outer one of that which slides, the light is that of ``caches``.
+    """
 
     demands: tuple[Demand, ...]
     target: float
+    caches: Caches | None = None
 
     @property
     def shown(self) -> Isovalue | None:

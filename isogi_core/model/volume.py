@@ -1,11 +1,13 @@
 """A volume: a scalar field on a regular grid, normalised once, so that kernels never see its units."""
 
+import hashlib
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
 from typing import Any, NewType
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -148,6 +150,11 @@ class Volume:
         known = replace(self, span=self.core_span())
         return replace(known, counts=tuple(known._count(bins, progress).tolist()))
 
+    def turned_inside_out(self) -> "Volume":
+        """The same values with the other side solid: what was the inner side of an isosurface is then its outer one."""
+        known = INSIDE_OUT.get(self)
+        return known if known is not None else INSIDE_OUT.setdefault(self, _turned(self))
+
     def histogram(self, bins: int = BINS) -> tuple[np.ndarray, np.ndarray]:
         """Counts (bins,) int64 of the voxels in the core, and the ``bins + 1`` edges, float64, in own units."""
         counts = self._usual if bins == BINS else self._count(bins)
@@ -170,6 +177,18 @@ class Volume:
             counts += np.histogram(inner, bins, span)[0]
             progress((STAGES - 1) * layers + number * layers // slabs, STAGES * layers)
         return counts
+
+
+INSIDE_OUT: WeakKeyDictionary[Volume, Volume] = WeakKeyDictionary()
+"""Volumes in use that were turned inside out."""
+
+
+def _turned(volume: Volume) -> Volume:
+    """A ``volume`` whose voxels v are 1 - v."""
+    digest = hashlib.blake2b(f"{volume.digest} inside out".encode(), digest_size=16).hexdigest()
+    solid, voxels = "below" if volume.solid == "above" else "above", np.float32(1.0) - volume.voxels
+    turned = replace(volume, voxels=voxels, solid=solid, digest=digest, counts=(), span=())
+    return replace(turned, offset=volume.offset + volume.scale, scale=-volume.scale)
 
 
 def make_volume(

@@ -50,6 +50,7 @@ from isogi_core.plan.labels import HALF, find_labels
 from isogi_core.plan.lobe_choice import MOST as MOST_LOBES
 from isogi_core.plan.planner import plan_scene
 from isogi_core.plan.scene import CHUNKS, NORMALS, SURVEYED, Scene
+from isogi_core.plan.several import read_clear, read_pinned
 from isogi_core.plan.volume_opening import open_volume
 
 SKY_SIZE = (512, 1024)
@@ -90,6 +91,8 @@ def build_scene(
         whole = right_side_out(settings, open_volume(settings, source.base, progress), source.base, progress)
         colours = colours or colours_by_data(settings, whole)
         volume = cut_away(whole, cut) if cut else whole
+    if settings.flag("inside_out", False):
+        volume = volume.turned_inside_out()
     room, glowing = read_room(settings, volume), read_glow(settings, volume)
     lights = read_lights(settings, room)
     lamps = gather_lamps((*lights, *room.lamps), volume.orientation)
@@ -98,14 +101,17 @@ def build_scene(
     albedo = read_albedo(settings, colours)
     overrides = plan_overrides(settings, albedo)
     shine = read_shine(settings, colours)
+    pinned, clear = read_pinned(settings, volume, room, colours), read_clear(settings, room, colours)
     target_error = settings.number("target_error", 0.02, 1e-4, 1.0)
-    light, rotating = assemble_environment(lights), may_rotate(settings, lamps, room)
+    several = bool(pinned) or clear > 0.0
+    light, rotating = assemble_environment(lights), may_rotate(settings, lamps, room, several)
     if volume.orientation.turned and not rotating:
         light = light.turned(volume.orientation.matrix)
     most = albedo if overrides.albedos is None else (overrides.albedos[1],) * 3
     coloured = colours is not None and not colours.grey
     facts = light, lamps, volume.centre, volume.radius, rotating
-    inputs = PlanInputs(*facts, most, target_error, room.albedos, coloured, colours is not None, len(glowing.glows))
+    met = (*room.albedos, *(each.albedo for each in pinned), *((albedo,) if several else ()))
+    inputs = PlanInputs(*facts, most, target_error, met, coloured, colours is not None, len(glowing.glows))
     plan = plan_scene(inputs, overrides)
     scene = Scene(
         id=re.sub(r"[^a-z0-9_-]+", "-", source.name.lower()).strip("-")[:64] or "scene",
@@ -134,6 +140,8 @@ def build_scene(
         colours=colours,
         glowing=glowing,
         camera_projection=settings.choice("projection", PROJECTIONS) or PROJECTIONS[0],
+        pinned=pinned,
+        clear=clear,
     )
     settings.refuse_unknown()
     return scene
@@ -246,14 +254,16 @@ def read_shine(settings: Settings, colours: SurfaceColours | None) -> Shine | No
     return shine
 
 
-def may_rotate(settings: Settings, lamps: Lamps, room: Room) -> bool:
-    """Whether the light may be turned: the scene decides, by default yes; never where there are lamps, or walls
-    (SceneError).
+def may_rotate(settings: Settings, lamps: Lamps, room: Room, several: bool) -> bool:
+    """Whether the light may be turned: the scene decides, by default yes; never where there are lamps, walls, or
+    ``several`` surfaces (SceneError).
     """
-    rotating = settings.flag("rotating", not (lamps.any or room.any))
+    rotating = settings.flag("rotating", not (lamps.any or room.any or several))
     for what, there in (("walls", room.any), ("lamps", lamps.any)):
         if rotating and there:
             raise SceneError(f"{what.capitalize()} stay where they are: leave out rotating = true, or the {what}.")
+    if rotating and several:
+        raise SceneError("Light that passes several surfaces is baked as it falls: leave out rotating = true.")
     return rotating
 
 

@@ -22,9 +22,9 @@ KEPT = ("projection", "presets")
 
 def has_finer(scene: Scene) -> bool:
     """Whether there is finer light of a ``scene``: not beyond FINEST, and not among walls, which have light of their
-    own.
+    own, nor of several surfaces.
     """
-    return DENSER * scene.lattice <= FINEST and not scene.room.any
+    return DENSER * scene.lattice <= FINEST and not scene.room.any and not scene.several
 
 
 def finer(scene: Scene) -> Scene:

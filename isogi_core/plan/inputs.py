@@ -49,8 +49,9 @@ class PlanInputs:
     """Facts of a scene that its plan depends on: lights, whether they may turn, albedo, and relative target error.
 
     ``centre`` and ``radius`` are of the ball around the volume, in world units. ``albedo`` is the highest that views
-    may ask for, ``walls`` are the albedos of walls. The surface may have its albedo ``by_data``, at most this
-    one, and is then ``coloured`` where these are not all grey. So many ``glows`` are in the volume.
+    may ask for, ``walls`` are the albedos of walls, or of several surfaces. The surface may have its albedo
+    ``by_data``, at most this one, and is then ``coloured`` where these are not all grey. So many ``glows`` are in the
+    volume.
     """
 
     environment: Environment

@@ -51,7 +51,7 @@ def refuse_lights(representation: str, inputs: PlanInputs) -> None:
         raise SceneError("representation = 'transfer' is of light from far away, and lamps are near: leave it out.")
     if representation != "irradiance" and inputs.walls:
         raise SceneError(
-            f"representation = '{representation}' is of a surface alone, and there are walls: leave it out."
+            f"representation = '{representation}' is of a surface alone, and there are walls or others: leave it out."
         )
     if representation == "irradiance" and inputs.rotating:
         raise SceneError("representation = 'irradiance' is of light that does not turn: set rotating = false.")

@@ -21,11 +21,12 @@ from isogi_core.model.room import NO_ROOM, Room
 from isogi_core.model.scene_plan import GLOW, GlowLayer, Layer, LeftOut, ScenePlan
 from isogi_core.model.shine import Shine
 from isogi_core.model.sky import LUMINANCE
+from isogi_core.model.surfaces import PinnedSurface
 from isogi_core.model.view import Camera, orbit, orthographic
 from isogi_core.model.volume import Isovalue, Volume
 from isogi_core.plan.inputs import PlanInputs, PlanOverrides
 from isogi_core.plan.isovalue_presets import Preset, find_boundaries, suggested_presets
-from isogi_core.plan.left_out import unprojected, unseen, unshining
+from isogi_core.plan.left_out import unprojected, unseen, unshared, unshining
 from isogi_core.plan.projection import ProjectionPlan, plan_projection
 from isogi_core.plan.reachable_texels import TexelCount, count_texels
 
@@ -38,8 +39,10 @@ NORMALS = ("bspline", "gradient")
 SURVEYED = ("texels", "projection", "presets")
 """Properties of a scene that take a pass over its volume, and that no plan changes."""
 
-ROOM, COLOURED = "room", "coloured"
-"""Stand for the kinds of layers that are baked among walls, or on a surface with colours where its light may turn."""
+ROOM, COLOURED, AMONG = "room", "coloured", "among"
+"""Stand for the kinds of layers that are baked among walls, on a surface with colours where its light may turn, or
+among several surfaces.
+"""
 
 IN_WALL = 1e-6
 """How near the camera may come to a wall, in radii of the volume."""
@@ -62,7 +65,8 @@ class Scene:
     ``colours`` are those of the surface by data, None where it has the one ``albedo``; that is then their brightest.
     ``lamps`` are those of the ``lights`` and the luminaires of the ``room``. ``shine`` is None where the surface is
     diffuse, and views may then ask for none. ``camera_projection``, one of PROJECTIONS, is that of views that ask for
-    none. ``glowing`` is what glows in the volume.
+    none. ``glowing`` is what glows in the volume. Beside the surface that slides others are ``pinned``; the share
+    ``clear`` of rays passes straight through it.
     """
 
     id: str
@@ -91,6 +95,8 @@ class Scene:
     camera_projection: str = "perspective"
     colours: SurfaceColours | None = None
     glowing: Glowing = NO_GLOW
+    pinned: tuple[PinnedSurface, ...] = ()
+    clear: float = 0.0
 
     @property
     def bakes(self) -> frozenset[str]:
@@ -102,10 +108,15 @@ class Scene:
         """Whether paths meet more than one albedo: of walls, or of colours."""
         return self.room.any or self.colours is not None
 
+    @property
+    def several(self) -> bool:
+        """Whether rays may meet more than one surface: there are pinned ones, or the one that slides is clear."""
+        return bool(self.pinned) or self.clear > 0.0
+
     def kind_of(self, layer: Layer, plan: ScenePlan) -> str:
         """The kind of a ``layer`` of a ``plan``, or ROOM or COLOURED, by whose kernels it is baked."""
         if layer.kind == "irradiance":
-            return ROOM if self.many_albedos else layer.kind
+            return AMONG if self.several else ROOM if self.many_albedos else layer.kind
         if layer.kind == GLOW:
             return layer.kind
         reflected = any(each.reflected and each.kind != GLOW for each in plan.layers)
@@ -191,7 +202,8 @@ class Scene:
     def left_out(self) -> tuple[LeftOut, ...]:
         """Everything that is left out: by the plan, texels that are never lit or not projected, and shine."""
         texels = (*unseen(self.texels, self.plan), *unprojected(self.projection, self.start))
-        return (*self.plan.left_out, *texels, *unshining(self.shine))
+        beside = unshared(len(self.pinned), self.plan) if self.several else ()
+        return (*self.plan.left_out, *texels, *beside, *unshining(self.shine))
 
     def with_plan(self, plan: ScenePlan) -> "Scene":
         """The same scene by another ``plan``; what was surveyed of its volume stays."""
@@ -207,6 +219,8 @@ class Scene:
         """The albedo that a view has ``asked`` for, else the scene's own. ViewError where no light is baked for it."""
         if asked is not None and self.colours is not None:
             raise ViewError(f"The surface has its albedo from '{self.colours.scale.name}' in this scene: leave it out.")
+        if asked is not None and asked != self.albedo and self.several:
+            raise ViewError("Surfaces light each other in this scene: its albedos are fixed, leave albedo out.")
         if asked is None or asked == self.albedo:
             return self.albedo
         if self.albedos is None:
@@ -266,6 +280,7 @@ class Scene:
         if layer.kind == "irradiance":
             parts += [self.environment.digest, self.lamps.digest, self.albedo]
             parts += ["walls", self.room.digest] if self.room.any else []
+            parts += self._company
         return digest_of(parts + (self._coloured if layer.reflected else []))
 
     def _glow_digest(self, layer: GlowLayer, shown: Isovalue | None) -> str:
@@ -273,6 +288,12 @@ class Scene:
         parts = [BAKE_FORMAT, self.volume.digest, self.lattice, *astuple(layer), *self.departures, "shown", shown]
         parts += [self.albedo[: layer.colours], self.bounces, self.plan.survival, self.glowing.digest]
         return digest_of(parts + (["walls", self.room.dark_digest] if self.room.any else []) + self._coloured)
+
+    @property
+    def _company(self) -> list[Any]:
+        """What digests hold of surfaces beside each other; nothing where there is one, and no ray passes it."""
+        others = sorted(each.facts for each in self.pinned)
+        return ["surfaces", others, self.clear] if self.several else []
 
     @property
     def _coloured(self) -> list[Any]:
@@ -304,8 +325,9 @@ class Scene:
         lit = [self.albedo, self.plan.order, self.plan.lobes, self.target_error]
         walls = ["walls", self.room.digest] if self.room.any else []
         shine = ["shine", *astuple(self.shine)] if self.shine else []
+        beside = [*walls, *shine, *self._coloured, *self._company]
         glow = ["glow", self.glowing.digest, self.glowing.radiances.tolist()] if self.glowing.any else []
-        return digest_of([self.bake_digest, *lights, *lit, *settled, *placed, *walls, *shine, *self._coloured, *glow])
+        return digest_of([self.bake_digest, *lights, *lit, *settled, *placed, *beside, *glow])
 
     def camera(self, azimuth: float, elevation: float, distance: float, fov: float) -> Camera:
         """Camera, in the volume's box, around its middle; angles in the world, degrees; distance in bounding radii."""

@@ -6,6 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from isogi_core.kernels.shading.lattice import Lattice
+from isogi_core.kernels.tracing.active_cells import ActiveCells
 from isogi_core.kernels.tracing.field import OFFSET, Field
 from isogi_core.kernels.tracing.glow import Glows
 from isogi_core.kernels.tracing.macrocells import fill_macrocells, macrocell_shape
@@ -14,11 +15,13 @@ from isogi_core.kernels.transport.colours import NO_COLOURS, Colours
 from isogi_core.kernels.transport.light_paths import Surroundings
 from isogi_core.kernels.transport.lights import LampArrays
 from isogi_core.kernels.transport.room_paths import Room
+from isogi_core.kernels.transport.surface_paths import MOST, Surfaces
 from isogi_core.model.volume import Volume
 from isogi_core.plan.bands import project_environment
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.active_cell_maps import KEPT, ActiveCellMaps
 from isogi_core.prepared.surface import Surface
+from isogi_core.runs import Run, serially
 
 AROUND = 3
 """The harmonics' order of unshadowed light: the cosine lobe keeps 99 % of any light in it (Ramamoorthi, Hanrahan)."""
@@ -130,6 +133,16 @@ class PreparedScene:
             return None
         backs = np.where(self._room.twofold > 0.0, np.inf, 0.0)
         return self._room.walls._replace(backs=backs)
+
+    def company(self, cells: ActiveCells, run: Run = serially) -> Surfaces:
+        """The surfaces of the scene as paths meet them that start on isosurfaces with this map, its own."""
+        scene = self.scene
+        levels = [scene.volume.normalise_isovalue(each.isovalue) for each in scene.pinned]
+        maps = [cells, *(self.maps.at(level, run) for level in levels)]
+        albedos = np.array([scene.albedo, *(each.albedo for each in scene.pinned)], np.float64)
+        clears = np.array([scene.clear, *(each.clear for each in scene.pinned)], np.float64)
+        filled = tuple(maps + [cells] * (MOST - len(maps)))
+        return Surfaces(filled, np.array([np.nan, *levels], np.float64), albedos, clears)
 
     def surroundings(self, matrix: np.ndarray) -> Surroundings:
         """All light as it is, for paths that meet it; the environment turned by ``matrix`` (3, 3).

@@ -26,6 +26,7 @@ from isogi_core.report.reference import (
     Reference,
     grow,
     load_reference,
+    refuse_several,
     save_reference,
     trace_reference,
     with_bounces,
@@ -63,6 +64,9 @@ class Bench:
     hurry: threading.Event = field(default_factory=threading.Event)
     threads: Tiles = field(default_factory=Tiles)
     _made: dict[Any, Any] = field(default_factory=dict, repr=False)
+
+    def __post_init__(self) -> None:
+        refuse_several(self.scene)
 
     @cached_property
     def tiles(self) -> Tiles:

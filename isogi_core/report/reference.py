@@ -85,10 +85,12 @@ def trace_reference(
 ) -> Reference:
     """The reference of ``view`` with ``samples`` paths per pixel, a multiple of REPLICAS, or the next one above.
 
-    It continues the sequences of the ``former`` one: in as many goes as you like, its bits are the same.
-    Bounces are those of the renderer's scene. ``progress`` is called with paths as they are traced. Raises ReportError
-    where ``former`` is of something else, and Cancelled, leaving ``former`` as it is, as the renderer's tiles do.
+    It continues the sequences of the ``former`` one: in as many goes as you like, its bits are the same. Bounces are
+    those of the renderer's scene. ``progress`` is called with paths as they are traced. Raises ReportError where
+    ``former`` is of something else or the scene has several surfaces, and Cancelled, leaving ``former`` as it is, as
+    the renderer's tiles do.
     """
+    refuse_several(renderer.prepared.scene)
     subject, gbuffer = subject_of(renderer.prepared.scene, view), renderer.gbuffer(view)
     if former is None:
         former = from_sums(gbuffer, np.zeros((len(gbuffer.points), REPLICAS, 3)), 0, 0.0, subject)
@@ -102,6 +104,12 @@ def trace_reference(
     begun = time.process_time()
     paths.add(sums, STREAM, taken, wanted - taken, progress)
     return from_sums(gbuffer, sums, wanted, former.seconds + time.process_time() - begun, subject)
+
+
+def refuse_several(scene: Scene) -> None:
+    """Raise ReportError where a ``scene`` has several surfaces: a pixel of a reference shows one."""
+    if scene.several:
+        raise ReportError("This scene has several surfaces, and a reference shows one: render it path_traced instead.")
 
 
 def from_sums(gbuffer: GBuffer, sums: np.ndarray, count: int, seconds: float, subject: str) -> Reference:

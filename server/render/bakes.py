@@ -1,19 +1,25 @@
-"""Bakes of a scene as the workers know them, bakes of projected and finer texels, background bakes, and patience."""
+"""Bakes of a scene as the workers know them, bakes of other texels and sides, background bakes, and patience."""
 
 import threading
 import time
+import weakref
 from collections import OrderedDict
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from typing import Any
 
+from isogi_core.bake.bake_spec import SPECS
 from isogi_core.cache.costs import Costs
-from isogi_core.cache.scene_assets import SceneAssets
+from isogi_core.cache.scene_assets import SceneAssets, send_assets
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.cache.upkeep.prune import trim_projected
+from isogi_core.errors import StoreFullError, StoreReadOnlyError
+from isogi_core.frame.texel_reading import Stage
 from isogi_core.frame.view_texels import Demand
 from isogi_core.model.volume import Isovalue
+from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import Index
 from isogi_core.storage.store import Store
 from worker.bake_requests import Viewer
@@ -25,6 +31,13 @@ from worker.progress import TimeLeft
 def bake_name(scene: str, spec: str) -> str:
     """The name of a scene's bake by a spec, among all bakes; the scene's own name for the scene's own spec."""
     return scene if spec == "gi" else f"{scene} ({spec})"
+
+
+def sent(scene: Scene, store: Store) -> SceneAssets | None:
+    """What joined workers read in place of the scene's files; None where the store takes nothing."""
+    with suppress(StoreReadOnlyError, StoreFullError):
+        return send_assets(scene, store)
+    return None
 
 
 Arrived = Callable[[str, Index, Isovalue | None], None]
@@ -86,11 +99,13 @@ class BackgroundBake:
 
 
 MOST = 32
-"""Bakes of projected or finer texels, of all scenes, that may be at work at a time: those asked for last."""
+"""Bakes of projected or finer texels, and of sides, of all scenes, that may be at work: those asked for last."""
 
 
 class SideBakes:
-    """The bakes of projected or finer texels that a ``baker`` knows. Safe to use from many threads."""
+    """The bakes of projected or finer texels, and of surfaces' sides, that a ``baker`` knows. Safe to use from many
+    threads.
+    """
 
     def __init__(self, baker: Baker, store: Store, most: int) -> None:
         """None yet. When one is added, a thread trims the ``store`` to ``most`` bytes of projected texels."""
@@ -105,12 +120,34 @@ class SideBakes:
 
         They are finer than its own by ``fineness`` steps, and projected onto the isosurface ``shown``, where one is.
         """
-        name = f"{scene} (texels finer by {fineness}, projected at {shown!r})"
+        return self._named(f"{scene} (texels finer by {fineness}, projected at {shown!r})", scene, shown, make)
+
+    def side(self, scene: str, spec: str, stage: Stage, send: bool) -> str:
+        """The name of the bake of a ``stage``, by a ``spec``, of one of the sides of a scene's surfaces; made where it
+        is new. Its assets are put into the store where they are to be ``sent``.
+        """
+        if stage.caches is None:
+            raise ValueError("A stage of the scene's own light has a bake already.")
+        caches, seen = stage.caches, weakref.ref(stage.caches)
+        own = caches.prepared.scene
+
+        def arrived(spec: str, index: Index, shown: Isovalue | None) -> None:
+            if (held := seen()) is not None:
+                held.refresh(spec, index, shown)
+
+        def make() -> Bake:
+            return make_bake(caches, spec, sent(own, self._store) if send else None, arrived, stage.shown)
+
+        name = f"{scene} (light {caches.spec(spec).digest}, projected at {stage.shown!r})"
+        return self._named(name, bake_name(scene, spec), stage.shown, make)
+
+    def _named(self, name: str, own: str, shown: Isovalue | None, make: Callable[[], Bake]) -> str:
+        """Add the bake of this ``name`` where it is new; views read the bake ``own`` besides."""
         with self._lock:
             new = name not in self._names
             if new:
                 self._baker.add(name, make())
-            self._names[name] = scene
+            self._names[name] = own
             self._names.move_to_end(name)
             old = [self._names.popitem(last=False)[0] for _ in range(len(self._names) - MOST)]
         for each in old:
@@ -132,7 +169,8 @@ class SideBakes:
     def forget(self, scene: str) -> None:
         """Bake no more projected or finer texels of a scene."""
         with self._lock:
-            gone = [name for name, own in self._names.items() if own == scene]
+            every = {bake_name(scene, spec) for spec in SPECS}
+            gone = [name for name, own in self._names.items() if own in every]
             for name in gone:
                 del self._names[name]
         for name in gone:

@@ -14,9 +14,10 @@ from isogi_core.cache.costs import Cost
 from isogi_core.errors import StoreFullError, StoreReadOnlyError
 from isogi_core.frame.entry_kernels import frame_kernels, other_kernels
 from isogi_core.frame.frame import Frame
-from isogi_core.frame.renderer import Renderer, surface_key
+from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.texel_reading import Stage
 from isogi_core.frame.tiles import Stopwatch, Tiles
+from isogi_core.frame.view_keys import surface_key
 from isogi_core.frame.view_texels import Demand
 from isogi_core.kernels._cache_folder import prune
 from isogi_core.kernels._jit import FOLDER, compile_beside, entries_of, warm
@@ -219,6 +220,8 @@ class RenderEngine:
         """
         frame = frame.finer or frame
         stage = next(iter(frame.stages), Stage((), self.planned(scene).target_error))
+        if stage.caches is not None and scene in self.scenes:
+            return self._beside.side(scene, spec_name(frame.view.shading), stage, self.workforce.joins), stage
         if scene not in self.scenes or (stage.shown is None and not frame.fineness):
             return self.bake_of(scene, frame.view), stage
         return self.bake_onto(scene, stage.shown, frame.fineness), stage

@@ -5,15 +5,15 @@ import math
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
 
-from isogi_core.cache.scene_assets import SceneAssets, send_assets
+from isogi_core.cache.scene_assets import SceneAssets
 from isogi_core.cache.scene_caches import Caches
-from isogi_core.errors import Cancelled, NoRoomError, StoreFullError, StoreReadOnlyError
+from isogi_core.errors import Cancelled, NoRoomError
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.stand_in import StandIn
@@ -27,6 +27,7 @@ from isogi_core.plan.scene import Scene
 from isogi_core.prepared.active_cell_maps import ActiveCellMaps
 from isogi_core.prepared.prepared_scene import PreparedScene
 from isogi_core.storage.store import Store
+from server.render.bakes import sent
 from server.render.resources import Memory
 
 log = logging.getLogger("isogi.render")
@@ -266,10 +267,3 @@ def loaded(
 def prepare(maps: ActiveCellMaps, tiles: Tiles, isovalue: float, cancelled: threading.Event) -> None:
     """Make the map of an ``isovalue``, in the voxels' units as those of ``maps`` are. Raises Cancelled."""
     maps.covering(np.array([isovalue]), tiles.cancelled_by(cancelled).run)
-
-
-def sent(scene: Scene, store: Store) -> SceneAssets | None:
-    """What joined workers read in place of the scene's files; None where the store takes nothing."""
-    with suppress(StoreReadOnlyError, StoreFullError):
-        return send_assets(scene, store)
-    return None

@@ -80,6 +80,14 @@
  */
 
 /**
+ * @typedef {object} Surface an isosurface that stays
+ * @property {number} isovalue
+ * @property {string} name empty where it has none
+ * @property {Vec3} albedo linear RGB
+ * @property {number} clear share of rays that passes it
+ */
+
+/**
  * @typedef {object} ColourScale what colours of the surface stand for
  * @property {string} name of the data
  * @property {string} map the name of the colours
@@ -106,6 +114,8 @@
  * @property {Vec3} albedo
  * @property {Range|null} albedos that views may ask for; null where they may not
  * @property {ColourScale|null} colours of a surface whose albedo comes from data; null where it has one albedo
+ * @property {Surface[]} surfaces pinned beside the one that slides
+ * @property {number} clear share of rays that passes the one that slides
  * @property {string[]} shines kinds of shine that views may ask for; none where the surface is diffuse
  * @property {boolean} cuts whether planes across the world's axes may cut it: its voxels lie along them
  * @property {string} solid "above" or "below" the isovalue

@@ -42,8 +42,9 @@ from isogi_core.kernels.tracing.cast import TracedSurface
 from isogi_core.kernels.tracing.walls import NOWHERE
 from isogi_core.kernels.transport.light_paths import Surroundings
 from isogi_core.kernels.transport.lights import LampArrays
-from isogi_core.kernels.transport.paths import PathRules, SampleRange
+from isogi_core.kernels.transport.paths import PathRules, PathStarts, SampleRange
 from isogi_core.kernels.transport.room_paths import Room, RoomStarts, light_in_room
+from isogi_core.kernels.transport.surface_paths import Surfaces, light_among_surfaces
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.plan.budget import survival_for
 
@@ -200,22 +201,42 @@ def trace_in_room(
     samples: SampleRange,
 ) -> np.ndarray:
     """What ``trace_points`` adds for some ``replicas``, by number, in a ``room``; (m, replicas, 3)."""
-    starts = starts_at(traced, points, replicas)
-    sums = np.zeros((len(starts.seeds), 3))
+    starts, sums = starts_at(traced, points, replicas), np.zeros((len(replicas) * len(points.pixels), 3))
     light_in_room(traced.field, traced.cells, room, starts, samples, rules, light, sums)
     return sums.reshape(-1, len(replicas), 3)
 
 
 def starts_at(traced: TracedSurface, points: PixelPoints, replicas: range) -> RoomStarts:
-    """Starts of paths at m surface points, one for each of some ``replicas``, by number."""
+    """The same starts as ``path_starts``, none of them on a wall."""
+    starts = path_starts(traced, points, replicas)
+    return RoomStarts(*starts, np.full(len(starts.seeds), NOWHERE))
+
+
+def path_starts(traced: TracedSurface, points: PixelPoints, replicas: range) -> PathStarts:
+    """Where paths of some ``replicas``, by number, start from the points of a picture: all of a point side by side."""
     each, replica = (part.ravel() for part in np.indices((len(points.pixels), len(replicas))))
-    return RoomStarts(
+    return PathStarts(
         np.ascontiguousarray(points.points[each].T, np.float64),
         np.ascontiguousarray(points.normals[each].T, np.float64),
         np.full(len(each), traced.isovalue),
         seeds_of(np.column_stack([points.pixels[each], replicas.start + replica])),
-        np.full(len(each), NOWHERE),
     )
+
+
+def trace_among_surfaces(
+    traced: TracedSurface,
+    surfaces: Surfaces,
+    points: PixelPoints,
+    light: Surroundings,
+    rules: PathRules,
+    replicas: range,
+    samples: SampleRange,
+) -> np.ndarray:
+    """What ``trace_points`` adds for some ``replicas``, by number, among ``surfaces``; (m, replicas, 3)."""
+    starts = path_starts(traced, points, replicas)
+    sums = np.zeros((len(starts.seeds), 3))
+    light_among_surfaces(traced.field, surfaces, starts, samples, rules, light, sums)
+    return sums.reshape(-1, len(replicas), 3)
 
 
 PATH_POINTS, PATHS = 256, 1 << 16
@@ -276,12 +297,14 @@ class Paths:
         own = sums if alone else np.zeros_like(sums)
         points, pixels, normals = buffer.points, buffer.pixels, buffer.normals(self.tiles)
         traced, around = buffer.surface.traced(self.tiles.run), self.light.surroundings
-        room = self._room
+        room, company = self._room, self._company
         rules, samples = PathRules(self.weights, self.survival), SampleRange(first, count)
 
         def _piece(a: int, b: int) -> None:
             some = PixelPoints(points[a:b], normals[a:b], pixels[a:b])
-            if room is None:
+            if company is not None:
+                own[a:b] += trace_among_surfaces(traced, company, some, around, rules, replicas, samples)
+            elif room is None:
                 trace_points(traced, some, around, rules, stream, samples, own[a:b])
             else:
                 own[a:b] += trace_in_room(traced, room, some, around, rules, replicas, samples)
@@ -305,6 +328,12 @@ class Paths:
         """The walls and colours that paths meet, None where there are none."""
         prepared = self.light.spec.prepared
         return prepared.room(self.light.seen.albedo) if prepared.scene.many_albedos else None
+
+    @property
+    def _company(self) -> Surfaces | None:
+        """The surfaces that paths meet, None where there is one, which stops all."""
+        prepared, run = self.light.spec.prepared, self.tiles.run
+        return prepared.company(self.gbuffer.surface.cells(run), run) if prepared.scene.several else None
 
     def prepare(self) -> None:
         """Do what comes before the first paths, by tracing one: find normals, map the surface, compile."""

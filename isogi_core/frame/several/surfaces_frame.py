@@ -1,0 +1,155 @@
+"""The frame of several surfaces: the sum of the frames of their sides, by what each counts in a pixel."""
+
+import hashlib
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from isogi_core.cache.scene_caches import Caches
+from isogi_core.frame.frame import Frame
+from isogi_core.frame.rays.control_pixels import TotalError, predict_total
+from isogi_core.frame.several.peels import Peels, SideLayers
+from isogi_core.frame.texel_reading import Stage
+from isogi_core.frame.tiles import Stopwatch
+from isogi_core.frame.view_texels import Demand
+from isogi_core.kernels.shading.framebuffer import FINAL
+from isogi_core.model.sky import LUMINANCE
+from isogi_core.model.view import View
+from isogi_core.plan.sides import OUTER, Side
+
+DARK = 1e-30
+"""Luminance below which relative errors are of nothing."""
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """What a picture shows of a ``side``: its ``layers``, their tall ``frame``, and the ``caches`` of its light."""
+
+    side: Side
+    layers: SideLayers
+    frame: Frame
+    caches: Caches
+
+    @property
+    def weight(self) -> float:
+        """The sum of the squares of what its points count in their pixels."""
+        return float((self.layers.weights.astype(np.float64) ** 2).sum())
+
+    def seen(self, values: np.ndarray) -> np.ndarray:
+        """The ``values`` of a tall picture at its points."""
+        return np.asarray(values.reshape(-1, *values.shape[2:])[self.layers.gbuffer.pixels])
+
+
+@dataclass(frozen=True, eq=False)
+class SurfacesFrame(Frame):
+    """A frame that is composed of ``parts``, one for each side of a surface that is seen; see ``Frame``.
+
+    What it tells of itself is theirs: pixels have the least state of what they show, and errors add up by weight.
+    """
+
+    parts: tuple[Part, ...] = ()
+
+    @property
+    def demands(self) -> tuple[Demand, ...]:
+        """The light that was not final on the outer side of the surface that slides."""
+        return next((part.frame.demands for part in self.parts if part.side == OUTER), ())
+
+    @property
+    def stages(self) -> tuple[Stage, ...]:
+        """All light that is to be baked until the picture is final: first that of the side which errs most."""
+        return tuple(
+            replace(stage, caches=None if part.side == OUTER else part.caches)
+            for part in sorted(self.parts, key=wrong_of, reverse=True)
+            for stage in part.frame.stages
+        )
+
+    @property
+    def checkable(self) -> bool:
+        """Whether texels in the store are final, and control pixels are still to bring a side to its target."""
+        return not (self.provisional or self.final) and any(part.frame.checkable for part in self.parts)
+
+    @cached_property
+    def true_mean(self) -> float:
+        """The mean luminance of the pixels that show something."""
+        return float((self.radiance[self.state > 0].astype(np.float64) @ LUMINANCE).sum()) / max(self.surface, 1)
+
+    @cached_property
+    def measured(self) -> TotalError | None:
+        """The total relative RMSE by the control pixels of all sides, whose errors count as independent of each other;
+        None before each side has some.
+        """
+        found = [part.frame.measured for part in self.parts]
+        if not found or self.view.shading != "gi" or self.view.moving or not all(found):
+            return None
+        every = [each for each in found if each is not None]
+        likely, low, high = (self._sum([getattr(each, of) for each in every]) for of in ("likely", "low", "high"))
+        return TotalError(likely, low, high, sum(each.controls for each in every)).at_least(self.noise)
+
+    @cached_property
+    def total(self) -> TotalError:
+        """The total relative RMSE of the frame: measured or predicted; without global illumination all noise."""
+        if self.view.shading != "gi":
+            return TotalError(self.noise, self.noise, self.noise)
+        return self.measured or predict_total(self.noise, self.expected)
+
+    @cached_property
+    def total_error(self) -> np.ndarray:
+        """The relative error of each pixel, whatever its causes, at most 1; (h, w) float32."""
+        return summed_errors([(part, part.frame.total_error) for part in self.parts], self.radiance)
+
+    def _sum(self, errors: Sequence[float]) -> float:
+        """The relative RMSE of the picture by those of its parts."""
+        parts = zip(errors, self.parts, strict=True)
+        squares = sum((error * part.frame.true_mean) ** 2 * part.weight for error, part in parts)
+        return min(math.sqrt(squares / max(self.surface, 1)) / max(self.true_mean, DARK), 1.0)
+
+
+def wrong_of(part: Part) -> float:
+    """How much a part errs in the picture, as far as is known."""
+    return part.frame.total.likely * part.frame.true_mean * part.weight**0.5
+
+
+def summed_errors(errors: Sequence[tuple[Part, np.ndarray]], radiance: np.ndarray) -> np.ndarray:
+    """Relative errors (h, w) of a picture of this ``radiance``, by those of its parts' tall pictures."""
+    squares = np.zeros(radiance.shape[0] * radiance.shape[1])
+    for part, error in errors:
+        light = part.seen(part.frame.radiance).astype(np.float64) @ LUMINANCE
+        np.add.at(squares, part.layers.pixels, (part.layers.weights * light * part.seen(error)) ** 2)
+    light = radiance.reshape(-1, 3).astype(np.float64) @ LUMINANCE
+    return np.minimum(np.sqrt(squares) / np.maximum(light, DARK), 1.0).astype(np.float32).reshape(radiance.shape[:2])
+
+
+def compose(view: View, peels: Peels, parts: Sequence[Part], watch: Stopwatch, target: float) -> SurfacesFrame:
+    """The frame of a ``view`` from the frames of its sides."""
+    count = view.width * view.height
+    radiance, state = np.zeros((count, 3)), np.full(count, FINAL + 1, np.uint8)
+    for part in parts:
+        light = part.layers.weights[:, None] * part.seen(part.frame.radiance)
+        np.add.at(radiance, part.layers.pixels, light)
+        np.minimum.at(state, part.layers.pixels, part.seen(part.frame.state))
+    state[state > FINAL] = 0
+    shape = view.height, view.width
+    lit = radiance.astype(np.float32).reshape(*shape, 3)
+    checked = view.shading == "gi" and not view.moving
+    versions = repr([(part.side, part.frame.version) for part in parts]) + repr(view)
+    return SurfacesFrame(
+        view=view,
+        radiance=lit,
+        state=state.reshape(shape),
+        error=summed_errors([(part, part.frame.error) for part in parts], lit),
+        gbuffer=peels.first,
+        chunks_needed=sum(part.frame.chunks_needed for part in parts),
+        chunks_final=sum(part.frame.chunks_final for part in parts),
+        lacking=None,
+        version=hashlib.blake2b(versions.encode(), digest_size=12).hexdigest(),
+        seconds=watch.seconds,
+        target=target if checked else None,
+        given_up=bool(parts) and all(part.frame.given_up or part.frame.final for part in parts),
+        own=sum(part.frame.own for part in parts),
+        expected=max((part.frame.expected for part in parts), default=0.0),
+        left=peels.left,
+        parts=tuple(parts),
+    )

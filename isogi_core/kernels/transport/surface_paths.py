@@ -1,0 +1,301 @@
+"""Paths among several isosurfaces: a ray meets the nearest, and a share of all rays passes straight through it."""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import types
+
+from isogi_core.kernels._jit import kernel, record
+from isogi_core.kernels.tracing.active_cells import ACTIVE_CELLS
+from isogi_core.kernels.tracing.cast import cast_batch
+from isogi_core.kernels.tracing.field import FIELD
+from isogi_core.kernels.tracing.intersect import UNKNOWN
+from isogi_core.kernels.tracing.ray_stream import Rays
+from isogi_core.kernels.tracing.vec import column, dot, madd, put_column
+from isogi_core.kernels.transport.integrator import ROULETTE
+from isogi_core.kernels.transport.light_paths import SURROUNDINGS, aim_shadow_rays, make_shadow_rays
+from isogi_core.kernels.transport.lights import arriving
+from isogi_core.kernels.transport.paths import PATH_RULES, SAMPLE_RANGE, PathStarts, SampleRange
+from isogi_core.kernels.transport.rng import PAIRS, point_of_words
+from isogi_core.kernels.transport.wavefront import (
+    WAVE,
+    Vertices,
+    columns,
+    compact,
+    generate,
+    launch_all,
+    make_vertices,
+    next_vertex,
+    partition,
+    russian_roulette,
+    sample_direction,
+    whole,
+)
+
+MOST = 4
+"""Isosurfaces of a scene: the one that paths start on, and those beside it."""
+
+CROSSINGS = 64
+"""Surfaces that a ray passes at most: what comes next stops it."""
+
+PASSING = ROULETTE - CROSSINGS * PAIRS
+"""The first of the pairs of random numbers that decide which rays pass a surface: one for each crossing and vertex."""
+
+
+class Surfaces(NamedTuple):
+    """s isosurfaces, the first of them the one that paths start on, whose isovalue each start has for itself.
+
+    Of each the ``cells`` that may hold it (MOST of them: the others say nothing), its ``isovalues`` (s,), of which the
+    first is not read, the ``albedos`` (s, 3) of both its sides, and the share ``clears`` (s,) of rays that passes.
+    """
+
+    cells: Any
+    isovalues: Any
+    albedos: Any
+    clears: Any
+
+
+NUMBERS, ROWS = types.float64[::1], types.float64[:, ::1]
+SURFACES = record(Surfaces, types.UniTuple(ACTIVE_CELLS, MOST), NUMBERS, ROWS, NUMBERS)
+
+
+class Company(NamedTuple):
+    """A wave of paths among s surfaces and its ``shadow`` rays.
+
+    (n,) the ``own`` isovalues of the surfaces that paths started on, and the numbers of those that vertices stand
+    ``on`` and that rays ``met``. For each surface and ray the way ``t`` to it, and the side that it ``came`` from,
+    (s, n). ``passed`` (n,) is the share of a shadow ray's light that gets through, ``pending`` (n,) the rays that go
+    on. ``carried`` (3, paths) is what light at a path's vertex counts in what it has ``gathered`` (3, paths).
+    """
+
+    shadow: Any
+    own: Any
+    on: Any
+    met: Any
+    t: Any
+    came: Any
+    passed: Any
+    pending: Any
+    carried: Any
+    gathered: Any
+
+
+@kernel()
+def cast_at_all(field, surfaces, company, origins, count):
+    """Cast a wave's rays from ``origins`` at each surface: ways and sides."""
+    wave, n = company.shadow.wave, whole(count)
+    isovalues, sides, directions = np.empty(n), np.empty(n, np.int8), columns(wave.directions, count)
+    for k in range(surfaces.clears.shape[0]):
+        for i in range(n):
+            isovalues[i] = company.own[i] if k == 0 else surfaces.isovalues[k]
+            sides[i] = wave.sides[i] if company.on[i] == k else UNKNOWN
+        rays = Rays(isovalues, origins, directions, sides)
+        cast_batch(field, surfaces.cells[k], rays, company.t[k, :n], company.came[k, :n])
+
+
+@kernel()
+def cast_on(field, surfaces, company, k, origins, count, going):
+    """Cast those of the first ``going`` pending rays on that have just passed surface ``k``, from there."""
+    wave, n = company.shadow.wave, whole(going)
+    some, size, directions = np.empty(n, np.int64), 0, columns(wave.directions, count)
+    for j in range(going):
+        if company.met[company.pending[j]] == k:
+            some[size] = company.pending[j]
+            size += 1
+    if size == 0:
+        return
+    rays = Rays(np.empty(size), np.empty((3, size)), np.empty((3, size)), np.empty(size, np.int8))
+    t, came = np.empty(size), np.empty(size, np.int8)
+    for j in range(size):
+        i = some[j]
+        d = column(directions, i)
+        rays.isovalues[j] = company.own[i] if k == 0 else surfaces.isovalues[k]
+        put_column(rays.origins, j, madd(column(origins, i), company.t[k, i], d))
+        put_column(rays.directions, j, d)
+        rays.sides[j] = -company.came[k, i]
+    cast_batch(field, surfaces.cells[k], rays, t, came)
+    for j in range(size):
+        company.t[k, some[j]] += t[j]
+        company.came[k, some[j]] = came[j]
+
+
+@kernel()
+def nearest(company, i):
+    """The surface that ray ``i`` meets next; the first of those at the same place, and 0 where it meets none."""
+    best = 0
+    for k in range(1, company.t.shape[0]):
+        if company.t[k, i] < company.t[best, i]:
+            best = k
+    return best
+
+
+@kernel()
+def passes(wave, i, bounce, crossing, clear):
+    """Whether ray ``i`` from a path's vertex passes the surface at its crossing of this number, by chance."""
+    if clear <= 0.0 or clear >= 1.0:
+        return clear > 0.0
+    dimension = np.uint64(PASSING + crossing * PAIRS + bounce)
+    low, high, sample = np.uint64(wave.low[i]), np.uint64(wave.high[i]), np.uint64(wave.samples[i])
+    return point_of_words(low, high, sample, dimension)[0] < clear
+
+
+@kernel()
+def goes_on(surfaces, company, i, bounce, crossing, aimed):
+    """Whether ray ``i``, at its next crossing, goes on; an ``aimed`` one, as far as it reaches, with what it brings."""
+    wave, k = company.shadow.wave, nearest(company, i)
+    wave.t[i], wave.came[i], company.met[i] = company.t[k, i], company.came[k, i], k
+    if not aimed:
+        return wave.t[i] < math.inf and passes(wave, i, bounce, crossing, surfaces.clears[k])
+    if wave.t[i] >= company.shadow.reach[i] or not wave.t[i] < math.inf:
+        return False
+    company.passed[i] *= surfaces.clears[k]
+    return company.passed[i] > 0.0
+
+
+@kernel()
+def follow(field, surfaces, company, room, bounce, count, aimed):
+    """Follow a wave's rays from the points in ``room`` to the surfaces that stop them.
+
+    Writes how far that is, and from which side they met which surface. ``aimed`` rays go no farther than they reach,
+    and bring the share ``passed`` of their light.
+    """
+    origins = columns(room, count)
+    origins[:, count:] = math.inf
+    company.passed[:count] = 1.0
+    cast_at_all(field, surfaces, company, origins, count)
+    for i in range(count):
+        company.pending[i] = i
+    going = count
+    for crossing in range(CROSSINGS):
+        staying = 0
+        for j in range(going):
+            i = company.pending[j]
+            company.pending[staying] = i
+            staying += goes_on(surfaces, company, i, bounce, crossing, aimed)
+        going = staying
+        if going == 0:
+            return
+        for k in range(surfaces.clears.shape[0]):
+            cast_on(field, surfaces, company, k, origins, count, going)
+    for j in range(going):
+        company.passed[company.pending[j]] = 0.0
+
+
+@kernel()
+def add_carried(company, i, light, share):
+    """Add a ``share`` of the ``light`` that arrives at the vertex of path ``i`` of a wave to what it has gathered."""
+    m = company.shadow.wave.owners[i]
+    for c in range(3):
+        company.gathered[c, m] += share * company.carried[c, m] * light[c]
+
+
+@kernel()
+def gather_sources(field, surfaces, company, vertices, bounce, light):
+    """Add what lamps, and bright parts of a sharp environment, send to the vertices of a wave."""
+    shadow, count = company.shadow, vertices.count
+    lights = columns(shadow.light, count)
+    for source in range(0 if light.table[0].shape[0] > 0 else 1, 1 + light.lamps.kinds.shape[0]):
+        aim_shadow_rays(shadow, vertices, bounce, light, source, field.spacing)
+        follow(field, surfaces, company, shadow.starts, bounce, count, True)
+        for i in range(count):
+            if company.passed[i] > 0.0:
+                add_carried(company, i, column(lights, i), company.passed[i])
+
+
+@kernel()
+def gather_ends(company, vertices, escaped, light):
+    """Add the environment that the ``escaped`` paths leave to."""
+    wave = company.shadow.wave
+    normals, ways = columns(vertices.normals, vertices.count), columns(wave.ways, vertices.count)
+    for i in wave.escaped[:escaped]:
+        w = column(ways, i)
+        cosine = dot(column(normals, i), w)
+        end = arriving(light.constant, light.image, light.matrix, light.table, w, cosine)
+        add_carried(company, i, end, 1.0)
+
+
+@kernel()
+def stand_on(surfaces, company, following, chance):
+    """Put the vertices ``following`` on what was met: its number, its isovalue, and its albedo over the ``chance``."""
+    wave = company.shadow.wave
+    for h in range(following.count):
+        i, m = wave.hits[h], wave.owners[h]
+        k = int(company.met[i])
+        company.own[h], company.on[h] = company.own[i], k
+        wave.isovalues[h] = company.own[h] if k == 0 else surfaces.isovalues[k]
+        for c in range(3):
+            company.carried[c, m] *= surfaces.albedos[k, c] / chance
+
+
+@kernel()
+def light_wave(field, surfaces, company, vertices, spare, rules, light):
+    """Walk the paths of a wave to their ends and gather light on the way."""
+    wave, last = company.shadow.wave, rules.weights.shape[0] - 1
+    for bounce in range(last + 1):
+        count = vertices.count
+        gather_sources(field, surfaces, company, vertices, bounce, light)
+        sample_direction(wave, vertices, bounce, field.spacing)
+        follow(field, surfaces, company, vertices.points, bounce, count, False)
+        hits = partition(wave, count)
+        gather_ends(company, vertices, count - hits, light)
+        hits = russian_roulette(wave, hits, bounce, rules.survival)
+        if hits == 0 or bounce == last:
+            return
+        following = Vertices(spare.points, spare.normals, hits)
+        compact(wave, vertices, following)
+        stand_on(surfaces, company, following, rules.survival if bounce > 0 else 1.0)
+        next_vertex(field, wave, count, following)
+        vertices, spare = following, vertices
+
+
+@kernel()
+def make_company(n, surfaces, carried, gathered):
+    """Room for a wave of ``n`` paths among so many surfaces."""
+    numbers, places, s = np.zeros((2, n)), np.zeros((3, n), np.int64), surfaces.clears.shape[0]
+    t, came = np.empty((s, n)), np.empty((s, n), np.int8)
+    shadow = make_shadow_rays(n)
+    return Company(shadow, numbers[0], places[0], places[1], t, came, numbers[1], places[2], carried, gathered)
+
+
+@kernel()
+def light_paths(field, surfaces, starts, samples, rules, light, gathered):
+    """``light_paths`` of the module of that name among several surfaces; see ``light_among_surfaces``."""
+    total = starts.isovalues.shape[0] * samples.count
+    gathered[:, :total] = 0.0
+    carried = np.empty((3, total))
+    for c in range(3):
+        carried[c] = rules.weights[0, c]
+    origins = launch_all(field, starts)
+    n = whole(min(WAVE, total))
+    company, space, spare = make_company(n, surfaces, carried, gathered), make_vertices(n), make_vertices(n)
+    for first in range(0, total, WAVE):
+        vertices = Vertices(space.points, space.normals, min(WAVE, total - first))
+        generate(company.shadow.wave, vertices, starts, origins, samples.first, first)
+        company.own[:] = company.shadow.wave.isovalues
+        company.on[:] = 0
+        light_wave(field, surfaces, company, vertices, spare, rules, light)
+
+
+STARTS = record(PathStarts, ROWS, ROWS, NUMBERS, types.uint64[::1])
+
+
+@kernel(types.void(FIELD, SURFACES, STARTS, SAMPLE_RANGE, PATH_RULES, SURROUNDINGS, ROWS))
+def light_among_surfaces(field, surfaces, starts, samples, rules, light, sums):
+    """Add E/π of a ``SampleRange`` at each of g ``PathStarts``, with all light that is reflected, to ``sums`` (g, 3).
+
+    A ray that meets a surface passes straight through it with the chance ``clear``, or meets a diffuse one there: of a
+    thin shell that is lit on either side. Light of shadow rays is multiplied by the ``clear`` of all that they cross.
+    Each bounce counts the albedo of what it hit, and all the first of the weights (bounces + 1, 3) of the ``rules``, of
+    which the others are not read. ``light`` are the Surroundings. Sums grow sample by sample: the company of a start
+    changes no bit. Source: Kajiya 1986; clear shells as in Beason et al. 2006 (S3).
+    """
+    g, last = starts.isovalues.shape[0], samples.first + samples.count
+    step = max(WAVE // max(g, 1), 1)
+    gathered = np.empty((3, g * step))
+    for first in range(samples.first, last, step):
+        some = SampleRange(first, min(step, last - first))
+        light_paths(field, surfaces, starts, some, rules, light, gathered)
+        for m in range(g * some.count):
+            for c in range(3):
+                sums[m % g, c] += gathered[c, m]

@@ -1,0 +1,36 @@
+"""Several isosurfaces, as scenes have them: their tables, and what they cannot be together with."""
+
+from isogi_core.errors import SceneError
+from isogi_core.files.scene_file import Settings
+from isogi_core.model.colours import SurfaceColours
+from isogi_core.model.room import Room
+from isogi_core.model.surfaces import PinnedSurface, pinned_surfaces
+from isogi_core.model.volume import Volume
+
+
+def read_pinned(
+    settings: Settings, volume: Volume, room: Room, colours: SurfaceColours | None
+) -> tuple[PinnedSurface, ...]:
+    """The scene's [[surfaces]]. SceneError where one has no meaning, or the scene cannot have any."""
+    found = pinned_surfaces(settings.tables("surfaces"), volume)
+    if found:
+        refuse_company(settings, room, colours, "[[surfaces]]")
+    return found
+
+
+def read_clear(settings: Settings, room: Room, colours: SurfaceColours | None) -> float:
+    """The share of rays that passes the surface which slides. SceneError as ``read_pinned``."""
+    clear = settings.number("clear", 0.0, 0.0, 1.0)
+    if clear > 0.0:
+        refuse_company(settings, room, colours, "clear")
+    return clear
+
+
+def refuse_company(settings: Settings, room: Room, colours: SurfaceColours | None, what: str) -> None:
+    """Raise SceneError where the scene has what several surfaces are not lit with yet."""
+    beside = {"walls": room.any, "colours by data": colours is not None}
+    beside |= {"a shine": settings.table("shine") is not None, "glow": bool(settings.tables("glow"))}
+    beside |= {"albedos that views choose": settings.span("albedos", 0.0, 1.0) is not None}
+    for each, there in beside.items():
+        if there:
+            raise SceneError(f"The scene '{settings.source.name}' has {what} and {each}: leave one of them out.")

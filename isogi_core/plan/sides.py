@@ -1,0 +1,71 @@
+"""The sides of several surfaces, and the scene in which each of them is lit.
+
+The light on either side of each surface is that of a scene of its own: there this surface is the one that slides, and
+the others are pinned beside it, the one that slides at the isovalue which is shown. Of inner sides the volume is turned
+inside out, so that they are outer ones.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+from isogi_core.files.scene_file import DEFAULT_DEMO, FOLLOWED
+from isogi_core.model.surfaces import PinnedSurface
+from isogi_core.plan.assembly import build_scene
+from isogi_core.plan.scene import Scene
+
+
+@dataclass(frozen=True)
+class Side:
+    """One side of a surface of a scene: its ``number``, 0 of the one that slides and k of the pinned one k - 1, and
+    whether it is the ``inner`` one, which faces what is solid.
+    """
+
+    number: int
+    inner: bool = False
+
+
+OUTER = Side(0)
+"""The side whose light is that of the scene itself."""
+
+
+def surfaces_of(scene: Scene, shown: float) -> tuple[PinnedSurface, ...]:
+    """All surfaces of a scene that shows the isovalue ``shown``, the one that slides first."""
+    return (PinnedSurface(shown, scene.albedo, scene.clear), *scene.pinned)
+
+
+def sides_of(scene: Scene) -> tuple[Side, ...]:
+    """Both sides of all surfaces of a ``scene``."""
+    return tuple(Side(number, inner) for number in range(1 + len(scene.pinned)) for inner in (False, True))
+
+
+def scene_of_side(scene: Scene, side: Side, shown: float) -> Scene:
+    """The scene whose light is that on a ``side``, where the one that slides shows the isovalue ``shown``.
+
+    Raises as ``build_scene`` does.
+    """
+    if side == OUTER:
+        return scene
+    others = list(surfaces_of(scene, shown) if side.number else scene.pinned)
+    own = others.pop(side.number) if side.number else surfaces_of(scene, shown)[0]
+    document: dict[str, Any] = {key: value for key, value in scene.source.document.items() if key not in OWN}
+    document |= {"isovalue": own.isovalue, "albedo": list(own.albedo), "clear": own.clear, **lying(scene, side)}
+    document |= {"isovalues": [own.isovalue] * 2 if side.number else list(scene.isovalues)}
+    document |= {"surfaces": [each.table for each in others]} if others else {}
+    bare = {key: value for key, value in document.items() if key not in FOLLOWED}
+    volume = scene.volume.turned_inside_out() if side.inner else scene.volume
+    made = build_scene(replace(scene.source, document=bare), volume=volume)
+    return replace(made, source=replace(scene.source, document=document))
+
+
+def lying(scene: Scene, side: Side) -> dict[str, Any]:
+    """Which side of its isosurfaces is solid in the scene of a ``side``: what a process that opens it is to know."""
+    document = scene.source.document
+    turned = document.get("inside_out", False)
+    if str(document.get("volume", DEFAULT_DEMO)).startswith("demo:"):
+        return {"inside_out": turned != side.inner}
+    solid = {"above": "below", "below": "above"}[scene.solid] if turned else scene.solid
+    return {"inside_out": turned != side.inner, "solid": solid}
+
+
+OWN = ("isovalue", "isovalues", "presets", "albedo", "clear", "surfaces")
+"""What each side's scene has for itself."""

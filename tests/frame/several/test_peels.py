@@ -1,0 +1,96 @@
+"""Depth peels of balls within each other, against the crossings of rays with spheres."""
+
+import numpy as np
+import pytest
+
+from isogi_core.frame.several.peels import LAYERS, Hits, first_of, layers_of, peel
+from isogi_core.frame.tiles import Tiles
+from isogi_core.model.view import Camera, View
+from isogi_core.prepared.prepared_scene import PreparedScene
+from tests.frame.conftest import ball, scene_of
+
+SIZE, EYE, MIDDLE = 24, np.array([20.0, -80.0, 20.0]), 20.0
+LEVELS = (4.0, 0.0, 8.0)
+"""Isovalues of balls of radius 8, 12 and 4."""
+
+
+@pytest.fixture(scope="module")
+def prepared() -> PreparedScene:
+    return PreparedScene(scene_of(ball(), 4.0))
+
+
+def peeled(prepared: PreparedScene, levels: tuple[float, ...], clears: list[float]) -> tuple[View, Hits, np.ndarray]:
+    """What a view along y shows."""
+    camera = Camera(tuple(EYE.tolist()), (MIDDLE, MIDDLE, MIDDLE), (0.0, 0.0, 1.0), 20.0)  # type: ignore[arg-type]
+    view = View(levels[0], camera, width=SIZE, height=SIZE)
+    return view, *peel(view, [prepared.surface(each) for each in levels], np.array(clears), Tiles())
+
+
+def expected(point: np.ndarray, levels: tuple[float, ...], clears: list[float]) -> list[tuple[int, bool, float]]:
+    """The surfaces along the ray from the eye to a ``point``, whether their inner sides are seen, and their weights."""
+    d = (point - EYE) / np.linalg.norm(point - EYE)
+    away = EYE - MIDDLE
+    met = []
+    for number, level in enumerate(levels):
+        root = (away @ d) ** 2 - away @ away + (12.0 - level) ** 2
+        if root > 0.0:
+            met += [(-(away @ d) - np.sqrt(root), number, False), (-(away @ d) + np.sqrt(root), number, True)]
+    left, found = 1.0, []
+    for _, number, inner in sorted(met):
+        if left * (1.0 - clears[number]) > 0.0:
+            found.append((number, inner, left * (1.0 - clears[number])))
+        left *= clears[number]
+    return [*found, (-1, False, left)]
+
+
+def test_rays_meet_spheres_in_order_until_one_is_opaque(prepared: PreparedScene) -> None:
+    clears = [0.5, 0.8, 0.0]
+    _, hits, left = peeled(prepared, LEVELS, clears)
+    rows, seen = np.unique(hits.pixels, return_index=True)
+    assert len(rows) > 100
+    grazing = 0
+    for pixel, first, last in zip(rows, seen, [*seen[1:], len(hits.pixels)], strict=True):
+        *those, (_, _, rest) = expected(hits.points[first].astype(np.float64), LEVELS, clears)
+        mine = [(hits.numbers[i], hits.inner[i], hits.weights[i]) for i in range(first, last)]
+        if [each[:2] for each in mine] != [each[:2] for each in those]:
+            grazing += 1  # a sphere of voxels is a little smaller
+            continue
+        np.testing.assert_allclose([each[2] for each in mine], [each[2] for each in those], rtol=1e-5)
+        assert left.flat[pixel] == pytest.approx(rest, abs=1e-6)
+    assert grazing < 0.1 * len(rows)
+
+
+def test_weights_and_what_is_left_make_a_whole(prepared: PreparedScene) -> None:
+    _, hits, left = peeled(prepared, LEVELS, [0.3, 0.6, 0.5])
+    total = np.bincount(hits.pixels, hits.weights, SIZE * SIZE) + left.ravel()
+    np.testing.assert_allclose(total, 1.0, atol=1.0 / 512.0)
+    assert np.bincount(hits.pixels).max() <= LAYERS
+
+
+def test_the_last_layer_is_the_opaque_one_that_is_left(prepared: PreparedScene) -> None:
+    """Nine crossings lie before the middle of ten; the opaque ball within is seen all the same."""
+    levels = (8.0, *(1.0 + 0.7 * k for k in range(9)))
+    _, hits, _ = peeled(prepared, levels, [0.0, *[0.9] * 9])
+    middle = SIZE // 2 * SIZE + SIZE // 2
+    mine = hits.numbers[hits.pixels == middle]
+    assert mine.tolist() == [1, 2, 3, 4, 5, 6, 7, 0]
+
+
+def test_a_surface_at_the_shown_isovalue_is_that_one(prepared: PreparedScene) -> None:
+    _, once, _ = peeled(prepared, (4.0,), [0.5])
+    _, twice, _ = peeled(prepared, (4.0, 4.0), [0.5, 0.2])
+    np.testing.assert_array_equal(once.points, twice.points)
+    np.testing.assert_allclose(once.weights, twice.weights)
+
+
+def test_a_side_is_a_tall_picture_of_its_layers(prepared: PreparedScene) -> None:
+    view, hits, _ = peeled(prepared, LEVELS, [0.5, 0.8, 0.0])
+    first = first_of(view, hits, prepared.surface(4.0))
+    assert len(np.unique(first.pixels)) == len(first.pixels)
+    some = (hits.numbers == 1) & ~hits.inner
+    layers = layers_of(hits, some, first, prepared.surface(0.0))
+    assert layers.layers == 1
+    np.testing.assert_array_equal(layers.pixels, hits.pixels[some])
+    np.testing.assert_array_equal(layers.gbuffer.points, hits.points[some])
+    away = np.linalg.norm(layers.gbuffer.points - MIDDLE, axis=1)
+    np.testing.assert_allclose(away, 12.0, atol=0.1)

@@ -1,0 +1,128 @@
+"""Frames of several surfaces: against paths among them, and against formulas."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from isogi_core.bake.precision import FIRST_LEVEL
+from isogi_core.errors import ViewError
+from isogi_core.frame.entry_kernels import AMONG, frame_kernels
+from isogi_core.frame.film import develop, linear_table
+from isogi_core.frame.several.surfaces_frame import SurfacesFrame
+from isogi_core.frame.surface_point import point_at
+from isogi_core.model.view import View
+from isogi_core.model.window import read_window
+from isogi_core.plan.sides import OUTER, Side
+from tests.frame.conftest import CONSTANT, LOOSE, Workbench, refine_chunk, relative_rmse
+from tests.loaded import load_scene
+
+SIZE, SHOWN = 32, 0.06
+HALO = {"isovalue": 0.012, "clear": 0.6, "albedo": [0.4, 0.6, 0.9]}
+
+
+@pytest.fixture(scope="module")
+def halo(tmp_path_factory: pytest.TempPathFactory) -> Workbench:
+    """The orbital within a clear surface of its own, baked to a tenth."""
+    light = {"lights": [{"type": "sky", "sun_azimuth": 30.0, "sun_elevation": 50.0}]}
+    scene = load_scene("demo:orbital", isovalue=SHOWN, surfaces=[HALO], bounces=3, target_error=LOOSE, **light)
+    bench = Workbench(scene, tmp_path_factory.mktemp("halo"))
+    bake(bench, bench.view(size=SIZE))
+    return bench
+
+
+def drawn(bench: Workbench, view: View) -> SurfacesFrame:
+    frame = bench.renderer.render(view)
+    assert isinstance(frame, SurfacesFrame)
+    return frame
+
+
+def bake(bench: Workbench, view: View) -> SurfacesFrame:
+    """Bake rung by rung all that is wanted, and check the picture."""
+    rung, frame = FIRST_LEVEL, drawn(bench, view)
+    while frame.stages:
+        for part in frame.parts:
+            for stage in part.frame.stages:
+                loader = part.caches.of("gi") if stage.shown is None else part.caches.projected(stage.shown)
+                for demand in stage.demands:
+                    refine_chunk(loader, rung, stage.target, demand)
+        rung, frame = 2 * rung, drawn(bench, view)
+    while bench.renderer.refine(view):
+        pass
+    return drawn(bench, view)
+
+
+def test_a_picture_becomes_final_and_is_what_paths_say(halo: Workbench) -> None:
+    view = halo.view(size=SIZE)
+    frame = drawn(halo, view)
+    assert {part.side for part in frame.parts} >= {OUTER, Side(1), Side(1, True)}
+    assert frame.final and not frame.provisional
+    assert frame.measured is not None and frame.measured.high <= LOOSE
+    traced = drawn(halo, replace(view, shading="path_traced", samples=512))
+    assert relative_rmse(frame, traced) < LOOSE
+    assert not traced.stages and not traced.checkable
+
+
+def test_one_cache_of_what_slides_serves_all_isovalues(halo: Workbench) -> None:
+    """Slid, the picture asks for texels of its own layer and of the pinned surface anew: none of that is there yet."""
+    before = drawn(halo, halo.view(size=SIZE))
+    slid = drawn(halo, halo.view(size=SIZE, isovalue=0.0601))
+    kept, moved = (next(part for part in each.parts if part.side == OUTER) for each in (before, slid))
+    assert kept.caches is moved.caches
+    assert moved.frame.coverage["final"] > 0.5
+    others = [part for part in slid.parts if part.side.number]
+    assert others and all(part.frame.coverage["final"] == 0.0 for part in others)
+    again = drawn(halo, halo.view(size=SIZE))
+    assert again.version == before.version
+    np.testing.assert_array_equal(again.radiance, before.radiance)
+
+
+def test_evenly_lit_white_surfaces_are_as_bright_as_the_sky(tmp_path: Path) -> None:
+    """The white furnace: whatever passes and whatever is reflected, each pixel shows what covers it of radiance 1."""
+    white = {"albedo": 1.0, "bounces": 60, "lights": [CONSTANT], "projected": False}
+    scene = load_scene("demo:orbital", isovalue=SHOWN, surfaces=[{**HALO, "albedo": 1.0}], clear=0.3, **white)
+    bench = Workbench(scene, tmp_path)
+    frame = drawn(bench, bench.view(size=16, shading="path_traced", samples=64))
+    assert frame.left is not None
+    on = frame.state > 0
+    np.testing.assert_allclose(frame.radiance[on], 1.0 - frame.left[on][:, None].repeat(3, axis=1), atol=0.02)
+
+
+def test_what_lies_behind_shines_through(halo: Workbench) -> None:
+    frame = drawn(halo, halo.view(size=SIZE))
+    assert frame.left is not None
+    thin = (frame.state > 0) & (frame.left > 0.3)
+    black, white = (develop(frame, 0.5, background=ground) for ground in ("#000000", "#ffffff"))
+    table = linear_table()
+    through = np.minimum(table[black[thin]] + frame.left[thin][:, None], 1.0)
+    assert thin.sum() > 20
+    np.testing.assert_allclose(table[white[thin]], through, atol=0.01)
+    opaque = (frame.state > 0) & (frame.left == 0.0)
+    np.testing.assert_array_equal(white[opaque], black[opaque])
+    cover = develop(frame, 0.5, background="transparent")[..., 3] / 255.0
+    np.testing.assert_allclose(cover, np.where(frame.state > 0, 1.0 - frame.left, 0.0), atol=0.003)
+
+
+def test_a_point_has_the_value_of_what_is_in_front(halo: Workbench) -> None:
+    frame = drawn(halo, halo.view(size=SIZE))
+    row, column = divmod(int(frame.gbuffer.pixels[len(frame.gbuffer.pixels) // 2]), SIZE)
+    point = point_at(frame, column, row, halo.scene)
+    assert point is not None and point.value == HALO["isovalue"]
+
+
+def test_a_window_into_several_surfaces_is_refused(halo: Workbench) -> None:
+    with pytest.raises(ViewError, match="leave window out"):
+        halo.renderer.render(halo.view(size=SIZE, window=read_window("x>0")))
+
+
+def test_local_shadings_show_all_surfaces(halo: Workbench) -> None:
+    for shading in ("lambert", "phong_shadow", "lambert_fog"):
+        frame = drawn(halo, halo.view(size=SIZE, shading=shading))
+        assert frame.surface == len(frame.gbuffer.pixels) and not frame.provisional
+
+
+def test_other_scenes_compile_no_kernel_of_theirs(halo: Workbench) -> None:
+    plain = frame_kernels([load_scene("demo:orbital")])
+    assert not set(plain) & {AMONG[0], AMONG[1]}
+    assert {*AMONG} <= {*frame_kernels([halo.scene])}

@@ -1,0 +1,131 @@
+"""Paths among several isosurfaces: one ray at a time, and closed forms."""
+
+import math
+
+import numpy as np
+import pytest
+from numba import njit
+
+from isogi_core.kernels.tracing.field import to_index
+from isogi_core.kernels.tracing.intersect import OUTSIDE, UNKNOWN, cast
+from isogi_core.kernels.tracing.vec import column, dot, madd
+from isogi_core.kernels.transport.integrator import about, launch, shading_normal
+from isogi_core.kernels.transport.light_paths import PAIRS, sample_source, to_world
+from isogi_core.kernels.transport.lights import arriving
+from isogi_core.kernels.transport.paths import PathRules, PathStarts, SampleRange
+from isogi_core.kernels.transport.rng import point_2d
+from isogi_core.kernels.transport.sampling import sample_cosine_hemisphere
+from isogi_core.kernels.transport.surface_paths import MOST, PASSING, Surfaces, light_among_surfaces
+from tests.kernels.fields import cells_of, field_of
+from tests.kernels.transport.lighting import BALL, LIGHTS, NOISY, on_ball, surroundings
+from tests.scale import few
+
+
+@njit
+def crossings(field, isovalues, on, side, o, d):
+    """All crossings of a ray with several surfaces, in order: (t, surface, side) each; it starts ``on`` one."""
+    found = [(math.inf, 0, 0) for _ in range(0)]
+    for k in range(len(isovalues)):
+        t, here = 0.0, side if k == on else UNKNOWN
+        while True:
+            step, came = cast(field, isovalues[k], madd(o, t, d), d, here)
+            t += step
+            if not t < math.inf:
+                break
+            found.append((t, k, came))
+            here = -came
+    found.sort()
+    return found
+
+
+@njit
+def path_among(field, surfaces, start, seed, index, bounces, light):
+    """One path, each of its rays by itself: what it gathers, linear RGB."""
+    _, isovalues, albedos, clears = surfaces
+    (p, n), total, carried, side, on = start, np.zeros(3), np.ones(3), OUTSIDE, 0
+    first = 0 if light.table[0].shape[0] > 0 else 1
+    for bounce in range(bounces + 1):
+        o = launch(field, isovalues[on], p, n, side)
+        for source in range(first, 1 + light.lamps.kinds.shape[0]):
+            u, v = point_2d(seed, index, (1 + source) * PAIRS + bounce)
+            w, reach, shine = sample_source(light, source, to_world(o, field.spacing), n, u, v)
+            if max(shine[0], shine[1], shine[2]) > 0.0:
+                passed = 1.0
+                for t, k, _ in crossings(field, isovalues, on, side, o, to_index(w, field.spacing)):
+                    passed *= clears[k] if t < reach else 1.0
+                for c in range(3):
+                    total[c] += carried[c] * passed * shine[c]
+        u, v = point_2d(seed, index, bounce)
+        w = about(n, sample_cosine_hemisphere(u, v))
+        d = to_index(w, field.spacing)
+        way, met, came = math.inf, 0, 0
+        for crossing, (t, k, s) in enumerate(crossings(field, isovalues, on, side, o, d)):
+            if not point_2d(seed, index, PASSING + crossing * PAIRS + bounce)[0] < clears[k]:
+                way, met, came = t, k, s
+                break
+        if way == math.inf:
+            end = arriving(light.constant, light.image, light.matrix, light.table, w, dot(n, w))
+            for c in range(3):
+                total[c] += carried[c] * end[c]
+            return total
+        on, side = met, came
+        carried *= albedos[on]
+        p = madd(o, way, d)
+        n = shading_normal(field, p, side, w)
+    return total
+
+
+def among(field, own, others, albedos, clears):
+    """The surfaces at ``own`` and some ``others``, with an albedo and a share that passes each."""
+    maps = [cells_of(field, each) for each in (own, *others)]
+    cells = (*maps, *[maps[0]] * (MOST - len(maps)))
+    return Surfaces(
+        cells, np.array([own, *others], float), np.tile(np.array(albedos)[:, None], 3), np.array(clears, float)
+    )
+
+
+def gather(field, surfaces, starts, samples, bounces, light):
+    """E/π (g, 3) at the ``starts`` (points, normals), (3, g) each."""
+    points, normals = (np.ascontiguousarray(each, np.float64) for each in starts)
+    g = points.shape[1]
+    paths = PathStarts(points, normals, np.full(g, surfaces.isovalues[0]), np.arange(1, g + 1, dtype=np.uint64))
+    rules, sums = PathRules(np.ones((bounces + 1, 3)), 1.0), np.zeros((g, 3))
+    light_among_surfaces(field, surfaces, paths, SampleRange(0, samples), rules, light, sums)
+    return sums / samples
+
+
+def inner_ball(count):
+    """Points and normals on the surface of the ball of radius 6 in BALL."""
+    points, normals = on_ball(count)
+    return 20.0 + (points - 20.0) / 2.0, normals
+
+
+@pytest.mark.parametrize("light", LIGHTS)
+def test_paths_are_those_of_one_ray_at_a_time(light: str) -> None:
+    field, (points, normals) = field_of(NOISY), inner_ball(6)
+    surfaces, samples = among(field, 6.0, [0.0, 3.5], [0.5, 0.8, 0.3], [0.3, 0.6, 0.9]), few((64,), (8,))[0]
+    found = gather(field, surfaces, (points, normals), samples, 3, LIGHTS[light])
+    expected = np.zeros((6, 3))
+    for i in range(6):
+        start = column(points, i), column(normals, i)
+        for s in range(samples):
+            expected[i] += path_among(field, surfaces, start, i + 1, s, 3, LIGHTS[light])
+    np.testing.assert_allclose(found, expected / samples, rtol=1e-6)
+
+
+def test_a_black_clear_shell_dims_all_light_alike() -> None:
+    """Every ray from the ball crosses the shell around it once: the share that passes is all that arrives."""
+    (samples,) = few((4096,), (1024,))
+    field = field_of(BALL)
+    surfaces = among(field, 6.0, [0.0], [0.0, 0.0], [0.0, 0.4])
+    found = gather(field, surfaces, inner_ball(8), samples, 0, surroundings(constant=2.0))
+    np.testing.assert_allclose(found.mean(axis=0), 0.8, rtol=0.005)
+
+
+def test_white_surfaces_stay_in_the_white_furnace() -> None:
+    """Nothing is lost between white surfaces, however clear: of long paths all arrives but what still wanders."""
+    (samples,) = few((1024,), (256,))
+    field = field_of(BALL)
+    surfaces = among(field, 6.0, [0.0, 3.0], [1.0, 1.0, 1.0], [0.0, 0.5, 0.3])
+    found = gather(field, surfaces, inner_ball(8), samples, 200, surroundings(constant=1.0))
+    np.testing.assert_allclose(found.mean(axis=0), 1.0, rtol=0.003)

@@ -1,0 +1,74 @@
+"""Pinned surfaces as scenes name them, what is refused, and volumes that are turned inside out."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from isogi_core.errors import SceneError, ViewError
+from isogi_core.plan.assembly import load_scene
+from isogi_core.plan.scene import AMONG
+from tests.frame.conftest import shell
+
+SKIN = {"isovalue": 60.0, "clear": 0.5, "albedo": [0.8, 0.5, 0.4], "name": "skin"}
+
+
+def test_a_scene_has_pinned_surfaces_and_light_that_stays() -> None:
+    scene = load_scene("demo:casting", surfaces=[SKIN], clear=0.25)
+    (pinned,) = scene.pinned
+    assert pinned.table == SKIN
+    assert (scene.clear, scene.rotating, scene.plan.representation) == (0.25, False, "irradiance")
+    assert scene.bakes == {AMONG}
+    assert scene.inputs.reflecting == (0.8, 0.7, 0.7)
+    told = {each.what for each in scene.left_out}
+    assert {"light of pinned surfaces that serves every isovalue", "turning of the light"} <= told
+
+
+def test_no_surface_beside_leaves_digests_as_they_were() -> None:
+    plain = load_scene("demo:casting", rotating=False)
+    assert load_scene("demo:casting", rotating=False, clear=0).digest == plain.digest
+    clear = load_scene("demo:casting", clear=0.5)
+    assert clear.bake_digest != plain.bake_digest
+    other = load_scene("demo:casting", surfaces=[{**SKIN, "name": "hide"}])
+    assert other.bake_digest == load_scene("demo:casting", surfaces=[SKIN]).bake_digest
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"surfaces": [{"isovalue": 1e9}]}, "isovalue is 1000000000.0: give a number between"),
+        ({"surfaces": [{}]}, "isovalue is None"),
+        ({"surfaces": [{**SKIN, "clear": 1.5}]}, "has clear = 1.5"),
+        ({"surfaces": [{**SKIN, "albedo": 2}]}, "has albedo 2"),
+        ({"surfaces": [{**SKIN, "name": 3}]}, "is named 3"),
+        ({"surfaces": [{**SKIN, "colour": 3}]}, "no 'colour': choose from isovalue"),
+        ({"surfaces": [{**SKIN, "isovalue": 50 + i} for i in range(4)]}, "has 4 .* give 3"),
+        ({"surfaces": [SKIN, SKIN]}, "same isovalue"),
+        ({"clear": 2}, "clear = 2"),
+        ({"clear": 0.5, "rotating": True}, "leave out rotating"),
+        ({"clear": 0.5, "room": "cornell"}, "clear and walls"),
+        ({"surfaces": [SKIN], "shine": {}}, "surfaces.* and a shine"),
+        ({"surfaces": [SKIN], "albedos": [0, 0.9]}, "albedos that views choose"),
+        ({"surfaces": [SKIN], "representation": "transfer"}, "irradiance|transfer"),
+    ],
+)
+def test_what_has_no_meaning_is_refused(settings: dict[str, Any], words: str) -> None:
+    with pytest.raises(SceneError, match=words):
+        load_scene("demo:casting", **settings)
+
+
+def test_views_choose_no_albedo_among_surfaces() -> None:
+    scene = load_scene("demo:casting", surfaces=[SKIN])
+    with pytest.raises(ViewError, match="leave albedo out"):
+        scene.albedo_for((0.1, 0.1, 0.1))
+
+
+def test_a_volume_inside_out_has_the_same_values() -> None:
+    volume = shell()
+    turned = volume.turned_inside_out()
+    assert turned.solid != volume.solid and turned.digest != volume.digest
+    values, others = (each.offset + each.scale * each.voxels.astype(np.float64) for each in (volume, turned))
+    np.testing.assert_allclose(others, values, atol=1e-5)
+    level, other = (float(each.normalise_isovalue(2.0)) for each in (volume, turned))
+    np.testing.assert_array_equal(turned.voxels > other, volume.voxels < level)
+    assert volume.turned_inside_out() is turned

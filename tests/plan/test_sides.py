@@ -1,0 +1,46 @@
+"""The scenes in which the sides of several surfaces are lit."""
+
+import pytest
+
+from isogi_core.plan.assembly import build_scene, load_scene
+from isogi_core.plan.scene import Scene
+from isogi_core.plan.sides import OUTER, Side, scene_of_side, sides_of
+
+SKIN = {"isovalue": 60.0, "clear": 0.5, "albedo": [0.8, 0.5, 0.4]}
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return load_scene("demo:casting", surfaces=[SKIN, {"isovalue": 90.0}], isovalue=127.0)
+
+
+def test_there_are_two_sides_of_each_surface(scene: Scene) -> None:
+    sides = sides_of(scene)
+    assert sides == tuple(Side(number, inner) for number in range(3) for inner in (False, True))
+    made = [scene_of_side(scene, side, 127.0) for side in sides]
+    assert len({each.bake_digest for each in made}) == 6
+    assert [each.solid for each in made] == ["above", "below"] * 3
+    assert [each.isovalue for each in made] == [127.0, 127.0, 60.0, 60.0, 90.0, 90.0]
+    assert [each.clear for each in made] == [0.0, 0.0, 0.5, 0.5, 0.0, 0.0]
+
+
+def test_pinned_light_depends_on_what_is_shown_alone(scene: Scene) -> None:
+    """One cache of the surface that slides serves every isovalue; pinned ones have one for each."""
+    for side in sides_of(scene):
+        one, other = (scene_of_side(scene, side, shown).bake_digest for shown in (127.0, 140.0))
+        assert (one == other) == (side.number == 0), side
+
+
+def test_a_pinned_surface_is_lit_by_all_others(scene: Scene) -> None:
+    made = scene_of_side(scene, Side(1), 140.0)
+    assert {each.isovalue: each.clear for each in made.pinned} == {140.0: 0.0, 90.0: 0.0}
+    assert made.albedo == (0.8, 0.5, 0.4)
+    assert made.span[0] == made.span[1]
+
+
+def test_a_process_that_opens_a_side_finds_the_same_light(scene: Scene) -> None:
+    """The document of a side is all that workers are given."""
+    for side in sides_of(scene):
+        made = scene_of_side(scene, side, 133.0)
+        assert build_scene(made.source).bake_digest == made.bake_digest, side
+    assert scene_of_side(scene, OUTER, 133.0) is scene

@@ -1,0 +1,61 @@
+"""Several surfaces in a server's engine: workers bake the light of every side that is seen."""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from isogi_core.errors import ReportError
+from isogi_core.frame.several.surfaces_frame import SurfacesFrame
+from isogi_core.model.view import View
+from isogi_core.plan.assembly import load_scene
+from isogi_core.report.bench import Bench
+from server.answers import scene_schema
+from server.cli.render import awaited
+from server.render.engine import RenderEngine
+
+HALO = {"isovalue": 0.012, "clear": 0.6, "albedo": [0.4, 0.6, 0.9], "name": "halo"}
+SCENE = {"surfaces": [HALO], "isovalue": 0.06, "bounces": 1, "target_error": 0.2, "projected": False}
+
+
+@pytest.fixture
+def make(tmp_path: Path) -> Iterator[Callable[[], RenderEngine]]:
+    """Make engines over one store."""
+    made: list[RenderEngine] = []
+
+    def _engine() -> RenderEngine:
+        made.append(RenderEngine([load_scene("demo:orbital", **SCENE)], tmp_path / "store", workers=1))
+        made[-1].start()
+        return made[-1]
+
+    yield _engine
+    for each in made:
+        each.close()
+
+
+def test_workers_bake_all_sides_and_a_restart_finds_them(make: Callable[[], RenderEngine]) -> None:
+    engine = make()
+    scene = engine.scenes["orbital"]
+    view = View(0.06, scene.camera(40.0, 20.0, 3.0, 30.0), width=24, height=24)
+    heard: list[str] = []
+    engine.listen(lambda bake, index, more: heard.append(bake))
+    frame = awaited(engine, "orbital", view, None, 240.0)
+    assert isinstance(frame, SurfacesFrame) and frame.final
+    assert len(frame.parts) > 2 and set(heard) == {"orbital"}
+    engine.close()
+    other = make()
+    again = other.survey("orbital", view, scene.target_error)
+    assert not again.provisional and other.paths == 0
+    assert (again.radiance == frame.radiance).all() or again.own != frame.own
+
+
+def test_the_document_of_a_scene_tells_its_surfaces() -> None:
+    told = scene_schema(load_scene("demo:orbital", clear=0.25, **SCENE)).model_dump()
+    assert told["surfaces"] == [{**HALO, "albedo": (0.4, 0.6, 0.9)}]
+    assert told["clear"] == 0.25 and told["rotating"] is False
+
+
+def test_a_report_of_several_surfaces_is_refused(tmp_path: Path) -> None:
+    scene = load_scene("demo:orbital", **SCENE)
+    with pytest.raises(ReportError, match="path_traced"):
+        Bench(scene, View(0.06, scene.camera(40.0, 20.0, 3.0, 30.0)), tmp_path)
