@@ -70,7 +70,7 @@ pictures: $(BIN)/.tools
 	  --elevation 30 --width 640 --height 480 --target-error 0.05; done
 	$(BIN)/isogi render docs/colours.toml -o docs/colours.webp --azimuth 35 --elevation 28 --distance 3 \
 	  --width 480 --height 360 --target-error 0.03
-	$(BIN)/isogi render docs/surfaces.toml -o docs/surfaces.webp --azimuth 40 --elevation 20 --distance 2.6 \
+	$(BIN)/isogi render docs/surfaces.toml -o docs/surfaces.webp --azimuth 40 --elevation 20 --distance 2.2 \
 	  --width 480 --height 360 --target-error 0.03
 	$(BIN)/python docs/draw_labels.py
 	for albedo in 0.3 0.9; do $(BIN)/isogi render docs/albedo.toml -o docs/albedo-$$albedo.png --albedo $$albedo \

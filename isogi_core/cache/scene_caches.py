@@ -23,8 +23,9 @@ class Caches:
     use from many threads.
     """
 
-    def __init__(self, prepared: PreparedScene, store: StoreLike, budget: int) -> None:
-        """Open nothing yet."""
+    def __init__(self, prepared: PreparedScene, store: StoreLike, budget: int, makes: bool = True) -> None:
+        """Open nothing yet. Layers are made when they are opened, or, where it ``makes`` none, with their first light."""
+        self._makes = makes
         self.prepared = prepared
         self.store = Store.of(store)
         self.budget = budget
@@ -49,7 +50,8 @@ class Caches:
         with self._lock:
             if name not in self._chunk_stores:
                 chunk_store = ChunkStore(self.store, self.spec(name))
-                chunk_store.open()
+                if self._makes:
+                    chunk_store.open()
                 self._chunk_stores[name] = chunk_store
             return self._chunk_stores[name]
 

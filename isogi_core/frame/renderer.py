@@ -106,7 +106,7 @@ class Renderer:
         changing = dict.fromkeys((Reading, LobeLight, ShineLight), int(SHARE * most))
         self._kept: LruCache[Any] = LruCache(most - int(NORMALS * most), changing)
         self._walls = ViewWalls(self._kept, self.prepared.scene.volume)
-        make = partial(Renderer, tiles=tiles, most=most // 4, filters=filters, alone=True)
+        make = partial(Renderer, tiles=tiles, most=most // 8, filters=filters, alone=True)
         composed = self.prepared.scene.several and not alone
         self._composer = Composer(caches, self, make, self._kept) if composed else None
 

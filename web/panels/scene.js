@@ -40,10 +40,10 @@ export function planRows({ plan, target_error: target }) {
 
 /**
  * The volume of a scene, its lights and its surface.
- * @param {Pick<Scene, "volume"|"lights"|"albedo"|"albedos"> & Partial<Pick<Scene, "colours">>} scene
+ * @param {Pick<Scene, "volume"|"lights"|"albedo"|"albedos"> & Partial<Pick<Scene, "colours"|"surfaces">>} scene
  * @returns {Rows}
  */
-export function volumeRows({ volume, lights, albedo, albedos, colours }) {
+export function volumeRows({ volume, lights, albedo, albedos, colours, surfaces = [] }) {
   return {
     Volume: volume.name,
     Size: `${volume.size.join(" × ")} voxels`,
@@ -56,8 +56,15 @@ export function volumeRows({ volume, lights, albedo, albedos, colours }) {
     Albedo: colours ? null : [...new Set(albedo)].map((share) => Number(share.toFixed(3))).join(", "),
     Colours: colours && !colours.labels.length ? `${colours.map} of ${colours.name}` : null,
     Labels: colours?.labels.length ? `${colours.colours.length} of ${colours.labels.length} shown` : null,
+    "Surfaces beside": surfaces.map(surfaceInWords).join("; "),
     "Albedos to choose from": albedos && `${Number(albedos.min.toFixed(3))} to ${Number(albedos.max.toFixed(3))}`,
   };
+}
+
+/** @param {import("../net/schemas.js").Surface} surface */
+function surfaceInWords({ isovalue, name, clear }) {
+  const passing = clear ? `, ${percent(clear)} clear` : "";
+  return `${name ? `${name} at ` : ""}${Number(isovalue.toPrecision(6))}${passing}`;
 }
 
 /**

@@ -121,7 +121,8 @@ class Composer:
             prepared = self._inner.beside(scene)
         scene.projection  # noqa: B018 - surveyed once for all isovalues that are shown
         self._surveyed[side] = {name: found for name, found in vars(scene).items() if name in SURVEYED}
-        return Caches(prepared, self._caches.store, self._caches.budget // (SHOWN * len(sides_of(self._scene))))
+        budget = self._caches.budget // (SHOWN * len(sides_of(self._scene)))
+        return Caches(prepared, self._caches.store, budget, makes=False)
 
     def _view_of(self, side: Side, view: View, layers: int) -> View:
         """The view of a side's tall picture."""

@@ -66,13 +66,14 @@ def test_a_picture_becomes_final_and_is_what_paths_say(halo: Workbench) -> None:
 
 def test_one_cache_of_what_slides_serves_all_isovalues(halo: Workbench) -> None:
     """Slid, the picture asks for texels of its own layer and of the pinned surface anew: none of that is there yet."""
-    before = drawn(halo, halo.view(size=SIZE))
+    before, folders = drawn(halo, halo.view(size=SIZE)), {*halo.folder.iterdir()}
     slid = drawn(halo, halo.view(size=SIZE, isovalue=0.0601))
     kept, moved = (next(part for part in each.parts if part.side == OUTER) for each in (before, slid))
     assert kept.caches is moved.caches
     assert moved.frame.coverage["final"] > 0.5
     others = [part for part in slid.parts if part.side.number]
     assert others and all(part.frame.coverage["final"] == 0.0 for part in others)
+    assert {*halo.folder.iterdir()} == folders  # nothing is made before there is light
     again = drawn(halo, halo.view(size=SIZE))
     assert again.version == before.version
     np.testing.assert_array_equal(again.radiance, before.radiance)

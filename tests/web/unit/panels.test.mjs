@@ -206,6 +206,9 @@ test("a volume says its size, its values and its holes", () => {
   const parts = { name: "seg", map: "labels", low: 3, high: 3, colours: ["#b5523a"], outside: "#b5523a", labels };
   const labelled = volumeRows({ ...SCENE, colours: parts });
   assert.deepEqual([labelled.Colours, labelled.Labels], [null, "1 of 2 shown"]);
+  const surfaces = [{ isovalue: 64, name: "skin", albedo: [0.8, 0.5, 0.4], clear: 0.6 }, { isovalue: 0.5, name: "", albedo: [1, 1, 1], clear: 0 }];
+  const beside = [volumeRows({ ...SCENE, surfaces })["Surfaces beside"], rows["Surfaces beside"]];
+  assert.deepEqual(beside, ["skin at 64, 60 % clear; 0.5", ""]);
 });
 
 test("a legend has numbers at even steps, from the first colour to the last", () => {
