@@ -1,5 +1,6 @@
 """Glows as scenes name them: what they are, what they mean for the plan, and what is refused."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 
 from isogi_core.errors import SceneError
 from isogi_core.model.glow import Glow, place_glows
+from isogi_core.model.orientation import Orientation, triple
 from isogi_core.model.volume import make_volume
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
@@ -59,6 +61,18 @@ def test_coloured_surfaces_keep_three_channels_of_each_glow() -> None:
     assert scene_of(BALL, albedo=[0.8, 0.5, 0.2], bounces=0).plan.layers[-1].channels == 1
     left = [each.what for each in scene_of(BALL).left_out]
     assert "two of three channels of what glows" in left
+
+
+def test_regions_lie_in_the_world_of_a_turned_volume() -> None:
+    quarter = Orientation(((0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)), (100.0, 50.0, 7.0))
+    volume = replace(make_volume(np.linspace(0.0, 1.0, 9) * np.ones((9, 9, 9)), (1.0, 2.0, 3.0)), orientation=quarter)
+    one, other, middle = (quarter.to_world(np.array(each)) for each in ((1.0, 2.0, 3.0), (4.0, 8.0, 15.0), (4, 6, 9)))
+    glows = Glow(box=(triple(other), triple(one))), Glow(sphere=(*triple(middle), 2.0))
+    glowing = place_glows(glows, volume)
+    np.testing.assert_allclose(glowing.middles, [[2.5, 5.0, 9.0], [4.0, 6.0, 9.0]])
+    np.testing.assert_allclose(glowing.halves, [[1.5, 3.0, 6.0], [2.0, 2.0, 2.0]])
+    with pytest.raises(SceneError, match="reaches out of the volume's box, \\[84, 50, 7\\] to \\[100, 58, 31\\]"):
+        place_glows([Glow(sphere=(50.0, 54.0, 20.0, 1.0))], volume)
 
 
 def test_values_are_those_of_the_file_on_either_solid_side() -> None:
