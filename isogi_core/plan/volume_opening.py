@@ -12,10 +12,11 @@ import numpy as np
 from isogi_core.errors import SceneError, VolumeError
 from isogi_core.files.formats.opening import open_file, split_part
 from isogi_core.files.grid import Grid
+from isogi_core.files.mappings import OWN, budget
 from isogi_core.files.right_angles import on_right_angles
 from isogi_core.files.scene_file import DEFAULT_DEMO, Settings, is_zarr, name_of
 from isogi_core.files.volume_copies import get_copy
-from isogi_core.files.voxel_file import OWN, Draft, budget
+from isogi_core.files.voxel_file import Draft
 from isogi_core.model.demo import DEMOS, demo_volume
 from isogi_core.model.orientation import Orientation
 from isogi_core.model.value_survey import Progress, check, checked_spacing, no_progress, survey
