@@ -96,6 +96,8 @@ def volume_schema(scene: Scene) -> VolumeSchema:
         axes=orientation.axes,
         bounds=volume.world_bounds,
         notes=list(orientation.notes),
+        time=volume.moment[0],
+        times=volume.moment[1],
     )
 
 
@@ -205,7 +207,9 @@ def defaults(scene: Scene) -> dict[str, float | str]:
     shine = asdict(scene.shine) if scene.shine else {}
     shine = {"shine": shine.pop("kind"), **shine} if shine else {}
     fixed["projection"] = scene.camera_projection
-    return {"isovalue": scene.isovalue, **fixed, **albedo, **shine, "exposure": scene.default_exposure}
+    time, times = scene.volume.moment
+    series = {"time": time} if times > 1 else {}
+    return {"isovalue": scene.isovalue, **fixed, **albedo, **shine, **series, "exposure": scene.default_exposure}
 
 
 def albedo_text(scene: Scene) -> float | str:
@@ -223,6 +227,7 @@ def ranges(scene: Scene) -> dict[str, Range]:
         if isinstance(span, Span)
     }
     of_scene = {"isovalue": scene.isovalues} | ({} if scene.albedos is None else {"albedo": scene.albedos})
+    spans["time"] = Range(min=0, max=scene.volume.moment[1] - 1)
     return {**{name: Range(min=low, max=high) for name, (low, high) in of_scene.items()}, **spans}
 
 

@@ -52,7 +52,7 @@ def cut_away(volume: Volume, text: str) -> Volume:
     def write(draft: Draft) -> dict[str, Any]:
         for plane in (plane for slab in slabs_left(volume, left) for plane in slab):
             draft.write(plane)
-        facts = {name: value for name, value in vars(known).items() if name not in ("voxels", "orientation")}
+        facts = {name: value for name, value in vars(known).items() if name not in ("voxels", "orientation", "moment")}
         draft.seal(volume.shape, facts)
         return facts
 

@@ -51,6 +51,7 @@ def open_volume(settings: Settings, base: Path, progress: Progress = no_progress
     tables, labels = read_tables(settings), find_labels(settings)
     if not name.startswith("demo:"):
         grid, stem = open_grid(base, name, chosen, raw)
+        moment = grid.moment
         if labels is not None:
             grid = solid_of_labels(grid, labels, settings)
         straight = on_right_angles(grid, spacing)
@@ -59,7 +60,7 @@ def open_volume(settings: Settings, base: Path, progress: Progress = no_progress
         masks = [place(table, open_grid(base, table.file, {}, raw)[0], grid, straight) for table in tables]
         straight = cut_out(straight, masks, solid, missing) if masks else straight
         volume = volume_of(straight, solid, stem, missing, progress)
-        return replace(volume, orientation=Orientation.of(straight))
+        return replace(volume, orientation=Orientation.of(straight), moment=moment)
     if name.removeprefix("demo:") not in DEMOS:
         raise VolumeError(f"There is no {name}: choose one of {', '.join('demo:' + key for key in DEMOS)}.")
     if spacing or missing or chosen or raw or tables or labels is not None or solid != "above":

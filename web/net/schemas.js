@@ -26,6 +26,7 @@
  * @property {string} [shine] where the surface shines
  * @property {number} [roughness]
  * @property {number} [strength]
+ * @property {number} [time] where the volume is a step of a series in time
  * @property {string} [shading]
  * @property {string} [projection] of the camera
  */
@@ -68,6 +69,8 @@
  * @property {string} axes where the voxels' axes point in a patient
  * @property {[Vec3, Vec3]} bounds the least and the greatest world coordinates
  * @property {string[]} notes what was done to the file's field
+ * @property {number} [time] its step in a series of `times`
+ * @property {number} [times]
  */
 
 /**
