@@ -85,12 +85,12 @@ def _open_placed(base: Path, name: str, chosen: dict[str, int]) -> tuple[Grid, s
     if isinstance(place, str) or is_zarr(place):
         from isogi_core.files.zarr_volume import open_zarr  # noqa: PLC0415 (loads Zarr, which NRRD does not need)
 
-        wanted = {key: str(value) for key, value in {**chosen, **inside}.items()}
+        wanted = {key: str(value) for key, value in {**inside, **chosen}.items()}
         wrong = next((key for key, value in wanted.items() if key not in ZARR or not value.isdecimal()), None)
         if wrong is not None:
             raise SceneError(f"{wrong} = {wanted[wrong]} chooses nothing in '{named}': give {' or '.join(ZARR)}.")
         return open_zarr(place, **{key: int(value) for key, value in wanted.items()}), name_of(Path(place))
-    return open_file(place, {**chosen, **inside}), stem_of(place, inside)
+    return open_file(place, {**inside, **chosen}), stem_of(place, inside)
 
 
 def stem_of(path: Path, inside: dict[str, str]) -> str:
