@@ -99,6 +99,8 @@ def volume_schema(scene: Scene) -> VolumeSchema:
         axes=orientation.axes,
         bounds=volume.world_bounds,
         notes=list(orientation.notes),
+        time=volume.moment[0],
+        times=volume.moment[1],
     )
 
 
@@ -209,7 +211,10 @@ def defaults(scene: Scene) -> dict[str, float | str]:
     shine = {"shine": shine.pop("kind"), **shine} if shine else {}
     fixed["projection"] = scene.camera_projection
     glow = {"glow": 1.0} if scene.glowing.any else {}
-    return {"isovalue": scene.isovalue, **fixed, **albedo, **shine, **glow, "exposure": scene.default_exposure}
+    time, times = scene.volume.moment
+    series = {"time": time} if times > 1 else {}
+    more = {**albedo, **shine, **glow, **series}
+    return {"isovalue": scene.isovalue, **fixed, **more, "exposure": scene.default_exposure}
 
 
 def albedo_text(scene: Scene) -> float | str:
@@ -227,6 +232,7 @@ def ranges(scene: Scene) -> dict[str, Range]:
         if isinstance(span, Span)
     }
     of_scene = {"isovalue": scene.isovalues} | ({} if scene.albedos is None else {"albedo": scene.albedos})
+    spans["time"] = Range(min=0, max=scene.volume.moment[1] - 1)
     return {**{name: Range(min=low, max=high) for name, (low, high) in of_scene.items()}, **spans}
 
 

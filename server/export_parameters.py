@@ -33,10 +33,14 @@ class ExportParams(VariantParams):
         None, description="Seconds of baking after which the file is made with the light that is there; default: none."
     )
 
+    coefficients: Annotated[str, Choice(("off", "on"))] = Field(
+        "off", description="on: harmonics of the light too, into a vti: see docs/export.md."
+    )
+
     @property
     def view(self) -> ViewParams:
         """What of it is of a view. Raises ParameterError where the light's turn is given twice."""
-        names = self.model_fields_set - {"f", "exposure", "deadline"}
+        names = self.model_fields_set - {"f", "exposure", "deadline", "coefficients"}
         return read(ViewParams, self.model_dump(include=names).items())
 
 

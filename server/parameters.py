@@ -57,6 +57,10 @@ Pitch = Annotated[float, TURN, Field(description="Then about y, degrees.")]
 Roll = Annotated[float, TURN, Field(description="Then about x, degrees.")]
 
 
+MOST_STEPS = 1 << 20
+"""Most steps of a series in time."""
+
+
 class NoParams(BaseModel):
     """A resource that reads no parameters."""
 
@@ -75,12 +79,15 @@ class LightParams(NoParams):
 
 
 class VariantParams(LightParams):
-    """The light that a scene is shown in, and what is cut away of it."""
+    """The light that a scene is shown in, what is cut away of it, and when."""
 
     cut: Annotated[str | None, Planes()] = Field(
         None,
         description="Planes along the volume's axes, in world units, such as x>40;z<10: what they are true of is taken"
         " away, and light comes in. What is left has light of its own, which is baked.",
+    )
+    time: Annotated[int | None, Span(0, MOST_STEPS, whole=True)] = Field(
+        None, description="Which step of a series in time, from 0 on; default: the scene's. Each has light of its own."
     )
 
 

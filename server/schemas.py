@@ -53,7 +53,8 @@ class VolumeSchema(BaseModel):
 
     ``affine`` brings voxel indices to the world, (3, 4), whose lengths have the ``unit``, empty where unknown.
     ``letters`` say where the world's axes point in a patient, and ``axes`` where the voxels' do; empty elsewhere.
-    ``bounds`` are the least and the greatest world x, y, z. ``notes`` tell what was done to the file's field.
+    ``bounds`` are the least and the greatest world x, y, z. ``notes`` tell what was done to the file's field. It is
+    step ``time`` of a series of ``times``, 0 of 1 where it is none.
     """
 
     name: str
@@ -68,6 +69,8 @@ class VolumeSchema(BaseModel):
     axes: str
     bounds: tuple[Triple, Triple]
     notes: list[str]
+    time: int
+    times: int
 
 
 class Histogram(BaseModel):

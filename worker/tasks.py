@@ -24,8 +24,8 @@ from isogi_core.cache.claims import Claims
 from isogi_core.cache.costs import Cost
 from isogi_core.cache.scene_assets import SceneAssets, receive_assets, receive_colours
 from isogi_core.errors import SceneError, StoreAwayError
+from isogi_core.files.mappings import budget
 from isogi_core.files.scene_file import FOLLOWED, SceneSource
-from isogi_core.files.voxel_file import budget
 from isogi_core.kernels._jit import entries_of, load
 from isogi_core.kernels.transport.coloured_transfer import bake_coloured_texels
 from isogi_core.kernels.transport.glow_paths import glow_in_room

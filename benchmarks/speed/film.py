@@ -1,12 +1,13 @@
 """A film beside single pictures of its frames, and beside Mitsuba's path tracer to the same error.
 
-    python -m benchmarks.speed film [SCENE.toml] [--size 128] [--frames 240] [--degrees 360] [--singles 6]
-        [--error 0.03]
+    python -m benchmarks.speed film [SCENE.toml] [--size 128] [--frames 240] [--degrees 360] [--singles 12]
+        [--alone 2] [--peers 3] [--error 0.03] [--folder DIR] [--seconds S]
 
 Runs `isogi film` for a turn of the camera on an empty store, and `isogi render` for some of its frames, evenly spread:
-each with a store of its own, and one after the other with one store. Where Mitsuba is installed, it draws the same
+one after the other with one store, and a few each with a store of its own. Where Mitsuba is installed, it draws some
 frames to the same relative error against its own converged pictures. What was not drawn is extrapolated from the mean
-of what was.
+of what was. With `--folder`, what is done is kept there, and the same command goes on with the rest; `--seconds` are
+those after which the film is stopped, to go on later: its times add up.
 """
 
 import json
@@ -15,7 +16,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -35,15 +36,24 @@ from server.parameters import FrameParams, read, view_of
 FPS, FIRST = 24, 30.0
 """Frames of a second, and the azimuth of the first."""
 
+ALONE, SHARED = "a store of its own", "one store"
+"""Where single pictures keep their light."""
 
-def isogi(*words: object) -> tuple[float, dict[str, Any]]:
-    """Wall seconds of a command, from its start to its end, and the facts that it prints."""
+
+def isogi(*words: object, most: float | None = None) -> tuple[float, dict[str, Any]]:
+    """Wall seconds of a command, and the facts that it prints; none where it is stopped after ``most`` seconds."""
     begun = time.perf_counter()
     command = [sys.executable, "-m", "server", *map(str, words), "--json"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    if done.returncode:
-        raise click.ClickException(done.stderr.strip().splitlines()[-1])
-    return time.perf_counter() - begun, json.loads(done.stdout)
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        output, complaint = process.communicate(timeout=most)
+    except subprocess.TimeoutExpired:
+        process.terminate()
+        process.communicate()
+        return time.perf_counter() - begun, {}
+    if process.returncode:
+        raise click.ClickException(complaint.strip().splitlines()[-1])
+    return time.perf_counter() - begun, json.loads(output)
 
 
 def options(size: int, error: float, workers: int) -> list[object]:
@@ -51,28 +61,35 @@ def options(size: int, error: float, workers: int) -> list[object]:
     return ["--width", size, "--height", size, "--target-error", error, "--workers", workers]
 
 
-def filmed(scene: str, folder: Path, frames: int, degrees: float, common: Sequence[object]) -> dict[str, Any]:
-    """The film, and how good it became."""
+def filmed(
+    scene: str, folder: Path, frames: int, degrees: float, common: Sequence[object], most: float | None = None
+) -> dict[str, Any]:
+    """The film, and how good it became; it is stopped after ``most`` seconds, and went on where it had been stopped."""
     length = ("--length", frames / FPS, "--fps", FPS, "--azimuth", f"{FIRST}:{FIRST + degrees}")
-    seconds, facts = isogi("film", scene, "-o", folder / "film", "--store", folder / "film-light", *length, *common)
+    places = ("-o", folder / "film", "--store", folder / "film-light")
+    seconds, facts = isogi("film", scene, *places, *length, *common, most=most)
+    before = folder / "film-seconds.txt"
+    seconds += float(before.read_text()) if before.exists() else 0.0
+    if not facts:
+        before.write_text(f"{seconds}")
+        drawn = sum(1 for _ in (folder / "film").glob("*.png"))
+        raise click.ClickException(f"The film has {drawn} of {frames} frames: run the same command again to go on.")
     told = {"final frames": facts["final"], **{f"{what} error": value for what, value in facts["error"].items()}}
     return {"film, s": seconds, "film: s a frame": seconds / frames, **{f"film: {name}": x for name, x in told.items()}}
 
 
 def single(
-    scene: str, folder: Path, azimuths: Sequence[float], frames: int, common: Sequence[object]
+    scene: str, folder: Path, azimuths: Sequence[float], frames: int, common: Sequence[object], what: str
 ) -> dict[str, Any]:
-    """Single pictures, extrapolated to all frames: each with light of its own, and all with one store."""
-    figures: dict[str, Any] = {}
-    for what, store in (("a store of its own", "{}"), ("one store", "shared")):
-        seconds = []
-        for number, azimuth in enumerate(azimuths):
-            place = folder / store.format(number)
-            spent, _ = isogi("render", scene, "-o", folder / "a.png", "--azimuth", azimuth, "--store", place, *common)
-            seconds.append(spent)
-        mean = statistics.fmean(seconds)
-        figures |= {f"single pictures, {what}: s each": mean, f"single pictures, {what}: all frames, s": frames * mean}
-    return figures
+    """Single pictures, extrapolated to all frames: ``what`` says whether each has a store of its own, or all one."""
+    seconds = []
+    for number, azimuth in enumerate(azimuths):
+        place = folder / (str(number) if what == ALONE else "shared")
+        spent, _ = isogi("render", scene, "-o", folder / "a.png", "--azimuth", azimuth, "--store", place, *common)
+        seconds.append(spent)
+    mean, name = statistics.fmean(seconds), f"single pictures, {what}"
+    drawn = {f"{name}: pictures drawn": len(seconds), f"{name}: s each": mean, f"{name}: first, s": seconds[0]}
+    return drawn | {f"{name}: all frames, s": frames * mean}
 
 
 def peer(scene: str, azimuths: Sequence[float], size: int, frames: int, error: float) -> dict[str, Any]:
@@ -89,25 +106,51 @@ def peer(scene: str, azimuths: Sequence[float], size: int, frames: int, error: f
     means = {name: cost * (1 / len(views)) for name, cost in costs.items()}
     every = {name: tracers.set_up + mean * frames for name, mean in means.items()}
     each = {f"mitsuba {name}: s a frame": mean.wall for name, mean in means.items()}
+    each["mitsuba: frames drawn"] = len(views)
     return each | {f"mitsuba {name}: all frames, s": cost.wall for name, cost in every.items()}
+
+
+def measured(scene: str, folder: Path, most: float | None, numbers: dict[str, Any]) -> dict[str, Any]:
+    """All figures, by the options of the command; those that ``folder`` keeps are not measured again."""
+    frames, degrees, error, size = (numbers[name] for name in ("frames", "degrees", "error", "size"))
+    common, book = options(size, error, numbers["workers"]), folder / "figures.json"
+
+    def turns(count: int) -> list[float]:
+        return [FIRST + degrees * n / count for n in range(count)]
+
+    steps: dict[str, Callable[[], dict[str, Any]]] = {
+        "film": lambda: filmed(scene, folder, frames, degrees, common, most),
+        SHARED: lambda: single(scene, folder, turns(numbers["singles"]), frames, common, SHARED),
+        ALONE: lambda: single(scene, folder, turns(numbers["alone"]), frames, common, ALONE),
+        "mitsuba": lambda: peer(scene, turns(numbers["peers"]), size, frames, error),
+    }
+    known: dict[str, dict[str, Any]] = json.loads(book.read_text()) if book.exists() else {}
+    for name, measure in steps.items():
+        if name not in known:
+            known[name] = measure()
+            book.write_text(json.dumps(known))
+    return {name: figure for step in steps for name, figure in known[step].items()}
 
 
 @part(size=128)
 @click.argument("target", required=False)
 @click.option("--frames", default=240, show_default=True, help="Frames of the film.")
 @click.option("--degrees", default=360.0, show_default=True, help="That the camera turns.")
-@click.option("--singles", default=6, show_default=True, help="Frames that are drawn singly.")
+@click.option("--singles", default=12, show_default=True, help="Frames that are drawn singly, with one store.")
+@click.option("--alone", default=2, show_default=True, help="Those that are drawn with a store of their own.")
+@click.option("--peers", default=3, show_default=True, help="Those that Mitsuba draws.")
 @click.option("--error", default=0.03, show_default=True, help="Relative error of each frame.")
 @click.option("--workers", default=2, show_default=True, help="Worker processes.")
-def film(
-    target: str | None, size: int, frames: int, degrees: float, singles: int, error: float, workers: int
-) -> Measurement:
+@click.option("--folder", type=click.Path(path_type=Path, file_okay=False), help="Keeps what is done, to go on.")
+@click.option("--seconds", type=click.FloatRange(1.0), help="After which the film is stopped, to go on later.")
+def film(target: str | None, folder: Path | None, seconds: float | None, **numbers: Any) -> Measurement:
     """A film of a turn, beside single pictures of its frames, and Mitsuba's."""
+    frames, size, workers = (numbers[name] for name in ("frames", "size", "workers"))
     with tempfile.TemporaryDirectory() as name:
-        folder, azimuths = Path(name), [FIRST + degrees * n / singles for n in range(singles)]
-        scene, common = target or scene_file(Path(name)), options(size, error, workers)
-        figures = filmed(scene, folder, frames, degrees, common) | single(scene, folder, azimuths, frames, common)
-        figures |= peer(scene, azimuths, size, frames, error)
+        kept = folder or Path(name)
+        kept.mkdir(parents=True, exist_ok=True)
+        scene = target or scene_file(kept)
+        figures = measured(scene, kept, seconds, numbers)
     for other in [each for each in figures if each.endswith("all frames, s")]:
         figures[f"{other.removesuffix(': all frames, s')} / film"] = float(figures[other]) / float(figures["film, s"])
     return Measurement(f"A film of {frames} frames of {Path(scene).stem}, {size} × {size}, {workers} workers", figures)

@@ -154,6 +154,14 @@ class PagePool:
                         entry.held -= 1
                         self._give_back(entry)
 
+    def transfer_at(self, slot: int, offsets: np.ndarray) -> np.ndarray:
+        """The transfer of a held chunk's texels at ``offsets`` (m,), 0 where unlit; (m, channels, columns) float32."""
+        found = np.zeros((len(offsets), *self.transfer.shape[1:]), np.float32)
+        if slot >= 0:
+            rows = self.table[slot, offsets]
+            found[rows >= 0] = self.transfer[rows[rows >= 0]]
+        return found
+
     def _allocate(self, pages: np.ndarray, keep: Collection[Index]) -> list[Entry]:
         """Allocate entries with so many ``pages`` each; where need be, drop the longest unused chunks but ``keep``."""
         total = int(pages.sum())

@@ -149,7 +149,9 @@ def send_assets(scene: Scene, store: Store) -> SceneAssets:
     colours = send_colours(scene.colours, store) if scene.colours else ""
     if str(source.document.get("volume", DEFAULT_DEMO)).startswith("demo:"):
         return SceneAssets("", tuple(files), colours=colours)
-    facts = {name: value for name, value in vars(volume.counted()).items() if name not in ("voxels", "orientation")}
+    facts = {
+        name: value for name, value in vars(volume.counted()).items() if name not in ("voxels", "orientation", "moment")
+    }
     Asset(store, f"volumes/{volume.digest}").put(volume.voxels, CHUNK, facts)
     return SceneAssets(volume.digest, tuple(files), volume.orientation, colours)
 

@@ -47,6 +47,10 @@ def _vector(row: np.ndarray) -> Vector:
     return x, y, z
 
 
+ALONE = (0, 1)
+"""The moment of what is no series in time."""
+
+
 def _nothing() -> str:
     return ""
 
@@ -59,7 +63,8 @@ class Grid:
     ``slabs`` iterates anew on each call: arrays (layers, ny, nx) that make up the whole from z = 0 on. It raises
     VolumeError where the source is damaged. ``stamp`` names the source's state, as far as sizes and times of files
     show it. ``affine`` says where voxels lie in the world, None where the source says spacing alone; ``unit`` is that
-    of lengths, empty where unknown. ``notes`` are sentences on what was done to make this field of the source.
+    of lengths, empty where unknown. ``notes`` are sentences on what was done to make this field of the source. It is
+    the ``moment`` of a series in time: which step it is, and of how many.
     """
 
     shape: Shape
@@ -70,6 +75,7 @@ class Grid:
     affine: Affine | None = None
     unit: str = ""
     notes: tuple[str, ...] = ()
+    moment: tuple[int, int] = ALONE
 
     @classmethod
     def of(cls, array: np.ndarray, spacing: Sequence[float] = (1.0, 1.0, 1.0)) -> "Grid":

@@ -4,7 +4,7 @@ import gzip
 import os
 import shutil
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import quoteattr
@@ -22,13 +22,14 @@ class LitVolume:
     """``arrays`` of points by name, (nz, ny, nx) or (nz, ny, nx, k) each, in the world.
 
     ``affine`` (3, 4) brings indices to the world, whose ``unit`` of length is empty where unknown, and which is RAS
-    in a ``patient``.
+    in a ``patient``. ``fields`` are arrays (k, n) of no points, which VTK's files alone hold.
     """
 
     arrays: dict[str, np.ndarray]
     affine: np.ndarray
     unit: str = ""
     patient: bool = False
+    fields: dict[str, np.ndarray] = field(default_factory=dict)
 
     @property
     def together(self) -> np.ndarray:
@@ -61,19 +62,21 @@ def vti_bytes(lit: LitVolume) -> bytes:
         "Spacing": _numbers(steps),
         "Direction": _numbers((affine[:, :3] / steps).ravel()),
     }
-    rows, blocks, offset = [], [], 0
-    for name, array in arrays.items():
+    rows: dict[str, str] = {}
+    blocks: list[bytes] = []
+    for name, array in (arrays | lit.fields).items():
         whole = array.dtype == np.uint8
         block = np.ascontiguousarray(array, "u1" if whole else "<f4").tobytes()
-        parts = array.shape[3] if array.ndim == 4 else 1
+        parts, count = array.shape[-1] if array.ndim in (2, 4) else 1, len(array)
         kind = f'type="{"UInt8" if whole else "Float32"}" Name={quoteattr(name)} NumberOfComponents="{parts}"'
-        rows.append(f'<DataArray {kind} format="appended" offset="{offset}"/>')
+        kind += f' NumberOfTuples="{count}"' if name in lit.fields else ""
+        rows[name] = f'<DataArray {kind} format="appended" offset="{sum(map(len, blocks))}"/>'
         blocks.append(np.array([len(block)], "<u8").tobytes() + block)
-        offset += len(blocks[-1])
     attributes = " ".join(f'{name}="{value}"' for name, value in place.items())
     kind = 'type="ImageData" version="1.0" byte_order="LittleEndian" header_type="UInt64"'
-    points = f"<PointData Scalars={quoteattr(next(iter(arrays)))}>{''.join(rows)}</PointData>"
-    piece = f'<ImageData {attributes}><Piece Extent="{extent}">{points}</Piece></ImageData>'
+    points = f"<PointData Scalars={quoteattr(next(iter(arrays)))}>{''.join(map(rows.pop, arrays))}</PointData>"
+    fields = f"<FieldData>{''.join(rows.values())}</FieldData>" if rows else ""
+    piece = f'<ImageData {attributes}>{fields}<Piece Extent="{extent}">{points}</Piece></ImageData>'
     head = f'<?xml version="1.0"?>\n<VTKFile {kind}>{piece}<AppendedData encoding="raw">_'
     return head.encode() + b"".join(blocks) + b"</AppendedData></VTKFile>\n"
 

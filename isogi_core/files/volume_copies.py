@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from isogi_core.errors import VolumeError
+from isogi_core.files.mappings import scratch
 from isogi_core.files.voxel_file import HEADER, Draft, new_voxels, read_voxels
 from isogi_core.kernels._cache_folder import locked
 from isogi_core.storage.atomic_file import write_whole
@@ -80,6 +81,11 @@ def get_file(key: str, name: str, fetch: Callable[[], bytes]) -> Path:
     with suppress(OSError):
         os.utime(path)
     return path
+
+
+def get_scratch(count: int, dtype: Any) -> np.ndarray:
+    """An array of ``count`` numbers, of any values, that lies in a file of the folder for as long as it is there."""
+    return scratch(copies_folder(), count, dtype)
 
 
 @contextmanager

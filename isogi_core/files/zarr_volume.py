@@ -11,7 +11,7 @@ import numpy as np
 import zarr
 
 from isogi_core.errors import VolumeError
-from isogi_core.files.grid import Grid, layers_of
+from isogi_core.files.grid import ALONE, Grid, layers_of
 from isogi_core.files.nrrd import MAX_VOXELS
 from isogi_core.files.zarr_location import Hierarchy, hierarchy_at
 
@@ -144,7 +144,9 @@ def open_zarr(path: Path | str, level: int | None = None, channel: int | None = 
     slabs = partial(_slabs, path, array, tuple(picks), shape)
     part = [array.path, *(pick for pick in picks if isinstance(pick, int))]
     spacing = spacing_of(found.axes, found.scale)
-    return Grid(shape, array.dtype, spacing, slabs, lambda: f"{found.among.stamp()} {part}")
+    times = dict(zip((axis.name for axis in found.axes), array.shape, strict=True)).get("t", 1)
+    moment = (time or 0, times) if times > 1 else ALONE
+    return Grid(shape, array.dtype, spacing, slabs, lambda: f"{found.among.stamp()} {part}", moment=moment)
 
 
 def find_array(path: Path | str, level: int | None) -> FoundArray:

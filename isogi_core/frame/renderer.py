@@ -373,6 +373,11 @@ class Renderer:
         key = (LobeLight, surface_key(light.view), light.view.light, light.view.moving)
         return self._kept.get(key, make).tinted(light.tint)
 
+    def lobe_radiance(self, frame: Frame) -> np.ndarray:
+        """What comes straight from lobes to a frame's surface points, linear RGB; (m, 3) float32."""
+        light = self._light(frame.view)
+        return np.asarray(np.float32(light.spec.unit) * self.lobes(light, frame.gbuffer).lit[:, :3])
+
     def forget_views(self) -> None:
         """Keep nothing of views, as if every one were new."""
         self._kept.clear()

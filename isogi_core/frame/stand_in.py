@@ -1,4 +1,4 @@
-"""Light that stands in: what is cut open shows the whole volume's light where it has none of its own yet."""
+"""Light that stands in where there is none yet: the whole volume's for what is cut open, another time's in a series."""
 
 import hashlib
 import weakref
@@ -21,7 +21,10 @@ REACH = 2.5
 
 
 class StandIn:
-    """The light of a whole volume for views of one that is cut: of those texels that are far from its faces."""
+    """The light of a whole volume for views of one that is cut: of those texels that are far from its faces.
+
+    So of another step of a series in time, nothing of which is cut.
+    """
 
     def __init__(self, whole: Caches, left: Ranges) -> None:
         """``whole`` are the caches of the whole volume, of which the voxels that are ``left`` are shown.

@@ -42,7 +42,8 @@ class Volume:
     outliers, and ``steps`` how many values of that range the source's type can distinguish. ``holes`` is the number of
     voxels that are NaN, ``digest`` a hex digest of everything that light depends on. ``counts`` are those of the
     ``histogram`` and ``span`` is the ``core_span``, where they were kept. ``orientation`` says where the box lies in
-    the world; light does not depend on it, but on where the world's lights are in the box.
+    the world; light does not depend on it, but on where the world's lights are in the box. It is the ``moment`` of a
+    series in time: which step it is, and of how many.
     """
 
     voxels: np.ndarray
@@ -60,6 +61,7 @@ class Volume:
     counts: tuple[int, ...] = ()
     span: tuple[float, ...] = ()
     orientation: Orientation = PLAIN
+    moment: tuple[int, int] = (0, 1)
 
     @property
     def shape(self) -> tuple[int, int, int]:

@@ -13,6 +13,7 @@ from weakref import WeakValueDictionary
 import numpy as np
 
 from isogi_core.errors import LightError, SceneError
+from isogi_core.files.formats.opening import split_part
 from isogi_core.files.radiance import read_hdr
 from isogi_core.files.scene_file import DEFAULT_DEMO, FOLLOWED, SceneSource, Settings, find_source
 from isogi_core.kernels.shading.lattice import CHUNK
@@ -229,6 +230,23 @@ def cut_open(scene: Scene, cut: str, name: str, volume: Volume | None = None) ->
     bare = {key: value for key, value in document.items() if key not in FOLLOWED}
     left = volume or cut_away(scene.volume, cut)
     other = build_scene(replace(scene.source, document=bare), volume=left, colours=scene.colours)
+    return replace(other, id=name, source=replace(scene.source, document=document))
+
+
+def at_time(scene: Scene, time: int, name: str, volume: Volume | None = None) -> Scene:
+    """The same scene of another step of its series in time, by another id, ``name``; of a ``volume`` where it is open.
+
+    Raises SceneError where there is no such step, and VolumeError.
+    """
+    steps = scene.volume.moment[1]
+    if not 0 <= time < steps:
+        last = f"is one of {steps} steps, 0 to {steps - 1}" if steps > 1 else "is no series in time: leave time out"
+        raise SceneError(f"time = {time}: the volume '{scene.volume.name}' {last}.")
+    place, chosen = split_part(str(scene.source.document["volume"]))
+    rest = "&".join(value if key == "part" else f"{key}={value}" for key, value in chosen.items() if key != "time")
+    document = {**scene.source.document, "volume": f"{place}#{rest}" if rest else place, "time": time}
+    bare = {key: value for key, value in document.items() if volume is None or key not in FOLLOWED}
+    other = build_scene(replace(scene.source, document=bare), volume=volume, colours=scene.colours if volume else None)
     return replace(other, id=name, source=replace(scene.source, document=document))
 
 

@@ -10,9 +10,9 @@ import numpy as np
 
 from isogi_core.errors import SceneError, VolumeError
 from isogi_core.files.grid import Grid
+from isogi_core.files.mappings import budget
 from isogi_core.files.right_angles import on_right_angles
 from isogi_core.files.scene_file import DEFAULT_DEMO, SceneSource, Settings, is_number
-from isogi_core.files.voxel_file import budget
 from isogi_core.kernels.transport.colours import sample_layer, slope_layer
 from isogi_core.model.colours import MAPS, MOST, VALUES, Colour, Scale, SurfaceColours, spread, table_of
 from isogi_core.model.volume import Isovalue, Volume

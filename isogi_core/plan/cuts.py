@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 
 from isogi_core.errors import SceneError, ViewError
+from isogi_core.files.mappings import OWN, budget
 from isogi_core.files.volume_copies import get_copy
-from isogi_core.files.voxel_file import OWN, Draft, budget
+from isogi_core.files.voxel_file import Draft
 from isogi_core.model.volume import Volume
 from isogi_core.model.window import Plane, read_window
 
@@ -51,7 +52,7 @@ def cut_away(volume: Volume, text: str) -> Volume:
     def write(draft: Draft) -> dict[str, Any]:
         for plane in (plane for slab in slabs_left(volume, left) for plane in slab):
             draft.write(plane)
-        facts = {name: value for name, value in vars(known).items() if name not in ("voxels", "orientation")}
+        facts = {name: value for name, value in vars(known).items() if name not in ("voxels", "orientation", "moment")}
         draft.seal(volume.shape, facts)
         return facts
 

@@ -10,8 +10,8 @@ import numpy as np
 
 from isogi_core.errors import SceneError, VolumeError
 from isogi_core.files.grid import Grid, layers_of
+from isogi_core.files.mappings import budget
 from isogi_core.files.scene_file import SceneSource, Settings
-from isogi_core.files.voxel_file import budget
 from isogi_core.model.colours import Colour, Label, linear_of
 from isogi_core.model.value_survey import check
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from isogi_core.errors import SceneError, VolumeError
 from isogi_core.files.grid import Grid
+from isogi_core.files.mappings import budget
 from isogi_core.files.scene_file import SceneSource, Settings
-from isogi_core.files.voxel_file import budget
 from isogi_core.model.value_survey import check, survey
 
 MOST = 8

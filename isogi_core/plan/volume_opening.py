@@ -12,10 +12,11 @@ import numpy as np
 from isogi_core.errors import SceneError, VolumeError
 from isogi_core.files.formats.opening import open_file, split_part
 from isogi_core.files.grid import Grid
+from isogi_core.files.mappings import OWN, budget
 from isogi_core.files.right_angles import on_right_angles
 from isogi_core.files.scene_file import DEFAULT_DEMO, Settings, is_zarr, name_of
 from isogi_core.files.volume_copies import get_copy
-from isogi_core.files.voxel_file import OWN, Draft, budget
+from isogi_core.files.voxel_file import Draft
 from isogi_core.model.demo import DEMOS, demo_volume
 from isogi_core.model.orientation import Orientation
 from isogi_core.model.value_survey import Progress, check, checked_spacing, no_progress, survey
@@ -50,6 +51,7 @@ def open_volume(settings: Settings, base: Path, progress: Progress = no_progress
     tables, labels = read_tables(settings), find_labels(settings)
     if not name.startswith("demo:"):
         grid, stem = open_grid(base, name, chosen, raw)
+        moment = grid.moment
         if labels is not None:
             grid = solid_of_labels(grid, labels, settings)
         straight = on_right_angles(grid, spacing)
@@ -58,7 +60,7 @@ def open_volume(settings: Settings, base: Path, progress: Progress = no_progress
         masks = [place(table, open_grid(base, table.file, {}, raw)[0], grid, straight) for table in tables]
         straight = cut_out(straight, masks, solid, missing) if masks else straight
         volume = volume_of(straight, solid, stem, missing, progress)
-        return replace(volume, orientation=Orientation.of(straight))
+        return replace(volume, orientation=Orientation.of(straight), moment=moment)
     if name.removeprefix("demo:") not in DEMOS:
         raise VolumeError(f"There is no {name}: choose one of {', '.join('demo:' + key for key in DEMOS)}.")
     if spacing or missing or chosen or raw or tables or labels is not None or solid != "above":
@@ -83,12 +85,12 @@ def _open_placed(base: Path, name: str, chosen: dict[str, int]) -> tuple[Grid, s
     if isinstance(place, str) or is_zarr(place):
         from isogi_core.files.zarr_volume import open_zarr  # noqa: PLC0415 (loads Zarr, which NRRD does not need)
 
-        wanted = {key: str(value) for key, value in {**chosen, **inside}.items()}
+        wanted = {key: str(value) for key, value in {**inside, **chosen}.items()}
         wrong = next((key for key, value in wanted.items() if key not in ZARR or not value.isdecimal()), None)
         if wrong is not None:
             raise SceneError(f"{wrong} = {wanted[wrong]} chooses nothing in '{named}': give {' or '.join(ZARR)}.")
         return open_zarr(place, **{key: int(value) for key, value in wanted.items()}), name_of(Path(place))
-    return open_file(place, {**chosen, **inside}), stem_of(place, inside)
+    return open_file(place, {**inside, **chosen}), stem_of(place, inside)
 
 
 def stem_of(path: Path, inside: dict[str, str]) -> str:

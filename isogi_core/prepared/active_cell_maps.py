@@ -7,6 +7,8 @@ from itertools import chain, pairwise
 
 import numpy as np
 
+from isogi_core.files.mappings import OWN, budget
+from isogi_core.files.volume_copies import get_scratch
 from isogi_core.kernels.tracing.active_cells import ActiveCells, block_ranges, brick_shape, make_active_cells
 from isogi_core.lru_cache import OVERHEAD, LruCache
 from isogi_core.model.value_survey import sample_values
@@ -72,10 +74,14 @@ class ActiveCellMaps:
     """
 
     def __init__(self, voxels: np.ndarray, most: int = KEPT) -> None:
-        """Find the ranges of the ``voxels``' blocks; keep maps of at most ``most`` bytes."""
+        """Find the ranges of the ``voxels``' blocks; keep maps of at most ``most`` bytes.
+
+        Maps that are large beside the budget of voxels lie in files, as voxels do.
+        """
         self._voxels = voxels
-        self._ranges = block_ranges(voxels)
         self._bricks = math.prod(brick_shape(voxels.shape))
+        self._take = np.empty if USUAL * self._bricks <= OWN * budget() else get_scratch
+        self._ranges = block_ranges(voxels, take=self._take)
         self.levels = find_levels(voxels)
         self._kept: LruCache[tuple[int, int]] = LruCache(most)
         self._most, self._sizes, self._lock = most, dict[tuple[int, int], int](), threading.Lock()
@@ -124,7 +130,7 @@ class ActiveCellMaps:
         """The map from one level to another."""
         ends = float(self.levels[first]), float(self.levels[last])
         self._kept.make_room(USUAL * self._bricks)
-        made = make_active_cells(self._voxels, self._ranges, *ends, partial(run, size=LAYERS))
+        made = make_active_cells(self._voxels, self._ranges, *ends, partial(run, size=LAYERS), self._take)
         with self._lock:
             self._sizes[first, last] = made.nbytes
             self._widen()

@@ -19,7 +19,8 @@ from isogi_core.plan.scene import Scene
 from server.api.prewarm_jobs import Prewarm, stand_back, to_its_end
 from server.api.service import Service
 from server.export_parameters import ExportParams
-from server.exports.kinds import MESHES, expected_bytes, write_mesh, write_volume
+from server.exports.coefficients import coefficient_count
+from server.exports.kinds import MESHES, check_coefficients, expected_bytes, write_mesh, write_volume
 from server.exports.lighting import check_lattice, lit_mesh, lit_volume, lit_voxels, no_surface, surface_mesh
 from server.parameters import view_of
 from server.prewarm.order import PrewarmOrder, order_of
@@ -43,6 +44,8 @@ def begin(service: Service, scene: Scene, params: ExportParams, owner: str = "")
     view = view_of(scene, params.view, service.settings)
     if f".{params.f}" in WRITERS:
         check_lattice(scene)
+    if params.coefficients == "on":
+        check_coefficients(scene, f".{params.f}")
     export = Export(service, scene, params, view, owner)
     return service.jobs.begin("export", f"An export of {own_name(scene.id)}", export.work, owner=owner)
 
@@ -90,6 +93,10 @@ class Export:
     def _suffix(self) -> str:
         return f".{self.params.f}"
 
+    @property
+    def _coefficients(self) -> bool:
+        return self.params.coefficients == "on"
+
     def _order(self) -> PrewarmOrder:
         params = self.params
         asked = {"target_error": params.max_error, "deadline": params.deadline}
@@ -102,8 +109,9 @@ class Export:
 
     def _check(self) -> int:
         """About the file's bytes. Raises FullError where that is too large, and ViewError where there is no surface."""
-        prepared = self.service.engine.renderer(self.scene.id).prepared
-        needed = expected_bytes(prepared, self.view.isovalue, self._suffix)
+        renderer = self.service.engine.renderer(self.scene.id)
+        numbers = coefficient_count(renderer.caches.spec(self.view.shading)) if self._coefficients else 0
+        needed = expected_bytes(renderer.prepared, self.view.isovalue, self._suffix, numbers)
         if not needed:
             raise no_surface(self.view.isovalue)
         self.service.exports.check(needed)
@@ -121,4 +129,5 @@ class Export:
                 write_mesh(output, lit_mesh(renderer, view, mesh, exposure, report))
             else:
                 voxels = lit_voxels(renderer, [(view.isovalue, view.isovalue)])
-                write_volume(output, lit_volume(renderer, view, voxels, exposure, report))
+                lit = lit_volume(renderer, view, voxels, exposure, report, self._coefficients)
+                write_volume(output, lit)

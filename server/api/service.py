@@ -26,7 +26,7 @@ from server.api.shown import PictureRequest, Shown, Wait
 from server.bearers import Bearer, bearer_of
 from server.errors import BusyError, ForbiddenError, StartingError, UnknownJobError, UnknownSceneError
 from server.exports.folder import ExportFolder
-from server.parameters import ViewParams, view_of
+from server.parameters import LightParams, VariantParams, ViewParams, view_of
 from server.render.engine import RenderEngine
 from server.render.jobs import Job, Jobs
 from server.render.scheduling import ASKED, DRAFT, REFINED, REST, AdmissionLimit, Rank
@@ -154,14 +154,15 @@ class Service:
             raise UnknownSceneError(f"There is no scene '{name[:64]}': /v1/scenes lists them all.")
         return scene
 
-    async def variant(self, scene: Scene, environment: str | None, cut: str | None = None) -> Scene:
-        """The scene in the light of an environment by its name or id, and with a ``cut``; itself where both are None.
+    async def variant(self, scene: Scene, params: LightParams) -> Scene:
+        """The scene in the light, with the cut and at the time that the parameters ask for; itself where they do not.
 
         Raises ParameterError where there is no such, and StartingError until the engine is up.
         """
-        if environment is not None or cut is not None:
+        cut, time = (params.cut, params.time) if isinstance(params, VariantParams) else (None, None)
+        if any(each is not None for each in (params.environment, cut, time)):
             self._check_started()
-        return await self.variants.of(scene, environment, cut)
+        return await self.variants.of(scene, params.environment, cut, time)
 
     def _check_started(self) -> None:
         if not self.settled.is_set() or self.failure:

@@ -229,7 +229,7 @@ class Session:
         """Answer a view request, or send what is wrong with it."""
         try:
             form = format_for(params, None)
-            self._lit = await self._service.variant(self._scene, params.environment, params.cut)
+            self._lit = await self._service.variant(self._scene, params)
             picture = self._service.picture_of(self._lit, smoothed(params, form))
             await (
                 self._draft(request, params, picture) if request.moving else self._rest(request, params, picture, form)

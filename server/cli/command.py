@@ -236,6 +236,7 @@ def inspect(target: str, picture: Path | None, as_json: bool) -> None:
 @options({name: GRID_OPTIONS[name] for name in ("albedo", "yaw", "pitch", "roll", "light")})
 @click.option("--exposure", callback=number(1e-36, 1e36), help="Factor on radiance; default: the scene's.")
 @click.option("--target-error", help="Relative error at which light is final.")
+@click.option("--coefficients", is_flag=True, help="Harmonics of the light too, into a .vti: see docs/export.md.")
 @options(WORK_OPTIONS)
 @AS_JSON
 def export(
@@ -244,6 +245,7 @@ def export(
     isovalues: tuple[str, ...],
     exposure: float | None,
     target_error: str | None,
+    coefficients: bool,
     as_json: bool,
     **given: Any,
 ) -> None:
@@ -254,7 +256,7 @@ def export(
     """
     settings, work = settings_from(**{name: given.pop(name) for name in WORK_OPTIONS}), module_of("export")
     knobs = {name: value for name, value in given.items() if value is not None}
-    wishes = work.Wishes(output, isovalues, target_error, exposure)
+    wishes = work.Wishes(output, isovalues, target_error, exposure, coefficients)
     show(work.export(scene, wishes, knobs, settings), work.exported, as_json)
 
 

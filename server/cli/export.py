@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from isogi_core.prepared.prepared_scene import PreparedScene
 from server.cli.prewarm import order_of, prewarm_scene
 from server.cli.publish import values_in
 from server.errors import ParameterError
-from server.exports.kinds import MESHES, checked_suffix, suffix_of, write_mesh, write_volume
+from server.exports.kinds import MESHES, check_coefficients, checked_suffix, suffix_of, write_mesh, write_volume
 from server.exports.lighting import check_lattice, lit_mesh, lit_volume, lit_voxels, surface_mesh
 from server.parameters import ANGLES, ViewParams, read, view_of
 from server.prewarm.order import Levels, levels_of
@@ -30,12 +31,13 @@ MOST_TURNS = 1000
 
 @dataclass(frozen=True)
 class Wishes:
-    """What is to be written: the file, isovalues as for a prewarm, and when light is good enough."""
+    """What is to be written: the file, isovalues as for a prewarm, when light is good enough, and its coefficients."""
 
     output: Path
     isovalues: tuple[str, ...]
     target_error: str | None
     exposure: float | None
+    coefficients: bool = False
 
 
 def export(target: str, wishes: Wishes, knobs: Mapping[str, str], settings: Settings) -> dict[str, Any]:
@@ -45,10 +47,12 @@ def export(target: str, wishes: Wishes, knobs: Mapping[str, str], settings: Sett
     OSError later.
     """
     suffix = checked_suffix(wishes.output)
-    still = suffix in WRITERS and not knobs.keys() & {*ANGLES, "light"}
+    still = suffix in WRITERS and not knobs.keys() & {*ANGLES, "light"} and not wishes.coefficients
     scene = open_scene(target, settings, **({"rotating": False} if still else {}))
     files = files_of(wishes.output, knobs)
     check_levels(scene, wishes, files)
+    if wishes.coefficients:
+        check_coefficients(scene, suffix)
     isovalues = wishes.isovalues or (f"{scene.isovalue!r}",)
     levels = levels_of(isovalues).found_in(scene)
     places = {path: read(ViewParams, {**turn, "isovalue": levels.spans[0][0]}.items()) for path, turn in files.items()}
@@ -57,7 +61,7 @@ def export(target: str, wishes: Wishes, knobs: Mapping[str, str], settings: Sett
     summary = prewarm_scene(scene, order_of({name: given for name, given in order.items() if given}), settings)
     renderer = Renderer(Caches(PreparedScene(scene), root_of(settings), settings.memory_mb << 20), Tiles())
     exposure = scene.default_exposure if wishes.exposure is None else wishes.exposure
-    write = write_meshes if suffix in MESHES else write_volumes
+    write = write_meshes if suffix in MESHES else partial(write_volumes, coefficients=wishes.coefficients)
     facts = write(renderer, views, levels, exposure)
     baked = {"final": summary.final, "error": summary.error, "target_error": summary.target_error}
     about = {"file": str(wishes.output), "files": [str(path) for path in views], "scene": scene.name}
@@ -103,12 +107,17 @@ def write_meshes(renderer: Renderer, views: Mapping[Path, View], _: Levels, expo
     return {"isovalue": isovalue, "vertices": len(mesh.vertices), "triangles": 2 * len(mesh.quads)}
 
 
-def write_volumes(renderer: Renderer, views: Mapping[Path, View], levels: Levels, exposure: float) -> dict[str, Any]:
-    """Write values and light at all voxels, a file for each view; light is zero where no isosurface reads it."""
+def write_volumes(
+    renderer: Renderer, views: Mapping[Path, View], levels: Levels, exposure: float, coefficients: bool
+) -> dict[str, Any]:
+    """Write values and light at all voxels, a file for each view; light is zero where no isosurface reads it.
+
+    With the ``coefficients`` of that light, where they are asked for.
+    """
     voxels = lit_voxels(renderer, levels.spans)
     for output, view in views.items():
         with Progress(f"lighting {output.name}", "point") as bar:
-            lit = lit_volume(renderer, view, voxels, exposure, bar.show)
+            lit = lit_volume(renderer, view, voxels, exposure, bar.show, coefficients)
         write_volume(output, lit)
     return {"isovalues": [list(span) for span in levels.spans], "texels": len(voxels)}
 

@@ -91,8 +91,8 @@ def keyframes(wishes: Wishes) -> list[dict[str, str]]:
 
 
 def variant_of(target: str, views: Sequence[Mapping[str, str]]) -> str:
-    """The same target in the environment, and with the cut, that all views name, if they do."""
-    for key in ("environment", "cut"):
+    """The same target in the environment, with the cut and at the time that all views name, if they do."""
+    for key in ("environment", "cut", "time"):
         named = {view.get(key, "") for view in views}
         if len(named) == 1 and named != {""}:
             target += f"{'&' if '#' in target else '#'}{key}={quote(named.pop())}"

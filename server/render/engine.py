@@ -34,7 +34,7 @@ from server.render.loaded_scene import LoadedScene, load
 from server.render.loaded_scenes import LoadedScenes
 from server.render.picture_checks import CHECK, PictureChecks
 from server.render.resources import shared, whereabouts
-from server.render.variants import is_cut, own_name, whole_name
+from server.render.variants import is_cut, own_name, same_series, whole_name
 from server.render.workforce import Workforce
 from worker.bake_requests import GUEST, Viewer
 from worker.baker import Bake, Baker, Listener
@@ -362,7 +362,8 @@ class RenderEngine:
         """Load a scene; the former scenes may be iterated over meanwhile. Raises StoreError."""
         kin = [name for name, each in self.scenes.items() if each.volume is scene.volume]
         beside = next(filter(None, map(self._loaded.held, kin)), None)
-        whole = self._loaded.held(whole_name(scene.id)) if is_cut(scene.id) else None
+        series = [name for name in self.scenes if same_series(name, scene)]
+        whole = self._loaded.held(whole_name(scene.id)) if is_cut(scene.id) else self._loaded.latest(series)
         send = self.workforce.joins
         loaded = load(scene, self.store, self._tiles, self._memory, send=send, beside=beside, whole=whole)
         bakes = [self._bake_by(loaded, spec) for spec in SPECS]

@@ -236,13 +236,15 @@ def load(
     """Prepare a scene and open its layers in a ``store``; ``send`` puts its assets there. Raises StoreError.
 
     One that is loaded ``beside`` another, of the same volume, shares what that has worked out of the voxels. The light
-    of a ``whole`` stands in for that of one that is cut.
+    of a ``whole`` stands in for that of one that is cut, or of another time.
     """
     prepared = beside.renderer.prepared.beside(scene) if beside else PreparedScene(scene, memory.maps)
     caches = Caches(prepared, store, memory.light)
     stand_in = None
     if whole is not None:
-        left = voxels_left(whole.scene.volume, str(scene.source.document["cut"]))
+        cut = scene.source.document.get("cut") if scene.volume.moment == whole.scene.volume.moment else None
+        x, y, z = scene.volume.size
+        left = voxels_left(whole.scene.volume, str(cut)) if cut else (range(x), range(y), range(z))
         stand_in = StandIn(whole.renderer.caches, left)
     return loaded(caches, tiles, memory, sent(scene, store) if send else None, stand_in=stand_in)
 

@@ -2,7 +2,7 @@
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 from isogi_core.allocation import give_memory_back
 from isogi_core.lru_cache import LruCache
@@ -38,6 +38,13 @@ class LoadedScenes:
     def held(self, scene: str) -> LoadedScene | None:
         """A scene where it is loaded."""
         return self._kept.held(scene)
+
+    def latest(self, scenes: Iterable[str]) -> LoadedScene | None:
+        """That of some scenes which was looked at last, where any is loaded."""
+        with self._lock:
+            looked = [scene for scene in scenes if scene in self._looked]
+            last = max(looked, key=self._looked.__getitem__, default=None)
+        return None if last is None else self.held(last)
 
     def settle(self) -> None:
         """Drop those looked at longest ago until the rest fits: they grow as they are looked at."""

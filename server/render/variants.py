@@ -1,8 +1,8 @@
-"""Variants: an engine's scenes in other light, or cut open, each made when a view first asks for it.
+"""Variants: an engine's scenes in other light, at other times, or cut open, each made when a view first asks for it.
 
 A variant is a scene like any other: it has a plan, and its layers are those that it needs. Transfer does not depend on
 the environment, so variants in other light read and bake the same layers where their plans are of one kind. What is cut
-open is another volume, which those in other light share.
+open is another volume, which those in other light share; so is another step of a series in time.
 """
 
 import asyncio
@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from isogi_core.errors import LightError, SceneError, VolumeError
 from isogi_core.model.lights import ENVIRONMENTS
 from isogi_core.model.window import read_window
-from isogi_core.plan.assembly import cut_open, under
+from isogi_core.plan.assembly import at_time, cut_open, under
 from isogi_core.plan.cuts import cut_digest
 from isogi_core.plan.scene import Scene
 from server.errors import ParameterError
@@ -27,11 +27,17 @@ if TYPE_CHECKING:
 MARK = "@"
 """Between a scene's id and what a variant is named by; ids of scenes have none."""
 
+STEP = "+"
+"""Between the environment that a variant is named by, and its step in time."""
+
 MOST = 64
 """Variants that an engine has at a time: those asked for last."""
 
 MOST_CUTS = 4
 """Those of them that are cut open: each has voxels of its own."""
+
+MOST_STEPS = 2
+"""Those of them at other times than their scene's: so many steps' voxels are in memory besides the scene's own."""
 
 
 Place = Callable[[str], str | None]
@@ -43,9 +49,9 @@ def own_name(scene: str) -> str:
     return scene.partition(MARK)[0]
 
 
-def variant_name(scene: str, environment: str | None, cut: str | None) -> str:
-    """The id of the variant of a ``scene`` in an environment and with a cut, of which one at least is given."""
-    lit = f"{scene}{MARK}{environment or ''}"
+def variant_name(scene: str, environment: str | None, cut: str | None, time: int | None = None) -> str:
+    """The id of the variant of a ``scene`` in an environment, with a cut and at a time, of which one is given."""
+    lit = f"{scene}{MARK}{environment or ''}{'' if time is None else f'{STEP}{time}'}"
     if cut is None:
         return lit
     return f"{lit}{MARK}{hashlib.blake2b(repr(read_window(cut)).encode(), digest_size=6).hexdigest()}"
@@ -54,6 +60,18 @@ def variant_name(scene: str, environment: str | None, cut: str | None) -> str:
 def is_cut(variant: str) -> bool:
     """Whether the variant with this id is cut open."""
     return variant.count(MARK) > 1
+
+
+def step_of(variant: str) -> str:
+    """The step in time of the variant with this id, empty where it is its scene's own."""
+    return variant.partition(MARK)[2].partition(MARK)[0].partition(STEP)[2]
+
+
+def same_series(other: str, scene: Scene) -> bool:
+    """Whether the ``other`` scene, by its id, differs from a ``scene`` in its step in time; neither is cut open."""
+    lit = [(own_name(each), each.partition(MARK)[2].partition(STEP)[0]) for each in (other, scene.id)]
+    differ = other != scene.id and scene.volume.moment[1] > 1
+    return differ and lit[0] == lit[1] and not is_cut(other) and not is_cut(scene.id)
 
 
 def whole_name(variant: str) -> str:
@@ -74,22 +92,23 @@ class Variants:
         self._asked: OrderedDict[str, None] = OrderedDict()
         self._making, self._lock = threading.Lock(), threading.Lock()
 
-    async def of(self, scene: Scene, environment: str | None, cut: str | None = None) -> Scene:
-        """The scene in the environment of this name, or id, and with a ``cut``; itself where neither is given.
+    async def of(self, scene: Scene, environment: str | None, cut: str | None = None, time: int | None = None) -> Scene:
+        """The scene in the environment of this name, or id, with a ``cut`` and at a ``time``; itself without these.
 
         It is made off the event loop where there is none yet. Raises ParameterError where there is no such environment,
         and as ``make`` does.
         """
-        if environment is None and cut is None:
+        time = None if time == scene.volume.moment[0] else time
+        if environment is None and cut is None and time is None:
             return scene
         place = None if environment is None else self._place(environment)
         if place is None and environment is not None:
             names = ", ".join(ENVIRONMENTS)
             sentence = f"environment must be one of {names}, or the id of one that was uploaded, not"
             raise ParameterError(f"{sentence} {shown(environment)}.", "environment")
-        name = variant_name(scene.id, environment, cut)
+        name = variant_name(scene.id, environment, cut, time)
         known = self.known(name)
-        return known if known is not None else await asyncio.to_thread(self.make, scene, name, place, cut)
+        return known if known is not None else await asyncio.to_thread(self.make, scene, name, place, cut, time)
 
     def known(self, name: str) -> Scene | None:
         """The variant of this id, where there is one already; never waits long."""
@@ -100,8 +119,10 @@ class Variants:
                 self._asked.move_to_end(known.id)
         return known
 
-    def make(self, scene: Scene, name: str, environment: str | None, cut: str | None = None) -> Scene:
-        """The scene in an ``environment``, as scene files name it, and with a ``cut``; ``name`` is its id.
+    def make(
+        self, scene: Scene, name: str, environment: str | None, cut: str | None = None, time: int | None = None
+    ) -> Scene:
+        """The scene in an ``environment``, as scene files name it, with a ``cut``, at a ``time``; ``name`` is its id.
 
         Raises ParameterError where the scene's own choices do not fit that light, its file is damaged, or the volume
         cannot be cut so.
@@ -109,7 +130,8 @@ class Variants:
         with self._making:
             if (known := self.known(name)) is not None:
                 return known
-            made = scene if environment is None else self._lit(scene, name, environment)
+            made = scene if time is None else self._at(scene, name, time)
+            made = made if environment is None else self._lit(made, name, environment)
             made = made if cut is None else self._cut(made, name, cut)
             self._engine.admit(made)
         self.known(name)
@@ -122,11 +144,23 @@ class Variants:
         with self._lock:
             cuts = [each for each in self._asked if is_cut(each)]
             old = cuts[: max(len(cuts) - self._most_cuts, 0)]
+            steps = list(dict.fromkeys((own_name(each), step_of(each)) for each in reversed(self._asked)))
+            late = [each for each in steps if each[1]][MOST_STEPS:]
+            old += [each for each in self._asked if each not in old and (own_name(each), step_of(each)) in late]
             rest = [each for each in self._asked if each not in old]
             old += rest[: max(len(rest) - self._most, 0)]
             for each in old:
                 del self._asked[each]
         return old
+
+    def _at(self, scene: Scene, name: str, time: int) -> Scene:
+        """The scene at another time, with the voxels of a variant that has them already."""
+        kin = [each for each in list(self._engine.scenes.values()) if own_name(each.id) == scene.id]
+        step = next((each.volume for each in kin if step_of(each.id) == str(time) and not is_cut(each.id)), None)
+        try:
+            return at_time(scene, time, name, step)
+        except (SceneError, VolumeError) as error:
+            raise ParameterError(str(error), "time") from None
 
     @staticmethod
     def _lit(scene: Scene, name: str, environment: str) -> Scene:

@@ -135,9 +135,13 @@ def test_points_tell_of_texels_and_of_pixels() -> None:
 
 
 @pytest.mark.campaign
-def test_film(small_scene: Path) -> None:
-    small = ("--frames", "3", "--degrees", "6", "--singles", "1", "--size", "16", "--workers", "1", "--error", "0.5")
-    found = figures(film, str(small_scene), *small)
+def test_film(small_scene: Path, tmp_path: Path) -> None:
+    small = ("--frames", "3", "--degrees", "6", "--singles", "2", "--alone", "1", "--size", "16", "--workers", "1")
+    kept = (*small, "--error", "0.5", "--folder", str(tmp_path))
+    with pytest.raises(AssertionError, match="run the same command again"):
+        figures(film, str(small_scene), *kept, "--seconds", "1")
+    found = figures(film, str(small_scene), *kept)
+    assert figures(film, str(small_scene), *kept) == found, "what is kept is not measured again"
     assert found["film: final frames"] == 1.0 and found["mitsuba"] == "not installed"
     assert 0.0 <= found["film: median error"] <= found["film: worst error"] <= 0.5
     for store in ("a store of its own", "one store"):

@@ -12,16 +12,18 @@ from isogi_core.files.voxel_file import new_voxels
 SCRIPT = """
 import sys, time
 from pathlib import Path
-from isogi_core.files.voxel_file import file_bytes
+from isogi_core.files.mappings import file_bytes
 from isogi_core.files.voxel_file import read_voxels
 import numpy as np
+from isogi_core.kernels._pages import bound_pages
+getattr(bound_pages, "ready", None)  # libraries are loaded
 before = file_bytes()
 voxels, _ = read_voxels(Path(sys.argv[1]))
 first = float(voxels.sum(dtype=np.float64))
 deadline = time.monotonic() + 60
-while file_bytes() - before > 17 << 20 and time.monotonic() < deadline:
+while file_bytes() - before > 24 << 20 and time.monotonic() < deadline:
     time.sleep(0.01)
-assert file_bytes() - before <= 17 << 20, file_bytes() - before
+assert file_bytes() - before <= 24 << 20, file_bytes() - before
 assert float(voxels.sum(dtype=np.float64)) == first
 voxels[0, 0, :8] += 1.0  # is of this process alone
 print(first)

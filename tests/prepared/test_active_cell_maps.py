@@ -2,6 +2,7 @@
 
 import threading
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -25,9 +26,11 @@ def made(monkeypatch: pytest.MonkeyPatch) -> list[tuple[float, float]]:
     """The ranges that maps are made for."""
     made = []
 
-    def counted(voxels: np.ndarray, ranges: object, lowest: float, highest: float, run: object) -> ActiveCells:
+    def counted(
+        voxels: np.ndarray, ranges: object, lowest: float, highest: float, run: object, take: object
+    ) -> ActiveCells:
         made.append((lowest, highest))
-        return make_active_cells(voxels, ranges, lowest, highest, run)
+        return make_active_cells(voxels, ranges, lowest, highest, run, take)
 
     monkeypatch.setattr(module, "make_active_cells", counted)
     return made
@@ -153,3 +156,16 @@ def test_groups_stay_narrow_where_few_are_asked_for(made: list[tuple[float, floa
     assert [ask(maps, isovalues) for _ in range(3)] == [3, 3, 3]
     assert len(made) == 3
     assert all(high - low == 2 * STEP for low, high in made)
+
+
+def test_maps_that_are_large_beside_the_budget_lie_in_files(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    voxels = np.random.default_rng(4).random((260, 257, 258), np.float32)
+    inside = ActiveCellMaps(voxels).at(Isovalue(np.float64(0.97)))
+    monkeypatch.setenv("ISOGI_VOLUME_MB", "1")
+    monkeypatch.setenv("ISOGI_VOLUME_CACHE", str(tmp_path))
+    outside = ActiveCellMaps(voxels).at(Isovalue(np.float64(0.97)))
+    for name in ("tops", "cells"):
+        one, other = getattr(inside, name), getattr(outside, name)
+        np.testing.assert_array_equal(one, other)
+        assert one.base is None and other.base is not None
+    np.testing.assert_array_equal(inside.margins, outside.margins)

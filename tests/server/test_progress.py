@@ -10,8 +10,8 @@ import nrrd
 import numpy as np
 import pytest
 
+from isogi_core.files.mappings import budget
 from isogi_core.files.volume_copies import copies_folder, most_bytes
-from isogi_core.files.voxel_file import budget
 from server import progress
 from server.progress import Pieces, Progress, open_scene
 from server.settings import Settings

@@ -27,6 +27,7 @@
  * @property {number} [roughness]
  * @property {number} [strength]
  * @property {number} [glow] where something glows
+ * @property {number} [time] where the volume is a step of a series in time
  * @property {string} [shading]
  * @property {string} [projection] of the camera
  */
@@ -69,6 +70,8 @@
  * @property {string} axes where the voxels' axes point in a patient
  * @property {[Vec3, Vec3]} bounds the least and the greatest world coordinates
  * @property {string[]} notes what was done to the file's field
+ * @property {number} [time] its step in a series of `times`
+ * @property {number} [times]
  */
 
 /**

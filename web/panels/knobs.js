@@ -47,7 +47,7 @@ export function attachKnobs(form, scene, view) {
  * @param {number} max
  */
 export function setLimits(input, min, max) {
-  Object.assign(input, { min, max, step: niceStep(max - min) });
+  Object.assign(input, { min, max, step: input.name === "time" ? 1 : niceStep(max - min) });
 }
 
 /**
@@ -60,6 +60,7 @@ export function setLimits(input, min, max) {
 export function knobInWords(name, value, exposure) {
   if (ANGLES.has(name)) return `${Math.round(value)}°`.replace("-", "−");
   if (SHARES.has(name)) return value.toFixed(2);
+  if (name === "time") return `step ${value}`;
   if (name === "distance") return `${value.toFixed(2)} radii`;
   const stops = Number(Math.log2(value / exposure).toFixed(1));
   return `${stops > 0 ? "+" : ""}${stops} stops`.replace("-", "−");

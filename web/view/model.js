@@ -10,7 +10,7 @@ import { RULERS } from "./rulers.js";
 /** @typedef {import("../net/schemas.js").Scene} Scene */
 
 /**
- * @typedef {"isovalue"|"azimuth"|"elevation"|"distance"|"fov"|"yaw"|"pitch"|"roll"|"albedo"|"roughness"|"strength"|"glow"|"exposure"} NumberKnob
+ * @typedef {"isovalue"|"azimuth"|"elevation"|"distance"|"fov"|"yaw"|"pitch"|"roll"|"albedo"|"roughness"|"strength"|"glow"|"time"|"exposure"} NumberKnob
  *
  * @typedef {object} Knobs all that a person may choose of a view
  * @property {number} isovalue in the volume's own units
@@ -28,6 +28,7 @@ import { RULERS } from "./rulers.js";
  * @property {number} [roughness] of that shine
  * @property {number} [strength] of that shine
  * @property {number} [glow] how bright what glows is over the scene's own, only where something does
+ * @property {number} [time] step of a series in time, only where the volume is one
  * @property {Vec3|null} target what the camera turns about, world units; null for the volume's centre
  * @property {string} projection one of PROJECTIONS
  * @property {string} shading
@@ -46,7 +47,7 @@ import { RULERS } from "./rulers.js";
  * @type {NumberKnob[]}
  */
 export const NUMBERS = [
-  "isovalue", "azimuth", "elevation", "distance", "fov", "yaw", "pitch", "roll", "albedo", "roughness", "strength", "glow", "exposure",
+  "isovalue", "azimuth", "elevation", "distance", "fov", "yaw", "pitch", "roll", "albedo", "roughness", "strength", "glow", "time", "exposure",
 ];
 
 /** Marks that may lie over the picture. */
@@ -218,6 +219,7 @@ function handy(scene, name) {
  */
 function rounded(value, name) {
   if (name === "isovalue") return value;
+  if (name === "time") return Math.round(value);
   return LOGARITHMIC.has(name) ? Number(value.toPrecision(4)) : Math.round(value * 100) / 100;
 }
 

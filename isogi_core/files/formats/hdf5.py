@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from isogi_core.errors import VolumeError
-from isogi_core.files.formats.source import Scaling, Source, library, pick_axes, reading
+from isogi_core.files.formats.source import Scaling, Source, library, moment_of, pick_axes, reading
 from isogi_core.files.grid import Affine, Grid, layers_of
 
 MAGIC = b"\x89HDF\r\n\x1a\n"
@@ -28,11 +28,12 @@ def open_hdf5(source: Source) -> Grid:
             raise VolumeError(f"'{source.name}#{data.name}' holds {data.dtype} values: choose a dataset of numbers.")
         picked, shape = pick_axes(source, data.shape), tuple(int(n) for n in data.shape[-3:])
         source.check(shape)
+        moment = moment_of(source, data.shape[:-3], picked)
         scaling, holes = _packing(data)
         dtype = np.result_type(scaling.dtype(data.dtype), np.float32) if holes else scaling.dtype(data.dtype)
         spacing, affine, unit, notes = _place(data, shape)
     slabs = partial(_slabs, source, picked, scaling, holes)
-    return Grid(shape, dtype, spacing, slabs, source.stamp, affine, unit, notes)
+    return Grid(shape, dtype, spacing, slabs, source.stamp, affine, unit, notes, moment)
 
 
 @contextmanager

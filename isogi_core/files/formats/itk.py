@@ -8,7 +8,7 @@ import numpy as np
 
 from isogi_core.errors import VolumeError
 from isogi_core.files.formats.source import Source, library, pick, reading
-from isogi_core.files.grid import PATIENT, Affine, Grid, layers_of
+from isogi_core.files.grid import ALONE, PATIENT, Affine, Grid, layers_of
 
 SUFFIXES = (".mha", ".mhd", ".vtk", ".gipl", ".hdr", ".img")
 LPS = np.diag([-1.0, -1.0, 1.0])
@@ -44,8 +44,10 @@ def open_itk(source: Source) -> Grid:
     placed = Affine.of(LPS @ affine, PATIENT) if anatomical else Affine.of(affine)
     spacing = (float(steps[0]), float(steps[1]), float(steps[2]))
     slabs = partial(_slabs, source, time, (nz, ny, nx), dtype.itemsize)
-    unit = "mm" if anatomical else ""
-    return Grid((nz, ny, nx), dtype, spacing, slabs, partial(source.stamp, *_data_files(source)), placed, unit)
+    unit, moment = "mm" if anatomical else "", ALONE if time is None else (time, int(size[3]))
+    return Grid(
+        (nz, ny, nx), dtype, spacing, slabs, partial(source.stamp, *_data_files(source)), placed, unit, moment=moment
+    )
 
 
 def _reader(source: Source) -> tuple[Any, tuple[int, ...]]:

@@ -43,7 +43,7 @@ def open_nifti(source: Source) -> Grid:
         header = _header(nib, source)
         shape, dtype = tuple(int(n) for n in header.get_data_shape()), header.get_data_dtype()
         scaling = _scaling(header)
-        frame, (nx, ny, nz) = _frame(source, shape)
+        frame, moment, (nx, ny, nz) = _frame(source, shape)
         source.check((nz, ny, nx))
         start = int(header.get_data_offset()) + frame * nx * ny * nz * dtype.itemsize
         voxels = _voxels_of(source, header)
@@ -52,7 +52,7 @@ def open_nifti(source: Source) -> Grid:
     others = [voxels.path] if voxels.path is not None and voxels.path != source.path else []
     slabs = partial(_slabs, voxels, start, (nz, ny, nx), dtype, scaling)
     values = np.dtype(np.float32) if dtype.names else scaling.dtype(dtype)
-    grid = Grid((nz, ny, nx), values, spacing, slabs, partial(source.stamp, *others), unit=unit)
+    grid = Grid((nz, ny, nx), values, spacing, slabs, partial(source.stamp, *others), unit=unit, moment=moment)
     return _placed(replace(grid, notes=(COLOURS,) if dtype.names else ()), header)
 
 
@@ -88,14 +88,14 @@ def _scaling(header: Any) -> Scaling:
     return Scaling(float(slope), float(intercept or 0.0))
 
 
-def _frame(source: Source, shape: Shape) -> tuple[int, tuple[int, int, int]]:
-    """Number of the field that is chosen among those in the file, and its size along x, y, z."""
+def _frame(source: Source, shape: Shape) -> tuple[int, tuple[int, int], tuple[int, int, int]]:
+    """Number of the field that is chosen among those in the file, its moment, and its size along x, y, z."""
     nx, ny, nz, *extra = (*shape, *(1,) * (3 - len(shape)))
     while extra and extra[-1] == 1:
         extra.pop()
     times, channels = (*extra[:1], 1)[0], math.prod(extra[1:])
     time, channel = pick(source, "time", times, "time steps"), pick(source, "channel", channels, "channels")
-    return time + times * channel, (nx, ny, nz)
+    return time + times * channel, (time, times), (nx, ny, nz)
 
 
 def _slabs(voxels: Source, start: int, shape: Shape, dtype: np.dtype[Any], scaling: Scaling) -> Iterator[np.ndarray]:

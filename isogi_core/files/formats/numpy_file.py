@@ -14,6 +14,7 @@ from isogi_core.files.formats.source import (
     COLOURS,
     Source,
     luminance,
+    moment_of,
     pick_axes,
     read_up_to,
     reading,
@@ -40,7 +41,7 @@ def open_numpy(source: Source) -> Grid:
     source.check(field[-3:])
     slabs = partial(_slabs, source, picked, coloured)
     grid = Grid(field[-3:], np.dtype(np.float32) if coloured else dtype, (1.0, 1.0, 1.0), slabs, source.stamp)
-    return replace(grid, notes=(COLOURS,) if coloured else ())
+    return replace(grid, notes=(COLOURS,) if coloured else (), moment=moment_of(source, field[:-3], picked))
 
 
 @contextmanager

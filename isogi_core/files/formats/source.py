@@ -4,7 +4,7 @@ import bz2
 import gzip
 import math
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from importlib import import_module
@@ -14,7 +14,7 @@ from typing import IO, Any
 import numpy as np
 
 from isogi_core.errors import IsogiError, VolumeError
-from isogi_core.files.grid import Shape, layers_of
+from isogi_core.files.grid import ALONE, Shape, layers_of
 from isogi_core.files.nrrd import MAX_VOXELS
 from isogi_core.files.zarr_location import stamp_of
 
@@ -209,6 +209,11 @@ def pick(source: Source, key: str, length: int, steps: str) -> int:
     if not 0 <= (chosen or 0) < length:
         raise VolumeError(f"{key} = {chosen} is not in '{source.name}', which has 0 to {length - 1}.")
     return chosen or 0
+
+
+def moment_of(source: Source, extra: Shape, picked: Sequence[int]) -> tuple[int, int]:
+    """The moment of what was ``picked`` along axes of the lengths ``extra`` before the last three: ``pick_axes``."""
+    return ALONE if not extra or (len(extra) == 1 and "channel" in source.chosen) else (picked[0], int(extra[0]))
 
 
 def pick_axes(source: Source, shape: Shape) -> tuple[int, ...]:

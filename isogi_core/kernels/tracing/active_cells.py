@@ -328,24 +328,29 @@ class BlockRanges(NamedTuple):
     side: int
 
 
-def block_ranges(voxels, fine=FINE):
-    """The ranges of a volume's bricks; of its macrocells where there are more than ``fine`` bricks."""
+def block_ranges(voxels, fine=FINE, take=np.empty):
+    """The ranges of a volume's bricks; of its macrocells where there are more than ``fine`` bricks.
+
+    ``take(count, dtype)`` makes the array of what is kept for each of many bricks.
+    """
     bz, by, bx = shape = brick_shape(voxels.shape)
     size = BRICK if bz * by * bx <= fine else SIZE
     low, high, margins = np.empty((3, *blocks_along(voxels.shape, size)), np.float32)
     fill_ranges(voxels, size, low, high, margins)
     side, of_bricks = size // BRICK, margins
     if side > 1:
-        z, y, x = (np.arange(bricks) // side for bricks in shape)
-        of_bricks = margins[z[:, None, None], y[:, None], x]
+        of_bricks = take(bz * by * bx, np.float32).reshape(shape)
+        y, x = np.arange(by) // side, np.arange(bx) // side
+        for z, layer in enumerate(of_bricks):
+            layer[:] = margins[z // side][y[:, None], x]
     return BlockRanges(low.ravel(), high.ravel(), margins.ravel(), of_bricks.ravel(), side)
 
 
-def make_active_cells(voxels, ranges, lowest, highest, run=None):
+def make_active_cells(voxels, ranges, lowest, highest, run=None, take=np.empty):
     """The map of isovalues from ``lowest`` to ``highest``; ``ranges`` are the volume's ``block_ranges``.
 
     ``run(piece, total)`` may call ``piece(first, last)`` for parts of the whole on many threads. Words of bricks
-    without marks take memory for one part alone.
+    without marks take memory for one part alone. ``take(count, dtype)`` makes the arrays of what is kept.
     """
     bz, by, bx = shape = brick_shape(voxels.shape)
     empty, layer = np.empty(bz * by * bx, np.bool_), by * bx
@@ -355,22 +360,23 @@ def make_active_cells(voxels, ranges, lowest, highest, run=None):
         own = empty[first * layer : last * layer]
         words = np.zeros(BRICK * len(own), np.int32)
         mark_bricks(voxels, ranges[:3], ranges.side, ends, first, last, words, own)
-        packed[first] = np.empty(BRICK * (len(own) - np.count_nonzero(own)), np.int32)
+        packed[first] = take(BRICK * (len(own) - np.count_nonzero(own)), np.int32)
         pack_bricks(words, own, packed[first])
 
     run(_mark, bz) if run else _mark(0, bz)
-    cells = joined(packed)
-    tops = np.empty(len(empty), np.int32)
+    cells = joined(packed, take)
+    tops = take(len(empty), np.int32)
     number_bricks(empty, shape, tops)
     return ActiveCells(tops, cells, ranges.of_bricks, shape)
 
 
-def joined(packed):
+def joined(packed, take):
     """The ``packed`` words of parts, by their first layers, as one array; each part goes once it is copied.
 
     At least one brick of zeros, as lanes read there that read nothing.
     """
-    cells, end = np.zeros(max(sum(map(len, packed.values())), BRICK), np.int32), 0
+    cells, end = take(max(sum(map(len, packed.values())), BRICK), np.int32), 0
+    cells[:BRICK] = 0
     for first in sorted(packed):
         part = packed.pop(first)
         cells[end : end + len(part)] = part

@@ -51,7 +51,7 @@ async def read_events(
     """How a view is refined, as it happens; its light is baked while a client listens."""
     if "wait_ms" in params.model_fields_set:
         raise ParameterError("wait_ms is for requests, events come by themselves: leave it out.", "wait_ms")
-    viewer, scene = stream_viewer(request), await service.variant(scene, params.environment, params.cut)
+    viewer, scene = stream_viewer(request), await service.variant(scene, params)
     events = events_of(service, service.picture_of(scene, params), last_event_id or "", viewer)
     first = await anext(events, None)
     if first is None:

@@ -75,7 +75,7 @@ async def read_frame(
 ) -> Response:
     """A picture at once, with what is baked so far; the headers say how good it is."""
     form = format_for(params, request.headers.get("accept"))
-    scene = await service.variant(scene, params.environment, params.cut)
+    scene = await service.variant(scene, params)
     exposure = scene.default_exposure if params.exposure is None else params.exposure
     params, applied = preferences.fill(smoothed(params, form))
     later = preferences.respond_async and bearer.may("bake")
@@ -123,7 +123,7 @@ async def read_coverage(
 ) -> Coverage:
     """How far the same view is baked: chunks, pixels by state, the estimated error, and the time until it is final."""
     params, applied = preferences.fill(params)
-    scene = await service.variant(scene, params.environment, params.cut)
+    scene = await service.variant(scene, params)
     response.headers.update(applied | {"Cache-Control": "no-cache", "Vary": "Prefer"})
     return await service.render(request, scene, params, lambda shown: coverage_schema(shown.frame, shown.time_left))
 

@@ -213,7 +213,7 @@ async def export(
     """Bake a whole isosurface, and make a file with its light in it: `/v1/jobs/{job}/file`, when that has ended."""
     if not service.settled.is_set() or service.failure:
         raise StartingError(service.reasons()[0])
-    scene = await service.variant(scene, params.environment, params.cut)
+    scene = await service.variant(scene, params)
     job = export_jobs.begin(service, scene, params, bearer.name)
     response.headers.update({"Location": address(job), "Cache-Control": "no-store"})
     return job_schema(job)

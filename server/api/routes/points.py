@@ -38,7 +38,7 @@ async def read_point(
 ) -> PointSchema:
     """What the picture of the same view shows at a place: position, value, normal, light and the error of that."""
     params, applied = preferences.fill(params)
-    pixel, lit = params.pixel, await service.variant(scene, params.environment, params.cut)
+    pixel, lit = params.pixel, await service.variant(scene, params)
     exposure = lit.default_exposure if params.exposure is None else params.exposure
     response.headers.update(applied | {"Cache-Control": "no-cache", "Vary": "Prefer"})
     return await service.render(request, lit, params, lambda shown: point_schema(lit, shown.frame, pixel, exposure))

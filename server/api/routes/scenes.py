@@ -56,7 +56,7 @@ async def list_scenes(service: ServiceDep) -> SceneList:
 @router.get("/{scene}", openapi_extra=documented(VariantParams), responses=documented_problems(404, 422, 503))
 async def read_scene(scene: SceneDep, params: VariantParamsDep, service: ServiceDep) -> SceneSchema:
     """One scene: volume, histogram, defaults and ranges of every knob, and the plan of what is baked."""
-    lit = await service.variant(scene, params.environment, params.cut)
+    lit = await service.variant(scene, params)
     return await asyncio.to_thread(scene_facts, scene, lit, params.environment, service)
 
 
@@ -92,7 +92,7 @@ async def read_sky(request: Request, scene: SceneDep, params: SkyParamsDep, serv
     The top row is +z, column 0 starts at azimuth 0, and azimuth grows with the column. Directional lights are marked
     by discs; lamps that stand in the scene are not shown.
     """
-    lit = await service.variant(scene, params.environment)
+    lit = await service.variant(scene, params)
     return await asyncio.to_thread(painted, request, lit, params)
 
 

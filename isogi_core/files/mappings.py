@@ -1,0 +1,184 @@
+"""Files that are mapped into memory: a bound of their resident pages, and arrays that lie in such files."""
+
+import atexit
+import ctypes
+import mmap
+import os
+import platform
+import struct
+import sys
+import tempfile
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+
+from isogi_core.errors import VolumeError
+from isogi_core.files.single_pages import SinglePages
+
+BUDGET = 2048
+"""Most megabytes of mapped voxels in memory, unless ``ISOGI_VOLUME_MB`` says otherwise."""
+
+OWN = 1 / 8
+"""Share of the budget up to which a volume's voxels are in each process's own memory, and not mapped."""
+
+KEPT = 3 / 4
+"""Share of the bound down to which pages are let go of."""
+
+MAPPINGS = 4096
+"""Most mappings that are bounded at a time."""
+
+STATUS = Path("/proc/self/statm")
+
+NO_RESERVE = getattr(mmap, "MAP_NORESERVE", 0x4000 if sys.platform == "linux" else 0)
+"""Flag against reserving memory: a private mapping takes none unless it is written to, which nothing does."""
+
+
+def budget() -> int:
+    """Most bytes of voxels in memory; VolumeError where the environment variable is no such number."""
+    given = os.environ.get("ISOGI_VOLUME_MB") or str(BUDGET)
+    if not given.isdecimal() or not int(given):
+        raise VolumeError(f"ISOGI_VOLUME_MB is '{given}': give a whole number of megabytes, from 1 on.")
+    return int(given) << 20
+
+
+def file_bytes() -> int:
+    """Bytes of files in this process's memory; 0 where the system does not report them."""
+    try:
+        return int(STATUS.read_bytes().split()[2]) * mmap.PAGESIZE
+    except OSError:
+        return 0
+
+
+RECURSIVE = 1
+"""Kind of a mutex that one thread may lock twice: a mapping may be forgotten while the same thread adds another."""
+
+
+def new_mutex(library: ctypes.CDLL) -> np.ndarray:
+    """The memory of a mutex of the C library, which a thread may lock twice."""
+    mutex, attributes = np.zeros(8, np.int64), np.zeros(8, np.int64)
+    place, kind = (ctypes.c_void_p(each.ctypes.data) for each in (mutex, attributes))
+    library.pthread_mutexattr_init(kind)
+    library.pthread_mutexattr_settype(kind, RECURSIVE)
+    library.pthread_mutex_init(place, kind)
+    return mutex
+
+
+class Mapping(mmap.mmap):
+    """A mapped file whose resident pages are bounded, for as long as it is there: see ``Resident``."""
+
+    def __del__(self) -> None:
+        """Have it left alone, before its addresses go to somebody else."""
+        RESIDENT.forget(self)
+
+
+class Resident:
+    """The mappings of this process, with a thread that bounds their resident pages by the budget of voxels.
+
+    The thread is a kernel: it works while others hold the interpreter.
+    """
+
+    def __init__(self) -> None:
+        """Begin without mappings, and without the thread."""
+        self._table, self._bounds = np.zeros((MAPPINGS, 2), np.int64), np.zeros(3, np.int64)
+        self._library, self._pages = ctypes.CDLL(None), SinglePages()
+        self._mutex = new_mutex(self._library)
+        self._rows: dict[int, int] = {}
+        self._lock = threading.RLock()
+        self._thread: threading.Thread | None = None
+
+    def watch(self, mapping: Mapping) -> None:
+        """Bound the pages of a mapping. Raises VolumeError as ``budget`` does."""
+        most = budget()
+        if not STATUS.exists():
+            return
+        size = -(-len(mapping) // mmap.PAGESIZE) * mmap.PAGESIZE
+        address = int(np.frombuffer(mapping, np.uint8).ctypes.data)
+        with self._lock:
+            if self._thread is None:
+                self._begin(most)
+            if int(self._table[:, 1].sum()) + size > most:
+                self._pages.add(mapping, address)
+            free = np.flatnonzero(self._table[:, 1] == 0)
+            if len(free):
+                self._rows[id(mapping)] = int(free[0])
+                self._set(int(free[0]), address, size)
+
+    def forget(self, mapping: Mapping) -> None:
+        """Leave a mapping alone."""
+        with self._lock:
+            row = self._rows.pop(id(mapping), None)
+            if row is not None:
+                self._set(row, 0, 0)
+
+    def _set(self, row: int, address: int, size: int) -> None:
+        """Change a row of the table while the thread is not at it."""
+        mutex = ctypes.c_void_p(self._mutex.ctypes.data)
+        self._library.pthread_mutex_lock(mutex)
+        self._table[row] = address, size
+        self._library.pthread_mutex_unlock(mutex)
+
+    def _begin(self, most: int) -> None:
+        """Start the thread, which ends before the interpreter does."""
+        from isogi_core.kernels._pages import bound_pages  # noqa: PLC0415 (loads Numba, which readers do not need)
+
+        run = getattr(bound_pages, "ready", bound_pages)
+        self._bounds[:] = most, int(KEPT * most), file_bytes()
+        self._thread = threading.Thread(target=self._run, args=[run], name="resident", daemon=True)
+        self._thread.start()
+        atexit.register(self._end)
+
+    def _run(self, bound_pages: Callable[..., None]) -> None:
+        ask_for_promptness(self._library)
+        with open(STATUS, "rb", buffering=0) as status:
+            bound_pages(status.fileno(), self._bounds, self._table, self._mutex)
+
+    def _end(self) -> None:
+        self._bounds[:] = 0
+        with self._lock:
+            self._rows.clear()
+        if self._thread is not None:
+            self._thread.join()
+
+
+SLICES = {"x86_64": 314, "aarch64": 274}
+"""Number of Linux's call sched_setattr, by machine."""
+
+SLICE = 100_000
+"""Nanoseconds that the thread works before others may: the least that Linux takes, and its turn comes the sooner."""
+
+
+def ask_for_promptness(library: ctypes.CDLL) -> None:
+    """Have this thread wake at once among busy ones, where Linux is new enough (6.12)."""
+    number = SLICES.get(platform.machine())
+    if number is not None and sys.platform == "linux":
+        attributes = struct.pack("=IIQiIQQQ", 48, 0, 0, os.getpriority(os.PRIO_PROCESS, 0), 0, SLICE, 0, 0)
+        library.syscall(number, 0, attributes, 0)
+
+
+RESIDENT = Resident()
+"""The mappings of this process."""
+
+
+def map_file(file: IO[bytes], offset: int) -> np.ndarray:
+    """Map what a file holds from a byte on, float32. Writing to the array would take memory of this process."""
+    flags, access = mmap.MAP_PRIVATE | NO_RESERVE, mmap.PROT_READ | mmap.PROT_WRITE
+    mapping = Mapping(file.fileno(), 0, flags=flags, prot=access)
+    RESIDENT.watch(mapping)
+    return np.frombuffer(mapping, np.float32, offset=offset)
+
+
+def scratch(folder: Path, count: int, dtype: Any) -> np.ndarray:
+    """An array of ``count`` numbers, of any values, in a file that has no name; in memory where the disk is full."""
+    size = count * np.dtype(dtype).itemsize
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder) as file:
+            os.posix_fallocate(file.fileno(), 0, size)
+            mapping = Mapping(file.fileno(), size)
+    except (OSError, ValueError, AttributeError):  # a full disk; no bytes; another system
+        return np.empty(count, dtype)
+    RESIDENT.watch(mapping)
+    return np.frombuffer(mapping, dtype)

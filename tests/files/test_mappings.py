@@ -1,0 +1,93 @@
+"""Mapped files: reads make little more resident than the budget, arrays in files keep what is written to them."""
+
+import errno
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from isogi_core.files import mappings
+from isogi_core.files.mappings import RESIDENT, file_bytes, scratch
+from isogi_core.files.voxel_file import new_voxels
+
+MIB = 1 << 20
+
+READING = """
+import sys, time
+from pathlib import Path
+import numpy as np
+from isogi_core.files.mappings import file_bytes
+from isogi_core.files.voxel_file import read_voxels
+from isogi_core.kernels._pages import bound_pages
+getattr(bound_pages, "ready", None)
+voxels, _ = read_voxels(Path(sys.argv[1]))
+time.sleep(0.5)  # the thread has begun
+before, most, rng, flat = file_bytes(), 0, np.random.default_rng(1), voxels.ravel()
+for _ in range(300):
+    places = rng.integers(0, flat.size, 200)
+    assert np.array_equal(flat[places], (places % 1000003).astype(np.float32))
+    most = max(most, file_bytes() - before)
+print(most)
+"""
+
+WRITING = """
+import sys
+from pathlib import Path
+import numpy as np
+from isogi_core.files.mappings import scratch
+kept = []
+for round in range(8):
+    kept = [scratch(Path(sys.argv[1]), 1 << 19, np.int32) for _ in range(8)]
+    for number, array in enumerate(kept):
+        array[:] = np.arange(1 << 19) + number
+    for number, array in enumerate(kept):
+        assert np.array_equal(array, np.arange(1 << 19) + number)
+    del array
+print(sum(1 for _ in Path(sys.argv[1]).iterdir()))
+"""
+
+
+def run(script: str, path: Path, budget: int) -> str:
+    """What a script prints, in a process of its own with a budget of so many megabytes."""
+    environment = {**os.environ, "ISOGI_VOLUME_MB": str(budget)}
+    done = subprocess.run([sys.executable, "-c", script, str(path)], env=environment, capture_output=True, check=False)
+    assert done.returncode == 0, done.stderr.decode()
+    assert done.stderr == b""
+    return done.stdout.decode()
+
+
+@pytest.mark.skipif(not file_bytes(), reason="the system does not tell resident pages")
+def test_scattered_reads_stay_near_the_budget(tmp_path: Path) -> None:
+    path, shape = tmp_path / "v.voxels", (64, 1024, 1024)
+    with new_voxels(path) as draft:
+        for z in range(shape[0]):
+            first = z * shape[1] * shape[2]
+            draft.write((np.arange(first, first + shape[1] * shape[2]) % 1000003).astype(np.float32).reshape(shape[1:]))
+        draft.seal(shape, {})
+    assert int(run(READING, path, 16)) < 40 * MIB, "of 256"
+
+
+def test_what_is_written_to_files_outlives_its_pages(tmp_path: Path) -> None:
+    assert run(WRITING, tmp_path, 4) == "0\n", "and the files have no names"
+
+
+def test_a_full_disk_leaves_arrays_in_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "no room")
+
+    monkeypatch.setattr(mappings.os, "posix_fallocate", full)
+    array = scratch(tmp_path, 1000, np.float32)
+    array[:] = 7.0
+    assert array.base is None and array.sum() == 7000.0
+
+
+def test_a_mapping_that_is_gone_is_left_alone(tmp_path: Path) -> None:
+    before = np.flatnonzero(RESIDENT._table[:, 1])
+    array = scratch(tmp_path, 1 << 16, np.float32)
+    (row,) = set(np.flatnonzero(RESIDENT._table[:, 1])) - set(before)
+    assert RESIDENT._table[row].tolist() == [array.ctypes.data, 1 << 18]
+    del array
+    assert np.array_equal(np.flatnonzero(RESIDENT._table[:, 1]), before)

@@ -1,0 +1,48 @@
+"""Time on the page: a slider of steps where the volume is a series, kept in the address."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from playwright.sync_api import Page, expect
+
+from tests.live import serving
+from tests.series import write_series
+from tests.web.visits import BROWSER, SHOTS, open_final, pixels, slide, wait_final
+
+pytestmark = BROWSER
+
+
+@pytest.fixture(scope="module")
+def series(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    folder: Path = tmp_path_factory.mktemp("series")
+    with serving(write_series(folder), folder / "light") as url:
+        yield url
+
+
+def test_a_slider_leafs_through_the_steps(page: Page, series: str) -> None:
+    first = pixels(open_final(page, series))
+    expect(page.locator("#time")).to_be_visible()
+    expect(page.locator("output[for=time]")).to_have_text("step 0")
+    assert [page.get_attribute("#time", name) for name in ("min", "max", "step")] == ["0", "3", "1"]
+    slide(page, "time", 1.0)
+    last = pixels(wait_final(page))
+    expect(page.locator("output[for=time]")).to_have_text("step 3")
+    assert "time=3" in page.url and np.abs(last - first).mean() > 2.0
+    SHOTS.mkdir(parents=True, exist_ok=True)
+    page.screenshot(path=SHOTS / "times.png")
+    page.focus("#time")
+    page.keyboard.press("ArrowLeft")
+    expect(page.locator("output[for=time]")).to_have_text("step 2")
+
+
+def test_a_link_opens_at_its_step(page: Page, series: str) -> None:
+    open_final(page, f"{series}/?time=2")
+    expect(page.locator("output[for=time]")).to_have_text("step 2")
+
+
+def test_what_is_no_series_has_no_slider(page: Page, live_server: str) -> None:
+    open_final(page, live_server)
+    expect(page.locator("#time")).to_be_hidden()
+    assert "time=" not in page.url
