@@ -4,6 +4,7 @@ A sample costs a ray. Its light is that of the pixels around it, where they show
 """
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from isogi_core.kernels.shading.edges import Shown, borrow_light, find_contrasts
 from isogi_core.kernels.tracing.camera import trace_places
 from isogi_core.kernels.tracing.sight import trace_places_in_sight
 from isogi_core.kernels.tracing.walls import Walls
+from isogi_core.prepared.prepared_scene import PreparedScene
 
 COUNTS = (16, 8)
 """Samples that a pixel at an edge may have: the more where the BUDGET allows that for all silhouettes."""
@@ -53,6 +55,12 @@ def pattern(count: int) -> np.ndarray:
     for bit in range(bits):
         reverse += (order >> bit & 1) / 2.0 ** (bit + 1)
     return np.stack([(order + 0.5) / count, reverse + 0.5 / count], axis=-1).astype(np.float32)
+
+
+def smooth_edges(frame: Frame, prepared: PreparedScene, tiles: Tiles) -> Frame:
+    """The ``frame`` of a prepared scene with more samples where it has edges. Raises Cancelled."""
+    exposure, glow = prepared.scene.default_exposure, EyeGlow.of(prepared, frame.view.glow)
+    return replace(frame, edges=sample_edges(frame, exposure, tiles, prepared.walls_in_view, glow))
 
 
 def sample_edges(

@@ -74,6 +74,12 @@ class GBuffer:
     _albedos: np.ndarray | None = field(default=None, repr=False)
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
 
+    @classmethod
+    def of_points(cls, surface: Surface, eye: Vector, points: np.ndarray) -> "GBuffer":
+        """A picture of one row whose pixel i shows point i of ``points`` (m, 3), in index space; ``eye`` is so, too."""
+        pixels, places = np.arange(len(points), dtype=np.uint32), np.ascontiguousarray(points, np.float32)
+        return cls((1, len(points)), surface.field.spacing, eye, surface, pixels, places)
+
     @property
     def isovalue(self) -> Isovalue:
         """The surface's isovalue."""

@@ -29,8 +29,8 @@ import numpy as np
 from isogi_core.bake.bake_spec import spec_name
 from isogi_core.cache.page_pool import Held, PagePool
 from isogi_core.cache.scene_caches import Caches
-from isogi_core.frame.antialiasing import sample_edges
-from isogi_core.frame.eye_glow import EyeGlow, with_glow
+from isogi_core.frame.antialiasing import smooth_edges
+from isogi_core.frame.eye_glow import with_glow
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.framing import frame_of
 from isogi_core.frame.gbuffer import GBuffer, to_index, trace
@@ -57,8 +57,7 @@ from isogi_core.frame.shading import (
     fill_texel_records,
     filter_texel_light,
     light_sources,
-    shade_by_paths,
-    shade_locally,
+    shade,
     texel_disagreement,
 )
 from isogi_core.frame.stand_in import StandIn
@@ -135,15 +134,12 @@ class Renderer:
         if view.moving or not view.smooth or self._composer:
             return frame
         with watch.stage("edges"):
-            exposure, walls = self.prepared.scene.default_exposure, self.prepared.walls_in_view
-            return replace(
-                frame, edges=sample_edges(frame, exposure, tiles, walls, EyeGlow.of(self.prepared, view.glow))
-            )
+            return smooth_edges(frame, self.prepared, tiles)
 
     def _draw(self, view: View, target: float, tiles: Tiles, watch: Stopwatch) -> Frame:
         """The frame of a view with what glows before it, drawn on the threads of ``tiles``."""
-        frame, key = self._draw_lit(view, target, tiles, watch), surface_key(view)
-        return with_glow(frame, self._kept, key, self.prepared, tiles, watch)
+        frame = self._draw_lit(view, target, tiles, watch)
+        return with_glow(frame, self._kept, surface_key(view), self.prepared, tiles, watch)
 
     def _draw_lit(self, view: View, target: float, tiles: Tiles, watch: Stopwatch) -> Frame:
         """The frame of what is lit in a view."""
@@ -160,15 +156,7 @@ class Renderer:
         light = self._light(view)
         if view.shading in ("gi", "vicinity"):
             return self._render_texels(gbuffer, light, target, tiles, watch)
-        with watch.stage("normals"):
-            normals = gbuffer.normals(tiles)
-        if view.shading == "path_traced":
-            with watch.stage("paths"):
-                framebuffer = shade_by_paths(gbuffer, light, target, tiles)
-        else:
-            with watch.stage("shade"):
-                framebuffer = shade_locally(gbuffer, normals, light, tiles)
-                colour_surface(gbuffer, light, framebuffer, tiles)
+        framebuffer = shade(gbuffer, light, target, tiles, watch)
         if len(gbuffer.walls.pixels):
             with watch.stage("walls"):
                 self._walls.put(gbuffer, light, target, framebuffer, tiles)
@@ -228,11 +216,9 @@ class Renderer:
         It is a frame of one row, whose pixel i shows point i. The ``view`` says isovalue, albedo and the light's turn.
         """
         self.forget_views()  # another row of points would have the same key
-        surface, row = self.prepared.surface(view.isovalue), replace(view, width=len(points), height=1)
-        row = replace(row, shading="gi", moving=False, shine=DULL)  # neighbours in a row are none in space
-        eye = to_index(np.array(view.camera.eye), surface.field.spacing)
-        pixels, places = np.arange(len(points), dtype=np.uint32), np.ascontiguousarray(points, np.float32)
-        gbuffer = GBuffer((1, len(points)), surface.field.spacing, eye, surface, pixels, places)
+        row = replace(view, width=len(points), height=1, shading="gi", moving=False)
+        row, surface = replace(row, shine=DULL), self.prepared.surface(view.isovalue)  # points in a row are far apart
+        gbuffer = GBuffer.of_points(surface, to_index(np.array(view.camera.eye), surface.field.spacing), points)
         light, target = self._light(row), self.prepared.scene.target_error
         return self._render_texels(gbuffer, light, target, self.tiles, Stopwatch()), gbuffer.normals(self.tiles)
 

@@ -11,7 +11,7 @@ from isogi_core.frame.gbuffer import POINTS, GBuffer
 from isogi_core.frame.lighting import RotatedLight, scatter_at, weights_between
 from isogi_core.frame.rays.pixel_rays import Paths, pooled_variance, replicas_for, variance_of_mean
 from isogi_core.frame.texel_reading import Reading
-from isogi_core.frame.tiles import Tiles
+from isogi_core.frame.tiles import Stopwatch, Tiles
 from isogi_core.frame.view_texels import ViewTexels
 from isogi_core.kernels.shading.filtering import PATHS, VARIANCE, filter_texels
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, Framebuffer, PixelPoints
@@ -43,6 +43,19 @@ def empty_framebuffer(gbuffer: GBuffer) -> Framebuffer:
     height, width = gbuffer.shape
     pixels = height * width
     return Framebuffer(np.zeros((pixels, 3), np.float32), np.zeros(pixels, np.uint8), np.zeros(pixels, np.float32))
+
+
+def shade(gbuffer: GBuffer, light: RotatedLight, target: float, tiles: Tiles, watch: Stopwatch) -> Framebuffer:
+    """The light of a picture that reads no texels: by a local model, or by paths from its pixels. Raises Cancelled."""
+    with watch.stage("normals"):
+        normals = gbuffer.normals(tiles)
+    if light.view.shading == "path_traced":
+        with watch.stage("paths"):
+            return shade_by_paths(gbuffer, light, target, tiles)
+    with watch.stage("shade"):
+        framebuffer = shade_locally(gbuffer, normals, light, tiles)
+        colour_surface(gbuffer, light, framebuffer, tiles)
+        return framebuffer
 
 
 def shade_locally(gbuffer: GBuffer, normals: np.ndarray, light: RotatedLight, tiles: Tiles) -> Framebuffer:
