@@ -24,7 +24,7 @@ class Caches:
     """
 
     def __init__(self, prepared: PreparedScene, store: StoreLike, budget: int, makes: bool = True) -> None:
-        """Open nothing yet. Layers are made when they are opened, or with their first light where it ``makes`` none."""
+        """Open nothing yet. Layers are made when they are opened; where it ``makes`` none, with their first light."""
         self._makes = makes
         self.prepared = prepared
         self.store = Store.of(store)

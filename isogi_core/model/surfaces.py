@@ -48,9 +48,9 @@ def pinned_from_mapping(table: Mapping[str, Any], volume: Volume) -> PinnedSurfa
         raise SceneError(f"A surface has no '{unknown[0]}': choose from {', '.join(KEYS)}.")
     low, high = volume.value_range
     isovalue, clear, name = table.get("isovalue", math.nan), table.get("clear", 0.0), table.get("name", "")
-    if not is_number(isovalue) or not low < isovalue < high:
+    if not is_number(isovalue) or not low <= isovalue <= high:
         given = table.get("isovalue")
-        raise SceneError(f"A surface's isovalue is {given!r}: give a number between {low:g} and {high:g}.")
+        raise SceneError(f"A surface's isovalue is {given!r}: give a number from {low:g} to {high:g}.")
     if not is_number(clear) or not 0.0 <= clear <= 1.0:
         raise SceneError(f"The surface at {isovalue:g} has clear = {clear!r}: give a number from 0, opaque, to 1.")
     if not isinstance(name, str) or not (name == "" or name.isprintable()):

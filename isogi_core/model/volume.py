@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
 from typing import Any, NewType
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -152,10 +151,18 @@ class Volume:
         known = replace(self, span=self.core_span())
         return replace(known, counts=tuple(known._count(bins, progress).tolist()))
 
-    def turned_inside_out(self) -> "Volume":
-        """The same values with the other side solid: what was the inner side of an isosurface is then its outer one."""
-        known = INSIDE_OUT.get(self)
-        return known if known is not None else INSIDE_OUT.setdefault(self, _turned(self))
+    @cached_property
+    def inside_out(self) -> "Volume":
+        """The same values with the other side solid: what was the inner side of an isosurface is then its outer one.
+
+        Its voxels are 1 - v. Turned twice it is the volume itself.
+        """
+        digest = hashlib.blake2b(f"{self.digest} inside out".encode(), digest_size=16).hexdigest()
+        solid, voxels = "below" if self.solid == "above" else "above", np.float32(1.0) - self.voxels
+        turned = replace(self, voxels=voxels, solid=solid, digest=digest, counts=(), span=())
+        turned = replace(turned, offset=self.offset + self.scale, scale=-self.scale)
+        vars(turned)["inside_out"] = self
+        return turned
 
     def histogram(self, bins: int = BINS) -> tuple[np.ndarray, np.ndarray]:
         """Counts (bins,) int64 of the voxels in the core, and the ``bins + 1`` edges, float64, in own units."""
@@ -179,18 +186,6 @@ class Volume:
             counts += np.histogram(inner, bins, span)[0]
             progress((STAGES - 1) * layers + number * layers // slabs, STAGES * layers)
         return counts
-
-
-INSIDE_OUT: WeakKeyDictionary[Volume, Volume] = WeakKeyDictionary()
-"""Volumes in use that were turned inside out."""
-
-
-def _turned(volume: Volume) -> Volume:
-    """A ``volume`` whose voxels v are 1 - v."""
-    digest = hashlib.blake2b(f"{volume.digest} inside out".encode(), digest_size=16).hexdigest()
-    solid, voxels = "below" if volume.solid == "above" else "above", np.float32(1.0) - volume.voxels
-    turned = replace(volume, voxels=voxels, solid=solid, digest=digest, counts=(), span=())
-    return replace(turned, offset=volume.offset + volume.scale, scale=-volume.scale)
 
 
 def make_volume(

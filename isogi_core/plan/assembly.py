@@ -93,7 +93,7 @@ def build_scene(
         colours = colours or colours_by_data(settings, whole)
         volume = cut_away(whole, cut) if cut else whole
     if settings.flag("inside_out", False):
-        volume = volume.turned_inside_out()
+        volume = volume.inside_out
     room, glowing = read_room(settings, volume), read_glow(settings, volume)
     lights = read_lights(settings, room)
     lamps = gather_lamps((*lights, *room.lamps), volume.orientation)

@@ -10,6 +10,7 @@ from typing import Any
 
 from isogi_core.files.scene_file import DEFAULT_DEMO, FOLLOWED
 from isogi_core.model.surfaces import PinnedSurface
+from isogi_core.model.volume import Isovalue
 from isogi_core.plan.assembly import build_scene
 from isogi_core.plan.scene import Scene
 
@@ -45,16 +46,25 @@ def scene_of_side(scene: Scene, side: Side, shown: float) -> Scene:
     """
     if side == OUTER:
         return scene
-    others = list(surfaces_of(scene, shown) if side.number else scene.pinned)
-    own = others.pop(side.number) if side.number else surfaces_of(scene, shown)[0]
+    every = surfaces_of(scene, shown)
+    own, others = every[side.number], every if side.number else scene.pinned
+    others = apart((own, *others), scene)[1:]
     document: dict[str, Any] = {key: value for key, value in scene.source.document.items() if key not in OWN}
     document |= {"isovalue": own.isovalue, "albedo": list(own.albedo), "clear": own.clear, **lying(scene, side)}
     document |= {"isovalues": [own.isovalue] * 2 if side.number else list(scene.isovalues)}
     document |= {"surfaces": [each.table for each in others]} if others else {}
     bare = {key: value for key, value in document.items() if key not in FOLLOWED}
-    volume = scene.volume.turned_inside_out() if side.inner else scene.volume
+    volume = scene.volume.inside_out if side.inner else scene.volume
     made = build_scene(replace(scene.source, document=bare), volume=volume)
     return replace(made, source=replace(scene.source, document=document))
+
+
+def apart(surfaces: tuple[PinnedSurface, ...], scene: Scene) -> tuple[PinnedSurface, ...]:
+    """Those of some surfaces that are at no isovalue of one before them: of these two there is one."""
+    found: dict[Isovalue, PinnedSurface] = {}
+    for each in surfaces:
+        found.setdefault(scene.volume.normalise_isovalue(each.isovalue), each)
+    return tuple(found.values())
 
 
 def lying(scene: Scene, side: Side) -> dict[str, Any]:

@@ -36,7 +36,7 @@ def test_no_surface_beside_leaves_digests_as_they_were() -> None:
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
-        ({"surfaces": [{"isovalue": 1e9}]}, "isovalue is 1000000000.0: give a number between"),
+        ({"surfaces": [{"isovalue": 1e9}]}, "isovalue is 1000000000.0: give a number from"),
         ({"surfaces": [{}]}, "isovalue is None"),
         ({"surfaces": [{**SKIN, "clear": 1.5}]}, "has clear = 1.5"),
         ({"surfaces": [{**SKIN, "albedo": 2}]}, "has albedo 2"),
@@ -65,10 +65,10 @@ def test_views_choose_no_albedo_among_surfaces() -> None:
 
 def test_a_volume_inside_out_has_the_same_values() -> None:
     volume = shell()
-    turned = volume.turned_inside_out()
+    turned = volume.inside_out
     assert turned.solid != volume.solid and turned.digest != volume.digest
     values, others = (each.offset + each.scale * each.voxels.astype(np.float64) for each in (volume, turned))
     np.testing.assert_allclose(others, values, atol=1e-5)
     level, other = (float(each.normalise_isovalue(2.0)) for each in (volume, turned))
     np.testing.assert_array_equal(turned.voxels > other, volume.voxels < level)
-    assert volume.turned_inside_out() is turned
+    assert volume.inside_out is turned and turned.inside_out is volume

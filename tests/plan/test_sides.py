@@ -1,5 +1,10 @@
 """The scenes in which the sides of several surfaces are lit."""
 
+from pathlib import Path
+from typing import Any
+
+import nrrd
+import numpy as np
 import pytest
 
 from isogi_core.plan.assembly import build_scene, load_scene
@@ -36,6 +41,29 @@ def test_a_pinned_surface_is_lit_by_all_others(scene: Scene) -> None:
     assert {each.isovalue: each.clear for each in made.pinned} == {140.0: 0.0, 90.0: 0.0}
     assert made.albedo == (0.8, 0.5, 0.4)
     assert made.span[0] == made.span[1]
+
+
+def test_a_surface_at_the_shown_isovalue_lights_others_once(scene: Scene) -> None:
+    made = scene_of_side(scene, Side(1), 90.0)
+    assert [each.isovalue for each in made.pinned] == [90.0]
+    ends = [scene_of_side(scene, Side(1, True), shown).pinned for shown in scene.volume.value_range]
+    assert [len(each) for each in ends] == [2, 2]
+
+
+@pytest.mark.parametrize("settings", [{"cut": "x<30"}, {"inside_out": True}, {"solid": "below"}])
+def test_sides_of_what_is_cut_or_turned_are_found_again(settings: dict[str, Any], tmp_path: Path) -> None:
+    nrrd.write(str(tmp_path / "ball.nrrd"), shell_of(33), index_order="C")
+    scene = load_scene(tmp_path / "ball.nrrd", surfaces=[{"isovalue": 60.0, "clear": 0.5}], isovalue=90.0, **settings)
+    for side in sides_of(scene):
+        made = scene_of_side(scene, side, 100.0)
+        assert (made.solid == scene.solid) != side.inner
+        assert build_scene(made.source).bake_digest == made.bake_digest, side
+
+
+def shell_of(side: int) -> np.ndarray:
+    """A ball that is brightest in its middle, (side, side, side) uint8."""
+    z, y, x = np.mgrid[:side, :side, :side] - (side - 1) / 2.0
+    return np.clip(200.0 - 12.0 * np.sqrt(x**2 + y**2 + z**2), 0.0, 255.0).astype(np.uint8)
 
 
 def test_a_process_that_opens_a_side_finds_the_same_light(scene: Scene) -> None:
