@@ -8,10 +8,13 @@ import numpy as np
 import pytest
 
 from isogi_core.frame.entry_kernels import GLOW, frame_kernels
+from isogi_core.frame.lighting import RotatedLight
+from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.framebuffer import FINAL
 from isogi_core.model.glow import Glow, place_glows
 from isogi_core.model.volume import make_volume
 from isogi_core.plan.scene import Scene
+from isogi_core.report.exact import light_of_halves, place_of
 from tests.frame.conftest import CONSTANT, LOOSE, SKY, Workbench, chunks_of, relative_rmse, scene_of
 from tests.loaded import load_scene
 
@@ -109,6 +112,22 @@ def test_colour_and_strength_change_no_chunk(tmp_path: Path) -> None:
     found = frames[0].radiance + frames[1].radiance
     np.testing.assert_allclose(frames[2].radiance, found, atol=1e-3 * found.max())
     assert frames[2].radiance[..., 0].any() and frames[2].radiance[..., 2].any()
+
+
+@pytest.mark.parametrize("glows", [1, 2])
+def test_points_of_reports_are_lit_by_what_glows(glows: int, tmp_path: Path) -> None:
+    """By paths of the plan's layers, on a coloured surface, as the path tracer's pixels are."""
+    (ball,) = orbital_of(lights=[DARK]).source.document["glow"]
+    settings = {"albedo": [0.8, 0.5, 0.3], "bounces": 1, "lights": [DARK]}
+    bench = Workbench(orbital_of(glow=[ball, {**ball, "radiance": [0.5, 1.0, 3.0]}][:glows], **settings), tmp_path)
+    view = bench.view(60.0, 10.0, SIZE)
+    gbuffer, tiles = bench.renderer.gbuffer(view), Tiles()
+    place = place_of(gbuffer.pixels, gbuffer.points, gbuffer.normals(tiles), gbuffer.isovalue)
+    light = RotatedLight(bench.renderer.caches.spec("gi"), view)
+    found = light_of_halves(light, place, 256).mean(axis=(0, 1))
+    traced = bench.renderer.render(replace(view, shading="path_traced", samples=256))
+    expected = traced.leaving.reshape(-1, 3)[gbuffer.pixels].mean(axis=0)
+    np.testing.assert_allclose(found, expected, rtol=0.02)
 
 
 def test_other_light_keeps_its_chunks(tmp_path: Path) -> None:
