@@ -1,11 +1,11 @@
 """Files of each kind: seconds of one command from the file to a lit picture, and memory where the file is large.
 
-    python -m benchmarks.scaling kinds [--size 96] [--large 1024] [--volume-mb 256] [--folder DIR]
+    python -m benchmarks.scaling kinds [--size 96] [--large 1024] [--volume-mb 128] [--folder DIR]
 
 One field is written as each kind by the library that its field keeps. `isogi render` draws each, with caches of its
 own, so that the copy of a large one is made and its light is baked anew. The field repeats a block of 128 voxels:
-`--large 1024` makes a NIfTI of 2 GiB (int16) and a TIFF of 1 GiB (uint8). Memory is that of the process that has most
-at once, its own and pages of files together.
+`--large 1024` makes a NIfTI of 2 GiB (int16) and a TIFF of 1 GiB (uint8). Memory is the most that the command's own
+process, and its worker, had at once: its own and pages of files together.
 """
 
 import json
@@ -124,7 +124,7 @@ WRITERS: dict[str, Writer] = {
 
 
 def render(volume: Path, folder: Path, *more: str, **environment: str) -> dict[str, float]:
-    """Seconds of `isogi render`, the share of its picture that is final, and memory; its caches are in ``folder``."""
+    """Seconds of `isogi render`, how much of its picture is lit, and memory; its caches are in ``folder``."""
     places = {"ISOGI_VOLUME_CACHE": str(folder / "copies"), **environment}
     given = ["-o", str(folder / "picture.png"), "--store", str(folder / "store"), "--workers", "1", "--json"]
     size = ["--width", "128", "--height", "128", "--isovalue", "60", "--target-error", ERROR]
@@ -136,14 +136,16 @@ def render(volume: Path, folder: Path, *more: str, **environment: str) -> dict[s
     residents.stop()
     if process.returncode:
         raise click.ClickException(f"isogi render of {volume.name} ended with {process.returncode}.")
-    seconds, held = time.monotonic() - begun, max(v for k, v in residents.most.items() if k.endswith("both, MiB"))
-    return {"seconds": seconds, "final share": json.loads(output)["final"], "memory at most, MiB": held}
+    facts, seconds = json.loads(output), time.monotonic() - begun
+    lit = facts["coverage"]["final"] + facts["coverage"]["converging"]
+    held = {f"{role}: memory at most, MiB": residents.most[f"{role}: both, MiB"] for role in ("main", "worker")}
+    return {"seconds": seconds, "final share": facts["final"], "lit share": lit, **held}
 
 
 @part()
 @click.option("--size", type=click.IntRange(32, 512), default=96, show_default=True, help="Voxels a side.")
 @click.option("--large", type=click.IntRange(128, 2048), help="Voxels a side of a large NIfTI and a large TIFF.")
-@click.option("--volume-mb", type=click.IntRange(1), default=256, show_default=True, help="ISOGI_VOLUME_MB of these.")
+@click.option("--volume-mb", type=click.IntRange(1), default=128, show_default=True, help="ISOGI_VOLUME_MB of these.")
 @click.option("--folder", type=click.Path(path_type=Path, file_okay=False), help="Where large files go.")
 def kinds(size: int, large: int | None, volume_mb: int, folder: Path | None) -> Iterator[Measurement]:
     """Files of each kind: seconds from a file to a lit picture, and memory where it is large."""

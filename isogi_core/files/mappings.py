@@ -24,6 +24,9 @@ BUDGET = 2048
 OWN = 1 / 8
 """Share of the budget up to which a volume's voxels are in each process's own memory, and not mapped."""
 
+SMALL = 1 << 30
+"""Budget below which larger volumes are read by single pages: that costs time, and bounds are else passed by 300 MB."""
+
 KEPT = 3 / 4
 """Share of the bound down to which pages are let go of."""
 
@@ -99,7 +102,7 @@ class Resident:
         with self._lock:
             if self._thread is None:
                 self._begin(most)
-            if int(self._table[:, 1].sum()) + size > most:
+            if most < SMALL and int(self._table[:, 1].sum()) + size > most:
                 self._pages.add(mapping, address)
             free = np.flatnonzero(self._table[:, 1] == 0)
             if len(free):

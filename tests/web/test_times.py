@@ -30,6 +30,7 @@ def test_a_slider_leafs_through_the_steps(page: Page, series: str) -> None:
     last = pixels(wait_final(page))
     expect(page.locator("output[for=time]")).to_have_text("step 3")
     assert "time=3" in page.url and np.abs(last - first).mean() > 2.0
+    page.locator("#time").scroll_into_view_if_needed()
     SHOTS.mkdir(parents=True, exist_ok=True)
     page.screenshot(path=SHOTS / "times.png")
     page.focus("#time")
