@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -297,17 +298,16 @@ class Paths:
         own = sums if alone else np.zeros_like(sums)
         points, pixels, normals = buffer.points, buffer.pixels, buffer.normals(self.tiles)
         traced, around = buffer.surface.traced(self.tiles.run), self.light.surroundings
-        room, company = self._room, self._company
+        met = self._met
         rules, samples = PathRules(self.weights, self.survival), SampleRange(first, count)
 
         def _piece(a: int, b: int) -> None:
             some = PixelPoints(points[a:b], normals[a:b], pixels[a:b])
-            if company is not None:
-                own[a:b] += trace_among_surfaces(traced, company, some, around, rules, replicas, samples)
-            elif room is None:
+            if met is None:
                 trace_points(traced, some, around, rules, stream, samples, own[a:b])
             else:
-                own[a:b] += trace_in_room(traced, room, some, around, rules, replicas, samples)
+                trace = trace_among_surfaces if isinstance(met, Surfaces) else trace_in_room
+                own[a:b] += trace(traced, met, some, around, rules, replicas, samples)
             if glowing:
                 starts = starts_at(traced, some, replicas)
                 add_glow(own[a:b].reshape(-1, 3), self.light, traced, starts, rules, samples)
@@ -324,16 +324,12 @@ class Paths:
             sums += own
 
     @property
-    def _room(self) -> Room | None:
-        """The walls and colours that paths meet, None where there are none."""
-        prepared = self.light.spec.prepared
-        return prepared.room(self.light.seen.albedo) if prepared.scene.many_albedos else None
-
-    @property
-    def _company(self) -> Surfaces | None:
-        """The surfaces that paths meet, None where there is one, which stops all."""
+    def _met(self) -> Any:
+        """What paths meet: the Room of walls and colours, or Surfaces; None where it is one surface of one albedo."""
         prepared, run = self.light.spec.prepared, self.tiles.run
-        return prepared.company(self.gbuffer.surface.cells(run), run) if prepared.scene.several else None
+        if prepared.scene.several:
+            return prepared.company(self.gbuffer.surface.cells(run), run)
+        return prepared.room(self.light.seen.albedo) if prepared.scene.many_albedos else None
 
     def prepare(self) -> None:
         """Do what comes before the first paths, by tracing one: find normals, map the surface, compile."""

@@ -122,8 +122,8 @@ def summed_errors(errors: Sequence[tuple[Part, np.ndarray]], radiance: np.ndarra
     return np.minimum(np.sqrt(squares) / np.maximum(light, DARK), 1.0).astype(np.float32).reshape(radiance.shape[:2])
 
 
-def compose(view: View, peels: Peels, parts: Sequence[Part], watch: Stopwatch, target: float) -> SurfacesFrame:
-    """The frame of a ``view`` from the frames of its sides."""
+def summed(view: View, parts: Sequence[Part]) -> tuple[np.ndarray, np.ndarray]:
+    """Linear light (h, w, 3) float32 and states (h, w) uint8 of a view's pixels, of all that they show together."""
     count = view.width * view.height
     radiance, state = np.zeros((count, 3)), np.full(count, FINAL + 1, np.uint8)
     for part in parts:
@@ -132,13 +132,18 @@ def compose(view: View, peels: Peels, parts: Sequence[Part], watch: Stopwatch, t
         np.minimum.at(state, part.layers.pixels, part.seen(part.frame.state))
     state[state > FINAL] = 0
     shape = view.height, view.width
-    lit = radiance.astype(np.float32).reshape(*shape, 3)
+    return radiance.astype(np.float32).reshape(*shape, 3), state.reshape(shape)
+
+
+def compose(view: View, peels: Peels, parts: Sequence[Part], watch: Stopwatch, target: float) -> SurfacesFrame:
+    """The frame of a ``view`` from the frames of its sides."""
+    lit, state = summed(view, parts)
     checked = view.shading == "gi" and not view.moving
     versions = repr([(part.side, part.frame.version) for part in parts]) + repr(view)
     return SurfacesFrame(
         view=view,
         radiance=lit,
-        state=state.reshape(shape),
+        state=state,
         error=summed_errors([(part, part.frame.error) for part in parts], lit),
         gbuffer=peels.first,
         chunks_needed=sum(part.frame.chunks_needed for part in parts),
