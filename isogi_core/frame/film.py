@@ -80,7 +80,8 @@ def develop(frame: Frame, exposure: float, overlay: str = "none", background: st
     if overlay == "error":
         picture = with_errors(frame, exposure, ground)
     else:
-        picture = lit(frame.radiance, frame.state, exposure, overlay == "provisional", ground)
+        radiance = before_ground(frame.radiance, frame.airy, exposure, ground)
+        picture = lit(radiance, frame.state, exposure, overlay == "provisional", ground)
     if clear:
         picture = np.dstack([picture, np.where(frame.state > 0, np.uint8(255), np.uint8(0))])
     if frame.edges and overlay == "none":
@@ -88,12 +89,23 @@ def develop(frame: Frame, exposure: float, overlay: str = "none", background: st
     return picture
 
 
+def before_ground(
+    radiance: np.ndarray, airy: np.ndarray | None, exposure: float, ground: tuple[float, ...]
+) -> np.ndarray:
+    """The ``radiance`` (…, 3) of a picture with the ``ground`` behind what is ``airy`` (…), which hides none of it."""
+    if airy is None:
+        return radiance
+    behind = np.array(ground, np.float32) / np.float32(exposure)
+    return np.where(airy[..., None], radiance + behind, radiance).astype(np.float32)
+
+
 def averaged(edges: EdgeSamples, exposure: float, ground: tuple[float, ...], clear: bool) -> np.ndarray:
     """The pixels at ``edges``, (k, 3) uint8 sRGB, as the mean of what their samples shine on a screen.
 
     Where the picture is ``clear`` that is of samples on the surface, and (k, 4): the last is the share of those.
     """
-    shown = linear_table()[lit(edges.light, edges.on.astype(np.uint8), exposure, False, ground)]
+    light = before_ground(edges.light, edges.airy, exposure, ground)
+    shown = linear_table()[lit(light, edges.on.astype(np.uint8), exposure, False, ground)]
     if not clear:
         return coded(shown.mean(axis=1))
     sums = np.where(edges.on[..., None], shown, np.float32(0)).sum(axis=1)
