@@ -26,12 +26,14 @@ STATES = {"final": FINAL, "converging": CONVERGING, "provisional": PROVISIONAL}
 class EdgeSamples:
     """What the samples of the ``pixels`` (k,) at edges show: linear ``light`` (k, samples, 3), and which are ``on``.
 
-    ``pixels`` are picture indices, ascending; ``on`` (k, samples) says which samples show the surface.
+    ``pixels`` are picture indices, ascending; ``on`` (k, samples) says which samples show the surface,
+    and ``airy`` (k, samples), where something glows, which of them show that alone, with what is behind.
     """
 
     pixels: np.ndarray
     light: np.ndarray
     on: np.ndarray
+    airy: np.ndarray | None = None
 
     @cached_property
     def covered(self) -> np.ndarray:
@@ -114,6 +116,16 @@ class Frame:
             on &= self.glow is None or found.any(axis=-1)  # what glows beside the surface is nowhere
             found[on] = self.view.orientation.to_world(found[on].astype(np.float64))
         return found
+
+    @cached_property
+    def airy(self) -> np.ndarray | None:
+        """Which pixels show what glows alone, with the background behind; (h, w) bool, None where nothing glows."""
+        if self.glow is None:
+            return None
+        alone = self.glow.any(axis=1)
+        for each in (self.gbuffer, self.gbuffer.walls, self.gbuffer.faces):
+            alone[each.pixels] = False
+        return alone.reshape(self.state.shape)
 
     @cached_property
     def leaving(self) -> np.ndarray:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from isogi_core.frame.entry_kernels import GLOW, frame_kernels
+from isogi_core.frame.film import LIGHT, develop
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.framebuffer import FINAL
@@ -155,3 +156,18 @@ def test_edges_before_what_glows_are_smooth(tmp_path: Path) -> None:
     assert frame.edges is not None and frame.glow is not None
     before = (frame.glow[frame.edges.pixels] > 0.0).any(axis=1)
     assert before.sum() > 50 and frame.edges.on[before].mean() > 0.9
+
+
+def test_what_glows_hides_no_background(tmp_path: Path) -> None:
+    """A picture on a light ground is nowhere darker than that where it shows what glows alone, at edges too."""
+    bench = Workbench(orbital_of(lights=[DARK], bounces=0), tmp_path)
+    frame = bench.renderer.render(bench.view(51.0, 0.0, 4 * SIZE, smooth=True))
+    assert frame.airy is not None and frame.airy.sum() > 50 and frame.edges is not None
+    rim = np.isin(np.flatnonzero(frame.airy), frame.edges.pixels)
+    smooth, stairs = (
+        develop(each, 1.0, background="light")[frame.airy, 0] for each in (frame, replace(frame, edges=None))
+    )
+    ground = bytes.fromhex(LIGHT)[0]
+    assert rim.any() and not rim.all()
+    assert (stairs >= ground - 1).all() and (stairs > ground).mean() > 0.5
+    assert (smooth[~rim] >= ground - 1).all() and (smooth[rim] >= ground - 1).mean() > 0.5
