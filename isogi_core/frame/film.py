@@ -81,14 +81,10 @@ def develop(frame: Frame, exposure: float, overlay: str = "none", background: st
     if overlay == "error":
         picture = with_errors(frame, exposure, ground)
     else:
-<<<<<<< HEAD
-        picture = lit(frame.radiance, frame.state, exposure, overlay == "provisional", ground)
-    if left is not None and not clear:
-        picture = seen_through(picture, left, ground)
-=======
         radiance = before_ground(frame.radiance, frame.airy, exposure, ground)
         picture = lit(radiance, frame.state, exposure, overlay == "provisional", ground)
->>>>>>> glow
+    if left is not None and not clear:
+        picture = seen_through(picture, left, ground)
     if clear:
         cover = np.where(frame.state > 0, np.float32(1.0), np.float32(0.0)) if left is None else 1.0 - left
         picture = np.dstack([bared(picture, cover), (255.0 * cover + 0.5).astype(np.uint8)])
@@ -97,7 +93,6 @@ def develop(frame: Frame, exposure: float, overlay: str = "none", background: st
     return picture
 
 
-<<<<<<< HEAD
 def seen_through(picture: np.ndarray, left: np.ndarray, ground: tuple[float, ...]) -> np.ndarray:
     """A ``picture`` (h, w, 3) uint8 of surfaces that let the share ``left`` (h, w) of a ``ground`` through."""
     some = (left > 0.0) & (left < 1.0)
@@ -113,7 +108,8 @@ def bared(picture: np.ndarray, cover: np.ndarray) -> np.ndarray:
     found = picture.copy()
     found[some] = coded(np.minimum(linear_table()[picture[some]] / cover[some][:, None], 1.0))
     return found
-=======
+
+
 def before_ground(
     radiance: np.ndarray, airy: np.ndarray | None, exposure: float, ground: tuple[float, ...]
 ) -> np.ndarray:
@@ -122,7 +118,6 @@ def before_ground(
         return radiance
     behind = np.array(ground, np.float32) / np.float32(exposure)
     return np.where(airy[..., None], radiance + behind, radiance).astype(np.float32)
->>>>>>> glow
 
 
 def averaged(edges: EdgeSamples, exposure: float, ground: tuple[float, ...], clear: bool) -> np.ndarray:
