@@ -236,7 +236,7 @@ def cut_open(scene: Scene, cut: str, name: str, volume: Volume | None = None) ->
 def at_time(scene: Scene, time: int, name: str, volume: Volume | None = None) -> Scene:
     """The same scene of another step of its series in time, by another id, ``name``; of a ``volume`` where it is open.
 
-    Raises SceneError where there is no such step, and VolumeError.
+    It starts at the same isovalue, as far as there is such. Raises SceneError for a step that is not there.
     """
     steps = scene.volume.moment[1]
     if not 0 <= time < steps:
@@ -247,7 +247,8 @@ def at_time(scene: Scene, time: int, name: str, volume: Volume | None = None) ->
     document = {**scene.source.document, "volume": f"{place}#{rest}" if rest else place, "time": time}
     bare = {key: value for key, value in document.items() if volume is None or key not in FOLLOWED}
     other = build_scene(replace(scene.source, document=bare), volume=volume, colours=scene.colours if volume else None)
-    return replace(other, id=name, source=replace(scene.source, document=document))
+    start = min(max(scene.isovalue, other.isovalues[0]), other.isovalues[1])
+    return replace(other, id=name, isovalue=start, source=replace(scene.source, document=document))
 
 
 def read_room(settings: Settings, volume: Volume) -> Room:

@@ -82,6 +82,7 @@ def test_a_time_step_of_a_nifti_file_is_chosen(tmp_path: Path) -> None:
     with pytest.raises(VolumeError, match=r"has 3 time steps: choose one by time = 0 to 2 .* '.*f.nii.gz#time=0'"):
         opened(path)
     check(path, F + 2, time=2)
+    assert opened(path, time=2).moment == (2, 3)
     with pytest.raises(VolumeError, match="time = 3 is not in"):
         opened(path, time=3)
 
