@@ -83,13 +83,14 @@ def sample_edges(
         borrow_light(shown, places[a:b], found[:hits], points[:hits], light[a:b])
 
     tiles.run(_piece, len(places), RAYS)
-    airy = None if glow is None else np.zeros_like(on)
-    if glow is not None and airy is not None:
+    airy = np.zeros_like(on)
+    if glow is not None:
         beside = np.flatnonzero(~on)
         light[beside] = glow.through(frame, places[beside], tiles)
         on[beside] = airy[beside] = light[beside].any(axis=1)
-        airy = airy.reshape(len(pixels), count)
-    return EdgeSamples(pixels, light.reshape(len(pixels), count, 3), on.reshape(len(pixels), count), airy)
+    shape = len(pixels), count
+    alone = None if glow is None else airy.reshape(shape)
+    return EdgeSamples(pixels, light.reshape(*shape, 3), on.reshape(shape), alone)
 
 
 def shown_by(frame: Frame) -> Shown:

@@ -121,10 +121,10 @@ class Frame:
         """Which pixels show what glows alone, with the background behind; (h, w) bool, None where nothing glows."""
         if self.glow is None:
             return None
-        alone = self.glow.any(axis=1)
+        alone = np.asarray(self.glow.any(axis=1))
         for each in (self.gbuffer, self.gbuffer.walls, self.gbuffer.faces):
             alone[each.pixels] = False
-        return alone.reshape(self.state.shape)
+        return np.asarray(alone.reshape(self.state.shape))
 
     @cached_property
     def leaving(self) -> np.ndarray:

@@ -19,7 +19,11 @@ def frame_of(error: np.ndarray, light: float = 0.3) -> Any:
     state = np.repeat(np.array(STATES, np.uint8), 12)[None].repeat(len(error), axis=0)
     radiance = np.full((*state.shape, 3), light, np.float32)
     return SimpleNamespace(
-        edges=None, radiance=radiance, state=state, total_error=np.repeat(error[:, None], 48, 1).astype(np.float32)
+        edges=None,
+        airy=None,
+        radiance=radiance,
+        state=state,
+        total_error=np.repeat(error[:, None], 48, 1).astype(np.float32),
     )
 
 
