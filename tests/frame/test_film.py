@@ -21,6 +21,7 @@ def frame_of(error: np.ndarray, light: float = 0.3) -> Any:
     return SimpleNamespace(
         edges=None,
         left=None,
+        airy=None,
         radiance=radiance,
         state=state,
         total_error=np.repeat(error[:, None], 48, 1).astype(np.float32),
