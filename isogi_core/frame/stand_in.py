@@ -14,7 +14,7 @@ from isogi_core.frame.tiles import Tiles
 from isogi_core.frame.view_texels import ViewTexels
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL
 from isogi_core.kernels.shading.lattice import BURIED, PARTIAL, UNBAKED
-from isogi_core.plan.cuts import Ranges
+from isogi_core.plan.volumes.cuts import Ranges
 
 REACH = 2.5
 """Voxels from a face within which a texel is lit about another normal than in the whole volume: four are smoothed."""

@@ -42,17 +42,17 @@ from isogi_core.model.sky import sky_image
 from isogi_core.model.value_survey import Progress, no_progress
 from isogi_core.model.view import PROJECTIONS
 from isogi_core.model.volume import Volume
-from isogi_core.plan.colours import find_table, read_colours
-from isogi_core.plan.cuts import cut_away, voxels_left
 from isogi_core.plan.inputs import PlanInputs, PlanOverrides
 from isogi_core.plan.isovalue_presets import read_presets
-from isogi_core.plan.label_colours import colours_of_labels
-from isogi_core.plan.labels import HALF, find_labels
 from isogi_core.plan.lobe_choice import MOST as MOST_LOBES
 from isogi_core.plan.planner import plan_scene
 from isogi_core.plan.scene import CHUNKS, NORMALS, SURVEYED, Scene
 from isogi_core.plan.several import read_clear, read_pinned
-from isogi_core.plan.volume_opening import open_volume
+from isogi_core.plan.volumes.colours import find_table, read_colours
+from isogi_core.plan.volumes.cuts import cut_away, voxels_left
+from isogi_core.plan.volumes.label_colours import colours_of_labels
+from isogi_core.plan.volumes.labels import HALF, find_labels
+from isogi_core.plan.volumes.opening import open_volume
 
 SKY_SIZE = (512, 1024)
 """Rows and columns of the grid on which a sky is laid out."""

@@ -20,10 +20,10 @@ from isogi_core.frame.stand_in import StandIn
 from isogi_core.frame.tiles import Stopwatch, Tiles
 from isogi_core.model.view import View
 from isogi_core.model.volume import Isovalue
-from isogi_core.plan.cuts import voxels_left
 from isogi_core.plan.finer import finer, has_finer
 from isogi_core.plan.planner import complete
 from isogi_core.plan.scene import Scene
+from isogi_core.plan.volumes.cuts import voxels_left
 from isogi_core.prepared.active_cell_maps import ActiveCellMaps
 from isogi_core.prepared.prepared_scene import PreparedScene
 from isogi_core.storage.store import Store

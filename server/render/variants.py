@@ -16,8 +16,8 @@ from isogi_core.errors import LightError, SceneError, VolumeError
 from isogi_core.model.lights import ENVIRONMENTS
 from isogi_core.model.window import read_window
 from isogi_core.plan.assembly import at_time, cut_open, under
-from isogi_core.plan.cuts import cut_digest
 from isogi_core.plan.scene import Scene
+from isogi_core.plan.volumes.cuts import cut_digest
 from server.errors import ParameterError
 from server.values import shown
 

@@ -7,8 +7,8 @@ from typing import Any
 import nrrd
 import numpy as np
 
-from isogi_core.plan.labels import smooth
 from isogi_core.plan.scene import Scene
+from isogi_core.plan.volumes.labels import smooth
 from tests.frame.conftest import CONSTANT, SKY, Workbench, chunks_of, rmse_of_colours
 from tests.loaded import load_scene
 

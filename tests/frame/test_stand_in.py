@@ -12,8 +12,8 @@ from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.framebuffer import PROVISIONAL
 from isogi_core.model.view import View
 from isogi_core.model.window import read_window
-from isogi_core.plan.cuts import cut_away, voxels_left
 from isogi_core.plan.scene import Scene
+from isogi_core.plan.volumes.cuts import cut_away, voxels_left
 from tests.frame.conftest import Workbench, scene_of, shell
 
 CUT = "x>16"

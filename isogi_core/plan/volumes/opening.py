@@ -21,8 +21,8 @@ from isogi_core.model.demo import DEMOS, demo_volume
 from isogi_core.model.orientation import Orientation
 from isogi_core.model.value_survey import Progress, check, checked_spacing, no_progress, survey
 from isogi_core.model.volume import Volume, make_volume
-from isogi_core.plan.labels import find_labels, solid_of_labels
-from isogi_core.plan.masks import cut_out, place, read_tables
+from isogi_core.plan.volumes.labels import find_labels, solid_of_labels
+from isogi_core.plan.volumes.masks import cut_out, place, read_tables
 
 FORMAT = 1
 """Version of the copies: increased when the same file gives other voxels."""

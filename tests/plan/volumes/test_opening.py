@@ -19,7 +19,7 @@ from isogi_core.errors import SceneError, VolumeError
 from isogi_core.files.grid import Grid
 from isogi_core.model.value_survey import no_progress
 from isogi_core.model.volume import BINS, Volume, make_volume
-from isogi_core.plan.volume_opening import volume_of
+from isogi_core.plan.volumes.opening import volume_of
 from tests.loaded import load_scene
 
 SHAPE = (33, 41, 35)

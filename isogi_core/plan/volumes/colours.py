@@ -16,8 +16,8 @@ from isogi_core.files.scene_file import DEFAULT_DEMO, SceneSource, Settings, is_
 from isogi_core.kernels.transport.colours import sample_layer, slope_layer
 from isogi_core.model.colours import MAPS, MOST, VALUES, Colour, Scale, SurfaceColours, spread, table_of
 from isogi_core.model.volume import Isovalue, Volume
-from isogi_core.plan.masks import matrix_into
-from isogi_core.plan.volume_opening import AXES, NESTED, open_grid, stem_of
+from isogi_core.plan.volumes.masks import matrix_into
+from isogi_core.plan.volumes.opening import AXES, NESTED, open_grid, stem_of
 
 OF = ("gradient", "curvature")
 """What of the scene's own volume colours can be of."""

@@ -11,7 +11,7 @@ from isogi_core.frame.tiles import Tiles
 from isogi_core.model.orientation import Orientation
 from isogi_core.model.view import View
 from isogi_core.plan.assembly import cut_open
-from isogi_core.plan.cuts import FAR, cut_away, voxels_left
+from isogi_core.plan.volumes.cuts import FAR, cut_away, voxels_left
 from isogi_core.prepared.prepared_scene import PreparedScene
 from tests.frame.conftest import MIDDLE, scene_of, shell
 from tests.loaded import load_scene

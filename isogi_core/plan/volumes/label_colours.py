@@ -13,9 +13,9 @@ from isogi_core.errors import VolumeError
 from isogi_core.files.scene_file import Settings
 from isogi_core.model.colours import VALUES, Colour, Scale, SurfaceColours
 from isogi_core.model.volume import Volume
-from isogi_core.plan.colours import capped, volume_grids
-from isogi_core.plan.labels import REACH, LabelTable, Segmentation
-from isogi_core.plan.masks import matrix_into, nearest_layer
+from isogi_core.plan.volumes.colours import capped, volume_grids
+from isogi_core.plan.volumes.labels import REACH, LabelTable, Segmentation
+from isogi_core.plan.volumes.masks import matrix_into, nearest_layer
 
 PLACES = 513**3
 """Places of a grid of codes, at most: volumes of more than 257³ voxels have labels at every second one, or fewer."""
