@@ -12,9 +12,9 @@ from isogi_core.errors import IsogiError, SceneError, VolumeError
 from isogi_core.files import grid as grids
 from isogi_core.kernels.transport.colours import Colours, fill_albedos
 from isogi_core.model.colours import SurfaceColours
-from isogi_core.plan.volumes import labels as module
 from isogi_core.plan.assembly import build_scene, cut_open
 from isogi_core.plan.scene import Scene
+from isogi_core.plan.volumes import labels as module
 from isogi_core.plan.volumes.label_colours import between, spread, stride_of
 from isogi_core.plan.volumes.labels import smooth
 from isogi_core.storage.store import Store
