@@ -73,7 +73,7 @@ def test_light_in_the_store_depends_on_the_walls() -> None:
         ({"walls": [{**WALL, "sides": 3}]}, "1 or 2 of them are lit"),
         ({"walls": [WALL] * 65}, "has 65 walls: give it at most 64"),
         ({"walls": [WALL], "rotating": True}, "Walls stay where they are"),
-        ({"walls": [WALL], "representation": "transfer"}, "there are walls: leave it out"),
+        ({"walls": [WALL], "representation": "transfer"}, "there are walls or others: leave it out"),
     ],
 )
 def test_a_bad_wall_is_refused_in_a_sentence(settings: dict[str, Any], sentence: str) -> None:
