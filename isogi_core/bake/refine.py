@@ -230,12 +230,18 @@ def sample_glow(
 
 
 def starts_of(place: Place, rows: np.ndarray) -> RoomStarts:
+    """The same starts as ``path_starts``, none of them on a wall."""
+    starts = path_starts(place, rows)
+    return RoomStarts(*starts, np.full(len(starts.seeds), NOWHERE))
+
+
+def path_starts(place: Place, rows: np.ndarray) -> PathStarts:
     """Where paths start, of both halves of the texels in these ``rows`` of a place."""
     texels, points, normals, isovalues = place
     both = np.repeat(rows, 2)
     seeds = seeds_of(np.column_stack([texels[both], np.tile([0, 1], len(rows))]))
     here, around = (np.ascontiguousarray(each[:, both]) for each in (points, normals))
-    return RoomStarts(here, around, isovalues[both], seeds, np.full(len(both), NOWHERE))
+    return PathStarts(here, around, isovalues[both], seeds)
 
 
 def light_texels_in_room(
@@ -264,12 +270,7 @@ def light_texels_among_surfaces(
     sums: np.ndarray,
 ) -> None:
     """``bake_irradiance`` among several surfaces, which reflect, and let a share of all rays pass."""
-    texels, points, normals, isovalues = place
-    both = np.repeat(rows, 2)
-    seeds = seeds_of(np.column_stack([texels[both], np.tile([0, 1], len(rows))]))
-    here, around = (np.ascontiguousarray(each[:, both]) for each in (points, normals))
-    starts, added = PathStarts(here, around, isovalues[both], seeds), np.zeros((len(both), 3))
-    prepared = spec.prepared
+    starts, prepared, added = path_starts(place, rows), spec.prepared, np.zeros((2 * len(rows), 3))
     surfaces, light = prepared.company(bricks), prepared.surroundings(np.eye(3))
     light_among_surfaces(prepared.field, surfaces, starts, samples, rules, light, added)
     sums[rows] += added.reshape(-1, 2, 3)
