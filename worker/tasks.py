@@ -58,11 +58,11 @@ class BakeTask:
     """Bring the texels at ``offsets`` of a chunk to ``until`` samples, as long as their next path has priority enough.
 
     Paths of less than ``least_priority`` are not taken, see ``path_priorities``, with texels seen by their
-    ``footprints``. Texels are final at the relative error ``target``. ``plan`` is what is baked. ``digest`` names the
-    light that the server means, as the scene's files may have changed since. Where there are ``assets``, these are read
-    in place of the scene's files. ``owner`` names the baker, which claims the chunk while others are at work too; where
-    it ``insists``, whoever claimed it before. Texels lie on the isosurface that is ``shown``, where one is: see
-    ``BakeSpec``.
+    ``footprints``. Texels are to be final in pictures of the relative error ``target``. ``plan`` is what is baked.
+    ``digest`` names the light that the server means, as the scene's files may have changed since. Where there are
+    ``assets``, these are read in place of the scene's files. ``owner`` names the baker, which claims the chunk while
+    others are at work too; where it ``insists``, whoever claimed it before. Texels lie on the isosurface that is
+    ``shown``, where one is: see ``BakeSpec``.
     """
 
     source: SceneSource

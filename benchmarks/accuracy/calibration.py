@@ -121,7 +121,7 @@ def lights_of(rungs: Rungs, spec: BakeSpec, most: int) -> Iterator[tuple[str, Li
 
 
 def adaptive(rungs: Rungs, spec: BakeSpec, target: float) -> Light:
-    """The light as a bake to the relative error ``target`` leaves it: each texel on the first rung that is enough."""
+    """The light as a bake to a ``target`` error leaves it: each texel on the first rung that is enough."""
     light = Light.dark(spec.plan, len(next(iter(rungs.values()))))
     waiting = np.ones(len(light), np.bool_)
     for rung in rungs.values():

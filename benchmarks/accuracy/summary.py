@@ -19,7 +19,7 @@ path-traced from each pixel to the lights themselves, with as many bounces as ma
 the luminance of surface pixels, over the reference's mean, less the noise that is known. The total is the frame's; \
 each part is what remains when one ingredient alone gives way to its exact counterpart. A dash is a part that the \
 scene's plan does not have. Bake is the seconds of the processor, all threads together, in which the view's light was \
-baked, each texel to a target error of 2 %, which is of Monte Carlo noise alone."""
+baked, each texel until pixels are at a target error of 2 %, which is of Monte Carlo noise alone."""
 
 MADE = """\
 Each scene has an albedo of 0.7 and is planned by isogi. `isogi report SCENE -o DIR` makes one such report of your own \

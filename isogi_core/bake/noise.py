@@ -10,7 +10,7 @@ import numpy as np
 from isogi_core.bake.bake_spec import BakeSpec, band_of
 from isogi_core.bake.texel_light import Light, Part
 from isogi_core.kernels.shading.lattice import LEAST_SPREAD
-from isogi_core.model.scene_plan import FEWEST, GlowLayer, Layer, most_samples
+from isogi_core.model.scene_plan import FEWEST, GlowLayer, Layer, most_samples, texel_target
 from isogi_core.plan.albedos import mixing_weights
 
 FLOOR = 0.5
@@ -100,13 +100,16 @@ def relative_error(light: Light, spec: BakeSpec) -> np.ndarray:
 
 
 def finished(light: Light, spec: BakeSpec, target: float) -> np.ndarray:
-    """Whether each texel is final: its error within ``target``, its samples spent, or void; (texels,) bool."""
+    """Whether each texel is final in pictures of a ``target`` error: good enough, or void; (texels,) bool."""
     return light.void | good_enough(relative_error(light, spec), light.samples, target)
 
 
 def good_enough(error: np.ndarray, samples: np.ndarray, target: float) -> np.ndarray:
-    """Whether texels of this relative ``error`` after so many ``samples`` are final for ``target``; bool."""
-    return (error <= target) & (samples >= FEWEST) | (samples >= most_samples(target))
+    """Whether texels of this relative ``error`` after so many ``samples`` are final in pictures of a ``target``; bool.
+
+    Their error is within ``texel_target``, or their samples are spent.
+    """
+    return (error <= texel_target(target)) & (samples >= FEWEST) | (samples >= most_samples(target))
 
 
 def noise_of_halves(halves: np.ndarray, samples: int, order: int, evenness: np.ndarray | float = 1.0) -> np.ndarray:
@@ -212,7 +215,7 @@ class Effort(NamedTuple):
 
 
 def samples_left(error: np.ndarray, samples: np.ndarray, target: float) -> np.ndarray:
-    """The samples that texels will still take to bring their relative ``error`` to ``target``; (texels,) float64.
+    """The samples that texels of this relative ``error`` take until pictures are at a ``target``; (texels,) float64.
 
     They must be lit and not final: each climbs one sample level at least.
     """
@@ -220,8 +223,8 @@ def samples_left(error: np.ndarray, samples: np.ndarray, target: float) -> np.nd
 
 
 def samples_needed(error: np.ndarray, samples: np.ndarray, target: float) -> np.ndarray:
-    """The sample level at which lit texels of this relative ``error`` reach a ``target``; (texels,) float64."""
-    needed = np.clip(samples * (error / target) ** RATE, FEWEST, most_samples(target))
+    """The sample level at which lit texels of this relative ``error`` are final for a ``target``; (texels,) float64."""
+    needed = np.clip(samples * (error / texel_target(target)) ** RATE, FEWEST, most_samples(target))
     return np.asarray(2.0 ** np.ceil(np.log2(needed)))
 
 

@@ -41,9 +41,9 @@ def refine(
 ) -> None:
     """Bring ``light`` of the ``texels`` (m, 3; z, y, x) up to ``until`` samples each, in place.
 
-    A texel that has reached the relative error ``target``, and whose parts are level, is left as it is. Of the others
-    those parts climb that have the fewest samples: parts at one level do so together, since the same paths serve them.
-    They are ``located`` here where that was not done before.
+    A texel that is final in pictures of the relative error ``target``, and whose parts are level, is left as it is. Of
+    the others those parts climb that have the fewest samples: parts at one level do so together, since the same paths
+    serve them. They are ``located`` here where that was not done before.
     """
     while True:
         waiting = next_samples(light, spec, target)

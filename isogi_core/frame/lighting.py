@@ -23,7 +23,7 @@ from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import Camera, View, rotation_matrix
 from isogi_core.plan.albedos import mixing_weights
 
-FORMAT = 5
+FORMAT = 6
 """Counts up when pictures of the same light change: those that browsers keep are then asked for anew."""
 
 MOST = 100.0

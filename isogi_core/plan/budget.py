@@ -1,7 +1,7 @@
 """The error budget: how the target error is split among what a plan cuts off, and the errors that are expected then.
 
-The target itself is of noise: a texel is final when its noise is within it. What is cut off adds to that; its shares
-are chosen so that it stays about as large as the noise, or smaller.
+The target itself is of noise: pixels of final texels are within it, see ``texel_target``. What is cut off adds to
+that; its shares are chosen so that it stays about as large as the noise, or smaller.
 """
 
 import math

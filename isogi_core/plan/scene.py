@@ -57,7 +57,7 @@ class Scene:
 
     ``albedo`` is linear RGB. ``albedos`` are the least and the most that views may ask for in its place; None where
     light is baked for ``albedo`` alone. ``lattice`` is texels per voxel along each axis, ``chunk`` texels along each
-    side of a chunk, ``target_error`` the relative error at which a texel counts as final, and ``rotating`` whether the
+    side of a chunk, ``target_error`` the relative error at which a pixel counts as final, and ``rotating`` whether the
     light may be turned. ``normals`` names their gradient, "bspline" (smoothed) or "gradient" (plain). Rays start
     ``offset`` voxels above a surface. ``plan`` was made for ``inputs``, with the scene's own ``overrides``.
     ``named`` are the isovalues that the scene names. ``projected`` settles whether texels that are far from the

@@ -48,7 +48,7 @@ class Bake:
         self.seconds = 0.0
 
     def grow(self, until: int, target: float = NEVER) -> None:
-        """Bring all texels to ``until`` samples each, or to the relative error ``target``. Raises Cancelled.
+        """Bring all texels to ``until`` samples each, or to what is final for a ``target`` error. Raises Cancelled.
 
         What it calls is compiled before, on a texel of which nothing is kept.
         """

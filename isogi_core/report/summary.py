@@ -50,7 +50,7 @@ def facts(bench: Bench) -> tuple[tuple[Cell, ...], ...]:
         ("picture", f"{view.width} × {view.height}, {int(bench.best.on.sum()):,} surface pixels, {texels}"),
         ("plan", f"{scene.plan.representation}: {layers}; {scene.plan.bytes_per_texel} bytes per texel"),
         ("bounces", f"{scene.bounces} of the plan, {bench.whole.bounces} of the reference"),
-        ("target error", f"{scene.target_error:.1%} of noise, at most, in each texel"),
+        ("target error", f"{scene.target_error:.1%} of noise, at most, in pixels of final texels"),
     )
 
 

@@ -20,7 +20,7 @@ from isogi_core.bake.noise import (
 )
 from isogi_core.bake.precision import VOID
 from isogi_core.bake.texel_light import Light, Part
-from isogi_core.model.scene_plan import FEWEST, most_samples
+from isogi_core.model.scene_plan import FEWEST, most_samples, texel_target
 from isogi_core.prepared.prepared_scene import PreparedScene
 from tests.bake.texels import baked, climbed, orbital, rotations_of, surface_texels
 from tests.loaded import load_scene
@@ -100,7 +100,7 @@ def test_all_parts_must_have_the_fewest_samples() -> None:
 def test_the_frame_and_the_bake_agree_on_final_light() -> None:
     """The frame judges errors that were rounded to single floats."""
     target = 0.02
-    errors = target * (1.0 + np.linspace(-1e-8, 1e-8, 201))
+    errors = texel_target(target) * (1.0 + np.linspace(-1e-8, 1e-8, 201))
     samples = np.full(201, FEWEST)
     final = good_enough(errors, samples, target)
     assert 0 < final.sum() < 201

@@ -23,9 +23,9 @@ def test_grades_part_missing_rough_and_good_light() -> None:
     expected = [
         (0, 0.0, 0, PARTIAL),
         (5, 0.01, FEWEST // 2, CONVERGING),
-        (1, 0.03, FEWEST, CONVERGING),
-        (2, 0.01, FEWEST, FINAL),
-        (3, 0.03, most_samples(TARGET), FINAL),
+        (1, 0.04, FEWEST, CONVERGING),
+        (2, 0.03, FEWEST, FINAL),
+        (3, 0.04, most_samples(TARGET), FINAL),
         (UNLIT, 0.0, 0, UNBAKED),
         (VOID_ROW, 0.0, 0, VOID),
         (BURIED_ROW, 0.0, 0, BURIED),
