@@ -22,6 +22,12 @@ from worker.bake_requests import GUEST, SHORT, BakeRequest, Key, Shares, Viewer
 from worker.client_queues import ClientQueues, Rank
 from worker.tasks import BakeResult
 
+CLIMB = 3.0
+"""Paths that a task takes for each that its texels have taken: two levels, each twice the one before.
+
+A level makes a texel's priority about a fifth, half of the variance over twice the paths, and a task goes down to STEP.
+"""
+
 FORGET_AFTER, LOOK = 60.0, 1.0
 """Seconds after which a request that was not renewed expires, and between two checks for these."""
 
@@ -113,8 +119,12 @@ class BakeQueue:
         return taken
 
     def seconds(self, request: BakeRequest) -> float:
-        """The most seconds that the next task of a request is predicted to take; 0 where that is unknown."""
-        paths = FIRST_LEVEL * request.effort.unlit if request.until == FIRST_LEVEL else request.effort.left
+        """The seconds that the next task of a request is predicted to take; 0 where that is unknown.
+
+        After first light a task takes what its priority allows: see CLIMB.
+        """
+        unlit, taken, left, _ = request.effort
+        paths = FIRST_LEVEL * unlit if request.until == FIRST_LEVEL else min(left, CLIMB * taken)
         return paths * (self.rate(request.key) or 0.0)
 
     def rank(self, request: BakeRequest, client: Hashable) -> Rank:

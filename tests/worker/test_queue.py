@@ -419,6 +419,18 @@ def test_what_goes_with_a_request_is_alike_and_not_too_much(clock: Clock) -> Non
     assert len(queue.take_along(first, 100)) == 4  # seconds: 48 paths each of 200
 
 
+def test_later_tasks_are_joined_by_what_they_will_take(clock: Clock) -> None:
+    """Not by all that their texels will ever take: these stop where others are more worth it."""
+    queue, lit = BakeQueue(clock, rate=lambda _: SHORT / 450.0), BakeResult(3, 1.0, Effort(0, 48.0, 1e6), Cost(9.0, 48))
+    request(queue, *((x, 1.0) for x in range(4)))
+    assert sum(take(queue) is not None for _ in range(4)) == 4
+    for x in range(4):
+        end(queue, x, lit)
+    first = queue.take()
+    assert first is not None and first.until == MOST
+    assert len(queue.take_along(first, 100)) == 3  # 144 paths each of 450
+
+
 def test_what_may_have_killed_a_worker_is_taken_alone(queue: BakeQueue) -> None:
     request(queue, (1, 1.0), (2, 1.0))
     assert take(queue) is not None and take(queue) is not None
