@@ -115,6 +115,10 @@ class Interest:
     since: float
     ticket: int = 0
 
+    def covers(self, offsets: np.ndarray, target: float) -> bool:
+        """Whether texels at ``offsets`` until a ``target`` are wanted already."""
+        return self.target <= target and contained(offsets, self.offsets)
+
     def joined(self, newer: "Interest") -> "Interest":
         """Merge with a ``newer`` interest; priority and age are those of the newer."""
         both, since = merged((self, newer)), min(self.since, newer.since)
@@ -207,13 +211,17 @@ class BakeRequest:
         return not (self.in_flight or self.postponed or self.given_up)
 
     def add_interest(self, demand: Demand, target: float, viewer: Viewer, view: int, now: float) -> None:
-        """Add the demand of a ``viewer``'s newest ``view``."""
+        """Add the demand of a ``viewer``'s newest ``view``.
+
+        It may be of a frame that was drawn before the last task ended: that one knows better what its texels lack.
+        """
         older = self.interests.get(viewer.client)
+        known = self._least_priority is not None and older is not None and older.covers(demand.offsets, target)
         since = now if older is None else older.since
         interest = Interest(viewer, demand.offsets, demand.footprints, target, priority_of(demand), view, now, since)
         self.interests[viewer.client] = interest if older is None or viewer.single else older.joined(interest)
         self._change_priority(interest.priority - (0.0 if older is None else older.priority))
-        self.effort, self._stale = demand.effort, True
+        self.effort, self._stale = self.effort if known else demand.effort, True
 
     def release(self, client: Hashable) -> None:
         """Drop the interest of a ``client``."""

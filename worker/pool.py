@@ -85,7 +85,7 @@ AllDone = Callable[[Sequence[BakeResult | BaseException]], None]
 
 
 class WorkerPool:
-    """Worker processes. Those started here load the kernels of a bake with their first task.
+    """Worker processes. Those started here load the kernels of bakes at once, ahead of their first task.
 
     Workers that are joined may run on other machines, and load kernels when they start: see
     ``worker.tasks.dask_setup``. They and their scheduler may come and go: a thread of the pool follows that.
@@ -96,7 +96,7 @@ class WorkerPool:
 
         Raises WorkersError, and WorkersAwayError where the scheduler is not there.
 
-        Kernels that bake layers of these ``kinds`` are compiled at once where they are missing.
+        Workers started here load the kernels that bake layers of these ``kinds`` at once, or compile them.
         """
         self._scheduler = scheduler
         self._cluster: LocalCluster | None = None
@@ -114,8 +114,7 @@ class WorkerPool:
                 if scheduler is None:
                     self._cluster = start_cluster(workers)
                 self._client = self._connect("30s")
-                if scheduler is None and kernels_missing(kinds):
-                    fire_and_forget(self._client.submit(load_kernels, tuple(kinds), pure=False))
+                self.prepare(partial(load_kernels, tuple(kinds)))
         except Exception as error:
             if self._cluster is not None:
                 self._cluster.close()

@@ -115,7 +115,9 @@ class RenderEngine:
 
     def hire(self) -> None:
         """Have the workers come, beside whatever else there is to do."""
-        self.workforce.hire({kind for scene in self.scenes.values() for kind in scene.bakes})
+        scenes = list(self.scenes.values())
+        kinds = {kind for scene in scenes for kind in scene.bakes}
+        self.workforce.hire(kinds, scenes[0].source if scenes else None)
 
     def admit(self, scene: Scene) -> None:
         """Show one more scene, once the engine has started; it is loaded when it is first looked at."""

@@ -3,14 +3,17 @@
 import logging
 import threading
 from collections.abc import Collection
+from functools import partial
 
 from isogi_core.errors import IsogiError
+from isogi_core.files.scene_file import SceneSource
 from isogi_core.storage.url import StoreUrl
 from server.settings import Settings
 from worker import pool
 from worker.baker import Baker
 from worker.certificates import show_certificate
 from worker.errors import WorkersAwayError, WorkersError
+from worker.tasks import prepared_scene
 
 log = logging.getLogger("isogi.server")
 
@@ -47,10 +50,13 @@ class Workforce:
         """Whether the workers are those of a scheduler, which may lack the scenes' files."""
         return self._scheduler is not None
 
-    def hire(self, kinds: Collection[str]) -> None:
-        """Have the workers come, once, in a thread; kernels that bake layers of these ``kinds`` come first."""
+    def hire(self, kinds: Collection[str], first: SceneSource | None = None) -> None:
+        """Have the workers come, once, in a thread; kernels that bake layers of these ``kinds`` come first.
+
+        Those of this machine then open the ``first`` scene, while the server does so itself.
+        """
         if self._hiring is None:
-            self._hiring = threading.Thread(target=self._hire, args=[kinds], name="hiring", daemon=True)
+            self._hiring = threading.Thread(target=self._hire, args=[kinds, first], name="hiring", daemon=True)
             self._hiring.start()
 
     def wait(self, seconds: float) -> bool:
@@ -84,11 +90,11 @@ class Workforce:
         if self._pool is not None:
             self._pool.close()
 
-    def _hire(self, kinds: Collection[str]) -> None:
+    def _hire(self, kinds: Collection[str], first: SceneSource | None) -> None:
         """Have the workers come; a scheduler that is not there yet is waited for."""
         while not self._stopped.is_set():
             try:
-                self._employ(kinds)
+                self._employ(kinds, first)
                 self._error = None
                 return
             except IsogiError as error:
@@ -101,10 +107,12 @@ class Workforce:
                 return
             self._stopped.wait(AGAIN)
 
-    def _employ(self, kinds: Collection[str]) -> None:
+    def _employ(self, kinds: Collection[str], first: SceneSource | None) -> None:
         if self._store.scheme == "memory":
             raise WorkersError(UNSEEN)
         self._pool = pool.WorkerPool(self._workers, self._scheduler, kinds)
+        if first is not None:
+            self._pool.prepare(partial(prepared_scene, first, None, self._store))
         self._pool.attend(self._baker.stir)
         self._baker.employ(self._pool)
         self._baker.prepare()

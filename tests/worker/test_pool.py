@@ -229,7 +229,7 @@ def test_kernels_are_loaded_and_not_compiled_again(
 ) -> None:
     bake_all(pool, tasks_for(tmp_path))
     for kernels in pool._client.run(kernels_of_this_process).values():
-        assert set(kernels) == {kernel.name for kernel in CALLED}
+        assert set(kernels) >= {kernel.name for kernel in CALLED}
         assert not any(kernels.values())
     assert compiled
     after = kernel_cache()

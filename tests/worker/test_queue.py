@@ -90,6 +90,14 @@ def test_chunks_without_light_come_first(queue: BakeQueue) -> None:
     assert [take(queue) for _ in range(2)] == [2, 1]
 
 
+def test_a_frame_from_before_a_task_does_not_undo_its_news(queue: BakeQueue) -> None:
+    request(queue, (1, 500.0), (2, 1.0))
+    assert take(queue) == 1
+    end(queue, 1, left(3, 0.9))
+    request(queue, (1, 500.0), (2, 1.0))  # as it was before: no light in either
+    assert [take(queue) for _ in range(2)] == [2, 1]
+
+
 def test_a_second_is_spent_where_it_takes_most_error_off(clock: Clock) -> None:
     seconds = {key(1): 1.0, key(2): 1.0, key(3): 4.0}
     queue = BakeQueue(clock, rate=seconds.get)
