@@ -1,8 +1,9 @@
 """What a scene plan is made of: what a texel takes by it, and the samples that an error is worth."""
 
+import numpy as np
 import pytest
 
-from isogi_core.model.scene_plan import FEWEST, MOST, Layer, ScenePlan, most_samples
+from isogi_core.model.scene_plan import FEWEST, MOST, Layer, ScenePlan, most_samples, texel_target
 
 SINGLE = {"half": False}
 
@@ -39,6 +40,15 @@ def test_a_plan_is_as_large_as_its_layers_are_together() -> None:
     plan = ScenePlan("transfer", (Layer("direct", 5), Layer("indirect", 3, 3)), 5, 4, 1.0, 4096)
     assert (plan.order, plan.indirect_order, plan.channels, plan.precision) == (5, 3, 3, "half")
     assert plan.bytes_per_texel == 53 + 57
+
+
+def test_pixels_between_texels_just_final_are_at_the_target() -> None:
+    """Eight texels of independent noise, mixed at random places between them."""
+    rng, target = np.random.default_rng(8), 0.02
+    noise = rng.normal(0.0, texel_target(target), (200_000, 2, 2, 2))
+    for fraction in rng.random((3, len(noise))):
+        noise = (noise[:, 0].T * (1.0 - fraction) + noise[:, 1].T * fraction).T
+    assert noise.std() == pytest.approx(target, rel=0.01)
 
 
 def test_a_stricter_target_is_worth_more_samples() -> None:
