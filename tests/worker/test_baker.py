@@ -273,11 +273,11 @@ def test_time_left_follows_from_what_the_bake_took(bench: Bench) -> None:
     bench.request(1, 2, 3)
     chunks = [(0, 0, x) for x in (1, 2, 3)]
     assert bench.baker.time_left("scene", "view", chunks) is None
-    pool.end(left(2, 0.8, paths=300.0))
-    # 0.02 seconds a path: 300 paths here, and there of each texel as many as here, (100 + 300) / 2.
+    pool.end(left(2, 0.8, paths=120.0))
+    # 0.02 seconds a path: 120 paths here, and there of each texel as many as here, (100 + 120) / 2.
     reported = bench.baker.time_left("scene", "view", chunks)
     assert reported is not None
-    assert reported.likely == pytest.approx(0.02 * (300 + 2 * 2 * 200) / 2)
+    assert reported.likely == pytest.approx(0.02 * (120 + 2 * 2 * 110) / 2)
     assert reported.low < reported.likely / 2 and reported.high > 2 * reported.likely
     assert bench.baker.time_left("scene", "view", [(0, 0, 9)]) == TimeLeft(0.0, 0.0, 0.0)
     assert bench.baker.paths == 100
