@@ -7,6 +7,17 @@ import pytest
 from playwright.sync_api import Page
 
 CHROMIUM = Path("/usr/bin/chromium")
+WITHOUT = [
+    *("WebUIOmniboxPopup", "WebUIOmniboxAimPopup", "AimEnabled", "PreconnectToSearch", "NetworkTimeServiceQuerying"),
+    *("OptimizationHints", "MediaRouter", "HttpsUpgrades", "PaintHolding"),
+]
+"""Features that Chromium goes without: popups of an address bar that nobody sees take it longer than a page of ours."""
+
+FLAGS = [
+    *("--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"),
+    *("--disable-background-networking", "--disable-component-update", "--disable-sync"),
+    f"--disable-features={','.join(WITHOUT)}",
+]
 SHOTS = Path(__file__).resolve().parents[2] / "test-results" / "page"
 BROWSER = [
     pytest.mark.browser,
