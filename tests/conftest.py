@@ -14,7 +14,7 @@ import nrrd
 import numpy as np
 import pytest
 
-from tests.live import serving
+from tests.live import serving_with_a_worker
 from tests.s3 import BUCKET, S3Server, environment_of
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -120,5 +120,5 @@ def live_store(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="session")
 def live_server(small_scene: Path, live_store: Path) -> Iterator[str]:
     """Base URL of a ready isogi on a real socket, with one worker and the scene ``small``."""
-    with serving(small_scene, live_store) as url:
+    with serving_with_a_worker(small_scene, live_store) as url:
         yield url
