@@ -38,7 +38,9 @@ check: $(BIN)/.tools
 	$(BIN)/lint-imports
 
 # Kernels compile while the tools install and the checks run. Tests wait for servers and browsers on a machine that is
-# full of each other: one that fails there is told, and runs again alone. What fails twice is broken.
+# full of each other: one that fails there is told, and runs again alone. What fails twice is broken. Threads of BLAS
+# would spin on the cores that the processes share.
+test: export OPENBLAS_NUM_THREADS = 1
 test:
 	$(MAKE) --no-print-directory --jobs 3 check kernels $(NODE_TOOLS)
 	$(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder --durations 20 -m "not campaign" \

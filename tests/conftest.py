@@ -1,9 +1,11 @@
 """Fixtures that several rooms share."""
 
+import gc
 import logging
 import os
 from collections import Counter
 from collections.abc import Iterator
+from functools import lru_cache
 from pathlib import Path
 from uuid import uuid4
 
@@ -12,7 +14,7 @@ import nrrd
 import numpy as np
 import pytest
 
-from tests.live import serving
+from tests.live import serving_with_a_worker
 from tests.s3 import BUCKET, S3Server, environment_of
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -28,6 +30,19 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Run files of slow tests first: workers take whole files, and a long one at the end would leave one alone."""
     slow = Counter(item.path for item in items if item.get_closest_marker("slow"))
     items.sort(key=lambda item: -slow[item.path])
+
+
+def pytest_collection_finish() -> None:
+    """Leave half a million objects out of every later search for garbage: servers look for it while tests run."""
+    gc.freeze()
+
+
+@pytest.fixture(scope="session", autouse=True)
+def one_list_of_authorities() -> Iterator[None]:
+    """Let clients share what they trust: each of them reads all certificates of the web, and tests make thousands."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("httpx._transports.default.create_ssl_context", lru_cache(httpx.create_ssl_context))
+        yield
 
 
 @pytest.fixture(scope="session")
@@ -105,5 +120,5 @@ def live_store(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="session")
 def live_server(small_scene: Path, live_store: Path) -> Iterator[str]:
     """Base URL of a ready isogi on a real socket, with one worker and the scene ``small``."""
-    with serving(small_scene, live_store) as url:
+    with serving_with_a_worker(small_scene, live_store) as url:
         yield url

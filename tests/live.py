@@ -5,9 +5,15 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING, cast
 
 import httpx
 from fastapi import FastAPI
+
+from isogi_core.plan.assembly import load_scene
+
+if TYPE_CHECKING:
+    from worker.pool import WorkerPool
 
 
 @contextmanager
@@ -31,8 +37,24 @@ def live(app: FastAPI, until: str = "/readyz", port: int = 0) -> Iterator[str]:
 
 @contextmanager
 def serving(scene: Path, store: Path) -> Iterator[str]:
-    """The base URL of an isogi that is ready, with one worker, a scene and a store."""
-    from isogi_core.plan.assembly import load_scene
+    """The base URL of an isogi that is ready, with a scene and a store; it bakes on a thread of this process."""
+    from server.api.app import create_app
+    from server.settings import Settings
+    from tests.server.inline import EngineWithoutWorkers, InlinePool
+    from worker.baker import Baker
+
+    baker, pool = Baker(), InlinePool()
+    baker.employ(cast("WorkerPool", pool))
+    try:
+        with live(create_app(EngineWithoutWorkers([load_scene(scene)], str(store), baker=baker), Settings())) as url:
+            yield url
+    finally:
+        pool.close()
+
+
+@contextmanager
+def serving_with_a_worker(scene: Path, store: Path) -> Iterator[str]:
+    """The same, baked by a worker process, as a server of its own has it; it takes three seconds of the processor."""
     from server.api.app import create_app
     from server.render.engine import RenderEngine
     from server.settings import Settings

@@ -393,8 +393,10 @@ class RenderEngine:
             loaded.renderer.caches.refresh(spec, index, shown)
 
     def _tidy(self) -> None:
-        """Let go of scenes that nobody looks at, and of what errors hold in circles, until stopped."""
+        """Let go of scenes that nobody looks at, and, after frames, of what errors hold in circles, until stopped."""
+        looked = 0.0
         while not self._stopped.wait(TIDY):
             self._loaded.drop_idle()
-            gc.collect()
-            give_memory_back()
+            if looked != (looked := self._loaded.looked):
+                gc.collect()
+                give_memory_back()

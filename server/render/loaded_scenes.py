@@ -46,6 +46,12 @@ class LoadedScenes:
             last = max(looked, key=self._looked.__getitem__, default=None)
         return None if last is None else self.held(last)
 
+    @property
+    def looked(self) -> float:
+        """When somebody looked at any of them last; 0 where nobody ever has."""
+        with self._lock:
+            return max(self._looked.values(), default=0.0)
+
     def settle(self) -> None:
         """Drop those looked at longest ago until the rest fits: they grow as they are looked at."""
         if len(self._looked) > 1:

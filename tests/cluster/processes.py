@@ -54,12 +54,12 @@ def free_port() -> int:
         return int(free.getsockname()[1])
 
 
-def until(condition: Callable[[], Any], seconds: float = LONG) -> Any:
-    """What the condition tells once it is true."""
+def until(condition: Callable[[], Any], seconds: float = LONG, pause: float = 0.1) -> Any:
+    """What the condition tells once it is true; it is asked with a ``pause`` between, in seconds."""
     deadline = time.monotonic() + seconds
     while not (found := condition()):
         assert time.monotonic() < deadline, "it did not come true"
-        time.sleep(0.1)
+        time.sleep(pause)
     return found
 
 

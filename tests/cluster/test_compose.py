@@ -10,15 +10,17 @@ from tests.cluster.processes import ROOT, final, metric, until
 from tests.s3 import S3Server
 
 pytestmark = pytest.mark.slow
+CHECKED = 1.0
+"""Seconds between two health checks: each of them is a process that starts Python."""
 
 
 def test_commands_of_the_compose_file_bake_into_the_bucket(small_scene: Path) -> None:
     with S3Server() as s3, Composed(s3, small_scene) as running:
         running.start("scheduler")
-        until(lambda: running.healthy("scheduler"))
+        until(lambda: running.healthy("scheduler"), pause=CHECKED)
         for service in ("worker", "worker", "server"):
             running.start(service)
-        until(lambda: running.healthy("worker") and running.healthy("server"))
+        until(lambda: running.healthy("worker") and running.healthy("server"), pause=CHECKED)
         with running.client() as client:
             until(lambda: metric(client, "isogi_workers") == 2.0)
             assert final(client)

@@ -1,5 +1,6 @@
 """An engine without worker processes: tasks are baked on a thread of this process."""
 
+import pickle
 from collections.abc import Callable, Collection
 from concurrent.futures import Future, ThreadPoolExecutor
 from hashlib import sha256
@@ -29,13 +30,13 @@ class InlinePool:
         self._thread = ThreadPoolExecutor(1)
 
     def submit(self, task: BakeTask, done: Done) -> None:
-        """Bake; ``done`` is called with the result, or the error."""
+        """Bake what arrives when the task is sent; ``done`` is called with the result, or the error."""
 
         def ended(future: "Future[BakeResult]") -> None:
             error = future.exception()
             done(None if error else future.result(), error)
 
-        self._thread.submit(bake, task).add_done_callback(ended)
+        self._thread.submit(bake, pickle.loads(pickle.dumps(task))).add_done_callback(ended)
 
     def attend(self, stir: Callable[[], None]) -> None:
         """Do nothing: the thread neither comes nor goes."""

@@ -47,9 +47,9 @@ def coloured(small_scene: Path) -> Path:
 
 
 def test_a_server_lights_the_colours_and_takes_no_albedo(coloured: Path, tmp_path: Path) -> None:
-    from tests.live import serving
+    from tests.live import serving_with_a_worker
 
-    with serving(coloured, tmp_path / "store") as url:
+    with serving_with_a_worker(coloured, tmp_path / "store") as url:
         assert httpx.get(f"{url}/v1/scenes/coloured").json()["colours"]["name"] == "gradient"
         place, view = f"{url}/v1/scenes/coloured/frame", {"width": 16, "height": 12, "wait_ms": 5000, "max_error": 0.5}
         while httpx.get(place, params=view, timeout=90).headers["Isogi-Provisional"] == "?1":

@@ -69,7 +69,7 @@ def test_hardly_any_pixel_lacks_half_its_light() -> None:
     assert sum(against_paths(name)[1] for name in MOST) <= 4
 
 
-@pytest.mark.parametrize("width", [8.0, 4.0, 2.0, 1.0, 0.5, 0.0], ids="{:g} voxels wide".format)
+@pytest.mark.parametrize("width", [4.0, 1.0, 0.5, 0.0], ids="{:g} voxels wide".format)
 def test_light_on_thin_ramps_is_as_good_as_on_wide_ones(width: float, tmp_path: Path) -> None:
     """Texels at the edge of a plateau are lit half-way down it: in their own places a mask's err by 5.6 %."""
     scene = scene_of(make_volume(ramp(body(), width)), 0.5, target_error=0.01)

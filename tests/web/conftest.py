@@ -7,13 +7,9 @@ import pytest
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
 from tests.server.uploads.site import site  # noqa: F401 (a fixture)
-from tests.web.visits import CHROMIUM
+from tests.web.visits import CHROMIUM, FLAGS
 
 PATIENCE_MS = 30_000  # for what a page does at once on an idle machine
-FLAGS = [
-    *("--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"),
-    *("--disable-background-networking", "--disable-component-update", "--disable-sync"),
-]
 
 
 @pytest.fixture(scope="module")

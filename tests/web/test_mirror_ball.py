@@ -5,7 +5,7 @@ import pytest
 from playwright.sync_api import Page, Route, expect
 
 from isogi_core.model.view import orbit, quaternion_from_angles, rotation_matrix
-from tests.web.visits import BROWSER
+from tests.web.visits import BROWSER, pixels
 
 SUN = (30.0, 50.0)  # azimuth and elevation in the scene
 
@@ -20,11 +20,8 @@ def opened(page: Page, address: str) -> Page:
 
 def sun_on(page: Page) -> np.ndarray:
     """Where the ball shows the sun, x to the right and y up, in radii of the ball."""
-    size, flat = page.eval_on_selector(
-        "#globe",
-        """ball => [ball.width, Array.from(ball.getContext("2d").getImageData(0, 0, ball.width, ball.height).data)]""",
-    )
-    light = np.array(flat, float).reshape(size, size, 4)[..., :3].sum(axis=2)
+    light = pixels(page, "#globe", None).sum(axis=2)
+    size = len(light)
     rows, columns = np.nonzero(light > 0.97 * light.max())
     return np.array([(2 * columns.mean() + 1) / size - 1, 1 - (2 * rows.mean() + 1) / size])
 

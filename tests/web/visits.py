@@ -1,5 +1,7 @@
 """What every visit to the page does."""
 
+import math
+from base64 import b64decode
 from pathlib import Path
 
 import numpy as np
@@ -7,6 +9,17 @@ import pytest
 from playwright.sync_api import Page
 
 CHROMIUM = Path("/usr/bin/chromium")
+WITHOUT = [
+    *("WebUIOmniboxPopup", "WebUIOmniboxAimPopup", "AimEnabled", "PreconnectToSearch", "NetworkTimeServiceQuerying"),
+    *("OptimizationHints", "MediaRouter", "HttpsUpgrades", "PaintHolding"),
+]
+"""Features that Chromium goes without: popups of an address bar that nobody sees take it longer than a page of ours."""
+
+FLAGS = [
+    *("--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"),
+    *("--disable-background-networking", "--disable-component-update", "--disable-sync"),
+    f"--disable-features={','.join(WITHOUT)}",
+]
 SHOTS = Path(__file__).resolve().parents[2] / "test-results" / "page"
 BROWSER = [
     pytest.mark.browser,
@@ -69,16 +82,21 @@ def without_sockets(page: Page) -> Page:
     return page
 
 
-def pixels(page: Page, picture: str = "#picture") -> np.ndarray:
-    """A picture on the stage, scaled to 96 × 96, as float RGB (96, 96, 3) within 0..255."""
-    flat = page.evaluate(
-        """(picture) => {
-          const canvas = document.createElement("canvas");
-          canvas.width = canvas.height = 96;
-          const paint = canvas.getContext("2d");
-          paint.drawImage(document.querySelector(picture), 0, 0, 96, 96);
-          return Array.from(paint.getImageData(0, 0, 96, 96).data);
-        }""",
-        picture,
-    )
-    return np.array(flat, dtype=float).reshape(96, 96, 4)[..., :3]
+PIXELS = """([picture, size]) => {
+  const shown = document.querySelector(picture);
+  const side = size || shown.width;
+  const canvas = document.createElement("canvas");
+  canvas.width = canvas.height = side;
+  const paint = canvas.getContext("2d");
+  paint.drawImage(shown, 0, 0, side, side);
+  const bytes = paint.getImageData(0, 0, side, side).data;
+  return btoa(Array.from(bytes, (byte) => String.fromCharCode(byte)).join(""));
+}"""
+"""RGBA of a picture as one text: as a list of numbers it takes a second on its way here."""
+
+
+def pixels(page: Page, picture: str = "#picture", size: int | None = 96) -> np.ndarray:
+    """A picture as float RGB (size, size, 3) within 0..255, scaled to that; None is the width of a canvas."""
+    flat = np.frombuffer(b64decode(page.evaluate(PIXELS, [picture, size])), np.uint8)
+    side = math.isqrt(len(flat) // 4)
+    return flat.reshape(side, side, 4)[..., :3].astype(float)

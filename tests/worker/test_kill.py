@@ -84,9 +84,9 @@ class Killing:
     light: dict[str, str] = field(default_factory=dict)
 
     def do(self, store: Path, others: set[int]) -> None:
-        while sum("/c/" in key for key in self.light) < self.chunks or not worker_pids() - others:
-            time.sleep(0.005)
-            self.light = light_in(store)
+        while len(list(store.glob("*/c/*/*/*/0"))) < self.chunks or not worker_pids() - others:
+            time.sleep(0.02)
+        self.light = light_in(store)
         os.kill(min(worker_pids() - others), signal.SIGKILL)
 
 

@@ -18,6 +18,8 @@ from server.render.variants import Variants
 from tests.live import serving
 from tests.loaded import load_scene
 from tests.series import SCENE, STEPS, write_series
+from tests.server.inline import InlinePool
+from worker import pool
 
 
 @pytest.fixture(scope="module")
@@ -95,7 +97,8 @@ def error_of(found: Frame, wanted: Frame) -> float:
     return float(np.sqrt(((found.radiance - wanted.radiance)[on] ** 2).mean()) / wanted.radiance[on].mean())
 
 
-def test_the_light_of_the_step_before_stands_in(scene: Path, tmp_path: Path) -> None:
+def test_the_light_of_the_step_before_stands_in(scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pool, "WorkerPool", InlinePool)
     engine = RenderEngine([load_scene(scene)], Store(f"file://{tmp_path}"), workers=1)
     try:
         engine.start()

@@ -66,6 +66,24 @@ def store(tmp_path: Path) -> Path:
     return tmp_path / "light"
 
 
+@pytest.fixture(scope="module")
+def baked(scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> tuple[Frame, Path]:
+    """The final frame of a view, and a store that has its light."""
+    folder = tmp_path_factory.mktemp("baked")
+    with pytest.MonkeyPatch.context() as patch, closing(RenderEngine([scene], str(folder))) as engine:
+        patch.setattr(pool, "WorkerPool", InlinePool)
+        engine.start()
+        return engine.frame(scene.id, view_of(scene), wait=LONG), folder
+
+
+@pytest.fixture
+def whole(baked: tuple[Frame, Path], store: Path) -> Frame:
+    """The final frame of a view whose light is in the store."""
+    frame, folder = baked
+    shutil.copytree(folder, store)
+    return frame
+
+
 @pytest.fixture
 def begin(scene: Scene, store: Path) -> Iterator[Open]:
     """Begins an engine on the store; it is closed when the test ends."""
@@ -220,12 +238,11 @@ def test_workers_that_are_lost_are_told(begin: Open, scene: Scene, monkeypatch: 
     assert engine.unready() == ["The workers are on strike."]
 
 
-def test_after_a_restart_the_same_view_is_final_at_once(begin: Open, scene: Scene, store: Path) -> None:
-    before = begin().frame(scene.id, view_of(scene), wait=LONG)
+def test_after_a_restart_the_same_view_is_final_at_once(begin: Open, scene: Scene, store: Path, whole: Frame) -> None:
     kept = chunks_in(store)
     after = begin().frame(scene.id, view_of(scene))
     assert not after.provisional
-    assert_same(after, before)
+    assert_same(after, whole)
     assert chunks_in(store) == kept
 
 
@@ -268,9 +285,8 @@ DAMAGES: list[Callable[[bytes], bytes]] = [lambda b: b"", lambda b: b[:-1], lamb
 
 @pytest.mark.parametrize("damage", DAMAGES)
 def test_damage_on_disk_heals_to_the_same_bytes(
-    begin: Open, scene: Scene, store: Path, damage: Callable[[bytes], bytes]
+    begin: Open, scene: Scene, store: Path, whole: Frame, damage: Callable[[bytes], bytes]
 ) -> None:
-    whole = begin().frame(scene.id, view_of(scene), wait=LONG)
     kept = chunks_in(store)
     for name in kept:
         (store / name).write_bytes(damage((store / name).read_bytes()))
@@ -280,8 +296,7 @@ def test_damage_on_disk_heals_to_the_same_bytes(
     assert chunks_in(store) == kept
 
 
-def test_swapped_chunks_heal(begin: Open, scene: Scene, store: Path) -> None:
-    whole = begin().frame(scene.id, view_of(scene), wait=LONG)
+def test_swapped_chunks_heal(begin: Open, scene: Scene, store: Path, whole: Frame) -> None:
     kept = chunks_in(store)
     names = sorted(kept)
     contents = [(store / name).read_bytes() for name in names]
@@ -311,8 +326,7 @@ def test_layers_deleted_while_running_are_baked_again(begin: Open, scene: Scene,
     assert chunks_in(store) == kept
 
 
-def test_a_chunk_deleted_while_running_is_baked_again(begin: Open, scene: Scene, store: Path) -> None:
-    whole = begin().frame(scene.id, view_of(scene), wait=LONG)
+def test_a_chunk_deleted_while_running_is_baked_again(begin: Open, scene: Scene, store: Path, whole: Frame) -> None:
     kept = chunks_in(store)
     engine = begin()
     lost = sorted(kept)[:3]
@@ -338,14 +352,13 @@ def test_cut_metadata_stops_the_start(begin: Open, store: Path) -> None:
 
 
 def test_a_full_disk_leaves_frames_provisional_and_is_told(
-    begin: Open, scene: Scene, monkeypatch: pytest.MonkeyPatch
+    begin: Open, scene: Scene, whole: Frame, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    kept = begin().frame(scene.id, view_of(scene), wait=LONG)
     with monkeypatch.context() as full:
         full.setattr(folder, "partial_file", no_room)
         engine = begin()
         other = view_of(scene, isovalue=0.06)
-        assert_same(engine.frame(scene.id, view_of(scene)), kept)
+        assert_same(engine.frame(scene.id, view_of(scene)), whole)
         frame = engine.frame(scene.id, other, wait=0.2)
         assert frame.provisional
         assert (frame.radiance[frame.state > 0] > 0.0).all()

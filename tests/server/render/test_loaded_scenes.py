@@ -1,6 +1,7 @@
 """Scenes that share the memory: loaded when they are looked at, dropped for others, and the same when they are back."""
 
 import gc
+import threading
 import weakref
 from collections.abc import Iterator
 from contextlib import closing
@@ -13,6 +14,7 @@ import pytest
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
 from server.errors import UnknownSceneError
+from server.render import engine as engine_module
 from server.render import loaded_scenes
 from server.render.engine import RenderEngine
 from server.render.loaded_scenes import IDLE, LoadedScenes
@@ -72,6 +74,21 @@ def test_a_dismissed_scene_is_found_no_more(engine: RenderEngine, scenes: list[S
         with pytest.raises(UnknownSceneError):
             engine.planned(scene)
     assert engine.planned(one.id).id == one.id
+
+
+def test_a_server_tidies_after_frames_and_not_while_it_stands_idle(
+    scenes: list[Scene], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tidied = threading.Semaphore(0)
+    monkeypatch.setattr(pool, "WorkerPool", InlinePool)
+    monkeypatch.setattr(engine_module, "TIDY", 0.01)
+    monkeypatch.setattr(engine_module, "give_memory_back", tidied.release)
+    with closing(RenderEngine(scenes[:1], str(tmp_path))) as engine:
+        engine.start()
+        assert tidied.acquire(timeout=LONG), "what loading left"
+        assert not tidied.acquire(timeout=0.2)
+        engine.frame(scenes[0].id, view_of(scenes[0], shading="lambert"))
+        assert tidied.acquire(timeout=LONG)
 
 
 def test_what_nobody_looks_at_is_dropped_and_given_back(monkeypatch: pytest.MonkeyPatch) -> None:

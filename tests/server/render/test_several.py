@@ -19,13 +19,13 @@ SCENE = {"surfaces": [HALO], "isovalue": 0.06, "bounces": 1, "target_error": 0.2
 
 
 @pytest.fixture
-def make(tmp_path: Path) -> Iterator[Callable[[], RenderEngine]]:
-    """Make engines over one store."""
+def make(tmp_path: Path) -> Iterator[Callable[..., RenderEngine]]:
+    """Make engines over one store, with a worker to ``hire`` or without."""
     made: list[RenderEngine] = []
 
-    def _engine() -> RenderEngine:
+    def _engine(hire: bool) -> RenderEngine:
         made.append(RenderEngine([load_scene("demo:orbital", **SCENE)], tmp_path / "store", workers=1))
-        made[-1].start()
+        made[-1].start(hire)
         return made[-1]
 
     yield _engine
@@ -33,8 +33,8 @@ def make(tmp_path: Path) -> Iterator[Callable[[], RenderEngine]]:
         each.close()
 
 
-def test_workers_bake_all_sides_and_a_restart_finds_them(make: Callable[[], RenderEngine]) -> None:
-    engine = make()
+def test_workers_bake_all_sides_and_a_restart_finds_them(make: Callable[..., RenderEngine]) -> None:
+    engine = make(hire=True)
     scene = engine.scenes["orbital"]
     view = View(0.06, scene.camera(40.0, 20.0, 3.0, 30.0), width=24, height=24)
     heard: list[str] = []
@@ -43,7 +43,7 @@ def test_workers_bake_all_sides_and_a_restart_finds_them(make: Callable[[], Rend
     assert isinstance(frame, SurfacesFrame) and frame.final
     assert len(frame.parts) > 2 and set(heard) == {"orbital"}
     engine.close()
-    other = make()
+    other = make(hire=False)
     again = other.survey("orbital", view, scene.target_error)
     assert not again.provisional and other.paths == 0
     assert (again.radiance == frame.radiance).all() or again.own != frame.own

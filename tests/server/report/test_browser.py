@@ -12,8 +12,8 @@ from playwright.sync_api import Browser, Page, sync_playwright
 from server.report.bundle import write_report
 from server.report.journal import Entry
 from tests.server.report.samples import report_of, sections
+from tests.web.visits import CHROMIUM, FLAGS
 
-CHROMIUM = Path("/usr/bin/chromium")
 SHOTS = Path(__file__).resolve().parents[3] / "test-results" / "report"
 Scheme = Literal["light", "dark"]
 WIDTHS = {"wide": 1100, "phone": 390}
@@ -27,7 +27,7 @@ pytestmark = [
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
     with sync_playwright() as playwright:
-        chromium = playwright.chromium.launch(executable_path=str(CHROMIUM), args=["--no-sandbox", "--disable-gpu"])
+        chromium = playwright.chromium.launch(executable_path=str(CHROMIUM), args=FLAGS)
         yield chromium
         chromium.close()
 
