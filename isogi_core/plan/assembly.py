@@ -45,6 +45,7 @@ from isogi_core.model.volume import Volume
 from isogi_core.plan.inputs import PlanInputs, PlanOverrides
 from isogi_core.plan.isovalue_presets import read_presets
 from isogi_core.plan.lobe_choice import MOST as MOST_LOBES
+from isogi_core.plan.materials import read_material
 from isogi_core.plan.planner import plan_scene
 from isogi_core.plan.scene import CHUNKS, NORMALS, SURVEYED, Scene
 from isogi_core.plan.several import read_clear, read_pinned
@@ -99,7 +100,7 @@ def build_scene(
     lamps = gather_lamps((*lights, *room.lamps), volume.orientation)
     isovalues = settings.interval("isovalues", volume.value_range, volume.core)
     isovalue = start_isovalue(settings, volume, isovalues)
-    albedo = read_albedo(settings, colours)
+    albedo, material = read_albedo(settings, colours), read_material(settings)
     overrides = plan_overrides(settings, albedo)
     shine = read_shine(settings, colours)
     pinned, clear = read_pinned(settings, volume, room, colours), read_clear(settings, room, colours)
@@ -138,6 +139,7 @@ def build_scene(
         projected=settings.flag("projected", None),
         albedos=overrides.albedos or (BARE if overrides.bounces == 0 and max(albedo) > 0.0 and not colours else None),
         shine=shine,
+        material=material,
         colours=colours,
         glowing=glowing,
         camera_projection=settings.choice("projection", PROJECTIONS) or PROJECTIONS[0],

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from isogi_core.errors import ViewError
+from isogi_core.errors import SceneError, ViewError
 from isogi_core.files.scene_file import SceneSource
 from isogi_core.kernels.shading.lattice import CHUNK
 from isogi_core.kernels.tracing.field import OFFSET, Field
@@ -17,6 +17,7 @@ from isogi_core.model.colours import SurfaceColours
 from isogi_core.model.environment import Environment, Lamps
 from isogi_core.model.glow import NO_GLOW, STRONGEST, Glowing
 from isogi_core.model.lights import Light
+from isogi_core.model.material import DIFFUSE, Material
 from isogi_core.model.room import NO_ROOM, Room
 from isogi_core.model.scene_plan import GLOW, GlowLayer, Layer, LeftOut, ScenePlan
 from isogi_core.model.shine import Shine
@@ -27,6 +28,7 @@ from isogi_core.model.volume import Isovalue, Volume
 from isogi_core.plan.inputs import PlanInputs, PlanOverrides
 from isogi_core.plan.isovalue_presets import Preset, find_boundaries, suggested_presets
 from isogi_core.plan.left_out import unprojected, unseen, unshared, unshining
+from isogi_core.plan.materials import unrefracted
 from isogi_core.plan.projection import ProjectionPlan, plan_projection
 from isogi_core.plan.reachable_texels import TexelCount, count_texels
 
@@ -92,6 +94,7 @@ class Scene:
     albedos: tuple[float, float] | None = None
     room: Room = NO_ROOM
     shine: Shine | None = None
+    material: Material = DIFFUSE
     camera_projection: str = "perspective"
     colours: SurfaceColours | None = None
     glowing: Glowing = NO_GLOW
@@ -203,6 +206,7 @@ class Scene:
         """Everything that is left out: by the plan, texels that are never lit or not projected, and shine."""
         texels = (*unseen(self.texels, self.plan), *unprojected(self.projection, self.start))
         beside = unshared(len(self.pinned), self.plan) if self.several else ()
+        beside += unrefracted(self.material, self.lights, self.environment.sharp)
         return (*self.plan.left_out, *texels, *beside, *unshining(self.shine))
 
     def with_plan(self, plan: ScenePlan) -> "Scene":
@@ -256,6 +260,13 @@ class Scene:
         raise ViewError(
             "glow is for scenes in which something glows: leave it out, or give the scene a [[glow]] table."
         )
+
+    def require_texels(self) -> None:
+        """Raise SceneError where the surface keeps no texels: what is asked for is the light that these keep."""
+        if self.material.refracts:
+            raise SceneError(
+                f"The surface of '{self.name}' is glass and keeps no light of its own: render views of it."
+            )
 
     def refuse_camera(self, camera: Camera) -> None:
         """Raise ViewError where a ``camera``, in the volume's box, stands in a wall: all it would see is that."""
@@ -325,7 +336,8 @@ class Scene:
         lit = [self.albedo, self.plan.order, self.plan.lobes, self.target_error]
         walls = ["walls", self.room.digest] if self.room.any else []
         shine = ["shine", *astuple(self.shine)] if self.shine else []
-        beside = [*walls, *shine, *self._coloured, *self._company]
+        made = [] if self.material == DIFFUSE else ["material", *astuple(self.material)]
+        beside = [*walls, *shine, *self._coloured, *self._company, *made]
         glow = ["glow", self.glowing.digest, self.glowing.radiances.tolist()] if self.glowing.any else []
         return digest_of([self.bake_digest, *lights, *lit, *settled, *placed, *beside, *glow])
 
