@@ -89,7 +89,7 @@ GLOW = (gather_from_eye,)
 """Those that only scenes call in which something glows; and, among walls, ``glow_in_room``."""
 
 MATTER = (see_through, light_through_matter)
-"""Those that only scenes call whose surface light passes; they call none of the surface's texels."""
+"""Those that only scenes call whose surface is glass; where light is scattered inside of it, the last alone."""
 
 FRAME = (
     LOBES[0],
@@ -152,6 +152,7 @@ def frame_kernels(scenes: Iterable[Scene]) -> tuple[Any, ...]:
     rooms += COLOURED if any(scene.colours for scene in shown) else ()
     rooms += GLOW if any(scene.glowing.any for scene in shown) else ()
     rooms += (glow_in_room,) if any(scene.glowing.any and scene.room.any for scene in shown) else ()
+    rooms += MATTER[1:] if any(scene.material.scatters and scene.room.any for scene in shown) else ()
     rooms += MATTER if any(scene.material.refracts for scene in shown) else ()
     rooms += AMONG if any(scene.several for scene in shown) else ()
     return (*rooms, *shines, *lobes, *(kernel for kernel in FRAME if kernel not in uncalled))
@@ -162,7 +163,8 @@ def other_kernels(scenes: Iterable[Scene]) -> tuple[Any, ...]:
     shown = tuple(scenes)
     coloured = (light_in_room, fill_seeds) if any(scene.colours for scene in shown) else ()
     glowing = (glow_in_room, fill_seeds) if any(scene.glowing.any for scene in shown) else ()
-    return (*OTHERS, *coloured, *glowing)
+    inside = (light_through_matter, fill_seeds) if any(scene.material.scatters for scene in shown) else ()
+    return (*OTHERS, *coloured, *glowing, *inside)
 
 
 def uncalled_by(scene: Scene) -> set[Any]:

@@ -2,40 +2,62 @@
 
 from isogi_core.errors import SceneError
 from isogi_core.files.scene_file import Settings
-from isogi_core.model.lights import Colour, Lamp, Light
+from isogi_core.model.lights import LARGEST, Colour, Lamp, Light
 from isogi_core.model.material import DIFFUSE, INDICES, MATERIALS, WINDOW_GLASS, Material
 from isogi_core.model.scene_plan import LeftOut, Saving
+from isogi_core.model.volume import Volume
 
-GLASS_KEYS = ("index", "absorption")
-"""Keys that say what glass is like."""
+THICK = 0.02
+"""The mean free path of a subsurface that gives none, over the radius of its volume."""
 
-BESIDE_GLASS = {
-    "albedo": "it reflects no diffuse light",
-    "albedos": "it reflects no diffuse light",
-    "shine": "it mirrors by its index already",
-    "glow": "glow is not seen through it",
-    "surfaces": "it lies alone",
-    "clear": "it lets light pass by its index already",
-    "volumes": "it has no colours of its own",
-    "labels": "it has no colours of its own",
-}
+KEYS = {"index": "glass", "absorption": "glass", "mean_free_path": "subsurface"}
+"""The keys of materials that have any."""
+
+BESIDE_GLASS = {"albedo": "it reflects no diffuse light", "clear": "it lets light pass by its index already"}
 """What a scene of glass cannot have, and why."""
 
+BESIDE_BOTH = {
+    "albedos": "its light is baked for one colour",
+    "shine": "it shines by no lobe",
+    "glow": "glow is not seen through it",
+    "surfaces": "it lies alone",
+    "volumes": "it has one colour",
+    "labels": "it has one colour",
+}
+"""What no scene can have whose surface rays pass, and why."""
 
-def read_material(settings: Settings) -> Material:
+DARKEST = 0.01
+"""Least albedo of a subsurface: what its texels keep is over that."""
+
+
+def read_material(settings: Settings, volume: Volume) -> Material:
     """What the scene's surface is made of. SceneError where a value has no meaning, or the scene has what it cannot."""
     kind, given = settings.choice("material", MATERIALS) or MATERIALS[0], settings.source.document
-    index = settings.number("index", WINDOW_GLASS, *INDICES)
-    absorption = _colour(settings, "absorption")
-    if kind != "glass":
-        for key in GLASS_KEYS:
-            if key in given:
-                raise SceneError(f'{key} is of glass: add material = "glass" to the scene, or leave {key} out.')
+    index, absorption = settings.number("index", WINDOW_GLASS, *INDICES), _colour(settings, "absorption")
+    path = settings.number("mean_free_path", THICK * volume.radius, 0.0, LARGEST)
+    for key, of in KEYS.items():
+        if key in given and of != kind:
+            raise SceneError(f'{key} is of {of}: add material = "{of}" to the scene, or leave {key} out.')
+    if kind == "diffuse":
         return DIFFUSE
-    for key, why in BESIDE_GLASS.items():
+    for key, why in (
+        BESIDE_BOTH | (BESIDE_GLASS if kind == "glass" else {"clear": "it lets light in already"})
+    ).items():
         if key in given:
-            raise SceneError(f"The surface is glass, and {why}: leave {key} out.")
-    return Material(kind, index, absorption)
+            raise SceneError(f"The surface is {kind}, and {why}: leave {key} out.")
+    if kind == "glass":
+        return Material(kind, index, absorption)
+    if min(settings.colour("albedo", 0.7)) < DARKEST:
+        raise SceneError(
+            f"The albedo of a subsurface is what scattering leaves: give {DARKEST:g} or more of each colour."
+        )
+    return Material(kind, mean_free_path=path)
+
+
+def refuse_lamps(material: Material, lights: tuple[Light, ...]) -> None:
+    """Raise SceneError where there are lamps that light inside a surface of this ``material`` cannot meet."""
+    if material.scatters and any(isinstance(light, Lamp) for light in lights):
+        raise SceneError("Lamps do not reach inside a subsurface: make them walls with radiance, or an environment.")
 
 
 def _colour(settings: Settings, key: str) -> Colour:

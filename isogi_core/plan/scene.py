@@ -41,9 +41,9 @@ NORMALS = ("bspline", "gradient")
 SURVEYED = ("texels", "projection", "presets")
 """Properties of a scene that take a pass over its volume, and that no plan changes."""
 
-ROOM, COLOURED, AMONG = "room", "coloured", "among"
-"""Stand for the kinds of layers that are baked among walls, on a surface with colours where its light may turn, or
-among several surfaces.
+ROOM, COLOURED, AMONG, INSIDE = "room", "coloured", "among", "inside"
+"""Stand for the kinds of layers that are baked among walls, on a surface with colours where its light may turn, among
+several surfaces, or inside of one.
 """
 
 IN_WALL = 1e-6
@@ -117,7 +117,9 @@ class Scene:
         return bool(self.pinned) or self.clear > 0.0
 
     def kind_of(self, layer: Layer, plan: ScenePlan) -> str:
-        """The kind of a ``layer`` of a ``plan``, or ROOM or COLOURED, by whose kernels it is baked."""
+        """The kind of a ``layer`` of a ``plan``, or what stands for it, by whose kernels it is baked."""
+        if layer.kind == "irradiance" and self.material.scatters:
+            return INSIDE
         if layer.kind == "irradiance":
             return AMONG if self.several else ROOM if self.many_albedos else layer.kind
         if layer.kind == GLOW:
@@ -291,7 +293,7 @@ class Scene:
         if layer.kind == "irradiance":
             parts += [self.environment.digest, self.lamps.digest, self.albedo]
             parts += ["walls", self.room.digest] if self.room.any else []
-            parts += self._company
+            parts += [*self._company, *(self._made if self.material.scatters else [])]
         return digest_of(parts + (self._coloured if layer.reflected else []))
 
     def _glow_digest(self, layer: GlowLayer, shown: Isovalue | None) -> str:
@@ -305,6 +307,13 @@ class Scene:
         """What digests hold of surfaces beside each other; nothing where there is one, and no ray passes it."""
         others = sorted(each.facts for each in self.pinned)
         return ["surfaces", others, self.clear] if self.several else []
+
+    @property
+    def _made(self) -> list[Any]:
+        """What digests hold of the surface's material; nothing where it is diffuse."""
+        material = self.material
+        facts = material.kind, material.index, *material.absorption
+        return [] if material == DIFFUSE else ["material", *facts, 1.0 / material.mean_free_path]
 
     @property
     def _coloured(self) -> list[Any]:
@@ -336,8 +345,7 @@ class Scene:
         lit = [self.albedo, self.plan.order, self.plan.lobes, self.target_error]
         walls = ["walls", self.room.digest] if self.room.any else []
         shine = ["shine", *astuple(self.shine)] if self.shine else []
-        made = [] if self.material == DIFFUSE else ["material", *astuple(self.material)]
-        beside = [*walls, *shine, *self._coloured, *self._company, *made]
+        beside = [*walls, *shine, *self._coloured, *self._company, *self._made]
         glow = ["glow", self.glowing.digest, self.glowing.radiances.tolist()] if self.glowing.any else []
         return digest_of([self.bake_digest, *lights, *lit, *settled, *placed, *beside, *glow])
 

@@ -103,7 +103,8 @@ class PreparedScene:
     def passable(self) -> Passable:
         """The walls, and what is behind the isosurface, as rays meet them that pass it."""
         material = self.scene.material
-        return Passable(self._room, Matter(material.index, np.array(material.absorption), 0.0, np.ones(3)))
+        scattering = 1.0 / material.mean_free_path, np.array(self.scene.albedo, np.float64)
+        return Passable(self._room, Matter(material.index, np.array(material.absorption), *scattering))
 
     def dark_room(self, albedo: tuple[float, float, float]) -> Room:
         """The ``room`` with walls that give off no light, for paths that gather other light alone."""

@@ -223,7 +223,7 @@ class Paths:
         bounces = self.light.spec.prepared.scene.plan.bounces if self.bounces is None else self.bounces
         if self.light.spec.prepared.scene.material.refracts:
             return path_weights(np.ones(3), bounces + 1, 1.0)
-        if self.light.coloured:
+        if self.light.coloured or self.light.spec.prepared.scene.material.scatters:
             return path_weights(np.ones(3), bounces, 1.0)
         return path_weights(self.light.albedo, bounces, self.survival, leaving=1)
 
@@ -282,7 +282,7 @@ class Paths:
     def _met(self) -> Any:
         """What paths meet, one of TRACERS; None where it is one surface of one albedo."""
         prepared, run = self.light.spec.prepared, self.tiles.run
-        if prepared.scene.material.refracts:
+        if prepared.scene.material.passable:
             return prepared.passable
         if prepared.scene.several:
             return prepared.company(self.gbuffer.surface.cells(run), run)

@@ -11,7 +11,7 @@ from isogi_core.kernels.tracing.cast import TracedSurface
 from isogi_core.kernels.tracing.walls import NOWHERE
 from isogi_core.kernels.transport.light_paths import Surroundings
 from isogi_core.kernels.transport.matter.inside import Passable
-from isogi_core.kernels.transport.matter.matter_paths import ALONG, light_through_matter
+from isogi_core.kernels.transport.matter.matter_paths import ALONG, INWARD, light_through_matter
 from isogi_core.kernels.transport.matter.sight import BACK
 from isogi_core.kernels.transport.paths import PathRules, PathStarts, SampleRange
 from isogi_core.kernels.transport.room_paths import Room, RoomStarts, light_in_room
@@ -85,10 +85,15 @@ def trace_through(
     replicas: range,
     samples: SampleRange,
 ) -> np.ndarray:
-    """Sums of the radiance of some ``replicas``, by number, along the normals of ``points``: see ``sight_lines``."""
+    """Sums of the radiance of some ``replicas``, by number, along the normals of ``points``, see ``sight_lines``; of
+    matter that scatters what comes from inside there.
+    """
     starts = path_starts(traced, points, replicas)
     count, given = len(starts.seeds), (traced.field, traced.cells, met)
-    sums, along = np.zeros((count, 3)), RoomStarts(*starts, np.full(count, ALONG))
+    sums, along = (
+        np.zeros((count, 3)),
+        RoomStarts(*starts, np.full(count, INWARD if met.matter.extinction > 0.0 else ALONG)),
+    )
     light_through_matter(*given, along, samples, rules, light, sums)
     return sums.reshape(-1, len(replicas), 3)
 

@@ -52,7 +52,7 @@ def light_starts(
 
     def _piece(a: int, b: int) -> None:
         some = RoomStarts(*(np.ascontiguousarray(each[..., a:b]) for each in starts))
-        if prepared.scene.material.refracts:
+        if prepared.scene.material.passable:
             given = some, samples, rules, around, sums[a:b]
             light_through_matter(traced.field, traced.cells, prepared.passable, *given)
             return

@@ -7,7 +7,7 @@ import pytest
 
 from isogi_core.frame.entry_kernels import MATTER, frame_kernels
 from isogi_core.kernels.shading.framebuffer import FINAL, PROVISIONAL
-from tests.frame.conftest import CONSTANT, Workbench, relative_rmse
+from tests.frame.conftest import CONSTANT, LOOSE, Workbench, relative_rmse
 from tests.loaded import load_scene
 
 SIZE = 16
@@ -50,6 +50,23 @@ def test_clear_glass_under_an_even_sky_is_as_bright_as_that(tmp_path: Path) -> N
     np.testing.assert_allclose(frame.radiance.reshape(-1, 3)[frame.gbuffer.pixels], 1.0, rtol=1e-5)
     traced = bench.renderer.render(bench.view(size=SIZE, shading="path_traced", samples=2))
     np.testing.assert_allclose(traced.radiance.reshape(-1, 3)[traced.gbuffer.pixels], 1.0, rtol=1e-5)
+
+
+def test_a_subsurface_becomes_what_paths_inside_say(tmp_path: Path) -> None:
+    chosen = {"material": "subsurface", "mean_free_path": 3.0, "albedo": [0.9, 0.6, 0.3], "environment": "overcast"}
+    scene = load_scene("demo:casting", **chosen, target_error=LOOSE, projected=False)
+    bench = Workbench(scene, tmp_path)
+    frame = bench.bake(bench.view(size=SIZE))
+    while bench.renderer.refine(frame.view):
+        pass
+    frame = bench.renderer.render(frame.view)
+    assert frame.final
+    traced = bench.renderer.render(bench.view(size=SIZE, shading="path_traced", samples=512))
+    assert relative_rmse(frame, traced) < 1.2 * LOOSE
+    means = [each.radiance.reshape(-1, 3)[each.gbuffer.pixels].mean(axis=0) for each in (frame, traced)]
+    np.testing.assert_allclose(means[0][0], means[1][0], rtol=0.03)
+    np.testing.assert_allclose(*means, rtol=0.1)
+    assert means[0][0] / means[0][2] > 1.3 * 0.9 / 0.3
 
 
 def test_only_scenes_that_light_passes_compile_its_kernels(room: Workbench) -> None:

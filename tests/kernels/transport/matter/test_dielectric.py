@@ -26,7 +26,7 @@ def test_a_refracted_ray_obeys_snells_law(ratio):
         assert mirror((x, y, z), NORMAL, math.cos(angle)) == pytest.approx((x, y, -z))
 
 
-def test_fresnel_head_on_at_brewsters_angle_and_beyond_the_critical_one():
+def test_fresnel_at_brewsters_and_the_critical_angle():
     assert fresnel(1.0, 1.5) == pytest.approx((0.5 / 2.5) ** 2)
     brewster = math.atan(1.5)
     across = ((1.5**2 - 1.0) / (1.5**2 + 1.0)) ** 2
