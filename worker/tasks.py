@@ -29,6 +29,7 @@ from isogi_core.files.scene_file import FOLLOWED, SceneSource
 from isogi_core.kernels._jit import entries_of, load
 from isogi_core.kernels.transport.coloured_transfer import bake_coloured_texels
 from isogi_core.kernels.transport.glow_paths import glow_in_room
+from isogi_core.kernels.transport.matter.matter_paths import light_through_matter
 from isogi_core.kernels.transport.room_paths import fill_seeds, light_in_room
 from isogi_core.kernels.transport.surface_paths import light_among_surfaces
 from isogi_core.kernels.transport.texel_points import project_texels
@@ -36,7 +37,7 @@ from isogi_core.kernels.transport.transfer import bake_irradiance, bake_texels, 
 from isogi_core.model.scene_plan import GLOW, ScenePlan
 from isogi_core.model.volume import Isovalue
 from isogi_core.plan.assembly import build_scene
-from isogi_core.plan.scene import AMONG, COLOURED, ROOM
+from isogi_core.plan.scene import AMONG, COLOURED, INSIDE, ROOM
 from isogi_core.prepared.prepared_scene import Index, PreparedScene
 from isogi_core.storage.store import Store
 from isogi_core.storage.url import StoreUrl
@@ -46,10 +47,11 @@ PATHS = {
     **{"irradiance": (bake_irradiance,), ROOM: (light_in_room, fill_seeds), COLOURED: (bake_coloured_texels,)},
     GLOW: (glow_in_room, fill_seeds),
     AMONG: (light_among_surfaces, fill_seeds),
+    INSIDE: (light_through_matter, fill_seeds),
 }
 """Entry kernels by the kind of layer that they bake; among walls or surfaces and on colours they are others."""
 
-KINDS = tuple(kind for kind in PATHS if kind not in (ROOM, COLOURED, AMONG, GLOW))
+KINDS = tuple(kind for kind in PATHS if kind not in (ROOM, COLOURED, AMONG, INSIDE, GLOW))
 """The kinds of layers of scenes with one surface, without walls, colours and glow."""
 
 

@@ -17,6 +17,7 @@ from isogi_core.kernels.tracing.active_cells import ActiveCells
 from isogi_core.kernels.tracing.walls import NOWHERE
 from isogi_core.kernels.transport.coloured_transfer import bake_coloured_texels
 from isogi_core.kernels.transport.glow_paths import glow_in_room
+from isogi_core.kernels.transport.matter.matter_paths import INWARD, light_through_matter
 from isogi_core.kernels.transport.paths import PathRules, PathStarts, SampleRange
 from isogi_core.kernels.transport.room_paths import RoomStarts, fill_seeds, light_in_room
 from isogi_core.kernels.transport.surface_paths import light_among_surfaces
@@ -203,7 +204,9 @@ def sample_irradiance(
     weights = np.broadcast_to(spec.weights(layers[0]), (spec.plan.bounces + 1, 3)).copy()
     for bricks, rows in by_isovalue(place[3], void, spec.prepared):
         some, rules = SampleRange(samples // 2, count // 2), PathRules(weights, spec.plan.survival)
-        if spec.prepared.scene.several:
+        if spec.prepared.scene.material.scatters:
+            light_texels_inside(place, rows, bricks, spec, some, sums)
+        elif spec.prepared.scene.several:
             light_texels_among_surfaces(place, rows, bricks, spec, some, rules, sums)
         elif spec.prepared.scene.many_albedos:
             light_texels_in_room(place, rows, bricks, spec, some, rules, sums)
@@ -257,6 +260,19 @@ def light_texels_in_room(
     starts, prepared, added = starts_of(place, rows), spec.prepared, np.zeros((2 * len(rows), 3))
     room, light = prepared.room(prepared.scene.albedo), prepared.surroundings(np.eye(3))
     light_in_room(prepared.field, bricks, room, starts, samples, rules, light, added)
+    sums[rows] += added.reshape(-1, 2, 3)
+
+
+def light_texels_inside(
+    place: Place, rows: np.ndarray, bricks: ActiveCells, spec: BakeSpec, samples: SampleRange, sums: np.ndarray
+) -> None:
+    """``bake_irradiance`` of a surface that scatters inside: B/π over the albedo, by which frames multiply it."""
+    prepared, added = spec.prepared, np.zeros((2 * len(rows), 3))
+    starts = path_starts(place, rows)
+    inward = RoomStarts(*starts, np.full(len(starts.seeds), INWARD))
+    rules = PathRules(np.tile(1.0 / np.array(prepared.scene.albedo), (spec.plan.bounces + 1, 1)), spec.plan.survival)
+    light = prepared.surroundings(np.eye(3))
+    light_through_matter(prepared.field, bricks, prepared.passable, inward, samples, rules, light, added)
     sums[rows] += added.reshape(-1, 2, 3)
 
 

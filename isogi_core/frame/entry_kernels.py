@@ -48,6 +48,8 @@ from isogi_core.kernels.transport.colours import fill_albedos
 from isogi_core.kernels.transport.glow_paths import glow_in_room
 from isogi_core.kernels.transport.harmonics import rotate
 from isogi_core.kernels.transport.lights import project_lamps
+from isogi_core.kernels.transport.matter.matter_paths import light_through_matter
+from isogi_core.kernels.transport.matter.sight import see_through
 from isogi_core.kernels.transport.microfacets import fill_energy
 from isogi_core.kernels.transport.room_paths import fill_seeds, light_in_room
 from isogi_core.kernels.transport.surface_paths import light_among_surfaces
@@ -85,6 +87,9 @@ SHINE = (cast_shine, fill_below, fill_energy, pool_noise)
 
 GLOW = (gather_from_eye,)
 """Those that only scenes call in which something glows; and, among walls, ``glow_in_room``."""
+
+MATTER = (see_through, light_through_matter)
+"""Those that only scenes call whose surface is glass; where light is scattered inside of it, the last alone."""
 
 FRAME = (
     LOBES[0],
@@ -134,9 +139,9 @@ views through a window.
 
 
 def frame_kernels(scenes: Iterable[Scene]) -> tuple[Any, ...]:
-    """Those that frames of any of the ``scenes`` call: ROOM where one has walls, COLOURED where one has
-    colours, AMONG where one has several surfaces, GLOW where something glows, SHINE where one shines, then in the order
-    of FRAME.
+    """Those that frames of any of the ``scenes`` call: ROOM where one has walls, COLOURED where one has colours,
+    MATTER where light passes one, AMONG where one has several surfaces, GLOW where something glows, SHINE where one
+    shines, then in the order of FRAME.
     """
     shown = tuple(scenes)
     uncalled = set.intersection({*FRAME}, *map(uncalled_by, shown))
@@ -147,6 +152,8 @@ def frame_kernels(scenes: Iterable[Scene]) -> tuple[Any, ...]:
     rooms += COLOURED if any(scene.colours for scene in shown) else ()
     rooms += GLOW if any(scene.glowing.any for scene in shown) else ()
     rooms += (glow_in_room,) if any(scene.glowing.any and scene.room.any for scene in shown) else ()
+    rooms += MATTER[1:] if any(scene.material.scatters and scene.room.any for scene in shown) else ()
+    rooms += MATTER if any(scene.material.refracts for scene in shown) else ()
     rooms += AMONG if any(scene.several for scene in shown) else ()
     return (*rooms, *shines, *lobes, *(kernel for kernel in FRAME if kernel not in uncalled))
 
@@ -156,7 +163,8 @@ def other_kernels(scenes: Iterable[Scene]) -> tuple[Any, ...]:
     shown = tuple(scenes)
     coloured = (light_in_room, fill_seeds) if any(scene.colours for scene in shown) else ()
     glowing = (glow_in_room, fill_seeds) if any(scene.glowing.any for scene in shown) else ()
-    return (*OTHERS, *coloured, *glowing)
+    inside = (light_through_matter, fill_seeds) if any(scene.material.scatters for scene in shown) else ()
+    return (*OTHERS, *coloured, *glowing, *inside)
 
 
 def uncalled_by(scene: Scene) -> set[Any]:

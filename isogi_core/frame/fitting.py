@@ -2,10 +2,12 @@
 
 import math
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 
 from isogi_core.frame.renderer import Renderer
+from isogi_core.model.glow import Glowing
 from isogi_core.model.orientation import triple
 from isogi_core.model.view import PROJECTIONS, Vec3, View, orbit
 from isogi_core.plan.scene import Scene
@@ -47,7 +49,8 @@ def front_of(scene: Scene) -> tuple[float, float]:
 def fitted(
     renderer: Renderer, view: View, azimuth: float, elevation: float, projection: str = PROJECTIONS[0]
 ) -> tuple[Vec3, float] | None:
-    """The world's target and the distance from it, in radii, at which a ``view`` shows its surface whole and large.
+    """The world's target and the distance from it, in radii, at which a ``view`` shows its surface whole and large, and
+    balls and boxes beside it that glow.
 
     The view itself is in perspective; distance and target are for a camera with that ``projection``.
     None where no surface is to be seen. Raises Cancelled.
@@ -64,10 +67,24 @@ def fitted(
     right, up, forward = afar.basis()
     axes = np.stack([right, up, -forward])
     points = orientation.to_world(seen.points * np.array(seen.spacing))
+    rims = orientation.to_world(rims_of(renderer.prepared.scene.glowing, axes @ orientation.matrix))
+    points = np.vstack([points, np.repeat(rims, math.ceil(2.0 * SPECKS * len(points)), axis=0)])
     slope = FILLED * math.tan(math.radians(fov) / 2.0)
     nearest_of = nearest if projection == PROJECTIONS[0] else nearest_beside
     aim, away = nearest_of(points @ axes.T, (slope * view.width / view.height, slope))
     return triple(aim @ axes), away / volume.radius
+
+
+def rims_of(glowing: Glowing, axes: np.ndarray) -> np.ndarray:
+    """Points at the rims of regions of which all glows, in the box, (n, 3): corners of boxes, ends of balls' diameters
+    along the ``axes`` (3, 3).
+    """
+    rims = [np.empty((0, 3))]
+    corners = np.array(list(product((-1.0, 1.0), repeat=3)))
+    for middle, half, ball, values in zip(glowing.middles, glowing.halves, glowing.round, glowing.ranges, strict=True):
+        if np.isinf(values).all():
+            rims.append(middle + half * (np.vstack([axes, -axes]) if ball else corners))
+    return np.concatenate(rims)
 
 
 def nearest(points: np.ndarray, slopes: tuple[float, float]) -> tuple[np.ndarray, float]:

@@ -10,6 +10,7 @@ step and the surface that a view shows, by isovalue, camera and size (``surface_
 | ``LobeLight`` | a surface, the rotation of the light, and whether it moves |
 | ``PictureCheck`` | a surface, the rotation of the light, an albedo, a shine, a glow and a target error |
 | ``WallLight`` | a wall, an isovalue, an albedo and a glow |
+| ``SeenThrough`` | a surface, and the rotation of the light |
 | ``ShineLight`` | a surface, its shine and albedo, the rotation of the light, a glow, and whether it moves |
 
 ``Reading``, ``LobeLight`` and ``ShineLight`` have a SHARE of its bytes each, so that a light that turns, or a bake that
@@ -48,6 +49,7 @@ from isogi_core.frame.rays.pixel_rays import LobeLight, find_lobes
 from isogi_core.frame.rays.shine import ShineRays
 from isogi_core.frame.rays.shine_light import SHARE as SHINE_SHARE
 from isogi_core.frame.rays.shine_light import SeenLight, ShineLight, add_lobes_seen, walls_seen
+from isogi_core.frame.rays.through_matter import ViewThrough
 from isogi_core.frame.rays.view_walls import ViewWalls
 from isogi_core.frame.several.composer import Composer
 from isogi_core.frame.shading import (
@@ -97,14 +99,13 @@ class Renderer:
         Who measures bakes ``filters`` no noisy light. Other light may ``stand_in`` where there is none yet. Of several
         surfaces one may be shown ``alone``, as the others light it.
         """
-        self.prepared = caches.prepared
-        self.caches = caches
-        self.tiles = tiles
+        self.prepared, self.caches, self.tiles = caches.prepared, caches, tiles
         self._filters, self._stand_in = filters, stand_in
         self._normals = OwnNormals(min(int(NORMALS * most), 4 * ENTRY * math.prod(self.prepared.shape)))
         changing = dict.fromkeys((Reading, LobeLight, ShineLight), int(SHARE * most))
         self._kept: LruCache[Any] = LruCache(most - int(NORMALS * most), changing)
         self._walls = ViewWalls(self._kept, self.prepared.scene.volume)
+        self._through = ViewThrough(self._kept, self._walls)
         make = partial(Renderer, tiles=tiles, most=most // 8, filters=filters, alone=True)
         composed = self.prepared.scene.several and not alone
         self._composer = Composer(caches, self, make, self._kept) if composed else None
@@ -138,8 +139,8 @@ class Renderer:
 
     def _draw(self, view: View, target: float, tiles: Tiles, watch: Stopwatch) -> Frame:
         """The frame of a view with what glows before it, drawn on the threads of ``tiles``."""
-        frame = self._draw_lit(view, target, tiles, watch)
-        return with_glow(frame, self._kept, surface_key(view), self.prepared, tiles, watch)
+        lit = self._draw_lit(view, target, tiles, watch)
+        return with_glow(lit, self._kept, surface_key(view), self.prepared, tiles, watch)
 
     def _draw_lit(self, view: View, target: float, tiles: Tiles, watch: Stopwatch) -> Frame:
         """The frame of what is lit in a view."""
@@ -154,6 +155,8 @@ class Renderer:
     def draw_on(self, gbuffer: GBuffer, view: View, target: float, tiles: Tiles, watch: Stopwatch) -> Frame:
         """The frame of a view of the surface points in a G-buffer. Raises Cancelled."""
         light = self._light(view)
+        if view.shading == "gi" and self.prepared.scene.material.refracts:
+            return self._through.draw(gbuffer, light, target, tiles, watch)
         if view.shading in ("gi", "vicinity"):
             return self._render_texels(gbuffer, light, target, tiles, watch)
         framebuffer = shade(gbuffer, light, target, tiles, watch)
@@ -179,7 +182,7 @@ class Renderer:
             return False
         light = self._light(frame.view)
         if frame.walls_waiting:
-            return self._walls.grow(frame.gbuffer, light, target, tiles)
+            return self._through.grow(frame.gbuffer, light, target, tiles)
         if self._grow_shine(frame, light, target, tiles):
             return True
         check = self._check(light, frame.gbuffer, target)
@@ -267,13 +270,13 @@ class Renderer:
                 self._kept.drop((kind, surface_key(rays.view(light.view))))
             return found
 
-        shine, allowed = self._shine(frame.gbuffer, light, tiles), SHINE_SHARE * target * frame.true_mean
-        return shine.step(allowed, lit, bounces_of_truth(light), tiles)
+        allowed = SHINE_SHARE * target * frame.true_mean
+        return self._shine(frame.gbuffer, light, tiles).step(allowed, lit, bounces_of_truth(light), tiles)
 
     def _shine(self, gbuffer: GBuffer, light: RotatedLight, tiles: Tiles) -> ShineLight:
         """The shine of a view, with its first rays at least."""
-        view, make = light.view, partial(ShineLight.begun, light, gbuffer, tiles)
-        return self._kept.get((ShineLight, *check_key(view, 0.0), view.moving), make)
+        make = partial(ShineLight.begun, light, gbuffer, tiles)
+        return self._kept.get((ShineLight, *check_key(light.view, 0.0), light.view.moving), make)
 
     def _light_ends(self, rays: ShineRays, light: RotatedLight, target: float, tiles: Tiles) -> SeenLight:
         """What rays of shine see by texels and walls as they are lit now; unshadowed light where nothing is lit yet."""
@@ -344,9 +347,8 @@ class Renderer:
         surface, tiles = self.prepared.surface(view.isovalue), tiles or self.tiles
         if self._composer:
             return self._composer.peels(view, tiles).first
-        return self._kept.get(
-            (GBuffer, surface_key(view)), lambda: trace(view, surface, tiles, self.prepared.walls_in_view)
-        )
+        make = partial(trace, view, surface, tiles, self.prepared.walls_in_view)
+        return self._kept.get((GBuffer, surface_key(view)), make)
 
     def texels(self, view: View, gbuffer: GBuffer, tiles: Tiles | None = None) -> ViewTexels:
         """The texels under a view; they hold its G-buffer, so that both are kept, or neither."""
@@ -355,9 +357,8 @@ class Renderer:
 
     def lobes(self, light: RotatedLight, gbuffer: GBuffer, tiles: Tiles | None = None) -> LobeLight:
         """What comes straight from lobes to a view; kept while neither camera nor light moves, for any albedo."""
-        make = partial(find_lobes, light, gbuffer, tiles or self.tiles)
-        key = (LobeLight, surface_key(light.view), light.view.light, light.view.moving)
-        return self._kept.get(key, make).tinted(light.tint)
+        make, view = partial(find_lobes, light, gbuffer, tiles or self.tiles), light.view
+        return self._kept.get((LobeLight, surface_key(view), view.light, view.moving), make).tinted(light.tint)
 
     def lobe_radiance(self, frame: Frame) -> np.ndarray:
         """What comes straight from lobes to a frame's surface points, linear RGB; (m, 3) float32."""

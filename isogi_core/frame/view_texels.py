@@ -163,7 +163,8 @@ def carries_irradiance_ratios(scene: Scene, shading: str, projects: bool) -> boo
     """Whether views of this ``shading`` carry light as ratios to unshadowed irradiance.
 
     Where light is the same from all sides, and in vicinity shading, the ratios are the light itself. Normals' weights
-    alone then help a view that ``projects`` its texels, and no other.
+    alone then help a view that ``projects`` its texels, and no other. Light that comes from inside a surface does not
+    follow its normals.
     """
     sided = scene.plan.representation in ("transfer", "irradiance") and not scene.inputs.constant
-    return spec_name(shading) == "gi" and (sided or projects)
+    return spec_name(shading) == "gi" and (sided or projects) and not scene.material.scatters

@@ -45,6 +45,7 @@ from isogi_core.model.volume import Volume
 from isogi_core.plan.inputs import PlanInputs, PlanOverrides
 from isogi_core.plan.isovalue_presets import read_presets
 from isogi_core.plan.lobe_choice import MOST as MOST_LOBES
+from isogi_core.plan.materials import read_material, refuse_lamps
 from isogi_core.plan.planner import plan_scene
 from isogi_core.plan.scene import CHUNKS, NORMALS, SURVEYED, Scene
 from isogi_core.plan.several import read_clear, read_pinned
@@ -99,12 +100,13 @@ def build_scene(
     lamps = gather_lamps((*lights, *room.lamps), volume.orientation)
     isovalues = settings.interval("isovalues", volume.value_range, volume.core)
     isovalue = start_isovalue(settings, volume, isovalues)
-    albedo = read_albedo(settings, colours)
+    albedo, material = read_albedo(settings, colours), read_material(settings, volume)
     overrides = plan_overrides(settings, albedo)
     shine = read_shine(settings, colours)
     pinned, clear = read_pinned(settings, volume, room, colours), read_clear(settings, room, colours)
     target_error = settings.number("target_error", 0.02, 1e-4, 1.0)
-    several = bool(pinned) or clear > 0.0
+    refuse_lamps(material, lights)
+    several = bool(pinned) or clear > 0.0 or material.scatters
     light, rotating = assemble_environment(lights), may_rotate(settings, lamps, room, several)
     if volume.orientation.turned and not rotating:
         light = light.turned(volume.orientation.matrix)
@@ -138,6 +140,7 @@ def build_scene(
         projected=settings.flag("projected", None),
         albedos=overrides.albedos or (BARE if overrides.bounces == 0 and max(albedo) > 0.0 and not colours else None),
         shine=shine,
+        material=material,
         colours=colours,
         glowing=glowing,
         camera_projection=settings.choice("projection", PROJECTIONS) or PROJECTIONS[0],
@@ -275,14 +278,14 @@ def read_shine(settings: Settings, colours: SurfaceColours | None) -> Shine | No
 
 def may_rotate(settings: Settings, lamps: Lamps, room: Room, several: bool) -> bool:
     """Whether the light may be turned: the scene decides, by default yes; never where there are lamps, walls, or
-    ``several`` surfaces (SceneError).
+    ``several`` surfaces, or one that light goes into (SceneError).
     """
     rotating = settings.flag("rotating", not (lamps.any or room.any or several))
     for what, there in (("walls", room.any), ("lamps", lamps.any)):
         if rotating and there:
             raise SceneError(f"{what.capitalize()} stay where they are: leave out rotating = true, or the {what}.")
     if rotating and several:
-        raise SceneError("Light that passes several surfaces is baked as it falls: leave out rotating = true.")
+        raise SceneError("Light that passes surfaces is baked as it falls: leave out rotating = true.")
     return rotating
 
 

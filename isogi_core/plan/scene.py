@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from isogi_core.errors import ViewError
+from isogi_core.errors import SceneError, ViewError
 from isogi_core.files.scene_file import SceneSource
 from isogi_core.kernels.shading.lattice import CHUNK
 from isogi_core.kernels.tracing.field import OFFSET, Field
@@ -17,6 +17,7 @@ from isogi_core.model.colours import SurfaceColours
 from isogi_core.model.environment import Environment, Lamps
 from isogi_core.model.glow import NO_GLOW, STRONGEST, Glowing
 from isogi_core.model.lights import Light
+from isogi_core.model.material import DIFFUSE, Material
 from isogi_core.model.room import NO_ROOM, Room
 from isogi_core.model.scene_plan import GLOW, GlowLayer, Layer, LeftOut, ScenePlan
 from isogi_core.model.shine import Shine
@@ -27,6 +28,7 @@ from isogi_core.model.volume import Isovalue, Volume
 from isogi_core.plan.inputs import PlanInputs, PlanOverrides
 from isogi_core.plan.isovalue_presets import Preset, find_boundaries, suggested_presets
 from isogi_core.plan.left_out import unprojected, unseen, unshared, unshining
+from isogi_core.plan.materials import unrefracted
 from isogi_core.plan.projection import ProjectionPlan, plan_projection
 from isogi_core.plan.reachable_texels import TexelCount, count_texels
 
@@ -39,9 +41,9 @@ NORMALS = ("bspline", "gradient")
 SURVEYED = ("texels", "projection", "presets")
 """Properties of a scene that take a pass over its volume, and that no plan changes."""
 
-ROOM, COLOURED, AMONG = "room", "coloured", "among"
-"""Stand for the kinds of layers that are baked among walls, on a surface with colours where its light may turn, or
-among several surfaces.
+ROOM, COLOURED, AMONG, INSIDE = "room", "coloured", "among", "inside"
+"""Stand for the kinds of layers that are baked among walls, on a surface with colours where its light may turn, among
+several surfaces, or inside of one.
 """
 
 IN_WALL = 1e-6
@@ -92,6 +94,7 @@ class Scene:
     albedos: tuple[float, float] | None = None
     room: Room = NO_ROOM
     shine: Shine | None = None
+    material: Material = DIFFUSE
     camera_projection: str = "perspective"
     colours: SurfaceColours | None = None
     glowing: Glowing = NO_GLOW
@@ -114,7 +117,9 @@ class Scene:
         return bool(self.pinned) or self.clear > 0.0
 
     def kind_of(self, layer: Layer, plan: ScenePlan) -> str:
-        """The kind of a ``layer`` of a ``plan``, or ROOM or COLOURED, by whose kernels it is baked."""
+        """The kind of a ``layer`` of a ``plan``, or what stands for it, by whose kernels it is baked."""
+        if layer.kind == "irradiance" and self.material.scatters:
+            return INSIDE
         if layer.kind == "irradiance":
             return AMONG if self.several else ROOM if self.many_albedos else layer.kind
         if layer.kind == GLOW:
@@ -203,6 +208,7 @@ class Scene:
         """Everything that is left out: by the plan, texels that are never lit or not projected, and shine."""
         texels = (*unseen(self.texels, self.plan), *unprojected(self.projection, self.start))
         beside = unshared(len(self.pinned), self.plan) if self.several else ()
+        beside += unrefracted(self.material, self.lights, self.environment.sharp)
         return (*self.plan.left_out, *texels, *beside, *unshining(self.shine))
 
     def with_plan(self, plan: ScenePlan) -> "Scene":
@@ -257,6 +263,13 @@ class Scene:
             "glow is for scenes in which something glows: leave it out, or give the scene a [[glow]] table."
         )
 
+    def require_texels(self) -> None:
+        """Raise SceneError where the surface keeps no texels: what is asked for is the light that these keep."""
+        if self.material.refracts:
+            raise SceneError(
+                f"The surface of '{self.name}' is glass and keeps no light of its own: render views of it."
+            )
+
     def refuse_camera(self, camera: Camera) -> None:
         """Raise ViewError where a ``camera``, in the volume's box, stands in a wall: all it would see is that."""
         wall = self.room.wall_at(camera.eye, IN_WALL * self.volume.radius)
@@ -280,7 +293,7 @@ class Scene:
         if layer.kind == "irradiance":
             parts += [self.environment.digest, self.lamps.digest, self.albedo]
             parts += ["walls", self.room.digest] if self.room.any else []
-            parts += self._company
+            parts += [*self._company, *(self._made if self.material.scatters else [])]
         return digest_of(parts + (self._coloured if layer.reflected else []))
 
     def _glow_digest(self, layer: GlowLayer, shown: Isovalue | None) -> str:
@@ -294,6 +307,13 @@ class Scene:
         """What digests hold of surfaces beside each other; nothing where there is one, and no ray passes it."""
         others = sorted(each.facts for each in self.pinned)
         return ["surfaces", others, self.clear] if self.several else []
+
+    @property
+    def _made(self) -> list[Any]:
+        """What digests hold of the surface's material; nothing where it is diffuse."""
+        material = self.material
+        facts = material.kind, material.index, *material.absorption
+        return [] if material == DIFFUSE else ["material", *facts, 1.0 / material.mean_free_path]
 
     @property
     def _coloured(self) -> list[Any]:
@@ -325,7 +345,7 @@ class Scene:
         lit = [self.albedo, self.plan.order, self.plan.lobes, self.target_error]
         walls = ["walls", self.room.digest] if self.room.any else []
         shine = ["shine", *astuple(self.shine)] if self.shine else []
-        beside = [*walls, *shine, *self._coloured, *self._company]
+        beside = [*walls, *shine, *self._coloured, *self._company, *self._made]
         glow = ["glow", self.glowing.digest, self.glowing.radiances.tolist()] if self.glowing.any else []
         return digest_of([self.bake_digest, *lights, *lit, *settled, *placed, *beside, *glow])
 

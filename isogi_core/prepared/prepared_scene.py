@@ -14,6 +14,7 @@ from isogi_core.kernels.tracing.walls import Walls
 from isogi_core.kernels.transport.colours import NO_COLOURS, Colours
 from isogi_core.kernels.transport.light_paths import Surroundings
 from isogi_core.kernels.transport.lights import LampArrays
+from isogi_core.kernels.transport.matter.inside import Matter, Passable
 from isogi_core.kernels.transport.room_paths import Room
 from isogi_core.kernels.transport.surface_paths import MOST, Surfaces
 from isogi_core.model.volume import Volume
@@ -97,6 +98,13 @@ class PreparedScene:
         """The isosurface's colours by data; none where it has one albedo."""
         given = self.scene.colours
         return NO_COLOURS if given is None else Colours(given.codes, np.array(given.step), given.table)
+
+    @cached_property
+    def passable(self) -> Passable:
+        """The walls, and what is behind the isosurface, as rays meet them that pass it."""
+        material = self.scene.material
+        scattering = 1.0 / material.mean_free_path, np.array(self.scene.albedo, np.float64)
+        return Passable(self._room, Matter(material.index, np.array(material.absorption), *scattering))
 
     def dark_room(self, albedo: tuple[float, float, float]) -> Room:
         """The ``room`` with walls that give off no light, for paths that gather other light alone."""

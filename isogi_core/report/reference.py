@@ -107,7 +107,9 @@ def trace_reference(
 
 
 def refuse_several(scene: Scene) -> None:
-    """Raise ReportError where a ``scene`` has several surfaces: a pixel of a reference shows one."""
+    """Raise ReportError where a ``scene`` has several surfaces, as pixels of a reference show one, or one of glass."""
+    if scene.material.refracts:
+        raise ReportError("A reference is of light that a surface keeps, and glass keeps none: render it path_traced.")
     if scene.several:
         raise ReportError("This scene has several surfaces, and a reference shows one: render it path_traced instead.")
 

@@ -42,6 +42,7 @@ KEPT = 64 << 20
 def begin(service: Service, scene: Scene, params: ExportParams, owner: str = "") -> Job:
     """The job that makes a file. Raises BusyError, ViewError, SceneError where the scene fits no such file."""
     view = view_of(scene, params.view, service.settings)
+    scene.require_texels()
     if f".{params.f}" in WRITERS:
         check_lattice(scene)
     if params.coefficients == "on":

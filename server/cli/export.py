@@ -86,6 +86,7 @@ def files_of(output: Path, knobs: Mapping[str, str]) -> dict[Path, dict[str, str
 
 def check_levels(scene: Scene, wishes: Wishes, files: Iterable[Path]) -> None:
     """Raise ViewError, SceneError or VolumeError where isovalues, lattice or place do not suit the kind of file."""
+    scene.require_texels()
     suffix = suffix_of(wishes.output)
     if suffix in MESHES and (len(wishes.isovalues) > 1 or any(":" in text for text in wishes.isovalues)):
         raise ViewError(f"A mesh is of one isovalue: give --isovalue once, or write a volume: {', '.join(WRITERS)}.")

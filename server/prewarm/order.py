@@ -256,11 +256,12 @@ class PrewarmRequest(PrewarmOrder):
 class Views:
     """The views of an order in a ``scene``, made one by one; none where whole isosurfaces are asked for.
 
-    Raises ViewError where one is not allowed, or they are too many.
+    Raises ViewError where one is not allowed, or they are too many, and SceneError where the scene keeps no light.
     """
 
     def __init__(self, order: PrewarmOrder, scene: Scene, settings: Settings) -> None:
         """Make one of each isovalue and of each direction, so that errors come before anything is begun."""
+        scene.require_texels()
         self._scene, self._settings = scene, settings
         self._knobs = {name: getattr(order, name) for name in ("distance", "fov", "width", "height")}
         self._levels = () if order.all_directions else order.isovalues_of(scene).single

@@ -1,13 +1,15 @@
 """A camera that shows the whole surface: what it sees of points, and from how near."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from isogi_core.frame.fitting import ASKEW, FILLED, FRONT, front_of, nearest
+from isogi_core.frame.fitting import ASKEW, FILLED, FRONT, fitted, front_of, nearest
 from isogi_core.model.view import orbit
 from isogi_core.model.volume import make_volume
+from tests.frame.conftest import Workbench
 from tests.loaded import load_scene
 
 SLOPES = (0.3, 0.2)
@@ -37,6 +39,24 @@ def test_a_speck_afar_does_not_push_the_camera_away() -> None:
 def test_an_orbit_aims_where_the_fit_says() -> None:
     camera = orbit((1.0, 2.0, 3.0), 2.0, 35.0, 25.0, 4.0, 30.0)
     assert np.linalg.norm(np.subtract(camera.eye, (1.0, 2.0, 3.0))) == pytest.approx(8.0)
+
+
+def test_what_glows_beside_the_surface_is_seen_whole(tmp_path: Path) -> None:
+    """A ball at the box's edge, and not a range of values, which may glow anywhere in its box."""
+    ball = {"sphere": [85.0, 12.0, 47.0, 8.0]}
+    views = []
+    for name, glow in (("none", {}), ("ball", {"glow": [ball]}), ("mist", {"glow": [{"values": [0.003, 0.03]}]})):
+        bench = Workbench(load_scene("demo:orbital", **glow), tmp_path / name)
+        found = fitted(bench.renderer, bench.view(size=16), 30.0, 20.0)
+        assert found is not None
+        camera = orbit(found[0], bench.scene.volume.radius, 30.0, 20.0, found[1], 30.0)
+        away = np.array(ball["sphere"][:3]) - camera.eye
+        right, up, forward = camera.basis()
+        reach = max(abs(away @ right), abs(away @ up)) + ball["sphere"][3]
+        views.append((found, reach / (away @ forward) / np.tan(np.radians(15.0))))
+    assert views[0][1] > 1.05
+    assert views[1][1] < 1.0
+    assert views[2] == views[0]
 
 
 def test_the_longer_side_lies_across_the_first_picture() -> None:

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from isogi_core.bake.bake_spec import path_weights
-from isogi_core.bake.refine import seeds_of
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.glow_light import add_glow
+from isogi_core.frame.rays.point_paths import TRACERS, sight_lines, starts_at
 from isogi_core.frame.rays.shine import add_shine
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.framebuffer import PixelPoints
@@ -40,12 +40,8 @@ from isogi_core.kernels.shading.lobes import (
 )
 from isogi_core.kernels.shading.local_models import trace_points
 from isogi_core.kernels.tracing.cast import TracedSurface
-from isogi_core.kernels.tracing.walls import NOWHERE
-from isogi_core.kernels.transport.light_paths import Surroundings
 from isogi_core.kernels.transport.lights import LampArrays
-from isogi_core.kernels.transport.paths import PathRules, PathStarts, SampleRange
-from isogi_core.kernels.transport.room_paths import Room, RoomStarts, light_in_room
-from isogi_core.kernels.transport.surface_paths import Surfaces, light_among_surfaces
+from isogi_core.kernels.transport.paths import PathRules, SampleRange
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.plan.budget import survival_for
 
@@ -192,54 +188,6 @@ def room_for(rays: int) -> Aimed:
     return Aimed(np.empty(rays, np.int64), np.empty(rays, np.int64), np.empty((3, rays)))
 
 
-def trace_in_room(
-    traced: TracedSurface,
-    room: Room,
-    points: PixelPoints,
-    light: Surroundings,
-    rules: PathRules,
-    replicas: range,
-    samples: SampleRange,
-) -> np.ndarray:
-    """What ``trace_points`` adds for some ``replicas``, by number, in a ``room``; (m, replicas, 3)."""
-    starts, sums = starts_at(traced, points, replicas), np.zeros((len(replicas) * len(points.pixels), 3))
-    light_in_room(traced.field, traced.cells, room, starts, samples, rules, light, sums)
-    return sums.reshape(-1, len(replicas), 3)
-
-
-def starts_at(traced: TracedSurface, points: PixelPoints, replicas: range) -> RoomStarts:
-    """The same starts as ``path_starts``, none of them on a wall."""
-    starts = path_starts(traced, points, replicas)
-    return RoomStarts(*starts, np.full(len(starts.seeds), NOWHERE))
-
-
-def path_starts(traced: TracedSurface, points: PixelPoints, replicas: range) -> PathStarts:
-    """Where paths of some ``replicas``, by number, start from the points of a picture: all of a point side by side."""
-    each, replica = (part.ravel() for part in np.indices((len(points.pixels), len(replicas))))
-    return PathStarts(
-        np.ascontiguousarray(points.points[each].T, np.float64),
-        np.ascontiguousarray(points.normals[each].T, np.float64),
-        np.full(len(each), traced.isovalue),
-        seeds_of(np.column_stack([points.pixels[each], replicas.start + replica])),
-    )
-
-
-def trace_among_surfaces(
-    traced: TracedSurface,
-    surfaces: Surfaces,
-    points: PixelPoints,
-    light: Surroundings,
-    rules: PathRules,
-    replicas: range,
-    samples: SampleRange,
-) -> np.ndarray:
-    """What ``trace_points`` adds for some ``replicas``, by number, among ``surfaces``; (m, replicas, 3)."""
-    starts = path_starts(traced, points, replicas)
-    sums = np.zeros((len(starts.seeds), 3))
-    light_among_surfaces(traced.field, surfaces, starts, samples, rules, light, sums)
-    return sums.reshape(-1, len(replicas), 3)
-
-
 PATH_POINTS, PATHS = 256, 1 << 16
 """Surface points of a tile when each of them sends paths, and paths of one, at most: some 30 ms until it can end."""
 
@@ -269,10 +217,13 @@ class Paths:
     def weights(self) -> np.ndarray:
         """R^(k + 1) after k = 0 … bounces, over the chance to get there; (bounces + 1, 3) float64.
 
-        Where paths carry the colours that they meet they count 1 at the start, which is all that is read of these.
+        Where paths carry the colours that they meet they count 1 at the start, which is all that is read of these. The
+        eye's rays that pass a surface reach the first that reflects them by one bounce more.
         """
         bounces = self.light.spec.prepared.scene.plan.bounces if self.bounces is None else self.bounces
-        if self.light.coloured:
+        if self.light.spec.prepared.scene.material.refracts:
+            return path_weights(np.ones(3), bounces + 1, 1.0)
+        if self.light.coloured or self.light.spec.prepared.scene.material.scatters:
             return path_weights(np.ones(3), bounces, 1.0)
         return path_weights(self.light.albedo, bounces, self.survival, leaving=1)
 
@@ -296,7 +247,11 @@ class Paths:
         buffer, alone = self.gbuffer, self.light.shine is None and not self.light.coloured
         glowing, replicas = self.light.spec.prepared.scene.glowing.any, range(stream, stream + sums.shape[1])
         own = sums if alone else np.zeros_like(sums)
-        points, pixels, normals = buffer.points, buffer.pixels, buffer.normals(self.tiles)
+        points, pixels = buffer.points, buffer.pixels
+        if self.light.spec.prepared.scene.material.refracts:
+            points, normals = sight_lines(buffer)
+        else:
+            normals = buffer.normals(self.tiles)
         traced, around = buffer.surface.traced(self.tiles.run), self.light.surroundings
         met = self._met
         rules, samples = PathRules(self.weights, self.survival), SampleRange(first, count)
@@ -306,7 +261,7 @@ class Paths:
             if met is None:
                 trace_points(traced, some, around, rules, stream, samples, own[a:b])
             else:
-                trace = trace_among_surfaces if isinstance(met, Surfaces) else trace_in_room
+                trace = TRACERS[type(met)]
                 own[a:b] += trace(traced, met, some, around, rules, replicas, samples)
             if glowing:
                 starts = starts_at(traced, some, replicas)
@@ -325,8 +280,10 @@ class Paths:
 
     @property
     def _met(self) -> Any:
-        """What paths meet: the Room of walls and colours, or Surfaces; None where it is one surface of one albedo."""
+        """What paths meet, one of TRACERS; None where it is one surface of one albedo."""
         prepared, run = self.light.spec.prepared, self.tiles.run
+        if prepared.scene.material.passable:
+            return prepared.passable
         if prepared.scene.several:
             return prepared.company(self.gbuffer.surface.cells(run), run)
         return prepared.room(self.light.seen.albedo) if prepared.scene.many_albedos else None

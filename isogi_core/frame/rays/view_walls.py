@@ -35,7 +35,7 @@ class ViewWalls:
             walls.put_locally(shading, fog_depths(view, self._volume), framebuffer, tiles)
         else:
             texels = [self._light(walls, *seen).begun(tiles) for seen in walls.seen]
-            return walls.put(texels, target, framebuffer, tiles), "".join(f"-{each.count:x}" for each in texels)
+            return walls.put(texels, target, framebuffer, tiles), "".join(each.version for each in texels)
         return 0, ""
 
     def put_seen(self, views: Iterable[WallView], target: float, framebuffer: Framebuffer, tiles: Tiles) -> str:
@@ -44,14 +44,13 @@ class ViewWalls:
         for walls in views:
             texels = [self._light(walls, *seen).begun(tiles) for seen in walls.seen]
             walls.put(texels, target, framebuffer, tiles)
-            version += "".join(f"-{each.count:x}" for each in texels)
+            version += "".join(each.version for each in texels)
         return version
 
-    def grow(self, gbuffer: GBuffer, light: RotatedLight, target: float, tiles: Tiles) -> bool:
-        """Have the walls in a picture, that are not final, take as many paths again. Raises Cancelled."""
-        walls = WallView.of(gbuffer, light)
-        lit = [self._light(walls, *seen) for seen in walls.seen]
-        taken = [each.step(target, tiles) for each in lit]
+    def grow(self, views: Iterable[WallView], target: float, tiles: Tiles) -> bool:
+        """Have the walls in some views, that are not final, take as many paths again. Raises Cancelled."""
+        lit = {seen: self._light(walls, *seen) for walls in views for seen in walls.seen}
+        taken = [each.step(target, tiles) for each in lit.values()]
         return any(taken)
 
     def _light(self, walls: WallView, wall: int, side: int) -> WallLight:

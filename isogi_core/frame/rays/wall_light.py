@@ -23,6 +23,7 @@ from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, PROVISIONA
 from isogi_core.kernels.shading.lattice import DARKEST
 from isogi_core.kernels.shading.local_models import find_shadows, shade_local
 from isogi_core.kernels.shading.wall_light import WallTable, light_walls
+from isogi_core.kernels.transport.matter.matter_paths import light_through_matter
 from isogi_core.kernels.transport.paths import PathRules, SampleRange
 from isogi_core.kernels.transport.room_paths import RoomStarts, light_in_room
 from isogi_core.model.sky import LUMINANCE
@@ -41,15 +42,20 @@ WALL_STREAM = 1 << 19
 def light_starts(
     light: RotatedLight, surface: Surface, starts: RoomStarts, rules: PathRules, samples: SampleRange, tiles: Tiles
 ) -> np.ndarray:
-    """Sums (g, 3) of a ``SampleRange`` of E/π, glow's too, at ``starts`` about a ``surface``; see ``light_in_room``.
+    """Sums (g, 3) of a ``SampleRange`` of E/π, glow's too, at ``starts`` about a ``surface``; see ``light_in_room``,
+    and ``light_through_matter`` where that lets light pass.
 
     Raises Cancelled.
     """
-    traced, sums = surface.traced(tiles.run), np.zeros((len(starts.seeds), 3))
-    room, around = light.spec.prepared.room(light.seen.albedo), light.surroundings
+    traced, sums, prepared = surface.traced(tiles.run), np.zeros((len(starts.seeds), 3)), light.spec.prepared
+    room, around = prepared.room(light.seen.albedo), light.surroundings
 
     def _piece(a: int, b: int) -> None:
         some = RoomStarts(*(np.ascontiguousarray(each[..., a:b]) for each in starts))
+        if prepared.scene.material.passable:
+            given = some, samples, rules, around, sums[a:b]
+            light_through_matter(traced.field, traced.cells, prepared.passable, *given)
+            return
         light_in_room(traced.field, traced.cells, room, some, samples, rules, around, sums[a:b])
         add_glow(sums[a:b], light, traced, some, rules, samples)
 
@@ -86,6 +92,11 @@ class WallTexels:
     def nbytes(self) -> int:
         """Bytes that they take, with what is found of them."""
         return self.sums.nbytes * 3 // 2
+
+    @property
+    def version(self) -> str:
+        """Names the paths that were taken."""
+        return f"-{self.count:x}" if self.fine else f"-{self.count:x}c"
 
     @property
     def means(self) -> np.ndarray:

@@ -1,0 +1,1 @@
+"""Light that passes through what an isosurface bounds: refracted, absorbed and scattered there."""

@@ -1,0 +1,168 @@
+"""The way of a wave's rays through matter: refracted, mirrored, scattered by chance until they meet a wall or leave.
+
+What is random there belongs to the path, the bounce and the step, as all random numbers do.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from isogi_core.kernels._jit import kernel
+from isogi_core.kernels.tracing.cast import cast_batch
+from isogi_core.kernels.tracing.field import to_index
+from isogi_core.kernels.tracing.intersect import SOLID
+from isogi_core.kernels.tracing.ray_stream import Rays
+from isogi_core.kernels.tracing.vec import column, madd, put_column
+from isogi_core.kernels.tracing.walls import NOWHERE, meet_walls
+from isogi_core.kernels.transport.matter.inside import brightest, meet_interface, transmitted, way_inside
+from isogi_core.kernels.transport.rng import PAIRS, point_of_words
+from isogi_core.kernels.transport.sampling import sample_uniform_sphere
+from isogi_core.kernels.transport.wavefront import whole
+
+MOST = 4096
+"""Interfaces and scatterings of a ray at most: what is left then is lost."""
+
+STEPS = 0x8000 * PAIRS
+"""The first of the pairs of random numbers on the way, two for each step and bounce: after those of all else."""
+
+
+class Passage(NamedTuple):
+    """Rays of a wave on their way, (n,) or (3, n) each: ``origins`` in index space, unit world ``ways``, ``sides``.
+
+    ``own`` are the walls that they start on, ``straight`` is 1 as long as nothing turned them. ``pending`` (n,) int64
+    are those that go on. At the end ``met`` are the walls that they meet at ``origins``, or NOWHERE.
+    """
+
+    origins: Any
+    ways: Any
+    sides: Any
+    own: Any
+    met: Any
+    straight: Any
+    pending: Any
+
+
+@kernel()
+def make_passage(n):
+    """Room for ``n`` rays."""
+    origins, ways, numbers = np.zeros((3, n)), np.zeros((3, n)), np.zeros((3, n))
+    sides, pending = np.zeros(n, np.int8), np.zeros(n, np.int64)
+    return Passage(origins, ways, sides, numbers[0], numbers[1], numbers[2], pending)
+
+
+@kernel()
+def draw(wave, i, bounce, step, second):
+    """A pair of random numbers in [0, 1) of ray ``i`` of a wave at a ``step`` of its way; each step has two."""
+    rays = wave.shadow.wave
+    dimension = np.uint64(STEPS + (2 * step + second) * PAIRS + bounce)
+    return point_of_words(np.uint64(rays.low[i]), np.uint64(rays.high[i]), np.uint64(rays.samples[i]), dimension)
+
+
+@kernel()
+def gather_rays(field, wave, passage, going):
+    """The first ``going`` pending rays side by side, in whole vectors: ``Rays``, and the walls that they start on."""
+    n = whole(going)
+    rays = Rays(np.zeros(n), np.full((3, n), math.inf), np.ones((3, n)), np.zeros(n, np.int8))
+    own = np.full(n, NOWHERE)
+    for j in range(going):
+        i = passage.pending[j]
+        rays.isovalues[j], rays.sides[j], own[j] = wave.isovalues[i], passage.sides[i], passage.own[i]
+        put_column(rays.origins, j, column(passage.origins, i))
+        put_column(rays.directions, j, to_index(column(passage.ways, i), field.spacing))
+    for j in range(going, n):
+        rays.isovalues[j] = rays.isovalues[0]
+    return rays, own
+
+
+@kernel()
+def dim(wave, i, shares):
+    """Multiply what ray ``i`` of a wave carries by ``shares``."""
+    m = wave.shadow.wave.owners[i]
+    for c in range(3):
+        wave.carried[c, m] *= shares[c]
+
+
+@kernel()
+def end_at(passage, i, p, wall):
+    """End ray ``i`` at ``p``, on a ``wall`` or NOWHERE."""
+    put_column(passage.origins, i, p)
+    passage.met[i] = wall
+    return False
+
+
+@kernel()
+def scatter(matter, wave, passage, i, bounce, step):
+    """Turn ray ``i`` where it is scattered, or end it by chance: in as many cases as the brightest channel is absorbed.
+
+    What it carries is divided by the chance to go on. Returns whether it does.
+    """
+    albedo = matter.albedo[0], matter.albedo[1], matter.albedo[2]
+    chance = brightest(albedo)
+    u, v = draw(wave, i, bounce, step, 1)
+    if not u < chance:
+        dim(wave, i, (0.0, 0.0, 0.0))
+        return end_at(passage, i, column(passage.origins, i), NOWHERE)
+    dim(wave, i, (albedo[0] / chance, albedo[1] / chance, albedo[2] / chance))
+    put_column(passage.ways, i, sample_uniform_sphere(u / chance, v))
+    passage.sides[i], passage.straight[i] = SOLID, 0.0
+    return True
+
+
+@kernel()
+def go_on(field, matter, wave, passage, ray, i, place):
+    """Bring ray ``i`` to what it met, ``ray`` = (o, d, t, side it came from, wall); returns whether it goes on there.
+
+    The ``place`` of its random numbers is its bounce and step.
+    """
+    (o, d, t, came, wall), (bounce, step) = ray, place
+    w = column(passage.ways, i)
+    passage.own[i] = NOWHERE
+    near, far = way_inside(field.voxels.shape, o, d, passage.sides[i], came, t)
+    u, v = draw(wave, i, bounce, step, 0)
+    if matter.extinction > 0.0 and far > near:
+        flight = -math.log(1.0 - u) / matter.extinction
+        if flight < far - near:
+            dim(wave, i, transmitted(matter, flight))
+            put_column(passage.origins, i, madd(o, near + flight, d))
+            return scatter(matter, wave, passage, i, bounce, step)
+    dim(wave, i, transmitted(matter, far - near))
+    if not t < math.inf or wall != NOWHERE:
+        return end_at(passage, i, madd(o, t, d) if t < math.inf else o, wall)
+    p = madd(o, t, d)
+    share, mirrored, passed = meet_interface(field, matter, p, w, came)
+    back = v < share
+    passage.sides[i], passage.straight[i] = came if back else -came, 0.0
+    put_column(passage.origins, i, p)
+    put_column(passage.ways, i, mirrored if back else passed)
+    return True
+
+
+@kernel()
+def pass_matter(field, cells, walls, matter, wave, passage, bounce, count):
+    """Follow the first ``count`` rays of a ``RoomWave`` on their passage to where they meet walls or leave.
+
+    What they carry dims on the way; ``bounce`` is the number of the vertex that they come from.
+    """
+    for i in range(count):
+        passage.pending[i] = i
+    going = count
+    for step in range(MOST):
+        rays, own = gather_rays(field, wave.shadow.wave, passage, going)
+        n = own.shape[0]
+        t, came, met = np.empty(n), np.empty(n, np.int8), np.empty(n)
+        cast_batch(field, cells, rays, t, came)
+        meet_walls(walls, rays.origins, rays.directions, own, t, met)
+        staying = 0
+        for j in range(going):
+            i = passage.pending[j]
+            ray = column(rays.origins, j), column(rays.directions, j), t[j], came[j], met[j]
+            passage.pending[staying] = i
+            staying += go_on(field, matter, wave, passage, ray, i, (bounce, step))
+        going = staying
+        if going == 0:
+            return
+    for j in range(going):
+        i = passage.pending[j]
+        dim(wave, i, (0.0, 0.0, 0.0))
+        passage.met[i] = NOWHERE

@@ -1,0 +1,191 @@
+"""What the eye sees through matter that refracts: each ray parts in two at every interface, as far as that counts."""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import types
+
+from isogi_core.kernels._jit import kernel, record
+from isogi_core.kernels.tracing.cast import SURFACE, cast_batch
+from isogi_core.kernels.tracing.field import to_index
+from isogi_core.kernels.tracing.intersect import UNKNOWN
+from isogi_core.kernels.tracing.ray_stream import Rays
+from isogi_core.kernels.tracing.slabs import longest
+from isogi_core.kernels.tracing.vec import column, dot, madd, normalize, put_column, scale, sub
+from isogi_core.kernels.tracing.walls import NOWHERE, nearest_wall
+from isogi_core.kernels.transport.light_paths import SURROUNDINGS, to_world
+from isogi_core.kernels.transport.lights import radiance, row
+from isogi_core.kernels.transport.matter.inside import (
+    PASSABLE,
+    brightest,
+    dimmed,
+    meet_interface,
+    transmitted,
+    way_inside,
+)
+from isogi_core.kernels.transport.room_paths import lit_from
+from isogi_core.kernels.transport.wavefront import whole
+
+LEAVES = 8
+"""Places that a pixel sees through matter, at most."""
+
+DEEP = 16
+"""Interfaces that its light passes at most: then it goes on as it would without the matter."""
+
+LEAST = 1.0 / 128.0
+"""Share of a pixel's light below which a ray does not part: the larger part goes on with all of it."""
+
+BACK = 1e-2
+"""Voxels before the surface at which the eye's rays start, so that they meet it whatever the rounding of the point."""
+
+
+class Leaves(NamedTuple):
+    """What n points show: ``sky`` (n, 3) float32 of what lies outside, and the walls that their rays end on.
+
+    Row LEAVES · m + j is place j of point m: ``weights`` (rows, 3) and ``points`` (rows, 3; index space) float32, and
+    the number of the wall, or -1, in ``met`` (rows,) int8; ``sides`` (rows,) int8 is 1 for its front, -1 for its back.
+    """
+
+    sky: Any
+    weights: Any
+    points: Any
+    met: Any
+    sides: Any
+
+
+POINTS, SHORT = types.float32[:, ::1], types.int8[::1]
+LEAVES_OF = record(Leaves, POINTS, POINTS, POINTS, SHORT, SHORT)
+
+
+class Sight(NamedTuple):
+    """Rays that are still to be followed, r at most: their ``origins``, unit world ``ways`` and ``weights``, (3, r).
+
+    (r,) ``sides`` that they start on, and the ``owners`` among the points that they belong to.
+    """
+
+    origins: Any
+    ways: Any
+    weights: Any
+    sides: Any
+    owners: Any
+
+
+@kernel()
+def make_sight(r):
+    """Room for ``r`` rays."""
+    return Sight(np.empty((3, r)), np.empty((3, r)), np.empty((3, r)), np.empty(r, np.int8), np.empty(r, np.int64))
+
+
+@kernel()
+def push(sight, j, o, w, weight, side, owner):
+    """Write a ray to place ``j``; returns the place after it."""
+    put_column(sight.origins, j, o)
+    put_column(sight.ways, j, w)
+    put_column(sight.weights, j, weight)
+    sight.sides[j], sight.owners[j] = side, owner
+    return j + 1
+
+
+@kernel()
+def put_leaf(leaves, place, p, weight, wall, side):
+    """Write a wall that is seen."""
+    for c in range(3):
+        leaves.weights[place, c], leaves.points[place, c] = np.float32(weight[c]), np.float32(p[c])
+    leaves.met[place], leaves.sides[place] = np.int8(wall), np.int8(side)
+
+
+@kernel()
+def part(surface, matter, sight, j, ray, used):
+    """Put what becomes of a ``ray`` = (p, w, weight, side it came from, owner) at the surface, from place ``j`` on.
+
+    Returns the next place. It parts where its owner has used less than LEAVES places and neither part is below LEAST.
+    """
+    p, w, weight, came, owner = ray
+    share, mirrored, passed = meet_interface(surface.field, matter, p, w, came)
+    if used[owner] >= LEAVES or brightest(weight) * min(share, 1.0 - share) < LEAST:
+        if share > 0.5:
+            return push(sight, j, p, mirrored, weight, came, owner)
+        return push(sight, j, p, passed, weight, -came, owner)
+    used[owner] += 1
+    j = push(sight, j, p, passed, scale(weight, 1.0 - share), -came, owner)
+    return push(sight, j, p, mirrored, scale(weight, share), came, owner)
+
+
+@kernel()
+def cast_sight(surface, sight, count):
+    """Where the first ``count`` rays meet the surface: (index directions, ways t or inf, sides they came from)."""
+    n = whole(count)
+    directions, t, came = np.ones((3, n)), np.empty(n), np.empty(n, np.int8)
+    origins, sides = np.full((3, n), math.inf), np.zeros(n, np.int8)
+    for j in range(count):
+        put_column(origins, j, column(sight.origins, j))
+        put_column(directions, j, to_index(column(sight.ways, j), surface.field.spacing))
+        sides[j] = sight.sides[j]
+    rays = Rays(np.full(n, surface.isovalue), origins, directions, sides)
+    cast_batch(surface.field, surface.cells, rays, t, came)
+    return directions, t, came
+
+
+@kernel()
+def end_ray(room, light, shown, ends, m, weight):
+    """Show point ``m`` what a ray ends on, ``ends`` = (point, way, wall or NOWHERE): a wall's lit side, or outside."""
+    leaves, _, done = shown
+    p, w, wall = ends
+    if wall == NOWHERE:
+        sky = dimmed(weight, radiance(light.constant, light.image, light.matrix, w))
+        for c in range(3):
+            leaves.sky[m, c] += np.float32(sky[c])
+        return
+    slope = dot(row(room.normals, int(wall)), w)
+    if lit_from(room, int(wall), slope):
+        put_leaf(leaves, LEAVES * m + done[m], p, weight, wall, 1 if slope < 0.0 else -1)
+        done[m] += 1
+
+
+@kernel()
+def follow(surface, met, light, sight, count, following, depth, shown):
+    """Follow the first ``count`` rays to what they meet; returns how many go on from there, in ``following``.
+
+    What is ``shown`` is (leaves, places that each point has used, places that it shows).
+    """
+    directions, t, came = cast_sight(surface, sight, count)
+    going = 0
+    for j in range(count):
+        o, w, d = column(sight.origins, j), column(sight.ways, j), column(directions, j)
+        met_at = t[j] if depth < DEEP else math.inf
+        reach, wall = nearest_wall(met.room.walls, o, d, NOWHERE, met_at)
+        near, far = way_inside(surface.field.voxels.shape, o, d, int(sight.sides[j]), int(came[j]), reach)
+        weight = dimmed(column(sight.weights, j), transmitted(met.matter, far - near))
+        owner = sight.owners[j]
+        if wall == NOWHERE and reach < math.inf:
+            ray = madd(o, reach, d), w, weight, int(came[j]), owner
+            going = part(surface, met.matter, following, going, ray, shown[1])
+        else:
+            p = madd(o, reach, d) if reach < math.inf else o
+            end_ray(met.room, light, shown, (p, w, wall), owner, weight)
+    return going
+
+
+@kernel(types.void(SURFACE, PASSABLE, SURROUNDINGS, types.UniTuple(types.float64, 3), POINTS, LEAVES_OF))
+def see_through(surface, met, light, eye, points, leaves):
+    """Fill the ``leaves`` of n ``points`` (n, 3), where rays from the ``eye`` meet the ``surface``; in index space.
+
+    Without absorption the weights of all that a point shows sum to 1.
+    """
+    leaves.met[:] = np.int8(NOWHERE)
+    leaves.sky[:] = np.float32(0.0)
+    spacing, n = surface.field.spacing, points.shape[0]
+    sight, following = make_sight(LEAVES * n), make_sight(LEAVES * n)
+    shown = leaves, np.ones(n, np.int64), np.zeros(n, np.int64)
+    for m in range(n):
+        p = float(points[m, 0]), float(points[m, 1]), float(points[m, 2])
+        w = normalize(to_world(sub(p, eye), spacing))
+        d = to_index(w, spacing)
+        push(sight, m, madd(p, -BACK / longest(d), d), w, (1.0, 1.0, 1.0), UNKNOWN, m)
+    count = n
+    for depth in range(DEEP + 1):
+        count = follow(surface, met, light, sight, count, following, depth, shown)
+        if count == 0:
+            return
+        sight, following = following, sight

@@ -1,0 +1,74 @@
+"""Pictures of glass: what is seen through it, and the caustics on walls, against paths from each pixel."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from isogi_core.frame.entry_kernels import MATTER, frame_kernels
+from isogi_core.kernels.shading.framebuffer import FINAL, PROVISIONAL
+from tests.frame.conftest import CONSTANT, LOOSE, Workbench, relative_rmse
+from tests.loaded import load_scene
+
+SIZE = 16
+
+
+@pytest.fixture(scope="module")
+def room(tmp_path_factory: pytest.TempPathFactory) -> Workbench:
+    """The orbital of glass over a floor under a sky."""
+    floor = {"corner": [-20, -20, -5], "edges": [[135, 0, 0], [0, 135, 0]], "sides": 1}
+    glass = {"material": "glass", "absorption": [0.02, 0.0, 0.0], "environment": "overcast"}
+    scene = load_scene("demo:orbital", walls=[floor], bounces=1, target_error=0.1, **glass)
+    return Workbench(scene, tmp_path_factory.mktemp("glass"))
+
+
+def test_glass_in_a_room_becomes_what_paths_say(room: Workbench) -> None:
+    view = room.view(90.0, 20.0, SIZE, distance=3.0)
+    first = room.renderer.render(view)
+    glass, walls = first.gbuffer.pixels, first.gbuffer.walls.pixels
+    assert len(glass) and len(walls) and not first.demands
+    assert set(first.state.ravel()[walls]) == {PROVISIONAL}
+    assert 0 < first.walls_waiting <= first.surface and first.checkable
+    while room.renderer.refine(view):
+        pass
+    frame = room.renderer.render(view)
+    assert frame.final
+    assert frame.version != first.version
+    assert (frame.state[first.state > 0] == FINAL).all()
+    traced = room.renderer.render(room.view(90.0, 20.0, SIZE, distance=3.0, shading="path_traced", samples=512))
+    for pixels in (glass, walls):
+        found, true = (each.radiance.reshape(-1, 3)[pixels].mean(axis=0) for each in (frame, traced))
+        np.testing.assert_allclose(found, true, rtol=0.03)
+    assert relative_rmse(frame, traced) < 0.1
+
+
+def test_clear_glass_under_an_even_sky_is_as_bright_as_that(tmp_path: Path) -> None:
+    scene = load_scene("demo:casting", lights=[CONSTANT], material="glass", index=1.6)
+    bench = Workbench(scene, tmp_path)
+    frame = bench.renderer.render(bench.view(size=SIZE))
+    assert frame.final and not frame.demands and not frame.walls_waiting
+    np.testing.assert_allclose(frame.radiance.reshape(-1, 3)[frame.gbuffer.pixels], 1.0, rtol=1e-5)
+    traced = bench.renderer.render(bench.view(size=SIZE, shading="path_traced", samples=2))
+    np.testing.assert_allclose(traced.radiance.reshape(-1, 3)[traced.gbuffer.pixels], 1.0, rtol=1e-5)
+
+
+def test_a_subsurface_becomes_what_paths_inside_say(tmp_path: Path) -> None:
+    chosen = {"material": "subsurface", "mean_free_path": 3.0, "albedo": [0.9, 0.6, 0.3], "environment": "overcast"}
+    scene = load_scene("demo:casting", **chosen, target_error=LOOSE, projected=False)
+    bench = Workbench(scene, tmp_path)
+    frame = bench.bake(bench.view(size=SIZE))
+    while bench.renderer.refine(frame.view):
+        pass
+    frame = bench.renderer.render(frame.view)
+    assert frame.final
+    traced = bench.renderer.render(bench.view(size=SIZE, shading="path_traced", samples=512))
+    assert relative_rmse(frame, traced) < 1.2 * LOOSE
+    means = [each.radiance.reshape(-1, 3)[each.gbuffer.pixels].mean(axis=0) for each in (frame, traced)]
+    np.testing.assert_allclose(means[0][0], means[1][0], rtol=0.03)
+    np.testing.assert_allclose(*means, rtol=0.1)
+    assert means[0][0] / means[0][2] > 1.3 * 0.9 / 0.3
+
+
+def test_only_scenes_that_light_passes_compile_its_kernels(room: Workbench) -> None:
+    assert set(MATTER) <= set(frame_kernels([room.scene]))
+    assert not set(MATTER) & set(frame_kernels([load_scene("demo:orbital", room="cornell")]))

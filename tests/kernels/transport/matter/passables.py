@@ -1,0 +1,52 @@
+"""Balls and slabs that light passes, as the kernels take them, and what paths bring there."""
+
+import numpy as np
+
+from isogi_core.kernels.transport.matter.inside import Matter, Passable
+from isogi_core.kernels.transport.matter.matter_paths import light_through_matter
+from isogi_core.kernels.transport.matter.sight import LEAVES, Leaves, see_through
+from isogi_core.kernels.transport.paths import PathRules, SampleRange
+from isogi_core.kernels.transport.room_paths import RoomStarts
+from tests.kernels.fields import cells_of, field_of, surface_of
+from tests.kernels.rooms import room_of, sky
+
+
+def ball(radius, side):
+    """A ball in the middle of a box of so many voxels: solid where the field is above 0."""
+    place = np.mgrid[:side, :side, :side] - (side - 1) / 2
+    return field_of(radius - np.sqrt((place**2).sum(axis=0)))
+
+
+def slab(low, high, side=8):
+    """A slab between two heights."""
+    z = np.mgrid[:side, :side, :side][0]
+    return field_of((high - low) / 2.0 - np.abs(z - (low + high) / 2.0))
+
+
+def passable(walls=(), index=1.5, absorption=0.0, extinction=0.0, albedo=1.0):
+    """Some walls, and matter of one grey."""
+    matter = Matter(float(index), np.full(3, float(absorption)), float(extinction), np.full(3, float(albedo)))
+    return Passable(room_of(list(walls)), matter)
+
+
+def gather(field, met, starts, samples, light=None, bounces=0):
+    """What paths bring (g, 3) to ``starts``: points and normals (g, 3), and what is in place of walls' numbers (g,)."""
+    points, normals, walls = (np.array(each, float) for each in starts)
+    g = len(points)
+    here, around = np.ascontiguousarray((points / field.spacing).T), np.ascontiguousarray(normals.T)
+    starts = RoomStarts(here, around, np.zeros(g), np.arange(1, g + 1, dtype=np.uint64), walls)
+    rules, sums = PathRules(np.ones((bounces + 1, 3)), 1.0), np.zeros((g, 3))
+    some, around = SampleRange(0, samples), light or sky(0.0)
+    light_through_matter(field, cells_of(field, 0.0), met, starts, some, rules, around, sums)
+    return sums / samples
+
+
+def look(field, met, eye, points, light=None):
+    """What is seen from an ``eye`` through ``points`` (n, 3): the Leaves."""
+    n = len(points)
+    weights, ends = np.empty((2, n * LEAVES, 3), np.float32)
+    kinds, sides = np.empty((2, n * LEAVES), np.int8)
+    leaves = Leaves(np.empty((n, 3), np.float32), weights, ends, kinds, sides)
+    places = np.ascontiguousarray(points, np.float32)
+    see_through(surface_of(field, 0.0), met, light or sky(0.0), tuple(map(float, eye)), places, leaves)
+    return leaves

@@ -1,0 +1,75 @@
+"""What the eye sees through glass, against closed forms of balls and slabs."""
+
+import math
+
+import numpy as np
+import pytest
+
+from isogi_core.kernels.transport.matter.sight import LEAVES
+from tests.kernels.rooms import room_of, sky, wall
+from tests.kernels.transport.matter.passables import ball, look, passable, slab
+
+FACING = 0.04
+"""What a surface of index 1.5 mirrors head on."""
+
+
+def floor_at(z, radiance=0.0, albedo=0.5):
+    """A large floor that faces up and down."""
+    return wall((-500.0, -500.0, z), (1000.0, 0, 0), (0, 1000.0, 0), albedo, radiance, twofold=True)
+
+
+@pytest.mark.parametrize("index", [1.0, 1.3, 1.5, 2.4])
+def test_a_clear_ball_under_an_even_sky_is_not_seen(index):
+    field, middle = ball(4.0, 12), 5.5
+    aside = np.array([0.0, 0.5, 1.0, 2.0, 3.0, 3.9])
+    points = np.column_stack([middle + aside, np.full(6, middle), middle - np.sqrt(16.0 - aside**2)])
+    seen = look(field, passable(index=index), (middle, middle, -1e3), points, sky(1.0))
+    np.testing.assert_allclose(seen.sky, 1.0, rtol=1e-5)
+
+
+def test_a_ball_brings_rays_to_its_focus():
+    """At n R / (2 (n - 1)) from its middle, for rays near the axis; farther ones go where two refractions send them."""
+    n, radius, middle = 1.5, 16.0, 20.5
+    focus = middle + n * radius / (2.0 * (n - 1.0))
+    aside = np.array([0.01, 0.5, 1.0, 2.0])
+    points = np.column_stack([middle + aside, np.full(4, middle), middle - np.sqrt(radius**2 - aside**2)])
+    seen = look(ball(radius, 42), passable([floor_at(focus)]), (middle, middle, -1e6), points)
+    shares = np.where(seen.met >= 0, seen.weights[:, 0], 0.0).reshape(4, LEAVES)
+    through = np.arange(4) * LEAVES + shares.argmax(axis=1)
+    angles = np.arcsin(aside / radius)
+    other = np.arcsin(aside / radius / n)
+    place, turned = 2.0 * other - angles, 2.0 * (angles - other)
+    true = radius * np.sin(place) - (focus - middle - radius * np.cos(place)) * np.tan(turned)
+    assert abs(true[0]) < 1e-6
+    np.testing.assert_allclose(seen.points[through, 0] - middle, true, atol=2e-3)
+    np.testing.assert_allclose(seen.weights[through], (1.0 - FACING) ** 2, rtol=1e-3)
+
+
+def test_a_slab_moves_rays_aside_and_absorbs_by_depth():
+    """Snell: by d (tanθ - tanθ'); Beer: exp(-a d / cosθ'), times Fresnel's share twice."""
+    angle, depth, absorption = 0.6, 3.0, 0.2
+    field, met = slab(2.0, 2.0 + depth), passable([floor_at(-4.0)], absorption=absorption)
+    way = np.array([math.sin(angle), 0.0, -math.cos(angle)])
+    point = np.array([2.0, 3.5, 2.0 + depth])
+    seen = look(field, met, point - 50.0 * way, point[None])
+    other = math.asin(math.sin(angle) / 1.5)
+    end = 2.0 + depth * math.tan(other) + 6.0 * math.tan(angle)
+    place = int(np.where(seen.met >= 0, seen.weights[:, 0], 0.0).argmax())
+    assert seen.points[place, 0] == pytest.approx(end, abs=2e-3)
+    across = math.sin(angle - other) / math.sin(angle + other)
+    along = math.tan(angle - other) / math.tan(angle + other)
+    share = (across**2 + along**2) / 2.0
+    left = (1.0 - share) ** 2 * math.exp(-absorption * depth / math.cos(other))
+    np.testing.assert_allclose(seen.weights[place], left, rtol=1e-3)
+    assert seen.sides[place] == 1
+
+
+def test_walls_and_their_dark_backs_are_seen():
+    field = ball(4.0, 12)
+    lit, dark = (
+        wall((-500.0, -500.0, 30.0), u, v, 0.5) for u, v in [((0, 1e3, 0), (1e3, 0, 0)), ((1e3, 0, 0), (0, 1e3, 0))]
+    )
+    front, back = (look(field, passable([each], 1.0), (5.5, 5.5, -50.0), [(5.5, 5.5, 1.5)]) for each in (lit, dark))
+    assert front.met[0] == 0 and front.sides[0] == 1
+    assert (front.met[1:] < 0).all() and (back.met < 0).all()
+    assert room_of([dark]).normals[0, 2] > 0.0
