@@ -79,7 +79,7 @@ class LightParams(NoParams):
 
 
 class VariantParams(LightParams):
-    """The light that a scene is shown in, what is cut away of it, and when."""
+    """The light that a scene is shown in, what is cut away of it, when, and which surfaces are beside the one shown."""
 
     cut: Annotated[str | None, Planes()] = Field(
         None,
@@ -88,6 +88,12 @@ class VariantParams(LightParams):
     )
     time: Annotated[int | None, Span(0, MOST_STEPS, whole=True)] = Field(
         None, description="Which step of a series in time, from 0 on; default: the scene's. Each has light of its own."
+    )
+    surfaces: Annotated[str | None, WithJsonSchema({"type": "string", "example": "0.4,off"})] = Field(
+        None,
+        max_length=100,
+        description="The share of rays that passes each pinned surface, in turn, such as 0.4, or off to hide it;"
+        " default: the scene's. They have light of their own.",
     )
 
 

@@ -11,7 +11,7 @@ import { attachShare } from "./net/share.js";
 import { Trouble } from "./net/trouble.js";
 import { attachUpload } from "./net/upload.js";
 import { Comparison } from "./panels/comparison.js";
-import { attachCuts } from "./panels/cuts.js";
+import { attachCuts, attachSurfaces } from "./panels/cuts.js";
 import { attachEnvironments } from "./panels/environment.js";
 import { ErrorPanel } from "./panels/error.js";
 import { attachHistogram } from "./panels/histogram.js";
@@ -91,6 +91,7 @@ function assemble(scene, knobs, trouble) {
   attachKnobs(form, scene, view);
   attachHistogram(form, scene, view, say);
   attachPresets($("presets"), scene, view);
+  attachSurfaces($("beside"), scene, view);
   attachCuts($("cuts"), scene, view);
   attachMeasures($("measures"), scene, view);
   const showLight = attachLight($("light"), scene, view, options.onRest);

@@ -57,6 +57,12 @@ def pattern(count: int) -> np.ndarray:
     return np.stack([(order + 0.5) / count, reverse + 0.5 / count], axis=-1).astype(np.float32)
 
 
+def places_in(pixels: np.ndarray, count: int, width: int) -> np.ndarray:
+    """Places (pixels · count, 2; x, y) float32 of so many samples in each of some ``pixels`` (k,) of a picture."""
+    corners = np.stack(np.divmod(pixels, width)[::-1], axis=-1).astype(np.float32)
+    return np.asarray((corners[:, None] + pattern(count)).reshape(-1, 2))
+
+
 def smooth_edges(frame: Frame, prepared: PreparedScene, tiles: Tiles) -> Frame:
     """The ``frame`` of a prepared scene with more samples where it has edges. Raises Cancelled."""
     exposure, glow = prepared.scene.default_exposure, EyeGlow.of(prepared, frame.view.glow)
@@ -74,8 +80,7 @@ def sample_edges(
     pixels, count = find_edges(lit(frame.radiance, frame.state, exposure, marked=False), frame.state)
     if not len(pixels):
         return None
-    corners = np.stack(np.divmod(pixels, frame.view.width)[::-1], axis=-1).astype(np.float32)
-    places = (corners[:, None] + pattern(count)).reshape(-1, 2)
+    places = places_in(pixels, count, frame.view.width)
     light, on = np.zeros((len(places), 3), np.float32), np.zeros(len(places), np.bool_)
     view, gbuffer = frame.view, frame.gbuffer
     camera, traced = view_pinhole(view, gbuffer.spacing), gbuffer.surface.traced(tiles.run)

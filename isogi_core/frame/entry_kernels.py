@@ -39,9 +39,9 @@ from isogi_core.kernels.shading.texel_table import add_part, judge_rows, unpack_
 from isogi_core.kernels.shading.wall_light import light_walls
 from isogi_core.kernels.tracing.active_cells import fill_ranges, mark_bricks, number_bricks, pack_bricks
 from isogi_core.kernels.tracing.camera import trace_pixels, trace_places
-from isogi_core.kernels.tracing.cast import cast_rays
 from isogi_core.kernels.tracing.glow import gather_from_eye
 from isogi_core.kernels.tracing.macrocells import fill_macrocells
+from isogi_core.kernels.tracing.peels import peel_rays
 from isogi_core.kernels.tracing.sight import read_values, trace_pixels_in_sight, trace_places_in_sight
 from isogi_core.kernels.tracing.stiffness import count_stiffness
 from isogi_core.kernels.transport.colours import fill_albedos
@@ -79,7 +79,7 @@ ROOM = (light_in_room, trace_pixels_in_sight, trace_places_in_sight, light_walls
 COLOURED = (fill_albedos,)
 """Those that only scenes with colours by data call; their paths are those of a room."""
 
-AMONG = (light_among_surfaces, cast_rays, fill_seeds)
+AMONG = (light_among_surfaces, peel_rays, fill_seeds)
 """Those that only scenes with several surfaces call; not their ``trace_pixels`` and ``trace_places``."""
 
 SHINE = (cast_shine, fill_below, fill_energy, pool_noise)

@@ -47,6 +47,9 @@ MARK = (0.95, 0.42, 0.05)
 
 LEVELS = 4096
 
+LEAST = 1e-6
+"""What the samples of a pixel cover together at least, where that divides their light."""
+
 COVER = 205
 """How much of the picture, of 256 parts, the colours of the error hide: its form still shows."""
 
@@ -123,15 +126,19 @@ def before_ground(
 def averaged(edges: EdgeSamples, exposure: float, ground: tuple[float, ...], clear: bool) -> np.ndarray:
     """The pixels at ``edges``, (k, 3) uint8 sRGB, as the mean of what their samples shine on a screen.
 
-    Where the picture is ``clear`` that is of samples on the surface, and (k, 4): the last is the share of those.
+    Where the picture is ``clear`` that is of samples on the surface, and (k, 4): the last is how much these cover.
     """
     light = before_ground(edges.light, edges.airy, exposure, ground)
     shown = linear_table()[lit(light, edges.on.astype(np.uint8), exposure, False, ground)]
     if not clear:
+        if edges.left is not None:
+            behind = np.where(edges.on, edges.left, np.float32(0.0))[..., None] * np.array(ground, np.float32)
+            shown = np.minimum(shown + behind, np.float32(1.0))
         return coded(shown.mean(axis=1))
     sums = np.where(edges.on[..., None], shown, np.float32(0)).sum(axis=1)
-    light = sums / np.maximum(edges.on.sum(axis=1), 1)[:, None]
-    return np.column_stack([coded(light), (255.0 * edges.covered[:, 3] + 0.5).astype(np.uint8)])
+    cover = edges.cover.mean(axis=1)
+    light = sums / np.maximum(edges.cover.sum(axis=1), LEAST)[:, None]
+    return np.column_stack([coded(np.minimum(light, 1.0)), (255.0 * cover + 0.5).astype(np.uint8)])
 
 
 def coded(light: np.ndarray) -> np.ndarray:

@@ -27,13 +27,20 @@ class EdgeSamples:
     """What the samples of the ``pixels`` (k,) at edges show: linear ``light`` (k, samples, 3), and which are ``on``.
 
     ``pixels`` are picture indices, ascending; ``on`` (k, samples) says which samples show the surface,
-    and ``airy`` (k, samples), where something glows, which of them show that alone, with what is behind.
+    and ``airy`` (k, samples), where something glows, which of them show that alone, with what is behind. Of surfaces
+    that let rays pass ``left`` (k, samples) is the share of what lies behind.
     """
 
     pixels: np.ndarray
     light: np.ndarray
     on: np.ndarray
     airy: np.ndarray | None = None
+    left: np.ndarray | None = None
+
+    @property
+    def cover(self) -> np.ndarray:
+        """How much of what is behind each sample hides; (k, samples), from 0 to 1."""
+        return self.on if self.left is None else np.where(self.on, np.float32(1.0) - self.left, np.float32(0.0))
 
     @cached_property
     def covered(self) -> np.ndarray:

@@ -113,6 +113,11 @@ class ProjectedReading(Reading):
         """Which texels are read on the isosurface that is shown."""
         return np.asarray((self.projected_rows >= 0) | self.dark)
 
+    @property
+    def projects(self) -> bool:
+        """That they are."""
+        return True
+
     def sources(self, pool: PagePool) -> tuple[tuple[np.ndarray, PagePool], ...]:
         """Rows of light, and the pools that they are of, of which ``pool`` is the base's."""
         return (self.rows, pool), (self.projected_rows, self.pool)

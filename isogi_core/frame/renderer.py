@@ -36,13 +36,7 @@ from isogi_core.frame.frame import Frame
 from isogi_core.frame.framing import frame_of
 from isogi_core.frame.gbuffer import GBuffer, to_index, trace
 from isogi_core.frame.lighting import RotatedLight
-from isogi_core.frame.projected_texels import (
-    Distances,
-    ProjectedReading,
-    find_distances,
-    held_chunks,
-    join_readings,
-)
+from isogi_core.frame.projected_texels import Distances, find_distances, held_chunks, join_readings
 from isogi_core.frame.rays.control_pixels import bounces_of_truth
 from isogi_core.frame.rays.picture_check import PictureCheck
 from isogi_core.frame.rays.pixel_rays import LobeLight, find_lobes
@@ -52,6 +46,7 @@ from isogi_core.frame.rays.shine_light import SeenLight, ShineLight, add_lobes_s
 from isogi_core.frame.rays.through_matter import ViewThrough
 from isogi_core.frame.rays.view_walls import ViewWalls
 from isogi_core.frame.several.composer import Composer
+from isogi_core.frame.several.mixing import Level, mixed
 from isogi_core.frame.shading import (
     carry_irradiance_ratios,
     carry_texel_light,
@@ -92,12 +87,12 @@ class Renderer:
         most: int = KEPT,
         filters: bool = True,
         stand_in: StandIn | None = None,
-        alone: bool = False,
+        levels: tuple[Level, ...] = (),
     ) -> None:
         """Render with the light of ``caches``, on the threads of ``tiles``; keep ``most`` bytes of views.
 
         Who measures bakes ``filters`` no noisy light. Other light may ``stand_in`` where there is none yet. Of several
-        surfaces one may be shown ``alone``, as the others light it.
+        surfaces one is shown alone, as the others light it, where there are ``levels`` to mix its light of.
         """
         self.prepared, self.caches, self.tiles = caches.prepared, caches, tiles
         self._filters, self._stand_in = filters, stand_in
@@ -106,8 +101,9 @@ class Renderer:
         self._kept: LruCache[Any] = LruCache(most - int(NORMALS * most), changing)
         self._walls = ViewWalls(self._kept, self.prepared.scene.volume)
         self._through = ViewThrough(self._kept, self._walls)
-        make = partial(Renderer, tiles=tiles, most=most // 8, filters=filters, alone=True)
-        composed = self.prepared.scene.several and not alone
+        self._levels = levels or (Level(caches),)
+        make = partial(Renderer, tiles=tiles, most=most // 8, filters=filters)
+        composed = self.prepared.scene.several and not levels
         self._composer = Composer(caches, self, make, self._kept) if composed else None
 
     @property
@@ -132,10 +128,10 @@ class Renderer:
         tiles = self.tiles.cancelled_by(cancelled) if cancelled else self.tiles
         target, watch = target or self.prepared.scene.target_error, watch or Stopwatch()
         frame = self._draw(view, target, tiles, watch)
-        if view.moving or not view.smooth or self._composer:
+        if view.moving or not view.smooth:
             return frame
         with watch.stage("edges"):
-            return smooth_edges(frame, self.prepared, tiles)
+            return self._composer.smooth(frame, tiles) if self._composer else smooth_edges(frame, self.prepared, tiles)
 
     def _draw(self, view: View, target: float, tiles: Tiles, watch: Stopwatch) -> Frame:
         """The frame of a view with what glows before it, drawn on the threads of ``tiles``."""
@@ -188,8 +184,8 @@ class Renderer:
         check = self._check(light, frame.gbuffer, target)
 
         def uncertainty() -> np.ndarray:
-            with self._lit_texels(frame.gbuffer, light, target, tiles, Stopwatch()) as found:
-                between = light.spec.unit * texel_disagreement(*found)
+            found = self._lit_texels(frame.gbuffer, light, target, tiles, Stopwatch())
+            between = light.spec.unit * texel_disagreement(*found)
             if light.coloured:
                 between *= light.tints(frame.gbuffer, tiles) @ LUMINANCE
             between[check.own.places] = 0.0
@@ -229,8 +225,7 @@ class Renderer:
         self, gbuffer: GBuffer, light: RotatedLight, target: float, tiles: Tiles, watch: Stopwatch
     ) -> Frame:
         """The frame out of the illumination cache: global illumination, or vicinity shading (S1, section 4.2)."""
-        with self._lit_texels(gbuffer, light, target, tiles, watch) as (texels, reading, lit):
-            pass
+        texels, reading, lit = self._lit_texels(gbuffer, light, target, tiles, watch)
         framebuffer, shine = self._carry(texels, reading, lit, light, tiles, watch), b""
         if light.spec.lobes:
             with watch.stage("lobes"):
@@ -281,33 +276,38 @@ class Renderer:
     def _light_ends(self, rays: ShineRays, light: RotatedLight, target: float, tiles: Tiles) -> SeenLight:
         """What rays of shine see by texels and walls as they are lit now; unshadowed light where nothing is lit yet."""
         hits, seen = rays.hits, RotatedLight(light.spec, rays.view(light.view))
-        with self._lit_texels(hits, seen, target, tiles, Stopwatch()) as (texels, reading, lit):
-            pass
+        texels, reading, lit = self._lit_texels(hits, seen, target, tiles, Stopwatch())
         framebuffer = self._carry(texels, reading, lit, seen, tiles, Stopwatch())
         add_lobes_seen(rays, seen, framebuffer, tiles)
         colour_surface(hits, seen, framebuffer, tiles)
         version = self._walls.put_seen(walls_seen(rays, seen), target, framebuffer, tiles)
         return SeenLight(framebuffer.radiance, framebuffer.state, reading.version + version.encode())
 
-    @contextmanager
     def _lit_texels(
         self, gbuffer: GBuffer, light: RotatedLight, target: float, tiles: Tiles, watch: Stopwatch
-    ) -> Iterator[tuple[ViewTexels, Reading, np.ndarray]]:
-        """A view's texels, their reading, and their light (texels, LIT); pages stay in memory while the block runs."""
-        view, loader = light.view, self.caches.of(light.view.shading)
+    ) -> tuple[ViewTexels, Reading, np.ndarray]:
+        """A view's texels, their reading, and their light (texels, LIT)."""
         with watch.stage("texels"):
-            texels = self.texels(view, gbuffer, tiles)
+            texels = self.texels(light.view, gbuffer, tiles)
+        found = [self._lit_by(each.caches, texels, light, target, tiles, watch) for each in self._levels]
+        return texels, *mixed(self._levels, found)
+
+    def _lit_by(
+        self, caches: Caches, texels: ViewTexels, light: RotatedLight, target: float, tiles: Tiles, watch: Stopwatch
+    ) -> tuple[Reading, np.ndarray]:
+        """The reading of a view's texels, and their light, by some ``caches``."""
+        view, loader = light.view, caches.of(light.view.shading)
         with watch.stage("load"):
             loader.ensure(texels.chunks, tiles.check)
         with loader.pool.hold(texels.chunks) as held, ExitStack() as stack:
             with watch.stage("read"):
                 reading = self._read(view, texels, loader.pool, held, target, tiles)
-                reading = stack.enter_context(self._project(view, texels, reading, tiles))
+                reading = stack.enter_context(self._project(view, texels, reading, caches, tiles))
             with watch.stage("light"):
                 lit = light_sources(reading.sources(loader.pool), light, tiles)
                 if self._stand_in is not None:
                     reading, lit = self._stand_in.light(texels, reading, lit, light, tiles)
-            yield texels, reading, lit
+        return reading, lit
 
     def _check(self, light: RotatedLight, gbuffer: GBuffer, target: float) -> PictureCheck:
         """What is known of the picture of a view besides its texels' light."""
@@ -320,9 +320,8 @@ class Renderer:
 
         Global illumination that is noisy is filtered before.
         """
-        gbuffer, records = texels.gbuffer, None
-        projects, shading = isinstance(reading, ProjectedReading), light.view.shading
-        ratios = carries_irradiance_ratios(self.prepared.scene, shading, projects)
+        gbuffer, records, shading = texels.gbuffer, None, light.view.shading
+        ratios = carries_irradiance_ratios(self.prepared.scene, shading, reading.projects)
         filtered = self._filters and spec_name(shading) == "gi" and bool(reading.noisy.any())
         if ratios or filtered:
             with watch.stage("normals"):
@@ -371,11 +370,13 @@ class Renderer:
 
     def _read(self, view: View, texels: ViewTexels, pool: PagePool, held: Held, target: float, tiles: Tiles) -> Reading:
         """What the ``pool`` has of a view's texels, looked up anew when it has changed."""
-        key = (Reading, surface_key(view), spec_name(view.shading), target, held.age)
+        key = (Reading, surface_key(view), pool.spec.digest, target, held.age)
         return self._kept.get(key, lambda: read_texels(texels, held.slots, pool, target, tiles))
 
     @contextmanager
-    def _project(self, view: View, texels: ViewTexels, base: Reading, tiles: Tiles) -> Iterator[Reading]:
+    def _project(
+        self, view: View, texels: ViewTexels, base: Reading, caches: Caches, tiles: Tiles
+    ) -> Iterator[Reading]:
         """What a view reads besides the ``base``, which stays while the block runs: projected texels where they pay.
 
         Views that move, and vicinity shading, have none.
@@ -385,7 +386,7 @@ class Renderer:
             yield base
             return
         make = partial(find_distances, texels, self.prepared, tiles)
-        distances, loader = self._kept.get((Distances, surface_key(view)), make), self.caches.projected(shown)
+        distances, loader = self._kept.get((Distances, surface_key(view)), make), caches.projected(shown)
         with held_chunks(loader, texels.chunks) as held:
             if held is None:
                 yield base

@@ -60,6 +60,11 @@ class Reading:
         """Which texels are read on the isosurface that is shown, and not on their own; (texels,) bool."""
         return np.zeros(len(self.rows), np.bool_)
 
+    @property
+    def projects(self) -> bool:
+        """Whether texels that are far from the isosurface which is shown are projected onto it."""
+        return False
+
     def sources(self, pool: PagePool) -> tuple[tuple[np.ndarray, PagePool], ...]:
         """Rows of light, and the pools that they are of: all of them of the ``pool`` that was read."""
         return ((self.rows, pool),)

@@ -13,9 +13,6 @@ from isogi_core.model.volume import Volume
 MOST_PINNED = 3
 """Most isosurfaces beside the one that slides: every ray is cast at each of them."""
 
-LAYERS = 8
-"""Surfaces that a pixel shows behind each other, at most. The last of them is the first opaque one that is left."""
-
 KEYS = ("isovalue", "albedo", "clear", "name")
 """What a ``[[surfaces]]`` table may have."""
 

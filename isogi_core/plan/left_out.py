@@ -3,10 +3,10 @@
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
+from isogi_core.kernels.tracing.peels import LAYERS
 from isogi_core.model.environment import Environment, Lamps
 from isogi_core.model.scene_plan import GLOW, Layer, LeftOut, Saving, ScenePlan
 from isogi_core.model.shine import Shine
-from isogi_core.model.surfaces import LAYERS
 from isogi_core.model.volume import Isovalue
 from isogi_core.plan.albedos import mixing_error
 from isogi_core.plan.bands import truncation_error
@@ -271,15 +271,18 @@ def unshining(shine: Shine | None) -> tuple[LeftOut, ...]:
     return (LeftOut("shine", why, (Saving(1, "ray per pixel, or more"),)),)
 
 
-def unshared(pinned: int, plan: ScenePlan) -> tuple[LeftOut, ...]:
-    """What several surfaces, so many of them ``pinned``, would share or show if light did not depend on all of them."""
+def unshared(pinned: int, levels: int, plan: ScenePlan) -> tuple[LeftOut, ...]:
+    """What several surfaces do not show, and the isovalues at which those that are ``pinned`` keep no light: all but so
+    many ``levels``.
+    """
     why = "The last that a pixel shows is the first opaque one that is left; what counts less than 1/512 is left out."
     deep = LeftOut(f"surfaces behind the first {LAYERS} in a pixel", why, (Saving(1, "surface a pixel, or more"),))
     if not pinned:
         return (deep,)
     size = plan.bytes_per_texel
-    why = f"The surface that slides lights them: each isovalue that is shown has {size} bytes a texel of either side."
-    return (deep, LeftOut("light of pinned surfaces that serves every isovalue", why))
+    kept = f"either side keeps {size} bytes a texel at each of {levels} levels that views need, and views mix two"
+    why = f"The surface that slides moves about a voxel from level to level: {kept}."
+    return (deep, LeftOut("light of pinned surfaces at each isovalue", why))
 
 
 def lattice_bytes(chunks: int, side: int, bytes_per_texel: int) -> int:

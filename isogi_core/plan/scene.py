@@ -28,6 +28,7 @@ from isogi_core.model.volume import Isovalue, Volume
 from isogi_core.plan.inputs import PlanInputs, PlanOverrides
 from isogi_core.plan.isovalue_presets import Preset, find_boundaries, suggested_presets
 from isogi_core.plan.left_out import unprojected, unseen, unshared, unshining
+from isogi_core.plan.levels import find_levels
 from isogi_core.plan.materials import unrefracted
 from isogi_core.plan.projection import ProjectionPlan, plan_projection
 from isogi_core.plan.reachable_texels import TexelCount, count_texels
@@ -38,7 +39,7 @@ BAKE_FORMAT = 6
 NORMALS = ("bspline", "gradient")
 """Gradients that normals may be made of: smoothed with the tricubic B-spline, or plain (S1, figure 5)."""
 
-SURVEYED = ("texels", "projection", "presets")
+SURVEYED = ("texels", "projection", "presets", "levels")
 """Properties of a scene that take a pass over its volume, and that no plan changes."""
 
 ROOM, COLOURED, AMONG, INSIDE = "room", "coloured", "among", "inside"
@@ -188,6 +189,14 @@ class Scene:
             return ProjectionPlan.settled(self.span, self.projected)
         return plan_projection(self._bare_field, self.span, self.start, self.target_error)
 
+    @cached_property
+    def levels(self) -> tuple[float, ...]:
+        """Isovalues that light of pinned surfaces is kept for, ascending: views mix that of the two around theirs.
+
+        The volume is surveyed for them on first use.
+        """
+        return find_levels(self.volume, self.isovalues, (self.isovalue, *(each.isovalue for each in self.named)))
+
     @property
     def _bare_field(self) -> Field:
         """The volume as kernels take it, without macrocells."""
@@ -207,7 +216,8 @@ class Scene:
     def left_out(self) -> tuple[LeftOut, ...]:
         """Everything that is left out: by the plan, texels that are never lit or not projected, and shine."""
         texels = (*unseen(self.texels, self.plan), *unprojected(self.projection, self.start))
-        beside = unshared(len(self.pinned), self.plan) if self.several else ()
+        levels = len(self.levels) if self.pinned else 0
+        beside = unshared(len(self.pinned), levels, self.plan) if self.several else ()
         beside += unrefracted(self.material, self.lights, self.environment.sharp)
         return (*self.plan.left_out, *texels, *beside, *unshining(self.shine))
 

@@ -12,7 +12,8 @@ from isogi_core.files.scene_file import DEFAULT_DEMO, FOLLOWED
 from isogi_core.model.surfaces import PinnedSurface
 from isogi_core.model.volume import Isovalue
 from isogi_core.plan.assembly import build_scene
-from isogi_core.plan.scene import Scene
+from isogi_core.plan.scene import SURVEYED, Scene
+from isogi_core.plan.several import Clears
 
 
 @dataclass(frozen=True)
@@ -57,6 +58,22 @@ def scene_of_side(scene: Scene, side: Side, shown: float) -> Scene:
     volume = scene.volume.inside_out if side.inner else scene.volume
     made = build_scene(replace(scene.source, document=bare), volume=volume)
     return replace(made, source=replace(scene.source, document=document))
+
+
+def with_clears(scene: Scene, clears: Clears, name: str) -> Scene:
+    """The same scene with other shares of rays that pass its pinned surfaces, without those of None, by another id.
+
+    The volume and what was surveyed of it are shared. Raises as ``build_scene`` does.
+    """
+    kept = [replace(each, clear=clear) for each, clear in zip(scene.pinned, clears, strict=True) if clear is not None]
+    document: dict[str, Any] = {key: value for key, value in scene.source.document.items() if key != "surfaces"}
+    document |= {"surfaces": [each.table for each in kept]} if kept else {}
+    document |= {"rotating": scene.rotating}
+    bare = {key: value for key, value in document.items() if key not in FOLLOWED}
+    made = build_scene(replace(scene.source, document=bare), volume=scene.volume)
+    made = replace(made, id=name, source=replace(scene.source, document=document))
+    vars(made).update({known: found for known, found in vars(scene).items() if known in SURVEYED})
+    return made
 
 
 def apart(surfaces: tuple[PinnedSurface, ...], scene: Scene) -> tuple[PinnedSurface, ...]:

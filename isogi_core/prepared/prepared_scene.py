@@ -10,13 +10,14 @@ from isogi_core.kernels.tracing.active_cells import ActiveCells
 from isogi_core.kernels.tracing.field import OFFSET, Field
 from isogi_core.kernels.tracing.glow import Glows
 from isogi_core.kernels.tracing.macrocells import fill_macrocells, macrocell_shape
+from isogi_core.kernels.tracing.peels import MOST
 from isogi_core.kernels.tracing.walls import Walls
 from isogi_core.kernels.transport.colours import NO_COLOURS, Colours
 from isogi_core.kernels.transport.light_paths import Surroundings
 from isogi_core.kernels.transport.lights import LampArrays
 from isogi_core.kernels.transport.matter.inside import Matter, Passable
 from isogi_core.kernels.transport.room_paths import Room
-from isogi_core.kernels.transport.surface_paths import MOST, Surfaces
+from isogi_core.kernels.transport.surface_paths import Surfaces
 from isogi_core.model.volume import Volume
 from isogi_core.plan.bands import project_environment
 from isogi_core.plan.scene import Scene

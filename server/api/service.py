@@ -155,14 +155,15 @@ class Service:
         return scene
 
     async def variant(self, scene: Scene, params: LightParams) -> Scene:
-        """The scene in the light, with the cut and at the time that the parameters ask for; itself where they do not.
+        """The scene in the light, with the cut, at the time and with the surfaces that the parameters ask for; itself
+        where they do not.
 
         Raises ParameterError where there is no such, and StartingError until the engine is up.
         """
-        cut, time = (params.cut, params.time) if isinstance(params, VariantParams) else (None, None)
-        if any(each is not None for each in (params.environment, cut, time)):
+        asked = (params.cut, params.time, params.surfaces) if isinstance(params, VariantParams) else (None, None, None)
+        if any(each is not None for each in (params.environment, *asked)):
             self._check_started()
-        return await self.variants.of(scene, params.environment, cut, time)
+        return await self.variants.of(scene, params.environment, *asked)
 
     def _check_started(self) -> None:
         if not self.settled.is_set() or self.failure:

@@ -91,7 +91,12 @@ def keyframes(wishes: Wishes) -> list[dict[str, str]]:
 
 
 def variant_of(target: str, views: Sequence[Mapping[str, str]]) -> str:
-    """The same target in the environment, with the cut and at the time that all views name, if they do."""
+    """The same target in the environment, with the cut and at the time that all views name, if they do.
+
+    ParameterError where one names other surfaces.
+    """
+    if any("surfaces" in view for view in views):
+        raise ParameterError("A film shows the scene's own surfaces: change its [[surfaces]].", "surfaces")
     for key in ("environment", "cut", "time"):
         named = {view.get(key, "") for view in views}
         if len(named) == 1 and named != {""}:

@@ -1,4 +1,5 @@
-"""Variants: an engine's scenes in other light, at other times, or cut open, each made when a view first asks for it.
+"""Variants: an engine's scenes in other light, at other times, with other surfaces, or cut open, each made when asked
+for.
 
 A variant is a scene like any other: it has a plan, and its layers are those that it needs. Transfer does not depend on
 the environment, so variants in other light read and bake the same layers where their plans are of one kind. What is cut
@@ -17,6 +18,8 @@ from isogi_core.model.lights import ENVIRONMENTS
 from isogi_core.model.window import read_window
 from isogi_core.plan.assembly import at_time, cut_open, under
 from isogi_core.plan.scene import Scene
+from isogi_core.plan.several import HIDDEN, Clears, read_clears
+from isogi_core.plan.sides import with_clears
 from isogi_core.plan.volumes.cuts import cut_digest
 from server.errors import ParameterError
 from server.values import shown
@@ -26,6 +29,9 @@ if TYPE_CHECKING:
 
 MARK = "@"
 """Between a scene's id and what a variant is named by; ids of scenes have none."""
+
+BESIDE = "~"
+"""Between the environment that a variant is named by, and what its pinned surfaces let pass."""
 
 STEP = "+"
 """Between the environment that a variant is named by, and its step in time."""
@@ -49,9 +55,14 @@ def own_name(scene: str) -> str:
     return scene.partition(MARK)[0]
 
 
-def variant_name(scene: str, environment: str | None, cut: str | None, time: int | None = None) -> str:
-    """The id of the variant of a ``scene`` in an environment, with a cut and at a time, of which one is given."""
-    lit = f"{scene}{MARK}{environment or ''}{'' if time is None else f'{STEP}{time}'}"
+def variant_name(
+    scene: str, environment: str | None, cut: str | None, time: int | None = None, clears: Clears | None = None
+) -> str:
+    """The id of the variant of a ``scene`` in an environment, with a cut, at a time, and with pinned surfaces that
+    ``clears`` pass; of these one is given.
+    """
+    beside = "" if clears is None else BESIDE + ",".join(HIDDEN if each is None else f"{each!r}" for each in clears)
+    lit = f"{scene}{MARK}{environment or ''}{beside}{'' if time is None else f'{STEP}{time}'}"
     if cut is None:
         return lit
     return f"{lit}{MARK}{hashlib.blake2b(repr(read_window(cut)).encode(), digest_size=6).hexdigest()}"
@@ -92,23 +103,34 @@ class Variants:
         self._asked: OrderedDict[str, None] = OrderedDict()
         self._making, self._lock = threading.Lock(), threading.Lock()
 
-    async def of(self, scene: Scene, environment: str | None, cut: str | None = None, time: int | None = None) -> Scene:
-        """The scene in the environment of this name, or id, with a ``cut`` and at a ``time``; itself without these.
+    async def of(
+        self,
+        scene: Scene,
+        environment: str | None,
+        cut: str | None = None,
+        time: int | None = None,
+        surfaces: str | None = None,
+    ) -> Scene:
+        """The scene in the environment of this name, or id, with a ``cut``, at a ``time`` and with other ``surfaces``;
+        itself without these.
 
         It is made off the event loop where there is none yet. Raises ParameterError where there is no such environment,
         and as ``make`` does.
         """
         time = None if time == scene.volume.moment[0] else time
-        if environment is None and cut is None and time is None:
+        if environment is None and cut is None and time is None and surfaces is None:
             return scene
         place = None if environment is None else self._place(environment)
         if place is None and environment is not None:
             names = ", ".join(ENVIRONMENTS)
             sentence = f"environment must be one of {names}, or the id of one that was uploaded, not"
             raise ParameterError(f"{sentence} {shown(environment)}.", "environment")
-        name = variant_name(scene.id, environment, cut, time)
+        clears = None if surfaces is None else self._clears(scene, surfaces)
+        name = variant_name(scene.id, environment, cut, time, clears)
         known = self.known(name)
-        return known if known is not None else await asyncio.to_thread(self.make, scene, name, place, cut, time)
+        if known is not None:
+            return known
+        return await asyncio.to_thread(self.make, scene, name, place, cut, time, clears)
 
     def known(self, name: str) -> Scene | None:
         """The variant of this id, where there is one already; never waits long."""
@@ -120,9 +142,16 @@ class Variants:
         return known
 
     def make(
-        self, scene: Scene, name: str, environment: str | None, cut: str | None = None, time: int | None = None
+        self,
+        scene: Scene,
+        name: str,
+        environment: str | None,
+        cut: str | None = None,
+        time: int | None = None,
+        clears: Clears | None = None,
     ) -> Scene:
-        """The scene in an ``environment``, as scene files name it, with a ``cut``, at a ``time``; ``name`` is its id.
+        """The scene in an ``environment``, as scene files name it, with a ``cut``, at a ``time`` and with ``clears`` of
+        its pinned surfaces; ``name`` is its id.
 
         Raises ParameterError where the scene's own choices do not fit that light, its file is damaged, or the volume
         cannot be cut so.
@@ -131,6 +160,7 @@ class Variants:
             if (known := self.known(name)) is not None:
                 return known
             made = scene if time is None else self._at(scene, name, time)
+            made = made if clears is None else with_clears(made, clears, name)
             made = made if environment is None else self._lit(made, name, environment)
             made = made if cut is None else self._cut(made, name, cut)
             self._engine.admit(made)
@@ -161,6 +191,13 @@ class Variants:
             return at_time(scene, time, name, step)
         except (SceneError, VolumeError) as error:
             raise ParameterError(str(error), "time") from None
+
+    @staticmethod
+    def _clears(scene: Scene, surfaces: str) -> Clears:
+        try:
+            return read_clears(surfaces, len(scene.pinned))
+        except SceneError as error:
+            raise ParameterError(str(error), "surfaces") from None
 
     @staticmethod
     def _lit(scene: Scene, name: str, environment: str) -> Scene:

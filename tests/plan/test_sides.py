@@ -7,9 +7,11 @@ import nrrd
 import numpy as np
 import pytest
 
+from isogi_core.errors import SceneError
 from isogi_core.plan.assembly import build_scene, load_scene
 from isogi_core.plan.scene import Scene
-from isogi_core.plan.sides import OUTER, Side, scene_of_side, sides_of
+from isogi_core.plan.several import read_clears
+from isogi_core.plan.sides import OUTER, Side, scene_of_side, sides_of, with_clears
 
 SKIN = {"isovalue": 60.0, "clear": 0.5, "albedo": [0.8, 0.5, 0.4]}
 
@@ -72,3 +74,28 @@ def test_a_process_that_opens_a_side_finds_the_same_light(scene: Scene) -> None:
         made = scene_of_side(scene, side, 133.0)
         assert build_scene(made.source).bake_digest == made.bake_digest, side
     assert scene_of_side(scene, OUTER, 133.0) is scene
+
+
+def test_a_scene_with_other_clears_is_one_of_its_own(scene: Scene) -> None:
+    changed = with_clears(scene, read_clears("0.25, off", 2), "other")
+    assert [(each.isovalue, each.clear) for each in changed.pinned] == [(60.0, 0.25)]
+    assert changed.id == "other" and changed.volume is scene.volume
+    assert changed.bake_digest != scene.bake_digest == with_clears(scene, (0.5, 0.0), "same").bake_digest
+    assert build_scene(changed.source).bake_digest == changed.bake_digest, "as workers open it"
+    alone = with_clears(scene, (None, None), "alone")
+    assert not alone.several and not alone.rotating
+
+
+@pytest.mark.parametrize(
+    ("text", "pinned", "reason"),
+    [
+        ("0.5", 2, "each of the 2"),
+        ("1.5", 1, "from 0, opaque"),
+        ("nan", 1, "or off"),
+        ("", 1, "or off"),
+        ("off", 0, "leave it"),
+    ],
+)
+def test_clears_without_meaning_are_refused(text: str, pinned: int, reason: str) -> None:
+    with pytest.raises(SceneError, match=reason):
+        read_clears(text, pinned)

@@ -39,6 +39,7 @@ export function frameQuery(scene, values, { width, height }, moving = false) {
     ...(values.target && { target: values.target.join(",") }),
     ...(values.environment && { environment: values.environment }),
     ...(values.planes && { [values.opened && !moving ? "cut" : "window"]: values.planes }),
+    ...(values.surfaces && { surfaces: values.surfaces }),
     width,
     height,
     shading: values.shading,

@@ -1,10 +1,12 @@
-/** What is cut away: two sliders along each axis, and whether light comes in. While a plane moves the scene stays whole. */
+/** What is seen: what two sliders along each axis cut away, with or without light, and which surfaces are beside. */
 
 import { find, textElement } from "../dom.js";
 import { niceStep } from "../view/format.js";
 import { AXES, readPlanes, writePlanes } from "../view/planes.js";
+import { readSurfaces, writeSurfaces } from "../view/surfaces.js";
 
 /** @typedef {import("../net/schemas.js").Scene} Scene */
+/** @typedef {import("../net/schemas.js").Surface} Surface */
 /** @typedef {import("../view/model.js").ViewModel} ViewModel */
 
 /**
@@ -67,4 +69,61 @@ function rowsOf(name, axis, { bounds, unit }, view) {
     input.setAttribute("aria-valuetext", output.value);
   });
   return { nodes: ends.map(({ node }) => node), show };
+}
+
+/**
+ * Tie a switch and a slider for each surface to the view, both ways; without surfaces the panel is hidden.
+ * @param {HTMLElement} panel holds `#surface-rows`
+ * @param {{surfaces?: Surface[]}} scene
+ * @param {ViewModel} view
+ */
+export function attachSurfaces(panel, { surfaces = [] }, view) {
+  panel.hidden = !surfaces.length;
+  const shown = () => readSurfaces(view.values.surfaces, surfaces);
+  const rows = surfaces.map((surface, k) => rowOf(surface, k, (patch) => {
+    const next = shown().map((each, at) => (at === k ? { ...each, ...patch } : each));
+    view.set({ surfaces: writeSurfaces(next, surfaces) });
+  }));
+  find(panel, "#surface-rows").replaceChildren(...rows.map(({ node }) => node));
+  const mirror = () => shown().forEach((each, k) => rows[k].show(each));
+  mirror();
+  view.subscribe(mirror);
+  if (view.values.surfaces) panel.toggleAttribute("open", true);
+}
+
+/**
+ * The switch and the slider of a surface. The slider is let go before light is baked for its value.
+ * @param {Surface} surface
+ * @param {number} k its number
+ * @param {(patch: Partial<import("../view/surfaces.js").Shown>) => void} set
+ */
+function rowOf({ name, isovalue }, k, set) {
+  const [box, label, title, output, input] = ["input", "label", "label", "output", "input"].map((tag) => document.createElement(tag));
+  const check = /** @type {HTMLInputElement} */ (box), slider = /** @type {HTMLInputElement} */ (input);
+  const value = /** @type {HTMLOutputElement} */ (output);
+  const called = name || `Surface at ${isovalue}`;
+  Object.assign(check, { type: "checkbox", id: `surface-${k}`, name: `surface-${k}` });
+  Object.assign(slider, { type: "range", id: `clear-${k}`, name: `clear-${k}`, min: 0, max: 1, step: 0.05 });
+  Object.assign(label, { className: "check" }).append(check, ` ${called}`);
+  Object.assign(title, { htmlFor: slider.id, textContent: "Lets pass" });
+  title.setAttribute("aria-label", `${called} lets pass`);
+  const tell = () => {
+    value.value = `${Math.round(100 * slider.valueAsNumber)} %`;
+    slider.setAttribute("aria-valuetext", value.value);
+  };
+  check.addEventListener("change", () => set({ shown: check.checked }));
+  slider.addEventListener("input", tell);
+  slider.addEventListener("change", () => set({ clear: slider.valueAsNumber }));
+  const knob = Object.assign(document.createElement("div"), { className: "knob" });
+  knob.append(title, value, slider);
+  const node = document.createElement("div");
+  node.append(label, knob);
+  /** @param {import("../view/surfaces.js").Shown} now */
+  const show = ({ shown, clear }) => {
+    check.checked = shown;
+    slider.valueAsNumber = clear;
+    slider.disabled = !shown;
+    tell();
+  };
+  return { node, show };
 }

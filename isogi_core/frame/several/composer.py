@@ -2,28 +2,29 @@
 
 import threading
 from collections import OrderedDict
-from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
 from isogi_core.cache.scene_caches import Caches
-from isogi_core.errors import ViewError
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import GBuffer
-from isogi_core.frame.several.peels import Peels, first_of, layers_of, peel
+from isogi_core.frame.several.edges import smooth_surfaces
+from isogi_core.frame.several.mixing import Level
+from isogi_core.frame.several.peels import Peeler, Peels, first_of, layers_of
 from isogi_core.frame.several.surfaces_frame import Part, SurfacesFrame, compose, wrong_of
 from isogi_core.frame.tiles import Stopwatch, Tiles
 from isogi_core.frame.view_keys import surface_key
 from isogi_core.lru_cache import LruCache
 from isogi_core.model.view import View
+from isogi_core.plan.levels import levels_around
 from isogi_core.plan.scene import SURVEYED
 from isogi_core.plan.sides import OUTER, Side, scene_of_side, sides_of, surfaces_of
 from isogi_core.prepared.prepared_scene import PreparedScene
 
-SHOWN = 2
-"""Isovalues whose light on pinned surfaces is held in memory: those that were shown last."""
+SHOWN, HELD = 2, 6
+"""Isovalues whose views of pinned surfaces are kept, and those whose light is: two levels of each, and it itself."""
 
 
 class SideRenderer(Protocol):
@@ -42,7 +43,11 @@ class SideRenderer(Protocol):
         """Bring a frame a step nearer to the target; whether there was one."""
 
 
-Make = Callable[[Caches], SideRenderer]
+class Make(Protocol):
+    """What makes the renderer of a side, by the caches of what is shown, and the levels that its light is mixed of."""
+
+    def __call__(self, caches: Caches, *, levels: tuple[Level, ...]) -> SideRenderer:
+        """Make it."""
 
 
 class Composer:
@@ -56,6 +61,7 @@ class Composer:
         self._scene = caches.prepared.scene
         self._inner: PreparedScene | None = None
         self._sides: OrderedDict[tuple[Side, float | None], SideRenderer] = OrderedDict()
+        self._held: OrderedDict[tuple[Side, float | None], Caches] = OrderedDict()
         self._surveyed: dict[Side, dict[str, Any]] = {}
         self._lock = threading.Lock()
 
@@ -63,12 +69,11 @@ class Composer:
     def nbytes(self) -> int:
         """Bytes of memory that the other sides take."""
         with self._lock:
-            return sum(each.nbytes for each in self._sides.values())
+            views = sum(each.nbytes - each.caches.nbytes for each in self._sides.values())
+            return views + sum(each.nbytes for each in self._held.values())
 
     def draw(self, view: View, target: float, tiles: Tiles, watch: Stopwatch) -> SurfacesFrame:
-        """The frame of a view with the light that is there now. Raises Cancelled, and ViewError through a window."""
-        if view.window is not None:
-            raise ViewError("A window looks into one surface, and this scene has several: leave window out, or cut.")
+        """The frame of a view with the light that is there now. Raises Cancelled."""
         with watch.stage("primary"):
             peels = self.peels(view, tiles)
         parts = []
@@ -77,7 +82,19 @@ class Composer:
             frame = renderer.draw_on(layers.gbuffer, self._view_of(side, view, layers.layers), target, tiles, watch)
             parts.append(Part(side, layers, frame, renderer.caches))
         with watch.stage("compose"):
-            return compose(view, peels, parts, watch, target)
+            return compose(view, peels, parts, watch, target, self._scene)
+
+    def smooth(self, frame: Frame, tiles: Tiles) -> Frame:
+        """A ``frame`` that was drawn, with more samples where it has edges. Raises Cancelled."""
+        if not isinstance(frame, SurfacesFrame):
+            return frame
+        return smooth_surfaces(frame, self._peeler(frame.view, tiles), self._scene.default_exposure, tiles)
+
+    def _peeler(self, view: View, tiles: Tiles) -> Peeler:
+        """What casts rays of a view at all surfaces."""
+        every = surfaces_of(self._scene, view.isovalue)
+        surfaces = [self._caches.prepared.surface(each.isovalue) for each in every]
+        return Peeler.of(view, surfaces, np.array([each.clear for each in every]), tiles)
 
     def peels(self, view: View, tiles: Tiles) -> Peels:
         """All that a view shows, layer behind layer. Raises Cancelled."""
@@ -103,14 +120,25 @@ class Composer:
         key = side, shown if side.number else None
         with self._lock:
             if key not in self._sides:
-                self._sides[key] = self._make(self._caches_of(side, shown))
-            self._sides.move_to_end(key)
-            while len(self._sides) > SHOWN * len(sides_of(self._scene)):
-                self._sides.popitem(last=False)
-            return self._sides[key]
+                levels = self._levels(shown) if side.number else ((shown, 1.0),)
+                mix = tuple(Level(self._caches_of(side, level), share) for level, share in levels)
+                own = mix[0].caches if len(mix) == 1 else self._caches_of(side, shown)
+                self._sides[key] = self._make(own, levels=mix)
+            return newest(self._sides, key, SHOWN * len(sides_of(self._scene)))
+
+    def _levels(self, shown: float) -> tuple[tuple[float, float], ...]:
+        """The levels whose light is mixed where an isovalue is ``shown``, and their shares."""
+        return levels_around(self._scene.levels, [each.isovalue for each in self._scene.pinned], shown)
 
     def _caches_of(self, side: Side, shown: float) -> Caches:
-        """Caches of a side's light; what was worked out of the volume for other sides serves it too."""
+        """Caches of a side's light where the isovalue ``shown`` is: a level, or what is between two."""
+        key = side, shown if side.number else None
+        if key not in self._held:
+            self._held[key] = self._made(side, shown)
+        return newest(self._held, key, HELD * len(sides_of(self._scene)))
+
+    def _made(self, side: Side, shown: float) -> Caches:
+        """New caches of a side's light; what was worked out of the volume for other sides serves it too."""
         scene = scene_of_side(self._scene, side, shown)
         vars(scene).update(self._surveyed.get(side, {}))
         if not side.inner:
@@ -121,7 +149,7 @@ class Composer:
             prepared = self._inner.beside(scene)
         scene.projection  # noqa: B018 - surveyed once for all isovalues that are shown
         self._surveyed[side] = {name: found for name, found in vars(scene).items() if name in SURVEYED}
-        budget = self._caches.budget // (SHOWN * len(sides_of(self._scene)))
+        budget = self._caches.budget // (HELD * len(sides_of(self._scene)))
         return Caches(prepared, self._caches.store, budget, makes=False)
 
     def _view_of(self, side: Side, view: View, layers: int) -> View:
@@ -131,13 +159,21 @@ class Composer:
 
     def _peels(self, view: View, tiles: Tiles) -> Peels:
         """All that a view shows."""
-        every = surfaces_of(self._scene, view.isovalue)
-        surfaces = [self._caches.prepared.surface(each.isovalue) for each in every]
-        hits, left = peel(view, surfaces, np.array([each.clear for each in every]), tiles)
-        first, sides = first_of(view, hits, surfaces[0]), {}
+        every, (hits, left) = surfaces_of(self._scene, view.isovalue), self._peeler(view, tiles).whole(view, tiles)
+        first, sides = first_of(view, hits, self._caches.prepared.surface(view.isovalue)), {}
         for side in sides_of(self._scene):
-            some = (hits.numbers == side.number) & (hits.inner == side.inner)
-            if some.any():
+            if len(hits.rows_of(side)):
                 prepared = self.renderer(side, view.isovalue).caches.prepared
-                sides[side] = layers_of(hits, some, first, prepared.surface(every[side.number].isovalue))
+                sides[side] = layers_of(hits, side, first, prepared.surface(every[side.number].isovalue))
         return Peels(first, sides, left)
+
+
+Kept = TypeVar("Kept")
+
+
+def newest(kept: OrderedDict[Any, Kept], key: Any, most: int) -> Kept:
+    """What is ``kept`` by a ``key``, which is now its newest; the oldest beyond the ``most`` are let go."""
+    kept.move_to_end(key)
+    while len(kept) > most:
+        kept.popitem(last=False)
+    return kept[key]

@@ -10,14 +10,16 @@ import numpy as np
 
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.frame.frame import Frame
+from isogi_core.frame.framing import paint_faces
 from isogi_core.frame.rays.control_pixels import TotalError, predict_total
 from isogi_core.frame.several.peels import Peels, SideLayers
 from isogi_core.frame.texel_reading import Stage
 from isogi_core.frame.tiles import Stopwatch
 from isogi_core.frame.view_texels import Demand
-from isogi_core.kernels.shading.framebuffer import FINAL
+from isogi_core.kernels.shading.framebuffer import FINAL, Framebuffer
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import View
+from isogi_core.plan.scene import Scene
 from isogi_core.plan.sides import OUTER, Side
 
 DARK = 1e-30
@@ -61,7 +63,7 @@ class SurfacesFrame(Frame):
     def stages(self) -> tuple[Stage, ...]:
         """All light that is to be baked until the picture is final: first that of the side which errs most."""
         return tuple(
-            replace(stage, caches=None if part.side == OUTER else part.caches)
+            replace(stage, caches=None if part.side == OUTER else stage.caches or part.caches)
             for part in sorted(self.parts, key=wrong_of, reverse=True)
             for stage in part.frame.stages
         )
@@ -117,7 +119,9 @@ def summed_errors(errors: Sequence[tuple[Part, np.ndarray]], radiance: np.ndarra
     squares = np.zeros(radiance.shape[0] * radiance.shape[1])
     for part, error in errors:
         light = part.seen(part.frame.radiance).astype(np.float64) @ LUMINANCE
-        np.add.at(squares, part.layers.pixels, (part.layers.weights * light * part.seen(error)) ** 2)
+        own = (part.layers.weights * light * part.seen(error)) ** 2
+        for rows, pixels in part.layers.each:
+            squares[pixels] += own[rows]
     light = radiance.reshape(-1, 3).astype(np.float64) @ LUMINANCE
     return np.minimum(np.sqrt(squares) / np.maximum(light, DARK), 1.0).astype(np.float32).reshape(radiance.shape[:2])
 
@@ -127,24 +131,30 @@ def summed(view: View, parts: Sequence[Part]) -> tuple[np.ndarray, np.ndarray]:
     count = view.width * view.height
     radiance, state = np.zeros((count, 3)), np.full(count, FINAL + 1, np.uint8)
     for part in parts:
-        light = part.layers.weights[:, None] * part.seen(part.frame.radiance)
-        np.add.at(radiance, part.layers.pixels, light)
-        np.minimum.at(state, part.layers.pixels, part.seen(part.frame.state))
+        light, own = part.layers.weights[:, None] * part.seen(part.frame.radiance), part.seen(part.frame.state)
+        for rows, pixels in part.layers.each:
+            radiance[pixels] += light[rows]
+            state[pixels] = np.minimum(state[pixels], own[rows])
     state[state > FINAL] = 0
     shape = view.height, view.width
     return radiance.astype(np.float32).reshape(*shape, 3), state.reshape(shape)
 
 
-def compose(view: View, peels: Peels, parts: Sequence[Part], watch: Stopwatch, target: float) -> SurfacesFrame:
-    """The frame of a ``view`` from the frames of its sides."""
+def compose(
+    view: View, peels: Peels, parts: Sequence[Part], watch: Stopwatch, target: float, scene: Scene
+) -> SurfacesFrame:
+    """The frame of a ``view`` of a ``scene`` from the frames of its sides; the faces of its window are painted."""
     lit, state = summed(view, parts)
+    error = summed_errors([(part, part.frame.error) for part in parts], lit)
+    if len(peels.first.faces.pixels):
+        paint_faces(peels.first, scene, Framebuffer(lit.reshape(-1, 3), state.reshape(-1), error.reshape(-1)))
     checked = view.shading == "gi" and not view.moving
     versions = repr([(part.side, part.frame.version) for part in parts]) + repr(view)
     return SurfacesFrame(
         view=view,
         radiance=lit,
         state=state,
-        error=summed_errors([(part, part.frame.error) for part in parts], lit),
+        error=error,
         gbuffer=peels.first,
         chunks_needed=sum(part.frame.chunks_needed for part in parts),
         chunks_final=sum(part.frame.chunks_final for part in parts),

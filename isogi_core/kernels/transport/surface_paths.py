@@ -11,6 +11,7 @@ from isogi_core.kernels.tracing.active_cells import ACTIVE_CELLS
 from isogi_core.kernels.tracing.cast import cast_batch
 from isogi_core.kernels.tracing.field import FIELD
 from isogi_core.kernels.tracing.intersect import UNKNOWN
+from isogi_core.kernels.tracing.peels import MOST
 from isogi_core.kernels.tracing.ray_stream import Rays
 from isogi_core.kernels.tracing.vec import column, dot, madd, put_column
 from isogi_core.kernels.transport.integrator import ROULETTE
@@ -32,9 +33,6 @@ from isogi_core.kernels.transport.wavefront import (
     sample_direction,
     whole,
 )
-
-MOST = 4
-"""Isosurfaces of a scene: the one that paths start on, and those beside it."""
 
 CROSSINGS = 64
 """Surfaces that a ray passes at most: what comes next stops it."""

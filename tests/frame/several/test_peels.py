@@ -3,9 +3,12 @@
 import numpy as np
 import pytest
 
-from isogi_core.frame.several.peels import LAYERS, Hits, first_of, layers_of, peel
+from isogi_core.frame.several.peels import Hits, Peeler, first_of, layers_of
 from isogi_core.frame.tiles import Tiles
+from isogi_core.kernels.tracing.peels import LAYERS
 from isogi_core.model.view import Camera, View
+from isogi_core.model.volume import make_volume
+from isogi_core.plan.sides import Side
 from isogi_core.prepared.prepared_scene import PreparedScene
 from tests.frame.conftest import ball, scene_of
 
@@ -23,7 +26,8 @@ def peeled(prepared: PreparedScene, levels: tuple[float, ...], clears: list[floa
     """What a view along y shows."""
     camera = Camera(tuple(EYE.tolist()), (MIDDLE, MIDDLE, MIDDLE), (0.0, 0.0, 1.0), 20.0)  # type: ignore[arg-type]
     view = View(levels[0], camera, width=SIZE, height=SIZE)
-    return view, *peel(view, [prepared.surface(each) for each in levels], np.array(clears), Tiles())
+    peeler = Peeler.of(view, [prepared.surface(each) for each in levels], np.array(clears), Tiles())
+    return view, *peeler.whole(view, Tiles())
 
 
 def expected(point: np.ndarray, levels: tuple[float, ...], clears: list[float]) -> list[tuple[int, bool, float]]:
@@ -51,7 +55,7 @@ def test_rays_meet_spheres_in_order_until_one_is_opaque(prepared: PreparedScene)
     grazing = 0
     for pixel, first, last in zip(rows, seen, [*seen[1:], len(hits.pixels)], strict=True):
         *those, (_, _, rest) = expected(hits.points[first].astype(np.float64), LEVELS, clears)
-        mine = [(hits.numbers[i], hits.inner[i], hits.weights[i]) for i in range(first, last)]
+        mine = [(*divmod(int(hits.sides[i]), 2), hits.weights[i]) for i in range(first, last)]
         if [each[:2] for each in mine] != [each[:2] for each in those]:
             grazing += 1  # a sphere of voxels is a little smaller
             continue
@@ -68,12 +72,15 @@ def test_weights_and_what_is_left_make_a_whole(prepared: PreparedScene) -> None:
 
 
 def test_the_last_layer_is_the_opaque_one_that_is_left(prepared: PreparedScene) -> None:
-    """Nine crossings lie before the middle of ten; the opaque ball within is seen all the same."""
-    levels = (8.0, *(1.0 + 0.7 * k for k in range(9)))
-    _, hits, _ = peeled(prepared, levels, [0.0, *[0.9] * 9])
+    """Eight clear shells lie around the opaque ball in the middle of an onion: it is seen all the same."""
+    z, y, x = np.mgrid[:41, :41, :41] - MIDDLE
+    away = np.sqrt(x**2 + y**2 + z**2)
+    onion = make_volume(np.maximum(np.cos(1.5 * away), 4.0 - away).astype(np.float32), (1.0, 1.0, 1.0))
+    _, hits, left = peeled(PreparedScene(scene_of(onion, 1.5)), (1.5, 0.0), [0.0, 0.9])
     middle = SIZE // 2 * SIZE + SIZE // 2
-    mine = hits.numbers[hits.pixels == middle]
-    assert mine.tolist() == [1, 2, 3, 4, 5, 6, 7, 0]
+    mine = hits.pixels == middle
+    assert (hits.sides[mine] // 2).tolist() == [1] * (LAYERS - 1) + [0]
+    assert hits.weights[mine][-1] == pytest.approx(0.9 ** (LAYERS - 1)) and left.flat[middle] == 0.0
 
 
 def test_a_surface_at_the_shown_isovalue_is_that_one(prepared: PreparedScene) -> None:
@@ -87,10 +94,11 @@ def test_a_side_is_a_tall_picture_of_its_layers(prepared: PreparedScene) -> None
     view, hits, _ = peeled(prepared, LEVELS, [0.5, 0.8, 0.0])
     first = first_of(view, hits, prepared.surface(4.0))
     assert len(np.unique(first.pixels)) == len(first.pixels)
-    some = (hits.numbers == 1) & ~hits.inner
-    layers = layers_of(hits, some, first, prepared.surface(0.0))
+    layers, some = layers_of(hits, Side(1), first, prepared.surface(0.0)), hits.rows_of(Side(1))
     assert layers.layers == 1
-    np.testing.assert_array_equal(layers.pixels, hits.pixels[some])
+    ((rows, pixels),) = layers.each
+    np.testing.assert_array_equal(pixels, hits.pixels[some])
+    assert rows == slice(0, len(some))
     np.testing.assert_array_equal(layers.gbuffer.points, hits.points[some])
     away = np.linalg.norm(layers.gbuffer.points - MIDDLE, axis=1)
     np.testing.assert_allclose(away, 12.0, atol=0.1)

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from isogi_core.bake.precision import FIRST_LEVEL
-from isogi_core.errors import ViewError
 from isogi_core.frame.entry_kernels import AMONG, frame_kernels
 from isogi_core.frame.film import develop, linear_table
 from isogi_core.frame.several.surfaces_frame import SurfacesFrame
 from isogi_core.frame.surface_point import point_at
+from isogi_core.kernels.shading.framebuffer import FINAL
 from isogi_core.model.view import View
 from isogi_core.model.window import read_window
 from isogi_core.plan.sides import OUTER, Side
@@ -29,6 +29,7 @@ def halo(tmp_path_factory: pytest.TempPathFactory) -> Workbench:
     scene = load_scene("demo:orbital", isovalue=SHOWN, surfaces=[HALO], bounces=3, target_error=LOOSE, **light)
     bench = Workbench(scene, tmp_path_factory.mktemp("halo"))
     bake(bench, bench.view(size=SIZE))
+    check(bench, bench.view(size=SIZE))
     return bench
 
 
@@ -39,15 +40,20 @@ def drawn(bench: Workbench, view: View) -> SurfacesFrame:
 
 
 def bake(bench: Workbench, view: View) -> SurfacesFrame:
-    """Bake rung by rung all that is wanted, and check the picture."""
+    """Bake rung by rung all that is wanted."""
     rung, frame = FIRST_LEVEL, drawn(bench, view)
     while frame.stages:
-        for part in frame.parts:
-            for stage in part.frame.stages:
-                loader = part.caches.of("gi") if stage.shown is None else part.caches.projected(stage.shown)
-                for demand in stage.demands:
-                    refine_chunk(loader, rung, stage.target, demand)
+        for stage in frame.stages:
+            caches = stage.caches or bench.caches
+            loader = caches.of("gi") if stage.shown is None else caches.projected(stage.shown)
+            for demand in stage.demands:
+                refine_chunk(loader, rung, stage.target, demand)
         rung, frame = 2 * rung, drawn(bench, view)
+    return frame
+
+
+def check(bench: Workbench, view: View) -> SurfacesFrame:
+    """Bring the picture of a view that is baked to its target."""
     while bench.renderer.refine(view):
         pass
     return drawn(bench, view)
@@ -65,7 +71,7 @@ def test_a_picture_becomes_final_and_is_what_paths_say(halo: Workbench) -> None:
 
 
 def test_one_cache_of_what_slides_serves_all_isovalues(halo: Workbench) -> None:
-    """Slid, the picture asks for texels of its own layer and of the pinned surface anew: none of that is there yet."""
+    """Slid beyond its level, the picture asks for texels of its own layer, and of the pinned surface at another one."""
     before, folders = drawn(halo, halo.view(size=SIZE)), {*halo.folder.iterdir()}
     slid = drawn(halo, halo.view(size=SIZE, isovalue=0.0601))
     kept, moved = (next(part for part in each.parts if part.side == OUTER) for each in (before, slid))
@@ -112,9 +118,61 @@ def test_a_point_has_the_value_of_what_is_in_front(halo: Workbench) -> None:
     assert point is not None and point.value == HALO["isovalue"]
 
 
-def test_a_window_into_several_surfaces_is_refused(halo: Workbench) -> None:
-    with pytest.raises(ViewError, match="leave window out"):
-        halo.renderer.render(halo.view(size=SIZE, window=read_window("x>0")))
+def test_between_two_levels_nothing_is_baked_anew(halo: Workbench) -> None:
+    """Baked at one isovalue, the pinned surface has its light at another between the same levels; so paths say."""
+    level, above = halo.scene.levels[halo.scene.levels.index(SHOWN) :][:2]
+    first, other = (level + share * (above - level) for share in (0.25, 0.75))
+    bake(halo, halo.view(size=SIZE // 2, isovalue=first))
+    folders, view = {*halo.folder.iterdir()}, halo.view(size=SIZE // 2, isovalue=other)
+    slid = drawn(halo, view)
+    pinned = [part for part in slid.parts if part.side.number]
+    assert pinned and all(part.frame.coverage["final"] > 0.6 for part in pinned)
+    frame = bake(halo, view)
+    assert {*halo.folder.iterdir()} == folders
+    assert not frame.provisional
+    traced = drawn(halo, replace(view, shading="path_traced", samples=512))
+    assert relative_rmse(frame, traced) < LOOSE
+
+
+def test_a_window_takes_shells_away_and_changes_no_light(halo: Workbench) -> None:
+    """One looks into what lets rays pass, and what is opaque has a face; what is left has the light of the whole."""
+    middle = halo.scene.volume.world_centre[0]
+    whole, view = drawn(halo, halo.view(size=SIZE)), halo.view(size=SIZE, window=read_window(f"x>{middle:g}"))
+    frame = drawn(halo, view)
+    left = {part.side for part in frame.parts}
+    assert Side(1, True) in left
+    faces = frame.gbuffer.faces
+    assert len(faces.pixels) > 5
+    np.testing.assert_allclose(faces.points[:, 0] * halo.scene.volume.spacing[0], middle, atol=1e-3)
+    assert (frame.state.flat[faces.pixels] == FINAL).all() and (frame.left.flat[faces.pixels] == 0.0).all()
+    grey = frame.radiance.reshape(-1, 3)[faces.pixels]
+    assert (grey == grey[:, :1]).all()
+    assert (frame.gbuffer.points[:, 0] * halo.scene.volume.spacing[0] <= middle + 1e-3).all()
+    same = (frame.gbuffer.position == whole.gbuffer.position).all(axis=-1) & (frame.state > 0)
+    assert same.sum() > 10
+    np.testing.assert_allclose(frame.radiance[same], whole.radiance[same], rtol=0.2)
+
+
+def test_edges_are_smoothed_layer_by_layer(halo: Workbench) -> None:
+    """Samples show what pixels of a larger picture show there, and let through what those let through."""
+    view = halo.view(size=SIZE, shading="lambert")
+    frame = drawn(halo, replace(view, smooth=True))
+    fine = drawn(halo, replace(view, width=8 * SIZE, height=8 * SIZE))
+    assert frame.edges is not None and frame.edges.left is not None and fine.left is not None
+    blocks = [each.reshape(SIZE, 8, SIZE, 8, -1).mean(axis=(1, 3)) for each in (fine.radiance, fine.left)]
+    light, left = (each.reshape(SIZE * SIZE, -1)[frame.edges.pixels] for each in blocks)
+    mine = np.where(frame.edges.on, frame.edges.left, 1.0).mean(axis=1)
+    coarse = frame.left.flat[frame.edges.pixels] if frame.left is not None else mine
+    assert np.abs(mine - left[:, 0]).mean() < 0.4 * np.abs(coarse - left[:, 0]).mean()
+    errors = (np.abs(each - light).mean() for each in (frame.edges.light.mean(axis=1), stairs(frame)))
+    assert next(errors) < 0.75 * next(errors)
+    cover = develop(frame, 1.0, background="transparent").reshape(-1, 4)[frame.edges.pixels, 3]
+    np.testing.assert_allclose(cover / 255.0, 1.0 - mine, atol=0.003)
+
+
+def stairs(frame: SurfacesFrame) -> np.ndarray:
+    """The light of the pixels at edges without samples."""
+    return np.asarray(frame.radiance.reshape(-1, 3)[frame.edges.pixels]) if frame.edges else np.zeros(3)
 
 
 def test_local_shadings_show_all_surfaces(halo: Workbench) -> None:

@@ -8,6 +8,7 @@ from numba import njit
 
 from isogi_core.kernels.tracing.field import to_index
 from isogi_core.kernels.tracing.intersect import OUTSIDE, UNKNOWN, cast
+from isogi_core.kernels.tracing.peels import MOST
 from isogi_core.kernels.tracing.vec import column, dot, madd
 from isogi_core.kernels.transport.integrator import about, launch, shading_normal
 from isogi_core.kernels.transport.light_paths import PAIRS, sample_source, to_world
@@ -15,7 +16,7 @@ from isogi_core.kernels.transport.lights import arriving
 from isogi_core.kernels.transport.paths import PathRules, PathStarts, SampleRange
 from isogi_core.kernels.transport.rng import point_2d
 from isogi_core.kernels.transport.sampling import sample_cosine_hemisphere
-from isogi_core.kernels.transport.surface_paths import MOST, PASSING, Surfaces, light_among_surfaces
+from isogi_core.kernels.transport.surface_paths import PASSING, Surfaces, light_among_surfaces
 from tests.kernels.fields import cells_of, field_of
 from tests.kernels.transport.lighting import BALL, LIGHTS, NOISY, on_ball, surroundings
 from tests.scale import few

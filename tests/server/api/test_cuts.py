@@ -65,6 +65,7 @@ def test_the_document_of_a_cut_has_the_scenes_own_name(live_server: str, small_s
         ({"cut": "1,1,0>3"}, "across the voxels"),
         ({"cut": "x>-99"}, "leaves nothing"),
         ({"window": "w>3"}, "'w>3' is none"),
+        ({"surfaces": "off"}, "scenes with [[surfaces]]"),
         ({"window": "0,0,0>3"}, "no direction"),
         ({"window": ";".join(["x>3"] * 13)}, "at most 12 planes"),
     ],

@@ -1,0 +1,55 @@
+"""Antialiasing of several surfaces: samples at edges are peeled as pixels are, and each layer borrows its own light."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from isogi_core.frame.antialiasing import find_edges, places_in, shown_by
+from isogi_core.frame.film import lit
+from isogi_core.frame.frame import EdgeSamples
+from isogi_core.frame.gbuffer import RAYS
+from isogi_core.frame.several.peels import Hits, Peeler
+from isogi_core.frame.several.surfaces_frame import SurfacesFrame
+from isogi_core.frame.tiles import Tiles
+from isogi_core.kernels.shading.edges import Shown, borrow_light
+from isogi_core.kernels.tracing.sight import FACE
+
+
+def smooth_surfaces(frame: SurfacesFrame, peeler: Peeler, exposure: float, tiles: Tiles) -> SurfacesFrame:
+    """The ``frame`` with more samples where it has edges at its ``exposure``. Raises Cancelled."""
+    pixels, count = find_edges(lit(frame.radiance, frame.state, exposure, marked=False), frame.state)
+    if not len(pixels):
+        return frame
+    places, pictures = places_in(pixels, count, frame.view.width), pictures_of(frame)
+    light, left = np.zeros((len(places), 3), np.float32), np.empty(len(places), np.float32)
+    on = np.zeros(len(places), np.bool_)
+
+    def _piece(a: int, b: int) -> None:
+        hits, left[a:b] = peeler.through(*places[a:b].T)
+        on[a:b][hits.pixels] = True
+        for side, picture in pictures.items():
+            add_light(hits, side, picture, frame.view.height, places[a:b], light[a:b])
+
+    tiles.run(_piece, len(places), RAYS)
+    each = len(pixels), count
+    edges = EdgeSamples(pixels, light.reshape(*each, 3), on.reshape(each), left=left.reshape(each))
+    return replace(frame, edges=edges)
+
+
+def pictures_of(frame: SurfacesFrame) -> dict[int, Shown]:
+    """The tall picture of each side in a ``frame``, by the side's number as of ``Peeled``; and that with its faces."""
+    whole = shown_by(frame)
+    tall = {2 * part.side.number + part.side.inner: shown_by(part.frame) for part in frame.parts}
+    return {int(FACE): whole} | {side: picture._replace(fine=whole.fine) for side, picture in tall.items()}
+
+
+def add_light(hits: Hits, side: int, picture: Shown, height: int, places: np.ndarray, light: np.ndarray) -> None:
+    """Add what rays through ``places`` (n, 2; x, y) meet of a ``side`` to their ``light`` (n, 3).
+
+    It is the light of the pixels around in the same layer of its tall ``picture``, by the weight of the hit.
+    """
+    some = np.flatnonzero(hits.sides == side)
+    rays, down = hits.pixels[some], np.array([0.0, height], np.float32)
+    there, found = places[rays] + hits.ranks[some][:, None] * down, np.zeros((len(some), 3), np.float32)
+    borrow_light(picture, there, np.arange(len(some), dtype=np.uint32), hits.points[some], found)
+    np.add.at(light, rays, hits.weights[some][:, None] * found)

@@ -1,0 +1,242 @@
+"""Depth peels: all isosurfaces that rays of a camera meet, front to back, until what is behind hardly counts."""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import types
+
+from isogi_core.kernels._jit import kernel, record
+from isogi_core.kernels.tracing.active_cells import ACTIVE_CELLS
+from isogi_core.kernels.tracing.camera import put_point
+from isogi_core.kernels.tracing.cast import TracedSurface, cast_batch
+from isogi_core.kernels.tracing.field import FIELD, clamp_cell
+from isogi_core.kernels.tracing.intersect import SOLID, UNKNOWN, cross_cell
+from isogi_core.kernels.tracing.ray_stream import Rays
+from isogi_core.kernels.tracing.sight import FACE, is_solid, look_through
+from isogi_core.kernels.tracing.slabs import clip_box, cut_cell, reciprocals
+from isogi_core.kernels.tracing.vec import column, madd, put_column
+
+MOST = 4
+"""Isosurfaces of a scene: the one that slides, and those beside it."""
+
+LAYERS = 8
+"""Surfaces that a ray shows behind each other, at most. The last of them is the first opaque one that is left."""
+
+LEAST = 1.0 / 512.0
+"""Share of a ray's light below which what lies behind is left out."""
+
+NOTHING = -3
+"""The side that a ray meets where it meets nothing; FACE is that of a window, and others are from 0 on."""
+
+
+class Shells(NamedTuple):
+    """s isosurfaces of a ``field``: ``cells`` that may hold each (MOST of them: the others say nothing), normalised
+    ``isovalues`` (s,), and the shares of rays that pass straight through, ``clears`` (s,). What all pass is not seen.
+    """
+
+    field: Any
+    cells: Any
+    isovalues: Any
+    clears: Any
+
+
+class Peeled(NamedTuple):
+    """What rays meet, ray by ray and front to back, (m,) each.
+
+    ``rays`` uint32 are their numbers, and ``points`` (m, 3) float32 in index space. ``sides`` int8 are 2 k on the outer
+    side of surface k, one more on its inner one, or FACE. ``ranks`` int8 tell how many of that side the ray has met
+    before, and ``weights`` float32 the share of its light that comes from there.
+    """
+
+    rays: Any
+    points: Any
+    sides: Any
+    ranks: Any
+    weights: Any
+
+
+class Crossings(NamedTuple):
+    """The last crossings found of n rays with s surfaces: ways ``t`` from the eye, inf where there is none, and the
+    sides that they ``came`` from, (s, n). Nothing is seen beyond ``far`` (n,).
+    """
+
+    t: Any
+    came: Any
+    far: Any
+
+
+class Layers(NamedTuple):
+    """What n rays show, layer behind layer: ``sides``, as of ``Peeled``, ways ``t`` and ``weights``, (LAYERS, n)."""
+
+    sides: Any
+    t: Any
+    weights: Any
+
+
+NUMBERS, ROWS, BYTES = types.float64[::1], types.float64[:, ::1], types.int8[::1]
+SHELLS = record(Shells, FIELD, types.UniTuple(ACTIVE_CELLS, MOST), NUMBERS, NUMBERS)
+PEELED = record(Peeled, types.uint32[::1], types.float32[:, ::1], BYTES, BYTES, types.float32[::1])
+
+
+@kernel()
+def rest_of_cell(field, isovalue, o, d, side):
+    """What a ray meets that starts on its ``side`` of a surface within a cell: (way, side it came from).
+
+    Where it meets nothing there, (inf, its side where it leaves the cell); and in any case the way to that place.
+    """
+    (nz, ny, nx), inv = field.voxels.shape, reciprocals(d)
+    cell, box = (clamp_cell(o[0], nx), clamp_cell(o[1], ny), clamp_cell(o[2], nz)), clip_box(field.voxels.shape, o, d)
+    t, side = cross_cell((field.voxels, isovalue), (o, d, inv), cell, box, side)
+    return t, side, cut_cell(o, inv, cell, box[0], box[1])[1]
+
+
+@kernel()
+def put_crossing(crossings, k, i, way, came):
+    """Move the crossing of ray ``i`` with surface ``k`` on by a ``way``; whether that is still seen."""
+    t = crossings.t[k, i] + way
+    crossings.t[k, i], crossings.came[k, i] = t if t <= crossings.far[i] else math.inf, came
+    return crossings.t[k, i] < math.inf
+
+
+@kernel()
+def leave_cells(shells, crossings, k, eye, directions, some):
+    """Move ``some`` rays (m,) on to their next crossings with surface ``k`` where these are in the same cells.
+
+    The others are moved to where they leave those cells: how many, and they are the first of ``some`` then. From a
+    point on the surface vectors of rays would be of no use: each would ask ``cast``.
+    """
+    count = 0
+    for j in range(some.shape[0]):
+        i = some[j]
+        o, came = madd(eye, crossings.t[k, i], column(directions, i)), int(crossings.came[k, i])
+        t, side, leave = rest_of_cell(shells.field, shells.isovalues[k], o, column(directions, i), -came)
+        crosses = t < math.inf
+        seen = put_crossing(crossings, k, i, t if crosses else leave, side if crosses else -side)
+        some[count] = i
+        count += seen and not crosses
+    return count
+
+
+@kernel()
+def cast_on(shells, crossings, k, eye, directions, some):
+    """Replace the crossings with surface ``k`` of ``some`` rays (m,), by their numbers, by the next ones."""
+    n = some.shape[0]
+    rays = Rays(np.full(n, shells.isovalues[k]), np.empty((3, n)), np.empty((3, n)), np.empty(n, np.int8))
+    t, came = np.empty(n), np.empty(n, np.int8)
+    for j in range(n):
+        i = some[j]
+        d = column(directions, i)
+        put_column(rays.origins, j, madd(eye, crossings.t[k, i], d))
+        put_column(rays.directions, j, d)
+        rays.sides[j] = -crossings.came[k, i]
+    cast_batch(shells.field, shells.cells[k], rays, t, came)
+    for j in range(n):
+        put_crossing(crossings, k, some[j], t[j], came[j])
+
+
+@kernel()
+def opens(shells, p):
+    """Whether a point is within an opaque surface: one looks into those that let rays pass."""
+    for k in range(shells.clears.shape[0]):
+        if shells.clears[k] <= 0.0 and is_solid(TracedSurface(shells.field, shells.cells[k], shells.isovalues[k]), p):
+            return True
+    return False
+
+
+@kernel()
+def first_crossings(shells, window, eye, directions, layers, left):
+    """The first crossings of rays from the ``eye`` behind a ``window``, whose faces end rays as their first layer."""
+    s, n = shells.clears.shape[0], directions.shape[1]
+    crossings, every = Crossings(np.empty((s, n)), np.full((s, n), UNKNOWN, np.int8), np.empty(n)), np.arange(n)
+    for i in range(n):
+        d = column(directions, i)
+        near, crossings.far[i] = look_through(window, eye, d)
+        crossings.t[:, i] = near
+        if near > 0.0 and opens(shells, madd(eye, near, d)):
+            layers.sides[0, i], layers.t[0, i], layers.weights[0, i], left[i] = FACE, near, 1.0, 0.0
+    for k in range(s):
+        if shells.clears[k] < 1.0:
+            cast_on(shells, crossings, k, eye, directions, every)
+        else:
+            crossings.t[k] = math.inf
+    return crossings
+
+
+@kernel()
+def nearest(shells, crossings, i, opaque):
+    """The surface whose crossing is next on ray ``i``, of those that are ``opaque`` alone where asked; -1 for none."""
+    best, way = -1, math.inf
+    for k in range(shells.clears.shape[0]):
+        if crossings.t[k, i] < way and (shells.clears[k] <= 0.0 or not opaque):
+            best, way = k, crossings.t[k, i]
+    return best
+
+
+@kernel()
+def take_layer(shells, crossings, layers, number, left):
+    """Make the next crossing of each ray its layer of this ``number``; of the share ``left`` (n,) some passes."""
+    for i in range(left.shape[0]):
+        k = nearest(shells, crossings, i, number == LAYERS - 1) if left[i] > 0.0 else -1
+        if k >= 0:
+            clear = shells.clears[k]
+            layers.sides[number, i] = 2 * k + (crossings.came[k, i] == SOLID)
+            layers.t[number, i], layers.weights[number, i] = crossings.t[k, i], left[i] * (1.0 - clear)
+            left[i] = left[i] * clear if left[i] * clear >= LEAST else 0.0
+
+
+@kernel()
+def find_passing(layers, number, k, left, some):
+    """Write the numbers of rays that go on past surface ``k`` in a layer to ``some`` (n,); returns how many."""
+    count = 0
+    for i in range(left.shape[0]):
+        some[count] = i
+        count += layers.sides[number, i] >> 1 == k and left[i] > 0.0
+    return count
+
+
+@kernel()
+def write_layers(eye, directions, layers, peeled):
+    """Write what rays show ray by ray; returns how much that is."""
+    count = 0
+    for i in range(directions.shape[1]):
+        first = count
+        for layer in range(LAYERS):
+            side = layers.sides[layer, i]
+            if side == NOTHING:
+                break
+            put_point(peeled.points, count, madd(eye, layers.t[layer, i], column(directions, i)))
+            peeled.rays[count], peeled.sides[count], peeled.weights[count] = i, side, layers.weights[layer, i]
+            peeled.ranks[count] = rank_of(peeled, first, count)
+            count += 1
+    return count
+
+
+@kernel()
+def rank_of(peeled, first, row):
+    """How many of the rows from the ``first`` to a ``row`` are of the same side as that."""
+    found = 0
+    for other in range(first, row):
+        found += peeled.sides[other] == peeled.sides[row]
+    return found
+
+
+@kernel(types.int64(SHELLS, ROWS, types.UniTuple(types.float64, 3), ROWS, PEELED, NUMBERS))
+def peel_rays(shells, window, eye, directions, peeled, left):
+    """All that rays from the ``eye`` in ``directions`` (3, n) meet, in index space: how much that is.
+
+    It is written to ``peeled``, which has room for LAYERS · n, and ``left`` (n,) is filled with the share of each ray's
+    light that comes from behind all of it. A ``window`` (k, 4) is as of ``Sight``; it has faces in what is opaque.
+    """
+    n = directions.shape[1]
+    layers = Layers(np.full((LAYERS, n), NOTHING, np.int8), np.empty((LAYERS, n)), np.empty((LAYERS, n)))
+    left[:] = 1.0
+    crossings, some = first_crossings(shells, window, eye, directions, layers, left), np.empty(n, np.int64)
+    for number in range(LAYERS):
+        take_layer(shells, crossings, layers, number, left)
+        for k in range(shells.clears.shape[0] if number < LAYERS - 1 else 0):
+            count = find_passing(layers, number, k, left, some)
+            count = leave_cells(shells, crossings, k, eye, directions, some[:count])
+            if count > 0:
+                cast_on(shells, crossings, k, eye, directions, some[:count])
+    return write_layers(eye, directions, layers, peeled)

@@ -1,0 +1,95 @@
+"""Depth peels: against all crossings of one ray at a time, sorted."""
+
+import math
+
+import numpy as np
+import pytest
+from numba import njit
+
+from isogi_core.kernels.tracing.intersect import SOLID, UNKNOWN, cast
+from isogi_core.kernels.tracing.peels import LAYERS, LEAST, MOST, Peeled, Shells, peel_rays
+from isogi_core.kernels.tracing.sight import FACE
+from isogi_core.kernels.tracing.vec import column, madd
+from tests.kernels.fields import cells_of, field_of
+from tests.kernels.transport.lighting import NOISY
+from tests.scale import few
+
+EYE = (20.0, -60.0, 22.0)
+LEVELS, CLEARS = (6.0, 0.0, 3.5), (0.0, 0.7, 0.4)
+WHOLE = np.empty((0, 4))
+OBLIQUE = np.array([[0.6, 0.8, 0.0, -28.3], [0.0, -1.0, 0.0, 27.6]])
+"""A window that takes away what is in front of an oblique plane, and what is behind another."""
+
+
+@njit
+def crossings(field, isovalue, eye, d, near, far):
+    """All crossings of a ray with a surface between ``near`` and ``far``: (way, side) each."""
+    found, t, side = [(math.inf, 0) for _ in range(0)], near, UNKNOWN
+    while True:
+        step, came = cast(field, isovalue, madd(eye, t, d), d, side)
+        t += step
+        if not t <= far or t == math.inf:
+            return found
+        found.append((t, came))
+        side = -came
+
+
+def part_seen(window: np.ndarray, d: np.ndarray) -> tuple[float, float]:
+    """The part of a ray that a window leaves to see."""
+    heights, slopes = window[:, :3] @ EYE + window[:, 3], window[:, :3] @ d
+    near = max([0.0, *(-heights[slopes > 0.0] / slopes[slopes > 0.0])])
+    return near, min([math.inf, *(-heights[slopes < 0.0] / slopes[slopes < 0.0])])
+
+
+def looked_up(field, p):
+    """The trilinear value at a point, -inf outside of the box."""
+    low = np.minimum(np.floor(p).astype(int), 39)
+    if (p < 0.0).any() or (p > 40.0).any():
+        return -math.inf
+    x, y, z = p - low
+    cell = field.voxels[low[2] : low[2] + 2, low[1] : low[1] + 2, low[0] : low[0] + 2].astype(float)
+    return float(np.array([1.0 - z, z]) @ (cell @ np.array([1.0 - x, x]) @ np.array([1.0 - y, y])))
+
+
+def expected(field, window: np.ndarray, d: np.ndarray) -> tuple[list[tuple[int, float, float]], float]:
+    """What a ray meets, (side, way, weight) each, and what is left of it."""
+    near, far = part_seen(window, d)
+    if near > far:
+        return [], 1.0
+    if near > 0.0 and looked_up(field, np.array(EYE) + near * d) > LEVELS[0]:
+        return [(int(FACE), near, 1.0)], 0.0
+    ways = [
+        (t, 2 * k + (came == SOLID))
+        for k, level in enumerate(LEVELS)
+        for t, came in crossings(field, level, EYE, tuple(d), near, far)
+    ]
+    left, found = 1.0, []
+    for t, side in sorted(ways):
+        clear = CLEARS[side // 2]
+        if left > 0.0 and (len(found) < LAYERS - 1 or (len(found) == LAYERS - 1 and clear == 0.0)):
+            found.append((side, t, left * (1.0 - clear)))
+            left = left * clear if left * clear >= LEAST else 0.0
+    return found, left
+
+
+@pytest.mark.parametrize("window", [WHOLE, OBLIQUE], ids=["whole", "window"])
+def test_rays_meet_what_one_ray_at_a_time_meets(window: np.ndarray) -> None:
+    field, (side,) = field_of(NOISY), few((16,), (5,))
+    maps = [cells_of(field, level) for level in LEVELS]
+    shells = Shells(field, (*maps, *[maps[0]] * (MOST - 3)), np.array(LEVELS), np.array(CLEARS))
+    x, z = np.meshgrid(np.linspace(-0.24, 0.24, side), np.linspace(-0.24, 0.24, side))
+    directions = np.ascontiguousarray([x.ravel(), np.ones(x.size), z.ravel()])
+    room, left = LAYERS * x.size, np.empty(x.size)
+    bytes_of = np.empty((2, room), np.int8)
+    peeled = Peeled(np.empty(room, np.uint32), np.empty((room, 3), np.float32), *bytes_of, np.empty(room, np.float32))
+    count = peel_rays(shells, window, EYE, directions, peeled, left)
+    rays, points, sides, ranks, weights = (each[:count] for each in peeled)
+    assert count > x.size // 2 and len(np.unique(sides)) >= 5
+    for ray in range(x.size):
+        mine, d = rays == ray, np.array(column(directions, ray))
+        those, rest = expected(field, window, d)
+        assert sides[mine].tolist() == [each[0] for each in those]
+        assert ranks[mine].tolist() == [[one[0] for one in those[:k]].count(each[0]) for k, each in enumerate(those)]
+        np.testing.assert_allclose(points[mine], [EYE + each[1] * d for each in those] or points[mine], atol=1e-4)
+        np.testing.assert_allclose(weights[mine], [each[2] for each in those], rtol=1e-6)
+        assert left[ray] == pytest.approx(rest)

@@ -1,0 +1,35 @@
+import assert from "node:assert/strict";
+import { test } from "node:test";
+
+import { readAddress, writeAddress, complaints } from "../../../web/net/address.js";
+import { frameQuery } from "../../../web/net/request.js";
+import { ViewModel } from "../../../web/view/model.js";
+import { areSurfaces, readSurfaces, writeSurfaces } from "../../../web/view/surfaces.js";
+import { SCENE } from "./fixtures.mjs";
+
+const surfaces = [{ name: "skin", isovalue: 64, albedo: [0.6, 0.6, 0.6], clear: 0.3 }, { name: "", isovalue: 90, albedo: [0.7, 0.7, 0.7], clear: 0 }];
+
+test("a text says what each surface lets pass, and which are hidden", () => {
+  const shown = [{ shown: true, clear: 0.55 }, { shown: false, clear: 0 }];
+  assert.deepEqual(readSurfaces("0.55,off", surfaces), shown);
+  assert.equal(writeSurfaces(shown, surfaces), "0.55,off");
+  assert.deepEqual(readSurfaces("", surfaces), [{ shown: true, clear: 0.3 }, { shown: true, clear: 0 }]);
+  assert.equal(writeSurfaces(readSurfaces("", surfaces), surfaces), "");
+});
+
+test("texts that do not fit the surfaces are none", () => {
+  for (const text of ["0.5", "0.5,off,0", "0.5,2", "0.5,no", "-1,off", "", undefined]) assert.ok(!areSurfaces(text, 2), text);
+  for (const text of ["0,1", "off,off", ".5,0.25"]) assert.ok(areSurfaces(text, 2), text);
+});
+
+test("what surfaces let pass is in the address and in requests, where it is not the scene's own", () => {
+  const clear = { ...SCENE, surfaces };
+  const view = new ViewModel(clear, readAddress("?surfaces=0.5,off").start);
+  const size = { width: 8, height: 8 };
+  assert.equal(frameQuery(clear, view.values, size).surfaces, "0.5,off");
+  assert.match(writeAddress(clear, view.values), /surfaces=0\.5%2Coff/);
+  view.set({ surfaces: "" });
+  assert.ok(!("surfaces" in frameQuery(clear, view.values, size)));
+  assert.equal(new ViewModel(SCENE, { surfaces: "0.5,off" }).values.surfaces, "");
+  assert.match(complaints("?surfaces=3", clear)[0], /does not fit/);
+});
