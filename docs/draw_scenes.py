@@ -21,7 +21,7 @@ SECONDS = 240.0
 VIEWS: dict[str, dict[str, str]] = {
     "medical": {"azimuth": "68", "elevation": "10", "distance": "3.0"},
     "molecular": {"azimuth": "90", "elevation": "4", "distance": "3.3"},
-    "microscopy": {},
+    "microscopy": {"azimuth": "50", "elevation": "15", "distance": "2.9"},
     "nuclear": {"azimuth": "90", "elevation": "4", "distance": "3.3"},
 }
 """The camera of each scene."""
