@@ -79,6 +79,7 @@ pictures: $(BIN)/.tools
 	  --azimuth 35 --elevation 28 --distance 3 --width 480 --height 360 --target-error 0.03; done
 	$(BIN)/isogi inspect $(ISOGI_SHARED_DATA)/engine_256x256x128_uint8.nhdr --picture docs/stiffness.png
 	$(BIN)/python docs/draw_gallery.py
+	$(BIN)/python docs/draw_scenes.py
 	$(BIN)/python docs/draw_film.py
 	$(BIN)/python -m benchmarks.service page
 

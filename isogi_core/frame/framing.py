@@ -37,8 +37,9 @@ def frame_of(
     the ``check`` of its picture where there is one. The rays of its ``shine`` are named by that. Faces of a window are
     painted into the framebuffer.
     """
+    scene = light.spec.prepared.scene
     if len(gbuffer.faces.pixels):
-        paint_faces(gbuffer, light.spec.prepared.scene, framebuffer)
+        paint_faces(gbuffer, scene, framebuffer)
     lacking = Lacking(texels, reading, framebuffer) if texels and reading else None
     projection = Projection(texels, reading, framebuffer) if texels and isinstance(reading, ProjectedReading) else None
     needed, short = (len(lacking.texels.chunks), int(lacking.reading.short.sum())) if lacking else (0, 0)
@@ -62,7 +63,7 @@ def frame_of(
         uncertainty=check.uncertainty if check else None,
         given_up=check.ended if check else False,
         own=len(check.own.places) if check else 0,
-        expected=expected_error(light.spec.prepared.scene, gbuffer.isovalue) if light.view.shading == "gi" else 0.0,
+        expected=expected_error(scene, gbuffer.isovalue) if texels and light.view.shading == "gi" else 0.0,
     )
 
 

@@ -104,7 +104,9 @@ class Scene:
 
     @property
     def bakes(self) -> frozenset[str]:
-        """The kinds of layers that are baked; see ``kind_of``."""
+        """The kinds of layers that are baked; see ``kind_of``. Glass has none."""
+        if self.material.refracts:
+            return frozenset()
         return frozenset(self.kind_of(layer, self.plan) for layer in self.plan.layers)
 
     @property

@@ -18,6 +18,7 @@ SUN = {"type": "directional", "azimuth": 0, "elevation": 50, "irradiance": 1}
 def test_glass_has_an_index_and_an_absorption() -> None:
     assert load_scene("demo:orbital").material == DIFFUSE
     scene = load_scene("demo:orbital", **GLASS, absorption=0.1)
+    assert not scene.bakes
     assert scene.material == Material("glass", 1.5, (0.1, 0.1, 0.1))
     others = [load_scene("demo:orbital", **GLASS, **more) for more in ({}, {"index": 1.3}, {"absorption": [0.1, 0, 0]})]
     digests = [each.digest for each in (load_scene("demo:orbital"), scene, *others)]
