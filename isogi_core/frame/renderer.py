@@ -102,9 +102,8 @@ class Renderer:
         self._walls = ViewWalls(self._kept, self.prepared.scene.volume)
         self._through = ViewThrough(self._kept, self._walls)
         self._levels = levels or (Level(caches),)
-        make = partial(Renderer, tiles=tiles, most=most // 8, filters=filters)
-        composed = self.prepared.scene.several and not levels
-        self._composer = Composer(caches, self, make, self._kept) if composed else None
+        make, composes = partial(Renderer, tiles=tiles, most=most // 8, filters=filters), self.prepared.scene.several
+        self._composer = Composer(caches, self, make, self._kept) if composes and not levels else None
 
     @property
     def nbytes(self) -> int:

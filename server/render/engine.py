@@ -116,8 +116,7 @@ class RenderEngine:
     def hire(self) -> None:
         """Have the workers come, beside whatever else there is to do."""
         scenes = list(self.scenes.values())
-        kinds = {kind for scene in scenes for kind in scene.bakes}
-        self.workforce.hire(kinds, scenes[0].source if scenes else None)
+        self.workforce.hire({kind for each in scenes for kind in each.bakes}, scenes[0].source if scenes else None)
 
     def admit(self, scene: Scene) -> None:
         """Show one more scene, once the engine has started; it is loaded when it is first looked at."""
@@ -382,9 +381,8 @@ class RenderEngine:
 
     def _bake_by(self, loaded: LoadedScene, spec: str) -> tuple[str, Bake]:
         """The bake of a loaded scene by a spec, and its name."""
-        scene = loaded.scene.id
-        arrived = partial(self._arrived, scene, 0)
-        return bake_name(scene, spec), make_bake(loaded.renderer.caches, spec, loaded.assets, arrived)
+        arrived = partial(self._arrived, loaded.scene.id, 0)
+        return bake_name(loaded.scene.id, spec), make_bake(loaded.renderer.caches, spec, loaded.assets, arrived)
 
     def _arrived(self, scene: str, fineness: int, spec: str, index: Index, shown: Isovalue | None) -> None:
         """Have a scene, where it is loaded, read a chunk of its texels again: it has new light."""
