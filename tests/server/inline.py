@@ -2,7 +2,7 @@
 
 import pickle
 from collections.abc import Callable, Collection
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -12,10 +12,20 @@ from isogi_core.plan.scene import Scene
 from isogi_core.storage.atomic_file import PARTIAL
 from server.render.engine import RenderEngine
 from worker.pool import Done
-from worker.tasks import BakeResult, BakeTask, bake
+from worker.tasks import BakeTask, bake
 
 LONG = 60.0
 """Seconds within which any bake of these tests ends."""
+
+
+def bake_sent(sent: bytes, done: Done) -> None:
+    """Do a task that was sent, and tell what became of it."""
+    try:
+        result = bake(pickle.loads(sent))
+    except BaseException as error:
+        done(None, error)
+    else:
+        done(result, None)
 
 
 class InlinePool:
@@ -30,13 +40,11 @@ class InlinePool:
         self._thread = ThreadPoolExecutor(1)
 
     def submit(self, task: BakeTask, done: Done) -> None:
-        """Bake what arrives when the task is sent; ``done`` is called with the result, or the error."""
+        """Bake what arrives when the task is sent; ``done`` is called with the result, or the error.
 
-        def ended(future: "Future[BakeResult]") -> None:
-            error = future.exception()
-            done(None if error else future.result(), error)
-
-        self._thread.submit(bake, pickle.loads(pickle.dumps(task))).add_done_callback(ended)
+        It is called on the pool's thread, as a pool's promise is: who submits holds the baker's lock.
+        """
+        self._thread.submit(bake_sent, pickle.dumps(task), done)
 
     def attend(self, stir: Callable[[], None]) -> None:
         """Do nothing: the thread neither comes nor goes."""

@@ -76,7 +76,7 @@ def test_a_dismissed_scene_is_found_no_more(engine: RenderEngine, scenes: list[S
     assert engine.planned(one.id).id == one.id
 
 
-def test_a_server_tidies_after_frames_and_not_while_it_stands_idle(
+def test_a_server_tidies_after_frames_and_not_while_idle(
     scenes: list[Scene], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     tidied = threading.Semaphore(0)
