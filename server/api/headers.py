@@ -36,6 +36,7 @@ STAGES = {
     "lobes": "casting shadow rays at the bright parts of the light",
     "shine": "casting rays of shine, and lighting their ends",
     "walls": "lighting what is seen of walls",
+    "through": "following rays through glass, and lighting their ends",
     "compose": "adding up the sides of several surfaces",
     "glow": "gathering what glows before the surface",
     "edges": "taking more samples at edges",

@@ -21,7 +21,7 @@ def test_a_scene_has_pinned_surfaces_and_light_that_stays() -> None:
     assert scene.bakes == {AMONG}
     assert scene.inputs.reflecting == (0.8, 0.7, 0.7)
     told = {each.what for each in scene.left_out}
-    assert {"light of pinned surfaces that serves every isovalue", "turning of the light"} <= told
+    assert {"light of pinned surfaces at each isovalue", "turning of the light"} <= told
 
 
 def test_no_surface_beside_leaves_digests_as_they_were() -> None:

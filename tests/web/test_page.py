@@ -358,7 +358,8 @@ def test_narrow_screens_scroll_only_down(browser: Browser, live_server: str) -> 
     context = browser.new_context(viewport={"width": 320, "height": 844}, has_touch=True)
     page = open_final(context.new_page(), live_server)
     for summary in page.locator("#controls summary").all():
-        summary.click()
+        if summary.is_visible():
+            summary.click()
     for width in (320, 390, 768):
         page.set_viewport_size({"width": width, "height": 844})
         wait_final(page).evaluate("scrollTo(0, 0)")

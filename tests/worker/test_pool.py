@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import Any, cast
 
 import dask.config
 import httpx
@@ -61,32 +61,13 @@ def compiled() -> dict[str, tuple[int, int]]:
     return kernel_cache()
 
 
-class Hired(NamedTuple):
-    """A pool, and the rooms that its workers had imported before they baked."""
-
-    pool: WorkerPool
-    rooms: list[set[str]]
-
-
 @pytest.fixture(scope="module")
-def hired(compiled: dict[str, tuple[int, int]]) -> Iterator[Hired]:
-
-    def rooms() -> set[str]:
-        """What the process has imported of the house, and of what takes long to import."""
-        import sys
-
-        return {name.split(".")[0] for name in sys.modules.copy()} & {"isogi_core", "numba", "zarr"}
-
+def pool(compiled: dict[str, tuple[int, int]]) -> Iterator[WorkerPool]:
     pool = WorkerPool(WORKERS)
-    yield Hired(pool, list(pool._client.run(rooms).values()))
+    yield pool
     pids = pool.pids()
     pool.close()
     assert not psutil.wait_procs([psutil.Process(pid) for pid in pids if psutil.pid_exists(pid)], timeout=LONG)[1]
-
-
-@pytest.fixture
-def pool(hired: Hired) -> WorkerPool:
-    return hired.pool
 
 
 def bake_all(pool: WorkerPool, tasks: list[BakeTask]) -> list[BakeResult]:
@@ -218,10 +199,6 @@ def kernels_of_this_process() -> dict[str, bool]:
     modules = [module for name, module in sys.modules.copy().items() if name.startswith("isogi_core.kernels.")]
     entries = {x.name: x for module in modules for x in vars(module).copy().values() if isinstance(x, Entry)}
     return {name: bool(x.ready.stats.cache_misses) for name, x in entries.items() if x.loaded}
-
-
-def test_workers_load_nothing_before_they_bake(hired: Hired) -> None:
-    assert hired.rooms == [set()] * WORKERS
 
 
 def test_kernels_are_loaded_and_not_compiled_again(
