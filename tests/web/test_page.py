@@ -186,6 +186,7 @@ def test_isovalue_can_be_typed(sketched: Page) -> None:
     wanted = round(least + 0.4 * (most - least), 3)
     sketched.fill("#isovalue-number", str(wanted))
     sketched.press("#isovalue-number", "Enter")
+    sketched.wait_for_url(lambda url: f"isovalue={wanted:g}&" in url)
     assert numbers_of(sketched)["isovalue"] == wanted
 
 
