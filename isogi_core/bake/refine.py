@@ -11,16 +11,14 @@ import numpy as np
 
 from isogi_core.bake.bake_spec import BakeSpec
 from isogi_core.bake.noise import DECAYS, blend_noise, evenness, finished, noise_of_halves
+from isogi_core.bake.path_light import add_path_light, on_wall
 from isogi_core.bake.precision import VOID, next_level, noise_codes, noise_of, round_light
 from isogi_core.bake.texel_light import Light, Part
 from isogi_core.kernels.tracing.active_cells import ActiveCells
-from isogi_core.kernels.tracing.walls import NOWHERE
 from isogi_core.kernels.transport.coloured_transfer import bake_coloured_texels
 from isogi_core.kernels.transport.glow_paths import glow_in_room
-from isogi_core.kernels.transport.matter.matter_paths import INWARD, light_through_matter
 from isogi_core.kernels.transport.paths import PathRules, PathStarts, SampleRange
-from isogi_core.kernels.transport.room_paths import RoomStarts, fill_seeds, light_in_room
-from isogi_core.kernels.transport.surface_paths import light_among_surfaces
+from isogi_core.kernels.transport.room_paths import fill_seeds
 from isogi_core.kernels.transport.texel_points import PROJECTED, project_texels
 from isogi_core.kernels.transport.transfer import bake_irradiance, bake_texels, locate_texels
 from isogi_core.model.scene_plan import GLOW, Layer, most_samples
@@ -200,20 +198,27 @@ def sample_irradiance(
     layers: Sequence[Layer], place: Place, void: np.ndarray, spec: BakeSpec, samples: int, count: int
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """The same of the light that paths meet, and no squares; where a layer keeps one channel, all three are alike."""
-    sums, surroundings = np.zeros((len(void), 2, 3)), spec.prepared.surroundings(np.eye(3))
-    weights = np.broadcast_to(spec.weights(layers[0]), (spec.plan.bounces + 1, 3)).copy()
-    for bricks, rows in by_isovalue(place[3], void, spec.prepared):
-        some, rules = SampleRange(samples // 2, count // 2), PathRules(weights, spec.plan.survival)
-        if spec.prepared.scene.material.scatters:
-            light_texels_inside(place, rows, bricks, spec, some, sums)
-        elif spec.prepared.scene.several:
-            light_texels_among_surfaces(place, rows, bricks, spec, some, rules, sums)
-        elif spec.prepared.scene.many_albedos:
-            light_texels_in_room(place, rows, bricks, spec, some, rules, sums)
-        else:
-            bake_irradiance(spec.prepared.field, bricks, place, rows, some, rules, surroundings, sums)
+    prepared, sums, bounces = spec.prepared, np.zeros((len(void), 2, 3)), spec.plan.bounces
+    around, some = prepared.surroundings(np.eye(3)), SampleRange(samples // 2, count // 2)
+    rules = PathRules(np.broadcast_to(start_weights(layers[0], spec), (bounces + 1, 3)).copy(), spec.plan.survival)
+    for bricks, rows in by_isovalue(place[3], void, prepared):
+        met = prepared.met(prepared.scene.albedo, bricks)
+        if met is None:
+            bake_irradiance(prepared.field, bricks, place, rows, some, rules, around, sums)
+            continue
+        added = np.zeros((2 * len(rows), 3))
+        add_path_light(prepared.field, bricks, met, path_starts(place, rows), some, rules, around, added)
+        sums[rows] += added.reshape(-1, 2, 3)
     for layer in layers:
         yield sums[:, :, : layer.channels, None], np.zeros(len(void))
+
+
+def start_weights(layer: Layer, spec: BakeSpec) -> np.ndarray:
+    """What counts of the light that paths of a ``layer`` bring; of what comes from inside a surface, B/π over the
+    albedo, by which frames multiply it.
+    """
+    scene = spec.prepared.scene
+    return 1.0 / np.array(scene.albedo) if scene.material.scatters else spec.weights(layer)
 
 
 def sample_glow(
@@ -226,16 +231,10 @@ def sample_glow(
     sums = np.zeros((len(void), 2, 3 * len(glows.rates)))
     for bricks, rows in by_isovalue(place[3], void, prepared):
         added = np.zeros((2 * len(rows), sums.shape[2]))
-        glow_in_room(prepared.field, bricks, room, starts_of(place, rows), some, rules, glows, added)
+        glow_in_room(prepared.field, bricks, room, on_wall(path_starts(place, rows)), some, rules, glows, added)
         sums[rows] += added.reshape(-1, 2, sums.shape[2])
     for layer in layers:
         yield sums[:, :, :: 3 // layer.colours, None], np.zeros(len(void))
-
-
-def starts_of(place: Place, rows: np.ndarray) -> RoomStarts:
-    """The same starts as ``path_starts``, none of them on a wall."""
-    starts = path_starts(place, rows)
-    return RoomStarts(*starts, np.full(len(starts.seeds), NOWHERE))
 
 
 def path_starts(place: Place, rows: np.ndarray) -> PathStarts:
@@ -245,51 +244,6 @@ def path_starts(place: Place, rows: np.ndarray) -> PathStarts:
     seeds = seeds_of(np.column_stack([texels[both], np.tile([0, 1], len(rows))]))
     here, around = (np.ascontiguousarray(each[:, both]) for each in (points, normals))
     return PathStarts(here, around, isovalues[both], seeds)
-
-
-def light_texels_in_room(
-    place: Place,
-    rows: np.ndarray,
-    bricks: ActiveCells,
-    spec: BakeSpec,
-    samples: SampleRange,
-    rules: PathRules,
-    sums: np.ndarray,
-) -> None:
-    """``bake_irradiance`` among walls, which reflect, and on colours: luminaires are seen and cast shadows."""
-    starts, prepared, added = starts_of(place, rows), spec.prepared, np.zeros((2 * len(rows), 3))
-    room, light = prepared.room(prepared.scene.albedo), prepared.surroundings(np.eye(3))
-    light_in_room(prepared.field, bricks, room, starts, samples, rules, light, added)
-    sums[rows] += added.reshape(-1, 2, 3)
-
-
-def light_texels_inside(
-    place: Place, rows: np.ndarray, bricks: ActiveCells, spec: BakeSpec, samples: SampleRange, sums: np.ndarray
-) -> None:
-    """``bake_irradiance`` of a surface that scatters inside: B/π over the albedo, by which frames multiply it."""
-    prepared, added = spec.prepared, np.zeros((2 * len(rows), 3))
-    starts = path_starts(place, rows)
-    inward = RoomStarts(*starts, np.full(len(starts.seeds), INWARD))
-    rules = PathRules(np.tile(1.0 / np.array(prepared.scene.albedo), (spec.plan.bounces + 1, 1)), spec.plan.survival)
-    light = prepared.surroundings(np.eye(3))
-    light_through_matter(prepared.field, bricks, prepared.passable, inward, samples, rules, light, added)
-    sums[rows] += added.reshape(-1, 2, 3)
-
-
-def light_texels_among_surfaces(
-    place: Place,
-    rows: np.ndarray,
-    bricks: ActiveCells,
-    spec: BakeSpec,
-    samples: SampleRange,
-    rules: PathRules,
-    sums: np.ndarray,
-) -> None:
-    """``bake_irradiance`` among several surfaces, which reflect, and let a share of all rays pass."""
-    starts, prepared, added = path_starts(place, rows), spec.prepared, np.zeros((2 * len(rows), 3))
-    surfaces, light = prepared.company(bricks), prepared.surroundings(np.eye(3))
-    light_among_surfaces(prepared.field, surfaces, starts, samples, rules, light, added)
-    sums[rows] += added.reshape(-1, 2, 3)
 
 
 def by_isovalue(

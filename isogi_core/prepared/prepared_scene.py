@@ -31,6 +31,9 @@ AROUND = 3
 Index = tuple[int, int, int]
 """Position of a chunk in the lattice, in chunks along z, y, x."""
 
+Met = Room | Surfaces | Passable
+"""What paths may meet, but for one surface of one albedo alone."""
+
 
 @dataclass(frozen=True, eq=False)
 class PreparedScene:
@@ -106,6 +109,16 @@ class PreparedScene:
         material = self.scene.material
         scattering = 1.0 / material.mean_free_path, np.array(self.scene.albedo, np.float64)
         return Passable(self._room, Matter(material.index, np.array(material.absorption), *scattering))
+
+    def met(self, albedo: tuple[float, float, float], cells: ActiveCells, run: Run = serially) -> Met | None:
+        """What paths meet that start on isosurfaces of this ``albedo`` with a map; None where that is one surface of
+        one albedo.
+        """
+        if self.scene.material.passable:
+            return self.passable
+        if self.scene.several:
+            return self.company(cells, run)
+        return self.room(albedo) if self.scene.many_albedos else None
 
     def dark_room(self, albedo: tuple[float, float, float]) -> Room:
         """The ``room`` with walls that give off no light, for paths that gather other light alone."""

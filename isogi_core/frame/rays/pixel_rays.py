@@ -3,15 +3,15 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
 from isogi_core.bake.bake_spec import path_weights
+from isogi_core.bake.path_light import on_wall
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.glow_light import add_glow
-from isogi_core.frame.rays.point_paths import TRACERS, sight_lines, starts_at
+from isogi_core.frame.rays.point_paths import path_starts, sight_lines, trace_among
 from isogi_core.frame.rays.shine import add_shine
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.framebuffer import PixelPoints
@@ -220,10 +220,11 @@ class Paths:
         Where paths carry the colours that they meet they count 1 at the start, which is all that is read of these. The
         eye's rays that pass a surface reach the first that reflects them by one bounce more.
         """
-        bounces = self.light.spec.prepared.scene.plan.bounces if self.bounces is None else self.bounces
-        if self.light.spec.prepared.scene.material.refracts:
+        scene = self.light.spec.prepared.scene
+        bounces = scene.plan.bounces if self.bounces is None else self.bounces
+        if scene.material.refracts:
             return path_weights(np.ones(3), bounces + 1, 1.0)
-        if self.light.coloured or self.light.spec.prepared.scene.material.scatters:
+        if self.light.coloured or scene.material.scatters:
             return path_weights(np.ones(3), bounces, 1.0)
         return path_weights(self.light.albedo, bounces, self.survival, leaving=1)
 
@@ -245,15 +246,15 @@ class Paths:
         that each piece traced. Of a surface that shines as many rays of shine are among them. Raises Cancelled.
         """
         buffer, alone = self.gbuffer, self.light.shine is None and not self.light.coloured
-        glowing, replicas = self.light.spec.prepared.scene.glowing.any, range(stream, stream + sums.shape[1])
+        prepared, replicas = self.light.spec.prepared, range(stream, stream + sums.shape[1])
         own = sums if alone else np.zeros_like(sums)
         points, pixels = buffer.points, buffer.pixels
-        if self.light.spec.prepared.scene.material.refracts:
+        if prepared.scene.material.refracts:
             points, normals = sight_lines(buffer)
         else:
             normals = buffer.normals(self.tiles)
         traced, around = buffer.surface.traced(self.tiles.run), self.light.surroundings
-        met = self._met
+        met = prepared.met(self.light.seen.albedo, traced.cells, self.tiles.run)
         rules, samples = PathRules(self.weights, self.survival), SampleRange(first, count)
 
         def _piece(a: int, b: int) -> None:
@@ -261,10 +262,9 @@ class Paths:
             if met is None:
                 trace_points(traced, some, around, rules, stream, samples, own[a:b])
             else:
-                trace = TRACERS[type(met)]
-                own[a:b] += trace(traced, met, some, around, rules, replicas, samples)
-            if glowing:
-                starts = starts_at(traced, some, replicas)
+                own[a:b] += trace_among(traced, met, some, around, rules, replicas, samples)
+            if prepared.scene.glowing.any:
+                starts = on_wall(path_starts(traced, some, replicas))
                 add_glow(own[a:b].reshape(-1, 3), self.light, traced, starts, rules, samples)
             if progress is not None:
                 progress((b - a) * sums.shape[1] * count)
@@ -277,16 +277,6 @@ class Paths:
             add_shine(own, self.light, buffer, stream, *given, self.tiles)
         if not alone:
             sums += own
-
-    @property
-    def _met(self) -> Any:
-        """What paths meet, one of TRACERS; None where it is one surface of one albedo."""
-        prepared, run = self.light.spec.prepared, self.tiles.run
-        if prepared.scene.material.passable:
-            return prepared.passable
-        if prepared.scene.several:
-            return prepared.company(self.gbuffer.surface.cells(run), run)
-        return prepared.room(self.light.seen.albedo) if prepared.scene.many_albedos else None
 
     def prepare(self) -> None:
         """Do what comes before the first paths, by tracing one: find normals, map the surface, compile."""
