@@ -35,7 +35,6 @@ class Material:
         if not all(0.0 <= share <= LARGEST for share in self.absorption):
             given = ", ".join(f"{share:g}" for share in self.absorption)
             raise SceneError(f"The absorption is {given}: it must not be less than 0, per unit of length.")
-
         if not self.mean_free_path > 0.0:
             raise SceneError(f"The mean free path is {self.mean_free_path:g}: it must be more than 0.")
 

@@ -47,7 +47,7 @@ from isogi_core.plan.isovalue_presets import read_presets
 from isogi_core.plan.lobe_choice import MOST as MOST_LOBES
 from isogi_core.plan.materials import read_material, refuse_lamps
 from isogi_core.plan.planner import plan_scene
-from isogi_core.plan.scene import CHUNKS, NORMALS, SURVEYED, Scene
+from isogi_core.plan.scene import CHUNKS, NORMALS, Scene
 from isogi_core.plan.several import read_clear, read_pinned
 from isogi_core.plan.volumes.colours import find_table, read_colours
 from isogi_core.plan.volumes.cuts import cut_away, voxels_left
@@ -205,17 +205,21 @@ def read_lights(settings: Settings, room: Room) -> tuple[Light, ...]:
     return (light_named(named, base),) if named else tuple(light_from_mapping(entry, base) for entry in tables)
 
 
+def remade(scene: Scene, document: dict[str, Any], volume: Volume | None) -> Scene:
+    """The scene that another ``document`` makes of it, with its colours where a ``volume`` is open: see build_scene."""
+    bare = {key: value for key, value in document.items() if volume is None or key not in FOLLOWED}
+    made = build_scene(replace(scene.source, document=bare), volume=volume, colours=scene.colours if volume else None)
+    return replace(made, source=replace(scene.source, document=document))
+
+
 def under(scene: Scene, environment: str, name: str) -> Scene:
     """The same scene in the light of an ``environment``, as a scene file names it, by another id, ``name``.
 
     It replaces all of the scene's [[lights]]; walls stay, and their luminaires. The volume and what was surveyed of it
     are shared. Raises SceneError where the scene's own choices do not fit that light, and LightError.
     """
-    document = {**scene.source.document, "environment": environment}
-    bare = {key: value for key, value in document.items() if key not in FOLLOWED}
-    other = build_scene(replace(scene.source, document=bare), volume=scene.volume, colours=scene.colours)
-    other = replace(other, id=name, source=replace(scene.source, document=document))
-    vars(other).update({kept: found for kept, found in vars(scene).items() if kept in SURVEYED})
+    other = replace(remade(scene, {**scene.source.document, "environment": environment}, scene.volume), id=name)
+    vars(other).update(scene.surveys)
     return other
 
 
@@ -229,11 +233,8 @@ def cut_open(scene: Scene, cut: str, name: str, volume: Volume | None = None) ->
     own = scene.source.document.get("cut")
     both = f"{own};{cut}" if own else cut
     voxels_left(scene.volume, both)  # each by itself may leave something
-    document = {**scene.source.document, "cut": both}
-    bare = {key: value for key, value in document.items() if key not in FOLLOWED}
     left = volume or cut_away(scene.volume, cut)
-    other = build_scene(replace(scene.source, document=bare), volume=left, colours=scene.colours)
-    return replace(other, id=name, source=replace(scene.source, document=document))
+    return replace(remade(scene, {**scene.source.document, "cut": both}, left), id=name)
 
 
 def at_time(scene: Scene, time: int, name: str, volume: Volume | None = None) -> Scene:
@@ -248,10 +249,8 @@ def at_time(scene: Scene, time: int, name: str, volume: Volume | None = None) ->
     place, chosen = split_part(str(scene.source.document["volume"]))
     rest = "&".join(value if key == "part" else f"{key}={value}" for key, value in chosen.items() if key != "time")
     document = {**scene.source.document, "volume": f"{place}#{rest}" if rest else place, "time": time}
-    bare = {key: value for key, value in document.items() if volume is None or key not in FOLLOWED}
-    other = build_scene(replace(scene.source, document=bare), volume=volume, colours=scene.colours if volume else None)
-    start = min(max(scene.isovalue, other.isovalues[0]), other.isovalues[1])
-    return replace(other, id=name, isovalue=start, source=replace(scene.source, document=document))
+    other = remade(scene, document, volume)
+    return replace(other, id=name, isovalue=min(max(scene.isovalue, other.isovalues[0]), other.isovalues[1]))
 
 
 def read_room(settings: Settings, volume: Volume) -> Room:

@@ -12,9 +12,7 @@ from itertools import pairwise
 import numpy as np
 
 from isogi_core.model.volume import Volume
-
-BINS = 1024
-"""Isovalues of a range at which the way of a surface is found."""
+from isogi_core.plan.range_sampling import BINS, extremes_between
 
 VOXEL = 1.0
 """How far a surface moves from one level to the next, in voxels on the average."""
@@ -55,7 +53,7 @@ def mean_ways(volume: Volume, span: tuple[float, float]) -> np.ndarray:
     """
     sums = np.zeros((2, BINS + 1))
     for z in range(0, len(volume.voxels) - 1, -(-volume.voxels.size // READ)):
-        low, high = corners_between(volume.voxels[z], volume.voxels[z + 1])
+        low, high = extremes_between(volume.voxels[z], volume.voxels[z + 1])
         met = (high > span[0]) & (low < span[1]) & (high > low)
         low, high = ((each[met].astype(np.float64) - span[0]) / (span[1] - span[0]) * BINS for each in (low, high))
         width = np.maximum(high - low, 1.0)
@@ -65,13 +63,6 @@ def mean_ways(volume: Volume, span: tuple[float, float]) -> np.ndarray:
             sums[row] += np.bincount(first, counts, BINS + 1) - np.bincount(last, counts, BINS + 1)
     cells, speeds = np.cumsum(sums, axis=1)[:, :BINS]
     return np.where(cells > 0.5, CELLS * speeds / np.maximum(cells, 1.0), 0.0)
-
-
-def corners_between(lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The least and the greatest corner of each cell between two layers (ny, nx); (cells,) each."""
-    low, high = np.minimum(lower, upper), np.maximum(lower, upper)
-    low, high = np.minimum(low[1:], low[:-1]), np.maximum(high[1:], high[:-1])
-    return np.minimum(low[:, 1:], low[:, :-1]).ravel(), np.maximum(high[:, 1:], high[:, :-1]).ravel()
 
 
 def levels_around(levels: Sequence[float], pinned: Iterable[float], shown: float) -> tuple[tuple[float, float], ...]:

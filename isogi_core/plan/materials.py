@@ -13,8 +13,11 @@ THICK = 0.02
 KEYS = {"index": "glass", "absorption": "glass", "mean_free_path": "subsurface"}
 """The keys of materials that have any."""
 
-BESIDE_GLASS = {"albedo": "it reflects no diffuse light", "clear": "it lets light pass by its index already"}
-"""What a scene of glass cannot have, and why."""
+BESIDE = {
+    "glass": {"albedo": "it reflects no diffuse light", "clear": "it lets light pass by its index already"},
+    "subsurface": {"clear": "it lets light in already"},
+}
+"""What a scene of one of these cannot have, and why."""
 
 BESIDE_BOTH = {
     "albedos": "its light is baked for one colour",
@@ -40,9 +43,7 @@ def read_material(settings: Settings, volume: Volume) -> Material:
             raise SceneError(f'{key} is of {of}: add material = "{of}" to the scene, or leave {key} out.')
     if kind == "diffuse":
         return DIFFUSE
-    for key, why in (
-        BESIDE_BOTH | (BESIDE_GLASS if kind == "glass" else {"clear": "it lets light in already"})
-    ).items():
+    for key, why in (BESIDE_BOTH | BESIDE[kind]).items():
         if key in given:
             raise SceneError(f"The surface is {kind}, and {why}: leave {key} out.")
     if kind == "glass":

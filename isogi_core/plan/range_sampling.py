@@ -13,7 +13,7 @@ import numpy as np
 from isogi_core.model.volume import Volume
 
 BINS = 1024
-"""Isovalues of a range at which the least gradient is found."""
+"""Even parts of a range in which the isosurfaces are looked at."""
 
 WAYS = ("uniform", "adaptive")
 """How levels are spaced."""
@@ -85,6 +85,13 @@ def least_gradients(volume: Volume, span: tuple[float, float]) -> np.ndarray:
     return spread_down(table)
 
 
+def extremes_between(lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The least and the greatest corner of the cells between two layers (ny, nx); (ny - 1, nx - 1) each."""
+    low, high = np.minimum(lower, upper), np.maximum(lower, upper)
+    low, high = np.minimum(low[1:], low[:-1]), np.maximum(high[1:], high[:-1])
+    return np.minimum(low[:, 1:], low[:, :-1]), np.maximum(high[:, 1:], high[:, :-1])
+
+
 def cells_between(
     lower: np.ndarray, upper: np.ndarray, spacing: tuple[float, float, float]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -93,7 +100,7 @@ def cells_between(
     (ny - 1, nx - 1) each; no number beside a voxel that is none.
     """
     corners = [layer[j : len(layer) - 1 + j, i : layer.shape[1] - 1 + i] for layer in (lower, upper) for j, i in SIDES]
-    low, high = np.minimum.reduce(corners), np.maximum.reduce(corners)
+    low, high = extremes_between(lower, upper)
     square = np.zeros(low.shape)
     for signs, step in zip(SIGNS, spacing, strict=True):
         slope = sum(float(sign) * corner.astype(np.float64) for sign, corner in zip(signs, corners, strict=True))

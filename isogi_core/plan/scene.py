@@ -227,6 +227,11 @@ class Scene:
         """The same scene by another ``plan``; what was surveyed of its volume stays."""
         return self.altered(SURVEYED, plan=plan)
 
+    @property
+    def surveys(self) -> dict[str, Any]:
+        """What was surveyed of the volume so far, by name: see SURVEYED."""
+        return {name: found for name, found in vars(self).items() if name in SURVEYED}
+
     def altered(self, kept: Collection[str], **changes: Any) -> "Scene":
         """The same scene with ``changes``; properties ``kept``, as far as they were worked out, hold for it too."""
         scene = replace(self, **changes)

@@ -8,11 +8,11 @@ inside out, so that they are outer ones.
 from dataclasses import dataclass, replace
 from typing import Any
 
-from isogi_core.files.scene_file import DEFAULT_DEMO, FOLLOWED
+from isogi_core.files.scene_file import DEFAULT_DEMO
 from isogi_core.model.surfaces import PinnedSurface
 from isogi_core.model.volume import Isovalue
-from isogi_core.plan.assembly import build_scene
-from isogi_core.plan.scene import SURVEYED, Scene
+from isogi_core.plan.assembly import remade
+from isogi_core.plan.scene import Scene
 from isogi_core.plan.several import Clears
 
 
@@ -24,6 +24,11 @@ class Side:
 
     number: int
     inner: bool = False
+
+    @property
+    def peeled(self) -> int:
+        """Its number among all sides, as of ``Peeled``."""
+        return 2 * self.number + self.inner
 
 
 OUTER = Side(0)
@@ -54,10 +59,7 @@ def scene_of_side(scene: Scene, side: Side, shown: float) -> Scene:
     document |= {"isovalue": own.isovalue, "albedo": list(own.albedo), "clear": own.clear, **lying(scene, side)}
     document |= {"isovalues": [own.isovalue] * 2 if side.number else list(scene.isovalues)}
     document |= {"surfaces": [each.table for each in others]} if others else {}
-    bare = {key: value for key, value in document.items() if key not in FOLLOWED}
-    volume = scene.volume.inside_out if side.inner else scene.volume
-    made = build_scene(replace(scene.source, document=bare), volume=volume)
-    return replace(made, source=replace(scene.source, document=document))
+    return remade(scene, document, scene.volume.inside_out if side.inner else scene.volume)
 
 
 def with_clears(scene: Scene, clears: Clears, name: str) -> Scene:
@@ -68,11 +70,8 @@ def with_clears(scene: Scene, clears: Clears, name: str) -> Scene:
     kept = [replace(each, clear=clear) for each, clear in zip(scene.pinned, clears, strict=True) if clear is not None]
     document: dict[str, Any] = {key: value for key, value in scene.source.document.items() if key != "surfaces"}
     document |= {"surfaces": [each.table for each in kept]} if kept else {}
-    document |= {"rotating": scene.rotating}
-    bare = {key: value for key, value in document.items() if key not in FOLLOWED}
-    made = build_scene(replace(scene.source, document=bare), volume=scene.volume)
-    made = replace(made, id=name, source=replace(scene.source, document=document))
-    vars(made).update({known: found for known, found in vars(scene).items() if known in SURVEYED})
+    made = replace(remade(scene, document | {"rotating": scene.rotating}, scene.volume), id=name)
+    vars(made).update(scene.surveys)
     return made
 
 

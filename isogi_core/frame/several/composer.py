@@ -19,7 +19,6 @@ from isogi_core.frame.view_keys import surface_key
 from isogi_core.lru_cache import LruCache
 from isogi_core.model.view import View
 from isogi_core.plan.levels import levels_around
-from isogi_core.plan.scene import SURVEYED
 from isogi_core.plan.sides import OUTER, Side, scene_of_side, sides_of, surfaces_of
 from isogi_core.prepared.prepared_scene import PreparedScene
 
@@ -148,7 +147,7 @@ class Composer:
         else:
             prepared = self._inner.beside(scene)
         scene.projection  # noqa: B018 - surveyed once for all isovalues that are shown
-        self._surveyed[side] = {name: found for name, found in vars(scene).items() if name in SURVEYED}
+        self._surveyed[side] = scene.surveys
         budget = self._caches.budget // (HELD * len(sides_of(self._scene)))
         return Caches(prepared, self._caches.store, budget, makes=False)
 

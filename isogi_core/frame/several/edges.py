@@ -39,7 +39,7 @@ def smooth_surfaces(frame: SurfacesFrame, peeler: Peeler, exposure: float, tiles
 def pictures_of(frame: SurfacesFrame) -> dict[int, Shown]:
     """The tall picture of each side in a ``frame``, by the side's number as of ``Peeled``; and that with its faces."""
     whole = shown_by(frame)
-    tall = {2 * part.side.number + part.side.inner: shown_by(part.frame) for part in frame.parts}
+    tall = {part.side.peeled: shown_by(part.frame) for part in frame.parts}
     return {int(FACE): whole} | {side: picture._replace(fine=whole.fine) for side, picture in tall.items()}
 
 

@@ -38,7 +38,7 @@ class Hits:
 
     def rows_of(self, side: Side) -> np.ndarray:
         """The rows of those that are of a ``side``."""
-        return np.flatnonzero(self.sides == 2 * side.number + side.inner)
+        return np.flatnonzero(self.sides == side.peeled)
 
 
 @dataclass(frozen=True, eq=False)
