@@ -39,21 +39,20 @@ class WholeLight:
     chunks: ChunkStore
     left: Ranges
 
-    def lend(self, light: Light, places: Sequence[tuple[Index, np.ndarray]]) -> np.ndarray:
-        """Give texels without samples the light that they keep; which of them, (m,) bool.
+    def lend(self, light: Light, waiting: np.ndarray, places: Sequence[tuple[Index, np.ndarray]]) -> np.ndarray:
+        """Give texels that are ``waiting`` (m,) bool the light that they keep; which have it now, (m,) bool.
 
         ``places`` are chunks and offsets in them, whose texels have the rows of ``light``, in place, one chunk's after
         the other's.
         """
         lattice, kept = self.chunks.spec.prepared.lattice, np.zeros(len(light), np.bool_)
-        bare = np.all([part.samples == 0 for part in light.parts], axis=0)
         bounds = np.cumsum([0, *(len(offsets) for _, offsets in places)]).tolist()
         rows, texels, found = list[np.ndarray](), list[np.ndarray](), list[Light]()
         for (index, offsets), (first, last) in zip(places, pairwise(bounds), strict=True):
-            chunk = self.chunks.read(index) if bare[first:last].any() else None
+            chunk = self.chunks.read(index) if waiting[first:last].any() else None
             if chunk is None:
                 continue
-            own = np.flatnonzero(bare[first:last] & np.isin(offsets, chunk.offsets))
+            own = np.flatnonzero(waiting[first:last] & np.isin(offsets, chunk.offsets))
             rows.append(first + own)
             texels.append(lattice.positions(index, offsets[own]))
             found.append(chunk.light.rows(chunk.rows_of(offsets[own])))
@@ -61,8 +60,8 @@ class WholeLight:
             return kept
         whole, every = Light.joined(found), np.concatenate(rows)
         whole.agree_on_void()
-        lit = np.flatnonzero(whole.samples != 0)
-        stays = lit[find_kept(whole.rows(lit), np.concatenate(texels)[lit], self.chunks.spec, self.left)]
+        ahead = np.flatnonzero(whole.samples > light.samples[every])
+        stays = ahead[find_kept(whole.rows(ahead), np.concatenate(texels)[ahead], self.chunks.spec, self.left)]
         light.put(every[stays], whole.rows(stays))
         kept[every[stays]] = True
         return kept

@@ -14,7 +14,7 @@ from weakref import WeakValueDictionary
 import numpy as np
 
 from isogi_core.bake.bake_spec import BakeSpec
-from isogi_core.bake.noise import Effort, relative_error, standard_error
+from isogi_core.bake.noise import Effort, path_priorities, relative_error, standard_error
 from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.bake.refine import Located, locate, next_samples, refine, some_located
 from isogi_core.bake.texel_light import Light
@@ -296,9 +296,11 @@ def bake_chunks(tasks: Sequence[BakeTask], spec: BakeSpec, chunk_store: ChunkSto
     begun = time.process_time()
     works = [Work.begin(task, chunk_store) for task in tasks]
     light = Light.joined([work.light for work in works])
-    kept = keep_light(light, tasks)
-    before, texels = light.samples, [spec.prepared.lattice.positions(task.index, task.offsets) for task in tasks]
-    sample_texels(light, np.concatenate(texels), spec, *tasks)
+    before = light.samples
+    texels = np.concatenate([spec.prepared.lattice.positions(task.index, task.offsets) for task in tasks])
+    kept = keep_light(light, texels, spec, tasks)
+    before[kept] = light.samples[kept]
+    sample_texels(light, texels, spec, *tasks)
     bounds = np.cumsum([0, *(len(task.offsets) for task in tasks)]).tolist()
     rows = [slice(a, b) for a, b in pairwise(bounds)]
     results = [
@@ -317,14 +319,20 @@ def bake_chunks(tasks: Sequence[BakeTask], spec: BakeSpec, chunk_store: ChunkSto
     ]
 
 
-def keep_light(light: Light, tasks: Sequence[BakeTask]) -> np.ndarray:
-    """Give texels of tasks of one bake the light that a cut leaves as it is, in place; which have some, (m,) bool."""
+def keep_light(light: Light, texels: np.ndarray, spec: BakeSpec, tasks: Sequence[BakeTask]) -> np.ndarray:
+    """Give texels of tasks of one bake the light that a cut leaves as it is, in place; which have it now, (m,) bool.
+
+    Each takes the first samples for the cut itself, which show at once what that lets in, and walks old paths later.
+    """
     first = tasks[0]
-    if first.whole is not None and first.shown is None:
-        own = first.source, first.plan, first.digest, first.store_url, first.assets
-        if (lender := open_whole(first.whole, *own)) is not None:
-            return lender.lend(light, [(task.index, task.offsets) for task in tasks])
-    return np.zeros(len(light), np.bool_)
+    own = first.source, first.plan, first.digest, first.store_url, first.assets
+    lender = open_whole(first.whole, *own) if first.whole else None
+    if lender is None:
+        return np.zeros(len(light), np.bool_)
+    sample_texels(light, texels, spec, *(replace(task, until=min(task.until, FIRST_LEVEL)) for task in tasks))
+    going_on = np.repeat([task.until > FIRST_LEVEL for task in tasks], [len(task.offsets) for task in tasks])
+    waiting = going_on & (next_samples(light, spec, first.target) == FIRST_LEVEL)
+    return lender.lend(light, waiting, [(task.index, task.offsets) for task in tasks])
 
 
 def sample_texels(light: Light, texels: np.ndarray, spec: BakeSpec, *tasks: BakeTask) -> None:
@@ -345,21 +353,6 @@ def sample_texels(light: Light, texels: np.ndarray, spec: BakeSpec, *tasks: Bake
         light.put(rows, part)
         waiting[rows] = next_samples(part, spec, target)
         priority = path_priorities(light, spec, footprints, chunks)
-
-
-def path_priorities(light: Light, spec: BakeSpec, footprints: np.ndarray, chunks: np.ndarray) -> np.ndarray:
-    """The priority of each texel's next path: its visible variance over the paths it took; (texels,) float64.
-
-    Variance falls with a power of the samples, so the next path reduces it in proportion to this. A frame's error is
-    least for all paths together where the next paths of all texels have the same priority. With equal errors instead,
-    noisy and hardly seen texels would have taken too many. A few paths may agree by chance and show no variance:
-    half of what is counted is therefore the mean over the lit texels of its chunk; ``chunks`` (texels,) are these.
-    """
-    variance, samples = standard_error(light, spec) ** 2, light.samples
-    lit = samples > 0
-    usual = np.bincount(chunks, weights=variance * lit) / np.maximum(np.bincount(chunks, weights=lit), 1.0)
-    seen = footprints * (variance + usual[chunks]) / 2.0
-    return np.asarray(np.where(lit, seen / np.maximum(samples, 1), np.inf))
 
 
 def cost_of(samples: np.ndarray, before: np.ndarray, seconds: float) -> Cost:

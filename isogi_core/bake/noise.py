@@ -99,6 +99,21 @@ def relative_error(light: Light, spec: BakeSpec) -> np.ndarray:
     return np.asarray(standard_error(light, spec) / level(light, spec))
 
 
+def path_priorities(light: Light, spec: BakeSpec, footprints: np.ndarray, chunks: np.ndarray) -> np.ndarray:
+    """The priority of each texel's next path: its visible variance over the paths it took; (texels,) float64.
+
+    Variance falls with a power of the samples, so the next path reduces it in proportion to this. A frame's error is
+    least for all paths together where the next paths of all texels have the same priority. With equal errors instead,
+    noisy and hardly seen texels would have taken too many. A few paths may agree by chance and show no variance:
+    half of what is counted is therefore the mean over the lit texels of its chunk; ``chunks`` (texels,) are these.
+    """
+    variance, samples = standard_error(light, spec) ** 2, light.samples
+    lit = samples > 0
+    usual = np.bincount(chunks, weights=variance * lit) / np.maximum(np.bincount(chunks, weights=lit), 1.0)
+    seen = footprints * (variance + usual[chunks]) / 2.0
+    return np.asarray(np.where(lit, seen / np.maximum(samples, 1), np.inf))
+
+
 def finished(light: Light, spec: BakeSpec, target: float) -> np.ndarray:
     """Whether each texel is final in pictures of a ``target`` error: good enough, or void; (texels,) bool."""
     return light.void | good_enough(relative_error(light, spec), light.samples, target)

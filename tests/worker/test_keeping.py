@@ -45,6 +45,7 @@ def stored(root: Path, scene: Scene, spec: BakeSpec) -> list[bytes | None]:
 def test_what_a_cut_keeps_is_what_it_would_bake(tmp_path: Path, axis: str, samples: int) -> None:
     scene, spec = cut(axis, 0.75)
     do(tmp_path / "kept", WHOLE, spec_for(PreparedScene(WHOLE), "gi"), samples)
+    assert do(tmp_path / "kept", scene, spec, 16, Whole(WHOLE.source)).kept == 0, "first samples are the cut's own"
     kept = do(tmp_path / "kept", scene, spec, whole=Whole(WHOLE.source))
     bare = do(tmp_path / "bare", scene, spec)
     assert stored(tmp_path / "kept", scene, spec) == stored(tmp_path / "bare", scene, spec)
