@@ -1,6 +1,7 @@
 """``python -m benchmarks.speed``."""
 
 from benchmarks.common.suite import suite
+from benchmarks.speed.cutting import cutting
 from benchmarks.speed.edges import edges
 from benchmarks.speed.film import film
 from benchmarks.speed.first_view import first_view
@@ -22,6 +23,7 @@ main = suite(
     points,
     edges,
     film,
+    cutting,
 )
 
 if __name__ == "__main__":
