@@ -81,7 +81,7 @@ def test_a_server_tidies_after_frames_and_not_while_idle(
 ) -> None:
     tidied = threading.Semaphore(0)
     monkeypatch.setattr(pool, "WorkerPool", InlinePool)
-    monkeypatch.setattr(engine_module, "TIDY", 0.01)
+    monkeypatch.setattr(loaded_scenes, "TIDY", 0.01)
     monkeypatch.setattr(engine_module, "give_memory_back", tidied.release)
     with closing(RenderEngine(scenes[:1], str(tmp_path))) as engine:
         engine.start()
