@@ -21,6 +21,7 @@ from isogi_core.prepared.prepared_scene import Index
 from isogi_core.storage.url import StoreUrl
 from worker.bake_requests import GUEST, BakeRequest, Key, Viewer
 from worker.errors import LostWorkerError, WorkersAwayError
+from worker.keeping import Whole
 from worker.pause import Pause
 from worker.progress import Pace, Tally, TimeEstimator, TimeLeft, Work, work_seconds
 from worker.queue import BakeQueue
@@ -48,7 +49,7 @@ class Bake:
 
     ``layers`` are the digests of the layers that it writes, ``costs`` the measured costs of its chunks. ``arrived`` is
     called with each chunk that has new light. Workers that lack the scene's files read its ``assets`` instead. Texels
-    lie on the isosurface that is ``shown``, if any.
+    lie on the isosurface that is ``shown``, if any. The scene may be cut from a ``whole``.
     """
 
     source: SceneSource
@@ -60,6 +61,7 @@ class Bake:
     costs: Costs
     assets: SceneAssets | None = None
     shown: Isovalue | None = None
+    whole: Whole | None = None
 
 
 class Baker:
@@ -76,7 +78,7 @@ class Baker:
         self._pool: WorkerPool | None = None
         self._in_flight = 0
         self._done_tasks = self._failed_tasks = 0
-        self._duplicate = self._healed = 0
+        self._duplicate = self._healed = self._kept = 0
         self._paths, self._seconds = 0, 0.0
         self._way = -WAY
         self._pause = Pause(clock, self._resume)
@@ -220,7 +222,7 @@ class Baker:
             pool, counts = self._pool, self._queue.counts()
             tasks = (self._in_flight, self._done_tasks, self._failed_tasks, self._duplicate, self._healed)
             people = (0, 0) if pool is None else (pool.workers, pool.deaths)
-            return Tally(*counts, *tasks, self._paths, *people)
+            return Tally(*counts, *tasks, self._paths, *people, self._kept)
 
     def stop(self) -> None:
         """Hand out no more tasks, and save the measured costs."""
@@ -271,7 +273,7 @@ class Baker:
         index = request.key[1]
         place = (bake.source, bake.plan, bake.digest, bake.store_url, index)
         what = (request.offsets, request.footprints, request.until, request.least_priority or 0.0, request.target)
-        return BakeTask(*place, *what, bake.assets, self._name, request.waited >= LONGEST_REST, bake.shown)
+        return BakeTask(*place, *what, bake.assets, self._name, request.waited >= LONGEST_REST, bake.shown, bake.whole)
 
     def _done(
         self, scene: str, bake: Bake, tasks: Sequence[BakeTask], outcomes: Sequence[BakeResult | BaseException | None]
@@ -306,6 +308,7 @@ class Baker:
             self._pause.end()
             self._duplicate += outcome.duplicate
             self._healed += outcome.healed
+            self._kept += outcome.kept
             self._queue.finish(key, task.offsets, task.target, outcome)
         elif isinstance(outcome, WorkersAwayError):
             self._queue.put_off(key)

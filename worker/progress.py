@@ -23,7 +23,8 @@ class Tally:
 
     Chunks ``waiting`` and ``given_up``, and the ``age`` of the oldest request in seconds; tasks ``in_flight``, ``done``
     and ``failed``; done tasks whose light was there already (``duplicate``) or was damaged and is baked again
-    (``healed``); the ``paths`` that were baked; the present ``workers``, and the ``deaths`` of workers.
+    (``healed``); the ``paths`` that were baked; the present ``workers``, and the ``deaths`` of workers; texels that
+    ``kept`` the light of a whole volume where that is cut.
     """
 
     waiting: int
@@ -37,6 +38,7 @@ class Tally:
     paths: int
     workers: int
     deaths: int
+    kept: int = 0
 
 
 # --- time left

@@ -41,6 +41,7 @@ from isogi_core.plan.scene import AMONG, COLOURED, INSIDE, ROOM
 from isogi_core.prepared.prepared_scene import Index, PreparedScene
 from isogi_core.storage.store import Store
 from isogi_core.storage.url import StoreUrl
+from worker.keeping import Whole, WholeLight, light_of_whole
 
 PATHS = {
     **{"direct": (bake_texels,), "indirect": (bake_texels,), "whole": (bake_texels,)},
@@ -64,7 +65,8 @@ class BakeTask:
     ``digest`` names the light that the server means, as the scene's files may have changed since. Where there are
     ``assets``, these are read in place of the scene's files. ``owner`` names the baker, which claims the chunk while
     others are at work too; where it ``insists``, whoever claimed it before. Texels lie on the isosurface that is
-    ``shown``, where one is: see ``BakeSpec``.
+    ``shown``, where one is: see ``BakeSpec``. Where the scene was cut from a ``whole``, they keep what light of that
+    the cut leaves as it is.
     """
 
     source: SceneSource
@@ -81,6 +83,7 @@ class BakeTask:
     owner: str = ""
     insists: bool = False
     shown: Isovalue | None = None
+    whole: Whole | None = None
 
 
 @dataclass(frozen=True)
@@ -89,8 +92,8 @@ class BakeResult:
 
     ``unfinished`` texels are not final yet. ``priority`` is that of their next path, a mean over the paths taken, and
     ``effort`` the work done and left. ``cost`` is the task's own. The task is a ``duplicate`` where all its light was
-    there already, and has ``healed`` the chunk where that was damaged. With another baker at the chunk (``elsewhere``)
-    nothing was done.
+    there already, and has ``healed`` the chunk where that was damaged. So many texels ``kept`` the light of a whole
+    volume. With another baker at the chunk (``elsewhere``) nothing was done.
     """
 
     unfinished: int
@@ -100,6 +103,7 @@ class BakeResult:
     duplicate: bool = False
     healed: bool = False
     elsewhere: bool = False
+    kept: int = 0
 
 
 ELSEWHERE = BakeResult(0, 0.0, Effort(0, 0.0, 0.0), Cost(), elsewhere=True)
@@ -182,6 +186,16 @@ def open_spec(
     if shown is not None:
         load((project_texels,))
     return found, ChunkStore(open_store(store_url), found)
+
+
+@lru_cache(maxsize=8)
+def open_whole(
+    whole: Whole, source: SceneSource, plan: ScenePlan, digest: str, store_url: StoreUrl, assets: SceneAssets | None
+) -> WholeLight | None:
+    """The light of the whole that a bake's scene was cut from, opened once a process; None where it keeps none."""
+    spec = BakeSpec(prepared_scene(whole.source, whole.assets, store_url), plan)
+    cut, _ = open_spec(source, plan, digest, store_url, assets)
+    return light_of_whole(spec, whole.planes(source), cut, open_store(store_url))
 
 
 def attempt(work: Callable[[], object]) -> None:
@@ -282,6 +296,7 @@ def bake_chunks(tasks: Sequence[BakeTask], spec: BakeSpec, chunk_store: ChunkSto
     begun = time.process_time()
     works = [Work.begin(task, chunk_store) for task in tasks]
     light = Light.joined([work.light for work in works])
+    kept = keep_light(light, tasks)
     before, texels = light.samples, [spec.prepared.lattice.positions(task.index, task.offsets) for task in tasks]
     sample_texels(light, np.concatenate(texels), spec, *tasks)
     bounds = np.cumsum([0, *(len(task.offsets) for task in tasks)]).tolist()
@@ -295,9 +310,21 @@ def bake_chunks(tasks: Sequence[BakeTask], spec: BakeSpec, chunk_store: ChunkSto
     shares = taken if taken.any() else np.ones(len(light))
     each = seconds / max(shares.sum(), 1)
     return [
-        replace(result, cost=cost_of(samples[own], before[own], float(each * shares[own].sum())))
+        replace(
+            result, cost=cost_of(samples[own], before[own], float(each * shares[own].sum())), kept=int(kept[own].sum())
+        )
         for result, own in zip(results, rows, strict=True)
     ]
+
+
+def keep_light(light: Light, tasks: Sequence[BakeTask]) -> np.ndarray:
+    """Give texels of tasks of one bake the light that a cut leaves as it is, in place; which have some, (m,) bool."""
+    first = tasks[0]
+    if first.whole is not None and first.shown is None:
+        own = first.source, first.plan, first.digest, first.store_url, first.assets
+        if (lender := open_whole(first.whole, *own)) is not None:
+            return lender.lend(light, [(task.index, task.offsets) for task in tasks])
+    return np.zeros(len(light), np.bool_)
 
 
 def sample_texels(light: Light, texels: np.ndarray, spec: BakeSpec, *tasks: BakeTask) -> None:

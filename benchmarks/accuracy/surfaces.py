@@ -1,32 +1,39 @@
 """Pictures of several surfaces, beside paths among them; and what is baked anew while one of them slides.
 
-    python -m benchmarks.accuracy surfaces [--size 40] [--paths 512] [--only TEXT …]
+    python -m benchmarks.accuracy surfaces [--size 40] [--paths 512] [--only TEXT …] [--kept FILE]
 
 The CT head under uffizi: its skin at three shares of clear rays, over bone that slides. Pictures are baked to 2 % and
 checked by an engine with two workers, and held against path-traced pictures. What was stored, and the paths that were
-baked, are those of one isovalue after the others.
+baked, are those of one isovalue after the others; at the end the first one is shown again. Of the texels that had light
+before a move, those that took more samples in it are told apart from new ones: where those are none, the move baked
+nothing anew.
 """
 
 import math
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Mapping
+from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import median
+from typing import Any
 
 import click
 import numpy as np
 
 from benchmarks.accuracy.benches import wanted
+from benchmarks.accuracy.kept import Kept
 from benchmarks.common.measurement import Measurement, markdown
 from benchmarks.common.scenes import LIGHTS, VOLUMES, shared_data
 from benchmarks.common.suite import part
+from isogi_core.cache.chunk_record import facts_in, record_fields
 from isogi_core.files.scene_file import SceneSource
 from isogi_core.frame.frame import Frame
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.plan.assembly import build_scene
 from isogi_core.plan.scene import Scene
+from isogi_core.storage.zarr_codec import unwrap_all
 from server.cli.bench import view_of
 from server.cli.render import awaited
 from server.render.engine import RenderEngine
@@ -38,13 +45,21 @@ SKIN, CLEAR, BONE = 64, (0.3, 0.6, 0.9), (110, 122, 134, 145, 157, 168, 180)
 PATIENCE = 300.0
 """Seconds that a picture may take."""
 
-HEAD = ("view", "true", "99th percentile", "told", "bone stored, kB", "other sides stored, kB", "paths, 10³", "s")
+HEAD = (
+    *("view", "true", "99th percentile", "told", "new texels of the bone", "of other sides", "texels refined"),
+    *("stored, kB", "paths, 10³", "s"),
+)
+
+Samples = dict[Path, np.ndarray]
+"""Codes of the samples that each texel of a chunk's record has, 0 without light, by the object's path in a store."""
 
 
 @dataclass(frozen=True)
 class Found:
-    """A view: true errors ``rmse`` and ``p99``, and the ``told`` one; whether it became ``final``; bytes that its bake
-    added to the layer of the surface that slides, ``own``, and to all others; ``paths``, and seconds.
+    """A view: true errors ``rmse`` and ``p99``, and the ``told`` one; whether it became ``final``.
+
+    Texels that its bake gave their first light: of the surface that slides, ``own``, and of ``others``; those that had
+    light and were ``refined``; bytes ``stored``, ``paths`` and seconds.
     """
 
     name: str
@@ -54,6 +69,8 @@ class Found:
     final: bool
     own: int
     others: int
+    refined: int
+    stored: int
     paths: int
     seconds: float
 
@@ -62,31 +79,53 @@ class Found:
         """A line of the table, in percent, kilobytes and seconds."""
         errors = (f"{100 * each:.2f}" for each in (self.rmse, self.p99))
         told = f"{100 * self.told:.2f}{'' if self.final else ' (not final)'}"
-        sizes = (f"{each / 1e3:.0f}" for each in (self.own, self.others, self.paths))
-        return (self.name, *errors, told, *sizes, f"{self.seconds:.0f}")
+        counts = (f"{each}" for each in (self.own, self.others, self.refined))
+        sizes = (f"{each / 1e3:.0f}" for each in (self.stored, self.paths))
+        return (self.name, *errors, told, *counts, *sizes, f"{self.seconds:.0f}")
+
+
+@dataclass(frozen=True)
+class Slide:
+    """The views of a slide, by the ``name`` of its scene; ``back`` is the first one when it is shown again."""
+
+    name: str
+    views: tuple[Found, ...]
+    back: Found
+
+    @classmethod
+    def of(cls, given: Mapping[str, Any]) -> "Slide":
+        """One that was written as JSON."""
+        return cls(given["name"], tuple(Found(**each) for each in given["views"]), Found(**given["back"]))
 
 
 @part(size=40)
 @click.option("--paths", default=512, type=click.IntRange(8), help="Paths a pixel of references.", show_default=True)
-@click.option("--only", multiple=True, help="Part of a view's name; repeatable.")
-def surfaces(size: int, paths: int, only: tuple[str, ...]) -> Measurement:
+@click.option("--only", multiple=True, help="Part of a slide's name; repeatable.")
+@click.option("--kept", type=Path, help="A file of slides measured before, and where others are added.")
+def surfaces(size: int, paths: int, only: tuple[str, ...], kept: Path | None) -> Measurement:
     """How far pictures of several surfaces are from the truth, and what sliding one of them bakes."""
-    found: list[Found] = []
+    known, slides = Kept(kept, Slide.of), list[Slide]()
     for clear in CLEAR:
-        names = {bone: f"skin of clear {clear:g}, bone at {bone}" for bone in BONE}
-        some = [bone for bone in BONE if wanted(names[bone], only)]
-        for bone, each in zip(some, slid(head(clear), some, size, paths), strict=True):
-            found.append(replace(each, name=names[bone]))
-            click.echo(" | ".join(found[-1].row), err=True)
+        if wanted(name := f"skin of clear {clear:g}", only):
+            slides.append(known.get(name) or known.put(slid(name, head(clear), size, paths)))
+    found = [each for slide in slides for each in slide.views]
+    if not found:
+        raise click.UsageError("No slide has that in its name.")
+    later = [each for slide in slides for each in slide.views[1:]]
     figures = {
+        "views": len(found),
+        "within 3 %": sum(each.rmse <= 0.03 for each in found),
         "true error, worst": max(each.rmse for each in found),
         "true error, median": median(each.rmse for each in found),
         "99th percentile, worst": max(each.p99 for each in found),
         "told / true, median": median(each.told / max(each.rmse, 1e-6) for each in found),
         "final": sum(each.final for each in found) / len(found),
+        "texels refined over all baked while sliding": sum(each.refined for each in later)
+        / max(sum(each.own + each.others + each.refined for each in later), 1),
+        "texels baked on the way back": sum(each.back.own + each.back.others + each.back.refined for each in slides),
     }
-    table = markdown(HEAD, [each.row for each in found])
-    return Measurement(f"Several surfaces, {size} × {size}", figures, table)
+    rows = [each.row for slide in slides for each in (*slide.views, slide.back)]
+    return Measurement(f"Several surfaces, {size} × {size}", figures, markdown(HEAD, rows))
 
 
 def head(clear: float) -> Scene:
@@ -99,40 +138,60 @@ def head(clear: float) -> Scene:
     return build_scene(SceneSource("head", own, data))
 
 
-def slid(scene: Scene, isovalues: Sequence[int], size: int, paths: int) -> Iterator[Found]:
-    """Show a scene at one isovalue after the other, in a store that is empty at first."""
-    if not isovalues:
-        return
-    with tempfile.TemporaryDirectory() as folder:
-        engine = RenderEngine([scene], folder, workers=2)
-        try:
-            engine.start()
-            for isovalue in isovalues:
-                yield shown(engine, scene, isovalue, size, paths)
-        finally:
-            engine.close()
+def slid(name: str, scene: Scene, size: int, paths: int) -> Slide:
+    """Slide the isovalue of a scene, in a store that is empty at first."""
+    with tempfile.TemporaryDirectory() as folder, closing(RenderEngine([scene], folder, workers=2)) as engine:
+        engine.start()
+        views = []
+        for isovalue in BONE:
+            found = shown(engine, scene, isovalue, size, paths)
+            views.append(replace(found, name=f"{name}, bone at {isovalue}"))
+            click.echo(" | ".join(views[-1].row), err=True)
+        back = shown(engine, scene, BONE[0], size, paths)
+        return Slide(name, tuple(views), replace(back, name=f"{name}, back at {BONE[0]}"))
 
 
 def shown(engine: RenderEngine, scene: Scene, isovalue: int, size: int, paths: int) -> Found:
     """Bake the picture of an isovalue, and hold it against the truth."""
     view = replace(view_of(scene, size, camera=scene.camera(**STAND, fov=30.0)), isovalue=float(isovalue))
     folder, begun = engine.store.url.folder, time.monotonic()
-    before, taken = stored(folder, scene), engine.paths
+    before, full, taken = samples_in(folder), stored(folder), engine.paths
     frame = awaited(engine, scene.id, view, scene.target_error, PATIENCE)
-    seconds, after = time.monotonic() - begun, stored(folder, scene)
+    seconds, after = time.monotonic() - begun, samples_in(folder)
     traced = replace(view, shading="path_traced", samples=paths)
     rmse, p99 = beside(frame, engine.survey(scene.id, traced, scene.target_error))
-    grown = after[0] - before[0], after[1] - before[1]
-    return Found("", rmse, p99, frame.total.likely, frame.final, *grown, engine.paths - taken, seconds)
+    counts = baked({scene.layer_digest(layer) for layer in scene.plan.layers}, before, after)
+    grown = stored(folder) - full
+    return Found("", rmse, p99, frame.total.likely, frame.final, *counts, grown, engine.paths - taken, seconds)
 
 
-def stored(folder: Path, scene: Scene) -> tuple[int, int]:
-    """Bytes of the light in a store: of the layers of the scene itself, and of all others."""
-    sizes, layers = [0, 0], {scene.layer_digest(layer) for layer in scene.plan.layers}
-    for path in folder.glob("*/c/**/*"):
-        if path.is_file():
-            sizes[path.relative_to(folder).parts[0] not in layers] += path.stat().st_size
-    return sizes[0], sizes[1]
+def stored(folder: Path) -> int:
+    """Bytes of the light in a store."""
+    return sum(path.stat().st_size for path in folder.glob("*/c/**/*") if path.is_file())
+
+
+def samples_in(folder: Path) -> Samples:
+    """Samples of all texels in a store."""
+    found: Samples = {}
+    for metadata in folder.glob("*/zarr.json"):
+        facts = facts_in(metadata.read_bytes())
+        for path in (each for each in metadata.parent.glob("c/**/*") if each.is_file()):
+            record = unwrap_all([path.read_bytes()], facts.record_size)
+            codes = record_fields(record, facts.layer, facts.chunk_texels)["rung"][0]
+            found[path.relative_to(folder)] = codes.copy()
+    return found
+
+
+def baked(layers: Collection[str], before: Samples, after: Samples) -> tuple[int, int, int]:
+    """Texels that were lit between two looks at a store: new ones of these ``layers``, those of all others, and those
+    that had light before.
+    """
+    new, refined = [0, 0], 0
+    for path, codes in after.items():
+        former = before.get(path, np.zeros_like(codes))
+        new[path.parts[0] not in layers] += int(((former == 0) & (codes != 0)).sum())
+        refined += int(((former != 0) & (codes != former)).sum())
+    return new[0], new[1], refined
 
 
 def beside(frame: Frame, traced: Frame) -> tuple[float, float]:

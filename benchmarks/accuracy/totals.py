@@ -8,11 +8,10 @@ lights of all kinds, as they stand and turned; their pictures are then checked a
 References are path-traced from each pixel, with as many bounces as may matter, until their noise is within NOISE.
 """
 
-import json
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from itertools import islice
 from pathlib import Path
@@ -24,6 +23,7 @@ import numpy as np
 
 from benchmarks.accuracy.benches import bench_of, wanted
 from benchmarks.accuracy.formulas import KINDS, made
+from benchmarks.accuracy.kept import Kept
 from benchmarks.common.measurement import Measurement, markdown
 from benchmarks.common.scenes import CONSTANT, LIGHTS, shared_data
 from benchmarks.common.suite import part
@@ -128,7 +128,7 @@ def totals(
     size: int, paths: int, seed: tuple[int, ...], only: tuple[str, ...], share: str, kept: Path | None
 ) -> Measurement:
     """What pictures tell of their total error, beside the truth, and what reaching the target takes."""
-    found, (first, step), known = [], map(int, share.split("/")), Kept(kept)
+    found, (first, step), known = [], map(int, share.split("/")), Kept(kept, Found.of)
     with tempfile.TemporaryDirectory() as folder:
         for name, scene in islice(scenes(Path(folder), seed, only), first - 1, None, step):
             bench = cache(partial(made_bench, scene, size, Path(folder) / name.replace(" ", "-")))
@@ -143,27 +143,6 @@ def totals(
 def made_bench(scene: Callable[[], Scene], size: int, folder: Path) -> Bench:
     """The bench of a scene that is still to be made."""
     return bench_of(scene(), size, folder)
-
-
-class Kept:
-    """Views that were measured, a line of JSON each in a file: long tables are made in parts."""
-
-    def __init__(self, path: Path | None) -> None:
-        """Read those in a file, if there is one."""
-        self._path = path
-        lines = path.read_text(encoding="utf-8").splitlines() if path and path.exists() else ()
-        self._found = {each["name"]: Found.of(each) for each in map(json.loads, lines)}
-
-    def get(self, name: str) -> Found | None:
-        """A view that was measured."""
-        return self._found.get(name)
-
-    def put(self, found: Found) -> Found:
-        """Add a view."""
-        if self._path:
-            with self._path.open("a", encoding="utf-8") as file:
-                file.write(f"{json.dumps(asdict(found))}\n")
-        return found
 
 
 def scenes(folder: Path, seeds: Sequence[int], only: Sequence[str]) -> Iterator[tuple[str, Callable[[], Scene]]]:

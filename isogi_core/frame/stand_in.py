@@ -14,10 +14,7 @@ from isogi_core.frame.tiles import Tiles
 from isogi_core.frame.view_texels import ViewTexels
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL
 from isogi_core.kernels.shading.lattice import BURIED, PARTIAL, UNBAKED
-from isogi_core.plan.volumes.cuts import Ranges
-
-REACH = 2.5
-"""Voxels from a face within which a texel is lit about another normal than in the whole volume: four are smoothed."""
+from isogi_core.plan.volumes.cuts import Ranges, box_left
 
 
 class StandIn:
@@ -31,11 +28,7 @@ class StandIn:
 
         They are not kept in memory for this alone.
         """
-        self._whole, size = weakref.ref(whole), whole.prepared.scene.volume.size
-        self._low = np.array([each.start + REACH if each.start else -np.inf for each in left])
-        self._high = np.array(
-            [each.stop - 1 - REACH if each.stop < n else np.inf for each, n in zip(left, size, strict=True)]
-        )
+        self._whole, self._box = weakref.ref(whole), box_left(left, whole.prepared.scene.volume.size)
 
     def light(
         self, texels: ViewTexels, reading: Reading, lit: np.ndarray, light: RotatedLight, tiles: Tiles
@@ -62,4 +55,4 @@ class StandIn:
     def _is_far(self, texels: ViewTexels, caches: Caches) -> np.ndarray:
         """Which texels are far from the faces of the cut; (texels,) bool."""
         places = texels.positions[:, ::-1] * caches.prepared.step
-        return np.asarray(((places >= self._low) & (places <= self._high)).all(axis=1))
+        return np.asarray(((places >= self._box[0]) & (places <= self._box[1])).all(axis=1))

@@ -25,6 +25,7 @@ from isogi_core.storage.store import Store
 from worker.bake_requests import Viewer
 from worker.baker import Bake, Baker
 from worker.errors import WorkersError
+from worker.keeping import Whole
 from worker.progress import TimeLeft
 
 
@@ -44,11 +45,17 @@ Arrived = Callable[[str, Index, Isovalue | None], None]
 
 
 def make_bake(
-    caches: Caches, name: str, assets: SceneAssets | None, arrived: Arrived, shown: Isovalue | None = None
+    caches: Caches,
+    name: str,
+    assets: SceneAssets | None,
+    arrived: Arrived,
+    shown: Isovalue | None = None,
+    whole: Whole | None = None,
 ) -> Bake:
     """The bake of a spec, by its name; workers that were joined, and lack the scene's files, read the ``assets``.
 
-    Of texels projected onto an isosurface where one is ``shown``. Nothing of the ``caches`` is kept: ``arrived`` is
+    Of texels projected onto an isosurface where one is ``shown``, and of a scene that may be cut from a ``whole``.
+    Nothing of the ``caches`` is kept: ``arrived`` is
     called with the spec's name, a chunk that has new light, and the isosurface.
     """
     spec, store = replace(caches.spec(name), shown=shown), caches.store
@@ -57,7 +64,7 @@ def make_bake(
     costs = Costs(store, spec.digest)
     costs.read()
     note = partial(note_light, arrived, name, shown)
-    return Bake(scene.source, plan, spec.digest, layers, store.url, note, costs, assets, shown)
+    return Bake(scene.source, plan, spec.digest, layers, store.url, note, costs, assets, shown, whole)
 
 
 def note_light(arrived: Arrived, name: str, shown: Isovalue | None, index: Index) -> None:

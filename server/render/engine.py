@@ -382,8 +382,8 @@ class RenderEngine:
 
     def _bake_by(self, loaded: LoadedScene, spec: str) -> tuple[str, Bake]:
         """The bake of a loaded scene by a spec, and its name."""
-        arrived = partial(self._arrived, loaded.scene.id, 0)
-        return bake_name(loaded.scene.id, spec), make_bake(loaded.renderer.caches, spec, loaded.assets, arrived)
+        caches, arrived = loaded.renderer.caches, partial(self._arrived, loaded.scene.id, 0)
+        return bake_name(loaded.scene.id, spec), make_bake(caches, spec, loaded.assets, arrived, whole=loaded.whole)
 
     def _arrived(self, scene: str, fineness: int, spec: str, index: Index, shown: Isovalue | None) -> None:
         """Have a scene, where it is loaded, read a chunk of its texels again: it has new light."""

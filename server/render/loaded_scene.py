@@ -29,6 +29,7 @@ from isogi_core.prepared.prepared_scene import PreparedScene
 from isogi_core.storage.store import Store
 from server.render.bakes import sent
 from server.render.resources import Memory
+from worker.keeping import Whole
 
 log = logging.getLogger("isogi.render")
 
@@ -146,7 +147,8 @@ class LoadedScene:
     """One scene, ready to be rendered; ``assets`` are what workers that lack its files read in their place.
 
     Its texels are finer than the scene's own by ``fineness`` steps. Pictures whose control pixels ask for finer ones
-    are those of ``finer``, which is loaded then, beside the ``memory`` and on the ``tiles`` of this one.
+    are those of ``finer``, which is loaded then, beside the ``memory`` and on the ``tiles`` of this one. It may be cut
+    from a ``whole``.
     """
 
     scene: Scene
@@ -155,6 +157,7 @@ class LoadedScene:
     memory: Memory
     assets: SceneAssets | None = None
     fineness: int = 0
+    whole: Whole | None = None
     _finer: "LoadedScene | None" = None
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
@@ -240,13 +243,14 @@ def load(
     """
     prepared = beside.renderer.prepared.beside(scene) if beside else PreparedScene(scene, memory.maps)
     caches = Caches(prepared, store, memory.light)
-    stand_in = None
+    stand_in = cut_from = None
     if whole is not None:
         cut = scene.source.document.get("cut") if scene.volume.moment == whole.scene.volume.moment else None
         x, y, z = scene.volume.size
         left = voxels_left(whole.scene.volume, str(cut)) if cut else (range(x), range(y), range(z))
         stand_in = StandIn(whole.renderer.caches, left)
-    return loaded(caches, tiles, memory, sent(scene, store) if send else None, stand_in=stand_in)
+        cut_from = Whole(whole.scene.source, whole.assets) if cut else None
+    return loaded(caches, tiles, memory, sent(scene, store) if send else None, stand_in=stand_in, whole=cut_from)
 
 
 def loaded(
@@ -256,6 +260,7 @@ def loaded(
     assets: SceneAssets | None,
     fineness: int = 0,
     stand_in: StandIn | None = None,
+    whole: Whole | None = None,
 ) -> LoadedScene:
     """The scene of some ``caches``: its layers open, and worked out what its first frame needs. Raises StoreError."""
     prepared, scene = caches.prepared, caches.prepared.scene
@@ -263,7 +268,7 @@ def loaded(
     planned = scene.with_plan(complete(caches.spec("gi").plan, scene.inputs, scene.overrides))
     prefetch = Prefetch(partial(prepare, prepared.maps, tiles), prepared.maps.levels, scene.span)
     renderer = Renderer(caches, tiles, memory.views, stand_in=stand_in)
-    return LoadedScene(planned, renderer, prefetch, memory, assets, fineness)
+    return LoadedScene(planned, renderer, prefetch, memory, assets, fineness, whole)
 
 
 def prepare(maps: ActiveCellMaps, tiles: Tiles, isovalue: float, cancelled: threading.Event) -> None:

@@ -140,6 +140,7 @@ class BakingCollector(Collector):
         yield CounterMetricFamily("isogi_tasks_duplicate", "Tasks whose light was there already.", tally.duplicate)
         yield CounterMetricFamily("isogi_chunks_healed", "Damaged chunks that were baked again.", tally.healed)
         yield CounterMetricFamily("isogi_paths", "Paths that were baked.", tally.paths)
+        yield CounterMetricFamily("isogi_texels_kept", "Texels whose light a cut left as it was.", tally.kept)
         yield CounterMetricFamily("isogi_worker_deaths", "Baking processes that were lost.", tally.deaths)
 
 

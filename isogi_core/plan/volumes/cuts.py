@@ -32,6 +32,9 @@ ALONG = 1e-6
 NEAR = 1e-6
 """Voxels by which a plane may miss those that it leaves, and leave them still."""
 
+REACH = 2.5
+"""Voxels from a face within which a texel is lit about another normal than in the whole volume: four are smoothed."""
+
 Ranges = tuple[range, range, range]
 """The voxels that are left, along x, y, z."""
 
@@ -96,6 +99,16 @@ def _axis_of(plane: Plane, text: str) -> int:
     if 1.0 - abs(plane[axis]) > ALONG:
         raise SceneError(f"cut = '{text}' lies across the voxels: cut along their axes, or look through a window=.")
     return axis
+
+
+def box_left(left: Ranges, size: tuple[int, int, int]) -> np.ndarray:
+    """The box in which surfaces are what they are in the whole volume, of this ``size``: REACH from all faces.
+
+    (2, 3) float64, its least and its greatest corner in index space; infinite where nothing is taken away.
+    """
+    low = [each.start + REACH if each.start else -np.inf for each in left]
+    high = [each.stop - 1 - REACH if each.stop < n else np.inf for each, n in zip(left, size, strict=True)]
+    return np.array([low, high])
 
 
 def slabs_left(volume: Volume, left: Ranges) -> Iterator[np.ndarray]:

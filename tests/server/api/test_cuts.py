@@ -27,6 +27,12 @@ def frame(server: str, **query: str) -> tuple[httpx.Response, np.ndarray]:
     return answer, np.load(io.BytesIO(answer.content))
 
 
+def texels_kept(server: str) -> float:
+    """How many texels of cuts kept the light of the whole."""
+    found = httpx.get(f"{server}/metrics").text.split("\nisogi_texels_kept_total ")[1]
+    return float(found.split("\n")[0])
+
+
 def middle(scene_file: Path) -> float:
     """World x of the middle of the small scene's volume."""
     return load_scene(scene_file).volume.world_centre[0]
@@ -43,7 +49,10 @@ def test_a_window_hides_what_lies_there_and_bakes_nothing(live_server: str, smal
 
 def test_a_cut_takes_away_and_lets_light_in(live_server: str, small_scene: Path) -> None:
     x = middle(small_scene)
+    frame(live_server)
+    before = texels_kept(live_server)
     answer, after = frame(live_server, cut=f"x>{x}")
+    assert texels_kept(live_server) > before, "texels that light reaches as before are not baked again"
     assert answer.headers["isogi-provisional"] == "?0"
     assert after[..., 6][after[..., 3] > 0].max() <= x + 0.2
     assert (after[..., :3][after[..., 3] > 0].max(axis=1) > 0.0).all()

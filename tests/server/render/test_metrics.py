@@ -19,7 +19,7 @@ BAKING = {
     *("isogi_queue_chunks", "isogi_queue_age_seconds", "isogi_tasks_in_flight", "isogi_chunks_given_up"),
     *("isogi_workers", "isogi_workers_utilization", "isogi_worker_deaths_total", "isogi_paths_total"),
     *("isogi_tasks_done_total", "isogi_tasks_failed_total", "isogi_tasks_duplicate_total"),
-    "isogi_chunks_healed_total",
+    *("isogi_chunks_healed_total", "isogi_texels_kept_total"),
 }
 
 
