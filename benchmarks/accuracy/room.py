@@ -126,8 +126,6 @@ def scenes(folder: Path, data: Path, only: tuple[str, ...]) -> Iterator[tuple[st
             own = {"volume": str(folder / "ball.npy"), "isovalue": 0.0} | document
             if "room" not in own and "walls" not in own:
                 own |= {"lights": [dict(LIGHTS["uffizi"])]}
-            elif "walls" in own:
-                own |= {"lights": []}
             yield name, build_scene(SceneSource(name, own, data))
 
 
