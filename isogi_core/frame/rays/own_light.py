@@ -130,8 +130,9 @@ class Growth:
     def wanted(self) -> float:
         """Paths of each replica that it will take, by the noise after those that there are."""
         if len(self.light.places) < len(self.choice.places):
-            return max(self.choice.count, FIRST_PATHS)
-        return self.light.count * (float(self.light.variance.sum()) / self.choice.variance) ** (RATE / 2.0)
+            return self.choice.count
+        over = float(self.light.variance.sum()) / max(self.choice.variance, 1e-300)
+        return min(self.light.count * over ** (RATE / 2.0), MOST_PATHS)
 
     @property
     def next(self) -> int:
@@ -172,8 +173,10 @@ def choose(
     variance = allowed * len(errors) - left
     noise = np.append(0.0, variance_of_halves(uncertainty, controls)[order].cumsum())[len(own) :] / REPLICAS
     many = np.arange(len(own), len(errors) + 1)
-    counts = paths * (noise / np.maximum(variance, 1e-300)) ** (RATE / 2.0)
-    best = int(np.argmin(np.where(variance > 0.0, many * np.maximum(counts, FIRST_PATHS), np.inf)))
+    counts = np.clip(paths * (noise / np.maximum(variance, 1e-300)) ** (RATE / 2.0), FIRST_PATHS, MOST_PATHS)
+    costs = np.where(variance > 0.0, many * counts, np.inf)
+    costs[-1] = many[-1] * counts[-1]  # of all points also where nothing is allowed, as in the dark
+    best = int(np.argmin(costs))
     return Choice(np.sort(order[: many[best]]), float(variance[best]), float(counts[best]))
 
 

@@ -104,7 +104,7 @@ class PictureCheck:
             return self._grow(self.growing, tiles)
         if frame.measured is None or not self._decided(frame.measured):
             return self._add_controls(uncertainty(), tiles)
-        choice = self._choose(frame, uncertainty())
+        choice = self._choose(frame, frame.measured, uncertainty())
         self.coarse = finer and not self.declined and finer_pays(frame, len(choice.places))
         return not self.coarse and self._grow(Growth(choice, self.own), tiles)
 
@@ -126,10 +126,13 @@ class PictureCheck:
         self.controls, self.uncertainty = self.controls.joined(ControlPixels(places, weights, halves)), uncertainty
         return True
 
-    def _choose(self, frame: Frame, uncertainty: np.ndarray) -> Choice:
-        """The points that are to have light of their own, all that have it among them."""
-        allowed = (AIM * STRICTER**self.attempt * self.target * frame.true_mean) ** 2
-        paths = paths_for(self.target)
+    def _choose(self, frame: Frame, measured: TotalError, uncertainty: np.ndarray) -> Choice:
+        """The points that are to have light of their own, all that have it among them.
+
+        They bring the picture to what is aimed at, and nearer by STRICTER at least.
+        """
+        aim = min(AIM * STRICTER**self.attempt * self.target, STRICTER * measured.likely)
+        paths, allowed = paths_for(self.target), (aim * frame.true_mean) ** 2
         return choose(uncertainty, self.controls, frame.controlled, paths, self.own.places, allowed)
 
     def _grow(self, growth: Growth, tiles: Tiles) -> bool:

@@ -116,3 +116,11 @@ def test_paths_are_foreseen_as_for_errors_that_are_spread() -> None:
 
 def test_no_paths_are_foreseen_where_light_is_good_enough() -> None:
     assert foreseen_paths(1000, 0.9 * AIM * 0.02, 0.02, 0.5) == 0.0
+
+
+def test_in_the_dark_all_points_are_traced_once() -> None:
+    """Nothing is allowed there, as the true light is 0, and no path brings any."""
+    dark = ControlPixels(np.arange(POINTS), np.ones(POINTS), np.zeros((POINTS, 2)))
+    choice = choose(np.ones(POINTS), dark, np.full(POINTS, 0.3), PATHS, NONE, 0.0)
+    assert len(choice.places) == POINTS and choice.count == FIRST_PATHS
+    assert Growth(choice, light_of(choice.places, FIRST_PATHS, 0.0)).enough
