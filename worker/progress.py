@@ -58,6 +58,10 @@ class TimeLeft:
         low, *_, high = statistics.quantiles(ratios, n=10, method="inclusive")
         return cls(low * work + rest, statistics.median(ratios) * work + rest, high * work + rest)
 
+    def plus(self, other: "TimeLeft") -> "TimeLeft":
+        """The time of this and then ``other`` work."""
+        return TimeLeft(self.low + other.low, self.likely + other.likely, self.high + other.high)
+
     def times(self, pace: float) -> "TimeLeft":
         """The same work where each second of it takes ``pace`` seconds."""
         return TimeLeft(pace * self.low, pace * self.likely, pace * self.high)

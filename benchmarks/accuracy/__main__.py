@@ -14,6 +14,7 @@ from benchmarks.accuracy.lobes import lobes
 from benchmarks.accuracy.plans import plans
 from benchmarks.accuracy.projected import projected
 from benchmarks.accuracy.reports import reports
+from benchmarks.accuracy.room import room
 from benchmarks.accuracy.roulette import roulette
 from benchmarks.accuracy.sequences import sequences
 from benchmarks.accuracy.stiffness import stiffness
@@ -32,6 +33,7 @@ main = suite(
     cuts,
     colours,
     surfaces,
+    room,
     reports,
     equal_error,
     plans,

@@ -1,6 +1,6 @@
 """Files of each kind: seconds of one command from the file to a lit picture, and memory where the file is large.
 
-    python -m benchmarks.scaling kinds [--size 96] [--large 1024] [--volume-mb 128] [--folder DIR]
+    python -m benchmarks.scaling kinds [--size 96] [--large 1024] [--volume-mb 128] [--seconds 90] [--folder DIR]
 
 One field is written as each kind by the library that its field keeps. `isogi render` draws each, with caches of its
 own, so that the copy of a large one is made and its light is baked anew. The field repeats a block of 128 voxels:
@@ -146,14 +146,15 @@ def render(volume: Path, folder: Path, *more: str, **environment: str) -> dict[s
 @click.option("--size", type=click.IntRange(32, 512), default=96, show_default=True, help="Voxels a side.")
 @click.option("--large", type=click.IntRange(128, 2048), help="Voxels a side of a large NIfTI and a large TIFF.")
 @click.option("--volume-mb", type=click.IntRange(1), default=128, show_default=True, help="ISOGI_VOLUME_MB of these.")
+@click.option("--seconds", type=click.IntRange(1), default=90, show_default=True, help="To light each of these.")
 @click.option("--folder", type=click.Path(path_type=Path, file_okay=False), help="Where large files go.")
-def kinds(size: int, large: int | None, volume_mb: int, folder: Path | None) -> Iterator[Measurement]:
+def kinds(size: int, large: int | None, volume_mb: int, seconds: int, folder: Path | None) -> Iterator[Measurement]:
     """Files of each kind: seconds from a file to a lit picture, and memory where it is large."""
     if large is None:
         yield Measurement(f"A lit picture from files of {size}³ voxels, int16", all_kinds(size))
     else:
         with tempfile.TemporaryDirectory(dir=folder) as temporary:
-            figures = large_files(Path(temporary), large, volume_mb)
+            figures = large_files(Path(temporary), large, volume_mb, seconds)
         yield Measurement(f"A NIfTI and a TIFF of {large}³ voxels", figures, variant="large")
 
 
@@ -169,16 +170,16 @@ def all_kinds(size: int) -> dict[str, float]:
     return figures
 
 
-def large_files(folder: Path, size: int, volume_mb: int) -> dict[str, float]:
-    """The figures of two large files; a lattice of a quarter, and half a minute to bake."""
+def large_files(folder: Path, size: int, volume_mb: int, seconds: int) -> dict[str, float]:
+    """The figures of two large files, lit for some ``seconds``, in a lattice with about a texel a pixel."""
     figures: dict[str, float] = {}
     files: dict[str, type[np.generic]] = {"f.nii": np.int16, "f.tif": np.uint8}
     for name, dtype in files.items():
         place = folder / name.removeprefix("f.")
         place.mkdir()
         WRITERS[name](place / name, field(size, dtype))
-        (place / "s.toml").write_text(f'volume = "{name}"\nlattice = 0.25\nrotating = false\n')
+        (place / "s.toml").write_text(f'volume = "{name}"\nlattice = 0.125\nrotating = false\n')
         figures[f"{name}: file, MiB"] = (place / name).stat().st_size / 2**20
-        found = render(place / "s.toml", place, "--time", "30s", ISOGI_VOLUME_MB=str(volume_mb))
+        found = render(place / "s.toml", place, "--time", f"{seconds}s", ISOGI_VOLUME_MB=str(volume_mb))
         figures |= {f"{name}: {what}": value for what, value in found.items()}
     return figures

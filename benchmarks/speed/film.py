@@ -153,4 +153,5 @@ def film(target: str | None, folder: Path | None, seconds: float | None, **numbe
         figures = measured(scene, kept, seconds, numbers)
     for other in [each for each in figures if each.endswith("all frames, s")]:
         figures[f"{other.removesuffix(': all frames, s')} / film"] = float(figures[other]) / float(figures["film, s"])
-    return Measurement(f"A film of {frames} frames of {Path(scene).stem}, {size} × {size}, {workers} workers", figures)
+    shown = load_scene(scene).volume.name
+    return Measurement(f"A film of {frames} frames of {shown}, {size} × {size}, {workers} workers", figures)

@@ -3,7 +3,7 @@
 import sys
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
 from urllib.parse import unquote
@@ -31,7 +31,13 @@ class SceneSource:
 def find_source(target: str | Path | None, overrides: Mapping[str, Any]) -> SceneSource:
     """Read a scene's document, without opening its volume."""
     text, lying = split_settings(str(target or DEFAULT_DEMO))
-    overrides = {**overrides, **lying}
+    clears = lying.pop("surfaces", None)
+    source = source_at(text, {**overrides, **lying})
+    return source if clears is None else replace(source, document=put_clears(source.document, clears))
+
+
+def source_at(text: str, overrides: Mapping[str, Any]) -> SceneSource:
+    """The same of a target without settings of its own."""
     if text.startswith("demo:"):
         return SceneSource(text.removeprefix("demo:"), {"volume": text, **overrides}, Path.cwd())
     if "://" in text:
@@ -69,9 +75,46 @@ def labels_as_volume(document: Mapping[str, Any], name: str) -> Mapping[str, Any
     return {"labels": "all", **rest, "volume": found[0]["file"], **({"volumes": others} if others else {})}
 
 
-LYING = ("axes", "solid", "environment", "cut")
-"""Settings that may follow the # of a target: how its volume lies, which side of the isovalue is solid, its light, and
-what is cut away.
+HIDDEN = "off"
+"""Stands for a surface that is not shown, in place of the share of rays that passes it."""
+
+Clears = tuple[float | None, ...]
+"""The shares of rays that pass pinned surfaces in turn; None of hidden ones."""
+
+
+def read_clears(text: str, pinned: int) -> Clears:
+    """The shares of rays that pass so many ``pinned`` surfaces, as ``0.4,off`` spells them; None of hidden ones.
+
+    Raises SceneError.
+    """
+    try:
+        found = tuple(None if each.strip() == HIDDEN else float(each) for each in text.split(","))
+    except ValueError:
+        found = ()
+    if not pinned:
+        raise SceneError("surfaces is for scenes with [[surfaces]]: leave it out.")
+    if len(found) != pinned or not all(each is None or 0.0 <= each <= 1.0 for each in found):
+        asked = f"for each of the {pinned} pinned surfaces, in turn" if pinned > 1 else "for the pinned surface"
+        raise SceneError(f"surfaces = '{text[:40]}': give {asked}, a number from 0, opaque, to 1, or {HIDDEN}.")
+    return found
+
+
+def put_clears(document: Mapping[str, Any], text: str) -> dict[str, Any]:
+    """A scene's ``document`` whose pinned surfaces pass other shares of rays, see ``read_clears``, without hidden ones.
+
+    Raises SceneError.
+    """
+    given = document.get("surfaces")
+    tables = [each for each in given if isinstance(each, Mapping)] if isinstance(given, list) else []
+    pairs = zip(tables, read_clears(text, len(tables)), strict=True)
+    kept = [{**table, "clear": clear} for table, clear in pairs if clear is not None]
+    rest = {key: value for key, value in document.items() if key != "surfaces"}
+    return rest | ({"surfaces": kept} if kept else {})
+
+
+LYING = ("axes", "solid", "environment", "cut", "surfaces")
+"""Settings that may follow the # of a target: how its volume lies, which side of the isovalue is solid, its light, what
+is cut away, and what its pinned surfaces let pass.
 """
 
 

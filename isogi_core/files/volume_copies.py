@@ -1,5 +1,6 @@
 """Copies of normalised volumes and of small files, kept in a folder of this machine."""
 
+import io
 import os
 import shutil
 from collections.abc import Callable, Iterator
@@ -81,6 +82,24 @@ def get_file(key: str, name: str, fetch: Callable[[], bytes]) -> Path:
     with suppress(OSError):
         os.utime(path)
     return path
+
+
+def get_survey(key: str, name: str, measure: Callable[[], np.ndarray]) -> np.ndarray:
+    """What was measured of all voxels of a volume, by ``measure`` once, and then read from a file of that ``name``.
+
+    The ``key`` is the volume's own digest. Processes that ask at the same time may each measure it. Where there is no
+    file, and none can be written, it is measured again.
+    """
+    path = copies_folder() / key / f"{name}.npy"
+    with suppress(OSError, ValueError, EOFError):  # none, or a damaged one
+        os.utime(path)
+        return np.asarray(np.load(path))
+    found, file = measure(), io.BytesIO()
+    np.save(file, found)
+    with suppress(OSError):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_whole(path, file.getvalue())
+    return found
 
 
 def get_scratch(count: int, dtype: Any) -> np.ndarray:

@@ -38,7 +38,6 @@ from isogi_core.frame.gbuffer import GBuffer, to_index, trace
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.projected_texels import Distances, find_distances, held_chunks, join_readings
 from isogi_core.frame.rays.control_pixels import bounces_of_truth
-from isogi_core.frame.rays.picture_check import PictureCheck
 from isogi_core.frame.rays.pixel_rays import LobeLight, find_lobes
 from isogi_core.frame.rays.shine import ShineRays
 from isogi_core.frame.rays.shine_light import SHARE as SHINE_SHARE
@@ -61,6 +60,7 @@ from isogi_core.frame.stand_in import StandIn
 from isogi_core.frame.texel_normals import ENTRY, OwnNormals, TexelNormals, find_texel_normals
 from isogi_core.frame.texel_reading import Reading, read_texels
 from isogi_core.frame.tiles import Stopwatch, Tiles
+from isogi_core.frame.view_checks import ViewChecks
 from isogi_core.frame.view_keys import check_key, is_checked, surface_key
 from isogi_core.frame.view_texels import ViewTexels, carries_irradiance_ratios, find_texels
 from isogi_core.kernels.shading.framebuffer import Framebuffer
@@ -99,6 +99,7 @@ class Renderer:
         self._normals = OwnNormals(min(int(NORMALS * most), 4 * ENTRY * math.prod(self.prepared.shape)))
         changing = dict.fromkeys((Reading, LobeLight, ShineLight), int(SHARE * most))
         self._kept: LruCache[Any] = LruCache(most - int(NORMALS * most), changing)
+        self.checks = ViewChecks(self._kept)
         self._walls = ViewWalls(self._kept, self.prepared.scene.volume)
         self._through = ViewThrough(self._kept, self._walls)
         self._levels = levels or (Level(caches),)
@@ -163,7 +164,7 @@ class Renderer:
     def refine(self, view: View, target: float | None = None, tiles: Tiles | None = None, finer: bool = False) -> bool:
         """Bring the total error of a view whose light is final a step nearer to the ``target``; whether there was one.
 
-        Where there is ``finer`` light it may ask for that: see ``asks_finer``. Raises Cancelled once ``tiles`` are
+        Where there is ``finer`` light it may ask for that: see ``ViewChecks``. Raises Cancelled once ``tiles`` are
         cancelled, and what ``render`` raises.
         """
         target, tiles = target or self.prepared.scene.target_error, tiles or self.tiles
@@ -180,7 +181,7 @@ class Renderer:
             return self._through.grow(frame.gbuffer, light, target, tiles)
         if self._grow_shine(frame, light, target, tiles):
             return True
-        check = self._check(light, frame.gbuffer, target)
+        check = self.checks.of(light, frame.gbuffer, target)
 
         def uncertainty() -> np.ndarray:
             found = self._lit_texels(frame.gbuffer, light, target, tiles, Stopwatch())
@@ -192,16 +193,6 @@ class Renderer:
 
         with check.lock:
             return check.step(frame, uncertainty, tiles, finer)
-
-    def asks_finer(self, view: View, target: float) -> bool:
-        """Whether the check of a view's picture found that finer texels are to be shown in its place."""
-        check = self._kept.held(check_key(view, target)) if is_checked(view) else None
-        return check is not None and check.coarse
-
-    def decline_finer(self, view: View, target: float) -> None:
-        """Have a view's picture reach its target without finer texels: there is no memory for them."""
-        if (check := self._kept.held(check_key(view, target))) is not None:
-            check.decline()
 
     def _light(self, view: View) -> RotatedLight:
         """The lights of a view, turned: with all their lobes where it is at rest."""
@@ -234,7 +225,7 @@ class Renderer:
         if light.shine is not None and spec_name(light.view.shading) == "gi":
             with watch.stage("shine"):
                 shine = self._add_shine(gbuffer, light, target, framebuffer, tiles)
-        check = self._check(light, gbuffer, target) if is_checked(light.view) else None
+        check = self.checks.of(light, gbuffer, target) if is_checked(light.view) else None
         if check is not None:
             check.put(framebuffer)
         frame = frame_of(gbuffer, light, framebuffer, watch, texels, reading, check, shine)
@@ -307,10 +298,6 @@ class Renderer:
                 if self._stand_in is not None:
                     reading, lit = self._stand_in.light(texels, reading, lit, light, tiles)
         return reading, lit
-
-    def _check(self, light: RotatedLight, gbuffer: GBuffer, target: float) -> PictureCheck:
-        """What is known of the picture of a view besides its texels' light."""
-        return self._kept.get(check_key(light.view, target), lambda: PictureCheck(light, gbuffer, target))
 
     def _carry(
         self, texels: ViewTexels, reading: Reading, lit: np.ndarray, light: RotatedLight, tiles: Tiles, watch: Stopwatch

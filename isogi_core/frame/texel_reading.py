@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from isogi_core.bake.noise import Effort, efforts, expected_samples, good_enough
+from isogi_core.bake.noise import RATE, Effort, efforts, expected_samples, good_enough
 from isogi_core.cache.page_pool import PagePool, fewest_samples
 from isogi_core.cache.scene_caches import Caches
 from isogi_core.frame.tiles import Tiles
@@ -54,6 +54,15 @@ class Reading:
     def noisy(self) -> np.ndarray:
         """Which texels' light is still noisy, whatever else they lack; (texels,) bool."""
         return np.asarray((self.grade == CONVERGING) & ~good_enough(self.error, self.samples, self.target))
+
+    @cached_property
+    def effort(self) -> float:
+        """Samples by which a texel comes to the relative error 1, at the median: an error e takes 1 / e^RATE of them.
+
+        Dark texels take many more, and are little of a picture's light. 0 where no texel is lit.
+        """
+        lit = self.samples > 0
+        return float(np.median(self.samples[lit] * self.error[lit] ** RATE)) if lit.any() else 0.0
 
     @property
     def on_surface(self) -> np.ndarray:

@@ -148,7 +148,8 @@ class Survey:
     """Facts of a ``grid`` that are needed to make its voxels; see ``Volume``.
 
     ``marks`` are the values that mean "missing", in the grid's own type, and ``holes`` counts voxels without a value.
-    ``value_range`` and ``core`` are exact Python numbers.
+    ``value_range`` and ``core`` are exact Python numbers. ``tally`` counts the voxels of each code, see ``codes_of``,
+    where the type has few.
     """
 
     grid: Grid
@@ -160,15 +161,28 @@ class Survey:
     core: tuple[float, float]
     offset: float
     scale: float
+    tally: np.ndarray | None = None
 
     def planes(self) -> Iterator[np.ndarray]:
         """The normalised voxels, plane by plane along z; (ny, nx) float32 each, NaN for holes."""
+        known = None if self.tally is None else self.voxels_of(values_of(usable_type(self.grid.dtype)))
         for slab in self.grid.slabs():
             for plane in usable(slab):
-                voxels = normalise(plane, self.offset, self.scale).astype(np.float32, order="C")
-                if self.holes:
-                    voxels[~present(plane, self.marks)] = np.nan
-                yield voxels
+                yield self.voxels_of(plane) if known is None else known[codes_of(plane)]
+
+    def voxels_of(self, values: np.ndarray) -> np.ndarray:
+        """The normalised voxels of ``values``, float32, NaN for holes."""
+        voxels = normalise(values, self.offset, self.scale).astype(np.float32, order="C")
+        if self.holes:
+            voxels[~present(values, self.marks)] = np.nan
+        return voxels
+
+    def tallied(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """The distinct voxels (m,) float32 and how many there are of each (m,); None where there was no tally."""
+        if self.tally is None:
+            return None
+        there = np.flatnonzero(self.tally)
+        return self.voxels_of(values_of(usable_type(self.grid.dtype))[there]), self.tally[there]
 
     def pour(self, write: Callable[[np.ndarray], object], progress: Progress = no_progress) -> str:
         """Pass the ``planes`` to ``write`` one after the other, and return the digest of their volume."""
@@ -205,10 +219,12 @@ def survey(grid: Grid, solid: str, missing: Sequence[float] = (), progress: Prog
     check(grid, solid)
     spacing = checked_spacing(grid.spacing)
     marks = find_marks(missing, usable_type(grid.dtype))
-    low, high, holes, some = scan(grid, marks, progress)
+    kind = usable_type(grid.dtype)
+    narrow = kind.kind in "iu" and kind.itemsize <= NARROW and grid.size > FEW
+    low, high, holes, some, tally = (tallying if narrow else scan)(grid, marks, progress)
     ends = np.array([low, high], usable_type(grid.dtype))
     core = find_core(np.union1d(some[present(some, marks)], ends))
-    return Survey(grid, spacing, solid, marks, (low, high), holes, core, *offset_and_scale(*core, solid))
+    return Survey(grid, spacing, solid, marks, (low, high), holes, core, *offset_and_scale(*core, solid), tally)
 
 
 def begin_digest(shape: Sequence[int], spacing: Sequence[float], offset: float, scale: float) -> "hashlib.blake2b":
@@ -272,8 +288,49 @@ def present(values: np.ndarray, marks: np.ndarray) -> np.ndarray:
     return np.asarray(finite)
 
 
-def scan(grid: Grid, marks: np.ndarray, progress: Progress) -> tuple[float, float, int, np.ndarray]:
-    """Minimum and maximum (exact Python numbers), the number of missing values, and ``sample_values``."""
+NARROW = 2
+"""Bytes of whole numbers of so few values that each can be counted: what is worked out of one serves all its voxels."""
+
+FEW = 1 << 20
+"""Voxels up to which that would take longer."""
+
+Scanned = tuple[float, float, int, np.ndarray, np.ndarray | None]
+"""Minimum and maximum (exact Python numbers), the number of missing values, ``sample_values``, and a tally if any."""
+
+
+def codes_of(values: np.ndarray) -> np.ndarray:
+    """The bits of ``values`` of a narrow type, as whole numbers."""
+    native = values.astype(values.dtype.newbyteorder("="), order="C", copy=False)
+    return native.view(f"u{values.itemsize}")
+
+
+def values_of(dtype: np.dtype[Any]) -> np.ndarray:
+    """The values of a narrow type, by their codes."""
+    return np.arange(1 << 8 * dtype.itemsize, dtype=f"u{dtype.itemsize}").view(dtype.newbyteorder("="))
+
+
+def tallying(grid: Grid, marks: np.ndarray, progress: Progress) -> Scanned:
+    """What ``scan`` finds in a grid of a narrow type, by counting the voxels of each value."""
+    values = values_of(usable_type(grid.dtype))
+    tally, some, z, step = np.zeros(len(values), np.int64), [], 0, sample_step(grid.shape)
+    for slab in map(usable, grid.slabs()):
+        some.append(sample_layers(slab, step, z))
+        for plane in slab:
+            tally += np.bincount(codes_of(plane).ravel(), minlength=len(tally))
+            z += 1
+            progress(z, STAGES * len(grid))
+    there = present(values, marks)
+    found = values[there & (tally > 0)]
+    if not len(found):
+        raise VolumeError(NOTHING)
+    return found.min().item(), found.max().item(), int(tally[~there].sum()), np.unique(np.concatenate(some)), tally
+
+
+NOTHING = "The volume has no finite value: every voxel is NaN, infinite or missing."
+
+
+def scan(grid: Grid, marks: np.ndarray, progress: Progress) -> Scanned:
+    """Look at all values once."""
     lows, highs, some = [], [], []
     z, count, step = 0, 0, sample_step(grid.shape)
     for slab in map(usable, grid.slabs()):
@@ -287,5 +344,5 @@ def scan(grid: Grid, marks: np.ndarray, progress: Progress) -> tuple[float, floa
             z += 1
             progress(z, STAGES * len(grid))
     if not lows:
-        raise VolumeError("The volume has no finite value: every voxel is NaN, infinite or missing.")
-    return min(lows), max(highs), grid.size - count, np.unique(np.concatenate(some))
+        raise VolumeError(NOTHING)
+    return min(lows), max(highs), grid.size - count, np.unique(np.concatenate(some)), None

@@ -141,13 +141,23 @@ class Volume:
             values = (1.0 - share) * values + share * planes[first + 1]
         return self.offset + self.scale * values[::-1]
 
-    def counted(self, bins: int = BINS, progress: Progress = no_progress) -> "Volume":
+    def counted(
+        self, bins: int = BINS, progress: Progress = no_progress, tally: tuple[np.ndarray, np.ndarray] | None = None
+    ) -> "Volume":
         """The same volume with its histogram's counts and the core's span kept: these take passes over all voxels.
 
-        ``progress`` is called for the last stage of making a copy.
+        Where there is a ``tally``, distinct voxels and how many there are of each, they take none. ``progress`` is
+        called for the last stage of making a copy.
         """
         if len(self.counts) == bins and self.span:
             return self
+        if tally is not None:
+            inner = np.abs(tally[0]) <= CORE
+            voxels, weights = (each[inner] for each in tally)
+            span = float(voxels.min()), float(voxels.max())
+            counts = np.histogram(voxels, bins, span, weights=weights)[0]
+            progress(STAGES * len(self.voxels), STAGES * len(self.voxels))
+            return replace(self, span=span, counts=tuple(counts.astype(int).tolist()))
         known = replace(self, span=self.core_span())
         return replace(known, counts=tuple(known._count(bins, progress).tolist()))
 

@@ -26,31 +26,6 @@ def read_clear(settings: Settings, room: Room, colours: SurfaceColours | None) -
     return clear
 
 
-HIDDEN = "off"
-"""Stands for a surface that is not shown, in place of the share of rays that passes it."""
-
-
-Clears = tuple[float | None, ...]
-"""The shares of rays that pass pinned surfaces in turn; None of hidden ones."""
-
-
-def read_clears(text: str, pinned: int) -> Clears:
-    """The shares of rays that pass so many ``pinned`` surfaces, as ``0.4,off`` spells them; None of hidden ones.
-
-    Raises SceneError.
-    """
-    try:
-        found = tuple(None if each.strip() == HIDDEN else float(each) for each in text.split(","))
-    except ValueError:
-        found = ()
-    if not pinned:
-        raise SceneError("surfaces is for scenes with [[surfaces]]: leave it out.")
-    if len(found) != pinned or not all(each is None or 0.0 <= each <= 1.0 for each in found):
-        asked = f"for each of the {pinned} pinned surfaces, in turn" if pinned > 1 else "for the pinned surface"
-        raise SceneError(f"surfaces = '{text[:40]}': give {asked}, a number from 0, opaque, to 1, or {HIDDEN}.")
-    return found
-
-
 def refuse_company(settings: Settings, room: Room, colours: SurfaceColours | None, what: str) -> None:
     """Raise SceneError where the scene has what several surfaces are not lit with yet."""
     beside = {"walls": room.any, "colours by data": colours is not None}

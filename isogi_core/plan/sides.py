@@ -8,12 +8,11 @@ inside out, so that they are outer ones.
 from dataclasses import dataclass, replace
 from typing import Any
 
-from isogi_core.files.scene_file import DEFAULT_DEMO
+from isogi_core.files.scene_file import DEFAULT_DEMO, Clears
 from isogi_core.model.surfaces import PinnedSurface
 from isogi_core.model.volume import Isovalue
 from isogi_core.plan.assembly import remade
 from isogi_core.plan.scene import Scene
-from isogi_core.plan.several import Clears
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 import math
 import threading
+from collections.abc import Callable
 from functools import partial
 from itertools import chain, pairwise
 
@@ -9,7 +10,13 @@ import numpy as np
 
 from isogi_core.files.mappings import OWN, budget
 from isogi_core.files.volume_copies import get_scratch
-from isogi_core.kernels.tracing.active_cells import ActiveCells, block_ranges, brick_shape, make_active_cells
+from isogi_core.kernels.tracing.active_cells import (
+    ActiveCells,
+    block_ranges,
+    brick_shape,
+    make_active_cells,
+    measure_ranges,
+)
 from isogi_core.lru_cache import OVERHEAD, LruCache
 from isogi_core.model.value_survey import sample_values
 from isogi_core.model.volume import Isovalue
@@ -67,22 +74,33 @@ LAYERS = 4
 """Layers of bricks that are marked in one go."""
 
 
+Survey = Callable[[str, Callable[[], np.ndarray]], np.ndarray]
+"""Gives what is measured of all voxels, by a name and how."""
+
+
+def anew(name: str, measure: Callable[[], np.ndarray]) -> np.ndarray:
+    """Measure it."""
+    return measure()
+
+
 class ActiveCellMaps:
     """The maps of one volume. Safe to use from many threads; two that want the same map make it once.
 
     ``levels`` are where maps begin and end, from -inf to inf in the voxels' units, as all isovalues here are.
     """
 
-    def __init__(self, voxels: np.ndarray, most: int = KEPT) -> None:
-        """Find the ranges of the ``voxels``' blocks; keep maps of at most ``most`` bytes.
+    def __init__(self, voxels: np.ndarray, most: int = KEPT, survey: Survey = anew) -> None:
+        """Find the ranges of the ``voxels``' blocks, by a ``survey``; keep maps of at most ``most`` bytes.
 
         Maps that are large beside the budget of voxels lie in files, as voxels do.
         """
         self._voxels = voxels
         self._bricks = math.prod(brick_shape(voxels.shape))
-        self._take = np.empty if USUAL * self._bricks <= OWN * budget() else get_scratch
-        self._ranges = block_ranges(voxels, take=self._take)
-        self.levels = find_levels(voxels)
+        self._dear = USUAL * self._bricks > OWN * budget()
+        self._take = get_scratch if self._dear else np.empty
+        measured = survey("ranges", lambda: measure_ranges(voxels))
+        self._ranges = block_ranges(voxels, take=self._take, measured=measured)
+        self.levels = survey("levels", lambda: find_levels(voxels))
         self._kept: LruCache[tuple[int, int]] = LruCache(most)
         self._most, self._sizes, self._lock = most, dict[tuple[int, int], int](), threading.Lock()
         self._width, self._asked = NARROW, np.zeros(len(self.levels) - 1, np.bool_)
@@ -116,11 +134,26 @@ class ActiveCellMaps:
         places = np.searchsorted(self.levels, isovalues, "right") - 1
         with self._lock:
             if not self._asked[places].all():
-                self._asked[places] = True
+                self._ask(places)
                 self._widen()
                 self._grouped = None
             ends, spans = self._grouped = self._grouped or (self.levels[self._edges()], self.levels[self._spans()])
         return np.searchsorted(ends, isovalues, "right") - 1, spans
+
+    def _ask(self, places: np.ndarray) -> None:
+        """Note what was asked for. Where maps are dear it becomes twice as wide whenever it grows.
+
+        In a volume of 1024³ voxels a map takes seconds, and each batch of texels asks for a little more than the last.
+        """
+        before = np.flatnonzero(self._asked)
+        self._asked[places] = True
+        if self._dear and len(before):
+            first, last = int(before[0]), int(before[-1])
+            width = last + 1 - first
+            if places.min() < first:
+                self._asked[max(first - width, 0) : first] = True
+            if places.max() > last:
+                self._asked[last + 1 : last + 1 + width] = True
 
     def forget(self) -> None:
         """Keep no map, as if every isovalue were new."""

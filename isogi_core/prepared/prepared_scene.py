@@ -1,10 +1,12 @@
 """A prepared scene: the field, lattice and lights as kernels take them, worked out once."""
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
+from isogi_core.files.mappings import OWN, budget
+from isogi_core.files.volume_copies import get_survey
 from isogi_core.kernels.shading.lattice import Lattice
 from isogi_core.kernels.tracing.active_cells import ActiveCells
 from isogi_core.kernels.tracing.field import OFFSET, Field
@@ -21,7 +23,7 @@ from isogi_core.kernels.transport.surface_paths import Surfaces
 from isogi_core.model.volume import Volume
 from isogi_core.plan.bands import project_environment
 from isogi_core.plan.scene import Scene
-from isogi_core.prepared.active_cell_maps import KEPT, ActiveCellMaps
+from isogi_core.prepared.active_cell_maps import KEPT, ActiveCellMaps, Survey, anew
 from isogi_core.prepared.surface import Surface
 from isogi_core.runs import Run, serially
 
@@ -50,7 +52,7 @@ class PreparedScene:
     @cached_property
     def maps(self) -> ActiveCellMaps:
         """The active-cell maps of the volume."""
-        return ActiveCellMaps(self.scene.volume.voxels, self.most)
+        return ActiveCellMaps(self.scene.volume.voxels, self.most, survey_of(self.scene.volume))
 
     def beside(self, scene: Scene) -> "PreparedScene":
         """A ``scene`` of the same volume in finer or other light: what was worked out of the voxels serves both."""
@@ -177,9 +179,26 @@ class PreparedScene:
         return Surroundings(environment.constant, environment.image, matrix, environment.table, arrays)
 
 
+def survey_of(volume: Volume) -> Survey:
+    """How a ``volume`` is measured: where it is large beside the budget once on this machine, by files of its digest.
+
+    To read all voxels of 1024³ takes each process seconds, and lets go of those pages that its rays need.
+    """
+    large = volume.voxels.nbytes > OWN * budget()
+    return partial(get_survey, f"{volume.digest}-{SURVEYS}") if large else anew
+
+
+SURVEYS = 1
+"""Version of what is measured of volumes: increased when the same voxels give other arrays."""
+
+
 def make_field(volume: Volume, smooth: bool = True, offset: float = OFFSET) -> Field:
     """The volume's voxels with the macrocells that serve every isovalue, and how rays leave a surface."""
-    shape = macrocell_shape(volume.shape)
-    low, high = np.empty(shape, np.float32), np.empty(shape, np.float32)
-    fill_macrocells(volume.voxels, low, high)
+
+    def measure() -> np.ndarray:
+        found = np.empty((2, *macrocell_shape(volume.shape)), np.float32)
+        fill_macrocells(volume.voxels, *found)
+        return found
+
+    low, high = survey_of(volume)("macrocells", measure)
     return Field(volume.voxels, low, high, volume.spacing, smooth, offset)

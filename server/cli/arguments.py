@@ -118,8 +118,17 @@ ENVIRONMENT = "Light: overcast, studio, noon, evening or gallery, or a probe's f
 CUT = "Planes along the volume's axes that take away what lies there, so that light comes in: x>40, with ; between."
 
 
+SURFACES = "What each pinned surface of the scene lets pass, in turn, from 0 to 1, or off to hide it, such as 0.4,off."
+
+
+PLACING = ("axes", "solid", "environment", "cut", "surfaces")
+"""Options of ``volume_options``; those that are given follow the # of a target."""
+
+
 def volume_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Decorator: the options --axes, --solid, --environment and --cut, which become parts of the command's target."""
+    """Decorator: the options --axes, --solid, --environment, --cut and --surfaces, which become parts of the command's
+    target.
+    """
 
     @click.option(
         "--axes",
@@ -133,14 +142,16 @@ def volume_options(command: Callable[..., Any]) -> Callable[..., Any]:
     )
     @click.option("--environment", help=ENVIRONMENT)
     @click.option("--cut", help=CUT)
+    @click.option("--surfaces", help=SURFACES)
     @wraps(command)
-    def placed(axes: str | None, solid: str | None, environment: str | None, cut: str | None, **given: Any) -> Any:
-        name = "scene" if "scene" in given else "target"
-        light = environment and quote(str(Path(environment).resolve()) if "." in environment else environment)
-        for key, value in (("axes", axes), ("solid", solid), ("environment", light), ("cut", cut and quote(cut))):
+    def placed(**given: Any) -> Any:
+        name, told = "scene" if "scene" in given else "target", {key: given.pop(key) for key in PLACING}
+        if "." in (told["environment"] or ""):
+            told["environment"] = str(Path(told["environment"]).resolve())
+        for key, value in told.items():
             if value is not None:
                 target = given[name] or "demo:casting"
-                given[name] = f"{target}{'&' if '#' in target else '#'}{key}={value}"
+                given[name] = f"{target}{'&' if '#' in target else '#'}{key}={quote(value)}"
         return command(**given)
 
     return placed

@@ -1,13 +1,11 @@
 """The render engine: loaded scenes, one set of workers, and frames of any scene."""
 
-import gc
 import threading
 import time
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from functools import partial
 
-from isogi_core.allocation import give_memory_back
 from isogi_core.bake.bake_spec import SPECS, spec_name
 from isogi_core.cache.chunk_store import default_store
 from isogi_core.cache.costs import Cost
@@ -32,6 +30,7 @@ from server.errors import UnknownSceneError
 from server.render.bakes import BACKGROUND, BackgroundBake, SideBakes, bake_name, make_bake
 from server.render.loaded_scene import LoadedScene, load
 from server.render.loaded_scenes import LoadedScenes
+from server.render.path_times import time_of_paths
 from server.render.picture_checks import CHECK, PictureChecks
 from server.render.resources import shared, whereabouts
 from server.render.variants import is_cut, own_name, same_series, whole_name
@@ -44,9 +43,6 @@ READ_ONLY = "The store at {store} can only be read: what is baked there is shown
 
 MEMORY = 1 << 30
 """Bytes of light, views and maps that all scenes together may keep in memory."""
-
-TIDY = 30.0
-"""Seconds between two looks for scenes that nobody looks at any more, and for garbage: 0.07 s under 64 clients."""
 
 PROJECTED = 4 << 30
 """Bytes of projected texels that a store may keep."""
@@ -99,7 +95,7 @@ class RenderEngine:
             self.store.check_writable()
         for scene in list(self.scenes.values()):
             self._loaded.at(scene)
-        threading.Thread(target=self._tidy, name="tidying", daemon=True).start()
+        threading.Thread(target=self._loaded.tidy, args=[self._stopped], name="tidying", daemon=True).start()
         prune(FOLDER)
 
     def compile_others(self) -> None:
@@ -266,13 +262,18 @@ class RenderEngine:
 
     def time_left(self, scene: str, frame: Frame, max_error: float | None = None) -> TimeLeft | None:
         """Seconds until the view of a ``frame`` is final; None where that is unknown, or no worker is at it."""
-        target = max_error or self._find(scene).scene.target_error
-        bake, chunks = self._chunks(scene, frame)
-        subject, later = (scene, surface_key(frame.view), target), (frame.finer or frame).stages[1:]
-        left = self._baker.time_left(bake, subject, chunks, later)
         if frame.final:
             return TimeLeft(0.0, 0.0, 0.0)
-        return left if left is not None and left.high > 0.0 else None
+        loaded = self._find(scene)
+        target, (bake, chunks) = max_error or loaded.scene.target_error, self._chunks(scene, frame)
+        subject, later = (scene, surface_key(frame.view), target), (frame.finer or frame).stages[1:]
+        baking = self._baker.time_left(bake, subject, chunks, later)
+        if baking is None:
+            return None
+        spent = self.spent(bake, frame.lacking.texels.chunks if frame.lacking else ())
+        own = loaded.level(frame.fineness).renderer.checks.left(frame, target)
+        left = baking.plus(time_of_paths(own, spent, self._checking.threads))
+        return left if left.high > 0.0 else None
 
     def bake(self, bake: str, demands: Iterable[Demand], target: float, viewer: Viewer = BACKGROUND) -> BackgroundBake:
         """Have what ``demands`` want of a ``bake`` (see ``bake_of``) baked to a ``target`` error, for a ``viewer``."""
@@ -389,12 +390,3 @@ class RenderEngine:
         loaded = self._loaded.held(scene)
         if loaded is not None and (loaded := loaded.held(fineness)) is not None:
             loaded.renderer.caches.refresh(spec, index, shown)
-
-    def _tidy(self) -> None:
-        """Let go of scenes that nobody looks at, and, after frames, of what errors hold in circles, until stopped."""
-        looked = 0.0
-        while not self._stopped.wait(TIDY):
-            self._loaded.drop_idle()
-            if looked != (looked := self._loaded.looked):
-                gc.collect()
-                give_memory_back()

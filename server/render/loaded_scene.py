@@ -200,18 +200,18 @@ class LoadedScene:
         self, view: View, target: float, cancelled: threading.Event | None, watch: Stopwatch
     ) -> Frame | None:
         """The frame by finer texels, where a view's picture asks for them and the memory can hold them."""
-        if not self.renderer.asks_finer(view, target):
+        if not self.renderer.checks.asks_finer(view, target):
             return None
         try:
             return self.finer.render(view, target, cancelled, watch)
         except NoRoomError as error:
             log.info("a view is shown without finer texels: %s", error)
-            self.renderer.decline_finer(view, target)
+            self.renderer.checks.decline_finer(view, target)
             return None
 
     def check(self, view: View, target: float, tiles: Tiles) -> bool:
         """Check the picture of a view, one step further; whether there was one to take. Raises as Renderer does."""
-        if self.renderer.asks_finer(view, target):
+        if self.renderer.checks.asks_finer(view, target):
             return self.finer.check(view, target, tiles)
         return self.renderer.refine(view, target, tiles, has_finer(self.scene))
 

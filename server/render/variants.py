@@ -14,11 +14,11 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from isogi_core.errors import LightError, SceneError, VolumeError
+from isogi_core.files.scene_file import HIDDEN, Clears, read_clears
 from isogi_core.model.lights import ENVIRONMENTS
 from isogi_core.model.window import read_window
 from isogi_core.plan.assembly import at_time, cut_open, under
 from isogi_core.plan.scene import Scene
-from isogi_core.plan.several import HIDDEN, Clears, read_clears
 from isogi_core.plan.sides import with_clears
 from isogi_core.plan.volumes.cuts import cut_digest
 from server.errors import ParameterError

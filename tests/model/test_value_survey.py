@@ -3,7 +3,10 @@
 import numpy as np
 import pytest
 
-from isogi_core.model.value_survey import MOST, find_core, sample_values
+from isogi_core.files.grid import Grid
+from isogi_core.model import value_survey
+from isogi_core.model.value_survey import MOST, find_core, sample_values, survey
+from isogi_core.model.volume import Volume
 
 RAMP = np.linspace(0.0, 1.0, 200)
 BYTES = np.arange(256, dtype=np.uint8)
@@ -50,3 +53,20 @@ def test_the_sample_has_every_column_of_a_large_volume() -> None:
 def test_the_sample_is_distinct_finite_and_ascending() -> None:
     values = np.array([3.0, np.nan, 1.0, np.inf, 1.0, -np.inf, -2.0, 3.0], ">f4").reshape(2, 2, 2)
     assert sample_values(values).tolist() == [-2.0, 1.0, 3.0]
+
+
+@pytest.mark.parametrize("kind", ["u1", "<i2", ">i2", "?"])
+def test_values_that_are_counted_make_the_same_volume(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn = np.random.default_rng(3).integers(-90, 90, (5, 6, 7)).astype(kind)
+    drawn[0, 0, 0] = 9999.0 if drawn.dtype.itemsize == 2 else 200
+    grid, missing = Grid.of(drawn), (3.0,)
+    looked = survey(grid, "below", missing)
+    monkeypatch.setattr(value_survey, "FEW", 0)
+    counted = survey(grid, "below", missing)
+    assert looked.tally is None and counted.tallied()
+    voxels = [np.stack(list(each.planes())) for each in (looked, counted)]
+    np.testing.assert_array_equal(*voxels)
+    assert looked.facts("v", "") == counted.facts("v", "")
+    volume = Volume(voxels[0], **looked.facts("v", ""))
+    known = [volume.counted(16, tally=each.tallied()) for each in (looked, counted)]
+    assert (known[0].counts, known[0].span) == (known[1].counts, known[1].span)

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from isogi_core.errors import SceneError
+from isogi_core.files.scene_file import read_clears
 from isogi_core.plan.assembly import build_scene, load_scene
 from isogi_core.plan.scene import Scene
-from isogi_core.plan.several import read_clears
 from isogi_core.plan.sides import OUTER, Side, scene_of_side, sides_of, with_clears
 
 SKIN = {"isovalue": 60.0, "clear": 0.5, "albedo": [0.8, 0.5, 0.4]}
@@ -99,3 +99,15 @@ def test_a_scene_with_other_clears_is_one_of_its_own(scene: Scene) -> None:
 def test_clears_without_meaning_are_refused(text: str, pinned: int, reason: str) -> None:
     with pytest.raises(SceneError, match=reason):
         read_clears(text, pinned)
+
+
+def test_a_target_may_name_what_its_surfaces_let_pass(tmp_path: Path) -> None:
+    file = tmp_path / "scene.toml"
+    file.write_text("[[surfaces]]\nisovalue = 0.03\n[[surfaces]]\nisovalue = 0.05\nclear = 0.5\n")
+    assert [each.clear for each in load_scene(f"{file}#surfaces=0.25,0.5").pinned] == [0.25, 0.5]
+    (left,) = load_scene(f"{file}#surfaces=off,0.75&environment=studio").pinned
+    assert (left.isovalue, left.clear) == (0.05, 0.75)
+    with pytest.raises(SceneError, match="each of the 2 pinned surfaces"):
+        load_scene(f"{file}#surfaces=0.5")
+    with pytest.raises(SceneError, match="leave it out"):
+        load_scene("demo:casting#surfaces=0.5")

@@ -2,6 +2,7 @@
 
 import threading
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,11 +10,12 @@ import pytest
 
 from isogi_core.errors import Cancelled
 from isogi_core.frame.tiles import Tiles
-from isogi_core.kernels.tracing.active_cells import ActiveCells, block_ranges, make_active_cells
+from isogi_core.kernels.tracing.active_cells import ActiveCells, block_ranges, make_active_cells, measure_ranges
 from isogi_core.lru_cache import OVERHEAD
-from isogi_core.model.volume import Isovalue
+from isogi_core.model.volume import Isovalue, make_volume
 from isogi_core.prepared import active_cell_maps as module
 from isogi_core.prepared.active_cell_maps import ABOVE, LAYERS, PARTS, ActiveCellMaps
+from isogi_core.prepared.prepared_scene import make_field, survey_of
 from isogi_core.runs import Piece, Run, serially
 
 STEP = 1.0 / PARTS
@@ -169,3 +171,35 @@ def test_maps_that_are_large_beside_the_budget_lie_in_files(monkeypatch: pytest.
         np.testing.assert_array_equal(one, other)
         assert one.base is None and other.base is not None
     np.testing.assert_array_equal(inside.margins, outside.margins)
+
+
+def test_dear_maps_reach_ever_farther(made: list[tuple[float, float]], monkeypatch: pytest.MonkeyPatch) -> None:
+    maps = ActiveCellMaps(RAMP, most=0)
+    monkeypatch.setattr(maps, "_dear", True)
+    for last in np.linspace(0.1, 1.0, 40):
+        maps.covering(maps.groups(np.linspace(0.05, last, 20))[1][-1])
+    assert [(low, high >= last) for low, high in made[-1:]] == [(made[0][0], True)]
+    assert len(made) <= 6, "of 40 that were asked for"
+
+
+def test_a_large_volume_is_measured_once(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("ISOGI_VOLUME_MB", "1")
+    monkeypatch.setenv("ISOGI_VOLUME_CACHE", str(tmp_path))
+    volume, asked = make_volume(VOXELS), list[str]()
+
+    def ranges(voxels: np.ndarray) -> np.ndarray:
+        asked.append("ranges")
+        return measure_ranges(voxels)
+
+    monkeypatch.setattr(module, "measure_ranges", ranges)
+    first, again = (ActiveCellMaps(volume.voxels, survey=survey_of(volume)) for _ in range(2))
+    assert asked == ["ranges"], "the second reads it"
+    for path in tmp_path.glob("*/*.npy"):
+        path.write_bytes(path.read_bytes()[:-100])
+    mended = ActiveCellMaps(volume.voxels, survey=survey_of(volume))
+    assert asked == ["ranges"] * 2, "of the damaged file"
+    for maps in (again, mended, ActiveCellMaps(volume.voxels)):
+        np.testing.assert_array_equal(maps.levels, first.levels)
+        assert_same(maps.at(HALF), first.at(HALF))
+    for one, other in zip(make_field(volume)[1:3], make_field(replace(volume, digest="other"))[1:3], strict=True):
+        np.testing.assert_array_equal(one, other)

@@ -88,11 +88,22 @@ def classes_of(uncertainty: np.ndarray, controls: ControlPixels) -> np.ndarray:
     return np.searchsorted(edges, uncertainty)
 
 
+def means_of(classes: np.ndarray, controls: ControlPixels, values: np.ndarray) -> np.ndarray:
+    """The mean of each class of points by the ``values`` (k,) at its controls; (BINS,)."""
+    known = classes[controls.places]
+    sums = np.bincount(known, controls.weights * values, BINS)
+    return np.asarray(sums / np.maximum(np.bincount(known, controls.weights, BINS), 1e-9))
+
+
 def squares_of(classes: np.ndarray, controls: ControlPixels, shown: np.ndarray) -> np.ndarray:
     """The mean squared error of each class by its controls, whose luminance is ``shown`` (k,); (BINS,), at least 0."""
-    known = classes[controls.places]
-    sums = np.bincount(known, controls.weights * controls.squares(shown), BINS)
-    return np.maximum(sums / np.maximum(np.bincount(known, controls.weights, BINS), 1e-9), 0.0)
+    return np.maximum(means_of(classes, controls, controls.squares(shown)), 0.0)
+
+
+def variance_of_halves(uncertainty: np.ndarray, controls: ControlPixels) -> np.ndarray:
+    """The variance of each point's luminance by a half of its paths, as the controls of its class show it; (m,)."""
+    classes, apart = classes_of(uncertainty, controls), controls.halves[:, 0] - controls.halves[:, 1]
+    return np.asarray(means_of(classes, controls, apart**2 / 2.0)[classes])
 
 
 def spread_errors(uncertainty: np.ndarray, controls: ControlPixels, shown: np.ndarray) -> np.ndarray:

@@ -5,8 +5,8 @@ after any restart.
 """
 
 import hashlib
-import math
 import threading
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -16,118 +16,26 @@ from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.control_pixels import (
-    BINS,
     ENOUGH,
     FIRST,
     MOST,
     ControlPixels,
     TotalError,
-    bounces_of_truth,
     chances,
-    classes_of,
     draw_places,
     paths_for,
-    squares_of,
     trace_controls,
 )
-from isogi_core.frame.rays.pixel_rays import Paths, variance_of_mean
+from isogi_core.frame.rays.own_light import AIM, MOST_PATHS, Choice, Growth, PixelLight, choose
 from isogi_core.frame.tiles import Tiles
-from isogi_core.kernels.shading.framebuffer import FINAL, Framebuffer
-from isogi_core.kernels.shading.lattice import DARKEST
-from isogi_core.model.sky import LUMINANCE
+from isogi_core.kernels.shading.framebuffer import Framebuffer
 from isogi_core.plan.finer import DENSER
 
-STREAM = 1 << 18
-"""Number of the first randomisation: controls and references draw other random numbers."""
-
-REPLICAS, FIRST_PATHS = 4, 16
-"""Independent randomisations of each pixel, and paths of each after the first step."""
-
-MOST_PATHS = 1 << 14
-"""Paths of each replica, at most: 65,536 from a pixel."""
-
-REST, NOISE = 0.6, 0.5
-"""Shares of the target error that remain: of pixels with light of texels, and of the noise of those with their own."""
-
-
-@dataclass(frozen=True, eq=False)
-class PixelLight:
-    """Surface points with light of their own: their rows ``places`` (k,), ascending, and the ``sums`` of their paths.
-
-    Sums (k, REPLICAS, 3) are of ``count`` paths of each replica.
-    """
-
-    places: np.ndarray
-    sums: np.ndarray
-    count: int
-
-    @classmethod
-    def none(cls) -> "PixelLight":
-        """No pixel has light of its own."""
-        return cls(np.empty(0, np.int64), np.empty((0, REPLICAS, 3)), 0)
-
-    @property
-    def nbytes(self) -> int:
-        """Bytes that it takes."""
-        return self.places.nbytes + self.sums.nbytes
-
-    @property
-    def means(self) -> np.ndarray:
-        """Linear RGB by each replica; (k, REPLICAS, 3)."""
-        return np.asarray(self.sums / max(self.count, 1))
-
-    @property
-    def variance(self) -> np.ndarray:
-        """Variance of each point's luminance; (k,) float64."""
-        return variance_of_mean(self.means)
-
-    def grown(
-        self, places: np.ndarray, count: int, light: RotatedLight, gbuffer: GBuffer, tiles: Tiles
-    ) -> "PixelLight":
-        """The same of more points, or after more paths: those known are not traced again. Raises Cancelled."""
-        paths = Paths(light, gbuffer.part(places, tiles), tiles, bounces_of_truth(light))
-        sums = np.zeros((len(places), REPLICAS, 3))
-        known = np.isin(places, self.places, assume_unique=True)
-        sums[known] = self.sums[np.isin(self.places, places, assume_unique=True)]
-        for rows, first in ((np.flatnonzero(known), self.count), (np.flatnonzero(~known), 0)):
-            if len(rows) and first < count:
-                some = sums[rows]
-                paths.of(rows).add(some, STREAM, first, count - first)
-                sums[rows] = some
-        return PixelLight(places, sums, count)
-
-    def put(self, framebuffer: Framebuffer, pixels: np.ndarray, unit: float) -> None:
-        """Write it into a picture whose surface points show in ``pixels`` (m,), as final light."""
-        own, light = pixels[self.places], self.means.mean(axis=1)
-        error = np.sqrt(self.variance) / np.maximum(light @ LUMINANCE, DARKEST * unit)
-        framebuffer.radiance[own] = np.minimum(light, np.finfo(np.float32).max)
-        framebuffer.state[own] = FINAL
-        framebuffer.error[own] = np.clip(error, 0.0, 1.0)
-
-
-def choose_places(uncertainty: np.ndarray, controls: ControlPixels, shown: np.ndarray, allowed: float) -> np.ndarray:
-    """The points that are to have light of their own, so that the others' mean squared error is within ``allowed``.
-
-    Points are classed by ``uncertainty`` (m,), as many controls in each class; what a class errs by is measured by its
-    controls, whose luminance is ``shown`` (k,). Classes that err most come first. Ascending rows, (≤ m,) int64.
-    """
-    classes = classes_of(uncertainty, controls)
-    errors = squares_of(classes, controls, shown)
-    counts, worst = np.bincount(classes, minlength=BINS), np.argsort(-errors, kind="stable")
-    rest = np.cumsum((errors * counts)[worst][::-1])[::-1]
-    return np.flatnonzero(np.isin(classes, worst[rest > allowed * len(uncertainty)]))
-
-
-def enough(light: PixelLight, allowed: float, points: int) -> bool:
-    """Whether such pixels' noise is within an ``allowed`` error of the luminance, of a picture of so many points."""
-    return math.sqrt(light.variance.sum() / max(points, 1)) <= allowed
-
+STRICTER = 0.9
+"""Factor on the error that is aimed at with each attempt."""
 
 AGAIN = DENSER**2
 """How many times as many texels of a surface there are where the lattice is twice as fine, about: 2.2 to 4."""
-
-STRICTER = 0.7
-"""Factor on what is allowed to pixels with light of texels with each attempt, or else to the noise of the others."""
 
 
 def finer_pays(frame: Frame, pixels: int) -> bool:
@@ -144,8 +52,8 @@ class PictureCheck:
     """What is known of a picture of one view besides its texels' light; ``target`` is its relative error.
 
     ``controls`` are of this ``attempt`` to reach the target, drawn by the ``uncertainty`` (m,) of all points; pixels in
-    ``own`` have light of their own, whose ``noise`` is to be within this share of the target, and those of a next
-    attempt are ``growing``. It has ``ended`` where no step was left; ``coarse`` says that finer texels are to be
+    ``own`` have light of their own, and those of a next attempt are ``growing``, at a ``pace`` of so many seconds a
+    path, None before the first. It has ``ended`` where no step was left; ``coarse`` says that finer texels are to be
     shown in this picture's place, which is not asked for once they were ``declined``. Steps of several threads wait for
     each other.
     """
@@ -156,9 +64,9 @@ class PictureCheck:
     controls: ControlPixels = field(default_factory=ControlPixels.none)
     uncertainty: np.ndarray = field(default_factory=lambda: np.empty(0))
     own: PixelLight = field(default_factory=PixelLight.none)
-    growing: PixelLight | None = None
+    growing: Growth | None = None
+    pace: float | None = None
     attempt: int = 0
-    noise: float = NOISE
     ended: bool = False
     coarse: bool = False
     declined: bool = False
@@ -193,12 +101,12 @@ class PictureCheck:
 
     def _step(self, frame: Frame, uncertainty: Callable[[], np.ndarray], tiles: Tiles, finer: bool) -> bool:
         if self.growing is not None:
-            return self._grow(frame, self.growing.places, 2 * self.growing.count, tiles)
+            return self._grow(self.growing, tiles)
         if frame.measured is None or not self._decided(frame.measured):
             return self._add_controls(uncertainty(), tiles)
-        places = self._choose(frame, uncertainty())
-        self.coarse = finer and not self.declined and finer_pays(frame, len(places))
-        return not self.coarse and self._grow(frame, places, max(self.own.count, FIRST_PATHS), tiles)
+        choice = self._choose(frame, frame.measured, uncertainty())
+        self.coarse = finer and not self.declined and finer_pays(frame, len(choice.places))
+        return not self.coarse and self._grow(Growth(choice, self.own), tiles)
 
     def decline(self) -> None:
         """Go on without finer texels: there is no memory for them."""
@@ -218,26 +126,27 @@ class PictureCheck:
         self.controls, self.uncertainty = self.controls.joined(ControlPixels(places, weights, halves)), uncertainty
         return True
 
-    def _choose(self, frame: Frame, uncertainty: np.ndarray) -> np.ndarray:
-        """The points that are to have light of their own, all that have it among them; less noise where these are all.
+    def _choose(self, frame: Frame, measured: TotalError, uncertainty: np.ndarray) -> Choice:
+        """The points that are to have light of their own, all that have it among them.
 
-        Each attempt allows less error to the others.
+        They bring the picture to what is aimed at, and nearer by STRICTER at least.
         """
-        allowed = (REST * STRICTER**self.attempt * self.target * frame.true_mean) ** 2
-        places = np.union1d(choose_places(uncertainty, self.controls, frame.controlled, allowed), self.own.places)
-        if len(places) == len(self.own.places):
-            self.noise *= STRICTER
-        return places
+        aim = min(AIM * STRICTER**self.attempt * self.target, STRICTER * measured.likely)
+        paths, allowed = paths_for(self.target), (aim * frame.true_mean) ** 2
+        return choose(uncertainty, self.controls, frame.controlled, paths, self.own.places, allowed)
 
-    def _grow(self, frame: Frame, places: np.ndarray, count: int, tiles: Tiles) -> bool:
-        """Trace the points at ``places`` up to ``count`` paths; they are shown, and controls drawn anew, once that will
+    def _grow(self, growth: Growth, tiles: Tiles) -> bool:
+        """Trace further paths from the points of a ``growth``; they are shown, and controls drawn anew, once that will
         do. Whether there was anything to trace.
         """
+        count = growth.next
         if count > MOST_PATHS:
             return False
-        grown = (self.growing or self.own).grown(places, count, self.light, self.gbuffer, tiles)
-        self.growing = grown
-        if count == MOST_PATHS or enough(grown, self.noise * self.target * frame.true_mean, frame.surface):
-            self.own, self.growing = grown, None
+        self.growing, begun = Growth(growth.choice, growth.light), time.perf_counter()
+        light = growth.light.grown(growth.choice.places, count, self.light, self.gbuffer, tiles, self.growing.note)
+        self.pace = (time.perf_counter() - begun) / max(self.growing.traced, 1)
+        self.growing = Growth(growth.choice, light)
+        if count == MOST_PATHS or self.growing.enough:
+            self.own, self.growing = light, None
             self.attempt, self.controls = self.attempt + 1, ControlPixels.none()
         return True

@@ -1,5 +1,6 @@
 """The active-cell map: for a range of isovalues, which cells may hold the surface, and how far rays may skip."""
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -328,16 +329,25 @@ class BlockRanges(NamedTuple):
     side: int
 
 
-def block_ranges(voxels, fine=FINE, take=np.empty):
-    """The ranges of a volume's bricks; of its macrocells where there are more than ``fine`` bricks.
+def measure_ranges(voxels, fine=FINE):
+    """Low, high and margins (3; blocks along z, y, x) of a volume's bricks, see ``fill_ranges``.
+
+    Of its macrocells where there are more than ``fine`` bricks.
+    """
+    size = BRICK if math.prod(brick_shape(voxels.shape)) <= fine else SIZE
+    found = np.empty((3, *blocks_along(voxels.shape, size)), np.float32)
+    fill_ranges(voxels, size, *found)
+    return found
+
+
+def block_ranges(voxels, fine=FINE, take=np.empty, measured=None):
+    """The ranges of a volume's blocks, from what ``measure_ranges`` ``measured`` where that was done before.
 
     ``take(count, dtype)`` makes the array of what is kept for each of many bricks.
     """
     bz, by, bx = shape = brick_shape(voxels.shape)
-    size = BRICK if bz * by * bx <= fine else SIZE
-    low, high, margins = np.empty((3, *blocks_along(voxels.shape, size)), np.float32)
-    fill_ranges(voxels, size, low, high, margins)
-    side, of_bricks = size // BRICK, margins
+    low, high, margins = measure_ranges(voxels, fine) if measured is None else measured
+    side, of_bricks = 1 if margins.shape == shape else SIZE // BRICK, margins
     if side > 1:
         of_bricks = take(bz * by * bx, np.float32).reshape(shape)
         y, x = np.arange(by) // side, np.arange(bx) // side

@@ -122,7 +122,7 @@ def make_copy(
     before = grid.stamp()
     found = survey(grid, solid, missing, progress)
     facts = found.facts(name, found.pour(draft.write, progress))
-    known = Volume(draft.voxels(grid.shape), **facts).counted(progress=progress)
+    known = Volume(draft.voxels(grid.shape), **facts).counted(progress=progress, tally=found.tallied())
     facts |= {"counts": known.counts, "span": known.span}
     if grid.stamp() != before:
         raise VolumeError(f"The volume '{name}' changed while it was read: try again once it is written.")

@@ -1,5 +1,6 @@
 """DICOM series as scanners leave them: shuffled, missing, doubled, tilted, two in a folder, of packed bits."""
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -186,3 +187,44 @@ def test_colours_are_shown_as_luminance(tmp_path: Path) -> None:
     grid = opened(tmp_path / "a")
     np.testing.assert_allclose(grid.whole(), F // 4, atol=1e-3)
     assert "colours" in grid.notes[0]
+
+
+def files_of_pydicom() -> Path:
+    pydicom = pytest.importorskip("pydicom")
+    return Path(pydicom.__file__).parent / "data" / "test_files"
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_all_files_of_pydicom_are_volumes_or_refused() -> None:
+    told = "is one slice|holds no DICOM image|cannot be read as DICOM|is no volume that is known here"
+    read = {}
+    for path in (path for path in files_of_pydicom().rglob("*") if path.suffix in (".dcm", "") and path.is_file()):
+        try:
+            read[path.name] = open_file(path, {}).whole()
+        except VolumeError as error:
+            assert re.search(told, str(error)), error
+    assert len(read) >= 7
+    assert all(voxels.ndim == 3 and np.isfinite(voxels).all() for voxels in read.values())
+
+
+@pytest.mark.parametrize("name", ["rtdose.dcm", "rtdose_expb.dcm", "rtdose_rle.dcm"])
+def test_a_dose_of_pydicom_is_in_its_unit(name: str) -> None:
+    from pydicom import dcmread
+
+    made = dcmread(files_of_pydicom() / name)
+    grid = open_file(files_of_pydicom() / name, {})
+    np.testing.assert_array_equal(grid.whole(), made.pixel_array * made.DoseGridScaling)
+    assert grid.spacing == (10.0, 10.0, 5.0) and grid.affine is not None
+    np.testing.assert_allclose(grid.affine.array[:, 3], np.array(made.ImagePositionPatient) * (-1.0, -1.0, 1.0))
+
+
+def test_a_series_of_pydicom_is_stacked_from_below() -> None:
+    from pydicom import dcmread
+
+    folder = files_of_pydicom() / "dicomdirtests" / "98892001" / "CT5N"
+    slices = sorted(map(dcmread, folder.iterdir()), key=lambda each: float(each.ImagePositionPatient[2]))
+    heights = np.diff([float(each.ImagePositionPatient[2]) for each in slices])
+    grid = open_file(folder, {})
+    values = [each.pixel_array * each.RescaleSlope + each.RescaleIntercept for each in slices]
+    np.testing.assert_array_equal(grid.whole(), values)
+    np.testing.assert_allclose(grid.spacing[2], heights)

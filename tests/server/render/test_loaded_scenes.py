@@ -14,7 +14,6 @@ import pytest
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
 from server.errors import UnknownSceneError
-from server.render import engine as engine_module
 from server.render import loaded_scenes
 from server.render.engine import RenderEngine
 from server.render.loaded_scenes import IDLE, LoadedScenes
@@ -81,8 +80,8 @@ def test_a_server_tidies_after_frames_and_not_while_idle(
 ) -> None:
     tidied = threading.Semaphore(0)
     monkeypatch.setattr(pool, "WorkerPool", InlinePool)
-    monkeypatch.setattr(engine_module, "TIDY", 0.01)
-    monkeypatch.setattr(engine_module, "give_memory_back", tidied.release)
+    monkeypatch.setattr(loaded_scenes, "TIDY", 0.01)
+    monkeypatch.setattr(loaded_scenes, "give_memory_back", tidied.release)
     with closing(RenderEngine(scenes[:1], str(tmp_path))) as engine:
         engine.start()
         assert tidied.acquire(timeout=LONG), "what loading left"

@@ -1,0 +1,197 @@
+"""Light of their own for the pixels of a picture that err most: which are to have it, and how many paths that takes."""
+
+import math
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from isogi_core.bake.noise import RATE
+from isogi_core.frame.gbuffer import GBuffer
+from isogi_core.frame.lighting import RotatedLight
+from isogi_core.frame.rays.control_pixels import ControlPixels, bounces_of_truth, spread_errors, variance_of_halves
+from isogi_core.frame.rays.pixel_rays import Paths, variance_of_mean
+from isogi_core.frame.tiles import Tiles
+from isogi_core.kernels.shading.framebuffer import FINAL, Framebuffer
+from isogi_core.kernels.shading.lattice import DARKEST
+from isogi_core.model.sky import LUMINANCE
+
+STREAM = 1 << 18
+"""Number of the first randomisation: controls and references draw other random numbers."""
+
+REPLICAS, FIRST_PATHS = 4, 16
+"""Independent randomisations of each pixel, and paths of each after the first step."""
+
+MOST_PATHS = 1 << 14
+"""Paths of each replica, at most: 65,536 from a pixel."""
+
+AIM = 0.85
+"""Share of the target error that a picture is brought to: the interval of what is measured has some width."""
+
+
+@dataclass(frozen=True, eq=False)
+class PixelLight:
+    """Surface points with light of their own: their rows ``places`` (k,), ascending, and the ``sums`` of their paths.
+
+    Sums (k, REPLICAS, 3) are of ``count`` paths of each replica.
+    """
+
+    places: np.ndarray
+    sums: np.ndarray
+    count: int
+
+    @classmethod
+    def none(cls) -> "PixelLight":
+        """No pixel has light of its own."""
+        return cls(np.empty(0, np.int64), np.empty((0, REPLICAS, 3)), 0)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that it takes."""
+        return self.places.nbytes + self.sums.nbytes
+
+    @property
+    def means(self) -> np.ndarray:
+        """Linear RGB by each replica; (k, REPLICAS, 3)."""
+        return np.asarray(self.sums / max(self.count, 1))
+
+    @cached_property
+    def variance(self) -> np.ndarray:
+        """Variance of each point's luminance; (k,) float64."""
+        return variance_of_mean(self.means)
+
+    def grown(
+        self,
+        places: np.ndarray,
+        count: int,
+        light: RotatedLight,
+        gbuffer: GBuffer,
+        tiles: Tiles,
+        progress: Callable[[int], object] | None = None,
+    ) -> "PixelLight":
+        """The same of more points, or after more paths: those known are not traced again. Raises Cancelled.
+
+        ``progress`` is called with the number of paths that each piece traced.
+        """
+        paths = Paths(light, gbuffer.part(places, tiles), tiles, bounces_of_truth(light))
+        sums = np.zeros((len(places), REPLICAS, 3))
+        known = np.isin(places, self.places, assume_unique=True)
+        sums[known] = self.sums[np.isin(self.places, places, assume_unique=True)]
+        for rows, first in ((np.flatnonzero(known), self.count), (np.flatnonzero(~known), 0)):
+            if len(rows) and first < count:
+                some = sums[rows]
+                paths.of(rows).add(some, STREAM, first, count - first, progress)
+                sums[rows] = some
+        return PixelLight(places, sums, count)
+
+    def put(self, framebuffer: Framebuffer, pixels: np.ndarray, unit: float) -> None:
+        """Write it into a picture whose surface points show in ``pixels`` (m,), as final light."""
+        own, light = pixels[self.places], self.means.mean(axis=1)
+        error = np.sqrt(self.variance) / np.maximum(light @ LUMINANCE, DARKEST * unit)
+        framebuffer.radiance[own] = np.minimum(light, np.finfo(np.float32).max)
+        framebuffer.state[own] = FINAL
+        framebuffer.error[own] = np.clip(error, 0.0, 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """The points at ``places`` (k,), ascending, are to have light of their own whose variances add up to ``variance``.
+
+    That is expected to take ``count`` paths of each replica.
+    """
+
+    places: np.ndarray
+    variance: float
+    count: float
+
+
+@dataclass(eq=False)
+class Growth:
+    """The ``light`` that chosen points have so far; ``traced`` counts the paths of what is added to it just now."""
+
+    choice: Choice
+    light: PixelLight
+    traced: int = 0
+    _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that it takes."""
+        return self.light.nbytes
+
+    @property
+    def enough(self) -> bool:
+        """Whether the points' noise is as small as it is to be."""
+        return bool(self.light.variance.sum() <= self.choice.variance)
+
+    @property
+    def wanted(self) -> float:
+        """Paths of each replica that it will take, by the noise after those that there are."""
+        if len(self.light.places) < len(self.choice.places):
+            return self.choice.count
+        over = float(self.light.variance.sum()) / max(self.choice.variance, 1e-300)
+        return min(self.light.count * over ** (RATE / 2.0), MOST_PATHS)
+
+    @property
+    def next(self) -> int:
+        """Paths of each replica after the next step: twice as many at most, so that little is lost with a step."""
+        before = self.light.count
+        if len(self.light.places) < len(self.choice.places):
+            return max(before, FIRST_PATHS)
+        return min(2 * before, max(math.ceil(self.wanted), before + before // 8))
+
+    @property
+    def left(self) -> float:
+        """Paths that are left, of all points together."""
+        known = len(self.light.places) * self.light.count
+        return max(REPLICAS * (self.wanted * len(self.choice.places) - known) - self.traced, 0.0)
+
+    def note(self, paths: int) -> None:
+        """Count so many more paths."""
+        with self._lock:
+            self.traced += paths
+
+
+def choose(
+    uncertainty: np.ndarray, controls: ControlPixels, shown: np.ndarray, paths: int, own: np.ndarray, allowed: float
+) -> Choice:
+    """The points that are to have light of their own, so that a picture's mean squared error is ``allowed``.
+
+    The points that err most come first, after those that have their ``own``, (k,); ``controls`` of so many ``paths`` a
+    half, whose luminance is ``shown`` (c,), tell by the ``uncertainty`` (m,) of all how much each errs and how noisy
+    paths are there. What the others err by leaves so much to the noise of these: the number of points is that which
+    takes fewest paths.
+    """
+    errors = spread_errors(uncertainty, controls, shown) ** 2
+    rest = np.ones(len(errors), bool)
+    rest[own] = False
+    others = np.flatnonzero(rest)
+    order = np.concatenate([own, others[np.argsort(-errors[others], kind="stable")]])
+    left = np.append(errors[order][::-1].cumsum()[::-1], 0.0)[len(own) :]
+    variance = allowed * len(errors) - left
+    noise = np.append(0.0, variance_of_halves(uncertainty, controls)[order].cumsum())[len(own) :] / REPLICAS
+    many = np.arange(len(own), len(errors) + 1)
+    counts = np.clip(paths * (noise / np.maximum(variance, 1e-300)) ** (RATE / 2.0), FIRST_PATHS, MOST_PATHS)
+    costs = np.where(variance > 0.0, many * counts, np.inf)
+    costs[-1] = many[-1] * counts[-1]  # of all points also where nothing is allowed, as in the dark
+    best = int(np.argmin(costs))
+    return Choice(np.sort(order[: many[best]]), float(variance[best]), float(counts[best]))
+
+
+SHARES = 64
+"""Shares of a picture's points of which the cheapest is foreseen."""
+
+
+def foreseen_paths(points: int, error: float, target: float, effort: float) -> float:
+    """Paths of their own that a picture's ``points`` will take before anything is measured.
+
+    Their errors, whose root mean square is ``error``, are taken to have squares that are distributed exponentially: a
+    share x of the points, those that err most, leaves 1 - x + x ln x of the sum to the others. To a relative error e a
+    point takes ``effort`` / e^RATE paths.
+    """
+    share = np.arange(1, SHARES + 1) / SHARES
+    variance = (AIM * target) ** 2 - error**2 * (1.0 - share + share * np.log(share))
+    taken = share * points * effort * (share / np.maximum(variance, 1e-300)) ** (RATE / 2.0)
+    return float(taken[variance > 0.0].min()) if error > AIM * target else 0.0

@@ -1,0 +1,75 @@
+"""The time left counts the paths that pixels take of their own."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from isogi_core.cache.costs import Cost
+from isogi_core.frame.view_checks import PathsLeft
+from isogi_core.plan.assembly import load_scene
+from isogi_core.plan.scene import Scene
+from server.render.engine import RenderEngine
+from server.render.path_times import time_of_paths
+from tests.server.inline import LONG, InlinePool, view_of
+from worker import pool
+from worker.progress import TimeLeft
+
+TARGET = 0.05
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    """So few texels that light between them is wrong by far more than its noise."""
+    constant = [{"type": "constant"}]
+    return load_scene("demo:casting", lights=constant, lattice=0.3, bounces=1, projected=False, target_error=TARGET)
+
+
+@pytest.fixture
+def engine(scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[RenderEngine]:
+    monkeypatch.setattr(pool, "WorkerPool", InlinePool)
+    engine = RenderEngine([scene], str(tmp_path / "light"))
+    engine.start()
+    yield engine
+    engine.close()
+
+
+def test_a_path_takes_as_long_as_those_of_texels_at_first() -> None:
+    left = time_of_paths(PathsLeft(1000.0), Cost(seconds=2.0, paths=400), threads=2)
+    assert left.likely == pytest.approx(1000.0 * 2.0 / 400 / 2) and left.low < left.likely < left.high
+
+
+def test_a_path_takes_as_long_as_the_pixels_last_ones() -> None:
+    left = time_of_paths(PathsLeft(1000.0, 0.01), Cost(seconds=2.0, paths=400), threads=2)
+    assert left.likely == pytest.approx(10.0)
+    assert left.high < time_of_paths(PathsLeft(4000.0), Cost(2.0, 400), 2).high
+
+
+def test_times_of_two_works_add_up() -> None:
+    assert TimeLeft(1.0, 2.0, 3.0).plus(TimeLeft(10.0, 20.0, 30.0)) == TimeLeft(11.0, 22.0, 33.0)
+
+
+def test_a_picture_tells_the_time_until_its_pixels_have_light(engine: RenderEngine, scene: Scene) -> None:
+    view, target, checks = view_of(scene), 0.02, engine.renderer(scene.id).checks
+    while (frame := engine.survey(scene.id, view, target)).provisional:
+        engine.frame(scene.id, view, max_error=target, wait=0.05)
+    told = []
+    checks.decline_finer(view, target)
+    while not (frame := engine.survey(scene.id, view, target)).final:
+        assert engine.check(scene.id, view, target)
+        check = checks.held(view, target)
+        if check is not None and check.growing:
+            told.append((checks.left(frame, target).paths, engine.time_left(scene.id, frame, target)))
+    assert len(told) > 1 and told[0][0] > told[-1][0] > 0.0
+    assert all(left is not None and left.likely > 0.0 for _, left in told)
+    assert engine.time_left(scene.id, frame, target) == TimeLeft(0.0, 0.0, 0.0)
+
+
+def test_paths_are_foreseen_before_light_is_final(engine: RenderEngine, scene: Scene) -> None:
+    view, target = view_of(scene), scene.target_error / 4.0
+    engine.frame(scene.id, view, max_error=0.5, wait=LONG)
+    frame = engine.survey(scene.id, view, target)
+    left = engine.renderer(scene.id).checks.left
+    assert frame.provisional and left(frame, target).paths == 0.0
+    assert left(replace(frame, expected=2.0 * target), target).paths > 0.0
