@@ -66,10 +66,7 @@ class Mitsuba:
         """Look at ``view``; what is seen there, to be compared on those pixels of ``on`` that lie in the outline."""
         for tracer in self.tracers.values():
             tracer.spec(view)
-        one, other = (draw(self.tracers[SAMPLERS[1]], CONVERGED, seed) for seed in (1, 2))
-        mean = (one + other) / 2.0
-        inside = on & (mean[..., 3] > INSIDE)
-        return Converged(mean, relative_rmse(one, mean, inside), inside)
+        return converge(self.tracers[SAMPLERS[1]], CONVERGED, on)
 
     def reach(self, sampler: str, best: Converged, wanted: float) -> Reached:
         """Draw what was last looked at with so many samples that its error is near the one ``wanted``, above 0.
@@ -96,6 +93,14 @@ class Mitsuba:
         world = points * np.array(scene.volume.spacing, np.float32), triangles
         probe, albedo = scene.environment.constant + scene.environment.image, scene.albedo[0]
         self.tracers[sampler] = PathTracer(VARIANT, world, view, albedo, scene.bounces + 2, probe, sampler)
+
+
+def converge(tracer: PathTracer, samples: int, on: np.ndarray) -> Converged:
+    """The mean of two pictures of so many ``samples``, to be compared on those pixels of ``on`` in the outline."""
+    one, other = (draw(tracer, samples, seed) for seed in (1, 2))
+    mean = (one + other) / 2.0
+    inside = on & (mean[..., 3] > INSIDE)
+    return Converged(mean, relative_rmse(one, mean, inside), inside)
 
 
 def draw(tracer: PathTracer, samples: int, seed: int) -> np.ndarray:

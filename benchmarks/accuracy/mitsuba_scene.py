@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.common.mesh import make_mesh
-from benchmarks.common.mitsuba import NEVER, PathTracer, rgb
+from benchmarks.common.mitsuba import SAMPLERS, PathTracer, matte, rgb
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.tiles import Tiles
 from isogi_core.model.room import Room
@@ -36,15 +36,14 @@ class Ball:
 
 def surface_of(scene: Scene) -> dict[str, Any]:
     """What light meets at the surface: diffuse on both sides, metal, glass, or a share of it with the rest clear."""
-    matte = {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": rgb(scene.albedo)}}
     if scene.material.refracts:
         return {"type": "dielectric", "int_ior": scene.material.index, "ext_ior": 1.0}
     if scene.shine is not None and scene.shine.strength:
         metal = {"type": "principled", "metallic": 1.0, "roughness": scene.shine.roughness}
         return {"type": "twosided", "bsdf": metal | {"base_color": rgb(scene.albedo)}}
     if scene.clear:
-        return {"type": "mask", "opacity": 1.0 - scene.clear, "bsdf": matte}
-    return matte
+        return {"type": "mask", "opacity": 1.0 - scene.clear, "bsdf": matte(scene.albedo)}
+    return matte(scene.albedo)
 
 
 class SceneTracer(PathTracer):
@@ -52,20 +51,13 @@ class SceneTracer(PathTracer):
 
     def __init__(self, scene: Scene, view: View, ball: Ball | None = None) -> None:
         """Take on a scene; a ``ball`` is exact, any other surface a mesh of the cells, with normals of the field."""
-        import mitsuba  # noqa: PLC0415
-
-        self.mitsuba, self.variant = mitsuba, VARIANT
-        mitsuba.set_variant(VARIANT)
-        mitsuba.set_log_level(mitsuba.LogLevel.Error)
-        parts: dict[str, Any] = {"sensor": self._sensor(view, "multijitter"), **self._walls(scene.room)}
         probe = scene.environment.constant + scene.environment.image
+        self._begin(VARIANT, probe)
+        parts: dict[str, Any] = {"sensor": self._sensor(view, SAMPLERS[1]), **self._walls(scene.room)}
         if probe.any():
-            even = probe.shape[:2] == (1, 1)
-            parts["light"] = {"type": "constant", "radiance": rgb(probe[0, 0])} if even else self._envmap(probe, view)
+            parts["light"] = self._light(probe, view)
         parts["isosurface"] = self._ball(ball, scene) if ball else self._meshed(scene, view)
-        self.scene = mitsuba.load_dict({"type": "scene", **parts})
-        how = {"max_depth": DEPTH, "rr_depth": NEVER, "hide_emitters": True}
-        self.integrator = mitsuba.load_dict({"type": "path", **how})
+        self._load(parts, DEPTH)
 
     def _walls(self, room: Room) -> Mapping[str, Any]:
         """Rectangles that are black behind where one side is lit."""
@@ -75,8 +67,8 @@ class SceneTracer(PathTracer):
             normal = np.cross(u, v)
             matrix[:3] = np.column_stack([u / 2, v / 2, normal / np.linalg.norm(normal), corner + (u + v) / 2])
             shape = {"type": "rectangle", "to_world": self.mitsuba.ScalarTransform4f(matrix)}
-            matte = {"type": "diffuse", "reflectance": rgb(wall.albedo)}
-            shape["bsdf"] = matte if wall.sides == 1 else {"type": "twosided", "bsdf": matte}
+            both = matte(wall.albedo)
+            shape["bsdf"] = both["bsdf"] if wall.sides == 1 else both
             if any(wall.radiance):
                 shape["emitter"] = {"type": "area", "radiance": rgb(wall.radiance)}
             parts[f"wall{number}"] = shape
@@ -96,21 +88,11 @@ class SceneTracer(PathTracer):
         spacing = np.array(volume.spacing, np.float32)
         eye = tuple(np.array(view.camera.eye) / spacing)
         normals = GBuffer.of_points(surface, eye, points).normals(Tiles())
-        return self._with_normals(points * spacing, triangles, normals, surface_of(scene))
-
-    def _with_normals(self, points: np.ndarray, triangles: np.ndarray, normals: np.ndarray, bsdf: Any) -> Any:
+        points = points * spacing
         a, b, c = (points[triangles[:, k]] for k in range(3))
         inwards = (np.cross(b - a, c - a) * normals[triangles[:, 0]]).sum(axis=1) < 0.0
-        triangles = np.where(inwards[:, None], triangles[:, ::-1], triangles)
-        properties = self.mitsuba.Properties()
-        properties["bsdf"] = self.mitsuba.load_dict(bsdf)
-        shape = self.mitsuba.Mesh("isosurface", len(points), len(triangles), props=properties, has_vertex_normals=True)
-        parameters = self.mitsuba.traverse(shape)
-        for name, values in (("vertex_positions", points), ("vertex_normals", normals), ("faces", triangles)):
-            kind = np.uint32 if name == "faces" else np.float32
-            parameters[name] = np.ascontiguousarray(values, kind).ravel()
-        parameters.update()
-        return shape
+        outwards = np.where(inwards[:, None], triangles[:, ::-1], triangles)
+        return self._shape((points, outwards), surface_of(scene), normals)
 
 
 def between(voxels: np.ndarray, closer: int) -> np.ndarray:

@@ -11,7 +11,7 @@ Beside the RMSE of isogi's picture stands that of its own path-traced one: what 
 import tempfile
 from collections.abc import Iterator
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +19,7 @@ import click
 import numpy as np
 
 from benchmarks.accuracy.benches import wanted
-from benchmarks.accuracy.errors import relative_rmse, without
-from benchmarks.accuracy.mitsuba_race import INSIDE, draw
+from benchmarks.accuracy.mitsuba_race import INSIDE, Converged, converge
 from benchmarks.accuracy.mitsuba_scene import Ball, SceneTracer
 from benchmarks.common.measurement import Measurement, markdown
 from benchmarks.common.mitsuba import installed
@@ -80,24 +79,6 @@ HEAD = (
 )
 
 
-@dataclass(frozen=True, eq=False)
-class Best:
-    """Mitsuba's ``picture`` (h, w, 4), its relative ``noise``, and the pixels to compare, ``on``."""
-
-    picture: np.ndarray
-    noise: float
-    on: np.ndarray
-
-    def error(self, picture: np.ndarray) -> float:
-        """Relative RMSE of a picture, without the noise of this one."""
-        return without(relative_rmse(picture, self.picture, self.on), self.noise)
-
-    def wrong(self, picture: np.ndarray) -> np.ndarray:
-        """Differences of luminance over the mean; (pixels,)."""
-        light = self.picture[self.on][:, :3].astype(np.float64) @ LUMINANCE
-        return (picture[self.on][:, :3].astype(np.float64) @ LUMINANCE - light) / light.mean()
-
-
 @part(size=64)
 @click.option("--paths", default=4096, type=click.IntRange(8), help="Paths a pixel.", show_default=True)
 @click.option("--only", multiple=True, help="Part of a scene's name; repeatable.")
@@ -137,13 +118,10 @@ def measure(scene: Scene, size: int, paths: int) -> dict[str, float]:
     frame, traced = pictures(scene, view, paths // ACROSS**2)
     ball = BALL if "ball" in scene.source.name else None
     tracer = SceneTracer(scene, replace(view, width=size, height=size), ball)
-    one, other = (draw(tracer, paths, seed) for seed in (1, 2))
-    mean = (one + other) / 2.0
-    on = (mean[..., 3] > INSIDE) & (joined((frame.state > 0) & ~edges(frame)) > INSIDE)
-    best = Best(mean, relative_rmse(one, other, on) / 2.0, on)
-    wrong = best.wrong(joined(frame.radiance))
+    best = converge(tracer, paths, joined((frame.state > 0) & ~edges(frame)) > INSIDE)
+    wrong = apart(joined(frame.radiance), best)
     return {
-        "pixels": float(on.sum()),
+        "pixels": float(best.on.sum()),
         "RMSE": best.error(joined(frame.radiance)),
         "99th percentile": float(np.quantile(np.abs(wrong), 0.99)),
         "mean": float(wrong.mean()),
@@ -151,6 +129,12 @@ def measure(scene: Scene, size: int, paths: int) -> dict[str, float]:
         "path-traced": best.error(joined(traced.radiance)),
         "noise": best.noise,
     }
+
+
+def apart(picture: np.ndarray, best: Converged) -> np.ndarray:
+    """Differences of luminance over the mean; (pixels,)."""
+    found, light = (each[best.on][:, :3].astype(np.float64) @ LUMINANCE for each in (picture, best.picture))
+    return np.asarray((found - light) / light.mean())
 
 
 def pictures(scene: Scene, view: View, paths: int) -> tuple[Frame, Frame]:

@@ -1,7 +1,7 @@
 """Mitsuba's path tracer on the mesh of an isosurface, under constant light or a probe."""
 
 import importlib.util
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -45,6 +45,11 @@ def rgb(value: Sequence[float] | np.ndarray) -> dict[str, Any]:
     return {"type": "rgb", "value": [float(each) for each in value]}
 
 
+def matte(albedo: Sequence[float]) -> dict[str, Any]:
+    """What is diffuse on both sides."""
+    return {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": rgb(albedo)}}
+
+
 class PathTracer:
     """One variant of Mitsuba: a mesh in world units, diffuse on both sides, in even light or that of a probe."""
 
@@ -63,17 +68,26 @@ class PathTracer:
         ``probe`` is a lat-long image (h, w, 3) as isogi has them, turned as the view says; one pixel is even light.
         Light is not seen itself.
         """
+        self._begin(variant, probe)
+        shape = self._shape(mesh, matte([albedo] * 3))
+        self._load({"light": self._light(probe, view), "mesh": shape, "sensor": self._sensor(view, sampler)}, depth)
+
+    def _begin(self, variant: str, probe: np.ndarray) -> None:
+        """Choose a variant."""
         import mitsuba  # noqa: PLC0415
 
-        self.mitsuba, self.variant = mitsuba, variant
+        self.mitsuba, self.variant, self.turns = mitsuba, variant, probe.size > EVEN.size
         mitsuba.set_variant(variant)
         mitsuba.set_log_level(mitsuba.LogLevel.Error)
-        self.turns = probe.size > EVEN.size
-        light = self._envmap(probe, view) if self.turns else {"type": "constant", "radiance": rgb(probe[0, 0])}
-        parts = {"light": light, "mesh": self._shape(mesh, albedo), "sensor": self._sensor(view, sampler)}
-        self.scene = mitsuba.load_dict({"type": "scene", **parts})
+
+    def _load(self, parts: Mapping[str, Any], depth: int) -> None:
+        """Make the scene of its parts, and what traces its paths."""
+        self.scene = self.mitsuba.load_dict({"type": "scene", **parts})
         how = {"max_depth": depth, "rr_depth": NEVER, "hide_emitters": True}
-        self.integrator = mitsuba.load_dict({"type": "path", **how})
+        self.integrator = self.mitsuba.load_dict({"type": "path", **how})
+
+    def _light(self, probe: np.ndarray, view: View) -> dict[str, Any]:
+        return self._envmap(probe, view) if self.turns else {"type": "constant", "radiance": rgb(probe[0, 0])}
 
     def spec(self, view: View) -> None:
         """Move the camera, and turn the probe, to those of ``view``, of the same size and field of view."""
@@ -114,14 +128,18 @@ class PathTracer:
         matrix[:3, :3] = rotation_matrix(view.light) @ FROM_MITSUBA
         return self.mitsuba.ScalarTransform4f(matrix)
 
-    def _shape(self, mesh: Mesh, albedo: float) -> Any:
+    def _shape(self, mesh: Mesh, bsdf: Mapping[str, Any], normals: np.ndarray | None = None) -> Any:
+        """A mesh that reflects by a ``bsdf``, shaded with the ``normals`` of its points where there are any."""
         points, triangles = mesh
-        diffuse = {"type": "diffuse", "reflectance": rgb([albedo] * 3)}
         properties = self.mitsuba.Properties()
-        properties["bsdf"] = self.mitsuba.load_dict({"type": "twosided", "bsdf": diffuse})
-        shape = self.mitsuba.Mesh("isosurface", len(points), len(triangles), props=properties)
+        properties["bsdf"] = self.mitsuba.load_dict(bsdf)
+        shape = self.mitsuba.Mesh(
+            "isosurface", len(points), len(triangles), has_vertex_normals=normals is not None, props=properties
+        )
         parameters = self.mitsuba.traverse(shape)
         parameters["vertex_positions"] = np.ascontiguousarray(points, np.float32).ravel()
         parameters["faces"] = np.ascontiguousarray(triangles, np.uint32).ravel()
+        if normals is not None:
+            parameters["vertex_normals"] = np.ascontiguousarray(normals, np.float32).ravel()
         parameters.update()
         return shape
