@@ -13,7 +13,7 @@ from isogi_core.bake.refine import Place, by_isovalue, locate
 from isogi_core.bake.texel_light import Light, Part
 from isogi_core.kernels.transport.paths import SampleRange
 from isogi_core.kernels.transport.strays import Confines, find_strays
-from isogi_core.plan.volumes.cuts import FAR, Ranges, box_left
+from isogi_core.plan.volumes.cuts import FAR, Ranges, box_left, is_within
 
 KEPT = frozenset(("direct", "indirect", "whole"))
 """The kinds of layers whose light a cut may leave as it is: their paths meet one surface, and nothing else."""
@@ -68,8 +68,3 @@ def strays_of(place: Place, rows: np.ndarray, spec: BakeSpec, samples: SampleRan
     for cells, own in by_isovalue(place[3], ~rows, spec.prepared):
         find_strays(spec.prepared.field, cells, place, own, samples, confines, strays)
     return strays
-
-
-def is_within(points: np.ndarray, box: np.ndarray) -> np.ndarray:
-    """Which ``points`` (m, 3) lie in a ``box`` (2, 3); (m,) bool."""
-    return np.asarray(((points >= box[0]) & (points <= box[1])).all(axis=1))

@@ -33,7 +33,11 @@ def find_source(target: str | Path | None, overrides: Mapping[str, Any]) -> Scen
     text, lying = split_settings(str(target or DEFAULT_DEMO))
     clears = lying.pop("surfaces", None)
     source = source_at(text, {**overrides, **lying})
-    return source if clears is None else replace(source, document=put_clears(source.document, clears))
+    if clears is None:
+        return source
+    given = source.document.get("surfaces")
+    pinned = [each for each in given if isinstance(each, Mapping)] if isinstance(given, list) else []
+    return replace(source, document=put_clears(source.document, pinned, read_clears(clears, len(pinned))))
 
 
 def source_at(text: str, overrides: Mapping[str, Any]) -> SceneSource:
@@ -99,15 +103,9 @@ def read_clears(text: str, pinned: int) -> Clears:
     return found
 
 
-def put_clears(document: Mapping[str, Any], text: str) -> dict[str, Any]:
-    """A scene's ``document`` whose pinned surfaces pass other shares of rays, see ``read_clears``, without hidden ones.
-
-    Raises SceneError.
-    """
-    given = document.get("surfaces")
-    tables = [each for each in given if isinstance(each, Mapping)] if isinstance(given, list) else []
-    pairs = zip(tables, read_clears(text, len(tables)), strict=True)
-    kept = [{**table, "clear": clear} for table, clear in pairs if clear is not None]
+def put_clears(document: Mapping[str, Any], pinned: Sequence[Mapping[str, Any]], clears: Clears) -> dict[str, Any]:
+    """A scene's ``document`` whose ``pinned`` surfaces, tables, pass other shares of rays; None leaves one out."""
+    kept = [{**table, "clear": clear} for table, clear in zip(pinned, clears, strict=True) if clear is not None]
     rest = {key: value for key, value in document.items() if key != "surfaces"}
     return rest | ({"surfaces": kept} if kept else {})
 

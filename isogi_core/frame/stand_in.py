@@ -14,7 +14,7 @@ from isogi_core.frame.tiles import Tiles
 from isogi_core.frame.view_texels import ViewTexels
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL
 from isogi_core.kernels.shading.lattice import BURIED, PARTIAL, UNBAKED
-from isogi_core.plan.volumes.cuts import Ranges, box_left
+from isogi_core.plan.volumes.cuts import Ranges, box_left, is_within
 
 
 class StandIn:
@@ -54,5 +54,4 @@ class StandIn:
 
     def _is_far(self, texels: ViewTexels, caches: Caches) -> np.ndarray:
         """Which texels are far from the faces of the cut; (texels,) bool."""
-        places = texels.positions[:, ::-1] * caches.prepared.step
-        return np.asarray(((places >= self._box[0]) & (places <= self._box[1])).all(axis=1))
+        return is_within(texels.positions[:, ::-1] * caches.prepared.step, self._box)

@@ -218,11 +218,11 @@ def survey(grid: Grid, solid: str, missing: Sequence[float] = (), progress: Prog
     """
     check(grid, solid)
     spacing = checked_spacing(grid.spacing)
-    marks = find_marks(missing, usable_type(grid.dtype))
     kind = usable_type(grid.dtype)
+    marks = find_marks(missing, kind)
     narrow = kind.kind in "iu" and kind.itemsize <= NARROW and grid.size > FEW
     low, high, holes, some, tally = (tallying if narrow else scan)(grid, marks, progress)
-    ends = np.array([low, high], usable_type(grid.dtype))
+    ends = np.array([low, high], kind)
     core = find_core(np.union1d(some[present(some, marks)], ends))
     return Survey(grid, spacing, solid, marks, (low, high), holes, core, *offset_and_scale(*core, solid), tally)
 

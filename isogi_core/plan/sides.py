@@ -8,7 +8,7 @@ inside out, so that they are outer ones.
 from dataclasses import dataclass, replace
 from typing import Any
 
-from isogi_core.files.scene_file import DEFAULT_DEMO, Clears
+from isogi_core.files.scene_file import DEFAULT_DEMO, Clears, put_clears
 from isogi_core.model.surfaces import PinnedSurface
 from isogi_core.model.volume import Isovalue
 from isogi_core.plan.assembly import remade
@@ -66,9 +66,7 @@ def with_clears(scene: Scene, clears: Clears, name: str) -> Scene:
 
     The volume and what was surveyed of it are shared. Raises as ``build_scene`` does.
     """
-    kept = [replace(each, clear=clear) for each, clear in zip(scene.pinned, clears, strict=True) if clear is not None]
-    document: dict[str, Any] = {key: value for key, value in scene.source.document.items() if key != "surfaces"}
-    document |= {"surfaces": [each.table for each in kept]} if kept else {}
+    document = put_clears(scene.source.document, [each.table for each in scene.pinned], clears)
     made = replace(remade(scene, document | {"rotating": scene.rotating}, scene.volume), id=name)
     vars(made).update(scene.surveys)
     return made

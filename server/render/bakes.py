@@ -55,8 +55,8 @@ def make_bake(
     """The bake of a spec, by its name; workers that were joined, and lack the scene's files, read the ``assets``.
 
     Of texels projected onto an isosurface where one is ``shown``, and of a scene that may be cut from a ``whole``.
-    Nothing of the ``caches`` is kept: ``arrived`` is
-    called with the spec's name, a chunk that has new light, and the isosurface.
+    Nothing of the ``caches`` is kept: ``arrived`` is called with the spec's name, a chunk that has new light, and the
+    isosurface.
     """
     spec, store = replace(caches.spec(name), shown=shown), caches.store
     scene, plan = spec.prepared.scene, replace(spec.plan, left_out=(), notes=())

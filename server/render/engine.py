@@ -270,9 +270,10 @@ class RenderEngine:
         baking = self._baker.time_left(bake, subject, chunks, later)
         if baking is None:
             return None
-        spent = self.spent(bake, frame.lacking.texels.chunks if frame.lacking else ())
-        own = loaded.level(frame.fineness).renderer.checks.left(frame, target)
-        left = baking.plus(time_of_paths(own, spent, self._checking.threads))
+        own, left = loaded.level(frame.fineness).renderer.checks.left(frame, target), baking
+        if own.paths and frame.lacking:
+            spent = self.spent(bake, frame.lacking.texels.chunks)
+            left = baking.plus(time_of_paths(own, spent, self._checking.threads))
         return left if left.high > 0.0 else None
 
     def bake(self, bake: str, demands: Iterable[Demand], target: float, viewer: Viewer = BACKGROUND) -> BackgroundBake:

@@ -95,6 +95,11 @@ class PixelLight:
         framebuffer.error[own] = np.clip(error, 0.0, 1.0)
 
 
+def times_as_many(found: np.ndarray | float, allowed: np.ndarray | float) -> np.ndarray:
+    """How many times as many paths bring a variance that was ``found`` to what is ``allowed``; see RATE."""
+    return np.asarray((found / np.maximum(allowed, 1e-300)) ** (RATE / 2.0))
+
+
 @dataclass(frozen=True, eq=False)
 class Choice:
     """The points at ``places`` (k,), ascending, are to have light of their own whose variances add up to ``variance``.
@@ -127,18 +132,23 @@ class Growth:
         return bool(self.light.variance.sum() <= self.choice.variance)
 
     @property
+    def has_new(self) -> bool:
+        """Whether some of the points have no light of their own yet."""
+        return len(self.light.places) < len(self.choice.places)
+
+    @property
     def wanted(self) -> float:
         """Paths of each replica that it will take, by the noise after those that there are."""
-        if len(self.light.places) < len(self.choice.places):
+        if self.has_new:
             return self.choice.count
-        over = float(self.light.variance.sum()) / max(self.choice.variance, 1e-300)
-        return min(self.light.count * over ** (RATE / 2.0), MOST_PATHS)
+        more = float(times_as_many(float(self.light.variance.sum()), self.choice.variance))
+        return min(self.light.count * more, MOST_PATHS)
 
     @property
     def next(self) -> int:
         """Paths of each replica after the next step: twice as many at most, so that little is lost with a step."""
         before = self.light.count
-        if len(self.light.places) < len(self.choice.places):
+        if self.has_new:
             return max(before, FIRST_PATHS)
         return min(2 * before, max(math.ceil(self.wanted), before + before // 8))
 
@@ -173,7 +183,7 @@ def choose(
     variance = allowed * len(errors) - left
     noise = np.append(0.0, variance_of_halves(uncertainty, controls)[order].cumsum())[len(own) :] / REPLICAS
     many = np.arange(len(own), len(errors) + 1)
-    counts = np.clip(paths * (noise / np.maximum(variance, 1e-300)) ** (RATE / 2.0), FIRST_PATHS, MOST_PATHS)
+    counts = np.clip(paths * times_as_many(noise, variance), FIRST_PATHS, MOST_PATHS)
     costs = np.where(variance > 0.0, many * counts, np.inf)
     costs[-1] = many[-1] * counts[-1]  # of all points also where nothing is allowed, as in the dark
     best = int(np.argmin(costs))
@@ -193,5 +203,5 @@ def foreseen_paths(points: int, error: float, target: float, effort: float) -> f
     """
     share = np.arange(1, SHARES + 1) / SHARES
     variance = (AIM * target) ** 2 - error**2 * (1.0 - share + share * np.log(share))
-    taken = share * points * effort * (share / np.maximum(variance, 1e-300)) ** (RATE / 2.0)
+    taken = share * points * effort * times_as_many(share, variance)
     return float(taken[variance > 0.0].min()) if error > AIM * target else 0.0

@@ -111,6 +111,11 @@ def box_left(left: Ranges, size: tuple[int, int, int]) -> np.ndarray:
     return np.array([low, high])
 
 
+def is_within(points: np.ndarray, box: np.ndarray) -> np.ndarray:
+    """Which ``points`` (m, 3) lie in a ``box`` (2, 3), as of ``box_left``; (m,) bool."""
+    return np.asarray(((points >= box[0]) & (points <= box[1])).all(axis=1))
+
+
 def slabs_left(volume: Volume, left: Ranges) -> Iterator[np.ndarray]:
     """The slabs of a ``volume``, with FAR in place of the voxels that are not ``left``."""
     z, inside = 0, tuple(slice(each.start, each.stop) for each in (left[1], left[0]))
