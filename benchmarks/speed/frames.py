@@ -4,17 +4,20 @@
 
 Every camera is new to the renderer, so that each frame casts its primary rays; light is final, but where it is said
 to converge, and is filtered. Shadings are interleaved, and ratios are of medians (S1, table 2 has SH at 1.45 × Lambert
-and 0.75 × with shadow).
+and 0.75 × with shadow). Without a TARGET the same view is then measured under probes whose lights have other numbers of
+lobes.
 """
 
 import math
 import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 
 import click
 
-from benchmarks.common.measurement import Measurement
-from benchmarks.common.scenes import benchmark_scene
+from benchmarks.common.measurement import Figures, Measurement
+from benchmarks.common.scenes import benchmark_scene, shared_data
 from benchmarks.common.suite import part
 from benchmarks.common.timing import milliseconds
 from isogi_core.frame.film import develop
@@ -22,6 +25,7 @@ from isogi_core.frame.renderer import Renderer
 from isogi_core.model.scene_plan import FEWEST
 from isogi_core.model.view import View
 from isogi_core.model.window import Window
+from isogi_core.plan.scene import Scene
 from isogi_core.report.bake import NEVER
 from server.cli.bench import (
     DONE,
@@ -36,6 +40,9 @@ from server.cli.bench import (
     view_of,
 )
 
+PROBES = ("uffizi_256x128", "noon_grass_1024x512", "sepulchral_chapel_rotunda_1024x512", "grace_256x128")
+"""Shared probes whose lights have no lobe, one, two and four."""
+
 SHADINGS = ("gi", "lambert", "lambert_shadow", "lambert_fog", "phong", "phong_shadow")
 
 
@@ -44,15 +51,38 @@ SHADINGS = ("gi", "lambert", "lambert_shadow", "lambert_fog", "phong", "phong_sh
 def frames(target: str | None, size: int, repeats: int) -> Measurement:
     """Frame times of all shadings side by side, light baked, and of turning only the light."""
     scene = benchmark_scene(target)
-    with tempfile.TemporaryDirectory() as store:
-        renderer = make_renderer(scene, store)
-        view = view_of(scene, size)
-        frame = bake_view(renderer, view, FEWEST)
-        texels = sum(len(demand.offsets) for demand in frame.demands)
+    with lit(scene, size) as (renderer, view):
+        texels = sum(len(demand.offsets) for demand in renderer.render(view, NEVER).demands)
         figures = summarise(medians(candidates(renderer, view), repeats))
         figures["lattice / texels of this view"] = math.prod(renderer.prepared.shape) / texels
+    data = None if target else shared_data()
+    for probe in PROBES if data else ():
+        figures |= under_light({"type": "probe", "file": f"{data}/probe_{probe}.hdr"}, size, repeats)
     title = f"{scene.name} at {scene.isovalue:g}, {size} × {size}, {renderer.tiles.threads} threads"
     return Measurement(title, figures)
+
+
+@contextmanager
+def lit(scene: Scene, size: int) -> Iterator[tuple[Renderer, View]]:
+    """A renderer of a scene, and its view that is measured, with all light that this reads."""
+    with tempfile.TemporaryDirectory() as store:
+        renderer, view = make_renderer(scene, store), view_of(scene, size)
+        bake_view(renderer, view, FEWEST)
+        yield renderer, view
+
+
+def under_light(light: Mapping[str, str], size: int, repeats: int) -> Figures:
+    """A moved camera and a turned light of the engine, over Lambert's frames, by the lobes that its ``light`` has."""
+    with lit(benchmark_scene(None, lights=[light]), size) as (renderer, view):
+        moving, lobes = replace(view, moving=True), renderer.prepared.scene.plan.lobes
+        some = {
+            "lambert": new_camera(renderer, replace(view, shading="lambert")),
+            "gi": new_camera(renderer, view),
+            "relight": relight(renderer, view),
+            "relight, moving": relight(renderer, moving),
+        }
+        median = medians(some, repeats)
+    return {f"{name} / lambert, {lobes} lobes": median[name] / median["lambert"] for name in some if name != "lambert"}
 
 
 def candidates(renderer: Renderer, view: View) -> dict[str, Candidate]:

@@ -24,15 +24,14 @@ from isogi_core.kernels.shading.lobes import (
     aim_at_discs,
     aim_at_middles,
     aim_at_rims,
-    believe,
     cast_shadow_rays,
     face_lobes,
-    find_around,
     light_points,
     mark_edges,
     spread_edges,
 )
 from isogi_core.kernels.shading.local_models import find_normals, find_shadows, shade_local, trace_points
+from isogi_core.kernels.shading.shadow_points import prepare_points, sort_by_turn
 from isogi_core.kernels.shading.shine import cast_shine, fill_below, light_ends, pool_noise
 from isogi_core.kernels.shading.texel_normals import fill_texel_normals, keep_normals, look_up_normals
 from isogi_core.kernels.shading.texel_table import add_part, judge_rows, unpack_texels
@@ -62,9 +61,9 @@ LOBES = (
     aim_at_discs,
     aim_at_rims,
     aim_at_middles,
-    believe,
     mark_edges,
-    find_around,
+    prepare_points,
+    sort_by_turn,
     face_lobes,
     spread_edges,
     light_points,

@@ -5,7 +5,7 @@ step and the surface that a view shows, by isovalue, camera and size (``surface_
 
 | step | kept for |
 |---|---|
-| ``GBuffer``, ``ViewTexels``, ``Distances``, ``TexelNormals``, ``EyeGlow`` | a surface |
+| ``GBuffer``, ``ViewTexels``, ``Distances``, ``TexelNormals``, ``ShadowStarts``, ``EyeGlow`` | a surface |
 | ``Reading`` | a surface, a bake spec, a target error, and the age of the page pool |
 | ``LobeLight`` | a surface, the rotation of the light, and whether it moves |
 | ``PictureCheck`` | a surface, the rotation of the light, an albedo, a shine, a glow and a target error |
@@ -38,7 +38,7 @@ from isogi_core.frame.gbuffer import GBuffer, to_index, trace
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.projected_texels import Distances, find_distances, held_chunks, join_readings
 from isogi_core.frame.rays.control_pixels import bounces_of_truth
-from isogi_core.frame.rays.pixel_rays import LobeLight, find_lobes
+from isogi_core.frame.rays.lobe_light import LobeLight, ShadowStarts, find_lobes, find_starts
 from isogi_core.frame.rays.shine import ShineRays
 from isogi_core.frame.rays.shine_light import SHARE as SHINE_SHARE
 from isogi_core.frame.rays.shine_light import SeenLight, ShineLight, add_lobes_seen, walls_seen
@@ -342,7 +342,12 @@ class Renderer:
 
     def lobes(self, light: RotatedLight, gbuffer: GBuffer, tiles: Tiles | None = None) -> LobeLight:
         """What comes straight from lobes to a view; kept while neither camera nor light moves, for any albedo."""
-        make, view = partial(find_lobes, light, gbuffer, tiles or self.tiles), light.view
+        tiles, view = tiles or self.tiles, light.view
+
+        def make() -> LobeLight:
+            starts = self._kept.get((ShadowStarts, surface_key(view)), partial(find_starts, gbuffer, tiles))
+            return find_lobes(light, starts, gbuffer.surface.traced(tiles.run), tiles)
+
         return self._kept.get((LobeLight, surface_key(view), view.light, view.moving), make).tinted(light.tint)
 
     def lobe_radiance(self, frame: Frame) -> np.ndarray:

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from isogi_core.frame.gbuffer import GBuffer
-from isogi_core.frame.rays.pixel_rays import find_lobes
+from isogi_core.frame.rays.lobe_light import find_lobes, find_starts
 from isogi_core.frame.tiles import Tiles
-from isogi_core.kernels.shading.framebuffer import BLUE, GREEN, RED, PixelPoints
-from isogi_core.kernels.shading.lobes import APART, EVEN, RAYS, RIM, SHARP, STREAM, Pixels, find_around, rim_way
+from isogi_core.kernels.shading.framebuffer import BLUE, GREEN, RED
+from isogi_core.kernels.shading.lobes import EVEN, RAYS, RIM, SHARP, STREAM, rim_way
+from isogi_core.kernels.shading.shadow_points import APART
 from isogi_core.kernels.tracing.field import OFFSET, to_index
 from isogi_core.kernels.tracing.intersect import OUTSIDE, cast
 from isogi_core.kernels.transport.integrator import launch
@@ -54,12 +55,17 @@ def light(
     lamps: LampArrays, points: np.ndarray, spacing: Spacing = (1.0, 1.0, 1.0), moving: bool = False, threads: int = 1
 ) -> np.ndarray:
     """`find_lobes` of such a picture: (n, 4)."""
+    given: Any = SimpleNamespace(lobes=lamps, view=SimpleNamespace(moving=moving))
+    gbuffer, tiles = picture(points, spacing), Tiles(threads)
+    return find_lobes(given, find_starts(gbuffer, tiles), gbuffer.surface.traced(tiles.run), tiles).lit
+
+
+def picture(points: np.ndarray, spacing: Spacing = (1.0, 1.0, 1.0)) -> GBuffer:
+    """A picture of such points."""
     surface: Any = SimpleNamespace(traced=lambda _: surface_of(field_of(ROOM, spacing), 0.0), isovalue=0.0)
     side = math.isqrt(len(points))
     normals, pixels = np.tile(UP.astype(np.float32), (len(points), 1)), np.arange(len(points), dtype=np.uint32)
-    gbuffer = GBuffer((side, side), spacing, (20.0, 20.0, 40.0), surface, pixels, points, _normals=normals)
-    given: Any = SimpleNamespace(lobes=lamps, view=SimpleNamespace(moving=moving))
-    return find_lobes(given, gbuffer, Tiles(threads)).lit
+    return GBuffer((side, side), spacing, (20.0, 20.0, 40.0), surface, pixels, points, _normals=normals)
 
 
 def twin(lamps: LampArrays, points: np.ndarray, spacing: Spacing) -> np.ndarray:
@@ -109,11 +115,8 @@ def test_light_of_lobes_is_that_of_all_rays(degrees: float, spacing: Spacing) ->
 def test_neighbours_far_apart_on_the_surface_are_not_believed(side: int, believed: bool) -> None:
     """Four pixels are 2 voxels of the finer picture, and 6 of the coarser one, whose next neighbours still count."""
     assert 2.0 * math.sqrt(2.0) < APART < 6.0
-    points, pixels = floor(side), np.arange(side * side, dtype=np.uint32)
-    normals, around = np.tile(UP.astype(np.float32), (len(points), 1)), np.empty((len(points), 4), np.int32)
-    picture = Pixels(PixelPoints(points, normals, pixels), pixels.astype(np.int32).reshape(side, side))
-    find_around(picture, (0, len(points)), around)
-    first = around[:, 0].reshape(side, side)[4:-4, 4:-4]
+    starts = find_starts(picture(floor(side)), Tiles(1))
+    first = starts.picture.around[:, 0].reshape(side, side)[4:-4, 4:-4]
     assert (first[::4, ::4] == -1).all(), "those that are asked first"
     assert ((first[2::4, 2::4] >= 0) == believed).all() and ((first[::4, 2::4] >= 0) == believed).all()
     assert (first[1::2, 1::2] >= 0).all() and (first[::2, 1::2] >= 0).all()
@@ -167,5 +170,5 @@ def test_light_of_lobes_does_not_depend_on_tiles(monkeypatch: pytest.MonkeyPatch
     lamps, points = lamps_of(((0.4, 0.3, 0.8), 12.0, (1.0, 2.0, 3.0)), ((-0.4, 0.3, 0.8), 3.0, (1.0,) * 3)), floor()
     whole = light(lamps, points, moving=moving)
     for name in ("LOBE_POINTS", "RIMS", "HALVES"):
-        monkeypatch.setattr(f"isogi_core.frame.rays.pixel_rays.{name}", 97)
+        monkeypatch.setattr(f"isogi_core.frame.rays.lobe_light.{name}", 97)
     assert np.array_equal(whole, light(lamps, points, moving=moving, threads=3))

@@ -5,6 +5,8 @@ pixel of every fourth row, and from the others where those around disagree. Wher
 pixel, rays to the lobe's rim tell what sees all of it, or nothing, of which the light is known; about pixels in the
 half-shadow, whose rim rays disagree, all neighbours are asked too. In the half-shadow more rays are drawn. A point
 that a lobe only grazes gets so little of it that the ray to its middle is enough.
+
+Where shadow rays start, who is asked when, and whom a point believes, no light changes: ``ShadowPoints`` have it.
 """
 
 import math
@@ -28,8 +30,9 @@ from isogi_core.kernels.shading.framebuffer import (
 )
 from isogi_core.kernels.shading.lattice import DARKEST
 from isogi_core.kernels.shading.local_models import find_unoccluded
+from isogi_core.kernels.shading.shadow_points import PART, SHADOW_POINTS, neighbours, row_at
 from isogi_core.kernels.tracing.cast import SURFACE
-from isogi_core.kernels.tracing.vec import add, dot, length, madd, put_column, scale, sub
+from isogi_core.kernels.tracing.vec import dot, length, madd, put_column, scale
 from isogi_core.kernels.transport.lights import LAMPS, draw_from_disc, row
 from isogi_core.kernels.transport.rng import mix, point_2d
 
@@ -52,27 +55,15 @@ EVEN = 0.25
 the rim miss of them, a tenth of all half-shadow at its ends, is another 0.9 %.
 """
 
-BENT = 0.25
-"""How far a point may be from the middle of two neighbours, over their distance, for what these see to hold for it."""
-
 GRAZING = 0.03
 """What a lobe brings at most, over what it would from straight above, where its half-shadows are not looked for."""
-
-APART = 4.0
-"""Voxels between two neighbours, at most, that are four pixels apart and believed: surfaces hide nothing smaller."""
 
 AWAY, DARK, LIT, HALF, UNKNOWN = range(5)
 """What a point sees of what is above its horizon of a lobe: none is there; nothing; all; a part; not known yet."""
 
-TURNS = 5
-"""Turns in which pixels are asked, each of them amid four of the turns before."""
-
 SEEN = types.uint8[:, ::1]
-PART = types.UniTuple(types.int64, 2)
 PAIRS = types.int64[::1]
 """Lobes and points that go together: number of the lobe times the points, plus that of the point."""
-
-AROUND = types.int32[:, ::1]
 
 
 class Aimed(NamedTuple):
@@ -84,16 +75,6 @@ class Aimed(NamedTuple):
 
 
 AIMED = record(Aimed, types.int64[::1], types.int64[::1], types.float64[:, ::1])
-
-
-class Pixels(NamedTuple):
-    """All surface points of a picture: ``points`` are ``PixelPoints``, ``rows`` (h, w) their numbers, -1 where none."""
-
-    points: Any
-    rows: Any
-
-
-PICTURE = record(Pixels, PIXEL_POINTS, types.int32[:, ::1])
 
 
 @kernel()
@@ -110,13 +91,12 @@ def cosine_of(points, lamps, k, m):
 
 
 @kernel()
-def irradiance(points, lamps, k, m):
-    """E of lobe ``k`` at point ``m`` over that from straight above, where nothing but the horizon hides it.
+def irradiance(cosine, s):
+    """E of a lobe whose half angle has the sine ``s`` over that from straight above, where only the horizon hides it.
 
-    The mean cosine over a flat disc of radius s whose middle has the cosine x s, what is below the horizon being 0:
+    The mean cosine over a flat disc of radius s whose middle has the ``cosine`` x s, what is below the horizon being 0:
     s/π (x (π/2 + x √(1 - x²) + asin x) + 2/3 (1 - x²)^1.5), and x s for a disc that is all above.
     """
-    cosine, s = cosine_of(points, lamps, k, m), radius(lamps, k)
     if cosine >= s:
         return cosine
     x = max(cosine / s, -1.0)
@@ -128,59 +108,9 @@ def irradiance(points, lamps, k, m):
 def face_lobes(points, lamps, part, seen):
     """Begin with what points of a ``part`` have ``seen`` (lobes, m): AWAY or UNKNOWN, by their normals."""
     for k in range(seen.shape[0]):
+        lowest = -radius(lamps, k)
         for m in range(part[0], part[1]):
-            seen[k, m] = AWAY if cosine_of(points, lamps, k, m) <= -radius(lamps, k) else UNKNOWN
-
-
-@kernel()
-def row_at(rows, y, x):
-    """The number of the point in a pixel, -1 where there is none or the picture ends."""
-    inside = 0 <= y < rows.shape[0] and 0 <= x < rows.shape[1]
-    return np.int64(rows[y, x]) if inside else -1
-
-
-@kernel()
-def turn_of(x, y):
-    """When a pixel is asked: 0 where 4 divides x and y; the last two turns amid next neighbours, others two apart."""
-    if (x | y) & 1:
-        return 3 if x & y & 1 else 4
-    return 2 if (x + y) & 2 else (x & 2) // 2
-
-
-@kernel()
-def between(points, m, a, b):
-    """Whether point ``m`` is in the middle of its neighbours ``a`` and ``b``, as on one smooth surface."""
-    if a < 0 or b < 0:
-        return False
-    p, q = point_of(points, a), point_of(points, b)
-    bend = sub(scale(add(p, q), 0.5), point_of(points, m))
-    return length(bend) <= BENT * length(sub(p, q))
-
-
-@kernel()
-def apart(points, a, b):
-    """How far points ``a`` and ``b`` are from each other, in index space."""
-    return length(sub(point_of(points, a), point_of(points, b)))
-
-
-@kernel(types.void(PICTURE, PART, AROUND))
-def find_around(picture, part, around):
-    """Fill ``around`` (m, 4): the neighbours that are asked before a point, first -1 where one is not of its surface.
-
-    They are the diagonal ones of a point of an odd turn, and those beside, above and below it of an even one.
-    """
-    rows, points, width = picture.rows, picture.points, picture.rows.shape[1]
-    for m in range(part[0], part[1]):
-        y, x = divmod(np.int64(points.pixels[m]), width)
-        turn = turn_of(x, y)
-        step = 2 if turn < 3 else 1
-        aside = step * (turn & 1)
-        a, b = row_at(rows, y - aside, x - step), row_at(rows, y + aside, x + step)
-        c, d = row_at(rows, y - step, x + aside), row_at(rows, y + step, x - aside)
-        smooth = turn > 0 and between(points.points, m, a, b) and between(points.points, m, c, d)
-        if smooth and step > 1:
-            smooth = max(apart(points.points, a, b), apart(points.points, c, d)) <= APART
-        around[m, 0], around[m, 1], around[m, 2], around[m, 3] = a if smooth else -1, b, c, d
+            seen[k, m] = AWAY if cosine_of(points, lamps, k, m) <= lowest else UNKNOWN
 
 
 @kernel()
@@ -193,69 +123,64 @@ def agreed(around, m, seen):
     return found if same and (found == DARK or found == LIT) else UNKNOWN
 
 
-@kernel(types.void(SURFACE, PIXEL_POINTS, AIMED, types.int64, types.boolean[::1]))
-def cast_shadow_rays(surface, points, aimed, count, reached):
+@kernel(types.void(SURFACE, SHADOW_POINTS, AIMED, types.int64, types.boolean[::1]))
+def cast_shadow_rays(surface, picture, aimed, count, reached):
     """Fill ``reached`` (count,): whether the first ``count`` of the rays that are ``aimed`` get away."""
-    find_unoccluded(surface, points, aimed.owners[:count], aimed.ways[:, :count], reached)
+    find_unoccluded(surface, picture.starts, aimed.owners[:count], aimed.ways[:, :count], reached)
 
 
-@kernel(types.int64(PICTURE, PART, types.int64, AROUND, SEEN))
-def believe(picture, part, turn, around, seen):
-    """Have points of a ``part`` and a ``turn`` see what all ``around`` them do; how many pairs are UNKNOWN still."""
-    width, unknown = picture.rows.shape[1], 0
-    for m in range(part[0], part[1]):
-        y, x = divmod(np.int64(picture.points.pixels[m]), width)
-        if turn_of(x, y) != turn:
-            continue
-        for k in range(seen.shape[0]):
-            if seen[k, m] == UNKNOWN and turn > 0:
-                seen[k, m] = agreed(around, m, seen[k])
-            unknown += seen[k, m] == UNKNOWN
-    return unknown
+@kernel(types.int64(SHADOW_POINTS, LAMPS, PART, SEEN, AIMED))
+def aim_at_middles(picture, lamps, part, seen, aimed):
+    """Have points see what all ``around`` them do, and aim rays from the others to lobes; how many.
 
-
-@kernel(types.void(PICTURE, LAMPS, PART, types.int64, SEEN, AIMED))
-def aim_at_middles(picture, lamps, part, turn, seen, aimed):
-    """Aim rays from UNKNOWN points of a ``part`` and a ``turn`` to the middles of what is above their horizon."""
-    points, width, count = picture.points, picture.rows.shape[1], 0
+    The points are a ``part`` of the ``order``, all of one turn. Rays go to the middle of what is above their horizon.
+    There is room for all.
+    """
+    normals, count = picture.points.normals, 0
     for k in range(seen.shape[0]):
-        for m in range(part[0], part[1]):
-            if seen[k, m] != UNKNOWN:
-                continue
-            y, x = divmod(np.int64(points.pixels[m]), width)
-            if turn_of(x, y) == turn:
-                below = max(radius(lamps, k) - cosine_of(points, lamps, k, m), 0.0)
+        towards, s = row(lamps.places, k), radius(lamps, k)
+        for i in range(part[0], part[1]):
+            m = np.int64(picture.order[i])
+            if seen[k, m] == UNKNOWN:
+                seen[k, m] = agreed(picture.around, m, seen[k])
+            if seen[k, m] == UNKNOWN:
+                n = point_of(normals, m)
                 aimed.owners[count], aimed.pairs[count] = m, k * seen.shape[1] + m
-                put_column(aimed.ways, count, madd(row(lamps.places, k), 0.5 * below, point_of(points.normals, m)))
+                put_column(aimed.ways, count, madd(towards, 0.5 * max(s - dot(n, towards), 0.0), n))
                 count += 1
+    return count
+
+
+@kernel()
+def is_seen(seen, m, what):
+    """Whether there is a point ``m``, and it has ``seen`` (m,) that."""
+    return m >= 0 and seen[m] == what
 
 
 @kernel()
 def may_be_half(points, lamps, k, m, seen):
     """Whether point ``m`` may see a part of lobe ``k`` that is worth more rays."""
-    known = seen[k, m] == DARK or seen[k, m] == LIT
-    return known and radius(lamps, k) > 0.0 and irradiance(points, lamps, k, m) > GRAZING
+    known, s = seen[k, m] == DARK or seen[k, m] == LIT, radius(lamps, k)
+    return known and s > 0.0 and irradiance(cosine_of(points, lamps, k, m), s) > GRAZING
 
 
-@kernel(types.void(PICTURE, LAMPS, PART, SEEN, SEEN))
+@kernel(types.void(SHADOW_POINTS, LAMPS, PART, SEEN, SEEN))
 def mark_edges(picture, lamps, part, seen, asked):
-    """Set ``asked`` (lobes, m) for points of a ``part`` whose rim rays are to be cast.
-
-    These are at edges of shadows, and at edges of the surface, behind which such may begin.
+    """Set ``asked`` (lobes, m) for points of a ``part`` whose rim rays are to be cast: those at edges of shadows, and
+    ``edgy`` ones.
     """
-    points, rows, width = picture.points.points, picture.rows, picture.rows.shape[1]
+    width = picture.rows.shape[1]
     for m in range(part[0], part[1]):
         y, x = divmod(np.int64(picture.points.pixels[m]), width)
-        a, b, c, d = row_at(rows, y, x - 1), row_at(rows, y, x + 1), row_at(rows, y - 1, x), row_at(rows, y + 1, x)
-        smooth = between(points, m, a, b) and between(points, m, c, d)
+        a, b, c, d = neighbours(picture.rows, y, x, 0, 1)
         for k in range(seen.shape[0]):
-            other = LIT + DARK - seen[k, m]
-            edge = not smooth or seen[k, a] == other or seen[k, b] == other
-            edge = edge or seen[k, c] == other or seen[k, d] == other
+            other, sees = LIT + DARK - seen[k, m], seen[k]
+            edge = picture.edgy[m] or is_seen(sees, a, other) or is_seen(sees, b, other)
+            edge = edge or is_seen(sees, c, other) or is_seen(sees, d, other)
             asked[k, m] = edge and may_be_half(picture.points, lamps, k, m, seen)
 
 
-@kernel(types.int64(PICTURE, LAMPS, PAIRS, SEEN, SEEN, PAIRS))
+@kernel(types.int64(SHADOW_POINTS, LAMPS, PAIRS, SEEN, SEEN, PAIRS))
 def spread_edges(picture, lamps, halves, seen, asked, more):
     """Write to ``more`` the pairs about those in the half-shadow that are not asked yet, and mark them as ``asked``.
 
@@ -334,7 +259,7 @@ def share_around(picture, m, seen):
     return lit / facing
 
 
-@kernel(types.void(PICTURE, LAMPS, PART, types.boolean, SEEN, types.float32[:, ::1]))
+@kernel(types.void(SHADOW_POINTS, LAMPS, PART, types.boolean, SEEN, types.float32[:, ::1]))
 def light_points(picture, lamps, part, smooth, seen, lit):
     """Fill ``lit`` (m, 4): E/π, linear RGB, straight from directional ``lamps``, and the variance of its luminance.
 
@@ -343,17 +268,18 @@ def light_points(picture, lamps, part, smooth, seen, lit):
     """
     lit[part[0] : part[1]] = 0.0
     for k in range(seen.shape[0]):
+        colour, s = row(lamps.colours, k), radius(lamps, k)
         for m in range(part[0], part[1]):
             if seen[k, m] == AWAY or (seen[k, m] == DARK and not smooth):
                 continue
             share = share_around(picture, m, seen[k]) if smooth else 1.0 if seen[k, m] == LIT else 0.0
             if share > 0.0:
-                add_light(lit, m, row(lamps.colours, k), share * irradiance(picture.points, lamps, k, m), 0.0)
+                add_light(lit, m, colour, share * irradiance(cosine_of(picture.points, lamps, k, m), s), 0.0)
 
 
 @kernel(types.void(LAMPS, PAIRS, types.float64[:, ::1], types.float32[:, ::1]))
 def add_halves(lamps, pairs, shares, lit):
-    """Add the ``shares`` (pairs, 2) of lobes that points see in part to their light; see ``frame.pixel_rays``."""
+    """Add the ``shares`` (pairs, 2) of lobes that points see in part to their light; see ``frame.rays.lobe_light``."""
     for j in range(pairs.shape[0]):
         k, m = divmod(pairs[j], lit.shape[0])
         add_light(lit, m, row(lamps.colours, k), shares[j, 0], shares[j, 1])

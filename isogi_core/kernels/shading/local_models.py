@@ -23,7 +23,7 @@ from isogi_core.kernels.tracing.ray_stream import Rays
 from isogi_core.kernels.tracing.vec import column, dot, length, madd, normalize, put_column, scale, sub
 from isogi_core.kernels.transport.integrator import launch
 from isogi_core.kernels.transport.light_paths import SURROUNDINGS, light_paths, to_world
-from isogi_core.kernels.transport.lights import fog
+from isogi_core.kernels.transport.lights import fog, row
 from isogi_core.kernels.transport.paths import PATH_RULES, SAMPLE_RANGE, PathStarts, SampleRange
 from isogi_core.kernels.transport.rng import mix
 from isogi_core.kernels.transport.wavefront import WAVE
@@ -64,19 +64,18 @@ def find_normals(field, points, eye, normals):
 
 
 @kernel()
-def find_unoccluded(surface, points, owners, ways, reached):
-    """Fill ``reached`` (n,): whether rays from points ``owners`` (n,) in world directions ``ways`` (3, n) get away.
+def find_unoccluded(surface, starts, owners, ways, reached):
+    """Fill ``reached`` (n,): whether rays get away that start outside, in the rows ``owners`` (n,) of ``starts``.
 
-    ``points`` are ``PixelPoints``.
+    These are in index space, (m, 3), and the ``ways`` (3, n) in the world.
     """
-    count, field, iso = owners.shape[0], surface.field, surface.isovalue
+    count, field = owners.shape[0], surface.field
     origins, directions = np.empty((3, count)), np.empty((3, count))
     for i in range(count):
-        m = owners[i]
-        put_column(origins, i, launch(field, iso, point_of(points.points, m), point_of(points.normals, m), OUTSIDE))
+        put_column(origins, i, row(starts, owners[i]))
         put_column(directions, i, to_index(column(ways, i), field.spacing))
     t, came = np.empty(count), np.empty(count, np.int8)
-    rays = Rays(np.full(count, iso), origins, directions, np.full(count, OUTSIDE, np.int8))
+    rays = Rays(np.full(count, surface.isovalue), origins, directions, np.full(count, OUTSIDE, np.int8))
     cast_batch(field, surface.cells, rays, t, came)
     for i in range(count):
         reached[i] = not t[i] < math.inf
@@ -88,16 +87,18 @@ def find_shadows(surface, points, key, seen):
 
     Points that are turned away from the light count as unseen.
     """
-    owners, count = np.empty(seen.shape[0], np.int64), 0
+    owners, starts, count = np.empty(seen.shape[0], np.int64), np.empty((seen.shape[0], 3)), 0
     for m in range(seen.shape[0]):
-        seen[m] = dot(point_of(points.normals, m), key) > 0.0
+        p, n = point_of(points.points, m), point_of(points.normals, m)
+        seen[m] = dot(n, key) > 0.0
         if seen[m]:
+            starts[m, 0], starts[m, 1], starts[m, 2] = launch(surface.field, surface.isovalue, p, n, OUTSIDE)
             owners[count] = m
             count += 1
     ways, reached = np.empty((3, count)), np.empty(count, np.bool_)
     for i in range(count):
         put_column(ways, i, key)
-    find_unoccluded(surface, points, owners[:count], ways, reached)
+    find_unoccluded(surface, starts, owners[:count], ways, reached)
     for i in range(count):
         seen[owners[i]] = reached[i]
 

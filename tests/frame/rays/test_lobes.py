@@ -86,12 +86,14 @@ def test_lobes_rotate_as_the_light_does(workbench: Make) -> None:
 
 
 def test_rays_to_lobes_are_cast_again_when_the_light_rotates(workbench: Make, monkeypatch: pytest.MonkeyPatch) -> None:
-    cast, find = [], module.find_lobes
+    cast, find, begun, begin = [], module.find_lobes, [], module.find_starts
     monkeypatch.setattr(module, "find_lobes", lambda *given: cast.append(1) or find(*given))
+    monkeypatch.setattr(module, "find_starts", lambda *given: begun.append(1) or begin(*given))
     bench = set_out(workbench, ball(24, 8.0))
     for light, expected in (((1.0, 0.0, 0.0, 0.0), 1), ((1.0, 0.0, 0.0, 0.0), 1), (TURN, 2), (TURN, 2)):
         frame = bench.renderer.render(bench.view(size=16, light=light))
         assert len(cast) == expected and frame.seconds["lobes"] > 0.0
+        assert len(begun) == 1, "where they start no light changes"
     bench.renderer.render(bench.view(size=16, shading="vicinity"))
     assert len(cast) == 2, "vicinity shading has no lobes"
 

@@ -1,0 +1,196 @@
+"""Light that comes straight from lobes to the points of a view, along shadow rays."""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from isogi_core.frame.gbuffer import GBuffer
+from isogi_core.frame.lighting import RotatedLight
+from isogi_core.frame.tiles import Tiles
+from isogi_core.kernels.shading.framebuffer import PixelPoints
+from isogi_core.kernels.shading.lattice import DARKEST
+from isogi_core.kernels.shading.lobes import (
+    DARK,
+    EVEN,
+    HALF,
+    LIT,
+    RAYS,
+    RIM,
+    Aimed,
+    add_halves,
+    aim_at_discs,
+    aim_at_middles,
+    aim_at_rims,
+    cast_shadow_rays,
+    face_lobes,
+    light_points,
+    mark_edges,
+    spread_edges,
+)
+from isogi_core.kernels.shading.shadow_points import TURNS, ShadowPoints, prepare_points, sort_by_turn
+from isogi_core.kernels.tracing.cast import TracedSurface
+from isogi_core.kernels.transport.lights import LampArrays
+from isogi_core.model.sky import LUMINANCE
+
+LOBE_POINTS, RIMS, HALVES = 4096, 1024, 256
+"""Surface points, pairs of points and lobes at edges of shadows, and such pairs in half-shadow, of a tile."""
+
+RIM_SEEN = np.array([DARK, *[HALF] * (RIM - 1), LIT], np.uint8)
+"""What a point sees of a lobe of which so many rays to the rim get away."""
+
+
+@dataclass(frozen=True, eq=False)
+class LobeLight:
+    """Light of lobes at a view's surface points: ``lit`` (m, 4) float32, in ``BakeSpec.unit``, see ``light_points``.
+
+    It leaves a surface of the bake spec's own albedo.
+    """
+
+    lit: np.ndarray
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that it takes."""
+        return self.lit.nbytes
+
+    def tinted(self, tint: np.ndarray) -> "LobeLight":
+        """The same from a surface that reflects ``tint`` (3,) times as much of each colour."""
+        if (tint == 1.0).all():
+            return self
+        if (tint == tint[0]).all():
+            return LobeLight(self.lit * np.array([*tint, tint[0] ** 2], np.float32))
+        colours = (self.lit[:, :3] * tint).astype(np.float32)
+        grown = (colours @ LUMINANCE) / np.maximum(self.lit[:, :3] @ LUMINANCE, DARKEST)
+        return LobeLight(np.column_stack([colours, self.lit[:, 3] * grown**2]).astype(np.float32))
+
+
+@dataclass(frozen=True, eq=False)
+class ShadowStarts:
+    """What shadow rays of one view have in common, however the light turns.
+
+    ``picture`` has its surface points, and ``ends`` (TURNS + 1,) int64 where turns begin and end in their order.
+    """
+
+    picture: ShadowPoints
+    ends: np.ndarray
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that it takes besides the G-buffer."""
+        return sum(part.nbytes for part in self.picture[1:])
+
+
+def find_starts(gbuffer: GBuffer, tiles: Tiles) -> ShadowStarts:
+    """What shadow rays from the points of a G-buffer begin with. Raises Cancelled."""
+    points = PixelPoints(gbuffer.points, gbuffer.normals(tiles), gbuffer.pixels)
+    m, ends = len(gbuffer.points), np.empty(TURNS + 1, np.int64)
+    places = np.empty((m, 3)), np.empty((m, 4), np.int32), np.empty(m, np.bool_), np.empty(m, np.int32)
+    picture, traced = ShadowPoints(points, gbuffer.rows, *places), gbuffer.surface.traced(tiles.run)
+    tiles.run(lambda a, b: prepare_points(traced, picture, (a, b)), m, LOBE_POINTS)
+    sort_by_turn(gbuffer.pixels, gbuffer.shape[1], picture.order, ends)
+    return ShadowStarts(picture, ends)
+
+
+def find_lobes(light: RotatedLight, starts: ShadowStarts, traced: TracedSurface, tiles: Tiles) -> LobeLight:
+    """Find what comes straight from the lobes of a ``light``; of a view that moves by fewer rays. Raises Cancelled."""
+    lamps, moving = light.lobes, light.view.moving
+    shadows = Shadows(traced, starts, lamps, tiles)
+    seen = shadows.middles()
+    halves = np.empty(0, np.int64) if moving else shadows.edges(seen)
+    lit = np.empty((shadows.points, 4), np.float32)
+    tiles.run(lambda a, b: light_points(starts.picture, lamps, (a, b), moving, seen, lit), len(lit), LOBE_POINTS)
+    add_halves(lamps, halves, shadows.halves(halves), lit)
+    return LobeLight(lit)
+
+
+@dataclass(frozen=True, eq=False)
+class Shadows:
+    """What the points of a picture, as shadow rays ``start`` from them, see of ``lamps`` past the ``traced`` surface.
+
+    Lamps are directional. It is the same however the work is cut into ``tiles``.
+    """
+
+    traced: TracedSurface
+    starts: ShadowStarts
+    lamps: LampArrays
+    tiles: Tiles
+
+    @property
+    def picture(self) -> ShadowPoints:
+        """The points."""
+        return self.starts.picture
+
+    @property
+    def points(self) -> int:
+        """How many points there are."""
+        return len(self.picture.order)
+
+    def middles(self) -> np.ndarray:
+        """What all points see of lobes' middles, (lobes, m) uint8."""
+        lobes, points = len(self.lamps.kinds), self.picture.points
+        seen = np.empty((lobes, self.points), np.uint8)
+        self.tiles.run(lambda a, b: face_lobes(points, self.lamps, (a, b), seen), self.points, LOBE_POINTS)
+        for first, last in pairwise(self.starts.ends.tolist()):
+
+            def _piece(a: int, b: int, first: int = first) -> None:
+                aimed = room_for((b - a) * lobes)
+                count = aim_at_middles(self.picture, self.lamps, (first + a, first + b), seen, aimed)
+                seen.reshape(-1)[aimed.pairs[:count]] = np.where(self._cast(aimed, count), LIT, DARK)
+
+            self.tiles.run(_piece, last - first, min(self.tiles.even(last - first), LOBE_POINTS))
+        return seen
+
+    def edges(self, seen: np.ndarray) -> np.ndarray:
+        """Put into ``seen`` what points at the edges of shadows see of lobes' rims; the pairs in half-shadow, int64."""
+        asked = np.empty_like(seen)
+
+        def _piece(a: int, b: int) -> None:
+            mark_edges(self.picture, self.lamps, (a, b), seen, asked)
+
+        self.tiles.run(_piece, self.points, LOBE_POINTS)
+        pairs, found = np.flatnonzero(asked), [np.empty(0, np.int64)]
+        while len(pairs):
+            seen.reshape(-1)[pairs] = sees = self._rims(pairs)
+            found.append(pairs[sees == HALF])
+            more = np.empty(8 * len(pairs), np.int64)
+            pairs = more[: spread_edges(self.picture, self.lamps, found[-1], seen, asked, more)]
+        return np.sort(np.concatenate(found))
+
+    def _rims(self, pairs: np.ndarray) -> np.ndarray:
+        """What the points and lobes in ``pairs`` see of each other by their rims; (pairs,) uint8."""
+        found = np.empty(len(pairs), np.uint8)
+
+        def _piece(a: int, b: int) -> None:
+            aimed = room_for(RIM * (b - a))
+            count = aim_at_rims(self.picture.points, self.lamps, pairs[a:b], aimed)
+            rays = np.bincount(aimed.pairs[:count][self._cast(aimed, count)], minlength=b - a)
+            found[a:b] = RIM_SEEN[rays]
+
+        self.tiles.run(_piece, len(pairs), min(self.tiles.even(len(pairs)), RIMS))
+        return found
+
+    def halves(self, pairs: np.ndarray) -> np.ndarray:
+        """Shares of lobes that points see in part, and their variance; (pairs, 2)."""
+        shares = np.empty((len(pairs), 2))
+
+        def _piece(a: int, b: int) -> None:
+            count = RAYS * (b - a)
+            aimed, brought = room_for(count), np.empty(count)
+            aim_at_discs(self.picture.points, self.lamps, pairs[a:b], aimed, brought)
+            each = (brought * self._cast(aimed, count)).reshape(-1, RAYS)
+            shares[a:b, 0], shares[a:b, 1] = each.mean(axis=1), EVEN * each.var(axis=1) / (RAYS - 1)
+
+        self.tiles.run(_piece, len(pairs), HALVES)
+        return shares
+
+    def _cast(self, aimed: Aimed, count: int) -> np.ndarray:
+        """Whether the first ``count`` rays get away; (count,) bool."""
+        reached = np.empty(count, np.bool_)
+        cast_shadow_rays(self.traced, self.picture, aimed, count, reached)
+        return reached
+
+
+def room_for(rays: int) -> Aimed:
+    """Room for so many rays."""
+    return Aimed(np.empty(rays, np.int64), np.empty(rays, np.int64), np.empty((3, rays)))

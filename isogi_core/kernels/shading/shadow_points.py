@@ -1,0 +1,144 @@
+"""What shadow rays from a picture's points have in common, whatever the light: where they start, and who asks when.
+
+Pixels are asked in turns, so that a point may believe those around it that were asked before, where these are of one
+smooth surface with it.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import types
+
+from isogi_core.kernels._jit import kernel, record
+from isogi_core.kernels.shading.framebuffer import PIXEL_POINTS, PIXELS, point_of
+from isogi_core.kernels.tracing.cast import SURFACE
+from isogi_core.kernels.tracing.intersect import OUTSIDE
+from isogi_core.kernels.tracing.vec import add, length, scale, sub
+from isogi_core.kernels.transport.integrator import launch
+
+BENT = 0.25
+"""How far a point may be from the middle of two neighbours, over their distance, for what these see to hold for it."""
+
+APART = 4.0
+"""Voxels between two neighbours, at most, that are four pixels apart and believed: surfaces hide nothing smaller."""
+
+TURNS = 5
+"""Turns in which pixels are asked, each of them amid four of the turns before."""
+
+PART = types.UniTuple(types.int64, 2)
+ORDER = types.int32[::1]
+
+
+class ShadowPoints(NamedTuple):
+    """All surface points of a picture, as shadow rays to any light start from them.
+
+    ``points`` are ``PixelPoints``, ``rows`` (h, w) their numbers, -1 where none; ``starts`` (m, 3) float64 in index
+    space; ``around`` (m, 4) the neighbours that are asked before a point, first -1 where they say nothing of it;
+    ``edgy`` (m,) whether half-shadows are looked for there even where all neighbours agree; ``order`` (m,) the points
+    turn by turn, those of one turn ascending.
+    """
+
+    points: Any
+    rows: Any
+    starts: Any
+    around: Any
+    edgy: Any
+    order: Any
+
+
+SHADOW_POINTS = record(
+    ShadowPoints,
+    PIXEL_POINTS,
+    types.int32[:, ::1],
+    types.float64[:, ::1],
+    types.int32[:, ::1],
+    types.boolean[::1],
+    ORDER,
+)
+
+
+@kernel()
+def row_at(rows, y, x):
+    """The number of the point in a pixel, -1 where there is none or the picture ends."""
+    inside = 0 <= y < rows.shape[0] and 0 <= x < rows.shape[1]
+    return np.int64(rows[y, x]) if inside else -1
+
+
+@kernel()
+def turn_of(x, y):
+    """When a pixel is asked: 0 where 4 divides x and y; the last two turns amid next neighbours, others two apart."""
+    if (x | y) & 1:
+        return 3 if x & y & 1 else 4
+    return 2 if (x + y) & 2 else (x & 2) // 2
+
+
+@kernel()
+def between(points, m, a, b):
+    """Whether point ``m`` is in the middle of its neighbours ``a`` and ``b``, as on one smooth surface."""
+    if a < 0 or b < 0:
+        return False
+    p, q = point_of(points, a), point_of(points, b)
+    bend = sub(scale(add(p, q), 0.5), point_of(points, m))
+    return length(bend) <= BENT * length(sub(p, q))
+
+
+@kernel()
+def apart(points, a, b):
+    """How far points ``a`` and ``b`` are from each other, in index space."""
+    return length(sub(point_of(points, a), point_of(points, b)))
+
+
+@kernel()
+def neighbours(rows, y, x, aside, step):
+    """Numbers of the four points at a distance of ``step`` about a pixel: diagonal where ``aside`` is that, too."""
+    a, b = row_at(rows, y - aside, x - step), row_at(rows, y + aside, x + step)
+    return a, b, row_at(rows, y - step, x + aside), row_at(rows, y + step, x - aside)
+
+
+@kernel()
+def on_one_surface(points, m, four):
+    """Whether point ``m`` is amid ``four`` neighbours, two and two of them opposite, as on one smooth surface."""
+    return between(points, m, four[0], four[1]) and between(points, m, four[2], four[3])
+
+
+@kernel(types.void(SURFACE, SHADOW_POINTS, PART))
+def prepare_points(surface, picture, part):
+    """Fill ``starts``, ``around`` and ``edgy`` of the points of a ``part``.
+
+    Neighbours ``around`` are the diagonal ones of a point of an odd turn, and those beside, above and below it of an
+    even one. Points are ``edgy`` at edges of the surface, behind which half-shadows may begin.
+    """
+    rows, points, around, width = picture.rows, picture.points.points, picture.around, picture.rows.shape[1]
+    for m in range(part[0], part[1]):
+        p, n = point_of(points, m), point_of(picture.points.normals, m)
+        start = launch(surface.field, surface.isovalue, p, n, OUTSIDE)
+        picture.starts[m, 0], picture.starts[m, 1], picture.starts[m, 2] = start
+        y, x = divmod(np.int64(picture.points.pixels[m]), width)
+        turn = turn_of(x, y)
+        step = 2 if turn < 3 else 1
+        four = neighbours(rows, y, x, step * (turn & 1), step)
+        smooth = turn > 0 and on_one_surface(points, m, four)
+        if smooth and step > 1:
+            smooth = max(apart(points, four[0], four[1]), apart(points, four[2], four[3])) <= APART
+        around[m, 0], around[m, 1], around[m, 2], around[m, 3] = four[0] if smooth else -1, four[1], four[2], four[3]
+        picture.edgy[m] = not on_one_surface(points, m, neighbours(rows, y, x, 0, 1))
+
+
+@kernel(types.void(PIXELS, types.int64, ORDER, types.int64[::1]))
+def sort_by_turn(pixels, width, order, ends):
+    """Fill the ``order`` (m,) of points at ``pixels`` of a picture so wide, and the ``ends`` (TURNS + 1,) of turns.
+
+    Points of turn t are those from ``ends[t]`` to ``ends[t + 1]``.
+    """
+    ends[:] = 0
+    for m in range(pixels.shape[0]):
+        y, x = divmod(np.int64(pixels[m]), width)
+        ends[turn_of(x, y) + 1] += 1
+    for turn in range(TURNS):
+        ends[turn + 1] += ends[turn]
+    places = ends.copy()
+    for m in range(pixels.shape[0]):
+        y, x = divmod(np.int64(pixels[m]), width)
+        turn = turn_of(x, y)
+        order[places[turn]] = m
+        places[turn] += 1
