@@ -39,6 +39,9 @@ from server.pictures import encode
 from server.progress import open_scene
 from server.settings import cores
 
+TOGETHER = 16
+"""Chunks that are baked in one go, as a worker's task has several."""
+
 MEMORY = 1 << 30
 """Bytes of light that a measured renderer may hold."""
 
@@ -94,22 +97,24 @@ def bake_view(renderer: Renderer, view: View, until: int) -> Frame:
     with tqdm(desc="baking", unit="chunk", total=len(demands), leave=False) as bar:
 
         def piece(a: int, b: int) -> None:
-            for demand in demands[a:b]:
-                bake_chunk(renderer, view.shading, demand, until)
-                bar.update()
+            bake_chunks(renderer, view.shading, demands[a:b], until)
+            bar.update(b - a)
 
-        renderer.tiles.run(piece, len(demands), 1)
+        renderer.tiles.run(piece, len(demands), TOGETHER)
     return renderer.render(view, NEVER)
 
 
-def bake_chunk(renderer: Renderer, shading: str, demand: Demand, until: int) -> None:
-    """Bake what is demanded of a chunk by a view of this ``shading``, and keep it in the store."""
-    loader = renderer.caches.of(shading)
-    chunk = loader.chunk_store.load(demand.index).with_texels(demand.offsets)
-    texels = renderer.prepared.lattice.positions(chunk.index, chunk.offsets)
-    refine(chunk.light, texels, loader.chunk_store.spec, until, NEVER)
-    loader.chunk_store.save(chunk)
-    loader.refresh(demand.index)
+def bake_chunks(renderer: Renderer, shading: str, demands: Sequence[Demand], until: int) -> None:
+    """Bake what is demanded of chunks by a view of this ``shading``, together, and keep it in the store."""
+    loader, lattice = renderer.caches.of(shading), renderer.prepared.lattice
+    chunks = [loader.chunk_store.load(demand.index).with_texels(demand.offsets) for demand in demands]
+    light = Light.joined([chunk.light for chunk in chunks])
+    texels = np.concatenate([lattice.positions(chunk.index, chunk.offsets) for chunk in chunks])
+    refine(light, texels, loader.chunk_store.spec, until, NEVER)
+    ends = np.cumsum([len(chunk.offsets) for chunk in chunks])
+    for chunk, rows in zip(chunks, np.split(np.arange(len(light)), ends[:-1]), strict=True):
+        loader.chunk_store.save(replace(chunk, light=light.rows(rows)))
+        loader.refresh(chunk.index)
 
 
 def bake_texels(prepared: PreparedScene, texels: np.ndarray, until: int) -> Light:
@@ -327,12 +332,14 @@ class Bench:
         }
 
     def _texels(self) -> Iterator[np.ndarray]:
-        """Texels of the view, (m, 3), chunk by chunk, those of which it reads most first."""
-        count = 0
-        for demand in sorted(self.frame.demands, key=lambda demand: -len(demand.offsets)):
+        """Texels of the view, (m, 3), those of several chunks together, of which it reads most first."""
+        lattice, count = self.renderer.prepared.lattice, 0
+        demands = sorted(self.frame.demands, key=lambda demand: -len(demand.offsets))
+        for first in range(0, len(demands), TOGETHER):
             if count < TEXELS:
-                count += len(demand.offsets)
-                yield self.renderer.prepared.lattice.positions(demand.index, demand.offsets)
+                some = [lattice.positions(each.index, each.offsets) for each in demands[first : first + TOGETHER]]
+                yield np.concatenate(some)
+                count += sum(map(len, some))
 
 
 def milliseconds(candidates: dict[str, Candidate], repeats: int) -> dict[str, float]:
