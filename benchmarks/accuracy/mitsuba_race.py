@@ -95,14 +95,11 @@ class Mitsuba:
         self.tracers[sampler] = PathTracer(VARIANT, world, view, albedo, scene.bounces + 2, probe, sampler)
 
 
-def converge(tracer: PathTracer, samples: int, on: np.ndarray, least: float = INSIDE) -> Converged:
-    """The mean of two pictures of so many ``samples``, to be compared on those pixels of ``on`` in the outline.
-
-    Pixels there have an alpha of at ``least`` so much.
-    """
+def converge(tracer: PathTracer, samples: int, on: np.ndarray) -> Converged:
+    """The mean of two pictures of so many ``samples``, to be compared on those pixels of ``on`` in the outline."""
     one, other = (draw(tracer, samples, seed) for seed in (1, 2))
     mean = (one + other) / 2.0
-    inside = on & (mean[..., 3] > least)
+    inside = on & (mean[..., 3] > INSIDE)
     return Converged(mean, relative_rmse(one, mean, inside), inside)
 
 

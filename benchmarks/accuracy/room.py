@@ -118,7 +118,7 @@ def measure(scene: Scene, size: int, paths: int) -> dict[str, float]:
     frame, traced = pictures(scene, view, paths // ACROSS**2)
     ball = BALL if "ball" in scene.source.name else None
     tracer = SceneTracer(scene, replace(view, width=size, height=size), ball)
-    best = converge(tracer, paths, joined((frame.state > 0) & ~edges(frame)) > INSIDE, INSIDE * (1.0 - scene.clear))
+    best = converge(tracer, paths, joined((frame.state > 0) & ~edges(frame)) > INSIDE)
     wrong = apart(joined(frame.radiance), best)
     return {
         "pixels": float(best.on.sum()),

@@ -80,10 +80,10 @@ class PathTracer:
         mitsuba.set_variant(variant)
         mitsuba.set_log_level(mitsuba.LogLevel.Error)
 
-    def _load(self, parts: Mapping[str, Any], depth: int) -> None:
-        """Make the scene of its parts, and what traces its paths."""
+    def _load(self, parts: Mapping[str, Any], depth: int, hides: bool = True) -> None:
+        """Make the scene of its parts, and what traces its paths; whether it ``hides`` light that is seen itself."""
         self.scene = self.mitsuba.load_dict({"type": "scene", **parts})
-        how = {"max_depth": depth, "rr_depth": NEVER, "hide_emitters": True}
+        how = {"max_depth": depth, "rr_depth": NEVER, "hide_emitters": hides}
         self.integrator = self.mitsuba.load_dict({"type": "path", **how})
 
     def _light(self, probe: np.ndarray, view: View) -> dict[str, Any]:
