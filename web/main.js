@@ -25,11 +25,14 @@ import { Notice, Status, TroublePanel } from "./panels/status.js";
 import { Times } from "./panels/times.js";
 import { attachViews } from "./panels/views.js";
 import { attachClicks, attachGestures } from "./view/gestures.js";
+import { Handles } from "./view/handles.js";
 import { attachKeys } from "./view/keys.js";
 import { Marks } from "./view/marks.js";
 import { attachRulers, rulerShapes } from "./view/rulers.js";
 import { attachSides } from "./view/sides.js";
 import { ViewModel } from "./view/model.js";
+import { cutAt } from "./view/planes.js";
+import { cameraAxes } from "./view/rotation.js";
 import { Picture } from "./view/picture.js";
 
 /** @typedef {import("./net/polling.js").FrameOptions} FrameOptions */
@@ -85,7 +88,7 @@ function assemble(scene, knobs, trouble) {
   const { say } = new Notice($("notice"));
   const { card, reading } = attachReading(scene, view, picture, say);
   const loop = startLoop(scene, view, picture, trouble, card);
-  const keys = { f: toggleFull, p: () => reading.middle(), m: () => reading.measure(), r: () => toggleRulers(view) };
+  const keys = { f: toggleFull, p: () => reading.middle(), m: () => reading.measure(), r: () => toggleRulers(view), c: () => $("cuts").toggleAttribute("open") };
   const options = { onRest: () => loop.settle(), toggleHelp: () => $("help").togglePopover(), keys };
   const form = $("controls");
   attachKnobs(form, scene, view);
@@ -93,6 +96,7 @@ function assemble(scene, knobs, trouble) {
   attachPresets($("presets"), scene, view);
   attachSurfaces($("beside"), scene, view);
   attachCuts($("cuts"), scene, view);
+  attachHandles(scene, view, card, options.onRest);
   attachMeasures($("measures"), scene, view);
   const showLight = attachLight($("light"), scene, view, options.onRest);
   attachEnvironments($("light"), scene, view, () => { showLight(); showScene(form, scene); }, say);
@@ -161,6 +165,26 @@ function attachReading(scene, view, picture, say) {
   $("point-measure").addEventListener("click", () => reading.measure());
   document.addEventListener("keydown", ({ key }) => key === "Escape" && reading.stop());
   return { card, reading };
+}
+
+/**
+ * Handles on the picture, shown while the folder of the cut is open.
+ * @param {Scene} scene
+ * @param {ViewModel} view
+ * @param {PointCard} card has a button that cuts through its point
+ * @param {() => void} onRest
+ */
+function attachHandles(scene, view, card, onRest) {
+  const folder = $("cuts", HTMLDetailsElement);
+  const handles = new Handles($("handles"), scene, view, { wanted: () => folder.open, onRest });
+  folder.addEventListener("toggle", () => handles.draw());
+  $("point-cut").addEventListener("click", () => {
+    const { planes, azimuth, elevation } = view.values;
+    const point = card.point;
+    if (point) view.set({ planes: cutAt(planes, scene.volume.bounds, point, cameraAxes(azimuth, elevation).out) });
+    card.close();
+    folder.open = true;
+  });
 }
 
 /** Show scale bar and axes, or hide them. @param {ViewModel} view */

@@ -7,14 +7,14 @@ from itertools import pairwise
 import numpy as np
 
 from isogi_core.bake.bake_spec import BakeSpec
-from isogi_core.bake.keeping import find_kept, keeps
+from isogi_core.bake.keeping import Remains, find_kept, keeps
 from isogi_core.bake.texel_light import Light
 from isogi_core.cache.chunk_store import ChunkStore
 from isogi_core.cache.scene_assets import SceneAssets
 from isogi_core.files.scene_file import SceneSource
 from isogi_core.kernels._jit import load
 from isogi_core.kernels.transport.strays import find_strays
-from isogi_core.plan.volumes.cuts import Ranges, cut_digest, voxels_left
+from isogi_core.plan.volumes.cuts import cut_digest, voxels_left
 from isogi_core.prepared.prepared_scene import Index
 from isogi_core.storage.store import Store
 
@@ -34,10 +34,10 @@ class Whole:
 
 @dataclass(frozen=True, eq=False)
 class WholeLight:
-    """The light of a whole volume in a store, ``chunks``, and the voxels that are ``left`` of it where it is cut."""
+    """The light of a whole volume in a store, ``chunks``, and what ``remains`` of it where it is cut."""
 
     chunks: ChunkStore
-    left: Ranges
+    remains: Remains
 
     def lend(self, light: Light, waiting: np.ndarray, places: Sequence[tuple[Index, np.ndarray]]) -> np.ndarray:
         """Give texels that are ``waiting`` (m,) bool the light that they keep; which have it now, (m,) bool.
@@ -61,7 +61,7 @@ class WholeLight:
         whole, every = Light.joined(found), np.concatenate(rows)
         whole.agree_on_void()
         ahead = np.flatnonzero(whole.samples > light.samples[every])
-        stays = ahead[find_kept(whole.rows(ahead), np.concatenate(texels)[ahead], self.chunks.spec, self.left)]
+        stays = ahead[find_kept(whole.rows(ahead), np.concatenate(texels)[ahead], self.chunks.spec, self.remains)]
         light.put(every[stays], whole.rows(stays))
         kept[every[stays]] = True
         return kept
@@ -75,4 +75,4 @@ def light_of_whole(spec: BakeSpec, planes: str, cut: BakeSpec, store: Store) -> 
     if not keeps(spec) or cut_digest(whole, planes) != left.digest:
         return None
     load((find_strays,))
-    return WholeLight(ChunkStore(store, spec), voxels_left(whole, planes))
+    return WholeLight(ChunkStore(store, spec), Remains.of(whole, voxels_left(whole, planes)))

@@ -4,6 +4,8 @@ All their paths meet the same points as before, so that their sums, and all that
 """
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
@@ -13,7 +15,8 @@ from isogi_core.bake.refine import Place, by_isovalue, locate
 from isogi_core.bake.texel_light import Light, Part
 from isogi_core.kernels.transport.paths import SampleRange
 from isogi_core.kernels.transport.strays import Confines, find_strays
-from isogi_core.plan.volumes.cuts import FAR, Ranges, box_left, is_within
+from isogi_core.model.volume import Volume
+from isogi_core.plan.volumes.cuts import FAR, Ranges, box_left, is_within, values_beyond
 
 KEPT = frozenset(("direct", "indirect", "whole"))
 """The kinds of layers whose light a cut may leave as it is: their paths meet one surface, and nothing else."""
@@ -24,18 +27,33 @@ def keeps(spec: BakeSpec) -> bool:
     return spec.shown is None and spec.kinds <= KEPT and bool(spec.prepared.field.low.min() >= FAR)
 
 
-def find_kept(light: Light, texels: np.ndarray, whole: BakeSpec, left: Ranges) -> np.ndarray:
-    """Which of the ``texels`` (m, 3; z, y, x) keep their ``light`` where of a ``whole`` volume some voxels are left.
+@dataclass(frozen=True, eq=False)
+class Remains:
+    """What a cut leaves: the ``box`` of ``box_left``, and the least and the greatest value ``beyond`` it."""
 
-    (m,) bool: those whose place, and all points that paths met so far, are far from what is taken away. Paths are
-    walked once more for that, but those of a texel end with the first that met something there.
+    box: np.ndarray
+    beyond: tuple[float, float]
+
+    @classmethod
+    def of(cls, volume: Volume, left: Ranges) -> Self:
+        """What is left where of a ``volume`` some voxels are."""
+        box = box_left(left, volume.size)
+        return cls(box, values_beyond(volume, box))
+
+
+def find_kept(light: Light, texels: np.ndarray, whole: BakeSpec, remains: Remains) -> np.ndarray:
+    """Which of the ``texels`` (m, 3; z, y, x) keep their ``light`` where a cut of a ``whole`` volume ``remains``.
+
+    (m,) bool: those whose place, and all points that paths met so far, are far from what is taken away. Where nothing
+    of their isosurface is there, no path can have met it. Paths of others are walked once more, but those of a texel
+    end with the first that met something there.
     """
-    prepared = whole.prepared
-    box = box_left(left, prepared.scene.volume.size)
+    prepared, box = whole.prepared, remains.box
     place, _ = locate(texels, prepared)
     kept = is_within(texels[:, ::-1] * prepared.step, box) & is_within(place[1].T, box)
+    may_stray = (place[3] >= remains.beyond[0]) & (place[3] <= remains.beyond[1])
     for some, samples, bounces in walks_of(light.parts, whole.plan.bounces):
-        rows = kept & some & ~light.void
+        rows = kept & some & may_stray & ~light.void
         confines = Confines(bounces, whole.plan.survival, box)
         kept &= ~strays_of(place, rows, whole, samples, confines)
     return kept

@@ -5,6 +5,7 @@ import { readMeasure, writeMeasure } from "../view/measures.js";
 import { NUMBERS } from "../view/model.js";
 import { arePlanes } from "../view/planes.js";
 import { areSurfaces } from "../view/surfaces.js";
+import { cutQuery } from "./request.js";
 
 /** @typedef {import("../view/model.js").Knobs} Knobs */
 /** @typedef {import("../view/model.js").ViewModel} ViewModel */
@@ -28,8 +29,8 @@ export function readAddress(search) {
   if (target !== null) start.target = target.split(",").map(Number);
   else if (query.has("distance")) start.target = null; // a camera is meant with all that it has
   for (const name of CHOICES.filter((each) => query.has(each))) start[name] = query.get(name);
-  const planes = query.get("cut") ?? query.get("window");
-  if (planes !== null) Object.assign(start, { planes, opened: query.has("cut") });
+  const planes = ["cut", "window"].map((name) => query.get(name)).filter(Boolean).join(";");
+  if (planes) Object.assign(start, { planes, opened: query.has("cut") });
   if (query.get("surfaces")) start.surfaces = query.get("surfaces");
   const measures = query.getAll("measure").map(readMeasure).filter((points) => points !== null);
   if (measures.length) start.measures = measures;
@@ -52,7 +53,7 @@ export function writeAddress(scene, values) {
   if (values.overlay !== "none") query.set("overlay", values.overlay);
   if (values.environment) query.set("environment", values.environment);
   if (values.background !== "page") query.set("background", values.background);
-  if (values.planes) query.set(values.opened ? "cut" : "window", values.planes);
+  Object.entries(cutQuery(values)).forEach(([name, planes]) => query.set(name, planes));
   if (values.surfaces) query.set("surfaces", values.surfaces);
   if (values.projection !== (scene.defaults?.projection ?? "perspective")) query.set("projection", values.projection);
   if (values.rulers !== "on") query.set("rulers", values.rulers);

@@ -3,6 +3,7 @@
 import { albedoQuery } from "../view/albedo.js";
 import { shadingName } from "../view/format.js";
 import { NUMBERS } from "../view/model.js";
+import { partPlanes } from "../view/planes.js";
 
 /** @typedef {import("../view/model.js").Knobs} Knobs */
 /** @typedef {import("./schemas.js").FrameQuery} FrameQuery */
@@ -38,7 +39,7 @@ export function frameQuery(scene, values, { width, height }, moving = false) {
     ...(values.projection !== (scene.defaults?.projection ?? "perspective") && { projection: values.projection }),
     ...(values.target && { target: values.target.join(",") }),
     ...(values.environment && { environment: values.environment }),
-    ...(values.planes && { [values.opened && !moving ? "cut" : "window"]: values.planes }),
+    ...cutQuery(values, moving),
     ...(values.surfaces && { surfaces: values.surfaces }),
     width,
     height,
@@ -47,6 +48,17 @@ export function frameQuery(scene, values, { width, height }, moving = false) {
     background: ground(values),
     f: "png",
   };
+}
+
+/**
+ * What is cut away: light comes in by planes along axes; others, and those of a moving view, are windows.
+ * @param {Pick<Knobs, "planes"|"opened">} values knobs of the view
+ * @param {boolean} [moving] whether the view goes on changing
+ * @returns {{cut?: string, window?: string}}
+ */
+export function cutQuery({ planes, opened }, moving = false) {
+  const { along, oblique } = opened && !moving ? partPlanes(planes) : { along: "", oblique: planes };
+  return { ...(along && { cut: along }), ...(oblique && { window: oblique }) };
 }
 
 /**

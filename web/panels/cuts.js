@@ -1,8 +1,8 @@
-/** What is seen: what two sliders along each axis cut away, with or without light, and which surfaces are beside. */
+/** What is seen: what planes cut away, with or without light, and which surfaces are beside. */
 
-import { find, textElement } from "../dom.js";
-import { niceStep } from "../view/format.js";
-import { AXES, readPlanes, writePlanes } from "../view/planes.js";
+import { find } from "../dom.js";
+import { MOST_OBLIQUE, facingPlane, moved, movablePlanes, readPlanes, termOf, writePlanes } from "../view/planes.js";
+import { cameraAxes } from "../view/rotation.js";
 import { readSurfaces, writeSurfaces } from "../view/surfaces.js";
 
 /** @typedef {import("../net/schemas.js").Scene} Scene */
@@ -11,64 +11,104 @@ import { readSurfaces, writeSurfaces } from "../view/surfaces.js";
 
 /**
  * Tie the sliders to the view, both ways.
- * @param {HTMLElement} panel holds `#cut-sliders`, `#opened` and `#uncut`
+ * @param {HTMLElement} panel holds `#cut-sliders`, `#oblique`, `#opened`, `#cut-note`, `#add-plane` and `#uncut`
  * @param {Pick<Scene, "volume"|"cuts">} scene
  * @param {ViewModel} view
  */
 export function attachCuts(panel, { volume, cuts }, view) {
-  const opened = find(panel, "#opened", HTMLInputElement);
-  const rows = AXES.map((name, axis) => rowsOf(name, axis, volume, view));
-  find(panel, "#cut-sliders").replaceChildren(...rows.flatMap(({ nodes }) => nodes));
+  const [opened, note] = [find(panel, "#opened", HTMLInputElement), find(panel, "#cut-note")];
+  const [add, uncut] = ["#add-plane", "#uncut"].map((id) => find(panel, id, HTMLButtonElement));
+  const [sides, oblique] = [find(panel, "#cut-sliders"), find(panel, "#oblique")];
   const label = /** @type {HTMLElement} */ (opened.parentElement);
   label.hidden = !cuts;
   opened.addEventListener("change", () => view.set({ opened: opened.checked }));
-  find(panel, "#uncut").addEventListener("click", () => view.set({ planes: "" }));
+  uncut.addEventListener("click", () => view.set({ planes: "" }));
+  const others = (/** @type {(terms: string[]) => string[]} */ change) => {
+    const planes = readPlanes(view.values.planes, volume.bounds);
+    view.set({ planes: writePlanes({ ...planes, others: change(planes.others) }, volume.bounds) });
+  };
+  const facing = () => {
+    const { planes, azimuth, elevation } = view.values;
+    return termOf(facingPlane(readPlanes(planes, volume.bounds), cameraAxes(azimuth, elevation).out));
+  };
+  add.addEventListener("click", () => others((terms) => [...terms, facing()]));
+  /** @type {Row[]} */
+  const rows = [];
   const mirror = () => {
-    const { planes, opened: open } = view.values;
-    const { kept } = readPlanes(planes, volume.bounds);
-    rows.forEach(({ show }, axis) => show(kept[axis]));
+    const { planes, opened: open } = view.values, all = movablePlanes(volume, planes);
+    while (rows.length > all.length) rows.pop()?.node.remove();
+    for (let k = rows.length; k < all.length; k++) {
+      const row = planeRow(k, volume, view);
+      if (k >= SIDES) row.node.append(buttonsOf([
+        plainButton("Face me", () => others((terms) => terms.with(k - SIDES, facing()))),
+        plainButton("Remove", () => others((terms) => terms.toSpliced(k - SIDES, 1))),
+      ]));
+      (k < SIDES ? sides : oblique).append(row.node);
+      rows.push(row);
+    }
+    all.forEach((plane, k) => rows[k].show(plane));
     opened.checked = open;
-    find(panel, "#uncut", HTMLButtonElement).disabled = !planes;
+    uncut.disabled = !planes;
+    add.disabled = all.length >= SIDES + MOST_OBLIQUE;
+    note.textContent = cutInWords(open, all.length > SIDES);
   };
   mirror();
   view.subscribe(mirror);
   if (view.values.planes) panel.toggleAttribute("open", true);
 }
 
+const SIDES = 6; // of a box
+
 /**
- * The two sliders of an axis, and what shows their values.
- * @param {string} name
- * @param {number} axis
+ * What light does where something is cut away.
+ * @param {boolean} opened whether it comes in
+ * @param {boolean} oblique whether there are planes along no axis
+ */
+function cutInWords(opened, oblique) {
+  if (!opened) return "All stays lit as a whole, and cut faces show values.";
+  return oblique ? "Light comes in by the sides of the box. Oblique planes leave it as it is, and show values." : "What is left is lit anew.";
+}
+
+/** @param {HTMLElement[]} buttons */
+function buttonsOf(buttons) {
+  const row = Object.assign(document.createElement("div"), { className: "buttons" });
+  row.append(...buttons);
+  return row;
+}
+
+/** @param {string} text @param {() => void} action */
+function plainButton(text, action) {
+  const button = Object.assign(document.createElement("button"), { type: "button", textContent: text });
+  button.addEventListener("click", action);
+  return button;
+}
+
+/** @typedef {{node: HTMLElement, show: (plane: import("../view/planes.js").Movable) => void}} Row */
+
+/**
+ * The slider of a plane, and what shows its value.
+ * @param {number} k number of the plane
  * @param {Scene["volume"]} volume
  * @param {ViewModel} view
+ * @returns {Row}
  */
-function rowsOf(name, axis, { bounds, unit }, view) {
-  const [low, high] = [bounds[0][axis], bounds[1][axis]];
-  const step = niceStep(high - low);
-  const ends = ["from", "to"].map((end, side) => {
-    const [label, output, input] = [document.createElement("label"), document.createElement("output"), document.createElement("input")];
-    Object.assign(input, { type: "range", id: `cut-${name}-${end}`, name: `cut-${name}-${end}`, min: low, max: high, step: "any" });
-    input.addEventListener("input", () => {
-      const planes = readPlanes(view.values.planes, bounds);
-      const value = Math.round(input.valueAsNumber / step) * step;
-      const rounded = Number(Math.min(Math.max(value, low), high).toPrecision(8));
-      planes.kept[axis][side] = side ? Math.max(rounded, planes.kept[axis][0]) : Math.min(rounded, planes.kept[axis][1]);
-      view.set({ planes: writePlanes(planes, bounds) });
-    });
-    label.htmlFor = output.htmlFor.value = input.id;
-    label.textContent = `${name} ${end}`;
-    const node = textElement("div", "");
-    node.className = "knob";
-    node.append(label, output, input);
-    return { node, input, output };
-  });
-  /** @param {import("../view/planes.js").Kept} kept */
-  const show = (kept) => ends.forEach(({ input, output }, side) => {
-    input.value = String(kept[side]);
-    output.value = `${Number(kept[side].toPrecision(4))} ${unit}`.trim().replace("-", "−");
+function planeRow(k, volume, view) {
+  const [label, output, input] = [document.createElement("label"), document.createElement("output"), document.createElement("input")];
+  const node = Object.assign(document.createElement("div"), { className: "knob" });
+  const { name, range: [min, max] } = movablePlanes(volume, view.values.planes)[k];
+  const id = `cut-${name.replace(" ", "-")}`;
+  Object.assign(input, { type: "range", id, name: id, min, max, step: "any" });
+  input.addEventListener("input", () => view.set({ planes: moved(movablePlanes(volume, view.values.planes)[k], input.valueAsNumber) }));
+  label.htmlFor = output.htmlFor.value = id;
+  label.textContent = name;
+  node.append(label, output, input);
+  /** @param {import("../view/planes.js").Movable} plane */
+  const show = ({ value, range: [low, high] }) => {
+    Object.assign(input, { min: String(low), max: String(high), value: String(value) });
+    output.value = `${Number(value.toPrecision(4))} ${volume.unit}`.trim().replace("-", "−");
     input.setAttribute("aria-valuetext", output.value);
-  });
-  return { nodes: ends.map(({ node }) => node), show };
+  };
+  return { node, show };
 }
 
 /**
@@ -80,7 +120,7 @@ function rowsOf(name, axis, { bounds, unit }, view) {
 export function attachSurfaces(panel, { surfaces = [] }, view) {
   panel.hidden = !surfaces.length;
   const shown = () => readSurfaces(view.values.surfaces, surfaces);
-  const rows = surfaces.map((surface, k) => rowOf(surface, k, (patch) => {
+  const rows = surfaces.map((surface, k) => surfaceRow(surface, k, (patch) => {
     const next = shown().map((each, at) => (at === k ? { ...each, ...patch } : each));
     view.set({ surfaces: writeSurfaces(next, surfaces) });
   }));
@@ -97,7 +137,7 @@ export function attachSurfaces(panel, { surfaces = [] }, view) {
  * @param {number} k its number
  * @param {(patch: Partial<import("../view/surfaces.js").Shown>) => void} set
  */
-function rowOf({ name, isovalue }, k, set) {
+function surfaceRow({ name, isovalue }, k, set) {
   const [box, label, title, output, input] = ["input", "label", "label", "output", "input"].map((tag) => document.createElement(tag));
   const check = /** @type {HTMLInputElement} */ (box), slider = /** @type {HTMLInputElement} */ (input);
   const value = /** @type {HTMLOutputElement} */ (output);

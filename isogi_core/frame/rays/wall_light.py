@@ -1,7 +1,8 @@
 """The light of walls: texels of a lattice on each wall, lit for the isovalue that is shown, as fine as time allowed.
 
 They are kept in memory with the views that show them, and are not in the store. The first picture has a few coarse
-ones; each step while the view rests then makes them fine, and takes as many paths again.
+ones; each step while the view rests then makes them fine, and takes as many paths again, or makes them finer where
+what lies between them is the greater part of their error: at edges of shadows, and in caustics.
 """
 
 import math
@@ -29,8 +30,15 @@ from isogi_core.kernels.transport.room_paths import RoomStarts, light_in_room
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.prepared.surface import Surface
 
-COARSE, FINE = 16, 64
-"""Texels along the longest edge of any wall: of the first picture, and of all others."""
+COARSE, FINE, FINEST = 16, 64, 256
+"""Texels along the longest edge of any wall: of the first picture, of all others, and at most."""
+
+EDGY = 1.0 / 12.0
+"""What interpolation adds to the variance, over the squared second differences of texels' light.
+
+Of an edge anywhere between two texels: these are twice its height squared together, and a ramp in its place errs by a
+sixth of that. Where light is smooth it is a tenth of this.
+"""
 
 FIRST, MOST = 8, 1 << 12
 """Paths of each half of a texel at first, and at most."""
@@ -67,8 +75,8 @@ def light_starts(
 class WallTexels:
     """Texels on a side of the wall number ``wall``: ``sums`` (rows, columns, 2, 3) of E/π of ``count`` paths each half.
 
-    Rows are along the wall's second edge, and ``side`` is 1 for its front, -1 for its back. ``fine`` ones stay. The
-    wall has an ``albedo`` and gives off ``radiance`` (3,).
+    Rows are along the wall's second edge, and ``side`` is 1 for its front, -1 for its back. There are so many
+    ``across`` the longest edge of any wall. The wall has an ``albedo`` and gives off ``radiance`` (3,).
     """
 
     wall: int
@@ -76,8 +84,8 @@ class WallTexels:
     albedo: np.ndarray
     radiance: np.ndarray
     sums: np.ndarray
+    across: int
     count: int = 0
-    fine: bool = False
 
     @classmethod
     def begun(cls, light: RotatedLight, wall: int, side: int, across: int) -> "WallTexels":
@@ -86,7 +94,12 @@ class WallTexels:
         edges = np.linalg.norm(room.edges, axis=2)
         columns, rows = np.maximum(np.ceil(across * edges[wall] / edges.max()), 2).astype(int).tolist()
         sums = np.zeros((rows, columns, 2, 3))
-        return cls(wall, side, room.albedos[wall], room.radiances[wall], sums, fine=across == FINE)
+        return cls(wall, side, room.albedos[wall], room.radiances[wall], sums, across)
+
+    @property
+    def fine(self) -> bool:
+        """Whether they are fine enough to stay."""
+        return self.across >= FINE
 
     @property
     def nbytes(self) -> int:
@@ -96,7 +109,7 @@ class WallTexels:
     @property
     def version(self) -> str:
         """Names the paths that were taken."""
-        return f"-{self.count:x}" if self.fine else f"-{self.count:x}c"
+        return f"-{self.count:x}" if self.across == FINE else f"-{self.count:x}a{self.across:x}"
 
     @property
     def means(self) -> np.ndarray:
@@ -107,27 +120,52 @@ class WallTexels:
     def variance(self) -> np.ndarray:
         """Variance of the luminance that leaves each texel, a mean with its neighbours', by NEAR; (rows, columns)."""
         halves = self.means @ (LUMINANCE * self.albedo)
-        each = ((halves[..., 0] - halves[..., 1]) / 2.0) ** 2
-        for axis in (0, 1):
-            padded = np.pad(each, [(2 * int(a == axis),) * 2 for a in range(2)], "edge")
-            each = np.lib.stride_tricks.sliding_window_view(padded, len(NEAR), axis) @ (NEAR / NEAR.sum())
-        return np.asarray(each)
+        return pooled(((halves[..., 0] - halves[..., 1]) / 2.0) ** 2)
 
     @cached_property
-    def noise(self) -> float:
-        """The relative noise of all of them together, in luminance; 0 where no light arrives."""
-        mean = float((self.means.mean(axis=2) @ (LUMINANCE * self.albedo)).mean())
-        return math.sqrt(float(self.variance.mean())) / mean if mean > 0.0 else 0.0
+    def unsharp(self) -> np.ndarray:
+        """Variance of the luminance that light between texels adds, as it is interpolated; (rows, columns).
+
+        It is found by the bends of light from texel to texel, less those that noise makes.
+        """
+        light, found = self.luminance, np.zeros(self.sums.shape[:2])
+        for axis in (0, 1):
+            if light.shape[axis] > 2:
+                ends = [(int(a == axis),) * 2 for a in range(2)]
+                found += np.pad(np.diff(light, 2, axis) ** 2, ends) - 6.0 * self.variance
+        return np.maximum(EDGY * pooled(found), 0.0)
+
+    @property
+    def luminance(self) -> np.ndarray:
+        """The luminance that the wall reflects at each texel; (rows, columns)."""
+        return np.asarray(self.means.mean(axis=2) @ (LUMINANCE * self.albedo))
+
+    def relative(self, variance: np.ndarray) -> float:
+        """The error that a ``variance`` (rows, columns) makes of all of them, relative; 0 where no light arrives."""
+        mean = float(self.luminance.mean())
+        return math.sqrt(float(variance.mean())) / mean if mean > 0.0 else 0.0
 
     def final(self, target: float) -> bool:
-        """Whether their noise is within a ``target``, or they have taken all paths that they may."""
-        return self.fine and self.count > 0 and (self.count >= MOST or self.noise <= target)
+        """Whether their noise is within a ``target``, or they took all paths that they may; and they are fine enough."""
+        enough = self.count >= MOST or self.relative(self.variance) <= target
+        return self.fine and self.count > 0 and enough and not self.too_coarse(target)
 
-    def grown(self, light: RotatedLight, surface: Surface, tiles: Tiles) -> "WallTexels":
-        """The same after as many paths again, or fine ones after the first. Raises Cancelled."""
-        if self.count and not self.fine:
-            return WallTexels.begun(light, self.wall, self.side, FINE).grown(light, surface, tiles)
-        plan, more = light.spec.plan, self.count or FIRST
+    def too_coarse(self, target: float) -> bool:
+        """Whether what lies between them errs more than they do, and by more than half of a ``target``."""
+        if not FINE <= self.across < FINEST or self.unsharp.mean() <= self.variance.mean():
+            return False
+        return self.relative(self.unsharp) > 0.5 * target
+
+    def nearer(self, light: RotatedLight, surface: Surface, target: float, tiles: Tiles) -> "WallTexels":
+        """The same a step nearer to a ``target``: fine ones, twice as fine ones, or more paths. Raises Cancelled."""
+        across = FINE if not self.fine else 2 * self.across if self.too_coarse(target) else self.across
+        if across == self.across:
+            return self.grown(light, surface, tiles, self.count)
+        return WallTexels.begun(light, self.wall, self.side, across).grown(light, surface, tiles, self.count)
+
+    def grown(self, light: RotatedLight, surface: Surface, tiles: Tiles, more: int = FIRST) -> "WallTexels":
+        """The same after so many ``more`` paths of each half. Raises Cancelled."""
+        plan = light.spec.plan
         rules = PathRules(path_weights(np.ones(3), plan.bounces, 1.0), plan.survival)
         added = light_starts(light, surface, self._starts(light, surface), rules, SampleRange(self.count, more), tiles)
         return replace(self, sums=self.sums + added.reshape(self.sums.shape), count=self.count + more)
@@ -148,7 +186,16 @@ class WallTexels:
     def leaving(self) -> np.ndarray:
         """Linear RGB that leaves each texel, and the variance of its luminance; (texels, 4) float32."""
         light = np.minimum(self.radiance + self.albedo * self.means.mean(axis=2), np.finfo(np.float32).max)
-        return np.concatenate([light, self.variance[..., None]], axis=2, dtype=np.float32).reshape(-1, 4)
+        variance = (self.variance + self.unsharp)[..., None]
+        return np.concatenate([light, variance], axis=2, dtype=np.float32).reshape(-1, 4)
+
+
+def pooled(variance: np.ndarray) -> np.ndarray:
+    """Variances (rows, columns), each a mean with its neighbours', by NEAR."""
+    for axis in (0, 1):
+        padded = np.pad(variance, [(2 * int(a == axis),) * 2 for a in range(2)], "edge")
+        variance = np.lib.stride_tricks.sliding_window_view(padded, len(NEAR), axis) @ (NEAR / NEAR.sum())
+    return variance
 
 
 @dataclass(eq=False)
@@ -165,7 +212,7 @@ class WallLight:
 
     @property
     def nbytes(self) -> int:
-        """Bytes that it takes once its texels are fine."""
+        """Bytes that it takes once its texels are fine, or finer if they are."""
         return self.texels.nbytes * (1 if self.texels.fine else (FINE // COARSE) ** 2)
 
     def begun(self, tiles: Tiles) -> WallTexels:
@@ -180,7 +227,7 @@ class WallLight:
         with self.lock:
             if self.texels.final(target):
                 return False
-            self.texels = self.texels.grown(self.light, self.surface, tiles)
+            self.texels = self.texels.nearer(self.light, self.surface, target, tiles)
             return True
 
 

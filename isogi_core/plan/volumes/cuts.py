@@ -111,6 +111,25 @@ def box_left(left: Ranges, size: tuple[int, int, int]) -> np.ndarray:
     return np.array([low, high])
 
 
+def values_beyond(volume: Volume, box: np.ndarray) -> tuple[float, float]:
+    """The least and the greatest voxel of a ``volume`` at cells that are not wholly within a ``box``: see ``box_left``.
+
+    Isosurfaces below and above these do not leave the box; (inf, -inf) where it holds all.
+    """
+    size = np.array(volume.size)
+    first, end = np.clip(np.ceil(box[0]) + 1, 0, size).astype(int), np.clip(np.floor(box[1]), 0, size).astype(int)
+    low, high, z = np.inf, -np.inf, 0
+    for slab in volume.slabs():
+        a, b = (int(np.clip(each[2] - z, 0, len(slab))) for each in (first, end))
+        across, rows = slab[a:b], slab[a:b, first[1] : end[1]]
+        parts = slab[:a], slab[max(a, b) :], across[:, : first[1]], across[:, end[1] :]
+        for part in (*parts, rows[:, :, : first[0]], rows[:, :, end[0] :]):
+            low = float(np.fmin.reduce(part, axis=None, initial=low))
+            high = float(np.fmax.reduce(part, axis=None, initial=high))
+        z += len(slab)
+    return low, high
+
+
 def is_within(points: np.ndarray, box: np.ndarray) -> np.ndarray:
     """Which ``points`` (m, 3) lie in a ``box`` (2, 3), as of ``box_left``; (m,) bool."""
     return np.asarray(((points >= box[0]) & (points <= box[1])).all(axis=1))

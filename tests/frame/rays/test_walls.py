@@ -1,13 +1,16 @@
 """Frames in a room: walls and luminaires in the picture, their light on the surface, and how it becomes final."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.interpolate import interp1d
 
 from isogi_core.errors import ViewError
 from isogi_core.frame.entry_kernels import ROOM, frame_kernels
+from isogi_core.frame.rays.wall_light import FINEST, WallTexels
 from isogi_core.kernels.shading.framebuffer import FINAL, PROVISIONAL
 from isogi_core.kernels.tracing.camera import trace_pixels
 from isogi_core.model.orientation import triple
@@ -120,3 +123,38 @@ def test_a_white_furnace_stays_one_in_a_closed_room(tmp_path: Path) -> None:
     surface = closed.bake(view).gbuffer.pixels
     found, expected = (bench.bake(view).radiance.reshape(-1, 3)[surface] for bench in (closed, outside))
     assert abs(found.mean() / expected.mean() - 1.0) < 0.01
+
+
+def wall_texels(across: int, light: Callable[[np.ndarray, np.ndarray], np.ndarray], noise: float = 0.0) -> WallTexels:
+    """Texels of a square wall on which so much light arrives, at (x, y) in 0 to 1; halves have so much noise."""
+    middles = (np.arange(across) + 0.5) / across
+    found = light(*np.meshgrid(middles, middles))[..., None, None] * np.ones((2, 3))
+    found += noise * np.random.default_rng(1).normal(size=(across, across, 2, 1))
+    return WallTexels(0, 1, np.ones(3), np.zeros(3), 8.0 * found, across, count=8)
+
+
+def between_texels(texels: WallTexels, light: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> float:
+    """What their light, interpolated, errs by: the root of the mean square over a wall."""
+    share = (np.arange(1000) + 0.5) / 1000 * texels.across - 0.5
+    along = interp1d(np.arange(texels.across), texels.luminance, fill_value="extrapolate")(share)
+    shown = interp1d(np.arange(texels.across), along.T, fill_value="extrapolate")(share)
+    x, y = np.meshgrid(*((np.arange(1000) + 0.5) / 1000,) * 2)
+    return float(np.sqrt(((shown.T - light(x, y)) ** 2).mean()))
+
+
+@pytest.mark.parametrize("turn", [0.1, 0.6, 1.3])
+def test_walls_tell_what_edges_of_shadows_between_texels_are_off(turn: float) -> None:
+    def shadow(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        return 1.0 + (np.cos(turn) * (x - 0.47) + np.sin(turn) * (y - 0.52) > 0.0)
+
+    texels = wall_texels(64, shadow, noise=0.02)
+    told, true = np.sqrt(texels.unsharp.mean()), between_texels(texels, shadow)
+    assert 0.7 < told / true < 1.6
+    assert texels.too_coarse(0.02)
+    assert not wall_texels(FINEST, shadow).too_coarse(0.02), "and no finer ones are made then"
+
+
+def test_noise_of_walls_is_not_taken_for_edges() -> None:
+    texels = wall_texels(64, lambda x, y: 1.0 + 0.3 * np.sin(3.0 * x + y), noise=0.1)
+    assert texels.unsharp.mean() < 0.25 * texels.variance.mean()
+    assert not texels.too_coarse(0.02)

@@ -11,7 +11,7 @@ from isogi_core.frame.tiles import Tiles
 from isogi_core.model.orientation import Orientation
 from isogi_core.model.view import View
 from isogi_core.plan.assembly import cut_open
-from isogi_core.plan.volumes.cuts import FAR, cut_away, voxels_left
+from isogi_core.plan.volumes.cuts import FAR, box_left, cut_away, values_beyond, voxels_left
 from isogi_core.prepared.prepared_scene import PreparedScene
 from tests.frame.conftest import MIDDLE, scene_of, shell
 from tests.loaded import load_scene
@@ -35,6 +35,18 @@ def test_planes_leave_the_voxels_before_them(text: str, left: tuple[range, ...])
     inside = np.zeros(volume.shape, bool)
     inside[tuple(slice(each.start, each.stop) for each in left[::-1])] = True
     assert np.array_equal(cut.voxels, np.where(inside, volume.voxels, np.float32(FAR)))
+
+
+@pytest.mark.parametrize("text", ["x>20", "x<9;x>25;z>3", "y<4;y>9", "y<16;z<16.5", "x>900", "x>1;y>1;z>1"])
+def test_values_beyond_are_those_of_all_cells_there(text: str) -> None:
+    voxels = np.random.default_rng(1).random((33, 33, 33), np.float32)
+    volume = replace(shell(), voxels=voxels)
+    box = box_left(voxels_left(volume, text), volume.size)
+    corners = np.moveaxis(np.indices((32, 32, 32)), 0, -1)[..., ::-1]
+    beyond = ~((corners >= box[0]) & (corners + 1 <= box[1])).all(axis=-1)
+    cells = np.lib.stride_tricks.sliding_window_view(voxels, (2, 2, 2))[beyond]
+    expected = (cells.min(), cells.max()) if beyond.any() else (np.inf, -np.inf)
+    assert values_beyond(volume, box) == expected
 
 
 def test_a_cut_keeps_all_that_is_told_of_values() -> None:

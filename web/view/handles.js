@@ -1,0 +1,182 @@
+/** Handles on the picture that move the planes of a cut: dragged along their normals, or moved by keys. */
+
+import { find, svgElement } from "../dom.js";
+import { boxOf, placeOf } from "./camera.js";
+import { niceStep } from "./format.js";
+import { spotOf } from "./marks.js";
+import { edgesOf, moved, movablePlanes, readPlanes } from "./planes.js";
+import { cameraAxes } from "./rotation.js";
+
+/** @typedef {import("./rotation.js").Vec3} Vec3 */
+/** @typedef {import("./model.js").Knobs} Knobs */
+/** @typedef {import("./planes.js").Movable} Movable */
+/** @typedef {import("./model.js").ViewModel} ViewModel */
+/** @typedef {import("../net/schemas.js").Scene} Scene */
+const EDGE = 18; // pixels that a handle keeps from the edges of the stage
+const FLAT = 0.2; // of its length in the picture: a normal that looks shorter is dragged up and down
+const PAGE = 10; // steps of a page key
+const PARTS = 200; // steps of an arrow key, at most, through a range
+/** @type {Record<string, number>} */
+const STEPS = { ArrowRight: 1, ArrowUp: 1, ArrowLeft: -1, ArrowDown: -1, PageUp: PAGE, PageDown: -PAGE };
+
+/**
+ * By how much a plane moves when its handle is dragged.
+ * @param {{volume: Pick<Scene["volume"], "size"|"spacing"|"bounds">}} scene
+ * @param {Knobs} values knobs of the view
+ * @param {Pick<Movable, "at"|"normal">} plane
+ * @param {{right: number, down: number}} way in heights of the picture
+ * @returns {number} in world units along its normal
+ */
+export function draggedBy(scene, values, { at, normal }, { right, down }) {
+  const { radius } = boxOf(scene), { out } = cameraAxes(values.azimuth, values.elevation);
+  const step = 1e-3 * radius;
+  const [here, there] = [at, vector((i) => at[i] + step * normal[i])].map((point) => placeOf(scene, values, point));
+  const [x, y] = [(there.right - here.right) / step, (there.up - here.up) / step];
+  const scale = 1 / (2 * values.distance * radius * Math.tan((values.fov * Math.PI) / 360)); // heights a unit across the view
+  if (Math.hypot(x, y) > FLAT * scale) return (right * x - down * y) / (x * x + y * y);
+  return (down / scale) * (dot(normal, out) < 0 ? -1 : 1); // down is towards the viewer
+}
+
+/** Draws what is left as a box, and on each side of it, and on each oblique plane, a handle that moves it. */
+export class Handles {
+  #root;
+  #scene;
+  #view;
+  #hooks;
+  /** @type {HTMLButtonElement[]} */
+  #buttons = [];
+
+  /**
+   * @param {HTMLElement} root fills the stage; holds an SVG element for lines
+   * @param {Scene} scene
+   * @param {ViewModel} view
+   * @param {{wanted: () => boolean, onRest: () => void}} hooks whether they are shown; what is called when one is let go
+   */
+  constructor(root, scene, view, hooks) {
+    this.#root = root;
+    this.#scene = scene;
+    this.#view = view;
+    this.#hooks = hooks;
+    view.subscribe(() => this.draw());
+    new ResizeObserver(() => this.draw()).observe(root.parentElement ?? root);
+    this.draw();
+  }
+
+  /** Show them where they are now, if they are wanted. */
+  draw() {
+    this.#root.hidden = !this.#hooks.wanted();
+    if (this.#root.hidden) return;
+    const planes = this.#planes();
+    while (this.#buttons.length > planes.length) this.#buttons.pop()?.remove();
+    while (this.#buttons.length < planes.length) this.#buttons.push(this.#root.appendChild(this.#handle(this.#buttons.length)));
+    planes.forEach((plane, k) => {
+      show(this.#buttons[k], plane);
+      this.#place(this.#buttons[k], plane.at);
+    });
+    this.#drawLines(planes.map(({ outline }) => [...outline, ...outline.slice(0, 1)]));
+  }
+
+  #planes() {
+    return movablePlanes(this.#scene.volume, this.#view.values.planes);
+  }
+
+  /** @param {number} k number of the plane @param {number} value */
+  #move(k, value) {
+    this.#view.set({ planes: moved(this.#planes()[k], value) });
+  }
+
+  /** Put a handle at a point, or as near as the stage has a place. @param {HTMLElement} button @param {Vec3} point */
+  #place(button, point) {
+    const { clientWidth: width, clientHeight: height } = this.#root;
+    const at = placeOf(this.#scene, this.#view.values, point), { x, y } = spotOf(at, width, height);
+    button.hidden = at.depth <= 0;
+    button.style.translate = `${within(x, width).toFixed(1)}px ${within(y, height).toFixed(1)}px`;
+    button.style.zIndex = String(Math.round((1e3 * boxOf(this.#scene).radius) / Math.max(at.depth, 1e-9)));
+  }
+
+  /** The box of what is left, and outlines; none of those that reach behind the eye. @param {Vec3[][]} outlines */
+  #drawLines(outlines) {
+    const { values } = this.#view, { clientWidth: width, clientHeight: height } = this.#root;
+    const box = edgesOf(readPlanes(values.planes, this.#scene.volume.bounds).kept);
+    const rows = [...box, ...outlines].flatMap((points) => {
+      const places = points.map((point) => placeOf(this.#scene, values, point));
+      if (!places.length || places.some(({ depth }) => depth <= 0)) return [];
+      return [places.map((each) => spotOf(each, width, height)).map(({ x, y }) => `${x.toFixed(1)},${y.toFixed(1)}`).join(" ")];
+    });
+    const lines = ["under", "line"].flatMap((kind) => rows.map((points) => svgElement("polyline", { class: kind, points })));
+    find(this.#root, "svg", SVGElement).replaceChildren(...lines);
+  }
+
+  /** @param {number} k number of its plane */
+  #handle(k) {
+    const button = Object.assign(document.createElement("button"), { type: "button", className: "handle over" });
+    button.setAttribute("role", "slider");
+    button.addEventListener("keydown", (event) => {
+      const to = steppedTo(this.#planes()[k], event);
+      if (to === null) return;
+      event.preventDefault();
+      event.stopPropagation(); // elsewhere arrows turn the object
+      this.#move(k, to);
+    });
+    this.#listenToDrags(button, k);
+    return button;
+  }
+
+  /** @param {HTMLButtonElement} button @param {number} k number of its plane */
+  #listenToDrags(button, k) {
+    /** @type {{x: number, y: number, value: number}|null} */
+    let grip = null; // where the pointer was, and the value, which is not rounded
+    button.addEventListener("pointerdown", ({ pointerId, clientX: x, clientY: y }) => {
+      button.setPointerCapture(pointerId);
+      grip = { x, y, value: this.#planes()[k].value };
+    });
+    button.addEventListener("pointermove", ({ clientX: x, clientY: y }) => {
+      if (!grip) return;
+      const height = this.#root.clientHeight, way = { right: (x - grip.x) / height, down: (y - grip.y) / height };
+      grip = { x, y, value: grip.value + draggedBy(this.#scene, this.#view.values, this.#planes()[k], way) };
+      this.#move(k, grip.value);
+    });
+    const release = () => {
+      if (grip) this.#hooks.onRest();
+      grip = null;
+    };
+    button.addEventListener("pointerup", release);
+    button.addEventListener("pointercancel", release);
+  }
+}
+
+/**
+ * Where a key moves a plane to; null where it is none that does.
+ * @param {Movable} plane
+ * @param {KeyboardEvent} event
+ * @returns {number|null}
+ */
+function steppedTo({ value, range: [low, high], open }, { key, ctrlKey, altKey, metaKey }) {
+  if (ctrlKey || altKey || metaKey) return null;
+  if (key === "Home") return open;
+  return key in STEPS ? value + STEPS[key] * niceStep(high - low, PARTS) : null;
+}
+
+/** Tell what a handle moves, and where that is. @param {HTMLButtonElement} button @param {Movable} plane */
+function show(button, { name, value, range: [low, high] }) {
+  button.textContent = name.replace(/^plane | .*$/, "");
+  button.title = `Move ${name}`;
+  button.ariaLabel = `Cut, ${name}`;
+  [button.ariaValueMin, button.ariaValueMax, button.ariaValueNow] = [low, high, value].map(String);
+  button.ariaValueText = String(Number(value.toPrecision(4)));
+}
+
+/** @param {number} at @param {number} size */
+function within(at, size) {
+  return Math.min(Math.max(at, EDGE), size - EDGE);
+}
+
+/** @param {Vec3} a @param {Vec3} b */
+function dot(a, b) {
+  return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+}
+
+/** @param {(component: number) => number} component @returns {Vec3} */
+function vector(component) {
+  return [component(0), component(1), component(2)];
+}
