@@ -1,8 +1,9 @@
 """The light of walls: texels of a lattice on each wall, lit for the isovalue that is shown, as fine as time allowed.
 
 They are kept in memory with the views that show them, and are not in the store. The first picture has a few coarse
-ones; each step while the view rests then makes them fine, and takes as many paths again, or makes them finer where
-what lies between them is the greater part of their error: at edges of shadows, and in caustics.
+ones; each step while the view rests then makes them fine, and takes as many paths again. Where what lies between them
+then is the greater part of their error, at edges of shadows and in caustics, there are twice as many each way, and
+twice as many again.
 """
 
 import math
@@ -76,7 +77,9 @@ class WallTexels:
     """Texels on a side of the wall number ``wall``: ``sums`` (rows, columns, 2, 3) of E/π of ``count`` paths each half.
 
     Rows are along the wall's second edge, and ``side`` is 1 for its front, -1 for its back. There are so many
-    ``across`` the longest edge of any wall. The wall has an ``albedo`` and gives off ``radiance`` (3,).
+    ``across`` the longest edge of any wall. The wall has an ``albedo`` and gives off ``radiance`` (3,). Where coarser
+    ones were fine enough, ``settled`` (rows, columns) is what they told to be ``unsharp``, and no paths are sent from
+    texels; it is NaN elsewhere, and for all of the first.
     """
 
     wall: int
@@ -85,6 +88,7 @@ class WallTexels:
     radiance: np.ndarray
     sums: np.ndarray
     across: int
+    settled: np.ndarray
     count: int = 0
 
     @classmethod
@@ -93,8 +97,8 @@ class WallTexels:
         room = light.spec.prepared.room(light.seen.albedo)
         edges = np.linalg.norm(room.edges, axis=2)
         columns, rows = np.maximum(np.ceil(across * edges[wall] / edges.max()), 2).astype(int).tolist()
-        sums = np.zeros((rows, columns, 2, 3))
-        return cls(wall, side, room.albedos[wall], room.radiances[wall], sums, across)
+        sums, settled = np.zeros((rows, columns, 2, 3)), np.full((rows, columns), np.nan)
+        return cls(wall, side, room.albedos[wall], room.radiances[wall], sums, across, settled)
 
     @property
     def fine(self) -> bool:
@@ -133,7 +137,12 @@ class WallTexels:
             if light.shape[axis] > 2:
                 ends = [(int(a == axis),) * 2 for a in range(2)]
                 found += np.pad(np.diff(light, 2, axis) ** 2, ends) - 6.0 * self.variance
-        return np.maximum(EDGY * pooled(found), 0.0)
+        return np.where(self.asked, np.maximum(EDGY * pooled(found), 0.0), self.settled)
+
+    @property
+    def asked(self) -> np.ndarray:
+        """Whether paths are sent from each texel; (rows, columns) bool."""
+        return np.isnan(self.settled)
 
     @property
     def luminance(self) -> np.ndarray:
@@ -146,9 +155,12 @@ class WallTexels:
         return math.sqrt(float(variance.mean())) / mean if mean > 0.0 else 0.0
 
     def final(self, target: float) -> bool:
-        """Whether their noise is within a ``target``, or they took all paths that they may; and they are fine enough."""
-        enough = self.count >= MOST or self.relative(self.variance) <= target
-        return self.fine and self.count > 0 and enough and not self.too_coarse(target)
+        """Whether their error is within a ``target``, or as small as it may become."""
+        return self.fine and self.count > 0 and self.calm(target) and not self.too_coarse(target)
+
+    def calm(self, target: float) -> bool:
+        """Whether their noise is within a ``target``, or they have taken all paths that they may."""
+        return self.count >= MOST or self.relative(self.variance) <= target
 
     def too_coarse(self, target: float) -> bool:
         """Whether what lies between them errs more than they do, and by more than half of a ``target``."""
@@ -157,23 +169,44 @@ class WallTexels:
         return self.relative(self.unsharp) > 0.5 * target
 
     def nearer(self, light: RotatedLight, surface: Surface, target: float, tiles: Tiles) -> "WallTexels":
-        """The same a step nearer to a ``target``: fine ones, twice as fine ones, or more paths. Raises Cancelled."""
-        across = FINE if not self.fine else 2 * self.across if self.too_coarse(target) else self.across
-        if across == self.across:
+        """The same a step nearer to a ``target``: fine ones, more paths, or twice as fine ones. Raises Cancelled."""
+        if not self.fine:
+            return WallTexels.begun(light, self.wall, self.side, FINE).grown(light, surface, tiles, self.count)
+        if not self.calm(target):
             return self.grown(light, surface, tiles, self.count)
-        return WallTexels.begun(light, self.wall, self.side, across).grown(light, surface, tiles, self.count)
+        return self._finer(light, target).grown(light, surface, tiles, self.count)
+
+    def _finer(self, light: RotatedLight, target: float) -> "WallTexels":
+        """Twice as many each way, dark where they are asked; elsewhere, what these tell of the places between them.
+
+        So many are asked that the others are unsharp by less than a quarter of the ``target``.
+        """
+        finer = WallTexels.begun(light, self.wall, self.side, 2 * self.across)
+        least = np.sort(self.unsharp, axis=None)
+        allowed = least.size * (0.25 * target * float(self.luminance.mean())) ** 2
+        few = least[min(int(np.searchsorted(np.cumsum(least), allowed)), least.size - 1)]
+        places = [
+            (np.arange(a) + 0.5) * b / a - 0.5 for a, b in zip(finer.settled.shape, self.settled.shape, strict=True)
+        ]
+        near = np.ix_(*(np.rint(each).astype(int) for each in places))
+        settled = np.where(self.unsharp[near] < few, self.unsharp[near], np.nan)
+        known = np.where(np.isnan(settled)[..., None, None], 0.0, between(self.means, *places))
+        return replace(finer, sums=known, settled=settled)
 
     def grown(self, light: RotatedLight, surface: Surface, tiles: Tiles, more: int = FIRST) -> "WallTexels":
-        """The same after so many ``more`` paths of each half. Raises Cancelled."""
-        plan = light.spec.plan
+        """The same after so many ``more`` paths of each half of those that are asked. Raises Cancelled."""
+        plan, asked = light.spec.plan, self.asked
         rules = PathRules(path_weights(np.ones(3), plan.bounces, 1.0), plan.survival)
-        added = light_starts(light, surface, self._starts(light, surface), rules, SampleRange(self.count, more), tiles)
-        return replace(self, sums=self.sums + added.reshape(self.sums.shape), count=self.count + more)
+        samples = SampleRange(self.count, more)
+        added = light_starts(light, surface, self._starts(light, surface), rules, samples, tiles)
+        sums = self.means * (self.count + more) if self.count else self.sums * more
+        sums[asked] = self.sums[asked] + added.reshape(-1, 2, 3)
+        return replace(self, sums=sums, count=self.count + more)
 
     def _starts(self, light: RotatedLight, surface: Surface) -> RoomStarts:
-        """Where the paths of each texel's halves start: in its middle."""
+        """Where the paths of each asked texel's halves start: in its middle."""
         room, (rows, columns) = light.spec.prepared.room(light.seen.albedo), self.sums.shape[:2]
-        row, column, half = (each.ravel() for each in np.indices((rows, columns, 2)))
+        row, column, half = np.nonzero(np.repeat(self.asked[..., None], 2, axis=2))
         edges = room.edges[self.wall]
         points = room.corners[self.wall] + np.outer((column + 0.5) / columns, edges[0])
         points += np.outer((row + 0.5) / rows, edges[1])
@@ -188,6 +221,15 @@ class WallTexels:
         light = np.minimum(self.radiance + self.albedo * self.means.mean(axis=2), np.finfo(np.float32).max)
         variance = (self.variance + self.unsharp)[..., None]
         return np.concatenate([light, variance], axis=2, dtype=np.float32).reshape(-1, 4)
+
+
+def between(values: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """``values`` (h, w, …) at places between ``rows`` and ``columns``, linearly; beyond the ends the ends'."""
+    for axis, places in enumerate((rows, columns)):
+        first = np.clip(np.floor(places).astype(int), 0, values.shape[axis] - 2)
+        way = np.clip(places - first, 0.0, 1.0).reshape(-1, *(1,) * (values.ndim - axis - 1))
+        values = (1.0 - way) * values.take(first, axis) + way * values.take(first + 1, axis)
+    return values
 
 
 def pooled(variance: np.ndarray) -> np.ndarray:

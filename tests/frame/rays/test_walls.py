@@ -130,7 +130,7 @@ def wall_texels(across: int, light: Callable[[np.ndarray, np.ndarray], np.ndarra
     middles = (np.arange(across) + 0.5) / across
     found = light(*np.meshgrid(middles, middles))[..., None, None] * np.ones((2, 3))
     found += noise * np.random.default_rng(1).normal(size=(across, across, 2, 1))
-    return WallTexels(0, 1, np.ones(3), np.zeros(3), 8.0 * found, across, count=8)
+    return WallTexels(0, 1, np.ones(3), np.zeros(3), 8.0 * found, across, np.full((across, across), np.nan), count=8)
 
 
 def between_texels(texels: WallTexels, light: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> float:
