@@ -35,9 +35,9 @@ COARSE, FINE, FINEST = 16, 64, 256
 """Texels along the longest edge of any wall: of the first picture, of all others, and at most."""
 
 EDGY = 1.0 / 12.0
-"""What interpolation adds to the variance, over the squared second differences of texels' light.
+"""What interpolation adds to the variance, over the squared second differences of texels' light, at an edge.
 
-Of an edge anywhere between two texels: these are twice its height squared together, and a ramp in its place errs by a
+That is anywhere between two texels: these are twice its height squared together, and a ramp in its place errs by a
 sixth of that. Where light is smooth it is a tenth of this.
 """
 
@@ -130,14 +130,24 @@ class WallTexels:
     def unsharp(self) -> np.ndarray:
         """Variance of the luminance that light between texels adds, as it is interpolated; (rows, columns).
 
-        It is found by the bends of light from texel to texel, less those that noise makes.
+        It is found by how light bends. About an edge that is half as much between next texels as between those two
+        apart; where it is less, light is smoother than that.
         """
+        near, far = self._bends(1), self._bends(2)
+        found = EDGY * near * np.minimum(2.0 * near / np.maximum(far, 1e-30), 1.0)
+        return np.where(self.asked, found, self.settled)
+
+    def _bends(self, step: int) -> np.ndarray:
+        """Squared second differences of light between texels a ``step`` apart, both ways, less those of noise."""
         light, found = self.luminance, np.zeros(self.sums.shape[:2])
         for axis in (0, 1):
-            if light.shape[axis] > 2:
-                ends = [(int(a == axis),) * 2 for a in range(2)]
-                found += np.pad(np.diff(light, 2, axis) ** 2, ends) - 6.0 * self.variance
-        return np.where(self.asked, np.maximum(EDGY * pooled(found), 0.0), self.settled)
+            if light.shape[axis] > 2 * step:
+                low, here, high = (
+                    light.take(np.arange(k * step, light.shape[axis] - (2 - k) * step), axis) for k in range(3)
+                )
+                ends = [(step * int(a == axis),) * 2 for a in range(2)]
+                found += np.pad((low - 2.0 * here + high) ** 2, ends) - 6.0 * self.variance
+        return np.maximum(pooled(found), 0.0)
 
     @property
     def asked(self) -> np.ndarray:

@@ -154,6 +154,14 @@ def test_walls_tell_what_edges_of_shadows_between_texels_are_off(turn: float) ->
     assert not wall_texels(FINEST, shadow).too_coarse(0.02), "and no finer ones are made then"
 
 
+def test_walls_tell_what_smooth_light_between_texels_is_off() -> None:
+    def waves(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        return 1.0 + 0.4 * np.sin(30.0 * x + 20.0 * y)
+
+    texels = wall_texels(64, waves)
+    assert 0.6 < np.sqrt(texels.unsharp.mean()) / between_texels(texels, waves) < 1.6
+
+
 def test_noise_of_walls_is_not_taken_for_edges() -> None:
     texels = wall_texels(64, lambda x, y: 1.0 + 0.3 * np.sin(3.0 * x + y), noise=0.1)
     assert texels.unsharp.mean() < 0.25 * texels.variance.mean()
