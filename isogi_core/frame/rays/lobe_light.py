@@ -138,7 +138,7 @@ class Shadows:
                 count = aim_at_middles(self.picture, self.lamps, (first + a, first + b), seen, aimed)
                 seen.reshape(-1)[aimed.pairs[:count]] = np.where(self._cast(aimed, count), LIT, DARK)
 
-            self.tiles.run(_piece, last - first, min(self.tiles.even(last - first), LOBE_POINTS))
+            self.tiles.run(_piece, last - first, tile_of(last - first, LOBE_POINTS, self.tiles))
         return seen
 
     def edges(self, seen: np.ndarray) -> np.ndarray:
@@ -167,7 +167,7 @@ class Shadows:
             rays = np.bincount(aimed.pairs[:count][self._cast(aimed, count)], minlength=b - a)
             found[a:b] = RIM_SEEN[rays]
 
-        self.tiles.run(_piece, len(pairs), min(self.tiles.even(len(pairs)), RIMS))
+        self.tiles.run(_piece, len(pairs), tile_of(len(pairs), RIMS, self.tiles))
         return found
 
     def halves(self, pairs: np.ndarray) -> np.ndarray:
@@ -189,6 +189,11 @@ class Shadows:
         reached = np.empty(count, np.bool_)
         cast_shadow_rays(self.traced, self.picture, aimed, count, reached)
         return reached
+
+
+def tile_of(total: int, most: int, tiles: Tiles) -> int:
+    """The size of tiles that are even, but of a quarter of the ``most`` at least: for less no thread is woken."""
+    return min(max(tiles.even(total), most // 4), most)
 
 
 def room_for(rays: int) -> Aimed:
