@@ -45,21 +45,21 @@ def test_kernels_were_found():
 
 
 @COMPILED
-def test_entry_kernels_have_exactly_one_signature():
-    for module, name in ENTRIES:
-        entry = find(module, name)
-        assert len(entry.ready.signatures) == 1, name
-        with pytest.raises(TypeError, match="No matching definition"):
-            entry(*[None] * len(entry.ready.signatures[0]))
+@pytest.mark.parametrize(("module", "name"), ENTRIES)
+def test_an_entry_kernel_has_exactly_one_signature(module, name):
+    entry = find(module, name)
+    (signature,) = entry.ready.signatures
+    with pytest.raises(TypeError, match="No matching definition"):
+        entry(*[None] * len(signature))
 
 
 @COMPILED
-def test_options_keep_threads_out_and_nan_in():
-    for module, name, _ in KERNELS:
-        options = find(module, name).targetoptions
-        assert options["nogil"] and options["error_model"] == "numpy", name
-        assert not options.get("parallel", False), name
-        assert options["fastmath"] in (_jit.FASTMATH, _jit.EXACT, _jit.ANY_ORDER), f"{name}: isnan() would be False"
+@pytest.mark.parametrize(("module", "name", "entry"), KERNELS)
+def test_options_keep_threads_out_and_nan_in(module, name, entry):
+    options = find(module, name).targetoptions
+    assert options["nogil"] and options["error_model"] == "numpy"
+    assert not options.get("parallel", False)
+    assert options["fastmath"] in (_jit.FASTMATH, _jit.EXACT, _jit.ANY_ORDER), "more would make isnan() False"
     assert _jit.EXACT < _jit.FASTMATH == {"nsz", "contract"}
     assert _jit.FASTMATH | {"reassoc"} == _jit.ANY_ORDER
 
