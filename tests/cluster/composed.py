@@ -73,8 +73,7 @@ class Composed(Cluster):
 
     def listening(self) -> set[str]:
         """The addresses at which any of the processes listens."""
-        own = [psutil.Process(each.pid) for each in self._running if each.poll() is None]
-        family = [process for each in own for process in (each, *each.children(recursive=True))]
+        family = [process for each in self.alive() for process in (each, *each.children(recursive=True))]
         connections = [each for process in family for each in process.net_connections("inet")]
         return {each.laddr.ip for each in connections if each.status == psutil.CONN_LISTEN}
 

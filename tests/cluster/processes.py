@@ -2,6 +2,7 @@
 
 import os
 import re
+import shlex
 import shutil
 import socket
 import subprocess
@@ -33,11 +34,17 @@ OWN = "--scheduler-ca", "--scheduler-cert", "--scheduler-key"
 
 FILES = "ca.pem", "node.pem", "node.key"
 
+DOCUMENTED = (ROOT / "docs" / "cluster.md").read_text(encoding="utf-8")
+
 Started = subprocess.Popen[bytes]
 
 
 def write_certificates(folder: Path) -> None:
-    """Files of a new authority, a certificate and its key."""
+    """Files of a new authority, a certificate and its key: by the commands of docs/cluster.md, where openssl is."""
+    if shutil.which("openssl"):
+        for command in re.findall(r"^openssl .*$", DOCUMENTED, re.MULTILINE):
+            subprocess.run(shlex.split(command), cwd=folder, check=True, capture_output=True)
+        return
     made = temporary_security()
     for name, own in zip(FILES, ("tls_ca_file", "tls_client_cert", "tls_client_key"), strict=True):
         (folder / name).write_text(str(getattr(made, own)), encoding="ascii")
@@ -74,18 +81,17 @@ def end(process: Started) -> None:
 
 
 class Cluster:
-    """Processes that end with the ``with`` block. They speak TLS with the ``certificates`` in a folder, or new ones."""
+    """Processes that end with the ``with`` block. They speak TLS with new certificates."""
 
-    def __init__(self, certificates: Path | None = None) -> None:
+    def __init__(self) -> None:
         programs = os.pathsep.join((str(Path(sys.executable).parent), os.environ["PATH"]))
         self.environment = {**os.environ, "PATH": programs, "PYTHONPATH": str(ROOT), **HEALTH}
         self.port = free_port()
         self.address = f"tls://127.0.0.1:{self.port}"
         self._running: list[Started] = []
         self._clients = ExitStack()
-        self.certificates = certificates or Path(self._clients.enter_context(tempfile.TemporaryDirectory()))
-        if certificates is None:
-            write_certificates(self.certificates)
+        self.certificates = Path(self._clients.enter_context(tempfile.TemporaryDirectory()))
+        write_certificates(self.certificates)
 
     def __enter__(self) -> Self:
         return self
@@ -95,6 +101,10 @@ class Cluster:
             if process.poll() is None:
                 end(process)
         self._clients.close()
+
+    def alive(self) -> list[psutil.Process]:
+        """The processes that were started and have not ended."""
+        return [psutil.Process(each.pid) for each in self._running if each.poll() is None]
 
     def run(self, *command: str, environment: Mapping[str, str] | None = None, **kwargs: Any) -> Started:
         """Start a command of the environment that the tests run in."""
@@ -174,9 +184,9 @@ def final(client: httpx.Client, azimuth: float = 30.0, size: int = 40, seconds: 
 
 
 @contextmanager
-def cluster(workers: int = 1, **given: Any) -> Iterator[Cluster]:
+def cluster(workers: int = 1) -> Iterator[Cluster]:
     """A scheduler and workers, which this process may join as well."""
-    with Cluster(**given) as started, show_certificate(*(str(started.certificates / name) for name in FILES)):
+    with Cluster() as started, show_certificate(*(str(started.certificates / name) for name in FILES)):
         started.scheduler()
         for _ in range(workers):
             started.worker()

@@ -4,12 +4,14 @@ from pathlib import Path
 
 import pytest
 
+from tests.cluster.intruder import fallen, ports_of
 from tests.cluster.processes import Cluster, cluster, end, final, metric, reasons, status, until
 
 pytestmark = pytest.mark.slow
 
 
 def test_scheduler_workers_and_servers_come_and_go(small_scene: Path, tmp_path: Path) -> None:
+    """And no port of theirs lets another user in."""
     with cluster(workers=0) as running:
         one, first = running.server(small_scene, str(tmp_path))
         until(lambda: "No worker has joined" in reasons(first))
@@ -27,6 +29,9 @@ def test_scheduler_workers_and_servers_come_and_go(small_scene: Path, tmp_path: 
 
         running.worker()
         until(lambda: metric(second, "isogi_workers") == 2.0)
+        ports = ports_of(*running.alive())
+        assert len(ports) >= 9
+        assert fallen(ports) == []
         end(worker)
         until(lambda: metric(second, "isogi_worker_deaths_total") == 1.0)
         final(second, azimuth=120.0)

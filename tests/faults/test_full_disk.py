@@ -15,8 +15,9 @@ from server.render.engine import RenderEngine
 from server.settings import Settings
 from tests.faults.bench import LONG
 from tests.live import live
+from tests.server.inline import InlinePool
+from worker import pool
 
-pytestmark = pytest.mark.slow
 KNOBS: dict[str, Any] = {"width": 40, "height": 40, "azimuth": 20, "elevation": 15, "f": "npy"}
 
 
@@ -45,7 +46,9 @@ def wait_for(condition: Callable[[], bool]) -> None:
         time.sleep(0.1)
 
 
-def test_baking_waits_for_room_and_goes_on_by_itself(small_disk: Path) -> None:
+def test_baking_waits_for_room_and_goes_on_by_itself(small_disk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a thread of this process: what a full disk does to a worker process is a fault of ``test_points.py``."""
+    monkeypatch.setattr(pool, "WorkerPool", InlinePool)
     scene = load_scene("demo:orbital", lattice=0.5, bounces=1, order=2, indirect_order=2, target_error=0.3)
     app = create_app(RenderEngine([scene], str(small_disk), workers=1), Settings())
     with live(app, until="/livez") as url:

@@ -1,4 +1,7 @@
-"""Sameness: what may not change one bit of a picture, or one byte of a chunk."""
+"""Sameness: what may not change one bit of a picture, or one byte of a chunk.
+
+Processes of workers are held against a thread of this one in ``tests/worker/test_kill.py``.
+"""
 
 import random
 from collections.abc import Callable, Iterator, Sequence
@@ -7,7 +10,6 @@ from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from pathlib import Path
-from queue import Queue
 from tempfile import TemporaryDirectory
 from typing import Any
 
@@ -34,7 +36,6 @@ from isogi_core.storage.url import StoreUrl
 from server.cli.bench import bake_chunks
 from tests.loaded import load_scene
 from tests.stability.scenes import view_of
-from worker.pool import WorkerPool
 from worker.tasks import BakeTask, bake
 
 MEMORY = 1 << 30
@@ -131,16 +132,6 @@ def shuffled(tasks: Sequence[BakeTask]) -> None:
         list(pool.map(bake, order))
 
 
-def by_two_workers(tasks: Sequence[BakeTask]) -> None:
-    """Have two worker processes do the tasks."""
-    ended = Queue[BaseException | None]()
-    with closing(WorkerPool(2)) as pool:
-        for task in tasks:
-            pool.submit(task, lambda _, error: ended.put(error))
-        errors = [ended.get() for _ in tasks]
-    assert errors == [None] * len(tasks)
-
-
 @cache
 def chunks_baked(do: DoTasks, *steps: int) -> dict[str, bytes]:
     """The chunk objects of a store once a view's light is final, and was baked to so many samples first."""
@@ -162,7 +153,6 @@ def assert_same(one: Frame, other: Frame) -> None:
     [
         pytest.param(shuffled, (), id="in any order, two at a time, each twice"),
         pytest.param(shuffled, (FIRST_LEVEL, 2 * FIRST_LEVEL), id="in steps"),
-        pytest.param(by_two_workers, (), marks=pytest.mark.slow, id="by two worker processes"),
     ],
 )
 def test_chunks_are_the_same_bytes_however_they_are_baked(do: DoTasks, steps: tuple[int, ...]) -> None:

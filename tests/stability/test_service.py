@@ -28,6 +28,7 @@ from tests.loaded import load_scene
 from tests.server.inline import EngineWithoutWorkers, InlinePool
 from tests.stability.scenes import CONSTANT, scene_of
 from tests.stability.volumes import REFUSED, VOLUMES, Specimen, ball, body, grid, ramp
+from worker import pool
 from worker.baker import Baker
 from worker.pool import WorkerPool
 
@@ -66,10 +67,10 @@ def service(specimen: Specimen, folder: Path) -> Iterator[FastAPI]:
     settings = {"lights": [dict(CONSTANT)], "target_error": 0.5, "bounces": 1, "isovalue": specimen.isovalues[0]}
     scene, baker = load_scene(save(specimen, folder / "s.nrrd"), **settings), Baker()
     with (
-        closing(InlinePool()) as pool,
+        closing(InlinePool()) as workers,
         closing(EngineWithoutWorkers([scene], str(folder / "light"), baker=baker)) as engine,
     ):
-        baker.employ(cast(WorkerPool, pool))
+        baker.employ(cast(WorkerPool, workers))
         yield create_app(engine, settings_from())
 
 
@@ -164,9 +165,9 @@ def test_inspect_refuses_what_is_no_volume_in_a_line(
     assert REFUSED[name].refused in said
 
 
-@pytest.mark.slow
-def test_render_writes_files_of_finite_numbers(tmp_path: Path) -> None:
-    """By the command line, with a worker process of its own."""
+def test_render_writes_files_of_finite_numbers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By the command line."""
+    monkeypatch.setattr(pool, "WorkerPool", InlinePool)
     specimen, output = VOLUMES["mask"], tmp_path / "frame.npy"
     where = ["--store", str(tmp_path / "light"), "--workers", "1", "--width", "32", "--height", "32"]
     file = str(save(specimen, tmp_path / "s.nrrd"))

@@ -4,11 +4,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 import pytest
-from playwright.sync_api import Browser, Page, expect, sync_playwright
+from playwright.sync_api import Browser, Page, ViewportSize, expect, sync_playwright
 
 from tests.server.uploads.site import site  # noqa: F401 (a fixture)
 from tests.web.visits import CHROMIUM, FLAGS
 
+VIEWPORT: ViewportSize = {"width": 900, "height": 640}
 PATIENCE_MS = 30_000  # for what a page does at once on an idle machine
 
 
@@ -20,32 +21,64 @@ def browser() -> Iterator[Browser]:
         chromium.close()
 
 
+def heard(page: Page) -> list[str]:
+    """What a page will complain of in its console, but for requests that a test cuts off."""
+    complaints: list[str] = []
+
+    def note(text: str) -> None:
+        if "net::ERR_FAILED" not in text:
+            complaints.append(text)
+
+    page.on("pageerror", lambda error: note(str(error)))
+    page.on("console", lambda message: note(message.text) if message.type == "error" else None)
+    return complaints
+
+
 @contextmanager
-def watched(browser: Browser) -> Iterator[Page]:
-    """A page whose console must stay free of errors, and that talks to nobody but the server."""
-    context = browser.new_context(viewport={"width": 900, "height": 640})
+def watched(browser: Browser) -> Iterator[tuple[Page, list[str]]]:
+    """A page in a context of its own, and what it complains of."""
+    context = browser.new_context(viewport=VIEWPORT)
     page = context.new_page()
     page.set_default_timeout(PATIENCE_MS)
     expect.set_options(timeout=PATIENCE_MS)
-    complaints: list[str] = []
-    page.on("pageerror", lambda error: complaints.append(str(error)))
-    page.on("console", lambda message: complaints.append(message.text) if message.type == "error" else None)
-    yield page
+    yield page, heard(page)
     page.unroute_all(behavior="ignoreErrors")  # the page asks on while it is closed
     context.close()
-    cut_by_the_test = "net::ERR_FAILED"
-    assert [text for text in complaints if cut_by_the_test not in text] == []
+
+
+@pytest.fixture(scope="module")
+def tab(browser: Browser) -> Iterator[tuple[Page, list[str]]]:
+    """A page for all tests of a file, one after the other: to open one takes a third of a second of the processor."""
+    with watched(browser) as opened:
+        yield opened
 
 
 @pytest.fixture
-def page(browser: Browser) -> Iterator[Page]:
-    """A page that is new to each test."""
-    with watched(browser) as page:
+def page(tab: tuple[Page, list[str]]) -> Iterator[Page]:
+    """A page that knows nothing of former tests, and whose console must stay free of errors."""
+    page, complaints = tab
+    yield page
+    page.unroute_all(behavior="ignoreErrors")
+    if page.url.startswith("http"):
+        page.evaluate("localStorage.clear()")
+    page.goto("about:blank")
+    page.set_viewport_size(VIEWPORT)
+    page.emulate_media(color_scheme="null")
+    said, complaints[:] = complaints.copy(), []
+    assert said == []
+
+
+@pytest.fixture
+def fresh(browser: Browser) -> Iterator[Page]:
+    """A page of one test alone, for what cannot be undone: scripts before all others, and sockets that are routed."""
+    with watched(browser) as (page, complaints):
         yield page
+    assert complaints == []
 
 
 @pytest.fixture(scope="module")
 def steady(browser: Browser) -> Iterator[Page]:
-    """A page that stays for all tests of a file: to open one takes a second of the processor."""
-    with watched(browser) as page:
+    """A page that stays as it is from test to test of a file."""
+    with watched(browser) as (page, complaints):
         yield page
+    assert complaints == []

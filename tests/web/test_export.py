@@ -9,7 +9,7 @@ import pytest
 from playwright.sync_api import Page, Route, expect
 
 from server.cli.film_path import views_in
-from tests.web.visits import BROWSER, FINAL_MS, SHOTS
+from tests.web.visits import BROWSER, FINAL_MS, SHOTS, written
 
 pytestmark = BROWSER
 VIEW = "isovalue=0.45&azimuth=-70.5&shading=phong"
@@ -80,8 +80,7 @@ def test_views_are_kept_shown_again_and_saved_for_films(page: Page, live_server:
     )
     page.screenshot(path=SHOTS / "views.png")
     page.locator("#views-list .go").first.click()
-    page.wait_for_timeout(400)
-    assert parse_qs(urlsplit(page.url).query)["azimuth"] == ["-70.5"]
+    assert parse_qs(urlsplit(written(page)).query)["azimuth"] == ["-70.5"]
     page.reload()
     page.click("#share-button:enabled")
     expect(page.locator("#views-list li")).to_have_count(2)

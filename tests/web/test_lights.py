@@ -74,7 +74,7 @@ def test_a_probe_is_opened_shown_and_deleted(page: Page, site: Site, probe: byte
     picture = pixels(wait_final(page))
     middle = picture[40:56, 40:56].mean(axis=(0, 1))
     assert middle[2] > 1.3 * middle[0], "the surface is blue"
-    page.on("dialog", lambda dialog: dialog.accept())
+    page.once("dialog", lambda dialog: dialog.accept())
     page.click("#environment-delete")
     expect(page.locator("#environment")).to_have_value("")
     expect(page.locator("#environment-delete")).to_be_hidden()

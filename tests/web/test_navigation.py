@@ -9,7 +9,7 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from isogi_core.model.view import orbit
-from tests.web.visits import BROWSER
+from tests.web.visits import BROWSER, written
 
 AXES = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1)}
 CENTRE = (11.5, 9.5, 7.5)
@@ -29,8 +29,7 @@ def shown(page: Page, live_server: str) -> Page:
 
 def view_of(page: Page) -> dict[str, str]:
     """The knobs in the address bar."""
-    page.evaluate("() => new Promise(done => setTimeout(done, 200))")  # the page writes it 150 ms after a change
-    return dict(parse_qsl(urlsplit(page.url).query))
+    return dict(parse_qsl(urlsplit(written(page)).query))
 
 
 def target_of(page: Page) -> list[float]:

@@ -10,7 +10,18 @@ import numpy as np
 import pytest
 from playwright.sync_api import Browser, Page, Route, WebSocket, WebSocketRoute, expect
 
-from tests.web.visits import BROWSER, FINAL_MS, SHOTS, open_final, pixels, slide, unfold, wait_final, without_sockets
+from tests.web.visits import (
+    BROWSER,
+    FINAL_MS,
+    SHOTS,
+    open_final,
+    pixels,
+    slide,
+    unfold,
+    wait_final,
+    without_sockets,
+    written,
+)
 
 ROLES = "slider|combobox|switch|button|spinbutton|progressbar"
 KNOBS = ("isovalue", "azimuth", "elevation", "distance", "yaw", "pitch", "roll")
@@ -46,8 +57,7 @@ def difference(a: np.ndarray, b: np.ndarray) -> float:
 
 def address_of(page: Page) -> dict[str, str]:
     """The knobs in the address bar."""
-    page.wait_for_timeout(400)  # it is written after a short pause
-    return {name: values[0] for name, values in parse_qs(urlsplit(page.url).query).items()}
+    return {name: values[0] for name, values in parse_qs(urlsplit(written(page)).query).items()}
 
 
 def numbers_of(page: Page) -> dict[str, float]:
@@ -317,8 +327,8 @@ def test_moving_shows_small_jpeg_and_rest_the_full_picture(page: Page, live_serv
     assert stream.receipts == [answer["id"] for answer in stream.answers]
 
 
-def test_without_sockets_drafts_are_small_jpegs(page: Page, live_server: str) -> None:
-    shown = open_final(without_sockets(page), live_server)
+def test_without_sockets_drafts_are_small_jpegs(fresh: Page, live_server: str) -> None:
+    shown = open_final(without_sockets(fresh), live_server)
     asked: list[dict[str, list[str]]] = []
     shown.on("request", lambda request: asked.append(parse_qs(urlsplit(request.url).query)))
     drag(shown, 60, 0)
@@ -399,7 +409,7 @@ def test_dark_scheme(browser: Browser, live_server: str) -> None:
     context.close()
 
 
-def test_server_gone_and_back(page: Page, live_server: str) -> None:
+def test_server_gone_and_back(fresh: Page, live_server: str) -> None:
     away, open_streams = False, list[WebSocketRoute]()
 
     def pass_on(stream: WebSocketRoute) -> None:
@@ -409,23 +419,23 @@ def test_server_gone_and_back(page: Page, live_server: str) -> None:
             stream.connect_to_server()
             open_streams.append(stream)
 
-    page.route_web_socket("**/stream", pass_on)
-    open_final(page, live_server)
+    fresh.route_web_socket("**/stream", pass_on)
+    open_final(fresh, live_server)
     away = True
     open_streams[0].close(code=1012)
-    expect(page.locator("#trouble h2")).to_have_text("The server does not answer")
-    page.focus("#stage")
-    page.keyboard.press("ArrowLeft")
-    expect(page.locator("#status-line")).to_have_text(re.compile("^Not up to date"))
+    expect(fresh.locator("#trouble h2")).to_have_text("The server does not answer")
+    fresh.focus("#stage")
+    fresh.keyboard.press("ArrowLeft")
+    expect(fresh.locator("#status-line")).to_have_text(re.compile("^Not up to date"))
     SHOTS.mkdir(parents=True, exist_ok=True)
-    page.screenshot(path=SHOTS / "gone.png")
+    fresh.screenshot(path=SHOTS / "gone.png")
     away = False
-    expect(page.locator("#trouble")).to_be_hidden(timeout=FINAL_MS)
-    wait_final(page)
+    expect(fresh.locator("#trouble")).to_be_hidden(timeout=FINAL_MS)
+    wait_final(fresh)
 
 
-def test_server_gone_and_back_without_sockets(page: Page, live_server: str) -> None:
-    shown = open_final(without_sockets(page), live_server)
+def test_server_gone_and_back_without_sockets(fresh: Page, live_server: str) -> None:
+    shown = open_final(without_sockets(fresh), live_server)
     shown.route("**/frame?*", lambda route: route.abort())
     shown.focus("#stage")
     shown.keyboard.press("ArrowLeft")

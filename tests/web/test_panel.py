@@ -66,39 +66,39 @@ def test_the_error_falls_until_the_view_is_final(page: Page, live_server: str) -
     assert shown in words and shown in page.inner_text("#status-line")
 
 
-def test_the_drawing_is_to_scale(page: Page, live_server: str) -> None:
-    without_sockets(page).route("**/frame?*", staged(None, end=True))
-    open_final(page, live_server)
-    first, second, third, final, held = (y for _, y in course(unfold(page)))
+def test_the_drawing_is_to_scale(fresh: Page, live_server: str) -> None:
+    without_sockets(fresh).route("**/frame?*", staged(None, end=True))
+    open_final(fresh, live_server)
+    first, second, third, final, held = (y for _, y in course(unfold(fresh)))
     per_decade = second - first
     assert (third - first) / per_decade == pytest.approx(1.3979 / 0.5229, rel=0.02), "log10 of 25, of 3.33"
     assert final == held > third
-    line = re.match(r"M[\d.]+ ([\d.]+)H", page.get_attribute("#error path.target", "d") or "")
+    line = re.match(r"M[\d.]+ ([\d.]+)H", fresh.get_attribute("#error path.target", "d") or "")
     assert line is not None
     assert (float(line[1]) - first) / per_decade == pytest.approx(0.3010 / 0.5229, rel=0.02), "the target is 50 %"
-    page.set_viewport_size({"width": 390, "height": 844})
-    wait_final(page)
-    assert max(x for x, _ in course(page)) < 390
-    page.locator("#error").screenshot(path=SHOTS / "panel-390.png")
+    fresh.set_viewport_size({"width": 390, "height": 844})
+    wait_final(fresh)
+    assert max(x for x, _ in course(fresh)) < 390
+    fresh.locator("#error").screenshot(path=SHOTS / "panel-390.png")
 
 
-def test_a_new_view_begins_a_new_history_and_exposure_does_not(page: Page, live_server: str) -> None:
-    without_sockets(page).route("**/frame?*", staged(None, end=True))
-    before = course(unfold(open_final(page, live_server)))
-    slide(page, "exposure", 0.6)
-    wait_final(page)
-    assert course(page) == before
+def test_a_new_view_begins_a_new_history_and_exposure_does_not(fresh: Page, live_server: str) -> None:
+    without_sockets(fresh).route("**/frame?*", staged(None, end=True))
+    before = course(unfold(open_final(fresh, live_server)))
+    slide(fresh, "exposure", 0.6)
+    wait_final(fresh)
+    assert course(fresh) == before
     for knob in ("azimuth", "isovalue", "yaw"):
-        page.route("**/frame?*", lambda route: None)  # no answer
-        slide(page, knob, 0.3)
-        assert course(page) == []
-        expect(page.locator("#error .value")).to_have_text("")
-        expect(page.locator("#error .note")).to_have_text("Waiting for the view to rest.")
-        page.unroute("**/frame?*")
-        page.route("**/frame?*", staged(None, end=True))
-        slide(page, knob, 0.32)
-        wait_final(page)
-        assert 2 <= len(course(page)) <= len(before), "an answer to the view in between is no part of it"
+        fresh.route("**/frame?*", lambda route: None)  # no answer
+        slide(fresh, knob, 0.3)
+        assert course(fresh) == []
+        expect(fresh.locator("#error .value")).to_have_text("")
+        expect(fresh.locator("#error .note")).to_have_text("Waiting for the view to rest.")
+        fresh.unroute("**/frame?*")
+        fresh.route("**/frame?*", staged(None, end=True))
+        slide(fresh, knob, 0.32)
+        wait_final(fresh)
+        assert 2 <= len(course(fresh)) <= len(before), "an answer to the view in between is no part of it"
 
 
 def test_an_error_of_zero_has_no_place_on_a_logarithmic_axis(page: Page, live_server: str) -> None:
@@ -110,13 +110,13 @@ def test_an_error_of_zero_has_no_place_on_a_logarithmic_axis(page: Page, live_se
 
 
 @pytest.mark.parametrize("time_left", [LEFT, None])
-def test_the_words_follow_the_header(page: Page, live_server: str, time_left: str | None) -> None:
-    without_sockets(page).route("**/frame?*", staged(time_left, end=False))
-    page.goto(live_server)
-    expect(page.locator("#error .value")).to_have_text("4 %", timeout=FINAL_MS)
-    line, note = unfold(page).inner_text("#status-line"), page.inner_text("#error .note")
+def test_the_words_follow_the_header(fresh: Page, live_server: str, time_left: str | None) -> None:
+    without_sockets(fresh).route("**/frame?*", staged(time_left, end=False))
+    fresh.goto(live_server)
+    expect(fresh.locator("#error .value")).to_have_text("4 %", timeout=FINAL_MS)
+    line, note = unfold(fresh).inner_text("#status-line"), fresh.inner_text("#error .note")
     assert line == ("Refining, about 4 % error" if time_left is None else "Refining, about 4 % error, about 20 s left")
     assert note.endswith(" · about 20 s left (12 s to 41 s)") == (time_left is not None)
     assert ("left" in note) == (time_left is not None)
-    shares = page.locator("#error .legend b").all_inner_texts()
+    shares = fresh.locator("#error .legend b").all_inner_texts()
     assert shares == ["60 %", "40 %", "0 %"]

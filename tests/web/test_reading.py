@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from playwright.sync_api import Browser, Page, expect
 
-from tests.web.visits import BROWSER
+from tests.web.visits import BROWSER, written
 
 ADDRESS = "?shading=lambert&azimuth=25&elevation=15&distance=3"
 
@@ -32,8 +32,9 @@ def stage_of(page: Page) -> tuple[float, float, int, int]:
 
 def surface(page: Page) -> np.ndarray:
     """World positions (h, w, 3) of the surface in the stage's pixels, NaN where none is."""
-    page.wait_for_timeout(300)  # the address is written 150 ms after a change
-    view = {name: value for name, value in parse_qsl(urlsplit(page.url).query) if name not in ("scene", "exposure")}
+    view = {
+        name: value for name, value in parse_qsl(urlsplit(written(page)).query) if name not in ("scene", "exposure")
+    }
     *_, width, height = stage_of(page)
     origin = "{0.scheme}://{0.netloc}".format(urlsplit(page.url))
     query: dict[str, Any] = {**view, "f": "npy", "width": width, "height": height}
@@ -208,7 +209,7 @@ def test_measures_live_in_the_address_until_they_are_removed(shown: Page) -> Non
         expect(shown.locator("#measuring")).to_be_hidden()
     before = measured(shown)
     assert len(before) == 2
-    shown.wait_for_timeout(400)  # the address is written 150 ms after a change
+    written(shown)
     shown.reload()
     expect(shown.locator("#measures li")).to_have_count(2)
     assert measured(shown) == before
@@ -218,8 +219,7 @@ def test_measures_live_in_the_address_until_they_are_removed(shown: Page) -> Non
     shown.get_by_role("button", name="Remove").first.click()
     expect(shown.locator("#measures")).to_be_hidden()
     expect(shown.locator("#marks > *")).to_have_count(0)
-    shown.wait_for_timeout(400)
-    assert "measure" not in shown.url
+    assert "measure" not in written(shown)
 
 
 def test_lines_end_on_their_points_as_the_camera_turns(shown: Page) -> None:
@@ -255,8 +255,7 @@ def test_scale_and_axes_are_switched_by_a_key(shown: Page) -> None:
     shown.focus("#stage")
     shown.keyboard.press("r")
     expect(rulers).to_be_hidden()
-    shown.wait_for_timeout(400)
-    assert "rulers=off" in shown.url
+    assert "rulers=off" in written(shown)
     shown.keyboard.press("r")
     expect(rulers.locator("text")).to_have_count(5)
 

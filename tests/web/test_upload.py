@@ -32,7 +32,7 @@ def test_a_file_becomes_a_scene_and_is_deleted_again(shown: Page, site: Site) ->
     expect(shown.locator("#scene option:checked")).to_have_text("My ball")
     (kept,) = site.client.get("/v1/volumes").json()["volumes"]
     assert kept["id"] in shown.url
-    shown.on("dialog", lambda dialog: dialog.accept())
+    shown.once("dialog", lambda dialog: dialog.accept())
     shown.click("#upload-delete")
     expect(shown.locator("#upload-delete")).to_be_hidden(timeout=FINAL_MS)
     shown.wait_for_selector("#picture:not([hidden])", timeout=FINAL_MS)

@@ -37,6 +37,9 @@ DROP = """([text, name]) => {
 }"""
 """Drops a file on the picture."""
 
+TWO_FRAMES = "() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))"
+"""Ends when all that happened before is on the screen."""
+
 FINAL_MS = 180_000  # baking a view for the first time on a small machine
 
 
@@ -47,10 +50,15 @@ def open_final(page: Page, address: str) -> Page:
 
 def wait_final(page: Page) -> Page:
     """Wait until the view rests, its picture is final, and the browser has it on the screen."""
-    page.wait_for_timeout(400)  # the page itself waits 200 ms before it calls a view at rest
+    page.evaluate(TWO_FRAMES)  # a view that changes loses its sharpness at once, one of another size in the next frame
     page.wait_for_selector("#stage[data-state=final][data-sharp]:not([data-busy])", timeout=FINAL_MS)
-    page.wait_for_timeout(200)
+    page.evaluate(TWO_FRAMES)
     return page
+
+
+def written(page: Page) -> str:
+    """The address with all that has changed: the page writes it 150 ms later, and timers come in their order."""
+    return str(page.evaluate("() => new Promise((done) => setTimeout(() => done(location.href), 160))"))
 
 
 def unfold(page: Page) -> Page:

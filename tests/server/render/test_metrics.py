@@ -50,14 +50,21 @@ def read(live_server: str) -> dict[str, float]:
 
 
 def test_a_frame_and_its_baking_are_told(live_server: str) -> None:
-    before = read(live_server)
+    """What nobody waits for any more is not baked: where the machine is slow, the frame is asked for again."""
+    before, asked = read(live_server), 0
     view = {"width": 16, "height": 16, "wait_ms": 10_000, "isovalue": 0.273, "azimuth": 123, "max_error": 0.01}
-    assert httpx.get(f"{live_server}/v1/scenes/small/frame", params=view, timeout=60).status_code == 200
-    baked = ("isogi_tasks_done_total", "isogi_paths_total")
-    assert wait_for(lambda: all(read(live_server)[name] > before[name] for name in baked), 120)
+
+    def told() -> bool:
+        nonlocal asked
+        asked += 1
+        assert httpx.get(f"{live_server}/v1/scenes/small/frame", params=view, timeout=60).status_code == 200
+        after = read(live_server)
+        return all(after[name] > before[name] for name in ("isogi_tasks_done_total", "isogi_paths_total"))
+
+    assert wait_for(told, 120)
     after = read(live_server)
     frames, primary = "isogi_requests_total GET /v1/scenes/{scene}/frame 200", "isogi_frame_stage_seconds_count primary"
-    assert after[frames] == before.get(frames, 0) + 1
+    assert after[frames] == before.get(frames, 0) + asked
     assert after[primary] > before.get(primary, 0)
     assert set(after) >= BAKING
     assert after["isogi_workers"] == 1

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import httpx
+import psutil
 import pytest
 
 from tests.server.sockets import wait_for
@@ -48,12 +49,15 @@ def test_nobody_is_reset_or_failed(serving: tuple[subprocess.Popen[str], str]) -
     for thread in threads:
         thread.start()
     assert wait_for(lambda: ends["200"] > CLIENTS, 120)
+    family = psutil.Process(process.pid).children(recursive=True)
+    assert any("spawn_main" in " ".join(child.cmdline()) for child in family)
     begun = time.monotonic()
     process.send_signal(signal.SIGTERM)
-    process.communicate(timeout=30)
+    said = process.communicate(timeout=30)
     for thread in threads:
         thread.join()
-    assert process.returncode == 0
+    assert (process.returncode, *said) == (0, "", "")
+    assert psutil.wait_procs(family, timeout=30)[1] == [], "no worker outlives its server"
     assert time.monotonic() - begun < 15.0
     assert set(ends) <= {"200", "503", "ConnectError"}, ends
     assert ends["ConnectError"] == CLIENTS
