@@ -14,6 +14,7 @@ import nrrd
 import numpy as np
 import pytest
 
+from isogi_core.model.demo import demo_volume
 from tests.live import serving_with_a_worker
 from tests.s3 import BUCKET, S3Server, environment_of
 
@@ -49,6 +50,14 @@ def one_list_of_authorities() -> Iterator[None]:
     """Let clients share what they trust: each of them reads all certificates of the web, and tests make thousands."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("httpx._transports.default.create_ssl_context", lru_cache(httpx.create_ssl_context))
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def one_volume_of_each_demo() -> Iterator[None]:
+    """Let scenes share their demo's volume, which nobody changes: to make it takes longer than most tests of it."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("isogi_core.plan.volumes.opening.demo_volume", lru_cache(demo_volume))
         yield
 
 

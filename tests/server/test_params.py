@@ -38,13 +38,13 @@ def test_everything_is_read() -> None:
 
 
 @pytest.mark.parametrize("name", NUMBERS)
-@pytest.mark.parametrize("text", ["nan", "inf", "-inf", "1e999", "1_0", "", "x", "-1e6"])
-def test_hostile_numbers_name_parameter_range_and_value(name: str, text: str) -> None:
-    error = refusal((name, text))
-    assert error.parameter == name
-    assert str(error).startswith(f"{name} must be a")
-    assert " from " in str(error)
-    assert str(error).endswith(f"not '{text}'.")
+def test_hostile_numbers_name_parameter_range_and_value(name: str) -> None:
+    for text in ("nan", "inf", "-inf", "1e999", "1_0", "", "x", "-1e6"):
+        error = refusal((name, text))
+        assert error.parameter == name
+        assert str(error).startswith(f"{name} must be a")
+        assert " from " in str(error)
+        assert str(error).endswith(f"not '{text}'.")
 
 
 def test_zero_size() -> None:
