@@ -79,12 +79,11 @@ class LightParams(NoParams):
 
 
 class VariantParams(LightParams):
-    """The light that a scene is shown in, what is cut away of it, when, and which surfaces are beside the one shown."""
+    """The light that a scene is shown in, what is taken away of it, when, and which surfaces are beside."""
 
     cut: Annotated[str | None, Planes()] = Field(
         None,
-        description="Planes along the volume's axes, in world units, such as x>40;z<10: what they are true of is taken"
-        " away, and light comes in. What is left has light of its own, which is baked.",
+        description="Planes along the volume's axes, in world units, such as x>40;z<10: light comes in where they cut.",
     )
     time: Annotated[int | None, Span(0, MOST_STEPS, whole=True)] = Field(
         None, description="Which step of a series in time, from 0 on; default: the scene's. Each has light of its own."
@@ -92,8 +91,12 @@ class VariantParams(LightParams):
     surfaces: Annotated[str | None, WithJsonSchema({"type": "string", "example": "0.4,off"})] = Field(
         None,
         max_length=100,
-        description="The share of rays that passes each pinned surface, in turn, such as 0.4, or off to hide it;"
-        " default: the scene's. They have light of their own.",
+        description="The share of rays that passes each pinned surface, or off; default: the scene's.",
+    )
+    hide: Annotated[str | None, WithJsonSchema({"type": "string", "example": "3,4"})] = Field(
+        None,
+        max_length=2000,
+        description="The labels of a segmentation that are hidden, by their values, or none; default: the scene's.",
     )
 
 

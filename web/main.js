@@ -11,7 +11,7 @@ import { attachShare } from "./net/share.js";
 import { Trouble } from "./net/trouble.js";
 import { attachUpload } from "./net/upload.js";
 import { Comparison } from "./panels/comparison.js";
-import { attachCuts, attachSurfaces } from "./panels/cuts.js";
+import { attachCuts, attachLabels, attachSurfaces } from "./panels/cuts.js";
 import { attachEnvironments } from "./panels/environment.js";
 import { ErrorPanel } from "./panels/error.js";
 import { attachHistogram } from "./panels/histogram.js";
@@ -28,7 +28,7 @@ import { attachClicks, attachGestures } from "./view/gestures.js";
 import { Handles } from "./view/handles.js";
 import { attachKeys } from "./view/keys.js";
 import { Marks } from "./view/marks.js";
-import { attachRulers, rulerShapes } from "./view/rulers.js";
+import { attachRulers, legendOf, legendShapes, rulerShapes } from "./view/rulers.js";
 import { attachSides } from "./view/sides.js";
 import { ViewModel } from "./view/model.js";
 import { cutAt } from "./view/planes.js";
@@ -94,6 +94,7 @@ function assemble(scene, knobs, trouble) {
   attachKnobs(form, scene, view);
   attachHistogram(form, scene, view, say);
   attachPresets($("presets"), scene, view);
+  attachLabels($("colour-scale"), scene, view);
   attachSurfaces($("beside"), scene, view);
   attachCuts($("cuts"), scene, view);
   attachHandles(scene, view, card, options.onRest);
@@ -113,6 +114,10 @@ function assemble(scene, knobs, trouble) {
     file: () => fileName(scene, view.values),
     alt: () => describe(scene, view.values),
     rulers: (/** @type {{width: number, height: number}} */ size) => rulerShapes(scene, view.values, size),
+    legend: (/** @type {{width: number, height: number}} */ size) => {
+      const legend = legendOf(scene, view.values);
+      return legend && legendShapes(legend, size);
+    },
   };
   attachShare($("share"), scene, view, description);
   attachViews($("views"), scene, view, description.query);

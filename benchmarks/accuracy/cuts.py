@@ -17,8 +17,8 @@ from benchmarks.accuracy.totals import CHECKED, Found, measure, measurement_of
 from benchmarks.common.measurement import Measurement
 from benchmarks.common.scenes import Subject, scene_of
 from benchmarks.common.suite import part
-from isogi_core.plan.assembly import cut_open
 from isogi_core.plan.scene import Scene
+from isogi_core.plan.variants import cut_open
 
 SUBJECTS = tuple(
     Subject(volume, isovalue, light)

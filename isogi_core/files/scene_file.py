@@ -31,13 +31,21 @@ class SceneSource:
 def find_source(target: str | Path | None, overrides: Mapping[str, Any]) -> SceneSource:
     """Read a scene's document, without opening its volume."""
     text, lying = split_settings(str(target or DEFAULT_DEMO))
-    clears = lying.pop("surfaces", None)
+    clears, hide = lying.pop("surfaces", None), lying.pop("hide", None)
     source = source_at(text, {**overrides, **lying})
-    if clears is None:
-        return source
-    given = source.document.get("surfaces")
-    pinned = [each for each in given if isinstance(each, Mapping)] if isinstance(given, list) else []
-    return replace(source, document=put_clears(source.document, pinned, read_clears(clears, len(pinned))))
+    document = source.document
+    if clears is not None:
+        pinned = tables_in(document, "surfaces")
+        document = put_clears(document, pinned, read_clears(clears, len(pinned)))
+    if hide is not None:
+        document = put_hidden(document, read_hidden(hide))
+    return replace(source, document=document)
+
+
+def tables_in(document: Mapping[str, Any], key: str) -> list[Mapping[str, Any]]:
+    """The tables that a ``document`` lists under a ``key``; other values are left out."""
+    given = document.get(key)
+    return [each for each in given if isinstance(each, Mapping)] if isinstance(given, list) else []
 
 
 def source_at(text: str, overrides: Mapping[str, Any]) -> SceneSource:
@@ -66,8 +74,7 @@ def labels_as_volume(document: Mapping[str, Any], name: str) -> Mapping[str, Any
 
     SceneError where there are more volumes than one then.
     """
-    tables = document.get("volumes")
-    listed = [each for each in tables if isinstance(each, Mapping)] if isinstance(tables, list) else []
+    listed = tables_in(document, "volumes")
     found = [each for each in listed if each.get("use") == "labels"]
     if not found:
         return document
@@ -110,9 +117,36 @@ def put_clears(document: Mapping[str, Any], pinned: Sequence[Mapping[str, Any]],
     return rest | ({"surfaces": kept} if kept else {})
 
 
-LYING = ("axes", "solid", "environment", "cut", "surfaces")
+NONE = "none"
+"""Stands for no label that is hidden."""
+
+Hidden = tuple[int, ...]
+"""The values of labels that are hidden, ascending."""
+
+
+def read_hidden(text: str) -> Hidden:
+    """The labels that are hidden, as ``3,4`` spells them by their values, or ``none``. Raises SceneError."""
+    try:
+        return () if text.strip() == NONE else tuple(sorted({int(each) for each in text.split(",")}))
+    except ValueError:
+        asked = f"give the values of labels with , between, or {NONE}"
+        raise SceneError(f"hide = '{text[:40]}': {asked}.") from None
+
+
+def put_hidden(document: Mapping[str, Any], hidden: Hidden) -> dict[str, Any]:
+    """A scene's ``document`` with these labels ``hidden``, and no others. SceneError where it has no labels."""
+    if not document.get("labels"):
+        raise SceneError("hide is for scenes of labels: leave it out.")
+    listed = tables_in(document, "labels")
+    known = [{**table, "hidden": table.get("value") in hidden} for table in listed]
+    values = {table.get("value") for table in listed}
+    found = known + [{"value": value, "hidden": True} for value in hidden if value not in values]
+    return {**document, "labels": found or document["labels"]}
+
+
+LYING = ("axes", "solid", "environment", "cut", "surfaces", "hide")
 """Settings that may follow the # of a target: how its volume lies, which side of the isovalue is solid, its light, what
-is cut away, and what its pinned surfaces let pass.
+is cut away, what its pinned surfaces let pass, and which labels are hidden.
 """
 
 

@@ -4,7 +4,6 @@ import hashlib
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -13,9 +12,8 @@ from weakref import WeakValueDictionary
 import numpy as np
 
 from isogi_core.errors import LightError, SceneError
-from isogi_core.files.formats.opening import split_part
 from isogi_core.files.radiance import read_hdr
-from isogi_core.files.scene_file import DEFAULT_DEMO, FOLLOWED, SceneSource, Settings, find_source
+from isogi_core.files.scene_file import DEFAULT_DEMO, SceneSource, Settings, find_source
 from isogi_core.kernels.shading.lattice import CHUNK
 from isogi_core.kernels.tracing.field import OFFSET
 from isogi_core.kernels.transport.harmonics import MAX_ORDER
@@ -50,7 +48,7 @@ from isogi_core.plan.planner import plan_scene
 from isogi_core.plan.scene import CHUNKS, NORMALS, Scene
 from isogi_core.plan.several import read_clear, read_pinned
 from isogi_core.plan.volumes.colours import find_table, read_colours
-from isogi_core.plan.volumes.cuts import cut_away, voxels_left
+from isogi_core.plan.volumes.cuts import cut_away
 from isogi_core.plan.volumes.label_colours import colours_of_labels
 from isogi_core.plan.volumes.labels import HALF, find_labels
 from isogi_core.plan.volumes.opening import open_volume
@@ -203,54 +201,6 @@ def read_lights(settings: Settings, room: Room) -> tuple[Light, ...]:
     tables, base = settings.lights(room.lamps), settings.source.base
     named = settings.text("environment", "")
     return (light_named(named, base),) if named else tuple(light_from_mapping(entry, base) for entry in tables)
-
-
-def remade(scene: Scene, document: dict[str, Any], volume: Volume | None) -> Scene:
-    """The scene that another ``document`` makes of it, with its colours where a ``volume`` is open: see build_scene."""
-    bare = {key: value for key, value in document.items() if volume is None or key not in FOLLOWED}
-    made = build_scene(replace(scene.source, document=bare), volume=volume, colours=scene.colours if volume else None)
-    return replace(made, source=replace(scene.source, document=document))
-
-
-def under(scene: Scene, environment: str, name: str) -> Scene:
-    """The same scene in the light of an ``environment``, as a scene file names it, by another id, ``name``.
-
-    It replaces all of the scene's [[lights]]; walls stay, and their luminaires. The volume and what was surveyed of it
-    are shared. Raises SceneError where the scene's own choices do not fit that light, and LightError.
-    """
-    other = replace(remade(scene, {**scene.source.document, "environment": environment}, scene.volume), id=name)
-    vars(other).update(scene.surveys)
-    return other
-
-
-def cut_open(scene: Scene, cut: str, name: str, volume: Volume | None = None) -> Scene:
-    """The same scene with a ``cut``, besides its own, by another id, ``name``: see ``cut_away``.
-
-    Where there is a ``volume`` that is cut so, it is taken.
-
-    Raises SceneError and VolumeError.
-    """
-    own = scene.source.document.get("cut")
-    both = f"{own};{cut}" if own else cut
-    voxels_left(scene.volume, both)  # each by itself may leave something
-    left = volume or cut_away(scene.volume, cut)
-    return replace(remade(scene, {**scene.source.document, "cut": both}, left), id=name)
-
-
-def at_time(scene: Scene, time: int, name: str, volume: Volume | None = None) -> Scene:
-    """The same scene of another step of its series in time, by another id, ``name``; of a ``volume`` where it is open.
-
-    It starts at the same isovalue, as far as there is such. Raises SceneError for a step that is not there.
-    """
-    steps = scene.volume.moment[1]
-    if not 0 <= time < steps:
-        last = f"is one of {steps} steps, 0 to {steps - 1}" if steps > 1 else "is no series in time: leave time out"
-        raise SceneError(f"time = {time}: the volume '{scene.volume.name}' {last}.")
-    place, chosen = split_part(str(scene.source.document["volume"]))
-    rest = "&".join(value if key == "part" else f"{key}={value}" for key, value in chosen.items() if key != "time")
-    document = {**scene.source.document, "volume": f"{place}#{rest}" if rest else place, "time": time}
-    other = remade(scene, document, volume)
-    return replace(other, id=name, isovalue=min(max(scene.isovalue, other.isovalues[0]), other.isovalues[1]))
 
 
 def read_room(settings: Settings, volume: Volume) -> Room:

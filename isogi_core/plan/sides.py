@@ -5,14 +5,14 @@ the others are pinned beside it, the one that slides at the isovalue which is sh
 inside out, so that they are outer ones.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
-from isogi_core.files.scene_file import DEFAULT_DEMO, Clears, put_clears
+from isogi_core.files.scene_file import DEFAULT_DEMO
 from isogi_core.model.surfaces import PinnedSurface
 from isogi_core.model.volume import Isovalue
-from isogi_core.plan.assembly import remade
 from isogi_core.plan.scene import Scene
+from isogi_core.plan.variants import remade
 
 
 @dataclass(frozen=True)
@@ -59,17 +59,6 @@ def scene_of_side(scene: Scene, side: Side, shown: float) -> Scene:
     document |= {"isovalues": [own.isovalue] * 2 if side.number else list(scene.isovalues)}
     document |= {"surfaces": [each.table for each in others]} if others else {}
     return remade(scene, document, scene.volume.inside_out if side.inner else scene.volume)
-
-
-def with_clears(scene: Scene, clears: Clears, name: str) -> Scene:
-    """The same scene with other shares of rays that pass its pinned surfaces, without those of None, by another id.
-
-    The volume and what was surveyed of it are shared. Raises as ``build_scene`` does.
-    """
-    document = put_clears(scene.source.document, [each.table for each in scene.pinned], clears)
-    made = replace(remade(scene, document | {"rotating": scene.rotating}, scene.volume), id=name)
-    vars(made).update(scene.surveys)
-    return made
 
 
 def apart(surfaces: tuple[PinnedSurface, ...], scene: Scene) -> tuple[PinnedSurface, ...]:

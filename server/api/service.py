@@ -31,7 +31,7 @@ from server.render.engine import RenderEngine
 from server.render.jobs import Job, Jobs
 from server.render.scheduling import ASKED, DRAFT, REFINED, REST, AdmissionLimit, Rank
 from server.render.updates import UpdateBus, attended, request_viewer
-from server.render.variants import MARK, Variants
+from server.render.variants import MARK, Change, Variants
 from server.settings import Settings
 from server.uploads.uploads import Uploads
 from worker.bake_requests import Viewer
@@ -155,15 +155,15 @@ class Service:
         return scene
 
     async def variant(self, scene: Scene, params: LightParams) -> Scene:
-        """The scene in the light, with the cut, at the time and with the surfaces that the parameters ask for; itself
-        where they do not.
+        """The scene in the light, with the cut, at the time, with the surfaces and without the labels that the
+        parameters ask for; itself where they do not.
 
         Raises ParameterError where there is no such, and StartingError until the engine is up.
         """
-        asked = (params.cut, params.time, params.surfaces) if isinstance(params, VariantParams) else (None, None, None)
-        if any(each is not None for each in (params.environment, *asked)):
+        full = params if isinstance(params, VariantParams) else VariantParams(environment=params.environment)
+        if full.model_fields_set:
             self._check_started()
-        return await self.variants.of(scene, params.environment, *asked)
+        return await self.variants.of(scene, Change(full.environment, full.cut, full.time, full.surfaces, full.hide))
 
     def _check_started(self) -> None:
         if not self.settled.is_set() or self.failure:

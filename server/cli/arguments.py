@@ -121,14 +121,15 @@ CUT = "Planes along the volume's axes that take away what lies there, so that li
 SURFACES = "What each pinned surface of the scene lets pass, in turn, from 0 to 1, or off to hide it, such as 0.4,off."
 
 
-PLACING = ("axes", "solid", "environment", "cut", "surfaces")
+HIDE = "Which labels of a segmentation are hidden, by their values, such as 3,4; or none."
+
+
+PLACING = ("axes", "solid", "environment", "cut", "surfaces", "hide")
 """Options of ``volume_options``; those that are given follow the # of a target."""
 
 
 def volume_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Decorator: the options --axes, --solid, --environment, --cut and --surfaces, which become parts of the command's
-    target.
-    """
+    """Decorator: the options of PLACING, which become parts of the command's target."""
 
     @click.option(
         "--axes",
@@ -143,6 +144,7 @@ def volume_options(command: Callable[..., Any]) -> Callable[..., Any]:
     @click.option("--environment", help=ENVIRONMENT)
     @click.option("--cut", help=CUT)
     @click.option("--surfaces", help=SURFACES)
+    @click.option("--hide", help=HIDE)
     @wraps(command)
     def placed(**given: Any) -> Any:
         name, told = "scene" if "scene" in given else "target", {key: given.pop(key) for key in PLACING}

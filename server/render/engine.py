@@ -33,7 +33,7 @@ from server.render.loaded_scenes import LoadedScenes
 from server.render.path_times import time_of_paths
 from server.render.picture_checks import CHECK, PictureChecks
 from server.render.resources import shared, whereabouts
-from server.render.variants import is_cut, own_name, same_series, whole_name
+from server.render.variants import is_cut, may_lend, own_name, whole_name
 from server.render.workforce import Workforce
 from worker.bake_requests import GUEST, Viewer
 from worker.baker import Bake, Baker, Listener
@@ -365,8 +365,8 @@ class RenderEngine:
         """Load a scene; the former scenes may be iterated over meanwhile. Raises StoreError."""
         kin = [name for name, each in self.scenes.items() if each.volume is scene.volume]
         beside = next(filter(None, map(self._loaded.held, kin)), None)
-        series = [name for name in self.scenes if same_series(name, scene)]
-        whole = self._loaded.held(whole_name(scene.id)) if is_cut(scene.id) else self._loaded.latest(series)
+        lenders = [name for name in self.scenes if may_lend(name, scene.id)]
+        whole = self._loaded.held(whole_name(scene.id)) if is_cut(scene.id) else self._loaded.latest(lenders)
         send = self.workforce.joins
         loaded = load(scene, self.store, self._tiles, self._memory, send=send, beside=beside, whole=whole)
         bakes = [self._bake_by(loaded, spec) for spec in SPECS]

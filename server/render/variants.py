@@ -1,25 +1,27 @@
-"""Variants: an engine's scenes in other light, at other times, with other surfaces, or cut open, each made when asked
-for.
+"""Variants: an engine's scenes in other light, at other times, with other surfaces, without some labels, or cut open,
+each made when asked for.
 
 A variant is a scene like any other: it has a plan, and its layers are those that it needs. Transfer does not depend on
 the environment, so variants in other light read and bake the same layers where their plans are of one kind. What is cut
-open is another volume, which those in other light share; so is another step of a series in time.
+open is another volume, which those in other light share; so is another step of a series in time, and a segmentation
+that hides other labels.
 """
 
 import asyncio
 import hashlib
+import re
 import threading
 from collections import OrderedDict
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, TypeVar
 
 from isogi_core.errors import LightError, SceneError, VolumeError
-from isogi_core.files.scene_file import HIDDEN, Clears, read_clears
+from isogi_core.files.scene_file import HIDDEN, Clears, Hidden, read_clears, read_hidden
 from isogi_core.model.lights import ENVIRONMENTS
 from isogi_core.model.window import read_window
-from isogi_core.plan.assembly import at_time, cut_open, under
 from isogi_core.plan.scene import Scene
-from isogi_core.plan.sides import with_clears
+from isogi_core.plan.variants import at_time, cut_open, under, with_clears, with_hidden
 from isogi_core.plan.volumes.cuts import cut_digest
 from server.errors import ParameterError
 from server.values import shown
@@ -36,11 +38,14 @@ BESIDE = "~"
 STEP = "+"
 """Between the environment that a variant is named by, and its step in time."""
 
+WITHOUT = "!"
+"""Between the environment that a variant is named by, and the labels that are hidden."""
+
 MOST = 64
 """Variants that an engine has at a time: those asked for last."""
 
 MOST_CUTS = 4
-"""Those of them that are cut open: each has voxels of its own."""
+"""Those of them that are cut open, or hide labels: each has voxels of its own."""
 
 MOST_STEPS = 2
 """Those of them at other times than their scene's: so many steps' voxels are in memory besides the scene's own."""
@@ -49,23 +54,57 @@ MOST_STEPS = 2
 Place = Callable[[str], str | None]
 """What gives an environment as scene files name it, by its name or id; None where there is none."""
 
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Change:
+    """What a request changes of a scene, as its parameters spell it; None of what stays.
+
+    The ``environment`` by its name or id, the planes of a ``cut``, the step in ``time``, what pinned ``surfaces`` let
+    pass, and the labels to ``hide``.
+    """
+
+    environment: str | None = None
+    cut: str | None = None
+    time: int | None = None
+    surfaces: str | None = None
+    hide: str | None = None
+
+    def clears(self, pinned: int) -> Clears | None:
+        """What so many ``pinned`` surfaces let pass. Raises ParameterError."""
+        given = self.surfaces
+        return None if given is None else _read("surfaces", lambda text: read_clears(text, pinned), given)
+
+    @property
+    def hidden(self) -> Hidden | None:
+        """The labels that are hidden. Raises ParameterError."""
+        return None if self.hide is None else _read("hide", read_hidden, self.hide)
+
+
+def _read(name: str, read: Callable[[str], T], text: str) -> T:
+    """What a parameter's ``text`` says, as it is ``read``; ParameterError where that cannot be."""
+    try:
+        return read(text)
+    except SceneError as error:
+        raise ParameterError(str(error), name) from None
+
 
 def own_name(scene: str) -> str:
     """The id of the scene that one with this id is a variant of; its own where it is none."""
     return scene.partition(MARK)[0]
 
 
-def variant_name(
-    scene: str, environment: str | None, cut: str | None, time: int | None = None, clears: Clears | None = None
-) -> str:
-    """The id of the variant of a ``scene`` in an environment, with a cut, at a time, and with pinned surfaces that
-    ``clears`` pass; of these one is given.
-    """
+def variant_name(scene: Scene, change: Change) -> str:
+    """The id of the variant of a ``scene`` that a ``change`` makes. Raises ParameterError."""
+    clears, hidden = change.clears(len(scene.pinned)), change.hidden
     beside = "" if clears is None else BESIDE + ",".join(HIDDEN if each is None else f"{each!r}" for each in clears)
-    lit = f"{scene}{MARK}{environment or ''}{beside}{'' if time is None else f'{STEP}{time}'}"
-    if cut is None:
+    without = "" if hidden is None else WITHOUT + ",".join(map(str, hidden))
+    step = "" if change.time is None else f"{STEP}{change.time}"
+    lit = f"{scene.id}{MARK}{change.environment or ''}{beside}{without}{step}"
+    if change.cut is None:
         return lit
-    return f"{lit}{MARK}{hashlib.blake2b(repr(read_window(cut)).encode(), digest_size=6).hexdigest()}"
+    return f"{lit}{MARK}{hashlib.blake2b(repr(read_window(change.cut)).encode(), digest_size=6).hexdigest()}"
 
 
 def is_cut(variant: str) -> bool:
@@ -78,11 +117,28 @@ def step_of(variant: str) -> str:
     return variant.partition(MARK)[2].partition(MARK)[0].partition(STEP)[2]
 
 
-def same_series(other: str, scene: Scene) -> bool:
-    """Whether the ``other`` scene, by its id, differs from a ``scene`` in its step in time; neither is cut open."""
-    lit = [(own_name(each), each.partition(MARK)[2].partition(STEP)[0]) for each in (other, scene.id)]
-    differ = other != scene.id and scene.volume.moment[1] > 1
-    return differ and lit[0] == lit[1] and not is_cut(other) and not is_cut(scene.id)
+def labels_of(variant: str) -> str:
+    """The labels that the variant with this id hides, with a WITHOUT before them; empty where they are its scene's."""
+    lit = variant.partition(MARK)[2].partition(MARK)[0].partition(STEP)[0]
+    return "".join(lit.partition(WITHOUT)[1:])
+
+
+def has_voxels(variant: str) -> bool:
+    """Whether the variant with this id has voxels of its own, but for its step in time."""
+    return is_cut(variant) or bool(labels_of(variant))
+
+
+def may_lend(other: str, scene: str) -> bool:
+    """Whether the light of the ``other`` variant may stand in for that of one, by their ids.
+
+    They differ in their step in time and in which labels are hidden alone, and neither is cut open.
+    """
+    lit = [(own_name(each), re.split(MAY_DIFFER, each.partition(MARK)[2])[0]) for each in (other, scene)]
+    return other != scene and lit[0] == lit[1] and not is_cut(other) and not is_cut(scene)
+
+
+MAY_DIFFER = f"[{WITHOUT}{STEP}]"
+"""From where on names of variants differ that lend each other light."""
 
 
 def whole_name(variant: str) -> str:
@@ -96,41 +152,30 @@ class Variants:
     def __init__(self, engine: "RenderEngine", place: Place, most: int = MOST, most_cuts: int = MOST_CUTS) -> None:
         """None yet; ``place`` tells where an environment is.
 
-        When there are more than ``most``, or more than ``most_cuts`` that are cut open, the engine dismisses what was
-        asked for longest ago.
+        When there are more than ``most``, or more than ``most_cuts`` that have voxels of their own, the engine
+        dismisses what was asked for longest ago.
         """
         self._engine, self._place, self._most, self._most_cuts = engine, place, most, most_cuts
         self._asked: OrderedDict[str, None] = OrderedDict()
         self._making, self._lock = threading.Lock(), threading.Lock()
 
-    async def of(
-        self,
-        scene: Scene,
-        environment: str | None,
-        cut: str | None = None,
-        time: int | None = None,
-        surfaces: str | None = None,
-    ) -> Scene:
-        """The scene in the environment of this name, or id, with a ``cut``, at a ``time`` and with other ``surfaces``;
-        itself without these.
+    async def of(self, scene: Scene, change: Change) -> Scene:
+        """The scene that a ``change`` makes of one; itself where nothing changes.
 
         It is made off the event loop where there is none yet. Raises ParameterError where there is no such environment,
         and as ``make`` does.
         """
-        time = None if time == scene.volume.moment[0] else time
-        if environment is None and cut is None and time is None and surfaces is None:
+        change = replace(change, time=None) if change.time == scene.volume.moment[0] else change
+        if change == Change():
             return scene
+        environment = change.environment
         place = None if environment is None else self._place(environment)
         if place is None and environment is not None:
             names = ", ".join(ENVIRONMENTS)
             sentence = f"environment must be one of {names}, or the id of one that was uploaded, not"
             raise ParameterError(f"{sentence} {shown(environment)}.", "environment")
-        clears = None if surfaces is None else self._clears(scene, surfaces)
-        name = variant_name(scene.id, environment, cut, time, clears)
-        known = self.known(name)
-        if known is not None:
-            return known
-        return await asyncio.to_thread(self.make, scene, name, place, cut, time, clears)
+        known = self.known(variant_name(scene, change))
+        return known or await asyncio.to_thread(self.make, scene, change, place)
 
     def known(self, name: str) -> Scene | None:
         """The variant of this id, where there is one already; never waits long."""
@@ -141,28 +186,21 @@ class Variants:
                 self._asked.move_to_end(known.id)
         return known
 
-    def make(
-        self,
-        scene: Scene,
-        name: str,
-        environment: str | None,
-        cut: str | None = None,
-        time: int | None = None,
-        clears: Clears | None = None,
-    ) -> Scene:
-        """The scene in an ``environment``, as scene files name it, with a ``cut``, at a ``time`` and with ``clears`` of
-        its pinned surfaces; ``name`` is its id.
+    def make(self, scene: Scene, change: Change, place: str | None) -> Scene:
+        """The scene that a ``change`` makes of one, in the environment at a ``place``, as scene files name it.
 
         Raises ParameterError where the scene's own choices do not fit that light, its file is damaged, or the volume
-        cannot be cut so.
+        cannot be shown so.
         """
+        name, clears = variant_name(scene, change), change.clears(len(scene.pinned))
         with self._making:
             if (known := self.known(name)) is not None:
                 return known
-            made = scene if time is None else self._at(scene, name, time)
+            made = scene if change.time is None else self._at(scene, name, change.time)
+            made = made if change.hidden is None else self._hiding(made, name, change.hidden)
             made = made if clears is None else with_clears(made, clears, name)
-            made = made if environment is None else self._lit(made, name, environment)
-            made = made if cut is None else self._cut(made, name, cut)
+            made = made if place is None else self._lit(made, name, place)
+            made = made if change.cut is None else self._cut(made, name, change.cut)
             self._engine.admit(made)
         self.known(name)
         for each in (each for each in self._outdated() if each in self._engine.scenes):
@@ -172,7 +210,7 @@ class Variants:
     def _outdated(self) -> list[str]:
         """Those that are too many: they count as not asked for."""
         with self._lock:
-            cuts = [each for each in self._asked if is_cut(each)]
+            cuts = [each for each in self._asked if has_voxels(each)]
             old = cuts[: max(len(cuts) - self._most_cuts, 0)]
             steps = list(dict.fromkeys((own_name(each), step_of(each)) for each in reversed(self._asked)))
             late = [each for each in steps if each[1]][MOST_STEPS:]
@@ -186,18 +224,21 @@ class Variants:
     def _at(self, scene: Scene, name: str, time: int) -> Scene:
         """The scene at another time, with the voxels of a variant that has them already."""
         kin = [each for each in list(self._engine.scenes.values()) if own_name(each.id) == scene.id]
-        step = next((each.volume for each in kin if step_of(each.id) == str(time) and not is_cut(each.id)), None)
+        step = next((each.volume for each in kin if step_of(each.id) == str(time) and not has_voxels(each.id)), None)
         try:
             return at_time(scene, time, name, step)
         except (SceneError, VolumeError) as error:
             raise ParameterError(str(error), "time") from None
 
-    @staticmethod
-    def _clears(scene: Scene, surfaces: str) -> Clears:
+    def _hiding(self, scene: Scene, name: str, hidden: Hidden) -> Scene:
+        """The scene with other labels hidden, with the voxels of a variant that has them already."""
+        voxels = own_name(name), labels_of(name), step_of(name)
+        whole = [each for each in list(self._engine.scenes.values()) if not is_cut(each.id)]
+        like = next((x for x in whole if (own_name(x.id), labels_of(x.id), step_of(x.id)) == voxels), None)
         try:
-            return read_clears(surfaces, len(scene.pinned))
-        except SceneError as error:
-            raise ParameterError(str(error), "surfaces") from None
+            return with_hidden(scene, hidden, name, like)
+        except (SceneError, VolumeError) as error:
+            raise ParameterError(str(error), "hide") from None
 
     @staticmethod
     def _lit(scene: Scene, name: str, environment: str) -> Scene:

@@ -11,8 +11,9 @@ from isogi_core.errors import SceneError
 from isogi_core.files.radiance import write_hdr
 from isogi_core.files.scene_file import split_settings
 from isogi_core.model.lights import EnvironmentLight, ProbeLight
-from isogi_core.plan.assembly import load_scene, under
+from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
+from isogi_core.plan.variants import under
 
 TEXT = """
 volume = "demo:orbital"

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from isogi_core.bake.bake_spec import BakeSpec, spec_for
-from isogi_core.plan.assembly import cut_open, load_scene
+from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
+from isogi_core.plan.variants import cut_open
 from isogi_core.prepared.prepared_scene import PreparedScene
 from isogi_core.storage.store import Store
 from isogi_core.storage.url import StoreUrl

@@ -4,7 +4,7 @@ import { WHITE, startAlbedo } from "../view/albedo.js";
 import { readMeasure, writeMeasure } from "../view/measures.js";
 import { NUMBERS } from "../view/model.js";
 import { arePlanes } from "../view/planes.js";
-import { areSurfaces } from "../view/surfaces.js";
+import { areHidden, areSurfaces } from "../view/surfaces.js";
 import { cutQuery } from "./request.js";
 
 /** @typedef {import("../view/model.js").Knobs} Knobs */
@@ -12,7 +12,7 @@ import { cutQuery } from "./request.js";
 /** @typedef {import("./schemas.js").Scene} Scene */
 
 const CHOICES = ["shading", "overlay", "compare", "tint", "background", "environment", "shine", "rulers", "projection"];
-const KNOWN = new Set([...CHOICES, "scene", "target", "token", "measure", "cut", "window", "surfaces"]);
+const KNOWN = new Set([...CHOICES, "scene", "target", "token", "measure", "cut", "window", "surfaces", "hide"]);
 const PAUSE_MS = 150;
 const REST_MS = 1000; // a view that was at rest for so long is one to come back to
 
@@ -31,7 +31,7 @@ export function readAddress(search) {
   for (const name of CHOICES.filter((each) => query.has(each))) start[name] = query.get(name);
   const planes = ["cut", "window"].map((name) => query.get(name)).filter(Boolean).join(";");
   if (planes) Object.assign(start, { planes, opened: query.has("cut") });
-  if (query.get("surfaces")) start.surfaces = query.get("surfaces");
+  for (const name of ["surfaces", "hide"]) if (query.get(name)) start[name] = query.get(name);
   const measures = query.getAll("measure").map(readMeasure).filter((points) => points !== null);
   if (measures.length) start.measures = measures;
   return { scene: query.get("scene"), start };
@@ -55,6 +55,7 @@ export function writeAddress(scene, values) {
   if (values.background !== "page") query.set("background", values.background);
   Object.entries(cutQuery(values)).forEach(([name, planes]) => query.set(name, planes));
   if (values.surfaces) query.set("surfaces", values.surfaces);
+  if (values.hide) query.set("hide", values.hide);
   if (values.projection !== (scene.defaults?.projection ?? "perspective")) query.set("projection", values.projection);
   if (values.rulers !== "on") query.set("rulers", values.rulers);
   if (values.compare) query.set("compare", values.compare);
@@ -97,13 +98,14 @@ export function isovalueComplaint({ ranges, volume }, isovalue) {
   return `No surface at ${isovalue}: ${what} ${from} to ${to}.`;
 }
 
-/** @type {(scene: Pick<Scene, "shadings"> & Partial<Pick<Scene, "environments"|"surfaces">>, name: string, value: string) => string} */
-function choiceComplaint({ shadings, environments = [], surfaces = [] }, name, value) {
+/** @type {(scene: Pick<Scene, "shadings"> & Partial<Pick<Scene, "environments"|"surfaces"|"colours">>, name: string, value: string) => string} */
+function choiceComplaint({ shadings, environments = [], surfaces = [], colours }, name, value) {
   const lit = name !== "environment" || !value || environments.some(({ id }) => id === value);
   if (!lit) return `There is no light “${value}” here.`;
   if (["cut", "window"].includes(name) && !arePlanes(value)) return `“${value}” is no ${name}: it is planes such as x>40.`;
   if (name === "measure" && !readMeasure(value)) return `“${value}” is no measure: it has two or three points.`;
   if (name === "surfaces" && !areSurfaces(value, surfaces.length)) return `“${value}” does not fit the surfaces beside.`;
+  if (name === "hide" && !areHidden(value, colours?.labels ?? [])) return `“${value}” does not fit the labels.`;
   const shading = ["shading", "compare"].includes(name);
   if (shading && value && !shadings.includes(value)) return `There is no shading “${value}”.`;
   return KNOWN.has(name) ? "" : `The link says ${name}, which this page does not know.`;

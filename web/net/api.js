@@ -14,7 +14,7 @@ import { Trouble, lost, retryDelay, troubleOf } from "./trouble.js";
 /** @typedef {import("../view/rotation.js").Vec3} Vec3 */
 
 const ONE_PIXEL = { f: "npy", shading: "lambert", width: 1, height: 1 };
-const OF_SURFACE = ["isovalue", "window", "cut", "time", "surfaces"]; // parameters of a view that say where its surface is
+const OF_SURFACE = ["isovalue", "window", "cut", "time", "surfaces", "hide"]; // parameters of a view that say where its surface is
 const PIXEL_BYTES = 36; // nine floats: three of light, hit, state, error, three of position
 const [HIT, POSITION] = [12, 24]; // bytes from the pixel's first
 

@@ -16,6 +16,7 @@ import { partPlanes } from "../view/planes.js";
  * @property {() => string} file the name of its file, without an ending
  * @property {() => string} alt what it shows, in words
  * @property {(size: {width: number, height: number}) => import("../view/rulers.js").Shapes} rulers its scale bar and axes
+ * @property {(size: {width: number, height: number}) => import("../view/rulers.js").Shapes|null} legend of its colours; null where it has none
  */
 
 const LIGHT_KNOBS = new Set(["yaw", "pitch", "roll"]);
@@ -41,6 +42,7 @@ export function frameQuery(scene, values, { width, height }, moving = false) {
     ...(values.environment && { environment: values.environment }),
     ...cutQuery(values, moving),
     ...(values.surfaces && { surfaces: values.surfaces }),
+    ...(values.hide && { hide: values.hide }),
     width,
     height,
     shading: values.shading,

@@ -71,13 +71,22 @@ export class Saver {
       return new Option(text, `${width}×${height}`, false, width === first?.width);
     });
     find(this.#panel, "#save-size").replaceChildren(...options);
+    const [box, coloured] = [this.#box("legend"), this.#description.legend({ width: 1, height: 1 }) !== null];
+    /** @type {HTMLElement} */ (box.parentElement).hidden = !coloured;
+    box.checked &&= coloured;
     this.#say("");
+  }
+
+  /** What may be drawn over the picture. @param {"rulers"|"legend"} name */
+  #box(name) {
+    return find(this.#panel, `#save-${name}`, HTMLInputElement);
   }
 
   async #start() {
     const [width, height] = find(this.#panel, "#save-size", HTMLSelectElement).value.split("×").map(Number);
-    const { link, query, file, alt, rulers } = this.#description;
-    const stamp = find(this.#panel, "#save-rulers", HTMLInputElement).checked ? stampOf(rulers, { width, height }) : null;
+    const { link, query, file, alt, rulers, legend } = this.#description;
+    const over = [...(this.#box("rulers").checked ? [rulers] : []), ...(this.#box("legend").checked ? [legend] : [])];
+    const stamp = over.length ? stampOf(over, { width, height }) : null;
     const [controller, hurry] = [new AbortController(), new AbortController()];
     const work = { controller, hurry, stamp, size: `${width} × ${height}`, link: link(), file: file(), alt: alt() };
     this.#begin(work);
@@ -201,14 +210,16 @@ export class Saver {
 const STAMPED_WIDTH = 960; // of a picture, in whose pixels a stamp is drawn; in larger ones it grows
 
 /**
- * Scale bar and axes for a picture of a size.
- * @param {Description["rulers"]} rulers
+ * Scale bar, axes and legend, as they are wanted, for a picture of a size.
+ * @param {(Description["rulers"]|Description["legend"])[]} wanted
  * @param {{width: number, height: number}} size pixels
  * @returns {import("./strips.js").Stamp}
  */
-function stampOf(rulers, { width, height }) {
+function stampOf(wanted, { width, height }) {
   const scale = Math.max(1, width / STAMPED_WIDTH);
-  return { shapes: rulers({ width: width / scale, height: height / scale }), scale };
+  const all = wanted.map((shapes) => shapes({ width: width / scale, height: height / scale })).filter((shapes) => shapes !== null);
+  const areas = all.flatMap((shapes) => shapes.areas ?? []);
+  return { shapes: { lines: all.flatMap(({ lines }) => lines), words: all.flatMap(({ words }) => words), areas }, scale };
 }
 
 /** What PNG's notes can hold. @param {string} text */

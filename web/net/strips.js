@@ -1,7 +1,7 @@
 /** A large picture in strips: each is asked for by itself, and all are put together where there is more than one. */
 
 /** @typedef {import("./schemas.js").Facts} Facts */
-/** @typedef {{shapes: import("../view/rulers.js").Shapes, scale: number}} Stamp shapes at the lower left corner */
+/** @typedef {{shapes: import("../view/rulers.js").Shapes, scale: number}} Stamp shapes from the lower left corner on */
 /** @typedef {{rows: [number, number], from: number, to: number}} Strip `rows` are asked for, `from` to `to` are shown */
 
 const STRIP = 1 << 23; // pixels: what a server draws without taking much memory
@@ -52,7 +52,7 @@ export class Sheet {
   }
 
   /**
-   * Draw shapes over the lower left corner.
+   * Draw shapes over the picture.
    * @param {Stamp} stamp
    * @param {boolean} light whether the ground is
    */
@@ -61,6 +61,7 @@ export class Sheet {
     if (!paint) return;
     const colours = light ? { over: "#3a4048", under: "#e2e4e6" } : { over: "#f4ead8", under: "#1a1d22" };
     paint.setTransform(scale, 0, 0, scale, 0, this.#canvas.height);
+    shapes.areas?.forEach((area) => fillArea(paint, area, colours));
     shapes.lines.forEach((line) => strokeLine(paint, line, colours));
     shapes.words.forEach((words) => paintWords(paint, words, colours));
   }
@@ -75,6 +76,20 @@ export class Sheet {
 }
 
 /** @typedef {{over: string, under: string}} Colours of a line, and of what sets it off from the picture */
+
+/**
+ * @param {CanvasRenderingContext2D} paint
+ * @param {import("../view/rulers.js").Area} area
+ * @param {Colours} colours
+ */
+function fillArea(paint, { from: [left, low], to: [right, high], colours }, { under }) {
+  const fill = paint.createLinearGradient(left, 0, right, 0);
+  colours.forEach((colour, n) => fill.addColorStop(colours.length > 1 ? n / (colours.length - 1) : 0, colour));
+  Object.assign(paint, { fillStyle: fill, lineWidth: 2, strokeStyle: under });
+  paint.setLineDash([]);
+  paint.strokeRect(left, -high, right - left, high - low);
+  paint.fillRect(left, -high, right - left, high - low);
+}
 
 /**
  * @param {CanvasRenderingContext2D} paint
@@ -96,8 +111,8 @@ function strokeLine(paint, { kind, points }, { over, under }) {
  * @param {import("../view/rulers.js").Words} words
  * @param {Colours} colours
  */
-function paintWords(paint, { at: [x, y], text, size, middle }, { over, under }) {
-  const [textAlign, textBaseline] = middle ? ["center", "middle"] : ["start", "alphabetic"];
+function paintWords(paint, { at: [x, y], text, size, middle, end }, { over, under }) {
+  const [textAlign, textBaseline] = middle ? ["center", "middle"] : [end ? "end" : "start", "alphabetic"];
   const font = `${size}px system-ui, sans-serif`;
   Object.assign(paint, { font, textAlign, textBaseline, lineWidth: 3.5, lineJoin: "round", strokeStyle: under, fillStyle: over });
   paint.setLineDash([]);

@@ -1,10 +1,11 @@
-/** What is seen: what planes cut away, with or without light, and which surfaces are beside. */
+/** What is seen: what planes cut away, with or without light, which surfaces are beside, and which labels are shown. */
 
 import { find } from "../dom.js";
 import { MOST_OBLIQUE, facingPlane, moved, movablePlanes, readPlanes, termOf, writePlanes } from "../view/planes.js";
 import { cameraAxes } from "../view/rotation.js";
-import { readSurfaces, writeSurfaces } from "../view/surfaces.js";
+import { readHidden, readSurfaces, writeHidden, writeSurfaces } from "../view/surfaces.js";
 
+/** @typedef {import("../net/schemas.js").Label} Label */
 /** @typedef {import("../net/schemas.js").Scene} Scene */
 /** @typedef {import("../net/schemas.js").Surface} Surface */
 /** @typedef {import("../view/model.js").ViewModel} ViewModel */
@@ -164,6 +165,54 @@ function surfaceRow({ name, isovalue }, k, set) {
     slider.valueAsNumber = clear;
     slider.disabled = !shown;
     tell();
+  };
+  return { node, show };
+}
+
+/**
+ * Tie a switch for each label to the view, both ways; there are none where the scene is no segmentation.
+ * @param {HTMLElement} legend holds `.labels` and `#labels-all`
+ * @param {Pick<Scene, "colours">} scene
+ * @param {ViewModel} view
+ */
+export function attachLabels(legend, { colours }, view) {
+  const labels = colours?.labels ?? [];
+  const all = find(legend, "#labels-all", HTMLButtonElement);
+  const now = () => readHidden(view.values.hide, labels);
+  /** @type {(hidden: number[]) => void} */
+  const hide = (hidden) => view.set({ hide: writeHidden(hidden, labels) });
+  const rows = labels.map((label) => labelRow(label, (shown) => {
+    const others = now().filter((value) => value !== label.value);
+    hide(shown ? others : [...others, label.value]);
+  }));
+  find(legend, ".labels").replaceChildren(...rows.map(({ node }) => node));
+  all.addEventListener("click", () => hide([]));
+  const mirror = () => {
+    const hidden = now(), alone = labels.length - hidden.length === 1;
+    labels.forEach(({ value }, k) => rows[k].show(!hidden.includes(value), alone));
+    all.hidden = !hidden.length;
+  };
+  mirror();
+  view.subscribe(mirror);
+}
+
+/**
+ * A label of a segmentation: its switch, its swatch and its name.
+ * @param {Label} label
+ * @param {(shown: boolean) => void} set
+ */
+function labelRow({ name, colour }, set) {
+  const [node, label, check] = [document.createElement("li"), document.createElement("label"), document.createElement("input")];
+  check.type = "checkbox";
+  check.addEventListener("change", () => set(check.checked));
+  label.style.setProperty("--swatch", colour);
+  label.append(check, name);
+  node.append(label);
+  /** @type {(shown: boolean, alone: boolean) => void} */
+  const show = (shown, alone) => {
+    check.checked = shown;
+    check.disabled = shown && alone; // one is always shown
+    label.title = check.disabled ? "Show another one before you hide this" : "";
   };
   return { node, show };
 }

@@ -2,8 +2,9 @@
 
 import { find, textElement } from "../dom.js";
 import { AXIS_VIEWS, looksAlong } from "../view/camera.js";
-import { errorInWords, niceStep, shadingName } from "../view/format.js";
+import { niceStep, shadingName } from "../view/format.js";
 import { sliderRange } from "../view/model.js";
+import { decades, legendNumbers } from "../view/rulers.js";
 
 /** @typedef {import("../net/schemas.js").Scene} Scene */
 /** @typedef {import("../view/model.js").Knobs} Knobs */
@@ -148,9 +149,7 @@ function attachShine(select, scene, view) {
  */
 function attachScale(legend, { low, high, colours }) {
   find(legend, ".colours").style.background = `linear-gradient(90deg, ${colours.join(", ")})`;
-  const decades = Math.round(Math.log10(high / low));
-  const ticks = Array.from({ length: decades + 1 }, (_, i) => textElement("span", errorInWords(low * 10 ** i)));
-  find(legend, ".row").replaceChildren(...ticks);
+  find(legend, ".row").replaceChildren(...decades({ low, high }).map((text) => textElement("span", text)));
   return ({ overlay }) => { legend.hidden = overlay !== "error"; };
 }
 
@@ -163,35 +162,11 @@ function showColours(legend, scale) {
   legend.hidden = !scale;
   if (!scale) return;
   const { name, low, high, colours, labels } = scale;
-  find(legend, ".labels").replaceChildren(...labels.map(labelRow));
   for (const part of [".colours", ".row"]) find(legend, part).hidden = labels.length > 0;
   find(legend, "h2").textContent = labels.length ? "Labels" : `Colour: ${name}`;
   if (labels.length) return;
   find(legend, ".colours").style.background = `linear-gradient(90deg, ${colours.join(", ")})`;
   find(legend, ".row").replaceChildren(...legendNumbers(low, high).map((text) => textElement("span", text)));
-}
-
-/**
- * A label of a segmentation: its swatch and its name.
- * @param {import("../net/schemas.js").Label} label
- * @returns {HTMLElement}
- */
-function labelRow({ name, colour, shown }) {
-  const row = textElement("li", shown ? name : `${name} (hidden)`);
-  row.classList.toggle("absent", !shown);
-  row.style.setProperty("--swatch", colour);
-  return row;
-}
-
-/**
- * The numbers under a bar of colours, from one end to the other.
- * @param {number} low
- * @param {number} high
- * @returns {string[]}
- */
-export function legendNumbers(low, high) {
-  const values = Array.from({ length: 5 }, (_, i) => low + (i * (high - low)) / 4);
-  return values.map((value) => String(Number(value.toPrecision(3))).replace("-", "−"));
 }
 
 /**

@@ -5,7 +5,7 @@ import { PROJECTIONS, limitTarget } from "./camera.js";
 import { limitMeasures } from "./measures.js";
 import { arePlanes } from "./planes.js";
 import { RULERS } from "./rulers.js";
-import { areSurfaces } from "./surfaces.js";
+import { areHidden, areSurfaces } from "./surfaces.js";
 
 /** @typedef {import("./rotation.js").Vec3} Vec3 */
 /** @typedef {import("../net/schemas.js").Scene} Scene */
@@ -42,6 +42,7 @@ import { areSurfaces } from "./surfaces.js";
  * @property {string} planes what is cut away, as `planes.js` reads it; "" for nothing
  * @property {boolean} opened whether light comes in there
  * @property {string} surfaces what those beside let pass, as `surfaces.js` reads it; "" for the scene's own
+ * @property {string} hide which labels are hidden, as `surfaces.js` reads it; "" for the scene's own
  */
 
 /**
@@ -104,7 +105,7 @@ export class ViewModel {
     const shading = defaults.shading ?? this.#scene.shadings[0];
     const shine = defaults.shine === undefined ? {} : { shine: defaults.shine };
     const projection = this.#scene.defaults.projection ?? PROJECTIONS[0];
-    return { ...Object.fromEntries(numbers), ...startAlbedo(this.#scene), ...shine, target: start.target, projection, shading, overlay: "none", compare: "", background: "page", environment: "", rulers: "on", measures: [], planes: "", opened: this.#scene.cuts, surfaces: "" };
+    return { ...Object.fromEntries(numbers), ...startAlbedo(this.#scene), ...shine, target: start.target, projection, shading, overlay: "none", compare: "", background: "page", environment: "", rulers: "on", measures: [], planes: "", opened: this.#scene.cuts, surfaces: "", hide: "" };
   }
 
   /** The knobs as they are now (a copy). @returns {Knobs} */
@@ -165,6 +166,8 @@ export class ViewModel {
     limited.opened = this.#scene.cuts && (wanted.opened ?? fallback.opened);
     const beside = wanted.surfaces === "" || areSurfaces(wanted.surfaces, this.#scene.surfaces?.length ?? 0);
     limited.surfaces = beside ? /** @type {string} */ (wanted.surfaces) : fallback.surfaces;
+    const hidden = wanted.hide === "" || areHidden(wanted.hide, this.#scene.colours?.labels ?? []);
+    limited.hide = hidden ? /** @type {string} */ (wanted.hide) : fallback.hide;
     limited.measures = limitMeasures(wanted.measures ?? fallback.measures);
     if (fallback.shine) limited.shine = this.#scene.shines.find((each) => each === wanted.shine) ?? fallback.shine;
     if (fallback.tint) limited.tint = isTint(wanted.tint) ? wanted.tint.toLowerCase() : fallback.tint;

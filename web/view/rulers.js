@@ -1,17 +1,22 @@
-/** A scale bar and the world's axes in the corner of the picture: as shapes, and as a drawing that follows the view. */
+/** A scale bar and the world's axes in the corner of the picture, as shapes and as a drawing that follows the view; a legend. */
 
 import { svgElement } from "../dom.js";
 import { boxOf } from "./camera.js";
+import { errorInWords } from "./format.js";
 import { unitOf } from "./measures.js";
 import { cameraAxes } from "./rotation.js";
+import { readHidden } from "./surfaces.js";
 
 /** @typedef {import("./model.js").Knobs} Knobs */
 /** @typedef {import("./model.js").ViewModel} ViewModel */
 /** @typedef {import("../net/schemas.js").Scene} Scene */
 /** @typedef {[number, number]} Place right and up of the lower left corner, pixels */
 /** @typedef {{kind: string, points: Place[]}} Line */
-/** @typedef {{at: Place, text: string, size: number, middle: boolean}} Words `middle`: centred there, both ways */
-/** @typedef {{lines: Line[], words: Words[]}} Shapes */
+/** @typedef {{at: Place, text: string, size: number, middle: boolean, end?: boolean}} Words `middle`: centred there, both ways; `end`: that is where they end */
+/** @typedef {{from: Place, to: Place, colours: string[]}} Area a rectangle, its colours from left to right */
+/** @typedef {{lines: Line[], words: Words[], areas?: Area[]}} Shapes */
+/** @typedef {{name: string, colours: string[], ticks: string[]}} Bar colours of values, and numbers from one end to the other */
+/** @typedef {{bar: Bar|null, labels: {name: string, colour: string}[]}} Legend a bar of colours, or labels */
 
 const DEGREE = Math.PI / 180;
 const [AXIS, LETTER] = [24, 33]; // pixels from where the axes meet to their ends, and to their letters
@@ -20,6 +25,8 @@ const CROSS = [40, 40];
 const [BAR_LEFT, BAR_UP, TICK] = [84, 20, 5];
 const DEPTH = "at the target’s depth"; // where a scale bar is right in perspective
 const LONGEST = { share: 0.25, pixels: 150 }; // of a scale bar: of the picture's width, and in any picture
+
+const [INSET, BAR_WIDE, BAR_HIGH, ROW] = [16, 180, 10, 18]; // of a legend, pixels
 
 /** What may be shown of these. */
 export const RULERS = ["on", "off"];
@@ -87,6 +94,72 @@ export function rulerShapes(scene, values, size) {
       ...where,
     ],
   };
+}
+
+/**
+ * The legend of a view's colours: those of errors where they are shown, else those by data; null where there are none.
+ * @param {Pick<Scene, "colours"|"error_scale">} scene
+ * @param {Pick<Knobs, "overlay"|"hide">} values knobs of the view
+ * @returns {Legend|null}
+ */
+export function legendOf({ colours, error_scale: errors }, { overlay, hide }) {
+  if (overlay === "error") return { bar: { name: "Estimated error", colours: errors.colours, ticks: decades(errors) }, labels: [] };
+  if (!colours) return null;
+  const hidden = readHidden(hide, colours.labels);
+  const labels = colours.labels.filter(({ value }) => !hidden.includes(value));
+  if (labels.length) return { bar: null, labels };
+  return { bar: { name: colours.name, colours: colours.colours, ticks: legendNumbers(colours.low, colours.high) }, labels: [] };
+}
+
+/**
+ * A legend for the lower right corner of a picture.
+ * @param {Legend} legend
+ * @param {{width: number, height: number}} size of the picture, pixels
+ * @returns {Shapes}
+ */
+export function legendShapes({ bar, labels }, { width, height }) {
+  const right = width - INSET;
+  if (bar) {
+    const left = right - BAR_WIDE, { name, colours, ticks } = bar;
+    const numbers = [0, (ticks.length - 1) / 2, ticks.length - 1].filter(Number.isInteger);
+    return {
+      lines: [],
+      areas: [{ from: [left, INSET + 18], to: [right, INSET + 18 + BAR_HIGH], colours }],
+      words: [
+        { at: [right, INSET + 40], text: name, size: 13, middle: false, end: true },
+        ...numbers.map((n) => ({ at: /** @type {Place} */ ([left + (n * BAR_WIDE) / (ticks.length - 1), INSET + 3]), text: ticks[n], size: 12, middle: n > 0 && n < ticks.length - 1, end: n === ticks.length - 1 })),
+      ],
+    };
+  }
+  const most = Math.max(1, Math.floor((height - 2 * INSET) / ROW));
+  const seen = labels.length > most ? labels.slice(0, most - 1) : labels, rest = labels.length - seen.length;
+  const rows = [...seen.map(({ name }) => name), ...(rest ? [`and ${rest} more`] : [])];
+  const up = (/** @type {number} */ k) => INSET + ROW * (rows.length - 1 - k);
+  return {
+    lines: [],
+    areas: seen.map(({ colour }, k) => ({ from: [right - 12, up(k)], to: [right, up(k) + 12], colours: [colour] })),
+    words: rows.map((text, k) => ({ at: [right - 18, up(k) + 2], text, size: 13, middle: false, end: true })),
+  };
+}
+
+/**
+ * Numbers under a bar of errors, a power of ten apart.
+ * @param {{low: number, high: number}} scale
+ * @returns {string[]}
+ */
+export function decades({ low, high }) {
+  return Array.from({ length: Math.round(Math.log10(high / low)) + 1 }, (_, i) => errorInWords(low * 10 ** i));
+}
+
+/**
+ * The numbers under a bar of colours, from one end to the other.
+ * @param {number} low
+ * @param {number} high
+ * @returns {string[]}
+ */
+export function legendNumbers(low, high) {
+  const values = Array.from({ length: 5 }, (_, i) => low + (i * (high - low)) / 4);
+  return values.map((value) => String(Number(value.toPrecision(3))).replace("-", "−"));
 }
 
 /**

@@ -11,8 +11,9 @@ from isogi_core.cache.scene_assets import receive_assets, receive_colours, send_
 from isogi_core.errors import IsogiError, SceneError, ViewError, VolumeError
 from isogi_core.model.colours import MAPS, MOST, SurfaceColours, table_of
 from isogi_core.model.shine import Shine
-from isogi_core.plan.assembly import build_scene, cut_open, under
+from isogi_core.plan.assembly import build_scene
 from isogi_core.plan.scene import Scene
+from isogi_core.plan.variants import cut_open, under
 from isogi_core.storage.store import Store
 from tests.loaded import load_scene
 

@@ -10,7 +10,7 @@ from isogi_core.frame.gbuffer import trace
 from isogi_core.frame.tiles import Tiles
 from isogi_core.model.orientation import Orientation
 from isogi_core.model.view import View
-from isogi_core.plan.assembly import cut_open
+from isogi_core.plan.variants import cut_open
 from isogi_core.plan.volumes.cuts import FAR, box_left, cut_away, values_beyond, voxels_left
 from isogi_core.prepared.prepared_scene import PreparedScene
 from tests.frame.conftest import MIDDLE, scene_of, shell

@@ -10,10 +10,12 @@ import pytest
 from isogi_core.cache.scene_assets import receive_assets, receive_colours, send_assets
 from isogi_core.errors import IsogiError, SceneError, VolumeError
 from isogi_core.files import grid as grids
+from isogi_core.files.scene_file import read_hidden
 from isogi_core.kernels.transport.colours import Colours, fill_albedos
 from isogi_core.model.colours import SurfaceColours
-from isogi_core.plan.assembly import build_scene, cut_open
+from isogi_core.plan.assembly import build_scene
 from isogi_core.plan.scene import Scene
+from isogi_core.plan.variants import cut_open, with_hidden
 from isogi_core.plan.volumes import labels as module
 from isogi_core.plan.volumes.label_colours import between, spread, stride_of
 from isogi_core.plan.volumes.labels import smooth
@@ -154,6 +156,21 @@ def test_a_hidden_label_is_another_volume(tmp_path: Path) -> None:
     alone = scene_of(tmp_path, volume=np.where(HALVES == 5, 5, 0))
     np.testing.assert_array_equal(hidden.volume.voxels, alone.volume.voxels)
     assert not any(label.shown for label in colours_of(hidden).scale.labels if label.value == 3)
+
+
+def test_a_view_hides_labels_as_a_scene_does(tmp_path: Path) -> None:
+    liver = table(3, name="liver", colour="#b5523a")
+    scene = scene_of(tmp_path, [liver, table(5, hidden=True)])
+    seen = with_hidden(scene, read_hidden(" 3"), "seen")
+    alone = scene_of(tmp_path, [table(3, hidden=True)])
+    np.testing.assert_array_equal(seen.volume.voxels, alone.volume.voxels)
+    np.testing.assert_array_equal(colours_of(seen).codes, colours_of(alone).codes)
+    told = [(label.value, label.name, label.shown) for label in colours_of(seen).scale.labels]
+    assert told == [(3, "liver", False), (5, "label 5", True)] and seen.id == "seen"
+    again = with_hidden(scene, (3,), "again", like=seen)
+    assert again.volume is seen.volume and again.bake_digest == seen.bake_digest
+    every = load_scene(f"{tmp_path / 's.toml'}#hide=none", labels=[table(3, hidden=True)])
+    assert all(label.shown for label in colours_of(every).scale.labels)
 
 
 def test_cuts_keep_the_labels(tmp_path: Path) -> None:

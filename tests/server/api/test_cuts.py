@@ -11,7 +11,7 @@ import pytest
 from isogi_core.model.lights import ENVIRONMENTS
 from isogi_core.storage.store import Store
 from server.render.engine import RenderEngine
-from server.render.variants import Variants
+from server.render.variants import Change, Variants
 from tests.loaded import load_scene
 
 SCENE = "/v1/scenes/small"
@@ -75,6 +75,8 @@ def test_the_document_of_a_cut_has_the_scenes_own_name(live_server: str, small_s
         ({"cut": "x>-99"}, "leaves nothing"),
         ({"window": "w>3"}, "'w>3' is none"),
         ({"surfaces": "off"}, "scenes with [[surfaces]]"),
+        ({"hide": "3"}, "scenes of labels"),
+        ({"hide": "liver"}, "give the values of labels"),
         ({"window": "0,0,0>3"}, "no direction"),
         ({"window": ";".join(["x>3"] * 13)}, "at most 12 planes"),
     ],
@@ -91,12 +93,12 @@ def test_few_cuts_are_kept_and_share_their_voxels(small_scene: Path, tmp_path: P
         own = engine.scenes["small"]
         place = {name: name for name in ENVIRONMENTS}.get
         variants, x = Variants(engine, place, most=3, most_cuts=2), own.volume.world_centre[0]
-        one = asyncio.run(variants.of(own, None, f"x>{x}"))
-        lit = asyncio.run(variants.of(own, "noon", f"x> {x}"))
+        one = asyncio.run(variants.of(own, Change(cut=f"x>{x}")))
+        lit = asyncio.run(variants.of(own, Change("noon", f"x> {x}")))
         assert lit.volume is one.volume and lit.environment is not one.environment
-        assert asyncio.run(variants.of(own, None, f" x>{x}")) is one
-        asyncio.run(variants.of(own, "studio"))
-        asyncio.run(variants.of(own, None, f"x>{x + 1}"))
+        assert asyncio.run(variants.of(own, Change(cut=f" x>{x}"))) is one
+        asyncio.run(variants.of(own, Change("studio")))
+        asyncio.run(variants.of(own, Change(cut=f"x>{x + 1}")))
         left = set(engine.scenes) - {"small", "small@studio"}
         assert len(left) == 2 and lit.id not in left and one.id in left
     finally:

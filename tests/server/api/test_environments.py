@@ -16,7 +16,7 @@ from isogi_core.plan.assembly import load_scene
 from isogi_core.storage.store import Store
 from server.parameters import FrameParams, view_of
 from server.render.engine import RenderEngine
-from server.render.variants import Variants
+from server.render.variants import Change, Variants
 from server.settings import Settings
 
 SCENE = "/v1/scenes/small"
@@ -132,7 +132,7 @@ def test_few_variants_are_kept(small_scene: Path, tmp_path: Path) -> None:
         own = engine.scenes["small"]
         variants = Variants(engine, lambda name: name if name in ENVIRONMENTS else None, most=2)
         for name in ("studio", "noon", "studio", "evening"):
-            asyncio.run(variants.of(own, name))
+            asyncio.run(variants.of(own, Change(name)))
         assert set(engine.scenes) == {"small", "small@studio", "small@evening"}
         engine.dismiss("small")
         assert engine.scenes == {}, "variants go with their scene"

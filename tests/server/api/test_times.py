@@ -14,7 +14,7 @@ from isogi_core.kernels.shading.framebuffer import PROVISIONAL
 from isogi_core.model.view import View
 from isogi_core.storage.store import Store
 from server.render.engine import RenderEngine
-from server.render.variants import Variants
+from server.render.variants import Change, Variants
 from tests.live import serving
 from tests.loaded import load_scene
 from tests.series import SCENE, STEPS, write_series
@@ -103,10 +103,10 @@ def test_the_light_of_the_step_before_stands_in(scene: Path, tmp_path: Path, mon
     try:
         engine.start()
         steps = Variants(engine, lambda name: None)
-        bare = engine.survey(asyncio.run(steps.of(engine.scenes["series"], None, time=1)).id, view_of(engine), 0.5)
+        bare = engine.survey(asyncio.run(steps.of(engine.scenes["series"], Change(time=1))).id, view_of(engine), 0.5)
         final_frame(engine, "series")
         engine.dismiss("series@+1")
-        lent = engine.survey(asyncio.run(steps.of(engine.scenes["series"], None, time=1)).id, view_of(engine), 0.5)
+        lent = engine.survey(asyncio.run(steps.of(engine.scenes["series"], Change(time=1))).id, view_of(engine), 0.5)
         assert set(np.unique(lent.state)) == {0, PROVISIONAL}, "what stands in is told as provisional"
         assert len(lent.demands) == len(bare.demands), "and all of it is still to be baked"
         wanted = final_frame(engine, "series@+1")
@@ -120,12 +120,12 @@ def test_few_steps_are_in_memory(scene: Path, tmp_path: Path) -> None:
     try:
         variants, own = Variants(engine, lambda name: name), engine.scenes["series"]
         for time in (1, 2, 3):
-            asyncio.run(variants.of(own, None, time=time))
+            asyncio.run(variants.of(own, Change(time=time)))
         assert set(engine.scenes) == {"series", "series@+2", "series@+3"}
-        lit = asyncio.run(variants.of(own, "studio", time=3))
+        lit = asyncio.run(variants.of(own, Change("studio", time=3)))
         assert lit.volume is engine.scenes["series@+3"].volume
-        assert asyncio.run(variants.of(own, None, time=0)) is own
-        asyncio.run(variants.of(own, None, time=1))
+        assert asyncio.run(variants.of(own, Change(time=0))) is own
+        asyncio.run(variants.of(own, Change(time=1)))
         assert set(engine.scenes) == {"series", "series@+1", "series@studio+3", "series@+3"}
     finally:
         engine.close()

@@ -8,7 +8,7 @@ import { errorAxis, timeAxis } from "../../../web/panels/chart.js";
 import { dividerPlace } from "../../../web/panels/comparison.js";
 import { History, courseInWords, legendShare, momentInWords } from "../../../web/panels/error.js";
 import { outline, solidSpan } from "../../../web/panels/histogram.js";
-import { knobInWords, legendNumbers } from "../../../web/panels/knobs.js";
+import { knobInWords } from "../../../web/panels/knobs.js";
 import { pointRows, slicesAt } from "../../../web/panels/point.js";
 import { parseKept, scenePresets, toggled } from "../../../web/panels/presets.js";
 import { layerInWords, planRows, savingInWords, volumeRows } from "../../../web/panels/scene.js";
@@ -209,12 +209,6 @@ test("a volume says its size, its values and its holes", () => {
   const surfaces = [{ isovalue: 64, name: "skin", albedo: [0.8, 0.5, 0.4], clear: 0.6 }, { isovalue: 0.5, name: "", albedo: [1, 1, 1], clear: 0 }];
   const beside = [volumeRows({ ...SCENE, surfaces })["Surfaces beside"], rows["Surfaces beside"]];
   assert.deepEqual(beside, ["skin at 64, 60 % clear; 0.5", ""]);
-});
-
-test("a legend has numbers at even steps, from the first colour to the last", () => {
-  assert.deepEqual(legendNumbers(0, 80), ["0", "20", "40", "60", "80"]);
-  assert.deepEqual(legendNumbers(-1, 1), ["−1", "−0.5", "0", "0.5", "1"]);
-  assert.deepEqual(legendNumbers(0.00123456, 0.00623456), ["0.00123", "0.00248", "0.00373", "0.00498", "0.00623"]);
 });
 
 test("screen readers hear of quarters, not of every frame", () => {

@@ -1,0 +1,85 @@
+"""Scenes made over: in other light, cut open, at another time, with other surfaces beside, or with labels hidden.
+
+Each is a scene like any other, by another id. What it has in common with the first it shares.
+"""
+
+from dataclasses import replace
+from typing import Any
+
+from isogi_core.errors import SceneError
+from isogi_core.files.formats.opening import split_part
+from isogi_core.files.scene_file import FOLLOWED, Clears, Hidden, put_clears, put_hidden
+from isogi_core.model.volume import Volume
+from isogi_core.plan.assembly import build_scene
+from isogi_core.plan.scene import Scene
+from isogi_core.plan.volumes.cuts import cut_away, voxels_left
+
+
+def remade(scene: Scene, document: dict[str, Any], volume: Volume | None) -> Scene:
+    """The scene that another ``document`` makes of it, with its colours where a ``volume`` is open: see build_scene."""
+    bare = {key: value for key, value in document.items() if volume is None or key not in FOLLOWED}
+    made = build_scene(replace(scene.source, document=bare), volume=volume, colours=scene.colours if volume else None)
+    return replace(made, source=replace(scene.source, document=document))
+
+
+def under(scene: Scene, environment: str, name: str) -> Scene:
+    """The same scene in the light of an ``environment``, as a scene file names it, by another id, ``name``.
+
+    It replaces all of the scene's [[lights]]; walls stay, and their luminaires. The volume and what was surveyed of it
+    are shared. Raises SceneError where the scene's own choices do not fit that light, and LightError.
+    """
+    other = replace(remade(scene, {**scene.source.document, "environment": environment}, scene.volume), id=name)
+    vars(other).update(scene.surveys)
+    return other
+
+
+def cut_open(scene: Scene, cut: str, name: str, volume: Volume | None = None) -> Scene:
+    """The same scene with a ``cut``, besides its own, by another id, ``name``: see ``cut_away``.
+
+    Where there is a ``volume`` that is cut so, it is taken.
+
+    Raises SceneError and VolumeError.
+    """
+    own = scene.source.document.get("cut")
+    both = f"{own};{cut}" if own else cut
+    voxels_left(scene.volume, both)  # each by itself may leave something
+    left = volume or cut_away(scene.volume, cut)
+    return replace(remade(scene, {**scene.source.document, "cut": both}, left), id=name)
+
+
+def at_time(scene: Scene, time: int, name: str, volume: Volume | None = None) -> Scene:
+    """The same scene of another step of its series in time, by another id, ``name``; of a ``volume`` where it is open.
+
+    It starts at the same isovalue, as far as there is such. Raises SceneError for a step that is not there.
+    """
+    steps = scene.volume.moment[1]
+    if not 0 <= time < steps:
+        last = f"is one of {steps} steps, 0 to {steps - 1}" if steps > 1 else "is no series in time: leave time out"
+        raise SceneError(f"time = {time}: the volume '{scene.volume.name}' {last}.")
+    place, chosen = split_part(str(scene.source.document["volume"]))
+    rest = "&".join(value if key == "part" else f"{key}={value}" for key, value in chosen.items() if key != "time")
+    document = {**scene.source.document, "volume": f"{place}#{rest}" if rest else place, "time": time}
+    other = remade(scene, document, volume)
+    return replace(other, id=name, isovalue=min(max(scene.isovalue, other.isovalues[0]), other.isovalues[1]))
+
+
+def with_clears(scene: Scene, clears: Clears, name: str) -> Scene:
+    """The same scene with other shares of rays that pass its pinned surfaces, without those of None, by another id.
+
+    The volume and what was surveyed of it are shared. Raises as ``build_scene`` does.
+    """
+    document = put_clears(scene.source.document, [each.table for each in scene.pinned], clears)
+    made = replace(remade(scene, document | {"rotating": scene.rotating}, scene.volume), id=name)
+    vars(made).update(scene.surveys)
+    return made
+
+
+def with_hidden(scene: Scene, hidden: Hidden, name: str, like: Scene | None = None) -> Scene:
+    """The same scene of a segmentation with these labels ``hidden`` in place of its own, by another id, ``name``.
+
+    It is another volume, which is read anew unless a scene ``like`` it has it. Raises SceneError and VolumeError.
+    """
+    document = put_hidden(scene.source.document, hidden)
+    if like is None:
+        return replace(remade(scene, document, None), id=name)
+    return replace(remade(replace(scene, colours=like.colours), document, like.volume), id=name)
