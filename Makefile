@@ -8,7 +8,8 @@ TESTS ?=
 # Every process would compile all modules anew: a server with two workers starts three times as fast without it.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: install serve test kernels test-campaigns test-bounds test-python check lock format pictures figures reports clean
+.PHONY: install serve test kernels bytecode test-campaigns test-bounds test-python check lock format pictures figures \
+  reports clean
 
 install: $(BIN)/.installed
 
@@ -37,17 +38,22 @@ check: $(BIN)/.tools
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-# Kernels compile while the tools install and the checks run. Tests wait for servers and browsers on a machine that is
-# full of each other: one that fails there is told, and runs again alone. What fails twice is broken. Threads of BLAS
-# would spin on the cores that the processes share.
+# Kernels and modules compile while the tools install and the checks run. Tests wait for servers and browsers on a
+# machine that is full of each other: one that fails there is told, and runs again alone. What fails twice is broken.
+# Threads of BLAS would spin on the cores that the processes share.
 test: export OPENBLAS_NUM_THREADS = 1
 test:
-	$(MAKE) --no-print-directory --jobs 3 check kernels $(NODE_TOOLS)
+	$(MAKE) --no-print-directory --jobs 3 check kernels $(NODE_TOOLS) bytecode
 	$(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder --durations 20 -m "not campaign" \
 		|| { test $$? = 1 && $(BIN)/python -m pytest --last-failed --last-failed-no-failures none -m "not campaign"; }
 
 kernels: $(BIN)/.installed
 	$(BIN)/python -m tests.compile_kernels
+
+# Each process of pytest would rewrite and compile all modules of tests, and what they import, by itself. The tests
+# tell what cannot be imported.
+bytecode: $(BIN)/.tools
+	$(BIN)/python -m pytest --collect-only --quiet >/dev/null || true
 
 # Parts of the suites of benchmarks, small, that start servers and workers of their own.
 test-campaigns: $(BIN)/.tools

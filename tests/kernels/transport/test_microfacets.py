@@ -30,7 +30,7 @@ def drawn(alpha, v, points):
     """``sample_reflected`` of points (n, 2) of the square; (n, 3)."""
     out = np.empty((len(points), 3))
     for i in range(len(points)):
-        out[i] = np.array(sample_reflected(alpha, v, points[i, 0], points[i, 1]))
+        out[i, 0], out[i, 1], out[i, 2] = sample_reflected(alpha, v, points[i, 0], points[i, 1])
     return out
 
 

@@ -26,7 +26,7 @@ def prefix(seed, dimension, first, count):
     """Points first … first + count - 1, (count, 2)."""
     points = np.empty((count, 2))
     for i in range(count):
-        points[i] = rng.point_2d(seed, first + i, dimension)
+        points[i, 0], points[i, 1] = rng.point_2d(seed, first + i, dimension)
     return points
 
 
@@ -35,7 +35,7 @@ def over_seeds(count, index, dimension):
     """The same point of many neighbouring seeds, (count, 2)."""
     points = np.empty((count, 2))
     for seed in range(count):
-        points[seed] = rng.point_2d(seed, index, dimension)
+        points[seed, 0], points[seed, 1] = rng.point_2d(seed, index, dimension)
     return points
 
 

@@ -30,7 +30,9 @@ def over(function, width):
     def loop(points):
         out = np.empty((len(points), width))
         for i in range(len(points)):
-            out[i] = np.array(function(points[i, 0], points[i, 1]))
+            found = function(points[i, 0], points[i, 1])
+            for k in range(width):
+                out[i, k] = found[k]
         return out
 
     return loop
@@ -41,7 +43,7 @@ def scrambled(count):
     """The points number 5 of the pair 3 of neighbouring seeds, (count, 2)."""
     points = np.empty((count, 2))
     for seed in range(count):
-        points[seed] = np.array(rng.point_2d(seed, 5, 3))
+        points[seed, 0], points[seed, 1] = rng.point_2d(seed, 5, 3)
     return points
 
 

@@ -25,7 +25,7 @@ from tests.scale import few
 @njit
 def crossings(field, isovalues, on, side, o, d):
     """All crossings of a ray with several surfaces, in order: (t, surface, side) each; it starts ``on`` one."""
-    found = [(math.inf, 0, 0) for _ in range(0)]
+    found = [(0.0, 0, 0) for _ in range(0)]
     for k in range(len(isovalues)):
         t, here = 0.0, side if k == on else UNKNOWN
         while True:
@@ -33,9 +33,11 @@ def crossings(field, isovalues, on, side, o, d):
             t += step
             if not t < math.inf:
                 break
-            found.append((t, k, came))
+            place = 0
+            while place < len(found) and found[place][0] < t:
+                place += 1
+            found.insert(place, (t, k, came))
             here = -came
-    found.sort()
     return found
 
 
@@ -70,7 +72,8 @@ def path_among(field, surfaces, start, seed, index, bounces, light):
                 total[c] += carried[c] * end[c]
             return total
         on, side = met, came
-        carried *= albedos[on]
+        for c in range(3):
+            carried[c] *= albedos[on, c]
         p = madd(o, way, d)
         n = shading_normal(field, p, side, w)
     return total
