@@ -15,6 +15,7 @@ from isogi_core.frame.tiles import Stopwatch
 from isogi_core.frame.view_texels import ViewTexels
 from isogi_core.kernels.shading.framebuffer import FINAL, Framebuffer
 from isogi_core.kernels.tracing.sight import read_values
+from isogi_core.kernels.transport.colours import Colours, fill_albedos
 from isogi_core.model.colours import linear_of
 from isogi_core.model.volume import Volume
 from isogi_core.plan.scene import Scene
@@ -39,7 +40,8 @@ def frame_of(
     """
     scene = light.spec.prepared.scene
     if len(gbuffer.faces.pixels):
-        paint_faces(gbuffer, scene, framebuffer)
+        labelled = scene.colours is not None and bool(scene.colours.scale.labels)
+        paint_faces(gbuffer, scene, framebuffer, light.spec.prepared.colours if labelled else None)
     lacking = Lacking(texels, reading, framebuffer) if texels and reading else None
     projection = Projection(texels, reading, framebuffer) if texels and isinstance(reading, ProjectedReading) else None
     needed, short = (len(lacking.texels.chunks), int(lacking.reading.short.sum())) if lacking else (0, 0)
@@ -80,12 +82,20 @@ def values_at(volume: Volume, points: np.ndarray) -> np.ndarray:
     return np.asarray(volume.offset + volume.scale * voxels.astype(np.float64))
 
 
-def paint_faces(gbuffer: GBuffer, scene: Scene, framebuffer: Framebuffer) -> None:
-    """Show the volume's values where a window opens what is solid: greys over the core of its range, evenly lit."""
+def paint_faces(gbuffer: GBuffer, scene: Scene, framebuffer: Framebuffer, labels: Colours | None = None) -> None:
+    """Show the volume's values where a window opens what is solid: greys over the core of its range, evenly lit.
+
+    In a segmentation these are shades of the colours of its ``labels``.
+    """
     faces, volume = gbuffer.faces, scene.volume
     values = values_at(volume, faces.points)
     share = (values - volume.core[0]) / max(volume.core[1] - volume.core[0], np.finfo(np.float64).tiny)
     light = np.interp(255.0 * share, np.arange(256), linear_greys()) * PAPER / scene.default_exposure
-    framebuffer.radiance[faces.pixels] = light[:, None]
+    painted = np.repeat(light[:, None], 3, axis=1)
+    if labels is not None:
+        albedos = np.empty((len(light), 3), np.float32)
+        fill_albedos(labels, faces.points, albedos)
+        painted *= albedos / PAPER
+    framebuffer.radiance[faces.pixels] = painted
     framebuffer.state[faces.pixels] = FINAL
     framebuffer.error[faces.pixels] = 0.0

@@ -7,6 +7,7 @@ from typing import Any
 import nrrd
 import numpy as np
 
+from isogi_core.model.window import read_window
 from isogi_core.plan.scene import Scene
 from isogi_core.plan.volumes.labels import smooth
 from tests.frame.conftest import CONSTANT, SKY, Workbench, chunks_of, rmse_of_colours
@@ -55,6 +56,20 @@ def test_two_halves_part_at_their_plane(tmp_path: Path, workbench: Callable[...,
     assert len(left) > 100 and len(right) > 100
     np.testing.assert_allclose(left, np.tile(RED, (len(left), 1)), atol=1e-6)
     np.testing.assert_allclose(right, np.tile(GREEN, (len(right), 1)), atol=1e-6)
+
+
+def test_faces_of_a_window_are_in_the_colours_of_labels(tmp_path: Path, workbench: Callable[..., Workbench]) -> None:
+    halves = np.where(BALL, np.where(X < 0, 2, 9), 0).astype(np.uint8)
+    bench = workbench(scene_of(tmp_path, halves, labels=[label(2, RED), label(9, GREEN)]))
+    view = bench.view(size=48, shading="lambert", elevation=70.0, window=read_window("z>8.5"))
+    frame = bench.renderer.render(view)
+    faces = frame.gbuffer.faces
+    shown, away = frame.radiance.reshape(-1, 3)[faces.pixels], faces.points[:, 0] - 8.5
+    for side, colour in ((away < -0.51, RED), (away > 0.51, GREEN)):
+        assert side.sum() > 100
+        np.testing.assert_allclose(
+            shown[side] / shown[side].sum(axis=1)[:, None], [colour / np.sum(colour)] * side.sum(), rtol=1e-5
+        )
 
 
 def test_a_hidden_lid_lets_light_into_its_cup(tmp_path: Path, workbench: Callable[..., Workbench]) -> None:
