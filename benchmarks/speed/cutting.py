@@ -23,7 +23,7 @@ from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
 from server.cli.bench import view_of
 from server.render.engine import RenderEngine
-from server.render.variants import Variants
+from server.render.variants import Change, Variants
 from server.report.command import STAND
 
 SHARE, PATIENCE, STEP = 0.1, 200.0, 0.1
@@ -61,7 +61,7 @@ def cutting(size: int, workers: int) -> Measurement:
         found = {"none": first}
         for cut in cuts_of(scene):
             begun = time.monotonic()
-            opened = asyncio.run(variants.of(scene, None, cut))
+            opened = asyncio.run(variants.of(scene, Change(cut=cut)))
             found[cut] = baked(engine, opened.id, view, scene.target_error, begun)
             click.echo(f"{cut}: {found[cut]}", err=True)
     cuts = [each for name, each in found.items() if name != "none"]
