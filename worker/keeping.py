@@ -44,8 +44,8 @@ class WholeLight:
     ) -> np.ndarray:
         """Give texels that are ``waiting`` (m,) bool the light that they keep; which have it now, (m,) bool.
 
-        Without ``walks`` those alone of which this is known without walking paths. ``places`` are chunks and offsets in them, whose texels have the rows of ``light``, in place, one chunk's after
-        the other's.
+        Without ``walks`` those alone of which this is known without walking paths. ``places`` are chunks and offsets
+        in them, whose texels have the rows of ``light``, in place, one chunk's after the other's.
         """
         lattice, kept = self.chunks.spec.prepared.lattice, np.zeros(len(light), np.bool_)
         bounds = np.cumsum([0, *(len(offsets) for _, offsets in places)]).tolist()
