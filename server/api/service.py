@@ -160,10 +160,11 @@ class Service:
 
         Raises ParameterError where there is no such, and StartingError until the engine is up.
         """
-        full = params if isinstance(params, VariantParams) else VariantParams(environment=params.environment)
-        if full.model_fields_set:
+        more = (params.cut, params.time, params.surfaces, params.hide) if isinstance(params, VariantParams) else ()
+        change = Change(params.environment, *more)
+        if change != Change():
             self._check_started()
-        return await self.variants.of(scene, Change(full.environment, full.cut, full.time, full.surfaces, full.hide))
+        return await self.variants.of(scene, change)
 
     def _check_started(self) -> None:
         if not self.settled.is_set() or self.failure:

@@ -175,7 +175,7 @@ class Variants:
             sentence = f"environment must be one of {names}, or the id of one that was uploaded, not"
             raise ParameterError(f"{sentence} {shown(environment)}.", "environment")
         known = self.known(variant_name(scene, change))
-        return known or await asyncio.to_thread(self.make, scene, change, place)
+        return await asyncio.to_thread(self.make, scene, change, place) if known is None else known
 
     def known(self, name: str) -> Scene | None:
         """The variant of this id, where there is one already; never waits long."""
