@@ -39,11 +39,13 @@ class WholeLight:
     chunks: ChunkStore
     remains: Remains
 
-    def lend(self, light: Light, waiting: np.ndarray, places: Sequence[tuple[Index, np.ndarray]]) -> np.ndarray:
+    def lend(
+        self, light: Light, waiting: np.ndarray, places: Sequence[tuple[Index, np.ndarray]], walks: bool
+    ) -> np.ndarray:
         """Give texels that are ``waiting`` (m,) bool the light that they keep; which have it now, (m,) bool.
 
-        ``places`` are chunks and offsets in them, whose texels have the rows of ``light``, in place, one chunk's after
-        the other's.
+        Without ``walks`` those alone of which this is known without walking paths. ``places`` are chunks and offsets
+        in them, whose texels have the rows of ``light``, in place, one chunk's after the other's.
         """
         lattice, kept = self.chunks.spec.prepared.lattice, np.zeros(len(light), np.bool_)
         bounds = np.cumsum([0, *(len(offsets) for _, offsets in places)]).tolist()
@@ -61,7 +63,8 @@ class WholeLight:
         whole, every = Light.joined(found), np.concatenate(rows)
         whole.agree_on_void()
         ahead = np.flatnonzero(whole.samples > light.samples[every])
-        stays = ahead[find_kept(whole.rows(ahead), np.concatenate(texels)[ahead], self.chunks.spec, self.remains)]
+        own = np.concatenate(texels)[ahead]
+        stays = ahead[find_kept(whole.rows(ahead), own, self.chunks.spec, self.remains, walks)]
         light.put(every[stays], whole.rows(stays))
         kept[every[stays]] = True
         return kept

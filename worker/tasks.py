@@ -322,17 +322,20 @@ def bake_chunks(tasks: Sequence[BakeTask], spec: BakeSpec, chunk_store: ChunkSto
 def keep_light(light: Light, texels: np.ndarray, spec: BakeSpec, tasks: Sequence[BakeTask]) -> np.ndarray:
     """Give texels of tasks of one bake the light that a cut leaves as it is, in place; which have it now, (m,) bool.
 
-    Each takes the first samples for the cut itself, which show at once what that lets in, and walks old paths later.
+    Those whose isosurface is not in what is taken away have it at once. Each other takes the first samples for the cut
+    itself, which show what that lets in, and walks old paths later.
     """
     first = tasks[0]
     own = first.source, first.plan, first.digest, first.store_url, first.assets
     lender = open_whole(first.whole, *own) if first.whole else None
     if lender is None:
         return np.zeros(len(light), np.bool_)
+    places = [(task.index, task.offsets) for task in tasks]
+    kept = lender.lend(light, next_samples(light, spec, first.target) == 0, places, walks=False)
     sample_texels(light, texels, spec, *(replace(task, until=min(task.until, FIRST_LEVEL)) for task in tasks))
     going_on = np.repeat([task.until > FIRST_LEVEL for task in tasks], [len(task.offsets) for task in tasks])
     waiting = going_on & (next_samples(light, spec, first.target) == FIRST_LEVEL)
-    return lender.lend(light, waiting, [(task.index, task.offsets) for task in tasks])
+    return kept | lender.lend(light, waiting, places, walks=True)
 
 
 def sample_texels(light: Light, texels: np.ndarray, spec: BakeSpec, *tasks: BakeTask) -> None:

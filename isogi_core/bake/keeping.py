@@ -41,17 +41,19 @@ class Remains:
         return cls(box, values_beyond(volume, box))
 
 
-def find_kept(light: Light, texels: np.ndarray, whole: BakeSpec, remains: Remains) -> np.ndarray:
+def find_kept(light: Light, texels: np.ndarray, whole: BakeSpec, remains: Remains, walks: bool) -> np.ndarray:
     """Which of the ``texels`` (m, 3; z, y, x) keep their ``light`` where a cut of a ``whole`` volume ``remains``.
 
     (m,) bool: those whose place, and all points that paths met so far, are far from what is taken away. Where nothing
     of their isosurface is there, no path can have met it. Paths of others are walked once more, but those of a texel
-    end with the first that met something there.
+    end with the first that met something there. Without ``walks`` these are left out.
     """
     prepared, box = whole.prepared, remains.box
     place, _ = locate(texels, prepared)
     kept = is_within(texels[:, ::-1] * prepared.step, box) & is_within(place[1].T, box)
     may_stray = (place[3] >= remains.beyond[0]) & (place[3] <= remains.beyond[1])
+    if not walks:
+        return kept & ~may_stray
     for some, samples, bounces in walks_of(light.parts, whole.plan.bounces):
         rows = kept & some & may_stray & ~light.void
         confines = Confines(bounces, whole.plan.survival, box)
