@@ -5,31 +5,23 @@ import tempfile
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 from tqdm import tqdm
 
 from benchmarks.accuracy.errors import relative_rmse, without
 from benchmarks.common.timing import Seconds
-from isogi_core.bake.refine import refine
-from isogi_core.bake.texel_light import Light
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.renderer import Renderer
 from isogi_core.model.view import View, quaternion_from_angles
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import Index
-from isogi_core.report.bake import NEVER
 from isogi_core.report.reference import Reference, trace_reference, with_bounces
-from server.cli.bench import make_renderer
-from worker.pool import TOGETHER
+from server.cli.bench import Offsets, bake_offsets, make_renderer
 
 SMALL = 8
 """Pixels a side of the pictures that kernels are compiled on."""
 
-
-Offsets = dict[Index, np.ndarray]
-"""Texels by their chunks: what each holds of them, by offsets."""
 
 Pick = tuple[int, int]
 """A camera and a turn of the light, by their numbers."""
@@ -117,15 +109,9 @@ class Isogi:
     def bake(self, views: Sequence[View]) -> None:
         """Bake what the views read, each chunk once for all of them, and keep it in the store."""
         with self.baking.counting():
-            tasks = list(together(self._read_by(views)))
-            with tqdm(desc="isogi bakes", unit="task", total=len(tasks), disable=len(views) < 2) as bar:
-
-                def piece(a: int, b: int) -> None:
-                    for task in tasks[a:b]:
-                        self._bake_chunks(task)
-                        bar.update()
-
-                self.renderer.tiles.run(piece, len(tasks), 1)
+            wanted = self._read_by(views)
+            bar = tqdm(desc="isogi bakes", unit="chunk", total=len(wanted), disable=len(views) < 2)
+            bake_offsets(self.renderer, "gi", wanted, self.samples, bar)
 
     def frame(self, view: View) -> Frame:
         """The picture of a view."""
@@ -140,30 +126,6 @@ class Isogi:
             for index, offsets in zip(texels.chunks, texels.offsets, strict=True):
                 found[index].append(offsets)
         return {index: np.unique(np.concatenate(parts)) for index, parts in found.items()}
-
-    def _bake_chunks(self, wanted: Offsets) -> None:
-        loader = self.renderer.caches.of("gi")
-        spec, lattice = loader.chunk_store.spec, self.renderer.prepared.lattice
-        chunks = [loader.chunk_store.load(index).with_texels(offsets) for index, offsets in wanted.items()]
-        light = Light.joined([chunk.light for chunk in chunks])
-        texels = np.concatenate([lattice.positions(chunk.index, chunk.offsets) for chunk in chunks])
-        refine(light, texels, spec, self.samples, NEVER)
-        bounds = np.cumsum([0, *(len(chunk.light) for chunk in chunks)]).tolist()
-        for chunk, (a, b) in zip(chunks, pairwise(bounds), strict=True):
-            loader.chunk_store.save(replace(chunk, light=light.rows(np.arange(a, b))))
-            loader.refresh(chunk.index)
-
-
-def together(wanted: Offsets) -> Iterator[Offsets]:
-    """The texels of chunks in tasks of TOGETHER texels or a few more, as workers bake them."""
-    task: Offsets = {}
-    for index, offsets in wanted.items():
-        task[index] = offsets
-        if sum(map(len, task.values())) >= TOGETHER:
-            yield task
-            task = {}
-    if task:
-        yield task
 
 
 def run(pictures: PictureSet, samples: int, picks: Sequence[Pick]) -> tuple[list[Frame], Costs]:

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,6 @@ from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import pinhole
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.tiles import Tiles
-from isogi_core.frame.view_texels import Demand
 from isogi_core.kernels.simd.types import RAY_WIDTH, REGISTER
 from isogi_core.kernels.tracing.cast import cast_rays
 from isogi_core.kernels.tracing.intersect import UNKNOWN
@@ -31,16 +31,14 @@ from isogi_core.kernels.transport.integrator import bounce_rays
 from isogi_core.model.scene_plan import FEWEST
 from isogi_core.model.view import SHADINGS, View, quaternion_from_angles
 from isogi_core.plan.scene import Scene
-from isogi_core.prepared.prepared_scene import PreparedScene
+from isogi_core.prepared.prepared_scene import Index, PreparedScene
 from isogi_core.report.bake import NEVER
 from isogi_core.runs import Run, serially
 from server.parameters import FORMATS
 from server.pictures import encode
 from server.progress import open_scene
 from server.settings import cores
-
-TOGETHER = 16
-"""Chunks that are baked in one go, as a worker's task has several."""
+from worker.pool import TOGETHER
 
 MEMORY = 1 << 30
 """Bytes of light that a measured renderer may hold."""
@@ -50,6 +48,10 @@ DONE = 1.0
 
 Candidate = Callable[[int], float]
 """Does its work in the given round and tells the seconds that it took."""
+
+
+Offsets = dict[Index, np.ndarray]
+"""Texels by their chunks: what each holds of them, by offsets."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,27 +95,53 @@ def make_renderer(scene: Scene, store: str, threads: int | None = None) -> Rende
 
 def bake_view(renderer: Renderer, view: View, until: int) -> Frame:
     """Bake in this process what ``view`` lacks, to ``until`` samples a texel, and render it."""
-    demands = renderer.render(view, NEVER).demands
-    with tqdm(desc="baking", unit="chunk", total=len(demands), leave=False) as bar:
-
-        def piece(a: int, b: int) -> None:
-            bake_chunks(renderer, view.shading, demands[a:b], until)
-            bar.update(b - a)
-
-        renderer.tiles.run(piece, len(demands), TOGETHER)
+    wanted = wanted_of(renderer.render(view, NEVER))
+    bake_offsets(
+        renderer, view.shading, wanted, until, tqdm(desc="baking", unit="chunk", total=len(wanted), leave=False)
+    )
     return renderer.render(view, NEVER)
 
 
-def bake_chunks(renderer: Renderer, shading: str, demands: Sequence[Demand], until: int) -> None:
-    """Bake what is demanded of chunks by a view of this ``shading``, together, and keep it in the store."""
+def wanted_of(frame: Frame) -> Offsets:
+    """The texels that a frame lacks, chunk by chunk."""
+    return {demand.index: demand.offsets for demand in frame.demands}
+
+
+def bake_offsets(renderer: Renderer, shading: str, wanted: Offsets, until: int, bar: tqdm) -> None:
+    """Bake texels of chunks, for views of this ``shading``, on the renderer's threads; the ``bar`` counts chunks."""
+    tasks = list(together(wanted))
+    with bar:
+
+        def piece(a: int, b: int) -> None:
+            for task in tasks[a:b]:
+                bake_chunks(renderer, shading, task, until)
+                bar.update(len(task))
+
+        renderer.tiles.run(piece, len(tasks), 1)
+
+
+def together(wanted: Offsets) -> Iterator[Offsets]:
+    """The texels of chunks in tasks of TOGETHER texels or a few more, as workers bake them."""
+    task: Offsets = {}
+    for index, offsets in wanted.items():
+        task[index] = offsets
+        if sum(map(len, task.values())) >= TOGETHER:
+            yield task
+            task = {}
+    if task:
+        yield task
+
+
+def bake_chunks(renderer: Renderer, shading: str, wanted: Offsets, until: int) -> None:
+    """Bake texels of some chunks together, for views of this ``shading``, and keep them in the store."""
     loader, lattice = renderer.caches.of(shading), renderer.prepared.lattice
-    chunks = [loader.chunk_store.load(demand.index).with_texels(demand.offsets) for demand in demands]
+    chunks = [loader.chunk_store.load(index).with_texels(offsets) for index, offsets in wanted.items()]
     light = Light.joined([chunk.light for chunk in chunks])
     texels = np.concatenate([lattice.positions(chunk.index, chunk.offsets) for chunk in chunks])
     refine(light, texels, loader.chunk_store.spec, until, NEVER)
-    ends = np.cumsum([len(chunk.offsets) for chunk in chunks])
-    for chunk, rows in zip(chunks, np.split(np.arange(len(light)), ends[:-1]), strict=True):
-        loader.chunk_store.save(replace(chunk, light=light.rows(rows)))
+    bounds = np.cumsum([0, *(len(chunk.light) for chunk in chunks)]).tolist()
+    for chunk, (a, b) in zip(chunks, pairwise(bounds), strict=True):
+        loader.chunk_store.save(replace(chunk, light=light.rows(np.arange(a, b))))
         loader.refresh(chunk.index)
 
 
@@ -334,12 +362,12 @@ class Bench:
     def _texels(self) -> Iterator[np.ndarray]:
         """Texels of the view, (m, 3), those of several chunks together, of which it reads most first."""
         lattice, count = self.renderer.prepared.lattice, 0
-        demands = sorted(self.frame.demands, key=lambda demand: -len(demand.offsets))
-        for first in range(0, len(demands), TOGETHER):
+        wanted = sorted(wanted_of(self.frame).items(), key=lambda pair: -len(pair[1]))
+        for task in together(dict(wanted)):
             if count < TEXELS:
-                some = [lattice.positions(each.index, each.offsets) for each in demands[first : first + TOGETHER]]
-                yield np.concatenate(some)
-                count += sum(map(len, some))
+                texels = np.concatenate([lattice.positions(index, offsets) for index, offsets in task.items()])
+                count += len(texels)
+                yield texels
 
 
 def milliseconds(candidates: dict[str, Candidate], repeats: int) -> dict[str, float]:

@@ -33,7 +33,7 @@ from isogi_core.prepared.prepared_scene import PreparedScene
 from isogi_core.report.bake import NEVER
 from isogi_core.runs import Run, serially
 from isogi_core.storage.url import StoreUrl
-from server.cli.bench import bake_chunks
+from server.cli.bench import bake_chunks, wanted_of
 from tests.loaded import load_scene
 from tests.stability.scenes import view_of
 from worker.tasks import BakeTask, bake
@@ -229,8 +229,8 @@ def test_pictures_do_not_depend_on_the_empty_space_skipped(shading: str) -> None
 
 def baked_here(renderer: Renderer, view: View, samples: int) -> Frame:
     """The frame of a view whose light is baked by the renderer's own recipe, with so many samples each texel."""
-    if demands := renderer.render(view, NEVER).demands:
-        bake_chunks(renderer, view.shading, demands, samples)
+    if wanted := wanted_of(renderer.render(view, NEVER)):
+        bake_chunks(renderer, view.shading, wanted, samples)
     return renderer.render(view, NEVER)
 
 

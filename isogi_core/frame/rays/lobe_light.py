@@ -106,9 +106,9 @@ def find_lobes(light: RotatedLight, starts: ShadowStarts, traced: TracedSurface,
 
 @dataclass(frozen=True, eq=False)
 class Shadows:
-    """What the points of a picture, as shadow rays ``start`` from them, see of ``lamps`` past the ``traced`` surface.
+    """What the points of a picture see of directional ``lamps`` past the ``traced`` surface, by rays from ``starts``.
 
-    Lamps are directional. It is the same however the work is cut into ``tiles``.
+    It is the same however the work is cut into ``tiles``.
     """
 
     traced: TracedSurface

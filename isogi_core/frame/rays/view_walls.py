@@ -51,6 +51,7 @@ class ViewWalls:
         """Have the walls in some views, that are not final, take as many paths again. Raises Cancelled."""
         lit = {seen: self._light(walls, *seen) for walls in views for seen in walls.seen}
         taken = [each.step(target, tiles) for each in lit.values()]
+        self._kept.settle()
         return any(taken)
 
     def _light(self, walls: WallView, wall: int, side: int) -> WallLight:

@@ -108,7 +108,7 @@ class WallTexels:
     @property
     def nbytes(self) -> int:
         """Bytes that they take, with what is found of them."""
-        return self.sums.nbytes * 3 // 2
+        return 2 * self.sums.nbytes
 
     @property
     def version(self) -> str:
@@ -166,9 +166,9 @@ class WallTexels:
 
     def final(self, target: float) -> bool:
         """Whether their error is within a ``target``, or as small as it may become."""
-        return self.fine and self.count > 0 and self.calm(target) and not self.too_coarse(target)
+        return self.fine and self.count > 0 and self.has_enough_paths(target) and not self.too_coarse(target)
 
-    def calm(self, target: float) -> bool:
+    def has_enough_paths(self, target: float) -> bool:
         """Whether their noise is within a ``target``, or they have taken all paths that they may."""
         return self.count >= MOST or self.relative(self.variance) <= target
 
@@ -182,7 +182,7 @@ class WallTexels:
         """The same a step nearer to a ``target``: fine ones, more paths, or twice as fine ones. Raises Cancelled."""
         if not self.fine:
             return WallTexels.begun(light, self.wall, self.side, FINE).grown(light, surface, tiles, self.count)
-        if not self.calm(target):
+        if not self.has_enough_paths(target):
             return self.grown(light, surface, tiles, self.count)
         return self._finer(light, target).grown(light, surface, tiles, self.count)
 
