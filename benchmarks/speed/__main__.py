@@ -11,6 +11,7 @@ from benchmarks.speed.isovalue import isovalue
 from benchmarks.speed.paths import paths
 from benchmarks.speed.points import points
 from benchmarks.speed.rays import rays
+from benchmarks.speed.rooms import rooms
 
 main = suite(
     "How fast isogi is, beside its peers where they are installed.",
@@ -24,6 +25,7 @@ main = suite(
     edges,
     film,
     cutting,
+    rooms,
 )
 
 if __name__ == "__main__":

@@ -52,20 +52,38 @@ class LayerStore:
     Its texels lie on the isosurface ``shown``, if any; see ``BakeSpec``.
     """
 
-    def __init__(self, store: StoreLike, prepared: PreparedScene, layer: Layer, shown: Isovalue | None = None) -> None:
-        """Touch nothing yet."""
+    def __init__(
+        self,
+        store: StoreLike,
+        prepared: PreparedScene,
+        layer: Layer,
+        shown: Isovalue | None = None,
+        digest: str = "",
+        texels: int = 0,
+    ) -> None:
+        """Touch nothing yet; the scene's lattice says what the ``digest`` is, and how many ``texels`` a chunk has."""
         self.store = Store.of(store)
         self.prepared = prepared
         self.layer = layer
         self.shown = shown
-        self.digest = prepared.scene.layer_digest(layer, shown)
-        self.texels = prepared.lattice.texels
+        self.digest = digest or prepared.scene.layer_digest(layer, shown)
+        self.texels = texels or prepared.lattice.texels
         self.size = record_type(layer, self.texels).itemsize
 
     @cached_property
     def array(self) -> "zarr.Array[Any]":
         """The Zarr array, made on first use: (chunks z, y, x, bytes of a record) uint8."""
         return self._open() or self._create()
+
+    @property
+    def chunks(self) -> Index:
+        """Chunks along z, y, x."""
+        return self.prepared.chunks
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """The attributes of its array: see ``facts_of``."""
+        return facts_of(self.layer, self.prepared, self.shown)
 
     @property
     def path(self) -> str:
@@ -107,7 +125,7 @@ class LayerStore:
     def _is_ours(self, array: "zarr.Array[Any]") -> bool:
         facts = array.attrs.asdict().get("isogi")
         return (
-            array.shape == (*self.prepared.chunks, self.size)
+            array.shape == (*self.chunks, self.size)
             and array.chunks == (1, 1, 1, self.size)
             and array.dtype == np.uint8
             and tuple(map(type, getattr(array.metadata, "codecs", ()))) == CODECS
@@ -126,12 +144,12 @@ class LayerStore:
     def _description(self) -> bytes:
         """The array's metadata, as Zarr writes it."""
         return description(
-            shape=(*self.prepared.chunks, self.size),
+            shape=(*self.chunks, self.size),
             chunks=(1, 1, 1, self.size),
             dtype="uint8",
             fill_value=0,
             compressors=[ZstdCodec(level=LEVEL), Crc32cCodec()],
-            attributes={"isogi": facts_of(self.layer, self.prepared, self.shown)},
+            attributes={"isogi": self.facts},
         )
 
     @property

@@ -9,7 +9,7 @@ step and the surface that a view shows, by isovalue, camera and size (``surface_
 | ``Reading`` | a surface, a bake spec, a target error, and the age of the page pool |
 | ``LobeLight`` | a surface, the rotation of the light, and whether it moves |
 | ``PictureCheck`` | a surface, the rotation of the light, an albedo, a shine, a glow and a target error |
-| ``WallLight`` | a wall, an isovalue, an albedo and a glow |
+| ``RoomLight`` | an isovalue, an albedo and a glow |
 | ``SeenThrough`` | a surface, and the rotation of the light |
 | ``ShineLight`` | a surface, its shine and albedo, the rotation of the light, a glow, and whether it moves |
 
@@ -30,6 +30,7 @@ import numpy as np
 from isogi_core.bake.bake_spec import spec_name
 from isogi_core.cache.page_pool import Held, PagePool
 from isogi_core.cache.scene_caches import Caches
+from isogi_core.cache.wall_store import WallStore
 from isogi_core.frame.antialiasing import smooth_edges
 from isogi_core.frame.eye_glow import with_glow
 from isogi_core.frame.frame import Frame
@@ -100,7 +101,7 @@ class Renderer:
         changing = dict.fromkeys((Reading, LobeLight, ShineLight), int(SHARE * most))
         self._kept: LruCache[Any] = LruCache(most - int(NORMALS * most), changing)
         self.checks = ViewChecks(self._kept)
-        self._walls = ViewWalls(self._kept, self.prepared.scene.volume)
+        self._walls = ViewWalls(self._kept, self.prepared.scene.volume, WallStore(caches.store, self.prepared))
         self._through = ViewThrough(self._kept, self._walls)
         self._levels = levels or (Level(caches),)
         make, composes = partial(Renderer, tiles=tiles, most=most // 8, filters=filters), self.prepared.scene.several

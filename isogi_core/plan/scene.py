@@ -320,6 +320,19 @@ class Scene:
         return digest_of(parts + (["walls", self.room.dark_digest] if self.room.any else []) + self._coloured)
 
     @property
+    def wall_layer(self) -> Layer:
+        """What texels of walls keep: E/π in linear RGB."""
+        return Layer("walls", channels=3, half=False, scale=self.plan.layers[0].scale)
+
+    def wall_digest(self, *state: Any) -> str:
+        """Digest (hex) of everything that the light of walls depends on, besides the numbers of a ``state``."""
+        lights = [self.environment.digest, self.lamps.digest, self.room.digest]
+        glow = ["glow", self.glowing.digest, self.glowing.radiances.tolist()] if self.glowing.any else []
+        paths = [self.bounces, self.plan.survival, self.normals, self.offset]
+        parts = [BAKE_FORMAT, self.volume.digest, *astuple(self.wall_layer), *lights, *glow, *paths]
+        return digest_of([*parts, *self._company, *self._made, *self._coloured, *state])
+
+    @property
     def _company(self) -> list[Any]:
         """What digests hold of surfaces beside each other; nothing where there is one, and no ray passes it."""
         others = sorted(each.facts for each in self.pinned)

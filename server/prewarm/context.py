@@ -82,6 +82,11 @@ class PrewarmContext:
         """Seconds until the deadline, none once it is over."""
         return max(self.deadline - time.monotonic(), 0.0)
 
+    def late(self, end: float) -> bool:
+        """Whether the monotonic clock is at the ``end``. Raises Cancelled where it was stopped."""
+        self.check()
+        return time.monotonic() >= end
+
     def check(self) -> None:
         """Raises Cancelled where it was stopped."""
         if self.cancelled.is_set():

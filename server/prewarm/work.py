@@ -226,9 +226,24 @@ def carry_out(context: PrewarmContext, what: Wanted, begun: Callable[[Summary], 
     end = context.deadline - min(found.seconds, context.left / 2.0)
     baking = Baking(context, list(found.demands.values()), expected, (BEFORE[1], AFTER[0]), end)
     baking.run()
-    new = baking.done > 0 or baking.spent.paths > 0
+    new = light_walls(context, what.views, end) or baking.done > 0 or baking.spent.paths > 0
     quality = survey(context, what.views, what.levels, AFTER).quality if new else found.quality
     return summed_up(context, ahead, quality, baking)
+
+
+def light_walls(context: PrewarmContext, views: Views, end: float) -> bool:
+    """Light the walls that the ``views`` show until they are final, or the monotonic clock is at the ``end``.
+
+    Whether there was light to add. Raises Cancelled.
+    """
+    scene, tiles, lit = context.scene, context.renderer.tiles.cancelled_by(context.cancelled), False
+    for number, view in enumerate(views if scene.room.any and not context.late(end) else ()):
+        context.report(Step("Lighting the walls of", "view", number, len(views), AFTER[0]))
+        frame = context.frame_of(view)
+        while frame.walls_waiting and frame.checkable and not context.late(end):
+            context.renderer.refine_frame(frame, context.target, tiles, False)
+            frame, lit = context.frame_of(view), True
+    return lit
 
 
 def carry_out_dry(context: PrewarmContext, what: Wanted) -> Summary:

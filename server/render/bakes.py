@@ -160,9 +160,13 @@ class SideBakes:
         for each in old:
             self._baker.forget(each)
         if new and shown is not None:
-            self._trimmer = threading.Thread(target=self._trim_once, name="trimming", daemon=True)
-            self._trimmer.start()
+            self.trim()
         return name
+
+    def trim(self) -> None:
+        """Have a thread trim the store: there is light for one isovalue more."""
+        self._trimmer = threading.Thread(target=self._trim_once, name="trimming", daemon=True)
+        self._trimmer.start()
 
     def settle(self) -> None:
         """Returns when nothing is being trimmed."""

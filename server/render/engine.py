@@ -342,7 +342,9 @@ class RenderEngine:
         self._checking.close()
 
     def _checked(self, scene: str, view: View, more: bool) -> None:
-        """Say that a picture was checked one step further."""
+        """Say that a picture was checked one step further; what walls keep for its isovalue may be too much."""
+        if not more and scene in self.scenes and self.scenes[scene].room.any:
+            self._beside.trim()
         for listener in self._listeners:
             listener(self.bake_of(scene, view), CHECK, more)
 

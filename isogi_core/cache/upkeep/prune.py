@@ -93,7 +93,9 @@ log = logging.getLogger("isogi.cache")
 
 
 def trim_projected(store: Store, most: int) -> int:
-    """Delete layers of projected texels, the longest unused first, beyond ``most`` bytes at ``store``; how many went.
+    """Delete layers for single isovalues, the longest unused first, beyond ``most`` bytes at ``store``; how many went.
+
+    These are of projected texels, and of walls.
 
     What was written in the last minute stays. A store that knows no ages, or takes no writes now, is left as it is.
     """

@@ -1,11 +1,13 @@
-"""The walls of views: their light is kept for the isovalue and the albedo that are shown, whatever view shows it."""
+"""The walls of views: their light is kept for what is shown of the surface, whatever view shows it."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
+from isogi_core.cache.wall_store import WallStore
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.lighting import RotatedLight
-from isogi_core.frame.rays.wall_light import COARSE, WallLight, WallTexels, WallView
+from isogi_core.frame.rays.wall_light import RoomLight, WallView
+from isogi_core.frame.rays.wall_texels import WallTexels
 from isogi_core.frame.shading import fog_depths
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.framebuffer import Framebuffer
@@ -16,9 +18,9 @@ from isogi_core.model.volume import Volume
 class ViewWalls:
     """The walls about a ``volume``, whose light is among what is ``kept`` of views."""
 
-    def __init__(self, kept: LruCache[Any], volume: Volume) -> None:
-        """Keep the light of walls where results of views are."""
-        self._kept, self._volume = kept, volume
+    def __init__(self, kept: LruCache[Any], volume: Volume, store: WallStore) -> None:
+        """Keep the light of walls where results of views are, and in a ``store``."""
+        self._kept, self._volume, self._store = kept, volume, store
 
     def put(
         self, gbuffer: GBuffer, light: RotatedLight, target: float, framebuffer: Framebuffer, tiles: Tiles
@@ -34,7 +36,7 @@ class ViewWalls:
             shading = "lambert" if view.shading == "vicinity" else view.shading
             walls.put_locally(shading, fog_depths(view, self._volume), framebuffer, tiles)
         else:
-            texels = [self._light(walls, *seen).begun(tiles) for seen in walls.seen]
+            texels = self._best(walls, tiles)
             return walls.put(texels, target, framebuffer, tiles), "".join(each.version for each in texels)
         return 0, ""
 
@@ -42,21 +44,34 @@ class ViewWalls:
         """Write what several views see of walls into one picture; what names the paths taken. Raises Cancelled."""
         version = ""
         for walls in views:
-            texels = [self._light(walls, *seen).begun(tiles) for seen in walls.seen]
+            texels = self._best(walls, tiles)
             walls.put(texels, target, framebuffer, tiles)
             version += "".join(each.version for each in texels)
         return version
 
-    def grow(self, views: Iterable[WallView], target: float, tiles: Tiles) -> bool:
-        """Have the walls in some views, that are not final, take as many paths again. Raises Cancelled."""
-        lit = {seen: self._light(walls, *seen) for walls in views for seen in walls.seen}
-        taken = [each.step(target, tiles) for each in lit.values()]
-        self._kept.settle()
-        return any(taken)
+    def grow(self, views: Sequence[WallView], target: float, tiles: Tiles) -> bool:
+        """Have the walls in some ``views`` of one light, that are not final, take as many paths again.
 
-    def _light(self, walls: WallView, wall: int, side: int) -> WallLight:
-        """The light of a side of a wall, for the isovalue and the albedo that are shown; kept beside views."""
-        light = walls.light
-        key = (WallLight, light.view.isovalue, light.view.albedo, light.view.glow, wall, side)
-        begun = WallTexels.begun(light, wall, side, COARSE)
-        return self._kept.get(key, lambda: WallLight(light, walls.gbuffer.surface, begun))
+        The store keeps what they come to, also where this raises Cancelled.
+        """
+        room, grown = self._room(views[0]), list[WallTexels]()
+        try:
+            for side in dict.fromkeys(side for walls in views for side in walls.seen):
+                lit = room.side(side)
+                if lit.step(target, tiles):
+                    grown.append(lit.texels)
+        finally:
+            room.keep(grown)
+        self._kept.settle()
+        return bool(grown)
+
+    def _best(self, walls: WallView, tiles: Tiles) -> list[WallTexels]:
+        """The texels of the sides that are seen. Raises Cancelled."""
+        room = self._room(walls)
+        return [room.side(side).best(tiles) for side in walls.seen]
+
+    def _room(self, walls: WallView) -> RoomLight:
+        """The light of walls for the isovalue, the albedo and the glow that are shown; kept beside views."""
+        light, surface = walls.light, walls.gbuffer.surface
+        key = (RoomLight, light.view.isovalue, light.view.albedo, light.view.glow)
+        return self._kept.get(key, lambda: RoomLight.of(light, surface, self._store))

@@ -1,5 +1,6 @@
 """Frames in a room: walls and luminaires in the picture, their light on the surface, and how it becomes final."""
 
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -8,12 +9,22 @@ import numpy as np
 import pytest
 from scipy.interpolate import interp1d
 
+from isogi_core.cache.upkeep.audit import Auditor
+from isogi_core.cache.upkeep.census import census_of
+from isogi_core.cache.upkeep.prune import PruneRule, plan_prune
+from isogi_core.cache.wall_store import WallLayer, WallState, WallStore
 from isogi_core.errors import ViewError
 from isogi_core.frame.entry_kernels import ROOM, frame_kernels
-from isogi_core.frame.rays.wall_light import FINEST, WallTexels
-from isogi_core.kernels.shading.framebuffer import FINAL, PROVISIONAL
+from isogi_core.frame.frame import Frame
+from isogi_core.frame.lighting import RotatedLight
+from isogi_core.frame.rays.wall_light import RoomLight
+from isogi_core.frame.rays.wall_texels import FINE, FINEST, WallTexels
+from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, PROVISIONAL
 from isogi_core.kernels.tracing.camera import trace_pixels
 from isogi_core.model.orientation import triple
+from isogi_core.model.sky import LUMINANCE
+from isogi_core.model.view import View
+from isogi_core.storage.store import Store
 from tests.frame.conftest import CONSTANT, LOOSE, Workbench, relative_rmse
 from tests.loaded import load_scene
 
@@ -125,12 +136,106 @@ def test_a_white_furnace_stays_one_in_a_closed_room(tmp_path: Path) -> None:
     assert abs(found.mean() / expected.mean() - 1.0) < 0.01
 
 
+def finished(bench: Workbench, view: View) -> Frame:
+    """The frame of a view whose walls are final."""
+    while bench.renderer.refine(view):
+        pass
+    return bench.renderer.render(view)
+
+
+def on_walls(*frames: Frame) -> list[np.ndarray]:
+    """What pictures of one view show on walls, (m, 3) each."""
+    return [frame.radiance.reshape(-1, 3)[frame.gbuffer.walls.pixels] for frame in frames]
+
+
+def test_walls_are_final_at_once_after_a_restart(room: Workbench) -> None:
+    view = room.view(90.0, 0.0, SIZE, distance=4.0)
+    before, after = finished(room, view), room.again().renderer.render(view)
+    assert after.walls_waiting == 0
+    np.testing.assert_array_equal(*on_walls(before, after))
+    np.testing.assert_array_equal(*(frame.error.ravel()[before.gbuffer.walls.pixels] for frame in (before, after)))
+    finer = room.again()
+    assert finer.renderer.render(view, LOOSE / 4).walls_waiting, "and go on from there to a smaller error"
+    assert finer.renderer.refine(view, LOOSE / 4)
+    assert finer.renderer.render(view, LOOSE / 4).noise < before.noise
+
+
+def test_walls_between_two_isovalues_show_what_is_known_of_these(room: Workbench, tmp_path: Path) -> None:
+    middle = room.scene.isovalue
+    low, here, high = (room.view(90.0, 0.0, SIZE, distance=4.0, isovalue=middle * share) for share in (0.8, 1.0, 1.2))
+    fresh = Workbench(room.scene, tmp_path)
+    for view in (low, high):
+        fresh.bake(view)
+        finished(fresh, view)
+    fresh.bake(here)
+    lent = fresh.again().renderer.render(here)
+    walls, true = lent.gbuffer.walls.pixels, finished(room, here)
+    assert lent.walls_waiting == len(walls), "they are not final"
+    assert set(lent.state.ravel()[walls]) == {CONVERGING}
+    shown, known = (frame.radiance.reshape(-1, 3)[walls] @ LUMINANCE for frame in (lent, true))
+    wrong, told = shown - known, lent.error.ravel()[walls] * shown
+    assert np.sqrt((wrong**2).mean()) < 2.0 * np.sqrt((told**2).mean())
+    assert np.sqrt((wrong**2).mean()) < LOOSE * known.mean()
+    np.testing.assert_array_equal(
+        finished(fresh, here).radiance.reshape(-1, 3)[walls], true.radiance.reshape(-1, 3)[walls]
+    )
+
+
+def test_damaged_light_of_walls_is_baked_again(room: Workbench, tmp_path: Path) -> None:
+    view = room.view(90.0, 0.0, SIZE, distance=4.0)
+    true = finished(room, view)
+    copy = Workbench(room.scene, Path(shutil.copytree(room.folder, tmp_path / "copy")))
+    state = WallState(copy.prepared.surface(view.isovalue).isovalue, copy.scene.albedo, 1.0)
+    objects = sorted((copy.folder / WallLayer(copy.caches.store, copy.prepared, state, FINE).digest).glob("c/**/0"))
+    assert len(objects) == 1
+    objects[0].write_bytes(objects[0].read_bytes()[:-9])
+    found = [damage.key for damage in Auditor(copy.caches.store).audit().damages]
+    assert found == [objects[0].relative_to(copy.folder).as_posix()], "an audit finds it"
+    assert copy.renderer.render(view).walls_waiting
+    np.testing.assert_array_equal(*on_walls(finished(copy, view), true))
+    assert Auditor(copy.caches.store).audit().sound
+
+
+def test_light_of_walls_is_pruned_with_the_rest(room: Workbench, tmp_path: Path) -> None:
+    finished(room, room.view(90.0, 0.0, SIZE, distance=4.0))
+    store = Store(shutil.copytree(room.folder, tmp_path / "copy"))
+    census = census_of(store)
+    walls = [count for count in census.counts.values() if count.facts.layer.kind == "walls"]
+    assert walls and all(count.lit and count.paths for count in walls)
+    plan = plan_prune(census, PruneRule(scene=room.scene.id), store.now() + 1e6)
+    assert {count.files.digest for count in walls} <= {count.files.digest for count in plan.going}
+
+
+def test_walls_of_a_store_that_takes_nothing_are_lit_all_the_same(room: Workbench, tmp_path: Path) -> None:
+    view, bench = room.view(90.0, 0.0, SIZE, distance=4.0), Workbench(room.scene, tmp_path)
+    bench.bake(view)
+    bench.caches.store.read_only = True
+    np.testing.assert_array_equal(*on_walls(finished(bench, view), finished(room, view)))
+    assert not (tmp_path / "walls").exists()
+
+
+def test_finer_texels_are_what_they_were_when_they_are_read(room: Workbench, tmp_path: Path) -> None:
+    store = WallStore(Store(tmp_path), room.prepared)
+    view = room.view(90.0, 0.0, SIZE, distance=4.0)
+    light, surface = RotatedLight(room.caches.spec("gi"), view), room.prepared.surface(view.isovalue)
+    lit = RoomLight.of(light, surface, store)
+    coarse = WallTexels.begun(light, 0, 1, FINE).grown(light, surface, room.renderer.tiles)
+    asked = np.zeros((2 * FINE, 2 * FINE), bool)
+    asked[20:50, 30:90] = True
+    fine = coarse.finer(light, asked).grown(light, surface, room.renderer.tiles)
+    lit.keep([coarse, fine])
+    again = RoomLight.of(light, surface, store).side((0, 1)).texels
+    assert (again.across, again.count) == (fine.across, fine.count)
+    for name in ("means", "settled", "variance", "unsharp"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(fine, name))
+
+
 def wall_texels(across: int, light: Callable[[np.ndarray, np.ndarray], np.ndarray], noise: float = 0.0) -> WallTexels:
     """Texels of a square wall on which so much light arrives, at (x, y) in 0 to 1; halves have so much noise."""
     middles = (np.arange(across) + 0.5) / across
     found = light(*np.meshgrid(middles, middles))[..., None, None] * np.ones((2, 3))
     found += noise * np.random.default_rng(1).normal(size=(across, across, 2, 1))
-    return WallTexels(0, 1, np.ones(3), np.zeros(3), 8.0 * found, across, np.full((across, across), np.nan), count=8)
+    return WallTexels(0, 1, np.ones(3), np.zeros(3), found, across, np.full((across, across), np.nan), count=8)
 
 
 def between_texels(texels: WallTexels, light: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> float:

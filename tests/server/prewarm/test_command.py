@@ -4,6 +4,7 @@ import json
 import os
 import socket
 from contextlib import closing
+from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 
 from isogi_core.frame import projected_texels
+from isogi_core.kernels.shading.framebuffer import CONVERGING
 from isogi_core.plan.assembly import load_scene
 from server.api.prewarm_jobs import Silence
 from server.cli.command import run
@@ -35,6 +37,20 @@ def inline(monkeypatch: pytest.MonkeyPatch) -> None:
 def warmed(scene: Path, store: Path, *isovalues: str, dry: bool = False, **more: Any) -> Summary:
     order = order_of({"isovalues": isovalues, "views": 3, **SIZE, **more})
     return prewarm(str(scene), order, Settings(store=str(store), workers=1), dry)
+
+
+def test_walls_that_were_prewarmed_are_final_at_once(blocks: Path, tmp_path: Path) -> None:
+    among = blocks.with_name("among.toml")
+    among.write_text(blocks.read_text().replace("[[lights]]", 'room = "cornell"\n[[lights]]'))
+    warmed(among, tmp_path, "0.4", "0.6", distance=4.0)
+    scene = load_scene(among)
+    with closing(RenderEngine([scene], str(tmp_path))) as engine:
+        engine.start(hire=False)
+        for view in Views(order_of({"isovalues": [0.4, 0.6], "views": 3, **SIZE, "distance": 4.0}), scene, Settings()):
+            frame = engine.survey("among", view, 0.1)
+            assert len(frame.gbuffer.walls.pixels) and not frame.walls_waiting
+            between = engine.survey("among", replace(view, isovalue=0.5), 0.1)
+            assert set(between.state.ravel()[between.gbuffer.walls.pixels]) == {CONVERGING}
 
 
 def document_of(summary: Summary) -> RecordDocument:

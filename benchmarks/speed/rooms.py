@@ -1,0 +1,132 @@
+"""Frames among walls and of a surface that shines, beside frames without; and what baking S3's scenes takes.
+
+    python -m benchmarks.speed rooms [--size 512] [--repeats 9] [--levels 3] [--json]
+
+Cameras are a hundredth of a degree apart, so that each frame casts its primary rays; the light of texels and walls is
+there. Then the four scenes of docs/scenes, which are S3's kinds, are baked in a view of 256² at ``levels`` isovalues,
+evenly spaced through their ranges, to their target error: seconds of processors, times the levels that S3 used, are
+beside S3's own (table 1; two Xeons of 3 GHz). Glass keeps no texels: there the walls are all that is baked.
+"""
+
+import tempfile
+import tomllib
+from collections.abc import Mapping
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+import psutil
+
+from benchmarks.common.measurement import Measurement
+from benchmarks.common.scenes import shared_data
+from benchmarks.common.suite import part
+from benchmarks.common.timing import milliseconds
+from isogi_core.files.scene_file import SceneSource
+from isogi_core.frame.renderer import Renderer
+from isogi_core.model.scene_plan import FEWEST
+from isogi_core.model.view import View
+from isogi_core.plan.assembly import build_scene, load_scene
+from isogi_core.plan.scene import Scene
+from server.cli.bench import DONE, Candidate, bake_view, make_renderer, medians, seconds, view_of
+from server.cli.render import awaited
+from server.render.engine import RenderEngine
+
+SCENES = Path(__file__).parents[2] / "docs" / "scenes"
+
+S3: Mapping[str, tuple[int, float]] = {
+    "medical": (52, 1626.0),
+    "molecular": (20, 393.0),
+    "microscopy": (45, 772.0),
+    "nuclear": (17, 480.0),
+}
+"""The levels that S3 used for each kind of scene, and its seconds for each (table 1)."""
+
+CAMERAS = {"room": (90.0, 5.0, 3.5), "": (40.0, 30.0, 3.0)}
+"""Azimuth, elevation and distance, by what a scene has."""
+
+BRAIN = {"volume": "mni152_t1_197x233x189_uint8.nhdr", "isovalue": 90}
+PAIRS: Mapping[str, tuple[dict[str, Any], dict[str, Any]]] = {
+    "room": ({"room": "cornell"}, {"lights": [{"type": "constant"}], "rotating": False}),
+    "shine": ({"shine": {"kind": "plastic"}}, {}),
+}
+"""What a scene of the brain has, and what it has without."""
+
+PATIENCE = 600.0
+"""Seconds that a bake may take."""
+
+SIZE = 256
+"""Pixels a side of the views that are baked."""
+
+
+@part(size=512, repeats=9)
+@click.option("--levels", default=3, type=click.IntRange(1), help="Isovalues of each scene.", show_default=True)
+def rooms(size: int, repeats: int, levels: int) -> Measurement:
+    """Frames in a room and of a surface that shines, over those without; processor time of S3's scenes."""
+    data = shared_data()
+    if data is None:
+        raise click.ClickException("This needs the shared volumes: set ISOGI_SHARED_DATA.")
+    figures = dict[str, float]()
+    for name, pair in PAIRS.items():
+        scenes = [build_scene(SceneSource("brain", {**BRAIN, **own}, data)) for own in pair]
+        figures |= compare(name, scenes, size, repeats)
+    for name, (count, taken) in S3.items():
+        each = baked(name, data, levels)
+        figures[f"{name}, core-seconds a level"] = each
+        figures[f"{name}, S3's / ours, {count} levels"] = taken / each
+    return Measurement(f"Rooms, {size} × {size}", figures)
+
+
+def compare(name: str, scenes: list[Scene], size: int, repeats: int) -> dict[str, float]:
+    """Frames of a scene with what has this ``name``, and without."""
+    names = (f"gi, {name}", f"gi, no {name}")
+    with tempfile.TemporaryDirectory() as one, tempfile.TemporaryDirectory() as other:
+        some = {
+            each: moved(lit(scene, store, size), scene, size)
+            for each, scene, store in zip(names, scenes, (one, other), strict=True)
+        }
+        median = medians(some, repeats)
+    return {**milliseconds(median), f"{name} / without": median[names[0]] / median[names[1]]}
+
+
+def lit(scene: Scene, store: str, size: int) -> Renderer:
+    """A renderer of a scene, with the light that its view reads."""
+    renderer, view = make_renderer(scene, store), camera_of(scene, size)
+    frame = bake_view(renderer, view, FEWEST)
+    while frame.walls_waiting and renderer.refine_frame(frame, DONE, renderer.tiles, False):
+        frame = renderer.render(view, DONE)
+    return renderer
+
+
+def camera_of(scene: Scene, size: int, turn: int = 0) -> View:
+    """The view of a scene from a camera that stands a little aside in each turn."""
+    azimuth, elevation, distance = CAMERAS["room" if scene.room.any else ""]
+    return view_of(scene, size, camera=scene.camera(azimuth + 0.01 * turn, elevation, distance, 30.0))
+
+
+def moved(renderer: Renderer, scene: Scene, size: int) -> Candidate:
+    """A frame from another camera in each round."""
+    return lambda turn: seconds(lambda: renderer.render(camera_of(scene, size, turn), DONE))
+
+
+def baked(name: str, data: Path, levels: int) -> float:
+    """Seconds of processors that a level of one of S3's scenes takes, to its target error; the mean of some."""
+    file = SCENES / f"{name}.toml"
+    scene = load_scene(file, volume=str(next(data.rglob(tomllib.loads(file.read_text())["volume"]))))
+    low, high = scene.isovalues
+    view, spent = camera_of(scene, SIZE), list[float]()
+    with tempfile.TemporaryDirectory() as store, closing(RenderEngine([scene], store, workers=2)) as engine:
+        engine.start()
+        for share in (np.arange(levels) + 0.5) / levels:
+            before, shown = processor_seconds(), replace(view, isovalue=float(low + share * (high - low)))
+            awaited(engine, scene.id, shown, scene.target_error, PATIENCE)
+            spent.append(processor_seconds() - before)
+    return float(np.mean(spent))
+
+
+def processor_seconds() -> float:
+    """Seconds that this process and those that it started have worked."""
+    own = psutil.Process()
+    return float(sum(sum(each.cpu_times()[:2]) for each in (own, *own.children(recursive=True))))

@@ -1,0 +1,156 @@
+"""The light of walls in a store: layers like all others, whose lattices lie on the walls.
+
+Light of walls has no isosurface of its own, so that there is a layer for each isovalue that it was baked for: see
+``WallState``. A plane of its lattice has the texels of one half of the paths on a side of a wall. Which isovalues have
+light is noted beside them, for those in between (S3 bakes walls at levels of the range, and interpolates).
+"""
+
+import logging
+from bisect import bisect_left
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from isogi_core.bake.texel_light import Part
+from isogi_core.cache.layer import LayerStore
+from isogi_core.errors import DamagedChunkError, StoreError
+from isogi_core.model.lights import Colour
+from isogi_core.model.volume import Isovalue
+from isogi_core.prepared.prepared_scene import Index, PreparedScene
+from isogi_core.storage.documents import Documents
+from isogi_core.storage.store import Store
+
+log = logging.getLogger("isogi.cache")
+
+FOLDER = "walls"
+"""The folder of notes of isovalues at the top of a store."""
+
+CHUNK = 64
+"""The side of a chunk in texels and planes: so all sides of sixteen walls are in one object, or in a few."""
+
+Side = tuple[int, int]
+"""A wall, by its number, and its side: 1 for its front, -1 for its back."""
+
+Planes = tuple[np.ndarray, np.ndarray]
+"""E/π of each half, (planes, across, across, 3) float64, and paths of each half, (planes, across, across) int64."""
+
+
+@dataclass(frozen=True)
+class WallState:
+    """What the light of walls depends on besides its scene: the isovalue, and the albedo and glow of views."""
+
+    isovalue: Isovalue
+    albedo: Colour
+    glow: float
+
+
+def planes_of(side: Side) -> slice:
+    """The planes of the lattice that hold both halves of a side of a wall."""
+    first = 4 * side[0] + 2 * int(side[1] < 0)
+    return slice(first, first + 2)
+
+
+class WallLayer(LayerStore):
+    """The chunks of the light of all walls in one ``state``, with so many texels ``across`` the longest edge of any.
+
+    Methods raise StoreError.
+    """
+
+    def __init__(self, store: Store, prepared: PreparedScene, state: WallState, across: int) -> None:
+        """Touch nothing yet."""
+        scene = prepared.scene
+        digest = scene.wall_digest(state.albedo, state.glow, state.isovalue, across)
+        super().__init__(store, prepared, scene.wall_layer, state.isovalue, digest, CHUNK**3)
+        self.shape = 4 * len(scene.room.walls), across, across
+
+    @property
+    def chunks(self) -> Index:
+        """Chunks along z, y, x."""
+        z, y, x = (-(-count // CHUNK) for count in self.shape)
+        return z, y, x
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """The attributes of its array."""
+        return super().facts | {"texels": list(self.shape), "chunk": CHUNK}
+
+    def planes(self) -> Planes:
+        """All light that is there; without paths elsewhere."""
+        means, counts = np.zeros((*self.shape, 3)), np.zeros(self.shape, np.int64)
+        for index in np.ndindex(*self.chunks):
+            stored = self.read(index)
+            if stored is not None:
+                offsets, part = self.decode(index, stored)
+                z, y, x = np.unravel_index(offsets, (CHUNK,) * 3) + CHUNK * np.array(index)[:, None]
+                means[z, y, x], counts[z, y, x] = part.coefficients[:, :, 0], part.samples // 2
+        return means, counts
+
+    def keep(self, planes: Planes) -> None:
+        """Write light beside what is there: for each texel that of more paths stays."""
+        means, counts = planes
+        for index in np.ndindex(*self.chunks):
+            own = tuple(slice(CHUNK * i, CHUNK * (i + 1)) for i in index)
+            sent = np.nonzero(counts[own])
+            if len(sent[0]):
+                part = Part.dark(self.layer, len(sent[0]))
+                part.samples[:] = 2 * counts[own][sent]
+                part.coefficients[:, :, 0] = means[own][sent]
+                self.save(index, np.ravel_multi_index(sent, (CHUNK,) * 3).astype(np.int32), part)
+
+
+class WallStore:
+    """The light of the walls of a ``prepared`` scene in a ``store``.
+
+    What cannot be read or written is told in the log: it is baked anew, or is not kept.
+    """
+
+    def __init__(self, store: Store, prepared: PreparedScene) -> None:
+        """Touch nothing yet."""
+        self._store, self._prepared = store, prepared
+        self._notes = Documents(store, FOLDER)
+
+    def planes(self, state: WallState, across: int) -> Planes | None:
+        """The light in a ``state``, with so many texels ``across``; None where there is none."""
+        try:
+            means, counts = WallLayer(self._store, self._prepared, state, across).planes()
+        except (StoreError, DamagedChunkError) as error:
+            log.warning("Light of walls is baked anew: %s", error)
+            return None
+        return (means, counts) if counts.any() else None
+
+    def keep(self, state: WallState, planes: Planes) -> None:
+        """Write light in a ``state`` beside what is there, and note its isovalue."""
+        try:
+            WallLayer(self._store, self._prepared, state, planes[0].shape[1]).keep(planes)
+            self._note(state)
+        except StoreError as error:
+            log.info("Light of walls is not kept: %s", error)
+
+    def around(self, state: WallState) -> tuple[WallState, WallState] | None:
+        """The states at the nearest isovalues below and above that have light; None where one side has none."""
+        try:
+            known = self._isovalues(state)
+        except StoreError as error:
+            log.info("Which isovalues have light of walls is not known: %s", error)
+            return None
+        k = bisect_left(known, state.isovalue)
+        if not 0 < k < len(known):
+            return None
+        low, high = (replace(state, isovalue=known[i]) for i in (k - 1, k))
+        return low, high
+
+    def _note(self, state: WallState) -> None:
+        """Note that an isovalue has light. Raises StoreError."""
+        known = self._isovalues(state)
+        if state.isovalue not in known:
+            self._notes.write(self._name(state), {"isovalues": sorted([*known, state.isovalue])})
+
+    def _isovalues(self, state: WallState) -> list[Isovalue]:
+        """The isovalues that were noted, ascending. Raises StoreError."""
+        found: Mapping[str, Any] = self._notes.read(self._name(state)) or {}
+        return [Isovalue(np.float64(value)) for value in found.get("isovalues", ())]
+
+    def _name(self, state: WallState) -> str:
+        return self._prepared.scene.wall_digest(state.albedo, state.glow)

@@ -1,0 +1,303 @@
+"""Texels of walls: a lattice on each, lit for the isovalue that is shown, as fine as their light asks for.
+
+The first are a few coarse ones. Where what lies between fine ones is the greater part of their error, at edges of
+shadows and in caustics, there are twice as many each way, and twice as many again.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from isogi_core.bake.bake_spec import path_weights
+from isogi_core.bake.precision import round_light
+from isogi_core.bake.refine import seeds_of
+from isogi_core.cache.wall_store import Planes, Side, planes_of
+from isogi_core.frame.lighting import RotatedLight
+from isogi_core.frame.rays.glow_light import add_glow
+from isogi_core.frame.rays.pixel_rays import NEAR, PATH_POINTS
+from isogi_core.frame.tiles import Tiles
+from isogi_core.kernels.transport.matter.matter_paths import light_through_matter
+from isogi_core.kernels.transport.paths import PathRules, SampleRange
+from isogi_core.kernels.transport.room_paths import RoomStarts, light_in_room
+from isogi_core.model.sky import LUMINANCE
+from isogi_core.prepared.surface import Surface
+
+COARSE, FINE, FINEST = 16, 64, 256
+"""Texels along the longest edge of any wall: of the first picture, of all others, and at most."""
+
+EDGY = 1.0 / 12.0
+"""What interpolation adds to the variance, over the squared second differences of texels' light, at an edge.
+
+That is anywhere between two texels: these are twice its height squared together, and a ramp in its place errs by a
+sixth of that. Where light is smooth it is a tenth of this.
+"""
+
+FIRST, MOST = 8, 1 << 12
+"""Paths of each half of a texel at first, and at most."""
+
+WALL_STREAM = 1 << 19
+"""Sets the sequences of walls' texels apart from those of the lattice's, whose first word is smaller."""
+
+
+def light_starts(
+    light: RotatedLight, surface: Surface, starts: RoomStarts, rules: PathRules, samples: SampleRange, tiles: Tiles
+) -> np.ndarray:
+    """Sums (g, 3) of a ``SampleRange`` of E/π, glow's too, at ``starts`` about a ``surface``; see ``light_in_room``,
+    and ``light_through_matter`` where that lets light pass.
+
+    Raises Cancelled.
+    """
+    traced, sums, prepared = surface.traced(tiles.run), np.zeros((len(starts.seeds), 3)), light.spec.prepared
+    room, around = prepared.room(light.seen.albedo), light.surroundings
+
+    def _piece(a: int, b: int) -> None:
+        some = RoomStarts(*(np.ascontiguousarray(each[..., a:b]) for each in starts))
+        if prepared.scene.material.passable:
+            given = some, samples, rules, around, sums[a:b]
+            light_through_matter(traced.field, traced.cells, prepared.passable, *given)
+            return
+        light_in_room(traced.field, traced.cells, room, some, samples, rules, around, sums[a:b])
+        add_glow(sums[a:b], light, traced, some, rules, samples)
+
+    tiles.run(_piece, len(sums), PATH_POINTS)
+    return sums
+
+
+def starts_on(
+    points: np.ndarray, normals: np.ndarray, walls: np.ndarray, surface: Surface, seeds: np.ndarray
+) -> RoomStarts:
+    """Starts of paths at ``points`` and ``normals`` (g, 3) on ``walls`` (g,), by number, about a ``surface``."""
+    here, around = (np.ascontiguousarray(each.T, np.float64) for each in (points, normals))
+    levels = np.full(len(seeds), float(surface.isovalue))
+    return RoomStarts(here, around, levels, seeds, walls.astype(np.float64))
+
+
+@dataclass(frozen=True, eq=False)
+class WallTexels:
+    """Texels on a side of the wall number ``wall``: E/π by halves of ``count`` paths, ``means`` (rows, columns, 2, 3).
+
+    Rows are along the wall's second edge, and ``side`` is 1 for its front, -1 for its back. There are so many
+    ``across`` the longest edge of any wall. The wall has an ``albedo`` and gives off ``radiance`` (3,). Where coarser
+    ones were fine enough, ``settled`` (rows, columns) is what they told to be ``unsharp``, and no paths are sent from
+    texels; it is NaN elsewhere, and for all of the first.
+
+    What is mixed of texels at two other isovalues has no paths, is ``made_of`` these, and errs by the variance
+    ``moved`` (rows, columns), too, as light is another in between.
+    """
+
+    wall: int
+    side: int
+    albedo: np.ndarray
+    radiance: np.ndarray
+    means: np.ndarray
+    across: int
+    settled: np.ndarray
+    count: int = 0
+    made_of: str = ""
+    moved: np.ndarray | None = None
+
+    @classmethod
+    def begun(cls, light: RotatedLight, wall: int, side: int, across: int) -> "WallTexels":
+        """Texels that no path has been sent from yet, ``across`` of them along the longest edge of any wall."""
+        room = light.spec.prepared.room(light.seen.albedo)
+        edges = np.linalg.norm(room.edges, axis=2)
+        columns, rows = np.maximum(np.ceil(across * edges[wall] / edges.max()), 2).astype(int).tolist()
+        means, settled = np.zeros((rows, columns, 2, 3)), np.full((rows, columns), np.nan)
+        return cls(wall, side, room.albedos[wall], room.radiances[wall], means, across, settled)
+
+    @classmethod
+    def restored(cls, light: RotatedLight, side: Side, kept: Mapping[int, Planes]) -> "WallTexels | None":
+        """Texels on a ``side`` of a wall with what was ``kept`` of them, as fine as that is; None where nothing was.
+
+        ``kept`` is by how many are across. What was not asked is what coarser ones tell.
+        """
+        found: WallTexels | None = None
+        for across, (means, counts) in sorted(kept.items()):
+            begun = cls.begun(light, *side, across)
+            rows, columns = begun.settled.shape
+            own = planes_of(side), slice(rows), slice(columns)
+            asked = counts[own][0] > 0
+            if not asked.any() or (found is None and not asked.all()):
+                break
+            begun = begun if found is None else found.finer(light, asked)
+            some = np.where(asked[..., None, None], np.moveaxis(means[own], 0, 2), begun.means)
+            found = replace(begun, means=some, count=int(counts[own].max()))
+        return found
+
+    @property
+    def fine(self) -> bool:
+        """Whether they are fine enough to stay."""
+        return self.across >= FINE
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that they take, with what is found of them."""
+        return 2 * self.means.nbytes
+
+    @property
+    def version(self) -> str:
+        """Names the paths that were taken."""
+        if self.made_of:
+            return self.made_of
+        return f"-{self.count:x}" if self.across == FINE else f"-{self.count:x}a{self.across:x}"
+
+    @cached_property
+    def variance(self) -> np.ndarray:
+        """Variance of the luminance that leaves each texel, a mean with its neighbours', by NEAR; (rows, columns)."""
+        halves = self.means @ (LUMINANCE * self.albedo)
+        return pooled(((halves[..., 0] - halves[..., 1]) / 2.0) ** 2)
+
+    @cached_property
+    def unsharp(self) -> np.ndarray:
+        """Variance of the luminance that light between texels adds, as it is interpolated; (rows, columns).
+
+        It is found by how light bends. About an edge that is half as much between next texels as between those two
+        apart; where it is less, light is smoother than that.
+        """
+        near, far = self._bends(1), self._bends(2)
+        found = EDGY * near * np.minimum(2.0 * near / np.maximum(far, 1e-30), 1.0)
+        return np.where(self.asked, found, self.settled)
+
+    def _bends(self, step: int) -> np.ndarray:
+        """Squared second differences of light between texels a ``step`` apart, both ways, less those of noise."""
+        light, found = self.luminance, np.zeros(self.settled.shape)
+        for axis in (0, 1):
+            if light.shape[axis] > 2 * step:
+                low, here, high = (
+                    light.take(np.arange(k * step, light.shape[axis] - (2 - k) * step), axis) for k in range(3)
+                )
+                ends = [(step * int(a == axis),) * 2 for a in range(2)]
+                found += np.pad((low - 2.0 * here + high) ** 2, ends) - 6.0 * self.variance
+        return np.maximum(pooled(found), 0.0)
+
+    @property
+    def asked(self) -> np.ndarray:
+        """Whether paths are sent from each texel; (rows, columns) bool."""
+        return np.isnan(self.settled)
+
+    @property
+    def luminance(self) -> np.ndarray:
+        """The luminance that the wall reflects at each texel; (rows, columns)."""
+        return np.asarray(self.means.mean(axis=2) @ (LUMINANCE * self.albedo))
+
+    def relative(self, variance: np.ndarray) -> float:
+        """The error that a ``variance`` (rows, columns) makes of all of them, relative; 0 where no light arrives."""
+        mean = float(self.luminance.mean())
+        return math.sqrt(float(variance.mean())) / mean if mean > 0.0 else 0.0
+
+    @property
+    def error(self) -> float:
+        """All that they err by, relative."""
+        return self.relative(self.variance + self.unsharp + (0.0 if self.moved is None else self.moved))
+
+    def final(self, target: float) -> bool:
+        """Whether their error is within a ``target``, or as small as it may become."""
+        return self.fine and self.count > 0 and self.has_enough_paths(target) and not self.too_coarse(target)
+
+    def has_enough_paths(self, target: float) -> bool:
+        """Whether their noise is within a ``target``, or they have taken all paths that they may."""
+        return self.count >= MOST or self.relative(self.variance) <= target
+
+    def too_coarse(self, target: float) -> bool:
+        """Whether what lies between them errs more than they do, and by more than half of a ``target``."""
+        if not FINE <= self.across < FINEST or self.unsharp.mean() <= self.variance.mean():
+            return False
+        return self.relative(self.unsharp) > 0.5 * target
+
+    def nearer(self, light: RotatedLight, surface: Surface, target: float, tiles: Tiles) -> "WallTexels":
+        """The same a step nearer to a ``target``: fine ones, more paths, or twice as fine ones. Raises Cancelled."""
+        if not self.fine:
+            return WallTexels.begun(light, self.wall, self.side, FINE).grown(light, surface, tiles, self.count)
+        if not self.has_enough_paths(target):
+            return self.grown(light, surface, tiles, self.count)
+        return self.finer(light, self._unsharp_places(light, target)).grown(light, surface, tiles, self.count)
+
+    def _unsharp_places(self, light: RotatedLight, target: float) -> np.ndarray:
+        """Which of twice as many texels each way are to be asked; (2 rows, 2 columns) bool, about.
+
+        So many are that the others are unsharp by less than a quarter of the ``target``.
+        """
+        least = np.sort(self.unsharp, axis=None)
+        allowed = least.size * (0.25 * target * float(self.luminance.mean())) ** 2
+        few = least[min(int(np.searchsorted(np.cumsum(least), allowed)), least.size - 1)]
+        finer = WallTexels.begun(light, self.wall, self.side, 2 * self.across)
+        return np.asarray(self.unsharp[self._near(finer)] >= few)
+
+    def finer(self, light: RotatedLight, asked: np.ndarray) -> "WallTexels":
+        """Twice as many each way, dark where they are ``asked``; elsewhere, what these tell of the places between."""
+        finer = WallTexels.begun(light, self.wall, self.side, 2 * self.across)
+        settled = np.where(asked, np.nan, self.unsharp[self._near(finer)])
+        known = np.where(asked[..., None, None], 0.0, between(self.means, *self._places(finer)))
+        return replace(finer, means=known, settled=settled)
+
+    def _places(self, finer: "WallTexels") -> list[np.ndarray]:
+        """Where the rows and the columns of ``finer`` ones lie between those of these."""
+        sizes = zip(finer.settled.shape, self.settled.shape, strict=True)
+        return [(np.arange(a) + 0.5) * b / a - 0.5 for a, b in sizes]
+
+    def _near(self, finer: "WallTexels") -> tuple[np.ndarray, ...]:
+        """The texels that are nearest to ``finer`` ones, as an index."""
+        return np.ix_(*(np.rint(each).astype(int) for each in self._places(finer)))
+
+    def mixed(self, other: "WallTexels", share: float, made_of: str) -> "WallTexels":
+        """What lies between these and those at an ``other`` isovalue, which has so much of a ``share``.
+
+        Where light is another at both, it is taken to change from one to the other somewhere between, all at once:
+        a mean of both then errs by share (1 - share) of the squared difference (the Bernoulli distribution's variance).
+        """
+        means = (1.0 - share) * self.means + share * other.means
+        apart = (self.luminance - other.luminance) ** 2 - self.variance - other.variance
+        moved = share * (1.0 - share) * np.maximum(pooled(apart), 0.0)
+        return replace(self, means=means, count=0, made_of=made_of, moved=moved)
+
+    def grown(self, light: RotatedLight, surface: Surface, tiles: Tiles, more: int = FIRST) -> "WallTexels":
+        """The same after so many ``more`` paths of each half of those that are asked, rounded as the store keeps them.
+
+        Raises Cancelled.
+        """
+        plan, asked, count = light.spec.plan, self.asked, self.count + more
+        rules = PathRules(path_weights(np.ones(3), plan.bounces, 1.0), plan.survival)
+        starts, samples = self._starts(light, surface), SampleRange(self.count, more)
+        added = light_starts(light, surface, starts, rules, samples, tiles).reshape(-1, 2, 3)
+        means, layer = self.means.copy(), light.spec.prepared.scene.wall_layer
+        means[asked] = round_light((means[asked] * self.count + added)[..., None] / count, layer)[..., 0]
+        return replace(self, means=means, count=count)
+
+    def _starts(self, light: RotatedLight, surface: Surface) -> RoomStarts:
+        """Where the paths of each asked texel's halves start: in its middle."""
+        room, (rows, columns) = light.spec.prepared.room(light.seen.albedo), self.settled.shape
+        row, column, half = np.nonzero(np.repeat(self.asked[..., None], 2, axis=2))
+        edges = room.edges[self.wall]
+        points = room.corners[self.wall] + np.outer((column + 0.5) / columns, edges[0])
+        points += np.outer((row + 0.5) / rows, edges[1])
+        points /= surface.field.spacing
+        normals = np.tile(self.side * room.normals[self.wall], (len(points), 1))
+        words = np.column_stack([np.full(len(row), WALL_STREAM + 2 * self.wall + (self.side < 0)), row, column, half])
+        return starts_on(points, normals, np.full(len(row), self.wall), surface, seeds_of(words))
+
+    @cached_property
+    def leaving(self) -> np.ndarray:
+        """Linear RGB that leaves each texel, and the variance of its luminance; (texels, 4) float32."""
+        light = np.minimum(self.radiance + self.albedo * self.means.mean(axis=2), np.finfo(np.float32).max)
+        variance = (self.variance + self.unsharp + (0.0 if self.moved is None else self.moved))[..., None]
+        return np.concatenate([light, variance], axis=2, dtype=np.float32).reshape(-1, 4)
+
+
+def between(values: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """``values`` (h, w, …) at places between ``rows`` and ``columns``, linearly; beyond the ends the ends'."""
+    for axis, places in enumerate((rows, columns)):
+        first = np.clip(np.floor(places).astype(int), 0, values.shape[axis] - 2)
+        way = np.clip(places - first, 0.0, 1.0).reshape(-1, *(1,) * (values.ndim - axis - 1))
+        values = (1.0 - way) * values.take(first, axis) + way * values.take(first + 1, axis)
+    return values
+
+
+def pooled(variance: np.ndarray) -> np.ndarray:
+    """Variances (rows, columns), each a mean with its neighbours', by NEAR."""
+    for axis in (0, 1):
+        padded = np.pad(variance, [(2 * int(a == axis),) * 2 for a in range(2)], "edge")
+        variance = np.lib.stride_tricks.sliding_window_view(padded, len(NEAR), axis) @ (NEAR / NEAR.sum())
+    return variance
