@@ -36,7 +36,7 @@ class ViewWalls:
             shading = "lambert" if view.shading == "vicinity" else view.shading
             walls.put_locally(shading, fog_depths(view, self._volume), framebuffer, tiles)
         else:
-            texels = self._best(walls, tiles)
+            texels = self._best(walls, target, tiles)
             return walls.put(texels, target, framebuffer, tiles), "".join(each.version for each in texels)
         return 0, ""
 
@@ -44,7 +44,7 @@ class ViewWalls:
         """Write what several views see of walls into one picture; what names the paths taken. Raises Cancelled."""
         version = ""
         for walls in views:
-            texels = self._best(walls, tiles)
+            texels = self._best(walls, target, tiles)
             walls.put(texels, target, framebuffer, tiles)
             version += "".join(each.version for each in texels)
         return version
@@ -65,10 +65,10 @@ class ViewWalls:
         self._kept.settle()
         return bool(grown)
 
-    def _best(self, walls: WallView, tiles: Tiles) -> list[WallTexels]:
+    def _best(self, walls: WallView, target: float, tiles: Tiles) -> list[WallTexels]:
         """The texels of the sides that are seen. Raises Cancelled."""
         room = self._room(walls)
-        return [room.side(side).best(tiles) for side in walls.seen]
+        return [room.side(side).best(target, tiles) for side in walls.seen]
 
     def _room(self, walls: WallView) -> RoomLight:
         """The light of walls for the isovalue, the albedo and the glow that are shown; kept beside views."""

@@ -47,13 +47,16 @@ class WallLight:
         own = self.texels.nbytes * (1 if self.texels.fine else (FINE // COARSE) ** 2)
         return own + (self.lent.nbytes if self.lent else 0)
 
-    def best(self, tiles: Tiles) -> WallTexels:
-        """The texels that err least, with some light at least. Raises Cancelled."""
+    def best(self, target: float, tiles: Tiles) -> WallTexels:
+        """Its own texels where these are final at a ``target``, else those that err least, with some light at least.
+
+        Raises Cancelled.
+        """
         with self.lock:
-            if self.lent and self.texels.count and self.texels.error <= self.lent.error:
-                self.lent = None
-            if self.lent:
+            own = self.texels
+            if self.lent and not own.final(target) and not (own.count and own.error <= self.lent.error):
                 return self.lent
+            self.lent = None
             if not self.texels.count:
                 self.texels = self.texels.grown(self.light, self.surface, tiles)
             return self.texels
