@@ -202,7 +202,7 @@ def test_light_of_walls_is_pruned_with_the_rest(room: Workbench, tmp_path: Path)
     assert {count.files.digest for count in walls} <= {count.files.digest for count in plan.going}
 
 
-def test_walls_of_a_store_that_takes_nothing_are_lit_all_the_same(room: Workbench, tmp_path: Path) -> None:
+def test_walls_are_lit_where_a_store_takes_nothing(room: Workbench, tmp_path: Path) -> None:
     view, bench = room.view(90.0, 0.0, SIZE, distance=4.0), Workbench(room.scene, tmp_path)
     bench.bake(view)
     bench.caches.store.read_only = True
