@@ -11,8 +11,8 @@ import { dot, vector } from "./rotation.js";
 /** @typedef {import("./model.js").ViewModel} ViewModel */
 /** @typedef {import("../net/schemas.js").Scene} Scene */
 /** @typedef {[number, number]} Share of a slice's width, from its left, and of its height, from its foot */
-/** @typedef {{at: number, right: number, up: number}} Slope how far beyond a plane a slice's lower left corner is, and by
- *   how much more so its lower right and its upper left one; world units */
+/** @typedef {{at: number, right: number, up: number, near: number}} Slope how far beyond a plane a slice's lower left corner
+ *   is, and by how much more so its lower right and its upper left one; what is nearer than `near` is on it; world units */
 
 /**
  * @typedef {object} Slice
@@ -25,7 +25,7 @@ import { dot, vector } from "./rotation.js";
  * @property {Vec3} width from there to the lower right one
  * @property {Vec3} height from there to the upper left one
  * @property {Vec3} normal along its axis, of length 1
- * @property {number} near the distance below which a plane lies in it
+ * @property {Vec3[]} steps from a voxel to the next one, along each axis
  */
 
 /**
@@ -38,7 +38,7 @@ import { dot, vector } from "./rotation.js";
 
 /** @type {["x"|"y"|"z", number, number, number][]} */
 const AXES = [["z", 2, 0, 1], ["y", 1, 0, 2], ["x", 0, 1, 2]]; // an axis, its number, and those of columns and rows
-const NEAR = 0.02; // voxels: what addresses round planes and slices by, and more
+const NEAR = 0.125; // voxels: the face of a cut lies up to a ninth of one beyond its plane
 const DOT = 4; // pixels
 /** @type {Share[]} */
 const SQUARE = [[0, 0], [1, 0], [1, 1], [0, 1]];
@@ -50,8 +50,8 @@ const SQUARE = [[0, 0], [1, 0], [1, 1], [0, 1]];
  * @returns {Slice[]}
  */
 export function slicesAt({ size, spacing, affine }, voxel) {
-  /** A step along an axis of the voxels. @type {(axis: number, voxels: number) => Vec3} */
-  const step = (axis, voxels) => vector((i) => voxels * affine[i][axis]);
+  const steps = [0, 1, 2].map((axis) => vector((i) => affine[i][axis]));
+  const scaled = (/** @type {number} */ axis, /** @type {number} */ factor) => vector((i) => factor * steps[axis][i]);
   return AXES.map(([axis, across, column, row]) => {
     const at = Math.min(size[across] - 1, Math.max(0, voxel[across]));
     const share = (/** @type {number} */ i) => (voxel[i] + 0.5) / size[i]; // a voxel is as wide as its pixel
@@ -61,10 +61,10 @@ export function slicesAt({ size, spacing, affine }, voxel) {
       ratio: (size[column] * spacing[column]) / (size[row] * spacing[row]),
       point: [share(column), share(row)],
       corner: vector((i) => dot(/** @type {Vec3} */ (affine[i].slice(0, 3)), first) + affine[i][3]),
-      width: step(column, size[column]),
-      height: step(row, size[row]),
-      normal: step(across, 1 / spacing[across]),
-      near: NEAR * Math.min(...spacing),
+      width: scaled(column, size[column]),
+      height: scaled(row, size[row]),
+      normal: scaled(across, 1 / spacing[across]),
+      steps,
     };
   });
 }
@@ -75,8 +75,9 @@ export function slicesAt({ size, spacing, affine }, voxel) {
  * @param {Plane} plane
  * @returns {Slope}
  */
-export function slopeOf({ corner, width, height }, { normal, limit }) {
-  return { at: dot(normal, corner) - limit, right: dot(normal, width), up: dot(normal, height) };
+export function slopeOf({ corner, width, height, steps }, { normal, limit }) {
+  const near = NEAR * Math.hypot(...steps.map((step) => dot(normal, step)));
+  return { at: dot(normal, corner) - limit, right: dot(normal, width), up: dot(normal, height), near };
 }
 
 /**
@@ -87,7 +88,7 @@ export function slopeOf({ corner, width, height }, { normal, limit }) {
  */
 export function partLeft(slice, text) {
   return planesOf(text).reduce((polygon, plane) => {
-    const { at, ...rest } = slopeOf(slice, plane), slope = { at: at - slice.near, ...rest };
+    const { at, near, ...rest } = slopeOf(slice, plane), slope = { at: at - near, near, ...rest };
     return polygon.flatMap((corner, i) => [
       ...(beyond(slope, corner) <= 0 ? [corner] : []), ...crossing(slope, corner, polygon[(i + 1) % polygon.length]),
     ]);
@@ -96,12 +97,11 @@ export function partLeft(slice, text) {
 
 /**
  * The line in which a plane crosses a slice.
- * @param {Slice} slice
  * @param {Slope} slope of the plane
  * @returns {Share[]} its two ends; none where they do not cross
  */
-export function lineAcross({ near }, slope) {
-  if (Math.abs(slope.right) + Math.abs(slope.up) <= near) return [];
+export function lineAcross(slope) {
+  if (Math.abs(slope.right) + Math.abs(slope.up) <= slope.near) return [];
   return SQUARE.flatMap((corner, i) => crossing(slope, corner, SQUARE[(i + 1) % SQUARE.length]));
 }
 
@@ -209,7 +209,7 @@ function gripOf(slice, plane, box, view, onRest) {
 
 /** Put a line where its plane crosses a slice; it is hidden where it does not. @param {SVGGElement} grip @param {Slice} slice @param {Movable} plane */
 function place(grip, slice, plane) {
-  const slope = slopeOfMovable(slice, plane), [a, b] = lineAcross(slice, slope);
+  const slope = slopeOfMovable(slice, plane), [a, b] = lineAcross(slope);
   tell(grip, plane);
   grip.toggleAttribute("hidden", !a);
   if (!a) return;
