@@ -42,3 +42,15 @@ export function svgElement(tag, attributes, text = "") {
   node.textContent = text;
   return node;
 }
+
+/**
+ * Keep as many elements in a list as are wanted: the last ones go, new ones are made.
+ * @template {Element} T
+ * @param {T[]} elements
+ * @param {number} count
+ * @param {(k: number) => T} make
+ */
+export function resize(elements, count, make) {
+  while (elements.length > count) elements.pop()?.remove();
+  while (elements.length < count) elements.push(make(elements.length));
+}

@@ -2,7 +2,7 @@
 
 import { find } from "./dom.js";
 import { complaints, followAddress, readAddress } from "./net/address.js";
-import { listScenes, openStream, readFrame, readLight, readPoint, readScene, readSurfacePoint } from "./net/api.js";
+import { listScenes, openStream, readFrame, readLight, readPoint, readScene, readSurfacePoint, sliceAddress } from "./net/api.js";
 import { Exporter } from "./net/export.js";
 import { FrameLoop } from "./net/loop.js";
 import { describe, fileName, frameQuery, ground, pointQuery } from "./net/request.js";
@@ -17,28 +17,30 @@ import { ErrorPanel } from "./panels/error.js";
 import { attachHistogram } from "./panels/histogram.js";
 import { attachKnobs } from "./panels/knobs.js";
 import { attachLight } from "./panels/light.js";
-import { PointCard, attachSlices } from "./panels/point.js";
+import { PointCard } from "./panels/point.js";
 import { Reading, attachMeasures } from "./panels/reading.js";
 import { attachPresets } from "./panels/presets.js";
 import { showScene } from "./panels/scene.js";
 import { Notice, Status, TroublePanel } from "./panels/status.js";
 import { Times } from "./panels/times.js";
 import { attachViews } from "./panels/views.js";
+import { towardsEye } from "./view/camera.js";
 import { attachClicks, attachGestures } from "./view/gestures.js";
 import { Handles } from "./view/handles.js";
 import { attachKeys } from "./view/keys.js";
 import { Marks } from "./view/marks.js";
-import { attachRulers, legendOf, legendShapes, rulerShapes } from "./view/rulers.js";
-import { attachSides } from "./view/sides.js";
+import { attachRulers, attachSides, legendOf, legendShapes, rulerShapes } from "./view/rulers.js";
+import { attachSlices } from "./view/slices.js";
 import { ViewModel } from "./view/model.js";
-import { cutAt } from "./view/planes.js";
-import { cameraAxes } from "./view/rotation.js";
+import { cutAt, nearestAxis } from "./view/planes.js";
+import { dot, vector } from "./view/rotation.js";
 import { Picture } from "./view/picture.js";
 
 /** @typedef {import("./net/polling.js").FrameOptions} FrameOptions */
 /** @typedef {import("./net/schemas.js").Scene} Scene */
 /** @typedef {import("./net/schemas.js").SceneLink} SceneLink */
 /** @typedef {import("./view/model.js").Knobs} Knobs */
+/** @typedef {import("./view/rotation.js").Vec3} Vec3 */
 
 const RETRY_MS = 1500;
 const REFUSED = 422;
@@ -97,7 +99,7 @@ function assemble(scene, knobs, trouble) {
   attachLabels($("colour-scale"), scene, view);
   attachSurfaces($("beside"), scene, view);
   attachCuts($("cuts"), scene, view);
-  attachHandles(scene, view, card, options.onRest);
+  attachCutting(scene, view, card, options.onRest);
   attachMeasures($("measures"), scene, view);
   const showLight = attachLight($("light"), scene, view, options.onRest);
   attachEnvironments($("light"), scene, view, () => { showLight(); showScene(form, scene); }, say);
@@ -155,8 +157,6 @@ function attachReading(scene, view, picture, say) {
   const marks = new Marks($("marks", SVGElement), scene, view, pick);
   const card = new PointCard($("point"), scene, marks, (right, up) =>
     readPoint(scene.id, pointQuery(queryOf(scene, view.values, picture), right, up)));
-  const showSlices = attachSlices($("slices", HTMLDetailsElement), scene, () => card.place());
-  card.onWrite = ({ voxel }) => showSlices(voxel);
   const reading = new Reading($("measuring"), card, marks, view, pick, say);
   marks.onDraw = () => card.place();
   attachClicks($("stage"), {
@@ -173,23 +173,34 @@ function attachReading(scene, view, picture, say) {
 }
 
 /**
- * Handles on the picture, shown while the folder of the cut is open.
+ * What moves planes of the cut: handles on the picture, shown while the folder of the cut is open, and on the card of a
+ * point its button and its slices, which cut away what is before them.
  * @param {Scene} scene
  * @param {ViewModel} view
- * @param {PointCard} card has a button that cuts through its point
+ * @param {PointCard} card
  * @param {() => void} onRest
  */
-function attachHandles(scene, view, card, onRest) {
+function attachCutting(scene, view, card, onRest) {
   const folder = $("cuts", HTMLDetailsElement);
   const handles = new Handles($("handles"), scene, view, { wanted: () => folder.open, onRest });
   folder.addEventListener("toggle", () => handles.draw());
-  $("point-cut").addEventListener("click", () => {
-    const { planes, azimuth, elevation } = view.values;
+  /** @param {(towards: Vec3) => Vec3} normalOf what is cut away, by the direction to the eye */
+  const cut = (normalOf) => {
     const point = card.point;
-    if (point) view.set({ planes: cutAt(planes, scene.volume.bounds, point, cameraAxes(azimuth, elevation).out) });
-    card.close();
+    if (point) view.set({ planes: cutAt(view.values.planes, scene.volume.bounds, point, normalOf(towardsEye(scene, view.values, point))) });
     folder.open = true;
+  };
+  $("point-cut").addEventListener("click", () => {
+    cut(nearestAxis);
+    card.close();
   });
+  const showSlices = attachSlices($("slices", HTMLDetailsElement), scene, view, {
+    address: (axis, at) => sliceAddress(scene.id, axis, at).href,
+    cut: (normal) => cut((towards) => vector((i) => normal[i] * (dot(normal, towards) < 0 ? -1 : 1))),
+    onFold: () => card.place(),
+    onRest,
+  });
+  card.onOpen = ({ voxel }) => showSlices(voxel);
 }
 
 /** Show scale bar and axes, or hide them. @param {ViewModel} view */

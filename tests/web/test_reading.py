@@ -283,27 +283,6 @@ def test_marks_hold_under_parallel_rays(shown: Page) -> None:
     expect(shown.locator("#marks circle")).to_have_count(0)
 
 
-def test_slices_go_through_the_point_once_they_are_wanted(shown: Page) -> None:
-    asked: list[str] = []
-    shown.on("request", lambda request: asked.append(request.url) if "/slice?" in request.url else None)
-    *_, width, height = stage_of(shown)
-    click(shown, width // 2 + 20, height // 2 - 10)
-    expect(shown.locator("#point")).to_be_visible()
-    assert asked == []
-    shown.click("#slices summary")
-    expect(shown.locator("#slices img")).to_have_count(3)
-    for number, (wide, high) in enumerate([(24, 20), (24, 16), (20, 16)]):
-        expect(shown.locator("#slices img").nth(number)).to_have_js_property("naturalWidth", wide)
-        expect(shown.locator("#slices img").nth(number)).to_have_js_property("naturalHeight", high)
-    at = {
-        dict(parse_qsl(urlsplit(url).query))["axis"]: float(dict(parse_qsl(urlsplit(url).query))["at"]) for url in asked
-    }
-    assert [at[axis] for axis in "xyz"] == pytest.approx(position(shown), abs=0.01), "this volume's spacing is 1"
-    click(shown, width // 2, height // 2)
-    expect(shown.locator("#slices figcaption").first).not_to_have_text(f"z {round(at['z'], 1):g}")
-    assert len(asked) == 6
-
-
 def test_a_tap_on_a_phone_docks_the_card_away_from_it(browser: Browser, live_server: str) -> None:
     context = browser.new_context(viewport={"width": 390, "height": 844}, has_touch=True)
     page = context.new_page()

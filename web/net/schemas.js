@@ -62,6 +62,7 @@
  * @property {string} name
  * @property {Vec3} size voxels
  * @property {Vec3} spacing
+ * @property {number[][]} affine from voxel indices to the world: three rows of four
  * @property {string} dtype
  * @property {[number, number]} value_range
  * @property {number} holes voxels that are not finite

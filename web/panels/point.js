@@ -1,7 +1,6 @@
-/** The card of a point of the surface: what is known of it, beside the mark on it, and slices through it. */
+/** The card of a point of the surface: what is known of it, beside the mark on it. */
 
 import { find, textElement } from "../dom.js";
-import { sliceAddress } from "../net/api.js";
 import { errorInWords } from "../view/format.js";
 
 /** @typedef {import("../net/schemas.js").Scene} Scene */
@@ -9,8 +8,6 @@ import { errorInWords } from "../view/format.js";
 /** @typedef {import("../view/marks.js").Marks} Marks */
 /** @typedef {import("../view/rotation.js").Vec3} Vec3 */
 /** @typedef {Record<string, string>} Rows names and values; what is "" is left out */
-/** @typedef {{axis: "x"|"y"|"z", at: number, ratio: number, right: number, up: number, name: string}} Slice `ratio` is its
- *   width over its height in the world; `right` and `up` are where the point is, in shares of them */
 
 const DIGITS = 2; // decimals of a voxel that coordinates tell apart
 const OFF = 14; // pixels between a mark and its card
@@ -32,8 +29,8 @@ export class PointCard {
   /** Is called when another point is shown, or none. @type {() => void} */
   onChange = () => {};
 
-  /** Is called when something is written about a point. @type {(point: SurfacePoint) => void} */
-  onWrite = () => {};
+  /** Is called when a point is shown for the first time. @type {(point: SurfacePoint) => void} */
+  onOpen = () => {};
 
   /**
    * @param {HTMLElement} card
@@ -71,6 +68,7 @@ export class PointCard {
     }
     this.#point = found.position;
     this.#write(found);
+    this.onOpen(found);
     this.#card.hidden = false;
     this.onChange();
     return true;
@@ -125,7 +123,6 @@ export class PointCard {
     const rows = Object.entries(pointRows(this.#scene, point)).filter(([, value]) => value);
     find(this.#card, "dl").replaceChildren(...rows.flatMap(([name, value]) => [textElement("dt", name), textElement("dd", value)]));
     find(this.#card, ".swatch").style.background = point.displayed;
-    this.onWrite(point);
     this.place();
   }
 }
@@ -175,60 +172,4 @@ function minus(number) {
  */
 function within(x, low, high) {
   return Math.max(low, Math.min(high, x));
-}
-
-/** @type {["x"|"y"|"z", number, number, number][]} */
-const PLANES = [["z", 2, 0, 1], ["y", 1, 0, 2], ["x", 0, 1, 2]]; // an axis, its number, and those of columns and rows
-
-/**
- * The slices through a point.
- * @param {Pick<Scene["volume"], "size"|"spacing">} volume
- * @param {Vec3} voxel indices, x first
- * @returns {Slice[]}
- */
-export function slicesAt({ size, spacing }, voxel) {
-  return PLANES.map(([axis, across, column, row]) => {
-    const at = Math.min(size[across] - 1, Math.max(0, voxel[across]));
-    const share = (/** @type {number} */ i) => (voxel[i] + 0.5) / size[i]; // a voxel is as wide as its pixel
-    const ratio = (size[column] * spacing[column]) / (size[row] * spacing[row]);
-    return { axis, at, ratio, right: share(column), up: share(row), name: `${axis} ${Number(at.toFixed(1))}` };
-  });
-}
-
-/**
- * Show slices in a part of the page that is folded at first: none is asked for before it is opened.
- * @param {HTMLDetailsElement} root
- * @param {Pick<Scene, "id"|"volume">} scene
- * @param {() => void} onFold called when it is opened or folded
- * @returns {(voxel: Vec3) => void} shows those through a point
- */
-export function attachSlices(root, scene, onFold) {
-  /** @type {Vec3|null} */
-  let shown = null;
-  const draw = () => {
-    if (!shown || !root.open) return;
-    find(root, "div").replaceChildren(...slicesAt(scene.volume, shown).map((slice) => figureOf(scene.id, slice)));
-  };
-  root.addEventListener("toggle", () => {
-    draw();
-    onFold();
-  });
-  return (voxel) => {
-    if (String(voxel) === String(shown)) return;
-    shown = voxel;
-    draw();
-  };
-}
-
-/** @param {string} scene @param {Slice} slice */
-function figureOf(scene, { axis, at, ratio, right, up, name }) {
-  const figure = document.createElement("figure");
-  const picture = Object.assign(new Image(), { src: sliceAddress(scene, axis, at).href, alt: `Slice at ${name}`, draggable: false });
-  const plane = document.createElement("div");
-  plane.style.aspectRatio = String(ratio);
-  plane.style.setProperty("--right", `${100 * right}%`);
-  plane.style.setProperty("--up", `${100 * up}%`);
-  plane.append(picture);
-  figure.append(plane, textElement("figcaption", name));
-  return figure;
 }

@@ -1,6 +1,6 @@
 /** Where the camera is: around a target, which is the volume's centre or where the picture was moved to. */
 
-import { cameraAxes } from "./rotation.js";
+import { cameraAxes, dot, vector } from "./rotation.js";
 
 /** @typedef {import("./rotation.js").Vec3} Vec3 */
 /** @typedef {import("../net/schemas.js").Scene} Scene */
@@ -44,8 +44,8 @@ export function looksAlong(a, b) {
  */
 export function boxOf({ volume }) {
   const [low, high] = volume.bounds;
-  const extent = each((i) => (volume.size[i] - 1) * volume.spacing[i]);
-  return { low, high, centre: each((i) => (low[i] + high[i]) / 2), radius: Math.hypot(...extent) / 2 };
+  const extent = vector((i) => (volume.size[i] - 1) * volume.spacing[i]);
+  return { low, high, centre: vector((i) => (low[i] + high[i]) / 2), radius: Math.hypot(...extent) / 2 };
 }
 
 /**
@@ -58,7 +58,7 @@ export function limitTarget(scene, target) {
   if (!Array.isArray(target) || target.length !== 3 || !target.every(Number.isFinite)) return null;
   const { low, high, radius } = boxOf(scene);
   const beyond = MARGIN * radius;
-  const inside = each((i) => Number(Math.min(high[i] + beyond, Math.max(low[i] - beyond, target[i])).toPrecision(6)));
+  const inside = vector((i) => Number(Math.min(high[i] + beyond, Math.max(low[i] - beyond, target[i])).toPrecision(6)));
   return inside.every((x) => Math.abs(x) <= FURTHEST) ? inside : null;
 }
 
@@ -75,7 +75,7 @@ export function pan(scene, values, right, down) {
   const axes = cameraAxes(values.azimuth, values.elevation);
   const height = 2 * values.distance * radius * Math.tan((values.fov * DEGREE) / 2);
   const from = values.target ?? centre;
-  return { target: each((i) => from[i] + height * (down * axes.up[i] - right * axes.right[i])) };
+  return { target: vector((i) => from[i] + height * (down * axes.up[i] - right * axes.right[i])) };
 }
 
 /** Whether a camera's rays are parallel. @param {Pick<Orbit, "projection">} values */
@@ -97,9 +97,21 @@ export function rayThrough(scene, values, right, up) {
   const away = values.distance * radius;
   const height = 2 * away * Math.tan((values.fov * DEGREE) / 2);
   const middle = values.target ?? centre;
-  const target = each((i) => middle[i] + height * (right * axes.right[i] + up * axes.up[i]));
+  const target = vector((i) => middle[i] + height * (right * axes.right[i] + up * axes.up[i]));
   const [from, far] = isParallel(values) ? [target, AFAR * radius] : [middle, away];
-  return { eye: each((i) => from[i] + far * axes.out[i]), target, up: axes.up };
+  return { eye: vector((i) => from[i] + far * axes.out[i]), target, up: axes.up };
+}
+
+/**
+ * The direction from a point of the world to the eye.
+ * @param {{volume: Pick<Scene["volume"], "size"|"spacing"|"bounds">}} scene
+ * @param {Orbit} values knobs of the view
+ * @param {Vec3} point
+ * @returns {Vec3} not of length 1
+ */
+export function towardsEye(scene, values, point) {
+  const { right, up } = placeOf(scene, values, point), { eye } = rayThrough(scene, values, right, up);
+  return vector((i) => eye[i] - point[i]);
 }
 
 /**
@@ -114,16 +126,11 @@ export function placeOf(scene, values, point) {
   const { centre, radius } = boxOf(scene);
   const axes = cameraAxes(values.azimuth, values.elevation);
   const middle = values.target ?? centre;
-  const from = each((i) => point[i] - middle[i]);
+  const from = vector((i) => point[i] - middle[i]);
   const away = values.distance * radius;
   const depth = (isParallel(values) ? AFAR * radius : away) - dot(from, axes.out);
   const height = 2 * (isParallel(values) ? away : depth) * Math.tan((values.fov * DEGREE) / 2);
   return { right: dot(from, axes.right) / height, up: dot(from, axes.up) / height, depth };
-}
-
-/** @param {Vec3} a @param {Vec3} b */
-function dot(a, b) {
-  return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 }
 
 const OPPOSITE = /** @type {Record<string, string>} */ ({ R: "L", L: "R", A: "P", P: "A", S: "I", I: "S" });
@@ -143,9 +150,4 @@ export function sidesOf({ volume }, values) {
     return sign * direction[axis] > 0 ? name : (OPPOSITE[name] ?? "");
   };
   return { left: letter(right, -1), right: letter(right, 1), top: letter(up, 1), bottom: letter(up, -1) };
-}
-
-/** A vector by its components. @param {(i: number) => number} component @returns {Vec3} */
-function each(component) {
-  return [component(0), component(1), component(2)];
 }

@@ -1,17 +1,26 @@
 /** Handles on the picture that move the planes of a cut: dragged along their normals, or moved by keys. */
 
-import { find, svgElement } from "../dom.js";
+import { find, resize, svgElement } from "../dom.js";
 import { boxOf, placeOf } from "./camera.js";
 import { niceStep } from "./format.js";
 import { spotOf } from "./marks.js";
 import { edgesOf, moved, movablePlanes, readPlanes } from "./planes.js";
-import { cameraAxes } from "./rotation.js";
+import { cameraAxes, dot, vector } from "./rotation.js";
 
 /** @typedef {import("./rotation.js").Vec3} Vec3 */
 /** @typedef {import("./model.js").Knobs} Knobs */
 /** @typedef {import("./planes.js").Movable} Movable */
 /** @typedef {import("./model.js").ViewModel} ViewModel */
 /** @typedef {import("../net/schemas.js").Scene} Scene */
+
+/**
+ * @typedef {object} Grip what moves a plane
+ * @property {() => Movable} plane as it is now
+ * @property {(right: number, down: number) => number} draggedBy by how much a drag of so many pixels moves it
+ * @property {() => number} [sign] -1 where arrows to the right and up move it down; 1 where it is left out
+ * @property {() => void} onRest is called when it is let go
+ */
+
 const EDGE = 18; // pixels that a handle keeps from the edges of the stage
 const FLAT = 0.2; // of its length in the picture: a normal that looks shorter is dragged up and down
 const PAGE = 10; // steps of a page key
@@ -67,10 +76,10 @@ export class Handles {
     this.#root.hidden = !this.#hooks.wanted();
     if (this.#root.hidden) return;
     const planes = this.#planes();
-    while (this.#buttons.length > planes.length) this.#buttons.pop()?.remove();
-    while (this.#buttons.length < planes.length) this.#buttons.push(this.#root.appendChild(this.#handle(this.#buttons.length)));
+    resize(this.#buttons, planes.length, (k) => this.#root.appendChild(this.#handle(k)));
     planes.forEach((plane, k) => {
-      show(this.#buttons[k], plane);
+      tell(this.#buttons[k], plane);
+      Object.assign(this.#buttons[k], { textContent: plane.name.replace(/^plane | .*$/, ""), title: `Move ${plane.name}` });
       this.#place(this.#buttons[k], plane.at);
     });
     this.#drawLines(planes.map(({ outline }) => [...outline, ...outline.slice(0, 1)]));
@@ -78,11 +87,6 @@ export class Handles {
 
   #planes() {
     return movablePlanes(this.#scene.volume, this.#view.values.planes);
-  }
-
-  /** @param {number} k number of the plane @param {number} value */
-  #move(k, value) {
-    this.#view.set({ planes: moved(this.#planes()[k], value) });
   }
 
   /** Put a handle at a point, or as near as the stage has a place. @param {HTMLElement} button @param {Vec3} point */
@@ -110,73 +114,75 @@ export class Handles {
   /** @param {number} k number of its plane */
   #handle(k) {
     const button = Object.assign(document.createElement("button"), { type: "button", className: "handle over" });
-    button.setAttribute("role", "slider");
-    button.addEventListener("keydown", (event) => {
-      const to = steppedTo(this.#planes()[k], event);
-      if (to === null) return;
-      event.preventDefault();
-      event.stopPropagation(); // elsewhere arrows turn the object
-      this.#move(k, to);
+    const plane = () => this.#planes()[k];
+    attachGrip(button, this.#view, {
+      plane,
+      draggedBy: (right, down) => {
+        const height = this.#root.clientHeight;
+        return draggedBy(this.#scene, this.#view.values, plane(), { right: right / height, down: down / height });
+      },
+      onRest: this.#hooks.onRest,
     });
-    this.#listenToDrags(button, k);
     return button;
   }
+}
 
-  /** @param {HTMLButtonElement} button @param {number} k number of its plane */
-  #listenToDrags(button, k) {
-    /** @type {{x: number, y: number, value: number}|null} */
-    let grip = null; // where the pointer was, and the value, which is not rounded
-    button.addEventListener("pointerdown", ({ pointerId, clientX: x, clientY: y }) => {
-      button.setPointerCapture(pointerId);
-      grip = { x, y, value: this.#planes()[k].value };
-    });
-    button.addEventListener("pointermove", ({ clientX: x, clientY: y }) => {
-      if (!grip) return;
-      const height = this.#root.clientHeight, way = { right: (x - grip.x) / height, down: (y - grip.y) / height };
-      grip = { x, y, value: grip.value + draggedBy(this.#scene, this.#view.values, this.#planes()[k], way) };
-      this.#move(k, grip.value);
-    });
-    const release = () => {
-      if (grip) this.#hooks.onRest();
-      grip = null;
-    };
-    button.addEventListener("pointerup", release);
-    button.addEventListener("pointercancel", release);
-  }
+/**
+ * Make an element a slider of a plane, that is dragged and moved by keys.
+ * @param {GlobalEventHandlers & Element} element
+ * @param {ViewModel} view
+ * @param {Grip} grip
+ */
+export function attachGrip(element, view, { plane, draggedBy: by, sign = () => 1, onRest }) {
+  const move = (/** @type {number} */ value) => view.set({ planes: moved(plane(), value) });
+  /** @type {{x: number, y: number, value: number}|null} */
+  let held = null; // where the pointer was, and the value, which is not rounded
+  element.setAttribute("role", "slider");
+  element.addEventListener("keydown", (event) => {
+    const to = steppedTo(plane(), event, sign());
+    if (to === null) return;
+    event.preventDefault();
+    event.stopPropagation(); // elsewhere arrows turn the object
+    move(to);
+  });
+  element.addEventListener("pointerdown", ({ pointerId, clientX: x, clientY: y }) => {
+    element.setPointerCapture(pointerId);
+    held = { x, y, value: plane().value };
+  });
+  element.addEventListener("pointermove", ({ clientX: x, clientY: y }) => {
+    if (!held) return;
+    held = { x, y, value: held.value + by(x - held.x, y - held.y) };
+    move(held.value);
+  });
+  const release = () => {
+    if (held) onRest();
+    held = null;
+  };
+  element.addEventListener("pointerup", release);
+  element.addEventListener("pointercancel", release);
 }
 
 /**
  * Where a key moves a plane to; null where it is none that does.
  * @param {Movable} plane
  * @param {KeyboardEvent} event
+ * @param {number} sign see `Grip`
  * @returns {number|null}
  */
-function steppedTo({ value, range: [low, high], open }, { key, ctrlKey, altKey, metaKey }) {
+function steppedTo({ value, range: [low, high], open }, { key, ctrlKey, altKey, metaKey }, sign) {
   if (ctrlKey || altKey || metaKey) return null;
   if (key === "Home") return open;
-  return key in STEPS ? value + STEPS[key] * niceStep(high - low, PARTS) : null;
+  return key in STEPS ? value + sign * STEPS[key] * niceStep(high - low, PARTS) : null;
 }
 
-/** Tell what a handle moves, and where that is. @param {HTMLButtonElement} button @param {Movable} plane */
-function show(button, { name, value, range: [low, high] }) {
-  button.textContent = name.replace(/^plane | .*$/, "");
-  button.title = `Move ${name}`;
-  button.ariaLabel = `Cut, ${name}`;
-  [button.ariaValueMin, button.ariaValueMax, button.ariaValueNow] = [low, high, value].map(String);
-  button.ariaValueText = String(Number(value.toPrecision(4)));
+/** Tell what an element moves, and where that is. @param {Element} element @param {Movable} plane */
+export function tell(element, { name, value, range: [low, high] }) {
+  element.ariaLabel = `Cut, ${name}`;
+  [element.ariaValueMin, element.ariaValueMax, element.ariaValueNow] = [low, high, value].map(String);
+  element.ariaValueText = String(Number(value.toPrecision(4)));
 }
 
 /** @param {number} at @param {number} size */
 function within(at, size) {
   return Math.min(Math.max(at, EDGE), size - EDGE);
-}
-
-/** @param {Vec3} a @param {Vec3} b */
-function dot(a, b) {
-  return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-}
-
-/** @param {(component: number) => number} component @returns {Vec3} */
-function vector(component) {
-  return [component(0), component(1), component(2)];
 }

@@ -1,5 +1,7 @@
 /** Measures between points of the world: a distance of two, the angle at the second of three. */
 
+import { vector } from "./rotation.js";
+
 /** @typedef {import("./rotation.js").Vec3} Vec3 */
 /** @typedef {import("../net/schemas.js").Volume} Volume */
 /** @typedef {Vec3[]} Measure two points, or three */
@@ -127,9 +129,4 @@ function from(a, b) {
 function unit(v) {
   const length = Math.hypot(...v) || 1;
   return vector((i) => v[i] / length);
-}
-
-/** @param {(i: number) => number} component @returns {Vec3} */
-function vector(component) {
-  return [component(0), component(1), component(2)];
 }

@@ -1,6 +1,7 @@
 /** Planes that take away what lies there, as frame requests spell them: `x>40;z<10`, and what they leave along each axis. */
 
 import { niceStep } from "./format.js";
+import { dot, vector } from "./rotation.js";
 
 /** @typedef {import("./rotation.js").Vec3} Vec3 */
 /** @typedef {import("../net/schemas.js").Scene} Scene */
@@ -27,6 +28,7 @@ export const AXES = ["x", "y", "z"];
 const NUMBER = "[+-]?(?:\\d+\\.?\\d*|\\.\\d+)(?:[eE][+-]?\\d+)?";
 const TERM = new RegExp(`^([xyz]|${NUMBER},${NUMBER},${NUMBER})([<>])(${NUMBER})$`);
 const MOST = 12;
+const NORMAL_DIGITS = 6; // of a component: half a thousandth of a voxel across a volume of a thousand
 const ALONG = 1e-6; // by how much a normal may be off an axis, as the server has it
 
 /** Most planes that are along no axis: the others are six sides of a box. */
@@ -56,13 +58,18 @@ export function planeOf(term) {
   return { normal: [given[0] / length, given[1] / length, given[2] / length], limit: Number(limit) / length };
 }
 
+/** The planes that a text spells. @param {string} text @returns {Plane[]} */
+export function planesOf(text) {
+  return termsOf(text).map(planeOf);
+}
+
 /**
  * The term of a plane, with digits that an address can hold.
  * @param {Plane} plane
  * @returns {string}
  */
 export function termOf({ normal, limit }) {
-  const short = normal.map((x) => Number(x.toFixed(4)) + 0);
+  const short = normal.map((x) => Number(x.toFixed(NORMAL_DIGITS)) + 0);
   return `${short.join(",")}>${Number((limit * Math.hypot(...short)).toPrecision(6))}`;
 }
 
@@ -113,19 +120,27 @@ export function facingPlane({ kept }, towards) {
   return { normal: towards, limit: kept.reduce((sum, [from, to], i) => sum + (towards[i] * (from + to)) / 2, 0) };
 }
 
+/** The direction along a world axis that is nearest to another. @param {Vec3} towards @returns {Vec3} of length 1 */
+export function nearestAxis(towards) {
+  const sizes = towards.map(Math.abs), axis = sizes.indexOf(Math.max(...sizes));
+  return vector((i) => (i === axis ? Math.sign(towards[i]) : 0));
+}
+
 /**
- * The text of planes with a side of the box through a point: across the axis that is most along a direction, which is
- * the side that is taken away.
+ * The text of planes with one through a point: along an axis it is a side of the box, else an oblique plane, which
+ * replaces one that faces the same way; where there are too many, the oldest goes.
  * @param {string} text
  * @param {Bounds} bounds
  * @param {Vec3} point
- * @param {Vec3} towards
+ * @param {Vec3} normal towards what is taken away, of length 1
  * @returns {string}
  */
-export function cutAt(text, bounds, point, towards) {
-  const sizes = towards.map(Math.abs), axis = sizes.indexOf(Math.max(...sizes));
-  const side = movablePlanes({ bounds }, text)[2 * axis + Number(towards[axis] > 0)];
-  return side.move(Number(point[axis].toPrecision(6)));
+export function cutAt(text, bounds, point, normal) {
+  const plane = { normal, limit: dot(normal, point) }, axis = axisOf(plane);
+  if (axis >= 0) return movablePlanes({ bounds }, text)[2 * axis + Number(normal[axis] > 0)].move(Number(point[axis].toPrecision(6)));
+  const term = termOf(plane), { kept, others } = readPlanes(text, bounds);
+  const facing = (/** @type {string} */ each) => each.split(">")[0] === term.split(">")[0];
+  return writePlanes({ kept, others: [...others.filter((each) => !facing(each)), term].slice(-MOST_OBLIQUE) }, bounds);
 }
 
 /**
@@ -235,16 +250,6 @@ function termsOf(text) {
 }
 
 /** @param {Vec3} a @param {Vec3} b */
-function dot(a, b) {
-  return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-}
-
-/** @param {Vec3} a @param {Vec3} b */
 function cross(a, b) {
   return vector((i) => a[(i + 1) % 3] * b[(i + 2) % 3] - a[(i + 2) % 3] * b[(i + 1) % 3]);
-}
-
-/** @param {(component: number) => number} component @returns {Vec3} */
-function vector(component) {
-  return [component(0), component(1), component(2)];
 }

@@ -108,3 +108,13 @@ export function dragLight(values, right, down) {
   const turned = compose(aboutAxis([0, 0, 1], right), compose(tilt, fromAngles(values)));
   return toAngles(turned);
 }
+
+/** A vector by its components. @param {(i: number) => number} component @returns {Vec3} */
+export function vector(component) {
+  return [component(0), component(1), component(2)];
+}
+
+/** The scalar product of two vectors. @param {Vec3} a @param {Vec3} b @returns {number} */
+export function dot(a, b) {
+  return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+}

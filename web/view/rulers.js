@@ -1,7 +1,7 @@
-/** A scale bar and the world's axes in the corner of the picture, as shapes and as a drawing that follows the view; a legend. */
+/** A scale bar and the world's axes in the corner of the picture, as shapes and as a drawing that follows the view; letters; a legend. */
 
-import { svgElement } from "../dom.js";
-import { boxOf } from "./camera.js";
+import { find, svgElement } from "../dom.js";
+import { boxOf, sidesOf } from "./camera.js";
 import { errorInWords } from "./format.js";
 import { unitOf } from "./measures.js";
 import { cameraAxes } from "./rotation.js";
@@ -179,6 +179,21 @@ export function attachRulers(root, scene, view) {
   };
   view.subscribe(draw);
   new ResizeObserver(draw).observe(stage);
+}
+
+/**
+ * Keep the letters of a patient's sides at the picture's edges as the camera turns; none where the volume is of no patient.
+ * @param {HTMLElement} root holds an element for each side
+ * @param {Scene} scene
+ * @param {ViewModel} view
+ */
+export function attachSides(root, scene, view) {
+  root.hidden = !scene.volume.letters;
+  const draw = (/** @type {Knobs} */ values) => {
+    for (const [side, letter] of Object.entries(sidesOf(scene, values))) find(root, `.${side}`).textContent = letter;
+  };
+  view.subscribe(draw);
+  draw(view.values);
 }
 
 /** @param {Line} line */

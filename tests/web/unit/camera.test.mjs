@@ -1,6 +1,6 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { AXIS_VIEWS, boxOf, limitTarget, looksAlong, pan, placeOf, rayThrough, sidesOf } from "../../../web/view/camera.js";
+import { AXIS_VIEWS, boxOf, limitTarget, looksAlong, pan, placeOf, rayThrough, sidesOf, towardsEye } from "../../../web/view/camera.js";
 import { dragObject, hold, pinched, wheelZoom } from "../../../web/view/gestures.js";
 import { spotOf } from "../../../web/view/marks.js";
 import { pictureSize } from "../../../web/view/picture.js";
@@ -177,4 +177,11 @@ test("a spot is on the stage, or it is not", () => {
   assert.deepEqual(spotOf({ right: 0.25, up: -0.5, depth: 3 }, 400, 200), { x: 250, y: 200, inside: true });
   assert.equal(spotOf({ right: 1.1, up: 0, depth: 3 }, 400, 200).inside, false);
   assert.equal(spotOf({ right: 0, up: 0, depth: -3 }, 400, 200).inside, false);
+});
+
+test("from a point to the eye it is along the view's rays", () => {
+  const point = [2, 9, 7], values = knobs({ azimuth: 40, elevation: 25 }), { eye } = rayThrough(SCENE, values, 0, 0);
+  close(towardsEye(SCENE, values, point), eye.map((x, i) => x - point[i]));
+  const towards = towardsEye(SCENE, { ...values, projection: "orthographic" }, point);
+  close(towards.map((x) => x / Math.hypot(...towards)), cameraAxes(40, 25).out);
 });

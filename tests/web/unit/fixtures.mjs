@@ -3,7 +3,7 @@
 /** A scene of 11 × 21 × 31 voxels, 10 × 10 × 10 world units between the outermost, whose light turns. */
 export const SCENE = {
   id: "small", name: "Small", solid: "above", rotating: true, turns: true, target_error: 0.02,
-  volume: { name: "small", size: [11, 21, 31], spacing: [1, 0.5, 1 / 3], dtype: "uint8", value_range: [0, 255], holes: 0, unit: "", letters: "", axes: "", bounds: [[0, 0, 0], [10, 10, 10]], notes: [] },
+  volume: { name: "small", size: [11, 21, 31], spacing: [1, 0.5, 1 / 3], affine: [[1, 0, 0, 0], [0, 0.5, 0, 0], [0, 0, 1 / 3, 0]], dtype: "uint8", value_range: [0, 255], holes: 0, unit: "", letters: "", axes: "", bounds: [[0, 0, 0], [10, 10, 10]], notes: [] },
   defaults: {
     isovalue: 70, azimuth: 30, elevation: 20, distance: 3, fov: 30, yaw: 0, pitch: 0, roll: 0, exposure: 1.234567,
     shading: "gi", width: 512, height: 512,

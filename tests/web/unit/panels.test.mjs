@@ -9,7 +9,7 @@ import { dividerPlace } from "../../../web/panels/comparison.js";
 import { History, courseInWords, legendShare, momentInWords } from "../../../web/panels/error.js";
 import { outline, solidSpan } from "../../../web/panels/histogram.js";
 import { knobInWords } from "../../../web/panels/knobs.js";
-import { pointRows, slicesAt } from "../../../web/panels/point.js";
+import { pointRows } from "../../../web/panels/point.js";
 import { parseKept, scenePresets, toggled } from "../../../web/panels/presets.js";
 import { layerInWords, planRows, savingInWords, volumeRows } from "../../../web/panels/scene.js";
 import { announcement, badge } from "../../../web/panels/status.js";
@@ -300,11 +300,4 @@ test("a point says how far its light is", () => {
   assert.equal(pointRows(SCENE, { ...POINT, error: 0 }).Error, "", "without global illumination there is none");
   assert.equal(pointRows(SCENE, { ...POINT, state: "provisional", error: 1 }).Error, "not known yet");
   assert.deepEqual([pointRows(SCENE, { ...POINT, wall: 0, value: null })].map(({ Wall, Value }) => [Wall, Value]), [["1", ""]]);
-});
-
-test("slices go through the point, each as wide and high as its voxels", () => {
-  const [z, y, x] = slicesAt({ size: [10, 20, 5], spacing: [1, 0.5, 2] }, [4.5, 0, 3.96]);
-  assert.deepEqual(z, { axis: "z", at: 3.96, ratio: 1, right: 0.5, up: 0.025, name: "z 4" });
-  assert.deepEqual([y.axis, y.at, y.ratio, y.right, y.up.toFixed(3)], ["y", 0, 1, 0.5, "0.892"]);
-  assert.deepEqual([x.axis, x.at, x.ratio, x.right], ["x", 4.5, 1, 0.025]);
 });

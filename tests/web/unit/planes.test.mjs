@@ -7,7 +7,7 @@ import { complaints, readAddress, writeAddress } from "../../../web/net/address.
 import { frameQuery } from "../../../web/net/request.js";
 import { ViewModel } from "../../../web/view/model.js";
 import { draggedBy } from "../../../web/view/handles.js";
-import { arePlanes, cutAt, facingPlane, movablePlanes, moved, outlineOf, partPlanes, planeOf, readPlanes, termOf, writePlanes } from "../../../web/view/planes.js";
+import { arePlanes, cutAt, facingPlane, movablePlanes, moved, nearestAxis, outlineOf, partPlanes, planeOf, readPlanes, termOf, writePlanes } from "../../../web/view/planes.js";
 import { SCENE, knobs } from "./fixtures.mjs";
 
 const { bounds } = SCENE.volume;
@@ -85,8 +85,17 @@ test("an oblique plane has an outline within what is left, and faces whom it sho
 });
 
 test("a click cuts away what is before it, across the axis that looks most at the viewer", () => {
-  assert.equal(cutAt("", bounds, [4, 5, 6], [0.9, 0.1, 0.2]), "x>4");
-  assert.equal(cutAt("y>8", bounds, [4, 5, 6], [0.1, -0.9, 0.2]), "y<5;y>8");
+  assert.equal(cutAt("", bounds, [4, 5, 6], nearestAxis([0.9, 0.1, 0.2])), "x>4");
+  assert.equal(cutAt("y>8", bounds, [4, 5, 6], nearestAxis([1, -9, 2])), "y<5;y>8");
+});
+
+test("a cut across no axis is an oblique plane, one for each direction, and six at most", () => {
+  const cut = (text, normal) => cutAt(text, bounds, [4, 5, 6], normal);
+  assert.equal(cut("x>7", [0.6, 0.8, 0]), "x>7;0.6,0.8,0>6.4");
+  assert.equal(cut("x>7;0.6,0.8,0>2;1,1,1>9", [0.6, 0.8, 0]), "x>7;1,1,1>9;0.6,0.8,0>6.4");
+  assert.equal(cut("0.6,0.8,0>2", [-0.6, -0.8, 0]), "0.6,0.8,0>2;-0.6,-0.8,0>-6.4", "the other side");
+  const full = [1, 2, 3, 4, 5, 6].map((k) => `1,1,0>${k}`);
+  assert.equal(cut(full.join(";"), [0.6, 0.8, 0]), [...full.slice(1), "0.6,0.8,0>6.4"].join(";"));
 });
 
 test("a plane follows the pointer along its normal in the picture", () => {
