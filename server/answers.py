@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from isogi_core.files.scene_changes import write_material_text
 from isogi_core.frame.film import COLOURS, SCALE, lit
 from isogi_core.frame.fitting import fitted, front_of
 from isogi_core.frame.frame import Frame
@@ -18,7 +19,9 @@ from isogi_core.model.scene_plan import Layer
 from isogi_core.model.shine import KINDS
 from isogi_core.model.view import SHADINGS, View
 from isogi_core.plan.left_out import S1_BYTES
+from isogi_core.plan.materials import material_settings
 from isogi_core.plan.scene import Scene
+from isogi_core.plan.variants import find_materials
 from server.parameters import FrameParams
 from server.schemas import (
     CameraSchema,
@@ -32,6 +35,7 @@ from server.schemas import (
     LayerSchema,
     LightSchema,
     LobeSchema,
+    MaterialSchema,
     Omission,
     PixelCounts,
     PlanSchema,
@@ -73,6 +77,8 @@ def scene_schema(scene: Scene) -> SceneSchema:
         colours=colour_scale(scene),
         surfaces=[SurfaceSchema(**each.table) for each in scene.pinned],
         clear=scene.clear,
+        material=write_material_text(material_settings(scene.material)),
+        materials=[material_schema(kind, found) for kind, found in find_materials(scene).items()],
         shines=(list(KINDS) if scene.colours is None else ["plastic"]) if scene.shine else [],
         bounces=scene.bounces,
         cuts=scene.volume.orientation.straight,
@@ -122,6 +128,14 @@ def colour_scale(scene: Scene) -> ColourScale | None:
             for label in scale.labels
         ],
     )
+
+
+def material_schema(kind: str, found: Scene | str) -> MaterialSchema:
+    """A material by its ``kind``, as a scene would have it, or why it cannot: see ``find_materials``."""
+    if isinstance(found, str):
+        return MaterialSchema(kind=kind, refused=found)
+    numbers = {name: given for name, given in material_settings(found.material).items() if name != "material"}
+    return MaterialSchema(kind=kind, numbers=numbers)
 
 
 def light_schema(light: Light) -> LightSchema:

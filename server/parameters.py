@@ -79,7 +79,7 @@ class LightParams(NoParams):
 
 
 class VariantParams(LightParams):
-    """The light that a scene is shown in, what is taken away of it, when, and which surfaces are beside."""
+    """The light that a scene is shown in, what is taken away of it, when, of what, and which surfaces are beside."""
 
     cut: Annotated[str | None, Planes()] = Field(
         None,
@@ -97,6 +97,12 @@ class VariantParams(LightParams):
         None,
         max_length=2000,
         description="The labels of a segmentation that are hidden, by their values, or none; default: the scene's.",
+    )
+    material: Annotated[str | None, WithJsonSchema({"type": "string", "example": "glass,index=1.3"})] = Field(
+        None,
+        max_length=200,
+        description="What the surface is made of: diffuse, glass or subsurface, with its index, absorption or"
+        " mean_free_path; default: the scene's.",
     )
 
 

@@ -250,6 +250,17 @@ class SurfaceSchema(BaseModel):
     clear: float
 
 
+class MaterialSchema(BaseModel):
+    """A material that views may ask for by its ``kind``: its ``numbers`` where they give none, each one or linear RGB.
+
+    Where this scene cannot be of it ``refused`` says why; it is null elsewhere.
+    """
+
+    kind: str
+    numbers: dict[str, float | Triple] = {}
+    refused: str | None = None
+
+
 class SceneSchema(BaseModel):
     """What a client needs to show a scene: facts, histogram, defaults and ranges of every knob, plan.
 
@@ -264,7 +275,8 @@ class SceneSchema(BaseModel):
     of shine that it may ask for, none where the surface is diffuse. ``cuts`` is whether planes across the world's axes
     may cut it: its voxels lie along them. ``colours`` are those of a surface whose albedo comes from data, null where
     it has one ``albedo``; that is then the most that colours reflect. ``surfaces`` are pinned beside the one that
-    slides, which lets the share ``clear`` of rays pass.
+    slides, which lets the share ``clear`` of rays pass. ``material`` is what this is about, as views spell it, and
+    ``materials`` are all, with why some of them are refused.
     """
 
     id: str
@@ -281,6 +293,8 @@ class SceneSchema(BaseModel):
     colours: ColourScale | None
     surfaces: list[SurfaceSchema]
     clear: float
+    material: str
+    materials: list[MaterialSchema]
     shines: list[str]
     bounces: int
     cuts: bool

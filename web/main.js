@@ -11,7 +11,7 @@ import { attachShare } from "./net/share.js";
 import { Trouble } from "./net/trouble.js";
 import { attachUpload } from "./net/upload.js";
 import { Comparison } from "./panels/comparison.js";
-import { attachCuts, attachLabels, attachSurfaces } from "./panels/cuts.js";
+import { attachCuts, attachLabels, attachMaterial, attachSurfaces } from "./panels/cuts.js";
 import { attachEnvironments } from "./panels/environment.js";
 import { ErrorPanel } from "./panels/error.js";
 import { attachHistogram } from "./panels/histogram.js";
@@ -65,9 +65,8 @@ async function start() {
       const scene = await readScene(link.id, size, knobs);
       offerScenes(scenes, link.id);
       attachUpload($("upload"), $("stage"), uploads, link, openScene, openLight);
-      if (scene.environments.some(({ id }) => id === knobs.environment)) {
-        Object.assign(scene, await readLight(scene.id, knobs.environment ?? ""));
-      }
+      const { environment = "", material = "" } = new ViewModel(scene, knobs).values;
+      if (environment || material) Object.assign(scene, await readLight(scene.id, { environment, material }));
       return assemble(scene, knobs, trouble);
     } catch (error) {
       $("stage").dataset.state = "trouble";
@@ -99,6 +98,7 @@ function assemble(scene, knobs, trouble) {
   attachLabels($("colour-scale"), scene, view);
   attachSurfaces($("beside"), scene, view);
   attachCuts($("cuts"), scene, view);
+  attachMaterial($("material"), scene, view);
   attachCutting(scene, view, card, options.onRest);
   attachMeasures($("measures"), scene, view);
   const showLight = attachLight($("light"), scene, view, options.onRest);

@@ -25,6 +25,7 @@ from isogi_core.cache.costs import Cost
 from isogi_core.cache.scene_assets import SceneAssets, receive_assets, receive_colours
 from isogi_core.errors import SceneError, StoreAwayError
 from isogi_core.files.mappings import budget
+from isogi_core.files.scene_changes import MATERIAL_NUMBERS
 from isogi_core.files.scene_file import FOLLOWED, SceneSource
 from isogi_core.kernels._jit import entries_of, load
 from isogi_core.kernels.transport.coloured_transfer import bake_coloured_texels
@@ -143,7 +144,10 @@ def most_maps() -> int:
 OPEN: WeakValueDictionary[str, PreparedScene] = WeakValueDictionary()
 """The scenes that this process has open, by their volumes and how rays meet these."""
 
-LIGHT = ("lights", "environment", "lattice", "albedo", "surfaces", "clear")
+LIGHT = (
+    *("lights", "environment", "lattice", "albedo", "albedos", "surfaces", "clear"),
+    *("material", *MATERIAL_NUMBERS),
+)
 """Settings of a scene that nothing depends on which is worked out of its voxels."""
 
 

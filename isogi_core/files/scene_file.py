@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 from urllib.parse import unquote
 
 from isogi_core.errors import SceneError
+from isogi_core.files.scene_changes import CHANGES, change_document, tables_in
 
 DEFAULT_DEMO = "demo:casting"
 
@@ -31,21 +32,9 @@ class SceneSource:
 def find_source(target: str | Path | None, overrides: Mapping[str, Any]) -> SceneSource:
     """Read a scene's document, without opening its volume."""
     text, lying = split_settings(str(target or DEFAULT_DEMO))
-    clears, hide = lying.pop("surfaces", None), lying.pop("hide", None)
+    changes = {key: lying.pop(key) for key in CHANGES if key in lying}
     source = source_at(text, {**overrides, **lying})
-    document = source.document
-    if clears is not None:
-        pinned = tables_in(document, "surfaces")
-        document = put_clears(document, pinned, read_clears(clears, len(pinned)))
-    if hide is not None:
-        document = put_hidden(document, read_hidden(hide))
-    return replace(source, document=document)
-
-
-def tables_in(document: Mapping[str, Any], key: str) -> list[Mapping[str, Any]]:
-    """The tables that a ``document`` lists under a ``key``; other values are left out."""
-    given = document.get(key)
-    return [each for each in given if isinstance(each, Mapping)] if isinstance(given, list) else []
+    return replace(source, document=change_document(source.document, **changes))
 
 
 def source_at(text: str, overrides: Mapping[str, Any]) -> SceneSource:
@@ -86,67 +75,9 @@ def labels_as_volume(document: Mapping[str, Any], name: str) -> Mapping[str, Any
     return {"labels": "all", **rest, "volume": found[0]["file"], **({"volumes": others} if others else {})}
 
 
-HIDDEN = "off"
-"""Stands for a surface that is not shown, in place of the share of rays that passes it."""
-
-Clears = tuple[float | None, ...]
-"""The shares of rays that pass pinned surfaces in turn; None of hidden ones."""
-
-
-def read_clears(text: str, pinned: int) -> Clears:
-    """The shares of rays that pass so many ``pinned`` surfaces, as ``0.4,off`` spells them; None of hidden ones.
-
-    Raises SceneError.
-    """
-    try:
-        found = tuple(None if each.strip() == HIDDEN else float(each) for each in text.split(","))
-    except ValueError:
-        found = ()
-    if not pinned:
-        raise SceneError("surfaces is for scenes with [[surfaces]]: leave it out.")
-    if len(found) != pinned or not all(each is None or 0.0 <= each <= 1.0 for each in found):
-        asked = f"for each of the {pinned} pinned surfaces, in turn" if pinned > 1 else "for the pinned surface"
-        raise SceneError(f"surfaces = '{text[:40]}': give {asked}, a number from 0, opaque, to 1, or {HIDDEN}.")
-    return found
-
-
-def put_clears(document: Mapping[str, Any], pinned: Sequence[Mapping[str, Any]], clears: Clears) -> dict[str, Any]:
-    """A scene's ``document`` whose ``pinned`` surfaces, tables, pass other shares of rays; None leaves one out."""
-    kept = [{**table, "clear": clear} for table, clear in zip(pinned, clears, strict=True) if clear is not None]
-    rest = {key: value for key, value in document.items() if key != "surfaces"}
-    return rest | ({"surfaces": kept} if kept else {})
-
-
-NONE = "none"
-"""Stands for no label that is hidden."""
-
-Hidden = tuple[int, ...]
-"""The values of labels that are hidden, ascending."""
-
-
-def read_hidden(text: str) -> Hidden:
-    """The labels that are hidden, as ``3,4`` spells them by their values, or ``none``. Raises SceneError."""
-    try:
-        return () if text.strip() == NONE else tuple(sorted({int(each) for each in text.split(",")}))
-    except ValueError:
-        asked = f"give the values of labels with , between, or {NONE}"
-        raise SceneError(f"hide = '{text[:40]}': {asked}.") from None
-
-
-def put_hidden(document: Mapping[str, Any], hidden: Hidden) -> dict[str, Any]:
-    """A scene's ``document`` with these labels ``hidden``, and no others. SceneError where it has no labels."""
-    if not document.get("labels"):
-        raise SceneError("hide is for scenes of labels: leave it out.")
-    listed = tables_in(document, "labels")
-    known = [{**table, "hidden": table.get("value") in hidden} for table in listed]
-    values = {table.get("value") for table in listed}
-    found = known + [{"value": value, "hidden": True} for value in hidden if value not in values]
-    return {**document, "labels": found or document["labels"]}
-
-
-LYING = ("axes", "solid", "environment", "cut", "surfaces", "hide")
+LYING = ("axes", "solid", "environment", "cut", *CHANGES)
 """Settings that may follow the # of a target: how its volume lies, which side of the isovalue is solid, its light, what
-is cut away, what its pinned surfaces let pass, and which labels are hidden.
+is cut away, and what changes it as views do.
 """
 
 

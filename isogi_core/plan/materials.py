@@ -1,6 +1,7 @@
 """The material of a scene's surface: its keys, and what it cannot be together with."""
 
 from isogi_core.errors import SceneError
+from isogi_core.files.scene_changes import MATERIAL_NUMBERS, MaterialSettings
 from isogi_core.files.scene_file import Settings
 from isogi_core.model.lights import LARGEST, Colour, Lamp, Light
 from isogi_core.model.material import DIFFUSE, INDICES, MATERIALS, WINDOW_GLASS, Material
@@ -9,9 +10,6 @@ from isogi_core.model.volume import Volume
 
 THICK = 0.02
 """The mean free path of a subsurface that gives none, over the radius of its volume."""
-
-KEYS = {"index": "glass", "absorption": "glass", "mean_free_path": "subsurface"}
-"""The keys of materials that have any."""
 
 BESIDE = {
     "glass": {"albedo": "it reflects no diffuse light", "clear": "it lets light pass by its index already"},
@@ -38,7 +36,7 @@ def read_material(settings: Settings, volume: Volume) -> Material:
     kind, given = settings.choice("material", MATERIALS) or MATERIALS[0], settings.source.document
     index, absorption = settings.number("index", WINDOW_GLASS, *INDICES), _colour(settings, "absorption")
     path = settings.number("mean_free_path", THICK * volume.radius, 0.0, LARGEST)
-    for key, of in KEYS.items():
+    for key, of in MATERIAL_NUMBERS.items():
         if key in given and of != kind:
             raise SceneError(f'{key} is of {of}: add material = "{of}" to the scene, or leave {key} out.')
     if kind == "diffuse":
@@ -53,6 +51,14 @@ def read_material(settings: Settings, volume: Volume) -> Material:
             f"The albedo of a subsurface is what scattering leaves: give {DARKEST:g} or more of each colour."
         )
     return Material(kind, mean_free_path=path)
+
+
+def material_settings(material: Material) -> MaterialSettings:
+    """The settings of a scene whose surface is of this ``material``, with all of its numbers."""
+    given = {name: getattr(material, name) for name, kind in MATERIAL_NUMBERS.items() if kind == material.kind}
+    if "absorption" in given and len({*given["absorption"]}) == 1:
+        given["absorption"] = given["absorption"][0]
+    return {"material": material.kind, **given}
 
 
 def refuse_lamps(material: Material, lights: tuple[Light, ...]) -> None:

@@ -1,4 +1,5 @@
-"""Scenes made over: in other light, cut open, at another time, with other surfaces beside, or with labels hidden.
+"""Scenes made over: in other light, cut open, at another time, with other surfaces beside, with labels hidden, or of
+another material.
 
 Each is a scene like any other, by another id. What it has in common with the first it shares.
 """
@@ -6,9 +7,18 @@ Each is a scene like any other, by another id. What it has in common with the fi
 from dataclasses import replace
 from typing import Any
 
-from isogi_core.errors import SceneError
+from isogi_core.errors import LightError, SceneError
 from isogi_core.files.formats.opening import split_part
-from isogi_core.files.scene_file import FOLLOWED, Clears, Hidden, put_clears, put_hidden
+from isogi_core.files.scene_changes import (
+    Clears,
+    Hidden,
+    MaterialSettings,
+    put_clears,
+    put_hidden,
+    put_material,
+)
+from isogi_core.files.scene_file import FOLLOWED
+from isogi_core.model.material import MATERIALS
 from isogi_core.model.volume import Volume
 from isogi_core.plan.assembly import build_scene
 from isogi_core.plan.scene import Scene
@@ -83,3 +93,33 @@ def with_hidden(scene: Scene, hidden: Hidden, name: str, like: Scene | None = No
     if like is None:
         return replace(remade(scene, document, None), id=name)
     return replace(remade(replace(scene, colours=like.colours), document, like.volume), id=name)
+
+
+def with_material(scene: Scene, settings: MaterialSettings, name: str) -> Scene:
+    """The same scene of another material, by these ``settings`` of its surface, by another id, ``name``.
+
+    What only reflects is left behind: albedos of glass, and a range of them of a subsurface. The volume and what was
+    surveyed of it are shared. Raises as ``build_scene`` does.
+    """
+    made = replace(remade(scene, put_material(scene.source.document, settings), scene.volume), id=name)
+    vars(made).update(scene.surveys)
+    return made
+
+
+def made_of(scene: Scene, settings: MaterialSettings) -> bool:
+    """Whether a scene says these ``settings`` of its surface already."""
+    return put_material(scene.source.document, settings) == scene.source.document
+
+
+def find_materials(scene: Scene) -> dict[str, Scene | str]:
+    """The same scene of each of MATERIALS, with the numbers that it has by itself; why not, in a sentence, where the
+    scene cannot be of it.
+    """
+    return {kind: scene if kind == scene.material.kind else _of_material(scene, kind) for kind in MATERIALS}
+
+
+def _of_material(scene: Scene, kind: str) -> Scene | str:
+    try:
+        return with_material(scene, {"material": kind}, scene.id)
+    except (SceneError, LightError) as error:
+        return str(error)

@@ -155,14 +155,14 @@ class Service:
         return scene
 
     async def variant(self, scene: Scene, params: LightParams) -> Scene:
-        """The scene in the light, with the cut, at the time, with the surfaces and without the labels that the
-        parameters ask for; itself where they do not.
+        """The scene in the light, with the cut, at the time, of the material, with the surfaces and without the labels
+        that the parameters ask for; itself where they do not.
 
         Raises ParameterError where there is no such, and StartingError until the engine is up.
         """
         change = Change(params.environment)
         if isinstance(params, VariantParams):
-            change = Change(params.environment, params.cut, params.time, params.surfaces, params.hide)
+            change = Change(**params.model_dump(include={*VariantParams.model_fields}))
         if change != Change():
             self._check_started()
         return await self.variants.of(scene, change)

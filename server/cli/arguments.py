@@ -124,7 +124,10 @@ SURFACES = "What each pinned surface of the scene lets pass, in turn, from 0 to 
 HIDE = "Which labels of a segmentation are hidden, by their values, such as 3,4; or none."
 
 
-PLACING = ("axes", "solid", "environment", "cut", "surfaces", "hide")
+MATERIAL = "What the surface is made of: diffuse, glass or subsurface, with numbers of it, such as glass,index=1.3."
+
+
+PLACING = ("axes", "solid", "environment", "cut", "surfaces", "hide", "material")
 """Options of ``volume_options``; those that are given follow the # of a target."""
 
 
@@ -145,6 +148,7 @@ def volume_options(command: Callable[..., Any]) -> Callable[..., Any]:
     @click.option("--cut", help=CUT)
     @click.option("--surfaces", help=SURFACES)
     @click.option("--hide", help=HIDE)
+    @click.option("--material", help=MATERIAL)
     @wraps(command)
     def placed(**given: Any) -> Any:
         name, told = "scene" if "scene" in given else "target", {key: given.pop(key) for key in PLACING}

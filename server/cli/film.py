@@ -91,13 +91,14 @@ def keyframes(wishes: Wishes) -> list[dict[str, str]]:
 
 
 def variant_of(target: str, views: Sequence[Mapping[str, str]]) -> str:
-    """The same target in the environment, with the cut, at the time and without the labels that all views name.
+    """The same target in the environment, with the cut, at the time, of the material and without the labels that all
+    views name.
 
     ParameterError where one names other surfaces.
     """
     if any("surfaces" in view for view in views):
         raise ParameterError("A film shows the scene's own surfaces: change its [[surfaces]].", "surfaces")
-    for key in ("environment", "cut", "time", "hide"):
+    for key in ("environment", "cut", "time", "hide", "material"):
         named = {view.get(key, "") for view in views}
         if len(named) == 1 and named != {""}:
             target += f"{'&' if '#' in target else '#'}{key}={quote(named.pop())}"

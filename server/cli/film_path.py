@@ -21,7 +21,7 @@ TURNS = ("azimuth", "yaw", "pitch", "roll")
 
 STILL = (
     *("width", "height", "shading", "samples", "overlay", "shine"),
-    *("projection", "environment", "background", "window", "cut", "time"),
+    *("projection", "environment", "background", "window", "cut", "time", "hide", "material"),
 )
 """Parameters that are no quantity: all views have the same."""
 

@@ -1,5 +1,5 @@
-"""Variants: an engine's scenes in other light, at other times, with other surfaces, without some labels, or cut open,
-each made when asked for.
+"""Variants: an engine's scenes in other light, at other times, of other materials, with other surfaces, without some
+labels, or cut open, each made when asked for.
 
 A variant is a scene like any other: it has a plan, and its layers are those that it needs. Transfer does not depend on
 the environment, so variants in other light read and bake the same layers where their plans are of one kind. What is cut
@@ -17,13 +17,24 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, TypeVar
 
 from isogi_core.errors import LightError, SceneError, VolumeError
-from isogi_core.files.scene_file import HIDDEN, Clears, Hidden, read_clears, read_hidden
+from isogi_core.files.scene_changes import (
+    HIDDEN,
+    Clears,
+    Hidden,
+    MaterialSettings,
+    read_clears,
+    read_hidden,
+    read_material_text,
+    write_material_text,
+)
+from isogi_core.frame.entry_kernels import frame_kernels, other_kernels
+from isogi_core.kernels._jit import entries_of, warm
 from isogi_core.model.lights import ENVIRONMENTS
 from isogi_core.model.window import read_window
 from isogi_core.plan.scene import Scene
-from isogi_core.plan.variants import at_time, cut_open, under, with_clears, with_hidden
+from isogi_core.plan.variants import at_time, cut_open, made_of, under, with_clears, with_hidden, with_material
 from isogi_core.plan.volumes.cuts import cut_digest
-from server.errors import ParameterError
+from server.errors import BusyError, ParameterError
 from server.values import shown
 
 if TYPE_CHECKING:
@@ -34,6 +45,9 @@ MARK = "@"
 
 BESIDE = "~"
 """Between the environment that a variant is named by, and what its pinned surfaces let pass."""
+
+MADE_OF = "="
+"""Between the environment that a variant is named by, and its material."""
 
 STEP = "+"
 """Between the environment that a variant is named by, and its step in time."""
@@ -51,6 +65,8 @@ MOST_STEPS = 2
 """Those of them at other times than their scene's: so many steps' voxels are in memory besides the scene's own."""
 
 
+COMPILING = "What draws the surface of this material is being compiled, once on this machine: ask again in a while."
+
 Place = Callable[[str], str | None]
 """What gives an environment as scene files name it, by its name or id; None where there is none."""
 
@@ -62,7 +78,7 @@ class Change:
     """What a request changes of a scene, as its parameters spell it; None of what stays.
 
     The ``environment`` by its name or id, the planes of a ``cut``, the step in ``time``, what pinned ``surfaces`` let
-    pass, and the labels to ``hide``.
+    pass, the labels to ``hide``, and the ``material`` with its numbers.
     """
 
     environment: str | None = None
@@ -70,6 +86,7 @@ class Change:
     time: int | None = None
     surfaces: str | None = None
     hide: str | None = None
+    material: str | None = None
 
     def clears(self, pinned: int) -> Clears | None:
         """What so many ``pinned`` surfaces let pass. Raises ParameterError."""
@@ -80,6 +97,17 @@ class Change:
     def hidden(self) -> Hidden | None:
         """The labels that are hidden. Raises ParameterError."""
         return None if self.hide is None else _read("hide", read_hidden, self.hide)
+
+    @property
+    def made_of(self) -> MaterialSettings | None:
+        """The settings of the material. Raises ParameterError."""
+        return None if self.material is None else _read("material", read_material_text, self.material)
+
+    def apart_from(self, scene: Scene) -> "Change":
+        """The same change without what a ``scene`` has by itself. Raises ParameterError."""
+        time = None if self.time == scene.volume.moment[0] else self.time
+        own = self.made_of is not None and made_of(scene, self.made_of)
+        return replace(self, time=time, material=None if own else self.material)
 
 
 def _read(name: str, read: Callable[[str], T], text: str) -> T:
@@ -97,11 +125,12 @@ def own_name(scene: str) -> str:
 
 def variant_name(scene: Scene, change: Change) -> str:
     """The id of the variant of a ``scene`` that a ``change`` makes. Raises ParameterError."""
-    clears, hidden = change.clears(len(scene.pinned)), change.hidden
+    clears, hidden, made = change.clears(len(scene.pinned)), change.hidden, change.made_of
     beside = "" if clears is None else BESIDE + ",".join(HIDDEN if each is None else f"{each!r}" for each in clears)
     without = "" if hidden is None else WITHOUT + ",".join(map(str, hidden))
+    material = "" if made is None else MADE_OF + write_material_text(made)
     step = "" if change.time is None else f"{STEP}{change.time}"
-    lit = f"{scene.id}{MARK}{change.environment or ''}{beside}{without}{step}"
+    lit = f"{scene.id}{MARK}{change.environment or ''}{beside}{material}{without}{step}"
     if change.cut is None:
         return lit
     return f"{lit}{MARK}{hashlib.blake2b(repr(read_window(change.cut)).encode(), digest_size=6).hexdigest()}"
@@ -158,6 +187,7 @@ class Variants:
         self._engine, self._place, self._most, self._most_cuts = engine, place, most, most_cuts
         self._asked: OrderedDict[str, None] = OrderedDict()
         self._making, self._lock = threading.Lock(), threading.Lock()
+        self._compiling: threading.Thread | None = None
 
     async def of(self, scene: Scene, change: Change) -> Scene:
         """The scene that a ``change`` makes of one; itself where nothing changes.
@@ -165,7 +195,7 @@ class Variants:
         It is made off the event loop where there is none yet. Raises ParameterError where there is no such environment,
         and as ``make`` does.
         """
-        change = replace(change, time=None) if change.time == scene.volume.moment[0] else change
+        change = change.apart_from(scene)
         if change == Change():
             return scene
         environment = change.environment
@@ -191,7 +221,7 @@ class Variants:
         """The scene that a ``change`` makes of one, in the environment at a ``place``, as scene files name it.
 
         Raises ParameterError where the scene's own choices do not fit that light, its file is damaged, or the volume
-        cannot be shown so.
+        cannot be shown so, and BusyError while kernels of another material are compiled.
         """
         name, clears = variant_name(scene, change), change.clears(len(scene.pinned))
         with self._making:
@@ -200,13 +230,26 @@ class Variants:
             made = scene if change.time is None else self._at(scene, name, change.time)
             made = made if change.hidden is None else self._hiding(made, name, change.hidden)
             made = made if clears is None else with_clears(made, clears, name)
+            made = made if change.made_of is None else self._made_of(made, name, change.made_of)
             made = made if place is None else self._lit(made, name, place)
             made = made if change.cut is None else self._cut(made, name, change.cut)
+            if made.material != scene.material:
+                self._check_compiled(made)
             self._engine.admit(made)
         self.known(name)
         for each in (each for each in self._outdated() if each in self._engine.scenes):
             self._engine.dismiss(each)
         return made
+
+    def _check_compiled(self, scene: Scene) -> None:
+        """Raise BusyError while kernels of a ``scene`` are compiled, which begins where some never were."""
+        kernels = (*frame_kernels([scene]), *other_kernels([scene]))
+        if all(kernel.loaded or kernel.stored for kernel in entries_of(kernels)):
+            return
+        if self._compiling is None or not self._compiling.is_alive():
+            self._compiling = threading.Thread(target=warm, args=[kernels], name="compiling", daemon=True)
+            self._compiling.start()
+        raise BusyError(COMPILING)
 
     def _outdated(self) -> list[str]:
         """Those that are too many: they count as not asked for."""
@@ -240,6 +283,13 @@ class Variants:
             return with_hidden(scene, hidden, name, like)
         except (SceneError, VolumeError) as error:
             raise ParameterError(str(error), "hide") from None
+
+    @staticmethod
+    def _made_of(scene: Scene, name: str, settings: MaterialSettings) -> Scene:
+        try:
+            return with_material(scene, settings, name)
+        except SceneError as error:
+            raise ParameterError(str(error), "material") from None
 
     @staticmethod
     def _lit(scene: Scene, name: str, environment: str) -> Scene:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from isogi_core.errors import SceneError
-from isogi_core.files.scene_file import read_clears
+from isogi_core.files.scene_changes import read_clears
 from isogi_core.plan.assembly import build_scene, load_scene
 from isogi_core.plan.scene import Scene
 from isogi_core.plan.sides import OUTER, Side, scene_of_side, sides_of

@@ -1,4 +1,4 @@
-"""Scenes in other light: what changes, what they share, and what they keep of the light that is baked."""
+"""Scenes in other light or of another material: what changes, what they share, and what they keep of baked light."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -11,9 +11,10 @@ from isogi_core.errors import SceneError
 from isogi_core.files.radiance import write_hdr
 from isogi_core.files.scene_file import split_settings
 from isogi_core.model.lights import EnvironmentLight, ProbeLight
-from isogi_core.plan.assembly import load_scene
+from isogi_core.model.material import MATERIALS, Material
+from isogi_core.plan.assembly import build_scene, load_scene
 from isogi_core.plan.scene import Scene
-from isogi_core.plan.variants import under
+from isogi_core.plan.variants import find_materials, under, with_material
 
 TEXT = """
 volume = "demo:orbital"
@@ -84,3 +85,39 @@ def test_choices_that_do_not_fit_the_light_are_refused() -> None:
         under(even, "studio", "x")
     with pytest.raises(SceneError, match="no environment 'moon'"):
         under(even, "moon", "x")
+
+
+@pytest.mark.parametrize("settings", [{"material": "glass", "index": 1.3}, {"material": "subsurface"}])
+def test_of_another_material_it_is_the_scene_of_its_file(own: Scene, settings: dict[str, object]) -> None:
+    assert own.texels
+    made, written = with_material(own, settings, "orbital@=x"), load_scene("demo:orbital", **settings)
+    assert (made.digest, made.bake_digest, made.plan) == (written.digest, written.bake_digest, written.plan)
+    assert made.digest != own.digest and made.id == "orbital@=x" and made.material == written.material
+    assert made.volume is own.volume and made.texels is own.texels
+    assert build_scene(made.source).bake_digest == made.bake_digest, "as workers open it"
+    assert with_material(made, {"material": "diffuse"}, own.id).digest == own.digest
+
+
+def test_a_range_of_albedos_is_not_of_a_subsurface() -> None:
+    painted = load_scene("demo:orbital", albedo=0.8, albedos=[0.0, 0.9])
+    wax = with_material(painted, {"material": "subsurface"}, "wax")
+    assert wax.albedos is None and wax.albedo == (0.8, 0.8, 0.8) and not wax.rotating
+    assert with_material(painted, {"material": "glass"}, "glass").albedos is None
+
+
+def test_the_plan_tells_which_materials_a_scene_may_have(own: Scene) -> None:
+    found = find_materials(own)
+    assert list(found) == list(MATERIALS) and all(isinstance(each, Scene) for each in found.values())
+    sun = {"type": "directional", "azimuth": 0, "elevation": 50, "irradiance": 1}
+    lit = find_materials(load_scene("demo:orbital", lights=[sun]))
+    assert isinstance(lit["glass"], Scene) and "Lamps do not reach inside" in str(lit["subsurface"])
+    fiery = find_materials(load_scene("demo:orbital", glow=[{"sphere": [40, 40, 40, 5]}]))
+    assert [isinstance(each, Scene) for each in fiery.values()] == [True, False, False]
+    assert "glow is not seen through it" in str(fiery["glass"])
+
+
+def test_a_target_may_name_its_material() -> None:
+    scene = load_scene("demo:orbital#material=glass,index%3D1.3&environment=studio")
+    assert scene.material == Material("glass", 1.3) and scene.lights == (EnvironmentLight("studio"),)
+    with pytest.raises(SceneError, match="is not one of diffuse, glass, subsurface"):
+        load_scene("demo:orbital#material=jelly")

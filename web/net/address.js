@@ -4,7 +4,7 @@ import { WHITE, startAlbedo } from "../view/albedo.js";
 import { readMeasure, writeMeasure } from "../view/measures.js";
 import { NUMBERS } from "../view/model.js";
 import { arePlanes } from "../view/planes.js";
-import { areHidden, areSurfaces } from "../view/surfaces.js";
+import { areHidden, areSurfaces, idleKnobs, isMaterial } from "../view/surfaces.js";
 import { cutQuery } from "./request.js";
 
 /** @typedef {import("../view/model.js").Knobs} Knobs */
@@ -12,7 +12,7 @@ import { cutQuery } from "./request.js";
 /** @typedef {import("./schemas.js").Scene} Scene */
 
 const CHOICES = ["shading", "overlay", "compare", "tint", "background", "environment", "shine", "rulers", "projection"];
-const KNOWN = new Set([...CHOICES, "scene", "target", "token", "measure", "cut", "window", "surfaces", "hide"]);
+const KNOWN = new Set([...CHOICES, "scene", "target", "token", "measure", "cut", "window", "surfaces", "hide", "material"]);
 const PAUSE_MS = 150;
 const REST_MS = 1000; // a view that was at rest for so long is one to come back to
 
@@ -31,7 +31,7 @@ export function readAddress(search) {
   for (const name of CHOICES.filter((each) => query.has(each))) start[name] = query.get(name);
   const planes = ["cut", "window"].map((name) => query.get(name)).filter(Boolean).join(";");
   if (planes) Object.assign(start, { planes, opened: query.has("cut") });
-  for (const name of ["surfaces", "hide"]) if (query.get(name)) start[name] = query.get(name);
+  for (const name of ["surfaces", "hide", "material"]) if (query.get(name)) start[name] = query.get(name);
   const measures = query.getAll("measure").map(readMeasure).filter((points) => points !== null);
   if (measures.length) start.measures = measures;
   return { scene: query.get("scene"), start };
@@ -44,10 +44,10 @@ export function readAddress(search) {
  * @returns {string}
  */
 export function writeAddress(scene, values) {
-  const query = new URLSearchParams({ scene: scene.id });
-  for (const name of NUMBERS.filter((each) => each in values)) query.set(name, String(values[name]));
+  const query = new URLSearchParams({ scene: scene.id }), idle = idleKnobs(values.material);
+  for (const name of NUMBERS.filter((each) => each in values && !idle.includes(each))) query.set(name, String(values[name]));
   if (values.target) query.set("target", values.target.join(","));
-  if (values.tint && [values.tint, startAlbedo(scene).tint].some((tint) => tint !== WHITE)) query.set("tint", values.tint);
+  if (values.tint && !idle.includes("tint") && [values.tint, startAlbedo(scene).tint].some((tint) => tint !== WHITE)) query.set("tint", values.tint);
   if (values.shine) query.set("shine", values.shine);
   query.set("shading", values.shading);
   if (values.overlay !== "none") query.set("overlay", values.overlay);
@@ -56,6 +56,7 @@ export function writeAddress(scene, values) {
   Object.entries(cutQuery(values)).forEach(([name, planes]) => query.set(name, planes));
   if (values.surfaces) query.set("surfaces", values.surfaces);
   if (values.hide) query.set("hide", values.hide);
+  if (values.material) query.set("material", values.material);
   if (values.projection !== (scene.defaults?.projection ?? "perspective")) query.set("projection", values.projection);
   if (values.rulers !== "on") query.set("rulers", values.rulers);
   if (values.compare) query.set("compare", values.compare);
@@ -98,17 +99,24 @@ export function isovalueComplaint({ ranges, volume }, isovalue) {
   return `No surface at ${isovalue}: ${what} ${from} to ${to}.`;
 }
 
-/** @type {(scene: Pick<Scene, "shadings"> & Partial<Pick<Scene, "environments"|"surfaces"|"colours">>, name: string, value: string) => string} */
-function choiceComplaint({ shadings, environments = [], surfaces = [], colours }, name, value) {
+/** @type {(scene: Pick<Scene, "shadings"> & Partial<Pick<Scene, "environments"|"surfaces"|"colours"|"materials">>, name: string, value: string) => string} */
+function choiceComplaint({ shadings, environments = [], surfaces = [], colours, materials = [] }, name, value) {
   const lit = name !== "environment" || !value || environments.some(({ id }) => id === value);
   if (!lit) return `There is no light “${value}” here.`;
   if (["cut", "window"].includes(name) && !arePlanes(value)) return `“${value}” is no ${name}: it is planes such as x>40.`;
   if (name === "measure" && !readMeasure(value)) return `“${value}” is no measure: it has two or three points.`;
   if (name === "surfaces" && !areSurfaces(value, surfaces.length)) return `“${value}” does not fit the surfaces beside.`;
   if (name === "hide" && !areHidden(value, colours?.labels ?? [])) return `“${value}” does not fit the labels.`;
+  if (name === "material" && value && !isMaterial(value, materials)) return materialComplaint(materials, value);
   const shading = ["shading", "compare"].includes(name);
   if (shading && value && !shadings.includes(value)) return `There is no shading “${value}”.`;
   return KNOWN.has(name) ? "" : `The link says ${name}, which this page does not know.`;
+}
+
+/** @type {(materials: import("./schemas.js").Material[], value: string) => string} */
+function materialComplaint(materials, value) {
+  const { refused } = materials.find(({ kind }) => kind === value.split(",")[0]) ?? {};
+  return `“${value}” is no material of this scene${refused ? `: ${refused}` : "."}`;
 }
 
 /**

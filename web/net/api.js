@@ -76,14 +76,14 @@ export async function readScene(id, { width, height }, { isovalue, projection } 
 }
 
 /**
- * What a scene is in other light: what of its document depends on that.
+ * What a scene is in other light, or of another material: what of its document depends on that.
  * @param {string} id
- * @param {string} environment "" for the scene's own
+ * @param {Partial<Pick<Knobs, "environment"|"material">>} knobs of the view; "" for the scene's own
  * @returns {Promise<Pick<Scene, "lights"|"plan"|"defaults"|"rotating"|"turns">>}
  */
-export async function readLight(id, environment) {
-  const query = environment && `?${new URLSearchParams({ environment })}`;
-  const { lights, plan, defaults, rotating, turns } = await (await ask(`${scenePath(id)}${query}`)).json();
+export async function readLight(id, { environment, material }) {
+  const query = new URLSearchParams({ ...(environment && { environment }), ...(material && { material }) });
+  const { lights, plan, defaults, rotating, turns } = await (await ask(`${scenePath(id)}?${query}`)).json();
   return { lights, plan, defaults, rotating, turns };
 }
 

@@ -8,7 +8,7 @@ import { Trouble } from "./trouble.js";
 /** @typedef {import("./schemas.js").FrameQuery} FrameQuery */
 /** @typedef {import("./schemas.js").Job} Job */
 
-const OF_LIGHT = ["isovalue", "yaw", "pitch", "roll", "albedo", "exposure", "environment", "cut", "time", "surfaces", "hide"];
+const OF_LIGHT = ["isovalue", "yaw", "pitch", "roll", "albedo", "exposure", "environment", "cut", "time", "surfaces", "hide", "material"];
 const ASK_MS = 1000; // between two questions how far the job is
 const GONE = 404;
 

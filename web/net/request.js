@@ -4,6 +4,7 @@ import { albedoQuery } from "../view/albedo.js";
 import { shadingName } from "../view/format.js";
 import { NUMBERS } from "../view/model.js";
 import { partPlanes } from "../view/planes.js";
+import { idleKnobs } from "../view/surfaces.js";
 
 /** @typedef {import("../view/model.js").Knobs} Knobs */
 /** @typedef {import("./schemas.js").FrameQuery} FrameQuery */
@@ -30,12 +31,13 @@ const LIGHT_KNOBS = new Set(["yaw", "pitch", "roll"]);
  * @returns {FrameQuery & {width: number, height: number}}
  */
 export function frameQuery(scene, values, { width, height }, moving = false) {
-  const given = NUMBERS.filter((name) => name in values && name !== "albedo");
+  const idle = idleKnobs(values.material);
+  const given = NUMBERS.filter((name) => name in values && name !== "albedo" && !idle.includes(name));
   const plain = (/** @type {string} */ name) => name === "exposure" && values.exposure === scene.defaults?.exposure;
   const numbers = given.filter((name) => !plain(name) && (scene.turns || !LIGHT_KNOBS.has(name)));
   return {
     ...Object.fromEntries(numbers.map((name) => [name, values[name]])),
-    ...albedoQuery(scene, values),
+    ...(!idle.includes("albedo") && albedoQuery(scene, values)),
     ...(values.shine && { shine: values.shine }),
     ...(values.projection !== (scene.defaults?.projection ?? "perspective") && { projection: values.projection }),
     ...(values.target && { target: values.target.join(",") }),
@@ -43,6 +45,7 @@ export function frameQuery(scene, values, { width, height }, moving = false) {
     ...cutQuery(values, moving),
     ...(values.surfaces && { surfaces: values.surfaces }),
     ...(values.hide && { hide: values.hide }),
+    ...(values.material && { material: values.material }),
     width,
     height,
     shading: values.shading,

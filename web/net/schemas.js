@@ -92,6 +92,13 @@
  */
 
 /**
+ * @typedef {object} Material what the surface may be made of
+ * @property {string} kind
+ * @property {Record<string, number|Vec3>} numbers of it, where views give none
+ * @property {string|null} refused why the scene cannot be of it
+ */
+
+/**
  * @typedef {object} ColourScale what colours of the surface stand for
  * @property {string} name of the data
  * @property {string} map the name of the colours
@@ -120,6 +127,8 @@
  * @property {ColourScale|null} colours of a surface whose albedo comes from data; null where it has one albedo
  * @property {Surface[]} surfaces pinned beside the one that slides
  * @property {number} clear share of rays that passes the one that slides
+ * @property {string} material its own, as views spell it
+ * @property {Material[]} materials all of them
  * @property {string[]} shines kinds of shine that views may ask for; none where the surface is diffuse
  * @property {boolean} cuts whether planes across the world's axes may cut it: its voxels lie along them
  * @property {string} solid "above" or "below" the isovalue

@@ -1,9 +1,10 @@
-/** What is seen: what planes cut away, with or without light, which surfaces are beside, and which labels are shown. */
+/** What is seen: what planes cut away, which surfaces are beside, what the surface is made of, and which labels are shown. */
 
 import { find } from "../dom.js";
+import { niceStep } from "../view/format.js";
 import { MOST_OBLIQUE, facingPlane, moved, movablePlanes, readPlanes, termOf, writePlanes } from "../view/planes.js";
 import { cameraAxes } from "../view/rotation.js";
-import { readHidden, readSurfaces, writeHidden, writeSurfaces } from "../view/surfaces.js";
+import { isMaterial, readHidden, readMaterial, readSurfaces, writeHidden, writeMaterial, writeSurfaces } from "../view/surfaces.js";
 
 /** @typedef {import("../net/schemas.js").Label} Label */
 /** @typedef {import("../net/schemas.js").Scene} Scene */
@@ -139,34 +140,153 @@ export function attachSurfaces(panel, { surfaces = [] }, view) {
  * @param {(patch: Partial<import("../view/surfaces.js").Shown>) => void} set
  */
 function surfaceRow({ name, isovalue }, k, set) {
-  const [box, label, title, output, input] = ["input", "label", "label", "output", "input"].map((tag) => document.createElement(tag));
-  const check = /** @type {HTMLInputElement} */ (box), slider = /** @type {HTMLInputElement} */ (input);
-  const value = /** @type {HTMLOutputElement} */ (output);
+  const [node, label, check] = [document.createElement("div"), document.createElement("label"), document.createElement("input")];
   const called = name || `Surface at ${isovalue}`;
   Object.assign(check, { type: "checkbox", id: `surface-${k}`, name: `surface-${k}` });
-  Object.assign(slider, { type: "range", id: `clear-${k}`, name: `clear-${k}`, min: 0, max: 1, step: 0.05 });
   Object.assign(label, { className: "check" }).append(check, ` ${called}`);
-  Object.assign(title, { htmlFor: slider.id, textContent: "Lets pass" });
-  title.setAttribute("aria-label", `${called} lets pass`);
-  const tell = () => {
-    value.value = `${Math.round(100 * slider.valueAsNumber)} %`;
-    slider.setAttribute("aria-valuetext", value.value);
-  };
+  const limits = { id: `clear-${k}`, min: 0, max: 1, step: 0.05 };
+  const knob = bakedSlider("Lets pass", limits, (value) => `${Math.round(100 * value)} %`, (clear) => set({ clear }));
+  knob.title.setAttribute("aria-label", `${called} lets pass`);
   check.addEventListener("change", () => set({ shown: check.checked }));
-  slider.addEventListener("input", tell);
-  slider.addEventListener("change", () => set({ clear: slider.valueAsNumber }));
-  const knob = Object.assign(document.createElement("div"), { className: "knob" });
-  knob.append(title, value, slider);
-  const node = document.createElement("div");
-  node.append(label, knob);
+  node.append(label, knob.node);
   /** @param {import("../view/surfaces.js").Shown} now */
   const show = ({ shown, clear }) => {
     check.checked = shown;
-    slider.valueAsNumber = clear;
-    slider.disabled = !shown;
-    tell();
+    knob.slider.disabled = !shown;
+    knob.show(clear);
   };
   return { node, show };
+}
+
+/**
+ * A slider whose every value has light, or a scene, of its own: it says its value while it moves, and sets it once it is
+ * let go, also by a key that was held.
+ * @param {string} name
+ * @param {{id: string, min: number, max: number, step: number}} limits
+ * @param {(value: number) => string} words
+ * @param {(value: number) => void} set
+ */
+function bakedSlider(name, limits, words, set) {
+  const [node, title, output, slider] = [document.createElement("div"), document.createElement("label"), document.createElement("output"), document.createElement("input")];
+  Object.assign(slider, { type: "range", name: limits.id, ...limits });
+  Object.assign(title, { htmlFor: limits.id, textContent: name });
+  let [held, changed] = [false, false];
+  const tell = () => {
+    output.value = words(slider.valueAsNumber);
+    slider.setAttribute("aria-valuetext", output.value);
+  };
+  const release = () => {
+    if (changed && !held) set(slider.valueAsNumber);
+    changed &&= held;
+  };
+  const hold = (/** @type {boolean} */ down) => () => {
+    held = down;
+    release();
+  };
+  slider.addEventListener("input", tell);
+  slider.addEventListener("change", () => {
+    changed = true;
+    release();
+  });
+  slider.addEventListener("keydown", hold(true));
+  for (const end of ["keyup", "blur"]) slider.addEventListener(end, hold(false));
+  Object.assign(node, { className: "knob" }).append(title, output, slider);
+  const show = (/** @type {number} */ value) => {
+    slider.valueAsNumber = value;
+    tell();
+  };
+  return { node, title, slider, show };
+}
+
+/** @type {Record<string, string>} */
+const NUMBER_NAMES = { index: "Refractive index", absorption: "Absorption", mean_free_path: "Mean free path" };
+const CLEAREST = 5; // absorption over the volume's radius at which glass is black
+const [SHORTEST, LONGEST] = [0.001, 1]; // mean free paths, over that radius
+
+/**
+ * Tie a choice of the material, and sliders of its numbers, to the view, both ways; hidden where the scene allows
+ * nothing but its own.
+ * @param {HTMLElement} panel holds a `.value`, a `select`, `#material-numbers` and a `.note`
+ * @param {Pick<Scene, "material"|"materials"|"volume">} scene
+ * @param {ViewModel} view
+ */
+export function attachMaterial(panel, scene, view) {
+  const [value, numbers, note] = [".value", "#material-numbers", ".note"].map((each) => find(panel, each));
+  const select = find(panel, "select", HTMLSelectElement), { materials } = scene;
+  const offered = materials.filter(({ kind }) => isMaterial(kind, materials));
+  panel.hidden = offered.length < 2;
+  if (panel.hidden) return;
+  const now = () => readMaterial(view.values.material, scene);
+  const set = (/** @type {import("../view/surfaces.js").Made} */ made) => view.set({ material: writeMaterial(made, scene) });
+  select.replaceChildren(...offered.map(({ kind }) => new Option(capital(kind), kind)));
+  select.addEventListener("change", () => set(readMaterial(select.value, scene)));
+  note.textContent = materials.flatMap(({ kind, refused }) => (refused ? [`${capital(kind)}: ${refused}`] : [])).join(" ");
+  /** @type {Record<string, (values: number[]) => void>} */
+  let shown = {};
+  let listed = "";
+  const mirror = () => {
+    const made = now();
+    if (made.kind !== listed) {
+      listed = made.kind;
+      const rows = Object.keys(made.numbers).map((name) => ({ name, ...numberRow(name, scene, made.numbers[name], (given) => {
+        const { kind, numbers: others } = now();
+        set({ kind, numbers: { ...others, [name]: given } });
+      }) }));
+      numbers.replaceChildren(...rows.map(({ node }) => node));
+      shown = Object.fromEntries(rows.map(({ name, show }) => [name, show]));
+    }
+    Object.entries(made.numbers).forEach(([name, given]) => shown[name](given));
+    select.value = made.kind;
+    value.textContent = capital(made.kind);
+  };
+  mirror();
+  view.subscribe(mirror);
+  if (view.values.material) panel.toggleAttribute("open", true);
+}
+
+/**
+ * The slider of a number of a material. Of three, one for each colour, it moves the greatest, and the others with it.
+ * @param {string} name
+ * @param {Pick<Scene, "volume">} scene
+ * @param {number[]} first the numbers at first
+ * @param {(given: number[]) => void} set
+ */
+function numberRow(name, { volume }, first, set) {
+  const { min, max, log } = numberRange(name, volume.bounds, Math.max(...first));
+  const [inward, outward] = log ? [Math.log10, (/** @type {number} */ x) => 10 ** x] : [Number, Number];
+  const [low, high] = [inward(min), inward(max)];
+  const limits = { id: `material-${name}`, min: low, max: high, step: niceStep(high - low) };
+  const round = (/** @type {number} */ x) => Number(x.toPrecision(3));
+  let shares = [1];
+  const per = volume.unit && { absorption: ` / ${volume.unit}`, mean_free_path: ` ${volume.unit}` }[name];
+  const row = bakedSlider(NUMBER_NAMES[name] ?? name, limits, (x) => `${round(outward(x))}${per ?? ""}`, (x) => {
+    set(shares.map((share) => round(share * outward(x))));
+  });
+  const show = (/** @type {number[]} */ given) => {
+    const most = Math.max(...given);
+    if (most > 0) shares = given.map((each) => each / most); // none keeps its colour
+    row.show(inward(most));
+  };
+  return { node: row.node, show };
+}
+
+/**
+ * What the slider of a number of a material spans: as much as shows in a volume of that size.
+ * @param {string} name
+ * @param {Scene["volume"]["bounds"]} bounds
+ * @param {number} own the scene's, which is on it
+ * @returns {{min: number, max: number, log: boolean}}
+ */
+export function numberRange(name, [low, high], own) {
+  const radius = Math.hypot(...low.map((each, k) => high[k] - each)) / 2;
+  if (name === "index") return { min: 1, max: Math.max(2.5, own), log: false };
+  if (name === "absorption") return { min: 0, max: Math.max(CLEAREST / radius, own), log: false };
+  return { min: Math.min(SHORTEST * radius, own), max: Math.max(LONGEST * radius, own), log: true };
+}
+
+/** @param {string} word */
+function capital(word) {
+  return word[0].toUpperCase() + word.slice(1);
 }
 
 /**

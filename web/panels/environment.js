@@ -2,15 +2,17 @@
 
 import { find } from "../dom.js";
 import { deleteUpload, readLight } from "../net/api.js";
+import { retryDelay } from "../net/trouble.js";
 
 /** @typedef {import("../net/schemas.js").Scene} Scene */
 /** @typedef {import("../view/model.js").Knobs} Knobs */
 /** @typedef {import("../view/model.js").ViewModel} ViewModel */
 
 const SAME = 1e-3; // addresses hold four digits of an exposure
+const AGAIN_MS = [300, 1000, 3000]; // before a busy server is asked again
 
 /**
- * Tie the choice to the view. When the view's light changes, what the scene says of its light is read anew.
+ * Tie the choice to the view. When the view's light or material changes, what the scene says of its light is read anew.
  * @param {HTMLElement} section holds the choice `#environment` and the button `#environment-delete`
  * @param {Scene} scene its light is replaced
  * @param {ViewModel} view
@@ -31,21 +33,45 @@ export function attachEnvironments(section, scene, view, relit, say) {
   select.addEventListener("change", () => view.set({ environment: select.value }));
   erase.addEventListener("click", () => forget(scene, view).catch((/** @type {Error} */ error) => say(error.message)));
   let before = view.values;
-  view.watch(({ environment }) => environment, async (values) => {
-    const [former, wanted] = [before, values.environment];
+  view.watch(litBy, async (values) => {
+    const [former, wanted] = [before, litBy(values)];
+    const chosenStill = () => Object.entries(wanted).every(([name, text]) => Object(view.values)[name] === text);
     try {
-      const light = await readLight(scene.id, wanted);
-      if (view.values.environment !== wanted) return; // another was chosen meanwhile
+      const light = await readPatiently(scene.id, wanted, chosenStill);
+      if (!chosenStill()) return; // another was chosen meanwhile
       const exposure = exposureIn(light.defaults.exposure, view.values.exposure, former.exposure, scene.defaults.exposure);
-      Object.assign(scene, light);
+      Object.assign(scene, light, { defaults: { ...scene.defaults, ...light.defaults } });
       view.set({ exposure }, true);
       relit();
     } catch (error) {
       say(/** @type {Error} */ (error).message);
-      if (view.values.environment === wanted) view.set({ environment: former.environment });
+      if (chosenStill()) view.set(litBy(former));
     }
   });
   view.subscribe((values) => { before = values; });
+}
+
+/** The knobs of a view that its light depends on. @param {Knobs} values */
+function litBy({ environment, material }) {
+  return { environment, material };
+}
+
+/**
+ * What a scene is in its light, also where a busy server answers late: the picture's own requests say why.
+ * @param {string} scene
+ * @param {ReturnType<typeof litBy>} knobs
+ * @param {() => boolean} wanted whether that is wanted still
+ */
+async function readPatiently(scene, knobs, wanted) {
+  for (let failures = 0; ; failures += 1) {
+    try {
+      return await readLight(scene, knobs);
+    } catch (error) {
+      const delay = retryDelay(error, failures, AGAIN_MS);
+      if (delay === null || !wanted()) throw error;
+      await new Promise((done) => { setTimeout(done, delay); });
+    }
+  }
 }
 
 /**

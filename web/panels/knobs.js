@@ -5,6 +5,7 @@ import { AXIS_VIEWS, looksAlong } from "../view/camera.js";
 import { niceStep, shadingName } from "../view/format.js";
 import { sliderRange } from "../view/model.js";
 import { decades, legendNumbers } from "../view/rulers.js";
+import { idleKnobs } from "../view/surfaces.js";
 
 /** @typedef {import("../net/schemas.js").Scene} Scene */
 /** @typedef {import("../view/model.js").Knobs} Knobs */
@@ -82,7 +83,8 @@ function attachSlider(knob, scene, view) {
   const [inward, outward] = range.log ? [Math.log10, (/** @type {number} */ x) => 10 ** x] : [Number, Number];
   setLimits(input, inward(range.min), inward(range.max));
   input.addEventListener("input", () => view.set({ [name]: outward(input.valueAsNumber) }));
-  return ({ [name]: value = NaN }) => {
+  return ({ [name]: value = NaN, material }) => {
+    knob.toggleAttribute("hidden", name === "albedo" && idleKnobs(material).includes(name));
     if (name === "exposure") { // another light has others
       range = sliderRange(scene, name);
       setLimits(input, inward(range.min), inward(range.max));
@@ -122,7 +124,10 @@ function attachTint(input, view) {
   if (input.parentElement) input.parentElement.hidden = fixed;
   if (fixed) return () => {};
   input.addEventListener("input", () => view.set({ tint: input.value }));
-  return ({ tint = "" }) => { input.value = tint; };
+  return ({ tint = "", material }) => {
+    input.value = tint;
+    if (input.parentElement) input.parentElement.hidden = idleKnobs(material).includes("tint");
+  };
 }
 
 /**

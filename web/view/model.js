@@ -5,7 +5,7 @@ import { PROJECTIONS, limitTarget } from "./camera.js";
 import { limitMeasures } from "./measures.js";
 import { arePlanes } from "./planes.js";
 import { RULERS } from "./rulers.js";
-import { areHidden, areSurfaces } from "./surfaces.js";
+import { areHidden, areSurfaces, isMaterial } from "./surfaces.js";
 
 /** @typedef {import("./rotation.js").Vec3} Vec3 */
 /** @typedef {import("../net/schemas.js").Scene} Scene */
@@ -43,6 +43,7 @@ import { areHidden, areSurfaces } from "./surfaces.js";
  * @property {boolean} opened whether light comes in there
  * @property {string} surfaces what those beside let pass, as `surfaces.js` reads it; "" for the scene's own
  * @property {string} hide which labels are hidden, as `surfaces.js` reads it; "" for the scene's own
+ * @property {string} material what the surface is made of, as `surfaces.js` reads it; "" for the scene's own
  */
 
 /**
@@ -105,7 +106,7 @@ export class ViewModel {
     const shading = defaults.shading ?? this.#scene.shadings[0];
     const shine = defaults.shine === undefined ? {} : { shine: defaults.shine };
     const projection = this.#scene.defaults.projection ?? PROJECTIONS[0];
-    return { ...Object.fromEntries(numbers), ...startAlbedo(this.#scene), ...shine, target: start.target, projection, shading, overlay: "none", compare: "", background: "page", environment: "", rulers: "on", measures: [], planes: "", opened: this.#scene.cuts, surfaces: "", hide: "" };
+    return { ...Object.fromEntries(numbers), ...startAlbedo(this.#scene), ...shine, target: start.target, projection, shading, overlay: "none", compare: "", background: "page", environment: "", rulers: "on", measures: [], planes: "", opened: this.#scene.cuts, surfaces: "", hide: "", material: "" };
   }
 
   /** The knobs as they are now (a copy). @returns {Knobs} */
@@ -168,6 +169,8 @@ export class ViewModel {
     limited.surfaces = beside ? /** @type {string} */ (wanted.surfaces) : fallback.surfaces;
     const hidden = wanted.hide === "" || areHidden(wanted.hide, this.#scene.colours?.labels ?? []);
     limited.hide = hidden ? /** @type {string} */ (wanted.hide) : fallback.hide;
+    const made = wanted.material === "" || isMaterial(wanted.material, this.#scene.materials ?? []);
+    limited.material = made ? /** @type {string} */ (wanted.material) : fallback.material;
     limited.measures = limitMeasures(wanted.measures ?? fallback.measures);
     if (fallback.shine) limited.shine = this.#scene.shines.find((each) => each === wanted.shine) ?? fallback.shine;
     if (fallback.tint) limited.tint = isTint(wanted.tint) ? wanted.tint.toLowerCase() : fallback.tint;

@@ -1,8 +1,14 @@
-/** What surfaces beside let pass, as the frame's `surfaces` spells it, `0.4,off`; which labels are hidden, as `hide` does, `3,4`. */
+/** What a frame's `surfaces` lets pass, `0.4,off`, which labels its `hide` hides, `3,4`, and its `material`, `glass,index=1.3`. */
 
 /** @typedef {{shown: boolean, clear: number}} Shown a surface: whether it is there, and the share of rays that passes */
 
 /** @typedef {Pick<import("../net/schemas.js").Label, "value"|"shown">} Known a label of the scene, and whether that shows it */
+
+/** @typedef {import("../net/schemas.js").Material} Material */
+
+/** @typedef {{material: string, materials: Material[]}} Choice the scene's own material, and all */
+
+/** @typedef {{kind: string, numbers: Record<string, number[]>}} Made what a surface is made of, with all numbers of that */
 
 const HIDDEN = "off";
 const NONE = "none"; // of the labels is hidden
@@ -80,4 +86,78 @@ export function writeHidden(hidden, labels) {
 /** @param {string} text */
 function valuesIn(text) {
   return text === NONE ? [] : text.split(",").map((part) => (part.trim() ? Number(part) : NaN));
+}
+
+/**
+ * Whether a text says a material that the scene may be of, and numbers of it.
+ * @param {unknown} text
+ * @param {Material[]} materials all of the scene's
+ * @returns {text is string}
+ */
+export function isMaterial(text, materials) {
+  const made = typeof text === "string" ? parsed(text) : null;
+  const known = materials.find(({ kind, refused }) => !refused && kind === made?.kind);
+  if (!made || !known) return false;
+  return Object.entries(made.numbers).every(([name, given]) => name in known.numbers && given.every(Number.isFinite));
+}
+
+/**
+ * What a text says the surface is made of; the scene's own where it says nothing, as do numbers that it leaves out.
+ * @param {string} text
+ * @param {Choice} scene
+ * @returns {Made}
+ */
+export function readMaterial(text, { material, materials }) {
+  const { kind, numbers } = parsed(isMaterial(text, materials) ? text : material);
+  return { kind, numbers: { ...usual(kind, materials), ...numbers } };
+}
+
+/**
+ * The text that says it; "" where it is the scene's own.
+ * @param {Made} made
+ * @param {Choice} scene
+ * @returns {string}
+ */
+export function writeMaterial({ kind, numbers }, { material, materials }) {
+  const own = usual(kind, materials);
+  const others = Object.entries(numbers).filter(([name, given]) => spelled(given) !== spelled(own[name] ?? []));
+  if (!others.length && kind === parsed(material).kind) return "";
+  return [kind, ...others.map(([name, given]) => `${name}=${spelled(given)}`)].join(",");
+}
+
+/**
+ * Knobs that say nothing of a surface of another material than the scene's: what it reflects, and, where light is
+ * scattered inside, how that turns.
+ * @param {string} text
+ * @returns {string[]}
+ */
+export function idleKnobs(text) {
+  if (!text) return [];
+  return parsed(text).kind === "subsurface" ? ["albedo", "tint", "yaw", "pitch", "roll"] : ["albedo", "tint"];
+}
+
+/** The numbers of a material where nothing else is said. @type {(kind: string, materials: Material[]) => Made["numbers"]} */
+function usual(kind, materials) {
+  const numbers = Object.entries(materials.find((each) => each.kind === kind)?.numbers ?? {});
+  return Object.fromEntries(numbers.map(([name, given]) => [name, [given].flat()]));
+}
+
+/** Three equal numbers are one. @param {number[]} numbers */
+function spelled(numbers) {
+  return (new Set(numbers).size === 1 ? numbers.slice(0, 1) : numbers).join(",");
+}
+
+/** @param {string} text @returns {Made} */
+function parsed(text) {
+  const [kind, ...parts] = text.split(",");
+  /** @type {Made["numbers"]} */
+  const numbers = {};
+  let last = "";
+  for (const part of parts) {
+    const at = part.indexOf("=");
+    if (at > 0) last = part.slice(0, at);
+    const value = part.slice(at + 1);
+    (numbers[last] ??= []).push(value.trim() ? Number(value) : NaN);
+  }
+  return { kind, numbers };
 }

@@ -53,7 +53,7 @@ async def list_scenes(service: ServiceDep) -> SceneList:
     return SceneList(scenes=links, uploads=limits(service.uploads))
 
 
-@router.get("/{scene}", openapi_extra=documented(VariantParams), responses=documented_problems(404, 422, 503))
+@router.get("/{scene}", openapi_extra=documented(VariantParams), responses=documented_problems(404, 422, 429, 503))
 async def read_scene(scene: SceneDep, params: VariantParamsDep, service: ServiceDep) -> SceneSchema:
     """One scene: volume, histogram, defaults and ranges of every knob, and the plan of what is baked."""
     lit = await service.variant(scene, params)

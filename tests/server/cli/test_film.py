@@ -83,6 +83,7 @@ def test_links_and_files_are_views() -> None:
         ({"isovalue": "low:high"}, [], "first:last"),
         ({"width": "10:20"}, [], "width cannot change"),
         ({}, [{"environment": "studio"}, {"azimuth": "2"}], "environment cannot change"),
+        ({}, [{"material": "glass"}, {"material": "glass,index=2"}], "material cannot change"),
         ({}, [{"eye": "1,2,3"}, {"azimuth": "2"}], "eye is given by some"),
     ],
 )
@@ -93,16 +94,17 @@ def test_paths_that_make_no_sense(given: dict[str, str], views: list[dict[str, s
 
 def test_views_of_the_page_are_filmed_as_it_shows_them(small_scene: Path, tmp_path: Path) -> None:
     views = [{"isovalue": 0.5, "azimuth": azimuth, "exposure": 2, "background": "light"} for azimuth in (10, 50)]
-    shown = {"environment": "studio", "cut": "x>16"}
+    shown = {"environment": "studio", "cut": "x>16", "material": "glass,index=1.3"}
     (tmp_path / "lit.json").write_text(json.dumps({"views": [{**view, **shown} for view in views]}))
     (tmp_path / "own.json").write_text(json.dumps({"views": views}))
     options = ["--store", str(tmp_path / "store"), "--length", "1", "--fps", "2", *SIZE]
-    for name, more in (("lit", []), ("own", []), ("told", ["--environment", "studio", "--cut", "x>16"])):
+    told = [f"--{name}={text}" for name, text in shown.items()]
+    for name, more in (("lit", []), ("own", []), ("told", told)):
         keys = str(tmp_path / f"{name.replace('told', 'own')}.json")
         assert run(["film", str(small_scene), "-o", str(tmp_path / name), "--views-file", keys, *options, *more]) == 0
-    lit, own, told = (sorted((tmp_path / name).glob("*.png")) for name in ("lit", "own", "told"))
+    lit, own, same = (sorted((tmp_path / name).glob("*.png")) for name in ("lit", "own", "told"))
     for number in range(2):
-        assert lit[number].read_bytes() == told[number].read_bytes() != own[number].read_bytes()
+        assert lit[number].read_bytes() == same[number].read_bytes() != own[number].read_bytes()
 
 
 def test_the_tint_of_a_link_colours_the_albedo() -> None:

@@ -12,7 +12,7 @@ export const SCENE = {
   ranges: { isovalue: { min: 40, max: 240 }, azimuth: { min: -360, max: 360 }, distance: { min: 0.01, max: 1000 } },
   shadings: ["gi", "lambert", "phong"],
   presets: [], shines: [], cuts: true, lights: [{ type: "sky", name: "sky" }],
-  albedo: [0.7, 0.7, 0.7], albedos: null, colours: null, surfaces: [], clear: 0,
+  albedo: [0.7, 0.7, 0.7], albedos: null, colours: null, surfaces: [], clear: 0, material: "diffuse", materials: [],
   histogram: { counts: [0, 9, 99], edges: [0, 85, 170, 255] },
 };
 
@@ -28,7 +28,7 @@ export const POLISHED = {
 /** A view of SCENE, with other knobs where they are given. */
 export function knobs(values = {}) {
   const { width, height, ...numbers } = SCENE.defaults;
-  return { ...numbers, target: null, overlay: "none", compare: "", background: "page", projection: "perspective", rulers: "on", measures: [], planes: "", opened: true, surfaces: "", hide: "", ...values };
+  return { ...numbers, target: null, overlay: "none", compare: "", background: "page", projection: "perspective", rulers: "on", measures: [], planes: "", opened: true, surfaces: "", hide: "", material: "", ...values };
 }
 
 /** A clock that stands still until it is told to pass; timers run in the order of their times. */

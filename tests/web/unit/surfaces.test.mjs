@@ -4,8 +4,10 @@ import { test } from "node:test";
 import { readAddress, writeAddress, complaints } from "../../../web/net/address.js";
 import { frameQuery } from "../../../web/net/request.js";
 import { ViewModel } from "../../../web/view/model.js";
-import { areHidden, areSurfaces, readHidden, readSurfaces, writeHidden, writeSurfaces } from "../../../web/view/surfaces.js";
-import { SCENE } from "./fixtures.mjs";
+import { exportQuery } from "../../../web/net/export.js";
+import { numberRange } from "../../../web/panels/cuts.js";
+import { areHidden, areSurfaces, isMaterial, readHidden, readMaterial, readSurfaces, writeHidden, writeMaterial, writeSurfaces } from "../../../web/view/surfaces.js";
+import { PAINTED, SCENE } from "./fixtures.mjs";
 
 const surfaces = [{ name: "skin", isovalue: 64, albedo: [0.6, 0.6, 0.6], clear: 0.3 }, { name: "", isovalue: 90, albedo: [0.7, 0.7, 0.7], clear: 0 }];
 
@@ -56,4 +58,58 @@ test("hidden labels are in the address and in requests, where they are not the s
   assert.ok(!("hide" in frameQuery(parts, view.values, size)));
   assert.equal(new ViewModel(SCENE, { hide: "3" }).values.hide, "");
   assert.match(complaints("?hide=4", parts)[0], /does not fit the labels/);
+});
+
+const materials = [
+  { kind: "diffuse", numbers: {}, refused: null },
+  { kind: "glass", numbers: { index: 1.5, absorption: 0 }, refused: null },
+  { kind: "subsurface", numbers: { mean_free_path: 0.4 }, refused: null },
+];
+const made = { ...PAINTED, material: "diffuse", materials };
+const tinted = [materials[0], { kind: "glass", numbers: { index: 1.3, absorption: [0.2, 0.06, 0] }, refused: null }, { kind: "subsurface", numbers: {}, refused: "Lamps do not reach inside." }];
+const vase = { ...SCENE, material: "glass,index=1.3,absorption=0.2,0.06,0.0", materials: tinted };
+
+test("a text says what the surface is made of, with the material's own numbers where it leaves them out", () => {
+  assert.deepEqual(readMaterial("glass,index=2", made), { kind: "glass", numbers: { index: [2], absorption: [0] } });
+  assert.deepEqual(readMaterial("", made), { kind: "diffuse", numbers: {} });
+  assert.deepEqual(readMaterial("", vase).numbers, { index: [1.3], absorption: [0.2, 0.06, 0] });
+  assert.deepEqual(readMaterial("glass,absorption=1,2,3,index=2", vase).numbers, { index: [2], absorption: [1, 2, 3] });
+});
+
+test("the text is empty where the surface is the scene's own", () => {
+  for (const text of ["glass", "glass,index=2", "subsurface,mean_free_path=3"]) assert.equal(writeMaterial(readMaterial(text, made), made), text);
+  for (const scene of [made, vase]) assert.equal(writeMaterial(readMaterial(scene.material, scene), scene), "");
+  assert.equal(writeMaterial(readMaterial("diffuse", vase), vase), "diffuse");
+  assert.equal(writeMaterial({ kind: "glass", numbers: { index: [1.3], absorption: [0.5, 0.5, 0.5] } }, vase), "glass,absorption=0.5");
+});
+
+test("texts that say no material of the scene are none", () => {
+  for (const text of ["glass", "glass,index=1.3", "glass,absorption=0.1,0.2,0.3", "diffuse"]) assert.ok(isMaterial(text, materials), text);
+  for (const text of ["", "jelly", "glass,1.5", "glass,index=", "glass,index=x", "glass,mean_free_path=2", undefined]) assert.ok(!isMaterial(text, materials), text);
+  assert.ok(!isMaterial("subsurface", tinted));
+  assert.match(complaints("?material=subsurface", vase)[0], /no material of this scene: Lamps do not reach/);
+  assert.deepEqual(complaints("?material=glass", vase), []);
+});
+
+test("a material is in the address and in requests, without knobs that say nothing of it", () => {
+  const view = new ViewModel(made, readAddress("?material=glass,index=2&yaw=30&albedo=0.5").start), size = { width: 8, height: 8 };
+  const query = frameQuery(made, view.values, size);
+  assert.deepEqual([query.material, query.albedo, query.yaw], ["glass,index=2", undefined, 30]);
+  assert.equal(exportQuery(query).material, "glass,index=2");
+  assert.match(writeAddress(made, view.values), /material=glass%2Cindex%3D2/);
+  assert.doesNotMatch(writeAddress(made, view.values), /albedo|tint/);
+  view.set({ material: "subsurface" });
+  assert.equal(frameQuery(made, view.values, size).yaw, undefined);
+  assert.doesNotMatch(writeAddress(made, view.values), /yaw/);
+  view.set({ material: "" });
+  assert.deepEqual([frameQuery(made, view.values, size).yaw, frameQuery(made, view.values, size).albedo], [30, 0.5]);
+  assert.equal(new ViewModel(SCENE, { material: "glass" }).values.material, "", "a scene that may not");
+});
+
+test("sliders of numbers span what shows in a volume of that size, and the scene's own", () => {
+  const bounds = [[0, 0, 0], [20, 0, 0]]; // a radius of 10
+  assert.deepEqual(numberRange("index", bounds, 1.5), { min: 1, max: 2.5, log: false });
+  assert.deepEqual(numberRange("absorption", bounds, 0.1), { min: 0, max: 0.5, log: false });
+  assert.deepEqual(numberRange("absorption", bounds, 9), { min: 0, max: 9, log: false });
+  assert.deepEqual(numberRange("mean_free_path", bounds, 0.2), { min: 0.01, max: 10, log: true });
 });

@@ -1,0 +1,76 @@
+"""Variants of another material: their names, what they share, what is refused, and kernels that are compiled first."""
+
+import asyncio
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from isogi_core.storage.store import Store
+from server.errors import BusyError, ParameterError
+from server.render import variants as module
+from server.render.engine import RenderEngine
+from server.render.variants import Change, Variants, labels_of, may_lend, step_of
+from tests.loaded import load_scene
+
+
+@pytest.fixture
+def engine(tmp_path: Path) -> Iterator[RenderEngine]:
+    """An engine of a scene, and of the same in a room of a lamp, that is not started."""
+    sun = {"type": "directional", "azimuth": 0, "elevation": 50, "irradiance": 1}
+    scenes = [load_scene("demo:orbital"), load_scene("demo:casting", lights=[sun])]
+    engine = RenderEngine(scenes, Store(f"file://{tmp_path}/store"), workers=1)
+    yield engine
+    engine.close()
+
+
+def variant(engine: RenderEngine, change: Change, scene: str = "orbital") -> str:
+    """The id of a variant of a scene."""
+    return asyncio.run(Variants(engine, lambda name: name).of(engine.scenes[scene], change)).id
+
+
+def test_a_material_is_named_in_the_variants_id(engine: RenderEngine) -> None:
+    own = engine.scenes["orbital"]
+    name = variant(engine, Change("studio", material=" glass, index=1.30"))
+    assert name == "orbital@studio=glass,index=1.3"
+    made = engine.scenes[name]
+    assert made.volume is own.volume and made.material.index == 1.3 and not made.bakes
+    assert variant(engine, Change("studio", material="glass,index=1.3")) == name
+    assert variant(engine, Change(material="diffuse")) == "orbital", "its own is no variant"
+    assert variant(engine, Change(material="subsurface,mean_free_path=1e20")).endswith("path=1e20")
+
+
+def test_other_parts_of_a_name_are_told_from_a_material(engine: RenderEngine) -> None:
+    cut = variant(engine, Change(cut="x>40", material="glass"))
+    assert cut.startswith("orbital@=glass@") and (labels_of(cut), step_of(cut)) == ("", "")
+    assert (labels_of("seg@=glass!3+2"), step_of("seg@=glass!3+2")) == ("!3", "2")
+    assert may_lend("seg@=subsurface", "seg@=subsurface+2") and not may_lend("seg", "seg@=subsurface")
+
+
+@pytest.mark.parametrize(
+    ("scene", "material", "reason"),
+    [
+        ("orbital", "jelly", "is not one of diffuse, glass, subsurface"),
+        ("orbital", "glass,index=9", "is not a number from 1 to 4"),
+        ("orbital", "glass,absorption=nan", "is not a number"),
+        ("orbital", "glass,absorption=1,2", "give one, or three"),
+        ("orbital", "glass@1", "give a word"),
+        ("casting", "subsurface", "Lamps do not reach inside"),
+    ],
+)
+def test_what_a_scene_cannot_be_of_is_told(engine: RenderEngine, scene: str, material: str, reason: str) -> None:
+    with pytest.raises(ParameterError, match=reason) as refused:
+        variant(engine, Change(material=material), scene)
+    assert refused.value.parameter == "material"
+
+
+def test_kernels_that_were_never_compiled_come_first(engine: RenderEngine, monkeypatch: pytest.MonkeyPatch) -> None:
+    kernel, compiled = SimpleNamespace(loaded=False, stored=False), []
+    monkeypatch.setattr(module, "entries_of", lambda _: [kernel])
+    monkeypatch.setattr(module, "warm", compiled.append)
+    with pytest.raises(BusyError, match="is being compiled"):
+        variant(engine, Change(material="glass"))
+    assert len(compiled) == 1 and set(engine.scenes) == {"orbital", "casting"}
+    kernel.stored = True
+    assert variant(engine, Change(material="glass")) == "orbital@=glass"
