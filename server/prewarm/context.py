@@ -114,7 +114,7 @@ class Baking:
     Projected texels come last, isosurface by isosurface.
 
     ``span`` is where in all of the work this begins and ends, as shares of it. It ends at ``end``, by the monotonic
-    clock, and is ``late`` then; ``done`` chunks are baked or given up, and ``failures`` says why the latter were.
+    clock; ``done`` chunks are baked or given up by then, and ``failures`` says why the latter were.
     """
 
     def __init__(
@@ -123,7 +123,7 @@ class Baking:
         """Ask for nothing yet."""
         self.demands = sorted(demands, key=lambda demand: (*onto(demand), -demand.weight))
         self.failures: dict[Index, str] = {}
-        self.done, self.late = 0, False
+        self.done = 0
         self._context, self._end, self._span = context, end, span
         self._expected = expected
         self._estimator, self._pace = TimeEstimator(prior=PRIOR), Pace(time.monotonic)
@@ -131,6 +131,11 @@ class Baking:
         self._open: list[BackgroundBake] = []
         self._patience = Patience(context.patience)
         self._before = self._cost()
+
+    @property
+    def late(self) -> bool:
+        """Whether the time is over, and not all chunks are baked or given up."""
+        return self.done < len(self.demands) and time.monotonic() >= self._end
 
     @property
     def spent(self) -> Cost:
@@ -142,7 +147,7 @@ class Baking:
         """Bake until all is, or the time is over; nothing more is wanted then. Raises WorkersError, and Cancelled."""
         parts = self._parts()
         try:
-            while self._filled(parts) and not self.late:
+            while not self.late and self._filled(parts):
                 self._report()
                 self._wait()
                 self._settle()
@@ -172,7 +177,6 @@ class Baking:
             raise WorkersError(engine.workforce.missing)
         self._patience.check(engine.paths, engine.workforce.preparing, engine.unready())
         self._open[0].wait(max(min(LOOK, self._end - now), 0.0))
-        self.late = time.monotonic() >= self._end
 
     def _settle(self) -> None:
         """Count what is baked or given up."""
@@ -180,7 +184,6 @@ class Baking:
             self._open.remove(part)
             self.done += len(part.chunks)
             self.failures |= part.failures()
-        self.late = self.late and bool(self._open)
 
     def _report(self) -> None:
         """Say how far it is, and what the rest takes."""

@@ -25,6 +25,7 @@ from server.settings import Settings
 from tests.server.inline import InlinePool, chunks_in, view_of
 from worker import pool
 from worker.errors import WorkersError
+from worker.tasks import BakeTask
 
 SIZE = {"width": 24, "height": 20}
 
@@ -138,10 +139,13 @@ def test_a_dry_run_bakes_nothing_and_tells_what_there_is(
 
 
 def test_it_ends_with_its_deadline_and_goes_on(
-    blocks: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    blocks: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    summary = warmed(blocks, tmp_path, "0.5", deadline=0)
-    assert (summary.stopped, summary.paths, summary.final) == ("deadline", 0, 0.0)
+    asked: list[BakeTask] = []
+    with monkeypatch.context() as patch:
+        patch.setattr(InlinePool, "submit", lambda _, task, done: asked.append(task))
+        summary = warmed(blocks, tmp_path, "0.5", deadline=0)
+    assert (summary.stopped, summary.paths, summary.final, asked) == ("deadline", 0, 0.0, [])
     assert document_of(summary).unfinished
     place = ["--store", str(tmp_path), "--workers", "1", "--json"]
     assert run(["prewarm", str(blocks), "--continue", *place]) == 0
