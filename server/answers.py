@@ -73,6 +73,7 @@ def scene_schema(scene: Scene) -> SceneSchema:
         colours=colour_scale(scene),
         surfaces=[SurfaceSchema(**each.table) for each in scene.pinned],
         clear=scene.clear,
+        transmission=scene.transmission,
         shines=(list(KINDS) if scene.colours is None else ["plastic"]) if scene.shine else [],
         bounces=scene.bounces,
         cuts=scene.volume.orientation.straight,

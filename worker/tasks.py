@@ -143,7 +143,7 @@ def most_maps() -> int:
 OPEN: WeakValueDictionary[str, PreparedScene] = WeakValueDictionary()
 """The scenes that this process has open, by their volumes and how rays meet these."""
 
-LIGHT = ("lights", "environment", "lattice", "albedo", "surfaces", "clear")
+LIGHT = ("lights", "environment", "lattice", "albedo", "transmission", "surfaces", "clear")
 """Settings of a scene that nothing depends on which is worked out of its voxels."""
 
 

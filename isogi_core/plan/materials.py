@@ -14,8 +14,9 @@ KEYS = {"index": "glass", "absorption": "glass", "mean_free_path": "subsurface"}
 """The keys of materials that have any."""
 
 BESIDE = {
-    "glass": {"albedo": "it reflects no diffuse light", "clear": "it lets light pass by its index already"},
-    "subsurface": {"clear": "it lets light in already"},
+    "glass": {"albedo": "it reflects no diffuse light"}
+    | dict.fromkeys(("clear", "transmission"), "it lets light pass by its index already"),
+    "subsurface": dict.fromkeys(("clear", "transmission"), "it lets light in already"),
 }
 """What a scene of one of these cannot have, and why."""
 

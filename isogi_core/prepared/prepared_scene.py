@@ -166,7 +166,8 @@ class PreparedScene:
         albedos = np.array([scene.albedo, *(each.albedo for each in scene.pinned)], np.float64)
         clears = np.array([scene.clear, *(each.clear for each in scene.pinned)], np.float64)
         filled = tuple(maps + [cells] * (MOST - len(maps)))
-        return Surfaces(filled, np.array([np.nan, *levels], np.float64), albedos, clears)
+        through = np.array([scene.transmission, *(each.transmission for each in scene.pinned)], np.float64)
+        return Surfaces(filled, np.array([np.nan, *levels], np.float64), albedos, clears, through)
 
     def surroundings(self, matrix: np.ndarray) -> Surroundings:
         """All light as it is, for paths that meet it; the environment turned by ``matrix`` (3, 3).
