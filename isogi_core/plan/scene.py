@@ -118,20 +118,13 @@ class Scene:
 
     @property
     def several(self) -> bool:
-        """Whether paths may go on behind the first surface that they meet: there are pinned ones, or light gets through
-        the one that slides.
-        """
+        """Whether light may meet more than one side of one surface: there are others, or some gets through this one."""
         return bool(self.pinned) or self.clear > 0.0 or any(self.transmission)
-
-    @property
-    def leaving(self) -> Colour:
-        """The share of light that leaves the surface that slides on either side where as much falls on both."""
-        return leaving(self.albedo, self.transmission)
 
     @property
     def transmits(self) -> bool:
         """Whether light gets through any of the surfaces, diffuse."""
-        return any(any(each) for each in (self.transmission, *(each.transmission for each in self.pinned)))
+        return any(self.transmission) or any(any(each.transmission) for each in self.pinned)
 
     def kind_of(self, layer: Layer, plan: ScenePlan) -> str:
         """The kind of a ``layer`` of a ``plan``, or what stands for it, by whose kernels it is baked."""
@@ -272,10 +265,7 @@ class Scene:
         return asked
 
     def leaving_for(self, asked: Colour | None) -> Colour:
-        """``leaving`` in a view that has ``asked`` for an albedo: what counts of the light that texels keep.
-
-        ViewError as ``albedo_for``.
-        """
+        """What counts of texels' light in a view that has ``asked`` for an albedo. ViewError as ``albedo_for``."""
         return leaving(self.albedo_for(asked), self.transmission)
 
     def shine_for(self, asked: Shine | None) -> Shine | None:

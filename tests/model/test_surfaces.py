@@ -38,7 +38,7 @@ def test_light_that_gets_through_is_planned_for() -> None:
     scene = load_scene("demo:casting", albedo=[0.5, 0.4, 0.3], transmission=0.4)
     assert (scene.several, scene.transmits, scene.rotating) == (True, True, False)
     assert (scene.plan.representation, scene.bakes) == ("irradiance", {AMONG})
-    assert scene.leaving == scene.inputs.albedo == scene.inputs.reflecting == (0.9, 0.8, 0.7)
+    assert scene.leaving_for(None) == scene.inputs.albedo == scene.inputs.reflecting == (0.9, 0.8, 0.7)
     assert not scene.inputs.grey
     told = {each.what: each for each in scene.left_out}
     assert told["irradiance of each side by itself"].saves[0].amount == scene.plan.bytes_per_texel
