@@ -50,6 +50,7 @@ from isogi_core.plan.scene import CHUNKS, NORMALS, Scene
 from isogi_core.plan.several import read_clear, read_pinned, read_transmission
 from isogi_core.plan.volumes.colours import find_table, read_colours
 from isogi_core.plan.volumes.cuts import cut_away
+from isogi_core.plan.volumes.glow_masks import read_glow_masks
 from isogi_core.plan.volumes.label_colours import colours_of_labels
 from isogi_core.plan.volumes.labels import HALF, find_labels
 from isogi_core.plan.volumes.opening import open_volume
@@ -79,11 +80,13 @@ def build_scene(
     progress: Progress = no_progress,
     volume: Volume | None = None,
     colours: SurfaceColours | None = None,
+    glow_bits: np.ndarray | None = None,
 ) -> Scene:
     """Open the volume and the lights of ``source``, check every setting, and make the plan.
 
     ``progress`` is called while a copy of a large volume is made. A ``volume`` that is given replaces the one that the
-    scene names, and ``colours`` its own. Raises SceneError, VolumeError or LightError.
+    scene names, ``colours`` its own, and ``glow_bits`` what is read of the masks of its glows. Raises SceneError,
+    VolumeError or LightError.
     """
     settings = Settings(source)
     settings.text("volume", DEFAULT_DEMO)  # named by the scene, also where another way led to it
@@ -94,7 +97,7 @@ def build_scene(
         volume = cut_away(whole, cut) if cut else whole
     if settings.flag("inside_out", False):
         volume = volume.inside_out
-    room, glowing = read_room(settings, volume), read_glow(settings, volume)
+    room, glowing = read_room(settings, volume), read_glow(settings, volume, glow_bits)
     lights = read_lights(settings, room)
     lamps = gather_lamps((*lights, *room.lamps), volume.orientation)
     isovalues = settings.interval("isovalues", volume.value_range, volume.core)
@@ -213,9 +216,12 @@ def read_room(settings: Settings, volume: Volume) -> Room:
     return place_walls((*named, *map(wall_from_mapping, settings.tables("walls"))), volume)
 
 
-def read_glow(settings: Settings, volume: Volume) -> Glowing:
-    """What glows in the volume. SceneError where a table has no meaning."""
-    return place_glows([glow_from_mapping(table) for table in settings.tables("glow")], volume)
+def read_glow(settings: Settings, volume: Volume, bits: np.ndarray | None) -> Glowing:
+    """What glows in the volume; of masks that were read, the ``bits``. SceneError where a table has no meaning, and
+    VolumeError where a mask cannot be used.
+    """
+    glows = [glow_from_mapping(table) for table in settings.tables("glow")]
+    return place_glows(glows, volume, read_glow_masks(glows, settings, volume) if bits is None else bits)
 
 
 def read_shine(settings: Settings, colours: SurfaceColours | None) -> Shine | None:

@@ -9,6 +9,7 @@ from typing import Any
 from isogi_core.errors import SceneError
 from isogi_core.files.formats.opening import split_part
 from isogi_core.files.scene_file import FOLLOWED, Clears, Hidden, put_clears, put_hidden
+from isogi_core.model.value_survey import no_progress
 from isogi_core.model.volume import Volume
 from isogi_core.plan.assembly import build_scene
 from isogi_core.plan.scene import Scene
@@ -18,7 +19,8 @@ from isogi_core.plan.volumes.cuts import cut_away, voxels_left
 def remade(scene: Scene, document: dict[str, Any], volume: Volume | None) -> Scene:
     """The scene that another ``document`` makes of it, with its colours where a ``volume`` is open: see build_scene."""
     bare = {key: value for key, value in document.items() if volume is None or key not in FOLLOWED}
-    made = build_scene(replace(scene.source, document=bare), volume=volume, colours=scene.colours if volume else None)
+    known = (scene.colours, scene.glowing.bits) if volume else (None, None)
+    made = build_scene(replace(scene.source, document=bare), no_progress, volume, *known)
     return replace(made, source=replace(scene.source, document=document))
 
 

@@ -133,7 +133,8 @@ class PreparedScene:
         given = self.scene.glowing
         middles, halves = (np.ascontiguousarray(each.T) for each in (given.middles, given.halves))
         lows, highs = np.ascontiguousarray(given.ranges.T)
-        return Glows(middles, halves, given.round.astype(np.float64), given.radii, lows, highs, 1.0 / given.chords)
+        rest = given.radii, lows, highs, 1.0 / given.chords, given.masked.astype(np.float64), given.bits
+        return Glows(middles, halves, given.round.astype(np.float64), *rest)
 
     @cached_property
     def _room(self) -> Room:

@@ -16,7 +16,7 @@ from isogi_core.kernels.tracing.field import FIELD
 from isogi_core.kernels.tracing.intersect import SOLID, UNKNOWN
 from isogi_core.kernels.tracing.peels import MOST
 from isogi_core.kernels.tracing.ray_stream import Rays
-from isogi_core.kernels.tracing.vec import column, dot, madd, put_column, scale
+from isogi_core.kernels.tracing.vec import SMALLEST, column, dot, madd, put_column, scale
 from isogi_core.kernels.transport.integrator import ROULETTE, launch
 from isogi_core.kernels.transport.light_paths import SURROUNDINGS, aim_shadow_rays, make_shadow_rays
 from isogi_core.kernels.transport.lights import arriving
@@ -227,39 +227,37 @@ def gather_ends(company, vertices, escaped, light):
 
 
 @kernel()
-def transmitted(surfaces, k):
-    """The share that transmission has in all light which leaves surface ``k`` where all that falls on it is even."""
-    through, back = surfaces.transmissions[k], surfaces.albedos[k]
-    total = through[0] + through[1] + through[2]
-    return total / (total + back[0] + back[1] + back[2]) if total > 0.0 else 0.0
+def leave(surfaces, company, h, k, vertex, chance):
+    """Have path ``h`` leave its ``vertex`` on surface ``k`` by its albedo, or by its transmission: whether by that.
 
-
-@kernel()
-def leave(surfaces, wave, h, k, vertex):
-    """Have path ``h`` leave its ``vertex`` on surface ``k``: whether on the other side, and the chance of that side."""
-    share = transmitted(surfaces, k)
-    if not share > 0.0:
-        return False, 1.0
-    through = happens(wave, h, LEAVING + vertex, share)
-    return through, share if through else 1.0 - share
+    Each is drawn by what it leaves of the light that the path carries, so that no colour of it ever counts more than
+    three times that. What it carries counts over that chance, and over the ``chance`` to get there.
+    """
+    wave, carried, m = company.shadow.wave, company.carried, company.shadow.wave.owners[h]
+    back = through = 0.0
+    for c in range(3):
+        back += carried[c, m] * surfaces.albedos[k, c]
+        through += carried[c, m] * surfaces.transmissions[k, c]
+    share = through / (through + back) if through > 0.0 else 0.0
+    other = share > 0.0 and happens(wave, h, LEAVING + vertex, share)
+    counts, share = (surfaces.transmissions[k], share) if other else (surfaces.albedos[k], 1.0 - share)
+    for c in range(3):
+        carried[c, m] *= counts[c] / (chance * share)
+    return other
 
 
 @kernel()
 def stand_on(surfaces, company, following, count, bounce, chance):
     """Put the vertices ``following`` the rays of a ``bounce`` on what was met: its number, its isovalue, and the side
-    that paths leave, by what that counts over its chance and the ``chance`` to get there. ``count`` rays were cast.
+    that paths leave. ``count`` rays were cast, and hits were followed with a ``chance``.
     """
     wave, ways = company.shadow.wave, columns(company.shadow.wave.ways, count)
     for h in range(following.count):
-        i, m = wave.hits[h], wave.owners[h]
+        i = wave.hits[h]
         k = int(company.met[i])
         company.own[h], company.on[h] = company.own[i], k
         wave.isovalues[h] = company.own[h] if k == 0 else surfaces.isovalues[k]
-        through, share = leave(surfaces, wave, h, k, bounce + 1)
-        for c in range(3):
-            counts = surfaces.transmissions[k, c] if through else surfaces.albedos[k, c]
-            company.carried[c, m] *= counts / (chance * share)
-        if through:
+        if leave(surfaces, company, h, k, bounce + 1, chance):
             wave.sides[h], wave.signs[h] = -wave.sides[h], -wave.signs[h]
             put_column(ways, i, scale(column(ways, i), -1.0))  # where the field is flat normals are against them
 
@@ -267,16 +265,13 @@ def stand_on(surfaces, company, following, count, bounce, chance):
 @kernel()
 def start_on_either_side(field, surfaces, company, vertices, starts):
     """Have paths leave the surface that they start on, on one of its sides, each counting its share of what leaves."""
-    wave, g = company.shadow.wave, starts.isovalues.shape[0]
+    wave, g, through = company.shadow.wave, starts.isovalues.shape[0], surfaces.transmissions[0]
     origins, normals = columns(vertices.points, vertices.count), columns(vertices.normals, vertices.count)
-    for h in range(vertices.count if transmitted(surfaces, 0) > 0.0 else 0):
+    for h in range(vertices.count if max(through[0], through[1], through[2]) > 0.0 else 0):
         m = wave.owners[h]
-        through, share = leave(surfaces, wave, h, 0, 0)
         for c in range(3):
-            other, own = surfaces.transmissions[0, c], surfaces.albedos[0, c]
-            counts = other if through else own
-            company.carried[c, m] *= counts / (share * (other + own)) if counts > 0.0 else 0.0
-        if through:
+            company.carried[c, m] /= max(surfaces.albedos[0, c] + through[c], SMALLEST)
+        if leave(surfaces, company, h, 0, 0, 1.0):
             n, start = scale(column(normals, h), -1.0), column(starts.points, m % g)
             wave.sides[h] = SOLID
             put_column(normals, h, n)
