@@ -79,6 +79,7 @@ def scene_schema(scene: Scene) -> SceneSchema:
         clear=scene.clear,
         material=write_material_text(material_settings(scene.material)),
         materials=[material_schema(kind, found) for kind, found in find_materials(scene).items()],
+        transmission=scene.transmission,
         shines=(list(KINDS) if scene.colours is None else ["plastic"]) if scene.shine else [],
         bounces=scene.bounces,
         cuts=scene.volume.orientation.straight,

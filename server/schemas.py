@@ -241,12 +241,14 @@ class EnvironmentList(BaseModel):
 
 class SurfaceSchema(BaseModel):
     """A pinned isosurface: its ``name``, empty where it has none, the ``albedo`` of both its sides, linear RGB, and the
-    share of rays that passes straight through it, ``clear``.
+    share of rays that passes straight through it, ``clear``. Its ``transmission``, linear RGB, is what gets through
+    diffuse.
     """
 
     isovalue: float
     name: str
     albedo: Triple
+    transmission: Triple = (0.0, 0.0, 0.0)
     clear: float
 
 
@@ -275,8 +277,8 @@ class SceneSchema(BaseModel):
     of shine that it may ask for, none where the surface is diffuse. ``cuts`` is whether planes across the world's axes
     may cut it: its voxels lie along them. ``colours`` are those of a surface whose albedo comes from data, null where
     it has one ``albedo``; that is then the most that colours reflect. ``surfaces`` are pinned beside the one that
-    slides, which lets the share ``clear`` of rays pass. ``material`` is what this is about, as views spell it, and
-    ``materials`` are all, with why some of them are refused.
+    slides, which lets the share ``clear`` of rays pass, and of other light its ``transmission`` through, diffuse.
+    ``material`` is what this is about, as views spell it, and ``materials`` are all, with why some of them are refused.
     """
 
     id: str
@@ -293,6 +295,7 @@ class SceneSchema(BaseModel):
     colours: ColourScale | None
     surfaces: list[SurfaceSchema]
     clear: float
+    transmission: Triple
     material: str
     materials: list[MaterialSchema]
     shines: list[str]

@@ -22,7 +22,7 @@ from isogi_core.cache.chunk import Chunk
 from isogi_core.cache.chunk_store import ChunkStore
 from isogi_core.cache.claims import Claims
 from isogi_core.cache.costs import Cost
-from isogi_core.cache.scene_assets import SceneAssets, receive_assets, receive_colours
+from isogi_core.cache.scene_assets import SceneAssets, receive_assets, receive_colours, receive_glow_bits
 from isogi_core.errors import SceneError, StoreAwayError
 from isogi_core.files.mappings import budget
 from isogi_core.files.scene_changes import MATERIAL_NUMBERS
@@ -36,6 +36,7 @@ from isogi_core.kernels.transport.surface_paths import light_among_surfaces
 from isogi_core.kernels.transport.texel_points import project_texels
 from isogi_core.kernels.transport.transfer import bake_irradiance, bake_texels, locate_texels
 from isogi_core.model.scene_plan import GLOW, ScenePlan
+from isogi_core.model.value_survey import no_progress
 from isogi_core.model.volume import Isovalue
 from isogi_core.plan.assembly import build_scene
 from isogi_core.plan.scene import AMONG, COLOURED, INSIDE, ROOM
@@ -128,8 +129,9 @@ def prepared_scene(source: SceneSource, assets: SceneAssets | None, store_url: S
     if assets is None:
         return opened(source)
     received, volume = receive_assets(source, assets, open_store(store_url))
-    colours = receive_colours(assets, open_store(store_url))
-    return PreparedScene(build_scene(received, volume=volume, colours=colours), most_maps())
+    store = open_store(store_url)
+    known = receive_colours(assets, store), receive_glow_bits(assets, store)
+    return PreparedScene(build_scene(received, no_progress, volume, *known), most_maps())
 
 
 MAPS = 3 / 8
@@ -145,7 +147,7 @@ OPEN: WeakValueDictionary[str, PreparedScene] = WeakValueDictionary()
 """The scenes that this process has open, by their volumes and how rays meet these."""
 
 LIGHT = (
-    *("lights", "environment", "lattice", "albedo", "albedos", "surfaces", "clear"),
+    *("lights", "environment", "lattice", "albedo", "albedos", "transmission", "surfaces", "clear"),
     *("material", *MATERIAL_NUMBERS),
 )
 """Settings of a scene that nothing depends on which is worked out of its voxels."""
@@ -161,7 +163,8 @@ def opened(source: SceneSource) -> PreparedScene:
     else:
         bare = {name: value for name, value in source.document.items() if name not in FOLLOWED}
         scene = known.scene
-        prepared = known.beside(build_scene(replace(source, document=bare), volume=scene.volume, colours=scene.colours))
+        shared = scene.volume, scene.colours, scene.glowing.bits
+        prepared = known.beside(build_scene(replace(source, document=bare), no_progress, *shared))
     OPEN[key] = prepared
     return prepared
 

@@ -127,13 +127,14 @@ class SceneAssets:
     """The digests of a scene's ``volume``, empty for a demo, and of its lights' ``files``, by their names there.
 
     The ``orientation`` is the volume's: equal voxels may lie differently in two scenes. ``colours`` is the digest of
-    the surface's, empty where it has none.
+    the surface's, ``glow_bits`` that of the masks of what glows, each empty where there are none.
     """
 
     volume: str
     files: tuple[tuple[str, str], ...]
     orientation: Orientation = PLAIN
     colours: str = ""
+    glow_bits: str = ""
 
 
 def send_assets(scene: Scene, store: Store) -> SceneAssets:
@@ -147,13 +148,14 @@ def send_assets(scene: Scene, store: Store) -> SceneAssets:
         files.append((name, digest_of_file(data)))
         Asset(store, f"files/{files[-1][1]}").put(np.frombuffer(data, np.uint8), (BYTES,), {})
     colours = send_colours(scene.colours, store) if scene.colours else ""
+    bits = send_glow_bits(scene.glowing.bits, store) if scene.glowing.bits.size else ""
     if str(source.document.get("volume", DEFAULT_DEMO)).startswith("demo:"):
-        return SceneAssets("", tuple(files), colours=colours)
+        return SceneAssets("", tuple(files), colours=colours, glow_bits=bits)
     facts = {
         name: value for name, value in vars(volume.counted()).items() if name not in ("voxels", "orientation", "moment")
     }
     Asset(store, f"volumes/{volume.digest}").put(volume.voxels, CHUNK, facts)
-    return SceneAssets(volume.digest, tuple(files), volume.orientation, colours)
+    return SceneAssets(volume.digest, tuple(files), volume.orientation, colours, bits)
 
 
 def send_colours(colours: SurfaceColours, store: Store) -> str:
@@ -177,6 +179,24 @@ def receive_colours(assets: SceneAssets, store: Store) -> SurfaceColours | None:
     if colours.digest != assets.colours:
         raise asset.damaged("it holds other colours")
     return colours
+
+
+def send_glow_bits(bits: np.ndarray, store: Store) -> str:
+    """Write the masks of what glows to the ``store``, unless they are there; their digest. Raises StoreError."""
+    digest = digest_of_file(bits.tobytes())
+    Asset(store, f"glow/{digest}").put(bits, CHUNK, {})
+    return digest
+
+
+def receive_glow_bits(assets: SceneAssets, store: Store) -> np.ndarray | None:
+    """The masks of what glows among a scene's assets, None where there are none. Raises StoreError."""
+    if not assets.glow_bits:
+        return None
+    asset = Asset(store, f"glow/{assets.glow_bits}")
+    bits = np.concatenate(list(asset.slabs()))
+    if digest_of_file(bits.tobytes()) != assets.glow_bits:
+        raise asset.damaged("it holds other masks")
+    return bits
 
 
 def receive_assets(source: SceneSource, assets: SceneAssets, store: Store) -> tuple[SceneSource, Volume | None]:

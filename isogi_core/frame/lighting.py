@@ -22,6 +22,7 @@ from isogi_core.model.shine import Shine
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import Camera, View, rotation_matrix
 from isogi_core.plan.albedos import mixing_weights
+from isogi_core.plan.scene import Scene
 
 FORMAT = 6
 """Counts up when pictures of the same light change: those that browsers keep are then asked for anew."""
@@ -87,7 +88,7 @@ class RotatedLight:
     @cached_property
     def seen(self) -> BakeSpec:
         """The spec with the view's albedo. ViewError where its light is not of that."""
-        return self.spec.of_albedo(self.spec.prepared.scene.albedo_for(self.view.albedo))
+        return self.spec.of_albedo(self.spec.prepared.scene.leaving_for(self.view.albedo))
 
     @cached_property
     def matrix(self) -> np.ndarray:
@@ -121,7 +122,7 @@ class RotatedLight:
 
     @property
     def albedo(self) -> np.ndarray:
-        """The albedo of the surface, (3,)."""
+        """The share of light that leaves the surface, (3,): its albedo, and what is transmitted to it."""
         return np.array(self.seen.albedo)
 
     @property
@@ -191,7 +192,7 @@ class RotatedLight:
     @cached_property
     def sky(self) -> Sky:
         """Unshadowed light without lobes, in the spec's ``unit``: it replaces what is not baked."""
-        around = rotated_by(self.spec.beside, self.matrix)
+        around = either_side(rotated_by(self.spec.beside, self.matrix), self.spec.prepared.scene)
         order = math.isqrt(around.shape[1])
         lobe = cosine_lobe_factors(order)[band_of(order)] / math.pi
         return Sky(order, lobe, self.albedo[:, None] * around / self.spec.unit)
@@ -273,6 +274,17 @@ def rotated_by(light: np.ndarray, matrix: np.ndarray) -> np.ndarray:
     rotated = np.empty_like(light)
     rotate(math.isqrt(light.shape[1]), matrix, light, rotated)
     return rotated
+
+
+def either_side(light: np.ndarray, scene: Scene) -> np.ndarray:
+    """Unshadowed ``light`` (3, n²) as it falls on the side that is seen and, where the surface transmits, on the other,
+    each by its share in what leaves: Y_l(-n) = (-1)^l Y_l(n).
+    """
+    if not any(scene.transmission):
+        return light
+    albedo, through = np.array(scene.albedo), np.array(scene.transmission)
+    turned = (albedo - through) / np.maximum(albedo + through, 1e-30)
+    return np.where(band_of(math.isqrt(light.shape[1])) % 2 == 1, turned[:, None], 1.0) * light
 
 
 def quadric_of(light: np.ndarray) -> np.ndarray:

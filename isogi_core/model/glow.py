@@ -3,7 +3,7 @@
 import hashlib
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -24,6 +24,9 @@ STRONGEST = 16.0
 ALL = (-math.inf, math.inf)
 """The range of all values."""
 
+NO_BITS = np.zeros((0, 0, 0), np.uint8)
+"""The masks of a scene in which no glow has one."""
+
 BEYOND = 1e-9
 """Share of the volume's radius by which a region may reach out of its box, by rounding."""
 
@@ -33,20 +36,25 @@ class Glow:
     """A part of the volume that gives off ``radiance``, linear RGB: what a ray gathers over its mean chord.
 
     It is a ``box``, two opposite corners in the world whose edges lie along the volume's axes, or a ``sphere``, world
-    x, y, z and radius, or else all of the volume's box; and within it what has ``values`` of the file from one to
-    another.
+    x, y, z and radius, or else all of the volume's box, or the part of it that a ``mask``, a file of a volume, takes;
+    and within it what has ``values`` of the file from one to another, and is in the mask where there is one: where that
+    has one of the values ``labels``, or without these any but 0.
     """
 
     radiance: Colour = (1.0, 1.0, 1.0)
     box: tuple[Vector, Vector] | None = None
     sphere: tuple[float, float, float, float] | None = None
     values: tuple[float, float] = ALL
+    mask: str = ""
+    labels: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         if self.box is not None and self.sphere is not None:
             raise SceneError("A glow has a box and a sphere: give one of them.")
-        if self.box is None and self.sphere is None and self.values == ALL:
-            raise SceneError("A glow says nowhere what glows: give it a box, a sphere or a range of values.")
+        if self.box is None and self.sphere is None and self.values == ALL and not self.mask:
+            raise SceneError("A glow says nowhere what glows: give it a box, a sphere, a range of values or a mask.")
+        if self.labels and not self.mask:
+            raise SceneError("A glow has labels of no mask: add mask, the file that they are in, or leave them out.")
         if not all(0.0 <= light <= LARGEST for light in self.radiance):
             given = ", ".join(f"{light:g}" for light in self.radiance)
             raise SceneError(f"A glow's radiance is {given}: it must be from 0 to {LARGEST:g}.")
@@ -55,14 +63,20 @@ class Glow:
         if self.box is not None and any(a == b for a, b in zip(*self.box, strict=True)):
             raise SceneError("A glow's box has no volume: give two opposite corners that differ in x, y and z.")
 
-    def place(self, volume: Volume) -> tuple[np.ndarray, np.ndarray]:
-        """Its middle and half edges in the box of a ``volume``, (3,) each; SceneError where it reaches out of it."""
+    def place(self, volume: Volume, within: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Its middle and half edges in the box of a ``volume``, (3,) each; SceneError where it reaches out of it.
+
+        Without a box and a sphere it is the box ``within`` two opposite corners (2, 3), in voxels, or all of it.
+        """
         orientation, extent = volume.orientation, np.array(volume.extent)
         if self.sphere is not None:
             middle, half = np.array(orientation.point_to_box(triple(self.sphere[:3]))), np.full(3, self.sphere[3])
         elif self.box is not None:
             corners = np.array([orientation.point_to_box(corner) for corner in self.box])
             middle, half = corners.mean(axis=0), np.abs(corners[1] - corners[0]) / 2.0
+        elif within is not None:
+            low, high = within * volume.spacing
+            middle, half = (low + high) / 2.0, (high - low) / 2.0
         else:
             middle, half = extent / 2.0, extent / 2.0
         if (np.abs(middle - extent / 2.0) + half > extent / 2.0 + BEYOND * volume.radius).any():
@@ -75,13 +89,15 @@ class Glow:
 class Glowing:
     """The ``glows`` of a scene in the box of its volume: their ``middles`` and ``halves``, half edges or radii (k, 3).
 
-    ``ranges`` (k, 2) are of the voxels that glow, of which all do from -inf to inf.
+    ``ranges`` (k, 2) are of the voxels that glow, of which all do from -inf to inf. Of a glow with a mask it is the
+    voxels whose ``bits``, uint8 of the volume's shape, have its number; there are none where no glow has a mask.
     """
 
     glows: tuple[Glow, ...]
     middles: np.ndarray
     halves: np.ndarray
     ranges: np.ndarray
+    bits: np.ndarray = field(default_factory=lambda: NO_BITS)
 
     @property
     def any(self) -> bool:
@@ -92,6 +108,11 @@ class Glowing:
     def round(self) -> np.ndarray:
         """Whether each is a ball, (k,) bool."""
         return np.array([glow.sphere is not None for glow in self.glows], bool)
+
+    @property
+    def masked(self) -> np.ndarray:
+        """Whether each has a mask, (k,) bool."""
+        return np.array([bool(glow.mask) for glow in self.glows], bool)
 
     @property
     def radiances(self) -> np.ndarray:
@@ -119,20 +140,42 @@ class Glowing:
     def digest(self) -> str:
         """Hex digest of where they are, and not of their colour and strength."""
         places = [self.middles.tolist(), self.halves.tolist(), self.round.tolist(), self.ranges.tolist()]
-        return hashlib.blake2b(repr(places).encode(), digest_size=16).hexdigest()
+        places += [self.masked.tolist()] if self.masked.any() else []
+        found = hashlib.blake2b(repr(places).encode(), digest_size=16)
+        found.update(np.ascontiguousarray(self.bits).data)
+        return found.hexdigest()
 
 
 NO_GLOW = Glowing((), np.empty((0, 3)), np.empty((0, 3)), np.empty((0, 2)))
 
 
-def place_glows(glows: Sequence[Glow], volume: Volume) -> Glowing:
-    """The ``glows`` of the world in a ``volume``. SceneError where one is not in it, or there are too many."""
+def place_glows(glows: Sequence[Glow], volume: Volume, bits: np.ndarray = NO_BITS) -> Glowing:
+    """The ``glows`` of the world in a ``volume``, with the ``bits`` of their masks, as ``Glowing`` has them.
+
+    SceneError where one is not in it, or nothing is in its mask, or there are too many.
+    """
     if len(glows) > MOST_GLOWS:
         raise SceneError(f"The scene has {len(glows)} glows: give it at most {MOST_GLOWS}.")
     if not glows:
         return NO_GLOW
-    middles, halves = (np.array(each) for each in zip(*(glow.place(volume) for glow in glows), strict=True))
-    return Glowing(tuple(glows), middles, halves, np.array([_voxels(glow.values, volume) for glow in glows]))
+    boxes = [_box_of(glow.mask, bits, k) if glow.mask else None for k, glow in enumerate(glows)]
+    places = [glow.place(volume, box) for glow, box in zip(glows, boxes, strict=True)]
+    middles, halves = (np.array(each) for each in zip(*places, strict=True))
+    return Glowing(tuple(glows), middles, halves, np.array([_voxels(glow.values, volume) for glow in glows]), bits)
+
+
+def _box_of(mask: str, bits: np.ndarray, number: int) -> np.ndarray:
+    """Opposite corners (2, 3), x, y, z in voxels, of the box about the voxels in the mask of this ``number``.
+
+    A voxel reaches half a voxel around, and no farther than the volume. SceneError where there are none.
+    """
+    there = [(layer >> number) & 1 == 1 for layer in bits]
+    planes = np.logical_or.reduce(there)
+    sides = planes.any(axis=0), planes.any(axis=1), np.array([layer.any() for layer in there])
+    if not sides[2].any():
+        raise SceneError(f"No voxel of the volume is in the glow's mask '{mask}': check its labels, and where it lies.")
+    spans = [np.flatnonzero(side)[[0, -1]] + [-0.5, 0.5] for side in sides]
+    return np.array([np.clip(span, 0.0, len(side) - 1.0) for span, side in zip(spans, sides, strict=True)]).T
 
 
 def _voxels(values: tuple[float, float], volume: Volume) -> tuple[float, float]:
@@ -191,5 +234,22 @@ def _values(value: Any) -> tuple[float, float]:
     return float(value[0]), float(value[1])
 
 
-READERS = {"box": _box, "sphere": _sphere, "values": _values, "radiance": _radiance}
+def _mask(value: Any) -> str:
+    """A file's name."""
+    if not isinstance(value, str) or not value:
+        raise SceneError(f"A glow's mask is {value!r}: give the file of a volume.")
+    return value
+
+
+def _labels(value: Any) -> tuple[float, ...]:
+    """Values of a mask."""
+    if not isinstance(value, list) or not value or not all(map(is_number, value)):
+        raise SceneError(f"A glow's labels are {value!r}: give a list of the mask's values.")
+    return tuple(float(label) for label in value)
+
+
+READERS = {
+    **{"box": _box, "sphere": _sphere, "values": _values, "mask": _mask, "labels": _labels},
+    "radiance": _radiance,
+}
 """How the keys of a ``[[glow]]`` table are read."""

@@ -37,6 +37,7 @@ from isogi_core.model.room import ROOMS, Room, cornell_room, place_walls, wall_f
 from isogi_core.model.scene_plan import REPRESENTATIONS
 from isogi_core.model.shine import Shine, shine_from_mapping
 from isogi_core.model.sky import sky_image
+from isogi_core.model.surfaces import leaving
 from isogi_core.model.value_survey import Progress, no_progress
 from isogi_core.model.view import PROJECTIONS
 from isogi_core.model.volume import Volume
@@ -46,9 +47,10 @@ from isogi_core.plan.lobe_choice import MOST as MOST_LOBES
 from isogi_core.plan.materials import read_material, refuse_lamps
 from isogi_core.plan.planner import plan_scene
 from isogi_core.plan.scene import CHUNKS, NORMALS, Scene
-from isogi_core.plan.several import read_clear, read_pinned
+from isogi_core.plan.several import read_clear, read_pinned, read_transmission
 from isogi_core.plan.volumes.colours import find_table, read_colours
 from isogi_core.plan.volumes.cuts import cut_away
+from isogi_core.plan.volumes.glow_masks import read_glow_masks
 from isogi_core.plan.volumes.label_colours import colours_of_labels
 from isogi_core.plan.volumes.labels import HALF, find_labels
 from isogi_core.plan.volumes.opening import open_volume
@@ -78,11 +80,13 @@ def build_scene(
     progress: Progress = no_progress,
     volume: Volume | None = None,
     colours: SurfaceColours | None = None,
+    glow_bits: np.ndarray | None = None,
 ) -> Scene:
     """Open the volume and the lights of ``source``, check every setting, and make the plan.
 
     ``progress`` is called while a copy of a large volume is made. A ``volume`` that is given replaces the one that the
-    scene names, and ``colours`` its own. Raises SceneError, VolumeError or LightError.
+    scene names, ``colours`` its own, and ``glow_bits`` what is read of the masks of its glows. Raises SceneError,
+    VolumeError or LightError.
     """
     settings = Settings(source)
     settings.text("volume", DEFAULT_DEMO)  # named by the scene, also where another way led to it
@@ -93,7 +97,7 @@ def build_scene(
         volume = cut_away(whole, cut) if cut else whole
     if settings.flag("inside_out", False):
         volume = volume.inside_out
-    room, glowing = read_room(settings, volume), read_glow(settings, volume)
+    room, glowing = read_room(settings, volume), read_glow(settings, volume, glow_bits)
     lights = read_lights(settings, room)
     lamps = gather_lamps((*lights, *room.lamps), volume.orientation)
     isovalues = settings.interval("isovalues", volume.value_range, volume.core)
@@ -102,16 +106,18 @@ def build_scene(
     overrides = plan_overrides(settings, albedo)
     shine = read_shine(settings, colours)
     pinned, clear = read_pinned(settings, volume, room, colours), read_clear(settings, room, colours)
+    transmission = read_transmission(settings, albedo, room, colours)
     target_error = settings.number("target_error", 0.02, 1e-4, 1.0)
     refuse_lamps(material, lights)
-    several = bool(pinned) or clear > 0.0 or material.scatters
+    several = bool(pinned) or clear > 0.0 or any(transmission) or material.scatters
     light, rotating = assemble_environment(lights), may_rotate(settings, lamps, room, several)
     if volume.orientation.turned and not rotating:
         light = light.turned(volume.orientation.matrix)
-    most = albedo if overrides.albedos is None else (overrides.albedos[1],) * 3
+    most = leaving(albedo, transmission) if overrides.albedos is None else (overrides.albedos[1],) * 3
     coloured = colours is not None and not colours.grey
     facts = light, lamps, volume.centre, volume.radius, rotating
-    met = (*room.albedos, *(each.albedo for each in pinned), *((albedo,) if several else ()))
+    met = (*room.albedos, *(share for each in pinned for share in (each.albedo, each.leaving)))
+    met += (albedo,) if several else ()
     inputs = PlanInputs(*facts, most, target_error, met, coloured, colours is not None, len(glowing.glows))
     plan = plan_scene(inputs, overrides)
     scene = Scene(
@@ -144,6 +150,7 @@ def build_scene(
         camera_projection=settings.choice("projection", PROJECTIONS) or PROJECTIONS[0],
         pinned=pinned,
         clear=clear,
+        transmission=transmission,
     )
     settings.refuse_unknown()
     return scene
@@ -209,9 +216,12 @@ def read_room(settings: Settings, volume: Volume) -> Room:
     return place_walls((*named, *map(wall_from_mapping, settings.tables("walls"))), volume)
 
 
-def read_glow(settings: Settings, volume: Volume) -> Glowing:
-    """What glows in the volume. SceneError where a table has no meaning."""
-    return place_glows([glow_from_mapping(table) for table in settings.tables("glow")], volume)
+def read_glow(settings: Settings, volume: Volume, bits: np.ndarray | None) -> Glowing:
+    """What glows in the volume; of masks that were read, the ``bits``. SceneError where a table has no meaning, and
+    VolumeError where a mask cannot be used.
+    """
+    glows = [glow_from_mapping(table) for table in settings.tables("glow")]
+    return place_glows(glows, volume, read_glow_masks(glows, settings, volume) if bits is None else bits)
 
 
 def read_shine(settings: Settings, colours: SurfaceColours | None) -> Shine | None:

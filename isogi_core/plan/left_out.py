@@ -285,6 +285,12 @@ def unshared(pinned: int, levels: int, plan: ScenePlan) -> tuple[LeftOut, ...]:
     return (deep, LeftOut("light of pinned surfaces at each isovalue", why))
 
 
+def untold_sides(plan: ScenePlan) -> tuple[LeftOut, ...]:
+    """What texels of a surface that light gets through, diffuse, do not tell apart."""
+    why = "A texel keeps what leaves its own side: some of its paths start on the other, by what gets through."
+    return (LeftOut("irradiance of each side by itself", why, (Saving(plan.bytes_per_texel, "bytes per texel"),)),)
+
+
 def lattice_bytes(chunks: int, side: int, bytes_per_texel: int) -> int:
     """Bytes of ``chunks`` chunks before compression; each has room for all of its texels."""
     return chunks * side**3 * bytes_per_texel

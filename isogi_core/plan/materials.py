@@ -12,8 +12,9 @@ THICK = 0.02
 """The mean free path of a subsurface that gives none, over the radius of its volume."""
 
 BESIDE = {
-    "glass": {"albedo": "it reflects no diffuse light", "clear": "it lets light pass by its index already"},
-    "subsurface": {"clear": "it lets light in already"},
+    "glass": {"albedo": "it reflects no diffuse light"}
+    | dict.fromkeys(("clear", "transmission"), "it lets light pass by its index already"),
+    "subsurface": dict.fromkeys(("clear", "transmission"), "it lets light in already"),
 }
 """What a scene of one of these cannot have, and why."""
 

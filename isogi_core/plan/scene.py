@@ -16,18 +16,18 @@ from isogi_core.kernels.tracing.field import OFFSET, Field
 from isogi_core.model.colours import SurfaceColours
 from isogi_core.model.environment import Environment, Lamps
 from isogi_core.model.glow import NO_GLOW, STRONGEST, Glowing
-from isogi_core.model.lights import Light
+from isogi_core.model.lights import Colour, Light
 from isogi_core.model.material import DIFFUSE, Material
 from isogi_core.model.room import NO_ROOM, Room
 from isogi_core.model.scene_plan import GLOW, GlowLayer, Layer, LeftOut, ScenePlan
 from isogi_core.model.shine import Shine
 from isogi_core.model.sky import LUMINANCE
-from isogi_core.model.surfaces import PinnedSurface
+from isogi_core.model.surfaces import OPAQUE, PinnedSurface, leaving
 from isogi_core.model.view import Camera, orbit, orthographic
 from isogi_core.model.volume import Isovalue, Volume
 from isogi_core.plan.inputs import PlanInputs, PlanOverrides
 from isogi_core.plan.isovalue_presets import Preset, find_boundaries, suggested_presets
-from isogi_core.plan.left_out import unprojected, unseen, unshared, unshining
+from isogi_core.plan.left_out import unprojected, unseen, unshared, unshining, untold_sides
 from isogi_core.plan.levels import find_levels
 from isogi_core.plan.materials import unrefracted
 from isogi_core.plan.projection import ProjectionPlan, plan_projection
@@ -69,7 +69,8 @@ class Scene:
     ``lamps`` are those of the ``lights`` and the luminaires of the ``room``. ``shine`` is None where the surface is
     diffuse, and views may then ask for none. ``camera_projection``, one of PROJECTIONS, is that of views that ask for
     none. ``glowing`` is what glows in the volume. Beside the surface that slides others are ``pinned``; the share
-    ``clear`` of rays passes straight through it.
+    ``clear`` of rays passes straight through it, and of the light that falls on one side of it its ``transmission``,
+    linear RGB, leaves the other, diffuse.
     """
 
     id: str
@@ -101,6 +102,7 @@ class Scene:
     glowing: Glowing = NO_GLOW
     pinned: tuple[PinnedSurface, ...] = ()
     clear: float = 0.0
+    transmission: Colour = OPAQUE
 
     @property
     def bakes(self) -> frozenset[str]:
@@ -116,8 +118,13 @@ class Scene:
 
     @property
     def several(self) -> bool:
-        """Whether rays may meet more than one surface: there are pinned ones, or the one that slides is clear."""
-        return bool(self.pinned) or self.clear > 0.0
+        """Whether light may meet more than one side of one surface: there are others, or some gets through this one."""
+        return bool(self.pinned) or self.clear > 0.0 or any(self.transmission)
+
+    @property
+    def transmits(self) -> bool:
+        """Whether light gets through any of the surfaces, diffuse."""
+        return any(self.transmission) or any(any(each.transmission) for each in self.pinned)
 
     def kind_of(self, layer: Layer, plan: ScenePlan) -> str:
         """The kind of a ``layer`` of a ``plan``, or what stands for it, by whose kernels it is baked."""
@@ -219,7 +226,8 @@ class Scene:
         """Everything that is left out: by the plan, texels that are never lit or not projected, and shine."""
         texels = (*unseen(self.texels, self.plan), *unprojected(self.projection, self.start))
         levels = len(self.levels) if self.pinned else 0
-        beside = unshared(len(self.pinned), levels, self.plan) if self.several else ()
+        beside = unshared(len(self.pinned), levels, self.plan) if self.pinned or self.clear > 0.0 else ()
+        beside += untold_sides(self.plan) if self.transmits else ()
         beside += unrefracted(self.material, self.lights, self.environment.sharp)
         return (*self.plan.left_out, *texels, *beside, *unshining(self.shine))
 
@@ -255,6 +263,10 @@ class Scene:
             given = ",".join(f"{share:g}" for share in asked)
             raise ViewError(f"albedo must be from {lowest:g} to {highest:g} in this scene, not {given}.")
         return asked
+
+    def leaving_for(self, asked: Colour | None) -> Colour:
+        """What counts of texels' light in a view that has ``asked`` for an albedo. ViewError as ``albedo_for``."""
+        return leaving(self.albedo_for(asked), self.transmission)
 
     def shine_for(self, asked: Shine | None) -> Shine | None:
         """The shine that a view has ``asked`` for, else the scene's own; None where nothing shines.
@@ -334,9 +346,10 @@ class Scene:
 
     @property
     def _company(self) -> list[Any]:
-        """What digests hold of surfaces beside each other; nothing where there is one, and no ray passes it."""
+        """What digests hold of surfaces beside each other; nothing where there is one, and no light gets through."""
         others = sorted(each.facts for each in self.pinned)
-        return ["surfaces", others, self.clear] if self.several else []
+        through = ["transmission", *self.transmission] if any(self.transmission) else []
+        return ["surfaces", others, self.clear, *through] if self.several else []
 
     @property
     def _made(self) -> list[Any]:

@@ -3,8 +3,9 @@
 from isogi_core.errors import SceneError
 from isogi_core.files.scene_file import Settings
 from isogi_core.model.colours import SurfaceColours
+from isogi_core.model.lights import Colour
 from isogi_core.model.room import Room
-from isogi_core.model.surfaces import PinnedSurface, pinned_surfaces
+from isogi_core.model.surfaces import PinnedSurface, pinned_surfaces, refuse_gain
 from isogi_core.model.volume import Volume
 
 
@@ -24,6 +25,18 @@ def read_clear(settings: Settings, room: Room, colours: SurfaceColours | None) -
     if clear > 0.0:
         refuse_company(settings, room, colours, "clear")
     return clear
+
+
+def read_transmission(settings: Settings, albedo: Colour, room: Room, colours: SurfaceColours | None) -> Colour:
+    """The share of light that gets through the surface which slides, of this ``albedo``, diffuse, linear RGB.
+
+    SceneError as ``read_pinned``, and where more light would leave than falls on it.
+    """
+    transmission = settings.colour("transmission", 0.0)
+    if any(transmission):
+        refuse_company(settings, room, colours, "transmission")
+        refuse_gain(albedo, transmission, f"The surface of the scene '{settings.source.name}'")
+    return transmission
 
 
 def refuse_company(settings: Settings, room: Room, colours: SurfaceColours | None, what: str) -> None:

@@ -36,7 +36,7 @@ OUTER = Side(0)
 
 def surfaces_of(scene: Scene, shown: float) -> tuple[PinnedSurface, ...]:
     """All surfaces of a scene that shows the isovalue ``shown``, the one that slides first."""
-    return (PinnedSurface(shown, scene.albedo, scene.clear), *scene.pinned)
+    return (PinnedSurface(shown, scene.albedo, scene.clear, transmission=scene.transmission), *scene.pinned)
 
 
 def sides_of(scene: Scene) -> tuple[Side, ...]:
@@ -55,7 +55,7 @@ def scene_of_side(scene: Scene, side: Side, shown: float) -> Scene:
     own, others = every[side.number], every if side.number else scene.pinned
     others = apart((own, *others), scene)[1:]
     document: dict[str, Any] = {key: value for key, value in scene.source.document.items() if key not in OWN}
-    document |= {"isovalue": own.isovalue, "albedo": list(own.albedo), "clear": own.clear, **lying(scene, side)}
+    document |= {key: value for key, value in own.table.items() if key != "name"} | lying(scene, side)
     document |= {"isovalues": [own.isovalue] * 2 if side.number else list(scene.isovalues)}
     document |= {"surfaces": [each.table for each in others]} if others else {}
     return remade(scene, document, scene.volume.inside_out if side.inner else scene.volume)
@@ -79,5 +79,5 @@ def lying(scene: Scene, side: Side) -> dict[str, Any]:
     return {"inside_out": turned != side.inner, "solid": solid}
 
 
-OWN = ("isovalue", "isovalues", "presets", "albedo", "clear", "surfaces")
+OWN = ("isovalue", "isovalues", "presets", "albedo", "transmission", "clear", "surfaces")
 """What each side's scene has for itself."""

@@ -19,6 +19,7 @@ from isogi_core.files.scene_changes import (
 )
 from isogi_core.files.scene_file import FOLLOWED
 from isogi_core.model.material import MATERIALS
+from isogi_core.model.value_survey import no_progress
 from isogi_core.model.volume import Volume
 from isogi_core.plan.assembly import build_scene
 from isogi_core.plan.scene import Scene
@@ -28,7 +29,8 @@ from isogi_core.plan.volumes.cuts import cut_away, voxels_left
 def remade(scene: Scene, document: dict[str, Any], volume: Volume | None) -> Scene:
     """The scene that another ``document`` makes of it, with its colours where a ``volume`` is open: see build_scene."""
     bare = {key: value for key, value in document.items() if volume is None or key not in FOLLOWED}
-    made = build_scene(replace(scene.source, document=bare), volume=volume, colours=scene.colours if volume else None)
+    known = (scene.colours, scene.glowing.bits) if volume else (None, None)
+    made = build_scene(replace(scene.source, document=bare), no_progress, volume, *known)
     return replace(made, source=replace(scene.source, document=document))
 
 

@@ -133,7 +133,8 @@ class PreparedScene:
         given = self.scene.glowing
         middles, halves = (np.ascontiguousarray(each.T) for each in (given.middles, given.halves))
         lows, highs = np.ascontiguousarray(given.ranges.T)
-        return Glows(middles, halves, given.round.astype(np.float64), given.radii, lows, highs, 1.0 / given.chords)
+        rest = given.radii, lows, highs, 1.0 / given.chords, given.masked.astype(np.float64), given.bits
+        return Glows(middles, halves, given.round.astype(np.float64), *rest)
 
     @cached_property
     def _room(self) -> Room:
@@ -166,7 +167,8 @@ class PreparedScene:
         albedos = np.array([scene.albedo, *(each.albedo for each in scene.pinned)], np.float64)
         clears = np.array([scene.clear, *(each.clear for each in scene.pinned)], np.float64)
         filled = tuple(maps + [cells] * (MOST - len(maps)))
-        return Surfaces(filled, np.array([np.nan, *levels], np.float64), albedos, clears)
+        through = np.array([scene.transmission, *(each.transmission for each in scene.pinned)], np.float64)
+        return Surfaces(filled, np.array([np.nan, *levels], np.float64), albedos, clears, through)
 
     def surroundings(self, matrix: np.ndarray) -> Surroundings:
         """All light as it is, for paths that meet it; the environment turned by ``matrix`` (3, 3).

@@ -107,11 +107,15 @@ def trace_reference(
 
 
 def refuse_several(scene: Scene) -> None:
-    """Raise ReportError where a ``scene`` has several surfaces, as pixels of a reference show one, or one of glass."""
+    """Raise ReportError where a ``scene`` has several surfaces, as pixels of a reference show one side of one, or one
+    of glass.
+    """
     if scene.material.refracts:
         raise ReportError("A reference is of light that a surface keeps, and glass keeps none: render it path_traced.")
     if scene.several:
-        raise ReportError("This scene has several surfaces, and a reference shows one: render it path_traced instead.")
+        raise ReportError(
+            "A reference shows one side of one surface, and this scene has more: render it path_traced instead."
+        )
 
 
 def from_sums(gbuffer: GBuffer, sums: np.ndarray, count: int, seconds: float, subject: str) -> Reference:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from isogi_core.kernels.tracing.glow import Glows
+from isogi_core.kernels.tracing.glow import NO_BITS, Glows
 from isogi_core.kernels.transport.glow_paths import glow_in_room
 from isogi_core.kernels.transport.paths import PathRules, SampleRange
 from isogi_core.kernels.transport.room_paths import RoomStarts
@@ -21,11 +21,12 @@ def block(centre, half, low=-np.inf, high=np.inf):
     return centre, half, 0.0, float(np.linalg.norm(half)), low, high, rate
 
 
-def glows_of(*regions):
-    """Some regions as kernels take them."""
+def glows_of(*regions, bits=None):
+    """Some regions as kernels take them; in the masks of ``bits``, all of them, where these are given."""
     centres, halves, *rest = zip(*regions, strict=True)
     rows = (np.ascontiguousarray(np.array(each, float).T) for each in (centres, halves))
-    return Glows(*rows, *(np.array(each, float) for each in rest))
+    masked = np.full(len(regions), float(bits is not None))
+    return Glows(*rows, *(np.array(each, float) for each in rest), masked, NO_BITS if bits is None else bits)
 
 
 def gather_glow(field, room, starts, glows, samples, bounces=0, survival=1.0):

@@ -87,11 +87,11 @@ def test_values_are_those_of_the_file_on_either_solid_side() -> None:
 @pytest.mark.parametrize(
     ("glow", "sentence"),
     [
-        ({"radiance": 1}, "A glow says nowhere what glows: give it a box, a sphere or a range of values"),
+        ({"radiance": 1}, "A glow says nowhere what glows: give it a box, a sphere, a range of values or a mask"),
         ({**BALL, **BLOCK}, "A glow has a box and a sphere: give one of them"),
         ({**BALL, "radiance": -1}, "A glow's radiance is -1, -1, -1: it must be from 0"),
         ({**BALL, "radiance": "red"}, "A glow's radiance is 'red': give a number or \\[r, g, b\\]"),
-        ({**BALL, "colour": 1}, "A glow has no 'colour': choose from box, sphere, values, radiance"),
+        ({**BALL, "colour": 1}, "A glow has no 'colour': choose from box, sphere, values, mask, labels, radiance"),
         ({"sphere": [40, 50, 60, 0]}, "A glow's sphere has the radius 0: give it one above 0"),
         ({"sphere": [40, 50, 60]}, "give its middle and radius"),
         (

@@ -33,9 +33,50 @@ def test_no_surface_beside_leaves_digests_as_they_were() -> None:
     assert other.bake_digest == load_scene("demo:casting", surfaces=[SKIN]).bake_digest
 
 
+def test_light_that_gets_through_is_planned_for() -> None:
+    """Paths carry what is reflected or let through, at most their sum, and texels keep what leaves one side."""
+    scene = load_scene("demo:casting", albedo=[0.5, 0.4, 0.3], transmission=0.4)
+    assert (scene.several, scene.transmits, scene.rotating) == (True, True, False)
+    assert (scene.plan.representation, scene.bakes) == ("irradiance", {AMONG})
+    assert scene.leaving_for(None) == scene.inputs.albedo == scene.inputs.reflecting == (0.9, 0.8, 0.7)
+    assert not scene.inputs.grey
+    told = {each.what: each for each in scene.left_out}
+    assert told["irradiance of each side by itself"].saves[0].amount == scene.plan.bytes_per_texel
+    assert "surfaces behind the first 8 in a pixel" not in told
+    green = load_scene("demo:casting", surfaces=[{**SKIN, "albedo": 0.1, "transmission": [0.1, 0.7, 0.1]}])
+    assert green.pinned[0].table["transmission"] == [0.1, 0.7, 0.1] and not any(green.transmission)
+    assert (green.transmits, green.inputs.grey) == (True, False)
+    np.testing.assert_allclose(green.inputs.reflecting, (0.7, 0.8, 0.7))
+
+
+def test_light_that_gets_through_is_in_digests() -> None:
+    """The same sum of both is another light where what is reflected is another share of it."""
+    some = [
+        {},
+        {"transmission": 0.2},
+        {"albedo": 0.6, "transmission": 0.3},
+        {"surfaces": [SKIN]},
+        {"surfaces": [{**SKIN, "transmission": 0.1}]},
+    ]
+    scenes = [load_scene("demo:casting", rotating=False, **settings) for settings in some]
+    assert len({each.bake_digest for each in scenes}) == len({each.digest for each in scenes}) == len(some)
+    for settings, scene in zip(some, scenes, strict=True):
+        none = load_scene("demo:casting", **{"rotating": False, "transmission": 0, **settings})
+        assert none.digest == scene.digest
+
+
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
+        ({"transmission": 0.4}, r"albedo \+ transmission = 1.1: lower one"),
+        ({"albedo": [0.2, 0.2, 0.5], "transmission": [0.8, 0.8, 0.6]}, "transmission = 1.1"),
+        ({"surfaces": [{**SKIN, "transmission": 0.3}]}, r"at 60 has albedo \+ transmission = 1.1"),
+        ({"surfaces": [{**SKIN, "transmission": -1}]}, "has transmission -1: give"),
+        ({"transmission": 2}, "transmission = 2"),
+        ({"albedo": 0.2, "transmission": 0.5, "rotating": True}, "leave out rotating"),
+        ({"albedo": 0.2, "transmission": 0.5, "room": "cornell"}, "transmission and walls"),
+        ({"albedo": 0.2, "transmission": 0.5, "material": "subsurface"}, "leave transmission out"),
+        ({"transmission": 0.5, "material": "glass"}, "leave transmission out"),
         ({"surfaces": [{"isovalue": 1e9}]}, "isovalue is 1000000000.0: give a number from"),
         ({"surfaces": [{}]}, "isovalue is None"),
         ({"surfaces": [{**SKIN, "clear": 1.5}]}, "has clear = 1.5"),

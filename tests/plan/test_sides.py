@@ -32,6 +32,17 @@ def test_there_are_two_sides_of_each_surface(scene: Scene) -> None:
     assert [each.clear for each in made] == [0.0, 0.0, 0.5, 0.5, 0.0, 0.0]
 
 
+def test_both_sides_transmit_alike() -> None:
+    leaf = {"isovalue": 60.0, "albedo": 0.3, "transmission": [0.1, 0.5, 0.1]}
+    scene = load_scene("demo:casting", albedo=0.2, transmission=0.6, surfaces=[leaf], isovalue=127.0)
+    made = {side: scene_of_side(scene, side, 127.0) for side in sides_of(scene)}
+    assert [each.transmission for each in made.values()] == [(0.6,) * 3] * 2 + [(0.1, 0.5, 0.1)] * 2
+    assert made[Side(1, True)].pinned[0].transmission == (0.6,) * 3
+    assert len({each.bake_digest for each in made.values()}) == 4
+    for each in made.values():
+        assert build_scene(each.source).bake_digest == each.bake_digest, "as workers open it"
+
+
 def test_pinned_light_depends_on_what_is_shown_alone(scene: Scene) -> None:
     """One cache of the surface that slides serves every isovalue; pinned ones have one for each."""
     for side in sides_of(scene):

@@ -89,6 +89,7 @@
  * @property {string} name empty where it has none
  * @property {Vec3} albedo linear RGB
  * @property {number} clear share of rays that passes it
+ * @property {Vec3} transmission share of other light that gets through, diffuse, linear RGB
  */
 
 /**
@@ -127,6 +128,7 @@
  * @property {ColourScale|null} colours of a surface whose albedo comes from data; null where it has one albedo
  * @property {Surface[]} surfaces pinned beside the one that slides
  * @property {number} clear share of rays that passes the one that slides
+ * @property {Vec3} transmission share of other light that gets through it, diffuse, linear RGB
  * @property {string} material its own, as views spell it
  * @property {Material[]} materials all of them
  * @property {string[]} shines kinds of shine that views may ask for; none where the surface is diffuse

@@ -40,10 +40,10 @@ export function planRows({ plan, target_error: target }) {
 
 /**
  * The volume of a scene, its lights and its surface.
- * @param {Pick<Scene, "volume"|"lights"|"albedo"|"albedos"> & Partial<Pick<Scene, "colours"|"surfaces">>} scene
+ * @param {Pick<Scene, "volume"|"lights"|"albedo"|"albedos"|"transmission"> & Partial<Pick<Scene, "colours"|"surfaces">>} scene
  * @returns {Rows}
  */
-export function volumeRows({ volume, lights, albedo, albedos, colours, surfaces = [] }) {
+export function volumeRows({ volume, lights, albedo, albedos, transmission, colours, surfaces = [] }) {
   return {
     Volume: volume.name,
     Size: `${volume.size.join(" × ")} voxels`,
@@ -53,7 +53,8 @@ export function volumeRows({ volume, lights, albedo, albedos, colours, surfaces 
     Values: `${volume.value_range.map((value) => Number(value.toPrecision(6))).join(" to ")}, ${volume.dtype}`,
     "Not finite": volume.holes ? `${volume.holes} voxels, treated as empty` : null,
     Lights: lights.map(({ type, name }) => (name && name !== type ? `${name} (${type})` : type)).join(", "),
-    Albedo: colours ? null : [...new Set(albedo)].map((share) => Number(share.toFixed(3))).join(", "),
+    Albedo: colours ? null : sharesInWords(albedo),
+    Transmission: transmission.some(Boolean) ? sharesInWords(transmission) : null,
     Colours: colours && !colours.labels.length ? `${colours.map} of ${colours.name}` : null,
     Labels: colours?.labels.length ? `${colours.colours.length} of ${colours.labels.length} shown` : null,
     "Surfaces beside": surfaces.map(surfaceInWords).join("; "),
@@ -61,10 +62,16 @@ export function volumeRows({ volume, lights, albedo, albedos, colours, surfaces 
   };
 }
 
+/** @param {import("../net/schemas.js").Vec3} colour */
+function sharesInWords(colour) {
+  return [...new Set(colour)].map((share) => Number(share.toFixed(3))).join(", ");
+}
+
 /** @param {import("../net/schemas.js").Surface} surface */
-function surfaceInWords({ isovalue, name, clear }) {
+function surfaceInWords({ isovalue, name, clear, transmission }) {
   const passing = clear ? `, ${percent(clear)} clear` : "";
-  return `${name ? `${name} at ` : ""}${Number(isovalue.toPrecision(6))}${passing}`;
+  const through = transmission.some(Boolean) ? `, transmission ${sharesInWords(transmission)}` : "";
+  return `${name ? `${name} at ` : ""}${Number(isovalue.toPrecision(6))}${passing}${through}`;
 }
 
 /**

@@ -3,6 +3,7 @@
 import math
 from typing import Any, NamedTuple
 
+import numpy as np
 from numba import types
 
 from isogi_core.kernels._jit import kernel, record
@@ -23,7 +24,8 @@ class Glows(NamedTuple):
     Boxes about ``centres`` (3, k) with half edges ``halves`` (3, k), or balls where ``round`` (k,) is 1: then their
     radius, thrice. ``radii`` (k,) are of the balls about them. Of each it is the part whose voxels are from
     ``lows`` to ``highs`` (k,), which are infinite where all of it glows. A ray gathers the radiance ``rates`` (k,) on
-    each unit of its way.
+    each unit of its way. Where ``masked`` (k,) is 1 voxels whose ``bits`` lack number k do not glow: uint8 of the shape
+    of the field, or none where there is no mask.
     """
 
     centres: Any
@@ -33,9 +35,12 @@ class Glows(NamedTuple):
     lows: Any
     highs: Any
     rates: Any
+    masked: Any
+    bits: Any
 
 
-GLOWS = record(Glows, ROWS, ROWS, *[NUMBERS] * 5)
+NO_BITS = np.zeros((0, 0, 0), np.uint8)
+GLOWS = record(Glows, ROWS, ROWS, *[NUMBERS] * 6, types.uint8[:, :, ::1])
 
 
 @kernel()
@@ -93,6 +98,30 @@ def share_within(field, low, high, p, w, near, far):
 
 
 @kernel()
+def in_mask(glows, k, x, y, z):
+    """Whether the voxel that is nearest to a place in index space is in the mask of region ``k``."""
+    nz, ny, nx = glows.bits.shape
+    a, b, c = min(max(int(x + 0.5), 0), nx - 1), min(max(int(y + 0.5), 0), ny - 1), min(max(int(z + 0.5), 0), nz - 1)
+    return (int(glows.bits[c, b, a]) >> k) & 1 == 1
+
+
+@kernel()
+def share_in_mask(field, glows, k, p, w, near, far):
+    """Share of the way from ``near`` to ``far`` along a ray that is in the mask and the range of region ``k``.
+
+    By the steps of ``share_within``.
+    """
+    sx, sy, sz = field.spacing
+    steps = int(math.ceil((far - near) / (STEP * min(sx, sy, sz))))
+    length, inside = (far - near) / steps, 0
+    for i in range(steps):
+        x, y, z = madd(p, near + (i + 0.5) * length, w)
+        if in_mask(glows, k, x / sx, y / sy, z / sz):
+            inside += glows.lows[k] <= value(field.voxels, (x / sx, y / sy, z / sz)) <= glows.highs[k]
+    return inside / steps
+
+
+@kernel()
 def gather_on_way(field, glows, k, p, w, reach):
     """Radiance that the ray from the world point ``p`` along the unit vector ``w`` gathers of region ``k``, which has
     radiance 1, before ``reach``: the rate times the way in it. Emission without absorption is exact to integrate.
@@ -102,6 +131,8 @@ def gather_on_way(field, glows, k, p, w, reach):
     if not near < far:
         return 0.0
     way = glows.rates[k] * (far - near)
+    if glows.masked[k] > 0.0:
+        return way * share_in_mask(field, glows, k, p, w, near, far)
     if glows.lows[k] == -math.inf and glows.highs[k] == math.inf:
         return way
     return way * share_within(field, glows.lows[k], glows.highs[k], p, w, near, far)

@@ -1,4 +1,7 @@
-"""Paths among several isosurfaces: a ray meets the nearest, and a share of all rays passes straight through it."""
+"""Paths among several isosurfaces: a ray meets the nearest, and a share of all rays passes straight through it.
+
+What meets a surface leaves it on the side it came from, or, diffuse too, on the other.
+"""
 
 import math
 from typing import Any, NamedTuple
@@ -10,11 +13,11 @@ from isogi_core.kernels._jit import kernel, record
 from isogi_core.kernels.tracing.active_cells import ACTIVE_CELLS
 from isogi_core.kernels.tracing.cast import cast_batch
 from isogi_core.kernels.tracing.field import FIELD
-from isogi_core.kernels.tracing.intersect import UNKNOWN
+from isogi_core.kernels.tracing.intersect import SOLID, UNKNOWN
 from isogi_core.kernels.tracing.peels import MOST
 from isogi_core.kernels.tracing.ray_stream import Rays
-from isogi_core.kernels.tracing.vec import column, dot, madd, put_column
-from isogi_core.kernels.transport.integrator import ROULETTE
+from isogi_core.kernels.tracing.vec import SMALLEST, column, dot, madd, put_column, scale
+from isogi_core.kernels.transport.integrator import ROULETTE, launch
 from isogi_core.kernels.transport.light_paths import SURROUNDINGS, aim_shadow_rays, make_shadow_rays
 from isogi_core.kernels.transport.lights import arriving
 from isogi_core.kernels.transport.paths import PATH_RULES, SAMPLE_RANGE, PathStarts, SampleRange
@@ -40,22 +43,27 @@ CROSSINGS = 64
 PASSING = ROULETTE - CROSSINGS * PAIRS
 """The first of the pairs of random numbers that decide which rays pass a surface: one for each crossing and vertex."""
 
+LEAVING = PASSING - PAIRS
+"""The first of those that decide on which side paths leave a surface, one for each vertex."""
+
 
 class Surfaces(NamedTuple):
     """s isosurfaces, the first of them the one that paths start on, whose isovalue each start has for itself.
 
     Of each the ``cells`` that may hold it (MOST of them: the others say nothing), its ``isovalues`` (s,), of which the
-    first is not read, the ``albedos`` (s, 3) of both its sides, and the share ``clears`` (s,) of rays that passes.
+    first is not read, the ``albedos`` (s, 3) of both its sides, and the share ``clears`` (s,) of rays that passes. Of
+    what falls on either side the share ``transmissions`` (s, 3) leaves the other, diffuse.
     """
 
     cells: Any
     isovalues: Any
     albedos: Any
     clears: Any
+    transmissions: Any
 
 
 NUMBERS, ROWS = types.float64[::1], types.float64[:, ::1]
-SURFACES = record(Surfaces, types.UniTuple(ACTIVE_CELLS, MOST), NUMBERS, ROWS, NUMBERS)
+SURFACES = record(Surfaces, types.UniTuple(ACTIVE_CELLS, MOST), NUMBERS, ROWS, NUMBERS, ROWS)
 
 
 class Company(NamedTuple):
@@ -129,13 +137,18 @@ def nearest(company, i):
 
 
 @kernel()
+def happens(wave, i, number, chance):
+    """Whether path ``i`` of a wave draws what has this ``chance``, by its pair of random numbers of this ``number``."""
+    low, high, sample = np.uint64(wave.low[i]), np.uint64(wave.high[i]), np.uint64(wave.samples[i])
+    return point_of_words(low, high, sample, np.uint64(number))[0] < chance
+
+
+@kernel()
 def passes(wave, i, bounce, crossing, clear):
     """Whether ray ``i`` from a path's vertex passes the surface at its crossing of this number, by chance."""
     if clear <= 0.0 or clear >= 1.0:
         return clear > 0.0
-    dimension = np.uint64(PASSING + crossing * PAIRS + bounce)
-    low, high, sample = np.uint64(wave.low[i]), np.uint64(wave.high[i]), np.uint64(wave.samples[i])
-    return point_of_words(low, high, sample, dimension)[0] < clear
+    return happens(wave, i, PASSING + crossing * PAIRS + bounce, clear)
 
 
 @kernel()
@@ -214,16 +227,55 @@ def gather_ends(company, vertices, escaped, light):
 
 
 @kernel()
-def stand_on(surfaces, company, following, chance):
-    """Put the vertices ``following`` on what was met: its number, its isovalue, and its albedo over the ``chance``."""
-    wave = company.shadow.wave
+def leave(surfaces, company, h, k, vertex, chance):
+    """Have path ``h`` leave its ``vertex`` on surface ``k`` by its albedo, or by its transmission: whether by that.
+
+    Each is drawn by what it leaves of the light that the path carries, so that no colour of it ever counts more than
+    three times that. What it carries counts over that chance, and over the ``chance`` to get there.
+    """
+    wave, carried, m = company.shadow.wave, company.carried, company.shadow.wave.owners[h]
+    back = through = 0.0
+    for c in range(3):
+        back += carried[c, m] * surfaces.albedos[k, c]
+        through += carried[c, m] * surfaces.transmissions[k, c]
+    share = through / (through + back) if through > 0.0 else 0.0
+    other = share > 0.0 and happens(wave, h, LEAVING + vertex, share)
+    counts, share = (surfaces.transmissions[k], share) if other else (surfaces.albedos[k], 1.0 - share)
+    for c in range(3):
+        carried[c, m] *= counts[c] / (chance * share)
+    return other
+
+
+@kernel()
+def stand_on(surfaces, company, following, count, bounce, chance):
+    """Put the vertices ``following`` the rays of a ``bounce`` on what was met: its number, its isovalue, and the side
+    that paths leave. ``count`` rays were cast, and hits were followed with a ``chance``.
+    """
+    wave, ways = company.shadow.wave, columns(company.shadow.wave.ways, count)
     for h in range(following.count):
-        i, m = wave.hits[h], wave.owners[h]
+        i = wave.hits[h]
         k = int(company.met[i])
         company.own[h], company.on[h] = company.own[i], k
         wave.isovalues[h] = company.own[h] if k == 0 else surfaces.isovalues[k]
+        if leave(surfaces, company, h, k, bounce + 1, chance):
+            wave.sides[h], wave.signs[h] = -wave.sides[h], -wave.signs[h]
+            put_column(ways, i, scale(column(ways, i), -1.0))  # where the field is flat normals are against them
+
+
+@kernel()
+def start_on_either_side(field, surfaces, company, vertices, starts):
+    """Have paths leave the surface that they start on, on one of its sides, each counting its share of what leaves."""
+    wave, g, through = company.shadow.wave, starts.isovalues.shape[0], surfaces.transmissions[0]
+    origins, normals = columns(vertices.points, vertices.count), columns(vertices.normals, vertices.count)
+    for h in range(vertices.count if max(through[0], through[1], through[2]) > 0.0 else 0):
+        m = wave.owners[h]
         for c in range(3):
-            company.carried[c, m] *= surfaces.albedos[k, c] / chance
+            company.carried[c, m] /= max(surfaces.albedos[0, c] + through[c], SMALLEST)
+        if leave(surfaces, company, h, 0, 0, 1.0):
+            n, start = scale(column(normals, h), -1.0), column(starts.points, m % g)
+            wave.sides[h] = SOLID
+            put_column(normals, h, n)
+            put_column(origins, h, launch(field, wave.isovalues[h], start, n, SOLID))
 
 
 @kernel()
@@ -242,7 +294,7 @@ def light_wave(field, surfaces, company, vertices, spare, rules, light):
             return
         following = Vertices(spare.points, spare.normals, hits)
         compact(wave, vertices, following)
-        stand_on(surfaces, company, following, rules.survival if bounce > 0 else 1.0)
+        stand_on(surfaces, company, following, count, bounce, rules.survival if bounce > 0 else 1.0)
         next_vertex(field, wave, count, following)
         vertices, spare = following, vertices
 
@@ -272,6 +324,7 @@ def light_paths(field, surfaces, starts, samples, rules, light, gathered):
         generate(company.shadow.wave, vertices, starts, origins, samples.first, first)
         company.own[:] = company.shadow.wave.isovalues
         company.on[:] = 0
+        start_on_either_side(field, surfaces, company, vertices, starts)
         light_wave(field, surfaces, company, vertices, spare, rules, light)
 
 
@@ -284,9 +337,11 @@ def light_among_surfaces(field, surfaces, starts, samples, rules, light, sums):
 
     A ray that meets a surface passes straight through it with the chance ``clear``, or meets a diffuse one there: of a
     thin shell that is lit on either side. Light of shadow rays is multiplied by the ``clear`` of all that they cross.
-    Each bounce counts the albedo of what it hit, and all the first of the weights (bounces + 1, 3) of the ``rules``, of
-    which the others are not read. ``light`` are the Surroundings. Sums grow sample by sample: the company of a start
-    changes no bit. Source: Kajiya 1986; clear shells as in Beason et al. 2006 (S3).
+    Each bounce counts the albedo of what it hit, or its transmission where it goes on from the other side, over the
+    chance of that side, and all the first of the weights (bounces + 1, 3) of the ``rules``, of which the others are not
+    read. Where the surface of the starts has a transmission t beside its albedo a, E is that of both its sides by their
+    shares in what leaves, (a E_own + t E_other) / (a + t). ``light`` are the Surroundings. Sums grow sample by sample:
+    the company of a start changes no bit. Source: Kajiya 1986; clear shells as in Beason et al. 2006 (S3).
     """
     g, last = starts.isovalues.shape[0], samples.first + samples.count
     step = max(WAVE // max(g, 1), 1)

@@ -6,16 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.frame.entry_kernels import AMONG, frame_kernels
 from isogi_core.frame.film import develop, linear_table
 from isogi_core.frame.several.surfaces_frame import SurfacesFrame
 from isogi_core.frame.surface_point import point_at
 from isogi_core.kernels.shading.framebuffer import FINAL
-from isogi_core.model.view import View
 from isogi_core.model.window import read_window
 from isogi_core.plan.sides import OUTER, Side
-from tests.frame.conftest import CONSTANT, LOOSE, Workbench, refine_chunk, relative_rmse
+from tests.frame.conftest import CONSTANT, LOOSE, Workbench, relative_rmse
+from tests.frame.several.drawing import bake, check, drawn
 from tests.loaded import load_scene
 
 SIZE, SHOWN = 32, 0.06
@@ -31,32 +30,6 @@ def halo(tmp_path_factory: pytest.TempPathFactory) -> Workbench:
     bake(bench, bench.view(size=SIZE))
     check(bench, bench.view(size=SIZE))
     return bench
-
-
-def drawn(bench: Workbench, view: View) -> SurfacesFrame:
-    frame = bench.renderer.render(view)
-    assert isinstance(frame, SurfacesFrame)
-    return frame
-
-
-def bake(bench: Workbench, view: View) -> SurfacesFrame:
-    """Bake rung by rung all that is wanted."""
-    rung, frame = FIRST_LEVEL, drawn(bench, view)
-    while frame.stages:
-        for stage in frame.stages:
-            caches = stage.caches or bench.caches
-            loader = caches.of("gi") if stage.shown is None else caches.projected(stage.shown)
-            for demand in stage.demands:
-                refine_chunk(loader, rung, stage.target, demand)
-        rung, frame = 2 * rung, drawn(bench, view)
-    return frame
-
-
-def check(bench: Workbench, view: View) -> SurfacesFrame:
-    """Bring the picture of a view that is baked to its target."""
-    while bench.renderer.refine(view):
-        pass
-    return drawn(bench, view)
 
 
 def test_a_picture_becomes_final_and_is_what_paths_say(halo: Workbench) -> None:

@@ -12,13 +12,13 @@ from isogi_core.kernels.tracing.peels import MOST
 from isogi_core.kernels.tracing.vec import column, dot, madd
 from isogi_core.kernels.transport.integrator import about, launch, shading_normal
 from isogi_core.kernels.transport.light_paths import PAIRS, sample_source, to_world
-from isogi_core.kernels.transport.lights import arriving
+from isogi_core.kernels.transport.lights import DIRECTIONAL, arriving
 from isogi_core.kernels.transport.paths import PathRules, PathStarts, SampleRange
 from isogi_core.kernels.transport.rng import point_2d
 from isogi_core.kernels.transport.sampling import sample_cosine_hemisphere
-from isogi_core.kernels.transport.surface_paths import PASSING, Surfaces, light_among_surfaces
+from isogi_core.kernels.transport.surface_paths import LEAVING, PASSING, Surfaces, light_among_surfaces
 from tests.kernels.fields import cells_of, field_of
-from tests.kernels.transport.lighting import BALL, LIGHTS, NOISY, on_ball, surroundings
+from tests.kernels.transport.lighting import BALL, LIGHTS, NOISY, PLANE, lamps, on_ball, surroundings
 from tests.scale import few
 
 
@@ -44,8 +44,15 @@ def crossings(field, isovalues, on, side, o, d):
 @njit
 def path_among(field, surfaces, start, seed, index, bounces, light):
     """One path, each of its rays by itself: what it gathers, linear RGB."""
-    _, isovalues, albedos, clears = surfaces
-    (p, n), total, carried, side, on = start, np.zeros(3), np.ones(3), OUTSIDE, 0
+    _, isovalues, albedos, clears, through = surfaces
+    (p, n), total, side, on = start, np.zeros(3), OUTSIDE, 0
+    carried = 1.0 / (through[0] + albedos[0])
+    share = (carried * through[0]).sum() / (carried * (through[0] + albedos[0])).sum()
+    if point_2d(seed, index, LEAVING)[0] < share:
+        carried *= through[0] / share
+        n, side = (-n[0], -n[1], -n[2]), -side
+    else:
+        carried *= albedos[0] / (1.0 - share)
     first = 0 if light.table[0].shape[0] > 0 else 1
     for bounce in range(bounces + 1):
         o = launch(field, isovalues[on], p, n, side)
@@ -72,20 +79,29 @@ def path_among(field, surfaces, start, seed, index, bounces, light):
                 total[c] += carried[c] * end[c]
             return total
         on, side = met, came
-        for c in range(3):
-            carried[c] *= albedos[on, c]
         p = madd(o, way, d)
         n = shading_normal(field, p, side, w)
+        share = (carried * through[on]).sum() / (carried * (through[on] + albedos[on])).sum()
+        if point_2d(seed, index, LEAVING + bounce + 1)[0] < share:
+            carried *= through[on] / share
+            n, side = (-n[0], -n[1], -n[2]), -side
+        else:
+            carried *= albedos[on] / (1.0 - share)
     return total
 
 
-def among(field, own, others, albedos, clears):
-    """The surfaces at ``own`` and some ``others``, with an albedo and a share that passes each."""
+def among(field, own, others, albedos, clears, transmissions=None):
+    """The surfaces at ``own`` and some ``others``, with an albedo and a share that passes each.
+
+    Albedos and transmissions are numbers or linear RGB.
+    """
     maps = [cells_of(field, each) for each in (own, *others)]
     cells = (*maps, *[maps[0]] * (MOST - len(maps)))
-    return Surfaces(
-        cells, np.array([own, *others], float), np.tile(np.array(albedos)[:, None], 3), np.array(clears, float)
+    back, through = (
+        np.array([np.broadcast_to(each, 3) for each in given], float)
+        for given in (albedos, transmissions or [0.0] * len(albedos))
     )
+    return Surfaces(cells, np.array([own, *others], float), back, np.array(clears, float), through)
 
 
 def gather(field, surfaces, starts, samples, bounces, light):
@@ -107,7 +123,8 @@ def inner_ball(count):
 @pytest.mark.parametrize("light", LIGHTS)
 def test_paths_are_those_of_one_ray_at_a_time(light: str) -> None:
     field, (points, normals) = field_of(NOISY), inner_ball(6)
-    surfaces, samples = among(field, 6.0, [0.0, 3.5], [0.5, 0.8, 0.3], [0.3, 0.6, 0.9]), few((64,), (8,))[0]
+    thin = [(0.1, 0.2, 0.3), 0.0, (0.6, 0.4, 0.0)]
+    surfaces, samples = among(field, 6.0, [0.0, 3.5], [0.5, 0.8, 0.3], [0.3, 0.6, 0.9], thin), few((64,), (8,))[0]
     found = gather(field, surfaces, (points, normals), samples, 3, LIGHTS[light])
     expected = np.zeros((6, 3))
     for i in range(6):
@@ -133,3 +150,42 @@ def test_white_surfaces_stay_in_the_white_furnace() -> None:
     surfaces = among(field, 6.0, [0.0, 3.0], [1.0, 1.0, 1.0], [0.0, 0.5, 0.3])
     found = gather(field, surfaces, inner_ball(8), samples, 200, surroundings(constant=1.0))
     np.testing.assert_allclose(found.mean(axis=0), 1.0, rtol=0.003)
+
+
+def outer_and_inner(count):
+    """The BALL, and the BALL inside out, with starts on their surfaces: the outer and the inner side of one shell."""
+    points, normals = on_ball(count)
+    return (field_of(BALL), (points, normals)), (field_of(-BALL), (points, -normals))
+
+
+@pytest.mark.parametrize(("albedo", "through"), [(0.6, 0.4), (0.0, 1.0), ((0.9, 0.5, 0.0), (0.1, 0.5, 1.0))])
+def test_a_sheet_that_loses_nothing_is_as_bright_as_the_sky(albedo, through) -> None:
+    """The white furnace on both sides of a closed shell: what is not reflected gets through."""
+    (samples,) = few((4096,), (512,))
+    for field, starts in outer_and_inner(8):
+        surfaces = among(field, 0.0, [], [albedo], [0.0], [through])
+        found = gather(field, surfaces, starts, samples, 200, surroundings(constant=1.0))
+        np.testing.assert_allclose(found.mean(axis=0), 1.0, rtol=0.003 if np.ndim(albedo) == 0 else 0.02)
+
+
+@pytest.mark.parametrize("bounces", [0, 1, 3])
+def test_a_closed_sheet_under_an_even_sky_by_its_closed_form(bounces: int) -> None:
+    """Inside, E_in = τ L Σ_k ρ^k over the bounces; leaving outside is ρ L + τ E_in, and inside ρ E_in + τ L."""
+    (samples,) = few((16384,), (4096,))
+    albedo, through, sky = 0.5, 0.3, 2.0
+    within = through * sky * sum(albedo**k for k in range(bounces))
+    leaving = albedo * sky + through * within, albedo * within + through * sky
+    for (field, starts), expected in zip(outer_and_inner(8), leaving, strict=True):
+        surfaces = among(field, 0.0, [], [albedo], [0.0], [through])
+        found = gather(field, surfaces, starts, samples, bounces, surroundings(constant=sky))
+        np.testing.assert_allclose((albedo + through) * found.mean(axis=0), expected, rtol=0.01)
+
+
+def test_a_lamp_behind_a_sheet_lights_it_by_its_transmission() -> None:
+    """Of a lamp below a floor its upper side sees nothing, and its other side a cosine of 1."""
+    field = field_of(PLANE)
+    starts = np.array([[20.0, 18.0], [20.0, 23.0], [20.0, 20.0]]), np.array([[0.0, 0.0], [0.0, 0.0], [1.0, 1.0]])
+    below = lamps((DIRECTIONAL, (0.0, 0.0, -1.0), None, (0.6, 0.6, 0.6)))
+    surfaces = among(field, 0.0, [], [(0.2, 0.3, 0.0)], [0.0], [(0.6, 0.1, 0.0)])
+    found = gather(field, surfaces, starts, 4096, 0, surroundings(lamps=below)) * (0.8, 0.4, 0.0)
+    np.testing.assert_allclose(found.mean(axis=0), np.array([0.6, 0.1, 0.0]) * 0.6, rtol=0.01)

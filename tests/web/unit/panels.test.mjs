@@ -206,9 +206,10 @@ test("a volume says its size, its values and its holes", () => {
   const parts = { name: "seg", map: "labels", low: 3, high: 3, colours: ["#b5523a"], outside: "#b5523a", labels };
   const labelled = volumeRows({ ...SCENE, colours: parts });
   assert.deepEqual([labelled.Colours, labelled.Labels], [null, "1 of 2 shown"]);
-  const surfaces = [{ isovalue: 64, name: "skin", albedo: [0.8, 0.5, 0.4], clear: 0.6 }, { isovalue: 0.5, name: "", albedo: [1, 1, 1], clear: 0 }];
+  const surfaces = [{ isovalue: 64, name: "skin", albedo: [0.8, 0.5, 0.4], clear: 0.6, transmission: [0, 0, 0] }, { isovalue: 0.5, name: "", albedo: [0, 0, 0], clear: 0, transmission: [0.4, 0.4, 0.4] }];
   const beside = [volumeRows({ ...SCENE, surfaces })["Surfaces beside"], rows["Surfaces beside"]];
-  assert.deepEqual(beside, ["skin at 64, 60 % clear; 0.5", ""]);
+  assert.deepEqual(beside, ["skin at 64, 60 % clear; 0.5, transmission 0.4", ""]);
+  assert.deepEqual([rows.Transmission, volumeRows({ ...SCENE, transmission: [0.3, 0.2, 0] }).Transmission], [null, "0.3, 0.2, 0"]);
 });
 
 test("screen readers hear of quarters, not of every frame", () => {

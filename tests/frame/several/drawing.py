@@ -1,0 +1,33 @@
+"""Frames of several surfaces, drawn and baked in this process, side by side."""
+
+from isogi_core.bake.precision import FIRST_LEVEL
+from isogi_core.frame.several.surfaces_frame import SurfacesFrame
+from isogi_core.model.view import View
+from tests.frame.conftest import Workbench, refine_chunk
+
+
+def drawn(bench: Workbench, view: View) -> SurfacesFrame:
+    """The frame of a view with the light that is there."""
+    frame = bench.renderer.render(view)
+    assert isinstance(frame, SurfacesFrame)
+    return frame
+
+
+def bake(bench: Workbench, view: View) -> SurfacesFrame:
+    """Bake rung by rung all that is wanted."""
+    rung, frame = FIRST_LEVEL, drawn(bench, view)
+    while frame.stages:
+        for stage in frame.stages:
+            caches = stage.caches or bench.caches
+            loader = caches.of("gi") if stage.shown is None else caches.projected(stage.shown)
+            for demand in stage.demands:
+                refine_chunk(loader, rung, stage.target, demand)
+        rung, frame = 2 * rung, drawn(bench, view)
+    return frame
+
+
+def check(bench: Workbench, view: View) -> SurfacesFrame:
+    """Bring the picture of a view that is baked to its target."""
+    while bench.renderer.refine(view):
+        pass
+    return drawn(bench, view)
