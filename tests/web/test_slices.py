@@ -8,6 +8,7 @@ import pytest
 from PIL import Image
 from playwright.sync_api import Browser, FloatRect, Locator, Page, expect
 
+from tests.web.test_accessibility import findings
 from tests.web.test_reading import click, position, stage_of
 from tests.web.visits import BROWSER, SHOTS, written
 
@@ -81,7 +82,7 @@ def test_slices_go_through_the_point_once_they_are_wanted(page: Page, live_serve
     queries = [dict(parse_qsl(urlsplit(url).query)) for url in asked]
     at = {query["axis"]: float(query["at"]) for query in queries}
     assert [at[axis] for axis in "xyz"] == pytest.approx(position(page), abs=0.01), "this volume's spacing is 1"
-    click(page, width // 2 - 150, height // 2)
+    click(page, width // 2 + 60, height // 2)
     expect(page.locator("#slices figcaption span").first).not_to_have_text(f"z {round(at['z'], 1):g}")
     assert len(asked) == 6
 
@@ -151,6 +152,7 @@ def test_cut_here_cuts_along_the_slice_on_the_near_side(page: Page, live_server:
     expect(page.locator("#cuts")).to_have_attribute("open", "")
     expect(page.locator("#slices img")).to_have_count(3)
     assert share(line(page, "x", "y to")) == pytest.approx((y + 0.5) / SIZE[1], abs=1e-3)
+    assert findings(page) == []
     page.focus("#stage")
     page.keyboard.press("Shift+X")
     figure(page, "x").get_by_role("button", name="Cut here").click()
@@ -165,7 +167,7 @@ def test_a_finger_drags_a_line_on_a_phone(browser: Browser, live_server: str) ->
     page.goto(f"{live_server}/{ADDRESS}&cut=x%3E14")
     page.wait_for_selector("#picture:not([hidden])")
     left, top, width, height = stage_of(page)
-    page.touchscreen.tap(left + width / 2 + 10, top + 0.45 * height)
+    page.touchscreen.tap(left + width / 2, top + 0.45 * height)
     page.locator("#slices summary").tap()
     expect(page.locator("#slices img")).to_have_count(3)
     stage, card = page.locator("#stage").bounding_box(), page.locator("#point").bounding_box()
