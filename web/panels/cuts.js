@@ -169,6 +169,7 @@ function bakedSlider(name, limits, words, set) {
   const [node, title, output, slider] = [document.createElement("div"), document.createElement("label"), document.createElement("output"), document.createElement("input")];
   Object.assign(slider, { type: "range", name: limits.id, ...limits });
   Object.assign(title, { htmlFor: limits.id, textContent: name });
+  output.htmlFor.value = limits.id;
   let [held, changed] = [false, false];
   const tell = () => {
     output.value = words(slider.valueAsNumber);
