@@ -603,7 +603,7 @@ class Isogi:
         ``wait`` says for how long its light may be baked: "now" takes what there is, a number waits so many seconds
         at most, "final" until it is final, through restarts of the server. ``progress`` is called with the facts each
         time that more is known. ``view`` are the parameters of the HTTP interface: isovalue, azimuth, elevation,
-        distance, fov, yaw, pitch, roll, albedo, roughness, width, height, shading, max_error, exposure, …
+        distance, fov, yaw, pitch, roll, albedo, material, width, height, shading, max_error, exposure, …
 
         Raises RefusedError, NotFoundError, BusyError, UnreachableError; NotFinalError with the server's reason where
         waiting for "final" is in vain. Warns with TargetWarning where max_error is not reached.

@@ -2,6 +2,7 @@
 
 from dataclasses import asdict
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -58,6 +59,9 @@ DEFAULTS = (
 )
 """Parameters whose defaults no scene changes."""
 
+MATERIALS_OF: WeakKeyDictionary[Scene, list[MaterialSchema]] = WeakKeyDictionary()
+"""The materials of the scenes in use that were asked."""
+
 
 def scene_schema(scene: Scene) -> SceneSchema:
     """The document of one scene."""
@@ -78,8 +82,8 @@ def scene_schema(scene: Scene) -> SceneSchema:
         surfaces=[SurfaceSchema(**each.table) for each in scene.pinned],
         clear=scene.clear,
         material=write_material_text(material_settings(scene.material)),
-        materials=[material_schema(kind, found) for kind, found in find_materials(scene).items()],
         transmission=scene.transmission,
+        materials=material_schemas(scene),
         shines=(list(KINDS) if scene.colours is None else ["plastic"]) if scene.shine else [],
         bounces=scene.bounces,
         cuts=scene.volume.orientation.straight,
@@ -129,6 +133,13 @@ def colour_scale(scene: Scene) -> ColourScale | None:
             for label in scale.labels
         ],
     )
+
+
+def material_schemas(scene: Scene) -> list[MaterialSchema]:
+    """All materials; a scene is asked once, as its probes are read anew for each."""
+    if scene not in MATERIALS_OF:
+        MATERIALS_OF[scene] = [material_schema(kind, found) for kind, found in find_materials(scene).items()]
+    return MATERIALS_OF[scene]
 
 
 def material_schema(kind: str, found: Scene | str) -> MaterialSchema:

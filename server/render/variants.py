@@ -234,16 +234,19 @@ class Variants:
             made = made if place is None else self._lit(made, name, place)
             made = made if change.cut is None else self._cut(made, name, change.cut)
             if made.material != scene.material:
-                self._check_compiled(made)
+                self._check_compiled(scene, made)
             self._engine.admit(made)
         self.known(name)
         for each in (each for each in self._outdated() if each in self._engine.scenes):
             self._engine.dismiss(each)
         return made
 
-    def _check_compiled(self, scene: Scene) -> None:
-        """Raise BusyError while kernels of a ``scene`` are compiled, which begins where some never were."""
-        kernels = (*frame_kernels([scene]), *other_kernels([scene]))
+    def _check_compiled(self, scene: Scene, made: Scene) -> None:
+        """Raise BusyError while kernels are compiled that a scene ``made`` of another calls; that begins where some
+        never were. Those that pictures of the other ``scene`` call are the engine's own work.
+        """
+        others = set(other_kernels([made])) - set(other_kernels([scene]))
+        kernels = (*frame_kernels([made]), *others)
         if all(kernel.loaded or kernel.stored for kernel in entries_of(kernels)):
             return
         if self._compiling is None or not self._compiling.is_alive():

@@ -1,7 +1,6 @@
 /** What is seen: what planes cut away, which surfaces are beside, what the surface is made of, and which labels are shown. */
 
 import { find } from "../dom.js";
-import { niceStep } from "../view/format.js";
 import { MOST_OBLIQUE, facingPlane, moved, movablePlanes, readPlanes, termOf, writePlanes } from "../view/planes.js";
 import { cameraAxes } from "../view/rotation.js";
 import { isMaterial, readHidden, readMaterial, readSurfaces, writeHidden, writeMaterial, writeSurfaces } from "../view/surfaces.js";
@@ -162,7 +161,7 @@ function surfaceRow({ name, isovalue }, k, set) {
  * A slider whose every value has light, or a scene, of its own: it says its value while it moves, and sets it once it is
  * let go, also by a key that was held.
  * @param {string} name
- * @param {{id: string, min: number, max: number, step: number}} limits
+ * @param {{id: string, min: number, max: number, step: number|"any"}} limits
  * @param {(value: number) => string} words
  * @param {(value: number) => void} set
  */
@@ -170,6 +169,7 @@ function bakedSlider(name, limits, words, set) {
   const [node, title, output, slider] = [document.createElement("div"), document.createElement("label"), document.createElement("output"), document.createElement("input")];
   Object.assign(slider, { type: "range", name: limits.id, ...limits });
   Object.assign(title, { htmlFor: limits.id, textContent: name });
+  output.htmlFor.value = limits.id;
   let [held, changed] = [false, false];
   const tell = () => {
     output.value = words(slider.valueAsNumber);
@@ -221,6 +221,7 @@ export function attachMaterial(panel, scene, view) {
   select.replaceChildren(...offered.map(({ kind }) => new Option(capital(kind), kind)));
   select.addEventListener("change", () => set(readMaterial(select.value, scene)));
   note.textContent = materials.flatMap(({ kind, refused }) => (refused ? [`${capital(kind)}: ${refused}`] : [])).join(" ");
+  note.hidden = !note.textContent;
   /** @type {Record<string, (values: number[]) => void>} */
   let shown = {};
   let listed = "";
@@ -254,8 +255,8 @@ export function attachMaterial(panel, scene, view) {
 function numberRow(name, { volume }, first, set) {
   const { min, max, log } = numberRange(name, volume.bounds, Math.max(...first));
   const [inward, outward] = log ? [Math.log10, (/** @type {number} */ x) => 10 ** x] : [Number, Number];
-  const [low, high] = [inward(min), inward(max)];
-  const limits = { id: `material-${name}`, min: low, max: high, step: niceStep(high - low) };
+  /** @type {Parameters<typeof bakedSlider>[1]} */
+  const limits = { id: `material-${name}`, min: inward(min), max: inward(max), step: "any" };
   const round = (/** @type {number} */ x) => Number(x.toPrecision(3));
   let shares = [1];
   const per = volume.unit && { absorption: ` / ${volume.unit}`, mean_free_path: ` ${volume.unit}` }[name];

@@ -3,6 +3,7 @@
 import asyncio
 import io
 import json
+import time
 from pathlib import Path
 
 import httpx
@@ -24,6 +25,9 @@ def frame(server: str, **more: str) -> np.ndarray:
     """The numbers of a picture once all its light is final."""
     while True:
         answer = httpx.get(f"{server}{SCENE}/frame", params={**VIEW, **more}, timeout=120)
+        if answer.status_code == 429:  # kernels are compiled
+            time.sleep(1.0)
+            continue
         assert answer.status_code == 200, answer.text
         if answer.headers["isogi-provisional"] == "?0":
             return np.asarray(np.load(io.BytesIO(answer.content)))

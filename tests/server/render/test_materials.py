@@ -16,8 +16,9 @@ from tests.loaded import load_scene
 
 
 @pytest.fixture
-def engine(tmp_path: Path) -> Iterator[RenderEngine]:
-    """An engine of a scene, and of the same in a room of a lamp, that is not started."""
+def engine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[RenderEngine]:
+    """An engine of a scene, and of one in the light of a lamp, that is not started; its kernels count as compiled."""
+    monkeypatch.setattr(module, "entries_of", lambda _: [])
     sun = {"type": "directional", "azimuth": 0, "elevation": 50, "irradiance": 1}
     scenes = [load_scene("demo:orbital"), load_scene("demo:casting", lights=[sun])]
     engine = RenderEngine(scenes, Store(f"file://{tmp_path}/store"), workers=1)
