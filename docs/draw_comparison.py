@@ -29,8 +29,9 @@ from isogi_core.plan.scene import Scene
 from server.answers import camera_schema
 from server.cli.bench import make_renderer
 from server.cli.render import render, rendered
-from server.parameters import FrameParams, read, view_of
+from server.parameters import FrameParams, read
 from server.settings import Settings
+from server.views import view_of
 
 sys.path.insert(0, str(Path(__file__).parent))
 

@@ -146,16 +146,13 @@ def most_maps() -> int:
 OPEN: WeakValueDictionary[str, PreparedScene] = WeakValueDictionary()
 """The scenes that this process has open, by their volumes and how rays meet these."""
 
-LIGHT = (
-    *("lights", "environment", "lattice", "albedo", "albedos", "transmission", "surfaces", "clear"),
-    *("material", *MATERIAL_NUMBERS),
-)
-"""Settings of a scene that nothing depends on which is worked out of its voxels."""
+LIGHT = ("lights", "environment", "lattice", "albedo", "albedos", "transmission", "surfaces", "clear", "material")
+"""Settings of a scene, besides a material's numbers, that nothing depends on which is worked out of its voxels."""
 
 
 def opened(source: SceneSource) -> PreparedScene:
     """A scene opened from its files; another of the same volume that is open shares what it has worked out of it."""
-    rest = {key: value for key, value in source.document.items() if key not in LIGHT}
+    rest = {key: value for key, value in source.document.items() if key not in (*LIGHT, *MATERIAL_NUMBERS)}
     key = json.dumps([str(source.base), rest], sort_keys=True, default=str)
     known = OPEN.get(key)
     if known is None:

@@ -30,7 +30,8 @@ from benchmarks.speed.film import isogi
 from isogi_core.files.light_files import srgb_bytes
 from isogi_core.plan.assembly import load_scene
 from server.cli.options import settings_from
-from server.parameters import FrameParams, read, view_of
+from server.parameters import FrameParams, read
+from server.views import view_of
 
 VIEW = {"azimuth": "30", "elevation": "20", "distance": "3", "fov": "30"}
 KINDS = ("glb", "ply", "usdz", "vti", "zarr")

@@ -31,7 +31,8 @@ from benchmarks.common.suite import part
 from benchmarks.common.timing import Seconds
 from isogi_core.plan.assembly import load_scene
 from server.cli.options import settings_from
-from server.parameters import FrameParams, read, view_of
+from server.parameters import FrameParams, read
+from server.views import view_of
 
 FPS, FIRST = 24, 30.0
 """Frames of a second, and the azimuth of the first."""

@@ -17,7 +17,9 @@ from isogi_core.bake.texel_light import Part
 from isogi_core.cache.layer import LayerStore
 from isogi_core.errors import DamagedChunkError, StoreError
 from isogi_core.model.lights import Colour
+from isogi_core.model.scene_plan import Layer
 from isogi_core.model.volume import Isovalue
+from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import Index, PreparedScene
 from isogi_core.storage.documents import Documents
 from isogi_core.storage.store import Store
@@ -25,7 +27,7 @@ from isogi_core.storage.store import Store
 log = logging.getLogger("isogi.cache")
 
 FOLDER = "walls"
-"""The folder of notes of isovalues at the top of a store."""
+"""The folder of notes of isovalues at the top of a store, and the kind of the layers."""
 
 CHUNK = 64
 """The side of a chunk in texels and planes: so all sides of sixteen walls are in one object, or in a few."""
@@ -46,6 +48,11 @@ class WallState:
     glow: float
 
 
+def wall_layer(scene: Scene) -> Layer:
+    """What texels of walls keep: E/π in linear RGB."""
+    return Layer(FOLDER, channels=3, half=False, scale=scene.plan.layers[0].scale)
+
+
 def planes_of(side: Side) -> slice:
     """The planes of the lattice that hold both halves of a side of a wall."""
     first = 4 * side[0] + 2 * int(side[1] < 0)
@@ -61,8 +68,8 @@ class WallLayer(LayerStore):
     def __init__(self, store: Store, prepared: PreparedScene, state: WallState, across: int) -> None:
         """Touch nothing yet."""
         scene = prepared.scene
-        digest = scene.wall_digest(state.albedo, state.glow, state.isovalue, across)
-        super().__init__(store, prepared, scene.wall_layer, state.isovalue, digest, CHUNK**3)
+        digest = scene.wall_digest(state.albedo, state.glow, state.isovalue, across, wall_layer(scene).scale)
+        super().__init__(store, prepared, wall_layer(scene), state.isovalue, digest, CHUNK**3)
         self.shape = 4 * len(scene.room.walls), across, across
 
     @property

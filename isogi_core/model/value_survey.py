@@ -1,6 +1,7 @@
 """A survey of a volume's values: their range without outliers and missing values, and their normalisation."""
 
 import hashlib
+import json
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -346,3 +347,8 @@ def scan(grid: Grid, marks: np.ndarray, progress: Progress) -> Scanned:
     if not lows:
         raise VolumeError(NOTHING)
     return min(lows), max(highs), grid.size - count, np.unique(np.concatenate(some)), None
+
+
+def digest_of(parts: list[Any]) -> str:
+    """Digest (hex) of numbers and words."""
+    return hashlib.blake2b(json.dumps(parts).encode(), digest_size=10).hexdigest()

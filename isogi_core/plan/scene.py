@@ -1,7 +1,5 @@
 """A scene: a volume, its lights, its material and its plan, and the digests that name its light."""
 
-import hashlib
-import json
 from collections.abc import Collection
 from dataclasses import astuple, dataclass, replace
 from functools import cached_property
@@ -23,6 +21,7 @@ from isogi_core.model.scene_plan import GLOW, GlowLayer, Layer, LeftOut, ScenePl
 from isogi_core.model.shine import Shine
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.surfaces import OPAQUE, PinnedSurface, leaving
+from isogi_core.model.value_survey import digest_of
 from isogi_core.model.view import Camera, orbit, orthographic
 from isogi_core.model.volume import Isovalue, Volume
 from isogi_core.plan.inputs import PlanInputs, PlanOverrides
@@ -331,17 +330,12 @@ class Scene:
         parts += [self.albedo[: layer.colours], self.bounces, self.plan.survival, self.glowing.digest]
         return digest_of(parts + (["walls", self.room.dark_digest] if self.room.any else []) + self._coloured)
 
-    @property
-    def wall_layer(self) -> Layer:
-        """What texels of walls keep: E/π in linear RGB."""
-        return Layer("walls", channels=3, half=False, scale=self.plan.layers[0].scale)
-
     def wall_digest(self, *state: Any) -> str:
         """Digest (hex) of everything that the light of walls depends on, besides the numbers of a ``state``."""
         lights = [self.environment.digest, self.lamps.digest, self.room.digest]
         glow = ["glow", self.glowing.digest, self.glowing.radiances.tolist()] if self.glowing.any else []
         paths = [self.bounces, self.plan.survival, self.normals, self.offset]
-        parts = [BAKE_FORMAT, self.volume.digest, *astuple(self.wall_layer), *lights, *glow, *paths]
+        parts = [BAKE_FORMAT, self.volume.digest, *lights, *glow, *paths]
         return digest_of([*parts, *self._company, *self._made, *self._coloured, *state])
 
     @property
@@ -404,8 +398,3 @@ class Scene:
         if (projection or self.camera_projection) == "orthographic":
             camera = orthographic(camera, self.volume.radius)
         return camera.in_box(self.volume.orientation)
-
-
-def digest_of(parts: list[Any]) -> str:
-    """Digest (hex) of numbers and words."""
-    return hashlib.blake2b(json.dumps(parts).encode(), digest_size=10).hexdigest()

@@ -17,9 +17,10 @@ from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.pixel_rays import Paths, variance_of_mean
 from isogi_core.frame.renderer import Renderer
 from isogi_core.model.sky import LUMINANCE
+from isogi_core.model.value_survey import digest_of
 from isogi_core.model.view import View
 from isogi_core.plan.budget import BOUNCES, bounces_for, survival_for
-from isogi_core.plan.scene import Scene, digest_of
+from isogi_core.plan.scene import Scene
 
 REPLICAS = 8
 """Independent randomisations of a reference."""

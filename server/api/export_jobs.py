@@ -22,10 +22,10 @@ from server.export_parameters import ExportParams
 from server.exports.coefficients import coefficient_count
 from server.exports.kinds import MESHES, check_coefficients, expected_bytes, write_mesh, write_volume
 from server.exports.lighting import check_lattice, lit_mesh, lit_volume, lit_voxels, no_surface, surface_mesh
-from server.parameters import view_of
 from server.prewarm.order import PrewarmOrder, order_of
 from server.render.jobs import Job, Result
 from server.render.variants import own_name
+from server.views import view_of
 
 TYPES = {".glb": "model/gltf-binary", ".usdz": "model/vnd.usdz+zip", ".obj": "model/obj"}
 """Media types of files that have one."""

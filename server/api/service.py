@@ -26,7 +26,7 @@ from server.api.shown import PictureRequest, Shown, Wait
 from server.bearers import Bearer, bearer_of
 from server.errors import BusyError, ForbiddenError, StartingError, UnknownJobError, UnknownSceneError
 from server.exports.folder import ExportFolder
-from server.parameters import LightParams, VariantParams, ViewParams, view_of
+from server.parameters import LightParams, VariantParams, ViewParams
 from server.render.engine import RenderEngine
 from server.render.jobs import Job, Jobs
 from server.render.scheduling import ASKED, DRAFT, REFINED, REST, AdmissionLimit, Rank
@@ -34,6 +34,7 @@ from server.render.updates import UpdateBus, attended, request_viewer
 from server.render.variants import MARK, Change, Variants
 from server.settings import Settings
 from server.uploads.uploads import Uploads
+from server.views import view_of
 from worker.bake_requests import Viewer
 from worker.progress import TimeLeft
 

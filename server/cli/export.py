@@ -19,11 +19,12 @@ from server.cli.publish import values_in
 from server.errors import ParameterError
 from server.exports.kinds import MESHES, check_coefficients, checked_suffix, suffix_of, write_mesh, write_volume
 from server.exports.lighting import check_lattice, lit_mesh, lit_volume, lit_voxels, surface_mesh
-from server.parameters import ANGLES, ViewParams, read, view_of
+from server.parameters import ANGLES, ViewParams, read
 from server.prewarm.order import Levels, levels_of
 from server.progress import Progress, open_scene
 from server.render.resources import root_of
 from server.settings import Settings
+from server.views import view_of
 
 MOST_TURNS = 1000
 """Turns of the light that are written at once, at most."""

@@ -16,10 +16,11 @@ from server.cli.film_path import film_path, view_in, views_in
 from server.cli.movie import FRAMES, check_movie, write_movie
 from server.cli.reel import Budget, Reel, said
 from server.errors import ParameterError
-from server.parameters import FrameParams, read, view_of
+from server.parameters import FrameParams, read
 from server.pictures import smoothed
 from server.progress import open_scene
 from server.settings import Settings
+from server.views import view_of
 
 MOST_FRAMES = 100_000
 """Frames of a film, at most."""

@@ -13,12 +13,13 @@ from isogi_core.plan.scene import Scene
 from isogi_core.storage.atomic_file import write_whole
 from server.cli.reel import Budget, Reel, said
 from server.errors import ParameterError
-from server.parameters import FrameParams, read, view_of
+from server.parameters import FrameParams, read
 from server.pictures import smoothed
 from server.prewarm.order import stepped
 from server.progress import open_scene
 from server.settings import Settings
 from server.values import finite, shown
+from server.views import view_of
 
 MOST_PICTURES = 100_000
 """Pictures of a grid, at most."""

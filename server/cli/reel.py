@@ -16,13 +16,14 @@ from isogi_core.errors import ViewError
 from isogi_core.plan.scene import Scene
 from isogi_core.storage.atomic_file import write_whole
 from server.cli.render import awaited
-from server.parameters import FrameParams, view_of
+from server.parameters import FrameParams
 from server.pictures import SUFFIXES, encode
 from server.progress import Progress
 from server.render.engine import RenderEngine
 from server.render.resources import root_of
 from server.render.workforce import scheduler_of
 from server.settings import Settings
+from server.views import view_of
 
 PAUSE = 1.0
 """Seconds between two writings of what is known of the pictures; after a crash, the last ones are made again."""

@@ -18,7 +18,7 @@ from isogi_core.report.reference import Goal, Reference, grow, load_reference, s
 from isogi_core.storage.atomic_file import write_whole
 from server.answers import camera_schema, coverage_schema
 from server.cli.bench import make_renderer
-from server.parameters import FrameParams, ViewParams, read, view_of
+from server.parameters import FrameParams, ViewParams, read
 from server.pictures import SUFFIXES, encode, format_for, smoothed
 from server.progress import Progress, open_scene
 from server.render.bakes import Patience
@@ -26,6 +26,7 @@ from server.render.engine import RenderEngine
 from server.render.resources import root_of
 from server.render.workforce import scheduler_of
 from server.settings import Settings
+from server.views import view_of
 from worker.errors import WorkersError
 from worker.progress import TimeLeft
 

@@ -20,9 +20,10 @@ from isogi_core.plan.range_sampling import WAYS as SAMPLINGS
 from isogi_core.plan.range_sampling import sample_range
 from isogi_core.plan.scene import Scene
 from server.errors import ParameterError
-from server.parameters import TURN, NoParams, ViewParams, isovalue_of, read, view_of
+from server.parameters import TURN, NoParams, ViewParams, read
 from server.settings import Settings
 from server.values import LONGEST, Span, finite, shown
+from server.views import isovalue_of, view_of
 
 GOLDEN = 180.0 * (3.0 - math.sqrt(5.0))
 """The golden angle, degrees."""

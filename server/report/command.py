@@ -13,10 +13,11 @@ from typing import TYPE_CHECKING, Any
 from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
 from server.errors import LibraryError, ParameterError
-from server.parameters import FrameParams, read, view_of
+from server.parameters import FrameParams, read
 from server.progress import open_scene
 from server.settings import Settings
 from server.values import span
+from server.views import view_of
 
 if TYPE_CHECKING:
     from isogi_core.report.sections import Section

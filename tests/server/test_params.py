@@ -5,10 +5,11 @@ import pytest
 from isogi_core.model.shine import DULL, Shine
 from server.answers import scene_schema
 from server.errors import ParameterError
-from server.parameters import FrameParams, NoParams, ViewParams, documented, read, view_of
+from server.parameters import FrameParams, NoParams, ViewParams, documented, read
 from server.prewarm.order import Views, order_of
 from server.settings import Settings
 from server.values import Choice, Span
+from server.views import view_of
 from tests.loaded import load_scene
 
 NUMBERS = [

@@ -20,7 +20,8 @@ from isogi_core.frame.frame import Frame
 from isogi_core.kernels.shading.framebuffer import FINAL
 from isogi_core.model.volume import Volume, make_volume
 from isogi_core.plan.scene import Scene
-from server.parameters import ViewParams, isovalue_of, light_of, read
+from server.parameters import ViewParams, read
+from server.views import isovalue_of, light_of
 from tests.stability.scenes import (
     CONSTANT,
     HEIGHT,

@@ -12,7 +12,8 @@ from isogi_core.frame.frame import Frame
 from isogi_core.kernels.transport.harmonics import MAX_ORDER, rotate
 from isogi_core.model.view import IDENTITY, Quaternion, rotation_matrix, unit_quaternion
 from isogi_core.plan.scene import Scene
-from server.parameters import ViewParams, light_of, read
+from server.parameters import ViewParams, read
+from server.views import light_of
 from tests.stability.scenes import ball_volume, body_volume, frame_of, grey_levels, lit, view_of
 
 ROTATIONS = 400

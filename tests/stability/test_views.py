@@ -15,7 +15,8 @@ from isogi_core.model.view import SHADINGS, Camera, View, orthographic
 from isogi_core.model.volume import make_volume
 from isogi_core.plan.scene import Scene
 from isogi_core.report.bake import ViewBake
-from server.parameters import ViewParams, camera_of, read
+from server.parameters import ViewParams, read
+from server.views import camera_of
 from tests.loaded import load_scene
 from tests.stability.scenes import STAND, is_finite, renderer_of, scene_of, surface_in
 from tests.stability.volumes import body, ramp

@@ -15,8 +15,7 @@ from isogi_core.cache.costs import Cost
 from isogi_core.cache.inventory import Inventory, LayerFiles, inventory_of
 from isogi_core.cache.upkeep.audit import READERS
 from isogi_core.errors import DamagedChunkError
-from isogi_core.model.value_survey import Progress, no_progress
-from isogi_core.plan.scene import digest_of
+from isogi_core.model.value_survey import Progress, digest_of, no_progress
 from isogi_core.storage.store import Store
 from isogi_core.storage.zarr_codec import unwrap
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from isogi_core.cache.inventory import LayerFiles
 from isogi_core.cache.upkeep.census import Census, Count, census_of
 from isogi_core.errors import StoreError
-from isogi_core.plan.scene import digest_of
+from isogi_core.model.value_survey import digest_of
 from isogi_core.storage.backend import Entry
 from isogi_core.storage.store import Store
 

@@ -14,7 +14,7 @@ import numpy as np
 from isogi_core.bake.bake_spec import path_weights
 from isogi_core.bake.precision import round_light
 from isogi_core.bake.refine import seeds_of
-from isogi_core.cache.wall_store import Planes, Side, planes_of
+from isogi_core.cache.wall_store import Planes, Side, planes_of, wall_layer
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.glow_light import add_glow
 from isogi_core.frame.rays.pixel_rays import NEAR, PATH_POINTS
@@ -262,7 +262,7 @@ class WallTexels:
         rules = PathRules(path_weights(np.ones(3), plan.bounces, 1.0), plan.survival)
         starts, samples = self._starts(light, surface), SampleRange(self.count, more)
         added = light_starts(light, surface, starts, rules, samples, tiles).reshape(-1, 2, 3)
-        means, layer = self.means.copy(), light.spec.prepared.scene.wall_layer
+        means, layer = self.means.copy(), wall_layer(light.spec.prepared.scene)
         means[asked] = round_light((means[asked] * self.count + added)[..., None] / count, layer)[..., 0]
         return replace(self, means=means, count=count)
 

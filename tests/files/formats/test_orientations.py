@@ -13,8 +13,9 @@ from isogi_core.files.right_angles import on_right_angles
 from isogi_core.model.latlong import pixel_directions
 from isogi_core.model.orientation import Orientation
 from server.cli.bench import make_renderer
-from server.parameters import ViewParams, read, view_of
+from server.parameters import ViewParams, read
 from server.settings import Settings
+from server.views import view_of
 from tests.files.formats.phantom import WAYS, affine, landmarks, letter, lying, world
 from tests.loaded import load_scene
 

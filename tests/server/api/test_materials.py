@@ -13,9 +13,10 @@ from websockets.asyncio.client import connect
 
 from isogi_core.plan.assembly import load_scene
 from isogi_core.storage.store import Store
-from server.parameters import FrameParams, view_of
+from server.parameters import FrameParams
 from server.render.engine import RenderEngine
 from server.settings import Settings
+from server.views import view_of
 
 SCENE = "/v1/scenes/small"
 VIEW = {"width": 40, "height": 40, "f": "npy", "wait_ms": 10_000, "max_error": 0.2}

@@ -10,7 +10,8 @@ from isogi_core.errors import ViewError
 from isogi_core.plan.assembly import load_scene
 from isogi_core.plan.scene import Scene
 from server.errors import ParameterError
-from server.parameters import ViewParams, camera_of, read
+from server.parameters import ViewParams, read
+from server.views import camera_of
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,113 @@
+"""The view that parameters ask for, of a scene."""
+
+from dataclasses import replace
+from typing import Any
+
+from isogi_core.errors import ViewError
+from isogi_core.model.shine import Shine
+from isogi_core.model.view import (
+    IDENTITY,
+    Camera,
+    Quaternion,
+    Vec3,
+    View,
+    light_in_box,
+    orbit,
+    quaternion_from_angles,
+    unit_quaternion,
+)
+from isogi_core.model.window import read_window
+from isogi_core.plan.scene import Scene
+from server.errors import ParameterError
+from server.parameters import FrameParams, ViewParams
+from server.settings import Settings
+from server.values import Span
+
+
+def view_of(scene: Scene, params: ViewParams, settings: Settings) -> View:
+    """The view that the parameters ask for; ViewError where this scene or these settings do not allow it."""
+    first, last = params.strip if isinstance(params, FrameParams) and params.strip else (0, params.height)
+    if last > params.height:
+        raise ParameterError(f"strip ends at row {last} of a picture of {params.height}.", "strip")
+    pixels, paths = params.width * (last - first), params.width * (last - first) * params.samples
+    if pixels > settings.max_pixels:
+        raise ViewError(f"width × height must be at most {settings.max_pixels} pixels, not {pixels}.")
+    if params.shading == "path_traced" and paths > settings.max_paths:
+        raise ViewError(f"width × height × samples must be at most {settings.max_paths} paths, not {paths}.")
+    return View(
+        isovalue=isovalue_of(scene, params),
+        camera=camera_of(scene, params),
+        light=light_of(scene, params),
+        width=params.width,
+        height=last - first,
+        strip=None if last - first == params.height else (first, params.height),
+        shading=params.shading,
+        samples=params.samples,
+        albedo=albedo_of(scene, params),
+        shine=shine_of(scene, params),
+        glow=glow_of(scene, params),
+        smooth=isinstance(params, FrameParams) and params.antialias == "on" and params.shading != "path_traced",
+        orientation=scene.volume.orientation,
+        window=None if params.window is None else read_window(params.window).in_box(scene.volume.orientation),
+    )
+
+
+def isovalue_of(scene: Scene, params: ViewParams) -> float:
+    """The isovalue asked for, else the scene's; ParameterError where it is outside the scene's range."""
+    if params.isovalue is None:
+        return scene.isovalue
+    try:
+        return Span(*scene.isovalues).read(params.isovalue)
+    except ValueError as error:
+        raise ParameterError(f"isovalue {error}", "isovalue") from None
+
+
+def albedo_of(scene: Scene, params: ViewParams) -> Vec3 | None:
+    """The albedo asked for, None where it is the scene's; ParameterError where the scene's light is not of it."""
+    try:
+        return None if scene.albedo_for(params.albedo) == scene.albedo else params.albedo
+    except ViewError as error:
+        raise ParameterError(str(error), "albedo") from None
+
+
+def shine_of(scene: Scene, params: ViewParams) -> Shine | None:
+    """The shine asked for, None where it is the scene's; ParameterError where the scene has none to be changed."""
+    asked = {"kind": params.shine, "roughness": params.roughness, "strength": params.strength}
+    given: dict[str, Any] = {name: value for name, value in asked.items() if value is not None}
+    if not given:
+        return None
+    if scene.shine is None:
+        name = next(name for name in ("shine", "roughness", "strength") if getattr(params, name) is not None)
+        raise ParameterError(f"{name} is for scenes that shine: leave it out, or give the scene a [shine] table.", name)
+    shine = replace(scene.shine, **given)
+    return None if shine == scene.shine else shine
+
+
+def glow_of(scene: Scene, params: ViewParams) -> float:
+    """How bright what glows is over the scene's own; ParameterError where nothing glows."""
+    try:
+        return scene.glow_for(params.glow)
+    except ViewError as error:
+        raise ParameterError(str(error), "glow") from None
+
+
+def camera_of(scene: Scene, params: ViewParams) -> Camera:
+    """The camera, in the volume's box: at the eye where one is given, else on its orbit about the target."""
+    target, radius = params.target or scene.volume.world_centre, scene.volume.radius
+    if params.eye is not None:
+        camera = Camera(params.eye, target, params.up or (0.0, 0.0, 1.0), params.fov)
+    else:
+        camera = orbit(target, radius, params.azimuth, params.elevation, params.distance, params.fov)
+        camera = camera if params.up is None else replace(camera, up=params.up)
+    return scene.in_box(camera, params.projection)
+
+
+def light_of(scene: Scene, params: ViewParams) -> Quaternion:
+    """The light's rotation in the volume's box, a unit quaternion; ViewError where the scene's light does not turn."""
+    if params.light is not None:
+        turn = unit_quaternion(params.light)
+    else:
+        turn = quaternion_from_angles(params.yaw, params.pitch, params.roll)
+    if not scene.rotating and abs(turn[0]) < 1 - 1e-12:
+        raise ViewError("This scene's light does not turn (rotating = false): leave light and its angles out.")
+    return light_in_box(turn, scene.volume.orientation) if scene.rotating else IDENTITY
