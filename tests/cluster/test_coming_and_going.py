@@ -5,21 +5,31 @@ from pathlib import Path
 import pytest
 
 from tests.cluster.intruder import fallen, ports_of
-from tests.cluster.processes import Cluster, cluster, end, final, metric, reasons, status, until
+from tests.cluster.processes import Cluster, end, final, metric, reasons, status, until
 
 pytestmark = pytest.mark.slow
 
 
 def test_scheduler_workers_and_servers_come_and_go(small_scene: Path, tmp_path: Path) -> None:
     """And no port of theirs lets another user in."""
-    with cluster(workers=0) as running:
+    with Cluster() as running:
+        scheduler = running.scheduler()
         one, first = running.server(small_scene, str(tmp_path))
         until(lambda: "No worker has joined" in reasons(first))
-        assert status(first, "/v1/scenes/small/frame", width=16, height=16) == 200
+        assert status(first, "/v1/scenes/small/frame", width=40, height=40, azimuth=30) == 200
+        until(lambda: metric(first, "isogi_tasks_in_flight") > 0)
 
+        end(scheduler)
+        until(lambda: "cannot be reached at the moment" in reasons(first))
+        until(lambda: metric(first, "isogi_tasks_in_flight") == 0)
+        assert status(first, "/v1/scenes/small/frame", width=40, height=40, azimuth=30) == 200
+
+        running.scheduler()
         worker = running.worker()
         until(lambda: reasons(first) == "")
         picture = final(first)
+        assert metric(first, "isogi_tasks_failed_total") == 0.0
+        assert metric(first, "isogi_worker_deaths_total") == 0.0
 
         _, second = running.server(small_scene, str(tmp_path))
         until(lambda: reasons(second) == "")
@@ -40,24 +50,3 @@ def test_scheduler_workers_and_servers_come_and_go(small_scene: Path, tmp_path: 
 
         end(one)
         assert final(second, azimuth=210.0)
-
-
-def test_a_scheduler_that_is_started_again_is_joined_again(small_scene: Path, tmp_path: Path) -> None:
-    with Cluster() as running:
-        scheduler = running.scheduler()
-        _, client = running.server(small_scene, str(tmp_path))
-        until(lambda: "No worker has joined" in reasons(client))
-        assert status(client, "/v1/scenes/small/frame", width=40, height=40, azimuth=30) == 200
-        until(lambda: metric(client, "isogi_tasks_in_flight") > 0)
-
-        end(scheduler)
-        until(lambda: "cannot be reached at the moment" in reasons(client))
-        until(lambda: metric(client, "isogi_tasks_in_flight") == 0)
-        assert status(client, "/v1/scenes/small/frame", width=40, height=40, azimuth=30) == 200
-
-        running.scheduler()
-        running.worker()
-        until(lambda: reasons(client) == "")
-        assert final(client)
-        assert metric(client, "isogi_tasks_failed_total") == 0.0
-        assert metric(client, "isogi_worker_deaths_total") == 0.0
