@@ -45,6 +45,20 @@ def test_kills(tiny: str, monkeypatch: pytest.MonkeyPatch) -> None:
     assert not any(found[name] for name in (*wrong, *differ, "final pictures that differ")), found
 
 
+def test_kills_come_in_rounds(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[tuple[int, int]] = []
+
+    def in_a_round(_: str | None, victim: str, cycles: int, seed: int) -> dict[str, float]:
+        asked.append((cycles, seed))
+        return {f"{victim}s killed": cycles, kills_module.RESTART: 9.0 - seed}
+
+    monkeypatch.setattr(kills_module, "in_a_round", in_a_round)
+    monkeypatch.setattr(kills_module, "ROUND", 10)
+    found = figures(kills, "--victim", "server", "--cycles", "25", "--seed", "3")
+    assert asked == [(10, 3), (10, 4), (5, 5)]
+    assert found == {"servers killed": 25, kills_module.RESTART: 6.0}
+
+
 @pytest.mark.campaign
 def test_damage(tiny: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(damage_module, "WORKERS", 1)
