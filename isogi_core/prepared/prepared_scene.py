@@ -133,6 +133,7 @@ class PreparedScene:
         given = self.scene.glowing
         middles, halves = (np.ascontiguousarray(each.T) for each in (given.middles, given.halves))
         lows, highs = np.ascontiguousarray(given.ranges.T)
+        lows = np.where(given.masked, np.maximum(lows, np.finfo(np.float64).min), lows)
         rest = given.radii, lows, highs, 1.0 / given.chords, given.masked.astype(np.float64), given.bits
         return Glows(middles, halves, given.round.astype(np.float64), *rest)
 

@@ -25,8 +25,10 @@ def glows_of(*regions, bits=None):
     """Some regions as kernels take them; in the masks of ``bits``, all of them, where these are given."""
     centres, halves, *rest = zip(*regions, strict=True)
     rows = (np.ascontiguousarray(np.array(each, float).T) for each in (centres, halves))
-    masked = np.full(len(regions), float(bits is not None))
-    return Glows(*rows, *(np.array(each, float) for each in rest), masked, NO_BITS if bits is None else bits)
+    columns, masked = [np.array(each, float) for each in rest], np.full(len(regions), float(bits is not None))
+    if bits is not None:
+        columns[2] = np.maximum(columns[2], np.finfo(float).min)
+    return Glows(*rows, *columns, masked, NO_BITS if bits is None else bits)
 
 
 def gather_glow(field, room, starts, glows, samples, bounces=0, survival=1.0):

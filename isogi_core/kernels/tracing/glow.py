@@ -25,7 +25,7 @@ class Glows(NamedTuple):
     radius, thrice. ``radii`` (k,) are of the balls about them. Of each it is the part whose voxels are from
     ``lows`` to ``highs`` (k,), which are infinite where all of it glows. A ray gathers the radiance ``rates`` (k,) on
     each unit of its way. Where ``masked`` (k,) is 1 voxels whose ``bits`` lack number k do not glow: uint8 of the shape
-    of the field, or none where there is no mask.
+    of the field, or none where there is no mask. The ``lows`` of such are finite.
     """
 
     centres: Any
@@ -131,10 +131,10 @@ def gather_on_way(field, glows, k, p, w, reach):
     if not near < far:
         return 0.0
     way = glows.rates[k] * (far - near)
-    if glows.masked[k] > 0.0:
-        return way * share_in_mask(field, glows, k, p, w, near, far)
     if glows.lows[k] == -math.inf and glows.highs[k] == math.inf:
         return way
+    if glows.masked[k] > 0.0:
+        return way * share_in_mask(field, glows, k, p, w, near, far)
     return way * share_within(field, glows.lows[k], glows.highs[k], p, w, near, far)
 
 
