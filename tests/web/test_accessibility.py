@@ -1,18 +1,11 @@
 """The page judged by axe-core: no finding of any kind, in either scheme, in any state."""
 
 import pytest
-from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser, Page
 
-from tests.web.visits import BROWSER, FINAL_MS, open_final, wait_final
+from tests.web.visits import BROWSER, FINAL_MS, findings, open_final, wait_final
 
 pytestmark = BROWSER
-
-
-def findings(page: Page) -> list[str]:
-    """What axe-core finds: rule, help, and the first place."""
-    violations = Axe().run(page).response["violations"]
-    return [f"{v['id']}: {v['help']} at {v['nodes'][0]['target']}" for v in violations]
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from playwright.sync_api import Browser, Page, expect
 
-from tests.web.visits import BROWSER, written
+from tests.web.visits import BROWSER, click, fact, position, stage_of, written
 
 ADDRESS = "?shading=lambert&azimuth=25&elevation=15&distance=3"
 
@@ -23,13 +23,6 @@ def shown(page: Page, live_server: str) -> Page:
     return page
 
 
-def stage_of(page: Page) -> tuple[float, float, int, int]:
-    """Left, top, width and height of the stage."""
-    box = page.locator("#stage").bounding_box()
-    assert box is not None
-    return box["x"], box["y"], round(box["width"]), round(box["height"])
-
-
 def surface(page: Page) -> np.ndarray:
     """World positions (h, w, 3) of the surface in the stage's pixels, NaN where none is."""
     view = {
@@ -42,19 +35,6 @@ def surface(page: Page) -> np.ndarray:
     assert answer.ok, answer.text()
     planes: np.ndarray = np.load(io.BytesIO(answer.body()))
     return np.where(planes[..., 3:4] > 0, planes[..., 6:], np.nan)
-
-
-def click(page: Page, column: int, row: int) -> None:
-    left, top, *_ = stage_of(page)
-    page.mouse.click(left + column + 0.5, top + row + 0.5)
-
-
-def fact(page: Page, name: str) -> str:
-    return page.locator(f"#point dt:text-is('{name}') + dd").inner_text()
-
-
-def position(page: Page) -> list[float]:
-    return [float(x.replace("−", "-")) for x in fact(page, "Position").split(",")]
 
 
 def mark(page: Page) -> tuple[float, float]:

@@ -8,9 +8,7 @@ import pytest
 from PIL import Image
 from playwright.sync_api import Browser, FloatRect, Locator, Page, expect
 
-from tests.web.test_accessibility import findings
-from tests.web.test_reading import click, position, stage_of
-from tests.web.visits import BROWSER, SHOTS, written
+from tests.web.visits import BROWSER, SHOTS, click, findings, position, stage_of, written
 
 ADDRESS = "?shading=lambert&azimuth=25&elevation=15&distance=3"
 SIZE = (24, 20, 16)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Page
 
 CHROMIUM = Path("/usr/bin/chromium")
@@ -108,3 +109,32 @@ def pixels(page: Page, picture: str = "#picture", size: int | None = 96) -> np.n
     flat = np.frombuffer(b64decode(page.evaluate(PIXELS, [picture, size])), np.uint8)
     side = math.isqrt(len(flat) // 4)
     return flat.reshape(side, side, 4)[..., :3].astype(float)
+
+
+def stage_of(page: Page) -> tuple[float, float, int, int]:
+    """Left, top, width and height of the stage."""
+    box = page.locator("#stage").bounding_box()
+    assert box is not None
+    return box["x"], box["y"], round(box["width"]), round(box["height"])
+
+
+def click(page: Page, column: int, row: int) -> None:
+    """Click the middle of a pixel of the stage."""
+    left, top, *_ = stage_of(page)
+    page.mouse.click(left + column + 0.5, top + row + 0.5)
+
+
+def fact(page: Page, name: str) -> str:
+    """What the card of a point says by this name."""
+    return page.locator(f"#point dt:text-is('{name}') + dd").inner_text()
+
+
+def position(page: Page) -> list[float]:
+    """Where the card says that its point is."""
+    return [float(x.replace("−", "-")) for x in fact(page, "Position").split(",")]
+
+
+def findings(page: Page) -> list[str]:
+    """What axe-core finds: rule, help, and the first place."""
+    violations = Axe().run(page).response["violations"]
+    return [f"{v['id']}: {v['help']} at {v['nodes'][0]['target']}" for v in violations]
