@@ -9,7 +9,7 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from isogi_core.model.view import orbit
-from tests.web.visits import BROWSER, written
+from tests.web.visits import BROWSER, stage_of, written
 
 AXES = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1)}
 CENTRE = (11.5, 9.5, 7.5)
@@ -45,13 +45,6 @@ def surface(page: Page, width: int, height: int) -> np.ndarray:
     assert answer.ok, answer.text()
     planes: np.ndarray = np.load(io.BytesIO(answer.body()))
     return np.where(planes[..., 3:4] > 0, planes[..., 6:], np.nan)
-
-
-def stage_of(page: Page) -> tuple[float, float, int, int]:
-    """Left, top, width and height of the stage."""
-    box = page.locator("#stage").bounding_box()
-    assert box is not None
-    return box["x"], box["y"], round(box["width"]), round(box["height"])
 
 
 def drag(page: Page, hand: str, way: int) -> None:

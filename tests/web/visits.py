@@ -119,18 +119,18 @@ def stage_of(page: Page) -> tuple[float, float, int, int]:
 
 
 def click(page: Page, column: int, row: int) -> None:
-    """Click a pixel of the stage."""
+    """Click the middle of a pixel of the stage."""
     left, top, *_ = stage_of(page)
     page.mouse.click(left + column + 0.5, top + row + 0.5)
 
 
 def fact(page: Page, name: str) -> str:
-    """What the card of a point says under a name."""
+    """What the card of a point says by this name."""
     return page.locator(f"#point dt:text-is('{name}') + dd").inner_text()
 
 
 def position(page: Page) -> list[float]:
-    """The position that the card of a point says."""
+    """Where the card says that its point is."""
     return [float(x.replace("−", "-")) for x in fact(page, "Position").split(",")]
 
 
