@@ -18,7 +18,6 @@ from isogi_core.cache.layer import LayerStore
 from isogi_core.errors import DamagedChunkError, StoreError
 from isogi_core.model.lights import Colour
 from isogi_core.model.scene_plan import Layer
-from isogi_core.model.volume import Isovalue
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import Index, PreparedScene
 from isogi_core.storage.documents import Documents
@@ -43,7 +42,7 @@ Planes = tuple[np.ndarray, np.ndarray]
 class WallState:
     """What the light of walls depends on besides its scene: the isovalue, and the albedo and glow of views."""
 
-    isovalue: Isovalue
+    isovalue: float
     albedo: Colour
     glow: float
 
@@ -69,7 +68,8 @@ class WallLayer(LayerStore):
         """Touch nothing yet."""
         scene = prepared.scene
         digest = scene.wall_digest(state.albedo, state.glow, state.isovalue, across, wall_layer(scene).scale)
-        super().__init__(store, prepared, wall_layer(scene), state.isovalue, digest, CHUNK**3)
+        super().__init__(store, prepared, wall_layer(scene), None, digest, CHUNK**3)
+        self.isovalue = state.isovalue
         self.shape = 4 * len(scene.room.walls), across, across
 
     @property
@@ -81,7 +81,7 @@ class WallLayer(LayerStore):
     @property
     def facts(self) -> dict[str, Any]:
         """The attributes of its array."""
-        return super().facts | {"texels": list(self.shape), "chunk": CHUNK}
+        return super().facts | {"texels": list(self.shape), "chunk": CHUNK, "shown": self.isovalue}
 
     def planes(self) -> Planes:
         """All light that is there; without paths elsewhere."""
@@ -154,10 +154,10 @@ class WallStore:
         if state.isovalue not in known:
             self._notes.write(self._name(state), {"isovalues": sorted([*known, state.isovalue])})
 
-    def _isovalues(self, state: WallState) -> list[Isovalue]:
+    def _isovalues(self, state: WallState) -> list[float]:
         """The isovalues that were noted, ascending. Raises StoreError."""
         found: Mapping[str, Any] = self._notes.read(self._name(state)) or {}
-        return [Isovalue(np.float64(value)) for value in found.get("isovalues", ())]
+        return [float(value) for value in found.get("isovalues", ())]
 
     def _name(self, state: WallState) -> str:
         return self._prepared.scene.wall_digest(state.albedo, state.glow)

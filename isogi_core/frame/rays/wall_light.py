@@ -87,7 +87,7 @@ class RoomLight:
     @classmethod
     def of(cls, light: RotatedLight, surface: Surface, store: WallStore) -> "RoomLight":
         """The light about a ``surface`` that a ``light`` falls on, as far as a ``store`` kept it."""
-        found = cls(light, surface, WallState(surface.isovalue, light.seen.albedo, light.glow), store)
+        found = cls(light, surface, WallState(float(surface.isovalue), light.seen.albedo, light.glow), store)
         own, lent = found._kept(found.state), found._lent()
         for side in {*own, *lent}:
             found.sides[side] = WallLight(light, surface, own.get(side) or found._begun(side), lent.get(side))
@@ -133,7 +133,7 @@ class RoomLight:
         if around is None:
             return {}
         low, high = (self._kept(each, FINE) for each in around)
-        share = float((self.state.isovalue - around[0].isovalue) / (around[1].isovalue - around[0].isovalue))
+        share = (self.state.isovalue - around[0].isovalue) / (around[1].isovalue - around[0].isovalue)
         return {
             side: low[side].mixed(high[side], share, f"-{low[side].count:x}~{high[side].count:x}")
             for side in low.keys() & high.keys()

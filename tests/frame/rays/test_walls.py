@@ -181,7 +181,7 @@ def test_damaged_light_of_walls_is_baked_again(room: Workbench, tmp_path: Path) 
     view = room.view(90.0, 0.0, SIZE, distance=4.0)
     true = finished(room, view)
     copy = Workbench(room.scene, Path(shutil.copytree(room.folder, tmp_path / "copy")))
-    state = WallState(copy.prepared.surface(view.isovalue).isovalue, copy.scene.albedo, 1.0)
+    state = WallState(float(copy.prepared.surface(view.isovalue).isovalue), copy.scene.albedo, 1.0)
     objects = sorted((copy.folder / WallLayer(copy.caches.store, copy.prepared, state, FINE).digest).glob("c/*/*/*/0"))
     assert len(objects) == 1
     objects[0].write_bytes(objects[0].read_bytes()[:-9])

@@ -54,7 +54,7 @@ def test_workers_bake_all_sides_and_a_restart_finds_them(make: Callable[..., Ren
 
 def test_the_document_of_a_scene_tells_its_surfaces() -> None:
     told = scene_schema(load_scene("demo:orbital", clear=0.25, **SCENE)).model_dump()
-    assert told["surfaces"] == [{**HALO, "albedo": (0.4, 0.6, 0.9)}]
+    assert told["surfaces"] == [{**HALO, "albedo": (0.4, 0.6, 0.9), "transmission": (0.0, 0.0, 0.0)}]
     assert told["clear"] == 0.25 and told["rotating"] is False
 
 
