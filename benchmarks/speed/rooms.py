@@ -94,7 +94,8 @@ def compare(name: str, scenes: list[Scene], size: int, repeats: int) -> dict[str
 def lit(scene: Scene, store: str, size: int) -> Renderer:
     """A renderer of a scene, with the light that its view reads."""
     renderer, view = make_renderer(scene, store), camera_of(scene, size)
-    frame = bake_view(renderer, view, FEWEST)
+    bake_view(renderer, view, FEWEST)
+    frame = renderer.render(view, DONE)
     while frame.walls_waiting and renderer.refine_frame(frame, DONE, renderer.tiles, False):
         frame = renderer.render(view, DONE)
     return renderer
