@@ -24,7 +24,7 @@ METADATA = re.compile(r"([0-9a-f]{20})/zarr\.json")
 COST = re.compile(rf"{COSTS}/([0-9a-f]{{20}})/zarr\.json")
 STAMP = re.compile(rf"{USED}/([0-9a-f]{{20}})")
 LEFTOVER = re.compile(rf".*\.partial|{CLAIMS}/.*")
-KNOWN = re.compile(r"isogi\.json|(jobs|costs|used|volumes|files|colours|walls)/.*")
+KNOWN = re.compile(r"isogi\.json|(jobs|costs|used|volumes|files|colours|glow|walls)/.*")
 """Other objects that isogi keeps beside the light."""
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from isogi_core.bake.texel_light import Part
 from isogi_core.cache.layer import LayerStore
-from isogi_core.errors import DamagedChunkError, StoreError
+from isogi_core.errors import StoreError
 from isogi_core.model.lights import Colour
 from isogi_core.model.scene_plan import Layer
 from isogi_core.plan.scene import Scene
@@ -122,7 +122,7 @@ class WallStore:
         """The light in a ``state``, with so many texels ``across``; None where there is none."""
         try:
             means, counts = WallLayer(self._store, self._prepared, state, across).planes()
-        except (StoreError, DamagedChunkError) as error:
+        except StoreError as error:
             log.warning("Light of walls is baked anew: %s", error)
             return None
         return (means, counts) if counts.any() else None

@@ -118,6 +118,7 @@ class SideBakes:
         """None yet. When one is added, a thread trims the ``store`` to ``most`` bytes of projected texels."""
         self._baker, self._store, self._most = baker, store, most
         self._names: OrderedDict[str, str] = OrderedDict()
+        self._lit: set[tuple[str, float]] = set()
         self._lock = threading.Lock()
         self._trimming = threading.Lock()
         self._trimmer: threading.Thread | None = None
@@ -160,10 +161,16 @@ class SideBakes:
         for each in old:
             self._baker.forget(each)
         if new and shown is not None:
-            self.trim()
+            self._trim()
         return name
 
-    def trim(self) -> None:
+    def lit(self, scene: str, isovalue: float) -> None:
+        """Note that the walls of a scene have light for an isovalue."""
+        if (scene, isovalue) not in self._lit:
+            self._lit.add((scene, isovalue))
+            self._trim()
+
+    def _trim(self) -> None:
         """Have a thread trim the store: there is light for one isovalue more."""
         self._trimmer = threading.Thread(target=self._trim_once, name="trimming", daemon=True)
         self._trimmer.start()

@@ -1,15 +1,17 @@
 """A small app on a real socket, and clients that do not behave."""
 
 import asyncio
+import json
 import socket
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
 from fastapi import FastAPI, Request
 from starlette.responses import Response
+from websockets.asyncio.client import connect
 
 from server.api.shutdown import Closing, GracefulShutdown
 from server.cli.serve import Server, listen
@@ -125,3 +127,19 @@ def wait_for(condition: Any, seconds: float = 10.0) -> bool:
             return False
         time.sleep(0.02)
     return True
+
+
+async def pictures_on(stream: str, views: Sequence[Mapping[str, Any]]) -> list[bytes]:
+    """The picture that a ``stream`` sends of each view, one after the other; none may be refused."""
+    pictures = []
+    async with connect(stream.replace("http", "ws"), max_size=None) as connection:
+        for number, view in enumerate(views):
+            await connection.send(json.dumps({"id": number, "view": {"width": 40, "height": 40, "f": "png", **view}}))
+            while json.loads(facts := await asyncio.wait_for(connection.recv(), 120))["id"] != number:
+                await connection.recv()
+            assert "problem" not in json.loads(facts)
+            picture = await connection.recv()
+            assert isinstance(picture, bytes)
+            pictures.append(picture)
+            await connection.send(json.dumps({"shown": number}))
+    return pictures

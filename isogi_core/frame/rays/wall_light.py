@@ -66,8 +66,7 @@ class WallLight:
         with self.lock:
             if self.texels.final(target):
                 return False
-            begun = self.texels if self.texels.count else self.texels.grown(self.light, self.surface, tiles)
-            self.texels = begun.nearer(self.light, self.surface, target, tiles)
+            self.texels = self.texels.nearer(self.light, self.surface, target, tiles)
             return True
 
 

@@ -210,7 +210,7 @@ class WallTexels:
     def nearer(self, light: RotatedLight, surface: Surface, target: float, tiles: Tiles) -> "WallTexels":
         """The same a step nearer to a ``target``: fine ones, more paths, or twice as fine ones. Raises Cancelled."""
         if not self.fine:
-            return WallTexels.begun(light, self.wall, self.side, FINE).grown(light, surface, tiles, self.count)
+            return WallTexels.begun(light, self.wall, self.side, FINE).grown(light, surface, tiles)
         if not self.has_enough_paths(target):
             return self.grown(light, surface, tiles, self.count)
         return self.finer(light, self._unsharp_places(light, target)).grown(light, surface, tiles, self.count)

@@ -2,13 +2,11 @@
 
 import asyncio
 import io
-import json
 from pathlib import Path
 
 import httpx
 import numpy as np
 import pytest
-from websockets.asyncio.client import connect
 
 from isogi_core.frame.panorama import paint_panorama
 from isogi_core.model.lights import ENVIRONMENTS
@@ -19,6 +17,7 @@ from server.render.engine import RenderEngine
 from server.render.variants import Change, Variants
 from server.settings import Settings
 from server.views import view_of
+from tests.server.sockets import pictures_on
 
 SCENE = "/v1/scenes/small"
 VIEW = {"width": 40, "height": 40, "f": "npy", "wait_ms": 10_000, "max_error": 0.2}
@@ -108,22 +107,8 @@ def test_a_job_for_it_leads_to_its_picture(live_server: str) -> None:
 
 
 def test_a_stream_changes_its_light(live_server: str) -> None:
-    async def visit() -> list[bytes]:
-        pictures = []
-        async with connect(f"{live_server.replace('http', 'ws')}{SCENE}/stream", max_size=None) as socket:
-            for number, environment in enumerate(("studio", "evening")):
-                view = {"width": 40, "height": 40, "f": "png", "environment": environment}
-                await socket.send(json.dumps({"id": number, "view": view}))
-                while json.loads(facts := await asyncio.wait_for(socket.recv(), 120))["id"] != number:
-                    await socket.recv()
-                assert "problem" not in json.loads(facts)
-                picture = await socket.recv()
-                assert isinstance(picture, bytes)
-                pictures.append(picture)
-                await socket.send(json.dumps({"shown": number}))
-        return pictures
-
-    first, second = asyncio.run(visit())
+    views = [{"environment": each} for each in ("studio", "evening")]
+    first, second = asyncio.run(pictures_on(f"{live_server}{SCENE}/stream", views))
     assert first != second
 
 

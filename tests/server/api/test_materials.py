@@ -2,14 +2,12 @@
 
 import asyncio
 import io
-import json
 import time
 from pathlib import Path
 
 import httpx
 import numpy as np
 import pytest
-from websockets.asyncio.client import connect
 
 from isogi_core.plan.assembly import load_scene
 from isogi_core.storage.store import Store
@@ -17,6 +15,7 @@ from server.parameters import FrameParams
 from server.render.engine import RenderEngine
 from server.settings import Settings
 from server.views import view_of
+from tests.server.sockets import pictures_on
 
 SCENE = "/v1/scenes/small"
 VIEW = {"width": 40, "height": 40, "f": "npy", "wait_ms": 10_000, "max_error": 0.2}
@@ -91,19 +90,5 @@ def test_glass_keeps_no_light_to_export(live_server: str) -> None:
 
 
 def test_a_stream_changes_its_material(live_server: str) -> None:
-    async def visit() -> list[bytes]:
-        pictures = []
-        async with connect(f"{live_server.replace('http', 'ws')}{SCENE}/stream", max_size=None) as socket:
-            for number, material in enumerate(("diffuse", "glass", "glass,index=2")):
-                view = {"width": 40, "height": 40, "f": "png", "material": material}
-                await socket.send(json.dumps({"id": number, "view": view}))
-                while json.loads(facts := await asyncio.wait_for(socket.recv(), 120))["id"] != number:
-                    await socket.recv()
-                assert "problem" not in json.loads(facts)
-                picture = await socket.recv()
-                assert isinstance(picture, bytes)
-                pictures.append(picture)
-                await socket.send(json.dumps({"shown": number}))
-        return pictures
-
-    assert len(set(asyncio.run(visit()))) == 3
+    views = [{"material": each} for each in ("diffuse", "glass", "glass,index=2")]
+    assert len(set(asyncio.run(pictures_on(f"{live_server}{SCENE}/stream", views)))) == 3
