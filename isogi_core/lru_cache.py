@@ -29,20 +29,22 @@ V = TypeVar("V", bound=Sized)
 
 @dataclass(eq=False)
 class Cell(Generic[V]):
-    """The place of a result: none or one ``value``, made under a ``lock``; and how many ask for it."""
+    """The place of a result: none or one ``value``, made under a ``lock``; and how many ask for it.
+
+    ``nbytes`` are those that it was counted with last.
+    """
 
     lock: threading.Lock = field(default_factory=threading.Lock)
     value: list[V] = field(default_factory=list)
     asking: int = 0
-
-    @property
-    def nbytes(self) -> int:
-        """Bytes that it is counted with."""
-        return OVERHEAD + sum(value.nbytes for value in self.value)
+    nbytes: int = 0
 
 
 class LruCache(Generic[K]):
-    """The newest results of costly functions; two threads that want the same one make it once."""
+    """The newest results of costly functions; two threads that want the same one make it once.
+
+    Results may grow. What they take is counted when they are made, whenever they are asked for, and in ``settle``.
+    """
 
     def __init__(self, most: int, limits: Mapping[Any, int] = NONE) -> None:
         """Keep at most ``most`` bytes, OVERHEAD for each result among them, the newest in any case.
@@ -52,6 +54,7 @@ class LruCache(Generic[K]):
         self._most, self._limits = most, limits
         self._lock = threading.Lock()
         self._made: OrderedDict[K, Cell[Any]] = OrderedDict()
+        self._total, self._kinds = 0, dict.fromkeys(limits, 0)
 
     def get(self, key: K, make: Callable[[], V]) -> V:
         """The result for ``key``, made by ``make`` when it is not kept.
@@ -62,17 +65,14 @@ class LruCache(Generic[K]):
             cell: Cell[V] = self._made.setdefault(key, Cell())
             cell.asking += 1
             self._made.move_to_end(key)
+        new = False
         try:
             with cell.lock:
-                new = not cell.value
-                if new:
+                if new := not cell.value:
                     cell.value.append(make())
-                value = cell.value[0]
+                return cell.value[0]
         finally:
-            self._leave(key, cell)
-        if new:
-            self._forget(key)
-        return value
+            self._leave(key, cell, new)
 
     def held(self, key: K) -> Any | None:
         """The result for ``key`` where it is kept; that makes it no newer."""
@@ -83,58 +83,86 @@ class LruCache(Generic[K]):
     def drop(self, key: K) -> None:
         """Let go of the result for ``key``, if it is kept."""
         with self._lock:
-            self._made.pop(key, None)
+            if key in self._made:
+                self._pop(key)
 
     def make_room(self, size: int) -> None:
         """Let go of the oldest results until one of ``size`` bytes fits beside the rest: before it is made."""
         with self._lock:
-            total = self._sum() + size
+            self._count_all()
             for key in [key for key, cell in self._made.items() if cell.value]:
-                if total <= self._most:
+                if self._total + size <= self._most:
                     return
-                total -= self._made.pop(key).nbytes
+                self._pop(key)
 
     def settle(self) -> None:
         """Let go of the oldest results until the rest fits: results may have grown."""
         with self._lock:
-            self._shrink(list(self._made), self._most)
+            self._count_all()
+            self._forget()
 
     def clear(self) -> None:
         """Keep nothing."""
         with self._lock:
             self._made.clear()
+            self._total, self._kinds = 0, dict.fromkeys(self._limits, 0)
 
     @property
     def nbytes(self) -> int:
         """Bytes of all that is kept, OVERHEAD for each result among them."""
         with self._lock:
-            return self._sum()
+            self._count_all()
+            return self._total
 
-    def _sum(self) -> int:
-        return sum(cell.nbytes for cell in self._made.values())
+    def _leave(self, key: K, cell: Cell[Any], new: bool) -> None:
+        """Stop asking for a result, and count it; the place of one that could not be made goes with the last that asks.
 
-    def _leave(self, key: K, cell: Cell[Any]) -> None:
-        """Stop asking for a result; the place of one that could not be made goes with the last that asks."""
+        A ``new`` one makes room for itself.
+        """
         with self._lock:
             cell.asking -= 1
-            if not cell.asking and not cell.value and self._made.get(key) is cell:
-                del self._made[key]
-
-    def _forget(self, newest: K) -> None:
-        """Let go of the oldest results until the rest fits: those of the newest one's kind, and all together."""
-        with self._lock:
-            kind = kind_of(newest)
-            if kind in self._limits:
-                self._shrink([key for key in self._made if kind_of(key) == kind], self._limits[kind])
-            self._shrink(list(self._made), self._most)
-
-    def _shrink(self, keys: list[K], most: int) -> None:
-        """Let go of results with these keys, the oldest first, until the rest of them fits; the last stays."""
-        total = sum(self._made[key].nbytes for key in keys)
-        for key in keys[:-1]:
-            if total <= most:
+            if self._made.get(key) is not cell:
                 return
-            total -= self._made.pop(key).nbytes
+            if not cell.value:
+                if not cell.asking:
+                    self._pop(key)
+                return
+            self._count(key, cell)
+            if new:
+                self._forget(kind_of(key))
+
+    def _count(self, key: K, cell: Cell[Any]) -> None:
+        """Count a result with what it takes now."""
+        now = OVERHEAD + cell.value[0].nbytes
+        self._add(key, now - cell.nbytes)
+        cell.nbytes = now
+
+    def _count_all(self) -> None:
+        for key, cell in self._made.items():
+            if cell.value:
+                self._count(key, cell)
+
+    def _add(self, key: K, size: int) -> None:
+        self._total += size
+        if (kind := kind_of(key)) in self._kinds:
+            self._kinds[kind] += size
+
+    def _pop(self, key: K) -> None:
+        """Let go of a result."""
+        self._add(key, -self._made.pop(key).nbytes)
+
+    def _forget(self, newest: Hashable = None) -> None:
+        """Let go of the oldest results until the rest fits: those of the ``newest`` one's kind, and all together.
+
+        The last stays.
+        """
+        if newest in self._kinds and self._kinds[newest] > self._limits[newest]:
+            for key in [key for key in self._made if kind_of(key) == newest][:-1]:
+                if self._kinds[newest] <= self._limits[newest]:
+                    break
+                self._pop(key)
+        while self._total > self._most and len(self._made) > 1:
+            self._pop(next(iter(self._made)))
 
 
 def kind_of(key: Hashable) -> Hashable:

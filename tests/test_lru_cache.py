@@ -11,6 +11,15 @@ SIZE = OVERHEAD + 100
 """Bytes that a result of ``made`` is counted with."""
 
 
+class Growing(list[np.ndarray]):
+    """Arrays that are kept together, as many as there are."""
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all."""
+        return sum(each.nbytes for each in self)
+
+
 def made(kept: LruCache[str], *names: str) -> list[str]:
     """Ask for results of 100 bytes; the names of those that had to be made."""
     new: list[str] = []
@@ -119,6 +128,23 @@ def test_results_without_arrays_make_room_too() -> None:
     for key in range(100):
         kept.get(key, lambda: np.zeros(0))
     assert kept.nbytes == 10 * OVERHEAD
+
+
+def test_results_that_grew_are_counted_when_asked_for() -> None:
+    """And all of them when what is kept is settled; the oldest then make room."""
+    kept: LruCache[str] = LruCache(3 * SIZE)
+    made(kept, "a", "b", "c")
+    grown = np.zeros(100, np.uint8)
+    kept.get("d", lambda: grown)
+    assert made(kept, "b", "c", "a") == ["a"], "the fourth drove out the first, and that the fourth"
+    kept.drop("a")
+    assert kept.nbytes == 2 * SIZE
+    parts = Growing([grown])
+    kept.get("parts", lambda: parts)
+    parts.append(grown)
+    assert kept.nbytes == 3 * SIZE + 100
+    kept.settle()
+    assert kept.nbytes == 2 * SIZE + 100 and made(kept, "c") == [] and kept.held("b") is None
 
 
 def test_a_kind_has_a_limit_of_its_own() -> None:

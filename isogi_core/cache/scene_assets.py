@@ -161,7 +161,9 @@ def send_assets(scene: Scene, store: Store) -> SceneAssets:
 def send_colours(colours: SurfaceColours, store: Store) -> str:
     """Write the colours of a surface to the ``store``, unless they are there; their digest. Raises StoreError."""
     scale = {**asdict(colours.scale), "table": colours.scale.table.tolist()}
-    Asset(store, f"colours/{colours.digest}").put(colours.codes, CHUNK, {"step": colours.step, "scale": scale})
+    places = colours.places
+    chunk = CHUNK + places.shape[len(CHUNK) :]
+    Asset(store, f"colours/{colours.digest}").put(places, chunk, {"step": colours.step, "scale": scale})
     return colours.digest
 
 
@@ -170,12 +172,12 @@ def receive_colours(assets: SceneAssets, store: Store) -> SurfaceColours | None:
     if not assets.colours:
         return None
     asset = Asset(store, f"colours/{assets.colours}")
-    facts, codes = asset.describe()[3], np.concatenate(list(asset.slabs()))
+    facts, places = asset.describe()[3], np.concatenate(list(asset.slabs()))
     scale = facts["scale"]
     pairs = {key: tuple(scale[key]) for key in ("span", "outside")}
     labels = tuple(Label(**{**each, "colour": tuple(each["colour"])}) for each in scale.get("labels", ()))
     found = Scale(scale["name"], map=scale["map"], table=np.array(scale["table"]), labels=labels, **pairs)
-    colours = SurfaceColours(codes, tuple(facts["step"]), found)
+    colours = SurfaceColours(places, tuple(facts["step"]), found)
     if colours.digest != assets.colours:
         raise asset.damaged("it holds other colours")
     return colours

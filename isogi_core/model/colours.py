@@ -95,11 +95,12 @@ def hex_of(albedo: np.ndarray | Colour) -> str:
 class SurfaceColours:
     """The albedo of isosurfaces by data.
 
-    ``codes`` (nz, ny, nx) uint8 are 0 where there is no value, else from 1 to 255 along the ``scale``; they lie
-    ``step`` voxels of the scene's volume apart, along x, y, z.
+    ``places`` lie ``step`` voxels of the scene's volume apart, along x, y, z. Those of values, (nz, ny, nx) uint8, are
+    0 where there is none, else from 1 to 255 along the ``scale``. Those of labels, (nz, ny, nx, 3), are two of them and
+    the share of the second (``kernels.transport.colours``).
     """
 
-    codes: np.ndarray
+    places: np.ndarray
     step: tuple[float, float, float]
     scale: Scale
 
@@ -111,7 +112,8 @@ class SurfaceColours:
     @cached_property
     def brightest(self) -> Colour:
         """The most that any place reflects of each colour."""
-        there = np.any([np.bincount(layer.ravel(), minlength=VALUES + 1) > 0 for layer in self.codes], axis=0)
+        codes = self.places if self.places.ndim == 3 else self.places[..., :2]
+        there = np.any([np.bincount(layer.ravel(), minlength=VALUES + 1) > 0 for layer in codes], axis=0)
         red, green, blue = self.table[there].max(axis=0).tolist()
         return red, green, blue
 
@@ -123,7 +125,7 @@ class SurfaceColours:
     @cached_property
     def digest(self) -> str:
         """Hex name of all that light depends on."""
-        found = hashlib.blake2b(f"{self.codes.shape} {self.step}".encode(), digest_size=16)
-        found.update(np.ascontiguousarray(self.codes).data)
+        found = hashlib.blake2b(f"{self.places.shape} {self.step}".encode(), digest_size=16)
+        found.update(np.ascontiguousarray(self.places).data)
         found.update(np.ascontiguousarray(self.table).data)
         return found.hexdigest()

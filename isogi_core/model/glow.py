@@ -141,6 +141,7 @@ class Glowing:
         """Hex digest of where they are, and not of their colour and strength."""
         places = [self.middles.tolist(), self.halves.tolist(), self.round.tolist(), self.ranges.tolist()]
         places += [self.masked.tolist()] if self.masked.any() else []
+        places += ["even"] if np.isfinite(self.ranges).any() else []  # of values that go evenly between steps
         found = hashlib.blake2b(repr(places).encode(), digest_size=16)
         found.update(np.ascontiguousarray(self.bits).data)
         return found.hexdigest()

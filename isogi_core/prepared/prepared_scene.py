@@ -14,7 +14,7 @@ from isogi_core.kernels.tracing.glow import Glows
 from isogi_core.kernels.tracing.macrocells import fill_macrocells, macrocell_shape
 from isogi_core.kernels.tracing.peels import MOST
 from isogi_core.kernels.tracing.walls import Walls
-from isogi_core.kernels.transport.colours import NO_COLOURS, Colours
+from isogi_core.kernels.transport.colours import NO_COLOURS, Colours, colours_of
 from isogi_core.kernels.transport.light_paths import Surroundings
 from isogi_core.kernels.transport.lights import LampArrays
 from isogi_core.kernels.transport.matter.inside import Matter, Passable
@@ -103,7 +103,7 @@ class PreparedScene:
     def colours(self) -> Colours:
         """The isosurface's colours by data; none where it has one albedo."""
         given = self.scene.colours
-        return NO_COLOURS if given is None else Colours(given.codes, np.array(given.step), given.table)
+        return NO_COLOURS if given is None else colours_of(given.places, given.step, given.table)
 
     @cached_property
     def passable(self) -> Passable:

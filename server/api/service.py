@@ -8,6 +8,7 @@ import threading
 from collections.abc import AsyncGenerator, Callable
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from typing import Annotated, TypeVar
 
 import numpy as np
@@ -228,21 +229,21 @@ class Service:
         frame = await self.frame_or_preview(picture, rank, watch)
 
         with watch.stage("demand"):
-            coming, left = await self.request_light(picture, frame, viewer)
+            coming = await self.request_light(picture, frame, viewer)
+            left = await self._time_left(picture, frame) if viewer.bakes else None
         return Shown(frame, left, watch, coming, since)
 
-    async def request_light(
-        self, picture: PictureRequest, frame: Frame, viewer: Viewer
-    ) -> tuple[frozenset[Index], TimeLeft | None]:
-        """Request the light that a frame lacks; the chunks that are coming, and the time until all are."""
+    async def request_light(self, picture: PictureRequest, frame: Frame, viewer: Viewer) -> frozenset[Index]:
+        """Request the light that a frame lacks; the chunks that are coming."""
         if not viewer.bakes:
-            return frozenset(), None
+            return frozenset()
+        want = partial(self.engine.want, picture.scene, frame, picture.target, viewer)
+        return await self.threads.asking.run(want, Rank.within(DRAFT))
 
-        def request() -> tuple[frozenset[Index], TimeLeft | None]:
-            coming = self.engine.want(picture.scene, frame, picture.target, viewer)
-            return coming, self.engine.time_left(picture.scene, frame, picture.target)
-
-        return await self.threads.asking.run(request, Rank.within(DRAFT))
+    async def _time_left(self, picture: PictureRequest, frame: Frame) -> TimeLeft | None:
+        """The time until all the light that a frame lacks is there."""
+        left = partial(self.engine.time_left, picture.scene, frame, picture.target)
+        return await self.threads.asking.run(left, Rank.within(DRAFT))
 
     async def frame(self, picture: PictureRequest, rank: Rank, watch: Stopwatch) -> Frame:
         """The frame of a picture, drawn once for all requests that come meanwhile; no light is requested for it.

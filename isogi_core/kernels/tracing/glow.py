@@ -82,18 +82,35 @@ def way_through(glows, k, p, w):
 
 
 @kernel()
+def share_between(low, high, before, after):
+    """Share of a way on which a value is from ``low`` to ``high`` that goes evenly from ``before`` to ``after``."""
+    if before == after:
+        return 1.0 if low <= before <= high else 0.0
+    enters, leaves = (low - before) / (after - before), (high - before) / (after - before)
+    return max(min(max(enters, leaves), 1.0) - max(min(enters, leaves), 0.0), 0.0)
+
+
+@kernel()
+def value_on(field, p, t, w):
+    """The value of the field at ``t`` along a ray from the world point ``p``."""
+    sx, sy, sz = field.spacing
+    x, y, z = madd(p, t, w)
+    return value(field.voxels, (x / sx, y / sy, z / sz))
+
+
+@kernel()
 def share_within(field, low, high, p, w, near, far):
     """Share of the way from ``near`` to ``far`` along a ray on which the field is from ``low`` to ``high``.
 
-    The midpoint rule, in steps of at most STEP voxels.
+    In steps of at most STEP voxels, between which values go evenly: so thin layers are as bright as they are thick.
     """
     sx, sy, sz = field.spacing
     steps = int(math.ceil((far - near) / (STEP * min(sx, sy, sz))))
-    length, inside = (far - near) / steps, 0
+    length, inside, before = (far - near) / steps, 0.0, value_on(field, p, near, w)
     for i in range(steps):
-        x, y, z = madd(p, near + (i + 0.5) * length, w)
-        found = value(field.voxels, (x / sx, y / sy, z / sz))
-        inside += low <= found <= high
+        after = value_on(field, p, near + (i + 1) * length, w)
+        inside += share_between(low, high, before, after)
+        before = after
     return inside / steps
 
 
@@ -109,15 +126,17 @@ def in_mask(glows, k, x, y, z):
 def share_in_mask(field, glows, k, p, w, near, far):
     """Share of the way from ``near`` to ``far`` along a ray that is in the mask and the range of region ``k``.
 
-    By the steps of ``share_within``.
+    By the steps of ``share_within``, each of which is in the mask where its middle is.
     """
     sx, sy, sz = field.spacing
     steps = int(math.ceil((far - near) / (STEP * min(sx, sy, sz))))
-    length, inside = (far - near) / steps, 0
+    length, inside, before = (far - near) / steps, 0.0, value_on(field, p, near, w)
     for i in range(steps):
         x, y, z = madd(p, near + (i + 0.5) * length, w)
+        after = value_on(field, p, near + (i + 1) * length, w)
         if in_mask(glows, k, x / sx, y / sy, z / sz):
-            inside += glows.lows[k] <= value(field.voxels, (x / sx, y / sy, z / sz)) <= glows.highs[k]
+            inside += share_between(glows.lows[k], glows.highs[k], before, after)
+        before = after
     return inside / steps
 
 

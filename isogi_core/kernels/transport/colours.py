@@ -1,4 +1,4 @@
-"""Colours by data: the albedo of an isosurface from a grid of codes and a table, and how codes are sampled."""
+"""Colours by data: the albedo of an isosurface from a grid of values or labels and a table, and how it is sampled."""
 
 from typing import Any, NamedTuple
 
@@ -15,23 +15,35 @@ NO_VALUE = 0
 LAST = 255
 """The code of the highest value; 1 is that of the lowest."""
 
+SHARE = 1.0 / 510.0
+"""What a byte of the second label's share counts: it has half at most."""
+
 SLACK = 1e-6
 """Voxels by which a place may lie outside of a volume and count as on its border."""
 
 
 class Colours(NamedTuple):
-    """The ``codes`` uint8 (nz, ny, nx) of places ``step`` (3,) voxels apart along x, y, z; no codes where none are.
+    """The ``codes`` uint8 (nz, ny, nx) of values, or the ``labels`` uint8 (nz, ny, nx, 3); the other has no places.
 
+    Places lie ``step`` (3,) voxels apart along x, y, z. A place has two labels, and the second one's share in SHAREs.
     ``table`` (256, 3) float64 holds the albedo of each code, linear RGB; its first row is that of NO_VALUE.
     """
 
     codes: Any
+    labels: Any
     step: Any
     table: Any
 
 
-NO_COLOURS = Colours(np.zeros((0, 0, 0), np.uint8), np.ones(3), np.zeros((0, 3)))
-COLOURS = record(Colours, types.uint8[:, :, ::1], types.float64[::1], types.float64[:, ::1])
+NO_CODES, NO_LABELS = np.zeros((0, 0, 0), np.uint8), np.zeros((0, 0, 0, 3), np.uint8)
+NO_COLOURS = Colours(NO_CODES, NO_LABELS, np.ones(3), np.zeros((0, 3)))
+COLOURS = record(Colours, types.uint8[:, :, ::1], types.uint8[:, :, :, ::1], types.float64[::1], types.float64[:, ::1])
+
+
+def colours_of(places: np.ndarray, step: tuple[float, float, float], table: np.ndarray) -> Colours:
+    """The colours of ``places``: codes (nz, ny, nx), or labels (nz, ny, nx, 3)."""
+    codes, labels = (places, NO_LABELS) if places.ndim == 3 else (NO_CODES, places)
+    return Colours(codes, labels, np.array(step), table)
 
 
 @kernel()
@@ -52,10 +64,55 @@ def known_code(codes, p):
 
 
 @kernel()
+def next_label(labels, p, after):
+    """The least label above ``after`` at the corners of the cell at ``p``, and its trilinear share; LAST + 1 if none.
+
+    ``p`` is in steps of the grid.
+    """
+    nz, ny, nx = labels.shape[:3]
+    i, j, k = clamp_cell(p[0], nx), clamp_cell(p[1], ny), clamp_cell(p[2], nz)
+    x, y, z = min(max(p[0] - i, 0.0), 1.0), min(max(p[1] - j, 0.0), 1.0), min(max(p[2] - k, 0.0), 1.0)
+    least, total = LAST + 1, 0.0
+    for corner in range(8):
+        a, b, c = corner & 1, corner >> 1 & 1, corner >> 2
+        weight = (x if a else 1.0 - x) * (y if b else 1.0 - y) * (z if c else 1.0 - z)
+        second = SHARE * labels[k + c, j + b, i + a, 2]
+        for which in range(2):
+            label = np.int64(labels[k + c, j + b, i + a, which])
+            if after < label <= least:
+                total = (total if label == least else 0.0) + weight * (second if which else 1.0 - second)
+                least = label
+    return least, total
+
+
+@kernel()
+def label_albedo(colours, p):
+    """The albedo of labels at ``p``, in steps of the grid: Σ w⁸ c / Σ w⁸ over the trilinear shares w of those around.
+
+    So a colour goes over to the next one within a quarter of a step, where their shares are equal: on a smooth seam.
+    """
+    known, total, r, g, b = 0.0, 0.0, 0.0, 0.0, 0.0
+    label, share = next_label(colours.labels, p, NO_VALUE)
+    while label <= LAST:
+        weight = share**8
+        colour = colours.table[label]
+        r, g, b = r + weight * colour[0], g + weight * colour[1], b + weight * colour[2]
+        known, total = known + share, total + weight
+        label, share = next_label(colours.labels, p, label)
+    known, part = (known, known / total) if total > 0.0 else (0.0, 0.0)
+    rest = 1.0 - known
+    outside = colours.table[NO_VALUE]
+    return part * r + rest * outside[0], part * g + rest * outside[1], part * b + rest * outside[2]
+
+
+@kernel()
 def albedo_at(colours, p):
-    """The albedo, linear RGB, of the surface at ``p`` in index space: the table between the codes around."""
+    """The albedo, linear RGB, of the surface at ``p`` in index space: the table between the codes around, or labels."""
     table, step = colours.table, colours.step
-    code, known = known_code(colours.codes, (p[0] / step[0], p[1] / step[1], p[2] / step[2]))
+    place = (p[0] / step[0], p[1] / step[1], p[2] / step[2])
+    if colours.labels.shape[0] > 0:
+        return label_albedo(colours, place)
+    code, known = known_code(colours.codes, place)
     low = min(max(int(code), 1), LAST - 1)
     share = code - low
     r = known * (table[low, 0] + share * (table[low + 1, 0] - table[low, 0])) + (1.0 - known) * table[0, 0]
@@ -101,3 +158,30 @@ def slope_layer(voxels, spacing, z, step, values):
         for column in range(values.shape[1]):
             g = smooth_gradient(voxels, (column * step[0], row * step[1], z))
             values[row, column] = length((g[0] / spacing[0], g[1] / spacing[1], g[2] / spacing[2]))
+
+
+@kernel(types.void(types.uint8[:, :, ::1], types.boolean[:, :, ::1], types.int64[::1], types.uint8[:, :, :, ::1]))
+def weigh_labels(codes, mixed, bell, labels):
+    """Fill ``labels`` (nz, ny, nx, 3) of places that are ``mixed``: the two that weigh most around, the second's share.
+
+    Each of the ``codes`` (nz, ny, nx) weighs the product of the ``bell`` (2r + 1,) along each axis, in whole numbers,
+    so that sums are the same whichever way round a volume lies; NO_VALUE weighs nothing. The share is that of the
+    second among both, in SHAREs. The outermost places go on beyond the volume.
+    """
+    nz, ny, nx = codes.shape
+    reach, weights = len(bell) // 2, np.zeros(LAST + 1, np.int64)
+    for k, j, i in np.argwhere(mixed):
+        weights[:] = 0
+        for c in range(len(bell)):
+            z = min(max(k + c - reach, 0), nz - 1)
+            for b in range(len(bell)):
+                y, weight = min(max(j + b - reach, 0), ny - 1), bell[b] * bell[c]
+                for a in range(len(bell)):
+                    weights[codes[z, y, min(max(i + a - reach, 0), nx - 1)]] += bell[a] * weight
+        weights[NO_VALUE] = 0
+        first = np.argmax(weights)
+        weight = weights[first]
+        weights[first] = 0
+        second = np.argmax(weights)
+        share = weights[second] / (weight + weights[second])
+        labels[k, j, i, 0], labels[k, j, i, 1], labels[k, j, i, 2] = first, second, np.uint8(share / SHARE + 0.5)

@@ -216,7 +216,7 @@ def gather_walls(wave, vertices, hits, room):
 @kernel()
 def surface_albedo(room, p):
     """The albedo of the isosurface in a room at ``p``, in index space."""
-    if room.colours.codes.shape[0] > 0:
+    if room.colours.table.shape[0] > 0:
         return albedo_at(room.colours, p)
     return room.albedo[0], room.albedo[1], room.albedo[2]
 

@@ -1,8 +1,8 @@
-"""Colours of labels: codes that are never mixed. Between labels that touch, the colour goes over their mean.
+"""Colours of labels: at each place the two that weigh most around it, so that seams between them are smooth.
 
-Frames and paths interpolate codes between the corners of a cell, leaving out corners without a label, whose share of
-the albedo is the one outside. So codes lie half a voxel apart: a place at a voxel's centre has its label, one between
-voxels has the label that all voxels around it share, else none. A cell then has one label at most.
+Labels are weighed by the Gaussian that smooths their field, whose surface is theirs. Frames and paths interpolate the
+shares of both labels and take the greatest one's colour (``label_albedo``): where two touch it changes on a surface as
+smooth as the one that is seen, and no third label comes up between them.
 """
 
 import math
@@ -11,17 +11,18 @@ import numpy as np
 
 from isogi_core.errors import VolumeError
 from isogi_core.files.scene_file import Settings
+from isogi_core.kernels.transport.colours import weigh_labels
 from isogi_core.model.colours import VALUES, Colour, Scale, SurfaceColours
 from isogi_core.model.volume import Volume
 from isogi_core.plan.volumes.colours import capped, volume_grids
-from isogi_core.plan.volumes.labels import REACH, LabelTable, Segmentation
+from isogi_core.plan.volumes.labels import REACH, SIGMA, LabelTable, Segmentation
 from isogi_core.plan.volumes.masks import matrix_into, nearest_layer
 
-PLACES = 513**3
-"""Places of a grid of codes, at most: volumes of more than 257³ voxels have labels at every second one, or fewer."""
+PLACES = 355**3
+"""Places with labels, at most, of three bytes each: larger volumes have labels at every second voxel, or fewer."""
 
-SPREAD = REACH + 1
-"""Voxels by which labels are spread: beyond them the field is zero."""
+UNIT = 1024
+"""What the middle of the Gaussian weighs: weights are whole numbers, so that their sums are exact."""
 
 
 def colours_of_labels(listed: tuple[LabelTable, ...], settings: Settings, volume: Volume) -> SurfaceColours:
@@ -33,15 +34,14 @@ def colours_of_labels(listed: tuple[LabelTable, ...], settings: Settings, volume
     found = Segmentation(grid, listed)
     matrix = matrix_into("segmentation", grid, grid, straight)
     stride = stride_of(volume.shape)
-    codes = between(sampled(spread(found.codes), matrix, volume.shape, stride))
-    step = 0.5 * stride
-    return SurfaceColours(codes, (step, step, step), scale_of(found, volume.name))
+    labels = weighed(sampled(found.codes, matrix, volume.shape, stride))
+    return SurfaceColours(labels, (float(stride),) * 3, scale_of(found, volume.name))
 
 
 def stride_of(shape: tuple[int, ...]) -> int:
     """How many voxels apart places with a label of their own lie."""
     stride = 1
-    while math.prod(2 * places(n, stride) - 1 for n in shape) > PLACES:
+    while math.prod(places(n, stride) for n in shape) > PLACES:
         stride += 1
     return stride
 
@@ -57,30 +57,34 @@ def sampled(codes: np.ndarray, matrix: np.ndarray, shape: tuple[int, ...], strid
     return np.stack([nearest_layer(codes, matrix, (x, y[:, None]), int(layer)) for layer in z])
 
 
-def spread(codes: np.ndarray) -> np.ndarray:
-    """The codes, and in voxels without one that of a voxel near by, SPREAD voxels along each axis at most."""
-    grown = codes.copy()
-    for _ in range(SPREAD):
-        for axis in range(3):
-            before = np.moveaxis(grown.copy(), axis, 0)
-            after = np.moveaxis(grown, axis, 0)
-            for into, come in ((after[1:], before[:-1]), (after[:-1], before[1:])):
-                np.copyto(into, come, where=into == 0)
-    return grown
+def weighed(codes: np.ndarray) -> np.ndarray:
+    """The labels of places with ``codes`` (nz, ny, nx), as ``Colours`` has them, (nz, ny, nx, 3) uint8.
+
+    A place without one has that of its neighbours as far as the Gaussian is summed: beyond, the field is zero.
+    """
+    highest = _extreme(codes, np.maximum)
+    lowest = _extreme(codes - np.uint8(1), np.minimum) + np.uint8(1)
+    labels = np.zeros((*codes.shape, 3), np.uint8)
+    labels[..., 0] = highest
+    bell = np.rint(UNIT * np.exp(-0.5 * (np.arange(-REACH, REACH + 1) / SIGMA) ** 2)).astype(np.int64)
+    weigh_labels(codes, np.ascontiguousarray(lowest < highest), bell, labels)
+    return labels
 
 
-def between(codes: np.ndarray) -> np.ndarray:
-    """The codes with places half-way between: there the code that all places beside it share, else none."""
+def _extreme(codes: np.ndarray, extreme: np.ufunc) -> np.ndarray:
+    """The extreme of the codes around each place, REACH along each axis."""
     for axis in range(3):
-        old = np.moveaxis(codes, axis, 0)
-        wide = np.empty((2 * len(old) - 1, *old.shape[1:]), np.uint8)
-        wide[::2], wide[1::2] = old, np.where(old[1:] == old[:-1], old[1:], 0)
-        codes = np.moveaxis(wide, 0, axis)
-    return np.ascontiguousarray(codes)
+        before = np.moveaxis(codes, axis, 0)
+        after = before.copy()
+        for step in range(1, min(REACH, len(before) - 1) + 1):
+            extreme(after[step:], before[:-step], out=after[step:])
+            extreme(after[:-step], before[step:], out=after[:-step])
+        codes = np.moveaxis(after, 0, axis)
+    return codes
 
 
 def scale_of(found: Segmentation, name: str) -> Scale:
-    """The labels as a table of albedos; places between two of them have the mean of those that are shown."""
+    """The labels as a table of albedos; places far from all of them have the mean of those that are shown."""
     shown = [capped(label.colour) for label in found.labels if label.shown]
     outside: Colour = capped(np.mean(shown, axis=0).tolist())
     table = np.tile(outside, (VALUES, 1))

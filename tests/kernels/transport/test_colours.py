@@ -5,8 +5,9 @@ import pytest
 
 from isogi_core.kernels.tracing.intersect import OUTSIDE, cast
 from isogi_core.kernels.tracing.vec import madd
+from isogi_core.kernels.transport import colours as module
 from isogi_core.kernels.transport.coloured_transfer import ColouredRules, bake_coloured_texels
-from isogi_core.kernels.transport.colours import Colours, fill_albedos, sample_layer, slope_layer
+from isogi_core.kernels.transport.colours import fill_albedos, sample_layer, slope_layer
 from isogi_core.kernels.transport.paths import PathRules, SampleRange
 from isogi_core.kernels.transport.transfer import bake_texels
 from tests.kernels.fields import field_of
@@ -22,10 +23,10 @@ def table_of(low, high, outside=(0.5, 0.5, 0.5)):
     return np.vstack([outside, (1.0 - share) * np.array(low) + share * np.array(high)])
 
 
-def colours_of(codes, step=1.0, table=None):
-    """Colours of the codes (z, y, x), by a table of red to blue."""
+def colours_of(places, step=1.0, table=None):
+    """Colours of codes (z, y, x) or labels (z, y, x, 3), by a table of red to blue."""
     made = table_of((0.9, 0.1, 0.2), (0.0, 0.3, 0.8)) if table is None else table
-    return Colours(np.ascontiguousarray(codes, np.uint8), np.full(3, step), made)
+    return module.colours_of(np.ascontiguousarray(places, np.uint8), (step, step, step), made)
 
 
 def one_colour(albedo):
@@ -54,6 +55,36 @@ def test_albedos_between_codes_are_those_of_numpy(step: float) -> None:
     found = np.empty_like(points)
     fill_albedos(colours, points, found)
     np.testing.assert_allclose(found, [twin(colours, p.astype(float)) for p in points], atol=1e-6)
+
+
+def label_twin(colours, p):
+    """``albedo_at`` of labels by NumPy: trilinear shares of all of them, to their eighth power."""
+    place = p / colours.step
+    sides = np.array(colours.labels.shape)[2::-1]
+    cell = np.clip(np.floor(place).astype(int), 0, sides - 2)
+    f, shares = np.clip(place - cell, 0.0, 1.0), np.zeros(256)
+    for corner in np.ndindex(2, 2, 2):
+        weight = np.prod(np.where(np.array(corner) == 1, f, 1.0 - f))
+        first, second, share = colours.labels[tuple((cell + corner)[::-1])]
+        shares[first] += weight * (1.0 - share / 510)
+        shares[second] += weight * share / 510
+    known, powers = shares[1:].sum(), shares[1:] ** 8
+    return known * (powers @ colours.table[1:]) / powers.sum() + (1.0 - known) * colours.table[0]
+
+
+@pytest.mark.parametrize("step", [1.0, 2.0])
+def test_albedos_between_labels_are_those_of_numpy(step: float) -> None:
+    """Also where a corner has one label alone, and where a second one has a share of nothing."""
+    rng = np.random.default_rng(6)
+    labels = rng.integers(1, 6, (4, 5, 6, 3))
+    labels[..., 2] = rng.integers(0, 256, (4, 5, 6))
+    labels[rng.random((4, 5, 6)) < 0.3, 1:] = 0
+    labels[rng.random((4, 5, 6)) < 0.1] = 0
+    colours = colours_of(labels, step, np.vstack([rng.random((6, 3)), np.zeros((250, 3))]))
+    points = (rng.random((200, 3)) * [5.4, 4.4, 3.4] * step - 0.2 * step).astype(np.float32)
+    found = np.empty_like(points)
+    fill_albedos(colours, points, found)
+    np.testing.assert_allclose(found, [label_twin(colours, p.astype(float)) for p in points], atol=1e-6)
 
 
 def test_sampling_brings_a_linear_volume_over() -> None:

@@ -55,21 +55,34 @@ def test_a_range_of_values_glows_within_its_region(shape: str) -> None:
     np.testing.assert_allclose(found, expected, rtol=0.01 if samples > 256 else 0.2)
 
 
-def test_a_mask_glows_by_its_nearest_voxels() -> None:
-    """Voxels from number 4 on along x reach to half a voxel before it, x = 17.5."""
+@pytest.mark.parametrize("high", [np.inf, -0.45])
+def test_a_mask_glows_by_its_nearest_voxels(high: float) -> None:
+    """Voxels from number 4 on along x reach to half a voxel before it, x = 17.5; values up to -0.45 to x = 27.5."""
     (samples,) = few((8192,), (256,))
     bits = np.zeros(RAMP.voxels.shape, np.uint8)
     bits[:, :, 4:] = 1
     bits[:, :4] |= 2  # of another region
-    region = block([20.0, 20.0, 9.0], [10.0, 8.0, 8.0])
+    region = block([20.0, 20.0, 9.0], [10.0, 8.0, 8.0], high=high)
     points = np.array([[12.0, 20.0, 0.0], [33.0, 30.0, 0.0]])
 
     def inside(q: np.ndarray) -> np.ndarray:
-        return np.asarray(q[:, 0] >= 17.5)
+        return np.asarray((q[:, 0] >= 17.5) & ((q[:, 0] <= 27.5) | np.isinf(high)))
 
     found = gather_glow(RAMP, FLOOR, (points, [Z] * 2, [0, 0]), glows_of(region, bits=bits), samples)[:, 0, 0]
     expected = [brute_force(p, Z, region, inside) for p in points]
     np.testing.assert_allclose(found, expected, rtol=0.01 if samples > 256 else 0.2)
+
+
+@pytest.mark.parametrize("masked", [False, True])
+def test_thin_layers_are_as_bright_as_they_are_thick(masked: bool) -> None:
+    """Values of a hundredth are half a unit along x, a tenth of a voxel, wherever that lies; longer when oblique."""
+    bits = np.full(RAMP.voxels.shape, 255, np.uint8) if masked else None
+    regions = [block([20.0] * 3, [20.0] * 3, low, low + 0.01) for low in np.linspace(-0.9, -0.3, 8)]
+    directions = np.ascontiguousarray(np.array([[0.2, 0.0, 0.0], [0.16, 0.12, 0.0], [0.18, 0.0, 0.1]]).T)
+    light, reaches = np.zeros((3, len(regions))), np.full(3, np.inf)
+    gather_from_eye(RAMP, glows_of(*regions, bits=bits), (0.0, 0.2, 0.2), directions, reaches, light)
+    slant = np.linalg.norm(directions, axis=0) / directions[0]
+    np.testing.assert_allclose(light, np.outer(0.5 * slant, [region[-1] for region in regions]), rtol=1e-5)
 
 
 def test_what_is_behind_the_surface_is_not_lit() -> None:

@@ -47,7 +47,7 @@ def values_of(scene: Scene) -> np.ndarray:
     """What the codes stand for; NaN where there is no value."""
     colours = colours_of(scene)
     low, high = colours.scale.span
-    codes = colours.codes.astype(float)
+    codes = colours.places.astype(float)
     return np.where(codes == 0, np.nan, low + (codes - 1) / 254 * (high - low))
 
 
@@ -134,7 +134,7 @@ def test_the_gradient_of_a_volume_of_any_size(tmp_path: Path, spacing: float) ->
     save(tmp_path / "v.nrrd", BALL)
     plain = scene_of(tmp_path, 'use = "colour"\nof = "gradient"')
     scene = scene_of(tmp_path, 'use = "colour"\nof = "gradient"', f"spacing = [{spacing}, {spacing}, {spacing}]")
-    np.testing.assert_array_equal(colours_of(scene).codes, colours_of(plain).codes)
+    np.testing.assert_array_equal(colours_of(scene).places, colours_of(plain).places)
     np.testing.assert_allclose(np.array(colours_of(scene).scale.span) * spacing, colours_of(plain).scale.span)
 
 
@@ -142,7 +142,7 @@ def test_values_that_are_all_the_same_have_a_range(tmp_path: Path) -> None:
     save(tmp_path / "v.nrrd", BALL)
     save(tmp_path / "c.nrrd", np.full_like(BALL, -8.0))
     colours = colours_of(scene_of(tmp_path))
-    assert colours.scale.span == (-12.0, -4.0) and np.unique(colours.codes).tolist() == [128]
+    assert colours.scale.span == (-12.0, -4.0) and np.unique(colours.places).tolist() == [128]
 
 
 def test_map_and_range_change_reflected_light_alone(tmp_path: Path) -> None:
