@@ -60,7 +60,7 @@ def draw(picture: Path) -> None:
         scene.write_text(SCENE, encoding="utf-8")
         view = ["--azimuth", "45", "--elevation", "22", "--distance", "2.4", "--width", "480", "--height", "360"]
         command = [sys.executable, "-m", "server", "render", str(scene), "-o", str(picture), *view]
-        subprocess.run([*command, "--target-error", "0.03", "--store", f"{folder}/store"], check=True)
+        subprocess.run([*command, "--target-error", "0.02", "--store", f"{folder}/store"], check=True)
 
 
 if __name__ == "__main__":
