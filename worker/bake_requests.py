@@ -8,7 +8,7 @@ import numpy as np
 
 from isogi_core.bake.noise import Effort
 from isogi_core.bake.precision import FIRST_LEVEL
-from isogi_core.frame.view_texels import Demand
+from isogi_core.frame.view_texels import Demand, first_texels
 from isogi_core.model.scene_plan import MOST
 from isogi_core.prepared.prepared_scene import Index
 from worker.tasks import BakeResult
@@ -144,7 +144,8 @@ class BakeRequest:
     over the paths taken. ``in_flight`` is whether it has a task, which was charged to ``payers``. ``ranked`` holds
     whether it lacked light, and its priority, when it was last ranked in the queues of all its clients. It is
     ``suspect`` when a worker died with its task: that task may be the cause, or one beside it. It is ``postponed``
-    while another baker is at the chunk, and has ``waited`` so many seconds for that.
+    while another baker is at the chunk, and has ``waited`` so many seconds for that. It has ``begun`` once a few texels
+    have light; its chunk has 1 << ``bits`` texels a side, see ``Demand``.
     """
 
     key: Key
@@ -160,6 +161,8 @@ class BakeRequest:
     charged: float = 0.0
     priority: float = 0.0
     ranked: tuple[bool, float] = (False, 0.0)
+    begun: bool = False
+    bits: int = 0
     _merged: MergedInterest = NO_INTEREST
     _stale: bool = False
     _least_priority: float | None = None
@@ -173,6 +176,27 @@ class BakeRequest:
     def footprints(self) -> np.ndarray:
         """The largest footprint of each texel."""
         return self._merge().footprints
+
+    @property
+    def next(self) -> tuple[np.ndarray, np.ndarray]:
+        """The offsets and footprints of the texels that its next task is for: all, or those that have light first."""
+        wanted = self._merge()
+        if not self.sparse:
+            return wanted.offsets, wanted.footprints
+        first = first_texels(wanted.offsets, self.bits)
+        first = first if first.any() else ~first
+        return wanted.offsets[first], wanted.footprints[first]
+
+    @property
+    def sparse(self) -> bool:
+        """Whether its next task lights a few texels alone: where none has light yet, and anybody is impatient."""
+        unlit = not self.begun and self.effort.unlit >= len(self.offsets)
+        return unlit and self.bits > 0 and not all(each.viewer.patient for each in self.interests.values())
+
+    @property
+    def stage(self) -> int:
+        """How far its first light has come: 0 without any, 1 where some texels lack it, else 2."""
+        return 2 if not self.effort.unlit else int(self.begun)
 
     @property
     def target(self) -> float:
@@ -222,6 +246,7 @@ class BakeRequest:
         self.interests[viewer.client] = interest if older is None or viewer.single else older.joined(interest)
         self._change_priority(interest.priority - (0.0 if older is None else older.priority))
         self.effort, self._stale = self.effort if known else demand.effort, True
+        self.bits = demand.bits
 
     def release(self, client: Hashable) -> None:
         """Drop the interest of a ``client``."""
@@ -237,6 +262,7 @@ class BakeRequest:
 
         Where newer views made the request grow meanwhile (``grown``), their facts stand, and new texels come first.
         """
+        self.begun = self.begun or self.sparse
         if grown:
             self._least_priority = None
             return

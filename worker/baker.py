@@ -272,7 +272,7 @@ class Baker:
     def _task(self, bake: Bake, request: BakeRequest) -> BakeTask:
         index = request.key[1]
         place = (bake.source, bake.plan, bake.digest, bake.store_url, index)
-        what = (request.offsets, request.footprints, request.until, request.least_priority or 0.0, request.target)
+        what = (*request.next, request.until, request.least_priority or 0.0, request.target)
         return BakeTask(*place, *what, bake.assets, self._name, request.waited >= LONGEST_REST, bake.shown, bake.whole)
 
     def _done(

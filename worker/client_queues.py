@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from worker.bake_requests import BakeRequest
 
-Rank = tuple[bool, int, bool, float, float]
+Rank = tuple[bool, int, int, float, float]
 """A request's rank among those of a client; the smallest comes first."""
 
 Place = tuple[Rank, int, BakeRequest]

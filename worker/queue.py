@@ -2,9 +2,9 @@
 
 The requests of all live views are merged: a chunk that several views see is baked once, for all texels that any of
 them wants. Clients take turns, so that each is served as long. In a client's turn its newest view comes first; within
-a view, chunks without light come first, then those where a second of work removes most visible error from all
-pictures, weighted towards their centres, and among equals those nearest to final. Patient clients come after all
-others. Pure data: no threads, no clock of its own.
+a view, chunks without light come first, of which a quarter of the texels is lit, then those where some texels have none
+yet, then those where a second of work removes most visible error from all pictures, weighted towards their centres, and
+among equals those nearest to final. Patient clients come after all others. Pure data: no threads, no clock of its own.
 """
 
 import itertools
@@ -107,10 +107,10 @@ class BakeQueue:
 
         They are the next of that client, as long as these are of the same bake, target and sample level.
         """
-        taken, left, seconds = [first], most - len(first.offsets), self.seconds(first)
+        taken, left, seconds = [first], most - len(first.next[0]), self.seconds(first)
         patient, client = self._turn
         while left > 0 and seconds < SHORT and not first.suspect and (found := self._first(patient, client)):
-            left, seconds = left - len(found.offsets), seconds + self.seconds(found)
+            left, seconds = left - len(found.next[0]), seconds + self.seconds(found)
             if left < 0 or seconds > SHORT or not alike(first, found):
                 self._rank_for(found, client)
                 break
@@ -124,6 +124,7 @@ class BakeQueue:
         After first light a task takes what its priority allows: see CLIMB.
         """
         unlit, taken, left, _ = request.effort
+        unlit = len(request.next[0]) if request.sparse else unlit
         paths = FIRST_LEVEL * unlit if request.until == FIRST_LEVEL else min(left, CLIMB * taken)
         return paths * (self.rate(request.key) or 0.0)
 
@@ -131,9 +132,9 @@ class BakeQueue:
         """The rank of a request among those of a client; the smallest comes first."""
         return request.suspect, -request.interests[client].view, *self._merits(request)
 
-    def _merits(self, request: BakeRequest) -> tuple[bool, float, float]:
+    def _merits(self, request: BakeRequest) -> tuple[int, float, float]:
         """The rank of a request among those of a view."""
-        return not request.effort.unlit, -request.priority / (self.rate(request.key) or 1.0), request.effort.left
+        return request.stage, -request.priority / (self.rate(request.key) or 1.0), request.effort.left
 
     def finish(self, key: Key, offsets: np.ndarray, target: float, result: BakeResult) -> None:
         """Take over the result of a task for ``offsets`` of a chunk; the request stays where work is left."""

@@ -315,7 +315,7 @@ class Renderer:
                 about = self._texel_normals(light.view, texels, reading, tiles)
         if filtered:
             with watch.stage("filter"):
-                lit = filter_texel_light(texels, reading, lit, about, light, tiles)
+                reading, lit = filter_texel_light(texels, reading, lit, about, light, tiles)
         if ratios:
             with watch.stage("light"):
                 records = fill_texel_records(reading, lit, about, light, tiles)

@@ -1,6 +1,7 @@
 """The light that leaves each surface point of a view, by the model that the view asks for: from data to data."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -24,7 +25,7 @@ from isogi_core.kernels.shading.irradiance_ratio import (
     carry_ratios,
     fill_records,
 )
-from isogi_core.kernels.shading.lattice import LIT, carry_light, light_texels
+from isogi_core.kernels.shading.lattice import LIT, UNBAKED, carry_light, light_texels
 from isogi_core.kernels.shading.local_models import find_shadows, shade_local
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import View
@@ -162,9 +163,10 @@ def fill_texel_records(
 
 def filter_texel_light(
     texels: ViewTexels, reading: Reading, lit: np.ndarray, normals: np.ndarray, light: RotatedLight, tiles: Tiles
-) -> np.ndarray:
+) -> tuple[Reading, np.ndarray]:
     """Texels' light ``lit`` (texels, LIT), filtered where it is noisy; see ``kernels.shading.filtering``.
 
+    Texels without light have that of their neighbours, in which the ``reading`` that is returned is converging.
     ``normals`` (texels, 3) are those that they are lit about. Of a view that moves the first step has to do. Raises
     Cancelled.
     """
@@ -180,11 +182,14 @@ def filter_texel_light(
 
         tiles.run(_piece, len(lit), tiles.even(len(lit)))
         records = after
-    rows, filtered = np.flatnonzero(noisy), lit.copy()
+    grade = np.where(
+        (reading.grade == UNBAKED) & (records[:, GRADE] == CONVERGING), np.uint8(CONVERGING), reading.grade
+    )
+    rows, filtered = np.flatnonzero(noisy | (grade != reading.grade)), lit.copy()
     reflected = records[rows, REFLECTED : REFLECTED + 3]
     filtered[rows, :3] = records[rows, DIRECT : DIRECT + 3] + reflected
     filtered[rows, 3], filtered[rows, 4:] = records[rows, NOISE], reflected
-    return filtered
+    return replace(reading, grade=grade), filtered
 
 
 def carry_irradiance_ratios(

@@ -175,7 +175,8 @@ class Lacking:
             own = slice(*reading.bounds[i : i + 2].tolist())
             some = slice(None) if wanted is None else wanted[own]
             offsets, seen = texels.offsets[i][some], texels.footprints[i][some]
-            return Demand(texels.chunks[i], offsets, self._weights[i], Effort(*sums[i].tolist()), seen, shown)
+            effort, bits = Effort(*sums[i].tolist()), texels.lattice.bits
+            return Demand(texels.chunks[i], offsets, self._weights[i], effort, seen, shown, bits)
 
         return tuple(map(_demand, touched.tolist()))
 

@@ -38,7 +38,8 @@ class Demand:
 
     ``weight`` is the squared visible error of the pixels that read it (centre ones count more), ``effort`` what its
     texels have taken and will, and ``footprints`` how much of each is seen, see ``ViewTexels.footprints``.
-    Where an isosurface is ``shown``, the texels are projected onto it.
+    Where an isosurface is ``shown``, the texels are projected onto it. A chunk has 1 << ``bits`` texels a side; 0 where
+    all of them are to have their first light together, see ``first_texels``.
     """
 
     index: Index
@@ -47,6 +48,7 @@ class Demand:
     effort: Effort
     footprints: np.ndarray
     shown: Isovalue | None = None
+    bits: int = 0
 
     def joined(self, other: "Demand") -> "Demand":
         """What this and ``other`` want of the chunk; texels of both are taken to be as those of one."""
@@ -56,7 +58,16 @@ class Demand:
         unlit, *rest = sums
         seen = most_seen(offsets, (self.offsets, self.footprints), (other.offsets, other.footprints))
         effort = Effort(math.ceil(unlit), *rest)
-        return Demand(self.index, offsets, self.weight + other.weight, effort, seen, self.shown)
+        return Demand(self.index, offsets, self.weight + other.weight, effort, seen, self.shown, self.bits)
+
+
+def first_texels(offsets: np.ndarray, bits: int) -> np.ndarray:
+    """Which texels at ``offsets`` have light first: those whose indices z, y, x are all even or all odd; (m,) bool.
+
+    Of the corners of each cell that is one each, so that all others have neighbours in light: a body-centred lattice.
+    """
+    z, y, x = (offsets >> bits * axis & 1 for axis in (2, 1, 0))
+    return np.asarray((z == y) & (y == x))
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,10 +17,21 @@ from isogi_core.frame import renderer as renderer_module
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.tiles import Tiles
+from isogi_core.frame.view_texels import first_texels
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, PROVISIONAL
 from isogi_core.model.view import IDENTITY, SHADINGS, quaternion_from_angles
 from isogi_core.model.volume import make_volume
-from tests.frame.conftest import LOOSE, SKY, Workbench, ball, luminance, relative_rmse, scene_of, soft_probe
+from tests.frame.conftest import (
+    LOOSE,
+    SKY,
+    Workbench,
+    ball,
+    luminance,
+    refine_chunk,
+    relative_rmse,
+    scene_of,
+    soft_probe,
+)
 from tests.loaded import load_scene
 
 Make = Callable[..., Workbench]
@@ -61,6 +72,21 @@ def test_half_baked_light_is_converging(workbench: Make) -> None:
     assert CONVERGING in states and PROVISIONAL not in states
     assert frame.coverage["converging"] > 0.9 and len(frame.demands) > 0
     assert bench.renderer.render(view, target=1.0).coverage["final"] == 1.0
+
+
+def test_a_quarter_of_the_texels_lights_all_of_a_picture(workbench: Make) -> None:
+    """Those that have light first give theirs to their neighbours, at an error that is told."""
+    bench = workbench(load_scene("demo:orbital", lights=[SKY], bounces=2))
+    view = bench.view(size=48)
+    demands = bench.renderer.render(view).demands
+    first = [replace(each, offsets=each.offsets[first_texels(each.offsets, each.bits)]) for each in demands]
+    assert 0.2 < sum(len(each.offsets) for each in first) / sum(len(each.offsets) for each in demands) < 0.3
+    for each in first:
+        refine_chunk(bench.caches.of("gi"), 256, 0.01, each)
+    frame, truth = bench.renderer.render(view, 0.001), bench.bake(view, 0.01)
+    assert frame.coverage["provisional"] < 0.02
+    wrong = relative_rmse(frame, truth)
+    assert wrong < 0.08 and 0.5 < frame.noise / wrong < 3.0
 
 
 def test_the_estimated_error_is_the_rms_of_pixels_over_the_mean(orbital: Workbench) -> None:

@@ -386,6 +386,41 @@ def test_of_equals_the_nearest_to_final_comes_first(queue: BakeQueue) -> None:
     assert [take(queue) for _ in range(2)] == [2, 1]
 
 
+CHUNK = np.arange(512, dtype=np.int32)
+"""Offsets of all texels of a chunk of 8³."""
+
+
+def whole_chunks(queue: BakeQueue, viewer: Viewer, unlit: int = len(CHUNK)) -> None:
+    """A view that demands two whole chunks, the first of which looks more wrong."""
+    demands = [
+        Demand((0, 0, x), CHUNK, 9.0 / x, Effort(unlit, 0.0, 0.0), np.ones(512, np.float32), bits=3) for x in (1, 2)
+    ]
+    queue.request([(key(each.index[2]), each) for each in demands], 0.1, viewer)
+
+
+def test_a_quarter_of_the_texels_has_light_first(queue: BakeQueue) -> None:
+    """Of all chunks, before any has the rest; who is patient has all at once, and so has what had some light."""
+    whole_chunks(queue, ANNA)
+    for chunks, texels in (((1, 2), 128), ((1, 2), 512)):
+        taken = [queue.take() for _ in chunks]
+        assert [request and request.key[1][2] for request in taken] == list(chunks)
+        for request in taken:
+            assert request is not None and request.until == FIRST_LEVEL
+            offsets, footprints = request.next
+            assert len(offsets) == len(footprints) == texels
+            queue.finish(
+                request.key, offsets, 0.1, BakeResult(texels, 1.0, Effort(0, 48.0, 96.0), Cost(0.1, 48, 3, 0.1))
+            )
+    assert all(request.until == MOST for request in queue.requests.values())
+
+
+@pytest.mark.parametrize(("viewer", "unlit"), [(PREWARM, 512), (ANNA, 511)])
+def test_all_texels_have_light_at_once(queue: BakeQueue, viewer: Viewer, unlit: int) -> None:
+    whole_chunks(queue, viewer, unlit)
+    request = queue.take()
+    assert request is not None and len(request.next[0]) == 512
+
+
 def test_patient_clients_yield_to_others(queue: BakeQueue) -> None:
     request(queue, (1, 1000.0), (2, 1000.0), viewer=PREWARM)
     request(queue, (3, 1.0), viewer=ANNA)

@@ -3,7 +3,8 @@
 An à-trous filter (Dammertz and others 2010) over the texels of a view: each pass looks at the 3 × 3 × 3 texels about
 one, the second at twice the distance. As between texels and pixels, direct light is filtered as a ratio to unshadowed
 light, Σ w D / Σ w U, and reflected light as it is. How far a texel follows is Wiener's (Lee 1980): where the neighbours
-differ by no more than their noise it follows them, where they differ by more it stays. Final light is left as it is.
+differ by no more than their noise it follows them, where they differ by more it stays. A texel without light has that
+of its neighbours, with as much error as they differ by. Final light is left as it is.
 """
 
 import math
@@ -16,7 +17,7 @@ from isogi_core.kernels._jit import kernel, record
 from isogi_core.kernels.shading.chunks import SLOTS, WORDS, ones, within
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, luminance
 from isogi_core.kernels.shading.irradiance_ratio import BARE, DIRECT, GRADE, NOISE, NORMAL, RECORD, REFLECTED, TEXELS
-from isogi_core.kernels.shading.lattice import DARKEST
+from isogi_core.kernels.shading.lattice import DARKEST, UNBAKED
 from isogi_core.kernels.transport.transfer import TEXELS as POSITIONS
 
 PATHS, VARIANCE = 14, 15
@@ -132,11 +133,11 @@ def expected(texels, s, ratio, reflected):
 
 
 @kernel()
-def own_share(texels, found, weights, count, ratio, reflected):
-    """How much of its own light a texel keeps: the share of noise-free variance among its neighbours; and their noise.
+def differences(texels, found, weights, count, ratio, reflected):
+    """Sums over a texel's neighbours: of noise-free variance, of noise, and of what they count.
 
     Variance is that of the luminance about what is ``expected``; what noise explains of it is taken off. The noise is
-    the mean of all their variances, as a few paths may agree by chance and show none.
+    that of all of them, as a few paths may agree by chance and show none.
     """
     apart, noise, total = NONE, NONE, DARKEST
     for n in range(np.uint64(count)):
@@ -147,8 +148,17 @@ def own_share(texels, found, weights, count, ratio, reflected):
         b = texels[s, 2] + texels[s, REFLECTED + 2] - direct[2] - around[2]
         difference = luminance(r, g, b)
         apart, noise, total = apart + w * difference * difference, noise + w * texels[s, VARIANCE], total + w
-    signal = max(apart - noise, NONE)
-    return signal / max(signal + noise, DARKEST), noise / total
+    return max(apart - noise, NONE), noise, total
+
+
+@kernel()
+def mean_paths(texels, found, weights, count):
+    """How many samples a texel's neighbours took, in the mean."""
+    paths, total = NONE, DARKEST
+    for n in range(np.uint64(count)):
+        s, w = np.uint64(found[n]), weights[n]
+        paths, total = paths + w * texels[s, PATHS], total + w
+    return paths / total
 
 
 @kernel(types.void(NUMBERING, types.int64, POSITIONS, types.int64, types.int64, TEXELS, TEXELS))
@@ -156,24 +166,29 @@ def filter_texels(numbering, bits, positions, first, step, texels, filtered):
     """Write to ``filtered`` (texels, RECORD) the records ``texels``, from the ``first`` on one for each position.
 
     ``positions`` (m, 3; z, y, x) are those texels' own, ``step`` is the distance between neighbours. Their VARIANCE is
-    what is left of it, and NOISE what pixels are to be told of it.
+    what is left of it, and NOISE what pixels are to be told of it. Those without light are CONVERGING once they have
+    that of two neighbours.
     """
     found, weights = np.empty(27, np.uint32), np.empty(27, np.float32)
     for m in range(positions.shape[0]):
         t = np.uint64(first + m)
         for c in range(RECORD):
             filtered[t, c] = texels[t, c]
-        if texels[t, GRADE] != CONVERGING:
+        unlit = texels[t, GRADE] == UNBAKED
+        if texels[t, GRADE] != CONVERGING and not unlit:
             continue
         at = t, np.int64(positions[m, 0]), np.int64(positions[m, 1]), np.int64(positions[m, 2])
         count = neighbours_of(numbering, bits, texels, at, step, found, weights)
         if count < 2:
             continue
         ratio, reflected, variance = mean_of(texels, found, weights, count)
-        own, noise = own_share(texels, found, weights, count, ratio, reflected)
+        signal, noise, total = differences(texels, found, weights, count, ratio, reflected)
+        own = NONE if unlit else signal / max(signal + noise, DARKEST)
         direct, around = expected(texels, t, ratio, reflected)
         for c in range(3):
             filtered[t, DIRECT + c] = own * texels[t, DIRECT + c] + (ONE - own) * direct[c]
             filtered[t, REFLECTED + c] = own * texels[t, REFLECTED + c] + (ONE - own) * around[c]
-        kept, taken = own * noise, (ONE - own) ** 2 * variance
+        kept, taken = signal / total if unlit else own * (noise / total), (ONE - own) ** 2 * variance
+        if unlit:
+            filtered[t, GRADE], filtered[t, PATHS] = CONVERGING, mean_paths(texels, found, weights, count)
         filtered[t, VARIANCE], filtered[t, NOISE] = kept + taken, math.sqrt(kept + SHARED * taken)

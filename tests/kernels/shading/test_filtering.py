@@ -59,7 +59,8 @@ def filtered(numbering, positions, records, step=1):
 def one_by_one(positions, records, step):
     """The same, texel by texel, in double precision."""
     found, kept = records.astype(float), records.astype(float)
-    for t in np.flatnonzero(records[:, GRADE] == CONVERGING):
+    for t in np.flatnonzero(np.isin(records[:, GRADE], (CONVERGING, UNBAKED))):
+        unlit = records[t, GRADE] == UNBAKED
         apart = positions - positions[t]
         near = (np.abs(apart) <= step).all(axis=1) & (apart % step == 0).all(axis=1)
         near &= np.isin(records[:, GRADE], (CONVERGING, FINAL))
@@ -77,10 +78,14 @@ def one_by_one(positions, records, step):
         )
         noise = weights @ around[:, VARIANCE] / weights.sum()
         signal = max(weights @ (differences @ LUMINANCE) ** 2 / weights.sum() - noise, 0.0)
-        own = signal / (signal + noise)
+        own = 0.0 if unlit else signal / (signal + noise)
         found[t, :3] = own * kept[t, :3] + (1 - own) * ratio * kept[t, BARE : BARE + 3]
         found[t, REFLECTED : REFLECTED + 3] = own * kept[t, REFLECTED : REFLECTED + 3] + (1 - own) * reflected
-        left, shared = own * noise, (1 - own) ** 2 * variance
+        left, shared = signal if unlit else own * noise, (1 - own) ** 2 * variance
+        found[t, GRADE], found[t, PATHS] = (
+            CONVERGING,
+            weights @ around[:, PATHS] / weights.sum() if unlit else kept[t, PATHS],
+        )
         found[t, VARIANCE], found[t, NOISE] = left + shared, np.sqrt(left + SHARED * shared)
     return found
 
@@ -93,15 +98,15 @@ def test_a_pass_is_that_of_plain_numpy(step):
     assert (found != records).any(axis=1).sum() > 100
 
 
-def test_what_is_final_unlit_or_alone_stays_as_it_is():
+def test_what_is_final_or_alone_stays_as_it_is():
     (numbering, positions), records = scattered(60, 3), random_records(60, 4)
     records[:30, GRADE] = FINAL
     found = filtered(numbering, positions, records)
-    still = records[:, GRADE] != CONVERGING
+    still = records[:, GRADE] == FINAL
     np.testing.assert_array_equal(found[still], records[still])
     lone, place = numbered(np.array([[1, 1, 1], [3, 6, 7]]))
     alone = random_records(2, 5)
-    alone[:, GRADE] = CONVERGING
+    alone[:, GRADE] = CONVERGING, UNBAKED
     np.testing.assert_array_equal(filtered(lone, place, alone), alone)
 
 
@@ -132,6 +137,19 @@ def test_the_edge_of_a_shadow_stays():
         records = filtered(numbering, positions, records, step)
     truth = np.where(positions[:, 2] < 4, 1.0, 3.0)
     assert np.abs(records[:, 1] - truth).max() < 0.4
+
+
+def test_texels_without_light_have_that_of_their_neighbours():
+    """Of those whose indices are all odd, in even light and beside the edge of a shadow: and tell how far they err."""
+    for edge, most in ((99, 0.15), (4, 1.1)):
+        numbering, positions, records = sheet(edge)
+        unlit = (positions % 2 == 0).any(axis=1)
+        records[unlit, :3], records[unlit, GRADE], records[unlit, PATHS] = 4.0, UNBAKED, 0
+        for step in (1, 2):
+            records = filtered(numbering, positions, records, step)
+        assert unlit.mean() > 0.7 and (records[:, GRADE] == CONVERGING).all()
+        errors = np.abs(records[unlit, 1] - np.where(positions[unlit, 2] < edge, 1.0, 3.0))
+        assert errors.max() < most and (records[unlit, NOISE] > 0.3 * errors).mean() > 0.9
 
 
 def test_neighbours_count_by_a_gauss_curve():
