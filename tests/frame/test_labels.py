@@ -54,8 +54,8 @@ def test_two_halves_part_at_their_plane(tmp_path: Path, workbench: Callable[...,
     away = frame.gbuffer.points[:, 0] - 8.5
     left, right = own[away < -0.51], own[away > 0.51]
     assert len(left) > 100 and len(right) > 100
-    np.testing.assert_allclose(left, np.tile(RED, (len(left), 1)), atol=1e-6)
-    np.testing.assert_allclose(right, np.tile(GREEN, (len(right), 1)), atol=1e-6)
+    np.testing.assert_allclose(left, np.tile(RED, (len(left), 1)), atol=0.01)
+    np.testing.assert_allclose(right, np.tile(GREEN, (len(right), 1)), atol=0.01)
 
 
 def test_faces_of_a_window_are_in_the_colours_of_labels(tmp_path: Path, workbench: Callable[..., Workbench]) -> None:
@@ -68,7 +68,7 @@ def test_faces_of_a_window_are_in_the_colours_of_labels(tmp_path: Path, workbenc
     for side, colour in ((away < -0.51, RED), (away > 0.51, GREEN)):
         assert side.sum() > 100
         np.testing.assert_allclose(
-            shown[side] / shown[side].sum(axis=1)[:, None], [colour / np.sum(colour)] * side.sum(), rtol=1e-5
+            shown[side] / shown[side].sum(axis=1)[:, None], [colour / np.sum(colour)] * side.sum(), atol=0.01
         )
 
 
