@@ -2,22 +2,25 @@
 
     python -m benchmarks.accuracy filtering [--size 96] [--paths 1024] [--seed 1 …] [--only TEXT …] [--json]
 
-All texels of a view have the same number of samples. Its picture, filtered as frames are and each texel by itself, is
-held against paths from each pixel, and so are the errors that both tell of their noise. What is not noise, such as
-interpolation, is in the true errors alone.
+All texels of a view have the same number of samples, or none but those that have light first. Its picture, filtered as
+frames are and each texel by itself, is held against paths from each pixel, and so are the errors that both tell of
+their noise. What is not noise, such as interpolation, is in the true errors alone.
 """
 
 import tempfile
 from pathlib import Path
 
 import click
+import numpy as np
 
 from benchmarks.accuracy.benches import bench_of
 from benchmarks.accuracy.totals import scenes
 from benchmarks.common.measurement import Measurement, markdown
 from benchmarks.common.suite import part
+from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.renderer import Renderer
+from isogi_core.frame.view_texels import first_texels
 from isogi_core.report.bake import NEVER, ViewBake
 from isogi_core.report.metrics import Score, score
 
@@ -42,6 +45,10 @@ def filtering(size: int, paths: int, seed: tuple[int, ...], only: tuple[str, ...
             bench = bench_of(scene(), size, Path(folder) / name.replace(" ", "-"))
             bake, best = ViewBake(bench.renderer(bench.scene), bench.view), bench.reference(paths)
             filters = Renderer(bake.renderer.caches, bench.tiles)
+            bake.grow(FIRST_LEVEL)
+            few = score((picture := quarter(bake, filters)).radiance, best, 1.0)
+            rows.append((name, f"{FIRST_LEVEL} in a quarter", "", "", *texts(picture, few)))
+            figures[f"{name}, {FIRST_LEVEL} samples in a quarter: provisional"] = picture.coverage["provisional"]
             for samples in LEVELS:
                 bake.grow(samples)
                 pictures = pictures_of(bake, filters)
@@ -56,6 +63,14 @@ def filtering(size: int, paths: int, seed: tuple[int, ...], only: tuple[str, ...
 def pictures_of(bake: ViewBake, filters: Renderer) -> tuple[Frame, Frame]:
     """The frame with each texel's light as it is, and that of a renderer that ``filters``."""
     return bake.frame(), filters.render(bake.view, NEVER)
+
+
+def quarter(bake: ViewBake, filters: Renderer) -> Frame:
+    """The filtered frame of those texels alone that have light first."""
+    first = first_texels(np.concatenate(bake.shown.offsets), bake.shown.lattice.bits)
+    numbers = np.flatnonzero(first)
+    bake.show(bake.light.rows(numbers), numbers)
+    return filters.render(bake.view, NEVER)
 
 
 def texts(picture: Frame, found: Score) -> tuple[str, str]:

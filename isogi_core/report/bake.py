@@ -102,11 +102,16 @@ class ViewBake(Bake):
         Raises StoreError where the memory for light cannot hold all of it.
         """
         caches, light, own = self.renderer.caches, light or self.light, len(self.shown.places)
-        caches.of(self.view.shading).pool.insert(self._chunks(light, np.arange(own), 0), self.shown.chunks)
+        self.show(light, np.arange(own))
         if len(self.distant):
             projected = self._chunks(light, self.distant, own)
             caches.projected(self.shown.gbuffer.isovalue).pool.insert(projected, self.shown.chunks)
         return self.renderer.render(self.view, NEVER)
+
+    def show(self, light: Light, numbers: np.ndarray) -> None:
+        """Have frames read this ``light`` of the view's texels with these ``numbers``, and none of others."""
+        pool = self.renderer.caches.of(self.view.shading).pool
+        pool.insert(self._chunks(light, numbers, 0), self.shown.chunks)
 
     def _chunks(self, light: Light, numbers: np.ndarray, first: int) -> Chunks:
         """The texels with these ``numbers`` in the view, and their light from row ``first`` on."""

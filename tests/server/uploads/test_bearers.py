@@ -84,7 +84,7 @@ def test_who_may_only_look_has_nothing_baked() -> None:
     assert request_viewer(Request({"type": "http", "client": None})).bakes
     for viewer in viewers:
         asked = Service.request_light(None, None, None, viewer)  # type: ignore[arg-type]
-        assert asyncio.run(asked) == (frozenset(), None)
+        assert asyncio.run(asked) == frozenset()
 
 
 def test_volumes_belong_to_who_sent_them(ask: Ask, open_app: Any, tokens: Path, folder: Path) -> None:
