@@ -33,6 +33,9 @@ Pixels mix eight texels with trilinear weights, whose squares sum up to (2/3)³ 
 a texel's own variance. What all of them took over from the same neighbours does not average out.
 """
 
+LENDS = np.float32(1e-4)
+"""What neighbours count together at least that lend their light: one next to it whose normal is 54° away does."""
+
 NONE, ONE = np.float32(0.0), np.float32(1.0)
 
 
@@ -167,7 +170,7 @@ def filter_texels(numbering, bits, positions, first, step, texels, filtered):
 
     ``positions`` (m, 3; z, y, x) are those texels' own, ``step`` is the distance between neighbours. Their VARIANCE is
     what is left of it, and NOISE what pixels are to be told of it. Those without light are CONVERGING once they have
-    that of two neighbours.
+    that of two neighbours, which count LENDS at least.
     """
     found, weights = np.empty(27, np.uint32), np.empty(27, np.float32)
     for m in range(positions.shape[0]):
@@ -183,6 +186,8 @@ def filter_texels(numbering, bits, positions, first, step, texels, filtered):
             continue
         ratio, reflected, variance = mean_of(texels, found, weights, count)
         signal, noise, total = differences(texels, found, weights, count, ratio, reflected)
+        if unlit and total < LENDS:
+            continue
         own = NONE if unlit else signal / max(signal + noise, DARKEST)
         direct, around = expected(texels, t, ratio, reflected)
         for c in range(3):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from isogi_core.kernels.shading.filtering import NEAR, PATHS, SHARED, VARIANCE, Numbering, filter_texels
+from isogi_core.kernels.shading.filtering import LENDS, NEAR, PATHS, SHARED, VARIANCE, Numbering, filter_texels
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL
 from isogi_core.kernels.shading.irradiance_ratio import BARE, GRADE, NOISE, NORMAL, RECORD, REFLECTED
 from isogi_core.kernels.shading.lattice import UNBAKED
@@ -67,7 +67,7 @@ def one_by_one(positions, records, step):
         cosine = kept[near, NORMAL : NORMAL + 3] @ kept[t, NORMAL : NORMAL + 3]
         weights = np.exp(((apart[near] / step) ** 2).sum(axis=1) / -2.0) * np.maximum(cosine, 0.0) ** 16
         around, weights = kept[near][weights > 0.0], weights[weights > 0.0]
-        if len(weights) < 2:
+        if len(weights) < 2 or (unlit and weights.sum() < LENDS):
             continue
         counts = weights * around[:, PATHS]
         ratio = counts @ around[:, :3] / (counts @ around[:, BARE : BARE + 3])
@@ -150,6 +150,17 @@ def test_texels_without_light_have_that_of_their_neighbours():
         assert unlit.mean() > 0.7 and (records[:, GRADE] == CONVERGING).all()
         errors = np.abs(records[unlit, 1] - np.where(positions[unlit, 2] < edge, 1.0, 3.0))
         assert errors.max() < most and (records[unlit, NOISE] > 0.3 * errors).mean() > 0.9
+
+
+def test_neighbours_that_face_away_lend_no_light():
+    """However faint: nothing that is told is without a number."""
+    numbering, positions, records = sheet(edge=99)
+    unlit = (positions % 2 == 0).any(axis=1)
+    records[unlit, GRADE], records[unlit, NORMAL], records[unlit, NORMAL + 2] = UNBAKED, 1.0, 0.0
+    records[~unlit, NORMAL] = 1e-2
+    found = filtered(numbering, positions, records)
+    np.testing.assert_array_equal(found[unlit], records[unlit])
+    assert np.isfinite(found).all()
 
 
 def test_neighbours_count_by_a_gauss_curve():
