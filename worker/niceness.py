@@ -13,6 +13,8 @@ from typing import Any
 
 from distributed import WorkerPlugin
 
+from worker.fork_server import WORKER
+
 NICENESS = 10
 """Niceness of the workers above the server's."""
 
@@ -24,7 +26,7 @@ Two such sessions together have as much of the cores as one of niceness 0, such 
 
 
 class Nice(WorkerPlugin):
-    """Gives a worker process lower priority than the server."""
+    """Gives a worker process its name, and lower priority than the server."""
 
     name = "nice"
 
@@ -37,7 +39,9 @@ class Nice(WorkerPlugin):
         self.apart = apart
 
     def setup(self, worker: Any) -> None:
-        """Lower the process's priority, unless it is as low already."""
+        """Name the process, and lower its priority, unless it is as low already."""
+        with suppress(OSError):  # another system
+            Path("/proc/self/comm").write_text(WORKER, encoding="ascii")
         os.setpriority(os.PRIO_PROCESS, 0, max(self.niceness, os.getpriority(os.PRIO_PROCESS, 0)))
         if self.apart and Path("/proc/self/autogroup").exists():
             with suppress(PermissionError):

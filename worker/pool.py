@@ -11,10 +11,12 @@ from typing import Any, cast
 import dask.config
 from distributed import Client, Future, LocalCluster, fire_and_forget
 from distributed.scheduler import KilledWorker
+from distributed.utils import get_mp_context
 
 from isogi_core.model.scene_plan import ScenePlan
 from worker.certificates import temporary_security
 from worker.errors import LostWorkerError, WorkersAwayError, WorkersError
+from worker.fork_server import START_METHOD, start_fork_server
 from worker.niceness import Nice, Sessions, leads_session
 from worker.tasks import KINDS, BakeResult, BakeTask, Outcome, attempt, bake, bake_all, kernels_missing, load_kernels
 
@@ -65,7 +67,10 @@ SETTINGS: dict[str, object] = {
 By default Dask observes itself a hundred times a second: 5 % of a core with one idle worker. So set it takes 1 %.
 """
 
-FOREVER = {"distributed.deploy.lost-worker-timeout": "10000 days"}
+FOREVER = {
+    "distributed.deploy.lost-worker-timeout": "10000 days",
+    "distributed.worker.multiprocessing-method": START_METHOD,
+}
 """Set for the life of the process, as Dask reads it at each death. A cluster dismisses the nanny of a worker that is
 missing so long after a death; with the default 15 s also of one that came back and died once more."""
 
@@ -309,13 +314,16 @@ def addresses(client: Client) -> frozenset[str]:
 
 
 def start_cluster(workers: int) -> LocalCluster:
-    """Start worker processes on the loopback interface, spawned and not forked, without a dashboard.
+    """Start worker processes on the loopback interface, forked from the fork server, without a dashboard.
 
-    They speak TLS with a key of their own, as any user of the machine can reach loopback.
+    They speak TLS with a key of their own, as any user of the machine can reach loopback. Their environment is that of
+    now, which may differ from the one that the fork server began with.
 
     Dask serves a health page all the same, on a free port: two servers must not compete for one.
     """
     dask.config.set(FOREVER)
+    get_mp_context()  # where it is first called, Dask chooses what a fork server imports
+    start_fork_server()
     return LocalCluster(
         n_workers=workers,
         threads_per_worker=1,
@@ -326,6 +334,7 @@ def start_cluster(workers: int) -> LocalCluster:
         scheduler_kwargs={"dashboard": False},
         memory_limit=None,
         silence_logs=50,
+        env=dict(os.environ),
     )
 
 

@@ -16,6 +16,8 @@ from typing import IO
 import httpx
 import psutil
 
+from worker.fork_server import WORKER
+
 MIB = 1 << 20
 
 
@@ -42,7 +44,7 @@ class Served:
     def workers(self) -> list[psutil.Process]:
         """The processes that bake."""
         children = psutil.Process(self.process.pid).children(recursive=True)
-        return [child for child in children if "spawn_main" in " ".join(command(child))]
+        return [child for child in children if name(child) == WORKER]
 
     def footprint(self) -> dict[str, float]:
         """What the server and its workers take now: memory in MiB, open files, processes."""
@@ -104,12 +106,12 @@ def serving(
         process.wait(30)
 
 
-def command(process: psutil.Process) -> list[str]:
-    """The words of its command; none where it has just ended."""
+def name(process: psutil.Process) -> str:
+    """Its name; empty where it has just ended."""
     try:
-        return process.cmdline()
+        return str(process.name())
     except psutil.NoSuchProcess:
-        return []
+        return ""
 
 
 def ready(client: httpx.Client) -> bool:

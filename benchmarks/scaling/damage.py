@@ -141,12 +141,12 @@ def compare(planes: np.ndarray, expected: Seen, seen: Counter[str]) -> None:
 
     They are expected to be as before by texels alone, or as they are in the end: checks give some of them light of
     their own. A texel that lost one of its layers has reached its error when that has caught up in part, and the pixel
-    may be final with fewer paths than before: another number, as good as it is told to be. What is told is a standard
-    error, which every third number exceeds; one that is off by more than SURELY times as much is wrong.
+    may be final with fewer paths than before: another number, as good as it is told to be. What is told of the two is
+    the standard error of their difference, which every third exceeds; one that is SURELY times as far off is wrong.
     """
     sure = planes[..., 4] == 3
     off = np.min([np.abs(planes[sure][:, :3] - each[sure][:, :3]).max(axis=1) for each in expected], axis=0)
-    told = planes[sure][:, 5] * expected.final[sure][:, :3].max(axis=1)
+    told = np.hypot(planes[sure][:, 5], expected.final[sure][:, 5]) * expected.final[sure][:, :3].max(axis=1)
     seen["final pixels"] += int(sure.sum())
     seen["of fewer paths for a while"] += int((off > 0.0).sum())
     seen["of these beyond the error told"] += int((off > told).sum())

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import psutil
 
+from worker.fork_server import WORKER
+
 MIB = 1 << 20
 PERIOD = 0.05
 """Seconds between two looks."""
@@ -41,7 +43,7 @@ class Residents:
                 self._look(self._root, "main")
                 for child in self._root.children(recursive=True):
                     with suppress(psutil.NoSuchProcess):
-                        if "spawn_main" in " ".join(child.cmdline()):
+                        if child.name() == WORKER:
                             self._look(child, "worker")
 
     def _look(self, process: psutil.Process, role: str) -> None:

@@ -30,6 +30,7 @@ from server.cli.arguments import (
 )
 from server.cli.help import Commands, SettingsCommand
 from server.errors import LibraryError
+from worker.fork_server import start_fork_server
 
 BAD_INPUT = (SceneError, VolumeError, LightError, ViewError, StoreUrlError)
 
@@ -75,6 +76,8 @@ def cli() -> None:
 def serve(target: str | None, config: Path | None, **given: str | None) -> None:
     """Serve TARGET, a scene (.toml) or a volume (NRRD, NIfTI, DICOM, TIFF, Zarr …); with neither, a demo."""
     settings = settings_from(config, **given)
+    if not settings.scheduler:
+        start_fork_server()
     module_of("serve").serve(target, settings)
 
 

@@ -1,0 +1,27 @@
+"""The fork server: the process that workers are forked from, which has imported their code and loaded their kernels.
+
+A process that is spawned imports and loads for two seconds before it can bake. A forked one has all of that at once,
+and shares its memory with the others.
+"""
+
+import sys
+from multiprocessing import forkserver
+
+START_METHOD = "forkserver" if sys.platform == "linux" else "spawn"
+"""How workers are started. On other systems the libraries that a process has loaded may not survive a fork."""
+
+PRELOADED = "worker.preload"
+"""The module that the fork server imports."""
+
+WORKER = "isogi worker"
+"""The name of a worker process, as ``ps`` and ``top`` show it."""
+
+
+def start_fork_server() -> None:
+    """Have this process's fork server, if it has none: it loads while other things are done.
+
+    It ends when this process does. Workers have the environment of now, and what they are given.
+    """
+    if START_METHOD == "forkserver":
+        forkserver.set_forkserver_preload([PRELOADED])
+        forkserver.ensure_running()
