@@ -10,60 +10,7 @@ from isogi_core.kernels._jit import kernel, plain, record
 from isogi_core.kernels.simd.memory import prefetch
 from isogi_core.kernels.tracing.field import VOXELS
 from isogi_core.kernels.tracing.macrocells import INFINITE, RANGES, SIZE, blocks_along, find_ranges
-
-LONGEST = 15
-"""Longest skip, in bricks: what four bits hold."""
-
-BITS = 4
-"""Bits of a skip; a word holds those of the octants 0 … 7, bit a of an octant set where axis a is descended.
-
-No skip is 0, so that words of skips are those whose uppermost four bits are not.
-"""
-
-
-@kernel()
-def nearest_ahead(skips, j, k, dy, dz, nearest):
-    """Write to ``nearest`` (row of x) the least skip of the three rows ahead of (j, k), which are as long."""
-    bz, by, bx = skips.shape
-    nearest[:] = LONGEST - 1
-    for rows in ((j + dy, k), (j, k + dz), (j + dy, k + dz)):
-        if 0 <= rows[0] < by and 0 <= rows[1] < bz:
-            row = skips[rows[1], rows[0]]
-            for i in range(bx):
-                nearest[i] = min(nearest[i], row[i])
-
-
-@kernel()
-def sweep_octant(empty, octant, skips, nearest):
-    """Fill ``skips`` (z, y, x) of one octant: 1 + the least skip of the seven bricks ahead, 0 where marked."""
-    bz, by, bx = empty.shape
-    dx, dy, dz = (-1 if octant & 1 else 1), (-1 if octant & 2 else 1), (-1 if octant & 4 else 1)
-    for kk in range(bz):
-        k = kk if dz < 0 else bz - 1 - kk
-        for jj in range(by):
-            j = jj if dy < 0 else by - 1 - jj
-            nearest_ahead(skips, j, k, dy, dz, nearest)
-            row, before, beside = skips[k, j], LONGEST - 1, LONGEST - 1
-            for ii in range(bx):
-                i = ii if dx < 0 else bx - 1 - ii
-                here = int(nearest[i])
-                before = min(here, beside, before) + 1 if empty[k, j, i] else 0
-                row[i] = before
-                before, beside = min(before, LONGEST - 1), here
-
-
-@kernel()
-def fill_skips(empty, tops):
-    """Write the skips of bricks that are ``empty`` (z, y, x) to ``tops`` (bricks,); the others keep their word."""
-    skips = np.empty(empty.shape, np.uint8)
-    flat, hollow, nearest = skips.reshape(skips.size), empty.reshape(empty.size), np.empty(empty.shape[2], np.uint8)
-    for octant in range(8):
-        sweep_octant(empty, octant, skips, nearest)
-        for b in range(tops.size):
-            if hollow[b]:
-                others = tops[b] if octant else np.int32(0)
-                tops[b] = others | np.int32(np.uint32(flat[b]) << np.uint32(BITS * octant))
-
+from isogi_core.kernels.tracing.skips import fill_skips
 
 BRICK = 4
 POSITION_ERROR = 2.0**-20

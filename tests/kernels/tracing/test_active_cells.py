@@ -1,13 +1,11 @@
-"""The active-cell map against plain loops: marks, ranges and how far empty space reaches."""
+"""The active-cell map against plain loops: marks and ranges."""
 
 import numpy as np
 import pytest
 
 from isogi_core.kernels.tracing.active_cells import (
-    BITS,
     BRICK,
     FINE,
-    LONGEST,
     block_ranges,
     brick_shape,
     make_active_cells,
@@ -85,27 +83,3 @@ def test_pieces_make_the_same_map():
     pieces = make_active_cells(BALL.astype(np.float32), ranges, 0.0, 1.0, run)
     assert np.array_equal(pieces.tops, whole.tops)
     assert np.array_equal(pieces.cells, whole.cells)
-
-
-def largest_cube(marked, corner, way):
-    """Side of the largest cube with no marked brick that goes from ``corner`` in the directions ``way``."""
-    for side in range(1, LONGEST + 1):
-        spans = []
-        for c, w in zip(corner, way, strict=True):
-            spans.append(slice(c, c + side) if w > 0 else slice(max(c - side + 1, 0), c + 1))
-        if marked[tuple(spans)].any():
-            return side - 1
-    return LONGEST
-
-
-def test_skips_are_the_largest_empty_cubes_ahead():
-    voxels = np.zeros((70, 50, 90), np.float32)
-    voxels[10, 40, 7] = voxels[60, 5, 80] = 1.0
-    cells = make_active_cells(voxels, block_ranges(voxels), 0.5, 0.5)
-    assert cells.shape == brick_shape(voxels.shape)
-    marked = ((cells.tops >> 28) == 0).reshape(cells.shape)
-    assert marked.any()
-    for octant, (x, y, z) in enumerate((1 - 2 * (o & 1), 1 - (o & 2), 1 - (o & 4) // 2) for o in range(8)):
-        skips = (cells.tops.reshape(cells.shape) >> (BITS * octant)) & 15
-        for corner in np.argwhere(~marked):
-            assert skips[tuple(corner)] == largest_cube(marked, corner, (z, y, x))

@@ -1,0 +1,134 @@
+"""Skips: how far a ray may go from an empty brick, for each octant of directions.
+
+A skip is the side of the largest cube of empty bricks that begins at a brick and lies ahead in its octant. Cubes grow
+by one brick at a time, those of 64 bricks along x at once: a bit for each.
+"""
+
+import numpy as np
+
+from isogi_core.kernels._jit import kernel
+
+BITS = 4
+"""Bits of a skip; a word holds those of the octants 0 … 7, bit a of an octant set where axis a is descended.
+
+No skip is 0, so that words of skips are those whose uppermost four bits are not.
+"""
+
+LONGEST = 2**BITS - 1
+"""Longest skip, in bricks."""
+
+WORD = 64
+"""Bricks along x whose bits are in one word."""
+
+NONE, ALL = np.uint64(0), np.uint64(2**WORD - 1)
+NEXT, LAST = np.uint64(1), np.uint64(WORD - 1)
+
+
+@kernel()
+def write_bits(empty, hollow, outside):
+    """Write the bits of bricks that are ``empty`` (z, y, x), and of those beyond the volume, which count as empty.
+
+    ``hollow`` and ``outside`` (z, y, words) reach beyond the volume by one word on each side.
+    """
+    bz, by, bx = empty.shape
+    hollow[:], outside[:] = ALL, ALL
+    for k in range(bz):
+        for j in range(by):
+            for first in range(0, bx, WORD):
+                count, bits = min(WORD, bx - first), NONE
+                for i in range(count):
+                    bits |= np.uint64(empty[k, j, first + i]) << np.uint64(i)
+                beyond = ALL << np.uint64(count) if count < WORD else NONE
+                w = first // WORD + 1
+                hollow[k + 1, j + 1, w], outside[k + 1, j + 1, w] = bits | beyond, beyond
+
+
+@kernel()
+def flip(bits, others):
+    """Flip those ``bits`` that are set in ``others``; both are flat."""
+    for q in range(bits.size):
+        bits[q] ^= others[q]
+
+
+@kernel()
+def meet(cubes, dy, dz, first, last, rows):
+    """Write to ``rows`` which ``cubes`` from ``first`` to ``last`` are empty with those next along y, z, and both."""
+    a, b = cubes[first:last], cubes[first + dy : last + dy]
+    c, d = cubes[first + dz : last + dz], cubes[first + dy + dz : last + dy + dz]
+    for q in range(rows.size):
+        rows[q] = a[q] & b[q] & c[q] & d[q]
+
+
+@kernel()
+def meet_next(rows, following, descended, outside, larger):
+    """Write to ``larger`` which of ``rows`` are empty with the next along x, or lie ``outside``.
+
+    ``following`` are the words beside, on the side where x goes on.
+    """
+    if descended:
+        for q in range(larger.size):
+            larger[q] = outside[q] | rows[q] & (rows[q] << NEXT | following[q] >> LAST)
+    else:
+        for q in range(larger.size):
+            larger[q] = outside[q] | rows[q] & (rows[q] >> NEXT | following[q] << LAST)
+
+
+@kernel()
+def enlarge(cubes, octant, outside, steps, rows, larger):
+    """Write to ``larger`` which cubes of one more brick are empty: those whose eight ``cubes`` are, one at each corner.
+
+    ``steps`` lead to the next word along y and z; ``rows`` are of use meanwhile. All are flat.
+    """
+    along_y, along_z = steps
+    dx, dy, dz = octant & 1, (-along_y if octant & 2 else along_y), (-along_z if octant & 4 else along_z)
+    first, last = along_y + along_z + 1, cubes.size - along_y - along_z - 1
+    meet(cubes, dy, dz, first - 1, last + 1, rows[first - 1 : last + 1])
+    following = rows[first - 1 : last - 1] if dx else rows[first + 1 : last + 1]
+    meet_next(rows[first:last], following, dx, outside[first:last], larger[first:last])
+
+
+@kernel()
+def write_octant(sides, octant, shape, tops):
+    """Add the skips of an octant to ``tops`` (bricks,): ``sides`` (BITS, z, y, words) are the bits of each."""
+    bz, by, bx = shape
+    one, shift = np.uint64(1), np.uint64(BITS * octant)
+    for k in range(bz):
+        for j in range(by):
+            for first in range(0, bx, WORD):
+                z, y, w = k + 1, j + 1, first // WORD + 1
+                a, b, c, d = sides[0, z, y, w], sides[1, z, y, w], sides[2, z, y, w], sides[3, z, y, w]
+                place = (k * by + j) * bx + first
+                row = tops[place : place + min(WORD, bx - first)]
+                for i in range(row.size):
+                    s = np.uint64(i)
+                    low, high = a >> s & one | (b >> s & one) << one, c >> s & one | (d >> s & one) << one
+                    row[i] |= np.int32(np.uint32((low | high << np.uint64(2)) << shift))
+
+
+@kernel()
+def fill_skips(empty, tops):
+    """Write the skips of bricks that are ``empty`` (z, y, x) to ``tops`` (bricks,); the others keep their word.
+
+    A side is the number of cubes that are empty, as each lies in the next. Bit p of a number tells whether the
+    multiples of 2^p up to it are an odd many, so that each cube flips the bits whose 2^p divides its own side.
+    """
+    bz, by, bx = empty.shape
+    flat = empty.reshape(empty.size)
+    for b in range(tops.size):
+        if flat[b]:
+            tops[b] = 0
+    shape = (bz + 2, by + 2, -(-bx // WORD) + 2)
+    hollow, outside, sides = np.empty(shape, np.uint64), np.empty(shape, np.uint64), np.empty((BITS, *shape), np.uint64)
+    write_bits(empty, hollow, outside)
+    count, steps = hollow.size, (shape[2], shape[1] * shape[2])
+    first_cubes, beyond, bits = hollow.reshape(count), outside.reshape(count), sides.reshape((BITS, count))
+    cubes, rows, larger = np.empty(count, np.uint64), np.empty(count, np.uint64), np.full(count, ALL)
+    for octant in range(2**3):
+        cubes[:], bits[:] = first_cubes, NONE
+        for side in range(1, LONGEST + 1):
+            for p in range(BITS):
+                if side % 2**p == 0:
+                    flip(bits[p], cubes)
+            enlarge(cubes, octant, beyond, steps, rows, larger)
+            cubes, larger = larger, cubes
+        write_octant(sides, octant, empty.shape, tops)
