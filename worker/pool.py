@@ -17,8 +17,9 @@ from isogi_core.model.scene_plan import ScenePlan
 from worker.certificates import temporary_security
 from worker.errors import LostWorkerError, WorkersAwayError, WorkersError
 from worker.fork_server import START_METHOD, start_fork_server
+from worker.kernels import KINDS, kernels_missing, load_kernels
 from worker.niceness import Nice, Sessions, leads_session
-from worker.tasks import KINDS, BakeResult, BakeTask, Outcome, attempt, bake, bake_all, kernels_missing, load_kernels
+from worker.tasks import BakeResult, BakeTask, Outcome, attempt, bake, bake_all
 
 SOON = 1.0
 """Seconds that closing a client may take that could not be made."""

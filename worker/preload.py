@@ -6,13 +6,14 @@ import os
 os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1", MKL_NUM_THREADS="1")  # a fork has no other threads
 
 from isogi_core.allocation import keep_memory_small
-from worker.tasks import KINDS, attempt, kernels_missing, load_kernels
+from isogi_core.kernels._jit import entries_of, load
+from worker.kernels import KINDS, OPENING, bake_kernels
+from worker.tasks import attempt
 
 
 def load_what_is_stored() -> None:
-    """Load the kernels of bakes; where some are not compiled yet, leave that to the workers, which say so."""
-    if not kernels_missing(KINDS):
-        load_kernels(KINDS)
+    """Load the kernels of bakes that are compiled; the others are left to the workers, which say so."""
+    load([entry for entry in entries_of((*bake_kernels(KINDS), *OPENING)) if entry.stored])
 
 
 keep_memory_small()

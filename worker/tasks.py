@@ -3,7 +3,7 @@
 import asyncio
 import json
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -14,7 +14,7 @@ from weakref import WeakValueDictionary
 import numpy as np
 
 from isogi_core.bake.bake_spec import BakeSpec
-from isogi_core.bake.noise import Effort, path_priorities, relative_error, standard_error
+from isogi_core.bake.noise import Effort, efforts, level, path_priorities, standard_error
 from isogi_core.bake.precision import FIRST_LEVEL
 from isogi_core.bake.refine import Located, locate, next_samples, refine, some_located
 from isogi_core.bake.texel_light import Light
@@ -27,35 +27,17 @@ from isogi_core.errors import SceneError, StoreAwayError
 from isogi_core.files.mappings import budget
 from isogi_core.files.scene_changes import MATERIAL_NUMBERS
 from isogi_core.files.scene_file import FOLLOWED, SceneSource
-from isogi_core.kernels._jit import entries_of, load
-from isogi_core.kernels.transport.coloured_transfer import bake_coloured_texels
-from isogi_core.kernels.transport.glow_paths import glow_in_room
-from isogi_core.kernels.transport.matter.matter_paths import light_through_matter
-from isogi_core.kernels.transport.room_paths import fill_seeds, light_in_room
-from isogi_core.kernels.transport.surface_paths import light_among_surfaces
+from isogi_core.kernels._jit import load
 from isogi_core.kernels.transport.texel_points import project_texels
-from isogi_core.kernels.transport.transfer import bake_irradiance, bake_texels, locate_texels
-from isogi_core.model.scene_plan import GLOW, ScenePlan
+from isogi_core.model.scene_plan import ScenePlan
 from isogi_core.model.value_survey import no_progress
 from isogi_core.model.volume import Isovalue
 from isogi_core.plan.assembly import build_scene
-from isogi_core.plan.scene import AMONG, COLOURED, INSIDE, ROOM
 from isogi_core.prepared.prepared_scene import Index, PreparedScene
 from isogi_core.storage.store import Store
 from isogi_core.storage.url import StoreUrl
 from worker.keeping import Whole, WholeLight, light_of_whole
-
-PATHS = {
-    **{"direct": (bake_texels,), "indirect": (bake_texels,), "whole": (bake_texels,)},
-    **{"irradiance": (bake_irradiance,), ROOM: (light_in_room, fill_seeds), COLOURED: (bake_coloured_texels,)},
-    GLOW: (glow_in_room, fill_seeds),
-    AMONG: (light_among_surfaces, fill_seeds),
-    INSIDE: (light_through_matter, fill_seeds),
-}
-"""Entry kernels by the kind of layer that they bake; among walls or surfaces and on colours they are others."""
-
-KINDS = tuple(kind for kind in PATHS if kind not in (ROOM, COLOURED, AMONG, INSIDE, GLOW))
-"""The kinds of layers of scenes with one surface, without walls, colours and glow."""
+from worker.kernels import KINDS, load_kernels
 
 
 @dataclass(frozen=True, eq=False)
@@ -278,15 +260,14 @@ class Work:
         rows = chunk.rows_of(task.offsets)
         return cls(task, chunk, rows, chunk.light.rows(rows), known, chunk_store.damaged > damaged)
 
-    def end(self, light: Light, chunk_store: ChunkStore, claims: Claims) -> BakeResult:
-        """Write the chunk back as one object, with new ``light`` of its texels; what that cost is still to be told."""
+    def end(self, light: Light, chunk_store: ChunkStore, claims: Claims) -> bool:
+        """Write the chunk back as one object, with new ``light`` of its texels; whether any of that is new."""
         self.chunk.light.put(self.rows, light)
         pairs = zip(self.chunk.light.parts, self.known, strict=True)
         changed = [not np.array_equal(part.samples, old) for part, old in pairs]
         if chunk_store.save(self.chunk, changed):
             claims.note_contention()
-        result = result_of(light, chunk_store.spec, self.task, Cost())
-        return replace(result, duplicate=not any(changed), healed=self.healed)
+        return any(changed)
 
 
 def bake_chunks(tasks: Sequence[BakeTask], spec: BakeSpec, chunk_store: ChunkStore, claims: Claims) -> list[BakeResult]:
@@ -307,19 +288,24 @@ def bake_chunks(tasks: Sequence[BakeTask], spec: BakeSpec, chunk_store: ChunkSto
     sample_texels(light, texels, spec, *tasks)
     bounds = np.cumsum([0, *(len(task.offsets) for task in tasks)]).tolist()
     rows = [slice(a, b) for a, b in pairwise(bounds)]
-    results = [
+    news = [
         work.end(light.rows(np.arange(len(light))[own]), chunk_store, claims)
         for work, own in zip(works, rows, strict=True)
     ]
+    results = results_of(light, spec, tasks)
     seconds, samples = time.process_time() - begun, light.samples
     taken = np.maximum(samples, 0) - np.maximum(before, 0)
     shares = taken if taken.any() else np.ones(len(light))
     each = seconds / max(shares.sum(), 1)
     return [
         replace(
-            result, cost=cost_of(samples[own], before[own], float(each * shares[own].sum())), kept=int(kept[own].sum())
+            result,
+            cost=cost_of(samples[own], before[own], float(each * shares[own].sum())),
+            duplicate=not new,
+            healed=work.healed,
+            kept=int(kept[own].sum()),
         )
-        for result, own in zip(results, rows, strict=True)
+        for result, work, new, own in zip(results, works, news, rows, strict=True)
     ]
 
 
@@ -353,10 +339,10 @@ def sample_texels(light: Light, texels: np.ndarray, spec: BakeSpec, *tasks: Bake
     waiting, priority = next_samples(light, spec, target), path_priorities(light, spec, footprints, chunks)
     located: Located | None = None
     while (worthy := (waiting >= 0) & (waiting < until) & (priority >= least)).any():
-        level = int(waiting[worthy].min())
-        rows = np.flatnonzero(worthy & (waiting == level))
+        lowest = int(waiting[worthy].min())
+        rows = np.flatnonzero(worthy & (waiting == lowest))
         part, located = light.rows(rows), located or locate(texels, spec.prepared, spec.shown)
-        refine(part, texels[rows], spec, level + 1, target, some_located(located, rows))
+        refine(part, texels[rows], spec, lowest + 1, target, some_located(located, rows))
         light.put(rows, part)
         waiting[rows] = next_samples(part, spec, target)
         priority = path_priorities(light, spec, footprints, chunks)
@@ -369,28 +355,24 @@ def cost_of(samples: np.ndarray, before: np.ndarray, seconds: float) -> Cost:
     return Cost(seconds, paths, lit, seconds * FIRST_LEVEL * lit / max(paths, 1))
 
 
-def result_of(light: Light, spec: BakeSpec, task: BakeTask, cost: Cost) -> BakeResult:
-    """The result of a task: what ``light`` still lacks of the target, and the cost."""
-    waiting = next_samples(light, spec, task.target) >= 0
-    seen = task.footprints[waiting] @ standard_error(light, spec)[waiting] ** 2
-    priority = float(seen) / max(int(light.samples[waiting].sum()), 1)
-    effort = Effort.of(relative_error(light, spec), light.samples, task.target)
-    return BakeResult(int(waiting.sum()), priority, effort, cost)
+def results_of(light: Light, spec: BakeSpec, tasks: Sequence[BakeTask]) -> list[BakeResult]:
+    """The results of tasks of one target: what their ``light``, one's after the other's, still lacks of that.
 
-
-def bake_kernels(kinds: Iterable[str]) -> tuple[Any, ...]:
-    """The entry kernels for baking layers of these ``kinds``, and those in ROOM, besides those that open a scene."""
-    return (*{kernel for kind in kinds for kernel in PATHS[kind]}, locate_texels)
-
-
-def kernels_missing(kinds: Iterable[str]) -> bool:
-    """Whether kernels that bake layers of these ``kinds`` are not compiled yet on this machine."""
-    return any(not entry.stored for entry in entries_of(bake_kernels(kinds)))
-
-
-def load_kernels(kinds: Iterable[str]) -> None:
-    """Compile or load the kernels that bake layers of these ``kinds``."""
-    load(bake_kernels(kinds))
+    What they cost is still to be told.
+    """
+    target, count = tasks[0].target, len(tasks)
+    numbers = np.repeat(np.arange(count), [len(task.offsets) for task in tasks])
+    error, waiting = standard_error(light, spec), next_samples(light, spec, target) >= 0
+    visible = np.concatenate([task.footprints for task in tasks]) * error**2
+    lacking, seen, taken = (
+        np.bincount(numbers[waiting], some, count) for some in (None, visible[waiting], light.samples[waiting])
+    )
+    work = efforts(numbers, count, error / level(light, spec), light.samples, target)
+    priorities = (seen / np.maximum(taken, 1)).tolist()
+    return [
+        BakeResult(texels, priority, Effort(*each), Cost())
+        for texels, priority, each in zip(lacking.tolist(), priorities, work.tolist(), strict=True)
+    ]
 
 
 async def dask_setup(worker: Any) -> None:

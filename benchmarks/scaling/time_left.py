@@ -22,9 +22,10 @@ from isogi_core.model.view import View
 from server.cli.bench import view_of
 from server.render.engine import RenderEngine
 from worker.baker import Baker
+from worker.kernels import KINDS, load_kernels
 from worker.pool import Done
 from worker.progress import TimeLeft
-from worker.tasks import KINDS, BakeTask, bake, load_kernels
+from worker.tasks import BakeTask, bake
 
 Told = tuple[float, Frame, TimeLeft | None]
 """When, of which frame, and what."""

@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
@@ -24,6 +25,7 @@ from isogi_core.model.scene_plan import MOST
 from isogi_core.storage.url import StoreUrl
 from server.settings import cores
 from worker.bake_requests import next_least_priority
+from worker.kernels import load_kernels
 from worker.progress import (
     PER_TASK,
     ChunkCost,
@@ -32,7 +34,7 @@ from worker.progress import (
     relative_standard_error,
     seconds_per_texel,
 )
-from worker.tasks import BakeTask, cost_of, load_kernels, result_of, sample_texels
+from worker.tasks import BakeTask, cost_of, results_of, sample_texels
 
 NEVER = 1e-9
 """A target error that the first paths do not reach."""
@@ -85,8 +87,9 @@ def climb_all(
         task = BakeTask(*place, demand.offsets, demand.footprints, until, least_priority, target)
         before, since = light.samples, time.thread_time()
         sample_texels(light, texels, spec, task)
-        result = result_of(light, spec, task, cost_of(light.samples, before, time.thread_time() - since))
-        tasks, paths = tasks + 1, paths + result.cost.paths
+        cost = cost_of(light.samples, before, time.thread_time() - since)
+        result = replace(results_of(light, spec, [task])[0], cost=cost)
+        tasks, paths = tasks + 1, paths + cost.paths
         if not result.unfinished or time.perf_counter() > limit[0] or limit[1].is_set():
             return tasks, paths
         until, least_priority = MOST, next_least_priority(result, patient=True)

@@ -31,9 +31,10 @@ from isogi_core.storage.store import Store
 from isogi_core.storage.url import StoreUrl
 from worker.baker import Baker
 from worker.errors import LostWorkerError, WorkersAwayError, WorkersError
+from worker.kernels import KINDS, bake_kernels
 from worker.niceness import BACK, FORWARD, NICENESS
 from worker.pool import AHEAD, OwnClient, WorkerPool, report
-from worker.tasks import KINDS, BakeResult, BakeTask, bake_kernels, open_spec
+from worker.tasks import BakeResult, BakeTask, open_spec
 
 SCENE = load_scene("demo:orbital", order=2, lattice=0.4, bounces=1, target_error=0.5)
 SPEC = spec_for(PreparedScene(SCENE), "gi")
@@ -241,7 +242,8 @@ def test_joined_workers_have_loaded_kernels_and_stay_as_nice(
     monkeypatch.setattr("worker.pool.kernels_missing", lambda kinds: True)
     monkeypatch.setattr("worker.pool.fire_and_forget", lambda future: pytest.fail("a job was sent"))
     kwargs: dict[str, Any] = {"host": "127.0.0.1", "dashboard_address": "127.0.0.1:0", "preload": preload}
-    with LocalCluster(n_workers=1, threads_per_worker=1, processes=True, silence_logs=50, **kwargs) as others:
+    spawned = dask.config.set({"distributed.worker.multiprocessing-method": "spawn"})  # as on another machine
+    with spawned, LocalCluster(n_workers=1, threads_per_worker=1, silence_logs=50, **kwargs) as others:
         joined = WorkerPool(1, others.scheduler_address)
         kernels = list(joined._client.run(kernels_of_this_process).values())
         joined.step_back(1e-3)

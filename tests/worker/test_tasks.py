@@ -21,15 +21,14 @@ from isogi_core.plan.assembly import load_scene
 from isogi_core.prepared.prepared_scene import PreparedScene
 from isogi_core.storage.store import SENTINEL, Store
 from isogi_core.storage.url import StoreUrl
+from worker.kernels import KINDS, bake_kernels
 from worker.tasks import (
     ELSEWHERE,
-    KINDS,
     OPEN,
     BakeResult,
     BakeTask,
     bake,
     bake_all,
-    bake_kernels,
     claims_of,
     dask_setup,
     open_spec,

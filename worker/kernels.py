@@ -1,0 +1,46 @@
+"""The kernels that bakes need, by the kinds of layers that they bake: which are missing, and how they are loaded."""
+
+from collections.abc import Iterable
+from typing import Any
+
+from isogi_core.kernels._jit import entries_of, load
+from isogi_core.kernels.tracing.active_cells import fill_ranges, mark_bricks, number_bricks, pack_bricks
+from isogi_core.kernels.tracing.macrocells import fill_macrocells
+from isogi_core.kernels.transport.coloured_transfer import bake_coloured_texels
+from isogi_core.kernels.transport.glow_paths import glow_in_room
+from isogi_core.kernels.transport.matter.matter_paths import light_through_matter
+from isogi_core.kernels.transport.room_paths import fill_seeds, light_in_room
+from isogi_core.kernels.transport.surface_paths import light_among_surfaces
+from isogi_core.kernels.transport.transfer import bake_irradiance, bake_texels, locate_texels
+from isogi_core.model.scene_plan import GLOW
+from isogi_core.plan.scene import AMONG, COLOURED, INSIDE, ROOM
+
+PATHS = {
+    **{"direct": (bake_texels,), "indirect": (bake_texels,), "whole": (bake_texels,)},
+    **{"irradiance": (bake_irradiance,), ROOM: (light_in_room, fill_seeds), COLOURED: (bake_coloured_texels,)},
+    GLOW: (glow_in_room, fill_seeds),
+    AMONG: (light_among_surfaces, fill_seeds),
+    INSIDE: (light_through_matter, fill_seeds),
+}
+"""Entry kernels by the kind of layer that they bake; among walls or surfaces and on colours they are others."""
+
+KINDS = tuple(kind for kind in PATHS if kind not in (ROOM, COLOURED, AMONG, INSIDE, GLOW))
+"""The kinds of layers of scenes with one surface, without walls, colours and glow."""
+
+OPENING = (fill_macrocells, fill_ranges, mark_bricks, pack_bricks, number_bricks)
+"""Entry kernels that open a scene and map its isosurfaces."""
+
+
+def bake_kernels(kinds: Iterable[str]) -> tuple[Any, ...]:
+    """The entry kernels for baking layers of these ``kinds``, and those in ROOM, besides those that open a scene."""
+    return (*{kernel for kind in kinds for kernel in PATHS[kind]}, locate_texels)
+
+
+def kernels_missing(kinds: Iterable[str]) -> bool:
+    """Whether kernels that bake layers of these ``kinds`` are not compiled yet on this machine."""
+    return any(not entry.stored for entry in entries_of(bake_kernels(kinds)))
+
+
+def load_kernels(kinds: Iterable[str]) -> None:
+    """Compile or load the kernels that bake layers of these ``kinds``."""
+    load(bake_kernels(kinds))
