@@ -23,15 +23,13 @@ from distributed.utils import LoopRunner
 from isogi_core.bake.bake_spec import spec_for
 from isogi_core.cache.chunk_store import ChunkStore
 from isogi_core.kernels._jit import warm
-from isogi_core.kernels.tracing.active_cells import fill_ranges, mark_bricks, number_bricks, pack_bricks
-from isogi_core.kernels.tracing.macrocells import fill_macrocells
 from isogi_core.plan.assembly import load_scene
 from isogi_core.prepared.prepared_scene import PreparedScene
 from isogi_core.storage.store import Store
 from isogi_core.storage.url import StoreUrl
 from worker.baker import Baker
 from worker.errors import LostWorkerError, WorkersAwayError, WorkersError
-from worker.kernels import KINDS, bake_kernels
+from worker.kernels import KINDS, OPENING, bake_kernels
 from worker.niceness import BACK, FORWARD, NICENESS
 from worker.pool import AHEAD, OwnClient, WorkerPool, report
 from worker.tasks import BakeResult, BakeTask, open_spec
@@ -45,7 +43,6 @@ LONG = 240.0
 """Seconds within which workers have come, baked or gone, also on a slow machine."""
 
 ROOT = Path(__file__).resolve().parent.parent.parent
-OPENING = (fill_ranges, mark_bricks, pack_bricks, number_bricks, fill_macrocells)
 IRRADIANCE = bake_kernels(["irradiance"])
 CALLED = (*bake_kernels(["direct", "indirect"]), *OPENING)
 
