@@ -7,8 +7,12 @@ and shares its memory with the others.
 import sys
 from multiprocessing import forkserver
 
-START_METHOD = "forkserver" if sys.platform == "linux" else "spawn"
-"""How workers are started. On other systems the libraries that a process has loaded may not survive a fork."""
+START_METHOD = "forkserver" if sys.platform == "linux" and sys.version_info >= (3, 11, 1) else "spawn"
+"""How workers are started.
+
+On other systems the libraries that a process has loaded may not survive a fork. The fork server of Python 3.11.0 runs
+what any user of the machine tells it (CVE-2022-42919), later ones what their own user does.
+"""
 
 PRELOADED = "worker.preload"
 """The module that the fork server imports."""

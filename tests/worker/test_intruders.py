@@ -4,15 +4,19 @@ The processes of a cluster are attacked in ``tests/cluster/test_coming_and_going
 """
 
 import os
+import socket
 import subprocess
 import sys
+import tempfile
 from collections.abc import Iterator
+from pathlib import Path
 
 import psutil
 import pytest
 
 from tests.cluster.intruder import fallen, ports_of
 from tests.cluster.processes import QUIET, ROOT, Cluster, end, listens, until
+from worker.fork_server import START_METHOD
 
 pytestmark = pytest.mark.slow
 
@@ -46,6 +50,36 @@ def test_a_scheduler_without_tls_lets_another_user_in() -> None:
         plain = running.run("dask", "scheduler", "--host", "127.0.0.1", "--port", str(running.port), *QUIET)
         until(lambda: listens(running.port))
         assert fallen(ports_of(psutil.Process(plain.pid))) == [running.port]
+
+
+REACH = """
+import os, socket, sys
+os.setgroups([])
+os.setgid(65534)
+os.setuid(65534)
+for path in sys.argv[1:]:
+    with socket.socket(socket.AF_UNIX) as own:
+        if own.connect_ex(path) == 0:
+            print(path)
+"""
+"""Another user looks which of some Unix sockets let it in."""
+
+
+@pytest.mark.skipif(os.getuid() != 0 or START_METHOD != "forkserver", reason="it takes root, and a fork server")
+def test_the_fork_server_lets_no_other_user_in(embedded: psutil.Process) -> None:
+    """It would run what it is told. A socket that anybody may open is reached."""
+    family = [embedded, *embedded.children(recursive=True)]
+    paths = {str(each.laddr) for process in family for each in process.net_connections("unix") if each.laddr}
+    assert any("listener-" in path for path in paths)
+    with tempfile.TemporaryDirectory() as folder, socket.socket(socket.AF_UNIX) as public:
+        own = f"{folder}/public"
+        public.bind(own)
+        public.listen()
+        for path, mode in ((folder, 0o755), (own, 0o777)):
+            Path(path).chmod(mode)
+        command = [sys.executable, "-c", REACH, *sorted(paths), own]
+        told = subprocess.run(command, cwd="/", capture_output=True, text=True, check=True)
+    assert told.stdout.split() == [own]
 
 
 def test_workers_do_not_know_the_token(embedded: psutil.Process) -> None:
