@@ -72,7 +72,7 @@ FOREVER = {
     "distributed.deploy.lost-worker-timeout": "10000 days",
     "distributed.worker.multiprocessing-method": START_METHOD,
 }
-"""Set for the life of the process, as Dask reads it at each death. A cluster dismisses the nanny of a worker that is
+"""Set for the life of the process, as Dask reads them at each death. A cluster dismisses the nanny of a worker that is
 missing so long after a death; with the default 15 s also of one that came back and died once more."""
 
 LOOK, RETRY = 1.0, 5.0

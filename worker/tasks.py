@@ -238,12 +238,11 @@ def bake_together(tasks: Sequence[BakeTask]) -> list[BakeResult]:
 
 @dataclass(frozen=True, eq=False)
 class Work:
-    """A ``task`` on its way: its ``chunk``, the ``rows`` of its texels there, and their ``light``.
+    """A task on its way: its ``chunk``, the ``rows`` of its texels there, and their ``light``.
 
     ``known`` are the samples of the chunk's parts as they were read, ``healed`` is whether it was damaged.
     """
 
-    task: BakeTask
     chunk: Chunk
     rows: np.ndarray
     light: Light
@@ -258,7 +257,7 @@ class Work:
         known = [part.samples.copy() for part in chunk.light.parts]
         chunk.light.agree_on_void()
         rows = chunk.rows_of(task.offsets)
-        return cls(task, chunk, rows, chunk.light.rows(rows), known, chunk_store.damaged > damaged)
+        return cls(chunk, rows, chunk.light.rows(rows), known, chunk_store.damaged > damaged)
 
     def end(self, light: Light, chunk_store: ChunkStore, claims: Claims) -> bool:
         """Write the chunk back as one object, with new ``light`` of its texels; whether any of that is new."""

@@ -15,8 +15,6 @@ import numpy as np
 import psutil
 from playwright.async_api import FloatRect, Page, ViewportSize, async_playwright
 
-from worker.fork_server import WORKER
-
 CHROMIUM = "/usr/bin/chromium"
 FLAGS = ("--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking")
 BUTTONS: dict[str, Literal["left", "right"]] = {"camera": "left", "light": "right"}
@@ -170,9 +168,9 @@ def processor_seconds() -> defaultdict[str, float]:
 
 def kind_of(process: psutil.Process) -> str:
     """What a process under this one is: Chromium's, the server, a worker, or what drives the browser."""
-    name, command = process.name(), process.cmdline()
-    if "chrom" in name:
+    if "chrom" in process.name():
         return "chromium"
+    command = process.cmdline()
     if "serve" in command:
         return "server"
-    return "workers" if name == WORKER or any("multiprocessing" in part for part in command) else "driver"
+    return "workers" if any("multiprocessing" in part for part in command) else "driver"

@@ -27,6 +27,7 @@ def test_a_picture_is_as_wrong_as_it_says_and_reaches_its_target(tmp_path: Path)
 def test_filtered_light_is_nearer_to_the_truth() -> None:
     case = "nested shells 1 under constant light"
     found = figures(filtering, "--size", "24", "--paths", "256", "--only", case)
+    assert len(found) == 4
     assert found[f"{case}, 16 samples: filtered / alone"] < 0.95
     assert found[f"{case}, 16 samples in a quarter: provisional"] < 0.02
 

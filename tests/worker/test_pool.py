@@ -31,7 +31,7 @@ from worker.baker import Baker
 from worker.errors import LostWorkerError, WorkersAwayError, WorkersError
 from worker.kernels import KINDS, OPENING, bake_kernels
 from worker.niceness import BACK, FORWARD, NICENESS
-from worker.pool import AHEAD, OwnClient, WorkerPool, report
+from worker.pool import AHEAD, FOREVER, OwnClient, WorkerPool, report
 from worker.tasks import BakeResult, BakeTask, open_spec
 
 SCENE = load_scene("demo:orbital", order=2, lattice=0.4, bounces=1, target_error=0.5)
@@ -215,10 +215,11 @@ def test_missing_kernels_are_compiled_by_a_worker_meanwhile(monkeypatch: pytest.
     """Those of the kinds that a pool is made for at once, others with the first task that needs them."""
     missing = set(KINDS)
     monkeypatch.setattr("worker.pool.kernels_missing", lambda kinds: bool(missing & set(kinds)))
+    monkeypatch.setitem(FOREVER, "distributed.worker.multiprocessing-method", "spawn")  # none that were stored before
     fresh = WorkerPool(1, kinds=("irradiance",))
     try:
         assert fresh.preparing == "The workers compile their kernels."
-        wait_for(lambda: set(*fresh._client.run(kernels_of_this_process).values()) >= {k.name for k in IRRADIANCE})
+        wait_for(lambda: set(*fresh._client.run(kernels_of_this_process).values()) == {k.name for k in IRRADIANCE})
         missing.remove("irradiance")
         assert fresh.preparing == ""
         assert {layer.kind for layer in SPEC.plan.layers} <= missing
