@@ -32,7 +32,7 @@ def dask_setup(worker: Any) -> None:
     tasks.Work.begin = staticmethod(  # type: ignore[method-assign, assignment]
         around(tasks.Work.begin, lambda task, _: task.index, before="before_bake")
     )
-    tasks.Work.end = around(tasks.Work.end, lambda work, *_: work.task.index, after="after_bake")  # type: ignore[method-assign]
+    tasks.Work.end = around(tasks.Work.end, lambda work, *_: work.chunk.index, after="after_bake")  # type: ignore[method-assign]
     LayerStore.save = around(  # type: ignore[method-assign]
         LayerStore.save, lambda _, index, *__: index, before="before_write", after="after_write"
     )
