@@ -2,11 +2,12 @@
 
     python -m benchmarks.speed first-view [SCENE.toml] [--size 512] [--workers 2] [--error 0.02] [--warm]
 
-Starts `isogi serve` on an empty store, asks for one view until its estimated error is reached and
-until it is final, stops the server, starts it again and compares the picture byte for byte.
+Starts `isogi serve` on an empty store, looks at one view over a stream, as the page does, until its estimated error is
+reached and until it is final, stops the server, starts it again and compares the picture byte for byte.
 """
 
 import hashlib
+import json
 import tempfile
 import time
 from pathlib import Path
@@ -14,14 +15,18 @@ from typing import Any
 
 import click
 import httpx
+from websockets.sync.client import connect
 
 from benchmarks.common.measurement import Measurement
 from benchmarks.common.scenes import scene_file
-from benchmarks.common.serving import serving
+from benchmarks.common.serving import Served, serving
 from benchmarks.common.suite import part
-from isogi_client import error_of_header
 
-VIEW = {"azimuth": 40, "elevation": 30, "distance": 3, "fov": 30, "f": "npy"}
+VIEW = {"azimuth": 40, "elevation": 30, "distance": 3, "fov": 30}
+
+
+EARLY = 0.05
+"""Estimated noise of a picture in which nearly nothing moves any more."""
 
 
 @part(size=512)
@@ -38,7 +43,7 @@ def first_view(target: str | None, size: int, workers: int, error: float, most: 
         with serving(scene, f"{folder}/light", workers) as server:
             if warm:
                 frame(server.client, {**knobs, "azimuth": 220, "width": 32, "height": 32}, wait=10.0)
-            figures = {"ready after, s": server.ready_after, **watch(server.client, knobs, error, most)}
+            figures = {"ready after, s": server.ready_after, **watch(server, knobs, error, most)}
             figures["chunk bytes"] = digest(Path(folder, "light"))
         with serving(scene, f"{folder}/light", workers) as server:
             figures |= {"restart: ready after, s": server.ready_after, **again(server.client, knobs, figures)}
@@ -47,39 +52,42 @@ def first_view(target: str | None, size: int, workers: int, error: float, most: 
 
 
 def frame(client: httpx.Client, knobs: dict[str, Any], wait: float = 0.0) -> httpx.Response:
-    """One frame of the only scene."""
+    """One frame of the only scene, as an array."""
     (scene,) = client.get("/v1/scenes").json()["scenes"]
-    answer = client.get(f"/v1/scenes/{scene['id']}/frame", params={**knobs, "wait_ms": int(1000 * wait)})
-    return answer.raise_for_status()
+    params = {**knobs, "f": "npy", "wait_ms": int(1000 * wait)}
+    return client.get(f"/v1/scenes/{scene['id']}/frame", params=params).raise_for_status()
 
 
-def watch(client: httpx.Client, knobs: dict[str, Any], error: float, most: float) -> dict[str, Any]:
-    """Ask for the view until it is final, and note when it got how good."""
-    begun = time.perf_counter()
-    answer = frame(client, knobs)
-    figures: dict[str, Any] = {
-        "first frame, s": time.perf_counter() - begun,
-        "first frame provisional": answer.headers["isogi-provisional"] == "?1",
+def watch(server: Served, knobs: dict[str, Any], error: float, most: float) -> dict[str, Any]:
+    """Look at the view until it is final, and note when it got how good."""
+    figures: dict[str, Any] = {}
+    with connect(f"{server.url.replace('http', 'ws', 1)}{server.path}/stream", max_size=None) as socket:
+        begun = time.perf_counter()
+        socket.send(json.dumps({"id": 1, "view": knobs}))
+        final, passed = False, 0.0
+        while not final and passed < most:
+            answer = json.loads(socket.recv())
+            if "problem" in answer:
+                raise click.ClickException(answer["problem"]["detail"])
+            socket.recv()
+            passed, final = time.perf_counter() - begun, answer["final"]
+            socket.send(json.dumps({"shown": 1}))
+            facts = answer["facts"]
+            figures.setdefault("first picture, s", passed)
+            if facts["coverage"]["provisional"] == 0.0:
+                figures.setdefault("no part provisional, s", passed)
+            for noise in (EARLY, error):
+                if facts["noise"] <= noise:
+                    figures.setdefault(f"estimated noise {noise:g}, s", passed)
+            if facts["coverage"]["final"] == 1.0:
+                figures.setdefault("all light final, s", passed)
+    last = frame(server.client, knobs)
+    return figures | {
+        "final, s": passed,
+        "final": final and last.headers["isogi-provisional"] == "?0",
+        "error at the end": last.headers["isogi-error"],
+        "picture": hashlib.sha256(last.content).hexdigest()[:16],
     }
-    while answer.headers["isogi-provisional"] == "?1" and time.perf_counter() - begun < most:
-        answer = frame(client, knobs, wait=1.0)
-        passed = time.perf_counter() - begun
-        if "provisional=0.000" in answer.headers["isogi-coverage"]:
-            figures.setdefault("no part provisional, s", passed)
-        if noise_of(answer) <= error:
-            figures.setdefault(f"estimated noise {error:g}, s", passed)
-        if "final=1.000" in answer.headers["isogi-coverage"]:
-            figures.setdefault("all light final, s", passed)
-    figures["final, s"] = time.perf_counter() - begun
-    figures["final"] = answer.headers["isogi-provisional"] == "?0"
-    figures["error at the end"] = answer.headers["isogi-error"]
-    figures["picture"] = hashlib.sha256(answer.content).hexdigest()[:16]
-    return figures
-
-
-def noise_of(answer: httpx.Response) -> float:
-    """The estimated noise of a frame."""
-    return float(error_of_header(answer.headers["isogi-error"])["noise"])
 
 
 def again(client: httpx.Client, knobs: dict[str, Any], before: dict[str, Any]) -> dict[str, Any]:

@@ -123,6 +123,8 @@ class LayerStore:
         raise StoreError(f"What is kept at {self.path} is not this scene's light; {MOVE_AWAY}")
 
     def _is_ours(self, array: "zarr.Array[Any]") -> bool:
+        if array is self.__dict__.get("array"):  # read before each new chunk, and looked at once
+            return True
         facts = array.attrs.asdict().get("isogi")
         return (
             array.shape == (*self.chunks, self.size)
@@ -260,6 +262,8 @@ def placed(places: np.ndarray, numbers: Sequence[int], texels: int) -> np.ndarra
 
 def joined(offsets: np.ndarray, part: Part, others: np.ndarray, other: Part) -> tuple[np.ndarray, Part]:
     """Merge two parts of one chunk: for each texel the light of more samples, and void where either is void."""
+    if not len(others):
+        return offsets, part
     union = np.union1d(offsets, others).astype(np.int32)
     whole = Part.dark(part.layer, len(union))
     whole.put(np.searchsorted(union, offsets), part)
@@ -271,7 +275,7 @@ def joined(offsets: np.ndarray, part: Part, others: np.ndarray, other: Part) -> 
 
 def outdone(offsets: np.ndarray, part: Part, union: np.ndarray, whole: Part) -> bool:
     """Whether the ``whole`` has more samples than ``part`` for any texel of ``part``."""
-    return bool((whole.samples[np.searchsorted(union, offsets)] > part.samples).any())
+    return whole is not part and bool((whole.samples[np.searchsorted(union, offsets)] > part.samples).any())
 
 
 def facts_of(layer: Layer, prepared: PreparedScene, shown: Isovalue | None = None) -> dict[str, Any]:

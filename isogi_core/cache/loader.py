@@ -3,9 +3,9 @@
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
-from contextlib import closing
+from contextlib import closing, contextmanager
 from functools import partial
 from typing import TypeVar
 
@@ -42,6 +42,7 @@ class Loader:
         self.chunk_store = chunk_store
         self.pool = pool
         self._absent: dict[Index, float] = {}
+        self._readers: list[set[Index]] = []
         self._lock = threading.Lock()
         self._many = READERS if chunk_store.store.url.remote else UNPACKERS
         self._hands = ThreadPoolExecutor(self._many, "loader")
@@ -55,16 +56,30 @@ class Loader:
         """
         missing = [index for index in self.pool.missing(chunks) if self._due(index)]
         together = frozenset(chunks) if missing else frozenset()
-        with closing(self._shown(missing)) as shown:
+        with self._reading() as refreshed, closing(self._shown(missing)) as shown:
             for indices, found in shown:
                 check()
-                self._take(indices, found, together)
+                self._take(indices, found, together, refreshed)
 
     def refresh(self, index: Index) -> None:
-        """Note that the store has new light of a chunk."""
-        self.pool.outdate(index)
+        """Note that the store has new light of a chunk, also for those that are reading it now."""
         with self._lock:
             self._absent.pop(index, None)
+            for refreshed in self._readers:
+                refreshed.add(index)
+        self.pool.outdate(index)
+
+    @contextmanager
+    def _reading(self) -> Iterator[set[Index]]:
+        """Around a reading: the chunks that are refreshed meanwhile. What was read of them may be older."""
+        refreshed = set[Index]()
+        with self._lock:
+            self._readers.append(refreshed)
+        try:
+            yield refreshed
+        finally:
+            with self._lock:
+                self._readers = [each for each in self._readers if each is not refreshed]
 
     def _due(self, index: Index) -> bool:
         """Whether an absent chunk should be read again."""
@@ -91,14 +106,16 @@ class Loader:
         """Read and decode some chunks."""
         return self.chunk_store.show(indices, list(map(self.chunk_store.objects, indices)))
 
-    def _take(self, indices: Sequence[Index], found: Chunks, together: frozenset[Index]) -> None:
-        """Put the chunks that were found into the pool, and note the absent ones."""
+    def _take(self, indices: Sequence[Index], found: Chunks, together: frozenset[Index], refreshed: set[Index]) -> None:
+        """Put the chunks that were found into the pool, and note the absent ones; but for those ``refreshed``."""
         if found.indices:
             self.pool.insert(found, together)
-        absent = {*indices} - {*found.indices}
-        if absent:
-            with self._lock:
-                self._absent.update(dict.fromkeys(absent, time.monotonic()))
+        with self._lock:
+            old = refreshed & {*indices}
+            absent = {*indices} - {*found.indices} - old
+            self._absent.update(dict.fromkeys(absent, time.monotonic()))
+        for index in old:
+            self.pool.outdate(index)
 
 
 def patiently(store: Store, reading: Future[Made]) -> Made:

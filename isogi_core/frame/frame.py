@@ -15,6 +15,7 @@ from isogi_core.frame.view_texels import Demand
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, PROVISIONAL, Framebuffer, tally
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import View
+from isogi_core.prepared.prepared_scene import Index
 
 UNREACHABLE = 4
 """The state of a final pixel that reads a texel which cannot be projected; see ``frame.projected_texels``."""
@@ -101,6 +102,11 @@ class Frame:
     def stages(self) -> tuple[Stage, ...]:
         """All light that is to be baked until the picture is final, stage after stage."""
         return self.lacking.stages if self.lacking else ()
+
+    @property
+    def dark(self) -> frozenset[Index]:
+        """The chunks of texels on their own isosurfaces whose light provisional pixels wait for."""
+        return self.lacking.dark if self.lacking else frozenset()
 
     @cached_property
     def reported_state(self) -> np.ndarray:

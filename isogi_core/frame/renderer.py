@@ -58,7 +58,7 @@ from isogi_core.frame.shading import (
     texel_disagreement,
 )
 from isogi_core.frame.stand_in import StandIn
-from isogi_core.frame.texel_normals import ENTRY, OwnNormals, TexelNormals, find_texel_normals
+from isogi_core.frame.texel_normals import ENTRY, OwnNormals, TexelNormals, find_texel_normals, nearby_normals
 from isogi_core.frame.texel_reading import Reading, read_texels
 from isogi_core.frame.tiles import Stopwatch, Tiles
 from isogi_core.frame.view_checks import ViewChecks
@@ -341,6 +341,10 @@ class Renderer:
         make = partial(find_texels, gbuffer, self.prepared, tiles or self.tiles)
         return self._kept.get((ViewTexels, surface_key(view)), make)
 
+    def knows(self, view: View) -> bool:
+        """Whether the texels under a view are kept."""
+        return self._kept.held((ViewTexels, surface_key(view))) is not None
+
     def lobes(self, light: RotatedLight, gbuffer: GBuffer, tiles: Tiles | None = None) -> LobeLight:
         """What comes straight from lobes to a view; kept while neither camera nor light moves, for any albedo."""
         tiles, view = tiles or self.tiles, light.view
@@ -387,7 +391,9 @@ class Renderer:
                 yield join_readings(base, projected, distances, loader.pool)
 
     def _texel_normals(self, view: View, texels: ViewTexels, reading: Reading, tiles: Tiles) -> np.ndarray:
-        """The normals that a view's texels are lit about, as they are read."""
+        """The normals that a view's texels are lit about, as they are read; such as are near where none has light."""
+        if reading.unbaked:
+            return nearby_normals(texels, tiles)
         make = partial(find_texel_normals, texels, self._normals, self.prepared, tiles)
         normals = self._kept.get((TexelNormals, surface_key(view)), make)
         return normals.where(reading.on_surface, texels, self.prepared, tiles)

@@ -110,6 +110,16 @@ def find_texel_normals(texels: ViewTexels, known: OwnNormals, prepared: Prepared
     return TexelNormals(own, np.zeros_like(own), np.zeros(len(own), np.bool_))
 
 
+def nearby_normals(texels: ViewTexels, tiles: Tiles) -> np.ndarray:
+    """For each texel of a view the normal of a surface point that reads it, (texels, 3) float32.
+
+    A picture of unshadowed light is the same about any normals, and these are at hand.
+    """
+    normals = np.empty((len(texels.places), 3), np.float32)
+    normals[texels.corners] = texels.gbuffer.normals(tiles)[:, None]
+    return normals
+
+
 def normals_of(
     texels: ViewTexels, places: np.ndarray, projected: bool, prepared: PreparedScene, tiles: Tiles
 ) -> np.ndarray:

@@ -12,9 +12,10 @@ from isogi_core.cache.scene_caches import Caches
 from isogi_core.frame.tiles import Tiles
 from isogi_core.frame.view_texels import Demand, ViewTexels
 from isogi_core.kernels.shading.chunks import Pages, find_rows
-from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, Framebuffer
+from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, PROVISIONAL, Framebuffer
 from isogi_core.kernels.shading.lattice import BURIED, BURIED_ROW, PARTIAL, UNBAKED, UNLIT, VOID, VOID_ROW
 from isogi_core.model.volume import Isovalue
+from isogi_core.prepared.prepared_scene import Index
 
 PIECE = 16384
 """Texels that are looked up, and digested, together; the same on any number of threads."""
@@ -44,6 +45,11 @@ class Reading:
     def nbytes(self) -> int:
         """Bytes that it takes, without the bounds."""
         return sum(each.nbytes for each in (self.rows, self.grade, self.samples, self.error, self.short))
+
+    @property
+    def unbaked(self) -> bool:
+        """Whether no texel holds light."""
+        return bool((self.grade == UNBAKED).all())
 
     @property
     def whole(self) -> bool:
@@ -142,6 +148,15 @@ class Lacking:
     def stages(self) -> tuple[Stage, ...]:
         """All that is wanted until the picture is final, stage after stage; none is empty."""
         return tuple(stage for stage in self.reading.stages(self) if stage.demands)
+
+    @property
+    def dark(self) -> frozenset[Index]:
+        """The chunks whose light provisional pixels wait for: where some of these have none at all, those alone."""
+        texels, state, samples = self.texels, self.framebuffer.state.reshape(-1), self.reading.samples
+        corners = texels.corners[state[texels.gbuffer.pixels] == PROVISIONAL]
+        read = np.unique(texels.places[corners[samples[corners] == 0]] >> 3 * texels.lattice.bits)
+        unlit = read[np.maximum.reduceat(samples, texels.bounds[:-1])[read] == 0] if len(read) else read
+        return frozenset(texels.chunks[i] for i in (unlit if len(unlit) else read).tolist())
 
     @cached_property
     def _weights(self) -> list[float]:

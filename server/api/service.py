@@ -57,7 +57,8 @@ HEARTBEAT = 20.0
 
 SHORTEST_PAUSE, REFINING = 0.1, 0.25
 """Seconds between two pictures of a view at rest, at least; and the share of the time that all views at rest together
-may be drawn in while light is baked for them. The last picture of a view waits for neither, nor the first with light.
+may be drawn in while light is baked for them. The last picture of a view waits for neither, nor the first with light,
+nor the first that has some in every part.
 """
 
 
@@ -275,10 +276,11 @@ class Service:
         """The picture at once, then a better one as light comes, until it is final or no more light is coming.
 
         All views that refine are drawn for no more than a share REFINING of the time together, so that the workers
-        have the rest; the last picture of each comes at once. Where light was given up, the same picture comes once
-        more: it is not final, and no more is coming.
+        have the rest. The last picture of each comes at once, and so does one in which what was provisional has light.
+        Where light was given up, the same picture comes once more: it is not final, and no more is coming.
         """
         known, patience = None, REST
+        await self._ask_ahead(picture, viewer)
         while True:
             shown = await self.show(picture, viewer, self.rank(viewer, patience))
             given_up = not (shown.frame.final or shown.coming)
@@ -290,6 +292,19 @@ class Service:
             wait = Wait.after(shown)
             del shown  # megabytes, which nobody needs while light is baked
             await self._next_update(picture, wait)
+
+    async def _ask_ahead(self, picture: PictureRequest, viewer: Viewer) -> None:
+        """Request the light of a view that is new before its first picture is lit: workers bake it meanwhile."""
+
+        def work(cancelled: threading.Event) -> Frame | None:
+            with suppress(NoRoomError):
+                return self.engine.foresee(picture.scene, picture.view, picture.target, cancelled)
+            return None
+
+        if viewer.bakes:
+            frame = await self.threads.of(picture.view).share(("ahead", picture), work, self.rank(viewer, REST))
+            if frame is not None:
+                await self.request_light(picture, frame, viewer)
 
     def leave(self, viewer: Viewer) -> None:
         """A viewer has left: bake nothing more for it alone. Does not wait for that."""
@@ -322,10 +337,10 @@ class Service:
         """Returns when it is time to draw the picture again."""
         self._refining += 1
         try:
-            with self.updates.pending(self._bake(picture), wait.coming, wait.since) as pending:
+            with self.updates.pending(self._bake(picture), wait.coming, wait.since, wait.dark) as pending:
                 await within(HEARTBEAT, pending.some)
                 pause = (1.0 / REFINING - 1.0) * wait.work * self._refining
-                await within(max(pause, SHORTEST_PAUSE), pending.all)
+                await within(max(pause, SHORTEST_PAUSE), pending.lit)
         finally:
             self._refining -= 1
 

@@ -45,18 +45,20 @@ class Shown:
 
 class Wait(NamedTuple):
     """What a picture waits for: the chunks that are ``coming``, newer than the update ``since``; and the ``work`` on
-    it, seconds, where it shows light.
+    it, seconds, where it shows light. Parts of it are provisional until the ``dark`` ones have light.
     """
 
     coming: frozenset[Index]
     since: int
     work: float
+    dark: frozenset[Index]
 
     @classmethod
     def after(cls, shown: Shown) -> Self:
         """What the next picture waits for."""
-        lit = shown.frame.coverage["provisional"] < 1.0
-        return cls(shown.coming, shown.since, work_of(shown) if lit else 0.0)
+        if shown.frame.coverage["provisional"] == 1.0:
+            return cls(shown.coming, shown.since, 0.0, frozenset())
+        return cls(shown.coming, shown.since, work_of(shown), shown.frame.dark & shown.coming)
 
 
 def work_of(shown: Shown) -> float:

@@ -11,6 +11,7 @@ from isogi_core.cache.chunk_store import default_store
 from isogi_core.cache.costs import Cost
 from isogi_core.errors import StoreFullError, StoreReadOnlyError
 from isogi_core.frame.entry_kernels import frame_kernels, other_kernels
+from isogi_core.frame.foresight import foresee
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.texel_reading import Stage
@@ -36,7 +37,7 @@ from server.render.resources import shared, whereabouts
 from server.render.variants import is_cut, may_lend, own_name, whole_name
 from server.render.workforce import Workforce
 from worker.bake_requests import GUEST, Viewer
-from worker.baker import Bake, Baker, Listener
+from worker.baker import Baker, Listener
 from worker.progress import Tally, TimeLeft
 
 READ_ONLY = "The store at {store} can only be read: what is baked there is shown, and nothing more is baked."
@@ -189,6 +190,10 @@ class RenderEngine:
             return self._find(scene).render(view, target, cancelled, watch or Stopwatch())
         finally:
             self._loaded.settle()
+
+    def foresee(self, scene: str, view: View, target: float, cancelled: threading.Event) -> Frame | None:
+        """The frame of a new view with none of its light, before it is drawn; see ``frame.foresight``."""
+        return foresee(self._find(scene).renderer, view, target, cancelled)
 
     def check(self, scene: str, view: View, target: float, cancelled: threading.Event | None = None) -> bool:
         """Check a picture, one step further; whether there was one to take. Raises as ``frame`` does."""
@@ -372,7 +377,9 @@ class RenderEngine:
         whole = self._loaded.held(whole_name(scene.id)) if is_cut(scene.id) else self._loaded.latest(lenders)
         send = self.workforce.joins
         loaded = load(scene, self.store, self._tiles, self._memory, send=send, beside=beside, whole=whole)
-        bakes = [self._bake_by(loaded, spec) for spec in SPECS]
+        make = partial(make_bake, loaded.renderer.caches, assets=loaded.assets, whole=loaded.whole)
+        arrived = partial(self._arrived, scene.id, 0)
+        bakes = [(bake_name(scene.id, spec), make(spec, arrived=arrived)) for spec in SPECS]
         with self._changing:
             if scene.id in self.scenes:
                 new = {name: bake for name, bake in bakes if self._bakes.get(name) != bake.digest}
@@ -383,11 +390,6 @@ class RenderEngine:
                     self._baker.prepare(bake_name(scene.id, "gi"))
                 self.scenes = {**self.scenes, scene.id: loaded.scene}
         return loaded
-
-    def _bake_by(self, loaded: LoadedScene, spec: str) -> tuple[str, Bake]:
-        """The bake of a loaded scene by a spec, and its name."""
-        caches, arrived = loaded.renderer.caches, partial(self._arrived, loaded.scene.id, 0)
-        return bake_name(loaded.scene.id, spec), make_bake(caches, spec, loaded.assets, arrived, whole=loaded.whole)
 
     def _arrived(self, scene: str, fineness: int, spec: str, index: Index, shown: Isovalue | None) -> None:
         """Have a scene, where it is loaded, read a chunk of its texels again: it has new light."""

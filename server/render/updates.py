@@ -22,12 +22,15 @@ from worker.bake_requests import Viewer
 class Pending:
     """``chunks`` of a ``bake`` that are waited for: ``some`` is set with the first update, ``all`` with the last.
 
-    The last update of a chunk says that no more of it is going to be baked: it is final or given up.
+    The last update of a chunk says that no more of it is going to be baked: it is final or given up. ``lit`` is set
+    with ``all``, and once each of those that were ``dark`` has had an update.
     """
 
     bake: str
     chunks: set[Index]
+    dark: set[Index] = field(default_factory=set)
     some: asyncio.Event = field(default_factory=asyncio.Event)
+    lit: asyncio.Event = field(default_factory=asyncio.Event)
     all: asyncio.Event = field(default_factory=asyncio.Event)
 
     def note(self, index: Index, more: bool) -> None:
@@ -36,7 +39,12 @@ class Pending:
             self.some.set()
             if not more:
                 self.chunks.discard(index)
+        if index in self.dark:
+            self.dark.discard(index)
+            if not self.dark:
+                self.lit.set()
         if not self.chunks:
+            self.lit.set()
             self.all.set()
 
 
@@ -60,9 +68,11 @@ class UpdateBus:
         return self._newest.get(bake, 0)
 
     @contextmanager
-    def pending(self, bake: str, chunks: Collection[Index], since: int) -> Iterator[Pending]:
-        """Watch ``chunks`` of a bake, from the update after number ``since`` on."""
-        pending = Pending(bake, set(chunks))
+    def pending(
+        self, bake: str, chunks: Collection[Index], since: int, dark: Collection[Index] = ()
+    ) -> Iterator[Pending]:
+        """Watch ``chunks`` of a bake, some of which are ``dark``, from the update after number ``since`` on."""
+        pending = Pending(bake, set(chunks), set(dark))
         for index in chunks:
             number, more = self._last.get((bake, index), (0, True))
             if number > since:

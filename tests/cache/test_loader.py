@@ -120,6 +120,25 @@ def test_new_light_is_read_after_refresh(loader: Loader) -> None:
     np.testing.assert_array_equal(transfer(loader, A), stored(loader, A))
 
 
+@pytest.mark.parametrize("begun", [False, True])
+def test_light_that_comes_while_older_is_read_is_read_next(
+    begun: bool, loader: Loader, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A worker writes, and tells so, between the reading of what was there, or of nothing, and its use."""
+    first, read, newest = bake(loader, A) if begun else "", loader.chunk_store.objects, list[str]()
+
+    def objects(index: Index) -> Any:
+        found = read(index)
+        if not newest:
+            newest.append(bake(loader, A, samples=64))
+            loader.refresh(A)
+        return found
+
+    monkeypatch.setattr(loader.chunk_store, "objects", objects)
+    assert brought(loader, A, B) == (first, "")
+    assert brought(loader, A, B) == (newest[0], "")
+
+
 def test_damage_counts_as_absence_and_is_logged(loader: Loader, clock: Clock, caplog: pytest.LogCaptureFixture) -> None:
     light = bake(loader, A)
     paths = [file_of(layer, A) for layer in loader.chunk_store.layers]

@@ -7,6 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.texel_reading import Lacking, Reading, grade_rows, read_texels
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, PROVISIONAL, Framebuffer
@@ -71,6 +72,28 @@ def test_light_short_of_final_is_demanded_chunk_by_chunk(workbench: Callable[...
     assert [demand.index for demand in Lacking(wider, some, planes_of(other, 1.0)).demands] == [
         index for index, short in zip(wider.chunks, some.short, strict=True) if short
     ]
+
+
+def test_dark_chunks_are_those_that_provisional_pixels_wait_for(workbench: Callable[..., Workbench]) -> None:
+    """Where some of these have no light at all, those alone: the others light no pixel soon."""
+    bench = workbench(load_scene("demo:orbital", lights=[SKY], bounces=1, target_error=1e-3))
+    view, renderer = bench.view(size=24), Renderer(bench.caches, Tiles(), filters=False)
+    frame, loader = renderer.render(view), bench.caches.of(view.shading)
+    assert frame.dark == {demand.index for demand in frame.demands}
+    begun = {demand.index for demand in frame.demands[::2]}
+    for demand in frame.demands[::2]:
+        refine_chunk(loader, 16, 1e-3, replace(demand, offsets=demand.offsets[2:]))
+    frame = renderer.render(view)
+    assert 0.0 < frame.coverage["provisional"] < 1.0
+    assert frame.dark and frame.dark.isdisjoint(begun)
+    for demand in frame.demands:
+        if demand.index not in begun:
+            refine_chunk(loader, 16, 1e-3, demand)
+    frame = renderer.render(view)
+    assert frame.coverage["provisional"] > 0.0
+    assert frame.dark and frame.dark <= begun
+    bench.bake(view, target=1.0)
+    assert renderer.render(view).dark == frozenset()
 
 
 def test_efforts_of_chunks_in_pieces_are_those_of_their_texels(

@@ -78,6 +78,9 @@ class FakeEngine:
     def unready(self) -> list[str]:
         return ["No worker is alive."]
 
+    def foresee(self, scene: str, view: View, target: float, cancelled: threading.Event) -> Frame | None:
+        return None
+
     def survey(self, scene: str, view: View, target: float, cancelled: threading.Event, watch: Stopwatch) -> Frame:
         self.views.append((view, target))
         self.doing(cancelled)
@@ -404,6 +407,34 @@ def test_first_light_is_shown_as_soon_as_it_comes(
     monkeypatch.setattr(engine, "survey", survey)
     took = asyncio.run(second_after())
     assert took < 0.7 if at_once else 0.7 < took < 30.0
+
+
+def test_light_of_a_new_view_is_requested_before_it_is_drawn(
+    engine: FakeEngine, app: FastAPI, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """For a viewer that may have light baked, and for no other."""
+    service: Service = app.state.service
+    drawn, plain = list[int](), engine.survey
+
+    def survey(*given: Any) -> Frame:
+        drawn.append(len(engine.wants))
+        return plain(*given)
+
+    def foresee(scene: str, view: View, target: float, cancelled: threading.Event) -> Frame:
+        return plain(scene, view, target, cancelled, Stopwatch())
+
+    async def first(viewer: Viewer) -> None:
+        await service.start()
+        picture = service.picture_of(engine.scenes["orbital"], ViewParams(width=4, height=4))
+        async with aclosing(service.refinements(picture, viewer)) as refinements:
+            await anext(refinements)
+
+    monkeypatch.setattr(engine, "survey", survey)
+    monkeypatch.setattr(engine, "foresee", foresee)
+    asyncio.run(first(Viewer("a")))
+    assert drawn == [1] and engine.wants == [Viewer("a"), Viewer("a")]
+    asyncio.run(first(Viewer("b", bakes=False)))
+    assert drawn == [1, 2] and len(engine.wants) == 2
 
 
 def test_the_lifespan_starts_and_closes_the_engine(engine: FakeEngine, app: FastAPI) -> None:

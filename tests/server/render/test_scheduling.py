@@ -258,6 +258,21 @@ def test_updates_reach_those_that_wait_for_the_chunk() -> None:
     asyncio.run(play())
 
 
+def test_dark_chunks_are_lit_with_an_update_of_each() -> None:
+    async def play() -> None:
+        updates = UpdateBus()
+        with updates.pending("gi", {A, B, C}, 0, {A, B}) as some, updates.pending("gi", {A, C}, 0) as none:
+            await publish(updates, ("gi", C, True), ("gi", A, True))
+            assert not some.lit.is_set()
+            await publish(updates, ("gi", B, True))
+            assert some.lit.is_set() and not some.all.is_set()
+            assert not none.lit.is_set(), "without dark ones, all are waited for"
+            await publish(updates, ("gi", A, False), ("gi", C, False))
+            assert none.lit.is_set() and none.all.is_set()
+
+    asyncio.run(play())
+
+
 def test_updates_before_the_wait_count_from_its_number_on() -> None:
     async def play() -> None:
         updates = UpdateBus()
