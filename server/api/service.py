@@ -61,6 +61,11 @@ may be drawn in while light is baked for them. The last picture of a view waits 
 nor the first that has some in every part.
 """
 
+YOUNGER, LONGEST_PAUSE = 0.1, 5.0
+"""Share of the time since a view was asked for that its next picture waits at least, up to so many seconds: errors fall
+with the square root of the paths, and one that had a tenth more of them looks the same.
+"""
+
 
 class Service:
     """One render engine behind HTTP. It starts beside the event loop, so that the socket answers meanwhile."""
@@ -279,7 +284,8 @@ class Service:
         have the rest. The last picture of each comes at once, and so does one in which what was provisional has light.
         Where light was given up, the same picture comes once more: it is not final, and no more is coming.
         """
-        known, patience = None, REST
+        known, patience, clock = None, REST, asyncio.get_running_loop().time
+        begun = clock()
         await self._ask_ahead(picture, viewer)
         while True:
             shown = await self.show(picture, viewer, self.rank(viewer, patience))
@@ -291,7 +297,7 @@ class Service:
                 return
             wait = Wait.after(shown)
             del shown  # megabytes, which nobody needs while light is baked
-            await self._next_update(picture, wait)
+            await self._next_update(picture, wait, min(YOUNGER * (clock() - begun), LONGEST_PAUSE))
 
     async def _ask_ahead(self, picture: PictureRequest, viewer: Viewer) -> None:
         """Request the light of a view that is new before its first picture is lit: workers bake it meanwhile."""
@@ -333,13 +339,13 @@ class Service:
             self.leave(viewer)
             raise
 
-    async def _next_update(self, picture: PictureRequest, wait: Wait) -> None:
-        """Returns when it is time to draw the picture again."""
+    async def _next_update(self, picture: PictureRequest, wait: Wait, least: float) -> None:
+        """Returns when it is time to draw the picture again: not before the ``least`` seconds, where it shows light."""
         self._refining += 1
         try:
             with self.updates.pending(self._bake(picture), wait.coming, wait.since, wait.dark) as pending:
                 await within(HEARTBEAT, pending.some)
-                pause = (1.0 / REFINING - 1.0) * wait.work * self._refining
+                pause = max((1.0 / REFINING - 1.0) * wait.work * self._refining, least) if wait.work else 0.0
                 await within(max(pause, SHORTEST_PAUSE), pending.lit)
         finally:
             self._refining -= 1

@@ -26,6 +26,7 @@ from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import Index
 from isogi_core.storage.store import Store
 from server.api import render_threads
+from server.api import service as service_module
 from server.api.app import create_app
 from server.api.service import Service
 from server.errors import BusyError
@@ -407,6 +408,38 @@ def test_first_light_is_shown_as_soon_as_it_comes(
     monkeypatch.setattr(engine, "survey", survey)
     took = asyncio.run(second_after())
     assert took < 0.7 if at_once else 0.7 < took < 30.0
+
+
+@pytest.mark.parametrize("younger", [0.0, 4.0])
+def test_pictures_of_a_view_that_has_long_been_shown_come_rarely(
+    younger: float, engine: FakeEngine, app: FastAPI, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A light takes as long to become visibly better as it has been baked for, times a share; not longer, though."""
+    service: Service = app.state.service
+    engine.coming, plain = frozenset({(0, 0, 1), (0, 0, 2)}), engine.survey
+
+    def survey(*given: Any) -> Frame:
+        frame = plain(*given)
+        given[-1].seconds["shade"] = 1e-3
+        return replace(frame, state=np.full_like(frame.state, CONVERGING), version=f"v{len(engine.views)}")
+
+    async def second_after() -> float:
+        await service.start()
+        clock = asyncio.get_running_loop().time
+        picture = service.picture_of(engine.scenes["orbital"], ViewParams(width=4, height=4))
+        async with aclosing(service.refinements(picture, Viewer("a"))) as refinements:
+            await anext(refinements)
+            await asyncio.sleep(0.3)
+            begun = clock()
+            asyncio.get_running_loop().call_soon(engine.publish, "orbital", (0, 0, 1), True)
+            await anext(refinements)
+            return clock() - begun
+
+    monkeypatch.setattr(engine, "survey", survey)
+    monkeypatch.setattr(service_module, "YOUNGER", younger)
+    monkeypatch.setattr(service_module, "LONGEST_PAUSE", 0.9)
+    took = asyncio.run(second_after())
+    assert 0.9 <= took < 30.0 if younger else took < 0.7
 
 
 def test_light_of_a_new_view_is_requested_before_it_is_drawn(
