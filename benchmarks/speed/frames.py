@@ -78,6 +78,7 @@ def under_light(light: Mapping[str, str], size: int, repeats: int) -> Figures:
         some = {
             "lambert": new_camera(renderer, replace(view, shading="lambert")),
             "gi": new_camera(renderer, view),
+            "gi, moving": new_camera(renderer, moving),
             "relight": relight(renderer, view),
             "relight, moving": relight(renderer, moving),
         }
