@@ -3,13 +3,14 @@
     python -m benchmarks.speed paths [TARGET] [--size 512] [--repeats 5] [--json]
 
 A path is five segments long at most, counted from the surface. Ours start at texels that the benchmarks'
-view reads, 64 each; a texel keeps one coefficient, as Mitsuba's pixels keep one radiance ("isogi"), or 25
-("isogi order 5"). Mitsuba's start at the eye, so that it is told a depth of six and the time of the same
-picture at depth one, the segment from the eye alone, is taken off; paths are those of pixels that show the
-surface. No path of either ends by chance. Mitsuba joins each hit to the light as well (it cannot be told not
-to), and its mesh is diffuse on both sides, as an isosurface is. That both do the same work is seen in the
-segments per path (texels lie in deeper places than pixels see, so that ours are longer: "segments" is the ratio of
-segments a second), and in the light: ours walks from the same pixels. Figures are on one thread and on two.
+view reads, 64 each, in tasks as workers have them; a texel keeps one coefficient, as Mitsuba's pixels keep
+one radiance ("isogi"), or 25 ("isogi order 5"). Mitsuba's start at the eye, so that it is told a depth of six
+and the time of the same picture at depth one, the segment from the eye alone, is taken off; paths are those of
+pixels that show the surface. No path of either ends by chance. Mitsuba joins each hit to the light as well (it
+cannot be told not to), and its mesh is diffuse on both sides, as an isosurface is. That both do the same work is
+seen in the segments per path (texels lie in deeper places than pixels see, so that ours are longer: "segments" is
+the ratio of segments a second), and in the light: ours walks from the same pixels. Figures are on one thread and on
+two.
 """
 
 import tempfile
@@ -33,7 +34,19 @@ from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
 from isogi_core.prepared.prepared_scene import PreparedScene
 from isogi_core.report.bake import NEVER
-from server.cli.bench import Candidate, Rays, bake_pieces, bounce, make_renderer, medians, primary_rays, timed, view_of
+from server.cli.bench import (
+    Candidate,
+    Rays,
+    bake_pieces,
+    bounce,
+    make_renderer,
+    medians,
+    primary_rays,
+    timed,
+    together,
+    view_of,
+    wanted_of,
+)
 
 ALBEDO, SEGMENTS, ORDER = 0.7, 5, 5
 TEXELS, SAMPLES = 16384, 64
@@ -52,16 +65,17 @@ class Job:
 
 
 def view_texels(scene: Scene, size: int) -> list[np.ndarray]:
-    """About TEXELS texels that the view reads, (m, 3; z, y, x) chunk by chunk, from all over it."""
+    """About TEXELS texels that the view reads, (m, 3; z, y, x) task by task as workers bake them, from all over it."""
     with tempfile.TemporaryDirectory() as store:
         renderer = make_renderer(scene, store)
-        demands = renderer.render(view_of(scene, size), NEVER).demands
-    every = max(sum(len(d.offsets) for d in demands) // TEXELS, 1)
-    return [renderer.prepared.lattice.positions(d.index, d.offsets) for d in demands[::every]]
+        wanted, place = wanted_of(renderer.render(view_of(scene, size), NEVER)), renderer.prepared.lattice.positions
+    tasks = list(together(wanted))
+    some = tasks[:: max(sum(map(len, wanted.values())) // TEXELS, 1)]
+    return [np.concatenate([place(index, offsets) for index, offsets in task.items()]) for task in some]
 
 
 def bake_job(scene: Scene, texels: list[np.ndarray]) -> Job:
-    """Ours: chunks of texels, one after the other or two at once."""
+    """Ours: tasks of texels, one after the other or two at once."""
     prepared, tiles = PreparedScene(scene), {threads: Tiles(threads) for threads in THREADS}
     bake = partial(bake_pieces, prepared, texels, SAMPLES)
     return Job(bake(), lambda threads: bake(tiles[threads].run))
@@ -143,8 +157,7 @@ def equals(scene: Scene, texels: list[np.ndarray], size: int, jobs: dict[str, Jo
     for name, job in jobs.items():
         if job.rest is not None:
             picture = np.asarray(job.run(2))[..., 0].sum(dtype=np.float64)
-            background = size * size - job.paths / SPP[name]
-            figures[f"radiance: {name}"] = (picture - background) / (job.paths / SPP[name])
+            figures[f"radiance: {name}"] = picture / (job.paths / SPP[name])  # its background is black
     return figures
 
 
