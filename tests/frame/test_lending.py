@@ -25,7 +25,7 @@ def orbital(workbench: Make) -> Workbench:
     return workbench(load_scene("demo:orbital", lights=[SKY], bounces=1, target_error=1e-3))
 
 
-def test_texels_without_light_have_the_mean_of_their_cells_others(workbench: Make) -> None:
+def test_unlit_texels_have_the_mean_of_their_cells_others(workbench: Make) -> None:
     """Texels of all grades, beside a loop over cells; void, buried and half-baked ones lend nothing."""
     bench, random = orbital(workbench), np.random.default_rng(5)
     view = bench.view(size=24)
