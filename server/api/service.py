@@ -300,15 +300,19 @@ class Service:
             await self._next_update(picture, wait, min(YOUNGER * (clock() - begun), LONGEST_PAUSE))
 
     async def _ask_ahead(self, picture: PictureRequest, viewer: Viewer) -> None:
-        """Request the light of a view that is new before its first picture is lit: workers bake it meanwhile."""
+        """Request the light of a view that is new before its first picture is lit: workers bake it meanwhile.
+
+        Where others wait for their turn, that picture would come later for it.
+        """
 
         def work(cancelled: threading.Event) -> Frame | None:
             with suppress(NoRoomError):
                 return self.engine.foresee(picture.scene, picture.view, picture.target, cancelled)
             return None
 
-        if viewer.bakes:
-            frame = await self.threads.of(picture.view).share(("ahead", picture), work, self.rank(viewer, REST))
+        threads = self.threads.of(picture.view)
+        if viewer.bakes and not threads.crowded:
+            frame = await threads.share(("ahead", picture), work, self.rank(viewer, REST))
             if frame is not None:
                 await self.request_light(picture, frame, viewer)
 

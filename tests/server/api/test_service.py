@@ -31,7 +31,7 @@ from server.api.app import create_app
 from server.api.service import Service
 from server.errors import BusyError
 from server.parameters import ViewParams
-from server.render.scheduling import Rank
+from server.render.scheduling import Rank, Renders
 from server.settings import Settings
 from tests.server.sockets import wait_for
 from worker.bake_requests import Viewer
@@ -445,7 +445,7 @@ def test_pictures_of_a_view_that_has_long_been_shown_come_rarely(
 def test_light_of_a_new_view_is_requested_before_it_is_drawn(
     engine: FakeEngine, app: FastAPI, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """For a viewer that may have light baked, and for no other."""
+    """For a viewer that may have light baked, and for no other; nor where others wait for their turn."""
     service: Service = app.state.service
     drawn, plain = list[int](), engine.survey
 
@@ -468,6 +468,9 @@ def test_light_of_a_new_view_is_requested_before_it_is_drawn(
     assert drawn == [1] and engine.wants == [Viewer("a"), Viewer("a")]
     asyncio.run(first(Viewer("b", bakes=False)))
     assert drawn == [1, 2] and len(engine.wants) == 2
+    monkeypatch.setattr(Renders, "crowded", True)
+    asyncio.run(first(Viewer("c")))
+    assert drawn == [1, 2, 2] and engine.wants[2:] == [Viewer("c")]
 
 
 def test_the_lifespan_starts_and_closes_the_engine(engine: FakeEngine, app: FastAPI) -> None:
