@@ -41,6 +41,11 @@ class Served:
         return f"/v1/scenes/{scene['id']}"
 
     @property
+    def stream(self) -> str:
+        """The address of the scene's stream."""
+        return f"{self.url.replace('http', 'ws', 1)}{self.path}/stream"
+
+    @property
     def workers(self) -> list[psutil.Process]:
         """The processes that bake."""
         children = psutil.Process(self.process.pid).children(recursive=True)

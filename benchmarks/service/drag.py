@@ -119,7 +119,7 @@ def figures(hands: list[Hand], seconds: float) -> dict[str, float | int | str]:
 
 def over_sockets(server: Served, size: int, seconds: float, pages: int, turn: str) -> Figures:
     """Drag over sockets of this process."""
-    url = server.url.replace("http", "ws", 1) + f"{server.path}/stream"
+    url = server.stream
     return figures(asyncio.run(drags(url, size, seconds, pages, turn)), seconds)
 
 

@@ -73,7 +73,7 @@ def drained(stream: ClientConnection, told: Counter[str]) -> None:
 def fuzzed(served: Served, messages: int, seed: int) -> Counter[str]:
     """What came of so many messages, to one stream after another."""
     chance, told = random.Random(seed), Counter[str]()
-    address = f"{served.url.replace('http', 'ws', 1)}{served.path}/stream"
+    address = served.stream
     texts = (message(chance) for _ in range(messages))
     while (first := next(texts, None)) is not None:
         try:

@@ -24,7 +24,6 @@ from benchmarks.common.suite import part
 
 VIEW = {"azimuth": 40, "elevation": 30, "distance": 3, "fov": 30}
 
-
 EARLY = 0.05
 """Estimated noise of a picture in which nearly nothing moves any more."""
 
@@ -42,26 +41,25 @@ def first_view(target: str | None, size: int, workers: int, error: float, most: 
         knobs = {**VIEW, "width": size, "height": size}
         with serving(scene, f"{folder}/light", workers) as server:
             if warm:
-                frame(server.client, {**knobs, "azimuth": 220, "width": 32, "height": 32}, wait=10.0)
+                frame(server, {**knobs, "azimuth": 220, "width": 32, "height": 32}, wait=10.0)
             figures = {"ready after, s": server.ready_after, **watch(server, knobs, error, most)}
             figures["chunk bytes"] = digest(Path(folder, "light"))
         with serving(scene, f"{folder}/light", workers) as server:
-            figures |= {"restart: ready after, s": server.ready_after, **again(server.client, knobs, figures)}
+            figures |= {"restart: ready after, s": server.ready_after, **again(server, knobs, figures)}
     title = f"{Path(scene).stem}, {size} × {size}, {workers} workers"
     return Measurement(title, figures, variant="warm" if warm else "")
 
 
-def frame(client: httpx.Client, knobs: dict[str, Any], wait: float = 0.0) -> httpx.Response:
-    """One frame of the only scene, as an array."""
-    (scene,) = client.get("/v1/scenes").json()["scenes"]
+def frame(server: Served, knobs: dict[str, Any], wait: float = 0.0) -> httpx.Response:
+    """One frame of the scene, as an array."""
     params = {**knobs, "f": "npy", "wait_ms": int(1000 * wait)}
-    return client.get(f"/v1/scenes/{scene['id']}/frame", params=params).raise_for_status()
+    return server.client.get(f"{server.path}/frame", params=params).raise_for_status()
 
 
 def watch(server: Served, knobs: dict[str, Any], error: float, most: float) -> dict[str, Any]:
     """Look at the view until it is final, and note when it got how good."""
     figures: dict[str, Any] = {}
-    with connect(f"{server.url.replace('http', 'ws', 1)}{server.path}/stream", max_size=None) as socket:
+    with connect(server.stream, max_size=None) as socket:
         begun = time.perf_counter()
         socket.send(json.dumps({"id": 1, "view": knobs}))
         final, passed = False, 0.0
@@ -81,7 +79,7 @@ def watch(server: Served, knobs: dict[str, Any], error: float, most: float) -> d
                     figures.setdefault(f"estimated noise {noise:g}, s", passed)
             if facts["coverage"]["final"] == 1.0:
                 figures.setdefault("all light final, s", passed)
-    last = frame(server.client, knobs)
+    last = frame(server, knobs)
     return figures | {
         "final, s": passed,
         "final": final and last.headers["isogi-provisional"] == "?0",
@@ -90,10 +88,10 @@ def watch(server: Served, knobs: dict[str, Any], error: float, most: float) -> d
     }
 
 
-def again(client: httpx.Client, knobs: dict[str, Any], before: dict[str, Any]) -> dict[str, Any]:
+def again(server: Served, knobs: dict[str, Any], before: dict[str, Any]) -> dict[str, Any]:
     """The same view from a server that was just started."""
     begun = time.perf_counter()
-    answer = frame(client, knobs)
+    answer = frame(server, knobs)
     return {
         "restart: first frame, s": time.perf_counter() - begun,
         "restart: final at once": answer.headers["isogi-provisional"] == "?0",

@@ -295,7 +295,7 @@ class Service:
                 yield shown
             if not shown.coming:
                 return
-            wait = Wait.after(shown)
+            wait = await self.threads.asking.run(partial(Wait.after, shown), Rank.within(DRAFT))
             del shown  # megabytes, which nobody needs while light is baked
             await self._next_update(picture, wait, min(YOUNGER * (clock() - begun), LONGEST_PAUSE))
 
@@ -307,7 +307,7 @@ class Service:
 
         def work(cancelled: threading.Event) -> Frame | None:
             with suppress(NoRoomError):
-                return self.engine.foresee(picture.scene, picture.view, picture.target, cancelled)
+                return self.engine.unlit_frame(picture.scene, picture.view, picture.target, cancelled)
             return None
 
         threads = self.threads.of(picture.view)

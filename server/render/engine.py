@@ -11,11 +11,11 @@ from isogi_core.cache.chunk_store import default_store
 from isogi_core.cache.costs import Cost
 from isogi_core.errors import StoreFullError, StoreReadOnlyError
 from isogi_core.frame.entry_kernels import frame_kernels, other_kernels
-from isogi_core.frame.foresight import foresee
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.renderer import Renderer
 from isogi_core.frame.texel_reading import Stage
 from isogi_core.frame.tiles import Stopwatch, Tiles
+from isogi_core.frame.unlit_view import unlit_frame
 from isogi_core.frame.view_keys import surface_key
 from isogi_core.frame.view_texels import Demand
 from isogi_core.kernels._cache_folder import prune
@@ -191,9 +191,9 @@ class RenderEngine:
         finally:
             self._loaded.settle()
 
-    def foresee(self, scene: str, view: View, target: float, cancelled: threading.Event) -> Frame | None:
-        """The frame of a new view with none of its light, before it is drawn; see ``frame.foresight``."""
-        return foresee(self._find(scene).renderer, view, target, cancelled)
+    def unlit_frame(self, scene: str, view: View, target: float, cancelled: threading.Event) -> Frame | None:
+        """The frame of a new view with none of its light, before it is drawn; see ``frame.unlit_view``."""
+        return unlit_frame(self._find(scene).renderer, view, target, cancelled)
 
     def check(self, scene: str, view: View, target: float, cancelled: threading.Event | None = None) -> bool:
         """Check a picture, one step further; whether there was one to take. Raises as ``frame`` does."""

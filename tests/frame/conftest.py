@@ -18,6 +18,7 @@ from isogi_core.cache.scene_caches import Caches
 from isogi_core.files.radiance import write_hdr
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.renderer import Renderer
+from isogi_core.frame.texel_reading import Reading, read_texels
 from isogi_core.frame.tiles import Tiles
 from isogi_core.frame.view_texels import Demand
 from isogi_core.model.latlong import pixel_directions
@@ -101,6 +102,15 @@ def refine_chunk(loader: Loader, rung: int, target: float, demand: Demand) -> No
     chunk.light.put(rows, light)
     store.save(chunk)
     loader.refresh(demand.index)
+
+
+def reading_of(bench: Workbench, view: View, tiles: Tiles) -> Reading:
+    """What the cache has of a view."""
+    texels = bench.renderer.texels(view, bench.renderer.gbuffer(view))
+    loader = bench.caches.of(view.shading)
+    loader.ensure(texels.chunks)
+    with loader.pool.hold(texels.chunks) as held:
+        return read_texels(texels, held.slots, loader.pool, bench.scene.target_error, tiles)
 
 
 @pytest.fixture(scope="session")

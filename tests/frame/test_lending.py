@@ -9,12 +9,11 @@ import pytest
 
 from isogi_core.frame import shading
 from isogi_core.frame.shading import lend_light
-from isogi_core.frame.texel_reading import read_texels
 from isogi_core.frame.tiles import Tiles
 from isogi_core.frame.view_texels import first_texels
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL
 from isogi_core.kernels.shading.lattice import BURIED, LIT, PARTIAL, UNBAKED, VOID
-from tests.frame.conftest import SKY, Workbench, refine_chunk, relative_rmse
+from tests.frame.conftest import SKY, Workbench, reading_of, refine_chunk, relative_rmse
 from tests.loaded import load_scene
 
 Make = Callable[..., Workbench]
@@ -29,9 +28,7 @@ def test_unlit_texels_have_the_mean_of_their_cells_others(workbench: Make) -> No
     """Texels of all grades, beside a loop over cells; void, buried and half-baked ones lend nothing."""
     bench, random = orbital(workbench), np.random.default_rng(5)
     view = bench.view(size=24)
-    texels, loader = bench.renderer.texels(view, bench.renderer.gbuffer(view)), bench.caches.of("gi")
-    with loader.pool.hold(texels.chunks) as held:
-        empty = read_texels(texels, held.slots, loader.pool, 0.02, Tiles(1))
+    texels, empty = bench.renderer.texels(view, bench.renderer.gbuffer(view)), reading_of(bench, view, Tiles(1))
     chosen = random.choice([UNBAKED, PARTIAL, CONVERGING, FINAL, BURIED, VOID], len(texels.places))
     reading, lit = replace(empty, grade=chosen.astype(np.uint8)), random.random((len(chosen), LIT), np.float32)
     after, lent = lend_light(texels, reading, lit)
@@ -53,9 +50,7 @@ def test_unlit_texels_have_the_mean_of_their_cells_others(workbench: Make) -> No
 def test_light_that_is_all_there_is_left_alone(workbench: Make) -> None:
     bench = orbital(workbench)
     view = bench.view(size=24)
-    texels, loader = bench.renderer.texels(view, bench.renderer.gbuffer(view)), bench.caches.of("gi")
-    with loader.pool.hold(texels.chunks) as held:
-        empty = read_texels(texels, held.slots, loader.pool, 0.02, Tiles(1))
+    texels, empty = bench.renderer.texels(view, bench.renderer.gbuffer(view)), reading_of(bench, view, Tiles(1))
     reading, lit = replace(empty, grade=np.full_like(empty.grade, CONVERGING)), np.ones((len(empty.grade), LIT))
     assert lend_light(texels, reading, lit) == (reading, lit)
 

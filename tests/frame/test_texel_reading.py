@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from isogi_core.frame.renderer import Renderer
-from isogi_core.frame.texel_reading import Lacking, Reading, grade_rows, read_texels
+from isogi_core.frame.texel_reading import Lacking, grade_rows
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, PROVISIONAL, Framebuffer
 from isogi_core.kernels.shading.lattice import BURIED, BURIED_ROW, PARTIAL, UNBAKED, UNLIT, VOID, VOID_ROW
 from isogi_core.model.scene_plan import FEWEST, most_samples
 from isogi_core.model.view import View
-from tests.frame.conftest import CONSTANT, SKY, Workbench, refine_chunk
+from tests.frame.conftest import CONSTANT, SKY, Workbench, reading_of, refine_chunk
 from tests.loaded import load_scene
 
 TARGET = 0.02
@@ -33,15 +33,6 @@ def test_grades_part_missing_rough_and_good_light() -> None:
     ]
     rows, error, samples, grades = (np.array(column) for column in zip(*expected, strict=True))
     assert grade_rows(rows.astype(np.int32), error.astype(np.float32), samples, TARGET).tolist() == grades.tolist()
-
-
-def reading_of(bench: Workbench, view: View, tiles: Tiles) -> Reading:
-    """What the cache has of a view."""
-    texels = bench.renderer.texels(view, bench.renderer.gbuffer(view))
-    loader = bench.caches.of(view.shading)
-    loader.ensure(texels.chunks)
-    with loader.pool.hold(texels.chunks) as held:
-        return read_texels(texels, held.slots, loader.pool, bench.scene.target_error, tiles)
 
 
 def planes_of(view: View, error: float) -> Framebuffer:

@@ -79,7 +79,7 @@ class FakeEngine:
     def unready(self) -> list[str]:
         return ["No worker is alive."]
 
-    def foresee(self, scene: str, view: View, target: float, cancelled: threading.Event) -> Frame | None:
+    def unlit_frame(self, scene: str, view: View, target: float, cancelled: threading.Event) -> Frame | None:
         return None
 
     def survey(self, scene: str, view: View, target: float, cancelled: threading.Event, watch: Stopwatch) -> Frame:
@@ -381,6 +381,23 @@ async def leave(app: FastAPI, begun: threading.Event, wait_ms: int = 0) -> None:
     await app(scope, receive, send)  # type: ignore[arg-type]
 
 
+async def second_after(engine: FakeEngine, service: Service, rest: float = 0.0) -> float:
+    """Seconds from when the first picture of a view was looked at for ``rest`` seconds until a better one comes.
+
+    A chunk has new light a tenth of a second after that.
+    """
+    await service.start()
+    clock = asyncio.get_running_loop().time
+    picture = service.picture_of(engine.scenes["orbital"], ViewParams(width=4, height=4))
+    async with aclosing(service.refinements(picture, Viewer("a"))) as refinements:
+        await anext(refinements)
+        await asyncio.sleep(rest)
+        asyncio.get_running_loop().call_later(0.1, engine.publish, "orbital", (0, 0, 1), True)
+        begun = clock()
+        await anext(refinements)
+        return clock() - begun
+
+
 @pytest.mark.parametrize(("state", "at_once"), [(PROVISIONAL, True), (CONVERGING, False)])
 def test_first_light_is_shown_as_soon_as_it_comes(
     engine: FakeEngine, app: FastAPI, state: int, at_once: bool, monkeypatch: pytest.MonkeyPatch
@@ -394,19 +411,8 @@ def test_first_light_is_shown_as_soon_as_it_comes(
         frame = plain(scene, view, target, cancelled, watch)
         return replace(frame, state=np.full_like(frame.state, state), version=f"v{len(engine.views)}")
 
-    async def second_after() -> float:
-        await service.start()
-        clock = asyncio.get_running_loop().time
-        picture = service.picture_of(engine.scenes["orbital"], ViewParams(width=4, height=4))
-        async with aclosing(service.refinements(picture, Viewer("a"))) as refinements:
-            await anext(refinements)
-            asyncio.get_running_loop().call_later(0.1, engine.publish, "orbital", (0, 0, 1), True)
-            begun = clock()
-            await anext(refinements)
-            return clock() - begun
-
     monkeypatch.setattr(engine, "survey", survey)
-    took = asyncio.run(second_after())
+    took = asyncio.run(second_after(engine, service))
     assert took < 0.7 if at_once else 0.7 < took < 30.0
 
 
@@ -423,22 +429,10 @@ def test_pictures_of_a_view_that_has_long_been_shown_come_rarely(
         given[-1].seconds["shade"] = 1e-3
         return replace(frame, state=np.full_like(frame.state, CONVERGING), version=f"v{len(engine.views)}")
 
-    async def second_after() -> float:
-        await service.start()
-        clock = asyncio.get_running_loop().time
-        picture = service.picture_of(engine.scenes["orbital"], ViewParams(width=4, height=4))
-        async with aclosing(service.refinements(picture, Viewer("a"))) as refinements:
-            await anext(refinements)
-            await asyncio.sleep(0.3)
-            begun = clock()
-            asyncio.get_running_loop().call_soon(engine.publish, "orbital", (0, 0, 1), True)
-            await anext(refinements)
-            return clock() - begun
-
     monkeypatch.setattr(engine, "survey", survey)
     monkeypatch.setattr(service_module, "YOUNGER", younger)
     monkeypatch.setattr(service_module, "LONGEST_PAUSE", 0.9)
-    took = asyncio.run(second_after())
+    took = asyncio.run(second_after(engine, service, rest=0.3))
     assert 0.9 <= took < 30.0 if younger else took < 0.7
 
 
@@ -453,7 +447,7 @@ def test_light_of_a_new_view_is_requested_before_it_is_drawn(
         drawn.append(len(engine.wants))
         return plain(*given)
 
-    def foresee(scene: str, view: View, target: float, cancelled: threading.Event) -> Frame:
+    def unlit_frame(scene: str, view: View, target: float, cancelled: threading.Event) -> Frame:
         return plain(scene, view, target, cancelled, Stopwatch())
 
     async def first(viewer: Viewer) -> None:
@@ -463,7 +457,7 @@ def test_light_of_a_new_view_is_requested_before_it_is_drawn(
             await anext(refinements)
 
     monkeypatch.setattr(engine, "survey", survey)
-    monkeypatch.setattr(engine, "foresee", foresee)
+    monkeypatch.setattr(engine, "unlit_frame", unlit_frame)
     asyncio.run(first(Viewer("a")))
     assert drawn == [1] and engine.wants == [Viewer("a"), Viewer("a")]
     asyncio.run(first(Viewer("b", bakes=False)))

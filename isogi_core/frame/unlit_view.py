@@ -15,7 +15,7 @@ from isogi_core.kernels.shading.framebuffer import PROVISIONAL, Framebuffer
 from isogi_core.model.view import View
 
 
-def foresee(renderer: Renderer, view: View, target: float, cancelled: threading.Event) -> Frame | None:
+def unlit_frame(renderer: Renderer, view: View, target: float, cancelled: threading.Event) -> Frame | None:
     """The frame of a view at rest that is new, where none of its light is there: white, and provisional all over.
 
     None of other views, and of scenes whose pictures ask for light in several stages. What it takes is kept, and the

@@ -1,4 +1,4 @@
-"""Foresight: what a new view lacks is known before its first picture is lit."""
+"""Views without light: what a new one lacks is known before its first picture is lit."""
 
 import threading
 from collections.abc import Callable
@@ -9,8 +9,8 @@ import pytest
 
 from isogi_core.errors import Cancelled
 from isogi_core.frame import renderer as renderer_module
-from isogi_core.frame.foresight import foresee
 from isogi_core.frame.frame import Frame
+from isogi_core.frame.unlit_view import unlit_frame
 from isogi_core.kernels.shading.framebuffer import PROVISIONAL
 from isogi_core.model.view import View
 from tests.frame.conftest import SKY, Workbench, refine_chunk
@@ -20,16 +20,16 @@ ORBITAL = {"lights": [SKY], "bounces": 1, "target_error": 0.5}
 Make = Callable[..., Workbench]
 
 
-def foreseen(bench: Workbench, view: View) -> Frame | None:
-    """What is foreseen of a view."""
-    return foresee(bench.renderer, view, bench.scene.target_error, threading.Event())
+def unlit(bench: Workbench, view: View) -> Frame | None:
+    """The frame of a view that is new, and has no light."""
+    return unlit_frame(bench.renderer, view, bench.scene.target_error, threading.Event())
 
 
 def test_it_demands_what_the_first_picture_does(workbench: Make, monkeypatch: pytest.MonkeyPatch) -> None:
     """And that picture traces no ray and finds no texel again."""
     bench = workbench(load_scene("demo:orbital", **ORBITAL))
     view = bench.view()
-    frame = foreseen(bench, view)
+    frame = unlit(bench, view)
     assert frame is not None and not frame.checkable
     for name in ("trace", "find_texels"):
         monkeypatch.setattr(renderer_module, name, lambda *_: pytest.fail("it is done twice"))
@@ -41,20 +41,20 @@ def test_it_demands_what_the_first_picture_does(workbench: Make, monkeypatch: py
     assert all(ours.effort == theirs.effort for ours, theirs in pairs)
 
 
-def test_nothing_is_foreseen_of_a_view_that_is_known_or_lit(workbench: Make) -> None:
+def test_there_is_none_of_a_view_that_is_known_or_lit(workbench: Make) -> None:
     bench = workbench(load_scene("demo:orbital", **ORBITAL))
     view = bench.view()
-    assert foreseen(bench, view) is not None
-    assert foreseen(bench, view) is None, "it is known"
+    assert unlit(bench, view) is not None
+    assert unlit(bench, view) is None, "it is known"
     refine_chunk(bench.caches.of("gi"), 16, 0.5, bench.renderer.render(view).demands[0])
-    assert foreseen(bench, replace(view, width=40)) is None, "some of it has light"
-    assert foreseen(bench.again(), view) is None, "also after a restart"
+    assert unlit(bench, replace(view, width=40)) is None, "some of it has light"
+    assert unlit(bench.again(), view) is None, "also after a restart"
 
 
 @pytest.mark.parametrize("other", [{"moving": True}, {"shading": "lambert"}, {"shading": "vicinity"}])
 def test_views_without_light_of_their_own_are_passed_over(workbench: Make, other: dict[str, object]) -> None:
     bench = workbench(load_scene("demo:orbital", **ORBITAL))
-    found = foreseen(bench, bench.view(**other))
+    found = unlit(bench, bench.view(**other))
     assert (found is not None) == (other == {"shading": "vicinity"})
 
 
@@ -62,7 +62,7 @@ def test_it_ends_once_nobody_waits(workbench: Make) -> None:
     bench, cancelled = workbench(load_scene("demo:orbital", **ORBITAL)), threading.Event()
     cancelled.set()
     with pytest.raises(Cancelled):
-        foresee(bench.renderer, bench.view(), 0.5, cancelled)
+        unlit_frame(bench.renderer, bench.view(), 0.5, cancelled)
 
 
 @pytest.mark.parametrize("settings", [{}, {"isovalue": 0.02}])
