@@ -74,6 +74,8 @@ def scene_schema(scene: Scene) -> SceneSchema:
         defaults=defaults(scene),
         ranges=ranges(scene),
         presets=[PresetSchema(**asdict(preset)) for preset in scene.presets],
+        stops=list(scene.stops.levels),
+        stops_note=scene.stops.note,
         shadings=list(SHADINGS),
         lights=[light_schema(light) for light in scene.lights],
         albedo=scene.albedo,

@@ -271,7 +271,9 @@ class SceneSchema(BaseModel):
 
     ``read_only`` is whether the store can only be read, so that nothing more is baked: a note of the plan says so too.
 
-    ``presets`` are isovalues worth a look: the scene's own, else boundaries between materials in its volume.
+    ``presets`` are isovalues worth a look: the scene's own, else boundaries between materials in its volume. ``stops``
+    ascend through the range, and the surface moves about equally far from one to the next; ``stops_note`` says where
+    they are even instead, and is empty where that is nowhere.
     ``rotating`` is whether the light may be turned, ``turns`` whether that shows: not where the light is the
     same from all sides. ``albedos`` are those that a view may ask for, null where it may not. ``shines`` are the kinds
     of shine that it may ask for, none where the surface is diffuse. ``cuts`` is whether planes across the world's axes
@@ -288,6 +290,8 @@ class SceneSchema(BaseModel):
     defaults: dict[str, float | str]
     ranges: dict[str, Range]
     presets: list[PresetSchema]
+    stops: list[float]
+    stops_note: str
     shadings: list[str]
     lights: list[LightSchema]
     albedo: Triple

@@ -12,7 +12,7 @@ from itertools import pairwise
 import numpy as np
 
 from isogi_core.model.volume import Volume
-from isogi_core.plan.range_sampling import BINS, extremes_between
+from isogi_core.plan.range_sampling import BINS, edges_between, extremes_between
 
 VOXEL = 1.0
 """How far a surface moves from one level to the next, in voxels on the average."""
@@ -53,7 +53,7 @@ def mean_ways(volume: Volume, span: tuple[float, float]) -> np.ndarray:
     """
     sums = np.zeros((2, BINS + 1))
     for z in range(0, len(volume.voxels) - 1, -(-volume.voxels.size // READ)):
-        low, high = extremes_between(volume.voxels[z], volume.voxels[z + 1])
+        low, high = extremes_between(edges_between(volume.voxels[z], volume.voxels[z + 1]))
         met = (high > span[0]) & (low < span[1]) & (high > low)
         low, high = ((each[met].astype(np.float64) - span[0]) / (span[1] - span[0]) * BINS for each in (low, high))
         width = np.maximum(high - low, 1.0)

@@ -6,7 +6,9 @@ field that takes the box's diagonal for the whole range. Where noise or a platea
 decides, and the levels are even ones: ``softened`` says how much of the range that is. Source: S3, section 2.3.
 """
 
+import math
 from dataclasses import dataclass
+from functools import reduce
 
 import numpy as np
 
@@ -15,8 +17,19 @@ from isogi_core.model.volume import Volume
 BINS = 1024
 """Even parts of a range in which the isosurfaces are looked at."""
 
+FEW = 1 << 21
+"""Cells that are looked at for what a person waits for, about: they take a tenth of a second."""
+
 WAYS = ("uniform", "adaptive")
 """How levels are spaced."""
+
+HUGE = 1e300
+"""Steps from here on are not rounded to: a double may have no room for the next multiple."""
+
+STOPS = 20
+"""Stops of a slider. S3 lit 17 to 52 levels; twenty stand 16 pixels apart on the page, and a held key passes them in a
+second.
+"""
 
 
 @dataclass(frozen=True)
@@ -35,16 +48,42 @@ class SampledRange:
         return f"In {100.0 * self.softened:.0f}% of the range {why}: levels are even there."
 
 
-def sample_range(volume: Volume, isovalues: tuple[float, float], count: int, way: str) -> SampledRange:
-    """Choose ``count`` levels in a range by one of the WAYS: each is in the middle of an equal part of it."""
-    shares, softened = (np.arange(count) + 0.5) / count, 0.0
-    if way == "adaptive":
-        shares, softened = adaptive_shares(volume, isovalues, shares)
+def sample_range(
+    volume: Volume, isovalues: tuple[float, float], count: int, way: str, most: float = math.inf
+) -> SampledRange:
+    """Choose ``count`` levels in a range by one of the WAYS: each is in the middle of an equal part of it.
+
+    Adaptive ones are ``shortened``. For them about so many cells are looked at, at ``most``: see ``least_gradients``.
+    """
+    shares, (low, high) = (np.arange(count) + 0.5) / count, isovalues
+    if way == "uniform":
+        return SampledRange(tuple((low * (1.0 - shares) + high * shares).tolist()))
+    shares, softened = adaptive_shares(volume, isovalues, shares, most)
+    return SampledRange(shortened((low * (1.0 - shares) + high * shares).tolist(), isovalues), softened)
+
+
+def find_stops(volume: Volume, isovalues: tuple[float, float]) -> SampledRange:
+    """The isovalues where a slider over a range stops, by the adaptive rule; none where the range is one isovalue."""
+    if isovalues[0] == isovalues[1]:
+        return SampledRange(())
+    return sample_range(volume, isovalues, STOPS, "adaptive", FEW)
+
+
+def shortened(levels: list[float], isovalues: tuple[float, float]) -> tuple[float, ...]:
+    """Ascending levels in a range with fewer digits: each moves by a 20th of the way to its neighbours at most."""
     low, high = isovalues
-    return SampledRange(tuple((low * (1.0 - shares) + high * shares).tolist()), softened)
+    around = (low - (levels[0] - low), *levels, high + (high - levels[-1]))
+    return tuple(rounded(b, min(b - a, c - b) / 10.0) for a, b, c in zip(around, around[1:], around[2:], strict=False))
 
 
-def adaptive_shares(volume: Volume, isovalues: tuple[float, float], shares: np.ndarray) -> tuple[np.ndarray, float]:
+def rounded(value: float, most: float) -> float:
+    """The nearest multiple of a power of ten that is ``most`` at most; the value where there is none, or it is huge."""
+    return round(value, -math.floor(math.log10(most))) + 0.0 if 0.0 < most < HUGE else value
+
+
+def adaptive_shares(
+    volume: Volume, isovalues: tuple[float, float], shares: np.ndarray, most: float = math.inf
+) -> tuple[np.ndarray, float]:
     """Where S3's rule comes to after these ``shares`` of its steps, as shares of the range; and how much is softened.
 
     Its steps are taken as small: the way from one level to the next is ∫ dc / (gMin + k²). No step falls into a part of
@@ -53,7 +92,7 @@ def adaptive_shares(volume: Volume, isovalues: tuple[float, float], shares: np.n
     ends = [float(volume.normalise_isovalue(value)) for value in isovalues]
     if ends[0] == ends[1]:
         return shares, 0.0
-    gradients = least_gradients(volume, (min(ends), max(ends)))
+    gradients = least_gradients(volume, (min(ends), max(ends)), most)
     gradients = gradients if ends[0] < ends[1] else gradients[::-1]
     soft = abs(ends[1] - ends[0]) / (2.0 * volume.radius)
     there = np.isfinite(gradients)
@@ -66,53 +105,51 @@ def adaptive_shares(volume: Volume, isovalues: tuple[float, float], shares: np.n
     return found, float((gradients[there] < soft).mean())
 
 
-def least_gradients(volume: Volume, span: tuple[float, float]) -> np.ndarray:
+def least_gradients(volume: Volume, span: tuple[float, float], most: float = math.inf) -> np.ndarray:
     """gMin in the middle of BINS even parts of a ``span``, both in the voxels' units over the world's; (BINS,) float64.
 
     The gradient of a cell is that in its middle, and counts at all isovalues between its least and its greatest corner;
-    inf where no cell has a surface. One pass over the voxels, two layers at a time.
+    inf where no cell has a surface. One pass over the voxels, two layers at a time. Of a volume of more cells than
+    ``most`` it takes evenly spread rows: what it finds is then at least gMin.
     """
-    depth = BINS.bit_length()
-    table = np.full((depth, BINS), np.inf)
-    for lower, upper in zip(volume.voxels, volume.voxels[1:], strict=False):
-        low, high, gradient = cells_between(lower, upper, volume.spacing)
-        first, last = (np.ceil((each - span[0]) / (span[1] - span[0]) * BINS - 0.5) for each in (low, high))
+    depth, step = BINS.bit_length(), max(math.ceil(math.sqrt(volume.voxels.size / most)), 1)
+    table = np.full(depth * BINS, np.inf)
+    for z in range(0, len(volume.voxels) - 1, step):
+        low, high, gradient = cells_between(volume.voxels[z], volume.voxels[z + 1], volume.spacing, step)
+        places = ((each.astype(np.float64) - span[0]) / (span[1] - span[0]) * BINS for each in (low, high))
+        first, last = (np.ceil(place - 0.5) for place in places)
         met = (np.clip(last, 0, BINS) > np.clip(first, 0, BINS)) & np.isfinite(gradient)
         begin, end = (np.clip(each[met], 0, BINS).astype(np.int64) for each in (first, last))
         level = np.frexp(end - begin)[1] - 1
-        np.minimum.at(table, (level, begin), gradient[met])
-        np.minimum.at(table, (level, end - (1 << level)), gradient[met])
-    return spread_down(table)
+        for place in (begin, end - (1 << level)):
+            np.minimum.at(table, level * BINS + place, gradient[met])
+    return spread_down(table.reshape(depth, BINS))
 
 
-def extremes_between(lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The least and the greatest corner of the cells between two layers (ny, nx); (ny - 1, nx - 1) each."""
-    low, high = np.minimum(lower, upper), np.maximum(lower, upper)
-    low, high = np.minimum(low[1:], low[:-1]), np.maximum(high[1:], high[:-1])
+def edges_between(lower: np.ndarray, upper: np.ndarray, step: int = 1) -> tuple[np.ndarray, ...]:
+    """The four edges along x of every ``step``th row of cells between two layers (ny, nx); (rows, nx) each."""
+    return tuple(rows for layer in (lower, upper) for rows in (layer[:-1:step], layer[1::step]))
+
+
+def extremes_between(edges: tuple[np.ndarray, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """The least and the greatest corner of the cells between ``edges`` along x, (rows, nx); (rows, nx - 1) each."""
+    low, high = reduce(np.minimum, edges), reduce(np.maximum, edges)
     return np.minimum(low[:, 1:], low[:, :-1]), np.maximum(high[:, 1:], high[:, :-1])
 
 
 def cells_between(
-    lower: np.ndarray, upper: np.ndarray, spacing: tuple[float, float, float]
+    lower: np.ndarray, upper: np.ndarray, spacing: tuple[float, float, float], step: int = 1
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The least and the greatest corner of the cells between two layers, and the gradient's length in their middle.
 
-    (ny - 1, nx - 1) each; no number beside a voxel that is none.
+    (rows, nx - 1) each, of every ``step``th row of cells; no number beside a voxel that is none.
     """
-    corners = [layer[j : len(layer) - 1 + j, i : layer.shape[1] - 1 + i] for layer in (lower, upper) for j, i in SIDES]
-    low, high = extremes_between(lower, upper)
-    square = np.zeros(low.shape)
-    for signs, step in zip(SIGNS, spacing, strict=True):
-        slope = sum(float(sign) * corner.astype(np.float64) for sign, corner in zip(signs, corners, strict=True))
-        square += (slope / (4.0 * step)) ** 2
-    return low, high, np.sqrt(square)
-
-
-SIDES = ((0, 0), (0, 1), (1, 0), (1, 1))
-"""The corners of a cell in a layer, by their steps along y and x."""
-
-SIGNS = ((-1, 1, -1, 1, -1, 1, -1, 1), (-1, -1, 1, 1, -1, -1, 1, 1), (-1, -1, -1, -1, 1, 1, 1, 1))
-"""What the corners of both layers count in the slope along x, y and z."""
+    edges = edges_between(lower, upper, step)
+    a, b, c, d = (each.astype(np.float64) for each in edges)
+    along, across, up = a + b + c + d, b - a + d - c, c - a + d - b
+    slopes = (along[:, 1:] - along[:, :-1], across[:, 1:] + across[:, :-1], up[:, 1:] + up[:, :-1])
+    square = sum((slope / (4.0 * length)) ** 2 for slope, length in zip(slopes, spacing, strict=True))
+    return *extremes_between(edges), np.sqrt(square)
 
 
 def spread_down(table: np.ndarray) -> np.ndarray:

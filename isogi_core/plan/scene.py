@@ -30,6 +30,7 @@ from isogi_core.plan.left_out import unprojected, unseen, unshared, unshining, u
 from isogi_core.plan.levels import find_levels
 from isogi_core.plan.materials import unrefracted
 from isogi_core.plan.projection import ProjectionPlan, plan_projection
+from isogi_core.plan.range_sampling import SampledRange, find_stops
 from isogi_core.plan.reachable_texels import TexelCount, count_texels
 
 BAKE_FORMAT = 6
@@ -38,7 +39,7 @@ BAKE_FORMAT = 6
 NORMALS = ("bspline", "gradient")
 """Gradients that normals may be made of: smoothed with the tricubic B-spline, or plain (S1, figure 5)."""
 
-SURVEYED = ("texels", "projection", "presets", "levels")
+SURVEYED = ("texels", "projection", "presets", "stops", "levels")
 """Properties of a scene that take a pass over its volume, and that no plan changes."""
 
 ROOM, COLOURED, AMONG, INSIDE = "room", "coloured", "among", "inside"
@@ -199,10 +200,7 @@ class Scene:
 
     @cached_property
     def levels(self) -> tuple[float, ...]:
-        """Isovalues that light of pinned surfaces is kept for, ascending: views mix that of the two around theirs.
-
-        The volume is surveyed for them on first use.
-        """
+        """Isovalues that pinned surfaces' light is kept for, ascending, and mixed between; found on first use."""
         return find_levels(self.volume, self.isovalues, (self.isovalue, *(each.isovalue for each in self.named)))
 
     @property
@@ -213,12 +211,15 @@ class Scene:
 
     @cached_property
     def presets(self) -> tuple[Preset, ...]:
-        """Isovalues worth seeing: those that the scene names, else boundaries in its volume, of labels none; found on
-        first use.
-        """
+        """Isovalues worth seeing: the scene's own, else boundaries in its volume, but of labels; found on first use."""
         if self.colours is not None and self.colours.scale.labels:
             return self.named
         return self.named or suggested_presets(find_boundaries(self.volume, self.isovalues))
+
+    @cached_property
+    def stops(self) -> SampledRange:
+        """Isovalues where the slider stops, evenly spaced surfaces; found on first use."""
+        return find_stops(self.volume, self.isovalues)
 
     @cached_property
     def left_out(self) -> tuple[LeftOut, ...]:
@@ -392,9 +393,7 @@ class Scene:
         return self.in_box(camera)
 
     def in_box(self, camera: Camera, projection: str | None = None) -> Camera:
-        """A perspective ``camera`` of the world, in the volume's box, with another ``projection``: by default the
-        scene's.
-        """
+        """A perspective ``camera`` of the world, in the volume's box, with a ``projection``: by default the scene's."""
         if (projection or self.camera_projection) == "orthographic":
             camera = orthographic(camera, self.volume.radius)
         return camera.in_box(self.volume.orientation)

@@ -16,8 +16,8 @@ from pydantic import BeforeValidator, Field, StrictBool, WithJsonSchema, model_v
 
 from isogi_core.model.shine import DULL
 from isogi_core.model.view import View
+from isogi_core.plan.range_sampling import FEW, sample_range
 from isogi_core.plan.range_sampling import WAYS as SAMPLINGS
-from isogi_core.plan.range_sampling import sample_range
 from isogi_core.plan.scene import Scene
 from server.errors import ParameterError
 from server.parameters import TURN, NoParams, ViewParams, read
@@ -65,7 +65,8 @@ class Levels:
 
     def found_in(self, scene: Scene) -> Levels:
         """The same with those that are sampled from the range of a ``scene``."""
-        sets = (sample_range(scene.volume, scene.isovalues, count, way).levels for way, count in self.sampled)
+        volume, ends = scene.volume, scene.isovalues
+        sets = (sample_range(volume, ends, count, way, FEW).levels for way, count in self.sampled)
         found = (float(f"{level:.12g}") for levels in sets for level in levels)
         return Levels(tuple(dict.fromkeys((*self.single, *found))), self.ranges)
 

@@ -107,7 +107,7 @@ PACKAGES = ("isogi", "numpy", "numba", "zarr", "matplotlib", "flip-evaluator")
 Rows = tuple[tuple[str, str], ...]
 
 
-UNTOLD = {"histogram", "ranges", "presets", "shadings", "defaults"}
+UNTOLD = {"histogram", "ranges", "presets", "stops", "stops_note", "shadings", "defaults"}
 """What of a scene's document is for those that choose a view, not for a report of one."""
 
 

@@ -4,7 +4,16 @@ import numpy as np
 import pytest
 
 from isogi_core.model.volume import Volume, make_volume
-from isogi_core.plan.range_sampling import BINS, least_gradients, sample_range, spread_down
+from isogi_core.plan.range_sampling import (
+    BINS,
+    STOPS,
+    find_stops,
+    least_gradients,
+    rounded,
+    sample_range,
+    shortened,
+    spread_down,
+)
 
 
 def radial(profile, size: int = 33, spacing: tuple[float, float, float] = (1.0, 1.0, 1.0), **made) -> Volume:  # type: ignore[no-untyped-def]
@@ -41,6 +50,49 @@ def test_the_least_gradient_is_that_of_the_field() -> None:
     radii = np.sqrt(25.0 + 200.0 * (np.arange(BINS) + 0.5) / BINS)
     assert (found <= 2.0 * radii + 1e-6).all()
     assert (found >= 2.0 * (radii - 1.0)).all()
+
+
+def test_of_a_large_volume_some_cells_say_nearly_the_same() -> None:
+    volume = radial(lambda r: r * r, size=65)
+    whole, some = (
+        sample_range(volume, (100.0, 900.0), 12, "adaptive", most).levels for most in (np.inf, volume.voxels.size / 40)
+    )
+    assert some != whole
+    np.testing.assert_allclose(np.sqrt(some), np.sqrt(whole), atol=0.5)
+
+
+def test_stops_are_spread_over_the_range_and_are_short_numbers() -> None:
+    volume = radial(lambda r: r * r, size=65)
+    stops = find_stops(volume, (100.0, 900.0)).levels
+    assert len(stops) == STOPS
+    assert np.diff([100.0, *stops, 900.0]).min() > 0.0
+    assert max(len(f"{stop:.15g}") for stop in stops) <= 5
+    assert find_stops(volume, (300.0, 300.0)).levels == ()
+
+
+@pytest.mark.parametrize("outlier", [1e3, 1e30, -1e300, np.inf, np.nan])
+@pytest.mark.parametrize("scale", [1e-300, 1.0, 1e200])
+def test_outliers_move_no_stop(outlier: float, scale: float) -> None:
+    values = np.random.default_rng(2).random((9, 9, 9)).cumsum(axis=0) * scale
+    values[4, 4, 4] = outlier * scale
+    volume = make_volume(values)
+    stops = find_stops(volume, (scale, 4.0 * scale)).levels
+    assert len(stops) == STOPS
+    assert np.diff([1.0, *(stop / scale for stop in stops), 4.0]).min() > 0.0
+
+
+@pytest.mark.parametrize("scale", [1e-320, 1e-30, 1.0, 1e30, 1e307])
+def test_shortened_levels_stay_near_and_in_order(scale: float) -> None:
+    levels = [scale * each for each in (-3.14159, 0.123456, 0.234567, 8.7654321)]
+    short = shortened(levels, (-4.0 * scale, 9.0 * scale))
+    moved = np.abs(np.array(short) / 2.0 - np.array(levels) / 2.0)
+    assert (moved <= 0.026 * np.array([0.87, 0.12, 0.12, 0.24]) * scale).all()
+
+
+def test_numbers_are_rounded_to_powers_of_ten() -> None:
+    steps = {60.0: 120.0, 1.0: 123.0, 0.5: 123.5, 0.0: 123.456, float("inf"): 123.456}
+    assert {most: rounded(123.456, most) for most in steps} == steps
+    assert str(rounded(-0.2, 1.0)) == "0.0"
 
 
 def test_noise_leaves_even_levels_and_says_so() -> None:

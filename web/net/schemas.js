@@ -120,6 +120,8 @@
  * @property {{azimuth: number, elevation: number, distance: number, target: Vec3}} start the camera at first
  * @property {Record<string, Range>} ranges
  * @property {Preset[]} presets
+ * @property {number[]} stops isovalues, ascending: from one to the next the surface moves about equally far
+ * @property {string} stops_note where they are even instead; "" where that is nowhere
  * @property {string[]} shadings
  * @property {{type: string, name: string}[]} lights
  * @property {Environment[]} environments light that the scene may be shown in, besides its own

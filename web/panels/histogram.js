@@ -1,8 +1,9 @@
-/** The volume's histogram, with the isovalue slider on top of it. */
+/** The volume's histogram, with the isovalue slider on top of it, and the slider's stops below. */
 
 import { find, svgElement } from "../dom.js";
 import { isovalueComplaint } from "../net/address.js";
 import { niceStep, showNumber } from "../view/format.js";
+import { PAGES, nextStop } from "../view/keys.js";
 import { sliderRange } from "../view/model.js";
 import { setLimits } from "./knobs.js";
 
@@ -13,7 +14,7 @@ const [WIDTH, HEIGHT] = [1000, 100];
 
 /**
  * Draw the histogram and tie slider and number field to the view's isovalue, both ways; a single one is locked.
- * @param {HTMLElement} form holds `#isovalue`, `#isovalue-number` and `#histogram`
+ * @param {HTMLElement} form holds `#isovalue`, `#isovalue-number`, `#histogram` and `#stops`
  * @param {Scene} scene
  * @param {import("../view/model.js").ViewModel} view
  * @param {(words: string) => void} say tells a person what cannot be shown
@@ -30,6 +31,11 @@ export function attachHistogram(form, scene, view, say) {
   find(form, "#isovalue-min").textContent = show(min);
   find(form, "#isovalue-max").textContent = show(max);
   slider.addEventListener("input", () => view.set({ isovalue: slider.valueAsNumber }));
+  slider.addEventListener("keydown", (event) => {
+    if (!(event.key in PAGES)) return;
+    event.preventDefault();
+    view.set({ isovalue: nextStop(scene.stops, view.values.isovalue, PAGES[event.key]) });
+  });
   number.addEventListener("change", () => {
     say(isovalueComplaint(scene, number.valueAsNumber));
     view.set({ isovalue: number.valueAsNumber });
@@ -37,6 +43,8 @@ export function attachHistogram(form, scene, view, say) {
   });
   if (scene.solid === "below") find(form, "#histogram-note").textContent = "values below are solid";
   const solid = drawBars(find(form, "#histogram", SVGSVGElement), outline(scene.histogram, min, max));
+  const ticks = svgElement("path", { d: ticksAt(scene.stops, min, max) });
+  find(form, "#stops", SVGSVGElement).replaceChildren(svgElement("title", {}, stopsInWords(scene.stops_note)), ticks);
   /** @param {Knobs} values */
   const mirror = ({ isovalue }) => {
     slider.value = String(isovalue);
@@ -65,6 +73,27 @@ export function outline({ counts, edges }, min, max) {
   const y = (/** @type {number} */ height) => (HEIGHT * (1 - 0.94 * Math.min(1, height / tallest))).toFixed(1);
   const steps = heights.map((height, i) => `L${x(edges[i])} ${y(height)}L${x(edges[i + 1])} ${y(height)}`);
   return `M0 ${HEIGHT}${steps.join("")}L${WIDTH} ${HEIGHT}Z`;
+}
+
+/**
+ * A line from top to bottom at each stop between two values, as the data of an SVG path in a box of 1000 × 100.
+ * @param {number[]} stops
+ * @param {number} min
+ * @param {number} max
+ * @returns {string}
+ */
+export function ticksAt(stops, min, max) {
+  return stops.map((stop) => `M${(WIDTH * share(stop - min, max - min)).toFixed(1)} 0V${HEIGHT}`).join("");
+}
+
+/**
+ * What the stops are.
+ * @param {string} note where they are even
+ * @returns {string}
+ */
+export function stopsInWords(note) {
+  const what = "Ticks below the histogram, keys [ and ]: from one to the next the surface moves about equally far.";
+  return `${what} ${note}`.trim();
 }
 
 /**

@@ -1,6 +1,7 @@
 /** The scene in words: its plan, what was left out, why and what that saves, its volume and its lights. */
 
 import { find, textElement } from "../dom.js";
+import { stopsInWords } from "./histogram.js";
 
 /** @typedef {import("../net/schemas.js").Scene} Scene */
 /** @typedef {Record<string, string|number|null>} Rows names and values of a list; what is null or "" is left out */
@@ -40,10 +41,10 @@ export function planRows({ plan, target_error: target }) {
 
 /**
  * The volume of a scene, its lights and its surface.
- * @param {Pick<Scene, "volume"|"lights"|"albedo"|"albedos"|"transmission"> & Partial<Pick<Scene, "colours"|"surfaces">>} scene
+ * @param {Pick<Scene, "volume"|"lights"|"albedo"|"albedos"|"transmission"> & Partial<Pick<Scene, "colours"|"surfaces"|"stops"|"stops_note">>} scene
  * @returns {Rows}
  */
-export function volumeRows({ volume, lights, albedo, albedos, transmission, colours, surfaces = [] }) {
+export function volumeRows({ volume, lights, albedo, albedos, transmission, colours, surfaces = [], stops = [], stops_note: note = "" }) {
   return {
     Volume: volume.name,
     Size: `${volume.size.join(" × ")} voxels`,
@@ -51,6 +52,7 @@ export function volumeRows({ volume, lights, albedo, albedos, transmission, colo
     "Voxel axes point to": [...volume.axes].join(", "),
     Notes: volume.notes.join(" "),
     Values: `${volume.value_range.map((value) => Number(value.toPrecision(6))).join(" to ")}, ${volume.dtype}`,
+    "Stops of the isovalue": stops.length ? stopsInWords(note) : null,
     "Not finite": volume.holes ? `${volume.holes} voxels, treated as empty` : null,
     Lights: lights.map(({ type, name }) => (name && name !== type ? `${name} (${type})` : type)).join(", "),
     Albedo: colours ? null : sharesInWords(albedo),

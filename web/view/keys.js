@@ -13,13 +13,19 @@ const OBJECT_STEP = 5;
 const LIGHT_STEP = 10;
 const ZOOM_STEP = 1.12;
 const PAN_STEP = 0.05; // heights of the picture
-const ISOVALUE_STEPS = 100;
+const ISOVALUE_STEPS = 100; // with shift
 
 /**
  * Right and down that each arrow points.
  * @type {Record<string, [number, number]>}
  */
 export const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
+
+/**
+ * Up or down that keys of the isovalue slider go to the next stop.
+ * @type {Record<string, 1|-1>}
+ */
+export const PAGES = { PageUp: 1, PageDown: -1 };
 
 /** @type {Record<string, [number, number]>} */
 const MOVES = { a: [-1, 0], d: [1, 0], w: [0, -1], s: [0, 1] };
@@ -56,14 +62,18 @@ export function keyActions(scene, view, toggleHelp) {
   const step = (max - min) / ISOVALUE_STEPS;
   /** @param {number} by */
   const shiftIsovalue = (by) => view.set({ isovalue: Number(showNumber(view.values.isovalue + by, niceStep(step))) });
+  /** @param {1|-1} way */
+  const goToStop = (way) => view.set({ isovalue: nextStop(scene.stops, view.values.isovalue, way) });
   /** @type {(right: number, down: number) => void} */
   const move = (right, down) => view.set(pan(scene, view.values, right * PAN_STEP, down * PAN_STEP));
   /** @type {Record<string, () => void>} */
   const actions = {
     "+": () => view.set({ distance: view.values.distance / ZOOM_STEP }),
     "-": () => view.set({ distance: view.values.distance * ZOOM_STEP }),
-    "[": () => shiftIsovalue(-step),
-    "]": () => shiftIsovalue(step),
+    "[": () => goToStop(-1),
+    "]": () => goToStop(1),
+    "{": () => shiftIsovalue(-step),
+    "}": () => shiftIsovalue(step),
     0: () => view.reset(),
     o: () => view.set({ overlay: next(OVERLAYS, view.values.overlay) }),
     "?": toggleHelp,
@@ -74,6 +84,18 @@ export function keyActions(scene, view, toggleHelp) {
   actions["−"] = actions._ = actions["-"];
   for (const key of ["o", ...Object.keys(MOVES)]) actions[key.toUpperCase()] = actions[key];
   return actions;
+}
+
+/**
+ * The next stop of the isovalue slider; the isovalue itself where there is none beyond it.
+ * @param {number[]} stops ascending
+ * @param {number} isovalue
+ * @param {1|-1} way up or down
+ * @returns {number}
+ */
+export function nextStop(stops, isovalue, way) {
+  const next = way > 0 ? stops.find((stop) => stop > isovalue) : stops.findLast((stop) => stop < isovalue);
+  return next ?? isovalue;
 }
 
 /**

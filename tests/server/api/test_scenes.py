@@ -12,6 +12,8 @@ import pytest
 
 from isogi_core.model.view import SHADINGS
 from isogi_core.plan.assembly import load_scene
+from isogi_core.plan.range_sampling import STOPS
+from isogi_core.plan.variants import under
 from server.answers import scene_schema
 
 
@@ -104,6 +106,41 @@ def test_presets_come_from_the_scene_or_are_suggested_in_range(
     assert [each.model_dump() for each in told] == [{"name": "shell", "isovalue": 0.3, "suggested": False}]
 
 
+def test_stops_ascend_in_the_range(scene: dict[str, list[float]]) -> None:
+    stops = scene["stops"]
+    assert len(stops) == STOPS
+    assert np.diff([0.2, *stops, 0.8]).min() > 0.0
+
+
+@pytest.fixture
+def balls(tmp_path: Path) -> Path:
+    """A volume whose isosurfaces are balls: their radii are square roots of the isovalues."""
+    axis = np.linspace(-32.0, 32.0, 49)
+    np.save(tmp_path / "balls.npy", sum(np.meshgrid(axis**2, axis**2, axis**2)).astype(np.float32))
+    return tmp_path / "balls.npy"
+
+
+def test_stops_are_surfaces_that_are_evenly_spaced(balls: Path) -> None:
+    facts = scene_schema(load_scene(balls, isovalues=[100, 900], isovalue=400))
+    steps, even = np.diff(np.sqrt(facts.stops)), np.diff(np.sqrt(np.linspace(120, 880, STOPS)))
+    assert steps.std() / steps.mean() < 0.25 < even.std() / even.mean()
+    assert facts.stops_note == ""
+
+
+def test_stops_say_where_they_are_even(balls: Path) -> None:
+    np.save(balls, np.load(balls) + np.random.default_rng(1).normal(0.0, 400.0, (49, 49, 49)).astype(np.float32))
+    facts = scene_schema(load_scene(balls, isovalues=[100, 900], isovalue=400))
+    assert "levels are even there" in facts.stops_note
+    assert np.diff(facts.stops) == pytest.approx(40.0, rel=0.3)
+
+
+def test_a_scene_keeps_its_stops_in_another_light(balls: Path) -> None:
+    scene = load_scene(balls)
+    stops = scene.stops
+    assert under(scene, "studio", "lit").stops is stops
+    assert scene.with_plan(scene.plan).stops is stops
+
+
 @pytest.mark.parametrize(
     ("light", "rotating", "turns"),
     [("constant", True, False), ("constant", False, False), ("sky", True, True), ("sky", False, False)],
@@ -148,6 +185,7 @@ def test_the_plan_says_what_is_left_out_why_and_what_that_saves(small_scene: Pat
 def test_a_scene_of_one_isovalue_is_a_scene_with_fewer_texels(small_scene: Path, scene: dict[str, Any]) -> None:
     one = scene_schema(load_scene(small_scene, isovalues=[0.5, 0.5]))
     assert (one.ranges["isovalue"].min, one.ranges["isovalue"].max, one.defaults["isovalue"]) == (0.5, 0.5, 0.5)
+    assert one.stops == []
     assert 0 < one.plan.texels.shown < scene["plan"]["texels"]["shown"]
 
 

@@ -49,6 +49,7 @@ def test_a_range_without_a_step_is_all_between() -> None:
 
 def test_so_many_levels_of_the_scenes_range(blocks: Path) -> None:
     scene = load_scene(blocks)
+    assert order_of({"isovalues": ["adaptive:20"]}).isovalues_of(scene).single == scene.stops.levels
     order = order_of({"isovalues": ["uniform:4", "adaptive:6", "0.5"]})
     levels, (low, high) = order.isovalues_of(scene).single, scene.isovalues
     assert len(levels) == 11

@@ -11,7 +11,7 @@ export const SCENE = {
   start: { azimuth: 30, elevation: 20, distance: 3, target: null },
   ranges: { isovalue: { min: 40, max: 240 }, azimuth: { min: -360, max: 360 }, distance: { min: 0.01, max: 1000 } },
   shadings: ["gi", "lambert", "phong"],
-  presets: [], shines: [], cuts: true, lights: [{ type: "sky", name: "sky" }],
+  presets: [], stops: [45, 60, 80, 200], stops_note: "", shines: [], cuts: true, lights: [{ type: "sky", name: "sky" }],
   albedo: [0.7, 0.7, 0.7], albedos: null, colours: null, surfaces: [], clear: 0, transmission: [0, 0, 0],
   material: "diffuse", materials: [],
   histogram: { counts: [0, 9, 99], edges: [0, 85, 170, 255] },

@@ -1,7 +1,7 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { albedoQuery, isTint, startAlbedo } from "../../../web/view/albedo.js";
-import { keyActions } from "../../../web/view/keys.js";
+import { keyActions, nextStop } from "../../../web/view/keys.js";
 import { ViewModel, sliderRange } from "../../../web/view/model.js";
 import { PAINTED, SCENE } from "./fixtures.mjs";
 
@@ -139,13 +139,19 @@ test("plus and minus undo each other", () => {
   assert.ok(Math.abs(view.values.distance - 3) < 2e-3);
 });
 
-test("brackets step the isovalue by a hundredth of its range", () => {
+test("brackets go to the next stop of the isovalue, braces a hundredth of its range", () => {
   const view = new ViewModel(SCENE);
   const keys = keyActions(SCENE, view, () => {});
-  keys["]"]();
-  assert.equal(view.values.isovalue, 72);
-  keys["["]();
-  assert.equal(view.values.isovalue, 70);
+  const seen = ["]", "]", "]", "[", "}", "{", "["].map((key) => (keys[key](), view.values.isovalue));
+  assert.deepEqual(seen, [80, 200, 200, 80, 82, 80, 60]);
+});
+
+test("the next stop is beyond the isovalue, and there may be none", () => {
+  const stops = [-2.5, 0, 1e-9, 4];
+  const next = (isovalue, way) => nextStop(stops, isovalue, way);
+  assert.deepEqual([-9, -2.5, 0, 3.9, 4, 9].map((isovalue) => next(isovalue, 1)), [-2.5, 0, 1e-9, 4, 4, 9]);
+  assert.deepEqual([9, 4, 1e-9, 0, -2.5, -9].map((isovalue) => next(isovalue, -1)), [4, 1e-9, 0, -2.5, -2.5, -9]);
+  assert.equal(nextStop([], 7, 1), 7, "without stops");
 });
 
 test("o goes round the marks, also as a capital", () => {

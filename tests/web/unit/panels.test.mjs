@@ -7,7 +7,7 @@ import { exposureIn } from "../../../web/panels/environment.js";
 import { errorAxis, timeAxis } from "../../../web/panels/chart.js";
 import { dividerPlace } from "../../../web/panels/comparison.js";
 import { History, courseInWords, legendShare, momentInWords } from "../../../web/panels/error.js";
-import { outline, solidSpan } from "../../../web/panels/histogram.js";
+import { outline, solidSpan, stopsInWords, ticksAt } from "../../../web/panels/histogram.js";
 import { knobInWords } from "../../../web/panels/knobs.js";
 import { pointRows } from "../../../web/panels/point.js";
 import { parseKept, scenePresets, toggled } from "../../../web/panels/presets.js";
@@ -146,6 +146,19 @@ test("a light probe is told by its name", () => {
 
 test("exposure is in stops from the scene's own", () => {
   assert.deepEqual([0.5, 1, 2, 8].map((exposure) => knobInWords("exposure", exposure, 2)), ["−2 stops", "−1 stops", "0 stops", "+2 stops"]);
+});
+
+test("ticks stand at the stops, as the isovalue does on the slider", () => {
+  assert.equal(ticksAt([60, 140], 40, 240), "M100.0 0V100M500.0 0V100");
+  assert.equal(ticksAt([], 40, 240), "", "without stops");
+});
+
+test("stops say where they are even", () => {
+  const note = "In 7% of the range noise makes it even.";
+  assert.match(stopsInWords(""), /equally far\.$/);
+  assert.ok(stopsInWords(note).endsWith(` ${note}`));
+  assert.equal(volumeRows({ ...SCENE, stops_note: note })["Stops of the isovalue"], stopsInWords(note));
+  assert.equal(volumeRows({ ...SCENE, stops: [] })["Stops of the isovalue"], null);
 });
 
 test("presets begin with where the scene starts", () => {
