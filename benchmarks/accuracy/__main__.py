@@ -16,7 +16,9 @@ from benchmarks.accuracy.projected import projected
 from benchmarks.accuracy.reports import reports
 from benchmarks.accuracy.room import room
 from benchmarks.accuracy.roulette import roulette
+from benchmarks.accuracy.sampling import sampling
 from benchmarks.accuracy.sequences import sequences
+from benchmarks.accuracy.sliding import sliding
 from benchmarks.accuracy.stiffness import stiffness
 from benchmarks.accuracy.surfaces import surfaces
 from benchmarks.accuracy.table import table
@@ -34,6 +36,8 @@ main = suite(
     colours,
     surfaces,
     room,
+    sliding,
+    sampling,
     reports,
     equal_error,
     plans,

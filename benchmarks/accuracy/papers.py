@@ -13,6 +13,7 @@ import numpy as np
 from benchmarks.accuracy.carrying import lit_texels
 from isogi_core.bake.precision import next_level
 from isogi_core.frame.lighting import RotatedLight
+from isogi_core.frame.view_texels import ViewTexels
 from isogi_core.kernels.shading.lattice import Lattice
 from isogi_core.model.scene_plan import Layer
 from isogi_core.model.view import View
@@ -55,13 +56,20 @@ class PapersBake:
 
     def radiance(self, view: View) -> np.ndarray:
         """The picture of a ``view`` that differs from the bench's by its light alone; (h, w, 3) float64 linear RGB."""
-        shown = self.bake.shown
+        shown, picture = self.bake.shown, np.zeros((view.height * view.width, 3))
         lit, held = lit_texels(self.bake.light, RotatedLight(self.bake.spec, view))
-        weights = trilinear(shown.gbuffer.points, shown.lattice) * held[shown.corners]
-        weights /= np.maximum(weights.sum(axis=1, keepdims=True), 1e-30)
-        picture = np.zeros((view.height * view.width, 3))
-        picture[shown.gbuffer.pixels] = (weights[:, :, None] * lit[shown.corners, :3]).sum(axis=1)
+        picture[shown.gbuffer.pixels] = interpolate(shown, lit[:, :3], held)
         return picture.reshape(view.height, view.width, 3)
+
+
+def interpolate(shown: ViewTexels, lit: np.ndarray, held: np.ndarray) -> np.ndarray:
+    """The light of surface points, trilinearly of the texels around them that hold any; (points, channels) float64.
+
+    Of each texel that is ``shown``, ``lit`` (t, channels) is its light, and ``held`` (t,) whether it holds any.
+    """
+    weights = trilinear(shown.gbuffer.points, shown.lattice) * held[shown.corners]
+    weights /= np.maximum(weights.sum(axis=1, keepdims=True), 1e-30)
+    return np.asarray((weights[:, :, None] * lit[shown.corners]).sum(axis=1))
 
 
 def trilinear(points: np.ndarray, lattice: Lattice) -> np.ndarray:
