@@ -1,6 +1,6 @@
 """Light sampled S3's way beside texels on their own isosurfaces, at equal paths, in a Cornell room.
 
-    python -m benchmarks.accuracy sampling [SCENE] [--size 28] [--levels 16] [--paths 64] [--truth 256] [--only neghip]
+    python -m benchmarks.accuracy sampling [SCENE] [--size 32] [--levels 16] [--paths 128] [--truth 256] [--only neghip]
 
 S3 lights K isosurfaces of a range, evenly or adaptively spaced (sections 2.2 and 2.3), at the vertices of their meshes,
 and scatters that light to the texels of a lattice by Shepard's method (section 3.2); isogi lights each texel on the
@@ -114,10 +114,10 @@ class Found:
         return errors | counts | paths | dict(zip(HEAD[-2:], self.seconds, strict=True))
 
 
-@part(size=28)
+@part(size=32)
 @click.argument("target", required=False)
 @click.option("--levels", type=click.IntRange(2), default=16, show_default=True, help="Levels that S3's way lights.")
-@click.option("--paths", type=click.IntRange(16), default=64, show_default=True, help="Paths from each texel of ours.")
+@click.option("--paths", type=click.IntRange(16), default=128, show_default=True, help="Paths from each texel of ours.")
 @click.option("--truth", type=click.IntRange(8), default=256, show_default=True, help="Paths a pixel of references.")
 @click.option("--only", multiple=True, help="Part of a volume's name; repeatable.")
 def sampling(target: str | None, levels: int, paths: int, truth: int, size: int, only: tuple[str, ...]) -> Measurement:

@@ -53,7 +53,7 @@ RMSE, JUMP = 0.03, 0.01
 """What is asked: the RMSE of each frame, and what its jump may be above the truth's."""
 
 HEAD = (
-    *("isovalue", "RMSE, %", "of the isosurface, %", "told, %", "fresh bake's RMSE, %", "apart from it, %"),
+    *("volume", "isovalue", "RMSE, %", "of the isosurface, %", "told, %", "fresh bake's RMSE, %", "apart from it, %"),
     *("jump, %", "the truth's, %", "above it, %", "unlike it, %", "path-traced picture's noise, %"),
 )
 
@@ -106,16 +106,15 @@ class Jump:
 @click.option("--frames", type=click.IntRange(2), default=7, show_default=True, help="Isovalues, evenly spaced.")
 @click.option("--paths", type=click.IntRange(16), default=512, show_default=True, help="Paths a pixel of the truth.")
 @click.option("--only", multiple=True, help="Part of a volume's name; repeatable.")
-def sliding(target: str | None, frames: int, paths: int, size: int, only: tuple[str, ...]) -> Iterator[Measurement]:
+def sliding(target: str | None, frames: int, paths: int, size: int, only: tuple[str, ...]) -> Measurement:
     """An isovalue slid by 60 in a room: frames beside fresh bakes and beside paths, and how far they jump."""
+    figures, rows = dict[str, float](), list[tuple[str, ...]]()
     for scene in scenes(target, only):
-        views = slide(scene, size, frames)
-        shots = list(shoot(scene, views, paths))
+        shots = list(shoot(scene, slide(scene, size, frames), paths))
         errors, jumps = [errors_of(each) for each in shots], [jump(*both) for both in pairwise(shots)]
-        low, high = scene.isovalues
-        title = f"{scene.name} slid from {low:g} to {high:g} in a room, {size} × {size}"
-        rows = map(cells, shots, errors, [None, *jumps])
-        yield Measurement(title, figures_of(shots, errors, jumps), markdown(HEAD, rows))
+        figures |= {f"{scene.name}: {key}": value for key, value in figures_of(shots, errors, jumps).items()}
+        rows += [(scene.name, *each) for each in map(cells, shots, errors, [None, *jumps])]
+    return Measurement(f"Isovalues slid through a room, {size} × {size}", figures, markdown(HEAD, rows))
 
 
 def scenes(target: str | None, only: Sequence[str]) -> Iterator[Scene]:
