@@ -36,7 +36,7 @@ def add_path_light(
     """
     given = samples, rules, light, sums
     if isinstance(met, Surfaces):
-        light_among_surfaces(field, met, starts, *given)
+        light_among_surfaces(field, met, on_wall(starts), *given)
     elif isinstance(met, Passable):
         wall = INWARD if met.matter.extinction > 0.0 else ALONG
         light_through_matter(field, cells, met, on_wall(starts, wall), *given)

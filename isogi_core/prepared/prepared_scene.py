@@ -161,7 +161,7 @@ class PreparedScene:
         return self._room.walls._replace(backs=backs)
 
     def company(self, cells: ActiveCells, run: Run = serially) -> Surfaces:
-        """The surfaces of the scene as paths meet them that start on isosurfaces with this map, its own."""
+        """The surfaces of the scene, and its walls, as paths meet them about an isosurface with this map, its own."""
         scene = self.scene
         levels = [scene.volume.normalise_isovalue(each.isovalue) for each in scene.pinned]
         maps = [cells, *(self.maps.at(level, run) for level in levels)]
@@ -169,7 +169,7 @@ class PreparedScene:
         clears = np.array([scene.clear, *(each.clear for each in scene.pinned)], np.float64)
         filled = tuple(maps + [cells] * (MOST - len(maps)))
         through = np.array([scene.transmission, *(each.transmission for each in scene.pinned)], np.float64)
-        return Surfaces(filled, np.array([np.nan, *levels], np.float64), albedos, clears, through)
+        return Surfaces(filled, np.array([np.nan, *levels], np.float64), albedos, clears, through, self._room)
 
     def surroundings(self, matrix: np.ndarray) -> Surroundings:
         """All light as it is, for paths that meet it; the environment turned by ``matrix`` (3, 3).

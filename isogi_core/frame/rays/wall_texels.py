@@ -19,9 +19,11 @@ from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.glow_light import add_glow
 from isogi_core.frame.rays.pixel_rays import NEAR, PATH_POINTS
 from isogi_core.frame.tiles import Tiles
+from isogi_core.kernels.transport.matter.inside import Passable
 from isogi_core.kernels.transport.matter.matter_paths import light_through_matter
 from isogi_core.kernels.transport.paths import PathRules, SampleRange
 from isogi_core.kernels.transport.room_paths import RoomStarts, light_in_room
+from isogi_core.kernels.transport.surface_paths import Surfaces, light_among_surfaces
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.prepared.surface import Surface
 
@@ -46,21 +48,23 @@ def light_starts(
     light: RotatedLight, surface: Surface, starts: RoomStarts, rules: PathRules, samples: SampleRange, tiles: Tiles
 ) -> np.ndarray:
     """Sums (g, 3) of a ``SampleRange`` of E/π, glow's too, at ``starts`` about a ``surface``; see ``light_in_room``,
-    and ``light_through_matter`` where that lets light pass.
+    ``light_among_surfaces`` where there are several, and ``light_through_matter`` where that lets light pass.
 
     Raises Cancelled.
     """
     traced, sums, prepared = surface.traced(tiles.run), np.zeros((len(starts.seeds), 3)), light.spec.prepared
-    room, around = prepared.room(light.seen.albedo), light.surroundings
+    met = prepared.met(light.seen.albedo, traced.cells, tiles.run)
 
     def _piece(a: int, b: int) -> None:
         some = RoomStarts(*(np.ascontiguousarray(each[..., a:b]) for each in starts))
-        if prepared.scene.material.passable:
-            given = some, samples, rules, around, sums[a:b]
-            light_through_matter(traced.field, traced.cells, prepared.passable, *given)
-            return
-        light_in_room(traced.field, traced.cells, room, some, samples, rules, around, sums[a:b])
-        add_glow(sums[a:b], light, traced, some, rules, samples)
+        given = some, samples, rules, light.surroundings, sums[a:b]
+        if isinstance(met, Passable):
+            light_through_matter(traced.field, traced.cells, met, *given)
+        elif isinstance(met, Surfaces):
+            light_among_surfaces(traced.field, met, *given)
+        else:
+            light_in_room(traced.field, traced.cells, met, *given)
+            add_glow(sums[a:b], light, traced, some, rules, samples)
 
     tiles.run(_piece, len(sums), PATH_POINTS)
     return sums

@@ -1,6 +1,6 @@
 """Paths among several isosurfaces: a ray meets the nearest, and a share of all rays passes straight through it.
 
-What meets a surface leaves it on the side it came from, or, diffuse too, on the other.
+What meets a surface leaves it on the side it came from, or, diffuse too, on the other. Walls let nothing through.
 """
 
 import math
@@ -16,19 +16,29 @@ from isogi_core.kernels.tracing.field import FIELD
 from isogi_core.kernels.tracing.intersect import SOLID, UNKNOWN
 from isogi_core.kernels.tracing.peels import MOST
 from isogi_core.kernels.tracing.ray_stream import Rays
-from isogi_core.kernels.tracing.vec import SMALLEST, column, dot, madd, put_column, scale
+from isogi_core.kernels.tracing.vec import SMALLEST, column, madd, put_column, scale
+from isogi_core.kernels.tracing.walls import NOWHERE, meet_walls
 from isogi_core.kernels.transport.integrator import ROULETTE, launch
 from isogi_core.kernels.transport.light_paths import SURROUNDINGS, aim_shadow_rays, make_shadow_rays
-from isogi_core.kernels.transport.lights import arriving
-from isogi_core.kernels.transport.paths import PATH_RULES, SAMPLE_RANGE, PathStarts, SampleRange
+from isogi_core.kernels.transport.paths import PATH_RULES, SAMPLE_RANGE, SampleRange
 from isogi_core.kernels.transport.rng import PAIRS, point_of_words
+from isogi_core.kernels.transport.room_paths import (
+    ROOM,
+    STARTS,
+    RoomWave,
+    aim_at_luminaire,
+    begin,
+    gather_ends,
+    gather_walls,
+    launch_in_room,
+    stand_on_walls,
+)
 from isogi_core.kernels.transport.wavefront import (
     WAVE,
     Vertices,
     columns,
     compact,
     generate,
-    launch_all,
     make_vertices,
     next_vertex,
     partition,
@@ -46,9 +56,13 @@ PASSING = ROULETTE - CROSSINGS * PAIRS
 LEAVING = PASSING - PAIRS
 """The first of those that decide on which side paths leave a surface, one for each vertex."""
 
+NONE = -1
+"""The number of no surface: of what is a wall, or nothing."""
+
 
 class Surfaces(NamedTuple):
-    """s isosurfaces, the first of them the one that paths start on, whose isovalue each start has for itself.
+    """s isosurfaces in a ``room``, the first of them the one that paths start on, whose isovalue each start has for
+    itself.
 
     Of each the ``cells`` that may hold it (MOST of them: the others say nothing), its ``isovalues`` (s,), of which the
     first is not read, the ``albedos`` (s, 3) of both its sides, and the share ``clears`` (s,) of rays that passes. Of
@@ -60,51 +74,53 @@ class Surfaces(NamedTuple):
     albedos: Any
     clears: Any
     transmissions: Any
+    room: Any
 
 
 NUMBERS, ROWS = types.float64[::1], types.float64[:, ::1]
-SURFACES = record(Surfaces, types.UniTuple(ACTIVE_CELLS, MOST), NUMBERS, ROWS, NUMBERS, ROWS)
+SURFACES = record(Surfaces, types.UniTuple(ACTIVE_CELLS, MOST), NUMBERS, ROWS, NUMBERS, ROWS, ROOM)
 
 
 class Company(NamedTuple):
-    """A wave of paths among s surfaces and its ``shadow`` rays.
+    """A ``wave`` of paths among s surfaces in a room.
 
     (n,) the ``own`` isovalues of the surfaces that paths started on, and the numbers of those that vertices stand
-    ``on`` and that rays ``met``. For each surface and ray the way ``t`` to it, and the side that it ``came`` from,
-    (s, n). ``passed`` (n,) is the share of a shadow ray's light that gets through, ``pending`` (n,) the rays that go
-    on. ``carried`` (3, paths) is what light at a path's vertex counts in what it has ``gathered`` (3, paths).
+    ``on`` and that rays ``met``, or NONE. For each surface and ray the way ``t`` to it, and the side that it ``came``
+    from, (s, n). ``end`` (n,) is the way to the wall that a ray meets at last. ``passed`` (n,) is the share of a shadow
+    ray's light that gets through, ``pending`` (n,) the rays that go on.
     """
 
-    shadow: Any
+    wave: Any
     own: Any
     on: Any
     met: Any
     t: Any
     came: Any
+    end: Any
     passed: Any
     pending: Any
-    carried: Any
-    gathered: Any
 
 
 @kernel()
 def cast_at_all(field, surfaces, company, origins, count):
-    """Cast a wave's rays from ``origins`` at each surface: ways and sides."""
-    wave, n = company.shadow.wave, whole(count)
-    isovalues, sides, directions = np.empty(n), np.empty(n, np.int8), columns(wave.directions, count)
+    """Cast a wave's rays from ``origins`` at each surface, ways and sides, and at the walls that end them."""
+    wave, n = company.wave, whole(count)
+    isovalues, sides, directions = np.empty(n), np.empty(n, np.int8), columns(wave.shadow.wave.directions, count)
     for k in range(surfaces.clears.shape[0]):
         for i in range(n):
             isovalues[i] = company.own[i] if k == 0 else surfaces.isovalues[k]
-            sides[i] = wave.sides[i] if company.on[i] == k else UNKNOWN
+            sides[i] = wave.shadow.wave.sides[i] if company.on[i] == k else UNKNOWN
         rays = Rays(isovalues, origins, directions, sides)
         cast_batch(field, surfaces.cells[k], rays, company.t[k, :n], company.came[k, :n])
+    company.end[:n] = math.inf
+    meet_walls(surfaces.room.walls, origins, directions, wave.own[:n], company.end[:n], wave.met[:n])
 
 
 @kernel()
 def cast_on(field, surfaces, company, k, origins, count, going):
     """Cast those of the first ``going`` pending rays on that have just passed surface ``k``, from there."""
-    wave, n = company.shadow.wave, whole(going)
-    some, size, directions = np.empty(n, np.int64), 0, columns(wave.directions, count)
+    n, directions = whole(going), columns(company.wave.shadow.wave.directions, count)
+    some, size = np.empty(n, np.int64), 0
     for j in range(going):
         if company.met[company.pending[j]] == k:
             some[size] = company.pending[j]
@@ -137,39 +153,42 @@ def nearest(company, i):
 
 
 @kernel()
-def happens(wave, i, number, chance):
+def happens(rays, i, number, chance):
     """Whether path ``i`` of a wave draws what has this ``chance``, by its pair of random numbers of this ``number``."""
-    low, high, sample = np.uint64(wave.low[i]), np.uint64(wave.high[i]), np.uint64(wave.samples[i])
+    low, high, sample = np.uint64(rays.low[i]), np.uint64(rays.high[i]), np.uint64(rays.samples[i])
     return point_of_words(low, high, sample, np.uint64(number))[0] < chance
 
 
 @kernel()
-def passes(wave, i, bounce, crossing, clear):
+def passes(rays, i, bounce, crossing, clear):
     """Whether ray ``i`` from a path's vertex passes the surface at its crossing of this number, by chance."""
     if clear <= 0.0 or clear >= 1.0:
         return clear > 0.0
-    return happens(wave, i, PASSING + crossing * PAIRS + bounce, clear)
+    return happens(rays, i, PASSING + crossing * PAIRS + bounce, clear)
 
 
 @kernel()
 def goes_on(surfaces, company, i, bounce, crossing, aimed):
     """Whether ray ``i``, at its next crossing, goes on; an ``aimed`` one, as far as it reaches, with what it brings."""
-    wave, k = company.shadow.wave, nearest(company, i)
-    wave.t[i], wave.came[i], company.met[i] = company.t[k, i], company.came[k, i], k
-    if not aimed:
-        return wave.t[i] < math.inf and passes(wave, i, bounce, crossing, surfaces.clears[k])
-    if wave.t[i] >= company.shadow.reach[i] or not wave.t[i] < math.inf:
+    shadow, k = company.wave.shadow, nearest(company, i)
+    rays, reach = shadow.wave, shadow.reach[i] if aimed else math.inf
+    walled = company.end[i] <= company.t[k, i]
+    rays.t[i], rays.came[i] = company.end[i] if walled else company.t[k, i], company.came[k, i]
+    company.met[i] = NONE if walled else k
+    if rays.t[i] >= reach or (walled and not aimed):
         return False
-    company.passed[i] *= surfaces.clears[k]
-    return company.passed[i] > 0.0
+    if aimed:
+        company.passed[i] *= 0.0 if walled else surfaces.clears[k]
+        return company.passed[i] > 0.0
+    return passes(rays, i, bounce, crossing, surfaces.clears[k])
 
 
 @kernel()
 def follow(field, surfaces, company, room, bounce, count, aimed):
     """Follow a wave's rays from the points in ``room`` to the surfaces that stop them.
 
-    Writes how far that is, and from which side they met which surface. ``aimed`` rays go no farther than they reach,
-    and bring the share ``passed`` of their light.
+    Writes how far that is, and from which side they met which surface, or which wall. ``aimed`` rays go no farther than
+    they reach, and bring the share ``passed`` of their light.
     """
     origins = columns(room, count)
     origins[:, count:] = math.inf
@@ -186,44 +205,40 @@ def follow(field, surfaces, company, room, bounce, count, aimed):
             staying += goes_on(surfaces, company, i, bounce, crossing, aimed)
         going = staying
         if going == 0:
-            return
+            break
         for k in range(surfaces.clears.shape[0]):
             cast_on(field, surfaces, company, k, origins, count, going)
     for j in range(going):
         company.passed[company.pending[j]] = 0.0
+    for i in range(count):
+        if company.met[i] != NONE:
+            company.wave.met[i] = NOWHERE
 
 
 @kernel()
-def add_carried(company, i, light, share):
-    """Add a ``share`` of the ``light`` that arrives at the vertex of path ``i`` of a wave to what it has gathered."""
-    m = company.shadow.wave.owners[i]
-    for c in range(3):
-        company.gathered[c, m] += share * company.carried[c, m] * light[c]
+def add_sent(field, surfaces, company, bounce, count):
+    """Add what the shadow rays of a wave bring, of which surfaces let a share pass, and walls nothing."""
+    shadow, carried, gathered = company.wave.shadow, company.wave.carried, company.wave.gathered
+    follow(field, surfaces, company, shadow.starts, bounce, count, True)
+    starts, lights = columns(shadow.starts, count), columns(shadow.light, count)
+    for i in range(count):
+        if company.passed[i] > 0.0 and starts[0, i] < math.inf:
+            m = shadow.wave.owners[i]
+            for c in range(3):
+                gathered[c, m] += company.passed[i] * carried[c, m] * lights[c, i]
 
 
 @kernel()
 def gather_sources(field, surfaces, company, vertices, bounce, light):
-    """Add what lamps, and bright parts of a sharp environment, send to the vertices of a wave."""
-    shadow, count = company.shadow, vertices.count
-    lights = columns(shadow.light, count)
-    for source in range(0 if light.table[0].shape[0] > 0 else 1, 1 + light.lamps.kinds.shape[0]):
-        aim_shadow_rays(shadow, vertices, bounce, light, source, field.spacing)
-        follow(field, surfaces, company, shadow.starts, bounce, count, True)
-        for i in range(count):
-            if company.passed[i] > 0.0:
-                add_carried(company, i, column(lights, i), company.passed[i])
-
-
-@kernel()
-def gather_ends(company, vertices, escaped, light):
-    """Add the environment that the ``escaped`` paths leave to."""
-    wave = company.shadow.wave
-    normals, ways = columns(vertices.normals, vertices.count), columns(wave.ways, vertices.count)
-    for i in wave.escaped[:escaped]:
-        w = column(ways, i)
-        cosine = dot(column(normals, i), w)
-        end = arriving(light.constant, light.image, light.matrix, light.table, w, cosine)
-        add_carried(company, i, end, 1.0)
+    """Add what lamps, bright parts of a sharp environment, and luminaires send to the vertices of a wave."""
+    wave, room, lamps = company.wave, surfaces.room, light.lamps.kinds.shape[0]
+    for source in range(0 if light.table[0].shape[0] > 0 else 1, 1 + lamps):
+        aim_shadow_rays(wave.shadow, vertices, bounce, light, source, field.spacing)
+        add_sent(field, surfaces, company, bounce, vertices.count)
+    for k in range(room.areas.shape[0]):
+        if max(room.radiances[k, 0], room.radiances[k, 1], room.radiances[k, 2]) > 0.0:
+            aim_at_luminaire(wave, vertices, bounce, room, k, 1 + lamps + k, field.spacing)
+            add_sent(field, surfaces, company, bounce, vertices.count)
 
 
 @kernel()
@@ -233,13 +248,13 @@ def leave(surfaces, company, h, k, vertex, chance):
     Each is drawn by what it leaves of the light that the path carries, so that no colour of it ever counts more than
     three times that. What it carries counts over that chance, and over the ``chance`` to get there.
     """
-    wave, carried, m = company.shadow.wave, company.carried, company.shadow.wave.owners[h]
-    back = through = 0.0
+    rays, carried = company.wave.shadow.wave, company.wave.carried
+    m, back, through = rays.owners[h], 0.0, 0.0
     for c in range(3):
         back += carried[c, m] * surfaces.albedos[k, c]
         through += carried[c, m] * surfaces.transmissions[k, c]
     share = through / (through + back) if through > 0.0 else 0.0
-    other = share > 0.0 and happens(wave, h, LEAVING + vertex, share)
+    other = share > 0.0 and happens(rays, h, LEAVING + vertex, share)
     counts, share = (surfaces.transmissions[k], share) if other else (surfaces.albedos[k], 1.0 - share)
     for c in range(3):
         carried[c, m] *= counts[c] / (chance * share)
@@ -249,63 +264,72 @@ def leave(surfaces, company, h, k, vertex, chance):
 @kernel()
 def stand_on(surfaces, company, following, count, bounce, chance):
     """Put the vertices ``following`` the rays of a ``bounce`` on what was met: its number, its isovalue, and the side
-    that paths leave. ``count`` rays were cast, and hits were followed with a ``chance``.
+    that paths leave; of a wall, what these carry. ``count`` rays were cast, and hits were followed with a ``chance``.
     """
-    wave, ways = company.shadow.wave, columns(company.shadow.wave.ways, count)
+    rays, carried = company.wave.shadow.wave, company.wave.carried
+    ways, walls = columns(rays.ways, count), surfaces.room.albedos
     for h in range(following.count):
-        i = wave.hits[h]
+        i = rays.hits[h]
         k = int(company.met[i])
-        company.own[h], company.on[h] = company.own[i], k
-        wave.isovalues[h] = company.own[h] if k == 0 else surfaces.isovalues[k]
-        if leave(surfaces, company, h, k, bounce + 1, chance):
-            wave.sides[h], wave.signs[h] = -wave.sides[h], -wave.signs[h]
+        company.own[h], company.on[h], rays.t[h] = company.own[i], k, rays.t[i]
+        rays.isovalues[h] = company.own[h] if k <= 0 else surfaces.isovalues[k]
+        if k == NONE:
+            for c in range(3):
+                carried[c, rays.owners[h]] *= walls[int(company.wave.met[i]), c] / chance
+        elif leave(surfaces, company, h, k, bounce + 1, chance):
+            rays.sides[h], rays.signs[h] = -rays.sides[h], -rays.signs[h]
             put_column(ways, i, scale(column(ways, i), -1.0))  # where the field is flat normals are against them
 
 
 @kernel()
 def start_on_either_side(field, surfaces, company, vertices, starts):
     """Have paths leave the surface that they start on, on one of its sides, each counting its share of what leaves."""
-    wave, g, through = company.shadow.wave, starts.isovalues.shape[0], surfaces.transmissions[0]
+    rays, g, through = company.wave.shadow.wave, starts.isovalues.shape[0], surfaces.transmissions[0]
     origins, normals = columns(vertices.points, vertices.count), columns(vertices.normals, vertices.count)
     for h in range(vertices.count if max(through[0], through[1], through[2]) > 0.0 else 0):
-        m = wave.owners[h]
+        m = rays.owners[h]
+        if company.on[h] == NONE:
+            continue
         for c in range(3):
-            company.carried[c, m] /= max(surfaces.albedos[0, c] + through[c], SMALLEST)
+            company.wave.carried[c, m] /= max(surfaces.albedos[0, c] + through[c], SMALLEST)
         if leave(surfaces, company, h, 0, 0, 1.0):
             n, start = scale(column(normals, h), -1.0), column(starts.points, m % g)
-            wave.sides[h] = SOLID
+            rays.sides[h] = SOLID
             put_column(normals, h, n)
-            put_column(origins, h, launch(field, wave.isovalues[h], start, n, SOLID))
+            put_column(origins, h, launch(field, rays.isovalues[h], start, n, SOLID))
 
 
 @kernel()
 def light_wave(field, surfaces, company, vertices, spare, rules, light):
     """Walk the paths of a wave to their ends and gather light on the way."""
-    wave, last = company.shadow.wave, rules.weights.shape[0] - 1
+    wave, last = company.wave, rules.weights.shape[0] - 1
+    rays = wave.shadow.wave
     for bounce in range(last + 1):
         count = vertices.count
         gather_sources(field, surfaces, company, vertices, bounce, light)
-        sample_direction(wave, vertices, bounce, field.spacing)
+        sample_direction(rays, vertices, bounce, field.spacing)
         follow(field, surfaces, company, vertices.points, bounce, count, False)
-        hits = partition(wave, count)
-        gather_ends(company, vertices, count - hits, light)
-        hits = russian_roulette(wave, hits, bounce, rules.survival)
+        hits = partition(rays, count)
+        gather_ends(wave, vertices, count - hits, light)
+        hits = gather_walls(wave, vertices, hits, surfaces.room)
+        hits = russian_roulette(rays, hits, bounce, rules.survival)
         if hits == 0 or bounce == last:
             return
         following = Vertices(spare.points, spare.normals, hits)
-        compact(wave, vertices, following)
+        compact(rays, vertices, following)
         stand_on(surfaces, company, following, count, bounce, rules.survival if bounce > 0 else 1.0)
-        next_vertex(field, wave, count, following)
+        next_vertex(field, rays, count, following)
+        stand_on_walls(wave, vertices, following, surfaces.room)
         vertices, spare = following, vertices
 
 
 @kernel()
 def make_company(n, surfaces, carried, gathered):
     """Room for a wave of ``n`` paths among so many surfaces."""
-    numbers, places, s = np.zeros((2, n)), np.zeros((3, n), np.int64), surfaces.clears.shape[0]
-    t, came = np.empty((s, n)), np.empty((s, n), np.int8)
-    shadow = make_shadow_rays(n)
-    return Company(shadow, numbers[0], places[0], places[1], t, came, numbers[1], places[2], carried, gathered)
+    numbers, places, s = np.zeros((3, n)), np.zeros((3, n), np.int64), surfaces.clears.shape[0]
+    wave = RoomWave(make_shadow_rays(n), np.full(n, NOWHERE), np.full(n, NOWHERE), carried, gathered)
+    met, ways = (numbers[0], places[0], places[1]), (np.empty((s, n)), np.empty((s, n), np.int8))
+    return Company(wave, *met, *ways, numbers[1], numbers[2], places[2])
 
 
 @kernel()
@@ -316,32 +340,33 @@ def light_paths(field, surfaces, starts, samples, rules, light, gathered):
     carried = np.empty((3, total))
     for c in range(3):
         carried[c] = rules.weights[0, c]
-    origins = launch_all(field, starts)
+    origins = launch_in_room(field, starts)
     n = whole(min(WAVE, total))
     company, space, spare = make_company(n, surfaces, carried, gathered), make_vertices(n), make_vertices(n)
+    wave = company.wave
     for first in range(0, total, WAVE):
         vertices = Vertices(space.points, space.normals, min(WAVE, total - first))
-        generate(company.shadow.wave, vertices, starts, origins, samples.first, first)
-        company.own[:] = company.shadow.wave.isovalues
-        company.on[:] = 0
+        generate(wave.shadow.wave, vertices, starts, origins, samples.first, first)
+        begin(wave, starts, first, vertices.count)
+        company.own[:] = wave.shadow.wave.isovalues
+        for h in range(vertices.count):
+            company.on[h] = NONE if wave.own[h] >= 0.0 else 0
         start_on_either_side(field, surfaces, company, vertices, starts)
         light_wave(field, surfaces, company, vertices, spare, rules, light)
 
 
-STARTS = record(PathStarts, ROWS, ROWS, NUMBERS, types.uint64[::1])
-
-
 @kernel(types.void(FIELD, SURFACES, STARTS, SAMPLE_RANGE, PATH_RULES, SURROUNDINGS, ROWS))
 def light_among_surfaces(field, surfaces, starts, samples, rules, light, sums):
-    """Add E/π of a ``SampleRange`` at each of g ``PathStarts``, with all light that is reflected, to ``sums`` (g, 3).
+    """Add E/π of a ``SampleRange`` at each of g ``RoomStarts``, with all light that is reflected, to ``sums`` (g, 3).
 
     A ray that meets a surface passes straight through it with the chance ``clear``, or meets a diffuse one there: of a
     thin shell that is lit on either side. Light of shadow rays is multiplied by the ``clear`` of all that they cross.
     Each bounce counts the albedo of what it hit, or its transmission where it goes on from the other side, over the
     chance of that side, and all the first of the weights (bounces + 1, 3) of the ``rules``, of which the others are not
     read. Where the surface of the starts has a transmission t beside its albedo a, E is that of both its sides by their
-    shares in what leaves, (a E_own + t E_other) / (a + t). ``light`` are the Surroundings. Sums grow sample by sample:
-    the company of a start changes no bit. Source: Kajiya 1986; clear shells as in Beason et al. 2006 (S3).
+    shares in what leaves, (a E_own + t E_other) / (a + t). ``light`` are the Surroundings, and luminaires are balanced
+    as in ``light_in_room``. Sums grow sample by sample: the company of a start changes no bit. Source: Kajiya 1986;
+    clear shells as in Beason et al. 2006 (S3).
     """
     g, last = starts.isovalues.shape[0], samples.first + samples.count
     step = max(WAVE // max(g, 1), 1)

@@ -10,14 +10,18 @@ from isogi_core.kernels.tracing.field import to_index
 from isogi_core.kernels.tracing.intersect import OUTSIDE, UNKNOWN, cast
 from isogi_core.kernels.tracing.peels import MOST
 from isogi_core.kernels.tracing.vec import column, dot, madd
+from isogi_core.kernels.tracing.walls import NOWHERE
 from isogi_core.kernels.transport.integrator import about, launch, shading_normal
 from isogi_core.kernels.transport.light_paths import PAIRS, sample_source, to_world
 from isogi_core.kernels.transport.lights import DIRECTIONAL, arriving
-from isogi_core.kernels.transport.paths import PathRules, PathStarts, SampleRange
+from isogi_core.kernels.transport.paths import PathRules, SampleRange
 from isogi_core.kernels.transport.rng import point_2d
+from isogi_core.kernels.transport.room_paths import RoomStarts
 from isogi_core.kernels.transport.sampling import sample_cosine_hemisphere
 from isogi_core.kernels.transport.surface_paths import LEAVING, PASSING, Surfaces, light_among_surfaces
 from tests.kernels.fields import cells_of, field_of
+from tests.kernels.rooms import X, Y, Z, box, room_of, sky, wall
+from tests.kernels.rooms import gather as gather_in_room
 from tests.kernels.transport.lighting import BALL, LIGHTS, NOISY, PLANE, lamps, on_ball, surroundings
 from tests.scale import few
 
@@ -44,7 +48,7 @@ def crossings(field, isovalues, on, side, o, d):
 @njit
 def path_among(field, surfaces, start, seed, index, bounces, light):
     """One path, each of its rays by itself: what it gathers, linear RGB."""
-    _, isovalues, albedos, clears, through = surfaces
+    _, isovalues, albedos, clears, through, _ = surfaces
     (p, n), total, side, on = start, np.zeros(3), OUTSIDE, 0
     carried = 1.0 / (through[0] + albedos[0])
     share = (carried * through[0]).sum() / (carried * (through[0] + albedos[0])).sum()
@@ -90,8 +94,8 @@ def path_among(field, surfaces, start, seed, index, bounces, light):
     return total
 
 
-def among(field, own, others, albedos, clears, transmissions=None):
-    """The surfaces at ``own`` and some ``others``, with an albedo and a share that passes each.
+def among(field, own, others, albedos, clears, transmissions=None, walls=()):
+    """The surfaces at ``own`` and some ``others``, with an albedo and a share that passes each, among ``walls``.
 
     Albedos and transmissions are numbers or linear RGB.
     """
@@ -101,15 +105,17 @@ def among(field, own, others, albedos, clears, transmissions=None):
         np.array([np.broadcast_to(each, 3) for each in given], float)
         for given in (albedos, transmissions or [0.0] * len(albedos))
     )
-    return Surfaces(cells, np.array([own, *others], float), back, np.array(clears, float), through)
+    levels = np.array([own, *others], float)
+    return Surfaces(cells, levels, back, np.array(clears, float), through, room_of(walls, field.spacing))
 
 
-def gather(field, surfaces, starts, samples, bounces, light):
-    """E/π (g, 3) at the ``starts`` (points, normals), (3, g) each."""
+def gather(field, surfaces, starts, samples, bounces, light, walls=None, survival=1.0):
+    """E/π (g, 3) at the ``starts`` (points, normals), (3, g) each, on ``walls`` by number or on the surface (-1)."""
     points, normals = (np.ascontiguousarray(each, np.float64) for each in starts)
     g = points.shape[1]
-    paths = PathStarts(points, normals, np.full(g, surfaces.isovalues[0]), np.arange(1, g + 1, dtype=np.uint64))
-    rules, sums = PathRules(np.ones((bounces + 1, 3)), 1.0), np.zeros((g, 3))
+    levels, seeds = np.full(g, surfaces.isovalues[0]), np.arange(1, g + 1, dtype=np.uint64)
+    paths = RoomStarts(points, normals, levels, seeds, np.array(walls or [NOWHERE] * g, float))
+    rules, sums = PathRules(np.ones((bounces + 1, 3)), survival), np.zeros((g, 3))
     light_among_surfaces(field, surfaces, paths, SampleRange(0, samples), rules, light, sums)
     return sums / samples
 
@@ -189,3 +195,53 @@ def test_a_lamp_behind_a_sheet_lights_it_by_its_transmission() -> None:
     surfaces = among(field, 0.0, [], [(0.2, 0.3, 0.0)], [0.0], [(0.6, 0.1, 0.0)])
     found = gather(field, surfaces, starts, 4096, 0, surroundings(lamps=below)) * (0.8, 0.4, 0.0)
     np.testing.assert_allclose(found.mean(axis=0), np.array([0.6, 0.1, 0.0]) * 0.6, rtol=0.01)
+
+
+@pytest.mark.parametrize("light", LIGHTS)
+def test_one_opaque_surface_among_walls_is_that_of_a_room(light: str) -> None:
+    """The very paths of a room, whose walls are lit, seen from and in the way."""
+    field, samples = field_of(NOISY), few((64,), (8,))[0]
+    lamp = wall((10.0, 10.0, 45.0), 9.0 * Y, 14.0 * X, 0.3, radiance=5.0)
+    walls = [wall((-20.0, -20.0, -2.0), 80.0 * X, 80.0 * Y, 0.6), lamp, wall((-3.0, 0.0, 0.0), 40.0 * Y, 40.0 * Z, 0.9)]
+    points, normals = inner_ball(5)
+    points, normals = np.column_stack([points, [21.0, 15.0, -2.0]]), np.column_stack([normals, Z])
+    own = [*[NOWHERE] * 5, 0.0]
+    inside = among(field, 0.0, [], [0.5], [0.0], walls=walls)
+    found = gather(field, inside, (points, normals), samples, 3, LIGHTS[light], own, survival=0.7)
+    starts = (points * np.array(field.spacing)[:, None]).T, normals.T, own
+    room = room_of(walls, field.spacing, albedo=0.5)
+    expected = gather_in_room(field, room, starts, samples, 3, LIGHTS[light], survival=0.7)
+    np.testing.assert_allclose(found, expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize(("albedo", "clear", "through"), [(0.5, 0.0, 0.0), (0.2, 0.0, 0.3), (0.5, 0.6, 0.0)])
+def test_a_room_that_glows_and_loses_light_alike_everywhere(albedo: float, clear: float, through: float) -> None:
+    """Walls and shells that send back or on the same share ρ, and walls of radiance L: light is that of one bounce
+    after the other, from either side of the shells, at least L and at most L (1 - ρ^(n + 1)) / (1 - ρ).
+    """
+    (samples,) = few((2048,), (64,))
+    walls = [(corner - 30.0, *rest) for corner, *rest in box(100.0, 0.5, 2.0)]
+    shells = among(field_of(BALL), 0.0, [], [albedo], [clear], [through], walls)
+    starts = np.array([[20.0, 20.0, -30.0], [-30.0, 20.0, 20.0]]).T, np.array([Z, X]).T
+    found = gather(field_of(BALL), shells, starts, samples, 4, sky(9.0), [4.0, 0.0])
+    bare = among(field_of(BALL), 0.0, [], [0.0], [1.0], walls=walls)
+    whole = gather(field_of(BALL), bare, starts, samples, 4, sky(9.0), [4.0, 0.0])
+    np.testing.assert_allclose(whole, 2.0 * (1.0 - 0.5**5) / 0.5, rtol=0.005 if samples > 64 else 0.2)
+    assert (found < whole * 1.001).all()
+    assert (found > 2.0).all()
+
+
+@pytest.mark.parametrize("clear", [0.25, 1.0])
+def test_a_lamp_is_seen_through_a_clear_plane(clear: float) -> None:
+    """A surface between a floor and a lamp lets its share of the lamp's light through, and blocks the rest."""
+    (samples,) = few((1024,), (64,))
+    field = field_of(PLANE)
+    lamp = wall((18.0, 18.0, 60.0), 4.0 * Y, 4.0 * X, radiance=5.0)
+    walls = [wall((-20.0, -20.0, -2.0), 80.0 * X, 80.0 * Y), lamp]
+    starts = np.array([[20.0, 20.0, -2.0]]).T, np.array([Z]).T
+    dark, bare = (
+        gather(field, among(field, 0.0, [], [0.0], [share], walls=walls), starts, samples, 0, sky(0.0), [0.0])
+        for share in (clear, 1.0)
+    )
+    np.testing.assert_allclose(dark, clear * bare, rtol=0.02 if samples > 64 else 0.3)
+    assert bare[0, 0] > 0.0
