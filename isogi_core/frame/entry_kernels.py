@@ -73,7 +73,9 @@ LOBES = (
 """Those that only lights with lobes call."""
 
 ROOM = (light_in_room, trace_pixels_in_sight, trace_places_in_sight, light_walls, fill_seeds)
-"""Those that only scenes with walls call, besides; not their ``trace_pixels`` and ``trace_places``."""
+"""Those that only scenes with walls call, besides; not their ``trace_pixels`` and ``trace_places``. Where they have
+several surfaces, too, ``light_walls`` alone.
+"""
 
 COLOURED = (fill_albedos,)
 """Those that only scenes with colours by data call; their paths are those of a room."""
@@ -144,7 +146,8 @@ def frame_kernels(scenes: Iterable[Scene]) -> tuple[Any, ...]:
     """
     shown = tuple(scenes)
     uncalled = set.intersection({*FRAME}, *map(uncalled_by, shown))
-    rooms = ROOM if any(scene.room.any for scene in shown) else ()
+    rooms = ROOM if any(scene.room.any and not scene.several for scene in shown) else ()
+    rooms += (light_walls,) if any(scene.room.any and scene.several for scene in shown) else ()
     shining = [scene for scene in shown if scene.shine]
     shines = SHINE if shining else ()
     lobes = (light_ends,) if any(scene.plan.lobes for scene in shining) else ()

@@ -172,8 +172,11 @@ def to_index(v: np.ndarray, spacing: Vector) -> Vector:
 
 def sight_of(view: View, spacing: Vector, walls: Walls | None) -> Sight | None:
     """What a ``view`` sees beside the surface, as kernels take it; None where there are no ``walls`` and no window."""
-    if walls is None and view.window is None:
-        return None
+    return None if walls is None and view.window is None else sight_among(view, spacing, walls)
+
+
+def sight_among(view: View, spacing: Vector, walls: Walls | None) -> Sight:
+    """The same, with no walls and no planes of a window where there is nothing."""
     planes = np.empty((0, 4)) if view.window is None else view.window.in_index(spacing)
     return Sight(NO_WALLS if walls is None else walls, planes)
 

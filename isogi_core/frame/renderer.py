@@ -51,6 +51,7 @@ from isogi_core.frame.shading import (
     carry_irradiance_ratios,
     carry_texel_light,
     colour_surface,
+    empty_framebuffer,
     fill_texel_records,
     filter_texel_light,
     light_sources,
@@ -156,11 +157,14 @@ class Renderer:
             return self._through.draw(gbuffer, light, target, tiles, watch)
         if view.shading in ("gi", "vicinity"):
             return self._render_texels(gbuffer, light, target, tiles, watch)
-        framebuffer = shade(gbuffer, light, target, tiles, watch)
-        if len(gbuffer.walls.pixels):
-            with watch.stage("walls"):
-                self._walls.put(gbuffer, light, target, framebuffer, tiles)
-        return frame_of(gbuffer, light, framebuffer, watch)
+        frame = frame_of(gbuffer, light, shade(gbuffer, light, target, tiles, watch), watch)
+        return self._walls.add(frame, light, target, tiles, watch)
+
+    def draw_walls(self, gbuffer: GBuffer, view: View, target: float, tiles: Tiles, watch: Stopwatch) -> Frame:
+        """The frame of the walls alone in a G-buffer. Raises Cancelled."""
+        light = self._light(view)
+        frame = frame_of(gbuffer, light, empty_framebuffer(gbuffer), watch)
+        return self._walls.add(frame, light, target, tiles, watch)
 
     def refine(self, view: View, target: float | None = None, tiles: Tiles | None = None, finer: bool = False) -> bool:
         """Bring the total error of a view whose light is final a step nearer to the ``target``; whether there was one.
@@ -230,11 +234,7 @@ class Renderer:
         if check is not None:
             check.put(framebuffer)
         frame = frame_of(gbuffer, light, framebuffer, watch, texels, reading, check, shine)
-        if not len(gbuffer.walls.pixels):
-            return frame
-        with watch.stage("walls"):
-            waiting, version = self._walls.put(gbuffer, light, target, framebuffer, tiles)
-        return replace(frame, walls_waiting=waiting, version=f"{frame.version}{version}")
+        return self._walls.add(frame, light, target, tiles, watch)
 
     def _add_shine(
         self, gbuffer: GBuffer, light: RotatedLight, target: float, framebuffer: Framebuffer, tiles: Tiles

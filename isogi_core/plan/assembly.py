@@ -105,8 +105,8 @@ def build_scene(
     albedo, material = read_albedo(settings, colours), read_material(settings, volume)
     overrides = plan_overrides(settings, albedo)
     shine = read_shine(settings, colours)
-    pinned, clear = read_pinned(settings, volume, room, colours), read_clear(settings, room, colours)
-    transmission = read_transmission(settings, albedo, room, colours)
+    pinned, clear = read_pinned(settings, volume, colours), read_clear(settings, colours)
+    transmission = read_transmission(settings, albedo, colours)
     target_error = settings.number("target_error", 0.02, 1e-4, 1.0)
     refuse_lamps(material, lights)
     several = bool(pinned) or clear > 0.0 or any(transmission) or material.scatters

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from isogi_core.files.scene_file import DEFAULT_DEMO
+from isogi_core.kernels.tracing.peels import MOST
 from isogi_core.model.surfaces import PinnedSurface
 from isogi_core.model.volume import Isovalue
 from isogi_core.plan.scene import Scene
@@ -32,6 +33,9 @@ class Side:
 
 OUTER = Side(0)
 """The side whose light is that of the scene itself."""
+
+WALLS = Side(MOST)
+"""Stands for the sides of the walls about the surfaces."""
 
 
 def surfaces_of(scene: Scene, shown: float) -> tuple[PinnedSurface, ...]:

@@ -241,7 +241,8 @@ def light_walls(context: PrewarmContext, views: Views, end: float) -> bool:
         context.report(Step("Lighting the walls of", "view", number, len(views), AFTER[0]))
         frame = context.frame_of(view)
         while frame.walls_waiting and frame.checkable and not context.late(end):
-            context.renderer.refine_frame(frame, context.target, tiles, False)
+            if not context.renderer.refine(view, context.target, tiles):
+                break
             frame, lit = context.frame_of(view), True
     return lit
 

@@ -1,15 +1,17 @@
 """The walls of views: their light is kept for what is shown of the surface, whatever view shows it."""
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from typing import Any
 
 from isogi_core.cache.wall_store import WallStore
+from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.frame.rays.wall_light import RoomLight, WallView
 from isogi_core.frame.rays.wall_texels import WallTexels
 from isogi_core.frame.shading import fog_depths
-from isogi_core.frame.tiles import Tiles
+from isogi_core.frame.tiles import Stopwatch, Tiles
 from isogi_core.kernels.shading.framebuffer import Framebuffer
 from isogi_core.lru_cache import LruCache
 from isogi_core.model.volume import Volume
@@ -39,6 +41,14 @@ class ViewWalls:
             texels = self._best(walls, target, tiles)
             return walls.put(texels, target, framebuffer, tiles), "".join(each.version for each in texels)
         return 0, ""
+
+    def add(self, frame: Frame, light: RotatedLight, target: float, tiles: Tiles, watch: Stopwatch) -> Frame:
+        """A ``frame`` with the walls that it shows, which are written into its picture. Raises Cancelled."""
+        if not len(frame.gbuffer.walls.pixels):
+            return frame
+        with watch.stage("walls"):
+            waiting, version = self.put(frame.gbuffer, light, target, frame.framebuffer, tiles)
+        return replace(frame, walls_waiting=waiting, version=f"{frame.version}{version}")
 
     def put_seen(self, views: Iterable[WallView], target: float, framebuffer: Framebuffer, tiles: Tiles) -> str:
         """Write what several views see of walls into one picture; what names the paths taken. Raises Cancelled."""

@@ -1,4 +1,4 @@
-"""The composer: renders each side of several surfaces by a renderer of its own, and adds the frames up."""
+"""The composer: renders each side of several surfaces by a renderer of its own, and adds the frames and walls up."""
 
 import threading
 from collections import OrderedDict
@@ -12,14 +12,14 @@ from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.several.edges import smooth_surfaces
 from isogi_core.frame.several.mixing import Level
-from isogi_core.frame.several.peels import Peeler, Peels, first_of, layers_of
+from isogi_core.frame.several.peels import Peeler, Peels, first_of, layers_of, walls_of
 from isogi_core.frame.several.surfaces_frame import Part, SurfacesFrame, compose, wrong_of
 from isogi_core.frame.tiles import Stopwatch, Tiles
 from isogi_core.frame.view_keys import surface_key
 from isogi_core.lru_cache import LruCache
 from isogi_core.model.view import View
 from isogi_core.plan.levels import levels_around
-from isogi_core.plan.sides import OUTER, Side, scene_of_side, sides_of, surfaces_of
+from isogi_core.plan.sides import OUTER, WALLS, Side, scene_of_side, sides_of, surfaces_of
 from isogi_core.prepared.prepared_scene import PreparedScene
 
 SHOWN, HELD = 2, 6
@@ -37,6 +37,9 @@ class SideRenderer(Protocol):
 
     def draw_on(self, gbuffer: GBuffer, view: View, target: float, tiles: Tiles, watch: Stopwatch) -> Frame:
         """The frame of what a view shows of the side."""
+
+    def draw_walls(self, gbuffer: GBuffer, view: View, target: float, tiles: Tiles, watch: Stopwatch) -> Frame:
+        """The frame of the walls alone in a G-buffer."""
 
     def refine_frame(self, frame: Frame, target: float, tiles: Tiles, finer: bool) -> bool:
         """Bring a frame a step nearer to the target; whether there was one."""
@@ -78,7 +81,11 @@ class Composer:
         parts = []
         for side, layers in peels.sides.items():
             renderer = self.renderer(side, view.isovalue)
-            frame = renderer.draw_on(layers.gbuffer, self._view_of(side, view, layers.layers), target, tiles, watch)
+            if side == WALLS:
+                frame = renderer.draw_walls(peels.walls, view, target, tiles, watch)
+            else:
+                tall = self._view_of(side, view, layers.layers)
+                frame = renderer.draw_on(layers.gbuffer, tall, target, tiles, watch)
             parts.append(Part(side, layers, frame, renderer.caches))
         with watch.stage("compose"):
             return compose(view, peels, parts, watch, target, self._scene)
@@ -93,7 +100,8 @@ class Composer:
         """What casts rays of a view at all surfaces."""
         every = surfaces_of(self._scene, view.isovalue)
         surfaces = [self._caches.prepared.surface(each.isovalue) for each in every]
-        return Peeler.of(view, surfaces, np.array([each.clear for each in every]), tiles)
+        clears, walls = np.array([each.clear for each in every]), self._caches.prepared.walls_in_view
+        return Peeler.of(view, surfaces, clears, tiles, walls)
 
     def peels(self, view: View, tiles: Tiles) -> Peels:
         """All that a view shows, layer behind layer. Raises Cancelled."""
@@ -113,8 +121,8 @@ class Composer:
         )
 
     def renderer(self, side: Side, shown: float) -> SideRenderer:
-        """The renderer of a ``side``, where the surface that slides shows the isovalue ``shown``."""
-        if side == OUTER:
+        """The renderer of a ``side``, or of WALLS, where the surface that slides shows the isovalue ``shown``."""
+        if side in (OUTER, WALLS):
             return self._own
         key = side, shown if side.number else None
         with self._lock:
@@ -164,7 +172,8 @@ class Composer:
             if len(hits.rows_of(side)):
                 prepared = self.renderer(side, view.isovalue).caches.prepared
                 sides[side] = layers_of(hits, side, first, prepared.surface(every[side.number].isovalue))
-        return Peels(first, sides, left)
+        walls, seen = walls_of(hits, first)
+        return Peels(first, sides | ({} if seen is None else {WALLS: seen}), left, walls)
 
 
 Kept = TypeVar("Kept")

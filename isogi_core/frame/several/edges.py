@@ -12,6 +12,7 @@ from isogi_core.frame.several.peels import Hits, Peeler
 from isogi_core.frame.several.surfaces_frame import SurfacesFrame
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.edges import Shown, borrow_light
+from isogi_core.kernels.tracing.peels import WALL
 from isogi_core.kernels.tracing.sight import FACE
 
 
@@ -48,7 +49,7 @@ def add_light(hits: Hits, side: int, picture: Shown, height: int, places: np.nda
 
     It is the light of the pixels around in the same layer of its tall ``picture``, by the weight of the hit.
     """
-    some = np.flatnonzero(hits.sides == side)
+    some = np.flatnonzero(np.minimum(hits.sides, WALL) == side)
     rays, down = hits.pixels[some], np.array([0.0, height], np.float32)
     there, found = places[rays] + hits.ranks[some][:, None] * down, np.zeros((len(some), 3), np.float32)
     borrow_light(picture, there, np.arange(len(some), dtype=np.uint32), hits.points[some], found)

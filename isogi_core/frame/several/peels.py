@@ -1,4 +1,4 @@
-"""Depth peels: all surfaces that a view shows, front to back, until what is behind hardly counts."""
+"""Depth peels: all surfaces that a view shows, front to back, until what is behind hardly counts, or a wall is met."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -6,13 +6,14 @@ from itertools import pairwise
 
 import numpy as np
 
-from isogi_core.frame.gbuffer import RAYS, GBuffer, PointsBeside, sight_of, view_pinhole
+from isogi_core.frame.gbuffer import RAYS, GBuffer, PointsBeside, sight_among, view_pinhole
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.tracing.camera import Pinhole
-from isogi_core.kernels.tracing.peels import LAYERS, MOST, Peeled, Shells, peel_rays
-from isogi_core.kernels.tracing.sight import FACE
+from isogi_core.kernels.tracing.peels import LAYERS, MOST, WALL, Peeled, Shells, peel_rays
+from isogi_core.kernels.tracing.sight import FACE, Sight
+from isogi_core.kernels.tracing.walls import Walls
 from isogi_core.model.view import View
-from isogi_core.plan.sides import Side
+from isogi_core.plan.sides import WALLS, Side
 from isogi_core.prepared.surface import Surface
 
 
@@ -38,7 +39,12 @@ class Hits:
 
     def rows_of(self, side: Side) -> np.ndarray:
         """The rows of those that are of a ``side``."""
-        return np.flatnonzero(self.sides == side.peeled)
+        return np.flatnonzero(np.minimum(self.sides, WALL) == side.peeled)
+
+    def beside(self, rows: np.ndarray) -> PointsBeside:
+        """Those in some ``rows``, which are of walls or of faces."""
+        sides = self.sides[rows]
+        return PointsBeside(self.pixels[rows], self.points[rows], np.where(sides < WALL, sides, sides - WALL))
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,31 +71,34 @@ class SideLayers:
 @dataclass(frozen=True, eq=False)
 class Peels:
     """All that a view shows: its ``sides``, in what is ``first`` the surfaces in front of all others, and the share
-    ``left`` (h, w) float32 of what lies behind everything.
+    ``left`` (h, w) float32 of what lies behind everything. ``walls`` is the picture of walls alone.
     """
 
     first: GBuffer
     sides: Mapping[Side, SideLayers]
     left: np.ndarray
+    walls: GBuffer
 
     @property
     def nbytes(self) -> int:
         """Bytes that they take."""
         layers = sum(each.gbuffer.nbytes + each.weights.nbytes for each in self.sides.values())
-        return self.first.nbytes + layers + self.left.nbytes
+        return self.first.nbytes + layers + self.left.nbytes + self.walls.nbytes
 
 
 @dataclass(frozen=True, eq=False)
 class Peeler:
-    """Casts rays of a view's ``camera`` at ``shells``, as far as a ``window`` (k, 4) leaves them to see."""
+    """Casts rays of a view's ``camera`` at ``shells``, with what is in ``sight`` beside them."""
 
     shells: Shells
     camera: Pinhole
-    window: np.ndarray
+    sight: Sight
 
     @classmethod
-    def of(cls, view: View, surfaces: Sequence[Surface], clears: np.ndarray, tiles: Tiles) -> "Peeler":
-        """That of some ``surfaces``, of which the shares ``clears`` of rays pass.
+    def of(
+        cls, view: View, surfaces: Sequence[Surface], clears: np.ndarray, tiles: Tiles, walls: Walls | None = None
+    ) -> "Peeler":
+        """That of some ``surfaces``, of which the shares ``clears`` of rays pass, and of ``walls``.
 
         A surface at the isovalue of one before it is that one: it is left out.
         """
@@ -97,19 +106,18 @@ class Peeler:
         clears = np.where([level in levels[:k] for k, level in enumerate(levels)], 1.0, clears)
         maps = [each.cells(tiles.run) for each in surfaces]
         filled = tuple(maps + [maps[0]] * (MOST - len(maps)))
-        sight = sight_of(view, field.spacing, None)
-        window = np.empty((0, 4)) if sight is None else sight.window
-        return cls(Shells(field, filled, np.array(levels), clears), view_pinhole(view, field.spacing), window)
+        sight = sight_among(view, field.spacing, walls)
+        return cls(Shells(field, filled, np.array(levels), clears), view_pinhole(view, field.spacing), sight)
 
     def through(self, x: np.ndarray, y: np.ndarray) -> tuple[Hits, np.ndarray]:
         """What is met through places (n,) of the picture, by their numbers; and the share left behind, (n,) float64."""
         corner, right, down = (np.array(each)[:, None] for each in self.camera[1:])
         directions = np.ascontiguousarray(corner + x * right + y * down)
-        room, left = LAYERS * len(x), np.empty(len(x))
+        room, left = (LAYERS + 1) * len(x), np.empty(len(x))
         sides, ranks = np.empty((2, room), np.int8)
         rays, points = np.empty(room, np.uint32), np.empty((room, 3), np.float32)
         peeled = Peeled(rays, points, sides, ranks, np.empty(room, np.float32))
-        count = peel_rays(self.shells, self.window, self.camera.eye, directions, peeled, left)
+        count = peel_rays(self.shells, self.sight, self.camera.eye, directions, peeled, left)
         return Hits(*(each[:count].copy() for each in peeled)), left
 
     def whole(self, view: View, tiles: Tiles) -> tuple[Hits, np.ndarray]:
@@ -141,8 +149,20 @@ def first_of(view: View, hits: Hits, surface: Surface) -> GBuffer:
     """The G-buffer of what is in front, and of the faces of a window; it has the ``surface`` of the one that slides."""
     spacing = surface.field.spacing
     front = np.append(True, hits.pixels[1:] != hits.pixels[:-1])[: len(hits.pixels)]
-    face = hits.sides == FACE
-    on, opened = np.flatnonzero(front & ~face), np.flatnonzero(face)
-    faces = PointsBeside(hits.pixels[opened], hits.points[opened], np.full(len(opened), FACE, np.int8))
+    face, wall = hits.sides == FACE, hits.sides >= WALL
+    on = np.flatnonzero(front & ~face & ~wall)
     shown = (view.height, view.width), spacing, view_pinhole(view, spacing).eye, surface
-    return GBuffer(*shown, hits.pixels[on], hits.points[on], faces=faces)
+    walls, faces = (hits.beside(np.flatnonzero(each)) for each in (front & wall, face))
+    return GBuffer(*shown, hits.pixels[on], hits.points[on], walls=walls, faces=faces)
+
+
+def walls_of(hits: Hits, first: GBuffer) -> tuple[GBuffer, SideLayers | None]:
+    """The picture of walls alone among some ``hits``, and what they count in that which ``first`` is of; None where
+    there are none.
+    """
+    rows, shown = hits.rows_of(WALLS), (first.shape, first.spacing, first.eye, first.surface)
+    seen = hits.beside(rows)
+    picture = GBuffer(*shown, np.empty(0, np.uint32), np.empty((0, 3), np.float32), walls=seen)
+    if not len(rows):
+        return picture, None
+    return picture, SideLayers(GBuffer(*shown, seen.pixels, seen.points), 1, hits.weights[rows])

@@ -1,4 +1,4 @@
-"""The frame of several surfaces: the sum of the frames of their sides, by what each counts in a pixel."""
+"""The frame of several surfaces: the sum of the frames of their sides, and of walls, by what each counts in a pixel."""
 
 import hashlib
 import math
@@ -20,7 +20,7 @@ from isogi_core.kernels.shading.framebuffer import FINAL, Framebuffer
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.model.view import View
 from isogi_core.plan.scene import Scene
-from isogi_core.plan.sides import OUTER, Side
+from isogi_core.plan.sides import OUTER, WALLS, Side
 
 DARK = 1e-30
 """Luminance below which relative errors are of nothing."""
@@ -28,7 +28,9 @@ DARK = 1e-30
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """What a picture shows of a ``side``: its ``layers``, their tall ``frame``, and the ``caches`` of its light."""
+    """What a picture shows of a ``side``, or of WALLS: its ``layers``, their tall ``frame``, and the ``caches`` of its
+    light.
+    """
 
     side: Side
     layers: SideLayers
@@ -43,6 +45,12 @@ class Part:
     def seen(self, values: np.ndarray) -> np.ndarray:
         """The ``values`` of a tall picture at its points."""
         return np.asarray(values.reshape(-1, *values.shape[2:])[self.layers.gbuffer.pixels])
+
+    @property
+    def measured(self) -> TotalError | None:
+        """Its total error by control pixels; walls have none, and tell all that they know as noise."""
+        noise = self.frame.noise
+        return TotalError(noise, noise, noise) if self.side == WALLS else self.frame.measured
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,8 +78,9 @@ class SurfacesFrame(Frame):
 
     @property
     def checkable(self) -> bool:
-        """Whether texels in the store are final, and control pixels are still to bring a side to its target."""
-        return not (self.provisional or self.final) and any(part.frame.checkable for part in self.parts)
+        """Whether texels in the store are final, and control pixels or walls are still to bring it to its target."""
+        lit = not any(part.frame.provisional for part in self.parts if part.side != WALLS)
+        return lit and not self.final and any(part.frame.checkable for part in self.parts)
 
     @cached_property
     def true_mean(self) -> float:
@@ -83,7 +92,7 @@ class SurfacesFrame(Frame):
         """The total relative RMSE by the control pixels of all sides, whose errors count as independent of each other;
         None before each side has some.
         """
-        found = [part.frame.measured for part in self.parts]
+        found = [part.measured for part in self.parts]
         if not found or self.view.shading != "gi" or self.view.moving or not all(found):
             return None
         every = [each for each in found if each is not None]
@@ -164,6 +173,7 @@ def compose(
         target=target if checked else None,
         given_up=bool(parts) and all(part.frame.given_up or part.frame.final for part in parts),
         own=sum(part.frame.own for part in parts),
+        walls_waiting=sum(part.frame.walls_waiting for part in parts),
         expected=max((part.frame.expected for part in parts), default=0.0),
         left=peels.left,
         parts=tuple(parts),

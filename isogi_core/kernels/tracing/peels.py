@@ -1,4 +1,7 @@
-"""Depth peels: all isosurfaces that rays of a camera meet, front to back, until what is behind hardly counts."""
+"""Depth peels: all isosurfaces that rays of a camera meet, front to back, until what is behind hardly counts.
+
+Walls let nothing through: the first that a ray meets is the last that it shows.
+"""
 
 import math
 from typing import Any, NamedTuple
@@ -13,9 +16,10 @@ from isogi_core.kernels.tracing.cast import TracedSurface, cast_batch
 from isogi_core.kernels.tracing.field import FIELD, clamp_cell
 from isogi_core.kernels.tracing.intersect import SOLID, UNKNOWN, cross_cell
 from isogi_core.kernels.tracing.ray_stream import Rays
-from isogi_core.kernels.tracing.sight import FACE, is_solid, look_through
+from isogi_core.kernels.tracing.sight import FACE, SIGHT, is_solid, look_through
 from isogi_core.kernels.tracing.slabs import clip_box, cut_cell, reciprocals
 from isogi_core.kernels.tracing.vec import column, madd, put_column
+from isogi_core.kernels.tracing.walls import NOWHERE, nearest_wall
 
 MOST = 4
 """Isosurfaces of a scene: the one that slides, and those beside it."""
@@ -28,6 +32,9 @@ LEAST = 1.0 / 512.0
 
 NOTHING = -3
 """The side that a ray meets where it meets nothing; FACE is that of a window, and others are from 0 on."""
+
+WALL = 2 * MOST
+"""The side that a ray meets on the first wall; one more on the next."""
 
 
 class Shells(NamedTuple):
@@ -45,8 +52,8 @@ class Peeled(NamedTuple):
     """What rays meet, ray by ray and front to back, (m,) each.
 
     ``rays`` uint32 are their numbers, and ``points`` (m, 3) float32 in index space. ``sides`` int8 are 2 k on the outer
-    side of surface k, one more on its inner one, or FACE. ``ranks`` int8 tell how many of that side the ray has met
-    before, and ``weights`` float32 the share of its light that comes from there.
+    side of surface k, one more on its inner one, WALL + k on wall k, or FACE. ``ranks`` int8 tell how many of that side
+    the ray has met before, and ``weights`` float32 the share of its light that comes from there.
     """
 
     rays: Any
@@ -58,16 +65,22 @@ class Peeled(NamedTuple):
 
 class Crossings(NamedTuple):
     """The last crossings found of n rays with s surfaces: ways ``t`` from the eye, inf where there is none, and the
-    sides that they ``came`` from, (s, n). Nothing is seen beyond ``far`` (n,).
+    sides that they ``came`` from, (s, n). Nothing is seen of them beyond ``far`` (n,). ``walls`` (n,) are the numbers
+    of those that end rays, ``ends`` (n,) from the eye.
     """
 
     t: Any
     came: Any
     far: Any
+    walls: Any
+    ends: Any
 
 
 class Layers(NamedTuple):
-    """What n rays show, layer behind layer: ``sides``, as of ``Peeled``, ways ``t`` and ``weights``, (LAYERS, n)."""
+    """What n rays show, layer behind layer: ``sides``, as of ``Peeled``, ways ``t`` and ``weights``, (LAYERS + 1, n).
+
+    The last of them has walls alone.
+    """
 
     sides: Any
     t: Any
@@ -145,15 +158,18 @@ def opens(shells, p):
 
 
 @kernel()
-def first_crossings(shells, window, eye, directions, layers, left):
-    """The first crossings of rays from the ``eye`` behind a ``window``, whose faces end rays as their first layer."""
+def first_crossings(shells, sight, eye, directions, layers, left):
+    """The first crossings of rays from the ``eye`` behind a window, whose faces end rays as their first layer."""
     s, n = shells.clears.shape[0], directions.shape[1]
-    crossings, every = Crossings(np.empty((s, n)), np.full((s, n), UNKNOWN, np.int8), np.empty(n)), np.arange(n)
+    ways, every = np.empty((3, n)), np.arange(n)
+    crossings = Crossings(np.empty((s, n)), np.full((s, n), UNKNOWN, np.int8), ways[0], ways[1], ways[2])
     for i in range(n):
         d = column(directions, i)
-        near, crossings.far[i] = look_through(window, eye, d)
+        near, far = look_through(sight.window, eye, d)
+        crossings.ends[i], crossings.walls[i] = nearest_wall(sight.walls, eye, d, NOWHERE, math.inf)
+        crossings.far[i] = min(far, crossings.ends[i])
         crossings.t[:, i] = near
-        if near > 0.0 and opens(shells, madd(eye, near, d)):
+        if 0.0 < near <= crossings.ends[i] and opens(shells, madd(eye, near, d)):
             layers.sides[0, i], layers.t[0, i], layers.weights[0, i], left[i] = FACE, near, 1.0, 0.0
     for k in range(s):
         if shells.clears[k] < 1.0:
@@ -186,6 +202,18 @@ def take_layer(shells, crossings, layers, number, left):
 
 
 @kernel()
+def take_walls(crossings, layers, left):
+    """Make the wall that ends each ray the last of its layers, with all that is ``left`` (n,)."""
+    for i in range(left.shape[0]):
+        if left[i] > 0.0 and crossings.walls[i] != NOWHERE:
+            last = 0
+            while layers.sides[last, i] != NOTHING:
+                last += 1
+            layers.sides[last, i] = WALL + int(crossings.walls[i])
+            layers.t[last, i], layers.weights[last, i], left[i] = crossings.ends[i], left[i], 0.0
+
+
+@kernel()
 def find_passing(layers, number, k, left, some):
     """Write the numbers of rays that go on past surface ``k`` in a layer to ``some`` (n,); returns how many."""
     count = 0
@@ -201,7 +229,7 @@ def write_layers(eye, directions, layers, peeled):
     count = 0
     for i in range(directions.shape[1]):
         first = count
-        for layer in range(LAYERS):
+        for layer in range(LAYERS + 1):
             side = layers.sides[layer, i]
             if side == NOTHING:
                 break
@@ -221,17 +249,19 @@ def rank_of(peeled, first, row):
     return found
 
 
-@kernel(types.int64(SHELLS, ROWS, types.UniTuple(types.float64, 3), ROWS, PEELED, NUMBERS))
-def peel_rays(shells, window, eye, directions, peeled, left):
+@kernel(types.int64(SHELLS, SIGHT, types.UniTuple(types.float64, 3), ROWS, PEELED, NUMBERS))
+def peel_rays(shells, sight, eye, directions, peeled, left):
     """All that rays from the ``eye`` in ``directions`` (3, n) meet, in index space: how much that is.
 
-    It is written to ``peeled``, which has room for LAYERS · n, and ``left`` (n,) is filled with the share of each ray's
-    light that comes from behind all of it. A ``window`` (k, 4) is as of ``Sight``; it has faces in what is opaque.
+    It is written to ``peeled``, which has room for (LAYERS + 1) · n, and ``left`` (n,) is filled with the share of each
+    ray's light that comes from behind all of it. The window of a ``sight`` has faces in what is opaque, and takes no
+    walls away.
     """
     n = directions.shape[1]
-    layers = Layers(np.full((LAYERS, n), NOTHING, np.int8), np.empty((LAYERS, n)), np.empty((LAYERS, n)))
+    ways = np.empty((2, LAYERS + 1, n))
+    layers = Layers(np.full((LAYERS + 1, n), NOTHING, np.int8), ways[0], ways[1])
     left[:] = 1.0
-    crossings, some = first_crossings(shells, window, eye, directions, layers, left), np.empty(n, np.int64)
+    crossings, some = first_crossings(shells, sight, eye, directions, layers, left), np.empty(n, np.int64)
     for number in range(LAYERS):
         take_layer(shells, crossings, layers, number, left)
         for k in range(shells.clears.shape[0] if number < LAYERS - 1 else 0):
@@ -239,4 +269,5 @@ def peel_rays(shells, window, eye, directions, peeled, left):
             count = leave_cells(shells, crossings, k, eye, directions, some[:count])
             if count > 0:
                 cast_on(shells, crossings, k, eye, directions, some[:count])
+    take_walls(crossings, layers, left)
     return write_layers(eye, directions, layers, peeled)

@@ -7,10 +7,12 @@ import pytest
 from numba import njit
 
 from isogi_core.kernels.tracing.intersect import SOLID, UNKNOWN, cast
-from isogi_core.kernels.tracing.peels import LAYERS, LEAST, MOST, Peeled, Shells, peel_rays
-from isogi_core.kernels.tracing.sight import FACE
+from isogi_core.kernels.tracing.peels import LAYERS, LEAST, MOST, WALL, Peeled, Shells, peel_rays
+from isogi_core.kernels.tracing.sight import FACE, Sight
 from isogi_core.kernels.tracing.vec import column, madd
+from isogi_core.kernels.tracing.walls import NOWHERE, nearest_wall
 from tests.kernels.fields import cells_of, field_of
+from tests.kernels.rooms import X, Y, Z, room_of, wall
 from tests.kernels.transport.lighting import NOISY
 from tests.scale import few
 
@@ -19,6 +21,13 @@ LEVELS, CLEARS = (6.0, 0.0, 3.5), (0.0, 0.7, 0.4)
 WHOLE = np.empty((0, 4))
 OBLIQUE = np.array([[0.6, 0.8, 0.0, -28.3], [0.0, -1.0, 0.0, 27.6]])
 """A window that takes away what is in front of an oblique plane, and what is behind another."""
+
+Met = tuple[list[tuple[int, float, float]], float]
+"""What a ray meets, (side, way, weight) each, and what is left of it."""
+
+EMPTY, BACK = [], wall((-40.0, 80.0, -40.0), 120.0 * X, 120.0 * Z)
+BETWEEN = [BACK, wall((10.0, 0.0, 15.0), 20.0 * X + 22.0 * Y, 15.0 * Z), wall((10.0, -5.0, 25.0), 8.0 * X, 8.0 * Z)]
+"""No walls; one behind all; and with it one through the surfaces, and one before them."""
 
 
 @njit
@@ -51,11 +60,23 @@ def looked_up(field, p):
     return float(np.array([1.0 - z, z]) @ (cell @ np.array([1.0 - x, x]) @ np.array([1.0 - y, y])))
 
 
-def expected(field, window: np.ndarray, d: np.ndarray) -> tuple[list[tuple[int, float, float]], float]:
+def expected(field, window: np.ndarray, walls, d: np.ndarray) -> Met:
     """What a ray meets, (side, way, weight) each, and what is left of it."""
+    end, number = nearest_wall(walls, EYE, tuple(d), NOWHERE, math.inf)
+    found, left = expected_before(field, window, d, end)
+    if number != NOWHERE and left > 0.0:
+        return [*found, (WALL + int(number), end, left)], 0.0
+    return found, left
+
+
+def expected_before(
+    field, window: np.ndarray, d: np.ndarray, end: float
+) -> tuple[list[tuple[int, float, float]], float]:
+    """The same of surfaces and faces, before the ``end`` of the ray at a wall."""
     near, far = part_seen(window, d)
-    if near > far:
+    if near > min(far, end):
         return [], 1.0
+    far = min(far, end)
     if near > 0.0 and looked_up(field, np.array(EYE) + near * d) > LEVELS[0]:
         return [(int(FACE), near, 1.0)], 0.0
     ways = [
@@ -72,22 +93,23 @@ def expected(field, window: np.ndarray, d: np.ndarray) -> tuple[list[tuple[int, 
     return found, left
 
 
+@pytest.mark.parametrize("walls", [EMPTY, BETWEEN], ids=["open", "walls"])
 @pytest.mark.parametrize("window", [WHOLE, OBLIQUE], ids=["whole", "window"])
-def test_rays_meet_what_one_ray_at_a_time_meets(window: np.ndarray) -> None:
+def test_rays_meet_what_one_ray_at_a_time_meets(window: np.ndarray, walls: list) -> None:
     field, (side,) = field_of(NOISY), few((16,), (5,))
     maps = [cells_of(field, level) for level in LEVELS]
     shells = Shells(field, (*maps, *[maps[0]] * (MOST - 3)), np.array(LEVELS), np.array(CLEARS))
     x, z = np.meshgrid(np.linspace(-0.24, 0.24, side), np.linspace(-0.24, 0.24, side))
     directions = np.ascontiguousarray([x.ravel(), np.ones(x.size), z.ravel()])
-    room, left = LAYERS * x.size, np.empty(x.size)
+    room, left, sight = (LAYERS + 1) * x.size, np.empty(x.size), Sight(room_of(walls, field.spacing).walls, window)
     bytes_of = np.empty((2, room), np.int8)
     peeled = Peeled(np.empty(room, np.uint32), np.empty((room, 3), np.float32), *bytes_of, np.empty(room, np.float32))
-    count = peel_rays(shells, window, EYE, directions, peeled, left)
+    count = peel_rays(shells, sight, EYE, directions, peeled, left)
     rays, points, sides, ranks, weights = (each[:count] for each in peeled)
-    assert count > x.size // 2 and len(np.unique(sides)) >= 5
+    assert count > x.size // 2 and len(np.unique(sides)) >= 5 + len(walls)
     for ray in range(x.size):
         mine, d = rays == ray, np.array(column(directions, ray))
-        those, rest = expected(field, window, d)
+        those, rest = expected(field, window, sight.walls, d)
         assert sides[mine].tolist() == [each[0] for each in those]
         assert ranks[mine].tolist() == [[one[0] for one in those[:k]].count(each[0]) for k, each in enumerate(those)]
         np.testing.assert_allclose(points[mine], [EYE + each[1] * d for each in those] or points[mine], atol=1e-4)
