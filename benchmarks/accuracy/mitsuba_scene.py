@@ -69,7 +69,8 @@ class SceneTracer(PathTracer):
         bsdf = surface_of(scene, (0.0,) * 3 if black else tuple(scene.albedo))
         parts["isosurface"] = self._ball(ball, bsdf) if ball else self._meshed(scene, view, bsdf)
         self._load(parts, DEPTH, hides=not scene.clear)
-        self._behind = SceneTracer(scene, view, ball, black=True) if scene.clear and not black else None
+        open_air = scene.clear and not scene.room.any
+        self._behind = SceneTracer(scene, view, ball, black=True) if open_air and not black else None
 
     def picture(self, samples: int, threads: int, seed: int = 0) -> np.ndarray:
         """The picture, as that of a ``PathTracer``; the alpha of a scene with clear surfaces is 1."""

@@ -55,6 +55,12 @@ SCENES: dict[str, dict[str, Any]] = {
         "room": "cornell",
     },
     "nucleon at 140 in a Cornell room": {"volume": "nucleon_41x41x41_uint8.nhdr", "isovalue": 140, "room": "cornell"},
+    "nucleon at 140 in a Cornell room, half clear": {
+        "volume": "nucleon_41x41x41_uint8.nhdr",
+        "isovalue": 140,
+        "room": "cornell",
+        "clear": 0.5,
+    },
     "bucky at 120, half clear": {"volume": "bucky_32x32x32_uint8.nhdr", "isovalue": 120, "clear": 0.5},
     "glass ball and its caustic": {"material": "glass", "walls": [FLOOR, LAMP]},
     **{

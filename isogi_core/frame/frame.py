@@ -195,8 +195,8 @@ class Frame:
 
     @property
     def true_mean(self) -> float:
-        """The true mean luminance of the surface, as far as control pixels know it."""
-        if self.glow is not None or not self.gbuffer.alone:
+        """The true mean luminance of the surface, as far as control pixels know it; where there is none, of what is."""
+        if len(self.gbuffer.pixels) and (self.glow is not None or not self.gbuffer.alone):
             shown = float(self._luminance(self.gbuffer.pixels).mean())
         else:
             shown = float(self._tally[1][0]) / max(self.surface, 1)
