@@ -113,7 +113,7 @@ def test_local_shadings_show_walls_too(shading: str, tmp_path: Path) -> None:
     assert (walls.seen(walls.frame.state) > PROVISIONAL).all()
 
 
-def test_its_kernels_are_those_of_surfaces_and_of_walls_in_pictures() -> None:
+def test_its_kernels_are_those_of_surfaces_and_walls() -> None:
     own = {"room": "cornell", **ROOMS["clear"]}
     called = {*frame_kernels([load_scene("demo:orbital", **own)])}
     assert {*AMONG, light_walls} <= called

@@ -214,21 +214,17 @@ def test_one_opaque_surface_among_walls_is_that_of_a_room(light: str) -> None:
     np.testing.assert_allclose(found, expected, rtol=1e-12)
 
 
-@pytest.mark.parametrize(("albedo", "clear", "through"), [(0.5, 0.0, 0.0), (0.2, 0.0, 0.3), (0.5, 0.6, 0.0)])
-def test_a_room_that_glows_and_loses_light_alike_everywhere(albedo: float, clear: float, through: float) -> None:
-    """Walls and shells that send back or on the same share ρ, and walls of radiance L: light is that of one bounce
-    after the other, from either side of the shells, at least L and at most L (1 - ρ^(n + 1)) / (1 - ρ).
-    """
-    (samples,) = few((2048,), (64,))
-    walls = [(corner - 30.0, *rest) for corner, *rest in box(100.0, 0.5, 2.0)]
+@pytest.mark.parametrize(("albedo", "clear", "through"), [(0.4, 0.0, 0.6), (1.0, 0.6, 0.0), (0.2, 0.3, 0.8)])
+def test_a_shell_that_loses_nothing_is_not_seen_in_a_room(albedo: float, clear: float, through: float) -> None:
+    """Black walls of radiance L are all that gives off light: L arrives at the walls, and on the shell."""
+    (samples,) = few((1024,), (64,))
+    walls = [(corner - 30.0, *rest) for corner, *rest in box(100.0, 0.0, 2.0)]
     shells = among(field_of(BALL), 0.0, [], [albedo], [clear], [through], walls)
-    starts = np.array([[20.0, 20.0, -30.0], [-30.0, 20.0, 20.0]]).T, np.array([Z, X]).T
-    found = gather(field_of(BALL), shells, starts, samples, 4, sky(9.0), [4.0, 0.0])
-    bare = among(field_of(BALL), 0.0, [], [0.0], [1.0], walls=walls)
-    whole = gather(field_of(BALL), bare, starts, samples, 4, sky(9.0), [4.0, 0.0])
-    np.testing.assert_allclose(whole, 2.0 * (1.0 - 0.5**5) / 0.5, rtol=0.005 if samples > 64 else 0.2)
-    assert (found < whole * 1.001).all()
-    assert (found > 2.0).all()
+    points, normals = on_ball(3)
+    starts = np.column_stack([[20.0, 20.0, -30.0], [-30.0, 20.0, 20.0], points]), np.column_stack([Z, X, normals])
+    found = gather(field_of(BALL), shells, starts, samples, 60, sky(9.0), [4.0, 0.0, *[NOWHERE] * 3])
+    np.testing.assert_allclose(found[:2].mean(), 2.0, rtol=0.005 if samples > 64 else 0.1)
+    np.testing.assert_allclose(found[2:].mean(), 2.0, rtol=0.01 if samples > 64 else 0.2)
 
 
 @pytest.mark.parametrize("clear", [0.25, 1.0])
