@@ -32,7 +32,7 @@ from isogi_core.kernels.shading.lobes import (
 )
 from isogi_core.kernels.shading.local_models import find_normals, find_shadows, shade_local, trace_points
 from isogi_core.kernels.shading.shadow_points import prepare_points, sort_by_turn
-from isogi_core.kernels.shading.shine import cast_shine, fill_below, light_ends, pool_noise
+from isogi_core.kernels.shading.shine import cast_shine, fill_below, filter_shine, light_ends, pool_noise
 from isogi_core.kernels.shading.texel_normals import fill_texel_normals, keep_normals, look_up_normals
 from isogi_core.kernels.shading.texel_table import add_part, judge_rows, unpack_texels
 from isogi_core.kernels.shading.wall_light import light_walls
@@ -83,7 +83,7 @@ COLOURED = (fill_albedos,)
 AMONG = (light_among_surfaces, peel_rays, fill_seeds)
 """Those that only scenes with several surfaces call; not their ``trace_pixels`` and ``trace_places``."""
 
-SHINE = (cast_shine, fill_below, fill_energy, pool_noise)
+SHINE = (cast_shine, fill_below, fill_energy, pool_noise, filter_shine)
 """Those that only scenes with a shine call; and, where lights have lobes, ``light_ends``."""
 
 GLOW = (gather_from_eye,)

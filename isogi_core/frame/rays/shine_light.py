@@ -1,7 +1,8 @@
 """The shine of a view: one ray a pixel at once, of what texels show now, and more while the view rests.
 
-Pixels side by side tell the noise of the first rays. Once the texels' light is final, more are cast, in halves that
-tell it, until it is a share of the target error. They are kept, in memory, with the view.
+What the first rays bring is filtered: pixels side by side whose normals are alike share it. They tell its noise, and
+how much the last step of the filter changed tells what that blurs. Once the texels' light is final, more are cast, in
+halves that tell their noise, until it is a share of the target error. They are kept, in memory, with the view.
 """
 
 import threading
@@ -17,7 +18,8 @@ from isogi_core.frame.rays.wall_light import WallView
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.framebuffer import FINAL, PROVISIONAL, Framebuffer, PixelPoints
 from isogi_core.kernels.shading.lattice import DARKEST
-from isogi_core.kernels.shading.shine import light_ends, pool_noise
+from isogi_core.kernels.shading.shine import filter_shine, light_ends, pool_noise
+from isogi_core.model.shine import DULL
 from isogi_core.model.sky import LUMINANCE
 
 HALVES = 2
@@ -33,6 +35,11 @@ ends are looked up together.
 
 SHARE = 0.5
 """Share of the target error that the noise of shine may have."""
+
+STEPS, ALIKE = (1, 2), 0.2
+"""How far apart the pixels are that the filter of first rays looks at, step after step; and how much their unit normals
+differ at most of what mirrors sharply: rougher lobes see as much from normals farther apart.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +124,25 @@ class ShineLight:
 
     def gleam(self, seen: SeenLight | None, tiles: Tiles) -> Gleam:
         """What it brings to the picture: by all rays, or by the first ones where these have ``seen`` light."""
-        return self._gleam(tiles) if seen is None else Gleam.of(self.rays.gather(seen.light), self.gbuffer, tiles)
+        if seen is None:
+            return self._gleam(tiles)
+        return self._filtered(Gleam.of(self.rays.gather(seen.light), self.gbuffer, tiles), tiles)
+
+    def _filtered(self, single: Gleam, tiles: Tiles) -> Gleam:
+        """What ``single`` rays bring, filtered over the picture. Raises Cancelled."""
+        gbuffer, shine = self.gbuffer, self.light.shine or DULL
+        rows, normals, width = gbuffer.rows, gbuffer.normals(tiles), float(np.hypot(ALIKE, 2.0 * shine.alpha))
+        steps = [np.column_stack([single.light, single.variance]).astype(np.float32)]
+        for step in STEPS:
+            before, after = steps[-1], np.empty_like(steps[-1])
+
+            def _piece(a: int, b: int) -> None:
+                filter_shine(rows, gbuffer.pixels, normals, a, before, step, width, after[a:b])  # noqa: B023
+
+            tiles.run(_piece, len(before), tiles.even(len(before)))
+            steps.append(after)
+        blurred = ((steps[-1] - steps[-2])[:, :3] @ LUMINANCE) ** 2
+        return Gleam(steps[-1][:, :3], steps[-1][:, 3] + blurred)
 
     def _gleam(self, tiles: Tiles) -> Gleam:
         """What all rays bring that were cast since the texels' light is final."""

@@ -69,6 +69,8 @@ NEAR = 2
 BINOMIAL = (1.0, 4.0, 6.0, 4.0, 1.0)
 """What neighbours count along an axis."""
 
+NONE, ONE = np.float32(0.0), np.float32(1.0)
+
 NEVER, ISOSURFACE = -2, -1
 """What a ray ``met``, besides the numbers of walls: nothing, or the isosurface."""
 
@@ -348,3 +350,40 @@ def pool_noise(rows, pixels, first, values, variance):
                     weight = BINOMIAL[dy + NEAR] * BINOMIAL[dx + NEAR]
                     total, weights = total + weight * spread_between(values, m, n), weights + weight
         variance[i] = total / max(weights, 1.0)
+
+
+@kernel(inline=True)
+def likeness(normals, m, n, width):
+    """What the normal of point ``n`` counts for ``m``: Tukey's biweight of the length between both over a ``width``."""
+    x, y, z = normals[n, 0] - normals[m, 0], normals[n, 1] - normals[m, 1], normals[n, 2] - normals[m, 2]
+    return max(ONE - (x * x + y * y + z * z) / (width * width), NONE) ** 2
+
+
+@kernel(
+    types.void(
+        types.int32[:, ::1], types.uint32[::1], COLUMNS, types.int64, COLUMNS, types.int64, types.float32, COLUMNS
+    )
+)
+def filter_shine(rows, pixels, normals, first, light, step, width, found):
+    """Fill ``found`` (k, 4) with the mean ``light`` (m, 4) about the points of a picture from number ``first`` on.
+
+    Light is linear RGB and the variance of its luminance. The mean is that of five by five pixels, a ``step`` apart,
+    which count binomially, and by how like their ``normals`` (m, 3) are within a ``width``. ``rows`` and ``pixels`` are
+    as of ``pool_noise``. Source: Dammertz and others 2010; Schied and others 2017 on variance.
+    """
+    height, across = rows.shape
+    for i in range(found.shape[0]):
+        m = first + i
+        y, x = divmod(np.int64(pixels[m]), across)
+        red = green = blue = variance = total = NONE
+        for dy in range(-NEAR, NEAR + 1):
+            v = y + dy * step
+            for dx in range(-NEAR if 0 <= v < height else NEAR + 1, NEAR + 1):
+                u = x + dx * step
+                n = np.int64(rows[v, u]) if 0 <= u < across else -1
+                if n >= 0:
+                    w = np.float32(BINOMIAL[dy + NEAR] * BINOMIAL[dx + NEAR]) * likeness(normals, m, n, width)
+                    red, green, blue = red + w * light[n, 0], green + w * light[n, 1], blue + w * light[n, 2]
+                    variance, total = variance + w * w * light[n, 3], total + w
+        found[i, 0], found[i, 1], found[i, 2] = red / total, green / total, blue / total
+        found[i, 3] = variance / (total * total)
