@@ -158,9 +158,10 @@ def fill_texel_records(
     Raises Cancelled.
     """
     unshadowed, records = light.unshadowed, np.empty((len(lit), RECORD), np.float32)
+    whole = light.spec.plan.representation == "irradiance"
 
     def _piece(a: int, b: int) -> None:
-        fill_records(reading.grade[a:b], lit[a:b], normals[a:b], unshadowed, records[a:b])
+        fill_records(reading.grade[a:b], lit[a:b], normals[a:b], unshadowed, whole, records[a:b])
 
     tiles.run(_piece, len(lit), tiles.even(len(lit)))
     return records

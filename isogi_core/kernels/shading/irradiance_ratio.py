@@ -2,7 +2,8 @@
 
 A pixel's direct light is Σ w D / Σ w U of its texels times its own unshadowed light, where D and U are a texel's direct
 and unshadowed light: what sees little of the light says little of shadows. Reflected light comes from surfaces and
-does not follow the light around: it is interpolated as it is.
+does not follow the light around: it is interpolated as it is. Where texels keep both as one, what they have beyond
+their unshadowed light is reflected.
 """
 
 import math
@@ -84,19 +85,20 @@ def unshadowed_light(unshadowed, x, y, z):
 TEXELS = types.float32[:, ::1]
 
 
-@kernel(types.void(types.uint8[::1], types.float32[:, ::1], POINTS, UNSHADOWED, TEXELS))
-def fill_records(grade, lit, normals, unshadowed, texels):
+@kernel(types.void(types.uint8[::1], types.float32[:, ::1], POINTS, UNSHADOWED, types.boolean, TEXELS))
+def fill_records(grade, lit, normals, unshadowed, whole, texels):
     """Fill the records ``texels`` (m, RECORD) by the ``grade`` (m,) and the light ``lit`` (m, LIT) of ``light_texels``.
 
     ``normals`` (m, 3) are those that they are lit about. Of what is not baked unshadowed light stands in; void and
-    buried texels have none.
+    buried texels have none. Of light that is kept as a ``whole`` no more is direct than the unshadowed light: were all
+    of it, texels that face away from a lamp would have reflected light alone, and pixels that face it many times that.
     """
     for t in range(grade.shape[0]):
         x, y, z = normals[t, 0], normals[t, 1], normals[t, 2]
         under = unshadowed_light(unshadowed, x, y, z)
         there, unbaked = PARTIAL <= grade[t] <= FINAL, grade[t] == UNBAKED
         for c in range(3):
-            reflected = lit[t, 4 + c] if there else NONE
+            reflected = max(lit[t, 4 + c], lit[t, c] - under[c] if whole else NONE) if there else NONE
             texels[t, DIRECT + c] = lit[t, c] - reflected if there else under[c] if unbaked else NONE
             texels[t, BARE + c], texels[t, REFLECTED + c] = under[c], reflected
         texels[t, NOISE] = lit[t, 3] if there else NONE

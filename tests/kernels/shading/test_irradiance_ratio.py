@@ -56,10 +56,10 @@ def unshadowed_of(normals):
     return np.maximum([LIGHT @ harmonics(n / np.linalg.norm(n)) for n in normals.astype(float)], LEASTS)
 
 
-def records_of(grade, lit, normals, unshadowed=UNSHADOWED):
+def records_of(grade, lit, normals, unshadowed=UNSHADOWED, whole=False):
     """`fill_records`: (m, RECORD)."""
     records = np.full((len(grade), RECORD), np.nan, np.float32)
-    fill_records(grade, lit, normals, unshadowed, records)
+    fill_records(grade, lit, normals, unshadowed, whole, records)
     return records
 
 
@@ -239,3 +239,32 @@ def test_a_point_does_not_depend_on_its_company():
         some = PixelPoints(points[own], normals[own], np.zeros(1, np.uint32))
         carry_ratios(lattice(), some, corners[own], records, UNSHADOWED, np.float32(1.0), planes)
         assert all(np.array_equal(one[0], all_of[m]) for one, all_of in zip(planes, whole, strict=True))
+
+
+def test_of_light_kept_as_one_what_exceeds_the_unshadowed_is_reflected():
+    """Texels that nothing shadows, and that reflect on each other, are taken apart exactly, whichever way they face."""
+    points = border_points()
+    grade, lit, towards = lit_texels(points)
+    reflected = 0.3
+    lit[:, :3], lit[:, 4:] = unshadowed_of(towards) + reflected, 0.0
+    records = records_of(grade, lit, towards, whole=True)
+    np.testing.assert_allclose(records[:, 8:11], reflected, rtol=1e-4)
+    normals = some_normals(len(points))
+    light, _, _ = carry(points, records, normals)
+    np.testing.assert_allclose(light, unshadowed_of(normals) + reflected, rtol=1e-4)
+
+
+def test_pixels_that_face_a_light_do_not_glow_by_texels_that_do_not():
+    """Texels lit by what is around alone, which face away from the light: as direct light theirs would be 40 times it."""
+    points, quadric = border_points(), np.zeros((3, 9), np.float32)
+    quadric[:, 2] = 1.0
+    above = Unshadowed(quadric, np.full(3, 0.05, np.float32))
+    grade, lit, towards = lit_texels(points)
+    towards[:] = 0.0, 0.0, -1.0
+    lit[:, :3], lit[:, 4:] = 2.0, 0.0
+    normals = np.tile(np.array([0.0, 0.0, 1.0], np.float32), (len(points), 1))
+    whole, apart = (
+        carry(points, records_of(grade, lit, towards, above, each), normals, above)[0] for each in (True, False)
+    )
+    np.testing.assert_allclose(whole, 1.0 + 2.0 - 0.05, rtol=1e-4)
+    np.testing.assert_allclose(apart, 40.0, rtol=1e-4)
