@@ -255,7 +255,7 @@ def test_of_light_kept_as_one_what_exceeds_the_unshadowed_is_reflected():
 
 
 def test_pixels_that_face_a_light_do_not_glow_by_texels_that_do_not():
-    """Texels lit by what is around alone, which face away from the light: as direct light theirs would be 40 times it."""
+    """Texels that face away from it are lit by what is around alone: as direct light theirs would be 40 times it."""
     points, quadric = border_points(), np.zeros((3, 9), np.float32)
     quadric[:, 2] = 1.0
     above = Unshadowed(quadric, np.full(3, 0.05, np.float32))
