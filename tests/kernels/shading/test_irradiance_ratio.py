@@ -241,7 +241,7 @@ def test_a_point_does_not_depend_on_its_company():
         assert all(np.array_equal(one[0], all_of[m]) for one, all_of in zip(planes, whole, strict=True))
 
 
-def test_of_light_kept_as_one_what_exceeds_the_unshadowed_is_reflected():
+def test_what_exceeds_the_unshadowed_light_is_reflected():
     """Texels that nothing shadows, and that reflect on each other, are taken apart exactly, whichever way they face."""
     points = border_points()
     grade, lit, towards = lit_texels(points)
@@ -254,7 +254,7 @@ def test_of_light_kept_as_one_what_exceeds_the_unshadowed_is_reflected():
     np.testing.assert_allclose(light, unshadowed_of(normals) + reflected, rtol=1e-4)
 
 
-def test_pixels_that_face_a_light_do_not_glow_by_texels_that_do_not():
+def test_pixels_do_not_glow_by_texels_that_face_away():
     """Texels that face away from it are lit by what is around alone: as direct light theirs would be 40 times it."""
     points, quadric = border_points(), np.zeros((3, 9), np.float32)
     quadric[:, 2] = 1.0
