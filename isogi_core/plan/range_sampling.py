@@ -34,10 +34,13 @@ second.
 
 @dataclass(frozen=True)
 class SampledRange:
-    """Isovalues ascending, in a volume's own units, and the share of the range in which k² is above gMin."""
+    """Isovalues ascending, in a volume's own units, and the share of the range in which k² is above gMin: at least,
+    where ``few`` cells were looked at.
+    """
 
     levels: tuple[float, ...]
     softened: float = 0.0
+    few: bool = False
 
     @property
     def note(self) -> str:
@@ -45,7 +48,8 @@ class SampledRange:
         if not self.softened:
             return ""
         why = "noise or a plateau makes the gradient vanish somewhere on the surface"
-        return f"In {100.0 * self.softened:.0f}% of the range {why}: levels are even there."
+        share = f"{'at least ' if self.few else ''}{100.0 * self.softened:.0f}%"
+        return f"In {share} of the range {why}: levels are even there."
 
 
 def sample_range(
@@ -59,7 +63,8 @@ def sample_range(
     if way == "uniform":
         return SampledRange(tuple((low * (1.0 - shares) + high * shares).tolist()))
     shares, softened = adaptive_shares(volume, isovalues, shares, most)
-    return SampledRange(shortened((low * (1.0 - shares) + high * shares).tolist(), isovalues), softened)
+    levels = shortened((low * (1.0 - shares) + high * shares).tolist(), isovalues)
+    return SampledRange(levels, softened, volume.voxels.size > most)
 
 
 def find_stops(volume: Volume, isovalues: tuple[float, float]) -> SampledRange:
