@@ -11,12 +11,11 @@ import numpy as np
 
 from isogi_core.bake.bake_spec import BakeSpec
 from isogi_core.bake.noise import DECAYS, blend_noise, evenness, finished, noise_of_halves
-from isogi_core.bake.path_light import add_path_light, on_wall
+from isogi_core.bake.path_light import add_glow_paths, add_path_light, on_wall
 from isogi_core.bake.precision import VOID, next_level, noise_codes, noise_of, round_light
 from isogi_core.bake.texel_light import Light, Part
 from isogi_core.kernels.tracing.active_cells import ActiveCells
 from isogi_core.kernels.transport.coloured_transfer import bake_coloured_texels
-from isogi_core.kernels.transport.glow_paths import glow_in_room
 from isogi_core.kernels.transport.paths import PathRules, PathStarts, SampleRange
 from isogi_core.kernels.transport.room_paths import fill_seeds
 from isogi_core.kernels.transport.texel_points import PROJECTED, project_texels
@@ -226,12 +225,12 @@ def sample_glow(
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """The same of what glows, one glow's channels after the other's, each of radiance 1."""
     prepared, plan = spec.prepared, spec.plan
-    glows, room = prepared.glows, prepared.dark_room(prepared.scene.albedo)
     some, rules = SampleRange(samples // 2, count // 2), PathRules(np.ones((plan.bounces + 1, 3)), plan.survival)
-    sums = np.zeros((len(void), 2, 3 * len(glows.rates)))
+    sums = np.zeros((len(void), 2, 3 * len(prepared.glows.rates)))
     for bricks, rows in by_isovalue(place[3], void, prepared):
         added = np.zeros((2 * len(rows), sums.shape[2]))
-        glow_in_room(prepared.field, bricks, room, on_wall(path_starts(place, rows)), some, rules, glows, added)
+        starts = on_wall(path_starts(place, rows))
+        add_glow_paths(prepared, bricks, prepared.scene.albedo, starts, some, rules, added)
         sums[rows] += added.reshape(-1, 2, sums.shape[2])
     for layer in layers:
         yield sums[:, :, :: 3 // layer.colours, None], np.zeros(len(void))

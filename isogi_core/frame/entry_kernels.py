@@ -51,6 +51,7 @@ from isogi_core.kernels.transport.matter.matter_paths import light_through_matte
 from isogi_core.kernels.transport.matter.sight import see_through
 from isogi_core.kernels.transport.microfacets import fill_energy
 from isogi_core.kernels.transport.room_paths import fill_seeds, light_in_room
+from isogi_core.kernels.transport.surface_glow import glow_among_surfaces
 from isogi_core.kernels.transport.surface_paths import light_among_surfaces
 from isogi_core.kernels.transport.texel_points import measure_distances
 from isogi_core.plan.left_out import uncalled
@@ -87,7 +88,7 @@ SHINE = (cast_shine, fill_below, fill_energy, pool_noise, filter_shine)
 """Those that only scenes with a shine call; and, where lights have lobes, ``light_ends``."""
 
 GLOW = (gather_from_eye,)
-"""Those that only scenes call in which something glows; and, among walls, ``glow_in_room``."""
+"""Those that only scenes call in which something glows; and, among walls, what ``glow_of`` says."""
 
 MATTER = (see_through, light_through_matter)
 """Those that only scenes call whose surface is glass; where light is scattered inside of it, the last alone."""
@@ -153,7 +154,7 @@ def frame_kernels(scenes: Iterable[Scene]) -> tuple[Any, ...]:
     lobes = (light_ends,) if any(scene.plan.lobes for scene in shining) else ()
     rooms += COLOURED if any(scene.colours for scene in shown) else ()
     rooms += GLOW if any(scene.glowing.any for scene in shown) else ()
-    rooms += (glow_in_room,) if any(scene.glowing.any and scene.room.any for scene in shown) else ()
+    rooms += tuple({glow_of(scene) for scene in shown if scene.glowing.any and scene.room.any})
     rooms += MATTER[1:] if any(scene.material.scatters and scene.room.any for scene in shown) else ()
     rooms += MATTER if any(scene.material.refracts for scene in shown) else ()
     rooms += AMONG if any(scene.several for scene in shown) else ()
@@ -164,9 +165,14 @@ def other_kernels(scenes: Iterable[Scene]) -> tuple[Any, ...]:
     """OTHERS, and those of whole paths over colours, and of what glows, where one of the ``scenes`` has these."""
     shown = tuple(scenes)
     coloured = (light_in_room, fill_seeds) if any(scene.colours for scene in shown) else ()
-    glowing = (glow_in_room, fill_seeds) if any(scene.glowing.any for scene in shown) else ()
+    glowing = tuple({kernel for scene in shown if scene.glowing.any for kernel in (glow_of(scene), fill_seeds)})
     inside = (light_through_matter, fill_seeds) if any(scene.material.scatters for scene in shown) else ()
     return (*OTHERS, *coloured, *glowing, *inside)
+
+
+def glow_of(scene: Scene) -> Any:
+    """What gathers glow from points of a ``scene``."""
+    return glow_among_surfaces if scene.several else glow_in_room
 
 
 def uncalled_by(scene: Scene) -> set[Any]:

@@ -1,13 +1,14 @@
 """What glows as the eye sees it: what the camera's rays gather on their way to what they show."""
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from isogi_core.frame.frame import Frame
-from isogi_core.frame.gbuffer import RAYS, GBuffer, Vector, view_pinhole
+from isogi_core.frame.gbuffer import RAYS, Vector, view_pinhole
 from isogi_core.frame.tiles import Stopwatch, Tiles
 from isogi_core.kernels.shading.framebuffer import FINAL
 from isogi_core.kernels.tracing.field import Field
@@ -15,6 +16,12 @@ from isogi_core.kernels.tracing.glow import Glows, gather_from_eye
 from isogi_core.lru_cache import LruCache
 from isogi_core.model.sky import LUMINANCE
 from isogi_core.prepared.prepared_scene import PreparedScene
+
+Layer = tuple[np.ndarray, np.ndarray, np.ndarray | float]
+"""What some rays show: see ``Frame.layers``."""
+
+LEAST = 1e-6
+"""The share that is left of a ray below which nothing is gathered behind what it shows."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,10 +57,24 @@ class EyeGlow:
 
     def before(self, frame: Frame, tiles: Tiles) -> np.ndarray:
         """What the rays of a frame's pixels gather on their way to what they show; (pixels, k). Raises Cancelled."""
-        gbuffer, (height, width) = frame.gbuffer, frame.gbuffer.shape
+        height, width = frame.gbuffer.shape
         y, x = np.divmod(np.arange(height * width), width)
-        eye, directions = rays_through(frame, np.column_stack([x + 0.5, y + 0.5]))
-        return self.along(eye, directions, reaches_of(gbuffer, directions), tiles)
+        return self.before_layers(*rays_through(frame, np.column_stack([x + 0.5, y + 0.5])), frame.layers, tiles)
+
+    def before_layers(self, eye: Vector, directions: np.ndarray, layers: Iterable[Layer], tiles: Tiles) -> np.ndarray:
+        """What rays from the ``eye`` in ``directions`` (n, 3) gather before the ``layers`` that they show, by their
+        shares, and before what is left behind all of these; (n, k). Raises Cancelled.
+        """
+        gathered, left = np.zeros((len(directions), len(self.radiances))), np.ones(len(directions))
+        for rays, points, shares in layers:
+            ways = directions[rays]
+            reaches = np.sqrt(((points - np.array(eye)) ** 2).sum(axis=1) / (ways**2).sum(axis=1))
+            gathered[rays] += np.reshape(shares, (-1, 1)) * self.along(eye, ways, reaches, tiles)
+            left[rays] -= shares
+        open_air = np.flatnonzero(left > LEAST)
+        endless = self.along(eye, directions[open_air], np.full(len(open_air), math.inf), tiles)
+        gathered[open_air] += left[open_air, None] * endless
+        return gathered
 
     def through(self, frame: Frame, places: np.ndarray, tiles: Tiles) -> np.ndarray:
         """Linear RGB (n, 3) float32 of rays through the ``places`` (n, 2; x, y) of a frame that meet nothing.
@@ -99,12 +120,3 @@ def add_seen(frame: Frame, seen: np.ndarray) -> Frame:
     radiance += seen
     state[(state == 0) & (added > 0.0)] = FINAL
     return replace(frame, glow=seen)
-
-
-def reaches_of(gbuffer: GBuffer, directions: np.ndarray) -> np.ndarray:
-    """How far, over their ``directions`` (n, 3), the rays of a picture's pixels go; inf beside all; (n,) float64."""
-    reaches = np.full(len(directions), math.inf)
-    for each in (gbuffer, gbuffer.walls, gbuffer.faces):
-        ways, found = directions[each.pixels], each.points - np.array(gbuffer.eye)
-        reaches[each.pixels] = np.sqrt((found**2).sum(axis=1) / (ways**2).sum(axis=1))
-    return reaches

@@ -1,7 +1,7 @@
 """A frame: the answer to a view, with what is known of its own quality."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -129,6 +129,14 @@ class Frame:
             on &= self.glow is None or found.any(axis=-1)  # what glows beside the surface is nowhere
             found[on] = self.view.orientation.to_world(found[on].astype(np.float64))
         return found
+
+    @property
+    def layers(self) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray | float]]:
+        """All that pixels show: their numbers, each once, the points that they show in index space (n, 3), and the
+        shares of their light that come from there. What is left of them comes from behind all.
+        """
+        for each in (self.gbuffer, self.gbuffer.walls, self.gbuffer.faces):
+            yield each.pixels, each.points, 1.0
 
     @cached_property
     def airy(self) -> np.ndarray | None:

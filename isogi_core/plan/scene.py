@@ -42,7 +42,7 @@ NORMALS = ("bspline", "gradient")
 SURVEYED = ("texels", "projection", "presets", "stops", "levels")
 """Properties of a scene that take a pass over its volume, and that no plan changes."""
 
-ROOM, COLOURED, AMONG, INSIDE = "room", "coloured", "among", "inside"
+ROOM, COLOURED, AMONG, INSIDE, GLOW_AMONG = "room", "coloured", "among", "inside", "glow among"
 """Stand for the kinds of layers that are baked among walls, on a surface with colours where its light may turn, among
 several surfaces, or inside of one.
 """
@@ -133,7 +133,7 @@ class Scene:
         if layer.kind == "irradiance":
             return AMONG if self.several else ROOM if self.many_albedos else layer.kind
         if layer.kind == GLOW:
-            return layer.kind
+            return GLOW_AMONG if self.several else GLOW
         reflected = any(each.reflected and each.kind != GLOW for each in plan.layers)
         return COLOURED if self.colours and reflected else layer.kind
 
@@ -329,7 +329,8 @@ class Scene:
         """The same of what glows: where that is, and what reflects it; no colour or strength, and no other light."""
         parts = [BAKE_FORMAT, self.volume.digest, self.lattice, *astuple(layer), *self.departures, "shown", shown]
         parts += [self.albedo[: layer.colours], self.bounces, self.plan.survival, self.glowing.digest]
-        return digest_of(parts + (["walls", self.room.dark_digest] if self.room.any else []) + self._coloured)
+        walls = ["walls", self.room.dark_digest] if self.room.any else []
+        return digest_of([*parts, *walls, *self._company, *self._coloured])
 
     def wall_digest(self, *state: Any) -> str:
         """Digest (hex) of everything that the light of walls depends on, besides the numbers of a ``state``."""

@@ -39,7 +39,7 @@ def read_transmission(settings: Settings, albedo: Colour, colours: SurfaceColour
 def refuse_company(settings: Settings, colours: SurfaceColours | None, what: str) -> None:
     """Raise SceneError where the scene has what several surfaces are not lit with yet."""
     beside = {"colours by data": colours is not None}
-    beside |= {"a shine": settings.table("shine") is not None, "glow": bool(settings.tables("glow"))}
+    beside |= {"a shine": settings.table("shine") is not None}
     beside |= {"albedos that views choose": settings.span("albedos", 0.0, 1.0) is not None}
     for each, there in beside.items():
         if there:

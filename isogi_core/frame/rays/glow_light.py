@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from isogi_core.bake.path_light import add_glow_paths
 from isogi_core.frame.lighting import RotatedLight
 from isogi_core.kernels.tracing.cast import TracedSurface
-from isogi_core.kernels.transport.glow_paths import glow_in_room
 from isogi_core.kernels.transport.paths import PathRules, SampleRange
 from isogi_core.kernels.transport.room_paths import RoomStarts
 
@@ -24,7 +24,7 @@ def add_glow(
     prepared = light.spec.prepared
     if not prepared.scene.glowing.any:
         return
-    radiances, room = light.glow * prepared.scene.glowing.radiances, prepared.dark_room(light.seen.albedo)
+    radiances = light.glow * prepared.scene.glowing.radiances
     own = np.zeros((len(sums), radiances.size))
-    glow_in_room(traced.field, traced.cells, room, starts, samples, rules, prepared.glows, own)
+    add_glow_paths(prepared, traced.cells, light.seen.albedo, starts, samples, rules, own)
     sums += np.einsum("gkc,kc->gc", own.reshape(-1, *radiances.shape), radiances)

@@ -60,11 +60,12 @@ def light_starts(
         given = some, samples, rules, light.surroundings, sums[a:b]
         if isinstance(met, Passable):
             light_through_matter(traced.field, traced.cells, met, *given)
-        elif isinstance(met, Surfaces):
+            return
+        if isinstance(met, Surfaces):
             light_among_surfaces(traced.field, met, *given)
         else:
             light_in_room(traced.field, traced.cells, met, *given)
-            add_glow(sums[a:b], light, traced, some, rules, samples)
+        add_glow(sums[a:b], light, traced, some, rules, samples)
 
     tiles.run(_piece, len(sums), PATH_POINTS)
     return sums

@@ -8,6 +8,7 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 
 from isogi_core.cache.scene_caches import Caches
+from isogi_core.frame.eye_glow import EyeGlow
 from isogi_core.frame.frame import Frame
 from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.several.edges import smooth_surfaces
@@ -94,7 +95,8 @@ class Composer:
         """A ``frame`` that was drawn, with more samples where it has edges. Raises Cancelled."""
         if not isinstance(frame, SurfacesFrame):
             return frame
-        return smooth_surfaces(frame, self._peeler(frame.view, tiles), self._scene.default_exposure, tiles)
+        glow, exposure = EyeGlow.of(self._caches.prepared, frame.view.glow), self._scene.default_exposure
+        return smooth_surfaces(frame, self._peeler(frame.view, tiles), exposure, tiles, glow)
 
     def _peeler(self, view: View, tiles: Tiles) -> Peeler:
         """What casts rays of a view at all surfaces."""

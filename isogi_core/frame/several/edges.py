@@ -1,10 +1,12 @@
 """Antialiasing of several surfaces: samples at edges are peeled as pixels are, and each layer borrows its own light."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 
 from isogi_core.frame.antialiasing import find_edges, places_in, shown_by
+from isogi_core.frame.eye_glow import EyeGlow, rays_through
 from isogi_core.frame.film import lit
 from isogi_core.frame.frame import EdgeSamples
 from isogi_core.frame.gbuffer import RAYS
@@ -16,22 +18,30 @@ from isogi_core.kernels.tracing.peels import WALL
 from isogi_core.kernels.tracing.sight import FACE
 
 
-def smooth_surfaces(frame: SurfacesFrame, peeler: Peeler, exposure: float, tiles: Tiles) -> SurfacesFrame:
-    """The ``frame`` with more samples where it has edges at its ``exposure``. Raises Cancelled."""
+def smooth_surfaces(
+    frame: SurfacesFrame, peeler: Peeler, exposure: float, tiles: Tiles, glow: EyeGlow | None = None
+) -> SurfacesFrame:
+    """The ``frame`` with more samples where it has edges at its ``exposure``, and what glows. Raises Cancelled."""
     pixels, count = find_edges(lit(frame.radiance, frame.state, exposure, marked=False), frame.state)
     if not len(pixels):
         return frame
     places, pictures = places_in(pixels, count, frame.view.width), pictures_of(frame)
     light, left = np.zeros((len(places), 3), np.float32), np.empty(len(places), np.float32)
-    on = np.zeros(len(places), np.bool_)
+    on, found = np.zeros(len(places), np.bool_), dict[int, Hits]()
 
     def _piece(a: int, b: int) -> None:
         hits, left[a:b] = peeler.through(*places[a:b].T)
         on[a:b][hits.pixels] = True
         for side, picture in pictures.items():
             add_light(hits, side, picture, frame.view.height, places[a:b], light[a:b])
+        hits.pixels[:] += np.uint32(a)
+        found[a] = hits
 
     tiles.run(_piece, len(places), RAYS)
+    if glow is not None:
+        layers = by_layer(Hits.joined(list(found.values())))
+        light += glow.lit(glow.before_layers(*rays_through(frame, places), layers, tiles))
+        on |= light.any(axis=1)
     each = len(pixels), count
     edges = EdgeSamples(pixels, light.reshape(*each, 3), on.reshape(each), left=left.reshape(each))
     return replace(frame, edges=edges)
@@ -42,6 +52,17 @@ def pictures_of(frame: SurfacesFrame) -> dict[int, Shown]:
     whole = shown_by(frame)
     tall = {part.side.peeled: shown_by(part.frame) for part in frame.parts}
     return {int(FACE): whole} | {side: picture._replace(fine=whole.fine) for side, picture in tall.items()}
+
+
+def by_layer(hits: Hits) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """The ``hits`` of rays, layer behind layer: rays, each of them once, points, and weights."""
+    order = np.argsort(hits.pixels, kind="stable")
+    rays = hits.pixels[order]
+    first = np.searchsorted(rays, rays)
+    depth = np.arange(len(rays)) - first
+    for layer in range(int(depth.max(initial=-1)) + 1):
+        rows = order[depth == layer]
+        yield hits.pixels[rows], hits.points[rows], hits.weights[rows]
 
 
 def add_light(hits: Hits, side: int, picture: Shown, height: int, places: np.ndarray, light: np.ndarray) -> None:

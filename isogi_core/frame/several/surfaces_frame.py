@@ -2,7 +2,7 @@
 
 import hashlib
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -66,6 +66,14 @@ class SurfacesFrame(Frame):
     def demands(self) -> tuple[Demand, ...]:
         """The light that was not final on the outer side of the surface that slides."""
         return next((part.frame.demands for part in self.parts if part.side == OUTER), ())
+
+    @property
+    def layers(self) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray | float]]:
+        """See ``Frame``: of each side layer by layer."""
+        for part in self.parts:
+            for rows, pixels in part.layers.each:
+                yield pixels, part.layers.gbuffer.points[rows], part.layers.weights[rows]
+        yield self.gbuffer.faces.pixels, self.gbuffer.faces.points, 1.0
 
     @property
     def stages(self) -> tuple[Stage, ...]:

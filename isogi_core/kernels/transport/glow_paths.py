@@ -113,14 +113,14 @@ def aim_at_glow(wave, vertices, bounce, glows, k, spacing):
 
 
 @kernel()
-def gather(wave, vertices, i, k, scene, reach):
-    """Add what the ray from vertex ``i`` gathers of region ``k`` before ``reach`` to its path."""
+def gather(wave, vertices, i, k, scene, reach, share):
+    """Add the ``share`` of what the ray from vertex ``i`` gathers of region ``k`` before ``reach`` to its path."""
     count, m = vertices.count, wave.shadow.wave.owners[i]
     w = column(columns(wave.shadow.wave.ways, count), i)
     p = to_world(column(columns(vertices.points, count), i), scene.field.spacing)
     light = gather_on_way(scene.field, scene.glows, k, p, w, reach)
     if light > 0.0:
-        light *= balance(scene.glows, k, p, w, dot(column(columns(vertices.normals, count), i), w))
+        light *= share * balance(scene.glows, k, p, w, dot(column(columns(vertices.normals, count), i), w))
         for c in range(3):
             wave.gathered[3 * k + c, m] += wave.carried[c, m] * light
 
@@ -145,7 +145,7 @@ def gather_aimed(wave, vertices, bounce, scene):
         starts = columns(shadow.starts, count)
         for i in range(count):
             if starts[0, i] < math.inf:
-                gather(wave, vertices, i, k, scene, shadow.wave.t[i])
+                gather(wave, vertices, i, k, scene, shadow.wave.t[i], 1.0)
 
 
 @kernel()
@@ -170,7 +170,7 @@ def glow_wave(wave, vertices, spare, scene, rules):
         cast_among_walls(wave, vertices.points, count, scene)
         for k in range(scene.glows.rates.shape[0]):
             for i in range(count):
-                gather(wave, vertices, i, k, scene, rays.t[i])
+                gather(wave, vertices, i, k, scene, rays.t[i], 1.0)
         hits = gather_walls(wave, vertices, partition(rays, count), scene.room)
         hits = russian_roulette(rays, hits, bounce, rules.survival)
         if hits == 0 or bounce == last:

@@ -300,6 +300,16 @@ def start_on_either_side(field, surfaces, company, vertices, starts):
 
 
 @kernel()
+def go_on(field, surfaces, company, vertices, following, bounce, survival):
+    """Move the paths that hit something to the vertices ``following``, on surfaces or on walls."""
+    rays, count = company.wave.shadow.wave, vertices.count
+    compact(rays, vertices, following)
+    stand_on(surfaces, company, following, count, bounce, survival if bounce > 0 else 1.0)
+    next_vertex(field, rays, count, following)
+    stand_on_walls(company.wave, vertices, following, surfaces.room)
+
+
+@kernel()
 def light_wave(field, surfaces, company, vertices, spare, rules, light):
     """Walk the paths of a wave to their ends and gather light on the way."""
     wave, last = company.wave, rules.weights.shape[0] - 1
@@ -316,10 +326,7 @@ def light_wave(field, surfaces, company, vertices, spare, rules, light):
         if hits == 0 or bounce == last:
             return
         following = Vertices(spare.points, spare.normals, hits)
-        compact(rays, vertices, following)
-        stand_on(surfaces, company, following, count, bounce, rules.survival if bounce > 0 else 1.0)
-        next_vertex(field, rays, count, following)
-        stand_on_walls(wave, vertices, following, surfaces.room)
+        go_on(field, surfaces, company, vertices, following, bounce, rules.survival)
         vertices, spare = following, vertices
 
 
@@ -333,6 +340,21 @@ def make_company(n, surfaces, carried, gathered):
 
 
 @kernel()
+def set_out(field, surfaces, company, vertices, starts, origins, sample, first):
+    """Put the paths of a wave, of which ``first`` is the number of the first, where they start, and say on what.
+
+    ``origins`` (3, g) are where first rays start, ``sample`` the number of the first sample.
+    """
+    wave = company.wave
+    generate(wave.shadow.wave, vertices, starts, origins, sample, first)
+    begin(wave, starts, first, vertices.count)
+    company.own[:] = wave.shadow.wave.isovalues
+    for h in range(vertices.count):
+        company.on[h] = NONE if wave.own[h] >= 0.0 else 0
+    start_on_either_side(field, surfaces, company, vertices, starts)
+
+
+@kernel()
 def light_paths(field, surfaces, starts, samples, rules, light, gathered):
     """``light_paths`` of the module of that name among several surfaces; see ``light_among_surfaces``."""
     total = starts.isovalues.shape[0] * samples.count
@@ -343,15 +365,9 @@ def light_paths(field, surfaces, starts, samples, rules, light, gathered):
     origins = launch_in_room(field, starts)
     n = whole(min(WAVE, total))
     company, space, spare = make_company(n, surfaces, carried, gathered), make_vertices(n), make_vertices(n)
-    wave = company.wave
     for first in range(0, total, WAVE):
         vertices = Vertices(space.points, space.normals, min(WAVE, total - first))
-        generate(wave.shadow.wave, vertices, starts, origins, samples.first, first)
-        begin(wave, starts, first, vertices.count)
-        company.own[:] = wave.shadow.wave.isovalues
-        for h in range(vertices.count):
-            company.on[h] = NONE if wave.own[h] >= 0.0 else 0
-        start_on_either_side(field, surfaces, company, vertices, starts)
+        set_out(field, surfaces, company, vertices, starts, origins, samples.first, first)
         light_wave(field, surfaces, company, vertices, spare, rules, light)
 
 

@@ -104,6 +104,28 @@ def test_edges_are_smooth_and_their_samples_show_walls(tmp_path: Path) -> None:
     assert frame.edges.on[behind].all()
 
 
+@pytest.mark.parametrize("room", [{}, {"room": "cornell"}], ids=["open", "room"])
+def test_what_glows_behind_clear_surfaces_is_what_paths_say(room: dict[str, Any], tmp_path: Path) -> None:
+    """A lesion in a shell: it lights the shell from inside, and walls through it, and is seen through it."""
+    shell = {"clear": 0.5, "albedo": [0.6, 0.5, 0.4], "bounces": 2, "target_error": LOOSE, **room}
+    lesion = [{"sphere": [11.5, 11.5, 11.5, 4.0], "radiance": [9.0, 3.0, 1.0]}]
+    dark = {} if room else {"lights": [{"type": "constant", "radiance": 0.05}]}
+    bench = Workbench(scene_of(ball(24, 9.0), 0.0, glow=lesion, **shell, **dark), tmp_path)
+    view = view_of(bench)
+    frame = lit(bench, view)
+    traced = drawn(bench, replace(view, shading="path_traced", samples=256))
+    assert relative_rmse(frame, traced) < 1.5 * LOOSE
+    assert frame.glow is not None and traced.glow is not None
+    np.testing.assert_array_equal(frame.glow, traced.glow)
+    alone = scene_of(ball(24, 9.0), 0.0, glow=lesion, **(shell | {"clear": 1.0}), **dark)
+    bare = Workbench(alone, tmp_path / "bare").renderer.render(view)
+    middle = SIZE * (SIZE // 2) + SIZE // 2
+    assert bare.glow is not None and bare.glow[middle].any()
+    np.testing.assert_allclose(frame.glow[middle], 0.5 * bare.glow[middle], rtol=1e-4)
+    brighter = drawn(bench, replace(view, glow=2.0))
+    np.testing.assert_allclose(brighter.glow, 2.0 * frame.glow, rtol=1e-6)
+
+
 @pytest.mark.parametrize("shading", ["lambert", "phong_shadow", "vicinity"])
 def test_local_shadings_show_walls_too(shading: str, tmp_path: Path) -> None:
     bench = bench_of("clear", tmp_path)

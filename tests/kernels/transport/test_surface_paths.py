@@ -8,7 +8,6 @@ from numba import njit
 
 from isogi_core.kernels.tracing.field import to_index
 from isogi_core.kernels.tracing.intersect import OUTSIDE, UNKNOWN, cast
-from isogi_core.kernels.tracing.peels import MOST
 from isogi_core.kernels.tracing.vec import column, dot, madd
 from isogi_core.kernels.tracing.walls import NOWHERE
 from isogi_core.kernels.transport.integrator import about, launch, shading_normal
@@ -18,11 +17,12 @@ from isogi_core.kernels.transport.paths import PathRules, SampleRange
 from isogi_core.kernels.transport.rng import point_2d
 from isogi_core.kernels.transport.room_paths import RoomStarts
 from isogi_core.kernels.transport.sampling import sample_cosine_hemisphere
-from isogi_core.kernels.transport.surface_paths import LEAVING, PASSING, Surfaces, light_among_surfaces
-from tests.kernels.fields import cells_of, field_of
+from isogi_core.kernels.transport.surface_paths import LEAVING, PASSING, light_among_surfaces
+from tests.kernels.fields import field_of
 from tests.kernels.rooms import X, Y, Z, box, room_of, sky, wall
 from tests.kernels.rooms import gather as gather_in_room
 from tests.kernels.transport.lighting import BALL, LIGHTS, NOISY, PLANE, lamps, on_ball, surroundings
+from tests.kernels.transport.surfaces import among
 from tests.scale import few
 
 
@@ -92,21 +92,6 @@ def path_among(field, surfaces, start, seed, index, bounces, light):
         else:
             carried *= albedos[on] / (1.0 - share)
     return total
-
-
-def among(field, own, others, albedos, clears, transmissions=None, walls=()):
-    """The surfaces at ``own`` and some ``others``, with an albedo and a share that passes each, among ``walls``.
-
-    Albedos and transmissions are numbers or linear RGB.
-    """
-    maps = [cells_of(field, each) for each in (own, *others)]
-    cells = (*maps, *[maps[0]] * (MOST - len(maps)))
-    back, through = (
-        np.array([np.broadcast_to(each, 3) for each in given], float)
-        for given in (albedos, transmissions or [0.0] * len(albedos))
-    )
-    levels = np.array([own, *others], float)
-    return Surfaces(cells, levels, back, np.array(clears, float), through, room_of(walls, field.spacing))
 
 
 def gather(field, surfaces, starts, samples, bounces, light, walls=None, survival=1.0):
