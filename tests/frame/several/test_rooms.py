@@ -105,7 +105,7 @@ def test_edges_are_smooth_and_their_samples_show_walls(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("room", [{}, {"room": "cornell"}], ids=["open", "room"])
-def test_what_glows_behind_clear_surfaces_is_what_paths_say(room: dict[str, Any], tmp_path: Path) -> None:
+def test_glow_behind_clear_surfaces_is_what_paths_say(room: dict[str, Any], tmp_path: Path) -> None:
     """A lesion in a shell: it lights the shell from inside, and walls through it, and is seen through it."""
     shell = {"clear": 0.5, "albedo": [0.6, 0.5, 0.4], "bounces": 2, "target_error": LOOSE, **room}
     lesion = [{"sphere": [11.5, 11.5, 11.5, 4.0], "radiance": [9.0, 3.0, 1.0]}]
