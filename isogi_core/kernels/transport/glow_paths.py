@@ -20,6 +20,7 @@ from isogi_core.kernels.transport.room_paths import (
     ROOM,
     STARTS,
     RoomWave,
+    add_gathered,
     begin,
     carry,
     gather_walls,
@@ -214,6 +215,4 @@ def glow_in_room(field, cells, room, starts, samples, rules, glows, sums):
     for first in range(samples.first, last, step):
         some = SampleRange(first, min(step, last - first))
         glow_paths(scene, starts, some, rules, gathered)
-        for m in range(g * some.count):
-            for j in range(sums.shape[1]):
-                sums[m % g, j] += gathered[j, m]
+        add_gathered(gathered, some.count, sums)

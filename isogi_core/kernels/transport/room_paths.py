@@ -320,6 +320,17 @@ def light_paths(field, cells, room, starts, samples, rules, light, gathered):
         light_wave(field, cells, wave, vertices, spare, room, rules, light)
 
 
+@kernel()
+def add_gathered(gathered, count, sums):
+    """Add what ``count`` paths of each of g starts have ``gathered`` (channels, g · count), sample by sample, to their
+    ``sums`` (g, channels).
+    """
+    g = sums.shape[0]
+    for m in range(g * count):
+        for j in range(sums.shape[1]):
+            sums[m % g, j] += gathered[j, m]
+
+
 @kernel(types.void(FIELD, ACTIVE_CELLS, ROOM, STARTS, SAMPLE_RANGE, PATH_RULES, SURROUNDINGS, ROWS))
 def light_in_room(field, cells, room, starts, samples, rules, light, sums):
     """Add E/π of a ``SampleRange`` at each of g ``RoomStarts``, with all light that is reflected, to ``sums`` (g, 3).
@@ -335,9 +346,7 @@ def light_in_room(field, cells, room, starts, samples, rules, light, sums):
     for first in range(samples.first, last, step):
         some = SampleRange(first, min(step, last - first))
         light_paths(field, cells, room, starts, some, rules, light, gathered)
-        for m in range(g * some.count):
-            for c in range(3):
-                sums[m % g, c] += gathered[c, m]
+        add_gathered(gathered, some.count, sums)
 
 
 @kernel(types.void(types.int64[:, ::1], types.uint64[::1]))

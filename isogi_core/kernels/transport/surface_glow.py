@@ -16,7 +16,7 @@ from isogi_core.kernels.tracing.glow import GLOWS
 from isogi_core.kernels.tracing.walls import ROWS
 from isogi_core.kernels.transport.glow_paths import aim_at_glow, gather
 from isogi_core.kernels.transport.paths import PATH_RULES, SAMPLE_RANGE, SampleRange
-from isogi_core.kernels.transport.room_paths import STARTS, gather_walls, launch_in_room
+from isogi_core.kernels.transport.room_paths import STARTS, add_gathered, gather_walls, launch_in_room
 from isogi_core.kernels.transport.surface_paths import (
     CROSSINGS,
     SURFACES,
@@ -135,6 +135,4 @@ def glow_among_surfaces(field, surfaces, starts, samples, rules, glows, sums):
     for first in range(samples.first, last, step):
         some = SampleRange(first, min(step, last - first))
         glow_paths(scene, starts, some, rules, gathered)
-        for m in range(g * some.count):
-            for j in range(sums.shape[1]):
-                sums[m % g, j] += gathered[j, m]
+        add_gathered(gathered, some.count, sums)

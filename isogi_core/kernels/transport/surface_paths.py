@@ -26,6 +26,7 @@ from isogi_core.kernels.transport.room_paths import (
     ROOM,
     STARTS,
     RoomWave,
+    add_gathered,
     aim_at_luminaire,
     begin,
     gather_ends,
@@ -390,6 +391,4 @@ def light_among_surfaces(field, surfaces, starts, samples, rules, light, sums):
     for first in range(samples.first, last, step):
         some = SampleRange(first, min(step, last - first))
         light_paths(field, surfaces, starts, some, rules, light, gathered)
-        for m in range(g * some.count):
-            for c in range(3):
-                sums[m % g, c] += gathered[c, m]
+        add_gathered(gathered, some.count, sums)

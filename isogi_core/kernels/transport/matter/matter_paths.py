@@ -22,6 +22,7 @@ from isogi_core.kernels.transport.room_paths import (
     STARTS,
     RoomWave,
     add_carried,
+    add_gathered,
     balance_area,
     gather_sources,
     lit_from,
@@ -207,6 +208,4 @@ def light_through_matter(field, cells, met, starts, samples, rules, light, sums)
     for first in range(samples.first, last, step):
         some = SampleRange(first, min(step, last - first))
         light_paths(field, cells, scene, some, rules, gathered)
-        for m in range(g * some.count):
-            for c in range(3):
-                sums[m % g, c] += gathered[c, m]
+        add_gathered(gathered, some.count, sums)
