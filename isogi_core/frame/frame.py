@@ -195,6 +195,26 @@ class Frame:
             return self.surface - self.counts["final"] == self.walls_waiting
         return not (self.provisional or self.final or self.given_up)
 
+    @property
+    def refinable(self) -> bool:
+        """Whether a step of refining makes it better now: it is checkable, or its walls lag behind its texels."""
+        return self.checkable or (self.walls_lag and not self.view.moving)
+
+    @cached_property
+    def walls_lag(self) -> bool:
+        """Whether walls are still coarse, or not final and more wrong in the picture, all together, than its surface.
+
+        Fine ones cost little at first, and what they cost later is spent where the picture errs most.
+        """
+        return self.walls_coarse or (
+            self.walls_waiting > 0 and self._wrong(self.gbuffer.walls.pixels) > self._wrong(self.gbuffer.pixels)
+        )
+
+    @property
+    def walls_coarse(self) -> bool:
+        """Whether walls show their first few texels."""
+        return self.walls_waiting > 0 and bool((self.state.ravel()[self.gbuffer.walls.pixels] <= PROVISIONAL).any())
+
     @cached_property
     def controlled(self) -> np.ndarray:
         """The luminance that the control pixels show of the surface itself; (k,) float64."""
@@ -242,6 +262,10 @@ class Frame:
     def pixel_noise(self) -> np.ndarray:
         """The standard error of each surface point's luminance; (m,) float64."""
         return self.error.ravel()[self.gbuffer.pixels] * self._luminance(self.gbuffer.pixels)
+
+    def _wrong(self, pixels: np.ndarray) -> float:
+        """The sum of the squared errors of these pixels, in luminance."""
+        return float(((self.error.ravel()[pixels] * self._luminance(pixels)) ** 2).sum())
 
     def _luminance(self, pixels: np.ndarray) -> np.ndarray:
         """The luminance of these pixels; float64."""

@@ -179,7 +179,7 @@ class Renderer:
 
     def refine_frame(self, frame: Frame, target: float, tiles: Tiles, finer: bool) -> bool:
         """``refine`` of a view with this ``frame``."""
-        if not frame.checkable:
+        if not frame.refinable:
             return False
         light = self._light(frame.view)
         if frame.walls_waiting:

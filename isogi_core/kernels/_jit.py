@@ -13,6 +13,7 @@ from numba import njit, types
 from numba.extending import register_jitable
 from numba.np import linalg
 
+from isogi_core.kernels._borrowing import Compiler
 from isogi_core.kernels._cache_folder import cache_folder, hold, locked
 
 # Not the whole of fastmath: `nnan` would make isnan() False, and the kernels ask.
@@ -94,7 +95,7 @@ def kernel(
     ``inline`` becomes part of its callers however long it is.
     """
     fastmath = EXACT if exact else ANY_ORDER if any_order else FASTMATH
-    options = {"nogil": True, "error_model": "numpy", "fastmath": fastmath}
+    options = {"nogil": True, "error_model": "numpy", "fastmath": fastmath, "pipeline_class": Compiler}
     if numba.config.DISABLE_JIT:
         return lambda function: function
     if signature is None:

@@ -203,16 +203,17 @@ class RenderEngine:
     def want(self, scene: str, frame: Frame, target: float, viewer: Viewer) -> frozenset[Index]:
         """Request the light that a ``frame`` lacks, for a ``viewer``; the chunks that are going to be baked.
 
-        The picture of one that lacks none is checked: CHECK stands for that.
+        The picture of one that lacks none is checked, and walls that lag are lit beside texels: CHECK stands for both.
         """
-        if frame.checkable:
+        beside = frozenset({CHECK} if frame.refinable else ())
+        if beside:
             self._checks.request(scene, frame.view, target, viewer)
-            return frozenset({CHECK})
-        self._checks.leave(viewer)
-        if self.store.only_read():
-            return frozenset()
+        else:
+            self._checks.leave(viewer)
+        if frame.checkable or self.store.only_read():
+            return beside
         bake, stage = self.lacking(scene, frame)
-        return self._baker.request(bake, stage.demands, stage.target, viewer)
+        return beside | self._baker.request(bake, stage.demands, stage.target, viewer)
 
     def lacking(self, scene: str, frame: Frame) -> tuple[str, Stage]:
         """The bake that a ``frame`` lacks light of next, and what of it: see ``Frame.stages``.

@@ -115,9 +115,10 @@ class Composer:
         The side that errs most, as far as is known, comes first.
         """
         frame = self.draw(view, target, tiles, Stopwatch())
-        waiting = sorted((part for part in frame.parts if part.frame.checkable), key=wrong_of, reverse=True)
-        if not frame.checkable:
+        if not frame.refinable:
             return False
+        waiting = [part for part in frame.parts if part.frame.checkable and (frame.checkable or part.side == WALLS)]
+        waiting.sort(key=wrong_of, reverse=True)
         return any(
             self.renderer(part.side, view.isovalue).refine_frame(part.frame, target, tiles, False) for part in waiting
         )

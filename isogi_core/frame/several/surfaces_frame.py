@@ -91,6 +91,13 @@ class SurfacesFrame(Frame):
         return lit and not self.final and any(part.frame.checkable for part in self.parts)
 
     @cached_property
+    def walls_lag(self) -> bool:
+        """See ``Frame``: more wrong than the side that errs most."""
+        walls = [part for part in self.parts if part.side == WALLS and part.frame.walls_waiting]
+        worst = max((wrong_of(part) for part in self.parts if part.side != WALLS), default=0.0)
+        return any(part.frame.walls_coarse or wrong_of(part) > worst for part in walls)
+
+    @cached_property
     def true_mean(self) -> float:
         """The mean luminance of the pixels that show something."""
         return float((self.radiance[self.state > 0].astype(np.float64) @ LUMINANCE).sum()) / max(self.surface, 1)
