@@ -32,7 +32,8 @@ from isogi_core.kernels.shading.lobes import (
 )
 from isogi_core.kernels.shading.local_models import find_normals, find_shadows, shade_local, trace_points
 from isogi_core.kernels.shading.shadow_points import prepare_points, sort_by_turn
-from isogi_core.kernels.shading.shine import cast_shine, fill_below, filter_shine, light_ends, pool_noise
+from isogi_core.kernels.shading.shine import cast_shine, fill_below, light_ends
+from isogi_core.kernels.shading.shine_filter import filter_shine, pool_noise
 from isogi_core.kernels.shading.texel_normals import fill_texel_normals, keep_normals, look_up_normals
 from isogi_core.kernels.shading.texel_table import add_part, judge_rows, unpack_texels
 from isogi_core.kernels.shading.wall_light import light_walls

@@ -18,7 +18,8 @@ from isogi_core.frame.rays.wall_light import WallView
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.framebuffer import FINAL, PROVISIONAL, Framebuffer, PixelPoints
 from isogi_core.kernels.shading.lattice import DARKEST
-from isogi_core.kernels.shading.shine import filter_shine, light_ends, pool_noise
+from isogi_core.kernels.shading.shine import light_ends
+from isogi_core.kernels.shading.shine_filter import filter_shine, pool_noise
 from isogi_core.model.shine import DULL
 from isogi_core.model.sky import LUMINANCE
 

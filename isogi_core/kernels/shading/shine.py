@@ -53,6 +53,7 @@ from isogi_core.kernels.transport.ray_lights import (
     SHINE_LIGHTS,
     arriving_along,
     count_lights,
+    density_along,
     draw_light,
     expect_along,
 )
@@ -63,19 +64,8 @@ from isogi_core.kernels.transport.sampling import BELOW_ONE
 WAY, CHOICE, LAMP = 0, 1, 2
 """Pairs of random numbers of a ray: those of a way, and which way has the ray; each lamp has one more."""
 
-NEAR = 2
-"""Pixels to either side that are asked for the noise of one."""
-
-BINOMIAL = (1.0, 4.0, 6.0, 4.0, 1.0)
-"""What neighbours count along an axis."""
-
-NONE, ONE = np.float32(0.0), np.float32(1.0)
-
 NEVER, ISOSURFACE = -2, -1
 """What a ray ``met``, besides the numbers of walls: nothing, or the isosurface."""
-
-
-ROWS, NUMBERS = types.float64[:, ::1], types.float64[::1]
 
 
 class ShineDraws(NamedTuple):
@@ -149,6 +139,13 @@ def mirrored(lobe, v, l):
 
 
 @kernel()
+def way_density(lobe, lights, v, l, towards_lights):
+    """The density of ``draw_way`` along ``l``, where that of drawing ``towards_lights`` is known."""
+    aside = share_aside(lobe, lights)
+    return max((1.0 - aside) * reflected_pdf(lobe.alpha, v, l) + aside * towards_lights, SMALLEST)
+
+
+@kernel()
 def judge_way(lobe, lights, p, v, l, w):
     """What light along the way ``w``, locally ``l``, counts, linear RGB; what is expected of it, and over its density.
 
@@ -156,10 +153,21 @@ def judge_way(lobe, lights, p, v, l, w):
     """
     if not l[2] > 0.0:
         return NOTHING, 0.0, 0.0
-    share, aside = mirrored(lobe, v, l), share_aside(lobe, lights)
+    share = mirrored(lobe, v, l)
     light, density = expect_along(lights, p, w)
     hope = dot(share, light) + lights.ambient * (share[0] + share[1] + share[2])
-    return share, hope, hope / max((1.0 - aside) * reflected_pdf(lobe.alpha, v, l) + aside * density, SMALLEST)
+    return share, hope, hope / way_density(lobe, lights, v, l, density)
+
+
+@kernel()
+def take_way(lobe, lights, p, n, v, seed, sample):
+    """The only way of a ray from the world point ``p``, and what light from there counts, linear RGB."""
+    w = draw_way(lobe, lights, p, n, v, seed, sample)
+    l = to_local(n, w)
+    if not l[2] > 0.0:
+        return w, NOTHING
+    density = way_density(lobe, lights, v, l, density_along(lights, p, w))
+    return w, scale(mirrored(lobe, v, l), 1.0 / density)
 
 
 @kernel()
@@ -169,6 +177,8 @@ def choose_way(lobe, lights, p, n, v, seed, sample):
     Of the ways x drawn with densities p(x) one is chosen as often as t(x)/p(x), t being what is expected; it counts
     f cosθ/t times the mean of all t/p.
     """
+    if lights.ways == 1:
+        return take_way(lobe, lights, p, n, v, seed, sample)
     chance, total, expected = point_2d(seed, sample, CHOICE)[0], 0.0, 1.0
     chosen, colour = n, NOTHING
     for j in range(lights.ways):
@@ -233,9 +243,20 @@ def cast_shine(surface, room, points, eye, lobe, lights, draws, ends):
 
     The ``eye`` is in index space. Rays meet the isosurface and the walls of a ``room``, which may have none.
     """
-    count, field = draws.owners.shape[0], surface.field
+    count = draws.owners.shape[0]
     origins, directions, ways, t = np.empty((3, count)), np.ones((3, count)), np.empty((3, count)), np.empty(count)
-    for i in range(count):
+    aim_rays(surface, points, eye, lobe, lights, draws, (origins, directions, ways), ends)
+    cast_from(surface, origins, directions, t)
+    end_rays(surface, room, lights, (origins, directions, ways), t, ends)
+    for k in range(lights.around.lamps.kinds.shape[0]):
+        add_lamp(surface, room, points, eye, lobe, (lights.around.lamps, k), draws, ends)
+
+
+@kernel()
+def aim_rays(surface, points, eye, lobe, lights, draws, rays, ends):
+    """Choose the way of each of ``rays``, (origins, directions, ways), and write its weight to ``ends``."""
+    field, (origins, directions, ways) = surface.field, rays
+    for i in range(draws.owners.shape[0]):
         m = draws.owners[i]
         p, n = point_of(points.points, m), point_of(points.normals, m)
         o = launch(field, surface.isovalue, p, n, OUTSIDE)
@@ -247,8 +268,13 @@ def cast_shine(surface, room, points, eye, lobe, lights, draws, ends):
         put_row(ends.weights, i, weight)
         if alive:
             put_column(directions, i, to_index(w, field.spacing))
-    cast_from(surface, origins, directions, t)
-    for i in range(count):
+
+
+@kernel()
+def end_rays(surface, room, lights, rays, t, ends):
+    """Fill the ``ends`` of ``rays``, (origins, directions, ways), which come as far as ``t`` (n,) on the surface."""
+    origins, directions, ways = rays
+    for i in range(t.shape[0]):
         put_row(ends.brought, i, NOTHING)
         ends.met[i] = NEVER
         if not origins[0, i] < math.inf:
@@ -258,9 +284,7 @@ def cast_shine(surface, room, points, eye, lobe, lights, draws, ends):
         if reach < math.inf:
             end_ray(surface, room, (o, d, w), reach, int(wall), ends, i)
         weight = (np.float64(ends.weights[i, 0]), np.float64(ends.weights[i, 1]), np.float64(ends.weights[i, 2]))
-        add_row(ends.brought, i, weight, arriving_along(lights, to_world(o, field.spacing), w, reach))
-    for k in range(lights.around.lamps.kinds.shape[0]):
-        add_lamp(surface, room, points, eye, lobe, (lights.around.lamps, k), draws, ends)
+        add_row(ends.brought, i, weight, arriving_along(lights, to_world(o, surface.field.spacing), w, reach))
 
 
 @kernel()
@@ -321,69 +345,3 @@ def light_ends(surface, points, lamps, seeds, lit):
         for i in range(count):
             if origins[0, i] < math.inf and t[i] == math.inf:
                 add_row(lit, i, (1.0, 1.0, 1.0), column(lights, i))
-
-
-@kernel()
-def spread_between(values, m, n):
-    """The variance that point ``n`` near ``m`` lets expect: of the mean of its two ``values``, or of one from both."""
-    if values.shape[1] == 1:
-        return 0.5 * (values[m, 0] - values[n, 0]) ** 2
-    return 0.25 * (values[n, 0] - values[n, 1]) ** 2
-
-
-@kernel(types.void(types.int32[:, ::1], types.uint32[::1], types.int64, ROWS, NUMBERS))
-def pool_noise(rows, pixels, first, values, variance):
-    """Fill ``variance`` (k,) of points from number ``first`` on: a mean of what those near them in the picture tell.
-
-    ``rows`` (h, w) are the numbers of the points in a picture, -1 where none is, ``pixels`` (m,) where they show, and
-    ``values`` (m, 1 or 2) of each, by as many independent halves. Nearer points count more: binomially.
-    """
-    for i in range(variance.shape[0]):
-        m = first + i
-        y, x = divmod(np.int64(pixels[m]), rows.shape[1])
-        total, weights = 0.0, 0.0
-        for dy in range(-NEAR, NEAR + 1):
-            for dx in range(-NEAR, NEAR + 1):
-                inside = 0 <= y + dy < rows.shape[0] and 0 <= x + dx < rows.shape[1]
-                n = np.int64(rows[y + dy, x + dx]) if inside else -1
-                if n >= 0 and (n != m or values.shape[1] > 1):
-                    weight = BINOMIAL[dy + NEAR] * BINOMIAL[dx + NEAR]
-                    total, weights = total + weight * spread_between(values, m, n), weights + weight
-        variance[i] = total / max(weights, 1.0)
-
-
-@kernel(inline=True)
-def likeness(normals, m, n, width):
-    """What the normal of point ``n`` counts for ``m``: Tukey's biweight of the length between both over a ``width``."""
-    x, y, z = normals[n, 0] - normals[m, 0], normals[n, 1] - normals[m, 1], normals[n, 2] - normals[m, 2]
-    return max(ONE - (x * x + y * y + z * z) / (width * width), NONE) ** 2
-
-
-@kernel(
-    types.void(
-        types.int32[:, ::1], types.uint32[::1], COLUMNS, types.int64, COLUMNS, types.int64, types.float32, COLUMNS
-    )
-)
-def filter_shine(rows, pixels, normals, first, light, step, width, found):
-    """Fill ``found`` (k, 4) with the mean ``light`` (m, 4) about the points of a picture from number ``first`` on.
-
-    Light is linear RGB and the variance of its luminance. The mean is that of five by five pixels, a ``step`` apart,
-    which count binomially, and by how like their ``normals`` (m, 3) are within a ``width``. ``rows`` and ``pixels`` are
-    as of ``pool_noise``. Source: Dammertz and others 2010; Schied and others 2017 on variance.
-    """
-    height, across = rows.shape
-    for i in range(found.shape[0]):
-        m = first + i
-        y, x = divmod(np.int64(pixels[m]), across)
-        red = green = blue = variance = total = NONE
-        for dy in range(-NEAR, NEAR + 1):
-            v = y + dy * step
-            for dx in range(-NEAR if 0 <= v < height else NEAR + 1, NEAR + 1):
-                u = x + dx * step
-                n = np.int64(rows[v, u]) if 0 <= u < across else -1
-                if n >= 0:
-                    w = np.float32(BINOMIAL[dy + NEAR] * BINOMIAL[dx + NEAR]) * likeness(normals, m, n, width)
-                    red, green, blue = red + w * light[n, 0], green + w * light[n, 1], blue + w * light[n, 2]
-                    variance, total = variance + w * w * light[n, 3], total + w
-        found[i, 0], found[i, 1], found[i, 2] = red / total, green / total, blue / total
-        found[i, 3] = variance / (total * total)

@@ -105,16 +105,36 @@ def draw_light(lights, which, p, a, b):
 
 
 @kernel()
+def bright_density(around, row, column):
+    """The density of ``draw_bright`` at a place of the environment, per steradian; 0 where nothing is drawn by it."""
+    table = around.table
+    if table[0].shape[0] == 0:
+        return 0.0
+    return piecewise_2d_pdf(table[0], table[1], row, column) / max(latlong_jacobian(row), SMALLEST)
+
+
+@kernel()
+def density_along(lights, p, w):
+    """The density of ``draw_light`` over all lights, each as often, at the direction ``w`` from ``p``."""
+    around, panels, discs, total = lights.around, lights.panels, lights.discs, 0.0
+    if around.table[0].shape[0] > 0:
+        height, width = direction_to_latlong(turn_back(around.matrix, w))
+        total += bright_density(around, height, width)
+    for k in range(panels.corners.shape[0]):
+        total += panel_met(panels, k, p, w)[1]
+    for k in range(discs.towards.shape[0]):
+        total += disc_met(discs, k, w)
+    return total / max(count_lights(lights), 1)
+
+
+@kernel()
 def expect_along(lights, p, w):
     """What a ray from ``p`` along ``w`` would bring were nothing before the lights, linear RGB; and the density of
     ``draw_light`` over all of them, each as often.
     """
     around, panels, discs = lights.around, lights.panels, lights.discs
     height, width = direction_to_latlong(turn_back(around.matrix, w))
-    (r, g, b), total = glow(around.constant, around.image, height, width), 0.0
-    if around.table[0].shape[0] > 0:
-        drawn = piecewise_2d_pdf(around.table[0], around.table[1], height, width)
-        total += drawn / max(latlong_jacobian(height), SMALLEST)
+    (r, g, b), total = glow(around.constant, around.image, height, width), bright_density(around, height, width)
     for k in range(panels.corners.shape[0]):
         t, density = panel_met(panels, k, p, w)
         if t < math.inf:

@@ -14,8 +14,8 @@ from isogi_core.kernels.shading.shine import (
     cast_shine,
     fill_below,
     light_ends,
-    pool_noise,
 )
+from isogi_core.kernels.shading.shine_filter import pool_noise
 from isogi_core.kernels.transport.light_paths import NO_TABLE, Surroundings
 from isogi_core.kernels.transport.lights import DIRECTIONAL, NO_LAMPS, POINT, LampArrays
 from isogi_core.kernels.transport.microfacets import NODES, ShineLobe, fill_energy

@@ -1,0 +1,82 @@
+"""What pixels side by side tell of shine: the noise of each, and the mean of what their first rays bring."""
+
+import numpy as np
+from numba import types
+
+from isogi_core.kernels._jit import kernel
+
+NEAR = 2
+"""Pixels to either side that are asked for the noise of one."""
+
+BINOMIAL = (1.0, 4.0, 6.0, 4.0, 1.0)
+"""What neighbours count along an axis."""
+
+NONE, ONE = np.float32(0.0), np.float32(1.0)
+
+COLUMNS, ROWS, NUMBERS = types.float32[:, ::1], types.float64[:, ::1], types.float64[::1]
+
+
+@kernel()
+def spread_between(values, m, n):
+    """The variance that point ``n`` near ``m`` lets expect: of the mean of its two ``values``, or of one from both."""
+    if values.shape[1] == 1:
+        return 0.5 * (values[m, 0] - values[n, 0]) ** 2
+    return 0.25 * (values[n, 0] - values[n, 1]) ** 2
+
+
+@kernel(types.void(types.int32[:, ::1], types.uint32[::1], types.int64, ROWS, NUMBERS))
+def pool_noise(rows, pixels, first, values, variance):
+    """Fill ``variance`` (k,) of points from number ``first`` on: a mean of what those near them in the picture tell.
+
+    ``rows`` (h, w) are the numbers of the points in a picture, -1 where none is, ``pixels`` (m,) where they show, and
+    ``values`` (m, 1 or 2) of each, by as many independent halves. Nearer points count more: binomially.
+    """
+    for i in range(variance.shape[0]):
+        m = first + i
+        y, x = divmod(np.int64(pixels[m]), rows.shape[1])
+        total, weights = 0.0, 0.0
+        for dy in range(-NEAR, NEAR + 1):
+            for dx in range(-NEAR, NEAR + 1):
+                inside = 0 <= y + dy < rows.shape[0] and 0 <= x + dx < rows.shape[1]
+                n = np.int64(rows[y + dy, x + dx]) if inside else -1
+                if n >= 0 and (n != m or values.shape[1] > 1):
+                    weight = BINOMIAL[dy + NEAR] * BINOMIAL[dx + NEAR]
+                    total, weights = total + weight * spread_between(values, m, n), weights + weight
+        variance[i] = total / max(weights, 1.0)
+
+
+@kernel(inline=True)
+def likeness(normals, m, n, width):
+    """What the normal of point ``n`` counts for ``m``: Tukey's biweight of the length between both over a ``width``."""
+    x, y, z = normals[n, 0] - normals[m, 0], normals[n, 1] - normals[m, 1], normals[n, 2] - normals[m, 2]
+    return max(ONE - (x * x + y * y + z * z) / (width * width), NONE) ** 2
+
+
+@kernel(
+    types.void(
+        types.int32[:, ::1], types.uint32[::1], COLUMNS, types.int64, COLUMNS, types.int64, types.float32, COLUMNS
+    )
+)
+def filter_shine(rows, pixels, normals, first, light, step, width, found):
+    """Fill ``found`` (k, 4) with the mean ``light`` (m, 4) about the points of a picture from number ``first`` on.
+
+    Light is linear RGB and the variance of its luminance. The mean is that of five by five pixels, a ``step`` apart,
+    which count binomially, and by how like their ``normals`` (m, 3) are within a ``width``. ``rows`` and ``pixels`` are
+    as of ``pool_noise``. Source: Dammertz and others 2010; Schied and others 2017 on variance.
+    """
+    height, across = rows.shape
+    for i in range(found.shape[0]):
+        m = first + i
+        y, x = divmod(np.int64(pixels[m]), across)
+        red = green = blue = variance = total = NONE
+        for dy in range(-NEAR, NEAR + 1):
+            v = y + dy * step
+            for dx in range(-NEAR if 0 <= v < height else NEAR + 1, NEAR + 1):
+                u = x + dx * step
+                n = np.int64(rows[v, u]) if 0 <= u < across else -1
+                if n >= 0:
+                    w = np.float32(BINOMIAL[dy + NEAR] * BINOMIAL[dx + NEAR]) * likeness(normals, m, n, width)
+                    red, green, blue = red + w * light[n, 0], green + w * light[n, 1], blue + w * light[n, 2]
+                    variance, total = variance + w * w * light[n, 3], total + w
+        found[i, 0], found[i, 1], found[i, 2] = red / total, green / total, blue / total
+        found[i, 3] = variance / (total * total)
