@@ -242,7 +242,7 @@ class Renderer:
         """Let the surface in a picture shine; what names the rays that were taken, and the light that they read."""
         shine = self._shine(gbuffer, light, tiles)
         ends = None if shine.count else self._light_ends(shine.rays, light, target, tiles)
-        shine.gleam(ends, tiles).put(shine.below, gbuffer, light.spec.unit, framebuffer)
+        shine.gleam(ends, tiles).put(shine.below, gbuffer, light.spec.unit, framebuffer, tiles)
         return shine.version + (ends.version if ends else b"")
 
     def _grow_shine(self, frame: Frame, light: RotatedLight, target: float, tiles: Tiles) -> bool:

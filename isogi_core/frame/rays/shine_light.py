@@ -73,16 +73,23 @@ class Gleam:
         tiles.run(_piece, len(means), tiles.even(len(means)))
         return cls(means.mean(axis=1), variance)
 
-    def put(self, below: np.ndarray, gbuffer: GBuffer, unit: float, framebuffer: Framebuffer) -> None:
-        """Write it into a picture of diffuse light, of which the share ``below`` (m, 3) stays; errors are of both."""
-        pixels = gbuffer.pixels
-        diffuse = framebuffer.radiance[pixels] * below
-        noise = framebuffer.error[pixels] * (diffuse @ LUMINANCE)
-        light = diffuse + self.light
-        error = np.sqrt(noise**2 + self.variance) / np.maximum(light @ LUMINANCE, DARKEST * unit)
-        framebuffer.radiance[pixels] = np.minimum(light, np.finfo(np.float32).max)
-        unknown = framebuffer.state[pixels] <= PROVISIONAL
-        framebuffer.error[pixels] = np.where(unknown, 1.0, np.minimum(error, 1.0))
+    def put(self, below: np.ndarray, gbuffer: GBuffer, unit: float, framebuffer: Framebuffer, tiles: Tiles) -> None:
+        """Write it into a picture of diffuse light, of which the share ``below`` (m, 3) stays; errors are of both.
+
+        Raises Cancelled.
+        """
+
+        def _piece(a: int, b: int) -> None:
+            pixels = gbuffer.pixels[a:b]
+            diffuse = framebuffer.radiance[pixels] * below[a:b]
+            noise = framebuffer.error[pixels] * (diffuse @ LUMINANCE)
+            light = diffuse + self.light[a:b]
+            error = np.sqrt(noise**2 + self.variance[a:b]) / np.maximum(light @ LUMINANCE, DARKEST * unit)
+            framebuffer.radiance[pixels] = np.minimum(light, np.finfo(np.float32).max)
+            unknown = framebuffer.state[pixels] <= PROVISIONAL
+            framebuffer.error[pixels] = np.where(unknown, 1.0, np.minimum(error, 1.0))
+
+        tiles.run(_piece, len(below), tiles.even(len(below)))
 
 
 @dataclass(eq=False)

@@ -30,6 +30,7 @@ from isogi_core.kernels.tracing.vec import (
     put_column,
     scale,
     sub,
+    times,
 )
 from isogi_core.kernels.tracing.walls import NOWHERE, nearest_wall
 from isogi_core.kernels.transport.integrator import about, launch
@@ -51,11 +52,10 @@ from isogi_core.kernels.transport.microfacets import (
 )
 from isogi_core.kernels.transport.ray_lights import (
     SHINE_LIGHTS,
-    arriving_along,
     count_lights,
-    density_along,
     draw_light,
     expect_along,
+    lamps_before,
 )
 from isogi_core.kernels.transport.rng import point_2d
 from isogi_core.kernels.transport.room_paths import ROOM, lit_from
@@ -139,58 +139,38 @@ def mirrored(lobe, v, l):
 
 
 @kernel()
-def way_density(lobe, lights, v, l, towards_lights):
-    """The density of ``draw_way`` along ``l``, where that of drawing ``towards_lights`` is known."""
-    aside = share_aside(lobe, lights)
-    return max((1.0 - aside) * reflected_pdf(lobe.alpha, v, l) + aside * towards_lights, SMALLEST)
-
-
-@kernel()
 def judge_way(lobe, lights, p, v, l, w):
-    """What light along the way ``w``, locally ``l``, counts, linear RGB; what is expected of it, and over its density.
-
-    The density is that of ``draw_way``.
+    """What light along the way ``w``, locally ``l``, counts, and the light were nothing before it, linear RGB; what is
+    expected of both, and that over the density of ``draw_way``.
     """
     if not l[2] > 0.0:
-        return NOTHING, 0.0, 0.0
-    share = mirrored(lobe, v, l)
+        return NOTHING, NOTHING, 0.0, 0.0
+    share, aside = mirrored(lobe, v, l), share_aside(lobe, lights)
     light, density = expect_along(lights, p, w)
     hope = dot(share, light) + lights.ambient * (share[0] + share[1] + share[2])
-    return share, hope, hope / way_density(lobe, lights, v, l, density)
-
-
-@kernel()
-def take_way(lobe, lights, p, n, v, seed, sample):
-    """The only way of a ray from the world point ``p``, and what light from there counts, linear RGB."""
-    w = draw_way(lobe, lights, p, n, v, seed, sample)
-    l = to_local(n, w)
-    if not l[2] > 0.0:
-        return w, NOTHING
-    density = way_density(lobe, lights, v, l, density_along(lights, p, w))
-    return w, scale(mirrored(lobe, v, l), 1.0 / density)
+    drawn = (1.0 - aside) * reflected_pdf(lobe.alpha, v, l) + aside * density
+    return share, light, hope, hope / max(drawn, SMALLEST)
 
 
 @kernel()
 def choose_way(lobe, lights, p, n, v, seed, sample):
-    """The way of a ray from the world point ``p``, and what light from there counts, linear RGB.
+    """The way of a ray from the world point ``p``; what light from there counts, and that light were nothing before it.
 
     Of the ways x drawn with densities p(x) one is chosen as often as t(x)/p(x), t being what is expected; it counts
     f cosθ/t times the mean of all t/p.
     """
-    if lights.ways == 1:
-        return take_way(lobe, lights, p, n, v, seed, sample)
     chance, total, expected = point_2d(seed, sample, CHOICE)[0], 0.0, 1.0
-    chosen, colour = n, NOTHING
+    chosen, colour, bright = n, NOTHING, NOTHING
     for j in range(lights.ways):
         w = draw_way(lobe, lights, p, n, v, seed, sample * lights.ways + j)
-        share, hope, part = judge_way(lobe, lights, p, v, to_local(n, w), w)
+        share, light, hope, part = judge_way(lobe, lights, p, v, to_local(n, w), w)
         total += part
         taken = part / total if total > 0.0 else 0.0
         if chance < taken:
-            chosen, colour, expected, chance = w, share, hope, chance / taken
+            chosen, colour, bright, expected, chance = w, share, light, hope, chance / taken
         else:
             chance = (chance - taken) / max(1.0 - taken, SMALLEST)
-    return chosen, scale(colour, total / (lights.ways * expected))
+    return chosen, scale(colour, total / (lights.ways * expected)), bright
 
 
 @kernel()
@@ -254,18 +234,21 @@ def cast_shine(surface, room, points, eye, lobe, lights, draws, ends):
 
 @kernel()
 def aim_rays(surface, points, eye, lobe, lights, draws, rays, ends):
-    """Choose the way of each of ``rays``, (origins, directions, ways), and write its weight to ``ends``."""
+    """Choose the way of each of ``rays``, (origins, directions, ways); its weight, and what it brings where it meets
+    nothing, go to ``ends``.
+    """
     field, (origins, directions, ways) = surface.field, rays
     for i in range(draws.owners.shape[0]):
         m = draws.owners[i]
         p, n = point_of(points.points, m), point_of(points.normals, m)
         o = launch(field, surface.isovalue, p, n, OUTSIDE)
         v = to_viewer(p, n, eye, field.spacing)
-        w, weight = choose_way(lobe, lights, to_world(o, field.spacing), n, v, draws.seeds[i], draws.samples[i])
+        w, weight, light = choose_way(lobe, lights, to_world(o, field.spacing), n, v, draws.seeds[i], draws.samples[i])
         alive = max(weight[0], weight[1], weight[2]) > 0.0
         put_column(ways, i, w)
         put_column(origins, i, o if alive else FAR)
         put_row(ends.weights, i, weight)
+        put_row(ends.brought, i, times(weight, light))
         if alive:
             put_column(directions, i, to_index(w, field.spacing))
 
@@ -275,7 +258,6 @@ def end_rays(surface, room, lights, rays, t, ends):
     """Fill the ``ends`` of ``rays``, (origins, directions, ways), which come as far as ``t`` (n,) on the surface."""
     origins, directions, ways = rays
     for i in range(t.shape[0]):
-        put_row(ends.brought, i, NOTHING)
         ends.met[i] = NEVER
         if not origins[0, i] < math.inf:
             continue
@@ -283,8 +265,8 @@ def end_rays(surface, room, lights, rays, t, ends):
         reach, wall = nearest_wall(room.walls, o, d, NOWHERE, t[i])
         if reach < math.inf:
             end_ray(surface, room, (o, d, w), reach, int(wall), ends, i)
-        weight = (np.float64(ends.weights[i, 0]), np.float64(ends.weights[i, 1]), np.float64(ends.weights[i, 2]))
-        add_row(ends.brought, i, weight, arriving_along(lights, to_world(o, surface.field.spacing), w, reach))
+            light = lamps_before(lights, to_world(o, surface.field.spacing), w, reach)
+            put_row(ends.brought, i, times(point_of(ends.weights, i), light))
 
 
 @kernel()
@@ -306,7 +288,7 @@ def add_lamp(surface, room, points, eye, lobe, lamp, draws, ends):
             share = scale(mirrored(lobe, v, l), math.pi / l[2])
             put_column(origins, i, o)
             put_column(directions, i, to_index(w, field.spacing))
-            put_column(lights, i, (share[0] * light[0], share[1] * light[1], share[2] * light[2]))
+            put_column(lights, i, times(share, light))
     cast_from(surface, origins, directions, t)
     for i in range(count):
         if origins[0, i] < math.inf:

@@ -46,10 +46,13 @@ def pool_noise(rows, pixels, first, values, variance):
 
 
 @kernel(inline=True)
-def likeness(normals, m, n, width):
-    """What the normal of point ``n`` counts for ``m``: Tukey's biweight of the length between both over a ``width``."""
-    x, y, z = normals[n, 0] - normals[m, 0], normals[n, 1] - normals[m, 1], normals[n, 2] - normals[m, 2]
-    return max(ONE - (x * x + y * y + z * z) / (width * width), NONE) ** 2
+def likeness(normals, n, normal, narrow):
+    """What the normal of point ``n`` counts for a ``normal``: Tukey's biweight of the length between both, by the
+    inverse of its squared width.
+    """
+    x, y, z = normals[n, 0] - normal[0], normals[n, 1] - normal[1], normals[n, 2] - normal[2]
+    rest = max(ONE - (x * x + y * y + z * z) * narrow, NONE)
+    return rest * rest
 
 
 @kernel(
@@ -64,10 +67,11 @@ def filter_shine(rows, pixels, normals, first, light, step, width, found):
     which count binomially, and by how like their ``normals`` (m, 3) are within a ``width``. ``rows`` and ``pixels`` are
     as of ``pool_noise``. Source: Dammertz and others 2010; Schied and others 2017 on variance.
     """
-    height, across = rows.shape
+    (height, across), narrow = rows.shape, ONE / (width * width)
     for i in range(found.shape[0]):
         m = first + i
         y, x = divmod(np.int64(pixels[m]), across)
+        normal = normals[m, 0], normals[m, 1], normals[m, 2]
         red = green = blue = variance = total = NONE
         for dy in range(-NEAR, NEAR + 1):
             v = y + dy * step
@@ -75,7 +79,7 @@ def filter_shine(rows, pixels, normals, first, light, step, width, found):
                 u = x + dx * step
                 n = np.int64(rows[v, u]) if 0 <= u < across else -1
                 if n >= 0:
-                    w = np.float32(BINOMIAL[dy + NEAR] * BINOMIAL[dx + NEAR]) * likeness(normals, m, n, width)
+                    w = np.float32(BINOMIAL[dy + NEAR] * BINOMIAL[dx + NEAR]) * likeness(normals, n, normal, narrow)
                     red, green, blue = red + w * light[n, 0], green + w * light[n, 1], blue + w * light[n, 2]
                     variance, total = variance + w * w * light[n, 3], total + w
         found[i, 0], found[i, 1], found[i, 2] = red / total, green / total, blue / total

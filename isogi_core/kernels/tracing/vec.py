@@ -28,6 +28,12 @@ def scale(a, t):
 
 
 @kernel()
+def times(a, b):
+    """The product of two vectors, or colours, member by member."""
+    return a[0] * b[0], a[1] * b[1], a[2] * b[2]
+
+
+@kernel()
 def madd(o, t, d):
     """Point o + t·d, as along a ray from o in direction d."""
     return o[0] + t * d[0], o[1] + t * d[1], o[2] + t * d[2]

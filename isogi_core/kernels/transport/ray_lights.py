@@ -8,7 +8,7 @@ from numba import types
 from isogi_core.kernels._jit import kernel, record
 from isogi_core.kernels.tracing.vec import SMALLEST, cross, dot, length, madd, normalize, scale, sub
 from isogi_core.kernels.transport.light_paths import SURROUNDINGS
-from isogi_core.kernels.transport.lights import NOTHING, draw_bright, draw_from_disc, glow, radiance, row, turn_back
+from isogi_core.kernels.transport.lights import NOTHING, draw_bright, draw_from_disc, glow, row, turn_back
 from isogi_core.kernels.transport.sampling import direction_to_latlong, latlong_jacobian, piecewise_2d_pdf
 
 
@@ -105,36 +105,16 @@ def draw_light(lights, which, p, a, b):
 
 
 @kernel()
-def bright_density(around, row, column):
-    """The density of ``draw_bright`` at a place of the environment, per steradian; 0 where nothing is drawn by it."""
-    table = around.table
-    if table[0].shape[0] == 0:
-        return 0.0
-    return piecewise_2d_pdf(table[0], table[1], row, column) / max(latlong_jacobian(row), SMALLEST)
-
-
-@kernel()
-def density_along(lights, p, w):
-    """The density of ``draw_light`` over all lights, each as often, at the direction ``w`` from ``p``."""
-    around, panels, discs, total = lights.around, lights.panels, lights.discs, 0.0
-    if around.table[0].shape[0] > 0:
-        height, width = direction_to_latlong(turn_back(around.matrix, w))
-        total += bright_density(around, height, width)
-    for k in range(panels.corners.shape[0]):
-        total += panel_met(panels, k, p, w)[1]
-    for k in range(discs.towards.shape[0]):
-        total += disc_met(discs, k, w)
-    return total / max(count_lights(lights), 1)
-
-
-@kernel()
 def expect_along(lights, p, w):
     """What a ray from ``p`` along ``w`` would bring were nothing before the lights, linear RGB; and the density of
     ``draw_light`` over all of them, each as often.
     """
     around, panels, discs = lights.around, lights.panels, lights.discs
     height, width = direction_to_latlong(turn_back(around.matrix, w))
-    (r, g, b), total = glow(around.constant, around.image, height, width), bright_density(around, height, width)
+    (r, g, b), total = glow(around.constant, around.image, height, width), 0.0
+    if around.table[0].shape[0] > 0:
+        drawn = piecewise_2d_pdf(around.table[0], around.table[1], height, width)
+        total += drawn / max(latlong_jacobian(height), SMALLEST)
     for k in range(panels.corners.shape[0]):
         t, density = panel_met(panels, k, p, w)
         if t < math.inf:
@@ -149,16 +129,11 @@ def expect_along(lights, p, w):
 
 
 @kernel()
-def arriving_along(lights, p, w, t):
-    """What a ray from ``p`` along ``w`` brings that comes as far as ``t``: lamps before that, and what is beyond."""
-    around, panels = lights.around, lights.panels
-    r, g, b = radiance(around.constant, around.image, around.matrix, w) if t == math.inf else NOTHING
+def lamps_before(lights, p, w, t):
+    """What a ray from ``p`` along ``w`` that ends on something at ``t`` brings of the lamps before that."""
+    panels, (r, g, b) = lights.panels, NOTHING
     for k in range(panels.corners.shape[0]):
         if panels.clear[k] > 0.0 and panel_met(panels, k, p, w)[0] < t:
             light = row(panels.radiances, k)
-            r, g, b = r + light[0], g + light[1], b + light[2]
-    for k in range(lights.discs.towards.shape[0]):
-        if t == math.inf and disc_met(lights.discs, k, w) > 0.0:
-            light = row(lights.discs.radiances, k)
             r, g, b = r + light[0], g + light[1], b + light[2]
     return r, g, b
