@@ -134,7 +134,7 @@ def test_an_edited_helper_is_compiled_anew_an_old_one_loaded(tmp_path):
     """A house of two files, each run a fresh process: the entry kernel's own file never changes."""
     kernels = tmp_path / "isogi_core" / "kernels"
     kernels.mkdir(parents=True)
-    for name in ("_jit.py", "_cache_folder.py"):
+    for name in ("_jit.py", "_borrowing.py", "_cache_folder.py"):
         shutil.copy(FOLDER / name, kernels)
     (kernels.parent / "__init__.py").touch()
     (kernels / "__init__.py").touch()

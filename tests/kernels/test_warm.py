@@ -64,7 +64,7 @@ def test_what_is_loaded_is_what_is_compiled_ahead(tmp_path, monkeypatch):
 def test_what_is_missing_is_compiled_by_others_and_loaded_here(tmp_path):
     kernels = tmp_path / "isogi_core" / "kernels"
     kernels.mkdir(parents=True)
-    for name in ("_jit.py", "_cache_folder.py"):
+    for name in ("_jit.py", "_borrowing.py", "_cache_folder.py"):
         shutil.copy(FOLDER / name, kernels)
     (kernels.parent / "__init__.py").touch()
     (kernels / "__init__.py").touch()
