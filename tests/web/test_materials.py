@@ -68,6 +68,22 @@ def test_a_number_is_applied_once_its_slider_is_let_go(page: Page, live_server: 
     expect(page.locator("#material-kind")).to_have_value("diffuse")
 
 
+def test_glass_has_a_tint_beside_how_much_it_absorbs(page: Page, live_server: str) -> None:
+    open_final(page, f"{live_server}/?material=glass,absorption=0.05")
+    tint, clear = page.locator("#material-absorption-tint"), pixels(page)
+    expect(tint).to_have_value("#ffffff")
+    expect(page.get_by_label("Tint").last).to_have_attribute("type", "color")
+    tint.fill("#00ff00")
+    assert material(page) == "glass,absorption=0.05,0,0.05"
+    green = pixels(wait_final(page)).astype(int) - clear
+    assert green[..., 1].mean() > 1.0 and abs(green[..., 0].mean()) < 1.0, "less is absorbed of it alone"
+    expect(tint).to_have_value("#3fff3f")
+    slide(page, "material-absorption", 0)
+    page.dispatch_event("#material-absorption", "change")
+    expect(tint).to_have_value("#3fff3f")  # none keeps its colour
+    assert material(page) == "glass"
+
+
 def test_a_link_of_a_material_that_there_is_not_is_told(page: Page, live_server: str) -> None:
     open_final(page, f"{live_server}/?material=jelly")
     expect(page.locator("#notice")).to_have_text("“jelly” is no material of this scene.")

@@ -3,7 +3,7 @@
 import { find } from "../dom.js";
 import { MOST_OBLIQUE, facingPlane, moved, movablePlanes, readPlanes, termOf, writePlanes } from "../view/planes.js";
 import { cameraAxes } from "../view/rotation.js";
-import { isMaterial, readHidden, readMaterial, readSurfaces, writeHidden, writeMaterial, writeSurfaces } from "../view/surfaces.js";
+import { absorbedShares, isMaterial, readHidden, readMaterial, readSurfaces, tintOf, writeHidden, writeMaterial, writeSurfaces } from "../view/surfaces.js";
 
 /** @typedef {import("../net/schemas.js").Label} Label */
 /** @typedef {import("../net/schemas.js").Scene} Scene */
@@ -246,7 +246,8 @@ export function attachMaterial(panel, scene, view) {
 }
 
 /**
- * The slider of a number of a material. Of three, one for each colour, it moves the greatest, and the others with it.
+ * The slider of a number of a material. Of three, one for each colour, it moves the greatest, and the others with it;
+ * what they make of white light is a tint beside it.
  * @param {string} name
  * @param {Pick<Scene, "volume">} scene
  * @param {number[]} first the numbers at first
@@ -263,12 +264,33 @@ function numberRow(name, { volume }, first, set) {
   const row = bakedSlider(NUMBER_NAMES[name] ?? name, limits, (x) => `${round(outward(x))}${per ?? ""}`, (x) => {
     set(shares.map((share) => round(share * outward(x))));
   });
+  const tint = name === "absorption" ? tintRow(row, (hex) => {
+    shares = absorbedShares(hex);
+    set(shares.map((share) => round(share * outward(row.slider.valueAsNumber))));
+  }) : undefined;
   const show = (/** @type {number[]} */ given) => {
     const most = Math.max(...given);
     if (most > 0) shares = given.map((each) => each / most); // none keeps its colour
     row.show(inward(most));
+    if (tint) tint.value = tintOf(shares);
   };
   return { node: row.node, show };
+}
+
+/**
+ * A field below a slider for the colour of white light behind what absorbs it.
+ * @param {ReturnType<typeof bakedSlider>} row
+ * @param {(hex: string) => void} set
+ */
+function tintRow({ node, slider }, set) {
+  const [choice, label, field] = [document.createElement("div"), document.createElement("label"), document.createElement("input")];
+  const id = `${slider.id}-tint`;
+  Object.assign(label, { htmlFor: id, textContent: "Tint" });
+  Object.assign(field, { type: "color", id, name: id });
+  field.addEventListener("change", () => set(field.value));
+  Object.assign(choice, { className: "choice" }).append(label, field);
+  node.append(choice);
+  return field;
 }
 
 /**

@@ -1,5 +1,7 @@
 /** What a frame's `surfaces` lets pass, `0.4,off`, which labels its `hide` hides, `3,4`, and its `material`, `glass,index=1.3`. */
 
+import { WHITE, hexOf, linear } from "./albedo.js";
+
 /** @typedef {{shown: boolean, clear: number}} Shown a surface: whether it is there, and the share of rays that passes */
 
 /** @typedef {Pick<import("../net/schemas.js").Label, "value"|"shown">} Known a label of the scene, and whether that shows it */
@@ -160,4 +162,28 @@ function parsed(text) {
     (numbers[last] ??= []).push(value.trim() ? Number(value) : NaN);
   }
   return { kind, numbers };
+}
+
+const DEEP = 3; // so deep light is looked at that e^-DEEP is left of the colour that is absorbed most
+
+/**
+ * The colour of white light that went deep into what absorbs it, as bright as can be; white where all is absorbed alike.
+ * @param {number[]} absorption one number, or one for each colour
+ */
+export function tintOf(absorption) {
+  const [most, least] = [Math.max(...absorption), Math.min(...absorption)];
+  const [red, green = red, blue = red] = absorption;
+  return most > least ? hexOf([red, green, blue].map((each) => Math.exp((DEEP * (least - each)) / most))) : WHITE;
+}
+
+/**
+ * How much of each colour what has this tint absorbs, of what it absorbs most: the inverse of `tintOf`.
+ * @param {string} tint
+ * @returns {number[]}
+ */
+export function absorbedShares(tint) {
+  const shares = linear(tint), most = Math.max(...shares);
+  const depths = shares.map((share) => (most > 0 ? Math.min(Math.log(most / share), DEEP) : 0));
+  const deepest = Math.max(...depths);
+  return depths.map((depth) => 1 - (deepest - depth) / DEEP);
 }

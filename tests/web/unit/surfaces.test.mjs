@@ -6,7 +6,7 @@ import { frameQuery } from "../../../web/net/request.js";
 import { ViewModel } from "../../../web/view/model.js";
 import { exportQuery } from "../../../web/net/export.js";
 import { numberRange } from "../../../web/panels/cuts.js";
-import { areHidden, areSurfaces, isMaterial, readHidden, readMaterial, readSurfaces, writeHidden, writeMaterial, writeSurfaces } from "../../../web/view/surfaces.js";
+import { absorbedShares, areHidden, areSurfaces, isMaterial, readHidden, readMaterial, readSurfaces, tintOf, writeHidden, writeMaterial, writeSurfaces } from "../../../web/view/surfaces.js";
 import { PAINTED, SCENE } from "./fixtures.mjs";
 
 const surfaces = [{ name: "skin", isovalue: 64, albedo: [0.6, 0.6, 0.6], clear: 0.3 }, { name: "", isovalue: 90, albedo: [0.7, 0.7, 0.7], clear: 0 }];
@@ -89,6 +89,16 @@ test("texts that say no material of the scene are none", () => {
   assert.ok(!isMaterial("subsurface", tinted));
   assert.match(complaints("?material=subsurface", vase)[0], /no material of this scene: Lamps do not reach/);
   assert.deepEqual(complaints("?material=glass", vase), []);
+});
+
+test("what absorbs has the tint of white light behind it, and the tint says the shares", () => {
+  for (const grey of [[0.3], [0.2, 0.2, 0.2], [0]]) assert.equal(tintOf(grey), "#ffffff");
+  assert.equal(tintOf([0.4, 0, 0]), "#3fffff", "e⁻³ of the red is left");
+  assert.equal(tintOf([4, 0, 0]), "#3fffff", "how much is not its matter");
+  const near = (a, b) => a.forEach((each, k) => assert.ok(Math.abs(each - b[k]) < 0.01, `${a} is not ${b}`));
+  for (const shares of [[1, 0.25, 0], [0.5, 1, 0.8], [1, 1, 1], [0, 0, 1]]) near(absorbedShares(tintOf(shares)), shares);
+  near(absorbedShares("#ff0000"), [0, 1, 1]);
+  near(absorbedShares("#000000"), [1, 1, 1]);
 });
 
 test("a material is in the address and in requests, without knobs that say nothing of it", () => {
