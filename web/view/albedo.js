@@ -39,13 +39,21 @@ export function albedoQuery(scene, { albedo, tint = WHITE }) {
   return { albedo: tint === WHITE ? shares[0] : shares.join(",") };
 }
 
-/** Linear shares of a colour in sRGB (IEC 61966-2-1). @param {string} hex */
+/**
+ * Linear shares of a colour in sRGB (IEC 61966-2-1).
+ * @param {string} hex
+ * @returns {number[]}
+ */
 export function linear(hex) {
   const shares = [1, 3, 5].map((at) => parseInt(hex.slice(at, at + 2), 16) / 255);
   return shares.map((share) => (share <= 0.04045 ? share / 12.92 : ((share + 0.055) / 1.055) ** 2.4));
 }
 
-/** The inverse of `linear`. @param {number[]} shares */
+/**
+ * The inverse of `linear`.
+ * @param {number[]} shares
+ * @returns {string}
+ */
 export function hexOf(shares) {
   const curved = shares.map((share) => (share <= 0.0031308 ? 12.92 * share : 1.055 * share ** (1 / 2.4) - 0.055));
   return `#${curved.map((share) => Math.round(255 * share).toString(16).padStart(2, "0")).join("")}`;

@@ -169,6 +169,7 @@ const DEEP = 3; // so deep light is looked at that e^-DEEP is left of the colour
 /**
  * The colour of white light that went deep into what absorbs it, as bright as can be; white where all is absorbed alike.
  * @param {number[]} absorption one number, or one for each colour
+ * @returns {string}
  */
 export function tintOf(absorption) {
   const [most, least] = [Math.max(...absorption), Math.min(...absorption)];
