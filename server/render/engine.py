@@ -358,7 +358,7 @@ class RenderEngine:
     def _coming(self, scene: str, frame: Frame, target: float, watch: Stopwatch) -> bool:
         """Request the light that a frame lacks; whether any of it is going to be baked."""
         with watch.stage("demand"):
-            return bool(self.lacking(scene, frame)[1].demands and self.want(scene, frame, target, GUEST))
+            return bool(self.lacking(scene, frame)[1].demands and self.want(scene, frame, target, GUEST) - {CHECK})
 
     def _find(self, scene: str) -> LoadedScene:
         """A loaded scene, which is loaded where it is not. Raises StoreError; UnknownSceneError if it was dismissed."""

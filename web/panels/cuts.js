@@ -233,7 +233,7 @@ export function attachMaterial(panel, scene, view) {
         const { kind, numbers: others } = now();
         set({ kind, numbers: { ...others, [name]: given } });
       }) }));
-      numbers.replaceChildren(...rows.map(({ node }) => node));
+      numbers.replaceChildren(...rows.flatMap(({ nodes }) => nodes));
       shown = Object.fromEntries(rows.map(({ name, show }) => [name, show]));
     }
     Object.entries(made.numbers).forEach(([name, given]) => shown[name](given));
@@ -264,7 +264,7 @@ function numberRow(name, { volume }, first, set) {
   const row = bakedSlider(NUMBER_NAMES[name] ?? name, limits, (x) => `${round(outward(x))}${per ?? ""}`, (x) => {
     set(shares.map((share) => round(share * outward(x))));
   });
-  const tint = name === "absorption" ? tintRow(row, (hex) => {
+  const tint = name === "absorption" ? tintRow(row.slider.id, (hex) => {
     shares = absorbedShares(hex);
     set(shares.map((share) => round(share * outward(row.slider.valueAsNumber))));
   }) : undefined;
@@ -272,25 +272,24 @@ function numberRow(name, { volume }, first, set) {
     const most = Math.max(...given);
     if (most > 0) shares = given.map((each) => each / most); // none keeps its colour
     row.show(inward(most));
-    if (tint) tint.value = tintOf(shares);
+    if (tint) tint.field.value = tintOf(shares);
   };
-  return { node: row.node, show };
+  return { nodes: tint ? [row.node, tint.node] : [row.node], show };
 }
 
 /**
  * A field below a slider for the colour of white light behind what absorbs it.
- * @param {ReturnType<typeof bakedSlider>} row
+ * @param {string} slider its id
  * @param {(hex: string) => void} set
  */
-function tintRow({ node, slider }, set) {
-  const [choice, label, field] = [document.createElement("div"), document.createElement("label"), document.createElement("input")];
-  const id = `${slider.id}-tint`;
+function tintRow(slider, set) {
+  const [node, label, field] = [document.createElement("div"), document.createElement("label"), document.createElement("input")];
+  const id = `${slider}-tint`;
   Object.assign(label, { htmlFor: id, textContent: "Tint" });
   Object.assign(field, { type: "color", id, name: id });
   field.addEventListener("change", () => set(field.value));
-  Object.assign(choice, { className: "choice" }).append(label, field);
-  node.append(choice);
-  return field;
+  Object.assign(node, { className: "choice" }).append(label, field);
+  return { node, field };
 }
 
 /**

@@ -23,6 +23,7 @@ from isogi_core.kernels.transport.room_paths import (
     add_gathered,
     begin,
     carry,
+    first_carried,
     gather_walls,
     launch_in_room,
     stand_on_walls,
@@ -161,6 +162,17 @@ def go_on(wave, vertices, following, scene):
 
 
 @kernel()
+def gather_all(wave, vertices, bounce, scene, room, survival):
+    """Add what paths gather of all that glows on the ways that were cast, and on a ``room``; how many go on."""
+    rays, count = wave.shadow.wave, vertices.count
+    for k in range(scene.glows.rates.shape[0]):
+        for i in range(count):
+            gather(wave, vertices, i, k, scene, rays.t[i], 1.0)
+    hits = gather_walls(wave, vertices, partition(rays, count), room)
+    return russian_roulette(rays, hits, bounce, survival)
+
+
+@kernel()
 def glow_wave(wave, vertices, spare, scene, rules):
     """Walk the paths of a wave to their ends and gather glow on the way, as ``room_paths.light_wave`` does light."""
     rays, last = wave.shadow.wave, rules.weights.shape[0] - 1
@@ -169,11 +181,7 @@ def glow_wave(wave, vertices, spare, scene, rules):
         gather_aimed(wave, vertices, bounce, scene)
         sample_direction(rays, vertices, bounce, scene.field.spacing)
         cast_among_walls(wave, vertices.points, count, scene)
-        for k in range(scene.glows.rates.shape[0]):
-            for i in range(count):
-                gather(wave, vertices, i, k, scene, rays.t[i], 1.0)
-        hits = gather_walls(wave, vertices, partition(rays, count), scene.room)
-        hits = russian_roulette(rays, hits, bounce, rules.survival)
+        hits = gather_all(wave, vertices, bounce, scene, scene.room, rules.survival)
         if hits == 0 or bounce == last:
             return
         carry(wave, vertices, hits, rules.survival if bounce > 0 else 1.0, scene.room)
@@ -186,10 +194,7 @@ def glow_wave(wave, vertices, spare, scene, rules):
 def glow_paths(scene, starts, samples, rules, gathered):
     """Write what each path of a ``SampleRange`` gathers to ``gathered`` (3 k, at least g · count)."""
     total = starts.isovalues.shape[0] * samples.count
-    gathered[:, :total] = 0.0
-    carried = np.empty((3, total))
-    for c in range(3):
-        carried[c] = rules.weights[0, c]
+    carried = first_carried(rules, total, gathered)
     origins = launch_in_room(scene.field, starts)
     n = whole(min(WAVE, total))
     shadow, space, spare = make_shadow_rays(n), make_vertices(n), make_vertices(n)

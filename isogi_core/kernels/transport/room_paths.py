@@ -302,13 +302,20 @@ def begin(wave, starts, first, count):
 
 
 @kernel()
-def light_paths(field, cells, room, starts, samples, rules, light, gathered):
-    """``light_paths`` of the module of that name in a ``room``; see ``light_in_room``."""
-    total = starts.isovalues.shape[0] * samples.count
+def first_carried(rules, total, gathered):
+    """What each of ``total`` paths carries at first, (3, total); none has ``gathered`` (3 k, total or more) any yet."""
     gathered[:, :total] = 0.0
     carried = np.empty((3, total))
     for c in range(3):
         carried[c] = rules.weights[0, c]
+    return carried
+
+
+@kernel()
+def light_paths(field, cells, room, starts, samples, rules, light, gathered):
+    """``light_paths`` of the module of that name in a ``room``; see ``light_in_room``."""
+    total = starts.isovalues.shape[0] * samples.count
+    carried = first_carried(rules, total, gathered)
     origins = launch_in_room(field, starts)
     n = whole(min(WAVE, total))
     shadow, space, spare = make_shadow_rays(n), make_vertices(n), make_vertices(n)

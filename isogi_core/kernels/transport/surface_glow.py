@@ -14,9 +14,9 @@ from isogi_core.kernels._jit import kernel
 from isogi_core.kernels.tracing.field import FIELD
 from isogi_core.kernels.tracing.glow import GLOWS
 from isogi_core.kernels.tracing.walls import ROWS
-from isogi_core.kernels.transport.glow_paths import aim_at_glow, gather
+from isogi_core.kernels.transport.glow_paths import aim_at_glow, gather, gather_all
 from isogi_core.kernels.transport.paths import PATH_RULES, SAMPLE_RANGE, SampleRange
-from isogi_core.kernels.transport.room_paths import STARTS, add_gathered, gather_walls, launch_in_room
+from isogi_core.kernels.transport.room_paths import STARTS, add_gathered, first_carried, launch_in_room
 from isogi_core.kernels.transport.surface_paths import (
     CROSSINGS,
     SURFACES,
@@ -33,8 +33,6 @@ from isogi_core.kernels.transport.wavefront import (
     Vertices,
     columns,
     make_vertices,
-    partition,
-    russian_roulette,
     sample_direction,
     whole,
 )
@@ -93,11 +91,7 @@ def glow_wave(company, vertices, spare, scene, rules):
         gather_aimed(company, vertices, bounce, scene)
         sample_direction(rays, vertices, bounce, scene.field.spacing)
         follow(scene.field, scene.surfaces, company, vertices.points, bounce, count, False)
-        for k in range(scene.glows.rates.shape[0]):
-            for i in range(count):
-                gather(company.wave, vertices, i, k, scene, rays.t[i], 1.0)
-        hits = gather_walls(company.wave, vertices, partition(rays, count), scene.surfaces.room)
-        hits = russian_roulette(rays, hits, bounce, rules.survival)
+        hits = gather_all(company.wave, vertices, bounce, scene, scene.surfaces.room, rules.survival)
         if hits == 0 or bounce == last:
             return
         following = Vertices(spare.points, spare.normals, hits)
@@ -109,10 +103,7 @@ def glow_wave(company, vertices, spare, scene, rules):
 def glow_paths(scene, starts, samples, rules, gathered):
     """Write what each path of a ``SampleRange`` gathers to ``gathered`` (3 k, at least g · count)."""
     total = starts.isovalues.shape[0] * samples.count
-    gathered[:, :total] = 0.0
-    carried = np.empty((3, total))
-    for c in range(3):
-        carried[c] = rules.weights[0, c]
+    carried = first_carried(rules, total, gathered)
     origins, n = launch_in_room(scene.field, starts), whole(min(WAVE, total))
     company, space, spare = make_company(n, scene.surfaces, carried, gathered), make_vertices(n), make_vertices(n)
     for first in range(0, total, WAVE):

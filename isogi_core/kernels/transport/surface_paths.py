@@ -29,6 +29,7 @@ from isogi_core.kernels.transport.room_paths import (
     add_gathered,
     aim_at_luminaire,
     begin,
+    first_carried,
     gather_ends,
     gather_walls,
     launch_in_room,
@@ -359,10 +360,7 @@ def set_out(field, surfaces, company, vertices, starts, origins, sample, first):
 def light_paths(field, surfaces, starts, samples, rules, light, gathered):
     """``light_paths`` of the module of that name among several surfaces; see ``light_among_surfaces``."""
     total = starts.isovalues.shape[0] * samples.count
-    gathered[:, :total] = 0.0
-    carried = np.empty((3, total))
-    for c in range(3):
-        carried[c] = rules.weights[0, c]
+    carried = first_carried(rules, total, gathered)
     origins = launch_in_room(field, starts)
     n = whole(min(WAVE, total))
     company, space, spare = make_company(n, surfaces, carried, gathered), make_vertices(n), make_vertices(n)

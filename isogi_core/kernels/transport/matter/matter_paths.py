@@ -24,6 +24,7 @@ from isogi_core.kernels.transport.room_paths import (
     add_carried,
     add_gathered,
     balance_area,
+    first_carried,
     gather_sources,
     lit_from,
 )
@@ -177,10 +178,7 @@ def light_paths(field, cells, scene, samples, rules, gathered):
     """Write what each path of a ``SampleRange`` gathers to ``gathered`` (3, at least g · count)."""
     _, starts, _ = scene
     total = starts.isovalues.shape[0] * samples.count
-    gathered[:, :total] = 0.0
-    carried = np.empty((3, total))
-    for c in range(3):
-        carried[c] = rules.weights[0, c]
+    carried = first_carried(rules, total, gathered)
     n = whole(min(WAVE, total))
     shadow, space, spare, passage = make_shadow_rays(n), make_vertices(n), make_vertices(n), make_passage(n)
     wave = RoomWave(shadow, np.full(n, -1.0), np.full(n, -1.0), carried, gathered)
