@@ -14,7 +14,7 @@ from isogi_core.kernels.shading.chunks import (
     weigh_chunks,
 )
 from isogi_core.kernels.shading.edges import borrow_light, find_contrasts
-from isogi_core.kernels.shading.filtering import filter_texels
+from isogi_core.kernels.shading.filtering import filter_texels, lend_texels
 from isogi_core.kernels.shading.framebuffer import develop_rows, fill_curve, tally
 from isogi_core.kernels.shading.irradiance_ratio import carry_ratios, fill_records
 from isogi_core.kernels.shading.lattice import carry_light, light_texels
@@ -26,8 +26,10 @@ from isogi_core.kernels.shading.lobes import (
     aim_at_rims,
     cast_shadow_rays,
     face_lobes,
+    find_sides,
     light_points,
     mark_edges,
+    share_rays,
     spread_edges,
 )
 from isogi_core.kernels.shading.local_models import find_normals, find_shadows, shade_local, trace_points
@@ -68,6 +70,8 @@ LOBES = (
     sort_by_turn,
     face_lobes,
     spread_edges,
+    find_sides,
+    share_rays,
     light_points,
     add_halves,
     add_lobes,
@@ -127,6 +131,7 @@ FRAME = (
     find_places,
     fill_records,
     filter_texels,
+    lend_texels,
     tally,
     find_contrasts,
     look_up_normals,

@@ -14,7 +14,7 @@ from isogi_core.frame.rays.pixel_rays import Paths, pooled_variance, replicas_fo
 from isogi_core.frame.texel_reading import Reading
 from isogi_core.frame.tiles import Stopwatch, Tiles
 from isogi_core.frame.view_texels import ViewTexels
-from isogi_core.kernels.shading.filtering import PATHS, VARIANCE, filter_texels
+from isogi_core.kernels.shading.filtering import PATHS, VARIANCE, filter_texels, lend_texels
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, Framebuffer, PixelPoints
 from isogi_core.kernels.shading.irradiance_ratio import (
     DIRECT,
@@ -205,16 +205,10 @@ def lend_light(texels: ViewTexels, reading: Reading, lit: np.ndarray) -> tuple[R
 
     In the ``reading`` that is returned they are converging.
     """
-    unlit, grade = reading.grade == UNBAKED, reading.grade.copy()
-    if not unlit.any():
+    if not (reading.grade == UNBAKED).any():
         return reading, lit
-    cells = texels.corners[unlit[texels.corners].any(axis=1)]
-    lend = (grade[cells] >= CONVERGING) & (grade[cells] <= FINAL)
-    cells, lend = (each[lend.any(axis=1)] for each in (cells, lend))
-    means = np.einsum("kc,kcl->kl", lend / lend.sum(axis=1, keepdims=True, dtype=np.float32), lit[cells])
-    cell, corner = np.nonzero(unlit[cells])
-    taken, lent = cells[cell, corner], lit.copy()
-    lent[taken], grade[taken] = means[cell], CONVERGING
+    grade, lent = reading.grade.copy(), lit.copy()
+    lend_texels(texels.corners, reading.grade, lit, grade, lent)
     return replace(reading, grade=grade), lent
 
 

@@ -12,7 +12,7 @@ from isogi_core.frame.gbuffer import GBuffer
 from isogi_core.frame.rays.lobe_light import find_lobes, find_starts
 from isogi_core.frame.tiles import Tiles
 from isogi_core.kernels.shading.framebuffer import BLUE, GREEN, RED
-from isogi_core.kernels.shading.lobes import EVEN, RAYS, RIM, SHARP, STREAM, rim_way
+from isogi_core.kernels.shading.lobes import AXES, EVEN, OWN, RAYS, RIM, SHARP, STREAM, rim_way
 from isogi_core.kernels.shading.shadow_points import APART
 from isogi_core.kernels.tracing.field import OFFSET, to_index
 from isogi_core.kernels.tracing.intersect import OUTSIDE, cast
@@ -71,33 +71,62 @@ def picture(points: np.ndarray, spacing: Spacing = (1.0, 1.0, 1.0)) -> GBuffer:
 def twin(lamps: LampArrays, points: np.ndarray, spacing: Spacing) -> np.ndarray:
     """The same, ray by ray, all of them to all rims."""
     field, lit = field_of(ROOM, spacing), np.zeros((len(points), 4))
-    for m, p in enumerate(points.astype(float)):
-        for k in range(len(lamps.kinds)):
-            share, variance = seen_of(field, lamps, k, p, np.uint64(mix(m, STREAM)))
+    for k in range(len(lamps.kinds)):
+        seen = [rims_seen(field, lamps, k, m, p) for m, p in enumerate(points.astype(float))]
+        half = np.array([any(each) and not all(each) for each in seen])
+        for m in range(len(points)):
+            share, variance = all(seen[m]) * max(float(lamps.places[k, 2]), 0.0), 0.0
+            if half[m]:
+                share, variance = half_seen(field, lamps, k, points, half, m)
             lit[m, :3] += share * lamps.colours[k]
             lit[m, 3] += variance * (lamps.colours[k] @ LIGHT) ** 2
     return lit
 
 
-def seen_of(field: Any, lamps: LampArrays, k: int, p: np.ndarray, seed: np.uint64) -> tuple[float, float]:
-    """What a point gets of a lobe's light, and the variance of that."""
+def free(field: Any, p: np.ndarray, w: Any) -> bool:
+    """Whether a ray from a point gets away."""
     origin = launch(field, 0.0, tuple(p), tuple(UP), OUTSIDE)
+    return not cast(field, 0.0, origin, to_index(tuple(w), field.spacing), OUTSIDE)[0] < math.inf
 
-    def free(w: np.ndarray) -> bool:
-        return not cast(field, 0.0, origin, to_index(tuple(w), field.spacing), OUTSIDE)[0] < math.inf
 
+def rims_seen(field: Any, lamps: LampArrays, k: int, m: int, p: np.ndarray) -> list[bool]:
+    """What a point sees along rays to a lobe's rim; to its middle, where it is sharp."""
     rim = [lamps.places[k]]
     if np.linalg.norm(lamps.edges[k, 0]) > SHARP:
-        first = 0.5 * math.pi * point_2d(seed, 0, k)[0]
+        first = 0.5 * math.pi * point_2d(np.uint64(mix(m, STREAM)), 0, k)[0]
         rim = [np.array(rim_way(lamps, k, first + 2.0 * math.pi * i / RIM)) for i in range(RIM)]
-    seen = [w[2] > 0.0 and free(w) for w in rim]
-    if all(seen) or not any(seen):
-        return all(seen) * max(float(lamps.places[k, 2]), 0.0), 0.0
+    return [w[2] > 0.0 and free(field, p, w) for w in rim]
+
+
+def half_seen(
+    field: Any, lamps: LampArrays, k: int, points: np.ndarray, half: np.ndarray, m: int
+) -> tuple[float, float]:
+    """What a point in the half-shadow gets of a lobe's light, and its variance: by those beside it, too."""
+    given = [(m, OWN), *((n, weight) for pair, weight in pairs_beside(half, math.isqrt(len(points)), m) for n in pair)]
+    total, share, variance = sum(weight for _, weight in given), 0.0, 0.0
+    for n, weight in given:
+        rays = RAYS[len(pairs_beside(half, math.isqrt(len(points)), n))]
+        each = share_of(field, lamps, k, n, points[n], rays)
+        share, variance = share + weight / total * each[0], variance + (weight / total) ** 2 * each[1]
+    return share, variance
+
+
+def pairs_beside(half: np.ndarray, side: int, m: int) -> list[tuple[tuple[int, int], float]]:
+    """The pairs of points opposite each other about one that are both in the half-shadow, and what each counts."""
+    y, x = divmod(m, side)
+    pairs = [((y - dy, x - dx), (y + dy, x + dx), weight) for dy, dx, weight in AXES]
+    inside = [each for each in pairs if all(0 <= i < side for i in (*each[0], *each[1]))]
+    numbered = [((a * side + b, c * side + d), weight) for (a, b), (c, d), weight in inside]
+    return [each for each in numbered if half[each[0][0]] and half[each[0][1]]]
+
+
+def share_of(field: Any, lamps: LampArrays, k: int, m: int, p: np.ndarray, rays: int) -> tuple[float, float]:
+    """What a point gets of a lobe's light by so many rays of its own, and the variance of that."""
     brought = []
-    for i in range(RAYS):
-        w, cosine = draw_from_disc(tuple(lamps.places[k]), lamps.edges[k], *point_2d(seed, i, k))
-        brought.append(max(w[2], 0.0) / cosine * free(np.array(w)))
-    return float(np.mean(brought)), float(EVEN * np.var(brought) / (RAYS - 1))
+    for i in range(rays):
+        w, cosine = draw_from_disc(tuple(lamps.places[k]), lamps.edges[k], *point_2d(np.uint64(mix(m, STREAM)), i, k))
+        brought.append(max(w[2], 0.0) / cosine * free(field, p.astype(float), w))
+    return float(np.mean(brought)), float(EVEN[rays] * np.var(brought) / (rays - 1))
 
 
 @pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), (0.5, 2.0, 1.0)])

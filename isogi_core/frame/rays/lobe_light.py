@@ -24,8 +24,10 @@ from isogi_core.kernels.shading.lobes import (
     aim_at_rims,
     cast_shadow_rays,
     face_lobes,
+    find_sides,
     light_points,
     mark_edges,
+    share_rays,
     spread_edges,
 )
 from isogi_core.kernels.shading.shadow_points import TURNS, ShadowPoints, prepare_points, sort_by_turn
@@ -100,7 +102,7 @@ def find_lobes(light: RotatedLight, starts: ShadowStarts, traced: TracedSurface,
     halves = np.empty(0, np.int64) if moving else shadows.edges(seen)
     lit = np.empty((shadows.points, 4), np.float32)
     tiles.run(lambda a, b: light_points(starts.picture, lamps, (a, b), moving, seen, lit), len(lit), LOBE_POINTS)
-    add_halves(lamps, halves, shadows.halves(halves), lit)
+    add_halves(lamps, halves, shadows.halves(halves, seen), lit)
     return LobeLight(lit)
 
 
@@ -170,18 +172,32 @@ class Shadows:
         self.tiles.run(_piece, len(pairs), tile_of(len(pairs), RIMS, self.tiles))
         return found
 
-    def halves(self, pairs: np.ndarray) -> np.ndarray:
+    def halves(self, pairs: np.ndarray, seen: np.ndarray) -> np.ndarray:
         """Shares of lobes that points see in part, and their variance; (pairs, 2)."""
+        places, sides = np.empty(seen.shape, np.int32), np.empty(len(pairs), np.uint8)
+        find_sides(self.picture, pairs, seen, places, sides)
+        rays, own, shares = np.array(RAYS)[np.bitwise_count(sides)], *np.empty((2, len(pairs), 2))
+        for count in np.unique(rays).tolist():
+            own[rays == count] = self._shares(pairs[rays == count], count)
+
+        def _piece(a: int, b: int) -> None:
+            share_rays(self.picture, self.lamps, pairs, sides, places, own, (a, b), shares)
+
+        self.tiles.run(_piece, len(pairs), LOBE_POINTS)
+        return shares
+
+    def _shares(self, pairs: np.ndarray, rays: int) -> np.ndarray:
+        """The same by so many ``rays`` of each pair alone."""
         shares = np.empty((len(pairs), 2))
 
         def _piece(a: int, b: int) -> None:
-            count = RAYS * (b - a)
+            count = rays * (b - a)
             aimed, brought = room_for(count), np.empty(count)
-            aim_at_discs(self.picture.points, self.lamps, pairs[a:b], aimed, brought)
-            each = (brought * self._cast(aimed, count)).reshape(-1, RAYS)
-            shares[a:b, 0], shares[a:b, 1] = each.mean(axis=1), EVEN * each.var(axis=1) / (RAYS - 1)
+            aim_at_discs(self.picture.points, self.lamps, pairs[a:b], rays, aimed, brought)
+            each = (brought * self._cast(aimed, count)).reshape(-1, rays)
+            shares[a:b, 0], shares[a:b, 1] = each.mean(axis=1), EVEN[rays] * each.var(axis=1) / (rays - 1)
 
-        self.tiles.run(_piece, len(pairs), HALVES)
+        self.tiles.run(_piece, len(pairs), HALVES * RAYS[0] // rays)
         return shares
 
     def _cast(self, aimed: Aimed, count: int) -> np.ndarray:

@@ -17,7 +17,7 @@ from isogi_core.kernels._jit import kernel, record
 from isogi_core.kernels.shading.chunks import SLOTS, WORDS, ones, within
 from isogi_core.kernels.shading.framebuffer import CONVERGING, FINAL, luminance
 from isogi_core.kernels.shading.irradiance_ratio import BARE, DIRECT, GRADE, NOISE, NORMAL, RECORD, REFLECTED, TEXELS
-from isogi_core.kernels.shading.lattice import DARKEST, UNBAKED
+from isogi_core.kernels.shading.lattice import CORNERS, DARKEST, GRADES, UNBAKED
 from isogi_core.kernels.transport.transfer import TEXELS as POSITIONS
 
 PATHS, VARIANCE = 14, 15
@@ -197,3 +197,28 @@ def filter_texels(numbering, bits, positions, first, step, texels, filtered):
         if unlit:
             filtered[t, GRADE], filtered[t, PATHS] = CONVERGING, mean_paths(texels, found, weights, count)
         filtered[t, VARIANCE], filtered[t, NOISE] = kept + taken, math.sqrt(kept + SHARED * taken)
+
+
+@kernel(types.void(CORNERS, GRADES, TEXELS, GRADES, TEXELS))
+def lend_texels(corners, grade, lit, graded, lent):
+    """Write to ``lent`` the light of texels without any: the mean of the others in a cell of theirs, the last such.
+
+    ``corners`` (cells, 8) number the texels of each cell, which have ``grade`` (texels,) and ``lit`` (texels, values).
+    ``graded`` and ``lent`` are copies of these; texels that are lent light are CONVERGING there.
+    """
+    mean = np.empty(lit.shape[1], np.float32)
+    for cell in corners:
+        lenders, unlit = NONE, False
+        mean[:] = NONE
+        for t in cell:
+            unlit = unlit or grade[t] == UNBAKED
+            if CONVERGING <= grade[t] <= FINAL:
+                lenders += ONE
+                for c in range(mean.shape[0]):
+                    mean[c] += lit[t, c]
+        if unlit and lenders > NONE:
+            for t in cell:
+                if grade[t] == UNBAKED:
+                    graded[t] = CONVERGING
+                    for c in range(mean.shape[0]):
+                        lent[t, c] = mean[c] / lenders

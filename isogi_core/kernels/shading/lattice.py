@@ -98,6 +98,7 @@ class Lattice(NamedTuple):
 
 LATTICE = record(Lattice, types.UniTuple(types.int64, 3), types.UniTuple(types.float64, 3), types.int64)
 CORNERS = types.uint32[:, ::1]
+GRADES = types.uint8[::1]
 
 
 @kernel()
@@ -249,9 +250,6 @@ def span_of(grade, corners, m):
         own = grade[corners[m, c]]
         least, most = min(least, own), max(most, own)
     return least, most
-
-
-GRADES = types.uint8[::1]
 
 
 @kernel(types.void(LATTICE, PIXEL_POINTS, CORNERS, GRADES, types.float32[:, ::1], SKY, types.float32, FRAMEBUFFER))
