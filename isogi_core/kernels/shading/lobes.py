@@ -32,7 +32,7 @@ from isogi_core.kernels.shading.framebuffer import (
 )
 from isogi_core.kernels.shading.lattice import DARKEST
 from isogi_core.kernels.shading.local_models import find_unoccluded
-from isogi_core.kernels.shading.shadow_points import PART, SHADOW_POINTS, between, neighbours, row_at
+from isogi_core.kernels.shading.shadow_points import PART, SHADOW_POINTS, near_between, neighbours, row_at
 from isogi_core.kernels.tracing.cast import SURFACE
 from isogi_core.kernels.tracing.vec import dot, length, madd, put_column, scale
 from isogi_core.kernels.transport.lights import LAMPS, draw_from_disc, row
@@ -255,7 +255,7 @@ def find_sides(picture, pairs, seen, places, sides):
         for axis in range(len(AXES)):
             a, b = opposite(picture, m, axis)
             both = is_seen(seen[k], a, HALF) and is_seen(seen[k], b, HALF)
-            if both and between(picture.points.points, m, a, b):
+            if both and near_between(picture.points.points, m, a, b):
                 sides[j] |= 1 << axis
 
 

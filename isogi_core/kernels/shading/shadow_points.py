@@ -20,7 +20,8 @@ BENT = 0.25
 """How far a point may be from the middle of two neighbours, over their distance, for what these see to hold for it."""
 
 APART = 4.0
-"""Voxels between two neighbours, at most, that are four pixels apart and believed: surfaces hide nothing smaller."""
+"""Voxels between two neighbours, at most, of which a point amid them believes something: surfaces hide nothing smaller.
+"""
 
 TURNS = 5
 """Turns in which pixels are asked, each of them amid four of the turns before."""
@@ -89,6 +90,21 @@ def apart(points, a, b):
 
 
 @kernel()
+def near_between(points, m, a, b):
+    """Whether point ``m`` is in the middle of ``a`` and ``b``, as on one smooth surface, and these are near."""
+    return between(points, m, a, b) and apart(points, a, b) <= APART
+
+
+@kernel()
+def has_near(points, m, four):
+    """Whether one of its ``four`` neighbours is as near to point ``m`` as to the middle of two that are near."""
+    for n in four:
+        if n >= 0 and apart(points, m, n) <= 0.5 * APART:
+            return True
+    return False
+
+
+@kernel()
 def neighbours(rows, y, x, aside, step):
     """Numbers of the four points at a distance of ``step`` about a pixel: diagonal where ``aside`` is that, too."""
     a, b = row_at(rows, y - aside, x - step), row_at(rows, y + aside, x + step)
@@ -106,7 +122,8 @@ def prepare_points(surface, picture, part):
     """Fill ``starts``, ``around`` and ``edgy`` of the points of a ``part``.
 
     Neighbours ``around`` are the diagonal ones of a point of an odd turn, and those beside, above and below it of an
-    even one. Points are ``edgy`` at edges of the surface, behind which half-shadows may begin.
+    even one. Points are ``edgy`` at edges of the surface, behind which half-shadows may begin; of near ones every
+    other, as edges are two pixels wide, and what is found in the half-shadow has its neighbours asked.
     """
     rows, points, around, width = picture.rows, picture.points.points, picture.around, picture.rows.shape[1]
     for m in range(part[0], part[1]):
@@ -121,7 +138,9 @@ def prepare_points(surface, picture, part):
         if smooth and step > 1:
             smooth = max(apart(points, four[0], four[1]), apart(points, four[2], four[3])) <= APART
         around[m, 0], around[m, 1], around[m, 2], around[m, 3] = four[0] if smooth else -1, four[1], four[2], four[3]
-        picture.edgy[m] = not on_one_surface(points, m, neighbours(rows, y, x, 0, 1))
+        beside = neighbours(rows, y, x, 0, 1)
+        left_out = (x + y) & 1 and has_near(points, m, beside)
+        picture.edgy[m] = not left_out and not on_one_surface(points, m, beside)
 
 
 @kernel(types.void(PIXELS, types.int64, ORDER, types.int64[::1]))
